@@ -1,0 +1,1 @@
+"""Launch files, configuration and the demonstration of the Galen suite."""

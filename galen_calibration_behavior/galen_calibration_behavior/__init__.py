@@ -1,0 +1,1 @@
+"""Sweeps the arm over still poses and writes the tool's calibration file, as a ROS action."""

@@ -1,0 +1,1 @@
+"""Subtracts the tool's weight from the wrist sensor's wrench, live and on recordings."""

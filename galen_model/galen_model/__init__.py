@@ -1,0 +1,1 @@
+"""Kinematics, wrench algebra, load model and tool files of the Galen arm, free of ROS."""

@@ -1,0 +1,1 @@
+"""Stands in for the Galen's arm, force/torque sensor and optical tracker."""
