@@ -1,0 +1,102 @@
+"""The Galen's numbers: geometry, limits, stiffness, sensor and tracker.
+
+Source: the 2019 report and public Galen/REMS material; what nobody published is estimated.
+Units are SI; angles in rad.
+"""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from galen_model.arrays import Array
+
+JOINT_NAMES = ("delta_x", "delta_y", "delta_z", "roll", "tilt")
+"""The joint vector's order: the platform's position in base_link (m), then two angles (rad)."""
+
+JOINT_UNITS = ("m", "m", "m", "rad", "rad")
+
+HOME = np.array([0.0, 0.0, 0.408, 0.0, 0.0])
+HOME.setflags(write=False)
+
+GRAVITY_M_S2 = np.array([0.0, 0.0, -9.80665])
+GRAVITY_M_S2.setflags(write=False)
+"""Gravity in base_link."""
+
+BASE_FRAME = "base_link"
+SENSOR_FRAME = "ft_sensor"
+TIP_FRAME = "tool_tip"
+TRACKER_FRAME = "tracker"
+
+WRENCH_AXES = ("fx", "fy", "fz", "tx", "ty", "tz")
+"""Order of a wrench everywhere: force (N), then torque about the sensor's origin (N.m)."""
+
+
+def _vector(*values: float) -> Array:
+    array = np.array(values, dtype=float)
+    array.setflags(write=False)
+    return array
+
+
+@dataclass(frozen=True)
+class ArmParameters:
+    """Geometry and stiffness of the linear delta, roll and tilt (lengths m, stiffness SI)."""
+
+    rod_length_m: float = 0.440
+    rail_radius_m: float = 0.215
+    platform_radius_m: float = 0.050
+    rod_half_spacing_m: float = 0.0552
+    leg_angles_rad: tuple[float, float, float] = (-np.pi / 3, np.pi / 3, np.pi)
+    carriage_travel_m: float = 0.25
+
+    platform_to_roll_m: Array = field(default_factory=lambda: _vector(0.0, 0.0, 0.07614))
+    roll_to_tilt_m: Array = field(default_factory=lambda: _vector(0.6085, 0.0, 0.013))
+    tilt_to_sensor_m: Array = field(default_factory=lambda: _vector(0.031248, 0.0, 0.025))
+
+    carriage_stiffness_n_m: float = 3e5
+    rod_stiffness_n_m: float = 2e6
+    roll_stiffness_nm_rad: float = 2000.0
+    tilt_stiffness_nm_rad: float = 1500.0
+
+    @property
+    def delta_radius_m(self) -> float:
+        """R: rail radius less platform radius, what the delta's equations see."""
+        return self.rail_radius_m - self.platform_radius_m
+
+
+GALEN = ArmParameters()
+"""The nominal arm."""
+
+
+@dataclass(frozen=True)
+class JointLimits:
+    """Lowest and highest value of each joint, shape (5,), m and rad.
+
+    The platform's box is the usable volume published for the arm; inside it the carriages
+    stay within their travel.
+    """
+
+    lower: Array = field(default_factory=lambda: _vector(-0.14, -0.14, 0.408 - 0.21, -1.57, -1.04))
+    upper: Array = field(default_factory=lambda: _vector(0.14, 0.14, 0.408 + 0.21, 1.57, 0.96))
+
+
+LIMITS = JointLimits()
+
+
+@dataclass(frozen=True)
+class SensorParameters:
+    """Noise (one sample), quantum and range of the six axes, shape (6,), N and N.m."""
+
+    noise_std: Array = field(
+        default_factory=lambda: _vector(0.02, 0.02, 0.03, 0.4e-3, 0.4e-3, 0.4e-3)
+    )
+    quantum: Array = field(default_factory=lambda: _vector(*[0.005] * 3, *[0.1e-3] * 3))
+    range: Array = field(default_factory=lambda: _vector(125.0, 125.0, 500.0, 3.0, 3.0, 3.0))
+
+
+SENSOR = SensorParameters()
+
+ENCODER_QUANTUM = _vector(5e-6, 5e-6, 5e-6, 5e-5, 5e-5)
+"""Step of each joint's encoder, shape (5,), m and rad."""
+
+TRACKER_POSITION_NOISE_M = 0.03e-3
+TRACKER_ROTATION_NOISE_RAD = 0.1e-3
