@@ -14,7 +14,10 @@ setup(
     zip_safe=True,
     maintainer="The Galen suite's authors",
     maintainer_email="galen@example.org",
-    description="What the Galen nodes share on the ROS side: parameters, diagnostics, conversions, spinning.",
+    description=(
+        "What the Galen nodes share on the ROS side: "
+        "parameters, diagnostics, conversions, spinning."
+    ),
     license="Apache-2.0",
     entry_points={"console_scripts": []},
 )

@@ -1,0 +1,188 @@
+"""Test nodes with real rclpy: private context, own domain, a spinning thread, no sleeping."""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import tempfile
+import threading
+import time
+from collections.abc import Callable
+from concurrent.futures import Future
+from pathlib import Path
+from typing import IO, Any, TypeVar
+
+import rclpy
+from rclpy.client import Client
+from rclpy.context import Context
+from rclpy.executors import Executor
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+
+from galen_ros.spin import make_executor
+
+N = TypeVar("N", bound=Node)
+
+# Fast DDS takes UDP port 7400 + 250 domain and up. Linux hands out ports from 32768 to everybody,
+# which is domain 101; people use the low domains.
+_DOMAIN_IDS = range(61, 101)
+_POLL_S = 0.005
+
+
+class DomainLock:
+    """Holds a ROS domain id that no other test process on this machine holds."""
+
+    def __init__(self, timeout_s: float = 60.0) -> None:
+        deadline = time.monotonic() + timeout_s
+        count = len(_DOMAIN_IDS)
+        first = os.getpid() % count
+        while True:
+            for step in range(count):
+                domain_id = _DOMAIN_IDS[(first + step) % count]
+                handle = _try_lock(domain_id)
+                if handle is not None:
+                    self.domain_id = domain_id
+                    self._handle = handle
+                    return
+            if time.monotonic() > deadline:
+                raise TimeoutError(f"no free ROS domain id among {_DOMAIN_IDS} for {timeout_s} s")
+            time.sleep(0.1)
+
+    def release(self) -> None:
+        """Give the domain id back."""
+        self._handle.close()
+
+
+def parameters(**values: Any) -> list[Parameter]:
+    """Return `parameter_overrides` for a Node: `parameters(rate_hz=500.0)`."""
+    return [Parameter(name, value=value) for name, value in values.items()]
+
+
+class Harness:
+    """A private ROS world for one test.
+
+        with Harness() as harness:
+            node = harness.add(lambda context: MyNode(context=context))
+            probe = harness.add(lambda context: Node("probe", context=context))
+            ...
+            harness.wait_for(lambda: len(received) > 10, 5.0, "ten samples")
+
+    All nodes run on one executor in one thread, as in a node's own process. An exception in a
+    callback ends the thread and is raised again by the next `wait_for` and at the end.
+    """
+
+    def __init__(self, make: Callable[[Context], Executor] = make_executor) -> None:
+        os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+        os.environ.setdefault("FASTDDS_BUILTIN_TRANSPORTS", "UDPv4")
+        self._make = make
+        self._nodes: list[Node] = []
+        self._jobs: list[Callable[[], None]] = []
+        self._jobs_lock = threading.Lock()
+        self._stop = threading.Event()
+        self._error: BaseException | None = None
+
+    def __enter__(self) -> Harness:
+        self._lock = DomainLock()
+        self.domain_id = self._lock.domain_id
+        self.context = Context()
+        rclpy.init(context=self.context, domain_id=self.domain_id)
+        self._executor = self._make(self.context)
+        self._thread = threading.Thread(target=self._spin, name="harness", daemon=True)
+        self._thread.start()
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        self._stop.set()
+        self._thread.join(timeout=10.0)
+        for node in self._nodes:
+            node.destroy_node()
+        self._executor.shutdown()
+        rclpy.try_shutdown(context=self.context)
+        self._lock.release()
+        if kind is None:
+            self._raise_error()
+
+    def add(self, make_node: Callable[[Context], N]) -> N:
+        """Make a node in this world and spin it; an error in its constructor is raised here."""
+        return self.call_in_executor(lambda: self._add(make_node))
+
+    def remove(self, node: Node) -> None:
+        """Stop and destroy one node, as if its process had ended."""
+        self.call_in_executor(lambda: self._remove(node))
+
+    def call_in_executor(self, job: Callable[[], Any], timeout_s: float = 10.0) -> Any:
+        """Run `job` between callbacks, in the executor's thread, and return what it returns."""
+        future: Future[Any] = Future()
+
+        def work() -> None:
+            try:
+                future.set_result(job())
+            except BaseException as error:
+                future.set_exception(error)
+
+        with self._jobs_lock:
+            self._jobs.append(work)
+        self.wait_for(future.done, timeout_s, "the executor to take a job")
+        return future.result()
+
+    def wait_for(self, predicate: Callable[[], Any], timeout_s: float, what: str) -> Any:
+        """Wait until `predicate()` is true and return its value, or fail naming `what`."""
+        deadline = time.monotonic() + timeout_s
+        while True:
+            self._raise_error()
+            value = predicate()
+            if value:
+                return value
+            if time.monotonic() > deadline:
+                raise AssertionError(f"waited {timeout_s} s in vain for {what}")
+            time.sleep(_POLL_S)
+
+    def call(self, client: Client, request: Any, timeout_s: float = 10.0) -> Any:
+        """Call a service and return its response."""
+        name = client.srv_name
+        self.wait_for(client.service_is_ready, timeout_s, f"service {name}")
+        future = client.call_async(request)
+        self.wait_for(future.done, timeout_s, f"an answer of {name}")
+        return future.result()
+
+    def _add(self, make_node: Callable[[Context], N]) -> N:
+        node = make_node(self.context)
+        self._nodes.append(node)
+        self._executor.add_node(node)
+        return node
+
+    def _remove(self, node: Node) -> None:
+        self._nodes.remove(node)
+        self._executor.remove_node(node)
+        node.destroy_node()
+
+    def _spin(self) -> None:
+        try:
+            while not self._stop.is_set():
+                with self._jobs_lock:
+                    jobs, self._jobs = self._jobs, []
+                for job in jobs:
+                    job()
+                self._executor.spin_once(timeout_sec=0.01)
+        except BaseException as error:
+            self._error = error
+
+    def _raise_error(self) -> None:
+        if self._error is not None:
+            error, self._error = self._error, None
+            raise error
+
+
+def _try_lock(domain_id: int) -> IO[str] | None:
+    """Lock a domain's file; the system releases it when the process ends, however it ends."""
+    path = Path(tempfile.gettempdir()) / f"galen_ros_domain_{domain_id}.lock"
+    try:
+        handle = path.open("a")
+    except PermissionError:  # another user's
+        return None
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:
+        handle.close()
+        return None
+    return handle

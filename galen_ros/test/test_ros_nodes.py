@@ -1,0 +1,134 @@
+"""Diagnostics, latched topics, deferred services and the harness, on both executors."""
+
+import pytest
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from galen_ros.deferred_service import DeferredService
+from galen_ros.diagnostics import OK, WARN, DiagnosticsPublisher, Status
+from galen_ros.qos import LATCHED
+from galen_ros.spin import make_executor
+from galen_ros.testing import DomainLock, Harness
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from std_msgs.msg import String
+from std_srvs.srv import Trigger
+
+
+@pytest.fixture(
+    params=[make_executor, lambda context: SingleThreadedExecutor(context=context)],
+    ids=["default", "single_threaded"],
+)
+def harness(request):
+    with Harness(request.param) as world:
+        yield world
+
+
+def test_diagnostics_come_by_period_and_on_change(harness):
+    state = {"status": Status(OK, "fine", {"rate_hz": 500.0, "on": True, "tool": "pointer"})}
+    node = harness.add(lambda context: Node("talker", namespace="/left", context=context))
+    probe = harness.add(lambda context: Node("probe", context=context))
+    received = []
+    probe.create_subscription(DiagnosticArray, "/diagnostics", received.append, 10)
+    publisher = DiagnosticsPublisher(node, "arm", lambda: state["status"], period_s=0.05)
+    harness.wait_for(lambda: len(received) >= 3, 10.0, "three diagnostics")
+    status = received[-1].status[0]
+    assert (status.level, status.name, status.message) == (
+        DiagnosticStatus.OK,
+        "left/talker",
+        "fine",
+    )
+    assert status.hardware_id == "arm"
+    values = {item.key: item.value for item in status.values}
+    assert values == {"rate_hz": "500", "on": "true", "tool": "pointer"}
+
+    state["status"] = Status(WARN, "no tool")
+    harness.call_in_executor(publisher.publish_now)
+    last = harness.wait_for(
+        lambda: next((m for m in received if m.status[0].message == "no tool"), None),
+        10.0,
+        "the new state",
+    )
+    assert last.status[0].level == DiagnosticStatus.WARN
+
+
+def test_a_latched_message_reaches_a_late_subscriber(harness):
+    node = harness.add(lambda context: Node("talker", context=context))
+    node.create_publisher(String, "description", LATCHED).publish(String(data="arm"))
+    probe = harness.add(lambda context: Node("late", context=context))
+    received = []
+    probe.create_subscription(String, "description", received.append, LATCHED)
+    harness.wait_for(lambda: received, 10.0, "the latched message")
+    assert received[0].data == "arm"
+
+
+def test_a_deferred_answer_waits_for_its_event_and_blocks_nothing(harness):
+    waiting = []
+
+    def on_request(_request, response, respond):
+        waiting.append((response, respond))
+
+    node = harness.add(lambda context: Node("server", context=context))
+    DeferredService(node, Trigger, "later", on_request)
+    at_once = []
+
+    def on_now(_request, response):
+        at_once.append(len(waiting))
+        response.success = True
+        return response
+
+    node.create_service(Trigger, "now", on_now)
+    probe = harness.add(lambda context: Node("probe", context=context))
+    later = probe.create_client(Trigger, "later")
+    now = probe.create_client(Trigger, "now")
+    harness.wait_for(later.service_is_ready, 10.0, "the service")
+    first, second = later.call_async(Trigger.Request()), later.call_async(Trigger.Request())
+    harness.wait_for(lambda: len(waiting) == 2, 10.0, "both requests")
+    assert harness.call(now, Trigger.Request()).success
+    assert not first.done() and not second.done()
+
+    # Answered in the other order, each caller still gets its own.
+    def answer(index, text):
+        response, respond = waiting[index]
+        response.message = text
+        harness.call_in_executor(lambda: respond(response))
+
+    answer(1, "second")
+    harness.wait_for(second.done, 10.0, "the second answer")
+    assert second.result().message == "second" and not first.done()
+    answer(0, "first")
+    harness.wait_for(first.done, 10.0, "the first answer")
+    assert first.result().message == "first"
+
+
+def test_a_deferred_service_may_answer_at_once(harness):
+    def on_request(_request, response, respond):
+        response.message = "refused"
+        respond(response)
+        with pytest.raises(RuntimeError, match="twice"):
+            respond(response)
+
+    node = harness.add(lambda context: Node("server", context=context))
+    DeferredService(node, Trigger, "later", on_request)
+    client = harness.add(lambda context: Node("probe", context=context)).create_client(
+        Trigger, "later"
+    )
+    assert harness.call(client, Trigger.Request()).message == "refused"
+
+
+def test_the_harness_names_what_was_missing_and_passes_errors_on():
+    with Harness() as world:
+        with pytest.raises(AssertionError, match="a miracle"):
+            world.wait_for(lambda: False, 0.05, "a miracle")
+        with pytest.raises(ZeroDivisionError):
+            world.add(lambda context: 1 / 0)
+
+    with pytest.raises(KeyError), Harness() as world:
+        node = world.add(lambda context: Node("broken", context=context))
+        node.create_timer(0.01, lambda: {}["missing"])
+        world.wait_for(lambda: False, 10.0, "nothing")
+
+
+def test_domains_are_not_shared():
+    locks = [DomainLock() for _ in range(5)]
+    assert len({lock.domain_id for lock in locks}) == 5
+    for lock in locks:
+        lock.release()

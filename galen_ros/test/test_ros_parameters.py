@@ -1,0 +1,114 @@
+"""Parameters: what is declared, what is refused and how the README's table reads."""
+
+from dataclasses import dataclass
+
+import pytest
+from galen_ros.parameters import ParameterError, declare_parameters, markdown_table, param
+from galen_ros.testing import Harness, parameters
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+
+
+@dataclass(frozen=True)
+class Example:
+    rate_hz: float = param(500.0, "sample rate in Hz", minimum=1.0, maximum=2000.0)
+    count: int = param(7, "poses", minimum=1)
+    tools_dir: str = param("", "where the tools' files are")
+    weights: tuple[float, ...] = param([1.0, 2.0], "weights", minimum=0.0)
+    names: tuple[str, ...] = param([], "names")
+    strict: bool = param(True, "refuse what is odd")
+    gain: float = param(0.5, "gain", minimum=0.0, maximum=1.0, read_only=False)
+    gain_limit: float = param(0.9, "largest gain", read_only=False)
+
+    def validate(self):
+        if self.gain > self.gain_limit:
+            raise ValueError(f"gain is {self.gain}, above gain_limit {self.gain_limit}")
+
+
+@pytest.fixture(scope="module")
+def harness():
+    with Harness() as world:
+        yield world
+
+
+def declared(harness, on_change=None, **overrides):
+    node = harness.add(
+        lambda context: Node(
+            "example", context=context, parameter_overrides=parameters(**overrides)
+        )
+    )
+    try:
+        return node, harness.call_in_executor(lambda: declare_parameters(node, Example, on_change))
+    except BaseException:
+        harness.remove(node)
+        raise
+
+
+def test_defaults_and_overrides(harness):
+    node, values = declared(harness, rate_hz=250.0, weights=[3.0], names=["a", "b"], count=3)
+    assert values == Example(rate_hz=250.0, weights=(3.0,), names=("a", "b"), count=3)
+    assert node.describe_parameter("rate_hz").description == "sample rate in Hz"
+    assert node.describe_parameter("rate_hz").floating_point_range[0].to_value == 2000.0
+    assert node.describe_parameter("rate_hz").read_only
+    harness.remove(node)
+
+
+def test_an_integer_is_a_float_where_a_float_is_asked(harness):
+    node, values = declared(harness, rate_hz=5, weights=[1, 2])
+    assert values.rate_hz == 5.0 and isinstance(values.rate_hz, float)
+    assert values.weights == (1.0, 2.0)
+    harness.remove(node)
+
+
+@pytest.mark.parametrize(
+    ("overrides", "words"),
+    [
+        ({"rate_hz": 5000.0}, ["rate_hz", "5000", "1.0 to 2000.0"]),
+        ({"rate_hz": 0}, ["rate_hz", "0", "1.0 to 2000.0"]),
+        ({"rate_hz": "fast"}, ["rate_hz", "fast", "float"]),
+        ({"rate_hz": True}, ["rate_hz", "True", "float"]),
+        ({"rate_hz": float("nan")}, ["rate_hz", "nan"]),
+        ({"count": 2.5}, ["count", "2.5", "int"]),
+        ({"count": 0}, ["count", "0", "at least 1"]),
+        ({"weights": [1.0, -1.0]}, ["weights", "-1.0", "at least 0.0"]),
+        ({"weights": 1.0}, ["weights", "1.0", "float list"]),
+        ({"names": "a"}, ["names", "'a'", "string list"]),
+        ({"gain": 0.8, "gain_limit": 0.7}, ["gain", "0.8", "gain_limit", "0.7"]),
+    ],
+)
+def test_a_bad_value_is_named_with_what_is_allowed(harness, overrides, words):
+    with pytest.raises(ParameterError) as error:
+        declared(harness, **overrides)
+    for word in words:
+        assert word in str(error.value)
+
+
+def test_changes_at_run_time_are_checked_and_told(harness):
+    changes = []
+    node, _ = declared(harness, changes.append)
+
+    def set_to(name, value):
+        return harness.call_in_executor(
+            lambda: node.set_parameters([Parameter(name, value=value)])[0]
+        )
+
+    assert set_to("gain", 0.7).successful
+    assert [change.gain for change in changes] == [0.7]
+    for name, value in [("gain", 1.5), ("gain", 0.95), ("gain", "much"), ("rate_hz", 100.0)]:
+        result = set_to(name, value)
+        assert not result.successful
+        assert result.reason
+    assert len(changes) == 1
+    # gain_limit 0.6 fits the default gain of 0.5, but not the 0.7 that is in force.
+    assert not set_to("gain_limit", 0.6).successful
+    harness.remove(node)
+
+
+def test_markdown_table():
+    lines = markdown_table(Example).splitlines()
+    assert lines[0] == "| name | type | default | range | meaning |"
+    assert lines[2] == "| `rate_hz` | float | 500.0 | 1.0 to 2000.0 | sample rate in Hz |"
+    assert lines[5] == "| `weights` | float list | [1.0, 2.0] | at least 0.0 | weights |"
+    assert lines[7] == "| `strict` | bool | true |  | refuse what is odd |"
+    assert lines[8] == "| `gain` | float | 0.5 | 0.0 to 1.0 | gain (at run time) |"
+    assert len(lines) == 10
