@@ -12,6 +12,7 @@ setup(
     ],
     install_requires=["setuptools"],
     zip_safe=True,
+    package_data={"": ["py.typed"]},
     maintainer="The Galen suite's authors",
     maintainer_email="galen@example.org",
     description="Kinematics, wrench algebra, load model and tool files of the Galen arm, free of ROS.",
