@@ -1,0 +1,166 @@
+"""Taking off what is left of the wrench: average it over a still window, then remove it smoothly."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from galen_model.arrays import Array
+
+MIN_SAMPLES = 10
+
+
+@dataclass(frozen=True)
+class TareSettings:
+    """When a tare is accepted and how fast it is applied."""
+
+    window_s: float = 0.5
+    ramp_s: float = 1.0
+    max_motion_rad: float = 0.001
+    max_std_force_n: float = 0.3
+    max_std_torque_nm: float = 0.02
+    max_force_n: float = 5.0
+    max_torque_nm: float = 0.5
+
+
+@dataclass(frozen=True)
+class TareOutcome:
+    """Answer to a tare request. `offset` (6,) is in N and N.m in the sensor frame; None if refused."""
+
+    success: bool
+    message: str
+    offset: Array | None = None
+
+
+class TareWindow:
+    """Collects samples from a request on, until they span `window_s` by their stamps."""
+
+    def __init__(
+        self, settings: TareSettings, after_ns: int | None, on_done: Callable[[TareOutcome], None]
+    ) -> None:
+        """Take only samples stamped later than `after_ns` (None: any)."""
+        self._settings = settings
+        self._after_ns = after_ns
+        self._on_done = on_done
+        self._stamps: list[int] = []
+        self._angles: list[tuple[float, float]] = []
+        self._wrenches: list[Array] = []
+
+    @property
+    def samples(self) -> int:
+        """Samples collected so far."""
+        return len(self._stamps)
+
+    def add(self, stamp_ns: int, roll: float, tilt: float, untared: Array) -> bool:
+        """Take a sample (angles in rad, wrench without its weight (6,)); True when the window is full."""
+        if self._after_ns is not None and stamp_ns <= self._after_ns:
+            return False
+        if self._stamps and stamp_ns <= self._stamps[-1]:
+            return False
+        self._stamps.append(stamp_ns)
+        self._angles.append((roll, tilt))
+        self._wrenches.append(untared)
+        return stamp_ns - self._stamps[0] >= self._settings.window_s * 1e9
+
+    def evaluate(self) -> TareOutcome:
+        """Mean of the window's wrenches, or why they do not make a tare."""
+        s = self._settings
+        if self.samples < MIN_SAMPLES:
+            return TareOutcome(
+                False,
+                f"not tared: {self.samples} compensated wrenches in {s.window_s:g} s,"
+                f" at least {MIN_SAMPLES} are needed",
+            )
+        motion = np.ptp(np.array(self._angles), axis=0)
+        for name, moved in zip(("roll", "tilt"), motion, strict=True):
+            if moved > s.max_motion_rad:
+                return TareOutcome(
+                    False,
+                    f"not tared: {name} moved by {moved:.4f} rad in the window,"
+                    f" tare_max_motion_rad is {s.max_motion_rad:g}",
+                )
+        wrenches = np.array(self._wrenches)
+        std = wrenches.std(axis=0, ddof=1)
+        offset = wrenches.mean(axis=0)
+        checks = (
+            ("force", std[:3].max(), s.max_std_force_n, "tare_max_std_force_n", "N"),
+            ("torque", std[3:].max(), s.max_std_torque_nm, "tare_max_std_torque_nm", "N.m"),
+        )
+        for what, value, limit, parameter, unit in checks:
+            if value > limit:
+                return TareOutcome(
+                    False,
+                    f"not tared: the {what} was not still, standard deviation {value:.3g} {unit}"
+                    f" in the window, {parameter} is {limit:g}",
+                )
+        sizes = (
+            ("force", np.linalg.norm(offset[:3]), s.max_force_n, "tare_max_force_n", "N"),
+            ("torque", np.linalg.norm(offset[3:]), s.max_torque_nm, "tare_max_torque_nm", "N.m"),
+        )
+        for what, value, limit, parameter, unit in sizes:
+            if value > limit:
+                return TareOutcome(
+                    False,
+                    f"not tared: a {what} of {value:.3g} {unit} would be taken off, {parameter} is"
+                    f" {limit:g}; is this tool's file in force, and does nobody touch the tool?",
+                )
+        force = ", ".join(f"{v:.3f}" for v in offset[:3])
+        torque = ", ".join(f"{1e3 * v:.1f}" for v in offset[3:])
+        return TareOutcome(
+            True,
+            f"tared: takes off force ({force}) N, torque ({torque}) mN.m"
+            f" over the next {s.ramp_s:g} s",
+            offset,
+        )
+
+    def finish(self, outcome: TareOutcome) -> None:
+        """Give the answer to whoever asked."""
+        self._on_done(outcome)
+
+
+class TareRamp:
+    """The offset in force at a stamp. A new target is approached by a smoothstep in the stamps.
+
+    With s = (t - start) / ramp_s in [0, 1] the offset is start + (3 s^2 - 2 s^3) (target - start), so that
+    its rate never exceeds 1.5 |target - start| / ramp_s, and is zero at both ends.
+    """
+
+    PEAK_RATE = 1.5
+
+    def __init__(self, ramp_s: float) -> None:
+        self._ramp_ns = ramp_s * 1e9
+        self._start_ns: int | None = None  # None: the target is fully in force
+        self._start: Array = np.zeros(6)
+        self._target: Array = np.zeros(6)
+
+    @property
+    def target(self) -> Array:
+        """Offset (6,) when the ramp has ended."""
+        return self._target
+
+    @property
+    def ramping(self) -> bool:
+        """Whether the last stamp asked for lay inside a ramp."""
+        return self._start_ns is not None
+
+    def reset(self) -> None:
+        """Zero offset, at once."""
+        self._start_ns = None
+        self._start = np.zeros(6)
+        self._target = np.zeros(6)
+
+    def start(self, stamp_ns: int, target: Array) -> None:
+        """Go from the offset in force at `stamp_ns` to `target` (6,)."""
+        self._start = self.offset_at(stamp_ns)
+        self._target = np.array(target, dtype=float)
+        self._start_ns = stamp_ns
+
+    def offset_at(self, stamp_ns: int) -> Array:
+        """Offset (6,) in force at a stamp; the caller must not write into it."""
+        if self._start_ns is None:
+            return self._target
+        elapsed_ns = stamp_ns - self._start_ns
+        if elapsed_ns >= self._ramp_ns:
+            self._start_ns = None
+            return self._target
+        s = max(0.0, elapsed_ns / self._ramp_ns)
+        return self._start + (s * s * (3.0 - 2.0 * s)) * (self._target - self._start)

@@ -1,0 +1,616 @@
+"""The compensator's core: what comes out, what is refused and why, tare, restarts."""
+
+import itertools
+import math
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from galen_gravcomp.compensator import (
+    Compensated,
+    Compensator,
+    CompensatorSettings,
+    Notice,
+    Refusal,
+    Refused,
+    Result,
+    TareRefusedError,
+)
+from galen_gravcomp.tare import TareOutcome, TareRamp, TareSettings
+from galen_model.arrays import Array
+from galen_model.tool_file import LoadEstimate, ToolFile
+
+MS = 1_000_000
+S = 1_000_000_000
+START = 100 * S
+
+
+def make_tool(name: str = "pointer", mass_kg: float = 0.06) -> ToolFile:
+    return ToolFile(
+        tool=name,
+        load=LoadEstimate(mass_kg, np.array([0.055, 0.002, 0.045]), np.eye(4) * 1e-8),
+        bias=LoadEstimate(0.1, np.array([0.0, 0.0, 0.02]), np.eye(4) * 1e-8),
+        tip_m=np.array([0.15, 0.0, 0.05]),
+        rmse=np.zeros(6),
+        poses_used=56,
+        calibrated_at="2026-01-01T00:00:00+00:00",
+        residual_offset=np.array([0.01, -0.02, 0.03, 1e-3, -2e-3, 3e-3]),
+    )
+
+
+TOOL = make_tool()
+PUSH = np.array([1.0, -2.0, 3.0, 0.1, -0.2, 0.3])
+
+
+def loaded(**settings: object) -> Compensator:
+    compensator = Compensator(CompensatorSettings(**settings))  # type: ignore[arg-type]
+    compensator.set_tool(TOOL)
+    return compensator
+
+
+def outputs(results: list[Result]) -> list[Compensated]:
+    return [result for result in results if isinstance(result, Compensated)]
+
+
+def reasons(results: list[Result]) -> list[Refusal]:
+    return [result.reason for result in results if isinstance(result, Refused)]
+
+
+def balanced(compensator: Compensator) -> bool:
+    """Every wrench ended in exactly one way."""
+    ended = compensator.compensated + sum(compensator.refusals.values()) + compensator.waiting
+    return compensator.received == ended
+
+
+class Rig:
+    """A still or moving arm at 500 Hz that feeds a compensator."""
+
+    def __init__(self, compensator: Compensator, start_ns: int = START) -> None:
+        self.compensator = compensator
+        self.stamp = start_ns
+        self.roll, self.tilt = 0.2, -0.1
+        self.touch: Array = np.zeros(6)
+
+    def step(self, step_ns: int = 2 * MS) -> list[Result]:
+        raw = TOOL.predict(self.roll, self.tilt) + self.touch
+        results = self.compensator.push_joints(self.stamp, self.roll, self.tilt)
+        results += self.compensator.push_wrench(self.stamp, raw, "ft_sensor")
+        self.stamp += step_ns
+        return results
+
+    def steps(self, count: int) -> list[Compensated]:
+        return list(itertools.chain.from_iterable(outputs(self.step()) for _ in range(count)))
+
+
+# Compensation and interpolation
+
+
+def test_still_arm_gives_the_applied_wrench() -> None:
+    rig = Rig(loaded())
+    rig.touch = PUSH
+    result = rig.step()
+    assert len(result) == 1 and isinstance(result[0], Compensated)
+    assert result[0].stamp_ns == START
+    np.testing.assert_allclose(result[0].wrench, PUSH, atol=1e-12)
+
+
+def ramp(stamp_ns: int) -> tuple[float, float]:
+    t = (stamp_ns - START) * 1e-9
+    return -0.5 + 0.8 * t, 0.4 - 0.6 * t
+
+
+@pytest.mark.parametrize("wrench_offset_ns", [0, 300_000, 1_999_999])
+@pytest.mark.parametrize("lag_samples", [0, 1, 9])
+def test_moving_arm_uses_the_angles_of_the_stamp(wrench_offset_ns: int, lag_samples: int) -> None:
+    """Joints and wrenches interleave; either may arrive late. The newest angles would be wrong."""
+    compensator = loaded()
+    events = [(START + i * 2 * MS, 0) for i in range(300)]
+    events += [(START + i * 2 * MS + wrench_offset_ns, 1) for i in range(300)]
+    delayed = sorted(events, key=lambda e: (e[0] + (2 * MS * lag_samples if e[1] == 0 else 0), e[1]))
+    results: list[Result] = []
+    for stamp, kind in delayed:
+        if kind == 0:
+            results += compensator.push_joints(stamp, *ramp(stamp))
+        else:
+            results += compensator.push_wrench(stamp, TOOL.predict(*ramp(stamp)) + PUSH)
+    got = outputs(results)
+    assert [out.stamp_ns for out in got] == [START + i * 2 * MS + wrench_offset_ns for i in range(
+        300 if wrench_offset_ns == 0 else 299)]
+    for out in got:
+        np.testing.assert_allclose(out.wrench, PUSH, atol=1e-12)
+    assert compensator.waiting == (0 if wrench_offset_ns == 0 else 1)
+    assert not compensator.refusals and balanced(compensator)
+
+
+def test_tag_comes_back_also_after_waiting() -> None:
+    compensator = loaded()
+    assert compensator.push_wrench(START, PUSH, tag="a") == []
+    (out,) = outputs(compensator.push_joints(START, 0.0, 0.0))
+    assert out.tag == "a"
+
+
+def test_waits_no_longer_than_max_joint_age() -> None:
+    compensator = loaded()
+    compensator.push_joints(START, 0.0, 0.0)
+    stamps = [START + i * MS for i in range(1, 51)]
+    for stamp in stamps:
+        assert compensator.push_wrench(stamp, PUSH) == []
+    results = compensator.push_wrench(START + 51 * MS, PUSH)
+    assert reasons(results) == [Refusal.STALE_JOINTS] * 51
+    assert [result.stamp_ns for result in results] == [*stamps, START + 51 * MS]
+    detail = results[0].detail  # type: ignore[union-attr]
+    assert "51 ms behind" in detail and "max_joint_age_s" in detail
+    assert compensator.waiting == 0 and balanced(compensator)
+
+
+def test_queue_is_bounded() -> None:
+    compensator = loaded(max_waiting=5)
+    compensator.push_joints(START, 0.0, 0.0)
+    results: list[Result] = []
+    for i in range(1, 10):
+        results += compensator.push_wrench(START + i, PUSH)
+    assert reasons(results) == [Refusal.QUEUE_FULL] * 4
+    assert compensator.waiting == 5 and balanced(compensator)
+
+
+# Refusals
+
+
+def test_no_tool() -> None:
+    compensator = Compensator()
+    compensator.push_joints(START, 0.0, 0.0)
+    (result,) = compensator.push_wrench(START, PUSH)
+    assert isinstance(result, Refused) and result.reason is Refusal.NO_TOOL
+    compensator.set_tool(None, "pointer.json: mass is negative")
+    (result,) = compensator.push_wrench(START + MS, PUSH)
+    assert isinstance(result, Refused) and "mass is negative" in result.detail
+
+
+def test_disabled() -> None:
+    rig = Rig(loaded())
+    assert len(rig.steps(3)) == 3
+    assert rig.compensator.push_wrench(rig.stamp, PUSH) == []
+    rig.stamp += 2 * MS
+    assert reasons(rig.compensator.set_enabled(False)) == [Refusal.DISABLED]
+    assert reasons(rig.step()) == [Refusal.DISABLED]
+    rig.compensator.set_enabled(True)
+    assert len(rig.steps(2)) == 2
+    assert balanced(rig.compensator)
+
+
+@pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
+@pytest.mark.parametrize("axis", range(6))
+def test_nonfinite_wrench(bad: float, axis: int) -> None:
+    rig = Rig(loaded())
+    rig.step()
+    rig.touch = np.zeros(6)
+    rig.touch[axis] = bad
+    (result,) = rig.step()
+    assert isinstance(result, Refused) and result.reason is Refusal.NONFINITE_WRENCH
+    assert "not finite" in result.detail
+    rig.touch = PUSH
+    (out,) = rig.steps(1)
+    np.testing.assert_allclose(out.wrench, PUSH, atol=1e-12)
+
+
+def test_both_infinities_do_not_hide_each_other() -> None:
+    rig = Rig(loaded())
+    rig.touch = np.array([math.inf, -math.inf, 0, 0, 0, 0])
+    assert reasons(rig.step()) == [Refusal.NONFINITE_WRENCH]
+
+
+@pytest.mark.parametrize("bad", [math.nan, math.inf])
+def test_nonfinite_joints_refuse_the_wrenches_beside_them(bad: float) -> None:
+    compensator = loaded()
+    for i in range(10):
+        tilt = bad if i == 5 else 0.0
+        compensator.push_joints(START + i * 2 * MS, 0.0, tilt)
+    got = [compensator.push_wrench(START + i * MS, PUSH) for i in range(1, 19)]
+    refused = [i + 1 for i, results in enumerate(got) if reasons(results)]
+    assert refused == [9, 10, 11]
+    assert compensator.refusals == Counter({Refusal.NONFINITE_JOINTS: 3})
+    assert compensator.notices[Notice.NONFINITE_JOINTS] == 1
+
+
+def test_wrong_frame() -> None:
+    rig = Rig(loaded())
+    rig.step()
+    (result,) = rig.compensator.push_wrench(rig.stamp, PUSH, "base_link")
+    assert isinstance(result, Refused) and result.reason is Refusal.WRONG_FRAME
+    assert "base_link" in result.detail and "ft_sensor" in result.detail
+    (result,) = rig.compensator.push_wrench(rig.stamp, PUSH, "")
+    assert isinstance(result, Refused) and result.reason is Refusal.WRONG_FRAME
+
+
+def test_frame_of_settings_comes_before_the_tools() -> None:
+    compensator = loaded(sensor_frame="left_ft_sensor")
+    compensator.push_joints(START, 0.0, 0.0)
+    assert reasons(compensator.push_wrench(START, PUSH, "ft_sensor")) == [Refusal.WRONG_FRAME]
+    assert len(outputs(compensator.push_wrench(START, PUSH, "left_ft_sensor"))) == 1
+
+
+def test_no_joints_at_all() -> None:
+    compensator = loaded()
+    results: list[Result] = []
+    for i in range(60):
+        results += compensator.push_wrench(START + i * 2 * MS, PUSH)
+    assert set(reasons(results)) == {Refusal.NO_JOINTS} and not outputs(results)
+    assert len(results) >= 25 and balanced(compensator)
+
+
+def test_wrench_from_before_the_first_joints() -> None:
+    compensator = loaded()
+    compensator.push_wrench(START, PUSH)
+    (result,) = compensator.push_joints(START + 2 * MS, 0.0, 0.0)
+    assert isinstance(result, Refused) and result.reason is Refusal.NO_JOINTS
+
+
+def test_unusable_joint_messages_are_the_reason() -> None:
+    compensator = loaded()
+    results: list[Result] = []
+    for i in range(60):
+        compensator.push_bad_joints("joint state lacks roll, tilt; it has gripper")
+        results += compensator.push_wrench(START + i * 2 * MS, PUSH)
+    assert set(reasons(results)) == {Refusal.BAD_JOINTS}
+    assert "gripper" in results[-1].detail  # type: ignore[union-attr]
+    compensator.push_joints(START + 120 * MS, 0.0, 0.0)
+    assert len(outputs(compensator.push_wrench(START + 120 * MS, PUSH))) == 1
+
+
+def test_gap_in_the_joints_is_not_bridged() -> None:
+    compensator = loaded()
+    compensator.push_joints(START, 0.0, 0.0)
+    assert compensator.push_wrench(START + 30 * MS, PUSH) == []
+    (result,) = compensator.push_joints(START + 51 * MS, 1.0, 0.0)
+    assert isinstance(result, Refused) and result.reason is Refusal.STALE_JOINTS
+    assert compensator.push_wrench(START + 60 * MS, PUSH) == []
+    assert len(outputs(compensator.push_joints(START + 70 * MS, 1.0, 0.0))) == 1
+
+
+def test_other_clock_is_named() -> None:
+    compensator = loaded()
+    compensator.push_joints(START, 0.0, 0.0)
+    (result,) = compensator.push_wrench(START + 1000 * S, PUSH)
+    assert isinstance(result, Refused) and result.reason is Refusal.STALE_JOINTS
+    assert "different clocks" in result.detail
+
+
+def test_unstamped() -> None:
+    compensator = loaded()
+    compensator.push_joints(START, 0.0, 0.0)
+    assert reasons(compensator.push_wrench(0, PUSH)) == [Refusal.UNSTAMPED]
+
+
+def test_duplicate_wrench_is_dropped_and_counted() -> None:
+    rig = Rig(loaded())
+    rig.step()
+    (result,) = rig.compensator.push_wrench(START, PUSH)
+    assert isinstance(result, Refused) and result.reason is Refusal.DUPLICATE
+    assert balanced(rig.compensator)
+
+
+def test_out_of_order_wrench_is_compensated_with_its_own_angles() -> None:
+    compensator = loaded()
+    for i in range(20):
+        stamp = START + i * 2 * MS
+        compensator.push_joints(stamp, *ramp(stamp))
+    assert len(outputs(compensator.push_wrench(START + 30 * MS, PUSH))) == 1
+    late = START + 11 * MS
+    (out,) = outputs(compensator.push_wrench(late, TOOL.predict(*ramp(late)) + PUSH))
+    assert out.stamp_ns == late
+    np.testing.assert_allclose(out.wrench, PUSH, atol=1e-12)
+    assert compensator.notices[Notice.OUT_OF_ORDER_WRENCH] == 1
+
+
+def test_out_of_order_and_duplicate_joints_are_noticed() -> None:
+    compensator = loaded()
+    for stamp in (START, START + 4 * MS, START + 2 * MS, START + 4 * MS):
+        compensator.push_joints(stamp, *ramp(stamp))
+    assert compensator.notices[Notice.OUT_OF_ORDER_JOINTS] == 1
+    assert compensator.notices[Notice.DUPLICATE_JOINTS] == 1
+    late = START + 3 * MS
+    (out,) = outputs(compensator.push_wrench(late, TOOL.predict(*ramp(late))))
+    np.testing.assert_allclose(out.wrench, np.zeros(6), atol=1e-12)
+
+
+def test_suspicious_units_are_noticed_but_pass() -> None:
+    rig = Rig(loaded())
+    rig.touch = np.array([0, 0, 0, 0, 0, 3.5])
+    assert len(rig.steps(1)) == 1
+    assert rig.compensator.notices == Counter({Notice.BEYOND_RANGE: 1})
+    rig.touch = np.array([0, 0, 0, 0, -100.0, 0])
+    assert len(rig.steps(1)) == 1
+    assert rig.compensator.notices[Notice.TORQUE_UNIT] == 1
+    rig.roll = 45.0
+    rig.steps(1)
+    assert rig.compensator.notices[Notice.ANGLE_UNIT] == 1
+
+
+# Tare
+
+LEFT = np.array([0.5, -0.4, 0.3, 0.01, -0.02, 0.03])
+
+
+class Answer:
+    def __init__(self) -> None:
+        self.outcomes: list[TareOutcome] = []
+
+    def __call__(self, outcome: TareOutcome) -> None:
+        self.outcomes.append(outcome)
+
+    @property
+    def only(self) -> TareOutcome:
+        assert len(self.outcomes) == 1
+        return self.outcomes[0]
+
+
+def tare(rig: Rig) -> TareOutcome:
+    """Ask for a tare and run until it is answered."""
+    answer = Answer()
+    rig.compensator.start_tare(answer)
+    for _ in range(300):
+        rig.step()
+        if answer.outcomes:
+            return answer.only
+    raise AssertionError("the tare was not answered within 0.6 s")
+
+
+def test_tare_takes_off_what_is_left_without_a_jump() -> None:
+    rig = Rig(loaded())
+    rig.touch = LEFT
+    series = rig.steps(10)
+    answer = Answer()
+    rig.compensator.start_tare(answer)
+    series += rig.steps(1000)
+    assert answer.only.success and answer.only.offset is not None
+    np.testing.assert_allclose(answer.only.offset, LEFT, atol=1e-12)
+    assert "0.500" in answer.only.message
+    wrenches = np.array([out.wrench for out in series])
+    np.testing.assert_allclose(wrenches[:255], np.tile(LEFT, (255, 1)), atol=1e-12)
+    np.testing.assert_allclose(wrenches[-1], np.zeros(6), atol=1e-12)
+    bound = TareRamp.PEAK_RATE * np.abs(LEFT) * 0.002 / 1.0
+    assert np.all(np.abs(np.diff(wrenches, axis=0)).max(axis=0) <= bound + 1e-12)
+    # and it does move: about half is off after half the ramp
+    halfway = wrenches[10 + 251 + 250]
+    np.testing.assert_allclose(halfway, LEFT / 2, rtol=0.02)
+
+
+def test_second_tare_starts_from_the_offset_in_force() -> None:
+    rig = Rig(loaded(tare=TareSettings(window_s=0.1, ramp_s=1.0)))
+    rig.touch = LEFT
+    series: list[Compensated] = []
+    for touch in (LEFT, 2 * LEFT):
+        before = rig.compensator.compensated
+        rig.touch = touch
+        answer = Answer()
+        rig.compensator.start_tare(answer)
+        part = rig.steps(200)  # the second request comes while the first ramp runs
+        assert answer.only.success and rig.compensator.compensated == before + 200
+        series += part
+    series += rig.steps(600)
+    wrenches = np.array([out.wrench for out in series])
+    steps = np.abs(np.diff(wrenches, axis=0))
+    steps[199] = 0.0  # here the touch itself jumped
+    bound = TareRamp.PEAK_RATE * np.abs(2 * LEFT) * 0.002
+    assert np.all(steps.max(axis=0) <= bound + 1e-12)
+    np.testing.assert_allclose(wrenches[-1], np.zeros(6), atol=1e-12)
+    np.testing.assert_allclose(rig.compensator.tare_offset, 2 * LEFT, atol=1e-12)
+
+
+def test_tare_uses_only_samples_after_the_request() -> None:
+    rig = Rig(loaded())
+    rig.touch = 10 * LEFT
+    rig.steps(100)
+    rig.touch = LEFT
+    outcome = tare(rig)
+    assert outcome.offset is not None
+    np.testing.assert_allclose(outcome.offset, LEFT, atol=1e-12)
+
+
+def test_tare_averages_noise() -> None:
+    rng = np.random.default_rng(3)
+    rig = Rig(loaded())
+    answer = Answer()
+    rig.compensator.start_tare(answer)
+    sigma = np.array([0.02, 0.02, 0.03, 4e-4, 4e-4, 4e-4])
+    while not answer.outcomes:
+        rig.touch = LEFT + sigma * rng.normal(size=6)
+        rig.step()
+    assert answer.only.offset is not None
+    np.testing.assert_array_less(np.abs(answer.only.offset - LEFT), 5 * sigma / math.sqrt(250))
+
+
+def _roll_moves(rig: Rig, i: int) -> None:
+    rig.roll = 0.2 + 1e-5 * i
+
+
+def _tilt_moves(rig: Rig, i: int) -> None:
+    rig.tilt = 0.2 - 1e-5 * i
+
+
+def _force_shakes(rig: Rig, i: int) -> None:
+    rig.touch = np.array([0, 0, 0.5 * (-1) ** i, 0, 0, 0])
+
+
+def _torque_drifts(rig: Rig, i: int) -> None:
+    rig.touch = np.array([0, 0, 0, 0.001 * i, 0, 0])
+
+
+def _force_too_large(rig: Rig, _: int) -> None:
+    rig.touch = np.array([3.0, 4.0, 1.0, 0, 0, 0])
+
+
+def _torque_too_large(rig: Rig, _: int) -> None:
+    rig.touch = np.array([0, 0, 0, 0.3, 0.4, 0.1])
+
+
+@pytest.mark.parametrize(
+    ("happens", "words"),
+    [
+        (_roll_moves, ["roll moved", "tare_max_motion_rad"]),
+        (_tilt_moves, ["tilt moved", "tare_max_motion_rad"]),
+        (_force_shakes, ["force was not still", "tare_max_std_force_n"]),
+        (_torque_drifts, ["torque was not still", "tare_max_std_torque_nm"]),
+        (_force_too_large, ["5.1 N", "tare_max_force_n"]),
+        (_torque_too_large, ["0.51 N.m", "tare_max_torque_nm"]),
+    ],
+)
+def test_tare_is_refused(happens: Callable[[Rig, int], None], words: list[str]) -> None:
+    rig = Rig(loaded())
+    answer = Answer()
+    rig.compensator.start_tare(answer)
+    for i in range(300):
+        happens(rig, i)
+        rig.step()
+    assert not answer.only.success and answer.only.offset is None
+    for word in words:
+        assert word in answer.only.message
+    np.testing.assert_array_equal(rig.compensator.tare_offset, np.zeros(6))
+    rig.touch = PUSH
+    rig.steps(1)
+    np.testing.assert_allclose(rig.steps(1)[0].wrench, PUSH, atol=1e-12)
+
+
+def test_tare_needs_enough_samples() -> None:
+    rig = Rig(loaded())
+    answer = Answer()
+    rig.compensator.start_tare(answer)
+    while not answer.outcomes:
+        results = rig.compensator.push_joints(rig.stamp, 0.2, -0.1)
+        results += rig.compensator.push_wrench(rig.stamp, TOOL.predict(0.2, -0.1))
+        rig.stamp += 100 * MS
+    assert not answer.only.success and "6 compensated wrenches" in answer.only.message
+
+
+def test_tare_that_cannot_start() -> None:
+    compensator = Compensator()
+    with pytest.raises(TareRefusedError, match="no tool"):
+        compensator.start_tare(Answer())
+    compensator.set_tool(TOOL)
+    compensator.set_enabled(False)
+    with pytest.raises(TareRefusedError, match="switched off"):
+        compensator.start_tare(Answer())
+    compensator.set_enabled(True)
+    compensator.start_tare(Answer())
+    with pytest.raises(TareRefusedError, match="already running"):
+        compensator.start_tare(Answer())
+
+
+def _disable(compensator: Compensator) -> None:
+    compensator.set_enabled(False)
+
+
+def _change_tool(compensator: Compensator) -> None:
+    compensator.set_tool(make_tool("retractor", 0.2))
+
+
+def _restart(compensator: Compensator) -> None:
+    compensator.restart("driver restarted: test")
+
+
+@pytest.mark.parametrize(
+    ("event", "word"),
+    [(_disable, "switched off"), (_change_tool, "tool was changed"), (_restart, "restarted")],
+)
+def test_running_tare_is_answered_when_it_cannot_end(
+    event: Callable[[Compensator], None], word: str
+) -> None:
+    rig = Rig(loaded())
+    rig.touch = LEFT
+    answer = Answer()
+    rig.compensator.start_tare(answer)
+    rig.steps(50)
+    event(rig.compensator)
+    assert not answer.only.success and word in answer.only.message
+    rig.steps(600)
+    assert len(answer.outcomes) == 1
+    np.testing.assert_array_equal(rig.compensator.tare_offset, np.zeros(6))
+
+
+def test_tool_change_drops_the_tare() -> None:
+    rig = Rig(loaded())
+    rig.touch = LEFT
+    assert tare(rig).success
+    rig.steps(600)
+    rig.compensator.set_tool(replace(TOOL))
+    (out,) = rig.steps(1)
+    np.testing.assert_allclose(out.wrench, LEFT, atol=1e-12)
+
+
+def test_tare_survives_off_and_on() -> None:
+    rig = Rig(loaded())
+    rig.touch = LEFT
+    assert tare(rig).success
+    rig.steps(600)
+    rig.compensator.set_enabled(False)
+    rig.steps(10)
+    rig.compensator.set_enabled(True)
+    (out,) = rig.steps(1)
+    np.testing.assert_allclose(out.wrench, np.zeros(6), atol=1e-12)
+
+
+# Restarts
+
+
+@pytest.mark.parametrize(
+    "jump_ns",
+    [
+        pytest.param(-50 * S, id="stamps jump back"),
+        pytest.param(-60 * MS, id="stamps jump back a little"),
+        pytest.param(3 * S, id="stamps jump ahead"),
+    ],
+)
+@pytest.mark.parametrize("first", ["joints", "wrench"])
+def test_nothing_leaks_across_a_restart(jump_ns: int, first: str) -> None:
+    """New joints, no old tare, no waiting wrench: also where the new stamps fall among the old."""
+    why: list[str] = []
+    compensator = Compensator(on_restart=why.append)
+    compensator.set_tool(TOOL)
+    rig = Rig(compensator)
+    rig.touch = LEFT
+    rig.steps(200)
+    assert tare(rig).success
+    rig.steps(600)
+    compensator.push_wrench(rig.stamp, PUSH)  # waits for joints that never come
+    new_start = rig.stamp + jump_ns
+    new_roll, new_tilt = -1.1, 0.7
+
+    results: list[Result] = []
+    for i in range(30):
+        stamp = new_start + i * 2 * MS
+        raw = TOOL.predict(new_roll, new_tilt) + PUSH
+        feed = [
+            lambda s=stamp: compensator.push_joints(s, new_roll, new_tilt),
+            lambda s=stamp, r=raw: compensator.push_wrench(s + MS, r, "ft_sensor"),
+        ]
+        for push in feed if first == "joints" else reversed(feed):
+            results += push()
+    assert len(why) == 1 and "driver restarted" in why[0]
+    assert compensator.notices[Notice.RESTART] == 1
+    assert compensator.refusals[Refusal.RESTART] == 1
+    np.testing.assert_array_equal(compensator.tare_offset, np.zeros(6))
+    got = outputs(results)
+    assert len(got) >= 28
+    for out in got:
+        assert new_start <= out.stamp_ns
+        np.testing.assert_allclose(out.wrench, PUSH, atol=1e-12)
+    assert balanced(compensator)
+
+
+def test_short_pause_is_no_restart() -> None:
+    rig = Rig(loaded())
+    rig.touch = LEFT
+    assert tare(rig).success
+    rig.stamp += 900 * MS
+    rig.steps(10)
+    assert rig.compensator.notices[Notice.RESTART] == 0
+    np.testing.assert_allclose(rig.compensator.tare_offset, LEFT, atol=1e-12)
+
+
+def test_restart_keeps_tool_and_switch() -> None:
+    rig = Rig(loaded())
+    rig.compensator.set_enabled(False)
+    rig.compensator.restart("driver restarted: test")
+    assert rig.compensator.tool is TOOL and not rig.compensator.enabled

@@ -1,0 +1,31 @@
+"""The fast prediction is the tool file's own."""
+
+import numpy as np
+from galen_gravcomp.prediction import Prediction
+from galen_model.tool_file import LoadEstimate, ToolFile
+
+
+def test_equals_the_tool_file_at_every_pose() -> None:
+    rng = np.random.default_rng(7)
+    for _ in range(5):
+        tool = ToolFile(
+            tool="any",
+            load=LoadEstimate(rng.uniform(0.05, 2.0), rng.normal(0, 0.1, 3), np.eye(4)),
+            bias=LoadEstimate(rng.uniform(0.05, 2.0), rng.normal(0, 0.1, 3), np.eye(4)),
+            tip_m=np.zeros(3),
+            rmse=np.zeros(6),
+            poses_used=56,
+            calibrated_at="2026-01-01T00:00:00+00:00",
+            residual_offset=rng.normal(0, 0.1, 6),
+            bias_roll_rad=rng.uniform(-1, 1),
+            bias_tilt_rad=rng.uniform(-1, 1),
+            gravity_m_s2=np.array([0.0, 0.0, -9.81]),
+        )
+        prediction = Prediction(tool)
+        for roll, tilt in rng.uniform(-np.pi, np.pi, (50, 2)):
+            np.testing.assert_allclose(
+                prediction.reading(float(roll), float(tilt)),
+                tool.predict(roll, tilt),
+                rtol=0,
+                atol=1e-13,
+            )
