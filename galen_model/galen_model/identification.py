@@ -1,0 +1,372 @@
+"""Identify loads at the wrist from averaged readings of still poses.
+
+The model is linear in the loads' moments x = (m, h = m p) (see `galen_model.load`), with
+G(theta) the gravity regressor and G_0 the one at the pose where the sensor was zeroed:
+
+    sweep without the tool:   y_i = (G(theta_i) - G_0) x_b               + o_bare
+    sweep with the tool:      y_i = G(theta_i) x_t + (G(theta_i) - G_0) x_b + o_tool
+
+x_t belongs to the tool, x_b to the adapter ("bias load"). The offsets o hold what the zeroing left
+and how far the sensor had wandered when each sweep was made; they are free and apart, so that a
+slow drift between the two sweeps reaches neither mass nor centre. After two sweeps everything is
+told. With one sweep the offset has to be taken as the zeroing's own noise, and even then only the
+sum of tool and adapter is known for the part of h along gravity at the zeroing pose, because the
+sensor reads G(theta) (x_t + x_b) - G_0 x_b, and g_0 x h_b says nothing of h_b along g_0.
+
+Source: the 2019 report's eqs. (1)-(8) with the errata's bias term, as one least-squares problem
+that uses force and torque of both sweeps together.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from galen_model.arrays import Array
+from galen_model.errors import IdentificationError, ImplausibleLoadError, NotExcitedError
+from galen_model.excitation import LOAD_PARAMETERS, check_excitation
+from galen_model.kinematics import gravity_in_sensor
+from galen_model.load import gravity_regressor
+from galen_model.robust_fit import RobustFit, fit_robust, fit_with_known_prior
+from galen_model.tool_file import LoadEstimate
+
+MIN_POSES = 4
+"""Fewer still poses than this leave no residual worth the name."""
+
+_MAX_REJECTED_FRACTION = 1 / 3
+_UNOBSERVED_MOMENT_STD_KGM = 0.01  # 100 g at 100 mm: wider than any adapter's first moment
+
+
+@dataclass(frozen=True)
+class StillPoses:
+    """Averaged readings of n still poses of one sweep.
+
+    roll, tilt: (n,) rad; wrench: (n, 6) N and N.m in ft_sensor; std_of_mean: (n, 6), the averaged
+    reading's standard deviation as the scatter within each pose tells it, or None.
+    """
+
+    roll: Array
+    tilt: Array
+    wrench: Array
+    std_of_mean: Array | None = None
+
+    def __post_init__(self) -> None:
+        """Check shapes and values; raises IdentificationError."""
+        count = len(self.roll)
+        if self.roll.shape != (count,) or self.tilt.shape != (count,):
+            raise IdentificationError("roll and tilt of the still poses differ in length")
+        if self.wrench.shape != (count, 6):
+            raise IdentificationError(
+                f"wrenches of the still poses have shape {self.wrench.shape}; expected ({count}, 6)"
+            )
+        for name, values in (("roll", self.roll), ("tilt", self.tilt), ("wrench", self.wrench)):
+            if not np.all(np.isfinite(values)):
+                raise IdentificationError(f"{name} of the still poses holds a non-finite value")
+
+    def __len__(self) -> int:
+        """Number of poses."""
+        return len(self.roll)
+
+    @property
+    def gravity(self) -> Array:
+        """Gravity (n, 3) in ft_sensor, m/s^2."""
+        return gravity_in_sensor(self.roll, self.tilt)
+
+
+@dataclass(frozen=True)
+class Identification:
+    """What a calibration found.
+
+    load, bias: tool and adapter with covariance (4, 4) of (kg, m, m, m). offset: (6,) constant part
+    of the sweep with the tool on, and its standard deviation; offset_change: (6,) that offset less
+    the one of the sweep without the tool, with its standard deviation (None after one sweep).
+    rmse: (6,) residual of the used readings of the sweep with the tool; sigma: (6,) noise of one
+    averaged reading as the residuals tell it. used_*: masks of the poses used.
+    """
+
+    load: LoadEstimate
+    bias: LoadEstimate
+    offset: Array
+    offset_std: Array
+    offset_change: Array | None
+    offset_change_std: Array | None
+    rmse: Array
+    sigma: Array
+    used_tool: np.ndarray
+    used_bare: np.ndarray
+    rejected: tuple[str, ...]
+    warnings: tuple[str, ...]
+    unresolved: tuple[str, ...] = ()
+
+
+def identify_two_sweeps(
+    bare: StillPoses, tool: StillPoses, bias_roll_rad: float = 0.0, bias_tilt_rad: float = 0.0
+) -> Identification:
+    """Tool and adapter from a sweep without the tool and one with it.
+
+    Raises NotExcitedError naming what the poses don't tell, ImplausibleLoadError for a mass that is
+    not positive, IdentificationError for too few poses or too many that fit no load.
+    """
+    _check_count(bare, "sweep without the tool")
+    _check_count(tool, "sweep with the tool")
+    zero = gravity_regressor(gravity_in_sensor(bias_roll_rad, bias_tilt_rad))
+    bare_rows = gravity_regressor(bare.gravity) - zero
+    tool_rows = gravity_regressor(tool.gravity)
+    eye = np.eye(6)
+    design = np.zeros((len(bare) + len(tool), 6, 20))
+    design[: len(bare), :, 4:8] = bare_rows
+    design[: len(bare), :, 8:14] = eye
+    design[len(bare) :, :, :4] = tool_rows
+    design[len(bare) :, :, 4:8] = tool_rows - zero
+    design[len(bare) :, :, 14:20] = eye
+    poses = {"without the tool": bare, "with the tool": tool}
+    check_excitation(design, LOAD_PARAMETERS, poses)
+
+    fit = fit_robust(design, np.concatenate([bare.wrench, tool.wrench]))
+    used_bare, used_tool = fit.used[: len(bare)], fit.used[len(bare) :]
+    _check_rejections(fit)
+    check_excitation(design[fit.used], LOAD_PARAMETERS, poses)
+    change = fit.values[14:20] - fit.values[8:14]
+    change_matrix = np.zeros((6, 20))
+    change_matrix[:, 14:20], change_matrix[:, 8:14] = eye, -eye
+    change_std = np.sqrt(np.diag(change_matrix @ fit.covariance @ change_matrix.T))
+    warnings = [
+        *_noise_warnings(fit, _joined_std(bare, tool)),
+        *_drift_warnings(change, change_std, fit.sigma),
+    ]
+    return Identification(
+        load=_load(fit, slice(0, 4), "the tool"),
+        bias=_load(fit, slice(4, 8), "the adapter"),
+        offset=fit.values[14:20],
+        offset_std=np.sqrt(np.diag(fit.covariance)[14:20]),
+        offset_change=change,
+        offset_change_std=change_std,
+        rmse=_rmse(fit.residuals[len(bare) :], used_tool),
+        sigma=fit.sigma,
+        used_tool=used_tool,
+        used_bare=used_bare,
+        rejected=(
+            *_rejections(fit, np.arange(len(bare)), bare, "without the tool"),
+            *_rejections(fit, len(bare) + np.arange(len(tool)), tool, "with the tool"),
+        ),
+        warnings=tuple(warnings),
+    )
+
+
+def identify_one_sweep(
+    tool: StillPoses,
+    bias_roll_rad: float = 0.0,
+    bias_tilt_rad: float = 0.0,
+    known_bias: LoadEstimate | None = None,
+) -> Identification:
+    """Tool and adapter from one sweep with the tool on, after zeroing without it.
+
+    The compensation is fully determined; the split between tool and adapter is not. With
+    `known_bias` (the adapter of an earlier calibration) it is. Otherwise `unresolved` says what
+    is not known, the adapter's first moment along gravity at the zeroing pose is put to zero,
+    and the covariances hold how wide that leaves both.
+
+    The offset is taken as the zeroing's noise, as large as that of one averaged reading. A sensor
+    that has drifted since it was zeroed is mistaken for adapter mass; two sweeps don't do that.
+
+    Raises as `identify_two_sweeps` does.
+    """
+    _check_count(tool, "sweep with the tool")
+    gravity_zero = gravity_in_sensor(bias_roll_rad, bias_tilt_rad)
+    rows = gravity_regressor(tool.gravity)
+    design = np.zeros((len(tool), 6, 14))
+    design[:, :, :4] = rows
+    design[:, :, 4:8] = rows - gravity_regressor(gravity_zero)
+    design[:, :, 8:14] = np.eye(6)
+    # The sum of both loads must show in the poses themselves, whatever the zeroing tells.
+    sum_design = np.concatenate([design[:, :, :4], design[:, :, 8:14]], axis=2)
+    check_excitation(sum_design, LOAD_PARAMETERS[:4], {"with the tool": tool})
+
+    prior_rows, prior_values, prior_std = _one_sweep_prior(gravity_zero, known_bias)
+    fit = fit_with_known_prior(
+        design, tool.wrench, prior_rows, prior_values, prior_std, offset_columns=slice(8, 14)
+    )
+    _check_rejections(fit)
+    check_excitation(sum_design[fit.used], LOAD_PARAMETERS[:4], {"with the tool": tool})
+    unresolved: tuple[str, ...] = ()
+    if known_bias is None:
+        along = gravity_zero / np.linalg.norm(gravity_zero)
+        total = along @ (fit.values[1:4] + fit.values[5:8])
+        unresolved = (
+            "the first moments of tool and adapter along gravity at the zeroing pose "
+            f"(ft_sensor direction {np.round(along, 4).tolist()}): only their sum "
+            f"{total:.6f} kg.m is known, here all of it is given to the tool; "
+            "the compensation is not affected",
+        )
+    return Identification(
+        load=_load(fit, slice(0, 4), "the tool"),
+        bias=_load(fit, slice(4, 8), "the adapter"),
+        offset=fit.values[8:14],
+        offset_std=np.sqrt(np.diag(fit.covariance)[8:14]),
+        offset_change=None,
+        offset_change_std=None,
+        rmse=_rmse(fit.residuals, fit.used),
+        sigma=fit.sigma,
+        used_tool=fit.used,
+        used_bare=np.zeros(0, dtype=bool),
+        rejected=_rejections(fit, np.arange(len(tool)), tool, "with the tool"),
+        warnings=(*_noise_warnings(fit, tool.std_of_mean), *unresolved),
+        unresolved=unresolved,
+    )
+
+
+def _one_sweep_prior(
+    gravity_zero: Array, known_bias: LoadEstimate | None
+) -> tuple[Array, Array, Array]:
+    """Rows (k, 14), values (k,) and standard deviations (k,) of what is known beforehand."""
+    if known_bias is None:
+        row = np.zeros((1, 14))
+        row[0, 5:8] = gravity_zero / np.linalg.norm(gravity_zero)
+        return row, np.zeros(1), np.array([_UNOBSERVED_MOMENT_STD_KGM])
+    # (m, h) of the known adapter, its covariance taken from (m, p) and decorrelated into rows.
+    moments = known_bias.load.moments
+    jacobian = np.eye(4)
+    jacobian[1:, 0] = known_bias.com_m
+    jacobian[1:, 1:] *= known_bias.mass_kg
+    covariance = jacobian @ known_bias.covariance @ jacobian.T
+    variances, vectors = np.linalg.eigh(covariance)
+    rows = np.zeros((4, 14))
+    rows[:, 4:8] = vectors.T
+    floor = 1e-12 * max(float(variances.max()), 1e-12)
+    return rows, vectors.T @ moments, np.sqrt(np.maximum(variances, floor))
+
+
+@dataclass(frozen=True)
+class SingleLoad:
+    """One load and six constant biases from orientations alone (the ten-parameter model)."""
+
+    load: LoadEstimate
+    offset: Array
+    sigma: Array
+    used: np.ndarray
+
+    def predict(self, gravity_sensor: ArrayLike) -> Array:
+        """Reading (..., 6), N and N.m, under gravity (..., 3) in the sensor's frame, m/s^2."""
+        return gravity_regressor(gravity_sensor) @ self.load.load.moments + self.offset
+
+
+def identify_single_load(gravity_sensor: ArrayLike, wrench: ArrayLike) -> SingleLoad:
+    """Mass, centre and six biases, robust to outliers, from gravity (n, 3) and readings (n, 6).
+
+    Raises as `identify_two_sweeps` does.
+    """
+    gravity, reading = np.asarray(gravity_sensor, dtype=float), np.asarray(wrench, dtype=float)
+    if len(gravity) < MIN_POSES:
+        raise IdentificationError(f"{len(gravity)} still poses; at least {MIN_POSES} are needed")
+    design = _single_load_design(gravity)
+    check_excitation(design, LOAD_PARAMETERS[:4])
+    fit = fit_robust(design, reading)
+    _check_rejections(fit)
+    check_excitation(design[fit.used], LOAD_PARAMETERS[:4])
+    return SingleLoad(_load(fit, slice(0, 4), "the load"), fit.values[4:], fit.sigma, fit.used)
+
+
+def plain_least_squares(gravity_sensor: ArrayLike, wrench: ArrayLike) -> tuple[Array, Array]:
+    """The baseline that other packages use: moments (4,) and biases (6,), unweighted, no checks.
+
+    gravity (n, 3) in the sensor's frame, m/s^2; readings (n, 6). The three axes of a force (of a
+    torque) count alike, whatever their noise; force and torque share no parameter in (m, h).
+    """
+    design = _single_load_design(np.asarray(gravity_sensor, dtype=float))
+    solution = np.linalg.lstsq(
+        design.reshape(-1, 10), np.asarray(wrench, dtype=float).reshape(-1), rcond=None
+    )[0]
+    return solution[:4], solution[4:]
+
+
+def _single_load_design(gravity: Array) -> Array:
+    design = np.zeros((len(gravity), 6, 10))
+    design[:, :, :4] = gravity_regressor(gravity)
+    design[:, :, 4:] = np.eye(6)
+    return design
+
+
+def _check_count(poses: StillPoses, name: str) -> None:
+    if len(poses) < MIN_POSES:
+        raise NotExcitedError(
+            f"{name}: {len(poses)} still poses; at least {MIN_POSES} are needed"
+        )
+
+
+def _check_rejections(fit: RobustFit) -> None:
+    rejected = int(np.sum(~fit.used))
+    if rejected > _MAX_REJECTED_FRACTION * len(fit.used):
+        raise IdentificationError(
+            f"{rejected} of {len(fit.used)} poses fit no common load: was the tool touched, did it "
+            "shift, or do the joint angles not belong to the readings?"
+        )
+
+
+def _load(fit: RobustFit, columns: slice, name: str) -> LoadEstimate:
+    """Mass and centre from the moments; covariance by p = h / m, dp = (dh - p dm) / m."""
+    moments, covariance = fit.values[columns], fit.covariance[columns, columns]
+    mass, std = float(moments[0]), float(np.sqrt(covariance[0, 0]))
+    if mass <= 0.0:
+        raise ImplausibleLoadError(
+            f"{name} would weigh {mass * 1e3:.3f} g (standard deviation {std * 1e3:.3f} g): a mass "
+            "is positive. Is it mounted? Does a push read positive in the direction of the push?"
+        )
+    if mass < 3.0 * std:
+        raise ImplausibleLoadError(
+            f"{name} weighs {mass * 1e3:.3f} g with a standard deviation of {std * 1e3:.3f} g, "
+            "which is not told apart from nothing. Is it mounted?"
+        )
+    com = moments[1:] / mass
+    jacobian = np.zeros((4, 4))
+    jacobian[0, 0] = 1.0
+    jacobian[1:, 0] = -com / mass
+    jacobian[1:, 1:] = np.eye(3) / mass
+    return LoadEstimate(mass, com, jacobian @ covariance @ jacobian.T)
+
+
+def _rmse(residuals: Array, used: np.ndarray) -> Array:
+    return np.asarray(np.sqrt(np.mean(residuals[used] ** 2, axis=0)))
+
+
+def _joined_std(*sweeps: StillPoses) -> Array | None:
+    parts = [sweep.std_of_mean for sweep in sweeps]
+    known = [part for part in parts if part is not None]
+    return np.concatenate(known) if len(known) == len(parts) else None
+
+
+def _rejections(
+    fit: RobustFit, indices: np.ndarray, poses: StillPoses, sweep: str
+) -> tuple[str, ...]:
+    return tuple(
+        f"{sweep}, pose {number} (roll {poses.roll[number]:.4f} rad, tilt "
+        f"{poses.tilt[number]:.4f} rad): {fit.distance[index]:.1f} sigma off the common load"
+        for number, index in enumerate(indices)
+        if not fit.used[index]
+    )
+
+
+def _noise_warnings(fit: RobustFit, std_of_mean: Array | None) -> list[str]:
+    """Tell when the residual is larger than what the scatter within the poses explains."""
+    if std_of_mean is None:
+        return []
+    expected = np.sqrt(np.mean(std_of_mean[fit.used] ** 2, axis=0))
+    ratio = fit.sigma / np.maximum(expected, np.finfo(float).tiny)
+    worst = int(np.argmax(ratio))
+    if ratio[worst] < 2.0:
+        return []
+    axis = ("fx", "fy", "fz", "tx", "ty", "tz")[worst]
+    return [
+        f"the residual of {axis} is {ratio[worst]:.1f} times what the noise within a pose explains: "
+        "something that the model doesn't hold (drift, joint zero, sensor rotation, a cable)"
+    ]
+
+
+def _drift_warnings(change: Array, std: Array, sigma: Array) -> list[str]:
+    names: Sequence[str] = ("fx", "fy", "fz", "tx", "ty", "tz")
+    return [
+        f"the sensor's {name} moved by {value:+.4f} {'N' if index < 3 else 'N.m'} between the "
+        "sweeps: it drifts, or was zeroed in between"
+        for index, (name, value) in enumerate(zip(names, change, strict=True))
+        if abs(value) > 5.0 * std[index] and abs(value) > 3.0 * sigma[index]
+    ]

@@ -1,0 +1,186 @@
+"""Linear least squares on poses of six channels, robust to whole poses that don't belong.
+
+A pose is an outlier as a whole (it was touched, or the arm still moved), so its distance
+d_i^2 = sum_k (r_ik / sigma_k)^2 decides over all six channels of it. The fit starts from
+iteratively reweighted least squares with Tukey's bisquare on d_i (Maronna, Martin, Yohai, *Robust
+Statistics*, 2006, section 5.4) with the channels' scales from the median absolute deviation, then
+rejects what lies beyond the chi-square quantile of one false rejection in a hundred sweeps, and
+ends as ordinary weighted least squares of the poses left, whose covariance is (A^T W A)^-1.
+The noise sigma_k of a channel comes from that channel's own residuals and degrees of freedom.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import chi2
+
+from galen_model.arrays import Array
+from galen_model.errors import IdentificationError
+
+_FALSE_REJECTIONS_PER_SWEEP = 0.01
+_MAD_TO_STD = 1.4826
+_ITERATIONS = 50
+
+
+@dataclass(frozen=True)
+class RobustFit:
+    """Values (p,), covariance (p, p), residuals (n, 6), noise per channel sigma (6,).
+
+    used: mask (n,) of the poses kept; distance: (n,) of every pose in units of sigma.
+    """
+
+    values: Array
+    covariance: Array
+    residuals: Array
+    sigma: Array
+    used: np.ndarray
+    distance: Array
+
+
+def fit_robust(design: Array, readings: Array) -> RobustFit:
+    """Fit readings (n, 6) = design (n, 6, p) @ values.
+
+    Raises IdentificationError when the poses leave no degrees of freedom.
+    """
+    return _fit(design, readings, _NO_PRIOR)
+
+
+def fit_with_known_prior(
+    design: Array,
+    readings: Array,
+    prior_rows: Array,
+    prior_values: Array,
+    prior_std: Array,
+    offset_columns: slice,
+) -> RobustFit:
+    """As `fit_robust`, with Gaussian knowledge rows (k, p) @ values = prior_values +- prior_std.
+
+    The six values in `offset_columns` are known to be zero within the noise of one reading, which
+    the fit itself finds.
+    """
+    return _fit(
+        design, readings, _Prior(prior_rows, prior_values, prior_std, offset_columns)
+    )
+
+
+@dataclass(frozen=True)
+class _Prior:
+    rows: Array
+    values: Array
+    std: Array
+    offset_columns: slice | None
+
+    def information(self, parameters: int, sigma: Array) -> tuple[Array, Array]:
+        """The prior's part of the normal equations: matrix (p, p) and right side (p,)."""
+        if self.offset_columns is None:
+            return np.zeros((parameters, parameters)), np.zeros(parameters)
+        weighted = self.rows / self.std[:, None] ** 2
+        matrix = weighted.T @ self.rows
+        offsets = np.arange(parameters)[self.offset_columns]
+        matrix[offsets, offsets] += 1.0 / sigma**2
+        return matrix, weighted.T @ self.values
+
+
+_NO_PRIOR = _Prior(np.zeros((0, 0)), np.zeros(0), np.zeros(0), None)
+
+
+def _fit(design: Array, readings: Array, prior: _Prior) -> RobustFit:
+    count, channels, parameters = design.shape
+    if count * channels <= parameters:
+        raise IdentificationError(f"{count} poses are too few for {parameters} parameters")
+    start_scale = np.maximum(np.std(readings, axis=0), _tiny(readings))
+    values = _irls(design, readings, prior, start_scale)
+
+    used = np.ones(count, dtype=bool)
+    sigma = _mad_scale(readings - design @ values)
+    cut = chi2.ppf(1.0 - _FALSE_REJECTIONS_PER_SWEEP / count, channels)
+    for _ in range(_ITERATIONS):
+        distance = _distance(readings - design @ values, sigma)
+        next_used = distance**2 <= cut
+        if next_used.sum() * channels <= parameters:
+            raise IdentificationError(
+                f"only {int(next_used.sum())} of {count} poses agree on a load"
+            )
+        settled = np.array_equal(next_used, used)
+        used = next_used
+        values, covariance, sigma = _weighted(design[used], readings[used], prior, sigma)
+        if settled:
+            break
+    residuals = readings - design @ values
+    return RobustFit(values, covariance, residuals, sigma, used, _distance(residuals, sigma))
+
+
+def _irls(design: Array, readings: Array, prior: _Prior, scale: Array) -> Array:
+    """Tukey's bisquare over poses from a start by least absolute distance."""
+    channels = design.shape[1]
+    weights = np.ones(len(design))
+    values = _solve(design, readings, prior, scale, weights)[0]
+    for _ in range(_ITERATIONS):  # least absolute distance: a start that few outliers can't lead
+        residuals = readings - design @ values
+        scale = _mad_scale(residuals)
+        distance = _distance(residuals, scale)
+        weights = 1.0 / np.maximum(distance, 0.1 * np.sqrt(channels))
+        values = _solve(design, readings, prior, scale, weights)[0]
+    cut = np.sqrt(chi2.ppf(0.9999, channels)) * 1.5
+    for _ in range(_ITERATIONS):
+        residuals = readings - design @ values
+        scale = _mad_scale(residuals)
+        weights = np.clip(1.0 - (_distance(residuals, scale) / cut) ** 2, 0.0, None) ** 2
+        if np.count_nonzero(weights) * channels <= design.shape[2]:
+            raise IdentificationError("the poses agree on no load")
+        values = _solve(design, readings, prior, scale, weights)[0]
+    return values
+
+
+def _weighted(
+    design: Array, readings: Array, prior: _Prior, sigma: Array
+) -> tuple[Array, Array, Array]:
+    """Least squares with each channel's own noise, found together: values, covariance, sigma."""
+    weights = np.ones(len(design))
+    for _ in range(_ITERATIONS):
+        values, covariance = _solve(design, readings, prior, sigma, weights)
+        residuals = readings - design @ values
+        # effective parameters of a channel: sum of its leverages
+        leverage = np.einsum("ikp,pq,ikq->k", design, covariance, design) / sigma**2
+        freedom = np.maximum(len(design) - leverage, 1.0)
+        next_sigma = np.sqrt(np.sum(residuals**2, axis=0) / freedom)
+        next_sigma = np.maximum(next_sigma, _tiny(readings))
+        settled = np.allclose(next_sigma, sigma, rtol=1e-9)
+        sigma = next_sigma
+        if settled:
+            break
+    values, covariance = _solve(design, readings, prior, sigma, weights)
+    return values, covariance, sigma
+
+
+def _solve(
+    design: Array, readings: Array, prior: _Prior, sigma: Array, weights: Array
+) -> tuple[Array, Array]:
+    parameters = design.shape[2]
+    scaled = design * (np.sqrt(weights)[:, None] / sigma)[:, :, None]
+    rows = scaled.reshape(-1, parameters)
+    right = (readings * np.sqrt(weights)[:, None] / sigma).reshape(-1)
+    prior_matrix, prior_right = prior.information(parameters, sigma)
+    information = rows.T @ rows + prior_matrix
+    # columns differ by orders of magnitude (kg beside kg.m): balance before inverting
+    diagonal = np.diag(information)
+    if np.any(diagonal <= 0.0):  # every pose that tells some parameter was weighted to nothing
+        raise IdentificationError("the poses agree on no load")
+    balance = 1.0 / np.sqrt(diagonal)
+    inverse = np.linalg.inv(information * np.outer(balance, balance))
+    covariance = inverse * np.outer(balance, balance)
+    return covariance @ (rows.T @ right + prior_right), covariance
+
+
+def _mad_scale(residuals: Array) -> Array:
+    scale = _MAD_TO_STD * np.median(np.abs(residuals), axis=0)
+    return np.maximum(scale, _tiny(residuals))
+
+
+def _tiny(values: Array) -> Array:
+    """A floor that keeps noise-free channels from dividing by zero, per channel."""
+    return np.maximum(np.max(np.abs(values), axis=0) * 1e-12, 1e-15)
+
+
+def _distance(residuals: Array, sigma: Array) -> Array:
+    return np.asarray(np.sqrt(np.sum((residuals / sigma) ** 2, axis=1)))

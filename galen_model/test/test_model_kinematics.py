@@ -1,0 +1,100 @@
+"""Closed-form kinematics against Pinocchio, finite differences and analytic cases."""
+
+import numpy as np
+import pytest
+from galen_model.arm import HOME, LIMITS
+from galen_model.delta import LinearDelta
+from galen_model.errors import KinematicsError
+from galen_model.kinematics import gravity_in_sensor, sensor_pose, sensor_rotation, tip_jacobian, tip_pose
+from galen_model.pinocchio_arm import PinocchioArm
+
+TIP = np.array([0.18, 0.01, 0.05])
+
+
+def random_joints(count, seed=1):
+    rng = np.random.default_rng(seed)
+    return rng.uniform(LIMITS.lower, LIMITS.upper, (count, 5))
+
+
+def test_closed_form_equals_pinocchio_on_the_urdf():
+    arm = PinocchioArm(TIP)
+    for q in random_joints(50):
+        for closed, frame in ((sensor_pose(q), "ft_sensor"), (tip_pose(q, TIP), "tool_tip")):
+            rotation, origin = arm.pose(q, frame)
+            np.testing.assert_allclose(closed[0], rotation, atol=1e-12)
+            np.testing.assert_allclose(closed[1], origin, atol=1e-12)
+        np.testing.assert_allclose(tip_jacobian(q, TIP), arm.jacobian(q), atol=1e-12)
+
+
+def test_home_is_where_the_chain_of_offsets_puts_it():
+    rotation, origin = sensor_pose(HOME)
+    # 0.6085 + 0.031248 forward; 0.408 + 0.07614 + 0.013 + 0.025 up; z of the sensor along x
+    np.testing.assert_allclose(origin, [0.639748, 0.0, 0.52214], atol=1e-12)
+    np.testing.assert_allclose(rotation, [[0, 0, 1], [0, 1, 0], [-1, 0, 0]], atol=1e-12)
+
+
+def test_jacobian_equals_finite_differences():
+    step = 1e-6
+    for q in random_joints(10, seed=2):
+        jacobian = tip_jacobian(q, TIP)
+        for joint in range(5):
+            ahead, behind = q.copy(), q.copy()
+            ahead[joint] += step
+            behind[joint] -= step
+            (r1, p1), (r0, p0) = tip_pose(ahead, TIP), tip_pose(behind, TIP)
+            np.testing.assert_allclose(jacobian[:3, joint], (p1 - p0) / (2 * step), atol=1e-8)
+            spin = (r1 - r0) / (2 * step) @ tip_pose(q, TIP)[0].T
+            np.testing.assert_allclose(
+                jacobian[3:, joint], [spin[2, 1], spin[0, 2], spin[1, 0]], atol=1e-8
+            )
+
+
+def test_gravity_in_the_sensor_is_the_rotated_vector():
+    q = random_joints(100, seed=3)
+    rotation = sensor_rotation(q[:, 3], q[:, 4])
+    expected = np.einsum("nji,j->ni", rotation, [0, 0, -9.80665])
+    np.testing.assert_allclose(gravity_in_sensor(q[:, 3], q[:, 4]), expected, atol=1e-12)
+
+
+def test_delta_forward_undoes_inverse():
+    delta = LinearDelta()
+    np.testing.assert_allclose(delta.carriages(HOME[:3]), 0.0, atol=1e-15)
+    for q in random_joints(200, seed=4):
+        carriages = delta.carriages(q[:3], check_travel=False)
+        np.testing.assert_allclose(delta.platform(carriages), q[:3], atol=1e-12)
+
+
+def test_delta_rods_keep_their_length_and_jacobian_equals_finite_differences():
+    delta, step = LinearDelta(), 1e-6
+    for q in random_joints(20, seed=5):
+        p = q[:3]
+        np.testing.assert_allclose(np.linalg.norm(delta.rod_directions(p), axis=1), 1.0, atol=1e-12)
+        numeric = np.column_stack(
+            [
+                (
+                    delta.carriages(p + step * axis, check_travel=False)
+                    - delta.carriages(p - step * axis, check_travel=False)
+                )
+                / (2 * step)
+                for axis in np.eye(3)
+            ]
+        )
+        np.testing.assert_allclose(delta.jacobian(p), numeric, atol=1e-8)
+
+
+def test_delta_says_what_it_cannot_reach():
+    delta = LinearDelta()
+    with pytest.raises(KinematicsError, match="rod . does not reach"):
+        delta.carriages([0.7, 0.0, 0.4])
+    with pytest.raises(KinematicsError, match="outside its travel"):
+        delta.carriages([0.0, 0.0, 0.8])
+    with pytest.raises(KinematicsError, match="no platform position"):
+        delta.platform([0.0, 0.0, 3.0])
+
+
+def test_the_joint_limits_are_inside_the_carriages_travel():
+    delta = LinearDelta()
+    # the box's rim is where carriages go furthest; heights near the ends need the room of the xy move
+    for x in np.linspace(LIMITS.lower[0], LIMITS.upper[0], 7):
+        for y in np.linspace(LIMITS.lower[1], LIMITS.upper[1], 7):
+            assert np.all(np.isfinite(delta.carriages([x, y, HOME[2]])))

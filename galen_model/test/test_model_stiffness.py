@@ -1,0 +1,82 @@
+"""Nominal deflection: against energy, finite differences of geometry, and published-like values."""
+
+import numpy as np
+import pytest
+from galen_model.arm import GALEN, HOME, LIMITS
+from galen_model.delta import LinearDelta
+from galen_model.kinematics import joint_axes, sensor_pose, tip_pose
+from galen_model.rotation import rotvec_to_matrix
+from galen_model.stiffness import deflection, platform_stiffness, tip_compliance
+
+TIP = np.array([0.15, 0.0, 0.05])
+
+
+def test_flange_stiffness_at_home():
+    """66, 10.5 and 36 N/mm in x, y, z: computed independently for the study of this arm."""
+    compliance = tip_compliance(HOME, np.zeros(3))
+    np.testing.assert_allclose(
+        1.0 / np.diag(compliance)[:3] / 1e3, [66.0, 10.5, 36.0], rtol=0.01
+    )
+
+
+def test_compliance_is_symmetric_and_positive():
+    rng = np.random.default_rng(1)
+    for q in rng.uniform(LIMITS.lower, LIMITS.upper, (20, 5)):
+        compliance = tip_compliance(q, TIP)
+        np.testing.assert_allclose(compliance, compliance.T, rtol=1e-9, atol=1e-15)
+        assert np.linalg.eigvalsh(compliance).min() > 0.0
+
+
+def test_platform_stiffness_equals_the_rods_strain_energy():
+    """A second way: minimise the rods' and carriages' energy for a small rigid displacement.
+
+    Each rod's stretch follows from the moved ball joints' geometry, not from the rows [n, B x n].
+    """
+    rng = np.random.default_rng(2)
+    p = np.array([0.05, -0.03, 0.45])
+    directions = LinearDelta().rod_directions(p)
+    for _ in range(5):
+        twist = rng.standard_normal(6) * 1e-6
+        turn = rotvec_to_matrix(twist[3:])
+        stretch, leg_of = [], []
+        for leg, angle in enumerate(GALEN.leg_angles_rad):
+            radial = np.array([np.cos(angle), np.sin(angle), 0.0])
+            along = np.array([-np.sin(angle), np.cos(angle), 0.0])
+            for side in (1, -1):
+                ball = 0.050 * radial + side * 0.0552 * along
+                foot = p + ball - GALEN.rod_length_m * directions[leg]
+                moved = p + twist[:3] + turn @ ball
+                stretch.append(np.linalg.norm(moved - foot) - GALEN.rod_length_m)
+                leg_of.append(leg)
+        stretch, leg_of = np.array(stretch), np.array(leg_of)
+        # carriage i yields by s_i along z, taking n_z s_i off its two rods' stretch
+        energy = 0.0
+        for leg in range(3):
+            mine, nz = stretch[leg_of == leg], directions[leg, 2]
+            k, kq = GALEN.rod_stiffness_n_m, GALEN.carriage_stiffness_n_m
+            yield_m = k * nz * mine.sum() / (kq + 2 * k * nz**2)
+            energy += 0.5 * kq * yield_m**2 + 0.5 * k * np.sum((mine - nz * yield_m) ** 2)
+        assert 0.5 * twist @ platform_stiffness(p) @ twist == pytest.approx(energy, rel=1e-4)
+
+
+def test_roll_spring_alone():
+    """With the rest rigid, a moment about the roll axis turns the tip about that axis."""
+    stiff = type(GALEN)(
+        carriage_stiffness_n_m=1e15, rod_stiffness_n_m=1e15, tilt_stiffness_nm_rad=1e15
+    )
+    q = np.array([0.02, 0.01, 0.42, 0.4, -0.3])
+    rotation, origin = sensor_pose(q)
+    _, tip = tip_pose(q, TIP)
+    point, axis, _, _ = joint_axes(q)
+    force_base = np.array([0.0, 3.0, -1.0])
+    wrench = np.concatenate([rotation.T @ force_base, np.zeros(3)])
+    angle = axis @ np.cross(origin - point, force_base) / 2000.0
+    expected = np.concatenate([np.cross(axis * angle, tip - point), axis * angle])
+    np.testing.assert_allclose(deflection(q, wrench, TIP, stiff), expected, rtol=1e-6, atol=1e-12)
+
+
+def test_five_newton_sideways_moves_the_flange_half_a_millimetre():
+    rotation, _ = sensor_pose(HOME)
+    wrench = np.concatenate([rotation.T @ [0.0, 5.0, 0.0], np.zeros(3)])
+    moved = deflection(HOME, wrench, np.zeros(3))
+    assert moved[1] == pytest.approx(0.5e-3, rel=0.06)

@@ -1,0 +1,167 @@
+"""Tool files: read back what was written, refuse what is not one, survive a kill."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+from galen_model.errors import ToolFileError, ToolNameError
+from galen_model.load import nominal_reading
+from galen_model.tool_file import LoadEstimate, ToolFile, check_tool_name, read_tool, tool_path, write_tool
+from galen_model.tools import ADAPTER, TOOLS
+
+
+def make(name="pointer", mass=0.06, **changes):
+    tool = TOOLS["pointer"]
+    fields = {
+        "tool": name,
+        "load": LoadEstimate(mass, tool.load.com_m, np.diag([1e-8, 1e-9, 1e-9, 1e-9])),
+        "bias": LoadEstimate(0.1, ADAPTER.com_m, np.diag([1e-8, 1e-9, 1e-9, 1e-9])),
+        "tip_m": tool.tip_m,
+        "rmse": np.full(6, 1e-3),
+        "poses_used": 56,
+        "calibrated_at": "2026-11-21T12:00:00+00:00",
+        **changes,
+    }
+    return ToolFile(**fields)
+
+
+def test_what_is_written_is_read_back(tmp_path):
+    path = tool_path(tmp_path, "pointer")
+    tool = make(residual_offset=np.arange(6) * 0.01, poses_rejected=("with the tool, pose 3: x",))
+    write_tool(path, tool)
+    again = read_tool(path)
+    assert again.to_json() == tool.to_json()
+    assert "unresolved" not in json.loads(path.read_text())
+    roll, tilt = np.array([0.3, -1.0]), np.array([0.1, 0.7])
+    expected = nominal_reading(roll, tilt, TOOLS["pointer"].load, ADAPTER) + tool.residual_offset
+    np.testing.assert_allclose(again.predict(roll, tilt), expected, atol=1e-14)
+
+
+def test_the_old_file_is_kept_as_bak(tmp_path):
+    path = tool_path(tmp_path, "pointer")
+    write_tool(path, make(mass=0.06))
+    assert not path.with_name("pointer.json.bak").exists()
+    write_tool(path, make(mass=0.07))
+    assert read_tool(path).load.mass_kg == 0.07
+    assert read_tool(path.with_name("pointer.json.bak")).load.mass_kg == 0.06
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["pointer.json", "pointer.json.bak"]
+
+
+@pytest.mark.parametrize("name", ["../x", "a/b", "", "a b", "ü", "x" * 65, ".", "a\n", "a\0b", "/etc/x"])
+def test_names_that_must_not_reach_a_path(name, tmp_path):
+    with pytest.raises(ToolNameError, match="letters, digits"):
+        check_tool_name(name)
+    with pytest.raises(ToolNameError):
+        tool_path(tmp_path, name)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"schema_version": 2}, "schema_version is 2"),
+        ({"load": {"mass_kg": 0.0, "com_m": [0, 0, 0], "covariance": np.eye(4).tolist()}}, "load.mass_kg"),
+        ({"load": {"mass_kg": 1, "com_m": [0, 0], "covariance": np.eye(4).tolist()}}, "load.com_m has shape"),
+        ({"tip_m": [0, 0, None]}, "tip_m"),
+        ({"tip_m": ["a", 0, 0]}, "tip_m does not hold numbers"),
+        ({"residual_offset": {"force_N": [0, 0, 0]}}, "torque_Nm is missing"),
+        ({"gravity_m_s2": [0, 0, 9.8]}, "gravity_m_s2"),
+        ({"poses_used": -1}, "poses_used"),
+        ({"poses_rejected": "all"}, "poses_rejected is not a list"),
+        ({"calibrated_at": "yesterday"}, "RFC 3339"),
+        ({"calibrated_at": "2026-01-01T00:00:00"}, "time zone"),
+        ({"tool": "../x"}, "letters, digits"),
+        ({"bias_pose_rad": {"roll": float("nan"), "tilt": 0}}, "bias_pose_rad.roll"),
+        ({"sensor_frame": ""}, "sensor_frame"),
+    ],
+)
+def test_a_wrong_field_is_named_with_the_file(tmp_path, change, message):
+    path = tmp_path / "pointer.json"
+    path.write_text(json.dumps({**make().to_json(), **change}))
+    with pytest.raises(ToolFileError, match=message) as error:
+        read_tool(path)
+    assert str(path) in str(error.value)
+
+
+@pytest.mark.parametrize("field", [key for key in make().to_json()])
+def test_a_missing_field_is_named(tmp_path, field):
+    content = make().to_json()
+    del content[field]
+    path = tmp_path / "pointer.json"
+    path.write_text(json.dumps(content))
+    with pytest.raises(ToolFileError, match=f"{field} is missing"):
+        read_tool(path)
+
+
+@pytest.mark.parametrize("text", [b"", b"{", b"[]", b"\xff\xfe", b"[" * 100_000, b"null"])
+def test_what_is_no_json_object_is_refused(tmp_path, text):
+    path = tmp_path / "pointer.json"
+    path.write_bytes(text)
+    with pytest.raises(ToolFileError, match="pointer.json"):
+        read_tool(path)
+
+
+def test_a_missing_or_huge_file_is_refused(tmp_path):
+    with pytest.raises(ToolFileError, match="can't be read"):
+        read_tool(tmp_path / "none.json")
+    huge = tmp_path / "huge.json"
+    huge.write_bytes(b" " * 1_000_001)
+    with pytest.raises(ToolFileError, match="larger than"):
+        read_tool(huge)
+
+
+def test_what_can_not_be_read_is_not_written(tmp_path):
+    path = tool_path(tmp_path, "pointer")
+    write_tool(path, make())
+    before = path.read_bytes()
+    with pytest.raises(ToolFileError, match="not written"):
+        write_tool(path, make(mass=float("nan")))
+    with pytest.raises(ToolFileError, match="not written"):
+        write_tool(path, make(mass=-1.0))
+    assert path.read_bytes() == before
+    assert [p.name for p in tmp_path.iterdir()] == ["pointer.json"]
+
+
+def test_a_directory_that_can_not_be_made_is_named(tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(ToolFileError, match="can't be written"):
+        write_tool(tmp_path / "file" / "pointer.json", make())
+
+
+WRITER = """
+import sys, dataclasses
+from galen_model.tool_file import read_tool, write_tool
+path = sys.argv[1]
+tool = read_tool(path)
+print("ready", flush=True)
+count = 0
+while True:
+    count += 1
+    write_tool(path, dataclasses.replace(tool, poses_used=count, poses_rejected=("x" * 200,) * 50))
+"""
+
+
+def test_a_kill_at_any_moment_leaves_a_whole_file(tmp_path):
+    path = tool_path(tmp_path, "pointer")
+    write_tool(path, make())
+    rng = np.random.default_rng(0)
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
+    written = set()
+    for _ in range(12):
+        process = subprocess.Popen(
+            [sys.executable, "-c", WRITER, str(path)], stdout=subprocess.PIPE, env=environment
+        )
+        assert process.stdout.readline() == b"ready\n"
+        time.sleep(rng.uniform(0.0, 0.05))  # the random moment of the kill, not a wait for something
+        process.send_signal(signal.SIGKILL)
+        process.wait()
+        process.stdout.close()
+        written.add(read_tool(path).poses_used)
+        backup = path.with_name("pointer.json.bak")
+        if backup.exists():
+            read_tool(backup)
+    assert len(written) > 1  # it did write in between

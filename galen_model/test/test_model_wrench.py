@@ -1,0 +1,56 @@
+"""Wrench algebra: power is the same in every frame, and forces act where they act."""
+
+import numpy as np
+from galen_model.rotation import matrix_to_quaternion, quaternion_to_matrix, rot_x, rot_y, rot_z
+from galen_model.rotation import rotvec_to_matrix, skew
+from galen_model.wrench import adjoint, move_twist, move_wrench
+
+
+def random_transform(rng):
+    transform = np.eye(4)
+    transform[:3, :3] = rotvec_to_matrix(rng.standard_normal(3))
+    transform[:3, 3] = rng.standard_normal(3)
+    return transform
+
+
+def test_power_does_not_depend_on_the_frame():
+    rng = np.random.default_rng(1)
+    for _ in range(20):
+        a_b = random_transform(rng)
+        twist_b, wrench_b = rng.standard_normal(6), rng.standard_normal(6)
+        twist_a = adjoint(a_b) @ twist_b
+        wrench_a = move_wrench(wrench_b, a_b[:3, :3], a_b[:3, 3])
+        np.testing.assert_allclose(twist_a @ wrench_a, twist_b @ wrench_b, atol=1e-12)
+        np.testing.assert_allclose(adjoint(a_b).T @ wrench_a, wrench_b, atol=1e-12)
+
+
+def test_adjoint_of_a_product():
+    rng = np.random.default_rng(2)
+    one, two = random_transform(rng), random_transform(rng)
+    np.testing.assert_allclose(adjoint(one @ two), adjoint(one) @ adjoint(two), atol=1e-12)
+
+
+def test_a_force_off_the_origin_turns():
+    # 2 N along y, 0.3 m out along x: 0.6 N.m about z
+    moved = move_wrench([0, 2, 0, 0, 0, 0], np.eye(3), [0.3, 0, 0])
+    np.testing.assert_allclose(moved, [0, 2, 0, 0, 0, 0.6], atol=1e-15)
+
+
+def test_move_twist_of_a_turning_body():
+    moved = move_twist([0, 0, 0, 0, 0, 2.0], [0, 0, 0], [0.5, 0, 0])
+    np.testing.assert_allclose(moved, [0, 1.0, 0, 0, 0, 2.0], atol=1e-15)
+
+
+def test_elementary_rotations_and_conversions():
+    angle = 0.3
+    for turn, axis in ((rot_x, 0), (rot_y, 1), (rot_z, 2)):
+        np.testing.assert_allclose(turn(angle), rotvec_to_matrix(angle * np.eye(3)[axis]), atol=1e-15)
+        many = turn(np.array([[0.1, 0.2], [0.3, 0.4]]))
+        assert many.shape == (2, 2, 3, 3)
+        np.testing.assert_allclose(many[1, 0], turn(0.3), atol=1e-15)
+    rotation = rotvec_to_matrix([0.3, -0.2, 1.1])
+    np.testing.assert_allclose(
+        quaternion_to_matrix(matrix_to_quaternion(rotation)), rotation, atol=1e-14
+    )
+    v, w = np.array([1.0, 2.0, 3.0]), np.array([-0.4, 0.1, 0.7])
+    np.testing.assert_allclose(skew(v) @ w, np.cross(v, w), atol=1e-15)
