@@ -1,0 +1,405 @@
+"""The gravity compensation node: wrench_raw and joint_states in, wrench_compensated out."""
+
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from galen_model.errors import ToolFileError, ToolNameError
+from galen_model.tool_file import ToolFile, read_tool, tool_path
+from galen_msgs.srv import SetTool
+from galen_ros.conversions import (
+    JointStateError,
+    JointStateReader,
+    fill_stamp,
+    fill_wrench,
+    stamp_to_ns,
+)
+from galen_ros.deferred_service import DeferredService, Respond
+from galen_ros.diagnostics import DiagnosticsPublisher, Level, Status
+from galen_ros.parameters import declare_parameters, param
+from galen_ros.qos import STREAM
+from galen_ros.spin import run
+from geometry_msgs.msg import WrenchStamped
+from rclpy.clock import Clock, ClockType
+from rclpy.event_handler import SubscriptionEventCallbacks
+from rclpy.node import Node
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from sensor_msgs.msg import JointState
+from std_srvs.srv import SetBool, Trigger
+
+from galen_gravcomp.compensator import (
+    Compensated,
+    Compensator,
+    CompensatorSettings,
+    Result,
+    TareRefusedError,
+)
+from galen_gravcomp.monitor import Monitor, Severity, State
+from galen_gravcomp.tare import TareOutcome, TareSettings
+
+WATCH_PERIOD_S = 0.2
+# Not more often than this are changes of state published and logged.
+MIN_ANNOUNCE_S = 0.05
+
+
+@dataclass(frozen=True)
+class GravcompParameters:
+    """Parameters of the node. Times of samples are by their stamps."""
+
+    tools_dir: str = param("~/.ros/galen/tools", "directory of the tools' files; `~` is expanded")
+    tool: str = param("", "tool to load at start; empty: none until `~/set_tool` is called")
+    enabled: bool = param(True, "whether to compensate from the start")
+    sensor_frame: str = param(
+        "", "frame_id that `wrench_raw` must have; empty: the one in the tool's file"
+    )
+    joint_names: tuple[str, ...] = param(
+        ("roll", "tilt"), "names of the roll and the tilt joint in `joint_states`, in this order"
+    )
+    max_joint_age_s: float = param(
+        0.05,
+        "s; how far `joint_states` may lie behind a wrench, and how far apart two joint samples"
+        " may be to interpolate between them",
+        minimum=0.001,
+        maximum=1.0,
+    )
+    restart_gap_s: float = param(
+        1.0,
+        "s; a longer gap in the stamps of a topic means that the driver was restarted",
+        minimum=0.1,
+        maximum=60.0,
+    )
+    silence_s: float = param(
+        1.0,
+        "s of wall time without a message after which a topic is called silent",
+        minimum=0.1,
+        maximum=60.0,
+    )
+    best_effort_input: bool = param(
+        False, "subscribe as best effort, for a driver that publishes its sensor so"
+    )
+    sensor_range: tuple[float, ...] = param(
+        (125.0, 125.0, 500.0, 3.0, 3.0, 3.0),
+        "N, N.m; range of the sensor's axes fx fy fz tx ty tz; a reading beyond it gives a warning",
+        minimum=1e-6,
+    )
+    tare_window_s: float = param(
+        0.5, "s over which `~/tare` averages", minimum=0.05, maximum=60.0
+    )
+    tare_ramp_s: float = param(
+        1.0, "s over which a new tare is applied", minimum=0.01, maximum=60.0
+    )
+    tare_max_motion_rad: float = param(
+        0.001, "rad; a tare is refused if roll or tilt moved further in its window", minimum=0.0
+    )
+    tare_max_std_force_n: float = param(
+        0.3, "N; a tare is refused if a force axis had a larger standard deviation", minimum=0.0
+    )
+    tare_max_std_torque_nm: float = param(
+        0.02, "N.m; a tare is refused if a torque axis had a larger standard deviation", minimum=0.0
+    )
+    tare_max_force_n: float = param(
+        5.0, "N; a tare that would take off a larger force is refused", minimum=0.0
+    )
+    tare_max_torque_nm: float = param(
+        0.5, "N.m; a tare that would take off a larger torque is refused", minimum=0.0
+    )
+    tare_timeout_s: float = param(
+        2.0,
+        "s of wall time without a compensated wrench after which a running tare is given up",
+        minimum=0.1,
+        maximum=60.0,
+    )
+
+    def validate(self) -> None:
+        """Check what no single range can say."""
+        if len(self.joint_names) != 2 or len(set(self.joint_names)) != 2:
+            raise ValueError(
+                f"parameter 'joint_names' is {list(self.joint_names)}, but must name two joints,"
+                " roll and tilt"
+            )
+        if len(self.sensor_range) != 6:
+            raise ValueError(
+                f"parameter 'sensor_range' has {len(self.sensor_range)} numbers, but must have 6"
+            )
+
+    def settings(self) -> CompensatorSettings:
+        """The compensator's part of the parameters."""
+        return CompensatorSettings(
+            max_joint_age_s=self.max_joint_age_s,
+            restart_gap_s=self.restart_gap_s,
+            sensor_frame=self.sensor_frame,
+            sensor_range=np.array(self.sensor_range),
+            tare=TareSettings(
+                window_s=self.tare_window_s,
+                ramp_s=self.tare_ramp_s,
+                max_motion_rad=self.tare_max_motion_rad,
+                max_std_force_n=self.tare_max_std_force_n,
+                max_std_torque_nm=self.tare_max_std_torque_nm,
+                max_force_n=self.tare_max_force_n,
+                max_torque_nm=self.tare_max_torque_nm,
+            ),
+        )
+
+
+class GravcompNode(Node):
+    """Subtracts the tool's weight from the wrench, sample by sample."""
+
+    def __init__(self, **node_options: Any) -> None:
+        super().__init__("gravcomp", **node_options)
+        self._parameters = declare_parameters(self, GravcompParameters)
+        p = self._parameters
+        self._compensator = Compensator(p.settings(), on_restart=self._on_restart)
+        self._monitor = Monitor(self._compensator, p.silence_s)
+        self._joint_reader = JointStateReader(p.joint_names)
+        self._announced: State | None = None
+        self._announced_s = float("-inf")
+        self._seen = {"wrench_raw": False, "joint_states": False}
+        self._publishers = {"wrench_raw": 0, "joint_states": 0}
+        self._qos_trouble = ""
+        self._tare_progress = (0, 0.0)
+
+        self._outgoing = WrenchStamped()
+        self._publisher = self.create_publisher(WrenchStamped, "wrench_compensated", STREAM)
+        self._diagnostics = DiagnosticsPublisher(self, "galen_gravcomp", self._report)
+        self._compensator.set_enabled(p.enabled)
+        if p.tool:
+            self._load_at_start(p.tool)
+
+        self._joint_subscription = self._subscribe(JointState, "joint_states", self._on_joint_state)
+        self._wrench_subscription = self._subscribe(WrenchStamped, "wrench_raw", self._on_wrench)
+        self.create_service(SetBool, "~/enable", self._on_enable)
+        self.create_service(SetTool, "~/set_tool", self._on_set_tool)
+        self._tare_service = DeferredService(self, Trigger, "~/tare", self._on_tare)
+        # Wall time: it watches for silence, also when a simulation's clock stands still.
+        self._watch_clock = Clock(clock_type=ClockType.STEADY_TIME)
+        self.create_timer(WATCH_PERIOD_S, self._on_watch, clock=self._watch_clock)
+
+    def _subscribe(self, message_type: Any, topic: str, callback: Any) -> Any:
+        qos = STREAM
+        if self._parameters.best_effort_input:
+            qos = QoSProfile(depth=STREAM.depth, reliability=ReliabilityPolicy.BEST_EFFORT)
+        events = SubscriptionEventCallbacks(
+            matched=lambda info: self._on_matched(topic, info),
+            incompatible_qos=lambda _info: self._on_incompatible_qos(topic),
+        )
+        return self.create_subscription(message_type, topic, callback, qos, event_callbacks=events)
+
+    # Samples
+
+    def _on_joint_state(self, message: JointState) -> None:
+        self._seen["joint_states"] = True
+        self._monitor.on_joints(time.monotonic())
+        try:
+            (roll, tilt), _ = self._joint_reader.read(message)
+        except JointStateError as error:
+            self._compensator.push_bad_joints(f"joint_states can't be used: {error}")
+            return
+        stamp_ns = stamp_to_ns(message.header.stamp)
+        results = self._compensator.push_joints(stamp_ns, float(roll), float(tilt))
+        if results:
+            self._emit(results)
+
+    def _on_wrench(self, message: WrenchStamped) -> None:
+        arrival_s = time.monotonic()
+        self._seen["wrench_raw"] = True
+        self._monitor.on_wrench(arrival_s)
+        header, force, torque = message.header, message.wrench.force, message.wrench.torque
+        results = self._compensator.push_wrench(
+            stamp_to_ns(header.stamp),
+            (force.x, force.y, force.z, torque.x, torque.y, torque.z),
+            header.frame_id,
+            tag=(arrival_s, header.frame_id),
+        )
+        if results:
+            self._emit(results)
+
+    def _emit(self, results: list[Result]) -> None:
+        """Publish what was compensated and take note of what was refused."""
+        changed = False
+        for result in results:
+            if isinstance(result, Compensated):
+                arrival_s, frame_id = result.tag  # type: ignore[misc]
+                outgoing = self._outgoing
+                fill_stamp(outgoing.header.stamp, result.stamp_ns)
+                outgoing.header.frame_id = frame_id
+                fill_wrench(outgoing, result.wrench)
+                self._publisher.publish(outgoing)
+                changed |= self._monitor.on_output(arrival_s, time.monotonic())
+            else:
+                changed |= self._monitor.on_refused(result, time.monotonic())
+        if changed:
+            self._announce()
+
+    # Restarts of the driver
+
+    def _on_matched(self, topic: str, info: Any) -> None:
+        """A publisher of an input came or went: whoever publishes now may be another driver."""
+        self._publishers[topic] = info.current_count
+        if self._seen[topic]:
+            self._seen[topic] = False
+            gone = info.current_count_change < 0
+            why = f"driver restarted: a publisher of {topic} {'is gone' if gone else 'is new'}"
+            self._emit(self._compensator.restart(why))
+        self._announce()
+
+    def _on_restart(self, why: str) -> None:
+        self._monitor.on_restart(why, time.monotonic())
+        self.get_logger().warning(f"{why}; samples and tare are cleared")
+
+    def _on_incompatible_qos(self, topic: str) -> None:
+        self._qos_trouble = (
+            f"a publisher of {topic} is best effort, so nothing comes from it:"
+            " set the parameter best_effort_input"
+        )
+        self._announce()
+
+    # Tools
+
+    def _read_tool(self, name: str) -> ToolFile:
+        """Read a tool's file; raises ToolNameError or ToolFileError that names it."""
+        path = tool_path(self._parameters.tools_dir, name)
+        tool = read_tool(path)
+        if tool.tool != name:
+            raise ToolFileError(f"{path}: holds the tool '{tool.tool}', not '{name}'")
+        return tool
+
+    def _load_at_start(self, name: str) -> None:
+        try:
+            self._compensator.set_tool(self._read_tool(name))
+        except (ToolNameError, ToolFileError) as error:
+            # The node lives on, so that the state is on /diagnostics and the file can be mended.
+            self._compensator.set_tool(None, str(error))
+            self._monitor.set_tool_error(str(error))
+
+    def _on_set_tool(self, request: SetTool.Request, response: SetTool.Response) -> Any:
+        response.success = False
+        try:
+            tool = self._read_tool(request.tool) if request.tool else None
+        except ToolNameError as error:
+            response.error_code, response.error_msg = response.INVALID_NAME, str(error)
+        except ToolFileError as error:
+            exists = Path(tool_path(self._parameters.tools_dir, request.tool)).exists()
+            response.error_code = response.INVALID_FILE if exists else response.NOT_FOUND
+            response.error_msg = str(error)
+        else:
+            response.success = True
+            self._monitor.set_tool_error("")
+            self._emit(self._compensator.set_tool(tool))
+            self.get_logger().info(f"tool in force: {request.tool or 'none'}")
+        self._fill_tool_in_force(response)
+        if not response.success:
+            self.get_logger().error(f"set_tool refused: {response.error_msg}")
+        self._announce(always=True)
+        return response
+
+    def _fill_tool_in_force(self, response: SetTool.Response) -> None:
+        tool = self._compensator.tool
+        if tool is None:
+            return
+        response.tool = tool.tool
+        response.mass_kg = float(tool.load.mass_kg)
+        response.com_m = tool.load.com_m
+        response.tip_m = tool.tip_m
+        response.calibrated_at = tool.calibrated_at
+
+    # Switch and tare
+
+    def _on_enable(self, request: SetBool.Request, response: SetBool.Response) -> Any:
+        self._emit(self._compensator.set_enabled(request.data))
+        response.success = True
+        response.message = "compensation is on" if request.data else "compensation is off"
+        if request.data and self._compensator.tool is None:
+            response.message += ", but no tool is loaded"
+        self._announce(always=True)
+        return response
+
+    def _on_tare(
+        self, _request: Trigger.Request, response: Trigger.Response, respond: Respond
+    ) -> None:
+        def on_done(outcome: TareOutcome) -> None:
+            response.success, response.message = outcome.success, outcome.message
+            respond(response)
+            log = self.get_logger().info if outcome.success else self.get_logger().warning
+            log(outcome.message)
+
+        try:
+            self._compensator.start_tare(on_done)
+        except TareRefusedError as error:
+            on_done(TareOutcome(False, str(error)))
+            return
+        self._tare_progress = (self._compensator.compensated, time.monotonic())
+        self._announce(always=True)
+
+    # State
+
+    def _on_watch(self) -> None:
+        now_s = time.monotonic()
+        self._monitor.tick(now_s)
+        if self._compensator.taring:
+            count, since_s = self._tare_progress
+            if self._compensator.compensated != count:
+                self._tare_progress = (self._compensator.compensated, now_s)
+            elif now_s - since_s > self._parameters.tare_timeout_s:
+                state = self._state(now_s)
+                self._compensator.cancel_tare(
+                    f"no compensated wrench for {now_s - since_s:.1f} s ({state.message})"
+                )
+        self._announce()
+
+    def _state(self, now_s: float) -> State:
+        state = self._monitor.state(now_s)
+        if state.severity is Severity.STALE and self._qos_trouble:
+            return State(Severity.ERROR, "incompatible_qos", self._qos_trouble)
+        if state.severity is Severity.OK:
+            for topic, count in self._publishers.items():
+                if count > 1:
+                    return State(
+                        Severity.WARN, state.name, f"{state.message}; {topic} has {count} publishers"
+                    )
+        return state
+
+    def _announce(self, always: bool = False) -> None:
+        """Publish the state if it changed, or `always`; log a change."""
+        now_s = time.monotonic()
+        if not always and now_s - self._announced_s < MIN_ANNOUNCE_S:
+            return
+        state = self._state(now_s)
+        last = self._announced
+        changed = last is None or (last.severity, last.name) != (state.severity, state.name)
+        if not changed and not always:
+            return
+        self._announced, self._announced_s = state, now_s
+        self._diagnostics.publish_now()
+        if changed:
+            self._log(state)
+
+    def _log(self, state: State) -> None:
+        # rclpy's logger wants one severity for each line of code.
+        if state.severity is Severity.OK:
+            self.get_logger().info(state.message)
+        elif state.severity is Severity.ERROR:
+            self.get_logger().error(state.message)
+        else:
+            self.get_logger().warning(state.message)
+
+    def _report(self) -> Status:
+        now_s = time.monotonic()
+        state = self._state(now_s)
+        values: dict[str, object] = {"state": state.name}
+        values |= self._monitor.values(now_s)
+        values["tools_dir"] = self._parameters.tools_dir
+        values["joint_names"] = " ".join(self._parameters.joint_names)
+        values["wrench_raw_publishers"] = self._publishers["wrench_raw"]
+        values["joint_states_publishers"] = self._publishers["joint_states"]
+        return Status(Level[state.severity.value], state.message, values)
+
+
+def main() -> None:
+    """Run the node until it is told to stop."""
+    run(GravcompNode)
+
+
+if __name__ == "__main__":
+    main()
