@@ -6,7 +6,11 @@ iteratively reweighted least squares with Tukey's bisquare on d_i (Maronna, Mart
 Statistics*, 2006, section 5.4) with the channels' scales from the median absolute deviation, then
 rejects what lies beyond the chi-square quantile of one false rejection in a hundred sweeps, and
 ends as ordinary weighted least squares of the poses left, whose covariance is (A^T W A)^-1.
-The noise sigma_k of a channel comes from that channel's own residuals and degrees of freedom.
+The noise sigma_k of a channel comes from that channel's own residuals and degrees of freedom,
+drawn towards the mean of its kind (force or torque) as much as ten further readings would: with
+few poses a channel's own residuals alone make weights that run away (the variances' posterior
+mean under an inverse-gamma prior; Smyth, *Stat. Appl. Genet. Mol. Biol.* 3, 2004, section 3).
+Under twelve poses nothing is rejected: too few to say which of them don't belong.
 """
 
 from dataclasses import dataclass
@@ -20,6 +24,8 @@ from galen_model.errors import IdentificationError
 _FALSE_REJECTIONS_PER_SWEEP = 0.01
 _MAD_TO_STD = 1.4826
 _ITERATIONS = 50
+_PRIOR_READINGS = 10.0
+_MIN_POSES_TO_REJECT = 12
 
 
 @dataclass(frozen=True)
@@ -88,8 +94,15 @@ def _fit(design: Array, readings: Array, prior: _Prior) -> RobustFit:
     count, channels, parameters = design.shape
     if count * channels <= parameters:
         raise IdentificationError(f"{count} poses are too few for {parameters} parameters")
-    start_scale = np.maximum(np.std(readings, axis=0), _tiny(readings))
-    values = _irls(design, readings, prior, start_scale)
+    scale = np.maximum(np.std(readings, axis=0), _tiny(readings))
+    if count < _MIN_POSES_TO_REJECT:
+        values, covariance, sigma = _weighted(design, readings, prior, scale)
+        residuals = readings - design @ values
+        everything = np.ones(count, dtype=bool)
+        return RobustFit(
+            values, covariance, residuals, sigma, everything, _distance(residuals, sigma)
+        )
+    values = _irls(design, readings, prior, scale)
 
     used = np.ones(count, dtype=bool)
     sigma = _mad_scale(readings - design @ values)
@@ -143,7 +156,11 @@ def _weighted(
         # effective parameters of a channel: sum of its leverages
         leverage = np.einsum("ikp,pq,ikq->k", design, covariance, design) / sigma**2
         freedom = np.maximum(len(design) - leverage, 1.0)
-        next_sigma = np.sqrt(np.sum(residuals**2, axis=0) / freedom)
+        squares = np.sum(residuals**2, axis=0)
+        kind_mean = squares.reshape(-1, 3).sum(axis=1) / freedom.reshape(-1, 3).sum(axis=1)
+        next_sigma = np.sqrt(
+            (squares + _PRIOR_READINGS * np.repeat(kind_mean, 3)) / (freedom + _PRIOR_READINGS)
+        )
         next_sigma = np.maximum(next_sigma, _tiny(readings))
         settled = np.allclose(next_sigma, sigma, rtol=1e-9)
         sigma = next_sigma
