@@ -1,0 +1,125 @@
+"""From still poses to the tool's file: identify, put together, write. No ROS."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+
+import numpy as np
+from galen_model.arrays import Array
+from galen_model.errors import (
+    GalenError,
+    IdentificationError,
+    NotExcitedError,
+    ToolFileError,
+)
+from galen_model.identification import (
+    Identification,
+    identify_one_sweep,
+    identify_two_sweeps,
+)
+from galen_model.tool_file import ToolFile, read_tool, write_tool
+
+from galen_calibration_behavior.commands import ErrorCode, Measurements
+
+
+class EstimateError(GalenError):
+    """The measurements give no file; `code` says which error of the action it is."""
+
+    def __init__(self, code: ErrorCode, message: str) -> None:
+        super().__init__(message)
+        self.code = code
+
+
+class TipError(GalenError):
+    """A tip that is neither three finite numbers nor left out."""
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """What was written, and where."""
+
+    path: Path
+    content: ToolFile
+    warnings: list[str]
+
+
+def check_writable(path: Path) -> None:
+    """Find out before the arm moves whether `path` can be written; raises ToolFileError."""
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ToolFileError(f"{path.parent}: can't be made: {error.strerror}") from error
+    if not os.access(path.parent, os.W_OK | os.X_OK):
+        raise ToolFileError(f"{path.parent}: can't be written to")
+
+
+def choose_tip(tip_m: Array, path: Path) -> tuple[Array, list[str]]:
+    """Return the tip (3,) for the new file, m in ft_sensor, and warnings.
+
+    `tip_m` itself or, where all of it is NaN, that of the old file at `path`, else (0, 0, 0).
+    Raises TipError for a tip with some values that are not finite.
+    """
+    if np.all(np.isfinite(tip_m)):
+        return tip_m, []
+    if not np.all(np.isnan(tip_m)):
+        raise TipError(f"tip_m is {tip_m.tolist()}: three finite numbers, or all NaN to keep the old")
+    nowhere = np.zeros(3)
+    if not path.exists():
+        return nowhere, ["the tool's tip is not known: (0, 0, 0) in ft_sensor is written"]
+    try:
+        return read_tool(path).tip_m, []
+    except ToolFileError as error:
+        return nowhere, [f"the old file's tip can't be kept, (0, 0, 0) is written: {error}"]
+
+
+def calibrate(
+    path: Path, tool: str, tip_m: Array, measurements: Measurements, warnings: list[str]
+) -> Calibration:
+    """Identify the load and write the tool's file whole or not at all.
+
+    `warnings` are known from before. Raises EstimateError; the old file is then untouched.
+    """
+    found = _identify(measurements)
+    content = ToolFile(
+        tool=tool,
+        load=found.load,
+        bias=found.bias,
+        tip_m=tip_m,
+        rmse=found.rmse,
+        poses_used=int(np.sum(found.used_tool)),
+        calibrated_at=datetime.now(UTC).isoformat(timespec="seconds"),
+        residual_offset=found.offset,
+        bias_roll_rad=measurements.bias_roll,
+        bias_tilt_rad=measurements.bias_tilt,
+        poses_rejected=(*measurements.rejected, *_outliers(found, measurements)),
+        unresolved=found.unresolved,
+    )
+    try:
+        write_tool(path, content)
+    except ToolFileError as error:
+        raise EstimateError(ErrorCode.WRITE_FAILED, str(error)) from error
+    return Calibration(path, content, [*warnings, *measurements.warnings, *found.warnings])
+
+
+def _identify(measurements: Measurements) -> Identification:
+    roll, tilt = measurements.bias_roll, measurements.bias_tilt
+    try:
+        if measurements.bare is None:
+            return identify_one_sweep(measurements.tool, roll, tilt)
+        return identify_two_sweeps(measurements.bare, measurements.tool, roll, tilt)
+    except NotExcitedError as error:
+        raise EstimateError(ErrorCode.NOT_EXCITED, str(error)) from error
+    except IdentificationError as error:
+        raise EstimateError(ErrorCode.IMPLAUSIBLE, str(error)) from error
+
+
+def _outliers(found: Identification, measurements: Measurements) -> list[str]:
+    """Name the fit's outliers by their place in the sweep; the fit counts only the still poses."""
+    poses = [
+        f"bare/{measurements.bare_indices[k]}" for k in np.flatnonzero(~found.used_bare)
+    ] + [f"tool/{measurements.tool_indices[k]}" for k in np.flatnonzero(~found.used_tool)]
+    reasons = [text.rsplit(": ", 1)[-1] for text in found.rejected]
+    return [f"{pose}: {reason}" for pose, reason in zip(poses, reasons, strict=True)]

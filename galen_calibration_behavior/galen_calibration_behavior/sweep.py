@@ -1,0 +1,143 @@
+"""One sweep: which pose comes next, which were still, which are tried again or left out."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from galen_model.arrays import Array
+
+from galen_calibration_behavior.pose_recorder import Rejection
+from galen_calibration_behavior.stillness import PoseRecord, StillnessSettings, wrench_fault
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What became of one visit of a pose."""
+
+    index: int
+    roll: float
+    tilt: float
+    accepted: bool
+    record: PoseRecord | None
+    message: str
+
+
+class Sweep:
+    """Visits every pose once, then the rejected ones again, `retries` times.
+
+    A rejected pose is tried again at the end of the sweep, not at once: whoever touched the arm
+    is more likely gone by then. After the last pose all are judged once more against the whole
+    sweep, because the first ones had little to be compared with.
+    """
+
+    def __init__(
+        self, name: str, poses: Array, stillness: StillnessSettings, retries: int
+    ) -> None:
+        """`poses` (n, 2): roll and tilt in rad, in visiting order."""
+        self.name = name
+        self.poses = poses
+        self._stillness = stillness
+        self._retries = retries
+        self._queue = list(range(len(poses)))
+        self._visits = [0] * len(poses)
+        self._records: dict[int, PoseRecord] = {}
+        self._left_out: dict[int, Rejection] = {}
+        self.rejected_in_a_row = 0
+
+    @property
+    def current(self) -> int | None:
+        """Index of the pose to visit now; None when the sweep is over."""
+        return self._queue[0] if self._queue else None
+
+    @property
+    def finished_poses(self) -> int:
+        """Poses whose fate is known: recorded, or left out for good."""
+        return len(self._records) + len(self._left_out)
+
+    @property
+    def left_out(self) -> int:
+        """Number of poses left out for good."""
+        return len(self._left_out)
+
+    @property
+    def indices(self) -> list[int]:
+        """Indices of the recorded poses, in the order of `records`."""
+        return sorted(self._records)
+
+    @property
+    def records(self) -> list[PoseRecord]:
+        """The recorded poses in the grid's order."""
+        return [self._records[k] for k in self.indices]
+
+    @property
+    def rejections(self) -> list[str]:
+        """ "sweep/pose: reason" of every pose left out."""
+        return [f"{self.name}/{k}: {r.reason}" for k, r in sorted(self._left_out.items())]
+
+    @property
+    def not_finite(self) -> bool:
+        """Whether the poses left out had, for the most part, values that are not finite."""
+        bad = sum(r.not_finite for r in self._left_out.values())
+        return bad > len(self._left_out) / 2
+
+    def take(self, outcome: PoseRecord | Rejection) -> list[Verdict]:
+        """Judge the current pose's visit and step on.
+
+        Returns its verdict, then, at the end of a round, those of recorded poses that turned out
+        less still than the rest.
+        """
+        index = self._queue.pop(0)
+        self._visits[index] += 1
+        if isinstance(outcome, PoseRecord):
+            fault = wrench_fault(outcome, [*self._records.values(), outcome], self._stillness)
+            verdicts = [self._reject(index, Rejection(fault)) if fault else self._keep(index, outcome)]
+        else:
+            verdicts = [self._reject(index, outcome)]
+        self.rejected_in_a_row = 0 if verdicts[0].accepted else self.rejected_in_a_row + 1
+        if not self._queue:
+            verdicts += self._judge_all()
+            self._queue = [
+                k
+                for k in range(len(self.poses))
+                if k not in self._records and k not in self._left_out
+            ]
+        return verdicts
+
+    def _keep(self, index: int, record: PoseRecord) -> Verdict:
+        self._records[index] = record
+        return self._verdict(index, True, record, "")
+
+    def _reject(self, index: int, rejection: Rejection) -> Verdict:
+        if self._visits[index] > self._retries:
+            self._left_out[index] = rejection
+            return self._verdict(index, False, None, f"{rejection.reason}; left out")
+        return self._verdict(index, False, None, f"{rejection.reason}; will be tried again")
+
+    def _judge_all(self) -> list[Verdict]:
+        records = list(self._records.values())
+        faults = {
+            k: fault
+            for k, record in self._records.items()
+            if (fault := wrench_fault(record, records, self._stillness))
+        }
+        for k in faults:
+            del self._records[k]
+        return [self._reject(k, Rejection(fault)) for k, fault in sorted(faults.items())]
+
+    def _verdict(
+        self, index: int, accepted: bool, record: PoseRecord | None, message: str
+    ) -> Verdict:
+        roll, tilt = self.poses[index]
+        return Verdict(index, float(roll), float(tilt), accepted, record, message)
+
+
+def stack(records: list[PoseRecord]) -> tuple[Array, Array, Array, Array]:
+    """Return roll (n,), tilt (n,), wrench (n, 6) and its std_of_mean (n, 6) of the records."""
+    joints = np.array([r.joints for r in records]).reshape(-1, 5)
+    return (
+        joints[:, 3],
+        joints[:, 4],
+        np.array([r.wrench for r in records]).reshape(-1, 6),
+        np.array([r.std_of_mean for r in records]).reshape(-1, 6),
+    )

@@ -1,0 +1,127 @@
+import json
+import math
+
+import numpy as np
+import pytest
+from calibration_fake_arm import ADAPTER, NO_TOOL, POINTER
+from galen_calibration_behavior.commands import ErrorCode, Measurements
+from galen_calibration_behavior.estimate import (
+    EstimateError,
+    TipError,
+    calibrate,
+    check_writable,
+    choose_tip,
+)
+from galen_model.errors import ToolFileError
+from galen_model.identification import StillPoses
+from galen_model.load import nominal_reading
+from galen_model.tool_file import read_tool
+
+NAN = np.full(3, math.nan)
+TIP = np.array([0.15, 0.0, 0.05])
+POSES = np.array([[r, t] for r in np.linspace(-1.5, 1.5, 5) for t in np.linspace(-1.0, 0.9, 4)])
+
+
+def still(tool, poses=POSES, seed=2, noise=2e-3):
+    random = np.random.default_rng(seed)
+    std = noise * np.array([1, 1, 1, 0.02, 0.02, 0.02])
+    exact = nominal_reading(poses[:, 0], poses[:, 1], tool, ADAPTER)
+    wrench = exact + std * random.standard_normal(exact.shape)
+    return StillPoses(poses[:, 0], poses[:, 1], wrench, np.broadcast_to(std, exact.shape))
+
+
+def measurements(bare, tool, **changes):
+    count = len(tool.roll)
+    values = {
+        "bare": bare, "tool": tool, "bias_roll": 0.0, "bias_tilt": 0.0,
+        "bare_indices": list(range(count)), "tool_indices": list(range(count)),
+        "rejected": [], "warnings": [],
+    } | changes  # fmt: skip
+    return Measurements(**values)
+
+
+def test_two_sweeps_recover_the_load_and_write_it(tmp_path):
+    path = tmp_path / "pointer.json"
+    done = calibrate(path, "pointer", TIP, measurements(still(NO_TOOL, seed=1), still(POINTER)), [])
+    read = read_tool(path)
+    assert abs(read.load.mass_kg - 0.060) < 5 * read.load.mass_std_kg
+    assert np.all(np.abs(read.load.com_m - POINTER.com_m) < 5 * read.load.com_std_m)
+    assert read.tip_m == pytest.approx(TIP)
+    assert read.poses_used == 20
+    assert done.content.poses_rejected == ()
+    assert json.loads(path.read_text())["tool"] == "pointer"
+
+
+def test_one_sweep_says_what_it_cannot_know(tmp_path):
+    done = calibrate(
+        tmp_path / "pointer.json", "pointer", TIP, measurements(None, still(POINTER)), ["before"]
+    )
+    assert done.warnings[0] == "before"
+    assert any("only their sum" in text for text in done.warnings)
+    assert read_tool(done.path).unresolved
+
+
+def test_an_outlier_is_named_by_its_place_in_the_sweep(tmp_path):
+    tool = still(POINTER)
+    tool.wrench[7, 1] += 0.5
+    done = calibrate(
+        tmp_path / "pointer.json",
+        "pointer",
+        TIP,
+        measurements(
+            still(NO_TOOL, seed=1),
+            tool,
+            tool_indices=list(range(100, 120)),
+            rejected=["bare/3: moved"],
+        ),
+        [],
+    )
+    assert done.content.poses_rejected[0] == "bare/3: moved"
+    (outlier,) = done.content.poses_rejected[1:]
+    assert outlier.startswith("tool/107: ")
+    assert "sigma" in outlier
+
+
+@pytest.mark.parametrize(
+    ("bare", "tool", "code"),
+    [
+        (still(NO_TOOL, seed=1), still(NO_TOOL), ErrorCode.IMPLAUSIBLE),
+        (still(NO_TOOL, seed=1), still(POINTER, POSES[:3]), ErrorCode.NOT_EXCITED),
+        (
+            still(NO_TOOL, seed=1),
+            still(POINTER, np.tile([[0.3, 0.2]], (20, 1))),
+            ErrorCode.NOT_EXCITED,
+        ),
+    ],
+)
+def test_what_can_not_be_estimated_leaves_the_old_file(tmp_path, bare, tool, code):
+    path = tmp_path / "pointer.json"
+    path.write_text("old")
+    with pytest.raises(EstimateError) as error:
+        calibrate(path, "pointer", TIP, measurements(bare, tool), [])
+    assert error.value.code == code
+    assert str(error.value)
+    assert path.read_text() == "old"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_a_directory_that_is_a_file_is_found_before_anything_moves(tmp_path):
+    (tmp_path / "tools").write_text("")
+    with pytest.raises(ToolFileError, match="tools"):
+        check_writable(tmp_path / "tools" / "pointer.json")
+
+
+def test_the_tip_is_taken_kept_or_zero(tmp_path):
+    path = tmp_path / "pointer.json"
+    assert choose_tip(TIP, path)[0] is TIP
+    tip, warnings = choose_tip(NAN, path)
+    assert tip.tolist() == [0, 0, 0]
+    assert "not known" in warnings[0]
+    calibrate(path, "pointer", TIP, measurements(still(NO_TOOL, seed=1), still(POINTER)), [])
+    assert choose_tip(NAN, path)[0] == pytest.approx(TIP)
+    path.write_text("{")
+    tip, warnings = choose_tip(NAN, path)
+    assert tip.tolist() == [0, 0, 0]
+    assert "pointer.json" in warnings[0]
+    with pytest.raises(TipError, match="nan"):
+        choose_tip(np.array([0.1, math.nan, 0.0]), path)

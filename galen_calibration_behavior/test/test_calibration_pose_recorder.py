@@ -1,0 +1,275 @@
+import dataclasses
+
+import numpy as np
+import pytest
+from calibration_fake_arm import STEP_NS, FakeArm
+from galen_calibration_behavior.arrival import ArrivalSettings, MotionTimeoutError
+from galen_calibration_behavior.pose_recorder import PoseRecorder, Rejection
+from galen_calibration_behavior.stamps import StampsError
+from galen_calibration_behavior.stillness import PoseRecord, StillnessSettings, wrench_fault
+from galen_model.arm import HOME
+
+ARRIVAL = ArrivalSettings(
+    position_tolerance=np.array([5e-4] * 3 + [3e-3] * 2),
+    velocity_tolerance=np.array([5e-4] * 3 + [2e-3] * 2),
+    velocity_window_s=0.1,
+    settle_s=0.2,
+    max_stamp_step_s=0.05,
+)
+STILLNESS = StillnessSettings(
+    joint_motion=np.array([1e-4] * 3 + [5e-4] * 2), scatter_ratio=1.5, trend_sigmas=6.0, min_samples=20
+)
+TARGET = HOME + np.array([0.0, 0.0, 0.0, 0.5, -0.3])
+
+
+def record(arm, target=TARGET, allowance_s=5.0, arrival=ARRIVAL, each=None, limit=4000):
+    """Feed the recorder from the arm until it has a result; `each(arm, recorder)` before a step."""
+    recorder = PoseRecorder(arrival, STILLNESS, 0.5, target, allowance_s)
+    for _ in range(limit):
+        if each is not None:
+            each(arm, recorder)
+        stamp, position, velocity, wrench = arm.step()
+        recorder.add_joints(stamp, position, velocity)
+        recorder.add_wrench(stamp, wrench)
+        if recorder.result is not None:
+            return recorder.result
+    raise AssertionError("the recorder came to no result")
+
+
+def averaging(recorder):
+    return recorder._window is not None
+
+
+@pytest.mark.parametrize("with_velocity", [True, False])
+def test_a_still_pose_is_averaged_after_arrival_and_settling(with_velocity):
+    arm = FakeArm()
+    arm.report_velocity = with_velocity
+    arm.move_to(TARGET, 1.0)
+    started = arm.stamp_ns
+    result = record(arm)
+    assert isinstance(result, PoseRecord)
+    assert result.joints == pytest.approx(TARGET, abs=1e-9)
+    expected = arm.true_reading()
+    assert np.all(np.abs(result.wrench - expected) < 5 * result.std_of_mean)
+    assert result.samples == 51
+    assert (arm.stamp_ns - started) / 1e9 >= 1.0 + ARRIVAL.settle_s + 0.5
+
+
+def test_it_does_not_begin_while_the_arm_still_moves_through_the_target():
+    arm = FakeArm(start=TARGET)
+    arm.creep[3] = 0.02  # within tolerance of the target at first, but moving
+    with pytest.raises(MotionTimeoutError, match=r"roll did not stop: it moves at 0\.02"):
+        record(arm, allowance_s=0.1)
+
+
+@pytest.mark.parametrize("with_velocity", [True, False])
+def test_a_joint_that_never_stops_is_named(with_velocity):
+    arm = FakeArm(start=TARGET)
+    arm.report_velocity = with_velocity
+    arm.creep[4] = 0.004
+    with pytest.raises(MotionTimeoutError, match="tilt did not stop") as error:
+        record(arm, allowance_s=0.3)
+    assert "roll" not in str(error.value)
+
+
+def test_a_joint_that_does_not_get_there_is_named_with_both_values():
+    arm = FakeArm()
+    arm.ignored_joints = (3,)
+    arm.move_to(TARGET, 0.5)
+    with pytest.raises(MotionTimeoutError, match=r"roll did not reach 0\.5000 rad.*at 0\.0000"):
+        record(arm, allowance_s=2.0)
+
+
+def test_velocity_noise_of_single_samples_is_forgiven():
+    arm = FakeArm(start=TARGET)
+
+    def step():
+        stamp, position, velocity, wrench = FakeArm.step(arm)
+        if arm.random.random() < 0.2:
+            velocity = velocity + 0.025  # one encoder step a sample
+        return stamp, position, velocity, wrench
+
+    arm.step = step
+    assert isinstance(record(arm), PoseRecord)
+
+
+def test_motion_inside_the_window_rejects_and_names_the_joint():
+    arm = FakeArm(start=TARGET)
+    arm.report_velocity = True
+
+    def push(arm, recorder):
+        if averaging(recorder):
+            arm.creep[3] = 0.01
+
+    result = record(arm, each=push)
+    assert isinstance(result, Rejection)
+    assert "roll moved by" in result.reason
+    assert "tilt" not in result.reason
+
+
+@pytest.mark.parametrize("jump_s", [3600.0, 0.2, -0.5, -100.0])
+def test_a_jump_of_the_stamps_inside_the_window_rejects(jump_s):
+    arm = FakeArm(start=TARGET)
+    jumped = []
+
+    def jump(arm, recorder):
+        if averaging(recorder) and not jumped:
+            jumped.append(True)
+            arm.skip_ns = round(jump_s * 1e9)
+
+    result = record(arm, each=jump)
+    assert isinstance(result, Rejection)
+    assert "stamps of joint_states jumped by" in result.reason
+    assert f"{jump_s + 0.01:+.3f}" in result.reason
+
+
+@pytest.mark.parametrize("jump_s", [3600.0, -100.0])
+def test_a_jump_on_the_way_does_not_count_as_waiting_time(jump_s):
+    arm = FakeArm()
+    arm.move_to(TARGET, 1.0)
+    count = [0]
+
+    def jump(arm, _recorder):
+        count[0] += 1
+        if count[0] == 50:
+            arm.skip_ns = round(jump_s * 1e9)
+
+    assert isinstance(record(arm, allowance_s=2.0, each=jump), PoseRecord)
+
+
+def test_stamps_that_always_jump_end_it_with_the_topic_and_the_step():
+    recorder = PoseRecorder(ARRIVAL, STILLNESS, 0.5, TARGET, 5.0)
+    with pytest.raises(StampsError, match=r"joint_states jumped by \+0\.200 s.*max_stamp_step_s"):
+        for k in range(100):
+            recorder.add_joints(k * 200_000_000, TARGET, np.zeros(5))
+
+
+def test_values_that_are_not_finite_reject_and_are_named():
+    arm = FakeArm(start=TARGET)
+    arm.touch = lambda arm: np.array([0, 0, 0, 0, np.nan, 0])
+    result = record(arm)
+    assert isinstance(result, Rejection)
+    assert "wrench_raw: ty not finite" in result.reason
+    assert result.not_finite
+
+
+def test_repeated_stamps_are_not_counted_twice():
+    arm = FakeArm(start=TARGET)
+    recorder = PoseRecorder(ARRIVAL, STILLNESS, 0.5, TARGET, 5.0)
+    while recorder.result is None:
+        stamp, position, velocity, wrench = arm.step()
+        for _ in range(3):
+            recorder.add_joints(stamp, position, velocity)
+            recorder.add_wrench(stamp, wrench)
+    assert recorder.result.samples == 51
+
+
+def test_too_few_wrenches_reject_with_the_counts():
+    arm = FakeArm(start=TARGET)
+    recorder = PoseRecorder(ARRIVAL, STILLNESS, 0.5, TARGET, 5.0)
+    k = 0
+    while recorder.result is None:
+        stamp, position, velocity, wrench = arm.step()
+        recorder.add_joints(stamp, position, velocity)
+        if k % 4 == 0:
+            recorder.add_wrench(stamp, wrench)
+        k += 1
+    assert isinstance(recorder.result, Rejection)
+    assert "only 13 samples of wrench_raw" in recorder.result.reason
+
+
+def test_wrenches_that_stop_reject_instead_of_hanging():
+    arm = FakeArm(start=TARGET)
+    recorder = PoseRecorder(ARRIVAL, STILLNESS, 0.5, TARGET, 5.0)
+    for _ in range(300):
+        stamp, position, velocity, wrench = arm.step()
+        recorder.add_joints(stamp, position, velocity)
+        if not averaging(recorder):
+            recorder.add_wrench(stamp, wrench)
+    assert isinstance(recorder.result, Rejection)
+    assert "behind those of joint_states" in recorder.result.reason
+
+
+def test_the_average_covers_the_same_stamps_however_the_streams_are_bunched():
+    """The wrenches of the whole pose come first, then the joint states, or the other way round."""
+    outcomes = []
+    for wrench_lead in (-40, 0, 40):
+        arm = FakeArm(seed=3, start=TARGET)
+        samples = [arm.step() for _ in range(400)]
+        recorder = PoseRecorder(ARRIVAL, STILLNESS, 0.5, TARGET, 5.0)
+        for k in range(-40, 440):
+            if 0 <= k + wrench_lead < 400:
+                stamp, _, _, wrench = samples[k + wrench_lead]
+                recorder.add_wrench(stamp, wrench)
+            if 0 <= k < 400:
+                stamp, position, velocity, _ = samples[k]
+                recorder.add_joints(stamp, position, velocity)
+        outcomes.append(recorder.result.wrench)
+    assert np.array_equal(outcomes[0], outcomes[1])
+    assert np.array_equal(outcomes[1], outcomes[2])
+
+
+def still_records(count, seed=5):
+    arm = FakeArm(seed=seed, start=TARGET)
+    return [record(arm) for _ in range(count)]
+
+
+def test_pure_noise_is_hardly_ever_rejected():
+    """2000 poses of white noise; at 6 sigma on 6 axes not one is expected to be turned away."""
+    random = np.random.default_rng(7)
+    poses = []
+    for _ in range(2000):
+        samples = random.standard_normal((50, 6))
+        poses.append(
+            PoseRecord(
+                joints=TARGET,
+                joint_span=np.zeros(5),
+                wrench=samples.mean(axis=0),
+                wrench_std=samples.std(axis=0, ddof=1),
+                half_difference=samples[25:].mean(axis=0) - samples[:25].mean(axis=0),
+                samples=50,
+            )
+        )
+    rejected = sum(bool(wrench_fault(p, poses[:56], STILLNESS)) for p in poses)
+    assert rejected <= 2
+
+
+def test_slow_wander_that_all_poses_share_is_not_taken_for_a_touch():
+    records = [
+        dataclasses.replace(r, half_difference=np.full(6, 0.05) * (-1) ** k)
+        for k, r in enumerate(still_records(6))
+    ]
+    assert not any(wrench_fault(r, records, STILLNESS) for r in records)
+
+
+@pytest.mark.parametrize("kind", ["step", "ramp", "shake"])
+def test_a_touched_pose_is_told_from_the_others(kind):
+    arm = FakeArm(start=TARGET)
+    records = [record(arm) for _ in range(8)]
+    since = [None]
+
+    def touch(arm):
+        t = 0.0 if since[0] is None else (arm.stamp_ns - since[0]) / 1e9
+        size = {"step": 0.2 * (t > 0.3), "ramp": 0.3 * t, "shake": 0.2 * np.sin(60 * t)}[kind]
+        return np.array([0.0, size, 0.0, 0.0, 0.0, 0.0])
+
+    def each(arm, recorder):
+        if averaging(recorder) and since[0] is None:
+            since[0] = arm.stamp_ns
+    arm.touch = touch
+    touched = record(arm, each=each)
+    assert isinstance(touched, PoseRecord)
+    assert "fy" in wrench_fault(touched, [*records, touched], STILLNESS)
+    assert not any(wrench_fault(r, [*records, touched], STILLNESS) for r in records)
+
+
+def test_a_reading_that_never_changes_keeps_the_error_of_rounding():
+    arm = FakeArm(start=TARGET)
+    arm.noise[:] = 0.0
+    result = record(arm)
+    assert np.all(result.std_of_mean > 0.0)
+
+
+def test_stamps_are_ten_ms_apart_in_the_fake():
+    arm = FakeArm()
+    assert arm.step()[0] + STEP_NS == arm.step()[0]

@@ -1,0 +1,447 @@
+"""The state machine against a pure arm: every way through it, and out of it."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from calibration_fake_arm import NO_TOOL, POINTER, FakeArm
+from galen_calibration_behavior.arrival import ArrivalSettings
+from galen_calibration_behavior.commands import (
+    AttachTool,
+    ErrorCode,
+    Estimate,
+    Feedback,
+    Finished,
+    MoveTo,
+    State,
+    Stop,
+    ZeroSensor,
+)
+from galen_calibration_behavior.procedure import (
+    CalibrationProcedure,
+    ProcedureSettings,
+    Request,
+)
+from galen_calibration_behavior.stillness import StillnessSettings
+from galen_model.arm import HOME
+
+SETTINGS = ProcedureSettings(
+    home=HOME,
+    arrival=ArrivalSettings(
+        position_tolerance=np.array([5e-4] * 3 + [3e-3] * 2),
+        velocity_tolerance=np.array([5e-4] * 3 + [2e-3] * 2),
+        velocity_window_s=0.1,
+        settle_s=0.1,
+        max_stamp_step_s=0.05,
+    ),
+    stillness=StillnessSettings(
+        joint_motion=np.array([1e-4] * 3 + [5e-4] * 2),
+        scatter_ratio=2.0,  # 31 samples scatter by an eighth themselves
+        trend_sigmas=6.0,
+        min_samples=20,
+    ),
+    average_s=0.3,
+    max_velocity=np.array([0.2] * 3 + [2.0] * 2),
+    max_acceleration=np.array([2.0] * 3 + [20.0] * 2),
+    motion_timeout_s=2.0,
+    pose_retries=1,
+    max_rejected_in_a_row=3,
+    min_pose_fraction=0.5,
+    zero_tolerance=np.array([0.1] * 3 + [0.005] * 3),
+    max_stamp_offset_s=0.2,
+    silent_timeout_s=2.0,
+    service_timeout_s=5.0,
+    confirm_timeout_s=20.0,
+    stop_timeout_s=3.0,
+)
+POSES = np.array([[r, t] for r in (-1.0, 0.0, 1.0) for t in (-0.6, 0.6)])
+
+
+class World:
+    """An arm, a driver that answers, and a procedure; `run` until it ends or `until` says so."""
+
+    def __init__(self, settings=SETTINGS, *, seed=1, arm=None, **request):
+        request = {
+            "tool": "pointer", "one_sweep": False, "attach_by_service": True, "poses": POSES
+        } | request  # fmt: skip
+        self.arm = arm or FakeArm(seed)
+        self.procedure = CalibrationProcedure(settings, Request(**request))
+        self.commands = []
+        self.states = []
+        self.answers = {"bias_sensor": (True, ""), "attach_tool": (True, "")}
+        self.dead = set()  # topics or services that say nothing any more
+        self.confirms = {State.REMOVE_TOOL, State.ATTACH_TOOL}
+        self.wrench_offset_ns = 0
+        self.wall_s = 0.0
+        self.procedure.start()
+
+    @property
+    def end(self):
+        return next((c for c in self.commands if isinstance(c, Finished)), None)
+
+    @property
+    def estimate(self):
+        return next((c for c in self.commands if isinstance(c, Estimate)), None)
+
+    def of(self, kind):
+        return [c for c in self.commands if isinstance(c, kind)]
+
+    def run(self, until=lambda world: False, limit_s=200.0):
+        """Go on until the end, or `until(self)`; the wall runs as fast as the stamps."""
+        for _ in range(round(limit_s / 0.01)):
+            self._obey()
+            if self.end or until(self):
+                return self
+            stamp, position, velocity, wrench = self.arm.step()
+            if "joint_states" not in self.dead:
+                self.procedure.on_joints(stamp, position, velocity)
+            if "wrench_raw" not in self.dead:
+                self.procedure.on_wrench(stamp + self.wrench_offset_ns, wrench)
+            self.wall_s += 0.01
+            if round(self.wall_s * 100) % 10 == 0:
+                self.procedure.on_wall(self.wall_s)
+        raise AssertionError(f"no end in {limit_s} s, in state {self.procedure.state.name}")
+
+    def _obey(self):
+        while commands := self.procedure.take_commands():
+            self.commands += commands
+            for command in commands:
+                self._obey_one(command)
+
+    def _obey_one(self, command):
+        match command:
+            case Feedback():
+                if not self.states or self.states[-1] != command.state:
+                    self.states.append(command.state)
+            case MoveTo():
+                self.arm.move_to(command.joints, command.duration_s)
+            case Stop():
+                self.arm.stop()
+            case ZeroSensor() if "bias_sensor" not in self.dead:
+                assert not self.arm.moving
+                if self.answers["bias_sensor"][0]:
+                    self.arm.zero()
+                self.procedure.on_service(*self.answers["bias_sensor"])
+            case AttachTool() if "attach_tool" not in self.dead:
+                self.arm.tool = POINTER if command.tool else NO_TOOL
+                self.procedure.on_service(*self.answers["attach_tool"])
+            case Estimate():
+                self.procedure.on_estimated()
+        if self.procedure.waiting_for_person and self.procedure.state in self.confirms:
+            off = self.procedure.state == State.REMOVE_TOOL
+            self.arm.tool = NO_TOOL if off else POINTER
+            assert self.procedure.confirm()
+
+
+def failed(world, code, *words):
+    assert world.end is not None
+    assert world.end.error_code == code, world.end
+    assert all(word in world.end.error_msg for word in words), world.end.error_msg
+    assert world.estimate is None
+    assert world.of(Stop), "the arm was not told to stop"
+    return world
+
+
+def in_state(state):
+    """Also true once the first move has been ordered."""
+    return lambda world: world.procedure.state == state and bool(world.of(MoveTo))
+
+
+TWO = [
+    State.HOME, State.REMOVE_TOOL, State.ZERO, State.SWEEP_BARE, State.HOME, State.ATTACH_TOOL,
+    State.SWEEP_TOOL, State.HOME, State.ESTIMATE,
+]  # fmt: skip
+ONE = [
+    State.HOME, State.REMOVE_TOOL, State.ZERO, State.ATTACH_TOOL, State.SWEEP_TOOL, State.HOME,
+    State.ESTIMATE,
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("by_service", [True, False])
+@pytest.mark.parametrize("one_sweep", [True, False])
+def test_the_way_through(by_service, one_sweep):
+    world = World(attach_by_service=by_service, one_sweep=one_sweep).run()
+    assert world.end.error_code == ErrorCode.NONE
+    assert world.states == (ONE if one_sweep else TWO)
+    assert not world.of(Stop)
+    attached = [c.tool for c in world.of(AttachTool)]
+    assert attached == (["", "pointer"] if by_service else [])
+    assert len(world.of(ZeroSensor)) == 1
+    found = world.estimate.measurements
+    assert (found.bare is None) == one_sweep
+    assert found.tool.roll == pytest.approx(POSES[:, 0], abs=1e-6)
+    assert found.tool.tilt == pytest.approx(POSES[:, 1], abs=1e-6)
+    assert (found.bias_roll, found.bias_tilt) == pytest.approx((0.0, 0.0), abs=1e-9)
+    last_move = world.of(MoveTo)[-1]
+    assert last_move.joints == pytest.approx(HOME)
+
+
+def test_the_sensor_is_zeroed_at_home_without_the_tool_and_before_any_pose():
+    seen = []
+    world = World()
+    zero = world.arm.zero
+
+    def watched():
+        seen.append((world.arm.tool, world.arm.joints.copy(), world.procedure.progress[0]))
+        zero()
+
+    world.arm.zero = watched
+    world.run()
+    ((tool, joints, done),) = seen
+    assert tool is NO_TOOL
+    assert joints == pytest.approx(HOME)
+    assert done == 0
+
+
+def test_feedback_counts_every_pose_once():
+    world = World().run()
+    poses = [f for f in world.of(Feedback) if np.isfinite(f.roll)]
+    assert [f.done for f in poses] == list(range(1, 13))
+    assert [f.pose for f in poses] == [*range(1, 7), *range(1, 7)]
+    assert {f.total for f in world.of(Feedback)} == {12}
+    assert all(f.accepted and np.all(np.isfinite(f.wrench)) for f in poses)
+
+
+@pytest.mark.parametrize("state", list(State)[:6])
+def test_cancel_in_every_state_stops_the_arm_and_waits_for_it(state):
+    world = World(attach_by_service=False)
+    world.confirms -= {state}
+    world.run(in_state(state))
+    world.procedure.cancel()
+    assert not world.procedure.finished, "it must see the arm stop first"
+    world.run()
+    failed(world, ErrorCode.CANCELED, state.name)
+    assert not world.arm.moving
+
+
+def test_cancel_while_estimating_writes_nothing():
+    world = World()
+    world.run(lambda w: w.procedure.state == State.SWEEP_TOOL and w.procedure.progress[0] == 11)
+    while world.procedure.state != State.ESTIMATE:
+        stamp, position, velocity, wrench = world.arm.step()
+        world.procedure.on_joints(stamp, position, velocity)
+        world.procedure.on_wrench(stamp, wrench)
+        for command in world.procedure.take_commands():
+            if not isinstance(command, Estimate):
+                world.commands.append(command)
+                world._obey_one(command)
+    world.procedure.cancel()
+    world.procedure.on_estimated()  # too late, and not believed
+    world.run()
+    failed(world, ErrorCode.CANCELED)
+
+
+def test_cancel_before_the_first_sample_ends_at_once():
+    world = World()
+    world.dead = {"joint_states", "wrench_raw"}
+    world.procedure.cancel()
+    world.run()
+    failed(world, ErrorCode.CANCELED)
+
+
+def test_an_arm_that_does_not_stop_after_a_cancel_is_told():
+    world = World()
+    world.run(in_state(State.SWEEP_BARE))
+    world.arm.creep[3] = 0.05
+    world.procedure.cancel()
+    world.run(limit_s=5.0)
+    failed(world, ErrorCode.CANCELED, "not seen to stop")
+
+
+@pytest.mark.parametrize("topic", ["joint_states", "wrench_raw"])
+@pytest.mark.parametrize("state", [State.HOME, State.SWEEP_BARE, State.ATTACH_TOOL])
+def test_a_silent_topic_is_named(topic, state):
+    world = World(attach_by_service=False)
+    world.confirms -= {state}
+    world.run(in_state(state))
+    world.dead = {topic}
+    began = world.wall_s
+    world.run(limit_s=4.0)
+    failed(world, ErrorCode.DRIVER_SILENT, topic)
+    assert ("wrench_raw" in world.end.error_msg) == (topic == "wrench_raw")
+    assert 1.9 <= world.wall_s - began <= 2.3
+
+
+def test_topics_that_never_came_are_named():
+    world = World()
+    world.dead = {"joint_states", "wrench_raw"}
+    world.run(limit_s=4.0)
+    failed(world, ErrorCode.DRIVER_SILENT, "joint_states", "wrench_raw", "driver running")
+
+
+def test_stamps_that_stand_still_are_a_silence():
+    world = World().run(in_state(State.SWEEP_BARE))
+    world.arm.step = lambda: (5, HOME, np.zeros(5), np.zeros(6))
+    world.run(limit_s=4.0)
+    failed(world, ErrorCode.DRIVER_SILENT, "stamps of joint_states have stood still")
+
+
+def test_a_process_that_was_held_up_is_no_silence():
+    """Ten seconds between two ticks of the wall, because this process did not run."""
+    world = World().run(in_state(State.SWEEP_BARE))
+    world.procedure.on_wall(world.wall_s + 10.0)
+    assert not world.procedure.ending
+
+
+@pytest.mark.parametrize("joint", [3, 4])
+def test_a_stuck_joint_is_named(joint):
+    world = World()
+    world.arm.ignored_joints = (joint,)
+    world.run()
+    name = ("roll", "tilt")[joint - 3]
+    failed(world, ErrorCode.MOTION_TIMEOUT, f"{name} did not reach")
+
+
+@pytest.mark.parametrize("service", ["bias_sensor", "attach_tool"])
+def test_a_service_that_says_no_or_nothing_is_named(service):
+    world = World()
+    world.answers[service] = (False, "no such thing")
+    failed(world.run(), ErrorCode.SERVICE_FAILED, service, "no such thing")
+    world = World()
+    world.dead = {service}
+    failed(world.run(), ErrorCode.SERVICE_FAILED, service, "did not answer")
+
+
+def test_a_zeroing_that_did_not_zero_is_found_out():
+    world = World()
+    world.arm.zero = lambda: None
+    world.run()
+    failed(world, ErrorCode.SERVICE_FAILED, "does not read zero", "fx = ")
+
+
+@pytest.mark.parametrize("state", [State.REMOVE_TOOL, State.ATTACH_TOOL])
+def test_nobody_confirms(state):
+    world = World(attach_by_service=False)
+    world.confirms -= {state}
+    what = "taken off" if state == State.REMOVE_TOOL else "put on"
+    failed(world.run(), ErrorCode.CONFIRM_TIMEOUT, what)
+
+
+def test_a_confirmation_nobody_asked_for_is_refused():
+    world = World(attach_by_service=False)
+    assert not world.procedure.confirm()
+    world.run(in_state(State.SWEEP_BARE))
+    assert not world.procedure.confirm()
+
+
+def touch_pose(index, times):
+    """Shake the arm at the sweep's pose `index`, on its first `times` visits."""
+    visits = []
+
+    def touch(arm):
+        here = np.allclose(arm.joints[3:], POSES[index], atol=1e-6)
+        if here and (not visits or arm.stamp_ns - visits[-1][1] > 2e8):
+            visits.append([arm.stamp_ns, arm.stamp_ns])
+        if here:
+            visits[-1][1] = arm.stamp_ns
+        shaking = here and len(visits) <= times
+        return np.array([0.4 * arm.random.standard_normal() * shaking, 0, 0, 0, 0, 0])
+
+    return touch
+
+
+def test_a_touched_pose_is_tried_again_at_the_end_of_the_sweep():
+    world = World(one_sweep=True)
+    world.arm.touch = touch_pose(4, times=1)
+    world.run()
+    assert world.end.error_code == ErrorCode.NONE
+    assert world.end.rejected == []
+    rejected = [f for f in world.of(Feedback) if np.isfinite(f.roll) and not f.accepted]
+    assert [f.message.split(":")[0] for f in rejected] == ["tool/4"]
+    assert "tried again" in rejected[0].message
+    assert len(world.estimate.measurements.tool.roll) == 6
+
+
+def test_a_pose_that_is_never_still_is_left_out_and_listed():
+    world = World(one_sweep=True)
+    world.arm.touch = touch_pose(4, times=99)
+    world.run()
+    assert world.end.error_code == ErrorCode.NONE
+    (text,) = world.end.rejected
+    assert text.startswith("tool/4: fx scattered")
+    found = world.estimate.measurements
+    assert found.tool_indices == [0, 1, 2, 3, 5]
+    assert found.tool.roll == pytest.approx(POSES[[0, 1, 2, 3, 5], 0], abs=1e-6)
+    assert world.procedure.progress == (6, 6)
+
+
+def test_the_first_pose_is_judged_as_well_once_there_are_others():
+    world = World(one_sweep=True)
+    world.arm.touch = touch_pose(0, times=99)
+    world.run()
+    (text,) = world.end.rejected
+    assert text.startswith("tool/0: ")
+
+
+def test_too_few_still_poses_end_it():
+    settings = dataclasses.replace(SETTINGS, max_rejected_in_a_row=99)
+    world = World(settings, one_sweep=True)
+    world.run(in_state(State.SWEEP_TOOL))
+    pose = world.arm.step
+
+    def shaky():
+        stamp, position, velocity, wrench = pose()
+        if np.abs(position[3]) > 0.9:  # four of six poses
+            position[4] += 2e-3 * np.sin(stamp / 3e7)
+        return stamp, position, velocity, wrench
+
+    world.arm.step = shaky
+    world.run()
+    failed(world, ErrorCode.POSES_NOT_STILL, "only 2 of 6", "tilt moved")
+    assert len(world.end.rejected) == 4
+
+
+def test_a_hopeless_sweep_ends_early():
+    world = World(one_sweep=True)
+    world.run(in_state(State.SWEEP_TOOL))
+    world.arm.touch = lambda arm: np.full(6, np.nan)
+    world.run()
+    failed(world, ErrorCode.BAD_INPUT, "3 poses in a row", "fx", "not finite")
+
+
+def test_a_jump_of_the_stamps_costs_a_retry_and_gives_a_warning():
+    world = World(one_sweep=True)
+    world.run(in_state(State.SWEEP_TOOL))
+    world.run(lambda w: w.procedure._recorder._window is not None)
+    world.arm.skip_ns = 5_000_000_000
+    world.run()
+    assert world.end.error_code == ErrorCode.NONE
+    rejected = [f for f in world.of(Feedback) if np.isfinite(f.roll) and not f.accepted]
+    assert len(rejected) == 1
+    assert "jumped by +5.010 s" in rejected[0].message
+    assert "time stamps jumped" in world.end.warnings[0]
+    assert len(world.estimate.measurements.tool.roll) == 6
+
+
+def test_stamps_of_two_clocks_are_refused_at_the_start():
+    world = World()
+    world.wrench_offset_ns = 3_000_000_000
+    world.run()
+    failed(world, ErrorCode.BAD_INPUT, "differ by +3.0")
+    assert not world.of(MoveTo)
+
+
+def test_a_joint_that_reports_no_number_is_bad_input():
+    arm = FakeArm()
+    step = arm.step
+    arm.step = lambda: (step()[0], np.array([0, 0, 0.4, np.nan, 0]), np.zeros(5), np.zeros(6))
+    failed(World(arm=arm).run(), ErrorCode.BAD_INPUT, "roll = nan")
+
+
+def test_zeroing_is_tried_again_when_someone_still_holds_the_arm():
+    world = World(one_sweep=True)
+    world.run(in_state(State.ZERO))
+    world.run(lambda w: w.procedure._recorder and w.procedure._recorder._window is not None)
+    world.arm.creep[4] = 0.05
+    world.run(lambda w: w.procedure._zero_attempts == 2)
+    world.arm.creep[4] = 0.0
+    world.run()
+    assert world.end.error_code == ErrorCode.NONE
+    assert world.estimate.measurements.bias_tilt == pytest.approx(0.0, abs=2e-3)
+
+
+def test_the_first_error_stays():
+    world = World().run(in_state(State.SWEEP_BARE))
+    world.procedure.fail(ErrorCode.BAD_INPUT, "first")
+    world.procedure.cancel()
+    failed(world.run(), ErrorCode.BAD_INPUT, "first")
