@@ -202,6 +202,7 @@ class Monitor:
             }
         values |= {
             "sensor_frame": compensator.sensor_frame,
+            "tare": self._tare_text(),
             "tare_force_n": _join(offset[:3]),
             "tare_torque_nm": _join(offset[3:]),
             "wrench_raw_hz": self._rate("wrenches"),
@@ -223,6 +224,13 @@ class Monitor:
         values["last_refusal"] = "" if self._last is None else self._last.refused.detail
         values["last_restart"] = "" if self._restart is None else self._restart[0]
         return values
+
+    def _tare_text(self) -> str:
+        if self._compensator.taring:
+            return "averaging"
+        if self._compensator.tare_ramping:
+            return "ramping"
+        return "on" if self._compensator.tare_offset.any() else "none"
 
     def _rate(self, name: str) -> float:
         if len(self._counts) < 2:

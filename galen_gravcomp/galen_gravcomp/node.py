@@ -148,15 +148,15 @@ class GravcompNode(Node):
 
     def __init__(self, **node_options: Any) -> None:
         super().__init__("gravcomp", **node_options)
-        self._parameters = declare_parameters(self, GravcompParameters)
-        p = self._parameters
+        self._config = declare_parameters(self, GravcompParameters)
+        p = self._config
         self._compensator = Compensator(p.settings(), on_restart=self._on_restart)
         self._monitor = Monitor(self._compensator, p.silence_s)
         self._joint_reader = JointStateReader(p.joint_names)
         self._announced: State | None = None
         self._announced_s = float("-inf")
         self._seen = {"wrench_raw": False, "joint_states": False}
-        self._publishers = {"wrench_raw": 0, "joint_states": 0}
+        self._publisher_counts = {"wrench_raw": 0, "joint_states": 0}
         self._qos_trouble = ""
         self._tare_progress = (0, 0.0)
 
@@ -178,7 +178,7 @@ class GravcompNode(Node):
 
     def _subscribe(self, message_type: Any, topic: str, callback: Any) -> Any:
         qos = STREAM
-        if self._parameters.best_effort_input:
+        if self._config.best_effort_input:
             qos = QoSProfile(depth=STREAM.depth, reliability=ReliabilityPolicy.BEST_EFFORT)
         events = SubscriptionEventCallbacks(
             matched=lambda info: self._on_matched(topic, info),
@@ -236,7 +236,7 @@ class GravcompNode(Node):
 
     def _on_matched(self, topic: str, info: Any) -> None:
         """A publisher of an input came or went: whoever publishes now may be another driver."""
-        self._publishers[topic] = info.current_count
+        self._publisher_counts[topic] = info.current_count
         if self._seen[topic]:
             self._seen[topic] = False
             gone = info.current_count_change < 0
@@ -259,7 +259,7 @@ class GravcompNode(Node):
 
     def _read_tool(self, name: str) -> ToolFile:
         """Read a tool's file; raises ToolNameError or ToolFileError that names it."""
-        path = tool_path(self._parameters.tools_dir, name)
+        path = tool_path(self._config.tools_dir, name)
         tool = read_tool(path)
         if tool.tool != name:
             raise ToolFileError(f"{path}: holds the tool '{tool.tool}', not '{name}'")
@@ -280,7 +280,7 @@ class GravcompNode(Node):
         except ToolNameError as error:
             response.error_code, response.error_msg = response.INVALID_NAME, str(error)
         except ToolFileError as error:
-            exists = Path(tool_path(self._parameters.tools_dir, request.tool)).exists()
+            exists = Path(tool_path(self._config.tools_dir, request.tool)).exists()
             response.error_code = response.INVALID_FILE if exists else response.NOT_FOUND
             response.error_msg = str(error)
         else:
@@ -341,7 +341,7 @@ class GravcompNode(Node):
             count, since_s = self._tare_progress
             if self._compensator.compensated != count:
                 self._tare_progress = (self._compensator.compensated, now_s)
-            elif now_s - since_s > self._parameters.tare_timeout_s:
+            elif now_s - since_s > self._config.tare_timeout_s:
                 state = self._state(now_s)
                 self._compensator.cancel_tare(
                     f"no compensated wrench for {now_s - since_s:.1f} s ({state.message})"
@@ -353,7 +353,7 @@ class GravcompNode(Node):
         if state.severity is Severity.STALE and self._qos_trouble:
             return State(Severity.ERROR, "incompatible_qos", self._qos_trouble)
         if state.severity is Severity.OK:
-            for topic, count in self._publishers.items():
+            for topic, count in self._publisher_counts.items():
                 if count > 1:
                     return State(
                         Severity.WARN, state.name, f"{state.message}; {topic} has {count} publishers"
@@ -389,10 +389,10 @@ class GravcompNode(Node):
         state = self._state(now_s)
         values: dict[str, object] = {"state": state.name}
         values |= self._monitor.values(now_s)
-        values["tools_dir"] = self._parameters.tools_dir
-        values["joint_names"] = " ".join(self._parameters.joint_names)
-        values["wrench_raw_publishers"] = self._publishers["wrench_raw"]
-        values["joint_states_publishers"] = self._publishers["joint_states"]
+        values["tools_dir"] = self._config.tools_dir
+        values["joint_names"] = " ".join(self._config.joint_names)
+        values["wrench_raw_publishers"] = self._publisher_counts["wrench_raw"]
+        values["joint_states_publishers"] = self._publisher_counts["joint_states"]
         return Status(Level[state.severity.value], state.message, values)
 
 

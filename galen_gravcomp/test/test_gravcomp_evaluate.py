@@ -1,0 +1,250 @@
+"""`evaluate` on tables: every form of orientation, splits without a leak, errors by name."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from galen_gravcomp.cross_validation import MODELS, contiguous_blocks, cross_validate
+from galen_gravcomp.evaluate import evaluate_table, main
+from galen_gravcomp.orientation_table import TableError, read_table
+from galen_gravcomp.still_phases import StillSettings, still_phases
+from galen_model.arm import GRAVITY_M_S2
+from galen_model.kinematics import sensor_rotation
+from galen_model.load import Load, gravity_wrench
+from galen_model.rotation import matrix_to_quaternion
+from galen_model.tool_file import LoadEstimate, ToolFile, write_tool
+from galen_model.tools import ADAPTER, TOOLS
+
+LOAD = Load(0.9, np.array([0.002, -0.001, 0.044]))
+OFFSET = np.array([9.0, -1.0, 10.0, 0.4, -0.7, -0.2])
+NOISE = np.array([0.05, 0.05, 0.05, 2e-3, 2e-3, 2e-3])
+SHARED = Path(__file__).resolve().parents[3] / "shared" / "data" / "real"
+needs_shared = pytest.mark.skipif(not SHARED.is_dir(), reason="measured data is not beside the checkout")
+
+
+@pytest.fixture
+def readings():
+    rng = np.random.default_rng(1)
+    roll, tilt = rng.uniform(-1.5, 1.5, 30), rng.uniform(-1.0, 0.9, 30)
+    rotation = sensor_rotation(roll, tilt)
+    gravity = np.einsum("nji,j->ni", rotation, GRAVITY_M_S2)
+    wrench = gravity_wrench(gravity, LOAD) + OFFSET + NOISE * rng.standard_normal((30, 6))
+    return roll, tilt, rotation, gravity, wrench
+
+
+def write(path, names, columns, separator=","):
+    lines = [separator.join(names)] if names else []
+    lines += [separator.join(repr(float(v)) for v in row) for row in columns]
+    path.write_text("\n".join(lines) + "\n")
+    return path
+
+
+WRENCH = ["fx", "fy", "fz", "tx", "ty", "tz"]
+
+
+def test_every_form_of_orientation_reads_the_same(tmp_path, readings):
+    roll, tilt, rotation, gravity, wrench = readings
+    forms = {
+        "joints": (["roll", "tilt"], np.column_stack([roll, tilt])),
+        "quaternion": (["qx", "qy", "qz", "qw"], matrix_to_quaternion(rotation)),
+        "matrix": ([f"r{i}{j}" for i in (1, 2, 3) for j in (1, 2, 3)], rotation.reshape(-1, 9)),
+        "gravity": (["gx", "gy", "gz"], gravity),
+    }
+    for separator in (",", ";", "\t", " "):
+        for kind, (names, columns) in forms.items():
+            path = write(tmp_path / "t.csv", names + WRENCH, np.hstack([columns, wrench]), separator)
+            table = read_table(path)
+            assert table.orientation == kind
+            np.testing.assert_allclose(table.gravity, gravity, atol=1e-9)
+            np.testing.assert_allclose(table.wrench, wrench)
+
+
+def test_wrenches_in_the_base_are_turned_back(tmp_path, readings):
+    _, _, rotation, gravity, wrench = readings
+    in_base = np.hstack([np.einsum("nij,nj->ni", rotation, w) for w in np.split(wrench, 2, axis=1)])
+    columns = np.hstack([matrix_to_quaternion(rotation), in_base])
+    path = write(tmp_path / "t.txt", None, columns)
+    table = read_table(path, ["qx", "qy", "qz", "qw", *WRENCH], wrench_frame="base")
+    np.testing.assert_allclose(table.wrench, wrench, atol=1e-12)
+    path = write(tmp_path / "g.csv", ["gx", "gy", "gz", *WRENCH], np.hstack([gravity, wrench]))
+    with pytest.raises(TableError, match=r"wrenches in the base need"):
+        read_table(path, wrench_frame="base")
+
+
+def test_gravity_in_g_is_scaled(tmp_path, readings):
+    _, _, _, gravity, wrench = readings
+    path = write(tmp_path / "t.csv", ["gx", "gy", "gz", *WRENCH], np.hstack([gravity / 9.80665, wrench]))
+    np.testing.assert_allclose(read_table(path).gravity, gravity, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("fx,fy,fz,tx,ty,tz\n1,2,3,4,5,6\n", "no orientation"),
+        ("fx,fy,fz,tx,ty,roll,tilt\n1,2,3,4,5,6,7\n", "no column 'tz'"),
+        ("fx,fy,fz,tx,ty,tz,roll,tilt\n1,2,3,4,5,6,0\n", "line 2 has 7 values"),
+        ("fx,fy,fz,tx,ty,tz,roll,tilt\n1,2,3,4,5,x,0,0\n", "line 2, column 'tz': 'x'"),
+        ("fx,fy,fz,tx,ty,tz,roll,tilt\n1,2,3,4,5,nan,0,0\n", "line 2, column 'tz'"),
+        ("fx,fy,fz,tx,ty,tz,roll,tilt\n", "no readings"),
+        ("", "no readings"),
+        ("1,2,3,4,5,6,7,8\n1,2,3,4,5,6,7,8\n", "line 1 names no columns"),
+        ("fx,fx,fy,fz,tx,ty,tz,roll,tilt\n1,1,1,1,1,1,1,1,1\n", "'fx' is there twice"),
+        ("fx,fy,fz,tx,ty,tz,qx,qy,qz,qw\n1,2,3,4,5,6,1,1,0,0\n", "line 2: qx qy qz qw"),
+        ("fx,fy,fz,tx,ty,tz,gx,gy,gz\n1,2,3,4,5,6,0,0,5\n", "gx gy gz has the length 5"),
+    ],
+)
+def test_a_bad_table_is_named(tmp_path, text, message, capsys):
+    path = tmp_path / "bad.csv"
+    path.write_text(text)
+    assert main(["--table", str(path)]) == 1
+    error = capsys.readouterr().err
+    assert "bad.csv" in error
+    assert message in error
+    assert len(error.strip().splitlines()) == 1
+
+
+def test_a_missing_file_is_named(capsys):
+    assert main(["--table", "/nowhere/t.csv"]) == 1
+    assert "/nowhere/t.csv" in capsys.readouterr().err
+
+
+def test_held_out_readings_never_reach_the_fit():
+    """A model that remembers what it saw scores perfectly only if the split leaks."""
+    rng = np.random.default_rng(2)
+    gravity, wrench = rng.standard_normal((20, 3)), rng.standard_normal((20, 6))
+    groups = contiguous_blocks(20, 4)
+    seen = []
+
+    def memory(known_gravity, known_wrench):
+        seen.append(len(known_gravity))
+        return lambda asked: np.array(
+            [
+                known_wrench[np.flatnonzero((known_gravity == g).all(axis=1))[0]]
+                if (known_gravity == g).all(axis=1).any()
+                else np.zeros(6)
+                for g in asked
+            ]
+        )
+
+    score = cross_validate(gravity, wrench, groups, memory)
+    np.testing.assert_allclose(score.residuals, wrench)
+    assert seen == [15] * 4
+
+
+def test_scores_are_the_noise_on_clean_readings(readings):
+    _, _, _, gravity, wrench = readings
+    groups = np.arange(30)
+    for model in MODELS.values():
+        rmse = cross_validate(gravity, wrench, groups, model).rmse
+        # ten parameters of 180 numbers leave the held-out error a little above the noise
+        np.testing.assert_allclose(rmse / NOISE, 1.1, atol=4 / np.sqrt(60))
+
+
+def test_robust_model_ignores_a_touched_reading(readings):
+    _, _, _, gravity, wrench = readings
+    wrench = wrench.copy()
+    wrench[7] += [3.0, -2.0, 4.0, 0.1, 0.2, -0.1]
+    groups = np.arange(30)
+    clean = np.arange(30) != 7
+    rmse = {
+        name: np.sqrt(np.mean(cross_validate(gravity, wrench, groups, model).residuals[clean] ** 2, axis=0))
+        for name, model in MODELS.items()
+    }
+    assert np.all(rmse["galen"] < 0.7 * rmse["plain least squares"])
+
+
+def recording(noise, rng):
+    """Four stops of 6 s at 20 Hz with moves of 3 s between them."""
+    time = np.arange(0.0, 36.0, 0.05)
+    stops = np.array([[0.0, 0.0], [1.2, -0.5], [-1.0, 0.7], [0.4, -0.9]])
+    phase, into = np.minimum((time // 9).astype(int), 3), time % 9
+    blend = np.clip((into - 6) / 3, 0.0, 1.0)[:, None]
+    joints = stops[phase] * (1 - blend) + stops[np.minimum(phase + 1, 3)] * blend
+    rotation = sensor_rotation(joints[:, 0], joints[:, 1])
+    gravity = np.einsum("nji,j->ni", rotation, GRAVITY_M_S2)
+    wrench = gravity_wrench(gravity, LOAD) + OFFSET + noise * rng.standard_normal((len(time), 6))
+    return time, joints, gravity, wrench
+
+
+def test_still_phases_of_a_recording_are_its_stops():
+    time, _, gravity, _ = recording(NOISE, np.random.default_rng(3))
+    phases = still_phases(time, gravity, StillSettings())
+    assert len(phases) == 4
+    for number, phase in enumerate(phases):
+        assert time[phase][0] == pytest.approx(9 * number + 0.5, abs=0.1)
+        assert 4.5 < np.ptp(time[phase]) < 9.0
+
+
+def test_a_recording_is_scored_by_stops_and_its_json_is_whole(tmp_path, capsys):
+    time, joints, _, wrench = recording(NOISE, np.random.default_rng(4))
+    path = write(
+        tmp_path / "r.csv", ["t", "roll", "tilt", *WRENCH], np.column_stack([time, joints, wrench])
+    )
+    code = main(["--table", str(path), "--average-s", "1", "--json", "--plots", str(tmp_path / "p")])
+    assert code == 0
+    content = json.loads(capsys.readouterr().out)
+    assert content["still_phases"] == 4
+    assert content["load"]["mass_kg"] == pytest.approx(0.9, abs=0.05)
+    held_out = content["scores"]["leave one still phase out"]["galen"]
+    assert held_out["groups"] == 4
+    assert held_out["rmse"]["fx"] < 5 * NOISE[0]
+    assert (tmp_path / "p" / "r_residuals.png").stat().st_size > 10_000
+
+
+def test_time_that_runs_backward_is_named(tmp_path, capsys):
+    time, joints, _, wrench = recording(NOISE, np.random.default_rng(5))
+    time[100] = 1.0
+    path = write(
+        tmp_path / "r.csv", ["t", "roll", "tilt", *WRENCH], np.column_stack([time, joints, wrench])
+    )
+    assert main(["--table", str(path), "--average-s", "1"]) == 1
+    assert "time does not increase at reading 101" in capsys.readouterr().err
+
+
+def test_a_tool_file_is_scored_beside_the_fits(tmp_path, capsys):
+    rng = np.random.default_rng(6)
+    geometry = TOOLS["pointer"]
+    tool = ToolFile(
+        tool="pointer",
+        load=LoadEstimate(geometry.load.mass_kg, geometry.load.com_m, np.eye(4) * 1e-9),
+        bias=LoadEstimate(ADAPTER.mass_kg, ADAPTER.com_m, np.eye(4) * 1e-9),
+        tip_m=geometry.tip_m, rmse=np.full(6, 1e-3), poses_used=56,
+        calibrated_at="2026-11-21T12:00:00+00:00",
+    )  # fmt: skip
+    write_tool(tmp_path / "pointer.json", tool)
+    joints = np.column_stack([rng.uniform(-1.5, 1.5, 40), rng.uniform(-1.0, 0.9, 40)])
+    noise = NOISE * 0.1
+    wrench = tool.predict(joints[:, 0], joints[:, 1]) + noise * rng.standard_normal((40, 6))
+    path = write(tmp_path / "t.csv", ["roll", "tilt", *WRENCH], np.hstack([joints, wrench]))
+    assert main(["--table", str(path), "--tool", str(tmp_path / "pointer.json"), "--json"]) == 0
+    rmse = json.loads(capsys.readouterr().out)["tool"]["rmse"]
+    np.testing.assert_allclose(np.array(list(rmse.values())) / noise, 1.0, atol=4 / np.sqrt(80))
+
+
+def test_few_readings_are_refused(tmp_path, capsys):
+    path = tmp_path / "few.csv"
+    path.write_text("fx,fy,fz,tx,ty,tz,roll,tilt\n" + "1,2,3,4,5,6,0,0\n" * 5)
+    assert main(["--table", str(path)]) == 1
+    assert "the poses tell nothing about" in capsys.readouterr().err
+
+
+@needs_shared
+def test_kuka_ati_gamma_gives_the_known_load():
+    """0.932 kg, centre z 43.9 mm: computed independently for the data's description."""
+    result = evaluate_table(read_table(SHARED / "kuka_ati_gamma" / "0-calibration_fts-accel.csv"))
+    assert result.fit.load.mass_kg == pytest.approx(0.932, abs=0.002)
+    assert result.fit.load.com_m[2] == pytest.approx(0.0439, abs=0.0003)
+    for models in result.scores.values():
+        np.testing.assert_allclose(models["galen"].rmse[:3], [0.136, 0.049, 0.061], rtol=0.05)
+
+
+@needs_shared
+def test_axia80_over_time_gives_the_known_weight():
+    table = read_table(
+        SHARED / "axia80" / "GP2025-07-22-22-06-02.txt", ["t", *WRENCH, "qx", "qy", "qz", "qw"]
+    )
+    result = evaluate_table(table, average_window_s=1.0)
+    assert result.phases == 6
+    weight = result.fit.load.mass_kg * 9.80665
+    assert weight == pytest.approx(11.41, abs=3 * result.fit.load.mass_std_kg * 9.80665)

@@ -1,0 +1,553 @@
+"""The node over real rclpy: what goes out, what does not, and what /diagnostics says."""
+
+import math
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from diagnostic_msgs.msg import DiagnosticArray
+from galen_gravcomp.node import GravcompNode
+from galen_model.arrays import Array
+from galen_model.tool_file import LoadEstimate, ToolFile, tool_path, write_tool
+from galen_msgs.srv import SetTool
+from galen_ros.conversions import fill_stamp, fill_wrench, stamp_to_ns, wrench_to_array
+from galen_ros.diagnostics import Level
+from galen_ros.qos import STREAM
+from galen_ros.testing import Harness, parameters
+from geometry_msgs.msg import WrenchStamped
+from rclpy.node import Node
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from sensor_msgs.msg import JointState
+from std_srvs.srv import SetBool, Trigger
+
+MS = 1_000_000
+S = 1_000_000_000
+START = 100 * S
+PUSH = np.array([1.0, -2.0, 3.0, 0.1, -0.2, 0.3])
+LEFT = np.array([0.5, -0.4, 0.3, 0.01, -0.02, 0.03])
+STILL = (0.2, -0.1)
+
+
+def make_tool(name: str, mass_kg: float) -> ToolFile:
+    return ToolFile(
+        tool=name,
+        load=LoadEstimate(mass_kg, np.array([0.055, 0.002, 0.045]), np.eye(4) * 1e-8),
+        bias=LoadEstimate(0.1, np.array([0.0, 0.0, 0.02]), np.eye(4) * 1e-8),
+        tip_m=np.array([0.15, 0.0, 0.05]),
+        rmse=np.zeros(6),
+        poses_used=56,
+        calibrated_at="2026-01-01T00:00:00+00:00",
+    )
+
+
+POINTER = make_tool("pointer", 0.06)
+RETRACTOR = make_tool("retractor", 0.2)
+
+
+@pytest.fixture
+def tools_dir(tmp_path: Path) -> Path:
+    for tool in (POINTER, RETRACTOR):
+        write_tool(tool_path(tmp_path, tool.tool), tool)
+    (tmp_path / "broken.json").write_text('{"schema_version": 1')
+    (tmp_path / "renamed.json").write_bytes((tmp_path / "pointer.json").read_bytes())
+    return tmp_path
+
+
+class Driver(Node):
+    """Stands in for a driver: publishes what a test says, when it says so."""
+
+    def __init__(
+        self, name: str, wrench_raw: str = "wrench_raw", prefix: str = "", **options: Any
+    ) -> None:
+        super().__init__(name, **options)
+        self.prefix = prefix
+        self.joints_publisher = self.create_publisher(JointState, "joint_states", STREAM)
+        self.wrench_publisher = self.create_publisher(WrenchStamped, wrench_raw, STREAM)
+
+    def joints(self, stamp_ns: int, roll: float, tilt: float, names: Any = None) -> None:
+        message = JointState()
+        fill_stamp(message.header.stamp, stamp_ns)
+        # Not in the contract's order, and with one more: names count, not places.
+        message.name = list(names or ("tilt", "gripper", "delta_x", "roll", "delta_y", "delta_z"))
+        values = {"roll": roll, "tilt": tilt}
+        message.position = [values.get(name, 9.0) for name in message.name]
+        message.name = [self.prefix + name for name in message.name]
+        self.joints_publisher.publish(message)
+
+    def wrench(self, stamp_ns: int, wrench: Array, frame_id: str = "ft_sensor") -> None:
+        message = WrenchStamped()
+        fill_stamp(message.header.stamp, stamp_ns)
+        message.header.frame_id = self.prefix + frame_id
+        fill_wrench(message, wrench)
+        self.wrench_publisher.publish(message)
+
+    def ready(self) -> bool:
+        return bool(
+            self.joints_publisher.get_subscription_count()
+            and self.wrench_publisher.get_subscription_count()
+        )
+
+
+class Listener(Node):
+    """Collects what the compensator says."""
+
+    def __init__(self, topic: str, **options: Any) -> None:
+        super().__init__("listener", **options)
+        self.outputs: list[tuple[int, str, Array]] = []
+        self.reports: list[Any] = []
+        self.subscription = self.create_subscription(WrenchStamped, topic, self._on_wrench, STREAM)
+        self.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 100)
+
+    def _on_wrench(self, message: WrenchStamped) -> None:
+        stamp_ns = stamp_to_ns(message.header.stamp)
+        self.outputs.append((stamp_ns, message.header.frame_id, wrench_to_array(message)))
+
+    def _on_diagnostics(self, message: DiagnosticArray) -> None:
+        self.reports += [status for status in message.status if "gravcomp" in status.name]
+
+
+class Bench:
+    """One compensator, one driver, one listener."""
+
+    def __init__(
+        self,
+        harness: Harness,
+        tools_dir: Path,
+        values: dict[str, Any] | None = None,
+        namespace: str = "",
+        prefix: str = "",
+        wrench_raw: str = "wrench_raw",
+        wrench_compensated: str = "wrench_compensated",
+    ) -> None:
+        self.harness = harness
+        values = {"tools_dir": str(tools_dir), "tool": "pointer"} | (values or {})
+        names = {"wrench_raw": wrench_raw, "wrench_compensated": wrench_compensated}
+        remaps = [word for pair in names.items() for word in ("-r", ":=".join(pair))]
+        self.node = harness.add(
+            lambda context: GravcompNode(
+                context=context,
+                namespace=namespace,
+                parameter_overrides=parameters(**values),
+                cli_args=["--ros-args", *remaps],
+            )
+        )
+        self.listener = harness.add(
+            lambda context: Listener(wrench_compensated, context=context, namespace=namespace)
+        )
+        self.services = f"{namespace}/gravcomp"
+        self.stamp = START
+        self._driver_options = {"namespace": namespace, "prefix": prefix, "wrench_raw": wrench_raw}
+        self.driver = self.start_driver("driver")
+
+    def start_driver(self, name: str) -> Driver:
+        driver = self.harness.add(
+            lambda context: Driver(name, context=context, **self._driver_options)
+        )
+        self.harness.wait_for(driver.ready, 10.0, "the compensator to see the driver")
+        self.harness.wait_for(
+            lambda: self.listener.subscription.get_publisher_count(), 10.0, "the output's publisher"
+        )
+        return driver
+
+    def step(self, touch: Array, roll: float = STILL[0], tilt: float = STILL[1]) -> int:
+        """One sample of an arm with the pointer on; returns its stamp."""
+        stamp = self.stamp
+        self.driver.joints(stamp, roll, tilt)
+        self.driver.wrench(stamp, POINTER.predict(roll, tilt) + touch)
+        self.stamp += 2 * MS
+        return stamp
+
+    def output_at(self, stamp_ns: int) -> Array | None:
+        return next((w for stamp, _, w in reversed(self.listener.outputs) if stamp == stamp_ns), None)
+
+    def expect(self, stamp_ns: int, wrench: Array, atol: float = 1e-9) -> None:
+        """Wait for the output of a stamp and compare it."""
+        self.harness.wait_for(
+            lambda: self.output_at(stamp_ns) is not None, 5.0, f"an output at {stamp_ns}"
+        )
+        output = self.output_at(stamp_ns)
+        assert output is not None
+        np.testing.assert_allclose(output, wrench, rtol=0, atol=atol)
+
+    def report(self, accepts: Callable[[Any, dict[str, str]], bool], what: str) -> dict[str, str]:
+        """Wait for a report that is accepted, among those from now on or the newest."""
+
+        def found() -> dict[str, str] | None:
+            for status in reversed(self.listener.reports):
+                values = {item.key: item.value for item in status.values}
+                if accepts(status, values):
+                    return {"name": status.name, "message": status.message, **values}
+            return None
+
+        del self.listener.reports[:-1]
+        report: dict[str, str] = self.harness.wait_for(found, 5.0, what)
+        return report
+
+    def state(self, name: str, level: Level) -> dict[str, str]:
+        return self.report(
+            lambda s, v: v["state"] == name and s.level == bytes([level]), f"the state {name}"
+        )
+
+    def call(self, service: str, kind: Any, request: Any) -> Any:
+        client = self.listener.create_client(kind, f"{self.services}/{service}")
+        return self.harness.call(client, request)
+
+    def set_tool(self, tool: str) -> Any:
+        return self.call("set_tool", SetTool, SetTool.Request(tool=tool))
+
+
+@pytest.fixture
+def harness() -> Iterator[Harness]:
+    with Harness() as harness:
+        yield harness
+
+
+@pytest.fixture
+def bench(harness: Harness, tools_dir: Path) -> Bench:
+    return Bench(harness, tools_dir)
+
+
+def test_compensates_and_keeps_stamp_and_frame(bench: Bench) -> None:
+    rng = np.random.default_rng(5)
+    expected = {}
+    for i in range(200):
+        roll, tilt = rng.uniform(-1, 1, 2) * 0.1 + i * 0.003
+        touch = rng.normal(size=6)
+        expected[bench.step(touch, roll, tilt)] = touch
+    bench.harness.wait_for(lambda: len(bench.listener.outputs) == 200, 5.0, "200 outputs")
+    assert [stamp for stamp, _, _ in bench.listener.outputs] == sorted(expected)
+    for stamp, frame_id, wrench in bench.listener.outputs:
+        assert frame_id == "ft_sensor"
+        np.testing.assert_allclose(wrench, expected[stamp], rtol=0, atol=1e-9)
+    values = bench.state("compensating", Level.OK)
+    assert values["tool"] == "pointer" and float(values["mass_kg"]) == 0.06
+    assert values["com_m"] == "0.055 0.002 0.045"
+    assert values["calibrated_at"] == "2026-01-01T00:00:00+00:00"
+    assert int(values["compensated"]) > 0 and float(values["latency_p99_ms"]) > 0
+
+
+def test_uses_the_angles_of_the_wrenchs_stamp(bench: Bench) -> None:
+    """The wrench lies between two joint samples, and goes out when the second has come."""
+    rolls = {bench.stamp: 0.0, bench.stamp + 2 * MS: 0.1}
+    for i, (stamp, roll) in enumerate(rolls.items()):
+        bench.driver.joints(stamp, roll, 0.0)
+        if i == 0:
+            middle = stamp + MS // 2
+            bench.driver.wrench(middle, POINTER.predict(0.025, 0.0) + PUSH)
+    bench.expect(middle, PUSH)
+
+
+# Refusals
+
+
+def _nan_wrench(bench: Bench) -> None:
+    bench.step(np.array([0, 0, math.nan, 0, 0, 0]))
+
+
+def _infinite_torque(bench: Bench) -> None:
+    bench.step(np.array([0, 0, 0, 0, math.inf, 0]))
+
+
+def _nan_joints(bench: Bench) -> None:
+    bench.driver.joints(bench.stamp, math.nan, 0.0)
+    bench.driver.wrench(bench.stamp, PUSH)
+    bench.stamp += 2 * MS
+
+
+def _wrong_frame(bench: Bench) -> None:
+    bench.driver.joints(bench.stamp, *STILL)
+    bench.driver.wrench(bench.stamp, PUSH, "tool0")
+    bench.stamp += 2 * MS
+
+
+def _unknown_joints(bench: Bench) -> None:
+    bench.driver.joints(bench.stamp, 0.0, 0.0, ("shoulder", "elbow"))
+    bench.driver.wrench(bench.stamp, PUSH)
+    bench.stamp += 2 * MS
+
+
+def _no_joints(bench: Bench) -> None:
+    bench.driver.wrench(bench.stamp, PUSH)
+    bench.stamp += 2 * MS
+
+
+def _unstamped(bench: Bench) -> None:
+    bench.driver.joints(bench.stamp, *STILL)
+    bench.driver.wrench(0, PUSH)
+    bench.stamp += 2 * MS
+
+
+REFUSALS = [
+    (_nan_wrench, "nonfinite_wrench", "not finite"),
+    (_infinite_torque, "nonfinite_wrench", "not finite"),
+    (_nan_joints, "nonfinite_joints", "not finite"),
+    (_wrong_frame, "wrong_frame", "frame_id 'tool0', expected 'ft_sensor'"),
+    (_unknown_joints, "bad_joints", "lacks roll, tilt; it has shoulder, elbow"),
+    (_no_joints, "stale_joints", "max_joint_age_s"),
+    (_unstamped, "unstamped", "zero"),
+]
+
+
+@pytest.mark.parametrize(("feed", "state", "words"), REFUSALS, ids=[r[0].__name__ for r in REFUSALS])
+def test_refusals(
+    bench: Bench, feed: Callable[[Bench], None], state: str, words: str
+) -> None:
+    bench.expect(bench.step(PUSH), PUSH)
+    last_good = len(bench.listener.outputs)
+
+    def refused() -> bool:
+        feed(bench)
+        newest = bench.listener.reports[-1:] or [None]
+        return bool(newest[0]) and words in newest[0].message and newest[0].level == b"\x02"
+
+    bench.harness.wait_for(refused, 8.0, f"an error that says {words!r}")
+    values = bench.report(lambda _, v: v["state"] == state, f"the state {state}")
+    assert "nothing is published" in values["message"]
+    assert int(values[f"refused_{state}"]) > 0
+    assert len(bench.listener.outputs) == last_good, "something went out as compensated"
+
+    def recovered() -> bool:
+        bench.step(LEFT)
+        return len(bench.listener.outputs) > last_good + 3
+
+    bench.harness.wait_for(recovered, 5.0, "outputs after the trouble is over")
+    np.testing.assert_allclose(bench.listener.outputs[-1][2], LEFT, rtol=0, atol=1e-9)
+
+
+def test_joint_states_of_something_else_do_not_disturb(bench: Bench) -> None:
+    for _ in range(5):
+        bench.driver.joints(bench.stamp - MS, 0.0, 0.0, ("gripper",))
+        last = bench.step(PUSH)
+    bench.expect(last, PUSH)
+
+
+def test_silent_driver(bench: Bench) -> None:
+    bench.state("silent", Level.STALE)
+    bench.expect(bench.step(PUSH), PUSH)
+    values = bench.state("silent", Level.STALE)
+    assert "no wrench_raw" in values["message"] and "no joint_states" in values["message"]
+
+
+def test_no_tool_at_start(harness: Harness, tools_dir: Path) -> None:
+    bench = Bench(harness, tools_dir, values={"tool": ""})
+    bench.step(PUSH)
+    values = bench.report(lambda _, v: int(v["refused_no_tool"]) > 0, "a refusal without a tool")
+    assert values["state"] == "no_tool" and "set_tool" in values["message"]
+    assert bench.listener.outputs == []
+    assert bench.set_tool("pointer").success
+    bench.expect(bench.step(PUSH), PUSH)
+
+
+@pytest.mark.parametrize("tool", ["broken", "absent", "../pointer", "renamed"])
+def test_bad_tool_at_start_is_an_error_on_diagnostics(
+    harness: Harness, tools_dir: Path, tool: str
+) -> None:
+    bench = Bench(harness, tools_dir, values={"tool": tool})
+    bench.step(PUSH)
+    values = bench.state("bad_tool_file", Level.ERROR)
+    assert tool in values["message"]
+    assert bench.listener.outputs == []
+    assert bench.set_tool("pointer").success
+    bench.expect(bench.step(PUSH), PUSH)
+    bench.state("compensating", Level.OK)
+
+
+def test_wrong_parameter_is_named(harness: Harness, tools_dir: Path) -> None:
+    with pytest.raises(Exception, match=r"joint_names.*two joints"):
+        Bench(harness, tools_dir, values={"joint_names": ["roll"]})
+
+
+# Services
+
+
+def test_set_tool_reads_back_what_is_in_force(bench: Bench) -> None:
+    answer = bench.set_tool("retractor")
+    assert answer.success and answer.error_code == SetTool.Response.NONE and answer.error_msg == ""
+    assert (answer.tool, answer.mass_kg) == ("retractor", 0.2)
+    np.testing.assert_array_equal(answer.com_m, RETRACTOR.load.com_m)
+    np.testing.assert_array_equal(answer.tip_m, RETRACTOR.tip_m)
+    assert answer.calibrated_at == RETRACTOR.calibrated_at
+    difference = POINTER.predict(*STILL) - RETRACTOR.predict(*STILL)
+    bench.expect(bench.step(PUSH), PUSH + difference)
+
+
+@pytest.mark.parametrize(
+    ("tool", "code", "words"),
+    [
+        ("absent", SetTool.Response.NOT_FOUND, "absent.json"),
+        ("broken", SetTool.Response.INVALID_FILE, "broken.json"),
+        ("renamed", SetTool.Response.INVALID_FILE, "holds the tool 'pointer', not 'renamed'"),
+        ("../pointer", SetTool.Response.INVALID_NAME, "../pointer"),
+    ],
+)
+def test_failed_set_tool_keeps_the_old_one(
+    bench: Bench, tool: str, code: int, words: str
+) -> None:
+    answer = bench.set_tool(tool)
+    assert not answer.success and answer.error_code == code and words in answer.error_msg
+    assert (answer.tool, answer.mass_kg) == ("pointer", 0.06)
+    bench.expect(bench.step(PUSH), PUSH)
+
+
+def test_set_tool_with_an_empty_name_unloads(bench: Bench) -> None:
+    bench.expect(bench.step(PUSH), PUSH)
+    answer = bench.set_tool("")
+    assert answer.success and answer.tool == "" and answer.mass_kg == 0.0
+    bench.step(PUSH)
+    bench.report(lambda _, v: int(v["refused_no_tool"]) > 0, "a refusal without a tool")
+    assert len(bench.listener.outputs) == 1
+
+
+def test_enable_off_and_on(bench: Bench) -> None:
+    bench.expect(bench.step(PUSH), PUSH)
+    assert bench.call("enable", SetBool, SetBool.Request(data=False)).success
+    for _ in range(5):
+        bench.step(PUSH)
+    bench.report(lambda _, v: int(v["refused_disabled"]) == 5, "five refusals while off")
+    assert len(bench.listener.outputs) == 1
+    answer = bench.call("enable", SetBool, SetBool.Request(data=True))
+    assert answer.success and answer.message == "compensation is on"
+    bench.expect(bench.step(LEFT), LEFT)
+
+
+def test_starts_switched_off(harness: Harness, tools_dir: Path) -> None:
+    bench = Bench(harness, tools_dir, values={"enabled": False})
+    bench.step(PUSH)
+    bench.report(
+        lambda _, v: v["state"] == "disabled" and int(v["refused_disabled"]) == 1, "a refusal"
+    )
+    assert bench.listener.outputs == []
+
+
+def start_tare(bench: Bench) -> Any:
+    """Ask for a tare and return the answer's future, when the request has been taken."""
+    client = bench.listener.create_client(Trigger, f"{bench.services}/tare")
+    bench.harness.wait_for(client.service_is_ready, 5.0, "the tare service")
+    future = client.call_async(Trigger.Request())
+    bench.report(lambda _, v: v["tare"] == "averaging", "the tare to begin")
+    return future
+
+
+def test_tare_without_a_jump(bench: Bench) -> None:
+    bench.expect(bench.step(LEFT), LEFT)
+    future = start_tare(bench)
+    for _ in range(252):
+        bench.step(LEFT)
+    bench.harness.wait_for(future.done, 5.0, "the tare's answer")
+    answer = future.result()
+    assert answer.success and "force (0.500, -0.400, 0.300) N" in answer.message
+    for _ in range(550):
+        last = bench.step(LEFT)
+    bench.expect(last, np.zeros(6))
+    wrenches = np.array([wrench for _, _, wrench in bench.listener.outputs])
+    assert len(wrenches) == 1 + 252 + 550
+    largest = np.abs(np.diff(wrenches, axis=0)).max(axis=0)
+    assert np.all(largest <= 1.5 * np.abs(LEFT) * 0.002 / 1.0 + 1e-9)
+    values = bench.report(lambda _, v: v["state"] == "compensating", "the ramp's end")
+    assert values["tare_force_n"] == "0.5 -0.4 0.3"
+
+
+def test_tare_that_cannot_be_is_answered(bench: Bench) -> None:
+    bench.expect(bench.step(PUSH), PUSH)
+    future = start_tare(bench)
+    assert bench.harness.wait_for(future.done, 8.0, "an answer though no wrench comes")
+    assert not future.result().success and "no compensated wrench" in future.result().message
+    bench.set_tool("")
+    answer = bench.call("tare", Trigger, Trigger.Request())
+    assert not answer.success and "no tool" in answer.message
+
+
+def test_other_services_work_while_a_tare_runs(bench: Bench) -> None:
+    bench.expect(bench.step(PUSH), PUSH)
+    future = start_tare(bench)
+    second = bench.call("tare", Trigger, Trigger.Request())
+    assert not second.success and "already running" in second.message
+    assert bench.set_tool("retractor").success
+    bench.harness.wait_for(future.done, 5.0, "the tare's answer")
+    assert not future.result().success and "tool was changed" in future.result().message
+
+
+# The driver restarts
+
+
+def test_new_driver_starts_from_nothing(bench: Bench) -> None:
+    """The same stamps go on, so only the publishers tell that this is another driver."""
+    bench.expect(bench.step(LEFT), LEFT)
+    future = start_tare(bench)
+    for _ in range(252):
+        bench.step(LEFT)
+    bench.harness.wait_for(future.done, 5.0, "the tare's answer")
+    assert future.result().success
+    for _ in range(520):
+        last = bench.step(LEFT)
+    bench.expect(last, np.zeros(6))
+
+    bench.harness.remove(bench.driver)
+    bench.report(lambda _, v: "is gone" in v["last_restart"], "the restart to be told")
+    bench.driver = bench.start_driver("driver_again")
+    # Between the old joints and these new ones nothing may be interpolated.
+    before = bench.stamp - MS
+    bench.driver.wrench(before, PUSH)
+    stamp = bench.step(PUSH, -1.0, 0.6)
+    bench.expect(stamp, PUSH)
+    assert bench.output_at(before) is None
+    values = bench.report(lambda s, v: int(v["restarts"]) > 0, "restarts to be counted")
+    assert values["tare_force_n"] == "0 0 0"
+
+
+def test_simulation_that_starts_again(bench: Bench) -> None:
+    for _ in range(20):
+        last = bench.step(PUSH)
+    bench.expect(last, PUSH)
+    bench.stamp = START - 50 * S
+    for _ in range(5):
+        last = bench.step(LEFT, -1.0, 0.6)
+    bench.expect(last, LEFT)
+    bench.report(lambda _, v: "jumped back" in v["last_restart"], "the restart to be told")
+
+
+def test_second_publisher_is_told(bench: Bench) -> None:
+    bench.expect(bench.step(PUSH), PUSH)
+    bench.start_driver("second_driver")
+    values = bench.report(lambda _, v: v["wrench_raw_publishers"] == "2", "two publishers")
+    assert "is new" in values["last_restart"]
+
+
+def test_best_effort_driver(harness: Harness, tools_dir: Path) -> None:
+    bench = Bench(harness, tools_dir)
+    best_effort = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
+    harness.call_in_executor(
+        lambda: bench.driver.create_publisher(WrenchStamped, "wrench_raw", best_effort)
+    )
+    values = bench.state("incompatible_qos", Level.ERROR)
+    assert "best_effort_input" in values["message"] and "wrench_raw" in values["message"]
+
+
+def test_best_effort_input(harness: Harness, tools_dir: Path) -> None:
+    bench = Bench(harness, tools_dir, values={"best_effort_input": True})
+    bench.expect(bench.step(PUSH), PUSH)
+
+
+# Names
+
+
+def test_namespace_and_remap(harness: Harness, tools_dir: Path) -> None:
+    """A left arm, with the sensor's topic and the output under the names of another suite."""
+    bench = Bench(
+        harness,
+        tools_dir,
+        namespace="/left",
+        prefix="left_",
+        wrench_raw="ft/raw",
+        wrench_compensated="measured_cf",
+        values={"sensor_frame": "left_ft_sensor", "joint_names": ["left_roll", "left_tilt"]},
+    )
+    topics = dict(bench.listener.get_publisher_names_and_types_by_node("gravcomp", "/left"))
+    assert "/left/measured_cf" in topics
+    bench.expect(bench.step(PUSH), PUSH)
+    assert bench.listener.outputs[-1][1] == "left_ft_sensor"
+    values = bench.state("compensating", Level.OK)
+    assert values["name"] == "left/gravcomp"
+    assert bench.call("enable", SetBool, SetBool.Request(data=False)).success
