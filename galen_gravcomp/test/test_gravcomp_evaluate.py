@@ -189,6 +189,10 @@ def test_a_recording_is_scored_by_stops_and_its_json_is_whole(tmp_path, capsys):
     held_out = content["scores"]["leave one still phase out"]["galen"]
     assert held_out["groups"] == 4
     assert held_out["rmse"]["fx"] < 5 * NOISE[0]
+    # two of four stops tell too little: the suite's model says so instead of a number
+    blocks = content["scores"]["2 blocks of neighbours"]
+    assert blocks["galen"]["rmse"] is None
+    assert "the poses tell nothing about" in blocks["galen"]["refused"][0]
     assert (tmp_path / "p" / "r_residuals.png").stat().st_size > 10_000
 
 

@@ -79,15 +79,22 @@ class ToolFile:
 
         reading = W(theta; tool) + W(theta; adapter) - W(theta_bias; adapter) + residual offset
         """
-        scale = -self.gravity_m_s2[2] / -GRAVITY_M_S2[2]
-        gravity = gravity_in_sensor(roll_rad, tilt_rad) * scale
-        at_bias = gravity_in_sensor(self.bias_roll_rad, self.bias_tilt_rad) * scale
+        return self.predict_under(gravity_in_sensor(roll_rad, tilt_rad) * self._gravity_scale)
+
+    def predict_under(self, gravity_sensor: ArrayLike) -> Array:
+        """As `predict`, from gravity (..., 3) in the sensor's frame, m/s^2."""
+        at_bias = gravity_in_sensor(self.bias_roll_rad, self.bias_tilt_rad) * self._gravity_scale
         return (
-            gravity_wrench(gravity, self.load.load)
-            + gravity_wrench(gravity, self.bias.load)
+            gravity_wrench(gravity_sensor, self.load.load)
+            + gravity_wrench(gravity_sensor, self.bias.load)
             - gravity_wrench(at_bias, self.bias.load)
             + self.residual_offset
         )
+
+    @property
+    def _gravity_scale(self) -> float:
+        """The file's gravity over the suite's; another place on earth has another."""
+        return float(self.gravity_m_s2[2] / GRAVITY_M_S2[2])
 
     def to_json(self) -> dict[str, Any]:
         """The file's content."""

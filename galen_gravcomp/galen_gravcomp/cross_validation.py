@@ -1,0 +1,74 @@
+"""Score load models on readings that their fit has not seen.
+
+Groups are held out whole: a reading, a stop, a block of neighbouring readings. Each model is fitted
+anew without the group and predicts it; the score is the root mean square of what is left over.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from galen_model.arrays import Array
+from galen_model.errors import GalenError, IdentificationError
+from galen_model.identification import identify_single_load, plain_least_squares
+from galen_model.load import gravity_regressor
+
+Predictor = Callable[[Array], Array]
+"""From gravity (n, 3) in the sensor's frame to the reading (n, 6)."""
+
+Model = Callable[[Array, Array], Predictor]
+"""From gravity (n, 3) and readings (n, 6) to a predictor."""
+
+
+def robust_model(gravity: Array, wrench: Array) -> Predictor:
+    """The suite's: each axis weighted by its own noise, outliers rejected, excitation checked."""
+    return identify_single_load(gravity, wrench).predict
+
+
+def plain_model(gravity: Array, wrench: Array) -> Predictor:
+    """The baseline of other packages: ten-parameter least squares, unweighted, unchecked."""
+    moments, offset = plain_least_squares(gravity, wrench)
+    return lambda others: gravity_regressor(others) @ moments + offset
+
+
+MODELS: dict[str, Model] = {"plain least squares": plain_model, "galen": robust_model}
+
+
+@dataclass(frozen=True)
+class Score:
+    """Residuals (n, 6) of held-out readings, and the groups that could not be scored."""
+
+    residuals: Array
+    groups: int
+    refused: tuple[str, ...]
+
+    @property
+    def rmse(self) -> Array:
+        """Root mean square residual (6,), N and N.m; NaN when no group could be scored."""
+        if not len(self.residuals):
+            return np.full(6, np.nan)
+        return np.asarray(np.sqrt(np.mean(self.residuals**2, axis=0)))
+
+
+def contiguous_blocks(count: int, blocks: int) -> np.ndarray:
+    """Labels (count,) of `blocks` runs of neighbouring readings of about one length."""
+    if not 2 <= blocks <= count:
+        raise GalenError(f"{blocks} blocks of {count} readings: give 2 to {count}")
+    return np.arange(count) * blocks // count
+
+
+def cross_validate(gravity: Array, wrench: Array, groups: np.ndarray, model: Model) -> Score:
+    """Hold out each of `groups` (n,) in turn; a model may refuse to do without one: see `Score`."""
+    residuals = np.full(wrench.shape, np.nan)
+    refused = []
+    labels = list(dict.fromkeys(groups.tolist()))
+    for label in labels:
+        held = groups == label
+        try:
+            predict = model(gravity[~held], wrench[~held])
+        except IdentificationError as error:
+            refused.append(f"without {label}: {error}")
+            continue
+        residuals[held] = wrench[held] - predict(gravity[held])
+    scored = np.isfinite(residuals[:, 0])
+    return Score(residuals[scored], len(labels), tuple(refused))
