@@ -1,0 +1,285 @@
+"""The simulated driver as a ROS node: stands in for arm, force/torque sensor and tracker."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from galen_model.arm import JOINT_NAMES, SENSOR_FRAME, TRACKER_FRAME
+from galen_model.errors import ToolNameError
+from galen_model.tool_file import check_tool_name
+from galen_model.urdf import galen_urdf
+from galen_msgs.srv import SetTool
+from galen_ros.conversions import fill_stamp, stamp_to_ns, wrench_to_array
+from galen_ros.deferred_service import DeferredService, Respond
+from galen_ros.diagnostics import ERROR, OK, WARN, DiagnosticsPublisher, Status
+from galen_ros.parameters import declare_parameters
+from galen_ros.qos import LATCHED, STREAM
+from galen_ros.spin import run
+from geometry_msgs.msg import PoseStamped, WrenchStamped
+from rclpy.clock import Clock, ClockType
+from rclpy.node import Node
+from rosgraph_msgs.msg import Clock as ClockMessage
+from sensor_msgs.msg import JointState
+from std_msgs.msg import String
+from std_srvs.srv import SetBool, Trigger
+from trajectory_msgs.msg import JointTrajectory
+
+from galen_sim_driver.cdr import JointStateBytes, WrenchBytes
+from galen_sim_driver.conversions import fill_pose, trajectory_from_message
+from galen_sim_driver.errors import TrajectoryError, UnknownToolError, ZeroingError
+from galen_sim_driver.pacing import Pacer, SpeedMeter
+from galen_sim_driver.parameters import DriverParameters
+from galen_sim_driver.plant import Plant, Sample
+from galen_sim_driver.sensor import Zeroing
+from galen_sim_driver.tracker import TrackerSample
+
+_CLOCK_RATE_HZ = 100.0
+# Slower than this part of what was asked is worth a warning.
+_SLOW = 0.9
+
+
+@dataclass
+class _PendingZeroing:
+    """A zeroing under way and the caller who waits for it."""
+
+    zeroing: Zeroing
+    response: Any
+    respond: Respond
+
+
+class SimDriverNode(Node):
+    """Steps the plant by wall time, publishes its samples, passes commands on to it."""
+
+    def __init__(self, **node_options: Any) -> None:
+        """Take rclpy.node.Node's keyword arguments, such as context and parameter_overrides."""
+        super().__init__("sim_driver", **node_options)
+        self._parameters = declare_parameters(self, DriverParameters, self._on_parameters)
+        real_time = self._parameters.speed_factor == 1.0
+        config = self._parameters.plant_config()
+        if real_time:
+            config = replace(config, start_ns=time.time_ns())
+        self._config = config
+        self._plant = Plant(config, np.random.default_rng(self._parameters.seed))
+        self._plant.attach_tool(self._parameters.initial_tool)
+        self._refused_count = 0
+        self._refusal = ""
+        self._ignored_wrench = ""
+        self._pending_zeroing: _PendingZeroing | None = None
+
+        self._joint_state_bytes = JointStateBytes(JOINT_NAMES, "")
+        self._wrench_bytes = WrenchBytes(SENSOR_FRAME)
+        self._pose = PoseStamped()
+        self._pose.header.frame_id = TRACKER_FRAME
+        self._clock_message = ClockMessage()
+        self._clock_every = None if real_time else round(config.rate_hz / _CLOCK_RATE_HZ)
+        self._until_clock = 1
+
+        self._joint_states = self.create_publisher(JointState, "joint_states", STREAM)
+        self._wrench_raw = self.create_publisher(WrenchStamped, "wrench_raw", STREAM)
+        self._tool_pose = self.create_publisher(PoseStamped, "tracker/tool_pose", STREAM)
+        self._base_pose = self.create_publisher(PoseStamped, "tracker/base_pose", STREAM)
+        self._description = self.create_publisher(String, "robot_description", LATCHED)
+        self._sim_clock = None if real_time else self.create_publisher(ClockMessage, "/clock", 10)
+        self._publish_description()
+
+        self.create_subscription(JointTrajectory, "joint_trajectory", self._on_trajectory, 10)
+        self.create_subscription(
+            WrenchStamped, "wrench_compensated", self._on_wrench_compensated, STREAM
+        )
+        DeferredService(self, Trigger, "bias_sensor", self._on_bias_sensor)
+        self.create_service(SetTool, "attach_tool", self._on_attach_tool)
+        self.create_service(SetBool, "~/set_admittance", self._on_set_admittance)
+        self.create_service(Trigger, "~/run_hand", self._on_run_hand)
+
+        self._speed_meter = SpeedMeter(window_s=0.9)
+        self._diagnostics = DiagnosticsPublisher(self, "galen_simulated", self._report)
+        self._pacer = Pacer(
+            config.period_ns * 1e-9,
+            self._parameters.speed_factor,
+            self._parameters.max_steps_per_tick,
+        )
+        self._pacer.start(time.monotonic())
+        self._steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self.create_timer(self._parameters.tick_s, self._on_tick, clock=self._steady)
+
+    # --- samples out ------------------------------------------------------------------------
+
+    def _on_tick(self) -> None:
+        raw_admittance = self._plant.admittance_on and self._parameters.admittance_source == "raw"
+        for _ in range(self._pacer.due(time.monotonic())):
+            sample = self._plant.step()
+            self._publish(sample)
+            if raw_admittance:
+                self._plant.feed_admittance(sample.stamp_ns, sample.wrench)
+        if self._pending_zeroing is not None and self._pending_zeroing.zeroing.done:
+            self._answer_zeroing(self._pending_zeroing)
+
+    def _publish(self, sample: Sample) -> None:
+        stamp_ns = sample.stamp_ns
+        if self._sim_clock is not None:
+            self._until_clock -= 1
+            if self._until_clock == 0:
+                self._until_clock = self._clock_every
+                fill_stamp(self._clock_message.clock, stamp_ns)
+                self._sim_clock.publish(self._clock_message)
+        self._joint_states.publish(
+            self._joint_state_bytes.fill(stamp_ns, sample.positions, sample.velocities)
+        )
+        self._wrench_raw.publish(self._wrench_bytes.fill(stamp_ns, sample.wrench))
+        if sample.tracker is not None:
+            self._publish_tracker(stamp_ns, sample.tracker)
+
+    def _publish_tracker(self, stamp_ns: int, tracked: TrackerSample) -> None:
+        if tracked.tool is not None:
+            fill_pose(self._pose, stamp_ns, tracked.tool)
+            self._tool_pose.publish(self._pose)
+        fill_pose(self._pose, stamp_ns, tracked.base)
+        self._base_pose.publish(self._pose)
+
+    def _publish_description(self) -> None:
+        tool = self._config.tools.get(self._plant.tool)
+        tip_m = np.zeros(3) if tool is None else tool.tip_m
+        text = galen_urdf(
+            tip_m, self._config.arm, self._config.motion.limits, self._config.motion.velocity
+        )
+        self._description.publish(String(data=text))
+
+    # --- commands in ------------------------------------------------------------------------
+
+    def _on_trajectory(self, message: JointTrajectory) -> None:
+        try:
+            self._plant.command(trajectory_from_message(message))
+        except TrajectoryError as error:
+            self._refused_count += 1
+            self._refusal = str(error)
+            self.get_logger().error(f"joint_trajectory refused: {error}")
+            self._diagnostics.publish_now()
+            return
+        if self._refusal:
+            self._refusal = ""
+            self._diagnostics.publish_now()
+
+    def _on_wrench_compensated(self, message: WrenchStamped) -> None:
+        if self._parameters.admittance_source != "compensated":
+            return
+        if message.header.frame_id != SENSOR_FRAME:
+            self._ignored_wrench = (
+                f"wrench_compensated is in frame '{message.header.frame_id}', not '{SENSOR_FRAME}'"
+            )
+            return
+        self._ignored_wrench = ""
+        if self._plant.admittance_on:
+            self._plant.feed_admittance(
+                stamp_to_ns(message.header.stamp), wrench_to_array(message).tolist()
+            )
+
+    def _on_parameters(self, parameters: DriverParameters) -> None:
+        self._parameters = parameters
+        self._plant.forget_admittance()
+        self._diagnostics.publish_now()
+
+    # --- services ---------------------------------------------------------------------------
+
+    def _on_bias_sensor(self, _: Any, response: Any, respond: Respond) -> None:
+        try:
+            zeroing = self._plant.start_zeroing(self._parameters.bias_window_s)
+        except ZeroingError as error:
+            response.message = f"not zeroed: {error}"
+            respond(response)
+            return
+        self._pending_zeroing = _PendingZeroing(zeroing, response, respond)
+
+    def _answer_zeroing(self, pending: _PendingZeroing) -> None:
+        self._pending_zeroing = None
+        error = pending.zeroing.error
+        pending.response.success = error is None
+        roll, tilt = self._plant.zero_pose
+        pending.response.message = (
+            f"zeroed at roll {roll:.6g} rad, tilt {tilt:.6g} rad"
+            if error is None
+            else f"not zeroed: {error}"
+        )
+        pending.respond(pending.response)
+        self._diagnostics.publish_now()
+
+    def _on_attach_tool(self, request: Any, response: Any) -> Any:
+        response.error_code = SetTool.Response.NONE
+        try:
+            if request.tool:
+                check_tool_name(request.tool)
+            self._plant.attach_tool(request.tool)
+        except ToolNameError as error:
+            response.error_code = SetTool.Response.INVALID_NAME
+            response.error_msg = str(error)
+        except UnknownToolError as error:
+            response.error_code = SetTool.Response.NOT_FOUND
+            response.error_msg = str(error)
+        else:
+            self._publish_description()
+            self._diagnostics.publish_now()
+        response.success = response.error_code == SetTool.Response.NONE
+        response.tool = self._plant.tool
+        tool = self._config.tools.get(self._plant.tool)
+        if tool is not None:
+            response.mass_kg = float(tool.load.mass_kg)
+            response.com_m = [float(value) for value in tool.load.com_m]
+            response.tip_m = [float(value) for value in tool.tip_m]
+        return response
+
+    def _on_set_admittance(self, request: Any, response: Any) -> Any:
+        self._plant.set_admittance(request.data)
+        self._diagnostics.publish_now()
+        response.success = True
+        state = "on" if request.data else "off"
+        response.message = f"admittance {state}, source {self._parameters.admittance_source}"
+        return response
+
+    def _on_run_hand(self, _: Any, response: Any) -> Any:
+        if not self._config.hand:
+            response.message = "parameter 'hand_pushes' is empty"
+            return response
+        self._plant.start_hand()
+        response.success = True
+        end_s = max(push.start_s + push.duration_s for push in self._config.hand)
+        response.message = f"{len(self._config.hand)} pushes in {end_s:.6g} s"
+        return response
+
+    # --- state ------------------------------------------------------------------------------
+
+    def _report(self) -> Status:
+        asked = self._parameters.speed_factor
+        self._speed_meter.update(time.monotonic(), self._plant.now_ns)
+        speed = self._speed_meter.speed
+        level, message = OK, "running"
+        if self._refusal:
+            level, message = ERROR, f"trajectory refused: {self._refusal}"
+        elif self._ignored_wrench and self._plant.admittance_on:
+            level, message = ERROR, self._ignored_wrench
+        elif speed is not None and speed < _SLOW * asked:
+            level, message = WARN, f"runs at {speed:.3g} times real time, not {asked:g}"
+        roll, tilt = self._plant.zero_pose
+        return Status(
+            level,
+            message,
+            {
+                "samples_per_wall_s": self._config.rate_hz * (speed or 0.0),
+                "speed_factor": asked,
+                "speed_reached": speed or 0.0,
+                "tool": self._plant.tool or "none",
+                "moving": self._plant.moving,
+                "admittance": self._plant.admittance_on,
+                "admittance_source": self._parameters.admittance_source,
+                "hand": self._plant.hand_active,
+                "zeroed_at_roll_rad": roll,
+                "zeroed_at_tilt_rad": tilt,
+                "trajectories_refused": self._refused_count,
+            },
+        )
+
+
+def main() -> None:
+    """Run the node until SIGINT or SIGTERM."""
+    run(SimDriverNode)

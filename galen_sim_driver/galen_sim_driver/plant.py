@@ -1,0 +1,334 @@
+"""The simulated cell: arm, sensor, tracker, hand. Steps without ROS, one sample a step.
+
+The reading is the nominal measurement model,
+
+    reading = W(theta; tool) + W(theta; adapter) - zero + applied wrench + noise,
+
+with W = (m g, m p x g) of a load m at p under gravity g in ft_sensor, and the zero what the sensor
+held when it was last zeroed; at the start W(home; adapter). There are no inertial loads, no
+hysteresis, no drift and no delay.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from galen_model.arm import GRAVITY_M_S2, HOME
+from galen_model.kinematics import gravity_in_sensor
+from galen_model.load import gravity_wrench
+from galen_model.stiffness import tip_compliance
+from galen_model.tools import ToolGeometry
+
+from galen_sim_driver.admittance import Admittance
+from galen_sim_driver.config import PlantConfig
+from galen_sim_driver.errors import UnknownToolError, ZeroingError
+from galen_sim_driver.geometry import (
+    ArmGeometry,
+    Matrix,
+    cross,
+    rotate,
+    sensor_matrix,
+    sensor_quaternion,
+)
+from galen_sim_driver.hand import Hand
+from galen_sim_driver.motion import LimitedMotion
+from galen_sim_driver.sensor import ForceTorqueSensor, Zeroing
+from galen_sim_driver.tracker import Tracker, TrackerSample
+from galen_sim_driver.trajectory import JointState, Reference, Trajectory, check_trajectory
+
+_G = -float(GRAVITY_M_S2[2])
+
+
+class Sample(NamedTuple):
+    """One step's outcome. Joint lists (5,) in m and rad, wrench (6,) in N and N.m."""
+
+    stamp_ns: int
+    true_joints: list[float]
+    true_velocities: list[float]
+    positions: list[float]
+    """As the encoders tell them."""
+    velocities: list[float]
+    """Differences of the encoders' positions over the velocity window."""
+    wrench: list[float]
+    """The reading, in ft_sensor."""
+    tracker: TrackerSample | None
+    """At the tracker's own rate, else None."""
+
+
+class Plant:
+    """The cell's state. `step()` goes on by one period; everything else changes what it does."""
+
+    def __init__(self, config: PlantConfig, rng: np.random.Generator) -> None:
+        """Start at rest at `config.start_joints`, no tool on, zeroed at home with the adapter on.
+
+        Sensor and tracker draw from their own generators, spawned from `rng`, so that what one
+        draws doesn't depend on the other's rate.
+        """
+        config.validate()
+        self._config = config
+        self._period_ns = config.period_ns
+        self._period_s = config.period_ns * 1e-9
+        self._geometry = ArmGeometry(config.arm)
+        self._motion = LimitedMotion(config.motion, config.start_joints, self._period_s)
+        self._hold = list(config.start_joints)
+        self._reference: Reference | None = None
+
+        self._tool = ""
+        self._tip: list[float] = [0.0, 0.0, 0.0]
+        self._mass = 0.0
+        self._moment: list[float] = []
+        self._set_load(None)
+
+        sensor_rng, tracker_rng = rng.spawn(2)
+        zero = gravity_wrench(gravity_in_sensor(HOME[3], HOME[4]), config.adapter)
+        self._sensor = ForceTorqueSensor(config.sensor, zero.tolist(), sensor_rng)
+        self._zero_pose = (float(HOME[3]), float(HOME[4]))
+        self._zeroing: Zeroing | None = None
+        self._tracker = Tracker(config.tracker, tracker_rng)
+        self._tracker_count = 0
+        self._compliance_of: tuple[tuple[float, ...], str] | None = None
+        self._compliance = np.zeros((6, 6))
+
+        self._hand = Hand(config.hand)
+        self._admittance = Admittance(config.admittance, self._geometry, config.motion.velocity)
+        self._admittance_on = False
+        # What admittance adds to the reference, and how fast that changes.
+        self._offset = [0.0] * 5
+        self._offset_velocity = [0.0] * 5
+        self._lower = config.motion.limits.lower.tolist()
+        self._upper = config.motion.limits.upper.tolist()
+
+        self._count = 0
+        self.now_ns = config.start_ns
+        window = round(config.velocity_window_s * config.rate_hz)
+        start = self._encode(self._motion.positions)
+        self._encoded: deque[list[float]] = deque([start] * window, maxlen=window)
+        self._window_s = window * self._period_s
+
+    # --- what the cell is doing -------------------------------------------------------------
+
+    @property
+    def tool(self) -> str:
+        """Name of the tool that is on, "" for none."""
+        return self._tool
+
+    @property
+    def moving(self) -> bool:
+        """Whether a joint moves or a trajectory is not over."""
+        return self._reference is not None or self._motion.moving
+
+    @property
+    def zero_pose(self) -> tuple[float, float]:
+        """Roll and tilt (rad) where the sensor was last zeroed."""
+        return self._zero_pose
+
+    @property
+    def admittance_on(self) -> bool:
+        """Whether the tip follows the wrench."""
+        return self._admittance_on
+
+    @property
+    def hand_active(self) -> bool:
+        """Whether the scripted hand is at work."""
+        return self._hand.active
+
+    # --- commands ---------------------------------------------------------------------------
+
+    def command(self, trajectory: Trajectory) -> None:
+        """Follow a trajectory from the present state, instead of any other.
+
+        Without points it means: stop. Raises TrajectoryError and changes nothing when the
+        trajectory is bad.
+        """
+        if not trajectory.points:
+            self.stop()
+            return
+        check_trajectory(trajectory, self._config.motion.limits, self.now_ns)
+        motion = self._motion
+        start = JointState(
+            [q - offset for q, offset in zip(motion.positions, self._offset, strict=True)],
+            [v - own for v, own in zip(motion.velocities, self._offset_velocity, strict=True)],
+            # In admittance mode the acceleration is mostly that of the sensor's noise.
+            [0.0] * 5 if self._admittance_on else motion.accelerations,
+        )
+        hold = self._stopping_reference()
+        self._reference = Reference(trajectory, self.now_ns, start, hold)
+
+    def stop(self) -> None:
+        """Brake at the acceleration limits and stand."""
+        self._hold = self._stopping_reference()
+        self._reference = None
+
+    def attach_tool(self, name: str) -> ToolGeometry | None:
+        """Put a tool on, "" for none, and return it; raises UnknownToolError."""
+        if name and name not in self._config.tools:
+            known = ", ".join(sorted(self._config.tools)) or "none"
+            raise UnknownToolError(f"no tool '{name}' here; configured: {known}")
+        tool = self._config.tools[name] if name else None
+        self._tool = name
+        self._set_load(tool)
+        self._sensor.spoil_zeroing("the tool was changed")
+        return tool
+
+    def start_zeroing(self, window_s: float) -> Zeroing:
+        """Zero the sensor at the mean of the next `window_s`; ask `done` and `error` of the result.
+
+        Raises ZeroingError while the arm moves or is in admittance mode.
+        """
+        if self._admittance_on:
+            raise ZeroingError("the arm is in admittance mode")
+        if self.moving:
+            raise ZeroingError("the arm is moving")
+        self._zeroing = self._sensor.start_zeroing(max(1, round(window_s / self._period_s)))
+        return self._zeroing
+
+    def set_admittance(self, on: bool) -> None:
+        """Let the tip follow the wrench that `feed_admittance` brings, or stop it where it is."""
+        if on == self._admittance_on:
+            return
+        self._admittance_on = on
+        self._admittance.forget()
+        if on:
+            self._sensor.spoil_zeroing("admittance mode was switched on")
+        else:
+            # What the hand did stays: the reference moves to where the arm is.
+            self._offset, self._offset_velocity = [0.0] * 5, [0.0] * 5
+            self.stop()
+
+    def feed_admittance(self, stamp_ns: int, wrench: Sequence[float]) -> None:
+        """Give a wrench (6,) in ft_sensor about its origin, N and N.m, to follow."""
+        self._admittance.feed(stamp_ns, wrench)
+
+    def forget_admittance(self) -> None:
+        """Drop the wrench to follow, for example when its source changes."""
+        self._admittance.forget()
+
+    def start_hand(self) -> None:
+        """Play the hand's script from its beginning."""
+        self._hand.start(self.now_ns)
+
+    # --- time -------------------------------------------------------------------------------
+
+    def step(self) -> Sample:
+        """Go on by one period."""
+        self._count += 1
+        now_ns = self.now_ns = self._config.start_ns + self._count * self._period_ns
+        motion = self._motion
+        motion.step(self._targets(now_ns))
+        joints = motion.positions
+        if self._zeroing is not None and motion.moving:
+            self._sensor.spoil_zeroing("the arm moved while the sensor was zeroed")
+
+        roll, tilt = joints[3], joints[4]
+        matrix = sensor_matrix(roll, tilt)
+        # Gravity in ft_sensor is R^T (0, 0, -g).
+        gx, gy, gz = -_G * matrix[6], -_G * matrix[7], -_G * matrix[8]
+        mass, (hx, hy, hz) = self._mass, self._moment
+        wrench = [
+            mass * gx,
+            mass * gy,
+            mass * gz,
+            hy * gz - hz * gy,
+            hz * gx - hx * gz,
+            hx * gy - hy * gx,
+        ]
+        touch = self._hand.wrench_at_tip(now_ns, matrix)
+        if touch is not None:
+            lever = cross(self._tip, touch[:3])
+            for axis in range(3):
+                wrench[axis] += touch[axis]
+                wrench[axis + 3] += touch[axis + 3] + lever[axis]
+        reading = self._sensor.read(wrench)
+        if self._zeroing is not None and self._zeroing.done:
+            if self._zeroing.error is None:
+                self._zero_pose = (roll, tilt)
+            self._zeroing = None
+
+        encoded = self._encode(joints)
+        before = self._encoded[0]
+        window_s = self._window_s
+        velocities = [(a - b) / window_s for a, b in zip(encoded, before, strict=True)]
+        self._encoded.append(encoded)
+
+        tracked = None
+        due = int(self._count * self._config.tracker.rate_hz * self._period_s + 1e-9)
+        if due > self._tracker_count:
+            self._tracker_count = due
+            tracked = self._look(joints, matrix, touch)
+        return Sample(
+            now_ns,
+            joints.copy(),
+            motion.velocities.copy(),
+            encoded,
+            velocities,
+            reading,
+            tracked,
+        )
+
+    # --- inside -----------------------------------------------------------------------------
+
+    def _targets(self, now_ns: int) -> list[float]:
+        """Where the joints should be at `now_ns`: the reference and what admittance adds."""
+        reference = self._hold
+        if self._reference is not None:
+            reference = self._reference.sample(now_ns)
+            if now_ns >= self._reference.end_ns:
+                self._hold, self._reference = reference, None
+        if not self._admittance_on:
+            return reference
+        joints = self._motion.positions
+        velocities = self._admittance.joint_velocities(
+            now_ns, joints, sensor_matrix(joints[3], joints[4]), self._tip
+        )
+        if velocities is None:
+            self._offset_velocity = [0.0] * 5
+            return [a + b for a, b in zip(reference, self._offset, strict=True)]
+        self._offset_velocity = velocities
+        period_s = self._period_s
+        targets = [
+            # Held inside the limits, so that the offset doesn't wind up against them.
+            min(max(origin + offset + velocity * period_s, low), high)
+            for origin, offset, velocity, low, high in zip(
+                reference, self._offset, velocities, self._lower, self._upper, strict=True
+            )
+        ]
+        self._offset = [a - b for a, b in zip(targets, reference, strict=True)]
+        return targets
+
+    def _stopping_reference(self) -> list[float]:
+        """The reference that makes every joint brake now; admittance goes on adding its part."""
+        stops = self._motion.stopping_positions(self._offset_velocity)
+        return [q - offset for q, offset in zip(stops, self._offset, strict=True)]
+
+    def _set_load(self, tool: ToolGeometry | None) -> None:
+        """Mass and first moment (kg, kg.m) of all that hangs on the sensor; both only add up."""
+        moments = self._config.adapter.moments + (tool.load.moments if tool else 0.0)
+        self._mass = float(moments[0])
+        self._moment = moments[1:].tolist()
+        # Without a tool there is no tip; a hand then holds the sensor's own origin.
+        self._tip = np.asarray(tool.tip_m, dtype=float).tolist() if tool else [0.0, 0.0, 0.0]
+
+    def _encode(self, joints: Sequence[float]) -> list[float]:
+        return [
+            round(value / step) * step
+            for value, step in zip(joints, self._config.encoder_quantum, strict=True)
+        ]
+
+    def _look(
+        self, joints: Sequence[float], matrix: Matrix, touch: Sequence[float] | None
+    ) -> TrackerSample:
+        if not self._tool:
+            return self._tracker.sample(None, None)
+        deflection = None
+        if touch is not None:
+            key = (tuple(joints), self._tool)
+            if key != self._compliance_of:
+                self._compliance = tip_compliance(joints, self._tip, self._config.arm)
+                self._compliance_of = key
+            in_base = [*rotate(matrix, touch[:3]), *rotate(matrix, touch[3:])]
+            deflection = (self._compliance @ in_base).tolist()
+        position = self._geometry.tip_position(joints, matrix, self._tip)
+        return self._tracker.sample((position, sensor_quaternion(joints[3], joints[4])), deflection)

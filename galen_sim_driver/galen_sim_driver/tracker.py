@@ -1,0 +1,96 @@
+"""The optical tracker: poses of the tool's marker and of the marker on the base's stand.
+
+It sees the true tip, deflection included. Base to tracker is fixed and known to nobody else.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from galen_sim_driver.config import TrackerConfig
+from galen_sim_driver.geometry import (
+    Quaternion,
+    Vector,
+    from_rotvec,
+    multiply,
+    rotate_by,
+)
+
+_BLOCK = 512
+
+
+@dataclass(frozen=True)
+class MarkerPose:
+    """A marker in `tracker`: position (m) and quaternion x, y, z, w."""
+
+    position_m: Vector
+    quaternion: Quaternion
+
+
+@dataclass(frozen=True)
+class TrackerSample:
+    """What the tracker sees at once; there is no tool marker without a tool."""
+
+    tool: MarkerPose | None
+    base: MarkerPose
+
+
+class Tracker:
+    """Turns true poses in base_link into noisy ones in `tracker`."""
+
+    def __init__(self, config: TrackerConfig, rng: np.random.Generator) -> None:
+        self._rng = rng
+        self._noisy = config.noise
+        self._std = np.repeat([config.position_noise_m, config.rotation_noise_rad], 3)
+        self._block: list[list[float]] = []
+        self._next = 0
+        self._base_position = config.base_in_tracker.translation_m
+        self._base_turn = from_rotvec(config.base_in_tracker.rotvec_rad)
+        self._marker_position = config.tool_marker.translation_m
+        self._marker_turn = from_rotvec(config.tool_marker.rotvec_rad)
+        self._base_marker = self._seen(
+            config.base_marker.translation_m, from_rotvec(config.base_marker.rotvec_rad)
+        )
+
+    def sample(
+        self, tip: tuple[Vector, Quaternion] | None, deflection: Sequence[float] | None
+    ) -> TrackerSample:
+        """Look once.
+
+        `tip` is the undeflected tool_tip in base_link, `deflection` (6,) its displacement there:
+        translation (m), rotation vector (rad), or None for no touch.
+        """
+        tool = None
+        if tip is not None:
+            position, turn = tip
+            if deflection is not None:
+                position = _add(position, deflection[:3])
+                turn = multiply(from_rotvec(deflection[3:]), turn)
+            marker = _add(position, rotate_by(turn, self._marker_position))
+            tool = self._with_noise(self._seen(marker, multiply(turn, self._marker_turn)))
+        return TrackerSample(tool, self._with_noise(self._base_marker))
+
+    def _seen(self, position: Sequence[float], turn: Quaternion) -> MarkerPose:
+        return MarkerPose(
+            _add(self._base_position, rotate_by(self._base_turn, position)),
+            multiply(self._base_turn, turn),
+        )
+
+    def _with_noise(self, pose: MarkerPose) -> MarkerPose:
+        if not self._noisy:
+            return pose
+        if self._next == len(self._block):
+            self._block = (self._rng.standard_normal((_BLOCK, 6)) * self._std).tolist()
+            self._next = 0
+        noise = self._block[self._next]
+        self._next += 1
+        return MarkerPose(
+            _add(pose.position_m, noise[:3]), multiply(from_rotvec(noise[3:]), pose.quaternion)
+        )
+
+
+def _add(a: Sequence[float], b: Sequence[float]) -> Vector:
+    return (a[0] + b[0], a[1] + b[1], a[2] + b[2])

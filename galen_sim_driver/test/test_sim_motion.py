@@ -1,0 +1,109 @@
+"""Limits hold at every step, references are followed, targets are reached exactly."""
+
+import numpy as np
+import pytest
+from galen_model.arm import HOME, LIMITS
+from galen_sim_driver.config import MotionConfig
+from galen_sim_driver.motion import LimitedMotion, braking_velocity, stopping_distance
+
+PERIOD_S = 0.002
+CONFIG = MotionConfig()
+VELOCITY = np.array(CONFIG.velocity)
+ACCELERATION = np.array(CONFIG.acceleration)
+
+
+def follow(targets, motion=None):
+    """Step through targets (n, 5); return positions and velocities (n + 1, 5), start included."""
+    motion = motion or LimitedMotion(CONFIG, HOME, PERIOD_S)
+    positions, velocities = [motion.positions.copy()], [motion.velocities.copy()]
+    for target in targets:
+        motion.step(target)
+        positions.append(motion.positions.copy())
+        velocities.append(motion.velocities.copy())
+    return np.array(positions), np.array(velocities)
+
+
+def assert_limits(positions, velocities):
+    assert np.all(np.abs(velocities) <= VELOCITY * (1 + 1e-6))
+    assert np.all(np.abs(np.diff(velocities, axis=0)) <= ACCELERATION * PERIOD_S * (1 + 1e-6))
+    assert np.allclose(np.diff(positions, axis=0), velocities[1:] * PERIOD_S, atol=1e-12)
+    assert np.all(positions >= LIMITS.lower) and np.all(positions <= LIMITS.upper)
+
+
+def test_a_jump_is_reached_exactly_in_the_least_time_without_overshoot():
+    target = HOME + [0.05, -0.10, 0.08, 1.2, -0.7]
+    positions, velocities = follow([target] * 1500)
+    assert_limits(positions, velocities)
+    assert positions[-1].tolist() == target.tolist()
+    assert not velocities[-1].any()
+    sign = np.sign(target - HOME)
+    assert np.all(np.diff(positions, axis=0) * sign >= 0.0)
+    assert np.all((target - positions) * sign >= 0.0)
+    # Bang-bang: distance / v + v / a, or 2 sqrt(distance / a) where v_max is not reached; in
+    # sampled time a velocity holds for its whole period, which gains one of them.
+    distance = np.abs(target - HOME)
+    full = distance > VELOCITY**2 / ACCELERATION
+    least_s = np.where(
+        full, distance / VELOCITY + VELOCITY / ACCELERATION, 2 * np.sqrt(distance / ACCELERATION)
+    )
+    arrived_s = np.argmax(positions == target, axis=0) * PERIOD_S
+    assert np.all(arrived_s >= least_s - 1.001 * PERIOD_S)
+    assert np.all(arrived_s <= least_s + 3 * PERIOD_S)
+
+
+def test_a_reference_within_the_limits_is_followed_without_lag():
+    s = np.arange(1, 1001)[:, None] / 1000
+    quintic = 10 * s**3 - 15 * s**4 + 6 * s**5
+    # Peak velocity 1.875 d / T and peak acceleration 5.774 d / T^2 stay below the limits.
+    targets = HOME + quintic * np.array([0.1, -0.1, 0.1, 1.4, -0.9])
+    positions, velocities = follow(targets)
+    assert np.abs(positions[1:] - targets).max() == 0.0
+    assert_limits(positions, velocities)
+
+
+def test_any_reference_keeps_the_limits():
+    rng = np.random.default_rng(3)
+    # Random jumps far beyond the limits, every few steps.
+    targets = np.repeat(HOME + rng.normal(0.0, [0.2, 0.2, 0.2, 2.0, 2.0], (300, 5)), 17, axis=0)
+    positions, velocities = follow(targets)
+    assert_limits(positions, velocities)
+    assert positions.max(axis=0)[3] > 1.0  # it did go somewhere
+
+
+def test_a_reference_that_runs_into_a_limit_ends_on_it():
+    time_s = np.arange(1, 3001) * PERIOD_S
+    targets = HOME + np.outer(time_s, [0.15, 0.0, 0.0, -1.2, 0.0])
+    positions, velocities = follow(targets)
+    assert_limits(positions, velocities)
+    assert positions[-1, 0] == LIMITS.upper[0]
+    assert positions[-1, 3] == LIMITS.lower[3]
+    assert not velocities[-1].any()
+
+
+def test_braking_velocity_stops_where_it_should():
+    u, period_s = 0.002, 0.002
+    for distance in (1e-9, 3.9e-6, 4e-6, 1.2e-5, 1e-4, 0.0123):
+        velocity = braking_velocity(distance, u, period_s)
+        covered, steps, v = 0.0, 0, velocity
+        while v > 1e-15:
+            covered += v * period_s
+            v -= u
+            steps += 1
+        assert covered == pytest.approx(distance, rel=1e-9)
+        assert period_s * u * steps * (steps - 1) / 2 < distance * (1 + 1e-9)
+    assert braking_velocity(0.0, u, period_s) == 0.0
+
+
+def test_stopping_distance_agrees_with_braking():
+    motion = LimitedMotion(CONFIG, HOME, PERIOD_S)
+    follow([HOME + 0.1] * 100, motion)
+    stop = np.array(motion.stopping_positions([0.0] * 5))
+    before = np.array(motion.velocities)
+    positions, velocities = follow([stop] * 400, motion)
+    assert_limits(positions, velocities)
+    assert positions[-1].tolist() == stop.tolist()
+    # It brakes at the limit from the first step, and never turns back.
+    assert np.allclose(velocities[1], before - ACCELERATION * PERIOD_S, atol=1e-12)
+    assert np.all(velocities >= 0.0)
+    assert np.all(np.abs(stop - positions[0] - before**2 / 2 / ACCELERATION) < before * PERIOD_S)
+    assert stopping_distance(-0.1, 0.002, 0.002) == -stopping_distance(0.1, 0.002, 0.002) < 0.0

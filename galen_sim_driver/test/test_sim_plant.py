@@ -1,0 +1,419 @@
+"""The plant: its reading, noise, encoders, commands and determinism."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from galen_model.arm import ENCODER_QUANTUM, HOME, JOINT_NAMES, SENSOR
+from galen_model.kinematics import sensor_pose, tip_pose
+from galen_model.load import Load, nominal_reading
+from galen_model.tools import ADAPTER, TOOLS, ToolGeometry
+from galen_model.wrench import move_wrench
+from galen_sim_driver.config import (
+    ConfigError,
+    HandPush,
+    MotionConfig,
+    PlantConfig,
+    SensorConfig,
+    TrackerConfig,
+)
+from galen_sim_driver.errors import TrajectoryError, UnknownToolError, ZeroingError
+from galen_sim_driver.plant import Plant
+from galen_sim_driver.trajectory import Trajectory, TrajectoryPoint
+
+EXACT = SensorConfig(noise=False, quantise=False)
+TURNED = (0.03, -0.05, 0.45, 0.8, -0.6)
+
+
+def make_plant(seed=0, **changes):
+    return Plant(replace(PlantConfig(), **changes), np.random.default_rng(seed))
+
+
+def go_to(plant, joints, duration_s=2.0, steps=1500):
+    plant.command(
+        Trajectory(JOINT_NAMES, [TrajectoryPoint(duration_s, joints, [0.0] * 5, [0.0] * 5)])
+    )
+    return [plant.step() for _ in range(steps)]
+
+
+# --- the reading ------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("tool", ["", "pointer", "retractor"])
+def test_the_reading_is_the_nominal_model_exactly(tool):
+    rng = np.random.default_rng(7)
+    load = TOOLS[tool].load if tool else Load(0.0)
+    for roll, tilt in rng.uniform([-1.57, -1.04], [1.57, 0.96], (20, 2)):
+        plant = make_plant(sensor=EXACT, start_joints=(0.0, 0.0, 0.4, roll, tilt))
+        plant.attach_tool(tool)
+        expected = nominal_reading(roll, tilt, load, ADAPTER)
+        assert np.abs(plant.step().wrench - expected).max() < 1e-12
+
+
+def test_the_reading_holds_the_hands_push_in_both_frames():
+    force, torque = (3.0, -2.0, 1.5), (0.02, -0.01, 0.03)
+    for frame in ("base", "tip"):
+        push = HandPush(0.0, 1.0, force, torque, frame, ramp_s=0.1)
+        plant = make_plant(sensor=EXACT, start_joints=TURNED, hand=[push])
+        plant.attach_tool("retractor")
+        untouched = np.array(plant.step().wrench)
+        plant.start_hand()
+        wrench = np.array([plant.step() for _ in range(250)][-1].wrench)
+        rotation, _ = sensor_pose(TURNED)
+        at_tip = np.array([*force, *torque])
+        if frame == "base":
+            at_tip = move_wrench(at_tip, rotation.T, np.zeros(3))
+        expected = move_wrench(at_tip, np.eye(3), TOOLS["retractor"].tip_m)
+        assert np.abs(wrench - untouched - expected).max() < 1e-12
+        # And it lets go again.
+        after = np.array([plant.step() for _ in range(300)][-1].wrench)
+        assert np.abs(after - untouched).max() < 1e-12
+        assert not plant.hand_active
+
+
+def test_a_push_rises_and_falls_smoothly():
+    plant = make_plant(sensor=EXACT, hand=[HandPush(0.1, 1.0, (4.0, 0.0, 0.0), ramp_s=0.3)])
+    plant.attach_tool("pointer")
+    weight = np.array(plant.step().wrench)
+    plant.start_hand()
+    # At home base_link's x is the sensor's z.
+    force = np.array([plant.step().wrench[2] for _ in range(600)]) - weight[2]
+    assert force[:49].max() == pytest.approx(0.0, abs=1e-12)
+    assert force.max() == pytest.approx(4.0)
+    assert force[124] == pytest.approx(2.0, abs=0.05)  # half way up at 0.25 s
+    assert force[555:] == pytest.approx(0.0, abs=1e-12)
+    # The steepest step of a half cosine: pi/2 F T / ramp.
+    assert np.abs(np.diff(force)).max() <= np.pi / 2 * 4.0 * 0.002 / 0.3 * 1.001
+
+
+def test_noise_has_the_configured_size_quantum_included():
+    plant = make_plant(seed=5)
+    count = 20_000
+    readings = np.array([plant.step().wrench for _ in range(count)])
+    sigma = np.sqrt(SENSOR.noise_std**2 + SENSOR.quantum**2 / 12)
+    # Five standard deviations of a standard deviation and of a mean of this many samples.
+    assert np.all(np.abs(readings.std(axis=0) / sigma - 1) < 5 / np.sqrt(2 * count))
+    expected = nominal_reading(0.0, 0.0, Load(0.0), ADAPTER)
+    assert np.all(np.abs(readings.mean(axis=0) - expected) < 5 * sigma / np.sqrt(count))
+    # White: neighbouring samples have nothing to do with each other.
+    centred = readings - readings.mean(axis=0)
+    correlation = (centred[1:] * centred[:-1]).mean(axis=0) / readings.var(axis=0)
+    assert np.all(np.abs(correlation) < 5 / np.sqrt(count))
+
+
+def test_readings_lie_on_the_quantum_before_the_zero():
+    plant = make_plant(sensor=SensorConfig(noise=True, quantise=True))
+    readings = np.array([plant.step().wrench for _ in range(200)])
+    steps = np.diff(readings, axis=0) / SENSOR.quantum
+    assert np.abs(steps - np.round(steps)).max() < 1e-6
+    assert np.unique(np.round(steps[:, 0])).size > 5
+
+
+def test_the_sensor_clips_at_its_range_before_the_zero():
+    heavy = ToolGeometry(Load(20.0, np.array([0.2, 0.0, 0.0])), np.zeros(3))
+    plant = make_plant(sensor=EXACT, tools={"heavy": heavy})
+    plant.attach_tool("heavy")
+    # At home gravity is along the sensor's x: 20.1 kg pull with 197 N, beyond 125 N.
+    zero = ADAPTER.mass_kg * 9.80665
+    assert plant.step().wrench[0] == pytest.approx(125.0 - zero, abs=1e-12)
+
+
+# --- zeroing ------------------------------------------------------------------------------
+
+
+def test_zeroing_subtracts_the_mean_of_the_window():
+    plant = make_plant(seed=2, start_joints=TURNED)
+    plant.attach_tool("pointer")
+    before = [plant.step() for _ in range(10)]
+    assert np.abs(before[-1].wrench[0]) > 0.1
+    zeroing = plant.start_zeroing(0.5)
+    during = np.array([plant.step().wrench for _ in range(250)])
+    assert zeroing.done and zeroing.error is None
+    after = np.array([plant.step().wrench for _ in range(5000)])
+    # What the mean of the window was is subtracted from then on.
+    sigma = np.sqrt(SENSOR.noise_std**2 + SENSOR.quantum**2 / 12)
+    deviation = np.abs(after.mean(axis=0))
+    assert np.all(deviation < 5 * sigma * np.sqrt(1 / 250 + 1 / 5000))
+    expected = nominal_reading(0.8, -0.6, TOOLS["pointer"].load, ADAPTER)
+    assert np.all(np.abs(during.mean(axis=0) - expected) < 5 * sigma / np.sqrt(250))
+    assert plant.zero_pose == (0.8, -0.6)
+
+
+def test_zeroing_without_noise_is_the_contracts_bias():
+    plant = make_plant(sensor=EXACT, start_joints=TURNED)
+    plant.step()
+    plant.start_zeroing(0.1)
+    for _ in range(50):
+        plant.step()
+    plant.attach_tool("retractor")
+    samples = go_to(plant, (0.0, 0.0, 0.408, -0.5, 0.4))
+    expected = nominal_reading(-0.5, 0.4, TOOLS["retractor"].load, ADAPTER, 0.8, -0.6)
+    assert np.abs(samples[-1].wrench - expected).max() < 1e-12
+
+
+def test_zeroing_is_refused_or_spoilt_by_motion():
+    plant = make_plant()
+    plant.command(Trajectory(["roll"], [TrajectoryPoint(1.0, [0.5])]))
+    with pytest.raises(ZeroingError, match="moving"):
+        plant.start_zeroing(0.5)
+    plant = make_plant()
+    zero_pose = plant.zero_pose
+    zeroing = plant.start_zeroing(0.5)
+    with pytest.raises(ZeroingError, match="already"):
+        plant.start_zeroing(0.5)
+    go_to(plant, TURNED, steps=400)
+    assert zeroing.done and "moved" in str(zeroing.error)
+    assert plant.zero_pose == zero_pose
+    plant = make_plant()
+    zeroing = plant.start_zeroing(0.5)
+    plant.step()
+    plant.attach_tool("pointer")
+    assert "tool" in str(zeroing.error)
+    plant.step()
+    plant.start_zeroing(0.5)
+    plant = make_plant()
+    plant.set_admittance(True)
+    with pytest.raises(ZeroingError, match="admittance"):
+        plant.start_zeroing(0.5)
+
+
+# --- motion ------------------------------------------------------------------------------
+
+
+def test_a_quintic_to_a_pose_arrives_exactly_and_in_time():
+    plant = make_plant()
+    samples = go_to(plant, TURNED)
+    assert samples[-1].true_joints == list(TURNED)
+    at_end = samples[999]
+    assert at_end.stamp_ns == PlantConfig().start_ns + 2_000_000_000
+    assert at_end.true_joints == list(TURNED)
+    assert samples[998].true_joints != list(TURNED)
+    assert not plant.moving
+
+
+def test_limits_hold_when_a_trajectory_asks_too_much():
+    plant = make_plant()
+    samples = go_to(plant, (0.1, -0.1, 0.5, 1.5, -1.0), duration_s=0.05)
+    velocities = np.array([sample.true_velocities for sample in samples])
+    limits = MotionConfig()
+    assert np.all(np.abs(velocities) <= np.array(limits.velocity) * (1 + 1e-6))
+    steps = np.abs(np.diff(velocities, axis=0, prepend=np.zeros((1, 5))))
+    assert np.all(steps <= np.array(limits.acceleration) * 0.002 * (1 + 1e-6))
+    assert samples[-1].true_joints == [0.1, -0.1, 0.5, 1.5, -1.0]
+
+
+def test_a_stop_brakes_at_the_limit_and_stays():
+    plant = make_plant()
+    go_to(plant, (0.1, 0.0, 0.408, 1.5, 0.0), steps=500)
+    before = plant.step()
+    assert before.true_velocities[3] > 1.0
+    plant.command(Trajectory([], []))
+    samples = [plant.step() for _ in range(500)]
+    velocities = np.array([before.true_velocities] + [s.true_velocities for s in samples])
+    steps = np.diff(velocities, axis=0)
+    assert np.all(np.abs(steps) <= np.array(MotionConfig().acceleration) * 0.002 * (1 + 1e-6))
+    assert np.all(steps <= 1e-12)
+    assert not plant.moving
+    # v^2 / 2 a, to a period's way.
+    way = samples[-1].true_joints[3] - before.true_joints[3]
+    speed = before.true_velocities[3]
+    assert way == pytest.approx(speed**2 / 12.0, abs=speed * 0.002)
+
+
+def test_a_new_trajectory_takes_over_smoothly_and_unnamed_joints_stop():
+    plant = make_plant()
+    samples = go_to(plant, (0.1, 0.0, 0.408, 1.2, -0.5), steps=500)
+    velocity_before = samples[-1].true_velocities
+    plant.command(Trajectory(["tilt"], [TrajectoryPoint(1.0, [0.3], [0.0], [0.0])]))
+    later = [plant.step() for _ in range(1000)]
+    tilt_velocities = [velocity_before[4]] + [s.true_velocities[4] for s in later]
+    assert np.abs(np.diff(tilt_velocities)).max() < 6.0 * 0.002 * (1 + 1e-6)
+    assert later[0].true_velocities[4] == pytest.approx(velocity_before[4], abs=6.0 * 0.002)
+    assert later[-1].true_joints[4] == 0.3
+    assert later[-1].true_velocities == [0.0] * 5
+    assert samples[-1].true_joints[3] < later[-1].true_joints[3] < 1.2
+
+
+def test_a_bad_trajectory_changes_nothing():
+    plant, other = make_plant(seed=1), make_plant(seed=1)
+    go_to(plant, TURNED, steps=100), go_to(other, TURNED, steps=100)
+    with pytest.raises(TrajectoryError, match="tilt at 2"):
+        plant.command(Trajectory(["tilt"], [TrajectoryPoint(1.0, [2.0])]))
+    assert [plant.step() for _ in range(200)] == [other.step() for _ in range(200)]
+
+
+# --- what is reported ------------------------------------------------------------------------
+
+
+def test_stamps_and_encoders():
+    plant = make_plant()
+    samples = go_to(plant, TURNED, steps=1200)
+    stamps = np.array([sample.stamp_ns for sample in samples])
+    assert np.all(np.diff(stamps) == 2_000_000)
+    true = np.array([sample.true_joints for sample in samples])
+    reported = np.array([sample.positions for sample in samples])
+    assert np.all(np.abs(reported - true) <= ENCODER_QUANTUM / 2 * (1 + 1e-6))
+    assert np.abs(reported - true).max() > 0.0
+    counts = reported / ENCODER_QUANTUM
+    assert np.abs(counts - np.round(counts)).max() < 1e-6
+    velocities = np.array([sample.velocities for sample in samples])
+    # A difference over 10 periods: the mean velocity over these, to one quantum over the window.
+    mean_velocity = (true[10:] - true[:-10]) / 0.02
+    assert np.all(np.abs(velocities[10:] - mean_velocity) <= ENCODER_QUANTUM / 0.02 * (1 + 1e-6))
+    assert velocities[-1].tolist() == [0.0] * 5
+
+
+def test_tools_come_and_go():
+    plant = make_plant(sensor=EXACT)
+    bare = np.array(plant.step().wrench)
+    assert plant.attach_tool("retractor") is TOOLS["retractor"]
+    heavy = np.array(plant.step().wrench)
+    # At home gravity is along the sensor's x.
+    assert heavy[0] - bare[0] == pytest.approx(0.2 * 9.80665, abs=1e-12)
+    with pytest.raises(UnknownToolError, match="'knife'.*pointer, retractor"):
+        plant.attach_tool("knife")
+    assert plant.tool == "retractor"
+    assert plant.attach_tool("") is None
+    assert np.abs(plant.step().wrench - bare).max() < 1e-12
+
+
+def test_the_seed_decides_everything():
+    def samples(seed):
+        plant = make_plant(seed)
+        plant.attach_tool("pointer")
+        plant.start_hand()
+        return go_to(plant, TURNED, steps=700)
+
+    first, again, other = samples(4), samples(4), samples(5)
+    assert first == again
+    assert first[0].wrench != other[0].wrench
+
+
+def test_the_trackers_rate_does_not_change_the_sensors_noise():
+    slow = make_plant(tracker=TrackerConfig(rate_hz=60.0))
+    fast = make_plant(tracker=TrackerConfig(rate_hz=300.0))
+    slow_samples = [slow.step() for _ in range(3000)]
+    fast_samples = [fast.step() for _ in range(3000)]
+    assert [s.wrench for s in slow_samples] == [s.wrench for s in fast_samples]
+    assert sum(s.tracker is not None for s in slow_samples) == 360
+    assert sum(s.tracker is not None for s in fast_samples) == 1800
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"rate_hz": 0.0}, "rate is 0.0"),
+        ({"start_joints": (0.0, 0.0, 0.4, 0.0, 1.2)}, "tilt starts at 1.2"),
+        ({"tracker": TrackerConfig(rate_hz=600.0)}, "above the plant"),
+        ({"motion": MotionConfig(velocity=(0.2, 0.0, 0.2, 1.0, 1.0))}, "delta_y is 0.0"),
+        ({"adapter": Load(-0.1)}, "adapter is -0.1"),
+        ({"hand": [HandPush(0.0, 0.1, ramp_s=0.2)]}, "rise and fall"),
+        ({"hand": [HandPush(0.0, 1.0, frame="world")]}, "world"),
+        ({"velocity_window_s": 0.0001}, "velocity window"),
+    ],
+)
+def test_bad_configurations_are_named(changes, words):
+    with pytest.raises(ConfigError, match=words):
+        make_plant(**changes)
+
+
+# --- admittance ------------------------------------------------------------------------------
+
+
+def pushed_tip_path(push, tool="pointer", start=TURNED, seconds=1.0, source="raw", noise=False):
+    """Tip positions (n, 3) and the plant, while the hand pushes a weightless tool."""
+    light = ToolGeometry(Load(0.0), TOOLS[tool].tip_m)
+    plant = make_plant(
+        sensor=SensorConfig(noise=noise, quantise=noise),
+        start_joints=start,
+        tools={tool: light},
+        adapter=Load(0.0),
+        hand=[push],
+    )
+    plant.attach_tool(tool)
+    plant.set_admittance(True)
+    plant.start_hand()
+    path = []
+    for _ in range(round(seconds * 500)):
+        sample = plant.step()
+        plant.feed_admittance(sample.stamp_ns, sample.wrench)
+        path.append(tip_pose(sample.true_joints, light.tip_m)[1])
+    return np.array(path), plant
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2])
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_push_moves_the_tip_the_same_way(axis, sign):
+    force = [0.0, 0.0, 0.0]
+    force[axis] = 5.0 * sign
+    path, _ = pushed_tip_path(HandPush(0.0, 2.0, tuple(force)))
+    velocity = (path[-1] - path[-51]) / (50 * 0.002)
+    # gain 0.01 m/s/N, but for the damping's small part.
+    assert velocity[axis] == pytest.approx(0.05 * sign, rel=0.01)
+    assert np.abs(np.delete(velocity, axis)).max() < 0.001
+
+
+def test_a_torque_about_the_roll_axis_rolls_and_leaves_the_tip():
+    push = HandPush(0.0, 2.0, torque_nm=(0.4, 0.0, 0.0))
+    path, plant = pushed_tip_path(push, start=(0.0, 0.0, 0.408, 0.0, 0.0))
+    assert plant.step().true_velocities[3] == pytest.approx(0.2, rel=0.02)
+    assert np.abs(path[-1] - path[0]).max() < 0.001
+
+
+def test_without_or_with_a_stale_wrench_nothing_moves():
+    plant = make_plant(sensor=EXACT)
+    plant.attach_tool("retractor")
+    plant.set_admittance(True)
+    assert [plant.step() for _ in range(100)][-1].true_joints == HOME.tolist()
+    # One wrench: it counts for 50 ms, then the arm stops.
+    at_tip = [5.0, 0.0, 0.0, 0.0, 0.0, 0.0]
+    plant.feed_admittance(plant.now_ns, move_wrench(at_tip, np.eye(3), TOOLS["retractor"].tip_m))
+    samples = [plant.step() for _ in range(500)]
+    assert any(samples[20].true_velocities)
+    assert samples[-1].true_velocities == [0.0] * 5
+    # The offset went on for 50 ms at 0.05 m/s, and the arm comes after it. At home the sensor's x
+    # points down.
+    way = samples[-1].true_joints[2] - HOME[2]
+    assert way == pytest.approx(-0.05 * 0.05, rel=0.05)
+    # What isn't finite, or comes from the future, moves nothing.
+    still = samples[-1].true_joints
+    for stamp_ns, value in ((plant.now_ns, float("nan")), (plant.now_ns + 10**9, 5.0)):
+        plant.feed_admittance(stamp_ns, [value] * 6)
+        assert [plant.step() for _ in range(50)][-1].true_joints == still
+
+
+def test_admittance_keeps_the_joints_limits():
+    path, plant = pushed_tip_path(HandPush(0.0, 30.0, (120.0, 0.0, 0.0)), seconds=6.0)
+    sample = plant.step()
+    assert sample.true_joints[0] == pytest.approx(0.14, abs=1e-12)
+    velocities = np.diff(path, axis=0) / 0.002
+    assert np.abs(velocities).max() < 0.5
+
+
+def test_trajectories_turn_the_arm_in_admittance_mode_and_its_end_stops_it():
+    push = HandPush(0.0, 1.0, (5.0, 0.0, 0.0))
+    start = (0.0, 0.0, 0.408, 0.0, 0.0)
+    _, plant = pushed_tip_path(push, start=start, seconds=1.5)
+    drifted = plant.step().true_joints
+    assert drifted[0] > 0.03
+    plant.command(Trajectory(["roll"], [TrajectoryPoint(1.0, [0.7], [0.0], [0.0])]))
+    turned = [plant.step() for _ in range(600)][-1].true_joints
+    assert turned[3] == pytest.approx(0.7 + drifted[3], abs=1e-9)
+    assert turned[0] == pytest.approx(drifted[0], abs=1e-9)
+    plant.set_admittance(False)
+    assert [plant.step() for _ in range(100)][-1].true_joints == pytest.approx(turned)
+    # From then on targets are absolute again.
+    assert go_to(plant, start)[-1].true_joints == list(start)
+
+
+def test_uncompensated_weight_sinks_the_tip():
+    plant = make_plant(sensor=EXACT)
+    plant.attach_tool("retractor")
+    plant.set_admittance(True)
+    for _ in range(500):
+        sample = plant.step()
+        plant.feed_admittance(sample.stamp_ns, sample.wrench)
+    _, tip = tip_pose(sample.true_joints, TOOLS["retractor"].tip_m)
+    _, start = tip_pose(HOME, TOOLS["retractor"].tip_m)
+    # 0.2 kg pull with 1.96 N, which is 0.0196 m/s for about a second.
+    assert tip[2] - start[2] == pytest.approx(-0.0196, rel=0.1)

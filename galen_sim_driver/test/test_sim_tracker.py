@@ -1,0 +1,122 @@
+"""The tracker: geometry, deflection and noise."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from galen_model.kinematics import tip_pose
+from galen_model.rotation import matrix_to_rotvec, quaternion_to_matrix, rotvec_to_matrix
+from galen_model.stiffness import deflection
+from galen_model.tools import TOOLS
+from galen_model.wrench import move_wrench
+from galen_sim_driver.config import HandPush, PlantConfig, Pose, TrackerConfig
+from galen_sim_driver.plant import Plant
+
+TURNED = (0.03, -0.05, 0.45, 0.8, -0.6)
+QUIET = TrackerConfig(noise=False)
+
+
+def make_plant(seed=0, **changes):
+    config = replace(PlantConfig(), start_joints=TURNED, **changes)
+    plant = Plant(config, np.random.default_rng(seed))
+    plant.attach_tool("pointer")
+    return plant
+
+
+def look(plant):
+    """The next tracker sample."""
+    return next(sample.tracker for sample in iter(plant.step, None) if sample.tracker is not None)
+
+
+def transform(translation, rotation):
+    matrix = np.eye(4)
+    matrix[:3, :3], matrix[:3, 3] = rotation, translation
+    return matrix
+
+
+def of_pose(pose):
+    return transform(pose.translation_m, rotvec_to_matrix(pose.rotvec_rad))
+
+
+def of_marker(marker):
+    return transform(marker.position_m, quaternion_to_matrix(marker.quaternion))
+
+
+def test_markers_are_where_the_configuration_puts_them():
+    tool_marker = Pose((0.01, -0.02, 0.03), (0.3, -0.2, 0.5))
+    config = replace(QUIET, tool_marker=tool_marker)
+    sample = look(make_plant(tracker=config))
+    rotation, tip = tip_pose(TURNED, TOOLS["pointer"].tip_m)
+    base = of_pose(config.base_in_tracker)
+    assert np.allclose(of_marker(sample.base), base @ of_pose(config.base_marker), atol=1e-12)
+    expected = base @ transform(tip, rotation) @ of_pose(tool_marker)
+    assert np.allclose(of_marker(sample.tool), expected, atol=1e-12)
+
+
+def test_there_is_no_tool_marker_without_a_tool():
+    plant = make_plant(tracker=QUIET)
+    plant.attach_tool("")
+    sample = look(plant)
+    assert sample.tool is None and sample.base is not None
+
+
+@pytest.mark.parametrize("frame", ["base", "tip"])
+@pytest.mark.parametrize(
+    ("force", "torque"),
+    [((20.0, 0.0, 0.0), (0.0, 0.0, 0.0)), ((3.0, -8.0, 5.0), (0.2, -0.1, 0.3))],
+)
+def test_a_push_deflects_the_tip_as_the_stiffness_says(force, torque, frame):
+    push = HandPush(0.0, 1.0, force, torque, frame, ramp_s=0.1)
+    plant = make_plant(tracker=QUIET, hand=[push])
+    base = of_pose(QUIET.base_in_tracker)
+    still = np.linalg.inv(base) @ of_marker(look(plant).tool)
+    plant.start_hand()
+    for _ in range(200):
+        plant.step()
+    pushed = np.linalg.inv(base) @ of_marker(look(plant).tool)
+
+    tip_m = TOOLS["pointer"].tip_m
+    rotation, _ = tip_pose(TURNED, tip_m)
+    at_tip = np.array([*force, *torque])
+    if frame == "base":
+        at_tip = move_wrench(at_tip, rotation.T, np.zeros(3))
+    at_sensor = move_wrench(at_tip, np.eye(3), tip_m)
+    expected = deflection(TURNED, at_sensor, tip_m)
+    assert np.allclose(pushed[:3, 3] - still[:3, 3], expected[:3], atol=1e-12)
+    turn = matrix_to_rotvec(pushed[:3, :3] @ still[:3, :3].T)
+    assert np.allclose(turn, expected[3:], atol=1e-9)
+    # It gives way to the push, by a size that a tracker sees.
+    force_base = rotation @ at_tip[:3]
+    assert expected[:3] @ force_base > 0.0
+    assert np.linalg.norm(expected[:3]) > 1e-4
+
+
+def test_the_deflection_is_gone_when_the_hand_lets_go():
+    plant = make_plant(tracker=QUIET, hand=[HandPush(0.0, 0.5, (20.0, 0.0, 0.0))])
+    before = look(plant)
+    plant.start_hand()
+    for _ in range(300):
+        plant.step()
+    assert look(plant) == before
+
+
+def test_noise_has_the_configured_size_in_each_axis():
+    plant = make_plant(seed=3)
+    quiet = look(make_plant(tracker=QUIET))
+    samples = [look(plant) for _ in range(2000)]
+    for name in ("tool", "base"):
+        truth = of_marker(getattr(quiet, name))
+        seen = [of_marker(getattr(sample, name)) for sample in samples]
+        moved = np.array([pose[:3, 3] - truth[:3, 3] for pose in seen])
+        turned = matrix_to_rotvec(np.array([pose[:3, :3] for pose in seen]) @ truth[:3, :3].T)
+        bound = 5 / np.sqrt(2 * len(samples))
+        assert np.all(np.abs(moved.std(axis=0) / 0.03e-3 - 1) < bound)
+        assert np.all(np.abs(turned.std(axis=0) / 0.1e-3 - 1) < bound)
+        assert np.all(np.abs(moved.mean(axis=0)) < 5 * 0.03e-3 / np.sqrt(len(samples)))
+
+
+def test_it_sees_at_its_rate():
+    plant = make_plant(tracker=TrackerConfig(rate_hz=100.0))
+    stamps = [s.stamp_ns for s in (plant.step() for _ in range(1000)) if s.tracker is not None]
+    assert len(stamps) == 200
+    assert np.all(np.diff(stamps) == 10_000_000)

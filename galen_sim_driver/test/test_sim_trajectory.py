@@ -1,0 +1,137 @@
+"""Trajectories: what is refused, and the polynomials between points."""
+
+import numpy as np
+import pytest
+from galen_model.arm import HOME, JOINT_NAMES, LIMITS
+from galen_sim_driver.errors import TrajectoryError
+from galen_sim_driver.trajectory import (
+    JointState,
+    Reference,
+    Trajectory,
+    TrajectoryPoint,
+    check_trajectory,
+)
+
+NOW_NS = 5_000_000_000
+NAN = float("nan")
+POINT = TrajectoryPoint(1.0, [0.1, -0.2])
+
+
+def check(names, *points, start_ns=0):
+    check_trajectory(Trajectory(names, points, start_ns), LIMITS, NOW_NS)
+
+
+def test_good_trajectories_pass():
+    check(["tilt", "roll"], POINT)
+    check(list(JOINT_NAMES), TrajectoryPoint(0.0, HOME), TrajectoryPoint(0.1, HOME, [0.0] * 5))
+    check(["roll", "tilt"], POINT, start_ns=NOW_NS - 900_000_000)
+    check(["roll", "tilt"], TrajectoryPoint(1.0, [1.57, -1.04], [0, 0], [0, 0]))
+
+
+@pytest.mark.parametrize(
+    ("names", "points", "words"),
+    [
+        (["roll", "wrist"], [POINT], ["wrist", "delta_x"]),
+        (["roll", "roll"], [POINT], ["roll", "twice"]),
+        ([], [TrajectoryPoint(1.0, [])], ["joint names"]),
+        (["roll", "tilt"], [TrajectoryPoint(1.0, [0.0, 0.97])], ["tilt", "0.97", "0.96"]),
+        (["roll", "tilt"], [TrajectoryPoint(1.0, [-1.58, 0.0])], ["roll", "-1.58", "-1.57"]),
+        (["delta_z"], [TrajectoryPoint(1.0, [0.0])], ["delta_z", "0.198"]),
+        (["roll", "tilt"], [TrajectoryPoint(1.0, [0.1])], ["1 positions for 2 joints"]),
+        (["roll", "tilt"], [TrajectoryPoint(1.0, [])], ["0 positions for 2 joints"]),
+        (["roll", "tilt"], [TrajectoryPoint(1.0, [0, 0], [0])], ["1 velocities for 2"]),
+        (["roll", "tilt"], [TrajectoryPoint(1.0, [0, 0], [0, 0], [0])], ["1 accelerations"]),
+        (["roll"], [TrajectoryPoint(1.0, [0], [], [0])], ["accelerations without velocities"]),
+        (["roll", "tilt"], [TrajectoryPoint(1.0, [0.1, NAN])], ["tilt", "nan"]),
+        (["roll"], [TrajectoryPoint(1.0, [0.1], [float("inf")])], ["velocities of roll", "inf"]),
+        (["roll", "tilt"], [POINT, POINT], ["point 1", "not after"]),
+        (["roll", "tilt"], [TrajectoryPoint(-0.5, [0, 0])], ["-0.5"]),
+        (["roll", "tilt"], [TrajectoryPoint(NAN, [0, 0])], ["nan"]),
+    ],
+)
+def test_bad_trajectories_are_refused_with_joint_and_value(names, points, words):
+    with pytest.raises(TrajectoryError) as error:
+        check(names, *points)
+    for word in words:
+        assert word in str(error.value)
+
+
+def test_a_trajectory_of_the_past_is_refused():
+    with pytest.raises(TrajectoryError, match=r"1\.000 s in the past"):
+        check(["roll", "tilt"], POINT, start_ns=NOW_NS - 2_000_000_000)
+
+
+START = JointState(HOME + [0, 0, 0, 0.2, -0.1], [0, 0, 0, 0.3, -0.2], [0, 0, 0, 0.5, 1.0])
+
+
+def sampled(names, points, start_ns=0):
+    """Reference from START now: (times (n,), positions (n, 5)) on a fine grid to past its end."""
+    reference = Reference(Trajectory(names, points, start_ns), NOW_NS, START, HOME)
+    time_ns = np.arange(NOW_NS, reference.end_ns + 200_000_000, 1_000_000)
+    return (time_ns - NOW_NS) * 1e-9, np.array([reference.sample(int(ns)) for ns in time_ns])
+
+
+def test_positions_only_are_joined_by_lines():
+    time_s, q = sampled(
+        ["tilt", "roll"], [TrajectoryPoint(0.5, [0.3, 0.4]), TrajectoryPoint(1.0, [0.0, 1.0])]
+    )
+    # "tilt" comes first in this trajectory: joints are taken by name.
+    expected_tilt = np.interp(time_s, [0.0, 0.5, 1.0], [-0.1, 0.3, 0.0])
+    expected_roll = np.interp(time_s, [0.0, 0.5, 1.0], [0.2, 0.4, 1.0])
+    assert np.allclose(q[:, 4], expected_tilt, atol=1e-12)
+    assert np.allclose(q[:, 3], expected_roll, atol=1e-12)
+    assert np.all(q[:, :3] == HOME[:3])
+
+
+def derivatives(time_s, values):
+    step = time_s[1] - time_s[0]
+    velocity = np.gradient(values, step, edge_order=2)
+    return velocity, np.gradient(velocity, step, edge_order=2)
+
+
+def test_velocities_make_it_cubic():
+    time_s, q = sampled(["roll"], [TrajectoryPoint(0.8, [1.0], [0.6])])
+    part = time_s <= 0.8
+    velocity, _ = derivatives(time_s[part], q[part, 3])
+    assert q[0, 3] == pytest.approx(0.2) and q[part][-1, 3] == pytest.approx(1.0)
+    assert velocity[0] == pytest.approx(0.3, abs=1e-4)
+    assert velocity[-1] == pytest.approx(0.6, abs=1e-4)
+    # The fourth differences of a cubic vanish; those of a quintic don't.
+    assert np.abs(np.diff(q[part, 3], 4)).max() < 1e-12
+
+
+def test_accelerations_make_it_quintic():
+    time_s, q = sampled(
+        ["roll", "tilt"], [TrajectoryPoint(0.8, [1.0, 0.5], [0.6, 0.0], [-0.7, 0.0])]
+    )
+    part = time_s <= 0.8
+    for joint, start, end in ((3, (0.3, 0.5), (0.6, -0.7)), (4, (-0.2, 1.0), (0.0, 0.0))):
+        velocity, acceleration = derivatives(time_s[part], q[part, joint])
+        assert (velocity[0], velocity[-1]) == pytest.approx((start[0], end[0]), abs=1e-3)
+        # One-sided second differences of 1 ms are good to a few hundredths here.
+        assert (acceleration[2], acceleration[-3]) == pytest.approx((start[1], end[1]), abs=0.3)
+    assert q[-1, 3] == 1.0 and q[-1, 4] == 0.5
+
+
+def test_rest_to_rest_peaks_are_what_behaviours_rely_on():
+    """1.875 d / T and 5.774 d / T^2: the quintic from rest to rest."""
+    rest = JointState(HOME, [0.0] * 5, [0.0] * 5)
+    reference = Reference(
+        Trajectory(["roll"], [TrajectoryPoint(2.0, [1.0], [0.0], [0.0])]), 0, rest, HOME
+    )
+    time_s = np.linspace(0.0, 2.0, 4001)
+    roll = np.array([reference.sample(round(t * 1e9))[3] for t in time_s])
+    velocity, acceleration = derivatives(time_s, roll)
+    assert velocity.max() == pytest.approx(1.875 / 2.0, rel=1e-4)
+    assert np.abs(acceleration).max() == pytest.approx(5.774 / 4.0, rel=1e-3)
+
+
+def test_a_start_in_the_future_shifts_the_points():
+    time_s, q = sampled(["roll"], [TrajectoryPoint(0.5, [0.4])], NOW_NS + 500_000_000)
+    assert np.allclose(q[:, 3], np.interp(time_s, [0.0, 1.0], [0.2, 0.4]), atol=1e-12)
+
+
+def test_a_start_in_the_past_joins_in_the_middle():
+    points = [TrajectoryPoint(0.5, [0.4]), TrajectoryPoint(1.5, [0.6])]
+    time_s, q = sampled(["roll"], points, NOW_NS - 1_000_000_000)
+    assert np.allclose(q[:, 3], np.interp(time_s, [-0.5, 0.5], [0.4, 0.6]), atol=1e-12)
