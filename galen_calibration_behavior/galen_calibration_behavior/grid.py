@@ -23,10 +23,10 @@ class SweepGrid:
 
     tstart: float
     tend: float
-    itersT: int  # noqa: N815  (the report's name)
+    itersT: int
     rstart: float
     rend: float
-    itersR: int  # noqa: N815  (the report's name)
+    itersR: int
 
     def poses(self, lower: tuple[float, float], upper: tuple[float, float]) -> Array:
         """All poses as rows (roll, tilt) in rad, shape (itersT * itersR, 2), in visiting order.

@@ -266,11 +266,11 @@ class CalibrationNode(Node):
         goal = self._goal
         if goal is None:
             return
-        goal.ticks += 1
-        if goal.preflight_s is not None:
-            self._feed(self._check_driver, goal)
-        elif goal.ticks % _TICKS_PER_GRAPH_CHECK == 0:
+        if goal.ticks % _TICKS_PER_GRAPH_CHECK == 0 or goal.preflight_s is not None:
             self._feed(self._check_publishers, goal)
+        goal.ticks += 1
+        if self._goal is goal and goal.preflight_s is not None:
+            self._feed(self._check_driver, goal)
         if self._goal is goal:
             self._feed(goal.procedure.on_wall, time.monotonic())
 
@@ -298,7 +298,11 @@ class CalibrationNode(Node):
         clients: list[Client] = [self._bias_client]
         if goal.handle.request.attach_by_service:
             clients.append(self._attach_client)
-        absent = [client.srv_name for client in clients if not client.service_is_ready()]
+        absent = [
+            self.resolve_service_name(client.srv_name)
+            for client in clients
+            if not client.service_is_ready()
+        ]
         if absent:
             return ErrorCode.SERVICE_FAILED, f"nobody offers the service {' and '.join(absent)}"
         if self._trajectory_publisher.get_subscription_count() == 0:
@@ -317,9 +321,10 @@ class CalibrationNode(Node):
                     ErrorCode.BAD_INPUT, f"{len(infos)} publishers on {topic}: {names}"
                 )
                 return
+            if not infos:
+                continue
             now = frozenset(bytes(info.endpoint_gid) for info in infos)
-            before = goal.publishers.setdefault(topic, now)
-            if now and now != before:
+            if goal.publishers.setdefault(topic, now) != now:
                 goal.procedure.fail(
                     ErrorCode.DRIVER_SILENT,
                     f"{topic} has another publisher than before: the driver was restarted,"

@@ -22,10 +22,10 @@ class CalibrationParameters:
 
     tstart: float = param(-1.0, "first tilt of the sweep, rad")
     tend: float = param(0.9, "last tilt of the sweep, rad")
-    itersT: int = param(7, "number of tilts", minimum=1, maximum=100)  # noqa: N815
+    itersT: int = param(7, "number of tilts", minimum=1, maximum=100)
     rstart: float = param(-1.5, "first roll of the sweep, rad")
     rend: float = param(1.5, "last roll of the sweep, rad")
-    itersR: int = param(8, "number of rolls", minimum=1, maximum=100)  # noqa: N815
+    itersR: int = param(8, "number of rolls", minimum=1, maximum=100)
     Xhome: float = param(0.0, "delta_x at home and during the sweeps, m")
     Yhome: float = param(0.0, "delta_y at home and during the sweeps, m")
     Zhome: float = param(0.408, "delta_z at home and during the sweeps, m")

@@ -17,7 +17,7 @@ from galen_calibration_behavior.stillness import (
     joint_motion_fault,
 )
 
-# How far the wrench's stamps may lag behind the joints' before the window is given up.
+# How far the wrenches may lag behind the joint states before the window is given up.
 _LAG_NS = NS // 2
 
 
@@ -34,6 +34,8 @@ class PoseRecorder:
 
     The average runs over the same stretch of stamps in both streams, so it does not matter in
     which order or how bunched the samples come in. Raises MotionTimeoutError from `add_joints`.
+    A topic that brings nothing at all is waited for: whether the driver is silent is the wall
+    clock's question, which the procedure asks.
     """
 
     def __init__(
@@ -88,30 +90,32 @@ class PoseRecorder:
             return
         self._wrenches.append((stamp_ns, wrench))
         if self._window is not None:
+            self._reject_if_behind(stamp_ns)
             self._finish_if_complete()
         elif len(self._wrenches) > 2000:
             # On the way: keep a little, for a wrench may be handed over before the joint state
             # of the same stamp.
             del self._wrenches[:-1000]
 
+    def _reject_if_behind(self, wrench_ns: int) -> None:
+        joint_ns = self._joint_clock.stamp_ns
+        if joint_ns is None or self._window is None:
+            return
+        if wrench_ns < self._window[1] and joint_ns > self._window[1] + _LAG_NS:
+            self.result = Rejection(
+                f"the stamps of wrench_raw are {(joint_ns - wrench_ns) / NS:.3f} s behind those of"
+                " joint_states"
+            )
+
     def _finish_if_complete(self) -> None:
-        if self._window is None:
+        if self._window is None or self.result is not None:
             return
         if self.jumps != self._jumps_before:
             self.result = Rejection(f"{self.last_jump} while averaging")
             return
         end = self._window[1]
         joint_ns, wrench_ns = self._joint_clock.stamp_ns, self._wrench_clock.stamp_ns
-        if joint_ns is None or joint_ns < end:
-            return
-        if wrench_ns is None or wrench_ns < end:
-            if joint_ns > end + _LAG_NS:
-                self.result = Rejection(
-                    "no wrench_raw came for the time of the average"
-                    if wrench_ns is None
-                    else "the stamps of wrench_raw are"
-                    f" {(joint_ns - wrench_ns) / NS:.3f} s behind those of joint_states"
-                )
+        if joint_ns is None or wrench_ns is None or min(joint_ns, wrench_ns) < end:
             return
         self.result = self._judge()
 

@@ -42,7 +42,7 @@ from galen_calibration_behavior.commands import (
 )
 from galen_calibration_behavior.motion_time import quintic_duration_s
 from galen_calibration_behavior.pose_recorder import PoseRecorder, Rejection
-from galen_calibration_behavior.stamps import StampsError
+from galen_calibration_behavior.stamps import NS, StampsError
 from galen_calibration_behavior.stillness import PoseRecord, StillnessSettings
 from galen_calibration_behavior.sweep import Sweep, Verdict, stack
 
@@ -278,6 +278,16 @@ class CalibrationProcedure:
         silent = [s for s in self._silences if s.silent_s >= self._settings.silent_timeout_s]
         if silent:
             self.fail(ErrorCode.DRIVER_SILENT, "; ".join(s.complaint() for s in silent))
+        elif (
+            not self._under_way
+            and len(self._stamps) == 2
+            and self._waited_s > self._settings.silent_timeout_s
+        ):
+            self.fail(
+                ErrorCode.BAD_INPUT,
+                f"the stamps of wrench_raw and joint_states differ by {self._stamp_offset_s:+.3f} s:"
+                " they must come from one clock",
+            )
         elif self._waiting_for_service and self._waited_s > self._settings.service_timeout_s:
             self.fail(
                 ErrorCode.SERVICE_FAILED,
@@ -326,16 +336,15 @@ class CalibrationProcedure:
     def _begin_if_ready(self) -> None:
         if not self._started or self.ending or len(self._stamps) < 2:
             return
-        offset_s = (self._stamps["wrench_raw"] - self._stamps["joint_states"]) / 1e9
-        if abs(offset_s) > self._settings.max_stamp_offset_s:
-            self.fail(
-                ErrorCode.BAD_INPUT,
-                f"the stamps of wrench_raw and joint_states differ by {offset_s:+.3f} s:"
-                " they must come from one clock",
-            )
+        if abs(self._stamp_offset_s) > self._settings.max_stamp_offset_s:
             return
         self._under_way = True
         self._next()
+
+    @property
+    def _stamp_offset_s(self) -> float:
+        """How far the wrench's newest stamp is ahead of that of the joint states."""
+        return (self._stamps["wrench_raw"] - self._stamps["joint_states"]) / NS
 
     def _next(self) -> None:
         self._state = next(self._plan)

@@ -1,0 +1,419 @@
+"""The action server with real rclpy, against a small driver whose stamps run 20 times too fast."""
+
+import json
+import math
+
+import numpy as np
+import pytest
+from action_msgs.msg import GoalStatus
+from calibration_fake_arm import NO_TOOL, POINTER, FakeArm
+from diagnostic_msgs.msg import DiagnosticArray
+from galen_calibration_behavior.commands import ErrorCode, State
+from galen_calibration_behavior.node import CalibrationNode
+from galen_model.arm import JOINT_NAMES
+from galen_model.tool_file import read_tool
+from galen_msgs.action import CalibrateTool
+from galen_msgs.srv import SetTool
+from galen_ros.conversions import fill_stamp, fill_wrench
+from galen_ros.qos import STREAM
+from galen_ros.testing import Harness, parameters
+from geometry_msgs.msg import WrenchStamped
+from rclpy.action import ActionClient
+from rclpy.node import Node
+from sensor_msgs.msg import JointState
+from std_srvs.srv import Trigger
+from trajectory_msgs.msg import JointTrajectory
+
+STEPS_A_TICK = 10
+TICK_S = 0.005
+
+
+class FakeDriver(Node):
+    """joint_states, wrench_raw, joint_trajectory, bias_sensor and attach_tool around FakeArm."""
+
+    def __init__(self, context, without=()):
+        super().__init__("fake_driver", context=context)
+        self.arm = FakeArm()
+        self.silent = set()
+        self.frame_id = "ft_sensor"
+        self.names = list(JOINT_NAMES)
+        self.moves = 0
+        self.stops = 0
+        self.paused = False
+        self._joint_publisher = self.create_publisher(JointState, "joint_states", STREAM)
+        self._wrench_publisher = self.create_publisher(WrenchStamped, "wrench_raw", STREAM)
+        self.create_subscription(JointTrajectory, "joint_trajectory", self._on_trajectory, 10)
+        if "bias_sensor" not in without:
+            self.create_service(Trigger, "bias_sensor", self._on_bias)
+        if "attach_tool" not in without:
+            self.create_service(SetTool, "attach_tool", self._on_attach)
+        self.create_timer(TICK_S, self._on_timer)
+
+    def _on_timer(self):
+        if self.paused:
+            return
+        for _ in range(STEPS_A_TICK):
+            stamp, position, velocity, wrench = self.arm.step()
+            if "joint_states" not in self.silent:
+                joints = JointState(name=self.names)
+                fill_stamp(joints.header.stamp, stamp)
+                joints.position, joints.velocity = position.tolist(), velocity.tolist()
+                self._joint_publisher.publish(joints)
+            if "wrench_raw" not in self.silent:
+                message = WrenchStamped()
+                message.header.frame_id = self.frame_id
+                fill_stamp(message.header.stamp, stamp)
+                fill_wrench(message, wrench)
+                self._wrench_publisher.publish(message)
+
+    def _on_trajectory(self, message):
+        if not message.points:
+            self.stops += 1
+            self.arm.stop()
+            return
+        (point,) = message.points
+        duration = point.time_from_start
+        assert list(point.velocities) == list(point.accelerations) == [0.0] * 5
+        self.moves += 1
+        self.arm.move_to(point.positions, duration.sec + duration.nanosec * 1e-9)
+
+    def _on_bias(self, _request, response):
+        self.arm.zero()
+        response.success = True
+        return response
+
+    def _on_attach(self, request, response):
+        self.arm.tool = POINTER if request.tool else NO_TOOL
+        response.success = True
+        return response
+
+
+class World:
+    """Driver, calibration node and a client in one Harness."""
+
+    def __init__(self, harness, tools_dir, without=(), **changes):
+        self.harness = harness
+        self.tools_dir = tools_dir
+        values = {
+            "tools_dir": str(tools_dir),
+            "itersT": 3,
+            "itersR": 3,
+            "settle_s": 0.1,
+            "average_s": 0.3,
+            "max_angle_velocity_rad_s": 4.0,
+            "max_angle_acceleration_rad_s2": 40.0,
+            "max_scatter_ratio": 2.0,
+            "silent_timeout_s": 1.0,
+        } | changes
+        self.driver = None
+        if "driver" not in without:
+            self.driver = harness.add(lambda context: FakeDriver(context, without))
+        self.node = harness.add(
+            lambda context: CalibrationNode(
+                context=context, parameter_overrides=parameters(**values)
+            )
+        )
+        self.client_node = harness.add(lambda context: Node("client", context=context))
+        self.client = ActionClient(self.client_node, CalibrateTool, "calibrate_tool")
+        self.confirm = self.client_node.create_client(Trigger, "calibration/confirm")
+        self.diagnostics = []
+        self.client_node.create_subscription(
+            DiagnosticArray, "/diagnostics", lambda m: self.diagnostics.extend(m.status), 10
+        )
+        self.feedback = []
+        harness.wait_for(self.client.server_is_ready, 10.0, "the action server")
+
+    def send(self, **fields):
+        """Send a goal; return its handle."""
+        goal = CalibrateTool.Goal(
+            **{"tool": "pointer", "attach_by_service": True, "tip_m": [math.nan] * 3} | fields
+        )
+        future = self.client.send_goal_async(
+            goal, feedback_callback=lambda m: self.feedback.append(m.feedback)
+        )
+        self.harness.wait_for(future.done, 10.0, "an answer to the goal")
+        return future.result()
+
+    def result(self, handle, timeout_s=30.0):
+        """Wait for the goal's result; return status and result."""
+        future = handle.get_result_async()
+        self.harness.wait_for(future.done, timeout_s, "the goal's result")
+        return future.result().status, future.result().result
+
+    def wait_for_pose(self, count=2):
+        self.harness.wait_for(
+            lambda: self.feedback and self.feedback[-1].done >= count, 20.0, f"{count} poses"
+        )
+
+    @property
+    def files(self):
+        return sorted(path.name for path in self.tools_dir.glob("**/*") if path.is_file())
+
+    def fails(self, handle, code, *words):
+        """Expect an aborted goal with this error, no file, and the arm stopped."""
+        status, result = self.result(handle)
+        assert status == GoalStatus.STATUS_ABORTED
+        assert ErrorCode(result.error_code) == code, result.error_msg
+        assert all(word in result.error_msg for word in words), result.error_msg
+        assert result.file == ""
+        assert self.files == []
+
+
+@pytest.fixture
+def world(tmp_path):
+    with Harness() as harness:
+        yield World(harness, tmp_path / "tools")
+
+
+def make(harness, tmp_path, **changes):
+    return World(harness, tmp_path / "tools", **changes)
+
+
+def test_a_calibration_recovers_the_tool_and_writes_its_file(world):
+    status, result = world.result(world.send(tip_m=[0.15, 0.0, 0.05]))
+    assert status == GoalStatus.STATUS_SUCCEEDED
+    assert (result.error_code, result.error_msg) == (0, "")
+    assert abs(result.mass_kg - 0.060) < 5 * result.mass_std_kg
+    assert abs(result.bias_mass_kg - 0.100) < 5 * result.bias_mass_std_kg
+    assert np.all(np.abs(result.com_m - POINTER.com_m) < 5 * result.com_std_m)
+    assert 0 < result.mass_std_kg < 0.005
+    assert np.all(result.rmse_force_n < 0.02)
+    assert result.poses_used + len(result.poses_rejected) == 9
+    file = read_tool(result.file)
+    assert world.files == ["pointer.json"]
+    assert file.load.mass_kg == result.mass_kg
+    assert file.tip_m == pytest.approx([0.15, 0.0, 0.05])
+    assert world.driver.stops == 0
+    states = [f.state for f in world.feedback]
+    assert [s for k, s in enumerate(states) if k == 0 or states[k - 1] != s] == [
+        State.HOME, State.REMOVE_TOOL, State.ZERO, State.SWEEP_BARE, State.HOME,
+        State.ATTACH_TOOL, State.SWEEP_TOOL, State.HOME, State.ESTIMATE,
+    ]  # fmt: skip
+    poses = [f for f in world.feedback if math.isfinite(f.roll)]
+    assert [f.done for f in poses] == list(range(1, 19))
+
+
+def test_a_second_calibration_keeps_the_tip_and_the_old_file(world):
+    world.result(world.send(tip_m=[0.15, 0.0, 0.05], iters_t=2, iters_r=4))
+    first = (world.tools_dir / "pointer.json").read_text()
+    status, result = world.result(world.send(one_sweep=True))
+    assert status == GoalStatus.STATUS_SUCCEEDED, result.error_msg
+    assert any("only their sum" in text for text in result.warnings)
+    assert world.files == ["pointer.json", "pointer.json.bak"]
+    assert (world.tools_dir / "pointer.json.bak").read_text() == first
+    assert json.loads((world.tools_dir / "pointer.json").read_text())["tip_m"] == [0.15, 0.0, 0.05]
+
+
+def test_cancel_stops_the_arm_and_writes_nothing(world):
+    handle = world.send()
+    world.wait_for_pose()
+    future = handle.cancel_goal_async()
+    world.harness.wait_for(future.done, 5.0, "the cancel's answer")
+    assert len(future.result().goals_canceling) == 1
+    status, result = world.result(handle)
+    assert status == GoalStatus.STATUS_CANCELED
+    assert result.error_code == ErrorCode.CANCELED
+    assert "SWEEP_BARE" in result.error_msg
+    assert world.driver.stops == 1
+    assert not world.driver.arm.moving
+    assert world.files == []
+    moves = world.driver.moves
+    stamp = world.driver.arm.stamp_ns
+    world.harness.wait_for(
+        lambda: world.driver.arm.stamp_ns > stamp + 3_000_000_000, 5.0, "3 s on the arm's clock"
+    )
+    assert world.driver.moves == moves
+
+
+def test_after_a_cancel_the_next_goal_is_taken(world):
+    handle = world.send()
+    world.wait_for_pose(1)
+    handle.cancel_goal_async()
+    world.result(handle)
+    status, result = world.result(world.send(iters_t=2, iters_r=4))
+    assert status == GoalStatus.STATUS_SUCCEEDED, result.error_msg
+
+
+def test_a_second_goal_is_refused_with_the_reason_on_diagnostics(world):
+    first = world.send()
+    world.wait_for_pose(1)
+    assert not world.send(tool="retractor").accepted
+
+    def reason():
+        return [v.value for s in world.diagnostics for v in s.values if v.key == "refused"]
+
+    (text, *_) = world.harness.wait_for(reason, 5.0, "the reason on /diagnostics")
+    assert "'retractor' refused: calibrating 'pointer' now" in text
+    status, _ = world.result(first)
+    assert status == GoalStatus.STATUS_SUCCEEDED, "the first goal must not notice"
+
+
+@pytest.mark.parametrize("topic", ["joint_states", "wrench_raw"])
+def test_a_driver_that_goes_silent_ends_it_naming_the_topic(world, topic):
+    handle = world.send()
+    world.wait_for_pose(1)
+    world.driver.silent = {topic}
+    world.fails(handle, ErrorCode.DRIVER_SILENT, f"nothing on {topic} for 1.")
+    assert world.driver.stops == 1
+
+
+def test_no_driver_at_all_is_said(tmp_path):
+    with Harness() as harness:
+        world = make(harness, tmp_path, without=("driver",), silent_timeout_s=0.5)
+        world.fails(
+            world.send(), ErrorCode.DRIVER_SILENT, "/joint_states", "/wrench_raw", "driver running"
+        )
+
+
+def test_a_driver_that_comes_back_has_lost_the_zero(world):
+    handle = world.send()
+    world.wait_for_pose(1)
+    # Both lookups of the publishers have to fall on either side of the restart.
+    world.harness.wait_for(lambda: world.node._goal.publishers, 5.0, "the first lookup")
+    world.harness.remove(world.driver)
+    world.driver = world.harness.add(lambda context: FakeDriver(context))
+    status, result = world.result(handle)
+    assert status == GoalStatus.STATUS_ABORTED
+    assert result.error_code in (ErrorCode.DRIVER_SILENT, ErrorCode.MOTION_TIMEOUT)
+    assert world.files == []
+
+
+@pytest.mark.parametrize(("joint", "name"), [(3, "roll"), (4, "tilt")])
+def test_a_stuck_joint_is_named(tmp_path, joint, name):
+    with Harness() as harness:
+        world = make(harness, tmp_path, motion_timeout_s=1.0)
+        world.driver.arm.ignored_joints = (joint,)
+        world.fails(world.send(), ErrorCode.MOTION_TIMEOUT, f"{name} did not reach")
+        assert world.driver.stops == 1
+
+
+def test_a_creeping_joint_is_named(tmp_path):
+    with Harness() as harness:
+        world = make(harness, tmp_path, motion_timeout_s=1.0, stop_timeout_s=0.3)
+        world.driver.arm.creep[3] = 0.0025
+        world.fails(world.send(), ErrorCode.MOTION_TIMEOUT, "roll did not stop")
+
+
+@pytest.mark.parametrize("name", ["../x", "", "a b", "x" * 65, "ü", "a/b"])
+def test_a_name_that_must_not_reach_a_path_is_refused(world, name):
+    world.fails(world.send(tool=name), ErrorCode.INVALID_NAME, "name")
+    assert world.driver.moves == 0
+    assert list(world.tools_dir.parent.glob("*")) == []
+
+
+@pytest.mark.parametrize("tip", [[math.nan, 0.0, 0.0], [math.inf] * 3])
+def test_a_tip_that_is_no_number_is_refused(world, tip):
+    world.fails(world.send(tip_m=tip), ErrorCode.BAD_INPUT, "tip_m")
+    assert world.driver.moves == 0
+
+
+@pytest.mark.parametrize("service", ["bias_sensor", "attach_tool"])
+def test_a_missing_service_is_named_before_anything_moves(tmp_path, service):
+    with Harness() as harness:
+        world = make(harness, tmp_path, without=(service,), silent_timeout_s=0.5)
+        world.fails(world.send(), ErrorCode.SERVICE_FAILED, f"/{service}")
+        assert world.driver.moves == 0
+
+
+def test_a_wrong_frame_is_named(world):
+    world.driver.frame_id = "tool0"
+    world.fails(world.send(), ErrorCode.BAD_INPUT, "wrench_raw", "'tool0'", "'ft_sensor'")
+
+
+def test_unknown_joints_are_named(world):
+    world.driver.names = ["a", "b", "c", "d", "e"]
+    world.fails(world.send(), ErrorCode.BAD_INPUT, "joint_states", "roll", "tilt")
+
+
+def test_two_drivers_are_refused(world):
+    world.harness.add(lambda context: FakeDriver(context, without=("bias_sensor", "attach_tool")))
+    handle = world.send(iters_t=10, iters_r=10)
+    world.fails(handle, ErrorCode.BAD_INPUT, "2 publishers")
+
+
+def test_a_directory_that_can_not_be_written_is_found_at_once(tmp_path):
+    (tmp_path / "tools").write_text("a file")
+    with Harness() as harness:
+        world = make(harness, tmp_path)
+        status, result = world.result(world.send())
+        assert status == GoalStatus.STATUS_ABORTED
+        assert result.error_code == ErrorCode.WRITE_FAILED
+        assert str(tmp_path / "tools") in result.error_msg
+        assert world.driver.moves == 0
+
+
+def test_no_tool_on_is_implausible(world):
+    world.harness.call_in_executor(lambda: setattr(world.driver, "_on_attach", None))
+    arm = world.driver.arm
+    arm.tool = NO_TOOL
+    handle = world.send(attach_by_service=False)
+    for state in (State.REMOVE_TOOL, State.ATTACH_TOOL):
+        world.harness.wait_for(
+            lambda state=state: world.feedback and world.feedback[-1].state == state,
+            20.0,
+            state.name,
+        )
+        assert world.harness.call(world.confirm, Trigger.Request()).success
+    world.fails(handle, ErrorCode.IMPLAUSIBLE, "the tool")
+
+
+def test_confirm_is_refused_when_nobody_was_asked(world):
+    answer = world.harness.call(world.confirm, Trigger.Request())
+    assert not answer.success
+    assert "no calibration is running" in answer.message
+
+
+def test_a_bug_ends_the_goal_and_not_the_node(world):
+    handle = world.send()
+    world.wait_for_pose(1)
+
+    def bug(*_):
+        raise ZeroDivisionError("a bug")
+
+    world.harness.call_in_executor(lambda: setattr(world.node, "_publish_move", bug))
+    world.fails(handle, ErrorCode.INTERNAL, "ZeroDivisionError: a bug")
+    assert world.driver.stops == 1
+    world.harness.call_in_executor(lambda: delattr(world.node, "_publish_move"))
+    status, result = world.result(world.send(iters_t=2, iters_r=4))
+    assert status == GoalStatus.STATUS_SUCCEEDED, result.error_msg
+
+
+def test_a_node_that_goes_down_stops_the_arm(world):
+    world.send()
+    world.wait_for_pose(1)
+    assert world.driver.stops == 0
+    world.harness.remove(world.node)
+    world.harness.wait_for(lambda: world.driver.stops, 5.0, "the stop")
+    assert world.files == []
+
+
+def test_joint_states_in_another_order_with_other_joints_are_fine(world):
+    world.driver.names = list(JOINT_NAMES)
+    step = world.driver.arm.step
+
+    def shuffled():
+        stamp, position, velocity, wrench = step()
+        order = [4, 2, 0, 3, 1]
+        return stamp, np.append(position[order], 9.9), np.append(velocity[order], 9.9), wrench
+
+    world.harness.call_in_executor(lambda: setattr(world.driver.arm, "step", shuffled))
+    world.driver.names = ["tilt", "delta_z", "delta_x", "roll", "delta_y", "gripper"]
+    status, result = world.result(world.send(iters_t=2, iters_r=4))
+    assert status == GoalStatus.STATUS_SUCCEEDED, result.error_msg
+
+
+def test_an_idle_node_does_not_listen_to_the_streams(world):
+    status, _ = world.result(world.send(iters_t=2, iters_r=4))
+    assert status == GoalStatus.STATUS_SUCCEEDED
+    world.harness.wait_for(
+        lambda: world.client_node.count_subscribers("joint_states") == 0, 5.0, "no subscriber"
+    )
+
+
+def test_error_codes_and_states_are_the_action_s():
+    assert {c.name: int(c) for c in ErrorCode} == {
+        c.name: getattr(CalibrateTool.Result, c.name) for c in ErrorCode
+    }
+    assert {s.name: int(s) for s in State} == {
+        s.name: getattr(CalibrateTool.Feedback, s.name) for s in State
+    }
