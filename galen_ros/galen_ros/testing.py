@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import fcntl
 import os
-import tempfile
 import threading
 import time
 from collections.abc import Callable
 from concurrent.futures import Future
-from pathlib import Path
-from typing import IO, Any, TypeVar
+from typing import Any, TypeVar
 
 import rclpy
 from rclpy.client import Client
@@ -19,38 +16,12 @@ from rclpy.executors import Executor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
+from galen_ros.domain import DomainLock
 from galen_ros.spin import make_executor
 
 N = TypeVar("N", bound=Node)
 
-# Fast DDS takes UDP port 7400 + 250 domain and up. Linux hands out ports from 32768 to everybody,
-# which is domain 101; people use the low domains.
-_DOMAIN_IDS = range(61, 101)
 _POLL_S = 0.005
-
-
-class DomainLock:
-    """Holds a ROS domain id that no other test process on this machine holds."""
-
-    def __init__(self, timeout_s: float = 60.0) -> None:
-        deadline = time.monotonic() + timeout_s
-        count = len(_DOMAIN_IDS)
-        first = os.getpid() % count
-        while True:
-            for step in range(count):
-                domain_id = _DOMAIN_IDS[(first + step) % count]
-                handle = _try_lock(domain_id)
-                if handle is not None:
-                    self.domain_id = domain_id
-                    self._handle = handle
-                    return
-            if time.monotonic() > deadline:
-                raise TimeoutError(f"no free ROS domain id among {_DOMAIN_IDS} for {timeout_s} s")
-            time.sleep(0.1)
-
-    def release(self) -> None:
-        """Give the domain id back."""
-        self._handle.close()
 
 
 def parameters(**values: Any) -> list[Parameter]:
@@ -171,18 +142,3 @@ class Harness:
         if self._error is not None:
             error, self._error = self._error, None
             raise error
-
-
-def _try_lock(domain_id: int) -> IO[str] | None:
-    """Lock a domain's file; the system releases it when the process ends, however it ends."""
-    path = Path(tempfile.gettempdir()) / f"galen_ros_domain_{domain_id}.lock"
-    try:
-        handle = path.open("a")
-    except PermissionError:  # another user's
-        return None
-    try:
-        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except OSError:
-        handle.close()
-        return None
-    return handle
