@@ -148,14 +148,15 @@ class Monitor:
         return None
 
     def _silence_state(self, now_s: float) -> State | None:
+        # Wrenches without joints are refused one by one: that says more than the joints' silence.
+        if self._wrench_s is not None and now_s - self._wrench_s <= self._silence_s:
+            return None
         silent = []
         for topic, last_s in (("wrench_raw", self._wrench_s), ("joint_states", self._joints_s)):
             if last_s is None:
                 silent.append(f"no {topic} came yet")
             elif now_s - last_s > self._silence_s:
                 silent.append(f"no {topic} for {now_s - last_s:.1f} s")
-        if not silent:
-            return None
         return State(Severity.STALE, "silent", " and ".join(silent))
 
     def _refusal_state(self, now_s: float) -> State | None:

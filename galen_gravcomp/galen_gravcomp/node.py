@@ -155,7 +155,6 @@ class GravcompNode(Node):
         self._joint_reader = JointStateReader(p.joint_names)
         self._announced: State | None = None
         self._announced_s = float("-inf")
-        self._seen = {"wrench_raw": False, "joint_states": False}
         self._publisher_counts = {"wrench_raw": 0, "joint_states": 0}
         self._qos_trouble = ""
         self._tare_progress = (0, 0.0)
@@ -189,7 +188,6 @@ class GravcompNode(Node):
     # Samples
 
     def _on_joint_state(self, message: JointState) -> None:
-        self._seen["joint_states"] = True
         self._monitor.on_joints(time.monotonic())
         try:
             (roll, tilt), _ = self._joint_reader.read(message)
@@ -203,7 +201,6 @@ class GravcompNode(Node):
 
     def _on_wrench(self, message: WrenchStamped) -> None:
         arrival_s = time.monotonic()
-        self._seen["wrench_raw"] = True
         self._monitor.on_wrench(arrival_s)
         header, force, torque = message.header, message.wrench.force, message.wrench.torque
         results = self._compensator.push_wrench(
@@ -235,12 +232,16 @@ class GravcompNode(Node):
     # Restarts of the driver
 
     def _on_matched(self, topic: str, info: Any) -> None:
-        """A publisher of an input came or went: whoever publishes now may be another driver."""
+        """A publisher of an input came or went: whoever publishes now may be another driver.
+
+        A first publisher is no restart: its first samples may even have come before this event.
+        """
+        before = self._publisher_counts[topic]
+        came = info.total_count_change
+        gone = before + came - info.current_count
         self._publisher_counts[topic] = info.current_count
-        if self._seen[topic]:
-            self._seen[topic] = False
-            gone = info.current_count_change < 0
-            why = f"driver restarted: a publisher of {topic} {'is gone' if gone else 'is new'}"
+        if gone > 0 or (came > 0 and before > 0):
+            why = f"driver restarted: a publisher of {topic} {'is gone' if gone > 0 else 'is new'}"
             self._emit(self._compensator.restart(why))
         self._announce()
 
