@@ -8,7 +8,7 @@ that is where the answer is held back here.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, cast
 
 from rclpy.node import Node
 
@@ -32,7 +32,7 @@ class DeferredService:
     ) -> None:
         self._callback = callback
         self._pending: list[_Answer] = []
-        self._service = node.create_service(service_type, name, self._on_request)
+        self._service = cast(Any, node.create_service(service_type, name, self._on_request))
         self._send = self._service.send_response
         self._service.send_response = self._on_send
 

@@ -172,7 +172,7 @@ def _checked(name: str, value: Any, hint: Any, meaning: _Meaning) -> Any:
         ) from None
 
 
-def _checked_scalar(value: Any, kind: type, meaning: _Meaning) -> Any:
+def _checked_scalar(value: Any, kind: Any, meaning: _Meaning) -> Any:
     if kind is float and isinstance(value, int) and not isinstance(value, bool):
         value = float(value)
     # bool is a subclass of int in Python, not in ROS.

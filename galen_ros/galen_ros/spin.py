@@ -14,6 +14,7 @@ from rclpy.context import Context
 from rclpy.executors import Executor, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
+from rclpy.utilities import ok, try_shutdown
 
 
 def make_executor(context: Context | None = None) -> Executor:
@@ -23,7 +24,7 @@ def make_executor(context: Context | None = None) -> Executor:
     rclpy 7.1.6.
     """
     try:
-        from rclpy.experimental import EventsExecutor
+        from rclpy.experimental.events_executor import EventsExecutor
     except ImportError:
         return SingleThreadedExecutor(context=context)
     return EventsExecutor(context=context)
@@ -51,7 +52,7 @@ def run(make_node: Callable[[], Node], args: list[str] | None = None) -> None:
         try:
             _make_and_spin(make_node, stop)
         finally:
-            rclpy.try_shutdown()
+            try_shutdown()
     except GalenError as error:
         print(f"error: {error}", file=sys.stderr)
         raise SystemExit(1) from None
@@ -65,7 +66,7 @@ def _make_and_spin(make_node: Callable[[], Node], stop: threading.Event) -> None
     executor = make_executor()
     executor.add_node(node)
     try:
-        while rclpy.ok() and not stop.is_set():
+        while ok() and not stop.is_set():
             executor.spin_once(timeout_sec=0.1)
     finally:
         executor.remove_node(node)

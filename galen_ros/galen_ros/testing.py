@@ -15,6 +15,7 @@ from rclpy.context import Context
 from rclpy.executors import Executor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
+from rclpy.utilities import try_shutdown
 
 from galen_ros.domain import DomainLock
 from galen_ros.spin import make_executor
@@ -68,14 +69,15 @@ class Harness:
         for node in self._nodes:
             node.destroy_node()
         self._executor.shutdown()
-        rclpy.try_shutdown(context=self.context)
+        try_shutdown(context=self.context)
         self._lock.release()
         if kind is None:
             self._raise_error()
 
     def add(self, make_node: Callable[[Context], N]) -> N:
         """Make a node in this world and spin it; an error in its constructor is raised here."""
-        return self.call_in_executor(lambda: self._add(make_node))
+        node: N = self.call_in_executor(lambda: self._add(make_node))
+        return node
 
     def remove(self, node: Node) -> None:
         """Stop and destroy one node, as if its process had ended."""

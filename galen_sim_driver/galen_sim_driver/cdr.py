@@ -1,9 +1,9 @@
 """The two 500 Hz messages, serialised from a template.
 
-rclpy converts a message in Python for 10 us or so, which is as much as the whole plant takes for
-the sample, and its publishers take serialised bytes as well. Only stamp and numbers change from
-sample to sample and they are always at the same place; so a serialised message is kept and these
-places are written over. Tests hold the bytes against rclpy's own.
+rclpy takes 10 us or so to convert a message, as much as the whole plant takes for the sample, and
+its publishers take serialised bytes as well. Only stamp and numbers change from sample to sample,
+and they are always at the same place; so a serialised message is kept and these places are
+written over. Tests hold the bytes against rclpy's own.
 """
 
 from __future__ import annotations

@@ -160,9 +160,9 @@ class PlantConfig:
 
     rate_hz: float = 500.0
     start_ns: int = 1_000_000_000
-    start_joints: JointVector = tuple(HOME.tolist())  # type: ignore[assignment]
+    start_joints: JointVector = tuple(HOME.tolist())
     velocity_window_s: float = 0.02
-    encoder_quantum: JointVector = tuple(ENCODER_QUANTUM.tolist())  # type: ignore[assignment]
+    encoder_quantum: JointVector = tuple(ENCODER_QUANTUM.tolist())
     arm: ArmParameters = GALEN
     adapter: Load = ADAPTER
     tools: Mapping[str, ToolGeometry] = field(default_factory=lambda: dict(TOOLS))

@@ -19,7 +19,8 @@ from galen_ros.parameters import declare_parameters
 from galen_ros.qos import LATCHED, STREAM
 from galen_ros.spin import run
 from geometry_msgs.msg import PoseStamped, WrenchStamped
-from rclpy.clock import Clock, ClockType
+from rclpy.clock import Clock
+from rclpy.clock_type import ClockType
 from rclpy.node import Node
 from rosgraph_msgs.msg import Clock as ClockMessage
 from sensor_msgs.msg import JointState
@@ -56,14 +57,14 @@ class SimDriverNode(Node):
     def __init__(self, **node_options: Any) -> None:
         """Take rclpy.node.Node's keyword arguments, such as context and parameter_overrides."""
         super().__init__("sim_driver", **node_options)
-        self._parameters = declare_parameters(self, DriverParameters, self._on_parameters)
-        real_time = self._parameters.speed_factor == 1.0
-        config = self._parameters.plant_config()
+        self._settings = declare_parameters(self, DriverParameters, self._on_parameters)
+        real_time = self._settings.speed_factor == 1.0
+        config = self._settings.plant_config()
         if real_time:
             config = replace(config, start_ns=time.time_ns())
         self._config = config
-        self._plant = Plant(config, np.random.default_rng(self._parameters.seed))
-        self._plant.attach_tool(self._parameters.initial_tool)
+        self._plant = Plant(config, np.random.default_rng(self._settings.seed))
+        self._plant.attach_tool(self._settings.initial_tool)
         self._refused_count = 0
         self._refusal = ""
         self._ignored_wrench = ""
@@ -74,7 +75,7 @@ class SimDriverNode(Node):
         self._pose = PoseStamped()
         self._pose.header.frame_id = TRACKER_FRAME
         self._clock_message = ClockMessage()
-        self._clock_every = None if real_time else round(config.rate_hz / _CLOCK_RATE_HZ)
+        self._clock_every = round(config.rate_hz / _CLOCK_RATE_HZ)
         self._until_clock = 1
 
         self._joint_states = self.create_publisher(JointState, "joint_states", STREAM)
@@ -98,17 +99,17 @@ class SimDriverNode(Node):
         self._diagnostics = DiagnosticsPublisher(self, "galen_simulated", self._report)
         self._pacer = Pacer(
             config.period_ns * 1e-9,
-            self._parameters.speed_factor,
-            self._parameters.max_steps_per_tick,
+            self._settings.speed_factor,
+            self._settings.max_steps_per_tick,
         )
         self._pacer.start(time.monotonic())
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self.create_timer(self._parameters.tick_s, self._on_tick, clock=self._steady)
+        self.create_timer(self._settings.tick_s, self._on_tick, clock=self._steady)
 
     # --- samples out ------------------------------------------------------------------------
 
     def _on_tick(self) -> None:
-        raw_admittance = self._plant.admittance_on and self._parameters.admittance_source == "raw"
+        raw_admittance = self._plant.admittance_on and self._settings.admittance_source == "raw"
         for _ in range(self._pacer.due(time.monotonic())):
             sample = self._plant.step()
             self._publish(sample)
@@ -163,7 +164,7 @@ class SimDriverNode(Node):
             self._diagnostics.publish_now()
 
     def _on_wrench_compensated(self, message: WrenchStamped) -> None:
-        if self._parameters.admittance_source != "compensated":
+        if self._settings.admittance_source != "compensated":
             return
         if message.header.frame_id != SENSOR_FRAME:
             self._ignored_wrench = (
@@ -177,7 +178,7 @@ class SimDriverNode(Node):
             )
 
     def _on_parameters(self, parameters: DriverParameters) -> None:
-        self._parameters = parameters
+        self._settings = parameters
         self._plant.forget_admittance()
         self._diagnostics.publish_now()
 
@@ -185,7 +186,7 @@ class SimDriverNode(Node):
 
     def _on_bias_sensor(self, _: Any, response: Any, respond: Respond) -> None:
         try:
-            zeroing = self._plant.start_zeroing(self._parameters.bias_window_s)
+            zeroing = self._plant.start_zeroing(self._settings.bias_window_s)
         except ZeroingError as error:
             response.message = f"not zeroed: {error}"
             respond(response)
@@ -234,7 +235,7 @@ class SimDriverNode(Node):
         self._diagnostics.publish_now()
         response.success = True
         state = "on" if request.data else "off"
-        response.message = f"admittance {state}, source {self._parameters.admittance_source}"
+        response.message = f"admittance {state}, source {self._settings.admittance_source}"
         return response
 
     def _on_run_hand(self, _: Any, response: Any) -> Any:
@@ -250,7 +251,7 @@ class SimDriverNode(Node):
     # --- state ------------------------------------------------------------------------------
 
     def _report(self) -> Status:
-        asked = self._parameters.speed_factor
+        asked = self._settings.speed_factor
         self._speed_meter.update(time.monotonic(), self._plant.now_ns)
         speed = self._speed_meter.speed
         level, message = OK, "running"
@@ -271,7 +272,7 @@ class SimDriverNode(Node):
                 "tool": self._plant.tool or "none",
                 "moving": self._plant.moving,
                 "admittance": self._plant.admittance_on,
-                "admittance_source": self._parameters.admittance_source,
+                "admittance_source": self._settings.admittance_source,
                 "hand": self._plant.hand_active,
                 "zeroed_at_roll_rad": roll,
                 "zeroed_at_tilt_rad": tilt,
@@ -283,3 +284,7 @@ class SimDriverNode(Node):
 def main() -> None:
     """Run the node until SIGINT or SIGTERM."""
     run(SimDriverNode)
+
+
+if __name__ == "__main__":
+    main()

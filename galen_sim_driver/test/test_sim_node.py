@@ -1,0 +1,432 @@
+"""The node over real DDS: streams, services, trajectories, clock, admittance."""
+
+import time
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+from builtin_interfaces.msg import Duration
+from diagnostic_msgs.msg import DiagnosticArray
+from galen_model.arm import HOME, JOINT_NAMES, SENSOR
+from galen_model.load import Load, nominal_reading
+from galen_model.tools import ADAPTER, TOOLS
+from galen_msgs.srv import SetTool
+from galen_ros.conversions import (
+    JointStateReader,
+    fill_stamp,
+    fill_wrench,
+    stamp_to_ns,
+    wrench_to_array,
+)
+from galen_ros.parameters import ParameterError
+from galen_ros.qos import LATCHED, STREAM
+from galen_ros.spin import make_executor
+from galen_ros.testing import Harness, parameters
+from galen_sim_driver.node import SimDriverNode
+from geometry_msgs.msg import PoseStamped, WrenchStamped
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from rclpy.serialization import deserialize_message
+from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import JointState
+from std_msgs.msg import String
+from std_srvs.srv import SetBool, Trigger
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
+
+TIMEOUT_S = 30.0
+SIGMA = np.sqrt(SENSOR.noise_std**2 + SENSOR.quantum**2 / 12)
+
+
+class Cell:
+    """A driver and a probe that hears and commands it."""
+
+    def __init__(self, harness, **overrides):
+        self.harness = harness
+        self._reader = JointStateReader(JOINT_NAMES)
+        self._answer = None
+        self.driver = harness.add(
+            lambda context: SimDriverNode(
+                context=context, parameter_overrides=parameters(**overrides)
+            )
+        )
+        self.probe = harness.add(lambda context: Node("probe", context=context))
+        self.joints, self.wrenches, self.order = [], [], []
+        self.clocks, self.tool_poses, self.base_poses = [], [], []
+        self.diagnostics = []
+        subscribe = self.probe.create_subscription
+        subscribe(JointState, "joint_states", self._on_joints, STREAM)
+        subscribe(WrenchStamped, "wrench_raw", self._on_wrench, STREAM)
+        subscribe(PoseStamped, "tracker/tool_pose", self.tool_poses.append, STREAM)
+        subscribe(PoseStamped, "tracker/base_pose", self.base_poses.append, STREAM)
+        subscribe(Clock, "/clock", self.clocks.append, 100)
+        subscribe(DiagnosticArray, "/diagnostics", self._on_diagnostics, 10)
+        self.trajectory = self.probe.create_publisher(JointTrajectory, "joint_trajectory", 10)
+        self.compensated = self.probe.create_publisher(WrenchStamped, "wrench_compensated", STREAM)
+        self.bias = self.probe.create_client(Trigger, "bias_sensor")
+        self.attach = self.probe.create_client(SetTool, "attach_tool")
+        self.admittance = self.probe.create_client(SetBool, "sim_driver/set_admittance")
+        self.hand = self.probe.create_client(Trigger, "sim_driver/run_hand")
+        self.wait(lambda: len(self.wrenches) > 20 and len(self.joints) > 20, "samples")
+        self.wait(
+            lambda: (
+                self.trajectory.get_subscription_count()
+                and self.compensated.get_subscription_count()
+            ),
+            "the driver's subscriptions",
+        )
+
+    def _on_joints(self, message):
+        self.joints.append(message)
+
+    def _on_wrench(self, message):
+        self.wrenches.append(message)
+        if self._answer is not None:
+            self._answer(message)
+
+    def _on_diagnostics(self, message):
+        self.diagnostics.append(message.status[0])
+
+    def answer_wrenches_with(self, reply):
+        """Publish `reply(wrench (6,))` as compensated for every raw wrench, None to stop."""
+
+        def answer(message):
+            fill_wrench(message, reply(wrench_to_array(message)))
+            self.compensated.publish(message)
+
+        self._answer = None if reply is None else answer
+
+    def wait(self, predicate, what):
+        return self.harness.wait_for(predicate, TIMEOUT_S, what)
+
+    def call(self, client, request):
+        return self.harness.call(client, request, TIMEOUT_S)
+
+    def positions(self):
+        return self._reader.read(self.joints[-1])[0]
+
+    def velocities(self):
+        return self._reader.read(self.joints[-1])[1]
+
+    def sim_now_ns(self):
+        """The plant's time. What was sent before may still be on its way, in any order."""
+        return self.driver._plant.now_ns
+
+    def fresh_wrenches(self, count):
+        """The first `count` readings (count, 6) that are taken from now on."""
+        now_ns = self.sim_now_ns()
+
+        def fresh():
+            newest = list(self.wrenches[-5 * count :])
+            return [m for m in newest if stamp_to_ns(m.header.stamp) > now_ns]
+
+        self.wait(lambda: len(fresh()) >= count, f"{count} wrenches")
+        return np.array([wrench_to_array(message) for message in fresh()[:count]])
+
+    def send(self, names, positions, duration_s):
+        zeros = [0.0] * len(names)
+        point = JointTrajectoryPoint(
+            positions=[float(value) for value in positions], velocities=zeros, accelerations=zeros
+        )
+        point.time_from_start = Duration(sec=int(duration_s), nanosec=int(duration_s % 1.0 * 1e9))
+        self.trajectory.publish(JointTrajectory(joint_names=list(names), points=[point]))
+
+    def value(self, key):
+        """The newest diagnostic value of this name."""
+        for status in reversed(self.diagnostics):
+            for item in status.values:
+                if item.key == key:
+                    return item.value
+        return None
+
+
+@pytest.fixture
+def harness():
+    with Harness() as world:
+        yield world
+
+
+@pytest.fixture
+def cell(harness):
+    return Cell(harness, speed_factor=2.0, seed=1)
+
+
+def test_streams_have_equal_stamps_500_times_a_second(cell):
+    cell.wait(lambda: len(cell.wrenches) > 1000, "1000 wrenches")
+    joints = [stamp_to_ns(m.header.stamp) for m in list(cell.joints)]
+    wrenches = [stamp_to_ns(m.header.stamp) for m in list(cell.wrenches)]
+    assert np.all(np.diff(joints) == 2_000_000)
+    assert np.all(np.diff(wrenches) == 2_000_000)
+    # One may have been discovered before the other; from then on they are pairs.
+    common = set(joints) & set(wrenches)
+    assert len(common) > 900
+    assert cell.wrenches[-1].header.frame_id == "ft_sensor"
+    assert tuple(cell.joints[-1].name) == JOINT_NAMES
+    assert np.allclose(cell.positions(), HOME, atol=1e-9)
+    # No tool, no tool marker; the base marker at 100 Hz.
+    base = [stamp_to_ns(m.header.stamp) for m in list(cell.base_poses)]
+    assert np.all(np.diff(base) == 10_000_000) and len(base) > 150
+    assert cell.tool_poses == []
+    assert cell.base_poses[-1].header.frame_id == "tracker"
+
+
+def test_joint_states_go_out_before_their_wrench(cell):
+    # At the publishers: DDS itself keeps the order within a topic only.
+    order = []
+
+    def record(publisher, kind, publish):
+        def recorded(data):
+            order.append((kind, stamp_to_ns(deserialize_message(data, kind).header.stamp)))
+            publish(data)
+
+        publisher.publish = recorded
+
+    def start():
+        for publisher in cell.driver.publishers:
+            if publisher.topic_name in ("/joint_states", "/wrench_raw"):
+                record(publisher, publisher.msg_type, publisher.publish)
+
+    cell.harness.call_in_executor(start)
+    cell.wait(lambda: len(order) > 200, "200 messages")
+    pairs = list(zip(order[0:200:2], order[1:200:2], strict=True))
+    for joints, wrench in pairs:
+        assert joints[0] is JointState and wrench[0] is WrenchStamped
+        assert joints[1] == wrench[1]
+
+
+def test_another_speed_starts_at_one_second_and_publishes_the_clock(cell):
+    cell.wait(lambda: len(cell.clocks) > 100, "100 clocks")
+    start = (cell.clocks[0], time.monotonic())
+    cell.wait(lambda: len(cell.clocks) > 400, "400 clocks")
+    wall_s = time.monotonic() - start[1]
+    clocks = np.array([stamp_to_ns(m.clock) for m in list(cell.clocks)])
+    assert np.all(np.diff(clocks) == 10_000_000)
+    assert clocks[0] % 10_000_000 == 2_000_000  # with the first sample, then every fifth
+    assert clocks[0] < 1_000_000_000 + 20_000_000_000
+    # 3 s at twice the speed take 1.5 s; a busy machine may take longer, but never less.
+    assert wall_s > 0.6 * 1.5
+
+
+def test_real_time_stamps_are_system_time_without_a_clock(harness):
+    cell = Cell(harness)
+    cell.wait(lambda: len(cell.wrenches) > 500, "500 wrenches")
+    lag_s = [time.time() - stamp_to_ns(m.header.stamp) * 1e-9 for m in cell.wrenches[-1:]]
+    assert -0.05 < lag_s[0] < 1.0
+    assert cell.clocks == []
+    cell.wait(lambda: float(cell.value("speed_reached") or 0.0) > 0.0, "a measured speed")
+
+
+@pytest.mark.parametrize(
+    "make",
+    [make_executor, lambda context: SingleThreadedExecutor(context=context)],
+    ids=["default", "single_threaded"],
+)
+def test_bias_sensor_zeroes_here_and_answers_when_done(make):
+    with Harness(make) as harness:
+        cell = Cell(harness, speed_factor=2.0, seed=3, initial_tool="retractor")
+        before = cell.fresh_wrenches(100).mean(axis=0)
+        expected = nominal_reading(0.0, 0.0, TOOLS["retractor"].load, Load(0.0))
+        assert np.all(np.abs(before - expected) < 5 * SIGMA / np.sqrt(100))
+        asked_ns = cell.sim_now_ns()
+        response = cell.call(cell.bias, Trigger.Request())
+        assert response.success, response.message
+        # It answered after its window of 0.5 s, and the plant went on all the while.
+        assert 500_000_000 <= cell.sim_now_ns() - asked_ns
+        after = cell.fresh_wrenches(500).mean(axis=0)
+        assert np.all(np.abs(after) < 5 * SIGMA * np.sqrt(1 / 250 + 1 / 500))
+
+
+def test_bias_sensor_is_refused_while_the_arm_moves(cell):
+    cell.send(["roll"], [0.8], 3.0)
+    cell.wait(lambda: cell.velocities()[3] > 0.05, "motion")
+    response = cell.call(cell.bias, Trigger.Request())
+    assert not response.success and "moving" in response.message
+    # One that was spoilt answers too.
+    cell.trajectory.publish(JointTrajectory())
+    cell.wait(lambda: not cell.velocities().any(), "rest")
+    cell.wait(lambda: cell.call(cell.bias, Trigger.Request()).success, "zeroing at rest")
+    future = cell.bias.call_async(Trigger.Request())
+    start = len(cell.wrenches)
+    cell.wait(lambda: len(cell.wrenches) > start + 30, "a part of the window")
+    cell.send(["roll"], [0.0], 0.5)
+    cell.wait(future.done, "the answer")
+    assert not future.result().success and "moved" in future.result().message
+
+
+def test_a_tool_adds_its_weight_and_its_marker(cell):
+    bare = cell.fresh_wrenches(400).mean(axis=0)
+    response = cell.call(cell.attach, SetTool.Request(tool="retractor"))
+    assert response.success and response.error_code == SetTool.Response.NONE
+    assert (response.tool, response.mass_kg) == ("retractor", 0.2)
+    assert response.com_m.tolist() == [0.07, -0.01, 0.055]
+    assert response.tip_m.tolist() == [0.18, 0.01, 0.05]
+    heavy = cell.fresh_wrenches(400).mean(axis=0)
+    expected = nominal_reading(0.0, 0.0, TOOLS["retractor"].load, ADAPTER)
+    assert np.all(np.abs(heavy - bare - expected) < 5 * SIGMA * np.sqrt(2 / 400))
+    cell.wait(lambda: cell.tool_poses, "the tool's marker")
+    cell.wait(lambda: cell.value("tool") == "retractor", "the tool on /diagnostics")
+
+    response = cell.call(cell.attach, SetTool.Request(tool="knife"))
+    assert not response.success and response.error_code == SetTool.Response.NOT_FOUND
+    assert "knife" in response.error_msg and response.tool == "retractor"
+    response = cell.call(cell.attach, SetTool.Request(tool="../etc"))
+    assert response.error_code == SetTool.Response.INVALID_NAME
+    assert cell.call(cell.attach, SetTool.Request(tool="")).success
+    light = cell.fresh_wrenches(400).mean(axis=0)
+    assert np.all(np.abs(light - bare) < 5 * SIGMA * np.sqrt(2 / 400))
+
+
+def test_a_trajectory_moves_the_arm_and_an_empty_one_stops_it(cell):
+    cell.send(["tilt", "roll"], [-0.3, 0.6], 1.0)
+    cell.wait(
+        lambda: (
+            np.allclose(cell.positions(), HOME + [0, 0, 0, 0.6, -0.3], atol=1e-4)
+            and not cell.velocities().any()
+        ),
+        "the target",
+    )
+    cell.send(JOINT_NAMES, HOME, 4.0)
+    cell.wait(lambda: cell.velocities()[3] < -0.1, "motion")
+    cell.trajectory.publish(JointTrajectory())
+    cell.wait(lambda: not cell.velocities().any(), "rest")
+    stopped = cell.positions()
+    assert 0.05 < stopped[3] < 0.59
+    start = len(cell.joints)
+    cell.wait(lambda: len(cell.joints) > start + 300, "more samples")
+    assert np.array_equal(cell.positions(), stopped)
+
+
+def test_a_bad_trajectory_is_refused_and_told(cell):
+    cell.send(["tilt"], [1.3], 1.0)
+    cell.wait(
+        lambda: any("tilt at 1.3 is outside" in status.message for status in cell.diagnostics),
+        "the refusal on /diagnostics",
+    )
+    assert cell.value("trajectories_refused") == "1"
+    assert np.allclose(cell.positions(), HOME, atol=1e-9)
+    cell.send(["wrist"], [0.1], 1.0)
+    cell.wait(
+        lambda: any("unknown joint 'wrist'" in status.message for status in cell.diagnostics),
+        "the second refusal",
+    )
+    # A good one clears it.
+    cell.send(["tilt"], [0.1], 0.5)
+    cell.wait(lambda: cell.diagnostics[-1].message == "running", "the all-clear")
+    cell.wait(lambda: abs(cell.positions()[4] - 0.1) < 1e-4, "the target")
+
+
+def test_robot_description_reaches_a_late_subscriber_with_the_tip(cell):
+    cell.call(cell.attach, SetTool.Request(tool="pointer"))
+    received = []
+    cell.harness.call_in_executor(
+        lambda: cell.probe.create_subscription(
+            String, "robot_description", received.append, LATCHED
+        )
+    )
+    cell.wait(lambda: received, "the description")
+    robot = ElementTree.fromstring(received[-1].data)
+    links = {link.get("name") for link in robot.iter("link")}
+    assert {"base_link", "delta_platform", "roll_link", "ft_sensor", "tool_tip"} <= links
+    (tip,) = [
+        joint for joint in robot.iter("joint") if joint.find("child").get("link") == "tool_tip"
+    ]
+    xyz = [float(value) for value in tip.find("origin").get("xyz").split()]
+    assert xyz == pytest.approx(TOOLS["pointer"].tip_m)
+
+
+def test_admittance_does_not_move_without_a_compensated_wrench(cell):
+    cell.call(cell.attach, SetTool.Request(tool="retractor"))
+    assert cell.call(cell.admittance, SetBool.Request(data=True)).success
+    start = len(cell.joints)
+    cell.wait(lambda: len(cell.joints) > start + 500, "a second")
+    assert np.allclose(cell.positions(), HOME, atol=1e-9)
+    # A wrench that is old, or in another frame, is none either.
+    message = WrenchStamped()
+    message.header.frame_id = "ft_sensor"
+    message.wrench.force.x = 10.0
+    fill_stamp(message.header.stamp, stamp_to_ns(cell.wrenches[-1].header.stamp) - 10**9)
+    cell.compensated.publish(message)
+    message.header.frame_id = "base_link"
+    message.header.stamp = cell.wrenches[-1].header.stamp
+    cell.compensated.publish(message)
+    cell.wait(
+        lambda: any("frame 'base_link'" in status.message for status in cell.diagnostics),
+        "the wrong frame on /diagnostics",
+    )
+    start = len(cell.joints)
+    cell.wait(lambda: len(cell.joints) > start + 200, "more samples")
+    assert np.allclose(cell.positions(), HOME, atol=1e-9)
+
+
+def test_admittance_follows_the_compensated_wrench(harness):
+    # Real time: the answers then come well within the 50 ms that count.
+    cell = Cell(harness)
+    cell.call(cell.attach, SetTool.Request(tool="retractor"))
+    # At home the sensor's z is base_link's x. No torque about the tip: tau = tip x f.
+    push = np.array([0.0, 0.0, 2.0])
+    wrench = np.concatenate([push, np.cross(TOOLS["retractor"].tip_m, push)])
+    cell.answer_wrenches_with(lambda raw: wrench)
+    cell.call(cell.admittance, SetBool.Request(data=True))
+    cell.wait(lambda: cell.positions()[0] > 0.01, "the tip to go with the push")
+    cell.answer_wrenches_with(None)
+    cell.wait(lambda: not cell.velocities().any(), "rest when the topic is silent")
+    moved = cell.positions() - HOME
+    assert np.abs(moved[1:]).max() < 0.1 * moved[0]
+    cell.call(cell.admittance, SetBool.Request(data=False))
+    cell.wait(lambda: cell.value("admittance") == "false", "the end on /diagnostics")
+
+
+def test_admittance_of_the_raw_wrench_drifts_with_the_tools_weight(cell):
+    cell.call(cell.attach, SetTool.Request(tool="retractor"))
+    result = cell.harness.call_in_executor(
+        lambda: cell.driver.set_parameters([Parameter("admittance_source", value="raw")])[0]
+    )
+    assert result.successful
+    cell.call(cell.admittance, SetBool.Request(data=True))
+    cell.wait(lambda: cell.positions()[2] < HOME[2] - 0.005, "the tool to sink")
+    result = cell.harness.call_in_executor(
+        lambda: cell.driver.set_parameters([Parameter("admittance_source", value="cooked")])[0]
+    )
+    assert not result.successful and "cooked" in result.reason
+
+
+def test_the_hand_pushes_on_request(harness):
+    cell = Cell(
+        harness,
+        speed_factor=2.0,
+        initial_tool="pointer",
+        hand_pushes=[0.0, 5.0, 6.0, 0.0, 0.0, 0.0, 0.0, 0.0],
+        hand_frames=["base"],
+    )
+    before = cell.fresh_wrenches(100).mean(axis=0)
+    assert cell.call(cell.hand, Trigger.Request()).success
+    cell.wait(lambda: wrench_to_array(cell.wrenches[-1])[2] - before[2] > 5.8, "the push of 6 N")
+    cell.wait(lambda: abs(wrench_to_array(cell.wrenches[-1])[2] - before[2]) < 0.2, "its end")
+
+
+def test_a_bad_parameter_ends_the_start_with_its_name(harness):
+    with pytest.raises(ParameterError, match="speed_factor"):
+        harness.add(
+            lambda context: SimDriverNode(
+                context=context, parameter_overrides=parameters(speed_factor=-1.0)
+            )
+        )
+    with pytest.raises(ParameterError, match="initial_tool"):
+        harness.add(
+            lambda context: SimDriverNode(
+                context=context, parameter_overrides=parameters(initial_tool="knife")
+            )
+        )
+
+
+def test_names_are_relative(harness):
+    driver = harness.add(
+        lambda context: SimDriverNode(
+            context=context, namespace="left", parameter_overrides=parameters(speed_factor=2.0)
+        )
+    )
+    names = {
+        name for name, _ in driver.get_publisher_names_and_types_by_node("sim_driver", "/left")
+    }
+    assert {"/left/joint_states", "/left/wrench_raw", "/left/tracker/tool_pose"} <= names
+    assert "/diagnostics" in names and "/clock" in names

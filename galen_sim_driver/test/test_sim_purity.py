@@ -1,0 +1,22 @@
+"""The plant knows nothing of ROS."""
+
+import ast
+from pathlib import Path
+
+import galen_sim_driver
+import pytest
+
+_WITH_ROS = {"node", "cdr", "conversions", "parameters"}
+_MODULES = sorted(Path(galen_sim_driver.__file__).parent.glob("*.py"))
+
+
+@pytest.mark.parametrize("path", _MODULES, ids=lambda path: path.stem)
+def test_only_the_ros_side_imports_ros(path):
+    imported = set()
+    for item in ast.walk(ast.parse(path.read_text())):
+        if isinstance(item, ast.Import):
+            imported |= {alias.name.split(".")[0] for alias in item.names}
+        elif isinstance(item, ast.ImportFrom) and item.module:
+            imported.add(item.module.split(".")[0])
+    ros = {name for name in imported if name in ("rclpy", "galen_ros") or name.endswith("_msgs")}
+    assert path.stem in _WITH_ROS or not ros, f"{path.name} imports {', '.join(sorted(ros))}"
