@@ -194,24 +194,23 @@ def test_joint_states_go_out_before_their_wrench(cell):
         assert joints[1] == wrench[1]
 
 
-def test_another_speed_starts_at_one_second_and_publishes_the_clock(cell):
-    cell.wait(lambda: len(cell.clocks) > 100, "100 clocks")
-    start = (cell.clocks[0], time.monotonic())
-    cell.wait(lambda: len(cell.clocks) > 400, "400 clocks")
-    wall_s = time.monotonic() - start[1]
+def test_another_speed_starts_at_one_second_and_publishes_the_clock(harness):
+    before_s = time.monotonic()
+    cell = Cell(harness, speed_factor=2.0)
+    cell.wait(lambda: len(cell.clocks) > 300, "300 clocks")
     clocks = np.array([stamp_to_ns(m.clock) for m in list(cell.clocks)])
     assert np.all(np.diff(clocks) == 10_000_000)
     assert clocks[0] % 10_000_000 == 2_000_000  # with the first sample, then every fifth
-    assert clocks[0] < 1_000_000_000 + 20_000_000_000
-    # 3 s at twice the speed take 1.5 s; a busy machine may take longer, but never less.
-    assert wall_s > 0.6 * 1.5
+    # Simulated time is never ahead of what was asked, from its start at 1 s.
+    sim_s = cell.sim_now_ns() * 1e-9 - 1.0
+    assert 3.0 <= sim_s <= 2.0 * (time.monotonic() - before_s)
 
 
 def test_real_time_stamps_are_system_time_without_a_clock(harness):
     cell = Cell(harness)
     cell.wait(lambda: len(cell.wrenches) > 500, "500 wrenches")
     lag_s = [time.time() - stamp_to_ns(m.header.stamp) * 1e-9 for m in cell.wrenches[-1:]]
-    assert -0.05 < lag_s[0] < 1.0
+    assert -0.05 < lag_s[0] < 5.0
     assert cell.clocks == []
     cell.wait(lambda: float(cell.value("speed_reached") or 0.0) > 0.0, "a measured speed")
 
@@ -236,8 +235,9 @@ def test_bias_sensor_zeroes_here_and_answers_when_done(make):
         assert np.all(np.abs(after) < 5 * SIGMA * np.sqrt(1 / 250 + 1 / 500))
 
 
-def test_bias_sensor_is_refused_while_the_arm_moves(cell):
-    cell.send(["roll"], [0.8], 3.0)
+def test_bias_sensor_is_refused_while_the_arm_moves(harness):
+    cell = Cell(harness, speed_factor=2.0, bias_window_s=3.0)
+    cell.send(["roll"], [0.8], 8.0)
     cell.wait(lambda: cell.velocities()[3] > 0.05, "motion")
     response = cell.call(cell.bias, Trigger.Request())
     assert not response.success and "moving" in response.message
@@ -246,8 +246,7 @@ def test_bias_sensor_is_refused_while_the_arm_moves(cell):
     cell.wait(lambda: not cell.velocities().any(), "rest")
     cell.wait(lambda: cell.call(cell.bias, Trigger.Request()).success, "zeroing at rest")
     future = cell.bias.call_async(Trigger.Request())
-    start = len(cell.wrenches)
-    cell.wait(lambda: len(cell.wrenches) > start + 30, "a part of the window")
+    cell.fresh_wrenches(200)  # a part of the window
     cell.send(["roll"], [0.0], 0.5)
     cell.wait(future.done, "the answer")
     assert not future.result().success and "moved" in future.result().message
@@ -285,8 +284,8 @@ def test_a_trajectory_moves_the_arm_and_an_empty_one_stops_it(cell):
         ),
         "the target",
     )
-    cell.send(JOINT_NAMES, HOME, 4.0)
-    cell.wait(lambda: cell.velocities()[3] < -0.1, "motion")
+    cell.send(JOINT_NAMES, HOME, 8.0)
+    cell.wait(lambda: cell.velocities()[3] < -0.05, "motion")
     cell.trajectory.publish(JointTrajectory())
     cell.wait(lambda: not cell.velocities().any(), "rest")
     stopped = cell.positions()
@@ -359,8 +358,8 @@ def test_admittance_does_not_move_without_a_compensated_wrench(cell):
 
 
 def test_admittance_follows_the_compensated_wrench(harness):
-    # Real time: the answers then come well within the 50 ms that count.
-    cell = Cell(harness)
+    # A generous time-out: how late an answer may be is the plant's test.
+    cell = Cell(harness, admittance_timeout_s=0.5)
     cell.call(cell.attach, SetTool.Request(tool="retractor"))
     # At home the sensor's z is base_link's x. No torque about the tip: tau = tip x f.
     push = np.array([0.0, 0.0, 2.0])
