@@ -16,5 +16,10 @@ setup(
     maintainer_email="galen@example.org",
     description="Sweeps the arm over still poses and writes the tool's calibration file, as a ROS action.",
     license="Apache-2.0",
-    entry_points={"console_scripts": ["calibration_node = galen_calibration_behavior.node:main", "calibrate = galen_calibration_behavior.calibrate:main"]},
+    entry_points={
+        "console_scripts": [
+            "calibration_node = galen_calibration_behavior.node:main",
+            "calibrate = galen_calibration_behavior.calibrate:main",
+        ]
+    },
 )

@@ -6,6 +6,7 @@ import argparse
 import json
 import math
 import select
+import shutil
 import signal
 import sys
 import time
@@ -35,7 +36,7 @@ _EPILOG = f"""exit codes:
   {EXIT_FAILED}    failed; the reason is printed, nothing is written
   {EXIT_USAGE}    wrong arguments
   {EXIT_CANCELED}  canceled (Ctrl-C); the arm is stopped, nothing is written"""
-_SERVER_LOST_S = 3.0
+_SERVER_LOST_S = 1.5
 _CANCEL_PATIENCE_S = 10.0
 _STATE_TEXT = {
     State.HOME: "going home",
@@ -69,8 +70,12 @@ class Progress:
         state = State(feedback.state)
         if self._fancy:
             if self._bar is None:
-                self._bar = tqdm(total=feedback.total, unit="pose", file=sys.stderr)
-            self._bar.set_description(_STATE_TEXT[state])
+                # Sizes given: tqdm shows nothing on a terminal that says it has 0 rows.
+                columns = min(shutil.get_terminal_size().columns, 100)
+                self._bar = tqdm(
+                    total=feedback.total, unit="pose", file=sys.stderr, ncols=columns, nrows=24
+                )
+            self._bar.set_description(_STATE_TEXT[state], refresh=False)
             self._bar.n = feedback.done
             self._bar.refresh()
         elif state != self._state:

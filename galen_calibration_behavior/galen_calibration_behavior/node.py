@@ -126,7 +126,8 @@ class CalibrationNode(Node):
             self.get_logger().warning("shutting down: stopping the arm, nothing is written")
             self._publish_stop()
             # Else the process could be gone before the driver has the message.
-            self._trajectory_publisher.wait_for_all_acked(Duration(seconds=0.5))
+            self._trajectory_publisher.wait_for_all_acked(Duration(seconds=0.2))
+            self._goal.handle.abort()
             self._goal = None
         self._server.destroy()
         super().destroy_node()

@@ -572,7 +572,7 @@ class CalibrationProcedure:
     def _report_pose(self, verdict: Verdict) -> None:
         assert self._sweep is not None
         done, total = self.progress
-        wrench = (float("nan"),) * 6
+        wrench: tuple[float, ...] = (float("nan"),) * 6
         if verdict.record is not None:
             wrench = tuple(float(value) for value in verdict.record.wrench)
         where = f"{self._sweep.name}/{verdict.index}"

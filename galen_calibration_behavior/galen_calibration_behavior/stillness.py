@@ -24,7 +24,8 @@ class StillnessSettings:
 
     joint_motion: Array  # (5,) largest span of each joint inside the window, m and rad
     scatter_ratio: float  # largest std, in units of the sweep's median std
-    trend_sigmas: float  # largest difference of the halves' means, in its standard deviations
+    trend_sigmas: float  # largest difference of the halves' means, in its standard deviations;
+    # also of the scatter's own statistical error
     min_samples: int  # of wrenches, and of joint states a tenth of it
 
 
@@ -42,7 +43,8 @@ class PoseRecord:
     @property
     def std_of_mean(self) -> Array:
         """Standard deviation of `wrench` (6,) for independent samples."""
-        return self.wrench_std / np.sqrt(self.samples)
+        std: Array = self.wrench_std / np.sqrt(self.samples)
+        return std
 
 
 def average_pose(joints: Array, wrenches: Array) -> PoseRecord:
@@ -80,7 +82,8 @@ def wrench_fault(
     `sweep` holds the records to compare with, `record` among them: their medians forgive up to
     half of them being touched. The noise of the halves' difference is the larger of
     2 std / sqrt(n), true for white noise, and of what the sweep's own differences show, true for
-    a filtered or wandering sensor.
+    a filtered or wandering sensor. The limit of the scatter is never so low that the std of few
+    samples, whose own relative error is 1 / sqrt(2 (n - 1)), would cross it by chance.
     """
     std = np.median([r.wrench_std for r in sweep], axis=0)
     white = 2.0 * std / np.sqrt(record.samples)
@@ -88,7 +91,8 @@ def wrench_fault(
     scatter = record.wrench_std / std
     trend = np.abs(record.half_difference) / np.maximum(white, seen)
     k = int(np.argmax(scatter))
-    if scatter[k] > settings.scatter_ratio:
+    chance = 1.0 + settings.trend_sigmas / np.sqrt(2.0 * (record.samples - 1))
+    if scatter[k] > max(settings.scatter_ratio, chance):
         return f"{WRENCH_AXES[k]} scattered {scatter[k]:.1f} times as much as in the other poses"
     k = int(np.argmax(trend))
     if trend[k] > settings.trend_sigmas:

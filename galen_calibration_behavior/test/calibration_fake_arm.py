@@ -2,7 +2,8 @@
 
 import numpy as np
 from galen_model.arm import HOME, SENSOR
-from galen_model.load import Load, nominal_reading
+from galen_model.kinematics import gravity_in_sensor
+from galen_model.load import Load, gravity_wrench
 
 ADAPTER = Load(0.100, np.array([0.0, 0.0, 0.020]))
 POINTER = Load(0.060, np.array([0.055, 0.002, 0.045]))
@@ -29,6 +30,7 @@ class FakeArm:
         self.skip_ns = 0  # added once to the next stamp
         self._from = self._to = self.joints.copy()
         self._progress, self._duration = 1.0, 1.0
+        self._known = (None, None)
 
     def move_to(self, joints, duration_s):
         """Begin a quintic from rest to rest."""
@@ -47,11 +49,14 @@ class FakeArm:
         return self._progress < 1.0
 
     def true_reading(self):
-        """Reading before bias, touch and noise."""
-        roll, tilt = self.joints[3:]
-        # nominal_reading takes off the adapter at the zeroing pose; here self.bias does that.
-        with_zero = nominal_reading(roll, tilt, self.tool, ADAPTER)
-        return with_zero - nominal_reading(0.0, 0.0, NO_TOOL, Load(0.0)) + _adapter_at_zero()
+        """Reading before bias, touch and noise; worked out anew only when something has changed."""
+        key = (self.joints[3], self.joints[4], id(self.tool))
+        if self._known[0] != key:
+            roll, tilt = self.joints[3:]
+            gravity = gravity_in_sensor(roll, tilt)
+            loads = gravity_wrench(gravity, self.tool) + gravity_wrench(gravity, ADAPTER)
+            self._known = (key, loads)
+        return self._known[1]
 
     def zero(self):
         """What bias_sensor does."""
@@ -77,7 +82,3 @@ class FakeArm:
             self.velocities.copy() if self.report_velocity else None,
             wrench,
         )
-
-
-def _adapter_at_zero():
-    return nominal_reading(0.0, 0.0, ADAPTER, Load(0.0))

@@ -19,6 +19,7 @@ from galen_ros.qos import STREAM
 from galen_ros.testing import Harness, parameters
 from geometry_msgs.msg import WrenchStamped
 from rclpy.action import ActionClient
+from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
@@ -52,8 +53,11 @@ class FakeDriver(Node):
     def _on_timer(self):
         if self.paused:
             return
+        listened_to = self._joint_publisher.get_subscription_count() > 0
         for _ in range(STEPS_A_TICK):
             stamp, position, velocity, wrench = self.arm.step()
+            if not listened_to:  # leave the processor to those who start up
+                continue
             if "joint_states" not in self.silent:
                 joints = JointState(name=self.names)
                 fill_stamp(joints.header.stamp, stamp)
@@ -102,7 +106,6 @@ class World:
             "average_s": 0.3,
             "max_angle_velocity_rad_s": 4.0,
             "max_angle_acceleration_rad_s2": 40.0,
-            "max_scatter_ratio": 2.0,
             "silent_timeout_s": 1.0,
         } | changes
         self.driver = None
@@ -178,7 +181,8 @@ def test_a_calibration_recovers_the_tool_and_writes_its_file(world):
     assert np.all(np.abs(result.com_m - POINTER.com_m) < 5 * result.com_std_m)
     assert 0 < result.mass_std_kg < 0.005
     assert np.all(result.rmse_force_n < 0.02)
-    assert result.poses_used + len(result.poses_rejected) == 9
+    left_out = [text for text in result.poses_rejected if text.startswith("tool/")]
+    assert result.poses_used + len(left_out) == 9
     file = read_tool(result.file)
     assert world.files == ["pointer.json"]
     assert file.load.mass_kg == result.mass_kg
@@ -202,6 +206,17 @@ def test_a_second_calibration_keeps_the_tip_and_the_old_file(world):
     assert world.files == ["pointer.json", "pointer.json.bak"]
     assert (world.tools_dir / "pointer.json.bak").read_text() == first
     assert json.loads((world.tools_dir / "pointer.json").read_text())["tip_m"] == [0.15, 0.0, 0.05]
+
+
+def test_it_works_without_the_events_executor(tmp_path):
+    with Harness(lambda context: SingleThreadedExecutor(context=context)) as harness:
+        world = make(harness, tmp_path)
+        first = world.send()
+        world.wait_for_pose(1)
+        first.cancel_goal_async()
+        assert world.result(first)[0] == GoalStatus.STATUS_CANCELED
+        status, result = world.result(world.send(iters_t=2, iters_r=4))
+        assert status == GoalStatus.STATUS_SUCCEEDED, result.error_msg
 
 
 def test_cancel_stops_the_arm_and_writes_nothing(world):
@@ -270,6 +285,8 @@ def test_a_driver_that_comes_back_has_lost_the_zero(world):
     world.wait_for_pose(1)
     # Both lookups of the publishers have to fall on either side of the restart.
     world.harness.wait_for(lambda: world.node._goal.publishers, 5.0, "the first lookup")
+    # A timer event that is already on the executor's queue must not publish any more.
+    world.harness.call_in_executor(lambda: setattr(world.driver, "paused", True))
     world.harness.remove(world.driver)
     world.driver = world.harness.add(lambda context: FakeDriver(context))
     status, result = world.result(handle)
@@ -294,16 +311,16 @@ def test_a_creeping_joint_is_named(tmp_path):
         world.fails(world.send(), ErrorCode.MOTION_TIMEOUT, "roll did not stop")
 
 
-@pytest.mark.parametrize("name", ["../x", "", "a b", "x" * 65, "ü", "a/b"])
-def test_a_name_that_must_not_reach_a_path_is_refused(world, name):
-    world.fails(world.send(tool=name), ErrorCode.INVALID_NAME, "name")
+def test_a_name_that_must_not_reach_a_path_is_refused(world):
+    for name in ("../x", "", "a b", "x" * 65, "ü", "a/b", "/etc/x"):
+        world.fails(world.send(tool=name), ErrorCode.INVALID_NAME, repr(name))
     assert world.driver.moves == 0
     assert list(world.tools_dir.parent.glob("*")) == []
 
 
-@pytest.mark.parametrize("tip", [[math.nan, 0.0, 0.0], [math.inf] * 3])
-def test_a_tip_that_is_no_number_is_refused(world, tip):
-    world.fails(world.send(tip_m=tip), ErrorCode.BAD_INPUT, "tip_m")
+def test_a_tip_that_is_no_number_is_refused(world):
+    for tip in ([math.nan, 0.0, 0.0], [math.inf] * 3):
+        world.fails(world.send(tip_m=tip), ErrorCode.BAD_INPUT, "tip_m")
     assert world.driver.moves == 0
 
 

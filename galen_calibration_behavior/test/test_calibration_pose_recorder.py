@@ -243,6 +243,8 @@ def test_pure_noise_is_hardly_ever_rejected():
         )
     rejected = sum(bool(wrench_fault(p, poses[:56], STILLNESS)) for p in poses)
     assert rejected <= 2
+    strict = dataclasses.replace(STILLNESS, trend_sigmas=2.0)
+    assert sum(bool(wrench_fault(p, poses[:56], strict)) for p in poses) > 200, "it does judge"
 
 
 def test_slow_wander_that_all_poses_share_is_not_taken_for_a_touch():

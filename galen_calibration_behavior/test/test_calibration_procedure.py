@@ -36,7 +36,7 @@ SETTINGS = ProcedureSettings(
     ),
     stillness=StillnessSettings(
         joint_motion=np.array([1e-4] * 3 + [5e-4] * 2),
-        scatter_ratio=2.0,  # 31 samples scatter by an eighth themselves
+        scatter_ratio=1.5,
         trend_sigmas=6.0,
         min_samples=20,
     ),

@@ -1,0 +1,201 @@
+"""`calibrate`, and both ends as processes of their own."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+
+import pytest
+from galen_calibration_behavior.calibrate import EXIT_USAGE, parse
+from galen_calibration_behavior.result_text import format_result, result_to_dict
+from galen_msgs.action import CalibrateTool
+from galen_ros.testing import Harness
+from test_calibration_node import FakeDriver, World
+
+NODE_PARAMETERS = {
+    "itersT": 3, "itersR": 3, "settle_s": 0.1, "average_s": 0.3,
+    "max_angle_velocity_rad_s": 4.0, "max_angle_acceleration_rad_s2": 40.0,
+}  # fmt: skip
+
+
+class Process:
+    """A module run with `python -m` in the harness's domain; ended by id when the test ends."""
+
+    def __init__(self, harness, module, *arguments):
+        self.harness = harness
+        self.process = subprocess.Popen(
+            [sys.executable, "-m", module, *arguments],
+            env=os.environ | {"ROS_DOMAIN_ID": str(harness.domain_id), "PYTHONUNBUFFERED": "1"},
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        if self.process.poll() is None:
+            self.process.kill()
+        self.process.communicate()
+
+    def signal(self, number):
+        self.process.send_signal(number)
+
+    def end(self, timeout_s=30.0, text=None):
+        """Return exit code, standard output, standard error."""
+        out, error = self.process.communicate(text, timeout=timeout_s)
+        return self.process.returncode, out, error
+
+
+def calibrate(harness, *arguments):
+    return Process(harness, "galen_calibration_behavior.calibrate", *arguments)
+
+
+@pytest.fixture
+def world(tmp_path):
+    with Harness() as harness:
+        yield World(harness, tmp_path / "tools")
+
+
+def test_json_is_one_object_on_standard_output(world):
+    with calibrate(world.harness, "pointer", "--tip", "0.15", "0", "0.05", "--json") as client:
+        code, out, error = client.end()
+    assert code == 0, error
+    result = json.loads(out)
+    assert result["error_code"] == 0
+    assert result["mass_kg"] == pytest.approx(0.060, abs=5 * result["mass_std_kg"])
+    assert len(result["com_m"]) == 3
+    assert result["file"] == str(world.tools_dir / "pointer.json")
+    assert "sweep with pointer" in error
+
+
+def test_by_hand_asks_and_hears_enter(world):
+    driver = world.driver
+    with calibrate(world.harness, "pointer", "--by-hand", "--one-sweep") as client:
+        for words, tool in (("take the tool off", None), ("put pointer on", driver.arm.tool)):
+            for line in client.process.stderr:
+                if words in line and "Enter" in line:
+                    break
+            driver.arm.tool = tool or type(driver.arm.tool)(0.0)
+            client.process.stdin.write("\n")
+            client.process.stdin.flush()
+        code, out, error = client.end()
+    assert code == 0, error
+    assert "pointer" in out
+    assert "adapter" in out
+    assert "warning: " in out
+    assert "written: " in out
+
+
+def test_ctrl_c_cancels_and_waits_for_the_stop(world):
+    with calibrate(world.harness, "pointer") as client:
+        world.harness.wait_for(
+            lambda: world.node._goal and world.node._goal.procedure.progress[0] >= 1,
+            20.0,
+            "the first pose",
+        )
+        client.signal(signal.SIGINT)
+        code, out, error = client.end()
+    assert code == 130, error
+    assert "CANCELED" in error
+    assert "Traceback" not in error
+    assert out == ""
+    assert world.driver.stops == 1
+    assert not world.driver.arm.moving
+    assert world.files == []
+
+
+def test_a_refusal_s_reason_reaches_the_terminal(world):
+    world.send(iters_t=9, iters_r=9)
+    world.wait_for_pose(1)
+    with calibrate(world.harness, "retractor") as client:
+        code, _, error = client.end()
+    assert code == 1
+    assert "calibrating 'pointer' now" in error
+
+
+def test_no_server_is_said_with_what_to_do():
+    with Harness() as harness, calibrate(harness, "pointer", "--timeout-s", "0.5") as client:
+        code, _, error = client.end()
+    assert code == 1
+    assert "start calibration_node" in error
+    assert "Traceback" not in error
+
+
+def test_a_failure_prints_name_and_reason(world):
+    world.driver.frame_id = "tool0"
+    with calibrate(world.harness, "pointer") as client:
+        code, out, error = client.end()
+    assert (code, out) == (1, "")
+    assert "calibrate: BAD_INPUT: wrench_raw has frame_id 'tool0'" in error
+
+
+def test_a_node_ended_by_a_signal_stops_the_arm_and_its_client_hears_of_it(tmp_path):
+    arguments = ["--ros-args", "-p", f"tools_dir:={tmp_path / 'tools'}"]
+    for name, value in NODE_PARAMETERS.items():
+        arguments += ["-p", f"{name}:={value}"]
+    with Harness() as harness:
+        driver = harness.add(lambda context: FakeDriver(context))
+        with (
+            Process(harness, "galen_calibration_behavior.node", *arguments) as node,
+            calibrate(harness, "pointer") as client,
+        ):
+            harness.wait_for(lambda: driver.moves > 3, 30.0, "some poses")
+            node.signal(signal.SIGTERM)
+            harness.wait_for(lambda: driver.stops, 5.0, "the stop")
+            code, _, error = node.end()
+            assert code == 0, error
+            assert "Traceback" not in error
+            code, _, error = client.end()
+            assert code == 1
+            assert "went away" in error
+    assert list((tmp_path / "tools").iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        [],
+        ["../x"],
+        ["pointer", "--tip", "1", "2"],
+        ["pointer", "--tip", "nan", "0", "0"],
+        ["pointer", "--iters-t", "-1"],
+        ["pointer", "--timeout-s", "0"],
+        ["pointer", "extra"],
+    ],
+)
+def test_wrong_arguments_end_with_code_2(arguments, capsys):
+    with pytest.raises(SystemExit) as end:
+        parse(arguments)
+    assert end.value.code == EXIT_USAGE
+    assert "calibrate: error:" in capsys.readouterr().err
+
+
+def test_help_tells_the_exit_codes(capsys):
+    with pytest.raises(SystemExit) as end:
+        parse(["--help"])
+    assert end.value.code == 0
+    text = capsys.readouterr().out
+    assert all(f"\n  {code} " in text for code in (0, 1, 2, 130))
+
+
+def test_the_table_shows_torque_in_mnm_and_every_warning():
+    result = CalibrateTool.Result(
+        tool="pointer",
+        file="x/pointer.json",
+        mass_kg=0.0601,
+        mass_std_kg=0.0002,
+        rmse_torque_nm=[0.0003, 0.0, 0.0],
+        poses_rejected=["tool/3: moved"],
+        warnings=["odd"],
+    )
+    text = format_result(result)
+    assert "60.100 +- 0.200" in text
+    assert "0.3000" in text
+    assert "tool/3: moved" in text
+    assert "warning: odd" in text
+    assert json.dumps(result_to_dict(result))
+    assert result_to_dict(result)["rmse_torque_nm"] == [0.0003, 0.0, 0.0]
