@@ -9,13 +9,7 @@ import numpy as np
 from galen_model.errors import ToolFileError, ToolNameError
 from galen_model.tool_file import ToolFile, read_tool, tool_path
 from galen_msgs.srv import SetTool
-from galen_ros.conversions import (
-    JointStateError,
-    JointStateReader,
-    fill_stamp,
-    fill_wrench,
-    stamp_to_ns,
-)
+from galen_ros.conversions import JointStateError
 from galen_ros.deferred_service import DeferredService, Respond
 from galen_ros.diagnostics import DiagnosticsPublisher, Level, Status
 from galen_ros.parameters import declare_parameters, param
@@ -38,6 +32,7 @@ from galen_gravcomp.compensator import (
 )
 from galen_gravcomp.monitor import Monitor, Severity, State
 from galen_gravcomp.tare import TareOutcome, TareSettings
+from galen_gravcomp.wire import JointWire, WrenchWire
 
 WATCH_PERIOD_S = 0.2
 # Not more often than this are changes of state published and logged.
@@ -152,14 +147,14 @@ class GravcompNode(Node):
         p = self._config
         self._compensator = Compensator(p.settings(), on_restart=self._on_restart)
         self._monitor = Monitor(self._compensator, p.silence_s)
-        self._joint_reader = JointStateReader(p.joint_names)
+        self._joint_wire = JointWire(p.joint_names)
+        self._wrench_wire = WrenchWire()
         self._announced: State | None = None
         self._announced_s = float("-inf")
         self._publisher_counts = {"wrench_raw": 0, "joint_states": 0}
         self._qos_trouble = ""
         self._tare_progress = (0, 0.0)
 
-        self._outgoing = WrenchStamped()
         self._publisher = self.create_publisher(WrenchStamped, "wrench_compensated", STREAM)
         self._diagnostics = DiagnosticsPublisher(self, "galen_gravcomp", self._report)
         self._compensator.set_enabled(p.enabled)
@@ -183,31 +178,30 @@ class GravcompNode(Node):
             matched=lambda info: self._on_matched(topic, info),
             incompatible_qos=lambda _info: self._on_incompatible_qos(topic),
         )
-        return self.create_subscription(message_type, topic, callback, qos, event_callbacks=events)
+        # Serialised messages: see galen_gravcomp.wire.
+        return self.create_subscription(
+            message_type, topic, callback, qos, event_callbacks=events, raw=True
+        )
 
     # Samples
 
-    def _on_joint_state(self, message: JointState) -> None:
+    def _on_joint_state(self, data: bytes) -> None:
         self._monitor.on_joints(time.monotonic())
         try:
-            (roll, tilt), _ = self._joint_reader.read(message)
+            stamp_ns, roll, tilt = self._joint_wire.read(data)
         except JointStateError as error:
             self._compensator.push_bad_joints(f"joint_states can't be used: {error}")
             return
-        stamp_ns = stamp_to_ns(message.header.stamp)
-        results = self._compensator.push_joints(stamp_ns, float(roll), float(tilt))
+        results = self._compensator.push_joints(stamp_ns, roll, tilt)
         if results:
             self._emit(results)
 
-    def _on_wrench(self, message: WrenchStamped) -> None:
+    def _on_wrench(self, data: bytes) -> None:
         arrival_s = time.monotonic()
         self._monitor.on_wrench(arrival_s)
-        header, force, torque = message.header, message.wrench.force, message.wrench.torque
+        raw = self._wrench_wire.read(data)
         results = self._compensator.push_wrench(
-            stamp_to_ns(header.stamp),
-            (force.x, force.y, force.z, torque.x, torque.y, torque.z),
-            header.frame_id,
-            tag=(arrival_s, header.frame_id),
+            raw.stamp_ns, raw.wrench, raw.frame_id, tag=(arrival_s, raw)
         )
         if results:
             self._emit(results)
@@ -217,12 +211,9 @@ class GravcompNode(Node):
         changed = False
         for result in results:
             if isinstance(result, Compensated):
-                arrival_s, frame_id = result.tag  # type: ignore[misc]
-                outgoing = self._outgoing
-                fill_stamp(outgoing.header.stamp, result.stamp_ns)
-                outgoing.header.frame_id = frame_id
-                fill_wrench(outgoing, result.wrench)
-                self._publisher.publish(outgoing)
+                arrival_s, raw = result.tag  # type: ignore[misc]
+                # The input's own bytes with other numbers: stamp and frame_id can't but be kept.
+                self._publisher.publish(raw.with_wrench(result.wrench))
                 changed |= self._monitor.on_output(arrival_s, time.monotonic())
             else:
                 changed |= self._monitor.on_refused(result, time.monotonic())

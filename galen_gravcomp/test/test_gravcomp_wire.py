@@ -1,0 +1,173 @@
+"""Reading and writing serialised messages, held against rclpy's own serialisation."""
+
+import math
+import struct
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+from galen_gravcomp import wire
+from galen_gravcomp.wire import JointWire, WrenchWire
+from galen_ros.conversions import JointStateError, UnknownJointError
+from geometry_msgs.msg import WrenchStamped
+from rclpy.serialization import deserialize_message, serialize_message
+from sensor_msgs.msg import JointState
+
+RNG = np.random.default_rng(11)
+
+
+def make_wrench(frame_id: str, sec: int = 5, nanosec: int = 7) -> WrenchStamped:
+    message = WrenchStamped()
+    message.header.frame_id = frame_id
+    message.header.stamp.sec, message.header.stamp.nanosec = sec, nanosec
+    wire._fill(message, RNG.normal(size=6).tolist())
+    return message
+
+
+def make_joints(names: list[str], velocity: bool = True, effort: bool = False) -> JointState:
+    message = JointState(name=names, position=RNG.normal(size=len(names)).tolist())
+    message.header.stamp.sec = int(RNG.integers(1, 2**31 - 1))
+    message.header.stamp.nanosec = int(RNG.integers(0, 10**9))
+    if velocity:
+        message.velocity = RNG.normal(size=len(names)).tolist()
+    if effort:
+        message.effort = RNG.normal(size=len(names)).tolist()
+    return message
+
+
+def values(message: WrenchStamped) -> tuple[float, ...]:
+    force, torque = message.wrench.force, message.wrench.torque
+    return (force.x, force.y, force.z, torque.x, torque.y, torque.z)
+
+
+@pytest.fixture
+def learned(monkeypatch: pytest.MonkeyPatch) -> list[type]:
+    """Which message types went through rclpy's deserialisation."""
+    calls: list[type] = []
+
+    def counting(data: bytes, kind: type) -> Any:
+        calls.append(kind)
+        return deserialize_message(data, kind)
+
+    monkeypatch.setattr(wire, "deserialize_message", counting)
+    return calls
+
+
+FRAMES = ["", "f", "ab", "abc", "ft_sensor", "left/ft_sensor_link", "x" * 300]
+
+
+@pytest.mark.parametrize("frame_id", FRAMES)
+def test_wrench_is_read_and_written_as_rclpy_does(frame_id: str, learned: list[type]) -> None:
+    reader = WrenchWire()
+    for sec in (0, 1, 2**31 - 1):
+        message = make_wrench(frame_id, sec, 999_999_999)
+        raw = reader.read(serialize_message(message))
+        assert raw.stamp_ns == sec * 10**9 + 999_999_999
+        assert raw.frame_id == frame_id
+        assert raw.wrench == values(message)
+        other = make_wrench(frame_id, sec, 999_999_999)
+        assert raw.with_wrench(np.array(values(other))) == serialize_message(other)
+    assert learned == [WrenchStamped], "only the first message goes through rclpy"
+
+
+def test_nan_and_infinity_are_read() -> None:
+    reader = WrenchWire()
+    for _ in range(2):
+        message = make_wrench("ft_sensor")
+        message.wrench.force.y, message.wrench.torque.z = math.nan, -math.inf
+        raw = reader.read(serialize_message(message))
+        assert math.isnan(raw.wrench[1]) and raw.wrench[5] == -math.inf
+
+
+def test_changed_frame_is_noticed(learned: list[type]) -> None:
+    reader = WrenchWire()
+    for frame_id in ("ft_sensor", "ft_sensoR", "ft_sensor_2", "ft_sensor"):
+        message = make_wrench(frame_id)
+        raw = reader.read(serialize_message(message))
+        assert (raw.frame_id, raw.wrench) == (frame_id, values(message))
+    assert len(learned) == 4
+
+
+def test_other_layout_goes_through_rclpy() -> None:
+    """Big-endian CDR, as a foreign machine may send: rclpy reads it, and so the answer is right."""
+    message = make_wrench("ft_sensor", 123, 456)
+    stamp = struct.pack(">iI", 123, 456)
+    frame = struct.pack(">I", 10) + b"ft_sensor\x00"
+    body = stamp + frame
+    body += b"\x00" * (-len(body) % 8) + struct.pack(">6d", *values(message))
+    data = b"\x00\x00\x00\x00" + body
+    reader = WrenchWire()
+    for _ in range(2):
+        raw = reader.read(data)
+        assert (raw.stamp_ns, raw.frame_id) == (123 * 10**9 + 456, "ft_sensor")
+        assert raw.wrench == values(message)
+        other = make_wrench("ft_sensor", 123, 456)
+        answer = deserialize_message(raw.with_wrench(np.array(values(other))), WrenchStamped)
+        assert values(answer) == values(other) and answer.header == message.header
+
+
+ORDERS = [
+    ["delta_x", "delta_y", "delta_z", "roll", "tilt"],
+    ["tilt", "roll"],
+    ["gripper", "tilt", "a" * 77, "roll", "other"],
+    ["roll", "b", "tilt"],
+]
+
+
+@pytest.mark.parametrize("names", ORDERS, ids=[str(len(names)) for names in ORDERS])
+@pytest.mark.parametrize("velocity", [True, False])
+@pytest.mark.parametrize("effort", [True, False])
+def test_joints_are_read_as_rclpy_does(
+    names: list[str], velocity: bool, effort: bool, learned: list[type]
+) -> None:
+    reader = JointWire(("roll", "tilt"))
+    for _ in range(5):
+        message = make_joints(names, velocity, effort)
+        stamp_ns, roll, tilt = reader.read(serialize_message(message))
+        stamp = message.header.stamp
+        assert stamp_ns == stamp.sec * 10**9 + stamp.nanosec
+        assert roll == message.position[names.index("roll")]
+        assert tilt == message.position[names.index("tilt")]
+    assert learned == [JointState]
+
+
+def test_alternating_joint_publishers() -> None:
+    reader = JointWire(("roll", "tilt"))
+    for names in ORDERS * 2:
+        message = make_joints(names)
+        _, roll, tilt = reader.read(serialize_message(message))
+        assert (roll, tilt) == tuple(message.position[names.index(n)] for n in ("roll", "tilt"))
+        with pytest.raises(UnknownJointError, match="lacks roll, tilt; it has gripper"):
+            reader.read(serialize_message(make_joints(["gripper"])))
+
+
+def _short_position(message: JointState) -> None:
+    message.position = message.position[:-1]
+
+
+def _short_velocity(message: JointState) -> None:
+    message.velocity = message.velocity[:-1]
+
+
+@pytest.mark.parametrize("spoil", [_short_position, _short_velocity])
+def test_lists_that_do_not_fit_are_refused_also_later(spoil: Callable[[JointState], None]) -> None:
+    reader = JointWire(("roll", "tilt"))
+    reader.read(serialize_message(make_joints(ORDERS[0])))
+    message = make_joints(ORDERS[0])
+    spoil(message)
+    with pytest.raises(JointStateError, match="names but"):
+        reader.read(serialize_message(message))
+
+
+def test_numbers_equal_to_the_markers() -> None:
+    reader = WrenchWire()
+    message = make_wrench("ft_sensor")
+    wire._fill(message, [1.0, 2.0, 3.0, 4.0, 5.0, 6.0])
+    for _ in range(2):
+        assert reader.read(serialize_message(message)).wrench == (1.0, 2.0, 3.0, 4.0, 5.0, 6.0)
+    joints = JointWire(("roll", "tilt"))
+    state = JointState(name=["roll", "tilt"], position=[1.0, 2.0], velocity=[1.0, 2.0])
+    state.effort = [1.0, 2.0]
+    for _ in range(2):
+        assert joints.read(serialize_message(state))[1:] == (1.0, 2.0)
