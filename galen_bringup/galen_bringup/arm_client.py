@@ -1,0 +1,167 @@
+"""What a user's program does with the arm: watch it, move it, call its services."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+from galen_calibration_behavior.motion_time import quintic_duration_s
+from galen_model.arm import JOINT_NAMES
+from galen_model.arrays import Array
+from galen_model.errors import GalenError
+from galen_msgs.srv import SetTool
+from galen_ros.conversions import JointStateReader, fill_stamp, stamp_to_ns, wrench_to_array
+from galen_ros.qos import STREAM
+from galen_ros.spin import make_executor
+from geometry_msgs.msg import WrenchStamped
+from rclpy.duration import Duration
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from rclpy.parameter_client import AsyncParameterClient
+from sensor_msgs.msg import JointState
+from std_srvs.srv import SetBool, Trigger
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
+
+MAX_VELOCITY = np.array([0.15, 0.15, 0.15, 1.4, 1.4])
+MAX_ACCELERATION = np.array([0.9, 0.9, 0.9, 5.5, 5.5])
+"""m/s, rad/s and per s: a little below the simulated arm's own limits."""
+
+
+_CHECK_EVERY_S = 0.2
+
+
+class ArmError(GalenError):
+    """The arm, or a node, did not do what was asked."""
+
+
+JointListener = Callable[[int, Array, Array | None], None]
+WrenchListener = Callable[[int, Array], None]
+
+
+class ArmClient(Node):
+    """Subscribes to the streams, and hands each sample to whoever listens at the moment.
+
+    Listeners: on_joints(stamp_ns, position (5,), velocity (5,)), on_raw(stamp_ns, wrench (6,)),
+    on_compensated(stamp_ns, wrench (6,)).
+    """
+
+    def __init__(self, check: Callable[[], None]) -> None:
+        """`check` is called while waiting; it raises when going on makes no sense."""
+        super().__init__("galen_demo")
+        self._check = check
+        self._executor = make_executor()
+        self._executor.add_node(self)
+        self._reader = JointStateReader(JOINT_NAMES)
+        self.stamp_ns = 0
+        self.position: Array | None = None
+        self.on_joints: JointListener | None = None
+        self.on_raw: WrenchListener | None = None
+        self.on_compensated: WrenchListener | None = None
+        self._trajectory = self.create_publisher(JointTrajectory, "joint_trajectory", 10)
+        self.create_subscription(JointState, "joint_states", self._on_joint_state, STREAM)
+        self.create_subscription(WrenchStamped, "wrench_raw", self._on_wrench_raw, STREAM)
+        self.create_subscription(
+            WrenchStamped, "wrench_compensated", self._on_wrench_compensated, STREAM
+        )
+        self._set_tool = self.create_client(SetTool, "gravcomp/set_tool")
+        self._bias_sensor = self.create_client(Trigger, "bias_sensor")
+        self._set_admittance = self.create_client(SetBool, "sim_driver/set_admittance")
+        self._driver_parameters = AsyncParameterClient(self, "sim_driver")
+
+    def close(self) -> None:
+        """Leave ROS."""
+        self._executor.remove_node(self)
+        self.destroy_node()
+        self._executor.shutdown()
+
+    def wait_for(self, predicate: Callable[[], Any], timeout_s: float, what: str) -> None:
+        """Spin until the predicate holds; raises ArmError naming `what` after timeout_s of wall."""
+        now = time.monotonic()
+        deadline, next_check = now + timeout_s, now
+        while not predicate():
+            self._executor.spin_once(timeout_sec=0.05)
+            now = time.monotonic()
+            if now > next_check:  # it asks the system, which costs more than a sample
+                self._check()
+                next_check = now + _CHECK_EVERY_S
+            if now > deadline:
+                raise ArmError(f"waited {timeout_s:g} s in vain for {what}")
+
+    def wait_until_up(self, timeout_s: float = 30.0) -> None:
+        """Wait for the streams and services of driver and gravcomp."""
+        self.wait_for(lambda: self.position is not None, timeout_s, "joint_states")
+        for client in (self._set_tool, self._bias_sensor, self._set_admittance):
+            self.wait_for(client.service_is_ready, timeout_s, f"the service {client.srv_name}")
+        self.wait_for(self._driver_parameters.services_are_ready, timeout_s, "sim_driver")
+        self.wait_for(
+            lambda: self._trajectory.get_subscription_count() > 0, timeout_s, "joint_trajectory"
+        )
+
+    def move_to(self, target: Array) -> float:
+        """Send a smooth move from here to joints (5,), m and rad; returns its duration, s."""
+        if self.position is None:
+            raise ArmError("where the arm is, is not known: no joint_states yet")
+        duration_s = quintic_duration_s(target - self.position, MAX_VELOCITY, MAX_ACCELERATION)
+        self.follow([target], [duration_s])
+        return duration_s
+
+    def follow(self, targets: Sequence[Array], times_s: Sequence[float], start_ns: int = 0) -> None:
+        """Send a trajectory through joints (5,) at rest in each; start_ns 0 means now."""
+        message = JointTrajectory(joint_names=list(JOINT_NAMES))
+        fill_stamp(message.header.stamp, start_ns)
+        for target, time_s in zip(targets, times_s, strict=True):
+            message.points.append(
+                JointTrajectoryPoint(
+                    positions=[float(value) for value in target],
+                    velocities=[0.0] * 5,
+                    accelerations=[0.0] * 5,
+                    time_from_start=Duration(seconds=time_s).to_msg(),
+                )
+            )
+        self._trajectory.publish(message)
+
+    def set_tool(self, tool: str) -> SetTool.Response:
+        """Make gravcomp load a tool's file; raises ArmError with its reason."""
+        response = self._call(self._set_tool, SetTool.Request(tool=tool))
+        if not response.success:
+            raise ArmError(f"gravcomp: {response.error_msg}")
+        return response
+
+    def bias_sensor(self) -> None:
+        """Zero the sensor here; raises ArmError with the driver's reason."""
+        response = self._call(self._bias_sensor, Trigger.Request())
+        if not response.success:
+            raise ArmError(f"bias_sensor: {response.message}")
+
+    def set_admittance(self, on: bool, source: str) -> None:
+        """Switch the driver's admittance mode; `source` is "compensated" or "raw"."""
+        parameter = Parameter("admittance_source", value=source)
+        future = self._driver_parameters.set_parameters([parameter])
+        self.wait_for(future.done, 10.0, "sim_driver to take a parameter")
+        result = future.result().results[0]
+        if not result.successful:
+            raise ArmError(f"sim_driver: admittance_source: {result.reason}")
+        response = self._call(self._set_admittance, SetBool.Request(data=on))
+        if not response.success:
+            raise ArmError(f"sim_driver: {response.message}")
+
+    def _call(self, client: Any, request: Any) -> Any:
+        future = client.call_async(request)
+        self.wait_for(future.done, 20.0, f"an answer of {client.srv_name}")
+        return future.result()
+
+    def _on_joint_state(self, message: JointState) -> None:
+        position, velocity = self._reader.read(message)
+        self.stamp_ns, self.position = stamp_to_ns(message.header.stamp), position
+        if self.on_joints is not None:
+            self.on_joints(self.stamp_ns, position, velocity)
+
+    def _on_wrench_raw(self, message: WrenchStamped) -> None:
+        if self.on_raw is not None:
+            self.on_raw(stamp_to_ns(message.header.stamp), wrench_to_array(message))
+
+    def _on_wrench_compensated(self, message: WrenchStamped) -> None:
+        if self.on_compensated is not None:
+            self.on_compensated(stamp_to_ns(message.header.stamp), wrench_to_array(message))

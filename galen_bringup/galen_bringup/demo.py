@@ -1,0 +1,348 @@
+"""`demo`: the whole way on the simulated arm, through the nodes that a lab would use.
+
+Starts driver, calibration and compensation as processes of their own, calibrates both tools through
+the action, visits poses that the calibration has not seen, and prints what is left of the tools'
+weight beside the 2019 report's tables and the noise; then turns the arm in admittance mode with
+nobody touching it, with the compensation off and on.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import rclpy
+from galen_model.arm import WRENCH_AXES
+from galen_model.arrays import Array
+from galen_model.errors import GalenError
+from galen_model.tools import TOOLS
+from galen_ros.domain import DomainLock
+from rclpy.signals import SignalHandlerOptions
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.table import Table
+
+from galen_bringup.arm_client import ArmClient
+from galen_bringup.drift import Drift, measure_drift
+from galen_bringup.figures import plot_compensation, plot_drift, plot_residual_map
+from galen_bringup.processes import Processes, ProcessError, executable_path, ros_arguments
+from galen_bringup.verification import PoseReadings, random_poses, visit
+
+REPORT_RMSE = {
+    "pointer": np.array([0.0214, 0.0174, 0.0306, 0.2835e-3, 0.6009e-3, 0.3330e-3]),
+    "retractor": np.array([0.0245, 0.0134, 0.0388, 0.6621e-3, 0.7079e-3, 0.3997e-3]),
+}
+"""Tables 1 and 2 of the 2019 report, on the real arm: RMSE (6,), N and N.m."""
+
+_AVERAGE_S = 0.25
+_CALIBRATION = {
+    "settle_s": 0.05,
+    "average_s": _AVERAGE_S,
+    "velocity_window_s": 0.06,
+    "max_angle_velocity_rad_s": 1.4,
+    "max_angle_acceleration_rad_s2": 5.5,
+    "max_delta_velocity_m_s": 0.15,
+    "max_delta_acceleration_m_s2": 0.9,
+    "use_sim_time": True,
+}
+"""Quicker than the node's defaults, which are for a real arm; the simulated one rings at nothing."""
+
+_EPILOG = "exit codes: 0 done, 1 something failed (one line says what), 2 usage, 130 interrupted"
+
+
+@dataclass(frozen=True)
+class ToolResult:
+    """One tool: what the calibration answered, and what is left at unseen poses."""
+
+    calibration: dict[str, Any]
+    readings: PoseReadings
+    sample_rmse: Array
+
+
+@dataclass(frozen=True)
+class DemoResult:
+    """All that the demonstration measured."""
+
+    tools: dict[str, ToolResult]
+    drift_tool: str
+    drift_off: Drift
+    drift_on: Drift
+    wall_s: float
+    figures: list[str]
+
+
+def run_demo(options: argparse.Namespace, console: Console) -> DemoResult:
+    """Do it all; raises GalenError."""
+    started = time.monotonic()
+    output = Path(options.output).resolve()
+    tools_dir, figures_dir = output / "tools", output / "figures"
+    figures_dir.mkdir(parents=True, exist_ok=True)
+    rng = np.random.default_rng(options.seed)
+    with _ros_world(), Processes(output / "logs") as processes:
+        sim_time = {"use_sim_time": True}
+        processes.start(
+            "galen_sim_driver",
+            "sim_driver_node",
+            ros_arguments({"speed_factor": float(options.speed), "seed": options.seed}),
+            # Where the machine is short of time, the simulation must be what slows down: a node
+            # that falls behind a faster simulation loses samples.
+            niceness=10,
+        )
+        processes.start(
+            "galen_gravcomp", "gravcomp_node", ros_arguments({"tools_dir": tools_dir, **sim_time})
+        )
+        processes.start(
+            "galen_calibration_behavior",
+            "calibration_node",
+            ros_arguments({"tools_dir": tools_dir, **_CALIBRATION}),
+        )
+        console.print("driver, compensation and calibration run as processes of their own", style="dim")
+        with _arm(processes):
+            pass  # entering waits until the nodes are up
+        found: dict[str, ToolResult] = {}
+        drift = None
+        for tool in TOOLS:
+            calibration = _calibrate(tool, processes)
+            with _arm(processes) as arm, _progress(console) as progress:
+                arm.set_tool(tool)
+                readings = visit(
+                    arm,
+                    random_poses(options.poses, rng),
+                    _AVERAGE_S,
+                    progress,
+                    f"{tool}: poses not seen before",
+                )
+                found[tool] = ToolResult(calibration, readings, _sample_rmse(readings))
+                if tool == list(TOOLS)[-1]:
+                    drift = measure_drift(arm, TOOLS[tool].tip_m, progress)
+    assert drift is not None
+    figures = []
+    for tool, result in found.items():
+        for kind, plot in (("compensation", plot_compensation), ("residual_map", plot_residual_map)):
+            path = figures_dir / f"{tool}_{kind}.png"
+            plot(tool, result.readings, path)
+            figures.append(str(path))
+    path = figures_dir / "drift.png"
+    plot_drift(list(TOOLS)[-1], *drift, path)
+    figures.append(str(path))
+    wall_s = time.monotonic() - started
+    return DemoResult(found, list(TOOLS)[-1], drift[0], drift[1], wall_s, figures)
+
+
+def _sample_rmse(readings: PoseReadings) -> Array:
+    """RMSE (6,) of single compensated samples: mean square of averages and of scatter together."""
+    return np.asarray(np.sqrt(readings.rmse**2 + np.mean(readings.sample_std**2, axis=0)))
+
+
+def _calibrate(tool: str, processes: Processes) -> dict[str, Any]:
+    """Run the client that a user runs; its progress bar goes to the terminal."""
+    tip = [repr(float(value)) for value in TOOLS[tool].tip_m]
+    client = executable_path("galen_calibration_behavior", "calibrate")
+    print(f"calibrating the {tool} through the action:", file=sys.stderr)
+    answer = subprocess.run(
+        [str(client), tool, "--json", "--timeout-s", "30", "--tip", *tip],
+        stdout=subprocess.PIPE,
+        check=False,
+    )
+    processes.check()
+    if answer.returncode != 0:
+        raise ProcessError(f"the calibration of the {tool} failed (exit code {answer.returncode})")
+    return dict(json.loads(answer.stdout))
+
+
+@contextmanager
+def _ros_world() -> Iterator[None]:
+    """A ROS domain on this machine that nobody else has, for this process and its children."""
+    lock = DomainLock()
+    os.environ["ROS_DOMAIN_ID"] = str(lock.domain_id)
+    os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
+    rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
+    try:
+        yield
+    finally:
+        rclpy.try_shutdown()
+        lock.release()
+
+
+@contextmanager
+def _arm(processes: Processes) -> Iterator[ArmClient]:
+    """The arm's client lives only while it is listened to: unread queues would hold old samples."""
+    arm = ArmClient(processes.check)
+    try:
+        arm.wait_until_up()
+        yield arm
+    finally:
+        arm.close()
+
+
+def _progress(console: Console) -> Progress:
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeElapsedColumn(),
+    )
+    return Progress(*columns, console=console)
+
+
+def print_report(result: DemoResult, console: Console) -> None:
+    """The report's tables beside ours, and the drift."""
+    for number, (tool, found) in enumerate(result.tools.items(), start=1):
+        readings = found.readings
+        table = Table(
+            title=f"{tool}: root mean square of the compensated reading at {len(readings.raw)} "
+            "poses that the calibration has not seen",
+            title_justify="left",
+        )
+        table.add_column("axis")
+        table.add_column("unit")
+        for name in (
+            f"report's table {number}\n(real arm)",
+            "averaged\nreading",
+            "its\nnoise",
+            "over\nnoise",
+            "one\nsample",
+            "without com-\npensation",
+        ):
+            table.add_column(name, justify="right")
+        raw = np.sqrt(np.mean(readings.raw**2, axis=0))
+        for index, axis in enumerate(WRENCH_AXES):
+            scale, unit = (1.0, "N") if index < 3 else (1e3, "mN·m")
+            table.add_row(
+                axis,
+                unit,
+                f"{REPORT_RMSE[tool][index] * scale:.4f}",
+                f"{readings.rmse[index] * scale:.5f}",
+                f"{readings.noise[index] * scale:.5f}",
+                f"{readings.rmse[index] / readings.noise[index]:.3f}",
+                f"{found.sample_rmse[index] * scale:.4f}",
+                f"{raw[index] * scale:.4f}",
+            )
+        console.print(table)
+        calibration = found.calibration
+        truth = TOOLS[tool]
+        console.print(
+            f"  mass {calibration['mass_kg'] * 1e3:.3f} g (standard deviation "
+            f"{calibration['mass_std_kg'] * 1e3:.3f} g; simulated: {truth.load.mass_kg * 1e3:.1f} g), "
+            f"centre {_millimetres(calibration['com_m'])} mm "
+            f"(simulated: {_millimetres(truth.load.com_m)} mm)"
+        )
+        for skipped in readings.skipped:
+            console.print(f"  [yellow]skipped {skipped}[/yellow]")
+    off, on = result.drift_off, result.drift_on
+    table = Table(
+        title=f"Drift of the {result.drift_tool} in admittance mode, nobody touching it",
+        title_justify="left",
+    )
+    for name in ("", "at the end (mm)", "largest (mm)", "largest (°)"):
+        table.add_column(name, justify="right" if name else "left")
+    for name, drift in (("compensation off", off), ("compensation on", on)):
+        table.add_row(
+            name,
+            f"{drift.end_m * 1e3:.3f}",
+            f"{drift.largest_m * 1e3:.3f}",
+            f"{np.degrees(drift.angle.max()):.4f}",
+        )
+    console.print(table)
+    console.print(f"  largest on over largest off: {100 * on.largest_m / off.largest_m:.3f} %")
+    console.print("figures:")
+    for figure in result.figures:
+        console.print(f"  {figure}", soft_wrap=True)
+    console.print(f"took {result.wall_s:.0f} s")
+
+
+def _millimetres(vector: Sequence[float] | Array) -> str:
+    return "(" + ", ".join(f"{1e3 * value:.2f}" for value in vector) + ")"
+
+
+def to_json(result: DemoResult) -> dict[str, Any]:
+    """The result for a program; SI units."""
+    return {
+        "tools": {
+            tool: {
+                "calibration": found.calibration,
+                "poses": len(found.readings.raw),
+                "skipped": list(found.readings.skipped),
+                "report_rmse": REPORT_RMSE[tool].tolist(),
+                "rmse": found.readings.rmse.tolist(),
+                "noise": found.readings.noise.tolist(),
+                "over_noise": (found.readings.rmse / found.readings.noise).tolist(),
+                "sample_rmse": found.sample_rmse.tolist(),
+                "raw_rmse": np.sqrt(np.mean(found.readings.raw**2, axis=0)).tolist(),
+            }
+            for tool, found in result.tools.items()
+        },
+        "drift": {
+            name: {
+                "end_m": drift.end_m,
+                "largest_m": drift.largest_m,
+                "largest_rad": float(drift.angle.max()),
+            }
+            for name, drift in (("off", result.drift_off), ("on", result.drift_on))
+        },
+        "wall_s": result.wall_s,
+        "figures": result.figures,
+    }
+
+
+def build_parser() -> argparse.ArgumentParser:
+    """The command's options."""
+    parser = argparse.ArgumentParser(prog="demo", description=__doc__, epilog=_EPILOG)
+    parser.add_argument(
+        "--output", default="output/demo", metavar="DIR", help="tools, figures and logs go here"
+    )
+    parser.add_argument(
+        "--poses", type=_count, default=200, help="poses to visit with each tool (default 200)"
+    )
+    parser.add_argument(
+        "--speed",
+        type=float,
+        default=5.0,
+        help="simulated over wall time; a machine that can't keep up runs slower, with the same "
+        "result (default 5)",
+    )
+    parser.add_argument("--seed", type=int, default=2019, help="of noise and poses (default 2019)")
+    parser.add_argument("--json", action="store_true", help="print one JSON object (SI units)")
+    return parser
+
+
+def _count(text: str) -> int:
+    value = int(text)
+    if value < 10:
+        raise argparse.ArgumentTypeError(f"{value} is less than 10")
+    return value
+
+
+def main(args: Sequence[str] | None = None) -> int:
+    """Entry point; returns the exit code."""
+    options = build_parser().parse_args(args)
+    console = Console(
+        stderr=options.json, width=None if sys.stdout.isatty() else 110, highlight=False
+    )
+    try:
+        result = run_demo(options, console)
+    except GalenError as error:
+        print(f"demo: {error}", file=sys.stderr)
+        return 1
+    except KeyboardInterrupt:
+        print("demo: interrupted", file=sys.stderr)
+        return 130
+    if options.json:
+        print(json.dumps(to_json(result), indent=2))
+    else:
+        print_report(result, console)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
