@@ -1,0 +1,39 @@
+# `make demo` and `make test` do all they need; `make help` lists the rest.
+SHELL := /bin/bash
+.DEFAULT_GOAL := help
+.PHONY: help setup build test test-slow lint demo clean
+
+STARTER ?= python3
+SETUP = $(STARTER) scripts/setup_env.py
+ENTER = source scripts/env.sh
+# Given on the command line, as in `make GALEN_PYTHON=/usr/bin/python3.12 build`.
+ifdef GALEN_PYTHON
+export GALEN_PYTHON
+endif
+
+help: ## list the targets
+	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /  make \1\t/' | expand -t 20
+	@echo "  ARGS='...' is handed to the demo and to pytest."
+
+setup: ## make .venv: on the sourced ROS 2 Jazzy, or else with ROS 2 from PyPI
+	@$(SETUP) setup
+
+build: ## set up, then build the packages
+	@$(SETUP) build
+
+test: build ## run the quick tests
+	@$(ENTER) && python -m pytest -m "not slow" $(ARGS)
+
+test-slow: build ## run the slow tests
+	@$(ENTER) && python -m pytest -m slow $(ARGS)
+
+lint: setup ## check style, format and types
+	@.venv/bin/ruff check .
+	@.venv/bin/ruff format --check .
+	@.venv/bin/mypy
+
+demo: build ## calibrate two tools on the simulated arm and show the report's tables
+	@$(ENTER) && python -m galen_bringup.demo $(ARGS)
+
+clean: ## remove what was built; with ALL=1 the environment too
+	rm -rf build install log $(if $(ALL),.venv)

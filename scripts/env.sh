@@ -1,0 +1,63 @@
+# Source this in bash or zsh to enter the workspace's environment:  source scripts/env.sh
+# It puts ROS 2, the Python environment and the built packages on this shell's paths.
+
+if [ -n "${BASH_VERSION:-}" ]; then
+  _galen_file="${BASH_SOURCE[0]}"
+  _galen_shell=bash
+elif [ -n "${ZSH_VERSION:-}" ]; then
+  eval '_galen_file="${(%):-%x}"' # only zsh can parse this
+  _galen_shell=zsh
+else
+  echo "error: scripts/env.sh needs bash or zsh" >&2
+  return 1
+fi
+_galen_root="$(cd -- "$(dirname -- "$_galen_file")/.." > /dev/null && pwd -P)"
+
+if [ ! -f "$_galen_root/.venv/galen_env.sh" ]; then
+  echo "error: no environment in $_galen_root/.venv; run 'make build' there first" >&2
+  unset _galen_file _galen_shell _galen_root
+  return 1
+fi
+
+# The set-up scripts of ROS and colcon read variables that may not be set.
+case $- in *u*) _galen_nounset=1 ;; *) _galen_nounset= ;; esac
+set +u
+
+. "$_galen_root/.venv/galen_env.sh" # sets GALEN_ENV_KIND and GALEN_ROS_PREFIX
+if [ "$GALEN_ENV_KIND" = ros ]; then
+  if [ -z "${ROS_DISTRO:-}" ]; then
+    . "$GALEN_ROS_PREFIX/setup.$_galen_shell"
+  fi
+else
+  case ":${AMENT_PREFIX_PATH:-}:" in
+    *":$_galen_root/.venv:"*) ;;
+    *) export AMENT_PREFIX_PATH="$_galen_root/.venv${AMENT_PREFIX_PATH:+:$AMENT_PREFIX_PATH}" ;;
+  esac
+  case ":${CMAKE_PREFIX_PATH:-}:" in
+    *":$_galen_root/.venv:"*) ;;
+    *) export CMAKE_PREFIX_PATH="$_galen_root/.venv${CMAKE_PREFIX_PATH:+:$CMAKE_PREFIX_PATH}" ;;
+  esac
+  # Shared memory of a killed process makes Fast DDS complain in red; UDP has no such leftovers.
+  export FASTDDS_BUILTIN_TRANSPORTS="${FASTDDS_BUILTIN_TRANSPORTS:-UDPv4}"
+fi
+export ROS_AUTOMATIC_DISCOVERY_RANGE="${ROS_AUTOMATIC_DISCOVERY_RANGE:-LOCALHOST}"
+
+export VIRTUAL_ENV="$_galen_root/.venv"
+case ":$PATH:" in
+  *":$VIRTUAL_ENV/bin:"*) ;;
+  *) export PATH="$VIRTUAL_ENV/bin:$PATH" ;;
+esac
+# Last on PATH: a real `ros2` wins over the stand-in.
+case ":$PATH:" in
+  *":$_galen_root/scripts/fallback_bin:"*) ;;
+  *) export PATH="$PATH:$_galen_root/scripts/fallback_bin" ;;
+esac
+
+if [ -f "$_galen_root/install/local_setup.$_galen_shell" ]; then
+  . "$_galen_root/install/local_setup.$_galen_shell"
+else
+  echo "note: nothing is built yet; run 'make build' in $_galen_root" >&2
+fi
+
+if [ -n "$_galen_nounset" ]; then set -u; fi
+unset _galen_file _galen_shell _galen_root _galen_nounset

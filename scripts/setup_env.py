@@ -1,0 +1,49 @@
+#!/usr/bin/env python3
+"""Make the environment, build the workspace, and run commands in it.
+
+    python3 scripts/setup_env.py setup     make .venv
+    python3 scripts/setup_env.py build     make .venv and build the packages
+
+Any Python 3 from 3.8 on may start it; it looks for the one that the environment needs.
+"""
+
+import sys
+
+if sys.version_info < (3, 8):  # noqa: UP036 - the script may be started by an old Python
+    sys.exit("error: scripts/setup_env.py needs Python 3.8 or newer to start")
+
+import argparse
+import os
+from pathlib import Path
+
+from workspace.build import build
+from workspace.environment import Environment
+from workspace.errors import SetupError
+from workspace.lock import exclusive
+
+ROOT = Path(__file__).resolve().parent.parent
+
+
+def main(arguments: "list[str] | None" = None) -> int:
+    """Do what the command line says; an expected error is one line and exit code 1."""
+    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser.add_argument("step", choices=("setup", "build"), help="setup: .venv only")
+    parser.add_argument("--verbose", action="store_true", help="show all that colcon prints")
+    options = parser.parse_args(arguments)
+    try:
+        with exclusive(ROOT / ".workspace.lock"):
+            environment = Environment(ROOT, os.environ)
+            environment.make()
+            if options.step == "build":
+                build(environment, verbose=options.verbose)
+    except SetupError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 1
+    except KeyboardInterrupt:
+        print("\nerror: interrupted; the next run starts that step again", file=sys.stderr)
+        return 130
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

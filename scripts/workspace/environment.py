@@ -1,0 +1,313 @@
+"""Makes `.venv`, with ROS 2 from PyPI or on top of an installed one."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import re
+import shutil
+import subprocess
+import sys
+import time
+from collections.abc import Mapping
+from pathlib import Path
+
+from . import tools
+from .errors import SetupError
+from .interpreter import Interpreter, choose
+from .ros import Ros, find_ros, unused_ros_note
+from .wheel_repair import repair_wheels
+
+LAYOUT = 1  # raise it when an environment made by older code is no longer good
+RCLPY_VERSION = "7.1.6"  # Jazzy's; a later one is another distribution
+GROUPS = ("runtime", "dev", "build", "ros")
+STAMP_NAME = "galen_env.json"
+# Always ours, also where ROS's Debian packages bring another version: what tests and checks.
+PINNED_WITH_ROS = "dev"
+SETUPTOOLS_LIMIT = 80  # from here on there is no `develop`, which --symlink-install needs
+
+_INSTALLED = """
+import importlib.metadata as m, json
+print(json.dumps({d.name: d.version for d in m.distributions() if d.name}))
+"""
+_CHECK = """
+import matplotlib, numpy, pinocchio, rclpy, rich, rosbags, scipy, tqdm, yaml
+import sensor_msgs.msg, std_srvs.srv, trajectory_msgs.msg
+sensor_msgs.msg.JointState.__class__.__import_type_support__()
+"""
+_INCLUDES = """
+import numpy, sysconfig
+print(sysconfig.get_paths()["include"])
+print(numpy.get_include())
+"""
+
+
+def normal_name(name: str) -> str:
+    """Return a distribution's name in the one spelling that an index compares."""
+    return re.sub(r"[-_.]+", "-", name).lower()
+
+
+def read_pins(path: Path) -> dict[str, str]:
+    """Return the versions of a lock file by name.
+
+    Raises:
+        SetupError: a line is not ``name==version``.
+
+    """
+    pins = {}
+    for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(), start=1):
+        text = line.split("#")[0].strip()
+        if not text:
+            continue
+        name, equals, version = text.partition("==")
+        if not equals or not version:
+            raise SetupError(f"{path}:{number}: '{text}' is not name==version")
+        pins[normal_name(name)] = version
+    return pins
+
+
+def to_install(
+    pins: Mapping[str, Mapping[str, str]], installed: Mapping[str, str], ros: Ros | None
+) -> dict[str, str]:
+    """Return what has to be installed.
+
+    Args:
+        pins: versions by name, by group.
+        installed: versions that the environment already has, from ROS and the system.
+        ros: the installed ROS; None takes everything from the pins.
+
+    Returns:
+        Versions by name. On an installed ROS only what it does not bring: its messages are
+        compiled against its numpy, and its tools expect its versions.
+
+    """
+    if ros is None:
+        return {name: version for group in GROUPS for name, version in pins[group].items()}
+    present = {normal_name(name): version for name, version in installed.items()}
+    major = re.match(r"\d+", present.get("setuptools", ""))
+    if major and int(major.group()) >= SETUPTOOLS_LIMIT:
+        del present["setuptools"]
+    wanted = dict(pins[PINNED_WITH_ROS])
+    for group in ("runtime", "build"):
+        wanted.update((n, v) for n, v in pins[group].items() if n not in present)
+    return wanted
+
+
+def explain_pip(log: str) -> str:
+    """Return in a few words why pip failed, from its output."""
+    if re.search(r"No space left on device|\[Errno 28\]|Disk quota exceeded", log):
+        return "the disk is full: free some space"
+    missing = re.search(r"No matching distribution found for (\S+)", log)
+    network = re.search(
+        r"NewConnectionError|ConnectTimeout|ReadTimeout|Connection(?:Reset|Refused)?Error"
+        r"|name resolution|Network is unreachable|ProxyError|SSLError|Max retries",
+        log,
+    )
+    if network:
+        return "the package index did not answer: check the connection and pip's configuration"
+    if missing:
+        return f"the package index does not have {missing.group(1)} for this Python and machine"
+    errors = re.findall(r"^ERROR: (.+)$", log, re.MULTILINE)
+    return errors[-1] if errors else "pip failed"
+
+
+class Environment:
+    """The environment of the workspace at ``root``."""
+
+    def __init__(self, root: Path, environ: Mapping[str, str]) -> None:
+        """Look at what is sourced; nothing is made yet."""
+        self.root = root
+        self.environ = clean_environ(environ, root)
+        self.path = root / ".venv"
+        self.python = self.path / "bin" / "python"
+        self.log = root / "log" / "setup.log"
+        self.ros = find_ros(self.environ)
+
+    def key(self) -> str:
+        """Return a hash of all that the environment is made from, but the Python."""
+        digest = hashlib.sha256(f"{LAYOUT} {self.ros}".encode())
+        for group in GROUPS:
+            digest.update((self.root / "requirements" / f"{group}.txt").read_bytes())
+        return digest.hexdigest()
+
+    def is_ready(self) -> bool:
+        """Return whether `.venv` was made to its end, from today's requirements."""
+        try:
+            stamp = json.loads((self.path / STAMP_NAME).read_text(encoding="utf-8"))
+        except (OSError, ValueError):
+            return False
+        forced = self.environ.get("GALEN_PYTHON")
+        if forced and stamp.get("forced_python") != forced:
+            return False
+        return stamp.get("key") == self.key() and os.access(self.python, os.X_OK)
+
+    def make(self) -> None:
+        """Make `.venv`, unless a good one is there.
+
+        Raises:
+            SetupError: a part is missing or a download fails; `.venv` then has no stamp, so that
+                the next run makes it anew.
+
+        """
+        if self.is_ready():
+            return
+        tools.check_tools(self.environ)
+        if self.ros is None:
+            tools.check_platform()
+        interpreter = choose(self.environ, self.ros)
+        self._remove_old()
+        tools.check_disk(self.root)
+        origin = f"the ROS 2 in {self.ros.prefix}" if self.ros else "PyPI"
+        print(f"Making .venv: Python {interpreter.version}, ROS 2 from {origin} ...", flush=True)
+        if self.ros is None and unused_ros_note():
+            print(unused_ros_note(), flush=True)
+        started = time.monotonic()
+        self.log.parent.mkdir(exist_ok=True)
+        self.log.write_text("", encoding="utf-8")
+        try:
+            self._fill(interpreter)
+        except OSError as error:
+            raise SetupError(f"cannot make {self.path}: {error}") from error
+        print(f"Environment ready after {time.monotonic() - started:.0f} s.", flush=True)
+
+    def variables(self) -> dict[str, str]:
+        """Return the environment variables to run commands of the environment with."""
+        env = dict(self.environ)
+        env["VIRTUAL_ENV"] = str(self.path)
+        env["PATH"] = f"{self.path / 'bin'}{os.pathsep}{env.get('PATH', os.defpath)}"
+        if self.ros is None:
+            env["AMENT_PREFIX_PATH"] = str(self.path)
+            env["CMAKE_PREFIX_PATH"] = str(self.path)
+            env.pop("PYTHONPATH", None)
+        return env
+
+    def _remove_old(self) -> None:
+        if self.path.is_symlink() or (self.path.exists() and not self.path.is_dir()):
+            raise SetupError(f"{self.path} is not a folder: move it away, then run it again")
+        if not self.path.exists():
+            return
+        if not (self.path / "pyvenv.cfg").is_file() and any(self.path.iterdir()):
+            raise SetupError(f"{self.path} is not a Python environment: move it away, run it again")
+        (self.path / STAMP_NAME).unlink(missing_ok=True)
+        shutil.rmtree(self.path)
+
+    def _fill(self, interpreter: Interpreter) -> None:
+        command = [interpreter.path, "-m", "venv", str(self.path)]
+        if self.ros:
+            command.insert(3, "--system-site-packages")
+        # No PYTHONPATH: what is on it must not count as the interpreter's own.
+        bare = {k: v for k, v in self.environ.items() if k != "PYTHONPATH"}
+        self._run(command, bare, f"{interpreter.path} could not make an environment")
+        (self.path / "COLCON_IGNORE").touch()
+
+        pins = {group: read_pins(self.root / "requirements" / f"{group}.txt") for group in GROUPS}
+        installed = json.loads(self._ask(_INSTALLED)) if self.ros else {}
+        wanted = to_install(pins, installed, self.ros)
+        # Packages without a wheel are built with this setuptools, not with any newer one.
+        first = {n: v for n, v in wanted.items() if n == "setuptools"}
+        self._pip(first, len(wanted))
+        self._pip({n: v for n, v in wanted.items() if n not in first}, len(wanted))
+
+        if self.ros is None:
+            python_include, numpy_include = self._ask(_INCLUDES).split("\n")
+            repair_wheels(self.path, python_include, numpy_include)
+            found = json.loads(self._ask(_INSTALLED)).get("ros-rclpy")
+            if found != RCLPY_VERSION:
+                raise SetupError(f"rclpy is {found}, and ROS 2 Jazzy's is {RCLPY_VERSION}")
+        self._run(
+            [str(self.python), "-c", _CHECK],
+            self.variables(),
+            "the environment was made, but a package in it does not import",
+        )
+        self._write_stamp(interpreter)
+
+    def _ask(self, code: str) -> str:
+        done = subprocess.run(
+            [str(self.python), "-c", code],
+            env=self.variables(),
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        if done.returncode:
+            raise SetupError(f"{self.python} does not run: {done.stderr.strip()[-200:]}")
+        return done.stdout.strip()
+
+    def _run(self, command: list[str], env: Mapping[str, str], failure: str) -> None:
+        with self.log.open("a", encoding="utf-8") as log:
+            log.write(f"$ {' '.join(command)}\n")
+            log.flush()
+            done = subprocess.run(command, env=dict(env), stdout=log, stderr=log, check=False)
+        if done.returncode:
+            last = self.log.read_text(encoding="utf-8").strip().splitlines()[-1]
+            raise SetupError(f"{failure} ({last.strip()}); see {self.log}")
+
+    def _pip(self, pins: Mapping[str, str], total: int) -> None:
+        if not pins:
+            return
+        command = [str(self.python), "-m", "pip", "install", "--no-deps", "--no-build-isolation"]
+        command += ["--disable-pip-version-check", "--no-input", "--progress-bar", "off"]
+        command += [f"{name}=={version}" for name, version in pins.items()]
+        show = sys.stdout.isatty()
+        text = ""
+        with self.log.open("a", encoding="utf-8") as log:
+            pip = subprocess.Popen(
+                command,
+                env=self.variables(),
+                stdout=subprocess.PIPE,
+                stderr=subprocess.STDOUT,
+                text=True,
+            )
+            assert pip.stdout is not None
+            done = 0
+            for line in pip.stdout:
+                log.write(line)
+                text += line
+                done += line.startswith("Collecting ")
+                if show:
+                    print(f"\r  fetching {done} of {total} packages ", end="", flush=True)
+            code = pip.wait()
+        if show:
+            print("\r\033[K", end="", flush=True)
+        if code:
+            raise SetupError(f"{explain_pip(text)}; see {self.log}")
+
+    def _write_stamp(self, interpreter: Interpreter) -> None:
+        lines = [f"GALEN_ENV_KIND={'ros' if self.ros else 'pypi'}"]
+        lines.append(f"GALEN_ROS_PREFIX='{self.ros.prefix if self.ros else ''}'")
+        (self.path / "galen_env.sh").write_text("\n".join(lines) + "\n", encoding="utf-8")
+        stamp = {
+            "key": self.key(),
+            "python": interpreter.path,
+            "forced_python": self.environ.get("GALEN_PYTHON"),
+        }
+        unfinished = self.path / (STAMP_NAME + ".new")
+        unfinished.write_text(json.dumps(stamp, indent=2) + "\n", encoding="utf-8")
+        unfinished.replace(self.path / STAMP_NAME)
+
+
+def clean_environ(environ: Mapping[str, str], root: Path) -> dict[str, str]:
+    """Return ``environ`` without what an earlier `source` of this workspace put on its paths."""
+    env = dict(environ)
+    ours = (str(root / "install"), str(root / ".venv"), str(root / "build"))
+    for name in (
+        "AMENT_PREFIX_PATH",
+        "CMAKE_PREFIX_PATH",
+        "COLCON_PREFIX_PATH",
+        "LD_LIBRARY_PATH",
+        "PATH",
+        "PYTHONPATH",
+    ):
+        if name in env:
+            kept = [p for p in env[name].split(os.pathsep) if not _is_below(p, ours)]
+            env[name] = os.pathsep.join(kept)
+            if not env[name]:
+                del env[name]
+    for name in ("VIRTUAL_ENV", "PYTHONHOME"):
+        env.pop(name, None)
+    return env
+
+
+def _is_below(path: str, folders: tuple[str, ...]) -> bool:
+    return any(path == folder or path.startswith(folder + os.sep) for folder in folders)
