@@ -11,7 +11,6 @@ from galen_calibration_behavior.motion_time import quintic_duration_s
 from galen_model.arm import JOINT_NAMES
 from galen_model.arrays import Array
 from galen_model.errors import GalenError
-from galen_msgs.srv import SetTool
 from galen_ros.conversions import JointStateReader, fill_stamp, stamp_to_ns, wrench_to_array
 from galen_ros.qos import STREAM
 from galen_ros.spin import make_executor
@@ -23,6 +22,8 @@ from rclpy.parameter_client import AsyncParameterClient
 from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
+
+from galen_msgs.srv import SetTool
 
 MAX_VELOCITY = np.array([0.15, 0.15, 0.15, 1.4, 1.4])
 MAX_ACCELERATION = np.array([0.9, 0.9, 0.9, 5.5, 5.5])

@@ -35,7 +35,7 @@ from rich.table import Table
 from galen_bringup.arm_client import ArmClient
 from galen_bringup.drift import Drift, measure_drift
 from galen_bringup.figures import plot_compensation, plot_drift, plot_residual_map
-from galen_bringup.processes import Processes, ProcessError, executable_path, ros_arguments
+from galen_bringup.processes import ProcessError, Processes, executable_path, ros_arguments
 from galen_bringup.verification import PoseReadings, random_poses, visit
 
 REPORT_RMSE = {
@@ -55,7 +55,7 @@ _CALIBRATION = {
     "max_delta_acceleration_m_s2": 0.9,
     "use_sim_time": True,
 }
-"""Quicker than the node's defaults, which are for a real arm; the simulated one rings at nothing."""
+"""Quicker than the node's defaults, which are for a real arm; the simulated one does not ring."""
 
 _EPILOG = "exit codes: 0 done, 1 something failed (one line says what), 2 usage, 130 interrupted"
 
@@ -106,7 +106,9 @@ def run_demo(options: argparse.Namespace, console: Console) -> DemoResult:
             "calibration_node",
             ros_arguments({"tools_dir": tools_dir, **_CALIBRATION}),
         )
-        console.print("driver, compensation and calibration run as processes of their own", style="dim")
+        console.print(
+            "driver, compensation and calibration run as processes of their own", style="dim"
+        )
         with _arm(processes):
             pass  # entering waits until the nodes are up
         found: dict[str, ToolResult] = {}
@@ -128,7 +130,10 @@ def run_demo(options: argparse.Namespace, console: Console) -> DemoResult:
     assert drift is not None
     figures = []
     for tool, result in found.items():
-        for kind, plot in (("compensation", plot_compensation), ("residual_map", plot_residual_map)):
+        for kind, plot in (
+            ("compensation", plot_compensation),
+            ("residual_map", plot_residual_map),
+        ):
             path = figures_dir / f"{tool}_{kind}.png"
             plot(tool, result.readings, path)
             figures.append(str(path))
@@ -233,8 +238,8 @@ def print_report(result: DemoResult, console: Console) -> None:
         truth = TOOLS[tool]
         console.print(
             f"  mass {calibration['mass_kg'] * 1e3:.3f} g (standard deviation "
-            f"{calibration['mass_std_kg'] * 1e3:.3f} g; simulated: {truth.load.mass_kg * 1e3:.1f} g), "
-            f"centre {_millimetres(calibration['com_m'])} mm "
+            f"{calibration['mass_std_kg'] * 1e3:.3f} g; simulated: "
+            f"{truth.load.mass_kg * 1e3:.1f} g), centre {_millimetres(calibration['com_m'])} mm "
             f"(simulated: {_millimetres(truth.load.com_m)} mm)"
         )
         for skipped in readings.skipped:

@@ -1,4 +1,4 @@
-"""How far does a hand-guided tool wander when nobody touches it, and the arm turns?
+"""How far a hand-guided tool wanders when nobody touches it and the arm turns.
 
 The arm follows one and the same trajectory three times: with admittance off (that is where the
 tool should be), with admittance on the raw reading, zeroed at home with the tool on as the arm did

@@ -46,9 +46,7 @@ class PoseReadings:
     @property
     def noise(self) -> Array:
         """Noise (6,) of an averaged reading, from the scatter of the samples within the poses."""
-        return np.asarray(
-            np.sqrt(np.mean(self.sample_std**2 / self.samples[:, None], axis=0))
-        )
+        return np.asarray(np.sqrt(np.mean(self.sample_std**2 / self.samples[:, None], axis=0)))
 
     @property
     def rmse(self) -> Array:
@@ -98,8 +96,12 @@ def visit(
     if not joints:
         raise ArmError(f"no pose was still: {skipped[0]}")
     return PoseReadings(
-        *(np.array(column, dtype=float) for column in (joints, raw, compensated, stds, samples)),
-        tuple(skipped),
+        joints=np.array(joints),
+        raw=np.array(raw),
+        compensated=np.array(compensated),
+        sample_std=np.array(stds),
+        samples=np.array(samples, dtype=float),
+        skipped=tuple(skipped),
     )
 
 
@@ -134,5 +136,7 @@ def _visit_one(
     raw, compensated = (recorder.result for recorder in recorders)
     if isinstance(raw, PoseRecord) and isinstance(compensated, PoseRecord):
         return raw, compensated
-    reasons = [r.reason for r in (raw, compensated) if r is not None and not isinstance(r, PoseRecord)]
+    reasons = [
+        r.reason for r in (raw, compensated) if r is not None and not isinstance(r, PoseRecord)
+    ]
     return "; ".join(reasons)

@@ -1,4 +1,4 @@
-"""`evaluate`: how well does a load model fit readings that it has not seen?"""
+"""`evaluate`: how well a load model fits readings that it has not seen."""
 
 import argparse
 import json
@@ -257,8 +257,8 @@ def build_parser() -> argparse.ArgumentParser:
         "--table",
         required=True,
         metavar="FILE",
-        help="text table: fx fy fz tx ty tz (N, N.m; a push reads positive in its direction) and one "
-        "of gx gy gz | r11..r33 (R_base_sensor) | qx qy qz qw (sensor in base) | roll tilt; "
+        help="text table: fx fy fz tx ty tz (N, N.m; a push reads positive in its direction) and "
+        "one of gx gy gz | r11..r33 (R_base_sensor) | qx qy qz qw (sensor in base) | roll tilt; "
         "optional: t (s), block (label)",
     )
     parser.add_argument(

@@ -20,7 +20,9 @@ LOAD = Load(0.9, np.array([0.002, -0.001, 0.044]))
 OFFSET = np.array([9.0, -1.0, 10.0, 0.4, -0.7, -0.2])
 NOISE = np.array([0.05, 0.05, 0.05, 2e-3, 2e-3, 2e-3])
 SHARED = Path(__file__).resolve().parents[3] / "shared" / "data" / "real"
-needs_shared = pytest.mark.skipif(not SHARED.is_dir(), reason="measured data is not beside the checkout")
+needs_shared = pytest.mark.skipif(
+    not SHARED.is_dir(), reason="measured data is not beside the checkout"
+)
 
 
 @pytest.fixture
@@ -53,7 +55,9 @@ def test_every_form_of_orientation_reads_the_same(tmp_path, readings):
     }
     for separator in (",", ";", "\t", " "):
         for kind, (names, columns) in forms.items():
-            path = write(tmp_path / "t.csv", names + WRENCH, np.hstack([columns, wrench]), separator)
+            path = write(
+                tmp_path / "t.csv", names + WRENCH, np.hstack([columns, wrench]), separator
+            )
             table = read_table(path)
             assert table.orientation == kind
             np.testing.assert_allclose(table.gravity, gravity, atol=1e-9)
@@ -74,7 +78,9 @@ def test_wrenches_in_the_base_are_turned_back(tmp_path, readings):
 
 def test_gravity_in_g_is_scaled(tmp_path, readings):
     _, _, _, gravity, wrench = readings
-    path = write(tmp_path / "t.csv", ["gx", "gy", "gz", *WRENCH], np.hstack([gravity / 9.80665, wrench]))
+    path = write(
+        tmp_path / "t.csv", ["gx", "gy", "gz", *WRENCH], np.hstack([gravity / 9.80665, wrench])
+    )
     np.testing.assert_allclose(read_table(path).gravity, gravity, atol=1e-9)
 
 
@@ -148,7 +154,9 @@ def test_robust_model_ignores_a_touched_reading(readings):
     groups = np.arange(30)
     clean = np.arange(30) != 7
     rmse = {
-        name: np.sqrt(np.mean(cross_validate(gravity, wrench, groups, model).residuals[clean] ** 2, axis=0))
+        name: np.sqrt(
+            np.mean(cross_validate(gravity, wrench, groups, model).residuals[clean] ** 2, axis=0)
+        )
         for name, model in MODELS.items()
     }
     assert np.all(rmse["galen"] < 0.7 * rmse["plain least squares"])
@@ -181,7 +189,9 @@ def test_a_recording_is_scored_by_stops_and_its_json_is_whole(tmp_path, capsys):
     path = write(
         tmp_path / "r.csv", ["t", "roll", "tilt", *WRENCH], np.column_stack([time, joints, wrench])
     )
-    code = main(["--table", str(path), "--average-s", "1", "--json", "--plots", str(tmp_path / "p")])
+    code = main(
+        ["--table", str(path), "--average-s", "1", "--json", "--plots", str(tmp_path / "p")]
+    )
     assert code == 0
     content = json.loads(capsys.readouterr().out)
     assert content["still_phases"] == 4

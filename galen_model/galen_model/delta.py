@@ -57,7 +57,9 @@ class LinearDelta:
         c = offset @ offset + centres[0, 2] ** 2 - self._arm.rod_length_m**2
         root = b * b - a * c
         if root < 0.0:
-            raise KinematicsError(f"no platform position belongs to carriages at {carriages_m} m")
+            raise KinematicsError(
+                f"no platform position belongs to carriages at {np.asarray(carriages_m)} m"
+            )
         z = (-b + np.sqrt(root)) / a
         return np.append(offset + centres[0, :2] + slope * z, z)
 

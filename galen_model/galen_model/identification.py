@@ -289,9 +289,7 @@ def _single_load_design(gravity: Array) -> Array:
 
 def _check_count(poses: StillPoses, name: str) -> None:
     if len(poses) < MIN_POSES:
-        raise NotExcitedError(
-            f"{name}: {len(poses)} still poses; at least {MIN_POSES} are needed"
-        )
+        raise NotExcitedError(f"{name}: {len(poses)} still poses; at least {MIN_POSES} are needed")
 
 
 def _check_rejections(fit: RobustFit) -> None:
@@ -357,8 +355,8 @@ def _noise_warnings(fit: RobustFit, std_of_mean: Array | None) -> list[str]:
         return []
     axis = ("fx", "fy", "fz", "tx", "ty", "tz")[worst]
     return [
-        f"the residual of {axis} is {ratio[worst]:.1f} times what the noise within a pose explains: "
-        "something that the model doesn't hold (drift, joint zero, sensor rotation, a cable)"
+        f"the residual of {axis} is {ratio[worst]:.1f} times what the noise within a pose explains"
+        ": something that the model doesn't hold (drift, joint zero, sensor rotation, a cable)"
     ]
 
 

@@ -52,7 +52,9 @@ def sensor_pose(joints: ArrayLike, arm: ArmParameters = GALEN) -> tuple[Array, A
     return sensor_rotation(q[..., 3], q[..., 4]), origin
 
 
-def tip_pose(joints: ArrayLike, tip_m: ArrayLike, arm: ArmParameters = GALEN) -> tuple[Array, Array]:
+def tip_pose(
+    joints: ArrayLike, tip_m: ArrayLike, arm: ArmParameters = GALEN
+) -> tuple[Array, Array]:
     """R_base_tip (..., 3, 3) and the tip in base_link (..., 3), m.
 
     tip_m: (3,) in ft_sensor. The frame tool_tip is turned as ft_sensor is.

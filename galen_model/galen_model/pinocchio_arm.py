@@ -23,9 +23,7 @@ class PinocchioArm:
 
     def pose(self, joints: ArrayLike, frame: str = SENSOR_FRAME) -> tuple[Array, Array]:
         """R_base_frame (3, 3) and the frame's origin in base_link (3,), m, at joints (5,)."""
-        pinocchio.framesForwardKinematics(
-            self.model, self._data, np.asarray(joints, dtype=float)
-        )
+        pinocchio.framesForwardKinematics(self.model, self._data, np.asarray(joints, dtype=float))
         placement = self._data.oMf[self.model.getFrameId(frame)]
         return placement.rotation.copy(), placement.translation.copy()
 

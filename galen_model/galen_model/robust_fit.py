@@ -64,9 +64,7 @@ def fit_with_known_prior(
     The six values in `offset_columns` are known to be zero within the noise of one reading, which
     the fit itself finds.
     """
-    return _fit(
-        design, readings, _Prior(prior_rows, prior_values, prior_std, offset_columns)
-    )
+    return _fit(design, readings, _Prior(prior_rows, prior_values, prior_std, offset_columns))
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""A tool's calibration file `<tools_dir>/<tool>.json`: read with checks, written whole or not at all.
+"""A tool's file `<tools_dir>/<tool>.json`: read with checks, written whole or not at all.
 
 Writing puts the new text into a temporary file beside the old one, syncs it to the disk and
 renames it over the old name, which POSIX does in one step; before that the old file gets a second
@@ -175,7 +175,7 @@ def write_tool(path: str | os.PathLike[str], tool: ToolFile) -> None:
                 stream.write(text)
                 stream.flush()
                 os.fsync(stream.fileno())
-            os.chmod(temporary, 0o644)  # mkstemp's 0600 would hide the file from the lab's others
+            Path(temporary).chmod(0o644)  # mkstemp's 0600 would hide it from the lab's others
             _keep_backup(path)
             os.replace(temporary, path)
         except BaseException:

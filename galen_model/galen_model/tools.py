@@ -20,7 +20,9 @@ ADAPTER = Load(0.100, np.array([0.0, 0.0, 0.020]))
 """The bias load: what stays on the sensor when no tool is on."""
 
 TOOLS = {
-    "pointer": ToolGeometry(Load(0.060, np.array([0.055, 0.002, 0.045])), np.array([0.150, 0.0, 0.050])),
+    "pointer": ToolGeometry(
+        Load(0.060, np.array([0.055, 0.002, 0.045])), np.array([0.150, 0.0, 0.050])
+    ),
     "retractor": ToolGeometry(
         Load(0.200, np.array([0.070, -0.010, 0.055])), np.array([0.180, 0.010, 0.050])
     ),

@@ -9,8 +9,16 @@ from xml.etree import ElementTree
 import numpy as np
 from numpy.typing import ArrayLike
 
-from galen_model.arm import BASE_FRAME, GALEN, JOINT_NAMES, LIMITS, SENSOR_FRAME, TIP_FRAME
-from galen_model.arm import ArmParameters, JointLimits
+from galen_model.arm import (
+    BASE_FRAME,
+    GALEN,
+    JOINT_NAMES,
+    LIMITS,
+    SENSOR_FRAME,
+    TIP_FRAME,
+    ArmParameters,
+    JointLimits,
+)
 
 
 def galen_urdf(

@@ -103,7 +103,9 @@ def test_drift_between_the_sweeps_reaches_neither_mass_nor_centre():
     found = identify_two_sweeps(*sweeps(tool, rng, drift=drift))
     assert np.all(np.abs(estimate(found) - truth(tool)) < 5 * stated_std(found))
     assert np.all(np.abs(found.offset_change - drift) < 5 * found.offset_change_std)
-    assert any(re.match(r"the sensor's fz moved by \+0\.(49|50)", warning) for warning in found.warnings)
+    assert any(
+        re.match(r"the sensor's fz moved by \+0\.(49|50)", warning) for warning in found.warnings
+    )
 
 
 def test_touched_poses_are_rejected_and_do_no_harm():
@@ -124,21 +126,23 @@ def test_healthy_poses_are_hardly_ever_rejected():
     rng, rejected = np.random.default_rng(11), 0
     for _ in range(100):
         rejected += len(identify_two_sweeps(*sweeps(TOOLS["pointer"].load, rng)).rejected)
-    assert rejected <= 8  # one in a hundred calibrations by design, a few more as sigma is estimated
+    assert (
+        rejected <= 8
+    )  # one in a hundred calibrations by design, a few more as sigma is estimated
 
 
 def test_too_many_outliers_are_an_error():
     tool, rng = TOOLS["pointer"].load, np.random.default_rng(6)
     bare, with_tool = sweeps(tool, rng)
     with_tool.wrench[:45] += rng.uniform(-3, 3, (45, 6))
-    with pytest.raises(IdentificationError, match="poses fit no common load|agree on"):
+    with pytest.raises(IdentificationError, match=r"poses fit no common load|agree on"):
         identify_two_sweeps(bare, with_tool)
 
 
 def test_poses_that_do_not_turn_are_refused_by_name():
     tool, rng = TOOLS["pointer"].load, np.random.default_rng(8)
     same = (np.full(56, 0.2), np.full(56, 0.1))
-    with pytest.raises(NotExcitedError, match="the tool's mass.*0.000 rad of roll"):
+    with pytest.raises(NotExcitedError, match=r"the tool's mass.*0.000 rad of roll"):
         identify_two_sweeps(*sweeps(tool, rng, poses=same))
     with pytest.raises(NotExcitedError, match="times less than well-spread"):
         identify_two_sweeps(*sweeps(tool, rng, poses=grid(roll=0.05, tilt=(-0.05, 0.05))))
@@ -159,7 +163,9 @@ def test_mass_that_is_not_positive_is_refused():
     tool = TOOLS["pointer"].load
     bare, with_tool = sweeps(tool, rng)
     with pytest.raises(ImplausibleLoadError, match="a mass is positive"):
-        identify_two_sweeps(with_tool, bare)  # the sweeps swapped: the tool's mass comes out negative
+        identify_two_sweeps(
+            with_tool, bare
+        )  # the sweeps swapped: the tool's mass comes out negative
     nothing, still_nothing = sweeps(NO_TOOL, rng)
     with pytest.raises(ImplausibleLoadError, match="the tool"):
         identify_two_sweeps(nothing, still_nothing)
@@ -211,12 +217,15 @@ def test_single_load_equals_plain_least_squares_on_clean_data_and_beats_it_on_to
     rng = np.random.default_rng(14)
     gravity = rng.standard_normal((24, 3))
     gravity *= 9.80665 / np.linalg.norm(gravity, axis=1, keepdims=True)
-    load, offset = Load(0.93, np.array([0.001, -0.002, 0.044])), np.array([9, -1, 10, 0.4, -0.7, -0.2])
+    load, offset = (
+        Load(0.93, np.array([0.001, -0.002, 0.044])),
+        np.array([9, -1, 10, 0.4, -0.7, -0.2]),
+    )
     noise = np.array([0.05, 0.05, 0.05, 2e-3, 2e-3, 2e-3])
     reading = gravity_wrench(gravity, load) + offset + noise * rng.standard_normal((24, 6))
     moments, biases = plain_least_squares(gravity, reading)
     robust = identify_single_load(gravity, reading)
-    # the weights differ (each axis' own noise here), so equal within a fraction of the noise's limit
+    # the weights differ (each axis' own noise here): equal within a part of the noise's limit
     assert robust.used.all()
     assert abs(robust.load.mass_kg - moments[0]) < 0.3 * robust.load.mass_std_kg
     np.testing.assert_allclose(robust.offset, biases, atol=0.01)
@@ -227,7 +236,8 @@ def test_single_load_equals_plain_least_squares_on_clean_data_and_beats_it_on_to
     assert abs(robust.load.mass_kg - 0.93) < abs(moments[0] - 0.93)
     assert robust.predict(gravity).shape == (24, 6)
     np.testing.assert_allclose(
-        robust.predict(gravity), gravity_regressor(gravity) @ robust.load.load.moments + robust.offset
+        robust.predict(gravity),
+        gravity_regressor(gravity) @ robust.load.load.moments + robust.offset,
     )
 
 
@@ -235,6 +245,6 @@ def test_sweep_shapes_are_checked():
     roll, tilt = grid()
     with pytest.raises(IdentificationError, match="shape"):
         StillPoses(roll, tilt, np.zeros((55, 6)))
-    with pytest.raises(IdentificationError, match="wrench .* non-finite"):
+    with pytest.raises(IdentificationError, match=r"wrench .* non-finite"):
         StillPoses(roll, tilt, np.full((56, 6), np.nan))
     assert gravity_in_sensor(0.0, 0.0) == pytest.approx([9.80665, 0, 0])

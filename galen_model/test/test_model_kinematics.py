@@ -5,7 +5,13 @@ import pytest
 from galen_model.arm import HOME, LIMITS
 from galen_model.delta import LinearDelta
 from galen_model.errors import KinematicsError
-from galen_model.kinematics import gravity_in_sensor, sensor_pose, sensor_rotation, tip_jacobian, tip_pose
+from galen_model.kinematics import (
+    gravity_in_sensor,
+    sensor_pose,
+    sensor_rotation,
+    tip_jacobian,
+    tip_pose,
+)
 from galen_model.pinocchio_arm import PinocchioArm
 
 TIP = np.array([0.18, 0.01, 0.05])
@@ -84,7 +90,7 @@ def test_delta_rods_keep_their_length_and_jacobian_equals_finite_differences():
 
 def test_delta_says_what_it_cannot_reach():
     delta = LinearDelta()
-    with pytest.raises(KinematicsError, match="rod . does not reach"):
+    with pytest.raises(KinematicsError, match=r"rod . does not reach"):
         delta.carriages([0.7, 0.0, 0.4])
     with pytest.raises(KinematicsError, match="outside its travel"):
         delta.carriages([0.0, 0.0, 0.8])
@@ -94,7 +100,7 @@ def test_delta_says_what_it_cannot_reach():
 
 def test_the_joint_limits_are_inside_the_carriages_travel():
     delta = LinearDelta()
-    # the box's rim is where carriages go furthest; heights near the ends need the room of the xy move
+    # at the box's rim the carriages go furthest
     for x in np.linspace(LIMITS.lower[0], LIMITS.upper[0], 7):
         for y in np.linspace(LIMITS.lower[1], LIMITS.upper[1], 7):
             assert np.all(np.isfinite(delta.carriages([x, y, HOME[2]])))

@@ -57,8 +57,6 @@ def test_printed_eq_3_biases_the_adapters_centre():
     right = torque.reshape(-1)
     exact = np.linalg.lstsq(sound, right, rcond=None)[0]
     missed = np.linalg.lstsq(printed, right, rcond=None)[0]
-    # along gravity at home the sound columns vanish or not depending on the poses; what they tell is
-    # exact, and they predict to rounding
     np.testing.assert_allclose(sound @ exact, right, atol=1e-14)
     np.testing.assert_allclose(exact, P_B, atol=1e-12)
     assert np.linalg.norm(missed - P_B) > 1e-3

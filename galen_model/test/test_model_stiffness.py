@@ -14,9 +14,7 @@ TIP = np.array([0.15, 0.0, 0.05])
 def test_flange_stiffness_at_home():
     """66, 10.5 and 36 N/mm in x, y, z: computed independently for the study of this arm."""
     compliance = tip_compliance(HOME, np.zeros(3))
-    np.testing.assert_allclose(
-        1.0 / np.diag(compliance)[:3] / 1e3, [66.0, 10.5, 36.0], rtol=0.01
-    )
+    np.testing.assert_allclose(1.0 / np.diag(compliance)[:3] / 1e3, [66.0, 10.5, 36.0], rtol=0.01)
 
 
 def test_compliance_is_symmetric_and_positive():

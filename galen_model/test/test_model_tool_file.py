@@ -11,7 +11,14 @@ import numpy as np
 import pytest
 from galen_model.errors import ToolFileError, ToolNameError
 from galen_model.load import nominal_reading
-from galen_model.tool_file import LoadEstimate, ToolFile, check_tool_name, read_tool, tool_path, write_tool
+from galen_model.tool_file import (
+    LoadEstimate,
+    ToolFile,
+    check_tool_name,
+    read_tool,
+    tool_path,
+    write_tool,
+)
 from galen_model.tools import ADAPTER, TOOLS
 
 
@@ -52,7 +59,9 @@ def test_the_old_file_is_kept_as_bak(tmp_path):
     assert sorted(p.name for p in tmp_path.iterdir()) == ["pointer.json", "pointer.json.bak"]
 
 
-@pytest.mark.parametrize("name", ["../x", "a/b", "", "a b", "ü", "x" * 65, ".", "a\n", "a\0b", "/etc/x"])
+@pytest.mark.parametrize(
+    "name", ["../x", "a/b", "", "a b", "ü", "x" * 65, ".", "a\n", "a\0b", "/etc/x"]
+)
 def test_names_that_must_not_reach_a_path(name, tmp_path):
     with pytest.raises(ToolNameError, match="letters, digits"):
         check_tool_name(name)
@@ -64,8 +73,14 @@ def test_names_that_must_not_reach_a_path(name, tmp_path):
     ("change", "message"),
     [
         ({"schema_version": 2}, "schema_version is 2"),
-        ({"load": {"mass_kg": 0.0, "com_m": [0, 0, 0], "covariance": np.eye(4).tolist()}}, "load.mass_kg"),
-        ({"load": {"mass_kg": 1, "com_m": [0, 0], "covariance": np.eye(4).tolist()}}, "load.com_m has shape"),
+        (
+            {"load": {"mass_kg": 0.0, "com_m": [0, 0, 0], "covariance": np.eye(4).tolist()}},
+            "load.mass_kg",
+        ),
+        (
+            {"load": {"mass_kg": 1, "com_m": [0, 0], "covariance": np.eye(4).tolist()}},
+            "load.com_m has shape",
+        ),
         ({"tip_m": [0, 0, None]}, "tip_m"),
         ({"tip_m": ["a", 0, 0]}, "tip_m does not hold numbers"),
         ({"residual_offset": {"force_N": [0, 0, 0]}}, "torque_Nm is missing"),
@@ -87,7 +102,7 @@ def test_a_wrong_field_is_named_with_the_file(tmp_path, change, message):
     assert str(path) in str(error.value)
 
 
-@pytest.mark.parametrize("field", [key for key in make().to_json()])
+@pytest.mark.parametrize("field", list(make().to_json()))
 def test_a_missing_field_is_named(tmp_path, field):
     content = make().to_json()
     del content[field]
@@ -156,7 +171,9 @@ def test_a_kill_at_any_moment_leaves_a_whole_file(tmp_path):
             [sys.executable, "-c", WRITER, str(path)], stdout=subprocess.PIPE, env=environment
         )
         assert process.stdout.readline() == b"ready\n"
-        time.sleep(rng.uniform(0.0, 0.05))  # the random moment of the kill, not a wait for something
+        time.sleep(
+            rng.uniform(0.0, 0.05)
+        )  # the random moment of the kill, not a wait for something
         process.send_signal(signal.SIGKILL)
         process.wait()
         process.stdout.close()

@@ -1,8 +1,15 @@
 """Wrench algebra: power is the same in every frame, and forces act where they act."""
 
 import numpy as np
-from galen_model.rotation import matrix_to_quaternion, quaternion_to_matrix, rot_x, rot_y, rot_z
-from galen_model.rotation import rotvec_to_matrix, skew
+from galen_model.rotation import (
+    matrix_to_quaternion,
+    quaternion_to_matrix,
+    rot_x,
+    rot_y,
+    rot_z,
+    rotvec_to_matrix,
+    skew,
+)
 from galen_model.wrench import adjoint, move_twist, move_wrench
 
 
@@ -44,7 +51,9 @@ def test_move_twist_of_a_turning_body():
 def test_elementary_rotations_and_conversions():
     angle = 0.3
     for turn, axis in ((rot_x, 0), (rot_y, 1), (rot_z, 2)):
-        np.testing.assert_allclose(turn(angle), rotvec_to_matrix(angle * np.eye(3)[axis]), atol=1e-15)
+        np.testing.assert_allclose(
+            turn(angle), rotvec_to_matrix(angle * np.eye(3)[axis]), atol=1e-15
+        )
         many = turn(np.array([[0.1, 0.2], [0.3, 0.4]]))
         assert many.shape == (2, 2, 3, 3)
         np.testing.assert_allclose(many[1, 0], turn(0.3), atol=1e-15)

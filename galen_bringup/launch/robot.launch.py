@@ -1,0 +1,90 @@
+"""Calibration and compensation on an arm that is already up.
+
+    ros2 launch galen_bringup robot.launch.py tool:=pointer wrench_raw:=/ft_sensor/wrench
+
+`crtk:=true` takes the names of JHU's Collaborative Robotics Toolkit as input instead: the measured
+wrench `measured_cf` and the joints `measured_js`, under `crtk_namespace`.
+"""
+
+from launch import LaunchDescription
+from launch.actions import DeclareLaunchArgument
+from launch.substitutions import IfElseSubstitution, LaunchConfiguration, PathJoinSubstitution
+from launch_ros.actions import Node
+from launch_ros.parameter_descriptions import ParameterValue
+from launch_ros.substitutions import FindPackageShare
+
+_TOPICS = ("wrench_raw", "joint_states", "wrench_compensated", "joint_trajectory")
+_CRTK = {"wrench_raw": "measured_cf", "joint_states": "measured_js"}
+
+
+def generate_launch_description() -> LaunchDescription:
+    """Declare the arguments; start both nodes with the topics' remaps."""
+    crtk = LaunchConfiguration("crtk")
+    remaps = []
+    for topic in _TOPICS:
+        name = LaunchConfiguration(topic)
+        if topic in _CRTK:
+            crtk_name = [LaunchConfiguration("crtk_namespace"), "/", _CRTK[topic]]
+            name = IfElseSubstitution(crtk, if_value=crtk_name, else_value=name)
+        remaps.append((topic, name))
+    common = {
+        "namespace": LaunchConfiguration("namespace"),
+        "remappings": remaps,
+        "output": "screen",
+    }
+    config = LaunchConfiguration("config")
+    overrides = {
+        "use_sim_time": ParameterValue(LaunchConfiguration("use_sim_time"), value_type=bool),
+        "tools_dir": ParameterValue(LaunchConfiguration("tools_dir"), value_type=str),
+    }
+    return LaunchDescription(
+        [
+            DeclareLaunchArgument(
+                "config",
+                default_value=PathJoinSubstitution(
+                    [FindPackageShare("galen_bringup"), "config", "robot.yaml"]
+                ),
+                description="parameters of both nodes",
+            ),
+            DeclareLaunchArgument("namespace", default_value="", description="of both nodes"),
+            DeclareLaunchArgument(
+                "use_sim_time", default_value="false", description="follow /clock"
+            ),
+            DeclareLaunchArgument(
+                "tool", default_value="", description="tool whose file gravcomp loads at start"
+            ),
+            DeclareLaunchArgument(
+                "tools_dir", default_value="~/.ros/galen/tools", description="the tools' files"
+            ),
+            DeclareLaunchArgument(
+                "crtk", default_value="false", description="inputs by their CRTK names"
+            ),
+            DeclareLaunchArgument(
+                "crtk_namespace", default_value="/REMS/Research", description="where they are"
+            ),
+            *(
+                DeclareLaunchArgument(
+                    topic, default_value=topic, description=f"{topic} on this arm"
+                )
+                for topic in _TOPICS
+            ),
+            Node(
+                package="galen_gravcomp",
+                executable="gravcomp_node",
+                name="gravcomp",
+                parameters=[
+                    config,
+                    overrides,
+                    {"tool": ParameterValue(LaunchConfiguration("tool"), value_type=str)},
+                ],
+                **common,
+            ),
+            Node(
+                package="galen_calibration_behavior",
+                executable="calibration_node",
+                name="calibration",
+                parameters=[config, overrides],
+                **common,
+            ),
+        ]
+    )
