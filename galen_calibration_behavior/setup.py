@@ -14,7 +14,7 @@ setup(
     zip_safe=True,
     maintainer="The Galen suite's authors",
     maintainer_email="galen@example.org",
-    description="Sweeps the arm over still poses and writes the tool's calibration file, as a ROS action.",
+    description="Sweeps the arm over still poses and writes the tool's file, as a ROS action.",
     license="Apache-2.0",
     entry_points={
         "console_scripts": [

@@ -1,4 +1,4 @@
-"""Is the arm at its target, has it stopped, and has it stayed so for the time to settle?"""
+"""Tell when the arm is at its target, has stopped, and has stayed so for the time to settle."""
 
 from __future__ import annotations
 

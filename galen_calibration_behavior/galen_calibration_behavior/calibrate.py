@@ -18,7 +18,6 @@ import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from galen_model.errors import ToolNameError
 from galen_model.tool_file import check_tool_name
-from galen_msgs.action import CalibrateTool
 from rclpy.action import ActionClient
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
@@ -29,6 +28,7 @@ from tqdm import tqdm
 
 from galen_calibration_behavior.commands import ErrorCode, State
 from galen_calibration_behavior.result_text import format_result, result_to_dict
+from galen_msgs.action import CalibrateTool
 
 EXIT_OK, EXIT_FAILED, EXIT_USAGE, EXIT_CANCELED = 0, 1, 2, 130
 _EPILOG = f"""exit codes:
@@ -49,7 +49,7 @@ _STATE_TEXT = {
 }
 
 
-class _Failure(Exception):
+class _ClientError(Exception):
     """Ends the client with a message and an exit code."""
 
     def __init__(self, message: str, exit_code: int = EXIT_FAILED) -> None:
@@ -108,9 +108,7 @@ class CalibrateClient:
         self._executor.add_node(self._node)
         self._action = ActionClient(self._node, CalibrateTool, "calibrate_tool")
         self._confirm = self._node.create_client(Trigger, f"{options.node}/confirm")
-        self._node.create_subscription(
-            DiagnosticArray, "/diagnostics", self._on_diagnostics, 10
-        )
+        self._node.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 10)
         self._refused = ""
         self._asked: int | None = None
         self._question = False
@@ -121,7 +119,7 @@ class CalibrateClient:
         self._interrupts += 1
 
     def run(self) -> Any:
-        """Return the CalibrateTool.Result; raises _Failure when there is none."""
+        """Return the CalibrateTool.Result; raises _ClientError when there is none."""
         self._wait(
             self._action.server_is_ready,
             self._options.timeout_s,
@@ -146,13 +144,13 @@ class CalibrateClient:
             if canceling_since is not None and (
                 self._interrupts > 1 or now - canceling_since > _CANCEL_PATIENCE_S
             ):
-                raise _Failure("canceled, but the arm was not seen to stop", EXIT_CANCELED)
+                raise _ClientError("canceled, but the arm was not seen to stop", EXIT_CANCELED)
             if self._action.server_is_ready():
                 lost_since = None
             else:
                 lost_since = lost_since or now
                 if now - lost_since > _SERVER_LOST_S:
-                    raise _Failure("the calibration node went away; nothing was written")
+                    raise _ClientError("the calibration node went away; nothing was written")
             self._ask_if_needed()
         return result.result().result
 
@@ -181,9 +179,9 @@ class CalibrateClient:
         deadline = time.monotonic() + timeout_s
         while not predicate():
             if self._interrupts:
-                raise _Failure("canceled before anything began", EXIT_CANCELED)
+                raise _ClientError("canceled before anything began", EXIT_CANCELED)
             if time.monotonic() > deadline:
-                raise _Failure(message)
+                raise _ClientError(message)
             self._executor.spin_once(timeout_sec=0.05)
 
     def _fail_refused(self) -> NoReturn:
@@ -191,7 +189,7 @@ class CalibrateClient:
         deadline = time.monotonic() + 2.5
         while not self._refused and time.monotonic() < deadline:
             self._executor.spin_once(timeout_sec=0.05)
-        raise _Failure(self._refused or "the calibration node refused the goal; see its log")
+        raise _ClientError(self._refused or "the calibration node refused the goal; see its log")
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
         for status in message.status:
@@ -297,7 +295,7 @@ def main() -> None:
         result = client.run()
         progress.close()
         exit_code = _print_result(result, options.json)
-    except _Failure as failure:
+    except _ClientError as failure:
         progress.close()
         print(f"calibrate: {failure}", file=sys.stderr)
         exit_code = failure.exit_code

@@ -16,7 +16,7 @@ from rclpy.action.server import ServerGoalHandle
 from rclpy.node import Node
 
 
-class DeferredActionServer(ActionServer):  # type: ignore[misc]  # rclpy has no types for it
+class DeferredActionServer(ActionServer):
     """Calls `on_start(goal_handle)` when a goal begins; `finish` gives its result, any time later.
 
     All callbacks are plain functions. The goal counts as executing from `on_start` on.

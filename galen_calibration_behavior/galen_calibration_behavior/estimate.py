@@ -65,7 +65,9 @@ def choose_tip(tip_m: Array, path: Path) -> tuple[Array, list[str]]:
     if np.all(np.isfinite(tip_m)):
         return tip_m, []
     if not np.all(np.isnan(tip_m)):
-        raise TipError(f"tip_m is {tip_m.tolist()}: three finite numbers, or all NaN to keep the old")
+        raise TipError(
+            f"tip_m is {tip_m.tolist()}: three finite numbers, or all NaN to keep the old"
+        )
     nowhere = np.zeros(3)
     if not path.exists():
         return nowhere, ["the tool's tip is not known: (0, 0, 0) in ft_sensor is written"]
@@ -118,8 +120,8 @@ def _identify(measurements: Measurements) -> Identification:
 
 def _outliers(found: Identification, measurements: Measurements) -> list[str]:
     """Name the fit's outliers by their place in the sweep; the fit counts only the still poses."""
-    poses = [
-        f"bare/{measurements.bare_indices[k]}" for k in np.flatnonzero(~found.used_bare)
-    ] + [f"tool/{measurements.tool_indices[k]}" for k in np.flatnonzero(~found.used_tool)]
+    poses = [f"bare/{measurements.bare_indices[k]}" for k in np.flatnonzero(~found.used_bare)] + [
+        f"tool/{measurements.tool_indices[k]}" for k in np.flatnonzero(~found.used_tool)
+    ]
     reasons = [text.rsplit(": ", 1)[-1] for text in found.rejected]
     return [f"{pose}: {reason}" for pose, reason in zip(poses, reasons, strict=True)]

@@ -13,8 +13,6 @@ from galen_model.arm import JOINT_NAMES, SENSOR_FRAME
 from galen_model.arrays import Array
 from galen_model.errors import GalenError, ToolFileError, ToolNameError
 from galen_model.tool_file import tool_path
-from galen_msgs.action import CalibrateTool
-from galen_msgs.srv import SetTool
 from galen_ros.conversions import JointStateReader, stamp_to_ns, wrench_to_array
 from galen_ros.diagnostics import OK, WARN, DiagnosticsPublisher, Status
 from galen_ros.parameters import declare_parameters
@@ -53,6 +51,8 @@ from galen_calibration_behavior.estimate import (
 )
 from galen_calibration_behavior.parameters import CalibrationParameters
 from galen_calibration_behavior.procedure import CalibrationProcedure, Request
+from galen_msgs.action import CalibrateTool
+from galen_msgs.srv import SetTool
 
 _TICK_S = 0.1
 # The publishers of the topics are looked up this often.
@@ -290,7 +290,9 @@ class CalibrationNode(Node):
             goal.procedure.fail(*missing)
 
     def _find_missing(self, goal: _Goal) -> tuple[ErrorCode, str] | None:
-        silent = [s.topic_name for s in goal.subscriptions if not self.count_publishers(s.topic_name)]
+        silent = [
+            s.topic_name for s in goal.subscriptions if not self.count_publishers(s.topic_name)
+        ]
         if silent:
             return (
                 ErrorCode.DRIVER_SILENT,
@@ -341,7 +343,9 @@ class CalibrationNode(Node):
             if self._goal is not goal or goal is None:
                 return
             response = answered.result()
-            text = response.message if isinstance(response, Trigger.Response) else response.error_msg
+            text = (
+                response.message if isinstance(response, Trigger.Response) else response.error_msg
+            )
             self._feed(goal.procedure.on_service, response.success, text)
 
         future.add_done_callback(on_answer)
@@ -452,9 +456,7 @@ def _internal(error: Exception) -> Finished:
     return Finished(ErrorCode.INTERNAL, f"{type(error).__name__}: {error}")
 
 
-def _to_result(
-    tool: str, end: Finished, calibration: Calibration | None
-) -> CalibrateTool.Result:
+def _to_result(tool: str, end: Finished, calibration: Calibration | None) -> CalibrateTool.Result:
     result = CalibrateTool.Result(
         error_code=int(end.error_code),
         error_msg=end.error_msg,

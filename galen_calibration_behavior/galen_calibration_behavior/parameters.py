@@ -1,4 +1,4 @@
-"""The calibration node's parameters: sweep and home under the 2019 report's names, units elsewhere."""
+"""The calibration node's parameters: sweep and home under the report's names, units elsewhere."""
 
 from __future__ import annotations
 
@@ -33,16 +33,22 @@ class CalibrationParameters:
     Thome: float = param(0.0, "tilt at home, where the sensor is zeroed, rad")
 
     settle_s: float = param(
-        0.3, "wait after the arm has stopped (the report's cyclesB4Recording), s of stamps",
-        minimum=0.0, maximum=60.0,
+        0.3,
+        "wait after the arm has stopped (the report's cyclesB4Recording), s of stamps",
+        minimum=0.0,
+        maximum=60.0,
     )
     average_s: float = param(
-        0.5, "length of the average (the report's waitLimit), s of stamps",
-        minimum=0.01, maximum=60.0,
+        0.5,
+        "length of the average (the report's waitLimit), s of stamps",
+        minimum=0.01,
+        maximum=60.0,
     )
 
     max_delta_velocity_m_s: float = param(0.08, "peak speed of each delta axis", 0.001, 1.0)
-    max_delta_acceleration_m_s2: float = param(0.4, "peak acceleration of each delta axis", 0.01, 10)
+    max_delta_acceleration_m_s2: float = param(
+        0.4, "peak acceleration of each delta axis", 0.01, 10
+    )
     max_angle_velocity_rad_s: float = param(0.8, "peak speed of roll and tilt", 0.01, 5.0)
     max_angle_acceleration_rad_s2: float = param(3.0, "peak acceleration of roll and tilt", 0.1, 50)
     motion_timeout_s: float = param(

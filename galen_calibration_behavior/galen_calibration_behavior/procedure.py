@@ -1,6 +1,7 @@
 """The calibration's state machine, without ROS: samples and events in, commands out.
 
-    HOME -> REMOVE_TOOL -> ZERO -> SWEEP_BARE -> HOME -> ATTACH_TOOL -> SWEEP_TOOL -> HOME -> ESTIMATE
+    HOME -> REMOVE_TOOL -> ZERO -> SWEEP_BARE -> HOME -> ATTACH_TOOL -> SWEEP_TOOL -> HOME
+    -> ESTIMATE
 
 and for one sweep
 
@@ -14,6 +15,7 @@ driver goes by the wall clock, handed in by `on_wall`.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -49,6 +51,8 @@ from galen_calibration_behavior.sweep import Sweep, Verdict, stack
 # A tick of the wall clock counts at most this much towards a silence: a process that was itself
 # held up for seconds has the samples still waiting in its queues.
 _LONGEST_TICK_S = 0.25
+# A topic's queue holds no more than this of stamps: 2000 samples at 500 Hz.
+_DEEPEST_QUEUE_S = 4.0
 
 _TWO_SWEEPS = (
     State.HOME,
@@ -159,6 +163,7 @@ class CalibrationProcedure:
         self._waiting_for_person = False
         self._waited_s = 0.0
         self._zero_attempts = 0
+        self._zero_checks_left = 0
         self._bias_pose = (float("nan"), float("nan"))
         self._jumps = 0
         self._last_jump = ""
@@ -250,6 +255,8 @@ class CalibrationProcedure:
         if not success:
             self.fail(ErrorCode.SERVICE_FAILED, f"{name} failed: {message}")
         elif self._state == State.ZERO:
+            one_check_s = self._settings.arrival.settle_s + self._settings.average_s
+            self._zero_checks_left = math.ceil(_DEEPEST_QUEUE_S / one_check_s)
             self._record(self._settings.home, 0.0, self._on_zero_checked)
         else:
             self._next()
@@ -285,8 +292,8 @@ class CalibrationProcedure:
         ):
             self.fail(
                 ErrorCode.BAD_INPUT,
-                f"the stamps of wrench_raw and joint_states differ by {self._stamp_offset_s:+.3f} s:"
-                " they must come from one clock",
+                "the stamps of wrench_raw and joint_states differ by"
+                f" {self._stamp_offset_s:+.3f} s: they must come from one clock",
             )
         elif self._waiting_for_service and self._waited_s > self._settings.service_timeout_s:
             self.fail(
@@ -319,16 +326,12 @@ class CalibrationProcedure:
         if code == ErrorCode.DRIVER_SILENT or not self._under_way:
             self._finish("")
             return
-        self._arrival = ArrivalMonitor(
-            self._settings.arrival, None, float("inf"), "joint_states"
-        )
+        self._arrival = ArrivalMonitor(self._settings.arrival, None, float("inf"), "joint_states")
 
     def on_estimated(self) -> None:
         """The file is written."""
         if not self.ending:
-            self._ending = Finished(
-                ErrorCode.NONE, "", self._rejections(), self._warnings()
-            )
+            self._ending = Finished(ErrorCode.NONE, "", self._rejections(), self._warnings())
             self._finish("")
 
     # ---- states
@@ -401,6 +404,11 @@ class CalibrationProcedure:
             self._zero_again(outcome.reason)
             return
         off = np.abs(outcome.wrench) > self._settings.zero_tolerance
+        if np.any(off) and self._zero_checks_left > 0:
+            # Samples from before the zeroing may still have been in the queue.
+            self._zero_checks_left -= 1
+            self._record(self._settings.home, 0.0, self._on_zero_checked)
+            return
         if np.any(off):
             values = ", ".join(
                 f"{WRENCH_AXES[k]} = {outcome.wrench[k]:.4g} {'N' if k < 3 else 'N.m'}"

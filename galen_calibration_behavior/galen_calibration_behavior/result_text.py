@@ -23,9 +23,7 @@ def format_result(result: Any) -> str:
     """Return a successful CalibrateTool.Result as a table; one standard deviation after +-."""
     lines = [
         f"{'':18}{'mass [g]':>18}   centre x, y, z in ft_sensor [mm]",
-        _load_line(
-            result.tool, result.mass_kg, result.mass_std_kg, result.com_m, result.com_std_m
-        ),
+        _load_line(result.tool, result.mass_kg, result.mass_std_kg, result.com_m, result.com_std_m),
         _load_line(
             "adapter",
             result.bias_mass_kg,

@@ -18,7 +18,7 @@ class StampsError(GalenError):
 
 
 class StampClock:
-    """Time gone by on one topic's stamps; a step back, or a long one, is a jump and adds nothing."""
+    """Time gone by on a topic's stamps; a step back, or a long one, is a jump and adds nothing."""
 
     def __init__(self, topic: str, max_step_s: float) -> None:
         self._topic = topic
@@ -35,7 +35,7 @@ class StampClock:
         return self._elapsed_ns / NS
 
     def advance(self, stamp_ns: int) -> bool:
-        """Take the next sample's stamp (ns); False for a repeated stamp, whose sample tells nothing.
+        """Take a sample's stamp (ns); False for a repeated one, whose sample tells nothing.
 
         Raises StampsError for a topic that is slower than the longest step allowed.
         """

@@ -1,4 +1,4 @@
-"""Was the arm, and the wrench, still while a pose was averaged?
+"""Judge whether the arm, and the wrench, were still while a pose was averaged.
 
 A touch, a swinging cable or a stepping joint shows in one of three ways: the joints move inside
 the window, the wrench scatters more than in the sweep's other poses, or its first and second half

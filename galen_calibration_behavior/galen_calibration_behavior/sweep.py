@@ -31,9 +31,7 @@ class Sweep:
     sweep, because the first ones had little to be compared with.
     """
 
-    def __init__(
-        self, name: str, poses: Array, stillness: StillnessSettings, retries: int
-    ) -> None:
+    def __init__(self, name: str, poses: Array, stillness: StillnessSettings, retries: int) -> None:
         """`poses` (n, 2): roll and tilt in rad, in visiting order."""
         self.name = name
         self.poses = poses
@@ -72,7 +70,7 @@ class Sweep:
 
     @property
     def rejections(self) -> list[str]:
-        """ "sweep/pose: reason" of every pose left out."""
+        """Name sweep, pose and reason of every pose left out, as in "tool/3: reason"."""
         return [f"{self.name}/{k}: {r.reason}" for k, r in sorted(self._left_out.items())]
 
     @property
@@ -91,7 +89,9 @@ class Sweep:
         self._visits[index] += 1
         if isinstance(outcome, PoseRecord):
             fault = wrench_fault(outcome, [*self._records.values(), outcome], self._stillness)
-            verdicts = [self._reject(index, Rejection(fault)) if fault else self._keep(index, outcome)]
+            verdicts = [
+                self._reject(index, Rejection(fault)) if fault else self._keep(index, outcome)
+            ]
         else:
             verdicts = [self._reject(index, outcome)]
         self.rejected_in_a_row = 0 if verdicts[0].accepted else self.rejected_in_a_row + 1

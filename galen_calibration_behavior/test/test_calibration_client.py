@@ -9,9 +9,10 @@ import sys
 import pytest
 from galen_calibration_behavior.calibrate import EXIT_USAGE, parse
 from galen_calibration_behavior.result_text import format_result, result_to_dict
-from galen_msgs.action import CalibrateTool
 from galen_ros.testing import Harness
 from test_calibration_node import FakeDriver, World
+
+from galen_msgs.action import CalibrateTool
 
 NODE_PARAMETERS = {
     "itersT": 3, "itersR": 3, "settle_s": 0.1, "average_s": 0.3,

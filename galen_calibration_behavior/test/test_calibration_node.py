@@ -12,8 +12,6 @@ from galen_calibration_behavior.commands import ErrorCode, State
 from galen_calibration_behavior.node import CalibrationNode
 from galen_model.arm import JOINT_NAMES
 from galen_model.tool_file import read_tool
-from galen_msgs.action import CalibrateTool
-from galen_msgs.srv import SetTool
 from galen_ros.conversions import fill_stamp, fill_wrench
 from galen_ros.qos import STREAM
 from galen_ros.testing import Harness, parameters
@@ -25,7 +23,9 @@ from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory
 
-STEPS_A_TICK = 10
+from galen_msgs.action import CalibrateTool
+from galen_msgs.srv import SetTool
+
 TICK_S = 0.005
 
 
@@ -41,6 +41,7 @@ class FakeDriver(Node):
         self.moves = 0
         self.stops = 0
         self.paused = False
+        self.steps_a_tick = 10
         self._joint_publisher = self.create_publisher(JointState, "joint_states", STREAM)
         self._wrench_publisher = self.create_publisher(WrenchStamped, "wrench_raw", STREAM)
         self.create_subscription(JointTrajectory, "joint_trajectory", self._on_trajectory, 10)
@@ -54,7 +55,7 @@ class FakeDriver(Node):
         if self.paused:
             return
         listened_to = self._joint_publisher.get_subscription_count() > 0
-        for _ in range(STEPS_A_TICK):
+        for _ in range(self.steps_a_tick):
             stamp, position, velocity, wrench = self.arm.step()
             if not listened_to:  # leave the processor to those who start up
                 continue
@@ -211,11 +212,12 @@ def test_a_second_calibration_keeps_the_tip_and_the_old_file(world):
 def test_it_works_without_the_events_executor(tmp_path):
     with Harness(lambda context: SingleThreadedExecutor(context=context)) as harness:
         world = make(harness, tmp_path)
+        world.driver.steps_a_tick = 2  # this executor takes one message a turn
         first = world.send()
         world.wait_for_pose(1)
         first.cancel_goal_async()
         assert world.result(first)[0] == GoalStatus.STATUS_CANCELED
-        status, result = world.result(world.send(iters_t=2, iters_r=4))
+        status, result = world.result(world.send(one_sweep=True, iters_t=2, iters_r=3))
         assert status == GoalStatus.STATUS_SUCCEEDED, result.error_msg
 
 

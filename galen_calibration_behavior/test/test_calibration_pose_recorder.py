@@ -17,7 +17,10 @@ ARRIVAL = ArrivalSettings(
     max_stamp_step_s=0.05,
 )
 STILLNESS = StillnessSettings(
-    joint_motion=np.array([1e-4] * 3 + [5e-4] * 2), scatter_ratio=1.5, trend_sigmas=6.0, min_samples=20
+    joint_motion=np.array([1e-4] * 3 + [5e-4] * 2),
+    scatter_ratio=1.5,
+    trend_sigmas=6.0,
+    min_samples=20,
 )
 TARGET = HOME + np.array([0.0, 0.0, 0.0, 0.5, -0.3])
 
@@ -139,9 +142,10 @@ def test_a_jump_on_the_way_does_not_count_as_waiting_time(jump_s):
 
 def test_stamps_that_always_jump_end_it_with_the_topic_and_the_step():
     recorder = PoseRecorder(ARRIVAL, STILLNESS, 0.5, TARGET, 5.0)
+    for k in range(10):
+        recorder.add_joints(k * 200_000_000, TARGET, np.zeros(5))
     with pytest.raises(StampsError, match=r"joint_states jumped by \+0\.200 s.*max_stamp_step_s"):
-        for k in range(100):
-            recorder.add_joints(k * 200_000_000, TARGET, np.zeros(5))
+        recorder.add_joints(2_000_000_000, TARGET, np.zeros(5))
 
 
 def test_values_that_are_not_finite_reject_and_are_named():
@@ -269,6 +273,7 @@ def test_a_touched_pose_is_told_from_the_others(kind):
     def each(arm, recorder):
         if averaging(recorder) and since[0] is None:
             since[0] = arm.stamp_ns
+
     arm.touch = touch
     touched = record(arm, each=each)
     assert isinstance(touched, PoseRecord)

@@ -309,6 +309,28 @@ def test_a_zeroing_that_did_not_zero_is_found_out():
     failed(world, ErrorCode.SERVICE_FAILED, "does not read zero", "fx = ")
 
 
+def test_samples_from_before_the_zeroing_are_waited_out():
+    """The answer of a service can overtake seconds of samples in the queues."""
+    world = World(one_sweep=True)
+    zero = world.arm.zero
+
+    def late():
+        in_s = world.arm.stamp_ns + 3_000_000_000
+        step = world.arm.step
+
+        def step_then_zero():
+            if world.arm.stamp_ns > in_s:
+                zero()
+                world.arm.step = step
+            return step()
+
+        world.arm.step = step_then_zero
+
+    world.arm.zero = late
+    world.run()
+    assert world.end.error_code == ErrorCode.NONE
+
+
 @pytest.mark.parametrize("state", [State.REMOVE_TOOL, State.ATTACH_TOOL])
 def test_nobody_confirms(state):
     world = World(attach_by_service=False)
