@@ -6,7 +6,7 @@ import subprocess
 import sys
 
 import pytest
-from galen_ros.testing import DomainLock
+from galen_ros.domain import DomainLock
 
 _PROGRAM = """
 import sys

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-
 _MAKE_UP_S = 0.5
 
 

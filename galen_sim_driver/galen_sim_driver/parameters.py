@@ -151,7 +151,8 @@ class DriverParameters:
     )
     admittance_timeout_s: float = param(
         _DEFAULT.admittance.timeout_s,
-        "a wrench older than this, by its stamp, moves nothing, s",
+        "a wrench older than this, by its stamp, moves nothing, s; above speed factor 1, where "
+        "the way through the other nodes takes more simulated time, times the speed factor",
         minimum=0.002,
     )
 
@@ -253,7 +254,7 @@ class DriverParameters:
                 self.admittance_linear_gain_m_s_n,
                 self.admittance_angular_gain_rad_s_nm,
                 self.admittance_damping,
-                self.admittance_timeout_s,
+                self.admittance_timeout_s * max(1.0, self.speed_factor),
             ),
             hand=self._hand_script(),
         )

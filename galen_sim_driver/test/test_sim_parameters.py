@@ -45,6 +45,14 @@ def test_tools_and_hand_are_read_from_flat_lists():
     assert (push.force_n, push.torque_nm) == ((3.0, 4.0, 5.0), (0.6, 0.7, 0.8))
 
 
+def test_the_admittance_timeout_is_wall_time_above_real_time():
+    assert DEFAULT.plant_config().admittance.timeout_s == 0.05
+    assert replace(DEFAULT, speed_factor=6.0).plant_config().admittance.timeout_s == pytest.approx(
+        0.3
+    )
+    assert replace(DEFAULT, speed_factor=0.5).plant_config().admittance.timeout_s == 0.05
+
+
 @pytest.mark.parametrize(
     ("changes", "words"),
     [

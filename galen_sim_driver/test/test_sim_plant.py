@@ -270,7 +270,7 @@ def test_tools_come_and_go():
     heavy = np.array(plant.step().wrench)
     # At home gravity is along the sensor's x.
     assert heavy[0] - bare[0] == pytest.approx(0.2 * 9.80665, abs=1e-12)
-    with pytest.raises(UnknownToolError, match="'knife'.*pointer, retractor"):
+    with pytest.raises(UnknownToolError, match=r"'knife'.*pointer, retractor"):
         plant.attach_tool("knife")
     assert plant.tool == "retractor"
     assert plant.attach_tool("") is None

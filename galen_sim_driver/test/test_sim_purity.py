@@ -3,8 +3,9 @@
 import ast
 from pathlib import Path
 
-import galen_sim_driver
 import pytest
+
+import galen_sim_driver
 
 _WITH_ROS = {"node", "cdr", "conversions", "parameters"}
 _MODULES = sorted(Path(galen_sim_driver.__file__).parent.glob("*.py"))
