@@ -1,14 +1,19 @@
 """Reads wrenches and joint angles from serialised messages, and writes a wrench into one.
 
-Converting a message to Python and back costs rclpy more than all of the compensation. Of a
-publisher's serialised messages only stamp and numbers change, and they stay at their places. So
-these places are found once, with the help of rclpy's own serialisation, and are read directly as
-long as the bytes around them stay the same. Whatever looks different goes through rclpy.
+Converting a message to Python costs rclpy more than all of the compensation. Of a publisher's
+serialised messages only stamp and numbers change, and they stay at their places. So the places are
+worked out for the first message, checked against what rclpy reads there, and then read directly
+as long as everything before the numbers stays the same. Whatever looks different goes through
+rclpy.
+
+The layout is that of CDR (OMG DDSI-RTPS 10.2, "PLAIN_CDR"): four bytes of encapsulation, then each
+value aligned to its size, counted from after these four; a string or sequence starts with its
+length as uint32; a string ends with a zero byte. Bytes of padding hold anything.
 """
 
 import struct
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from galen_model.arrays import Array
 from galen_ros.conversions import JointStateReader, stamp_to_ns
@@ -17,54 +22,69 @@ from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import JointState
 
 _NS_PER_S = 1_000_000_000
-# The encapsulation's four bytes, then the header's stamp, then what hardly ever changes.
+_ENCAPSULATION = 4
+_BYTE_ORDER = {b"\x00\x00": ">", b"\x00\x01": "<"}
 _STAMP_AT = 4
-_AFTER_STAMP = 12
+_FRAME_AT = 12
+
+
+def _aligned(at: int, size: int) -> int:
+    return at + (_ENCAPSULATION - at) % size
+
+
+class _Fixed:
+    """Collects the runs of bytes before the numbers that must stay as they are."""
+
+    def __init__(self) -> None:
+        self.at = _FRAME_AT
+        self.runs: list[tuple[int, int]] = [(0, 2)]
+
+    def add(self, size: int) -> None:
+        """`size` bytes that start with a uint32."""
+        start = _aligned(self.at, 4)
+        self.at = start + size
+        if self.runs[-1][1] == start:
+            start = self.runs.pop()[0]
+        self.runs.append((start, self.at))
+
+    def add_string(self, text: str) -> None:
+        self.add(4 + len(text.encode()) + 1)
 
 
 class _Layout(NamedTuple):
     """Where things are in a publisher's messages."""
 
     length: int
-    encapsulation: bytes
-    fixed: bytes  # from after the stamp to the numbers
-    numbers_at: int
+    fixed: tuple[tuple[slice, bytes], ...]
     stamp: struct.Struct
     numbers: struct.Struct
+    numbers_at: int
 
     def fits(self, data: bytes) -> bool:
-        return (
-            len(data) == self.length
-            and data[_AFTER_STAMP : self.numbers_at] == self.fixed
-            and data[:_STAMP_AT] == self.encapsulation
-        )
+        if len(data) != self.length:
+            return False
+        return all(data[run] == expected for run, expected in self.fixed)
 
     def stamp_ns(self, data: bytes) -> int:
         sec, nanosec = self.stamp.unpack_from(data, _STAMP_AT)
         return int(sec) * _NS_PER_S + int(nanosec)
 
 
-def _find_layout(data: bytes, marked: Any, markers: Sequence[float]) -> _Layout | None:
-    """The layout of `data`, if it is that of `marked`: the same message with other numbers.
-
-    `markers` are the numbers in `marked` that stand in one run and nowhere else.
-    """
-    template = serialize_message(marked)
-    order = "<" if template[1] & 1 else ">"  # the second byte of CDR says which end comes first
-    numbers = struct.Struct(f"{order}{len(markers)}d")
-    pattern = numbers.pack(*markers)
-    if template.count(pattern) != 1:
+def _find_layout(data: bytes, fixed: _Fixed, numbers: Sequence[float]) -> _Layout | None:
+    """The layout of `data`, in which `numbers` follow what is fixed; None if it is another."""
+    order = _BYTE_ORDER.get(data[:2])
+    if order is None:
         return None
-    numbers_at = template.index(pattern)
     layout = _Layout(
-        length=len(template),
-        encapsulation=template[:_STAMP_AT],
-        fixed=template[_AFTER_STAMP:numbers_at],
-        numbers_at=numbers_at,
+        length=len(data),
+        fixed=tuple((slice(*run), data[slice(*run)]) for run in fixed.runs),
         stamp=struct.Struct(order + "iI"),
-        numbers=numbers,
+        numbers=struct.Struct(f"{order}{len(numbers)}d"),
+        numbers_at=_aligned(fixed.at, 8),
     )
-    return layout if layout.fits(data) else None
+    found = data[layout.numbers_at : layout.numbers_at + layout.numbers.size]
+    # Packed and not as numbers, because a NaN differs from itself.
+    return layout if found == layout.numbers.pack(*numbers) else None
 
 
 class RawWrench:
@@ -122,12 +142,12 @@ class WrenchWire:
         message = deserialize_message(data, WrenchStamped)
         force, torque = message.wrench.force, message.wrench.torque
         wrench = (force.x, force.y, force.z, torque.x, torque.y, torque.z)
-        stamp_ns, frame_id = stamp_to_ns(message.header.stamp), message.header.frame_id
-        markers = [1.0, 2.0, 3.0, 4.0, 5.0, 6.0]
-        _fill(message, markers)
-        self._layout = _find_layout(data, message, markers)
-        self._frame_id = frame_id
-        return RawWrench(data, self._layout, stamp_ns, frame_id, wrench)
+        self._frame_id = message.header.frame_id
+        fixed = _Fixed()
+        fixed.add_string(self._frame_id)
+        self._layout = _find_layout(data, fixed, wrench)
+        stamp_ns = stamp_to_ns(message.header.stamp)
+        return RawWrench(data, self._layout, stamp_ns, self._frame_id, wrench)
 
 
 class JointWire:
@@ -152,11 +172,12 @@ class JointWire:
     def _learn(self, data: bytes) -> tuple[int, float, float]:
         message = deserialize_message(data, JointState)
         (roll, tilt), _ = self._reader.read(message)
-        stamp_ns = stamp_to_ns(message.header.stamp)
-        markers = [1.0 + index for index in range(len(message.name))]
-        message.position = markers
-        message.velocity = [0.0] * len(message.velocity)
-        message.effort = [0.0] * len(message.effort)
-        self._layout = _find_layout(data, message, markers)
+        fixed = _Fixed()
+        fixed.add_string(message.header.frame_id)
+        fixed.add(4)
+        for name in message.name:
+            fixed.add_string(name)
+        fixed.add(4)
+        self._layout = _find_layout(data, fixed, message.position)
         self._roll, self._tilt = (message.name.index(name) for name in self._names)
-        return stamp_ns, float(roll), float(tilt)
+        return stamp_to_ns(message.header.stamp), float(roll), float(tilt)

@@ -8,9 +8,12 @@ from typing import Any
 import numpy as np
 import pytest
 from galen_gravcomp import wire
-from galen_gravcomp.wire import JointWire, WrenchWire
+from galen_gravcomp.wire import JointWire, RawWrench, WrenchWire
 from galen_ros.conversions import JointStateError, UnknownJointError
+from galen_ros.qos import STREAM
+from galen_ros.testing import Harness
 from geometry_msgs.msg import WrenchStamped
+from rclpy.node import Node
 from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import JointState
 
@@ -67,7 +70,8 @@ def test_wrench_is_read_and_written_as_rclpy_does(frame_id: str, learned: list[t
         assert raw.frame_id == frame_id
         assert raw.wrench == values(message)
         other = make_wrench(frame_id, sec, 999_999_999)
-        assert raw.with_wrench(np.array(values(other))) == serialize_message(other)
+        answer = deserialize_message(raw.with_wrench(np.array(values(other))), WrenchStamped)
+        assert answer == other
     assert learned == [WrenchStamped], "only the first message goes through rclpy"
 
 
@@ -89,22 +93,65 @@ def test_changed_frame_is_noticed(learned: list[type]) -> None:
     assert len(learned) == 4
 
 
-def test_other_layout_goes_through_rclpy() -> None:
-    """Big-endian CDR, as a foreign machine may send: rclpy reads it, and so the answer is right."""
-    message = make_wrench("ft_sensor", 123, 456)
-    stamp = struct.pack(">iI", 123, 456)
-    frame = struct.pack(">I", 10) + b"ft_sensor\x00"
-    body = stamp + frame
+def big_endian(message: WrenchStamped) -> bytes:
+    """As a machine of the other byte order sends it."""
+    stamp, frame = message.header.stamp, message.header.frame_id.encode() + b"\x00"
+    body = struct.pack(">iII", stamp.sec, stamp.nanosec, len(frame)) + frame
     body += b"\x00" * (-len(body) % 8) + struct.pack(">6d", *values(message))
-    data = b"\x00\x00\x00\x00" + body
+    return b"\x00\x00\x00\x00" + body
+
+
+def test_other_byte_order(learned: list[type]) -> None:
     reader = WrenchWire()
-    for _ in range(2):
-        raw = reader.read(data)
+    for _ in range(3):
+        message = make_wrench("ft_sensor", 123, 456)
+        raw = reader.read(big_endian(message))
         assert (raw.stamp_ns, raw.frame_id) == (123 * 10**9 + 456, "ft_sensor")
         assert raw.wrench == values(message)
         other = make_wrench("ft_sensor", 123, 456)
+        assert raw.with_wrench(np.array(values(other))) == big_endian(other)
+    assert len(learned) == 1
+
+
+def test_unknown_layout_goes_through_rclpy(
+    learned: list[type], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(wire, "_BYTE_ORDER", {})
+    reader, joints = WrenchWire(), JointWire(("roll", "tilt"))
+    for _ in range(2):
+        message, other = make_wrench("ft_sensor"), make_wrench("ft_sensor")
+        raw = reader.read(serialize_message(message))
+        assert raw.wrench == values(message)
         answer = deserialize_message(raw.with_wrench(np.array(values(other))), WrenchStamped)
-        assert values(answer) == values(other) and answer.header == message.header
+        assert answer == other
+        state = make_joints(["tilt", "roll"])
+        assert joints.read(serialize_message(state))[1:] == (state.position[1], state.position[0])
+    assert len(learned) == 6
+
+
+def with_padding(data: bytes, padding: list[range], filler: int) -> bytes:
+    changed = bytearray(data)
+    for run in padding:
+        for at in run:
+            changed[at] = filler
+    return bytes(changed)
+
+
+def test_padding_does_not_matter(learned: list[type]) -> None:
+    """What stands in it is left to the sender's chance."""
+    reader, joints = WrenchWire(), JointWire(("roll", "tilt"))
+    for filler in (0x00, 0xAA, 0xFF):
+        message = make_wrench("ft_sensor")
+        data = with_padding(serialize_message(message), [range(26, 28)], filler)
+        assert deserialize_message(data, WrenchStamped) == message
+        raw = reader.read(data)
+        assert raw.wrench == values(message)
+        state = make_joints(["roll", "b", "tilt"])
+        runs = [range(17, 20), range(33, 36), range(42, 44), range(53, 56)]
+        data = with_padding(serialize_message(state), runs, filler)
+        assert deserialize_message(data, JointState) == state
+        assert joints.read(data)[1:] == (state.position[0], state.position[2])
+    assert learned == [WrenchStamped, JointState]
 
 
 ORDERS = [
@@ -160,14 +207,28 @@ def test_lists_that_do_not_fit_are_refused_also_later(spoil: Callable[[JointStat
         reader.read(serialize_message(message))
 
 
-def test_numbers_equal_to_the_markers() -> None:
-    reader = WrenchWire()
-    message = make_wrench("ft_sensor")
-    wire._fill(message, [1.0, 2.0, 3.0, 4.0, 5.0, 6.0])
-    for _ in range(2):
-        assert reader.read(serialize_message(message)).wrench == (1.0, 2.0, 3.0, 4.0, 5.0, 6.0)
-    joints = JointWire(("roll", "tilt"))
-    state = JointState(name=["roll", "tilt"], position=[1.0, 2.0], velocity=[1.0, 2.0])
-    state.effort = [1.0, 2.0]
-    for _ in range(2):
-        assert joints.read(serialize_message(state))[1:] == (1.0, 2.0)
+def test_messages_that_came_over_dds_are_read_directly(learned: list[type]) -> None:
+    """Their padding and their end may differ from what rclpy's serialisation gives."""
+    frame, names = "ft_sensor", ORDERS[0]
+    wrenches, joints = WrenchWire(), JointWire(("roll", "tilt"))
+    got: list[object] = []
+    with Harness() as harness:
+        node = harness.add(lambda context: Node("both_ends", context=context))
+        publishers = []
+        for kind, reader in ((WrenchStamped, wrenches), (JointState, joints)):
+            topic = kind.__name__.lower()
+            publishers.append(node.create_publisher(kind, topic, STREAM))
+            node.create_subscription(
+                kind, topic, lambda data, r=reader: got.append(r.read(data)), STREAM, raw=True
+            )
+        for publisher in publishers:
+            harness.wait_for(publisher.get_subscription_count, 5.0, "the subscription")
+        for index in range(20):
+            wrench, state = make_wrench(frame), make_joints(names)
+            publishers[0].publish(wrench)
+            harness.wait_for(lambda n=2 * index + 1: len(got) == n, 5.0, "a wrench")
+            publishers[1].publish(state)
+            harness.wait_for(lambda n=2 * index + 2: len(got) == n, 5.0, "a joint state")
+            assert isinstance(got[-2], RawWrench) and got[-2].wrench == values(wrench)
+            assert got[-1] == (*got[-1][:1], state.position[3], state.position[4])  # type: ignore[index]
+    assert learned == [WrenchStamped, JointState]
