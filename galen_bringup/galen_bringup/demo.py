@@ -10,32 +10,27 @@ from __future__ import annotations
 
 import argparse
 import json
-import os
-import subprocess
 import sys
 import time
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import rclpy
 from galen_model.arm import WRENCH_AXES
 from galen_model.arrays import Array
 from galen_model.errors import GalenError
-from galen_model.tools import TOOLS
-from galen_ros.domain import DomainLock
-from rclpy.signals import SignalHandlerOptions
+from galen_model.load import nominal_reading
+from galen_model.tools import ADAPTER, TOOLS
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
-from galen_bringup.arm_client import ArmClient
 from galen_bringup.drift import Drift, measure_drift
 from galen_bringup.figures import plot_compensation, plot_drift, plot_residual_map
-from galen_bringup.processes import ProcessError, Processes, executable_path, ros_arguments
+from galen_bringup.processes import Processes
+from galen_bringup.suite import AVERAGE_S, calibrate, connected_arm, ros_world, start_suite
 from galen_bringup.verification import PoseReadings, random_poses, visit
 
 REPORT_RMSE = {
@@ -43,19 +38,6 @@ REPORT_RMSE = {
     "retractor": np.array([0.0245, 0.0134, 0.0388, 0.6621e-3, 0.7079e-3, 0.3997e-3]),
 }
 """Tables 1 and 2 of the 2019 report, on the real arm: RMSE (6,), N and N.m."""
-
-_AVERAGE_S = 0.25
-_CALIBRATION = {
-    "settle_s": 0.05,
-    "average_s": _AVERAGE_S,
-    "velocity_window_s": 0.06,
-    "max_angle_velocity_rad_s": 1.4,
-    "max_angle_acceleration_rad_s2": 5.5,
-    "max_delta_velocity_m_s": 0.15,
-    "max_delta_acceleration_m_s2": 0.9,
-    "use_sim_time": True,
-}
-"""Quicker than the node's defaults, which are for a real arm; the simulated one does not ring."""
 
 _EPILOG = "exit codes: 0 done, 1 something failed (one line says what), 2 usage, 130 interrupted"
 
@@ -66,7 +48,14 @@ class ToolResult:
 
     calibration: dict[str, Any]
     readings: PoseReadings
+    noise: Array
+    """Noise (6,) that the averaged readings had, known because the arm is simulated."""
     sample_rmse: Array
+
+    @property
+    def over_noise(self) -> Array:
+        """Ratio (6,): 1 if the compensation added nothing to the noise."""
+        return self.readings.rmse / self.noise
 
 
 @dataclass(frozen=True)
@@ -88,43 +77,30 @@ def run_demo(options: argparse.Namespace, console: Console) -> DemoResult:
     tools_dir, figures_dir = output / "tools", output / "figures"
     figures_dir.mkdir(parents=True, exist_ok=True)
     rng = np.random.default_rng(options.seed)
-    with _ros_world(), Processes(output / "logs") as processes:
-        sim_time = {"use_sim_time": True}
-        processes.start(
-            "galen_sim_driver",
-            "sim_driver_node",
-            ros_arguments({"speed_factor": float(options.speed), "seed": options.seed}),
-            # Where the machine is short of time, the simulation must be what slows down: a node
-            # that falls behind a faster simulation loses samples.
-            niceness=10,
-        )
-        processes.start(
-            "galen_gravcomp", "gravcomp_node", ros_arguments({"tools_dir": tools_dir, **sim_time})
-        )
-        processes.start(
-            "galen_calibration_behavior",
-            "calibration_node",
-            ros_arguments({"tools_dir": tools_dir, **_CALIBRATION}),
-        )
+    with ros_world(), Processes(output / "logs") as processes:
+        start_suite(processes, tools_dir, float(options.speed), options.seed)
         console.print(
             "driver, compensation and calibration run as processes of their own", style="dim"
         )
-        with _arm(processes):
-            pass  # entering waits until the nodes are up
         found: dict[str, ToolResult] = {}
         drift = None
         for tool in TOOLS:
-            calibration = _calibrate(tool, processes)
-            with _arm(processes) as arm, _progress(console) as progress:
+            print(f"calibrating the {tool} through the action:", file=sys.stderr)
+            calibration = calibrate(processes, tool)
+            with connected_arm(processes) as arm, _progress(console) as progress:
                 arm.set_tool(tool)
                 readings = visit(
                     arm,
                     random_poses(options.poses, rng),
-                    _AVERAGE_S,
+                    AVERAGE_S,
                     progress,
                     f"{tool}: poses not seen before",
                 )
-                found[tool] = ToolResult(calibration, readings, _sample_rmse(readings))
+                roll, tilt = readings.joints[:, 3:].T
+                truth = nominal_reading(roll, tilt, TOOLS[tool].load, ADAPTER)
+                found[tool] = ToolResult(
+                    calibration, readings, readings.noise_at(truth), _sample_rmse(readings)
+                )
                 if tool == list(TOOLS)[-1]:
                     drift = measure_drift(arm, TOOLS[tool].tip_m, progress)
     assert drift is not None
@@ -147,47 +123,6 @@ def run_demo(options: argparse.Namespace, console: Console) -> DemoResult:
 def _sample_rmse(readings: PoseReadings) -> Array:
     """RMSE (6,) of single compensated samples: mean square of averages and of scatter together."""
     return np.asarray(np.sqrt(readings.rmse**2 + np.mean(readings.sample_std**2, axis=0)))
-
-
-def _calibrate(tool: str, processes: Processes) -> dict[str, Any]:
-    """Run the client that a user runs; its progress bar goes to the terminal."""
-    tip = [repr(float(value)) for value in TOOLS[tool].tip_m]
-    client = executable_path("galen_calibration_behavior", "calibrate")
-    print(f"calibrating the {tool} through the action:", file=sys.stderr)
-    answer = subprocess.run(
-        [str(client), tool, "--json", "--timeout-s", "30", "--tip", *tip],
-        stdout=subprocess.PIPE,
-        check=False,
-    )
-    processes.check()
-    if answer.returncode != 0:
-        raise ProcessError(f"the calibration of the {tool} failed (exit code {answer.returncode})")
-    return dict(json.loads(answer.stdout))
-
-
-@contextmanager
-def _ros_world() -> Iterator[None]:
-    """A ROS domain on this machine that nobody else has, for this process and its children."""
-    lock = DomainLock()
-    os.environ["ROS_DOMAIN_ID"] = str(lock.domain_id)
-    os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
-    rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
-    try:
-        yield
-    finally:
-        rclpy.try_shutdown()
-        lock.release()
-
-
-@contextmanager
-def _arm(processes: Processes) -> Iterator[ArmClient]:
-    """The arm's client lives only while it is listened to: unread queues would hold old samples."""
-    arm = ArmClient(processes.check)
-    try:
-        arm.wait_until_up()
-        yield arm
-    finally:
-        arm.close()
 
 
 def _progress(console: Console) -> Progress:
@@ -214,7 +149,7 @@ def print_report(result: DemoResult, console: Console) -> None:
         for name in (
             f"report's table {number}\n(real arm)",
             "averaged\nreading",
-            "its\nnoise",
+            "noise\nin it",
             "over\nnoise",
             "one\nsample",
             "without com-\npensation",
@@ -228,8 +163,8 @@ def print_report(result: DemoResult, console: Console) -> None:
                 unit,
                 f"{REPORT_RMSE[tool][index] * scale:.4f}",
                 f"{readings.rmse[index] * scale:.5f}",
-                f"{readings.noise[index] * scale:.5f}",
-                f"{readings.rmse[index] / readings.noise[index]:.3f}",
+                f"{found.noise[index] * scale:.5f}",
+                f"{found.over_noise[index]:.3f}",
                 f"{found.sample_rmse[index] * scale:.4f}",
                 f"{raw[index] * scale:.4f}",
             )
@@ -280,8 +215,9 @@ def to_json(result: DemoResult) -> dict[str, Any]:
                 "skipped": list(found.readings.skipped),
                 "report_rmse": REPORT_RMSE[tool].tolist(),
                 "rmse": found.readings.rmse.tolist(),
-                "noise": found.readings.noise.tolist(),
-                "over_noise": (found.readings.rmse / found.readings.noise).tolist(),
+                "noise": found.noise.tolist(),
+                "noise_from_scatter": found.readings.noise.tolist(),
+                "over_noise": found.over_noise.tolist(),
                 "sample_rmse": found.sample_rmse.tolist(),
                 "raw_rmse": np.sqrt(np.mean(found.readings.raw**2, axis=0)).tolist(),
             }

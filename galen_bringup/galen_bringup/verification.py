@@ -53,6 +53,14 @@ class PoseReadings:
         """Root mean square (6,) of the averaged compensated wrenches."""
         return np.asarray(np.sqrt(np.mean(self.compensated**2, axis=0)))
 
+    def noise_at(self, poses_truth: Array) -> Array:
+        """Noise (6,) that these very readings had, given the noise-free ones (n, 6).
+
+        The constant part, which the zeroing left, is not noise and comes off. A ratio to it tells
+        more than one to `noise`: what chance did to the readings is in both of its sides.
+        """
+        return np.asarray(np.std(self.raw - poses_truth, axis=0, ddof=1))
+
 
 def random_poses(count: int, rng: np.random.Generator) -> Array:
     """Joints (count, 5) spread over the workspace, in an order that keeps the way short."""

@@ -1,0 +1,97 @@
+"""The packages' READMEs against the code: parameters, topics, services and actions."""
+
+import importlib
+import re
+from pathlib import Path
+
+import pytest
+from galen_calibration_behavior.node import CalibrationNode
+from galen_gravcomp.node import GravcompNode
+from galen_ros.parameters import markdown_table
+from galen_ros.testing import Harness, parameters
+from galen_sim_driver.node import SimDriverNode
+
+ROOT = Path(__file__).resolve().parent.parent
+PACKAGES = sorted(path.parent.name for path in ROOT.glob("*/package.xml"))
+MARKED = re.compile(r"<!-- parameters: ([\w.]+) -->\n(.*?)\n<!-- end -->", re.DOTALL)
+NODES = {
+    "galen_calibration_behavior": CalibrationNode,
+    "galen_gravcomp": GravcompNode,
+    "galen_sim_driver": SimDriverNode,
+}
+OVERRIDES = {"galen_sim_driver": {"speed_factor": 2.0}}  # at another speed there is /clock
+# Opened only while the node works on a goal.
+WHILE_BUSY = {"galen_calibration_behavior": {"joint_states", "wrench_raw"}}
+# What rclpy itself gives every node.
+RCLPY = re.compile(
+    r"^/(parameter_events|rosout)$|_parameters?(_types|_atomically)?$|type_description$"
+)
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_every_package_has_a_readme(package):
+    assert (ROOT / package / "README.md").read_text().startswith(f"# {package}\n")
+
+
+@pytest.mark.parametrize("package", sorted(NODES))
+def test_parameter_tables_are_what_the_code_declares(package):
+    tables = MARKED.findall((ROOT / package / "README.md").read_text())
+    assert tables, "the README marks no parameter table"
+    for name, table in tables:
+        module, cls = name.rsplit(".", 1)
+        assert table == markdown_table(getattr(importlib.import_module(module), cls)), name
+
+
+def documented(package):
+    """The interface table's rows: {name: type}."""
+    text = (ROOT / package / "README.md").read_text()
+    head = re.search(
+        r"^\| name \| type \| direction \| meaning \|\n\|[-|]+\|\n", text, re.MULTILINE
+    )
+    assert head, f"{package}: no interface table"
+    rows = re.match(r"(?:\|.*\|\n)+", text[head.end() :]).group(0).splitlines()
+    cells = [[cell.strip().strip("`") for cell in row.strip("|").split("|")] for row in rows]
+    return {row[0]: plain(row[1]) for row in cells}
+
+
+def plain(kind):
+    """A type without the folder of its package that its definition lies in."""
+    return re.sub(r"/(msg|srv|action)/", "/", kind)
+
+
+def in_use(node):
+    """What the graph knows of a node: {name: type}, names as the README writes them."""
+    name, space = node.get_name(), node.get_namespace()
+    graph = (
+        node.get_publisher_names_and_types_by_node(name, space)
+        + node.get_subscriber_names_and_types_by_node(name, space)
+        + node.get_service_names_and_types_by_node(name, space)
+        + node.get_client_names_and_types_by_node(name, space)
+    )
+    found = {}
+    for full, kinds in graph:
+        if RCLPY.search(full):
+            continue
+        if "/_action/" in full:
+            short, kind = full.split("/_action/")[0], plain(kinds[0])
+            if kind.endswith("_SendGoal"):
+                found[short.removeprefix("/")] = kind.removesuffix("_SendGoal")
+            continue
+        short = full.replace(f"/{name}/", "~/", 1) if full.startswith(f"/{name}/") else full
+        if full not in ("/diagnostics", "/clock"):
+            short = short.removeprefix("/")
+        found[short] = plain(kinds[0])
+    return found
+
+
+@pytest.mark.parametrize("package", sorted(NODES))
+def test_interface_tables_are_what_the_node_has(package, tmp_path):
+    values = parameters(**OVERRIDES.get(package, {}))
+    with Harness() as harness:
+        node = harness.add(
+            lambda context: NODES[package](context=context, parameter_overrides=values)
+        )
+        code = harness.wait_for(lambda: in_use(node), 10.0, "the node's graph")
+    readme = documented(package)
+    assert code.items() <= readme.items(), "in the code, not in the README"
+    assert set(readme) - set(code) <= WHILE_BUSY.get(package, set()), "in the README alone"

@@ -1,0 +1,64 @@
+"""The suite as a lab runs it: separate processes over DDS, calibration through the action."""
+
+import json
+
+import numpy as np
+import pytest
+from galen_bringup.demo import main as demo
+from galen_bringup.processes import Processes
+from galen_bringup.suite import AVERAGE_S, calibrate, connected_arm, ros_world, start_suite
+from galen_bringup.verification import random_poses, visit
+from galen_model.tool_file import read_tool
+from galen_model.tools import ADAPTER, TOOLS
+from rich.console import Console
+from rich.progress import Progress
+
+
+@pytest.mark.timeout(300)
+def test_a_tool_is_calibrated_through_the_action_and_its_weight_compensated(tmp_path):
+    tool = TOOLS["retractor"]
+    with ros_world(), Processes(tmp_path / "logs") as processes:
+        start_suite(processes, tmp_path / "tools", speed=4.0, seed=7)
+        result = calibrate(processes, "retractor", ["--iters-t", "4", "--iters-r", "5"])
+        with connected_arm(processes) as arm, Progress(console=Console(quiet=True)) as progress:
+            answer = arm.set_tool("retractor")
+            poses = random_poses(12, np.random.default_rng(1))
+            readings = visit(arm, poses, AVERAGE_S, progress, "poses")
+
+    file = read_tool(tmp_path / "tools" / "retractor.json")
+    assert result["file"] == str(tmp_path / "tools" / "retractor.json")
+    assert result["mass_kg"] == answer.mass_kg == file.load.mass_kg
+    assert file.poses_used + len(file.poses_rejected) >= 20
+    np.testing.assert_allclose(file.tip_m, tool.tip_m)
+    for estimate, truth in ((file.load, tool.load), (file.bias, ADAPTER)):
+        error = np.concatenate(
+            [[estimate.mass_kg - truth.mass_kg], estimate.com_m - np.asarray(truth.com_m)]
+        )
+        assert np.all(np.abs(error) < 5 * np.sqrt(np.diag(estimate.covariance)))
+    # the weight is gone: newtons before, the averaged reading's noise after
+    assert len(readings.raw) >= 10
+    assert np.all(np.sqrt(np.mean(readings.raw[:, :3] ** 2, axis=0)) > 0.3)
+    # 12 poses tell a root mean square to 20 %; the fit's own error adds a little
+    assert np.all(readings.rmse < 1.8 * readings.noise)
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(600)
+def test_the_demonstration_reaches_what_the_readme_says(tmp_path, capsys):
+    assert demo(["--output", str(tmp_path), "--poses", "60", "--json"]) == 0
+    content = json.loads(capsys.readouterr().out)
+    for tool, found in content["tools"].items():
+        assert found["poses"] >= 55
+        # 1.05 is the aim; the fit's own error meets each axis by chance, more so with 60 poses
+        assert np.all(np.array(found["over_noise"]) < 1.09), tool
+        assert np.sqrt(np.mean(np.square(found["over_noise"]))) < 1.05, tool
+        # the noise that there was is the one that the scatter within the poses tells
+        np.testing.assert_allclose(
+            np.array(found["noise"]) / found["noise_from_scatter"], 1.0, atol=4 / np.sqrt(2 * 55)
+        )
+        assert np.all(np.array(found["rmse"]) < np.array(found["report_rmse"]))
+    assert content["drift"]["on"]["largest_m"] < 0.01 * content["drift"]["off"]["largest_m"]
+    assert content["drift"]["off"]["largest_m"] > 0.02
+    assert len(content["figures"]) == 5
+    for figure in content["figures"]:
+        assert (tmp_path / "figures" / figure.rsplit("/", 1)[1]).stat().st_size > 10_000
