@@ -6,6 +6,7 @@ setup(
     name=package_name,
     version="0.1.0",
     packages=find_packages(exclude=["test"]),
+    package_data={"": ["py.typed"]},
     data_files=[
         ("share/ament_index/resource_index/packages", ["resource/" + package_name]),
         ("share/" + package_name, ["package.xml"]),
@@ -14,7 +15,12 @@ setup(
     zip_safe=True,
     maintainer="The Galen suite's authors",
     maintainer_email="galen@example.org",
-    description="Subtracts the tool's weight from the wrist sensor's wrench, live and on recordings.",
+    description="Subtracts the tool's weight from the wrench, live and on recordings.",
     license="Apache-2.0",
-    entry_points={"console_scripts": ["gravcomp_node = galen_gravcomp.node:main", "evaluate = galen_gravcomp.evaluate:main"]},
+    entry_points={
+        "console_scripts": [
+            "gravcomp_node = galen_gravcomp.node:main",
+            "evaluate = galen_gravcomp.evaluate:main",
+        ]
+    },
 )

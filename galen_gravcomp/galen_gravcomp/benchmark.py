@@ -29,9 +29,9 @@ import numpy as np
 import rclpy
 from galen_model.tool_file import LoadEstimate, ToolFile, tool_path, write_tool
 from galen_ros.conversions import fill_stamp, stamp_to_ns
+from galen_ros.domain import DomainLock
 from galen_ros.qos import STREAM
 from galen_ros.spin import make_executor, run
-from galen_ros.testing import DomainLock
 from geometry_msgs.msg import WrenchStamped
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
@@ -198,7 +198,9 @@ def main() -> None:
     parser.add_argument("--rates", type=float, nargs="+", default=[500.0], help="Hz")
     parser.add_argument("--seconds", type=float, default=10.0, help="measured time of each run")
     parser.add_argument("--json", action="store_true", help="print JSON")
-    parser.add_argument("--role", choices=("sender", "relay", "relay_joints"), help=argparse.SUPPRESS)
+    parser.add_argument(
+        "--role", choices=("sender", "relay", "relay_joints"), help=argparse.SUPPRESS
+    )
     options = parser.parse_args()
     if options.role == "sender":
         send(options.rates[0])
@@ -225,8 +227,9 @@ def print_row(result: Measurement, first: bool) -> None:
         print("subject       rate Hz  received  CPU us/wrench  CPU %  median ms  p99 ms  max ms")
     print(
         f"{result.subject:12s} {result.rate_hz:8g} {result.received:5d}/{result.sent:<5d}"
-        f"{result.cpu_us_per_wrench:10.0f} {result.cpu_percent:8.1f} {result.latency_median_ms:9.2f}"
-        f" {result.latency_p99_ms:8.2f} {result.latency_max_ms:7.2f}",
+        f"{result.cpu_us_per_wrench:10.0f} {result.cpu_percent:8.1f} "
+        f"{result.latency_median_ms:9.2f} {result.latency_p99_ms:8.2f}"
+        f" {result.latency_max_ms:7.2f}",
         flush=True,
     )
 

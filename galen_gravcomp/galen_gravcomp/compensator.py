@@ -184,7 +184,7 @@ class Compensator:
         return self._ramp.ramping
 
     def set_enabled(self, enabled: bool) -> list[Result]:
-        """Switch on or off; off refuses what waits, ends a running tare and keeps the tare offset."""
+        """Switch on or off; off refuses what waits, ends a running tare, keeps its offset."""
         if enabled == self._enabled:
             return []
         self._enabled = enabled
@@ -300,9 +300,7 @@ class Compensator:
             return [self._refuse(stamp_ns, Refusal.DUPLICATE, detail)]
         results = self._follow_wrench_stamps(stamp_ns)
         if not self._enabled:
-            results.append(
-                self._refuse(stamp_ns, Refusal.DISABLED, "compensation is switched off")
-            )
+            results.append(self._refuse(stamp_ns, Refusal.DISABLED, "compensation is switched off"))
             return results
         if self._prediction is None:
             results.append(self._refuse(stamp_ns, Refusal.NO_TOOL, self._no_tool_detail))
@@ -400,9 +398,7 @@ class Compensator:
                     "joint_states are stale: two samples more than"
                     f" {self._settings.max_joint_age_s:g} s apart around a wrench"
                 )
-                return self._refuse(
-                    stamp_ns, *self._joint_reason(Refusal.STALE_JOINTS, detail)
-                )
+                return self._refuse(stamp_ns, *self._joint_reason(Refusal.STALE_JOINTS, detail))
             newest = self._joints.newest_ns
             hint = "" if newest is None else _clock_hint(newest - stamp_ns)
             detail = f"no joint angles: {angles.value}{hint}"

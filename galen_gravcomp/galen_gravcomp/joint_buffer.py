@@ -25,14 +25,14 @@ class NoAngles(Enum):
 class JointBuffer:
     """Ring of stamped roll and tilt angles (rad), stamps in ns, strictly increasing.
 
-    A sample may hold NaN: it marks a moment at which the angles are known to be bad, and `angles_at`
-    gives NaN next to it instead of reaching over it.
+    A sample may hold NaN: it marks a moment at which the angles are known to be bad, and
+    `angles_at` gives NaN next to it instead of reaching over it.
     """
 
     def __init__(self, max_gap_ns: int, capacity: int = 4096) -> None:
-        """Keep at least the newest `capacity` samples; never interpolate over more than `max_gap_ns`."""
+        """Keep at least `capacity` samples; never interpolate over more than `max_gap_ns`."""
         if max_gap_ns <= 0 or capacity < 2:
-            raise ValueError(f"max_gap_ns = {max_gap_ns} and capacity = {capacity}: need > 0 and >= 2")
+            raise ValueError(f"max_gap_ns = {max_gap_ns}, capacity = {capacity}: need > 0 and >= 2")
         self._max_gap_ns = max_gap_ns
         self._capacity = capacity
         self._stamps: list[int] = []

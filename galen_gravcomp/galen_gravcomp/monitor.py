@@ -103,9 +103,7 @@ class Monitor:
         last = self._last
         self._last = _LastRefusal(refused, now_s)
         return (
-            last is None
-            or last.refused.reason is not refused.reason
-            or now_s - last.now_s > HOLD_S
+            last is None or last.refused.reason is not refused.reason or now_s - last.now_s > HOLD_S
         )
 
     def on_restart(self, why: str, now_s: float) -> None:

@@ -3,12 +3,11 @@
 import time
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from galen_model.errors import ToolFileError, ToolNameError
 from galen_model.tool_file import ToolFile, read_tool, tool_path
-from galen_msgs.srv import SetTool
 from galen_ros.conversions import JointStateError
 from galen_ros.deferred_service import DeferredService, Respond
 from galen_ros.diagnostics import DiagnosticsPublisher, Level, Status
@@ -32,7 +31,8 @@ from galen_gravcomp.compensator import (
 )
 from galen_gravcomp.monitor import Monitor, Severity, State
 from galen_gravcomp.tare import TareOutcome, TareSettings
-from galen_gravcomp.wire import JointWire, WrenchWire
+from galen_gravcomp.wire import JointWire, RawWrench, WrenchWire
+from galen_msgs.srv import SetTool
 
 WATCH_PERIOD_S = 0.2
 # Not more often than this are changes of state published and logged.
@@ -79,9 +79,7 @@ class GravcompParameters:
         "N, N.m; range of the sensor's axes fx fy fz tx ty tz; a reading beyond it gives a warning",
         minimum=1e-6,
     )
-    tare_window_s: float = param(
-        0.5, "s over which `~/tare` averages", minimum=0.05, maximum=60.0
-    )
+    tare_window_s: float = param(0.5, "s over which `~/tare` averages", minimum=0.05, maximum=60.0)
     tare_ramp_s: float = param(
         1.0, "s over which a new tare is applied", minimum=0.01, maximum=60.0
     )
@@ -211,7 +209,7 @@ class GravcompNode(Node):
         changed = False
         for result in results:
             if isinstance(result, Compensated):
-                arrival_s, raw = result.tag  # type: ignore[misc]
+                arrival_s, raw = cast(tuple[float, RawWrench], result.tag)
                 # The input's own bytes with other numbers: stamp and frame_id can't but be kept.
                 self._publisher.publish(raw.with_wrench(result.wrench))
                 changed |= self._monitor.on_output(arrival_s, time.monotonic())
@@ -347,9 +345,8 @@ class GravcompNode(Node):
         if state.severity is Severity.OK:
             for topic, count in self._publisher_counts.items():
                 if count > 1:
-                    return State(
-                        Severity.WARN, state.name, f"{state.message}; {topic} has {count} publishers"
-                    )
+                    message = f"{state.message}; {topic} has {count} publishers"
+                    return State(Severity.WARN, state.name, message)
         return state
 
     def _announce(self, always: bool = False) -> None:

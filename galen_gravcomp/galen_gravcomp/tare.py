@@ -1,4 +1,4 @@
-"""Taking off what is left of the wrench: average it over a still window, then remove it smoothly."""
+"""Taking off what is left of the wrench: averaged over a still window, removed smoothly."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -24,7 +24,7 @@ class TareSettings:
 
 @dataclass(frozen=True)
 class TareOutcome:
-    """Answer to a tare request. `offset` (6,) is in N and N.m in the sensor frame; None if refused."""
+    """Answer to a tare request; `offset` (6,) in N and N.m, sensor frame, or None if refused."""
 
     success: bool
     message: str
@@ -51,7 +51,7 @@ class TareWindow:
         return len(self._stamps)
 
     def add(self, stamp_ns: int, roll: float, tilt: float, untared: Array) -> bool:
-        """Take a sample (angles in rad, wrench without its weight (6,)); True when the window is full."""
+        """Take a sample (angles rad, wrench without weight (6,)); True when the window is full."""
         if self._after_ns is not None and stamp_ns <= self._after_ns:
             return False
         if self._stamps and stamp_ns <= self._stamps[-1]:
@@ -120,8 +120,8 @@ class TareWindow:
 class TareRamp:
     """The offset in force at a stamp. A new target is approached by a smoothstep in the stamps.
 
-    With s = (t - start) / ramp_s in [0, 1] the offset is start + (3 s^2 - 2 s^3) (target - start), so that
-    its rate never exceeds 1.5 |target - start| / ramp_s, and is zero at both ends.
+    With s = (t - start) / ramp_s in [0, 1] the offset is start + (3 s^2 - 2 s^3) (target - start),
+    so that its rate never exceeds 1.5 |target - start| / ramp_s, and is zero at both ends.
     """
 
     PEAK_RATE = 1.5

@@ -108,7 +108,8 @@ def test_moving_arm_uses_the_angles_of_the_stamp(wrench_offset_ns: int, lag_samp
     compensator = loaded()
     events = [(START + i * 2 * MS, 0) for i in range(300)]
     events += [(START + i * 2 * MS + wrench_offset_ns, 1) for i in range(300)]
-    delayed = sorted(events, key=lambda e: (e[0] + (2 * MS * lag_samples if e[1] == 0 else 0), e[1]))
+    lag_ns = {0: 2 * MS * lag_samples, 1: 0}
+    delayed = sorted(events, key=lambda event: (event[0] + lag_ns[event[1]], event[1]))
     results: list[Result] = []
     for stamp, kind in delayed:
         if kind == 0:
@@ -116,8 +117,10 @@ def test_moving_arm_uses_the_angles_of_the_stamp(wrench_offset_ns: int, lag_samp
         else:
             results += compensator.push_wrench(stamp, TOOL.predict(*ramp(stamp)) + PUSH)
     got = outputs(results)
-    assert [out.stamp_ns for out in got] == [START + i * 2 * MS + wrench_offset_ns for i in range(
-        300 if wrench_offset_ns == 0 else 299)]
+    count = 300 if wrench_offset_ns == 0 else 299  # the last one still waits
+    assert [out.stamp_ns for out in got] == [
+        START + i * 2 * MS + wrench_offset_ns for i in range(count)
+    ]
     for out in got:
         np.testing.assert_allclose(out.wrench, PUSH, atol=1e-12)
     assert compensator.waiting == (0 if wrench_offset_ns == 0 else 1)

@@ -11,7 +11,6 @@ from diagnostic_msgs.msg import DiagnosticArray
 from galen_gravcomp.node import GravcompNode
 from galen_model.arrays import Array
 from galen_model.tool_file import LoadEstimate, ToolFile, tool_path, write_tool
-from galen_msgs.srv import SetTool
 from galen_ros.conversions import fill_stamp, fill_wrench, stamp_to_ns, wrench_to_array
 from galen_ros.diagnostics import Level
 from galen_ros.qos import STREAM
@@ -21,6 +20,8 @@ from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool, Trigger
+
+from galen_msgs.srv import SetTool
 
 MS = 1_000_000
 S = 1_000_000_000
@@ -160,7 +161,8 @@ class Bench:
         return stamp
 
     def output_at(self, stamp_ns: int) -> Array | None:
-        return next((w for stamp, _, w in reversed(self.listener.outputs) if stamp == stamp_ns), None)
+        outputs = reversed(self.listener.outputs)
+        return next((wrench for stamp, _, wrench in outputs if stamp == stamp_ns), None)
 
     def expect(self, stamp_ns: int, wrench: Array, atol: float = 1e-9) -> None:
         """Wait for the output of a stamp and compare it."""
@@ -302,10 +304,10 @@ REFUSALS = [
 ]
 
 
-@pytest.mark.parametrize(("feed", "state", "words"), REFUSALS, ids=[r[0].__name__ for r in REFUSALS])
-def test_refusals(
-    bench: Bench, feed: Callable[[Bench], None], state: str, words: str
-) -> None:
+@pytest.mark.parametrize(
+    ("feed", "state", "words"), REFUSALS, ids=[name for _, name, _ in REFUSALS]
+)
+def test_refusals(bench: Bench, feed: Callable[[Bench], None], state: str, words: str) -> None:
     bench.expect(bench.step(PUSH), PUSH)
     last_good = len(bench.listener.outputs)
 
@@ -394,9 +396,7 @@ def test_set_tool_reads_back_what_is_in_force(bench: Bench) -> None:
         ("../pointer", SetTool.Response.INVALID_NAME, "../pointer"),
     ],
 )
-def test_failed_set_tool_keeps_the_old_one(
-    bench: Bench, tool: str, code: int, words: str
-) -> None:
+def test_failed_set_tool_keeps_the_old_one(bench: Bench, tool: str, code: int, words: str) -> None:
     answer = bench.set_tool(tool)
     assert not answer.success and answer.error_code == code and words in answer.error_msg
     assert (answer.tool, answer.mass_kg) == ("pointer", 0.06)

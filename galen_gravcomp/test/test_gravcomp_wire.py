@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from galen_gravcomp import wire
 from galen_gravcomp.wire import JointWire, RawWrench, WrenchWire
 from galen_ros.conversions import JointStateError, UnknownJointError
 from galen_ros.qos import STREAM
@@ -16,6 +15,8 @@ from geometry_msgs.msg import WrenchStamped
 from rclpy.node import Node
 from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import JointState
+
+from galen_gravcomp import wire
 
 RNG = np.random.default_rng(11)
 
