@@ -120,8 +120,8 @@ def _identify(measurements: Measurements) -> Identification:
 
 def _outliers(found: Identification, measurements: Measurements) -> list[str]:
     """Name the fit's outliers by their place in the sweep; the fit counts only the still poses."""
-    poses = [f"bare/{measurements.bare_indices[k]}" for k in np.flatnonzero(~found.used_bare)] + [
-        f"tool/{measurements.tool_indices[k]}" for k in np.flatnonzero(~found.used_tool)
+    indices = {"bare": measurements.bare_indices, "tool": measurements.tool_indices}
+    return [
+        f"{o.sweep}/{indices[o.sweep][o.pose]}: {o.sigmas:.1f} sigma off the common load"
+        for o in found.outliers
     ]
-    reasons = [text.rsplit(": ", 1)[-1] for text in found.rejected]
-    return [f"{pose}: {reason}" for pose, reason in zip(poses, reasons, strict=True)]

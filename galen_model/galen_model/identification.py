@@ -75,6 +75,15 @@ class StillPoses:
 
 
 @dataclass(frozen=True)
+class Outlier:
+    """A pose that the fit left out: its sweep ("bare" or "tool"), its place in it, how far off."""
+
+    sweep: str
+    pose: int
+    sigmas: float
+
+
+@dataclass(frozen=True)
 class Identification:
     """What a calibration found.
 
@@ -95,7 +104,7 @@ class Identification:
     sigma: Array
     used_tool: np.ndarray
     used_bare: np.ndarray
-    rejected: tuple[str, ...]
+    outliers: tuple[Outlier, ...]
     warnings: tuple[str, ...]
     unresolved: tuple[str, ...] = ()
 
@@ -146,9 +155,9 @@ def identify_two_sweeps(
         sigma=fit.sigma,
         used_tool=used_tool,
         used_bare=used_bare,
-        rejected=(
-            *_rejections(fit, np.arange(len(bare)), bare, "without the tool"),
-            *_rejections(fit, len(bare) + np.arange(len(tool)), tool, "with the tool"),
+        outliers=(
+            *_outliers(fit, np.arange(len(bare)), "bare"),
+            *_outliers(fit, len(bare) + np.arange(len(tool)), "tool"),
         ),
         warnings=tuple(warnings),
     )
@@ -210,7 +219,7 @@ def identify_one_sweep(
         sigma=fit.sigma,
         used_tool=fit.used,
         used_bare=np.zeros(0, dtype=bool),
-        rejected=_rejections(fit, np.arange(len(tool)), tool, "with the tool"),
+        outliers=_outliers(fit, np.arange(len(tool)), "tool"),
         warnings=(*_noise_warnings(fit, tool.std_of_mean), *unresolved),
         unresolved=unresolved,
     )
@@ -333,13 +342,10 @@ def _joined_std(*sweeps: StillPoses) -> Array | None:
     return np.concatenate(known) if len(known) == len(parts) else None
 
 
-def _rejections(
-    fit: RobustFit, indices: np.ndarray, poses: StillPoses, sweep: str
-) -> tuple[str, ...]:
+def _outliers(fit: RobustFit, indices: np.ndarray, sweep: str) -> tuple[Outlier, ...]:
     return tuple(
-        f"{sweep}, pose {number} (roll {poses.roll[number]:.4f} rad, tilt "
-        f"{poses.tilt[number]:.4f} rad): {fit.distance[index]:.1f} sigma off the common load"
-        for number, index in enumerate(indices)
+        Outlier(sweep, pose, float(fit.distance[index]))
+        for pose, index in enumerate(indices)
         if not fit.used[index]
     )
 

@@ -116,7 +116,7 @@ def test_a_missing_field_is_named(tmp_path, field):
 def test_what_is_no_json_object_is_refused(tmp_path, text):
     path = tmp_path / "pointer.json"
     path.write_bytes(text)
-    with pytest.raises(ToolFileError, match="pointer.json"):
+    with pytest.raises(ToolFileError, match=r"pointer\.json"):
         read_tool(path)
 
 
