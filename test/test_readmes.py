@@ -92,6 +92,8 @@ def test_interface_tables_are_what_the_node_has(package, tmp_path):
             lambda context: NODES[package](context=context, parameter_overrides=values)
         )
         code = harness.wait_for(lambda: in_use(node), 10.0, "the node's graph")
+        # what `ros2 param dump` does; a node's own attribute can hide rclpy's of the same name
+        assert {p.value is not None for p in node.get_parameters_by_prefix("").values()} == {True}
     readme = documented(package)
     assert code.items() <= readme.items(), "in the code, not in the README"
     assert set(readme) - set(code) <= WHILE_BUSY.get(package, set()), "in the README alone"

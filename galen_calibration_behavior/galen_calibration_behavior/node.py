@@ -96,8 +96,8 @@ class CalibrationNode(Node):
 
     def __init__(self, **kwargs: Any) -> None:
         super().__init__("calibration", **kwargs)
-        self._parameters = declare_parameters(self, CalibrationParameters)
-        self._tools_dir = Path(self._parameters.tools_dir).expanduser()
+        self._settings = declare_parameters(self, CalibrationParameters)
+        self._tools_dir = Path(self._settings.tools_dir).expanduser()
         self._goal: _Goal | None = None
         self._over: list[_Goal] = []
         self._refused = ""
@@ -171,11 +171,11 @@ class CalibrationNode(Node):
 
     def _make_goal(self, handle: ServerGoalHandle) -> _Goal:
         request = handle.request
-        tilts = request.iters_t or self._parameters.itersT
-        rolls = request.iters_r or self._parameters.itersR
+        tilts = request.iters_t or self._settings.itersT
+        rolls = request.iters_r or self._settings.itersR
         try:
             path = tool_path(self._tools_dir, request.tool)
-            poses = self._parameters.poses(tilts, rolls)
+            poses = self._settings.poses(tilts, rolls)
             tip_m, warnings = choose_tip(np.array(request.tip_m, float), path)
             check_writable(path)
         except ToolNameError as error:
@@ -185,7 +185,7 @@ class CalibrationNode(Node):
         except GalenError as error:
             raise _RefusedGoalError(ErrorCode.BAD_INPUT, str(error)) from error
         procedure = CalibrationProcedure(
-            self._parameters.settings(),
+            self._settings.settings(),
             Request(request.tool, request.one_sweep, request.attach_by_service, poses),
         )
         return _Goal(handle, procedure, path, tip_m, warnings)
@@ -286,7 +286,7 @@ class CalibrationNode(Node):
             return
         assert goal.preflight_s is not None
         goal.preflight_s += _TICK_S
-        if goal.preflight_s > self._parameters.silent_timeout_s:
+        if goal.preflight_s > self._settings.silent_timeout_s:
             goal.procedure.fail(*missing)
 
     def _find_missing(self, goal: _Goal) -> tuple[ErrorCode, str] | None:
