@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
@@ -62,14 +63,29 @@ class ArmClient(Node):
         self.on_compensated: WrenchListener | None = None
         self._trajectory = self.create_publisher(JointTrajectory, "joint_trajectory", 10)
         self.create_subscription(JointState, "joint_states", self._on_joint_state, STREAM)
-        self.create_subscription(WrenchStamped, "wrench_raw", self._on_wrench_raw, STREAM)
-        self.create_subscription(
-            WrenchStamped, "wrench_compensated", self._on_wrench_compensated, STREAM
-        )
         self._set_tool = self.create_client(SetTool, "gravcomp/set_tool")
         self._bias_sensor = self.create_client(Trigger, "bias_sensor")
         self._set_admittance = self.create_client(SetBool, "sim_driver/set_admittance")
         self._driver_parameters = AsyncParameterClient(self, "sim_driver")
+
+    @contextmanager
+    def wrenches(self) -> Iterator[None]:
+        """Receive both wrenches while this lasts.
+
+        Unneeded, they would cost a third of a core at five times real time.
+        """
+        subscriptions = [
+            self.create_subscription(WrenchStamped, topic, callback, STREAM)
+            for topic, callback in (
+                ("wrench_raw", self._on_wrench_raw),
+                ("wrench_compensated", self._on_wrench_compensated),
+            )
+        ]
+        try:
+            yield
+        finally:
+            for subscription in subscriptions:
+                self.destroy_subscription(subscription)
 
     def close(self) -> None:
         """Leave ROS."""

@@ -24,6 +24,7 @@ TURNS = ((0.8, 0.0), (0.8, -0.6), (0.0, 0.6), (-0.8, 0.3), (0.0, 0.0))
 
 _HOLD_S = 2.0
 _MOVE_S = 2.0
+_LARGEST_GAP_S = 0.01
 _NS = 1_000_000_000
 
 
@@ -56,13 +57,22 @@ def measure_drift(arm: ArmClient, tip_m: Array, progress: Progress) -> tuple[Dri
     # The run on the compensated wrench comes before the sensor is zeroed anew for the raw one.
     runs = {}
     for mode in ("off", "compensated", "raw"):
-        _go_home(arm)
-        if mode == "raw":
-            arm.bias_sensor()
-        runs[mode] = _follow(arm, None if mode == "off" else mode)
+        runs[mode] = _run(arm, mode)
         progress.advance(task)
     should_be = runs["off"]
     return _drift(runs["raw"], should_be, tip_m), _drift(runs["compensated"], should_be, tip_m)
+
+
+def _run(arm: ArmClient, mode: str) -> tuple[Array, Array]:
+    """Time (n,) and joints (n, 5) of one run, again where a busy machine lost samples of it."""
+    for _ in range(3):
+        _go_home(arm)
+        if mode == "raw":
+            arm.bias_sensor()
+        time, joints = _follow(arm, None if mode == "off" else mode)
+        if len(time) > 1 and np.diff(time).max() < _LARGEST_GAP_S:
+            return time, joints
+    raise ArmError("joint_states lost samples in three runs: this machine needs a lower speed")
 
 
 def _go_home(arm: ArmClient) -> None:
@@ -117,8 +127,6 @@ def _follow(arm: ArmClient, source: str | None) -> tuple[Array, Array]:
 
 def _drift(run: tuple[Array, Array], should_be: tuple[Array, Array], tip_m: Array) -> Drift:
     time = run[0]
-    if len(time) < 2 or len(should_be[0]) < 2:
-        raise ArmError("no joint_states while the arm followed its trajectory")
     reference = np.column_stack(
         [np.interp(time, should_be[0], should_be[1][:, joint]) for joint in range(5)]
     )

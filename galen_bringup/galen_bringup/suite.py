@@ -19,11 +19,10 @@ from galen_bringup.arm_client import ArmClient
 from galen_bringup.processes import ProcessError, Processes, executable_path, ros_arguments
 
 AVERAGE_S = 0.25
-"""Length of an averaged reading, s of simulated time."""
+"""Length of an averaged reading outside the calibration, s of simulated time."""
 
 _CALIBRATION = {
     "settle_s": 0.05,
-    "average_s": AVERAGE_S,
     "velocity_window_s": 0.06,
     "max_angle_velocity_rad_s": 1.4,
     "max_angle_acceleration_rad_s2": 5.5,

@@ -87,10 +87,15 @@ def visit(
     """
     joints, raw, compensated, stds, samples, skipped = [], [], [], [], [], []
     task = progress.add_task(label, total=len(poses))
-    for number, target in enumerate(poses):
-        outcome = _visit_one(arm, target, average_s)
-        if isinstance(outcome, str):  # once more: a busy machine may have lost samples
+    with arm.wrenches():
+        outcomes = []
+        for target in poses:
             outcome = _visit_one(arm, target, average_s)
+            if isinstance(outcome, str):  # once more: a busy machine may have lost samples
+                outcome = _visit_one(arm, target, average_s)
+            outcomes.append(outcome)
+            progress.advance(task)
+    for number, outcome in enumerate(outcomes):
         if isinstance(outcome, str):
             skipped.append(f"pose {number + 1}: {outcome}")
         else:
@@ -100,7 +105,6 @@ def visit(
             compensated.append(one_compensated.wrench)
             stds.append(one_raw.wrench_std)
             samples.append(one_raw.samples)
-        progress.advance(task)
     if not joints:
         raise ArmError(f"no pose was still: {skipped[0]}")
     return PoseReadings(
