@@ -37,6 +37,8 @@ else
     *":$_galen_root/.venv:"*) ;;
     *) export CMAKE_PREFIX_PATH="$_galen_root/.venv${CMAKE_PREFIX_PATH:+:$CMAKE_PREFIX_PATH}" ;;
   esac
+  # Another environment's wheels may have set it: these have to put their own libraries on the path.
+  unset _ROS_WHEELS_BOOTSTRAP_COMPLETE
   # Shared memory of a killed process makes Fast DDS complain in red; UDP has no such leftovers.
   export FASTDDS_BUILTIN_TRANSPORTS="${FASTDDS_BUILTIN_TRANSPORTS:-UDPv4}"
 fi

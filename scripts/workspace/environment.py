@@ -304,7 +304,8 @@ def clean_environ(environ: Mapping[str, str], root: Path) -> dict[str, str]:
             env[name] = os.pathsep.join(kept)
             if not env[name]:
                 del env[name]
-    for name in ("VIRTUAL_ENV", "PYTHONHOME"):
+    # The last is how the ROS wheels mark that LD_LIBRARY_PATH already names their libraries.
+    for name in ("VIRTUAL_ENV", "PYTHONHOME", "_ROS_WHEELS_BOOTSTRAP_COMPLETE"):
         env.pop(name, None)
     return env
 
