@@ -5,7 +5,8 @@ d_i^2 = sum_k (r_ik / sigma_k)^2 decides over all six channels of it. The fit st
 iteratively reweighted least squares with Tukey's bisquare on d_i (Maronna, Martin, Yohai, *Robust
 Statistics*, 2006, section 5.4) with the channels' scales from the median absolute deviation, then
 rejects what lies beyond the chi-square quantile of one false rejection in a hundred sweeps, and
-ends as ordinary weighted least squares of the poses left, whose covariance is (A^T W A)^-1.
+ends as ordinary weighted least squares of the poses left, whose covariance is (A^T W A)^-1 times
+nu / (nu - 2) for the nu degrees of freedom that sigma was found with.
 The noise sigma_k of a channel comes from that channel's own residuals and degrees of freedom,
 drawn towards the mean of its kind (force or torque) as much as ten further readings would: with
 few poses a channel's own residuals alone make weights that run away (the variances' posterior
@@ -165,7 +166,9 @@ def _weighted(
         if settled:
             break
     values, covariance = _solve(design, readings, prior, sigma, weights)
-    return values, covariance, sigma
+    # sigma is itself estimated: the values' errors follow Student's t, whose variance is larger
+    known = freedom + _PRIOR_READINGS
+    return values, covariance * float(np.mean(known / (known - 2.0))), sigma
 
 
 def _solve(
