@@ -106,6 +106,12 @@ def explain_pip(log: str) -> str:
     )
     if network:
         return "the package index did not answer: check the connection and pip's configuration"
+    if missing and "(from versions: none)" in log:
+        # What pip also says, and nothing else, when it may not retry a failed connection.
+        return (
+            f"the package index did not answer or does not know {missing.group(1)}: "
+            "check the connection and pip's configuration"
+        )
     if missing:
         return f"the package index does not have {missing.group(1)} for this Python and machine"
     errors = re.findall(r"^ERROR: (.+)$", log, re.MULTILINE)

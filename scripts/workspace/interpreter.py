@@ -15,6 +15,7 @@ from .errors import SetupError
 from .ros import Ros
 
 SUPPORTED = ("3.12", "3.11")
+DEBIAN_PYTHON = "/usr/bin/python3"  # what ROS's Debian packages are built for
 
 _PROBE = """
 import importlib.util, json, os, sys, sysconfig
@@ -119,7 +120,7 @@ def _candidates(environ: Mapping[str, str], ros: Ros | None) -> Iterator[str]:
     """Yield paths of Pythons to ask, the most wanted first."""
     path = environ.get("PATH", os.defpath)
     if ros:
-        yield "/usr/bin/python3"  # what ROS's Debian packages are built for
+        yield DEBIAN_PYTHON
         yield str(ros.prefix / "bin" / "python3")
         names = [f"python{ros.python_version}", "python3"]
     else:

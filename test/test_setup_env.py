@@ -1,0 +1,658 @@
+"""Set-up and build: what is chosen, what stops it in one line, what a second run keeps."""
+
+import contextlib
+import fcntl
+import json
+import os
+import re
+import shutil
+import stat
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parent.parent
+sys.path.insert(0, str(ROOT / "scripts"))
+
+from ros2_run import NotFoundError, find_executable  # noqa: E402
+from workspace import build, environment, interpreter, ros, tools  # noqa: E402
+from workspace.environment import Environment, explain_pip, read_pins, to_install  # noqa: E402
+from workspace.errors import SetupError  # noqa: E402
+from workspace.wheel_repair import repair_wheels  # noqa: E402
+
+REQUIREMENTS = ROOT / "requirements"
+
+
+def script(path, text):
+    """Write an executable shell script."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text("#!/bin/sh\n" + text)
+    path.chmod(path.stat().st_mode | stat.S_IXUSR)
+    return path
+
+
+def fake_python(path, version, *, has_venv=True, has_headers=True, implementation="cpython"):
+    """A program that answers the probe as a Python of that kind would."""
+    answer = {
+        "path": str(path),
+        "version": version,
+        "implementation": implementation,
+        "has_venv": has_venv,
+        "has_headers": has_headers,
+    }
+    return script(path, f"echo '{json.dumps(answer)}'\n")
+
+
+def ros_prefix(folder, version="3.12"):
+    """A prefix that has rclpy as an installed ROS 2 has it."""
+    (folder / "lib" / f"python{version}" / "site-packages" / "rclpy").mkdir(parents=True)
+    return folder
+
+
+def sourced(prefix, distro="jazzy"):
+    return {"ROS_DISTRO": distro, "AMENT_PREFIX_PATH": str(prefix), "PATH": os.defpath}
+
+
+def workspace_copy(folder):
+    """A workspace with the scripts and the requirements of this one, and no packages."""
+    for name in ("scripts", "requirements"):
+        shutil.copytree(ROOT / name, folder / name, ignore=shutil.ignore_patterns("__pycache__"))
+    return folder
+
+
+def run_setup(root, *, step="setup", **env):
+    """Run the set-up as a person does, with ``env`` alone as its environment."""
+    return subprocess.run(
+        [sys.executable, str(root / "scripts" / "setup_env.py"), step],
+        env={"HOME": str(root), **{name: str(value) for name, value in env.items()}},
+        capture_output=True,
+        text=True,
+        timeout=100,
+        check=False,
+    )
+
+
+def assert_one_line_error(done, *words):
+    assert done.returncode == 1
+    lines = done.stderr.strip().splitlines()
+    assert len(lines) == 1, done.stderr
+    assert lines[0].startswith("error: ")
+    for word in words:
+        assert word in lines[0], lines[0]
+
+
+@pytest.fixture
+def no_running_python(monkeypatch):
+    """The Python that runs the tests, and the machine's own, are not among the candidates."""
+    monkeypatch.setattr(interpreter.sys, "base_prefix", "/nonexistent")
+    monkeypatch.setattr(interpreter, "DEBIAN_PYTHON", "/nonexistent/python3")
+
+
+# ---- which ROS
+
+
+def test_without_a_sourced_ros_there_is_none():
+    assert ros.find_ros({"PATH": os.defpath}) is None
+
+
+def test_a_sourced_jazzy_is_found_behind_an_overlay(tmp_path):
+    prefix = ros_prefix(tmp_path / "jazzy")
+    environ = sourced(f"{tmp_path / 'overlay'}:{prefix}")
+    assert ros.find_ros(environ) == ros.Ros(prefix, "3.12")
+
+
+@pytest.mark.parametrize("distro", ["humble", "kilted", "rolling"])
+def test_another_distribution_is_refused_by_name(tmp_path, distro):
+    with pytest.raises(SetupError, match=f"'{distro}' is sourced.*'jazzy'"):
+        ros.find_ros(sourced(ros_prefix(tmp_path), distro))
+
+
+def test_jazzy_without_rclpy_is_refused(tmp_path):
+    with pytest.raises(SetupError, match="no prefix in AMENT_PREFIX_PATH has rclpy"):
+        ros.find_ros(sourced(tmp_path))
+
+
+def test_an_installed_but_unsourced_ros_is_told(tmp_path):
+    assert ros.unused_ros_note(tmp_path) is None
+    (tmp_path / "setup.bash").touch()
+    assert "not sourced" in ros.unused_ros_note(tmp_path)
+
+
+def test_another_distribution_stops_the_command_in_one_line(tmp_path):
+    done = run_setup(workspace_copy(tmp_path), PATH=os.defpath, ROS_DISTRO="humble")
+    assert_one_line_error(done, "humble", "jazzy")
+    assert not (tmp_path / ".venv").exists()
+
+
+# ---- which Python
+
+
+def test_the_first_supported_python_on_path_is_taken(tmp_path, no_running_python):
+    fake_python(tmp_path / "old" / "python3", "3.9")
+    fake_python(tmp_path / "new" / "python3.11", "3.11")
+    environ = {"PATH": f"{tmp_path / 'old'}:{tmp_path / 'new'}", "HOME": str(tmp_path)}
+    assert interpreter.choose(environ, None).path == str(tmp_path / "new" / "python3.11")
+
+
+def test_pyenv_is_searched_when_path_has_none(tmp_path, no_running_python):
+    fake_python(tmp_path / ".pyenv" / "versions" / "3.12.4" / "bin" / "python3.12", "3.12")
+    environ = {"PATH": str(tmp_path / "empty"), "HOME": str(tmp_path)}
+    assert interpreter.choose(environ, None).version == "3.12"
+
+
+def test_an_environments_own_python_is_passed_over(tmp_path, no_running_python):
+    fake_python(tmp_path / "env" / "bin" / "python3.12", "3.12")
+    (tmp_path / "env" / "pyvenv.cfg").touch()
+    fake_python(tmp_path / "bin" / "python3.11", "3.11")
+    environ = {"PATH": f"{tmp_path / 'env' / 'bin'}:{tmp_path / 'bin'}", "HOME": str(tmp_path)}
+    assert interpreter.choose(environ, None).version == "3.11"
+
+
+def test_no_supported_python_names_the_versions(tmp_path, no_running_python):
+    fake_python(tmp_path / "python3", "3.13")
+    environ = {"PATH": str(tmp_path), "HOME": str(tmp_path)}
+    with pytest.raises(SetupError, match=r"no Python 3\.12 or 3\.11 found"):
+        interpreter.choose(environ, None)
+
+
+def test_a_broken_python_is_passed_over(tmp_path, no_running_python):
+    script(tmp_path / "a" / "python3.12", "exit 1\n")
+    fake_python(tmp_path / "b" / "python3.12", "3.12")
+    environ = {"PATH": f"{tmp_path / 'a'}:{tmp_path / 'b'}", "HOME": str(tmp_path)}
+    assert interpreter.choose(environ, None).path == str(tmp_path / "b" / "python3.12")
+
+
+@pytest.mark.parametrize(
+    ("lack", "word"),
+    [
+        ({"has_venv": False}, r"python3\.12-venv"),
+        ({"has_headers": False}, r"python3\.12-dev"),
+        ({"implementation": "pypy"}, "CPython"),
+    ],
+)
+def test_a_python_that_lacks_a_part_is_told_with_the_remedy(
+    tmp_path, no_running_python, lack, word
+):
+    fake_python(tmp_path / "python3.12", "3.12", **lack)
+    environ = {"PATH": str(tmp_path), "HOME": str(tmp_path)}
+    with pytest.raises(SetupError, match=word):
+        interpreter.choose(environ, None)
+
+
+def test_galen_python_wins(tmp_path):
+    named = fake_python(tmp_path / "mine", "3.11")
+    environ = {"PATH": os.environ["PATH"], "GALEN_PYTHON": str(named)}
+    assert interpreter.choose(environ, None).path == str(named)
+
+
+@pytest.mark.parametrize(
+    ("version", "word"), [("3.10", r"is Python 3\.10.*3\.12 or 3\.11"), (None, "not a Python")]
+)
+def test_an_unfit_galen_python_is_refused(tmp_path, version, word):
+    named = tmp_path / "mine"
+    if version:
+        fake_python(named, version)
+    with pytest.raises(SetupError, match=word):
+        interpreter.choose({"GALEN_PYTHON": str(named)}, None)
+
+
+def test_with_ros_only_its_own_version_is_taken(tmp_path, no_running_python):
+    found = ros.Ros(ros_prefix(tmp_path / "jazzy"), "3.12")
+    fake_python(tmp_path / "python3", "3.11")
+    fake_python(tmp_path / "jazzy" / "bin" / "python3", "3.12")
+    environ = {"PATH": str(tmp_path), "HOME": str(tmp_path)}
+    assert interpreter.choose(environ, found).path == str(tmp_path / "jazzy" / "bin" / "python3")
+
+
+def test_an_unsupported_python_stops_the_command_in_one_line(tmp_path):
+    named = fake_python(tmp_path / "python3.9", "3.9")
+    root = workspace_copy(tmp_path / "ws")
+    done = run_setup(root, PATH=os.environ["PATH"], GALEN_PYTHON=named)
+    assert_one_line_error(done, "3.9", "3.12 or 3.11")
+    assert not (root / ".venv").exists()
+
+
+# ---- what has to be on the machine
+
+
+def fill_path(folder, names):
+    for name in names:
+        script(folder / name, "")
+    return {"PATH": str(folder)}
+
+
+@pytest.mark.parametrize(
+    ("present", "missing"),
+    [
+        ([], "C compiler"),
+        (["gcc"], r"C\+\+ compiler"),
+        (["cc", "g++"], "CMake"),
+        (["clang", "clang++", "cmake"], "make"),
+    ],
+)
+def test_the_first_missing_tool_is_named_with_its_package(tmp_path, present, missing):
+    with pytest.raises(SetupError, match=rf"no {missing} found.*apt install"):
+        tools.check_tools(fill_path(tmp_path, present))
+
+
+def test_all_tools_present_is_fine(tmp_path):
+    environ = fill_path(tmp_path, ["gcc", "g++", "cmake", "make"])
+    tools.check_tools(environ)
+    with pytest.raises(SetupError, match="CXX=icpc is not on PATH"):
+        tools.check_tools({**environ, "CXX": "icpc"})
+
+
+def test_a_missing_compiler_stops_the_command_in_one_line(tmp_path):
+    root = workspace_copy(tmp_path / "ws")
+    done = run_setup(root, PATH=tmp_path / "empty")
+    assert_one_line_error(done, "C compiler", "build-essential")
+    assert not (root / ".venv").exists()
+
+
+def test_a_full_disk_is_told_before_anything_is_fetched(tmp_path):
+    tools.check_disk(tmp_path, 1)
+    with pytest.raises(SetupError, match=r"GB free in .* are needed"):
+        tools.check_disk(tmp_path, 10**18)
+
+
+# ---- what is installed
+
+
+def test_every_requirement_is_pinned_once_and_ros_is_jazzy():
+    pins = {group: read_pins(REQUIREMENTS / f"{group}.txt") for group in environment.GROUPS}
+    names = [name for group in pins.values() for name in group]
+    assert len(names) == len(set(names))
+    assert pins["ros"]["ros-rclpy"] == environment.RCLPY_VERSION
+    assert int(pins["build"]["setuptools"].split(".")[0]) < environment.SETUPTOOLS_LIMIT
+    assert "torch" not in names
+
+
+def test_the_lock_files_hold_what_their_inputs_ask_for():
+    held = set()
+    for group in environment.GROUPS:
+        held |= set(read_pins(REQUIREMENTS / f"{group}.txt"))
+        for line in (REQUIREMENTS / f"{group}.in").read_text().splitlines():
+            name = re.match(r"[A-Za-z0-9_.-]*", line).group()
+            assert not name or environment.normal_name(name) in held, line
+
+
+@pytest.mark.parametrize("line", ["numpy", "numpy>=2", "numpy=="])
+def test_a_line_without_an_exact_pin_is_refused(tmp_path, line):
+    path = tmp_path / "x.txt"
+    path.write_text(f"# comment\n{line}\n")
+    with pytest.raises(SetupError, match=r"x\.txt:2"):
+        read_pins(path)
+
+
+PINS = {
+    "runtime": {"numpy": "2.4.6", "pin": "4.1.0", "pyyaml": "6.0.3"},
+    "dev": {"pytest": "9.2.0"},
+    "build": {"setuptools": "79.0.1", "colcon-core": "0.21.3"},
+    "ros": {"ros-rclpy": "7.1.6"},
+}
+
+
+def test_without_ros_all_pins_are_installed():
+    assert set(to_install(PINS, {}, None)) == {name for group in PINS.values() for name in group}
+
+
+def test_with_ros_what_it_brings_stays():
+    found = ros.Ros(Path("/opt/ros/jazzy"), "3.12")
+    installed = {"numpy": "1.26.4", "PyYAML": "6.0.1", "setuptools": "68.1.2", "pytest": "7.4.4"}
+    wanted = to_install(PINS, installed, found)
+    assert wanted == {"pin": "4.1.0", "pytest": "9.2.0", "colcon-core": "0.21.3"}
+
+
+def test_with_ros_a_too_new_setuptools_is_covered():
+    found = ros.Ros(Path("/opt/ros/jazzy"), "3.12")
+    wanted = to_install(PINS, {"setuptools": "80.1.0"}, found)
+    assert wanted["setuptools"] == "79.0.1"
+
+
+# ---- downloads that fail
+
+
+@pytest.mark.parametrize(
+    ("log", "words"),
+    [
+        ("ERROR: No matching distribution found for pin==4.1.0", "does not have pin==4.1.0"),
+        (
+            "WARNING: Retrying ... NewConnectionError('...')\n"
+            "ERROR: No matching distribution found for pin==4.1.0",
+            "did not answer",
+        ),
+        (
+            "ERROR: Could not find a version that satisfies pin==4.1.0 (from versions: none)\n"
+            "ERROR: No matching distribution found for pin==4.1.0",
+            "did not answer or does not know pin==4.1.0",
+        ),
+        ("ERROR: Could not install: [Errno 28] No space left on device", "disk is full"),
+        ("ERROR: something else", "something else"),
+        ("", "pip failed"),
+    ],
+)
+def test_pips_output_is_put_in_a_few_words(log, words):
+    assert words in explain_pip(log)
+
+
+def test_a_failing_download_is_one_line_and_leaves_no_good_environment(tmp_path):
+    root = workspace_copy(tmp_path / "ws")
+    closed_port = "http://127.0.0.1:9/simple"
+    done = run_setup(
+        root,
+        PATH=os.environ["PATH"],
+        GALEN_PYTHON=Path(sys.base_prefix, "bin", Path(sys.executable).name).resolve(),
+        PIP_INDEX_URL=closed_port,
+        PIP_RETRIES=0,
+        PIP_NO_CACHE_DIR=1,
+        PIP_CONFIG_FILE=os.devnull,
+    )
+    assert_one_line_error(done, "did not answer", str(root / "log" / "setup.log"))
+    assert (root / "log" / "setup.log").stat().st_size
+    assert not Environment(root, {}).is_ready()
+
+
+# ---- what a second run takes for good
+
+
+@pytest.fixture
+def ready(tmp_path):
+    """An environment with the stamp of a finished one."""
+    root = workspace_copy(tmp_path / "ws")
+    found = Environment(root, {"PATH": os.defpath})
+    script(found.python, "")
+    (found.path / "pyvenv.cfg").touch()
+    found._write_stamp(interpreter.Interpreter("python3", "3.12", "cpython", True, True))
+    return found
+
+
+def test_a_finished_environment_is_kept(ready):
+    assert ready.is_ready()
+    ready.make()  # would fail on the empty .venv if it looked further
+
+
+def test_changed_requirements_make_it_anew(ready):
+    path = ready.root / "requirements" / "dev.txt"
+    path.write_text(path.read_text() + "# changed\n")
+    assert not ready.is_ready()
+
+
+def test_another_python_or_ros_makes_it_anew(ready, tmp_path):
+    assert not Environment(ready.root, {"GALEN_PYTHON": "/usr/bin/python3"}).is_ready()
+    assert not Environment(ready.root, sourced(ros_prefix(tmp_path / "jazzy"))).is_ready()
+
+
+def test_a_broken_stamp_or_a_gone_python_is_not_ready(ready):
+    stamp = ready.path / environment.STAMP_NAME
+    text = stamp.read_text()
+    stamp.write_text(text[:10])
+    assert not ready.is_ready()
+    stamp.write_text(text)
+    assert ready.is_ready()
+    ready.python.unlink()
+    assert not ready.is_ready()
+
+
+def test_a_folder_that_is_no_environment_is_not_removed(tmp_path):
+    root = workspace_copy(tmp_path / "ws")
+    keep = root / ".venv" / "thesis.txt"
+    keep.parent.mkdir()
+    keep.write_text("mine")
+    done = run_setup(root, PATH=os.environ["PATH"])
+    assert_one_line_error(done, "not a Python environment")
+    assert keep.read_text() == "mine"
+
+
+def test_paths_of_an_earlier_source_are_left_out(tmp_path):
+    mine = tmp_path / ".venv"
+    cleaned = environment.clean_environ(
+        {
+            "AMENT_PREFIX_PATH": f"{tmp_path}/install/galen_ros:/opt/ros/jazzy:{mine}",
+            "PATH": f"{mine}/bin:/usr/bin",
+            "PYTHONPATH": f"{tmp_path}/build/galen_ros",
+            "VIRTUAL_ENV": str(mine),
+            "_ROS_WHEELS_BOOTSTRAP_COMPLETE": "1",
+        },
+        tmp_path,
+    )
+    assert cleaned == {"AMENT_PREFIX_PATH": "/opt/ros/jazzy", "PATH": "/usr/bin"}
+
+
+def test_a_second_run_waits_for_the_first(tmp_path):
+    root = workspace_copy(tmp_path / "ws")
+    with (root / ".workspace.lock").open("a") as held:
+        fcntl.flock(held, fcntl.LOCK_EX)
+        second = subprocess.Popen(
+            [sys.executable, str(root / "scripts" / "setup_env.py"), "setup"],
+            env={"HOME": str(root), "PATH": str(tmp_path), "PYTHONUNBUFFERED": "1"},
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+        with contextlib.ExitStack() as stack:
+            stack.callback(second.kill)
+            assert "Waiting" in second.stdout.readline()
+            assert second.poll() is None
+            fcntl.flock(held, fcntl.LOCK_UN)
+            _, errors = second.communicate(timeout=60)
+    assert "C compiler" in errors  # it went on, to this
+
+
+# ---- the wheels' repair
+
+
+def test_the_builders_folders_become_the_environments(tmp_path):
+    path = tmp_path / "share" / "std_msgs" / "cmake" / "export.cmake"
+    path.parent.mkdir(parents=True)
+    builder = "/opt/python/cp312-cp312"
+    path.write_text(
+        f'INCLUDES "{builder}/include/python3.12;'
+        f'{builder}/lib/python3.12/site-packages/numpy/_core/include;${{_IMPORT_PREFIX}}/include"\n'
+    )
+    other = path.with_name("other.cmake")
+    other.write_text("find_package(std_msgs)\n")
+    before = other.stat().st_mtime_ns
+    assert repair_wheels(tmp_path, "/py/include", "/np/include") == 1
+    assert path.read_text() == 'INCLUDES "/py/include;/np/include;${_IMPORT_PREFIX}/include"\n'
+    assert other.stat().st_mtime_ns == before
+    assert repair_wheels(tmp_path, "/py/include", "/np/include") == 0
+
+
+# ---- when the build runs
+
+
+@pytest.fixture
+def packages(tmp_path):
+    """A workspace with one package."""
+    for name in ("setup.py", "package.xml", "pkg/node.py", "test/test_a.py", "launch/a.launch.py"):
+        path = tmp_path / "pkg" / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text("first\n")
+    (tmp_path / "pkg" / "msg").mkdir()
+    (tmp_path / "pkg" / "msg" / "A.msg").write_text("float64 x\n")
+    return tmp_path
+
+
+@pytest.mark.parametrize("name", ["setup.py", "package.xml", "msg/A.msg"])
+def test_a_changed_build_file_asks_for_a_build(packages, name):
+    before = build.source_key(packages)
+    (packages / "pkg" / name).write_text("second\n")
+    assert build.source_key(packages) != before
+
+
+@pytest.mark.parametrize("name", ["msg/B.msg", "launch/b.launch.py", "config/a.yaml"])
+def test_a_new_file_that_is_installed_asks_for_a_build(packages, name):
+    before = build.source_key(packages)
+    path = packages / "pkg" / name
+    path.parent.mkdir(exist_ok=True)
+    path.touch()
+    assert build.source_key(packages) != before
+
+
+@pytest.mark.parametrize(
+    "name", ["pkg/node.py", "pkg/new.py", "test/test_b.py", "README.md", "launch/a.launch.py"]
+)
+def test_edits_that_are_live_ask_for_none(packages, name):
+    before = build.source_key(packages)
+    (packages / "pkg" / name).write_text("second\n")
+    (packages / "pkg" / "pkg" / "__pycache__").mkdir(exist_ok=True)
+    (packages / "pkg" / "pkg" / "__pycache__" / "node.pyc").touch()
+    assert build.source_key(packages) == before
+
+
+def test_a_new_package_asks_for_a_build(packages):
+    before = build.source_key(packages)
+    (packages / "second").mkdir()
+    (packages / "second" / "package.xml").touch()
+    assert build.source_key(packages) != before
+    assert set(build.find_packages(packages)) == {"pkg", "second"}
+
+
+def fake_colcon(found, text):
+    """Let the environment's python do ``text`` instead of running colcon, and count its runs."""
+    script(found.python, f'echo run >> "{found.root}/runs"\n{text}')
+
+
+def runs(found):
+    path = found.root / "runs"
+    return len(path.read_text().splitlines()) if path.exists() else 0
+
+
+def test_the_build_runs_once_and_after_a_change(ready):
+    package = ready.root / "pkg" / "package.xml"
+    package.parent.mkdir()
+    package.write_text("first")
+    gone = ready.root / "install" / "gone"
+    gone.mkdir(parents=True)
+    fake_colcon(ready, "mkdir -p install/pkg\n")
+    build.build(ready)
+    build.build(ready)
+    assert runs(ready) == 1
+    assert not gone.exists()
+    package.write_text("second")
+    build.build(ready)
+    assert runs(ready) == 2
+
+
+def test_a_failed_build_names_the_package_and_runs_again(ready, capsys):
+    (ready.root / "pkg").mkdir()
+    (ready.root / "pkg" / "package.xml").touch()
+    detail = ready.root / "log" / "latest_build" / "pkg" / "stdout_stderr.log"
+    fake_colcon(
+        ready,
+        f'mkdir -p "{detail.parent}"; echo "x.msg: bad type" > "{detail}"\n'
+        'echo "Failed   <<< pkg [1.2s, exited with code 2]"; exit 2\n',
+    )
+    for number in (1, 2):
+        with pytest.raises(SetupError, match=r"building pkg failed; see log/latest_build/pkg"):
+            build.build(ready)
+        assert runs(ready) == number
+    assert "x.msg: bad type" in capsys.readouterr().out
+
+
+# ---- the stand-in for `ros2 run`, and the shell's way in
+
+
+@pytest.fixture
+def prefixes(tmp_path):
+    """Two prefixes that have the same package, the first with fewer executables."""
+    for name, programs in (("overlay", ["node"]), ("base", ["node", "tool"])):
+        marker = tmp_path / name / "share" / "ament_index" / "resource_index" / "packages" / "pkg"
+        marker.parent.mkdir(parents=True)
+        marker.touch()
+        for program in programs:
+            script(tmp_path / name / "lib" / "pkg" / program, f'echo {name} {program} "$@"\n')
+    (tmp_path / "base" / "lib" / "pkg" / "readme.txt").touch()
+    return [str(tmp_path / "overlay"), str(tmp_path / "base")]
+
+
+def test_the_first_prefix_that_has_it_wins(prefixes):
+    assert find_executable(prefixes, "pkg", "node").parts[-4] == "overlay"
+    assert find_executable(prefixes, "pkg", "tool").parts[-4] == "base"
+
+
+def test_an_unknown_executable_or_package_is_told(prefixes):
+    with pytest.raises(NotFoundError, match=r"it has: node, tool$"):
+        find_executable(prefixes, "pkg", "readme.txt")
+    with pytest.raises(NotFoundError, match="package 'other' not found"):
+        find_executable(prefixes, "other", "node")
+
+
+def stand_in(*arguments, prefixes=()):
+    return subprocess.run(
+        [str(ROOT / "scripts" / "fallback_bin" / "ros2"), *arguments],
+        env={
+            "PATH": f"{Path(sys.executable).parent}:{os.defpath}",
+            "AMENT_PREFIX_PATH": ":".join(prefixes),
+        },
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+
+
+def test_the_stand_in_runs_with_the_arguments_as_they_are(prefixes):
+    done = stand_in("run", "pkg", "tool", "--ros-args", "-p", "a:=b c", prefixes=prefixes)
+    assert (done.returncode, done.stdout) == (0, "base tool --ros-args -p a:=b c\n")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "word"),
+    [
+        (["--help"], 0, "usage: ros2 run"),
+        ([], 0, "usage: ros2 run"),
+        (["run"], 0, "usage: ros2 run"),
+        (["run", "pkg"], 1, "name an executable"),
+        (["topic", "list"], 1, "needs a full ROS 2 Jazzy"),
+        (["topic"], 1, "needs a full ROS 2 Jazzy"),
+    ],
+)
+def test_the_stand_in_tells_what_it_can(arguments, code, word):
+    done = stand_in(*arguments)
+    assert done.returncode == code
+    assert word in done.stdout + done.stderr
+
+
+@pytest.mark.parametrize("shell", ["bash", "zsh"])
+def test_the_shell_enters_from_any_folder_and_twice(tmp_path, shell):
+    if shutil.which(shell) is None:
+        pytest.skip(f"no {shell} on this machine")
+    code = f"""
+        set -eu
+        source '{ROOT}/scripts/env.sh'; source '{ROOT}/scripts/env.sh'
+        case $- in *u*) echo nounset kept ;; esac
+        command -v python
+        echo "$PATH" | tr : '\\n' | grep -c '/.venv/bin'
+        python -c 'import galen_msgs.msg, galen_model, rclpy; print("imports")'
+        ros2 run galen_gravcomp evaluate --help > help.txt && echo runs
+    """
+    environ = {k: os.environ[k] for k in ("HOME", "ROS_DISTRO") if k in os.environ}
+    done = subprocess.run(
+        [shell, "-c", code],
+        cwd=tmp_path,
+        env={"PATH": os.defpath + ":/usr/local/bin", **environ},
+        capture_output=True,
+        text=True,
+        timeout=100,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    expected = ["nounset kept", str(ROOT / ".venv" / "bin" / "python"), "1", "imports", "runs"]
+    assert done.stdout.splitlines() == expected
+    assert "usage" in (tmp_path / "help.txt").read_text()
+
+
+def test_entering_before_the_build_is_told(tmp_path):
+    root = workspace_copy(tmp_path / "ws")
+    done = subprocess.run(
+        ["bash", "-c", f"source '{root}/scripts/env.sh'"],
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+    assert done.returncode == 1
+    assert "run 'make build'" in done.stderr
