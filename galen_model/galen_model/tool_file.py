@@ -6,7 +6,6 @@ name, `<tool>.json.bak`. A process killed at any moment leaves the old file or t
 """
 
 import json
-import math
 import os
 import re
 import tempfile
@@ -28,6 +27,8 @@ from galen_model.load import Load, gravity_wrench
 SCHEMA_VERSION = 1
 _NAME = re.compile(r"[A-Za-z0-9_-]{1,64}")
 _MAX_FILE_BYTES = 1_000_000
+_LARGEST = 1e6
+"""No SI number of a tool at a wrist comes near it; what is larger would overflow in a product."""
 
 
 @dataclass(frozen=True)
@@ -151,7 +152,7 @@ def read_tool(path: str | os.PathLike[str]) -> ToolFile:
         raise ToolFileError(f"{path}: not JSON: {error}") from error
     try:
         return _from_json(content)
-    except (_FieldError, ToolNameError) as error:
+    except (_FieldError, ToolNameError, RecursionError) as error:
         raise ToolFileError(f"{path}: {error}") from error
 
 
@@ -285,20 +286,33 @@ def _texts(value: Any, name: str) -> tuple[str, ...]:
 
 
 def _number(value: Any, name: str) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-        raise _FieldError(f"{name} is {value!r}; expected a finite number")
+    # The comparison, unlike float(), takes integers of any size; NaN fails it.
+    if not _is_number(value) or not abs(value) <= _LARGEST:
+        raise _FieldError(f"{name} is {value!r:.40}; expected a finite number up to {_LARGEST:g}")
     return float(value)
 
 
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool)
+
+
+def _holds_numbers(value: Any) -> bool:
+    if isinstance(value, list):
+        return all(_holds_numbers(item) for item in value)
+    return _is_number(value)
+
+
 def _array(value: Any, name: str, shape: tuple[int, ...]) -> Array:
+    if not _holds_numbers(value):
+        raise _FieldError(f"{name} does not hold numbers")
     try:
         array = np.array(value, dtype=float)
-    except (TypeError, ValueError):
-        raise _FieldError(f"{name} does not hold numbers") from None
+    except (ValueError, OverflowError):
+        raise _FieldError(f"{name} does not hold numbers of the shape {shape}") from None
     if array.shape != shape:
         raise _FieldError(f"{name} has shape {array.shape}; expected {shape}")
-    if not np.all(np.isfinite(array)):
-        raise _FieldError(f"{name} holds a value that is not finite")
+    if not np.all(np.abs(array) <= _LARGEST):
+        raise _FieldError(f"{name} holds a value that is not finite, or above {_LARGEST:g}")
     return array
 
 

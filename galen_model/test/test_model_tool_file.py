@@ -92,6 +92,16 @@ def test_names_that_must_not_reach_a_path(name, tmp_path):
         ({"tool": "../x"}, "letters, digits"),
         ({"bias_pose_rad": {"roll": float("nan"), "tilt": 0}}, "bias_pose_rad.roll"),
         ({"sensor_frame": ""}, "sensor_frame"),
+        ({"bias_pose_rad": {"roll": 10**400, "tilt": 0}}, "bias_pose_rad.roll"),
+        ({"tip_m": [10**400, 0, 0]}, "tip_m"),
+        ({"tip_m": ["0.1", "0", "0"]}, "tip_m does not hold numbers"),
+        ({"tip_m": [True, 0, 0]}, "tip_m does not hold numbers"),
+        ({"tip_m": {"0": 0.1}}, "tip_m does not hold numbers"),
+        (
+            {"load": {"mass_kg": 1e308, "com_m": [0, 0, 0], "covariance": np.eye(4).tolist()}},
+            "load.mass_kg",
+        ),
+        ({"tip_m": [1e200, 0, 0]}, "tip_m holds a value that"),
     ],
 )
 def test_a_wrong_field_is_named_with_the_file(tmp_path, change, message):
@@ -116,6 +126,16 @@ def test_a_missing_field_is_named(tmp_path, field):
 def test_what_is_no_json_object_is_refused(tmp_path, text):
     path = tmp_path / "pointer.json"
     path.write_bytes(text)
+    with pytest.raises(ToolFileError, match=r"pointer\.json"):
+        read_tool(path)
+
+
+@pytest.mark.parametrize("field", [name for name in make().to_json() if name != "poses_rejected"])
+@pytest.mark.parametrize("depth", [400, 970])
+def test_what_is_nested_too_deep_is_refused(tmp_path, field, depth):
+    content = {**make().to_json(), field: "HERE"}
+    path = tmp_path / "pointer.json"
+    path.write_text(json.dumps(content).replace('"HERE"', "[" * depth + "]" * depth))
     with pytest.raises(ToolFileError, match=r"pointer\.json"):
         read_tool(path)
 
