@@ -135,3 +135,19 @@ def test_a_start_in_the_past_joins_in_the_middle():
     points = [TrajectoryPoint(0.5, [0.4]), TrajectoryPoint(1.5, [0.6])]
     time_s, q = sampled(["roll"], points, NOW_NS - 1_000_000_000)
     assert np.allclose(q[:, 3], np.interp(time_s, [-0.5, 0.5], [0.4, 0.6]), atol=1e-12)
+
+
+@pytest.mark.parametrize("kind", ["velocities", "accelerations"])
+def test_rates_that_would_overflow_are_refused(kind):
+    """The sum of 1e308 and 1e308 in a polynomial is infinite, and then the arm's place NaN."""
+    rates = {"velocities": [0.0], "accelerations": [0.0], kind: [1e308]}
+    with pytest.raises(TrajectoryError, match=f"{kind} of roll hold 1e\\+308"):
+        check(["roll"], TrajectoryPoint(1.0, [0.2], **rates))
+    # the largest that are taken keep the reference finite, however short the piece
+    rates = {"velocities": [1e6], "accelerations": [1e6]}
+    for time_s in (1e-9, 1.0, 2.0**31):
+        points = [TrajectoryPoint(time_s, [0.2], **rates)]
+        check(["roll"], *points)
+        reference = Reference(Trajectory(["roll"], points), NOW_NS, START, HOME)
+        for part in (0.0, 0.3, 0.9):
+            assert np.all(np.isfinite(reference.sample(NOW_NS + round(part * time_s * 1e9))))
