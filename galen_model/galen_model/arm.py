@@ -71,8 +71,10 @@ GALEN = ArmParameters()
 class JointLimits:
     """Lowest and highest value of each joint, shape (5,), m and rad.
 
-    The platform's box is the usable volume published for the arm; inside it the carriages
-    stay within their travel.
+    The platform's box is the usable volume published for the arm. At home's height the carriages
+    stay within their travel all over it; in its upper part they don't (`LinearDelta.carriages`
+    tells): the highest z is 0.658 m on the axis, but 0.503 m at the worst corner, less than the
+    box's 0.618 m.
     """
 
     lower: Array = field(default_factory=lambda: _vector(-0.14, -0.14, 0.408 - 0.21, -1.57, -1.04))

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from galen_model.arm import HOME, LIMITS
+from galen_model.arm import GALEN, HOME, LIMITS
 from galen_model.delta import LinearDelta
 from galen_model.errors import KinematicsError
 from galen_model.kinematics import (
@@ -98,9 +98,17 @@ def test_delta_says_what_it_cannot_reach():
         delta.platform([0.0, 0.0, 3.0])
 
 
-def test_the_joint_limits_are_inside_the_carriages_travel():
+def test_where_the_joint_limits_are_inside_the_carriages_travel():
+    """Up to 0.503 m everywhere in the box, no higher in its worst corner; never too low."""
     delta = LinearDelta()
-    # at the box's rim the carriages go furthest
-    for x in np.linspace(LIMITS.lower[0], LIMITS.upper[0], 7):
-        for y in np.linspace(LIMITS.lower[1], LIMITS.upper[1], 7):
-            assert np.all(np.isfinite(delta.carriages([x, y, HOME[2]])))
+    highest = []
+    for x in np.linspace(LIMITS.lower[0], LIMITS.upper[0], 15):
+        for y in np.linspace(LIMITS.lower[1], LIMITS.upper[1], 15):
+            for z in (LIMITS.lower[2], HOME[2]):
+                assert np.all(np.isfinite(delta.carriages([x, y, z])))
+            # a carriage goes with the platform, one to one, when only z changes
+            above = delta.carriages([x, y, HOME[2]]).max()
+            highest.append(HOME[2] + GALEN.carriage_travel_m - above)
+    assert min(highest) == pytest.approx(0.503, abs=1e-3)
+    assert max(highest) == pytest.approx(0.658, abs=1e-3)
+    assert min(highest) < LIMITS.upper[2]
