@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import signal
 import sys
 import time
 from collections.abc import Sequence
@@ -39,7 +40,10 @@ REPORT_RMSE = {
 }
 """Tables 1 and 2 of the 2019 report, on the real arm: RMSE (6,), N and N.m."""
 
-_EPILOG = "exit codes: 0 done, 1 something failed (one line says what), 2 usage, 130 interrupted"
+_EPILOG = (
+    "exit codes: 0 done, 1 something failed (one line says what), 2 usage, 130 interrupted, "
+    "143 terminated"
+)
 
 
 @dataclass(frozen=True)
@@ -252,27 +256,47 @@ def build_parser() -> argparse.ArgumentParser:
         help="simulated over wall time; a machine that can't keep up runs slower, with the same "
         "result (default 5)",
     )
-    parser.add_argument("--seed", type=int, default=2019, help="of noise and poses (default 2019)")
+    parser.add_argument(
+        "--seed", type=_seed, default=2019, help="of noise and poses (default 2019)"
+    )
     parser.add_argument("--json", action="store_true", help="print one JSON object (SI units)")
     return parser
 
 
 def _count(text: str) -> int:
-    value = int(text)
-    if value < 10:
-        raise argparse.ArgumentTypeError(f"{value} is less than 10")
+    return _whole_number(text, 10)
+
+
+def _seed(text: str) -> int:
+    return _whole_number(text, 0)
+
+
+def _whole_number(text: str, smallest: int) -> int:
+    try:
+        value = int(text)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number") from None
+    if value < smallest:
+        raise argparse.ArgumentTypeError(f"{value} is less than {smallest}")
     return value
+
+
+def _on_terminate(number: int, _: Any) -> None:
+    """End as an interrupt does: the nodes are processes of their own and would go on."""
+    raise SystemExit(128 + number)
 
 
 def main(args: Sequence[str] | None = None) -> int:
     """Entry point; returns the exit code."""
     options = build_parser().parse_args(args)
+    for number in (signal.SIGTERM, signal.SIGHUP):
+        signal.signal(number, _on_terminate)
     console = Console(
         stderr=options.json, width=None if sys.stdout.isatty() else 110, highlight=False
     )
     try:
         result = run_demo(options, console)
-    except GalenError as error:
+    except (GalenError, OSError) as error:  # OSError: what it writes to is full or not writable
         print(f"demo: {error}", file=sys.stderr)
         return 1
     except KeyboardInterrupt:

@@ -10,6 +10,7 @@ import signal
 import subprocess
 import time
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
 
@@ -101,13 +102,15 @@ class Processes:
         for process in self._running.values():
             _signal(process, signal.SIGINT)
         deadline = time.monotonic() + _PATIENCE_S
-        for process in self._running.values():
-            try:
-                process.wait(timeout=max(0.1, deadline - time.monotonic()))
-            except subprocess.TimeoutExpired:
+        try:
+            for process in self._running.values():
+                with suppress(subprocess.TimeoutExpired):
+                    process.wait(timeout=max(0.1, deadline - time.monotonic()))
+        finally:  # an impatient second Ctrl-C, too, must leave nothing behind
+            for process in self._running.values():
                 _signal(process, signal.SIGKILL)
                 process.wait()
-        self._running.clear()
+            self._running.clear()
 
 
 def _signal(process: subprocess.Popen[bytes], number: signal.Signals) -> None:
