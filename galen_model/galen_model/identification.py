@@ -17,12 +17,12 @@ Source: the 2019 report's eqs. (1)-(8) with the errata's bias term, as one least
 that uses force and torque of both sweeps together.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from galen_model.arm import WRENCH_AXES
 from galen_model.arrays import Array
 from galen_model.errors import IdentificationError, ImplausibleLoadError, NotExcitedError
 from galen_model.excitation import LOAD_PARAMETERS, check_excitation
@@ -35,6 +35,8 @@ MIN_POSES = 4
 """Fewer still poses than this leave no residual worth the name."""
 
 _MAX_REJECTED_FRACTION = 1 / 3
+_MIN_POSES_FOR_WANDER = 12
+_WANDER_SIGMAS = 4.0  # by chance in one calibration of a thousand, over its twelve channels
 _UNOBSERVED_MOMENT_STD_KGM = 0.01  # 100 g at 100 mm: wider than any adapter's first moment
 
 
@@ -131,6 +133,8 @@ def identify_two_sweeps(
     design[len(bare) :, :, 14:20] = eye
     poses = {"without the tool": bare, "with the tool": tool}
     check_excitation(design, LOAD_PARAMETERS, poses)
+    _check_channels(bare_rows, bare, "sweep without the tool")
+    _check_channels(tool_rows, tool, "sweep with the tool")
 
     fit = fit_robust(design, np.concatenate([bare.wrench, tool.wrench]))
     used_bare, used_tool = fit.used[: len(bare)], fit.used[len(bare) :]
@@ -143,6 +147,8 @@ def identify_two_sweeps(
     warnings = [
         *_noise_warnings(fit, _joined_std(bare, tool)),
         *_drift_warnings(change, change_std, fit.sigma),
+        *_wander_warnings(fit, slice(0, len(bare)), "sweep without the tool"),
+        *_wander_warnings(fit, slice(len(bare), None), "sweep with the tool"),
     ]
     return Identification(
         load=_load(fit, slice(0, 4), "the tool"),
@@ -191,6 +197,7 @@ def identify_one_sweep(
     # The sum of both loads must show in the poses themselves, whatever the zeroing tells.
     sum_design = np.concatenate([design[:, :, :4], design[:, :, 8:14]], axis=2)
     check_excitation(sum_design, LOAD_PARAMETERS[:4], {"with the tool": tool})
+    _check_channels(rows, tool, "sweep with the tool")
 
     prior_rows, prior_values, prior_std = _one_sweep_prior(gravity_zero, known_bias)
     fit = fit_with_known_prior(
@@ -220,7 +227,11 @@ def identify_one_sweep(
         used_tool=fit.used,
         used_bare=np.zeros(0, dtype=bool),
         outliers=_outliers(fit, np.arange(len(tool)), "tool"),
-        warnings=(*_noise_warnings(fit, tool.std_of_mean), *unresolved),
+        warnings=(
+            *_noise_warnings(fit, tool.std_of_mean),
+            *_wander_warnings(fit, slice(None), "sweep with the tool"),
+            *unresolved,
+        ),
         unresolved=unresolved,
     )
 
@@ -301,6 +312,32 @@ def _check_count(poses: StillPoses, name: str) -> None:
         raise NotExcitedError(f"{name}: {len(poses)} still poses; at least {MIN_POSES} are needed")
 
 
+def _check_channels(rows: Array, poses: StillPoses, name: str) -> None:
+    """Raise IdentificationError for a channel that reads the same whatever the other five do.
+
+    rows: (n, 6, 4) of one load and, with free offsets, of any that hang on the sensor together.
+    A dead channel would else pass as a noisy one, since its own residual makes its weight.
+    """
+    centred_rows = rows - rows.mean(axis=0)
+    centred = poses.wrench - poses.wrench.mean(axis=0)
+    for channel in np.flatnonzero(np.ptp(poses.wrench, axis=0) == 0.0):
+        others = np.delete(np.arange(6), channel)
+        moments = np.linalg.lstsq(
+            centred_rows[:, others].reshape(-1, 4), centred[:, others].reshape(-1), rcond=None
+        )[0]
+        kind = [other for other in others if other // 3 == channel // 3]
+        noise = np.std(centred[:, kind] - centred_rows[:, kind] @ moments)
+        expected = np.ptp(centred_rows[:, channel] @ moments)
+        # Zero is right for a channel on which this load has no lever.
+        if expected > 10.0 * noise + 1e-9:
+            unit = "N" if channel < 3 else "N.m"
+            raise IdentificationError(
+                f"{name}: {WRENCH_AXES[channel]} is {poses.wrench[0, channel]:g} {unit}, the same "
+                f"at all {len(poses)} poses, where it should change by {expected:.3g} {unit}: "
+                "does the sensor measure it?"
+            )
+
+
 def _check_rejections(fit: RobustFit) -> None:
     rejected = int(np.sum(~fit.used))
     if rejected > _MAX_REJECTED_FRACTION * len(fit.used):
@@ -355,11 +392,13 @@ def _noise_warnings(fit: RobustFit, std_of_mean: Array | None) -> list[str]:
     if std_of_mean is None:
         return []
     expected = np.sqrt(np.mean(std_of_mean[fit.used] ** 2, axis=0))
-    ratio = fit.sigma / np.maximum(expected, np.finfo(float).tiny)
+    if not np.all(expected > 0.0):  # an ideal sensor, without any noise to compare with
+        return []
+    ratio = fit.sigma / expected
     worst = int(np.argmax(ratio))
     if ratio[worst] < 2.0:
         return []
-    axis = ("fx", "fy", "fz", "tx", "ty", "tz")[worst]
+    axis = WRENCH_AXES[worst]
     return [
         f"the residual of {axis} is {ratio[worst]:.1f} times what the noise within a pose explains"
         ": something that the model doesn't hold (drift, joint zero, sensor rotation, a cable)"
@@ -367,10 +406,32 @@ def _noise_warnings(fit: RobustFit, std_of_mean: Array | None) -> list[str]:
 
 
 def _drift_warnings(change: Array, std: Array, sigma: Array) -> list[str]:
-    names: Sequence[str] = ("fx", "fy", "fz", "tx", "ty", "tz")
     return [
         f"the sensor's {name} moved by {value:+.4f} {'N' if index < 3 else 'N.m'} between the "
         "sweeps: it drifts, or was zeroed in between"
-        for index, (name, value) in enumerate(zip(names, change, strict=True))
+        for index, (name, value) in enumerate(zip(WRENCH_AXES, change, strict=True))
         if abs(value) > 5.0 * std[index] and abs(value) > 3.0 * sigma[index]
+    ]
+
+
+def _wander_warnings(fit: RobustFit, sweep: slice, name: str) -> list[str]:
+    """Tell when a sweep's residual goes up or down over its poses, taken as in visiting order.
+
+    Where the order goes with roll or tilt, a drift looks in part like a load, and the parameters
+    are off by more than their covariance says. The fit takes that part, so that the drift told is
+    a lower bound, and its test against noise a cautious one.
+    """
+    used, residuals = fit.used[sweep], fit.residuals[sweep]
+    order = np.linspace(0.0, 1.0, len(used))[used]
+    order = order - order.mean()
+    if len(order) < _MIN_POSES_FOR_WANDER:
+        return []
+    wander = order @ residuals[used] / (order @ order)
+    limit = _WANDER_SIGMAS * fit.sigma / np.sqrt(order @ order)
+    return [
+        f"the residual of {axis} wandered by {value:+.4g} {'N' if index < 3 else 'N.m'} over the "
+        f"{name}: the sensor drifts, or the model misses something that goes with the pose; the "
+        "stated standard deviations don't hold that"
+        for index, (axis, value) in enumerate(zip(WRENCH_AXES, wander, strict=True))
+        if abs(value) > limit[index]
     ]

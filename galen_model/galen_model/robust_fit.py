@@ -27,6 +27,7 @@ _MAD_TO_STD = 1.4826
 _ITERATIONS = 50
 _PRIOR_READINGS = 10.0
 _MIN_POSES_TO_REJECT = 12
+_LEAST_SHARE_OF_KIND = 0.1
 
 
 @dataclass(frozen=True)
@@ -185,14 +186,19 @@ def _solve(
     if np.any(diagonal <= 0.0):  # every pose that tells some parameter was weighted to nothing
         raise IdentificationError("the poses agree on no load")
     balance = 1.0 / np.sqrt(diagonal)
-    inverse = np.linalg.inv(information * np.outer(balance, balance))
+    try:
+        inverse = np.linalg.inv(information * np.outer(balance, balance))
+    except np.linalg.LinAlgError:  # the weights left too few poses for all parameters
+        raise IdentificationError("the poses agree on no load") from None
     covariance = inverse * np.outer(balance, balance)
     return covariance @ (rows.T @ right + prior_right), covariance
 
 
 def _mad_scale(residuals: Array) -> Array:
+    """Scales (6,); where most residuals of a channel are exactly zero, a part of its kind's."""
     scale = _MAD_TO_STD * np.median(np.abs(residuals), axis=0)
-    return np.maximum(scale, _tiny(residuals))
+    kind = np.repeat(np.sqrt(np.mean(scale.reshape(-1, 3) ** 2, axis=1)), 3)
+    return np.maximum(np.maximum(scale, _LEAST_SHARE_OF_KIND * kind), _tiny(residuals))
 
 
 def _tiny(values: Array) -> Array:

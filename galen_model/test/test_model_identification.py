@@ -241,6 +241,60 @@ def test_single_load_equals_plain_least_squares_on_clean_data_and_beats_it_on_to
     )
 
 
+def test_noise_free_readings_with_quanta_are_identified():
+    """The driver without noise: tz of the bare sweep is 0 at every pose, fitted to nothing."""
+    tool = TOOLS["pointer"].load
+    quantum = np.array([5e-3, 5e-3, 5e-3, 1e-4, 1e-4, 1e-4])
+    bare, with_tool = sweeps(tool, np.random.default_rng(0), noise=np.zeros(6))
+    for sweep in (bare, with_tool):
+        sweep.wrench[:] = np.round(sweep.wrench / quantum) * quantum
+    found = identify_two_sweeps(bare, with_tool)
+    assert len(found.outliers) <= 5
+    # no noise smooths the quanta: an error of half a quantum, 0.25 g, may be common to all poses
+    np.testing.assert_allclose(estimate(found), truth(tool), atol=0.25e-3)
+
+
+@pytest.mark.parametrize("value", [0.0, 0.3])
+@pytest.mark.parametrize("channel", range(6))
+def test_a_channel_that_never_changes_is_named(channel, value):
+    axis = ("fx", "fy", "fz", "tx", "ty", "tz")[channel]
+    for sticks in ((0, 1), (1,)):
+        both = sweeps(TOOLS["pointer"].load, np.random.default_rng(15))
+        for sweep in sticks:
+            both[sweep].wrench[:, channel] = value
+        with pytest.raises(IdentificationError, match=f"{axis} .* same at all 56 poses"):
+            identify_two_sweeps(*both)
+    with pytest.raises(IdentificationError, match=f"{axis} .* same at all 56 poses"):
+        identify_one_sweep(both[1])
+
+
+def test_a_wander_within_a_sweep_is_told():
+    """Three sigma over a sweep already make the adapter's interval miss; it must not be silent."""
+    tool, sigmas = TOOLS["pointer"].load, np.array([0, 0, 3, 0, 0, 0]) * SIGMA
+    wander = np.linspace(0.0, 1.0, 56)[:, None] * sigmas
+    told = {"with": 0, "without": 0, "one": 0, "none": 0}
+    for seed in range(40):
+        bare, with_tool = sweeps(tool, np.random.default_rng(seed))
+        told["none"] += len(identify_two_sweeps(bare, with_tool).warnings)
+        with_tool.wrench[:] += wander
+        pattern = r"fz wandered by \+0\.00\d+ N .* sweep with the tool"
+        warned = identify_two_sweeps(bare, with_tool).warnings
+        told["with"] += any(re.search(pattern, text) for text in warned)
+        warned = identify_one_sweep(with_tool).warnings
+        told["one"] += any(re.search(pattern, text) for text in warned)
+        bare.wrench[:] -= wander
+        warned = identify_two_sweeps(bare, with_tool).warnings
+        told["without"] += any("sweep without the tool" in text for text in warned)
+    assert told["none"] == 0
+    assert min(told["with"], told["without"], told["one"]) >= 30, told
+
+
+def test_readings_without_scatter_give_a_readable_warning():
+    bare, with_tool = sweeps(TOOLS["pointer"].load, np.random.default_rng(16))
+    quiet = [StillPoses(s.roll, s.tilt, s.wrench, np.zeros((56, 6))) for s in (bare, with_tool)]
+    assert all(len(text) < 200 for text in identify_two_sweeps(*quiet).warnings)
+
+
 def test_sweep_shapes_are_checked():
     roll, tilt = grid()
     with pytest.raises(IdentificationError, match="shape"):
