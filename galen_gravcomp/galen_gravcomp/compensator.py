@@ -30,6 +30,7 @@ class Refusal(Enum):
     DISABLED = "disabled"
     NO_TOOL = "no_tool"
     WRONG_FRAME = "wrong_frame"
+    UNREADABLE = "unreadable"  # not even a message
     UNSTAMPED = "unstamped"
     DUPLICATE = "duplicate_stamp"
     NONFINITE_WRENCH = "nonfinite_wrench"
@@ -321,6 +322,11 @@ class Compensator:
         self._waiting.append((stamp_ns, raw, tag))
         results.extend(self._drop_hopeless())
         return results
+
+    def push_bad_wrench(self, detail: str) -> list[Result]:
+        """Refuse a wrench message that can't be read, and so has no stamp; `detail` says why."""
+        self.received += 1
+        return [self._refuse(0, Refusal.UNREADABLE, detail)]
 
     # Inside
 

@@ -2,7 +2,6 @@
 
 import time
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
@@ -31,7 +30,7 @@ from galen_gravcomp.compensator import (
 )
 from galen_gravcomp.monitor import Monitor, Severity, State
 from galen_gravcomp.tare import TareOutcome, TareSettings
-from galen_gravcomp.wire import JointWire, RawWrench, WrenchWire
+from galen_gravcomp.wire import JointWire, RawWrench, UnreadableError, WrenchWire
 from galen_msgs.srv import SetTool
 
 WATCH_PERIOD_S = 0.2
@@ -187,7 +186,7 @@ class GravcompNode(Node):
         self._monitor.on_joints(time.monotonic())
         try:
             stamp_ns, roll, tilt = self._joint_wire.read(data)
-        except JointStateError as error:
+        except (JointStateError, UnreadableError) as error:
             self._compensator.push_bad_joints(f"joint_states can't be used: {error}")
             return
         results = self._compensator.push_joints(stamp_ns, roll, tilt)
@@ -197,7 +196,11 @@ class GravcompNode(Node):
     def _on_wrench(self, data: bytes) -> None:
         arrival_s = time.monotonic()
         self._monitor.on_wrench(arrival_s)
-        raw = self._wrench_wire.read(data)
+        try:
+            raw = self._wrench_wire.read(data)
+        except UnreadableError as error:
+            self._emit(self._compensator.push_bad_wrench(f"wrench_raw can't be used: {error}"))
+            return
         results = self._compensator.push_wrench(
             raw.stamp_ns, raw.wrench, raw.frame_id, tag=(arrival_s, raw)
         )
@@ -270,8 +273,8 @@ class GravcompNode(Node):
         except ToolNameError as error:
             response.error_code, response.error_msg = response.INVALID_NAME, str(error)
         except ToolFileError as error:
-            exists = Path(tool_path(self._config.tools_dir, request.tool)).exists()
-            response.error_code = response.INVALID_FILE if exists else response.NOT_FOUND
+            missing = isinstance(error.__cause__, FileNotFoundError)
+            response.error_code = response.NOT_FOUND if missing else response.INVALID_FILE
             response.error_msg = str(error)
         else:
             response.success = True

@@ -13,9 +13,10 @@ length as uint32; a string ends with a zero byte. Bytes of padding hold anything
 
 import struct
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from galen_model.arrays import Array
+from galen_model.errors import GalenError
 from galen_ros.conversions import JointStateReader, stamp_to_ns
 from geometry_msgs.msg import WrenchStamped
 from rclpy.serialization import deserialize_message, serialize_message
@@ -26,6 +27,20 @@ _ENCAPSULATION = 4
 _BYTE_ORDER = {b"\x00\x00": ">", b"\x00\x01": "<"}
 _STAMP_AT = 4
 _FRAME_AT = 12
+
+
+class UnreadableError(GalenError):
+    """Bytes that are no message of their type, as a broken or hostile sender may publish."""
+
+
+def _deserialize(data: bytes, message_type: Any) -> Any:
+    try:
+        return deserialize_message(data, message_type)
+    except (RuntimeError, MemoryError) as error:  # rclpy's RMWError is a RuntimeError
+        package = message_type.__module__.split(".")[0]
+        raise UnreadableError(
+            f"{len(data)} bytes came that are not a readable {package}/msg/{message_type.__name__}"
+        ) from error
 
 
 def _aligned(at: int, size: int) -> int:
@@ -131,7 +146,7 @@ class WrenchWire:
         self._frame_id = ""
 
     def read(self, data: bytes) -> RawWrench:
-        """Stamp, frame and wrench of a message."""
+        """Stamp, frame and wrench of a message; raises UnreadableError."""
         layout = self._layout
         if layout is not None and layout.fits(data):
             numbers = layout.numbers.unpack_from(data, layout.numbers_at)
@@ -139,7 +154,7 @@ class WrenchWire:
         return self._learn(data)
 
     def _learn(self, data: bytes) -> RawWrench:
-        message = deserialize_message(data, WrenchStamped)
+        message = _deserialize(data, WrenchStamped)
         force, torque = message.wrench.force, message.wrench.torque
         wrench = (force.x, force.y, force.z, torque.x, torque.y, torque.z)
         self._frame_id = message.header.frame_id
@@ -162,7 +177,7 @@ class JointWire:
         self._tilt = 0
 
     def read(self, data: bytes) -> tuple[int, float, float]:
-        """Stamp (ns), roll and tilt (rad) of a message; raises JointStateError."""
+        """Stamp (ns), roll and tilt (rad) of a message; raises JointStateError, UnreadableError."""
         layout = self._layout
         if layout is not None and layout.fits(data):
             numbers = layout.numbers.unpack_from(data, layout.numbers_at)
@@ -170,7 +185,7 @@ class JointWire:
         return self._learn(data)
 
     def _learn(self, data: bytes) -> tuple[int, float, float]:
-        message = deserialize_message(data, JointState)
+        message = _deserialize(data, JointState)
         (roll, tilt), _ = self._reader.read(message)
         fixed = _Fixed()
         fixed.add_string(message.header.frame_id)

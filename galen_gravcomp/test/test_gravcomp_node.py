@@ -29,6 +29,7 @@ START = 100 * S
 PUSH = np.array([1.0, -2.0, 3.0, 0.1, -0.2, 0.3])
 LEFT = np.array([0.5, -0.4, 0.3, 0.01, -0.02, 0.03])
 STILL = (0.2, -0.1)
+TORN = b"\x00\x01\x00\x00\x01\x00"  # ends inside its stamp
 
 
 def make_tool(name: str, mass_kg: float) -> ToolFile:
@@ -293,6 +294,18 @@ def _unstamped(bench: Bench) -> None:
     bench.stamp += 2 * MS
 
 
+def _torn_wrench(bench: Bench) -> None:
+    bench.driver.joints(bench.stamp, *STILL)
+    bench.driver.wrench_publisher.publish(TORN)
+    bench.stamp += 2 * MS
+
+
+def _torn_joints(bench: Bench) -> None:
+    bench.driver.joints_publisher.publish(TORN)
+    bench.driver.wrench(bench.stamp, PUSH)
+    bench.stamp += 2 * MS
+
+
 REFUSALS = [
     (_nan_wrench, "nonfinite_wrench", "not finite"),
     (_infinite_torque, "nonfinite_wrench", "not finite"),
@@ -301,11 +314,13 @@ REFUSALS = [
     (_unknown_joints, "bad_joints", "lacks roll, tilt; it has shoulder, elbow"),
     (_no_joints, "stale_joints", "max_joint_age_s"),
     (_unstamped, "unstamped", "zero"),
+    (_torn_wrench, "unreadable", "wrench_raw"),
+    (_torn_joints, "bad_joints", "not a readable sensor_msgs/msg/JointState"),
 ]
 
 
 @pytest.mark.parametrize(
-    ("feed", "state", "words"), REFUSALS, ids=[name for _, name, _ in REFUSALS]
+    ("feed", "state", "words"), REFUSALS, ids=[feed.__name__[1:] for feed, _, _ in REFUSALS]
 )
 def test_refusals(bench: Bench, feed: Callable[[Bench], None], state: str, words: str) -> None:
     bench.expect(bench.step(PUSH), PUSH)
@@ -401,6 +416,14 @@ def test_failed_set_tool_keeps_the_old_one(bench: Bench, tool: str, code: int, w
     assert not answer.success and answer.error_code == code and words in answer.error_msg
     assert (answer.tool, answer.mass_kg) == ("pointer", 0.06)
     bench.expect(bench.step(PUSH), PUSH)
+
+
+def test_tools_dir_that_cannot_be_looked_into(harness: Harness, tools_dir: Path) -> None:
+    bench = Bench(harness, tools_dir, {"tools_dir": str(tools_dir / ("x" * 300)), "tool": ""})
+    answer = bench.set_tool("pointer")
+    assert not answer.success and answer.error_code == SetTool.Response.INVALID_FILE
+    assert "pointer.json" in answer.error_msg
+    assert bench.call("enable", SetBool, SetBool.Request(data=True)).success, "the node lives"
 
 
 def test_set_tool_with_an_empty_name_unloads(bench: Bench) -> None:
