@@ -259,6 +259,8 @@ class SimDriverNode(Node):
             level, message = ERROR, f"trajectory refused: {self._refusal}"
         elif self._ignored_wrench and self._plant.admittance_on:
             level, message = ERROR, self._ignored_wrench
+        elif self.count_publishers("joint_states") > 1:
+            level, message = WARN, "another node publishes joint_states too: two drivers at once?"
         elif speed is not None and speed < _SLOW * asked:
             level, message = WARN, f"runs at {speed:.3g} times real time, not {asked:g}"
         roll, tilt = self._plant.zero_pose

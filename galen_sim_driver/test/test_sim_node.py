@@ -315,6 +315,20 @@ def test_a_bad_trajectory_is_refused_and_told(cell):
     cell.wait(lambda: abs(cell.positions()[4] - 0.1) < 1e-4, "the target")
 
 
+def test_a_second_driver_is_told(cell):
+    cell.wait(lambda: cell.diagnostics and cell.diagnostics[-1].message == "running", "the first")
+    second = cell.harness.add(
+        lambda context: SimDriverNode(
+            context=context, parameter_overrides=parameters(speed_factor=2.0)
+        )
+    )
+    cell.wait(
+        lambda: "another node publishes joint_states" in cell.diagnostics[-1].message,
+        "the second on /diagnostics",
+    )
+    assert second.count_publishers("joint_states") == 2
+
+
 def test_robot_description_reaches_a_late_subscriber_with_the_tip(cell):
     cell.call(cell.attach, SetTool.Request(tool="pointer"))
     received = []
