@@ -76,6 +76,26 @@ def test_printed_eq_7_flips_a_sign_between_its_rows(tool):
     assert np.linalg.norm(missed - tool.com_m) > 1e-4
 
 
+@pytest.mark.parametrize("right_form", ["R(theta) for R(0)", "f_t for f_b", "sound"])
+def test_printed_eq_7_leaves_bias_torque_on_its_right_side(tool, right_form):
+    """Eq. (7)'s Y4 takes the adapter's torque off the reading, with R(theta) - R(theta) or f_t^.
+
+    The first takes off nothing, the second a torque of the tool's weight at the adapter's centre.
+    Both miss the tool's centre by millimetres, without any noise.
+    """
+    f_t = tool.mass_kg * GRAVITY_M_S2
+    torque = nominal_reading(ROLL, TILT, tool, ADAPTER)[:, 3:]
+    taken_off = {
+        "R(theta) for R(0)": -(RT @ skew(F_B) @ R - RT @ skew(F_B) @ R) @ P_B,
+        "f_t for f_b": -(RT @ skew(f_t) @ R - R0.T @ skew(f_t) @ R0) @ P_B,
+        "sound": -(RT @ skew(F_B) @ R - R0.T @ skew(F_B) @ R0) @ P_B,
+    }[right_form]
+    rows = (-RT @ skew(f_t) @ R).reshape(-1, 3)
+    centre = np.linalg.lstsq(rows, (torque - taken_off).reshape(-1), rcond=None)[0]
+    error = np.linalg.norm(centre - tool.com_m)
+    assert error < 1e-12 if right_form == "sound" else error > 1e-3
+
+
 def test_printed_eqs_9_to_11_with_a_constant_p_miss_the_torque(tool):
     """Ad of g = (R, p): p is the origin's place in the base-parallel frame, so it turns with R.
 
