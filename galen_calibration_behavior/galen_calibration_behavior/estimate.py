@@ -69,7 +69,7 @@ def choose_tip(tip_m: Array, path: Path) -> tuple[Array, list[str]]:
             f"tip_m is {tip_m.tolist()}: three finite numbers, or all NaN to keep the old"
         )
     nowhere = np.zeros(3)
-    if not path.exists():
+    if not os.path.exists(path):  # noqa: PTH110 - Path.exists raises where this says no
         return nowhere, ["the tool's tip is not known: (0, 0, 0) in ft_sensor is written"]
     try:
         return read_tool(path).tip_m, []

@@ -49,7 +49,7 @@ from galen_calibration_behavior.estimate import (
     check_writable,
     choose_tip,
 )
-from galen_calibration_behavior.parameters import CalibrationParameters
+from galen_calibration_behavior.parameters import MAX_ITERS, CalibrationParameters
 from galen_calibration_behavior.procedure import CalibrationProcedure, Request
 from galen_msgs.action import CalibrateTool
 from galen_msgs.srv import SetTool
@@ -160,6 +160,7 @@ class CalibrationNode(Node):
             self._conclude(handle, _internal(error), None)
             return
         self._goal = goal
+        self._refused = ""
         goal.subscriptions = [
             self.create_subscription(JointState, "joint_states", self._on_joint_state, STREAM),
             self.create_subscription(WrenchStamped, "wrench_raw", self._on_wrench, STREAM),
@@ -171,6 +172,11 @@ class CalibrationNode(Node):
 
     def _make_goal(self, handle: ServerGoalHandle) -> _Goal:
         request = handle.request
+        for name, count in (("iters_t", request.iters_t), ("iters_r", request.iters_r)):
+            if count > MAX_ITERS:
+                raise _RefusedGoalError(
+                    ErrorCode.BAD_INPUT, f"{name} is {count}: at most {MAX_ITERS}, or 0"
+                )
         tilts = request.iters_t or self._settings.itersT
         rolls = request.iters_r or self._settings.itersR
         try:
@@ -319,10 +325,12 @@ class CalibrationNode(Node):
             topic = subscription.topic_name
             infos = self.get_publishers_info_by_topic(topic)
             if len(infos) > 1:
-                names = ", ".join(sorted(f"{i.node_namespace}/{i.node_name}" for i in infos))
-                goal.procedure.fail(
-                    ErrorCode.BAD_INPUT, f"{len(infos)} publishers on {topic}: {names}"
-                )
+                names = sorted(f"{i.node_namespace.rstrip('/')}/{i.node_name}" for i in infos)
+                text = f"{len(infos)} publishers on {topic}: {', '.join(names)}"
+                if len(set(names)) < len(names):
+                    # Nobody tells DDS of a kill -9; it finds out by its own time-out.
+                    text += "; a driver that was killed is forgotten after some 20 s"
+                goal.procedure.fail(ErrorCode.BAD_INPUT, text)
                 return
             if not infos:
                 continue

@@ -13,6 +13,8 @@ from galen_calibration_behavior.grid import GridError, SweepGrid
 from galen_calibration_behavior.procedure import ProcedureSettings
 from galen_calibration_behavior.stillness import StillnessSettings
 
+MAX_ITERS = 100  # so that the feedback's counts of poses, uint16, hold two sweeps
+
 
 @dataclass(frozen=True)
 class CalibrationParameters:
@@ -22,10 +24,10 @@ class CalibrationParameters:
 
     tstart: float = param(-1.0, "first tilt of the sweep, rad")
     tend: float = param(0.9, "last tilt of the sweep, rad")
-    itersT: int = param(7, "number of tilts", minimum=1, maximum=100)
+    itersT: int = param(7, "number of tilts", minimum=1, maximum=MAX_ITERS)
     rstart: float = param(-1.5, "first roll of the sweep, rad")
     rend: float = param(1.5, "last roll of the sweep, rad")
-    itersR: int = param(8, "number of rolls", minimum=1, maximum=100)
+    itersR: int = param(8, "number of rolls", minimum=1, maximum=MAX_ITERS)
     Xhome: float = param(0.0, "delta_x at home and during the sweeps, m")
     Yhome: float = param(0.0, "delta_y at home and during the sweeps, m")
     Zhome: float = param(0.408, "delta_z at home and during the sweeps, m")

@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from galen_model.arm import JOINT_NAMES, WRENCH_AXES
@@ -326,7 +326,9 @@ class CalibrationProcedure:
         if code == ErrorCode.DRIVER_SILENT or not self._under_way:
             self._finish("")
             return
-        self._arrival = ArrivalMonitor(self._settings.arrival, None, float("inf"), "joint_states")
+        # To stand still is enough: nothing is measured that would need it settled.
+        stopping = replace(self._settings.arrival, settle_s=0.0)
+        self._arrival = ArrivalMonitor(stopping, None, float("inf"), "joint_states")
 
     def on_estimated(self) -> None:
         """The file is written."""
@@ -392,7 +394,7 @@ class CalibrationProcedure:
 
     def _on_ready_to_zero(self, outcome: PoseRecord | Rejection) -> None:
         if isinstance(outcome, Rejection):
-            self._zero_again(outcome.reason)
+            self._zero_again(outcome)
             return
         self._bias_pose = (float(outcome.joints[3]), float(outcome.joints[4]))
         self._waited_s = 0.0
@@ -401,7 +403,7 @@ class CalibrationProcedure:
 
     def _on_zero_checked(self, outcome: PoseRecord | Rejection) -> None:
         if isinstance(outcome, Rejection):
-            self._zero_again(outcome.reason)
+            self._zero_again(outcome)
             return
         off = np.abs(outcome.wrench) > self._settings.zero_tolerance
         if np.any(off) and self._zero_checks_left > 0:
@@ -421,9 +423,12 @@ class CalibrationProcedure:
             return
         self._next()
 
-    def _zero_again(self, reason: str) -> None:
+    def _zero_again(self, rejection: Rejection) -> None:
         if self._zero_attempts > self._settings.pose_retries:
-            self.fail(ErrorCode.POSES_NOT_STILL, f"the sensor can't be zeroed at home: {reason}")
+            self.fail(
+                ErrorCode.BAD_INPUT if rejection.not_finite else ErrorCode.POSES_NOT_STILL,
+                f"the sensor can't be zeroed at home: {rejection.reason}",
+            )
         else:
             self._enter_zero()
 

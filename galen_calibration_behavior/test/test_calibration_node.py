@@ -320,6 +320,36 @@ def test_a_name_that_must_not_reach_a_path_is_refused(world):
     assert list(world.tools_dir.parent.glob("*")) == []
 
 
+@pytest.mark.parametrize(
+    ("tilts", "rolls", "name"), [(65535, 65535, "iters_t"), (3, 101, "iters_r")]
+)
+def test_a_sweep_without_end_is_refused(world, tilts, rolls, name):
+    handle = world.send(iters_t=tilts, iters_r=rolls)
+    world.fails(handle, ErrorCode.BAD_INPUT, name, "100")
+
+
+def test_a_tools_directory_that_can_not_be_looked_into_is_found_at_once(tmp_path):
+    with Harness() as harness:
+        world = World(harness, tmp_path / ("x" * 300))
+        world.tools_dir = tmp_path
+        world.fails(world.send(), ErrorCode.WRITE_FAILED, "too long")
+        assert world.driver.moves == 0
+
+
+def test_a_refusal_is_forgotten_when_another_goal_begins(world):
+    first = world.send()
+    assert not world.send(tool="retractor").accepted
+    world.harness.wait_for(first.cancel_goal_async().done, 10.0, "the cancel's answer")
+    world.result(first)
+    world.send(tool="drill")
+    world.diagnostics.clear()
+    world.harness.wait_for(
+        lambda: any("drill" in status.message for status in world.diagnostics), 5.0, "the new goal"
+    )
+    values = [item.key for status in world.diagnostics[-1:] for item in status.values]
+    assert "refused" not in values
+
+
 def test_a_tip_that_is_no_number_is_refused(world):
     for tip in ([math.nan, 0.0, 0.0], [math.inf] * 3):
         world.fails(world.send(tip_m=tip), ErrorCode.BAD_INPUT, "tip_m")
@@ -347,7 +377,9 @@ def test_unknown_joints_are_named(world):
 def test_two_drivers_are_refused(world):
     world.harness.add(lambda context: FakeDriver(context, without=("bias_sensor", "attach_tool")))
     handle = world.send(iters_t=10, iters_r=10)
-    world.fails(handle, ErrorCode.BAD_INPUT, "2 publishers")
+    world.fails(
+        handle, ErrorCode.BAD_INPUT, "2 publishers", ": /fake_driver, /fake_driver;", "was killed"
+    )
 
 
 def test_a_directory_that_can_not_be_written_is_found_at_once(tmp_path):

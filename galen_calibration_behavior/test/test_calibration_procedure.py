@@ -450,6 +450,22 @@ def test_a_joint_that_reports_no_number_is_bad_input():
     failed(World(arm=arm).run(), ErrorCode.BAD_INPUT, "roll = nan")
 
 
+def test_a_wrench_that_reports_no_number_while_zeroing_is_bad_input():
+    arm = FakeArm()
+    step = arm.step
+    arm.step = lambda: (*step()[:3], np.array([np.nan, 0, 0, 0, 0, 0]))
+    failed(World(arm=arm).run(), ErrorCode.BAD_INPUT, "wrench_raw: fx not finite")
+
+
+def test_a_long_settling_does_not_keep_a_cancel_from_seeing_the_arm_stop():
+    arrival = dataclasses.replace(SETTINGS.arrival, settle_s=10.0)
+    world = World(dataclasses.replace(SETTINGS, arrival=arrival))
+    world.run(lambda w: w.of(MoveTo))
+    world.procedure.cancel()
+    world.run()
+    assert world.end.error_msg == "canceled in state HOME"
+
+
 def test_zeroing_is_tried_again_when_someone_still_holds_the_arm():
     world = World(one_sweep=True)
     world.run(in_state(State.ZERO))
