@@ -22,6 +22,8 @@ from galen_gravcomp.orientation_table import OrientationTable, read_table
 from galen_gravcomp.still_phases import StillSettings, still_phases
 
 EXIT_CODES = "exit codes: 0 done, 1 the table or tool can't be used (one line says why), 2 usage"
+_FEWEST_READINGS = 4
+_MOST_LEFT_OUT_ONE_BY_ONE = 200  # each takes a fit of all others
 _SHOWN = np.array([1e3] * 6)  # N and N.m are printed as mN and mN.m
 _UNITS = ("mN", "mN", "mN", "mN.m", "mN.m", "mN.m")
 
@@ -100,9 +102,21 @@ def evaluate_table(
         table, scatter = average_still(table, average_window_s, settings or StillSettings())
         assert table.block is not None
         phases = len(np.unique(table.block))
+    if len(table) < _FEWEST_READINGS:
+        raise GalenError(
+            f"{table.path}: {len(table)} readings; at least {_FEWEST_READINGS} are needed to hold"
+            " some out"
+        )
     splits: dict[str, np.ndarray] = {}
     if table.block is None:
-        splits["leave one reading out"] = np.array([f"reading {i + 1}" for i in range(len(table))])
+        if len(table) <= _MOST_LEFT_OUT_ONE_BY_ONE:
+            labels = [f"reading {i + 1}" for i in range(len(table))]
+            splits["leave one reading out"] = np.array(labels)
+        else:
+            notes.append(
+                f"leave one reading out: not done for {len(table)} readings, more than"
+                f" {_MOST_LEFT_OUT_ONE_BY_ONE}; is it a recording (--average-s)?"
+            )
         count = blocks or min(6, len(table) // 2)
         splits[f"{count} blocks of neighbours"] = np.array(
             [f"block {b + 1}" for b in contiguous_blocks(len(table), count)]
@@ -319,7 +333,10 @@ def run(arguments: argparse.Namespace, console: Console) -> None:
     if arguments.plots:
         from galen_gravcomp.table_plots import plot_scores  # slow to import, so only when asked
 
-        written = plot_scores(result, Path(arguments.plots))
+        try:
+            written = plot_scores(result, Path(arguments.plots))
+        except OSError as error:
+            raise GalenError(f"{arguments.plots}: can't be written: {error.strerror}") from error
         if not arguments.json:
             console.print(f"plot: {written}")
     if arguments.json:

@@ -12,7 +12,8 @@ A row is one reading. Columns, in any order, named in the first line or by the c
     t                       time, s
     block                   a label; rows of one label are held out together
 
-Values are apart by commas, semicolons, tabs or blanks; a line that starts with # is a comment.
+Values are apart by commas, semicolons, tabs or blanks, quoted or not, with decimal points; a line
+that starts with # is a comment.
 """
 
 import os
@@ -143,9 +144,10 @@ def _rows(
 
 
 def _split(line: str) -> list[str]:
-    for separator in (",", ";", "\t"):
+    # The comma last: beside another separator it is a decimal comma, and the error names the cell.
+    for separator in (";", "\t", ","):
         if separator in line:
-            return [cell.strip() for cell in line.split(separator)]
+            return [cell.strip().strip('"') for cell in line.split(separator)]
     return line.split()
 
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from galen_gravcomp.cross_validation import MODELS, contiguous_blocks, cross_validate
 from galen_gravcomp.evaluate import evaluate_table, main
-from galen_gravcomp.orientation_table import TableError, read_table
+from galen_gravcomp.orientation_table import OrientationTable, TableError, read_table
 from galen_gravcomp.still_phases import StillSettings, still_phases
 from galen_model.arm import GRAVITY_M_S2
 from galen_model.kinematics import sensor_rotation
@@ -241,6 +241,49 @@ def test_few_readings_are_refused(tmp_path, capsys):
     path.write_text("fx,fy,fz,tx,ty,tz,roll,tilt\n" + "1,2,3,4,5,6,0,0\n" * 5)
     assert main(["--table", str(path)]) == 1
     assert "the poses tell nothing about" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("count", [1, 2, 3])
+def test_a_table_too_short_to_split_is_said(tmp_path, capsys, count):
+    path = tmp_path / "short.csv"
+    path.write_text("fx,fy,fz,tx,ty,tz,roll,tilt\n" + "1,2,3,4,5,6,0,0\n" * count)
+    assert main(["--table", str(path)]) == 1
+    assert capsys.readouterr().err == (
+        f"evaluate: {path}: {count} readings; at least 4 are needed to hold some out\n"
+    )
+
+
+def test_leaving_one_out_is_left_to_small_tables(readings):
+    gravity, wrench = (np.tile(part, (50, 1)) for part in readings[3:])
+    table = OrientationTable("t", gravity, wrench, None, None, "gravity")
+    result = evaluate_table(table)
+    assert list(result.scores) == ["6 blocks of neighbours"]
+    assert any("leave one reading out" in note and str(len(table)) in note for note in result.notes)
+
+
+def test_plots_that_can_not_be_written_are_said(tmp_path, readings, capsys):
+    path = tmp_path / "t.csv"
+    gravity, wrench = readings[3:]
+    write(path, [*WRENCH, "gx", "gy", "gz"], np.hstack([wrench, gravity]))
+    assert main(["--table", str(path), "--plots", str(path / "plots")]) == 1
+    error = capsys.readouterr().err
+    assert str(path / "plots") in error and len(error.strip().splitlines()) == 1
+
+
+def test_a_decimal_comma_is_named(tmp_path, capsys):
+    path = tmp_path / "comma.csv"
+    path.write_text("fx;fy;fz;tx;ty;tz;roll;tilt\n" + "1,5;2,5;3;4;5;6;0,1;0\n")
+    assert main(["--table", str(path)]) == 1
+    error = capsys.readouterr().err
+    assert "line 2, column 'fx': '1,5' is not a finite number" in error
+
+
+def test_quoted_cells_are_read(tmp_path):
+    path = tmp_path / "quoted.csv"
+    path.write_text(
+        '"fx","fy","fz","tx","ty","tz","roll","tilt"\n"1","2","3","4","5","6","0","0"\n'
+    )
+    np.testing.assert_array_equal(read_table(path).wrench, [[1, 2, 3, 4, 5, 6]])
 
 
 @needs_shared
