@@ -9,6 +9,7 @@ import select
 import shutil
 import signal
 import sys
+import termios
 import time
 from collections.abc import Callable
 from types import FrameType
@@ -203,6 +204,9 @@ class CalibrateClient:
         self._progress.show(feedback)
         asks = feedback.state in (State.REMOVE_TOOL, State.ATTACH_TOOL)
         if self._options.by_hand and asks and self._asked != feedback.state:
+            if sys.stdin.isatty():
+                # An Enter from before the question must not answer it: the arm would move.
+                termios.tcflush(sys.stdin, termios.TCIFLUSH)
             self._progress.say(f"{feedback.message} - press Enter when done")
             self._question = True
         self._asked = feedback.state if asks else None

@@ -2,11 +2,14 @@
 
 import json
 import os
+import pty
 import signal
 import subprocess
 import sys
+import time
 
 import pytest
+from calibration_fake_arm import POINTER
 from galen_calibration_behavior.calibrate import EXIT_USAGE, parse
 from galen_calibration_behavior.result_text import format_result, result_to_dict
 from galen_ros.testing import Harness
@@ -23,12 +26,12 @@ NODE_PARAMETERS = {
 class Process:
     """A module run with `python -m` in the harness's domain; ended by id when the test ends."""
 
-    def __init__(self, harness, module, *arguments):
+    def __init__(self, harness, module, *arguments, stdin=subprocess.PIPE):
         self.harness = harness
         self.process = subprocess.Popen(
             [sys.executable, "-m", module, *arguments],
             env=os.environ | {"ROS_DOMAIN_ID": str(harness.domain_id), "PYTHONUNBUFFERED": "1"},
-            stdin=subprocess.PIPE,
+            stdin=stdin,
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
             text=True,
@@ -51,8 +54,8 @@ class Process:
         return self.process.returncode, out, error
 
 
-def calibrate(harness, *arguments):
-    return Process(harness, "galen_calibration_behavior.calibrate", *arguments)
+def calibrate(harness, *arguments, **options):
+    return Process(harness, "galen_calibration_behavior.calibrate", *arguments, **options)
 
 
 @pytest.fixture
@@ -89,6 +92,24 @@ def test_by_hand_asks_and_hears_enter(world):
     assert "adapter" in out
     assert "warning: " in out
     assert "written: " in out
+
+
+def test_enter_pressed_twice_answers_one_question(world):
+    """The second one would send the arm off while a hand is still at the tool."""
+    keyboard, terminal = pty.openpty()
+    arm = world.driver.arm
+    with calibrate(world.harness, "pointer", "--by-hand", "--one-sweep", stdin=terminal) as client:
+        for words, tool in (("take the tool off", type(arm.tool)(0.0)), ("put pointer", POINTER)):
+            for line in client.process.stderr:
+                if words in line and "Enter" in line:
+                    break
+            time.sleep(0.5)  # a person takes a while
+            arm.tool = tool
+            os.write(keyboard, b"\n\n")
+        code, _, error = client.end()
+    os.close(keyboard)
+    os.close(terminal)
+    assert code == 0, error
 
 
 def test_ctrl_c_cancels_and_waits_for_the_stop(world):
