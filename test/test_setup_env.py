@@ -343,7 +343,7 @@ def test_a_failing_download_is_one_line_and_leaves_no_good_environment(tmp_path)
     done = run_setup(
         root,
         PATH=os.environ["PATH"],
-        GALEN_PYTHON=Path(sys.base_prefix, "bin", Path(sys.executable).name).resolve(),
+        GALEN_PYTHON=Path(sys.base_prefix, "bin", "python{}.{}".format(*sys.version_info[:2])),
         PIP_INDEX_URL=closed_port,
         PIP_RETRIES=0,
         PIP_NO_CACHE_DIR=1,
