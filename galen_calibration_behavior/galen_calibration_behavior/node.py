@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 from galen_model.arm import JOINT_NAMES, SENSOR_FRAME
 from galen_model.arrays import Array
-from galen_model.errors import GalenError, ToolFileError, ToolNameError
+from galen_model.errors import GalenError, NotExcitedError, ToolFileError, ToolNameError
+from galen_model.identification import check_planned_poses
 from galen_model.tool_file import tool_path
 from galen_ros.conversions import JointStateReader, stamp_to_ns, wrench_to_array
 from galen_ros.diagnostics import OK, WARN, DiagnosticsPublisher, Status
@@ -182,12 +183,21 @@ class CalibrationNode(Node):
         try:
             path = tool_path(self._tools_dir, request.tool)
             poses = self._settings.poses(tilts, rolls)
+            check_planned_poses(
+                poses[:, 0],
+                poses[:, 1],
+                one_sweep=request.one_sweep,
+                bias_roll_rad=self._settings.Rhome,
+                bias_tilt_rad=self._settings.Thome,
+            )
             tip_m, warnings = choose_tip(np.array(request.tip_m, float), path)
             check_writable(path)
         except ToolNameError as error:
             raise _RefusedGoalError(ErrorCode.INVALID_NAME, str(error)) from error
         except ToolFileError as error:
             raise _RefusedGoalError(ErrorCode.WRITE_FAILED, str(error)) from error
+        except NotExcitedError as error:
+            raise _RefusedGoalError(ErrorCode.NOT_EXCITED, str(error)) from error
         except GalenError as error:
             raise _RefusedGoalError(ErrorCode.BAD_INPUT, str(error)) from error
         procedure = CalibrationProcedure(

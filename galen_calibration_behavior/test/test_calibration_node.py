@@ -328,6 +328,11 @@ def test_a_sweep_without_end_is_refused(world, tilts, rolls, name):
     world.fails(handle, ErrorCode.BAD_INPUT, name, "100")
 
 
+def test_poses_that_tell_too_little_are_refused_before_the_arm_moves(world):
+    world.fails(world.send(iters_t=1, iters_r=1), ErrorCode.NOT_EXCITED, "at least 4")
+    assert world.driver.moves == 0
+
+
 def test_a_tools_directory_that_can_not_be_looked_into_is_found_at_once(tmp_path):
     with Harness() as harness:
         world = World(harness, tmp_path / ("x" * 300))

@@ -124,13 +124,7 @@ def identify_two_sweeps(
     zero = gravity_regressor(gravity_in_sensor(bias_roll_rad, bias_tilt_rad))
     bare_rows = gravity_regressor(bare.gravity) - zero
     tool_rows = gravity_regressor(tool.gravity)
-    eye = np.eye(6)
-    design = np.zeros((len(bare) + len(tool), 6, 20))
-    design[: len(bare), :, 4:8] = bare_rows
-    design[: len(bare), :, 8:14] = eye
-    design[len(bare) :, :, :4] = tool_rows
-    design[len(bare) :, :, 4:8] = tool_rows - zero
-    design[len(bare) :, :, 14:20] = eye
+    design = _two_sweeps_design(bare_rows, tool_rows, zero)
     poses = {"without the tool": bare, "with the tool": tool}
     check_excitation(design, LOAD_PARAMETERS, poses)
     _check_channels(bare_rows, bare, "sweep without the tool")
@@ -142,7 +136,7 @@ def identify_two_sweeps(
     check_excitation(design[fit.used], LOAD_PARAMETERS, poses)
     change = fit.values[14:20] - fit.values[8:14]
     change_matrix = np.zeros((6, 20))
-    change_matrix[:, 14:20], change_matrix[:, 8:14] = eye, -eye
+    change_matrix[:, 14:20], change_matrix[:, 8:14] = np.eye(6), -np.eye(6)
     change_std = np.sqrt(np.diag(change_matrix @ fit.covariance @ change_matrix.T))
     warnings = [
         *_noise_warnings(fit, _joined_std(bare, tool)),
@@ -234,6 +228,38 @@ def identify_one_sweep(
         ),
         unresolved=unresolved,
     )
+
+
+def check_planned_poses(
+    roll: Array,
+    tilt: Array,
+    *,
+    one_sweep: bool = False,
+    bias_roll_rad: float = 0.0,
+    bias_tilt_rad: float = 0.0,
+) -> None:
+    """Raise NotExcitedError, before the arm moves, for poses (n,), rad, that tell too little."""
+    planned = StillPoses(roll, tilt, np.zeros((len(roll), 6)))
+    _check_count(planned, "each sweep")
+    rows = gravity_regressor(planned.gravity)
+    if one_sweep:
+        check_excitation(_single_load_design(planned.gravity), LOAD_PARAMETERS[:4])
+        return
+    zero = gravity_regressor(gravity_in_sensor(bias_roll_rad, bias_tilt_rad))
+    poses = {"in each sweep": planned}
+    check_excitation(_two_sweeps_design(rows - zero, rows, zero), LOAD_PARAMETERS, poses)
+
+
+def _two_sweeps_design(bare_rows: Array, tool_rows: Array, zero: Array) -> Array:
+    """Columns: tool's moments (4), adapter's (4), offsets of the bare sweep (6), the other (6)."""
+    count = len(bare_rows)
+    design = np.zeros((count + len(tool_rows), 6, 20))
+    design[:count, :, 4:8] = bare_rows
+    design[:count, :, 8:14] = np.eye(6)
+    design[count:, :, :4] = tool_rows
+    design[count:, :, 4:8] = tool_rows - zero
+    design[count:, :, 14:20] = np.eye(6)
+    return design
 
 
 def _one_sweep_prior(

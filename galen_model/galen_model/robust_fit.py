@@ -4,22 +4,22 @@ A pose is an outlier as a whole (it was touched, or the arm still moved), so its
 d_i^2 = sum_k (r_ik / sigma_k)^2 decides over all six channels of it. The fit starts from
 iteratively reweighted least squares with Tukey's bisquare on d_i (Maronna, Martin, Yohai, *Robust
 Statistics*, 2006, section 5.4) with the channels' scales from the median absolute deviation, then
-rejects what lies beyond the chi-square quantile of one false rejection in a hundred sweeps, and
+rejects what lies beyond the quantile of one false rejection in a hundred sweeps, of d^2 / 6 as an
+F-distribution, because sigma is known no better than from the freedom that the fit leaves, and
 ends as ordinary weighted least squares of the poses left, whose covariance is (A^T W A)^-1 times
 nu / (nu - 2) for the nu degrees of freedom that sigma was found with.
 The noise sigma_k of a channel comes from that channel's own residuals and degrees of freedom,
 drawn towards the mean of its kind (force or torque) as much as ten further readings would: with
 few poses a channel's own residuals alone make weights that run away (the variances' posterior
 mean under an inverse-gamma prior; Smyth, *Stat. Appl. Genet. Mol. Biol.* 3, 2004, section 3).
-Under twelve poses nothing is rejected: too few to say which of them don't belong. With not many
-more the scales are uncertain and a healthy pose goes more often than by design: at 12 poses of two
-sweeps in two to four of ten calibrations, at 24 in one of ten; the intervals hold all the same.
+Under twelve poses nothing is rejected: too few to say which of them don't belong.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.stats import chi2
+from scipy.stats import f as f_distribution
 
 from galen_model.arrays import Array
 from galen_model.errors import IdentificationError
@@ -107,8 +107,13 @@ def _fit(design: Array, readings: Array, prior: _Prior) -> RobustFit:
     values = _irls(design, readings, prior, scale)
 
     used = np.ones(count, dtype=bool)
-    sigma = _mad_scale(readings - design @ values)
-    cut = chi2.ppf(1.0 - _FALSE_REJECTIONS_PER_SWEEP / count, channels)
+    # The fit has bent towards the readings: their residuals are smaller than their noise, and
+    # the noise is known no better than from the freedom left to a channel.
+    freedom = max(count - parameters / channels, 1.0)
+    sigma = _mad_scale(readings - design @ values) * np.sqrt(count / freedom)
+    cut = channels * f_distribution.ppf(
+        1.0 - _FALSE_REJECTIONS_PER_SWEEP / count, channels, freedom
+    )
     for _ in range(_ITERATIONS):
         distance = _distance(readings - design @ values, sigma)
         next_used = distance**2 <= cut
