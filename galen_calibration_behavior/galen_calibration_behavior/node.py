@@ -56,6 +56,8 @@ from galen_msgs.action import CalibrateTool
 from galen_msgs.srv import SetTool
 
 _TICK_S = 0.1
+# A driver that runs may take this long to be discovered: DDS repeats a lost announcement after 3 s.
+_DISCOVERY_S = 5.0
 # The publishers of the topics are looked up this often.
 _TICKS_PER_GRAPH_CHECK = 10
 
@@ -302,7 +304,7 @@ class CalibrationNode(Node):
             return
         assert goal.preflight_s is not None
         goal.preflight_s += _TICK_S
-        if goal.preflight_s > self._settings.silent_timeout_s:
+        if goal.preflight_s > max(self._settings.silent_timeout_s, _DISCOVERY_S):
             goal.procedure.fail(*missing)
 
     def _find_missing(self, goal: _Goal) -> tuple[ErrorCode, str] | None:

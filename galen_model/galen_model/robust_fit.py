@@ -197,7 +197,7 @@ def _solve(
         inverse = np.linalg.inv(information * np.outer(balance, balance))
     except np.linalg.LinAlgError:  # the weights left too few poses for all parameters
         raise IdentificationError("the poses agree on no load") from None
-    covariance = inverse * np.outer(balance, balance)
+    covariance = np.asarray(inverse * np.outer(balance, balance), dtype=np.float64)
     return covariance @ (rows.T @ right + prior_right), covariance
 
 
