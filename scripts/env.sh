@@ -40,6 +40,7 @@ else
   # Another environment's wheels may have set it: these have to put their own libraries on the path.
   unset _ROS_WHEELS_BOOTSTRAP_COMPLETE
   # Shared memory of a killed process makes Fast DDS complain in red; UDP has no such leftovers.
+  # (With discovery limited to this machine rmw_fastrtps chooses for itself.)
   export FASTDDS_BUILTIN_TRANSPORTS="${FASTDDS_BUILTIN_TRANSPORTS:-UDPv4}"
 fi
 export ROS_AUTOMATIC_DISCOVERY_RANGE="${ROS_AUTOMATIC_DISCOVERY_RANGE:-LOCALHOST}"
