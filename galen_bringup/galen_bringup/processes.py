@@ -8,9 +8,10 @@ from __future__ import annotations
 import os
 import signal
 import subprocess
+import threading
 import time
-from collections.abc import Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import TracebackType
 
@@ -76,8 +77,9 @@ class Processes:
         """Start an executable; returns its process id. `niceness` lowers its priority."""
         path = executable_path(package, executable)
         prefix = ["nice", "-n", str(niceness)] if niceness else []
-        with (self._log_dir / f"{executable}.log").open("wb") as log:
-            process = subprocess.Popen(
+        # A signal between a process' start and its entry in the list would leave it behind.
+        with (self._log_dir / f"{executable}.log").open("wb") as log, _signals_later():
+            self._running[executable] = process = subprocess.Popen(
                 [*prefix, str(path), *arguments],
                 stdin=subprocess.DEVNULL,
                 stdout=log,
@@ -86,7 +88,6 @@ class Processes:
                 # of their own, in which Linux would not weigh their niceness against the others'.
                 process_group=0,
             )
-        self._running[executable] = process
         return process.pid
 
     def check(self) -> None:
@@ -111,6 +112,26 @@ class Processes:
                 _signal(process, signal.SIGKILL)
                 process.wait()
             self._running.clear()
+
+
+@contextmanager
+def _signals_later() -> Iterator[None]:
+    """Hold back what would end this process until the block is done."""
+    if threading.current_thread() is not threading.main_thread():
+        yield  # signals reach the main thread alone
+        return
+    came: list[int] = []
+    held = {
+        number: signal.signal(number, lambda which, _frame: came.append(which))
+        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+    }
+    try:
+        yield
+    finally:
+        for number, handler in held.items():
+            signal.signal(number, handler)
+        for which in came:
+            signal.raise_signal(which)
 
 
 def _signal(process: subprocess.Popen[bytes], number: signal.Signals) -> None:

@@ -95,6 +95,7 @@ class Plant:
         self._hand = Hand(config.hand)
         self._admittance = Admittance(config.admittance, self._geometry, config.motion.velocity)
         self._admittance_on = False
+        self._offset_step = [0.5 * a * self._period_s for a in config.motion.acceleration]
         # What admittance adds to the reference, and how fast that changes.
         self._offset = [0.0] * 5
         self._offset_velocity = [0.0] * 5
@@ -283,9 +284,15 @@ class Plant:
         velocities = self._admittance.joint_velocities(
             now_ns, joints, sensor_matrix(joints[3], joints[4]), self._tip
         )
-        if velocities is None:
-            self._offset_velocity = [0.0] * 5
-            return [a + b for a, b in zip(reference, self._offset, strict=True)]
+        # The hand's part changes its velocity by no more than half of what the joints can: a step
+        # of it (noise alone makes some) on top of the reference's own acceleration would be more
+        # than they follow, and a joint that has lost a moving reference catches up only late.
+        velocities = [
+            min(max(wanted, now - step), now + step)
+            for wanted, now, step in zip(
+                velocities or [0.0] * 5, self._offset_velocity, self._offset_step, strict=True
+            )
+        ]
         self._offset_velocity = velocities
         period_s = self._period_s
         targets = [
