@@ -294,14 +294,24 @@ def main(args: Sequence[str] | None = None) -> int:
     console = Console(
         stderr=options.json, width=None if sys.stdout.isatty() else 110, highlight=False
     )
+    interrupted = []
+
+    def on_interrupt(number: int, _frame: object) -> None:
+        interrupted.append(number)
+        raise KeyboardInterrupt
+
+    signal.signal(signal.SIGINT, on_interrupt)
     try:
         result = run_demo(options, console)
-    except (GalenError, OSError) as error:  # OSError: what it writes to is full or not writable
+    except (Exception, KeyboardInterrupt) as error:
+        if interrupted:  # inside a library's C++ it may come out as another exception
+            print("demo: interrupted", file=sys.stderr)
+            return 130
+        if not isinstance(error, GalenError | OSError):
+            raise
+        # OSError: what it writes to is full or not writable
         print(f"demo: {error}", file=sys.stderr)
         return 1
-    except KeyboardInterrupt:
-        print("demo: interrupted", file=sys.stderr)
-        return 130
     if options.json:
         print(json.dumps(to_json(result), indent=2))
     else:
