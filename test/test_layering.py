@@ -35,7 +35,6 @@ ROS_MODULES = {
     "galen_ros.qos",
     "galen_ros.spin",
     "galen_ros.testing",
-    "galen_sim_driver.cdr",
     "galen_sim_driver.conversions",
     "galen_sim_driver.node",
     "galen_sim_driver.parameters",

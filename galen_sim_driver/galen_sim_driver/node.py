@@ -11,6 +11,7 @@ from galen_model.arm import JOINT_NAMES, SENSOR_FRAME, TRACKER_FRAME
 from galen_model.errors import ToolNameError
 from galen_model.tool_file import check_tool_name
 from galen_model.urdf import galen_urdf
+from galen_ros.cdr import JointStateBytes, WrenchBytes
 from galen_ros.conversions import fill_stamp, stamp_to_ns, wrench_to_array
 from galen_ros.deferred_service import DeferredService, Respond
 from galen_ros.diagnostics import ERROR, OK, WARN, DiagnosticsPublisher, Status
@@ -28,7 +29,6 @@ from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory
 
 from galen_msgs.srv import SetTool
-from galen_sim_driver.cdr import JointStateBytes, WrenchBytes
 from galen_sim_driver.conversions import fill_pose, trajectory_from_message
 from galen_sim_driver.errors import TrajectoryError, UnknownToolError, ZeroingError
 from galen_sim_driver.pacing import Pacer, SpeedMeter

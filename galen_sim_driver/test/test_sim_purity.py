@@ -7,7 +7,7 @@ import pytest
 
 import galen_sim_driver
 
-_WITH_ROS = {"node", "cdr", "conversions", "parameters"}
+_WITH_ROS = {"node", "conversions", "parameters"}
 _MODULES = sorted(Path(galen_sim_driver.__file__).parent.glob("*.py"))
 
 

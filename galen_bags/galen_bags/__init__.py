@@ -1,0 +1,1 @@
+"""Bags in and out: read into arrays, record, play, work through many."""

@@ -1,0 +1,127 @@
+"""Writes a rosbag2 directory (MCAP) whole or not at all."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import tempfile
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+from rosbags.interfaces import Qos
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer, WriterError
+from rosbags.typesys import Stores, TypesysError, get_types_from_msg, get_typestore
+
+from galen_bags.errors import BagError
+
+# The version that rosbag2 of Jazzy writes.
+_METADATA_VERSION = 9
+
+
+class BagWriter:
+    """A new bag; a context manager.
+
+        with BagWriter(path) as bag:
+            wrenches = bag.add_topic("wrench_raw", "geometry_msgs/msg/WrenchStamped")
+            bag.write(wrenches, log_time_ns, data)
+
+    It grows in a hidden directory beside `path` and gets its name at the end; an exception, Ctrl-C
+    too, removes it. Topic names get the leading slash that bags have.
+    """
+
+    def __init__(self, path: str | os.PathLike[str], *, compressed: bool = True) -> None:
+        """`compressed`: zstd on each chunk. Raises BagError if `path` is there already."""
+        self.path = Path(path)
+        self._compressed = compressed
+        self._refuse_existing()
+        self._writer: Writer | None = None
+        self._temporary: Path | None = None
+        self._types = get_typestore(Stores.ROS2_JAZZY)
+
+    def __enter__(self) -> BagWriter:
+        try:
+            self.path.parent.mkdir(parents=True, exist_ok=True)
+            self._temporary = Path(
+                tempfile.mkdtemp(dir=self.path.parent, prefix=f".{self.path.name}.")
+            )
+            # Named as the bag will be, since the file in it is named after it.
+            writer = Writer(
+                self._temporary / self.path.name,
+                version=_METADATA_VERSION,
+                storage_plugin=StoragePlugin.MCAP,
+            )
+            if self._compressed:
+                writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
+            writer.open()
+        except (OSError, WriterError) as error:
+            self._remove()
+            raise BagError(f"{self.path}: can't be written: {error}") from error
+        self._writer = writer
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        assert self._writer is not None and self._temporary is not None
+        try:
+            if kind is not None:
+                self._writer.abort()
+                return
+            self._writer.close()
+            self._refuse_existing()  # one that came meanwhile is not written over
+            os.replace(self._temporary / self.path.name, self.path)
+        except (OSError, WriterError) as problem:
+            raise BagError(f"{self.path}: can't be written: {problem}") from problem
+        finally:
+            self._writer = None
+            self._remove()
+
+    def add_topic(
+        self, name: str, type_name: str, definition: str | None = None, qos: tuple[Qos, ...] = ()
+    ) -> Any:
+        """Return what `write` wants for this topic.
+
+        `type_name` as in "sensor_msgs/msg/JointState". `definition` (.msg text, its dependencies
+        after lines of =) is needed for types that ROS 2 itself does not bring. Raises BagError.
+        """
+        assert self._writer is not None
+        try:
+            if type_name not in self._types.fielddefs:
+                if definition is None:
+                    raise BagError(f"{self.path}: {name}: the type {type_name} is not known")
+                self._types.register(
+                    {
+                        key: value
+                        for key, value in get_types_from_msg(definition, type_name).items()
+                        if key not in self._types.fielddefs
+                    }
+                )
+            return self._writer.add_connection(
+                "/" + name.lstrip("/"),
+                type_name,
+                typestore=self._types,
+                offered_qos_profiles=list(qos),
+            )
+        except (TypesysError, WriterError) as error:
+            raise BagError(f"{self.path}: {name}: can't be added: {error}") from error
+
+    def write(self, topic: Any, log_time_ns: int, data: bytes | memoryview) -> None:
+        """Append a serialised message (CDR); `log_time_ns` is when it was received."""
+        assert self._writer is not None
+        try:
+            self._writer.write(topic, log_time_ns, data)
+        except (OSError, WriterError, OverflowError) as error:
+            raise BagError(f"{self.path}: can't be written: {error}") from error
+
+    def _refuse_existing(self) -> None:
+        if self.path.exists() or self.path.is_symlink():
+            raise BagError(f"{self.path}: is there already, and is not written over")
+
+    def _remove(self) -> None:
+        if self._temporary is not None:
+            shutil.rmtree(self._temporary, ignore_errors=True)
+            self._temporary = None

@@ -1,0 +1,118 @@
+"""The templates' bytes are rclpy's bytes, but for padding that CDR leaves open."""
+
+import numpy as np
+import pytest
+from galen_model.arm import JOINT_NAMES
+from galen_ros.cdr import (
+    JointStateBytes,
+    PoseBytes,
+    UnreadableError,
+    WrenchBytes,
+    joint_state_layout,
+    stamped_layout,
+)
+from galen_ros.conversions import fill_stamp, fill_wrench
+from geometry_msgs.msg import PoseStamped, WrenchStamped
+from rclpy.serialization import deserialize_message, serialize_message
+from sensor_msgs.msg import JointState
+
+STAMPS_NS = [0, 1, 1_000_000_000, 1_763_000_000_123_456_789]
+
+
+def assert_same_bytes(data, message):
+    """All bytes are equal; where they aren't, the byte is padding, which no reader looks at."""
+    expected = serialize_message(message)
+    assert len(data) == len(expected)
+    for index in range(len(data)):
+        if data[index] != expected[index]:
+            changed = bytearray(expected)
+            changed[index] ^= 0xFF
+            assert deserialize_message(bytes(changed), type(message)) == message, index
+    assert deserialize_message(data, type(message)) == message
+
+
+@pytest.mark.parametrize("frame_id", ["", "a", "base_link", "a frame with a long name"])
+def test_joint_states_byte_for_byte(frame_id):
+    rng = np.random.default_rng(1)
+    template = JointStateBytes(JOINT_NAMES, frame_id)
+    for stamp_ns in STAMPS_NS:
+        positions, velocities = rng.normal(size=(2, 5)).tolist()
+        message = JointState(name=list(JOINT_NAMES), position=positions, velocity=velocities)
+        message.header.frame_id = frame_id
+        fill_stamp(message.header.stamp, stamp_ns)
+        data = template.fill(stamp_ns, positions, velocities)
+        assert_same_bytes(data, message)
+
+
+@pytest.mark.parametrize("frame_id", ["", "ft_sensor", "left_ft_sensor"])
+def test_wrenches_byte_for_byte(frame_id):
+    rng = np.random.default_rng(2)
+    template = WrenchBytes(frame_id)
+    for stamp_ns in STAMPS_NS:
+        wrench = rng.normal(size=6)
+        message = WrenchStamped()
+        message.header.frame_id = frame_id
+        fill_stamp(message.header.stamp, stamp_ns)
+        fill_wrench(message, wrench)
+        data = template.fill(stamp_ns, wrench.tolist())
+        assert_same_bytes(data, message)
+
+
+@pytest.mark.parametrize("frame_id", ["", "tracker"])
+def test_poses_byte_for_byte(frame_id):
+    rng = np.random.default_rng(3)
+    template = PoseBytes(frame_id)
+    for stamp_ns in STAMPS_NS:
+        position, quaternion = rng.normal(size=3).tolist(), rng.normal(size=4).tolist()
+        message = PoseStamped()
+        message.header.frame_id = frame_id
+        fill_stamp(message.header.stamp, stamp_ns)
+        at, turned = message.pose.position, message.pose.orientation
+        at.x, at.y, at.z = position
+        turned.x, turned.y, turned.z, turned.w = quaternion
+        assert_same_bytes(template.fill(stamp_ns, position, quaternion), message)
+
+
+@pytest.mark.parametrize("frame_id", ["", "a", "base_link", "ümlaut"])
+@pytest.mark.parametrize("counts", [(5, 5, 0), (5, 0, 0), (5, 5, 5), (5, 0, 5), (0, 0, 0)])
+def test_the_layout_finds_the_numbers_of_any_joint_state(frame_id, counts):
+    rng = np.random.default_rng(4)
+    runs = [rng.normal(size=count).tolist() for count in counts]
+    names = ["a", "roll", "tilt_joint", "", "x"]
+    message = JointState(name=names, position=runs[0], velocity=runs[1], effort=runs[2])
+    message.header.frame_id = frame_id
+    data = bytes(serialize_message(message))
+    layout = joint_state_layout(data)
+    assert (layout.frame_id, layout.names, layout.counts) == (frame_id, tuple(names), counts)
+    assert layout.fits(data)
+    for start, run in zip(layout.doubles_at, runs, strict=True):
+        assert np.frombuffer(data, layout.order + "f8", len(run), start).tolist() == run
+    for at in (5, 9):  # the stamp's bytes may be anything, a name's may not
+        assert layout.fits(data[:at] + b"\x7f" + data[at + 1 :])
+    at = data.index(b"roll")
+    assert not layout.fits(data[:at] + b"R" + data[at + 1 :])
+    assert not layout.fits(data + bytes(4))
+
+
+@pytest.mark.parametrize("cut", range(0, 76, 5))
+def test_a_cut_off_message_is_unreadable(cut):
+    data = WrenchBytes("ft_sensor").fill(0, [0.0] * 6)
+    with pytest.raises(UnreadableError):
+        stamped_layout(data[:cut], 6)
+
+
+def test_what_is_not_cdr_is_unreadable():
+    data = WrenchBytes("ft_sensor").fill(0, [0.0] * 6)
+    assert stamped_layout(data, 6).frame_id == "ft_sensor"
+    with pytest.raises(UnreadableError, match="start"):
+        stamped_layout(b"\x00\x09" + data[2:], 6)
+    with pytest.raises(UnreadableError, match="sequence of 4294967295"):
+        joint_state_layout(data[:12] + b"\xff\xff\xff\xff" + data[16:])
+    with pytest.raises(UnreadableError, match="UTF-8"):
+        stamped_layout(data.replace(b"ft_sensor", b"ft_\xff\xfe\xfa\xfb\xfc\xfd"), 6)
+
+
+def test_values_of_the_wrong_number_are_refused():
+    template = JointStateBytes(JOINT_NAMES, "")
+    with pytest.raises(Exception, match="pack"):
+        template.fill(0, [0.0] * 4, [0.0] * 5)
