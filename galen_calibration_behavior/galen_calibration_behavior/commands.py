@@ -7,6 +7,7 @@ from enum import IntEnum
 
 from galen_model.arrays import Array
 from galen_model.identification import StillPoses
+from galen_model.tool_file import LoadEstimate
 
 
 class State(IntEnum):
@@ -82,7 +83,11 @@ class Feedback:
 
 @dataclass(frozen=True)
 class Measurements:
-    """All that the estimate needs; the bias pose (rad) is where the sensor was zeroed."""
+    """All that the estimate needs; the bias pose (rad) is where the sensor was zeroed.
+
+    `known_bias`: the adapter of an earlier calibration; with one sweep it tells adapter and tool
+    apart.
+    """
 
     bare: StillPoses | None
     tool: StillPoses
@@ -92,6 +97,7 @@ class Measurements:
     tool_indices: list[int]
     rejected: list[str]
     warnings: list[str]
+    known_bias: LoadEstimate | None = None
 
 
 @dataclass(frozen=True)

@@ -39,11 +39,12 @@ class TipError(GalenError):
 
 @dataclass(frozen=True)
 class Calibration:
-    """What was written, and where."""
+    """What was written, and where, and what the file does not hold of the fit."""
 
     path: Path
     content: ToolFile
     warnings: list[str]
+    found: Identification
 
 
 def check_writable(path: Path) -> None:
@@ -78,12 +79,38 @@ def choose_tip(tip_m: Array, path: Path) -> tuple[Array, list[str]]:
 
 
 def calibrate(
-    path: Path, tool: str, tip_m: Array, measurements: Measurements, warnings: list[str]
+    path: Path,
+    tool: str,
+    tip_m: Array,
+    measurements: Measurements,
+    warnings: list[str],
+    *,
+    calibrated_at: datetime | None = None,
 ) -> Calibration:
     """Identify the load and write the tool's file whole or not at all.
 
-    `warnings` are known from before. Raises EstimateError; the old file is then untouched.
+    `warnings` are known from before. `calibrated_at`, with a time zone, is when it was measured,
+    for measurements that come out of a recording; None: now. Raises EstimateError; the old file
+    is then untouched.
     """
+    done = estimate(path, tool, tip_m, measurements, warnings, calibrated_at=calibrated_at)
+    try:
+        write_tool(path, done.content)
+    except ToolFileError as error:
+        raise EstimateError(ErrorCode.WRITE_FAILED, str(error)) from error
+    return done
+
+
+def estimate(
+    path: Path,
+    tool: str,
+    tip_m: Array,
+    measurements: Measurements,
+    warnings: list[str],
+    *,
+    calibrated_at: datetime | None = None,
+) -> Calibration:
+    """As `calibrate`, and writes nothing; raises EstimateError."""
     found = _identify(measurements)
     content = ToolFile(
         tool=tool,
@@ -92,25 +119,21 @@ def calibrate(
         tip_m=tip_m,
         rmse=found.rmse,
         poses_used=int(np.sum(found.used_tool)),
-        calibrated_at=datetime.now(UTC).isoformat(timespec="seconds"),
+        calibrated_at=(calibrated_at or datetime.now(UTC)).isoformat(timespec="seconds"),
         residual_offset=found.offset,
         bias_roll_rad=measurements.bias_roll,
         bias_tilt_rad=measurements.bias_tilt,
         poses_rejected=(*measurements.rejected, *_outliers(found, measurements)),
         unresolved=found.unresolved,
     )
-    try:
-        write_tool(path, content)
-    except ToolFileError as error:
-        raise EstimateError(ErrorCode.WRITE_FAILED, str(error)) from error
-    return Calibration(path, content, [*warnings, *measurements.warnings, *found.warnings])
+    return Calibration(path, content, [*warnings, *measurements.warnings, *found.warnings], found)
 
 
 def _identify(measurements: Measurements) -> Identification:
     roll, tilt = measurements.bias_roll, measurements.bias_tilt
     try:
         if measurements.bare is None:
-            return identify_one_sweep(measurements.tool, roll, tilt)
+            return identify_one_sweep(measurements.tool, roll, tilt, measurements.known_bias)
         return identify_two_sweeps(measurements.bare, measurements.tool, roll, tilt)
     except NotExcitedError as error:
         raise EstimateError(ErrorCode.NOT_EXCITED, str(error)) from error

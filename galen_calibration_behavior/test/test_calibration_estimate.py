@@ -1,5 +1,6 @@
 import json
 import math
+from datetime import UTC, datetime, timedelta, timezone
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ from galen_calibration_behavior.estimate import (
     calibrate,
     check_writable,
     choose_tip,
+    estimate,
 )
 from galen_model.errors import ToolFileError
 from galen_model.identification import StillPoses
@@ -59,6 +61,33 @@ def test_one_sweep_says_what_it_cannot_know(tmp_path):
     assert done.warnings[0] == "before"
     assert any("only their sum" in text for text in done.warnings)
     assert read_tool(done.path).unresolved
+
+
+def test_an_adapter_known_from_before_tells_one_sweep_s_loads_apart(tmp_path):
+    path = tmp_path / "pointer.json"
+    before = calibrate(
+        path, "pointer", TIP, measurements(still(NO_TOOL, seed=1), still(POINTER)), []
+    )
+    known = measurements(None, still(POINTER, seed=5), known_bias=before.content.bias)
+    done = calibrate(path, "pointer", TIP, known, [])
+    assert not done.content.unresolved
+    error = np.abs(done.content.load.com_m - POINTER.com_m)
+    assert np.all(error < 5 * done.content.load.com_std_m)
+    assert np.all(done.content.load.com_std_m < 1e-3)
+
+
+def test_the_time_is_the_measurement_s_where_it_is_given(tmp_path):
+    path = tmp_path / "pointer.json"
+    both = measurements(still(NO_TOOL, seed=1), still(POINTER))
+    moment = datetime(2019, 5, 2, 14, 0, 7, 900_000, timezone(timedelta(hours=2)))
+    done = estimate(path, "pointer", TIP, both, [], calibrated_at=moment)
+    assert done.content.calibrated_at == "2019-05-02T14:00:07+02:00"
+    assert not path.exists()
+    calibrate(path, "pointer", TIP, both, [], calibrated_at=moment)
+    assert read_tool(path).calibrated_at == done.content.calibrated_at
+    began = datetime.now(UTC) - timedelta(seconds=1)
+    calibrate(path, "pointer", TIP, both, [])
+    assert datetime.fromisoformat(read_tool(path).calibrated_at) > began
 
 
 def test_an_outlier_is_named_by_its_place_in_the_sweep(tmp_path):
