@@ -1,0 +1,188 @@
+"""An arm's joint states and wrenches out of a bag: in blocks, in the order they were received."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from galen_model.arm import JOINT_NAMES
+from galen_model.arrays import Array
+
+from galen_bags.bag import Bag, open_bag
+from galen_bags.errors import BagError
+from galen_bags.messages import JOINT_STATE_TYPE, WRENCH_TYPE, Decoder, Samples
+
+_ROLL, _TILT = 3, 4
+
+
+@dataclass(frozen=True)
+class ArmTopics:
+    """Where the arm's samples are in a bag.
+
+    A topic is taken by its whole name, or else as the only one of its type that ends with it, so
+    that recordings of a namespace need no option. `joint_names` has the five joints in the joint
+    vector's order (contract); the two angles must be there, the platform's need not.
+    """
+
+    joint_states: str = "joint_states"
+    wrench_raw: str = "wrench_raw"
+    joint_names: tuple[str, ...] = tuple(JOINT_NAMES)
+
+
+@dataclass(frozen=True)
+class ArmBlock:
+    """Samples of both topics in the order of their log times.
+
+    is_wrench (n,) tells whose the next sample is. `joints.values` (nj, 10): positions, then
+    velocities, m and rad; `wrenches.values` (nw, 6): N and N.m. The log times are in ns.
+    """
+
+    is_wrench: np.ndarray
+    joints: Samples
+    joint_log_ns: np.ndarray
+    wrenches: Samples
+    wrench_log_ns: np.ndarray
+
+
+class ArmReader:
+    """Reads the arm's samples out of an open bag."""
+
+    def __init__(self, bag: Bag, topics: ArmTopics | None = None) -> None:
+        """Find the topics; raises BagError that names those there are."""
+        topics = topics or ArmTopics()
+        if len(topics.joint_names) != len(JOINT_NAMES):
+            raise BagError(f"{len(topics.joint_names)} joint names; there must be five")
+        self.bag = bag
+        self.joint_states = find_topic(bag, topics.joint_states, JOINT_STATE_TYPE)
+        self.wrench_raw = find_topic(bag, topics.wrench_raw, WRENCH_TYPE)
+        # The angles come first, since they are the ones required.
+        names = [*topics.joint_names[_ROLL:], *topics.joint_names[:_ROLL]]
+        self._joints = Decoder(JOINT_STATE_TYPE, names, required=2)
+        self._wrenches = Decoder(WRENCH_TYPE)
+
+    @property
+    def message_count(self) -> int | None:
+        """Messages of both topics; None if the bag does not say."""
+        counts = [self.bag.topics[name].count for name in (self.joint_states, self.wrench_raw)]
+        return None if None in counts else sum(count or 0 for count in counts)
+
+    def blocks(self) -> Iterator[ArmBlock]:
+        """The samples, block by block."""
+        for block in self.bag.blocks([self.joint_states, self.wrench_raw]):
+            is_wrench = block.topic == 1
+            joint_rows, wrench_rows = np.flatnonzero(~is_wrench), np.flatnonzero(is_wrench)
+            yield ArmBlock(
+                is_wrench,
+                _in_joint_order(self._joints.decode(block, joint_rows)),
+                block.log_time_ns[joint_rows],
+                self._wrenches.decode(block, wrench_rows),
+                block.log_time_ns[wrench_rows],
+            )
+
+
+def find_topic(bag: Bag, name: str, type_name: str) -> str:
+    """The bag's topic `name`, or the only one of the type that ends with it; else BagError."""
+    exact = "/" + name.lstrip("/")
+    if exact in bag.topics:
+        found = bag.topics[exact]
+        if found.type_name != type_name:
+            raise BagError(f"{bag.path}: {exact} is a {found.type_name}, not a {type_name}")
+        return exact
+    of_type = [topic.name for topic in bag.topics.values() if topic.type_name == type_name]
+    ending = [topic for topic in of_type if topic.endswith(exact)]
+    if len(ending) == 1:
+        return ending[0]
+    if ending:
+        raise BagError(f"{bag.path}: several topics end with {exact}: {', '.join(sorted(ending))}")
+    there = ", ".join(sorted(of_type)) or "none"
+    raise BagError(f"{bag.path}: has no topic {exact}; of type {type_name} it has {there}")
+
+
+def _in_joint_order(samples: Samples) -> Samples:
+    count = len(JOINT_NAMES)
+    order = [*range(2, count), 0, 1]
+    columns = [*order, *(count + k for k in order)]
+    return Samples(
+        samples.stamp_ns, samples.values[:, columns], samples.frame, samples.frame_ids, samples.bad
+    )
+
+
+@dataclass(frozen=True)
+class ArmRecording:
+    """A whole recording in memory: minutes, not hours.
+
+    joint_stamp_ns (n,), joints (n, 5) m and rad, joint_velocities (n, 5) NaN where the messages
+    have none; wrench_stamp_ns (m,), wrenches (m, 6) N and N.m; log times in ns; messages that
+    can't be used are left out and named in `problems`, beside what is wrong with the bag.
+    """
+
+    path: Path
+    joint_stamp_ns: np.ndarray
+    joint_log_ns: np.ndarray
+    joints: Array
+    joint_velocities: Array
+    wrench_stamp_ns: np.ndarray
+    wrench_log_ns: np.ndarray
+    wrenches: Array
+    frame_ids: tuple[str, ...]
+    problems: tuple[str, ...]
+
+
+def read_arm(path: str | os.PathLike[str], topics: ArmTopics | None = None) -> ArmRecording:
+    """Read a bag's joint states and wrenches. Raises BagError, naming the bag."""
+    with open_bag(path) as bag:
+        reader = ArmReader(bag, topics)
+        blocks = list(reader.blocks())
+        problems = bag.problems
+        names = (reader.joint_states, reader.wrench_raw)
+    joints = _joined([block.joints for block in blocks], 2 * len(JOINT_NAMES))
+    wrenches = _joined([block.wrenches for block in blocks], 6)
+    kept = []
+    for name, samples in zip(names, (joints, wrenches), strict=True):
+        good = np.ones(len(samples), dtype=bool)
+        good[list(samples.bad)] = False
+        if not good.any():
+            reason = next(iter(samples.bad.values()), "it is empty")
+            raise BagError(f"{path}: {name} has no usable message: {reason}")
+        if samples.bad:
+            reason = next(iter(samples.bad.values()))
+            problems.append(f"{name}: {len(samples.bad)} messages can't be used: {reason}")
+        kept.append(good)
+    joint_log = np.concatenate([block.joint_log_ns for block in blocks])
+    wrench_log = np.concatenate([block.wrench_log_ns for block in blocks])
+    count = len(JOINT_NAMES)
+    return ArmRecording(
+        Path(path),
+        joints.stamp_ns[kept[0]],
+        joint_log[kept[0]],
+        joints.values[kept[0], :count],
+        joints.values[kept[0], count:],
+        wrenches.stamp_ns[kept[1]],
+        wrench_log[kept[1]],
+        wrenches.values[kept[1]],
+        tuple(wrenches.frame_ids[k] for k in np.unique(wrenches.frame[kept[1]])),
+        tuple(problems),
+    )
+
+
+def _joined(parts: list[Samples], width: int) -> Samples:
+    """Samples of all blocks, one after the other; a decoder's frame ids only grow."""
+    if not parts:
+        none = np.zeros(0, dtype=np.int64)
+        return Samples(none, np.zeros((0, width)), none, ("",), {})
+    first = np.cumsum([0, *(len(part) for part in parts)])
+    bad = {
+        int(first[k]) + row: reason
+        for k, part in enumerate(parts)
+        for row, reason in part.bad.items()
+    }
+    return Samples(
+        np.concatenate([part.stamp_ns for part in parts]),
+        np.concatenate([part.values for part in parts]),
+        np.concatenate([part.frame for part in parts]),
+        parts[-1].frame_ids,
+        bad,
+    )
