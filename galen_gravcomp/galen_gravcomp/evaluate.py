@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from galen_bags.orientation_table import OrientationTable, read_table
 from galen_model.arm import WRENCH_AXES
 from galen_model.arrays import Array
 from galen_model.errors import GalenError
@@ -18,7 +19,6 @@ from rich.console import Console
 from rich.table import Table
 
 from galen_gravcomp.cross_validation import MODELS, Score, contiguous_blocks, cross_validate
-from galen_gravcomp.orientation_table import OrientationTable, read_table
 from galen_gravcomp.still_phases import StillSettings, still_phases
 
 EXIT_CODES = "exit codes: 0 done, 1 the table or tool can't be used (one line says why), 2 usage"

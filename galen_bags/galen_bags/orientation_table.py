@@ -83,29 +83,78 @@ def read_table(
 
     Raises TableError naming the file and what is wrong in it.
     """
-    path = Path(path)
-    names, rows, lines = _rows(path, columns)
-    for axis in WRENCH_AXES:
-        if axis not in names:
-            raise TableError(f"{path}: no column {axis!r}; there are {', '.join(names)}")
-    kinds = [kind for kind, needed in ORIENTATIONS.items() if set(needed) <= set(names)]
-    if not kinds:
-        ways = "; ".join(" ".join(needed) for needed in ORIENTATIONS.values())
-        raise TableError(f"{path}: no orientation; give the columns of one of: {ways}")
-    numbers = _numbers(path, names, rows, lines)
-    wrench = np.column_stack([numbers[axis] for axis in WRENCH_AXES])
-    gravity, rotation = _orientation(path, numbers, kinds, lines)
+    text = _read(path, columns)
+    wrench = _wrench(text)
+    gravity, rotation, kind = _orientation(text)
     if wrench_frame == "base":
         if rotation is None:
-            raise TableError(f"{path}: wrenches in the base need qx..qw, r11..r33 or roll, tilt")
+            raise TableError(
+                f"{text.path}: wrenches in the base need qx..qw, r11..r33 or roll, tilt"
+            )
         turned = [np.einsum("nji,nj->ni", rotation, part) for part in np.split(wrench, 2, axis=1)]
         wrench = np.concatenate(turned, axis=1)
     elif wrench_frame != "sensor":
         raise TableError(f"wrench frame {wrench_frame!r}: expected 'sensor' or 'base'")
     block = None
-    if "block" in names:
-        block = np.array([row[names.index("block")].strip() for row in rows])
-    return OrientationTable(str(path), gravity, wrench, numbers.get("t"), block, kinds[0])
+    if "block" in text.names:
+        at = text.names.index("block")
+        block = np.array([row[at].strip() for row in text.rows])
+    return OrientationTable(str(text.path), gravity, wrench, text.numbers.get("t"), block, kind)
+
+
+def read_wrenches(
+    path: str | os.PathLike[str], columns: Sequence[str] | None = None
+) -> tuple[Array, Array]:
+    """Times (n,) as the file has them and wrenches (n, 6) of a table of t, fx ... tz.
+
+    Raises TableError naming the file and what is wrong in it.
+    """
+    text = _read(path, columns)
+    return _time(text), _wrench(text)
+
+
+def read_orientations(
+    path: str | os.PathLike[str], columns: Sequence[str] | None = None
+) -> tuple[Array, Array]:
+    """Times (n,) as the file has them and gravity (n, 3), m/s^2, of a table without wrenches.
+
+    Raises TableError naming the file and what is wrong in it.
+    """
+    text = _read(path, columns)
+    return _time(text), _orientation(text)[0]
+
+
+@dataclass(frozen=True)
+class _Text:
+    """A file's columns: cells as they are, the numbers of those that the suite knows."""
+
+    path: Path
+    names: list[str]
+    rows: list[list[str]]
+    lines: list[int]
+    numbers: dict[str, Array]
+
+
+def _read(path: str | os.PathLike[str], columns: Sequence[str] | None) -> _Text:
+    path = Path(path)
+    names, rows, lines = _rows(path, columns)
+    return _Text(path, names, rows, lines, _numbers(path, names, rows, lines))
+
+
+def _wrench(text: _Text) -> Array:
+    for axis in WRENCH_AXES:
+        _require(text, axis)
+    return np.column_stack([text.numbers[axis] for axis in WRENCH_AXES])
+
+
+def _time(text: _Text) -> Array:
+    _require(text, "t")
+    return text.numbers["t"]
+
+
+def _require(text: _Text, name: str) -> None:
+    if name not in text.names:
+        raise TableError(f"{text.path}: no column {name!r}; there are {', '.join(text.names)}")
 
 
 def _rows(
@@ -179,15 +228,18 @@ def _numbers(
     return numbers
 
 
-def _orientation(
-    path: Path, numbers: dict[str, Array], kinds: list[str], lines: list[int]
-) -> tuple[Array, Array | None]:
-    """Gravity (n, 3) and, where the table tells it, R_base_sensor (n, 3, 3)."""
+def _orientation(text: _Text) -> tuple[Array, Array | None, str]:
+    """Gravity (n, 3), R_base_sensor (n, 3, 3) where the table tells it, and which columns told."""
+    path, numbers, lines = text.path, text.numbers, text.lines
+    kinds = [kind for kind, needed in ORIENTATIONS.items() if set(needed) <= set(text.names)]
+    if not kinds:
+        ways = "; ".join(" ".join(needed) for needed in ORIENTATIONS.values())
+        raise TableError(f"{path}: no orientation; give the columns of one of: {ways}")
     rotations = {kind: _rotation(path, numbers, kind, lines) for kind in kinds if kind != "gravity"}
     rotation = next(iter(rotations.values()), None)
     if "gravity" not in kinds:
         assert rotation is not None
-        return np.einsum("nji,j->ni", rotation, GRAVITY_M_S2), rotation
+        return np.einsum("nji,j->ni", rotation, GRAVITY_M_S2), rotation, kinds[0]
     gravity = np.column_stack([numbers[name] for name in ORIENTATIONS["gravity"]])
     size = np.linalg.norm(gravity, axis=1)
     if np.all(np.abs(size - 1.0) < 0.1):
@@ -199,7 +251,7 @@ def _orientation(
             f"{path}: line {lines[row]}: gx gy gz has the length {size[row]:.4g}; expected about "
             "9.8 m/s^2 (or 1, in g)"
         )
-    return gravity, rotation
+    return gravity, rotation, kinds[0]
 
 
 def _rotation(path: Path, numbers: dict[str, Array], kind: str, lines: list[int]) -> Array:
