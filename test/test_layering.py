@@ -27,7 +27,6 @@ ROS_MODULES = {
     "galen_calibration_behavior.parameters",
     "galen_gravcomp.benchmark",
     "galen_gravcomp.node",
-    "galen_gravcomp.wire",
     "galen_ros.conversions",
     "galen_ros.deferred_service",
     "galen_ros.diagnostics",

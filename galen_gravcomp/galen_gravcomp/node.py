@@ -7,9 +7,10 @@ from typing import Any, cast
 import numpy as np
 from galen_model.errors import ToolFileError, ToolNameError
 from galen_model.tool_file import ToolFile, read_tool, tool_path
-from galen_ros.conversions import JointStateError
+from galen_ros.cdr import UnreadableError
 from galen_ros.deferred_service import DeferredService, Respond
 from galen_ros.diagnostics import DiagnosticsPublisher, Level, Status
+from galen_ros.joint_names import JointStateError
 from galen_ros.parameters import declare_parameters, param
 from galen_ros.qos import STREAM
 from galen_ros.spin import run
@@ -30,7 +31,7 @@ from galen_gravcomp.compensator import (
 )
 from galen_gravcomp.monitor import Monitor, Severity, State
 from galen_gravcomp.tare import TareOutcome, TareSettings
-from galen_gravcomp.wire import JointWire, RawWrench, UnreadableError, WrenchWire
+from galen_gravcomp.wire import JointWire, RawWrench, WrenchWire
 from galen_msgs.srv import SetTool
 
 WATCH_PERIOD_S = 0.2

@@ -8,7 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 from galen_gravcomp.wire import JointWire, RawWrench, WrenchWire
-from galen_ros.conversions import JointStateError, UnknownJointError
+from galen_ros.cdr import UnreadableError
+from galen_ros.conversions import fill_wrench
+from galen_ros.joint_names import JointStateError, UnknownJointError
 from galen_ros.qos import STREAM
 from galen_ros.testing import Harness
 from geometry_msgs.msg import WrenchStamped
@@ -19,13 +21,14 @@ from sensor_msgs.msg import JointState
 from galen_gravcomp import wire
 
 RNG = np.random.default_rng(11)
+WRENCH, JOINTS = "stamped_layout", "joint_state_layout"
 
 
 def make_wrench(frame_id: str, sec: int = 5, nanosec: int = 7) -> WrenchStamped:
     message = WrenchStamped()
     message.header.frame_id = frame_id
     message.header.stamp.sec, message.header.stamp.nanosec = sec, nanosec
-    wire._fill(message, RNG.normal(size=6).tolist())
+    fill_wrench(message, RNG.normal(size=6))
     return message
 
 
@@ -46,15 +49,21 @@ def values(message: WrenchStamped) -> tuple[float, ...]:
 
 
 @pytest.fixture
-def learned(monkeypatch: pytest.MonkeyPatch) -> list[type]:
-    """Which message types went through rclpy's deserialisation."""
-    calls: list[type] = []
+def learned(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """Which kinds of message had their layout worked out."""
+    calls: list[str] = []
 
-    def counting(data: bytes, kind: type) -> Any:
-        calls.append(kind)
-        return deserialize_message(data, kind)
+    def counting(name: str) -> Callable[..., Any]:
+        find = getattr(wire, name)
 
-    monkeypatch.setattr(wire, "deserialize_message", counting)
+        def count(*args: Any, **options: Any) -> Any:
+            calls.append(name)
+            return find(*args, **options)
+
+        return count
+
+    for name in (WRENCH, JOINTS):
+        monkeypatch.setattr(wire, name, counting(name))
     return calls
 
 
@@ -62,7 +71,7 @@ FRAMES = ["", "f", "ab", "abc", "ft_sensor", "left/ft_sensor_link", "x" * 300]
 
 
 @pytest.mark.parametrize("frame_id", FRAMES)
-def test_wrench_is_read_and_written_as_rclpy_does(frame_id: str, learned: list[type]) -> None:
+def test_wrench_is_read_and_written_as_rclpy_does(frame_id: str, learned: list[str]) -> None:
     reader = WrenchWire()
     for sec in (0, 1, 2**31 - 1):
         message = make_wrench(frame_id, sec, 999_999_999)
@@ -73,7 +82,7 @@ def test_wrench_is_read_and_written_as_rclpy_does(frame_id: str, learned: list[t
         other = make_wrench(frame_id, sec, 999_999_999)
         answer = deserialize_message(raw.with_wrench(np.array(values(other))), WrenchStamped)
         assert answer == other
-    assert learned == [WrenchStamped], "only the first message goes through rclpy"
+    assert learned == [WRENCH], "only the first message is worked out"
 
 
 def test_nan_and_infinity_are_read() -> None:
@@ -85,7 +94,7 @@ def test_nan_and_infinity_are_read() -> None:
         assert math.isnan(raw.wrench[1]) and raw.wrench[5] == -math.inf
 
 
-def test_changed_frame_is_noticed(learned: list[type]) -> None:
+def test_changed_frame_is_noticed(learned: list[str]) -> None:
     reader = WrenchWire()
     for frame_id in ("ft_sensor", "ft_sensoR", "ft_sensor_2", "ft_sensor"):
         message = make_wrench(frame_id)
@@ -102,7 +111,7 @@ def big_endian(message: WrenchStamped) -> bytes:
     return b"\x00\x00\x00\x00" + body
 
 
-def test_other_byte_order(learned: list[type]) -> None:
+def test_other_byte_order(learned: list[str]) -> None:
     reader = WrenchWire()
     for _ in range(3):
         message = make_wrench("ft_sensor", 123, 456)
@@ -114,20 +123,22 @@ def test_other_byte_order(learned: list[type]) -> None:
     assert len(learned) == 1
 
 
-def test_unknown_layout_goes_through_rclpy(
-    learned: list[type], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(wire, "_BYTE_ORDER", {})
+def test_unreadable_bytes_are_named_and_forgotten(learned: list[str]) -> None:
     reader, joints = WrenchWire(), JointWire(("roll", "tilt"))
+    message, state = make_wrench("ft_sensor"), make_joints(["tilt", "roll"])
+    good, good_state = serialize_message(message), serialize_message(state)
     for _ in range(2):
-        message, other = make_wrench("ft_sensor"), make_wrench("ft_sensor")
-        raw = reader.read(serialize_message(message))
-        assert raw.wrench == values(message)
-        answer = deserialize_message(raw.with_wrench(np.array(values(other))), WrenchStamped)
-        assert answer == other
-        state = make_joints(["tilt", "roll"])
-        assert joints.read(serialize_message(state))[1:] == (state.position[1], state.position[0])
-    assert len(learned) == 6
+        assert reader.read(good).wrench == values(message)
+        assert joints.read(good_state)[1:] == (state.position[1], state.position[0])
+        for data in (b"", b"\x00\x09" + good[2:], good[:-9], good[:13]):
+            named = f"^{len(data)} bytes .* not a readable geometry_msgs/msg/WrenchStamped: "
+            with pytest.raises(UnreadableError, match=named):
+                reader.read(data)
+        for data in (b"", b"\x00\x09" + good_state[2:], good_state[:40], good_state[:-12]):
+            named = f"^{len(data)} bytes .* not a readable sensor_msgs/msg/JointState: "
+            with pytest.raises(UnreadableError, match=named):
+                joints.read(data)
+    assert learned == [WRENCH, JOINTS] + ([WRENCH] * 4 + [JOINTS] * 4) * 2
 
 
 def with_padding(data: bytes, padding: list[range], filler: int) -> bytes:
@@ -138,7 +149,7 @@ def with_padding(data: bytes, padding: list[range], filler: int) -> bytes:
     return bytes(changed)
 
 
-def test_padding_does_not_matter(learned: list[type]) -> None:
+def test_padding_does_not_matter(learned: list[str]) -> None:
     """What stands in it is left to the sender's chance."""
     reader, joints = WrenchWire(), JointWire(("roll", "tilt"))
     for filler in (0x00, 0xAA, 0xFF):
@@ -147,12 +158,14 @@ def test_padding_does_not_matter(learned: list[type]) -> None:
         assert deserialize_message(data, WrenchStamped) == message
         raw = reader.read(data)
         assert raw.wrench == values(message)
+        answer = raw.with_wrench(np.zeros(6))
+        assert answer == data[:28] + bytes(48), "all other bytes are the sender's"
         state = make_joints(["roll", "b", "tilt"])
         runs = [range(17, 20), range(33, 36), range(42, 44), range(53, 56)]
         data = with_padding(serialize_message(state), runs, filler)
         assert deserialize_message(data, JointState) == state
         assert joints.read(data)[1:] == (state.position[0], state.position[2])
-    assert learned == [WrenchStamped, JointState]
+    assert learned == [WRENCH, JOINTS]
 
 
 ORDERS = [
@@ -167,7 +180,7 @@ ORDERS = [
 @pytest.mark.parametrize("velocity", [True, False])
 @pytest.mark.parametrize("effort", [True, False])
 def test_joints_are_read_as_rclpy_does(
-    names: list[str], velocity: bool, effort: bool, learned: list[type]
+    names: list[str], velocity: bool, effort: bool, learned: list[str]
 ) -> None:
     reader = JointWire(("roll", "tilt"))
     for _ in range(5):
@@ -177,7 +190,7 @@ def test_joints_are_read_as_rclpy_does(
         assert stamp_ns == stamp.sec * 10**9 + stamp.nanosec
         assert roll == message.position[names.index("roll")]
         assert tilt == message.position[names.index("tilt")]
-    assert learned == [JointState]
+    assert learned == [JOINTS]
 
 
 def test_alternating_joint_publishers() -> None:
@@ -208,7 +221,7 @@ def test_lists_that_do_not_fit_are_refused_also_later(spoil: Callable[[JointStat
         reader.read(serialize_message(message))
 
 
-def test_messages_that_came_over_dds_are_read_directly(learned: list[type]) -> None:
+def test_messages_that_came_over_dds_are_read_directly(learned: list[str]) -> None:
     """Their padding and their end may differ from what rclpy's serialisation gives."""
     frame, names = "ft_sensor", ORDERS[0]
     wrenches, joints = WrenchWire(), JointWire(("roll", "tilt"))
@@ -232,4 +245,4 @@ def test_messages_that_came_over_dds_are_read_directly(learned: list[type]) -> N
             harness.wait_for(lambda n=2 * index + 2: len(got) == n, 5.0, "a joint state")
             assert isinstance(got[-2], RawWrench) and got[-2].wrench == values(wrench)
             assert got[-1] == (*got[-1][:1], state.position[3], state.position[4])  # type: ignore[index]
-    assert learned == [WrenchStamped, JointState]
+    assert learned == [WRENCH, JOINTS]

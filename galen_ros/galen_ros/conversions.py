@@ -6,20 +6,13 @@ from collections.abc import Sequence
 
 import numpy as np
 from builtin_interfaces.msg import Time
-from galen_model.errors import GalenError
 from geometry_msgs.msg import WrenchStamped
 from numpy.typing import NDArray
 from sensor_msgs.msg import JointState
 
+from galen_ros.joint_names import check_joint_counts, joint_indices
+
 _NS_PER_S = 1_000_000_000
-
-
-class JointStateError(GalenError):
-    """A JointState can't be read."""
-
-
-class UnknownJointError(JointStateError):
-    """A JointState lacks joints that are needed; the message names them, and those it has."""
 
 
 def stamp_to_ns(stamp: Time) -> int:
@@ -60,26 +53,11 @@ class JointStateReader:
         missing, JointStateError when a list's length doesn't fit the names.
         """
         if message.name != self._seen:
-            self._indices = self._find(message.name)
+            found = joint_indices(self._wanted, message.name)
+            self._indices = np.array(found, dtype=np.intp)
             self._seen = list(message.name)
-        count = len(message.name)
-        if len(message.position) != count:
-            raise JointStateError(
-                f"joint state has {count} names but {len(message.position)} positions"
-            )
+        check_joint_counts(len(message.name), len(message.position), len(message.velocity))
         positions = np.array(message.position)[self._indices]
         if len(message.velocity) == 0:
             return positions, None
-        if len(message.velocity) != count:
-            raise JointStateError(
-                f"joint state has {count} names but {len(message.velocity)} velocities"
-            )
         return positions, np.array(message.velocity)[self._indices]
-
-    def _find(self, names: Sequence[str]) -> NDArray[np.intp]:
-        missing = [name for name in self._wanted if name not in names]
-        if missing:
-            raise UnknownJointError(
-                f"joint state lacks {', '.join(missing)}; it has {', '.join(names) or 'no joints'}"
-            )
-        return np.array([list(names).index(name) for name in self._wanted], dtype=np.intp)

@@ -4,14 +4,13 @@ import numpy as np
 import pytest
 from builtin_interfaces.msg import Time
 from galen_ros.conversions import (
-    JointStateError,
     JointStateReader,
-    UnknownJointError,
     fill_stamp,
     fill_wrench,
     stamp_to_ns,
     wrench_to_array,
 )
+from galen_ros.joint_names import JointStateError, UnknownJointError
 from geometry_msgs.msg import WrenchStamped
 from sensor_msgs.msg import JointState
 
