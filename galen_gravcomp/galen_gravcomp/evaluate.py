@@ -12,14 +12,15 @@ import numpy as np
 from galen_bags.orientation_table import OrientationTable, read_table
 from galen_model.arm import WRENCH_AXES
 from galen_model.arrays import Array
-from galen_model.errors import GalenError
+from galen_model.errors import GalenError, ToolFileError
 from galen_model.identification import SingleLoad, identify_single_load
-from galen_model.tool_file import ToolFile, read_tool
+from galen_model.tool_file import ToolFile, read_tool, tool_path, write_tool
 from rich.console import Console
 from rich.table import Table
 
 from galen_gravcomp.cross_validation import MODELS, Score, contiguous_blocks, cross_validate
 from galen_gravcomp.still_phases import StillSettings, still_phases
+from galen_gravcomp.table_tool import tool_from_table
 
 EXIT_CODES = "exit codes: 0 done, 1 the table or tool can't be used (one line says why), 2 usage"
 _FEWEST_READINGS = 4
@@ -311,6 +312,12 @@ def build_parser() -> argparse.ArgumentParser:
         "--blocks", type=int, metavar="N", help="blocks of neighbouring readings to hold out"
     )
     parser.add_argument("--tool", metavar="FILE", help="a tool's file to score beside the fits")
+    parser.add_argument(
+        "--write-tool",
+        metavar="FILE",
+        help="write the load from all readings as the tool's file <tools_dir>/<tool>.json; one "
+        "load can't tell the adapter from the tool, and the file says so",
+    )
     parser.add_argument("--plots", metavar="DIR", help="write the residuals' plot here")
     parser.add_argument("--json", action="store_true", help="print one JSON object (SI units)")
     return parser
@@ -326,10 +333,15 @@ def _positive(text: str) -> float:
 def run(arguments: argparse.Namespace, console: Console) -> None:
     """Do what the options ask; raises GalenError."""
     columns = arguments.columns.split(",") if arguments.columns else None
+    written_tool = _written_tool(arguments.write_tool)
     table = read_table(arguments.table, columns, arguments.wrench_frame)
     tool = read_tool(arguments.tool) if arguments.tool else None
     settings = StillSettings(arguments.still_rate_rad_s, min_duration_s=arguments.still_min_s)
     result = evaluate_table(table, arguments.blocks, arguments.average_s, settings, tool)
+    if written_tool is not None:
+        write_tool(written_tool, tool_from_table(written_tool.stem, result.table, result.fit))
+        if not arguments.json:
+            console.print(f"tool file: {written_tool}")
     if arguments.plots:
         from galen_gravcomp.table_plots import plot_scores  # slow to import, so only when asked
 
@@ -343,6 +355,16 @@ def run(arguments: argparse.Namespace, console: Console) -> None:
         print(json.dumps(to_json(result), indent=2))
     else:
         print_report(result, console)
+
+
+def _written_tool(file: str | None) -> Path | None:
+    """The tool's file to write; its name must be one that a tool may have."""
+    if file is None:
+        return None
+    path = Path(file)
+    if path.suffix != ".json":
+        raise ToolFileError(f"{path}: a tool's file is named <tool>.json")
+    return tool_path(path.parent, path.stem)
 
 
 def main(args: Sequence[str] | None = None) -> int:

@@ -13,7 +13,7 @@ from galen_model.arm import GRAVITY_M_S2
 from galen_model.kinematics import sensor_rotation
 from galen_model.load import Load, gravity_wrench
 from galen_model.rotation import matrix_to_quaternion
-from galen_model.tool_file import LoadEstimate, ToolFile, write_tool
+from galen_model.tool_file import LoadEstimate, ToolFile, read_tool, write_tool
 from galen_model.tools import ADAPTER, TOOLS
 
 LOAD = Load(0.9, np.array([0.002, -0.001, 0.044]))
@@ -305,3 +305,39 @@ def test_axia80_over_time_gives_the_known_weight():
     assert result.phases == 6
     weight = result.fit.load.mass_kg * 9.80665
     assert weight == pytest.approx(11.41, abs=3 * result.fit.load.mass_std_kg * 9.80665)
+
+
+@pytest.mark.parametrize("kind", ["joints", "gravity"])
+def test_a_tool_file_from_a_table_reads_what_the_fit_reads(tmp_path, readings, kind):
+    roll, tilt, _, gravity, wrench = readings
+    local = 9.8209 / 9.80665  # gravity at 60 degrees north
+    names, columns = {
+        "joints": (["roll", "tilt"], np.column_stack([roll, tilt])),
+        "gravity": (["gx", "gy", "gz"], gravity * local),
+    }[kind]
+    wrench = wrench.copy()
+    wrench[3, 0] += 5.0
+    table = write(tmp_path / "t.csv", names + WRENCH, np.hstack([columns, wrench]), ",")
+    path = tmp_path / "tools" / "gripper.json"
+    assert main(["--table", str(table), "--write-tool", str(path), "--json"]) == 0
+    tool = read_tool(path)
+    fit = evaluate_table(read_table(table)).fit
+    under = gravity * (local if kind == "gravity" else 1.0)
+    assert tool.predict(roll, tilt) == pytest.approx(fit.predict(under), rel=1e-12, abs=1e-12)
+    assert tool.bias.mass_kg == 0.0
+    assert "adapter" in tool.unresolved[0]
+    assert (tool.tool, tool.poses_used) == ("gripper", 29)
+    assert tool.poses_rejected == ("reading 4: off the common load",)
+    left = (wrench - fit.predict(under))[fit.used]
+    assert tool.rmse == pytest.approx(np.sqrt(np.mean(left**2, axis=0)))
+
+
+@pytest.mark.parametrize(
+    ("name", "message"), [("gripper", "named <tool>.json"), ("a b.json", "letters, digits")]
+)
+def test_a_tool_file_of_another_name_is_refused_before_anything_is_done(
+    tmp_path, name, message, capsys
+):
+    assert main(["--table", str(tmp_path / "no.csv"), "--write-tool", str(tmp_path / name)]) == 1
+    assert message in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())

@@ -246,7 +246,7 @@ def _from_json(content: Any) -> ToolFile:
     return ToolFile(
         tool=check_tool_name(_text(_get(whole, "tool"), "tool")),
         load=_load(_get(whole, "load"), "load"),
-        bias=_load(_get(whole, "bias"), "bias"),
+        bias=_load(_get(whole, "bias"), "bias", none_allowed=True),
         tip_m=_array(_get(whole, "tip_m"), "tip_m", (3,)),
         rmse=_wrench(_get(whole, "rmse"), "rmse"),
         poses_used=used,
@@ -326,10 +326,11 @@ def _wrench(value: Any, name: str) -> Array:
     )
 
 
-def _load(value: Any, name: str) -> LoadEstimate:
+def _load(value: Any, name: str, none_allowed: bool = False) -> LoadEstimate:
+    """`none_allowed`: nothing may have hung on the sensor, so that the mass is zero."""
     mapping = _mapping(value, name)
     mass = _number(_get(mapping, "mass_kg"), f"{name}.mass_kg")
-    if mass <= 0.0:
+    if mass < 0.0 or (mass == 0.0 and not none_allowed):
         raise _FieldError(f"{name}.mass_kg is {mass}; a mass is positive")
     covariance = _array(_get(mapping, "covariance"), f"{name}.covariance", (4, 4))
     if np.any(np.diag(covariance) < 0.0):

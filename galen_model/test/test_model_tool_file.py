@@ -78,6 +78,10 @@ def test_names_that_must_not_reach_a_path(name, tmp_path):
             "load.mass_kg",
         ),
         (
+            {"bias": {"mass_kg": -1e-9, "com_m": [0, 0, 0], "covariance": np.eye(4).tolist()}},
+            "bias.mass_kg",
+        ),
+        (
             {"load": {"mass_kg": 1, "com_m": [0, 0], "covariance": np.eye(4).tolist()}},
             "load.com_m has shape",
         ),
