@@ -24,7 +24,6 @@ ROS_MODULES = {
     "galen_calibration_behavior.calibrate",
     "galen_calibration_behavior.deferred_action",
     "galen_calibration_behavior.node",
-    "galen_calibration_behavior.parameters",
     "galen_gravcomp.benchmark",
     "galen_gravcomp.node",
     "galen_ros.conversions",

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from galen_model.arm import LIMITS
-from galen_ros.parameters import param
+from galen_ros.param import param
 
 from galen_calibration_behavior.arrival import ArrivalSettings
 from galen_calibration_behavior.grid import GridError, SweepGrid

@@ -1,4 +1,4 @@
-"""Node parameters declared from a frozen dataclass: type, default, range and meaning in one place.
+"""Declares on a node the parameters of a frozen dataclass, whose fields are `galen_ros.param`s.
 
 A node writes
 
@@ -6,8 +6,7 @@ A node writes
     class Parameters:
         rate_hz: float = param(500.0, "sample rate in Hz", minimum=1.0, maximum=2000.0)
 
-and calls `declare_parameters(node, Parameters)`. The same dataclass gives the README its table
-(`markdown_table`), so that the two can't differ.
+and calls `declare_parameters(node, Parameters)`.
 """
 
 from __future__ import annotations
@@ -15,7 +14,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Callable, Sequence
-from typing import Any, TypeVar, get_type_hints
+from typing import Any, TypeVar
 
 from galen_model.errors import GalenError
 from rcl_interfaces.msg import (
@@ -28,52 +27,21 @@ from rclpy.exceptions import ParameterException
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
+from galen_ros.param import (
+    Meaning,
+    ParameterError,
+    checked,
+    markdown_table,
+    param,
+    param_fields,
+    wanted,
+)
+
+__all__ = ["ParameterError", "declare_parameters", "markdown_table", "param"]
+
 T = TypeVar("T")
 
-# What a field may be annotated with, and what the README calls it.
-_TYPE_NAMES: dict[Any, str] = {
-    bool: "bool",
-    int: "int",
-    float: "float",
-    str: "string",
-    tuple[float, ...]: "float list",
-    tuple[int, ...]: "int list",
-    tuple[str, ...]: "string list",
-    tuple[bool, ...]: "bool list",
-}
 _INT64_MAX = 2**63 - 1
-
-
-class ParameterError(GalenError):
-    """A parameter's value can't be used. The message names parameter, value and what is allowed."""
-
-
-@dataclasses.dataclass(frozen=True)
-class _Meaning:
-    """What `param` keeps about a field, beside its default."""
-
-    description: str
-    minimum: float | None
-    maximum: float | None
-    read_only: bool
-
-
-def param(
-    default: Any,
-    description: str,
-    minimum: float | None = None,
-    maximum: float | None = None,
-    read_only: bool = True,
-) -> Any:
-    """Return a dataclass field that is also a node parameter.
-
-    `minimum` and `maximum` are inclusive, and hold for every element of a list. Name the unit in
-    the field's name or in `description`. With `read_only=False` it can be set while the node runs.
-    A list default becomes a tuple; annotate it `tuple[float, ...]`.
-    """
-    value = tuple(default) if isinstance(default, list | tuple) else default
-    meaning = _Meaning(description, minimum, maximum, read_only)
-    return dataclasses.field(default=value, metadata={"param": meaning})
 
 
 def declare_parameters(node: Node, cls: type[T], on_change: Callable[[T], None] | None = None) -> T:
@@ -84,7 +52,7 @@ def declare_parameters(node: Node, cls: type[T], on_change: Callable[[T], None] 
     be used raises `ParameterError` at start-up, and is refused when set at run time.
     `on_change(new_instance)` is called after every accepted change of a `read_only=False` field.
     """
-    fields = _param_fields(cls)
+    fields = param_fields(cls)
     values = {}
     for name, (hint, default, meaning) in fields.items():
         values[name] = _declare(node, name, hint, default, meaning)
@@ -95,33 +63,7 @@ def declare_parameters(node: Node, cls: type[T], on_change: Callable[[T], None] 
     return current
 
 
-def markdown_table(cls: type) -> str:
-    """Return the parameters of `cls` as a Markdown table (no newline at the end)."""
-    lines = ["| name | type | default | range | meaning |", "|---|---|---|---|---|"]
-    for name, (hint, default, meaning) in _param_fields(cls).items():
-        text = meaning.description if meaning.read_only else meaning.description + " (at run time)"
-        lines.append(
-            f"| `{name}` | {_TYPE_NAMES[hint]} | {_format(default)} "
-            f"| {_format_range(meaning)} | {text} |"
-        )
-    return "\n".join(lines)
-
-
-def _param_fields(cls: type) -> dict[str, tuple[Any, Any, _Meaning]]:
-    """Return name -> (type hint, default, meaning) of the `param` fields, in their order."""
-    hints = get_type_hints(cls)
-    found = {}
-    for field in dataclasses.fields(cls):
-        if "param" not in field.metadata:
-            continue
-        hint = hints[field.name]
-        if hint not in _TYPE_NAMES:
-            raise TypeError(f"{cls.__name__}.{field.name}: a parameter can't be a {hint}")
-        found[field.name] = (hint, field.default, field.metadata["param"])
-    return found
-
-
-def _declare(node: Node, name: str, hint: Any, default: Any, meaning: _Meaning) -> Any:
+def _declare(node: Node, name: str, hint: Any, default: Any, meaning: Meaning) -> Any:
     """Declare one parameter and return its checked value."""
     descriptor = ParameterDescriptor(
         name=name,
@@ -149,43 +91,9 @@ def _declare(node: Node, name: str, hint: Any, default: Any, meaning: _Meaning) 
     except ParameterException as error:
         # rclpy keeps an override's value to itself: its own message says it, ours adds the range.
         raise ParameterError(
-            f"parameter '{name}' must be {_wanted(hint, meaning)}: {error}"
+            f"parameter '{name}' must be {wanted(hint, meaning)}: {error}"
         ) from error
-    return _checked(name, value, hint, meaning)
-
-
-def _checked(name: str, value: Any, hint: Any, meaning: _Meaning) -> Any:
-    """Return `value` as the field's type, or raise ParameterError."""
-    element = {tuple[float, ...]: float, tuple[int, ...]: int, tuple[str, ...]: str}.get(
-        hint, bool if hint == tuple[bool, ...] else None
-    )
-    try:
-        if element is None:
-            return _checked_scalar(value, hint, meaning)
-        if isinstance(value, str | bytes) or not hasattr(value, "__iter__"):
-            raise ValueError
-        return tuple(_checked_scalar(item, element, meaning) for item in value)
-    except ValueError:
-        shown = list(value) if hasattr(value, "tolist") else value
-        raise ParameterError(
-            f"parameter '{name}' is {shown!r}, but must be {_wanted(hint, meaning)}"
-        ) from None
-
-
-def _checked_scalar(value: Any, kind: Any, meaning: _Meaning) -> Any:
-    if kind is float and isinstance(value, int) and not isinstance(value, bool):
-        value = float(value)
-    # bool is a subclass of int in Python, not in ROS.
-    if type(value) is not kind:
-        raise ValueError
-    if kind in (int, float):
-        if not math.isfinite(value):
-            raise ValueError
-        if meaning.minimum is not None and value < meaning.minimum:
-            raise ValueError
-        if meaning.maximum is not None and value > meaning.maximum:
-            raise ValueError
-    return value
+    return checked(name, value, hint, meaning)
 
 
 def _follow_changes(
@@ -199,7 +107,7 @@ def _follow_changes(
         for parameter in parameters:
             if parameter.name in fields:
                 hint, _, meaning = fields[parameter.name]
-                new[parameter.name] = _checked(parameter.name, parameter.value, hint, meaning)
+                new[parameter.name] = checked(parameter.name, parameter.value, hint, meaning)
         instance = dataclasses.replace(current, **new) if new else current  # type: ignore[type-var]
         if new:
             _validate(instance)
@@ -232,30 +140,3 @@ def _validate(instance: Any) -> None:
         validate()
     except ValueError as error:
         raise ParameterError(str(error)) from error
-
-
-def _wanted(hint: Any, meaning: _Meaning) -> str:
-    text = f"a {_TYPE_NAMES[hint]}" if hint is not int else "an int"
-    limits = _format_range(meaning)
-    return text if not limits else f"{text}, {limits}"
-
-
-def _format_range(meaning: _Meaning) -> str:
-    if meaning.minimum is not None and meaning.maximum is not None:
-        return f"{_format(meaning.minimum)} to {_format(meaning.maximum)}"
-    if meaning.minimum is not None:
-        return f"at least {_format(meaning.minimum)}"
-    if meaning.maximum is not None:
-        return f"at most {_format(meaning.maximum)}"
-    return ""
-
-
-def _format(value: Any) -> str:
-    """Format a value as YAML, as a person would write it in a parameter file."""
-    if isinstance(value, tuple):
-        return "[" + ", ".join(_format(item) for item in value) + "]"
-    if isinstance(value, bool):
-        return str(value).lower()
-    if isinstance(value, str):
-        return f'"{value}"'
-    return repr(value)

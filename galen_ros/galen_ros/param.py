@@ -1,0 +1,190 @@
+"""Parameters as fields of a frozen dataclass: type, default, range and meaning in one place.
+
+    @dataclass(frozen=True)
+    class Parameters:
+        rate_hz: float = param(500.0, "sample rate in Hz", minimum=1.0, maximum=2000.0)
+
+A node declares them by `galen_ros.parameters.declare_parameters`, a command takes some of them as
+options by `add_options` and `from_options`, and a README has its table from `markdown_table`, so
+that none of these can differ from the others. No ROS here.
+"""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import math
+from collections.abc import Callable, Sequence
+from typing import Any, TypeVar, get_type_hints
+
+from galen_model.errors import GalenError
+
+T = TypeVar("T")
+
+# What a field may be annotated with, and what the README calls it.
+_TYPE_NAMES: dict[Any, str] = {
+    bool: "bool",
+    int: "int",
+    float: "float",
+    str: "string",
+    tuple[float, ...]: "float list",
+    tuple[int, ...]: "int list",
+    tuple[str, ...]: "string list",
+    tuple[bool, ...]: "bool list",
+}
+
+
+class ParameterError(GalenError):
+    """A parameter's value can't be used. The message names parameter, value and what is allowed."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Meaning:
+    """What `param` keeps about a field, beside its default."""
+
+    description: str
+    minimum: float | None
+    maximum: float | None
+    read_only: bool
+
+
+def param(
+    default: Any,
+    description: str,
+    minimum: float | None = None,
+    maximum: float | None = None,
+    read_only: bool = True,
+) -> Any:
+    """Return a dataclass field that is also a node parameter.
+
+    `minimum` and `maximum` are inclusive, and hold for every element of a list. Name the unit in
+    the field's name or in `description`. With `read_only=False` it can be set while the node runs.
+    A list default becomes a tuple; annotate it `tuple[float, ...]`.
+    """
+    value = tuple(default) if isinstance(default, list | tuple) else default
+    meaning = Meaning(description, minimum, maximum, read_only)
+    return dataclasses.field(default=value, metadata={"param": meaning})
+
+
+def markdown_table(cls: type) -> str:
+    """Return the parameters of `cls` as a Markdown table (no newline at the end)."""
+    lines = ["| name | type | default | range | meaning |", "|---|---|---|---|---|"]
+    for name, (hint, default, meaning) in param_fields(cls).items():
+        text = meaning.description if meaning.read_only else meaning.description + " (at run time)"
+        lines.append(
+            f"| `{name}` | {_TYPE_NAMES[hint]} | {_format(default)} "
+            f"| {_format_range(meaning)} | {text} |"
+        )
+    return "\n".join(lines)
+
+
+def add_options(parser: argparse._ActionsContainer, cls: type, names: Sequence[str]) -> None:
+    """Let a command take some of the parameters: `settle_s` as `--settle-s`, its default shown.
+
+    A value outside of the parameter's range is a usage error.
+    """
+    fields = param_fields(cls)
+    for name in names:
+        hint, default, meaning = fields[name]
+        if hint not in (int, float, str):
+            raise TypeError(f"{cls.__name__}.{name}: no option can be a {hint}")
+        parser.add_argument(
+            f"--{name.replace('_', '-')}",
+            type=_option_type(hint, meaning),
+            default=default,
+            metavar=_TYPE_NAMES[hint].upper(),
+            help=f"{meaning.description.replace('%', '%%')} (default {_format(default)})",
+        )
+
+
+def from_options(options: argparse.Namespace, cls: type[T], names: Sequence[str]) -> T:
+    """The parameters with the values of the options that `add_options` made, else the defaults."""
+    return cls(**{name: getattr(options, name) for name in names})
+
+
+def _option_type(hint: Any, meaning: Meaning) -> Callable[[str], Any]:
+    def convert(text: str) -> Any:
+        try:
+            return _checked_scalar(hint(text), hint, meaning)
+        except ValueError:
+            raise argparse.ArgumentTypeError(
+                f"{text!r}, but must be {wanted(hint, meaning)}"
+            ) from None
+
+    return convert
+
+
+def param_fields(cls: type) -> dict[str, tuple[Any, Any, Meaning]]:
+    """Return name -> (type hint, default, meaning) of the `param` fields, in their order."""
+    hints = get_type_hints(cls)
+    found = {}
+    for field in dataclasses.fields(cls):
+        if "param" not in field.metadata:
+            continue
+        hint = hints[field.name]
+        if hint not in _TYPE_NAMES:
+            raise TypeError(f"{cls.__name__}.{field.name}: a parameter can't be a {hint}")
+        found[field.name] = (hint, field.default, field.metadata["param"])
+    return found
+
+
+def checked(name: str, value: Any, hint: Any, meaning: Meaning) -> Any:
+    """Return `value` as the field's type, or raise ParameterError."""
+    element = {tuple[float, ...]: float, tuple[int, ...]: int, tuple[str, ...]: str}.get(
+        hint, bool if hint == tuple[bool, ...] else None
+    )
+    try:
+        if element is None:
+            return _checked_scalar(value, hint, meaning)
+        if isinstance(value, str | bytes) or not hasattr(value, "__iter__"):
+            raise ValueError
+        return tuple(_checked_scalar(item, element, meaning) for item in value)
+    except ValueError:
+        shown = list(value) if hasattr(value, "tolist") else value
+        raise ParameterError(
+            f"parameter '{name}' is {shown!r}, but must be {wanted(hint, meaning)}"
+        ) from None
+
+
+def _checked_scalar(value: Any, kind: Any, meaning: Meaning) -> Any:
+    if kind is float and isinstance(value, int) and not isinstance(value, bool):
+        value = float(value)
+    # bool is a subclass of int in Python, not in ROS.
+    if type(value) is not kind:
+        raise ValueError
+    if kind in (int, float):
+        if not math.isfinite(value):
+            raise ValueError
+        if meaning.minimum is not None and value < meaning.minimum:
+            raise ValueError
+        if meaning.maximum is not None and value > meaning.maximum:
+            raise ValueError
+    return value
+
+
+def wanted(hint: Any, meaning: Meaning) -> str:
+    """Say of what type and in what range a value must be."""
+    text = f"a {_TYPE_NAMES[hint]}" if hint is not int else "an int"
+    limits = _format_range(meaning)
+    return text if not limits else f"{text}, {limits}"
+
+
+def _format_range(meaning: Meaning) -> str:
+    if meaning.minimum is not None and meaning.maximum is not None:
+        return f"{_format(meaning.minimum)} to {_format(meaning.maximum)}"
+    if meaning.minimum is not None:
+        return f"at least {_format(meaning.minimum)}"
+    if meaning.maximum is not None:
+        return f"at most {_format(meaning.maximum)}"
+    return ""
+
+
+def _format(value: Any) -> str:
+    """Format a value as YAML, as a person would write it in a parameter file."""
+    if isinstance(value, tuple):
+        return "[" + ", ".join(_format(item) for item in value) + "]"
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, str):
+        return f'"{value}"'
+    return repr(value)
