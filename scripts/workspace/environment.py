@@ -32,7 +32,7 @@ import importlib.metadata as m, json
 print(json.dumps({d.name: d.version for d in m.distributions() if d.name}))
 """
 _CHECK = """
-import matplotlib, numpy, pinocchio, rclpy, rich, rosbags, scipy, tqdm, yaml
+import distributed, matplotlib, numpy, pinocchio, rclpy, rich, rosbags, scipy, tqdm, yaml
 import sensor_msgs.msg, std_srvs.srv, trajectory_msgs.msg
 sensor_msgs.msg.JointState.__class__.__import_type_support__()
 """
