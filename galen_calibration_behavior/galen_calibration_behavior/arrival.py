@@ -37,7 +37,8 @@ class ArrivalMonitor:
     tolerance or, where the message holds no velocity, that the position's span over the window,
     divided by the window, is. The median forgives noise of single samples but not a swing.
     All times are the samples' stamps; a jump of them starts the settling anew and never counts as
-    waiting time.
+    waiting time. Where the arm is looked at hangs on the stamps alone and not on the first sample
+    seen, so that a recording of the same samples settles at the same one.
     """
 
     def __init__(
@@ -50,8 +51,9 @@ class ArrivalMonitor:
         self._window_ns = round(settings.velocity_window_s * NS)
         self.clock = StampClock(topic, settings.max_stamp_step_s)
         self._recent: deque[tuple[int, Array, Array | None]] = deque()
-        self._looked_ns: int | None = None
-        self._settling_since_s: float | None = None
+        self._last_look: int | None = None
+        self._settle_ns = round(settings.settle_s * NS)
+        self._settling_since_ns: int | None = None
         self._jumps_seen = 0
 
     def add(self, stamp_ns: int, position: Array, velocity: Array | None) -> bool:
@@ -64,32 +66,31 @@ class ArrivalMonitor:
         if self.clock.jumps != self._jumps_seen:
             self._jumps_seen = self.clock.jumps
             self._recent.clear()
-            self._looked_ns = None
-            self._settling_since_s = None
+            self._last_look = None
+            self._settling_since_ns = None
         self._recent.append((stamp_ns, position, velocity))
-        if self._looked_ns is None:
-            self._looked_ns = stamp_ns
-        if stamp_ns - self._looked_ns < _LOOK_EVERY_NS:
+        look = stamp_ns // _LOOK_EVERY_NS
+        if look == self._last_look:
             return False
-        self._looked_ns = stamp_ns
+        self._last_look = look
         return self._look()
 
     def _look(self) -> bool:
         newest_ns = self._recent[-1][0]
         while len(self._recent) > 2 and newest_ns - self._recent[1][0] >= self._window_ns:
             self._recent.popleft()
-        elapsed = self.clock.elapsed_s
+        elapsed_ns = self.clock.elapsed_ns
         faults = self._faults(newest_ns - self._recent[0][0])
         if not faults:
-            if self._settling_since_s is None:
-                self._settling_since_s = elapsed
-            if elapsed - self._settling_since_s >= self._settings.settle_s:
+            if self._settling_since_ns is None:
+                self._settling_since_ns = elapsed_ns
+            if elapsed_ns - self._settling_since_ns >= self._settle_ns:
                 return True
         else:
-            self._settling_since_s = None
-        if elapsed > self._allowance_s:
+            self._settling_since_ns = None
+        if elapsed_ns > self._allowance_s * NS:
             reason = "; ".join(faults) or "the arm did not stay at its target long enough"
-            raise MotionTimeoutError(f"{reason} (waited {elapsed:.1f} s)")
+            raise MotionTimeoutError(f"{reason} (waited {elapsed_ns / NS:.1f} s)")
         return False
 
     def _faults(self, span_ns: int) -> list[str]:

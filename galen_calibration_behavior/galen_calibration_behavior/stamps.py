@@ -30,9 +30,9 @@ class StampClock:
         self.last_jump = ""
 
     @property
-    def elapsed_s(self) -> float:
-        """Time gone by since the first sample (s), jumps left out."""
-        return self._elapsed_ns / NS
+    def elapsed_ns(self) -> int:
+        """Time gone by since the first sample, jumps left out."""
+        return self._elapsed_ns
 
     def advance(self, stamp_ns: int) -> bool:
         """Take a sample's stamp (ns); False for a repeated one, whose sample tells nothing.

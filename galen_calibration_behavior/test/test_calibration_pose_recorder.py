@@ -58,6 +58,40 @@ def test_a_still_pose_is_averaged_after_arrival_and_settling(with_velocity):
     assert (arm.stamp_ns - started) / 1e9 >= 1.0 + ARRIVAL.settle_s + 0.5
 
 
+def test_where_the_average_lies_hangs_on_the_stamps_and_not_on_when_the_recorder_began():
+    arm = FakeArm()
+    arm.stamp_ns += 3_000_000
+    arm.move_to(TARGET, 1.0)
+    samples = [arm.step() for _ in range(300)]
+    results = []
+    for first in (0, 1, 7, 60):  # the arm arrives at the 100th
+        recorder = PoseRecorder(ARRIVAL, STILLNESS, 0.5, TARGET, 5.0)
+        for stamp, position, velocity, wrench in samples[first:]:
+            recorder.add_joints(stamp, position, velocity)
+            recorder.add_wrench(stamp, wrench)
+        results.append((recorder.window_ns, recorder.result.wrench.tolist()))
+    assert all(result == results[0] for result in results)
+    assert results[0][0][1] - results[0][0][0] == 500_000_000
+
+
+def test_an_average_can_be_ended_when_the_arm_leaves():
+    arm = FakeArm(start=TARGET)
+    recorder = PoseRecorder(ARRIVAL, STILLNESS, 1e6, TARGET, np.inf)
+    recorder.close(arm.stamp_ns)
+    assert recorder.result is None
+    for _ in range(300):
+        stamp, position, velocity, wrench = arm.step()
+        recorder.add_joints(stamp, position, velocity)
+        recorder.add_wrench(stamp, wrench)
+    assert recorder.result is None
+    end = arm.stamp_ns - 10 * STEP_NS
+    recorder.close(end)
+    start = recorder.window_ns[0]
+    assert recorder.window_ns == (start, end)
+    assert recorder.result.samples == (end - start) // STEP_NS + 1
+    assert recorder.result.samples > 200
+
+
 def test_it_does_not_begin_while_the_arm_still_moves_through_the_target():
     arm = FakeArm(start=TARGET)
     arm.creep[3] = 0.02  # within tolerance of the target at first, but moving
