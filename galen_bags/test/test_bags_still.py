@@ -1,0 +1,111 @@
+"""Still phases out of joint states: quanta, noise, jumps, and what is no standstill."""
+
+import numpy as np
+import pytest
+from galen_bags.still import StillSettings, find_still, still_rows
+from galen_model.arm import ENCODER_QUANTUM, HOME
+
+NS = 1_000_000_000
+START_NS = 1_700_000_000 * NS + 123_456_789
+
+
+def encoded(joints):
+    return np.round(joints / ENCODER_QUANTUM) * ENCODER_QUANTUM
+
+
+def recording(rate_hz, *, moves=((1.0, 2.0), (4.0, 4.5)), duration_s=6.0, joint=3, size=0.4):
+    """Stamps (n,) and joints (n, 5) that stand but for quintic moves of one joint."""
+    time = np.arange(round(duration_s * rate_hz)) / rate_hz
+    joints = np.tile(HOME, (len(time), 1))
+    for first, last in moves:
+        x = np.clip((time - first) / (last - first), 0.0, 1.0)
+        joints[:, joint] += size * x**3 * (10.0 - 15.0 * x + 6.0 * x**2)
+    return START_NS + np.round(time * NS).astype(np.int64), joints
+
+
+def in_s(phases):
+    return [((a - START_NS) / NS, (b - START_NS) / NS) for a, b in phases]
+
+
+@pytest.mark.parametrize("rate_hz", [500.0, 50.0, 10.0])
+@pytest.mark.parametrize(("joint", "size"), [(0, 0.05), (2, -0.03), (3, 0.4), (4, -0.2)])
+def test_the_phases_between_moves_are_found_and_nothing_else(rate_hz, joint, size):
+    stamps, joints = recording(rate_hz, joint=joint, size=size)
+    phases = in_s(find_still(stamps, encoded(joints)))
+    assert len(phases) == 3
+    for (start, end), (first, last) in zip(
+        phases, ((0.0, 1.0), (2.0, 4.0), (4.5, 6.0)), strict=True
+    ):
+        # A quintic is slow at its ends, the slower the smaller it is: still by the limit.
+        assert first - 0.16 <= start <= first + 0.16
+        assert last - 0.16 <= end <= last + 0.16
+
+
+def test_an_encoder_that_flickers_between_two_steps_stands_still():
+    """One step of 5e-5 rad in 2 ms is 0.025 rad/s, twelve times the limit."""
+    stamps, joints = recording(500.0, moves=())
+    flicker = np.random.default_rng(1).integers(0, 2, joints.shape) * ENCODER_QUANTUM
+    assert in_s(find_still(stamps, joints + flicker)) == [(0.0, pytest.approx(6.0, abs=0.01))]
+
+
+@pytest.mark.parametrize("joint", range(5))
+def test_every_joint_alone_can_move(joint):
+    stamps, joints = recording(500.0, moves=())
+    limit = StillSettings().max_speed[joint]
+    time = (stamps - START_NS) / NS
+    for speed, phases in ((0.5 * limit, 1), (3.0 * limit, 0)):
+        creeping = joints.copy()
+        creeping[:, joint] += speed * time
+        assert len(find_still(stamps, encoded(creeping))) == phases
+
+
+def test_a_swing_that_comes_back_within_the_window_is_motion():
+    stamps, joints = recording(500.0, moves=())
+    joints[:, 4] += 2e-3 * np.sin(2.0 * np.pi * 10.0 * (stamps - START_NS) / NS)
+    assert find_still(stamps, joints) == []
+
+
+def test_a_step_between_two_samples_parts_two_phases():
+    stamps, joints = recording(500.0, moves=())
+    joints[1500:, 3] += 1e-3
+    assert len(find_still(stamps, joints)) == 2
+
+
+def test_a_short_stop_is_no_phase():
+    stamps, joints = recording(500.0, moves=((1.0, 2.0), (2.3, 3.3)))
+    assert len(find_still(stamps, joints)) == 2
+    assert len(find_still(stamps, joints, StillSettings(min_duration_s=0.2))) == 3
+
+
+@pytest.mark.parametrize("step_s", [-100.0, -0.01, 0.6, 3600.0])
+def test_a_jump_of_the_stamps_ends_a_phase_and_no_phase_runs_backward(step_s):
+    stamps, joints = recording(500.0, moves=())
+    stamps[1500:] += round(step_s * NS)
+    rows = still_rows(stamps, joints)
+    assert [row.stop for row in rows] == [1500, 3000]
+    assert rows[1].start == 1500
+    for row in rows:
+        assert np.all(np.diff(stamps[row]) >= 0)
+
+
+def test_what_is_not_finite_is_no_standstill_and_a_joint_that_is_nowhere_does_not_count():
+    stamps, joints = recording(500.0, moves=())
+    joints[1500, 4] = np.nan
+    joints[:, 0] = np.nan
+    assert len(find_still(stamps, joints)) == 2
+    assert find_still(stamps, np.full_like(joints, np.nan)) == []
+
+
+def test_repeated_stamps_are_borne_and_nothing_gives_nothing():
+    stamps, joints = recording(500.0, moves=())
+    stamps, joints = np.repeat(stamps, 2), np.repeat(joints, 2, axis=0)
+    assert len(find_still(stamps, joints)) == 1
+    for count in (0, 1):
+        assert find_still(stamps[:count], joints[:count]) == []
+
+
+def test_the_phases_do_not_hang_on_where_the_recording_begins():
+    stamps, joints = recording(500.0)
+    joints = encoded(joints)
+    later = find_still(stamps[137:], joints[137:])
+    assert later[1:] == find_still(stamps, joints)[1:]
