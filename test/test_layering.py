@@ -14,6 +14,10 @@ PACKAGES = sorted(path.parent.name for path in ROOT.glob("galen_*/setup.py"))
 # These import rclpy or messages, themselves or by another module here. All others are pure: they
 # work, and are tested, without ROS. A new node, client or conversion module is added on purpose.
 ROS_MODULES = {
+    "galen_bags.message_types",
+    "galen_bags.qos",
+    "galen_bags.record",
+    "galen_bags.recorder",
     "galen_bringup.arm_client",
     "galen_bringup.demo",
     "galen_bringup.drift",

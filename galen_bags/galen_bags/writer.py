@@ -46,13 +46,7 @@ class BagWriter:
                 tempfile.mkdtemp(dir=self.path.parent, prefix=f".{self.path.name}.")
             )
             # Named as the bag will be, since the file in it is named after it.
-            writer = Writer(
-                self._temporary / self.path.name,
-                version=_METADATA_VERSION,
-                storage_plugin=StoragePlugin.MCAP,
-            )
-            if self._compressed:
-                writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
+            writer = self._new_writer(self._temporary / self.path.name)
             writer.open()
         except (OSError, WriterError) as error:
             self._remove()
@@ -90,7 +84,7 @@ class BagWriter:
         """
         assert self._writer is not None
         try:
-            if type_name not in self._types.fielddefs:
+            if not self.knows(type_name):
                 if definition is None:
                     raise BagError(f"{self.path}: {name}: the type {type_name} is not known")
                 self._types.register(
@@ -109,6 +103,10 @@ class BagWriter:
         except (TypesysError, WriterError) as error:
             raise BagError(f"{self.path}: {name}: can't be added: {error}") from error
 
+    def knows(self, type_name: str) -> bool:
+        """Whether `add_topic` takes this type without a definition."""
+        return type_name in self._types.fielddefs
+
     def write(self, topic: Any, log_time_ns: int, data: bytes | memoryview) -> None:
         """Append a serialised message (CDR); `log_time_ns` is when it was received."""
         assert self._writer is not None
@@ -116,6 +114,12 @@ class BagWriter:
             self._writer.write(topic, log_time_ns, data)
         except (OSError, WriterError, OverflowError) as error:
             raise BagError(f"{self.path}: can't be written: {error}") from error
+
+    def _new_writer(self, path: Path) -> Writer:
+        writer = Writer(path, version=_METADATA_VERSION, storage_plugin=StoragePlugin.MCAP)
+        if self._compressed:
+            writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
+        return writer
 
     def _refuse_existing(self) -> None:
         if self.path.exists() or self.path.is_symlink():

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import signal
 import sys
-import threading
 from collections.abc import Callable
 from types import FrameType
+from typing import TypeVar
 
 import rclpy
 from galen_model.errors import GalenError
@@ -15,6 +15,8 @@ from rclpy.executors import Executor, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import ok, try_shutdown
+
+N = TypeVar("N", bound=Node)
 
 
 def make_executor(context: Context | None = None) -> Executor:
@@ -37,10 +39,27 @@ def run(make_node: Callable[[], Node], args: list[str] | None = None) -> None:
     file) prints one line and ends with exit code 1. Anything else is a bug, and keeps its
     traceback.
     """
-    stop = threading.Event()
+    try:
+        run_until(make_node, lambda _node: False, args)
+    except GalenError as error:
+        print(f"error: {error}", file=sys.stderr)
+        raise SystemExit(1) from None
 
-    def on_signal(_signum: int, _frame: FrameType | None) -> None:
-        stop.set()
+
+def run_until(
+    make_node: Callable[[], N],
+    done: Callable[[N], bool],
+    args: list[str] | None = None,
+    make: Callable[[], Executor] = make_executor,
+) -> int | None:
+    """Make the node and run it until `done(node)`, or a signal; returns the signal's number.
+
+    For commands that go on after their node. Raises what the node raises.
+    """
+    caught: list[int] = []
+
+    def on_signal(number: int, _frame: FrameType | None) -> None:
+        caught.append(number)
 
     # Own handlers, not rclpy's: rclpy's shut the context down under a running callback, whose next
     # publish then raises. With these, the callback ends first and the node can say good-bye.
@@ -50,23 +69,23 @@ def run(make_node: Callable[[], Node], args: list[str] | None = None) -> None:
     try:
         rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
         try:
-            _make_and_spin(make_node, stop)
+            _make_and_spin(make_node, lambda node: bool(caught) or done(node), make)
         finally:
             try_shutdown()
-    except GalenError as error:
-        print(f"error: {error}", file=sys.stderr)
-        raise SystemExit(1) from None
     finally:
         for number, handler in previous.items():
             signal.signal(number, handler)
+    return caught[0] if caught else None
 
 
-def _make_and_spin(make_node: Callable[[], Node], stop: threading.Event) -> None:
+def _make_and_spin(
+    make_node: Callable[[], N], done: Callable[[N], bool], make: Callable[[], Executor]
+) -> None:
     node = make_node()
-    executor = make_executor()
+    executor = make()
     executor.add_node(node)
     try:
-        while ok() and not stop.is_set():
+        while ok() and not done(node):
             executor.spin_once(timeout_sec=0.1)
     finally:
         executor.remove_node(node)

@@ -1,0 +1,76 @@
+"""What the commands `record` and `play` share: numbers on the command line, a line that lives."""
+
+from __future__ import annotations
+
+import argparse
+import math
+import shutil
+import sys
+import time
+
+from tqdm import tqdm
+
+EXIT_OK, EXIT_FAILED, EXIT_USAGE = 0, 1, 2
+# A process that a signal ended has this much more than the signal's number.
+EXIT_SIGNAL = 128
+_SHOW_PERIOD_S = 0.2
+
+
+def positive(text: str) -> float:
+    """A finite number above zero, for argparse."""
+    value = _finite(text)
+    if value <= 0.0:
+        raise argparse.ArgumentTypeError(f"{text} is not above 0")
+    return value
+
+
+def not_negative(text: str) -> float:
+    """A finite number, zero or above, for argparse."""
+    value = _finite(text)
+    if value < 0.0:
+        raise argparse.ArgumentTypeError(f"{text} is below 0")
+    return value
+
+
+def _finite(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text!r} is no number") from None
+    if not math.isfinite(value):
+        raise argparse.ArgumentTypeError(f"{text} is not finite")
+    return value
+
+
+class LiveLine:
+    """One line on standard error that is written over; nothing where that is no terminal.
+
+    With `total_s` it is a bar, filled by `show`'s `done_s`.
+    """
+
+    def __init__(self, total_s: float | None = None) -> None:
+        self._bar: tqdm | None = None
+        self._shown_s = -math.inf
+        if sys.stderr.isatty():
+            # Sizes given: tqdm shows nothing on a terminal that says it has 0 rows.
+            columns = min(shutil.get_terminal_size().columns, 100)
+            form = "{desc}" if total_s is None else "{percentage:3.0f}% |{bar}| {desc}"
+            self._bar = tqdm(
+                total=total_s, bar_format=form, file=sys.stderr, ncols=columns, nrows=24
+            )
+
+    def show(self, text: str, done_s: float = 0.0) -> None:
+        """Write the line again, not more often than five times a second."""
+        now_s = time.monotonic()
+        if self._bar is None or now_s - self._shown_s < _SHOW_PERIOD_S:
+            return
+        self._shown_s = now_s
+        if self._bar.total is not None:
+            self._bar.n = min(done_s, self._bar.total)
+        self._bar.set_description_str(text)
+
+    def close(self) -> None:
+        """Leave the line as it is."""
+        if self._bar is not None:
+            self._bar.close()
+            self._bar = None

@@ -1,0 +1,294 @@
+"""The recorder: subscribes to topics as they appear and writes their messages, byte for byte."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from galen_ros.diagnostics import OK, WARN, DiagnosticsPublisher, Status
+from rclpy.callback_groups import CallbackGroup
+from rclpy.clock import Clock
+from rclpy.clock_type import ClockType
+from rclpy.exceptions import InvalidTopicNameException
+from rclpy.node import Node
+from rclpy.qos import QoSProfile
+from rclpy.subscription import Subscription
+from rclpy.topic_or_service_is_hidden import topic_or_service_is_hidden
+
+from galen_bags.errors import BagError
+from galen_bags.growing_bag import GrowingBagWriter
+from galen_bags.message_types import definition_of, message_class
+from galen_bags.qos import request_for, serves, to_bag
+from galen_bags.tally import TopicTally
+
+DEFAULT_TOPICS = (
+    "joint_states",
+    "wrench_raw",
+    "wrench_compensated",
+    "tracker/tool_pose",
+    "tracker/base_pose",
+)
+# Topics that many nodes publish, as they should.
+_SHARED = ("/diagnostics", "/rosout", "/parameter_events", "/tf", "/tf_static")
+_DISCOVER_PERIOD_S = 0.1
+_DRAIN_PERIOD_S = 0.02
+_FLUSH_PERIOD_S = 1.0
+# More than a subscription's queue holds; so that one topic can't keep the others waiting for ever.
+_MOST_AT_ONCE = 5000
+
+
+class _Never(CallbackGroup):
+    """A callback group that lets an executor take nothing."""
+
+    def can_execute(self, entity: Any) -> bool:
+        return False
+
+    def beginning_execution(self, entity: Any) -> bool:
+        return False
+
+    def ending_execution(self, entity: Any) -> None:
+        pass
+
+
+@dataclass
+class _Topic:
+    """One topic that is being recorded."""
+
+    handle: Any
+    message_class: Any
+    subscription: Subscription
+    request: QoSProfile
+    tally: TopicTally
+
+
+class RecorderNode(Node):
+    """Writes what topics carry to a bag.
+
+    Log times are when the middleware received a message, system time in ns, as with `ros2 bag
+    record`; with `use_sim_time` they are the node's clock when it took the message, and nothing is
+    written before the first /clock.
+
+    Messages are not taken by the executor but by a timer, in batches: only so does rclpy's events
+    executor not get them without their receive times, and a batch costs a fraction of callbacks.
+    The queues of the subscriptions (2000 messages each) hold what comes in between. So the node
+    needs an executor that respects callback groups, such as SingleThreadedExecutor.
+    """
+
+    def __init__(
+        self,
+        bag: GrowingBagWriter,
+        topics: Sequence[str] = DEFAULT_TOPICS,
+        all_topics: bool = False,
+        **node_options: Any,
+    ) -> None:
+        """`topics`: names, relative ones within the node's namespace. `bag` stays the caller's."""
+        super().__init__("recorder", **node_options)
+        self._bag = bag
+        self._all = all_topics
+        self._wanted = [] if all_topics else [self._resolved(name) for name in topics]
+        self._topics: dict[str, _Topic] = {}
+        self._refused: dict[str, str] = {}
+        self._warned: dict[str, str] = {}
+        self._waiting: list[tuple[int, _Topic, bytes]] = []
+        self._before_clock = 0
+        self._ended = False
+        self._use_sim_time = bool(self.get_parameter("use_sim_time").value)
+        self._group = _Never()
+        self._steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self._diagnostics = DiagnosticsPublisher(self, "galen_recorder", self._report)
+        self.discover()
+        for period_s, callback in (
+            (_DISCOVER_PERIOD_S, self.discover),
+            (_DRAIN_PERIOD_S, self._drain),
+            (_FLUSH_PERIOD_S, self._flush),
+        ):
+            self.create_timer(period_s, callback, clock=self._steady)
+
+    # --- state -------------------------------------------------------------------------------
+
+    @property
+    def tallies(self) -> list[TopicTally]:
+        """The recorded topics, by name."""
+        return [self._topics[name].tally for name in sorted(self._topics)]
+
+    @property
+    def messages(self) -> int:
+        """Number of messages written."""
+        return sum(topic.tally.messages for topic in self._topics.values())
+
+    def problems(self) -> dict[str, str]:
+        """What is wrong, by topic: not seen, nothing carried, not recordable, lost messages ..."""
+        found = dict(self._warned)
+        for name in self._wanted:
+            if name not in self._topics:
+                found[name] = "nobody publishes it"
+        for name, topic in self._topics.items():
+            if topic.tally.messages == 0:
+                found[name] = "it carried nothing"
+            elif topic.tally.losses.lost:
+                found[name] = f"{topic.tally.losses.lost} of its messages were lost on the way"
+        if self._before_clock:
+            found["/clock"] = f"{self._before_clock} messages came before it, and were left out"
+        return found | self._refused
+
+    # --- topics come -------------------------------------------------------------------------
+
+    def discover(self) -> None:
+        """Take up topics that have a publisher by now."""
+        for name in self._published() if self._all else self._wanted:
+            if name in self._topics or name in self._refused:
+                continue
+            offers = self.get_publishers_info_by_topic(name)
+            if not offers:
+                continue
+            try:
+                self._take_up(name, offers)
+            except BagError as error:
+                self._refused[name] = f"not recorded: {error}"
+                self.get_logger().error(f"{name} is not recorded: {error}")
+
+    def _published(self) -> list[str]:
+        return [
+            name
+            for name, _ in self.get_topic_names_and_types()
+            if not topic_or_service_is_hidden(name)
+        ]
+
+    def _take_up(self, name: str, offers: Sequence[Any]) -> None:
+        types = sorted({offer.topic_type for offer in offers})
+        if len(types) > 1:
+            raise BagError(f"it is published with several types, {' and '.join(types)}")
+        (type_name,) = types
+        kind = message_class(type_name)
+        profiles = [offer.qos_profile for offer in offers]
+        handle = self._bag.add_topic(
+            name,
+            type_name,
+            None if self._bag.knows(type_name) else definition_of(type_name),
+            tuple(map(to_bag, profiles)),
+        )
+        self._check_hash(name, handle.digest, offers)
+        request = request_for(profiles)
+        subscription = self.create_subscription(
+            kind, name, self._on_executor, request, callback_group=self._group, raw=True
+        )
+        tally = TopicTally(name, type_name)
+        self._topics[name] = _Topic(handle, kind, subscription, request, tally)
+        self.get_logger().info(f"recording {name} ({type_name})")
+
+    def _check_hash(self, name: str, digest: str, offers: Sequence[Any]) -> None:
+        """Warn where a publisher was built with another definition of the type than this one."""
+        hashes = {str(offer.topic_type_hash) for offer in offers}
+        others = {text for text in hashes if text.startswith("RIHS01_") and text != digest}
+        if others:
+            self._warned[name] = "its publisher has another definition of its type than the bag"
+            self.get_logger().warning(f"{name}: {self._warned[name]}")
+
+    def _resolved(self, name: str) -> str:
+        try:
+            return str(self.resolve_topic_name(name))
+        except InvalidTopicNameException as error:
+            reason = str(error).splitlines()[0]
+            raise BagError(f"{name!r} is no name of a topic: {reason}") from error
+
+    # --- messages come -----------------------------------------------------------------------
+
+    def _on_executor(self, _data: bytes) -> None:
+        raise RuntimeError("the recorder needs an executor that respects callback groups")
+
+    def _drain(self) -> None:
+        """Take all messages that have come, and write them in the order in which they came."""
+        now_ns = time.time_ns()
+        for topic in self._topics.values():
+            self._take(topic)
+        if self._use_sim_time:
+            self._write(self._waiting)
+            self._waiting = []
+            return
+        self._waiting.sort(key=lambda item: item[0])
+        # A message that came while the topics were taken may be older than one still in a queue.
+        early = [item for item in self._waiting if item[0] < now_ns]
+        self._waiting = self._waiting[len(early) :]
+        self._write(early)
+
+    def _take(self, topic: _Topic) -> None:
+        subscription = topic.subscription
+        losses = topic.tally.losses
+        one_publisher = subscription.get_publisher_count() == 1
+        clock_ns = self.get_clock().now().nanoseconds if self._use_sim_time else None
+        handle = subscription.handle
+        with handle:
+            for _ in range(_MOST_AT_ONCE):
+                taken = handle.take_message(topic.message_class, True)
+                if taken is None:
+                    break
+                data, info = taken
+                log_ns = info["received_timestamp"] if clock_ns is None else clock_ns
+                self._waiting.append((log_ns, topic, data))
+                losses.add(info.get("publication_sequence_number"))
+        one_publisher = one_publisher and subscription.get_publisher_count() == 1
+        lost = losses.end_batch(one_publisher)
+        if lost:
+            self.get_logger().warning(f"{topic.tally.name}: {lost} messages were lost on the way")
+
+    def _write(self, items: Sequence[tuple[int, _Topic, bytes]]) -> None:
+        for log_ns, topic, data in items:
+            if log_ns == 0 and self._use_sim_time:
+                self._before_clock += 1
+                continue
+            self._bag.write(topic.handle, log_ns, data)
+            topic.tally.add(log_ns, len(data))
+
+    def _flush(self) -> None:
+        self._bag.flush()
+
+    # --- end ---------------------------------------------------------------------------------
+
+    def destroy_node(self) -> None:
+        """Write what still waits, and go."""
+        if not self._ended:
+            self._ended = True
+            for topic in self._topics.values():
+                self._take(topic)
+            waiting, self._waiting = sorted(self._waiting, key=lambda item: item[0]), []
+            try:
+                self._write(waiting)
+            finally:
+                super().destroy_node()
+
+    # --- diagnostics -------------------------------------------------------------------------
+
+    def _report(self) -> Status:
+        self._look_at_publishers()
+        problems = self.problems()
+        values: dict[str, object] = {
+            "state": "recording",
+            "bag": self._bag.path,
+            "messages": self.messages,
+            "size_bytes": self._bag.size_bytes,
+            "lost": sum(topic.tally.losses.lost for topic in self._topics.values()),
+            "topics": len(self._topics),
+        }
+        for tally in self.tallies:
+            values[f"messages {tally.name}"] = tally.messages
+        if problems:
+            text = "; ".join(f"{name}: {problem}" for name, problem in problems.items())
+            return Status(WARN, text, values)
+        return Status(OK, f"recording {len(self._topics)} topics", values)
+
+    def _look_at_publishers(self) -> None:
+        """Note publishers that came later and change what is recorded."""
+        for name, topic in self._topics.items():
+            offers = self.get_publishers_info_by_topic(name)
+            trouble = ""
+            if any(offer.topic_type != topic.tally.type_name for offer in offers):
+                trouble = "a publisher has another type; its messages are not recorded"
+            elif not all(serves(offer.qos_profile, topic.request) for offer in offers):
+                trouble = "a later publisher is best effort or volatile, and is not recorded"
+            elif len(offers) > 1 and not self._all and name not in _SHARED:
+                trouble = f"it had {len(offers)} publishers at a time"
+            if trouble and self._warned.get(name) != trouble:
+                self._warned[name] = trouble
+                self.get_logger().warning(f"{name}: {trouble}")

@@ -1,0 +1,141 @@
+"""The bag that a recording grows: what is in it when it is cut off, or the disk is full."""
+
+import errno
+import struct
+from pathlib import Path
+from typing import Any
+
+import pytest
+from galen_bags.bag import open_bag
+from galen_bags.errors import BagError
+from galen_bags.growing_bag import GrowingBagWriter
+from galen_ros.cdr import WrenchBytes
+from rosbags.rosbag2 import Reader
+
+WRENCH = "geometry_msgs/msg/WrenchStamped"
+
+
+def message(index: int) -> bytes:
+    return WrenchBytes("ft_sensor").fill(index, [float(index)] * 6)
+
+
+def write_some(bag: GrowingBagWriter, topic: Any, indices: range) -> None:
+    for index in indices:
+        bag.write(topic, 1000 + index, message(index))
+
+
+def read_all(path: Path) -> list[tuple[int, bytes]]:
+    with open_bag(path) as bag:
+        return [
+            (int(block.log_time_ns[k]), block.message(k))
+            for block in bag.blocks(["/w"])
+            for k in range(len(block))
+        ]
+
+
+def expected(indices: range) -> list[tuple[int, bytes]]:
+    return [(1000 + index, message(index)) for index in indices]
+
+
+@pytest.mark.parametrize("compressed", [True, False])
+def test_a_closed_bag_is_what_rosbags_reads(tmp_path: Path, compressed: bool) -> None:
+    with GrowingBagWriter(tmp_path / "bag", compressed=compressed) as bag:
+        topic = bag.add_topic("w", WRENCH)
+        write_some(bag, topic, range(10))
+        bag.flush()
+        bag.flush()  # a second without messages writes nothing
+        write_some(bag, topic, range(10, 20))
+    with Reader(tmp_path / "bag") as reader:
+        found = [(time_ns, data) for _, time_ns, data in reader.messages()]
+    assert found == expected(range(20))
+    assert bag.size_bytes == (tmp_path / "bag" / "bag.mcap").stat().st_size
+
+
+def test_an_exception_leaves_a_whole_bag(tmp_path: Path) -> None:
+    with pytest.raises(ZeroDivisionError), GrowingBagWriter(tmp_path / "bag") as bag:
+        write_some(bag, bag.add_topic("w", WRENCH), range(5))
+        raise ZeroDivisionError
+    assert (tmp_path / "bag" / "metadata.yaml").exists()
+    assert read_all(tmp_path / "bag") == expected(range(5))
+
+
+def test_what_was_flushed_can_be_read_while_it_grows(tmp_path: Path) -> None:
+    with GrowingBagWriter(tmp_path / "bag") as bag:
+        topic = bag.add_topic("w", WRENCH)
+        write_some(bag, topic, range(10))
+        bag.flush()
+        write_some(bag, topic, range(10, 20))
+        assert read_all(tmp_path / "bag") == expected(range(10))
+        with open_bag(tmp_path / "bag") as cut:
+            assert any("cut off" in problem for problem in cut.problems)
+
+
+def test_a_bag_that_is_there_is_not_written_over(tmp_path: Path) -> None:
+    (tmp_path / "bag").mkdir()
+    with pytest.raises(BagError, match="is there already"):
+        GrowingBagWriter(tmp_path / "bag")
+    assert list((tmp_path / "bag").iterdir()) == []
+
+
+def test_a_place_that_can_not_be_written_is_named(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    with pytest.raises(BagError, match=r"file/bag: can't be written"):
+        GrowingBagWriter(tmp_path / "file" / "bag").__enter__()
+
+
+class FullDisk:
+    """A file that takes `room` bytes more, half of what is too much, and then no more."""
+
+    def __init__(self, file: Any, room: int) -> None:
+        self._file, self._room = file, room
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._file, name)
+
+    def write(self, data: Any) -> int:
+        size = len(memoryview(data).cast("B"))
+        if size > self._room:
+            self._file.write(memoryview(data).cast("B")[: size // 2])
+            self._file.flush()
+            raise OSError(errno.ENOSPC, "No space left on device")
+        self._room -= size
+        return int(self._file.write(data))
+
+
+def fill_disk(bag: GrowingBagWriter, room: int) -> None:
+    storage = bag._writer.storage
+    storage.bio = FullDisk(storage.bio, room)
+
+
+def test_a_full_disk_is_said_and_what_was_flushed_is_whole(tmp_path: Path) -> None:
+    with pytest.raises(BagError, match=r"bag: .*No space left"):  # noqa: PT012
+        with GrowingBagWriter(tmp_path / "bag") as bag:
+            topic = bag.add_topic("w", WRENCH)
+            write_some(bag, topic, range(10))
+            bag.flush()
+            size = bag.size_bytes
+            fill_disk(bag, room=20)
+            write_some(bag, topic, range(10, 20))
+            bag.flush()
+    assert (tmp_path / "bag" / "bag.mcap").stat().st_size == size == bag.size_bytes
+    assert read_all(tmp_path / "bag") == expected(range(10))
+
+
+def test_a_disk_that_fills_at_the_end_leaves_what_was_flushed(tmp_path: Path) -> None:
+    with pytest.raises(BagError, match="No space left"):  # noqa: PT012
+        with GrowingBagWriter(tmp_path / "bag") as bag:
+            write_some(bag, bag.add_topic("w", WRENCH), range(10))
+            bag.flush()
+            fill_disk(bag, room=300)
+    assert read_all(tmp_path / "bag") == expected(range(10))
+    assert [path.name for path in (tmp_path / "bag").iterdir()] == ["bag.mcap"]
+
+
+def test_a_large_message_goes_out_at_once(tmp_path: Path) -> None:
+    """The library ends a chunk by itself beyond 1 MB; `flush` copes with an empty one after it."""
+    data = struct.pack("<4xI", 2_000_000) + bytes(2_000_000)
+    with GrowingBagWriter(tmp_path / "bag", compressed=False) as bag:
+        topic = bag.add_topic("w", "std_msgs/msg/String")
+        bag.write(topic, 5, data)
+        bag.flush()
+        assert read_all(tmp_path / "bag") == [(5, data)]

@@ -1,0 +1,69 @@
+"""Counts of a recording, and definitions of types, without ROS."""
+
+from pathlib import Path
+
+import pytest
+from galen_bags.definitions import find_definition
+from galen_bags.errors import BagError
+from galen_bags.tally import LossCounter, TopicTally
+from rosbags.typesys import get_types_from_msg
+
+
+def count(batches: list[tuple[list[int | None], bool]]) -> int:
+    counter = LossCounter()
+    for numbers, one_publisher in batches:
+        for number in numbers:
+            counter.add(number)
+        counter.end_batch(one_publisher)
+    return counter.lost
+
+
+@pytest.mark.parametrize(
+    ("batches", "lost"),
+    [
+        ([([1, 2, 3], True), ([4, 5], True)], 0),
+        ([([7, 8], True)], 0),  # what came before the subscription is not lost
+        ([([1, 2, 5], True)], 2),
+        ([([1, 2], True), ([5], True)], 2),
+        ([([100, 101, 1, 2], True), ([4], True)], 1),  # the publisher was restarted
+        ([([5000, 3, 5001, 4], False), ([5002, 5003], True)], 0),  # two publishers
+        ([([None, None], True), ([4], True)], 0),  # a middleware that does not number
+    ],
+)
+def test_gaps_in_sequence_numbers(batches: list[tuple[list[int | None], bool]], lost: int) -> None:
+    assert count(batches) == lost
+
+
+def test_the_rate_is_by_log_times() -> None:
+    tally = TopicTally("/w", "a/msg/B")
+    assert tally.rate_hz is None
+    for index in range(11):
+        tally.add(index * 2_000_000, 10)
+    assert tally.rate_hz == pytest.approx(500.0)
+    assert (tally.messages, tally.size_bytes, tally.last_ns) == (11, 110, 20_000_000)
+
+
+def install(share: Path, type_name: str, text: str) -> None:
+    package, name = type_name.split("/")
+    folder = share / package / "msg"
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / f"{name}.msg").write_text(text)
+
+
+def test_a_definition_comes_with_all_types_in_it(tmp_path: Path) -> None:
+    install(
+        tmp_path, "one/Outer", "# a two/Comment x\nInner[<=3] inner\ntwo/Deep deep\nuint8 A=1\n"
+    )
+    install(tmp_path, "one/Inner", "float64[36] values # two/NotThis y\nstring<=5 name\n")
+    install(tmp_path, "two/Deep", "one/Inner again\nbool b\nbyte[] data\nwstring w\n")
+    text = find_definition("one/msg/Outer", lambda package: tmp_path / package)
+    types = get_types_from_msg(text, "one/msg/Outer")
+    assert sorted(types) == ["one/msg/Inner", "one/msg/Outer", "two/msg/Deep"]
+    assert [name for name, _ in types["one/msg/Outer"][1]] == ["inner", "deep"]
+    assert text.count("MSG: one/Inner") == 1
+
+
+def test_a_type_that_is_not_installed_is_named(tmp_path: Path) -> None:
+    install(tmp_path, "one/Outer", "two/Deep deep\n")
+    with pytest.raises(BagError, match="two/msg/Deep"):
+        find_definition("one/msg/Outer", lambda package: tmp_path / package)
