@@ -14,6 +14,7 @@ from galen_model.arrays import Array
 from galen_bags.bag import Bag, open_bag
 from galen_bags.errors import BagError
 from galen_bags.messages import JOINT_STATE_TYPE, WRENCH_TYPE, Decoder, Samples
+from galen_bags.raw_block import Messages
 
 _ROLL, _TILT = 3, 4
 
@@ -38,6 +39,7 @@ class ArmBlock:
 
     is_wrench (n,) tells whose the next sample is. `joints.values` (nj, 10): positions, then
     velocities, m and rad; `wrenches.values` (nw, 6): N and N.m. The log times are in ns.
+    `messages`: the block as it was read; with other topics in it if they were asked for.
     """
 
     is_wrench: np.ndarray
@@ -45,19 +47,32 @@ class ArmBlock:
     joint_log_ns: np.ndarray
     wrenches: Samples
     wrench_log_ns: np.ndarray
+    messages: Messages
 
 
 class ArmReader:
     """Reads the arm's samples out of an open bag."""
 
-    def __init__(self, bag: Bag, topics: ArmTopics | None = None) -> None:
-        """Find the topics; raises BagError that names those there are."""
+    def __init__(
+        self, bag: Bag, topics: ArmTopics | None = None, *, all_topics: bool = False
+    ) -> None:
+        """Find the topics; raises BagError that names those there are.
+
+        `all_topics`: have the bag's other topics in the blocks' `messages`, too.
+        """
         topics = topics or ArmTopics()
         if len(topics.joint_names) != len(JOINT_NAMES):
             raise BagError(f"{len(topics.joint_names)} joint names; there must be five")
         self.bag = bag
         self.joint_states = find_topic(bag, topics.joint_states, JOINT_STATE_TYPE)
         self.wrench_raw = find_topic(bag, topics.wrench_raw, WRENCH_TYPE)
+        self.read_topics = [self.joint_states, self.wrench_raw]
+        if all_topics:
+            self.read_topics += [
+                topic.name
+                for topic in bag.topics.values()
+                if topic.name not in self.read_topics and topic.encoding == "cdr"
+            ]
         # The angles come first, since they are the ones required.
         names = [*topics.joint_names[_ROLL:], *topics.joint_names[:_ROLL]]
         self._joints = Decoder(JOINT_STATE_TYPE, names, required=2)
@@ -71,15 +86,16 @@ class ArmReader:
 
     def blocks(self) -> Iterator[ArmBlock]:
         """The samples, block by block."""
-        for block in self.bag.blocks([self.joint_states, self.wrench_raw]):
-            is_wrench = block.topic == 1
-            joint_rows, wrench_rows = np.flatnonzero(~is_wrench), np.flatnonzero(is_wrench)
+        for block in self.bag.blocks(self.read_topics):
+            joint_rows = np.flatnonzero(block.topic == 0)
+            wrench_rows = np.flatnonzero(block.topic == 1)
             yield ArmBlock(
-                is_wrench,
+                block.topic[block.topic < 2] == 1,
                 _in_joint_order(self._joints.decode(block, joint_rows)),
                 block.log_time_ns[joint_rows],
                 self._wrenches.decode(block, wrench_rows),
                 block.log_time_ns[wrench_rows],
+                block,
             )
 
 
