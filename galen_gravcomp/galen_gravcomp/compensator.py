@@ -11,7 +11,6 @@ import math
 from collections import Counter, deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from enum import Enum
 from typing import NamedTuple
 
 import numpy as np
@@ -21,58 +20,9 @@ from galen_model.tool_file import ToolFile
 
 from galen_gravcomp.joint_buffer import JointBuffer, JointPush, NoAngles
 from galen_gravcomp.prediction import Prediction
+from galen_gravcomp.results import Compensated, Notice, Refusal, Refused, Result
+from galen_gravcomp.sample_limits import SampleLimits, angle_unit_notice
 from galen_gravcomp.tare import TareOutcome, TareRamp, TareSettings, TareWindow
-
-
-class Refusal(Enum):
-    """Why a wrench was not compensated."""
-
-    DISABLED = "disabled"
-    NO_TOOL = "no_tool"
-    WRONG_FRAME = "wrong_frame"
-    UNREADABLE = "unreadable"  # not even a message
-    UNSTAMPED = "unstamped"
-    DUPLICATE = "duplicate_stamp"
-    NONFINITE_WRENCH = "nonfinite_wrench"
-    NO_JOINTS = "no_joints"
-    STALE_JOINTS = "stale_joints"
-    BAD_JOINTS = "bad_joints"  # only unusable joint messages came, e.g. with unknown names
-    NONFINITE_JOINTS = "nonfinite_joints"
-    QUEUE_FULL = "queue_full"
-    RESTART = "restart"  # was waiting for joints when the driver restarted
-
-
-class Notice(Enum):
-    """What was noticed without a refusal of the wrench."""
-
-    OUT_OF_ORDER_WRENCH = "out_of_order_wrench"
-    OUT_OF_ORDER_JOINTS = "out_of_order_joints"
-    DUPLICATE_JOINTS = "duplicate_joints"
-    NONFINITE_JOINTS = "nonfinite_joint_samples"
-    BAD_JOINTS = "bad_joint_messages"
-    BEYOND_RANGE = "beyond_sensor_range"
-    TORQUE_UNIT = "torque_looks_like_N_mm"
-    ANGLE_UNIT = "angles_look_like_degrees"
-    RESTART = "restarts"
-
-
-class Compensated(NamedTuple):
-    """A compensated wrench (6,), N and N.m in the sensor's frame, at the stamp of its input."""
-
-    stamp_ns: int
-    wrench: Array
-    tag: object
-
-
-class Refused(NamedTuple):
-    """A wrench that was not compensated, and why; `detail` is a sentence for a person."""
-
-    stamp_ns: int
-    reason: Refusal
-    detail: str
-
-
-Result = Compensated | Refused
 
 
 class TareRefusedError(GalenError):
@@ -95,11 +45,17 @@ class CompensatorSettings:
     tare: TareSettings = field(default_factory=TareSettings)
 
 
-# A torque this many times beyond the sensor's range is no overload but another unit.
-_TORQUE_UNIT_FACTOR = 20.0
-_ANGLE_UNIT_LIMIT_RAD = 2.0 * math.pi
 # Samples of one driver never lie this far apart; two clocks do.
 _OTHER_CLOCK_NS = 5_000_000_000
+
+
+class _Waiting(NamedTuple):
+    """A wrench that waits for joint samples, as `_compensate` takes it."""
+
+    stamp_ns: int
+    raw: Array
+    tag: object
+    number: int
 
 
 def _clock_hint(difference_ns: int) -> str:
@@ -122,10 +78,14 @@ class Compensator:
         """`on_restart(why)` is called after everything was cleared because the driver restarted."""
         self._settings = settings or CompensatorSettings()
         self._on_restart = on_restart
-        self._max_age_ns = round(self._settings.max_joint_age_s * 1e9)
-        self._restart_gap_ns = round(self._settings.restart_gap_s * 1e9)
-        self._joints = JointBuffer(self._max_age_ns)
-        self._waiting: deque[tuple[int, Array, object]] = deque()
+        self._limits = SampleLimits(
+            max_age_ns=round(self._settings.max_joint_age_s * 1e9),
+            restart_gap_ns=round(self._settings.restart_gap_s * 1e9),
+            max_waiting=self._settings.max_waiting,
+            sensor_range=tuple(float(limit) for limit in self._settings.sensor_range),
+        )
+        self._joints = JointBuffer(self._limits.max_age_ns)
+        self._waiting: deque[_Waiting] = deque()
         self._newest_wrench_ns: int | None = None
         self._joint_trouble: str | None = None
         self._enabled = True
@@ -134,7 +94,6 @@ class Compensator:
         self._no_tool_detail = "no tool is loaded"
         self._ramp = TareRamp(self._settings.tare.ramp_s)
         self._window: TareWindow | None = None
-        self._range: list[float] = [float(limit) for limit in self._settings.sensor_range]
         self.received = 0
         self.compensated = 0
         self.refusals: Counter[Refusal] = Counter()
@@ -252,21 +211,21 @@ class Compensator:
         results: list[Result] = []
         newest = self._joints.newest_ns
         if newest is not None:
-            restarted = self._restarted("joint_states", stamp_ns, newest)
+            restarted = self._limits.restarted("joint_states", stamp_ns, newest)
             if restarted:
                 results = self.restart(restarted)
         self._joint_trouble = None
         if not (math.isfinite(roll_rad) and math.isfinite(tilt_rad)):
             self.notices[Notice.NONFINITE_JOINTS] += 1
             roll_rad = tilt_rad = math.nan
-        elif max(abs(roll_rad), abs(tilt_rad)) > _ANGLE_UNIT_LIMIT_RAD:
+        elif angle_unit_notice(roll_rad, tilt_rad):
             self.notices[Notice.ANGLE_UNIT] += 1
         pushed = self._joints.push(stamp_ns, roll_rad, tilt_rad)
         if pushed is not JointPush.STORED:
             duplicate = pushed is JointPush.DUPLICATE
             self.notices[Notice.DUPLICATE_JOINTS if duplicate else Notice.OUT_OF_ORDER_JOINTS] += 1
             return results
-        while self._waiting and self._waiting[0][0] <= stamp_ns:
+        while self._waiting and self._waiting[0].stamp_ns <= stamp_ns:
             results.append(self._compensate(*self._waiting.popleft()))
         return results
 
@@ -287,64 +246,61 @@ class Compensator:
         The list is empty while the wrench waits for joint samples. `frame_id` None is not checked;
         `tag` comes back with the compensated wrench.
         """
+        number = self.received
         self.received += 1
         if frame_id is not None and self._prediction is not None and self._enabled:
             expected = self.sensor_frame
             if frame_id != expected:
                 detail = f"wrench_raw has frame_id '{frame_id}', expected '{expected}'"
-                return [self._refuse(stamp_ns, Refusal.WRONG_FRAME, detail)]
+                return [self._refuse(stamp_ns, Refusal.WRONG_FRAME, detail, number)]
         if stamp_ns <= 0:
             detail = "wrench_raw has no stamp (zero): the driver does not stamp its samples"
-            return [self._refuse(stamp_ns, Refusal.UNSTAMPED, detail)]
+            return [self._refuse(stamp_ns, Refusal.UNSTAMPED, detail, number)]
         if stamp_ns == self._newest_wrench_ns:
             detail = "wrench_raw repeats a stamp; only the first wrench of a stamp is used"
-            return [self._refuse(stamp_ns, Refusal.DUPLICATE, detail)]
+            return [self._refuse(stamp_ns, Refusal.DUPLICATE, detail, number)]
         results = self._follow_wrench_stamps(stamp_ns)
         if not self._enabled:
-            results.append(self._refuse(stamp_ns, Refusal.DISABLED, "compensation is switched off"))
+            detail = "compensation is switched off"
+            results.append(self._refuse(stamp_ns, Refusal.DISABLED, detail, number))
             return results
         if self._prediction is None:
-            results.append(self._refuse(stamp_ns, Refusal.NO_TOOL, self._no_tool_detail))
+            results.append(self._refuse(stamp_ns, Refusal.NO_TOOL, self._no_tool_detail, number))
             return results
         values = tuple(map(float, wrench))
         # One sum finds a NaN or an infinity among the six; it overflows only beyond any wrench.
         if not math.isfinite(sum(values)):
             shown = ", ".join(f"{value:g}" for value in values)
             detail = f"wrench_raw holds a value that is not finite: ({shown})"
-            results.append(self._refuse(stamp_ns, Refusal.NONFINITE_WRENCH, detail))
+            results.append(self._refuse(stamp_ns, Refusal.NONFINITE_WRENCH, detail, number))
             return results
-        self._notice_range(values)
+        beyond_range, other_unit = self._limits.range_notices(values)
+        if beyond_range:
+            self.notices[Notice.BEYOND_RANGE] += 1
+        if other_unit:
+            self.notices[Notice.TORQUE_UNIT] += 1
         raw = np.array(values)
         newest = self._joints.newest_ns
         if newest is not None and stamp_ns <= newest:
-            results.append(self._compensate(stamp_ns, raw, tag))
+            results.append(self._compensate(stamp_ns, raw, tag, number))
             return results
-        self._waiting.append((stamp_ns, raw, tag))
+        self._waiting.append(_Waiting(stamp_ns, raw, tag, number))
         results.extend(self._drop_hopeless())
         return results
 
     def push_bad_wrench(self, detail: str) -> list[Result]:
         """Refuse a wrench message that can't be read, and so has no stamp; `detail` says why."""
         self.received += 1
-        return [self._refuse(0, Refusal.UNREADABLE, detail)]
+        return [self._refuse(0, Refusal.UNREADABLE, detail, self.received - 1)]
 
     # Inside
-
-    def _restarted(self, topic: str, stamp_ns: int, newest_ns: int) -> str:
-        """Text when a stamp tells of a restart, else empty."""
-        step_ns = stamp_ns - newest_ns
-        if step_ns < -self._max_age_ns:
-            return f"driver restarted: {topic} stamps jumped back by {-step_ns * 1e-9:.3f} s"
-        if step_ns > self._restart_gap_ns:
-            return f"driver restarted: {topic} stamps jumped ahead by {step_ns * 1e-9:.3f} s"
-        return ""
 
     def _follow_wrench_stamps(self, stamp_ns: int) -> list[Result]:
         """Compare with the newest stamp: restart, out of order."""
         newest = self._newest_wrench_ns
         results: list[Result] = []
         if newest is not None:
-            restarted = self._restarted("wrench_raw", stamp_ns, newest)
+            restarted = self._limits.restarted("wrench_raw", stamp_ns, newest)
             if restarted:
                 results = self.restart(restarted)
             elif stamp_ns < newest:
@@ -353,17 +309,6 @@ class Compensator:
         self._newest_wrench_ns = stamp_ns
         return results
 
-    def _notice_range(self, wrench: tuple[float, ...]) -> None:
-        worst_torque = max(
-            abs(value) / limit for value, limit in zip(wrench[3:], self._range[3:], strict=True)
-        )
-        if worst_torque > 1.0 or any(
-            abs(value) > limit for value, limit in zip(wrench[:3], self._range[:3], strict=True)
-        ):
-            self.notices[Notice.BEYOND_RANGE] += 1
-        if worst_torque > _TORQUE_UNIT_FACTOR:
-            self.notices[Notice.TORQUE_UNIT] += 1
-
     def _drop_hopeless(self) -> list[Result]:
         """Refuse what waits once the joints have fallen too far behind, or too many wait."""
         newest_wrench = self._newest_wrench_ns
@@ -371,11 +316,11 @@ class Compensator:
         assert newest_wrench is not None and self._waiting
         if newest_joints is None:
             # The first joint sample may still be on its way, but no longer than this.
-            if newest_wrench - self._waiting[0][0] > self._max_age_ns:
+            if newest_wrench - self._waiting[0].stamp_ns > self._limits.max_age_ns:
                 return self._refuse_waiting(
                     *self._joint_reason(Refusal.NO_JOINTS, "no joint_states were received")
                 )
-        elif newest_wrench - newest_joints > self._max_age_ns:
+        elif newest_wrench - newest_joints > self._limits.max_age_ns:
             behind_ms = (newest_wrench - newest_joints) * 1e-6
             detail = (
                 f"joint_states are stale: {behind_ms:.0f} ms behind wrench_raw,"
@@ -383,10 +328,10 @@ class Compensator:
                 f"{_clock_hint(newest_wrench - newest_joints)}"
             )
             return self._refuse_waiting(*self._joint_reason(Refusal.STALE_JOINTS, detail))
-        if len(self._waiting) > self._settings.max_waiting:
-            stamp_ns, _, _ = self._waiting.popleft()
-            detail = f"more than {self._settings.max_waiting} wrenches wait for joint_states"
-            return [self._refuse(stamp_ns, Refusal.QUEUE_FULL, detail)]
+        if len(self._waiting) > self._limits.max_waiting:
+            oldest = self._waiting.popleft()
+            detail = f"more than {self._limits.max_waiting} wrenches wait for joint_states"
+            return [self._refuse(oldest.stamp_ns, Refusal.QUEUE_FULL, detail, oldest.number)]
         return []
 
     def _joint_reason(self, reason: Refusal, detail: str) -> tuple[Refusal, str]:
@@ -395,7 +340,7 @@ class Compensator:
             return Refusal.BAD_JOINTS, self._joint_trouble
         return reason, detail
 
-    def _compensate(self, stamp_ns: int, raw: Array, tag: object) -> Result:
+    def _compensate(self, stamp_ns: int, raw: Array, tag: object, number: int) -> Result:
         """Compensate a wrench whose joints are in the buffer."""
         angles = self._joints.angles_at(stamp_ns)
         if isinstance(angles, NoAngles):
@@ -404,15 +349,16 @@ class Compensator:
                     "joint_states are stale: two samples more than"
                     f" {self._settings.max_joint_age_s:g} s apart around a wrench"
                 )
-                return self._refuse(stamp_ns, *self._joint_reason(Refusal.STALE_JOINTS, detail))
+                reason = self._joint_reason(Refusal.STALE_JOINTS, detail)
+                return self._refuse(stamp_ns, *reason, number)
             newest = self._joints.newest_ns
             hint = "" if newest is None else _clock_hint(newest - stamp_ns)
             detail = f"no joint angles: {angles.value}{hint}"
-            return self._refuse(stamp_ns, *self._joint_reason(Refusal.NO_JOINTS, detail))
+            return self._refuse(stamp_ns, *self._joint_reason(Refusal.NO_JOINTS, detail), number)
         roll, tilt = angles
         if math.isnan(roll) or math.isnan(tilt):
             detail = "joint_states hold an angle that is not finite"
-            return self._refuse(stamp_ns, Refusal.NONFINITE_JOINTS, detail)
+            return self._refuse(stamp_ns, Refusal.NONFINITE_JOINTS, detail, number)
         assert self._prediction is not None
         untared: Array = raw - self._prediction.reading(roll, tilt)
         compensated: Array = untared - self._ramp.offset_at(stamp_ns)
@@ -423,15 +369,16 @@ class Compensator:
                 self._ramp.start(stamp_ns, outcome.offset)
             window.finish(outcome)
         self.compensated += 1
-        return Compensated(stamp_ns, compensated, tag)
+        return Compensated(stamp_ns, compensated, tag, number, angles)
 
-    def _refuse(self, stamp_ns: int, reason: Refusal, detail: str) -> Refused:
+    def _refuse(self, stamp_ns: int, reason: Refusal, detail: str, number: int) -> Refused:
         self.refusals[reason] += 1
-        return Refused(stamp_ns, reason, detail)
+        return Refused(stamp_ns, reason, detail, number)
 
     def _refuse_waiting(self, reason: Refusal, detail: str) -> list[Result]:
         results: list[Result] = [
-            self._refuse(stamp_ns, reason, detail) for stamp_ns, _, _ in self._waiting
+            self._refuse(waiting.stamp_ns, reason, detail, waiting.number)
+            for waiting in self._waiting
         ]
         self._waiting.clear()
         return results

@@ -13,7 +13,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from galen_gravcomp.compensator import Compensator, Notice, Refusal, Refused
+from galen_gravcomp.compensator import Compensator
+from galen_gravcomp.results import Notice, Refusal, Refused
 
 HOLD_S = 0.5
 NOTICE_HOLD_S = 5.0

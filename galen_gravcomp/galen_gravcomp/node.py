@@ -22,14 +22,9 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool, Trigger
 
-from galen_gravcomp.compensator import (
-    Compensated,
-    Compensator,
-    CompensatorSettings,
-    Result,
-    TareRefusedError,
-)
+from galen_gravcomp.compensator import Compensator, CompensatorSettings, TareRefusedError
 from galen_gravcomp.monitor import Monitor, Severity, State
+from galen_gravcomp.results import Compensated, Result
 from galen_gravcomp.tare import TareOutcome, TareSettings
 from galen_gravcomp.wire import JointWire, RawWrench, WrenchWire
 from galen_msgs.srv import SetTool

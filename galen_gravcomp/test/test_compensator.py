@@ -8,16 +8,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from galen_gravcomp.compensator import (
-    Compensated,
-    Compensator,
-    CompensatorSettings,
-    Notice,
-    Refusal,
-    Refused,
-    Result,
-    TareRefusedError,
-)
+from galen_gravcomp.compensator import Compensator, CompensatorSettings, TareRefusedError
+from galen_gravcomp.results import Compensated, Notice, Refusal, Refused, Result
 from galen_gravcomp.tare import TareOutcome, TareRamp, TareSettings
 from galen_model.arrays import Array
 from galen_model.tool_file import LoadEstimate, ToolFile

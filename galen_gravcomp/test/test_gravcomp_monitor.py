@@ -2,8 +2,9 @@
 
 import numpy as np
 import pytest
-from galen_gravcomp.compensator import Compensated, Compensator, Refused
+from galen_gravcomp.compensator import Compensator
 from galen_gravcomp.monitor import HOLD_S, NOTICE_HOLD_S, Monitor, Severity
+from galen_gravcomp.results import Compensated, Refused
 from galen_model.tool_file import LoadEstimate, ToolFile
 
 S = 1_000_000_000
