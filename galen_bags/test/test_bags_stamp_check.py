@@ -1,0 +1,102 @@
+import numpy as np
+import pytest
+from galen_bags.stamp_check import StampCheck
+
+START = 1_700_000_000_000_000_000
+PERIOD = 2_000_000
+
+
+def clean(count=5000):
+    stamps = START + PERIOD * np.arange(count, dtype=np.int64)
+    return stamps, stamps + 300_000
+
+
+def report(stamps, logs, block=700):
+    check = StampCheck()
+    for at in range(0, len(stamps), block):
+        check.add(stamps[at : at + block], logs[at : at + block])
+    return check.report()
+
+
+def test_a_clean_topic_is_sound():
+    found = report(*clean())
+    assert found.sound
+    assert (found.count, found.events) == (5000, ())
+    assert found.rate_hz == pytest.approx(500.0, abs=1e-9)
+    assert found.period_s == 0.002
+    assert found.delay_s == pytest.approx((0.0003,) * 3, abs=1e-9)
+
+
+@pytest.mark.parametrize("block", [1, 7, 699, 700, 5000])
+def test_a_gap_is_counted_with_what_is_missing_whatever_the_blocks(block):
+    stamps, logs = clean()
+    kept = np.ones(5000, dtype=bool)
+    kept[700:723] = False  # 23 samples, at a border of blocks
+    found = report(stamps[kept], logs[kept], block)
+    assert (found.gaps, found.missing, found.jumps) == (1, 23, 0)
+    assert found.longest_step_s == pytest.approx(0.048)
+    event = found.events[0]
+    assert (event.kind, event.time_s) == ("gap", pytest.approx(699 * 0.002))
+    assert event.size_s == pytest.approx(0.048)
+    assert found.rate_hz == pytest.approx((4976) / (4999 * 0.002))
+
+
+@pytest.mark.parametrize("jump_s", [-3.0, -0.5, 0.5, 7200.0])
+def test_where_the_stamp_leaves_the_log_time_it_is_a_jump(jump_s):
+    stamps, logs = clean()
+    stamps[2000:] += round(jump_s * 1e9)
+    found = report(stamps, logs)
+    assert (found.jumps, found.gaps, found.out_of_order, found.missing) == (1, 0, 0, 0)
+    assert found.events[0].size_s == pytest.approx(jump_s + 0.002)
+    # the jump is no time gone by
+    assert found.rate_hz == pytest.approx(500.0)
+
+
+def test_a_pause_of_recording_is_a_gap_and_no_jump():
+    stamps, logs = clean()
+    stamps[2000:] += 60_000_000_000
+    logs[2000:] += 60_000_000_000
+    found = report(stamps, logs)
+    assert (found.gaps, found.missing, found.jumps) == (1, 30_000, 0)
+
+
+def test_duplicates_and_samples_out_of_order():
+    stamps, logs = clean()
+    stamps[100] = stamps[99]
+    stamps[[300, 301]] = stamps[[301, 300]]
+    found = report(stamps, logs)
+    assert (found.duplicates, found.out_of_order, found.jumps) == (1, 1, 0)
+    assert not found.sound
+    assert {event.kind for event in found.events} >= {"duplicate", "out_of_order"}
+
+
+def test_unstamped_messages_are_counted_and_spoil_nothing_else():
+    stamps, logs = clean()
+    stamps[50:60] = 0
+    found = report(stamps, logs)
+    assert (found.unstamped, found.jumps) == (10, 0)
+    assert found.gaps == 1
+
+
+def test_jitter_is_no_gap():
+    rng = np.random.default_rng(1)
+    stamps, _ = clean()
+    stamps = stamps + rng.integers(-900_000, 900_000, len(stamps))
+    found = report(stamps, stamps + rng.integers(0, 50_000_000, len(stamps)))
+    assert found.sound
+
+
+def test_nothing_and_one_message():
+    assert StampCheck().report().count == 0
+    check = StampCheck()
+    check.add(np.array([START]), np.array([START + 5]))
+    assert np.isnan(check.report().rate_hz)
+    assert check.report().sound
+
+
+def test_the_events_kept_are_bounded():
+    stamps, logs = clean()
+    stamps[1::2] = stamps[::2]
+    found = report(stamps, logs)
+    assert found.duplicates == 2500
+    assert len(found.events) == 100

@@ -1,0 +1,51 @@
+import numpy as np
+import pytest
+from galen_gravcomp.cells import CellReducer
+
+START = 1_700_000_000_000_000_000
+
+
+def samples(count=2311, seed=0):
+    rng = np.random.default_rng(seed)
+    stamps = START + 2_000_000 * np.arange(count, dtype=np.int64)
+    return stamps, 5.0 + 0.01 * rng.normal(size=(count, 6)), rng.normal(size=(count, 2))
+
+
+def reduce(stamps, wrench, angles, borders):
+    reducer = CellReducer()
+    for rows in np.split(np.arange(len(stamps)), borders):
+        reducer.add(stamps[rows], wrench[rows], angles[rows])
+    return reducer.finish()
+
+
+@pytest.mark.parametrize(
+    "borders", [[], [0], [1, 1, 50], list(range(1, 2311, 37)), [2310], [49, 50, 51]]
+)
+def test_cells_are_what_numpy_says_whatever_the_blocks(borders):
+    stamps, wrench, angles = samples()
+    cells = reduce(stamps, wrench, angles, borders)
+    number = stamps // 100_000_000
+    assert len(cells) == len(np.unique(number))
+    assert cells.count.sum() == len(stamps)
+    for k, value in enumerate(np.unique(number)):
+        rows = number == value
+        assert cells.start_ns[k] == stamps[rows][0]
+        assert cells.end_ns[k] == stamps[rows][-1]
+        np.testing.assert_allclose(cells.mean[k], wrench[rows].mean(axis=0), rtol=1e-12)
+        scatter = np.var(wrench[rows], axis=0) * rows.sum()
+        np.testing.assert_allclose(cells.squares[k], scatter, rtol=1e-9)
+        np.testing.assert_allclose(cells.angles[k], angles[rows].mean(axis=0), atol=1e-12)
+        np.testing.assert_allclose(cells.spans[k], np.ptp(angles[rows], axis=0), atol=1e-12)
+    np.testing.assert_allclose(cells.sum_of_squares.sum(axis=0), (wrench**2).sum(axis=0))
+
+
+def test_stamps_that_jump_back_do_not_mix_with_what_was_there_before():
+    stamps, wrench, angles = samples(1000)
+    stamps[500:] -= 500 * 2_000_000
+    wrench[500:] += 1.0
+    cells = reduce(stamps, wrench, angles, [])
+    assert np.all((np.abs(cells.mean - 5.0) < 0.1) | (np.abs(cells.mean - 6.0) < 0.1))
+
+
+def test_nothing_gives_no_cells():
+    assert len(CellReducer().finish()) == 0
