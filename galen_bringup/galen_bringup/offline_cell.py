@@ -1,0 +1,152 @@
+"""The simulated cell without ROS and without waiting: the same plant, stepped as fast as it goes.
+
+What `sim_driver_node` and `calibration_node` do over topics and services is done here by calls,
+between two steps of the plant. So services answer at once, and the wall clock runs with the stamps.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+from galen_calibration_behavior.commands import (
+    AttachTool,
+    Command,
+    Estimate,
+    Feedback,
+    Finished,
+    Measurements,
+    MoveTo,
+    Stop,
+    ZeroSensor,
+)
+from galen_calibration_behavior.procedure import CalibrationProcedure, ProcedureSettings, Request
+from galen_model.arm import JOINT_NAMES
+from galen_model.errors import GalenError
+from galen_sim_driver.errors import UnknownToolError, ZeroingError
+from galen_sim_driver.plant import Plant, Sample
+from galen_sim_driver.sensor import Zeroing
+from galen_sim_driver.trajectory import Trajectory, TrajectoryPoint
+from numpy import array
+
+_WALL_TICK_NS = 100_000_000
+
+
+class OfflineCalibrationError(GalenError):
+    """The calibration ended without measurements; the message is the procedure's own."""
+
+
+class OfflineCell:
+    """A plant and who listens to its samples."""
+
+    def __init__(self, plant: Plant, listeners: Sequence[Callable[[Sample], object]] = ()) -> None:
+        """`listeners` are called with every sample, in this order."""
+        self.plant = plant
+        self._listeners = list(listeners)
+
+    def step(self) -> Sample:
+        """Go on by one period."""
+        sample = self.plant.step()
+        for listener in self._listeners:
+            listener(sample)
+        return sample
+
+    def run(self, duration_s: float) -> None:
+        """Go on for this long, by the stamps."""
+        end_ns = self.plant.now_ns + round(duration_s * 1e9)
+        while self.plant.now_ns < end_ns:
+            self.step()
+
+    def move_to(self, joints: Sequence[float], duration_s: float) -> None:
+        """Order a move from rest to rest to `joints` (5,), m and rad, as the calibration does."""
+        rest = [0.0] * len(JOINT_NAMES)
+        point = TrajectoryPoint(duration_s, [float(value) for value in joints], rest, rest)
+        self.plant.command(Trajectory(list(JOINT_NAMES), [point]))
+
+    def play_hand(self) -> None:
+        """Play the hand's script to its end."""
+        self.plant.start_hand()
+        while self.plant.hand_active:
+            self.step()
+
+    def calibrate(
+        self,
+        settings: ProcedureSettings,
+        request: Request,
+        *,
+        zero_window_s: float = 0.5,
+        on_feedback: Callable[[Feedback, int], object] = lambda feedback, stamp_ns: None,
+    ) -> Measurements:
+        """Run a whole calibration and return what it would estimate from.
+
+        The request must attach the tool by service, for nobody is here. `zero_window_s` is the
+        driver's `bias_window_s`; `on_feedback` gets each feedback and the stamp it came at. Raises
+        OfflineCalibrationError.
+        """
+        if not request.attach_by_service:
+            raise OfflineCalibrationError("nobody is here to put the tool on: attach it by service")
+        run = _Calibration(self, CalibrationProcedure(settings, request), zero_window_s)
+        return run.finish(on_feedback)
+
+
+class _Calibration:
+    """One calibration under way."""
+
+    def __init__(
+        self, cell: OfflineCell, procedure: CalibrationProcedure, zero_window_s: float
+    ) -> None:
+        self._cell = cell
+        self._procedure = procedure
+        self._zero_window_s = zero_window_s
+        self._zeroing: Zeroing | None = None
+        self._measurements: Measurements | None = None
+
+    def finish(self, on_feedback: Callable[[Feedback, int], object]) -> Measurements:
+        procedure, plant = self._procedure, self._cell.plant
+        procedure.start()
+        next_tick_ns = plant.now_ns
+        while True:
+            while commands := procedure.take_commands():
+                for command in commands:
+                    if isinstance(command, Feedback):
+                        on_feedback(command, plant.now_ns)
+                    elif isinstance(command, Finished) and self._measurements is None:
+                        raise OfflineCalibrationError(
+                            f"{command.error_code.name}: {command.error_msg}"
+                        )
+                    self._obey(command)
+            if self._measurements is not None:
+                return self._measurements
+            self._hear(self._cell.step())
+            if plant.now_ns >= next_tick_ns:
+                next_tick_ns += _WALL_TICK_NS
+                procedure.on_wall(plant.now_ns * 1e-9)
+
+    def _hear(self, sample: Sample) -> None:
+        procedure = self._procedure
+        procedure.on_joints(sample.stamp_ns, array(sample.positions), array(sample.velocities))
+        procedure.on_wrench(sample.stamp_ns, array(sample.wrench))
+        if self._zeroing is not None and self._zeroing.done:
+            error, self._zeroing = self._zeroing.error, None
+            procedure.on_service(error is None, "" if error is None else str(error))
+
+    def _obey(self, command: Command) -> None:
+        plant, procedure = self._cell.plant, self._procedure
+        match command:
+            case MoveTo():
+                self._cell.move_to(command.joints.tolist(), command.duration_s)
+            case Stop():
+                plant.stop()
+            case ZeroSensor():
+                try:
+                    self._zeroing = plant.start_zeroing(self._zero_window_s)
+                except ZeroingError as error:
+                    procedure.on_service(False, str(error))
+            case AttachTool():
+                try:
+                    plant.attach_tool(command.tool)
+                except UnknownToolError as error:
+                    procedure.on_service(False, str(error))
+                else:
+                    procedure.on_service(True, "")
+            case Estimate():
+                self._measurements = command.measurements

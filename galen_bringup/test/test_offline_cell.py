@@ -1,0 +1,116 @@
+"""The cell without ROS: a calibration from the plant's samples, its ends, what a bag gets."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from galen_bags.bag import open_bag
+from galen_bags.writer import BagWriter
+from galen_bringup.cell_bag import CellBag
+from galen_bringup.offline_cell import OfflineCalibrationError, OfflineCell
+from galen_calibration_behavior.commands import State
+from galen_calibration_behavior.parameters import CalibrationParameters
+from galen_calibration_behavior.procedure import Request
+from galen_model.arm import HOME
+from galen_model.identification import identify_two_sweeps
+from galen_model.load import Load, nominal_reading
+from galen_model.tools import ADAPTER, TOOLS
+from galen_sim_driver.config import HandPush, PlantConfig
+from galen_sim_driver.plant import Plant
+
+PARAMETERS = CalibrationParameters(settle_s=0.1, average_s=0.3)
+POSES = PARAMETERS.poses(3, 3)
+
+
+def cell(*listeners, **config):
+    config = PlantConfig(rate_hz=100.0, **config)
+    return OfflineCell(Plant(config, np.random.default_rng(1)), listeners)
+
+
+def calibrate(offline, **changes):
+    settings = dataclasses.replace(PARAMETERS.settings(), **changes.pop("settings", {}))
+    values = {"tool": "pointer", "one_sweep": False, "attach_by_service": True, "poses": POSES}
+    states = []
+    found = offline.calibrate(
+        settings,
+        Request(**values | changes),
+        on_feedback=lambda feedback, stamp_ns: states.append((feedback.state, stamp_ns)),
+    )
+    return found, states
+
+
+def test_a_calibration_finds_the_plants_loads_and_tells_its_states():
+    offline = cell()
+    found, states = calibrate(offline)
+    for still, tool in ((found.bare, Load(0.0)), (found.tool, TOOLS["pointer"].load)):
+        expected = nominal_reading(still.roll, still.tilt, tool, ADAPTER)
+        assert still.wrench == pytest.approx(expected, abs=0.03)
+    load = identify_two_sweeps(found.bare, found.tool, found.bias_roll, found.bias_tilt).load
+    assert load.mass_kg == pytest.approx(0.060, abs=5 * load.mass_std_kg)
+    order = list(dict.fromkeys(state for state, _ in states))
+    assert order == list(State)
+    stamps = [stamp for _, stamp in states]
+    assert stamps == sorted(stamps)
+    assert stamps[-1] == offline.plant.now_ns
+
+
+def test_every_sample_reaches_every_listener_once_and_in_order():
+    first, second = [], []
+    offline = cell(
+        lambda sample: first.append(sample.stamp_ns), lambda s: second.append(len(first))
+    )
+    offline.run(0.5)
+    assert first == [1_000_000_000 + k * 10_000_000 for k in range(1, 51)]
+    assert second == list(range(1, 51))
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"tool": "spoon"}, "SERVICE_FAILED: attach_tool failed: no tool 'spoon' here"),
+        ({"attach_by_service": False}, "attach it by service"),
+        ({"settings": {"motion_timeout_s": -5.0}}, "MOTION_TIMEOUT"),
+    ],
+)
+def test_a_calibration_that_fails_says_why(changes, message):
+    with pytest.raises(OfflineCalibrationError, match=message):
+        calibrate(cell(), **changes)
+
+
+def test_the_hand_plays_its_script_to_the_end():
+    wrenches = []
+    offline = cell(
+        lambda sample: wrenches.append(sample.wrench),
+        hand=(HandPush(0.2, 1.0, force_n=(0.0, 0.0, 5.0)),),
+    )
+    offline.play_hand()
+    pushed = np.array(wrenches)
+    # at home the sensor's x points down
+    assert pushed[:, 0].min() == pytest.approx(-5.0, abs=0.1)
+    assert abs(pushed[0, 0]) < 0.1
+    assert len(pushed) == pytest.approx(120, abs=2)
+
+
+def test_a_move_goes_from_rest_to_rest():
+    offline = cell()
+    target = HOME + np.array([0.0, 0.0, 0.0, 0.3, -0.2])
+    offline.move_to(target, 1.0)
+    offline.run(1.1)
+    assert not offline.plant.moving
+    assert offline.step().true_joints == pytest.approx(target.tolist())
+
+
+@pytest.mark.parametrize("tool", ["", "retractor"])
+def test_a_bag_gets_what_the_driver_publishes_in_its_order(tmp_path, tool):
+    with BagWriter(tmp_path / "bag") as writer:
+        offline = cell(CellBag(writer, tracker=True))
+        offline.plant.attach_tool(tool)
+        offline.run(0.1)
+    with open_bag(tmp_path / "bag") as bag:
+        names = sorted(bag.topics)
+        (block,) = bag.blocks(names)
+        topics = [names[k] for k in block.topic.tolist()]
+    seen = ["/tracker/tool_pose"] if tool else []
+    assert topics == ["/joint_states", "/wrench_raw", *seen, "/tracker/base_pose"] * 10
+    assert np.all(np.diff(block.log_time_ns) > 0)
+    assert block.log_time_ns[0] == 1_010_000_000 + 200_000
