@@ -9,27 +9,21 @@ from __future__ import annotations
 import contextlib
 import os
 import re
-import shutil
 import sys
 import tempfile
-from collections.abc import Callable, Iterator, Sequence
-from itertools import islice
+from collections.abc import Iterator, Sequence
 from pathlib import Path, PurePath
 from types import TracebackType
-from typing import Any
 
 import numpy as np
 import yaml
-from rosbags.rosbag1 import Reader as Ros1Reader
-from rosbags.rosbag1 import ReaderError as Ros1Error
-from rosbags.rosbag2 import Reader as Rosbag2Reader
-from rosbags.rosbag2 import ReaderError as Rosbag2Error
-from rosbags.serde import SerdeError
-from rosbags.typesys import Stores, TypesysError, get_types_from_msg, get_typestore
 
 from galen_bags.errors import BagError
+from galen_bags.library_file import LibraryFile
 from galen_bags.mcap_file import McapFile
-from galen_bags.raw_block import Messages, TopicInfo, pack
+from galen_bags.mcap_records import LARGEST_BYTES
+from galen_bags.problems import Problems
+from galen_bags.raw_block import Messages, TopicInfo, packed
 
 if sys.version_info >= (3, 14):
     from compression import zstd
@@ -37,15 +31,14 @@ else:
     from backports import zstd
 
 STORAGES = (".mcap", ".db3")
+_KINDS = (*STORAGES, ".bag")
 _ZSTD = ".zstd"
 # No serialised message starts so: CDR's first byte is zero.
 _ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
-_BATCH = 8192
-# What the libraries below raise on a file that is damaged.
-_DAMAGE = (
-    Rosbag2Error, Ros1Error, SerdeError, TypesysError, zstd.ZstdError,
-    AssertionError, KeyError, IndexError, ValueError, RuntimeError, EOFError,
-)  # fmt: skip
+# metadata.yaml has some hundred bytes a topic and a file.
+_MOST_METADATA_BYTES = 1 << 22
+# Recordings don't shrink to less; what grows by more is meant to fill the disk.
+_MOST_EXPANSION = 1000
 
 
 class Bag:
@@ -55,12 +48,13 @@ class Bag:
         """Use `open_bag` instead."""
         self.path = path
         self._stack = contextlib.ExitStack()
-        self._problems = list(problems)
-        self._files: list[McapFile | _LibraryFile] = []
+        self._problems = Problems()
+        for text in problems:
+            self._problems.add(text)
+        self._files: list[McapFile | LibraryFile] = []
         with contextlib.ExitStack() as undo:
             undo.callback(self.close)
-            for file in files:
-                self._files.append(self._open(file))
+            self._open_all(files)
             undo.pop_all()
         self.topics: dict[str, TopicInfo] = {}
         for opened in self._files:
@@ -87,7 +81,7 @@ class Bag:
         """What is wrong with the bag, as far as it has been read."""
         found = list(self._problems)
         for opened in self._files:
-            found += [text for text in opened.problems if text not in found]
+            found += opened.problems
         return found
 
     def blocks(self, topics: Sequence[str]) -> Iterator[Messages]:
@@ -104,44 +98,89 @@ class Bag:
                     f"{self.path}: {name} is serialised as {self.topics[name].encoding!r}, not cdr"
                 )
         wanted = {name: number for number, name in enumerate(topics)}
+        last_ns = None
         for opened in self._files:
             try:
-                yield from map(_inflated, opened.messages(wanted))
+                for block in opened.messages(wanted):
+                    if last_ns is not None and block.log_time_ns[0] < last_ns:
+                        self._problems.add(f"{opened.path.name}: its times go back")
+                    last_ns = block.log_time_ns[-1]
+                    yield from self._inflated(block)
             except OSError as error:
                 raise BagError(f"{opened.path}: can't be read: {error}") from error
 
-    def _open(self, path: Path) -> McapFile | _LibraryFile:
+    def _open_all(self, files: Sequence[Path]) -> None:
+        """Open what can be opened; a recording that was cut off may end with an empty file."""
+        for file in files:
+            try:
+                self._files.append(self._open(file))
+            except BagError as error:
+                if file == files[-1] and not self._files:
+                    raise
+                self._problems.add(str(error))
+
+    def _open(self, path: Path) -> McapFile | LibraryFile:
+        if _storage(path) not in _KINDS:
+            raise BagError(f"{path}: is no bag (.mcap, .db3, .bag or a directory of them)")
         if path.suffix == _ZSTD:
             path = self._decompressed(path)
-        opened = McapFile(path) if path.suffix == ".mcap" else _LibraryFile(path)
+        if path.suffix == ".mcap":
+            return McapFile(path)
+        opened = LibraryFile(path, self._folder)
         self._stack.callback(opened.close)
         return opened
 
+    def _folder(self) -> Path:
+        """A temporary directory, there until the bag is closed."""
+        return Path(self._stack.enter_context(tempfile.TemporaryDirectory(prefix="galen_bag_")))
+
     def _decompressed(self, path: Path) -> Path:
-        folder = Path(self._stack.enter_context(tempfile.TemporaryDirectory(prefix="galen_bag_")))
-        target = folder / path.stem
+        target = self._folder() / path.stem
+        most = _MOST_EXPANSION * path.stat().st_size
         try:
-            with zstd.open(path, "rb") as packed, target.open("wb") as out:
-                shutil.copyfileobj(packed, out, 1 << 20)
+            with zstd.open(path, "rb") as packed_file, target.open("wb") as out:
+                while piece := packed_file.read(1 << 20):
+                    out.write(piece)
+                    if out.tell() > most:
+                        raise BagError(
+                            f"{path}: grows to more than {_MOST_EXPANSION} times its size"
+                        )
         except (EOFError, zstd.ZstdError) as error:
-            self._problems.append(f"{path.name}: its compression breaks off: {error}")
+            self._problems.add(f"{path.name}: its compression breaks off: {error}")
         except OSError as error:
             raise BagError(f"{path}: can't be read: {error}") from error
         return target
+
+    def _inflated(self, block: Messages) -> Iterator[Messages]:
+        """The block with those messages decompressed that were compressed one by one (zstd)."""
+        if np.any(block.data[block.start[block.size > 0]] == _ZSTD_MAGIC[0]):
+            yield from packed(self._decompress_each(block))
+        else:
+            yield block
+
+    def _decompress_each(self, block: Messages) -> Iterator[tuple[int, int, bytes]]:
+        for index in range(len(block)):
+            data = block.message(index)
+            if data.startswith(_ZSTD_MAGIC):
+                try:
+                    data = _decompress(data)
+                except zstd.ZstdError as error:
+                    self._problems.add(f"{self.path.name}: some messages can't be read: {error}")
+                    continue
+            yield int(block.topic[index]), int(block.log_time_ns[index]), data
 
     def _merged(self, topic: TopicInfo) -> TopicInfo:
         other = self.topics.get(topic.name)
         if other is None:
             return topic
-        if other.type_name != topic.type_name:
-            raise BagError(
-                f"{self.path}: {topic.name} is of two types, {other.type_name} and"
-                f" {topic.type_name}"
-            )
         return TopicInfo(
-            topic.name, topic.type_name, (other.count or 0) + (topic.count or 0), topic.encoding,
-            other.definition_form, other.definition,
-        )  # fmt: skip
+            topic.name,
+            _either(other.type_name, topic.type_name),
+            (other.count or 0) + (topic.count or 0),
+            _either(other.encoding, topic.encoding),
+            other.definition_form,
+            other.definition,
+        )
 
 
 def open_bag(path: str | os.PathLike[str]) -> Bag:
@@ -150,13 +189,19 @@ def open_bag(path: str | os.PathLike[str]) -> Bag:
     Raises BagError, naming the file.
     """
     path = Path(path)
-    if not path.exists():
-        raise BagError(f"{path}: is not there")
-    if not path.is_dir():
-        return Bag(path, [path], [])
-    listed, problems = _listed_files(path)
-    if listed is None:
-        listed = storage_files(path)
+    try:
+        if path.is_dir():
+            listed, problems = _listed_files(path)
+            if listed is None:
+                listed = storage_files(path)
+        elif path.is_file():
+            listed, problems = [path], []
+        elif path.exists():
+            raise BagError(f"{path}: is neither a file nor a directory")
+        else:
+            raise BagError(f"{path}: is not there")
+    except OSError as error:
+        raise BagError(f"{path}: can't be read: {error.strerror}") from error
     if not listed:
         raise BagError(f"{path}: holds no bag (no .mcap or .db3)")
     there = [file for file in listed if file.is_file()]
@@ -186,81 +231,27 @@ def _listed_files(directory: Path) -> tuple[list[Path] | None, list[str]]:
     if not metadata.exists():
         return None, [f"{directory.name} has no metadata.yaml: its recording was cut off"]
     try:
-        content = yaml.safe_load(metadata.read_text(encoding="utf-8"))
+        if not metadata.is_file() or metadata.stat().st_size > _MOST_METADATA_BYTES:
+            raise ValueError("it is too large, or no file")
+        # The base loader makes lists, dictionaries and texts, and no copies of what is repeated.
+        content = yaml.load(metadata.read_text(encoding="utf-8"), Loader=yaml.BaseLoader)
         # Only names: a path in it must not lead out of the directory.
         listed = content["rosbag2_bagfile_information"]["relative_file_paths"]
-        names = [PurePath(name).name for name in listed]
-    except (OSError, UnicodeDecodeError, yaml.YAMLError, KeyError, TypeError) as error:
-        reason = str(error).splitlines()[0]
+        names = dict.fromkeys(PurePath(name).name for name in listed)
+    except (OSError, ValueError, yaml.YAMLError, LookupError, TypeError, RecursionError) as error:
+        reason = (str(error).splitlines() or [type(error).__name__])[0]
         return None, [f"{directory.name}/metadata.yaml can't be used: {reason}"]
     return [directory / name for name in names], []
 
 
-def _inflated(block: Messages) -> Messages:
-    """The block with those messages decompressed that were compressed one by one (zstd)."""
-    if not np.any(block.data[block.start[block.size > 0]] == _ZSTD_MAGIC[0]):
-        return block
-    messages = [block.message(index) for index in range(len(block))]
-    messages = [zstd.decompress(m) if m.startswith(_ZSTD_MAGIC) else m for m in messages]
-    return pack(block.topic.tolist(), block.log_time_ns.tolist(), messages)
+def _decompress(data: bytes) -> bytes:
+    """One message; ZstdError if it is damaged, or larger than any is."""
+    content = zstd.ZstdDecompressor().decompress(data, max_length=LARGEST_BYTES + 1)
+    if len(content) > LARGEST_BYTES:
+        raise zstd.ZstdError(f"a message of more than {LARGEST_BYTES} bytes")
+    return content
 
 
-class _LibraryFile:
-    """A file that the library rosbags reads: SQLite3, or a ROS 1 bag."""
-
-    def __init__(self, path: Path) -> None:
-        self.path = path
-        self.problems: list[str] = []
-        ros1 = path.suffix == ".bag"
-        if not ros1 and path.suffix != ".db3":
-            raise BagError(f"{path}: is no bag (.mcap, .db3, .bag or a directory of them)")
-        try:
-            self._reader: Any = Ros1Reader(path) if ros1 else Rosbag2Reader(path)
-            self._reader.open()
-        except (*_DAMAGE, OSError) as error:
-            hint = "; `rosbag reindex` mends a ROS 1 bag that was cut off" if ros1 else ""
-            raise BagError(f"{path}: can't be read: {error}{hint}") from error
-        self._convert = _ros1_converter(self._reader) if ros1 else None
-        self.topics = [
-            TopicInfo(c.topic, c.msgtype, c.msgcount)
-            if ros1
-            else TopicInfo(
-                c.topic,
-                c.msgtype,
-                c.msgcount,
-                c.ext.serialization_format,
-                c.msgdef.format.name.lower().replace("msg", "ros2msg").replace("none", ""),
-                c.msgdef.data,
-            )
-            for c in self._reader.connections
-        ]
-
-    def close(self) -> None:
-        self._reader.close()
-
-    def messages(self, wanted: dict[str, int]) -> Iterator[Messages]:
-        connections = [c for c in self._reader.connections if c.topic in wanted]
-        if not connections:
-            return
-        source = self._reader.messages(connections)
-        while True:
-            batch: list[tuple[int, int, bytes]] = []
-            try:
-                for connection, time_ns, data in islice(source, _BATCH):
-                    if self._convert is not None:
-                        data = self._convert(data, connection.msgtype)
-                    batch.append((wanted[connection.topic], time_ns, data))
-            except _DAMAGE as error:
-                self.problems.append(f"{self.path.name} breaks off: {error}")
-                source = iter(())
-            if not batch:
-                return
-            topics, times, messages = zip(*batch, strict=True)
-            yield pack(topics, times, messages)
-
-
-def _ros1_converter(reader: Ros1Reader) -> Callable[[bytes, str], bytes]:
-    types = get_typestore(Stores.EMPTY)
-    for connection in reader.connections:
-        types.register(get_types_from_msg(connection.msgdef.data, connection.msgtype))
-    return lambda data, type_name: bytes(types.ros1_to_cdr(data, type_name))
+def _either(one: str, other: str) -> str:
+    """Two types or encodings in one topic make one that nobody asks for."""
+    return one if other == one else f"{one} and {other}"

@@ -7,7 +7,7 @@ out, all that fit it are read by array operations, and so on with what is left (
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from galen_model.arrays import Array
@@ -26,7 +26,7 @@ from galen_ros.joint_names import (
 )
 
 from galen_bags.errors import BagError
-from galen_bags.raw_block import Messages
+from galen_bags.raw_block import Messages, windows
 
 WRENCH_TYPE = "geometry_msgs/msg/WrenchStamped"
 POSE_TYPE = "geometry_msgs/msg/PoseStamped"
@@ -80,48 +80,60 @@ class Decoder:
     def decode(self, block: Messages, rows: np.ndarray) -> Samples:
         """The messages at `rows` (n,) of a block."""
         count = len(rows)
-        stamp_ns = np.zeros(count, dtype=np.int64)
-        values = np.full((count, self._width), np.nan)
-        frame = np.zeros(count, dtype=np.intp)
-        bad: dict[int, str] = {}
-        start, size = block.start[rows], block.size[rows]
+        samples = Samples(
+            np.zeros(count, dtype=np.int64),
+            np.full((count, self._width), np.nan),
+            np.zeros(count, dtype=np.intp),
+            (),
+            {},
+        )
         left = np.arange(count)
-        known = list(self._layouts)
+        for layout in list(self._layouts):
+            left = self._fill(samples, layout, block, rows, left)
         learnt = 0
         while len(left):
-            if known:
-                layout = known.pop(0)
-            else:
-                first = int(left[0])
-                data = block.message(int(rows[first]))
-                try:
-                    layout = self._learn(data)
-                except UnreadableError as error:
-                    bad[first] = (
-                        f"{len(data)} bytes came that are not a readable {self._type_name}: {error}"
-                    )
-                    left = left[1:]
-                    continue
-                learnt += 1
-            tried = left if learnt <= _MOST_LAYOUTS_A_BLOCK else left[:1]
-            same = tried[size[tried] == layout.length]
-            if not len(same):
-                continue
-            windows = np.lib.stride_tricks.sliding_window_view(block.data, layout.length)
-            data_rows = windows[start[same]]
-            fits = np.ones(len(same), dtype=bool)
-            for run, expected in layout.fixed:
-                fits &= np.all(data_rows[:, run] == np.frombuffer(expected, np.uint8), axis=1)
-            if not fits.all():
-                same, data_rows = same[fits], data_rows[fits]
-            stamp_ns[same] = _stamps(layout, data_rows)
-            frame[same] = self._frame_ids.setdefault(layout.frame_id, len(self._frame_ids))
+            first = int(left[0])
+            data = block.message(int(rows[first]))
             try:
-                values[same] = self._values(layout, data_rows)
-            except JointStateError as error:
-                bad.update(dict.fromkeys(same.tolist(), str(error)))
-            left = np.setdiff1d(left, same, assume_unique=True)
-        return Samples(stamp_ns, values, frame, tuple(self._frame_ids) or ("",), bad)
+                layout = self._learn(data)
+            except UnreadableError as error:
+                samples.bad[first] = (
+                    f"{len(data)} bytes came that are not a readable {self._type_name}: {error}"
+                )
+                left = left[1:]
+                continue
+            learnt += 1
+            if learnt <= _MOST_LAYOUTS_A_BLOCK:
+                left = self._fill(samples, layout, block, rows, left)
+            else:
+                self._fill(samples, layout, block, rows, left[:1])
+                left = left[1:]
+        return replace(samples, frame_ids=tuple(self._frame_ids) or ("",))
+
+    def _fill(
+        self, samples: Samples, layout: Layout, block: Messages, rows: np.ndarray, left: np.ndarray
+    ) -> np.ndarray:
+        """Fill in those of the samples `left` that are laid out so; returns the others."""
+        fits = block.size[rows[left]] == layout.length
+        if not fits.any():
+            return left
+        same = left[fits]
+        cells = windows(block.data, layout.length)[block.start[rows[same]]]
+        alike = np.ones(len(same), dtype=bool)
+        for run, expected in layout.fixed:
+            equal = cells[:, run] == np.frombuffer(expected, np.uint8)
+            if not equal.all():  # over all at once: much faster than over each row
+                alike &= equal.all(axis=1)
+        if not alike.all():
+            same, cells = same[alike], cells[alike]
+            fits[fits] = alike
+        samples.stamp_ns[same] = _stamps(layout, cells)
+        samples.frame[same] = self._frame_ids.setdefault(layout.frame_id, len(self._frame_ids))
+        try:
+            samples.values[same] = self._values(layout, cells)
+        except JointStateError as error:
+            samples.bad.update(dict.fromkeys(same.tolist(), str(error)))
+        return left[~fits]
 
     def _learn(self, data: bytes) -> Layout:
         if self._type_name == JOINT_STATE_TYPE:

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+
+# A block of a joint state's or a wrench's messages is about 2 MB; larger ones make it shorter.
+BLOCK_MESSAGES = 1 << 14
+_PACK_BYTES = 1 << 23
 
 
 @dataclass(frozen=True)
@@ -47,48 +51,58 @@ class Messages:
         start = self.start[index]
         return self.data[start : start + self.size[index]].tobytes()
 
+    def in_order(self) -> bool:
+        """Whether the log times never go back."""
+        return bool(np.all(self.log_time_ns[1:] >= self.log_time_ns[:-1]))
+
     def sorted(self) -> Messages:
         """The same in order of log time; messages of one time keep their order."""
-        if np.all(self.log_time_ns[1:] >= self.log_time_ns[:-1]):
+        if self.in_order():
             return self
-        return self._rows(np.argsort(self.log_time_ns, kind="stable"))
+        return self.rows(np.argsort(self.log_time_ns, kind="stable"))
 
-    def split(self, upto_ns: int | None) -> tuple[Messages, Messages | None]:
-        """Messages up to a log time, and the later ones in a buffer of their own (None: none)."""
-        if upto_ns is None or not len(self) or self.log_time_ns[-1] <= upto_ns:
-            return self, None
-        border = int(np.searchsorted(self.log_time_ns, upto_ns, side="right"))
-        early, late = self._rows(slice(None, border)), self._rows(slice(border, None))
-        data = np.concatenate(
-            [self.data[a : a + n] for a, n in zip(late.start, late.size, strict=True)]
-        )
-        start = np.concatenate([[0], np.cumsum(late.size)[:-1]])
-        return early, Messages(late.topic, late.log_time_ns, data, start, late.size)
-
-    def joined(self, other: Messages) -> Messages:
-        """These messages, then `other`'s."""
-        return Messages(
-            np.concatenate([self.topic, other.topic]),
-            np.concatenate([self.log_time_ns, other.log_time_ns]),
-            np.concatenate([self.data, other.data]),
-            np.concatenate([self.start, other.start + len(self.data)]),
-            np.concatenate([self.size, other.size]),
-        )
-
-    def _rows(self, rows: slice | np.ndarray) -> Messages:
+    def rows(self, rows: slice | np.ndarray) -> Messages:
+        """Some of the messages, in the same buffer."""
         return Messages(
             self.topic[rows], self.log_time_ns[rows], self.data, self.start[rows], self.size[rows]
         )
+
+    def pieces(self) -> Iterator[Messages]:
+        """The same in blocks of at most BLOCK_MESSAGES."""
+        if len(self) <= BLOCK_MESSAGES:
+            if len(self):
+                yield self
+            return
+        for first in range(0, len(self), BLOCK_MESSAGES):
+            yield self.rows(slice(first, first + BLOCK_MESSAGES))
+
+
+def windows(data: np.ndarray, length: int) -> np.ndarray:
+    """All stretches (m, length) of a buffer (n,), m = n - length + 1, without a copy."""
+    return np.ndarray((len(data) - length + 1, length), np.uint8, data, strides=(1, 1))
 
 
 def pack(topic: Sequence[int], log_time_ns: Sequence[int], messages: Sequence[bytes]) -> Messages:
     """Put single messages into one buffer."""
     size = np.array([len(message) for message in messages], dtype=np.int64)
-    start = np.concatenate([np.zeros(1, np.int64), np.cumsum(size)[:-1]]) if len(size) else size
     return Messages(
         np.array(topic, dtype=np.int32),
         np.array(log_time_ns, dtype=np.int64),
         np.frombuffer(b"".join(messages), np.uint8),
-        start,
+        np.cumsum(size) - size,
         size,
     )
+
+
+def packed(messages: Iterable[tuple[int, int, bytes]]) -> Iterator[Messages]:
+    """Blocks of (topic, log time in ns, bytes), of some megabytes at most beside the last one."""
+    batch: list[tuple[int, int, bytes]] = []
+    held = 0
+    for message in messages:
+        batch.append(message)
+        held += len(message[2])
+        if len(batch) == BLOCK_MESSAGES or held >= _PACK_BYTES:
+            yield pack(*zip(*batch, strict=True))
+            batch, held = [], 0
+    if batch:
+        yield pack(*zip(*batch, strict=True))
