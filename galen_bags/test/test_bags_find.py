@@ -1,0 +1,113 @@
+import os
+
+import pytest
+from galen_bags.errors import BagError
+from galen_bags.find import find_bags
+
+METADATA = "rosbag2_bagfile_information:\n  version: 9\n"
+
+
+def make(folder, *names):
+    for name in names:
+        path = folder / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(METADATA if path.name == "metadata.yaml" else "")
+
+
+def found(folder, *arguments):
+    return [str(path.relative_to(folder)) for path in find_bags(arguments or [folder])]
+
+
+def test_a_rosbag2_directory_is_one_bag(tmp_path):
+    make(tmp_path, "run/metadata.yaml", "run/a_0.mcap", "run/a_1.mcap", "run/deeper/x.bag")
+    assert found(tmp_path) == ["run"]
+    assert find_bags([tmp_path / "run"]) == [tmp_path / "run"]
+
+
+def test_a_recording_without_metadata_is_one_bag_if_its_files_have_its_name(tmp_path):
+    make(tmp_path, "run/run_0.mcap", "run/run_1.mcap", "one/one.db3", "packed/packed_0.db3.zstd")
+    assert found(tmp_path) == ["one", "packed", "run"]
+
+
+def test_it_is_known_by_its_name_from_inside_too(tmp_path, monkeypatch):
+    make(tmp_path, "run/run_0.mcap", "run/run_1.mcap")
+    monkeypatch.chdir(tmp_path / "run")
+    assert [str(path) for path in find_bags(["."])] == ["."]
+
+
+def test_a_folder_of_files_is_not_taken_for_a_cut_off_recording(tmp_path):
+    make(tmp_path, "monday/a.mcap", "monday/monday_0.mcap", "monday/b.db3")
+    assert found(tmp_path) == ["monday/a.mcap", "monday/b.db3", "monday/monday_0.mcap"]
+
+
+def test_a_metadata_file_of_something_else_makes_no_bag_of_its_folder(tmp_path):
+    make(tmp_path, "day/run/run.mcap")
+    (tmp_path / "day" / "metadata.yaml").write_text("owner: lab\n")
+    assert found(tmp_path) == ["day/run"]
+
+
+def test_a_bag_that_lost_its_files_is_still_found_and_so_reported_later(tmp_path):
+    make(tmp_path, "run/metadata.yaml")
+    assert found(tmp_path) == ["run"]
+
+
+def test_files_of_every_kind_and_nothing_else(tmp_path):
+    names = ["a.mcap", "b.db3", "c.mcap.zstd", "d.db3.zstd", "e.bag"]
+    make(tmp_path, *names, "notes.txt", "f.csv.zstd", "tool.json", "g.bag.txt")
+    assert found(tmp_path) == names
+
+
+def test_a_diagnostic_recording_gives_its_three_bags(tmp_path):
+    for name in ("sweep", "motion", "push"):
+        make(tmp_path, f"rec/{name}/metadata.yaml", f"rec/{name}/{name}.mcap")
+    make(tmp_path, "rec/tool.json")
+    assert found(tmp_path) == ["rec/motion", "rec/push", "rec/sweep"]
+
+
+def test_hidden_entries_are_left_out_unless_named(tmp_path):
+    make(tmp_path, ".new.1/new/new.mcap", ".half.mcap", "a.mcap")
+    assert found(tmp_path) == ["a.mcap"]
+    hidden = tmp_path / ".new.1"
+    assert find_bags([hidden]) == [hidden / "new"]
+
+
+def test_each_bag_comes_once_whatever_leads_to_it(tmp_path):
+    make(tmp_path, "b/b.mcap", "a/metadata.yaml", "a/a.mcap", "c.bag")
+    (tmp_path / "again").symlink_to(tmp_path / "b")
+    (tmp_path / "d.bag").symlink_to(tmp_path / "c.bag")
+    arguments = [tmp_path / "c.bag", tmp_path, tmp_path / "a", os.path.relpath(tmp_path / "c.bag")]
+    assert find_bags(arguments) == [tmp_path / name for name in ("a", "again", "c.bag")]
+
+
+def test_links_that_go_round_end(tmp_path):
+    make(tmp_path, "x/a.mcap")
+    (tmp_path / "x" / "up").symlink_to(tmp_path)
+    (tmp_path / "x" / "self").symlink_to(tmp_path / "x" / "self")
+    (tmp_path / "x" / "gone.bag").symlink_to(tmp_path / "nowhere.bag")
+    assert found(tmp_path) == ["x/a.mcap"]
+
+
+@pytest.mark.parametrize(
+    ("name", "reason"),
+    [("gone", "is not there"), ("empty", "no bag in it"), ("notes.txt", "is no bag")],
+)
+def test_a_path_without_a_bag_is_refused_by_name(tmp_path, name, reason):
+    make(tmp_path, "a.mcap", "notes.txt")
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(BagError, match=f"{name}: {reason}"):
+        find_bags([tmp_path / "a.mcap", tmp_path / name])
+
+
+def test_a_folder_that_may_not_be_read_is_named(tmp_path, monkeypatch):
+    make(tmp_path, "a.mcap", "secret/b.mcap")
+    listing = os.listdir
+
+    def refuse(path):
+        # Root may read everything, so the refusal is played.
+        if str(path).endswith("secret"):
+            raise PermissionError(13, "Permission denied", str(path))
+        return listing(path)
+
+    monkeypatch.setattr(os, "listdir", refuse)
+    with pytest.raises(BagError, match=r"secret: can't be read: Permission denied"):
+        find_bags([tmp_path])
