@@ -38,7 +38,8 @@ class Cells:
 
     def rows(self, rows: np.ndarray) -> Cells:
         """Some of the cells."""
-        return Cells(*(getattr(self, name)[rows] for name in _FIELDS), self.cell_s)
+        columns = {name: getattr(self, name)[rows] for name in _FIELDS}
+        return Cells(**columns, cell_s=self.cell_s)
 
     @property
     def sum_of_squares(self) -> Array:
@@ -82,8 +83,8 @@ class CellReducer:
             none = np.zeros(0, dtype=np.int64)
             six, two = np.zeros((0, 6)), np.zeros((0, 2))
             return Cells(none, none, none, six, six, two, two, self._cell_s)
-        columns = (np.concatenate([getattr(part, name) for part in parts]) for name in _FIELDS)
-        return Cells(*columns, self._cell_s)
+        columns = {name: np.concatenate([getattr(p, name) for p in parts]) for name in _FIELDS}
+        return Cells(**columns, cell_s=self._cell_s)
 
 
 def _reduce(stamp_ns: np.ndarray, wrench: Array, angles: Array, starts: np.ndarray) -> Cells:

@@ -1,17 +1,15 @@
 """The gravity compensation node: wrench_raw and joint_states in, wrench_compensated out."""
 
 import time
-from dataclasses import dataclass
 from typing import Any, cast
 
-import numpy as np
 from galen_model.errors import ToolFileError, ToolNameError
 from galen_model.tool_file import ToolFile, read_tool, tool_path
 from galen_ros.cdr import UnreadableError
 from galen_ros.deferred_service import DeferredService, Respond
 from galen_ros.diagnostics import DiagnosticsPublisher, Level, Status
 from galen_ros.joint_names import JointStateError
-from galen_ros.parameters import declare_parameters, param
+from galen_ros.parameters import declare_parameters
 from galen_ros.qos import STREAM
 from galen_ros.spin import run
 from geometry_msgs.msg import WrenchStamped
@@ -22,113 +20,17 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool, Trigger
 
-from galen_gravcomp.compensator import Compensator, CompensatorSettings, TareRefusedError
+from galen_gravcomp.compensator import Compensator, TareRefusedError
 from galen_gravcomp.monitor import Monitor, Severity, State
+from galen_gravcomp.parameters import GravcompParameters
 from galen_gravcomp.results import Compensated, Result
-from galen_gravcomp.tare import TareOutcome, TareSettings
+from galen_gravcomp.tare import TareOutcome
 from galen_gravcomp.wire import JointWire, RawWrench, WrenchWire
 from galen_msgs.srv import SetTool
 
 WATCH_PERIOD_S = 0.2
 # Not more often than this are changes of state published and logged.
 MIN_ANNOUNCE_S = 0.05
-
-
-@dataclass(frozen=True)
-class GravcompParameters:
-    """Parameters of the node. Times of samples are by their stamps."""
-
-    tools_dir: str = param("~/.ros/galen/tools", "directory of the tools' files; `~` is expanded")
-    tool: str = param("", "tool to load at start; empty: none until `~/set_tool` is called")
-    enabled: bool = param(True, "whether to compensate from the start")
-    sensor_frame: str = param(
-        "", "frame_id that `wrench_raw` must have; empty: the one in the tool's file"
-    )
-    joint_names: tuple[str, ...] = param(
-        ("roll", "tilt"), "names of the roll and the tilt joint in `joint_states`, in this order"
-    )
-    max_joint_age_s: float = param(
-        0.05,
-        "s; how far `joint_states` may lie behind a wrench, and how far apart two joint samples"
-        " may be to interpolate between them",
-        minimum=0.001,
-        maximum=1.0,
-    )
-    restart_gap_s: float = param(
-        1.0,
-        "s; a longer gap in the stamps of a topic means that the driver was restarted",
-        minimum=0.1,
-        maximum=60.0,
-    )
-    silence_s: float = param(
-        1.0,
-        "s of wall time without a message after which a topic is called silent",
-        minimum=0.1,
-        maximum=60.0,
-    )
-    best_effort_input: bool = param(
-        False, "subscribe as best effort, for a driver that publishes its sensor so"
-    )
-    sensor_range: tuple[float, ...] = param(
-        (125.0, 125.0, 500.0, 3.0, 3.0, 3.0),
-        "N, N.m; range of the sensor's axes fx fy fz tx ty tz; a reading beyond it gives a warning",
-        minimum=1e-6,
-    )
-    tare_window_s: float = param(0.5, "s over which `~/tare` averages", minimum=0.05, maximum=60.0)
-    tare_ramp_s: float = param(
-        1.0, "s over which a new tare is applied", minimum=0.01, maximum=60.0
-    )
-    tare_max_motion_rad: float = param(
-        0.001, "rad; a tare is refused if roll or tilt moved further in its window", minimum=0.0
-    )
-    tare_max_std_force_n: float = param(
-        0.3, "N; a tare is refused if a force axis had a larger standard deviation", minimum=0.0
-    )
-    tare_max_std_torque_nm: float = param(
-        0.02, "N.m; a tare is refused if a torque axis had a larger standard deviation", minimum=0.0
-    )
-    tare_max_force_n: float = param(
-        5.0, "N; a tare that would take off a larger force is refused", minimum=0.0
-    )
-    tare_max_torque_nm: float = param(
-        0.5, "N.m; a tare that would take off a larger torque is refused", minimum=0.0
-    )
-    tare_timeout_s: float = param(
-        2.0,
-        "s of wall time without a compensated wrench after which a running tare is given up",
-        minimum=0.1,
-        maximum=60.0,
-    )
-
-    def validate(self) -> None:
-        """Check what no single range can say."""
-        if len(self.joint_names) != 2 or len(set(self.joint_names)) != 2:
-            raise ValueError(
-                f"parameter 'joint_names' is {list(self.joint_names)}, but must name two joints,"
-                " roll and tilt"
-            )
-        if len(self.sensor_range) != 6:
-            raise ValueError(
-                f"parameter 'sensor_range' has {len(self.sensor_range)} numbers, but must have 6"
-            )
-
-    def settings(self) -> CompensatorSettings:
-        """The compensator's part of the parameters."""
-        return CompensatorSettings(
-            max_joint_age_s=self.max_joint_age_s,
-            restart_gap_s=self.restart_gap_s,
-            sensor_frame=self.sensor_frame,
-            sensor_range=np.array(self.sensor_range),
-            tare=TareSettings(
-                window_s=self.tare_window_s,
-                ramp_s=self.tare_ramp_s,
-                max_motion_rad=self.tare_max_motion_rad,
-                max_std_force_n=self.tare_max_std_force_n,
-                max_std_torque_nm=self.tare_max_std_torque_nm,
-                max_force_n=self.tare_max_force_n,
-                max_torque_nm=self.tare_max_torque_nm,
-            ),
-        )
 
 
 class GravcompNode(Node):

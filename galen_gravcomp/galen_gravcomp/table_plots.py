@@ -12,7 +12,7 @@ import matplotlib.pyplot as plt
 from galen_model.arm import WRENCH_AXES
 
 if TYPE_CHECKING:
-    from galen_gravcomp.evaluate import Evaluation
+    from galen_gravcomp.table_evaluation import Evaluation
 
 _COLOURS = ("#c44e52", "#1f6f8b")
 

@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 from galen_bags.orientation_table import OrientationTable, TableError, read_table
 from galen_gravcomp.cross_validation import MODELS, contiguous_blocks, cross_validate
-from galen_gravcomp.evaluate import evaluate_table, main
+from galen_gravcomp.evaluate import main
 from galen_gravcomp.still_phases import StillSettings, still_phases
+from galen_gravcomp.table_evaluation import evaluate_table
 from galen_model.arm import GRAVITY_M_S2
 from galen_model.kinematics import sensor_rotation
 from galen_model.load import Load, gravity_wrench

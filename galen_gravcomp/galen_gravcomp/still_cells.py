@@ -1,0 +1,126 @@
+"""The still phases of a recording, found in its cells: arm at rest, wrench steady.
+
+The arm is still in a cell in which neither angle leaves a narrow band, and whose angles are those
+of its neighbour. The wrench is steady from one cell to the next when their means differ by no more
+than `steady_sigmas` of what such differences scatter by in this recording (their median absolute
+deviation, at least the sensor's quantum): a hand that comes or goes ends a phase. A hand that
+holds still can't be told from a file that does not fit, so a phase may be one of a steady push.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from galen_model.arm import ENCODER_QUANTUM, SENSOR
+from galen_model.arrays import Array
+
+from galen_gravcomp.cells import Cells
+
+_MAD_TO_STD = 1.4826
+# Cells further apart than so many lengths hold a gap between them.
+_NEIGHBOURS = 2.5
+
+
+@dataclass(frozen=True)
+class StillCellSettings:
+    """When a stretch counts as still; `rim_s` is cut off at both ends."""
+
+    max_rate_rad_s: float = 0.01
+    rim_s: float = 0.2
+    min_duration_s: float = 0.3
+    steady_sigmas: float = 6.0
+
+
+@dataclass(frozen=True)
+class StillPhases:
+    """Still phases (n,) of a recording.
+
+    start_ns, end_ns (n,); samples (n,); mean (n, 6) of the compensated wrench, N and N.m, and
+    std_of_mean (n, 6) by the scatter of the phase's cells; angles (n, 2) roll and tilt, rad.
+    arm_still (cells,): where the arm was at rest; noise (6,): standard deviation of one sample
+    about its cell's mean, pooled over the phases.
+    """
+
+    start_ns: np.ndarray
+    end_ns: np.ndarray
+    samples: np.ndarray
+    mean: Array
+    std_of_mean: Array
+    angles: Array
+    arm_still: np.ndarray
+    noise: Array
+
+    def __len__(self) -> int:
+        """Number of phases."""
+        return len(self.start_ns)
+
+
+def find_still_phases(cells: Cells, settings: StillCellSettings | None = None) -> StillPhases:
+    """The phases in which the arm was still and the wrench steady."""
+    settings = settings or StillCellSettings()
+    arm_still, joined = _arm_still(cells, settings)
+    steady = joined & _steady(cells, joined, settings)
+    phases = []
+    # A run of cells, each joined to the next; cut at its rims.
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], steady.astype(int), [0]])))
+    for start, stop in zip(edges[::2], edges[1::2] + 1, strict=True):
+        rim_ns = settings.rim_s * 1e9
+        first, last = cells.start_ns[start] + rim_ns, cells.end_ns[stop - 1] - rim_ns
+        rows = np.arange(start, stop)
+        rows = rows[(cells.start_ns[rows] >= first) & (cells.end_ns[rows] <= last)]
+        if len(rows) < 2:
+            continue
+        if cells.end_ns[rows[-1]] - cells.start_ns[rows[0]] >= settings.min_duration_s * 1e9:
+            phases.append(cells.rows(rows))
+    return _summary(phases, arm_still)
+
+
+def _arm_still(cells: Cells, settings: StillCellSettings) -> tuple[np.ndarray, np.ndarray]:
+    """Cells (n,) in which the arm is at rest, and whether (n - 1,) each goes on in the next."""
+    band = settings.max_rate_rad_s * cells.cell_s + 2.0 * ENCODER_QUANTUM[3:]
+    still = np.all(cells.spans <= band, axis=1)
+    near = np.all(np.abs(np.diff(cells.angles, axis=0)) <= band, axis=1)
+    gap = cells.start_ns[1:] - cells.end_ns[:-1]
+    neighbours = np.abs(gap) <= _NEIGHBOURS * cells.cell_s * 1e9
+    return still, still[1:] & still[:-1] & near & neighbours
+
+
+def _steady(cells: Cells, joined: np.ndarray, settings: StillCellSettings) -> np.ndarray:
+    """Whether (n - 1,) the wrench of each cell goes on in the next."""
+    step = np.abs(np.diff(cells.mean, axis=0))
+    if not joined.any():
+        return np.zeros(len(step), dtype=bool)
+    scatter = _MAD_TO_STD * np.median(step[joined], axis=0)
+    return np.all(step <= settings.steady_sigmas * np.maximum(scatter, SENSOR.quantum), axis=1)
+
+
+def _summary(phases: list[Cells], arm_still: np.ndarray) -> StillPhases:
+    rows = []
+    squares, freedom = np.zeros(6), 0
+    for cells in phases:
+        total = int(cells.count.sum())
+        weight = cells.count[:, None] / total
+        mean = np.sum(weight * cells.mean, axis=0)
+        between = np.sum(weight * (cells.mean - mean) ** 2, axis=0) / (len(cells) - 1)
+        within = cells.squares.sum(axis=0)
+        squares, freedom = squares + within, freedom + total - len(cells)
+        # White noise gives the second; a filtered or wandering sensor more, and then the first.
+        white = within / max(total - len(cells), 1) / total
+        rows.append(
+            (
+                cells.start_ns[0],
+                cells.end_ns[-1],
+                total,
+                mean,
+                np.sqrt(np.maximum(between, white)),
+                np.sum(weight * cells.angles, axis=0),
+            )
+        )
+    if not rows:
+        none, six = np.zeros(0, dtype=np.int64), np.zeros((0, 6))
+        nothing = np.full(6, np.nan)
+        return StillPhases(none, none, none, six, six, np.zeros((0, 2)), arm_still, nothing)
+    start_ns, end_ns, samples, mean, std, angles = map(np.array, zip(*rows, strict=True))
+    noise = np.sqrt(squares / max(freedom, 1))
+    return StillPhases(start_ns, end_ns, samples, mean, std, angles, arm_still, noise)

@@ -1,0 +1,201 @@
+"""Evaluations of recordings in which what is wrong was put in, and so is known."""
+
+import json
+
+import numpy as np
+import pytest
+from galen_gravcomp.bag_evaluation import EvaluationSettings, evaluate_bag
+from galen_gravcomp.bag_report import findings, to_dict
+from galen_gravcomp.compensator import CompensatorSettings
+from galen_gravcomp.misfit import Limits, Verdict
+from galen_model.arm import SENSOR
+from galen_model.tool_file import LoadEstimate
+from gravcomp_bags import Recording, tool_file
+
+
+@pytest.fixture(scope="module")
+def tool():
+    return tool_file()
+
+
+def evaluate(tmp_path, recording, tool, **options):
+    return evaluate_bag(recording.write(tmp_path / "bag"), tool, EvaluationSettings(**options))
+
+
+def test_a_recording_that_fits_is_at_the_noise(tmp_path, tool):
+    recording = Recording(tool)
+    result = evaluate(tmp_path, recording, tool)
+    assert result.verdict is Verdict.FITS
+    assert (result.compensated, result.received) == (len(recording.angles),) * 2
+    assert len(result.phases) == 16
+    np.testing.assert_allclose(result.phases.noise, SENSOR.noise_std, rtol=0.1)
+    np.testing.assert_allclose(result.rmse_still, SENSOR.noise_std, rtol=0.1)
+    # 16 phases of some 100 readings each: their means scatter by a tenth of one reading's noise
+    assert np.all(result.rmse_phases < 0.25 * SENSOR.noise_std)
+    assert findings(result) == []
+    np.testing.assert_allclose(
+        result.phases.angles, recording.goals, atol=5e-5, err_msg="the poses it was still at"
+    )
+
+
+def test_the_standard_error_of_a_phase_is_that_of_the_noise(tmp_path, tool):
+    normalised = []
+    for seed in range(4):
+        recording = Recording(tool, seed=seed, hold_s=2.0)
+        result = evaluate_bag(recording.write(tmp_path / f"bag{seed}"), tool)
+        normalised.append(result.phases.mean / result.phases.std_of_mean)
+    # 4 x 16 x 6 means: their scatter in units of its standard error has itself an error of 4 %
+    assert 0.8 < np.std(np.concatenate(normalised)) < 1.25
+
+
+def test_a_heavier_tool_is_told_by_its_mass(tmp_path, tool):
+    heavier = tool_file(mass_kg=0.212)
+    recording = Recording(heavier)
+    result = evaluate(tmp_path, recording, tool)
+    assert result.verdict is Verdict.LOAD
+    misfit = result.misfit
+    assert abs(misfit.mass_kg - 0.012) < 4 * misfit.mass_std_kg
+    assert misfit.mass_std_kg < 1e-3
+    moment = heavier.load.load.moments[1:] - tool.load.load.moments[1:]
+    assert np.all(np.abs(misfit.moment_kgm - moment) < 4 * misfit.moment_std_kgm)
+    assert "differs by +1" in result.sentence
+
+
+def test_an_offset_is_told_with_its_value(tmp_path, tool):
+    recording = Recording(tool)
+    offset = np.array([0.1, -0.2, 0.3, 0.005, 0.0, -0.004])
+    recording.wrench += offset
+    result = evaluate(tmp_path, recording, tool)
+    assert result.verdict is Verdict.OFFSET
+    assert "tare" in result.sentence
+    pull = (result.misfit.offset_value - offset) / result.misfit.offset_std
+    assert np.all(np.abs(pull) < 4.0)
+
+
+def test_a_drift_is_told_with_its_rate(tmp_path, tool):
+    recording = Recording(tool)
+    rate = np.array([0.0, 0.0, 60.0, 0.0, 0.0, 0.0])  # per hour; the recording lasts half a minute
+    recording.wrench += rate * (recording.time_s - recording.time_s.mean())[:, None] / 3600.0
+    result = evaluate(tmp_path, recording, tool)
+    assert result.verdict is Verdict.DRIFT
+    pull = (result.misfit.rate_per_hour - rate) / result.misfit.rate_std
+    assert np.all(np.abs(pull) < 4.0)
+
+
+def test_what_none_of_the_parts_explains_is_called_unexplained(tmp_path, tool):
+    recording = Recording(tool, poses=24)
+    # changes sign from one pose to the next, as no load's, offset's or drift's reading does
+    rng = np.random.default_rng(5)
+    for rows in recording.pose_slices:
+        recording.wrench[rows, 0] += 0.5 * rng.choice([-1.0, 1.0])
+    result = evaluate(tmp_path, recording, tool)
+    assert result.verdict is Verdict.UNEXPLAINED
+    assert result.misfit.rest[0] > 0.3
+
+
+def test_touched_poses_stand_out_and_do_not_spoil_the_verdict(tmp_path, tool):
+    recording = Recording(tool, poses=20)
+    for pose in (3, 11):
+        recording.wrench[recording.pose_slices[pose], :3] += [0.0, 2.0, -1.0]
+    result = evaluate(tmp_path, recording, tool)
+    assert result.verdict is Verdict.FITS
+    assert "2 of 20 still phases stand out" in result.sentence
+    assert set(result.worst_phases[:2].tolist()) == {3, 11}
+    assert np.flatnonzero(~result.misfit.used).tolist() == [3, 11]
+
+
+def test_a_push_within_a_pose_ends_the_still_phase(tmp_path, tool):
+    recording = Recording(tool, hold_s=4.0, poses=8)
+    rows = recording.pose_slices[2]
+    middle = slice(rows.start + 150, rows.start + 250)
+    recording.wrench[middle, 0] += 1.0
+    result = evaluate(tmp_path, recording, tool)
+    assert len(result.phases) == 10  # before, during, after
+    assert np.sum(np.abs(result.phases.mean[:, 0]) > 0.5) == 1
+
+
+def test_gaps_jumps_and_duplicates_are_counted_and_the_node_refuses_as_it_does(tmp_path, tool):
+    recording = Recording(tool)
+    recording.kept[400:420] = False
+    recording.stamp_ns[900] = recording.stamp_ns[899]
+    recording.stamp_ns[1500:] += 7_000_000_000
+    result = evaluate(tmp_path, recording, tool)
+    for stamps in (result.joint_stamps, result.wrench_stamps):
+        assert (stamps.gaps, stamps.missing, stamps.jumps, stamps.duplicates) == (1, 20, 1, 1)
+    assert result.refused["duplicate_stamp"] == 1
+    assert result.notices["restarts"] == 1
+    assert result.received == result.compensated + sum(result.refused.values()) + result.waiting
+    text = "\n".join(findings(result))
+    for part in ("gap at 3.990 s", "jump at", "step of +7.0100 s", "duplicate"):
+        assert part in text
+
+
+def test_stuck_and_saturated_channels_are_named(tmp_path, tool):
+    recording = Recording(tool)
+    recording.wrench[800:1000, 4] = 0.0101
+    recording.wrench[:, 1] = np.minimum(recording.wrench[:, 1], 1.0)
+    text = "\n".join(findings(evaluate(tmp_path, recording, tool)))
+    assert "ty stuck at 0.0101 N.m" in text
+    assert "fy saturated at 1 N" in text
+
+
+def test_poses_that_tell_nothing_of_the_load_are_said_to(tmp_path, tool):
+    recording = Recording(tool, poses=12)
+    recording.angles[:] = 0.01 * recording.angles
+    recording.wrench = tool.predict(recording.angles[:, 0], recording.angles[:, 1]) + 0.2
+    result = evaluate(tmp_path, recording, tool)
+    assert result.misfit.load is None
+    assert result.verdict is Verdict.OFFSET
+    assert "can't tell it from another load" in result.sentence
+    assert "can't be told" not in result.misfit.why_no_load
+    assert "poses" in result.misfit.why_no_load
+
+
+def test_a_recording_in_motion_alone_fits_or_not(tmp_path, tool):
+    recording = Recording(tool, poses=30, hold_s=0.0, move_s=1.0)
+    result = evaluate(tmp_path, recording, tool)
+    assert len(result.phases) == 0
+    assert result.verdict is Verdict.FITS
+    assert "in motion" in result.sentence
+    recording.wrench += 1.0
+    result = evaluate_bag(recording.write(tmp_path / "off"), tool)
+    assert result.verdict is Verdict.UNKNOWN
+    json.dumps(to_dict(result), allow_nan=False)
+
+
+def test_limits_are_the_callers(tmp_path, tool):
+    recording = Recording(tool)
+    recording.wrench[:, 0] += 0.03
+    assert evaluate(tmp_path, recording, tool).verdict is Verdict.FITS
+    tight = EvaluationSettings(limits=Limits(force_n=0.01, torque_nm=0.002))
+    assert evaluate_bag(tmp_path / "bag", tool, tight).verdict is Verdict.OFFSET
+
+
+def test_another_frame_is_refused_as_by_the_node(tmp_path, tool):
+    path = Recording(tool).write(tmp_path / "bag", frame_id="wrist")
+    result = evaluate_bag(path, tool)
+    assert (result.compensated, result.verdict) == (0, Verdict.UNKNOWN)
+    assert "expected 'ft_sensor'" in "\n".join(findings(result))
+    json.dumps(to_dict(result), allow_nan=False)
+
+
+def test_a_slow_sensor_gets_longer_cells(tmp_path, tool):
+    recording = Recording(tool, rate_hz=10.0, hold_s=10.0, move_s=2.0, poses=8)
+    settings = EvaluationSettings(compensator=CompensatorSettings(max_joint_age_s=0.5))
+    result = evaluate_bag(recording.write(tmp_path / "bag"), tool, settings)
+    assert result.cells.cell_s == pytest.approx(0.5)
+    assert len(result.phases) == 8
+    assert result.verdict is Verdict.FITS
+
+
+def test_another_gravity_in_the_file_is_taken_into_account(tmp_path, tool):
+    """A file from a place where gravity is 0.3 % stronger predicts 0.3 % more weight here."""
+    elsewhere = tool_file(mass_kg=0.4)
+    object.__setattr__(elsewhere, "gravity_m_s2", np.array([0.0, 0.0, -9.83]))
+    recording = Recording(elsewhere)
+    result = evaluate(tmp_path, recording, elsewhere)
+    assert result.verdict is Verdict.FITS
+    lighter = LoadEstimate(0.38, elsewhere.load.com_m, elsewhere.load.covariance)
+    object.__setattr__(elsewhere, "load", lighter)
+    result = evaluate_bag(tmp_path / "bag", elsewhere)
+    assert abs(result.misfit.mass_kg - 0.02) < 4 * result.misfit.mass_std_kg

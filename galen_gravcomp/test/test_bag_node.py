@@ -1,0 +1,122 @@
+"""A bag through the node and through `evaluate`: the same wrenches come out."""
+
+import time
+
+import numpy as np
+import pytest
+from galen_bags.bag import open_bag
+from galen_gravcomp.bag_evaluation import evaluate_bag
+from galen_gravcomp.bag_job import BagJob
+from galen_gravcomp.node import GravcompNode
+from galen_model.tool_file import write_tool
+from galen_ros.conversions import stamp_to_ns, wrench_to_array
+from galen_ros.qos import STREAM
+from galen_ros.testing import Harness, parameters
+from geometry_msgs.msg import WrenchStamped
+from gravcomp_bags import Recording, tool_file
+from rclpy.node import Node
+from sensor_msgs.msg import JointState
+
+
+def faulty_recording(tool):
+    """Gaps, a duplicate, one out of order, a NaN, a restart: what the node answers differently."""
+    recording = Recording(tool, poses=5, hold_s=0.6, move_s=0.4)
+    recording.kept[100:109] = False
+    recording.stamp_ns[150] = recording.stamp_ns[149]
+    order = [*range(200), 201, 200, *range(202, len(recording.angles))]
+    recording.stamp_ns = recording.stamp_ns[order]
+    recording.wrench[250, 3] = np.nan
+    recording.stamp_ns[300:] += 5_000_000_000
+    return recording
+
+
+def wait_until_seen(node, sent):
+    """One message after the other, since two topics have no order between them."""
+    deadline = time.monotonic() + 10.0
+    while node._monitor._joints_seen + node._compensator.received < sent:
+        assert time.monotonic() < deadline, f"the node did not see message {sent}"
+        time.sleep(0.0)
+
+
+@pytest.mark.parametrize("faulty", [False, True])
+def test_the_node_and_the_evaluation_give_the_same_wrenches(tmp_path, faulty):
+    tool = tool_file()
+    write_tool(tmp_path / "retractor.json", tool)
+    recording = faulty_recording(tool) if faulty else Recording(tool, poses=5, hold_s=0.6)
+    path = recording.write(tmp_path / "bag")
+    offline: list[tuple[int, np.ndarray]] = []
+
+    def on_block(block, numbers, wrenches):
+        stamps.extend(block.wrenches.stamp_ns.tolist())
+        offline.extend(
+            (stamps[number], wrench) for number, wrench in zip(numbers, wrenches, strict=True)
+        )
+
+    stamps: list[int] = []
+    result = evaluate_bag(path, tool, on_block=on_block)
+
+    live, sent = [], 0
+    with Harness() as harness:
+        values = parameters(tools_dir=str(tmp_path), tool="retractor")
+        node = harness.add(
+            lambda context: GravcompNode(context=context, parameter_overrides=values)
+        )
+        player = harness.add(lambda context: Node("player", context=context))
+        player.create_subscription(
+            WrenchStamped,
+            "wrench_compensated",
+            lambda m: live.append((stamp_to_ns(m.header.stamp), wrench_to_array(m))),
+            STREAM,
+        )
+        publishers = [
+            player.create_publisher(JointState, "joint_states", STREAM),
+            player.create_publisher(WrenchStamped, "wrench_raw", STREAM),
+        ]
+        for publisher in publishers:
+            harness.wait_for(publisher.get_subscription_count, 10.0, "the node's subscriptions")
+        harness.wait_for(
+            lambda: node.count_subscribers("wrench_compensated"), 10.0, "the player's subscription"
+        )
+        with open_bag(path) as bag:
+            for block in bag.blocks(["/joint_states", "/wrench_raw"]):
+                for row in range(len(block)):
+                    publishers[block.topic[row]].publish(block.message(row))
+                    sent += 1
+                    wait_until_seen(node, sent)
+        harness.wait_for(lambda: len(live) >= len(offline), 10.0, "the last wrench")
+        answered = node._compensator.received
+    assert answered == result.received
+    assert [stamp for stamp, _ in live] == [stamp for stamp, _ in offline]
+    np.testing.assert_allclose(
+        np.array([wrench for _, wrench in live]),
+        np.array([wrench for _, wrench in offline]),
+        rtol=0.0,
+        atol=1e-12,
+    )
+    refused = {reason.value: n for reason, n in node._compensator.refusals.items()}
+    assert refused == result.refused
+    notices = {notice.value: n for notice, n in node._compensator.notices.items()}
+    assert notices == result.notices
+    if faulty:
+        assert {"duplicate_stamp", "nonfinite_wrench"} == set(refused)
+        assert {"restarts", "out_of_order_wrench"} <= set(notices)
+
+
+def test_the_compensated_bag_holds_what_came_out_beside_all_that_was_there(tmp_path):
+    tool = tool_file()
+    write_tool(tmp_path / "retractor.json", tool)
+    recording = faulty_recording(tool)
+    path = recording.write(tmp_path / "bag", namespace="left/")
+    job = BagJob(tool=tmp_path / "retractor.json", bags_out=tmp_path / "out", names={path: "bag"})
+    result = job.evaluate(path)
+    with open_bag(tmp_path / "out" / "bag_compensated") as bag, open_bag(path) as source:
+        assert bag.problems == []
+        names = ["/left/joint_states", "/left/wrench_raw"]
+        counts = {name: topic.count for name, topic in bag.topics.items()}
+        assert counts.pop("/left/wrench_compensated") == result.compensated
+        assert counts == {name: source.topics[name].count for name in names}
+        copied = [block.message(k) for block in bag.blocks(names) for k in range(len(block))]
+        was = [block.message(k) for block in source.blocks(names) for k in range(len(block))]
+        assert copied == was
+    again = evaluate_bag(tmp_path / "out" / "bag_compensated", tool)
+    np.testing.assert_array_equal(again.cells.mean, result.cells.mean)
