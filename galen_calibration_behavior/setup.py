@@ -20,6 +20,7 @@ setup(
         "console_scripts": [
             "calibration_node = galen_calibration_behavior.node:main",
             "calibrate = galen_calibration_behavior.calibrate:main",
+            "calibrate_from_bag = galen_calibration_behavior.calibrate_from_bag:main",
         ]
     },
 )

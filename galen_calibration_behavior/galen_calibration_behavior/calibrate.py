@@ -32,7 +32,9 @@ from galen_calibration_behavior.result_text import format_result, result_to_dict
 from galen_msgs.action import CalibrateTool
 
 EXIT_OK, EXIT_FAILED, EXIT_USAGE, EXIT_CANCELED = 0, 1, 2, 130
-_EPILOG = f"""exit codes:
+_EPILOG = f"""From recorded sweeps, without an arm: calibrate_from_bag.
+
+exit codes:
   {EXIT_OK}    calibrated, file written
   {EXIT_FAILED}    failed; the reason is printed, nothing is written
   {EXIT_USAGE}    wrong arguments

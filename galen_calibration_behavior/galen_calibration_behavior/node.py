@@ -52,6 +52,7 @@ from galen_calibration_behavior.estimate import (
 )
 from galen_calibration_behavior.parameters import MAX_ITERS, CalibrationParameters
 from galen_calibration_behavior.procedure import CalibrationProcedure, Request
+from galen_calibration_behavior.result_text import calibration_fields
 from galen_msgs.action import CalibrateTool
 from galen_msgs.srv import SetTool
 
@@ -486,21 +487,9 @@ def _to_result(tool: str, end: Finished, calibration: Calibration | None) -> Cal
     )
     if calibration is None:
         return result
-    file = calibration.content
     result.file = str(calibration.path)
-    result.mass_kg = file.load.mass_kg
-    result.mass_std_kg = file.load.mass_std_kg
-    result.com_m = file.load.com_m
-    result.com_std_m = file.load.com_std_m
-    result.bias_mass_kg = file.bias.mass_kg
-    result.bias_mass_std_kg = file.bias.mass_std_kg
-    result.bias_com_m = file.bias.com_m
-    result.bias_com_std_m = file.bias.com_std_m
-    result.rmse_force_n = file.rmse[:3]
-    result.rmse_torque_nm = file.rmse[3:]
-    result.poses_used = file.poses_used
-    result.poses_rejected = list(file.poses_rejected)
-    result.warnings = list(calibration.warnings)
+    for name, value in calibration_fields(calibration).items():
+        setattr(result, name, value)
     return result
 
 

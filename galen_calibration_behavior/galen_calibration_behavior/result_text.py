@@ -7,20 +7,49 @@ from typing import Any
 
 import numpy as np
 
+from galen_calibration_behavior.estimate import Calibration
+
+
+def calibration_fields(calibration: Calibration) -> dict[str, Any]:
+    """A calibration's part of a CalibrateTool.Result by the names of its fields, as numpy has it.
+
+    All but `tool`, `file` and the error; SI units.
+    """
+    file = calibration.content
+    return {
+        "mass_kg": file.load.mass_kg,
+        "mass_std_kg": file.load.mass_std_kg,
+        "com_m": file.load.com_m,
+        "com_std_m": file.load.com_std_m,
+        "bias_mass_kg": file.bias.mass_kg,
+        "bias_mass_std_kg": file.bias.mass_std_kg,
+        "bias_com_m": file.bias.com_m,
+        "bias_com_std_m": file.bias.com_std_m,
+        "rmse_force_n": file.rmse[:3],
+        "rmse_torque_nm": file.rmse[3:],
+        "poses_used": file.poses_used,
+        "poses_rejected": list(file.poses_rejected),
+        "warnings": list(calibration.warnings),
+    }
+
+
+def plain(value: Any) -> Any:
+    """A field's value as JSON takes it."""
+    if isinstance(value, np.ndarray):
+        return value.tolist()
+    return list(value) if isinstance(value, array) else value
+
 
 def result_to_dict(result: Any) -> dict[str, Any]:
     """Return a CalibrateTool.Result as plain numbers, texts and lists, SI units."""
-    plain = {}
-    for name in result.get_fields_and_field_types():
-        value = getattr(result, name)
-        plain[name] = list(value) if isinstance(value, array) else value
-        if isinstance(value, np.ndarray):
-            plain[name] = value.tolist()
-    return plain
+    return {name: plain(getattr(result, name)) for name in result.get_fields_and_field_types()}
 
 
 def format_result(result: Any) -> str:
-    """Return a successful CalibrateTool.Result as a table; one standard deviation after +-."""
+    """Return a successful CalibrateTool.Result, or what has its fields, as a table.
+
+    One standard deviation after +-. Without a `file` nothing was written.
+    """
     lines = [
         f"{'':18}{'mass [g]':>18}   centre x, y, z in ft_sensor [mm]",
         _load_line(result.tool, result.mass_kg, result.mass_std_kg, result.com_m, result.com_std_m),
@@ -39,7 +68,7 @@ def format_result(result: Any) -> str:
     ]
     lines += [f"  {text}" for text in result.poses_rejected]
     lines += [f"warning: {text}" for text in result.warnings]
-    lines.append(f"written: {result.file}")
+    lines.append(f"written: {result.file}" if result.file else "nothing is written")
     return "\n".join(lines)
 
 

@@ -9,9 +9,10 @@ import galen_calibration_behavior
 PACKAGE = Path(galen_calibration_behavior.__file__).parent
 PURE = [
     "grid", "motion_time", "stamps", "arrival", "stillness", "pose_recorder", "sweep", "commands",
-    "procedure", "estimate", "result_text",
+    "procedure", "estimate", "result_text", "visits", "tool_border", "recorded_sweeps",
+    "pose_table",
 ]  # fmt: skip
-ALLOWED = {"numpy", "galen_model", "galen_calibration_behavior"}
+ALLOWED = {"numpy", "galen_model", "galen_bags", "galen_calibration_behavior"}
 
 
 @pytest.mark.parametrize("module", PURE)

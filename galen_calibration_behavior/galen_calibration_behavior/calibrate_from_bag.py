@@ -1,0 +1,292 @@
+"""`calibrate_from_bag`: a tool's file out of recorded sweeps. Needs no ROS and no arm."""
+
+from __future__ import annotations
+
+import argparse
+import functools
+import json
+import math
+import sys
+from collections.abc import Iterable
+from datetime import UTC, datetime
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+from galen_bags.arm_recording import ArmTopics, read_arm
+from galen_model.errors import GalenError, ToolNameError
+from galen_model.tool_file import LoadEstimate, check_tool_name, read_tool, tool_path
+from galen_ros.param import add_options, from_options
+from tqdm import tqdm
+
+from galen_calibration_behavior.commands import ErrorCode
+from galen_calibration_behavior.estimate import (
+    Calibration,
+    EstimateError,
+    calibrate,
+    check_writable,
+    choose_tip,
+    estimate,
+)
+from galen_calibration_behavior.parameters import CalibrationParameters
+from galen_calibration_behavior.pose_table import format_poses, pose_rows
+from galen_calibration_behavior.recorded_sweeps import BiasPose, RecordedSweeps, SweepSorter
+from galen_calibration_behavior.result_text import calibration_fields, format_result, plain
+from galen_calibration_behavior.visits import RecordingError, Visit, Visits, find_visits
+
+EXIT_OK, EXIT_FAILED, EXIT_USAGE, EXIT_CANCELED = 0, 1, 2, 130
+_EPILOG = f"""exit codes:
+  {EXIT_OK}    calibrated; the file is written, but for --dry-run
+  {EXIT_FAILED}    failed; the reason is printed, nothing is written
+  {EXIT_USAGE}    wrong arguments
+  {EXIT_CANCELED}  interrupted (Ctrl-C); nothing is written"""
+# The node's parameters that a recording is judged by.
+_PARAMETERS = (
+    "settle_s", "average_s", "velocity_tolerance_m_s", "velocity_tolerance_rad_s",
+    "velocity_window_s", "position_tolerance_rad", "joint_motion_m", "joint_motion_rad",
+    "max_scatter_ratio", "max_trend_sigmas", "min_samples", "max_stamp_step_s",
+    "min_pose_fraction", "zero_tolerance_n", "zero_tolerance_nm",
+)  # fmt: skip
+# A stamp before this is not a date: a simulation's clock, or one that nobody has set.
+_EARLIEST_DATE = datetime(2000, 1, 1, tzinfo=UTC)
+
+
+def parse(arguments: list[str] | None = None) -> argparse.Namespace:
+    """Read the command line; exits with code 2 and a message where it is wrong."""
+    home, topics = CalibrationParameters(), ArmTopics()
+    parser = argparse.ArgumentParser(
+        prog="calibrate_from_bag",
+        usage="%(prog)s TOOL BAG [options]\n"
+        "       %(prog)s TOOL --bare BAG --with-tool BAG [options]",
+        description="Calibrate a tool from recorded sweeps: find the still poses, average and"
+        " judge them as calibration_node does, write the tool's file.",
+        epilog=_EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("tool", help="name of the tool and of its file: letters, digits, _ and -")
+    parser.add_argument(
+        "bag",
+        nargs="?",
+        help="a recording of both sweeps, first bare, then with the tool on: a rosbag2 directory,"
+        " .mcap, .db3 or ROS 1 .bag",
+    )
+    parser.add_argument("--bare", metavar="BAG", help="a recording of the sweep without the tool")
+    parser.add_argument("--with-tool", metavar="BAG", help="and one of the sweep with the tool on")
+    parser.add_argument(
+        "--one-sweep",
+        action="store_true",
+        help="BAG holds the tool's sweep alone: tool and adapter are then not fully told apart"
+        " (a warning says what is not known)",
+    )
+    parser.add_argument(
+        "--adapter-from",
+        metavar="FILE",
+        help="with --one-sweep: a tool's file whose adapter is the one in the recording; then they"
+        " are told apart",
+    )
+    parser.add_argument(
+        "--tool-on-at-s",
+        type=float,
+        metavar="SECONDS",
+        help="when the tool came on, from the recording's first joint state (default: found out)",
+    )
+    parser.add_argument(
+        "--tip",
+        nargs=3,
+        type=float,
+        metavar=("X", "Y", "Z"),
+        help="the tool's tip in ft_sensor, m; else the old file's is kept, or (0, 0, 0)",
+    )
+    add_options(parser, CalibrationParameters, ("tools_dir",))
+    parser.add_argument("--dry-run", action="store_true", help="print what is found, write nothing")
+    parser.add_argument("--poses", action="store_true", help="print every pose with its residual")
+    parser.add_argument("--json", action="store_true", help="print the result as one JSON object")
+    parser.add_argument(
+        "--whole-phases",
+        action="store_true",
+        help="average all of a still phase after settling, not only average_s of it",
+    )
+    where = parser.add_argument_group("where things are in the recording")
+    where.add_argument("--joint-states", default=topics.joint_states, metavar="TOPIC")
+    where.add_argument("--wrench-raw", default=topics.wrench_raw, metavar="TOPIC")
+    where.add_argument(
+        "--joint-names",
+        nargs=5,
+        default=topics.joint_names,
+        metavar="NAME",
+        help=f"default: {' '.join(topics.joint_names)}",
+    )
+    for joint, value in (("roll", home.Rhome), ("tilt", home.Thome)):
+        where.add_argument(
+            f"--bias-{joint}-rad",
+            type=float,
+            default=value,
+            metavar="RAD",
+            help=f"{joint} where the sensor was zeroed (default {value:g})",
+        )
+    add_options(
+        parser.add_argument_group("how poses are judged, as calibration_node's parameters"),
+        CalibrationParameters,
+        _PARAMETERS,
+    )
+    options = parser.parse_args(arguments)
+    try:
+        check_tool_name(options.tool)
+    except ToolNameError as error:
+        parser.error(str(error))
+    _check_combination(parser, options)
+    return options
+
+
+def _check_combination(parser: argparse.ArgumentParser, options: argparse.Namespace) -> None:
+    pair = (options.bare, options.with_tool)
+    if any(pair) and (options.bag or not all(pair)):
+        parser.error("either one BAG, or --bare BAG and --with-tool BAG")
+    if not any(pair) and not options.bag:
+        parser.error("a BAG is needed, or --bare BAG and --with-tool BAG")
+    if options.one_sweep and any(pair):
+        parser.error("--one-sweep is for one BAG")
+    if options.adapter_from and not options.one_sweep:
+        parser.error("--adapter-from is for --one-sweep: two sweeps tell the adapter themselves")
+    if options.tool_on_at_s is not None and (options.one_sweep or any(pair)):
+        parser.error("--tool-on-at-s is for one BAG that holds both sweeps")
+    given = {
+        "--tip": options.tip or [],
+        "--tool-on-at-s": [] if options.tool_on_at_s is None else [options.tool_on_at_s],
+        "--bias-roll-rad": [options.bias_roll_rad],
+        "--bias-tilt-rad": [options.bias_tilt_rad],
+    }
+    for name, values in given.items():
+        if not all(map(math.isfinite, values)):
+            parser.error(f"{name} needs finite numbers")
+
+
+def find_sweeps(options: argparse.Namespace) -> RecordedSweeps:
+    """Read the recordings and sort their still poses into sweeps; raises GalenError."""
+    settings = from_options(options, CalibrationParameters, _PARAMETERS).settings()
+    topics = ArmTopics(options.joint_states, options.wrench_raw, tuple(options.joint_names))
+
+    def visits(bag: str) -> Visits:
+        return find_visits(
+            read_arm(bag, topics),
+            settings,
+            whole_phases=options.whole_phases,
+            progress=functools.partial(_progress, Path(bag).name),
+        )
+
+    sorter = SweepSorter(settings, BiasPose(options.bias_roll_rad, options.bias_tilt_rad))
+    if options.bag is None:
+        return sorter.two_recordings(visits(options.bare), visits(options.with_tool))
+    if options.one_sweep:
+        return sorter.one_sweep(visits(options.bag), _known_adapter(options.adapter_from))
+    return sorter.two_sweeps(visits(options.bag), options.tool_on_at_s)
+
+
+def _progress(name: str, phases: list[slice]) -> Iterable[slice]:
+    # Nothing where standard error is no terminal, and never left behind an error message.
+    return tqdm(phases, desc=name, unit="phase", file=sys.stderr, disable=None, leave=False)
+
+
+def _known_adapter(path: str | None) -> LoadEstimate | None:
+    if path is None:
+        return None
+    tool = read_tool(path)
+    if tool.unresolved:
+        raise RecordingError(
+            f"{path}: its adapter is itself not told apart from its tool: it came from one sweep"
+        )
+    return tool.bias
+
+
+def measured_at(last: Visit) -> datetime:
+    """When the last sample was taken: its stamp or, where that is no date, when it was received."""
+    stamp = datetime.fromtimestamp(last.window_ns[1] / 1e9, UTC)
+    received = datetime.fromtimestamp(last.log_ns / 1e9, UTC)
+    return stamp if stamp >= _EARLIEST_DATE else max(stamp, received)
+
+
+def run(options: argparse.Namespace) -> tuple[RecordedSweeps, Calibration]:
+    """Calibrate as the options say; writes the file, but for `dry_run`. Raises GalenError."""
+    path = tool_path(options.tools_dir, options.tool)
+    if not options.dry_run:
+        check_writable(path)
+    tip, warnings = choose_tip(np.array(options.tip or [math.nan] * 3), path)
+    sweeps = find_sweeps(options)
+    make = estimate if options.dry_run else calibrate
+    return sweeps, make(
+        path,
+        options.tool,
+        tip,
+        sweeps.measurements,
+        warnings,
+        calibrated_at=measured_at(sweeps.last),
+    )
+
+
+def result_fields(
+    options: argparse.Namespace, sweeps: RecordedSweeps, calibration: Calibration
+) -> dict[str, Any]:
+    """The fields of a live calibration's result, and what only a recording has; for JSON."""
+    border = sweeps.border
+    fields = {
+        "error_code": int(ErrorCode.NONE),
+        "error_msg": "",
+        "tool": options.tool,
+        "file": "" if options.dry_run else str(calibration.path),
+    } | {name: plain(value) for name, value in calibration_fields(calibration).items()}
+    return fields | {
+        "calibrated_at": calibration.content.calibrated_at,
+        "tool_on_s": sweeps.tool_on_s,
+        "next_border_worse_sigmas": None if border is None else border.next_worse,
+        "one_load_worse_ratio": None if border is None else border.ratio,
+        "poses": pose_rows(sweeps, calibration),
+    }
+
+
+def format_sweeps(sweeps: RecordedSweeps) -> str:
+    """How many poses there are, and where the tool came on, in words."""
+    counts = [
+        f"{len({p.number for p in sweeps.poses if p.sweep == name})} poses {words}"
+        for name, words in (("bare", "without the tool"), ("tool", "with it"))
+        if any(p.sweep == name for p in sweeps.poses)
+    ]
+    text = ", ".join(counts)
+    if sweeps.tool_on_s is not None:
+        text += f"; it came on between {sweeps.tool_on_s[0]:.1f} s and {sweeps.tool_on_s[1]:.1f} s"
+    if sweeps.border is not None:
+        text += (
+            f"\n(the next best place is {sweeps.border.next_worse:.0f} standard deviations worse,"
+            f" one load for all poses {sweeps.border.ratio:.0f} times)"
+        )
+    return text
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """Run the command; see `calibrate_from_bag --help`."""
+    options = parse(arguments)
+    try:
+        sweeps, calibration = run(options)
+        fields = result_fields(options, sweeps, calibration)
+        if options.json:
+            print(json.dumps(fields))
+        else:
+            if options.poses:
+                print(format_poses(fields["poses"]) + "\n")
+            print(f"{format_sweeps(sweeps)}\n\n{format_result(SimpleNamespace(**fields))}")
+    except EstimateError as error:
+        _fail(f"{error.code.name}: {error}")
+    except GalenError as error:
+        _fail(str(error))
+    except KeyboardInterrupt:
+        print("calibrate_from_bag: interrupted; nothing is written", file=sys.stderr)
+        raise SystemExit(EXIT_CANCELED) from None
+
+
+def _fail(message: str) -> None:
+    print(f"calibrate_from_bag: {message}", file=sys.stderr)
+    raise SystemExit(EXIT_FAILED) from None
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,87 @@
+"""The poses of a calibration from a recording, one by one: reading, residual, verdict."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from galen_model.arm import WRENCH_AXES
+from galen_model.arrays import Array
+from galen_model.kinematics import gravity_in_sensor
+from galen_model.load import gravity_wrench
+
+from galen_calibration_behavior.estimate import Calibration
+from galen_calibration_behavior.recorded_sweeps import RecordedSweeps
+from galen_calibration_behavior.stillness import PoseRecord
+
+
+def pose_rows(sweeps: RecordedSweeps, calibration: Calibration) -> list[dict[str, Any]]:
+    """One row a visit, SI units, ready for JSON.
+
+    `time_s` from the recording's begin; roll and tilt in rad, averaged; `wrench` the averaged
+    reading and `residual` what the fit leaves of it, (6,) N and N.m, None where there is no
+    average; `used`, and `fault`, why not.
+    """
+    found = calibration.found
+    fit = {"bare": iter(found.used_bare.tolist()), "tool": iter(found.used_tool.tolist())}
+    off = {"bare": iter(_off(calibration, "bare")), "tool": iter(_off(calibration, "tool"))}
+    rows = []
+    for pose in sweeps.poses:
+        outcome = pose.visit.outcome
+        joints, wrench, residual = pose.visit.joints, None, None
+        if isinstance(outcome, PoseRecord):
+            joints, wrench = outcome.joints, outcome.wrench
+            residual = wrench - _predicted(calibration, pose.sweep, joints)
+        fault = pose.fault or ("" if next(fit[pose.sweep]) else next(off[pose.sweep]))
+        rows.append(
+            {
+                "sweep": pose.sweep,
+                "pose": pose.number,
+                "time_s": pose.time_s,
+                "roll": float(joints[3]),
+                "tilt": float(joints[4]),
+                "wrench": None if wrench is None else wrench.tolist(),
+                "residual": None if residual is None else residual.tolist(),
+                "used": not fault,
+                "fault": fault,
+            }
+        )
+    return rows
+
+
+def format_poses(rows: list[dict[str, Any]]) -> str:
+    """The rows as a table: forces in N, torques in mN.m (N.mm), angles in degrees."""
+    units = ["N"] * 3 + ["mN.m"] * 3
+    heads = [f"{axis} [{unit}]" for axis, unit in zip(WRENCH_AXES, units, strict=True)]
+    lines = [
+        f"{'pose':8}{'t [s]':>8}{'roll [deg]':>12}{'tilt [deg]':>12}  residual"
+        + "".join(f"{head:>11}" for head in heads)
+    ]
+    for row in rows:
+        angles = "".join(f"{np.degrees(row[name]):12.3f}" for name in ("roll", "tilt"))
+        residual = np.array(row["residual"] or [])
+        residual[3:] *= 1e3
+        values = "".join(f"{value:11.4f}" for value in residual)
+        name = f"{row['sweep']}/{row['pose']}"
+        lines.append(
+            f"{name:8}{row['time_s']:8.1f}{angles}{'':10}{values}  {row['fault']}".rstrip()
+        )
+    return "\n".join(lines)
+
+
+def _off(calibration: Calibration, sweep: str) -> list[str]:
+    return [
+        f"{o.sigmas:.1f} sigma off the common load"
+        for o in calibration.found.outliers
+        if o.sweep == sweep
+    ]
+
+
+def _predicted(calibration: Calibration, sweep: str, joints: Array) -> Array:
+    """What the fit expects at joints (5,): reading (6,) in ft_sensor, N and N.m."""
+    file, found = calibration.content, calibration.found
+    predicted: Array = file.predict(joints[3], joints[4])
+    if sweep == "bare" and found.offset_change is not None:
+        predicted = predicted - found.offset_change
+        predicted -= gravity_wrench(gravity_in_sensor(joints[3], joints[4]), file.load.load)
+    return predicted

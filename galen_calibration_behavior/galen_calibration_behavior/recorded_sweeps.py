@@ -1,0 +1,310 @@
+"""Which of a recording's still phases belong to which sweep, and what the estimate takes of them.
+
+A recording that ran beside a live calibration holds more than the sweeps: the arm stands at home
+before, between and after them, the sensor is zeroed there, and there the tool comes on. A live
+calibration measures nothing at home, unless its grid has home among its poses. So phases at home
+are left out where they stand at a sweep's begin or end, and stay in inside it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import groupby
+
+import numpy as np
+from galen_model.arrays import Array
+from galen_model.identification import MIN_POSES, StillPoses
+from galen_model.tool_file import LoadEstimate
+
+from galen_calibration_behavior.commands import Measurements
+from galen_calibration_behavior.pose_recorder import Rejection
+from galen_calibration_behavior.procedure import ProcedureSettings
+from galen_calibration_behavior.stamps import NS
+from galen_calibration_behavior.stillness import PoseRecord, wrench_fault
+from galen_calibration_behavior.sweep import stack
+from galen_calibration_behavior.tool_border import Border, BorderError, find_border
+from galen_calibration_behavior.visits import RecordingError, Visit, Visits
+
+_AT_HAND = "say --tool-on-at-s SECONDS, from the recording's first joint state"
+
+
+@dataclass(frozen=True)
+class BiasPose:
+    """Where the sensor was zeroed, rad."""
+
+    roll: float
+    tilt: float
+
+
+@dataclass(frozen=True)
+class RecordedPose:
+    """A visit in its sweep: `number` counts the sweep's poses, `fault` says why it isn't used."""
+
+    sweep: str
+    number: int
+    time_s: float
+    visit: Visit
+    fault: str
+
+
+@dataclass(frozen=True)
+class RecordedSweeps:
+    """What the estimate needs, and where it comes from.
+
+    `poses` holds every visit of both sweeps in order; those without a fault are the rows of
+    `measurements`, in this order. `border` is set where it was looked for, `tool_on_s` where one
+    recording holds both sweeps: end of the last average without the tool, begin of the first with.
+    """
+
+    measurements: Measurements
+    poses: list[RecordedPose]
+    border: Border | None = None
+    tool_on_s: tuple[float, float] | None = None
+
+    @property
+    def last(self) -> Visit:
+        """The last visit used."""
+        return [pose for pose in self.poses if not pose.fault][-1].visit
+
+
+class SweepSorter:
+    """Sorts the visits of recordings into sweeps."""
+
+    def __init__(self, settings: ProcedureSettings, bias_pose: BiasPose) -> None:
+        """`bias_pose` is what the phases at home are told by."""
+        self._settings = settings
+        self._bias_pose = bias_pose
+
+    def two_sweeps(self, recording: Visits, tool_on_at_s: float | None = None) -> RecordedSweeps:
+        """Both sweeps out of one recording; where the tool came on is found, or given.
+
+        Raises RecordingError, also where it can't be told where the tool came on.
+        """
+        visits, warnings = self._after_zeroing(recording)
+        visits = self._without_ends(visits)
+        border = None
+        if tool_on_at_s is None:
+            border, first = self._find_border(recording, visits)
+            bare, tool = visits[:first], visits[first:]
+        else:
+            at_ns = recording.origin_ns + round(tool_on_at_s * NS)
+            bare = [v for v in visits if v.window_ns[1] <= at_ns]
+            tool = [v for v in visits if v.window_ns[0] >= at_ns]
+            if not bare or not tool:
+                side = "before" if not bare else "after"
+                raise RecordingError(
+                    f"{recording.path}: there is no still pose {side} --tool-on-at-s"
+                    f" {tool_on_at_s:g}; they lie between {_span(recording, visits)}"
+                )
+        bare, tool = self._without_ends(bare), self._without_ends(tool)
+        done = self._put_together(
+            self._judge("bare", recording, bare),
+            self._judge("tool", recording, tool),
+            [*recording.warnings, *warnings],
+        )
+        without = max(p.visit.window_ns[1] for p in done.poses if p.sweep == "bare" and not p.fault)
+        with_it = min(p.visit.window_ns[0] for p in done.poses if p.sweep == "tool" and not p.fault)
+        tool_on_s = (recording.time_s(without), recording.time_s(with_it))
+        return RecordedSweeps(done.measurements, done.poses, border, tool_on_s)
+
+    def two_recordings(self, bare: Visits, tool: Visits) -> RecordedSweeps:
+        """A recording of each sweep; raises RecordingError."""
+        visits, warnings = self._after_zeroing(bare)
+        return self._put_together(
+            self._one_load_sweep("bare", bare, visits),
+            self._one_load_sweep("tool", tool, tool.visits),
+            [*bare.warnings, *warnings, *tool.warnings],
+        )
+
+    def one_sweep(
+        self, recording: Visits, known_bias: LoadEstimate | None = None
+    ) -> RecordedSweeps:
+        """A recording of the tool's sweep alone; raises RecordingError."""
+        poses = self._one_load_sweep("tool", recording, recording.visits)
+        return self._put_together([], poses, recording.warnings, known_bias)
+
+    def _one_load_sweep(
+        self, name: str, recording: Visits, visits: list[Visit]
+    ) -> list[RecordedPose]:
+        kept = self._without_ends(visits)
+        self._check_one_load(recording, kept)
+        return self._judge(name, recording, kept)
+
+    # ---- home
+
+    def _at_home(self, visit: Visit) -> bool:
+        away = np.abs(visit.joints[3:] - (self._bias_pose.roll, self._bias_pose.tilt))
+        return bool(np.all(away <= self._settings.arrival.position_tolerance[3:]))
+
+    def _without_ends(self, visits: Sequence[Visit]) -> list[Visit]:
+        """Without the phases at home with which it begins and ends."""
+        away = [k for k, visit in enumerate(visits) if not self._at_home(visit)]
+        return list(visits[away[0] : away[-1] + 1]) if away else []
+
+    def _after_zeroing(self, recording: Visits) -> tuple[list[Visit], list[str]]:
+        """What comes after the last zeroing that is to be seen, and a warning for what is lost.
+
+        It is seen where, in a stay at home, the reading changes and is zero in the end: the sensor
+        was zeroed, or a tool taken off. The readings before have another zero or another load.
+        """
+        visits = recording.visits
+        first, seen_ns = 0, 0
+        for at_home, group in groupby(range(len(visits)), lambda k: self._at_home(visits[k])):
+            stay = list(group)
+            rest = len(visits) - 1 - stay[-1]
+            if at_home and rest >= 2 * MIN_POSES and self._zeroed([visits[k] for k in stay]):
+                first, seen_ns = stay[-1] + 1, visits[stay[-1]].end_ns
+        lost = sum(not self._at_home(visit) for visit in visits[:first])
+        if not lost:
+            return visits[first:], []
+        return visits[first:], [
+            f"{lost} still phases before {recording.time_s(seen_ns):.1f} s are left out, for the"
+            " reading at home went to zero there: the sensor was zeroed, or a tool taken off"
+        ]
+
+    def _zeroed(self, stay: list[Visit]) -> bool:
+        before = next((v.first for v in stay if v.first is not None), None)
+        after = next((v.last for v in reversed(stay) if v.last is not None), None)
+        if before is None or after is None:
+            return False
+        change = np.abs(after.wrench - before.wrench)
+        noise = np.hypot(after.std, before.std)
+        changed = np.any(change > self._settings.stillness.trend_sigmas * noise)
+        return bool(changed and np.all(np.abs(after.wrench) <= self._settings.zero_tolerance))
+
+    # ---- where the tool came on
+
+    def _find_border(self, recording: Visits, visits: list[Visit]) -> tuple[Border, int]:
+        """Return the border and the first visit after it."""
+        good = self._still(visits)
+        try:
+            border = find_border(*stack([_record(visits[k]) for k in good]))
+        except BorderError as error:
+            raise RecordingError(f"{recording.path}: {error}") from error
+        if not border.changes:
+            raise RecordingError(
+                f"{recording.path}: one load explains all {len(good)} still poses, and two don't do"
+                f" it clearly better (the residual of one is {border.ratio:.2f} times as large):"
+                " no tool came on. If it is a recording of the tool's sweep alone, say"
+                f" --one-sweep; if a tool came on and is as light as that, {_AT_HAND}"
+            )
+        if not border.clear:
+            times = sorted(
+                recording.time_s(visits[good[k]].start_ns)
+                for k in (border.index, border.next_index)
+            )
+            raise RecordingError(
+                f"{recording.path}: the tool came on before the pose at {times[0]:.1f} s or before"
+                f" that at {times[1]:.1f} s; the poses fit either"
+                f" ({border.next_worse:.1f} standard deviations apart): {_AT_HAND}"
+            )
+        return border, good[border.index - 1] + 1
+
+    def _check_one_load(self, recording: Visits, visits: list[Visit]) -> None:
+        """Raise RecordingError where a load came or went between the poses."""
+        good = self._still(visits)
+        if len(good) < 2 * MIN_POSES:
+            return
+        border = find_border(*stack([_record(visits[k]) for k in good]))
+        if border.changes and border.clear:
+            at_s = recording.time_s(visits[good[border.index]].start_ns)
+            raise RecordingError(
+                f"{recording.path}: the load is another from {at_s:.1f} s on (one load leaves a"
+                f" residual {border.ratio:.0f} times as large as two): this is not one sweep"
+            )
+
+    # ---- judgement
+
+    def _faults(self, visits: Sequence[Visit]) -> dict[int, str]:
+        """Why visits can't be used: arm or wrench were not still, compared with the others."""
+        faults = {
+            k: visit.outcome.reason
+            for k, visit in enumerate(visits)
+            if isinstance(visit.outcome, Rejection)
+        }
+        while True:
+            records = {k: _record(v) for k, v in enumerate(visits) if k not in faults}
+            others = list(records.values())
+            new = {
+                k: fault
+                for k, record in records.items()
+                if (fault := wrench_fault(record, others, self._settings.stillness))
+            }
+            if not new:
+                return faults
+            faults |= new
+
+    def _still(self, visits: Sequence[Visit]) -> list[int]:
+        faults = self._faults(visits)
+        return [k for k in range(len(visits)) if k not in faults]
+
+    def _judge(self, name: str, recording: Visits, visits: list[Visit]) -> list[RecordedPose]:
+        """The sweep's poses; a pose visited again has its old number. Raises RecordingError."""
+        faults = self._faults(visits)
+        tolerance = 2.0 * self._settings.arrival.position_tolerance[3:]
+        seen: list[Array] = []
+        poses = []
+        for k, visit in enumerate(visits):
+            angles = visit.joints[3:]
+            near = [n for n, old in enumerate(seen) if np.all(np.abs(angles - old) <= tolerance)]
+            if not near:
+                seen.append(angles)
+            number = near[0] if near else len(seen) - 1
+            time_s = recording.time_s(visit.start_ns)
+            poses.append(RecordedPose(name, number, time_s, visit, faults.get(k, "")))
+        if len(_recorded(poses)) < self._settings.min_pose_fraction * len(seen) or not seen:
+            last = [pose.fault for pose in poses if pose.fault][-1:] or ["nothing was still"]
+            raise RecordingError(
+                f"{recording.path}: only {len(_recorded(poses))} of {len(seen)} poses of the {name}"
+                f" sweep can be used; {last[0]}"
+            )
+        return poses
+
+    def _put_together(
+        self,
+        bare: list[RecordedPose],
+        tool: list[RecordedPose],
+        warnings: list[str],
+        known_bias: LoadEstimate | None = None,
+    ) -> RecordedSweeps:
+        good_bare, good_tool = ([p for p in poses if not p.fault] for poses in (bare, tool))
+        measurements = Measurements(
+            bare=_still_poses(good_bare) if bare else None,
+            tool=_still_poses(good_tool),
+            bias_roll=self._bias_pose.roll,
+            bias_tilt=self._bias_pose.tilt,
+            bare_indices=[pose.number for pose in good_bare],
+            tool_indices=[pose.number for pose in good_tool],
+            rejected=[*_left_out(bare), *_left_out(tool)],
+            warnings=warnings,
+            known_bias=known_bias,
+        )
+        return RecordedSweeps(measurements, [*bare, *tool])
+
+
+def _record(visit: Visit) -> PoseRecord:
+    assert isinstance(visit.outcome, PoseRecord)
+    return visit.outcome
+
+
+def _recorded(poses: list[RecordedPose]) -> set[int]:
+    """Numbers of the poses with a visit that can be used."""
+    return {pose.number for pose in poses if not pose.fault}
+
+
+def _left_out(poses: list[RecordedPose]) -> list[str]:
+    """Name the poses without a visit that can be used, with their last fault, as a live sweep."""
+    recorded = _recorded(poses)
+    faults = {p.number: f"{p.sweep}/{p.number}: {p.fault}" for p in poses}
+    return [text for number, text in sorted(faults.items()) if number not in recorded]
+
+
+def _still_poses(poses: list[RecordedPose]) -> StillPoses:
+    roll, tilt, wrench, std_of_mean = stack([_record(pose.visit) for pose in poses])
+    return StillPoses(roll=roll, tilt=tilt, wrench=wrench, std_of_mean=std_of_mean)
+
+
+def _span(recording: Visits, visits: list[Visit]) -> str:
+    times = [recording.time_s(visit.start_ns) for visit in visits]
+    return f"{min(times):.1f} s and {max(times):.1f} s" if times else "nowhere"
