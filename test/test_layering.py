@@ -15,6 +15,8 @@ PACKAGES = sorted(path.parent.name for path in ROOT.glob("galen_*/setup.py"))
 # work, and are tested, without ROS. A new node, client or conversion module is added on purpose.
 ROS_MODULES = {
     "galen_bags.message_types",
+    "galen_bags.play",
+    "galen_bags.player",
     "galen_bags.qos",
     "galen_bags.record",
     "galen_bags.recorder",

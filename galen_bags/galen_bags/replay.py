@@ -1,0 +1,195 @@
+"""The timing of a replay, without ROS: when is what due, by the log times of a bag.
+
+All `now_s` are of one steady clock, in s; bag times are log times in ns.
+"""
+
+from __future__ import annotations
+
+import queue
+import struct
+import threading
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from galen_ros.cdr import NS_PER_S, STAMP_AT
+
+from galen_bags.raw_block import Messages
+
+_BLOCKS_AHEAD = 4
+
+
+class Timeline:
+    """Bag time as a function of the steady clock: runs at `rate`, can be paused and held.
+
+    A stall of more than `max_step_s` is not caught up: the messages that would be due at once would
+    overflow the receivers' queues. Bag time then stands still during the stall; `lag_s` says by how
+    much, in all, the replay is late.
+    """
+
+    def __init__(self, rate: float, max_step_s: float = 0.1) -> None:
+        self.lag_s = 0.0
+        self._rate = rate
+        self._max_step_s = max_step_s
+        self._anchor_ns = 0
+        self._anchor_s = 0.0
+        self._last_s = 0.0
+        self._paused = False
+
+    @property
+    def paused(self) -> bool:
+        """Whether bag time stands still."""
+        return self._paused
+
+    def start(self, bag_ns: int, now_s: float) -> None:
+        """Let bag time be `bag_ns` now, and run, unless paused."""
+        self._anchor_ns, self._anchor_s, self._last_s = bag_ns, now_s, now_s
+
+    def advance(self, now_s: float) -> int:
+        """Bag time now, ns."""
+        if self._paused:
+            return self._anchor_ns
+        excess_s = now_s - self._last_s - self._max_step_s
+        if excess_s > 0.0:
+            self.lag_s += excess_s
+            self._anchor_s += excess_s
+        self._last_s = now_s
+        return self._anchor_ns + round((now_s - self._anchor_s) * self._rate * NS_PER_S)
+
+    def hold(self, bag_ns: int, now_s: float) -> None:
+        """Go on from an earlier bag time: what was due could not be published at once."""
+        late_ns = self.advance(now_s) - bag_ns
+        self.lag_s += max(0, late_ns) / (NS_PER_S * self._rate)
+        self.start(bag_ns, now_s)
+
+    def pause(self, paused: bool, now_s: float) -> None:
+        """Stop bag time, or let it go on from where it stopped."""
+        if paused != self._paused:
+            self.start(self.advance(now_s), now_s)
+            self._paused = paused
+
+
+class Settling:
+    """Waits until a number has stayed as it is for `quiet_s`."""
+
+    def __init__(self, quiet_s: float) -> None:
+        self._quiet_s = quiet_s
+        self._seen: tuple[int, float] | None = None
+
+    def settled(self, number: int, now_s: float) -> bool:
+        """Take the number as it is now."""
+        if self._seen is None or self._seen[0] != number:
+            self._seen = (number, now_s)
+        return now_s - self._seen[1] >= self._quiet_s
+
+
+@dataclass(frozen=True)
+class Due:
+    """A message to be published: number of its topic, log time, bytes."""
+
+    topic: int
+    log_time_ns: int
+    data: bytes
+
+
+def window(blocks: Iterable[Messages], first_ns: int, last_ns: int | None) -> Iterator[Messages]:
+    """The blocks' messages with log times of `first_ns` to `last_ns`, both included."""
+    for block in blocks:
+        times = block.log_time_ns
+        if last_ns is not None and len(times) and times[0] > last_ns:
+            return
+        keep = times >= first_ns
+        if last_ns is not None:
+            keep &= times <= last_ns
+        if np.all(keep):
+            yield block
+        elif np.any(keep):
+            yield Messages(
+                block.topic[keep], times[keep], block.data, block.start[keep], block.size[keep]
+            )
+
+
+class Ahead:
+    """Reads blocks ahead in a thread, so that reading does not delay what is due.
+
+    An error of reading is raised by `take`. `close` ends the thread.
+    """
+
+    def __init__(self, make_blocks: Callable[[], Iterator[Messages]]) -> None:
+        self._make_blocks = make_blocks
+        self._ready: queue.Queue[Messages | BaseException | None] = queue.Queue(_BLOCKS_AHEAD)
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._read, name="bag reader", daemon=True)
+        self._thread.start()
+
+    def take(self) -> Messages | None:
+        """The next block, None at the end. Raises queue.Empty if it is not read yet."""
+        item = self._ready.get_nowait()
+        if isinstance(item, BaseException):
+            raise item
+        return item
+
+    def close(self) -> None:
+        """End the thread."""
+        self._stop.set()
+        self._thread.join()
+
+    def _read(self) -> None:
+        try:
+            for block in self._make_blocks():
+                if not self._put(block):
+                    return
+            self._put(None)
+        except BaseException as error:
+            self._put(error)
+
+    def _put(self, item: Messages | BaseException | None) -> bool:
+        while not self._stop.is_set():
+            try:
+                self._ready.put(item, timeout=0.1)
+            except queue.Full:
+                continue
+            return True
+        return False
+
+
+class Playlist:
+    """Messages one after the other, in order, as far as they have been read."""
+
+    def __init__(self, source: Ahead) -> None:
+        self._source = source
+        self._block: Messages | None = None
+        self._next = 0
+        self.ended = False
+
+    def peek_ns(self) -> int | None:
+        """Log time of the next message; None if it is not read yet, or at the end (`ended`)."""
+        if not self._fill():
+            return None
+        assert self._block is not None
+        return int(self._block.log_time_ns[self._next])
+
+    def pop(self) -> Due:
+        """The next message; only after `peek_ns` has told its time."""
+        block, index = self._block, self._next
+        assert block is not None
+        self._next += 1
+        return Due(int(block.topic[index]), int(block.log_time_ns[index]), block.message(index))
+
+    def _fill(self) -> bool:
+        while not self.ended and (self._block is None or self._next >= len(self._block)):
+            try:
+                self._block = self._source.take()
+            except queue.Empty:
+                return False
+            self._next = 0
+            self.ended = self._block is None
+        return not self.ended
+
+
+def with_stamp(data: bytes, stamp_ns: int) -> bytes:
+    """A message that starts with a header, with another stamp; its bytes are else as they were."""
+    changed = bytearray(data)
+    order = "<" if data[1] & 1 else ">"
+    struct.pack_into(order + "iI", changed, STAMP_AT, *divmod(stamp_ns, NS_PER_S))
+    return bytes(changed)

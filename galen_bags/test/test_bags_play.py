@@ -1,0 +1,345 @@
+"""The player over real rclpy: what goes out, in which order, and how it ends."""
+
+import json
+import signal
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from galen_bags.bag import Bag, open_bag
+from galen_bags.errors import BagError
+from galen_bags.growing_bag import GrowingBagWriter
+from galen_bags.message_types import definition_of
+from galen_bags.player import PlayerNode, PlayOptions
+from galen_bags.qos import to_bag
+from galen_bags.recorder import RecorderNode
+from galen_bags.writer import BagWriter
+from galen_ros.cdr import WrenchBytes
+from galen_ros.domain import DomainLock
+from galen_ros.qos import LATCHED, STREAM
+from galen_ros.testing import Harness
+from geometry_msgs.msg import WrenchStamped
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.qos import QoSProfile
+from rclpy.serialization import serialize_message
+from rosbags.rosbag2 import Reader
+from rosgraph_msgs.msg import Clock
+from std_msgs.msg import String
+from std_srvs.srv import SetBool
+
+from galen_msgs.msg import DeflectionStamped
+
+S = 1_000_000_000
+MS = 1_000_000
+START = 500 * S
+WRENCH = "geometry_msgs/msg/WrenchStamped"
+DEFLECTION = "galen_msgs/msg/DeflectionStamped"
+
+
+def wrench(index: int, stamp_ns: int | None = None) -> bytes:
+    stamp_ns = 7 * S + index if stamp_ns is None else stamp_ns
+    return WrenchBytes("ft_sensor").fill(stamp_ns, [float(index)] * 6)
+
+
+def deflection(index: int) -> bytes:
+    message = DeflectionStamped()
+    message.translation.x = float(index)
+    return bytes(serialize_message(message))
+
+
+def log_ns(index: int) -> int:
+    return START + 2 * MS * index
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    """A bag of 100 wrenches and deflections in turn, 2 ms apart, and a topic without messages."""
+    with BagWriter(tmp_path / "bag") as bag:
+        wrenches = bag.add_topic("wrench_raw", WRENCH)
+        deflections = bag.add_topic("deflection", DEFLECTION, definition_of(DEFLECTION))
+        bag.add_topic("empty", WRENCH)
+        for index in range(0, 100, 2):
+            bag.write(wrenches, log_ns(index), wrench(index))
+            bag.write(deflections, log_ns(index + 1), deflection(index + 1))
+    return tmp_path / "bag"
+
+
+@pytest.fixture
+def harness() -> Iterator[Harness]:
+    with Harness() as world:
+        yield world
+
+
+@pytest.fixture
+def opened(path: Path) -> Iterator[Bag]:
+    with open_bag(path) as bag:
+        yield bag
+
+
+class Listener(Node):
+    """Hears all, as bytes, in the order in which one queue gets it."""
+
+    def __init__(self, *topics: str, qos: QoSProfile = STREAM, **options: Any) -> None:
+        super().__init__("listener", **options)
+        self.heard: dict[str, list[bytes]] = {}
+        self.clock_ns: list[int] = []
+        self.listening = [
+            self.create_subscription(
+                DeflectionStamped if topic.endswith("deflection") else WrenchStamped,
+                topic,
+                self.heard.setdefault(topic, []).append,
+                qos,
+                raw=True,
+            )
+            for topic in topics
+        ]
+        self.create_subscription(
+            Clock,
+            "/clock",
+            lambda m: self.clock_ns.append(m.clock.sec * S + m.clock.nanosec),
+            STREAM,
+        )
+
+
+def listen(harness: Harness, *topics: str) -> Listener:
+    return harness.add(lambda context: Listener(*topics, context=context))
+
+
+def play(harness: Harness, bag: Bag, options: PlayOptions, **more: Any) -> PlayerNode:
+    return harness.add(lambda context: PlayerNode(bag, options, context=context, **more))
+
+
+def to_the_end(harness: Harness, player: PlayerNode) -> None:
+    harness.wait_for(lambda: player.done, 20.0, "the end")
+
+
+def test_all_goes_out_as_it_is_in_the_bag(harness: Harness, opened: Bag) -> None:
+    listener = listen(harness, "wrench_raw", "deflection")
+    player = play(harness, opened, PlayOptions(rate=4.0))
+    to_the_end(harness, player)
+    assert player.acknowledged
+    assert player.published == {"/deflection": 50, "/empty": 0, "/wrench_raw": 50}
+    wanted = {
+        "wrench_raw": [wrench(index) for index in range(0, 100, 2)],
+        "deflection": [deflection(index) for index in range(1, 100, 2)],
+    }
+    harness.wait_for(lambda: listener.heard == wanted, 5.0, "all messages, in order")
+
+
+def test_the_clock_is_the_bags_log_time(harness: Harness, opened: Bag) -> None:
+    listener = listen(harness, "wrench_raw")
+    player = play(harness, opened, PlayOptions(clock_hz=500.0))
+    to_the_end(harness, player)
+    harness.wait_for(lambda: listener.clock_ns[-1:] == [log_ns(99)], 5.0, "the last time")
+    assert listener.clock_ns[0] >= START
+    assert listener.clock_ns == sorted(listener.clock_ns)
+    assert len(set(listener.clock_ns)) > 5
+
+
+def test_without_a_clock_there_is_none(harness: Harness, opened: Bag) -> None:
+    player = play(harness, opened, PlayOptions(clock_hz=0.0))
+    to_the_end(harness, player)
+    assert player.count_publishers("/clock") == 0
+
+
+def test_a_part_and_some_topics(harness: Harness, opened: Bag) -> None:
+    listener = listen(harness, "wrench_raw", "deflection")
+    options = PlayOptions(
+        topics=("wrench_raw",), start_offset_s=0.02, playback_duration_s=0.04, rate=2.0
+    )
+    player = play(harness, opened, options)
+    to_the_end(harness, player)
+    wanted = [wrench(index) for index in range(10, 31, 2)]
+    harness.wait_for(lambda: listener.heard["wrench_raw"] == wanted, 5.0, "the part")
+    assert player.length_s == pytest.approx(0.04)
+    assert listener.heard["deflection"] == []
+
+
+def test_names_are_remapped(harness: Harness, opened: Bag) -> None:
+    listener = listen(harness, "/left/measured")
+    player = play(
+        harness,
+        opened,
+        PlayOptions(),
+        cli_args=["--ros-args", "-r", "/wrench_raw:=/left/measured"],
+    )
+    to_the_end(harness, player)
+    harness.wait_for(lambda: len(listener.heard["/left/measured"]) == 50, 5.0, "all of them")
+
+
+def test_stamps_can_be_the_log_times(harness: Harness, opened: Bag) -> None:
+    listener = listen(harness, "wrench_raw")
+    to_the_end(harness, play(harness, opened, PlayOptions(log_stamps=True)))
+    wanted = [wrench(index, log_ns(index)) for index in range(0, 100, 2)]
+    harness.wait_for(lambda: listener.heard["wrench_raw"] == wanted, 5.0, "stamps of the log")
+
+
+def test_a_pause_holds_it(harness: Harness, opened: Bag) -> None:
+    listener = listen(harness, "wrench_raw")
+    player = play(harness, opened, PlayOptions(start_paused=True))
+    harness.wait_for(lambda: player.state == "paused", 5.0, "the pause")
+    harness.wait_for(lambda: len(listener.clock_ns) > 5, 5.0, "a clock that stands")
+    assert set(listener.clock_ns) == {START}
+    assert listener.heard["wrench_raw"] == []
+    client = listener.create_client(SetBool, "/player/pause")
+    assert harness.call(client, SetBool.Request(data=False)).success
+    to_the_end(harness, player)
+    harness.wait_for(lambda: len(listener.heard["wrench_raw"]) == 50, 5.0, "the rest")
+
+
+def test_it_waits_for_subscribers(harness: Harness, opened: Bag) -> None:
+    player = play(harness, opened, PlayOptions(wait_for_subscribers_s=30.0))
+    first = listen(harness, "wrench_raw")
+    harness.wait_for(
+        lambda: sum(t.publisher.get_subscription_count() for t in player._topics), 5.0, "the first"
+    )
+    assert player.state == "waiting"
+    second = listen(harness, "deflection")
+    to_the_end(harness, player)
+    for listener, topic in ((first, "wrench_raw"), (second, "deflection")):
+        harness.wait_for(
+            lambda heard=listener.heard[topic]: len(heard) == 50, 5.0, f"all of {topic}"
+        )
+
+
+def test_a_loop_begins_again(harness: Harness, opened: Bag) -> None:
+    listener = listen(harness, "wrench_raw")
+    player = play(harness, opened, PlayOptions(loop=True, rate=10.0))
+    harness.wait_for(lambda: player.published["/wrench_raw"] > 120, 20.0, "three rounds")
+    harness.remove(player)
+    once = [wrench(index) for index in range(0, 100, 2)]
+    assert listener.heard["wrench_raw"][:120] == (once * 3)[:120]
+
+
+def test_quality_of_service_is_the_recorded_one(harness: Harness, tmp_path: Path) -> None:
+    with BagWriter(tmp_path / "bag") as bag:
+        text = bag.add_topic("text", "std_msgs/msg/String", qos=(to_bag(LATCHED),))
+        bag.write(text, START, bytes(serialize_message(String(data="late"))))
+    with open_bag(tmp_path / "bag") as bag:
+        player = play(harness, bag, PlayOptions())
+        to_the_end(harness, player)
+        heard: list[str] = []
+        late = harness.add(lambda context: Node("late", context=context))
+        late.create_subscription(String, "text", lambda m: heard.append(m.data), LATCHED)
+        harness.wait_for(lambda: heard == ["late"], 5.0, "a latched message")
+
+
+def test_types_that_are_not_installed_are_left_out(
+    harness: Harness, opened: Bag, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def uninstalled(type_name: str) -> Any:
+        if type_name == DEFLECTION:
+            raise BagError(f"the type {type_name} is not installed here")
+        return WrenchStamped
+
+    monkeypatch.setattr("galen_bags.player.message_class", uninstalled)
+    player = play(harness, opened, PlayOptions(rate=10.0))
+    to_the_end(harness, player)
+    assert player.left_out == {"/deflection": f"the type {DEFLECTION} is not installed here"}
+    assert player.published == {"/empty": 0, "/wrench_raw": 50}
+
+
+def test_a_topic_that_the_bag_lacks_is_an_error(harness: Harness, opened: Bag) -> None:
+    with pytest.raises(
+        BagError, match=r"has no topic /wrench; it has /deflection, /empty, /wrench_r"
+    ):
+        play(harness, opened, PlayOptions(topics=("wrench",)))
+
+
+def test_a_part_without_messages_is_an_error(harness: Harness, opened: Bag) -> None:
+    play(harness, opened, PlayOptions(start_offset_s=10.0))
+    with pytest.raises(BagError, match="holds no message in the part"):
+        harness.wait_for(lambda: False, 5.0, "an error")
+
+
+def test_record_of_a_replay_is_the_bag_again(opened: Bag, tmp_path: Path) -> None:
+    """Play into a recorder: the new bag holds the same messages, byte for byte."""
+    with (
+        Harness(lambda context: SingleThreadedExecutor(context=context)) as harness,
+        GrowingBagWriter(tmp_path / "again") as again,
+    ):
+        topics = ("wrench_raw", "deflection")
+        recorder = harness.add(lambda context: RecorderNode(again, topics, context=context))
+        player = play(harness, opened, PlayOptions(wait_for_subscribers_s=10.0, rate=0.5))
+        to_the_end(harness, player)
+        harness.wait_for(lambda: recorder.messages == 100, 10.0, "100 messages")
+        harness.remove(recorder)
+    found: dict[str, list[bytes]] = {}
+    with Reader(tmp_path / "again") as reader:
+        for connection, _, data in reader.messages():
+            found.setdefault(connection.topic, []).append(bytes(data))
+    assert found == {
+        "/wrench_raw": [wrench(index) for index in range(0, 100, 2)],
+        "/deflection": [deflection(index) for index in range(1, 100, 2)],
+    }
+
+
+# --- the command ------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def start(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[..., subprocess.Popen[str]]]:
+    lock = DomainLock()
+    monkeypatch.setenv("ROS_DOMAIN_ID", str(lock.domain_id))
+    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    monkeypatch.setenv("FASTDDS_BUILTIN_TRANSPORTS", "UDPv4")
+    started = []
+
+    def launch(*arguments: str) -> subprocess.Popen[str]:
+        process = subprocess.Popen(
+            [sys.executable, "-m", "galen_bags.play", *arguments],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+        started.append(process)
+        return process
+
+    yield launch
+    for process in started:
+        if process.poll() is None:
+            process.kill()
+        process.communicate()
+    lock.release()
+
+
+@pytest.mark.slow
+def test_the_command_plays_to_the_end(start: Any, path: Path) -> None:
+    player = start(str(path), "--json", "-r", "2", "--remap", "wrench_raw:=other", "--no-clock")
+    out, err = player.communicate(timeout=60.0)
+    assert player.returncode == 0, err
+    result = json.loads(out)
+    assert (result["ended_by"], result["messages"], result["acknowledged"]) == ("end", 100, True)
+    assert result["position_s"] == pytest.approx(0.198)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_a_signal_ends_it(start: Any, path: Path, number: int, code: int) -> None:
+    player = start(str(path), "--loop")
+    # rclpy's own handlers are not used; ours are in force before the node says a word.
+    player.stderr.readline()
+    player.send_signal(number)
+    out, _ = player.communicate(timeout=20.0)
+    assert player.returncode == code
+    assert "messages published" in out
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("arguments", "code", "said"),
+    [
+        (("nowhere",), 1, "error: nowhere: is not there"),
+        (("nowhere", "--rate", "0"), 2, "0 is not above 0"),
+        (("nowhere", "--remap", "a=b"), 2, "--remap wants OLD:=NEW, not 'a=b'"),
+    ],
+)
+def test_mistakes_are_one_line(start: Any, arguments: Any, code: int, said: str) -> None:
+    player = start(*arguments)
+    out, err = player.communicate(timeout=60.0)
+    assert (player.returncode, out) == (code, "")
+    assert said in err.splitlines()[-1]

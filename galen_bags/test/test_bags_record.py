@@ -1,0 +1,431 @@
+"""The recorder over real rclpy: bytes and times as they came, topics as they come, its ends."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from diagnostic_msgs.msg import DiagnosticArray
+from galen_bags.bag import open_bag
+from galen_bags.errors import BagError
+from galen_bags.growing_bag import GrowingBagWriter
+from galen_bags.recorder import RecorderNode
+from galen_ros.cdr import JointStateBytes, WrenchBytes
+from galen_ros.diagnostics import Level
+from galen_ros.domain import DomainLock
+from galen_ros.qos import LATCHED, STREAM
+from galen_ros.testing import Harness
+from geometry_msgs.msg import WrenchStamped
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from rclpy.qos import qos_profile_sensor_data
+from rosbags.interfaces import QosDurability, QosReliability
+from rosbags.rosbag2 import Reader
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import JointState
+from std_msgs.msg import String
+
+from galen_msgs.msg import DeflectionStamped
+
+S = 1_000_000_000
+NAMES = ("delta_x", "delta_y", "delta_z", "roll", "tilt")
+
+
+def wrench(index: int) -> bytes:
+    return WrenchBytes("ft_sensor").fill(S + index, [float(index)] * 6)
+
+
+def joints(index: int) -> bytes:
+    return JointStateBytes(NAMES).fill(S + index, [0.5 * index] * 5, [0.0] * 5)
+
+
+@pytest.fixture
+def harness() -> Iterator[Harness]:
+    with Harness(lambda context: SingleThreadedExecutor(context=context)) as world:
+        yield world
+
+
+@pytest.fixture
+def bag(tmp_path: Path) -> Iterator[GrowingBagWriter]:
+    with GrowingBagWriter(tmp_path / "bag") as opened:
+        yield opened
+
+
+def start(
+    harness: Harness, bag: GrowingBagWriter, topics: tuple[str, ...], **options: Any
+) -> RecorderNode:
+    return harness.add(lambda context: RecorderNode(bag, topics, context=context, **options))
+
+
+def publisher(harness: Harness, kind: Any, name: str, qos: Any = STREAM) -> Any:
+    node = harness.add(lambda context: Node("source", context=context))
+    return node.create_publisher(kind, name, qos)
+
+
+def connected(harness: Harness, *publishers: Any) -> None:
+    harness.wait_for(
+        lambda: all(p.get_subscription_count() for p in publishers), 10.0, "the recorder to listen"
+    )
+
+
+def wait_recorded(harness: Harness, recorder: RecorderNode, count: int) -> None:
+    harness.wait_for(lambda: recorder.messages == count, 10.0, f"{count} messages in the bag")
+
+
+def end(harness: Harness, recorder: RecorderNode, bag: GrowingBagWriter) -> Path:
+    harness.remove(recorder)
+    bag.__exit__(None, None, None)
+    return bag.path
+
+
+def messages(path: Path) -> dict[str, list[bytes]]:
+    """What the library that wrote it reads: {topic: messages}."""
+    found: dict[str, list[bytes]] = {}
+    with Reader(path) as reader:
+        for connection, _, data in reader.messages():
+            found.setdefault(connection.topic, []).append(bytes(data))
+    return found
+
+
+def test_bytes_are_as_they_came(harness: Harness, bag: GrowingBagWriter) -> None:
+    recorder = start(harness, bag, ("wrench_raw", "joint_states", "never"))
+    wrenches = publisher(harness, WrenchStamped, "wrench_raw")
+    states = publisher(harness, JointState, "joint_states")
+    connected(harness, wrenches, states)
+    before_ns = time.time_ns()
+    for index in range(200):
+        wrenches.publish(wrench(index))
+        states.publish(joints(index))
+    wait_recorded(harness, recorder, 400)
+    after_ns = time.time_ns()
+    assert recorder.problems() == {"/never": "nobody publishes it"}
+    path = end(harness, recorder, bag)
+    assert messages(path) == {
+        "/wrench_raw": [wrench(index) for index in range(200)],
+        "/joint_states": [joints(index) for index in range(200)],
+    }
+    with Reader(path) as reader:
+        times = [time_ns for _, time_ns, _ in reader.messages()]
+        assert before_ns <= min(times) and max(times) <= after_ns
+
+
+def test_a_type_of_our_own_is_recorded_with_its_definition(
+    harness: Harness, bag: GrowingBagWriter
+) -> None:
+    recorder = start(harness, bag, ("deflection",))
+    deflections = publisher(harness, DeflectionStamped, "deflection")
+    connected(harness, deflections)
+    message = DeflectionStamped(extrapolated=True)
+    message.translation.x = 0.25
+    deflections.publish(message)
+    wait_recorded(harness, recorder, 1)
+    (offer,) = recorder.get_publishers_info_by_topic("/deflection")
+    path = end(harness, recorder, bag)
+    with Reader(path) as reader:
+        ((connection, _, data),) = reader.messages()
+        types = get_typestore(Stores.EMPTY)
+        types.register(get_types_from_msg(connection.msgdef.data, connection.msgtype))
+        read = types.deserialize_cdr(data, connection.msgtype)
+        assert connection.digest == str(offer.topic_type_hash)
+    assert (read.translation.x, read.extrapolated) == (0.25, True)
+
+
+def test_late_topics_of_any_quality_of_service_are_taken_up(
+    harness: Harness, bag: GrowingBagWriter
+) -> None:
+    recorder = start(harness, bag, ("/latched", "sensor"))
+    harness.wait_for(lambda: len(recorder.problems()) == 2, 5.0, "two topics missing")
+    latched = publisher(harness, String, "latched", LATCHED)
+    latched.publish(String(data="before"))
+    sensor = publisher(harness, WrenchStamped, "sensor", qos_profile_sensor_data)
+    connected(harness, latched, sensor)
+    sensor.publish(wrench(1))
+    wait_recorded(harness, recorder, 2)
+    assert recorder.problems() == {}
+    path = end(harness, recorder, bag)
+    assert messages(path)["/sensor"] == [wrench(1)]
+    with Reader(path) as reader:
+        offers = {c.topic: c.ext.offered_qos_profiles[0] for c in reader.connections}
+    assert offers["/latched"].durability is QosDurability.TRANSIENT_LOCAL
+    assert offers["/latched"].reliability is QosReliability.RELIABLE
+    assert offers["/sensor"].reliability is QosReliability.BEST_EFFORT
+
+
+def test_all_takes_what_there_is_but_hidden_topics(harness: Harness, bag: GrowingBagWriter) -> None:
+    recorder = harness.add(lambda context: RecorderNode(bag, all_topics=True, context=context))
+    wrenches = publisher(harness, WrenchStamped, "left/wrench_raw")
+    hidden = publisher(harness, WrenchStamped, "left/_secret")
+    connected(harness, wrenches)
+    wrenches.publish(wrench(3))
+    harness.wait_for(
+        lambda: any(t.name == "/left/wrench_raw" and t.messages for t in recorder.tallies),
+        10.0,
+        "the message",
+    )
+    assert hidden.get_subscription_count() == 0
+    assert messages(end(harness, recorder, bag))["/left/wrench_raw"] == [wrench(3)]
+
+
+def test_namespace_and_remaps_hold(harness: Harness, bag: GrowingBagWriter) -> None:
+    recorder = start(
+        harness,
+        bag,
+        ("wrench_raw", "joint_states"),
+        namespace="left",
+        cli_args=["--ros-args", "-r", "joint_states:=measured_js"],
+    )
+    wrenches = publisher(harness, WrenchStamped, "/left/wrench_raw")
+    states = publisher(harness, JointState, "/left/measured_js")
+    connected(harness, wrenches, states)
+    wrenches.publish(wrench(0))
+    states.publish(joints(0))
+    wait_recorded(harness, recorder, 2)
+    path = end(harness, recorder, bag)
+    assert sorted(messages(path)) == ["/left/measured_js", "/left/wrench_raw"]
+
+
+def test_what_can_not_be_recorded_does_not_disturb_the_rest(
+    harness: Harness, bag: GrowingBagWriter, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def uninstalled(type_name: str) -> Any:
+        if type_name == "std_msgs/msg/String":
+            raise BagError(f"the type {type_name} is not installed here")
+        return WrenchStamped
+
+    monkeypatch.setattr("galen_bags.recorder.message_class", uninstalled)
+    recorder = start(harness, bag, ("wrench_raw", "strange"))
+    wrenches = publisher(harness, WrenchStamped, "wrench_raw")
+    strange = publisher(harness, String, "strange")
+    connected(harness, wrenches)
+    strange.publish(String(data="x"))
+    wrenches.publish(wrench(0))
+    wait_recorded(harness, recorder, 1)
+    harness.wait_for(
+        lambda: (
+            recorder.problems()
+            == {"/strange": "not recorded: the type std_msgs/msg/String is not installed here"}
+        ),
+        5.0,
+        "the topic to be reported",
+    )
+    assert list(messages(end(harness, recorder, bag))) == ["/wrench_raw"]
+
+
+def test_log_times_are_simulated_time_where_asked(harness: Harness, bag: GrowingBagWriter) -> None:
+    recorder = start(
+        harness, bag, ("wrench_raw",), parameter_overrides=[Parameter("use_sim_time", value=True)]
+    )
+    wrenches = publisher(harness, WrenchStamped, "wrench_raw")
+    clock = publisher(harness, Clock, "/clock")
+    connected(harness, wrenches, clock)
+    wrenches.publish(wrench(0))
+    harness.wait_for(lambda: "/clock" in recorder.problems(), 5.0, "the early message to be left")
+    message = Clock()
+    message.clock.sec = 77
+    clock.publish(message)
+    harness.wait_for(lambda: recorder.get_clock().now().nanoseconds == 77 * S, 5.0, "the time")
+    wrenches.publish(wrench(1))
+    wait_recorded(harness, recorder, 1)
+    path = end(harness, recorder, bag)
+    with Reader(path) as reader:
+        assert [(t, bytes(data)) for _, t, data in reader.messages()] == [(77 * S, wrench(1))]
+
+
+def test_diagnostics_tell_what_is_missing(harness: Harness, bag: GrowingBagWriter) -> None:
+    recorder = start(harness, bag, ("wrench_raw", "joint_states"))
+    first = publisher(harness, WrenchStamped, "wrench_raw")
+    second = publisher(harness, WrenchStamped, "wrench_raw")
+    heard: list[Any] = []
+    probe = harness.add(lambda context: Node("probe", context=context))
+    probe.create_subscription(DiagnosticArray, "/diagnostics", lambda m: heard.extend(m.status), 10)
+    connected(harness, first, second)
+    first.publish(wrench(0))
+
+    def told() -> Any:
+        status = heard[-1] if heard else None
+        values = {item.key: item.value for item in status.values} if status else {}
+        return (
+            status
+            and status.level == bytes([Level.WARN])
+            and "/joint_states: nobody publishes it" in status.message
+            and "/wrench_raw: it had 2 publishers" in status.message
+            and values["messages /wrench_raw"] == "1"
+        )
+
+    harness.wait_for(told, 10.0, "a warning")
+    end(harness, recorder, bag)
+
+
+# --- the command ------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def domain(monkeypatch: pytest.MonkeyPatch) -> Iterator[int]:
+    lock = DomainLock()
+    monkeypatch.setenv("ROS_DOMAIN_ID", str(lock.domain_id))
+    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    monkeypatch.setenv("FASTDDS_BUILTIN_TRANSPORTS", "UDPv4")
+    yield lock.domain_id
+    lock.release()
+
+
+SOURCE = """
+import sys
+import rclpy
+from galen_ros.cdr import WrenchBytes
+from galen_ros.qos import STREAM
+from geometry_msgs.msg import WrenchStamped
+from rclpy.node import Node
+
+rclpy.init()
+node = Node("source")
+publisher = node.create_publisher(WrenchStamped, "wrench_raw", STREAM)
+index = 0
+def publish():
+    global index
+    publisher.publish(WrenchBytes("ft_sensor").fill(10**9 + index, [float(index)] * 6))
+    index += 1
+node.create_timer(0.002, publish)
+rclpy.spin(node)
+"""
+
+
+@pytest.fixture
+def processes() -> Iterator[Callable[..., subprocess.Popen[str]]]:
+    started = []
+
+    def launch(*arguments: str) -> subprocess.Popen[str]:
+        process = subprocess.Popen(
+            [sys.executable, *arguments],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+        started.append(process)
+        return process
+
+    yield launch
+    for process in started:
+        if process.poll() is None:
+            process.kill()
+        process.communicate()
+
+
+def record(processes: Any, path: Path, *options: str) -> subprocess.Popen[str]:
+    process: subprocess.Popen[str] = processes(
+        "-m", "galen_bags.record", "wrench_raw", "-o", str(path), *options
+    )
+    return process
+
+
+def wait_growing(path: Path, size_bytes: int = 4000) -> None:
+    file = path / f"{path.name}.mcap"
+    deadline = time.monotonic() + 30.0
+    while not file.exists() or file.stat().st_size < size_bytes:
+        assert time.monotonic() < deadline, "nothing was recorded"
+        time.sleep(0.05)
+
+
+def check_run_of_wrenches(found: list[bytes]) -> None:
+    """A run without gaps of what the source publishes, counted from some number."""
+    first = int(WrenchStampedReader.index(found[0]))
+    assert found == [wrench(first + k) for k in range(len(found))]
+
+
+class WrenchStampedReader:
+    @staticmethod
+    def index(data: bytes) -> int:
+        return int.from_bytes(data[8:12], "little")  # nanoseconds of the stamp
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("domain")
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_closes_the_bag(processes: Any, tmp_path: Path, number: int) -> None:
+    processes("-c", SOURCE)
+    recorder = record(processes, tmp_path / "bag", "--json")
+    wait_growing(tmp_path / "bag")
+    recorder.send_signal(number)
+    out, err = recorder.communicate(timeout=20.0)
+    assert recorder.returncode == 0, err
+    result = json.loads(out)
+    found = messages(tmp_path / "bag")["/wrench_raw"]
+    check_run_of_wrenches(found)
+    assert result["messages"] == result["topics"][0]["messages"] == len(found)
+    assert result["problems"] == {}
+    with open_bag(tmp_path / "bag") as whole:
+        assert whole.problems == []
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("domain")
+def test_a_kill_leaves_all_but_the_last_second(processes: Any, tmp_path: Path) -> None:
+    processes("-c", SOURCE)
+    recorder = record(processes, tmp_path / "bag")
+    wait_growing(tmp_path / "bag", 20_000)
+    killed_ns = time.time_ns()
+    os.kill(recorder.pid, signal.SIGKILL)
+    recorder.wait(timeout=20.0)
+    with open_bag(tmp_path / "bag") as cut:
+        assert any("cut off" in problem for problem in cut.problems)
+        blocks = list(cut.blocks(["/wrench_raw"]))
+    check_run_of_wrenches([block.message(k) for block in blocks for k in range(len(block))])
+    assert killed_ns - max(block.log_time_ns.max() for block in blocks) < 5 * S  # 1 s and a stall
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("domain")
+@pytest.mark.parametrize(
+    ("limit", "ended_by"),
+    [(("--duration-s", "1"), "duration"), (("--max-size-mb", "0.005"), "size")],
+)
+def test_limits_end_it(processes: Any, tmp_path: Path, limit: Any, ended_by: str) -> None:
+    processes("-c", SOURCE)
+    recorder = record(processes, tmp_path / "bag", "--json", *limit)
+    out, err = recorder.communicate(timeout=60.0)
+    assert recorder.returncode == 0, err
+    result = json.loads(out)
+    assert result["ended_by"] == ended_by
+    assert len(messages(tmp_path / "bag")["/wrench_raw"]) == result["messages"] > 0
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("domain")
+def test_a_full_disk_ends_it_with_one_line(processes: Any, tmp_path: Path) -> None:
+    """A limit on the size of files stands in for the disk: the system refuses the write."""
+    program = (
+        "import resource, sys; from galen_bags.record import main;"
+        "resource.setrlimit(resource.RLIMIT_FSIZE, (30_000, 30_000));"
+        f"sys.argv = ['record', 'wrench_raw', '-o', {str(tmp_path / 'bag')!r}]; main()"
+    )
+    processes("-c", SOURCE)
+    recorder = processes("-c", program)
+    out, err = recorder.communicate(timeout=60.0)
+    assert recorder.returncode == 1
+    (line,) = [text for text in err.splitlines() if text.startswith("error:")]
+    assert "bag: can't be written any more: File too large" in line
+    assert "Traceback" not in err
+    assert "/wrench_raw" in out
+    with open_bag(tmp_path / "bag") as cut:
+        blocks = list(cut.blocks(["/wrench_raw"]))
+        assert all("breaks off" not in problem for problem in cut.problems)
+    check_run_of_wrenches([block.message(k) for block in blocks for k in range(len(block))])
+
+
+def test_a_place_that_is_taken_is_an_error(tmp_path: Path) -> None:
+    done = subprocess.run(
+        [sys.executable, "-m", "galen_bags.record", "-o", str(tmp_path)],
+        capture_output=True,
+        text=True,
+        timeout=60,
+    )
+    assert (done.returncode, done.stdout) == (1, "")
+    assert done.stderr == f"error: {tmp_path}: is there already, and is not written over\n"

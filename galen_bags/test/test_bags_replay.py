@@ -1,0 +1,204 @@
+"""The timing of a replay, by a clock that the tests turn themselves."""
+
+import queue
+import threading
+import time
+from collections.abc import Callable, Iterator
+
+import numpy as np
+import pytest
+from galen_bags.errors import BagError
+from galen_bags.raw_block import Messages, pack
+from galen_bags.replay import Ahead, Playlist, Settling, Timeline, window, with_stamp
+from galen_ros.cdr import WrenchBytes
+
+S = 1_000_000_000
+MS = 1_000_000
+
+
+def block(times_ns: list[int]) -> Messages:
+    return pack([0] * len(times_ns), times_ns, [b"%d" % time_ns for time_ns in times_ns])
+
+
+def times(blocks: Iterator[Messages]) -> list[int]:
+    return [int(time_ns) for each in blocks for time_ns in each.log_time_ns]
+
+
+@pytest.mark.parametrize("rate", [0.25, 1.0, 8.0])
+def test_bag_time_runs_at_the_rate(rate: float) -> None:
+    timeline = Timeline(rate)
+    timeline.start(5 * S, 100.0)
+    assert timeline.advance(100.0) == 5 * S
+    for step in range(1, 101):
+        bag_ns = timeline.advance(100.0 + 0.05 * step)
+        assert bag_ns == pytest.approx(5 * S + rate * 0.05 * step * S, abs=2)
+    assert timeline.lag_s == 0.0
+
+
+def test_a_stall_is_not_caught_up_but_said() -> None:
+    timeline = Timeline(2.0, max_step_s=0.1)
+    timeline.start(0, 10.0)
+    assert timeline.advance(10.1) == pytest.approx(200 * MS, abs=2)
+    assert timeline.advance(13.1) == pytest.approx(400 * MS, abs=2)  # 0.1 s of the 3 s
+    assert timeline.advance(13.2) == pytest.approx(600 * MS, abs=2)
+    assert timeline.lag_s == pytest.approx(2.9)
+
+
+def test_a_pause_stops_bag_time() -> None:
+    timeline = Timeline(1.0)
+    timeline.start(0, 10.0)
+    timeline.advance(10.05)
+    timeline.pause(True, 10.1)
+    timeline.pause(True, 11.0)
+    assert timeline.paused
+    assert timeline.advance(20.0) == pytest.approx(100 * MS, abs=2)
+    timeline.pause(False, 30.0)
+    assert timeline.advance(30.05) == pytest.approx(150 * MS, abs=2)
+    assert timeline.lag_s == 0.0
+
+
+def test_a_start_while_paused_waits() -> None:
+    timeline = Timeline(1.0)
+    timeline.pause(True, 0.0)
+    timeline.start(7 * S, 50.0)
+    assert timeline.advance(51.0) == 7 * S
+    timeline.pause(False, 60.0)
+    assert timeline.advance(60.05) == pytest.approx(7 * S + 50 * MS, abs=2)
+
+
+def test_hold_goes_on_from_what_was_not_published() -> None:
+    timeline = Timeline(2.0)
+    timeline.start(0, 0.0)
+    assert timeline.advance(0.05) == pytest.approx(100 * MS, abs=2)
+    timeline.hold(40 * MS, 0.05)
+    assert timeline.lag_s == pytest.approx(0.03)
+    assert timeline.advance(0.06) == pytest.approx(60 * MS, abs=2)
+
+
+def test_settling_waits_for_quiet() -> None:
+    settling = Settling(0.5)
+    seen = [(0, 0.0), (0, 0.4), (1, 0.45), (1, 0.9), (2, 0.94), (2, 1.43), (2, 1.45)]
+    assert [settling.settled(number, now_s) for number, now_s in seen] == [False] * 6 + [True]
+
+
+@pytest.mark.parametrize(
+    ("first_ns", "last_ns", "wanted"),
+    [
+        (0, None, [1, 2, 3, 4, 5, 6]),
+        (2, 5, [2, 3, 4, 5]),
+        (3, None, [3, 4, 5, 6]),
+        (4, 4, [4]),
+        (7, None, []),
+        (0, 0, []),
+    ],
+)
+def test_a_window_of_a_bag(first_ns: int, last_ns: int | None, wanted: list[int]) -> None:
+    blocks = [block([1, 2]), block([3]), block([]), block([4, 5, 6])]
+    kept = list(window(blocks, first_ns, last_ns))
+    assert times(iter(kept)) == wanted
+    assert [each.message(k) for each in kept for k in range(len(each))] == [
+        b"%d" % time_ns for time_ns in wanted
+    ]
+
+
+def test_a_window_reads_no_further_than_its_end() -> None:
+    def blocks() -> Iterator[Messages]:
+        yield block([1, 2])
+        yield block([8, 9])
+        raise AssertionError("read on")
+
+    assert times(window(blocks(), 0, 5)) == [1, 2]
+
+
+def wait_for(predicate: Callable[[], object]) -> None:
+    deadline = time.monotonic() + 10.0
+    while not predicate():
+        assert time.monotonic() < deadline
+        time.sleep(0.001)
+
+
+def played(playlist: Playlist) -> list[bytes]:
+    found = []
+    while True:
+        wait_for(lambda: playlist.peek_ns() is not None or playlist.ended)
+        if playlist.ended:
+            return found
+        found.append(playlist.pop().data)
+
+
+def test_a_playlist_is_all_messages_in_order() -> None:
+    blocks = [block([k, k + 1]) for k in range(0, 40, 2)] + [block([])]
+    ahead = Ahead(lambda: iter(blocks))
+    assert played(Playlist(ahead)) == [b"%d" % k for k in range(40)]
+    ahead.close()
+
+
+def test_what_is_not_read_yet_does_not_block() -> None:
+    gate = threading.Event()
+
+    def slow() -> Iterator[Messages]:
+        yield block([1])
+        gate.wait(10.0)
+        yield block([2])
+
+    ahead = Ahead(slow)
+    playlist = Playlist(ahead)
+    wait_for(lambda: playlist.peek_ns() == 1)
+    playlist.pop()
+    assert playlist.peek_ns() is None
+    assert not playlist.ended
+    gate.set()
+    assert played(playlist) == [b"2"]
+    ahead.close()
+
+
+def test_an_error_of_reading_comes_out() -> None:
+    def broken() -> Iterator[Messages]:
+        yield block([1])
+        raise BagError("x.mcap: can't be read")
+
+    ahead = Ahead(broken)
+    playlist = Playlist(ahead)
+    wait_for(lambda: playlist.peek_ns() == 1)
+    playlist.pop()
+    with pytest.raises(BagError, match="can't be read"):
+        played(playlist)
+    ahead.close()
+
+
+def test_reading_ahead_ends_when_nobody_wants_more() -> None:
+    def endless() -> Iterator[Messages]:
+        while True:
+            yield block([1])
+
+    ahead = Ahead(endless)
+    wait_for(lambda: ahead._ready.full())
+    ahead.close()
+    assert not ahead._thread.is_alive()
+
+
+def test_nothing_is_ready_at_first() -> None:
+    gate = threading.Event()
+
+    def late() -> Iterator[Messages]:
+        gate.wait(10.0)
+        yield block([1])
+
+    ahead = Ahead(late)
+    with pytest.raises(queue.Empty):
+        ahead.take()
+    gate.set()
+    ahead.close()
+
+
+@pytest.mark.parametrize("order", ["<", ">"])
+def test_a_stamp_is_changed_and_nothing_else(order: str) -> None:
+    data = WrenchBytes("ft_sensor").fill(3 * S + 7, [1.0, 2.0, 3.0, 4.0, 5.0, 6.0])
+    wanted = WrenchBytes("ft_sensor").fill(9 * S + 8, [1.0, 2.0, 3.0, 4.0, 5.0, 6.0])
+    if order == ">":
+        data, wanted = (
+            b"\x00\x00" + each[2:4] + np.frombuffer(each, "<u4", 2, 4).astype(">u4").tobytes()
+            + each[12:]
+            for each in (data, wanted)
+        )  # fmt: skip
+    assert with_stamp(data, 9 * S + 8) == wanted
