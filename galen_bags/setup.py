@@ -19,6 +19,7 @@ setup(
     license="Apache-2.0",
     entry_points={
         "console_scripts": [
+            "convert = galen_bags.convert:main",
             "record = galen_bags.record:main",
             "play = galen_bags.play:main",
         ]
