@@ -3,6 +3,10 @@
 import math
 from bisect import bisect_left
 from enum import Enum
+from typing import NamedTuple
+
+import numpy as np
+from galen_model.arrays import Array
 
 
 class JointPush(Enum):
@@ -20,6 +24,18 @@ class NoAngles(Enum):
     NOT_YET = "no joint sample at or after this stamp was received yet"
     TOO_OLD = "the stamp lies before the oldest joint sample kept"
     GAP = "the joint samples around this stamp lie too far apart"
+
+
+class Interpolated(NamedTuple):
+    """`JointBuffer.angles_at` at many stamps at once.
+
+    angles (n, 2): roll and tilt, rad; good (n,): whether they are what `angles_at` gives (else it
+    refuses, or they aren't finite); oldest (n,): the oldest sample that they hang on.
+    """
+
+    angles: Array
+    good: np.ndarray
+    oldest: np.ndarray
 
 
 class JointBuffer:
@@ -47,6 +63,11 @@ class JointBuffer:
         """Stamp of the newest sample, ns; None when empty."""
         return self._stamps[-1] if self._stamps else None
 
+    @property
+    def capacity(self) -> int:
+        """So many of the newest samples are surely kept."""
+        return self._capacity
+
     def clear(self) -> None:
         """Forget every sample."""
         self._stamps.clear()
@@ -61,11 +82,52 @@ class JointBuffer:
         stamps.append(stamp_ns)
         self._rolls.append(roll)
         self._tilts.append(tilt)
-        # Trimming in blocks keeps the cost of a push constant on average and the lists bisectable.
+        # Trimming in runs keeps the cost of a push constant on average and the lists bisectable.
         if len(stamps) >= 2 * self._capacity:
             excess = len(stamps) - self._capacity
             del stamps[:excess], self._rolls[:excess], self._tilts[:excess]
         return JointPush.STORED
+
+    def push_regular(self, stamp_ns: np.ndarray, angles: Array) -> None:
+        """Store samples as `push` would one by one: stamps (n,) increasing and newer, (n, 2) rad.
+
+        Trimming included: what is kept afterwards is the same.
+        """
+        count = len(self._stamps) + len(stamp_ns)
+        if count >= 2 * self._capacity:
+            count = self._capacity + count % self._capacity
+        rows = slice(max(0, len(stamp_ns) - count), None)
+        self._stamps += stamp_ns[rows].tolist()
+        self._rolls += angles[rows, 0].tolist()
+        self._tilts += angles[rows, 1].tolist()
+        excess = len(self._stamps) - count
+        del self._stamps[:excess], self._rolls[:excess], self._tilts[:excess]
+
+    def since(self, stamp_ns: int) -> tuple[np.ndarray, Array]:
+        """Stamps (n,) and angles (n, 2) from the last sample before `stamp_ns` on.
+
+        The newest sample is always among them.
+        """
+        first = max(0, bisect_left(self._stamps, stamp_ns) - 1)
+        angles = np.array([self._rolls[first:], self._tilts[first:]]).T
+        return np.array(self._stamps[first:], dtype=np.int64), angles
+
+    def interpolate(self, stamps: np.ndarray, angles: Array, at_ns: np.ndarray) -> Interpolated:
+        """`angles_at` for stamps (n,) in samples (m,), (m, 2), none newer than the last sample.
+
+        The samples need not be in the buffer; `since` and such as come after it make a series.
+        """
+        after = np.searchsorted(stamps, at_ns, side="left")
+        exact = stamps[after] == at_ns
+        before = np.maximum(after - 1, 0)
+        span_ns = stamps[after] - stamps[before]
+        # A sample with exactly the stamp is taken as it is, whatever lies before it.
+        weight = np.where(exact, 1.0, (at_ns - stamps[before]) / np.maximum(span_ns, 1))
+        start = np.where(exact[:, None], angles[after], angles[before])
+        found = start + weight[:, None] * (angles[after] - start)
+        good = exact | ((after > 0) & (span_ns <= self._max_gap_ns))
+        good &= np.isfinite(found).all(axis=1)
+        return Interpolated(found, good, np.where(exact, after, before))
 
     def angles_at(self, stamp_ns: int) -> tuple[float, float] | NoAngles:
         """Roll and tilt (rad) at a stamp, linear between the two samples around it.

@@ -1,4 +1,4 @@
-"""The expected reading of a tool, fast for one pose at a time."""
+"""The expected reading of a tool, fast for one pose at a time and for arrays of poses."""
 
 import math
 
@@ -8,7 +8,7 @@ from galen_model.tool_file import ToolFile
 
 
 class Prediction:
-    """`ToolFile.predict` for single poses, some ten times as fast.
+    """`ToolFile.predict`, for single poses some ten times as fast.
 
     Every term of the model is linear in gravity's direction in the sensor's frame or constant:
 
@@ -38,3 +38,12 @@ class Prediction:
         )
         reading: Array = self._by_direction @ direction + self._constant
         return reading
+
+    def readings(self, roll_rad: Array, tilt_rad: Array) -> Array:
+        """Readings (n, 6) as `reading` gives them, for angles (n,)."""
+        cos_roll = np.cos(roll_rad)
+        directions = np.stack(
+            (cos_roll * np.cos(tilt_rad), -np.sin(roll_rad), cos_roll * np.sin(tilt_rad)), axis=1
+        )
+        readings: Array = directions @ self._by_direction.T + self._constant
+        return readings

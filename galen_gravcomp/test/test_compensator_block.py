@@ -1,0 +1,514 @@
+"""`push_block` gives what pushing the samples one by one gives, whatever is wrong with them."""
+
+import math
+import re
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
+
+import numpy as np
+import pytest
+from galen_gravcomp.compensator import Compensator, CompensatorSettings, TareRefusedError
+from galen_gravcomp.joint_buffer import JointBuffer
+from galen_gravcomp.results import Compensated, Notice, Refusal, Refused, Result
+from galen_gravcomp.tare import TareOutcome, TareSettings
+from galen_model.tool_file import LoadEstimate, ToolFile
+
+from galen_gravcomp import block as block_module
+from galen_gravcomp import compensator as compensator_module
+
+MS = 1_000_000
+S = 1_000_000_000
+START = 1_700_000_000 * S
+FRAMES = ("ft_sensor", "other_frame")
+
+
+def make_tool(mass_kg: float) -> ToolFile:
+    return ToolFile(
+        tool="pointer",
+        load=LoadEstimate(mass_kg, np.array([0.055, 0.002, 0.045]), np.eye(4) * 1e-8),
+        bias=LoadEstimate(0.1, np.array([0.0, 0.0, 0.02]), np.eye(4) * 1e-8),
+        tip_m=np.zeros(3),
+        rmse=np.zeros(6),
+        poses_used=56,
+        calibrated_at="2026-01-01T00:00:00+00:00",
+        residual_offset=np.array([0.01, -0.02, 0.03, 1e-3, -2e-3, 3e-3]),
+    )
+
+
+TOOL, OTHER_TOOL = make_tool(0.06), make_tool(0.4)
+
+
+class Sample(NamedTuple):
+    """One message as it arrives: of a joint state with (roll, tilt), or a wrench with six."""
+
+    is_wrench: bool
+    stamp_ns: int
+    values: tuple[float, ...]
+    frame: int = 0
+    bad: str = ""
+
+
+# Streams and what goes wrong with them
+
+
+def clean_stream(
+    rng: np.random.Generator,
+    duration_ns: int,
+    joint_period_ns: int,
+    wrench_period_ns: int,
+    joint_delay_ns: int = 0,
+    wrench_delay_ns: int = 0,
+    wrench_offset_ns: int = 0,
+) -> list[Sample]:
+    """Both topics at their rates, in the order of arrival, a joint sample first."""
+    joints = START + np.arange(0, duration_ns, joint_period_ns)
+    wrenches = START + wrench_offset_ns + np.arange(0, duration_ns, wrench_period_ns)
+    arrivals: list[tuple[int, int, Sample]] = []
+    angles = rng.normal(0.0, 0.3, size=(len(joints), 2))
+    for stamp, pair in zip(joints.tolist(), angles.tolist(), strict=True):
+        arrivals.append((stamp + joint_delay_ns, 0, Sample(False, stamp, tuple(pair))))
+    values = rng.normal(0.0, 1.0, size=(len(wrenches), 6))
+    for stamp, six in zip(wrenches.tolist(), values.tolist(), strict=True):
+        arrivals.append((stamp + wrench_delay_ns, 1, Sample(True, stamp, tuple(six))))
+    arrivals.sort(key=lambda arrival: arrival[:2])
+    return [sample for _, _, sample in arrivals]
+
+
+def _repeat(rng: np.random.Generator, samples: list[Sample], at: int) -> None:
+    """The same stamp again, at once or a little later."""
+    samples.insert(at + int(rng.integers(1, 4)), samples[at])
+
+
+def _late(rng: np.random.Generator, samples: list[Sample], at: int) -> None:
+    """It comes only after later ones."""
+    samples.insert(at + int(rng.integers(2, 40)), samples.pop(at))
+
+
+def _jump(rng: np.random.Generator, samples: list[Sample], at: int) -> None:
+    """From here on the stamps of one or both topics are others; also by exactly a limit."""
+    sizes = [MS, 49 * MS, 50 * MS, 51 * MS, 300 * MS, 998 * MS, 1000 * MS, 1002 * MS, 7 * S]
+    jump_ns = int(rng.choice(sizes)) + int(rng.integers(-1, 2))
+    jump_ns *= int(rng.choice([-1, 1]))
+    which = rng.choice(["joints", "wrenches", "both"])
+    for row in range(at, len(samples)):
+        sample = samples[row]
+        if which == "both" or (which == "wrenches") == sample.is_wrench:
+            samples[row] = sample._replace(stamp_ns=sample.stamp_ns + jump_ns)
+
+
+def _silence(rng: np.random.Generator, samples: list[Sample], at: int) -> None:
+    """One topic is missing for a while, or only arrives after the others."""
+    is_wrench = bool(rng.integers(2))
+    end = at + int(rng.integers(1, 120))
+    gone = [s for s in samples[at:end] if s.is_wrench == is_wrench]
+    samples[at:end] = [s for s in samples[at:end] if s.is_wrench != is_wrench]
+    if rng.integers(2):
+        at = max(at, end - len(gone))
+        samples[at:at] = gone
+
+
+def _value(rng: np.random.Generator, samples: list[Sample], at: int) -> None:
+    """A number that is not finite, too large, or in another unit."""
+    sample = samples[at]
+    values = list(sample.values)
+    column = int(rng.integers(len(values)))
+    choices = [math.nan, math.inf, -math.inf, 1e305]
+    choices += [1e4, 3.5, 70.0, -126.0, 125.0, 3.0] if sample.is_wrench else [7.0, -90.0]
+    values[column] = float(rng.choice(choices))
+    samples[at] = sample._replace(values=tuple(values))
+
+
+def _stamp(rng: np.random.Generator, samples: list[Sample], at: int) -> None:
+    """No stamp, a negative one, or one that lies beside the last one."""
+    stamp_ns = samples[at].stamp_ns
+    beside = [stamp_ns + step_ns for step_ns in (-2 * MS, -50 * MS, 50 * MS, 5 * S)]
+    samples[at] = samples[at]._replace(stamp_ns=int(rng.choice([0, -1, 1, *beside])))
+
+
+def _frame(rng: np.random.Generator, samples: list[Sample], at: int) -> None:
+    samples[at] = samples[at]._replace(frame=1)
+
+
+def _bad(rng: np.random.Generator, samples: list[Sample], at: int) -> None:
+    samples[at] = samples[at]._replace(bad=f"message {at} is torn", stamp_ns=0)
+
+
+FAULTS = [_repeat, _late, _jump, _silence, _value, _stamp, _frame, _bad]
+Fault = Callable[[np.random.Generator, list[Sample], int], None]
+
+
+def spoil(
+    rng: np.random.Generator,
+    samples: list[Sample],
+    count: int,
+    faults: Sequence[Fault] = FAULTS,
+) -> None:
+    for _ in range(count):
+        if samples:
+            rng.choice(np.array(faults))(rng, samples, int(rng.integers(len(samples))))
+
+
+# The two ways, with everything that can be seen of them
+
+
+@dataclass
+class Way:
+    """A compensator, and all that came out of it."""
+
+    compensator: Compensator
+    outputs: list[Compensated] = field(default_factory=list)
+    refused: list[Refused] = field(default_factory=list)
+    log: list[str] = field(default_factory=list)
+
+    def sort(self, results: list[Result]) -> None:
+        for result in results:
+            if isinstance(result, Compensated):
+                self.outputs.append(result)
+            else:
+                self.refused.append(result)
+
+    def on_done(self, outcome: TareOutcome) -> None:
+        self.log.append(outcome.message)
+
+    def act(self, action: str) -> None:
+        """What a user does between two samples."""
+        compensator = self.compensator
+        if action == "tare":
+            try:
+                compensator.start_tare(self.on_done)
+            except TareRefusedError as error:
+                self.log.append(str(error))
+        elif action in ("on", "off"):
+            self.sort(compensator.set_enabled(action == "on"))
+        elif action == "restart":
+            self.sort(compensator.restart("a publisher is new"))
+        else:
+            tools = {"tool": TOOL, "other tool": OTHER_TOOL, "no tool": None}
+            self.sort(compensator.set_tool(tools[action]))
+
+    def singly(self, samples: Sequence[Sample]) -> None:
+        compensator = self.compensator
+        for sample in samples:
+            if sample.is_wrench and sample.bad:
+                self.sort(compensator.push_bad_wrench(sample.bad))
+            elif sample.is_wrench:
+                frame_id = FRAMES[sample.frame]
+                self.sort(compensator.push_wrench(sample.stamp_ns, sample.values, frame_id))
+            elif sample.bad:
+                compensator.push_bad_joints(sample.bad)
+            else:
+                self.sort(compensator.push_joints(sample.stamp_ns, *sample.values))
+
+    def as_block(self, samples: Sequence[Sample]) -> None:
+        result = self.compensator.push_block(**block_of(samples))
+        rows = (result.index, result.stamp_ns, result.wrench, result.angles)
+        for number, stamp_ns, wrench, angles in zip(*rows, strict=True):
+            pair = (float(angles[0]), float(angles[1]))
+            self.outputs.append(Compensated(int(stamp_ns), wrench, None, int(number), pair))
+        self.refused += result.refused
+
+    def state(self) -> dict[str, Any]:
+        """All that later samples can hang on, and the counts."""
+        c = self.compensator
+        return {
+            "received": c.received,
+            "compensated": c.compensated,
+            "refusals": dict(c.refusals),
+            "notices": dict(c.notices),
+            "waiting": [(w.stamp_ns, w.raw.tolist(), w.number) for w in c._waiting],
+            "newest wrench": c._newest_wrench_ns,
+            "joint trouble": c._joint_trouble,
+            "joint stamps": c._joints._stamps,
+            "taring": (c.taring, c.tare_ramping),
+        }
+
+
+def block_of(samples: Sequence[Sample]) -> dict[str, Any]:
+    joints = [s for s in samples if not s.is_wrench]
+    wrenches = [s for s in samples if s.is_wrench]
+    return {
+        "is_wrench": np.array([s.is_wrench for s in samples], dtype=bool),
+        "joint_stamp_ns": np.array([s.stamp_ns for s in joints], dtype=np.int64),
+        "angles": np.reshape([s.values for s in joints], (-1, 2)).astype(float),
+        "wrench_stamp_ns": np.array([s.stamp_ns for s in wrenches], dtype=np.int64),
+        "wrenches": np.reshape([s.values for s in wrenches], (-1, 6)).astype(float),
+        "frame": np.array([s.frame for s in wrenches], dtype=int),
+        "frame_ids": FRAMES,
+        "bad_joints": {row: s.bad for row, s in enumerate(joints) if s.bad},
+        "bad_wrenches": {row: s.bad for row, s in enumerate(wrenches) if s.bad},
+    }
+
+
+def make_way(capacity: int = 4096, tool: ToolFile | None = TOOL, **settings: Any) -> Way:
+    """With a ring of joint samples small enough to matter."""
+    tare = TareSettings(0.02, 0.03, 9.0, 99.0, 99.0, 99.0, 99.0)
+    way = Way(Compensator(CompensatorSettings(tare=tare, **settings)))
+    way.compensator._on_restart = way.log.append
+    way.compensator._joints = JointBuffer(50 * MS, capacity)
+    way.compensator.set_tool(tool)
+    return way
+
+
+def assert_same(singly: Way, blocks: Way, samples: Sequence[Sample]) -> None:
+    assert [o.number for o in blocks.outputs] == [o.number for o in singly.outputs]
+    assert [o.stamp_ns for o in blocks.outputs] == [o.stamp_ns for o in singly.outputs]
+    assert blocks.refused == singly.refused
+    assert blocks.log == singly.log, "restarts and answers to tares"
+    assert blocks.state() == singly.state()
+    raw = np.reshape([s.values for s in samples if s.is_wrench], (-1, 6))
+    got = np.reshape([o.wrench for o in blocks.outputs], (-1, 6))
+    expected = np.reshape([o.wrench for o in singly.outputs], (-1, 6))
+    rows = np.array([o.number for o in singly.outputs], dtype=int)
+    size = 1.0 + np.abs(raw[rows]).max(axis=1, initial=0.0)
+    assert np.all(np.abs(got - expected) <= 1e-12 * size[:, None])
+    angles = [np.reshape([o.angles for o in way.outputs], (-1, 2)) for way in (blocks, singly)]
+    np.testing.assert_allclose(*angles, rtol=1e-12, atol=1e-14)
+    for name in ("_rolls", "_tilts"):
+        kept = [getattr(way.compensator._joints, name) for way in (blocks, singly)]
+        np.testing.assert_array_equal(*kept)
+    np.testing.assert_allclose(
+        blocks.compensator.tare_offset, singly.compensator.tare_offset, rtol=1e-12, atol=1e-12
+    )
+
+
+ACTIONS = ["off", "no tool", "restart", "other tool", *["on", "tool"] * 4, *["tare"] * 8]
+
+
+def random_case(rng: np.random.Generator) -> list[Sample]:
+    periods = [MS, 2 * MS, 2 * MS, 2 * MS, 2 * MS, 3 * MS, 5 * MS, 25 * MS, 50 * MS, 51 * MS]
+    samples = clean_stream(
+        rng,
+        duration_ns=int(rng.integers(0, 500)) * MS,
+        joint_period_ns=int(rng.choice(periods)),
+        wrench_period_ns=int(rng.choice(periods)),
+        joint_delay_ns=int(rng.choice([0, 0, 0, 1, 2, 3, 10, 30, 49, 50, 51])) * MS,
+        wrench_delay_ns=int(rng.choice([0, 0, 0, 1, 2, 3, 10, 49, 100])) * MS,
+        wrench_offset_ns=int(rng.choice([0, 0, 1, 700_000, -1, 3 * MS])),
+    )
+    spoil(rng, samples, int(rng.choice([0, 1, 2, 3, 5, 20])))
+    return samples
+
+
+def compare(rng: np.random.Generator, samples: list[Sample], actions: float, **options: Any) -> Way:
+    """Push blocks cut at random, with actions between some; returns the way of the blocks."""
+    singly, blocks = make_way(**options), make_way(**options)
+    cuts = np.sort(rng.integers(0, len(samples) + 1, size=int(rng.choice([0, 1, 2, 6, 20]))))
+    for start, end in zip([0, *cuts], [*cuts, len(samples)], strict=True):
+        part = samples[start:end]
+        singly.singly(part)
+        blocks.as_block(part)
+        assert blocks.state() == singly.state()
+        if rng.random() < actions:
+            action = str(rng.choice(ACTIONS))
+            singly.act(action)
+            blocks.act(action)
+    assert_same(singly, blocks, samples)
+    return blocks
+
+
+@dataclass
+class Seen:
+    """What the random streams came upon; a test that meets no trouble shows nothing."""
+
+    samples: int = 0
+    as_arrays: int = 0
+    compensated: int = 0
+    refusals: Counter[Refusal] = field(default_factory=Counter)
+    notices: Counter[Notice] = field(default_factory=Counter)
+    log: list[str] = field(default_factory=list)
+
+
+def run_cases(seed: int, count: int) -> Seen:
+    rng = np.random.default_rng(seed)
+    seen = Seen()
+    for _ in range(count):
+        samples = random_case(rng)
+        way = compare(
+            rng,
+            samples,
+            actions=float(rng.choice([0.0, 0.5])),
+            capacity=int(rng.choice([2, 3, 8, 64, 4096])),
+            max_waiting=int(rng.choice([1, 5, 20, 1000, 1000, 1000])),
+        )
+        seen.samples += len(samples)
+        seen.as_arrays += way.compensator.pushed_as_arrays
+        seen.compensated += way.compensator.compensated
+        seen.refusals += way.compensator.refusals
+        seen.notices += way.compensator.notices
+        seen.log += way.log
+    return seen
+
+
+@pytest.fixture
+def short_looks(monkeypatch: pytest.MonkeyPatch) -> None:
+    """One sample is pushed singly around a fault and not sixteen: so much more goes as arrays."""
+    monkeypatch.setattr(block_module, "_FEWEST_STEPS", 1)
+    monkeypatch.setattr(block_module, "_SMALLEST_LOOK", 3)
+    monkeypatch.setattr(block_module, "_MOST_STEPS", 4)
+
+
+@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.usefixtures("short_looks")
+def test_random_faults_and_borders(seed: int) -> None:
+    seen = run_cases(seed, 20)
+    assert seen.as_arrays > 0.3 * seen.samples and len(seen.refusals) > 5
+
+
+@pytest.mark.parametrize("seed", range(100, 104))
+def test_random_faults_and_borders_with_the_looks_of_every_day(seed: int) -> None:
+    run_cases(seed, 20)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(1000, 1010))
+@pytest.mark.usefixtures("short_looks")
+def test_many_random_faults_and_borders(seed: int) -> None:
+    run_cases(seed, 150)
+
+
+@pytest.mark.slow
+def test_the_random_streams_meet_everything() -> None:
+    seen = run_cases(1, 300)
+    assert set(seen.refusals) == set(Refusal) and set(seen.notices) == set(Notice)
+    assert seen.compensated > 0.1 * seen.samples
+    assert sum(line.startswith("tared: ") for line in seen.log) > 5
+    assert sum("restarted" in line for line in seen.log) > 50
+
+
+# What has to go as arrays
+
+
+CLEAN = [
+    {},
+    {"joint_delay_ns": 49 * MS},
+    {"wrench_delay_ns": 400 * MS},
+    {"wrench_offset_ns": 700_000},
+    {"wrench_offset_ns": 700_000, "joint_delay_ns": 3 * MS + 1},
+    {"joint_period_ns": 50 * MS},
+    {"joint_period_ns": 20 * MS, "wrench_offset_ns": 1, "joint_delay_ns": 30 * MS},
+    {"wrench_period_ns": 1000 * MS},
+]
+
+
+@pytest.mark.parametrize("options", CLEAN, ids=[str(options) for options in CLEAN])
+@pytest.mark.parametrize("cuts", [0, 40])
+def test_a_clean_stream_goes_as_arrays(options: dict[str, int], cuts: int) -> None:
+    rng = np.random.default_rng(3)
+    periods = {"joint_period_ns": 2 * MS, "wrench_period_ns": 2 * MS}
+    samples = clean_stream(rng, 4 * S, **{**periods, **options})
+    singly, blocks = make_way(), make_way()
+    singly.singly(samples)
+    borders = np.sort(rng.integers(0, len(samples) + 1, size=cuts))
+    for start, end in zip([0, *borders], [*borders, len(samples)], strict=True):
+        blocks.as_block(samples[start:end])
+    assert_same(singly, blocks, samples)
+    assert not blocks.refused
+    assert blocks.compensator.pushed_as_arrays == len(samples)
+
+
+def test_joints_behind_by_the_limit_are_not_stale_and_a_nanosecond_more_are() -> None:
+    """Limits are met exactly: joints' age, joints' gaps, a restart's gap, the queue."""
+    for more in (0, 1):
+        for case in ("age", "gap", "restart", "joint restart", "back", "queue"):
+            joints = [Sample(False, START + t * MS, (0.1, 0.2)) for t in range(0, 10, 2)]
+            newest = joints[-1].stamp_ns
+            ends = {
+                "age": [(True, newest + 50 * MS + more)],
+                "gap": [(False, newest + 50 * MS + more), (True, newest + 3)],
+                "restart": [(True, newest), (True, newest + S + more)],
+                "joint restart": [(False, newest + S + more)],
+                "back": [(True, newest), (True, newest - 50 * MS - more)],
+                "queue": [(True, newest + 1 + k) for k in range(3 + more)],
+            }
+            samples = list(joints)
+            for is_wrench, stamp_ns in ends[case]:
+                samples.append(Sample(is_wrench, stamp_ns, (1.0,) * (6 if is_wrench else 2)))
+            singly, blocks = make_way(max_waiting=3), make_way(max_waiting=3)
+            singly.singly(samples)
+            blocks.as_block(samples)
+            assert_same(singly, blocks, samples)
+            # Out of order is pushed singly, and so is a wrench that goes a second ahead of joints.
+            regular = more == 0 and case not in ("back", "restart")
+            assert (blocks.compensator.pushed_as_arrays == len(samples)) == regular, (case, more)
+
+
+def test_rare_faults_leave_the_rest_to_arrays() -> None:
+    rng = np.random.default_rng(4)
+    samples = clean_stream(rng, 16 * S, 2 * MS, 2 * MS, wrench_offset_ns=500_000)
+    # A jump of one topic's clock is not rare: all wrenches after it are refused.
+    spoil(rng, samples, 12, [fault for fault in FAULTS if fault is not _jump])
+    way = compare(rng, samples, actions=0.0)
+    assert len(way.compensator.refusals) + len(way.compensator.notices) > 5
+    assert way.compensator.pushed_as_arrays > 0.95 * len(samples)
+
+
+@pytest.mark.parametrize("every", [2, 3, 17, 100])
+def test_frequent_faults_do_not_make_it_look_again_and_again(
+    every: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """However many there are, work stays in proportion to the samples, also of a huge block."""
+    looked = []
+
+    def counting(arrivals: Any, *state: Any) -> Any:
+        looked.append(len(arrivals.is_wrench))
+        return regular_stretch(arrivals, *state)
+
+    regular_stretch = compensator_module.regular_stretch
+    monkeypatch.setattr(compensator_module, "regular_stretch", counting)
+    rng = np.random.default_rng(5)
+    samples = clean_stream(rng, 20 * S, 2 * MS, 2 * MS)
+    for at in range(every, len(samples), every):
+        samples[at] = samples[at]._replace(bad="torn", stamp_ns=0)
+    way = make_way()
+    way.as_block(samples)
+    assert sum(looked[1:]) < 3 * len(samples), "the first look is at the whole block"
+    assert len(looked) < len(samples) / 10
+
+
+# The interface
+
+
+def test_numbers_run_over_all_blocks_and_single_wrenches() -> None:
+    way = make_way()
+    wrench = (1.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    way.as_block([Sample(True, START, wrench), Sample(False, START - 1, (0.0, 0.0))])
+    assert way.compensator.push_wrench(START + 1, wrench, tag="mine") == []
+    way.as_block([])
+    way.as_block([Sample(True, START + 2, wrench, frame=1), Sample(True, START + 3, wrench)])
+    assert [(r.number, r.reason) for r in way.refused] == [(2, Refusal.WRONG_FRAME)]
+    (first, second, last) = way.compensator.push_joints(START + 3, 0.0, 0.0)
+    assert [first.number, second.number, last.number] == [0, 1, 3]
+    assert isinstance(second, Compensated) and second.tag == "mine"
+    # A wrench that waited from before comes out with the block, in its place.
+    assert way.compensator.push_wrench(START + 4, wrench, tag="mine") == []
+    way.as_block([Sample(True, START + 5, wrench), Sample(False, START + 6, (0.0, 0.0))])
+    assert [output.number for output in way.outputs] == [4, 5]
+
+
+def test_frames_are_not_checked_when_none_are_given() -> None:
+    samples = [Sample(False, START, (0.0, 0.0)), Sample(True, START, (0.0,) * 6, frame=1)]
+    for frame, compensated in (({}, 0), ({"frame": None}, 1)):
+        result = make_way().compensator.push_block(**{**block_of(samples), **frame})
+        assert len(result.index) == compensated
+
+
+@pytest.mark.parametrize(
+    ("change", "text"),
+    [
+        ({"angles": np.zeros((3, 2))}, "angles has shape (3, 2); with 2 joint samples and 2"),
+        ({"wrenches": np.zeros((2, 5))}, "wrenches has shape (2, 5)"),
+        ({"wrench_stamp_ns": np.zeros(1, int)}, "wrench_stamp_ns has shape (1,)"),
+        ({"frame": np.zeros(3, int)}, "frame has shape (3,)"),
+        ({"bad_joints": {2: "torn"}}, "bad_joints has rows [2]; there are 2 joints"),
+    ],
+)
+def test_shapes_that_do_not_fit_are_refused_before_anything_is_pushed(
+    change: dict[str, Any], text: str
+) -> None:
+    way = make_way()
+    samples = clean_stream(np.random.default_rng(6), 4 * MS, 2 * MS, 2 * MS)
+    with pytest.raises(ValueError, match=re.escape(text)):
+        way.compensator.push_block(**{**block_of(samples), **change})
+    assert way.compensator.received == 0 and way.compensator._joints.newest_ns is None
