@@ -7,6 +7,7 @@ import math
 import shutil
 import sys
 import time
+from collections.abc import Sequence
 
 from tqdm import tqdm
 
@@ -14,6 +15,21 @@ EXIT_OK, EXIT_FAILED, EXIT_USAGE = 0, 1, 2
 # A process that a signal ended has this much more than the signal's number.
 EXIT_SIGNAL = 128
 _SHOW_PERIOD_S = 0.2
+
+
+def split_ros_arguments(arguments: Sequence[str]) -> tuple[list[str], list[str]]:
+    """A command's own arguments, and those from each `--ros-args` to `--` or the end.
+
+    rclpy's `remove_ros_args` also takes away what only looks like one, such as OLD:=NEW.
+    """
+    own: list[str] = []
+    ros: list[str] = []
+    to_ros = False
+    for argument in arguments:
+        to_ros = to_ros or argument == "--ros-args"
+        (ros if to_ros else own).append(argument)
+        to_ros = to_ros and argument != "--"
+    return own, ros
 
 
 def positive(text: str) -> float:

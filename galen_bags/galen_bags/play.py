@@ -11,7 +11,6 @@ from typing import Any
 
 from galen_model.errors import GalenError
 from galen_ros.spin import run_until
-from rclpy.utilities import remove_ros_args
 
 from galen_bags.bag import Bag, open_bag
 from galen_bags.command_line import (
@@ -22,6 +21,7 @@ from galen_bags.command_line import (
     LiveLine,
     not_negative,
     positive,
+    split_ros_arguments,
 )
 from galen_bags.player import PlayerNode, PlayOptions
 
@@ -38,18 +38,17 @@ Pause: ros2 service call /player/pause std_srvs/srv/SetBool "{{data: true}}"
 class Replay:
     """One run of the command: the node, the bar on the terminal, what it comes to."""
 
-    def __init__(self, options: argparse.Namespace, bag: Bag) -> None:
+    def __init__(self, options: argparse.Namespace, bag: Bag, ros: Sequence[str]) -> None:
         self._options = options
+        self._ros_arguments = list(ros)
         self._bag = bag
         self._line: LiveLine | None = None
         self.node: PlayerNode | None = None
 
     def run(self) -> int | None:
         """Play; returns the number of the signal that ended it, if one did."""
-        arguments = [*sys.argv]
-        if self._options.remap:
-            arguments += ["--ros-args"]
-            arguments += [part for rule in self._options.remap for part in ("-r", rule)]
+        arguments = [*self._ros_arguments, "--ros-args"]
+        arguments += [part for rule in self._options.remap or [] for part in ("-r", rule)]
         try:
             return run_until(self._make_node, self._done, arguments)
         finally:
@@ -179,10 +178,11 @@ def parse(arguments: Sequence[str]) -> argparse.Namespace:
 
 def main() -> None:
     """Run the command; see `play --help`."""
-    options = parse(remove_ros_args(sys.argv)[1:])
+    own, ros = split_ros_arguments(sys.argv[1:])
+    options = parse(own)
     try:
         with open_bag(options.bag) as bag:
-            replay = Replay(options, bag)
+            replay = Replay(options, bag, ros)
             number = replay.run()
             result = replay.result(number)
             print(json.dumps(result) if options.json else replay.summary(number))

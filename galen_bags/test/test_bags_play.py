@@ -309,7 +309,7 @@ def start(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[..., subprocess.
 
 @pytest.mark.slow
 def test_the_command_plays_to_the_end(start: Any, path: Path) -> None:
-    player = start(str(path), "--json", "-r", "2", "--remap", "wrench_raw:=other", "--no-clock")
+    player = start(str(path), "--json", "-r", "2", "--no-clock", "--remap", "wrench_raw:=x")
     out, err = player.communicate(timeout=60.0)
     assert player.returncode == 0, err
     result = json.loads(out)

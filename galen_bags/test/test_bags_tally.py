@@ -1,8 +1,9 @@
-"""Counts of a recording, and definitions of types, without ROS."""
+"""Counts of a recording, definitions of types, arguments of the commands, without ROS."""
 
 from pathlib import Path
 
 import pytest
+from galen_bags.command_line import split_ros_arguments
 from galen_bags.definitions import find_definition
 from galen_bags.errors import BagError
 from galen_bags.tally import LossCounter, TopicTally
@@ -41,6 +42,18 @@ def test_the_rate_is_by_log_times() -> None:
         tally.add(index * 2_000_000, 10)
     assert tally.rate_hz == pytest.approx(500.0)
     assert (tally.messages, tally.size_bytes, tally.last_ns) == (11, 110, 20_000_000)
+
+
+@pytest.mark.parametrize(
+    ("text", "own", "ros"),
+    [
+        ("bag -m a:=b", "bag -m a:=b", ""),
+        ("bag --ros-args -r a:=b", "bag", "--ros-args -r a:=b"),
+        ("bag --ros-args -r a:=b -- -r 2", "bag -r 2", "--ros-args -r a:=b --"),
+    ],
+)
+def test_arguments_for_ros_are_apart(text: str, own: str, ros: str) -> None:
+    assert split_ros_arguments(text.split()) == (own.split(), ros.split())
 
 
 def install(share: Path, type_name: str, text: str) -> None:
