@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -54,16 +55,25 @@ class ArmReader:
     """Reads the arm's samples out of an open bag."""
 
     def __init__(
-        self, bag: Bag, topics: ArmTopics | None = None, *, all_topics: bool = False
+        self,
+        bag: Bag,
+        topics: ArmTopics | None = None,
+        *,
+        all_topics: bool = False,
+        start_s: float = 0.0,
+        duration_s: float | None = None,
     ) -> None:
         """Find the topics; raises BagError that names those there are.
 
-        `all_topics`: have the bag's other topics in the blocks' `messages`, too.
+        `all_topics`: have the bag's other topics in the blocks' `messages`, too. Only messages
+        of the `duration_s` (None: all) from `start_s` after the first one's log time on are read.
         """
         topics = topics or ArmTopics()
         if len(topics.joint_names) != len(JOINT_NAMES):
             raise BagError(f"{len(topics.joint_names)} joint names; there must be five")
         self.bag = bag
+        self._start_s = start_s
+        self._duration_s = math.inf if duration_s is None else duration_s
         self.joint_states = find_topic(bag, topics.joint_states, JOINT_STATE_TYPE)
         self.wrench_raw = find_topic(bag, topics.wrench_raw, WRENCH_TYPE)
         self.read_topics = [self.joint_states, self.wrench_raw]
@@ -86,7 +96,7 @@ class ArmReader:
 
     def blocks(self) -> Iterator[ArmBlock]:
         """The samples, block by block."""
-        for block in self.bag.blocks(self.read_topics):
+        for block in self._inside_window():
             joint_rows = np.flatnonzero(block.topic == 0)
             wrench_rows = np.flatnonzero(block.topic == 1)
             yield ArmBlock(
@@ -97,6 +107,20 @@ class ArmReader:
                 block.log_time_ns[wrench_rows],
                 block,
             )
+
+    def _inside_window(self) -> Iterator[Messages]:
+        first_ns: int | None = None
+        for block in self.bag.blocks(self.read_topics):
+            if first_ns is None:
+                first_ns = int(block.log_time_ns[0])
+            since_s = (block.log_time_ns - first_ns) * 1e-9
+            inside = (since_s >= self._start_s) & (since_s < self._start_s + self._duration_s)
+            if inside.all():
+                yield block
+            elif inside.any():
+                yield block.rows(inside)
+            elif since_s[0] >= self._start_s + self._duration_s:
+                return
 
 
 def find_topic(bag: Bag, name: str, type_name: str) -> str:

@@ -22,7 +22,15 @@ from galen_model.tool_file import ToolFile
 from galen_gravcomp.cells import CELL_S, CellReducer, Cells
 from galen_gravcomp.channel_check import ChannelCheck, ChannelReport
 from galen_gravcomp.compensator import Compensator, CompensatorSettings
-from galen_gravcomp.misfit import Limits, Misfit, Verdict, judge, take_apart
+from galen_gravcomp.misfit import (
+    Limits,
+    LoadChange,
+    Misfit,
+    Verdict,
+    find_change,
+    judge,
+    take_apart,
+)
 from galen_gravcomp.still_cells import StillCellSettings, StillPhases, find_still_phases
 
 # Slower sensors get longer cells, so that a cell holds a few readings.
@@ -34,9 +42,14 @@ OnBlock = Callable[[ArmBlock, np.ndarray, Array], None]
 
 @dataclass(frozen=True)
 class EvaluationSettings:
-    """Topics, the compensator's limits, when the arm is still, and what counts as a fit."""
+    """Topics, the compensator's limits, when the arm is still, and what counts as a fit.
+
+    Only `duration_s` (None: all) from `start_s` after the first message on are looked at.
+    """
 
     topics: ArmTopics = field(default_factory=ArmTopics)
+    start_s: float = 0.0
+    duration_s: float | None = None
     compensator: CompensatorSettings = field(default_factory=CompensatorSettings)
     still: StillCellSettings = field(default_factory=StillCellSettings)
     limits: Limits = field(default_factory=Limits)
@@ -71,6 +84,7 @@ class BagEvaluation:
     rmse_moving: Array
     rmse_phases: Array
     misfit: Misfit | None
+    change: LoadChange | None
     limits: Limits
     verdict: Verdict
     sentence: str
@@ -116,7 +130,13 @@ def evaluate_open_bag(
 ) -> BagEvaluation:
     """As `evaluate_bag`, of a bag that the caller opened."""
     settings = settings or EvaluationSettings()
-    reader = ArmReader(bag, settings.topics, all_topics=on_block is not None)
+    reader = ArmReader(
+        bag,
+        settings.topics,
+        all_topics=on_block is not None,
+        start_s=settings.start_s,
+        duration_s=settings.duration_s,
+    )
     run = _Run(tool, settings)
     total, done = reader.message_count, 0
     for block in reader.blocks():
@@ -183,7 +203,8 @@ class _Run:
         phases = find_still_phases(cells, self._settings.still)
         misfit = take_apart(phases, self._tool)
         moving = _rms(cells.mean[~phases.arm_still])
-        verdict, sentence = judge(phases, misfit, self._settings.limits, moving)
+        change = find_change(phases, self._tool, self._settings.limits)
+        verdict, sentence = judge(phases, misfit, change, self._settings.limits, moving)
         compensator = self._compensator
         first, last = self._span or (0, 0)
         return BagEvaluation(
@@ -207,6 +228,7 @@ class _Run:
             rmse_moving=_rmse(cells, ~phases.arm_still),
             rmse_phases=_rms(phases.mean),
             misfit=misfit,
+            change=change,
             limits=self._settings.limits,
             verdict=verdict,
             sentence=sentence,

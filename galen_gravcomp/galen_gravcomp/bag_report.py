@@ -98,6 +98,12 @@ def to_dict(result: BagEvaluation) -> dict[str, Any]:
         "still_s": result.still_s,
         "still_phases": len(phases),
         "misfit": None if misfit is None else _misfit_dict(misfit),
+        "load_change": None
+        if result.change is None
+        else {
+            "time_s": (result.change.time_ns - result.start_ns) * 1e-9,
+            "mass_kg": list(result.change.mass_kg),
+        },
         "worst_poses": [_phase_dict(result, int(k)) for k in result.worst_phases[:_WORST]],
         "stamps": {
             "joint_states": _stamps_dict(result.joint_stamps),
@@ -222,11 +228,13 @@ def _worst_table(result: BagEvaluation) -> Table:
 
 
 def _stamps_table(result: BagEvaluation) -> Table:
-    table = Table(title="Time stamps", title_justify="left")
+    table = Table(
+        title="Time stamps; delay: log time less stamp, least/mean/largest", title_justify="left"
+    )
     table.add_column("topic")
     for name in (
         "messages", "rate (Hz)", "gaps", "missing", "jumps", "duplicates", "out of order",
-        "log less stamp (ms)",
+        "delay (ms)",
     ):  # fmt: skip
         table.add_column(name, justify="right")
     for topic, stamps in zip(
@@ -241,7 +249,7 @@ def _stamps_table(result: BagEvaluation) -> Table:
                 str,
                 (stamps.gaps, stamps.missing, stamps.jumps, stamps.duplicates, stamps.out_of_order),
             ),
-            f"{low:.1f} ... {mean:.1f} ... {high:.1f}",
+            f"{low:.2f}/{mean:.2f}/{high:.2f}",
         )
     return table
 

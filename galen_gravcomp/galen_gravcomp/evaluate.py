@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from galen_bags.arm_recording import ArmTopics
-from galen_bags.command_line import positive
+from galen_bags.command_line import not_negative, positive
 from galen_bags.find import find_bags
 from galen_bags.many import add_many_options, run_many
 from galen_bags.orientation_table import read_table
@@ -112,6 +112,16 @@ def _add_bag_options(group: argparse._ArgumentGroup) -> None:
         default=",".join(JOINT_NAMES),
         metavar="NAMES",
         help="names of the five joints; only the last two must be there (default: %(default)s)",
+    )
+    group.add_argument(
+        "--start-offset",
+        type=not_negative,
+        default=0.0,
+        metavar="SECONDS",
+        help="leave out so much at the beginning (default: %(default)s)",
+    )
+    group.add_argument(
+        "--duration", type=positive, metavar="SECONDS", help="look at so much only (default: all)"
     )
     add_options(group, GravcompParameters, _NODE_OPTIONS)
     group.add_argument(
@@ -267,6 +277,8 @@ def _bag_settings(arguments: argparse.Namespace) -> EvaluationSettings:
         topics=ArmTopics(
             arguments.joint_states, arguments.wrench_raw, tuple(arguments.joint_names.split(","))
         ),
+        start_s=arguments.start_offset,
+        duration_s=arguments.duration,
         compensator=parameters.settings(),
         still=StillCellSettings(
             arguments.still_rate_rad_s,
@@ -295,7 +307,7 @@ def main(args: Sequence[str] | None = None) -> int:
         parser.error("give bags, or a --table")
     if arguments.bags and bool(arguments.tool) == bool(arguments.tool_beside):
         parser.error("bags need --tool FILE or --tool-beside NAME")
-    console = Console(width=None if sys.stdout.isatty() else 110)
+    console = Console(width=None if sys.stdout.isatty() else 120)
     try:
         if arguments.bags:
             return run_bags(arguments, console)

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from enum import Enum
 
 import numpy as np
-from galen_model.arm import WRENCH_AXES
+from galen_model.arm import GRAVITY_M_S2, WRENCH_AXES
 from galen_model.arrays import Array
 from galen_model.errors import IdentificationError, NotExcitedError
 from galen_model.excitation import LOAD_PARAMETERS, check_excitation
@@ -39,6 +39,8 @@ _WORTH = 2.0
 # In units of the limits: what is worth a word, though the file fits.
 _WORTH_SAYING = 0.5
 _ABOVE_NOISE = 3.0
+_FEWEST_A_SIDE = 6
+_CHANGE = 5.0
 
 
 class Verdict(Enum):
@@ -48,6 +50,7 @@ class Verdict(Enum):
     OFFSET = "offset"
     DRIFT = "drift"
     LOAD = "load"
+    CHANGED = "changed"
     UNEXPLAINED = "unexplained"
     UNKNOWN = "unknown"
 
@@ -95,8 +98,7 @@ def take_apart(phases: StillPhases, tool: ToolFile) -> Misfit | None:
     """Take the phases' residuals apart; None when there are too few phases to say anything."""
     if len(phases) < _FEWEST_PHASES:
         return None
-    gravity = gravity_in_sensor(phases.angles[:, 0], phases.angles[:, 1])
-    gravity = gravity * (np.linalg.norm(tool.gravity_m_s2) / np.linalg.norm(gravity[0]))
+    gravity = _gravity(phases, tool)
     time_h = (phases.start_ns + phases.end_ns - 2 * int(phases.start_ns[0])) / 2 / 3.6e12
     centred_h = time_h - time_h.mean()
     blocks = {"offset": np.broadcast_to(np.eye(6), (len(phases), 6, 6))}
@@ -119,6 +121,12 @@ def take_apart(phases: StillPhases, tool: ToolFile) -> Misfit | None:
         except IdentificationError:
             return None
     return _misfit(fit, blocks, phases, why_no_load)
+
+
+def _gravity(phases: StillPhases, tool: ToolFile) -> Array:
+    """Gravity (n, 3) in the sensor's frame, m/s^2, as large as the tool's file has it."""
+    gravity = gravity_in_sensor(phases.angles[:, 0], phases.angles[:, 1])
+    return np.asarray(gravity * (tool.gravity_m_s2[2] / GRAVITY_M_S2[2]))
 
 
 def _misfit(
@@ -157,8 +165,72 @@ def _misfit(
     )
 
 
+@dataclass(frozen=True)
+class LoadChange:
+    """The load changed between two still phases: `time_ns` is between them.
+
+    first_after: the first phase after it; mass_kg: what the mass differs from the file's, before
+    and after.
+    """
+
+    time_ns: int
+    first_after: int
+    mass_kg: tuple[float, float]
+
+
+def find_change(phases: StillPhases, tool: ToolFile, limits: Limits) -> LoadChange | None:
+    """Where one load gave way to another, as in a recording in which a tool was put on.
+
+    Each border between two phases is tried, with a load and an offset of its own on either side
+    (least squares, the channels weighted by their limits). The best one counts if what is left is
+    then less than a fifth of what one load leaves, and that is beyond the limits.
+    """
+    if len(phases) < 2 * _FEWEST_A_SIDE:
+        return None
+    gravity = _gravity(phases, tool)
+    design = np.concatenate(
+        [gravity_regressor(gravity), np.broadcast_to(np.eye(6), (len(phases), 6, 6))], axis=2
+    )
+    design = design / limits.axes[None, :, None]
+    scale = np.array([10.0] + [100.0] * 3 + [1.0] * 6)  # kg and kg.m beside N: balance
+    rows = design / scale
+    values = phases.mean / limits.axes
+    matrices = np.cumsum(np.einsum("nkp,nkq->npq", rows, rows), axis=0)
+    rights = np.cumsum(np.einsum("nkp,nk->np", rows, values), axis=0)
+    squares = np.cumsum(np.sum(values**2, axis=1))
+
+    def cost(matrix: Array, right: Array, square: float) -> tuple[float, Array]:
+        # The pseudo-inverse: a side's poses need not tell all of its load.
+        solution = np.linalg.pinv(matrix, rcond=1e-9, hermitian=True) @ right
+        return max(float(square - right @ solution), 0.0), solution
+
+    whole, _ = cost(matrices[-1], rights[-1], float(squares[-1]))
+    if whole <= len(phases):
+        return None
+    best: tuple[float, int, float, float] | None = None
+    for k in range(_FEWEST_A_SIDE, len(phases) - _FEWEST_A_SIDE + 1):
+        before, first = cost(matrices[k - 1], rights[k - 1], float(squares[k - 1]))
+        after, second = cost(
+            matrices[-1] - matrices[k - 1],
+            rights[-1] - rights[k - 1],
+            float(squares[-1] - squares[k - 1]),
+        )
+        if best is None or before + after < best[0]:
+            best = (before + after, k, first[0] / scale[0], second[0] / scale[0])
+    assert best is not None
+    if best[0] * _CHANGE**2 > whole:
+        return None
+    k = best[1]
+    time_ns = (int(phases.end_ns[k - 1]) + int(phases.start_ns[k])) // 2
+    return LoadChange(time_ns, k, (best[2], best[3]))
+
+
 def judge(
-    phases: StillPhases, misfit: Misfit | None, limits: Limits, moving: Array
+    phases: StillPhases,
+    misfit: Misfit | None,
+    change: LoadChange | None,
+    limits: Limits,
+    moving: Array,
 ) -> tuple[Verdict, str]:
     """The verdict and a sentence for a person; `moving` (6,): RMSE of the cells' means in motion.
 
@@ -171,6 +243,14 @@ def judge(
         if ratio <= 1.0:
             return Verdict.FITS, f"the file fits in motion, to {size}; no still phase in it"
         return Verdict.UNKNOWN, f"no still phase in it; in motion {size} is left over"
+    if change is not None:
+        time_s = (change.time_ns - int(phases.start_ns[0])) * 1e-9
+        before, after = (1e3 * mass for mass in change.mass_kg)
+        return Verdict.CHANGED, (
+            f"the load changes {time_s:.1f} s after the first still phase: before, it differs by"
+            f" {before:+.1f} g from the file's, then by {after:+.1f} g; evaluate the parts on their"
+            " own (--start-offset, --duration)"
+        )
     worst, ratio, size = _worst(_rms(phases.mean), limits)
     if misfit is None:
         few = f"{len(phases)} still phases, too few to take it apart"

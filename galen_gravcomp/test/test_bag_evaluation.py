@@ -199,3 +199,25 @@ def test_another_gravity_in_the_file_is_taken_into_account(tmp_path, tool):
     object.__setattr__(elsewhere, "load", lighter)
     result = evaluate_bag(tmp_path / "bag", elsewhere)
     assert abs(result.misfit.mass_kg - 0.02) < 4 * result.misfit.mass_std_kg
+
+
+def test_a_tool_that_was_put_on_in_the_middle_is_told(tmp_path, tool):
+    bare = tool_file(mass_kg=1e-6)
+    first, second = Recording(bare, poses=10, seed=1), Recording(tool, poses=12, seed=2)
+    shift = first.stamp_ns[-1] - second.stamp_ns[0] + 4_000_000_000
+    first.angles = np.concatenate([first.angles, second.angles])
+    first.wrench = np.concatenate([first.wrench, second.wrench])
+    first.stamp_ns = np.concatenate([first.stamp_ns, second.stamp_ns + shift])
+    first.log_ns = np.concatenate([first.log_ns, second.log_ns + shift])
+    first.kept = np.concatenate([first.kept, second.kept])
+    result = evaluate(tmp_path, first, tool)
+    assert result.verdict is Verdict.CHANGED
+    assert result.change.first_after == 10
+    np.testing.assert_allclose(result.change.mass_kg, [-0.2, 0.0], atol=1e-3)
+    settings = EvaluationSettings(start_s=21.0)
+    later = evaluate_bag(tmp_path / "bag", tool, settings)
+    assert later.verdict is Verdict.FITS
+    assert len(later.phases) == 12
+    assert later.duration_s == pytest.approx(12 * 1.5 + 11 * 0.5, abs=0.02)
+    settings = EvaluationSettings(duration_s=5.0)
+    assert evaluate_bag(tmp_path / "bag", tool, settings).duration_s == pytest.approx(5, abs=0.02)
