@@ -175,7 +175,7 @@ class _Template:
         self._data += encoded
 
     def add_doubles(self, count: int) -> None:
-        self._pad(8)  # as Fast CDR does, even for none
+        self._pad(8)
         self._runs.append((struct.Struct(f"<{count}d"), len(self._data)))
         self._data += bytes(8 * count)
 
@@ -228,9 +228,9 @@ class JointStateBytes:
         for _ in ("positions", "velocities"):
             self._template.add_count(count)
             self._template.add_doubles(count)
+        # Fast CDR would pad four bytes more here, which readers of bags trip over.
         self._template.add_count(0)
-        self._template.add_doubles(0)
 
     def fill(self, stamp_ns: int, positions: Sequence[float], velocities: Sequence[float]) -> bytes:
         """The message's bytes; positions and velocities (n,)."""
-        return self._template.fill(stamp_ns, positions, velocities, ())
+        return self._template.fill(stamp_ns, positions, velocities)

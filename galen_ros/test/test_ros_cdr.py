@@ -14,15 +14,18 @@ from galen_ros.cdr import (
 from galen_ros.conversions import fill_stamp, fill_wrench
 from geometry_msgs.msg import PoseStamped, WrenchStamped
 from rclpy.serialization import deserialize_message, serialize_message
+from rosbags.typesys import Stores, get_typestore
 from sensor_msgs.msg import JointState
 
+ROSBAGS_TYPES = get_typestore(Stores.ROS2_JAZZY)
 STAMPS_NS = [0, 1, 1_000_000_000, 1_763_000_000_123_456_789]
 
 
 def assert_same_bytes(data, message):
     """All bytes are equal; where they aren't, the byte is padding, which no reader looks at."""
     expected = serialize_message(message)
-    assert len(data) == len(expected)
+    # Fast CDR aligns for doubles even behind the last value, where an empty sequence ends.
+    assert len(expected) - len(data) in (0, 4)
     for index in range(len(data)):
         if data[index] != expected[index]:
             changed = bytearray(expected)
@@ -42,6 +45,10 @@ def test_joint_states_byte_for_byte(frame_id):
         fill_stamp(message.header.stamp, stamp_ns)
         data = template.fill(stamp_ns, positions, velocities)
         assert_same_bytes(data, message)
+        # The library rosbags refuses the four bytes that rclpy has at the end.
+        assert ROSBAGS_TYPES.deserialize_cdr(data, "sensor_msgs/msg/JointState").name == list(
+            JOINT_NAMES
+        )
 
 
 @pytest.mark.parametrize("frame_id", ["", "ft_sensor", "left_ft_sensor"])
