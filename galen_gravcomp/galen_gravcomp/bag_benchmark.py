@@ -1,0 +1,229 @@
+"""Time and memory of `evaluate` against only reading the same bag with the library rosbags.
+
+    python -m galen_gravcomp.bag_benchmark --hours 0.25 0.5 1 --json
+
+For each length a bag of joint_states and wrench_raw (MCAP, zstd) is generated, and worked through
+by processes of their own, one after the other, each measured by itself:
+
+- `rosbags read`: the plain read, `rosbags.rosbag2.Reader.messages`;
+- `rosbags read and deserialise`: the same, and `deserialize_cdr` of each message: the baseline;
+- `read into arrays`: `galen_bags`, of which the evaluation is built;
+- `evaluate`: all of it, compensation, checks and report.
+
+Memory is the process's largest resident set, imports included.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import resource
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+from galen_bags.arm_recording import ArmReader
+from galen_bags.bag import open_bag
+from galen_bags.writer import BagWriter
+from galen_model.arm import JOINT_NAMES, SENSOR
+from galen_model.tool_file import LoadEstimate, ToolFile, read_tool, write_tool
+from galen_ros.cdr import JointStateBytes, WrenchBytes
+from rich.console import Console
+from rich.table import Table
+from tqdm import tqdm
+
+from galen_gravcomp.bag_evaluation import evaluate_bag
+
+_START_NS = 1_767_225_600_000_000_000
+_BLOCK_S = 60.0
+_HOLD_S, _MOVE_S = 4.0, 2.0
+
+
+@dataclass(frozen=True)
+class Measurement:
+    """One subject on one bag."""
+
+    subject: str
+    hours: float
+    messages: int
+    seconds: float
+    us_a_message: float
+    peak_mb: float
+
+
+def bench_tool() -> ToolFile:
+    """A tool's file to evaluate with."""
+    covariance = np.eye(4) * 1e-8
+    return ToolFile(
+        tool="bench",
+        load=LoadEstimate(0.2, np.array([0.07, -0.01, 0.055]), covariance),
+        bias=LoadEstimate(0.1, np.array([0.0, 0.0, 0.02]), covariance),
+        tip_m=np.zeros(3),
+        rmse=np.full(6, 1e-3),
+        poses_used=56,
+        calibrated_at="2026-01-01T00:00:00+00:00",
+    )
+
+
+def generate(path: Path, hours: float, rate_hz: float, *, quiet: bool) -> int:
+    """Write a recording: a pose is held for 4 s, then 2 s of motion; returns the messages."""
+    rng = np.random.default_rng(1)
+    tool = bench_tool()
+    period_ns = round(1e9 / rate_hz)
+    total = round(hours * 3600.0 * rate_hz)
+    joint_bytes, wrench_bytes = JointStateBytes(JOINT_NAMES), WrenchBytes("ft_sensor")
+    goals = rng.uniform([-1.3, -0.9], [1.3, 0.9], size=(round(hours * 3600 / 6) + 2, 2))
+    with (
+        BagWriter(path) as bag,
+        tqdm(total=total, unit="sample", unit_scale=True, disable=quiet) as bar,
+    ):
+        joints = bag.add_topic("joint_states", "sensor_msgs/msg/JointState")
+        wrenches = bag.add_topic("wrench_raw", "geometry_msgs/msg/WrenchStamped")
+        block = round(_BLOCK_S * rate_hz)
+        for first in range(0, total, block):
+            number = np.arange(first, min(first + block, total))
+            angles = _angles(number / rate_hz, goals)
+            noise = SENSOR.noise_std * rng.normal(size=(len(number), 6))
+            wrench = tool.predict(angles[:, 0], angles[:, 1]) + noise
+            wrench = np.round(wrench / SENSOR.quantum) * SENSOR.quantum
+            angles = np.round(angles / 5e-5) * 5e-5
+            rows = zip((_START_NS + number * period_ns).tolist(), angles.tolist(), wrench.tolist(),
+                       strict=True)  # fmt: skip
+            for stamp_ns, pair, reading in rows:
+                position = [0.0, 0.0, 0.408, *pair]
+                message = joint_bytes.fill(stamp_ns, position, [0.0] * 5)
+                bag.write(joints, stamp_ns + 200_000, message)
+                bag.write(wrenches, stamp_ns + 250_000, wrench_bytes.fill(stamp_ns, reading))
+            bar.update(len(number))
+    return 2 * total
+
+
+def _angles(time_s: np.ndarray, goals: np.ndarray) -> np.ndarray:
+    """Roll and tilt (n, 2), rad: held, then a smooth step to the next goal."""
+    cycle = _HOLD_S + _MOVE_S
+    number = (time_s // cycle).astype(int)
+    s = np.clip((time_s - number * cycle - _HOLD_S) / _MOVE_S, 0.0, 1.0)
+    smooth = s**3 * (10.0 - 15.0 * s + 6.0 * s**2)
+    return np.asarray(goals[number] + smooth[:, None] * (goals[number + 1] - goals[number]))
+
+
+def rosbags_read(bag: Path, _tool: Path) -> int:
+    """Read every message."""
+    from rosbags.rosbag2 import Reader
+
+    with Reader(bag) as reader:
+        return sum(1 for _ in reader.messages())
+
+
+def rosbags_deserialise(bag: Path, _tool: Path) -> int:
+    """Read and deserialise every message."""
+    from rosbags.rosbag2 import Reader
+    from rosbags.typesys import Stores, get_typestore
+
+    types = get_typestore(Stores.ROS2_JAZZY)
+    count = 0
+    with Reader(bag) as reader:
+        for connection, _, data in reader.messages():
+            types.deserialize_cdr(data, connection.msgtype)
+            count += 1
+    return count
+
+
+def read_arrays(bag: Path, _tool: Path) -> int:
+    """Read every message into arrays."""
+    with open_bag(bag) as opened:
+        return sum(len(block.is_wrench) for block in ArmReader(opened).blocks())
+
+
+def evaluate(bag: Path, tool: Path) -> int:
+    """Evaluate the bag."""
+    result = evaluate_bag(bag, read_tool(tool))
+    assert result.compensated == result.wrench_stamps.count, result.refused
+    return result.joint_stamps.count + result.wrench_stamps.count
+
+
+SUBJECTS: dict[str, Callable[[Path, Path], int]] = {
+    "rosbags read": rosbags_read,
+    "rosbags read and deserialise": rosbags_deserialise,
+    "read into arrays": read_arrays,
+    "evaluate": evaluate,
+}
+_BASELINE = "rosbags read and deserialise"
+
+
+def measure(subject: str, bag: Path, tool: Path, hours: float, messages: int) -> Measurement:
+    """Run a subject in a process of its own."""
+    command = [sys.executable, "-m", "galen_gravcomp.bag_benchmark", "--run", subject]
+    done = subprocess.run(
+        [*command, str(bag), str(tool)], check=True, capture_output=True, text=True
+    )
+    found = json.loads(done.stdout)
+    if found["messages"] != messages:
+        raise RuntimeError(f"{subject} saw {found['messages']} of {messages} messages")
+    seconds = found["seconds"]
+    return Measurement(
+        subject, hours, messages, seconds, 1e6 * seconds / messages, found["peak_mb"]
+    )
+
+
+def run_subject(subject: str, bag: Path, tool: Path) -> None:
+    """Do it here, and print what it took."""
+    begin = time.perf_counter()
+    messages = SUBJECTS[subject](bag, tool)
+    seconds = time.perf_counter() - begin
+    peak_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
+    print(json.dumps({"messages": messages, "seconds": seconds, "peak_mb": peak_mb}))
+
+
+def print_table(measurements: list[Measurement], console: Console) -> None:
+    """Each subject at each length, and its time over the baseline's."""
+    table = Table(title="evaluate against reading alone", title_justify="left")
+    table.add_column("subject")
+    for name in ("hours", "messages", "s", "us a message", "of the baseline", "peak MB"):
+        table.add_column(name, justify="right")
+    for one in measurements:
+        baseline = next(
+            (m.seconds for m in measurements if m.subject == _BASELINE and m.hours == one.hours),
+            float("nan"),
+        )
+        table.add_row(
+            one.subject, f"{one.hours:g}", str(one.messages), f"{one.seconds:.1f}",
+            f"{one.us_a_message:.2f}", f"{one.seconds / baseline:.3f}", f"{one.peak_mb:.0f}",
+        )  # fmt: skip
+    console.print(table)
+
+
+def main() -> None:
+    """Measure every subject at every length and print a table, or JSON."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
+    parser.add_argument(
+        "--hours", type=float, nargs="+", default=[0.25, 0.5, 1.0], help="lengths of the bags"
+    )
+    parser.add_argument("--rate-hz", type=float, default=500.0, help="of both topics")
+    parser.add_argument("--json", action="store_true", help="print JSON")
+    parser.add_argument("--run", nargs=3, help=argparse.SUPPRESS)
+    options = parser.parse_args()
+    if options.run:
+        run_subject(options.run[0], Path(options.run[1]), Path(options.run[2]))
+        return
+    quiet = not sys.stderr.isatty()
+    results: list[Measurement] = []
+    for hours in options.hours:
+        with tempfile.TemporaryDirectory(prefix="galen_bench_") as directory:
+            bag, tool = Path(directory, "bag"), Path(directory, "bench.json")
+            write_tool(tool, bench_tool())
+            messages = generate(bag, hours, options.rate_hz, quiet=quiet)
+            results += [measure(name, bag, tool, hours, messages) for name in SUBJECTS]
+    if options.json:
+        print(json.dumps([asdict(result) for result in results], indent=2))
+    else:
+        print_table(results, Console(width=None if sys.stdout.isatty() else 110))
+
+
+if __name__ == "__main__":
+    main()
