@@ -49,9 +49,9 @@ def build_parser() -> argparse.ArgumentParser:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("table", nargs="?", help="text table of wrenches with orientations")
-    parser.add_argument("--wrench", metavar="FILE", help="instead: a table of wrenches, t and")
+    parser.add_argument("--wrench", metavar="FILE", help="instead: a table of wrenches with t, and")
     parser.add_argument(
-        "--orientations", metavar="FILE", help="one of orientations, t, at another rate"
+        "--orientations", metavar="FILE", help="one of orientations with t, at its own rate"
     )
     parser.add_argument("-o", "--output", required=True, metavar="BAG", help="the new bag")
     for option, what in (

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from galen_bags.arm_recording import read_arm
+from galen_calibration_behavior.calibrate_from_bag import main as calibrate_from_bag
 from galen_model.arm import SENSOR
 from galen_model.tool_file import read_tool
 from galen_model.tools import ADAPTER, TOOLS
@@ -50,6 +51,20 @@ def test_the_tools_files_hold_the_true_loads(name):
     assert (tool.poses_used, tool.poses_rejected, tool.unresolved) == (56, (), ())
     recipe = RECIPES[f"{name}_calibration"]
     assert tool.calibrated_at.startswith(f"{recipe.start:%Y-%m-%dT%H:03}")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", sorted(TOOLS))
+def test_the_recording_gives_the_file_that_the_calibration_itself_gave(name, tmp_path):
+    bag = str(BAGS / f"{name}_calibration")
+    calibrate_from_bag([name, bag, "--tools-dir", str(tmp_path), "--json"])
+    file = f"{name}.json"
+    live, recorded = read_tool(BAGS / "tools" / file), read_tool(tmp_path / file)
+    # the same samples in the same averages, so the same numbers
+    for found, expected in ((recorded.load, live.load), (recorded.bias, live.bias)):
+        assert found.mass_kg == pytest.approx(expected.mass_kg, rel=1e-9)
+        assert found.com_m == pytest.approx(expected.com_m, abs=1e-9)
+    assert recorded.residual_offset == pytest.approx(live.residual_offset, abs=1e-9)
 
 
 def test_nobody_touches_the_tool_in_free_motion():
