@@ -1,7 +1,7 @@
 # `make demo` and `make test` do all they need; `make help` lists the rest.
 SHELL := /bin/bash
 .DEFAULT_GOAL := help
-.PHONY: help setup build test test-slow lint demo clean
+.PHONY: help setup build test test-slow lint demo bench clean
 
 STARTER ?= python3
 SETUP = $(STARTER) scripts/setup_env.py
@@ -13,7 +13,7 @@ endif
 
 help: ## list the targets
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /  make \1\t/' | expand -t 20
-	@echo "  ARGS='...' is handed to the demo and to pytest."
+	@echo "  ARGS='...' is handed to the demo, to pytest and to the bags' benchmark."
 
 setup: ## make .venv: on the sourced ROS 2 Jazzy, or else with ROS 2 from PyPI
 	@$(SETUP) setup
@@ -34,6 +34,10 @@ lint: setup ## check style, format and types
 
 demo: build ## calibrate two tools on the simulated arm and show the report's tables
 	@$(ENTER) && python -m galen_bringup.demo $(ARGS)
+
+bench: build ## measure: evaluate against reading a bag, gravcomp's node against a bare relay
+	@$(ENTER) && python -m galen_gravcomp.bag_benchmark $(ARGS)
+	@$(ENTER) && python -m galen_gravcomp.benchmark
 
 clean: ## remove what was built; with ALL=1 the environment too
 	rm -rf build install log $(if $(ALL),.venv)
