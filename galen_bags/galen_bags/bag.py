@@ -35,8 +35,8 @@ _KINDS = (*STORAGES, ".bag")
 _ZSTD = ".zstd"
 # No serialised message starts so: CDR's first byte is zero.
 _ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
-# metadata.yaml has some hundred bytes a topic and a file.
-_MOST_METADATA_BYTES = 1 << 22
+# metadata.yaml has some hundred bytes a topic and a file, and the list of files first.
+_MOST_METADATA_BYTES = 1 << 20
 # Recordings don't shrink to less; what grows by more is meant to fill the disk.
 _MOST_EXPANSION = 1000
 
@@ -98,13 +98,17 @@ class Bag:
                     f"{self.path}: {name} is serialised as {self.topics[name].encoding!r}, not cdr"
                 )
         wanted = {name: number for number, name in enumerate(topics)}
-        last_ns = None
+        last_ns: int | None = None
         for opened in self._files:
+            before_ns = last_ns
             try:
                 for block in opened.messages(wanted):
-                    if last_ns is not None and block.log_time_ns[0] < last_ns:
-                        self._problems.add(f"{opened.path.name}: its times go back")
-                    last_ns = block.log_time_ns[-1]
+                    if before_ns is not None and block.log_time_ns[0] < before_ns:
+                        self._problems.add(
+                            f"{opened.path.name}: begins before the file before it ends; their"
+                            " messages are not sorted into each other"
+                        )
+                    last_ns = int(block.log_time_ns[-1])
                     yield from self._inflated(block)
             except OSError as error:
                 raise BagError(f"{opened.path}: can't be read: {error}") from error
@@ -123,7 +127,11 @@ class Bag:
         if _storage(path) not in _KINDS:
             raise BagError(f"{path}: is no bag (.mcap, .db3, .bag or a directory of them)")
         if path.suffix == _ZSTD:
-            path = self._decompressed(path)
+            unpacked = self._decompressed(path)
+            try:
+                return self._open(unpacked)
+            except BagError as error:
+                raise BagError(str(error).replace(str(unpacked), str(path))) from error
         if path.suffix == ".mcap":
             return McapFile(path)
         opened = LibraryFile(path, self._folder)
@@ -139,7 +147,7 @@ class Bag:
         most = _MOST_EXPANSION * path.stat().st_size
         try:
             with zstd.open(path, "rb") as packed_file, target.open("wb") as out:
-                while piece := packed_file.read(1 << 20):
+                while piece := packed_file.read1(1 << 20):  # read() would lose the last one
                     out.write(piece)
                     if out.tell() > most:
                         raise BagError(
@@ -231,17 +239,37 @@ def _listed_files(directory: Path) -> tuple[list[Path] | None, list[str]]:
     if not metadata.exists():
         return None, [f"{directory.name} has no metadata.yaml: its recording was cut off"]
     try:
-        if not metadata.is_file() or metadata.stat().st_size > _MOST_METADATA_BYTES:
-            raise ValueError("it is too large, or no file")
-        # The base loader makes lists, dictionaries and texts, and no copies of what is repeated.
-        content = yaml.load(metadata.read_text(encoding="utf-8"), Loader=yaml.BaseLoader)
+        if not metadata.is_file():
+            raise ValueError("it is no file")
         # Only names: a path in it must not lead out of the directory.
-        listed = content["rosbag2_bagfile_information"]["relative_file_paths"]
-        names = dict.fromkeys(PurePath(name).name for name in listed)
-    except (OSError, ValueError, yaml.YAMLError, LookupError, TypeError, RecursionError) as error:
-        reason = (str(error).splitlines() or [type(error).__name__])[0]
+        names = dict.fromkeys(PurePath(text).name for text in _listed_paths(metadata))
+        if not names:
+            raise ValueError("it lists no files")
+    except (OSError, ValueError, yaml.YAMLError) as error:
+        reason = " ".join(str(error).split())
         return None, [f"{directory.name}/metadata.yaml can't be used: {reason}"]
-    return [directory / name for name in names], []
+    listed = [directory / name for name in names]
+    return listed, [
+        f"{file.name} is not read: metadata.yaml does not list it"
+        for file in storage_files(directory)
+        if file not in listed
+    ]
+
+
+def _listed_paths(metadata: Path) -> list[str]:
+    """The texts in the list of files; the rest of the file is not taken apart."""
+    with metadata.open(encoding="utf-8") as file:
+        events = yaml.parse(file.read(_MOST_METADATA_BYTES), Loader=yaml.BaseLoader)
+        for event in events:
+            if isinstance(event, yaml.ScalarEvent) and event.value == "relative_file_paths":
+                break
+        paths: list[str] = []
+        if isinstance(next(events, None), yaml.SequenceStartEvent):
+            for event in events:
+                if not isinstance(event, yaml.ScalarEvent):
+                    break
+                paths.append(event.value)
+        return paths
 
 
 def _decompress(data: bytes) -> bytes:

@@ -31,6 +31,7 @@ _DAMAGE = (
 )  # fmt: skip
 # SQLite is given the path as a URI, in which these mean something.
 _URI_SIGNS = frozenset("?#%")
+_HEADER = "std_msgs/msg/Header"
 _FORMS = {"MSG": "ros2msg", "IDL": "ros2idl", "NONE": ""}
 
 
@@ -129,8 +130,13 @@ def _plain(path: Path, folder: Callable[[], Path]) -> Path:
 
 def _to_cdr(connection: Any) -> Callable[[bytes], bytes]:
     """Converts a ROS 1 connection's messages, by the definition that the bag has of their type."""
+    defined = get_types_from_msg(connection.msgdef.data, connection.msgtype)
+    if _HEADER in defined:
+        # The library steps over the number that only ROS 1's headers have, if it is not a field.
+        constants, fields = defined[_HEADER]
+        defined[_HEADER] = (constants, [field for field in fields if field[0] != "seq"])
     types = get_typestore(Stores.EMPTY)
-    types.register(get_types_from_msg(connection.msgdef.data, connection.msgtype))
+    types.register(defined)
     return lambda data: bytes(types.ros1_to_cdr(data, connection.msgtype))
 
 

@@ -112,11 +112,11 @@ class McapFile:
         Chunks may overlap in time; what is later than the next one's start waits for it.
         """
         order = sorted(self._extents, key=lambda extent: (extent.first_ns, extent.start))
-        following = [(extent.first_ns, extent.start) for extent in order[1:]]
+        following = [(extent.first_ns, extent.start) for extent in order[1:]] + [(None, 0)]
         held = TimeOrder()
         read = np.zeros(_CHANNELS, dtype=np.int64)
         with self.path.open("rb") as file:
-            for extent, (next_ns, next_place) in zip(order, [*following, (None, 0)], strict=True):
+            for extent, (next_ns, next_place) in zip(order, following, strict=False):
                 content, records = self._records(file, extent)
                 if len(records.start):
                     held.add(extent.start, self._wanted(content, records, wanted))
