@@ -5,8 +5,14 @@ import re
 from pathlib import Path
 
 import pytest
+from galen_bags.bag import open_bag
+from galen_bags.growing_bag import GrowingBagWriter
+from galen_bags.player import PlayerNode, PlayOptions
+from galen_bags.recorder import RecorderNode
+from galen_bags.writer import BagWriter
 from galen_calibration_behavior.node import CalibrationNode
 from galen_gravcomp.node import GravcompNode
+from galen_ros.cdr import WrenchBytes
 from galen_ros.parameters import markdown_table
 from galen_ros.testing import Harness, parameters
 from galen_sim_driver.node import SimDriverNode
@@ -19,9 +25,29 @@ NODES = {
     "galen_gravcomp": GravcompNode,
     "galen_sim_driver": SimDriverNode,
 }
+
+
+def recorder_node(folder, **options):
+    return RecorderNode(GrowingBagWriter(folder / "new").__enter__(), **options)
+
+
+def player_node(folder, **options):
+    with BagWriter(folder / "bag") as bag:
+        topic = bag.add_topic("wrench_raw", "geometry_msgs/msg/WrenchStamped")
+        bag.write(topic, 1, WrenchBytes("ft_sensor").fill(1, [0.0] * 6))
+    return PlayerNode(open_bag(folder / "bag"), PlayOptions(start_paused=True), **options)
+
+
+# Nodes that need a folder to work in; they have no parameters.
+BAG_NODES = {"galen_bags": (recorder_node, player_node)}
 OVERRIDES = {"galen_sim_driver": {"speed_factor": 2.0}}  # at another speed there is /clock
 # Opened only while the node works on a goal.
-WHILE_BUSY = {"galen_calibration_behavior": {"joint_states", "wrench_raw"}}
+WHILE_BUSY = {
+    "galen_calibration_behavior": {"joint_states", "wrench_raw"},
+    "galen_bags": {
+        "joint_states", "wrench_compensated", "tracker/tool_pose", "tracker/base_pose",
+    },
+}  # fmt: skip
 # What rclpy itself gives every node.
 RCLPY = re.compile(
     r"^/(parameter_events|rosout)$|_parameters?(_types|_atomically)?$|type_description$"
@@ -84,16 +110,22 @@ def in_use(node):
     return found
 
 
-@pytest.mark.parametrize("package", sorted(NODES))
+@pytest.mark.parametrize("package", sorted(NODES | BAG_NODES))
 def test_interface_tables_are_what_the_node_has(package, tmp_path):
     values = parameters(**OVERRIDES.get(package, {}))
+    makers = BAG_NODES.get(package) or [lambda _folder, **options: NODES[package](**options)]
+    code = {}
     with Harness() as harness:
-        node = harness.add(
-            lambda context: NODES[package](context=context, parameter_overrides=values)
-        )
-        code = harness.wait_for(lambda: in_use(node), 10.0, "the node's graph")
-        # what `ros2 param dump` does; a node's own attribute can hide rclpy's of the same name
-        assert {p.value is not None for p in node.get_parameters_by_prefix("").values()} == {True}
+        for make in makers:
+            node = harness.add(
+                lambda context, make=make: make(
+                    tmp_path, context=context, parameter_overrides=values
+                )
+            )
+            code |= harness.wait_for(lambda node=node: in_use(node), 10.0, "the node's graph")
+            # what `ros2 param dump` does; a node's own attribute can hide rclpy's of the same name
+            held = node.get_parameters_by_prefix("").values()
+            assert {p.value is not None for p in held} == {True}
     readme = documented(package)
     assert code.items() <= readme.items(), "in the code, not in the README"
     assert set(readme) - set(code) <= WHILE_BUSY.get(package, set()), "in the README alone"

@@ -7,7 +7,7 @@ import math
 import shutil
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 from tqdm import tqdm
 
@@ -75,7 +75,7 @@ class LiveLine:
                 total=total_s, bar_format=form, file=sys.stderr, ncols=columns, nrows=24
             )
 
-    def show(self, text: str, done_s: float = 0.0) -> None:
+    def show(self, text: Callable[[], str], done_s: float = 0.0) -> None:
         """Write the line again, not more often than five times a second."""
         now_s = time.monotonic()
         if self._bar is None or now_s - self._shown_s < _SHOW_PERIOD_S:
@@ -83,7 +83,7 @@ class LiveLine:
         self._shown_s = now_s
         if self._bar.total is not None:
             self._bar.n = min(done_s, self._bar.total)
-        self._bar.set_description_str(text)
+        self._bar.set_description_str(text())
 
     def close(self) -> None:
         """Leave the line as it is."""

@@ -110,13 +110,13 @@ class Replay:
         if self._line is None and node.state != "waiting":
             self._line = LiveLine(node.length_s)
         if self._line is not None:
-            length = "" if node.length_s is None else f" of {node.length_s:.1f}"
-            messages = sum(node.published.values())
-            self._line.show(
-                f"{node.state} {node.position_s:.1f}{length} s, {messages} messages",
-                node.position_s,
-            )
+            self._line.show(lambda: self._progress(node), node.position_s)
         return node.done
+
+    def _progress(self, node: PlayerNode) -> str:
+        length = "" if node.length_s is None else f" of {node.length_s:.1f}"
+        messages = sum(node.published.values())
+        return f"{node.state} {node.position_s:.1f}{length} s, {messages} messages"
 
 
 def parse(arguments: Sequence[str]) -> argparse.Namespace:

@@ -100,8 +100,11 @@ class Recording:
             self._rate_hz = (node.messages - self._messages_before) / (now_s - self._looked_s)
             self._messages_before, self._looked_s = node.messages, now_s
         self._line.show(
-            f"recording {elapsed_s:.0f} s: {len(node.tallies)} topics, {node.messages} messages,"
-            f" {self.bag.size_bytes / _MB:.2f} MB, {self._rate_hz:.0f} messages/s"
+            lambda: (
+                f"recording {elapsed_s:.0f} s: {len(node.tallies)} topics,"
+                f" {node.messages} messages, {self.bag.size_bytes / _MB:.2f} MB,"
+                f" {self._rate_hz:.0f} messages/s"
+            )
         )
         if options.duration_s is not None and elapsed_s >= options.duration_s:
             self._ended_by = "duration"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -61,6 +61,11 @@ class _Topic:
     subscription: Subscription
     request: QoSProfile
     tally: TopicTally
+
+
+def received_ns(info: Mapping[str, int | None]) -> int:
+    """When the middleware received a message; now where it does not say (Cyclone DDS)."""
+    return info["received_timestamp"] or time.time_ns()
 
 
 class RecorderNode(Node):
@@ -123,7 +128,7 @@ class RecorderNode(Node):
         found = dict(self._warned)
         for name in self._wanted:
             if name not in self._topics:
-                found[name] = "nobody publishes it"
+                found[name] = "no publisher was found"
         for name, topic in self._topics.items():
             if topic.tally.messages == 0:
                 found[name] = "it carried nothing"
@@ -225,7 +230,7 @@ class RecorderNode(Node):
                 if taken is None:
                     break
                 data, info = taken
-                log_ns = info["received_timestamp"] if clock_ns is None else clock_ns
+                log_ns = received_ns(info) if clock_ns is None else clock_ns
                 self._waiting.append((log_ns, topic, data))
                 losses.add(info.get("publication_sequence_number"))
         one_publisher = one_publisher and subscription.get_publisher_count() == 1

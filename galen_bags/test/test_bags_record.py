@@ -15,7 +15,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from galen_bags.bag import open_bag
 from galen_bags.errors import BagError
 from galen_bags.growing_bag import GrowingBagWriter
-from galen_bags.recorder import RecorderNode
+from galen_bags.recorder import RecorderNode, received_ns
 from galen_ros.cdr import JointStateBytes, WrenchBytes
 from galen_ros.diagnostics import Level
 from galen_ros.domain import DomainLock
@@ -106,7 +106,7 @@ def test_bytes_are_as_they_came(harness: Harness, bag: GrowingBagWriter) -> None
         states.publish(joints(index))
     wait_recorded(harness, recorder, 400)
     after_ns = time.time_ns()
-    assert recorder.problems() == {"/never": "nobody publishes it"}
+    assert recorder.problems() == {"/never": "no publisher was found"}
     path = end(harness, recorder, bag)
     assert messages(path) == {
         "/wrench_raw": [wrench(index) for index in range(200)],
@@ -219,6 +219,32 @@ def test_what_can_not_be_recorded_does_not_disturb_the_rest(
     assert list(messages(end(harness, recorder, bag))) == ["/wrench_raw"]
 
 
+@pytest.mark.parametrize("unknown", [0, None])
+def test_a_middleware_without_receive_times_gets_the_time_of_now(unknown: int | None) -> None:
+    assert received_ns({"received_timestamp": 17}) == 17
+    before_ns = time.time_ns()
+    assert before_ns <= received_ns({"received_timestamp": unknown}) <= time.time_ns()
+
+
+def test_lost_messages_are_counted(harness: Harness, bag: GrowingBagWriter) -> None:
+    """A burst that the queue of 2000 can't hold, while the recorder has no time for it."""
+    recorder = start(harness, bag, ("wrench_raw",))
+    wrenches = publisher(harness, WrenchStamped, "wrench_raw")
+    connected(harness, wrenches)
+    wrenches.publish(wrench(0))
+    wait_recorded(harness, recorder, 1)
+    harness.call_in_executor(lambda: [wrenches.publish(wrench(k)) for k in range(1, 2501)])
+    (tally,) = recorder.tallies
+    harness.wait_for(lambda: tally.messages + tally.losses.lost == 2501, 10.0, "all accounted for")
+    assert tally.losses.lost > 0
+    assert recorder.problems() == {
+        "/wrench_raw": f"{tally.losses.lost} of its messages were lost on the way"
+    }
+    found = messages(end(harness, recorder, bag))["/wrench_raw"]
+    assert found[-1] == wrench(2500)
+    assert len(found) == tally.messages
+
+
 def test_log_times_are_simulated_time_where_asked(harness: Harness, bag: GrowingBagWriter) -> None:
     recorder = start(
         harness, bag, ("wrench_raw",), parameter_overrides=[Parameter("use_sim_time", value=True)]
@@ -255,7 +281,7 @@ def test_diagnostics_tell_what_is_missing(harness: Harness, bag: GrowingBagWrite
         return (
             status
             and status.level == bytes([Level.WARN])
-            and "/joint_states: nobody publishes it" in status.message
+            and "/joint_states: no publisher was found" in status.message
             and "/wrench_raw: it had 2 publishers" in status.message
             and values["messages /wrench_raw"] == "1"
         )
