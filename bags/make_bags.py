@@ -12,7 +12,6 @@ import argparse
 import json
 import math
 import re
-import shutil
 import sys
 import tempfile
 from collections.abc import Callable, Iterable
@@ -257,9 +256,9 @@ def replace(recipe: Recipe, made: Path, kept: Path) -> None:
     for name in filter(None, (recipe.name, recipe.tool_file)):
         target = kept / name
         target.parent.mkdir(parents=True, exist_ok=True)
-        if target.is_dir():
-            shutil.rmtree(target)
-        (made / name).replace(target)
+        if target.exists():
+            target.rename(made / f"{target.name}.old")
+        (made / name).rename(target)
 
 
 # --- README -------------------------------------------------------------------------------------
@@ -351,6 +350,7 @@ def main(args: list[str] | None = None) -> int:
         print(f"make_bags: {error}", file=sys.stderr)
         return 1
     except KeyboardInterrupt:
+        print("make_bags: interrupted", file=sys.stderr)
         return 130
     for line in told:
         print(line if options.check else f"written anew: {line}", file=sys.stderr)

@@ -194,6 +194,7 @@ def main(args: Sequence[str] | None = None) -> int:
         print(f"convert: {error}", file=sys.stderr)
         return EXIT_FAILED
     except KeyboardInterrupt:
+        print("convert: interrupted; no bag is written", file=sys.stderr)
         return 130
     if arguments.json:
         print(json.dumps(summary, indent=2))
