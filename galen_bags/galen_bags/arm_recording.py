@@ -12,7 +12,7 @@ import numpy as np
 from galen_model.arm import JOINT_NAMES
 from galen_model.arrays import Array
 
-from galen_bags.bag import Bag, open_bag
+from galen_bags.bag import Bag, listing, open_bag
 from galen_bags.errors import BagError
 from galen_bags.messages import JOINT_STATE_TYPE, WRENCH_TYPE, Decoder, Samples
 from galen_bags.raw_block import Messages
@@ -125,20 +125,25 @@ class ArmReader:
 
 def find_topic(bag: Bag, name: str, type_name: str) -> str:
     """The bag's topic `name`, or the only one of the type that ends with it; else BagError."""
-    exact = "/" + name.lstrip("/")
-    if exact in bag.topics:
-        found = bag.topics[exact]
-        if found.type_name != type_name:
-            raise BagError(f"{bag.path}: {exact} is a {found.type_name}, not a {type_name}")
-        return exact
+    bare = name.lstrip("/")
+    # Some recorders leave the first slash out.
+    for exact in ("/" + bare, bare):
+        if exact in bag.topics:
+            found = bag.topics[exact].type_name or "topic without a type"
+            if found != type_name:
+                raise BagError(f"{bag.path}: {exact} is a {found}, not a {type_name}")
+            return exact
     of_type = [topic.name for topic in bag.topics.values() if topic.type_name == type_name]
-    ending = [topic for topic in of_type if topic.endswith(exact)]
+    ending = [topic for topic in of_type if topic.endswith("/" + bare)]
     if len(ending) == 1:
         return ending[0]
     if ending:
-        raise BagError(f"{bag.path}: several topics end with {exact}: {', '.join(sorted(ending))}")
-    there = ", ".join(sorted(of_type)) or "none"
-    raise BagError(f"{bag.path}: has no topic {exact}; of type {type_name} it has {there}")
+        raise BagError(f"{bag.path}: several topics end with /{bare}: {listing(ending)}")
+    raise BagError(
+        f"{bag.path}: has no topic {'/' + bare}; of type {type_name} it has {listing(of_type)}"
+        if of_type
+        else f"{bag.path}: has no topic of type {type_name}; it has {listing(bag.topics)}"
+    )
 
 
 def _in_joint_order(samples: Samples) -> Samples:
@@ -184,12 +189,14 @@ def read_arm(path: str | os.PathLike[str], topics: ArmTopics | None = None) -> A
     for name, samples in zip(names, (joints, wrenches), strict=True):
         good = np.ones(len(samples), dtype=bool)
         good[list(samples.bad)] = False
+        reason = next(iter(samples.bad.values()), "")
+        if not len(samples):
+            raise BagError(f"{path}: {name} has no message" + "".join(f"; {p}" for p in problems))
         if not good.any():
-            reason = next(iter(samples.bad.values()), "it is empty")
             raise BagError(f"{path}: {name} has no usable message: {reason}")
         if samples.bad:
-            reason = next(iter(samples.bad.values()))
-            problems.append(f"{name}: {len(samples.bad)} messages can't be used: {reason}")
+            how_many = f"{len(samples.bad)} message{'s' if len(samples.bad) > 1 else ''}"
+            problems.append(f"{name}: {how_many} can't be used: {reason}")
         kept.append(good)
     joint_log = np.concatenate([block.joint_log_ns for block in blocks])
     wrench_log = np.concatenate([block.wrench_log_ns for block in blocks])

@@ -11,7 +11,7 @@ import os
 import re
 import sys
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path, PurePath
 from types import TracebackType
 
@@ -39,6 +39,7 @@ _ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 _MOST_METADATA_BYTES = 1 << 20
 # Recordings don't shrink to less; what grows by more is meant to fill the disk.
 _MOST_EXPANSION = 1000
+_MOST_NAMED = 12
 
 
 class Bag:
@@ -91,8 +92,7 @@ class Bag:
         """
         for name in topics:
             if name not in self.topics:
-                there = ", ".join(sorted(self.topics)) or "none"
-                raise BagError(f"{self.path}: has no topic {name}; it has {there}")
+                raise BagError(f"{self.path}: has no topic {name}; it has {listing(self.topics)}")
             if self.topics[name].encoding != "cdr":
                 raise BagError(
                     f"{self.path}: {name} is serialised as {self.topics[name].encoding!r}, not cdr"
@@ -217,6 +217,13 @@ def open_bag(path: str | os.PathLike[str]) -> Bag:
         raise BagError(f"{path}: its file {listed[0].name} is missing")
     problems += [f"{file.name} is missing" for file in listed if file not in there]
     return Bag(path, there, problems)
+
+
+def listing(names: Iterable[str]) -> str:
+    """Names for a sentence: "/a, /b", the first of many, or "none"."""
+    there = sorted(names)
+    more = [f"{len(there) - _MOST_NAMED} more"] if len(there) > _MOST_NAMED else []
+    return ", ".join([*there[:_MOST_NAMED], *more]) or "none"
 
 
 def storage_files(directory: Path) -> list[Path]:

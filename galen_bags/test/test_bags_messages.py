@@ -1,0 +1,233 @@
+"""Messages are decoded as the library rosbags decodes them, to the last bit."""
+
+import random
+import struct
+
+import numpy as np
+import pytest
+from bags_samples import (
+    JOINT_STATE,
+    POSE,
+    T0,
+    TYPES,
+    WRENCH,
+    cdr,
+    header,
+    joint_state,
+    pose,
+    wrench,
+)
+from galen_bags.errors import BagError
+from galen_bags.messages import Decoder
+from galen_bags.raw_block import pack
+from galen_model.arm import JOINT_NAMES
+from rosbags.serde import SerdeError
+
+ODD = [0.0, -0.0, np.nan, np.inf, -np.inf, 5e-324, 1.7976931348623157e308, 0.1]
+
+
+def decode(decoder, messages):
+    block = pack([0] * len(messages), range(len(messages)), messages)
+    return decoder.decode(block, np.arange(len(messages)))
+
+
+def by_rosbags(data, type_name, names=()):
+    """(stamp, frame_id, values) as a decoder should give them."""
+    message = TYPES.deserialize_cdr(data, type_name)
+    stamp = message.header.stamp.sec * 10**9 + message.header.stamp.nanosec
+    if type_name == JOINT_STATE:
+        values = [np.nan] * 2 * len(names)
+        for k, name in enumerate(names):
+            if name in message.name:
+                index = message.name.index(name)
+                values[k] = message.position[index]
+                if len(message.velocity):
+                    values[len(names) + k] = message.velocity[index]
+    else:
+        parts = (
+            [message.wrench.force, message.wrench.torque]
+            if type_name == WRENCH
+            else [message.pose.position, message.pose.orientation]
+        )
+        values = [getattr(part, axis) for part in parts for axis in "xyzw" if hasattr(part, axis)]
+    return stamp, message.header.frame_id, values
+
+
+def assert_same(samples, messages, type_name, names=()):
+    """Every sample is what rosbags makes of the message; returns the bad ones' rows."""
+    assert len(samples) == len(messages)
+    for row, data in enumerate(messages):
+        if row in samples.bad:
+            assert np.isnan(samples.values[row]).all()
+            continue
+        stamp_ns, frame_id, values = by_rosbags(data, type_name, names)
+        assert samples.stamp_ns[row] == stamp_ns
+        assert samples.frame_ids[samples.frame[row]] == frame_id
+        # Bit by bit: a NaN is a NaN, and -0 is not 0.
+        assert samples.values[row].tobytes() == np.array(values, dtype=float).tobytes()
+
+
+@pytest.mark.parametrize("type_name", [WRENCH, POSE])
+def test_stamped(type_name):
+    rng = random.Random(1)
+    make, width = (wrench, 6) if type_name == WRENCH else (pose, 7)
+    messages = [
+        cdr(
+            make(
+                header(rng.choice([0, T0, -(10**15), 2**31 * 10**9 - 1]), frame),
+                [rng.choice([*ODD, rng.gauss(0, 1)]) for _ in range(width)],
+            ),
+            little_endian=rng.random() < 0.5,
+        )
+        for frame in ["", "ft_sensor", "f", "größe", "a/b", "x" * 300] * 30
+    ]
+    rng.shuffle(messages)
+    samples = decode(Decoder(type_name), messages)
+    assert not samples.bad
+    assert_same(samples, messages, type_name)
+
+
+def any_joint_state(rng):
+    names = [*JOINT_NAMES, "gripper", "wrist"][: rng.choice([5, 6, 7])]
+    if rng.random() < 0.5:
+        rng.shuffle(names)
+    if rng.random() < 0.2:
+        names = [name for name in names if not name.startswith("delta")]
+    runs = [[rng.choice([*ODD, rng.gauss(0, 1)]) for _ in names] for _ in range(3)]
+    velocity, effort = (run if rng.random() < 0.6 else [] for run in runs[1:])
+    head = header(T0 + rng.randrange(10**12), rng.choice(["", "base_link"]))
+    message = joint_state(head, names, runs[0], velocity, effort)
+    return cdr(message, little_endian=rng.random() < 0.8)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_joint_states(seed):
+    """Any order of names, other joints among them, with velocities, efforts or without."""
+    rng = random.Random(seed)
+    order = ["roll", "tilt", "delta_x", "delta_y", "delta_z"]
+    decoder = Decoder(JOINT_STATE, order, required=2)
+    for _ in range(2):  # in the second block, the layouts are known
+        messages = [any_joint_state(rng) for _ in range(300)]
+        samples = decode(decoder, messages)
+        assert not samples.bad
+        assert_same(samples, messages, JOINT_STATE, order)
+
+
+def test_rows_of_a_block():
+    """Of a block that holds other messages too, in a buffer that begins before them."""
+    messages = [cdr(wrench(header(T0 + k), [k] * 6)) for k in range(10)]
+    block = pack([0] * 11, range(11), [b"\1" * 77, *messages]).rows(slice(1, None))
+    samples = Decoder(WRENCH).decode(block, np.array([7, 2, 2]))
+    assert samples.values[:, 0].tolist() == [7, 2, 2]
+    assert samples.stamp_ns.tolist() == [T0 + 7, T0 + 2, T0 + 2]
+    empty = Decoder(WRENCH).decode(block, np.zeros(0, np.intp))
+    assert len(empty) == 0 and empty.frame_ids == ("",)
+
+
+@pytest.mark.parametrize("extra", range(1, 9))
+def test_bytes_after_the_last_value(extra):
+    """Fast CDR, as rclpy uses it, leaves up to 8 bytes after an empty last sequence.
+
+    rosbags takes three of them at most and refuses the message else; every ROS 2 subscriber takes
+    it, and so do we.
+    """
+    whole = cdr(joint_state(header(T0), JOINT_NAMES, range(5), range(5, 10)))
+    rest = random.Random(extra).randbytes(extra)
+    if extra > 3:
+        with pytest.raises(SerdeError, match="size mismatch"):
+            TYPES.deserialize_cdr(whole + rest, JOINT_STATE)
+    samples = decode(Decoder(JOINT_STATE, JOINT_NAMES), [whole, whole + rest, whole + rest[::-1]])
+    assert not samples.bad
+    assert np.array_equal(samples.values, [np.arange(10)] * 3)
+
+
+def test_padding_holds_anything():
+    data = bytearray(cdr(wrench(header(T0, ""), range(6))))
+    (first,) = (at for at in range(len(data)) if data[at : at + 16] == struct.pack("<2d", 0, 1))
+    data[first - 3 : first] = b"\xaa\xbb\xcc"
+    samples = decode(Decoder(WRENCH), [cdr(wrench(header(T0, ""), range(6))), bytes(data)])
+    assert not samples.bad and np.array_equal(samples.values, [range(6)] * 2)
+
+
+@pytest.mark.parametrize("type_name", [WRENCH, JOINT_STATE, POSE])
+def test_message_that_is_cut_anywhere(type_name):
+    make = {WRENCH: lambda h: wrench(h, range(6)), POSE: lambda h: pose(h, range(7))}
+    make[JOINT_STATE] = lambda h: joint_state(h, JOINT_NAMES, range(5), range(5), range(5))
+    whole = cdr(make[type_name](header(T0, "ft_sensor")))
+    messages = [whole[:length] for length in range(len(whole))]
+    samples = decode(Decoder(type_name, JOINT_NAMES), [whole, *messages])
+    assert sorted(samples.bad) == list(range(1, len(messages) + 1))
+    assert np.isnan(samples.values[1:]).all() and not samples.stamp_ns[1:].any()
+    assert samples.bad[1].startswith(f"0 bytes came that are not a readable {type_name}: ")
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_damaged_messages(seed):
+    """What rosbags reads is read the same; nothing raises."""
+    rng = random.Random(seed)
+    for type_name, names in ((WRENCH, ()), (JOINT_STATE, tuple(JOINT_NAMES))):
+        messages = []
+        for _ in range(300):
+            if type_name == WRENCH:
+                data = bytearray(cdr(wrench(header(T0, "ft_sensor"), range(6))))
+            else:
+                data = bytearray(any_joint_state(rng))
+            for _ in range(rng.randint(1, 4)):
+                data[rng.randrange(len(data))] = rng.choice([0, 1, 255, rng.randrange(256)])
+            messages.append(bytes(data))
+        samples = decode(Decoder(type_name, names), messages)
+        read = 0
+        for row, data in enumerate(messages):
+            try:
+                expected = by_rosbags(data, type_name, names)
+            except (SerdeError, IndexError, ValueError, struct.error):
+                continue
+            if row in samples.bad:
+                assert "joint state has" in samples.bad[row]  # counts that don't fit together
+                continue
+            read += 1
+            assert samples.stamp_ns[row] == expected[0]
+            assert samples.frame_ids[samples.frame[row]] == expected[1]
+            assert samples.values[row].tobytes() == np.array(expected[2], dtype=float).tobytes()
+        assert read > 100
+
+
+def test_joint_states_that_can_not_be_used():
+    fine = cdr(joint_state(header(T0), JOINT_NAMES, range(5)))
+    cases = {
+        cdr(joint_state(header(T0 + 1), JOINT_NAMES[:4], range(4))): (
+            "joint state lacks tilt; it has delta_x, delta_y, delta_z, roll"
+        ),
+        cdr(joint_state(header(T0 + 1), [], [])): "lacks roll, tilt; it has no joints",
+        cdr(joint_state(header(T0 + 1), JOINT_NAMES, range(4))): "5 names but 4 positions",
+        cdr(joint_state(header(T0 + 1), JOINT_NAMES, range(5), range(2))): "5 names but 2 veloc",
+        b"": "0 bytes came",
+        b"\0\3" + fine[2:]: "don't start as a serialised message",
+    }
+    order = ["roll", "tilt", "delta_x", "delta_y", "delta_z"]
+    samples = decode(Decoder(JOINT_STATE, order, required=2), [fine, *cases, fine])
+    assert sorted(samples.bad) == list(range(1, len(cases) + 1))
+    for row, words in enumerate(cases.values(), 1):
+        assert words in samples.bad[row]
+    assert samples.values[[0, -1], :5].tolist() == [[3, 4, 0, 1, 2]] * 2
+    # A platform's joints may lack, and are not known then.
+    few = decode(
+        Decoder(JOINT_STATE, order, required=2),
+        [cdr(joint_state(header(T0), ["tilt", "roll"], [1, 2], [3, 4]))],
+    )
+    assert not few.bad
+    assert np.array_equal(
+        few.values[0], [2, 1, np.nan, np.nan, np.nan, 4, 3, np.nan, np.nan, np.nan], equal_nan=True
+    )
+
+
+def test_a_block_in_which_every_message_is_another_one():
+    messages = [cdr(wrench(header(T0 + k, f"frame_{k}"), [k] * 6)) for k in range(500)]
+    samples = decode(Decoder(WRENCH), messages)
+    assert not samples.bad
+    assert_same(samples, messages, WRENCH)
+
+
+def test_other_types_are_refused():
+    with pytest.raises(BagError, match="std_msgs/msg/String can't be read here"):
+        Decoder("std_msgs/msg/String")
