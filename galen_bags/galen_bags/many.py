@@ -1,0 +1,261 @@
+"""One function over many bags, in parallel: on processes here, or on a Dask cluster."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import socket
+import time
+import traceback
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from itertools import islice
+from pathlib import Path
+from typing import TYPE_CHECKING, Generic, TypeVar
+
+from galen_model.errors import GalenError
+from tqdm import tqdm
+
+if TYPE_CHECKING:
+    from distributed import Client, Future
+
+Result = TypeVar("Result")
+
+
+@dataclass(frozen=True)
+class Outcome(Generic[Result]):
+    """What became of a bag: `error` is None, or a sentence that says why there is no result."""
+
+    bag: Path
+    result: Result | None
+    error: str | None
+    seconds: float
+
+
+def run_many(
+    function: Callable[[Path], Result],
+    bags: Sequence[Path],
+    *,
+    scheduler: str | None = None,
+    workers: int | None = None,
+    progress: bool = True,
+    timeout_s: float = 5.0,
+) -> list[Outcome[Result]]:
+    """Call `function` with each bag; returns the outcomes in the order of `bags`.
+
+    A bag whose function raises, or ends its process, has an error for an outcome and does not
+    stop the others. Without `scheduler`, on `workers` processes here (None: one a processor, but
+    no more than bags), or in this process if that makes one or there is one bag. With it
+    (`tcp://host:port` or a scheduler file), on whatever workers that has; the bags' paths must be
+    absolute, and theirs too. Function and results must be picklable, and results should be small:
+    all are held here. The function should print nothing: it shares a terminal with others.
+
+    Args:
+        function: a module's function, a `functools.partial` of one, or a callable object.
+        bags: what it is called with, one at a time.
+        scheduler: address or file of a Dask scheduler.
+        workers: number of processes, at least 1; not with `scheduler`.
+        progress: show a bar on standard error, where that is a terminal.
+        timeout_s: how long to wait for the scheduler's answer.
+
+    Raises:
+        ClusterError: the scheduler can't be used, or no processes can be started.
+        KeyboardInterrupt: Ctrl-C; local processes have ended. On a cluster, bags that are being
+            worked on are worked through, and their results dropped.
+
+    """
+    if scheduler is not None and workers is not None:
+        raise ValueError("workers are for local processes; a scheduler has its own")
+    if workers is not None and workers < 1:
+        raise ValueError(f"workers must be at least 1, not {workers}")
+    if scheduler is not None and (relative := [bag for bag in bags if not bag.is_absolute()]):
+        raise ValueError(f"{relative[0]}: with a scheduler, paths must be absolute")
+    outcomes: dict[int, Outcome[Result]] = {}
+    failed = 0
+    with (
+        tqdm(total=len(bags), unit="bag", disable=None if progress else True) as bar,
+        # Closed here, so that an interrupt ends the workers before anything else goes on.
+        contextlib.closing(_outcomes(function, bags, scheduler, workers, timeout_s)) as coming,
+    ):
+        for number, outcome in coming:
+            outcomes[number] = outcome
+            failed += outcome.error is not None
+            if failed:
+                bar.set_postfix(failed=failed, refresh=False)
+            bar.update()
+    return [outcomes[number] for number in range(len(bags))]
+
+
+def add_many_options(parser: argparse.ArgumentParser | argparse._ArgumentGroup) -> None:
+    """Give a command the options `--scheduler ADDRESS` and `--workers N` (None: not given)."""
+    group = parser.add_mutually_exclusive_group()
+    group.add_argument(
+        "--workers", type=_count, metavar="N", help="local processes (default: one a processor)"
+    )
+    group.add_argument(
+        "--scheduler",
+        metavar="ADDRESS",
+        help="address (tcp://host:port) or file of a Dask scheduler whose workers see the same"
+        " paths; only one that you trust",
+    )
+
+
+def _count(text: str) -> int:
+    try:
+        value = int(text)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text!r} is no whole number") from None
+    if value < 1:
+        raise argparse.ArgumentTypeError(f"{text} is below 1")
+    return value
+
+
+def _outcomes(
+    function: Callable[[Path], Result],
+    bags: Sequence[Path],
+    scheduler: str | None,
+    workers: int | None,
+    timeout_s: float,
+) -> Generator[tuple[int, Outcome[Result]], None, None]:
+    """Outcomes with the bags' numbers, as they come."""
+    if not bags:
+        return
+    if scheduler is None and (len(bags) == 1 or workers == 1):
+        for number, bag in enumerate(bags):
+            yield number, _work(function, bag)
+        return
+    # Importing dask takes longer than many a bag.
+    from galen_bags.workers import cpu_count, local_workers, scheduler_client
+
+    if scheduler is not None:
+        with scheduler_client(scheduler, timeout_s) as client:
+            run = _Run(client, function, bags, scheduler)
+            yield from run.outcomes(range(len(bags)), at_once=len(bags))
+            for number in run.killed:
+                yield number, run.death(number, "it crashed, or was killed, again and again")
+        return
+
+    count = min(workers or cpu_count(), len(bags))
+    with local_workers(count) as (client, deaths):
+        run = _Run(client, function, bags, None)
+        yield from run.outcomes(range(len(bags)), at_once=count)
+        # Whose fault it was is certain only where a bag is alone; and alone, one that was killed
+        # for its memory may go through.
+        for number in list(run.killed):
+            deaths.clear()
+            run.killed.clear()
+            yield from run.outcomes([number], at_once=1)
+            if run.killed:
+                yield number, run.death(number, deaths.reason())
+
+
+class _Run(Generic[Result]):
+    """Bags on their way through a cluster."""
+
+    def __init__(
+        self,
+        client: Client,
+        function: Callable[[Path], Result],
+        bags: Sequence[Path],
+        scheduler: str | None,
+    ) -> None:
+        self._client = client
+        self._function = function
+        self._bags = bags
+        self._scheduler = scheduler
+        self._started_s: dict[int, float] = {}
+        self.killed: list[int] = []  # numbers of the bags whose worker died
+
+    def outcomes(
+        self, numbers: Iterable[int], at_once: int
+    ) -> Iterator[tuple[int, Outcome[Result]]]:
+        """Outcomes as they come; bags whose worker died go to `killed` instead."""
+        from distributed import as_completed
+
+        waiting = iter(numbers)
+        running = {self._submit(number): number for number in islice(waiting, at_once)}
+        completed = as_completed(list(running), loop=self._client.loop)
+        for future in completed:
+            number = running.pop(future)
+            for following in islice(waiting, 1):
+                another = self._submit(following)
+                running[another] = following
+                completed.add(another)
+            outcome = self._outcome(number, future)
+            if outcome is None:
+                self.killed.append(number)
+            else:
+                yield number, outcome
+
+    def death(self, number: int, reason: str) -> Outcome[Result]:
+        """The outcome of a bag that ended its worker."""
+        return self._error(number, f"the process that worked on it died: {reason}")
+
+    def _submit(self, number: int) -> Future:
+        self._started_s[number] = time.monotonic()
+        bag = self._bags[number]
+        # Not pure: a bag may have changed since a cluster last saw the same call.
+        return self._client.submit(
+            _work_elsewhere, self._function, bag, self._scheduler, pure=False
+        )
+
+    def _outcome(self, number: int, future: Future) -> Outcome[Result] | None:
+        """None if the worker died."""
+        from distributed import KilledWorker
+
+        if future.cancelled():
+            return self._error(number, f"the connection to {self._scheduler} was lost")
+        try:
+            outcome: Outcome[Result] = future.result()
+        except KilledWorker:
+            return None
+        # Only what happens to the function and its result on their way.
+        except Exception as error:
+            while isinstance(error.__cause__, Exception):
+                error = error.__cause__
+            reason = " ".join(f"{type(error).__name__}: {error}".splitlines()[:1])
+            where = "the scheduler and its workers" if self._scheduler else "the workers"
+            return self._error(
+                number, f"{reason} (what this command can import, {where} must be able to)"
+            )
+        return outcome
+
+    def _error(self, number: int, text: str) -> Outcome[Result]:
+        bag = self._bags[number]
+        seconds = time.monotonic() - self._started_s[number]
+        return Outcome(bag, None, f"{bag}: {text}", seconds)
+
+
+def _work(function: Callable[[Path], Result], bag: Path) -> Outcome[Result]:
+    started_s = time.monotonic()
+    result, text = None, None
+    try:
+        result = function(bag)
+    except GalenError as error:
+        text = " ".join(str(error).split())
+    # A library may end the process where it should raise.
+    except (Exception, SystemExit) as error:
+        last = traceback.extract_tb(error.__traceback__)[-1]
+        at = f"{Path(last.filename).name}, line {last.lineno}"
+        text = " ".join(f"{bag}: {type(error).__name__}: {error} ({at})".split())
+    return Outcome(bag, result, text, time.monotonic() - started_s)
+
+
+def _work_elsewhere(
+    function: Callable[[Path], Result], bag: Path, scheduler: str | None
+) -> Outcome[Result]:
+    """In a worker."""
+    from distributed.protocol.pickle import dumps
+
+    if scheduler is not None and not bag.exists():
+        where = f"{socket.gethostname()}, where a worker of {scheduler} looked for it"
+        text = f"{bag}: is not there on {where}: its workers must see the same paths"
+        return Outcome(bag, None, text, 0.0)
+    outcome = _work(function, bag)
+    try:
+        dumps(outcome.result)
+    except Exception as error:
+        reason = f"{type(error).__name__}: {error}".splitlines()[0]
+        text = f"{bag}: its result can't be sent from the worker: {reason}"
+        return Outcome(bag, None, text, outcome.seconds)
+    return outcome
