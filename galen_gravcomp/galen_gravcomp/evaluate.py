@@ -63,7 +63,10 @@ def build_parser() -> argparse.ArgumentParser:
         help="rosbag2 directory, .mcap, .db3, ROS 1 .bag, or a folder that is searched for them",
     )
     parser.add_argument(
-        "--tool", metavar="FILE", help="the tool's file; with --table optional, scored beside"
+        "--tool",
+        metavar="FILE",
+        type=Path,
+        help="the tool's file; with --table optional, scored beside",
     )
     parser.add_argument(
         "--plots", metavar="DIR", type=Path, help="write a picture of each bag or table here"
@@ -84,6 +87,7 @@ def build_parser() -> argparse.ArgumentParser:
         f" {StillCellSettings.min_duration_s} for bags, {StillSettings.min_duration_s} for tables)",
     )
     _add_bag_options(parser.add_argument_group("bags"))
+    add_many_options(parser)
     _add_table_options(parser.add_argument_group("tables"))
     return parser
 
@@ -153,7 +157,6 @@ def _add_bag_options(group: argparse._ArgumentGroup) -> None:
         type=Path,
         help="write each bag with wrench_compensated in it as DIR/<name>_compensated",
     )
-    add_many_options(group)
 
 
 def _add_table_options(group: argparse._ArgumentGroup) -> None:
@@ -236,12 +239,15 @@ def _written_tool(file: str | None) -> Path | None:
 def run_bags(arguments: argparse.Namespace, console: Console) -> int:
     """Evaluate bags; returns the exit code; raises GalenError."""
     bags = find_bags(arguments.bags)
+    # A cluster's workers have another working directory.
+    place = Path.absolute if arguments.scheduler else Path
+    bags = [place(bag) for bag in bags]
     job = BagJob(
-        tool=Path(arguments.tool or arguments.tool_beside),
+        tool=Path(arguments.tool_beside) if arguments.tool is None else place(arguments.tool),
         tool_beside=arguments.tool is None,
         settings=_bag_settings(arguments),
-        plots=arguments.plots,
-        bags_out=arguments.write_bags,
+        plots=None if arguments.plots is None else place(arguments.plots),
+        bags_out=None if arguments.write_bags is None else place(arguments.write_bags),
         names=distinct_names(bags),
     )
     if not job.tool_beside:

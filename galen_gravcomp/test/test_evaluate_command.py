@@ -1,0 +1,154 @@
+"""`evaluate BAG...` as a user types it."""
+
+import json
+import re
+
+import pytest
+from galen_gravcomp.bag_job import distinct_names
+from galen_gravcomp.evaluate import main
+from galen_model.tool_file import write_tool
+from gravcomp_bags import Recording, tool_file
+
+
+@pytest.fixture(scope="module")
+def archive(tmp_path_factory):
+    """Three recordings, each with its tool's file beside it, and a broken one."""
+    folder = tmp_path_factory.mktemp("archive")
+    for name, mass_kg in (("monday", 0.2), ("tuesday", 0.2), ("friday", 0.23)):
+        recording = Recording(tool_file(mass_kg), poses=8, hold_s=1.0)
+        recording.write(folder / name / "sweep")
+        write_tool(folder / name / "retractor.json", tool_file())
+    broken = folder / "wednesday"
+    broken.mkdir()
+    (broken / "broken.mcap").write_bytes(b"\x89MCAP0\r\nno")
+    write_tool(broken / "retractor.json", tool_file())
+    return folder
+
+
+def test_one_bag_gives_a_report_a_picture_and_a_bag(archive, tmp_path, capsys):
+    bag, tool = archive / "friday" / "sweep", archive / "friday" / "retractor.json"
+    arguments = [str(bag), "--tool", str(tool)]
+    code = main(
+        [*arguments, "--plots", str(tmp_path / "plots"), "--write-bags", str(tmp_path / "out")]
+    )
+    out = capsys.readouterr().out
+    assert code == 0
+    told = re.search(r"as of a load that differs by \+([\d.]+) \+-", out.replace("\n", " "))
+    assert float(told.group(1)) == pytest.approx(30.0, abs=1.0)
+    for part in ("still phases' means", "another load", "Worst still phases", "Time stamps"):
+        assert part in out
+    picture = tmp_path / "plots" / "sweep_evaluation.png"
+    assert picture.read_bytes().startswith(b"\x89PNG")
+    assert picture.stat().st_size > 30_000
+    assert str(picture) in out.replace("\n", "")
+    assert main([str(tmp_path / "out" / "sweep_compensated"), "--tool", str(tool)]) == 0
+
+
+def test_json_is_one_object_that_a_program_can_read(archive, capsys):
+    bag, tool = archive / "monday" / "sweep", archive / "monday" / "retractor.json"
+    assert main([str(bag), "--tool", str(tool), "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert (found["verdict"], found["tool"], found["findings"]) == ("fits", "retractor", [])
+    assert set(found["rmse"]["still_phases"]) == {"fx", "fy", "fz", "tx", "ty", "tz"}
+    assert found["rmse"]["still_phases"]["fx"] < 0.01
+    assert found["wrenches"]["compensated"] == found["wrenches"]["received"]
+
+
+def test_a_folder_gives_one_table_and_a_broken_bag_does_not_stop_the_rest(archive, capsys):
+    code = main([str(archive), "--tool-beside", "retractor.json", "--json", "--workers", "1"])
+    rows = json.loads(capsys.readouterr().out)["bags"]
+    assert code == 1
+    verdicts = {row["bag"].split("/")[-2]: row.get("verdict") for row in rows if "verdict" in row}
+    assert verdicts == {"monday": "fits", "tuesday": "fits", "friday": "load"}
+    (broken,) = [row for row in rows if "error" in row]
+    assert "wednesday" in broken["error"]
+    assert main([str(archive), "--tool-beside", "retractor.json", "--workers", "1"]) == 1
+    out = capsys.readouterr().out
+    assert "Does the file still fit?" in out
+    assert "broken" in out
+
+
+@pytest.mark.slow
+def test_bags_in_parallel_give_what_they_give_one_by_one(archive, tmp_path, capsys):
+    good = [str(archive / name / "sweep") for name in ("monday", "tuesday", "friday")]
+    arguments = [*good, "--tool-beside", "retractor.json", "--json"]
+    assert main([*arguments, "--workers", "1"]) == 0
+    alone = json.loads(capsys.readouterr().out)
+    assert main([*arguments, "--workers", "2", "--plots", str(tmp_path)]) == 0
+    assert json.loads(capsys.readouterr().out) == alone
+    assert sorted(path.name for path in tmp_path.iterdir()) == [
+        "friday_sweep_evaluation.png",
+        "monday_sweep_evaluation.png",
+        "tuesday_sweep_evaluation.png",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["nowhere", "--tool", "{tool}"], "nowhere"),
+        (["{bag}", "--tool", "nothing.json"], "nothing.json"),
+        (["{bag}", "--tool-beside", "nothing.json"], "nothing.json"),
+        (["{bag}", "--tool", "{tool}", "--wrench-raw", "ft/raw"], "it has /wrench_raw"),
+        (["{bag}", "--tool", "{tool}", "--joint-names", "a,b,c"], "joint names"),
+        (["{bag}", "--tool", "{tool}", "--write-bags", "{taken}"], "is there already"),
+    ],
+)
+def test_what_cannot_be_done_is_one_line_and_exit_code_1(
+    archive, tmp_path, capsys, arguments, message
+):
+    taken = tmp_path / "taken"
+    (taken / "sweep_compensated").mkdir(parents=True)
+    places = {
+        "tool": archive / "monday" / "retractor.json",
+        "bag": archive / "monday" / "sweep",
+        "taken": taken,
+    }
+    assert main([argument.format(**places) for argument in arguments]) == 1
+    error = capsys.readouterr().err.strip()
+    assert message in error
+    assert len(error.splitlines()) == 1
+    assert error.startswith("evaluate: ")
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        [],
+        ["bag"],
+        ["bag", "--table", "t.csv", "--tool", "x"],
+        ["bag", "--tool", "x", "--tool-beside", "y"],
+        ["bag", "--tool", "x", "--max-joint-age-s", "100"],
+        ["bag", "--tool", "x", "--limit-force-n", "0"],
+    ],
+)
+def test_wrong_usage_is_exit_code_2(arguments, capsys):
+    with pytest.raises(SystemExit) as stop:
+        main(arguments)
+    assert stop.value.code == 2
+    assert "usage: evaluate BAG" in capsys.readouterr().err
+
+
+def test_joints_that_are_not_there_are_said_as_the_node_says_it(archive, tmp_path, capsys):
+    names = ["a", "b", "c", "d", "e"]
+    Recording(tool_file(), poses=3).write(tmp_path / "bag", joint_names=names)
+    tool = str(archive / "monday" / "retractor.json")
+    assert main([str(tmp_path / "bag"), "--tool", tool]) == 0
+    out = capsys.readouterr().out
+    assert "joint state lacks roll, tilt; it has a, b, c, d, e" in out.replace("\n", " ")
+    assert main([str(tmp_path / "bag"), "--tool", tool, "--joint-names", "a,b,c,d,e"]) == 0
+    assert "the file fits" in capsys.readouterr().out
+
+
+def test_a_namespace_needs_no_option(archive, tmp_path, capsys):
+    Recording(tool_file(), poses=6).write(tmp_path / "bag", namespace="left/")
+    tool = str(archive / "monday" / "retractor.json")
+    assert main([str(tmp_path / "bag"), "--tool", tool, "--json"]) == 0
+    topics = json.loads(capsys.readouterr().out)["topics"]
+    assert topics == {"joint_states": "/left/joint_states", "wrench_raw": "/left/wrench_raw"}
+
+
+def test_names_differ_by_as_much_of_the_path_as_is_needed(tmp_path):
+    paths = [tmp_path / "a" / "sweep", tmp_path / "b" / "sweep", tmp_path / "b" / "push.mcap"]
+    assert list(distinct_names(paths).values()) == ["a_sweep", "b_sweep", "b_push"]
+    assert distinct_names(paths[:1]) == {paths[0]: "sweep"}
