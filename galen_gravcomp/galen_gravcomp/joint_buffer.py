@@ -121,8 +121,8 @@ class JointBuffer:
         exact = stamps[after] == at_ns
         before = np.maximum(after - 1, 0)
         span_ns = stamps[after] - stamps[before]
+        weight = (at_ns - stamps[before]) / np.maximum(span_ns, 1)
         # A sample with exactly the stamp is taken as it is, whatever lies before it.
-        weight = np.where(exact, 1.0, (at_ns - stamps[before]) / np.maximum(span_ns, 1))
         start = np.where(exact[:, None], angles[after], angles[before])
         found = start + weight[:, None] * (angles[after] - start)
         good = exact | ((after > 0) & (span_ns <= self._max_gap_ns))

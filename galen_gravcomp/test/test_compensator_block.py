@@ -1,5 +1,6 @@
 """`push_block` gives what pushing the samples one by one gives, whatever is wrong with them."""
 
+import itertools
 import math
 import re
 from collections import Counter
@@ -12,6 +13,14 @@ import pytest
 from galen_gravcomp.compensator import Compensator, CompensatorSettings, TareRefusedError
 from galen_gravcomp.joint_buffer import JointBuffer
 from galen_gravcomp.results import Compensated, Notice, Refusal, Refused, Result
+from galen_gravcomp.sample_limits import (
+    ANGLE_UNIT_LIMIT_RAD,
+    TORQUE_UNIT_FACTOR,
+    SampleLimits,
+    angle_unit_notice,
+    count_angle_unit_notices,
+    surely_finite,
+)
 from galen_gravcomp.tare import TareOutcome, TareSettings
 from galen_model.tool_file import LoadEstimate, ToolFile
 
@@ -420,7 +429,7 @@ def test_joints_behind_by_the_limit_are_not_stale_and_a_nanosecond_more_are() ->
                 "restart": [(True, newest), (True, newest + S + more)],
                 "joint restart": [(False, newest + S + more)],
                 "back": [(True, newest), (True, newest - 50 * MS - more)],
-                "queue": [(True, newest + 1 + k) for k in range(3 + more)],
+                "queue": [(True, newest + k) for k in range(4 + more)],
             }
             samples = list(joints)
             for is_wrench, stamp_ns in ends[case]:
@@ -432,6 +441,38 @@ def test_joints_behind_by_the_limit_are_not_stale_and_a_nanosecond_more_are() ->
             # Out of order is pushed singly, and so is a wrench that goes a second ahead of joints.
             regular = more == 0 and case not in ("back", "restart")
             assert (blocks.compensator.pushed_as_arrays == len(samples)) == regular, (case, more)
+
+
+@pytest.mark.parametrize("stamp_ns", [-1, 0, 1])
+def test_a_first_wrench_without_a_stamp_is_refused(stamp_ns: int) -> None:
+    joints = [Sample(False, t * MS, (0.1, 0.2)) for t in (-1, 1)]
+    samples = [*joints, Sample(True, stamp_ns, (1.0,) * 6)]
+    singly, blocks = make_way(), make_way()
+    singly.singly(samples)
+    blocks.as_block(samples)
+    assert_same(singly, blocks, samples)
+    assert len(blocks.refused) == (0 if stamp_ns > 0 else 1)
+
+
+def test_both_forms_of_a_rule_agree_at_its_limits() -> None:
+    sensor_range = (125.0, 125.0, 500.0, 3.0, 3.0, 0.7)
+    limits = SampleLimits(50 * MS, S, 1000, sensor_range)
+    factors = (1.0, -1.0, TORQUE_UNIT_FACTOR, -TORQUE_UNIT_FACTOR)
+    for axis, factor in itertools.product(range(6), factors):
+        at = sensor_range[axis] * factor
+        for value in (np.nextafter(at, 0.0), at, np.nextafter(at, 2.0 * at)):
+            wrench = np.zeros(6)
+            wrench[axis] = value
+            one = limits.range_notices(wrench.tolist())
+            assert limits.count_range_notices(wrench[None]) == (int(one[0]), int(one[1]))
+    for at in (ANGLE_UNIT_LIMIT_RAD, -ANGLE_UNIT_LIMIT_RAD):
+        for angle in (np.nextafter(at, 0.0), at, np.nextafter(at, 2.0 * at)):
+            for pair in ((angle, 0.0), (0.0, angle)):
+                assert count_angle_unit_notices(np.array([pair])) == int(angle_unit_notice(*pair))
+    for value in (1.0, 1e300, 1e308, math.inf, math.nan):
+        wrenches = np.full((1, 6), value)
+        assert surely_finite(wrenches)[0] == (value <= 1e300)
+        assert math.isfinite(sum(wrenches[0].tolist())) or not surely_finite(wrenches)[0]
 
 
 def test_rare_faults_leave_the_rest_to_arrays() -> None:
