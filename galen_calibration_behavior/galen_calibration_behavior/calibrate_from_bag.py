@@ -29,9 +29,10 @@ from galen_calibration_behavior.estimate import (
     choose_tip,
     estimate,
 )
+from galen_calibration_behavior.home_stays import BiasPose
 from galen_calibration_behavior.parameters import CalibrationParameters
 from galen_calibration_behavior.pose_table import format_poses, pose_rows
-from galen_calibration_behavior.recorded_sweeps import BiasPose, RecordedSweeps, SweepSorter
+from galen_calibration_behavior.recorded_sweeps import RecordedSweeps, SweepSorter
 from galen_calibration_behavior.result_text import calibration_fields, format_result, plain
 from galen_calibration_behavior.visits import RecordingError, Visit, Visits, find_visits
 

@@ -1,16 +1,14 @@
 """Which of a recording's still phases belong to which sweep, and what the estimate takes of them.
 
-A recording that ran beside a live calibration holds more than the sweeps: the arm stands at home
-before, between and after them, the sensor is zeroed there, and there the tool comes on. A live
-calibration measures nothing at home, unless its grid has home among its poses. So phases at home
-are left out where they stand at a sweep's begin or end, and stay in inside it.
+What is recorded at home before, between and after the sweeps is left out (`home_stays`); where the
+tool came on is found (`tool_border`) or given; then each sweep's poses are compared with each other
+as a live sweep's are.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import groupby
 
 import numpy as np
 from galen_model.arrays import Array
@@ -18,6 +16,7 @@ from galen_model.identification import MIN_POSES, StillPoses
 from galen_model.tool_file import LoadEstimate
 
 from galen_calibration_behavior.commands import Measurements
+from galen_calibration_behavior.home_stays import BiasPose, HomeStays
 from galen_calibration_behavior.pose_recorder import Rejection
 from galen_calibration_behavior.procedure import ProcedureSettings
 from galen_calibration_behavior.stamps import NS
@@ -27,14 +26,6 @@ from galen_calibration_behavior.tool_border import Border, BorderError, find_bor
 from galen_calibration_behavior.visits import RecordingError, Visit, Visits
 
 _AT_HAND = "say --tool-on-at-s SECONDS, from the recording's first joint state"
-
-
-@dataclass(frozen=True)
-class BiasPose:
-    """Where the sensor was zeroed, rad."""
-
-    roll: float
-    tilt: float
 
 
 @dataclass(frozen=True)
@@ -75,14 +66,15 @@ class SweepSorter:
         """`bias_pose` is what the phases at home are told by."""
         self._settings = settings
         self._bias_pose = bias_pose
+        self._home = HomeStays(settings, bias_pose)
 
     def two_sweeps(self, recording: Visits, tool_on_at_s: float | None = None) -> RecordedSweeps:
         """Both sweeps out of one recording; where the tool came on is found, or given.
 
         Raises RecordingError, also where it can't be told where the tool came on.
         """
-        visits, warnings = self._after_zeroing(recording)
-        visits = self._without_ends(visits)
+        visits, warnings = self._home.after_zeroing(recording)
+        visits = self._home.without_ends(visits)
         border = None
         if tool_on_at_s is None:
             border, first = self._find_border(recording, visits)
@@ -97,10 +89,9 @@ class SweepSorter:
                     f"{recording.path}: there is no still pose {side} --tool-on-at-s"
                     f" {tool_on_at_s:g}; they lie between {_span(recording, visits)}"
                 )
-        bare, tool = self._without_ends(bare), self._without_ends(tool)
         done = self._put_together(
-            self._judge("bare", recording, bare),
-            self._judge("tool", recording, tool),
+            self._one_load_sweep("bare", recording, bare),
+            self._one_load_sweep("tool", recording, tool),
             [*recording.warnings, *warnings],
         )
         without = max(p.visit.window_ns[1] for p in done.poses if p.sweep == "bare" and not p.fault)
@@ -110,7 +101,7 @@ class SweepSorter:
 
     def two_recordings(self, bare: Visits, tool: Visits) -> RecordedSweeps:
         """A recording of each sweep; raises RecordingError."""
-        visits, warnings = self._after_zeroing(bare)
+        visits, warnings = self._home.after_zeroing(bare)
         return self._put_together(
             self._one_load_sweep("bare", bare, visits),
             self._one_load_sweep("tool", tool, tool.visits),
@@ -127,51 +118,9 @@ class SweepSorter:
     def _one_load_sweep(
         self, name: str, recording: Visits, visits: list[Visit]
     ) -> list[RecordedPose]:
-        kept = self._without_ends(visits)
+        kept = self._home.without_ends(visits)
         self._check_one_load(recording, kept)
         return self._judge(name, recording, kept)
-
-    # ---- home
-
-    def _at_home(self, visit: Visit) -> bool:
-        away = np.abs(visit.joints[3:] - (self._bias_pose.roll, self._bias_pose.tilt))
-        return bool(np.all(away <= self._settings.arrival.position_tolerance[3:]))
-
-    def _without_ends(self, visits: Sequence[Visit]) -> list[Visit]:
-        """Without the phases at home with which it begins and ends."""
-        away = [k for k, visit in enumerate(visits) if not self._at_home(visit)]
-        return list(visits[away[0] : away[-1] + 1]) if away else []
-
-    def _after_zeroing(self, recording: Visits) -> tuple[list[Visit], list[str]]:
-        """What comes after the last zeroing that is to be seen, and a warning for what is lost.
-
-        It is seen where, in a stay at home, the reading changes and is zero in the end: the sensor
-        was zeroed, or a tool taken off. The readings before have another zero or another load.
-        """
-        visits = recording.visits
-        first, seen_ns = 0, 0
-        for at_home, group in groupby(range(len(visits)), lambda k: self._at_home(visits[k])):
-            stay = list(group)
-            rest = len(visits) - 1 - stay[-1]
-            if at_home and rest >= 2 * MIN_POSES and self._zeroed([visits[k] for k in stay]):
-                first, seen_ns = stay[-1] + 1, visits[stay[-1]].end_ns
-        lost = sum(not self._at_home(visit) for visit in visits[:first])
-        if not lost:
-            return visits[first:], []
-        return visits[first:], [
-            f"{lost} still phases before {recording.time_s(seen_ns):.1f} s are left out, for the"
-            " reading at home went to zero there: the sensor was zeroed, or a tool taken off"
-        ]
-
-    def _zeroed(self, stay: list[Visit]) -> bool:
-        before = next((v.first for v in stay if v.first is not None), None)
-        after = next((v.last for v in reversed(stay) if v.last is not None), None)
-        if before is None or after is None:
-            return False
-        change = np.abs(after.wrench - before.wrench)
-        noise = np.hypot(after.std, before.std)
-        changed = np.any(change > self._settings.stillness.trend_sigmas * noise)
-        return bool(changed and np.all(np.abs(after.wrench) <= self._settings.zero_tolerance))
 
     # ---- where the tool came on
 
@@ -179,9 +128,10 @@ class SweepSorter:
         """Return the border and the first visit after it."""
         good = self._still(visits)
         try:
-            border = find_border(*stack([_record(visits[k]) for k in good]))
+            border = self._border(visits, good)
         except BorderError as error:
-            raise RecordingError(f"{recording.path}: {error}") from error
+            faults = "".join(f"; {text}" for text in [*self._faults(visits).values()][-1:])
+            raise RecordingError(f"{recording.path}: {error}{faults}") from error
         if not border.changes:
             raise RecordingError(
                 f"{recording.path}: one load explains all {len(good)} still poses, and two don't do"
@@ -201,17 +151,22 @@ class SweepSorter:
             )
         return border, good[border.index - 1] + 1
 
+    def _border(self, visits: list[Visit], good: list[int]) -> Border:
+        at_home = np.array([self._home.at_home(visits[k]) for k in good], dtype=bool)
+        return find_border(*stack([_record(visits[k]) for k in good]), at_home)
+
     def _check_one_load(self, recording: Visits, visits: list[Visit]) -> None:
         """Raise RecordingError where a load came or went between the poses."""
         good = self._still(visits)
         if len(good) < 2 * MIN_POSES:
             return
-        border = find_border(*stack([_record(visits[k]) for k in good]))
+        border = self._border(visits, good)
         if border.changes and border.clear:
             at_s = recording.time_s(visits[good[border.index]].start_ns)
             raise RecordingError(
                 f"{recording.path}: the load is another from {at_s:.1f} s on (one load leaves a"
-                f" residual {border.ratio:.0f} times as large as two): this is not one sweep"
+                f" residual {border.ratio:.0f} times as large as two): what should be one sweep is"
+                " not one"
             )
 
     # ---- judgement

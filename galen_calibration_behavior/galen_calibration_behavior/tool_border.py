@@ -21,6 +21,7 @@ from galen_model.load import gravity_regressor
 
 _ITERATIONS = 15
 _MAD_TO_STD = 1.4826
+_RIDGE = 1e-10
 # Another border must be worse by so many standard deviations: as much as one pose on its wrong side
 # that is off by as much.
 _CLEAR_SIGMAS = 10.0
@@ -56,9 +57,13 @@ class Border:
         return self.next_worse >= _CLEAR_SIGMAS
 
 
-def find_border(roll: Array, tilt: Array, wrench: Array, std_of_mean: Array) -> Border:
+def find_border(
+    roll: Array, tilt: Array, wrench: Array, std_of_mean: Array, left_out: np.ndarray | None = None
+) -> Border:
     """Find it among poses in visiting order: roll, tilt (n,) rad; wrench, std_of_mean (n, 6).
 
+    `left_out` (n,) marks poses that are left out where they stand beside the border (at home):
+    borders with nothing but such poses between them are one and the same.
     Raises BorderError for too few poses. How clear the border is, is for the caller to judge.
     """
     count = len(roll)
@@ -71,44 +76,74 @@ def find_border(roll: Array, tilt: Array, wrench: Array, std_of_mean: Array) -> 
     design[:, :, :4] = gravity_regressor(gravity_in_sensor(roll, tilt))
     design[:, :, 4:] = np.eye(6)
     sigma = np.median(std_of_mean, axis=0)
-    for _ in range(2):
-        # The second time in the noise that the first border leaves: what the model does not hold
-        # makes the poses differ by more than their own scatter.
-        costs = np.full(count, np.inf)
-        for k in range(MIN_POSES, count - MIN_POSES + 1):
-            costs[k] = sum(_cost(design[p], wrench[p], sigma)[0] for p in _parts(k))
-        index = int(np.argmin(costs))
-        residuals = np.concatenate([_cost(design[p], wrench[p], sigma)[1] for p in _parts(index)])
-        sigma = np.maximum(sigma, _MAD_TO_STD * np.median(np.abs(residuals), axis=0))
+    borders = np.arange(MIN_POSES, count - MIN_POSES + 1)
+    before = np.arange(count) < borders[:, None]  # of each border: which poses lie before it
+    off, residuals = _two_loads(design, wrench, sigma, before)
+    # And again in the noise that the best border leaves: what the model does not hold makes the
+    # poses differ by more than their own scatter.
+    sigma = np.maximum(sigma, _MAD_TO_STD * np.median(np.abs(residuals), axis=0))
+    off, _ = _two_loads(design, wrench, sigma, before)
+    best = int(np.argmin(off.sum(axis=1)))
+    index, off_two = int(borders[best]), off[best]
+    costs = np.full(count, np.inf)
+    costs[borders] = off.sum(axis=1)
     rivals = costs.copy()
-    rivals[index] = np.inf
+    low = high = index
+    if left_out is not None:
+        while low > 0 and left_out[low - 1]:
+            low -= 1
+        while high < count and left_out[high]:
+            high += 1
+    rivals[low : high + 1] = np.inf
     other = int(np.argmin(rivals))
     one_load = np.zeros((count, 6, 16))
     one_load[:, :, :10] = design
     one_load[index:, :, 10:] = np.eye(6)
+    off_one = _off(one_load, wrench, sigma, np.ones((1, count), dtype=bool))[0][0]
+    # What fits neither says nothing about which of them it is.
+    kept = off_two <= _CLEAR_SIGMAS * np.median(off_two)
     return Border(
         index=index,
         next_worse=float(rivals[other] - costs[index]),
         next_index=other,
-        ratio=max(1.0, _cost(one_load, wrench, sigma)[0] / float(costs[index])),
+        ratio=max(1.0, float(off_one[kept].sum() / off_two[kept].sum())),
     )
 
 
-def _parts(index: int) -> tuple[slice, slice]:
-    return slice(None, index), slice(index, None)
+def _two_loads(
+    design: Array, wrench: Array, sigma: Array, before: np.ndarray
+) -> tuple[Array, Array]:
+    """For each border how far the poses are off (k, n), and the best one's residuals (n, 6)."""
+    early, early_residuals = _off(design, wrench, sigma, before)
+    late, late_residuals = _off(design, wrench, sigma, ~before)
+    off = np.where(before, early, late)
+    best = int(np.argmin(off.sum(axis=1)))
+    return off, np.where(before[best, :, None], early_residuals[best], late_residuals[best])
 
 
-def _cost(design: Array, wrench: Array, sigma: Array) -> tuple[float, Array]:
-    """Smallest sum of the poses' distances, and the residuals (n, 6) there."""
+def _off(design: Array, wrench: Array, sigma: Array, members: np.ndarray) -> tuple[Array, Array]:
+    """How far poses are off where the sum of that over a part's members is smallest.
+
+    design (n, 6, p), wrench (n, 6), members (k, n) of k parts. Returns for each part the distances
+    (k, n) of all poses and their residuals (k, n, 6), N and N.m.
+    """
     rows = design / sigma[:, None]
+    rows = rows / np.linalg.norm(rows, axis=(0, 1))  # columns differ by orders of magnitude
     right = wrench / sigma
+    count, _, parameters = rows.shape
+    squares = np.einsum("ikp,ikq->ipq", rows, rows).reshape(count, -1)
+    products = np.einsum("ikp,ik->ip", rows, right)
+    flat = rows.reshape(-1, parameters).T
     floor = 0.1 * np.sqrt(6.0)
-    weights = np.ones(len(design))
+    weights = members.astype(float)
     distance = residuals = np.zeros(0)
     for _ in range(_ITERATIONS):
-        weighted = (rows * weights[:, None, None]).reshape(-1, design.shape[2])
-        values = np.linalg.lstsq(weighted, (right * weights[:, None]).reshape(-1), rcond=None)[0]
-        residuals = right - rows @ values
-        distance = np.sqrt(np.sum(residuals**2, axis=1))
-        weights = 1.0 / np.sqrt(np.maximum(distance, floor))
-    return float(np.sum(distance)), residuals * sigma
+        matrices = (weights @ squares).reshape(-1, parameters, parameters)
+        # A part of few poses may not tell every parameter; any value then does.
+        ridge = _RIDGE * np.trace(matrices, axis1=1, axis2=2)[:, None, None]
+        matrices = matrices + ridge * np.eye(parameters)
+        values = np.linalg.solve(matrices, (weights @ products)[:, :, None])[:, :, 0]
+        residuals = right - (values @ flat).reshape(-1, count, 6)
+        distance = np.sqrt(np.sum(residuals**2, axis=2))
+        weights = members / np.maximum(distance, floor)
+    return distance, residuals * sigma

@@ -162,7 +162,7 @@ class _Player:
         first = self._first_within(before, rows.start, start_ns - _LEAD_NS)
         last = self._last_within(rows.stop, after, end_ns + _LAG_NS)
         try:
-            self._play(recorder, self._joint_place[first], self._joint_place[last])
+            self._play(recorder, first, last)
         except StampsError as error:
             raise RecordingError(f"{recording.path}: {error}") from error
         if self._whole_phases:
@@ -188,9 +188,12 @@ class _Player:
         return low + int(earlier[-1]) if len(earlier) else low - 1
 
     def _play(self, recorder: PoseRecorder, first: int, last: int) -> None:
+        """Feed both topics from joint row `first` to `last` until there is a result."""
         recording = self._recording
         count = len(recording.joint_stamp_ns)
-        for row in self._order[first : last + 1].tolist():
+        # Nothing after the last joint state can be told to belong elsewhere.
+        end = None if last == count - 1 else self._joint_place[last] + 1
+        for row in self._order[self._joint_place[first] : end].tolist():
             if row < count:
                 recorder.add_joints(
                     int(recording.joint_stamp_ns[row]),

@@ -1,0 +1,79 @@
+"""What a recording holds of the arm at home, where the sensor is zeroed and the tool comes on.
+
+A live calibration goes home before, between and after its sweeps, and measures nothing there unless
+its grid has home among its poses. So phases at home are left out where a sweep begins or ends with
+them, and stay in inside of it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import groupby
+
+import numpy as np
+from galen_model.identification import MIN_POSES
+
+from galen_calibration_behavior.procedure import ProcedureSettings
+from galen_calibration_behavior.visits import Visit, Visits
+
+
+@dataclass(frozen=True)
+class BiasPose:
+    """Where the sensor was zeroed, rad."""
+
+    roll: float
+    tilt: float
+
+
+class HomeStays:
+    """Tells the visits at home from the others."""
+
+    def __init__(self, settings: ProcedureSettings, bias_pose: BiasPose) -> None:
+        """`bias_pose` is home."""
+        self._settings = settings
+        self._bias_pose = bias_pose
+
+    def at_home(self, visit: Visit) -> bool:
+        """Whether it stands there, by roll and tilt."""
+        away = np.abs(visit.joints[3:] - (self._bias_pose.roll, self._bias_pose.tilt))
+        return bool(np.all(away <= self._settings.arrival.position_tolerance[3:]))
+
+    def without_ends(self, visits: Sequence[Visit]) -> list[Visit]:
+        """Without the phases at home with which it begins and ends."""
+        away = [k for k, visit in enumerate(visits) if not self.at_home(visit)]
+        return list(visits[away[0] : away[-1] + 1]) if away else []
+
+    def after_zeroing(self, recording: Visits) -> tuple[list[Visit], list[str]]:
+        """What comes after the last zeroing that is to be seen, and a warning for what is lost.
+
+        It is seen where, in a stay at home, the reading goes to zero: the sensor was zeroed, or a
+        tool taken off. The readings before have another zero or another load.
+        """
+        visits = recording.visits
+        first, seen_ns = 0, 0
+        for at_home, group in groupby(range(len(visits)), lambda k: self.at_home(visits[k])):
+            stay = list(group)
+            rest = len(visits) - 1 - stay[-1]
+            if at_home and rest >= 2 * MIN_POSES and self._zeroed([visits[k] for k in stay]):
+                first, seen_ns = stay[-1] + 1, visits[stay[-1]].end_ns
+        lost = sum(not self.at_home(visit) for visit in visits[:first])
+        if not lost:
+            return visits[first:], []
+        return visits[first:], [
+            f"{lost} still phases before {recording.time_s(seen_ns):.1f} s are left out, for the"
+            " reading at home went to zero there: the sensor was zeroed, or a tool taken off"
+        ]
+
+    def _zeroed(self, stay: list[Visit]) -> bool:
+        before = next((v.first for v in stay if v.first is not None), None)
+        after = next((v.last for v in reversed(stay) if v.last is not None), None)
+        if before is None or after is None:
+            return False
+        noise = np.hypot(after.std, before.std)
+        change = (after.wrench - before.wrench) / noise
+        # A light tool that comes on changes a reading within the tolerance too, but away from zero.
+        nearer = np.linalg.norm(after.wrench / noise) < np.linalg.norm(before.wrench / noise)
+        changed = np.any(np.abs(change) > self._settings.stillness.trend_sigmas)
+        at_zero = np.all(np.abs(after.wrench) <= self._settings.zero_tolerance)
+        return bool(changed and nearer and at_zero)

@@ -1,0 +1,150 @@
+"""A recording's still phases, averaged and judged."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from calibration_tape import NO_TOOL, NS, POINTER, Tape, grid
+from galen_bags.still import StillSettings
+from galen_calibration_behavior.parameters import CalibrationParameters
+from galen_calibration_behavior.pose_recorder import Rejection
+from galen_calibration_behavior.stillness import PoseRecord
+from galen_calibration_behavior.visits import RecordingError, find_visits
+from galen_model.arm import HOME
+from galen_model.kinematics import gravity_in_sensor
+from galen_model.load import gravity_wrench
+from galen_model.tools import ADAPTER
+
+SETTINGS = CalibrationParameters().settings()
+POSES = grid()
+
+
+def visits_of(tape, **options):
+    return find_visits(tape.recording(), SETTINGS, **options).visits
+
+
+@pytest.mark.parametrize("rate_hz", [50.0, 100.0, 500.0])
+@pytest.mark.parametrize("velocities_known", [True, False])
+def test_every_pose_is_averaged_after_settling_for_as_long_as_a_live_one(rate_hz, velocities_known):
+    tape = Tape(rate_hz=rate_hz, tool=POINTER)
+    tape.velocities_known = velocities_known
+    visits = visits_of(tape.sweep(POSES))
+    assert len(visits) == len(POSES)
+    for visit, pose in zip(visits, POSES, strict=True):
+        record = visit.outcome
+        assert isinstance(record, PoseRecord)
+        assert record.joints[3:] == pytest.approx(pose, abs=5e-5)
+        assert visit.window_ns[1] - visit.window_ns[0] == NS // 2
+        assert record.samples == rate_hz // 2 + 1
+        arrived_ns = visit.end_ns - NS  # the phases are 1 s long
+        assert -0.1 < (visit.window_ns[0] - arrived_ns) / NS - SETTINGS.arrival.settle_s < 0.2
+        gravity = gravity_in_sensor(*pose)
+        expected = gravity_wrench(gravity, POINTER) + gravity_wrench(gravity, ADAPTER)
+        assert np.all(np.abs(record.wrench - expected) < 5 * record.std_of_mean)
+
+
+def test_whole_phases_are_averaged_up_to_their_end():
+    visits = visits_of(Tape(tool=POINTER).sweep(POSES, still_s=2.0), whole_phases=True)
+    assert len(visits) == len(POSES)
+    for visit in visits:
+        assert isinstance(visit.outcome, PoseRecord)
+        assert visit.outcome.samples > 150
+        assert visit.window_ns[1] == visit.end_ns
+
+
+def test_stops_too_short_for_an_average_are_counted_and_nothing_else():
+    tape = Tape(tool=POINTER).sweep(POSES[:3]).sweep(POSES[3:5], still_s=0.6).sweep(POSES[5:])
+    found = find_visits(tape.recording(), SETTINGS)
+    assert (len(found.visits), found.too_short) == (len(POSES) - 2, 2)
+
+
+def test_an_arm_that_is_never_still_is_said_to_be_so():
+    tape = Tape(tool=POINTER).sweep(POSES, still_s=0.3)
+    with pytest.raises(RecordingError, match=r"tape: the arm never .* 0\.8 s .*\(12 shorter stops"):
+        visits_of(tape)
+
+
+def test_a_jump_of_the_stamps_inside_an_average_rejects_the_pose_and_is_told():
+    tape = Tape(tool=POINTER).sweep(POSES[:4])
+    tape.move(POSES[4]).stay(0.6).jump(-30.0).stay(0.3).sweep(POSES[5:])
+    found = find_visits(tape.recording(), SETTINGS)
+    assert len(found.visits) == len(POSES) - 1
+    assert all(isinstance(visit.outcome, PoseRecord) for visit in found.visits)
+    assert found.warnings == [
+        f"time stamps jumped 1 times; the last: the stamps of {topic} jumped by -29.990 s"
+        for topic in ("joint_states", "wrench_raw")
+    ]
+
+
+def test_wrenches_missing_inside_an_average_reject_it():
+    recording = Tape(tool=POINTER).sweep(POSES[:3]).recording()
+    kept = np.ones(len(recording.wrenches), dtype=bool)
+    kept[260:275] = False  # 0.6 s after the arrival at the second pose
+    kept = {
+        name: getattr(recording, name)[kept]
+        for name in ("wrench_stamp_ns", "wrench_log_ns", "wrenches")
+    }
+    found = find_visits(dataclasses.replace(recording, **kept), SETTINGS)
+    outcomes = [visit.outcome for visit in found.visits]
+    assert isinstance(outcomes[1], Rejection)
+    assert "stamps of wrench_raw jumped by +0.160 s" in outcomes[1].reason
+    assert isinstance(outcomes[0], PoseRecord)
+    assert isinstance(outcomes[2], PoseRecord)
+    assert len(found.warnings) == 1
+
+
+def test_a_wrench_that_is_not_finite_rejects_its_pose():
+    recording = Tape(tool=POINTER).sweep(POSES[:3]).recording()
+    recording.wrenches[260, 2] = np.nan
+    reasons = [getattr(v.outcome, "reason", "") for v in find_visits(recording, SETTINGS).visits]
+    assert reasons == ["", "wrench_raw: fz not finite", ""]
+
+
+def test_late_wrenches_are_waited_for():
+    recording = Tape(tool=POINTER).sweep(POSES[:3]).recording()
+    late = dataclasses.replace(recording, wrench_log_ns=recording.wrench_log_ns + 300_000_000)
+    on_time = [v.outcome.wrench for v in find_visits(recording, SETTINGS).visits]
+    assert np.array_equal([v.outcome.wrench for v in find_visits(late, SETTINGS).visits], on_time)
+
+
+def test_readings_of_another_frame_or_clock_are_refused():
+    tape = Tape(tool=POINTER).sweep(POSES[:3])
+    recording = tape.recording("here/bag")
+    with pytest.raises(RecordingError, match=r"here/bag: wrench_raw has frame_id 'tool0'"):
+        find_visits(dataclasses.replace(recording, frame_ids=("ft_sensor", "tool0")), SETTINGS)
+    other = dataclasses.replace(recording, wrench_stamp_ns=recording.wrench_stamp_ns - 3600 * NS)
+    with pytest.raises(RecordingError, match="must come from one clock"):
+        find_visits(other, SETTINGS)
+
+
+def test_a_topic_slower_than_the_stamps_may_step_is_named_with_the_parameter():
+    with pytest.raises(RecordingError, match=r"joint_states jumped by \+0\.100 s.*max_stamp_step"):
+        visits_of(Tape(tool=POINTER, rate_hz=10.0).sweep(POSES, still_s=4.0))
+    slow = CalibrationParameters(max_stamp_step_s=0.2, average_s=2.0).settings()
+    tape = Tape(tool=POINTER, rate_hz=10.0).sweep(POSES, still_s=4.0)
+    assert len(find_visits(tape.recording(), slow).visits) == len(POSES)
+
+
+def test_a_platform_that_the_recording_does_not_hold_is_taken_to_stand_still():
+    recording = Tape(tool=POINTER).sweep(POSES[:3]).recording()
+    recording.joints[:, :3] = np.nan
+    found = find_visits(recording, SETTINGS)
+    assert "joint_states does not hold delta_x, delta_y, delta_z" in found.warnings[0]
+    assert [v.joints[:3].tolist() for v in found.visits] == [HOME[:3].tolist()] * 3
+
+
+def test_levels_tell_the_reading_before_and_after_what_happened_in_a_phase():
+    tape = Tape(tool=POINTER).stay(2.0)
+    tape.tool = NO_TOOL
+    (visit,) = visits_of(tape.stay(2.0).zero().stay(2.0))
+    gravity = gravity_in_sensor(0.0, 0.0)
+    both = gravity_wrench(gravity, POINTER) + gravity_wrench(gravity, ADAPTER)
+    assert np.all(np.abs(visit.first.wrench - both) < 5 * visit.first.std)
+    assert np.all(np.abs(visit.last.wrench) < 5 * visit.last.std)
+
+
+def test_what_counts_as_still_is_what_counts_as_stopped_in_a_live_sweep():
+    """`galen_bags` can't ask this package for its defaults."""
+    still, arrival = StillSettings(), SETTINGS.arrival
+    assert np.array_equal(still.max_speed, arrival.velocity_tolerance)
+    assert still.window_s == arrival.velocity_window_s
