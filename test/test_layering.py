@@ -16,10 +16,12 @@ PACKAGES = sorted(path.parent.name for path in ROOT.glob("galen_*/setup.py"))
 ROS_MODULES = {
     "galen_bags.message_types",
     "galen_bags.play",
+    "galen_bags.played_topics",
     "galen_bags.player",
     "galen_bags.qos",
     "galen_bags.record",
     "galen_bags.recorder",
+    "galen_bags.topic_names",
     "galen_bringup.arm_client",
     "galen_bringup.demo",
     "galen_bringup.drift",

@@ -55,6 +55,11 @@ class GrowingBagWriter(BagWriter):
         self._writer = None
 
     @property
+    def is_open(self) -> bool:
+        """Whether it can be written; not after a write that failed."""
+        return self._writer is not None
+
+    @property
     def size_bytes(self) -> int:
         """Size of the file; without what is still in memory."""
         return self._flushed_bytes if self._writer is None else int(self._storage().bio.tell())

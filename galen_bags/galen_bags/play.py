@@ -23,7 +23,9 @@ from galen_bags.command_line import (
     positive,
     split_ros_arguments,
 )
+from galen_bags.errors import BagError
 from galen_bags.player import PlayerNode, PlayOptions
+from galen_bags.topic_names import check_topic_name
 
 _EPILOG = f"""exit codes:
   {EXIT_OK}    played to the end, and all who listen have got it
@@ -171,8 +173,14 @@ def parse(arguments: Sequence[str]) -> argparse.Namespace:
     parser.add_argument("--json", action="store_true", help="print the result as one JSON object")
     options = parser.parse_args(arguments)
     for rule in options.remap or []:
-        if not all(rule.partition(":=")):
+        old, separator, new = rule.partition(":=")
+        if not separator:
             parser.error(f"--remap wants OLD:=NEW, not {rule!r}")
+        try:
+            check_topic_name(old)
+            check_topic_name(new)
+        except BagError as error:
+            parser.error(str(error))
     return options
 
 

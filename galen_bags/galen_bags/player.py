@@ -14,14 +14,13 @@ from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.duration import Duration
 from rclpy.node import Node
-from rclpy.publisher import Publisher
 from rosgraph_msgs.msg import Clock as ClockMessage
 from std_srvs.srv import SetBool
 
 from galen_bags.bag import Bag
 from galen_bags.errors import BagError
-from galen_bags.message_types import message_class
 from galen_bags.metadata import read_metadata
+from galen_bags.played_topics import CLOCK, make_topics, selected_topics
 from galen_bags.qos import offer_again
 from galen_bags.raw_block import Messages
 from galen_bags.replay import Ahead, Playlist, Settling, Timeline, window, with_stamp
@@ -32,7 +31,6 @@ _MOST_AT_ONCE = 200
 # Discovery takes a moment; who was there before the player is to get the first message too.
 _QUIET_S = 0.5
 _ACK_TIMEOUT_S = 10.0
-_CLOCK = "/clock"
 
 
 @dataclass(frozen=True)
@@ -51,17 +49,6 @@ class PlayOptions:
     log_stamps: bool = False
 
 
-@dataclass
-class _Topic:
-    """One topic that is played."""
-
-    name: str
-    publisher: Publisher
-    stamped: bool
-    carries: bool
-    published: int = 0
-
-
 class PlayerNode(Node):
     """Publishes a bag.
 
@@ -75,12 +62,14 @@ class PlayerNode(Node):
         super().__init__("player", **node_options)
         self._bag = bag
         self._options = options
-        self.left_out: dict[str, str] = {}
         self.acknowledged = True
         self.done = False
         self._metadata = read_metadata(bag.path)
-        self._names = self._selected()
-        self._topics = self._make_topics()
+        names = selected_topics(bag, options.topics)
+        offers = {name: offer_again(self._metadata.qos.get(name, [])) for name in names}
+        self._topics, self.left_out = make_topics(self, bag, offers, bool(options.clock_hz))
+        for name, reason in self.left_out.items():
+            self.get_logger().warning(f"{name} is not played: {reason}")
         self._timeline = Timeline(options.rate)
         self._timeline.pause(options.start_paused, 0.0)
         self._settling = Settling(_QUIET_S)
@@ -97,7 +86,7 @@ class PlayerNode(Node):
         self._clock_message = ClockMessage()
         self._next_clock_s = 0.0
         self._clock_publisher = (
-            self.create_publisher(ClockMessage, _CLOCK, 10) if options.clock_hz else None
+            self.create_publisher(ClockMessage, CLOCK, 10) if options.clock_hz else None
         )
         self.create_service(SetBool, "~/pause", self._on_pause)
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
@@ -145,52 +134,6 @@ class PlayerNode(Node):
     def played_s(self) -> float:
         """Wall time from the first message to the last."""
         return self._played_s
-
-    # --- topics ------------------------------------------------------------------------------
-
-    def _selected(self) -> list[str]:
-        if self._options.topics is None:
-            return sorted(self._bag.topics)
-        names = []
-        for name in self._options.topics:
-            full = name if name.startswith("/") else f"/{name}"
-            if full not in self._bag.topics:
-                there = ", ".join(sorted(self._bag.topics)) or "none"
-                raise BagError(f"{self._bag.path}: has no topic {full}; it has {there}")
-            names.append(full)
-        return names
-
-    def _make_topics(self) -> list[_Topic]:
-        topics = []
-        for name in self._names:
-            reason = ""
-            info = self._bag.topics[name]
-            try:
-                kind = message_class(info.type_name)
-                if info.encoding != "cdr":
-                    reason = f"it is serialised as {info.encoding!r}, not cdr"
-            except BagError as error:
-                reason = str(error)
-            if name == _CLOCK and self._options.clock_hz:
-                reason = "the player's own /clock takes its place"
-            if reason:
-                self.left_out[name] = reason
-                self.get_logger().warning(f"{name} is not played: {reason}")
-                continue
-            fields = list(kind.get_fields_and_field_types().values())
-            topics.append(
-                _Topic(
-                    name,
-                    self.create_publisher(
-                        kind, name, offer_again(self._metadata.qos.get(name, []))
-                    ),
-                    stamped=bool(fields) and fields[0] == "std_msgs/Header",
-                    carries=info.count != 0,
-                )
-            )
-        if not any(topic.carries for topic in topics):
-            raise BagError(f"{self._bag.path}: holds no message that can be played")
-        return topics
 
     # --- reading, in a thread ----------------------------------------------------------------
 
@@ -290,13 +233,17 @@ class PlayerNode(Node):
             self._playing_since_s = None
         else:
             self._ending_since_s = now_s
+            self._next_clock_s = now_s  # the last time goes out, too
         self._diagnostics.publish_now()
 
     def _wait_for_acknowledgements(self, now_s: float) -> None:
         """The process must not end before the last messages have arrived."""
         assert self._ending_since_s is not None
+        publishers = [topic.publisher for topic in self._topics]
+        if self._clock_publisher is not None:
+            publishers.append(self._clock_publisher)
         self.acknowledged = all(
-            topic.publisher.wait_for_all_acked(Duration(nanoseconds=0)) for topic in self._topics
+            publisher.wait_for_all_acked(Duration(nanoseconds=0)) for publisher in publishers
         )
         if self.acknowledged or now_s - self._ending_since_s > _ACK_TIMEOUT_S:
             self.done = True
@@ -339,7 +286,7 @@ class PlayerNode(Node):
             if (count := self.count_publishers(topic.publisher.topic_name)) > 1
             and topic.name not in ("/diagnostics", "/rosout", "/parameter_events", "/tf")
         ]
-        if self._clock_publisher is not None and self.count_publishers(_CLOCK) > 1:
+        if self._clock_publisher is not None and self.count_publishers(CLOCK) > 1:
             troubles.append("somebody else publishes /clock too")
         if troubles:
             return Status(WARN, "; ".join(itertools.islice(troubles, 5)), values)

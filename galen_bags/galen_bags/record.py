@@ -18,9 +18,11 @@ from rclpy.parameter import Parameter
 from rclpy.utilities import remove_ros_args
 
 from galen_bags.command_line import EXIT_FAILED, EXIT_OK, EXIT_USAGE, LiveLine, positive
+from galen_bags.errors import BagError
 from galen_bags.growing_bag import GrowingBagWriter
 from galen_bags.recorder import DEFAULT_TOPICS, RecorderNode
 from galen_bags.tally import topic_table
+from galen_bags.topic_names import check_topic_name
 
 _MB = 1_000_000
 _EPILOG = f"""exit codes:
@@ -163,6 +165,11 @@ def parse(arguments: Sequence[str]) -> argparse.Namespace:
     options.topics = list(dict.fromkeys(options.names + options.topics))
     if options.all and options.topics:
         parser.error("--all records all topics: name none beside it")
+    try:
+        for name in options.topics:
+            check_topic_name(name)
+    except BagError as error:
+        parser.error(str(error))
     options.topics = options.topics or list(DEFAULT_TOPICS)
     if options.output is None:
         options.output = Path(datetime.now().strftime("rosbag2_%Y_%m_%d-%H_%M_%S"))

@@ -11,7 +11,6 @@ from galen_ros.diagnostics import OK, WARN, DiagnosticsPublisher, Status
 from rclpy.callback_groups import CallbackGroup
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
-from rclpy.exceptions import InvalidTopicNameException
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from rclpy.subscription import Subscription
@@ -22,6 +21,7 @@ from galen_bags.growing_bag import GrowingBagWriter
 from galen_bags.message_types import definition_of, message_class
 from galen_bags.qos import request_for, serves, to_bag
 from galen_bags.tally import TopicTally
+from galen_bags.topic_names import check_topic_name
 
 DEFAULT_TOPICS = (
     "joint_states",
@@ -88,11 +88,18 @@ class RecorderNode(Node):
         all_topics: bool = False,
         **node_options: Any,
     ) -> None:
-        """`topics`: names, relative ones within the node's namespace. `bag` stays the caller's."""
+        """`topics`: names, relative ones within the node's namespace. `bag` stays the caller's.
+
+        Raises BagError for a name that no topic can have.
+        """
         super().__init__("recorder", **node_options)
         self._bag = bag
         self._all = all_topics
-        self._wanted = [] if all_topics else [self._resolved(name) for name in topics]
+        self._wanted = (
+            []
+            if all_topics
+            else [str(self.resolve_topic_name(check_topic_name(name))) for name in topics]
+        )
         self._topics: dict[str, _Topic] = {}
         self._refused: dict[str, str] = {}
         self._warned: dict[str, str] = {}
@@ -191,13 +198,6 @@ class RecorderNode(Node):
             self._warned[name] = "its publisher has another definition of its type than the bag"
             self.get_logger().warning(f"{name}: {self._warned[name]}")
 
-    def _resolved(self, name: str) -> str:
-        try:
-            return str(self.resolve_topic_name(name))
-        except InvalidTopicNameException as error:
-            reason = str(error).splitlines()[0]
-            raise BagError(f"{name!r} is no name of a topic: {reason}") from error
-
     # --- messages come -----------------------------------------------------------------------
 
     def _on_executor(self, _data: bytes) -> None:
@@ -248,20 +248,27 @@ class RecorderNode(Node):
 
     def _flush(self) -> None:
         self._bag.flush()
+        for topic in self._topics.values():
+            topic.tally.keep()
 
     # --- end ---------------------------------------------------------------------------------
 
     def destroy_node(self) -> None:
         """Write what still waits, and go."""
-        if not self._ended:
-            self._ended = True
-            for topic in self._topics.values():
-                self._take(topic)
-            waiting, self._waiting = sorted(self._waiting, key=lambda item: item[0]), []
-            try:
-                self._write(waiting)
-            finally:
-                super().destroy_node()
+        if self._ended:
+            return
+        self._ended = True
+        try:
+            if self._bag.is_open:
+                for topic in self._topics.values():
+                    self._take(topic)
+                self._write(sorted(self._waiting, key=lambda item: item[0]))
+                self._flush()
+        finally:
+            if not self._bag.is_open:  # cut back to the last flush
+                for topic in self._topics.values():
+                    topic.tally.take_back()
+            super().destroy_node()
 
     # --- diagnostics -------------------------------------------------------------------------
 

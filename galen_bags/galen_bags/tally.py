@@ -49,6 +49,7 @@ class TopicTally:
     first_ns: int | None = None
     last_ns: int | None = None
     losses: LossCounter = field(default_factory=LossCounter)
+    _kept: tuple[int, int, int | None] = (0, 0, None)
 
     def add(self, log_time_ns: int, size_bytes: int) -> None:
         """Take note of a message that was written."""
@@ -56,6 +57,15 @@ class TopicTally:
         self.size_bytes += size_bytes
         self.first_ns = log_time_ns if self.first_ns is None else self.first_ns
         self.last_ns = log_time_ns
+
+    def keep(self) -> None:
+        """What was counted until now is in the file."""
+        self._kept = (self.messages, self.size_bytes, self.last_ns)
+
+    def take_back(self) -> None:
+        """What was counted since `keep` did not get into the file."""
+        self.messages, self.size_bytes, self.last_ns = self._kept
+        self.first_ns = self.first_ns if self.messages else None
 
     @property
     def rate_hz(self) -> float | None:

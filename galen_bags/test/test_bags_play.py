@@ -236,7 +236,7 @@ def test_types_that_are_not_installed_are_left_out(
             raise BagError(f"the type {type_name} is not installed here")
         return WrenchStamped
 
-    monkeypatch.setattr("galen_bags.player.message_class", uninstalled)
+    monkeypatch.setattr("galen_bags.played_topics.message_class", uninstalled)
     player = play(harness, opened, PlayOptions(rate=10.0))
     to_the_end(harness, player)
     assert player.left_out == {"/deflection": f"the type {DEFLECTION} is not installed here"}
@@ -336,6 +336,7 @@ def test_a_signal_ends_it(start: Any, path: Path, number: int, code: int) -> Non
         (("nowhere",), 1, "error: nowhere: is not there"),
         (("nowhere", "--rate", "0"), 2, "0 is not above 0"),
         (("nowhere", "--remap", "a=b"), 2, "--remap wants OLD:=NEW, not 'a=b'"),
+        (("nowhere", "--remap", "a:=b c"), 2, "'b c' is no name of a topic: topic name must not"),
     ],
 )
 def test_mistakes_are_one_line(start: Any, arguments: Any, code: int, said: str) -> None:

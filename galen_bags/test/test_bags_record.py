@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -15,7 +16,8 @@ from diagnostic_msgs.msg import DiagnosticArray
 from galen_bags.bag import open_bag
 from galen_bags.errors import BagError
 from galen_bags.growing_bag import GrowingBagWriter
-from galen_bags.recorder import RecorderNode, received_ns
+from galen_bags.record import parse
+from galen_bags.recorder import DEFAULT_TOPICS, RecorderNode, received_ns
 from galen_ros.cdr import JointStateBytes, WrenchBytes
 from galen_ros.diagnostics import Level
 from galen_ros.domain import DomainLock
@@ -443,7 +445,9 @@ def test_a_full_disk_ends_it_with_one_line(processes: Any, tmp_path: Path) -> No
     with open_bag(tmp_path / "bag") as cut:
         blocks = list(cut.blocks(["/wrench_raw"]))
         assert all("breaks off" not in problem for problem in cut.problems)
-    check_run_of_wrenches([block.message(k) for block in blocks for k in range(len(block))])
+    found = [block.message(k) for block in blocks for k in range(len(block))]
+    check_run_of_wrenches(found)
+    assert f"{tmp_path / 'bag'}: {len(found)} messages" in out
 
 
 def test_a_place_that_is_taken_is_an_error(tmp_path: Path) -> None:
@@ -455,3 +459,22 @@ def test_a_place_that_is_taken_is_an_error(tmp_path: Path) -> None:
     )
     assert (done.returncode, done.stdout) == (1, "")
     assert done.stderr == f"error: {tmp_path}: is there already, and is not written over\n"
+
+
+def test_wrong_arguments_are_said(capsys: pytest.CaptureFixture[str]) -> None:
+    for arguments, said in (
+        (["/a b"], "'/a b' is no name of a topic: topic name must not contain"),
+        (["-a", "wrench_raw"], "--all records all topics"),
+        (["--duration-s", "0"], "0 is not above 0"),
+        (["--max-size-mb", "nan"], "nan is not finite"),
+    ):
+        with pytest.raises(SystemExit, match="2"):
+            parse(arguments)
+        assert said in capsys.readouterr().err.splitlines()[-1]
+
+
+def test_defaults_are_the_arms_topics_and_a_name_by_the_time() -> None:
+    options = parse([])
+    assert options.topics == list(DEFAULT_TOPICS)
+    assert re.fullmatch(r"rosbag2(_\d\d\d\d)(_\d\d){2}(-\d\d)(_\d\d){2}", str(options.output))
+    assert parse(["a", "--topics", "b", "a"]).topics == ["a", "b"]

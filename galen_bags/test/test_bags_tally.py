@@ -56,6 +56,18 @@ def test_arguments_for_ros_are_apart(text: str, own: str, ros: str) -> None:
     assert split_ros_arguments(text.split()) == (own.split(), ros.split())
 
 
+def test_what_did_not_get_into_the_file_is_taken_back() -> None:
+    tally = TopicTally("/w", "a/msg/B")
+    tally.add(5, 10)
+    tally.take_back()
+    assert (tally.messages, tally.size_bytes, tally.first_ns, tally.last_ns) == (0, 0, None, None)
+    tally.add(6, 10)
+    tally.keep()
+    tally.add(7, 10)
+    tally.take_back()
+    assert (tally.messages, tally.size_bytes, tally.first_ns, tally.last_ns) == (1, 10, 6, 6)
+
+
 def install(share: Path, type_name: str, text: str) -> None:
     package, name = type_name.split("/")
     folder = share / package / "msg"
