@@ -8,10 +8,10 @@ from operator import itemgetter
 
 import numpy as np
 
-from galen_bags.raw_block import Messages
+from galen_bags.raw_block import BLOCK_MESSAGES, Messages
 
 # Stretches that overlap are held until their turn comes: this much, and no more.
-MOST_HELD_BYTES = 1 << 29
+MOST_HELD_BYTES = 1 << 28
 
 
 class TimeOrder:
@@ -38,6 +38,24 @@ class TimeOrder:
         if next_ns is not None and self._held_bytes > MOST_HELD_BYTES:
             self.overfull = True
             next_ns = None
+        while self._held and (next_ns is None or self._held[0][:2] < (next_ns, next_place)):
+            upto_ns = self._upto_ns()
+            if upto_ns is None or (next_ns is not None and upto_ns >= next_ns):
+                yield from self._take(next_ns, next_place)
+            else:
+                yield from self._take(upto_ns, -1)
+
+    def _upto_ns(self) -> int | None:
+        """A time before which there is about a block's worth of messages; None: all there are.
+
+        All that is held at once would be twice in memory while it is put together.
+        """
+        if len(self._held) == 1:
+            return None
+        times = self._held[0][2].log_time_ns
+        return int(times[min(len(times) - 1, BLOCK_MESSAGES // len(self._held))]) + 1
+
+    def _take(self, next_ns: int | None, next_place: int) -> Iterator[Messages]:
         early: list[tuple[int, Messages]] = []
         late: list[tuple[int, Messages]] = []
         while self._held and (next_ns is None or self._held[0][:2] < (next_ns, next_place)):
@@ -51,7 +69,7 @@ class TimeOrder:
             self._hold(place, messages)
         if len(early) == 1:
             yield from early[0][1].pieces()
-        elif early:
+        else:
             early.sort(key=itemgetter(0))
             yield from _joined([_compact(messages) for _, messages in early]).sorted().pieces()
 
