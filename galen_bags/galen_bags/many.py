@@ -19,6 +19,8 @@ from tqdm import tqdm
 if TYPE_CHECKING:
     from distributed import Client, Future
 
+    from galen_bags.workers import Deaths
+
 Result = TypeVar("Result")
 
 
@@ -130,23 +132,12 @@ def _outcomes(
     if scheduler is not None:
         with scheduler_client(scheduler, timeout_s) as client:
             run = _Run(client, function, bags, scheduler)
-            yield from run.outcomes(range(len(bags)), at_once=len(bags))
-            for number in run.killed:
-                yield number, run.death(number, "it crashed, or was killed, again and again")
+            yield from run.all_outcomes(at_once=len(bags))
         return
-
     count = min(workers or cpu_count(), len(bags))
     with local_workers(count) as (client, deaths):
-        run = _Run(client, function, bags, None)
-        yield from run.outcomes(range(len(bags)), at_once=count)
-        # Whose fault it was is certain only where a bag is alone; and alone, one that was killed
-        # for its memory may go through.
-        for number in list(run.killed):
-            deaths.clear()
-            run.killed.clear()
-            yield from run.outcomes([number], at_once=1)
-            if run.killed:
-                yield number, run.death(number, deaths.reason())
+        run = _Run(client, function, bags, None, deaths)
+        yield from run.all_outcomes(at_once=count)
 
 
 class _Run(Generic[Result]):
@@ -158,18 +149,39 @@ class _Run(Generic[Result]):
         function: Callable[[Path], Result],
         bags: Sequence[Path],
         scheduler: str | None,
+        deaths: Deaths | None = None,
     ) -> None:
         self._client = client
         self._function = function
         self._bags = bags
         self._scheduler = scheduler
+        self._deaths = deaths
         self._started_s: dict[int, float] = {}
-        self.killed: list[int] = []  # numbers of the bags whose worker died
+        self._lost = False
 
-    def outcomes(
+    def all_outcomes(self, at_once: int) -> Iterator[tuple[int, Outcome[Result]]]:
+        """Outcomes with the bags' numbers, as they come; `at_once` bags are on their way."""
+        killed = []
+        for number, outcome in self._outcomes(range(len(self._bags)), at_once):
+            if outcome is None:
+                killed.append(number)
+            else:
+                yield number, outcome
+        # Which of the bags on a worker ended it is certain only where one is alone; and alone, one
+        # that was killed for its memory may go through.
+        for number in killed:
+            if self._lost:
+                yield number, self._loss(number)
+                continue
+            if self._deaths is not None:
+                self._deaths.clear()
+            for _, outcome in self._outcomes([number], 1):
+                yield number, outcome or self._death(number)
+
+    def _outcomes(
         self, numbers: Iterable[int], at_once: int
-    ) -> Iterator[tuple[int, Outcome[Result]]]:
-        """Outcomes as they come; bags whose worker died go to `killed` instead."""
+    ) -> Iterator[tuple[int, Outcome[Result] | None]]:
+        """None if the worker died."""
         from distributed import as_completed
 
         waiting = iter(numbers)
@@ -181,15 +193,15 @@ class _Run(Generic[Result]):
                 another = self._submit(following)
                 running[another] = following
                 completed.add(another)
-            outcome = self._outcome(number, future)
-            if outcome is None:
-                self.killed.append(number)
-            else:
-                yield number, outcome
+            yield number, self._outcome(number, future)
 
-    def death(self, number: int, reason: str) -> Outcome[Result]:
+    def _death(self, number: int) -> Outcome[Result]:
         """The outcome of a bag that ended its worker."""
+        reason = "it crashed or was killed" if self._deaths is None else self._deaths.reason()
         return self._error(number, f"the process that worked on it died: {reason}")
+
+    def _loss(self, number: int) -> Outcome[Result]:
+        return self._error(number, f"the scheduler {self._scheduler} was lost, or dropped it")
 
     def _submit(self, number: int) -> Future:
         self._started_s[number] = time.monotonic()
@@ -204,7 +216,8 @@ class _Run(Generic[Result]):
         from distributed import KilledWorker
 
         if future.cancelled():
-            return self._error(number, f"the connection to {self._scheduler} was lost")
+            self._lost = True
+            return self._loss(number)
         try:
             outcome: Outcome[Result] = future.result()
         except KilledWorker:

@@ -54,28 +54,31 @@ class Deaths(logging.Handler):
 
     def __init__(self) -> None:
         super().__init__(logging.INFO)
-        self._said: list[str] = []
+        self._death = ""
+        self._for_memory = False
+        self._said = threading.Event()
 
     def emit(self, record: logging.LogRecord) -> None:
-        """Keep the message, if it is of a death."""
+        """Keep what is of a death."""
         message = record.getMessage()
-        if message.startswith("Worker "):
-            self._said.append(message)
+        self._for_memory |= "memory budget" in message
+        for death in ("was killed by", "exited with status"):
+            if death in message:
+                self._death = death + message.partition(death)[2]
+                self._said.set()
 
     def clear(self) -> None:
         """Forget all."""
+        self._death, self._for_memory = "", False
         self._said.clear()
 
     def reason(self) -> str:
         """Why a worker died since `clear`, as far as it is known."""
-        for message in self._said:
-            if "memory budget" in message:
-                return "it took more than its share of the memory"
-        for message in self._said:
-            for death in ("was killed by signal", "exited with status"):
-                if death in message:
-                    return f"it {death}{message.partition(death)[2]}"
-        return "it crashed or was killed"
+        # The scheduler may have seen its connection close before the process was waited for.
+        self._said.wait(_END_S)
+        if self._for_memory:
+            return "it took more than its share of the memory"
+        return f"it {self._death or 'crashed or was killed'}"
 
 
 @contextlib.contextmanager
@@ -92,13 +95,13 @@ def local_workers(count: int) -> Iterator[tuple[Client, Deaths]]:
     cluster: LocalCluster | None = None
     with (
         tempfile.TemporaryDirectory(prefix="galen_bags_", ignore_cleanup_errors=True) as folder,
-        dask.config.set(_LOCAL_SETTINGS),
+        dask.config.set({**_LOCAL_SETTINGS, "temporary-directory": folder}),
         _environment_kept(),
         _deaths_collected() as deaths,
     ):
         try:
             with _interrupts_held():
-                cluster = _start(count, folder)
+                cluster = _start(count)
             with Client(cluster, set_as_default=False) as client:
                 yield client, deaths
         finally:
@@ -108,7 +111,7 @@ def local_workers(count: int) -> Iterator[tuple[Client, Deaths]]:
                     cluster.close()
 
 
-def _start(count: int, folder: str) -> LocalCluster:
+def _start(count: int) -> LocalCluster:
     try:
         return LocalCluster(
             n_workers=count,
@@ -117,7 +120,6 @@ def _start(count: int, folder: str) -> LocalCluster:
             host="127.0.0.1",
             dashboard_address="127.0.0.1:0",
             scheduler_kwargs={"dashboard": False},
-            local_directory=folder,
             silence_logs=logging.CRITICAL,
         )
     except (RuntimeError, OSError) as error:
