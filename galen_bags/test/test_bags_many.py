@@ -74,15 +74,15 @@ def make(folder, *names):
     return [folder / name for name in names]
 
 
-@pytest.fixture(scope="module")
-def cluster(tmp_path_factory):
+@contextlib.contextmanager
+def cluster_of_threads(workers, folder):
     import dask
     from distributed import LocalCluster
 
     with (
-        dask.config.set({"temporary-directory": str(tmp_path_factory.mktemp("dask"))}),
+        dask.config.set({"temporary-directory": str(folder)}),
         LocalCluster(
-            n_workers=3,
+            n_workers=workers,
             threads_per_worker=1,
             processes=False,
             protocol="tcp",
@@ -91,6 +91,12 @@ def cluster(tmp_path_factory):
             scheduler_kwargs={"dashboard": False},
         ) as made,
     ):
+        yield made
+
+
+@pytest.fixture(scope="module")
+def cluster(tmp_path_factory):
+    with cluster_of_threads(3, tmp_path_factory.mktemp("dask")) as made:
         yield made
 
 
@@ -196,10 +202,12 @@ def test_a_worker_is_not_taken_for_a_scheduler(tmp_path, cluster):
         run_many(work, make(tmp_path, "good.1"), scheduler=address)
 
 
-def test_a_scheduler_without_workers_is_not_waited_for(tmp_path, cluster, monkeypatch):
-    monkeypatch.setattr(cluster.scheduler, "workers", {})
-    with pytest.raises(ClusterError, match="the scheduler has no workers"):
-        run_many(work, make(tmp_path, "good.1"), scheduler=cluster.scheduler_address)
+def test_a_scheduler_without_workers_is_not_waited_for(tmp_path):
+    with (
+        cluster_of_threads(0, tmp_path) as empty,
+        pytest.raises(ClusterError, match="the scheduler has no workers"),
+    ):
+        run_many(work, make(tmp_path, "good.1"), scheduler=empty.scheduler_address)
 
 
 @pytest.mark.parametrize("content", [None, "", "{}", "[]", "\udcff"])
@@ -266,10 +274,11 @@ def test_options_of_commands(capsys):
         (["        Start Nanny at: 'tcp://127.0.0.1:1'"], "it crashed or was killed"),
     ],
 )
-def test_the_reason_of_a_death(messages, reason):
-    from galen_bags.workers import Deaths
+def test_the_reason_of_a_death(messages, reason, monkeypatch):
+    from galen_bags import workers
 
-    deaths = Deaths()
+    monkeypatch.setattr(workers, "_END_S", 0.01)
+    deaths = workers.Deaths()
     for message in messages:
         deaths.emit(logging.makeLogRecord({"msg": message}))
     assert deaths.reason() == reason
