@@ -45,24 +45,32 @@ class HomeStays:
         return list(visits[away[0] : away[-1] + 1]) if away else []
 
     def after_zeroing(self, recording: Visits) -> tuple[list[Visit], list[str]]:
-        """What comes after the last zeroing that is to be seen, and a warning for what is lost.
+        """What comes after the sensor was zeroed, and a warning where poses are lost by that.
 
-        It is seen where, in a stay at home, the reading goes to zero: the sensor was zeroed, or a
-        tool taken off. The readings before have another zero or another load.
+        It was zeroed in a stay at home in which the reading goes to zero (or a tool was taken off;
+        in both cases what was read before has another zero or load), and, where the zero did not
+        change by enough to be seen, in the first stay at home, if the recording begins with it or
+        with too few poses for a sweep.
         """
         visits = recording.visits
-        first, seen_ns = 0, 0
-        for at_home, group in groupby(range(len(visits)), lambda k: self.at_home(visits[k])):
-            stay = list(group)
-            rest = len(visits) - 1 - stay[-1]
-            if at_home and rest >= 2 * MIN_POSES and self._zeroed([visits[k] for k in stay]):
-                first, seen_ns = stay[-1] + 1, visits[stay[-1]].end_ns
+        stays = [
+            list(group)
+            for at_home, group in groupby(range(len(visits)), lambda k: self.at_home(visits[k]))
+            if at_home
+        ]
+        first = 0
+        for stay in stays:
+            begins = stay == stays[0] and stay[0] < MIN_POSES
+            enough_left = len(visits) - 1 - stay[-1] >= 2 * MIN_POSES
+            if enough_left and (begins or self._zeroed([visits[k] for k in stay])):
+                first = stay[-1] + 1
         lost = sum(not self.at_home(visit) for visit in visits[:first])
         if not lost:
             return visits[first:], []
+        at_s = recording.time_s(visits[first - 1].end_ns)
         return visits[first:], [
-            f"{lost} still phases before {recording.time_s(seen_ns):.1f} s are left out, for the"
-            " reading at home went to zero there: the sensor was zeroed, or a tool taken off"
+            f"{lost} still phases before {at_s:.1f} s are left out: the arm was at home then, and"
+            " the sensor was zeroed there, or a tool taken off"
         ]
 
     def _zeroed(self, stay: list[Visit]) -> bool:

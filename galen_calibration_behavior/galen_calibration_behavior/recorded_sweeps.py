@@ -101,19 +101,20 @@ class SweepSorter:
 
     def two_recordings(self, bare: Visits, tool: Visits) -> RecordedSweeps:
         """A recording of each sweep; raises RecordingError."""
-        visits, warnings = self._home.after_zeroing(bare)
-        return self._put_together(
-            self._one_load_sweep("bare", bare, visits),
-            self._one_load_sweep("tool", tool, tool.visits),
-            [*bare.warnings, *warnings, *tool.warnings],
-        )
+        parts, warnings = [], []
+        for name, recording in (("bare", bare), ("tool", tool)):
+            visits, lost = self._home.after_zeroing(recording)
+            parts.append(self._one_load_sweep(name, recording, visits))
+            warnings += [*recording.warnings, *lost]
+        return self._put_together(parts[0], parts[1], warnings)
 
     def one_sweep(
         self, recording: Visits, known_bias: LoadEstimate | None = None
     ) -> RecordedSweeps:
         """A recording of the tool's sweep alone; raises RecordingError."""
-        poses = self._one_load_sweep("tool", recording, recording.visits)
-        return self._put_together([], poses, recording.warnings, known_bias)
+        visits, lost = self._home.after_zeroing(recording)
+        poses = self._one_load_sweep("tool", recording, visits)
+        return self._put_together([], poses, [*recording.warnings, *lost], known_bias)
 
     def _one_load_sweep(
         self, name: str, recording: Visits, visits: list[Visit]

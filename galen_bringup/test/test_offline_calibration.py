@@ -1,0 +1,115 @@
+"""A calibration and its recording: what is found live, and what the recording gives afterwards."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from galen_bags.arm_recording import read_arm
+from galen_bags.writer import BagWriter
+from galen_bringup.cell_bag import CellBag
+from galen_bringup.offline_cell import OfflineCell
+from galen_calibration_behavior.estimate import estimate
+from galen_calibration_behavior.home_stays import BiasPose
+from galen_calibration_behavior.parameters import CalibrationParameters
+from galen_calibration_behavior.procedure import Request
+from galen_calibration_behavior.recorded_sweeps import SweepSorter
+from galen_calibration_behavior.visits import find_visits
+from galen_sim_driver.config import HandPush, PlantConfig
+from galen_sim_driver.plant import Plant
+
+PARAMETERS = CalibrationParameters()
+# 2.5 ms off the grid on which a live sweep looks at the arm
+START_NS = 1_700_000_000_002_500_000
+NUMBERS = ("roll", "tilt", "wrench", "std_of_mean")
+
+
+class Toucher:
+    """Plays the hand's script once, when the arm has stood still for a while in this pose."""
+
+    def __init__(self, roll, tilt, tool):
+        self.where, self.tool = np.array([roll, tilt]), tool
+        self.plant = None
+        self.still, self.done = 0, False
+
+    def __call__(self, sample):
+        here = np.abs(np.array(sample.positions[3:]) - self.where).max() < 1e-3
+        self.still = self.still + 1 if here and self.plant.tool == self.tool else 0
+        if self.still == 30 and not self.done:  # 0.3 s of 0.9 s
+            self.done = True
+            self.plant.start_hand()
+
+
+def calibrate_and_record(folder, grid, *, rate_hz=100.0, seed=1, start=None, touch=None):
+    """Return the live calibration's measurements and its recording."""
+    push = HandPush(start_s=0.05, duration_s=0.5, force_n=(0.0, 0.4, 0.0), ramp_s=0.05)
+    config = PlantConfig(rate_hz=rate_hz, start_ns=START_NS, hand=(push,))
+    if start is not None:
+        config = dataclasses.replace(config, start_joints=start)
+    plant = Plant(config, np.random.default_rng(seed))
+    listeners = []
+    if touch is not None:
+        touch.plant = plant
+        listeners.append(touch)
+    with BagWriter(folder / "bag") as bag:
+        cell = OfflineCell(plant, [*listeners, CellBag(bag)])
+        cell.run(2.0)
+        poses = dataclasses.replace(PARAMETERS, **grid).poses(grid["itersT"], grid["itersR"])
+        live = cell.calibrate(PARAMETERS.settings(), Request("retractor", False, True, poses))
+    return live, read_arm(folder / "bag")
+
+
+def offline(recording):
+    settings = PARAMETERS.settings()
+    sweeps = SweepSorter(settings, BiasPose(PARAMETERS.Rhome, PARAMETERS.Thome))
+    return sweeps.two_sweeps(find_visits(recording, settings)).measurements
+
+
+def same(live, again):
+    """Whether both sweeps hold the same averages to the last bit, in whatever order."""
+    for name in ("bare", "tool"):
+        rows = [
+            np.column_stack([getattr(getattr(each, name), number) for number in NUMBERS])
+            for each in (live, again)
+        ]
+        assert sorted(map(tuple, rows[0])) == sorted(map(tuple, rows[1]))
+
+
+SMALL = {"itersT": 3, "itersR": 3}
+
+
+@pytest.mark.parametrize(
+    ("grid", "rate_hz"),
+    [
+        (SMALL, 125.0),
+        (SMALL | {"tstart": -0.8, "tend": 0.8}, 100.0),  # home is among its poses
+    ],
+)
+def test_a_recording_gives_the_live_averages_to_the_last_bit(tmp_path, grid, rate_hz):
+    live, recording = calibrate_and_record(tmp_path, grid, rate_hz=rate_hz)
+    again = offline(recording)
+    same(live, again)
+    assert again.bare_indices == live.bare_indices
+    assert again.tool_indices == live.tool_indices
+    files = [estimate("x", "x", np.zeros(3), each, []).content for each in (live, again)]
+    assert files[0].load.mass_kg == files[1].load.mass_kg
+    assert np.array_equal(files[0].load.covariance, files[1].load.covariance)
+
+
+def test_a_pose_that_was_touched_and_tried_again_live_is_so_offline(tmp_path):
+    poses = dataclasses.replace(PARAMETERS, **SMALL).poses(3, 3)
+    touch = Toucher(*poses[6], tool="retractor")
+    live, recording = calibrate_and_record(tmp_path, SMALL, touch=touch)
+    again = offline(recording)
+    same(live, again)
+    assert live.rejected == again.rejected == []
+    assert again.tool_indices[-1] == 6  # measured at the end of the sweep
+    assert sorted(again.tool_indices) == live.tool_indices
+    files = [estimate("x", "x", np.zeros(3), each, []).content for each in (live, again)]
+    assert files[1].load.mass_kg == pytest.approx(files[0].load.mass_kg, rel=1e-9)
+
+
+def test_an_arm_that_begins_elsewhere_leaves_nothing_of_that_in_the_sweeps(tmp_path):
+    """The zeroing changes nothing that could be seen, for the driver's sensor begins zeroed."""
+    start = (0.02, 0.01, 0.42, 0.3, -0.2)
+    live, recording = calibrate_and_record(tmp_path, SMALL, start=start)
+    same(live, offline(recording))
