@@ -29,7 +29,7 @@ _TICK_S = 0.001
 # More at once could overflow the queues of receivers (2000).
 _MOST_AT_ONCE = 200
 # Discovery takes a moment; who was there before the player is to get the first message too.
-_QUIET_S = 0.5
+_QUIET_S = 1.0
 _ACK_TIMEOUT_S = 10.0
 
 
