@@ -179,7 +179,6 @@ class McapFile:
         else:
             self.problems.add(
                 f"{self.path.name} was cut off: it has no end; it is read as far as it goes"
-                f" (to byte {at} of {size})"
             )
         return False
 
