@@ -1,16 +1,21 @@
 """Does the sensor itself look sound? Channels that are stuck, saturated or not finite.
 
-A channel with noise changes with nearly every sample. If a fraction p of its samples differ from
-the one before, a run of L equal ones turns up in N samples about N (1 - p)^L times by chance. A
-run for which that is below one in a million is no chance: the channel is saturated when the run
-stands at the channel's own largest or smallest value, or at the range's end, else stuck.
-A sensor whose noise is below its quantum stands still by nature, on most channels at once; a run
-counts only if most other channels go on meanwhile, or if such runs are rare in the channel.
+A driver may send each of the sensor's readings several times: all six channels then stand for
+about the same number of messages, over and over. That number is found first, and a reading that
+comes again counts once. A stand of all six that is far longer is a frozen reading.
+
+A channel with noise above its quantum changes with most readings. If a fraction p of them differs
+from the one before, a run of L equal ones turns up in N readings about N (1 - p)^L times by
+chance. A run for which that is below one in a million is no chance: the channel is saturated when
+the run stands at the channel's own largest or smallest value, or at the range's end, else stuck.
+Where the noise is below the quantum (a coarse or strongly filtered sensor), a channel stands still
+by nature: there, only one that never changes, while another does all the time, is called stuck.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from galen_model.arm import WRENCH_AXES
@@ -19,15 +24,25 @@ from galen_model.arrays import Array
 _CHANCE = 1e-6
 _SHORTEST_RUN = 10
 _KEPT_RUNS = 2000
-# A channel that spends less than this part of its time in long runs has noise above its quantum.
-_RARE = 0.2
+# Below this part of readings that differ from the one before, the noise is below the quantum.
+_NOISY = 0.5
+# The same of a sound sensor's six channels together.
+_NOISY_ROWS = 0.8
+# How often a channel changes depends a little on where between two quanta it stands.
+_LEAST_NOISY = 0.8
+_LONGEST_HOLD = 256
+# A stand of so many usual ones is a frozen reading.
+_FROZEN_HOLDS = 10
 
 
 @dataclass(frozen=True)
 class Run:
-    """A channel's equal readings: from `start_ns` on, `count` of them over `duration_s`."""
+    """Equal readings: from `start_ns` on, `count` of them over `duration_s`.
 
-    axis: int
+    `axis` is None where all six stand; `value` is then that of fx.
+    """
+
+    axis: int | None
     start_ns: int
     duration_s: float
     count: int
@@ -39,7 +54,8 @@ class ChannelReport:
     """What was found; by axis (6,) where it says so.
 
     beyond_range (6,): readings at or beyond the sensor's range; not_finite (6,); smallest and
-    largest (6,); `stuck` and `saturated`: runs that are no chance, longest first.
+    largest (6,); `stuck` and `saturated`: runs of one channel that are no chance, `frozen`: of
+    all six at once; longest first. `held`: how often each reading usually comes.
     """
 
     count: int
@@ -49,12 +65,18 @@ class ChannelReport:
     largest: Array
     stuck: tuple[Run, ...]
     saturated: tuple[Run, ...]
+    frozen: tuple[Run, ...]
+    held: int
 
     @property
     def sound(self) -> bool:
-        """Whether nothing is wrong."""
+        """Whether nothing is wrong; a reading that comes several times is no fault."""
         return not (
-            self.stuck or self.saturated or self.beyond_range.any() or self.not_finite.any()
+            self.stuck
+            or self.saturated
+            or self.frozen
+            or self.beyond_range.any()
+            or self.not_finite.any()
         )
 
 
@@ -68,11 +90,10 @@ class ChannelCheck:
         self._not_finite = np.zeros(6, dtype=np.int64)
         self._smallest = np.full(6, np.inf)
         self._largest = np.full(6, -np.inf)
-        self._changes = np.zeros(6, dtype=np.int64)
-        # of each channel: the run that the next block may go on with
-        self._open: list[tuple[int, int, float] | None] = [None] * 6
-        self._runs: list[list[Run]] = [[] for _ in range(6)]
-        self._last_ns = 0
+        self._last: Array | None = None
+        # of all messages; of each channel, in the messages in which any channel changes
+        self._rows = _Runs()
+        self._channels = [_Runs() for _ in range(6)]
 
     def add(self, stamp_ns: np.ndarray, wrenches: Array) -> None:
         """Take stamps (n,) and raw wrenches (n, 6)."""
@@ -84,111 +105,169 @@ class ChannelCheck:
         self._beyond += np.count_nonzero(finite & (np.abs(wrenches) >= self._range), axis=0)
         self._smallest = np.fmin(self._smallest, np.fmin.reduce(wrenches, axis=0))
         self._largest = np.fmax(self._largest, np.fmax.reduce(wrenches, axis=0))
-        for axis in range(6):
-            self._follow(axis, stamp_ns, wrenches[:, axis])
-        self._last_ns = int(stamp_ns[-1])
+        differs = np.empty(wrenches.shape, dtype=bool)
+        np.not_equal(wrenches[1:], wrenches[:-1], out=differs[1:])
+        differs[0] = True if self._last is None else wrenches[0] != self._last
+        self._last = wrenches[-1].copy()
+        new = np.asarray(differs.any(axis=1))
+        self._rows.add(stamp_ns, new, wrenches[:, 0])
+        if not new.all():
+            stamp_ns, wrenches, differs = stamp_ns[new], wrenches[new], differs[new]
+        for axis, runs in enumerate(self._channels):
+            runs.add(stamp_ns, differs[:, axis], wrenches[:, axis])
 
     def report(self) -> ChannelReport:
         """What was found so far."""
-        runs = [self._long_runs(axis) for axis in range(6)]
-        stuck, saturated = [], []
-        for axis in range(6):
-            rare = sum(run.count for run in runs[axis]) < _RARE * self._count
+        held = self._rows.usual_length()
+        frozen = self._rows.no_chance(None, held)
+        readings = (self._count - sum(run.count for run in frozen)) / held
+        # Of a coarse sensor only some readings differ from the one before in any channel.
+        told = min(1.0, self._rows.changes / readings) if readings else 0.0
+        any_noisy = any(told * runs.changing() >= _NOISY for runs in self._channels)
+        stuck: list[Run] = []
+        saturated: list[Run] = []
+        for axis, runs in enumerate(self._channels):
             ends = (self._smallest[axis], self._largest[axis])
-            for run in self._no_chance(axis, runs[axis]):
+            for run in runs.no_chance(axis, told=told, never_changes=any_noisy):
                 at_end = run.value in ends and ends[0] != ends[1]
-                if at_end or abs(run.value) >= self._range[axis]:
-                    saturated.append(run)
-                elif rare or _alone(run, runs):
-                    stuck.append(run)
-        order = lambda run: -run.count  # noqa: E731
+                beyond = abs(run.value) >= self._range[axis]
+                (saturated if at_end or beyond else stuck).append(run)
         return ChannelReport(
             self._count,
             self._beyond,
             self._not_finite,
             self._smallest,
             self._largest,
-            tuple(sorted(stuck, key=order)),
-            tuple(sorted(saturated, key=order)),
+            _longest_first(stuck),
+            _longest_first(saturated),
+            _longest_first(frozen),
+            held,
         )
 
-    def _follow(self, axis: int, stamp_ns: np.ndarray, values: Array) -> None:
-        """Go on with the channel's runs; the last one stays open."""
-        borders = np.flatnonzero(values[1:] != values[:-1]) + 1
-        starts = np.concatenate([[0], borders])
-        lengths = np.diff(np.append(starts, len(values)))
-        before = self._open[axis]
-        first_ns, first_count = int(stamp_ns[0]), int(lengths[0])
-        if before is not None and before[2] == values[0]:
-            first_ns, first_count = before[0], before[1] + first_count
-        elif before is not None:
-            self._keep(axis, before, self._last_ns)
-            self._changes[axis] += 1
-        self._changes[axis] += len(borders)
-        if not len(borders):
-            self._open[axis] = (first_ns, first_count, float(values[0]))
+
+class _Runs:
+    """The runs of equal values in a sequence that comes in blocks; `changes`: how many began."""
+
+    def __init__(self) -> None:
+        self._count = 0
+        self.changes = 0
+        # start, length and value of the run that the next block may go on with
+        self._open: tuple[int, int, float] | None = None
+        self._last_ns = 0
+        self._long: list[Run] = []
+        self._lengths = np.zeros(_LONGEST_HOLD + 1, dtype=np.int64)
+
+    def add(self, stamp_ns: np.ndarray, new: np.ndarray, values: Array) -> None:
+        """Take stamps (n,), whether each value differs from the one before, and values (n,)."""
+        if not len(stamp_ns):
             return
-        end_ns = int(stamp_ns[starts[1] - 1])
-        self._keep(axis, (first_ns, first_count, float(values[0])), end_ns)
-        for k in np.flatnonzero(lengths[1:-1] >= _SHORTEST_RUN) + 1:
-            run = (int(stamp_ns[starts[k]]), int(lengths[k]), float(values[starts[k]]))
-            self._keep(axis, run, int(stamp_ns[starts[k + 1] - 1]))
-        last = int(starts[-1])
-        self._open[axis] = (int(stamp_ns[last]), int(lengths[-1]), float(values[last]))
+        self._count += len(stamp_ns)
+        starts = np.flatnonzero(new)
+        self.changes += len(starts)
+        first = int(starts[0]) if len(starts) else len(stamp_ns)
+        if self._open is not None:
+            start_ns, length, value = self._open
+            self._open = (start_ns, length + first, value)
+            if len(starts):
+                end_ns = int(stamp_ns[first - 1]) if first else self._last_ns
+                self._keep(self._open, end_ns)
+        if len(starts):
+            lengths = np.diff(starts)
+            self._lengths += np.bincount(
+                np.minimum(lengths, _LONGEST_HOLD), minlength=_LONGEST_HOLD + 1
+            )
+            for k in np.flatnonzero(lengths >= _SHORTEST_RUN):
+                start = int(starts[k])
+                run = (int(stamp_ns[start]), int(lengths[k]), float(values[start]))
+                self._append(run, int(stamp_ns[starts[k + 1] - 1]))
+            last = int(starts[-1])
+            self._open = (int(stamp_ns[last]), len(stamp_ns) - last, float(values[last]))
+        self._last_ns = int(stamp_ns[-1])
 
-    def _keep(self, axis: int, run: tuple[int, int, float], end_ns: int) -> None:
-        if run[1] < _SHORTEST_RUN:
-            return
-        runs = self._runs[axis]
-        runs.append(self._run(axis, run, end_ns))
-        if len(runs) > 2 * _KEPT_RUNS:
-            runs.sort(key=lambda kept: -kept.count)
-            del runs[_KEPT_RUNS:]
+    def usual_length(self) -> int:
+        """Length of the usual run where hardly any are of length 1; else 1."""
+        total = np.cumsum(self._lengths)
+        # The median, and nine in ten at least half as long: all of one kind, not a wide mixture.
+        middle = int(np.searchsorted(total, 0.5 * total[-1])) if total[-1] else 1
+        low = int(np.searchsorted(total, 0.1 * total[-1])) if total[-1] else 1
+        return middle if low >= 2 and 2 * low >= middle else 1
 
-    def _run(self, axis: int, run: tuple[int, int, float], end_ns: int) -> Run:
-        return Run(axis, run[0], (end_ns - run[0]) * 1e-9, run[1], run[2])
+    def no_chance(
+        self,
+        axis: int | None,
+        held: int = 1,
+        *,
+        told: float = 1.0,
+        never_changes: bool = False,
+    ) -> list[Run]:
+        """The runs that chance does not explain, of a sequence that usually stands `held` long.
 
-    def _long_runs(self, axis: int) -> list[Run]:
-        runs = list(self._runs[axis])
-        open_run = self._open[axis]
-        if open_run is not None and open_run[1] >= _SHORTEST_RUN:
-            runs.append(self._run(axis, open_run, self._last_ns))
+        `told`: part of the readings that are in the sequence at all; `never_changes`: a run over
+        all of it counts as well.
+        """
+        runs = [replace(run, axis=axis) for run in self._all_long()]
+        if held > 1:
+            return [run for run in runs if run.count >= _FROZEN_HOLDS * held]
+        if self.changes <= 1:
+            return runs if never_changes else []
+        changing = self.changing()
+        if told * changing < (_NOISY_ROWS if axis is None else _NOISY):
+            return []
+        limit = self._limit(changing)
+        found = [run for run in runs if run.count >= limit]
+        # Chance has more short runs than long ones. Far more than it makes: the channel's noise
+        # is above its quantum at times only.
+        by_chance = self._count * (1.0 - _LEAST_NOISY * changing) ** (_SHORTEST_RUN - 1)
+        return found if len(runs) - len(found) <= 5.0 + 3.0 * by_chance else []
+
+    def changing(self) -> float:
+        """Part of the values that differ from the one before, outside of runs beyond chance."""
+        if not self._count or self.changes <= 1:
+            return 0.0
+        outside, runs = self._count, self._all_long()
+        while True:
+            changing = self.changes / outside
+            limit = self._limit(changing)
+            rest = self._count - sum(run.count - 1 for run in runs if run.count >= limit)
+            if rest >= outside:
+                return changing
+            outside = rest
+
+    def _limit(self, changing: float) -> float:
+        """Length from which on a run is no chance."""
+        changing = min(_LEAST_NOISY * changing, 1.0 - 1e-12)
+        return max(float(_SHORTEST_RUN), np.log(_CHANCE / self._count) / np.log1p(-changing))
+
+    def _all_long(self) -> list[Run]:
+        runs = list(self._long)
+        if self._open is not None and self._open[1] >= _SHORTEST_RUN:
+            runs.append(_run(self._open, self._last_ns))
         return runs
 
-    def _no_chance(self, axis: int, long: list[Run]) -> list[Run]:
-        """The runs that chance does not explain, given how the channel changes outside of them."""
-        outside = self._count - sum(run.count for run in long)
-        if outside <= 0 or not self._changes[axis]:
-            # It never changes. If none of the six does, it is a recording without noise.
-            return long if self._changes.any() else []
-        changing = min(self._changes[axis] / outside, 1.0 - 1e-12)
-        limit = np.log(_CHANCE / self._count) / np.log1p(-changing)
-        return [run for run in long if run.count >= limit]
+    def _keep(self, run: tuple[int, int, float], end_ns: int) -> None:
+        self._lengths[min(run[1], _LONGEST_HOLD)] += 1
+        if run[1] >= _SHORTEST_RUN:
+            self._append(run, end_ns)
+
+    def _append(self, run: tuple[int, int, float], end_ns: int) -> None:
+        self._long.append(_run(run, end_ns))
+        if len(self._long) > 2 * _KEPT_RUNS:
+            self._long = list(_longest_first(self._long)[:_KEPT_RUNS])
 
 
-def _alone(run: Run, runs: list[list[Run]]) -> bool:
-    """Whether most other channels change while this one does not."""
-    end_ns = run.start_ns + round(run.duration_s * 1e9)
-    standing = 0
-    for axis, others in enumerate(runs):
-        if axis == run.axis:
-            continue
-        overlap = sum(
-            max(
-                0,
-                min(end_ns, other.start_ns + round(other.duration_s * 1e9))
-                - max(run.start_ns, other.start_ns),
-            )
-            for other in others
-        )
-        standing += overlap > 0.5 * (end_ns - run.start_ns)
-    return standing <= 2
+def _run(run: tuple[int, int, float], end_ns: int) -> Run:
+    return Run(None, run[0], (end_ns - run[0]) * 1e-9, run[1], run[2])
+
+
+def _longest_first(runs: Sequence[Run]) -> tuple[Run, ...]:
+    return tuple(sorted(runs, key=lambda run: -run.count))
 
 
 def describe_run(run: Run, first_ns: int, verb: str) -> str:
     """A sentence on a run: "fx stuck at 0.5 N for 2.1 s, from 12.3 s on"."""
+    since_s = (run.start_ns - first_ns) * 1e-9
+    span = f"for {run.duration_s:.2f} s ({run.count} readings), from {since_s:.2f} s on"
+    if run.axis is None:
+        return f"all six channels {verb} {span}"
     unit = "N" if run.axis < 3 else "N.m"
-    return (
-        f"{WRENCH_AXES[run.axis]} {verb} at {run.value:g} {unit} for {run.duration_s:.2f} s"
-        f" ({run.count} readings), from {(run.start_ns - first_ns) * 1e-9:.2f} s on"
-    )
+    return f"{WRENCH_AXES[run.axis]} {verb} at {run.value:g} {unit} {span}"

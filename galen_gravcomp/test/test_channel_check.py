@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 from galen_gravcomp.channel_check import ChannelCheck, describe_run
 from galen_model.arm import SENSOR
+from scipy.signal import lfilter
 
 START = 1_700_000_000_000_000_000
 RANGE = np.array([125.0, 125.0, 500.0, 3.0, 3.0, 3.0])
@@ -78,19 +79,70 @@ def test_readings_beyond_the_range_and_not_finite_are_counted_by_axis():
     assert found.largest[0] == 130.0
 
 
-def test_a_frozen_reading_is_found_on_all_channels():
+def test_a_frozen_reading_is_found_once_and_not_as_six_stuck_channels():
     """A driver that repeats its last reading under new stamps."""
     values = readings()
     values[5000:5100] = values[5000]
     found = check(values)
-    assert {run.axis for run in (*found.stuck, *found.saturated)} == set(range(6))
+    (run,) = found.frozen
+    assert (run.axis, run.count, run.start_ns) == (None, 100, START + 5000 * 2_000_000)
+    assert (found.stuck, found.saturated, found.held) == ((), (), 1)
+    assert not found.sound
+    assert describe_run(run, START, "frozen").startswith("all six channels frozen for 0.20 s (100")
 
 
-def test_many_short_sticks_stay_bounded_in_memory():
+@pytest.mark.parametrize(("shortest", "longest"), [(5, 5), (4, 6), (20, 20), (49, 51)])
+@pytest.mark.parametrize("block", [7, 997])
+def test_a_slow_sensor_whose_readings_come_several_times_is_called_that(shortest, longest, block):
+    times = np.random.default_rng(3).integers(shortest, longest + 1, size=20_000 // longest)
+    values = np.repeat(readings(len(times)), times, axis=0)
+    found = check(values, block)
+    assert found.held == (shortest + longest) // 2
+    assert found.sound
+    at = int(np.sum(times[:100]))
+    frozen = np.insert(values, [at] * 40 * longest, values[at], axis=0)
+    (run,) = check(frozen, block).frozen
+    assert 40 * longest <= run.count <= 42 * longest
+
+
+def test_a_channel_of_a_slow_sensor_that_sticks_is_found():
+    values = readings()
+    values[3000:3100, 3] = values[3000, 3]
+    found = check(np.repeat(values, 5, axis=0))
+    (run,) = found.stuck
+    assert (run.axis, found.held) == (3, 5)
+    assert run.duration_s == pytest.approx(100 * 5 * 0.002, abs=0.03)
+
+
+@pytest.mark.parametrize("quanta", [10, 20, 50, 100])
+@pytest.mark.parametrize("swing", [0.0, 1.0])
+def test_a_sensor_whose_quantum_is_above_its_noise_is_sound(quanta, swing):
+    for seed in range(3):
+        rng = np.random.default_rng(seed)
+        value = swing * (readings(20_000, noise=0.0) - readings(1, noise=0.0))
+        value = value + rng.uniform(-1, 1, 6) * SENSOR.quantum * quanta
+        value = value + rng.normal(size=value.shape) * SENSOR.noise_std
+        coarse = np.round(value / SENSOR.quantum / quanta) * SENSOR.quantum * quanta
+        assert check(coarse).sound
+
+
+@pytest.mark.parametrize("time_constant", [5, 25, 250])
+def test_a_sensor_with_a_low_pass_is_sound(time_constant):
+    rng = np.random.default_rng(time_constant)
+    keep = np.exp(-1.0 / time_constant)
+    white = rng.normal(size=(20_000, 6)) * np.sqrt(1.0 - keep**2)
+    value = lfilter([1.0], [1.0, -keep], white, axis=0) * SENSOR.noise_std
+    assert check(np.round(value / SENSOR.quantum) * SENSOR.quantum).sound
+
+
+def test_many_sticks_cost_little_memory_and_time():
+    """Of runs by the thousand only the longest are kept; what is reported stays the same."""
     values = readings(60_000)
     for start in range(0, 60_000, 12):
         values[start : start + 11, 3] = values[start, 3]
+    values[30_000:31_000, 3] = values[30_000, 3]
     found = ChannelCheck(RANGE)
     stamps = START + 2_000_000 * np.arange(len(values), dtype=np.int64)
     found.add(stamps, values)
-    assert len(found._runs[3]) <= 4000
+    assert len(found._channels[3]._long) <= 4000
+    assert max(run.count for run in found._channels[3]._long) >= 1000
