@@ -31,9 +31,10 @@ class StampEvent:
 class StampReport:
     """What the stamps of a topic are like; times in s. NaN where there is too little to say it.
 
-    `gap` counts steps of over 2.5 periods in which samples are missing, `missing` how many;
-    `jump` where stamp and log time advance differently; `out_of_order` smaller steps back;
-    `delay_s` is log time less stamp: smallest, mean, largest. `events` holds the first of them.
+    rate_hz: without the gaps; `gap` counts steps of over 2.5 periods in which samples are missing,
+    `missing` how many; `jump` where stamp and log time advance differently; `out_of_order` smaller
+    steps back; `delay_s` is log time less stamp: smallest, mean, largest. `events` holds the first
+    of them.
     """
 
     count: int
@@ -125,15 +126,18 @@ class StampCheck:
             self._periods.append(float(np.median(forward)))
             del self._periods[1000:]
             self._period_ns = float(np.median(self._periods))
-        jump = np.abs(step - log_step) > self.jump_s * _NS
-        duplicate = (step == 0) & ~jump
+        wide = step > _GAP_PERIODS * self._period_ns
+        # A log time that stood still, as while a disk was busy, makes no jump of a regular stamp.
+        far = (step < -self.jump_s / 2 * _NS) | (wide & (step > self.jump_s / 2 * _NS))
+        jump = far & (np.abs(step - log_step) > self.jump_s * _NS)
+        duplicate = step == 0
         late = (step < 0) & ~jump
-        gap = (step > _GAP_PERIODS * self._period_ns) & ~jump
-        regular = ~(jump | duplicate | late)
+        gap = wide & ~jump
+        regular = ~(jump | duplicate | late | gap)
         self._advance_ns += int(step[regular].sum())
         self._steps += int(np.count_nonzero(regular))
-        if np.any(regular):
-            self._longest_ns = max(self._longest_ns, int(step[regular].max()))
+        if np.any(regular | gap):
+            self._longest_ns = max(self._longest_ns, int(step[regular | gap].max()))
         if np.any(gap):
             self._missing += int(np.sum(np.rint(step[gap] / self._period_ns) - 1))
         for kind, rows in (
