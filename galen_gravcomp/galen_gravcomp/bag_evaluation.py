@@ -22,19 +22,20 @@ from galen_model.tool_file import ToolFile
 from galen_gravcomp.cells import CELL_S, CellReducer, Cells
 from galen_gravcomp.channel_check import ChannelCheck, ChannelReport
 from galen_gravcomp.compensator import Compensator, CompensatorSettings
-from galen_gravcomp.misfit import (
-    Limits,
-    LoadChange,
-    Misfit,
-    Verdict,
-    find_change,
-    judge,
-    take_apart,
-)
+from galen_gravcomp.load_change import LoadChange, find_change
+from galen_gravcomp.misfit import Limits, Misfit, take_apart
+from galen_gravcomp.results import Notice
 from galen_gravcomp.still_cells import StillCellSettings, StillPhases, find_still_phases
+from galen_gravcomp.verdict import Verdict, judge
 
 # Slower sensors get longer cells, so that a cell holds a few readings.
 _READINGS_A_CELL = 5
+# Units that so much of a recording is suspected to be in leave nothing to be said of the rest.
+_SUSPECT_SHARE = 0.1
+_UNITS = {
+    Notice.TORQUE_UNIT: "the torques look like N mm",
+    Notice.ANGLE_UNIT: "the joint angles look like degrees",
+}
 
 OnBlock = Callable[[ArmBlock, np.ndarray, Array], None]
 """Is told each block, the running numbers (k,) of the wrenches that came out, and these (k, 6)."""
@@ -201,10 +202,27 @@ class _Run:
     def finish(self, bag: Bag, topics: tuple[str, str]) -> BagEvaluation:
         cells = (self._cells or CellReducer()).finish()
         phases = find_still_phases(cells, self._settings.still)
-        misfit = take_apart(phases, self._tool)
-        moving = _rms(cells.mean[~phases.arm_still])
-        change = find_change(phases, self._tool, self._settings.limits)
-        verdict, sentence = judge(phases, misfit, change, self._settings.limits, moving)
+        wrench_stamps = self._wrench_stamps.report()
+        restart_s = self._settings.compensator.restart_gap_s
+        stamps_jump = any(
+            event.kind == "jump" and abs(event.size_s) > restart_s for event in wrench_stamps.events
+        )
+        limits = self._settings.limits
+        change = find_change(phases, self._tool, limits)
+        # One load for both sides of a change would be nobody's.
+        misfit = take_apart(phases, self._tool, stamps_jump=stamps_jump) if change is None else None
+        verdict, sentence = judge(
+            phases,
+            misfit,
+            change,
+            self._tool,
+            limits,
+            moving=_rms(cells.mean[~phases.arm_still]),
+            start_ns=int(cells.start_ns[0]) if len(cells) else 0,
+            stamps_jump=stamps_jump,
+        )
+        if doubt := self._doubt():
+            verdict, sentence = Verdict.UNKNOWN, doubt
         compensator = self._compensator
         first, last = self._span or (0, 0)
         return BagEvaluation(
@@ -220,7 +238,7 @@ class _Run:
             notices={notice.value: n for notice, n in compensator.notices.items()},
             problems=tuple(bag.problems),
             joint_stamps=self._joint_stamps.report(),
-            wrench_stamps=self._wrench_stamps.report(),
+            wrench_stamps=wrench_stamps,
             channels=self._channels.report(),
             cells=cells,
             phases=phases,
@@ -229,10 +247,28 @@ class _Run:
             rmse_phases=_rms(phases.mean),
             misfit=misfit,
             change=change,
-            limits=self._settings.limits,
+            limits=limits,
             verdict=verdict,
             sentence=sentence,
         )
+
+    def _doubt(self) -> str:
+        """Why nothing can be said of the fit, whatever is left over; empty if something can."""
+        compensator = self._compensator
+        if not compensator.compensated:
+            reasons = compensator.refusals.most_common(1)
+            if not reasons:
+                return "no wrench was compensated: nothing can be said of the file's fit"
+            why = self._examples[reasons[0][0].value]
+            return f"no wrench was compensated, so nothing can be said of the file's fit: {why}"
+        for notice, what in _UNITS.items():
+            count = compensator.notices[notice]
+            if count > _SUSPECT_SHARE * compensator.received:
+                return (
+                    f"{what} in {count} of {compensator.received} wrenches:"
+                    " nothing can be said of the file's fit"
+                )
+        return ""
 
 
 def _rmse(cells: Cells, which: np.ndarray) -> Array:

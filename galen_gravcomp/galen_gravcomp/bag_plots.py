@@ -73,8 +73,12 @@ def _course(axes: Axes, result: BagEvaluation, which: slice, factor: float, unit
             (start - cells.start_ns[0]) * 1e-9, (end - cells.start_ns[0]) * 1e-9,
             color="black", alpha=0.06, lw=0,
         )  # fmt: skip
+    if result.change is not None:
+        time_s = (result.change.time_ns - cells.start_ns[0]) * 1e-9
+        axes.axvline(time_s, color="black", lw=1.2, ls=":")
     axes.margins(x=0.0)
-    axes.legend(loc="upper right", ncol=3, frameon=False)
+    # Above the axes: a push would go through it.
+    axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncol=3, frameon=False)
 
 
 def _poses(axes: Axes, result: BagEvaluation, which: slice, factor: float, label: str) -> None:
@@ -86,7 +90,8 @@ def _poses(axes: Axes, result: BagEvaluation, which: slice, factor: float, label
         axes.text(0.5, 0.5, "no still phase", ha="center", transform=axes.transAxes)
         return
     size: Array = factor * np.linalg.norm(result.phases.mean[:, which], axis=1)
-    angles = result.phases.angles
+    order = np.argsort(size)  # so that the largest lies on top
+    size, angles = size[order], result.phases.angles[order]
     top = max(float(size.max()), factor * float(result.limits.axes[which.start]))
     points = axes.scatter(
         angles[:, 0], angles[:, 1], c=size, cmap="viridis", vmin=0.0, vmax=top, s=40,
@@ -100,7 +105,8 @@ def _parts(axes: Axes, result: BagEvaluation) -> None:
     axes.set_title("made of (1: the limit of a fit)", fontsize=10)
     misfit = result.misfit
     if misfit is None:
-        axes.text(0.5, 0.5, "too few still phases", ha="center", transform=axes.transAxes)
+        why = "too few still phases" if result.change is None else "see the parts on their own"
+        axes.text(0.5, 0.5, why, ha="center", transform=axes.transAxes)
         return
     parts = {
         name: part

@@ -14,11 +14,14 @@ from rich.table import Table
 
 from galen_gravcomp.bag_evaluation import BagEvaluation
 from galen_gravcomp.channel_check import describe_run
-from galen_gravcomp.misfit import Misfit, Verdict
+from galen_gravcomp.misfit import Misfit
+from galen_gravcomp.results import Notice
+from galen_gravcomp.verdict import Verdict
 
 _UNITS = ("mN", "mN", "mN", "mN.m", "mN.m", "mN.m")
 _WORST = 5
 _EVENTS = 5
+_RUNS = ("frozen", "stuck", "saturated")
 _VERDICT_STYLE = {Verdict.FITS: "bold green", Verdict.UNKNOWN: "bold yellow"}
 
 
@@ -50,12 +53,22 @@ def findings(result: BagEvaluation) -> list[str]:
     for reason, count in result.refused.items():
         example = result.refused_example.get(reason, "")
         lines.append(f"not compensated, {reason}: {count} wrenches; {example}")
-    lines += [f"{name.replace('_', ' ')}: {count}" for name, count in result.notices.items()]
+    lines += [
+        f"{name.replace('_', ' ')}: {count}"
+        for name, count in result.notices.items()
+        if name != Notice.BEYOND_RANGE.value  # said below, axis by axis
+    ]
     for topic, stamps in zip(
         result.topics, (result.joint_stamps, result.wrench_stamps), strict=True
     ):
         lines += _stamp_lines(topic, stamps)
     channels = result.channels
+    if channels.held > 1:
+        rate = result.wrench_stamps.rate_hz / channels.held
+        lines.append(
+            f"{result.topics[1]}: each reading comes about {channels.held} times: new ones come at"
+            f" {rate:.0f} Hz"
+        )
     for axis in range(6):
         if channels.not_finite[axis]:
             lines.append(f"{WRENCH_AXES[axis]}: {channels.not_finite[axis]} readings not finite")
@@ -64,7 +77,8 @@ def findings(result: BagEvaluation) -> list[str]:
                 f"{WRENCH_AXES[axis]}: {channels.beyond_range[axis]} readings at or beyond the"
                 " sensor's range"
             )
-    for verb, runs in (("stuck", channels.stuck), ("saturated", channels.saturated)):
+    for verb in _RUNS:
+        runs = getattr(channels, verb)
         lines += [describe_run(run, result.start_ns, verb) for run in runs[:_EVENTS]]
         if len(runs) > _EVENTS:
             lines.append(f"and {len(runs) - _EVENTS} more times {verb}")
@@ -102,7 +116,8 @@ def to_dict(result: BagEvaluation) -> dict[str, Any]:
         if result.change is None
         else {
             "time_s": (result.change.time_ns - result.start_ns) * 1e-9,
-            "mass_kg": list(result.change.mass_kg),
+            "mass_kg": None if result.change.mass_kg is None else list(result.change.mass_kg),
+            "offset_step": _by_axis(result.change.offset_step),
         },
         "worst_poses": [_phase_dict(result, int(k)) for k in result.worst_phases[:_WORST]],
         "stamps": {
@@ -112,8 +127,8 @@ def to_dict(result: BagEvaluation) -> dict[str, Any]:
         "channels": {
             "beyond_range": _by_axis(result.channels.beyond_range),
             "not_finite": _by_axis(result.channels.not_finite),
-            "stuck": _runs(result, "stuck"),
-            "saturated": _runs(result, "saturated"),
+            "held": result.channels.held,
+            **{kind: _runs(result, kind) for kind in _RUNS},
         },
         "findings": findings(result),
     }
@@ -142,7 +157,7 @@ def print_overview(rows: list[dict[str, Any]], console: Console) -> None:
             _largest(row["rmse"]["still_phases"], WRENCH_AXES[:3], 1.0, 4),
             _largest(row["rmse"]["still_phases"], WRENCH_AXES[3:], 1e3, 2),
             _largest(row["rmse"]["moving"], WRENCH_AXES[:3], 1.0, 3),
-            _largest((row["misfit"] or {}).get("rate_per_hour"), WRENCH_AXES[:3], 1.0, 3),
+            _drift(row["misfit"]),
             f"[{style}]{verdict.value}[/{style}]",
             str(len(row["findings"])),
         )
@@ -150,6 +165,13 @@ def print_overview(rows: list[dict[str, Any]], console: Console) -> None:
     for row in rows:
         if "error" in row:
             console.print(f"[red]{row['error']}[/red]", soft_wrap=True, highlight=False)
+
+
+def _drift(misfit: dict[str, Any] | None) -> str:
+    """The largest rate, N/h, if it is more than noise: a short recording's is a large number."""
+    if misfit is None or "drift" not in misfit["significant"]:
+        return "-"
+    return _largest(misfit["rate_per_hour"], WRENCH_AXES[:3], 1.0, 3)
 
 
 def _rmse_table(result: BagEvaluation) -> Table:
@@ -205,6 +227,8 @@ def _misfit_lines(misfit: Misfit) -> Iterator[str]:
         )
     elif misfit.why_no_load:
         yield f"another load: can't be told; {misfit.why_no_load}"
+    if misfit.why_no_drift:
+        yield f"drift: can't be told; {misfit.why_no_drift}"
 
 
 def _worst_table(result: BagEvaluation) -> Table:
@@ -285,6 +309,7 @@ def _misfit_dict(misfit: Misfit) -> dict[str, Any]:
         "moment_std_kgm": [_number(value) for value in misfit.moment_std_kgm],
         "phases_that_stand_out": int(np.count_nonzero(~misfit.used)),
         "why_no_load": misfit.why_no_load,
+        "why_no_drift": misfit.why_no_drift,
         "significant": sorted(misfit.significant),
     }
 
@@ -325,7 +350,7 @@ def _stamps_dict(stamps: StampReport) -> dict[str, Any]:
 def _runs(result: BagEvaluation, kind: str) -> list[dict[str, Any]]:
     return [
         {
-            "axis": WRENCH_AXES[run.axis],
+            "axis": "all" if run.axis is None else WRENCH_AXES[run.axis],
             "time_s": (run.start_ns - result.start_ns) * 1e-9,
             "duration_s": run.duration_s,
             "readings": run.count,

@@ -33,7 +33,7 @@ def test_one_bag_gives_a_report_a_picture_and_a_bag(archive, tmp_path, capsys):
     )
     out = capsys.readouterr().out
     assert code == 0
-    told = re.search(r"as of a load that differs by \+([\d.]+) \+-", out.replace("\n", " "))
+    told = re.search(r"as of another load, by \+([\d.]+) \+-", out.replace("\n", " "))
     assert float(told.group(1)) == pytest.approx(30.0, abs=1.0)
     for part in ("still phases' means", "another load", "Worst still phases", "Time stamps"):
         assert part in out
