@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import matplotlib
@@ -34,10 +35,16 @@ def plot_evaluation(result: BagEvaluation, directory: Path, name: str) -> Path:
     _parts(figure.add_subplot(grid[2, 2]), result)
     figure.suptitle(f"{name}, {result.tool.tool}: {_wrapped(result.sentence)}")
     figure.tight_layout()
-    directory.mkdir(parents=True, exist_ok=True)
     path = directory / f"{name}_evaluation.png"
-    figure.savefig(path, dpi=110)
-    plt.close(figure)
+    unfinished = path.with_name(f".{path.name}.{os.getpid()}")
+    try:
+        directory.mkdir(parents=True, exist_ok=True)
+        figure.savefig(unfinished, dpi=110, format="png")
+        os.replace(unfinished, path)
+    finally:
+        plt.close(figure)
+        if unfinished.exists():
+            unfinished.unlink()
     return path
 
 

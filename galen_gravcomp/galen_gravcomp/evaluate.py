@@ -252,6 +252,9 @@ def run_bags(arguments: argparse.Namespace, console: Console) -> int:
     )
     if not job.tool_beside:
         read_tool(job.tool)  # a wrong file is said once, and not for each bag
+    for folder in (job.plots, job.bags_out):
+        if folder is not None and folder.exists() and not folder.is_dir():
+            raise GalenError(f"{folder}: is no directory")
     if len(bags) == 1 and not arguments.scheduler:
         with tqdm(unit="msg", unit_scale=True, disable=not sys.stderr.isatty()) as bar:
             result = job.evaluate(bags[0], lambda done, total: _show(bar, done, total))

@@ -172,7 +172,8 @@ def _load_in_words(misfit: Misfit, tool: ToolFile) -> tuple[str, str]:
     if mass < max(sure, _NO_LOAD * tool.load.mass_kg):
         return text, " (no tool on it?)"
     moved = (tool.load.mass_kg * tool.load.com_m + misfit.moment_kgm) / mass - tool.load.com_m
-    std = float(np.max(misfit.moment_std_kgm)) / mass
+    # h / m: what the mass is not known by moves the centre as well.
+    std = np.max(np.hypot(misfit.moment_std_kgm, tool.load.com_m * misfit.mass_std_kg)) / mass
     centre = ", ".join(f"{1e3 * value:+.1f}" for value in moved)
     return (
         f"{text}, its centre by ({centre}) +- {1e3 * std:.1f} mm",

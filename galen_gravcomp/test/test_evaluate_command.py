@@ -44,6 +44,20 @@ def test_one_bag_gives_a_report_a_picture_and_a_bag(archive, tmp_path, capsys):
     assert main([str(tmp_path / "out" / "sweep_compensated"), "--tool", str(tool)]) == 0
 
 
+def test_a_picture_that_could_not_be_finished_leaves_nothing(
+    archive, tmp_path, monkeypatch, capsys
+):
+    def fail(self, path, **options):
+        path.write_bytes(b"half a picture")
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("matplotlib.figure.Figure.savefig", fail)
+    bag, tool = archive / "monday" / "sweep", archive / "monday" / "retractor.json"
+    assert main([str(bag), "--tool", str(tool), "--plots", str(tmp_path / "plots")]) == 1
+    assert "No space left on device" in capsys.readouterr().err
+    assert list((tmp_path / "plots").iterdir()) == []
+
+
 def test_json_is_one_object_that_a_program_can_read(archive, capsys):
     bag, tool = archive / "monday" / "sweep", archive / "monday" / "retractor.json"
     assert main([str(bag), "--tool", str(tool), "--json"]) == 0
@@ -92,6 +106,8 @@ def test_bags_in_parallel_give_what_they_give_one_by_one(archive, tmp_path, caps
         (["{bag}", "--tool", "{tool}", "--wrench-raw", "ft/raw"], "it has /wrench_raw"),
         (["{bag}", "--tool", "{tool}", "--joint-names", "a,b,c"], "joint names"),
         (["{bag}", "--tool", "{tool}", "--write-bags", "{taken}"], "is there already"),
+        (["{bag}", "--tool", "{tool}", "--write-bags", "{tool}"], "is no directory"),
+        (["{bag}", "--tool", "{tool}", "--plots", "{tool}"], "is no directory"),
     ],
 )
 def test_what_cannot_be_done_is_one_line_and_exit_code_1(
