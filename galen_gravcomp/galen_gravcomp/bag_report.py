@@ -135,7 +135,10 @@ def to_dict(result: BagEvaluation) -> dict[str, Any]:
 
 
 def print_overview(rows: list[dict[str, Any]], console: Console) -> None:
-    """One line a bag. `rows`: from `to_dict`, or {"bag": ..., "error": ...}."""
+    """One line a bag, and a sentence on each that does not fit.
+
+    `rows`: from `to_dict`, or {"bag": ..., "error": ...}.
+    """
     table = Table(title="Does the file still fit?", title_justify="left")
     table.add_column("bag", overflow="fold")
     for name in ("length, s", "out, %", "still N", "still mN.m", "moving N", "drift N/h"):
@@ -165,6 +168,8 @@ def print_overview(rows: list[dict[str, Any]], console: Console) -> None:
     for row in rows:
         if "error" in row:
             console.print(f"[red]{row['error']}[/red]", soft_wrap=True, highlight=False)
+        elif row["verdict"] != Verdict.FITS.value:
+            console.print(f"{row['bag']}: {row['sentence']}", soft_wrap=True, highlight=False)
 
 
 def _drift(misfit: dict[str, Any] | None) -> str:

@@ -1,18 +1,20 @@
 """Evaluations of recordings in which what is wrong was put in, and so is known."""
 
+import io
 import json
 import re
 
 import numpy as np
 import pytest
 from galen_gravcomp.bag_evaluation import EvaluationSettings, evaluate_bag
-from galen_gravcomp.bag_report import findings, to_dict
+from galen_gravcomp.bag_report import findings, print_overview, to_dict
 from galen_gravcomp.compensator import CompensatorSettings
 from galen_gravcomp.misfit import Limits
 from galen_gravcomp.verdict import Verdict
 from galen_model.arm import SENSOR
 from galen_model.tool_file import LoadEstimate
 from gravcomp_bags import Recording, tool_file
+from rich.console import Console
 from scipy.signal import lfilter
 
 
@@ -348,3 +350,30 @@ def test_a_slow_sensor_behind_a_fast_driver_is_said_to_be_one(tmp_path, tool):
     assert findings(result) == [
         "/wrench_raw: each reading comes about 5 times: new ones come at 40 Hz"
     ]
+
+
+def test_a_gap_ends_a_still_phase(tmp_path, tool):
+    recording = Recording(tool, poses=4, hold_s=4.0)
+    recording.kept[recording.pose_slices[1].start + 150 : recording.pose_slices[1].stop - 150] = (
+        False
+    )
+    result = evaluate(tmp_path, recording, tool)
+    assert len(result.phases) == 5
+    assert np.max(result.phases.end_ns - result.phases.start_ns) < 3.8e9
+
+
+def test_the_overview_s_drift_is_shown_only_where_it_is_more_than_noise(tmp_path, tool):
+    recording = Recording(tool, poses=20)
+    row = to_dict(evaluate(tmp_path, recording, tool))
+    recording.wrench[:, 2] += 60.0 * recording.time_s / 3600.0
+    drifting = to_dict(evaluate_bag(recording.write(tmp_path / "drifting"), tool))
+    console = Console(width=200, file=io.StringIO())
+    print_overview([row], console)
+    assert "fits" in console.file.getvalue()
+    # half a minute at the noise makes a rate of many mN/h out of nothing
+    assert abs(row["misfit"]["rate_per_hour"]["fz"]) > 0.1
+    cells = [line.split("│") for line in console.file.getvalue().splitlines() if "fits" in line]
+    assert cells[0][7].strip() == "-"
+    print_overview([drifting], console)
+    cells = [line.split("│") for line in console.file.getvalue().splitlines() if "drift " in line]
+    assert 55.0 < float(cells[-1][7]) < 65.0

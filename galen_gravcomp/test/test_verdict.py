@@ -1,0 +1,161 @@
+"""The verdict on still phases that were made up, so that each rule is met on its own."""
+
+import numpy as np
+import pytest
+from galen_gravcomp.load_change import find_change
+from galen_gravcomp.misfit import Limits, take_apart
+from galen_gravcomp.still_cells import StillPhases
+from galen_gravcomp.verdict import Verdict, judge
+from galen_model.arm import SENSOR
+from gravcomp_bags import START_NS, tool_file
+
+LIMITS = Limits()
+NOISE = SENSOR.noise_std / 10.0
+NOWHERE = np.full(6, np.nan)
+
+
+def phases(true, tool, count=20, *, seed=1, noise=1.0, angles=None, every_s=5.0, left=0.0):
+    """Phases of a recording of `true` that was compensated as `tool`; `left` (n, 6) is added."""
+    rng = np.random.default_rng(seed)
+    if angles is None:
+        angles = np.column_stack([rng.uniform(-1.3, 1.3, count), rng.uniform(-0.9, 0.9, count)])
+    mean = true.predict(angles[:, 0], angles[:, 1]) - tool.predict(angles[:, 0], angles[:, 1])
+    start = START_NS + np.round(every_s * 1e9 * np.arange(len(angles))).astype(np.int64)
+    return StillPhases(
+        start,
+        start + 1_000_000_000,
+        np.full(len(angles), 100),
+        mean + left + noise * rng.normal(size=mean.shape) * NOISE,
+        np.tile(NOISE, (len(angles), 1)),
+        angles,
+        np.ones(0, dtype=bool),
+        SENSOR.noise_std,
+    )
+
+
+def told(found, tool):
+    change = find_change(found, tool, LIMITS)
+    misfit = None if change else take_apart(found, tool)
+    return judge(found, misfit, change, tool, LIMITS, moving=NOWHERE, start_ns=START_NS)
+
+
+def alternating(count, size, axis):
+    """What no load, offset or drift follows."""
+    left = np.zeros((count, 6))
+    left[:, axis] = size * np.random.default_rng(8).choice([-1.0, 1.0], count)
+    return left
+
+
+def test_stronger_gravity_in_the_file_makes_a_smaller_mass_of_the_same_weight():
+    stronger = tool_file()
+    object.__setattr__(stronger, "gravity_m_s2", np.array([0.0, 0.0, -1.2 * 9.80665]))
+    heavier = tool_file(mass_kg=0.3)
+    object.__setattr__(heavier, "gravity_m_s2", stronger.gravity_m_s2)
+    misfit = take_apart(phases(heavier, stronger), stronger)
+    assert misfit.mass_kg == pytest.approx(0.1, abs=1e-3)
+
+
+def test_phases_that_stand_out_are_not_in_the_rest():
+    tool = tool_file()
+    left = np.zeros((20, 6))
+    left[4, 1] = 3.0
+    misfit = take_apart(phases(tool, tool, left=left), tool)
+    assert np.flatnonzero(~misfit.used).tolist() == [4]
+    assert misfit.rest[1] < 0.01
+    assert misfit.offset[1] < 0.01
+
+
+@pytest.mark.parametrize(
+    ("count", "every_s", "why"),
+    [(7, 20.0, "7 still phases are too few"), (8, 20.0, ""), (20, 1.2, "the still phases span")],
+)
+def test_drift_takes_eight_phases_and_half_a_minute(count, every_s, why):
+    tool = tool_file()
+    misfit = take_apart(phases(tool, tool, count, every_s=every_s), tool)
+    assert (misfit.why_no_drift == why) if not why else misfit.why_no_drift.startswith(why)
+    assert (misfit.rate_per_hour is None) == bool(why)
+
+
+def test_poses_that_only_touched_phases_spread_tell_no_load():
+    tool = tool_file()
+    angles = np.column_stack([np.linspace(0.0, 0.02, 20), np.linspace(0.0, 0.01, 20)])
+    angles[[3, 9, 15]] = [[1.2, 0.5], [-1.2, -0.5], [0.2, 0.9]]
+    left = np.zeros((20, 6))
+    left[[3, 9, 15], :3] = [[3.0, 2.0, 0.0], [-2.0, 0.0, 4.0], [1.0, -3.0, 0.0]]
+    misfit = take_apart(phases(tool, tool, angles=angles, left=left), tool)
+    assert misfit.load is None
+    assert misfit.why_no_load
+
+
+def test_a_half_explained_misfit_is_no_change_of_load():
+    """With something else left besides the step, two parts are not five times better than one."""
+    tool = tool_file()
+    left = alternating(20, 0.05, 1)
+    left[10:, 0] += 0.3
+    assert find_change(phases(tool, tool, left=left), tool, LIMITS) is None
+
+
+def test_a_step_within_the_limits_is_no_change():
+    tool = tool_file()
+    left = np.zeros((20, 6))
+    left[10:, 0] = 0.04
+    found = phases(tool, tool, noise=0.05, left=left)
+    assert find_change(found, tool, LIMITS) is None
+    left[10:, 0] = 0.4
+    change = find_change(phases(tool, tool, noise=0.05, left=left), tool, LIMITS)
+    assert (change.first_after, change.mass_kg) == (10, None)
+    assert change.offset_step[0] == pytest.approx(0.4, abs=0.01)
+    assert change.time_ns == START_NS + 48_000_000_000
+
+
+def test_adapter_and_tool_off_is_not_less_than_nothing():
+    """The file's mass is the tool's; with the adapter off as well, the reading misses both."""
+    tool = tool_file()
+    bare = tool_file(mass_kg=-0.1, com_m=(0.0, 0.0, 0.02))
+    verdict, sentence = told(phases(bare, tool, 30), tool)
+    assert verdict is Verdict.LOAD
+    assert sentence.endswith("(no tool on it?)")
+
+
+@pytest.mark.parametrize(
+    ("offset", "rest", "verdict"),
+    [
+        (0.12, 0.02, Verdict.OFFSET),
+        (0.12, 0.045, Verdict.OFFSET),
+        # taken off, more than half would be left
+        (0.04, 0.04, Verdict.UNEXPLAINED),
+        # taken off, it would still not fit
+        (0.18, 0.09, Verdict.UNEXPLAINED),
+        # nor here, but by far the most is the offset
+        (1.0, 0.09, Verdict.OFFSET),
+    ],
+)
+def test_what_would_not_mend_it_is_not_the_reason(offset, rest, verdict):
+    tool = tool_file()
+    left = alternating(30, rest, 0)
+    left[:, 0] += offset
+    found, sentence = told(phases(tool, tool, 30, left=left), tool)
+    assert found is verdict
+    besides = rest > 0.025 and verdict is Verdict.OFFSET
+    assert ("besides, 0.0" in sentence) == besides
+    assert ("which a tare takes off" in sentence) == (verdict is Verdict.OFFSET and not besides)
+
+
+def test_a_phase_that_is_out_by_nothing_that_matters_is_not_worth_a_word():
+    tool = tool_file()
+    left = np.zeros((20, 6))
+    left[4, 0] = 0.02
+    found = phases(tool, tool, noise=0.2, left=left)
+    assert not take_apart(found, tool).used[4]
+    assert "out" not in told(found, tool)[1]
+    left[4, 0] = 0.2
+    assert "1 of 20 still phases stands out" in told(phases(tool, tool, left=left), tool)[1]
+
+
+def test_a_torque_s_drift_is_in_mnm_an_hour():
+    tool = tool_file()
+    left = np.zeros((30, 6))
+    left[:, 4] = 0.2 * (np.arange(30) - 14.5) * 5.0 / 3600.0
+    verdict, sentence = told(phases(tool, tool, 30, left=left), tool)
+    assert verdict is Verdict.DRIFT
+    assert 190.0 < float(sentence.split("here by +")[1].split(" mN.m/h")[0]) < 210.0
