@@ -1,0 +1,121 @@
+"""Reading a JSON file's fields with checks; what is wrong is said with the field's name."""
+
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from galen_model.arrays import Array
+
+LARGEST = 1e6
+"""No SI number of this arm or its tools comes near it; a larger one would overflow in a product."""
+
+
+class FieldError(ValueError):
+    """A field is missing or wrong; the message names it."""
+
+
+def read_json(path: Path, max_bytes: int, what: str) -> Any:
+    """The content of a JSON file, `what` it should be ("a tool's file").
+
+    Raises FieldError, without the file's name.
+    """
+    try:
+        with path.open("rb") as stream:
+            raw = stream.read(max_bytes + 1)
+    except OSError as error:
+        raise FieldError(f"can't be read: {error.strerror}") from error
+    if len(raw) > max_bytes:
+        raise FieldError(f"larger than {max_bytes} bytes, not {what}")
+    try:
+        return json.loads(raw)
+    except (ValueError, RecursionError) as error:
+        raise FieldError(f"not JSON: {error}") from error
+
+
+def check_version(content: Mapping[str, Any], version: int) -> None:
+    """Raise FieldError unless the field schema_version is `version`."""
+    found = get(content, "schema_version")
+    if found != version or isinstance(found, bool):
+        raise FieldError(f"schema_version is {found!r:.40}; this version reads {version}")
+
+
+def numbers(values: ArrayLike) -> list[float]:
+    """A row of plain numbers, to be written."""
+    return [float(value) for value in np.asarray(values, dtype=float)]
+
+
+def mapping(value: Any, name: str) -> Mapping[str, Any]:
+    """An object."""
+    if not isinstance(value, Mapping):
+        raise FieldError(f"{name} is not an object")
+    return value
+
+
+def get(content: Mapping[str, Any], name: str) -> Any:
+    """A field that must be there."""
+    if name not in content:
+        raise FieldError(f"{name} is missing")
+    return content[name]
+
+
+def text(value: Any, name: str) -> str:
+    """A text that isn't empty."""
+    if not isinstance(value, str) or not value:
+        raise FieldError(f"{name} is {value!r}; expected a text")
+    return value
+
+
+def texts(value: Any, name: str) -> tuple[str, ...]:
+    """A list of texts."""
+    return tuple(str(item) for item in items(value, name))
+
+
+def items(value: Any, name: str) -> Sequence[Any]:
+    """A list of anything."""
+    if not isinstance(value, Sequence) or isinstance(value, str):
+        raise FieldError(f"{name} is not a list")
+    return value
+
+
+def count(value: Any, name: str) -> int:
+    """A whole number from 0 on."""
+    if not isinstance(value, int) or isinstance(value, bool) or value < 0:
+        raise FieldError(f"{name} is {value!r}; expected a count")
+    return value
+
+
+def number(value: Any, name: str) -> float:
+    """A finite number of at most LARGEST."""
+    # The comparison, unlike float(), takes integers of any size; NaN fails it.
+    if not _is_number(value) or not abs(value) <= LARGEST:
+        raise FieldError(f"{name} is {value!r:.40}; expected a finite number up to {LARGEST:g}")
+    return float(value)
+
+
+def array(value: Any, name: str, shape: tuple[int, ...]) -> Array:
+    """Numbers of a shape, each as `number`."""
+    if not _holds_numbers(value):
+        raise FieldError(f"{name} does not hold numbers")
+    try:
+        values = np.array(value, dtype=float)
+    except (ValueError, OverflowError):
+        raise FieldError(f"{name} does not hold numbers of the shape {shape}") from None
+    if values.shape != shape:
+        raise FieldError(f"{name} has shape {values.shape}; expected {shape}")
+    if not np.all(np.abs(values) <= LARGEST):
+        raise FieldError(f"{name} holds a value that is not finite, or above {LARGEST:g}")
+    return values
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool)
+
+
+def _holds_numbers(value: Any) -> bool:
+    if isinstance(value, list):
+        return all(_holds_numbers(item) for item in value)
+    return _is_number(value)
