@@ -114,6 +114,45 @@ class AdmittanceConfig:
 
 
 @dataclass(frozen=True)
+class HysteresisConfig:
+    """Friction in the joints that leaves some of a deflection behind; none in the nominal arm.
+
+    After a push that loads a joint as much as told here (a carriage or a rod in N, roll and tilt
+    in N.m), `residual_fraction` of that joint's deflection is left at no load, and less after any
+    other push. The loads are about those of 10 N at the retractor's tip.
+    """
+
+    residual_fraction: float = 0.0
+    carriage_load_n: float = 15.0
+    rod_load_n: float = 60.0
+    roll_load_nm: float = 1.5
+    tilt_load_nm: float = 1.5
+
+    @property
+    def on(self) -> bool:
+        """Whether there is any."""
+        return self.residual_fraction > 0.0
+
+    def validate(self) -> None:
+        """The fraction is none or one that can be computed, the loads are positive."""
+        _require(
+            self.residual_fraction == 0.0 or 1e-4 <= self.residual_fraction <= 0.5,
+            f"residual fraction of the deflection's hysteresis is {self.residual_fraction}, but "
+            "must be 0 or between 0.0001 and 0.5",
+        )
+        for name, value in (
+            ("carriage", self.carriage_load_n),
+            ("rod", self.rod_load_n),
+            ("roll", self.roll_load_nm),
+            ("tilt", self.tilt_load_nm),
+        ):
+            _require(
+                math.isfinite(value) and value > 0.0,
+                f"hysteresis load of the {name} is {value}, but must be positive",
+            )
+
+
+@dataclass(frozen=True)
 class HandPush:
     """One push of the scripted hand at tool_tip.
 
@@ -170,6 +209,7 @@ class PlantConfig:
     sensor: SensorConfig = SensorConfig()
     tracker: TrackerConfig = TrackerConfig()
     admittance: AdmittanceConfig = AdmittanceConfig()
+    hysteresis: HysteresisConfig = HysteresisConfig()
     hand: Sequence[HandPush] = field(default_factory=_default_script)
 
     @property
@@ -186,6 +226,7 @@ class PlantConfig:
         self.motion.validate()
         self.tracker.validate()
         self.admittance.validate()
+        self.hysteresis.validate()
         for push in self.hand:
             push.validate()
         _require(

@@ -21,6 +21,7 @@ from galen_ros.parameters import ParameterError, param
 from galen_sim_driver.config import (
     AdmittanceConfig,
     HandPush,
+    HysteresisConfig,
     MotionConfig,
     PlantConfig,
     Pose,
@@ -156,6 +157,25 @@ class DriverParameters:
         minimum=0.002,
     )
 
+    deflection_hysteresis_fraction: float = param(
+        _DEFAULT.hysteresis.residual_fraction,
+        "friction in the joints: what it leaves of a joint's deflection at no load, after the load "
+        "of `deflection_hysteresis_load`; 0 for none, else at least 0.0001",
+        minimum=0.0,
+        maximum=0.5,
+    )
+    deflection_hysteresis_load: tuple[float, ...] = param(
+        (
+            _DEFAULT.hysteresis.carriage_load_n,
+            _DEFAULT.hysteresis.rod_load_n,
+            _DEFAULT.hysteresis.roll_load_nm,
+            _DEFAULT.hysteresis.tilt_load_nm,
+        ),
+        "the load of each carriage and each rod (N), of roll and of tilt (Nm) that leaves the "
+        "largest fraction",
+        minimum=1e-6,
+    )
+
     hand_pushes: tuple[float, ...] = param(
         [
             value
@@ -188,6 +208,7 @@ class DriverParameters:
             "tool_marker_rotvec_rad",
         ):
             self._require_length(name, 3)
+        self._require_length("deflection_hysteresis_load", 4)
         for tool in self.tools:
             check_tool_name(tool)
         if len(set(self.tools)) != len(self.tools):
@@ -255,6 +276,9 @@ class DriverParameters:
                 self.admittance_angular_gain_rad_s_nm,
                 self.admittance_damping,
                 self.admittance_timeout_s * max(1.0, self.speed_factor),
+            ),
+            hysteresis=HysteresisConfig(
+                self.deflection_hysteresis_fraction, *self.deflection_hysteresis_load
             ),
             hand=self._hand_script(),
         )

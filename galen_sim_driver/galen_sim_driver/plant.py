@@ -5,8 +5,8 @@ The reading is the nominal measurement model,
     reading = W(theta; tool) + W(theta; adapter) - zero + applied wrench + noise,
 
 with W = (m g, m p x g) of a load m at p under gravity g in ft_sensor, and the zero what the sensor
-held when it was last zeroed; at the start W(home; adapter). There are no inertial loads, no
-hysteresis, no drift and no delay.
+held when it was last zeroed; at the start W(home; adapter). There are no inertial loads, no drift
+and no delay; hysteresis of the deflection only where the configuration asks for it.
 """
 
 from __future__ import annotations
@@ -34,6 +34,7 @@ from galen_sim_driver.geometry import (
     sensor_quaternion,
 )
 from galen_sim_driver.hand import Hand
+from galen_sim_driver.joint_hysteresis import JointHysteresis
 from galen_sim_driver.motion import LimitedMotion
 from galen_sim_driver.sensor import ForceTorqueSensor, Zeroing
 from galen_sim_driver.tracker import Tracker, TrackerSample
@@ -91,6 +92,8 @@ class Plant:
         self._tracker_count = 0
         self._compliance_of: tuple[tuple[float, ...], str] | None = None
         self._compliance = np.zeros((6, 6))
+        hysteresis = config.hysteresis
+        self._hysteresis = JointHysteresis(hysteresis, config.arm) if hysteresis.on else None
 
         self._hand = Hand(config.hand)
         self._admittance = Admittance(config.admittance, self._geometry, config.motion.velocity)
@@ -242,6 +245,9 @@ class Plant:
             for axis in range(3):
                 wrench[axis] += touch[axis]
                 wrench[axis + 3] += touch[axis + 3] + lever[axis]
+        if self._hysteresis is not None:
+            at_tip = None if touch is None else _in_base(matrix, touch)
+            self._hysteresis.load(joints, self._tip, at_tip)
         reading = self._sensor.read(wrench)
         if self._zeroing is not None and self._zeroing.done:
             if self._zeroing.error is None:
@@ -335,7 +341,16 @@ class Plant:
             if key != self._compliance_of:
                 self._compliance = tip_compliance(joints, self._tip, self._config.arm)
                 self._compliance_of = key
-            in_base = [*rotate(matrix, touch[:3]), *rotate(matrix, touch[3:])]
-            deflection = (self._compliance @ in_base).tolist()
+            deflection = (self._compliance @ _in_base(matrix, touch)).tolist()
+        if self._hysteresis is not None:
+            left = self._hysteresis.displacement(joints, self._tip)
+            if left is not None:
+                elastic = deflection or [0.0] * 6
+                deflection = [a + b for a, b in zip(elastic, left, strict=True)]
         position = self._geometry.tip_position(joints, matrix, self._tip)
         return self._tracker.sample((position, sensor_quaternion(joints[3], joints[4])), deflection)
+
+
+def _in_base(matrix: Matrix, touch: Sequence[float]) -> list[float]:
+    """A wrench (6,) about tool_tip, from its axes to those of base_link."""
+    return [*rotate(matrix, touch[:3]), *rotate(matrix, touch[3:])]
