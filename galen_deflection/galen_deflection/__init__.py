@@ -1,0 +1,1 @@
+"""Predicts how far the arm bends under load, live and on recordings."""

@@ -1,0 +1,194 @@
+"""Where the arm stood: its positions, found in its joints, and when nobody pushed there."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from galen_bags.still import StillSettings, still_rows
+from galen_model.arm import SENSOR
+from galen_model.arrays import Array
+
+from galen_deflection.timeline import Timeline
+
+_NS = 1e9
+_MAD_TO_STD = 1.4826
+_LOWER_QUARTILE = 0.3186  # of a normal deviate's absolute value
+
+
+@dataclass(frozen=True)
+class PositionSettings:
+    """When the arm stands, and what is the same position.
+
+    tolerance (5,): joints this near, m and rad, are the same position.
+    """
+
+    still: StillSettings = field(default_factory=StillSettings)
+    tolerance: Array = field(default_factory=lambda: np.array([2e-3] * 3 + [1e-2] * 2))
+
+
+@dataclass(frozen=True)
+class Stay:
+    """The arm stood at a position from start_ns to end_ns; `visit` counts the times it came."""
+
+    start_ns: int
+    end_ns: int
+    position: int
+    visit: int
+
+
+def find_stays(
+    line: Timeline, joints: Array, settings: PositionSettings | None = None
+) -> tuple[list[Stay], Array]:
+    """Where the arm stood, in order, and the joints (p, 5) of each position, first come first.
+
+    joints (n, 5) belong to the line's samples. A stay at the place of the one before is the same
+    visit.
+    """
+    settings = settings or PositionSettings()
+    positions: list[Array] = []
+    visits: list[int] = []
+    stays: list[Stay] = []
+    for rows in still_rows(line.time_ns, joints, settings.still):
+        here = np.nanmedian(joints[rows], axis=0)
+        near = [
+            k for k, p in enumerate(positions) if np.all(np.abs(p - here) <= settings.tolerance)
+        ]
+        if near:
+            position = near[0]
+        else:
+            position = len(positions)
+            positions.append(here)
+            visits.append(-1)
+        if not stays or stays[-1].position != position:
+            visits[position] += 1
+        first, last = line.time_ns[rows.start], line.time_ns[rows.stop - 1]
+        stays.append(Stay(int(first), int(last), position, visits[position]))
+    return stays, np.array(positions).reshape(-1, 5)
+
+
+@dataclass(frozen=True)
+class UnloadedSettings:
+    """When nobody pushes.
+
+    The wrench's mean over `window_s` must stay within `sigmas` of its noise of what it was at the
+    start of the visit, for `min_duration_s` at least; `margin_s` is cut off before it leaves.
+    Between pushes the limit is at least `zero_load_share` of the visit's largest wrench. What the
+    wrench is without load, the tool's file may tell wrongly, by no more than `max_offset` (6,).
+    """
+
+    window_s: float = 0.1
+    sigmas: float = 6.0
+    min_duration_s: float = 0.5
+    margin_s: float = 0.1
+    zero_load_share: float = 0.01
+    max_offset: Array = field(default_factory=lambda: np.array([0.5] * 3 + [0.05] * 3))
+
+
+@dataclass(frozen=True)
+class LoadPhases:
+    """Of one visit's wrenches.
+
+    first: from when to when it is untouched before its first push (time_ns), None if it is not;
+    zero_load: stretches between pushes in which nobody pushes, but in which a deflection may be
+    left by hysteresis. offset (6,): what the wrench is in `first`; why_none: a reason in words.
+    """
+
+    first: tuple[int, int] | None
+    zero_load: list[tuple[int, int]]
+    offset: Array
+    why_none: str = ""
+
+
+def wrench_noise(wrenches: Array) -> Array:
+    """Standard deviation (6,) of one sample's white noise, at least a quantum of the sensor.
+
+    From second differences, which smooth pushes hardly change.
+    """
+    steps = np.diff(wrenches, n=2, axis=0)
+    if not len(steps):
+        return np.asarray(SENSOR.quantum)
+    # The median alone would be one of few values: readings come in quanta.
+    limit = 4.0 * _MAD_TO_STD * np.median(np.abs(steps), axis=0)
+    small = np.where(np.abs(steps) <= np.maximum(limit, SENSOR.quantum), steps, np.nan)
+    return np.maximum(np.sqrt(np.nanmean(small**2, axis=0) / 6.0), SENSOR.quantum)
+
+
+def noise_of_mean(time_ns: np.ndarray, wrenches: Array, window_s: float) -> Array:
+    """Standard deviation (6,) of the mean over a window, of white noise or a filtered sensor's.
+
+    At least that of white noise. More comes from second differences of windows' means: of their
+    absolute values the lower quartile, because many windows are inside of pushes; where half of
+    them are, this is too large by a factor of two.
+    """
+    width = _samples(time_ns, window_s)
+    white = wrench_noise(wrenches) / np.sqrt(width)
+    count = len(wrenches) // width
+    if count < 12:
+        return np.asarray(white)
+    means = wrenches[: count * width].reshape(count, width, 6).mean(axis=1)
+    steps = np.abs(np.diff(means, n=2, axis=0))
+    return np.maximum(white, np.quantile(steps, 0.25, axis=0) / _LOWER_QUARTILE / np.sqrt(6.0))
+
+
+def load_phases(
+    time_ns: np.ndarray, wrenches: Array, noise: Array, settings: UnloadedSettings
+) -> LoadPhases:
+    """When nobody pushes, in one visit's wrenches (n, 6) at time_ns (n,).
+
+    noise (6,): of a mean over the settings' window (`noise_of_mean`).
+    """
+    nothing = np.full(6, np.nan)
+    if len(time_ns) < 3:
+        return LoadPhases(None, [], nothing, "there are no wrenches")
+    mean = _moving_mean(wrenches, _samples(time_ns, settings.window_s))
+    limit = settings.sigmas * noise
+    start_rows = int(np.searchsorted(time_ns, time_ns[0] + round(settings.min_duration_s * _NS)))
+    stop = start_rows
+    for _ in range(3):
+        offset = wrenches[:stop].mean(axis=0)
+        away = np.any(np.abs(mean - offset) > limit, axis=1)
+        stop = int(np.argmax(away)) if away.any() else len(time_ns)
+        if stop < start_rows:
+            return LoadPhases(None, [], nothing, "the wrench changes from the start")
+    if np.any(np.abs(offset) > settings.max_offset):
+        force, torque = np.linalg.norm(offset[:3]), 1e3 * np.linalg.norm(offset[3:])
+        return LoadPhases(
+            None, [], nothing, f"it begins under load ({force:.2f} N, {torque:.0f} mN·m)"
+        )
+    margin_ns = round(settings.margin_s * _NS)
+    end_ns = int(time_ns[stop - 1]) - (margin_ns if stop < len(time_ns) else 0)
+    if end_ns - time_ns[0] < settings.min_duration_s * _NS:
+        return LoadPhases(
+            None, [], nothing, f"it is untouched for less than {settings.min_duration_s:g} s"
+        )
+    load = mean - offset
+    largest = [np.max(np.linalg.norm(load[:, k], axis=1)) for k in (slice(0, 3), slice(3, 6))]
+    limit = np.maximum(limit, settings.zero_load_share * np.repeat(largest, 3))
+    free = np.all(np.abs(load) <= limit, axis=1)
+    free[:stop] = False
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], free.astype(np.int8), [0]])))
+    stretches = [
+        (int(time_ns[a]) + margin_ns // 2, int(time_ns[b - 1]) - margin_ns // 2)
+        for a, b in zip(edges[::2], edges[1::2], strict=True)
+    ]
+    return LoadPhases(
+        (int(time_ns[0]), end_ns),
+        [(a, b) for a, b in stretches if b - a >= settings.window_s * _NS / 2],
+        offset,
+    )
+
+
+def _samples(time_ns: np.ndarray, window_s: float) -> int:
+    """How many a window holds, at least one."""
+    period_s = float(np.median(np.diff(time_ns))) / _NS if len(time_ns) > 1 else window_s
+    return max(1, round(window_s / period_s))
+
+
+def _moving_mean(values: Array, width: int) -> Array:
+    """Means (n, k) over `width` neighbours, fewer at the ends."""
+    sums = np.concatenate([np.zeros((1, values.shape[1])), np.cumsum(values, axis=0)])
+    row = np.arange(len(values))
+    low = np.maximum(row - (width - 1) // 2, 0)
+    high = np.minimum(row + width // 2 + 1, len(values))
+    return np.asarray((sums[high] - sums[low]) / (high - low)[:, None])

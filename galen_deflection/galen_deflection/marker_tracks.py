@@ -1,0 +1,164 @@
+"""Poses of the tracker's markers out of a bag, without those in which the marker was lost."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from galen_bags.arm_recording import find_topic
+from galen_bags.bag import Bag
+from galen_bags.errors import BagError
+from galen_bags.messages import POSE_TYPE, Decoder, Samples
+from galen_model.rotation import quaternion_to_matrix
+
+from galen_deflection.rigid import Transform
+from galen_deflection.timeline import Timeline, lay_out, stamp_sentences
+
+_NORM_TOLERANCE = 1e-3
+# So many poses alike to the last bit are no measurement: noise alone would make them differ.
+_FROZEN_SAMPLES = 3
+_USUAL_REPEATS, _USUAL_RUNS = 0.3, 10
+
+
+@dataclass(frozen=True)
+class MarkerTrack:
+    """A marker's good poses (n) in `tracker`, when they were taken, and what was wrong."""
+
+    topic: str
+    line: Timeline
+    poses: Transform
+    period_s: float
+    problems: tuple[str, ...]
+
+    def __len__(self) -> int:
+        """Number of good poses."""
+        return len(self.line)
+
+
+@dataclass(frozen=True)
+class RawTrack:
+    """A marker's messages as they came: stamp_ns, log_ns (n,), values (n, 7), frames' names."""
+
+    topic: str
+    stamp_ns: np.ndarray
+    log_ns: np.ndarray
+    values: np.ndarray
+    frame_ids: tuple[str, ...]
+    bad: Mapping[int, str]
+
+
+def read_poses(bag: Bag, names: tuple[str, ...]) -> list[RawTrack]:
+    """Read PoseStamped topics, by their names or as the only one that ends so; else BagError."""
+    topics = [find_topic(bag, name, POSE_TYPE) for name in names]
+    if len(set(topics)) < len(topics):
+        raise BagError(f"{bag.path}: {topics[0]} can't be both markers")
+    decoders = [Decoder(POSE_TYPE) for _ in topics]
+    parts: list[list[tuple[Samples, np.ndarray]]] = [[] for _ in topics]
+    for block in bag.blocks(topics):
+        for number, decoder in enumerate(decoders):
+            rows = np.flatnonzero(block.topic == number)
+            if len(rows):
+                parts[number].append((decoder.decode(block, rows), block.log_time_ns[rows]))
+    return [_joined(bag, topic, part) for topic, part in zip(topics, parts, strict=True)]
+
+
+def _joined(bag: Bag, topic: str, parts: list[tuple[Samples, np.ndarray]]) -> RawTrack:
+    if not parts:
+        raise BagError(f"{bag.path}: {topic} has no message")
+    first = np.cumsum([0, *(len(samples) for samples, _ in parts)])
+    bad = {
+        int(start) + row: why
+        for start, (samples, _) in zip(first, parts, strict=False)
+        for row, why in samples.bad.items()
+    }
+    return RawTrack(
+        topic,
+        np.concatenate([samples.stamp_ns for samples, _ in parts]),
+        np.concatenate([log_ns for _, log_ns in parts]),
+        np.concatenate([samples.values for samples, _ in parts]),
+        parts[-1][0].frame_ids,
+        bad,
+    )
+
+
+def marker_track(raw: RawTrack, jump_s: float, start_ns: int, *, may_stand: bool) -> MarkerTrack:
+    """The good poses of a marker; sentences tell times in s after `start_ns`.
+
+    Lost are poses that aren't finite, whose quaternion's length isn't 1, that are the identity (as
+    some trackers say it), and those that repeat the one before to the last bit: a tracker that
+    holds its last pose. `may_stand`: repeats are all right, as of a marker that stands, looked at
+    once and published for ever.
+    """
+    line = lay_out(raw.stamp_ns, raw.log_ns, jump_s)
+    problems = stamp_sentences(raw.topic, line, start_ns)
+    if raw.bad:
+        why = next(iter(raw.bad.values()))
+        problems.append(f"{raw.topic}: {len(raw.bad)} messages can't be read: {why}")
+    values = raw.values[line.row]
+    with np.errstate(invalid="ignore"):
+        finite = np.isfinite(values).all(axis=1)
+        norm = np.linalg.norm(values[:, 3:], axis=1)
+        unit = np.abs(norm - 1.0) <= _NORM_TOLERANCE
+    nowhere = np.all(values == np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]), axis=1)
+    repeats = frozen = np.zeros(len(values), dtype=bool)
+    if not may_stand:
+        repeats, frozen = _frozen(values)
+    lost = ~finite | ~unit | nowhere | repeats
+    for mask, why in (
+        (~finite, "not finite"),
+        (finite & ~unit, "a quaternion whose length isn't 1"),
+        (nowhere, "the identity"),
+        (frozen & finite & unit & ~nowhere, "frozen, the same to the last bit"),
+    ):
+        if mask.any():
+            problems.append(_lost_sentence(raw.topic, why, mask, line.time_ns - start_ns))
+    good = line.kept(~lost)
+    steps = np.diff(good.time_ns)
+    return MarkerTrack(
+        raw.topic,
+        good,
+        Transform(
+            quaternion_to_matrix(values[~lost, 3:] / norm[~lost, None])
+            if len(good)
+            else np.zeros((0, 3, 3)),
+            values[~lost, :3],
+        ),
+        float(np.median(steps)) * 1e-9 if len(steps) else float("nan"),
+        tuple(problems),
+    )
+
+
+def _frozen(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Poses (n,) that repeat the one before, and those of them that a frozen marker leaves.
+
+    Where a topic is published faster than the tracker measures, short repeats are the rule: they
+    are no measurements, and no trouble.
+    """
+    repeats = np.concatenate([[False], np.all(values[1:] == values[:-1], axis=1)])
+    starts, stops = _runs(repeats)
+    usual = 0.0
+    if np.count_nonzero(repeats) > _USUAL_REPEATS * len(values) and len(starts) > _USUAL_RUNS:
+        usual = float(np.median(stops - starts))
+    frozen = np.zeros(len(values), dtype=bool)
+    for start, stop in zip(starts, stops, strict=True):
+        frozen[start:stop] = stop - start >= _FROZEN_SAMPLES - 1 + 3.0 * usual
+    return repeats, frozen
+
+
+def _runs(mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """First rows of the runs in which a mask (n,) is set, and the rows after their last."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], mask.astype(np.int8), [0]])))
+    return edges[::2], edges[1::2]
+
+
+def _lost_sentence(topic: str, why: str, mask: np.ndarray, since_ns: np.ndarray) -> str:
+    starts, stops = _runs(mask)
+    length = since_ns[stops - 1] - since_ns[starts]
+    longest = int(np.argmax(length))
+    number = int(mask.sum())
+    return (
+        f"{topic}: marker lost in {number} sample{'s' if number > 1 else ''} ({why}), "
+        f"{len(starts)} time{'s' if len(starts) > 1 else ''}, longest"
+        f" {length[longest] * 1e-9:.2f} s at {since_ns[starts[longest]] * 1e-9:.2f} s"
+    )

@@ -1,0 +1,74 @@
+"""A fitted model's file: JSON with a schema's version and a checksum, written whole or not at all.
+
+    {"schema_version": 1, "kind": "joint_stiffness", "tip_m": [..3..],
+     "parameters": [{"name": "1/k_roll", "unit": "rad/(N.m)", "value": 0.0005}, ...],
+     "covariance": [[..]], "discrepancy": [[6x6]], "noise": [..6..], "fitted_range": {...},
+     "fitted_on": {"samples": .., "segments": .., "positions": .., "sets": ..}, "unresolved": [..],
+     "notes": [..],
+     "sha256": "..."}
+
+What else is in it, the kind decides. The checksum is SHA-256 of all other fields as JSON without
+spaces and with sorted keys: it tells a file that was cut, mixed or edited by hand.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from galen_model.json_fields import FieldError, check_version, get, mapping, read_json, text
+from galen_model.whole_file import write_whole
+
+from galen_deflection.errors import ModelFileError
+from galen_deflection.models.interface import DeflectionModel
+from galen_deflection.models.registry import kind_of
+
+SCHEMA_VERSION = 1
+_MAX_FILE_BYTES = 10_000_000
+
+
+def read_model(path: str | os.PathLike[str]) -> DeflectionModel:
+    """Read and check a model's file. Raises ModelFileError that names the file and the field."""
+    path = Path(path)
+    try:
+        return _from_json(read_json(path, _MAX_FILE_BYTES, "a model's file"))
+    except (FieldError, RecursionError) as error:
+        raise ModelFileError(f"{path}: {error}") from error
+
+
+def write_model(path: str | os.PathLike[str], model: DeflectionModel) -> None:
+    """Write a model's file whole or not at all; the old one is kept as `.bak`.
+
+    Raises ModelFileError, naming the file; the old file is then untouched.
+    """
+    path = Path(path)
+    try:
+        content = {"schema_version": SCHEMA_VERSION, **model.to_json()}
+        content["sha256"] = _checksum(content)
+        _from_json(json.loads(json.dumps(content)))  # what can't be read must not be written
+    except (ValueError, FieldError) as error:
+        raise ModelFileError(f"{path}: not written: {error}") from error
+    try:
+        write_whole(path, json.dumps(content, indent=1, allow_nan=False) + "\n")
+    except OSError as error:
+        raise ModelFileError(f"{path}: can't be written: {error.strerror}") from error
+
+
+def _from_json(content: Any) -> DeflectionModel:
+    whole = mapping(content, "the file")
+    check_version(whole, SCHEMA_VERSION)
+    kind = kind_of(text(get(whole, "kind"), "kind"))
+    found = text(get(whole, "sha256"), "sha256")
+    if found != _checksum(whole):
+        raise FieldError("sha256 is not that of the content: it was changed or cut")
+    return kind.from_json(whole)
+
+
+def _checksum(content: Mapping[str, Any]) -> str:
+    checked = {name: value for name, value in content.items() if name != "sha256"}
+    canonical = json.dumps(checked, sort_keys=True, separators=(",", ":"), allow_nan=False)
+    return hashlib.sha256(canonical.encode()).hexdigest()

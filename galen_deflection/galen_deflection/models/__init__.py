@@ -1,0 +1,1 @@
+"""Models of the deflection behind one interface."""

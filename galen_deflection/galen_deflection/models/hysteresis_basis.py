@@ -1,0 +1,171 @@
+"""Springs with hysteresis: compliances, and operators with memory beside them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+from galen_model.arrays import Array
+from galen_model.json_fields import FieldError, array, get, items, mapping, numbers, text
+
+from galen_deflection.hysteresis import PlayOperators
+from galen_deflection.models.joint_stiffness import COMPLIANCES, StiffnessRun, elastic
+from galen_deflection.models.linear import Parameter, Rows
+from galen_deflection.springs import SPRINGS, kinds
+
+Shape = Literal["play", "stop"]
+
+JOINTS = tuple(kind.name for kind in kinds()[:3])
+TIP = "tip"
+COLUMNS = {kind.name: range(*kind.springs.indices(len(SPRINGS))) for kind in kinds()[:3]}
+COLUMNS[TIP] = range(len(SPRINGS), len(SPRINGS) + 6)
+"""Where an operator may sit: at the springs of a kind, or at the tip's six axes, counted on."""
+
+_UNITS = {kind.name: kind.compliance_unit for kind in kinds()} | {TIP: "1"}
+_LOAD_UNITS = {kind.name: kind.load_unit for kind in kinds()}
+_UNIFORM_STD = 1.0 / np.sqrt(12.0)
+
+
+class Operator(NamedTuple):
+    """A play, or a stop, at each spring of a kind, or at each of the tip's axes; one weight.
+
+    thresholds: one for each of them; N.m, N, or at the tip m and rad.
+    """
+
+    place: str
+    shape: Shape
+    thresholds: tuple[float, ...]
+
+    @property
+    def name(self) -> str:
+        """As parameters are named."""
+        size = f"{self.thresholds[0]:.4g} {_LOAD_UNITS.get(self.place, 'm')}"
+        return f"{self.shape} of {self.place} at {size}"
+
+
+@dataclass(frozen=True)
+class HysteresisBasis:
+    """The four compliances, then a weight for each operator.
+
+    reference (4,): the compliances with which the tip's operators see the tip move; linear models
+    of a load can't do with those that are being fitted.
+    """
+
+    tip_m: Array
+    operators: tuple[Operator, ...]
+    reference: Array = field(default_factory=lambda: np.array([p.prior for p in COMPLIANCES]))
+    bounded = True
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """As `Basis.parameters`."""
+        return COMPLIANCES + tuple(
+            Parameter(operator.name, _UNITS[operator.place]) for operator in self.operators
+        )
+
+    def run(self) -> HysteresisRun:
+        """As `Basis.run`."""
+        return HysteresisRun(self)
+
+    def to_json(self) -> dict[str, Any]:
+        """As `Basis.to_json`."""
+        return {
+            "reference_compliances": numbers(self.reference),
+            "operators": [
+                {"place": place, "shape": shape, "thresholds": numbers(thresholds)}
+                for place, shape, thresholds in self.operators
+            ],
+        }
+
+    @classmethod
+    def from_json(cls, content: Mapping[str, Any], tip_m: Array) -> HysteresisBasis:
+        """Read with checks; raises FieldError."""
+        rows = items(get(content, "operators"), "operators")
+        name = "reference_compliances"
+        return cls(
+            tip_m,
+            tuple(_operator(row, f"operators[{k}]") for k, row in enumerate(rows)),
+            array(get(content, name), name, (len(COMPLIANCES),)),
+        )
+
+    def part(self, operators: Sequence[int], shape: Shape) -> HysteresisBasis:
+        """With some of the operators, as plays or as stops."""
+        chosen = tuple(self.operators[k]._replace(shape=shape) for k in operators)
+        return HysteresisBasis(self.tip_m, chosen, self.reference)
+
+
+class HysteresisRun:
+    """As `Run`."""
+
+    def __init__(self, basis: HysteresisBasis) -> None:
+        """Of a basis; unloaded."""
+        self._arm = StiffnessRun(basis.tip_m)
+        self._reference = basis.reference
+        single = [
+            (column, k, threshold)
+            for k, operator in enumerate(basis.operators)
+            for column, threshold in zip(COLUMNS[operator.place], operator.thresholds, strict=True)
+        ]
+        self._column = np.array([column for column, _, _ in single], dtype=int)
+        self._operator = np.array([k for _, k, _ in single], dtype=int)
+        self._source = np.unique(self._column, return_inverse=True)[1]
+        stops = np.array([operator.shape == "stop" for operator in basis.operators], dtype=bool)
+        self._stop = stops[self._operator]
+        self._plays = PlayOperators(np.array([threshold for _, _, threshold in single]))
+        self._of_operator = np.zeros((len(single), len(basis.operators)))
+        self._of_operator[np.arange(len(single)), self._operator] = 1.0
+        self._at_tip = any(operator.place == TIP for operator in basis.operators)
+
+    def loads(self, joints: Array, wrench: Array) -> tuple[Array, Array, Array, Array]:
+        """Wrench (n, 6) at the tip, designs (n, 6, 4) of the compliances, J, and all loads.
+
+        J and loads are (n, 6, 17) and (n, 17) with the tip's axes, if an operator is there.
+        """
+        at_tip, jacobian, loads = self._arm.loaded(joints, wrench)
+        springs = elastic(jacobian, loads)
+        if self._at_tip:
+            own = np.broadcast_to(np.eye(6), (len(loads), 6, 6))
+            jacobian = np.concatenate([jacobian, own], axis=2)
+            loads = np.concatenate([loads, springs @ self._reference], axis=1)
+        return at_tip, springs, jacobian, loads
+
+    def rows(self, joints: Array, wrench: Array) -> Rows:
+        """As `Run.rows`."""
+        at_tip, springs, jacobian, loads = self.loads(joints, wrench)
+        inputs = loads[:, self._column]
+        played = self._plays.run(inputs)
+        output = np.where(self._stop, inputs - played.output, played.output)
+        columns = jacobian[:, :, self._column]
+        remembered = (columns * output[:, None, :]) @ self._of_operator
+        design = np.concatenate([springs, remembered], axis=2)
+        return Rows(at_tip, design, self._start(columns, played.spread))
+
+    def _start(self, columns: Array, spread: Array) -> Array | None:
+        """What the state at the start leaves unknown: uniform between the outermost starts.
+
+        One thing for each spring: the loads of its past moved all its operators together.
+        """
+        if not spread.any():
+            return None
+        count = len(COMPLIANCES) + self._of_operator.shape[1]
+        start = np.zeros((len(spread), 6, self._source.max() + 1, count))
+        start[:, :, self._source, len(COMPLIANCES) + self._operator] = (
+            columns * (_UNIFORM_STD * spread)[:, None, :]
+        )
+        return start
+
+
+def _operator(content: Any, name: str) -> Operator:
+    row = mapping(content, name)
+    place = text(get(row, "place"), f"{name}.place")
+    if place not in COLUMNS:
+        raise FieldError(f'{name}.place is "{place}"; expected one of {", ".join(COLUMNS)}')
+    shape = text(get(row, "shape"), f"{name}.shape")
+    if shape not in ("play", "stop"):
+        raise FieldError(f'{name}.shape is "{shape}"; expected play or stop')
+    thresholds = array(get(row, "thresholds"), f"{name}.thresholds", (len(COLUMNS[place]),))
+    if np.any(thresholds < 0.0):
+        raise FieldError(f"{name}.thresholds holds one below zero")
+    return Operator(place, "stop" if shape == "stop" else "play", tuple(thresholds.tolist()))

@@ -1,0 +1,183 @@
+"""The contract's arm with hysteresis at its joints: roll, tilt and the three carriages.
+
+Each of these springs gives by
+
+    d = c l + sum_i w_i play_i(l),   c, w_i >= 0,
+
+with play operators of its load l (`galen_deflection.hysteresis`), the rods by c l. This is linear
+in c and w for given thresholds, so that non-negative least squares finds them; thresholds lie on a
+grid below the largest load of each kind of spring. How fine a grid is worth it, folds that a fit
+has not seen tell.
+
+That is what friction in joints does. Recordings exist that joints do not explain, and two further
+forms are tried on them:
+
+- plays of the tip's own six motions, as the springs alone would make them, instead of the joints':
+  hysteresis that is not known to sit anywhere;
+- stops, l - play(l), in place of plays. Plays lag behind the load: after a push something of the
+  deflection is left on its side. With stops it is left on the other side, the deflection leads. No
+  joint does that, since it would give out more work than it takes; a wrench that is measured with
+  hysteresis looks so.
+
+Of no hysteresis at all and these forms, the first is taken that is within two standard errors of
+the best, or within 1 % of its mean square: folds are few, and a memory that the arm does not have
+is worse than one of a tenth of the noise that is missed. Then, of its grids, the coarsest within
+two standard errors. The model's notes say if it is another form than the first.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import numpy as np
+from galen_model.arrays import Array
+
+from galen_deflection.models.hysteresis_basis import (
+    COLUMNS,
+    JOINTS,
+    TIP,
+    HysteresisBasis,
+    Operator,
+    Shape,
+)
+from galen_deflection.models.joint_stiffness import COMPLIANCES, StiffnessBasis
+from galen_deflection.models.least_squares import Sums, finished, solve, sums, values_without
+from galen_deflection.models.linear import LinearModel, tip_from_json
+from galen_deflection.models.linear import from_json as linear_from_json
+from galen_deflection.samples import DeflectionSamples
+from galen_deflection.springs import kinds
+
+KIND = "joint_hysteresis"
+
+GRID = (0.025, 0.05, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5, 0.65, 0.8)
+"""Thresholds over the largest load. The finest: what a joint keeps of a small push."""
+
+GRIDS: tuple[tuple[float, ...], ...] = (
+    (0.2,),
+    (0.1, 0.4),
+    (0.05, 0.2, 0.5),
+    (0.05, 0.1, 0.2, 0.4, 0.65),
+    GRID,
+)
+"""What is tried after no hysteresis at all; each a part of GRID."""
+
+FORMS: tuple[tuple[tuple[str, ...], Shape], ...] = (
+    (JOINTS, "play"),
+    ((TIP,), "play"),
+    (JOINTS, "stop"),
+    ((TIP,), "stop"),
+)
+"""Where the operators sit, and which they are, most physical first."""
+
+_STANDARD_ERRORS = 2.0
+_WORTH_IT = 0.01
+
+AT_TIP = "hysteresis of the tip as a whole fits better than hysteresis of the joints"
+LEADS = "the deflection leads the load, as if joints gave out work: is the wrench hysteretic?"
+
+
+def fit(samples: DeflectionSamples) -> LinearModel:
+    """Fit by weighted non-negative least squares; raises FitError, NegativeComplianceError."""
+    grid = _whole_grid(samples)
+    totals = sums(grid, samples)
+    chosen = _chosen(grid, totals)
+    found = solve(*chosen.totals.total(), chosen.basis.parameters, bounded=True)
+    wanted = np.flatnonzero(found.free[len(COMPLIANCES) :]).tolist()
+    used = _Candidate.of(grid, totals, [chosen.operators[k] for k in wanted], chosen.shape)
+    model = finished(KIND, used.basis, samples, used.totals, only_nearby=False)
+    operators = used.basis.operators
+    notes = [AT_TIP] * any(operator.place == TIP for operator in operators)
+    notes += [LEADS] * any(operator.shape == "stop" for operator in operators)
+    return replace(model, notes=tuple(notes))
+
+
+def from_json(content: Mapping[str, Any]) -> LinearModel:
+    """From a file's content; raises FieldError."""
+    return linear_from_json(content, HysteresisBasis.from_json(content, tip_from_json(content)))
+
+
+def _whole_grid(samples: DeflectionSamples) -> HysteresisBasis:
+    """Plays at all thresholds, in all places; the springs alone are the tip's reference."""
+    springs = StiffnessBasis(samples.tip_m)
+    reference = solve(*sums(springs, samples).total(), COMPLIANCES, bounded=True).values
+    anywhere = tuple(Operator(place, "play", (0.0,) * len(COLUMNS[place])) for place in COLUMNS)
+    run = HysteresisBasis(samples.tip_m, anywhere, reference).run()
+    largest = np.abs(run.loads(samples.joints, samples.wrench)[3]).max(axis=0)
+    operators = []
+    for place, columns in COLUMNS.items():
+        loads = largest[list(columns)]
+        if place != TIP:  # springs of a kind are alike
+            loads = np.full_like(loads, loads.max())
+        operators += [Operator(place, "play", tuple((share * loads).tolist())) for share in GRID]
+    return HysteresisBasis(samples.tip_m, tuple(operators), reference)
+
+
+class _Candidate(NamedTuple):
+    """A part of the whole grid (`operators`: indices) and what its basis sums up to."""
+
+    operators: Sequence[int]
+    shape: Shape
+    basis: HysteresisBasis
+    totals: Sums
+
+    @classmethod
+    def of(
+        cls, grid: HysteresisBasis, totals: Sums, operators: Sequence[int], shape: Shape
+    ) -> _Candidate:
+        """From the sums of the whole grid of plays; a stop's design is the load's less the play's.
+
+        That is a combination of columns, so that nothing has to be summed up again.
+        """
+        given = len(COMPLIANCES)
+        names = [kind.name for kind in kinds()]
+        combination = np.zeros((given + len(grid.operators), given + len(operators)))
+        combination[:given, :given] = np.eye(given)
+        for column, k in enumerate(operators, start=given):
+            place = grid.operators[k].place
+            if shape == "play":
+                combination[given + k, column] = 1.0
+                continue
+            combination[given + k, column] = -1.0
+            if place == TIP:
+                combination[:given, column] = grid.reference
+            else:
+                combination[names.index(place), column] = 1.0
+        return cls(operators, shape, grid.part(operators, shape), totals.combined(combination))
+
+    def held_out_cost(self) -> Array:
+        """Squared residual (folds,), in units of the noise, of each fold by a fit to the others."""
+        values = values_without(self.totals, self.basis)
+        return np.array(
+            [
+                float(self.totals.cost(value)[self.totals.fold == fold].sum())
+                for fold, value in values.items()
+            ]
+        )
+
+
+def _chosen(grid: HysteresisBasis, totals: Sums) -> _Candidate:
+    """The part of the grid that held-out folds choose: first the form, then how fine."""
+    forms = [[_Candidate.of(grid, totals, [], "play")]]
+    for places, shape in FORMS:
+        forms.append([])
+        for shares in GRIDS:
+            operators = [
+                k
+                for k, operator in enumerate(grid.operators)
+                if operator.place in places and GRID[k % len(GRID)] in shares
+            ]
+            forms[-1].append(_Candidate.of(grid, totals, operators, shape))
+    costs = [np.array([candidate.held_out_cost() for candidate in form]) for form in forms]
+    best = np.array([cost[np.argmin(cost.sum(axis=1))] for cost in costs])
+    form = _first_good(best, _WORTH_IT)
+    return forms[form][_first_good(costs[form], 0.0)]
+
+
+def _first_good(costs: Array, share: float) -> int:
+    """The first of (k, folds) whose cost is the least but for errors, or a share of the least."""
+    best = costs[np.argmin(costs.sum(axis=1))]
+    worse = costs - best
+    error = _STANDARD_ERRORS * np.std(worse, axis=1, ddof=1) * np.sqrt(len(best))
+    return int(np.argmax(worse.sum(axis=1) <= np.maximum(error, share * best.sum())))

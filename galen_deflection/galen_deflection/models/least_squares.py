@@ -1,0 +1,293 @@
+"""Weighted linear least squares for the models, out of sums over blocks of time.
+
+With W = 1 / noise^2, a block's N = sum D^T W D, b = sum D^T W y and y^T W y say all that a fit
+needs of it: fits that leave some blocks out, and what those would say of them, cost no further look
+at the samples. Blocks are a few seconds long, about a push each.
+
+Covariance of the parameters: N^-1, which is Cramer and Rao's bound if the model is right. If it is
+not, residuals hang together for as long as a push lasts, and count for much less than their number.
+The sums g of D^T W r over the blocks tell: if residuals were noise, sum g^T N^-1 g were the number
+of parameters. The covariance is made larger by what it is more (a scalar form of the sandwich
+covariance of clusters; Liang and Zeger, Biometrika 73, 1986).
+
+Discrepancy: the covariance of residuals beyond the noise, on folds (repetitions of a position) that
+the fit for them has not seen.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+from galen_model.arrays import Array
+from scipy.optimize import nnls
+
+from galen_deflection.errors import FitError, NegativeComplianceError
+from galen_deflection.fitted_range import FittedRange
+from galen_deflection.models.linear import (
+    Basis,
+    FittedOn,
+    LinearModel,
+    Parameter,
+    Rows,
+    segments,
+)
+from galen_deflection.samples import DeflectionSamples
+
+BLOCK_S = 4.0
+
+FEWEST_FOLDS = 4
+
+MAX_RELATIVE_STD = 0.5
+"""Standard deviation over what was known before, beyond which samples don't tell a parameter."""
+
+_REFUSED_BEYOND = 3.0
+"""Standard deviations below zero."""
+
+
+@dataclass(frozen=True)
+class Sums:
+    """Blocks (b,): N (b, p, p), b (b, p), y^T W y (b,), and the fold (b,) they belong to.
+
+    wrench_at_tip (n, 6): of the samples, base_link.
+    """
+
+    information: Array
+    right: Array
+    square: Array
+    fold: np.ndarray
+    wrench_at_tip: Array
+
+    def combined(self, combination: Array) -> Sums:
+        """Of other designs, whose columns are combinations (p, q) of these."""
+        return replace(
+            self,
+            information=combination.T @ self.information @ combination,
+            right=self.right @ combination,
+        )
+
+    def total(self, rows: np.ndarray | slice = slice(None)) -> tuple[Array, Array]:
+        """N (p, p) and b (p,) of some of the blocks."""
+        return self.information[rows].sum(axis=0), self.right[rows].sum(axis=0)
+
+    def cost(self, values: Array) -> Array:
+        """Sums (b,) of squared residuals in units of the noise."""
+        fitted = np.einsum("bpq,p,q->b", self.information, values, values)
+        return np.asarray(self.square - 2.0 * self.right @ values + fitted)
+
+
+@dataclass(frozen=True)
+class Solution:
+    """Values (p,), covariance (p, p), which are free (p,) bool, names that were not told."""
+
+    values: Array
+    covariance: Array
+    free: np.ndarray
+    unresolved: tuple[str, ...]
+
+
+def sums(basis: Basis, samples: DeflectionSamples) -> Sums:
+    """Go through the samples once, segment by segment. Raises FitError if there are none."""
+    if not len(samples):
+        raise FitError("there are no samples to fit a deflection model to")
+    if not all(np.isfinite(a).all() for a in (samples.joints, samples.wrench, samples.deflection)):
+        raise FitError("samples to fit a deflection model to hold values that aren't finite")
+    weight = 1.0 / samples.noise
+    parts = blocks(samples)
+    size = len(basis.parameters)
+    information, right = np.empty((len(parts), size, size)), np.empty((len(parts), size))
+    square, wrench_at_tip = np.empty(len(parts)), np.empty((len(samples), 6))
+    for k, (part, rows) in enumerate(_rows(basis, samples, parts)):
+        design = (rows.design * weight[:, None]).reshape(-1, size)
+        measured = (samples.deflection[part] * weight).ravel()
+        # not by BLAS: its threads, waked for so little, wait for a busy machine's cores
+        information[k] = np.einsum("rp,rq->pq", design, design)
+        right[k] = np.einsum("rp,r->p", design, measured)
+        square[k] = measured @ measured
+        wrench_at_tip[part] = rows.wrench_at_tip
+    return Sums(information, right, square, folds(samples, parts), wrench_at_tip)
+
+
+def blocks(samples: DeflectionSamples) -> list[slice]:
+    """Blocks of at most BLOCK_S, each within a segment and a repetition of a position."""
+    found = []
+    places = np.stack([samples.position, samples.set_number], axis=1)
+    for segment in segments(samples):
+        changed = np.any(np.diff(places[segment], axis=0) != 0, axis=1)
+        since_s = (samples.stamp_ns[segment] - samples.stamp_ns[segment.start]) * 1e-9
+        cut = changed | (np.diff(np.floor(since_s / BLOCK_S)) > 0)
+        bounds = [0, *(np.flatnonzero(cut) + 1).tolist(), segment.stop - segment.start]
+        found += [
+            slice(segment.start + first, segment.start + last) for first, last in pairwise(bounds)
+        ]
+    return found
+
+
+def folds(samples: DeflectionSamples, parts: Sequence[slice]) -> np.ndarray:
+    """The fold (b,) of each block: the repetition of a position, never cut by the sample.
+
+    Where there are fewer than FEWEST_FOLDS, each is cut into equal stretches of blocks.
+    """
+    firsts = [part.start for part in parts]
+    places = np.stack([samples.position[firsts], samples.set_number[firsts]], axis=1)
+    labels = np.unique(places, axis=0, return_inverse=True)[1].ravel()
+    count = int(labels.max()) + 1
+    pieces = -(-FEWEST_FOLDS // count)
+    if pieces > 1:
+        for label in range(count):
+            rows = np.flatnonzero(labels == label)
+            for piece, some in enumerate(np.array_split(rows, pieces)):
+                labels[some] = label + piece * count
+    return labels
+
+
+def solve(
+    information: Array, right: Array, parameters: Sequence[Parameter], bounded: bool
+) -> Solution:
+    """Least squares from N and b; `bounded`: none below zero.
+
+    What the samples don't tell (`not_told`) is held near what was known before.
+    """
+    missing = not_told(information, parameters)
+    information, right = information.copy(), right.copy()
+    for k in missing:
+        prior_std = parameters[k].prior_std
+        assert prior_std is not None
+        information[k, k] += prior_std**-2
+        right[k] += parameters[k].prior * prior_std**-2
+    scale = np.sqrt(np.diag(information))
+    used = scale > 0.0
+    scale = np.where(used, scale, 1.0)
+    values = np.zeros(len(right))
+    # N = R^T R, by eigenvalues since hardly different thresholds leave it nearly singular
+    eigenvalue, vectors = np.linalg.eigh(information / np.outer(scale, scale))
+    told = eigenvalue > 1e-12 * eigenvalue[-1]
+    root = np.sqrt(eigenvalue[told])
+    rows, wanted = root[:, None] * vectors[:, told].T, vectors[:, told].T @ (right / scale) / root
+    if bounded:
+        values[used] = nnls(rows[:, used], wanted)[0]
+    else:
+        values[used] = np.linalg.lstsq(rows[:, used], wanted, rcond=None)[0]
+    values /= scale
+    free = used & ((values > 0.0) | [p.prior_std is not None for p in parameters])
+    covariance = np.zeros_like(information)
+    covariance[np.ix_(free, free)] = _inverse(information[np.ix_(free, free)])
+    names = tuple(parameters[k].name for k in missing)
+    return Solution(values, covariance, free, names)
+
+
+def not_told(information: Array, parameters: Sequence[Parameter]) -> list[int]:
+    """The parameters that the samples tell hardly more of than was known before.
+
+    In units of what was known, a combination whose standard deviation is above MAX_RELATIVE_STD is
+    not told, and all that have a share in it are named, as `galen_model.excitation` does it. What
+    has no prior is left out: of hysteresis, the fit itself takes what the samples want.
+    """
+    asked = np.array([k for k, p in enumerate(parameters) if p.prior_std is not None], dtype=int)
+    scale = np.array([parameters[k].prior_std for k in asked], dtype=float)
+    told, directions = np.linalg.eigh(information[np.ix_(asked, asked)] * np.outer(scale, scale))
+    weak = told < MAX_RELATIVE_STD**-2
+    share = np.sum(directions[:, weak] ** 2, axis=1)
+    return [int(k) for k in asked[share > 0.1]]
+
+
+def finished(
+    name: str,
+    basis: Basis,
+    samples: DeflectionSamples,
+    totals: Sums,
+    only_nearby: bool,
+) -> LinearModel:
+    """The model of a basis: its parameters, what it leaves unsaid, and its range.
+
+    `totals`: the basis's over the samples; `only_nearby`: as `FittedRange.of`. Raises FitError for
+    samples without load, NegativeComplianceError for a spring that would push back.
+    """
+    parameters = basis.parameters
+    solution = solve(*totals.total(), parameters, basis.bounded)
+    if len(solution.unresolved) == sum(p.prior_std is not None for p in parameters):
+        raise FitError(
+            f"the samples tell none of the parameters of the model {name}: nothing loads the arm"
+        )
+    covariance = _inflation(totals, solution) * solution.covariance
+    if basis.bounded:
+        _refuse_negative(totals, solution, parameters)
+    return LinearModel(
+        name=name,
+        tip_m=samples.tip_m,
+        basis=basis,
+        values=solution.values,
+        covariance=covariance,
+        discrepancy=_discrepancy(basis, samples, totals),
+        noise=samples.noise,
+        fitted_range=FittedRange.of(samples.joints, totals.wrench_at_tip, only_nearby),
+        fitted_on=FittedOn.of(samples),
+        unresolved=solution.unresolved,
+    )
+
+
+def values_without(totals: Sums, basis: Basis) -> dict[int, Array]:
+    """For each fold, the values (p,) fitted to all others."""
+    return {
+        int(fold): solve(*totals.total(totals.fold != fold), basis.parameters, basis.bounded).values
+        for fold in np.unique(totals.fold)
+    }
+
+
+def _rows(
+    basis: Basis, samples: DeflectionSamples, parts: Sequence[slice]
+) -> Iterator[tuple[slice, Rows]]:
+    """The blocks in their order, each segment in one run."""
+    beginnings = {segment.start for segment in segments(samples)}
+    for part in parts:
+        if part.start in beginnings:
+            run = basis.run()
+        yield part, run.rows(samples.joints[part], samples.wrench[part])
+
+
+def _inflation(totals: Sums, solution: Solution) -> float:
+    """By how much residuals that hang together enlarge the covariance; 1 if they don't."""
+    scores = totals.right - totals.information @ solution.values
+    size = int(solution.free.sum())
+    squares = np.einsum("bp,pq,bq->", scores, solution.covariance, scores)
+    return max(1.0, float(squares) / max(size, 1))
+
+
+def _refuse_negative(totals: Sums, solution: Solution, parameters: Sequence[Parameter]) -> None:
+    """Raise NegativeComplianceError if a compliance would be below zero, were it let."""
+    information, right = totals.total()
+    for k, parameter in enumerate(parameters):
+        if parameter.prior_std is None or solution.values[k] > 0.0:
+            continue
+        free = solution.values > 0.0
+        free[k] = True
+        covariance = np.zeros_like(information)
+        covariance[np.ix_(free, free)] = _inverse(information[np.ix_(free, free)])
+        values = covariance @ right
+        inflation = _inflation(totals, Solution(values, covariance, free, ()))
+        std = np.sqrt(inflation * covariance[k, k])
+        if values[k] < -_REFUSED_BEYOND * std:
+            raise NegativeComplianceError(
+                f"{parameter.name} comes out as {values[k]:.3g} +- {std:.2g} {parameter.unit}: no "
+                "spring pushes back; wrench, joints and tracker do not fit together"
+            )
+
+
+def _discrepancy(basis: Basis, samples: DeflectionSamples, totals: Sums) -> Array:
+    """Covariance (6, 6) of the residuals that is more than the noise's."""
+    values = values_without(totals, basis)
+    found = np.zeros((6, 6))
+    for (part, rows), fold in zip(_rows(basis, samples, blocks(samples)), totals.fold, strict=True):
+        residual = (samples.deflection[part] - rows.design @ values[int(fold)]) / samples.noise
+        found += residual.T @ residual
+    eigenvalue, vectors = np.linalg.eigh(found / len(samples) - np.eye(6))
+    beyond = vectors * np.maximum(eigenvalue, 0.0) @ vectors.T
+    return beyond * np.outer(samples.noise, samples.noise)
+
+
+def _inverse(matrix: Array) -> Array:
+    """Of a symmetric positive matrix whose rows have different units."""
+    scale = np.sqrt(np.diag(matrix))
+    return np.linalg.pinv(matrix / np.outer(scale, scale), 1e-12, True) / np.outer(scale, scale)

@@ -1,0 +1,315 @@
+"""Play operators by their properties, and joint hysteresis on friction of another law."""
+
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from deflection_synthetic import NOISE, TIP_M, Arm, dahl, recording, without_noise
+from galen_deflection.hysteresis import PlayOperators
+from galen_deflection.models import joint_hysteresis, joint_stiffness
+from galen_deflection.models.hysteresis_basis import JOINTS, TIP, HysteresisBasis, Operator
+from galen_deflection.models.joint_hysteresis import AT_TIP, LEADS, fit
+from galen_deflection.models.linear import LinearModel
+
+THRESHOLDS = np.array([0.0, 0.1, 0.35, 0.8])
+RUBBING = Arm(friction=(0.3, 0.3, 4.0))
+
+
+def play(load, thresholds=THRESHOLDS):
+    """Outputs (n, 4) of one load (n,)."""
+    columns = np.tile(np.asarray(load, dtype=float)[:, None], (1, len(thresholds)))
+    return PlayOperators(thresholds).run(columns).output
+
+
+def ramps(*corners, steps=50):
+    """A load (n,) that goes straight from each corner to the next."""
+    parts = [np.linspace(a, b, steps + 1)[1:] for a, b in pairwise(corners)]
+    return np.concatenate([[corners[0]], *parts])
+
+
+def rms(values):
+    return float(np.sqrt(np.mean(np.square(values))))
+
+
+@pytest.fixture(scope="module")
+def rubbed():
+    return recording(RUBBING, rate_hz=20.0)
+
+
+@pytest.fixture(scope="module")
+def model(rubbed):
+    return fit(rubbed)
+
+
+# --- the operators ------------------------------------------------------------------------------
+
+
+def test_a_play_follows_by_as_little_as_it_must():
+    load = [0.0, 0.5, 1.0, 0.9, 0.5, 0.0, -1.0, -0.7]
+    expected = [0.0, 0.1, 0.6, 0.6, 0.6, 0.4, -0.6, -0.6]
+    np.testing.assert_allclose(play(load, np.array([0.4]))[:, 0], expected, atol=1e-15)
+
+
+def test_without_a_threshold_a_play_is_its_load():
+    load = np.random.default_rng(0).normal(size=200)
+    np.testing.assert_array_equal(play(load)[:, 0], load)
+
+
+def test_the_virgin_curve_starts_beyond_the_threshold():
+    load = np.linspace(0.0, 2.0, 41)
+    np.testing.assert_allclose(play(load), np.maximum(load[:, None] - THRESHOLDS, 0.0), atol=1e-15)
+
+
+def test_speed_does_not_matter():
+    """More samples on the way, and waiting, change nothing at the corners."""
+    corners = np.random.default_rng(1).normal(size=40)
+    slow = ramps(*corners, steps=37)
+    np.testing.assert_allclose(play(slow)[::37], play(corners), atol=1e-14)
+    np.testing.assert_array_equal(play(np.repeat(corners, 5))[4::5], play(corners))
+
+
+def test_loops_between_two_loads_are_congruent():
+    """After different pasts, the loop between 0.2 and 0.9 has one shape, only shifted."""
+    loops = []
+    for past in ([0.0, 3.0], [0.0, -3.0], [0.0, 1.5, -1.0]):
+        load = ramps(*past, 0.2, 0.9, 0.2, 0.9)
+        loop = play(load)[-101:]
+        loops.append(loop - loop[0])
+    assert np.abs(loops[0]).max() > 0.5
+    np.testing.assert_allclose(loops[1], loops[0], atol=1e-14)
+    np.testing.assert_allclose(loops[2], loops[0], atol=1e-14)
+
+
+def test_a_larger_load_wipes_out_smaller_ones():
+    quiet = play(ramps(0.0, 2.0, -1.0, 0.3))
+    busy = play(ramps(0.0, 1.2, -0.4, 0.9, 0.1, 2.0, -1.0, 0.5, -0.2, 0.5, -1.0, 0.3))
+    np.testing.assert_allclose(busy[-51:], quiet[-51:], atol=1e-14)
+    other = play(ramps(0.0, 2.0, -0.5, 0.3))
+    assert np.abs(other[-1] - quiet[-1]).max() > 0.1  # memory there is, of what was not wiped out
+
+
+def test_weights_that_are_not_negative_dissipate():
+    """Work over a closed loop: positive, and for one play 4 r (L - r)."""
+    load = ramps(0.0, 1.0, -1.0, 1.0, steps=400)
+    loop = slice(400, None)
+    for column, threshold in enumerate(THRESHOLDS):
+        output = play(load)[loop, column]
+        middle = 0.5 * (load[loop][1:] + load[loop][:-1])
+        work = float(middle @ np.diff(output))
+        assert work == pytest.approx(4.0 * threshold * (1.0 - threshold), abs=0.01)
+
+
+def test_plays_of_a_load_invert_maxwell_slip():
+    """A spring beside slipping ones, driven by displacement: the load it needs gives it back."""
+    spring, stiffness, slip_at = 1000.0, np.array([800.0, 500.0]), np.array([1e-3, 3e-3])
+    moved = 1e-3 * ramps(0.0, 2.0, -1.0, 0.5, -0.7, 5.0, -6.0, 1.0, steps=500)
+    slipping = (
+        np.tile(moved[:, None], (1, 2))
+        - PlayOperators(slip_at).run(np.tile(moved[:, None], (1, 2))).output
+    )
+    load = spring * moved + slipping @ stiffness
+    # on the virgin curve slopes are k + all, k + those not yet slipping, k; r are loads there
+    slopes = spring + np.array([stiffness.sum(), stiffness[1], 0.0])
+    thresholds = np.array([slopes[0] * slip_at[0], 0.0])
+    thresholds[1] = thresholds[0] + slopes[1] * (slip_at[1] - slip_at[0])
+    weights = np.diff(1.0 / slopes)
+    found = load / slopes[0] + play(load, thresholds) @ weights
+    np.testing.assert_allclose(found, moved, atol=1e-12)
+
+
+def test_pieces_and_single_steps_give_the_same_to_the_last_bit():
+    load = np.random.default_rng(2).normal(size=(300, 4))
+    whole = PlayOperators(THRESHOLDS).run(load)
+    for cuts in (np.arange(1, 300), [1, 2, 50, 51, 200]):
+        operators = PlayOperators(THRESHOLDS)
+        parts = [operators.run(part) for part in np.split(load, cuts)]
+        for k in range(2):
+            np.testing.assert_array_equal(np.concatenate([part[k] for part in parts]), whole[k])
+    operators.reset()
+    again = operators.run(load)
+    np.testing.assert_array_equal(again.output, whole.output)
+    np.testing.assert_array_equal(again.spread, whole.spread)
+    assert operators.run(load[:0]).output.shape == (0, 4)
+
+
+def test_the_spread_bounds_every_past_and_is_gone_once_the_load_has_swept_it():
+    rng = np.random.default_rng(3)
+    load = np.concatenate([0.1 * rng.normal(size=100), ramps(0.0, 0.7, -0.5, 1.65, 0.0)])
+    thresholds = THRESHOLDS[1:]
+    tiled = np.tile(load[:, None], (1, 3))
+    ours = PlayOperators(thresholds).run(tiled)
+    assert np.all(np.diff(ours.spread, axis=0) <= 0.0)
+    unloaded = PlayOperators(thresholds).run(np.zeros((1, 3)))
+    np.testing.assert_allclose(unloaded.spread[0], 2 * thresholds)
+    for _ in range(20):
+        past = PlayOperators(thresholds)
+        before = rng.normal(size=(30, 1)) * np.ones(3)
+        past.run(np.concatenate([before, np.zeros((1, 3))]))
+        other = past.run(tiled).output
+        assert np.all(np.abs(other - ours.output) <= ours.spread + 1e-12)
+    since_zero = np.concatenate([[0.0], load])
+    swept = (np.maximum.accumulate(since_zero) - np.minimum.accumulate(since_zero))[1:]
+    for column, threshold in enumerate(thresholds):
+        # zero as soon as the load has swept twice the threshold, and not before
+        np.testing.assert_array_equal(
+            ours.spread[:, column] < 1e-12, swept >= 2.0 * threshold - 1e-12
+        )
+
+
+def test_a_negative_threshold_is_refused():
+    with pytest.raises(ValueError, match=r"negative: -0\.1"):
+        PlayOperators(np.array([0.2, -0.1]))
+
+
+# --- the model ----------------------------------------------------------------------------------
+
+
+def test_the_tests_friction_is_no_prandtl_ishlinskii_operator():
+    """Dahl's loops between the same loads differ: were they congruent, the check would be easy."""
+    loops = []
+    for past in ([0.0, 3.0], [0.0, -3.0]):
+        loop = dahl(ramps(*past, 0.2, 0.9, 0.2), 2000.0, 0.3)[-101:]
+        loops.append(loop - loop[0])
+    height = np.ptp(loops[0])
+    assert np.abs(loops[1] - loops[0]).max() > 0.05 * height
+
+
+@pytest.mark.parametrize("unseen", [0, 3])
+def test_friction_of_another_law_is_predicted_at_unseen_positions(unseen):
+    """Down to the noise, and what is left at zero load within a tenth of the true deflection."""
+    whole = recording(RUBBING, seed=unseen, rate_hz=30.0)
+    clean = without_noise(whole, RUBBING).deflection
+    there = whole.position == unseen
+    model = fit(whole.rows(~there))
+    assert model.notes == ()
+    mean = model.predict(whole.rows(there)).mean
+    assert rms((whole.deflection[there] - mean) / NOISE) < 1.05
+    assert rms((clean[there] - mean) / NOISE) < 0.12
+    springs = joint_stiffness.fit(whole.rows(~there)).predict(whole.rows(there)).mean
+    assert rms((whole.deflection[there] - springs) / NOISE) > 1.2  # without the memory
+    at_rest = np.all(whole.wrench[there] == 0.0, axis=1)
+    left = clean[there][at_rest]
+    assert np.abs(left[:, :3]).max() > 40e-6  # there is something to predict
+    assert rms((mean[at_rest] - left) / NOISE) < 0.1 * rms(left / NOISE)
+
+
+def test_an_arm_of_plays_gives_its_weights_back():
+    """Fitted with the operators it was made of, within their covariance."""
+    basis = HysteresisBasis(
+        TIP_M,
+        (
+            Operator("roll", "play", (0.5,)),
+            Operator("tilt", "play", (0.4,)),
+            Operator("carriage", "play", (3.0,) * 3),
+        ),
+    )
+    true = np.array([5e-4, 6e-4, 3e-6, 5e-7, 1e-4, 2e-4, 1e-6])
+    errors = []
+    for seed in range(6):
+        samples = recording(seed=seed, rate_hz=10.0)
+        made = _of(basis, true, samples).predict(samples).mean
+        noise = np.random.default_rng(seed).normal(size=made.shape) * NOISE
+        samples = replace(samples, deflection=made + noise)
+        totals = joint_hysteresis.sums(basis, samples)
+        model = joint_hysteresis.finished("x", basis, samples, totals, False)
+        off = model.values - true
+        errors.append(off @ np.linalg.solve(model.covariance, off))
+    assert 14.0 < sum(errors) < 80.0  # chi-squared with 42 degrees of freedom: 42 +- 9
+
+
+def test_no_hysteresis_is_found_where_there_is_none():
+    found = [fit(recording(seed=seed, rate_hz=10.0)).basis.operators for seed in (0, 1, 2)]
+    assert sum(len(operators) > 0 for operators in found) <= 1
+
+
+def test_the_held_out_cost_is_that_of_samples_which_the_fit_has_not_seen(rubbed):
+    """Position by position, against a fit of the springs alone to the other three."""
+    grid = joint_hysteresis._whole_grid(rubbed)
+    totals = joint_hysteresis.sums(grid, rubbed)
+    costs = joint_hysteresis._Candidate.of(grid, totals, [], "play").held_out_cost()
+    for position in range(4):
+        there = rubbed.position == position
+        mean = joint_stiffness.fit(rubbed.rows(~there)).predict(rubbed.rows(there)).mean
+        cost = np.sum(((rubbed.deflection[there] - mean) / NOISE) ** 2)
+        assert costs[position] == pytest.approx(cost, rel=1e-6)
+
+
+def test_the_first_that_is_as_good_as_the_best_is_taken():
+    def first(*costs, share=0.0):
+        return joint_hysteresis._first_good(np.array(costs, dtype=float), share)
+
+    best = [100.0, 101.0, 99.0, 100.0]
+    clearly_worse = [105.0, 106.0, 104.5, 105.0]
+    assert first(clearly_worse, best) == 1
+    assert first(clearly_worse, best, share=0.06) == 0
+    at_random_worse = [108.0, 96.0, 104.0, 100.0]  # 2 a fold, give or take 2.6
+    assert first(at_random_worse, best) == 0
+    assert first(best, clearly_worse) == 0
+    assert first(clearly_worse, at_random_worse, best) == 1
+
+
+def test_weights_and_compliances_are_never_negative(model):
+    assert len(model.basis.operators) >= 4
+    assert np.all(model.values >= 0.0)
+    assert {operator.place for operator in model.basis.operators} == set(JOINTS)
+    assert {operator.shape for operator in model.basis.operators} == {"play"}
+
+
+@pytest.mark.parametrize(
+    ("place", "shape", "notes"),
+    [(TIP, "play", (AT_TIP,)), ("roll", "stop", (LEADS,)), (TIP, "stop", (AT_TIP, LEADS))],
+)
+def test_what_no_joint_does_is_fitted_and_said(place, shape, notes):
+    """Hysteresis of the tip as a whole, and a deflection that leads its load."""
+    samples = recording(seed=5, rate_hz=15.0)
+    largest = np.abs(without_noise(samples, Arm()).deflection).max(axis=0)
+    thresholds = tuple((0.2 * largest).tolist()) if place == TIP else (0.3,)
+    weight = 0.4 if place == TIP else 3e-4
+    basis = HysteresisBasis(TIP_M, (Operator(place, shape, thresholds),))
+    true = np.append(np.array([5e-4, 6e-4, 3e-6, 5e-7]), weight)
+    clean = _of(basis, true, samples).predict(samples).mean
+    noise = np.random.default_rng(0).normal(size=clean.shape) * NOISE
+    model = fit(replace(samples, deflection=clean + noise))
+    assert model.notes == notes
+    assert rms((model.predict(samples).mean - clean) / NOISE) < 0.25
+
+
+def test_memory_is_carried_within_a_segment_and_not_beyond(rubbed, model):
+    one = rubbed.rows(rubbed.segment == 0)
+    loaded = replace(one, segment=np.zeros_like(one.segment))
+    cut = len(one) // 2
+    while np.any(one.wrench[cut] != 0.0):
+        cut += 1
+    parted = replace(one, segment=(np.arange(len(one)) >= cut).astype(int))
+    together, apart = model.predict(loaded).mean, model.predict(parted).mean
+    np.testing.assert_allclose(apart[:cut], together[:cut], rtol=0, atol=1e-14)
+    assert np.abs(together[cut, :3]).max() > 5e-6  # something is left there
+    np.testing.assert_allclose(apart[cut], 0.0, atol=1e-14)
+
+
+def test_the_unknown_start_is_uncertain_until_loads_have_passed(rubbed, model):
+    stream = model.stream()
+    std = []
+    one = rubbed.rows(rubbed.segment == 0)
+    for k in range(len(one)):
+        std.append(np.sqrt(np.diag(stream.step(0, one.joints[k], one.wrench[k]).covariance)))
+    rest = np.flatnonzero(np.all(one.wrench == 0.0, axis=1))
+    first, last = np.array(std)[rest[0]], np.array(std)[rest[-1]]
+    assert np.all(first[:3] > 2.0 * last[:3])
+    # as large as what largest pushes leave, and no larger than what they bend
+    left = np.abs(model.predict(one).mean[rest]).max(axis=0)
+    assert np.all(first[:5] > 0.2 * left[:5]) and np.all(first[:5] < 2.0 * left[:5])
+    stream.reset()
+    again = stream.step(0, one.joints[0], one.wrench[0]).covariance
+    np.testing.assert_allclose(np.sqrt(np.diag(again)), std[0], rtol=1e-12)
+
+
+def _of(basis, values, samples):
+    """A model with given values."""
+    known = joint_stiffness.fit(samples)
+    size = len(values)
+    return LinearModel(
+        "x", TIP_M, basis, values, np.zeros((size, size)), np.zeros((6, 6)), NOISE,
+        known.fitted_range, known.fitted_on,
+    )  # fmt: skip

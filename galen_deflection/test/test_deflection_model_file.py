@@ -1,0 +1,170 @@
+"""Model files: what is written is read; what was changed, cut or mixed is refused by its name."""
+
+import hashlib
+import json
+import subprocess
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from deflection_synthetic import Arm, recording
+from galen_deflection.errors import ModelFileError
+from galen_deflection.model_file import read_model, write_model
+from galen_deflection.models.registry import KINDS
+
+ALL = list(KINDS)
+
+
+@pytest.fixture(scope="module")
+def samples():
+    return recording(Arm(friction=(0.3, 0.3, 4.0)), rate_hz=10.0)
+
+
+@pytest.fixture(scope="module")
+def models(samples):
+    return {kind: KINDS[kind].fit(samples) for kind in ALL}
+
+
+@pytest.fixture
+def path(tmp_path, models):
+    path = tmp_path / "arm.json"
+    write_model(path, models["joint_hysteresis"])
+    return path
+
+
+def signed(content):
+    """The content with a checksum that is right for it."""
+    rest = {name: value for name, value in content.items() if name != "sha256"}
+    canonical = json.dumps(rest, sort_keys=True, separators=(",", ":"))
+    return {**rest, "sha256": hashlib.sha256(canonical.encode()).hexdigest()}
+
+
+@pytest.mark.parametrize("kind", ALL)
+def test_a_model_that_was_read_predicts_the_same_to_the_last_bit(kind, models, samples, tmp_path):
+    path = tmp_path / "deeper" / f"{kind}.json"
+    write_model(path, models[kind])
+    read = read_model(path)
+    assert read.name == kind
+    assert read.to_json() == models[kind].to_json()
+    ours, theirs = models[kind].predict(samples), read.predict(samples)
+    np.testing.assert_array_equal(theirs.mean, ours.mean)
+    np.testing.assert_array_equal(theirs.covariance, ours.covariance)
+    np.testing.assert_array_equal(theirs.extrapolated, ours.extrapolated)
+
+
+def test_the_file_says_what_it_was_fitted_on_and_where_nothing(path, samples):
+    content = json.loads(path.read_text())
+    assert content["schema_version"] == 1
+    assert content["fitted_on"] == {
+        "samples": len(samples), "segments": 4, "positions": 4, "sets": 4,
+    }  # fmt: skip
+    assert content["parameters"][0]["name"] == "1/k_roll"
+    assert content == signed(content)
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda c: c.update(schema_version=2), "schema_version is 2; this version reads 1"),
+        (lambda c: c.update(kind="spline"), 'kind is "spline"; this version knows independent'),
+        (lambda c: c.pop("kind"), "kind is missing"),
+        (lambda c: c.pop("tip_m"), "tip_m is missing"),
+        (lambda c: c.update(tip_m=[0.1, 0.2]), "tip_m has shape"),
+        (lambda c: c.update(noise=[0.0] * 6), "noise holds a value that isn't positive"),
+        (lambda c: c["parameters"].pop(), "parameters has .* entries; expected"),
+        (lambda c: c["parameters"][1].update(name="1/k_x"), r"parameters\[1\].name is \"1/k_x\""),
+        (lambda c: c["parameters"][0].update(unit="m"), r"parameters\[0\].unit is \"m\""),
+        (lambda c: c["parameters"][0].update(value="1"), r"parameters\[0\].value is '1'"),
+        (lambda c: c["parameters"][0].update(value=-1e-4), r"parameters\[0\].value is -0.0001"),
+        (lambda c: c["covariance"][0].__setitem__(0, -1e-9), "covariance has a negative variance"),
+        (lambda c: c["covariance"][0].__setitem__(1, 1e-9), "covariance is not symmetric"),
+        (lambda c: c["discrepancy"].pop(), "discrepancy has shape"),
+        (lambda c: c["operators"][0].update(place="rod"), r'operators\[0\].place is "rod"'),
+        (lambda c: c["operators"][0].update(shape="dahl"), r'operators\[0\].shape is "dahl"'),
+        (lambda c: c["operators"][0].update(thresholds=[-1.0]), r"operators\[0\].thresholds holds"),
+        (lambda c: c["fitted_on"].update(samples=1.5), "fitted_on.samples is 1.5"),
+        (lambda c: c["fitted_range"].pop("joints_low"), "joints_low is missing"),
+        (
+            lambda c: c["fitted_range"].update(joints_low=[9.0] * 5),
+            "joints_low is above fitted_range.joints_high",
+        ),
+        (lambda c: c.update(notes="x"), "notes is not a list"),
+    ],
+)
+def test_a_wrong_field_is_named_with_the_file(path, change, said):
+    content = json.loads(path.read_text())
+    change(content)
+    path.write_text(json.dumps(signed(content)))
+    with pytest.raises(ModelFileError, match=said) as error:
+        read_model(path)
+    assert str(error.value).startswith(f"{path}: ")
+
+
+def test_any_change_shows_in_the_checksum(path):
+    text = path.read_text()
+    content = json.loads(text)
+    content["parameters"][3]["value"] *= 1.0 + 1e-12
+    path.write_text(json.dumps(content))
+    with pytest.raises(ModelFileError, match="sha256 is not that of the content"):
+        read_model(path)
+    path.write_text(json.dumps(json.loads(text), indent=3, sort_keys=True))  # only laid out anew
+    read_model(path)
+
+
+@pytest.mark.parametrize(
+    ("raw", "said"),
+    [
+        (b"", "not JSON"),
+        (b"[1, 2]", "the file is not an object"),
+        (b'{"schema_version": 1, "kind"', "not JSON"),
+        (b"\xff\xfe\x00", "not JSON"),
+        (b"[" * 100_000, "not JSON"),
+        (b" " * 10_000_001, "larger than 10000000 bytes"),
+    ],
+)
+def test_what_is_no_model_is_refused(tmp_path, raw, said):
+    path = tmp_path / "arm.json"
+    path.write_bytes(raw)
+    with pytest.raises(ModelFileError, match=said):
+        read_model(path)
+
+
+def test_a_missing_file_and_a_folder_that_cannot_be_are_named(tmp_path, models):
+    with pytest.raises(ModelFileError, match=r"gone.json: can't be read: No such file"):
+        read_model(tmp_path / "gone.json")
+    (tmp_path / "file").write_text("")
+    with pytest.raises(ModelFileError, match=r"arm.json: can't be written: "):
+        write_model(tmp_path / "file" / "arm.json", models["independent"])
+
+
+def test_what_could_not_be_read_is_not_written(path, models):
+    before = path.read_bytes()
+    broken = replace(models["coupled"], values=np.full(36, np.nan))
+    with pytest.raises(ModelFileError, match="not written"):
+        write_model(path, broken)
+    assert path.read_bytes() == before
+    assert [entry.name for entry in path.parent.iterdir()] == [path.name]
+
+
+def test_the_old_file_is_kept(path, models):
+    before = path.read_bytes()
+    write_model(path, models["independent"])
+    assert read_model(path).name == "independent"
+    assert path.with_name("arm.json.bak").read_bytes() == before
+
+
+def test_a_process_that_ends_in_the_writing_leaves_the_old_file(path):
+    """Ended where the new text is complete but not in place: os.replace never runs."""
+    before = path.read_bytes()
+    code = (
+        f"import sys; sys.path[:0] = {[entry for entry in sys.path if entry]!r}\n"
+        "import os, galen_model.whole_file as w\n"
+        "from galen_deflection.model_file import read_model, write_model\n"
+        f"model = read_model({str(path)!r})\n"
+        "w.os.fsync = lambda handle: os._exit(7)\n"
+        f"write_model({str(path)!r}, model)\n"
+    )
+    result = subprocess.run([sys.executable, "-c", code], timeout=60, check=False)
+    assert result.returncode == 7
+    assert path.read_bytes() == before

@@ -1,0 +1,574 @@
+"""Recordings of pushes: what is measured, and everything wrong with a recording found and cut."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from galen_bags.errors import BagError
+from galen_deflection.arm_positions import (
+    UnloadedSettings,
+    load_phases,
+    noise_of_mean,
+    wrench_noise,
+)
+from galen_deflection.base_marker import base_stands
+from galen_deflection.errors import PushRecordingError, RegistrationError
+from galen_deflection.marker_tracks import RawTrack, marker_track
+from galen_deflection.measured_deflection import measure_deflection
+from galen_deflection.push_recording import read_pushes
+from galen_deflection.registration_fit import RegistrationSettings
+from galen_deflection.rigid import Transform, mean_pose
+from galen_model.arm import SENSOR
+from galen_model.rotation import matrix_to_quaternion, quaternion_to_matrix, rotvec_to_matrix
+from galen_model.tool_file import read_tool
+from push_bag import (
+    BASE_POSE,
+    JOINTS,
+    NOISE,
+    NS,
+    POSITIONS,
+    ROOT,
+    START_NS,
+    TOOL,
+    TOOL_POSE,
+    WRENCH,
+    Scene,
+    nominal,
+    write,
+)
+
+SHARED = Path(__file__).resolve().parents[3] / "shared" / "recordings" / "disclosed"
+SHORT = Scene(positions=POSITIONS[:2])
+
+
+@pytest.fixture(scope="module")
+def sound(tmp_path_factory):
+    """The recording that others are compared with, and its deflections."""
+    scene = Scene()
+    path = write(tmp_path_factory.mktemp("bag") / "sound", scene.topics())
+    recording = read_pushes(path, TOOL)
+    return scene, recording, measure_deflection(recording)
+
+
+def tampered(tmp_path, tamper, scene=SHORT):
+    topics = scene.topics()
+    tamper(topics)
+    return read_pushes(write(tmp_path / "bag", topics), TOOL)
+
+
+def said(recording, *words):
+    """The sentences that hold all of the words."""
+    return [text for text in recording.problems if all(word in text for word in words)]
+
+
+def seconds(recording):
+    return (recording.stamp_ns - START_NS) * 1e-9
+
+
+# --- what is measured ---------------------------------------------------------------------------
+
+
+def test_a_sound_recording_gives_the_true_deflections(sound):
+    scene, recording, measured = sound
+    assert recording.problems == ()
+    times = seconds(recording)
+    off = measured.samples.deflection - scene.deflection_at(times)
+    assert np.sqrt(np.mean(off**2, axis=0)) == pytest.approx(NOISE, rel=0.1)
+    # The mean's own error is that of the registration and the joints' fit, far under the noise.
+    assert np.all(np.abs(off.mean(axis=0)) < 0.2 * NOISE)
+    assert measured.samples.noise == pytest.approx(NOISE, rel=0.15)
+    assert np.max(np.abs(measured.samples.deflection[:, :3])) > 0.3e-3  # it does measure pushes
+
+
+def test_the_wrench_is_the_applied_one_at_the_markers_stamps(sound):
+    scene, recording, _ = sound
+    off = recording.wrench - scene.wrench_at(seconds(recording))
+    # Between two samples the noise of both counts, by their weights: at most all of one.
+    assert np.all(np.sqrt(np.mean(off**2, axis=0)) < 1.1 * SENSOR.noise_std)
+    assert np.all(np.abs(off.mean(axis=0)) < 0.2 * SENSOR.noise_std)
+    assert recording.joints == pytest.approx(scene.joints_at(seconds(recording)), abs=1e-6)
+
+
+def test_positions_and_phases_are_found(sound):
+    scene, recording, _ = sound
+    assert recording.positions == pytest.approx(POSITIONS)
+    times = seconds(recording)
+    assert np.array_equal(recording.position, scene.position_at(times))
+    assert np.array_equal(recording.segment, recording.position)  # a stay each, nothing cut
+    load = np.linalg.norm(scene.wrench_at(times)[:, :3], axis=1)
+    assert np.all(load[recording.untouched] < 0.05)
+    in_rest = times % (scene.stay_s + scene.gap_s) < scene.rest_s - 0.2
+    assert np.mean(recording.untouched[in_rest]) > 0.95
+    assert np.all(load[recording.zero_load] < 0.1)
+    # Zero load is only told between pushes, and in most of the pauses.
+    assert not np.any(recording.zero_load & recording.untouched)
+    pauses = (load == 0.0) & ~in_rest & ~recording.untouched
+    assert np.mean(recording.zero_load[pauses]) > 0.4
+    assert recording.loaded_segments == ()
+
+
+def test_a_position_visited_again_has_its_number_and_another_visit(tmp_path):
+    scene = Scene(positions=POSITIONS[[0, 1, 0]])
+    recording = read_pushes(write(tmp_path / "bag", scene.topics()), TOOL)
+    keys = np.unique(np.stack([recording.position, recording.visit, recording.segment]), axis=1)
+    assert keys.T.tolist() == [[0, 0, 0], [0, 1, 2], [1, 0, 1]]
+    samples = measure_deflection(recording).samples
+    assert np.array_equal(samples.set_number, recording.visit)
+
+
+def test_deflection_from_rest_takes_a_wrong_geometry_away(tmp_path):
+    """With a tilt's zero off by 3 mrad, and a check that lets it pass."""
+    zeros = np.array([0.0, 0.0, 0.0, 0.0, 0.003])
+    scene = Scene(joint_zeros=zeros)
+    recording = read_pushes(write(tmp_path / "bag", scene.topics()), TOOL)
+    lax = RegistrationSettings(max_residual_m=1.0, max_residual_rad=1.0)
+    truth = scene.deflection_at(seconds(recording))
+    rms = [
+        np.sqrt(np.mean((measured.samples.deflection - truth) ** 2, axis=0))
+        for measured in (
+            measure_deflection(recording, lax),
+            measure_deflection(recording, lax, from_rest=True),
+        )
+    ]
+    assert np.max(rms[0] / NOISE) > 5.0
+    assert np.max(rms[1] / NOISE) < 1.2
+
+
+def test_the_simulated_cells_pushes_agree_with_nominal():
+    recording = read_pushes(ROOT / "bags" / "pushes", TOOL)
+    assert recording.problems == ()
+    _holds_nominal(measure_deflection(recording))
+
+
+@pytest.mark.parametrize("number", [359, 956])
+def test_an_arm_that_others_wrote(number):
+    folder = SHARED / f"recording_{number}"
+    if not folder.is_dir():
+        pytest.skip("the shared recordings are not here")
+    recording = read_pushes(folder / "push", read_tool(folder / "tool.json"))
+    measured = measure_deflection(recording)
+    assert len(recording.positions) == 4
+    ratio = _over_nominal(measured, measured.untouched)
+    assert np.all(ratio < 1.1)
+    loaded = _over_nominal(measured, ~measured.untouched & ~measured.zero_load)
+    at_zero = _over_nominal(measured, measured.zero_load)
+    if number == 359:  # nothing but nominal
+        _holds_nominal(measured)
+    else:  # hysteresis: too much under load, and some left without
+        assert loaded.max() > 1.5
+        assert at_zero.max() > 1.5
+
+
+def _holds_nominal(measured):
+    """What nominal leaves over is the tracker's noise, about zero."""
+    everything = np.ones(len(measured.samples), dtype=bool)
+    assert _over_nominal(measured, everything) == pytest.approx(np.ones(6), abs=0.08)
+    left = _left_over(measured)
+    assert np.all(np.abs(left.mean(axis=0)) < 0.15 * measured.samples.noise)
+
+
+def _left_over(measured):
+    samples = measured.samples
+    left = samples.deflection.copy()
+    for number in np.unique(samples.position):
+        here = samples.position == number
+        joints = np.median(samples.joints[here], axis=0)
+        left[here] -= nominal(joints, samples.wrench[here], samples.tip_m)
+    return left
+
+
+def _over_nominal(measured, rows):
+    return np.sqrt(np.mean(_left_over(measured)[rows] ** 2, axis=0)) / measured.samples.noise
+
+
+# --- what is wrong with a recording -------------------------------------------------------------
+
+
+def test_a_gap_in_the_marker_is_cut(tmp_path):
+    def lose(topics):
+        topic = topics[TOOL_POSE]
+        topic.keep((topic.seconds() < 1.9) | (topic.seconds() > 2.2))
+
+    recording = tampered(tmp_path, lose)
+    assert said(recording, TOOL_POSE, "1 gap", "missing")
+    times = seconds(recording)
+    assert not np.any((times > 1.91) & (times < 2.19))
+    first, second = recording.segment[times < 1.9], recording.segment[(times > 2.2) & (times < 4)]
+    assert set(first) == {0}
+    assert set(second) == {1}
+    # The second begins in the first push.
+    assert recording.loaded_segments == (1,)
+    assert said(recording, "begin under load")
+
+
+def test_a_short_gap_is_no_cut(tmp_path):
+    def lose(topics):
+        topic = topics[TOOL_POSE]
+        topic.keep((topic.seconds() < 1.9) | (topic.seconds() > 1.96))
+
+    recording = tampered(tmp_path, lose)
+    assert np.array_equal(recording.segment, recording.position)
+
+
+@pytest.mark.parametrize(
+    ("value", "word"),
+    [
+        ([np.nan] * 7, "not finite"),
+        ([0.1, 0.2, 0.3, 0.0, 0.0, 0.0, 0.0], "quaternion"),
+        ([0.1, 0.2, 0.3, 0.0, 0.0, 0.0, 1.02], "quaternion"),
+        ([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0], "identity"),
+        (None, "frozen"),
+    ],
+)
+def test_a_lost_marker_is_found_however_it_is_told(tmp_path, value, word):
+    def lose(topics):
+        topic = topics[TOOL_POSE]
+        rows = np.flatnonzero((topic.seconds() > 1.9) & (topic.seconds() < 2.2))
+        topic.values[rows] = topic.values[rows[0] - 1] if value is None else value
+
+    recording = tampered(tmp_path, lose)
+    (sentence,) = said(recording, "marker lost")
+    assert word in sentence
+    assert "18 samples" in sentence
+    assert "at 1.90 s" in sentence
+    times = seconds(recording)
+    assert not np.any((times > 1.9) & (times < 2.2))
+    assert np.max(recording.segment) == 2
+
+
+def test_a_marker_published_faster_than_it_is_measured_is_not_lost(tmp_path):
+    def repeat(topics):
+        for name in (TOOL_POSE, BASE_POSE):
+            topic = topics[name]
+            topic.values = topic.values[np.arange(len(topic.values)) // 3 * 3]
+
+    scene = Scene(positions=POSITIONS[:2], tracker_rate_hz=180.0)
+    recording = tampered(tmp_path, repeat, scene)
+    assert recording.problems == ()
+    assert recording.period_s == pytest.approx(1 / 60, rel=0.01)
+    assert np.array_equal(recording.segment, recording.position)
+
+
+def test_stamps_that_jump_and_stay_are_cut_and_left_out(tmp_path):
+    def jump(topics):
+        topic = topics[TOOL_POSE]
+        topic.stamp_ns[topic.seconds() > 8.0] += NS // 2
+
+    recording = tampered(tmp_path, jump)
+    assert said(recording, TOOL_POSE, "jump by +0.500 s", "after 7.98")
+    assert said(recording, TOOL_POSE, "left out", "after a jump")
+    assert seconds(recording).max() < 8.01
+    # What is left is as good as before.
+    off = measure_deflection(recording).samples.deflection - SHORT.deflection_at(seconds(recording))
+    assert np.sqrt(np.mean(off**2, axis=0)) == pytest.approx(NOISE, rel=0.15)
+
+
+def test_a_tracker_whose_clock_was_set_by_three_samples_is_found(tmp_path):
+    def jump(topics):
+        for name in (TOOL_POSE, BASE_POSE):
+            topics[name].stamp_ns[topics[name].seconds() > 8.0] += NS // 20
+
+    recording = tampered(tmp_path, jump)
+    assert said(recording, TOOL_POSE, "jump by +0.050 s")
+    assert seconds(recording).max() < 8.01
+
+
+def test_stamps_that_jump_for_one_sample_cost_that_sample_only(tmp_path):
+    def jump(topics):
+        topics[TOOL_POSE].stamp_ns[200] += NS // 2
+        topics[JOINTS].stamp_ns[702] -= NS // 2
+        topics[WRENCH].stamp_ns[900] += NS // 2
+
+    recording = tampered(tmp_path, jump)
+    clean = read_pushes(write(tmp_path / "clean", SHORT.topics()), TOOL)
+    assert len(said(recording, "stamps jump by")) == 6  # there and back
+    # The marker's own, and the one before the joints' bad one. The compensator refuses the bad
+    # wrench, and its neighbours are near enough.
+    lost = (np.setdiff1d(clean.stamp_ns, recording.stamp_ns) - START_NS) * 1e-9
+    assert lost == pytest.approx([200 / 60 + 0.0021, 421 / 60 + 0.0021])
+    assert np.isin(recording.stamp_ns, clean.stamp_ns).all()
+    assert np.array_equal(recording.segment, recording.position)
+
+
+def test_a_recorder_that_holds_up_is_no_jump(tmp_path):
+    """It writes late what came while it was busy; the stamps are sound."""
+
+    def hold_up(topics):
+        for topic in topics.values():
+            since = topic.seconds() - 2.0
+            held = (since > 0.0) & (since < 0.6)
+            topic.log_ns[held] += np.rint((0.6 - since[held]) * NS).astype(np.int64)
+
+    recording = tampered(tmp_path, hold_up)
+    assert recording.problems == ()
+    assert np.array_equal(recording.segment, recording.position)
+
+
+def test_stamps_that_jump_in_all_topics_at_once_are_only_cut(tmp_path):
+    """The clock was set back by two seconds in the second rest: stamps come twice."""
+
+    def jump(topics):
+        for topic in topics.values():
+            topic.stamp_ns[topic.seconds() > 6.3] -= 2 * NS
+
+    recording = tampered(tmp_path, jump)
+    assert said(recording, TOOL_POSE, "jump by -2.000 s")
+    assert not said(recording, "after a jump")
+    times = seconds(recording)
+    cut = np.flatnonzero(np.diff(times) < 0)
+    assert len(cut) == 1
+    assert recording.segment[cut[0] + 1] == recording.segment[cut[0]] + 1
+    late = np.arange(len(times)) > cut[0]
+    measured = measure_deflection(recording).samples.deflection
+    off = measured - SHORT.deflection_at(times + 2.0 * late)
+    assert np.sqrt(np.mean(off**2, axis=0)) == pytest.approx(NOISE, rel=0.15)
+
+
+def test_nothing_is_interpolated_over_a_gap_in_the_wrench(tmp_path):
+    def lose(topics):
+        topic = topics[WRENCH]
+        topic.keep((topic.seconds() < 1.9) | (topic.seconds() > 2.2))
+
+    recording = tampered(tmp_path, lose)
+    assert said(recording, WRENCH, "1 gap")
+    assert said(recording, "no compensated wrench around")
+    times = seconds(recording)
+    assert not np.any((times > 1.91) & (times < 2.19))
+
+
+def test_a_gap_in_the_joints_while_the_arm_stands_is_no_interpolation_either(tmp_path):
+    def lose(topics):
+        topic = topics[JOINTS]
+        topic.keep((topic.seconds() < 2.0) | (topic.seconds() > 2.2))
+
+    recording = tampered(tmp_path, lose)
+    times = seconds(recording)
+    assert not np.any((times > 2.01) & (times < 2.19))
+
+
+def test_repeated_and_late_stamps_are_left_out(tmp_path):
+    def spoil(topics):
+        stamp_ns = topics[TOOL_POSE].stamp_ns
+        stamp_ns[100] = stamp_ns[99]
+        stamp_ns[150] = stamp_ns[149] - 1_000_000
+
+    recording = tampered(tmp_path, spoil)
+    assert said(recording, "1 sample repeats a stamp")
+    assert said(recording, "1 sample is older")
+    assert np.all(np.diff(recording.stamp_ns) > 0)
+
+
+@pytest.mark.parametrize("what", ["the base's marker", "the tracker"])
+def test_a_move_is_found_cut_and_registered_anew(tmp_path, what):
+    step = np.array([0.4e-3, -0.2e-3, 0.1e-3, 0.3e-3, 0.0, -0.5e-3])
+    moved_s = SHORT.stay_s + 0.5  # between the two positions
+
+    def move(topics):
+        first = _poses(topics[BASE_POSE].values)[0]
+        moved = first.displaced(step) @ first.inverse()
+        for name in (BASE_POSE,) if what == "the base's marker" else (BASE_POSE, TOOL_POSE):
+            rows = topics[name].seconds() > moved_s
+            many = Transform(moved.rotation[None], moved.translation[None])
+            poses = many @ _poses(topics[name].values[rows])
+            topics[name].values[rows] = np.hstack(
+                [poses.translation, matrix_to_quaternion(poses.rotation)]
+            )
+
+    recording = tampered(tmp_path, move)
+    (sentence,) = said(recording, "moved at")
+    assert f"moved at {moved_s:.1f}" in sentence
+    assert "by 0.4" in sentence
+    assert "mm and 0.5" in sentence
+    assert len(recording.stands) == 2
+    found = recording.stands[1].pose.displacement_from(recording.stands[0].pose)
+    assert found == pytest.approx(step, abs=5 * NOISE.max() / np.sqrt(200))
+    measured = measure_deflection(recording)
+    assert len(measured.registrations) == 2
+    off = measured.samples.deflection - SHORT.deflection_at(seconds(recording))
+    assert np.sqrt(np.mean(off**2, axis=0)) == pytest.approx(NOISE, rel=0.15)
+    assert any(f"it was {what}" in text for text in measured.problems)
+
+
+def test_samples_after_a_move_that_nothing_registers_are_left_out(tmp_path):
+    def move(topics):
+        topic = topics[BASE_POSE]
+        topic.values[topic.seconds() > 8.0, 0] += 1e-3
+
+    recording = tampered(tmp_path, move)
+    measured = measure_deflection(recording)
+    assert measured.registrations[1] is None
+    assert seconds(recording)[measured.rows].max() < 8.1
+    assert any("nothing registers it" in text for text in measured.problems)
+
+
+def _poses(values):
+    return Transform(quaternion_to_matrix(values[:, 3:]), values[:, :3])
+
+
+@pytest.mark.parametrize("outliers", [0, 3])
+def test_no_move_is_found_where_there_is_none(outliers):
+    """In 20 recordings; a few poses that are far off are no move."""
+    rng = np.random.default_rng(5)
+    for _ in range(20):
+        off = rng.standard_normal((800, 6)) * NOISE
+        off[rng.integers(0, 800, outliers)] += 0.05
+        assert len(base_stands(_track(off), START_NS)[0]) == 1
+
+
+def test_noise_that_goes_on_is_no_move():
+    rng = np.random.default_rng(6)
+    for _ in range(20):
+        off = rng.standard_normal((1500, 6)) * NOISE
+        for row in range(1, len(off)):
+            off[row] = 0.8 * off[row - 1] + 0.6 * off[row]
+        assert len(base_stands(_track(off), START_NS)[0]) == 1
+
+
+@pytest.mark.parametrize("share", [0.1, 0.5, 0.9])
+def test_a_move_as_small_as_one_samples_noise_is_found(share):
+    rng = np.random.default_rng(7)
+    off = rng.standard_normal((800, 6)) * NOISE
+    at = int(share * 800)
+    off[at:, 1] += NOISE[1]
+    stands, (sentence,) = base_stands(_track(off), START_NS)
+    assert len(stands) == 2
+    assert abs(stands[0].end_ns - (START_NS + at * NS // 60)) < NS
+    assert "moved at" in sentence
+
+
+def test_a_base_marker_that_was_looked_at_once_will_do(tmp_path):
+    def freeze(topics):
+        topics[BASE_POSE].values[:] = topics[BASE_POSE].values[0]
+
+    recording = tampered(tmp_path, freeze)
+    assert recording.problems == ()
+    assert len(recording.stands) == 1
+
+
+def _track(off):
+    poses = Transform(rotvec_to_matrix([0.1, 2.9, 0.3]), np.array([0.15, -0.35, 1.8]))
+    many = Transform(
+        np.broadcast_to(poses.rotation, (len(off), 3, 3)),
+        np.broadcast_to(poses.translation, (len(off), 3)),
+    ).displaced(off)
+    stamp_ns = START_NS + np.arange(len(off)) * NS // 60
+    values = np.hstack([many.translation, matrix_to_quaternion(many.rotation)])
+    raw = RawTrack("base", stamp_ns, stamp_ns, values, ("tracker",), {})
+    return marker_track(raw, 0.1, START_NS, may_stand=True)
+
+
+def test_the_mean_pose_leaves_far_ones_out():
+    rng = np.random.default_rng(8)
+    off = rng.standard_normal((300, 6)) * NOISE
+    truth = Transform(rotvec_to_matrix([0.1, 2.9, 0.3]), np.array([0.15, -0.35, 1.8]))
+    off[::10] += 0.02
+    poses = _track(off).poses
+    found = mean_pose(poses)
+    assert not found.used[::10].any()
+    assert np.abs(found.pose.displacement_from(truth)) == pytest.approx(
+        np.zeros(6), abs=4.5 * NOISE.max() / np.sqrt(270)
+    )
+    assert found.std == pytest.approx(NOISE, rel=0.2)
+
+
+# --- phases without load ------------------------------------------------------------------------
+
+
+def _wrenches(load, offset=0.0, seed=1):
+    rng = np.random.default_rng(seed)
+    noise = rng.standard_normal((len(load), 6)) * SENSOR.noise_std
+    return load[:, None] * np.array([1.0, 0, 0, 0, 0.1, 0]) + offset + noise
+
+
+def _phases(load, offset=0.0):
+    wrenches = _wrenches(load, offset)
+    time_ns = START_NS + np.arange(len(load)) * NS // 100
+    settings = UnloadedSettings()
+    noise = noise_of_mean(time_ns, wrenches, settings.window_s)
+    return load_phases(time_ns, wrenches, noise, settings)
+
+
+def test_the_untouched_phase_ends_before_the_push():
+    load = np.zeros(800)
+    load[300:400] = np.linspace(0.0, 5.0, 100)
+    found = _phases(load)
+    assert found.first is not None
+    assert 2.5 < (found.first[1] - START_NS) * 1e-9 < 3.0
+    assert len(found.zero_load) == 1
+    assert found.zero_load[0][0] > START_NS + 4 * NS
+
+
+def test_an_offset_of_the_tools_file_is_no_load():
+    found = _phases(np.zeros(300), np.array([0.2, 0.0, 0.0, 0.0, 0.01, 0.0]))
+    assert found.first is not None
+    assert found.offset[0] == pytest.approx(0.2, abs=0.01)
+
+
+def test_a_visit_that_begins_under_load_has_no_untouched_phase():
+    found = _phases(np.full(300, 4.0))
+    assert found.first is None
+    assert "under load (4.00 N" in found.why_none
+    found = _phases(np.linspace(0.0, 4.0, 300))
+    assert found.first is None
+
+
+def test_a_recording_pushed_from_the_start_says_so(tmp_path):
+    scene = Scene(positions=POSITIONS[:2], rest_s=0.0)
+    recording = read_pushes(write(tmp_path / "bag", scene.topics()), TOOL)
+    assert len(said(recording, "not untouched at first")) == 2
+    with pytest.raises(RegistrationError, match="stands untouched"):
+        measure_deflection(recording)
+
+
+def test_the_noise_is_that_of_the_sensor_whatever_is_pushed():
+    load = 5.0 * np.sin(np.arange(3000) / 100.0)
+    assert wrench_noise(_wrenches(load)) == pytest.approx(SENSOR.noise_std, rel=0.1)
+
+
+def test_a_filtered_sensors_noise_goes_on_and_is_no_load():
+    """Low-passed at a thirtieth of the rate: its means scatter more than white noise's would."""
+    rng = np.random.default_rng(9)
+    time_ns = START_NS + np.arange(3000) * NS // 500
+    settings = UnloadedSettings()
+    wrenches = rng.standard_normal((3100, 6)) * SENSOR.noise_std
+    for row in range(1, len(wrenches)):
+        wrenches[row] = 0.9 * wrenches[row - 1] + 0.436 * wrenches[row]
+    wrenches = wrenches[100:]
+    noise = noise_of_mean(time_ns, wrenches, settings.window_s)
+    blocks = wrenches.reshape(60, 50, 6).mean(axis=1)
+    assert noise == pytest.approx(blocks.std(axis=0), rel=0.6)
+    found = load_phases(time_ns, wrenches, noise, settings)
+    assert found.first == (time_ns[0], time_ns[-1])
+
+
+# --- recordings that can't be used --------------------------------------------------------------
+
+
+def test_what_lacks_is_named(tmp_path):
+    topics = SHORT.topics()
+    del topics[BASE_POSE]
+    with pytest.raises(BagError, match="tracker/base_pose"):
+        read_pushes(write(tmp_path / "a", topics), TOOL)
+
+    topics = SHORT.topics()
+    topics[TOOL_POSE].values[:, 3:] = 0.0
+    with pytest.raises(PushRecordingError, match=r"no sample is left.*marker lost in \d+ samples"):
+        read_pushes(write(tmp_path / "b", topics), TOOL)
+
+    topics = SHORT.topics()
+    topics[JOINTS].values += 0.1 * np.sin(10.0 * topics[JOINTS].seconds())[:, None]
+    with pytest.raises(PushRecordingError, match="never stands still"):
+        read_pushes(write(tmp_path / "c", topics), TOOL)
+
+    topics = SHORT.topics()
+    topics[WRENCH].stamp_ns += 3600 * NS
+    with pytest.raises(PushRecordingError, match="no wrench could be compensated"):
+        read_pushes(write(tmp_path / "d", topics), TOOL)
+
+
+def test_a_tracker_on_another_clock_is_told(tmp_path):
+    topics = SHORT.topics()
+    for name in (TOOL_POSE, BASE_POSE):
+        topics[name].stamp_ns += 3600 * NS
+    with pytest.raises(PushRecordingError, match=r"tool_pose: stamps stand 3600\.000 s ahead"):
+        read_pushes(write(tmp_path / "bag", topics), TOOL)

@@ -1,0 +1,129 @@
+"""Splits: which sets are fitted to, which are checked; segments stay whole."""
+
+import numpy as np
+import pytest
+from galen_deflection.samples import DeflectionSamples
+from galen_deflection.splits import (
+    SplitError,
+    leave_one_position_out,
+    leave_one_set_out,
+    report_splits,
+    sets_of,
+)
+
+
+def make_samples(sets, segments_a_set=2, samples_a_segment=3):
+    """Samples of (position, set number) pairs in their order."""
+    rows = []
+    for position, number in sets:
+        for _ in range(segments_a_set):
+            segment = rows[-1][0] + 1 if rows else 0
+            rows += [(segment, position, number)] * samples_a_segment
+    segment, position, number = np.array(rows, dtype=int).reshape(-1, 3).T
+    count = len(segment)
+    return DeflectionSamples(
+        stamp_ns=np.arange(count),
+        segment=segment,
+        position=position,
+        set_number=number,
+        joints=np.zeros((count, 5)),
+        wrench=np.zeros((count, 6)),
+        deflection=np.zeros((count, 6)),
+        tip_m=np.zeros(3),
+        noise=np.ones(6),
+    )
+
+
+# Two recordings of four positions: eight sets, as the report has them.
+EIGHT = [(position, number) for number in (0, 1) for position in (0, 1, 2, 3)]
+
+
+def pairs(samples, rows):
+    return sorted(set(zip(samples.position[rows].tolist(), samples.set_number[rows].tolist(),
+                          strict=True)))  # fmt: skip
+
+
+def check_whole(samples, split):
+    assert np.array_equal(split.train, ~split.check)
+    assert split.train.any()
+    assert split.check.any()
+    shared = set(samples.segment[split.train]) & set(samples.segment[split.check])
+    assert not shared
+
+
+def test_sets_are_pairs_of_position_and_number():
+    # Numbers count on over recordings, or begin anew at each position.
+    assert sets_of(make_samples(EIGHT)) == {k: [0, 1] for k in range(4)}
+    assert sets_of(make_samples([(5, 7), (2, 1), (5, 3)])) == {2: [1], 5: [3, 7]}
+
+
+def test_the_reports_split_is_six_sets_to_two():
+    samples = make_samples(EIGHT)
+    splits = report_splits(samples)
+    checked = [pairs(samples, split.check) for split in splits]
+    assert checked == [[(0, 1), (1, 1)], [(2, 1), (3, 1)], [(0, 0), (1, 0)], [(2, 0), (3, 0)]]
+    for split in splits:
+        check_whole(samples, split)
+        train = pairs(samples, split.train)
+        assert len(train) == 6
+        # Every position is among those fitted to.
+        assert {position for position, _ in train} == {0, 1, 2, 3}
+    # Together they check every sample once.
+    assert np.array_equal(sum(split.check.astype(int) for split in splits), np.ones(len(samples)))
+    assert splits[0].name == "set 1 of position 0, set 1 of position 1"
+
+
+def test_the_reports_split_of_other_numbers_of_sets():
+    samples = make_samples([(0, 0), (0, 1), (0, 2), (4, 0), (4, 1), (7, 3), (7, 9)])
+    splits = report_splits(samples)
+    checked = [pairs(samples, split.check) for split in splits]
+    assert checked == [[(0, 2)], [(4, 1), (7, 9)], [(0, 1)], [(4, 0), (7, 3)]]
+    for split in splits:
+        check_whole(samples, split)
+        assert set(samples.position[split.train]) == {0, 4, 7}
+
+
+def test_a_position_left_out_is_left_out_with_all_its_sets():
+    samples = make_samples([*EIGHT, (3, 2)])
+    splits = leave_one_position_out(samples)
+    assert [split.name for split in splits] == [f"position {k}" for k in range(4)]
+    for position, split in enumerate(splits):
+        check_whole(samples, split)
+        assert set(samples.position[split.check]) == {position}
+        assert position not in samples.position[split.train]
+    assert pairs(samples, splits[3].check) == [(3, 0), (3, 1), (3, 2)]
+
+
+def test_a_set_left_out_is_one_repetition():
+    samples = make_samples(EIGHT)
+    splits = leave_one_set_out(samples)
+    assert [pairs(samples, split.check) for split in splits] == [[pair] for pair in sorted(EIGHT)]
+    for split in splits:
+        check_whole(samples, split)
+        assert split.train.sum() == 42
+
+
+@pytest.mark.parametrize(
+    ("splitter", "sets", "words"),
+    [
+        (report_splits, [(0, 0), (0, 1)], "only position 0"),
+        (report_splits, [(0, 0), (0, 1), (1, 0)], "position 1 has one"),
+        (report_splits, [], "no samples"),
+        (leave_one_position_out, [(3, 0), (3, 1)], "only position 3"),
+        (leave_one_position_out, [], "no samples"),
+        (leave_one_set_out, [(0, 4)], "only one set"),
+        (leave_one_set_out, [], "no samples"),
+    ],
+)
+def test_too_little_is_refused(splitter, sets, words):
+    with pytest.raises(SplitError, match=words):
+        splitter(make_samples(sets))
+
+
+@pytest.mark.parametrize("splitter", [report_splits, leave_one_position_out, leave_one_set_out])
+@pytest.mark.parametrize("column", ["position", "set_number"])
+def test_a_segment_in_two_sets_is_refused(splitter, column):
+    samples = make_samples(EIGHT)
+    getattr(samples, column)[1] += 1  # in segment 0
+    with pytest.raises(SplitError, match="segment 0 belongs to set"):
+        splitter(samples)
