@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
 from typing import Any
 
@@ -139,22 +140,24 @@ def print_overview(rows: list[dict[str, Any]], console: Console) -> None:
 
     `rows`: from `to_dict`, or {"bag": ..., "error": ...}.
     """
-    table = Table(title="Does the file still fit?", title_justify="left")
+    names, folder = _short_names([row["bag"] for row in rows])
+    where = f" (bags in {folder})" if folder else ""
+    table = Table(title=f"Does the file still fit?{where}", title_justify="left")
     table.add_column("bag", overflow="fold")
     for name in ("length, s", "out, %", "still N", "still mN.m", "moving N", "drift N/h"):
         table.add_column(name, justify="right")
     table.add_column("verdict")
     table.add_column("findings", justify="right")
-    for row in rows:
+    for name, row in zip(names, rows, strict=True):
         if "error" in row:
-            table.add_row(row["bag"], *("-",) * 6, "[bold red]broken[/bold red]", "-")
+            table.add_row(name, *("-",) * 6, "[bold red]broken[/bold red]", "-")
             continue
         verdict = Verdict(row["verdict"])
         style = _VERDICT_STYLE.get(verdict, "bold red")
         received = row["wrenches"]["received"]
         out = 100.0 * row["wrenches"]["compensated"] / received if received else 0.0
         table.add_row(
-            row["bag"],
+            name,
             f"{row['duration_s']:.1f}",
             f"{out:.1f}",
             _largest(row["rmse"]["still_phases"], WRENCH_AXES[:3], 1.0, 4),
@@ -165,11 +168,21 @@ def print_overview(rows: list[dict[str, Any]], console: Console) -> None:
             str(len(row["findings"])),
         )
     console.print(table)
-    for row in rows:
+    for name, row in zip(names, rows, strict=True):
         if "error" in row:
             console.print(f"[red]{row['error']}[/red]", soft_wrap=True, highlight=False)
         elif row["verdict"] != Verdict.FITS.value:
-            console.print(f"{row['bag']}: {row['sentence']}", soft_wrap=True, highlight=False)
+            console.print(f"{name}: {row['sentence']}", soft_wrap=True, highlight=False)
+
+
+def _short_names(bags: list[str]) -> tuple[list[str], str]:
+    """The bags' paths below the folder that they share, and that folder ("": they share none)."""
+    folders = {os.path.dirname(bag) for bag in bags}  # noqa: PTH120 - as they were given
+    try:
+        folder = os.path.commonpath(folders)
+    except ValueError:  # none at all, or some absolute and some not
+        return bags, ""
+    return [os.path.relpath(bag, folder) for bag in bags] if folder else bags, folder
 
 
 def _drift(misfit: dict[str, Any] | None) -> str:

@@ -79,7 +79,9 @@ def test_a_folder_gives_one_table_and_a_broken_bag_does_not_stop_the_rest(archiv
     assert main([str(archive), "--tool-beside", "retractor.json", "--workers", "1"]) == 1
     out = capsys.readouterr().out
     assert "Does the file still fit?" in out
-    friday = f"{archive / 'friday' / 'sweep'}: "
+    assert "│ monday/sweep " in out  # below the folder that all share
+    assert f"{archive}/monday/sweep" not in out
+    friday = "friday/sweep: "
     (line,) = [line for line in out.splitlines() if line.startswith(friday)]
     assert re.search(r"as of another load, by \+(29\.9|30\.[01]) ", line)
     assert "broken" in out
