@@ -6,6 +6,8 @@ import re
 
 import numpy as np
 import pytest
+from galen_bags.bag import open_bag
+from galen_bags.writer import BagWriter
 from galen_gravcomp.bag_evaluation import EvaluationSettings, evaluate_bag
 from galen_gravcomp.bag_report import findings, print_overview, to_dict
 from galen_gravcomp.compensator import CompensatorSettings
@@ -373,3 +375,33 @@ def test_the_overview_s_drift_is_shown_only_where_it_is_more_than_noise(tmp_path
     fits, drifts = (line.split("│") for line in lines)
     assert (fits[7].strip(), fits[8].strip()) == ("-", "fits")
     assert (drifts[8].strip(), 55.0 < float(drifts[7]) < 65.0) == ("drift", True)
+
+
+def test_what_is_left_over_in_motion_is_not_that_at_rest(tmp_path, tool):
+    recording = Recording(tool)
+    moving = np.ones(len(recording.wrench), dtype=bool)
+    for rows in recording.pose_slices:
+        moving[rows] = False
+    recording.wrench[moving, 0] += 0.5
+    result = evaluate(tmp_path, recording, tool)
+    assert result.rmse_moving[0] > 0.4
+    assert result.rmse_still[0] < 0.15
+    assert result.verdict is Verdict.FITS
+
+
+def test_a_message_that_cannot_be_read_is_no_stamp_and_no_reading(tmp_path, tool):
+    path = Recording(tool, poses=4).write(tmp_path / "bag")
+    with BagWriter(tmp_path / "spoilt") as spoilt, open_bag(path) as bag:
+        names = sorted(bag.topics)
+        topics = [spoilt.add_topic(name, bag.topics[name].type_name) for name in names]
+        for block in bag.blocks(names):
+            for row in range(len(block)):
+                data, topic = block.message(row), block.topic[row]
+                spoiled = names[topic] == "/wrench_raw" and row % 100 == 51
+                data = data[:20] if spoiled else data
+                spoilt.write(topics[topic], int(block.log_time_ns[row]), data)
+    result = evaluate_bag(tmp_path / "spoilt", tool)
+    assert result.refused["unreadable"] == result.received - result.wrench_stamps.count > 0
+    assert result.wrench_stamps.unstamped == 0
+    assert result.channels.count == result.wrench_stamps.count
+    assert not result.channels.not_finite.any()

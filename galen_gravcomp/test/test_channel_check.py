@@ -69,7 +69,7 @@ def test_a_channel_that_clips_is_saturated():
 
 def test_readings_beyond_the_range_and_not_finite_are_counted_by_axis():
     values = readings()
-    values[10:13, 0] = 130.0
+    values[10:13, 0] = [125.0, -125.0, 130.0]
     values[20, 5] = np.nan
     values[21, 5] = np.inf
     found = check(values)
@@ -124,6 +124,13 @@ def test_a_sensor_whose_quantum_is_above_its_noise_is_sound(quanta, swing):
         value = value + rng.normal(size=value.shape) * SENSOR.noise_std
         coarse = np.round(value / SENSOR.quantum / quanta) * SENSOR.quantum * quanta
         assert check(coarse).sound
+
+
+@pytest.mark.parametrize("quanta", [20, 50, 100])
+def test_one_coarse_channel_among_others_is_sound(quanta):
+    values = readings(20_000)
+    values[:, 0] = np.round(values[:, 0] / 0.005 / quanta) * 0.005 * quanta
+    assert check(values).sound
 
 
 @pytest.mark.parametrize("time_constant", [5, 25, 250])

@@ -35,6 +35,7 @@ def test_one_bag_gives_a_report_a_picture_and_a_bag(archive, tmp_path, capsys):
     assert code == 0
     told = re.search(r"as of another load, by \+([\d.]+) \+-", out.replace("\n", " "))
     assert float(told.group(1)) == pytest.approx(30.0, abs=1.0)
+    assert re.search(r"load less the file's: \+(29\.\d|30\.\d)\d \+- 0\.\d+ g", out)
     for part in ("still phases' means", "another load", "Worst still phases", "Time stamps"):
         assert part in out
     picture = tmp_path / "plots" / "sweep_evaluation.png"
