@@ -214,11 +214,7 @@ class _Runs:
         if told * changing < (_NOISY_ROWS if axis is None else _NOISY):
             return []
         limit = self._limit(changing)
-        found = [run for run in runs if run.count >= limit]
-        # Chance has more short runs than long ones. Far more than it makes: the channel's noise
-        # is above its quantum at times only.
-        by_chance = self._count * (1.0 - _LEAST_NOISY * changing) ** (_SHORTEST_RUN - 1)
-        return found if len(runs) - len(found) <= 5.0 + 3.0 * by_chance else []
+        return [run for run in runs if run.count >= limit]
 
     def changing(self) -> float:
         """Part of the values that differ from the one before, outside of runs beyond chance."""
