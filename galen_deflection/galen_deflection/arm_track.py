@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from galen_bags.arm_recording import ArmBlock, ArmReader, ArmTopics
 from galen_bags.bag import Bag
+from galen_gravcomp.arm_block import push_arm_block
 from galen_gravcomp.compensator import Compensator, CompensatorSettings
 from galen_gravcomp.results import Refusal
 from galen_model.arm import JOINT_NAMES
@@ -60,23 +61,12 @@ def read_arm_track(
     refusals: dict[Refusal, str] = {}
     unreadable: list[str] = []
     for block in reader.blocks():
-        joints, wrenches = block.joints, block.wrenches
-        result = compensator.push_block(
-            block.is_wrench,
-            joints.stamp_ns,
-            joints.values[:, 3:5],
-            wrenches.stamp_ns,
-            wrenches.values,
-            frame=wrenches.frame,
-            frame_ids=wrenches.frame_ids,
-            bad_joints=joints.bad,
-            bad_wrenches=wrenches.bad,
-        )
+        result = push_arm_block(compensator, block)
         numbers.append(result.index)
         compensated.append(result.wrench)
         for refused in result.refused:
             refusals.setdefault(refused.reason, refused.detail)
-        unreadable += joints.bad.values()
+        unreadable += block.joints.bad.values()
         blocks.append(block)
         done += len(block.is_wrench)
         if on_progress is not None:

@@ -36,6 +36,8 @@ def read_model(path: str | os.PathLike[str]) -> DeflectionModel:
     path = Path(path)
     try:
         return _from_json(read_json(path, _MAX_FILE_BYTES, "a model's file"))
+    except OSError as error:
+        raise ModelFileError(f"{path}: can't be read: {error.strerror}") from error
     except (FieldError, RecursionError) as error:
         raise ModelFileError(f"{path}: {error}") from error
 

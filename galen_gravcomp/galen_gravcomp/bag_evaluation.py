@@ -19,6 +19,7 @@ from galen_bags.stamp_check import StampCheck, StampReport
 from galen_model.arrays import Array
 from galen_model.tool_file import ToolFile
 
+from galen_gravcomp.arm_block import push_arm_block
 from galen_gravcomp.cells import CELL_S, CellReducer, Cells
 from galen_gravcomp.channel_check import ChannelCheck, ChannelReport
 from galen_gravcomp.compensator import Compensator, CompensatorSettings
@@ -182,17 +183,7 @@ class _Run:
             period_s = self._wrench_stamps.report().period_s
             slow_s = _READINGS_A_CELL * period_s if np.isfinite(period_s) else 0.0
             self._cells = CellReducer(max(CELL_S, slow_s))
-        result = self._compensator.push_block(
-            block.is_wrench,
-            joints.stamp_ns,
-            joints.values[:, 3:5],
-            wrenches.stamp_ns,
-            wrenches.values,
-            frame=wrenches.frame,
-            frame_ids=wrenches.frame_ids,
-            bad_joints=joints.bad,
-            bad_wrenches=wrenches.bad,
-        )
+        result = push_arm_block(self._compensator, block)
         for refused in result.refused:
             self._examples.setdefault(refused.reason.value, refused.detail)
         if self._cells is not None:

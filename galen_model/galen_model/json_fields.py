@@ -21,13 +21,10 @@ class FieldError(ValueError):
 def read_json(path: Path, max_bytes: int, what: str) -> Any:
     """The content of a JSON file, `what` it should be ("a tool's file").
 
-    Raises FieldError, without the file's name.
+    Raises OSError, and FieldError without the file's name.
     """
-    try:
-        with path.open("rb") as stream:
-            raw = stream.read(max_bytes + 1)
-    except OSError as error:
-        raise FieldError(f"can't be read: {error.strerror}") from error
+    with path.open("rb") as stream:
+        raw = stream.read(max_bytes + 1)
     if len(raw) > max_bytes:
         raise FieldError(f"larger than {max_bytes} bytes, not {what}")
     try:

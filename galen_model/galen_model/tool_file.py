@@ -145,10 +145,15 @@ def tool_path(tools_dir: str | os.PathLike[str], tool: str) -> Path:
 
 
 def read_tool(path: str | os.PathLike[str]) -> ToolFile:
-    """Read and check a tool's file. Raises ToolFileError that names the file and the field."""
+    """Read and check a tool's file. Raises ToolFileError that names the file and the field.
+
+    Where the file itself can't be read, the error's cause is the OSError.
+    """
     path = Path(path)
     try:
         return _from_json(read_json(path, _MAX_FILE_BYTES, "a tool's file"))
+    except OSError as error:
+        raise ToolFileError(f"{path}: can't be read: {error.strerror}") from error
     except (FieldError, ToolNameError, RecursionError) as error:
         raise ToolFileError(f"{path}: {error}") from error
 

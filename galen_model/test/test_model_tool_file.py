@@ -206,3 +206,13 @@ def test_a_kill_at_any_moment_leaves_a_whole_file(tmp_path):
         if backup.exists():
             read_tool(backup)
     assert len(written) > 1  # it did write in between
+
+
+def test_a_file_that_is_not_there_is_told_from_a_bad_one(tmp_path):
+    with pytest.raises(ToolFileError, match="can't be read: No such file") as stop:
+        read_tool(tmp_path / "absent.json")
+    assert isinstance(stop.value.__cause__, FileNotFoundError)
+    (tmp_path / "bad.json").write_text("{")
+    with pytest.raises(ToolFileError, match="not JSON") as stop:
+        read_tool(tmp_path / "bad.json")
+    assert not isinstance(stop.value.__cause__, OSError)
