@@ -49,9 +49,11 @@ def test_the_demonstration_reaches_what_the_readme_says(tmp_path, capfd):
     content = json.loads(capfd.readouterr().out)
     for tool, found in content["tools"].items():
         assert found["poses"] >= 55
-        # 1.05 is the aim; the fit's own error meets each axis by chance, more so with 60 poses
-        assert np.all(np.array(found["over_noise"]) < 1.09), tool
-        assert np.sqrt(np.mean(np.square(found["over_noise"]))) < 1.05, tool
+        # 1.05 is the aim, with 200 poses. The fit's own error e, about 0.17 of the noise, meets
+        # the noise of 60 poses by chance: 2 e / sqrt(60) in the square and e^2 itself make the
+        # ratio of one axis scatter by 0.03 about 1.015. These are four standard deviations.
+        assert np.all(np.array(found["over_noise"]) < 1.14), tool
+        assert np.sqrt(np.mean(np.square(found["over_noise"]))) < 1.07, tool
         # the noise that there was is the one that the scatter within the poses tells
         np.testing.assert_allclose(
             np.array(found["noise"]) / found["noise_from_scatter"], 1.0, atol=4 / np.sqrt(2 * 55)
