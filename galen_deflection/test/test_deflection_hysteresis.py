@@ -8,6 +8,7 @@ import pytest
 from deflection_synthetic import NOISE, TIP_M, Arm, dahl, recording, without_noise
 from galen_deflection.hysteresis import PlayOperators
 from galen_deflection.models import joint_hysteresis, joint_stiffness
+from galen_deflection.models.fit_settings import FitSettings
 from galen_deflection.models.hysteresis_basis import JOINTS, TIP, HysteresisBasis, Operator
 from galen_deflection.models.joint_hysteresis import AT_TIP, LEADS, fit
 from galen_deflection.models.linear import LinearModel
@@ -211,7 +212,7 @@ def test_an_arm_of_plays_gives_its_weights_back():
         made = _of(basis, true, samples).predict(samples).mean
         noise = np.random.default_rng(seed).normal(size=made.shape) * NOISE
         samples = replace(samples, deflection=made + noise)
-        totals = joint_hysteresis.sums(basis, samples)
+        totals = joint_hysteresis.sums(basis, samples, FitSettings())
         model = joint_hysteresis.finished("x", basis, samples, totals, False)
         off = model.values - true
         errors.append(off @ np.linalg.solve(model.covariance, off))
@@ -225,8 +226,8 @@ def test_no_hysteresis_is_found_where_there_is_none():
 
 def test_the_held_out_cost_is_that_of_samples_which_the_fit_has_not_seen(rubbed):
     """Position by position, against a fit of the springs alone to the other three."""
-    grid = joint_hysteresis._whole_grid(rubbed)
-    totals = joint_hysteresis.sums(grid, rubbed)
+    grid = joint_hysteresis._whole_grid(rubbed, FitSettings())
+    totals = joint_hysteresis.sums(grid, rubbed, FitSettings())
     costs = joint_hysteresis._Candidate.of(grid, totals, [], "play").held_out_cost()
     for position in range(4):
         there = rubbed.position == position

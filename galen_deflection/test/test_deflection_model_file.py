@@ -23,7 +23,7 @@ def samples():
 
 @pytest.fixture(scope="module")
 def models(samples):
-    return {kind: KINDS[kind].fit(samples) for kind in ALL}
+    return {kind: KINDS[kind].fit(samples, None) for kind in ALL}
 
 
 @pytest.fixture

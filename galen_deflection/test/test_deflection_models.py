@@ -9,6 +9,7 @@ import pytest
 from deflection_synthetic import NOISE, POSITIONS, TIP_M, Arm, in_sensor, recording, without_noise
 from galen_deflection.errors import FitError, NegativeComplianceError
 from galen_deflection.fitted_range import FittedRange
+from galen_deflection.models.fit_settings import FitSettings
 from galen_deflection.models.joint_stiffness import StiffnessBasis
 from galen_deflection.models.least_squares import BLOCK_S, blocks, folds
 from galen_deflection.models.registry import KINDS
@@ -25,7 +26,7 @@ WORN = Arm(k_roll=1700.0, k_tilt=1800.0, k_carriage=2.4e5, k_rod=1.6e6)
 
 
 def fit(kind, samples):
-    return KINDS[kind].fit(samples)
+    return KINDS[kind].fit(samples, None)
 
 
 def places(count, seed=0):
@@ -385,3 +386,23 @@ def test_no_torch_and_no_ros_for_the_physical_models():
 
 def test_positions_in_the_tests_are_within_the_arms_limits():
     assert np.all((LIMITS.lower <= POSITIONS) & (LIMITS.upper >= POSITIONS))
+
+
+@pytest.mark.parametrize("kind", ALL)
+def test_a_fit_looks_at_no_deflection_that_it_may_not_use(kind, pushed):
+    """Others' deflections may be anything; what was used gives the same as alone."""
+    use = pushed.position < 2
+    hidden = pushed.deflection.copy()
+    hidden[~use] = np.nan
+    settings = FitSettings(use=use)
+    masked = KINDS[kind].fit(replace(pushed, deflection=hidden), settings)
+    alone = KINDS[kind].fit(pushed.rows(use), None)
+    np.testing.assert_allclose(masked.values, alone.values, rtol=1e-9)
+    np.testing.assert_allclose(masked.covariance, alone.covariance, rtol=1e-6, atol=1e-18)
+    assert masked.fitted_on == alone.fitted_on
+    np.testing.assert_array_equal(masked.fitted_range.joints_high, alone.fitted_range.joints_high)
+
+
+def test_nothing_to_use_is_refused(pushed):
+    with pytest.raises(FitError, match="no samples"):
+        KINDS["coupled"].fit(pushed, FitSettings(use=np.zeros(len(pushed), dtype=bool)))

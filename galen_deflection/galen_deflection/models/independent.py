@@ -11,6 +11,7 @@ from typing import Any
 from galen_model.arrays import Array
 
 from galen_deflection.models.axes import AxesBasis
+from galen_deflection.models.fit_settings import FitSettings
 from galen_deflection.models.least_squares import finished, sums
 from galen_deflection.models.linear import LinearModel, tip_from_json
 from galen_deflection.models.linear import from_json as linear_from_json
@@ -19,10 +20,11 @@ from galen_deflection.samples import DeflectionSamples
 KIND = "independent"
 
 
-def fit(samples: DeflectionSamples) -> LinearModel:
+def fit(samples: DeflectionSamples, settings: FitSettings | None = None) -> LinearModel:
     """Fit by weighted least squares; raises FitError."""
+    settings = settings or FitSettings()
     basis = _basis(samples.tip_m)
-    return finished(KIND, basis, samples, sums(basis, samples), only_nearby=True)
+    return finished(KIND, basis, samples, sums(basis, samples, settings), only_nearby=True)
 
 
 def from_json(content: Mapping[str, Any]) -> LinearModel:

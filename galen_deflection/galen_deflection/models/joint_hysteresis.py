@@ -34,6 +34,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from galen_model.arrays import Array
 
+from galen_deflection.models.fit_settings import FitSettings
 from galen_deflection.models.hysteresis_basis import (
     COLUMNS,
     JOINTS,
@@ -78,10 +79,11 @@ AT_TIP = "hysteresis of the tip as a whole fits better than hysteresis of the jo
 LEADS = "the deflection leads the load, as if joints gave out work: is the wrench hysteretic?"
 
 
-def fit(samples: DeflectionSamples) -> LinearModel:
+def fit(samples: DeflectionSamples, settings: FitSettings | None = None) -> LinearModel:
     """Fit by weighted non-negative least squares; raises FitError, NegativeComplianceError."""
-    grid = _whole_grid(samples)
-    totals = sums(grid, samples)
+    settings = settings or FitSettings()
+    grid = _whole_grid(samples, settings)
+    totals = sums(grid, samples, settings)
     chosen = _chosen(grid, totals)
     found = solve(*chosen.totals.total(), chosen.basis.parameters, bounded=True)
     wanted = np.flatnonzero(found.free[len(COMPLIANCES) :]).tolist()
@@ -98,10 +100,10 @@ def from_json(content: Mapping[str, Any]) -> LinearModel:
     return linear_from_json(content, HysteresisBasis.from_json(content, tip_from_json(content)))
 
 
-def _whole_grid(samples: DeflectionSamples) -> HysteresisBasis:
+def _whole_grid(samples: DeflectionSamples, settings: FitSettings) -> HysteresisBasis:
     """Plays at all thresholds, in all places; the springs alone are the tip's reference."""
     springs = StiffnessBasis(samples.tip_m)
-    reference = solve(*sums(springs, samples).total(), COMPLIANCES, bounded=True).values
+    reference = solve(*sums(springs, samples, settings).total(), COMPLIANCES, bounded=True).values
     anywhere = tuple(Operator(place, "play", (0.0,) * len(COLUMNS[place])) for place in COLUMNS)
     run = HysteresisBasis(samples.tip_m, anywhere, reference).run()
     largest = np.abs(run.loads(samples.joints, samples.wrench)[3]).max(axis=0)

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from galen_model.arrays import Array
 
+from galen_deflection.models.fit_settings import FitSettings
 from galen_deflection.models.least_squares import finished, sums
 from galen_deflection.models.linear import LinearModel, Parameter, Rows, tip_from_json
 from galen_deflection.models.linear import from_json as linear_from_json
@@ -81,10 +82,11 @@ def elastic(jacobian: Array, loads: Array) -> Array:
     return (jacobian * loads[:, None, :]) @ _OF_KIND
 
 
-def fit(samples: DeflectionSamples) -> LinearModel:
+def fit(samples: DeflectionSamples, settings: FitSettings | None = None) -> LinearModel:
     """Fit by weighted least squares; raises FitError, NegativeComplianceError."""
+    settings = settings or FitSettings()
     basis = StiffnessBasis(samples.tip_m)
-    return finished(KIND, basis, samples, sums(basis, samples), only_nearby=False)
+    return finished(KIND, basis, samples, sums(basis, samples, settings), only_nearby=False)
 
 
 def from_json(content: Mapping[str, Any]) -> LinearModel:

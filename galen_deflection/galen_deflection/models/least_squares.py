@@ -26,6 +26,7 @@ from scipy.optimize import nnls
 
 from galen_deflection.errors import FitError, NegativeComplianceError
 from galen_deflection.fitted_range import FittedRange
+from galen_deflection.models.fit_settings import FitSettings
 from galen_deflection.models.linear import (
     Basis,
     FittedOn,
@@ -51,7 +52,7 @@ _REFUSED_BEYOND = 3.0
 class Sums:
     """Blocks (b,): N (b, p, p), b (b, p), y^T W y (b,), and the fold (b,) they belong to.
 
-    wrench_at_tip (n, 6): of the samples, base_link.
+    wrench_at_tip (n, 6): of the samples, base_link. used (n,): which of them count.
     """
 
     information: Array
@@ -59,6 +60,7 @@ class Sums:
     square: Array
     fold: np.ndarray
     wrench_at_tip: Array
+    used: np.ndarray
 
     def combined(self, combination: Array) -> Sums:
         """Of other designs, whose columns are combinations (p, q) of these."""
@@ -88,11 +90,13 @@ class Solution:
     unresolved: tuple[str, ...]
 
 
-def sums(basis: Basis, samples: DeflectionSamples) -> Sums:
-    """Go through the samples once, segment by segment. Raises FitError if there are none."""
-    if not len(samples):
+def sums(basis: Basis, samples: DeflectionSamples, settings: FitSettings) -> Sums:
+    """Go through the samples once, segment by segment. Raises FitError if there are none to use."""
+    used = settings.used(len(samples))
+    if not used.any():
         raise FitError("there are no samples to fit a deflection model to")
-    if not all(np.isfinite(a).all() for a in (samples.joints, samples.wrench, samples.deflection)):
+    values = (samples.joints, samples.wrench, samples.deflection[used])
+    if not all(np.isfinite(a).all() for a in values):
         raise FitError("samples to fit a deflection model to hold values that aren't finite")
     weight = 1.0 / samples.noise
     parts = blocks(samples)
@@ -100,14 +104,15 @@ def sums(basis: Basis, samples: DeflectionSamples) -> Sums:
     information, right = np.empty((len(parts), size, size)), np.empty((len(parts), size))
     square, wrench_at_tip = np.empty(len(parts)), np.empty((len(samples), 6))
     for k, (part, rows) in enumerate(_rows(basis, samples, parts)):
-        design = (rows.design * weight[:, None]).reshape(-1, size)
-        measured = (samples.deflection[part] * weight).ravel()
+        some = used[part]
+        design = (rows.design[some] * weight[:, None]).reshape(-1, size)
+        measured = (samples.deflection[part][some] * weight).ravel()
         # not by BLAS: its threads, waked for so little, wait for a busy machine's cores
         information[k] = np.einsum("rp,rq->pq", design, design)
         right[k] = np.einsum("rp,r->p", design, measured)
         square[k] = measured @ measured
         wrench_at_tip[part] = rows.wrench_at_tip
-    return Sums(information, right, square, folds(samples, parts), wrench_at_tip)
+    return Sums(information, right, square, folds(samples, parts), wrench_at_tip, used)
 
 
 def blocks(samples: DeflectionSamples) -> list[slice]:
@@ -222,8 +227,10 @@ def finished(
         covariance=covariance,
         discrepancy=_discrepancy(basis, samples, totals),
         noise=samples.noise,
-        fitted_range=FittedRange.of(samples.joints, totals.wrench_at_tip, only_nearby),
-        fitted_on=FittedOn.of(samples),
+        fitted_range=FittedRange.of(
+            samples.joints[totals.used], totals.wrench_at_tip[totals.used], only_nearby
+        ),
+        fitted_on=FittedOn.of(samples.rows(totals.used)),
         unresolved=solution.unresolved,
     )
 
@@ -281,8 +288,9 @@ def _discrepancy(basis: Basis, samples: DeflectionSamples, totals: Sums) -> Arra
     found = np.zeros((6, 6))
     for (part, rows), fold in zip(_rows(basis, samples, blocks(samples)), totals.fold, strict=True):
         residual = (samples.deflection[part] - rows.design @ values[int(fold)]) / samples.noise
+        residual = residual[totals.used[part]]
         found += residual.T @ residual
-    eigenvalue, vectors = np.linalg.eigh(found / len(samples) - np.eye(6))
+    eigenvalue, vectors = np.linalg.eigh(found / np.count_nonzero(totals.used) - np.eye(6))
     beyond = vectors * np.maximum(eigenvalue, 0.0) @ vectors.T
     return beyond * np.outer(samples.noise, samples.noise)
 

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 from galen_model.json_fields import FieldError
 
 from galen_deflection.models import coupled, independent, joint_hysteresis, joint_stiffness
+from galen_deflection.models.fit_settings import FitSettings
 from galen_deflection.models.interface import DeflectionModel
 from galen_deflection.samples import DeflectionSamples
 
@@ -19,7 +20,7 @@ class ModelKind(NamedTuple):
     """
 
     summary: str
-    fit: Callable[[DeflectionSamples], DeflectionModel]
+    fit: Callable[[DeflectionSamples, FitSettings | None], DeflectionModel]
     from_json: Callable[[Mapping[str, Any]], DeflectionModel]
 
 
