@@ -1,7 +1,7 @@
 # `make demo` and `make test` do all they need; `make help` lists the rest.
 SHELL := /bin/bash
 .DEFAULT_GOAL := help
-.PHONY: help setup build test test-slow lint demo bench clean
+.PHONY: help setup networks build test test-slow lint demo bench clean
 
 STARTER ?= python3
 SETUP = $(STARTER) scripts/setup_env.py
@@ -17,6 +17,9 @@ help: ## list the targets
 
 setup: ## make .venv: on the sourced ROS 2 Jazzy, or else with ROS 2 from PyPI
 	@$(SETUP) setup
+
+networks: ## add PyTorch to .venv (5 GB): deflection's networks need it, nothing else does
+	@$(SETUP) networks
 
 build: ## set up, then build the packages
 	@$(SETUP) build

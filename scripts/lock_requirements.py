@@ -4,18 +4,20 @@ Run it with the oldest supported Python (3.11), so that the pins install on the 
 
     python3.11 scripts/lock_requirements.py
 
-A file holds only what the files before it do not hold, in the order of ``GROUPS``.
+A file holds only what the files before it do not hold, in the order of ``GROUPS``. Groups that
+are named on the command line alone are resolved anew; the files of the others count as they are.
 """
 
 from __future__ import annotations
 
+import argparse
 import json
 import subprocess
 import sys
 import tempfile
 from pathlib import Path
 
-GROUPS = ("runtime", "dev", "build", "ros")
+GROUPS = ("runtime", "dev", "build", "ros", "networks")
 REQUIREMENTS = Path(__file__).resolve().parent.parent / "requirements"
 
 
@@ -37,8 +39,17 @@ def resolve(groups: list[str], constraints: dict[str, str]) -> dict[str, str]:
 
 def main() -> None:
     """Write the lock files."""
+    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser.add_argument("groups", nargs="*", metavar="GROUP", help=f"of {', '.join(GROUPS)}")
+    wanted = parser.parse_args().groups or GROUPS
+    if unknown := sorted(set(wanted) - set(GROUPS)):
+        parser.error(f"there is no group {', '.join(unknown)}")
     pins: dict[str, str] = {}
     for number, group in enumerate(GROUPS, start=1):
+        if group not in wanted:
+            lines = (REQUIREMENTS / f"{group}.txt").read_text().splitlines()[1:]
+            pins.update(line.split("==") for line in lines)
+            continue
         found = resolve(list(GROUPS[:number]), pins)
         lines = [f"# Made from {group}.in by scripts/lock_requirements.py; do not edit."]
         lines += [f"{name}=={version}" for name, version in found.items() if name not in pins]

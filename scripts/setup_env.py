@@ -3,6 +3,7 @@
 
     python3 scripts/setup_env.py setup     make .venv
     python3 scripts/setup_env.py build     make .venv and build the packages
+    python3 scripts/setup_env.py networks  make .venv, and add PyTorch to it
 
 Any Python 3 from 3.8 on may start it; it looks for the one that the environment needs.
 """
@@ -27,13 +28,19 @@ ROOT = Path(__file__).resolve().parent.parent
 def main(arguments: "list[str] | None" = None) -> int:
     """Do what the command line says; an expected error is one line and exit code 1."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    parser.add_argument("step", choices=("setup", "build"), help="setup: .venv only")
+    parser.add_argument(
+        "step",
+        choices=("setup", "build", "networks"),
+        help="setup: .venv only; networks: with PyTorch",
+    )
     parser.add_argument("--verbose", action="store_true", help="show all that colcon prints")
     options = parser.parse_args(arguments)
     try:
         with exclusive(ROOT / ".workspace.lock"):
             environment = Environment(ROOT, os.environ)
             environment.make()
+            if options.step == "networks":
+                environment.add("networks")
             if options.step == "build":
                 build(environment, verbose=options.verbose)
     except SetupError as error:

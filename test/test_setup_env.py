@@ -261,17 +261,18 @@ def test_a_full_disk_is_told_before_anything_is_fetched(tmp_path):
 
 
 def test_every_requirement_is_pinned_once_and_ros_is_jazzy():
-    pins = {group: read_pins(REQUIREMENTS / f"{group}.txt") for group in environment.GROUPS}
+    groups = (*environment.GROUPS, *environment.OPTIONAL_GROUPS)
+    pins = {group: read_pins(REQUIREMENTS / f"{group}.txt") for group in groups}
     names = [name for group in pins.values() for name in group]
     assert len(names) == len(set(names))
     assert pins["ros"]["ros-rclpy"] == environment.RCLPY_VERSION
     assert int(pins["build"]["setuptools"].split(".")[0]) < environment.SETUPTOOLS_LIMIT
-    assert "torch" not in names
+    assert [group for group in groups if "torch" in pins[group]] == ["networks"]
 
 
 def test_the_lock_files_hold_what_their_inputs_ask_for():
     held = set()
-    for group in environment.GROUPS:
+    for group in (*environment.GROUPS, *environment.OPTIONAL_GROUPS):
         held |= set(read_pins(REQUIREMENTS / f"{group}.txt"))
         for line in (REQUIREMENTS / f"{group}.in").read_text().splitlines():
             name = re.match(r"[A-Za-z0-9_.-]*", line).group()
@@ -377,6 +378,34 @@ def test_changed_requirements_make_it_anew(ready):
     path = ready.root / "requirements" / "dev.txt"
     path.write_text(path.read_text() + "# changed\n")
     assert not ready.is_ready()
+
+
+def test_an_optional_group_is_added_once_and_makes_nothing_anew(ready):
+    """The environment's Python here writes down what it is called with, and has nothing in it."""
+    calls = ready.root / "calls"
+    script(ready.python, f'echo "$@" >> {calls}; case "$*" in *metadata*) echo "{{}}";; esac\n')
+    ready.add("networks")
+    said = calls.read_text()
+    pins = read_pins(ready.root / "requirements" / "networks.txt")
+    assert all(f" {name}=={version}" in said for name, version in pins.items())
+    assert said.rstrip().endswith(environment.OPTIONAL_GROUPS["networks"][0])
+    ready.add("networks")
+    assert calls.read_text() == said
+    assert ready.is_ready()
+    path = ready.root / "requirements" / "networks.txt"
+    path.write_text(path.read_text() + "# changed\n")
+    assert ready.is_ready()
+    ready.add("networks")
+    assert calls.read_text() == said + said
+
+
+def test_an_optional_group_that_does_not_import_is_told_and_tried_again(ready):
+    script(
+        ready.python, 'case "$*" in *metadata*) echo "{}";; *safetensors.torch*) exit 1;; esac\n'
+    )
+    for _ in range(2):
+        with pytest.raises(SetupError, match=r"networks\.txt was installed, but .* not import"):
+            ready.add("networks")
 
 
 def test_another_python_or_ros_makes_it_anew(ready, tmp_path):

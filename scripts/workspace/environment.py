@@ -22,6 +22,10 @@ from .wheel_repair import repair_wheels
 LAYOUT = 1  # raise it when an environment made by older code is no longer good
 RCLPY_VERSION = "7.1.6"  # Jazzy's; a later one is another distribution
 GROUPS = ("runtime", "dev", "build", "ros")
+# What each must be able to import, and the room that it takes with its download.
+OPTIONAL_GROUPS = {
+    "networks": ("import safetensors.torch, torch", 9_000_000_000),
+}
 STAMP_NAME = "galen_env.json"
 # Always ours, also where ROS's Debian packages bring another version: what tests and checks.
 PINNED_WITH_ROS = "dev"
@@ -176,6 +180,36 @@ class Environment:
         except OSError as error:
             raise SetupError(f"cannot make {self.path}: {error}") from error
         print(f"Environment ready after {time.monotonic() - started:.0f} s.", flush=True)
+
+    def add(self, group: str) -> None:
+        """Install one of the OPTIONAL_GROUPS beside the rest, unless it is there.
+
+        Raises:
+            SetupError: the disk is too full or a download fails; the rest stays as it was.
+
+        """
+        path = self.root / "requirements" / f"{group}.txt"
+        stamp = self.path / f"galen_{group}.txt"
+        if stamp.is_file() and stamp.read_bytes() == path.read_bytes():
+            return
+        check, needed_bytes = OPTIONAL_GROUPS[group]
+        tools.check_disk(self.root, needed_bytes)
+        print(f"Adding what {path.relative_to(self.root)} names to .venv ...", flush=True)
+        started = time.monotonic()
+        self.log.parent.mkdir(exist_ok=True)
+        stamp.unlink(missing_ok=True)
+        pins = read_pins(path)
+        present = {normal_name(name) for name in json.loads(self._ask(_INSTALLED))}
+        if self.ros is not None:  # what it brings, its packages were built with
+            pins = {name: version for name, version in pins.items() if name not in present}
+        self._pip(pins, len(pins))
+        self._run(
+            [str(self.python), "-c", check],
+            self.variables(),
+            f"{path.name} was installed, but a package in it does not import",
+        )
+        stamp.write_bytes(path.read_bytes())
+        print(f"Added after {time.monotonic() - started:.0f} s.", flush=True)
 
     def variables(self) -> dict[str, str]:
         """Return the environment variables to run commands of the environment with."""
