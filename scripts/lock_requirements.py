@@ -48,7 +48,7 @@ def main() -> None:
     for number, group in enumerate(GROUPS, start=1):
         if group not in wanted:
             lines = (REQUIREMENTS / f"{group}.txt").read_text().splitlines()[1:]
-            pins.update(line.split("==") for line in lines)
+            pins.update({name: pin for name, _, pin in (line.partition("==") for line in lines)})
             continue
         found = resolve(list(GROUPS[:number]), pins)
         lines = [f"# Made from {group}.in by scripts/lock_requirements.py; do not edit."]

@@ -3,6 +3,7 @@
 With u_i = (cos theta_i, sin theta_i), R = rail radius - platform radius and L the rods' length,
 carriage i stands at  c_i = z - sqrt(L^2 - |p_xy - R u_i|^2)  above the base plane; the carriage
 coordinate is q_i = c_i - c_i(home). The rods' directions are n_i = (p - (R u_i, c_i)) / L.
+The two rods of a leg hold the platform at B = r u_i +- h (-sin theta_i, cos theta_i, 0).
 """
 
 import numpy as np
@@ -11,6 +12,18 @@ from numpy.typing import ArrayLike
 from galen_model.arm import GALEN, HOME, ArmParameters
 from galen_model.arrays import Array
 from galen_model.errors import KinematicsError
+
+
+def ball_joints(arm: ArmParameters = GALEN) -> Array:
+    """B (6, 3), m: where rods hold the platform, from its centre; rows 2 i and 2 i + 1 are leg i's.
+
+    They lie in the platform's plane, whose axes are those of base_link.
+    """
+    angles = np.repeat(arm.leg_angles_rad, 2)
+    side = np.tile([1.0, -1.0], len(arm.leg_angles_rad))[:, None]
+    radial = np.stack([np.cos(angles), np.sin(angles), 0.0 * angles], axis=1)
+    along = np.stack([-np.sin(angles), np.cos(angles), 0.0 * angles], axis=1)
+    return np.asarray(arm.platform_radius_m * radial + side * arm.rod_half_spacing_m * along)
 
 
 class LinearDelta:
@@ -73,6 +86,14 @@ class LinearDelta:
         p = np.asarray(platform_m, dtype=float)
         carriage = np.column_stack([self._feet, self._carriage_height(p)])
         return (p - carriage) / self._arm.rod_length_m
+
+    def rod_rows(self, platform_m: ArrayLike) -> Array:
+        """A (6, 6): a rod a row, [n, B x n]; lengthening of the rods over the platform's twist.
+
+        The twist is that of the platform's centre, (m, rad) in base_link; rods as in `ball_joints`.
+        """
+        directions = np.repeat(self.rod_directions(platform_m), 2, axis=0)
+        return np.hstack([directions, np.cross(ball_joints(self._arm), directions)])
 
     def _carriage_height(self, platform: Array) -> Array:
         squared = self._arm.rod_length_m**2 - np.sum((platform[:2] - self._feet) ** 2, axis=1)

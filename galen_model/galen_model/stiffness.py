@@ -24,17 +24,9 @@ from galen_model.wrench import move_wrench
 
 def platform_stiffness(platform_m: ArrayLike, arm: ArmParameters = GALEN) -> Array:
     """K_p (6, 6) at the platform's centre: wrench over twist, base_link, SI."""
-    directions = LinearDelta(arm).rod_directions(platform_m)
-    rows = np.zeros((6, 6))
+    rows = LinearDelta(arm).rod_rows(platform_m)
     carriage = np.zeros((6, 3))
-    for leg, angle in enumerate(arm.leg_angles_rad):
-        radial = np.array([np.cos(angle), np.sin(angle), 0.0])
-        along = np.array([-np.sin(angle), np.cos(angle), 0.0])
-        for side in (0, 1):
-            ball = arm.platform_radius_m * radial + (1 - 2 * side) * arm.rod_half_spacing_m * along
-            rod = 2 * leg + side
-            rows[rod] = [*directions[leg], *np.cross(ball, directions[leg])]
-            carriage[rod, leg] = directions[leg, 2]
+    carriage[np.arange(6), np.repeat(np.arange(3), 2)] = rows[:, 2]
     flexibility = (
         np.eye(6) / arm.rod_stiffness_n_m + carriage @ carriage.T / arm.carriage_stiffness_n_m
     )

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from galen_model.arm import GALEN, HOME, LIMITS
-from galen_model.delta import LinearDelta
+from galen_model.delta import LinearDelta, ball_joints
 from galen_model.kinematics import joint_axes, sensor_pose, tip_pose
 from galen_model.rotation import rotvec_to_matrix
 from galen_model.stiffness import deflection, platform_stiffness, tip_compliance
@@ -78,3 +78,20 @@ def test_five_newton_sideways_moves_the_flange_half_a_millimetre():
     wrench = np.concatenate([rotation.T @ [0.0, 5.0, 0.0], np.zeros(3)])
     moved = deflection(HOME, wrench, np.zeros(3))
     assert moved[1] == pytest.approx(0.5e-3, rel=0.06)
+
+
+@pytest.mark.parametrize("platform", [(0.0, 0.0, 0.408), (0.06, -0.04, 0.45), (-0.05, 0.07, 0.35)])
+def test_a_rods_row_is_what_a_twist_of_the_platform_lengthens_it_by(platform):
+    """Finite differences of the rods' own lengths, their lower ends held where they are."""
+    platform = np.array(platform)
+    delta, balls = LinearDelta(), ball_joints()
+    lower = platform + balls - GALEN.rod_length_m * np.repeat(delta.rod_directions(platform), 2, 0)
+    np.testing.assert_allclose(np.linalg.norm(balls[0::2] - balls[1::2], axis=1), 2 * 0.0552)
+
+    def lengths(twist):
+        upper = platform + twist[:3] + balls @ rotvec_to_matrix(twist[3:]).T
+        return np.linalg.norm(upper - lower, axis=1)
+
+    step = 1e-6
+    found = [(lengths(step * e) - lengths(-step * e)) / (2 * step) for e in np.eye(6)]
+    np.testing.assert_allclose(np.transpose(found), delta.rod_rows(platform), atol=1e-9)

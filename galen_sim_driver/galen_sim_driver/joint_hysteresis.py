@@ -120,11 +120,6 @@ class JointHysteresis:
         config.validate()
         self._arm = arm
         self._delta = LinearDelta(arm)
-        angles = np.repeat(arm.leg_angles_rad, 2)
-        radial = np.stack([np.cos(angles), np.sin(angles), 0.0 * angles], axis=1)
-        along = np.stack([-np.sin(angles), np.cos(angles), 0.0 * angles], axis=1)
-        sides = np.tile([[1.0], [-1.0]], (3, 1))
-        self._balls = arm.platform_radius_m * radial + arm.rod_half_spacing_m * sides * along
         self._stiffness = np.array(
             [arm.carriage_stiffness_n_m] * 3
             + [arm.roll_stiffness_nm_rad, arm.tilt_stiffness_nm_rad]
@@ -174,8 +169,7 @@ class JointHysteresis:
             columns = np.zeros((6, 11))
             columns[:, :5] = tip_jacobian(joints, tip_m, self._arm)
             columns[:3, :3] = np.linalg.inv(self._delta.jacobian(joints[:3]))
-            directions = np.repeat(self._delta.rod_directions(joints[:3]), 2, axis=0)
-            rods = np.linalg.inv(np.hstack([directions, np.cross(self._balls, directions)]))
+            rods = np.linalg.inv(self._delta.rod_rows(joints[:3]))
             _, tip = tip_pose(joints, tip_m, self._arm)
             columns[:, 5:] = move_twist(rods.T, np.asarray(joints[:3]), tip).T
             self._columns, self._columns_at = columns, key
