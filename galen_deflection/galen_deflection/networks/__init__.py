@@ -1,0 +1,1 @@
+"""Recurrent networks: trained with PyTorch, run without it."""
