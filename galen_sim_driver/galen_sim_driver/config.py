@@ -156,9 +156,9 @@ class HysteresisConfig:
 class HandPush:
     """One push of the scripted hand at tool_tip.
 
-    It starts `start_s` after the script, rises and falls smoothly over `ramp_s` within
-    `duration_s`. Force (N) and torque about the tip (N.m) are along the axes of `frame`:
-    "base" for base_link, "tip" for tool_tip.
+    It starts `start_s` after the script, rises smoothly over `ramp_s` and falls over `fall_s`
+    (None: as it rises), both within `duration_s`. Force (N) and torque about the tip (N.m) are
+    along the axes of `frame`: "base" for base_link, "tip" for tool_tip.
     """
 
     start_s: float
@@ -167,15 +167,29 @@ class HandPush:
     torque_nm: Vector3 = ZERO3
     frame: str = "base"
     ramp_s: float = 0.2
+    fall_s: float | None = None
+
+    @property
+    def falling_s(self) -> float:
+        """Time in which it falls."""
+        return self.ramp_s if self.fall_s is None else self.fall_s
 
     def validate(self) -> None:
-        """Times make sense, the frame is known."""
+        """Times make sense, forces are finite, the frame is known."""
         _require(self.start_s >= 0.0, f"a push starts at {self.start_s} s, before its script")
-        _require(self.duration_s > 0.0, f"a push lasts {self.duration_s} s")
         _require(
-            0.0 <= self.ramp_s <= self.duration_s / 2.0,
-            f"a push of {self.duration_s} s can't rise and fall over {self.ramp_s} s each",
+            self.duration_s > 0.0 and math.isfinite(self.duration_s),
+            f"a push lasts {self.duration_s} s",
         )
+        _require(
+            self.ramp_s >= 0.0
+            and self.falling_s >= 0.0
+            and self.ramp_s + self.falling_s <= self.duration_s,
+            f"a push of {self.duration_s} s can't rise and fall over {self.ramp_s} s and"
+            f" {self.falling_s} s",
+        )
+        values = (*self.force_n, *self.torque_nm)
+        _require(all(map(math.isfinite, values)), f"a push of {list(values)} N and Nm")
         _require(
             self.frame in ("base", "tip"), f'a push\'s frame is "{self.frame}", not "base" or "tip"'
         )

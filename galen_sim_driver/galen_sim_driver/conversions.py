@@ -6,6 +6,8 @@ from galen_ros.conversions import fill_stamp, stamp_to_ns
 from geometry_msgs.msg import PoseStamped
 from trajectory_msgs.msg import JointTrajectory
 
+from galen_msgs.srv import PushTool
+from galen_sim_driver.config import HandPush
 from galen_sim_driver.tracker import MarkerPose
 from galen_sim_driver.trajectory import Trajectory, TrajectoryPoint
 
@@ -24,6 +26,22 @@ def trajectory_from_message(message: JointTrajectory) -> Trajectory:
             for point in message.points
         ],
         stamp_to_ns(message.header.stamp),
+    )
+
+
+def push_from_request(request: PushTool.Request) -> HandPush:
+    """Return the push that a request asks for, unchecked."""
+    fx, fy, fz = (float(value) for value in request.force_n)
+    tx, ty, tz = (float(value) for value in request.torque_nm)
+    return HandPush(
+        start_s=0.0,
+        # In this order, for rise and fall to be within the sum whatever is rounded.
+        duration_s=(request.rise_s + request.fall_s) + request.hold_s,
+        force_n=(fx, fy, fz),
+        torque_nm=(tx, ty, tz),
+        frame="base",
+        ramp_s=request.rise_s,
+        fall_s=request.fall_s,
     )
 
 

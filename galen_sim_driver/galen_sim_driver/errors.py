@@ -17,3 +17,7 @@ class UnknownToolError(GalenError):
 
 class ZeroingError(GalenError):
     """The sensor can't be zeroed now, or the zeroing was spoilt."""
+
+
+class HandBusyError(GalenError):
+    """The hand pushes already."""

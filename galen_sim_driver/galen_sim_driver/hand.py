@@ -1,4 +1,4 @@
-"""The scripted hand: pushes at tool_tip, one after the other or at once."""
+"""The hand at tool_tip: a script of pushes, one after the other or at once, or a single push."""
 
 from __future__ import annotations
 
@@ -6,24 +6,38 @@ import math
 from collections.abc import Sequence
 
 from galen_sim_driver.config import HandPush
+from galen_sim_driver.errors import HandBusyError
 from galen_sim_driver.geometry import Matrix, rotate_back
 
 
 class Hand:
-    """Plays a script of pushes from the moment it is started."""
+    """Plays a script of pushes, or one push, from the moment it is started."""
 
     def __init__(self, script: Sequence[HandPush]) -> None:
         self._script = list(script)
-        self._end_s = max((push.start_s + push.duration_s for push in script), default=0.0)
+        self._played: list[HandPush] = []
+        self._end_s = 0.0
         self._start_ns: int | None = None
 
     @property
     def active(self) -> bool:
-        """Whether a script is being played."""
+        """Whether it is pushing, or has still to."""
         return self._start_ns is not None
 
     def start(self, now_ns: int) -> None:
-        """Play the script from its beginning."""
+        """Play the script from its beginning, instead of what is played."""
+        self._play(self._script, now_ns)
+
+    def push(self, push: HandPush, now_ns: int) -> None:
+        """Push once. Raises HandBusyError while something is played, ConfigError for nonsense."""
+        push.validate()
+        if self.active:
+            raise HandBusyError("the hand is pushing already")
+        self._play([push], now_ns)
+
+    def _play(self, pushes: list[HandPush], now_ns: int) -> None:
+        self._played = pushes
+        self._end_s = max((push.start_s + push.duration_s for push in pushes), default=0.0)
         self._start_ns = now_ns
 
     def wrench_at_tip(self, now_ns: int, matrix: Matrix) -> list[float] | None:
@@ -38,7 +52,7 @@ class Hand:
             self._start_ns = None
             return None
         total: list[float] | None = None
-        for push in self._script:
+        for push in self._played:
             strength = push_strength(push, time_s)
             if strength == 0.0:
                 continue
@@ -57,7 +71,10 @@ def push_strength(push: HandPush, time_s: float) -> float:
     left = push.duration_s - since
     if since <= 0.0 or left <= 0.0:
         return 0.0
-    edge = min(since, left)
-    if edge >= push.ramp_s:
+    return min(_edge(since, push.ramp_s), _edge(left, push.falling_s))
+
+
+def _edge(time_s: float, ramp_s: float) -> float:
+    if time_s >= ramp_s:
         return 1.0
-    return 0.5 - 0.5 * math.cos(math.pi * edge / push.ramp_s)
+    return 0.5 - 0.5 * math.cos(math.pi * time_s / ramp_s)

@@ -28,9 +28,15 @@ from std_msgs.msg import String
 from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory
 
-from galen_msgs.srv import SetTool
-from galen_sim_driver.conversions import fill_pose, trajectory_from_message
-from galen_sim_driver.errors import TrajectoryError, UnknownToolError, ZeroingError
+from galen_msgs.srv import PushTool, SetTool
+from galen_sim_driver.conversions import fill_pose, push_from_request, trajectory_from_message
+from galen_sim_driver.errors import (
+    ConfigError,
+    HandBusyError,
+    TrajectoryError,
+    UnknownToolError,
+    ZeroingError,
+)
 from galen_sim_driver.pacing import Pacer, SpeedMeter
 from galen_sim_driver.parameters import DriverParameters
 from galen_sim_driver.plant import Plant, Sample
@@ -92,6 +98,7 @@ class SimDriverNode(Node):
         )
         DeferredService(self, Trigger, "bias_sensor", self._on_bias_sensor)
         self.create_service(SetTool, "attach_tool", self._on_attach_tool)
+        self.create_service(PushTool, "push_tool", self._on_push_tool)
         self.create_service(SetBool, "~/set_admittance", self._on_set_admittance)
         self.create_service(Trigger, "~/run_hand", self._on_run_hand)
 
@@ -228,6 +235,16 @@ class SimDriverNode(Node):
             response.mass_kg = float(tool.load.mass_kg)
             response.com_m = [float(value) for value in tool.load.com_m]
             response.tip_m = [float(value) for value in tool.tip_m]
+        return response
+
+    def _on_push_tool(self, request: Any, response: Any) -> Any:
+        try:
+            self._plant.push(push_from_request(request))
+        except HandBusyError as error:
+            response.error_code, response.error_msg = PushTool.Response.BUSY, str(error)
+        except ConfigError as error:
+            response.error_code, response.error_msg = PushTool.Response.BAD_INPUT, str(error)
+        response.success = response.error_code == PushTool.Response.NONE
         return response
 
     def _on_set_admittance(self, request: Any, response: Any) -> Any:

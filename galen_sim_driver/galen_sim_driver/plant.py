@@ -23,7 +23,7 @@ from galen_model.stiffness import tip_compliance
 from galen_model.tools import ToolGeometry
 
 from galen_sim_driver.admittance import Admittance
-from galen_sim_driver.config import PlantConfig
+from galen_sim_driver.config import HandPush, PlantConfig
 from galen_sim_driver.errors import UnknownToolError, ZeroingError
 from galen_sim_driver.geometry import (
     ArmGeometry,
@@ -136,7 +136,7 @@ class Plant:
 
     @property
     def hand_active(self) -> bool:
-        """Whether the scripted hand is at work."""
+        """Whether the hand is at work."""
         return self._hand.active
 
     # --- commands ---------------------------------------------------------------------------
@@ -213,6 +213,10 @@ class Plant:
     def start_hand(self) -> None:
         """Play the hand's script from its beginning."""
         self._hand.start(self.now_ns)
+
+    def push(self, push: HandPush) -> None:
+        """Push once, from now on; raises HandBusyError, or ConfigError for nonsense."""
+        self._hand.push(push, self.now_ns)
 
     # --- time -------------------------------------------------------------------------------
 

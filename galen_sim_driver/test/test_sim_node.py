@@ -33,7 +33,7 @@ from std_msgs.msg import String
 from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
-from galen_msgs.srv import SetTool
+from galen_msgs.srv import PushTool, SetTool
 
 TIMEOUT_S = 30.0
 SIGMA = np.sqrt(SENSOR.noise_std**2 + SENSOR.quantum**2 / 12)
@@ -416,6 +416,29 @@ def test_the_hand_pushes_on_request(harness):
     assert cell.call(cell.hand, Trigger.Request()).success
     cell.wait(lambda: wrench_to_array(cell.wrenches[-1])[2] - before[2] > 5.8, "the push of 6 N")
     cell.wait(lambda: abs(wrench_to_array(cell.wrenches[-1])[2] - before[2]) < 0.2, "its end")
+
+
+def test_one_push_on_request_along_the_axes_of_base_link(harness):
+    cell = Cell(harness, speed_factor=2.0, initial_tool="pointer")
+    push = cell.probe.create_client(PushTool, "push_tool")
+    before = cell.fresh_wrenches(100).mean(axis=0)
+    asked = PushTool.Request(force_n=[6.0, 0.0, 0.0], rise_s=0.3, hold_s=3.0, fall_s=0.3)
+    answer = cell.call(push, asked)
+    assert (answer.success, answer.error_code, answer.error_msg) == (True, 0, "")
+    # At home base_link's x is the sensor's z.
+    cell.wait(lambda: wrench_to_array(cell.wrenches[-1])[2] - before[2] > 5.8, "the push of 6 N")
+    answer = cell.call(push, asked)
+    assert (answer.success, answer.error_code) == (False, PushTool.Response.BUSY)
+    assert "already" in answer.error_msg
+    cell.wait(lambda: abs(wrench_to_array(cell.wrenches[-1])[2] - before[2]) < 0.2, "its end")
+    for bad in (
+        PushTool.Request(force_n=[np.nan, 0.0, 0.0], rise_s=0.3, hold_s=1.0, fall_s=0.3),
+        PushTool.Request(force_n=[1.0, 0.0, 0.0], rise_s=-0.3, hold_s=1.0, fall_s=0.3),
+        PushTool.Request(force_n=[1.0, 0.0, 0.0]),
+    ):
+        answer = cell.call(push, bad)
+        assert (answer.success, answer.error_code) == (False, PushTool.Response.BAD_INPUT)
+        assert answer.error_msg
 
 
 def test_a_bad_parameter_ends_the_start_with_its_name(harness):

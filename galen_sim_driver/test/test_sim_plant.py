@@ -17,7 +17,12 @@ from galen_sim_driver.config import (
     SensorConfig,
     TrackerConfig,
 )
-from galen_sim_driver.errors import TrajectoryError, UnknownToolError, ZeroingError
+from galen_sim_driver.errors import (
+    HandBusyError,
+    TrajectoryError,
+    UnknownToolError,
+    ZeroingError,
+)
 from galen_sim_driver.plant import Plant
 from galen_sim_driver.trajectory import Trajectory, TrajectoryPoint
 
@@ -84,6 +89,39 @@ def test_a_push_rises_and_falls_smoothly():
     assert force[555:] == pytest.approx(0.0, abs=1e-12)
     # The steepest step of a half cosine: pi/2 F T / ramp.
     assert np.abs(np.diff(force)).max() <= np.pi / 2 * 4.0 * 0.002 / 0.3 * 1.001
+
+
+def test_a_single_push_rises_holds_and_falls_in_its_own_times():
+    plant = make_plant(sensor=EXACT)
+    plant.attach_tool("pointer")
+    weight = np.array(plant.step().wrench)
+    plant.push(HandPush(0.0, 1.0, (0.0, 0.0, 6.0), ramp_s=0.2, fall_s=0.4))
+    # At home base_link's z is the sensor's -x.
+    force = weight[0] - np.array([plant.step().wrench[0] for _ in range(600)])
+    assert force[49] == pytest.approx(3.0, abs=0.1)  # half way up at 0.1 s
+    assert force[100:299] == pytest.approx(6.0)
+    assert force[399] == pytest.approx(3.0, abs=0.1)  # half way down at 0.8 s
+    assert force[501:] == pytest.approx(0.0, abs=1e-12)
+    assert not plant.hand_active
+    # The script is what it was.
+    plant.start_hand()
+    assert plant.hand_active
+
+
+def test_a_single_push_waits_for_no_other_and_must_make_sense():
+    plant = make_plant()
+    for push, words in (
+        (HandPush(0.0, 1.0, (float("nan"), 0.0, 0.0)), "nan"),
+        (HandPush(0.0, float("inf"), (1.0, 0.0, 0.0)), "inf"),
+        (HandPush(0.0, 1.0, (1.0, 0.0, 0.0), ramp_s=0.2, fall_s=0.9), "rise and fall"),
+        (HandPush(0.0, 1.0, (1.0, 0.0, 0.0), fall_s=-0.1), "rise and fall"),
+    ):
+        with pytest.raises(ConfigError, match=words):
+            plant.push(push)
+        assert not plant.hand_active
+    plant.push(HandPush(0.0, 0.1, (1.0, 0.0, 0.0), ramp_s=0.05))
+    with pytest.raises(HandBusyError):
+        plant.push(HandPush(0.0, 0.1, (1.0, 0.0, 0.0), ramp_s=0.05))
 
 
 def test_noise_has_the_configured_size_quantum_included():
