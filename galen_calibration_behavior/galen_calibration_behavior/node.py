@@ -24,13 +24,12 @@ from rclpy.action import CancelResponse, GoalResponse
 from rclpy.action.server import ServerGoalHandle
 from rclpy.client import Client
 from rclpy.clock import Clock, ClockType
-from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.subscription import Subscription
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
-from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
+from galen_calibration_behavior.arm_link import DISCOVERY_S, ArmPublisher, PublisherWatch
 from galen_calibration_behavior.commands import (
     AttachTool,
     Command,
@@ -57,8 +56,6 @@ from galen_msgs.action import CalibrateTool
 from galen_msgs.srv import SetTool
 
 _TICK_S = 0.1
-# A driver that runs may take this long to be discovered: DDS repeats a lost announcement after 3 s.
-_DISCOVERY_S = 5.0
 # The publishers of the topics are looked up this often.
 _TICKS_PER_GRAPH_CHECK = 10
 
@@ -89,7 +86,7 @@ class _Goal:
         self.warnings = warnings
         self.reader = JointStateReader(JOINT_NAMES)
         self.subscriptions: list[Subscription] = []
-        self.publishers: dict[str, frozenset[bytes]] = {}
+        self.publishers: PublisherWatch | None = None
         self.calibration: Calibration | None = None
         self.preflight_s: float | None = 0.0
         self.ticks = 0
@@ -108,7 +105,7 @@ class CalibrationNode(Node):
         self._last = "no calibration yet"
         self._last_failed = False
 
-        self._trajectory_publisher = self.create_publisher(JointTrajectory, "joint_trajectory", 10)
+        self._arm = ArmPublisher(self)
         self._bias_client = self.create_client(Trigger, "bias_sensor")
         self._attach_client = self.create_client(SetTool, "attach_tool")
         self.create_service(Trigger, "~/confirm", self._on_confirm)
@@ -128,9 +125,7 @@ class CalibrationNode(Node):
         """Stop the arm if it is at work, then go."""
         if self._goal is not None:
             self.get_logger().warning("shutting down: stopping the arm, nothing is written")
-            self._publish_stop()
-            # Else the process could be gone before the driver has the message.
-            self._trajectory_publisher.wait_for_all_acked(Duration(seconds=0.2))
+            self._arm.stop_and_wait()
             self._goal.handle.abort()
             self._goal = None
         self._server.destroy()
@@ -169,6 +164,7 @@ class CalibrationNode(Node):
             self.create_subscription(JointState, "joint_states", self._on_joint_state, STREAM),
             self.create_subscription(WrenchStamped, "wrench_raw", self._on_wrench, STREAM),
         ]
+        goal.publishers = PublisherWatch(self, [s.topic_name for s in goal.subscriptions])
         self.get_logger().info(
             f"calibrating {request.tool!r}: {goal.procedure.progress[1]} poses, file {goal.path}"
         )
@@ -305,13 +301,12 @@ class CalibrationNode(Node):
             return
         assert goal.preflight_s is not None
         goal.preflight_s += _TICK_S
-        if goal.preflight_s > max(self._settings.silent_timeout_s, _DISCOVERY_S):
+        if goal.preflight_s > max(self._settings.silent_timeout_s, DISCOVERY_S):
             goal.procedure.fail(*missing)
 
     def _find_missing(self, goal: _Goal) -> tuple[ErrorCode, str] | None:
-        silent = [
-            s.topic_name for s in goal.subscriptions if not self.count_publishers(s.topic_name)
-        ]
+        assert goal.publishers is not None
+        silent = goal.publishers.silent()
         if silent:
             return (
                 ErrorCode.DRIVER_SILENT,
@@ -327,34 +322,23 @@ class CalibrationNode(Node):
         ]
         if absent:
             return ErrorCode.SERVICE_FAILED, f"nobody offers the service {' and '.join(absent)}"
-        if self._trajectory_publisher.get_subscription_count() == 0:
-            topic = self._trajectory_publisher.topic_name
-            return ErrorCode.DRIVER_SILENT, f"nobody listens on {topic}: is the driver running?"
+        if not self._arm.has_listener:
+            return (
+                ErrorCode.DRIVER_SILENT,
+                f"nobody listens on {self._arm.topic_name}: is the driver running?",
+            )
         return None
 
     def _check_publishers(self, goal: _Goal) -> None:
         """End when a topic has two publishers, or another than before: its zero would be lost."""
-        for subscription in goal.subscriptions:
-            topic = subscription.topic_name
-            infos = self.get_publishers_info_by_topic(topic)
-            if len(infos) > 1:
-                names = sorted(f"{i.node_namespace.rstrip('/')}/{i.node_name}" for i in infos)
-                text = f"{len(infos)} publishers on {topic}: {', '.join(names)}"
-                if len(set(names)) < len(names):
-                    # Nobody tells DDS of a kill -9; it finds out by its own time-out.
-                    text += "; a driver that was killed is forgotten after some 20 s"
-                goal.procedure.fail(ErrorCode.BAD_INPUT, text)
-                return
-            if not infos:
-                continue
-            now = frozenset(bytes(info.endpoint_gid) for info in infos)
-            if goal.publishers.setdefault(topic, now) != now:
-                goal.procedure.fail(
-                    ErrorCode.DRIVER_SILENT,
-                    f"{topic} has another publisher than before: the driver was restarted,"
-                    " and the sensor's zero is lost",
-                )
-                return
+        assert goal.publishers is not None
+        if several := goal.publishers.several():
+            goal.procedure.fail(ErrorCode.BAD_INPUT, several)
+        elif changed := goal.publishers.changed():
+            goal.procedure.fail(
+                ErrorCode.DRIVER_SILENT,
+                f"{changed}: the driver was restarted, and the sensor's zero is lost",
+            )
 
     def _call(self, client: Client, request: Any) -> None:
         goal = self._goal
@@ -385,7 +369,7 @@ class CalibrationNode(Node):
             self.get_logger().error(traceback.format_exc())
             if goal is None or self._goal is not goal:
                 return
-            self._publish_stop()
+            self._arm.stop()
             self._end(goal, _internal(error))
 
     def _obey(self, goal: _Goal, command: Command) -> None:
@@ -393,9 +377,9 @@ class CalibrationNode(Node):
             case Feedback():
                 self._publish_feedback(goal, command)
             case MoveTo():
-                self._publish_move(command)
+                self._arm.move(command)
             case Stop():
-                self._publish_stop()
+                self._arm.stop()
             case ZeroSensor():
                 self._call(self._bias_client, Trigger.Request())
             case AttachTool():
@@ -440,21 +424,6 @@ class CalibrationNode(Node):
         )
         goal.handle.publish_feedback(message)
         self.get_logger().debug(feedback.message)
-
-    def _publish_move(self, move: MoveTo) -> None:
-        point = JointTrajectoryPoint(
-            positions=[float(value) for value in move.joints],
-            velocities=[0.0] * len(JOINT_NAMES),
-            accelerations=[0.0] * len(JOINT_NAMES),
-            time_from_start=Duration(seconds=move.duration_s).to_msg(),
-        )
-        self._trajectory_publisher.publish(
-            JointTrajectory(joint_names=list(JOINT_NAMES), points=[point])
-        )
-
-    def _publish_stop(self) -> None:
-        """No points: stop where you are."""
-        self._trajectory_publisher.publish(JointTrajectory(joint_names=list(JOINT_NAMES)))
 
     def _report_status(self) -> Status:
         values: dict[str, object] = {"tools_dir": self._tools_dir, "last": self._last}

@@ -286,7 +286,7 @@ def test_a_driver_that_comes_back_has_lost_the_zero(world):
     handle = world.send()
     world.wait_for_pose(1)
     # Both lookups of the publishers have to fall on either side of the restart.
-    world.harness.wait_for(lambda: world.node._goal.publishers, 5.0, "the first lookup")
+    world.harness.wait_for(lambda: world.node._goal.publishers._known, 5.0, "the first lookup")
     # A timer event that is already on the executor's queue must not publish any more.
     world.harness.call_in_executor(lambda: setattr(world.driver, "paused", True))
     world.harness.remove(world.driver)
@@ -426,10 +426,10 @@ def test_a_bug_ends_the_goal_and_not_the_node(world):
     def bug(*_):
         raise ZeroDivisionError("a bug")
 
-    world.harness.call_in_executor(lambda: setattr(world.node, "_publish_move", bug))
+    world.harness.call_in_executor(lambda: setattr(world.node._arm, "move", bug))
     world.fails(handle, ErrorCode.INTERNAL, "ZeroDivisionError: a bug")
     assert world.driver.stops == 1
-    world.harness.call_in_executor(lambda: delattr(world.node, "_publish_move"))
+    world.harness.call_in_executor(lambda: delattr(world.node._arm, "move"))
     status, result = world.result(world.send(iters_t=2, iters_r=4))
     assert status == GoalStatus.STATUS_SUCCEEDED, result.error_msg
 

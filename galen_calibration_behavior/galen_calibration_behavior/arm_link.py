@@ -1,0 +1,86 @@
+"""What the nodes that move the arm share: its trajectories, and who publishes what they hear."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from galen_model.arm import JOINT_NAMES
+from rclpy.duration import Duration
+from rclpy.node import Node
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
+
+from galen_calibration_behavior.commands import MoveTo
+
+DISCOVERY_S = 5.0
+"""A driver that runs may take so long to be found: DDS repeats a lost announcement after 3 s."""
+
+
+class ArmPublisher:
+    """Sends the arm somewhere, and stops it, over `joint_trajectory`."""
+
+    def __init__(self, node: Node) -> None:
+        self._publisher = node.create_publisher(JointTrajectory, "joint_trajectory", 10)
+
+    @property
+    def topic_name(self) -> str:
+        """Of the trajectories."""
+        return str(self._publisher.topic_name)
+
+    @property
+    def has_listener(self) -> bool:
+        """Whether anybody would hear."""
+        return bool(self._publisher.get_subscription_count() > 0)
+
+    def move(self, move: MoveTo) -> None:
+        """From rest to rest."""
+        point = JointTrajectoryPoint(
+            positions=[float(value) for value in move.joints],
+            velocities=[0.0] * len(JOINT_NAMES),
+            accelerations=[0.0] * len(JOINT_NAMES),
+            time_from_start=Duration(seconds=move.duration_s).to_msg(),
+        )
+        self._publisher.publish(JointTrajectory(joint_names=list(JOINT_NAMES), points=[point]))
+
+    def stop(self) -> None:
+        """No points: stop where you are."""
+        self._publisher.publish(JointTrajectory(joint_names=list(JOINT_NAMES)))
+
+    def stop_and_wait(self) -> None:
+        """Stop; returns when the message is out: else the process could be gone before it is."""
+        self.stop()
+        self._publisher.wait_for_all_acked(Duration(seconds=0.2))
+
+
+class PublisherWatch:
+    """Looks up who publishes topics (full names), again and again."""
+
+    def __init__(self, node: Node, topics: Sequence[str]) -> None:
+        self._node = node
+        self._topics = list(topics)
+        self._known: dict[str, frozenset[bytes]] = {}
+
+    def silent(self) -> list[str]:
+        """Topics that nobody publishes."""
+        return [topic for topic in self._topics if not self._node.count_publishers(topic)]
+
+    def several(self) -> str:
+        """Say which topic has more than one publisher; empty when none has."""
+        for topic in self._topics:
+            infos = self._node.get_publishers_info_by_topic(topic)
+            if len(infos) > 1:
+                names = sorted(f"{i.node_namespace.rstrip('/')}/{i.node_name}" for i in infos)
+                text = f"{len(infos)} publishers on {topic}: {', '.join(names)}"
+                if len(set(names)) < len(names):
+                    # Nobody tells DDS of a kill -9; it finds out by its own time-out.
+                    text += "; a driver that was killed is forgotten after some 20 s"
+                return text
+        return ""
+
+    def changed(self) -> str:
+        """Say which topic has another publisher than when first looked at; empty when none has."""
+        for topic in self._topics:
+            infos = self._node.get_publishers_info_by_topic(topic)
+            now = frozenset(bytes(info.endpoint_gid) for info in infos)
+            if infos and self._known.setdefault(topic, now) != now:
+                return f"{topic} has another publisher than before"
+        return ""

@@ -1,0 +1,206 @@
+"""What commands share that send one goal to an action server and show how it goes on a terminal."""
+
+from __future__ import annotations
+
+import shutil
+import signal
+import sys
+import time
+from collections.abc import Callable
+from types import FrameType
+from typing import Any, NoReturn
+
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.action import ActionClient
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
+from tqdm import tqdm
+
+EXIT_OK, EXIT_FAILED, EXIT_USAGE, EXIT_CANCELED = 0, 1, 2, 130
+_SERVER_LOST_S = 1.5
+_CANCEL_PATIENCE_S = 10.0
+
+
+class ClientError(Exception):
+    """Ends the client with a message and an exit code."""
+
+    def __init__(self, message: str, exit_code: int = EXIT_FAILED) -> None:
+        super().__init__(message)
+        self.exit_code = exit_code
+
+
+class Bar:
+    """A bar where standard error is a terminal (`fancy`); lines are for anywhere."""
+
+    def __init__(self, unit: str) -> None:
+        self.fancy = sys.stderr.isatty()
+        self._unit = unit
+        self._bar: tqdm | None = None
+
+    def show(self, done: int, total: int, description: str) -> None:
+        """Draw the bar; nothing where there is no terminal."""
+        if not self.fancy:
+            return
+        if self._bar is None:
+            # Sizes given: tqdm shows nothing on a terminal that says it has 0 rows.
+            columns = min(shutil.get_terminal_size().columns, 100)
+            self._bar = tqdm(total=total, unit=self._unit, file=sys.stderr, ncols=columns, nrows=24)
+        self._bar.set_description(description, refresh=False)
+        self._bar.n = done
+        self._bar.refresh()
+
+    def say(self, text: str) -> None:
+        """Print a line without tearing the bar."""
+        tqdm.write(text, file=sys.stderr)
+        sys.stderr.flush()
+
+    def close(self) -> None:
+        """Leave the bar as it is."""
+        if self._bar is not None:
+            self._bar.close()
+            self._bar = None
+
+
+class GoalClient:
+    """One goal, from finding the server to its result; subclasses say which.
+
+    `name` is the command's and its node's, `server` the executable that it needs, `server_node` the
+    name of that one's node, `lost` what becomes of the goal if that goes away.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        action_type: Any,
+        action_name: str,
+        *,
+        server: str,
+        server_node: str,
+        timeout_s: float,
+        lost: str,
+        bar: Bar,
+    ) -> None:
+        self.bar = bar
+        self._server = server
+        self._server_node = server_node
+        self._timeout_s = timeout_s
+        self._lost = lost
+        self.node = Node(name)
+        self._executor = SingleThreadedExecutor()
+        self._executor.add_node(self.node)
+        self._action_name = action_name
+        self._action = ActionClient(self.node, action_type, action_name)
+        self.node.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 10)
+        self._refused = ""
+        self._interrupts = 0
+
+    def make_goal(self) -> Any:
+        """Return the goal to send."""
+        raise NotImplementedError
+
+    def on_feedback(self, feedback: Any) -> None:
+        """Take one feedback."""
+        raise NotImplementedError
+
+    def while_waiting(self) -> None:
+        """Called some twenty times a second while the goal runs; for what a person types."""
+
+    def on_signal(self, _number: int, _frame: FrameType | None) -> None:
+        """Note a Ctrl-C; the second one does not wait for the arm."""
+        self._interrupts += 1
+
+    def run(self) -> Any:
+        """Return the action's Result; raises ClientError when there is none."""
+        self._wait(
+            self._action.server_is_ready,
+            self._timeout_s,
+            f"no action server {self.node.resolve_service_name(self._action_name)!r} after"
+            f" {self._timeout_s:g} s: start {self._server} (and the driver) first, with the same"
+            " ROS_DOMAIN_ID",
+        )
+        sending = self._action.send_goal_async(
+            self.make_goal(), feedback_callback=lambda message: self.on_feedback(message.feedback)
+        )
+        self._wait(sending.done, self._timeout_s, "the server did not answer the goal")
+        handle = sending.result()
+        if not handle.accepted:
+            self._fail_refused()
+        result = handle.get_result_async()
+        canceling_since: float | None = None
+        lost_since: float | None = None
+        while not result.done():
+            self._executor.spin_once(timeout_sec=0.05)
+            now = time.monotonic()
+            if self._interrupts and canceling_since is None:
+                canceling_since = now
+                self.bar.say("canceling: waiting for the arm to stop (Ctrl-C: don't wait)")
+                handle.cancel_goal_async()
+            if canceling_since is not None and (
+                self._interrupts > 1 or now - canceling_since > _CANCEL_PATIENCE_S
+            ):
+                raise ClientError("canceled, but the arm was not seen to stop", EXIT_CANCELED)
+            if self._action.server_is_ready():
+                lost_since = None
+            else:
+                lost_since = lost_since or now
+                if now - lost_since > _SERVER_LOST_S:
+                    raise ClientError(f"{self._server} went away; {self._lost}")
+            self.while_waiting()
+        return result.result().result
+
+    def close(self) -> None:
+        """Leave ROS."""
+        self._action.destroy()
+        self._executor.remove_node(self.node)
+        self.node.destroy_node()
+        self._executor.shutdown()
+
+    def _wait(self, predicate: Callable[[], bool], timeout_s: float, message: str) -> None:
+        deadline = time.monotonic() + timeout_s
+        while not predicate():
+            if self._interrupts:
+                raise ClientError("canceled before anything began", EXIT_CANCELED)
+            if time.monotonic() > deadline:
+                raise ClientError(message)
+            self._executor.spin_once(timeout_sec=0.05)
+
+    def _fail_refused(self) -> NoReturn:
+        """An action's refusal carries no text; the node says it on /diagnostics, once a second."""
+        deadline = time.monotonic() + 2.5
+        while not self._refused and time.monotonic() < deadline:
+            self._executor.spin_once(timeout_sec=0.05)
+        raise ClientError(self._refused or f"{self._server} refused the goal; see its log")
+
+    def _on_diagnostics(self, message: DiagnosticArray) -> None:
+        for status in message.status:
+            if status.name.rsplit("/", 1)[-1] == self._server_node.rsplit("/", 1)[-1]:
+                for item in status.values:
+                    if item.key == "refused":
+                        self._refused = item.value
+
+
+def run_client(
+    name: str, make: Callable[[Bar], GoalClient], bar: Bar, print_result: Callable[[Any], int]
+) -> NoReturn:
+    """Make the client, run it to its end and leave with an exit code.
+
+    `print_result(result)` returns that of a goal that came to its end.
+    """
+    rclpy.init(args=sys.argv, signal_handler_options=SignalHandlerOptions.NO)
+    client = make(bar)
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, client.on_signal)
+    try:
+        result = client.run()
+        bar.close()
+        exit_code = print_result(result)
+    except ClientError as failure:
+        bar.close()
+        print(f"{name}: {failure}", file=sys.stderr)
+        exit_code = failure.exit_code
+    finally:
+        client.close()
+        rclpy.try_shutdown()
+    raise SystemExit(exit_code)
