@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from enum import Enum
 
 import numpy as np
 from galen_bags.arm_recording import ArmBlock, ArmReader, ArmTopics
 from galen_bags.bag import Bag
 from galen_gravcomp.arm_block import push_arm_block
 from galen_gravcomp.compensator import Compensator, CompensatorSettings
-from galen_gravcomp.results import Refusal
 from galen_model.arm import JOINT_NAMES
 from galen_model.arrays import Array
 from galen_model.tool_file import ToolFile
@@ -58,7 +58,7 @@ def read_arm_track(
     blocks: list[ArmBlock] = []
     numbers: list[np.ndarray] = []
     compensated: list[Array] = []
-    refusals: dict[Refusal, str] = {}
+    refusals: dict[Enum, str] = {}
     unreadable: list[str] = []
     for block in reader.blocks():
         result = push_arm_block(compensator, block)

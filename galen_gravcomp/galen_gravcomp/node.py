@@ -21,9 +21,10 @@ from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool, Trigger
 
 from galen_gravcomp.compensator import Compensator, TareRefusedError
-from galen_gravcomp.monitor import Monitor, Severity, State
+from galen_gravcomp.monitor import Monitor
 from galen_gravcomp.parameters import GravcompParameters
 from galen_gravcomp.results import Compensated, Result
+from galen_gravcomp.stream_monitor import Severity, State
 from galen_gravcomp.tare import TareOutcome
 from galen_gravcomp.wire import JointWire, RawWrench, WrenchWire
 from galen_msgs.srv import SetTool
@@ -83,7 +84,7 @@ class GravcompNode(Node):
     def _on_joint_state(self, data: bytes) -> None:
         self._monitor.on_joints(time.monotonic())
         try:
-            stamp_ns, roll, tilt = self._joint_wire.read(data)
+            stamp_ns, (roll, tilt) = self._joint_wire.read(data)
         except (JointStateError, UnreadableError) as error:
             self._compensator.push_bad_joints(f"joint_states can't be used: {error}")
             return

@@ -7,7 +7,7 @@ from galen_model.arrays import Array
 
 
 class Refusal(Enum):
-    """Why a wrench was not compensated."""
+    """Why a wrench was not used."""
 
     DISABLED = "disabled"
     NO_TOOL = "no_tool"
@@ -49,10 +49,13 @@ class Compensated(NamedTuple):
 
 
 class Refused(NamedTuple):
-    """A wrench that was not compensated, and why; `detail` is a sentence for a person."""
+    """A wrench that was not used, and why; `detail` is a sentence for a person.
+
+    reason: a `Refusal`, or another enumeration's where another node adds reasons of its own.
+    """
 
     stamp_ns: int
-    reason: Refusal
+    reason: Enum
     detail: str
     number: int  # as above
 

@@ -103,7 +103,9 @@ def regular_stretch(
     arrived = np.concatenate((np.full(waited, -1), wrench_at))[: len(after)]
     out_at = np.maximum(arrived, np.concatenate((np.full(len(kept_ns), -1), joint_at))[after])
     found = joints.interpolate(
-        joint_ns, np.concatenate((kept_angles, arrivals.angles)), wrench_ns[: len(after)]
+        joint_ns,
+        np.concatenate((kept_angles.reshape(-1, arrivals.angles.shape[1]), arrivals.angles)),
+        wrench_ns[: len(after)],
     )
     # The newest sample then; the buffer may have dropped what lies its capacity behind it.
     seen = np.concatenate((np.zeros(waited, dtype=int), seen))[: len(after)]
@@ -115,7 +117,7 @@ def regular_stretch(
         _first(refused, out_at, len(arrivals.is_wrench)),
     )
     out = np.searchsorted(out_at, end, side="left")
-    return Stretch(arrivals.first(end), found.angles[:out])
+    return Stretch(arrivals.first(end), found.joints[:out])
 
 
 def _in_line(

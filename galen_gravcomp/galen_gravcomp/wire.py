@@ -7,6 +7,7 @@ the numbers stays the same. A message that looks different is worked out anew.
 """
 
 from collections.abc import Sequence
+from operator import itemgetter
 
 from galen_model.arrays import Array
 from galen_ros.cdr import Layout, UnreadableError, joint_state_layout, stamped_layout
@@ -59,22 +60,21 @@ class WrenchWire:
 
 
 class JointWire:
-    """Reads the roll and tilt angles from serialised sensor_msgs/JointState."""
+    """Reads wanted joints from serialised sensor_msgs/JointState."""
 
     def __init__(self, joint_names: Sequence[str]) -> None:
-        """`joint_names`: of the roll and of the tilt joint."""
+        """`joint_names`: at least two, in the order in which `read` gives them."""
         self._names = tuple(joint_names)
         self._layout: Layout | None = None
-        self._roll = 0
-        self._tilt = 0
+        self._pick = itemgetter(*range(len(self._names)))
 
-    def read(self, data: bytes) -> tuple[int, float, float]:
-        """Stamp (ns), roll and tilt (rad) of a message; raises JointStateError, UnreadableError."""
+    def read(self, data: bytes) -> tuple[int, tuple[float, ...]]:
+        """Stamp (ns) and positions; raises JointStateError, UnreadableError."""
         layout = self._layout
         if layout is None or not layout.fits(data):
             layout = self._layout = self._learn(data)
         positions = layout.doubles[0].unpack_from(data, layout.doubles_at[0])
-        return layout.stamp_ns(data), positions[self._roll], positions[self._tilt]
+        return layout.stamp_ns(data), self._pick(positions)
 
     def _learn(self, data: bytes) -> Layout:
         try:
@@ -84,5 +84,5 @@ class JointWire:
         indices = joint_indices(self._names, layout.names)
         positions, velocities, _ = layout.counts
         check_joint_counts(len(layout.names), positions, velocities)
-        self._roll, self._tilt = indices
+        self._pick = itemgetter(*indices)
         return layout

@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 from galen_gravcomp.compensator import Compensator
-from galen_gravcomp.monitor import HOLD_S, NOTICE_HOLD_S, Monitor, Severity
+from galen_gravcomp.monitor import Monitor
 from galen_gravcomp.results import Compensated, Refused
+from galen_gravcomp.stream_monitor import HOLD_S, NOTICE_HOLD_S, Severity
 from galen_model.tool_file import LoadEstimate, ToolFile
 
 S = 1_000_000_000
@@ -12,7 +13,7 @@ TOOL = ToolFile(
     tool="pointer",
     load=LoadEstimate(0.06, np.array([0.055, 0.002, 0.045]), np.eye(4)),
     bias=LoadEstimate(0.1, np.array([0.0, 0.0, 0.02]), np.eye(4)),
-    tip_m=np.zeros(3),
+    tip_m=np.array([0.15, 0.0, 0.05]),
     rmse=np.zeros(6),
     poses_used=56,
     calibrated_at="2026-01-01T00:00:00+00:00",
@@ -130,6 +131,7 @@ def test_values(rig: Rig) -> None:
     values = rig.monitor.values(rig.t)
     assert values["tool"] == "pointer" and values["mass_kg"] == 0.06
     assert values["com_m"] == "0.055 0.002 0.045"
+    assert values["tip_m"] == "0.15 0 0.05"
     assert values["wrench_raw_hz"] == pytest.approx(100.0, rel=1e-6)
     assert values["joint_states_hz"] == pytest.approx(100.0, rel=1e-6)
     assert values["wrench_compensated_hz"] == pytest.approx(75.0, rel=0.01)

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from galen_gravcomp.joint_buffer import JointBuffer, JointPush, NoAngles
+from galen_gravcomp.joint_buffer import JointBuffer, JointPush, NoJoints
 
 MS = 1_000_000
 
@@ -12,21 +12,21 @@ MS = 1_000_000
 def filled(count: int = 10, step_ns: int = 2 * MS, **options: int) -> JointBuffer:
     buffer = JointBuffer(50 * MS, **options)
     for i in range(count):
-        buffer.push(i * step_ns, 0.1 * i, -0.2 * i)
+        buffer.push(i * step_ns, (0.1 * i, -0.2 * i))
     return buffer
 
 
 def test_exact_stamp_gives_the_sample() -> None:
     buffer = filled()
-    assert buffer.angles_at(6 * MS) == (0.1 * 3, -0.2 * 3)
-    assert buffer.angles_at(18 * MS) == (0.1 * 9, -0.2 * 9)
-    assert buffer.angles_at(0) == (0.0, 0.0)
+    assert buffer.joints_at(6 * MS) == (0.1 * 3, -0.2 * 3)
+    assert buffer.joints_at(18 * MS) == (0.1 * 9, -0.2 * 9)
+    assert buffer.joints_at(0) == (0.0, 0.0)
 
 
 def test_interpolation_is_exact_on_a_ramp() -> None:
     buffer = filled()
     for stamp in range(0, 18 * MS, 130_001):
-        angles = buffer.angles_at(stamp)
+        angles = buffer.joints_at(stamp)
         assert isinstance(angles, tuple)
         assert angles == pytest.approx((0.05 * stamp / MS, -0.1 * stamp / MS), abs=1e-13)
 
@@ -37,62 +37,62 @@ def test_interpolates_between_the_right_samples_of_a_curve() -> None:
     stamps = np.cumsum(rng.integers(MS, 20 * MS, size=200))
     rolls, tilts = rng.normal(size=200), rng.normal(size=200)
     for stamp, roll, tilt in zip(stamps, rolls, tilts, strict=True):
-        buffer.push(int(stamp), float(roll), float(tilt))
+        buffer.push(int(stamp), (float(roll), float(tilt)))
     for stamp in rng.integers(stamps[0], stamps[-1], size=300):
         expected = np.interp(stamp, stamps, rolls), np.interp(stamp, stamps, tilts)
-        assert buffer.angles_at(int(stamp)) == pytest.approx(expected, abs=1e-12)
+        assert buffer.joints_at(int(stamp)) == pytest.approx(expected, abs=1e-12)
 
 
 def test_never_extrapolates() -> None:
     buffer = JointBuffer(50 * MS)
-    assert buffer.angles_at(5) is NoAngles.EMPTY
-    buffer.push(10 * MS, 0.0, 0.0)
-    assert buffer.angles_at(10 * MS - 1) is NoAngles.TOO_OLD
-    assert buffer.angles_at(10 * MS + 1) is NoAngles.NOT_YET
+    assert buffer.joints_at(5) is NoJoints.EMPTY
+    buffer.push(10 * MS, (0.0, 0.0))
+    assert buffer.joints_at(10 * MS - 1) is NoJoints.TOO_OLD
+    assert buffer.joints_at(10 * MS + 1) is NoJoints.NOT_YET
 
 
 def test_gap_between_samples() -> None:
     buffer = JointBuffer(50 * MS)
-    buffer.push(0, 0.0, 0.0)
-    buffer.push(50 * MS, 1.0, 1.0)
-    buffer.push(100 * MS + 1, 2.0, 2.0)
-    assert buffer.angles_at(25 * MS) == (0.5, 0.5)
-    assert buffer.angles_at(75 * MS) is NoAngles.GAP
-    assert buffer.angles_at(100 * MS + 1) == (2.0, 2.0)
+    buffer.push(0, (0.0, 0.0))
+    buffer.push(50 * MS, (1.0, 1.0))
+    buffer.push(100 * MS + 1, (2.0, 2.0))
+    assert buffer.joints_at(25 * MS) == (0.5, 0.5)
+    assert buffer.joints_at(75 * MS) is NoJoints.GAP
+    assert buffer.joints_at(100 * MS + 1) == (2.0, 2.0)
 
 
 def test_backward_and_repeated_stamps_are_not_stored() -> None:
     buffer = filled(3)
-    assert buffer.push(4 * MS, 9.0, 9.0) is JointPush.DUPLICATE
-    assert buffer.push(3 * MS, 9.0, 9.0) is JointPush.OUT_OF_ORDER
-    assert buffer.push(5 * MS, 9.0, 9.0) is JointPush.STORED
-    assert buffer.angles_at(4 * MS) == (0.1 * 2, -0.2 * 2)
+    assert buffer.push(4 * MS, (9.0, 9.0)) is JointPush.DUPLICATE
+    assert buffer.push(3 * MS, (9.0, 9.0)) is JointPush.OUT_OF_ORDER
+    assert buffer.push(5 * MS, (9.0, 9.0)) is JointPush.STORED
+    assert buffer.joints_at(4 * MS) == (0.1 * 2, -0.2 * 2)
     assert len(buffer) == 4
 
 
 def test_nan_marks_a_hole() -> None:
     buffer = JointBuffer(50 * MS)
     for stamp, roll in ((0, 0.0), (2 * MS, math.nan), (4 * MS, 1.0), (6 * MS, 2.0)):
-        buffer.push(stamp, roll, roll)
+        buffer.push(stamp, (roll, roll))
     for stamp in (MS, 2 * MS, 3 * MS):
-        angles = buffer.angles_at(stamp)
+        angles = buffer.joints_at(stamp)
         assert isinstance(angles, tuple) and math.isnan(angles[0]) and math.isnan(angles[1])
-    assert buffer.angles_at(5 * MS) == (1.5, 1.5)
+    assert buffer.joints_at(5 * MS) == (1.5, 1.5)
 
 
 def test_is_bounded_and_keeps_the_newest() -> None:
     buffer = filled(1000, capacity=16)
     assert 16 <= len(buffer) < 32
     assert buffer.newest_ns == 999 * 2 * MS
-    assert buffer.angles_at((999 - 15) * 2 * MS) == (0.1 * 984, -0.2 * 984)
-    assert buffer.angles_at(0) is NoAngles.TOO_OLD
+    assert buffer.joints_at((999 - 15) * 2 * MS) == (0.1 * 984, -0.2 * 984)
+    assert buffer.joints_at(0) is NoJoints.TOO_OLD
 
 
 def test_clear_forgets() -> None:
     buffer = filled()
     buffer.clear()
     assert len(buffer) == 0 and buffer.newest_ns is None
-    assert buffer.angles_at(6 * MS) is NoAngles.EMPTY
+    assert buffer.joints_at(6 * MS) is NoJoints.EMPTY
 
 
 @pytest.mark.parametrize(("gap", "capacity"), [(0, 16), (-1, 16), (1, 1)])
@@ -111,14 +111,24 @@ def test_the_ring_keeps_the_same_samples(capacity: int) -> None:
             stamps, angles = stamp + 1 + np.arange(size), rng.normal(size=(size, 2))
             stamp += int(size)
             for at, (roll, tilt) in zip(stamps.tolist(), angles.tolist(), strict=True):
-                one.push(at, roll, tilt)
+                one.push(at, (roll, tilt))
             many.push_regular(stamps, angles)
-            assert (one._stamps, one._rolls, one._tilts) == (many._stamps, many._rolls, many._tilts)
+            assert (one._stamps, one._positions) == (many._stamps, many._positions)
         for at in (0, stamp - 1, stamp, stamp + 1):
             stamps, angles = many.since(at)
             assert stamps[-1] == stamp and (at <= many._stamps[0] or stamps[0] < at)
             assert stamps.tolist() == one._stamps[-len(stamps) :]
-            assert angles[:, 1].tolist() == one._tilts[-len(stamps) :]
+            assert angles.tolist() == [list(p) for p in one._positions[-len(stamps) :]]
+
+
+def test_any_number_of_joints() -> None:
+    buffer = JointBuffer(50 * MS)
+    buffer.push(0, (0.0, 1.0, 2.0, 3.0, 4.0))
+    buffer.push(4 * MS, (4.0, 1.0, -2.0, 7.0, 8.0))
+    assert buffer.joints_at(MS) == (1.0, 1.0, 1.0, 4.0, 5.0)
+    buffer.push(6 * MS, (4.0, 1.0, math.nan, 7.0, 8.0))
+    hole = buffer.joints_at(5 * MS)
+    assert isinstance(hole, tuple) and all(math.isnan(value) for value in hole) and len(hole) == 5
 
 
 def test_interpolation_of_arrays_is_that_of_single_stamps() -> None:
@@ -132,12 +142,12 @@ def test_interpolation_of_arrays_is_that_of_single_stamps() -> None:
     at = at[at <= stamps[-1]]
     found = buffer.interpolate(stamps, angles, at)
     for row, stamp in enumerate(at.tolist()):
-        single = buffer.angles_at(stamp)
-        if isinstance(single, NoAngles) or not all(map(math.isfinite, single)):
+        single = buffer.joints_at(stamp)
+        if isinstance(single, NoJoints) or not all(map(math.isfinite, single)):
             assert not found.good[row]
             continue
         assert found.good[row]
-        np.testing.assert_allclose(found.angles[row], single, rtol=1e-14, atol=1e-15)
+        np.testing.assert_allclose(found.joints[row], single, rtol=1e-14, atol=1e-15)
         oldest = int(found.oldest[row])
         assert stamps[oldest] <= stamp and (oldest == 299 or stamps[oldest + 1] > stamp)
     assert 0 < found.good.sum() < len(at)

@@ -1,0 +1,343 @@
+"""Wrenches and joints that come as two streams, paired by their stamps. No ROS.
+
+What is to be made of a wrench with the joints at its stamp, a subclass says: the compensator takes
+the tool's weight off, the deflection's node predicts how far the arm bends. Which samples are
+taken, which wait, which are refused and why, is the same for both, and here.
+
+Samples are pushed in the order of their arrival; every decision is made on stamps.
+"""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from collections import Counter, deque
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from enum import Enum
+from typing import Generic, NamedTuple, TypeVar
+
+import numpy as np
+from galen_model.arrays import Array
+
+from galen_gravcomp.joint_buffer import JointBuffer, JointPush, NoJoints
+from galen_gravcomp.results import Notice, Refusal, Refused
+from galen_gravcomp.sample_limits import SampleLimits, angle_unit_notice, count_angle_unit_notices
+from galen_gravcomp.stretch import Arrivals, regular_stretch
+
+Made = TypeVar("Made")
+
+
+def _sensor_range() -> Array:
+    return np.array([125.0, 125.0, 500.0, 3.0, 3.0, 3.0])
+
+
+@dataclass(frozen=True)
+class PairingSettings:
+    """Limits; times in s by the samples' stamps, range (6,) in N and N.m.
+
+    sensor_frame: the frame_id that a wrench must have.
+    """
+
+    max_joint_age_s: float = 0.05
+    restart_gap_s: float = 1.0
+    max_waiting: int = 1000
+    sensor_frame: str = ""
+    sensor_range: Array = field(default_factory=_sensor_range)
+
+
+# Samples of one driver never lie this far apart; two clocks do.
+_OTHER_CLOCK_NS = 5_000_000_000
+
+
+class Waiting(NamedTuple):
+    """A wrench (6,) that waits for joint samples."""
+
+    stamp_ns: int
+    raw: Array
+    tag: object
+    number: int
+
+
+class Paired(NamedTuple):
+    """Regular wrenches with the joints at their stamps: (k,), (k,), (k, 6), (k, joints).
+
+    taken: how many arrivals they and those that began to wait were.
+    """
+
+    taken: int
+    number: np.ndarray
+    stamp_ns: np.ndarray
+    raw: Array
+    joints: Array
+
+
+class WrenchPairing(ABC, Generic[Made]):
+    """One sensor's wrenches and the joints at their stamps.
+
+    Each wrench pushed ends in exactly one way: as what `_make` returns, or as a `Refused` that
+    names the reason. Not thread-safe: push everything from one thread.
+    """
+
+    wrench_topic = "wrench_raw"
+    """As it is called in sentences."""
+
+    def __init__(
+        self, settings: PairingSettings, on_restart: Callable[[str], None] | None = None
+    ) -> None:
+        """`on_restart(why)` is called after everything was cleared because the driver restarted."""
+        self._on_restart = on_restart
+        self._max_joint_age_s = settings.max_joint_age_s
+        self._limits = SampleLimits(
+            max_age_ns=round(settings.max_joint_age_s * 1e9),
+            restart_gap_ns=round(settings.restart_gap_s * 1e9),
+            max_waiting=settings.max_waiting,
+            sensor_range=tuple(float(limit) for limit in settings.sensor_range),
+        )
+        self._joints = JointBuffer(self._limits.max_age_ns)
+        self._waiting: deque[Waiting] = deque()
+        self._newest_wrench_ns: int | None = None
+        self._joint_trouble: str | None = None
+        self.received = 0
+        self.refusals: Counter[Enum] = Counter()
+        self.notices: Counter[Notice] = Counter()
+
+    # What a subclass says
+
+    @property
+    @abstractmethod
+    def sensor_frame(self) -> str:
+        """The frame_id that a wrench must have."""
+
+    @abstractmethod
+    def _barred(self) -> tuple[Enum, str] | None:
+        """Why no wrench at all can be used now, as reason and sentence; None if they can."""
+
+    @abstractmethod
+    def _make(
+        self, stamp_ns: int, raw: Array, joints: tuple[float, ...], tag: object, number: int
+    ) -> Made | Refused:
+        """What becomes of a finite wrench (6,) with finite joints at its stamp."""
+
+    # State
+
+    @property
+    def waiting(self) -> int:
+        """Wrenches that wait for joint samples."""
+        return len(self._waiting)
+
+    def restart(self, why: str) -> list[Made | Refused]:
+        """Forget every sample: it belongs to the driver's life so far. Counters stay."""
+        results = self._refuse_waiting(Refusal.RESTART, why)
+        self._joints.clear()
+        self._newest_wrench_ns = None
+        self._joint_trouble = None
+        self.notices[Notice.RESTART] += 1
+        if self._on_restart is not None:
+            self._on_restart(why)
+        return results
+
+    # Samples
+
+    def push_bad_joints(self, detail: str) -> None:
+        """Take note of a joint message that can't be used; `detail` says why."""
+        self.notices[Notice.BAD_JOINTS] += 1
+        self._joint_trouble = detail
+
+    def push_wrench(
+        self,
+        stamp_ns: int,
+        wrench: Sequence[float] | Array,
+        frame_id: str | None = None,
+        tag: object = None,
+    ) -> list[Made | Refused]:
+        """Take a wrench (6,), N and N.m; returns what became of it and of those that waited.
+
+        The list is empty while the wrench waits for joint samples. `frame_id` None is not checked;
+        `tag` comes back with what is made of the wrench.
+        """
+        number = self.received
+        self.received += 1
+        barred = self._barred()
+        if frame_id is not None and barred is None and frame_id != self.sensor_frame:
+            detail = (
+                f"{self.wrench_topic} has frame_id '{frame_id}', expected '{self.sensor_frame}'"
+            )
+            return [self._refuse(stamp_ns, Refusal.WRONG_FRAME, detail, number)]
+        if stamp_ns <= 0:
+            detail = f"{self.wrench_topic} has no stamp (zero): the driver does not stamp its"
+            return [self._refuse(stamp_ns, Refusal.UNSTAMPED, f"{detail} samples", number)]
+        if stamp_ns == self._newest_wrench_ns:
+            detail = f"{self.wrench_topic} repeats a stamp; only the first wrench of a stamp is"
+            return [self._refuse(stamp_ns, Refusal.DUPLICATE, f"{detail} used", number)]
+        results = self._follow_wrench_stamps(stamp_ns)
+        if barred is not None:
+            results.append(self._refuse(stamp_ns, *barred, number))
+            return results
+        values = tuple(map(float, wrench))
+        # One sum finds a NaN or an infinity among the six; it overflows only beyond any wrench.
+        if not math.isfinite(sum(values)):
+            shown = ", ".join(f"{value:g}" for value in values)
+            detail = f"{self.wrench_topic} holds a value that is not finite: ({shown})"
+            results.append(self._refuse(stamp_ns, Refusal.NONFINITE_WRENCH, detail, number))
+            return results
+        beyond_range, other_unit = self._limits.range_notices(values)
+        if beyond_range:
+            self.notices[Notice.BEYOND_RANGE] += 1
+        if other_unit:
+            self.notices[Notice.TORQUE_UNIT] += 1
+        raw = np.array(values)
+        newest = self._joints.newest_ns
+        if newest is not None and stamp_ns <= newest:
+            results.append(self._pair(stamp_ns, raw, tag, number))
+            return results
+        self._waiting.append(Waiting(stamp_ns, raw, tag, number))
+        results.extend(self._drop_hopeless())
+        return results
+
+    def push_bad_wrench(self, detail: str) -> list[Made | Refused]:
+        """Refuse a wrench message that can't be read, and so has no stamp; `detail` says why."""
+        self.received += 1
+        return [self._refuse(0, Refusal.UNREADABLE, detail, self.received - 1)]
+
+    def _push_joint_sample(self, stamp_ns: int, joints: tuple[float, ...]) -> list[Made | Refused]:
+        """Take joints, roll and tilt last; returns what became of wrenches that waited for them."""
+        results: list[Made | Refused] = []
+        newest = self._joints.newest_ns
+        if newest is not None:
+            restarted = self._limits.restarted("joint_states", stamp_ns, newest)
+            if restarted:
+                results = self.restart(restarted)
+        self._joint_trouble = None
+        # As with wrenches: the sum is finite if all of them are.
+        if not math.isfinite(sum(joints)):
+            self.notices[Notice.NONFINITE_JOINTS] += 1
+            joints = (math.nan,) * len(joints)
+        elif angle_unit_notice(*joints[-2:]):
+            self.notices[Notice.ANGLE_UNIT] += 1
+        pushed = self._joints.push(stamp_ns, joints)
+        if pushed is not JointPush.STORED:
+            duplicate = pushed is JointPush.DUPLICATE
+            self.notices[Notice.DUPLICATE_JOINTS if duplicate else Notice.OUT_OF_ORDER_JOINTS] += 1
+            return results
+        while self._waiting and self._waiting[0].stamp_ns <= stamp_ns:
+            results.append(self._pair(*self._waiting.popleft()))
+        return results
+
+    def _pair_stretch(self, arrivals: Arrivals) -> Paired:
+        """Take the regular samples at the start of `arrivals` as arrays; nothing is refused."""
+        waiting = self._waiting
+        waiting_ns = np.array([one.stamp_ns for one in waiting], dtype=np.int64)
+        stretch = regular_stretch(
+            arrivals, waiting_ns, self._newest_wrench_ns, self._joints, self._limits
+        )
+        arrivals, angles = stretch.arrivals, stretch.angles
+        out, waited = len(angles), len(waiting)
+        stamp_ns = np.concatenate((waiting_ns, arrivals.wrench_stamp_ns))
+        raw = np.concatenate((np.reshape([one.raw for one in waiting], (-1, 6)), arrivals.wrenches))
+        arrived = self.received + np.arange(len(arrivals.wrenches))
+        number = np.concatenate(([one.number for one in waiting], arrived)).astype(np.int64)
+
+        for _ in range(min(out, waited)):
+            waiting.popleft()
+        for row in range(max(out, waited), len(stamp_ns)):
+            waiting.append(Waiting(int(stamp_ns[row]), raw[row].copy(), None, int(number[row])))
+        self._joints.push_regular(arrivals.joint_stamp_ns, arrivals.angles)
+        if len(arrivals.joint_stamp_ns):
+            self._joint_trouble = None
+        if len(arrivals.wrench_stamp_ns):
+            self._newest_wrench_ns = int(arrivals.wrench_stamp_ns[-1])
+        self.received += len(arrivals.wrenches)
+        beyond_range, other_unit = self._limits.count_range_notices(arrivals.wrenches)
+        self._note(Notice.BEYOND_RANGE, beyond_range)
+        self._note(Notice.TORQUE_UNIT, other_unit)
+        self._note(Notice.ANGLE_UNIT, count_angle_unit_notices(arrivals.angles))
+        return Paired(len(arrivals.is_wrench), number[:out], stamp_ns[:out], raw[:out], angles)
+
+    # Inside
+
+    def _note(self, notice: Notice, count: int) -> None:
+        if count:
+            self.notices[notice] += count
+
+    def _follow_wrench_stamps(self, stamp_ns: int) -> list[Made | Refused]:
+        """Compare with the newest stamp: restart, out of order."""
+        newest = self._newest_wrench_ns
+        results: list[Made | Refused] = []
+        if newest is not None:
+            restarted = self._limits.restarted(self.wrench_topic, stamp_ns, newest)
+            if restarted:
+                results = self.restart(restarted)
+            elif stamp_ns < newest:
+                self.notices[Notice.OUT_OF_ORDER_WRENCH] += 1
+                return results
+        self._newest_wrench_ns = stamp_ns
+        return results
+
+    def _drop_hopeless(self) -> list[Made | Refused]:
+        """Refuse what waits once the joints have fallen too far behind, or too many wait."""
+        newest_wrench = self._newest_wrench_ns
+        newest_joints = self._joints.newest_ns
+        assert newest_wrench is not None and self._waiting
+        if newest_joints is None:
+            # The first joint sample may still be on its way, but no longer than this.
+            if newest_wrench - self._waiting[0].stamp_ns > self._limits.max_age_ns:
+                return self._refuse_waiting(
+                    *self._joint_reason(Refusal.NO_JOINTS, "no joint_states were received")
+                )
+        elif newest_wrench - newest_joints > self._limits.max_age_ns:
+            behind_ms = (newest_wrench - newest_joints) * 1e-6
+            detail = (
+                f"joint_states are stale: {behind_ms:.0f} ms behind {self.wrench_topic},"
+                f" max_joint_age_s is {self._max_joint_age_s:g}"
+                f"{self._clock_hint(newest_wrench - newest_joints)}"
+            )
+            return self._refuse_waiting(*self._joint_reason(Refusal.STALE_JOINTS, detail))
+        if len(self._waiting) > self._limits.max_waiting:
+            oldest = self._waiting.popleft()
+            detail = f"more than {self._limits.max_waiting} wrenches wait for joint_states"
+            return [self._refuse(oldest.stamp_ns, Refusal.QUEUE_FULL, detail, oldest.number)]
+        return []
+
+    def _joint_reason(self, reason: Refusal, detail: str) -> tuple[Refusal, str]:
+        """The deeper reason, when joint messages do come but can't be used."""
+        if self._joint_trouble is not None:
+            return Refusal.BAD_JOINTS, self._joint_trouble
+        return reason, detail
+
+    def _clock_hint(self, difference_ns: int) -> str:
+        if difference_ns < _OTHER_CLOCK_NS:
+            return ""
+        return f"; do joint_states and {self.wrench_topic} get their stamps from different clocks?"
+
+    def _pair(self, stamp_ns: int, raw: Array, tag: object, number: int) -> Made | Refused:
+        """Use a wrench whose joints are in the buffer."""
+        joints = self._joints.joints_at(stamp_ns)
+        if isinstance(joints, NoJoints):
+            if joints is NoJoints.GAP:
+                detail = (
+                    "joint_states are stale: two samples more than"
+                    f" {self._max_joint_age_s:g} s apart around a wrench"
+                )
+                reason = self._joint_reason(Refusal.STALE_JOINTS, detail)
+                return self._refuse(stamp_ns, *reason, number)
+            newest = self._joints.newest_ns
+            hint = "" if newest is None else self._clock_hint(newest - stamp_ns)
+            detail = f"no joint angles: {joints.value}{hint}"
+            return self._refuse(stamp_ns, *self._joint_reason(Refusal.NO_JOINTS, detail), number)
+        if math.isnan(joints[0]):
+            detail = "joint_states hold an angle that is not finite"
+            return self._refuse(stamp_ns, Refusal.NONFINITE_JOINTS, detail, number)
+        return self._make(stamp_ns, raw, joints, tag, number)
+
+    def _refuse(self, stamp_ns: int, reason: Enum, detail: str, number: int) -> Refused:
+        self.refusals[reason] += 1
+        return Refused(stamp_ns, reason, detail, number)
+
+    def _refuse_waiting(self, reason: Enum, detail: str) -> list[Made | Refused]:
+        results: list[Made | Refused] = [
+            self._refuse(waiting.stamp_ns, reason, detail, waiting.number)
+            for waiting in self._waiting
+        ]
+        self._waiting.clear()
+        return results

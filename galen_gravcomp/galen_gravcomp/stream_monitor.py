@@ -1,0 +1,233 @@
+"""What a node that turns wrenches into something can say of its health. No ROS.
+
+Refusals come and go with single samples; a state must not flap at 500 Hz. So a refusal stays the
+state for `HOLD_S` after the last one. Times here are wall times (s, monotonic): they only say
+whether something arrives at all, never what is done with a sample.
+"""
+
+from abc import ABC, abstractmethod
+from collections import deque
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import Enum
+from typing import Any, ClassVar, NamedTuple
+
+import numpy as np
+
+from galen_gravcomp.pairing import WrenchPairing
+from galen_gravcomp.results import Notice, Refusal, Refused
+
+HOLD_S = 0.5
+NOTICE_HOLD_S = 5.0
+RATE_WINDOW_S = 2.0
+LATENCY_SAMPLES = 2000
+
+
+class Severity(Enum):
+    """Named as the levels of diagnostic_msgs/DiagnosticStatus."""
+
+    OK = "OK"
+    WARN = "WARN"
+    ERROR = "ERROR"
+    STALE = "STALE"
+
+
+class State(NamedTuple):
+    """The state's severity, its short name, and a sentence for a person."""
+
+    severity: Severity
+    name: str
+    message: str
+
+
+class _Counts(NamedTuple):
+    now_s: float
+    joints: int
+    wrenches: int
+    outputs: int
+
+
+@dataclass
+class _LastRefusal:
+    refused: Refused
+    now_s: float
+
+
+class StreamMonitor(ABC):
+    """Watches one `WrenchPairing`; what comes out of it is the subclass's to name."""
+
+    reasons: ClassVar[tuple[Enum, ...]] = tuple(Refusal)
+    """Refusals that are counted on /diagnostics."""
+    said_better: ClassVar[tuple[Enum, ...]] = (Refusal.RESTART,)
+    """Refusals that the state itself, or the restart's own text, says better."""
+    working: ClassVar[str]
+    """The state's name when all is well."""
+
+    def __init__(self, pairing: WrenchPairing[Any], silence_s: float) -> None:
+        """`silence_s`: how long an input may be silent on the wall clock."""
+        self._pairing = pairing
+        self._silence_s = silence_s
+        self._outputs = 0
+        self._joints_seen = 0
+        self._joints_s: float | None = None
+        self._wrench_s: float | None = None
+        self._output_s: float | None = None
+        self._last: _LastRefusal | None = None
+        self._restart: tuple[str, float] | None = None
+        self._notices_seen: Mapping[Notice, int] = {}
+        self._notice: tuple[str, float] | None = None
+        self._counts: deque[_Counts] = deque()
+        self._latencies_s: deque[float] = deque(maxlen=LATENCY_SAMPLES)
+
+    def on_joints(self, now_s: float) -> None:
+        """Note that a joint message came."""
+        self._joints_seen += 1
+        self._joints_s = now_s
+
+    def on_wrench(self, now_s: float) -> None:
+        """Note that a wrench came."""
+        self._wrench_s = now_s
+
+    def on_output(self, arrival_s: float, now_s: float) -> bool:
+        """Note an output. True when it may have changed the state."""
+        first = self._output_s is None or now_s - self._output_s > HOLD_S
+        self._outputs += 1
+        self._output_s = now_s
+        self._latencies_s.append(now_s - arrival_s)
+        return first
+
+    def on_refused(self, refused: Refused, now_s: float) -> bool:
+        """Note a refusal. True when it may have changed the state."""
+        last = self._last
+        self._last = _LastRefusal(refused, now_s)
+        return (
+            last is None or last.refused.reason is not refused.reason or now_s - last.now_s > HOLD_S
+        )
+
+    def on_restart(self, why: str, now_s: float) -> None:
+        """Note that everything was cleared."""
+        self._restart = (why, now_s)
+        self._output_s = None
+
+    def on_notice(self, text: str, now_s: float) -> None:
+        """Note what a person should hear of for a while."""
+        self._notice = (text, now_s)
+
+    def tick(self, now_s: float) -> None:
+        """Take the counts for the rates, and new notices; call it a few times a second."""
+        pairing = self._pairing
+        self._counts.append(_Counts(now_s, self._joints_seen, pairing.received, self._outputs))
+        while len(self._counts) > 2 and now_s - self._counts[1].now_s > RATE_WINDOW_S:
+            self._counts.popleft()
+        for notice, text in self._notice_texts().items():
+            if pairing.notices[notice] > self._notices_seen.get(notice, 0):
+                self.on_notice(text, now_s)
+                break
+        self._notices_seen = dict(pairing.notices)
+
+    def state(self, now_s: float) -> State:
+        """The state now; the most serious and most basic trouble comes first."""
+        return (
+            self._standing_state()
+            or self._silence_state(now_s)
+            or self._refusal_state(now_s)
+            or self._waiting_state()
+            or self._noticed_state(now_s)
+            or self._running_state()
+        )
+
+    @abstractmethod
+    def _standing_state(self) -> State | None:
+        """Why nothing can go out, whatever comes in."""
+
+    @abstractmethod
+    def _running_state(self) -> State:
+        """What is done when nothing is wrong with the samples."""
+
+    def _notice_texts(self) -> Mapping[Notice, str]:
+        """Notices that a person should hear of, and how."""
+        topic = self._pairing.wrench_topic
+        return {
+            Notice.TORQUE_UNIT: "torques far beyond the sensor's range: are they in N.mm?",
+            Notice.ANGLE_UNIT: "joint angles beyond a full turn: are they in degrees?",
+            Notice.BEYOND_RANGE: "wrenches beyond the sensor's range: the reading may be clipped",
+            Notice.OUT_OF_ORDER_WRENCH: f"{topic} stamps are out of order",
+            Notice.OUT_OF_ORDER_JOINTS: "joint_states stamps are out of order",
+        }
+
+    def _silence_state(self, now_s: float) -> State | None:
+        # Wrenches without joints are refused one by one: that says more than the joints' silence.
+        if self._wrench_s is not None and now_s - self._wrench_s <= self._silence_s:
+            return None
+        silent = []
+        topic = self._pairing.wrench_topic
+        for name, last_s in ((topic, self._wrench_s), ("joint_states", self._joints_s)):
+            if last_s is None:
+                silent.append(f"no {name} came yet")
+            elif now_s - last_s > self._silence_s:
+                silent.append(f"no {name} for {now_s - last_s:.1f} s")
+        return State(Severity.STALE, "silent", " and ".join(silent))
+
+    def _refusal_state(self, now_s: float) -> State | None:
+        last = self._last
+        if last is None or now_s - last.now_s > HOLD_S:
+            return None
+        reason, detail = last.refused.reason, last.refused.detail
+        if reason in self.said_better:
+            return None
+        if self._output_s is None or now_s - self._output_s > HOLD_S:
+            return State(Severity.ERROR, reason.value, f"nothing is published: {detail}")
+        return State(Severity.WARN, reason.value, f"some wrenches are refused: {detail}")
+
+    def _waiting_state(self) -> State | None:
+        if self._output_s is None:
+            return State(Severity.STALE, "waiting", "waiting for wrenches with joints around them")
+        return None
+
+    def _noticed_state(self, now_s: float) -> State | None:
+        for held in (self._restart, self._notice):
+            if held is not None and now_s - held[1] < NOTICE_HOLD_S:
+                return State(Severity.WARN, self.working, f"{self.working}, but: {held[0]}")
+        return None
+
+    def inputs(self, now_s: float, output_topic: str) -> dict[str, object]:
+        """Rates, ages and latency, for /diagnostics; units are in the names."""
+        topic = self._pairing.wrench_topic
+        values: dict[str, object] = {
+            f"{topic}_hz": self._rate("wrenches"),
+            "joint_states_hz": self._rate("joints"),
+            f"{output_topic}_hz": self._rate("outputs"),
+            f"{topic}_age_s": _since(self._wrench_s, now_s),
+            "joint_states_age_s": _since(self._joints_s, now_s),
+        }
+        if self._latencies_s:
+            median, p99 = np.percentile(np.array(self._latencies_s) * 1e3, (50, 99))
+            values |= {"latency_median_ms": float(median), "latency_p99_ms": float(p99)}
+        return values
+
+    def refused(self) -> dict[str, object]:
+        """Counts of refusals and notices, and the last ones, for /diagnostics."""
+        pairing = self._pairing
+        values: dict[str, object] = {"waiting": pairing.waiting}
+        values |= {f"refused_{reason.value}": pairing.refusals[reason] for reason in self.reasons}
+        values |= {notice.value: pairing.notices[notice] for notice in Notice}
+        values["last_refusal"] = "" if self._last is None else self._last.refused.detail
+        values["last_restart"] = "" if self._restart is None else self._restart[0]
+        return values
+
+    def _rate(self, name: str) -> float:
+        if len(self._counts) < 2:
+            return 0.0
+        first, last = self._counts[0], self._counts[-1]
+        elapsed_s = last.now_s - first.now_s
+        count: int = getattr(last, name) - getattr(first, name)
+        return count / elapsed_s if elapsed_s > 0.0 else 0.0
+
+
+def joined(numbers: np.ndarray) -> str:
+    """Numbers as a value on /diagnostics."""
+    return " ".join(f"{number:.6g}" for number in numbers)
+
+
+def _since(last_s: float | None, now_s: float) -> object:
+    return "never came" if last_s is None else now_s - last_s
