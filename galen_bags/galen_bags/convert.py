@@ -15,12 +15,8 @@ from galen_ros.cdr import NS_PER_S
 
 from galen_bags.command_line import EXIT_FAILED, EXIT_OK, EXIT_USAGE, positive
 from galen_bags.measured import UNITS_NS, Measured, Written, stamps_ns, write_measured
-from galen_bags.orientation_table import (
-    TableError,
-    read_orientations,
-    read_table,
-    read_wrenches,
-)
+from galen_bags.orientation_table import read_orientations, read_table, read_wrenches
+from galen_bags.text_table import TableError
 
 _EPILOG = f"""columns, named in a file's first line or by --columns:
   fx fy fz tx ty tz                 wrench, N and N.m; a push reads positive in its direction

@@ -12,8 +12,7 @@ A row is one reading. Columns, in any order, named in the first line or by the c
     t                       time, s
     block                   a label; rows of one label are held out together
 
-Values are apart by commas, semicolons, tabs or blanks, quoted or not, with decimal points; a line
-that starts with # is a comment.
+Values are apart, and comments marked, as `galen_bags.text_table` says.
 """
 
 import os
@@ -24,9 +23,10 @@ from pathlib import Path
 import numpy as np
 from galen_model.arm import GRAVITY_M_S2, WRENCH_AXES
 from galen_model.arrays import Array
-from galen_model.errors import GalenError
 from galen_model.kinematics import sensor_rotation
 from galen_model.rotation import quaternion_to_matrix
+
+from galen_bags.text_table import TableError, TextTable, read_text_table
 
 ORIENTATIONS = {
     "gravity": ("gx", "gy", "gz"),
@@ -36,12 +36,9 @@ ORIENTATIONS = {
 }
 """Ways to give an orientation; where a table has several, the first of these is used."""
 
+_KNOWN = {"t", *WRENCH_AXES, *(name for needed in ORIENTATIONS.values() for name in needed)}
 _ROTATION_TOLERANCE = 1e-2
 _GRAVITY_TOLERANCE = 0.02
-
-
-class TableError(GalenError):
-    """A table that can't be read; the message names the file and the line or column."""
 
 
 @dataclass(frozen=True)
@@ -83,7 +80,7 @@ def read_table(
 
     Raises TableError naming the file and what is wrong in it.
     """
-    text = _read(path, columns)
+    text = read_text_table(path, _KNOWN, columns)
     wrench = _wrench(text)
     gravity, rotation, kind = _orientation(text)
     if wrench_frame == "base":
@@ -109,7 +106,7 @@ def read_wrenches(
 
     Raises TableError naming the file and what is wrong in it.
     """
-    text = _read(path, columns)
+    text = read_text_table(path, _KNOWN, columns)
     return _time(text), _wrench(text)
 
 
@@ -120,115 +117,22 @@ def read_orientations(
 
     Raises TableError naming the file and what is wrong in it.
     """
-    text = _read(path, columns)
+    text = read_text_table(path, _KNOWN, columns)
     return _time(text), _orientation(text)[0]
 
 
-@dataclass(frozen=True)
-class _Text:
-    """A file's columns: cells as they are, the numbers of those that the suite knows."""
-
-    path: Path
-    names: list[str]
-    rows: list[list[str]]
-    lines: list[int]
-    numbers: dict[str, Array]
-
-
-def _read(path: str | os.PathLike[str], columns: Sequence[str] | None) -> _Text:
-    path = Path(path)
-    names, rows, lines = _rows(path, columns)
-    return _Text(path, names, rows, lines, _numbers(path, names, rows, lines))
-
-
-def _wrench(text: _Text) -> Array:
+def _wrench(text: TextTable) -> Array:
     for axis in WRENCH_AXES:
-        _require(text, axis)
+        text.require(axis)
     return np.column_stack([text.numbers[axis] for axis in WRENCH_AXES])
 
 
-def _time(text: _Text) -> Array:
-    _require(text, "t")
+def _time(text: TextTable) -> Array:
+    text.require("t")
     return text.numbers["t"]
 
 
-def _require(text: _Text, name: str) -> None:
-    if name not in text.names:
-        raise TableError(f"{text.path}: no column {name!r}; there are {', '.join(text.names)}")
-
-
-def _rows(
-    path: Path, columns: Sequence[str] | None
-) -> tuple[list[str], list[list[str]], list[int]]:
-    """Column names, cells and line numbers."""
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-    except (OSError, UnicodeDecodeError) as error:
-        raise TableError(f"{path}: can't be read: {error}") from error
-    names = [name.strip() for name in columns] if columns else None
-    rows: list[list[str]] = []
-    lines: list[int] = []
-    for number, line in enumerate(text.splitlines(), start=1):
-        line = line.strip()
-        if not line or line.startswith("#"):
-            continue
-        cells = _split(line)
-        if names is None:
-            names = cells
-            if any(_is_number(cell) for cell in cells):
-                raise TableError(f"{path}: line {number} names no columns; name them on the call")
-            continue
-        if len(cells) != len(names):
-            raise TableError(
-                f"{path}: line {number} has {len(cells)} values; there are {len(names)} columns"
-            )
-        rows.append(cells)
-        lines.append(number)
-    if names is None or not rows:
-        raise TableError(f"{path}: no readings in it")
-    doubles = sorted({name for name in names if names.count(name) > 1 and name != "-"})
-    if doubles:
-        raise TableError(f"{path}: column {doubles[0]!r} is there twice")
-    return names, rows, lines
-
-
-def _split(line: str) -> list[str]:
-    # The comma last: beside another separator it is a decimal comma, and the error names the cell.
-    for separator in (";", "\t", ","):
-        if separator in line:
-            return [cell.strip().strip('"') for cell in line.split(separator)]
-    return line.split()
-
-
-def _is_number(cell: str) -> bool:
-    try:
-        float(cell)
-    except ValueError:
-        return False
-    return True
-
-
-def _numbers(
-    path: Path, names: list[str], rows: list[list[str]], lines: list[int]
-) -> dict[str, Array]:
-    """The columns that the suite knows, as numbers; others may hold anything."""
-    known = {"t", *WRENCH_AXES, *(name for needed in ORIENTATIONS.values() for name in needed)}
-    numbers: dict[str, Array] = {}
-    for index, name in enumerate(names):
-        if name not in known:
-            continue
-        column = np.empty(len(rows))
-        for row, (cells, line) in enumerate(zip(rows, lines, strict=True)):
-            if not _is_number(cells[index]) or not np.isfinite(float(cells[index])):
-                raise TableError(
-                    f"{path}: line {line}, column {name!r}: {cells[index]!r} is not a finite number"
-                )
-            column[row] = float(cells[index])
-        numbers[name] = column
-    return numbers
-
-
-def _orientation(text: _Text) -> tuple[Array, Array | None, str]:
+def _orientation(text: TextTable) -> tuple[Array, Array | None, str]:
     """Gravity (n, 3), R_base_sensor (n, 3, 3) where the table tells it, and which columns told."""
     path, numbers, lines = text.path, text.numbers, text.lines
     kinds = [kind for kind, needed in ORIENTATIONS.items() if set(needed) <= set(text.names)]
