@@ -14,10 +14,11 @@ from load, without solving anything. Properties that follow and are tested: the 
 order of loads, not on their speed; loops between the same two loads are congruent; a larger load
 wipes out the memory of smaller ones; and weights that aren't negative dissipate.
 
-Where it starts: unloaded and never loaded before, y = 0, the virgin curve. What happened before is
-not known, though: unloaded, y may be anything in [-r, r]. The operator is monotone in where it
-starts, so the starts -r and r bound all others; their distance never grows, and is zero once the
-load has swept over 2 r. It is carried along as the spread of what the start leaves unknown.
+Where it starts: never loaded before, y = 0 taken to its first load, the virgin curve. What happened
+before is not known, though: at the load x, y may be anything in [x - r, x + r], whether the arm is
+loaded at the start or not. The operator is monotone in where it starts, so these two starts bound
+all others; their distance never grows, and is zero once the load has swept over 2 r. It is carried
+along as the spread of what the start leaves unknown.
 """
 
 from __future__ import annotations
@@ -29,17 +30,23 @@ from galen_model.arrays import Array
 
 
 class Played(NamedTuple):
-    """Outputs (n, m) from a virgin start, and their distances (n, m) from the outermost starts."""
+    """Outputs (n, m) from a virgin start, and what is unknown of them.
+
+    spread (n, m): distance of the outputs from the two outermost starts. unknown (n, m): root mean
+    square distance from this output, were all between them as likely: the virgin start need not lie
+    in their middle, and under load it lies at one end.
+    """
 
     output: Array
     spread: Array
+    unknown: Array
 
 
 class PlayOperators:
     """m play operators, each with its own threshold and input; they remember."""
 
     def __init__(self, thresholds: Array) -> None:
-        """Thresholds (m,), in their inputs' units, none negative. Starts unloaded."""
+        """Thresholds (m,), in their inputs' units, none negative. Starts as `reset` does."""
         self._thresholds = np.asarray(thresholds, dtype=float)
         if np.any(self._thresholds < 0.0):
             raise ValueError(f"a threshold is negative: {self._thresholds.min()}")
@@ -49,8 +56,8 @@ class PlayOperators:
     def reset(self) -> None:
         """Forget all loads: outputs of a virgin start, and nothing known of what was before."""
         self._state[0] = 0.0
-        self._state[1] = -self._thresholds
-        self._state[2] = self._thresholds
+        self._state[1] = -np.inf
+        self._state[2] = np.inf
 
     def run(self, inputs: Array) -> Played:
         """Take inputs (n, m) in their order, from where the last call left off.
@@ -67,4 +74,7 @@ class PlayOperators:
             np.minimum(now, high, out=now)
             before = now
         self._state = before.copy()
-        return Played(states[:, 0], states[:, 2] - states[:, 1])
+        output, low, high = states[:, 0], states[:, 1], states[:, 2]
+        spread = high - low
+        off_middle = 0.5 * (low + high) - output
+        return Played(output, spread, np.sqrt(spread * spread / 12.0 + off_middle * off_middle))

@@ -125,7 +125,7 @@ def test_pieces_and_single_steps_give_the_same_to_the_last_bit():
     for cuts in (np.arange(1, 300), [1, 2, 50, 51, 200]):
         operators = PlayOperators(THRESHOLDS)
         parts = [operators.run(part) for part in np.split(load, cuts)]
-        for k in range(2):
+        for k in range(3):
             np.testing.assert_array_equal(np.concatenate([part[k] for part in parts]), whole[k])
     operators.reset()
     again = operators.run(load)
@@ -145,12 +145,10 @@ def test_the_spread_bounds_every_past_and_is_gone_once_the_load_has_swept_it():
     np.testing.assert_allclose(unloaded.spread[0], 2 * thresholds)
     for _ in range(20):
         past = PlayOperators(thresholds)
-        before = rng.normal(size=(30, 1)) * np.ones(3)
-        past.run(np.concatenate([before, np.zeros((1, 3))]))
+        past.run(rng.normal(size=(30, 1)) * np.ones(3))
         other = past.run(tiled).output
         assert np.all(np.abs(other - ours.output) <= ours.spread + 1e-12)
-    since_zero = np.concatenate([[0.0], load])
-    swept = (np.maximum.accumulate(since_zero) - np.minimum.accumulate(since_zero))[1:]
+    swept = np.maximum.accumulate(load) - np.minimum.accumulate(load)
     for column, threshold in enumerate(thresholds):
         # zero as soon as the load has swept twice the threshold, and not before
         np.testing.assert_array_equal(
@@ -304,6 +302,37 @@ def test_the_unknown_start_is_uncertain_until_loads_have_passed(rubbed, model):
     stream.reset()
     again = stream.step(0, one.joints[0], one.wrench[0]).covariance
     np.testing.assert_allclose(np.sqrt(np.diag(again)), std[0], rtol=1e-12)
+
+
+@pytest.mark.parametrize("loaded_with", [0.0, 0.3, 1.0, -2.0])
+def test_a_start_under_load_bounds_every_past(loaded_with):
+    """Of a load that is there at the start nobody knows how it came to be."""
+    thresholds = THRESHOLDS[1:]
+    load = np.tile(ramps(loaded_with, 0.5 * loaded_with, loaded_with + 0.2)[:, None], (1, 3))
+    ours = PlayOperators(thresholds).run(load)
+    ends = []
+    for extreme in (-10.0, 10.0):
+        past = PlayOperators(thresholds)
+        past.run(np.full((1, 3), extreme))
+        ends.append(past.run(load).output)
+    np.testing.assert_allclose(ends[1] - ends[0], ours.spread, atol=1e-14)
+    between = np.linspace(ends[0], ends[1], 20001)
+    rms = np.sqrt(np.mean((between - ours.output) ** 2, axis=0))
+    np.testing.assert_allclose(ours.unknown, rms, rtol=1e-3, atol=1e-12)
+
+
+def test_a_model_started_under_load_says_how_little_it_knows(rubbed, model):
+    """Wrong by what the load before the start left, and not by more than it says."""
+    one = rubbed.rows(rubbed.segment == 0)
+    whole = model.predict(one)
+    errors = []
+    for cut in range(150, len(one) - 1, 25):
+        late = replace(one.rows(slice(cut, cut + 1)), segment=np.zeros(1, dtype=int))
+        started = model.predict(late)
+        off = started.mean[0] - whole.mean[cut]
+        errors.append(off @ np.linalg.solve(started.covariance[0], off))
+    assert max(errors) > 0.01
+    assert np.mean(errors) < 6.0 and max(errors) < 30.0
 
 
 def _of(basis, values, samples):

@@ -25,7 +25,6 @@ COLUMNS[TIP] = range(len(SPRINGS), len(SPRINGS) + 6)
 
 _UNITS = {kind.name: kind.compliance_unit for kind in kinds()} | {TIP: "1"}
 _LOAD_UNITS = {kind.name: kind.load_unit for kind in kinds()}
-_UNIFORM_STD = 1.0 / np.sqrt(12.0)
 
 
 class Operator(NamedTuple):
@@ -140,19 +139,19 @@ class HysteresisRun:
         columns = jacobian[:, :, self._column]
         remembered = (columns * output[:, None, :]) @ self._of_operator
         design = np.concatenate([springs, remembered], axis=2)
-        return Rows(at_tip, design, self._start(columns, played.spread))
+        return Rows(at_tip, design, self._start(columns, played.unknown))
 
-    def _start(self, columns: Array, spread: Array) -> Array | None:
+    def _start(self, columns: Array, unknown: Array) -> Array | None:
         """What the state at the start leaves unknown: uniform between the outermost starts.
 
         One thing for each spring: the loads of its past moved all its operators together.
         """
-        if not spread.any():
+        if not unknown.any():
             return None
         count = len(COMPLIANCES) + self._of_operator.shape[1]
-        start = np.zeros((len(spread), 6, self._source.max() + 1, count))
+        start = np.zeros((len(unknown), 6, self._source.max() + 1, count))
         start[:, :, self._source, len(COMPLIANCES) + self._operator] = (
-            columns * (_UNIFORM_STD * spread)[:, None, :]
+            columns * unknown[:, None, :]
         )
         return start
 
