@@ -4,6 +4,7 @@
 Each comes from the simulated driver's own core, stepped offline with a fixed seed and fixed stamps,
 and is written into a bag with the messages that the driver's node would publish. A bag whose
 content has not changed is left as it is; README.md's table is written from what then is there.
+With `--deflection-sets DIR` other, larger ones are made instead, and not kept here.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ import tempfile
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -33,7 +35,7 @@ from galen_calibration_behavior.procedure import Request
 from galen_model.arm import HOME, JOINT_NAMES
 from galen_model.errors import GalenError
 from galen_model.tools import TOOLS
-from galen_sim_driver.config import ZERO3, HandPush, PlantConfig
+from galen_sim_driver.config import ZERO3, HandPush, HysteresisConfig, PlantConfig
 from galen_sim_driver.plant import Plant
 from galen_sim_driver.trajectory import Trajectory, TrajectoryPoint
 from tqdm import tqdm
@@ -58,6 +60,7 @@ class Recipe:
     drive: Callable[[OfflineCell, Recipe, Path], None]
     tracker: bool = False
     hand: tuple[HandPush, ...] = ()
+    hysteresis_fraction: float = 0.0
 
     @property
     def tool_file(self) -> str | None:
@@ -197,13 +200,47 @@ RECIPES = (
 )  # fmt: skip
 
 
+def deflection_recipes() -> tuple[Recipe, ...]:
+    """Recordings for models of deflection, below a folder of their own."""
+    from deflection_sets import EXTRA_POSITIONS, RESIDUAL_FRACTION, play, script
+
+    recipes = []
+    for name, seed, hour, positions in (
+        ("sets/round_1", 11, 13, _POSITIONS.tolist()),
+        ("sets/round_2", 12, 14, _POSITIONS.tolist()),
+        ("extra/positions", 13, 15, EXTRA_POSITIONS),
+    ):
+        hand, ends_s = script(len(positions), seed)
+        recipes.append(
+            Recipe(
+                name,
+                seed,
+                datetime(2026, 3, 3, hour, tzinfo=UTC),
+                rate_hz=200.0,
+                tool="retractor",
+                expected_s=ends_s[-1] + 1.0,
+                drive=partial(play, positions=positions, ends_s=ends_s),
+                tracker=True,
+                hand=hand,
+                hysteresis_fraction=RESIDUAL_FRACTION,
+            )
+        )
+    return tuple(recipes)
+
+
 # --- making and comparing -----------------------------------------------------------------------
 
 
 def make(recipe: Recipe, folder: Path, quiet: bool = False) -> None:
     """Write `folder/<name>`, and the tool's file of a calibration."""
     start_ns = int(recipe.start.timestamp()) * NS_PER_S
-    config = PlantConfig(rate_hz=recipe.rate_hz, start_ns=start_ns, hand=recipe.hand)
+    config = PlantConfig(
+        rate_hz=recipe.rate_hz,
+        start_ns=start_ns,
+        hand=recipe.hand,
+        hysteresis=HysteresisConfig(recipe.hysteresis_fraction),
+    )
+    (folder / recipe.name).parent.mkdir(parents=True, exist_ok=True)
     plant = Plant(config, np.random.default_rng(recipe.seed))
     if recipe.drive is not _calibrate:  # which itself puts the tool on
         plant.attach_tool(recipe.tool)
@@ -301,6 +338,18 @@ def write_readme(folder: Path) -> None:
     readme.write_text(pattern.sub(lambda _: content, text), encoding="utf-8")
 
 
+def make_deflection_sets(folder: Path, quiet: bool) -> None:
+    """Make them below a folder that isn't there yet; raises GalenError if it is."""
+    if folder.exists():
+        raise GalenError(f"{folder}: is there already; name a new folder")
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    # Beside it, so that what is half made never has its name.
+    with tempfile.TemporaryDirectory(dir=folder.parent, prefix=".making.") as made:
+        for recipe in deflection_recipes():
+            make(recipe, Path(made) / "all", quiet)
+        (Path(made) / "all").rename(folder)
+
+
 # --- command ------------------------------------------------------------------------------------
 
 
@@ -342,9 +391,22 @@ def main(args: list[str] | None = None) -> int:
         "--check", action="store_true", help="write nothing here; compare with what is here"
     )
     parser.add_argument("--quiet", action="store_true", help="no progress bars")
+    parser.add_argument(
+        "--deflection-sets",
+        type=Path,
+        metavar="DIR",
+        help="make only recordings to compare models of deflection on, below this new folder:"
+        " sets/ has two sets of pushes at each of four positions, extra/ one at each of six others;"
+        " the joints have hysteresis",
+    )
     options = parser.parse_args(args)
+    if options.deflection_sets is not None and (options.check or options.only):
+        parser.error("--deflection-sets goes with neither --check nor --only")
     recipes = [r for r in RECIPES if options.only is None or r.name in options.only]
     try:
+        if options.deflection_sets is not None:
+            make_deflection_sets(options.deflection_sets, options.quiet)
+            return 0
         told = run(recipes, options.check, options.quiet)
     except (GalenError, OSError) as error:
         print(f"make_bags: {error}", file=sys.stderr)
