@@ -21,7 +21,7 @@ from galen_model.kinematics import tip_pose
 from galen_model.rotation import matrix_to_rotvec
 from galen_model.stiffness import deflection, tip_compliance
 
-ALL = list(KINDS)
+ALL = [kind for kind, what in KINDS.items() if not what.is_network]
 WORN = Arm(k_roll=1700.0, k_tilt=1800.0, k_carriage=2.4e5, k_rod=1.6e6)
 
 

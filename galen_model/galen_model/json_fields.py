@@ -23,10 +23,20 @@ def read_json(path: Path, max_bytes: int, what: str) -> Any:
 
     Raises OSError, and FieldError without the file's name.
     """
+    return parse_json(read_limited(path, max_bytes, what))
+
+
+def read_limited(path: Path, max_bytes: int, what: str) -> bytes:
+    """A file's bytes; raises OSError, and FieldError, without reading on, if there are more."""
     with path.open("rb") as stream:
         raw = stream.read(max_bytes + 1)
     if len(raw) > max_bytes:
         raise FieldError(f"larger than {max_bytes} bytes, not {what}")
+    return raw
+
+
+def parse_json(raw: str | bytes) -> Any:
+    """JSON's content; raises FieldError."""
     try:
         return json.loads(raw)
     except (ValueError, RecursionError) as error:

@@ -1,7 +1,7 @@
 """Files that are written whole or not at all.
 
-The new text goes into a temporary file beside the old one, which is synced to the disk and renamed
-over the old name, as POSIX does in one step; before that the old file gets a second name,
+The new content goes into a temporary file beside the old one, which is synced to the disk and
+renamed over the old name, as POSIX does in one step; before that the old file gets a second name,
 `<name>.bak`. A process killed at any moment leaves the old file or the new one.
 """
 
@@ -10,16 +10,17 @@ import tempfile
 from pathlib import Path
 
 
-def write_whole(path: Path, text: str) -> None:
-    """Write a text file in one step; makes its folder, keeps the old file as `.bak`.
+def write_whole(path: Path, content: str | bytes) -> None:
+    """Write a file in one step; makes its folder, keeps the old file as `.bak`. Text is UTF-8.
 
     Raises OSError; the old file is then untouched.
     """
+    raw = content.encode() if isinstance(content, str) else content
     path.parent.mkdir(parents=True, exist_ok=True)
     handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
     try:
-        with os.fdopen(handle, "w", encoding="utf-8") as stream:
-            stream.write(text)
+        with os.fdopen(handle, "wb") as stream:
+            stream.write(raw)
             stream.flush()
             os.fsync(stream.fileno())
         Path(temporary).chmod(0o644)  # mkstemp's 0600 would hide it from the lab's others

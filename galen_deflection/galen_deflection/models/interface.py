@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 from galen_model.arrays import Array
@@ -60,3 +60,11 @@ class DeflectionModel(Protocol):
 
     def to_json(self) -> dict[str, Any]:
         """Everything needed to make it again, as plain numbers, lists and texts."""
+
+
+@runtime_checkable
+class WithTensors(Protocol):
+    """A model of which `to_json` gives all but some arrays: a network's weights."""
+
+    def tensors(self) -> dict[str, np.ndarray]:
+        """The arrays by name, float32."""

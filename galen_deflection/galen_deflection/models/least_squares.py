@@ -290,9 +290,17 @@ def _discrepancy(basis: Basis, samples: DeflectionSamples, totals: Sums) -> Arra
         residual = (samples.deflection[part] - rows.design @ values[int(fold)]) / samples.noise
         residual = residual[totals.used[part]]
         found += residual.T @ residual
-    eigenvalue, vectors = np.linalg.eigh(found / np.count_nonzero(totals.used) - np.eye(6))
+    return beyond_noise(found / np.count_nonzero(totals.used), samples.noise)
+
+
+def beyond_noise(square: Array, noise: Array) -> Array:
+    """The part of residuals' covariance (6, 6), in their units, that noise (6,) does not explain.
+
+    square (6, 6): mean of the residuals' products, in units of the noise.
+    """
+    eigenvalue, vectors = np.linalg.eigh(square - np.eye(6))
     beyond = vectors * np.maximum(eigenvalue, 0.0) @ vectors.T
-    return beyond * np.outer(samples.noise, samples.noise)
+    return np.asarray(beyond * np.outer(noise, noise))
 
 
 def _inverse(matrix: Array) -> Array:

@@ -12,7 +12,7 @@ noise is not in it, since it is about the true deflection.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from itertools import pairwise
 from typing import Any, NamedTuple, Protocol
 
@@ -108,6 +108,12 @@ class FittedOn:
             len(np.unique(samples.position)),
             len(np.unique(places, axis=0)),
         )
+
+    @classmethod
+    def from_json(cls, content: Any, name: str) -> FittedOn:
+        """Read with checks; raises FieldError."""
+        counts = mapping(content, name)
+        return cls(*(count(get(counts, f.name), f"{name}.{f.name}") for f in fields(cls)))
 
 
 @dataclass(frozen=True)
@@ -240,31 +246,31 @@ def from_json(content: Mapping[str, Any], basis: Basis) -> LinearModel:
         values[k] = number(get(row, "value"), f"{name}.value")
         if basis.bounded and values[k] < 0.0:
             raise FieldError(f"{name}.value is {values[k]}, below zero")
-    noise = array(get(content, "noise"), "noise", (6,))
-    if np.any(noise <= 0.0):
-        raise FieldError("noise holds a value that isn't positive")
-    counts = mapping(get(content, "fitted_on"), "fitted_on")
     return LinearModel(
         name=text(get(content, "kind"), "kind"),
         tip_m=tip_from_json(content),
         basis=basis,
         values=values,
-        covariance=_covariance(content, "covariance", size),
-        discrepancy=_covariance(content, "discrepancy", 6),
-        noise=noise,
+        covariance=covariance_from_json(content, "covariance", size),
+        discrepancy=covariance_from_json(content, "discrepancy", 6),
+        noise=noise_from_json(content),
         fitted_range=FittedRange.from_json(get(content, "fitted_range"), "fitted_range"),
-        fitted_on=FittedOn(
-            *(
-                count(get(counts, what), f"fitted_on.{what}")
-                for what in ("samples", "segments", "positions", "sets")
-            )
-        ),
+        fitted_on=FittedOn.from_json(get(content, "fitted_on"), "fitted_on"),
         unresolved=texts(get(content, "unresolved"), "unresolved"),
         notes=texts(get(content, "notes"), "notes"),
     )
 
 
-def _covariance(content: Mapping[str, Any], name: str, size: int) -> Array:
+def noise_from_json(content: Mapping[str, Any]) -> Array:
+    """The field noise; raises FieldError."""
+    noise = array(get(content, "noise"), "noise", (6,))
+    if np.any(noise <= 0.0):
+        raise FieldError("noise holds a value that isn't positive")
+    return noise
+
+
+def covariance_from_json(content: Mapping[str, Any], name: str, size: int) -> Array:
+    """A field that holds a covariance (size, size); raises FieldError."""
     matrix = array(get(content, name), name, (size, size))
     variance = np.diag(matrix)
     if np.any(variance < 0.0):

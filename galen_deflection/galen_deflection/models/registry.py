@@ -1,27 +1,54 @@
-"""Every kind of model by its name, for commands, files and the node."""
+"""Every kind of model by its name, for commands, files and the node.
+
+Nothing here imports PyTorch; only training a network does.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
+import numpy as np
 from galen_model.json_fields import FieldError
 
 from galen_deflection.models import coupled, independent, joint_hysteresis, joint_stiffness
 from galen_deflection.models.fit_settings import FitSettings
 from galen_deflection.models.interface import DeflectionModel
+from galen_deflection.networks import lstm, network_model, residual, residual_model
 from galen_deflection.samples import DeflectionSamples
 
 
 class ModelKind(NamedTuple):
     """What can be done with a kind of model.
 
-    fit: raises FitError. from_json: from what `DeflectionModel.to_json` gave; raises FieldError.
+    fit: raises FitError. One of the others, raising FieldError: from_json, from what
+    `DeflectionModel.to_json` gave; or, of a network, from_tensors, from that and its tensors.
     """
 
     summary: str
     fit: Callable[[DeflectionSamples, FitSettings | None], DeflectionModel]
-    from_json: Callable[[Mapping[str, Any]], DeflectionModel]
+    from_json: Callable[[Mapping[str, Any]], DeflectionModel] | None = None
+    from_tensors: (
+        Callable[[Mapping[str, Any], Mapping[str, np.ndarray]], DeflectionModel] | None
+    ) = None
+
+    @property
+    def is_network(self) -> bool:
+        """Whether fitting it needs PyTorch, and its file safetensors."""
+        return self.from_tensors is not None
+
+    def make(
+        self, content: Mapping[str, Any], tensors: Mapping[str, np.ndarray] | None
+    ) -> DeflectionModel:
+        """From a file's content, and its tensors if it has any; raises FieldError."""
+        if self.from_tensors is not None and tensors is not None:
+            return self.from_tensors(content, tensors)
+        if self.from_json is not None and tensors is None:
+            return self.from_json(content)
+        raise FieldError(
+            f"a model of the kind {content['kind']} is in "
+            f"{'safetensors' if self.is_network else 'JSON'}, not in this format"
+        )
 
 
 KINDS: dict[str, ModelKind] = {
@@ -44,6 +71,21 @@ KINDS: dict[str, ModelKind] = {
         "the same with hysteresis at roll, tilt and carriages",
         joint_hysteresis.fit,
         joint_hysteresis.from_json,
+    ),
+    lstm.KIND: ModelKind(
+        "the report's network: LSTM of 18 units, fully connected to the axes",
+        lstm.fit,
+        from_tensors=network_model.from_tensors,
+    ),
+    lstm.KIND_DIRECT: ModelKind(
+        "the variant its authors suggest: no fully connected layer",
+        lstm.fit_direct,
+        from_tensors=network_model.from_tensors,
+    ),
+    residual_model.KIND: ModelKind(
+        "hysteresis of the joints and a small network for what that leaves, if it helps",
+        residual.fit,
+        from_tensors=residual_model.from_tensors,
     ),
 }
 """Kinds in the order in which they are listed."""

@@ -241,7 +241,8 @@ def _padded(torch: Any, group: list[Series], inputs: Scaling, outputs: Scaling) 
         # what is not used may be NaN, which no mask of zeros would take away
         y[:size, k][one.use] = outputs.apply(one.targets[one.use])
         used[:size, k, 0] = one.use
-    return _Batch(*(torch.from_numpy(a) for a in (x, y, used)), int(used.sum()))
+    tensors = [torch.from_numpy(a) for a in (x, y, used)]
+    return _Batch(tensors[0], tensors[1], tensors[2], int(used.sum()))
 
 
 def _check(series: Sequence[Series], held_out: Sequence[Series]) -> None:

@@ -1,0 +1,73 @@
+"""Samples of a deflection as sequences for a network, and a network's outputs for samples."""
+
+from __future__ import annotations
+
+import numpy as np
+from galen_model.arrays import Array
+
+from galen_deflection.errors import FitError
+from galen_deflection.models.linear import segments
+from galen_deflection.networks.paced import PacedNet
+from galen_deflection.networks.recurrent import Series
+from galen_deflection.networks.recurrent_net import RecurrentNet
+from galen_deflection.samples import DeflectionSamples
+
+
+def check_samples(samples: DeflectionSamples, used: np.ndarray) -> None:
+    """Raise FitError unless a network can be trained on the used samples (n,)."""
+    if not used.any():
+        raise FitError("there are no samples to fit a deflection model to")
+    values = (samples.joints, samples.wrench, samples.deflection[used])
+    if not all(np.isfinite(a).all() for a in values):
+        raise FitError("samples to fit a deflection model to hold values that aren't finite")
+
+
+def sequences(
+    samples: DeflectionSamples, inputs: Array, targets: Array, use: np.ndarray, period_s: float
+) -> list[Series]:
+    """A sequence for each segment and phase, at one rate: inputs (n, k), targets (n, m), use (n,).
+
+    Where samples come faster than the period, several sequences begin one after the other within
+    the first period, so that every sample is learnt from, and as it will be run (`paced`). Between
+    samples inputs and targets are interpolated; a target counts if both its sides do. Sequences of
+    which nothing counts are left out.
+    """
+    found = []
+    for segment in segments(samples):
+        time = (samples.stamp_ns[segment] - samples.stamp_ns[segment.start]) * 1e-9
+        if len(time) < 2 or not use[segment].any():
+            continue
+        known = np.where(use[segment, None], targets[segment], np.nan)
+        phases = max(1, round(period_s / float(np.median(np.diff(time)))))
+        for phase in range(phases):
+            at = np.arange(phase * period_s / phases, time[-1] + 1e-6, period_s)
+            target = interpolated(at, time, known)
+            use_target = np.asarray(np.isfinite(target).all(axis=1))
+            if use_target.any():
+                found.append(Series(interpolated(at, time, inputs[segment]), target, use_target))
+    return found
+
+
+def interpolated(at: Array, time: Array, values: Array) -> Array:
+    """Values (n, k) at other times (m,), linearly; NaN where a side that counts is NaN."""
+    after = np.clip(np.searchsorted(time, at), 1, len(time) - 1)
+    share = np.clip((at - time[after - 1]) / (time[after] - time[after - 1]), 0.0, 1.0)[:, None]
+    # a sample that is as good as hit needs no other side
+    left = np.where(share > 1.0 - 1e-6, 0.0, (1.0 - share) * values[after - 1])
+    right = np.where(share < 1e-6, 0.0, share * values[after])
+    return left + right
+
+
+def run(net: RecurrentNet, samples: DeflectionSamples, inputs: Array, period_s: float) -> Array:
+    """A network's outputs (n, n_out), each segment from a fresh start."""
+    result = np.empty((len(samples), len(net.outputs.mean)))
+    for segment in segments(samples):
+        paced = PacedNet(net, period_s)
+        result[segment] = paced.run(samples.stamp_ns[segment], inputs[segment])
+    return result
+
+
+def products(samples: DeflectionSamples, mean: Array, rows: np.ndarray) -> Array:
+    """Mean (6, 6) of the products of residuals in units of the noise, of predictions (n, 6)."""
+    error = ((samples.deflection - mean) / samples.noise)[rows]
+    return np.asarray(error.T @ error / len(error))
