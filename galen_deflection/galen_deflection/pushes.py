@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from galen_model.arrays import Array
@@ -29,6 +29,19 @@ class PushLimits:
     min_push_s: float = 0.05
     min_rest_s: float = 0.05
     margin_s: float = 0.05
+
+    def at_most(self, at_tip: Array) -> tuple[float, float]:
+        """The largest force (N) and torque (N.m) that are no load among these (n, 6)."""
+        force = np.linalg.norm(at_tip[:, :3], axis=1).max(initial=0.0)
+        torque = np.linalg.norm(at_tip[:, 3:], axis=1).max(initial=0.0)
+        return max(self.force_n, self.share * float(force)), max(
+            self.torque_nm, self.share * float(torque)
+        )
+
+    def absolute(self, at_tip: Array) -> PushLimits:
+        """The same limits for any part of the samples with these wrenches (n, 6) at the tip."""
+        force_n, torque_nm = self.at_most(at_tip)
+        return replace(self, force_n=force_n, torque_nm=torque_nm)
 
 
 @dataclass(frozen=True)
@@ -63,10 +76,7 @@ def find_pushes(
         return []
     force = np.linalg.norm(at_tip[:, :3], axis=1)
     torque = np.linalg.norm(at_tip[:, 3:], axis=1)
-    at_most = (
-        max(limits.force_n, limits.share * float(force.max())),
-        max(limits.torque_nm, limits.share * float(torque.max())),
-    )
+    at_most = limits.at_most(at_tip)
     # 1 at the border, so that the peak of a push of torque alone is found as well.
     size = np.maximum(force / at_most[0], torque / at_most[1])
     borders = (np.flatnonzero(np.diff(samples.segment)) + 1).tolist()

@@ -1,22 +1,36 @@
-"""Which samples a model is fitted to, and which it is checked on. Segments stay whole.
+"""Which samples a model is fitted to, and which it is checked on.
+
+Sets stay whole, and so do segments, but for the split by pushes.
 
 A set is one repetition of the pushes at one position: the samples with one position and one
 set_number. The report (section 2.3.4 and 2.3.6) has eight sets, two at each of four positions, and
 fits to six of them and checks on two; it doesn't say which. (The two calibration sets beside them
 hold no pushes, and no samples.) Here the two come from different positions, so that every position
 is among those fitted to: else it would be the harder question, that of a position left out.
+
+Where every position was visited once, there is no such split, and pushes are dealt out instead,
+never samples: neighbours 10 ms apart are the same load. A push takes all until the next one begins
+with it, since what is left after it is what a model of hysteresis is asked for. Dealt are push 0 to
+the first fold, 1 to the second and so on, one further at each set. Stretches of neighbouring pushes
+would be no better: a script goes axis by axis, and all pushes along one axis would be missed at
+once, which is another question. Dealt like this, a push's like in the same place is not fitted to,
+but its neighbours are, and its like at other positions: what the report's split has, too, where
+the same script was played twice.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
 from galen_model.errors import GalenError
 
+from galen_deflection.pushes import PushLimits, find_pushes, tip_wrench
 from galen_deflection.samples import DeflectionSamples
+
+PUSH_FOLDS = 4
 
 
 class SplitError(GalenError):
@@ -98,6 +112,67 @@ def leave_one_set_out(samples: DeflectionSamples) -> list[Split]:
     if len(pairs) < 2:
         raise SplitError("only one set was recorded: none can be left out")
     return [_checking(samples, [pair]) for pair in pairs]
+
+
+def push_splits(
+    samples: DeflectionSamples, limits: PushLimits | None = None, folds: int = PUSH_FOLDS
+) -> list[Split]:
+    """Pushes dealt into folds, each checked in turn; every fold checks some at every position.
+
+    They cut segments: fit with `FitSettings.use`, so that the loads of what is left out still
+    count, predict whole segments, and score `checked_samples`. Segments without a push are fitted
+    to in all. Raises SplitError for a position with fewer pushes than folds.
+    """
+    places = [(p, number) for p, numbers in sets_of(samples).items() for number in numbers]
+    fold = np.full(len(samples), -1)
+    done = dict.fromkeys(places, 0)
+    starts = [push.rows.start for push in find_pushes(samples, tip_wrench(samples), limits)]
+    for start, following in zip(starts, [*starts[1:], len(samples)], strict=True):
+        segment = samples.segment == samples.segment[start]
+        place = (int(samples.position[start]), int(samples.set_number[start]))
+        block = np.zeros(len(samples), dtype=bool)
+        block[start:following] = True
+        # The first push of a segment has what is before it.
+        block[:start] |= fold[:start] < 0
+        fold[block & segment] = (done[place] + places.index(place)) % folds
+        done[place] += 1
+    for position in {position for position, _ in places}:
+        found = sum(count for place, count in done.items() if place[0] == position)
+        if len(set(fold[samples.position == position].tolist()) - {-1}) < folds:
+            raise SplitError(
+                f"position {position} has {found} pushes with a pause before and after: too few to"
+                f" deal them to {folds} folds"
+            )
+    return [
+        _split(samples, f"pushes, fold {number + 1} of {folds}", fold == number)
+        for number in range(folds)
+    ]
+
+
+SPLITS: dict[str, Callable[[DeflectionSamples], list[Split]]] = {
+    "report": report_splits,
+    "push": push_splits,
+    "set": leave_one_set_out,
+    "position": leave_one_position_out,
+}
+"""Every split by its name on the command line."""
+
+
+def checked_samples(samples: DeflectionSamples, splits: Sequence[Split]) -> DeflectionSamples:
+    """The samples that some split checks, in their order, to be scored.
+
+    A segment ends where the split does, or where a sample between was not checked, so that no push
+    and no pause is scored over a cut. Raises ValueError if two splits check the same sample.
+    """
+    which = np.full(len(samples), -1)
+    for number, split in enumerate(splits):
+        if np.any(which[split.check] >= 0):
+            raise ValueError(f"{split.name}: some of its samples are checked by another split, too")
+        which[split.check] = number
+    rows = np.flatnonzero(which >= 0)
+    part = samples.rows(rows)
+    cut = (np.diff(rows) > 1) | (np.diff(which[rows]) != 0) | (np.diff(part.segment) != 0)
+    return replace(part, segment=np.concatenate([[0], np.cumsum(cut)]))
 
 
 def _pairs(sets: dict[int, list[int]]) -> Iterator[tuple[int, int]]:
