@@ -142,17 +142,18 @@ def plot_training(
 ) -> Path:
     """A network's training: its loss after every iteration, on what it learns and what it doesn't.
 
-    Lists of equal length; `best` counts from 0, the iteration that was kept. Returns `path`.
-    Raises ValueError for lists of different lengths, or empty ones.
+    Lists of equal length, or no `check_loss` where nothing was held out; `best` counts from 0, the
+    iteration that was kept. Returns `path`. Raises ValueError for other lengths, or an empty list.
     """
-    if len(training_loss) != len(check_loss) or not len(training_loss):
+    if len(check_loss) not in (0, len(training_loss)) or not len(training_loss):
         raise ValueError(
             f"{len(training_loss)} losses of training and {len(check_loss)} of checking"
         )
     figure, panel = plt.subplots(figsize=(9, 4.6))
     iterations = np.arange(1, len(training_loss) + 1)
     panel.plot(iterations, training_loss, color=_COLOURS[1], lw=1.2, label="training sets")
-    panel.plot(iterations, check_loss, color=_COLOURS[0], lw=1.2, label="held out")
+    if len(check_loss):
+        panel.plot(iterations, check_loss, color=_COLOURS[0], lw=1.2, label="held out")
     if best is not None:
         panel.axvline(best + 1, color="black", lw=0.8, ls="--", label=f"kept: {best + 1}")
     panel.set_yscale("log")

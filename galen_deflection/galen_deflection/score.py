@@ -53,7 +53,11 @@ class Score:
     @property
     def ratio_all(self) -> float:
         """RMSE over noise of all axes together: root of the mean square of `ratio`."""
-        return float(np.sqrt(np.mean(self.ratio**2)))
+        return self.ratio_of(slice(0, 6))
+
+    def ratio_of(self, axes: slice) -> float:
+        """The same of some axes: 0 to 3 translation, 3 to 6 rotation."""
+        return float(np.sqrt(np.mean(self.ratio[axes] ** 2)))
 
     def to_dict(self) -> dict[str, Any]:
         """For JSON: lists of three axes in mm and mrad; no NaN."""
@@ -68,6 +72,8 @@ class Score:
         return result | {
             "rmse_over_noise": dict(zip(AXES, self.ratio.tolist(), strict=True)),
             "rmse_over_noise_all": self.ratio_all,
+            "rmse_over_noise_translation": self.ratio_of(slice(0, 3)),
+            "rmse_over_noise_rotation": self.ratio_of(slice(3, 6)),
             "coverage95": dict(zip(AXES, self.coverage.tolist(), strict=True)),
             "coverage95_joint": self.coverage_joint,
             "extrapolated": self.extrapolated,

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from galen_model.arrays import Array
@@ -65,21 +66,31 @@ def caption(score: Score) -> str:
     return "\n".join(lines)
 
 
-def comparison_table(scores: Mapping[str, Score], title: str = "") -> Table:
-    """Several predictions of the same samples, a model a row."""
+def comparison_table(
+    scores: Mapping[str, Score],
+    title: str = "",
+    more: Mapping[str, Mapping[str, str]] | None = None,
+) -> Table:
+    """Several predictions, a model a row, or one model's parts; RMSE / noise of all axes first.
+
+    `more`: further columns by their headings, each with cells by the rows' names.
+    """
+    more = more or {}
     table = Table(title=title or None)
-    table.add_column("model")
+    table.add_column("", no_wrap=True)
     for heading in (
-        "RMSE x y z, mm",
-        "RMSE rx ry rz, mrad",
-        "95 % below, mm",
-        "RMSE / noise",
-        "in 95 %",
+        "RMSE, mm\nx y z",
+        "RMSE, mrad\nrx ry rz",
+        "95 % below, mm\nx y z",
+        "95 % below, mrad\nrx ry rz",
+        "RMSE / noise\nall: trans. rot.",
+        "in\n95 %",
         "loops",
-        "left at no load",
-        "extrapolated",
+        "left at\nno load",
+        "extra-\npolated",
+        *more,
     ):
-        table.add_column(heading, justify="right")
+        table.add_column(heading, justify="right", no_wrap=True)
     for name, score in scores.items():
         loops = None if score.loops is None else score.loops.share
         left = None if score.rests is None else score.rests.gain(slice(0, 3))
@@ -88,12 +99,57 @@ def comparison_table(scores: Mapping[str, Score], title: str = "") -> Table:
             _three(score.rmse[:3]),
             _three(score.rmse[3:]),
             _three(score.percentile95[:3]),
-            _ratio(score.ratio_all),
-            f"{100.0 * score.coverage_joint:.1f} %",
+            _three(score.percentile95[3:]),
+            f"{_ratio(score.ratio_all)}: {score.ratio_of(slice(0, 3)):.2f}"
+            f" {score.ratio_of(slice(3, 6)):.2f}",
+            f"{100.0 * score.coverage_joint:.0f} %",
             "-" if loops is None else f"{_percent(loops)} %",
             "-" if left is None else f"{_percent(left[0])} +- {_percent(left[1])} %",
-            f"{100.0 * score.extrapolated:.1f} %",
+            f"{100.0 * score.extrapolated:.0f} %",
+            *(cells.get(name, "-") for cells in more.values()),
         )
+    return table
+
+
+def overview_table(rows: Sequence[Mapping[str, Any]]) -> Table:
+    """Several recordings by several models, from `Score.to_dict`: a line each.
+
+    Each row: {"name", "models": {name: score}, "problems"}, or {"name", "error"}.
+    """
+    table = Table(title="How well models predict")
+    table.add_column("bag", overflow="fold")
+    table.add_column("model")
+    for heading in (
+        "RMSE / noise\nall: trans. rot.",
+        "95 % below, mm\nx y z",
+        "95 % below, mrad\nrx ry rz",
+        "in\n95 %",
+        "left at\nno load",
+        "extra-\npolated",
+        "problems",
+    ):
+        table.add_column(heading, justify="right")
+    for row in rows:
+        if "error" in row:
+            table.add_row(row["name"], "[bold red]broken[/bold red]", *("-",) * 7)
+            continue
+        for name, score in row["models"].items():
+            left = None
+            if score["rests"] is not None:
+                left = score["rests"]["translation"]["predicted_over_measured"]
+            table.add_row(
+                row["name"],
+                name,
+                f"{_ratio(score['rmse_over_noise_all'])}:"
+                f" {score['rmse_over_noise_translation']:.2f}"
+                f" {score['rmse_over_noise_rotation']:.2f}",
+                " ".join(f"{value:.3f}" for value in score["percentile95_mm"]),
+                " ".join(f"{value:.3f}" for value in score["percentile95_mrad"]),
+                f"{100.0 * score['coverage95_joint']:.0f} %",
+                "-" if left is None else f"{_percent(left)} %",
+                f"{100.0 * score['extrapolated']:.0f} %",
+                str(len(row["problems"])),
+            )
     return table
 
 
