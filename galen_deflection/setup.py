@@ -17,5 +17,11 @@ setup(
     maintainer_email="galen@example.org",
     description="Predicts how far the arm bends under load.",
     license="Apache-2.0",
-    entry_points={"console_scripts": []},
+    entry_points={
+        "console_scripts": [
+            "compare = galen_deflection.compare:main",
+            "evaluate = galen_deflection.evaluate:main",
+            "train = galen_deflection.train:main",
+        ]
+    },
 )

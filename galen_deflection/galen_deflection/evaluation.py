@@ -1,0 +1,122 @@
+"""Models against one recording, as a job: everything it needs can be sent to another process."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from galen_deflection.command_options import written
+from galen_deflection.cross_check import by_position
+from galen_deflection.errors import ModelFileError
+from galen_deflection.model_file import read_model
+from galen_deflection.models.interface import DeflectionModel, PredictedSamples
+from galen_deflection.recordings import ReadSettings, Recording, read_recording
+from galen_deflection.score import Score, score
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """What models predict of a recording; mappings by the models' names.
+
+    by_position: of each, the score at each position. notes: sentences.
+    """
+
+    recording: Recording
+    predicted: Mapping[str, PredictedSamples]
+    scores: Mapping[str, Score]
+    by_position: Mapping[str, Mapping[int, Score]]
+    notes: tuple[str, ...]
+    pictures: tuple[Path, ...]
+
+
+@dataclass(frozen=True)
+class EvaluationJob:
+    """What is to be done with each bag.
+
+    models: files by the names that they have in tables. names: what each bag's pictures are called.
+    """
+
+    models: Mapping[str, Path]
+    settings: ReadSettings
+    plots: Path | None = None
+    names: Mapping[Path, str] = field(default_factory=dict)
+
+    def __call__(self, bag: Path) -> dict[str, Any]:
+        """Do it, and return it as plain numbers and texts."""
+        return to_dict(self.evaluate(bag))
+
+    def evaluate(
+        self, bag: Path, on_progress: Callable[[int, int | None], None] | None = None
+    ) -> Evaluation:
+        """Do it; raises GalenError that names the bag, the tool's or the model's file."""
+        models = {name: read_model(path) for name, path in self.models.items()}
+        recording = read_recording(bag, self.settings, on_progress)
+        predicted, notes = {}, []
+        for name, model in models.items():
+            notes += _check(self.models[name], model, recording)
+            predicted[name] = model.predict(recording.samples)
+        samples = recording.samples
+        pictures: list[Path] = []
+        if self.plots is not None:
+            from galen_deflection.deflection_pictures import plot_models  # slow to import
+
+            folder, name = self.plots, self.names.get(bag, bag.stem)
+            pictures = written(lambda: plot_models(samples, predicted, folder, name, name), folder)
+        return Evaluation(
+            recording,
+            predicted,
+            {name: score(samples, one) for name, one in predicted.items()},
+            {name: by_position(samples, one) for name, one in predicted.items()},
+            tuple(notes),
+            tuple(pictures),
+        )
+
+
+def to_dict(result: Evaluation) -> dict[str, Any]:
+    """For JSON: mm, mrad, mJ; no NaN."""
+    recording = result.recording
+    return {
+        "bag": str(recording.path),
+        "tool": recording.tool.tool,
+        "samples": len(recording.samples),
+        "problems": list(recording.problems),
+        "notes": list(result.notes),
+        "positions": {
+            str(number): recording.positions[number].tolist()
+            for number in np.unique(recording.samples.position).tolist()
+        },
+        "models": {
+            name: one.to_dict()
+            | {
+                "by_position": {
+                    str(position): part.to_dict()
+                    for position, part in result.by_position[name].items()
+                }
+            }
+            for name, one in result.scores.items()
+        },
+        "plots": [str(path) for path in result.pictures],
+    }
+
+
+def _check(path: Path, model: DeflectionModel, recording: Recording) -> list[str]:
+    """What is to be said of a model on this recording; raises ModelFileError for another tip."""
+    tip = np.asarray(recording.tool.tip_m, dtype=float)
+    if not np.allclose(model.tip_m, tip, atol=1e-9):
+        raise ModelFileError(
+            f"{path}: was fitted for a tool with its tip at {np.asarray(model.tip_m).tolist()} m in"
+            f" ft_sensor, but {recording.path} was recorded with {recording.tool.tool}, whose tip"
+            f" is at {tip.tolist()} m"
+        )
+    # The noise comes out of the recording, with sixteen digits: no other has the same.
+    noise = model.to_json().get("noise")
+    if noise is not None and np.allclose(noise, recording.samples.noise, rtol=1e-12, atol=0.0):
+        return [
+            f"{path} was fitted to {recording.path} and to nothing else, by its noise: its scores"
+            " say little of other recordings"
+        ]
+    return []
