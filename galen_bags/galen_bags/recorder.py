@@ -86,13 +86,14 @@ class RecorderNode(Node):
         bag: GrowingBagWriter,
         topics: Sequence[str] = DEFAULT_TOPICS,
         all_topics: bool = False,
+        node_name: str = "recorder",
         **node_options: Any,
     ) -> None:
         """`topics`: names, relative ones within the node's namespace. `bag` stays the caller's.
 
         Raises BagError for a name that no topic can have.
         """
-        super().__init__("recorder", **node_options)
+        super().__init__(node_name, **node_options)
         self._bag = bag
         self._all = all_topics
         self._wanted = (

@@ -8,8 +8,8 @@ import numpy as np
 from galen_model.arm import LIMITS
 from galen_ros.param import param
 
-from galen_calibration_behavior.arrival import ArrivalSettings
 from galen_calibration_behavior.grid import GridError, SweepGrid
+from galen_calibration_behavior.motion_parameters import MotionParameters, by_joint
 from galen_calibration_behavior.procedure import ProcedureSettings
 from galen_calibration_behavior.stillness import StillnessSettings
 
@@ -17,7 +17,7 @@ MAX_ITERS = 100  # so that the feedback's counts of poses, uint16, hold two swee
 
 
 @dataclass(frozen=True)
-class CalibrationParameters:
+class CalibrationParameters(MotionParameters):
     """Parameters of calibration_node."""
 
     tools_dir: str = param("~/.ros/galen/tools", "directory of the tools' files; `~` is expanded")
@@ -34,12 +34,6 @@ class CalibrationParameters:
     Rhome: float = param(0.0, "roll at home, where the sensor is zeroed, rad")
     Thome: float = param(0.0, "tilt at home, where the sensor is zeroed, rad")
 
-    settle_s: float = param(
-        0.3,
-        "wait after the arm has stopped (the report's cyclesB4Recording), s of stamps",
-        minimum=0.0,
-        maximum=60.0,
-    )
     average_s: float = param(
         0.5,
         "length of the average (the report's waitLimit), s of stamps",
@@ -47,23 +41,6 @@ class CalibrationParameters:
         maximum=60.0,
     )
 
-    max_delta_velocity_m_s: float = param(0.08, "peak speed of each delta axis", 0.001, 1.0)
-    max_delta_acceleration_m_s2: float = param(
-        0.4, "peak acceleration of each delta axis", 0.01, 10
-    )
-    max_angle_velocity_rad_s: float = param(0.8, "peak speed of roll and tilt", 0.01, 5.0)
-    max_angle_acceleration_rad_s2: float = param(3.0, "peak acceleration of roll and tilt", 0.1, 50)
-    motion_timeout_s: float = param(
-        5.0, "time beyond a move's own to arrive and stop, s of stamps", 0.1, 600.0
-    )
-
-    position_tolerance_m: float = param(0.0005, "at the target within this, delta", 1e-6, 0.1)
-    position_tolerance_rad: float = param(0.003, "at the target within this, roll, tilt", 1e-5, 0.5)
-    velocity_tolerance_m_s: float = param(0.0005, "stopped below this, delta", 1e-6, 0.1)
-    velocity_tolerance_rad_s: float = param(0.002, "stopped below this, roll and tilt", 1e-5, 1.0)
-    velocity_window_s: float = param(
-        0.1, "the speed is looked at over this time, s of stamps", 0.005, 10.0
-    )
     joint_motion_m: float = param(0.0001, "largest motion of delta during an average", 1e-7, 0.1)
     joint_motion_rad: float = param(
         0.0005, "largest motion of roll and tilt during an average", 1e-6, 0.5
@@ -78,9 +55,6 @@ class CalibrationParameters:
         2.0,
     )
     min_samples: int = param(20, "fewest wrenches in an average", 4, 1_000_000)
-    max_stamp_step_s: float = param(
-        0.05, "a longer step of the stamps, or one backward, is a jump", 0.001, 10.0
-    )
     max_stamp_offset_s: float = param(
         0.2, "largest difference between the stamps of joint_states and wrench_raw", 0.001, 10.0
     )
@@ -92,17 +66,8 @@ class CalibrationParameters:
         0.005, "largest torque read just after zeroing, N·m", 1e-6, 10.0
     )
 
-    silent_timeout_s: float = param(
-        2.0, "a driver silent for this long, by the wall clock, ends it", 0.2, 600.0
-    )
-    service_timeout_s: float = param(
-        15.0, "a service without an answer for this long, by the wall clock, ends it", 0.2, 600.0
-    )
     confirm_timeout_s: float = param(
         600.0, "a person has this long to put the tool on or take it off", 1.0, 86_400.0
-    )
-    stop_timeout_s: float = param(
-        3.0, "after a cancel, wait this long to see the arm stop, by the wall clock", 0.1, 60.0
     )
 
     def validate(self) -> None:
@@ -133,28 +98,16 @@ class CalibrationParameters:
         """Return the procedure's settings, each joint with its own unit's number."""
         return ProcedureSettings(
             home=np.array(self.home),
-            arrival=ArrivalSettings(
-                position_tolerance=_by_joint(
-                    self.position_tolerance_m, self.position_tolerance_rad
-                ),
-                velocity_tolerance=_by_joint(
-                    self.velocity_tolerance_m_s, self.velocity_tolerance_rad_s
-                ),
-                velocity_window_s=self.velocity_window_s,
-                settle_s=self.settle_s,
-                max_stamp_step_s=self.max_stamp_step_s,
-            ),
+            arrival=self.arrival(),
             stillness=StillnessSettings(
-                joint_motion=_by_joint(self.joint_motion_m, self.joint_motion_rad),
+                joint_motion=by_joint(self.joint_motion_m, self.joint_motion_rad),
                 scatter_ratio=self.max_scatter_ratio,
                 trend_sigmas=self.max_trend_sigmas,
                 min_samples=self.min_samples,
             ),
             average_s=self.average_s,
-            max_velocity=_by_joint(self.max_delta_velocity_m_s, self.max_angle_velocity_rad_s),
-            max_acceleration=_by_joint(
-                self.max_delta_acceleration_m_s2, self.max_angle_acceleration_rad_s2
-            ),
+            max_velocity=self.max_velocity,
+            max_acceleration=self.max_acceleration,
             motion_timeout_s=self.motion_timeout_s,
             pose_retries=self.pose_retries,
             max_rejected_in_a_row=self.max_rejected_in_a_row,
@@ -166,7 +119,3 @@ class CalibrationParameters:
             confirm_timeout_s=self.confirm_timeout_s,
             stop_timeout_s=self.stop_timeout_s,
         )
-
-
-def _by_joint(delta: float, angle: float) -> np.ndarray:
-    return np.array([delta] * 3 + [angle] * 2)

@@ -44,13 +44,11 @@ from galen_calibration_behavior.commands import (
 )
 from galen_calibration_behavior.motion_time import quintic_duration_s
 from galen_calibration_behavior.pose_recorder import PoseRecorder, Rejection
+from galen_calibration_behavior.silence import Silence, WallClock
 from galen_calibration_behavior.stamps import NS, StampsError
 from galen_calibration_behavior.stillness import PoseRecord, StillnessSettings
 from galen_calibration_behavior.sweep import Sweep, Verdict, stack
 
-# A tick of the wall clock counts at most this much towards a silence: a process that was itself
-# held up for seconds has the samples still waiting in its queues.
-_LONGEST_TICK_S = 0.25
 # A topic's queue holds no more than this of stamps: 2000 samples at 500 Hz.
 _DEEPEST_QUEUE_S = 4.0
 
@@ -108,40 +106,6 @@ class Request:
     poses: Array
 
 
-class Silence:
-    """How long a topic has brought nothing new, by the wall clock."""
-
-    def __init__(self, topic: str) -> None:
-        self.topic = topic
-        self.silent_s = 0.0
-        self._received = False
-        self._moved_on = False
-        self._ever = False
-        self._standing_still = False
-        self._stamp_ns: int | None = None
-
-    def heard(self, stamp_ns: int) -> None:
-        """Take the stamp of a sample."""
-        self._received = self._ever = True
-        if stamp_ns != self._stamp_ns:
-            self._stamp_ns = stamp_ns
-            self._moved_on = True
-
-    def tick(self, dt_s: float) -> None:
-        """Let wall time go by."""
-        self.silent_s = 0.0 if self._moved_on else self.silent_s + dt_s
-        self._standing_still = self._received and not self._moved_on
-        self._received = self._moved_on = False
-
-    def complaint(self) -> str:
-        """Say what is wrong with the topic."""
-        if self._standing_still:
-            return f"the stamps of {self.topic} have stood still for {self.silent_s:.1f} s"
-        if self._ever:
-            return f"nothing on {self.topic} for {self.silent_s:.1f} s"
-        return f"nothing has come on {self.topic}: is the driver running?"
-
-
 class CalibrationProcedure:
     """One calibration. Call `start`, feed samples and events, and do what `take_commands` gives."""
 
@@ -170,7 +134,7 @@ class CalibrationProcedure:
         self._joints: Array | None = None
         self._stamps: dict[str, int] = {}
         self._silences = (Silence("joint_states"), Silence("wrench_raw"))
-        self._wall_s: float | None = None
+        self._wall = WallClock()
         self._started = False
         self._under_way = False
         self._ending: Finished | None = None
@@ -271,8 +235,7 @@ class CalibrationProcedure:
 
     def on_wall(self, now_s: float) -> None:
         """Take the time of a steady wall clock (s), some ten times a second."""
-        dt = 0.0 if self._wall_s is None else min(max(now_s - self._wall_s, 0.0), _LONGEST_TICK_S)
-        self._wall_s = now_s
+        dt = self._wall.step(now_s)
         if self._finished or not self._started:
             return
         self._waited_s += dt

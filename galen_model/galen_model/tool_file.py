@@ -127,14 +127,14 @@ class ToolFile:
         return content
 
 
-def check_tool_name(name: str) -> str:
-    """Return `name` if it may name a file.
+def check_tool_name(name: str, what: str = "tool") -> str:
+    """Return `name` if it may name a file, of a tool or of `what`.
 
     Raises ToolNameError unless it is 1 to 64 letters, digits, '_' and '-'.
     """
     if not isinstance(name, str) or not _NAME.fullmatch(name):
         raise ToolNameError(
-            f"tool name {name!r}: a name holds 1 to 64 letters, digits, '_' and '-', nothing else"
+            f"{what} name {name!r}: a name holds 1 to 64 letters, digits, '_' and '-', nothing else"
         )
     return name
 

@@ -1,0 +1,79 @@
+"""Parameters of nodes that move the arm from one standstill to another."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from galen_model.arrays import Array
+from galen_ros.param import param
+
+from galen_calibration_behavior.arrival import ArrivalSettings
+
+
+@dataclass(frozen=True)
+class MotionParameters:
+    """How fast it goes, when it has arrived, and how long anything is waited for."""
+
+    settle_s: float = param(
+        0.3,
+        "wait after the arm has stopped (the report's cyclesB4Recording), s of stamps",
+        minimum=0.0,
+        maximum=60.0,
+    )
+
+    max_delta_velocity_m_s: float = param(0.08, "peak speed of each delta axis", 0.001, 1.0)
+    max_delta_acceleration_m_s2: float = param(
+        0.4, "peak acceleration of each delta axis", 0.01, 10
+    )
+    max_angle_velocity_rad_s: float = param(0.8, "peak speed of roll and tilt", 0.01, 5.0)
+    max_angle_acceleration_rad_s2: float = param(3.0, "peak acceleration of roll and tilt", 0.1, 50)
+    motion_timeout_s: float = param(
+        5.0, "time beyond a move's own to arrive and stop, s of stamps", 0.1, 600.0
+    )
+
+    position_tolerance_m: float = param(0.0005, "at the target within this, delta", 1e-6, 0.1)
+    position_tolerance_rad: float = param(0.003, "at the target within this, roll, tilt", 1e-5, 0.5)
+    velocity_tolerance_m_s: float = param(0.0005, "stopped below this, delta", 1e-6, 0.1)
+    velocity_tolerance_rad_s: float = param(0.002, "stopped below this, roll and tilt", 1e-5, 1.0)
+    velocity_window_s: float = param(
+        0.1, "the speed is looked at over this time, s of stamps", 0.005, 10.0
+    )
+    max_stamp_step_s: float = param(
+        0.05, "a longer step of the stamps, or one backward, is a jump", 0.001, 10.0
+    )
+
+    silent_timeout_s: float = param(
+        2.0, "a driver silent for this long, by the wall clock, ends it", 0.2, 600.0
+    )
+    service_timeout_s: float = param(
+        15.0, "a service without an answer for this long, by the wall clock, ends it", 0.2, 600.0
+    )
+    stop_timeout_s: float = param(
+        3.0, "after a cancel, wait this long to see the arm stop, by the wall clock", 0.1, 60.0
+    )
+
+    def arrival(self) -> ArrivalSettings:
+        """When the arm has arrived, each joint with its own unit's number."""
+        return ArrivalSettings(
+            position_tolerance=by_joint(self.position_tolerance_m, self.position_tolerance_rad),
+            velocity_tolerance=by_joint(self.velocity_tolerance_m_s, self.velocity_tolerance_rad_s),
+            velocity_window_s=self.velocity_window_s,
+            settle_s=self.settle_s,
+            max_stamp_step_s=self.max_stamp_step_s,
+        )
+
+    @property
+    def max_velocity(self) -> Array:
+        """(5,), m/s and rad/s."""
+        return by_joint(self.max_delta_velocity_m_s, self.max_angle_velocity_rad_s)
+
+    @property
+    def max_acceleration(self) -> Array:
+        """(5,), m/s^2 and rad/s^2."""
+        return by_joint(self.max_delta_acceleration_m_s2, self.max_angle_acceleration_rad_s2)
+
+
+def by_joint(delta: float, angle: float) -> Array:
+    """A number for each joint, (5,): one for the delta's, one for roll and tilt."""
+    return np.array([delta] * 3 + [angle] * 2)
