@@ -8,13 +8,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from galen_model.tool_file import ToolFile
 
 from galen_deflection.command_options import written
 from galen_deflection.cross_check import by_position
 from galen_deflection.errors import ModelFileError
 from galen_deflection.model_file import read_model
 from galen_deflection.models.interface import DeflectionModel, PredictedSamples
-from galen_deflection.recordings import ReadSettings, Recording, read_recording
+from galen_deflection.recordings import ReadSettings, Recording, find_tool, read_recording
 from galen_deflection.score import Score, score
 
 
@@ -54,12 +55,18 @@ class EvaluationJob:
     ) -> Evaluation:
         """Do it; raises GalenError that names the bag, the tool's or the model's file."""
         models = {name: read_model(path) for name, path in self.models.items()}
-        recording = read_recording(bag, self.settings, on_progress)
-        predicted, notes = {}, []
+        tool = find_tool(bag, self.settings)
         for name, model in models.items():
-            notes += _check(self.models[name], model, recording)
-            predicted[name] = model.predict(recording.samples)
+            _check_tip(self.models[name], model, bag, tool)
+        recording = read_recording(bag, self.settings, on_progress)
         samples = recording.samples
+        predicted = {name: model.predict(samples) for name, model in models.items()}
+        notes = [
+            f"{self.models[name]} was fitted to {bag} and to nothing else, by its noise: its scores"
+            " say little of other recordings"
+            for name, model in models.items()
+            if _same_noise(model, recording)
+        ]
         pictures: list[Path] = []
         if self.plots is not None:
             from galen_deflection.deflection_pictures import plot_models  # slow to import
@@ -103,20 +110,17 @@ def to_dict(result: Evaluation) -> dict[str, Any]:
     }
 
 
-def _check(path: Path, model: DeflectionModel, recording: Recording) -> list[str]:
-    """What is to be said of a model on this recording; raises ModelFileError for another tip."""
-    tip = np.asarray(recording.tool.tip_m, dtype=float)
-    if not np.allclose(model.tip_m, tip, atol=1e-9):
+def _check_tip(path: Path, model: DeflectionModel, bag: Path, tool: ToolFile) -> None:
+    """Raise ModelFileError for another tip than the model's."""
+    tip, own = np.asarray(tool.tip_m, dtype=float), np.asarray(model.tip_m)
+    if not np.allclose(own, tip, atol=1e-9):
         raise ModelFileError(
-            f"{path}: was fitted for a tool with its tip at {np.asarray(model.tip_m).tolist()} m in"
-            f" ft_sensor, but {recording.path} was recorded with {recording.tool.tool}, whose tip"
-            f" is at {tip.tolist()} m"
+            f"{path}: was fitted for a tool with its tip at {own.tolist()} m in ft_sensor, but"
+            f" {bag} was recorded with {tool.tool}, whose tip is at {tip.tolist()} m"
         )
-    # The noise comes out of the recording, with sixteen digits: no other has the same.
+
+
+def _same_noise(model: DeflectionModel, recording: Recording) -> bool:
+    """Whether the model was fitted to just this: no other recording has the same sixteen digits."""
     noise = model.to_json().get("noise")
-    if noise is not None and np.allclose(noise, recording.samples.noise, rtol=1e-12, atol=0.0):
-        return [
-            f"{path} was fitted to {recording.path} and to nothing else, by its noise: its scores"
-            " say little of other recordings"
-        ]
-    return []
+    return noise is not None and np.allclose(noise, recording.samples.noise, rtol=1e-12, atol=0.0)

@@ -46,13 +46,18 @@ class Recording:
     problems: tuple[str, ...]
 
 
+def find_tool(path: Path, settings: ReadSettings) -> ToolFile:
+    """The tool that a bag was recorded with; raises GalenError that names the file."""
+    return BagJob(settings.tool, settings.tool_beside).find_tool(path)
+
+
 def read_recording(
     path: Path,
     settings: ReadSettings,
     on_progress: Callable[[int, int | None], None] | None = None,
 ) -> Recording:
     """Read and register one bag; raises GalenError that names the bag or the tool's file."""
-    tool = BagJob(settings.tool, settings.tool_beside).find_tool(path)
+    tool = find_tool(path, settings)
     recording = read_pushes(path, tool, settings.pushes, on_progress)
     measured = measure_deflection(recording, settings.registration, from_rest=settings.from_rest)
     if not len(measured.samples):
