@@ -179,6 +179,10 @@ class _Template:
         self._runs.append((struct.Struct(f"<{count}d"), len(self._data)))
         self._data += bytes(8 * count)
 
+    def add_bool(self) -> None:
+        self._runs.append((struct.Struct("<?"), len(self._data)))
+        self._data += b"\x00"
+
     def fill(self, stamp_ns: int, *runs: Sequence[float]) -> bytes:
         """The message's bytes; a run of another length than the message's is a struct.error."""
         struct.pack_into("<iI", self._data, STAMP_AT, *divmod(stamp_ns, NS_PER_S))
@@ -214,6 +218,25 @@ class PoseBytes:
     ) -> bytes:
         """The message's bytes for a position (3,) and a quaternion (4,)."""
         return self._template.fill(stamp_ns, [*position_m, *quaternion_xyzw])
+
+
+class DeflectionBytes:
+    """Serialised galen_msgs/DeflectionStamped."""
+
+    def __init__(self, frame_id: str) -> None:
+        self._template = _Template(frame_id)
+        self._template.add_doubles(42)
+        self._template.add_bool()
+
+    def fill(
+        self,
+        stamp_ns: int,
+        deflection: Sequence[float],
+        covariance: Sequence[float],
+        extrapolated: bool,
+    ) -> bytes:
+        """The message's bytes: translation and rotation (6,), m, rad; covariance (36,)."""
+        return self._template.fill(stamp_ns, [*deflection, *covariance], [extrapolated])
 
 
 class JointStateBytes:

@@ -1,0 +1,217 @@
+"""What the nodes share that take a wrench and joint_states, and make something of each wrench."""
+
+from __future__ import annotations
+
+import time
+from abc import abstractmethod
+from collections.abc import Sequence
+from typing import Any, ClassVar, cast
+
+from galen_ros.cdr import UnreadableError
+from galen_ros.diagnostics import DiagnosticsPublisher, Level, Status
+from galen_ros.joint_names import JointStateError
+from galen_ros.qos import STREAM
+from geometry_msgs.msg import WrenchStamped
+from rclpy.clock import Clock, ClockType
+from rclpy.event_handler import SubscriptionEventCallbacks
+from rclpy.node import Node
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from sensor_msgs.msg import JointState
+
+from galen_gravcomp.pairing import WrenchPairing
+from galen_gravcomp.results import Refused
+from galen_gravcomp.stream_monitor import Severity, State, StreamMonitor
+from galen_gravcomp.wire import JointWire, RawWrench, WrenchWire
+
+WATCH_PERIOD_S = 0.2
+# Not more often than this are changes of state published and logged.
+MIN_ANNOUNCE_S = 0.05
+
+
+class StreamNode(Node):
+    """Feeds a `WrenchPairing` from its topics, publishes what comes out, and says how it is."""
+
+    hardware_id: ClassVar[str]
+    """On /diagnostics."""
+    cleared_on_restart: ClassVar[str]
+    """As the log says it."""
+
+    def __init__(self, name: str, **node_options: Any) -> None:
+        super().__init__(name, **node_options)
+        self._announced: State | None = None
+        self._announced_s = float("-inf")
+        self._qos_trouble = ""
+
+    def _begin(
+        self,
+        pairing: WrenchPairing[Any],
+        monitor: StreamMonitor,
+        joint_names: Sequence[str],
+        best_effort: bool,
+    ) -> None:
+        """Subscribe and watch. `joint_names` in the order in which `_push_joints` takes them."""
+        self._pairing = pairing
+        self._monitor = monitor
+        self._joint_wire = JointWire(joint_names)
+        self._wrench_wire = WrenchWire()
+        self._publisher_counts = {pairing.wrench_topic: 0, "joint_states": 0}
+        self._diagnostics = DiagnosticsPublisher(self, self.hardware_id, self._report)
+        qos = STREAM
+        if best_effort:
+            qos = QoSProfile(depth=STREAM.depth, reliability=ReliabilityPolicy.BEST_EFFORT)
+        self._joint_subscription = self._subscribe(
+            JointState, "joint_states", self._on_joint_state, qos
+        )
+        self._wrench_subscription = self._subscribe(
+            WrenchStamped, pairing.wrench_topic, self._on_wrench, qos
+        )
+        # Wall time: it watches for silence, also when a simulation's clock stands still.
+        self._watch_clock = Clock(clock_type=ClockType.STEADY_TIME)
+        self.create_timer(WATCH_PERIOD_S, self._on_watch, clock=self._watch_clock)
+
+    # What a subclass does
+
+    @abstractmethod
+    def _push_joints(self, stamp_ns: int, positions: tuple[float, ...]) -> list[Any]:
+        """Push them into the pairing; returns its results."""
+
+    @abstractmethod
+    def _publish(self, result: Any, raw: RawWrench) -> None:
+        """Publish what was made of a wrench."""
+
+    @abstractmethod
+    def _values(self, now_s: float) -> dict[str, object]:
+        """Values for /diagnostics."""
+
+    def _watch(self, now_s: float) -> None:
+        """Called a few times a second of wall time."""
+
+    # Samples
+
+    def _subscribe(self, message_type: Any, topic: str, callback: Any, qos: QoSProfile) -> Any:
+        events = SubscriptionEventCallbacks(
+            matched=lambda info: self._on_matched(topic, info),
+            incompatible_qos=lambda _info: self._on_incompatible_qos(topic),
+        )
+        # Serialised messages: see galen_gravcomp.wire.
+        return self.create_subscription(
+            message_type, topic, callback, qos, event_callbacks=events, raw=True
+        )
+
+    def _on_joint_state(self, data: bytes) -> None:
+        self._monitor.on_joints(time.monotonic())
+        try:
+            stamp_ns, positions = self._joint_wire.read(data)
+        except (JointStateError, UnreadableError) as error:
+            self._pairing.push_bad_joints(f"joint_states can't be used: {error}")
+            return
+        results = self._push_joints(stamp_ns, positions)
+        if results:
+            self._emit(results)
+
+    def _on_wrench(self, data: bytes) -> None:
+        arrival_s = time.monotonic()
+        self._monitor.on_wrench(arrival_s)
+        try:
+            raw = self._wrench_wire.read(data)
+        except UnreadableError as error:
+            detail = f"{self._pairing.wrench_topic} can't be used: {error}"
+            self._emit(self._pairing.push_bad_wrench(detail))
+            return
+        results = self._pairing.push_wrench(
+            raw.stamp_ns, raw.wrench, raw.frame_id, tag=(arrival_s, raw)
+        )
+        if results:
+            self._emit(results)
+
+    def _emit(self, results: Sequence[Any]) -> None:
+        """Publish what was made, and take note of what was refused."""
+        changed = False
+        for result in results:
+            if isinstance(result, Refused):
+                changed |= self._monitor.on_refused(result, time.monotonic())
+            else:
+                arrival_s, raw = cast(tuple[float, RawWrench], result.tag)
+                self._publish(result, raw)
+                changed |= self._monitor.on_output(arrival_s, time.monotonic())
+        if changed:
+            self._announce()
+
+    # Restarts of the driver
+
+    def _on_matched(self, topic: str, info: Any) -> None:
+        """A publisher of an input came or went: whoever publishes now may be another driver.
+
+        A first publisher is no restart: its first samples may even have come before this event.
+        """
+        before = self._publisher_counts[topic]
+        came = info.total_count_change
+        gone = before + came - info.current_count
+        self._publisher_counts[topic] = info.current_count
+        if gone > 0 or (came > 0 and before > 0):
+            why = f"driver restarted: a publisher of {topic} {'is gone' if gone > 0 else 'is new'}"
+            self._emit(self._pairing.restart(why))
+        self._announce()
+
+    def _on_restart(self, why: str) -> None:
+        self._monitor.on_restart(why, time.monotonic())
+        self.get_logger().warning(f"{why}; {self.cleared_on_restart} are cleared")
+
+    def _on_incompatible_qos(self, topic: str) -> None:
+        self._qos_trouble = (
+            f"a publisher of {topic} is best effort, so nothing comes from it:"
+            " set the parameter best_effort_input"
+        )
+        self._announce()
+
+    # State
+
+    def _on_watch(self) -> None:
+        now_s = time.monotonic()
+        self._monitor.tick(now_s)
+        self._watch(now_s)
+        self._announce()
+
+    def _state(self, now_s: float) -> State:
+        state = self._monitor.state(now_s)
+        if state.severity is Severity.STALE and self._qos_trouble:
+            return State(Severity.ERROR, "incompatible_qos", self._qos_trouble)
+        if state.severity is Severity.OK:
+            for topic, count in self._publisher_counts.items():
+                if count > 1:
+                    message = f"{state.message}; {topic} has {count} publishers"
+                    return State(Severity.WARN, state.name, message)
+        return state
+
+    def _announce(self, always: bool = False) -> None:
+        """Publish the state if it changed, or `always`; log a change."""
+        now_s = time.monotonic()
+        if not always and now_s - self._announced_s < MIN_ANNOUNCE_S:
+            return
+        state = self._state(now_s)
+        last = self._announced
+        changed = last is None or (last.severity, last.name) != (state.severity, state.name)
+        if not changed and not always:
+            return
+        self._announced, self._announced_s = state, now_s
+        self._diagnostics.publish_now()
+        if changed:
+            self._log(state)
+
+    def _log(self, state: State) -> None:
+        # rclpy's logger wants one severity for each line of code.
+        if state.severity is Severity.OK:
+            self.get_logger().info(state.message)
+        elif state.severity is Severity.ERROR:
+            self.get_logger().error(state.message)
+        else:
+            self.get_logger().warning(state.message)
+
+    def _report(self) -> Status:
+        now_s = time.monotonic()
+        state = self._state(now_s)
+        values: dict[str, object] = {"state": state.name}
+        values |= self._values(now_s)
+        for topic, count in self._publisher_counts.items():
+            values[f"{topic}_publishers"] = count
+        return Status(Level[state.severity.value], state.message, values)
