@@ -20,6 +20,7 @@ setup(
     entry_points={
         "console_scripts": [
             "compare = galen_deflection.compare:main",
+            "deflection_node = galen_deflection.node:main",
             "evaluate = galen_deflection.evaluate:main",
             "train = galen_deflection.train:main",
         ]

@@ -29,6 +29,8 @@ from galen_model.kinematics import sensor_rotation
 from galen_model.rotation import rot_y, skew
 from galen_model.wrench import adjoint
 
+from galen_deflection.recent_poses import RecentPoses
+
 SPRINGS = (
     "roll", "tilt", "carriage_1", "carriage_2", "carriage_3",
     "rod_1", "rod_2", "rod_3", "rod_4", "rod_5", "rod_6",
@@ -64,16 +66,21 @@ class TipWrench:
         to_sensor = np.eye(4)
         to_sensor[:3, 3] = -tip_m
         # tool_tip is turned as ft_sensor is: only the point changes
-        self._move = adjoint(to_sensor)[:3, 3:]
+        self._move = np.eye(6)
+        self._move[3:, :3] = adjoint(to_sensor)[:3, 3:]
+        self._matrices = RecentPoses(self._calculate)
 
     def __call__(self, joints: Array, wrench: Array) -> Array:
         """Wrenches (n, 6) at the tip in base_link, from joints (n, 5) and ft_sensor's (n, 6)."""
+        return np.asarray(np.matmul(self._matrices(joints), wrench[:, :, None])[:, :, 0])
+
+    def _calculate(self, joints: Array) -> Array:
+        """(n, 6, 6): from ft_sensor to the tip, then turned into base_link."""
         rotation = sensor_rotation(joints[:, 3], joints[:, 4])
-        force, torque = wrench[:, :3], wrench[:, 3:] + wrench[:, :3] @ self._move.T
-        at_tip = np.empty((len(joints), 6))
-        at_tip[:, :3] = np.einsum("nij,nj->ni", rotation, force)
-        at_tip[:, 3:] = np.einsum("nij,nj->ni", rotation, torque)
-        return at_tip
+        matrices = np.empty((len(joints), 6, 6))
+        matrices[:, :3] = rotation @ self._move[:3]
+        matrices[:, 3:] = rotation @ self._move[3:]
+        return matrices
 
 
 class Springs:
@@ -98,17 +105,15 @@ class Springs:
         )
         self._leg = np.repeat(np.arange(3), 2)
         self._beyond_tilt = arm.tilt_to_sensor_m + rot_y(np.pi / 2) @ tip_m
-        self._last: tuple[Array, Array] | None = None
+        self._single = RecentPoses(self._calculate)
 
     def jacobian(self, joints: Array) -> Array:
         """J (n, 6, 11), base_link; one calculation for equal joints that follow each other.
 
-        Raises KinematicsError where the rods don't reach.
+        Don't change it: it may be given again. Raises KinematicsError where the rods don't reach.
         """
-        if len(joints) == 1:  # live, the arm mostly stands still while it is pushed
-            if self._last is None or not np.array_equal(joints, self._last[0]):
-                self._last = joints.copy(), self._calculate(joints)
-            return self._last[1]
+        if len(joints) == 1:
+            return self._single(joints)
         new = np.ones(len(joints), dtype=bool)
         new[1:] = np.any(joints[1:] != joints[:-1], axis=1)
         return self._calculate(joints[new])[np.cumsum(new) - 1]

@@ -12,7 +12,7 @@ from galen_model.json_fields import FieldError, array, get, items, mapping, numb
 
 from galen_deflection.hysteresis import PlayOperators
 from galen_deflection.models.joint_stiffness import COMPLIANCES, StiffnessRun, elastic
-from galen_deflection.models.linear import Parameter, Rows
+from galen_deflection.models.linear import Parameter, Rows, Start
 from galen_deflection.springs import SPRINGS, kinds
 
 Shape = Literal["play", "stop"]
@@ -109,9 +109,12 @@ class HysteresisRun:
         ]
         self._column = np.array([column for column, _, _ in single], dtype=int)
         self._operator = np.array([k for _, k, _ in single], dtype=int)
-        self._source = np.unique(self._column, return_inverse=True)[1]
+        # One unknown thing for each spring: the loads of its past moved all its operators together.
+        self._source = (self._column[:, None] == np.unique(self._column)).astype(float)
+        self._parameter = len(COMPLIANCES) + self._operator
         stops = np.array([operator.shape == "stop" for operator in basis.operators], dtype=bool)
         self._stop = stops[self._operator]
+        self._any_stop = bool(stops.any())
         self._plays = PlayOperators(np.array([threshold for _, _, threshold in single]))
         self._of_operator = np.zeros((len(single), len(basis.operators)))
         self._of_operator[np.arange(len(single)), self._operator] = 1.0
@@ -135,25 +138,17 @@ class HysteresisRun:
         at_tip, springs, jacobian, loads = self.loads(joints, wrench)
         inputs = loads[:, self._column]
         played = self._plays.run(inputs)
-        output = np.where(self._stop, inputs - played.output, played.output)
+        output = played.output
+        if self._any_stop:
+            output = np.where(self._stop, inputs - output, output)
         columns = jacobian[:, :, self._column]
         remembered = (columns * output[:, None, :]) @ self._of_operator
         design = np.concatenate([springs, remembered], axis=2)
-        return Rows(at_tip, design, self._start(columns, played.unknown))
-
-    def _start(self, columns: Array, unknown: Array) -> Array | None:
-        """What the state at the start leaves unknown: uniform between the outermost starts.
-
-        One thing for each spring: the loads of its past moved all its operators together.
-        """
-        if not unknown.any():
-            return None
-        count = len(COMPLIANCES) + self._of_operator.shape[1]
-        start = np.zeros((len(unknown), 6, self._source.max() + 1, count))
-        start[:, :, self._source, len(COMPLIANCES) + self._operator] = (
-            columns * unknown[:, None, :]
-        )
-        return start
+        start = None
+        if played.unknown.any():
+            deviation = columns * played.unknown[:, None, :]
+            start = Start(deviation, self._parameter, self._source)
+        return Rows(at_tip, design, start)
 
 
 def _operator(content: Any, name: str) -> Operator:

@@ -15,12 +15,14 @@ class Predicted(NamedTuple):
 
     mean (6,): translation (m) and rotation vector (rad) of tool_tip in base_link; covariance
     (6, 6) of the true deflection about it; extrapolated: the load or the arm's position lies
-    outside of what the model was fitted on.
+    outside of what the model was fitted on. start (6, 6): the part of the covariance that is there
+    only because nothing is known of the loads before the stream's start; None where there is none.
     """
 
     mean: Array
     covariance: Array
     extrapolated: bool
+    start: Array | None = None
 
 
 class PredictedSamples(NamedTuple):

@@ -69,7 +69,7 @@ class StiffnessRun:
         """Wrench (n, 6) at the tip in base_link, J (n, 6, 11) and the loads (n, 11)."""
         at_tip = self._to_tip(joints, wrench)
         jacobian = self._springs.jacobian(joints)
-        return at_tip, jacobian, np.einsum("nis,ni->ns", jacobian, at_tip)
+        return at_tip, jacobian, np.matmul(at_tip[:, None, :], jacobian)[:, 0]
 
     def rows(self, joints: Array, wrench: Array) -> Rows:
         """As `Run.rows`."""

@@ -51,17 +51,33 @@ class Parameter(NamedTuple):
     prior_std: float | None = None
 
 
+class Start(NamedTuple):
+    """What is unknown at the start: m deviations, each moved by one of s independent things.
+
+    deviation (n, 6, m): times its parameter, `parameter` (m,), a standard deviation. source (m, s):
+    1 where the deviation is moved by the thing.
+    """
+
+    deviation: Array
+    parameter: np.ndarray
+    source: Array
+
+    def covariance(self, values: Array) -> Array:
+        """(n, 6, 6) of the deflection, for parameters (p,): of one thing they add up."""
+        by_source = (self.deviation * values[self.parameter]) @ self.source
+        return np.asarray(by_source @ by_source.transpose(0, 2, 1))
+
+
 class Rows(NamedTuple):
     """What n samples give.
 
-    wrench_at_tip (n, 6): base_link. design (n, 6, p). start (n, 6, s, p) or None: times the
-    parameters, the deviations that s independent things unknown at the start may cause, as
-    standard deviations; None where nothing is left unknown.
+    wrench_at_tip (n, 6): base_link. design (n, 6, p). start: None where nothing is left unknown of
+    what was before the first sample.
     """
 
     wrench_at_tip: Array
     design: Array
-    start: Array | None = None
+    start: Start | None = None
 
 
 class Run(Protocol):
@@ -152,7 +168,7 @@ class LinearModel:
             run = self.basis.run()
             for first in range(segment.start, segment.stop, _CHUNK):
                 part = slice(first, min(first + _CHUNK, segment.stop))
-                result = self._predict(run, samples.joints[part], samples.wrench[part])
+                result, _ = self._predict(run, samples.joints[part], samples.wrench[part])
                 for whole, piece in zip(predicted, result, strict=True):
                     whole[part] = piece
         return predicted
@@ -161,16 +177,20 @@ class LinearModel:
         """As `DeflectionModel.stream`."""
         return LinearStream(self)
 
-    def _predict(self, run: Run, joints: Array, wrench: Array) -> PredictedSamples:
+    def _predict(
+        self, run: Run, joints: Array, wrench: Array
+    ) -> tuple[PredictedSamples, Array | None]:
+        """Predictions, and which part of their covariance (n, 6, 6) the unknown start has."""
         rows = run.rows(joints, wrench)
         mean = rows.design @ self.values
         covariance = rows.design @ self.covariance @ rows.design.transpose(0, 2, 1)
         covariance += self.discrepancy
+        start = None
         if rows.start is not None:
-            start = rows.start @ self.values
-            covariance += start @ start.transpose(0, 2, 1)
+            start = rows.start.covariance(self.values)
+            covariance += start
         outside = self.fitted_range.left_by(joints, rows.wrench_at_tip)
-        return PredictedSamples(mean, covariance, outside)
+        return PredictedSamples(mean, covariance, outside), start
 
     def to_json(self) -> dict[str, Any]:
         """As `DeflectionModel.to_json`."""
@@ -202,13 +222,16 @@ class LinearStream:
 
     def step(self, stamp_ns: int, joints: Array, wrench: Array) -> Predicted:
         """As `Stream.step`; nothing depends on the stamp."""
-        predicted = self._model._predict(
+        predicted, start = self._model._predict(
             self._run,
             np.asarray(joints, dtype=float)[None],
             np.asarray(wrench, dtype=float)[None],
         )
         return Predicted(
-            predicted.mean[0], predicted.covariance[0], bool(predicted.extrapolated[0])
+            predicted.mean[0],
+            predicted.covariance[0],
+            bool(predicted.extrapolated[0]),
+            None if start is None else start[0],
         )
 
     def reset(self) -> None:
