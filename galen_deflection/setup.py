@@ -19,6 +19,8 @@ setup(
     license="Apache-2.0",
     entry_points={
         "console_scripts": [
+            "collect = galen_deflection.collect:main",
+            "collection_node = galen_deflection.collection_node:main",
             "compare = galen_deflection.compare:main",
             "deflection_node = galen_deflection.node:main",
             "evaluate = galen_deflection.evaluate:main",

@@ -11,6 +11,7 @@ from galen_bags.player import PlayerNode, PlayOptions
 from galen_bags.recorder import RecorderNode
 from galen_bags.writer import BagWriter
 from galen_calibration_behavior.node import CalibrationNode
+from galen_deflection.collection_node import CollectionNode
 from galen_gravcomp.node import GravcompNode
 from galen_ros.cdr import WrenchBytes
 from galen_ros.parameters import markdown_table
@@ -21,9 +22,10 @@ ROOT = Path(__file__).resolve().parent.parent
 PACKAGES = sorted(path.parent.name for path in ROOT.glob("*/package.xml"))
 MARKED = re.compile(r"<!-- parameters: ([\w.]+) -->\n(.*?)\n<!-- end -->", re.DOTALL)
 NODES = {
-    "galen_calibration_behavior": CalibrationNode,
-    "galen_gravcomp": GravcompNode,
-    "galen_sim_driver": SimDriverNode,
+    "galen_calibration_behavior": (CalibrationNode,),
+    "galen_deflection": (CollectionNode,),
+    "galen_gravcomp": (GravcompNode,),
+    "galen_sim_driver": (SimDriverNode,),
 }
 
 
@@ -44,6 +46,10 @@ OVERRIDES = {"galen_sim_driver": {"speed_factor": 2.0}}  # at another speed ther
 # Opened only while the node works on a goal.
 WHILE_BUSY = {
     "galen_calibration_behavior": {"joint_states", "wrench_raw"},
+    "galen_deflection": {
+        "joint_states", "wrench_compensated", "wrench_raw", "tracker/tool_pose",
+        "tracker/base_pose",
+    },
     "galen_bags": {
         "joint_states", "wrench_compensated", "tracker/tool_pose", "tracker/base_pose",
     },
@@ -69,13 +75,15 @@ def test_parameter_tables_are_what_the_code_declares(package):
 
 
 def documented(package):
-    """The interface table's rows: {name: type}."""
+    """The interface tables' rows, of all nodes: {name: type}."""
     text = (ROOT / package / "README.md").read_text()
-    head = re.search(
-        r"^\| name \| type \| direction \| meaning \|\n\|[-|]+\|\n", text, re.MULTILINE
+    tables = re.findall(
+        r"^\| name \| type \| direction \| meaning \|\n\|[-|]+\|\n((?:\|.*\|\n)+)",
+        text,
+        re.MULTILINE,
     )
-    assert head, f"{package}: no interface table"
-    rows = re.match(r"(?:\|.*\|\n)+", text[head.end() :]).group(0).splitlines()
+    assert tables, f"{package}: no interface table"
+    rows = [row for table in tables for row in table.splitlines()]
     cells = [[cell.strip().strip("`") for cell in row.strip("|").split("|")] for row in rows]
     return {row[0]: plain(row[1]) for row in cells}
 
@@ -113,7 +121,9 @@ def in_use(node):
 @pytest.mark.parametrize("package", sorted(NODES | BAG_NODES))
 def test_interface_tables_are_what_the_node_has(package, tmp_path):
     values = parameters(**OVERRIDES.get(package, {}))
-    makers = BAG_NODES.get(package) or [lambda _folder, **options: NODES[package](**options)]
+    makers = BAG_NODES.get(package) or [
+        lambda _folder, kind=kind, **options: kind(**options) for kind in NODES[package]
+    ]
     code = {}
     with Harness() as harness:
         for make in makers:

@@ -1,0 +1,86 @@
+"""The folder that a collection leaves: whole under its name, or as `<name>.unfinished`.
+
+    <recordings_dir>/<name>/push/, calibration_1/, calibration_2/    rosbag2 directories (MCAP)
+    <recordings_dir>/<name>/tool.json                                the tool's file as it was
+    <recordings_dir>/<name>/collection.json                          what was asked and what came
+
+It grows as `<name>.unfinished` (a name that no collection can have) and is renamed in one step at
+the end. What a canceled, failed or killed collection has recorded until then stays there and can be
+read; one that has recorded nothing leaves nothing.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from galen_model.errors import GalenError
+from galen_model.tool_file import ToolFile, check_tool_name, write_tool
+from galen_model.whole_file import write_whole
+
+TOOL_FILE, SUMMARY_FILE = "tool.json", "collection.json"
+_MOST_UNFINISHED = 1000
+
+
+class CollectionFolderError(GalenError):
+    """A folder that is there already, or can't be written; the message names it."""
+
+
+class CollectionFolder:
+    """One collection's folder, from its making to its name."""
+
+    def __init__(self, recordings_dir: Path, name: str) -> None:
+        """Only checks; raises ToolNameError and CollectionFolderError."""
+        self.final = recordings_dir / check_tool_name(name, "recording's")
+        self._refuse_existing()
+        self.path = self.final
+
+    def make(self, tool: ToolFile) -> None:
+        """Make the unfinished folder with the tool's file in it; raises a GalenError."""
+        try:
+            self.final.parent.mkdir(parents=True, exist_ok=True)
+            self.path = self._make_unfinished()
+        except OSError as error:
+            raise CollectionFolderError(f"{self.final}: can't be made: {error}") from error
+        write_tool(self.path / TOOL_FILE, tool)
+
+    def close(self, summary: Mapping[str, Any], *, finished: bool) -> Path:
+        """Write the summary and return where it all is, under its own name if it is finished.
+
+        Raises CollectionFolderError; all that was recorded is then in `path`.
+        """
+        text = json.dumps(summary, indent=2) + "\n"
+        try:
+            write_whole(self.path / SUMMARY_FILE, text)
+            if finished:
+                self._refuse_existing()  # one that came meanwhile is not written over
+                self.path.rename(self.final)
+                self.path = self.final
+        except OSError as error:
+            raise CollectionFolderError(f"{self.path}: can't be written: {error}") from error
+        return self.path
+
+    def discard(self) -> None:
+        """Take it away again: nothing was recorded."""
+        if self.path != self.final:
+            shutil.rmtree(self.path, ignore_errors=True)
+
+    def _make_unfinished(self) -> Path:
+        for number in range(1, _MOST_UNFINISHED):
+            path = self.final.with_name(
+                f"{self.final.name}.unfinished" + (f"-{number}" if number > 1 else "")
+            )
+            try:
+                path.mkdir()
+            except FileExistsError:
+                continue
+            return path
+        raise CollectionFolderError(f"{self.final}.unfinished: there are too many of them")
+
+    def _refuse_existing(self) -> None:
+        if os.path.lexists(self.final):
+            raise CollectionFolderError(f"{self.final}: is there already, and is not written over")

@@ -1,0 +1,621 @@
+"""The collection's course, without ROS: samples and events in, commands out.
+
+    record calibration_1 > CALIBRATION
+    record push > for each set, for each position: MOVE > UNTOUCHED > pushes
+    record calibration_2 > CALIBRATION > compare both
+
+and for each push PUSH <> HOLD > RELEASE > REST, again if it was not as asked. Both calibration sets
+are at the first position. They have bags of their own, because a third visit there without a push
+would count as a set of pushes.
+
+Any state ends at once on `cancel` or `fail`: the arm is told to stop, and the procedure is finished
+when it stands still. Times are the samples' stamps; only waiting for answers and for a silent
+driver goes by the wall clock, handed in by `on_wall`.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+from galen_calibration_behavior.arrival import (
+    ArrivalMonitor,
+    ArrivalSettings,
+    MotionTimeoutError,
+)
+from galen_calibration_behavior.commands import MoveTo, Stop
+from galen_calibration_behavior.motion_time import quintic_duration_s
+from galen_calibration_behavior.silence import Silence, WallClock
+from galen_calibration_behavior.stamps import NS, StampClock, StampsError
+from galen_model.arm import JOINT_NAMES, JOINT_UNITS
+from galen_model.arrays import Array
+
+from galen_deflection.collection_commands import (
+    NOTHING,
+    Collected,
+    Command,
+    ErrorCode,
+    Feedback,
+    Finished,
+    Push,
+    Record,
+    State,
+)
+from galen_deflection.collection_plan import CollectionPlan, LoadLimits, ToTip, WantedPush, to_tip
+from galen_deflection.collection_push import PushLimits, PushWatch
+from galen_deflection.collection_shift import collection_shift, shift_sentence
+from galen_deflection.collection_untouched import Untouched, UntouchedSettings, UntouchedWatch
+
+CALIBRATION_BAGS = ("calibration_1", "calibration_2")
+PUSH_BAG = "push"
+
+# A push is looked at so often, by its mean load over the window; each sample costs only an append.
+_LOOK_NS = 20_000_000
+_WINDOW_NS = 50_000_000
+_FEEDBACK_S = 0.1
+# A hand by service pushes so much longer than it must be held, and may come so much later.
+_SERVICE_SPARE_S = 0.3
+_SERVICE_PATIENCE_S = 3.0
+# The tracker's poses may come so much later than the wrenches of the same time.
+_MARKER_PATIENCE_S = 0.5
+_JOINTS, _WRENCH = "joint_states", "wrench_compensated"
+
+
+@dataclass(frozen=True)
+class CollectionSettings:
+    """Everything that the node's parameters decide; times in s."""
+
+    arrival: ArrivalSettings
+    max_velocity: Array
+    max_acceleration: Array
+    motion_timeout_s: float
+    untouched: UntouchedSettings
+    untouched_timeout_s: float
+    push: PushLimits
+    push_timeout_s: float
+    push_rise_s: float
+    push_fall_s: float
+    push_retries: int
+    max_left_out_in_a_row: int
+    limits: LoadLimits
+    max_stamp_offset_s: float
+    shift_tolerance_m: float
+    shift_tolerance_rad: float
+    silent_timeout_s: float
+    service_timeout_s: float
+    stop_timeout_s: float
+
+
+class CollectionProcedure:
+    """One collection. Call `start`, feed samples and events, and do what `take_commands` gives."""
+
+    def __init__(
+        self, settings: CollectionSettings, plan: CollectionPlan, tip_m: Array, by_service: bool
+    ) -> None:
+        """`tip_m` (3,) in ft_sensor; `by_service`: `push_tool` pushes, not a person."""
+        self._settings = settings
+        self._plan = plan
+        self._tip_m = tip_m
+        self._by_service = by_service
+        self._commands: list[Command] = []
+        self._script = self._steps()
+        self._state = State.CALIBRATION
+        self._set = self._position = 0  # from 1; 0 in a calibration set
+        self._arrival: ArrivalMonitor | None = None
+        self._then: Callable[[], None] | None = None
+        self._untouched: UntouchedWatch | None = None
+        self._on_untouched: Callable[[Untouched], None] | None = None
+        self._untouched_since_ns = 0
+        self._calibrations: list[Untouched] = []
+        self._here: Untouched | None = None
+        self._to_tip: ToTip | None = None
+        self._window: deque[tuple[int, Array]] = deque()
+        self._watch: PushWatch | None = None
+        self._push_number = 0
+        self._tries = 0
+        self._in_a_row = 0
+        self._good = 0
+        self._left_out: list[str] = []
+        self._warnings: list[str] = []
+        self._shift = NOTHING
+        self._holds = False
+        self._not_before_ns = 0
+        self._last_look = 0
+        self._said_s = 0.0
+        self._over_limit = 0
+        self._seen_jumps = 0
+        self._tool_seen_s = 0.0
+        self._tool_stamp_ns: int | None = None
+        self._tool_key: tuple[float, ...] = ()
+        self._joints: Array | None = None
+        self._stamps: dict[str, int] = {}
+        self._clock = StampClock(_WRENCH, settings.arrival.max_stamp_step_s)
+        self._silences = (Silence(_JOINTS), Silence(_WRENCH))
+        self._wall = WallClock()
+        self._waited_s = 0.0
+        self._waiting_for = ""
+        self._started = self._under_way = self._finished = False
+        self._ending: Finished | None = None
+
+    @property
+    def state(self) -> State:
+        """The state it is in, or was in when it began to end."""
+        return self._state
+
+    @property
+    def finished(self) -> bool:
+        """Whether it is over."""
+        return self._finished
+
+    @property
+    def ending(self) -> bool:
+        """Whether it is over, or only waits for the arm to stop."""
+        return self._finished or self._ending is not None
+
+    @property
+    def progress(self) -> tuple[int, int]:
+        """Pushes done or left out, and pushes in all sets."""
+        return self._good + len(self._left_out), self._plan.total
+
+    def take_commands(self) -> list[Command]:
+        """Return the commands given since the last call, in order."""
+        commands, self._commands = self._commands, []
+        return commands
+
+    # ---- events
+
+    def start(self) -> None:
+        """Begin as soon as joints and wrenches have come."""
+        self._started = True
+        self._report(f"waiting for {_JOINTS} and {_WRENCH}")
+
+    def on_joints(self, stamp_ns: int, position: Array, velocity: Array | None) -> None:
+        """Take a joint state, (5,) in m, rad and per s; velocity None where there is none."""
+        self._silences[0].heard(stamp_ns)
+        self._joints = position
+        if not self._under_way:
+            self._begin_if_ready(_JOINTS, stamp_ns)
+            return
+        if not self.ending and not np.all(np.isfinite(position)):
+            self.fail(ErrorCode.BAD_INPUT, f"{_JOINTS} holds values that are not finite")
+            return
+        try:
+            if self._arrival is not None:
+                if self._arrival.add(stamp_ns, position, velocity):
+                    self._on_arrived(stamp_ns)
+            elif self._untouched is not None:
+                self._untouched.add_joints(position)
+            elif self._watch is not None:
+                self._check_position(position)
+        except MotionTimeoutError as error:
+            self._on_motion_timeout(str(error))
+        except StampsError as error:
+            self.fail(ErrorCode.BAD_INPUT, str(error))
+
+    def on_wrench(self, stamp_ns: int, wrench: Array) -> None:
+        """Take a compensated wrench, (6,) in ft_sensor, N and N.m."""
+        self._silences[1].heard(stamp_ns)
+        if not self._under_way:
+            self._begin_if_ready(_WRENCH, stamp_ns)
+            return
+        if self.ending:
+            return
+        try:
+            if not self._clock.advance(stamp_ns):
+                return
+        except StampsError as error:
+            self.fail(ErrorCode.BAD_INPUT, str(error))
+            return
+        self._check_limits(wrench)
+        self._check_stamps()
+        if self.ending or stamp_ns < self._not_before_ns:
+            return
+        if self._untouched is not None:
+            self._untouched.add_wrench(stamp_ns, wrench)
+            self._look_at_untouched()
+        elif self._watch is not None:
+            self._window.append((stamp_ns, wrench))
+            self._look_at_push(stamp_ns)
+
+    def on_tool_marker(self, stamp_ns: int, rotation: Array, translation: Array) -> None:
+        """Take the tool's marker in `tracker`: (3, 3) and (3,), m."""
+        if self._untouched is not None:
+            self._untouched.tool.add(stamp_ns, rotation, translation)
+        key = (*translation.tolist(), *rotation.ravel().tolist())
+        if np.all(np.isfinite(key)) and key != self._tool_key:
+            self._tool_key = key
+            if self._tool_stamp_ns is not None:
+                self._check_marker((stamp_ns - self._tool_stamp_ns) / NS)
+            self._tool_stamp_ns, self._tool_seen_s = stamp_ns, self._time_s
+
+    def on_base_marker(self, stamp_ns: int, rotation: Array, translation: Array) -> None:
+        """Take the base's marker in `tracker`: (3, 3) and (3,), m."""
+        if self._untouched is not None:
+            self._untouched.base.add(stamp_ns, rotation, translation)
+
+    def on_recording(self) -> None:
+        """Every topic is recorded."""
+        if self._waiting_for == "recording" and not self.ending:
+            self._waiting_for = ""
+            self._next()
+
+    def on_service(self, success: bool, message: str) -> None:
+        """Take the answer to the last Push."""
+        if self._waiting_for != "push_tool" or self.ending:
+            return
+        self._waiting_for = ""
+        if not success:
+            self.fail(ErrorCode.SERVICE_FAILED, f"push_tool failed: {message}")
+
+    def on_wall(self, now_s: float) -> None:
+        """Take the time of a steady wall clock (s), some ten times a second."""
+        dt = self._wall.step(now_s)
+        if self._finished or not self._started:
+            return
+        self._waited_s += dt
+        for silence in self._silences:
+            silence.tick(dt)
+        settings = self._settings
+        if self._ending is not None:
+            if self._waited_s > settings.stop_timeout_s:
+                self._finish("the arm was not seen to stop")
+            return
+        silent = [s for s in self._silences if s.silent_s >= settings.silent_timeout_s]
+        if silent:
+            self.fail(ErrorCode.DRIVER_SILENT, "; ".join(s.complaint() for s in silent))
+        elif not self._under_way and self._waited_s > settings.silent_timeout_s:
+            self.fail(
+                ErrorCode.BAD_INPUT,
+                f"the stamps of {_WRENCH} and {_JOINTS} differ by {self._stamp_offset_s:+.3f} s:"
+                " they must come from one clock",
+            )
+        elif self._waiting_for and self._waited_s > settings.service_timeout_s:
+            recording = self._waiting_for == "recording"
+            self.fail(
+                ErrorCode.WRITE_FAILED if recording else ErrorCode.SERVICE_FAILED,
+                f"not every topic was recorded within {settings.service_timeout_s:g} s"
+                if recording
+                else f"push_tool did not answer in {settings.service_timeout_s:g} s",
+            )
+
+    def cancel(self) -> None:
+        """Stop the arm and end; what was recorded stays, as unfinished."""
+        self.fail(ErrorCode.CANCELED, f"canceled in state {self._state.name}")
+
+    def fail(self, code: ErrorCode, message: str) -> None:
+        """Stop the arm and end with this error."""
+        if self.ending:
+            return
+        self._ending = Finished(code, message, self._collected())
+        self._untouched = self._watch = None
+        self._waiting_for = ""
+        self._waited_s = 0.0
+        self._commands.append(Stop())
+        if code == ErrorCode.DRIVER_SILENT or not self._under_way:
+            self._finish("")
+            return
+        # To stand still is enough: nothing is measured that would need it settled.
+        stopping = replace(self._settings.arrival, settle_s=0.0)
+        self._arrival = ArrivalMonitor(stopping, None, float("inf"), _JOINTS)
+
+    # ---- the course
+
+    def _steps(self) -> Iterator[Callable[[], None]]:
+        yield partial(self._record, CALIBRATION_BAGS[0])
+        yield self._calibrate
+        yield partial(self._record, PUSH_BAG)
+        for number in range(self._plan.sets):
+            for position in range(len(self._plan.positions)):
+                yield partial(self._visit, number + 1, position + 1)
+        yield partial(self._record, CALIBRATION_BAGS[1])
+        yield self._calibrate
+        yield self._compare
+
+    def _begin_if_ready(self, topic: str, stamp_ns: int) -> None:
+        self._stamps[topic] = stamp_ns
+        if not self._started or self.ending or len(self._stamps) < 2:
+            return
+        if abs(self._stamp_offset_s) > self._settings.max_stamp_offset_s:
+            return
+        self._under_way = True
+        self._next()
+
+    @property
+    def _stamp_offset_s(self) -> float:
+        """How far the wrench's newest stamp is ahead of that of the joint states."""
+        return (self._stamps[_WRENCH] - self._stamps[_JOINTS]) / NS
+
+    @property
+    def _time_s(self) -> float:
+        """Time gone by on the wrench's stamps."""
+        return self._clock.elapsed_ns / NS
+
+    def _next(self) -> None:
+        self._waited_s = 0.0
+        next(self._script)()
+
+    def _record(self, bag: str) -> None:
+        self._waiting_for = "recording"
+        self._commands.append(Record(bag))
+
+    def _calibrate(self) -> None:
+        self._set = self._position = 0
+        self._state = State.CALIBRATION
+        number = len(self._calibrations) + 1
+        self._report(f"calibration set {number} of 2: keep off the tool")
+        self._go_to(self._plan.positions[0], partial(self._stay_untouched, self._calibrated))
+
+    def _calibrated(self, found: Untouched) -> None:
+        self._calibrations.append(found)
+        self._next()
+
+    def _visit(self, number: int, position: int) -> None:
+        self._set, self._position = number, position
+        self._state = State.MOVE
+        self._report(f"set {number}, going to position {position}: keep off")
+        self._go_to(self._plan.positions[position - 1], self._arrived_at_position)
+
+    def _arrived_at_position(self) -> None:
+        self._state = State.UNTOUCHED
+        self._report(f"set {self._set}, position {self._position}: keep off the tool")
+        self._stay_untouched(self._begin_pushes)
+
+    def _begin_pushes(self, found: Untouched) -> None:
+        self._here = found
+        self._to_tip = to_tip(found.joints, self._tip_m)
+        self._push_number = self._tries = 0
+        self._ask()
+
+    def _compare(self) -> None:
+        settings = self._settings
+        first, second = self._calibrations
+        self._shift = collection_shift(first, second, self._tip_m)
+        warning = shift_sentence(
+            first, second, self._shift, settings.shift_tolerance_m, settings.shift_tolerance_rad
+        )
+        self._holds = not warning
+        if warning:
+            self._warnings.append(warning)
+        if not self._good:
+            self.fail(ErrorCode.NO_PUSHES, f"no push was as asked; the last: {self._left_out[-1]}")
+            return
+        self._ending = Finished(ErrorCode.NONE, "", self._collected())
+        self._finish("")
+
+    # ---- the tool left alone
+
+    def _stay_untouched(self, then: Callable[[Untouched], None]) -> None:
+        self._untouched = UntouchedWatch(self._settings.untouched)
+        self._on_untouched = then
+        self._untouched_since_ns = self._clock.elapsed_ns
+
+    def _look_at_untouched(self) -> None:
+        watch = self._untouched
+        assert watch is not None and self._on_untouched is not None
+        if watch.result is not None:
+            self._untouched = None
+            self._on_untouched(watch.result)
+        elif watch.complaint:
+            complaint, watch.complaint = watch.complaint, ""
+            waited_s = (self._clock.elapsed_ns - self._untouched_since_ns) / NS
+            if waited_s > self._settings.untouched_timeout_s:
+                where = f"at position {self._position}" if self._position else "when calibrating"
+                self.fail(ErrorCode.NOT_UNTOUCHED, f"{where}, {complaint} ({waited_s:.0f} s)")
+            else:
+                self._report(f"{complaint}; keep off the tool, and let the tracker see it")
+
+    # ---- pushes
+
+    @property
+    def _wanted(self) -> WantedPush:
+        return self._plan.pushes[self._push_number]
+
+    def _ask(self) -> None:
+        settings = self._settings
+        timeout_s = settings.push_timeout_s
+        if self._by_service:
+            timeout_s = (
+                settings.push_rise_s + settings.push.hold_s + _SERVICE_SPARE_S + _SERVICE_PATIENCE_S
+            )
+        self._watch = PushWatch(self._wanted, settings.push, timeout_s, self._time_s)
+        self._window.clear()
+        self._state = self._watch.state
+
+    def _look_at_push(self, stamp_ns: int) -> None:
+        while stamp_ns - self._window[0][0] > _WINDOW_NS:
+            self._window.popleft()
+        if stamp_ns // _LOOK_NS == self._last_look:
+            return
+        self._last_look = stamp_ns // _LOOK_NS
+        watch = self._watch
+        assert watch is not None and self._here is not None and self._to_tip is not None
+        load = self._to_tip(np.mean([w for _, w in self._window], axis=0) - self._here.offset)
+        asked, before = watch.asked, watch.state
+        self._check_marker(self._time_s - self._tool_seen_s - _MARKER_PATIENCE_S)
+        watch.look(self._time_s, load)
+        self._state = watch.state
+        if watch.outcome is not None:
+            self._watch = None
+            self._take_outcome(watch.outcome)
+            return
+        if watch.asked and not asked and self._by_service:
+            self._push_by_service()
+        if watch.state != before or self._time_s - self._said_s >= _FEEDBACK_S:
+            self._report_push(watch, load)
+
+    def _push_by_service(self) -> None:
+        settings = self._settings
+        self._waiting_for = "push_tool"
+        self._waited_s = 0.0
+        self._commands.append(
+            Push(
+                self._wanted.wrench,
+                settings.push_rise_s,
+                settings.push.hold_s + _SERVICE_SPARE_S,
+                settings.push_fall_s,
+            )
+        )
+
+    def _take_outcome(self, reason: str) -> None:
+        if not reason:
+            self._good += 1
+            self._in_a_row = 0
+        elif self._tries < self._settings.push_retries:
+            self._tries += 1
+            self._report(f"{self._wanted}: {reason}; once more")
+            self._ask()
+            return
+        else:
+            self._left_out.append(
+                f"set {self._set}, position {self._position}, {self._wanted}: {reason}"
+            )
+            self._report(f"{self._wanted}: {reason}; left out")
+            self._in_a_row += 1
+            if self._in_a_row >= self._settings.max_left_out_in_a_row:
+                self.fail(
+                    ErrorCode.NO_PUSHES,
+                    f"{self._in_a_row} pushes in a row were not as asked; the last:"
+                    f" {self._left_out[-1]}",
+                )
+                return
+        self._tries = 0
+        self._push_number += 1
+        if self._push_number < len(self._plan.pushes):
+            self._ask()
+        else:
+            self._next()
+
+    # ---- what spoils a push, or ends it all
+
+    def _check_limits(self, wrench: Array) -> None:
+        """Two samples in a row: a single one may be a spike on the line."""
+        if not np.all(np.isfinite(wrench)):
+            self.fail(ErrorCode.BAD_INPUT, f"{_WRENCH} holds values that are not finite")
+            return
+        force, torque = float(np.linalg.norm(wrench[:3])), float(np.linalg.norm(wrench[3:]))
+        limits = self._settings.limits
+        if force <= limits.force_n and torque <= limits.torque_nm:
+            self._over_limit = 0
+            return
+        self._over_limit += 1
+        if self._over_limit == 2:
+            self.fail(
+                ErrorCode.OVERLOAD,
+                f"{_WRENCH} reads {force:.1f} N and {torque:.2f} N·m; the limits are"
+                f" {limits.force_n:g} N and {limits.torque_nm:g} N·m",
+            )
+
+    def _check_stamps(self) -> None:
+        """A jump breaks what is being watched."""
+        if self._clock.jumps == self._seen_jumps:
+            return
+        self._seen_jumps = self._clock.jumps
+        if self._untouched is not None:
+            self._untouched.begin_again()
+        self._window.clear()
+        self._spoil(self._clock.last_jump)
+
+    def _check_position(self, position: Array) -> None:
+        assert self._here is not None
+        off = position - self._here.joints
+        away = np.abs(off) > self._settings.arrival.position_tolerance
+        if np.any(away):
+            k = int(np.argmax(away))
+            self._spoil(
+                f"{JOINT_NAMES[k]} moved by {off[k]:+.2g} {JOINT_UNITS[k]}: the arm must hold its"
+                " position (no admittance mode)"
+            )
+
+    def _check_marker(self, lost_s: float) -> None:
+        if lost_s > self._settings.untouched.max_gap_s:
+            self._spoil(f"the tool's marker was lost for {lost_s:.2f} s")
+
+    def _spoil(self, reason: str) -> None:
+        if self._watch is not None:
+            self._watch.spoil(reason, self._time_s)
+
+    # ---- motion
+
+    def _go_to(self, target: Array, then: Callable[[], None]) -> None:
+        assert self._joints is not None
+        settings = self._settings
+        duration = quintic_duration_s(
+            target - self._joints, settings.max_velocity, settings.max_acceleration
+        )
+        self._commands.append(MoveTo(target, duration))
+        allowance_s = duration + settings.arrival.settle_s + settings.motion_timeout_s
+        self._arrival = ArrivalMonitor(settings.arrival, target, allowance_s, _JOINTS)
+        self._then = then
+
+    def _on_arrived(self, stamp_ns: int) -> None:
+        self._arrival = None
+        if self._ending is not None:
+            self._finish("")
+            return
+        # The wrench comes by way of another node, and so from a time when the arm still moved.
+        self._not_before_ns = stamp_ns
+        then, self._then = self._then, None
+        assert then is not None
+        then()
+
+    def _on_motion_timeout(self, message: str) -> None:
+        self._arrival = None
+        self.fail(ErrorCode.MOTION_TIMEOUT, message)
+
+    # ---- reports
+
+    def _collected(self) -> Collected:
+        warnings = list(self._warnings)
+        if self._clock.jumps:
+            warnings.append(
+                f"time stamps jumped {self._clock.jumps} times; the last: {self._clock.last_jump}"
+            )
+        return Collected(
+            self._good, tuple(self._left_out), self._shift, self._holds, tuple(warnings)
+        )
+
+    def _finish(self, remark: str) -> None:
+        assert self._ending is not None
+        end = self._ending
+        if remark:
+            end = replace(end, error_msg=f"{end.error_msg}; {remark}")
+        self._arrival = None
+        self._finished = True
+        self._commands.append(end)
+
+    def _report(self, message: str) -> None:
+        self._commands.append(
+            Feedback(self._state, message, self._set, self._position, self.progress[0])
+        )
+
+    def _report_push(self, watch: PushWatch, load: Array) -> None:
+        self._said_s = self._time_s
+        wanted = watch.wanted
+        now = f"{_amount(watch.along, wanted)} now, {_amount(watch.aside, wanted)} aside"
+        message = {
+            State.PUSH: f"push {wanted}: {now}",
+            State.HOLD: f"hold {wanted}: {now}",
+            State.RELEASE: f"let go: {now}",
+            State.REST: "keep off",
+        }[watch.state]
+        self._commands.append(
+            Feedback(
+                watch.state,
+                message,
+                self._set,
+                self._position,
+                self.progress[0],
+                wanted.wrench,
+                load,
+                watch.along,
+                watch.aside,
+            )
+        )
+
+
+def _amount(value: float, wanted: WantedPush) -> str:
+    decimals = 1 if wanted.is_force else 2
+    return f"{round(value, decimals) + 0.0:.{decimals}f} {wanted.unit}"  # no minus before a zero

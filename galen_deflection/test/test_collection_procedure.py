@@ -1,0 +1,528 @@
+"""The collection's course against a pure arm and hand: every way through it, and out of it."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from collection_fake_arm import BASE_IN_TRACKER, TIP, FakeArm, Hand
+from galen_calibration_behavior.arrival import ArrivalSettings
+from galen_calibration_behavior.commands import MoveTo, Stop
+from galen_deflection.collection_commands import (
+    ErrorCode,
+    Feedback,
+    Finished,
+    Push,
+    Record,
+    State,
+)
+from galen_deflection.collection_plan import LoadLimits, make_plan
+from galen_deflection.collection_procedure import CollectionProcedure, CollectionSettings
+from galen_deflection.collection_push import PushLimits
+from galen_deflection.collection_untouched import UntouchedSettings
+
+SETTINGS = CollectionSettings(
+    arrival=ArrivalSettings(
+        position_tolerance=np.array([5e-4] * 3 + [3e-3] * 2),
+        velocity_tolerance=np.array([5e-4] * 3 + [2e-3] * 2),
+        velocity_window_s=0.1,
+        settle_s=0.1,
+        max_stamp_step_s=0.05,
+    ),
+    max_velocity=np.array([0.5] * 3 + [5.0] * 2),
+    max_acceleration=np.array([5.0] * 3 + [50.0] * 2),
+    motion_timeout_s=2.0,
+    untouched=UntouchedSettings(
+        duration_s=1.0, tolerance=np.array([0.2] * 3 + [0.02] * 3), max_gap_s=0.2
+    ),
+    untouched_timeout_s=4.0,
+    push=PushLimits(
+        level_tolerance=0.15,
+        aside_share=0.3,
+        overload_share=1.5,
+        released=(0.15, 0.02),
+        hold_s=0.3,
+        rest_s=0.2,
+        release_timeout_s=2.0,
+    ),
+    push_timeout_s=2.0,
+    push_rise_s=0.2,
+    push_fall_s=0.2,
+    push_retries=1,
+    max_left_out_in_a_row=3,
+    limits=LoadLimits(force_n=20.0, torque_nm=4.0),
+    max_stamp_offset_s=0.2,
+    shift_tolerance_m=1e-4,
+    shift_tolerance_rad=3e-4,
+    silent_timeout_s=2.0,
+    service_timeout_s=5.0,
+    stop_timeout_s=3.0,
+)
+POSITIONS = [[0.0, 0.0, 0.408, 0.0, 0.0], [0.02, -0.02, 0.42, 0.3, -0.2]]
+
+
+class World:
+    """An arm, a hand, a recorder and a procedure; `run` until it ends or `until` says so."""
+
+    def __init__(
+        self, settings=SETTINGS, *, forces=(6.0,), torques=(), sets=1, by_service=False, only=2
+    ):
+        """`only` so many of the pushes, to be quick."""
+        self.arm, self.hand = FakeArm(), Hand()
+        plan = make_plan(POSITIONS, forces, torques, sets, TIP, settings.limits)
+        plan = dataclasses.replace(plan, pushes=plan.pushes[:only])
+        self.procedure = CollectionProcedure(settings, plan, TIP, by_service)
+        self.by_service = by_service
+        self.commands = []
+        self.dead = set()  # topics or answers that don't come any more
+        self.wrench_offset_ns = 0
+        self.wall_s = 0.0
+        self.on_feedback = lambda feedback: None
+        self._steps = 0
+        self._served = None  # (start step, Push)
+        self.procedure.start()
+
+    @property
+    def end(self):
+        return next((c for c in self.commands if isinstance(c, Finished)), None)
+
+    def of(self, kind):
+        return [c for c in self.commands if isinstance(c, kind)]
+
+    @property
+    def messages(self):
+        return [f.message for f in self.of(Feedback)]
+
+    def run(self, until=lambda world: False, limit_s=300.0):
+        for _ in range(round(limit_s / 0.01)):
+            self._obey()
+            if self.end or until(self):
+                return self
+            self._steps += 1
+            self.arm.load = (
+                self._served_load() if self.by_service else self.hand.step(self.arm.load)
+            )
+            stamp, position, velocity, wrench, tool, base = self.arm.step()
+            procedure = self.procedure
+            if "joint_states" not in self.dead:
+                procedure.on_joints(stamp, position, velocity)
+            if "wrench_compensated" not in self.dead:
+                procedure.on_wrench(stamp + self.wrench_offset_ns, wrench)
+            if tool is not None:
+                procedure.on_tool_marker(stamp, tool.rotation, tool.translation)
+            if base is not None:
+                procedure.on_base_marker(stamp, base.rotation, base.translation)
+            self.wall_s += 0.01
+            if self._steps % 10 == 0:
+                procedure.on_wall(self.wall_s)
+        raise AssertionError(f"no end in {limit_s} s, in state {self.procedure.state.name}")
+
+    def _obey(self):
+        while commands := self.procedure.take_commands():
+            self.commands += commands
+            for command in commands:
+                match command:
+                    case Feedback():
+                        self.hand.hear(command)
+                        self.on_feedback(command)
+                    case MoveTo():
+                        self.arm.move_to(command.joints, command.duration_s)
+                    case Stop():
+                        self.arm.stop()
+                    case Record() if "recording" not in self.dead:
+                        self.procedure.on_recording()
+                    case Push() if "push_tool" not in self.dead:
+                        self._served = (self._steps, command)
+                        self.procedure.on_service(True, "")
+
+    def _served_load(self):
+        if self._served is None:
+            return np.zeros(6)
+        start, push = self._served
+        since = (self._steps - start) * 0.01
+        left = push.rise_s + push.hold_s + push.fall_s - since
+        return push.wrench * np.clip(min(since / push.rise_s, left / push.fall_s), 0.0, 1.0)
+
+
+def ended(world, code, *words):
+    assert world.end is not None
+    assert world.end.error_code == code, world.end
+    assert all(word in world.end.error_msg for word in words), world.end.error_msg
+    return world.end.collected
+
+
+def failed(world, code, *words):
+    found = ended(world, code, *words)
+    assert world.of(Stop), "the arm was not told to stop"
+    assert not world.arm.moving
+    return found
+
+
+def in_state(state):
+    """Also true once the first move has been ordered."""
+    return lambda world: world.procedure.state == state and bool(world.of(MoveTo))
+
+
+def through(world, pushes):
+    found = ended(world.run(), ErrorCode.NONE)
+    assert (found.pushes, found.left_out, found.warnings) == (pushes, (), ())
+    assert found.holds
+    assert [record.bag for record in world.of(Record)] == ["calibration_1", "push", "calibration_2"]
+    assert not world.of(Stop)
+    assert {f.state for f in world.of(Feedback)} == set(State)
+    assert world.of(Feedback)[-1].done == world.procedure.progress[0] == pushes
+
+
+def test_the_way_through_two_sets_with_a_person():
+    world = World(sets=2)
+    through(world, 2 * 2 * 2)
+    targets = [move.joints.tolist() for move in world.of(MoveTo)]
+    assert targets == [POSITIONS[k] for k in (0, 0, 1, 0, 1, 0)]
+    assert not world.of(Push)
+
+
+def test_the_way_through_by_the_service_to_both_sides_along_and_about_all_axes():
+    world = World(torques=(0.3,), by_service=True, only=None)
+    through(world, 2 * 12)
+    asked = [push.wrench for push in world.of(Push)]
+    assert len({tuple(wrench) for wrench in asked[:12]}) == 12
+    assert np.all(np.sum(np.array(asked) != 0, axis=1) == 1)
+    assert np.max(asked, axis=0) == pytest.approx([6.0] * 3 + [0.3] * 3)
+    assert np.min(asked, axis=0) == pytest.approx([-6.0] * 3 + [-0.3] * 3)
+
+
+def test_the_calibration_sets_lie_before_and_after_all_pushes():
+    world = World().run()
+    order = [c for c in world.commands if isinstance(c, Record | Feedback)]
+    bag = ""
+    where = {}
+    for command in order:
+        if isinstance(command, Record):
+            bag = command.bag
+        else:
+            where.setdefault(bag, set()).add(command.state)
+    assert State.PUSH in where["push"]
+    assert State.PUSH not in where["calibration_1"] | where["calibration_2"]
+
+
+def test_a_person_hears_what_to_do_and_what_is_there():
+    world = World().run()
+    pushing = [f for f in world.of(Feedback) if f.state == State.PUSH and "push 6" in f.message]
+    first = pushing[0]
+    assert first.message.startswith("push 6 N along +x: 0.0 N now, 0.0 N aside")
+    assert first.wanted == pytest.approx([6.0, 0, 0, 0, 0, 0])
+    assert (first.set_number, first.position) == (1, 1)
+    holding = next(f for f in world.of(Feedback) if f.state == State.HOLD)
+    assert holding.along == pytest.approx(6.0, rel=0.16)
+    assert holding.load[:3] == pytest.approx([holding.along, 0.0, 0.0], abs=0.05)
+    assert holding.aside < 0.05
+
+
+def test_the_load_is_counted_from_what_the_wrench_is_untouched():
+    world = World()
+    world.arm.offset = np.array([0.45, 0.3, -0.4, 0.02, 0.0, 0.0])  # 0.67 N in all
+    world.run()
+    ended(world, ErrorCode.NONE)
+    rests = [f for f in world.of(Feedback) if f.state == State.REST and np.isfinite(f.along)]
+    assert rests and all(np.linalg.norm(f.load[:3]) < 0.15 for f in rests)
+
+
+# --- pushes that are not as asked ---------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"share": 0.6}, "it came to no more than 3.6"),
+        ({"share": 2.0}, "it came to"),
+        ({"aside": np.array([0.0, 2.5, 0.0, 0, 0, 0])}, "2.5"),
+    ],
+)
+def test_a_bad_push_is_asked_for_again_then_left_out_and_named(changes, words):
+    world = World()
+    original = {name: getattr(world.hand, name) for name in changes}
+
+    def hear(feedback):
+        first = feedback.done == 0 and feedback.set_number == 1
+        for name, value in (changes if first else original).items():
+            setattr(world.hand, name, value)
+        world.hand.hear(feedback)
+
+    world.on_feedback = hear
+    found = ended(world.run(), ErrorCode.NONE)
+    (text,) = found.left_out
+    assert text.startswith("set 1, position 1, 6 N along +x: ")
+    assert words in text
+    assert found.pushes == 3
+    assert sum("once more" in message for message in world.messages) == 1
+
+
+def test_a_push_that_is_good_the_second_time_is_not_left_out():
+    world = World()
+
+    def hear(feedback):
+        tried = any("once more" in message for message in world.messages)
+        world.hand.share = 1.0 if tried else 0.5
+        world.hand.hear(feedback)
+
+    world.on_feedback = hear
+    found = ended(world.run(), ErrorCode.NONE)
+    assert (found.pushes, found.left_out) == (4, ())
+
+
+def test_a_torque_beside_a_force_does_not_matter_where_the_hand_takes_hold():
+    world = World()
+    world.hand.aside = np.array([0, 0, 0, 0.0, 0.1, 0.0])
+    assert ended(world.run(), ErrorCode.NONE).left_out == ()
+
+
+def test_a_push_that_breaks_off_is_held_anew():
+    world = World()
+    world.run(in_state(State.HOLD))
+    world.hand.share = 0.5
+    world.run(lambda w: w.procedure.state == State.PUSH)
+    world.hand.share = 1.0
+    assert ended(world.run(), ErrorCode.NONE).left_out == ()
+
+
+def test_a_tool_that_is_never_let_go_of_is_said():
+    world = World(only=6)
+    world.run(in_state(State.HOLD))
+    world.hand.lets_go = False
+    failed(world.run(), ErrorCode.NO_PUSHES, "3 pushes in a row", "was not let go of for 2 s")
+
+
+def test_a_marker_that_is_lost_spoils_the_push():
+    world = World()
+    world.run(in_state(State.HOLD))
+    world.arm.marker_hidden = True
+    world.run(lambda w: w.procedure.state in (State.REST, State.PUSH), limit_s=5.0)
+    world.arm.marker_hidden = False
+    found = ended(world.run(), ErrorCode.NONE)
+    assert any("the tool's marker was lost for" in message for message in world.messages)
+    assert found.left_out == ()
+
+
+def test_a_marker_that_never_comes_back_ends_it():
+    world = World(only=6)
+    world.run(in_state(State.HOLD))
+    world.arm.marker_hidden = True
+    failed(world.run(), ErrorCode.NO_PUSHES, "the tool's marker was lost")
+
+
+def test_an_arm_that_gives_way_spoils_the_push():
+    world = World(only=6)
+    world.run(in_state(State.PUSH))
+    world.arm.drift[3] = 0.02
+    failed(world.run(), ErrorCode.NO_PUSHES, "roll moved by", "admittance")
+
+
+def test_a_jump_of_the_stamps_spoils_the_push_and_is_told():
+    world = World()
+    world.run(in_state(State.HOLD))
+    world.arm.skip_ns = 500_000_000
+    found = ended(world.run(), ErrorCode.NONE)
+    assert any("jumped by +0.510 s" in message for message in world.messages)
+    assert any("time stamps jumped" in text for text in found.warnings)
+    assert found.left_out == ()
+
+
+# --- left alone ---------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("state", [State.CALIBRATION, State.UNTOUCHED])
+def test_a_touch_where_there_must_be_none_is_waited_out(state):
+    world = World().run(in_state(state))
+    world.hand._target = np.array([2.0, 0, 0, 0, 0, 0])
+    world.hand.lets_go = False
+    world.run(lambda w: any("touched" in message for message in w.messages))
+    world.hand.lets_go = True
+    ended(world.run(), ErrorCode.NONE)
+
+
+@pytest.mark.parametrize("state", [State.CALIBRATION, State.UNTOUCHED])
+def test_a_touch_that_stays_ends_it(state):
+    world = World().run(in_state(state))
+    world.hand._target = np.array([2.0, 0, 0, 0, 0, 0])
+    world.hand.lets_go = False
+    failed(world.run(), ErrorCode.NOT_UNTOUCHED, "touched")
+
+
+def test_a_trembling_hand_is_a_touch():
+    world = World().run(in_state(State.UNTOUCHED))
+    arm = world.arm
+    step = arm.step
+
+    def trembling():
+        arm.load = 0.5 * np.sin(2 * np.pi * 3.0 * arm.stamp_ns * 1e-9) * np.eye(6)[0]
+        return step()
+
+    arm.step = trembling
+    failed(world.run(), ErrorCode.NOT_UNTOUCHED, "touched")
+
+
+@pytest.mark.parametrize("how", ["marker_hidden", "marker_frozen"])
+def test_a_marker_that_is_not_seen_is_said_before_anyone_pushes(how):
+    world = World()
+    setattr(world.arm, how, True)
+    failed(world.run(), ErrorCode.NOT_UNTOUCHED, "the tool's marker was seen")
+    assert not any("push 6" in message for message in world.messages)
+
+
+def test_a_base_marker_that_is_not_seen_is_said():
+    world = World()
+    world.procedure.on_base_marker = lambda *_: None
+    failed(world.run(), ErrorCode.NOT_UNTOUCHED, "the base's marker was seen 0 times")
+
+
+def test_a_base_that_moved_between_the_calibration_sets_is_a_warning_with_numbers():
+    world = World()
+    world.run(lambda w: len(w.of(Record)) == 2)
+    # Along +x of base_link, so that the tip seems to have gone back.
+    along_x = BASE_IN_TRACKER.rotation @ np.array([4e-4, 0.0, 0.0])
+    world.arm.base_shift = np.array([*along_x, 0.0, 0.0, 0.0])
+    found = ended(world.run(), ErrorCode.NONE)
+    assert not found.holds
+    (text,) = found.warnings
+    assert "did not stay constant" in text
+    assert found.shift == pytest.approx([-4e-4, 0.0, 0.0, 0.0, 0.0, 0.0], abs=5e-5)
+
+
+def test_another_standstill_within_the_tolerance_is_no_shift():
+    """The joints say where the arm is: only what they don't say counts."""
+    world = World()
+    world.run(lambda w: len(w.of(Record)) == 3)
+    move_to = world.arm.move_to
+    world.arm.move_to = lambda joints, s: move_to(joints + [4e-4, -4e-4, 0, 0, 2e-3], s)
+    found = ended(world.run(), ErrorCode.NONE)
+    assert found.holds, found.warnings
+
+
+# --- ends ---------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("state", list(State))
+def test_a_cancel_in_any_state_stops_the_arm(state):
+    world = World().run(in_state(state))
+    world.procedure.cancel()
+    found = failed(world.run(limit_s=5.0), ErrorCode.CANCELED, state.name)
+    assert np.all(np.isnan(found.shift))
+    before = world.commands.copy()
+    world.procedure.cancel()
+    assert world.procedure.take_commands() == []
+    assert before.count(world.end) == 1
+
+
+def test_a_cancel_before_anything_came():
+    world = World()
+    world.dead |= {"joint_states", "wrench_compensated"}
+    world.procedure.cancel()
+    ended(world.run(limit_s=1.0), ErrorCode.CANCELED)
+
+
+def test_more_force_than_the_limit_stops_it():
+    world = World().run(in_state(State.HOLD))
+    world.hand.share = 4.0
+    world.hand.delay_s = 0.001
+    world.hand.lets_go = False
+    world.hand._target = np.array([24.0, 0, 0, 0, 0, 0])
+    failed(world.run(), ErrorCode.OVERLOAD, "24.", "20 N")
+
+
+def test_a_collision_on_the_way_stops_it():
+    world = World().run(in_state(State.MOVE))
+    world.arm.offset = np.array([0.0, 0, 0, 4.2, 0, 0])
+    failed(world.run(limit_s=2.0), ErrorCode.OVERLOAD, "4.20 N·m")
+
+
+def test_one_spike_is_no_overload():
+    world = World().run(in_state(State.UNTOUCHED))
+    step = world.arm.step
+    spike = [np.array([100.0, 0, 0, 0, 0, 0])]
+
+    def once():
+        stamp, position, velocity, wrench, tool, base = step()
+        return stamp, position, velocity, wrench + (spike.pop() if spike else 0.0), tool, base
+
+    world.arm.step = once
+    ended(world.run(), ErrorCode.NONE)
+
+
+@pytest.mark.parametrize("topic", ["joint_states", "wrench_compensated"])
+@pytest.mark.parametrize("state", [State.MOVE, State.HOLD])
+def test_a_silent_driver_ends_it_naming_the_topic(topic, state):
+    world = World().run(in_state(state))
+    world.dead.add(topic)
+    ended(world.run(limit_s=5.0), ErrorCode.DRIVER_SILENT, f"nothing on {topic}")
+    assert world.of(Stop)
+
+
+def test_stamps_of_two_clocks_are_refused():
+    world = World()
+    world.wrench_offset_ns = 3_000_000_000
+    ended(world.run(limit_s=5.0), ErrorCode.BAD_INPUT, "+3.000 s", "one clock")
+    assert not world.of(MoveTo)
+
+
+def test_a_stuck_joint_is_named():
+    world = World()
+    world.arm.ignored_joints = (3,)
+    failed(world.run(), ErrorCode.MOTION_TIMEOUT, "roll did not reach 0.3000 rad")
+
+
+def test_values_that_are_not_finite_end_it():
+    world = World().run(in_state(State.UNTOUCHED))
+    world.arm.offset[2] = np.nan
+    failed(world.run(limit_s=5.0), ErrorCode.BAD_INPUT, "wrench_compensated", "not finite")
+    world = World().run(in_state(State.UNTOUCHED))
+    step = world.arm.step
+
+    def broken():
+        stamp, position, velocity, *rest = step()
+        return stamp, position * np.nan, velocity, *rest
+
+    world.arm.step = broken
+    ended(world.run(limit_s=5.0), ErrorCode.BAD_INPUT, "joint_states", "not finite")
+
+
+def test_a_recording_that_does_not_begin_is_said():
+    world = World()
+    world.dead.add("recording")
+    ended(world.run(limit_s=10.0), ErrorCode.WRITE_FAILED, "recorded within 5 s")
+    assert not world.of(MoveTo)
+
+
+def test_a_service_that_refuses_or_does_not_answer_ends_it():
+    world = World(by_service=True)
+    world.dead.add("push_tool")
+    world.run(lambda w: bool(w.of(Push)))
+    world.procedure.on_service(False, "the hand is pushing already")
+    failed(world.run(), ErrorCode.SERVICE_FAILED, "the hand is pushing already")
+    patient = dataclasses.replace(SETTINGS, service_timeout_s=1.0)
+    world = World(patient, by_service=True)
+    world.dead.add("push_tool")
+    failed(world.run(), ErrorCode.SERVICE_FAILED, "did not answer in 1 s")
+
+
+def test_a_push_that_the_service_only_claims_is_left_out():
+    """The wrench is what counts."""
+    world = World(by_service=True)
+    world._served_load = lambda: np.zeros(6)
+    failed(world.run(), ErrorCode.NO_PUSHES, "it came to no more than 0.0")
+
+
+def test_nothing_is_looked_at_before_the_arm_stands_by_the_wrench_s_own_stamps():
+    """Through the compensation wrenches come late: those of the move must not count."""
+    world = World(sets=1)
+    world.wrench_offset_ns = -100_000_000
+    arm = world.arm
+    step = arm.step
+
+    def swinging():
+        out = list(step())
+        if arm.moving:
+            out[3] = out[3] + np.array([5.0, 0, 0, 0, 0, 0])
+        return tuple(out)
+
+    arm.step = swinging
+    ended(world.run(), ErrorCode.NONE)
+    assert not any("touched" in message for message in world.messages)
