@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -49,17 +50,25 @@ class FittedRange:
 
     def left_by(self, joints: Array, wrench: Array) -> np.ndarray:
         """Which of the samples (n,) lie outside: joints (n, 5), wrenches (n, 6) as for `of`."""
-        margin = np.maximum(MARGIN * (self.wrench_high - self.wrench_low), SMALLEST_MARGIN)
-        outside = np.any(
-            (wrench < self.wrench_low - margin) | (wrench > self.wrench_high + margin), axis=1
-        )
+        low, high = self._limits
+        both = np.concatenate([wrench, joints], axis=1)
+        outside = ((both < low) | (both > high)).any(axis=1)
         if self.positions is not None:
             far = np.abs(joints[:, None] - self.positions) > NEARBY
             return np.asarray(outside | np.all(far.any(axis=2), axis=1))
-        margin = np.maximum(MARGIN * (self.joints_high - self.joints_low), NEARBY)
-        return np.asarray(
-            outside
-            | np.any((joints < self.joints_low - margin) | (joints > self.joints_high + margin), 1)
+        return np.asarray(outside)
+
+    @cached_property
+    def _limits(self) -> tuple[Array, Array]:
+        """Lowest and highest (11,) of wrench and joints; near positions, joints have none here."""
+        wrench = np.maximum(MARGIN * (self.wrench_high - self.wrench_low), SMALLEST_MARGIN)
+        joints = np.maximum(MARGIN * (self.joints_high - self.joints_low), NEARBY)
+        if self.positions is not None:
+            joints = np.full_like(joints, np.inf)
+        margin = np.concatenate([wrench, joints])
+        return (
+            np.concatenate([self.wrench_low, self.joints_low]) - margin,
+            np.concatenate([self.wrench_high, self.joints_high]) + margin,
         )
 
     def to_json(self) -> dict[str, Any]:
