@@ -174,6 +174,18 @@ def test_direct_is_torch_s_projection():
     np.testing.assert_allclose(net.outputs.apply(net.predict(series.inputs)), theirs, atol=5e-6)
 
 
+def test_an_input_of_nothing_but_rounding_is_not_blown_up():
+    rng = np.random.default_rng(9)
+    one = with_backlash(rng)
+    rounding = 1e-16 * rng.normal(size=(300, 1))
+    whole = one._replace(inputs=np.hstack([one.inputs, rounding]))
+    net, _ = train([whole], RecurrentSettings(hidden=4, iterations=3), least=np.array([0.0, 0.1]))
+    moved = np.hstack([one.inputs, rounding + 1e-6])
+    np.testing.assert_allclose(net.predict(moved), net.predict(whole.inputs), atol=1e-5)
+    blown_up, _ = train([whole], RecurrentSettings(hidden=4, iterations=3))
+    assert np.abs(blown_up.predict(moved) - blown_up.predict(whole.inputs)).max() > 1e-2
+
+
 def test_a_constant_input_and_output_do_no_harm():
     rng = np.random.default_rng(8)
     one = with_backlash(rng)

@@ -15,7 +15,7 @@ def hold_out(samples: DeflectionSamples, used: np.ndarray) -> np.ndarray:
 
     The last repetitions of positions that have several, as the report held out sets; of as many
     positions as make up a quarter. Where no position has several, the last blocks of each (blocks:
-    as `least_squares`, about a push).
+    as `least_squares`, about a push); nothing of a position that has only one.
     """
     held = np.zeros(len(samples), dtype=bool)
     for position in np.unique(samples.position[used]):
@@ -30,6 +30,7 @@ def hold_out(samples: DeflectionSamples, used: np.ndarray) -> np.ndarray:
     places = np.array([samples.position[part.start] for part in parts])
     for position in np.unique(places):
         of_position = np.flatnonzero(places == position)
-        for k in of_position[len(of_position) - int(SHARE * len(of_position)) :]:
-            held[parts[k]] = used[parts[k]]
+        if len(of_position) > 1:
+            for k in of_position[-max(1, round(SHARE * len(of_position))) :]:
+                held[parts[k]] = used[parts[k]]
     return held

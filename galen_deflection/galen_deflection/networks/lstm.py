@@ -31,7 +31,7 @@ from galen_deflection.models.least_squares import beyond_noise
 from galen_deflection.models.linear import FittedOn
 from galen_deflection.networks.hold_out import hold_out
 from galen_deflection.networks.network import Network
-from galen_deflection.networks.network_model import INPUTS, OUTPUTS, NetworkModel
+from galen_deflection.networks.network_model import INPUTS, LEAST_SCALE, OUTPUTS, NetworkModel
 from galen_deflection.networks.recurrent import RecurrentSettings, Series, TrainingError, train
 from galen_deflection.networks.sequences import check_samples, products, run, sequences
 from galen_deflection.samples import DeflectionSamples
@@ -42,6 +42,8 @@ KIND_DIRECT = "lstm_direct"
 
 SETTINGS = RecurrentSettings(hidden=18, dropout=0.05, iterations=150, learning_rate=0.02)
 """The report's; the learning rate is ours."""
+
+DIRECT = replace(SETTINGS, direct=True, learning_rate=0.05)
 
 PERIOD_S = 0.04
 """A step of the network. A hand's pushes take a second; at the tracker's own 60 to 100 Hz a push
@@ -55,7 +57,7 @@ def fit(samples: DeflectionSamples, settings: FitSettings | None = None) -> Netw
 
 def fit_direct(samples: DeflectionSamples, settings: FitSettings | None = None) -> NetworkModel:
     """Train the one without a fully connected layer; raises FitError."""
-    return _fit(KIND_DIRECT, samples, settings or FitSettings(), replace(SETTINGS, direct=True))
+    return _fit(KIND_DIRECT, samples, settings or FitSettings(), DIRECT)
 
 
 def _fit(
@@ -72,6 +74,8 @@ def _fit(
         patience=settings.patience,
     )
     held = hold_out(samples, used)
+    if not held.any():
+        raise FitError(f"{kind}: so few samples that no part of them can be held out")
     told = settings.on_progress or (lambda done, total, what: None)
 
     def part(rows: np.ndarray) -> list[Series]:
@@ -83,12 +87,14 @@ def _fit(
             network,
             held_out=part(held),
             unit=samples.noise,
+            least=LEAST_SCALE,
             on_progress=lambda done, total: told(done, total, f"{kind}: to see how long is best"),
         )
         final, _ = train(
             part(used),
             replace(network, iterations=curve.best + 1, patience=None),
             unit=samples.noise,
+            least=LEAST_SCALE,
             on_progress=lambda done, total: told(done, total, f"{kind}: on all samples"),
         )
     except TrainingError as error:

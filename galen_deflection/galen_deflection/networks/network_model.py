@@ -10,7 +10,7 @@ import numpy as np
 from galen_model.arrays import Array
 from galen_model.json_fields import get, numbers, text, texts
 
-from galen_deflection.fitted_range import FittedRange
+from galen_deflection.fitted_range import NEARBY, SMALLEST_MARGIN, FittedRange
 from galen_deflection.models.axes import LOADS, MOTIONS
 from galen_deflection.models.interface import Predicted, PredictedSamples
 from galen_deflection.models.linear import (
@@ -29,6 +29,9 @@ INPUTS = (*LOADS, "q1", "q2", "q3", "roll", "tilt")
 """The wrench at the tip in base_link, N and N.m, and the joints, m and rad."""
 
 OUTPUTS = MOTIONS
+
+LEAST_SCALE = 0.1 * np.concatenate([SMALLEST_MARGIN, NEARBY])
+"""Of the inputs: less of a load or a way than this is nothing that a network should look at."""
 
 
 @dataclass(frozen=True)

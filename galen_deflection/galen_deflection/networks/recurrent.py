@@ -73,18 +73,20 @@ def train(
     *,
     held_out: Sequence[Series] = (),
     unit: Array | None = None,
+    least: Array | None = None,
     on_progress: Callable[[int, int], None] | None = None,
 ) -> tuple[RecurrentNet, TrainingCurve]:
     """Train on `series`; of `held_out` nothing is learnt, but its best iteration is kept.
 
     Without `held_out` the last iteration is. The standardisation is of the used samples of `series`
     alone. unit (n_out,): what an error is measured by, in the targets' units; None for the targets'
-    standard deviations. on_progress(done, total): told after every iteration. The same seed gives
-    the same network on the same machine. Raises TrainingError.
+    standard deviations. least (n_in,): what inputs are standardised by is not smaller, in their
+    units; None for no such limit. on_progress(done, total): told after every iteration. The same
+    seed gives the same network on the same machine. Raises TrainingError.
     """
     torch = _torch()
     _check(series, held_out)
-    inputs = Scaling.of(np.concatenate([s.inputs[s.use] for s in series]))
+    inputs = Scaling.of(np.concatenate([s.inputs[s.use] for s in series]), least)
     outputs = Scaling.of(np.concatenate([s.targets[s.use] for s in series]))
     weight = outputs.scale / (outputs.scale if unit is None else unit)
     with _alone(torch, settings.seed):

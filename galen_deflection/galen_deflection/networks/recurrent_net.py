@@ -28,9 +28,13 @@ class Scaling(NamedTuple):
     scale: Array
 
     @classmethod
-    def of(cls, values: Array) -> Scaling:
-        """From training data (n, k); a constant column is only shifted."""
-        scale = values.std(axis=0)
+    def of(cls, values: Array, least: Array | None = None) -> Scaling:
+        """From training data (n, k); a constant column is only shifted.
+
+        least (k,): a scale is not smaller, as that of an axis on which there was only rounding or
+        noise would be.
+        """
+        scale = np.maximum(values.std(axis=0), 0.0 if least is None else least)
         # a constant's standard deviation is what rounding leaves
         constant = scale <= 1e-9 * np.abs(values).max(axis=0)
         return cls(values.mean(axis=0), np.where(constant, 1.0, scale))

@@ -27,6 +27,7 @@ import numpy as np
 from galen_model.arrays import Array
 
 from galen_deflection.errors import FitError
+from galen_deflection.fitted_range import SMALLEST_MARGIN
 from galen_deflection.models import joint_hysteresis
 from galen_deflection.models.fit_settings import FitSettings
 from galen_deflection.models.least_squares import beyond_noise
@@ -51,7 +52,7 @@ from galen_deflection.networks.training_curve import TrainingCurve
 from galen_deflection.samples import DeflectionSamples
 
 SETTINGS = RecurrentSettings(
-    hidden=8, dropout=0.2, iterations=60, learning_rate=0.02, weight_decay=0.05
+    hidden=8, dropout=0.1, iterations=120, learning_rate=0.03, weight_decay=0.05
 )
 
 PERIOD_S = 0.04
@@ -138,6 +139,7 @@ class _Question:
         self._network = replace(
             SETTINGS, seed=settings.seed, iterations=settings.iterations or SETTINGS.iterations
         )
+        self._least = np.concatenate([0.1 * SMALLEST_MARGIN, samples.noise])
 
     def without(self, position: int, done: int, total: int) -> _Trial:
         """Leave a position out, the `done`th of `total`; raises FitError, TrainingError."""
@@ -156,6 +158,7 @@ class _Question:
             self._network,
             held_out=held_out,
             unit=self.samples.noise,
+            least=self._least,
             on_progress=on_progress,
         )
         targets = np.concatenate([s.targets[s.use] for s in held_out]) / self.samples.noise
@@ -165,7 +168,8 @@ class _Question:
     def trained(self, physics: LinearModel, rows: np.ndarray, iterations: int) -> RecurrentNet:
         """The network for what a physics leaves of some rows (n,)."""
         settings = replace(self._network, iterations=iterations)
-        return train(self._series(physics, rows), settings, unit=self.samples.noise)[0]
+        series = self._series(physics, rows)
+        return train(series, settings, unit=self.samples.noise, least=self._least)[0]
 
     def _series(self, physics: LinearModel, rows: np.ndarray) -> list[Series]:
         mean = physics.predict(self.samples).mean
