@@ -105,12 +105,19 @@ class Compared:
         """The kinds that could be fitted."""
         return {name: one for name, one in self.kinds.items() if isinstance(one, Checked)}
 
-    def times_better(self, kind: str) -> float | None:
-        """The network's RMSE over this kind's, in units of the noise; None without a network."""
+    def times_better(self, kind: str) -> tuple[float | None, float | None]:
+        """The network's RMSE over this kind's, and the same of the errors beyond the noise.
+
+        None without the network, or where this kind's error is lost in the noise.
+        """
         checked = self.checked
         if _BASELINE not in checked or kind not in checked:
-            return None
-        return checked[_BASELINE].score.ratio_all / checked[kind].score.ratio_all
+            return None, None
+        network, own = checked[_BASELINE].score, checked[kind].score
+        beyond = network.beyond_noise, own.beyond_noise
+        return network.ratio_all / own.ratio_all, (
+            None if beyond[0] is None or beyond[1] is None else beyond[0] / beyond[1]
+        )
 
 
 def compare(
@@ -149,9 +156,12 @@ def _print(result: Compared, to: Console) -> None:
     more = {"a fit": seconds}
     better = {name: result.times_better(name) for name in checked}
     if _BASELINE in checked:
-        more["LSTM's /\nits RMSE"] = {
-            name: f"{value:.2f}" for name, value in better.items() if value is not None
-        }
+        for column, heading in enumerate(("LSTM's /\nits RMSE", "LSTM's / its\nbeyond noise")):
+            more[heading] = {
+                name: f"{value:.1f}"
+                for name, values in better.items()
+                if (value := values[column]) is not None
+            }
     to.print(comparison_table({name: one.score for name, one in checked.items()}, title, more))
     for name, one in result.kinds.items():
         if isinstance(one, str):
@@ -166,7 +176,8 @@ def _to_dict(result: Compared) -> dict[str, Any]:
             continue
         kinds[name] = one.score.to_dict() | {
             "fit_s": list(one.seconds),
-            "lstm_rmse_over_its": result.times_better(name),
+            "lstm_rmse_over_its": result.times_better(name)[0],
+            "lstm_error_beyond_noise_over_its": result.times_better(name)[1],
             "rmse_over_noise_by_position": {
                 str(position): score.ratio_all
                 for position, score in by_position(one.samples, one.predicted).items()

@@ -59,6 +59,15 @@ class Score:
         """The same of some axes: 0 to 3 translation, 3 to 6 rotation."""
         return float(np.sqrt(np.mean(self.ratio[axes] ** 2)))
 
+    @property
+    def beyond_noise(self) -> float | None:
+        """The prediction's own error over the noise, all axes; None if it is lost in the noise.
+
+        What is measured is off by both, which add as squares: sqrt(ratio_all^2 - 1).
+        """
+        square = self.ratio_all**2 - 1.0
+        return float(np.sqrt(square)) if square > 0.0 else None
+
     def to_dict(self) -> dict[str, Any]:
         """For JSON: lists of three axes in mm and mrad; no NaN."""
         result: dict[str, Any] = {"samples": self.samples}
@@ -72,6 +81,7 @@ class Score:
         return result | {
             "rmse_over_noise": dict(zip(AXES, self.ratio.tolist(), strict=True)),
             "rmse_over_noise_all": self.ratio_all,
+            "error_beyond_noise_over_noise": self.beyond_noise,
             "rmse_over_noise_translation": self.ratio_of(slice(0, 3)),
             "rmse_over_noise_rotation": self.ratio_of(slice(3, 6)),
             "coverage95": dict(zip(AXES, self.coverage.tolist(), strict=True)),

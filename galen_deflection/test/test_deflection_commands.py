@@ -290,6 +290,11 @@ def test_the_networks_error_over_a_models_is_shown(folder, capsys, monkeypatch):
     assert expected > 1.2
     assert kinds["joint_stiffness"]["lstm_rmse_over_its"] == pytest.approx(expected)
     assert kinds["lstm"]["lstm_rmse_over_its"] == 1.0
+    assert kinds["lstm"]["lstm_error_beyond_noise_over_its"] == 1.0
+    beyond = [kinds[name]["error_beyond_noise_over_noise"] for name in ("lstm", "joint_stiffness")]
+    assert beyond[0] == pytest.approx(np.sqrt(kinds["lstm"]["rmse_over_noise_all"] ** 2 - 1.0))
+    expected = None if beyond[1] is None else pytest.approx(beyond[0] / beyond[1])
+    assert kinds["joint_stiffness"]["lstm_error_beyond_noise_over_its"] == expected
 
 
 # --- all ----------------------------------------------------------------------------------------

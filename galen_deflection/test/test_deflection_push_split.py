@@ -7,6 +7,7 @@ import pytest
 from deflection_pushes import NOISE, TIP, make_samples, pushes_along
 from galen_deflection.cross_check import Task, cross_check, fit_without
 from galen_deflection.models.fit_settings import FitSettings
+from galen_deflection.models.registry import KINDS
 from galen_deflection.pushes import PushLimits, find_pushes, tip_wrench
 from galen_deflection.samples import DeflectionSamples, joined
 from galen_deflection.score import score
@@ -135,6 +136,23 @@ def test_what_is_checked_has_no_say_in_the_fit(samples, kind, name):
     measured = samples.deflection.copy()
     measured[split.train] *= 1.5
     assert fit_without(kind, replace(samples, deflection=measured), use, settings).to_json() != seen
+
+
+@pytest.mark.parametrize(
+    "kind",
+    ["lstm", "lstm_direct", pytest.param("hysteresis_residual", marks=pytest.mark.slow)],
+)
+def test_what_is_checked_has_no_say_in_a_networks_fit(samples, kind):
+    pytest.importorskip("torch", reason="networks need PyTorch: `make networks` installs it")
+    assert KINDS[kind].is_network
+    task = Task.of("push", samples)
+    measured = samples.deflection.copy()
+    measured[task.splits[1].check] = np.nan
+    hidden = replace(samples, deflection=measured)
+    settings = FitSettings(iterations=2)
+    fits = [fit_without(kind, some, task.use[1], settings) for some in (samples, hidden)]
+    assert fits[0].to_json() == fits[1].to_json()
+    assert np.array_equal(fits[0].predict(samples).mean, fits[1].predict(samples).mean)
 
 
 def test_where_whole_segments_are_checked_not_even_their_loads_are_shown(samples):
