@@ -24,6 +24,7 @@ setup(
             "compare = galen_deflection.compare:main",
             "deflection_node = galen_deflection.node:main",
             "evaluate = galen_deflection.evaluate:main",
+            "fit_joint = galen_deflection.transmission.fit_joint:main",
             "train = galen_deflection.train:main",
         ]
     },
