@@ -80,8 +80,11 @@ def rate_changed(samples, rate_hz):
 # without PyTorch
 
 
-def test_nothing_loads_torch_but_a_training():
+def test_nothing_loads_torch_but_a_training(tmp_path):
     """What the node and the commands need is quick, and works where there is no PyTorch."""
+    path = tmp_path / "arm.safetensors"
+    header = b'{"__metadata__": {"galen_deflection": "{}"}}'
+    path.write_bytes(len(header).to_bytes(8, "little") + header)
     code = (
         f"import sys; sys.path[:0] = {[entry for entry in sys.path if entry]!r}\n"
         "class NoTorch:\n"
@@ -101,14 +104,20 @@ def test_nothing_loads_torch_but_a_training():
         "    KINDS['lstm'].fit(samples, None)\n"
         "except Exception as error:\n"
         "    print(type(error).__name__, error)\n"
+        "try:\n"
+        f"    galen_deflection.model_file.read_model({str(path)!r})\n"
+        "except Exception as error:\n"
+        "    print(type(error).__name__, error)\n"
     )
     result = subprocess.run(
         [sys.executable, "-c", code], timeout=100, check=True, capture_output=True, text=True
     )
-    assert result.stdout.strip() == (
+    assert result.stdout.splitlines() == [
         "FitError lstm: training a network needs PyTorch and safetensors: "
-        "`make networks` installs them"
-    )
+        "`make networks` installs them",
+        f"ModelFileError {path}: a network's file needs PyTorch and safetensors: "
+        "`make networks` installs them",
+    ]
 
 
 def small_net(forget=2.0):

@@ -24,10 +24,9 @@ import numpy as np
 from galen_model.arrays import Array
 from galen_model.errors import GalenError
 
+from galen_deflection.networks import NEEDS
 from galen_deflection.networks.recurrent_net import RecurrentNet, Scaling, Weights
 from galen_deflection.networks.training_curve import TrainingCurve
-
-NEEDS = "training a network needs PyTorch and safetensors: `make networks` installs them"
 
 
 class TrainingError(GalenError):
@@ -262,7 +261,7 @@ def _torch() -> Any:
     try:
         import torch
     except ImportError as error:
-        raise TrainingError(NEEDS) from error
+        raise TrainingError(f"training a network {NEEDS}") from error
     return torch
 
 

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from galen_model.json_fields import FieldError, get, mapping, parse_json, text
 
-NEEDS = "a network's file needs PyTorch and safetensors: `make networks` installs them"
+from galen_deflection.networks import NEEDS
 
 _TEXT = "galen_deflection"
 _LENGTH_BYTES = 8
@@ -71,5 +71,5 @@ def _library() -> Any:
         import safetensors
         import safetensors.numpy
     except ImportError as error:
-        raise FieldError(NEEDS) from error
+        raise FieldError(f"a network's file {NEEDS}") from error
     return safetensors
