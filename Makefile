@@ -38,9 +38,10 @@ lint: setup ## check style, format and types
 demo: build ## calibrate two tools on the simulated arm and show the report's tables
 	@$(ENTER) && python -m galen_bringup.demo $(ARGS)
 
-bench: build ## measure: evaluate against reading a bag, gravcomp's node against a bare relay
+bench: build ## measure: evaluate against reading a bag, the nodes against a bare relay
 	@$(ENTER) && python -m galen_gravcomp.bag_benchmark $(ARGS)
 	@$(ENTER) && python -m galen_gravcomp.benchmark
+	@$(ENTER) && python -m galen_deflection.benchmark
 
 clean: ## remove what was built; with ALL=1 the environment too
 	rm -rf build install log $(if $(ALL),.venv)
