@@ -1,6 +1,7 @@
-"""Calibration and compensation on an arm that is already up.
+"""Calibration and compensation on an arm that is already up, and its deflection if asked for.
 
     ros2 launch galen_bringup robot.launch.py tool:=pointer wrench_raw:=/ft_sensor/wrench
+    ros2 launch galen_bringup robot.launch.py tool:=pointer deflection_model:=pointer_model.json
 
 `crtk:=true` takes the names of JHU's Collaborative Robotics Toolkit as input instead: the measured
 wrench `measured_cf` and the joints `measured_js`, under `crtk_namespace`.
@@ -8,7 +9,13 @@ wrench `measured_cf` and the joints `measured_js`, under `crtk_namespace`.
 
 from launch import LaunchDescription
 from launch.actions import DeclareLaunchArgument
-from launch.substitutions import IfElseSubstitution, LaunchConfiguration, PathJoinSubstitution
+from launch.conditions import IfCondition
+from launch.substitutions import (
+    IfElseSubstitution,
+    LaunchConfiguration,
+    NotEqualsSubstitution,
+    PathJoinSubstitution,
+)
 from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 from launch_ros.substitutions import FindPackageShare
@@ -18,7 +25,7 @@ _CRTK = {"wrench_raw": "measured_cf", "joint_states": "measured_js"}
 
 
 def generate_launch_description() -> LaunchDescription:
-    """Declare the arguments; start both nodes with the topics' remaps."""
+    """Declare the arguments; start the nodes with the topics' remaps."""
     crtk = LaunchConfiguration("crtk")
     remaps = []
     for topic in _TOPICS:
@@ -33,6 +40,7 @@ def generate_launch_description() -> LaunchDescription:
         "output": "screen",
     }
     config = LaunchConfiguration("config")
+    model = LaunchConfiguration("deflection_model")
     overrides = {
         "use_sim_time": ParameterValue(LaunchConfiguration("use_sim_time"), value_type=bool),
         "tools_dir": ParameterValue(LaunchConfiguration("tools_dir"), value_type=str),
@@ -44,9 +52,9 @@ def generate_launch_description() -> LaunchDescription:
                 default_value=PathJoinSubstitution(
                     [FindPackageShare("galen_bringup"), "config", "robot.yaml"]
                 ),
-                description="parameters of both nodes",
+                description="parameters of all nodes",
             ),
-            DeclareLaunchArgument("namespace", default_value="", description="of both nodes"),
+            DeclareLaunchArgument("namespace", default_value="", description="of all nodes"),
             DeclareLaunchArgument(
                 "use_sim_time", default_value="false", description="follow /clock"
             ),
@@ -55,6 +63,11 @@ def generate_launch_description() -> LaunchDescription:
             ),
             DeclareLaunchArgument(
                 "tools_dir", default_value="~/.ros/galen/tools", description="the tools' files"
+            ),
+            DeclareLaunchArgument(
+                "deflection_model",
+                default_value="",
+                description="model's file for the deflection; empty: its node is not started",
             ),
             DeclareLaunchArgument(
                 "crtk", default_value="false", description="inputs by their CRTK names"
@@ -84,6 +97,18 @@ def generate_launch_description() -> LaunchDescription:
                 executable="calibration_node",
                 name="calibration",
                 parameters=[config, overrides],
+                **common,
+            ),
+            Node(
+                package="galen_deflection",
+                executable="deflection_node",
+                name="deflection",
+                condition=IfCondition(NotEqualsSubstitution(model, "")),
+                parameters=[
+                    config,
+                    {"use_sim_time": overrides["use_sim_time"]},
+                    {"model_file": ParameterValue(model, value_type=str)},
+                ],
                 **common,
             ),
         ]

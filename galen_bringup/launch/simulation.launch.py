@@ -1,4 +1,4 @@
-"""Simulated arm, calibration and compensation.
+"""Simulated arm, calibration and compensation, and the deflection if a model is given.
 
 ros2 launch galen_bringup simulation.launch.py speed_factor:=5 tool:=pointer
 """
@@ -38,6 +38,11 @@ def generate_launch_description() -> LaunchDescription:
                 "tool", default_value="", description="tool whose file gravcomp loads at start"
             ),
             DeclareLaunchArgument(
+                "deflection_model",
+                default_value="",
+                description="model's file for the deflection; empty: its node is not started",
+            ),
+            DeclareLaunchArgument(
                 "tools_dir", default_value="~/.ros/galen/tools", description="the tools' files"
             ),
             Node(
@@ -57,6 +62,7 @@ def generate_launch_description() -> LaunchDescription:
                     "namespace": LaunchConfiguration("namespace"),
                     "tool": LaunchConfiguration("tool"),
                     "tools_dir": LaunchConfiguration("tools_dir"),
+                    "deflection_model": LaunchConfiguration("deflection_model"),
                     "use_sim_time": sim_time,
                 }.items(),
             ),
