@@ -58,6 +58,7 @@ def build_parser() -> argparse.ArgumentParser:
     """The command's options."""
     parser = argparse.ArgumentParser(
         prog="compare",
+        usage="compare BAG... (--tool FILE | --tool-beside NAME) [options]",
         description="Fit every kind of model to a part of recordings of pushes, score it on the"
         " rest, and print one table for each way to split them.",
         epilog=_EPILOG,

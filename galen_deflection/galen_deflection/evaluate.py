@@ -44,6 +44,7 @@ def build_parser() -> argparse.ArgumentParser:
     """The command's options."""
     parser = argparse.ArgumentParser(
         prog="evaluate",
+        usage="evaluate BAG... (--tool FILE | --tool-beside NAME) --model FILE... [options]",
         description="Predict the deflections in recordings of pushes by models' files, and say how"
         " far from the measured ones that is.",
         epilog=_EPILOG,

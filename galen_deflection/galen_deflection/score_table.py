@@ -77,7 +77,7 @@ def comparison_table(
     """
     more = more or {}
     table = Table(title=title or None)
-    table.add_column("", no_wrap=True)
+    table.add_column("")
     for heading in (
         "RMSE, mm\nx y z",
         "RMSE, mrad\nrx ry rz",
@@ -90,7 +90,7 @@ def comparison_table(
         "extra-\npolated",
         *more,
     ):
-        table.add_column(heading, justify="right", no_wrap=True)
+        table.add_column(heading, justify="right")
     for name, score in scores.items():
         loops = None if score.loops is None else score.loops.share
         left = None if score.rests is None else score.rests.gain(slice(0, 3))

@@ -56,6 +56,7 @@ def build_parser() -> argparse.ArgumentParser:
     """The command's options."""
     parser = argparse.ArgumentParser(
         prog="train",
+        usage="train BAG... (--tool FILE | --tool-beside NAME) --kind KIND -o FILE [options]",
         description="Fit a model of the arm's deflection to recordings of pushes with one tool, and"
         " write its file.",
         epilog=_EPILOG,
@@ -92,15 +93,20 @@ def train(
     kind: str, samples: DeflectionSamples, settings: FitSettings, quiet: bool
 ) -> DeflectionModel:
     """Fit to all samples, with a bar; raises GalenError."""
-    with progress(0, "it", quiet) as bar:
+    with progress(1, "fit", quiet) as bar:
         bar.set_description(kind)
+        told = False
 
         def show(done: int, total: int, what: str) -> None:
-            bar.total = total
-            bar.set_postfix_str(what, refresh=False)
+            nonlocal told
+            told, bar.total, bar.unit = True, total, "iteration"
+            bar.set_description(what, refresh=False)
             bar.update(done - bar.n)
 
-        return KINDS[kind].fit(samples, replace(settings, on_progress=show))
+        model = KINDS[kind].fit(samples, replace(settings, on_progress=show))
+        if not told:  # too quick to say anything
+            bar.update()
+        return model
 
 
 def held_out(

@@ -54,7 +54,7 @@ def print_training(
             f"[yellow]{name}: the samples don't tell it; it is as it was before[/yellow]",
             soft_wrap=True,
         )
-    scores = {"what it was fitted to": fit} | {
+    scores = {"fitted to": fit} | {
         f"held out: {name}": one for name, one in checked.items() if isinstance(one, Score)
     }
     to.print(comparison_table(scores, "How well it predicts"))

@@ -79,7 +79,7 @@ def test_train_tells_a_person(folder, tmp_path, capsys):
     )  # fmt: skip
     assert (code, err) == (EXIT_OK, "")
     for words in (
-        "dx/fx", "m/N", "what it was fitted to", "held out: push",
+        "dx/fx", "m/N", "fitted to", "held out: push",
         "not held out, report: the report's split needs two sets",
         f"model file: {file}", "ros2 run galen_deflection evaluate BAG",
     ):  # fmt: skip
