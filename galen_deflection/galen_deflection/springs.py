@@ -24,7 +24,7 @@ from typing import NamedTuple
 import numpy as np
 from galen_model.arm import GALEN, ArmParameters
 from galen_model.arrays import Array
-from galen_model.delta import LinearDelta
+from galen_model.delta import LinearDelta, ball_joints
 from galen_model.kinematics import sensor_rotation
 from galen_model.rotation import rot_y, skew
 from galen_model.wrench import adjoint
@@ -63,11 +63,9 @@ class TipWrench:
 
     def __init__(self, tip_m: Array) -> None:
         """tip_m (3,): in ft_sensor."""
-        to_sensor = np.eye(4)
-        to_sensor[:3, 3] = -tip_m
-        # tool_tip is turned as ft_sensor is: only the point changes
-        self._move = np.eye(6)
-        self._move[3:, :3] = adjoint(to_sensor)[:3, 3:]
+        tip_in_sensor = np.eye(4)  # tool_tip is turned as ft_sensor is
+        tip_in_sensor[:3, 3] = tip_m
+        self._move = adjoint(tip_in_sensor).T
         self._matrices = RecentPoses(self._calculate)
 
     def __call__(self, joints: Array, wrench: Array) -> Array:
@@ -83,32 +81,36 @@ class TipWrench:
         return matrices
 
 
+class Geometry(NamedTuple):
+    """J (n, 6, 11), and the lever (n, 3) from the platform's centre to the tip; base_link."""
+
+    jacobian: Array
+    lever: Array
+
+
 class Springs:
-    """J (n, 6, 11) of the tip, for many joint vectors."""
+    """J of the tip, for many joint vectors."""
 
     def __init__(self, tip_m: Array, arm: ArmParameters = GALEN) -> None:
         """tip_m (3,): in ft_sensor."""
         self._arm = arm
         self._delta = LinearDelta(arm)
         angles = np.asarray(arm.leg_angles_rad)
-        outward = np.stack([np.cos(angles), np.sin(angles)], axis=-1)
-        self._feet = arm.delta_radius_m * outward
-        balls = np.zeros((3, 2, 3))
-        along = np.stack([-np.sin(angles), np.cos(angles)], axis=-1)
-        for side, sign in enumerate((1.0, -1.0)):
-            balls[:, side, :2] = (
-                arm.platform_radius_m * outward + sign * arm.rod_half_spacing_m * along
-            )
+        self._feet = arm.delta_radius_m * np.stack([np.cos(angles), np.sin(angles)], axis=-1)
         # the row [n, B x n] of each rod, from its leg's n: (6 rods, 6, 3)
         self._rows = np.concatenate(
-            [np.broadcast_to(np.eye(3), (6, 3, 3)), skew(balls.reshape(6, 3))], axis=1
+            [np.broadcast_to(np.eye(3), (6, 3, 3)), skew(ball_joints(arm))], axis=1
         )
         self._leg = np.repeat(np.arange(3), 2)
         self._beyond_tilt = arm.tilt_to_sensor_m + rot_y(np.pi / 2) @ tip_m
         self._single = RecentPoses(self._calculate)
 
     def jacobian(self, joints: Array) -> Array:
-        """J (n, 6, 11), base_link; one calculation for equal joints that follow each other.
+        """J (n, 6, 11), base_link; as `geometry`."""
+        return self.geometry(joints).jacobian
+
+    def geometry(self, joints: Array) -> Geometry:
+        """Of joints (n, 5); one calculation for equal joints that follow each other.
 
         Don't change it: it may be given again. Raises KinematicsError where the rods don't reach.
         """
@@ -116,9 +118,11 @@ class Springs:
             return self._single(joints)
         new = np.ones(len(joints), dtype=bool)
         new[1:] = np.any(joints[1:] != joints[:-1], axis=1)
-        return self._calculate(joints[new])[np.cumsum(new) - 1]
+        jacobian, lever = self._calculate(joints[new])
+        which = np.cumsum(new) - 1
+        return Geometry(jacobian[which], lever[which])
 
-    def _calculate(self, joints: Array) -> Array:
+    def _calculate(self, joints: Array) -> Geometry:
         count = len(joints)
         cos_r, sin_r = np.cos(joints[:, 3]), np.sin(joints[:, 3])
         cos_t, sin_t = np.cos(joints[:, 4]), np.sin(joints[:, 4])
@@ -145,7 +149,7 @@ class Springs:
         jacobian[:, :, 5:] = rods
         upward = directions[:, :, 2]
         jacobian[:, :, 2:5] = (rods[:, :, 0::2] + rods[:, :, 1::2]) * upward[:, None, :]
-        return jacobian
+        return Geometry(jacobian, from_centre)
 
     def _rod_directions(self, platform: Array) -> Array:
         """n_i (n, 3, 3) from carriage to platform."""

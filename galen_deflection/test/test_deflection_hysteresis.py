@@ -9,9 +9,18 @@ from deflection_synthetic import NOISE, TIP_M, Arm, dahl, recording, without_noi
 from galen_deflection.hysteresis import PlayOperators
 from galen_deflection.models import joint_hysteresis, joint_stiffness
 from galen_deflection.models.fit_settings import FitSettings
-from galen_deflection.models.hysteresis_basis import JOINTS, TIP, HysteresisBasis, Operator
-from galen_deflection.models.joint_hysteresis import AT_TIP, LEADS, fit
+from galen_deflection.models.hysteresis_basis import (
+    COLUMNS,
+    JOINTS,
+    PLATFORM,
+    HysteresisBasis,
+    Operator,
+)
+from galen_deflection.models.joint_hysteresis import LEADS, OF_PLATFORM, fit
 from galen_deflection.models.linear import LinearModel
+from galen_model.kinematics import sensor_pose, tip_pose
+from galen_model.stiffness import platform_stiffness
+from galen_model.wrench import move_twist, move_wrench
 
 THRESHOLDS = np.array([0.0, 0.1, 0.35, 0.8])
 RUBBING = Arm(friction=(0.3, 0.3, 4.0))
@@ -257,14 +266,20 @@ def test_weights_and_compliances_are_never_negative(model):
 
 @pytest.mark.parametrize(
     ("place", "shape", "notes"),
-    [(TIP, "play", (AT_TIP,)), ("roll", "stop", (LEADS,)), (TIP, "stop", (AT_TIP, LEADS))],
+    [
+        (PLATFORM, "play", (OF_PLATFORM,)),
+        ("roll", "stop", (LEADS,)),
+        (PLATFORM, "stop", (OF_PLATFORM, LEADS)),
+    ],
 )
 def test_what_no_joint_does_is_fitted_and_said(place, shape, notes):
-    """Hysteresis of the tip as a whole, and a deflection that leads its load."""
+    """Hysteresis of the platform as a whole, and a deflection that leads its load."""
     samples = recording(seed=5, rate_hz=15.0)
-    largest = np.abs(without_noise(samples, Arm()).deflection).max(axis=0)
-    thresholds = tuple((0.2 * largest).tolist()) if place == TIP else (0.3,)
-    weight = 0.4 if place == TIP else 3e-4
+    anywhere = HysteresisBasis(TIP_M, (Operator(PLATFORM, "play", (0.0,) * 6),))
+    motion = anywhere.run().loads(samples.joints, samples.wrench)[3][:, COLUMNS[PLATFORM]]
+    largest = np.abs(motion).max(axis=0)
+    thresholds = tuple((0.2 * largest).tolist()) if place == PLATFORM else (0.3,)
+    weight = 0.4 if place == PLATFORM else 3e-4
     basis = HysteresisBasis(TIP_M, (Operator(place, shape, thresholds),))
     true = np.append(np.array([5e-4, 6e-4, 3e-6, 5e-7]), weight)
     clean = _of(basis, true, samples).predict(samples).mean
@@ -343,3 +358,20 @@ def _of(basis, values, samples):
         "x", TIP_M, basis, values, np.zeros((size, size)), np.zeros((6, 6)), NOISE,
         known.fitted_range, known.fitted_on,
     )  # fmt: skip
+
+
+def test_the_platforms_motion_is_that_of_its_centre():
+    """Against the nominal model: a tip at the platform's centre would move so."""
+    samples = recording(seed=5, rate_hz=5.0).rows(slice(0, None, 40))
+    basis = HysteresisBasis(TIP_M, (Operator(PLATFORM, "play", (0.0,) * 6),))
+    _, _, jacobian, loads = basis.run().loads(samples.joints, samples.wrench)
+    columns = list(COLUMNS[PLATFORM])
+    for row in range(len(samples)):
+        joints = samples.joints[row]
+        _, tip = tip_pose(joints, TIP_M)
+        rotation, origin = sensor_pose(joints)
+        wrench = move_wrench(samples.wrench[row], rotation, origin - joints[:3])
+        twist = np.linalg.solve(platform_stiffness(joints[:3]), wrench)
+        np.testing.assert_allclose(loads[row, columns], twist, rtol=1e-9, atol=1e-15)
+        moved = jacobian[row][:, columns] @ twist
+        np.testing.assert_allclose(moved, move_twist(twist, joints[:3], tip), rtol=1e-9, atol=1e-15)

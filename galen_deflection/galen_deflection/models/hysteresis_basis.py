@@ -9,6 +9,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 from galen_model.arrays import Array
 from galen_model.json_fields import FieldError, array, get, items, mapping, numbers, text
+from galen_model.rotation import skew
 
 from galen_deflection.hysteresis import PlayOperators
 from galen_deflection.models.joint_stiffness import COMPLIANCES, StiffnessRun, elastic
@@ -18,19 +19,22 @@ from galen_deflection.springs import SPRINGS, kinds
 Shape = Literal["play", "stop"]
 
 JOINTS = tuple(kind.name for kind in kinds()[:3])
-TIP = "tip"
+PLATFORM = "platform"
 COLUMNS = {kind.name: range(*kind.springs.indices(len(SPRINGS))) for kind in kinds()[:3]}
-COLUMNS[TIP] = range(len(SPRINGS), len(SPRINGS) + 6)
-"""Where an operator may sit: at the springs of a kind, or at the tip's six axes, counted on."""
+COLUMNS[PLATFORM] = range(len(SPRINGS), len(SPRINGS) + 6)
+"""Where an operator may sit: at the springs of a kind, or at the platform's axes, counted on."""
 
-_UNITS = {kind.name: kind.compliance_unit for kind in kinds()} | {TIP: "1"}
+UNDER_PLATFORM = slice(2, 4)
+"""Of the four compliances those by which the platform moves: carriages and rods."""
+
+_UNITS = {kind.name: kind.compliance_unit for kind in kinds()} | {PLATFORM: "1"}
 _LOAD_UNITS = {kind.name: kind.load_unit for kind in kinds()}
 
 
 class Operator(NamedTuple):
-    """A play, or a stop, at each spring of a kind, or at each of the tip's axes; one weight.
+    """A play, or a stop, at each spring of a kind, or each of the platform's axes; one weight.
 
-    thresholds: one for each of them; N.m, N, or at the tip m and rad.
+    thresholds: one for each of them; N.m, N, or at the platform m and rad.
     """
 
     place: str
@@ -48,7 +52,7 @@ class Operator(NamedTuple):
 class HysteresisBasis:
     """The four compliances, then a weight for each operator.
 
-    reference (4,): the compliances with which the tip's operators see the tip move; linear models
+    reference (4,): the compliances with which the platform's operators see it move; linear models
     of a load can't do with those that are being fitted.
     """
 
@@ -118,19 +122,23 @@ class HysteresisRun:
         self._plays = PlayOperators(np.array([threshold for _, _, threshold in single]))
         self._of_operator = np.zeros((len(single), len(basis.operators)))
         self._of_operator[np.arange(len(single)), self._operator] = 1.0
-        self._at_tip = any(operator.place == TIP for operator in basis.operators)
+        self._of_platform = any(operator.place == PLATFORM for operator in basis.operators)
 
     def loads(self, joints: Array, wrench: Array) -> tuple[Array, Array, Array, Array]:
         """Wrench (n, 6) at the tip, designs (n, 6, 4) of the compliances, J, and all loads.
 
-        J and loads are (n, 6, 17) and (n, 17) with the tip's axes, if an operator is there.
+        J and loads are (n, 6, 17) and (n, 17) with the platform's axes, if an operator is there:
+        the twist of its centre (m, rad), and what that does to the tip.
         """
-        at_tip, jacobian, loads = self._arm.loaded(joints, wrench)
+        at_tip, (jacobian, lever), loads = self._arm.loaded(joints, wrench)
         springs = elastic(jacobian, loads)
-        if self._at_tip:
-            own = np.broadcast_to(np.eye(6), (len(loads), 6, 6))
+        if self._of_platform:
+            motion = springs[:, :, UNDER_PLATFORM] @ self._reference[UNDER_PLATFORM]
+            motion[:, :3] += np.cross(lever, motion[:, 3:])  # of its centre, no longer of the tip
+            own = np.tile(np.eye(6), (len(loads), 1, 1))
+            own[:, :3, 3:] = -skew(lever)
             jacobian = np.concatenate([jacobian, own], axis=2)
-            loads = np.concatenate([loads, springs @ self._reference], axis=1)
+            loads = np.concatenate([loads, motion], axis=1)
         return at_tip, springs, jacobian, loads
 
     def rows(self, joints: Array, wrench: Array) -> Rows:

@@ -12,8 +12,8 @@ has not seen tell.
 That is what friction in joints does. Recordings exist that joints do not explain, and two further
 forms are tried on them:
 
-- plays of the tip's own six motions, as the springs alone would make them, instead of the joints':
-  hysteresis that is not known to sit anywhere;
+- plays of the platform's six motions, as the springs alone would make them, in place of plays of
+  its carriages' loads: hysteresis that is not known to sit in one of its parts;
 - stops, l - play(l), in place of plays. Plays lag behind the load: after a push something of the
   deflection is left on its side. With stops it is left on the other side, the deflection leads. No
   joint does that, since it would give out more work than it takes; a wrench that is measured with
@@ -38,7 +38,8 @@ from galen_deflection.models.fit_settings import FitSettings
 from galen_deflection.models.hysteresis_basis import (
     COLUMNS,
     JOINTS,
-    TIP,
+    PLATFORM,
+    UNDER_PLATFORM,
     HysteresisBasis,
     Operator,
     Shape,
@@ -64,18 +65,21 @@ GRIDS: tuple[tuple[float, ...], ...] = (
 )
 """What is tried after no hysteresis at all; each a part of GRID."""
 
+DISPLACEMENTS = ("roll", "tilt", PLATFORM)
+"""The three displacements that add up at the tip: contract, section 2."""
+
 FORMS: tuple[tuple[tuple[str, ...], Shape], ...] = (
     (JOINTS, "play"),
-    ((TIP,), "play"),
+    (DISPLACEMENTS, "play"),
     (JOINTS, "stop"),
-    ((TIP,), "stop"),
+    (DISPLACEMENTS, "stop"),
 )
 """Where the operators sit, and which they are, most physical first."""
 
 _STANDARD_ERRORS = 2.0
 _WORTH_IT = 0.01
 
-AT_TIP = "hysteresis of the tip as a whole fits better than hysteresis of the joints"
+OF_PLATFORM = "hysteresis of the platform as a whole fits better than that of its carriages"
 LEADS = "the deflection leads the load, as if joints gave out work: is the wrench hysteretic?"
 
 
@@ -90,7 +94,7 @@ def fit(samples: DeflectionSamples, settings: FitSettings | None = None) -> Line
     used = _Candidate.of(grid, totals, [chosen.operators[k] for k in wanted], chosen.shape)
     model = finished(KIND, used.basis, samples, used.totals, only_nearby=False)
     operators = used.basis.operators
-    notes = [AT_TIP] * any(operator.place == TIP for operator in operators)
+    notes = [OF_PLATFORM] * any(operator.place == PLATFORM for operator in operators)
     notes += [LEADS] * any(operator.shape == "stop" for operator in operators)
     return replace(model, notes=tuple(notes))
 
@@ -101,7 +105,7 @@ def from_json(content: Mapping[str, Any]) -> LinearModel:
 
 
 def _whole_grid(samples: DeflectionSamples, settings: FitSettings) -> HysteresisBasis:
-    """Plays at all thresholds, in all places; the springs alone are the tip's reference."""
+    """Plays at all thresholds, in all places; the springs alone are the platform's reference."""
     springs = StiffnessBasis(samples.tip_m)
     reference = solve(*sums(springs, samples, settings).total(), COMPLIANCES, bounded=True).values
     anywhere = tuple(Operator(place, "play", (0.0,) * len(COLUMNS[place])) for place in COLUMNS)
@@ -110,7 +114,7 @@ def _whole_grid(samples: DeflectionSamples, settings: FitSettings) -> Hysteresis
     operators = []
     for place, columns in COLUMNS.items():
         loads = largest[list(columns)]
-        if place != TIP:  # springs of a kind are alike
+        if place != PLATFORM:  # springs of a kind are alike
             loads = np.full_like(loads, loads.max())
         operators += [Operator(place, "play", tuple((share * loads).tolist())) for share in GRID]
     return HysteresisBasis(samples.tip_m, tuple(operators), reference)
@@ -142,8 +146,8 @@ class _Candidate(NamedTuple):
                 combination[given + k, column] = 1.0
                 continue
             combination[given + k, column] = -1.0
-            if place == TIP:
-                combination[:given, column] = grid.reference
+            if place == PLATFORM:
+                combination[UNDER_PLATFORM, column] = grid.reference[UNDER_PLATFORM]
             else:
                 combination[names.index(place), column] = 1.0
         return cls(operators, shape, grid.part(operators, shape), totals.combined(combination))

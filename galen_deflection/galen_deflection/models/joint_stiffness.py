@@ -20,7 +20,7 @@ from galen_deflection.models.least_squares import finished, sums
 from galen_deflection.models.linear import LinearModel, Parameter, Rows, tip_from_json
 from galen_deflection.models.linear import from_json as linear_from_json
 from galen_deflection.samples import DeflectionSamples
-from galen_deflection.springs import SPRINGS, Springs, TipWrench, kinds
+from galen_deflection.springs import SPRINGS, Geometry, Springs, TipWrench, kinds
 
 KIND = "joint_stiffness"
 
@@ -65,16 +65,16 @@ class StiffnessRun:
         self._to_tip = TipWrench(tip_m)
         self._springs = Springs(tip_m)
 
-    def loaded(self, joints: Array, wrench: Array) -> tuple[Array, Array, Array]:
-        """Wrench (n, 6) at the tip in base_link, J (n, 6, 11) and the loads (n, 11)."""
+    def loaded(self, joints: Array, wrench: Array) -> tuple[Array, Geometry, Array]:
+        """Wrench (n, 6) at the tip in base_link, where the springs are, and loads (n, 11)."""
         at_tip = self._to_tip(joints, wrench)
-        jacobian = self._springs.jacobian(joints)
-        return at_tip, jacobian, np.matmul(at_tip[:, None, :], jacobian)[:, 0]
+        geometry = self._springs.geometry(joints)
+        return at_tip, geometry, np.matmul(at_tip[:, None, :], geometry.jacobian)[:, 0]
 
     def rows(self, joints: Array, wrench: Array) -> Rows:
         """As `Run.rows`."""
-        at_tip, jacobian, loads = self.loaded(joints, wrench)
-        return Rows(at_tip, elastic(jacobian, loads))
+        at_tip, geometry, loads = self.loaded(joints, wrench)
+        return Rows(at_tip, elastic(geometry.jacobian, loads))
 
 
 def elastic(jacobian: Array, loads: Array) -> Array:
