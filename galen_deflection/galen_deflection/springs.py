@@ -128,11 +128,12 @@ class Springs:
         cos_t, sin_t = np.cos(joints[:, 4]), np.sin(joints[:, 4])
         # tilt axis -> tip and roll axis -> tip, both in base_link
         a = self._beyond_tilt
-        from_tilt = np.stack(
-            [cos_t * a[0] + sin_t * a[2], np.full(count, a[1]), cos_t * a[2] - sin_t * a[0]], 1
-        )
-        from_roll = _turned_x(cos_r, sin_r, from_tilt + self._arm.roll_to_tilt_m)
-        from_tilt = _turned_x(cos_r, sin_r, from_tilt)
+        beyond = np.empty((2, count, 3))  # from tilt, from roll
+        beyond[:, :, 0] = cos_t * a[0] + sin_t * a[2]
+        beyond[:, :, 1] = a[1]
+        beyond[:, :, 2] = cos_t * a[2] - sin_t * a[0]
+        beyond[1] += self._arm.roll_to_tilt_m
+        from_tilt, from_roll = _turned_x(cos_r, sin_r, beyond)
         jacobian = np.zeros((count, 6, 11))
         # roll about x: x cross r; tilt about (0, cos, sin)
         jacobian[:, 1, 0], jacobian[:, 2, 0] = -from_roll[:, 2], from_roll[:, 1]
@@ -142,7 +143,7 @@ class Springs:
         jacobian[:, 2, 1] = -cos_r * from_tilt[:, 0]
         jacobian[:, 4, 1], jacobian[:, 5, 1] = cos_r, sin_r
         directions = self._rod_directions(joints[:, :3])
-        rows = np.einsum("rij,nrj->nri", self._rows, directions[:, self._leg])
+        rows = np.matmul(self._rows, directions[:, self._leg, :, None])[..., 0]
         rods = np.linalg.inv(rows)  # a column a rod: the centre's twist for a unit of lengthening
         from_centre = from_roll + self._arm.platform_to_roll_m
         rods[:, :3] -= skew(from_centre) @ rods[:, 3:]
@@ -155,13 +156,21 @@ class Springs:
         """n_i (n, 3, 3) from carriage to platform."""
         across = platform[:, None, :2] - self._feet
         squared = self._arm.rod_length_m**2 - np.sum(across**2, axis=2)
-        for row in np.flatnonzero(np.any(squared <= 0.0, axis=1))[:1]:
+        if (squared <= 0.0).any():
+            row = np.flatnonzero((squared <= 0.0).any(axis=1))[0]
             self._delta.rod_directions(platform[row])  # says which rod does not reach
-        up = np.sqrt(squared)
-        return np.concatenate([across, up[..., None]], axis=2) / self._arm.rod_length_m
+        directions = np.empty((len(platform), 3, 3))
+        directions[:, :, :2] = across
+        directions[:, :, 2] = np.sqrt(squared)
+        directions /= self._arm.rod_length_m
+        return directions
 
 
 def _turned_x(cos: Array, sin: Array, vectors: Array) -> Array:
-    """Vectors (n, 3), turned about x."""
-    y, z = vectors[:, 1], vectors[:, 2]
-    return np.stack([vectors[:, 0], cos * y - sin * z, sin * y + cos * z], axis=1)
+    """Vectors (..., n, 3), turned about x."""
+    turned = np.empty_like(vectors)
+    y, z = vectors[..., 1], vectors[..., 2]
+    turned[..., 0] = vectors[..., 0]
+    turned[..., 1] = cos * y - sin * z
+    turned[..., 2] = sin * y + cos * z
+    return turned
