@@ -128,7 +128,8 @@ class CollectionNode(Node):
         if goal is not None:
             self.get_logger().warning("shutting down: stopping the arm")
             self._arm.stop_and_wait()
-            self._put_away(goal, Finished(ErrorCode.CANCELED, "the node was shut down"))
+            end = Finished(ErrorCode.CANCELED, "the node was shut down", goal.procedure.collected)
+            self._put_away(goal, end)
             goal.handle.abort()
         self._server.destroy()
         super().destroy_node()
@@ -239,8 +240,10 @@ class CollectionNode(Node):
             self._last = f"{name!r} collected: {collected.pushes} of {asked} pushes, {directory}"
         else:
             self._last = f"{name!r} not collected: {end.error_code.name}: {end.error_msg}"
-        log = self.get_logger().error if self._last_failed else self.get_logger().info
-        log(self._last)
+        if self._last_failed:
+            self.get_logger().error(self._last)
+        else:
+            self.get_logger().info(self._last)
         for warning in collected.warnings:
             self.get_logger().warning(warning)
         self._diagnostics.publish_now()
@@ -377,7 +380,7 @@ class CollectionNode(Node):
             if goal is None or self._goal is not goal:
                 return
             self._arm.stop()
-            self._end(goal, _internal(error))
+            self._end(goal, replace(_internal(error), collected=goal.procedure.collected))
 
     def _obey(self, goal: _Goal, command: Command) -> None:
         match command:

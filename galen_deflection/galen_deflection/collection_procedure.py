@@ -160,6 +160,18 @@ class CollectionProcedure:
         """Pushes done or left out, and pushes in all sets."""
         return self._good + len(self._left_out), self._plan.total
 
+    @property
+    def collected(self) -> Collected:
+        """What has come of it so far."""
+        warnings = list(self._warnings)
+        if self._clock.jumps:
+            warnings.append(
+                f"time stamps jumped {self._clock.jumps} times; the last: {self._clock.last_jump}"
+            )
+        return Collected(
+            self._good, tuple(self._left_out), self._shift, self._holds, tuple(warnings)
+        )
+
     def take_commands(self) -> list[Command]:
         """Return the commands given since the last call, in order."""
         commands, self._commands = self._commands, []
@@ -289,7 +301,7 @@ class CollectionProcedure:
         """Stop the arm and end with this error."""
         if self.ending:
             return
-        self._ending = Finished(code, message, self._collected())
+        self._ending = Finished(code, message, self.collected)
         self._untouched = self._watch = None
         self._waiting_for = ""
         self._waited_s = 0.0
@@ -355,12 +367,12 @@ class CollectionProcedure:
     def _visit(self, number: int, position: int) -> None:
         self._set, self._position = number, position
         self._state = State.MOVE
-        self._report(f"set {number}, going to position {position}: keep off")
+        self._report("going to the position: keep off")
         self._go_to(self._plan.positions[position - 1], self._arrived_at_position)
 
     def _arrived_at_position(self) -> None:
         self._state = State.UNTOUCHED
-        self._report(f"set {self._set}, position {self._position}: keep off the tool")
+        self._report("keep off the tool")
         self._stay_untouched(self._begin_pushes)
 
     def _begin_pushes(self, found: Untouched) -> None:
@@ -382,7 +394,7 @@ class CollectionProcedure:
         if not self._good:
             self.fail(ErrorCode.NO_PUSHES, f"no push was as asked; the last: {self._left_out[-1]}")
             return
-        self._ending = Finished(ErrorCode.NONE, "", self._collected())
+        self._ending = Finished(ErrorCode.NONE, "", self.collected)
         self._finish("")
 
     # ---- the tool left alone
@@ -566,16 +578,6 @@ class CollectionProcedure:
         self.fail(ErrorCode.MOTION_TIMEOUT, message)
 
     # ---- reports
-
-    def _collected(self) -> Collected:
-        warnings = list(self._warnings)
-        if self._clock.jumps:
-            warnings.append(
-                f"time stamps jumped {self._clock.jumps} times; the last: {self._clock.last_jump}"
-            )
-        return Collected(
-            self._good, tuple(self._left_out), self._shift, self._holds, tuple(warnings)
-        )
 
     def _finish(self, remark: str) -> None:
         assert self._ending is not None

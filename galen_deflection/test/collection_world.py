@@ -42,7 +42,7 @@ class CollectionWorld:
         tools = path / "tools"
         tools.mkdir()
         shutil.copy(ROOT / "bags" / "tools" / f"{TOOL}.json", tools)
-        sim = {"use_sim_time": True}
+        sim = {"use_sim_time": speed != 1.0}  # at 1 there is no /clock
         self.driver = self.gravcomp = None
         if "driver" not in without:
             values = {"speed_factor": speed, "initial_tool": TOOL} | (driver or {})

@@ -1,0 +1,303 @@
+"""The collection's node, client and driver together, with real rclpy."""
+
+import json
+import math
+import os
+import signal
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from action_msgs.msg import GoalStatus
+from collection_world import POSITIONS, CollectionWorld
+from diagnostic_msgs.msg import DiagnosticArray
+from galen_bags.bag import open_bag
+from galen_calibration_behavior.goal_client import EXIT_USAGE
+from galen_deflection.collect import format_result, parse, result_fields
+from galen_deflection.collection_commands import ErrorCode, State
+from galen_deflection.measured_deflection import measure_deflection
+from galen_deflection.models.joint_stiffness import COMPLIANCES
+from galen_deflection.models.registry import KINDS
+from galen_deflection.push_recording import read_pushes
+from galen_deflection.pushes import find_pushes, tip_wrench
+from galen_deflection.splits import report_splits, sets_of
+from galen_model.tool_file import read_tool
+from galen_ros.testing import Harness
+
+from galen_msgs.action import CollectPushes
+
+
+@pytest.fixture
+def idle(tmp_path):
+    """The node alone: nothing of the arm is there."""
+    with Harness() as harness:
+        yield CollectionWorld(harness, tmp_path, without=("driver", "gravcomp"))
+
+
+def test_goals_that_make_no_sense_end_at_once_with_the_reason(idle):
+    (idle.recordings / "taken").mkdir(parents=True)
+    for fields, code, words in (
+        ({"name": "../x"}, ErrorCode.INVALID_NAME, "recording's name '../x'"),
+        ({"tool": "a/b"}, ErrorCode.INVALID_NAME, "tool name 'a/b'"),
+        ({"tool": "drill"}, ErrorCode.TOOL_FILE, "drill.json"),
+        ({"name": "taken"}, ErrorCode.WRITE_FAILED, "taken: is there already"),
+        ({"positions": [0.5] * 5}, ErrorCode.OUT_OF_REACH, "position 1: delta_x = 0.5 m"),
+        ({"positions": [0.1] * 4}, ErrorCode.BAD_INPUT, "4 numbers"),
+        ({"positions": [math.nan] * 5}, ErrorCode.OUT_OF_REACH, "nan"),
+        ({"forces_n": [30.0]}, ErrorCode.BAD_INPUT, "30 N along +x"),
+        ({"sets": 200}, ErrorCode.BAD_INPUT, "sets is 200"),
+    ):
+        status, result = idle.result(idle.send(**fields))
+        assert status == GoalStatus.STATUS_ABORTED
+        assert ErrorCode(result.error_code) == code, result.error_msg
+        assert words in result.error_msg
+        assert (result.directory, result.messages) == ("", 0)
+    assert idle.left == ["taken"]
+
+
+def test_a_second_goal_is_refused_with_the_reason_on_diagnostics(idle):
+    found = []
+    idle.client_node.create_subscription(
+        DiagnosticArray, "/diagnostics", lambda m: found.extend(m.status), 10
+    )
+    first = idle.send()
+    assert first.accepted
+    assert not idle.send(name="tuesday").accepted
+
+    def reason():
+        return [v.value for s in found for v in s.values if v.key == "refused"]
+
+    (text, *_) = idle.harness.wait_for(reason, 5.0, "the reason on /diagnostics")
+    assert "'tuesday' refused: collecting 'monday' now" in text
+    idle.harness.wait_for(first.cancel_goal_async().done, 5.0, "the cancel's answer")
+    status, result = idle.result(first)
+    assert status == GoalStatus.STATUS_CANCELED
+    assert result.error_code == ErrorCode.CANCELED
+    assert idle.left == []
+
+
+def test_error_codes_and_states_are_the_action_s():
+    assert {c.name: int(c) for c in ErrorCode} == {
+        c.name: getattr(CollectPushes.Result, c.name) for c in ErrorCode
+    }
+    assert {s.name: int(s) for s in State} == {
+        s.name: getattr(CollectPushes.Feedback, s.name) for s in State
+    }
+
+
+# --- the client ---------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        [],
+        ["monday"],
+        ["../x", "--tool", "retractor"],
+        ["monday", "--tool", "a b"],
+        ["monday", "--tool", "retractor", "--by-hand", "--by-service"],
+        ["monday", "--tool", "retractor", "--positions", "1", "2"],
+        ["monday", "--tool", "retractor", "--forces-n", "nan"],
+        ["monday", "--tool", "retractor", "--sets", "0"],
+        ["monday", "--tool", "retractor", "--timeout-s", "0"],
+    ],
+)
+def test_wrong_arguments_end_with_code_2(arguments, capsys):
+    with pytest.raises(SystemExit) as end:
+        parse(arguments)
+    assert end.value.code == EXIT_USAGE
+    assert "collect: error:" in capsys.readouterr().err
+
+
+def test_help_tells_the_exit_codes(capsys):
+    with pytest.raises(SystemExit) as end:
+        parse(["--help"])
+    assert end.value.code == 0
+    text = capsys.readouterr().out
+    assert all(f"\n  {code} " in text for code in (0, 1, 2, 130))
+
+
+def test_positions_may_be_negative():
+    options = parse(["a", "--tool", "b", "--positions", *map(str, POSITIONS), "--json"])
+    assert options.positions == POSITIONS
+    assert not options.by_service
+
+
+def test_the_result_for_a_person_and_for_a_program():
+    result = CollectPushes.Result(
+        pushes=5,
+        pushes_asked=6,
+        left_out=["set 1, position 2, 6 N along -x: reason"],
+        calibration_shift=[3e-4, 0.0, -4e-4, 0.0, 1e-3, 0.0],
+        messages=1234,
+        warnings=["odd"],
+        directory="x/monday",
+    )
+    text = format_result(result)
+    for words in (
+        "5 of 6 pushes, 1234 messages",
+        "moved by 0.500 mm and 1.000 mrad",
+        "left out: set 1, position 2",
+        "warning: odd",
+        "recorded: x/monday",
+    ):
+        assert words in text
+    assert result_fields(result)["calibration_shift"] == [3e-4, 0.0, -4e-4, 0.0, 1e-3, 0.0]
+    result.calibration_shift = [math.nan] * 6
+    assert json.loads(json.dumps(result_fields(result), allow_nan=False))["messages"] == 1234
+    assert "calibration" not in format_result(result)
+
+
+# --- with the simulated arm ---------------------------------------------------------------------
+
+
+@pytest.mark.slow
+def test_what_is_missing_is_named_before_the_arm_moves(idle):
+    status, result = idle.result(idle.send())
+    assert status == GoalStatus.STATUS_ABORTED
+    assert result.error_code == ErrorCode.DRIVER_SILENT
+    for topic in ("joint_states", "wrench_compensated", "wrench_raw", "tracker/tool_pose"):
+        assert f"/{topic}" in result.error_msg
+    assert idle.left == []
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(600)
+def test_from_the_simulated_arm_to_the_compliances_of_its_joints(tmp_path):
+    """Collect, read, split, fit: what comes out is what the simulated arm is made of."""
+    with Harness() as harness:
+        world = CollectionWorld(harness, tmp_path)
+        positions = [*POSITIONS, -0.04, 0.02, 0.39, -0.6, 0.4, 0.02, 0.04, 0.41, 0.2, 0.6]
+        handle = world.send(positions=positions)
+        status, result = world.result(handle, 400.0)
+        assert status == GoalStatus.STATUS_SUCCEEDED, result.error_msg
+        assert (result.pushes, result.pushes_asked) == (48, 48), list(result.left_out)
+        assert result.calibration_holds
+        assert np.linalg.norm(result.calibration_shift[:3]) < 5e-5
+        assert [w for w in result.warnings if "lost on the way" in w] == []
+        assert world.left == ["monday"]
+        folder = world.recordings / "monday"
+        assert result.directory == str(folder)
+
+    assert sorted(path.name for path in folder.iterdir()) == [
+        "calibration_1", "calibration_2", "collection.json", "push", "tool.json"
+    ]  # fmt: skip
+    content = json.loads((folder / "collection.json").read_text())
+    assert content["finished"] and content["pushes"] == 48 and content["left_out"] == []
+    messages = 0
+    for bag_path in ("calibration_1", "push", "calibration_2"):
+        with open_bag(folder / bag_path) as bag:
+            assert set(bag.topics) == {
+                "/joint_states", "/wrench_raw", "/tracker/tool_pose", "/tracker/base_pose"
+            }  # fmt: skip
+            messages += sum(info.count for info in bag.topics.values())
+    assert messages == result.messages == content["messages"]
+
+    recording = read_pushes(folder / "push", read_tool(folder / "tool.json"))
+    assert not any("not untouched at first" in problem for problem in recording.problems)
+    measured = measure_deflection(recording)
+    samples = measured.samples
+    assert sets_of(samples) == {0: [0, 1], 1: [0, 1], 2: [0, 1], 3: [0, 1]}
+    for split in report_splits(samples):
+        for part, count in ((split.train, 6), (split.check, 2)):
+            picked = np.stack([samples.position[part], samples.set_number[part]], axis=1)
+            assert len(np.unique(picked, axis=0)) == count
+    assert len(find_pushes(samples, tip_wrench(samples))) >= 24  # of 48: a machine's stalls cut some
+
+    model = KINDS["joint_stiffness"].fit(samples)
+    nominal = np.array([parameter.nominal for parameter in COMPLIANCES])
+    assert model.unresolved == ()
+    assert np.all(model.std < 0.05 * nominal)
+    assert np.all(np.abs(model.values - nominal) < 4.0 * model.std)
+
+
+@pytest.mark.slow
+def test_a_cancel_leaves_a_readable_bag_named_as_unfinished(tmp_path):
+    with Harness() as harness:
+        world = CollectionWorld(harness, tmp_path, speed=1.0)
+        handle = world.send()
+        world.wait_for_state(State.HOLD)
+        harness.wait_for(handle.cancel_goal_async().done, 5.0, "the cancel's answer")
+        status, result = world.result(handle)
+        assert status == GoalStatus.STATUS_CANCELED
+        assert result.error_code == ErrorCode.CANCELED
+        assert "HOLD" in result.error_msg
+        assert world.left == ["monday.unfinished"]
+        # Another try with the same name is another folder.
+        again = world.send()
+        world.wait_for_state(State.CALIBRATION)
+        harness.wait_for(lambda: world.node._goal.recording, 10.0, "the recording")
+        harness.remove(world.node)
+        assert world.left == ["monday.unfinished", "monday.unfinished-2"]
+        assert again.accepted
+    folder = tmp_path / "recordings" / "monday.unfinished"
+    content = json.loads((folder / "collection.json").read_text())
+    assert content["error"]["code"] == "CANCELED"
+    with open_bag(folder / "push") as bag:
+        assert bag.problems == ()
+        assert bag.topics["/wrench_raw"].count > 100
+
+
+@pytest.mark.slow
+def test_a_push_beyond_the_limit_stops_the_arm(tmp_path):
+    """The hand of another script pushes, harder than anybody asked for."""
+    with Harness() as harness:
+        script = [0.0, 60.0, 15.0, 0.0, 0.0, 0.0, 0.0, 0.0]
+        world = CollectionWorld(
+            harness,
+            tmp_path,
+            driver={"hand_pushes": script, "hand_frames": ["base"]},
+            max_force_n=12.0,
+        )
+        handle = world.send()
+        world.wait_for_state(State.UNTOUCHED)
+        harness.call_in_executor(world.driver._plant.start_hand)
+        status, result = world.result(handle)
+        assert status == GoalStatus.STATUS_ABORTED
+        assert result.error_code == ErrorCode.OVERLOAD
+        assert "the limits are 12 N" in result.error_msg
+        assert not world.driver._plant.moving
+
+
+@pytest.mark.slow
+def test_a_place_that_can_not_be_written_is_said_before_the_arm_moves(tmp_path):
+    (tmp_path / "recordings").write_text("a file")
+    with Harness() as harness:
+        world = CollectionWorld(harness, tmp_path)
+        _, result = world.result(world.send())
+        assert result.error_code == ErrorCode.WRITE_FAILED
+        assert str(tmp_path / "recordings") in result.error_msg
+        assert not world.driver._plant.moving
+
+
+@pytest.mark.slow
+def test_the_client_from_end_to_end_and_its_ctrl_c(tmp_path):
+    def client(harness, *arguments):
+        return subprocess.Popen(
+            [sys.executable, "-m", "galen_deflection.collect", "--tool", "retractor", *arguments],
+            env=os.environ | {"ROS_DOMAIN_ID": str(harness.domain_id), "PYTHONUNBUFFERED": "1"},
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+
+    here = ["--positions", *map(str, POSITIONS[:5]), "--sets", "1", "--forces-n", "8"]
+    with Harness() as harness:
+        CollectionWorld(harness, tmp_path)
+        with client(harness, "monday", "--by-service", "--json", *here) as process:
+            out, error = process.communicate(timeout=120.0)
+        assert process.returncode == 0, error
+        result = json.loads(out)
+        assert (result["error_code"], result["pushes"]) == (0, 6)
+        assert "push 8 N along +x" in error
+        assert "Traceback" not in error
+        with client(harness, "tuesday", *here) as process:
+            for line in process.stderr:
+                if "push 8 N along +x" in line:
+                    break
+            process.send_signal(signal.SIGINT)
+            out, error = process.communicate(timeout=30.0)
+        assert process.returncode == 130, error
+        assert "CANCELED" in error
+        assert "tuesday.unfinished" in error

@@ -1,0 +1,319 @@
+"""The collection's parts one by one: plan, push, untouched tool, folder, summary, parameters."""
+
+import json
+import math
+
+import numpy as np
+import pytest
+from collection_fake_arm import TIP
+from galen_deflection.collection_commands import NOTHING, Collected, ErrorCode, State
+from galen_deflection.collection_folder import CollectionFolder, CollectionFolderError
+from galen_deflection.collection_parameters import CollectionParameters
+from galen_deflection.collection_plan import (
+    LoadLimits,
+    OutOfReachError,
+    PlanError,
+    WantedPush,
+    make_plan,
+    to_tip,
+)
+from galen_deflection.collection_push import PushLimits, PushWatch
+from galen_deflection.collection_summary import summary
+from galen_deflection.collection_untouched import MarkerPoses
+from galen_deflection.springs import TipWrench
+from galen_model.arm import HOME
+from galen_model.errors import ToolNameError
+from galen_model.tool_file import read_tool
+from push_bag import TOOL
+
+LIMITS = LoadLimits(20.0, 2.9)
+HERE = HOME.tolist()
+THERE = [0.02, -0.02, 0.42, 0.3, -0.2]
+
+
+def plan(positions=(*HERE, *THERE), forces=(3.0, 6.0), torques=(0.3,), sets=2):
+    return make_plan(positions, forces, torques, sets, TIP, LIMITS)
+
+
+# --- the plan -----------------------------------------------------------------------------------
+
+
+def test_the_plan_is_every_direction_at_every_level():
+    made = plan()
+    assert made.positions.shape == (2, 5)
+    assert len(made.pushes) == 6 * 2 + 6
+    assert made.total == 2 * 2 * 18
+    wrenches = {tuple(push.wrench) for push in made.pushes}
+    assert len(wrenches) == 18
+    assert (0.0, -6.0, 0.0, 0.0, 0.0, 0.0) in wrenches
+    assert (0.0, 0.0, 0.0, 0.0, 0.0, 0.3) in wrenches
+    assert [str(push) for push in made.pushes[:3]] == [
+        "3 N along +x", "6 N along +x", "3 N along -x"
+    ]  # fmt: skip
+    assert str(made.pushes[-1]) == "0.3 N·m about -z"
+
+
+@pytest.mark.parametrize(
+    ("changes", "kind", "words"),
+    [
+        ({"positions": [*HERE, 0.2, 0.0, 0.408, 0.0, 0.0]}, OutOfReachError, "position 2: delta_x"),
+        ({"positions": [*HERE[:4], math.nan]}, OutOfReachError, "tilt = nan"),
+        # In the box, but a carriage would leave its travel.
+        (
+            {"positions": [*HERE, 0.14, 0.14, 0.6, 0.0, 0.0]},
+            OutOfReachError,
+            "position 2: carriage",
+        ),
+        ({"positions": HERE[:4]}, PlanError, "4 numbers"),
+        ({"positions": []}, PlanError, "0 numbers"),
+        ({"positions": [*HERE, *THERE, *HERE]}, PlanError, "positions 1 and 3 are the same"),
+        ({"positions": HERE}, PlanError, "single position"),
+        ({"sets": 0}, PlanError, "sets is 0"),
+        ({"forces": (), "torques": ()}, PlanError, "both empty"),
+        ({"forces": (3.0, -1.0)}, PlanError, "forces_n"),
+        ({"forces": (math.inf,)}, PlanError, "forces_n"),
+        ({"torques": (0.0,)}, PlanError, "torques_nm"),
+        ({"forces": (21.0,)}, PlanError, "21 N along .* more than max_force_n = 20"),
+        ({"forces": (16.0,)}, PlanError, "N·m at the sensor"),  # by its lever
+    ],
+)
+def test_what_can_not_be_done_is_refused_by_name(changes, kind, words):
+    with pytest.raises(kind, match=words):
+        plan(**changes)
+
+
+def test_a_single_position_may_have_a_single_set():
+    assert plan(positions=HERE, sets=1).total == 18
+
+
+def test_the_tip_s_load_is_what_the_models_see():
+    rng = np.random.default_rng(3)
+    wrench = rng.standard_normal((4, 6))
+    there = to_tip(np.array(THERE), TIP)
+    expected = TipWrench(TIP)(np.tile(THERE, (4, 1)), wrench)
+    assert there(wrench) == pytest.approx(expected, abs=1e-12)
+    assert there.inverse_of(there(wrench)) == pytest.approx(wrench, abs=1e-12)
+
+
+# --- one push -----------------------------------------------------------------------------------
+
+PUSH_LIMITS = PushLimits(
+    level_tolerance=0.15,
+    aside_share=0.3,
+    overload_share=1.5,
+    released=(0.15, 0.02),
+    hold_s=0.3,
+    rest_s=0.2,
+    release_timeout_s=1.0,
+)
+
+
+def watched(loads, wanted=None, timeout_s=2.0, period_s=0.02):
+    """Show loads (n, 6) one after the other; return the watch and the states it went through."""
+    watch = PushWatch(wanted or WantedPush(1, -1, 5.0), PUSH_LIMITS, timeout_s, 0.0)
+    states = []
+    for k, load in enumerate(loads):
+        watch.look(k * period_s, np.asarray(load, float))
+        if not states or states[-1] != watch.state:
+            states.append(watch.state)
+        if watch.outcome is not None:
+            break
+    return watch, states
+
+
+def steps(*parts, axis=1, aside=0.0):
+    """Loads along an axis: pairs of (value, number of looks)."""
+    values = np.concatenate([np.full(count, float(value)) for value, count in parts])
+    loads = np.zeros((len(values), 6))
+    loads[:, axis] = values
+    loads[:, (axis + 1) % 3 + 3 * (axis // 3)] = aside * np.abs(values)
+    return loads
+
+
+def test_a_push_as_asked():
+    watch, states = watched(steps((0, 5), (-3, 5), (-5.5, 18), (0, 20)))
+    assert watch.outcome == ""
+    assert states == [State.PUSH, State.HOLD, State.RELEASE, State.REST]
+
+
+@pytest.mark.parametrize(
+    ("parts", "aside", "words"),
+    [
+        ([(0, 5), (-3, 120), (0, 20)], 0.0, "no more than 3.00 N in 2 s"),
+        ([(0, 5), (5, 120), (0, 20)], 0.0, "no more than 0.00 N"),  # to the wrong side
+        ([(0, 5), (-8, 5), (0, 20)], 0.0, "it came to 8.00 N"),
+        ([(0, 5), (-5, 120), (0, 20)], 0.4, "2.00 N went aside"),
+        ([(0, 5), *[(-5, 10), (-3, 5)] * 8, (0, 20)], 0.0, "not held for 0.3 s"),
+        ([(0, 5), (-5, 200)], 0.0, "not let go of for 1 s"),
+        ([(-1, 200)], 0.0, "not let go of for 1 s"),  # before it is even asked for
+    ],
+)
+def test_a_push_that_is_not_as_asked_says_why(parts, aside, words):
+    watch, _ = watched(steps(*parts, aside=aside))
+    assert watch.outcome and words in watch.outcome
+
+
+def test_it_is_asked_for_only_once_the_tool_is_free():
+    watch, states = watched(steps((-1, 10), (0, 1)))
+    assert states == [State.RELEASE, State.PUSH]
+    assert watch.asked
+
+
+def test_a_touch_while_resting_starts_the_rest_anew():
+    rest = [(0, 8), (-1, 3), (0, 8)]
+    watch, states = watched(steps((0, 2), (-5, 18), *rest))
+    assert watch.outcome is None
+    assert states[-4:] == [State.RELEASE, State.REST, State.RELEASE, State.REST]
+
+
+def test_a_torque_is_judged_by_the_torque():
+    wanted = WantedPush(5, 1, 0.5)
+    loads = steps((0, 5), (0.5, 20), (0, 20), axis=5)
+    loads[5:25, 0] = 3.0  # a hand on the tip holds it, too
+    watch, _ = watched(loads, wanted)
+    assert watch.outcome == ""
+
+
+def test_spoilt_after_it_was_held_it_still_counts_not():
+    watch, _ = watched(steps((0, 2), (-5, 18), (0, 3)))
+    assert watch.outcome is None
+    watch.spoil("the marker was lost", 1.0)
+    watch.spoil("and something else", 1.0)
+    for k in range(30):
+        watch.look(1.0 + 0.02 * k, np.zeros(6))
+    assert watch.outcome == "the marker was lost"
+
+
+# --- markers ------------------------------------------------------------------------------------
+
+
+def poses(stamps_s, change=1e-9, may_stand=False):
+    marker = MarkerPoses(may_stand)
+    for k, stamp_s in enumerate(stamps_s):
+        marker.add(round(stamp_s * 1e9), np.eye(3), np.array([change * k, 0.0, 0.0]))
+    return marker
+
+
+def test_a_marker_seen_all_the_time():
+    assert poses(np.arange(0.0, 1.0, 0.02)).complaint(1.0, 0.1) == ""
+
+
+@pytest.mark.parametrize(
+    ("stamps_s", "words"),
+    [
+        ([0.0, 0.5], "seen 2 times"),
+        ([*np.arange(0.0, 0.4, 0.02), *np.arange(0.7, 1.0, 0.02)], "lost for 0.3"),
+        (np.arange(0.0, 0.5, 0.02), "lost for 0.2"),  # and then no more
+    ],
+)
+def test_a_marker_that_was_not(stamps_s, words):
+    assert words in poses(stamps_s).complaint(1.0, 0.1)
+
+
+def test_a_frozen_marker_is_not_seen_unless_it_may_stand():
+    stamps_s = np.arange(0.0, 1.0, 0.02)
+    assert "seen 1 times" in poses(stamps_s, change=0.0).complaint(1.0, 0.1)
+    assert poses(stamps_s, change=0.0, may_stand=True).complaint(1.0, 0.1) == ""
+
+
+def test_a_pose_that_is_not_finite_tells_nothing():
+    assert len(poses(np.arange(0.0, 1.0, 0.02), change=math.nan).stamps) == 0
+
+
+# --- the folder ---------------------------------------------------------------------------------
+
+
+def test_a_finished_folder_gets_its_name_at_the_end(tmp_path):
+    folder = CollectionFolder(tmp_path / "new", "monday")
+    assert list(tmp_path.iterdir()) == []
+    folder.make(TOOL)
+    assert [p.name for p in (tmp_path / "new").iterdir()] == ["monday.unfinished"]
+    assert folder.close({"a": 1}, finished=True) == tmp_path / "new" / "monday"
+    assert sorted(p.name for p in folder.path.iterdir()) == ["collection.json", "tool.json"]
+    assert json.loads((folder.path / "collection.json").read_text()) == {"a": 1}
+    assert read_tool(folder.path / "tool.json").tip_m == pytest.approx(TOOL.tip_m)
+
+
+def test_unfinished_ones_never_meet(tmp_path):
+    for _ in range(3):
+        folder = CollectionFolder(tmp_path, "monday")
+        folder.make(TOOL)
+        folder.close({}, finished=False)
+    assert sorted(p.name for p in tmp_path.iterdir()) == [
+        "monday.unfinished", "monday.unfinished-2", "monday.unfinished-3"
+    ]  # fmt: skip
+
+
+def test_one_that_recorded_nothing_goes(tmp_path):
+    folder = CollectionFolder(tmp_path, "monday")
+    folder.make(TOOL)
+    folder.discard()
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("name", ["../x", "", "a/b", "/etc/x", "x" * 65, "a b", "x.unfinished"])
+def test_a_name_that_must_not_reach_a_path(tmp_path, name):
+    with pytest.raises(ToolNameError, match="recording's name"):
+        CollectionFolder(tmp_path, name)
+
+
+def test_what_is_there_is_not_written_over(tmp_path):
+    (tmp_path / "monday").symlink_to(tmp_path / "nowhere")
+    with pytest.raises(CollectionFolderError, match="monday: is there already"):
+        CollectionFolder(tmp_path, "monday")
+    folder = CollectionFolder(tmp_path, "tuesday")
+    folder.make(TOOL)
+    (tmp_path / "tuesday").mkdir()  # another one was quicker
+    with pytest.raises(CollectionFolderError, match="tuesday: is there already"):
+        folder.close({}, finished=True)
+    assert (tmp_path / "tuesday.unfinished" / "tool.json").exists()
+
+
+def test_a_place_that_can_not_be_written_is_named(tmp_path):
+    (tmp_path / "file").write_text("")
+    folder = CollectionFolder(tmp_path / "file", "monday")
+    with pytest.raises(CollectionFolderError, match="monday: can't be made"):
+        folder.make(TOOL)
+
+
+# --- summary, parameters ------------------------------------------------------------------------
+
+
+def test_the_summary_is_json_without_nan():
+    collected = Collected(3, ("set 1, position 2, 6 N along -x: reason",), NOTHING, False, ("odd",))
+    content = summary(
+        "monday", "retractor", plan(), True, ErrorCode.CANCELED, "canceled", collected, 12
+    )
+    read = json.loads(json.dumps(content, allow_nan=False))
+    assert read["calibration"] == {"shift": None, "holds": False}
+    assert read["error"] == {"code": "CANCELED", "message": "canceled"}
+    assert not read["finished"]
+    assert (read["pushes"], read["pushes_asked"]) == (3, 72)
+    assert read["asked"]["pushes"][0] == [3.0, 0, 0, 0, 0, 0]
+
+
+def test_the_default_parameters_are_a_collection_like_the_report_s():
+    parameters = CollectionParameters()
+    parameters.validate()
+    made = make_plan(
+        parameters.positions,
+        parameters.forces_n,
+        parameters.torques_nm,
+        parameters.sets,
+        TOOL.tip_m,
+        parameters.limits,
+    )
+    assert (len(made.positions), made.sets) == (4, 2)  # eight sets
+    assert made.total == 8 * 18
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"positions": (1.0,) * 5, "sets": 1}, "position 1: delta_x = 1"),
+        ({"forces_n": (-3.0,)}, "forces_n"),
+    ],
+)
+def test_parameters_that_can_not_be_are_refused(changes, words):
+    with pytest.raises(PlanError, match=words):
+        CollectionParameters(**changes).validate()
