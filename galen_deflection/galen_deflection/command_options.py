@@ -91,6 +91,12 @@ def add_fit(parser: argparse.ArgumentParser) -> None:
         metavar="N",
         help="stop a training that has not become better for so many iterations (default: never)",
     )
+    group.add_argument(
+        "--creep",
+        action="store_true",
+        help="let joint_hysteresis try whether the springs creep (keeps it if held-out samples"
+        " come out clearly better)",
+    )
 
 
 def read_settings(arguments: argparse.Namespace) -> ReadSettings:
@@ -109,7 +115,10 @@ def read_settings(arguments: argparse.Namespace) -> ReadSettings:
 def fit_settings(arguments: argparse.Namespace) -> FitSettings:
     """From the options of `add_fit`."""
     return FitSettings(
-        seed=arguments.seed, iterations=arguments.iterations, patience=arguments.patience
+        seed=arguments.seed,
+        iterations=arguments.iterations,
+        patience=arguments.patience,
+        creep=arguments.creep,
     )
 
 

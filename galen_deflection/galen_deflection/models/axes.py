@@ -66,8 +66,8 @@ class AxesRun:
         self._motion, self._load = np.array(basis.pairs).T
         self._column = np.arange(len(basis.pairs))
 
-    def rows(self, joints: Array, wrench: Array) -> Rows:
-        """As `Run.rows`."""
+    def rows(self, stamp_ns: np.ndarray, joints: Array, wrench: Array) -> Rows:
+        """As `Run.rows`; nothing hangs on the stamps."""
         at_tip = self._to_tip(joints, wrench)
         design = np.zeros((len(joints), 6, len(self._column)))
         design[:, self._motion, self._column] = at_tip[:, self._load]

@@ -141,8 +141,12 @@ class HysteresisRun:
             loads = np.concatenate([loads, motion], axis=1)
         return at_tip, springs, jacobian, loads
 
-    def rows(self, joints: Array, wrench: Array) -> Rows:
-        """As `Run.rows`."""
+    def rows(self, stamp_ns: np.ndarray, joints: Array, wrench: Array) -> Rows:
+        """As `Run.rows`; nothing hangs on the stamps."""
+        return self.loaded_rows(joints, wrench)[0]
+
+    def loaded_rows(self, joints: Array, wrench: Array) -> tuple[Rows, Array, Array]:
+        """The next samples' rows, and their J and loads as `loads` has them."""
         at_tip, springs, jacobian, loads = self.loads(joints, wrench)
         inputs = loads[:, self._column]
         played = self._plays.run(inputs)
@@ -156,7 +160,7 @@ class HysteresisRun:
         if played.unknown.any():
             deviation = columns * played.unknown[:, None, :]
             start = Start(deviation, self._parameter, self._source)
-        return Rows(at_tip, design, start)
+        return Rows(at_tip, design, start), jacobian, loads
 
 
 def _operator(content: Any, name: str) -> Operator:

@@ -71,8 +71,8 @@ class StiffnessRun:
         geometry = self._springs.geometry(joints)
         return at_tip, geometry, np.matmul(at_tip[:, None, :], geometry.jacobian)[:, 0]
 
-    def rows(self, joints: Array, wrench: Array) -> Rows:
-        """As `Run.rows`."""
+    def rows(self, stamp_ns: np.ndarray, joints: Array, wrench: Array) -> Rows:
+        """As `Run.rows`; nothing hangs on the stamps."""
         at_tip, geometry, loads = self.loaded(joints, wrench)
         return Rows(at_tip, elastic(geometry.jacobian, loads))
 

@@ -243,6 +243,16 @@ def values_without(totals: Sums, basis: Basis) -> dict[int, Array]:
     }
 
 
+def held_out_cost(totals: Sums, basis: Basis) -> Array:
+    """Squared residual (folds,), in units of the noise, of each fold by a fit to the others."""
+    return np.array(
+        [
+            float(totals.cost(value)[totals.fold == fold].sum())
+            for fold, value in values_without(totals, basis).items()
+        ]
+    )
+
+
 def _rows(
     basis: Basis, samples: DeflectionSamples, parts: Sequence[slice]
 ) -> Iterator[tuple[slice, Rows]]:
@@ -251,7 +261,7 @@ def _rows(
     for part in parts:
         if part.start in beginnings:
             run = basis.run()
-        yield part, run.rows(samples.joints[part], samples.wrench[part])
+        yield part, run.rows(samples.stamp_ns[part], samples.joints[part], samples.wrench[part])
 
 
 def _inflation(totals: Sums, solution: Solution) -> float:
