@@ -123,6 +123,15 @@ def test_velocity_is_that_of_now_even_in_acceleration():
     assert velocity(run, 0.1)[0] == 0.0
 
 
+def test_the_direction_fades_where_it_is_told_to():
+    time_s = np.arange(300) / 100.0
+    run = Run("run", time_s, 0.02 * time_s, time_s, time_s)
+    for given, expected in ((0.02, np.tanh(1.0)), (None, 1.0)):
+        scales = Scales.of([run], [np.full(300, True)], 0.1, given)
+        direction = design(run, scales)[50:, TERMS.index("direction")]
+        assert direction == pytest.approx(expected, abs=1e-6)
+
+
 def test_bounds_hold_for_what_gives_and_not_for_the_rest():
     run = spring_run("run", 1, 1e-5)
     turned = replace(run, torque=-run.torque)

@@ -34,11 +34,13 @@ class JointSettings:
     """What is compared.
 
     common: terms that all models but the constant have (`terms.COMMON`). window_s: of the motor's
-    velocity. networks: train them as well. iterations: of the report's network.
+    velocity. standstill_rad_s: where its direction fades, or None as `Scales.of`. networks: train
+    them as well. iterations: of the report's network.
     """
 
     common: tuple[str, ...] = ()
     window_s: float = 0.1
+    standstill_rad_s: float | None = None
     networks: bool = False
     iterations: int = 150
     seed: int = 0
@@ -140,7 +142,8 @@ class _Bench:
         runs, parts, settings = self._runs, self._parts, self._settings
         trained_on = parts.trained_on(part)
         started = time.monotonic()
-        scales = Scales.of(runs, parts.rows(trained_on), settings.window_s)
+        used = parts.rows(trained_on)
+        scales = Scales.of(runs, used, settings.window_s, settings.standstill_rad_s)
         designs = [design(run, scales) for run in runs]
         sums = CellSums.of(runs, parts, designs)
         forms = [

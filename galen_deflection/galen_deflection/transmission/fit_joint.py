@@ -138,6 +138,13 @@ def _add_model_options(group: argparse._ArgumentGroup) -> None:
         help="the velocity is the slope over so much (default: %(default)s)",
     )
     group.add_argument(
+        "--standstill-rad-s",
+        type=positive,
+        metavar="V",
+        help="the direction of motion fades below this velocity (default: a twentieth of the"
+        " fastest)",
+    )
+    group.add_argument(
         "--hold-out",
         choices=("run", "block"),
         help="whole runs, or blocks of time of all runs (default: runs, where there are three)",
@@ -210,6 +217,7 @@ def _fit(arguments: argparse.Namespace) -> int:
     settings = JointSettings(
         common=arguments.terms,
         window_s=arguments.velocity_window_s,
+        standstill_rad_s=arguments.standstill_rad_s,
         networks=arguments.networks,
         iterations=arguments.iterations,
         seed=arguments.seed,

@@ -24,6 +24,7 @@ UNITS = {
     "delay": "s",
     "offset": "rad",
 }
+_BOUNDED = ("compliance_first", "compliance", "torque_loop", "lost_motion")
 MEANINGS = {
     "compliance_first": "give just after the torque turns back",
     "compliance": "give once everything slides",
@@ -75,7 +76,8 @@ def estimate(comparison: Comparison, form: str | None = None) -> JointParameters
     """Fit a form, or the one that hold-outs choose among all parts, to all readings."""
     runs, parts, settings = comparison.runs, comparison.parts, comparison.settings
     every = list(range(len(parts.names)))
-    scales = Scales.of(runs, parts.rows(every), settings.window_s)
+    used = parts.rows(every)
+    scales = Scales.of(runs, used, settings.window_s, settings.standstill_rad_s)
     sums = CellSums.of(runs, parts, [design(run, scales) for run in runs])
     wanted = [one for one in FORMS if form is None or one.name == form]
     chosen = [choose(one, sums, every, settings.common) for one in wanted]
@@ -114,7 +116,9 @@ def _estimates(
         below, above = (
             np.hypot(max(side, 0.0), 2.0 * apart) for side in (value - low, high - value)
         )
-        found[name] = Estimate(value, std, (value - float(below), value + float(above)))
+        least = 0.0 if bounded and name in _BOUNDED else -np.inf
+        bounds = max(value - float(below), least), value + float(above)
+        found[name] = Estimate(value, std, bounds)
     return found
 
 

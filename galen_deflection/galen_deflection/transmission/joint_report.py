@@ -188,6 +188,14 @@ def _parameter_table(parameters: JointParameters, unit: str) -> Table:
             name.replace("_", " "), meaning, f"{scale * found.value:.4g}",
             f"{scale * found.std:.2g}", f"{low:.4g} - {high:.4g}", in_unit,
         )  # fmt: skip
+    give, direction = parameters.plain["compliance"], parameters.plain["direction"]
+    scale = LAG_UNITS[unit]
+    table.caption = (
+        "plain least squares of a spring and the direction: "
+        f"{scale * give.value:.4g} +- {scale * give.std:.2g} {unit}/(N.m) and "
+        f"{scale * direction.value:+.4g} +- {scale * direction.std:.2g} {unit}"
+    )
+    table.caption_justify = "left"
     return table
 
 

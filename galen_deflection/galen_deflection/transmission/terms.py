@@ -9,9 +9,10 @@ of the motor's motion leaves behind, motor - play(motor), is a gap of backlash i
 1, and a gap that friction closes bit by bit if there are several (of Maxwell-slip elements, in the
 motion, each gives that). The link's angle is in none of them.
 
-Direction is tanh(v / v0), with v0 a twentieth of the fast motion's velocity: at standstill nothing
-of it is left. The velocity is the slope at the end of a parabola through the last `window_s` of the
-motor's angle: it looks at nothing that comes later, and does not lag in even acceleration.
+Direction is tanh(v / v0), by default with v0 a twentieth of the fast motion's velocity: at
+standstill nothing of it is left. The velocity is the slope at the end of a parabola through the
+last `window_s` of the motor's angle: it looks at nothing that comes later, and does not lag in even
+acceleration.
 """
 
 from __future__ import annotations
@@ -51,8 +52,14 @@ class Scales:
     window_s: float
 
     @classmethod
-    def of(cls, runs: Sequence[Run], used: Sequence[np.ndarray], window_s: float) -> Scales:
-        """From the used readings, booleans (n,) of each run."""
+    def of(
+        cls,
+        runs: Sequence[Run],
+        used: Sequence[np.ndarray],
+        window_s: float,
+        direction_rad_s: float | None = None,
+    ) -> Scales:
+        """From the used readings, booleans (n,) of each run; `direction_rad_s`: v0, if given."""
         motor = np.concatenate([run.motor[some] for run, some in zip(runs, used, strict=True)])
         torque = np.concatenate([run.torque[some] for run, some in zip(runs, used, strict=True)])
         lag = np.concatenate([run.lag[some] for run, some in zip(runs, used, strict=True)])
@@ -63,7 +70,9 @@ class Scales:
             motor_middle=float(motor.mean()),
             torque_half_range=0.5 * _spread(torque),
             lag_half_range=0.5 * _spread(lag),
-            direction_rad_s=DIRECTION_SHARE * float(np.percentile(speed, 95.0)),
+            direction_rad_s=DIRECTION_SHARE * float(np.percentile(speed, 95.0))
+            if direction_rad_s is None
+            else direction_rad_s,
             window_s=window_s,
         )
 
