@@ -12,6 +12,7 @@ from galen_bags.recorder import RecorderNode
 from galen_bags.writer import BagWriter
 from galen_calibration_behavior.node import CalibrationNode
 from galen_deflection.collection_node import CollectionNode
+from galen_deflection.node import DeflectionNode
 from galen_gravcomp.node import GravcompNode
 from galen_ros.cdr import WrenchBytes
 from galen_ros.parameters import markdown_table
@@ -23,7 +24,7 @@ PACKAGES = sorted(path.parent.name for path in ROOT.glob("*/package.xml"))
 MARKED = re.compile(r"<!-- parameters: ([\w.]+) -->\n(.*?)\n<!-- end -->", re.DOTALL)
 NODES = {
     "galen_calibration_behavior": (CalibrationNode,),
-    "galen_deflection": (CollectionNode,),
+    "galen_deflection": (CollectionNode, DeflectionNode),
     "galen_gravcomp": (GravcompNode,),
     "galen_sim_driver": (SimDriverNode,),
 }

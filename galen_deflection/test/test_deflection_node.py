@@ -265,7 +265,7 @@ def test_reset_forgets_the_loads_and_says_what_is_assumed(harness, folder):
     for size in (*np.linspace(0, 4, 30), *np.linspace(4, 0, 30)):
         bench.step(size * PUSH)
     left = bench.outputs(60)[-1]
-    assert np.linalg.norm(left[2][:3]) > 2e-5
+    assert np.linalg.norm(left[2][:3]) > 1e-5
     answer = bench.reset()
     assert answer.success and "as if the arm had never been loaded" in answer.message
     bench.step(0 * PUSH)

@@ -38,7 +38,7 @@ from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import JointState
 
 WARM_UP_S = 1.5
-DISCOVERY_TIMEOUT_S = 20.0
+DISCOVERY_TIMEOUT_S = 60.0
 # An encoder's last digit, so that no two joint vectors that follow each other are alike.
 _JOINT_STEP = 1e-6
 
