@@ -57,6 +57,7 @@ class _Topic:
     """One topic that is being recorded."""
 
     handle: Any
+    offered: tuple[Any, ...]  # the publishers' qualities of service, as a bag has them
     message_class: Any
     subscription: Subscription
     request: QoSProfile
@@ -68,12 +69,35 @@ def received_ns(info: Mapping[str, int | None]) -> int:
     return info["received_timestamp"] or time.time_ns()
 
 
+class SimulatedTimes:
+    """What the simulated clock was when messages were received, by wall time; all in ns.
+
+    Messages are taken in batches, and a batch of 20 ms is many times that in a simulation that runs
+    faster than real time. So between two looks at the clock it is taken to run evenly.
+    """
+
+    def __init__(self) -> None:
+        self._before = self._now = (0, 0)
+
+    def look(self, wall_ns: int, clock_ns: int) -> None:
+        """Take what the clock is now; 0 where it is not known."""
+        self._before, self._now = self._now, (wall_ns, clock_ns)
+
+    def at(self, received_ns: int) -> int:
+        """What the clock was when a message was received."""
+        (from_wall, from_clock), (wall, clock) = self._before, self._now
+        if from_clock == 0 or not (from_wall < wall and from_clock < clock):
+            return clock
+        part = min(max((received_ns - from_wall) / (wall - from_wall), 0.0), 1.0)
+        return from_clock + round(part * (clock - from_clock))
+
+
 class RecorderNode(Node):
     """Writes what topics carry to a bag.
 
     Log times are when the middleware received a message, system time in ns, as with `ros2 bag
-    record`; with `use_sim_time` they are the node's clock when it took the message, and nothing is
-    written before the first /clock.
+    record`; with `use_sim_time` they are the node's clock at that time, and nothing is written
+    before the first /clock.
 
     Messages are not taken by the executor but by a timer, in batches: only so does rclpy's events
     executor not get them without their receive times, and a batch costs a fraction of callbacks.
@@ -108,6 +132,7 @@ class RecorderNode(Node):
         self._before_clock = 0
         self._ended = False
         self._use_sim_time = bool(self.get_parameter("use_sim_time").value)
+        self._times = SimulatedTimes()
         self._group = _Never()
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._diagnostics = DiagnosticsPublisher(self, "galen_recorder", self._report)
@@ -176,20 +201,36 @@ class RecorderNode(Node):
         (type_name,) = types
         kind = message_class(type_name)
         profiles = [offer.qos_profile for offer in offers]
-        handle = self._bag.add_topic(
-            name,
-            type_name,
-            None if self._bag.knows(type_name) else definition_of(type_name),
-            tuple(map(to_bag, profiles)),
-        )
+        offered = tuple(map(to_bag, profiles))
+        handle = self._add_to_bag(name, type_name, offered)
         self._check_hash(name, handle.digest, offers)
         request = request_for(profiles)
         subscription = self.create_subscription(
             kind, name, self._on_executor, request, callback_group=self._group, raw=True
         )
         tally = TopicTally(name, type_name)
-        self._topics[name] = _Topic(handle, kind, subscription, request, tally)
+        self._topics[name] = _Topic(handle, offered, kind, subscription, request, tally)
         self.get_logger().info(f"recording {name} ({type_name})")
+
+    def _add_to_bag(self, name: str, type_name: str, offered: tuple[Any, ...]) -> Any:
+        known = self._bag.knows(type_name)
+        return self._bag.add_topic(
+            name, type_name, None if known else definition_of(type_name), offered
+        )
+
+    def change_bag(self, bag: GrowingBagWriter) -> int:
+        """Go on in another bag, with the same subscriptions: nothing is lost in between.
+
+        What has come until now goes into the old one, which stays the caller's; returns how many
+        messages that one then has. Counts begin anew. Raises BagError.
+        """
+        self._write_all()
+        written = self.messages
+        self._bag = bag
+        for name, topic in self._topics.items():
+            topic.handle = self._add_to_bag(name, topic.tally.type_name, topic.offered)
+            topic.tally = TopicTally(name, topic.tally.type_name)
+        return written
 
     def _check_hash(self, name: str, digest: str, offers: Sequence[Any]) -> None:
         """Warn where a publisher was built with another definition of the type than this one."""
@@ -207,23 +248,27 @@ class RecorderNode(Node):
     def _drain(self) -> None:
         """Take all messages that have come, and write them in the order in which they came."""
         now_ns = time.time_ns()
-        for topic in self._topics.values():
-            self._take(topic)
+        self._take_all()
+        self._waiting.sort(key=lambda item: item[0])
         if self._use_sim_time:
             self._write(self._waiting)
             self._waiting = []
             return
-        self._waiting.sort(key=lambda item: item[0])
         # A message that came while the topics were taken may be older than one still in a queue.
         early = [item for item in self._waiting if item[0] < now_ns]
         self._waiting = self._waiting[len(early) :]
         self._write(early)
 
+    def _take_all(self) -> None:
+        if self._use_sim_time:
+            self._times.look(time.time_ns(), self.get_clock().now().nanoseconds)
+        for topic in self._topics.values():
+            self._take(topic)
+
     def _take(self, topic: _Topic) -> None:
         subscription = topic.subscription
         losses = topic.tally.losses
         one_publisher = subscription.get_publisher_count() == 1
-        clock_ns = self.get_clock().now().nanoseconds if self._use_sim_time else None
         handle = subscription.handle
         with handle:
             for _ in range(_MOST_AT_ONCE):
@@ -231,7 +276,9 @@ class RecorderNode(Node):
                 if taken is None:
                     break
                 data, info = taken
-                log_ns = received_ns(info) if clock_ns is None else clock_ns
+                log_ns = received_ns(info)
+                if self._use_sim_time:
+                    log_ns = self._times.at(log_ns)
                 self._waiting.append((log_ns, topic, data))
                 losses.add(info.get("publication_sequence_number"))
         one_publisher = one_publisher and subscription.get_publisher_count() == 1
@@ -252,6 +299,13 @@ class RecorderNode(Node):
         for topic in self._topics.values():
             topic.tally.keep()
 
+    def _write_all(self) -> None:
+        """Take what has come and hand all of it to the operating system."""
+        self._take_all()
+        waiting, self._waiting = self._waiting, []
+        self._write(sorted(waiting, key=lambda item: item[0]))
+        self._flush()
+
     # --- end ---------------------------------------------------------------------------------
 
     def destroy_node(self) -> None:
@@ -261,10 +315,7 @@ class RecorderNode(Node):
         self._ended = True
         try:
             if self._bag.is_open:
-                for topic in self._topics.values():
-                    self._take(topic)
-                self._write(sorted(self._waiting, key=lambda item: item[0]))
-                self._flush()
+                self._write_all()
         finally:
             if not self._bag.is_open:  # cut back to the last flush
                 for topic in self._topics.values():

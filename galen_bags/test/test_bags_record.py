@@ -17,7 +17,7 @@ from galen_bags.bag import open_bag
 from galen_bags.errors import BagError
 from galen_bags.growing_bag import GrowingBagWriter
 from galen_bags.record import parse
-from galen_bags.recorder import DEFAULT_TOPICS, RecorderNode, received_ns
+from galen_bags.recorder import DEFAULT_TOPICS, RecorderNode, SimulatedTimes, received_ns
 from galen_ros.cdr import JointStateBytes, WrenchBytes
 from galen_ros.diagnostics import Level
 from galen_ros.domain import DomainLock
@@ -265,6 +265,43 @@ def test_log_times_are_simulated_time_where_asked(harness: Harness, bag: Growing
     path = end(harness, recorder, bag)
     with Reader(path) as reader:
         assert [(t, bytes(data)) for _, t, data in reader.messages()] == [(77 * S, wrench(1))]
+
+
+def test_the_bag_changes_and_no_message_is_lost(
+    harness: Harness, bag: GrowingBagWriter, tmp_path: Path
+) -> None:
+    recorder = start(harness, bag, ("wrench_raw",))
+    wrenches = publisher(harness, WrenchStamped, "wrench_raw")
+    connected(harness, wrenches)
+    wrenches.publish(wrench(0))
+    wait_recorded(harness, recorder, 1)
+    with GrowingBagWriter(tmp_path / "second") as second:
+        harness.call_in_executor(lambda: [wrenches.publish(wrench(k)) for k in range(1, 20)])
+        written = harness.call_in_executor(lambda: recorder.change_bag(second))
+        bag.__exit__(None, None, None)
+        first = messages(bag.path)["/wrench_raw"]
+        assert len(first) == written
+        wrenches.publish(wrench(20))
+        wait_recorded(harness, recorder, 21 - written)
+        harness.remove(recorder)
+    then = messages(second.path)["/wrench_raw"]
+    assert [*first, *then] == [wrench(k) for k in range(21)]
+
+
+def test_between_two_looks_the_simulated_clock_runs_evenly() -> None:
+    times = SimulatedTimes()
+    assert times.at(5) == 0  # it is not known yet
+    times.look(1000, 0)
+    times.look(2000, 77 * S)
+    assert times.at(1500) == 77 * S  # nor was it before
+    times.look(3000, 77 * S + 4000)
+    assert [times.at(wall) for wall in (1500, 2000, 2250, 3000, 3001)] == [
+        77 * S, 77 * S, 77 * S + 1000, 77 * S + 4000, 77 * S + 4000
+    ]  # fmt: skip
+    times.look(4000, 77 * S + 4000)  # it stands still
+    assert times.at(3500) == 77 * S + 4000
+    times.look(5000, S)  # it began anew
+    assert times.at(4500) == S
 
 
 def test_diagnostics_tell_what_is_missing(harness: Harness, bag: GrowingBagWriter) -> None:
