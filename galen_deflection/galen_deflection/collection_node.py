@@ -420,9 +420,12 @@ class CollectionNode(Node):
             if not goal.folder_made:
                 goal.folder.make(goal.tool)
                 goal.folder_made = True
-            self._close_recording(goal)
-            topics = [self.resolve_topic_name(name) for name in _RECORDED]
-            goal.recording = BagRecording(self, goal.folder.path / bag, topics)
+            path = goal.folder.path / bag
+            if goal.recording is None:
+                topics = [self.resolve_topic_name(name) for name in _RECORDED]
+                goal.recording = BagRecording(self, path, topics)
+            else:
+                goal.problems += goal.recording.change(path)
         except GalenError as error:
             goal.procedure.fail(ErrorCode.WRITE_FAILED, str(error))
 
@@ -432,7 +435,7 @@ class CollectionNode(Node):
             try:
                 goal.problems += recording.close()
             finally:
-                goal.messages += recording.messages
+                goal.messages = recording.messages
 
     # ---- the end
 
@@ -509,7 +512,7 @@ class CollectionNode(Node):
             return Status(level, f"ready; {self._last}", values)
         done, total = goal.procedure.progress
         name, state = goal.handle.request.name, goal.procedure.state.name
-        recorded = goal.messages + (goal.recording.messages if goal.recording else 0)
+        recorded = goal.recording.messages if goal.recording else goal.messages
         values |= {"name": name, "state": state, "done": done, "total": total}
         values |= {"directory": goal.folder.path, "messages": recorded}
         return Status(OK, f"collecting {name}: {state}, {done} of {total} pushes", values)

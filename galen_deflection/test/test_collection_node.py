@@ -203,7 +203,8 @@ def test_from_the_simulated_arm_to_the_compliances_of_its_joints(tmp_path):
         for part, count in ((split.train, 6), (split.check, 2)):
             picked = np.stack([samples.position[part], samples.set_number[part]], axis=1)
             assert len(np.unique(picked, axis=0)) == count
-    assert len(find_pushes(samples, tip_wrench(samples))) >= 24  # of 48: a machine's stalls cut some
+    # A busy machine stalls the simulation, which reading takes for jumps of the stamps.
+    assert len(find_pushes(samples, tip_wrench(samples))) >= 24
 
     model = KINDS["joint_stiffness"].fit(samples)
     nominal = np.array([parameter.nominal for parameter in COMPLIANCES])
@@ -235,7 +236,7 @@ def test_a_cancel_leaves_a_readable_bag_named_as_unfinished(tmp_path):
     content = json.loads((folder / "collection.json").read_text())
     assert content["error"]["code"] == "CANCELED"
     with open_bag(folder / "push") as bag:
-        assert bag.problems == ()
+        assert not bag.problems
         assert bag.topics["/wrench_raw"].count > 100
 
 
