@@ -138,10 +138,8 @@ def test_what_is_checked_has_no_say_in_the_fit(samples, kind, name):
     assert fit_without(kind, replace(samples, deflection=measured), use, settings).to_json() != seen
 
 
-@pytest.mark.parametrize(
-    "kind",
-    ["lstm", "lstm_direct", pytest.param("hysteresis_residual", marks=pytest.mark.slow)],
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["lstm", "lstm_direct", "hysteresis_residual"])
 def test_what_is_checked_has_no_say_in_a_networks_fit(samples, kind):
     pytest.importorskip("torch", reason="networks need PyTorch: `make networks` installs it")
     assert KINDS[kind].is_network
