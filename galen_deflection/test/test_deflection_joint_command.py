@@ -173,6 +173,7 @@ def test_physics_needs_no_torch(table):
 # --- networks -------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_networks_see_nothing_of_what_they_are_checked_on():
     pytest.importorskip("torch", reason="networks need PyTorch: `make networks` installs it")
     runs = [lost_run(f"run{k}", k, seconds=1.5) for k in range(3)]

@@ -59,7 +59,7 @@ def test_lost_motion_that_friction_takes_up():
 def test_a_spring_in_noise_is_found_as_well_as_it_can_be():
     noise, errors, stds = 2e-3, [], []
     for seed in range(3):
-        runs = [spring_run("run", seed, noise, seconds=14.0)]
+        runs = [spring_run("run", seed, noise, seconds=10.0)]
         comparison = compare(runs, time_blocks(runs, 4))
         found = estimate(comparison, "linear").estimates["compliance"]
         errors.append(found.value - 1.0 / STIFFNESS)
