@@ -17,11 +17,11 @@ from galen_calibration_behavior.goal_client import EXIT_USAGE
 from galen_deflection.collect import format_result, parse, result_fields
 from galen_deflection.collection_commands import ErrorCode, State
 from galen_deflection.measured_deflection import measure_deflection
-from galen_deflection.models.joint_stiffness import COMPLIANCES
 from galen_deflection.models.registry import KINDS
 from galen_deflection.push_recording import read_pushes
 from galen_deflection.pushes import find_pushes, tip_wrench
 from galen_deflection.splits import report_splits, sets_of
+from galen_deflection.springs import kinds
 from galen_model.tool_file import read_tool
 from galen_ros.testing import Harness
 
@@ -207,7 +207,7 @@ def test_from_the_simulated_arm_to_the_compliances_of_its_joints(tmp_path):
     assert len(find_pushes(samples, tip_wrench(samples))) >= 24
 
     model = KINDS["joint_stiffness"].fit(samples)
-    nominal = np.array([parameter.nominal for parameter in COMPLIANCES])
+    nominal = np.array([kind.compliance for kind in kinds()])  # what the driver's arm has
     assert model.unresolved == ()
     assert np.all(model.std < 0.05 * nominal)
     assert np.all(np.abs(model.values - nominal) < 4.0 * model.std)
