@@ -206,9 +206,9 @@ def deflection_recipes() -> tuple[Recipe, ...]:
 
     recipes = []
     for name, seed, hour, positions in (
-        ("sets/round_1", 11, 13, _POSITIONS.tolist()),
-        ("sets/round_2", 12, 14, _POSITIONS.tolist()),
-        ("extra/positions", 13, 15, EXTRA_POSITIONS),
+        ("sets/round_1", 21, 13, _POSITIONS.tolist()),
+        ("sets/round_2", 22, 14, _POSITIONS.tolist()),
+        ("extra/positions", 23, 15, EXTRA_POSITIONS),
     ):
         hand, ends_s = script(len(positions), seed)
         recipes.append(

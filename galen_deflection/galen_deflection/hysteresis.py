@@ -1,4 +1,4 @@
-"""Rate-independent hysteresis: play operators in a load, after Prandtl and Ishlinskii.
+"""Rate-independent hysteresis: operators in a load, with corners and without.
 
 The play (backlash) operator of threshold r follows its input x by as little as it has to:
 
@@ -19,10 +19,22 @@ before is not known, though: at the load x, y may be anything in [x - r, x + r],
 loaded at the start or not. The operator is monotone in where it starts, so these two starts bound
 all others; their distance never grows, and is zero once the load has swept over 2 r. It is carried
 along as the spread of what the start leaves unknown.
+
+With corners, a play remembers the extremes of its load and nothing else: coming back to an earlier
+extreme it goes on as if it had never left. Friction of Dahl's kind does not: its loops shift. A
+smooth operator of threshold r, with z of one sign with the motion or against it,
+
+    y = x - r z,   r dz/dx = 1 - z sgn(dx) where z sgn(dx) > 0, and 1 where it is not,
+
+is the model of Bouc and Wen with n = 1 and both its shape parameters 1/2 (Y.-K. Wen, *Method for
+Random Vibration of Hysteretic Systems*, Journal of the Engineering Mechanics Division 102, 1976):
+straight while it unloads, then bending towards z = +-1. Like a play it lags by r at last, and the
+same is to be said of where it starts: z is in [-1, 1], two starts never part, and they meet.
 """
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from typing import NamedTuple
 
 import numpy as np
@@ -42,29 +54,39 @@ class Played(NamedTuple):
     unknown: Array
 
 
-class PlayOperators:
-    """m play operators, each with its own threshold and input; they remember."""
+class Operators(ABC):
+    """m operators, each with its own threshold and input; they remember."""
 
     def __init__(self, thresholds: Array) -> None:
         """Thresholds (m,), in their inputs' units, none negative. Starts as `reset` does."""
         self._thresholds = np.asarray(thresholds, dtype=float)
         if np.any(self._thresholds < 0.0):
             raise ValueError(f"a threshold is negative: {self._thresholds.min()}")
-        self._state = np.zeros((3, len(self._thresholds)))
         self.reset()
 
+    @abstractmethod
     def reset(self) -> None:
-        """Forget all loads: outputs of a virgin start, and nothing known of what was before."""
-        self._state[0] = 0.0
+        """Forget all loads: a virgin start, and nothing known of what was before."""
+
+    @abstractmethod
+    def run(self, inputs: Array) -> Played:
+        """Take inputs (n, m) in their order, from where the last call left off.
+
+        The results are the same to the last bit however the inputs are cut into calls.
+        """
+
+
+class PlayOperators(Operators):
+    """Play operators: with corners."""
+
+    def reset(self) -> None:
+        """As `Operators.reset`."""
+        self._state = np.zeros((3, len(self._thresholds)))
         self._state[1] = -np.inf
         self._state[2] = np.inf
 
     def run(self, inputs: Array) -> Played:
-        """Take inputs (n, m) in their order, from where the last call left off.
-
-        The results are the same to the last bit however the inputs are cut into calls: beside
-        input -+ threshold nothing is calculated, only compared.
-        """
+        """As `Operators.run`: beside input -+ threshold nothing is calculated, only compared."""
         lower = inputs - self._thresholds
         upper = inputs + self._thresholds
         states = np.empty((len(inputs), *self._state.shape))
@@ -74,7 +96,53 @@ class PlayOperators:
             np.minimum(now, high, out=now)
             before = now
         self._state = before.copy()
-        output, low, high = states[:, 0], states[:, 1], states[:, 2]
-        spread = high - low
-        off_middle = 0.5 * (low + high) - output
-        return Played(output, spread, np.sqrt(spread * spread / 12.0 + off_middle * off_middle))
+        return _played(states)
+
+
+class SmoothOperators(Operators):
+    """Smooth operators, of thresholds above zero."""
+
+    def __init__(self, thresholds: Array) -> None:
+        """As `Operators`; raises ValueError for a threshold of zero as well."""
+        super().__init__(thresholds)
+        if np.any(self._thresholds == 0.0):
+            raise ValueError("a threshold is zero: a smooth operator divides by it")
+
+    def reset(self) -> None:
+        """As `Operators.reset`."""
+        self._z = np.zeros((3, len(self._thresholds)))
+        self._input: Array | None = None
+
+    def run(self, inputs: Array) -> Played:
+        """As `Operators.run`; exact for an input that goes straight from sample to sample."""
+        states = np.empty((len(inputs), *self._z.shape))
+        z = self._z
+        for x, now in zip(inputs, states, strict=True):
+            if self._input is None:  # what came before may have left z anywhere
+                z = _moved(z, x / self._thresholds)
+                z[1:] = [[1.0], [-1.0]]
+            else:
+                z = _moved(z, (x - self._input) / self._thresholds)
+            self._input = x.copy()
+            np.subtract(x, self._thresholds * z, out=now)
+        self._z = z
+        return _played(states)
+
+
+def _moved(z: Array, steps: Array) -> Array:
+    """Z (3, m) after inputs have moved by steps (m,), in thresholds."""
+    sign = np.sign(steps)
+    left = np.abs(steps)
+    along = z * sign
+    back = np.minimum(np.maximum(-along, 0.0), left)  # straight, until nothing is left of z
+    along += back
+    along -= (1.0 - along) * np.expm1(back - left)
+    return np.where(sign == 0.0, z, along * sign)
+
+
+def _played(states: Array) -> Played:
+    """From outputs (n, 3, m) of the virgin start and of the two outermost ones."""
+    output, low, high = states[:, 0], states[:, 1], states[:, 2]
+    spread = high - low
+    off_middle = 0.5 * (low + high) - output
+    return Played(output, spread, np.sqrt(spread * spread / 12.0 + off_middle * off_middle))

@@ -1,7 +1,8 @@
 """Pushes on an arm made for the tests: positions x directions x levels, springs with Dahl friction.
 
-The friction is none of the models': P. Dahl's law (1968), whose slope falls off smoothly where that
-of plays has corners, and whose loops are not congruent.
+The friction is none of the models': P. Dahl's law (1968), in the springs' own motion, not in their
+loads. Its slope falls off smoothly where that of plays has corners, and also on the way back, where
+smooth operators go straight; and its loops are not congruent.
 """
 
 from dataclasses import dataclass, replace
@@ -52,13 +53,13 @@ class Arm:
         return result
 
 
-def dahl(load, stiffness, friction, steps=8):
+def dahl(load, stiffness, friction, steps=8, share=10.0):
     """Displacement (n,) of a spring with Dahl friction beside it: load = k x + f(x).
 
-    df/dx = sigma (1 - f sgn(dx) / friction), with sigma ten times the spring's stiffness; in small
-    steps of the load.
+    df/dx = sigma (1 - f sgn(dx) / friction), with sigma = share * stiffness; in small steps of the
+    load.
     """
-    sigma = 10.0 * stiffness
+    sigma = share * stiffness
     x, f, now = 0.0, 0.0, 0.0
     result = np.empty_like(load)
     for k, target in enumerate(load):

@@ -80,7 +80,7 @@ def test_the_file_says_what_it_was_fitted_on_and_where_nothing(path, samples):
         (lambda c: c["covariance"][0].__setitem__(0, -1e-9), "covariance has a negative variance"),
         (lambda c: c["covariance"][0].__setitem__(1, 1e-9), "covariance is not symmetric"),
         (lambda c: c["discrepancy"].pop(), "discrepancy has shape"),
-        (lambda c: c["operators"][0].update(place="rod"), r'operators\[0\].place is "rod"'),
+        (lambda c: c["operators"][0].update(place="elbow"), r'operators\[0\].place is "elbow"'),
         (lambda c: c["operators"][0].update(shape="dahl"), r'operators\[0\].shape is "dahl"'),
         (lambda c: c["operators"][0].update(thresholds=[-1.0]), r"operators\[0\].thresholds holds"),
         (lambda c: c["fitted_on"].update(samples=1.5), "fitted_on.samples is 1.5"),

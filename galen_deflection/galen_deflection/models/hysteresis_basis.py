@@ -11,16 +11,19 @@ from galen_model.arrays import Array
 from galen_model.json_fields import FieldError, array, get, items, mapping, numbers, text
 from galen_model.rotation import skew
 
-from galen_deflection.hysteresis import PlayOperators
+from galen_deflection.hysteresis import Operators, PlayOperators, SmoothOperators
 from galen_deflection.models.joint_stiffness import COMPLIANCES, StiffnessRun, elastic
 from galen_deflection.models.linear import Parameter, Rows, Start
 from galen_deflection.springs import SPRINGS, kinds
 
-Shape = Literal["play", "stop"]
+Shape = Literal["play", "stop", "smooth_play", "smooth_stop"]
 
-JOINTS = tuple(kind.name for kind in kinds()[:3])
+STOPS: dict[Shape, Shape] = {"play": "stop", "smooth_play": "smooth_stop"}
+"""What is left of the load beside each kind of play."""
+
+JOINTS = tuple(kind.name for kind in kinds())
 PLATFORM = "platform"
-COLUMNS = {kind.name: range(*kind.springs.indices(len(SPRINGS))) for kind in kinds()[:3]}
+COLUMNS = {kind.name: range(*kind.springs.indices(len(SPRINGS))) for kind in kinds()}
 COLUMNS[PLATFORM] = range(len(SPRINGS), len(SPRINGS) + 6)
 """Where an operator may sit: at the springs of a kind, or at the platform's axes, counted on."""
 
@@ -34,6 +37,9 @@ _LOAD_UNITS = {kind.name: kind.load_unit for kind in kinds()}
 class Operator(NamedTuple):
     """A play, or a stop, at each spring of a kind, or each of the platform's axes; one weight.
 
+    A stop is what is left of the load beside a play, with corners or smooth
+    (`galen_deflection.hysteresis`).
+
     thresholds: one for each of them; N.m, N, or at the platform m and rad.
     """
 
@@ -45,7 +51,7 @@ class Operator(NamedTuple):
     def name(self) -> str:
         """As parameters are named."""
         size = f"{self.thresholds[0]:.4g} {_LOAD_UNITS.get(self.place, 'm')}"
-        return f"{self.shape} of {self.place} at {size}"
+        return f"{self.shape.replace('_', ' ')} of {self.place} at {size}"
 
 
 @dataclass(frozen=True)
@@ -116,10 +122,15 @@ class HysteresisRun:
         # One unknown thing for each spring: the loads of its past moved all its operators together.
         self._source = (self._column[:, None] == np.unique(self._column)).astype(float)
         self._parameter = len(COMPLIANCES) + self._operator
-        stops = np.array([operator.shape == "stop" for operator in basis.operators], dtype=bool)
-        self._stop = stops[self._operator]
-        self._any_stop = bool(stops.any())
-        self._plays = PlayOperators(np.array([threshold for _, _, threshold in single]))
+        shapes = [basis.operators[k].shape for k in self._operator]
+        self._stop = np.array([shape in STOPS.values() for shape in shapes], dtype=bool)
+        self._any_stop = bool(self._stop.any())
+        thresholds = np.array([threshold for _, _, threshold in single])
+        smooth = np.array([shape.startswith("smooth") for shape in shapes], dtype=bool)
+        self._plays: list[tuple[np.ndarray, Operators]] = []
+        for kind, which in ((PlayOperators, ~smooth), (SmoothOperators, smooth)):
+            if which.any():
+                self._plays.append((which, kind(thresholds[which])))
         self._of_operator = np.zeros((len(single), len(basis.operators)))
         self._of_operator[np.arange(len(single)), self._operator] = 1.0
         self._of_platform = any(operator.place == PLATFORM for operator in basis.operators)
@@ -149,18 +160,28 @@ class HysteresisRun:
         """The next samples' rows, and their J and loads as `loads` has them."""
         at_tip, springs, jacobian, loads = self.loads(joints, wrench)
         inputs = loads[:, self._column]
-        played = self._plays.run(inputs)
-        output = played.output
+        output, unknown = self._played(inputs)
         if self._any_stop:
             output = np.where(self._stop, inputs - output, output)
         columns = jacobian[:, :, self._column]
         remembered = (columns * output[:, None, :]) @ self._of_operator
         design = np.concatenate([springs, remembered], axis=2)
         start = None
-        if played.unknown.any():
-            deviation = columns * played.unknown[:, None, :]
+        if unknown.any():
+            deviation = columns * unknown[:, None, :]
             start = Start(deviation, self._parameter, self._source)
         return Rows(at_tip, design, start), jacobian, loads
+
+    def _played(self, inputs: Array) -> tuple[Array, Array]:
+        """Outputs and what is unknown of them, (n, m) each, of all plays."""
+        if len(self._plays) == 1:  # nearly always, and a copy costs as much as a play
+            played = self._plays[0][1].run(inputs)
+            return played.output, played.unknown
+        output, unknown = np.empty(inputs.shape), np.empty(inputs.shape)
+        for which, plays in self._plays:
+            played = plays.run(inputs[:, which])
+            output[:, which], unknown[:, which] = played.output, played.unknown
+        return output, unknown
 
 
 def _operator(content: Any, name: str) -> Operator:
@@ -169,9 +190,10 @@ def _operator(content: Any, name: str) -> Operator:
     if place not in COLUMNS:
         raise FieldError(f'{name}.place is "{place}"; expected one of {", ".join(COLUMNS)}')
     shape = text(get(row, "shape"), f"{name}.shape")
-    if shape not in ("play", "stop"):
-        raise FieldError(f'{name}.shape is "{shape}"; expected play or stop')
+    shapes: dict[str, Shape] = {known: known for pair in STOPS.items() for known in pair}
+    if shape not in shapes:
+        raise FieldError(f'{name}.shape is "{shape}"; expected one of {", ".join(shapes)}')
     thresholds = array(get(row, "thresholds"), f"{name}.thresholds", (len(COLUMNS[place]),))
-    if np.any(thresholds < 0.0):
-        raise FieldError(f"{name}.thresholds holds one below zero")
-    return Operator(place, "stop" if shape == "stop" else "play", tuple(thresholds.tolist()))
+    if np.any(thresholds <= 0.0):
+        raise FieldError(f"{name}.thresholds holds one that is not above zero")
+    return Operator(place, shapes[shape], tuple(thresholds.tolist()))

@@ -1,20 +1,20 @@
-"""The contract's arm with hysteresis at its joints: roll, tilt and the three carriages.
+"""The contract's arm with hysteresis in its springs: roll, tilt, carriages and rods.
 
 Each of these springs gives by
 
     d = c l + sum_i w_i play_i(l),   c, w_i >= 0,
 
-with play operators of its load l (`galen_deflection.hysteresis`), the rods by c l. This is linear
-in c and w for given thresholds, so that non-negative least squares finds them; thresholds lie on a
-grid below the largest load of each kind of spring. How fine a grid is worth it, folds that a fit
-has not seen tell.
+with play operators of its load l (`galen_deflection.hysteresis`). This is linear in c and w for
+given thresholds, so that non-negative least squares finds them; thresholds lie on a grid below the
+largest load of each kind of spring. How fine a grid is worth it, folds that a fit has not seen
+tell.
 
-That is what friction in joints does. Recordings exist that joints do not explain, and two further
-forms are tried on them:
+That is what dry friction does. Other forms are tried as well:
 
+- smooth plays, for friction that gives way before it slides and whose loops shift;
 - plays of the platform's six motions, as the springs alone would make them, in place of plays of
-  its carriages' loads: hysteresis that is not known to sit in one of its parts;
-- stops, l - play(l), in place of plays. Plays lag behind the load: after a push something of the
+  carriages and rods: hysteresis that is not known to sit in one of its parts;
+- stops, l - play(l), in place of either. Plays lag behind the load: after a push something of the
   deflection is left on its side. With stops it is left on the other side, the deflection leads. No
   joint does that, since it would give out more work than it takes; a wrench that is measured with
   hysteresis looks so.
@@ -43,6 +43,7 @@ from galen_deflection.models.hysteresis_basis import (
     COLUMNS,
     JOINTS,
     PLATFORM,
+    STOPS,
     UNDER_PLATFORM,
     HysteresisBasis,
     Operator,
@@ -60,14 +61,19 @@ KIND = "joint_hysteresis"
 GRID = (0.025, 0.05, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5, 0.65, 0.8)
 """Thresholds over the largest load. The finest: what a joint keeps of a small push."""
 
-GRIDS: tuple[tuple[float, ...], ...] = (
-    (0.2,),
-    (0.1, 0.4),
-    (0.05, 0.2, 0.5),
-    (0.05, 0.1, 0.2, 0.4, 0.65),
-    GRID,
+SMOOTH_GRID = (0.05, 0.1, 0.2, 0.4, 0.8, 1.6, 3.2)
+"""The same of smooth operators, which begin to give at once, however large their threshold."""
+
+_EVERY: tuple[tuple[Shape, float], ...] = (
+    *(("play", share) for share in GRID),
+    *(("smooth_play", share) for share in SMOOTH_GRID),
 )
-"""What is tried after no hysteresis at all; each a part of GRID."""
+
+GRIDS: dict[Shape, tuple[tuple[float, ...], ...]] = {
+    "play": ((0.2,), (0.1, 0.4), (0.05, 0.2, 0.5), (0.05, 0.1, 0.2, 0.4, 0.65), GRID),
+    "smooth_play": ((0.8,), (0.2, 0.8), (0.1, 0.4, 1.6), SMOOTH_GRID),
+}
+"""What is tried after no hysteresis at all; each a part of GRID or SMOOTH_GRID."""
 
 CREEP_TIMES_S = (0.5, 2.0, 8.0, 32.0)
 """What is tried: from a push's rise to some pushes on end, each four times the last."""
@@ -78,15 +84,20 @@ DISPLACEMENTS = ("roll", "tilt", PLATFORM)
 FORMS: tuple[tuple[tuple[str, ...], Shape], ...] = (
     (JOINTS, "play"),
     (DISPLACEMENTS, "play"),
+    (JOINTS, "smooth_play"),
+    (DISPLACEMENTS, "smooth_play"),
     (JOINTS, "stop"),
     (DISPLACEMENTS, "stop"),
+    (JOINTS, "smooth_stop"),
+    (DISPLACEMENTS, "smooth_stop"),
 )
 """Where the operators sit, and which they are, most physical first."""
 
+_SMALLEST_LOAD = 1e-12  # of a spring that nothing loads: a threshold must not be zero
 _STANDARD_ERRORS = 2.0
 _WORTH_IT = 0.01
 
-OF_PLATFORM = "hysteresis of the platform as a whole fits better than that of its carriages"
+OF_PLATFORM = "hysteresis of the platform as a whole fits better than that of its parts"
 NO_CREEP = "creep does not make held-out samples come out clearly better: it was left out"
 LEADS = "the deflection leads the load, as if joints gave out work: is the wrench hysteretic?"
 
@@ -105,7 +116,7 @@ def fit(samples: DeflectionSamples, settings: FitSettings | None = None) -> Line
     model = finished(KIND, basis, samples, totals, only_nearby=False)
     operators = basis.springs.operators if isinstance(basis, CreepBasis) else basis.operators
     notes += [OF_PLATFORM] * any(operator.place == PLATFORM for operator in operators)
-    notes += [LEADS] * any(operator.shape == "stop" for operator in operators)
+    notes += [LEADS] * any(operator.shape in STOPS.values() for operator in operators)
     return replace(model, notes=tuple(notes))
 
 
@@ -128,7 +139,10 @@ def _whole_grid(samples: DeflectionSamples, settings: FitSettings) -> Hysteresis
         loads = largest[list(columns)]
         if place != PLATFORM:  # springs of a kind are alike
             loads = np.full_like(loads, loads.max())
-        operators += [Operator(place, "play", tuple((share * loads).tolist())) for share in GRID]
+        loads = np.maximum(loads, _SMALLEST_LOAD)
+        operators += [
+            Operator(place, shape, tuple((share * loads).tolist())) for shape, share in _EVERY
+        ]
     return HysteresisBasis(samples.tip_m, tuple(operators), reference)
 
 
@@ -154,7 +168,7 @@ class _Candidate(NamedTuple):
         combination[:given, :given] = np.eye(given)
         for column, k in enumerate(operators, start=given):
             place = grid.operators[k].place
-            if shape == "play":
+            if shape in STOPS:
                 combination[given + k, column] = 1.0
                 continue
             combination[given + k, column] = -1.0
@@ -199,11 +213,13 @@ def _chosen(grid: HysteresisBasis, totals: Sums) -> _Candidate:
     forms = [[_Candidate.of(grid, totals, [], "play")]]
     for places, shape in FORMS:
         forms.append([])
-        for shares in GRIDS:
+        plays = next(play for play, stop in STOPS.items() if shape in (play, stop))
+        for shares in GRIDS[plays]:
+            wanted = [(plays, share) for share in shares]
             operators = [
                 k
                 for k, operator in enumerate(grid.operators)
-                if operator.place in places and GRID[k % len(GRID)] in shares
+                if operator.place in places and _EVERY[k % len(_EVERY)] in wanted
             ]
             forms[-1].append(_Candidate.of(grid, totals, operators, shape))
     costs = [np.array([candidate.held_out_cost() for candidate in form]) for form in forms]
