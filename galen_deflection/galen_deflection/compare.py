@@ -154,7 +154,7 @@ def _print(result: Compared, to: Console) -> None:
     if len(task.whole) > len(task.samples):
         title += f", {len(task.whole) - len(task.samples)} samples more to fit to"
     seconds = {name: f"{np.mean(one.seconds):.1f} s" for name, one in checked.items()}
-    more = {"a fit": seconds}
+    more = {"a fit, CPU": seconds}
     better = {name: result.times_better(name) for name in checked}
     if _BASELINE in checked:
         for column, heading in enumerate(("LSTM's /\nits RMSE", "LSTM's / its\nbeyond noise")):
@@ -176,7 +176,7 @@ def _to_dict(result: Compared) -> dict[str, Any]:
             kinds[name] = {"error": one}
             continue
         kinds[name] = one.score.to_dict() | {
-            "fit_s": list(one.seconds),
+            "fit_cpu_s": list(one.seconds),
             "lstm_rmse_over_its": result.times_better(name)[0],
             "lstm_error_beyond_noise_over_its": result.times_better(name)[1],
             "rmse_over_noise_by_position": {

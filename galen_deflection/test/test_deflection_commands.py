@@ -241,7 +241,7 @@ def test_compare_fits_where_it_does_not_check(folder, capsys):
     assert (len(seen["splits"]), len(unseen["splits"])) == (4, 4)
     for one in (seen, unseen):
         assert one["kinds"]["joint_stiffness"]["rmse_over_noise_all"] == pytest.approx(1, abs=0.1)
-        assert len(one["kinds"]["coupled"]["fit_s"]) == 4
+        assert len(one["kinds"]["coupled"]["fit_cpu_s"]) == 4
         assert set(one["kinds"]["coupled"]["rmse_over_noise_by_position"]) == set("0123")
         assert one["kinds"]["coupled"]["lstm_rmse_over_its"] is None
     ratio = [one["kinds"]["coupled"]["rmse_over_noise_all"] for one in (seen, unseen)]

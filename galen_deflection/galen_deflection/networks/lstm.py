@@ -43,7 +43,7 @@ KIND_DIRECT = "lstm_direct"
 SETTINGS = RecurrentSettings(hidden=18, dropout=0.05, iterations=150, learning_rate=0.02)
 """The report's; the learning rate is ours."""
 
-DIRECT = replace(SETTINGS, direct=True, learning_rate=0.05)
+DIRECT = replace(SETTINGS, direct=True, learning_rate=0.01)
 
 PERIOD_S = 0.04
 """A step of the network. A hand's pushes take a second; at the tracker's own 60 to 100 Hz a push
