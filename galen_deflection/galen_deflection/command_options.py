@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import os
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -140,9 +141,21 @@ def progress(total: int, unit: str, quiet: bool) -> Any:
 
 
 def check_folder(folder: Path | None) -> None:
-    """Raise GalenError if pictures can't go there."""
-    if folder is not None and folder.exists() and not folder.is_dir():
-        raise GalenError(f"{folder}: is no directory")
+    """Raise GalenError now, and not after the work, if no file can be written into it.
+
+    It, and folders above it, need not be there yet.
+    """
+    if folder is None:
+        return
+    try:
+        there = next((path for path in (folder, *folder.parents) if path.exists()), Path())
+        is_folder = there.is_dir()
+    except OSError as error:
+        raise GalenError(f"{folder}: can't be written: {error.strerror}") from error
+    if not is_folder:
+        raise GalenError(f"{there}: is no directory")
+    if not os.access(there, os.W_OK | os.X_OK):
+        raise GalenError(f"{folder}: can't be written: no permission to write into {there}")
 
 
 def written(draw: Callable[[], list[Path]], folder: Path) -> list[Path]:

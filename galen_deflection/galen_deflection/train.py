@@ -142,11 +142,14 @@ def _checks(arguments: argparse.Namespace, samples: DeflectionSamples) -> list[s
 
 
 def _check_output(path: Path) -> None:
-    """Raise ModelFileError now, and not after the training, if the file can't be written there."""
-    if path.is_dir():
+    """Raise GalenError now, and not after the training, if the file can't be written there."""
+    try:
+        is_folder = path.is_dir()
+    except OSError as error:
+        raise ModelFileError(f"{path}: can't be written: {error.strerror}") from error
+    if is_folder:
         raise ModelFileError(f"{path}: is a directory; name the file")
-    if path.parent.exists() and not path.parent.is_dir():
-        raise ModelFileError(f"{path}: {path.parent} is no directory")
+    check_folder(path.parent)
 
 
 def run(arguments: argparse.Namespace) -> int:
