@@ -4,6 +4,7 @@ import json
 import subprocess
 import sys
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,10 +12,12 @@ from galen_deflection.command_options import EXIT_FAILED, EXIT_INTERRUPTED, EXIT
 from galen_deflection.errors import FitError
 from galen_deflection.model_file import read_model
 from galen_deflection.models.registry import KINDS
+from galen_deflection.networks.residual_model import ResidualModel
+from galen_deflection.recordings import ReadSettings, read_recording
 from galen_model.tool_file import write_tool
 from push_bag import POSITIONS, ROOT, TOOL, Scene, write
 
-from galen_deflection import compare, evaluate, train
+from galen_deflection import compare, evaluate, evaluation, train
 
 PUSHES = ((8.0, 0.0, 0.0), (0.0, -8.0, 0.0), (0.0, 0.0, 8.0), (-5.0, 4.0, 0.0), (0.0, 6.0, -5.0))
 TOOL_FILE = str(ROOT / "bags" / "tools" / "retractor.json")
@@ -115,14 +118,42 @@ def test_what_cant_be_fitted_leaves_the_old_file(folder, tmp_path, capsys):
 
 def test_an_output_that_cant_be_is_told_before_the_bags_are_read(folder, tmp_path, capsys):
     (tmp_path / "file").write_text("")
-    for output, words in ((tmp_path, "is a directory"), (tmp_path / "file" / "m.json", "file is")):
-        code, _, err = call(
+    for output, words in (
+        (tmp_path, f"{tmp_path}: is a directory"),
+        (tmp_path / "file" / "new" / "m.json", "file: is no directory"),
+        (tmp_path / ("m" * 300), "m: can't be written: File name too long"),
+    ):
+        code, out, err = call(
             "train", capsys, tmp_path / "no_bag", "--tool", TOOL_FILE, "--kind", "coupled",
             "-o", output,
         )  # fmt: skip
-        assert code == EXIT_FAILED
-        assert str(output) in err
+        assert (code, out, err.count("\n")) == (EXIT_FAILED, "", 1)
         assert words in err
+
+
+@pytest.mark.parametrize("command", list(COMMANDS))
+def test_pictures_that_cant_be_are_told_before_the_bags_are_read(
+    command, tmp_path, capsys, monkeypatch
+):
+    needs = {
+        "train": ("--kind", "coupled", "-o", tmp_path / "m.json"),
+        "evaluate": ("--model", tmp_path / "m.json"),
+        "compare": (),
+    }[command]
+    (tmp_path / "file").write_text("")
+
+    def words_of(plots):
+        code, out, err = call(
+            command, capsys, tmp_path / "no_bag", "--tool", TOOL_FILE, *needs, "--plots", plots
+        )
+        assert (code, out, err.count("\n")) == (EXIT_FAILED, "", 1)
+        return err
+
+    assert "file: is no directory" in words_of(tmp_path / "file" / "below")
+    assert "p: can't be written: File name too long" in words_of(tmp_path / ("p" * 300))
+    # Whoever runs this may be allowed everything.
+    monkeypatch.setattr("os.access", lambda path, mode: path != tmp_path)
+    assert f"no permission to write into {tmp_path}" in words_of(tmp_path / "new" / "pictures")
 
 
 def test_two_tools_in_one_call_are_refused(folder, tmp_path, capsys):
@@ -186,6 +217,16 @@ def test_evaluate_draws(folder, tmp_path, capsys):
         "second_along_x_1.png", "second_along_x_2.png",
     }  # fmt: skip
     assert {path.rsplit("/", 1)[1] for path in said["plots"]} == names
+
+
+def test_evaluate_knows_what_physics_with_a_network_was_fitted_to(folder):
+    model = ResidualModel(read_model(folder / "coupled.json"), None, None, ())
+    settings = ReadSettings(Path(TOOL_FILE))
+    first, second = (
+        read_recording(folder / "bags" / name, settings) for name in ("first", "second")
+    )
+    assert evaluation._same_noise(model, first)
+    assert not evaluation._same_noise(model, second)
 
 
 def test_a_model_of_another_tip_is_refused(folder, tmp_path, capsys):
