@@ -8,6 +8,11 @@ from dataclasses import dataclass, fields
 import numpy as np
 from galen_model.arrays import Array
 
+from galen_deflection.errors import FitError
+
+_LARGEST = 1e9
+"""Nothing that is measured in SI units here is larger, and sums of squares still have room."""
+
 
 @dataclass(frozen=True)
 class DeflectionSamples:
@@ -40,6 +45,26 @@ class DeflectionSamples:
         """Some of the samples, in their order; whole segments, if a model with memory gets them."""
         picked = {name: getattr(self, name)[rows] for name in _BY_SAMPLE}
         return DeflectionSamples(**picked, tip_m=self.tip_m, noise=self.noise)
+
+
+def check_to_fit(samples: DeflectionSamples, used: np.ndarray) -> None:
+    """Raise FitError unless a model can be fitted to the used samples (n,) bool."""
+    if not used.any():
+        raise FitError("there are no samples to fit a deflection model to")
+    for values in (samples.joints, samples.wrench, samples.deflection[used]):
+        if not np.isfinite(values).all():
+            raise FitError("samples to fit a deflection model to hold values that aren't finite")
+        if np.abs(values).max() > _LARGEST:
+            raise FitError(
+                f"samples to fit a deflection model to hold {np.abs(values).max():.3g}, which is no"
+                " measurement in SI units"
+            )
+    if not np.all(samples.noise > 0.0):
+        raise FitError(
+            "the noise of the samples, by which a fit weighs them, is"
+            f" {', '.join(f'{value:.3g}' for value in samples.noise)} (m, rad): not above zero in"
+            " all axes"
+        )
 
 
 _WHOLE = ("tip_m", "noise")

@@ -17,6 +17,7 @@ from galen_deflection.models.hysteresis_basis import (
     Operator,
 )
 from galen_deflection.models.joint_hysteresis import LEADS, OF_PLATFORM, fit
+from galen_deflection.models.least_squares import blocks
 from galen_deflection.models.linear import LinearModel
 from galen_model.kinematics import sensor_pose, tip_pose
 from galen_model.stiffness import platform_stiffness
@@ -255,6 +256,16 @@ def test_the_first_that_is_as_good_as_the_best_is_taken():
     assert first(at_random_worse, best) == 0
     assert first(best, clearly_worse) == 0
     assert first(clearly_worse, at_random_worse, best) == 1
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("creep", [False, True])
+def test_one_stretch_of_load_tells_no_hysteresis(creep):
+    short = recording(RUBBING, rate_hz=25.0).rows(slice(70, 160))
+    assert len(blocks(short)) == 1  # there is nothing to hold out
+    basis = fit(short, FitSettings(creep=creep)).basis
+    assert isinstance(basis, HysteresisBasis)
+    assert basis.operators == ()
 
 
 def test_weights_and_compliances_are_never_negative(model):

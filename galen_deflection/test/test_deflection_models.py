@@ -242,6 +242,16 @@ def test_samples_without_load_are_refused(kind):
         fit(kind, replace(samples, wrench=np.where(np.arange(6) == 2, np.nan, samples.wrench)))
 
 
+@pytest.mark.parametrize("kind", ALL)
+def test_what_is_no_measurement_is_refused(kind):
+    samples = recording(rate_hz=10.0)
+    with pytest.raises(FitError, match=r"hold 8e\+151, which is no measurement"):
+        fit(kind, replace(samples, wrench=8e151 * np.ones_like(samples.wrench)))
+    # A tracker that is simulated without noise.
+    with pytest.raises(FitError, match=r"0\.0001, 0 \(m, rad\): not above zero"):
+        fit(kind, replace(samples, noise=NOISE * [1.0, 1.0, 1.0, 1.0, 1.0, 0.0]))
+
+
 @pytest.mark.parametrize("kind", ["joint_stiffness", "joint_hysteresis"])
 def test_a_spring_that_pushes_back_is_refused_by_name(kind):
     with pytest.raises(NegativeComplianceError, match=r"1/k_tilt comes out as -0\.0006.*rad/\(N"):

@@ -11,7 +11,7 @@ from galen_model.arrays import Array
 from galen_model.json_fields import FieldError, get, items, mapping, number, text
 
 from galen_deflection.creep import LagOperators
-from galen_deflection.models.hysteresis_basis import HysteresisBasis
+from galen_deflection.models.hysteresis_basis import COLUMNS, HysteresisBasis
 from galen_deflection.models.linear import Parameter, Rows, Start
 from galen_deflection.springs import kinds
 
@@ -61,11 +61,7 @@ class CreepRun:
     def __init__(self, basis: CreepBasis) -> None:
         """Of a basis; unloaded."""
         self._run = basis.springs.run()
-        single = [
-            (column, k)
-            for k, lag in enumerate(basis.lags)
-            for column in range(*_KINDS[lag.place].springs.indices(11))
-        ]
+        single = [(column, k) for k, lag in enumerate(basis.lags) for column in COLUMNS[lag.place]]
         self._column, lag = np.array(single, dtype=int).reshape(-1, 2).T
         self._lags = LagOperators(np.array([basis.lags[k].time_constant_s for k in lag]))
         self._of_lag = np.zeros((len(single), len(basis.lags)))

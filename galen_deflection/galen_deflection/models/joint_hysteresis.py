@@ -5,9 +5,9 @@ Each of these springs gives by
     d = c l + sum_i w_i play_i(l),   c, w_i >= 0,
 
 with play operators of its load l (`galen_deflection.hysteresis`). This is linear in c and w for
-given thresholds, so that non-negative least squares finds them; thresholds lie on a grid below the
-largest load of each kind of spring. How fine a grid is worth it, folds that a fit has not seen
-tell.
+given thresholds, so that non-negative least squares finds them; thresholds lie on a grid of shares
+of the largest load of each kind of spring. How fine a grid is worth it, folds that a fit has not
+seen tell.
 
 That is what dry friction does. Other forms are tried as well:
 
@@ -229,7 +229,12 @@ def _chosen(grid: HysteresisBasis, totals: Sums) -> _Candidate:
 
 
 def _first_good(costs: Array, share: float) -> int:
-    """The first of (k, folds) whose cost is the least but for errors, or a share of the least."""
+    """The first of (k, folds) whose cost is the least but for errors, or a share of the least.
+
+    One fold alone, which nothing was fitted to, says nothing of the others than the first.
+    """
+    if costs.shape[1] < 2:
+        return 0
     best = costs[np.argmin(costs.sum(axis=1))]
     worse = costs - best
     error = _STANDARD_ERRORS * np.std(worse, axis=1, ddof=1) * np.sqrt(len(best))

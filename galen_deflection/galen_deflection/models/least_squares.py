@@ -35,7 +35,7 @@ from galen_deflection.models.linear import (
     Rows,
     segments,
 )
-from galen_deflection.samples import DeflectionSamples
+from galen_deflection.samples import DeflectionSamples, check_to_fit
 
 BLOCK_S = 4.0
 
@@ -91,13 +91,12 @@ class Solution:
 
 
 def sums(basis: Basis, samples: DeflectionSamples, settings: FitSettings) -> Sums:
-    """Go through the samples once, segment by segment. Raises FitError if there are none to use."""
+    """Go through the samples once, segment by segment.
+
+    Raises FitError as `check_to_fit`.
+    """
     used = settings.used(len(samples))
-    if not used.any():
-        raise FitError("there are no samples to fit a deflection model to")
-    values = (samples.joints, samples.wrench, samples.deflection[used])
-    if not all(np.isfinite(a).all() for a in values):
-        raise FitError("samples to fit a deflection model to hold values that aren't finite")
+    check_to_fit(samples, used)
     weight = 1.0 / samples.noise
     parts = blocks(samples)
     size = len(basis.parameters)

@@ -68,7 +68,7 @@ KINDS: dict[str, ModelKind] = {
         joint_stiffness.from_json,
     ),
     joint_hysteresis.KIND: ModelKind(
-        "the same with hysteresis at roll, tilt and carriages",
+        "the same with hysteresis in these springs, or of the platform as a whole",
         joint_hysteresis.fit,
         joint_hysteresis.from_json,
     ),

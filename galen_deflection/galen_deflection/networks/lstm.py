@@ -33,8 +33,8 @@ from galen_deflection.networks.hold_out import hold_out
 from galen_deflection.networks.network import Network
 from galen_deflection.networks.network_model import INPUTS, LEAST_SCALE, OUTPUTS, NetworkModel
 from galen_deflection.networks.recurrent import RecurrentSettings, Series, TrainingError, train
-from galen_deflection.networks.sequences import check_samples, products, run, sequences
-from galen_deflection.samples import DeflectionSamples
+from galen_deflection.networks.sequences import products, run, sequences
+from galen_deflection.samples import DeflectionSamples, check_to_fit
 from galen_deflection.springs import TipWrench
 
 KIND = "lstm"
@@ -64,7 +64,7 @@ def _fit(
     kind: str, samples: DeflectionSamples, settings: FitSettings, network: RecurrentSettings
 ) -> NetworkModel:
     used = settings.used(len(samples))
-    check_samples(samples, used)
+    check_to_fit(samples, used)
     at_tip = TipWrench(samples.tip_m)(samples.joints, samples.wrench)
     inputs = np.hstack([at_tip, samples.joints])
     network = replace(

@@ -47,9 +47,9 @@ from galen_deflection.networks.residual_model import (
     ResidualModel,
     inputs_of,
 )
-from galen_deflection.networks.sequences import check_samples, products, run, sequences
+from galen_deflection.networks.sequences import products, run, sequences
 from galen_deflection.networks.training_curve import TrainingCurve
-from galen_deflection.samples import DeflectionSamples
+from galen_deflection.samples import DeflectionSamples, check_to_fit
 
 SETTINGS = RecurrentSettings(
     hidden=8, dropout=0.1, iterations=120, learning_rate=0.03, weight_decay=0.05
@@ -68,7 +68,7 @@ def fit(samples: DeflectionSamples, settings: FitSettings | None = None) -> Resi
     """Fit the physics, and train the network if it helps; raises FitError."""
     settings = settings or FitSettings()
     used = settings.used(len(samples))
-    check_samples(samples, used)
+    check_to_fit(samples, used)
     physics = joint_hysteresis.fit(samples, settings)
     positions = np.unique(samples.position[used])
     if len(positions) < FEWEST_POSITIONS:

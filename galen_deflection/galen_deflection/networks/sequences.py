@@ -5,21 +5,11 @@ from __future__ import annotations
 import numpy as np
 from galen_model.arrays import Array
 
-from galen_deflection.errors import FitError
 from galen_deflection.models.linear import segments
 from galen_deflection.networks.paced import PacedNet
 from galen_deflection.networks.recurrent import Series
 from galen_deflection.networks.recurrent_net import RecurrentNet
 from galen_deflection.samples import DeflectionSamples
-
-
-def check_samples(samples: DeflectionSamples, used: np.ndarray) -> None:
-    """Raise FitError unless a network can be trained on the used samples (n,)."""
-    if not used.any():
-        raise FitError("there are no samples to fit a deflection model to")
-    values = (samples.joints, samples.wrench, samples.deflection[used])
-    if not all(np.isfinite(a).all() for a in values):
-        raise FitError("samples to fit a deflection model to hold values that aren't finite")
 
 
 def sequences(
