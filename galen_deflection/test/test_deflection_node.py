@@ -282,7 +282,8 @@ def test_another_publisher_of_the_wrench_is_another_driver(harness, folder):
         bench.step(size * PUSH)
     bench.outputs(60)
     other = harness.add(lambda context: Arm(context=context))
-    values = bench.state("predicting", Level.WARN, "is new", bench.step)
+    values = bench.state("several_publishers", Level.WARN, "is new", bench.step)
+    assert "wrench_compensated has 2 publishers" in values["message"]
     assert int(values["restarts"]) >= 1 and int(values["forgotten"]) >= 1
     assert values["wrench_compensated_publishers"] == "2"
     harness.remove(other)

@@ -76,6 +76,7 @@ class StreamMonitor(ABC):
         self._restart: tuple[str, float] | None = None
         self._notices_seen: Mapping[Notice, int] = {}
         self._notice: tuple[str, float] | None = None
+        self._several = ""
         self._counts: deque[_Counts] = deque()
         self._latencies_s: deque[float] = deque(maxlen=LATENCY_SAMPLES)
 
@@ -113,6 +114,13 @@ class StreamMonitor(ABC):
         """Note what a person should hear of for a while."""
         self._notice = (text, now_s)
 
+    def set_publishers(self, counts: Mapping[str, int]) -> None:
+        """Say how many publishers the topics have."""
+        crowded = [
+            f"{topic} has {count} publishers" for topic, count in counts.items() if count > 1
+        ]
+        self._several = " and ".join(crowded)
+
     def tick(self, now_s: float) -> None:
         """Take the counts for the rates, and new notices; call it a few times a second."""
         pairing = self._pairing
@@ -130,6 +138,7 @@ class StreamMonitor(ABC):
         return (
             self._standing_state()
             or self._silence_state(now_s)
+            or self._several_state(now_s)
             or self._refusal_state(now_s)
             or self._waiting_state()
             or self._noticed_state(now_s)
@@ -167,6 +176,19 @@ class StreamMonitor(ABC):
             elif now_s - last_s > self._silence_s:
                 silent.append(f"no {name} for {now_s - last_s:.1f} s")
         return State(Severity.STALE, "silent", " and ".join(silent))
+
+    def _several_state(self, now_s: float) -> State | None:
+        """Two publishers' wrenches are repeated and out of order by turns: that is one state.
+
+        Where nothing goes out, the refusal says why.
+        """
+        if not self._several or self._output_s is None or now_s - self._output_s > HOLD_S:
+            return None
+        rest = (
+            self._refusal_state(now_s) or self._noticed_state(now_s) or self._running_state()
+        ).message
+        text = f"{self._several}: stop all but one of them; {rest}"
+        return State(Severity.WARN, "several_publishers", text)
 
     def _refusal_state(self, now_s: float) -> State | None:
         last = self._last

@@ -148,6 +148,7 @@ class StreamNode(Node):
         came = info.total_count_change
         gone = before + came - info.current_count
         self._publisher_counts[topic] = info.current_count
+        self._monitor.set_publishers(self._publisher_counts)
         if gone > 0 or (came > 0 and before > 0):
             why = f"driver restarted: a publisher of {topic} {'is gone' if gone > 0 else 'is new'}"
             self._emit(self._pairing.restart(why))
@@ -176,11 +177,6 @@ class StreamNode(Node):
         state = self._monitor.state(now_s)
         if state.severity is Severity.STALE and self._qos_trouble:
             return State(Severity.ERROR, "incompatible_qos", self._qos_trouble)
-        if state.severity is Severity.OK:
-            for topic, count in self._publisher_counts.items():
-                if count > 1:
-                    message = f"{state.message}; {topic} has {count} publishers"
-                    return State(Severity.WARN, state.name, message)
         return state
 
     def _announce(self, always: bool = False) -> None:

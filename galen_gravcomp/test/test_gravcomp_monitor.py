@@ -140,3 +140,19 @@ def test_values(rig: Rig) -> None:
     assert values["refused_nonfinite_wrench"] == 100
     assert values["received"] == 400 and values["compensated"] == 300
     assert "not finite" in str(values["last_refusal"])
+
+
+def test_two_publishers_are_one_state(rig: Rig) -> None:
+    """What their wrenches are refused for changes with each of them; the state must not."""
+    rig.step()
+    rig.monitor.set_publishers({"wrench_raw": 2, "joint_states": 1})
+    for wrench in (GOOD, BAD, GOOD):
+        rig.step(wrench)
+        assert rig.now == (Severity.WARN, "several_publishers")
+        assert rig.message.startswith("wrench_raw has 2 publishers: stop all but one")
+    rig.t += HOLD_S + 0.1
+    rig.step(BAD)
+    assert rig.now == (Severity.ERROR, "nonfinite_wrench")  # nothing goes out: that is worse
+    rig.step(GOOD)
+    rig.monitor.set_publishers({"wrench_raw": 1, "joint_states": 1})
+    assert rig.now == (Severity.WARN, "nonfinite_wrench")
