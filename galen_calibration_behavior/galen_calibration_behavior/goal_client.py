@@ -6,6 +6,7 @@ import shutil
 import signal
 import sys
 import time
+import uuid
 from collections.abc import Callable
 from types import FrameType
 from typing import Any, NoReturn
@@ -13,10 +14,12 @@ from typing import Any, NoReturn
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.action import ActionClient
+from rclpy.action.client import ClientGoalHandle
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 from tqdm import tqdm
+from unique_identifier_msgs.msg import UUID
 
 EXIT_OK, EXIT_FAILED, EXIT_USAGE, EXIT_CANCELED = 0, 1, 2, 130
 _SERVER_LOST_S = 1.5
@@ -91,6 +94,7 @@ class GoalClient:
         self._executor = SingleThreadedExecutor()
         self._executor.add_node(self.node)
         self._action_name = action_name
+        self._action_type = action_type
         self._action = ActionClient(self.node, action_type, action_name)
         self.node.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 10)
         self._refused = ""
@@ -120,10 +124,21 @@ class GoalClient:
             f" {self._timeout_s:g} s: start {self._server} (and the driver) first, with the same"
             " ROS_DOMAIN_ID",
         )
+        goal_id = UUID(uuid=list(uuid.uuid4().bytes))
         sending = self._action.send_goal_async(
-            self.make_goal(), feedback_callback=lambda message: self.on_feedback(message.feedback)
+            self.make_goal(),
+            feedback_callback=lambda message: self.on_feedback(message.feedback),
+            goal_uuid=goal_id,
         )
-        self._wait(sending.done, self._timeout_s, "the server did not answer the goal")
+        try:
+            self._wait(
+                sending.done,
+                self._timeout_s,
+                f"{self._server} did not answer the goal",
+                "canceled while waiting for an answer to the goal",
+            )
+        except ClientError as error:
+            raise ClientError(f"{error}; {self._take_back(goal_id)}", error.exit_code) from None
         handle = sending.result()
         if not handle.accepted:
             self._fail_refused()
@@ -157,11 +172,34 @@ class GoalClient:
         self.node.destroy_node()
         self._executor.shutdown()
 
-    def _wait(self, predicate: Callable[[], bool], timeout_s: float, message: str) -> None:
+    def _take_back(self, goal_id: UUID) -> str:
+        """Cancel a goal without an answer, and say what came of it.
+
+        The server may have begun it, and only the answer is late, or lost on a busy machine.
+        """
+        self.bar.say("canceling: the goal may have begun (Ctrl-C: don't wait)")
+        interrupts, deadline = self._interrupts, time.monotonic() + _CANCEL_PATIENCE_S
+        unanswered = self._action_type.Impl.SendGoalService.Response()
+        canceling = ClientGoalHandle(self._action, goal_id, unanswered).cancel_goal_async()
+        while not canceling.done():
+            if time.monotonic() > deadline or self._interrupts > interrupts:
+                return f"whether it has begun is not known: see {self._server}'s /diagnostics"
+            self._executor.spin_once(timeout_sec=0.05)
+        if canceling.result().goals_canceling:
+            return "it had begun, and is canceled"
+        return f"{self._server} says that it is not at work"
+
+    def _wait(
+        self,
+        predicate: Callable[[], bool],
+        timeout_s: float,
+        message: str,
+        canceled: str = "canceled before anything began",
+    ) -> None:
         deadline = time.monotonic() + timeout_s
         while not predicate():
             if self._interrupts:
-                raise ClientError("canceled before anything began", EXIT_CANCELED)
+                raise ClientError(canceled, EXIT_CANCELED)
             if time.monotonic() > deadline:
                 raise ClientError(message)
             self._executor.spin_once(timeout_sec=0.05)

@@ -6,6 +6,7 @@ import pty
 import signal
 import subprocess
 import sys
+import threading
 import time
 
 import pytest
@@ -13,6 +14,8 @@ from calibration_fake_arm import POINTER
 from galen_calibration_behavior.calibrate import EXIT_USAGE, parse
 from galen_calibration_behavior.result_text import format_result, result_to_dict
 from galen_ros.testing import Harness
+from rclpy.action import ActionServer, CancelResponse, GoalResponse
+from rclpy.node import Node
 from test_calibration_node import FakeDriver, World
 
 from galen_msgs.action import CalibrateTool
@@ -128,6 +131,54 @@ def test_ctrl_c_cancels_and_waits_for_the_stop(world):
     assert world.driver.stops == 1
     assert not world.driver.arm.moving
     assert world.files == []
+
+
+class SlowServer(Node):
+    """Takes goals only when told to; `canceled` are those that it was then asked to cancel."""
+
+    def __init__(self, context):
+        super().__init__("calibration", context=context)
+        self.asked, self.go_on, self.canceled = threading.Event(), threading.Event(), 0
+        self.server = ActionServer(
+            self,
+            CalibrateTool,
+            "calibrate_tool",
+            execute_callback=lambda _handle: None,
+            goal_callback=self.on_goal,
+            handle_accepted_callback=lambda _handle: None,
+            cancel_callback=self.on_cancel,
+        )
+
+    def on_goal(self, _goal):
+        self.asked.set()
+        assert self.go_on.wait(20.0)
+        return GoalResponse.ACCEPT
+
+    def on_cancel(self, _handle):
+        self.canceled += 1
+        return CancelResponse.ACCEPT
+
+    def destroy_node(self):
+        self.server.destroy()
+        super().destroy_node()
+
+
+def test_a_goal_that_is_not_answered_is_not_left_running():
+    """Late here; on a busy machine DDS has lost the answer, and the arm went on without anyone."""
+    with Harness() as harness:
+        server = harness.add(lambda context: SlowServer(context))
+        with calibrate(harness, "pointer") as client:
+            assert server.asked.wait(20.0)
+            client.signal(signal.SIGINT)
+            for line in client.process.stderr:
+                if "the goal may have begun" in line:
+                    break
+            server.go_on.set()
+            code, _, error = client.end()
+        assert server.canceled == 1
+    assert code == 130
+    assert "before anything began" not in error
+    assert error.rstrip().endswith("it had begun, and is canceled")
 
 
 def test_a_refusal_s_reason_reaches_the_terminal(world):
