@@ -11,7 +11,7 @@ from galen_bags.arm_recording import ArmBlock, ArmReader, ArmTopics
 from galen_bags.bag import Bag
 from galen_gravcomp.arm_block import push_arm_block
 from galen_gravcomp.compensator import Compensator, CompensatorSettings
-from galen_model.arm import JOINT_NAMES
+from galen_model.arm import JOINT_NAMES, SENSOR
 from galen_model.arrays import Array
 from galen_model.tool_file import ToolFile
 
@@ -49,7 +49,8 @@ def read_arm_track(
 ) -> ArmTrack:
     """Send a bag's samples through the live node's compensator, in the order received.
 
-    Raises BagError, and PushRecordingError where a joint lacks or no wrench comes out.
+    Readings beyond the sensor's range are none, and left out. Raises BagError, and
+    PushRecordingError where a joint lacks or no wrench comes out.
     """
     reader = ArmReader(bag, topics)
     compensator = Compensator(settings)
@@ -90,6 +91,10 @@ def read_arm_track(
     wrench_line = lay_out(wrench_stamps, wrench_log, jump_s)
     wrench = np.full((len(wrench_stamps), 6), np.nan)
     wrench[np.concatenate(numbers)] = np.concatenate(compensated)
+    readings = np.concatenate([block.wrenches.values for block in blocks])
+    with np.errstate(invalid="ignore"):
+        beyond = np.any(np.abs(readings) > SENSOR.range, axis=1) & np.isfinite(wrench).all(axis=1)
+    wrench[beyond] = np.nan
     wrench = wrench[wrench_line.row]
 
     firsts = [int(line.time_ns[0]) for line in (joint_line, wrench_line) if len(line)]
@@ -105,6 +110,12 @@ def read_arm_track(
         number = compensator.refusals[reason]
         what = "wrench" if number == 1 else "wrenches"
         problems.append(f"{reader.wrench_raw}: {number} {what} not compensated: {detail}")
+    if beyond.any():
+        what = "wrench" if beyond.sum() == 1 else "wrenches"
+        problems.append(
+            f"{reader.wrench_raw}: {int(beyond.sum())} {what} left out, beyond the sensor's range:"
+            f" {', '.join(f'{value:.4g}' for value in readings[beyond][0])}"
+        )
     if not compensator.compensated:
         raise PushRecordingError(
             f"{bag.path}: no wrench could be compensated" + "".join(f"; {p}" for p in problems)

@@ -11,6 +11,7 @@ from galen_bags.bag import Bag
 from galen_bags.errors import BagError
 from galen_bags.messages import POSE_TYPE, Decoder, Samples
 from galen_model.rotation import quaternion_to_matrix
+from scipy.ndimage import median_filter
 
 from galen_deflection.rigid import Transform
 from galen_deflection.timeline import Timeline, lay_out, stamp_sentences
@@ -19,6 +20,10 @@ _NORM_TOLERANCE = 1e-3
 # So many poses alike to the last bit are no measurement: noise alone would make them differ.
 _FROZEN_SAMPLES = 3
 _USUAL_REPEATS, _USUAL_RUNS = 0.3, 10
+# A pose so far from the median of those around it is of something else that was taken for the
+# marker: no push moves the tip so far, and the arm's own motion goes on from pose to pose.
+_AROUND = 11
+_ELSEWHERE_M, _ELSEWHERE_RAD = 5e-3, 20e-3
 
 
 @dataclass(frozen=True)
@@ -86,9 +91,10 @@ def marker_track(raw: RawTrack, jump_s: float, start_ns: int, *, may_stand: bool
     """The good poses of a marker; sentences tell times in s after `start_ns`.
 
     Lost are poses that aren't finite, whose quaternion's length isn't 1, that are the identity (as
-    some trackers say it), and those that repeat the one before to the last bit: a tracker that
-    holds its last pose. `may_stand`: repeats are all right, as of a marker that stands, looked at
-    once and published for ever.
+    some trackers say it), those that repeat the one before to the last bit: a tracker that holds
+    its last pose, and those of a few samples elsewhere. `may_stand`: repeats are all right, as of a
+    marker that stands, looked at once and published for ever; and what is elsewhere is left to
+    `base_stands`.
     """
     line = lay_out(raw.stamp_ns, raw.log_ns, jump_s)
     problems = stamp_sentences(raw.topic, line, start_ns)
@@ -101,15 +107,19 @@ def marker_track(raw: RawTrack, jump_s: float, start_ns: int, *, may_stand: bool
         norm = np.linalg.norm(values[:, 3:], axis=1)
         unit = np.abs(norm - 1.0) <= _NORM_TOLERANCE
     nowhere = np.all(values == np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]), axis=1)
-    repeats = frozen = np.zeros(len(values), dtype=bool)
+    repeats = frozen = elsewhere = np.zeros(len(values), dtype=bool)
     if not may_stand:
         repeats, frozen = _frozen(values)
-    lost = ~finite | ~unit | nowhere | repeats
+        seen = finite & unit & ~nowhere & ~repeats
+        elsewhere = np.zeros(len(values), dtype=bool)
+        elsewhere[seen] = _elsewhere(values[seen])
+    lost = ~finite | ~unit | nowhere | repeats | elsewhere
     for mask, why in (
         (~finite, "not finite"),
         (finite & ~unit, "a quaternion whose length isn't 1"),
         (nowhere, "the identity"),
         (frozen & finite & unit & ~nowhere, "frozen, the same to the last bit"),
+        (elsewhere, "elsewhere for a few samples"),
     ):
         if mask.any():
             problems.append(_lost_sentence(raw.topic, why, mask, line.time_ns - start_ns))
@@ -144,6 +154,19 @@ def _frozen(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     for start, stop in zip(starts, stops, strict=True):
         frozen[start:stop] = stop - start >= _FROZEN_SAMPLES - 1 + 3.0 * usual
     return repeats, frozen
+
+
+def _elsewhere(values: np.ndarray) -> np.ndarray:
+    """Poses (n, 7) that are far from the median of those around them, (n,) bool."""
+    if not len(values):
+        return np.zeros(0, dtype=bool)
+    values = values.copy()  # q and -q are one rotation: take those that go on from the one before
+    turned = np.sum(values[1:, 3:] * values[:-1, 3:], axis=1) < 0.0
+    values[1:, 3:] *= np.where(np.cumsum(turned) % 2 == 1, -1.0, 1.0)[:, None]
+    with np.errstate(over="ignore"):
+        off = values - median_filter(values, size=(_AROUND, 1), mode="nearest")
+        shift, half_turn = (np.linalg.norm(part, axis=1) for part in (off[:, :3], off[:, 3:]))
+    return (shift > _ELSEWHERE_M) | (2.0 * half_turn > _ELSEWHERE_RAD)
 
 
 def _runs(mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -20,6 +20,9 @@ from galen_deflection.samples import DeflectionSamples
 
 _LEAST_NOISE = 1e-6
 _CLEARLY = 5.0
+_WANDERS = 1.5
+_MAD_TO_STD = 1.4826
+_FAR_OFF = 6.0 * _MAD_TO_STD
 
 
 @dataclass(frozen=True)
@@ -71,7 +74,8 @@ def measure_deflection(
         try:
             registration = register(rests, recording.tool.tip_m, settings)
         except RegistrationError as error:
-            raise RegistrationError(f"{recording.path}: {error}") from None
+            why = "" if rests else "".join(f"; {problem}" for problem in recording.problems)
+            raise RegistrationError(f"{recording.path}: {error}{why}") from None
         registrations.append(registration)
         problems += registration.problems
         tip = Transform(*tip_pose(recording.joints[here], recording.tool.tip_m, settings.arm))
@@ -80,7 +84,13 @@ def measure_deflection(
     if all(registration is None for registration in registrations):
         register([], recording.tool.tip_m, settings)
 
-    noise = _noise(deflection, recording)
+    noise, wander = _noise(deflection, recording)
+    if wander > _WANDERS:
+        problems.append(
+            f"while nobody touches the tool, the tip that the tracker sees scatters {wander:.1f}"
+            " times as much as from sample to sample: do its stamps lie off from the joints', or"
+            " does it drift? Neither errors nor noise can be relied on then"
+        )
     if from_rest:
         deflection = _from_rest(deflection, recording)
     rows = np.flatnonzero(np.isfinite(deflection).all(axis=1))
@@ -143,22 +153,37 @@ def _visits(recording: PushRecording) -> Sequence[np.ndarray]:
     return [np.flatnonzero((number == k) & recording.untouched) for k in range(len(keys))]
 
 
-def _noise(deflection: Array, recording: PushRecording) -> Array:
+def _noise(deflection: Array, recording: PushRecording) -> tuple[Array, float]:
     """Standard deviation (6,) of one sample about its untouched phase's mean, over all phases.
+
+    Without samples that are far off, and what it is with them over that from sample to sample, at
+    most of the axes: 1 for white noise, more for what goes on and for what is far off.
 
     The base marker's noise is not in it: its mean is the same for all samples of a stand, and the
     registration has taken its error up. The lever from the marker to the tip is, as the tip's
     own displacements are what is looked at.
     """
-    squares, freedom = np.zeros(6), 0
+    near, every, steps = [np.zeros((0, 6))], [np.zeros((0, 6))], [np.zeros((0, 6))]
+    freedom = 0
     for rows in _visits(recording):
         part = deflection[rows]
         part = part[np.isfinite(part).all(axis=1)]
         if len(part) < 2:
             continue
-        squares += np.sum((part - part.mean(axis=0)) ** 2, axis=0)
-        freedom += len(part) - 1
-    return np.sqrt(squares / max(freedom, 1))
+        off = np.abs(part - np.median(part, axis=0))
+        typical = np.median(off, axis=0)  # zero where the tracker's steps are coarse
+        kept = part[np.all((off <= _FAR_OFF * typical) | (typical == 0.0), axis=1)]
+        near.append(kept - kept.mean(axis=0))
+        every.append(part - part.mean(axis=0))
+        steps.append(np.diff(part, axis=0) / np.sqrt(2.0))
+        freedom += max(len(kept) - 1, 0)
+    noise = np.sqrt(np.sum(np.concatenate(near) ** 2, axis=0) / max(freedom, 1))
+    if not freedom:
+        return noise, 0.0
+    scatter, step = (np.concatenate(parts) for parts in (every, steps))
+    usual = _MAD_TO_STD * np.median(np.abs(step), axis=0)
+    usual = np.maximum(np.where(usual > 0.0, usual, np.std(step, axis=0)), _LEAST_NOISE)
+    return noise, float(np.max(np.std(scatter, axis=0) / usual))
 
 
 def _from_rest(deflection: Array, recording: PushRecording) -> Array:

@@ -68,7 +68,7 @@ def register(
     if not rests:
         raise RegistrationError(
             "nowhere in the recording the arm stands untouched before its first push: leave it"
-            " alone for a second or more at each position"
+            " alone for a second or more at each position, and give the file of the tool that is on"
         )
     fit = RegistrationFit(rests, np.asarray(tip_m, dtype=float), settings)
     if settings.estimate_tool_marker:

@@ -236,6 +236,26 @@ def test_a_lost_marker_is_found_however_it_is_told(tmp_path, value, word):
     assert np.max(recording.segment) == 2
 
 
+def test_a_marker_that_is_elsewhere_for_some_samples_is_left_out_there(tmp_path):
+    off = [0.02, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]
+    turned = 0.1 * np.array([0.0, 0.0, 0.0, 1.0, -1.0, 1.0, 0.0])
+
+    def take_another_for_it(topics):
+        values = topics[TOOL_POSE].values
+        values[100:104] += off
+        values[150] += turned
+        values[150, 3:] /= np.linalg.norm(values[150, 3:])
+        values[170:, 3:] *= -1.0  # the same rotations
+
+    there = seconds(tampered(tmp_path, lambda topics: None))
+    (tmp_path / "sound").mkdir()
+    recording = tampered(tmp_path / "sound", take_another_for_it)
+    (sentence,) = recording.problems
+    assert "marker lost in 5 samples (elsewhere for a few samples), 2 times" in sentence
+    assert len(recording) == len(there) - 5
+    assert np.max(np.abs(measure_deflection(recording).samples.deflection)) < 3e-3
+
+
 def test_a_marker_published_faster_than_it_is_measured_is_not_lost(tmp_path):
     def repeat(topics):
         for name in (TOOL_POSE, BASE_POSE):
@@ -322,6 +342,16 @@ def test_stamps_that_jump_in_all_topics_at_once_are_only_cut(tmp_path):
     measured = measure_deflection(recording).samples.deflection
     off = measured - SHORT.deflection_at(times + 2.0 * late)
     assert np.sqrt(np.mean(off**2, axis=0)) == pytest.approx(NOISE, rel=0.15)
+
+
+def test_wrenches_beyond_the_sensors_range_are_left_out(tmp_path):
+    def spike(topics):
+        topics[WRENCH].values[240] = [1.0, -130.0, 0.0, 0.0, 0.0, 0.0]
+
+    recording = tampered(tmp_path, spike)
+    (sentence,) = recording.problems
+    assert "1 wrench left out, beyond the sensor's range: 1, -130, 0, 0, 0, 0" in sentence
+    assert np.max(np.abs(recording.wrench[:, :3])) < 9.0
 
 
 def test_nothing_is_interpolated_over_a_gap_in_the_wrench(tmp_path):
@@ -516,8 +546,19 @@ def test_a_recording_pushed_from_the_start_says_so(tmp_path):
     scene = Scene(positions=POSITIONS[:2], rest_s=0.0)
     recording = read_pushes(write(tmp_path / "bag", scene.topics()), TOOL)
     assert len(said(recording, "not untouched at first")) == 2
-    with pytest.raises(RegistrationError, match="stands untouched"):
+    with pytest.raises(RegistrationError, match=r"stands untouched.*; position 0.*under load"):
         measure_deflection(recording)
+
+
+def test_stamps_of_the_tracker_that_lie_off_are_told_by_what_moves_untouched(tmp_path):
+    def late(topics):
+        for name in (TOOL_POSE, BASE_POSE):
+            topics[name].stamp_ns += 25_000_000
+
+    scene = Scene(positions=POSITIONS[:3], gap_s=0.6)
+    recording = tampered(tmp_path, late, scene)
+    (sentence,) = measure_deflection(recording).problems
+    assert "do its stamps lie off" in sentence
 
 
 def test_the_noise_is_that_of_the_sensor_whatever_is_pushed():
