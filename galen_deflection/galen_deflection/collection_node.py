@@ -411,7 +411,8 @@ class CollectionNode(Node):
         def on_answer(answered: Any) -> None:
             if self._goal is goal:
                 answer = answered.result()
-                self._feed(goal.procedure.on_service, answer.success, answer.error_msg)
+                busy = answer.error_code == PushTool.Response.BUSY
+                self._feed(goal.procedure.on_service, answer.success, answer.error_msg, busy)
 
         future.add_done_callback(on_answer)
 

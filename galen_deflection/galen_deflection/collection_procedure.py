@@ -115,6 +115,7 @@ class CollectionProcedure:
         self._window: deque[tuple[int, Array]] = deque()
         self._watch: PushWatch | None = None
         self._push_number = 0
+        self._pushes_until_s = 0.0
         self._tries = 0
         self._in_a_row = 0
         self._good = 0
@@ -254,12 +255,14 @@ class CollectionProcedure:
             self._waiting_for = ""
             self._next()
 
-    def on_service(self, success: bool, message: str) -> None:
-        """Take the answer to the last Push."""
+    def on_service(self, success: bool, message: str, busy: bool = False) -> None:
+        """Take the answer to the last Push; `busy`: one that was asked for earlier goes on."""
         if self._waiting_for != "push_tool" or self.ending:
             return
         self._waiting_for = ""
-        if not success:
+        if busy:
+            self._spoil(f"push_tool: {message}")
+        elif not success:
             self.fail(ErrorCode.SERVICE_FAILED, f"push_tool failed: {message}")
 
     def on_wall(self, now_s: float) -> None:
@@ -447,7 +450,9 @@ class CollectionProcedure:
         load = self._to_tip(np.mean([w for _, w in self._window], axis=0) - self._here.offset)
         asked, before = watch.asked, watch.state
         self._check_marker(self._time_s - self._tool_seen_s - _MARKER_PATIENCE_S)
-        watch.look(self._time_s, load)
+        # A push that was spoiled before it was felt comes nevertheless: that isn't let go of yet.
+        if watch.state != State.RELEASE or self._time_s >= self._pushes_until_s:
+            watch.look(self._time_s, load)
         self._state = watch.state
         if watch.outcome is not None:
             self._watch = None
@@ -462,14 +467,14 @@ class CollectionProcedure:
         settings = self._settings
         self._waiting_for = "push_tool"
         self._waited_s = 0.0
-        self._commands.append(
-            Push(
-                self._wanted.wrench,
-                settings.push_rise_s,
-                settings.push.hold_s + _SERVICE_SPARE_S,
-                settings.push_fall_s,
-            )
+        push = Push(
+            self._wanted.wrench,
+            settings.push_rise_s,
+            settings.push.hold_s + _SERVICE_SPARE_S,
+            settings.push_fall_s,
         )
+        self._pushes_until_s = self._time_s + push.rise_s + push.hold_s + push.fall_s
+        self._commands.append(push)
 
     def _take_outcome(self, reason: str) -> None:
         if not reason:

@@ -495,8 +495,8 @@ def test_a_service_that_refuses_or_does_not_answer_ends_it():
     world = World(by_service=True)
     world.dead.add("push_tool")
     world.run(lambda w: bool(w.of(Push)))
-    world.procedure.on_service(False, "the hand is pushing already")
-    failed(world.run(), ErrorCode.SERVICE_FAILED, "the hand is pushing already")
+    world.procedure.on_service(False, "rise_s is negative")
+    failed(world.run(), ErrorCode.SERVICE_FAILED, "rise_s is negative")
     patient = dataclasses.replace(SETTINGS, service_timeout_s=1.0)
     world = World(patient, by_service=True)
     world.dead.add("push_tool")
@@ -526,3 +526,25 @@ def test_nothing_is_looked_at_before_the_arm_stands_by_the_wrench_s_own_stamps()
     arm.step = swinging
     ended(world.run(), ErrorCode.NONE)
     assert not any("touched" in message for message in world.messages)
+
+
+def test_a_service_that_is_busy_is_asked_again():
+    world = World(by_service=True)
+    world.dead.add("push_tool")
+    world.run(lambda w: bool(w.of(Push)))
+    world.dead.clear()
+    world.procedure.on_service(False, "the hand is pushing already", busy=True)
+    assert ended(world.run(), ErrorCode.NONE).pushes == 4
+    assert any("already; once more" in message for message in world.messages)
+
+
+def test_a_push_by_the_service_is_waited_for_where_it_was_spoiled_before_it_was_felt():
+    """Else the next one is asked for while it is still to come."""
+    world = World(by_service=True)
+    world.run(lambda w: bool(w.of(Push)))
+    start, push = world._served
+    world._served = start + 50, push  # felt half a second late
+    world.arm.skip_ns = 500_000_000
+    world.run(lambda w: len(w.of(Push)) == 2)
+    assert world._steps > start + 50 + (push.rise_s + push.hold_s + push.fall_s) / 0.01
+    assert ended(world.run(), ErrorCode.NONE).pushes == 4
