@@ -51,6 +51,9 @@ def read_model(path: str | os.PathLike[str]) -> DeflectionModel:
     """Read and check a model's file. Raises ModelFileError that names the file and the field."""
     path = Path(path)
     try:
+        # A pipe or a terminal would keep the node waiting for ever.
+        if path.exists() and not (path.is_file() or path.is_dir()):
+            raise ModelFileError(f"{path}: can't be read: it is no regular file")
         raw = read_limited(path, _MAX_FILE_BYTES, "a model's file")
         return _made(*_parts(raw))
     except OSError as error:

@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+import os
 import subprocess
 import sys
 from dataclasses import replace
@@ -136,6 +137,15 @@ def test_a_missing_file_and_a_folder_that_cannot_be_are_named(tmp_path, models):
     (tmp_path / "file").write_text("")
     with pytest.raises(ModelFileError, match=r"arm.json: can't be written: "):
         write_model(tmp_path / "file" / "arm.json", models["independent"])
+
+
+def test_what_has_no_end_is_not_waited_for(tmp_path):
+    """The node reads files that anyone may name to it."""
+    pipe = tmp_path / "pipe.json"
+    os.mkfifo(pipe)
+    for path in ("/dev/null", pipe):
+        with pytest.raises(ModelFileError, match="no regular file"):
+            read_model(path)
 
 
 def test_what_could_not_be_read_is_not_written(path, models):
