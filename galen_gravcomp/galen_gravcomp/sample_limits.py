@@ -33,7 +33,11 @@ class SampleLimits:
         if step_ns < -self.max_age_ns:
             return f"driver restarted: {topic} stamps jumped back by {-step_ns * 1e-9:.3f} s"
         if step_ns > self.restart_gap_ns:
-            return f"driver restarted: {topic} stamps jumped ahead by {step_ns * 1e-9:.3f} s"
+            # Or a node between switched off and on, or one that stood still and lost the oldest.
+            return (
+                "driver restarted, or messages are lacking:"
+                f" {topic} stamps jumped ahead by {step_ns * 1e-9:.3f} s"
+            )
         return ""
 
     def regular_steps(self, stamp_ns: np.ndarray, newest_ns: int | None) -> np.ndarray:
