@@ -78,8 +78,8 @@ def build_parser() -> argparse.ArgumentParser:
         nargs="+",
         choices=list(SPLITS),
         metavar="SPLIT",
-        help=f"of {', '.join(SPLITS)} (default: position, and report where every position has two"
-        " sets, else push)",
+        help=f"of {', '.join(SPLITS)} (default: position, if there are several, and report where"
+        " every position has two sets, else push)",
     )
     parser.add_argument(
         "--extra",
@@ -163,7 +163,8 @@ def _print(result: Compared, to: Console) -> None:
                 for name, values in better.items()
                 if (value := values[column]) is not None
             }
-    to.print(comparison_table({name: one.score for name, one in checked.items()}, title, more))
+    scores = {name: one.score for name, one in checked.items()}
+    to.print(comparison_table(scores, title, more, to.width))
     for name, one in result.kinds.items():
         if isinstance(one, str):
             to.print(f"[red]{name}: {one}[/red]", soft_wrap=True)

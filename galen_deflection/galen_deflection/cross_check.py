@@ -76,13 +76,18 @@ class Checked:
 def make_tasks(
     names: Sequence[str] | None, recordings: Sequence[Recording], extra: Sequence[Recording] = ()
 ) -> list[Task]:
-    """The splits by their names, None for those that are told most by; raises SplitError."""
+    """The splits by their names, None for those that are told most by; raises SplitError.
+
+    Of a single position None are the pushes: it can't be left out.
+    """
     whole = join_recordings([*recordings, *extra])
     # Numbers of positions are those of the whole; the noise is that of what is checked.
     own = join_recordings(recordings)
     samples = replace(own, position=whole.position[: len(own)])
     if names is None:
-        names = [seen_split(samples), "position"]
+        names = [seen_split(samples)]
+        if len(np.unique(samples.position)) > 1:
+            names.append(_APART)
     return [Task.of(name, samples, whole) for name in dict.fromkeys(names)]
 
 

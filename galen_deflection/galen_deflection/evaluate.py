@@ -82,9 +82,9 @@ def _print(result: Evaluation, to: Console) -> None:
         to.print(axis_table(score, f"{name}: {recording.path}, tool {recording.tool.tool}"))
         parts = {f"position {number}": part for number, part in result.by_position[name].items()}
         if len(parts) > 1:
-            to.print(comparison_table(parts, f"{name}, by position"))
+            to.print(comparison_table(parts, f"{name}, by position", width=to.width))
     if len(result.scores) > 1:
-        to.print(comparison_table(result.scores, "all models"))
+        to.print(comparison_table(result.scores, "all models", width=to.width))
     for note in result.notes:
         to.print(f"[yellow]{note}[/yellow]", soft_wrap=True)
     for path in result.pictures:

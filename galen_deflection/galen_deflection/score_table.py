@@ -11,6 +11,9 @@ from rich.table import Table
 
 from galen_deflection.score import AXES, Score
 
+_WIDE = 150
+"""Characters that the table of all models takes."""
+
 _GOOD_RATIO, _POOR_RATIO = 1.3, 2.0
 
 
@@ -70,19 +73,26 @@ def comparison_table(
     scores: Mapping[str, Score],
     title: str = "",
     more: Mapping[str, Mapping[str, str]] | None = None,
+    width: int | None = None,
 ) -> Table:
-    """Several predictions, a model a row, or one model's parts; RMSE / noise of all axes first.
+    """Several predictions, a model a row, or one model's parts.
 
-    `more`: further columns by their headings, each with cells by the rows' names.
+    `more`: further columns by their headings, each with cells by the rows' names. In less than a
+    `width` of _WIDE characters the errors of each axis are left out, and the caption says so.
     """
+    wide = width is None or width >= _WIDE
     more = more or {}
     table = Table(title=title or None)
-    table.add_column("")
+    table.add_column("", no_wrap=True)  # cut short, names of models are alike
+    if not wide:
+        table.caption = "errors of each axis: in a wider terminal, or by --json"
+    of_axes = [
+        f"{what}, {unit}"
+        for what in ("RMSE", "95 % below")
+        for unit in ("mm\nx y z", "mrad\nrx ry rz")
+    ]
     for heading in (
-        "RMSE, mm\nx y z",
-        "RMSE, mrad\nrx ry rz",
-        "95 % below, mm\nx y z",
-        "95 % below, mrad\nrx ry rz",
+        *(of_axes if wide else []),
         "RMSE / noise\nall: trans. rot.",
         "in\n95 %",
         "loops",
@@ -96,10 +106,11 @@ def comparison_table(
         left = None if score.rests is None else score.rests.gain(slice(0, 3))
         table.add_row(
             name,
-            _three(score.rmse[:3]),
-            _three(score.rmse[3:]),
-            _three(score.percentile95[:3]),
-            _three(score.percentile95[3:]),
+            *(
+                _three(values[axes])
+                for values in ((score.rmse, score.percentile95) if wide else ())
+                for axes in (slice(0, 3), slice(3, 6))
+            ),
             f"{_ratio(score.ratio_all)}: {score.ratio_of(slice(0, 3)):.2f}"
             f" {score.ratio_of(slice(3, 6)):.2f}",
             f"{100.0 * score.coverage_joint:.0f} %",
@@ -118,7 +129,7 @@ def overview_table(rows: Sequence[Mapping[str, Any]]) -> Table:
     """
     table = Table(title="How well models predict")
     table.add_column("bag", overflow="fold")
-    table.add_column("model")
+    table.add_column("model", no_wrap=True)
     for heading in (
         "RMSE / noise\nall: trans. rot.",
         "95 % below, mm\nx y z",

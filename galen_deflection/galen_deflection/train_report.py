@@ -57,7 +57,7 @@ def print_training(
     scores = {"fitted to": fit} | {
         f"held out: {name}": one for name, one in checked.items() if isinstance(one, Score)
     }
-    to.print(comparison_table(scores, "How well it predicts"))
+    to.print(comparison_table(scores, "How well it predicts", width=to.width))
     for name, one in checked.items():
         if isinstance(one, str):
             to.print(f"[yellow]not held out, {name}: {one}[/yellow]", soft_wrap=True)

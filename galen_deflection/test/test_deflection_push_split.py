@@ -1,20 +1,23 @@
 """Pushes dealt out: whole pushes with their pauses, everywhere, and no fit sees what is checked."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 from deflection_pushes import NOISE, TIP, make_samples, pushes_along
-from galen_deflection.cross_check import Task, cross_check, fit_without
+from galen_deflection.cross_check import Task, cross_check, fit_without, make_tasks
 from galen_deflection.models.fit_settings import FitSettings
 from galen_deflection.models.registry import KINDS
 from galen_deflection.pushes import PushLimits, find_pushes, tip_wrench
+from galen_deflection.recordings import Recording
 from galen_deflection.samples import DeflectionSamples, joined
 from galen_deflection.score import score
 from galen_deflection.splits import Split, SplitError, checked_samples, push_splits
 from galen_model.kinematics import sensor_pose, tip_pose
 from galen_model.stiffness import tip_compliance
 from galen_model.wrench import move_wrench
+from push_bag import TOOL
 
 PHYSICS = ["independent", "coupled", "joint_stiffness", "joint_hysteresis"]
 PLACES = np.array([[0.0, 0.0, 0.408, 0.0, 0.0], [0.06, -0.05, 0.43, 0.7, -0.4],
@@ -174,6 +177,17 @@ def test_extra_samples_are_fitted_to_but_for_the_position_left_out(samples):
             assert np.array_equal(use[: len(samples)], split.train)
             assert use[len(samples) :].all() == (split.name != f"position {left_out}")
             assert use[len(samples) :].any() == (split.name != f"position {left_out}")
+
+
+def test_one_position_alone_is_only_asked_by_pushes(samples):
+    def recordings_of(count):
+        some = samples.rows(samples.position < count)
+        return [Recording(Path("bag"), TOOL, some, PLACES[:count], ())]
+
+    assert [task.split for task in make_tasks(None, recordings_of(2))] == ["push", "position"]
+    assert [task.split for task in make_tasks(None, recordings_of(1))] == ["push"]
+    with pytest.raises(SplitError, match="only position 0"):
+        make_tasks(["position"], recordings_of(1))
 
 
 # --- the score ----------------------------------------------------------------------------------

@@ -10,7 +10,7 @@ from galen_deflection.hysteresis_score import RestScore, loop_area, score_loops
 from galen_deflection.models.interface import PredictedSamples
 from galen_deflection.pushes import PushLimits, find_pushes, tip_wrench
 from galen_deflection.score import ScoreError, score
-from galen_deflection.score_table import axis_table, comparison_table
+from galen_deflection.score_table import axis_table, comparison_table, overview_table
 from rich.console import Console
 
 # --- errors, noise, coverage --------------------------------------------------------------------
@@ -250,6 +250,21 @@ def test_the_tables_hold_the_numbers():
     assert f"{100 * result.rests.gain(slice(0, 3))[0]:.0f} +-" in text
     assert "rotation: lost in the noise" in text
     assert text.count("again") == 1
+
+
+def test_names_and_ratios_are_whole_in_a_narrow_terminal():
+    result = score(*hysteretic())
+    names = ["joint_stiffness", "joint_hysteresis", "hysteresis_residual"]
+    rows = [{"name": "bag", "models": dict.fromkeys(names, result.to_dict()), "problems": []}]
+    more = {heading: dict.fromkeys(names, "12.3") for heading in ("a fit, CPU", "LSTM's /\nits")}
+    comparison = comparison_table(dict.fromkeys(names, result), more=more, width=100)
+    for table in (comparison, overview_table(rows)):
+        text = StringIO()
+        Console(file=text, width=100).print(table)
+        for name in names:
+            assert name in text.getvalue()
+        assert text.getvalue().count(f"{result.ratio_all:.2f}:") == len(names)
+    assert "wider terminal" in str(comparison.caption)
 
 
 @pytest.mark.parametrize(
