@@ -68,7 +68,12 @@ def test_columns_that_do_not_do_are_told(table):
         read_run(table, ColumnMap(torque="tau"))
     with pytest.raises(TableError, match="two runs have the name run"):
         read_runs([table, table], ColumnMap())
+    with pytest.raises(TableError, match="'motor' and 'motor' are the same but for an offset"):
+        read_run(table, ColumnMap(link="motor"))
     text = table.read_text()
+    edited(table, 20, "0.18,0.1,0.1,1e200")
+    with pytest.raises(TableError, match=r"line 20, column 'torque': 1e\+200 is no measurement"):
+        read_run(table, ColumnMap())
     edited(table, 20, "0.18,0.1,nan,3")
     with pytest.raises(TableError, match=r"line 20, column 'link': 'nan' is not a finite number"):
         read_run(table, ColumnMap())

@@ -22,6 +22,8 @@ MOST_READINGS_HZ = 20e3
 
 _LONGEST_GAP = 5.0
 _FEWEST_READINGS = 50
+_LARGEST = 1e9
+"""Beyond any joint's angle (rad) and torque (N.m)."""
 _MUCH_LOST = 0.1
 
 
@@ -110,13 +112,26 @@ def read_run(file: str | os.PathLike[str], columns: ColumnMap) -> Run:
     for name, values in zip(wanted[:2], (motor, link), strict=True):
         if np.ptp(values) == 0.0:
             raise TableError(f"{table.path}: column {name!r} never changes: that end stands still")
-    return Run(
+    for name, values in zip(wanted, (motor, link, torque), strict=False):
+        if np.abs(values).max() > _LARGEST:
+            at = int(np.argmax(np.abs(values)))
+            raise TableError(
+                f"{table.path}: line {table.lines[at]}, column {name!r}: {values[at]:g} is no"
+                " measurement in rad or N.m"
+            )
+    run = Run(
         name=Path(file).stem,
         time_s=_time(table, columns, motor / columns.angle_gear),
         motor=motor / columns.angle_gear,
         link=-link if columns.opposite else link,
         torque=torque * columns.torque_gear,
     )
+    if np.ptp(run.lag) == 0.0:
+        raise TableError(
+            f"{table.path}: columns {wanted[0]!r} and {wanted[1]!r} are the same but for an offset:"
+            " nothing gives between them"
+        )
+    return run
 
 
 def noise_of(runs: Sequence[Run]) -> Noise:
