@@ -31,7 +31,7 @@ from galen_deflection.samples import DeflectionSamples
 from galen_deflection.score import AXES
 
 _MEASURED = "#8c8c8c"
-_COLOURS = ("#c44e52", "#1f6f8b", "#55a868", "#8172b3", "#dd8452", "#937860")
+_COLOURS = ("#c44e52", "#1f6f8b", "#55a868", "#8172b3", "#dd8452", "#937860", "#e377c2")
 _UNITS = ("mm", "mm", "mm", "mrad", "mrad", "mrad")
 _PAUSE_S = 0.5  # what a gap between two segments is drawn as
 _SIGMAS = 2.0
