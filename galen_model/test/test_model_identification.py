@@ -60,6 +60,7 @@ def test_noise_free_sweeps_give_the_loads_to_rounding(name):
     assert not found.outliers
 
 
+@pytest.mark.slow
 def test_coverage_and_efficiency_over_200_calibrations():
     """95 % intervals hold the truth in 95 %; the scatter is the Cramer-Rao bound's."""
     tool, rng, count = TOOLS["pointer"].load, np.random.default_rng(7), 200
@@ -123,6 +124,7 @@ def test_touched_poses_are_rejected_and_do_no_harm():
     assert np.all(np.abs(estimate(found) - truth(tool)) < 5 * stated_std(found))
 
 
+@pytest.mark.slow
 def test_healthy_poses_are_hardly_ever_rejected():
     rng, rejected = np.random.default_rng(11), 0
     for _ in range(100):
@@ -201,6 +203,7 @@ def test_one_sweep_with_a_known_adapter_knows_everything():
     assert found.load.com_std_m[0] < 1e-3
 
 
+@pytest.mark.slow
 def test_one_sweep_coverage():
     tool, rng = TOOLS["pointer"].load, np.random.default_rng(13)
     inside = []
@@ -267,6 +270,7 @@ def test_a_channel_that_never_changes_is_named(channel, value):
         identify_one_sweep(both[1])
 
 
+@pytest.mark.slow
 def test_a_wander_within_a_sweep_is_told():
     """Three sigma over a sweep already make the adapter's interval miss; it must not be silent."""
     tool, sigmas = TOOLS["pointer"].load, np.array([0, 0, 3, 0, 0, 0]) * SIGMA
@@ -313,6 +317,7 @@ def test_planned_poses_are_judged_before_the_arm_moves():
             check_planned_poses(np.full(8, 0.3), np.full(8, 0.1), one_sweep=one_sweep)
 
 
+@pytest.mark.slow
 def test_few_healthy_poses_are_hardly_ever_rejected():
     """Where the fit takes most of the freedom, a residual must not look like an outlier."""
     rng, rejected = np.random.default_rng(21), 0

@@ -184,6 +184,7 @@ while True:
 """
 
 
+@pytest.mark.slow
 def test_a_kill_at_any_moment_leaves_a_whole_file(tmp_path):
     path = tool_path(tmp_path, "pointer")
     write_tool(path, make())
