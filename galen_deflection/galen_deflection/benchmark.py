@@ -4,8 +4,8 @@
 
 What is measured and how, `galen_gravcomp.node_benchmark` says. Each model works once on an arm
 that stands, whose joints are the same sample by sample, and once on one whose joints never are
-(`..._moving`). Without `--model` they are the nominal arm's: springs, and springs with five plays
-at each joint.
+(`..._moving`). Without `--model` they are the nominal arm's: springs, and springs with two smooth
+plays at each, as fits to arms with friction come out.
 """
 
 import argparse
@@ -19,17 +19,21 @@ from geometry_msgs.msg import PoseStamped
 
 from galen_deflection.fitted_range import FittedRange
 from galen_deflection.model_file import write_model
-from galen_deflection.models.hysteresis_basis import JOINTS, HysteresisBasis, Operator
+from galen_deflection.models.hysteresis_basis import COLUMNS, HysteresisBasis, Operator
 from galen_deflection.models.joint_stiffness import StiffnessBasis
 from galen_deflection.models.linear import Basis, FittedOn, LinearModel
+from galen_deflection.springs import kinds
 from galen_msgs.msg import DeflectionStamped
 
-_SHARES = (0.05, 0.1, 0.2, 0.4, 0.65)
-_LARGEST = {"roll": (1.5,), "tilt": (1.5,), "carriage": (15.0, 15.0, 15.0)}
+_SHARES = (0.2, 0.8)
+_WEIGHT = 0.1  # of each play, over its spring's own compliance
+_LARGEST = {"roll": 1.5, "tilt": 1.5, "carriage": 15.0, "rod": 60.0}  # N.m, N
 
 
 def _nominal(kind: str, basis: Basis) -> LinearModel:
-    values = np.array([parameter.prior for parameter in basis.parameters])
+    nominal = {kind.name: kind.compliance for kind in kinds()}
+    given = [nominal[operator.place] for operator in getattr(basis, "operators", ())]
+    values = np.array([*nominal.values(), *(_WEIGHT * compliance for compliance in given)])
     home = np.array([0.0, 0.0, 0.408, 0.0, 0.0])
     push, way = np.full(6, 20.0), np.array([0.1, 0.1, 0.1, 1.5, 1.0])
     return LinearModel(
@@ -49,8 +53,8 @@ def write_bench_models(folder: Path) -> list[Path]:
     """Model files of the nominal arm, without and with hysteresis."""
     tip_m = TOOLS["retractor"].tip_m
     operators = tuple(
-        Operator(place, "play", tuple(share * load for load in _LARGEST[place]))
-        for place in JOINTS
+        Operator(place, "smooth_play", (share * load,) * len(COLUMNS[place]))
+        for place, load in _LARGEST.items()
         for share in _SHARES
     )
     paths = []
