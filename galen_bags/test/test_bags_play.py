@@ -5,6 +5,7 @@ import signal
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -110,6 +111,8 @@ def listen(harness: Harness, *topics: str) -> Listener:
 
 
 def play(harness: Harness, bag: Bag, options: PlayOptions, **more: Any) -> PlayerNode:
+    # A writer may have found its reader before that has found it, and then the first are lost.
+    options = replace(options, delay_s=max(options.delay_s, 0.3))
     return harness.add(lambda context: PlayerNode(bag, options, context=context, **more))
 
 
