@@ -30,6 +30,7 @@ from galen_bags.errors import ClusterError
 
 # A worker that does not end by itself is killed after this time.
 _END_S = 0.5
+_CLIENT_END_S = 5.0
 _LOCAL_SETTINGS: dict[str, Any] = {
     # Nothing to look at over HTTP.
     "distributed.scheduler.http.routes": [],
@@ -102,8 +103,13 @@ def local_workers(count: int) -> Iterator[tuple[Client, Deaths]]:
         try:
             with _interrupts_held():
                 cluster = _start(count)
-            with Client(cluster, set_as_default=False) as client:
+            client = Client(cluster, set_as_default=False)
+            try:
                 yield client, deaths
+            finally:
+                # After an interrupt it may wait a minute for an answer that doesn't come.
+                with contextlib.suppress(TimeoutError):
+                    client.close(timeout=_CLIENT_END_S)
         finally:
             if cluster is not None:
                 with _interrupts_held():
