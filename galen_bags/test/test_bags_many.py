@@ -361,6 +361,8 @@ def test_an_interrupt_leaves_no_process(tmp_path, end):
     process = subprocess.Popen(
         [sys.executable, script, *bags],
         start_new_session=True,
+        # A shell that runs the tests in the background has them ignore it.
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         env={**os.environ, "TMPDIR": str(tmp_path)},
