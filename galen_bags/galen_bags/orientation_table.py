@@ -17,7 +17,7 @@ Values are apart, and comments marked, as `galen_bags.text_table` says.
 
 import os
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -66,6 +66,10 @@ class OrientationTable:
         return OrientationTable(
             self.path, self.gravity[rows], self.wrench[rows], time, block, self.orientation
         )
+
+    def timed(self) -> "OrientationTable":
+        """The table with its readings' order for a time where it has none."""
+        return self if self.time is not None else replace(self, time=np.arange(float(len(self))))
 
 
 def read_table(

@@ -8,27 +8,29 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from galen_bags.orientation_table import OrientationTable
 from galen_model.arrays import Array
 from galen_model.errors import GalenError, IdentificationError
 from galen_model.identification import identify_single_load, plain_least_squares
 from galen_model.load import gravity_regressor
 
-Predictor = Callable[[Array], Array]
-"""From gravity (n, 3) in the sensor's frame to the reading (n, 6)."""
+Predictor = Callable[[OrientationTable], Array]
+"""From readings, whose wrench it must not look at, to what they should be (n, 6)."""
 
-Model = Callable[[Array, Array], Predictor]
-"""From gravity (n, 3) and readings (n, 6) to a predictor."""
+Model = Callable[[OrientationTable], Predictor]
+"""From the readings to learn from to a predictor; both have a time, s or their order."""
 
 
-def robust_model(gravity: Array, wrench: Array) -> Predictor:
+def robust_model(known: OrientationTable) -> Predictor:
     """The suite's: each axis weighted by its own noise, outliers rejected, excitation checked."""
-    return identify_single_load(gravity, wrench).predict
+    found = identify_single_load(known.gravity, known.wrench)
+    return lambda asked: found.predict(asked.gravity)
 
 
-def plain_model(gravity: Array, wrench: Array) -> Predictor:
+def plain_model(known: OrientationTable) -> Predictor:
     """The baseline of other packages: ten-parameter least squares, unweighted, unchecked."""
-    moments, offset = plain_least_squares(gravity, wrench)
-    return lambda others: gravity_regressor(others) @ moments + offset
+    moments, offset = plain_least_squares(known.gravity, known.wrench)
+    return lambda asked: gravity_regressor(asked.gravity) @ moments + offset
 
 
 MODELS: dict[str, Model] = {"plain least squares": plain_model, "galen": robust_model}
@@ -57,18 +59,19 @@ def contiguous_blocks(count: int, blocks: int) -> np.ndarray:
     return np.arange(count) * blocks // count
 
 
-def cross_validate(gravity: Array, wrench: Array, groups: np.ndarray, model: Model) -> Score:
+def cross_validate(table: OrientationTable, groups: np.ndarray, model: Model) -> Score:
     """Hold out each of `groups` (n,) in turn; a model may refuse to do without one: see `Score`."""
-    residuals = np.full(wrench.shape, np.nan)
+    table = table.timed()
+    residuals = np.full(table.wrench.shape, np.nan)
     refused = []
     labels = list(dict.fromkeys(groups.tolist()))
     for label in labels:
         held = groups == label
         try:
-            predict = model(gravity[~held], wrench[~held])
+            predict = model(table.take(~held, None))
         except IdentificationError as error:
             refused.append(f"without {label}: {error}")
             continue
-        residuals[held] = wrench[held] - predict(gravity[held])
+        residuals[held] = table.wrench[held] - predict(table.take(held, None))
     scored = np.isfinite(residuals[:, 0])
     return Score(residuals[scored], len(labels), tuple(refused))

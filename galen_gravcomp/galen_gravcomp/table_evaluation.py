@@ -118,10 +118,7 @@ def evaluate_table(
             of_label = {label: f"block {g + 1}" for label, g in zip(order, group, strict=True)}
             splits[f"{count} blocks of neighbours"] = np.array([of_label[b] for b in table.block])
     scores = {
-        split: {
-            name: cross_validate(table.gravity, table.wrench, groups, model)
-            for name, model in MODELS.items()
-        }
+        split: {name: cross_validate(table, groups, model) for name, model in MODELS.items()}
         for split, groups in splits.items()
     }
     fit = identify_single_load(table.gravity, table.wrench)

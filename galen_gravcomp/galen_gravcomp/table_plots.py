@@ -14,7 +14,7 @@ from galen_model.arm import WRENCH_AXES
 if TYPE_CHECKING:
     from galen_gravcomp.table_evaluation import Evaluation
 
-_COLOURS = ("#c44e52", "#1f6f8b")
+_COLOURS = ("#c44e52", "#1f6f8b", "#55a868", "#8172b3", "#dd8452", "#8c8c8c")
 
 
 def plot_scores(result: Evaluation, directory: Path) -> Path:
@@ -22,13 +22,13 @@ def plot_scores(result: Evaluation, directory: Path) -> Path:
     split, models = next(iter(result.scores.items()))
     figure, axes = plt.subplots(2, 3, figsize=(12, 6), sharex=True)
     for index, axis in enumerate(axes.flat):
-        for colour, (name, score) in zip(_COLOURS, models.items(), strict=True):
+        for colour, (name, score) in zip(_COLOURS, models.items(), strict=False):
             values = score.residuals[:, index] * 1e3
             axis.plot(values, "o-", color=colour, ms=3, lw=0.8, label=name)
         unit = "mN" if index < 3 else "mN.m"
-        both = " and ".join(f"{score.rmse[index] * 1e3:.1f}" for score in models.values())
+        rms = ", ".join(f"{score.rmse[index] * 1e3:.1f}" for score in models.values())
         axis.axhline(0.0, color="black", lw=0.6)
-        axis.set_title(f"{WRENCH_AXES[index]}: RMS {both} {unit}", fontsize=10)
+        axis.set_title(f"{WRENCH_AXES[index]}: RMS {rms} {unit}", fontsize=10)
         axis.set_ylabel(unit)
         if index >= 3:
             axis.set_xlabel("reading")

@@ -47,6 +47,10 @@ def write(path, names, columns, separator=","):
 WRENCH = ["fx", "fy", "fz", "tx", "ty", "tz"]
 
 
+def table_of(gravity, wrench):
+    return OrientationTable("t", gravity, wrench, None, None, "gravity")
+
+
 def test_every_form_of_orientation_reads_the_same(tmp_path, readings):
     roll, tilt, rotation, gravity, wrench = readings
     forms = {
@@ -124,18 +128,18 @@ def test_held_out_readings_never_reach_the_fit():
     groups = contiguous_blocks(20, 4)
     seen = []
 
-    def memory(known_gravity, known_wrench):
-        seen.append(len(known_gravity))
+    def memory(known):
+        seen.append(len(known))
         return lambda asked: np.array(
             [
-                known_wrench[np.flatnonzero((known_gravity == g).all(axis=1))[0]]
-                if (known_gravity == g).all(axis=1).any()
+                known.wrench[np.flatnonzero((known.gravity == g).all(axis=1))[0]]
+                if (known.gravity == g).all(axis=1).any()
                 else np.zeros(6)
-                for g in asked
+                for g in asked.gravity
             ]
         )
 
-    score = cross_validate(gravity, wrench, groups, memory)
+    score = cross_validate(table_of(gravity, wrench), groups, memory)
     np.testing.assert_allclose(score.residuals, wrench)
     assert seen == [15] * 4
 
@@ -144,7 +148,7 @@ def test_scores_are_the_noise_on_clean_readings(readings):
     _, _, _, gravity, wrench = readings
     groups = np.arange(30)
     for model in MODELS.values():
-        rmse = cross_validate(gravity, wrench, groups, model).rmse
+        rmse = cross_validate(table_of(gravity, wrench), groups, model).rmse
         # ten parameters of 180 numbers leave the held-out error a little above the noise
         np.testing.assert_allclose(rmse / NOISE, 1.1, atol=4 / np.sqrt(60))
 
@@ -157,7 +161,10 @@ def test_robust_model_ignores_a_touched_reading(readings):
     clean = np.arange(30) != 7
     rmse = {
         name: np.sqrt(
-            np.mean(cross_validate(gravity, wrench, groups, model).residuals[clean] ** 2, axis=0)
+            np.mean(
+                cross_validate(table_of(gravity, wrench), groups, model).residuals[clean] ** 2,
+                axis=0,
+            )
         )
         for name, model in MODELS.items()
     }
@@ -257,7 +264,7 @@ def test_a_table_too_short_to_split_is_said(tmp_path, capsys, count):
 
 def test_leaving_one_out_is_left_to_small_tables(readings):
     gravity, wrench = (np.tile(part, (50, 1)) for part in readings[3:])
-    table = OrientationTable("t", gravity, wrench, None, None, "gravity")
+    table = table_of(gravity, wrench)
     result = evaluate_table(table)
     assert list(result.scores) == ["6 blocks of neighbours"]
     assert any("leave one reading out" in note and str(len(table)) in note for note in result.notes)
