@@ -1,10 +1,11 @@
 """The compensator without ROS: joint and wrench samples go in, compensated wrenches come out.
 
-    compensated = raw - expected reading of the tool at the joint angles of the raw stamp - tare
+    compensated = C (raw - expected reading of the tool at the joint angles of the raw stamp) - tare
 
-Samples are pushed in the order of their arrival, one by one or in blocks, which gives the same.
-Live node and offline evaluation feed the same class. Which angles belong to a wrench, and which
-wrench is refused, is `galen_gravcomp.pairing`'s.
+What can stand beside the tool's weight in the expected reading, C, and what else is taken off,
+`galen_gravcomp.stages` says. Samples are pushed in the order of their arrival, one by one or in
+blocks, which gives the same. Live node and offline evaluation feed the same class. Which angles
+belong to a wrench, and which wrench is refused, is `galen_gravcomp.pairing`'s.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -18,7 +19,8 @@ from galen_model.tool_file import ToolFile
 from galen_gravcomp.block import NOTHING, BlockResult, Outputs, SampleBlock, push_block
 from galen_gravcomp.pairing import PairingSettings, WrenchPairing
 from galen_gravcomp.prediction import Prediction
-from galen_gravcomp.results import Compensated, Refusal, Result
+from galen_gravcomp.results import Compensated, Refusal, Refused, Result
+from galen_gravcomp.stages import NoMotion, Stages
 from galen_gravcomp.stretch import Arrivals
 from galen_gravcomp.tare import TareOutcome, TareRamp, TareSettings, TareWindow
 
@@ -44,8 +46,10 @@ class Compensator(WrenchPairing[Compensated]):
         self,
         settings: CompensatorSettings | None = None,
         on_restart: Callable[[str], None] | None = None,
+        stages: Stages | None = None,
     ) -> None:
         """`on_restart(why)` is called after everything was cleared because the driver restarted."""
+        self._stages = stages or Stages()
         self._settings = settings or CompensatorSettings()
         super().__init__(self._settings, on_restart)
         self._enabled = True
@@ -74,6 +78,12 @@ class Compensator(WrenchPairing[Compensated]):
     def tool(self) -> ToolFile | None:
         """The tool in force."""
         return self._tool
+
+    @property
+    def needs_positions(self) -> bool:
+        """Whether `push_joints` must be given the platform's position."""
+        motion = self._stages.motion
+        return motion is not None and motion.needs_positions
 
     @property
     def sensor_frame(self) -> str:
@@ -117,17 +127,29 @@ class Compensator(WrenchPairing[Compensated]):
         self._tool = tool
         self._prediction = None if tool is None else Prediction(tool)
         self._no_tool_detail = why_none
+        if self._stages.motion is not None:
+            self._stages.motion.set_tool(tool)
+        if self._stages.wander is not None:
+            self._stages.wander.clear("the tool was changed")
+        if self._stages.fit is not None:
+            self._stages.fit.set_tool(tool)
         if tool is None:
             return self._refuse_waiting(Refusal.NO_TOOL, why_none)
         return []
 
     def restart(self, why: str) -> list[Result]:
-        """Forget everything that belongs to the driver's life so far: samples and tare.
+        """Forget everything that belongs to the driver's life so far: samples, wander and tare.
 
         Tool, switch and counters stay.
         """
         self.cancel_tare(why)
         self._ramp.reset()
+        if self._stages.motion is not None:
+            self._stages.motion.clear()
+        if self._stages.wander is not None:
+            self._stages.wander.clear(why)
+        if self._stages.fit is not None:
+            self._stages.fit.clear(why)
         return super().restart(why)
 
     # Tare
@@ -153,8 +175,19 @@ class Compensator(WrenchPairing[Compensated]):
 
     # Samples
 
-    def push_joints(self, stamp_ns: int, roll_rad: float, tilt_rad: float) -> list[Result]:
-        """Take a joint sample; returns what became of the wrenches that waited for it."""
+    def push_joints(
+        self,
+        stamp_ns: int,
+        roll_rad: float,
+        tilt_rad: float,
+        position_m: tuple[float, ...] | None = None,
+    ) -> list[Result]:
+        """Take a joint sample; returns what became of the wrenches that waited for it.
+
+        position_m: the platform's (3,) in base_link, where `needs_positions`.
+        """
+        if self._stages.motion is not None:
+            self._stages.motion.push_joints(stamp_ns, roll_rad, tilt_rad, position_m)
         return self._push_joint_sample(stamp_ns, (roll_rad, tilt_rad))
 
     def push_block(
@@ -202,21 +235,39 @@ class Compensator(WrenchPairing[Compensated]):
         """Push the regular samples at the start of `arrivals`, none while there is a tare to do."""
         prediction = self._prediction
         taring = self._window is not None or self._ramp.ramping
-        if not self._enabled or prediction is None or taring:
+        if not self._enabled or prediction is None or taring or self._one_by_one:
             return NOTHING
         paired = self._pair_stretch(arrivals)
         self.compensated += len(paired.number)
         self.pushed_as_arrays += paired.taken
         angles = paired.joints
-        wrench = paired.raw - prediction.readings(angles[:, 0], angles[:, 1]) - self._ramp.target
+        expected = prediction.readings(angles[:, 0], angles[:, 1])
+        wrench = prediction.wrenches(paired.raw - expected) - self._ramp.target
         return Outputs(paired.taken, paired.number, paired.stamp_ns, wrench, angles)
+
+    @property
+    def _one_by_one(self) -> bool:
+        """Whether a stage has to see the samples one by one."""
+        stages = self._stages
+        wander = stages.wander is not None and stages.wander.active
+        return stages.motion is not None or wander or stages.fit is not None
 
     def _make(
         self, stamp_ns: int, raw: Array, joints: tuple[float, ...], tag: object, number: int
-    ) -> Compensated:
+    ) -> Compensated | Refused:
         roll, tilt = joints
-        assert self._prediction is not None
-        untared: Array = raw - self._prediction.reading(roll, tilt)
+        stages, prediction = self._stages, self._prediction
+        assert prediction is not None
+        expected = prediction.reading(roll, tilt)
+        if stages.motion is not None:
+            motion = stages.motion.reading(stamp_ns, roll, tilt)
+            if isinstance(motion, NoMotion):
+                return self._refuse(stamp_ns, motion.reason, motion.detail, number)
+            expected = expected + motion
+        untared = prediction.wrench(raw - expected)
+        if stages.wander is not None:
+            stages.wander.push(stamp_ns, roll, tilt, untared)
+            untared = untared - stages.wander.offset_at(stamp_ns)
         compensated: Array = untared - self._ramp.offset_at(stamp_ns)
         if self._window is not None and self._window.add(stamp_ns, roll, tilt, untared):
             window, self._window = self._window, None
@@ -224,5 +275,7 @@ class Compensator(WrenchPairing[Compensated]):
             if outcome.offset is not None:
                 self._ramp.start(stamp_ns, outcome.offset)
             window.finish(outcome)
+        if stages.fit is not None:
+            stages.fit.push(stamp_ns, roll, tilt, compensated)
         self.compensated += 1
         return Compensated(stamp_ns, compensated, tag, number, (roll, tilt))

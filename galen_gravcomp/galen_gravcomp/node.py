@@ -41,12 +41,20 @@ class GravcompNode(StreamNode):
         if p.tool:
             self._load_at_start(p.tool)
         self._begin(self._compensator, self._compensation, p.joint_names, p.best_effort_input)
+        self._choose_joints()
         self.create_service(SetBool, "~/enable", self._on_enable)
         self.create_service(SetTool, "~/set_tool", self._on_set_tool)
         self._tare_service = DeferredService(self, Trigger, "~/tare", self._on_tare)
 
     def _push_joints(self, stamp_ns: int, positions: tuple[float, ...]) -> list[Result]:
-        return self._compensator.push_joints(stamp_ns, *positions)
+        roll, tilt, *platform = positions
+        return self._compensator.push_joints(stamp_ns, roll, tilt, tuple(platform) or None)
+
+    def _choose_joints(self) -> None:
+        """Read the platform's position from joint_states only while it is needed."""
+        p = self._config
+        platform = p.position_joint_names if self._compensator.needs_positions else ()
+        self._read_joints(p.joint_names + platform)
 
     def _publish(self, result: Compensated, raw: RawWrench) -> None:
         # The input's own bytes with other numbers: stamp and frame_id can't but be kept.
@@ -84,6 +92,7 @@ class GravcompNode(StreamNode):
             response.success = True
             self._compensation.set_tool_error("")
             self._emit(self._compensator.set_tool(tool))
+            self._choose_joints()
             self.get_logger().info(f"tool in force: {request.tool or 'none'}")
         self._fill_tool_in_force(response)
         if not response.success:

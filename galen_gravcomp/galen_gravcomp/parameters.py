@@ -22,6 +22,10 @@ class GravcompParameters:
     joint_names: tuple[str, ...] = param(
         ("roll", "tilt"), "names of the roll and the tilt joint in `joint_states`, in this order"
     )
+    position_joint_names: tuple[str, ...] = param(
+        ("delta_x", "delta_y", "delta_z"),
+        "names of the joints that are the platform's position, m; read only where it is needed",
+    )
     max_joint_age_s: float = param(
         0.05,
         "s; how far `joint_states` may lie behind a wrench, and how far apart two joint samples"
@@ -81,6 +85,11 @@ class GravcompParameters:
             raise ValueError(
                 f"parameter 'joint_names' is {list(self.joint_names)}, but must name two joints,"
                 " roll and tilt"
+            )
+        if len(set(self.position_joint_names)) != 3:
+            raise ValueError(
+                f"parameter 'position_joint_names' is {list(self.position_joint_names)}, but must"
+                " name three joints, x, y and z"
             )
         if len(self.sensor_range) != 6:
             raise ValueError(

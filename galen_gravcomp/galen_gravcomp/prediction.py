@@ -47,3 +47,11 @@ class Prediction:
         )
         readings: Array = directions @ self._by_direction.T + self._constant
         return readings
+
+    def wrench(self, difference: Array) -> Array:
+        """Wrench (6,) in ft_sensor, N and N.m, of a raw reading less the expected one (6,)."""
+        return difference
+
+    def wrenches(self, differences: Array) -> Array:
+        """Wrenches (n, 6) as `wrench` gives them."""
+        return differences

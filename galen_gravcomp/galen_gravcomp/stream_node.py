@@ -52,7 +52,7 @@ class StreamNode(Node):
         """Subscribe and watch. `joint_names` in the order in which `_push_joints` takes them."""
         self._pairing = pairing
         self._monitor = monitor
-        self._joint_wire = JointWire(joint_names)
+        self._read_joints(joint_names)
         self._wrench_wire = WrenchWire()
         self._publisher_counts = {pairing.wrench_topic: 0, "joint_states": 0}
         self._diagnostics = DiagnosticsPublisher(self, self.hardware_id, self._report)
@@ -68,6 +68,10 @@ class StreamNode(Node):
         # Wall time: it watches for silence, also when a simulation's clock stands still.
         self._watch_clock = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(WATCH_PERIOD_S, self._on_watch, clock=self._watch_clock)
+
+    def _read_joints(self, joint_names: Sequence[str]) -> None:
+        """Read these joints from now on, in this order."""
+        self._joint_wire = JointWire(joint_names)
 
     # What a subclass does
 

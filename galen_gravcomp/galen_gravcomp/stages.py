@@ -1,0 +1,89 @@
+"""What a compensator can do beside the tool's weight, stage by stage. No ROS.
+
+    expected = weight(roll, tilt) + forces of motion + pull of a cable   (raw axes of the sensor)
+    untared  = C (raw - expected)        C: undoes the sensor's gains and rotation in its mount
+    out      = untared - slow wander - tare
+
+Every stage is optional. A stage sees each sample once, in the order of its arrival, by its stamp.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+from typing import NamedTuple, Protocol
+
+from galen_model.arrays import Array
+from galen_model.tool_file import ToolFile
+
+
+class NoMotion(NamedTuple):
+    """Why the forces of motion at a stamp are not known: a `Refusal` and a sentence."""
+
+    reason: Enum
+    detail: str
+
+
+class MotionStage(Protocol):
+    """Forces of motion of tool and adapter."""
+
+    @property
+    def look_ahead_ns(self) -> int:
+        """How far joint samples must have gone beyond a wrench's stamp, ns."""
+
+    @property
+    def needs_positions(self) -> bool:
+        """Whether `push_joints` must be given the platform's position."""
+
+    def set_tool(self, tool: ToolFile | None) -> None:
+        """Take the loads of another tool."""
+
+    def clear(self) -> None:
+        """Forget every sample."""
+
+    def push_joints(
+        self, stamp_ns: int, roll_rad: float, tilt_rad: float, position_m: tuple[float, ...] | None
+    ) -> None:
+        """Take a joint sample: angles, and the platform's position (3,) in base_link."""
+
+    def reading(self, stamp_ns: int, roll_rad: float, tilt_rad: float) -> Array | NoMotion:
+        """Forces of motion (6,) at a stamp, N and N.m in ft_sensor, beside the weight."""
+
+
+class WanderStage(Protocol):
+    """Slow wander of the sensor, learned while nobody touches the tool."""
+
+    @property
+    def active(self) -> bool:
+        """Whether it has to see samples one by one, or takes anything off."""
+
+    def offset_at(self, stamp_ns: int) -> Array:
+        """Offset (6,) to take off at a stamp, N and N.m in ft_sensor; it never jumps."""
+
+    def push(self, stamp_ns: int, roll_rad: float, tilt_rad: float, untared: Array) -> None:
+        """Take an untared wrench (6,)."""
+
+    def clear(self, why: str) -> None:
+        """Forget everything, for the reason given: another tool, another life of the driver."""
+
+
+class FitWatch(Protocol):
+    """Watches whether the tool's file still fits, while nobody touches the tool."""
+
+    def set_tool(self, tool: ToolFile | None) -> None:
+        """Watch another tool; what was seen is forgotten."""
+
+    def push(self, stamp_ns: int, roll_rad: float, tilt_rad: float, output: Array) -> None:
+        """Take a wrench (6,) as it goes out, and the angles at its stamp."""
+
+    def clear(self, why: str) -> None:
+        """Forget everything, for the reason given."""
+
+
+@dataclass(frozen=True)
+class Stages:
+    """The stages of one compensator; None: it does without."""
+
+    motion: MotionStage | None = None
+    wander: WanderStage | None = None
+    fit: FitWatch | None = None
