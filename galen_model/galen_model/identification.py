@@ -243,7 +243,7 @@ def check_planned_poses(
     _check_count(planned, "each sweep")
     rows = gravity_regressor(planned.gravity)
     if one_sweep:
-        check_excitation(_single_load_design(planned.gravity), LOAD_PARAMETERS[:4])
+        check_excitation(single_load_design(planned.gravity), LOAD_PARAMETERS[:4])
         return
     zero = gravity_regressor(gravity_in_sensor(bias_roll_rad, bias_tilt_rad))
     poses = {"in each sweep": planned}
@@ -305,7 +305,7 @@ def identify_single_load(gravity_sensor: ArrayLike, wrench: ArrayLike) -> Single
     gravity, reading = np.asarray(gravity_sensor, dtype=float), np.asarray(wrench, dtype=float)
     if len(gravity) < MIN_POSES:
         raise IdentificationError(f"{len(gravity)} still poses; at least {MIN_POSES} are needed")
-    design = _single_load_design(gravity)
+    design = single_load_design(gravity)
     check_excitation(design, LOAD_PARAMETERS[:4])
     fit = fit_robust(design, reading)
     _check_rejections(fit)
@@ -319,14 +319,15 @@ def plain_least_squares(gravity_sensor: ArrayLike, wrench: ArrayLike) -> tuple[A
     gravity (n, 3) in the sensor's frame, m/s^2; readings (n, 6). The three axes of a force (of a
     torque) count alike, whatever their noise; force and torque share no parameter in (m, h).
     """
-    design = _single_load_design(np.asarray(gravity_sensor, dtype=float))
+    design = single_load_design(np.asarray(gravity_sensor, dtype=float))
     solution = np.linalg.lstsq(
         design.reshape(-1, 10), np.asarray(wrench, dtype=float).reshape(-1), rcond=None
     )[0]
     return solution[:4], solution[4:]
 
 
-def _single_load_design(gravity: Array) -> Array:
+def single_load_design(gravity: Array) -> Array:
+    """Columns (n, 6, 10): one load's moments (4) and six offsets, from gravity (n, 3), m/s^2."""
     design = np.zeros((len(gravity), 6, 10))
     design[:, :, :4] = gravity_regressor(gravity)
     design[:, :, 4:] = np.eye(6)
