@@ -24,11 +24,11 @@ from scipy.stats import f as f_distribution
 from galen_model.arrays import Array
 from galen_model.errors import IdentificationError
 
-_FALSE_REJECTIONS_PER_SWEEP = 0.01
+FALSE_REJECTIONS_PER_SWEEP = 0.01
 _MAD_TO_STD = 1.4826
 _ITERATIONS = 50
-_PRIOR_READINGS = 10.0
-_MIN_POSES_TO_REJECT = 12
+PRIOR_READINGS = 10.0
+MIN_POSES_TO_REJECT = 12
 _LEAST_SHARE_OF_KIND = 0.1
 
 
@@ -96,8 +96,8 @@ def _fit(design: Array, readings: Array, prior: _Prior) -> RobustFit:
     count, channels, parameters = design.shape
     if count * channels <= parameters:
         raise IdentificationError(f"{count} poses are too few for {parameters} parameters")
-    scale = np.maximum(np.std(readings, axis=0), _tiny(readings))
-    if count < _MIN_POSES_TO_REJECT:
+    scale = np.maximum(np.std(readings, axis=0), tiny(readings))
+    if count < MIN_POSES_TO_REJECT:
         values, covariance, sigma = _weighted(design, readings, prior, scale)
         residuals = readings - design @ values
         everything = np.ones(count, dtype=bool)
@@ -110,10 +110,8 @@ def _fit(design: Array, readings: Array, prior: _Prior) -> RobustFit:
     # The fit has bent towards the readings: their residuals are smaller than their noise, and
     # the noise is known no better than from the freedom left to a channel.
     freedom = max(count - parameters / channels, 1.0)
-    sigma = _mad_scale(readings - design @ values) * np.sqrt(count / freedom)
-    cut = channels * f_distribution.ppf(
-        1.0 - _FALSE_REJECTIONS_PER_SWEEP / count, channels, freedom
-    )
+    sigma = mad_scale(readings - design @ values) * np.sqrt(count / freedom)
+    cut = channels * f_distribution.ppf(1.0 - FALSE_REJECTIONS_PER_SWEEP / count, channels, freedom)
     for _ in range(_ITERATIONS):
         distance = _distance(readings - design @ values, sigma)
         next_used = distance**2 <= cut
@@ -137,14 +135,14 @@ def _irls(design: Array, readings: Array, prior: _Prior, scale: Array) -> Array:
     values = _solve(design, readings, prior, scale, weights)[0]
     for _ in range(_ITERATIONS):  # least absolute distance: a start that few outliers can't lead
         residuals = readings - design @ values
-        scale = _mad_scale(residuals)
+        scale = mad_scale(residuals)
         distance = _distance(residuals, scale)
         weights = 1.0 / np.maximum(distance, 0.1 * np.sqrt(channels))
         values = _solve(design, readings, prior, scale, weights)[0]
     cut = np.sqrt(chi2.ppf(0.9999, channels)) * 1.5
     for _ in range(_ITERATIONS):
         residuals = readings - design @ values
-        scale = _mad_scale(residuals)
+        scale = mad_scale(residuals)
         weights = np.clip(1.0 - (_distance(residuals, scale) / cut) ** 2, 0.0, None) ** 2
         if np.count_nonzero(weights) * channels <= design.shape[2]:
             raise IdentificationError("the poses agree on no load")
@@ -164,19 +162,25 @@ def _weighted(
         leverage = np.einsum("ikp,pq,ikq->k", design, covariance, design) / sigma**2
         freedom = np.maximum(len(design) - leverage, 1.0)
         squares = np.sum(residuals**2, axis=0)
-        kind_mean = squares.reshape(-1, 3).sum(axis=1) / freedom.reshape(-1, 3).sum(axis=1)
-        next_sigma = np.sqrt(
-            (squares + _PRIOR_READINGS * np.repeat(kind_mean, 3)) / (freedom + _PRIOR_READINGS)
-        )
-        next_sigma = np.maximum(next_sigma, _tiny(readings))
+        next_sigma = np.maximum(pooled_sigma(squares, freedom), tiny(readings))
         settled = np.allclose(next_sigma, sigma, rtol=1e-9)
         sigma = next_sigma
         if settled:
             break
     values, covariance = _solve(design, readings, prior, sigma, weights)
     # sigma is itself estimated: the values' errors follow Student's t, whose variance is larger
-    known = freedom + _PRIOR_READINGS
+    known = freedom + PRIOR_READINGS
     return values, covariance * float(np.mean(known / (known - 2.0))), sigma
+
+
+def pooled_sigma(squares: Array, freedom: Array) -> Array:
+    """Noise (6,) of the channels from sums of squares and degrees of freedom, each (6,).
+
+    Drawn towards the mean of its kind, force or torque, as `PRIOR_READINGS` more would.
+    """
+    kind_mean = squares.reshape(-1, 3).sum(axis=1) / freedom.reshape(-1, 3).sum(axis=1)
+    drawn = squares + PRIOR_READINGS * np.repeat(kind_mean, 3)
+    return np.asarray(np.sqrt(drawn / (freedom + PRIOR_READINGS)))
 
 
 def _solve(
@@ -201,14 +205,14 @@ def _solve(
     return covariance @ (rows.T @ right + prior_right), covariance
 
 
-def _mad_scale(residuals: Array) -> Array:
+def mad_scale(residuals: Array) -> Array:
     """Scales (6,); where most residuals of a channel are exactly zero, a part of its kind's."""
     scale = _MAD_TO_STD * np.median(np.abs(residuals), axis=0)
     kind = np.repeat(np.sqrt(np.mean(scale.reshape(-1, 3) ** 2, axis=1)), 3)
-    return np.maximum(np.maximum(scale, _LEAST_SHARE_OF_KIND * kind), _tiny(residuals))
+    return np.maximum(np.maximum(scale, _LEAST_SHARE_OF_KIND * kind), tiny(residuals))
 
 
-def _tiny(values: Array) -> Array:
+def tiny(values: Array) -> Array:
     """A floor that keeps noise-free channels from dividing by zero, per channel."""
     return np.maximum(np.max(np.abs(values), axis=0) * 1e-12, 1e-15)
 
