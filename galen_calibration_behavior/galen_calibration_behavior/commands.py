@@ -54,6 +54,14 @@ class Stop:
 
 
 @dataclass(frozen=True)
+class End:
+    """A goal is over, and the arm stands still as far as can be told."""
+
+    error_code: IntEnum
+    error_msg: str
+
+
+@dataclass(frozen=True)
 class ZeroSensor:
     """Call `bias_sensor`; answer with `on_service`."""
 
@@ -108,11 +116,10 @@ class Estimate:
 
 
 @dataclass(frozen=True)
-class Finished:
-    """The procedure is over, and the arm stands still as far as can be told."""
+class Finished(End):
+    """The calibration is over: the poses left out, and warnings."""
 
     error_code: ErrorCode
-    error_msg: str
     rejected: list[str] = field(default_factory=list)
     warnings: list[str] = field(default_factory=list)
 

@@ -7,28 +7,21 @@ and for one sweep
 
     HOME -> REMOVE_TOOL -> ZERO -> ATTACH_TOOL -> SWEEP_TOOL -> HOME -> ESTIMATE
 
-The sensor is zeroed at home with the adapter on and no tool in both. Any state ends at once on
-`cancel` or `fail`: the arm is told to stop, and the procedure is finished when it stands still.
-Times of motion are the samples' stamps; only waiting for answers, for a person and for a silent
-driver goes by the wall clock, handed in by `on_wall`.
+The sensor is zeroed at home with the adapter on and no tool in both. A cancel, an error and time
+are as in `goal_procedure`; waiting for a person goes by the wall clock, too.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from enum import IntEnum
 
 import numpy as np
-from galen_model.arm import JOINT_NAMES, WRENCH_AXES
+from galen_model.arm import WRENCH_AXES
 from galen_model.arrays import Array
 from galen_model.identification import StillPoses
 
-from galen_calibration_behavior.arrival import (
-    ArrivalMonitor,
-    ArrivalSettings,
-    MotionTimeoutError,
-)
 from galen_calibration_behavior.commands import (
     AttachTool,
     Command,
@@ -37,16 +30,12 @@ from galen_calibration_behavior.commands import (
     Feedback,
     Finished,
     Measurements,
-    MoveTo,
     State,
-    Stop,
     ZeroSensor,
 )
-from galen_calibration_behavior.motion_time import quintic_duration_s
-from galen_calibration_behavior.pose_recorder import PoseRecorder, Rejection
-from galen_calibration_behavior.silence import Silence, WallClock
-from galen_calibration_behavior.stamps import NS, StampsError
-from galen_calibration_behavior.stillness import PoseRecord, StillnessSettings
+from galen_calibration_behavior.pose_procedure import PoseProcedure, PoseSettings
+from galen_calibration_behavior.pose_recorder import Rejection
+from galen_calibration_behavior.stillness import PoseRecord
 from galen_calibration_behavior.sweep import Sweep, Verdict, stack
 
 # A topic's queue holds no more than this of stamps: 2000 samples at 500 Hz.
@@ -75,25 +64,15 @@ _ONE_SWEEP = (
 
 
 @dataclass(frozen=True)
-class ProcedureSettings:
+class ProcedureSettings(PoseSettings):
     """Everything that the node's parameters decide."""
 
     home: Array  # (5,) m and rad
-    arrival: ArrivalSettings
-    stillness: StillnessSettings
-    average_s: float
-    max_velocity: Array  # (5,)
-    max_acceleration: Array  # (5,)
-    motion_timeout_s: float  # beyond the move's own duration
     pose_retries: int
     max_rejected_in_a_row: int
     min_pose_fraction: float
     zero_tolerance: Array  # (6,) largest reading just after zeroing, N and N.m
-    max_stamp_offset_s: float
-    silent_timeout_s: float
-    service_timeout_s: float
     confirm_timeout_s: float
-    stop_timeout_s: float
 
 
 @dataclass(frozen=True)
@@ -106,54 +85,26 @@ class Request:
     poses: Array
 
 
-class CalibrationProcedure:
+class CalibrationProcedure(PoseProcedure[Command, Finished]):
     """One calibration. Call `start`, feed samples and events, and do what `take_commands` gives."""
 
+    codes = ErrorCode
+    _settings: ProcedureSettings
+    _state: State
+
     def __init__(self, settings: ProcedureSettings, request: Request) -> None:
-        self._settings = settings
+        super().__init__(settings, State.HOME)
         self._request = request
-        self._commands: list[Command] = []
         self._plan = iter(_ONE_SWEEP if request.one_sweep else _TWO_SWEEPS)
-        self._state = State.HOME
-        self._arrival: ArrivalMonitor | None = None
-        self._recorder: PoseRecorder | None = None
-        self._on_record: Callable[[PoseRecord | Rejection], None] | None = None
         self._sweep: Sweep | None = None
         self._bare: Sweep | None = None
         self._tool: Sweep | None = None
         self._done_before = 0
         self._total = len(request.poses) * (1 if request.one_sweep else 2)
-        self._waiting_for_service = ""
         self._waiting_for_person = False
-        self._waited_s = 0.0
         self._zero_attempts = 0
         self._zero_checks_left = 0
         self._bias_pose = (float("nan"), float("nan"))
-        self._jumps = 0
-        self._last_jump = ""
-        self._joints: Array | None = None
-        self._stamps: dict[str, int] = {}
-        self._silences = (Silence("joint_states"), Silence("wrench_raw"))
-        self._wall = WallClock()
-        self._started = False
-        self._under_way = False
-        self._ending: Finished | None = None
-        self._finished = False
-
-    @property
-    def state(self) -> State:
-        """The state it is in, or was in when it began to end."""
-        return self._state
-
-    @property
-    def finished(self) -> bool:
-        """Whether it is over."""
-        return self._finished
-
-    @property
-    def ending(self) -> bool:
-        """Whether it is over, or only waits for the arm to stop."""
-        return self._finished or self._ending is not None
 
     @property
     def waiting_for_person(self) -> bool:
@@ -165,55 +116,11 @@ class CalibrationProcedure:
         """Poses finished in all sweeps, and poses in all sweeps."""
         return self._done_before + (self._sweep.finished_poses if self._sweep else 0), self._total
 
-    def take_commands(self) -> list[Command]:
-        """Return the commands given since the last call, in order."""
-        commands, self._commands = self._commands, []
-        return commands
-
     # ---- events
-
-    def start(self) -> None:
-        """Begin as soon as both topics have brought a sample."""
-        self._started = True
-        self._report("waiting for joint_states and wrench_raw")
-
-    def on_joints(self, stamp_ns: int, position: Array, velocity: Array | None) -> None:
-        """Take a joint state, (5,) in m, rad and per s; velocity None where there is none."""
-        self._silences[0].heard(stamp_ns)
-        self._joints = position
-        if not self._under_way:
-            self._stamps["joint_states"] = stamp_ns
-            self._begin_if_ready()
-            return
-        try:
-            if self._recorder is not None:
-                self._recorder.add_joints(stamp_ns, position, velocity)
-                self._take_record()
-            elif self._arrival is not None and self._arrival.add(stamp_ns, position, velocity):
-                self._note_jumps(self._arrival.clock.jumps, self._arrival.clock.last_jump)
-                self._arrival = None
-                self._on_arrived()
-        except MotionTimeoutError as error:
-            self._on_motion_timeout(str(error))
-        except StampsError as error:
-            self.fail(ErrorCode.BAD_INPUT, str(error))
-
-    def on_wrench(self, stamp_ns: int, wrench: Array) -> None:
-        """Take a wrench, (6,) in ft_sensor, N and N.m."""
-        self._silences[1].heard(stamp_ns)
-        if not self._under_way:
-            self._stamps["wrench_raw"] = stamp_ns
-            self._begin_if_ready()
-        elif self._recorder is not None:
-            try:
-                self._recorder.add_wrench(stamp_ns, wrench)
-                self._take_record()
-            except StampsError as error:
-                self.fail(ErrorCode.BAD_INPUT, str(error))
 
     def on_service(self, success: bool, message: str) -> None:
         """Take the answer to the last ZeroSensor or AttachTool."""
-        name, self._waiting_for_service = self._waiting_for_service, ""
+        name, self._waiting_for = self._waiting_for, ""
         if not name or self.ending:
             return
         if not success:
@@ -233,38 +140,14 @@ class CalibrationProcedure:
         self._next()
         return True
 
-    def on_wall(self, now_s: float) -> None:
-        """Take the time of a steady wall clock (s), some ten times a second."""
-        dt = self._wall.step(now_s)
-        if self._finished or not self._started:
-            return
-        self._waited_s += dt
-        for silence in self._silences:
-            silence.tick(dt)
-        if self._ending is not None:
-            if self._waited_s > self._settings.stop_timeout_s:
-                self._finish("the arm was not seen to stop")
-            return
-        silent = [s for s in self._silences if s.silent_s >= self._settings.silent_timeout_s]
-        if silent:
-            self.fail(ErrorCode.DRIVER_SILENT, "; ".join(s.complaint() for s in silent))
-        elif (
-            not self._under_way
-            and len(self._stamps) == 2
-            and self._waited_s > self._settings.silent_timeout_s
-        ):
-            self.fail(
-                ErrorCode.BAD_INPUT,
-                "the stamps of wrench_raw and joint_states differ by"
-                f" {self._stamp_offset_s:+.3f} s: they must come from one clock",
-            )
-        elif self._waiting_for_service and self._waited_s > self._settings.service_timeout_s:
-            self.fail(
-                ErrorCode.SERVICE_FAILED,
-                f"{self._waiting_for_service} did not answer in"
-                f" {self._settings.service_timeout_s:g} s",
-            )
-        elif self._waiting_for_person and self._waited_s > self._settings.confirm_timeout_s:
+    def on_estimated(self) -> None:
+        """The file is written."""
+        if not self.ending:
+            self._succeed()
+
+    def _check_patience(self) -> None:
+        super()._check_patience()
+        if self._waiting_for_person and self._waited_s > self._settings.confirm_timeout_s:
             what = "taken off" if self._state == State.REMOVE_TOOL else "put on"
             self.fail(
                 ErrorCode.CONFIRM_TIMEOUT,
@@ -272,47 +155,17 @@ class CalibrationProcedure:
                 f" {what}",
             )
 
-    def cancel(self) -> None:
-        """Stop the arm and end; nothing is written."""
-        self.fail(ErrorCode.CANCELED, f"canceled in state {self._state.name}")
+    def _make_end(self, code: IntEnum, message: str) -> Finished:
+        return Finished(ErrorCode(code), message, self._rejections(), self._warnings())
 
-    def fail(self, code: ErrorCode, message: str) -> None:
-        """Stop the arm and end with this error."""
-        if self.ending:
-            return
-        self._ending = Finished(code, message, self._rejections(), self._warnings())
-        self._recorder = None
-        self._waiting_for_service = ""
+    def _drop_watches(self) -> None:
+        super()._drop_watches()
         self._waiting_for_person = False
-        self._waited_s = 0.0
-        self._commands.append(Stop())
-        if code == ErrorCode.DRIVER_SILENT or not self._under_way:
-            self._finish("")
-            return
-        # To stand still is enough: nothing is measured that would need it settled.
-        stopping = replace(self._settings.arrival, settle_s=0.0)
-        self._arrival = ArrivalMonitor(stopping, None, float("inf"), "joint_states")
-
-    def on_estimated(self) -> None:
-        """The file is written."""
-        if not self.ending:
-            self._ending = Finished(ErrorCode.NONE, "", self._rejections(), self._warnings())
-            self._finish("")
 
     # ---- states
 
-    def _begin_if_ready(self) -> None:
-        if not self._started or self.ending or len(self._stamps) < 2:
-            return
-        if abs(self._stamp_offset_s) > self._settings.max_stamp_offset_s:
-            return
-        self._under_way = True
+    def _begin(self) -> None:
         self._next()
-
-    @property
-    def _stamp_offset_s(self) -> float:
-        """How far the wrench's newest stamp is ahead of that of the joint states."""
-        return (self._stamps["wrench_raw"] - self._stamps["joint_states"]) / NS
 
     def _next(self) -> None:
         self._state = next(self._plan)
@@ -332,18 +185,12 @@ class CalibrationProcedure:
 
     def _enter_home(self) -> None:
         self._report("going home")
-        self._go_to(self._settings.home)
-
-    def _on_arrived(self) -> None:
-        if self._ending is not None:
-            self._finish("")
-        else:
-            self._next()
+        self._go_to(self._settings.home, self._next)
 
     def _change_tool(self, tool: str, what: str) -> None:
         if self._request.attach_by_service:
             self._report(f"asking the driver to {what}")
-            self._waiting_for_service = "attach_tool"
+            self._waiting_for = "attach_tool"
             self._commands.append(AttachTool(tool))
         else:
             self._waiting_for_person = True
@@ -361,7 +208,7 @@ class CalibrationProcedure:
             return
         self._bias_pose = (float(outcome.joints[3]), float(outcome.joints[4]))
         self._waited_s = 0.0
-        self._waiting_for_service = "bias_sensor"
+        self._waiting_for = "bias_sensor"
         self._commands.append(ZeroSensor())
 
     def _on_zero_checked(self, outcome: PoseRecord | Rejection) -> None:
@@ -462,74 +309,7 @@ class CalibrationProcedure:
             )
         )
 
-    # ---- motion
-
-    def _move(self, target: Array) -> float:
-        """Order the move; return how long the arm may take, by stamps (s)."""
-        assert self._joints is not None
-        if not np.all(np.isfinite(self._joints)):
-            bad = ", ".join(
-                f"{JOINT_NAMES[k]} = {self._joints[k]}"
-                for k in np.flatnonzero(~np.isfinite(self._joints))
-            )
-            self.fail(ErrorCode.BAD_INPUT, f"joint_states: {bad}")
-            return 0.0
-        duration = quintic_duration_s(
-            target - self._joints, self._settings.max_velocity, self._settings.max_acceleration
-        )
-        self._commands.append(MoveTo(target, duration))
-        return duration
-
-    def _allowance(self, duration_s: float) -> float:
-        settings = self._settings
-        return duration_s + settings.arrival.settle_s + settings.motion_timeout_s
-
-    def _go_to(self, target: Array) -> None:
-        duration = self._move(target)
-        if not self.ending:
-            self._arrival = ArrivalMonitor(
-                self._settings.arrival, target, self._allowance(duration), "joint_states"
-            )
-
-    def _record(
-        self, target: Array, duration_s: float, then: Callable[[PoseRecord | Rejection], None]
-    ) -> None:
-        if self.ending:
-            return
-        self._recorder = PoseRecorder(
-            self._settings.arrival,
-            self._settings.stillness,
-            self._settings.average_s,
-            target,
-            self._allowance(duration_s),
-        )
-        self._on_record = then
-
-    def _take_record(self) -> None:
-        recorder = self._recorder
-        if recorder is None or recorder.result is None or self._on_record is None:
-            return
-        self._recorder = None
-        self._note_jumps(recorder.jumps, recorder.last_jump)
-        self._on_record(recorder.result)
-
-    def _on_motion_timeout(self, message: str) -> None:
-        self._arrival = None
-        if self._ending is not None:
-            self._finish(message)
-        else:
-            self.fail(ErrorCode.MOTION_TIMEOUT, message)
-
     # ---- reports
-
-    def _finish(self, remark: str) -> None:
-        assert self._ending is not None
-        end = self._ending
-        if remark:
-            end = Finished(end.error_code, f"{end.error_msg}; {remark}", end.rejected, end.warnings)
-        self._arrival = None
-        self._finished = True
-        self._commands.append(end)
 
     def _report(self, message: str) -> None:
         done, total = self.progress
@@ -567,17 +347,8 @@ class CalibrationProcedure:
             )
         )
 
-    def _note_jumps(self, count: int, last: str) -> None:
-        self._jumps += count
-        self._last_jump = last or self._last_jump
-
     def _rejections(self) -> list[str]:
         return [text for sweep in (self._bare, self._tool) if sweep for text in sweep.rejections]
-
-    def _warnings(self) -> list[str]:
-        if not self._jumps:
-            return []
-        return [f"time stamps jumped {self._jumps} times; the last: {self._last_jump}"]
 
 
 def _still_poses(sweep: Sweep) -> StillPoses:

@@ -10,7 +10,7 @@ PACKAGE = Path(galen_calibration_behavior.__file__).parent
 PURE = [
     "grid", "motion_time", "stamps", "arrival", "stillness", "pose_recorder", "sweep", "commands",
     "procedure", "estimate", "result_text", "visits", "tool_border", "recorded_sweeps",
-    "pose_table", "home_stays", "silence",
+    "pose_table", "home_stays", "silence", "goal_procedure", "pose_procedure",
 ]  # fmt: skip
 ALLOWED = {"numpy", "galen_model", "galen_bags", "galen_calibration_behavior"}
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from enum import IntEnum
 
 import numpy as np
-from galen_calibration_behavior.commands import MoveTo, Stop
+from galen_calibration_behavior.commands import End, MoveTo, Stop
 from galen_model.arrays import Array
 
 NOTHING = np.full(6, np.nan)
@@ -99,11 +99,10 @@ class Collected:
 
 
 @dataclass(frozen=True)
-class Finished:
-    """The collection is over, and the arm stands still as far as can be told."""
+class Finished(End):
+    """The collection is over, and this has come of it."""
 
     error_code: ErrorCode
-    error_msg: str
     collected: Collected = field(default_factory=Collected)
 
 

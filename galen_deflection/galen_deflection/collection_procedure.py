@@ -8,28 +8,20 @@ and for each push PUSH <> HOLD > RELEASE > REST, again if it was not as asked. B
 are at the first position. They have bags of their own, because a third visit there without a push
 would count as a set of pushes.
 
-Any state ends at once on `cancel` or `fail`: the arm is told to stop, and the procedure is finished
-when it stands still. Times are the samples' stamps; only waiting for answers and for a silent
-driver goes by the wall clock, handed in by `on_wall`.
+A cancel, an error and time are as in `galen_calibration_behavior.goal_procedure`.
 """
 
 from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from enum import IntEnum
 from functools import partial
 
 import numpy as np
-from galen_calibration_behavior.arrival import (
-    ArrivalMonitor,
-    ArrivalSettings,
-    MotionTimeoutError,
-)
-from galen_calibration_behavior.commands import MoveTo, Stop
-from galen_calibration_behavior.motion_time import quintic_duration_s
-from galen_calibration_behavior.silence import Silence, WallClock
-from galen_calibration_behavior.stamps import NS, StampClock, StampsError
+from galen_calibration_behavior.goal_procedure import JOINTS, GoalProcedure, GoalSettings
+from galen_calibration_behavior.stamps import NS, StampClock
 from galen_model.arm import JOINT_NAMES, JOINT_UNITS
 from galen_model.arrays import Array
 
@@ -61,17 +53,13 @@ _SERVICE_SPARE_S = 0.3
 _SERVICE_PATIENCE_S = 3.0
 # The tracker's poses may come so much later than the wrenches of the same time.
 _MARKER_PATIENCE_S = 0.5
-_JOINTS, _WRENCH = "joint_states", "wrench_compensated"
+_WRENCH = "wrench_compensated"
 
 
 @dataclass(frozen=True)
-class CollectionSettings:
+class CollectionSettings(GoalSettings):
     """Everything that the node's parameters decide; times in s."""
 
-    arrival: ArrivalSettings
-    max_velocity: Array
-    max_acceleration: Array
-    motion_timeout_s: float
     untouched: UntouchedSettings
     untouched_timeout_s: float
     push: PushLimits
@@ -81,31 +69,28 @@ class CollectionSettings:
     push_retries: int
     max_left_out_in_a_row: int
     limits: LoadLimits
-    max_stamp_offset_s: float
     shift_tolerance_m: float
     shift_tolerance_rad: float
-    silent_timeout_s: float
-    service_timeout_s: float
-    stop_timeout_s: float
 
 
-class CollectionProcedure:
+class CollectionProcedure(GoalProcedure[Command, Finished]):
     """One collection. Call `start`, feed samples and events, and do what `take_commands` gives."""
+
+    codes = ErrorCode
+    wrench_topic = _WRENCH
+    _settings: CollectionSettings
+    _state: State
 
     def __init__(
         self, settings: CollectionSettings, plan: CollectionPlan, tip_m: Array, by_service: bool
     ) -> None:
         """`tip_m` (3,) in ft_sensor; `by_service`: `push_tool` pushes, not a person."""
-        self._settings = settings
+        super().__init__(settings, State.CALIBRATION)
         self._plan = plan
         self._tip_m = tip_m
         self._by_service = by_service
-        self._commands: list[Command] = []
         self._script = self._steps()
-        self._state = State.CALIBRATION
         self._set = self._position = 0  # from 1; 0 in a calibration set
-        self._arrival: ArrivalMonitor | None = None
-        self._then: Callable[[], None] | None = None
         self._untouched: UntouchedWatch | None = None
         self._on_untouched: Callable[[Untouched], None] | None = None
         self._untouched_since_ns = 0
@@ -131,30 +116,7 @@ class CollectionProcedure:
         self._tool_seen_s = 0.0
         self._tool_stamp_ns: int | None = None
         self._tool_key: tuple[float, ...] = ()
-        self._joints: Array | None = None
-        self._stamps: dict[str, int] = {}
         self._clock = StampClock(_WRENCH, settings.arrival.max_stamp_step_s)
-        self._silences = (Silence(_JOINTS), Silence(_WRENCH))
-        self._wall = WallClock()
-        self._waited_s = 0.0
-        self._waiting_for = ""
-        self._started = self._under_way = self._finished = False
-        self._ending: Finished | None = None
-
-    @property
-    def state(self) -> State:
-        """The state it is in, or was in when it began to end."""
-        return self._state
-
-    @property
-    def finished(self) -> bool:
-        """Whether it is over."""
-        return self._finished
-
-    @property
-    def ending(self) -> bool:
-        """Whether it is over, or only waits for the arm to stop."""
-        return self._finished or self._ending is not None
 
     @property
     def progress(self) -> tuple[int, int]:
@@ -173,54 +135,20 @@ class CollectionProcedure:
             self._good, tuple(self._left_out), self._shift, self._holds, tuple(warnings)
         )
 
-    def take_commands(self) -> list[Command]:
-        """Return the commands given since the last call, in order."""
-        commands, self._commands = self._commands, []
-        return commands
-
     # ---- events
 
-    def start(self) -> None:
-        """Begin as soon as joints and wrenches have come."""
-        self._started = True
-        self._report(f"waiting for {_JOINTS} and {_WRENCH}")
-
-    def on_joints(self, stamp_ns: int, position: Array, velocity: Array | None) -> None:
-        """Take a joint state, (5,) in m, rad and per s; velocity None where there is none."""
-        self._silences[0].heard(stamp_ns)
-        self._joints = position
-        if not self._under_way:
-            self._begin_if_ready(_JOINTS, stamp_ns)
-            return
+    def _take_joints(self, stamp_ns: int, position: Array, velocity: Array | None) -> None:
         if not self.ending and not np.all(np.isfinite(position)):
-            self.fail(ErrorCode.BAD_INPUT, f"{_JOINTS} holds values that are not finite")
-            return
-        try:
-            if self._arrival is not None:
-                if self._arrival.add(stamp_ns, position, velocity):
-                    self._on_arrived(stamp_ns)
-            elif self._untouched is not None:
-                self._untouched.add_joints(position)
-            elif self._watch is not None:
-                self._check_position(position)
-        except MotionTimeoutError as error:
-            self._on_motion_timeout(str(error))
-        except StampsError as error:
-            self.fail(ErrorCode.BAD_INPUT, str(error))
+            self.fail(ErrorCode.BAD_INPUT, f"{JOINTS} holds values that are not finite")
+        elif self._arrival is not None:
+            self._look_at_arrival(stamp_ns, position, velocity)
+        elif self._untouched is not None:
+            self._untouched.add_joints(position)
+        elif self._watch is not None:
+            self._check_position(position)
 
-    def on_wrench(self, stamp_ns: int, wrench: Array) -> None:
-        """Take a compensated wrench, (6,) in ft_sensor, N and N.m."""
-        self._silences[1].heard(stamp_ns)
-        if not self._under_way:
-            self._begin_if_ready(_WRENCH, stamp_ns)
-            return
-        if self.ending:
-            return
-        try:
-            if not self._clock.advance(stamp_ns):
-                return
-        except StampsError as error:
-            self.fail(ErrorCode.BAD_INPUT, str(error))
+    def _take_wrench(self, stamp_ns: int, wrench: Array) -> None:
+        if self.ending or not self._clock.advance(stamp_ns):
             return
         self._check_limits(wrench)
         self._check_stamps()
@@ -265,56 +193,20 @@ class CollectionProcedure:
         elif not success:
             self.fail(ErrorCode.SERVICE_FAILED, f"push_tool failed: {message}")
 
-    def on_wall(self, now_s: float) -> None:
-        """Take the time of a steady wall clock (s), some ten times a second."""
-        dt = self._wall.step(now_s)
-        if self._finished or not self._started:
-            return
-        self._waited_s += dt
-        for silence in self._silences:
-            silence.tick(dt)
-        settings = self._settings
-        if self._ending is not None:
-            if self._waited_s > settings.stop_timeout_s:
-                self._finish("the arm was not seen to stop")
-            return
-        silent = [s for s in self._silences if s.silent_s >= settings.silent_timeout_s]
-        if silent:
-            self.fail(ErrorCode.DRIVER_SILENT, "; ".join(s.complaint() for s in silent))
-        elif not self._under_way and self._waited_s > settings.silent_timeout_s:
+    def _check_patience(self) -> None:
+        patience_s = self._settings.service_timeout_s
+        if self._waiting_for == "recording" and self._waited_s > patience_s:
             self.fail(
-                ErrorCode.BAD_INPUT,
-                f"the stamps of {_WRENCH} and {_JOINTS} differ by {self._stamp_offset_s:+.3f} s:"
-                " they must come from one clock",
+                ErrorCode.WRITE_FAILED, f"not every topic was recorded within {patience_s:g} s"
             )
-        elif self._waiting_for and self._waited_s > settings.service_timeout_s:
-            recording = self._waiting_for == "recording"
-            self.fail(
-                ErrorCode.WRITE_FAILED if recording else ErrorCode.SERVICE_FAILED,
-                f"not every topic was recorded within {settings.service_timeout_s:g} s"
-                if recording
-                else f"push_tool did not answer in {settings.service_timeout_s:g} s",
-            )
+        else:
+            super()._check_patience()
 
-    def cancel(self) -> None:
-        """Stop the arm and end; what was recorded stays, as unfinished."""
-        self.fail(ErrorCode.CANCELED, f"canceled in state {self._state.name}")
+    def _make_end(self, code: IntEnum, message: str) -> Finished:
+        return Finished(ErrorCode(code), message, self.collected)
 
-    def fail(self, code: ErrorCode, message: str) -> None:
-        """Stop the arm and end with this error."""
-        if self.ending:
-            return
-        self._ending = Finished(code, message, self.collected)
+    def _drop_watches(self) -> None:
         self._untouched = self._watch = None
-        self._waiting_for = ""
-        self._waited_s = 0.0
-        self._commands.append(Stop())
-        if code == ErrorCode.DRIVER_SILENT or not self._under_way:
-            self._finish("")
-            return
-        # To stand still is enough: nothing is measured that would need it settled.
-        stopping = replace(self._settings.arrival, settle_s=0.0)
-        self._arrival = ArrivalMonitor(stopping, None, float("inf"), _JOINTS)
 
     # ---- the course
 
@@ -329,19 +221,8 @@ class CollectionProcedure:
         yield self._calibrate
         yield self._compare
 
-    def _begin_if_ready(self, topic: str, stamp_ns: int) -> None:
-        self._stamps[topic] = stamp_ns
-        if not self._started or self.ending or len(self._stamps) < 2:
-            return
-        if abs(self._stamp_offset_s) > self._settings.max_stamp_offset_s:
-            return
-        self._under_way = True
+    def _begin(self) -> None:
         self._next()
-
-    @property
-    def _stamp_offset_s(self) -> float:
-        """How far the wrench's newest stamp is ahead of that of the joint states."""
-        return (self._stamps[_WRENCH] - self._stamps[_JOINTS]) / NS
 
     @property
     def _time_s(self) -> float:
@@ -397,8 +278,7 @@ class CollectionProcedure:
         if not self._good:
             self.fail(ErrorCode.NO_PUSHES, f"no push was as asked; the last: {self._left_out[-1]}")
             return
-        self._ending = Finished(ErrorCode.NONE, "", self.collected)
-        self._finish("")
+        self._succeed()
 
     # ---- the tool left alone
 
@@ -556,42 +436,12 @@ class CollectionProcedure:
 
     # ---- motion
 
-    def _go_to(self, target: Array, then: Callable[[], None]) -> None:
-        assert self._joints is not None
-        settings = self._settings
-        duration = quintic_duration_s(
-            target - self._joints, settings.max_velocity, settings.max_acceleration
-        )
-        self._commands.append(MoveTo(target, duration))
-        allowance_s = duration + settings.arrival.settle_s + settings.motion_timeout_s
-        self._arrival = ArrivalMonitor(settings.arrival, target, allowance_s, _JOINTS)
-        self._then = then
-
-    def _on_arrived(self, stamp_ns: int) -> None:
-        self._arrival = None
-        if self._ending is not None:
-            self._finish("")
-            return
-        # The wrench comes by way of another node, and so from a time when the arm still moved.
-        self._not_before_ns = stamp_ns
-        then, self._then = self._then, None
-        assert then is not None
-        then()
-
-    def _on_motion_timeout(self, message: str) -> None:
-        self._arrival = None
-        self.fail(ErrorCode.MOTION_TIMEOUT, message)
+    def _note_arrival(self, clock: StampClock) -> None:
+        """The wrench comes by way of another node, and so from a time when the arm still moved."""
+        assert clock.stamp_ns is not None
+        self._not_before_ns = clock.stamp_ns
 
     # ---- reports
-
-    def _finish(self, remark: str) -> None:
-        assert self._ending is not None
-        end = self._ending
-        if remark:
-            end = replace(end, error_msg=f"{end.error_msg}; {remark}")
-        self._arrival = None
-        self._finished = True
-        self._commands.append(end)
 
     def _report(self, message: str) -> None:
         self._commands.append(

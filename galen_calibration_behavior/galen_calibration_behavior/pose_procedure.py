@@ -1,0 +1,93 @@
+"""What the procedures share that measure at still poses: visits that average, and their stamps."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import ClassVar
+
+from galen_model.arrays import Array
+
+from galen_calibration_behavior.goal_procedure import (
+    CommandT,
+    EndT,
+    GoalProcedure,
+    GoalSettings,
+)
+from galen_calibration_behavior.pose_recorder import PoseRecorder, Rejection
+from galen_calibration_behavior.stamps import StampClock
+from galen_calibration_behavior.stillness import PoseRecord, StillnessSettings
+
+
+@dataclass(frozen=True)
+class PoseSettings(GoalSettings):
+    """How a pose is averaged, and judged."""
+
+    stillness: StillnessSettings
+    average_s: float
+
+
+class PoseProcedure(GoalProcedure[CommandT, EndT]):
+    """Goes to poses and averages the raw reading there; a wrench is of no use on the way."""
+
+    wrench_topic: ClassVar[str] = "wrench_raw"
+    _settings: PoseSettings
+
+    def __init__(self, settings: PoseSettings, state: IntEnum) -> None:
+        """`state` is the first one."""
+        super().__init__(settings, state)
+        self._recorder: PoseRecorder | None = None
+        self._on_record: Callable[[PoseRecord | Rejection], None] | None = None
+        self._jumps = 0
+        self._last_jump = ""
+
+    def _take_joints(self, stamp_ns: int, position: Array, velocity: Array | None) -> None:
+        if self._recorder is not None:
+            self._recorder.add_joints(stamp_ns, position, velocity)
+            self._take_record()
+        else:
+            self._look_at_arrival(stamp_ns, position, velocity)
+
+    def _take_wrench(self, stamp_ns: int, wrench: Array) -> None:
+        if self._recorder is not None:
+            self._recorder.add_wrench(stamp_ns, wrench)
+            self._take_record()
+
+    def _drop_watches(self) -> None:
+        self._recorder = None
+
+    def _record(
+        self, target: Array, duration_s: float, then: Callable[[PoseRecord | Rejection], None]
+    ) -> None:
+        """Average at `target`, to which the arm goes in `duration_s`, and call `then` with it."""
+        if self.ending:
+            return
+        self._recorder = PoseRecorder(
+            self._settings.arrival,
+            self._settings.stillness,
+            self._settings.average_s,
+            target,
+            self._allowance(duration_s),
+        )
+        self._on_record = then
+
+    def _take_record(self) -> None:
+        recorder = self._recorder
+        if recorder is None or recorder.result is None or self._on_record is None:
+            return
+        self._recorder = None
+        self._note_jumps(recorder.jumps, recorder.last_jump)
+        self._on_record(recorder.result)
+
+    def _note_arrival(self, clock: StampClock) -> None:
+        self._note_jumps(clock.jumps, clock.last_jump)
+
+    def _note_jumps(self, count: int, last: str) -> None:
+        self._jumps += count
+        self._last_jump = last or self._last_jump
+
+    def _warnings(self) -> list[str]:
+        if not self._jumps:
+            return []
+        return [f"time stamps jumped {self._jumps} times; the last: {self._last_jump}"]
