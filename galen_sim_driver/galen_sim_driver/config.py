@@ -9,6 +9,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
+import numpy as np
 from galen_model.arm import (
     ENCODER_QUANTUM,
     GALEN,
@@ -30,7 +31,10 @@ from galen_sim_driver.errors import ConfigError
 Vector3 = tuple[float, float, float]
 JointVector = tuple[float, float, float, float, float]
 
+SixNumbers = tuple[float, float, float, float, float, float]
+
 ZERO3: Vector3 = (0.0, 0.0, 0.0)
+ZERO6: SixNumbers = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True)
@@ -153,6 +157,91 @@ class HysteresisConfig:
 
 
 @dataclass(frozen=True)
+class InertiaConfig:
+    """Forces of acceleration of tool and adapter; none in the nominal arm.
+
+    Inertia tensors are about the loads' own centres of mass, along ft_sensor, as their entries
+    xx yy zz xy xz yz (kg.m^2). A tool that is not named is a point mass.
+    """
+
+    on: bool = False
+    adapter_kg_m2: SixNumbers = ZERO6
+    tools_kg_m2: Mapping[str, SixNumbers] = field(default_factory=dict)
+
+    def validate(self) -> None:
+        """Every tensor is one that a body can have: principal moments that make a triangle."""
+        for name, entries in (("adapter", self.adapter_kg_m2), *self.tools_kg_m2.items()):
+            _require(all(map(math.isfinite, entries)), f"inertia of {name} is {list(entries)}")
+            xx, yy, zz, xy, xz, yz = entries
+            low, middle, high = np.linalg.eigvalsh([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+            # To rounding: a thin rod has two equal moments and a third of zero.
+            slack = 1e-9 * max(abs(low), abs(high))
+            _require(
+                low >= -slack and high <= low + middle + slack,
+                f"inertia of {name} is {list(entries)} kg m^2, which no body can have",
+            )
+
+
+@dataclass(frozen=True)
+class WanderConfig:
+    """The sensor's slow wander, fx fy fz in N, tx ty tz in N.m; none in the nominal arm."""
+
+    drift_per_hour: SixNumbers = ZERO6
+    """Steady drift, each axis an hour."""
+    per_sqrt_hour: SixNumbers = ZERO6
+    """Random walk: its standard deviation after one hour."""
+
+    @property
+    def on(self) -> bool:
+        """Whether there is any."""
+        return any(self.drift_per_hour) or any(self.per_sqrt_hour)
+
+    def validate(self) -> None:
+        """Numbers are finite, and a standard deviation isn't negative."""
+        for value in (*self.drift_per_hour, *self.per_sqrt_hour):
+            _require(math.isfinite(value), f"the sensor wanders by {value} an hour")
+        for value in self.per_sqrt_hour:
+            _require(value >= 0.0, f"the sensor's random walk is {value}, but can't be negative")
+
+
+@dataclass(frozen=True)
+class CableConfig:
+    """A cable from the tool to an anchor (`cable.py`); none in the nominal arm.
+
+    It pulls while a tool is on, with `tension_n` at home and `stiffness_n_m` more for each metre
+    farther from the anchor. `bending_nm` is the moment of the cord's bend at the tool at a right
+    angle to how it lies at home.
+    """
+
+    tension_n: float = 0.0
+    stiffness_n_m: float = 1.0
+    bending_nm: float = 0.0
+    anchor_m: Vector3 = (0.35, 0.35, 0.9)
+    """In base_link."""
+    attachment_m: Vector3 = (0.08, 0.0, 0.06)
+    """In ft_sensor."""
+
+    @property
+    def on(self) -> bool:
+        """Whether there is one."""
+        return self.tension_n > 0.0
+
+    def validate(self) -> None:
+        """Numbers are finite; tension, stiffness and bending aren't negative."""
+        for name, value in (
+            ("tension", self.tension_n),
+            ("stiffness", self.stiffness_n_m),
+            ("bending", self.bending_nm),
+        ):
+            _require(
+                math.isfinite(value) and value >= 0.0,
+                f"{name} of the cable is {value}, but can't be negative",
+            )
+        for value in (*self.anchor_m, *self.attachment_m):
+            _require(math.isfinite(value), f"an end of the cable is at {value} m")
+
+
+@dataclass(frozen=True)
 class HandPush:
     """One push of the scripted hand at tool_tip.
 
@@ -224,6 +313,11 @@ class PlantConfig:
     tracker: TrackerConfig = TrackerConfig()
     admittance: AdmittanceConfig = AdmittanceConfig()
     hysteresis: HysteresisConfig = HysteresisConfig()
+    inertia: InertiaConfig = field(default_factory=InertiaConfig)
+    wander: WanderConfig = WanderConfig()
+    cable: CableConfig = CableConfig()
+    loose_tool_shift_m: float = 0.0
+    """How far the tool sags: its centre moves by this times x and y of gravity's direction."""
     hand: Sequence[HandPush] = field(default_factory=_default_script)
 
     @property
@@ -241,6 +335,12 @@ class PlantConfig:
         self.tracker.validate()
         self.admittance.validate()
         self.hysteresis.validate()
+        self.inertia.validate()
+        self.wander.validate()
+        self.cable.validate()
+        _require(
+            math.isfinite(self.loose_tool_shift_m), f"the tool sags by {self.loose_tool_shift_m} m"
+        )
         for push in self.hand:
             push.validate()
         _require(

@@ -5,8 +5,9 @@ The reading is the nominal measurement model,
     reading = W(theta; tool) + W(theta; adapter) - zero + applied wrench + noise,
 
 with W = (m g, m p x g) of a load m at p under gravity g in ft_sensor, and the zero what the sensor
-held when it was last zeroed; at the start W(home; adapter). There are no inertial loads, no drift
-and no delay; hysteresis of the deflection only where the configuration asks for it.
+held when it was last zeroed; at the start W(home; adapter). There is no delay. Forces of
+acceleration, a cable's pull, a tool that sags, the sensor's wander and hysteresis of the deflection
+are there only where the configuration asks for them.
 """
 
 from __future__ import annotations
@@ -23,7 +24,8 @@ from galen_model.stiffness import tip_compliance
 from galen_model.tools import ToolGeometry
 
 from galen_sim_driver.admittance import Admittance
-from galen_sim_driver.config import HandPush, PlantConfig
+from galen_sim_driver.cable import Cable
+from galen_sim_driver.config import ZERO6, HandPush, PlantConfig
 from galen_sim_driver.errors import UnknownToolError, ZeroingError
 from galen_sim_driver.geometry import (
     ArmGeometry,
@@ -34,11 +36,13 @@ from galen_sim_driver.geometry import (
     sensor_quaternion,
 )
 from galen_sim_driver.hand import Hand
+from galen_sim_driver.inertial_load import InertialLoad, inertia_about_origin
 from galen_sim_driver.joint_hysteresis import JointHysteresis
 from galen_sim_driver.motion import LimitedMotion
 from galen_sim_driver.sensor import ForceTorqueSensor, Zeroing
 from galen_sim_driver.tracker import Tracker, TrackerSample
 from galen_sim_driver.trajectory import JointState, Reference, Trajectory, check_trajectory
+from galen_sim_driver.wander import SensorWander
 
 _G = -float(GRAVITY_M_S2[2])
 
@@ -81,11 +85,21 @@ class Plant:
         self._tip: list[float] = [0.0, 0.0, 0.0]
         self._mass = 0.0
         self._moment: list[float] = []
+        self._sag = 0.0
         self._set_load(None)
+        self._inertial = InertialLoad(self._geometry) if config.inertia.on else None
+        cable = config.cable
+        self._cable = Cable(cable, self._geometry, HOME.tolist()) if cable.on else None
 
         sensor_rng, tracker_rng = rng.spawn(2)
         zero = gravity_wrench(gravity_in_sensor(HOME[3], HOME[4]), config.adapter)
-        self._sensor = ForceTorqueSensor(config.sensor, zero.tolist(), sensor_rng)
+        # Spawned after the others, which so draw the same with and without it.
+        wander = (
+            SensorWander(config.wander, self._period_s, rng.spawn(1)[0])
+            if config.wander.on
+            else None
+        )
+        self._sensor = ForceTorqueSensor(config.sensor, zero.tolist(), sensor_rng, wander)
         self._zero_pose = (float(HOME[3]), float(HOME[4]))
         self._zeroing: Zeroing | None = None
         self._tracker = Tracker(config.tracker, tracker_rng)
@@ -235,6 +249,8 @@ class Plant:
         # Gravity in ft_sensor is R^T (0, 0, -g).
         gx, gy, gz = -_G * matrix[6], -_G * matrix[7], -_G * matrix[8]
         mass, (hx, hy, hz) = self._mass, self._moment
+        if self._sag:
+            hx, hy = hx + self._sag * gx, hy + self._sag * gy
         wrench = [
             mass * gx,
             mass * gy,
@@ -243,6 +259,20 @@ class Plant:
             hz * gx - hx * gz,
             hx * gy - hy * gx,
         ]
+        if self._inertial is not None:
+            moving = self._inertial.wrench(
+                matrix,
+                joints,
+                motion.velocities,
+                motion.accelerations,
+                mass,
+                (hx, hy, hz),
+                self._inertia,
+            )
+            wrench = [a + b for a, b in zip(wrench, moving, strict=True)]
+        if self._cable is not None and self._tool:
+            pull = self._cable.wrench(matrix, joints)
+            wrench = [a + b for a, b in zip(wrench, pull, strict=True)]
         touch = self._hand.wrench_at_tip(now_ns, matrix)
         if touch is not None:
             lever = cross(self._tip, touch[:3])
@@ -321,12 +351,26 @@ class Plant:
         return [q - offset for q, offset in zip(stops, self._offset, strict=True)]
 
     def _set_load(self, tool: ToolGeometry | None) -> None:
-        """Mass and first moment (kg, kg.m) of all that hangs on the sensor; both only add up."""
+        """Mass, first moment and inertia (SI) of all that hangs on the sensor; they only add up."""
         moments = self._config.adapter.moments + (tool.load.moments if tool else 0.0)
         self._mass = float(moments[0])
         self._moment = moments[1:].tolist()
+        # A tool that sags: its centre moves by the shift along x and y of gravity's direction. Its
+        # inertia about the sensor stays what it is without.
+        self._sag = tool.load.mass_kg * self._config.loose_tool_shift_m / _G if tool else 0.0
+        self._inertia = self._inertia_of(tool)
         # Without a tool there is no tip; a hand then holds the sensor's own origin.
         self._tip = np.asarray(tool.tip_m, dtype=float).tolist() if tool else [0.0, 0.0, 0.0]
+
+    def _inertia_of(self, tool: ToolGeometry | None) -> Matrix:
+        """Inertia about the sensor's origin (kg.m^2) of the adapter and of the tool that is on."""
+        config = self._config.inertia
+        total = inertia_about_origin(self._config.adapter, config.adapter_kg_m2)
+        if tool is not None:
+            own = config.tools_kg_m2.get(self._tool, ZERO6)
+            total = total + inertia_about_origin(tool.load, own)
+        (a, b, c), (d, e, f), (g, h, i) = total.tolist()
+        return (a, b, c, d, e, f, g, h, i)
 
     def _encode(self, joints: Sequence[float]) -> list[float]:
         return [

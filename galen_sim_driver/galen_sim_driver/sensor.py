@@ -1,6 +1,6 @@
-"""The force/torque sensor: noise, quantum, range, and the zero that is subtracted.
+"""The force/torque sensor: wander, noise, quantum, range, and the zero that is subtracted.
 
-The element sees the whole load, so noise, quantum and range act on what is not zeroed yet;
+The element sees the whole load, so wander, noise, quantum and range act on what is not zeroed yet;
 the zero is a number that is subtracted afterwards.
 """
 
@@ -12,6 +12,7 @@ import numpy as np
 
 from galen_sim_driver.config import SensorConfig
 from galen_sim_driver.errors import ZeroingError
+from galen_sim_driver.wander import SensorWander
 
 _BLOCK = 2048
 
@@ -43,8 +44,13 @@ class ForceTorqueSensor:
     """Turns the load's true wrench into a reading. Wrenches are lists (6,), N and N.m."""
 
     def __init__(
-        self, config: SensorConfig, zero: Sequence[float], rng: np.random.Generator
+        self,
+        config: SensorConfig,
+        zero: Sequence[float],
+        rng: np.random.Generator,
+        wander: SensorWander | None = None,
     ) -> None:
+        self._wander = wander
         self._rng = rng
         self._noise = config.noise
         self._std = config.parameters.noise_std
@@ -76,6 +82,8 @@ class ForceTorqueSensor:
     def read(self, wrench: list[float]) -> list[float]:
         """Return the reading of a true wrench."""
         raw = wrench
+        if self._wander is not None:
+            raw = [a + b for a, b in zip(raw, self._wander.next(), strict=True)]
         if self._noise:
             if self._next == len(self._block):
                 # One draw for many samples: a call into numpy costs more than the numbers.

@@ -1,0 +1,285 @@
+"""Effects beyond the nominal model: forces of acceleration, cable, wander, a tool that sags."""
+
+from dataclasses import replace
+
+import numpy as np
+import pinocchio
+import pytest
+from galen_model.arm import GALEN, GRAVITY_M_S2, HOME, JOINT_NAMES, SENSOR_FRAME
+from galen_model.errors import GalenError
+from galen_model.kinematics import gravity_in_sensor, sensor_pose
+from galen_model.load import Load, nominal_reading
+from galen_model.pinocchio_arm import PinocchioArm
+from galen_model.tools import ADAPTER, TOOLS
+from galen_sim_driver.cable import Cable
+from galen_sim_driver.config import (
+    CableConfig,
+    InertiaConfig,
+    PlantConfig,
+    SensorConfig,
+    WanderConfig,
+)
+from galen_sim_driver.geometry import ArmGeometry, sensor_matrix
+from galen_sim_driver.inertial_load import InertialLoad, inertia_about_origin
+from galen_sim_driver.parameters import DriverParameters
+from galen_sim_driver.plant import Plant
+from galen_sim_driver.trajectory import Trajectory, TrajectoryPoint
+
+EXACT = SensorConfig(noise=False, quantise=False)
+TURNED = (0.03, -0.05, 0.45, 0.8, -0.6)
+ADAPTER_INERTIA = (2e-5, 3e-5, 4e-5, 1e-6, -2e-6, 3e-6)
+TOOL_INERTIA = (1e-4, 5e-4, 4.5e-4, -3e-5, 2e-5, 1e-5)
+
+
+def make_plant(tool="retractor", seed=0, **changes):
+    plant = Plant(replace(PlantConfig(), **changes), np.random.default_rng(seed))
+    plant.attach_tool(tool)
+    return plant
+
+
+def move(plant, steps=700):
+    point = TrajectoryPoint(1.2, list(TURNED), [0.0] * 5, [0.0] * 5)
+    plant.command(Trajectory(JOINT_NAMES, [point]))
+    return [plant.step() for _ in range(steps)]
+
+
+def tensor(entries):
+    xx, yy, zz, xy, xz, yz = entries
+    return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+
+
+def test_none_is_there_by_default_and_any_leaves_the_noise_what_it_is():
+    config = DriverParameters().plant_config()
+    assert not (config.inertia.on or config.wander.on or config.cable.on)
+    nominal = make_plant(**{name: getattr(config, name) for name in ("inertia", "wander")})
+    assert nominal._inertial is nominal._cable is nominal._sensor._wander is None
+    assert nominal._sag == 0.0
+    # Still, without a tool, only the wander shows, and it draws from a generator of its own.
+    every = {
+        "inertia": InertiaConfig(True, ADAPTER_INERTIA),
+        "wander": WanderConfig(per_sqrt_hour=(1e-9,) * 6),
+        "cable": CableConfig(0.5, bending_nm=0.01),
+        "loose_tool_shift_m": 0.01,
+    }
+    nominal, other = make_plant(""), make_plant("", **every)
+    nominal.start_hand()
+    other.start_hand()
+    samples = [(nominal.step(), other.step()) for _ in range(900)]
+    assert all(a == b for a, b in samples)
+
+
+# --- forces of acceleration ---------------------------------------------------------------------
+
+
+def inertial_wrench(load, about_com, joints, velocities, accelerations):
+    return InertialLoad(ArmGeometry(GALEN)).wrench(
+        sensor_matrix(joints[3], joints[4]),
+        joints,
+        velocities,
+        accelerations,
+        load.mass_kg,
+        load.moments[1:].tolist(),
+        tuple(inertia_about_origin(load, about_com).ravel().tolist()),
+    )
+
+
+def test_forces_of_acceleration_are_those_of_pinocchios_inverse_dynamics():
+    rng = np.random.default_rng(4)
+    load = Load(0.27, np.array([0.06, -0.01, 0.05]))
+    model = PinocchioArm().model.copy()
+    model.gravity.linear = GRAVITY_M_S2
+    tilt = model.getJointId("tilt")
+    frame = model.frames[model.getFrameId(SENSOR_FRAME)].placement
+    inertia = pinocchio.Inertia(load.mass_kg, load.com_m, tensor(TOOL_INERTIA))
+    model.appendBodyToJoint(tilt, inertia, frame)
+    data = model.createData()
+    for _ in range(20):
+        joints = HOME + rng.uniform(-1.0, 1.0, 5) * [0.1, 0.1, 0.1, 1.5, 0.9]
+        velocities, accelerations = rng.uniform(-2.0, 2.0, (2, 5)) * [1.0, 1.0, 1.0, 2.0, 2.0]
+        pinocchio.rnea(model, data, joints, velocities, accelerations)
+        # The joint carries the load; the load pulls the other way.
+        expected = -frame.actInv(data.f[tilt]).vector
+        found = np.array(inertial_wrench(load, TOOL_INERTIA, joints, velocities, accelerations))
+        weight = np.cross(load.com_m, load.mass_kg * gravity_in_sensor(joints[3], joints[4]))
+        found[:3] += load.mass_kg * gravity_in_sensor(joints[3], joints[4])
+        found[3:] += weight
+        assert np.abs(found - expected).max() < 1e-12
+        assert np.abs(found[3:] - weight).max() > 1e-3
+
+
+def test_the_plant_reads_the_change_of_momentum_along_its_own_path():
+    config = InertiaConfig(True, ADAPTER_INERTIA, {"retractor": TOOL_INERTIA})
+    samples = move(make_plant(sensor=EXACT, inertia=config))
+    without = move(make_plant(sensor=EXACT))
+    joints = np.array([sample.true_joints for sample in samples])
+    reading = np.array([s.wrench for s in samples]) - [s.wrench for s in without]
+    arm = PinocchioArm()
+    poses = [arm.pose(q) for q in joints]
+    rotation = np.array([pose[0] for pose in poses])
+    origin = np.array([pose[1] for pose in poses])
+    period_s = 0.002
+    tool = TOOLS["retractor"].load
+    expected = np.zeros_like(reading)
+    for load, entries in ((ADAPTER, ADAPTER_INERTIA), (tool, TOOL_INERTIA)):
+        # Momentum and angular momentum about the load's own centre, by central differences.
+        centre = origin + rotation @ load.com_m
+        turn = np.gradient(rotation, period_s, axis=0) @ rotation.transpose(0, 2, 1)
+        rate = np.stack([turn[:, 2, 1], turn[:, 0, 2], turn[:, 1, 0]], axis=-1)
+        inertia = rotation @ tensor(entries) @ rotation.transpose(0, 2, 1)
+        spin = np.einsum("nij,nj->ni", inertia, rate)
+        second = (centre[2:] - 2.0 * centre[1:-1] + centre[:-2]) / period_s**2
+        force = np.zeros_like(centre)
+        force[1:-1] = -load.mass_kg * second
+        torque = np.cross(centre - origin, force) - np.gradient(spin, period_s, axis=0)
+        expected[:, :3] += np.einsum("nji,nj->ni", rotation, force)
+        expected[:, 3:] += np.einsum("nji,nj->ni", rotation, torque)
+    # What the plant reads belongs to one period earlier (its module says so).
+    error = np.abs(reading[10:-10] - expected[9:-11]).max(axis=0)
+    assert (error < 0.01 * np.abs(reading).max(axis=0) + 1e-6).all()
+    assert np.abs(reading[:, :3]).max() > 0.05
+    assert np.abs(reading[-50:]).max() < 1e-12
+
+
+# --- cable --------------------------------------------------------------------------------------
+
+
+def test_a_cable_has_no_moment_about_its_anchor_and_pulls_as_a_spring():
+    config = CableConfig(0.3, stiffness_n_m=4.0, bending_nm=0.02)
+    geometry = ArmGeometry(GALEN)
+    bent = Cable(config, geometry, HOME)
+    plain = Cable(replace(config, bending_nm=0.0), geometry, HOME)
+    rng = np.random.default_rng(2)
+    lengths, tensions = [], []
+    for _ in range(30):
+        joints = HOME + rng.uniform(-1.0, 1.0, 5) * [0.14, 0.14, 0.2, 1.5, 0.9]
+        rotation, origin = sensor_pose(joints)
+        matrix = sensor_matrix(joints[3], joints[4])
+        lever = rotation.T @ (np.array(config.anchor_m) - origin)
+        for cable in (bent, plain):
+            wrench = np.array(cable.wrench(matrix, joints))
+            about_anchor = wrench[3:] - np.cross(lever, wrench[:3])
+            assert np.abs(about_anchor).max() < 1e-12
+        line = lever - config.attachment_m
+        # Without bending, a pull along the line at the attachment.
+        assert np.abs(np.cross(line, wrench[:3])).max() < 1e-12
+        assert wrench[:3] @ line > 0.0
+        lengths.append(np.linalg.norm(line))
+        tensions.append(np.linalg.norm(wrench[:3]))
+    rotation, origin = sensor_pose(HOME)
+    at_home = np.linalg.norm(
+        rotation.T @ (np.array(config.anchor_m) - origin) - config.attachment_m
+    )
+    wrench = np.array(bent.wrench(sensor_matrix(0.0, 0.0), HOME))
+    assert np.linalg.norm(wrench[:3]) == pytest.approx(0.3, rel=1e-12)
+    lengths, tensions = np.array(lengths), np.array(tensions)
+    taut = 0.3 + 4.0 * (lengths - at_home)
+    assert np.abs(tensions - taut)[taut > 0.4].max() < 0.006
+    assert tensions[taut < -0.1].max() < 0.02
+    assert (np.diff(tensions[np.argsort(lengths)]) > 0.0).all()
+
+
+def test_the_cable_pulls_at_the_tool_that_is_on_and_every_joint_matters():
+    config = CableConfig(0.4, stiffness_n_m=1.5, bending_nm=0.01)
+
+    def pull(joints, tool="retractor"):
+        changes = {"sensor": EXACT, "start_joints": tuple(joints)}
+        with_it = make_plant(tool, cable=config, **changes).step().wrench
+        return np.array(with_it) - make_plant(tool, **changes).step().wrench
+
+    assert np.abs(pull(TURNED, "")).max() == 0.0
+    at = pull(TURNED)
+    assert np.linalg.norm(at[:3]) > 0.1
+    for joint in range(5):
+        moved = np.array(TURNED)
+        moved[joint] -= 0.05
+        assert np.abs(pull(moved) - at)[:3].max() > 1e-3
+
+
+# --- wander, sagging tool -----------------------------------------------------------------------
+
+
+def test_drift_is_what_was_asked_for_and_zeroing_takes_it_away_once():
+    drift = np.array([3.0, -2.0, 9.0, 0.01, -0.02, 0.03])
+    changes = {"sensor": EXACT, "start_joints": TURNED}
+    plant = make_plant(wander=WanderConfig(tuple(drift)), **changes)
+    nominal = np.array(make_plant(**changes).step().wrench)
+    shift = np.array([plant.step().wrench for _ in range(5000)]) - nominal
+    assert shift[-1] == pytest.approx(drift * 10.0 / 3600.0, rel=1e-9)
+    assert shift[2499] == pytest.approx(0.5 * shift[-1], rel=1e-9)
+    plant.start_zeroing(0.002)
+    plant.step()
+    after = np.array([plant.step().wrench for _ in range(500)])
+    assert after[-1] == pytest.approx(drift * 1.0 / 3600.0, rel=1e-6, abs=1e-12)
+
+
+def test_the_random_walk_has_the_asked_for_size_and_acts_before_the_quantum():
+    asked = np.array([0.3, 0.2, 0.5, 2e-3, 3e-3, 1e-3])
+    change = WanderConfig(per_sqrt_hour=tuple(asked))
+    plant = make_plant(sensor=EXACT, wander=change)
+    path = np.array([plant.step().wrench for _ in range(20000)])
+    steps = np.diff(path, axis=0)
+    # 19999 steps tell a standard deviation to 0.5 %.
+    assert steps.std(axis=0) == pytest.approx(asked * np.sqrt(0.002 / 3600.0), rel=0.025)
+    assert np.abs(np.corrcoef(steps.T) - np.eye(6)).max() < 0.03
+    rough = make_plant(sensor=SensorConfig(noise=False), wander=change)
+    quantum = np.array([0.005] * 3 + [1e-4] * 3)
+    seen = np.array([rough.step().wrench for _ in range(200)])
+    zero = rough._sensor.zero
+    assert np.abs((seen + zero) / quantum - np.round((seen + zero) / quantum)).max() < 1e-9
+
+
+def test_a_loose_tools_centre_moves_with_gravity():
+    shift = 0.004
+    tool = TOOLS["retractor"].load
+    for roll, tilt in ((0.0, 0.6), (0.9, -0.7), (-1.3, 0.8)):
+        joints = (0.0, 0.0, 0.408, roll, tilt)
+        plant = make_plant(sensor=EXACT, start_joints=joints, loose_tool_shift_m=shift)
+        unit = gravity_in_sensor(roll, tilt) / np.linalg.norm(GRAVITY_M_S2)
+        sagged = Load(tool.mass_kg, tool.com_m + shift * np.array([unit[0], unit[1], 0.0]))
+        found = np.array(plant.step().wrench)
+        assert np.abs(found - nominal_reading(roll, tilt, sagged, ADAPTER)).max() < 1e-12
+        assert np.abs(found - nominal_reading(roll, tilt, tool, ADAPTER)).max() > 1e-3
+
+
+def test_the_nodes_parameters_reach_the_plant():
+    asked = replace(
+        DriverParameters(),
+        inertial_load=True,
+        adapter_inertia_kg_m2=ADAPTER_INERTIA,
+        tool_inertia_kg_m2=(*TOOL_INERTIA, *(0.0,) * 6),
+        sensor_drift_per_hour=(0.1,) * 6,
+        sensor_wander_per_sqrt_hour=(0.2,) * 6,
+        cable_tension_n=0.3,
+        cable_stiffness_n_m=2.0,
+        cable_bending_nm=0.01,
+        cable_anchor_m=(1.0, 2.0, 3.0),
+        cable_attachment_m=(0.1, 0.2, 0.3),
+        loose_tool_shift_m=0.002,
+    )
+    asked.validate()
+    config = asked.plant_config()
+    tools = {"pointer": TOOL_INERTIA, "retractor": (0.0,) * 6}
+    assert config.inertia == InertiaConfig(True, ADAPTER_INERTIA, tools)
+    assert config.wander == WanderConfig((0.1,) * 6, (0.2,) * 6)
+    assert config.cable == CableConfig(0.3, 2.0, 0.01, (1.0, 2.0, 3.0), (0.1, 0.2, 0.3))
+    assert config.loose_tool_shift_m == 0.002
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"adapter_inertia_kg_m2": (1.0,)}, r"adapter_inertia_kg_m2.*1 numbers.*6"),
+        ({"adapter_inertia_kg_m2": (1.0, 1.0, 3.0, 0.0, 0.0, 0.0)}, "adapter.*no body"),
+        ({"tool_inertia_kg_m2": (1.0,) * 6}, r"tool_inertia_kg_m2.*6 numbers.*12"),
+        ({"sensor_drift_per_hour": (1.0,)}, "sensor_drift_per_hour.*1 numbers.*6"),
+        ({"sensor_drift_per_hour": (float("nan"),) * 6}, "nan"),
+        ({"sensor_wander_per_sqrt_hour": (-1.0,) * 6}, "random walk"),
+        ({"cable_tension_n": -0.1}, "tension"),
+        ({"cable_anchor_m": (0.0, 1.0)}, "cable_anchor_m.*2 numbers.*3"),
+        ({"cable_anchor_m": (0.0, 1.0, float("inf"))}, "end of the cable"),
+        ({"loose_tool_shift_m": float("nan")}, "sags"),
+    ],
+)
+def test_bad_values_are_named(changes, words):
+    with pytest.raises(GalenError, match=words):
+        replace(DriverParameters(), **changes).validate()
