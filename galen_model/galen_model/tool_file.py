@@ -6,7 +6,7 @@ The old file is kept as `<tool>.json.bak`; how it is written, `galen_model.whole
 import json
 import os
 import re
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from datetime import datetime
 from pathlib import Path
 from typing import Any
@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike
 from galen_model.arm import GRAVITY_M_S2, SENSOR_FRAME
 from galen_model.arrays import Array
 from galen_model.errors import ToolFileError, ToolNameError
+from galen_model.inertia_estimate import InertiaEstimate
 from galen_model.json_fields import (
     FieldError,
     array,
@@ -26,7 +27,8 @@ from galen_model.json_fields import (
     mapping,
     number,
     numbers,
-    read_json,
+    parse_json,
+    read_limited,
     text,
     texts,
 )
@@ -36,7 +38,7 @@ from galen_model.whole_file import write_whole
 
 SCHEMA_VERSION = 1
 _NAME = re.compile(r"[A-Za-z0-9_-]{1,64}")
-_MAX_FILE_BYTES = 1_000_000
+MAX_FILE_BYTES = 1_000_000
 
 
 @dataclass(frozen=True)
@@ -82,6 +84,8 @@ class ToolFile:
     gravity_m_s2: Array = field(default_factory=lambda: GRAVITY_M_S2.copy())
     unresolved: tuple[str, ...] = ()
     """What the calibration could not tell (one sweep); empty after two sweeps."""
+    inertia: InertiaEstimate | None = None
+    """Of tool and adapter together, where a recording of motion told it."""
 
     def predict(self, roll_rad: ArrayLike, tilt_rad: ArrayLike) -> Array:
         """Reading (..., 6) expected at roll and tilt (...) without touch, N and N.m in ft_sensor.
@@ -98,6 +102,15 @@ class ToolFile:
             + gravity_wrench(gravity_sensor, self.bias.load)
             - gravity_wrench(at_bias, self.bias.load)
             + self.residual_offset
+        )
+
+    @property
+    def parts(self) -> tuple[str, ...]:
+        """Names of the optional parts that were estimated, as the file's keys."""
+        return tuple(
+            part.name
+            for part in fields(self)
+            if part.default is None and getattr(self, part.name) is not None
         )
 
     @property
@@ -124,6 +137,8 @@ class ToolFile:
         }
         if self.unresolved:
             content["unresolved"] = list(self.unresolved)
+        if self.inertia is not None:
+            content["inertia"] = self.inertia.to_json()
         return content
 
 
@@ -151,9 +166,17 @@ def read_tool(path: str | os.PathLike[str]) -> ToolFile:
     """
     path = Path(path)
     try:
-        return _from_json(read_json(path, _MAX_FILE_BYTES, "a tool's file"))
+        return parse_tool(path, read_limited(path, MAX_FILE_BYTES, "a tool's file"))
     except OSError as error:
         raise ToolFileError(f"{path}: can't be read: {error.strerror}") from error
+    except FieldError as error:
+        raise ToolFileError(f"{path}: {error}") from error
+
+
+def parse_tool(path: str | os.PathLike[str], raw: bytes) -> ToolFile:
+    """Check the bytes of a tool's file; `path` is for the ToolFileError that it raises."""
+    try:
+        return _from_json(parse_json(raw))
     except (FieldError, ToolNameError, RecursionError) as error:
         raise ToolFileError(f"{path}: {error}") from error
 
@@ -210,6 +233,9 @@ def _from_json(content: Any) -> ToolFile:
         sensor_frame=text(get(whole, "sensor_frame"), "sensor_frame"),
         gravity_m_s2=gravity,
         unresolved=texts(whole.get("unresolved", []), "unresolved"),
+        inertia=InertiaEstimate.from_json(whole["inertia"], "inertia")
+        if "inertia" in whole
+        else None,
     )
 
 

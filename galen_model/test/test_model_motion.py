@@ -1,0 +1,165 @@
+"""The sensor's motion and a load's wrench in motion, against Pinocchio and analytic cases."""
+
+import json
+
+import numpy as np
+import pinocchio
+import pytest
+from galen_model.arm import HOME, LIMITS
+from galen_model.errors import ToolFileError
+from galen_model.inertia_estimate import InertiaEstimate
+from galen_model.inertial import (
+    LoadInMotion,
+    inertia_matrix,
+    inertia_numbers,
+    inertial_regressor,
+    inertial_wrench,
+    point_mass_inertia,
+)
+from galen_model.kinematics import sensor_pose
+from galen_model.load import Load, gravity_wrench
+from galen_model.pinocchio_arm import PinocchioArm
+from galen_model.rotation import matrix_to_rotvec
+from galen_model.sensor_motion import MotionOfSensor, sensor_motion
+from galen_model.tool_file import LoadEstimate, ToolFile, read_tool, write_tool
+
+INERTIA = np.array([2e-3, 3e-3, 4e-3, 1e-4, -2e-4, 3e-4])
+LOAD = Load(0.3, np.array([0.04, -0.01, 0.05]))
+
+
+def random_motion(count=30, seed=3):
+    rng = np.random.default_rng(seed)
+    scale = np.array([0.2, 0.2, 0.2, 1.5, 1.5])
+    return (
+        rng.uniform(LIMITS.lower, LIMITS.upper, (count, 5)),
+        rng.standard_normal((count, 5)) * scale,
+        rng.standard_normal((count, 5)) * 4 * scale,
+    )
+
+
+def pinocchio_motion(arm, q, v, a):
+    """The frame's velocity, spatial and classical acceleration in its own axes."""
+    data = arm.model.createData()
+    frame = arm.model.getFrameId("ft_sensor")
+    pinocchio.forwardKinematics(arm.model, data, q, v, a)
+    pinocchio.updateFramePlacements(arm.model, data)
+    at = (arm.model, data, frame, pinocchio.LOCAL)
+    return (
+        pinocchio.getFrameVelocity(*at),
+        pinocchio.getFrameAcceleration(*at),
+        pinocchio.getFrameClassicalAcceleration(*at),
+    )
+
+
+def test_the_sensors_motion_and_a_loads_wrench_are_pinocchios():
+    arm = PinocchioArm()
+    p = LOAD.com_m
+    about_centre = inertia_matrix(INERTIA + point_mass_inertia(LOAD)) - LOAD.mass_kg * (
+        p @ p * np.eye(3) - np.outer(p, p)
+    )
+    body = pinocchio.Inertia(LOAD.mass_kg, p, about_centre)
+    inertia = INERTIA + point_mass_inertia(LOAD)
+    np.testing.assert_allclose(inertia_matrix(inertia_numbers(about_centre)), about_centre)
+    q, v, a = random_motion()
+    motion = sensor_motion(q, v, a)
+    wrench = inertial_wrench(-motion.acceleration_m_s2, *motion[:2], LOAD.moments, inertia)
+    for k in range(len(q)):
+        velocity, spatial, classical = pinocchio_motion(arm, q[k], v[k], a[k])
+        np.testing.assert_allclose(motion.velocity_rad_s[k], velocity.angular, atol=1e-12)
+        np.testing.assert_allclose(motion.acceleration_rad_s2[k], spatial.angular, atol=1e-11)
+        np.testing.assert_allclose(motion.acceleration_m_s2[k], classical.linear, atol=1e-11)
+        rate = body * spatial + velocity.cross(body * velocity)
+        np.testing.assert_allclose(wrench[k], -np.r_[rate.linear, rate.angular], atol=1e-12)
+        # one moment at a time, in plain floats
+        single = MotionOfSensor().at(q[k, 3], q[k, 4], tuple(v[k]), tuple(a[k]))
+        np.testing.assert_allclose(single, [part[k] for part in motion], atol=1e-12)
+        w, al, linear = single
+        fast = LoadInMotion(LOAD.moments, inertia).wrench(tuple(-x for x in linear), w, al)
+        np.testing.assert_allclose(fast, wrench[k], atol=1e-12)
+
+
+def test_the_sensors_motion_is_that_of_finite_differences():
+    h = 1e-4
+
+    def pose(t):
+        return sensor_pose(HOME + np.array([0.05, -0.04, 0.03, 0.8, 0.5]) * np.sin(4.0 * t + 0.3))
+
+    (r0, o0), (r1, o1), (r2, o2) = (pose(t) for t in (0.2 - h, 0.2, 0.2 + h))
+    amplitude = np.array([0.05, -0.04, 0.03, 0.8, 0.5])
+    at = 4.0 * 0.2 + 0.3
+    found = sensor_motion(
+        HOME + amplitude * np.sin(at),
+        4.0 * amplitude * np.cos(at),
+        -16.0 * amplitude * np.sin(at),
+    )
+    before, after = matrix_to_rotvec(r0.T @ r1) / h, matrix_to_rotvec(r1.T @ r2) / h
+    np.testing.assert_allclose(found.velocity_rad_s, (before + after) / 2, atol=1e-5)
+    np.testing.assert_allclose(found.acceleration_rad_s2, (after - before) / h, atol=1e-5)
+    np.testing.assert_allclose(found.acceleration_m_s2, r1.T @ (o0 - 2 * o1 + o2) / h**2, atol=1e-5)
+
+
+def test_at_rest_it_is_the_weight_and_a_pendulum_in_free_fall_of_its_swing_reads_nothing_along_it():
+    gravity = np.array([0.0, -9.80665, 0.0])
+    still = inertial_wrench(gravity, np.zeros(3), np.zeros(3), LOAD.moments, INERTIA)
+    np.testing.assert_allclose(still, gravity_wrench(gravity, LOAD), atol=1e-15)
+    # A point mass on a massless rod that swings freely about the sensor's origin (z axis) carries
+    # no torque there: I al = m g l sin(angle) of the pendulum's own equation.
+    bob = Load(0.2, np.array([0.3, 0.0, 0.0]))
+    swing = np.cross(bob.com_m, gravity) * bob.mass_kg / (bob.mass_kg * 0.09)
+    spin = np.array([0.0, 0.0, 2.0])
+    wrench = inertial_wrench(gravity, spin, swing, bob.moments, point_mass_inertia(bob))
+    np.testing.assert_allclose(wrench[3:], 0.0, atol=1e-15)
+    # the rod pulls inward with m w^2 l, so the sensor is pulled outward, along +x
+    np.testing.assert_allclose(wrench[0], 0.2 * 4.0 * 0.3, atol=1e-14)
+
+
+def test_every_column_of_the_regressor_has_its_own_effect():
+    q, v, a = random_motion(4)
+    motion = sensor_motion(q, v, a)
+    specific = np.array([0.0, 0.0, -9.81]) - motion.acceleration_m_s2
+    columns = inertial_regressor(specific, *motion[:2]).reshape(-1, 10)
+    assert np.linalg.matrix_rank(columns) == 10
+
+
+def tool_with(inertia):
+    load = LoadEstimate(0.06, np.array([0.05, 0.0, 0.04]), np.eye(4) * 1e-9)
+    return ToolFile(
+        tool="a",
+        load=load,
+        bias=load,
+        tip_m=np.zeros(3),
+        rmse=np.zeros(6),
+        poses_used=56,
+        calibrated_at="2026-11-21T12:00:00+00:00",
+        inertia=inertia,
+    )
+
+
+def test_a_tools_file_holds_the_inertia_or_no_key_for_it(tmp_path):
+    estimate = InertiaEstimate(INERTIA, np.diag(np.full(6, 1e-10)))
+    write_tool(tmp_path / "a.json", tool_with(estimate))
+    again = read_tool(tmp_path / "a.json").inertia
+    assert again is not None
+    np.testing.assert_array_equal(again.about_sensor_kg_m2, INERTIA)
+    np.testing.assert_allclose(again.std_kg_m2, 1e-5)
+    assert "inertia" not in tool_with(None).to_json()
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"about_sensor_kg_m2": [0.0] * 5}, "inertia.about_sensor_kg_m2 has shape"),
+        ({"about_sensor_kg_m2": [-1e-3, 1e-3, 1e-3, 0, 0, 0]}, "principal inertia"),
+        ({"about_sensor_kg_m2": [11.0, 11.0, 11.0, 0, 0, 0]}, "more than 10"),
+        ({"order": ["xx", "xy", "xz", "yy", "yz", "zz"]}, "inertia.order"),
+        ({"covariance": [[-1.0] * 6] * 6}, "negative variance"),
+    ],
+)
+def test_a_wrong_inertia_is_named_with_the_file(tmp_path, change, message):
+    content = tool_with(InertiaEstimate(INERTIA, np.eye(6) * 1e-12)).to_json()
+    content["inertia"] |= change
+    path = tmp_path / "a.json"
+    path.write_text(json.dumps(content))
+    with pytest.raises(ToolFileError, match=message) as error:
+        read_tool(path)
+    assert str(path) in str(error.value)
