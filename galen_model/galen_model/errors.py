@@ -25,5 +25,13 @@ class NotExcitedError(IdentificationError):
     """The poses don't tell what was asked; the message names what is missing."""
 
 
+class NotToldApartError(NotExcitedError):
+    """Two parameters that the poses can't tell apart; `pairs` holds their names."""
+
+    def __init__(self, message: str, pairs: tuple[tuple[str, ...], ...]) -> None:
+        super().__init__(message)
+        self.pairs = pairs
+
+
 class ImplausibleLoadError(IdentificationError):
     """The readings name a load that can't be, such as a mass that isn't positive."""

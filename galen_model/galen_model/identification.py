@@ -119,23 +119,31 @@ def identify_two_sweeps(
     Raises NotExcitedError naming what the poses don't tell, ImplausibleLoadError for a mass that is
     not positive, IdentificationError for too few poses or too many that fit no load.
     """
-    _check_count(bare, "sweep without the tool")
-    _check_count(tool, "sweep with the tool")
+    check_count(bare, "sweep without the tool")
+    check_count(tool, "sweep with the tool")
     zero = gravity_regressor(gravity_in_sensor(bias_roll_rad, bias_tilt_rad))
     bare_rows = gravity_regressor(bare.gravity) - zero
     tool_rows = gravity_regressor(tool.gravity)
     design = _two_sweeps_design(bare_rows, tool_rows, zero)
     poses = {"without the tool": bare, "with the tool": tool}
     check_excitation(design, LOAD_PARAMETERS, poses)
-    _check_channels(bare_rows, bare, "sweep without the tool")
-    _check_channels(tool_rows, tool, "sweep with the tool")
+    check_channels(bare_rows, bare, "sweep without the tool")
+    check_channels(tool_rows, tool, "sweep with the tool")
 
     fit = fit_robust(design, np.concatenate([bare.wrench, tool.wrench]))
-    used_bare, used_tool = fit.used[: len(bare)], fit.used[len(bare) :]
-    _check_rejections(fit)
+    check_rejections(fit)
     check_excitation(design[fit.used], LOAD_PARAMETERS, poses)
+    return two_sweeps_result(fit, bare, tool)
+
+
+def two_sweeps_result(fit: RobustFit, bare: StillPoses, tool: StillPoses) -> Identification:
+    """What a fit to both sweeps found; its values: see `identify_two_sweeps`, any others last.
+
+    Raises ImplausibleLoadError.
+    """
+    used_bare, used_tool = fit.used[: len(bare)], fit.used[len(bare) :]
     change = fit.values[14:20] - fit.values[8:14]
-    change_matrix = np.zeros((6, 20))
+    change_matrix = np.zeros((6, len(fit.values)))
     change_matrix[:, 14:20], change_matrix[:, 8:14] = np.eye(6), -np.eye(6)
     change_std = np.sqrt(np.diag(change_matrix @ fit.covariance @ change_matrix.T))
     warnings = [
@@ -145,8 +153,8 @@ def identify_two_sweeps(
         *_wander_warnings(fit, slice(len(bare), None), "sweep with the tool"),
     ]
     return Identification(
-        load=_load(fit, slice(0, 4), "the tool"),
-        bias=_load(fit, slice(4, 8), "the adapter"),
+        load=load_estimate(fit, slice(0, 4), "the tool"),
+        bias=load_estimate(fit, slice(4, 8), "the adapter"),
         offset=fit.values[14:20],
         offset_std=np.sqrt(np.diag(fit.covariance)[14:20]),
         offset_change=change,
@@ -181,7 +189,7 @@ def identify_one_sweep(
 
     Raises as `identify_two_sweeps` does.
     """
-    _check_count(tool, "sweep with the tool")
+    check_count(tool, "sweep with the tool")
     gravity_zero = gravity_in_sensor(bias_roll_rad, bias_tilt_rad)
     rows = gravity_regressor(tool.gravity)
     design = np.zeros((len(tool), 6, 14))
@@ -191,14 +199,24 @@ def identify_one_sweep(
     # The sum of both loads must show in the poses themselves, whatever the zeroing tells.
     sum_design = np.concatenate([design[:, :, :4], design[:, :, 8:14]], axis=2)
     check_excitation(sum_design, LOAD_PARAMETERS[:4], {"with the tool": tool})
-    _check_channels(rows, tool, "sweep with the tool")
+    check_channels(rows, tool, "sweep with the tool")
 
-    prior_rows, prior_values, prior_std = _one_sweep_prior(gravity_zero, known_bias)
+    prior_rows, prior_values, prior_std = one_sweep_prior(gravity_zero, known_bias)
     fit = fit_with_known_prior(
         design, tool.wrench, prior_rows, prior_values, prior_std, offset_columns=slice(8, 14)
     )
-    _check_rejections(fit)
+    check_rejections(fit)
     check_excitation(sum_design[fit.used], LOAD_PARAMETERS[:4], {"with the tool": tool})
+    return one_sweep_result(fit, tool, gravity_zero, known_bias)
+
+
+def one_sweep_result(
+    fit: RobustFit, tool: StillPoses, gravity_zero: Array, known_bias: LoadEstimate | None
+) -> Identification:
+    """What a fit to one sweep found; its values: see `identify_one_sweep`, any others last.
+
+    gravity_zero: (3,) in ft_sensor where the sensor was zeroed, m/s^2. Raises ImplausibleLoadError.
+    """
     unresolved: tuple[str, ...] = ()
     if known_bias is None:
         along = gravity_zero / np.linalg.norm(gravity_zero)
@@ -210,8 +228,8 @@ def identify_one_sweep(
             "the compensation is not affected",
         )
     return Identification(
-        load=_load(fit, slice(0, 4), "the tool"),
-        bias=_load(fit, slice(4, 8), "the adapter"),
+        load=load_estimate(fit, slice(0, 4), "the tool"),
+        bias=load_estimate(fit, slice(4, 8), "the adapter"),
         offset=fit.values[8:14],
         offset_std=np.sqrt(np.diag(fit.covariance)[8:14]),
         offset_change=None,
@@ -240,7 +258,7 @@ def check_planned_poses(
 ) -> None:
     """Raise NotExcitedError, before the arm moves, for poses (n,), rad, that tell too little."""
     planned = StillPoses(roll, tilt, np.zeros((len(roll), 6)))
-    _check_count(planned, "each sweep")
+    check_count(planned, "each sweep")
     rows = gravity_regressor(planned.gravity)
     if one_sweep:
         check_excitation(single_load_design(planned.gravity), LOAD_PARAMETERS[:4])
@@ -262,10 +280,13 @@ def _two_sweeps_design(bare_rows: Array, tool_rows: Array, zero: Array) -> Array
     return design
 
 
-def _one_sweep_prior(
+def one_sweep_prior(
     gravity_zero: Array, known_bias: LoadEstimate | None
 ) -> tuple[Array, Array, Array]:
-    """Rows (k, 14), values (k,) and standard deviations (k,) of what is known beforehand."""
+    """Rows (k, 14), values (k,) and standard deviations (k,) of what is known beforehand.
+
+    gravity_zero: (3,) in ft_sensor where the sensor was zeroed, m/s^2.
+    """
     if known_bias is None:
         row = np.zeros((1, 14))
         row[0, 5:8] = gravity_zero / np.linalg.norm(gravity_zero)
@@ -308,9 +329,10 @@ def identify_single_load(gravity_sensor: ArrayLike, wrench: ArrayLike) -> Single
     design = single_load_design(gravity)
     check_excitation(design, LOAD_PARAMETERS[:4])
     fit = fit_robust(design, reading)
-    _check_rejections(fit)
+    check_rejections(fit)
     check_excitation(design[fit.used], LOAD_PARAMETERS[:4])
-    return SingleLoad(_load(fit, slice(0, 4), "the load"), fit.values[4:], fit.sigma, fit.used)
+    load = load_estimate(fit, slice(0, 4), "the load")
+    return SingleLoad(load, fit.values[4:], fit.sigma, fit.used)
 
 
 def plain_least_squares(gravity_sensor: ArrayLike, wrench: ArrayLike) -> tuple[Array, Array]:
@@ -334,12 +356,13 @@ def single_load_design(gravity: Array) -> Array:
     return design
 
 
-def _check_count(poses: StillPoses, name: str) -> None:
+def check_count(poses: StillPoses, name: str) -> None:
+    """Raise NotExcitedError for fewer than `MIN_POSES`."""
     if len(poses) < MIN_POSES:
         raise NotExcitedError(f"{name}: {len(poses)} still poses; at least {MIN_POSES} are needed")
 
 
-def _check_channels(rows: Array, poses: StillPoses, name: str) -> None:
+def check_channels(rows: Array, poses: StillPoses, name: str) -> None:
     """Raise IdentificationError for a channel that reads the same whatever the other five do.
 
     rows: (n, 6, 4) of one load and, with free offsets, of any that hang on the sensor together.
@@ -365,7 +388,8 @@ def _check_channels(rows: Array, poses: StillPoses, name: str) -> None:
             )
 
 
-def _check_rejections(fit: RobustFit) -> None:
+def check_rejections(fit: RobustFit) -> None:
+    """Raise IdentificationError where too many poses fit no common load."""
     rejected = int(np.sum(~fit.used))
     if rejected > _MAX_REJECTED_FRACTION * len(fit.used):
         raise IdentificationError(
@@ -374,8 +398,11 @@ def _check_rejections(fit: RobustFit) -> None:
         )
 
 
-def _load(fit: RobustFit, columns: slice, name: str) -> LoadEstimate:
-    """Mass and centre from the moments; covariance by p = h / m, dp = (dh - p dm) / m."""
+def load_estimate(fit: RobustFit, columns: slice, name: str) -> LoadEstimate:
+    """Mass and centre from the moments; covariance by p = h / m, dp = (dh - p dm) / m.
+
+    Raises ImplausibleLoadError calling the load `name`.
+    """
     moments, covariance = fit.values[columns], fit.covariance[columns, columns]
     mass, std = float(moments[0]), float(np.sqrt(covariance[0, 0]))
     if mass <= 0.0:

@@ -61,12 +61,12 @@ def fit_with_known_prior(
     prior_rows: Array,
     prior_values: Array,
     prior_std: Array,
-    offset_columns: slice,
+    offset_columns: slice | None,
 ) -> RobustFit:
     """As `fit_robust`, with Gaussian knowledge rows (k, p) @ values = prior_values +- prior_std.
 
-    The six values in `offset_columns` are known to be zero within the noise of one reading, which
-    the fit itself finds.
+    The six values in `offset_columns`, if any, are known to be zero within the noise of one
+    reading, which the fit itself finds.
     """
     return _fit(design, readings, _Prior(prior_rows, prior_values, prior_std, offset_columns))
 
@@ -80,12 +80,11 @@ class _Prior:
 
     def information(self, parameters: int, sigma: Array) -> tuple[Array, Array]:
         """The prior's part of the normal equations: matrix (p, p) and right side (p,)."""
-        if self.offset_columns is None:
-            return np.zeros((parameters, parameters)), np.zeros(parameters)
-        weighted = self.rows / self.std[:, None] ** 2
-        matrix = weighted.T @ self.rows
-        offsets = np.arange(parameters)[self.offset_columns]
-        matrix[offsets, offsets] += 1.0 / sigma**2
+        weighted = self.rows.reshape(-1, parameters) / self.std[:, None] ** 2
+        matrix = weighted.T @ self.rows.reshape(-1, parameters)
+        if self.offset_columns is not None:
+            offsets = np.arange(parameters)[self.offset_columns]
+            matrix[offsets, offsets] += 1.0 / sigma**2
         return matrix, weighted.T @ self.values
 
 
