@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from galen_model.arm import WRENCH_AXES
 from galen_model.arrays import Array
-from galen_model.kinematics import gravity_in_sensor
-from galen_model.load import gravity_wrench
 
 from galen_calibration_behavior.estimate import Calibration
 from galen_calibration_behavior.recorded_sweeps import RecordedSweeps
@@ -78,10 +77,9 @@ def _off(calibration: Calibration, sweep: str) -> list[str]:
 
 
 def _predicted(calibration: Calibration, sweep: str, joints: Array) -> Array:
-    """What the fit expects at joints (5,): reading (6,) in ft_sensor, N and N.m."""
+    """What the fit expects at joints (5,): reading (6,), N and N.m, in the sensor's own axes."""
     file, found = calibration.content, calibration.found
-    predicted: Array = file.predict(joints[3], joints[4])
-    if sweep == "bare" and found.offset_change is not None:
-        predicted = predicted - found.offset_change
-        predicted -= gravity_wrench(gravity_in_sensor(joints[3], joints[4]), file.load.load)
-    return predicted
+    if sweep != "bare" or found.offset_change is None:
+        return file.predict(joints[3], joints[4])
+    bare = replace(file, load=replace(file.load, mass_kg=0.0))
+    return bare.predict(joints[3], joints[4]) - found.offset_change

@@ -4,54 +4,61 @@ import math
 
 import numpy as np
 from galen_model.arrays import Array
+from galen_model.mounting import Mounting
 from galen_model.tool_file import ToolFile
 
 
 class Prediction:
     """`ToolFile.predict`, for single poses some ten times as fast.
 
-    Every term of the model is linear in gravity's direction in the sensor's frame or constant:
+    Every term of the model is linear in gravity's direction in the sensor's frame or constant,
 
-        reading = A u + c,   u = (cos roll cos tilt, -sin roll, cos roll sin tilt)
+        reading = A u + c,   u = Ry(tilt + pi/2)^T Rx(roll)^T d,
 
-    (u is `galen_model.kinematics.gravity_in_sensor` over g). A (6, 3) and c (6,) are read off
-    `predict` itself at the poses where u is +x, -x, y and z, so the physics stays in one place.
+    with gravity's direction d in base_link, (0, 0, -1) for a level base, and angles that hold the
+    joints' zeros (`galen_model.mounting`). A (6, 3) and c (6,) are read off the tool's own
+    `predict_under`, so that the physics, and a turned sensor's gains, stay in one place.
     """
 
     def __init__(self, tool: ToolFile) -> None:
-        half_pi = math.pi / 2
-        plus_x, minus_x, y, z = tool.predict(
-            np.array([0.0, math.pi, -half_pi, 0.0]), np.array([0.0, 0.0, 0.0, half_pi])
-        )
-        self._constant: Array = (plus_x + minus_x) / 2
-        self._by_direction: Array = np.stack([plus_x, y, z], axis=1) - self._constant[:, None]
+        gravity = abs(tool.gravity_m_s2[2])
+        self._constant: Array = tool.predict_under(np.zeros(3))
+        self._by_direction: Array = (
+            tool.predict_under(gravity * np.eye(3)) - self._constant[None, :]
+        ).T
+        mounting = Mounting() if tool.mounting is None else tool.mounting
+        self._down: tuple[float, ...] = tuple(mounting.gravity_direction.tolist())
+        self._zero: tuple[float, ...] = tuple(mounting.joint_zero_rad.tolist())
+        self._to_wrench = None if tool.mounting is None else mounting.wrench_from_reading
 
     def reading(self, roll_rad: float, tilt_rad: float) -> Array:
-        """Reading (6,) expected without touch, N and N.m in the sensor's frame."""
-        cos_roll = math.cos(roll_rad)
+        """Reading (6,) expected without touch, N and N.m in the sensor's own axes."""
+        (x, y, z), (zero_roll, zero_tilt) = self._down, self._zero
+        sin_roll, cos_roll = math.sin(roll_rad + zero_roll), math.cos(roll_rad + zero_roll)
+        sin_tilt, cos_tilt = math.sin(tilt_rad + zero_tilt), math.cos(tilt_rad + zero_tilt)
+        across, down = y * cos_roll + z * sin_roll, y * sin_roll - z * cos_roll
         direction = np.array(
-            (
-                cos_roll * math.cos(tilt_rad),
-                -math.sin(roll_rad),
-                cos_roll * math.sin(tilt_rad),
-            )
+            (down * cos_tilt - x * sin_tilt, across, down * sin_tilt + x * cos_tilt)
         )
         reading: Array = self._by_direction @ direction + self._constant
         return reading
 
     def readings(self, roll_rad: Array, tilt_rad: Array) -> Array:
         """Readings (n, 6) as `reading` gives them, for angles (n,)."""
-        cos_roll = np.cos(roll_rad)
+        (x, y, z), (zero_roll, zero_tilt) = self._down, self._zero
+        sin_roll, cos_roll = np.sin(roll_rad + zero_roll), np.cos(roll_rad + zero_roll)
+        sin_tilt, cos_tilt = np.sin(tilt_rad + zero_tilt), np.cos(tilt_rad + zero_tilt)
+        across, down = y * cos_roll + z * sin_roll, y * sin_roll - z * cos_roll
         directions = np.stack(
-            (cos_roll * np.cos(tilt_rad), -np.sin(roll_rad), cos_roll * np.sin(tilt_rad)), axis=1
+            (down * cos_tilt - x * sin_tilt, across, down * sin_tilt + x * cos_tilt), axis=1
         )
         readings: Array = directions @ self._by_direction.T + self._constant
         return readings
 
     def wrench(self, difference: Array) -> Array:
         """Wrench (6,) in ft_sensor, N and N.m, of a raw reading less the expected one (6,)."""
-        return difference
+        return difference if self._to_wrench is None else self._to_wrench @ difference
 
     def wrenches(self, differences: Array) -> Array:
         """Wrenches (n, 6) as `wrench` gives them."""
-        return differences
+        return differences if self._to_wrench is None else differences @ self._to_wrench.T

@@ -34,6 +34,7 @@ from galen_model.json_fields import (
 )
 from galen_model.kinematics import gravity_in_sensor
 from galen_model.load import Load, gravity_wrench
+from galen_model.mounting import Mounting
 from galen_model.whole_file import write_whole
 
 SCHEMA_VERSION = 1
@@ -85,24 +86,36 @@ class ToolFile:
     unresolved: tuple[str, ...] = ()
     """What the calibration could not tell (one sweep); empty after two sweeps."""
     inertia: InertiaEstimate | None = None
+    mounting: Mounting | None = None
     """Of tool and adapter together, where a recording of motion told it."""
 
     def predict(self, roll_rad: ArrayLike, tilt_rad: ArrayLike) -> Array:
-        """Reading (..., 6) expected at roll and tilt (...) without touch, N and N.m in ft_sensor.
+        """Reading (..., 6) expected at roll and tilt (...) without touch, N and N.m.
 
-        reading = W(theta; tool) + W(theta; adapter) - W(theta_bias; adapter) + residual offset
+        reading = M (W(theta; tool) + W(theta; adapter) - W(theta_bias; adapter)) + residual offset
+
+        in the sensor's own axes: with a `mounting`, theta and M are its; without, M is one and the
+        axes are ft_sensor's.
         """
-        return self.predict_under(gravity_in_sensor(roll_rad, tilt_rad) * self._gravity_scale)
+        return self.predict_under(self.gravity_in_sensor(roll_rad, tilt_rad))
+
+    def gravity_in_sensor(self, roll_rad: ArrayLike, tilt_rad: ArrayLike) -> Array:
+        """Gravity (..., 3) in ft_sensor at reported angles (...), m/s^2: the file's, mounted."""
+        if self.mounting is None:
+            return gravity_in_sensor(roll_rad, tilt_rad) * self._gravity_scale
+        return self.mounting.gravity_in_sensor(roll_rad, tilt_rad) * self._gravity_scale
 
     def predict_under(self, gravity_sensor: ArrayLike) -> Array:
-        """As `predict`, from gravity (..., 3) in the sensor's frame, m/s^2."""
-        at_bias = gravity_in_sensor(self.bias_roll_rad, self.bias_tilt_rad) * self._gravity_scale
-        return (
+        """As `predict`, from the true gravity (..., 3) in ft_sensor, m/s^2."""
+        at_bias = self.gravity_in_sensor(self.bias_roll_rad, self.bias_tilt_rad)
+        wrench = (
             gravity_wrench(gravity_sensor, self.load.load)
             + gravity_wrench(gravity_sensor, self.bias.load)
             - gravity_wrench(at_bias, self.bias.load)
-            + self.residual_offset
         )
+        if self.mounting is not None:
+            wrench = wrench @ self.mounting.reading_from_wrench.T
+        return wrench + self.residual_offset
 
     @property
     def parts(self) -> tuple[str, ...]:
@@ -139,6 +152,8 @@ class ToolFile:
             content["unresolved"] = list(self.unresolved)
         if self.inertia is not None:
             content["inertia"] = self.inertia.to_json()
+        if self.mounting is not None:
+            content["mounting"] = self.mounting.to_json()
         return content
 
 
@@ -236,6 +251,7 @@ def _from_json(content: Any) -> ToolFile:
         inertia=InertiaEstimate.from_json(whole["inertia"], "inertia")
         if "inertia" in whole
         else None,
+        mounting=Mounting.from_json(whole["mounting"], "mounting") if "mounting" in whole else None,
     )
 
 
