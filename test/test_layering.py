@@ -33,6 +33,7 @@ ROS_MODULES = {
     "galen_calibration_behavior.calibrate",
     "galen_calibration_behavior.deferred_action",
     "galen_calibration_behavior.goal_client",
+    "galen_calibration_behavior.goal_node",
     "galen_calibration_behavior.node",
     "galen_deflection.benchmark",
     "galen_deflection.node",

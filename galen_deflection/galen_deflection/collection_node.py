@@ -2,37 +2,27 @@
 
 from __future__ import annotations
 
-import time
-import traceback
 from collections.abc import Callable
 from dataclasses import replace
+from enum import IntEnum
 from typing import Any
 
 import numpy as np
 from galen_bags.errors import BagError
-from galen_calibration_behavior.arm_link import DISCOVERY_S, ArmPublisher, PublisherWatch
-from galen_calibration_behavior.commands import MoveTo, Stop
-from galen_calibration_behavior.deferred_action import DeferredActionServer
-from galen_model.arm import JOINT_NAMES, SENSOR_FRAME
+from galen_calibration_behavior.goal_node import GoalNode, RefusedGoalError, RunningGoal, Words
 from galen_model.arrays import Array
 from galen_model.errors import GalenError, ToolFileError, ToolNameError
 from galen_model.rotation import quaternion_to_matrix
 from galen_model.tool_file import ToolFile, read_tool, tool_path
-from galen_ros.conversions import JointStateReader, stamp_to_ns, wrench_to_array
-from galen_ros.diagnostics import OK, WARN, DiagnosticsPublisher, Status
-from galen_ros.parameters import declare_parameters
+from galen_ros.conversions import stamp_to_ns
 from galen_ros.qos import STREAM
 from galen_ros.spin import run
-from geometry_msgs.msg import PoseStamped, WrenchStamped
-from rclpy.action import CancelResponse, GoalResponse
+from geometry_msgs.msg import PoseStamped
 from rclpy.action.server import ServerGoalHandle
-from rclpy.clock import Clock, ClockType
-from rclpy.node import Node
+from rclpy.client import Client
 from rclpy.subscription import Subscription
-from sensor_msgs.msg import JointState
 
 from galen_deflection.collection_commands import (
-    Command,
     ErrorCode,
     Feedback,
     Finished,
@@ -53,23 +43,12 @@ from galen_deflection.collection_summary import summary
 from galen_msgs.action import CollectPushes
 from galen_msgs.srv import PushTool
 
-_TICK_S = 0.1
-# The publishers of the topics are looked up this often.
-_TICKS_PER_GRAPH_CHECK = 10
 _RECORDED = ("joint_states", "wrench_raw", "tracker/tool_pose", "tracker/base_pose")
 _NORM_TOLERANCE = 1e-3
 
 
-class _RefusedGoalError(Exception):
-    """A goal that can't be begun."""
-
-    def __init__(self, code: ErrorCode, message: str) -> None:
-        super().__init__(message)
-        self.code = code
-
-
-class _Goal:
-    """One running goal and what belongs to it alone."""
+class _Goal(RunningGoal[CollectionProcedure]):
+    """One running collection; `directory`: where it was put, once that is done."""
 
     def __init__(
         self,
@@ -79,102 +58,38 @@ class _Goal:
         tool: ToolFile,
         folder: CollectionFolder,
     ) -> None:
-        self.handle = handle
-        self.procedure = procedure
+        super().__init__(handle, procedure)
         self.plan = plan
         self.tool = tool
         self.folder = folder
         self.recording: BagRecording | None = None
         self.folder_made = False
+        self.directory = ""
         self.messages = 0
         self.problems: list[str] = []
-        self.reader = JointStateReader(JOINT_NAMES)
-        self.subscriptions: list[Subscription] = []
-        self.publishers: PublisherWatch | None = None
         self.frames: dict[str, str] = {}
-        self.preflight_s: float | None = 0.0
-        self.ticks = 0
 
 
-class CollectionNode(Node):
+class CollectionNode(GoalNode[CollectionParameters, _Goal, Finished]):
     """Declares, converts, calls and records; what happens when is in CollectionProcedure."""
 
+    codes = ErrorCode
+    words = Words(
+        subject="name",
+        doing="collecting",
+        nothing_yet="no collection yet",
+        unit="pushes",
+        restarted="it was restarted",
+        shutting_down="shutting down: stopping the arm",
+    )
+
     def __init__(self, **kwargs: Any) -> None:
-        super().__init__("collection", **kwargs)
-        self._settings = declare_parameters(self, CollectionParameters)
-        self._goal: _Goal | None = None
-        self._over: list[_Goal] = []
-        self._refused = ""
-        self._last = "no collection yet"
-        self._last_failed = False
-
-        self._arm = ArmPublisher(self)
-        self._push_client = self.create_client(PushTool, "push_tool")
-        self._server = DeferredActionServer(
-            self,
-            CollectPushes,
-            "collect_pushes",
-            on_goal=self._on_goal,
-            on_start=self._on_start,
-            on_cancel=self._on_cancel,
+        super().__init__(
+            "collection", CollectionParameters, CollectPushes, "collect_pushes", **kwargs
         )
-        self._steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self.create_timer(_TICK_S, self._on_tick, clock=self._steady)
-        self._diagnostics = DiagnosticsPublisher(self, "galen", self._report_status)
-
-    def destroy_node(self) -> None:
-        """Stop the arm if it is at work, close what is recorded, then go."""
-        goal, self._goal = self._goal, None
-        if goal is not None:
-            self.get_logger().warning("shutting down: stopping the arm")
-            self._arm.stop_and_wait()
-            end = Finished(ErrorCode.CANCELED, "the node was shut down", goal.procedure.collected)
-            self._put_away(goal, end)
-            goal.handle.abort()
-        self._server.destroy()
-        super().destroy_node()
+        self._push_client = self.create_client(PushTool, "push_tool")
 
     # ---- the action
-
-    def _on_goal(self, request: CollectPushes.Goal) -> GoalResponse:
-        """Refuse a second goal; an action's refusal carries no text, so /diagnostics does."""
-        if self._goal is None:
-            return GoalResponse.ACCEPT
-        done, total = self._goal.procedure.progress
-        self._refused = (
-            f"{request.name!r} refused: collecting {self._goal.handle.request.name!r} now,"
-            f" {done} of {total} pushes done; cancel that first, or wait"
-        )
-        self.get_logger().warning(self._refused)
-        self._diagnostics.publish_now()
-        return GoalResponse.REJECT
-
-    def _on_start(self, handle: ServerGoalHandle) -> None:
-        """Begin; a goal that makes no sense ends at once, for a result can say why."""
-        try:
-            goal = self._make_goal(handle)
-        except _RefusedGoalError as error:
-            self._conclude(handle, Finished(error.code, str(error)), 0, 0, "")
-            return
-        except Exception as error:
-            self.get_logger().error(traceback.format_exc())
-            self._conclude(handle, _internal(error), 0, 0, "")
-            return
-        self._goal = goal
-        self._refused = ""
-        subscribe = self.create_subscription
-        goal.subscriptions = [
-            subscribe(JointState, "joint_states", self._on_joint_state, STREAM),
-            subscribe(WrenchStamped, "wrench_compensated", self._on_wrench, STREAM),
-            subscribe(PoseStamped, "tracker/tool_pose", self._on_tool_pose, STREAM),
-            subscribe(PoseStamped, "tracker/base_pose", self._on_base_pose, STREAM),
-        ]
-        heard = [subscription.topic_name for subscription in goal.subscriptions]
-        goal.publishers = PublisherWatch(self, [*heard, self.resolve_topic_name("wrench_raw")])
-        self.get_logger().info(
-            f"collecting {handle.request.name!r}: {goal.plan.total} pushes, {goal.folder.final}"
-        )
-        self._diagnostics.publish_now()
 
     def _make_goal(self, handle: ServerGoalHandle) -> _Goal:
         request, settings = handle.request, self._settings
@@ -193,88 +108,78 @@ class CollectionNode(Node):
                 settings.limits,
             )
         except ToolNameError as error:
-            raise _RefusedGoalError(ErrorCode.INVALID_NAME, str(error)) from error
+            raise RefusedGoalError(ErrorCode.INVALID_NAME, str(error)) from error
         except CollectionFolderError as error:
-            raise _RefusedGoalError(ErrorCode.WRITE_FAILED, str(error)) from error
+            raise RefusedGoalError(ErrorCode.WRITE_FAILED, str(error)) from error
         except ToolFileError as error:
-            raise _RefusedGoalError(ErrorCode.TOOL_FILE, str(error)) from error
+            raise RefusedGoalError(ErrorCode.TOOL_FILE, str(error)) from error
         except OutOfReachError as error:
-            raise _RefusedGoalError(ErrorCode.OUT_OF_REACH, str(error)) from error
+            raise RefusedGoalError(ErrorCode.OUT_OF_REACH, str(error)) from error
         except PlanError as error:
-            raise _RefusedGoalError(ErrorCode.BAD_INPUT, str(error)) from error
+            raise RefusedGoalError(ErrorCode.BAD_INPUT, str(error)) from error
         procedure = CollectionProcedure(
             settings.settings(), plan, np.asarray(tool.tip_m, float), request.push_by_service
         )
         return _Goal(handle, procedure, plan, tool, folder)
 
-    def _on_cancel(self, handle: ServerGoalHandle) -> CancelResponse:
-        goal = self._goal
-        if goal is None or goal.handle.goal_id != handle.goal_id:
-            return CancelResponse.REJECT
-        self.get_logger().info("canceled: stopping the arm")
-        self._feed(goal.procedure.cancel)
-        return CancelResponse.ACCEPT
+    def _introduce(self, goal: _Goal) -> str:
+        return f"{goal.plan.total} pushes, {goal.folder.final}"
 
-    def _conclude(
-        self, handle: ServerGoalHandle, end: Finished, asked: int, messages: int, directory: str
-    ) -> None:
-        """Give the goal its result and say it on /diagnostics and in the log."""
+    def _make_end(self, code: IntEnum, message: str, goal: _Goal | None) -> Finished:
+        if goal is None:
+            return Finished(ErrorCode(code), message)
+        return Finished(ErrorCode(code), message, goal.procedure.collected)
+
+    def _make_result(
+        self, handle: ServerGoalHandle, end: Finished, goal: _Goal | None
+    ) -> tuple[CollectPushes.Result, str]:
         collected = end.collected
         result = CollectPushes.Result(
             error_code=int(end.error_code),
             error_msg=end.error_msg,
-            directory=directory,
+            directory=goal.directory if goal else "",
             pushes=collected.pushes,
-            pushes_asked=asked,
+            pushes_asked=goal.plan.total if goal else 0,
             left_out=list(collected.left_out),
             calibration_shift=[float(value) for value in collected.shift],
             calibration_holds=collected.holds,
-            messages=messages,
+            messages=goal.messages if goal else 0,
             warnings=list(collected.warnings),
         )
-        good = end.error_code == ErrorCode.NONE
-        self._server.finish(handle, result, success=good)
         name = handle.request.name
-        self._last_failed = end.error_code not in (ErrorCode.NONE, ErrorCode.CANCELED)
-        if good:
-            self._last = f"{name!r} collected: {collected.pushes} of {asked} pushes, {directory}"
-        else:
-            self._last = f"{name!r} not collected: {end.error_code.name}: {end.error_msg}"
-        if self._last_failed:
-            self.get_logger().error(self._last)
-        else:
-            self.get_logger().info(self._last)
-        for warning in collected.warnings:
+        last = f"{name!r} not collected: {end.error_code.name}: {end.error_msg}"
+        if end.error_code == ErrorCode.NONE:
+            last = (
+                f"{name!r} collected: {collected.pushes} of {result.pushes_asked} pushes,"
+                f" {result.directory}"
+            )
+        return result, last
+
+    def _conclude(self, handle: ServerGoalHandle, end: Finished, goal: _Goal | None) -> None:
+        super()._conclude(handle, end, goal)
+        for warning in end.collected.warnings:
             self.get_logger().warning(warning)
-        self._diagnostics.publish_now()
 
     # ---- inputs
 
-    def _on_joint_state(self, message: JointState) -> None:
-        goal = self._goal
-        if goal is None:
-            return
-        try:
-            position, velocity = goal.reader.read(message)
-        except GalenError as error:
-            self._feed(goal.procedure.fail, ErrorCode.BAD_INPUT, f"joint_states: {error}")
-            return
-        self._feed(goal.procedure.on_joints, stamp_to_ns(message.header.stamp), position, velocity)
+    def _subscribe(self, goal: _Goal) -> list[Subscription]:
+        subscribe = self.create_subscription
+        return [
+            *super()._subscribe(goal),
+            subscribe(PoseStamped, "tracker/tool_pose", self._on_tool_pose, STREAM),
+            subscribe(PoseStamped, "tracker/base_pose", self._on_base_pose, STREAM),
+        ]
 
-    def _on_wrench(self, message: WrenchStamped) -> None:
-        goal = self._goal
-        if goal is None:
-            return
-        if message.header.frame_id != SENSOR_FRAME:
-            self._feed(
-                goal.procedure.fail,
-                ErrorCode.BAD_INPUT,
-                f"wrench_compensated has frame_id {message.header.frame_id!r}, not"
-                f" {SENSOR_FRAME!r}",
-            )
-            return
-        self._feed(
-            goal.procedure.on_wrench, stamp_to_ns(message.header.stamp), wrench_to_array(message)
+    def _also_watched(self) -> list[str]:
+        return [self.resolve_topic_name("wrench_raw")]
+
+    def _needed_clients(self, goal: _Goal) -> list[Client]:
+        return [self._push_client] if goal.handle.request.push_by_service else []
+
+    def _silent_text(self, topics: list[str]) -> str:
+        return (
+            f"nobody publishes {', '.join(topics)}: are the driver, the compensation"
+            " (wrench_compensated) and the tracker running?"
         )
 
     def _on_tool_pose(self, message: PoseStamped) -> None:
@@ -303,118 +208,40 @@ class CollectionNode(Node):
             translation = np.array([position.x, position.y, position.z])
             self._feed(event, stamp_to_ns(message.header.stamp), rotation, translation)
 
-    def _on_tick(self) -> None:
-        for over in self._over:
-            for subscription in over.subscriptions:
-                self.destroy_subscription(subscription)
-        self._over.clear()
-        goal = self._goal
-        if goal is None:
+    def _look_after(self, goal: _Goal) -> None:
+        if goal.recording is None:
             return
-        if goal.ticks % _TICKS_PER_GRAPH_CHECK == 0 or goal.preflight_s is not None:
-            self._feed(self._check_publishers, goal)
-        goal.ticks += 1
-        if self._goal is goal and goal.preflight_s is not None:
-            self._feed(self._check_driver, goal)
-        if self._goal is goal and goal.recording is not None:
-            if goal.recording.error:
-                self._feed(goal.procedure.fail, ErrorCode.WRITE_FAILED, goal.recording.error)
-            elif goal.recording.ready:
-                self._feed(goal.procedure.on_recording)
-        if self._goal is goal:
-            self._feed(goal.procedure.on_wall, time.monotonic())
-
-    # ---- the driver
-
-    def _check_driver(self, goal: _Goal) -> None:
-        """Start the procedure once everything it needs is there, or say what is missing."""
-        missing = self._find_missing(goal)
-        if missing is None:
-            goal.preflight_s = None
-            goal.procedure.start()
-            return
-        assert goal.preflight_s is not None
-        goal.preflight_s += _TICK_S
-        if goal.preflight_s > max(self._settings.silent_timeout_s, DISCOVERY_S):
-            goal.procedure.fail(*missing)
-
-    def _find_missing(self, goal: _Goal) -> tuple[ErrorCode, str] | None:
-        assert goal.publishers is not None
-        silent = goal.publishers.silent()
-        if silent:
-            return (
-                ErrorCode.DRIVER_SILENT,
-                f"nobody publishes {', '.join(silent)}: are the driver, the compensation"
-                " (wrench_compensated) and the tracker running?",
-            )
-        if goal.handle.request.push_by_service and not self._push_client.service_is_ready():
-            name = self.resolve_service_name(self._push_client.srv_name)
-            return ErrorCode.SERVICE_FAILED, f"nobody offers the service {name}"
-        if not self._arm.has_listener:
-            return (
-                ErrorCode.DRIVER_SILENT,
-                f"nobody listens on {self._arm.topic_name}: is the driver running?",
-            )
-        return None
-
-    def _check_publishers(self, goal: _Goal) -> None:
-        """End when a topic has two publishers, or another than before."""
-        assert goal.publishers is not None
-        if several := goal.publishers.several():
-            goal.procedure.fail(ErrorCode.BAD_INPUT, several)
-        elif changed := goal.publishers.changed():
-            goal.procedure.fail(ErrorCode.DRIVER_SILENT, f"{changed}: it was restarted")
+        if goal.recording.error:
+            goal.procedure.fail(ErrorCode.WRITE_FAILED, goal.recording.error)
+        elif goal.recording.ready:
+            goal.procedure.on_recording()
 
     # ---- commands
 
-    def _feed(self, event: Callable[..., object], *args: object) -> None:
-        """Hand an event to the procedure and do what it then asks for; a bug ends only the goal."""
-        goal = self._goal
-        try:
-            event(*args)
-            while goal is not None and (commands := goal.procedure.take_commands()):
-                for command in commands:
-                    self._obey(goal, command)
-        except Exception as error:
-            self.get_logger().error(traceback.format_exc())
-            if goal is None or self._goal is not goal:
-                return
-            self._arm.stop()
-            self._end(goal, replace(_internal(error), collected=goal.procedure.collected))
-
-    def _obey(self, goal: _Goal, command: Command) -> None:
+    def _obey(self, goal: _Goal, command: Any) -> None:
         match command:
             case Feedback():
                 self._publish_feedback(goal, command)
-            case MoveTo():
-                self._arm.move(command)
-            case Stop():
-                self._arm.stop()
             case Push():
                 self._push(goal, command)
             case Record():
                 self._record(goal, command.bag)
-            case Finished():
-                self._end(goal, command)
+            case _:
+                super()._obey(goal, command)
 
     def _push(self, goal: _Goal, push: Push) -> None:
-        future = self._push_client.call_async(
-            PushTool.Request(
-                force_n=push.wrench[:3],
-                torque_nm=push.wrench[3:],
-                rise_s=push.rise_s,
-                hold_s=push.hold_s,
-                fall_s=push.fall_s,
-            )
+        def on_answer(answer: Any) -> None:
+            busy = answer.error_code == PushTool.Response.BUSY
+            self._feed(goal.procedure.on_service, answer.success, answer.error_msg, busy)
+
+        request = PushTool.Request(
+            force_n=push.wrench[:3],
+            torque_nm=push.wrench[3:],
+            rise_s=push.rise_s,
+            hold_s=push.hold_s,
+            fall_s=push.fall_s,
         )
-
-        def on_answer(answered: Any) -> None:
-            if self._goal is goal:
-                answer = answered.result()
-                busy = answer.error_code == PushTool.Response.BUSY
-                self._feed(goal.procedure.on_service, answer.success, answer.error_msg, busy)
-
-        future.add_done_callback(on_answer)
+        self._call(goal, self._push_client, request, on_answer)
 
     def _record(self, goal: _Goal, bag: str) -> None:
         try:
@@ -440,17 +267,10 @@ class CollectionNode(Node):
 
     # ---- the end
 
-    def _end(self, goal: _Goal, end: Finished) -> None:
-        self._goal = None
-        # Not here: this may run inside one of the subscriptions' own callbacks.
-        self._over.append(goal)
-        end, directory = self._put_away(goal, end)
-        self._conclude(goal.handle, end, goal.plan.total, goal.messages, directory)
-
-    def _put_away(self, goal: _Goal, end: Finished) -> tuple[Finished, str]:
-        """Close the bag and the folder; returns the end that it came to, and where it all is."""
+    def _put_away(self, goal: _Goal, end: Finished) -> Finished:
+        """Close the bag and the folder; returns the end that it came to."""
         if not goal.folder_made:
-            return end, ""
+            return end
         try:
             self._close_recording(goal)
         except BagError as error:
@@ -461,7 +281,7 @@ class CollectionNode(Node):
         )
         if not goal.messages:
             goal.folder.discard()
-            return end, ""
+            return end
         request = goal.handle.request
         content = summary(
             request.name,
@@ -477,7 +297,8 @@ class CollectionNode(Node):
             goal.folder.close(content, finished=end.error_code == ErrorCode.NONE)
         except CollectionFolderError as error:
             end = _worse(end, str(error))
-        return end, str(goal.folder.path)
+        goal.directory = str(goal.folder.path)
+        return end
 
     def _publish_feedback(self, goal: _Goal, feedback: Feedback) -> None:
         plan = goal.plan
@@ -499,28 +320,15 @@ class CollectionNode(Node):
         )
         self.get_logger().debug(feedback.message)
 
-    def _report_status(self) -> Status:
-        values: dict[str, object] = {
-            "recordings_dir": self._settings.folder("recordings_dir"),
-            "tools_dir": self._settings.folder("tools_dir"),
-            "last": self._last,
-        }
-        if self._refused:
-            values["refused"] = self._refused
-        goal = self._goal
-        if goal is None:
-            level = WARN if self._last_failed else OK
-            return Status(level, f"ready; {self._last}", values)
-        done, total = goal.procedure.progress
-        name, state = goal.handle.request.name, goal.procedure.state.name
+    # ---- diagnostics
+
+    def _folders(self) -> dict[str, object]:
+        names = ("recordings_dir", "tools_dir")
+        return {name: self._settings.folder(name) for name in names}
+
+    def _status_values(self, goal: _Goal) -> dict[str, object]:
         recorded = goal.recording.messages if goal.recording else goal.messages
-        values |= {"name": name, "state": state, "done": done, "total": total}
-        values |= {"directory": goal.folder.path, "messages": recorded}
-        return Status(OK, f"collecting {name}: {state}, {done} of {total} pushes", values)
-
-
-def _internal(error: Exception) -> Finished:
-    return Finished(ErrorCode.INTERNAL, f"{type(error).__name__}: {error}")
+        return {"directory": goal.folder.path, "messages": recorded}
 
 
 def _worse(end: Finished, what: str) -> Finished:
