@@ -5,9 +5,12 @@ renamed over the old name, as POSIX does in one step; before that the old file g
 `<name>.bak`. A process killed at any moment leaves the old file or the new one.
 """
 
+import errno
 import os
 import tempfile
 from pathlib import Path
+
+_NO_HARD_LINKS = (errno.EPERM, errno.ENOTSUP, errno.EOPNOTSUPP, errno.EMLINK)
 
 
 def write_whole(path: Path, content: str | bytes) -> None:
@@ -15,21 +18,67 @@ def write_whole(path: Path, content: str | bytes) -> None:
 
     Raises OSError; the old file is then untouched.
     """
-    raw = content.encode() if isinstance(content, str) else content
     path.parent.mkdir(parents=True, exist_ok=True)
-    handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+    temporary = _write_beside(path, content)
+    try:
+        _keep_backup(path)
+        os.replace(temporary, path)
+    except BaseException:
+        temporary.unlink(missing_ok=True)
+        raise
+    sync_directory(path.parent)
+
+
+def write_new(path: Path, content: str | bytes) -> None:
+    """Write a file in one step, where there is none; FileExistsError where there is. UTF-8.
+
+    Raises OSError; nothing is then written.
+    """
+    temporary = _write_beside(path, content)
+    try:
+        rename_to_free(temporary, path)
+    except BaseException:
+        temporary.unlink(missing_ok=True)
+        raise
+    sync_directory(path.parent)
+
+
+def rename_to_free(path: Path, free: Path) -> None:
+    """Rename a file within its directory; FileExistsError where the name is taken.
+
+    `os.rename` would overwrite; a hard link doesn't, so the file has both names for a moment.
+    """
+    try:
+        os.link(path, free, follow_symlinks=False)
+    except OSError as error:
+        if error.errno not in _NO_HARD_LINKS:
+            raise
+        if os.path.lexists(free):
+            raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST), str(free)) from None
+        path.rename(free)
+        return
+    try:
+        path.unlink()
+    except OSError:
+        free.unlink(missing_ok=True)
+        raise
+
+
+def _write_beside(path: Path, content: str | bytes) -> Path:
+    """Write and sync a temporary file in the folder of `path`; removed again on an error."""
+    raw = content.encode() if isinstance(content, str) else content
+    handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+    temporary = Path(name)
     try:
         with os.fdopen(handle, "wb") as stream:
             stream.write(raw)
             stream.flush()
             os.fsync(stream.fileno())
-        Path(temporary).chmod(0o644)  # mkstemp's 0600 would hide it from the lab's others
-        _keep_backup(path)
-        os.replace(temporary, path)
+        temporary.chmod(0o644)  # mkstemp's 0600 would hide it from the lab's others
     except BaseException:
-        Path(temporary).unlink(missing_ok=True)
+        temporary.unlink(missing_ok=True)
         raise
-    _sync_directory(path.parent)
+    return temporary
 
 
 def _keep_backup(path: Path) -> None:
@@ -46,7 +95,8 @@ def _keep_backup(path: Path) -> None:
     os.replace(spare, backup)
 
 
-def _sync_directory(directory: Path) -> None:
+def sync_directory(directory: Path) -> None:
+    """Have the directory's names on the disk, so that they outlast a loss of power."""
     handle = os.open(directory, os.O_RDONLY)
     try:
         os.fsync(handle)

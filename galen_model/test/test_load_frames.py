@@ -1,0 +1,82 @@
+"""Loads in other frames, against Pinocchio's frames, weights and drawn samples."""
+
+import numpy as np
+import pytest
+from galen_model.arm import GRAVITY_M_S2, HOME, LIMITS
+from galen_model.kinematics import gravity_in_sensor
+from galen_model.load import gravity_wrench
+from galen_model.load_frames import (
+    FRAMES,
+    FrameError,
+    FrameNeedsJointsError,
+    joint_vector,
+    needed_joints,
+    sensor_in_frame,
+)
+from galen_model.pinocchio_arm import PinocchioArm
+from galen_model.tool_file import LoadEstimate
+
+TIP_M = np.array([0.15, -0.02, 0.05])
+COVARIANCE = np.cov(
+    np.random.default_rng(3).normal(size=(4, 40)) * [[1e-4], [2e-4], [1e-4], [3e-4]]
+)
+LOAD = LoadEstimate(0.2, np.array([0.07, -0.01, 0.055]), COVARIANCE)
+
+
+@pytest.mark.parametrize("frame", FRAMES)
+def test_frames_are_those_of_the_urdf(frame: str) -> None:
+    arm, rng = PinocchioArm(TIP_M), np.random.default_rng(7)
+    for _ in range(20):
+        joints = rng.uniform(LIMITS.lower, LIMITS.upper)
+        sensor_rotation, sensor_origin = arm.pose(joints, "ft_sensor")
+        rotation, origin = arm.pose(joints, frame)
+        # Only the joints that the frame needs are given: the others can't matter.
+        known = [name in needed_joints(frame) for name in ("x", "y", "z", "roll", "tilt")]
+        known[:3] = [frame == "base_link"] * 3
+        place = sensor_in_frame(frame, TIP_M, np.where(known, joints, np.nan))
+        np.testing.assert_allclose(place.rotation, rotation.T @ sensor_rotation, atol=1e-12)
+        np.testing.assert_allclose(
+            place.origin_m, rotation.T @ (sensor_origin - origin), atol=1e-12
+        )
+        tip, tip_origin = place.point(TIP_M), arm.pose(joints, "tool_tip")[1]
+        np.testing.assert_allclose(rotation @ tip + origin, tip_origin, atol=1e-12)
+
+
+@pytest.mark.parametrize("frame", FRAMES)
+def test_the_weight_pulls_at_the_centre_in_every_frame(frame: str) -> None:
+    """The weight's wrench, moved to the frame, is the centre there crossed with the force there."""
+    joints = np.array([0.05, -0.03, 0.45, 0.7, -0.4])
+    rotation = PinocchioArm(TIP_M).pose(joints, frame)[0]
+    place = sensor_in_frame(frame, TIP_M, joints)
+    wrench = place.wrench(gravity_wrench(gravity_in_sensor(0.7, -0.4), LOAD.load))
+    force = LOAD.mass_kg * rotation.T @ GRAVITY_M_S2
+    np.testing.assert_allclose(wrench[:3], force, atol=1e-12)
+    np.testing.assert_allclose(wrench[3:], np.cross(place.load(LOAD).com_m, force), atol=1e-12)
+
+
+def test_the_covariance_is_that_of_the_moved_estimates() -> None:
+    """Estimates drawn in the sensor's frame and moved one by one scatter as it says."""
+    place = sensor_in_frame("base_link", TIP_M, np.array([0.05, -0.03, 0.45, 0.7, -0.4]))
+    rng = np.random.default_rng(11)
+    drawn = rng.multivariate_normal([LOAD.mass_kg, *LOAD.com_m], COVARIANCE, size=20000)
+    moved = np.column_stack([drawn[:, 0], [place.point(com) for com in drawn[:, 1:]]])
+    said = place.load(LOAD).covariance
+    scale = np.sqrt(np.diag(said))
+    np.testing.assert_allclose(
+        np.cov(moved.T) / np.outer(scale, scale), said / np.outer(scale, scale), atol=0.04
+    )
+    assert not np.allclose(said, COVARIANCE, rtol=0.2)  # it is no covariance that a turn keeps
+
+
+def test_what_lacks_is_named() -> None:
+    with pytest.raises(FrameError, match="no frame 'tool0'; there are ft_sensor, tool_tip"):
+        sensor_in_frame("tool0", TIP_M)
+    with pytest.raises(FrameNeedsJointsError, match="'roll_link' hangs on tilt; unknown: tilt"):
+        sensor_in_frame("roll_link", TIP_M)
+    with pytest.raises(FrameNeedsJointsError, match=r"unknown: delta_x, delta_y, delta_z$"):
+        sensor_in_frame("base_link", TIP_M, joint_vector([0.1, 0.2]))
+    for wrong in ([0.1], [0.1] * 3, [0.1, np.nan]):
+        with pytest.raises(FrameNeedsJointsError, match="roll and tilt alone"):
+            joint_vector(wrong)
+    np.testing.assert_array_equal(joint_vector([0.1, 0.2]), [np.nan] * 3 + [0.1, 0.2])
+    np.testing.assert_array_equal(joint_vector(HOME.tolist()), HOME)

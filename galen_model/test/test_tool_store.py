@@ -1,0 +1,264 @@
+"""The tools' files of a directory: nothing lost, nothing overwritten, no way out of it."""
+
+import json
+import os
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from galen_model.errors import GalenError, ToolFileError, ToolNameError
+from galen_model.tool_file import LoadEstimate, ToolFile, read_tool, tool_path, write_tool
+from galen_model.tool_store import FileState, ToolExistsError, ToolStore, ToolStoreError
+
+from galen_model import tool_store, whole_file
+
+
+def a_tool(name: str, mass_kg: float = 0.06) -> ToolFile:
+    return ToolFile(
+        tool=name,
+        load=LoadEstimate(mass_kg, np.array([0.055, 0.002, 0.045]), np.eye(4) * 1e-8),
+        bias=LoadEstimate(0.1, np.array([0.0, 0.0, 0.02]), np.eye(4) * 1e-8),
+        tip_m=np.array([0.15, 0.0, 0.05]),
+        rmse=np.zeros(6),
+        poses_used=56,
+        calibrated_at="2026-01-01T00:00:00+00:00",
+    )
+
+
+@pytest.fixture
+def store(tmp_path: Path) -> ToolStore:
+    """A pointer with a calibration before it, and a retractor."""
+    store = ToolStore(tmp_path / "tools")
+    for tool in (a_tool("pointer", 0.05), a_tool("pointer"), a_tool("retractor", 0.2)):
+        write_tool(tool_path(store.directory, tool.tool), tool)
+    return store
+
+
+def masses(store: ToolStore) -> dict[str, float]:
+    """Every usable calibration in the directory, whatever it is called."""
+    found = {}
+    for path in store.directory.iterdir():
+        try:
+            found[path.name] = read_tool(path).load.mass_kg
+        except GalenError:
+            continue
+    return found
+
+
+def files(store: ToolStore) -> dict[str, bytes]:
+    return {path.name: path.read_bytes() for path in store.directory.iterdir()}
+
+
+BEFORE = {"pointer.json": 0.06, "pointer.json.bak": 0.05, "retractor.json": 0.2}
+
+
+def test_broken_files_are_listed_by_name(store: ToolStore, tmp_path: Path) -> None:
+    folder = store.directory
+    (folder / "cut.json").write_text('{"schema_version": 1')
+    (folder / "my tool.json").write_bytes((folder / "pointer.json").read_bytes())
+    (folder / "copied.json").write_bytes((folder / "pointer.json").read_bytes())
+    (folder / "folder.json").mkdir()
+    os.mkfifo(folder / "pipe.json")  # opening it would wait for ever
+    (tmp_path / "outside.json").write_bytes((folder / "pointer.json").read_bytes())
+    (folder / "link.json").symlink_to(tmp_path / "outside.json")
+    (folder / "circle.json").symlink_to(folder / "circle.json")
+    (folder / "big.json").write_bytes(b" " * 1_000_001)
+    (folder / ".pointer.json.x1").write_text("left by a killed process")
+    (folder / ".hidden.json").write_text("{}")
+    entries = {entry.name: entry for entry in store.entries()}
+    assert [name for name, entry in entries.items() if entry.stored] == ["pointer", "retractor"]
+    problems = {name: entry.problem for name, entry in entries.items() if not entry.stored}
+    words = {
+        "big": "larger than", "circle": "out of", "copied": "holds the tool 'pointer'",
+        "cut": "not JSON", "folder": "regular file", "link": "a link that leads out of",
+        "my tool": "letters, digits", "pipe": "regular file",
+    }  # fmt: skip
+    assert set(problems) == set(words)
+    for name, word in words.items():
+        assert word in problems[name] and name in problems[name]
+    assert list(ToolStore(tmp_path / "none").entries()) == []
+
+
+def test_a_link_within_the_directory_and_a_linked_directory_are_read(
+    store: ToolStore, tmp_path: Path
+) -> None:
+    """Configuration systems keep the files in a folder beside and link to them."""
+    data = store.directory / "..data"
+    data.mkdir()
+    write_tool(data / "drill.json", a_tool("drill"))
+    (store.directory / "drill.json").symlink_to("..data/drill.json")
+    (tmp_path / "linked").symlink_to(store.directory)
+    assert ToolStore(tmp_path / "linked").read("drill").tool.tool == "drill"
+
+
+@pytest.mark.parametrize("name", ["../outside", "a/b", "", ".", "pointer.json", "a\0", "ä"])
+def test_names_are_checked_everywhere(store: ToolStore, name: str) -> None:
+    before = files(store)
+    for call in (
+        lambda: store.read(name),
+        lambda: store.rename(name, "new"),
+        lambda: store.rename("pointer", name),
+        lambda: store.remove(name),
+        lambda: store.restore(name),
+    ):
+        with pytest.raises(ToolNameError):
+            call()
+    assert files(store) == before
+
+
+def test_rename_takes_the_name_inside_and_the_backup_along(store: ToolStore) -> None:
+    content = json.loads((store.directory / "pointer.json").read_text())
+    content["of_a_later_version"] = {"x": 1}
+    (store.directory / "pointer.json").write_text(json.dumps(content))
+    renamed = store.rename("pointer", "probe")
+    assert renamed.tool.tool == "probe" and renamed.sha256 == store.read("probe").sha256
+    assert masses(store) == {"probe.json": 0.06, "probe.json.bak": 0.05, "retractor.json": 0.2}
+    assert json.loads(renamed.content) == content | {"tool": "probe"}
+    assert read_tool(store.directory / "probe.json.bak").tool == "probe"
+    with pytest.raises(ToolFileError) as missing:
+        store.rename("pointer", "again")
+    assert isinstance(missing.value.__cause__, FileNotFoundError)
+
+
+def test_rename_never_overwrites(store: ToolStore) -> None:
+    before = files(store)
+    for taken in ("retractor", "pointer"):
+        with pytest.raises(ToolExistsError, match=taken):
+            store.rename("pointer", taken)
+    (store.directory / "odd.json").symlink_to("nowhere")
+    with pytest.raises(ToolExistsError, match="odd"):
+        store.rename("pointer", "odd")
+    (store.directory / "odd.json").unlink()
+    assert files(store) == before
+    # A backup that a tool left behind is kept as well.
+    (store.directory / "probe.json.bak").write_text("an old one")
+    store.rename("pointer", "probe")
+    assert (store.directory / "probe.json.bak.removed").read_text() == "an old one"
+    assert read_tool(store.directory / "probe.json.bak").load.mass_kg == 0.05
+
+
+def steps(monkeypatch: pytest.MonkeyPatch, fail_at: int, error: type[BaseException]) -> None:
+    """Let the `fail_at`th change of the directory fail, before it is done."""
+    count = 0
+
+    def failing(real):
+        def call(*args, **options):
+            nonlocal count
+            count += 1
+            # A killed process does nothing any more; a full disk fails once.
+            if count == fail_at or (count > fail_at and error is KeyboardInterrupt):
+                raise error(28, "No space left on device")
+            return real(*args, **options)
+
+        return call
+
+    monkeypatch.setattr(whole_file.os, "link", failing(os.link))
+    monkeypatch.setattr(Path, "unlink", failing(Path.unlink))
+
+
+@pytest.mark.parametrize("fail_at", range(1, 8))
+@pytest.mark.parametrize("error", [OSError, KeyboardInterrupt])
+def test_a_rename_cut_short_loses_nothing(
+    store: ToolStore, fail_at: int, error: type[BaseException]
+) -> None:
+    """With an error all is as before, or renamed; killed, every calibration is still there, the
+    list shows the tool under one name at least, and asking again ends it."""
+    before = masses(store)
+    with pytest.MonkeyPatch.context() as patch:
+        steps(patch, fail_at, error)
+        try:
+            store.rename("pointer", "probe")
+            done = True
+        except (ToolStoreError, KeyboardInterrupt):
+            done = False
+    after = masses(store)
+    names = [entry.name for entry in store.entries() if entry.stored]
+    assert {0.05, 0.06, 0.2} == set(after.values())
+    assert {"pointer", "probe"} & set(names)
+    if error is OSError and not done:
+        assert after == before
+    if "pointer" in names:
+        store.rename("pointer", "probe")
+    after = masses(store)
+    assert (after["probe.json"], after["probe.json.bak"]) == (0.06, 0.05)
+    assert "pointer.json" not in after
+
+
+def test_a_calibration_written_during_a_rename_is_not_lost(
+    store: ToolStore, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    real = tool_store.write_new
+
+    def calibrate_meanwhile(path, content):
+        real(path, content)
+        if path.name == "probe.json":
+            write_tool(store.directory / "pointer.json", a_tool("pointer", 0.07))
+
+    monkeypatch.setattr(tool_store, "write_new", calibrate_meanwhile)
+    with pytest.raises(ToolStoreError, match="is being written; ask again"):
+        store.rename("pointer", "probe")
+    assert masses(store) == BEFORE | {"pointer.json": 0.07, "pointer.json.bak": 0.06}
+
+
+def test_removed_tools_come_back_with_their_backup(store: ToolStore) -> None:
+    kept = store.remove("pointer")
+    assert kept.name == "pointer.json.removed"
+    assert store.names() == ["retractor"] and store.removed() == ["pointer"]
+    # Removed again under the same name: both are kept, and the last one comes back.
+    write_tool(store.directory / "pointer.json", a_tool("pointer", 0.07))
+    with pytest.raises(ToolExistsError, match="is there"):
+        store.restore("pointer")
+    assert store.remove("pointer").name == "pointer.json.removed.2"
+    store.restore("pointer")
+    assert masses(store) == {
+        "pointer.json": 0.07,
+        "pointer.json.removed": 0.06,
+        "pointer.json.bak.removed": 0.05,
+        "retractor.json": 0.2,
+    }
+    store.remove("pointer")
+    (store.directory / "pointer.json.removed.2").unlink()
+    store.restore("pointer")
+    assert masses(store) == BEFORE
+    with pytest.raises(ToolFileError, match="no removed tool"):
+        store.restore("drill")
+
+
+def test_a_broken_file_can_be_removed_and_a_link_never_takes_its_target(
+    store: ToolStore, tmp_path: Path
+) -> None:
+    (store.directory / "cut.json").write_text("{")
+    assert store.remove("cut").read_text() == "{"
+    outside = tmp_path / "outside.json"
+    write_tool(outside, a_tool("link"))
+    (store.directory / "link.json").symlink_to(outside)
+    for refused in (lambda: store.remove("link"), lambda: store.rename("link", "new")):
+        with pytest.raises(ToolFileError, match="leads out of"):
+            refused()
+    assert read_tool(outside).tool == "link"
+
+
+def test_without_hard_links_it_works_as_well(
+    store: ToolStore, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def no_links(*_args, **_options):
+        raise PermissionError(1, "Operation not permitted")
+
+    monkeypatch.setattr(whole_file.os, "link", no_links)
+    store.rename("pointer", "probe")
+    with pytest.raises(ToolExistsError):
+        store.rename("retractor", "probe")
+    store.remove("probe")
+    store.restore("probe")
+    assert masses(store) == {"probe.json": 0.06, "probe.json.bak": 0.05, "retractor.json": 0.2}
+
+
+def test_what_became_of_a_file_since_it_was_read(store: ToolStore) -> None:
+    stored = store.read("pointer")
+    os.utime(stored.path)  # touched, but not changed
+    assert stored.file_state() is FileState.AS_LOADED
+    write_tool(stored.path, replace(stored.tool, load=a_tool("pointer", 0.07).load))
+    assert stored.file_state() is FileState.CHANGED
+    stored.path.unlink()
+    assert stored.file_state() is FileState.GONE
