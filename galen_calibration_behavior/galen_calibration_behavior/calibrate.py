@@ -23,6 +23,9 @@ from galen_calibration_behavior.goal_client import (
     EXIT_USAGE,
     Bar,
     GoalClient,
+    add_client_options,
+    read_options,
+    report_error,
     run_client,
 )
 from galen_calibration_behavior.result_text import format_result, result_to_dict
@@ -151,22 +154,14 @@ def parse(arguments: list[str]) -> argparse.Namespace:
     )
     parser.add_argument("--iters-t", type=_count, default=0, help="number of tilts; 0: the node's")
     parser.add_argument("--iters-r", type=_count, default=0, help="number of rolls; 0: the node's")
-    parser.add_argument("--json", action="store_true", help="print the result as one JSON object")
-    parser.add_argument(
-        "--timeout-s", type=float, default=10.0, help="wait so long for the node (default 10)"
-    )
-    parser.add_argument(
-        "--node", default="calibration", help="the node's name, for ~/confirm (default calibration)"
-    )
-    options = parser.parse_args(arguments)
+    add_client_options(parser, "calibration", ", for ~/confirm")
+    options = read_options(parser, arguments)
     try:
         check_tool_name(options.tool)
     except ToolNameError as error:
         parser.error(str(error))
     if options.tip is not None and not all(map(math.isfinite, options.tip)):
         parser.error("--tip needs three finite numbers")
-    if not options.timeout_s > 0:
-        parser.error("--timeout-s needs a positive number")
     return options
 
 
@@ -193,14 +188,11 @@ def _print_result(result: Any, as_json: bool) -> int:
         print(json.dumps(result_to_dict(result)))
     elif result.error_code == ErrorCode.NONE:
         print(format_result(result))
-    if result.error_code == ErrorCode.NONE:
-        return EXIT_OK
-    name = ErrorCode(result.error_code).name
-    print(f"calibrate: {name}: {result.error_msg}", file=sys.stderr)
-    if not as_json:
+    exit_code = report_error("calibrate", ErrorCode(result.error_code), result.error_msg)
+    if exit_code != EXIT_OK and not as_json:
         for text in result.poses_rejected:
             print(f"  rejected {text}", file=sys.stderr)
-    return EXIT_CANCELED if result.error_code == ErrorCode.CANCELED else EXIT_FAILED
+    return exit_code
 
 
 if __name__ == "__main__":

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import argparse
 import shutil
 import signal
 import sys
 import time
 import uuid
 from collections.abc import Callable
+from enum import IntEnum
 from types import FrameType
 from typing import Any, NoReturn
 
@@ -217,6 +219,34 @@ class GoalClient:
                 for item in status.values:
                     if item.key == "refused":
                         self._refused = item.value
+
+
+def add_client_options(parser: argparse.ArgumentParser, node: str, use: str = "") -> None:
+    """Add what each of these commands takes; `node` is the server's default name, `use` for what.
+
+    `read_options` reads them.
+    """
+    parser.add_argument("--json", action="store_true", help="print the result as one JSON object")
+    parser.add_argument(
+        "--timeout-s", type=float, default=10.0, help="wait so long for the node (default 10)"
+    )
+    parser.add_argument("--node", default=node, help=f"the node's name{use} (default {node})")
+
+
+def read_options(parser: argparse.ArgumentParser, arguments: list[str]) -> argparse.Namespace:
+    """Read the command line; exits with code 2 and a message where it is wrong."""
+    options = parser.parse_args(arguments)
+    if not options.timeout_s > 0:
+        parser.error("--timeout-s needs a positive number")
+    return options
+
+
+def report_error(name: str, code: IntEnum, message: str) -> int:
+    """Print why the goal of the command `name` failed; returns the exit code, also for none."""
+    if code.name == "NONE":
+        return EXIT_OK
+    print(f"{name}: {code.name}: {message}", file=sys.stderr)
+    return EXIT_CANCELED if code.name == "CANCELED" else EXIT_FAILED
 
 
 def run_client(

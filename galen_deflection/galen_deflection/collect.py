@@ -16,6 +16,9 @@ from galen_calibration_behavior.goal_client import (
     EXIT_USAGE,
     Bar,
     GoalClient,
+    add_client_options,
+    read_options,
+    report_error,
     run_client,
 )
 from galen_calibration_behavior.result_text import result_to_dict
@@ -117,12 +120,8 @@ def parse(arguments: list[str]) -> argparse.Namespace:
         metavar="NM",
         help="levels of torque about the tip, N·m",
     )
-    parser.add_argument("--json", action="store_true", help="print the result as one JSON object")
-    parser.add_argument(
-        "--timeout-s", type=float, default=10.0, help="wait so long for the node (default 10)"
-    )
-    parser.add_argument("--node", default="collection", help="the node's name (default collection)")
-    options = parser.parse_args(arguments)
+    add_client_options(parser, "collection")
+    options = read_options(parser, arguments)
     try:
         check_tool_name(options.name, "recording's")
         check_tool_name(options.tool)
@@ -130,8 +129,6 @@ def parse(arguments: list[str]) -> argparse.Namespace:
         parser.error(str(error))
     if len(options.positions) % 5:
         parser.error(f"--positions has {len(options.positions)} numbers, not five a position")
-    if not options.timeout_s > 0:
-        parser.error("--timeout-s needs a positive number")
     return options
 
 
@@ -190,12 +187,10 @@ def _print_result(result: Any, as_json: bool) -> int:
         print(json.dumps(result_fields(result)))
     elif code == ErrorCode.NONE:
         print(format_result(result))
-    if code == ErrorCode.NONE:
-        return EXIT_OK
-    print(f"collect: {code.name}: {result.error_msg}", file=sys.stderr)
-    if not as_json and result.directory:
+    exit_code = report_error("collect", code, result.error_msg)
+    if exit_code != EXIT_OK and not as_json and result.directory:
         print(format_result(result), file=sys.stderr)
-    return EXIT_CANCELED if code == ErrorCode.CANCELED else EXIT_FAILED
+    return exit_code
 
 
 if __name__ == "__main__":
