@@ -15,7 +15,10 @@ from typing import Any
 
 import numpy as np
 from galen_bags.arm_recording import ArmTopics, read_arm
+from galen_bags.command_line import positive
 from galen_model.errors import GalenError, ToolNameError
+from galen_model.mounting_groups import GROUPS, entities
+from galen_model.mounting_identification import KnownLoad
 from galen_model.tool_file import LoadEstimate, check_tool_name, read_tool, tool_path
 from galen_ros.param import add_options, from_options
 from tqdm import tqdm
@@ -24,12 +27,14 @@ from galen_calibration_behavior.commands import ErrorCode
 from galen_calibration_behavior.estimate import (
     Calibration,
     EstimateError,
+    MountingRequest,
     calibrate,
     check_writable,
     choose_tip,
     estimate,
 )
 from galen_calibration_behavior.home_stays import BiasPose
+from galen_calibration_behavior.mounting_text import format_mounting, mounting_fields
 from galen_calibration_behavior.parameters import CalibrationParameters
 from galen_calibration_behavior.pose_table import format_poses, pose_rows
 from galen_calibration_behavior.recorded_sweeps import RecordedSweeps, SweepSorter
@@ -100,6 +105,7 @@ def parse(arguments: list[str] | None = None) -> argparse.Namespace:
         help="the tool's tip in ft_sensor, m; else the old file's is kept, or (0, 0, 0)",
     )
     add_options(parser, CalibrationParameters, ("tools_dir",))
+    add_mounting_options(parser.add_argument_group("sensor and mounting"))
     parser.add_argument("--dry-run", action="store_true", help="print what is found, write nothing")
     parser.add_argument("--poses", action="store_true", help="print every pose with its residual")
     parser.add_argument("--json", action="store_true", help="print the result as one JSON object")
@@ -140,6 +146,51 @@ def parse(arguments: list[str] | None = None) -> argparse.Namespace:
     return options
 
 
+def add_mounting_options(group: argparse._ArgumentGroup) -> None:
+    """What to estimate beside the loads, and what is known of the tool."""
+    group.add_argument(
+        "--estimate",
+        metavar="GROUPS",
+        type=lambda text: tuple(text.split(",")),
+        help="estimate these together with the load, comma-separated; refused where the poses"
+        f" can't tell them apart: {', '.join(GROUPS)}",
+    )
+    group.add_argument(
+        "--known-mass-kg",
+        type=positive,
+        metavar="KG",
+        help="the tool's mass, as a scale tells it; the common force gain needs it",
+    )
+    group.add_argument(
+        "--known-mass-std-kg", type=positive, metavar="KG", help="and its standard deviation"
+    )
+    group.add_argument(
+        "--known-com-m",
+        nargs=3,
+        type=float,
+        metavar=("X", "Y", "Z"),
+        help="the tool's centre in ft_sensor, as a drawing tells it; the common torque gain needs"
+        " it",
+    )
+    group.add_argument(
+        "--known-com-std-m", type=positive, metavar="M", help="and its standard deviation"
+    )
+
+
+def mounting_request(options: argparse.Namespace) -> MountingRequest | None:
+    """What the options ask of the mounting; raises IdentificationError for an unknown name."""
+    if options.estimate is None:
+        return None
+    entities(options.estimate)
+    if options.known_mass_kg is None:
+        return MountingRequest(options.estimate)
+    com = None if options.known_com_m is None else np.array(options.known_com_m)
+    known = KnownLoad(
+        options.known_mass_kg, options.known_mass_std_kg, com, options.known_com_std_m
+    )
+    return MountingRequest(options.estimate, known)
+
+
 def _check_combination(parser: argparse.ArgumentParser, options: argparse.Namespace) -> None:
     pair = (options.bare, options.with_tool)
     if any(pair) and (options.bag or not all(pair)):
@@ -152,7 +203,16 @@ def _check_combination(parser: argparse.ArgumentParser, options: argparse.Namesp
         parser.error("--adapter-from is for --one-sweep: two sweeps tell the adapter themselves")
     if options.tool_on_at_s is not None and (options.one_sweep or any(pair)):
         parser.error("--tool-on-at-s is for one BAG that holds both sweeps")
+    if (options.known_mass_kg is None) != (options.known_mass_std_kg is None):
+        parser.error("--known-mass-kg and --known-mass-std-kg belong together")
+    if (options.known_com_m is None) != (options.known_com_std_m is None):
+        parser.error("--known-com-m and --known-com-std-m belong together")
+    if options.known_com_m is not None and options.known_mass_kg is None:
+        parser.error("--known-com-m needs --known-mass-kg")
+    if options.known_mass_kg is not None and options.estimate is None:
+        parser.error("--known-mass-kg is for --estimate")
     given = {
+        "--known-com-m": options.known_com_m or [],
         "--tip": options.tip or [],
         "--tool-on-at-s": [] if options.tool_on_at_s is None else [options.tool_on_at_s],
         "--bias-roll-rad": [options.bias_roll_rad],
@@ -222,6 +282,7 @@ def run(options: argparse.Namespace) -> tuple[RecordedSweeps, Calibration]:
         sweeps.measurements,
         warnings,
         calibrated_at=measured_at(sweeps.last),
+        mounting=mounting_request(options),
     )
 
 
@@ -241,6 +302,7 @@ def result_fields(
         "tool_on_s": sweeps.tool_on_s,
         "next_border_worse_sigmas": None if border is None else border.next_worse,
         "one_load_worse_ratio": None if border is None else border.ratio,
+        "mounting": mounting_fields(calibration),
         "poses": pose_rows(sweeps, calibration),
     }
 
@@ -274,7 +336,8 @@ def main(arguments: list[str] | None = None) -> None:
         else:
             if options.poses:
                 print(format_poses(fields["poses"]) + "\n")
-            print(f"{format_sweeps(sweeps)}\n\n{format_result(SimpleNamespace(**fields))}")
+            print(f"{format_sweeps(sweeps)}\n{format_mounting(calibration)}")
+            print(format_result(SimpleNamespace(**fields)))
     except EstimateError as error:
         _fail(f"{error.code.name}: {error}")
     except GalenError as error:

@@ -20,6 +20,9 @@ from galen_model.identification import (
     identify_one_sweep,
     identify_two_sweeps,
 )
+from galen_model.mounting import Mounting
+from galen_model.mounting_identification import KnownLoad
+from galen_model.mounting_worth import Calibrated, Worth, worth
 from galen_model.tool_file import ToolFile, read_tool, write_tool
 
 from galen_calibration_behavior.commands import ErrorCode, Measurements
@@ -38,13 +41,25 @@ class TipError(GalenError):
 
 
 @dataclass(frozen=True)
+class MountingRequest:
+    """Which of `galen_model.mounting_groups.GROUPS` to estimate, and what is known of the tool."""
+
+    groups: tuple[str, ...]
+    known: KnownLoad | None = None
+
+
+@dataclass(frozen=True)
 class Calibration:
-    """What was written, and where, and what the file does not hold of the fit."""
+    """What was written, and where, and what the file does not hold of the fit.
+
+    worth: whether the mounting's parameters pay, where they were asked for.
+    """
 
     path: Path
     content: ToolFile
     warnings: list[str]
     found: Identification
+    worth: Worth | None = None
 
 
 def check_writable(path: Path) -> None:
@@ -86,14 +101,17 @@ def calibrate(
     warnings: list[str],
     *,
     calibrated_at: datetime | None = None,
+    mounting: MountingRequest | None = None,
 ) -> Calibration:
     """Identify the load and write the tool's file whole or not at all.
 
     `warnings` are known from before. `calibrated_at`, with a time zone, is when it was measured,
-    for measurements that come out of a recording; None: now. Raises EstimateError; the old file
-    is then untouched.
+    for measurements that come out of a recording; None: now. `mounting`: estimate that as well.
+    Raises EstimateError; the old file is then untouched.
     """
-    done = estimate(path, tool, tip_m, measurements, warnings, calibrated_at=calibrated_at)
+    done = estimate(
+        path, tool, tip_m, measurements, warnings, calibrated_at=calibrated_at, mounting=mounting
+    )
     try:
         write_tool(path, done.content)
     except ToolFileError as error:
@@ -109,9 +127,22 @@ def estimate(
     warnings: list[str],
     *,
     calibrated_at: datetime | None = None,
+    mounting: MountingRequest | None = None,
 ) -> Calibration:
     """As `calibrate`, and writes nothing; raises EstimateError."""
-    found = _identify(measurements)
+    mounted: Mounting | None = None
+    gain: Worth | None = None
+    try:
+        if mounting is None:
+            found = _identify(measurements)
+        else:
+            measured = _with_mounting(measurements, mounting)
+            both = measured.identify()
+            found, mounted, gain = both.found, both.mounting, worth(measured, both)
+    except NotExcitedError as error:
+        raise EstimateError(ErrorCode.NOT_EXCITED, str(error)) from error
+    except IdentificationError as error:
+        raise EstimateError(ErrorCode.IMPLAUSIBLE, str(error)) from error
     content = ToolFile(
         tool=tool,
         load=found.load,
@@ -125,20 +156,31 @@ def estimate(
         bias_tilt_rad=measurements.bias_tilt,
         poses_rejected=(*measurements.rejected, *_outliers(found, measurements)),
         unresolved=found.unresolved,
+        mounting=mounted,
     )
-    return Calibration(path, content, [*warnings, *measurements.warnings, *found.warnings], found)
+    said = [*warnings, *measurements.warnings, *found.warnings]
+    if gain is not None and not gain.pays:
+        said.append(gain.sentence)
+    return Calibration(path, content, said, found, gain)
 
 
 def _identify(measurements: Measurements) -> Identification:
     roll, tilt = measurements.bias_roll, measurements.bias_tilt
-    try:
-        if measurements.bare is None:
-            return identify_one_sweep(measurements.tool, roll, tilt, measurements.known_bias)
-        return identify_two_sweeps(measurements.bare, measurements.tool, roll, tilt)
-    except NotExcitedError as error:
-        raise EstimateError(ErrorCode.NOT_EXCITED, str(error)) from error
-    except IdentificationError as error:
-        raise EstimateError(ErrorCode.IMPLAUSIBLE, str(error)) from error
+    if measurements.bare is None:
+        return identify_one_sweep(measurements.tool, roll, tilt, measurements.known_bias)
+    return identify_two_sweeps(measurements.bare, measurements.tool, roll, tilt)
+
+
+def _with_mounting(measurements: Measurements, request: MountingRequest) -> Calibrated:
+    return Calibrated(
+        measurements.bare,
+        measurements.tool,
+        request.groups,
+        measurements.bias_roll,
+        measurements.bias_tilt,
+        request.known,
+        measurements.known_bias,
+    )
 
 
 def _outliers(found: Identification, measurements: Measurements) -> list[str]:
