@@ -10,6 +10,7 @@ import numpy as np
 from galen_model.arrays import Array
 from galen_model.errors import GalenError, NotExcitedError, ToolFileError, ToolNameError
 from galen_model.identification import check_planned_poses
+from galen_model.mounting_identification import check_planned_mounting
 from galen_model.tool_file import tool_path
 from galen_ros.spin import run
 from rclpy.action.server import ServerGoalHandle
@@ -27,6 +28,7 @@ from galen_calibration_behavior.commands import (
 from galen_calibration_behavior.estimate import (
     Calibration,
     EstimateError,
+    MountingRequest,
     calibrate,
     check_writable,
     choose_tip,
@@ -100,6 +102,15 @@ class CalibrationNode(GoalNode[CalibrationParameters, _Goal, Finished]):
                 bias_roll_rad=self._settings.Rhome,
                 bias_tilt_rad=self._settings.Thome,
             )
+            if self._settings.estimate:
+                check_planned_mounting(
+                    poses[:, 0],
+                    poses[:, 1],
+                    self._settings.estimate,
+                    one_sweep=request.one_sweep,
+                    bias_roll_rad=self._settings.Rhome,
+                    bias_tilt_rad=self._settings.Thome,
+                )
             tip_m, warnings = choose_tip(np.array(request.tip_m, float), path)
             check_writable(path)
         except ToolNameError as error:
@@ -181,6 +192,9 @@ class CalibrationNode(GoalNode[CalibrationParameters, _Goal, Finished]):
                 goal.tip_m,
                 command.measurements,
                 goal.warnings,
+                mounting=MountingRequest(self._settings.estimate)
+                if self._settings.estimate
+                else None,
             )
         except EstimateError as error:
             goal.procedure.fail(error.code, str(error))

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from galen_model.arm import LIMITS
+from galen_model.mounting_groups import entities
 from galen_ros.param import param
 
 from galen_calibration_behavior.grid import GridError, SweepGrid
@@ -66,12 +67,21 @@ class CalibrationParameters(MotionParameters):
         0.005, "largest torque read just after zeroing, N·m", 1e-6, 10.0
     )
 
+    estimate: tuple[str, ...] = param(
+        (),
+        "what to estimate together with the loads, see *Sensor and mounting*; a goal is refused"
+        " where the poses can't tell it",
+    )
+
     confirm_timeout_s: float = param(
         600.0, "a person has this long to put the tool on or take it off", 1.0, 86_400.0
     )
 
     def validate(self) -> None:
-        """Refuse a home or a sweep outside the joint limits; raises GridError naming the joint."""
+        """Refuse a home or a sweep outside the joint limits, and what can't be estimated.
+
+        Raises GridError naming the joint, IdentificationError naming the group.
+        """
         for name, value, low, high in zip(
             ("Xhome", "Yhome", "Zhome", "Rhome", "Thome"),
             self.home,
@@ -81,6 +91,7 @@ class CalibrationParameters(MotionParameters):
         ):
             if not low <= value <= high:
                 raise GridError(f"{name} = {value:g} is outside its limits, {low:g} ... {high:g}")
+        entities(self.estimate)
         self.poses(self.itersT, self.itersR)
 
     @property
