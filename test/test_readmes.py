@@ -44,13 +44,14 @@ def player_node(folder, **options):
 # Nodes that need a folder to work in; they have no parameters.
 BAG_NODES = {"galen_bags": (recorder_node, player_node)}
 OVERRIDES = {"galen_sim_driver": {"speed_factor": 2.0}}  # at another speed there is /clock
-# Opened only while the node works on a goal.
+# Opened only while the node works on a goal, or for a parameter.
 WHILE_BUSY = {
     "galen_calibration_behavior": {"joint_states", "wrench_raw"},
     "galen_deflection": {
         "joint_states", "wrench_compensated", "wrench_raw", "tracker/tool_pose",
         "tracker/base_pose",
     },
+    "galen_gravcomp": {"imu"},  # with the parameter motion
     "galen_bags": {
         "joint_states", "wrench_compensated", "tracker/tool_pose", "tracker/base_pose",
     },

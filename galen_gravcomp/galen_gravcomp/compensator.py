@@ -9,7 +9,8 @@ belong to a wrench, and which wrench is refused, is `galen_gravcomp.pairing`'s.
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from enum import Enum
 
 import numpy as np
 from galen_model.arrays import Array
@@ -20,7 +21,7 @@ from galen_gravcomp.block import NOTHING, BlockResult, Outputs, SampleBlock, pus
 from galen_gravcomp.pairing import PairingSettings, WrenchPairing
 from galen_gravcomp.prediction import Prediction
 from galen_gravcomp.results import Compensated, Refusal, Refused, Result
-from galen_gravcomp.stages import NoMotion, Stages
+from galen_gravcomp.stages import MotionStage, NoMotion, Stages
 from galen_gravcomp.stretch import Arrivals
 from galen_gravcomp.tare import TareOutcome, TareRamp, TareSettings, TareWindow
 
@@ -80,10 +81,21 @@ class Compensator(WrenchPairing[Compensated]):
         return self._tool
 
     @property
+    def motion(self) -> MotionStage | None:
+        """The stage of the forces of motion."""
+        return self._stages.motion
+
+    @property
     def needs_positions(self) -> bool:
         """Whether `push_joints` must be given the platform's position."""
         motion = self._stages.motion
         return motion is not None and motion.needs_positions
+
+    @property
+    def needs_imu(self) -> bool:
+        """Whether `push_imu` must be called."""
+        motion = self._stages.motion
+        return motion is not None and motion.needs_imu
 
     @property
     def sensor_frame(self) -> str:
@@ -96,6 +108,14 @@ class Compensator(WrenchPairing[Compensated]):
     def tare_offset(self) -> Array:
         """Offset (6,) that the tare takes off when its ramp has ended, N and N.m."""
         return self._ramp.target.copy()
+
+    @property
+    def wander_offset(self) -> Array | None:
+        """Offset (6,) that the wander's estimate takes off now, N and N.m; None without one."""
+        wander, now_ns = self._stages.wander, self._newest_wrench_ns
+        if wander is None or not wander.active or now_ns is None:
+            return None
+        return wander.offset_at(now_ns)
 
     @property
     def taring(self) -> bool:
@@ -136,6 +156,11 @@ class Compensator(WrenchPairing[Compensated]):
         if tool is None:
             return self._refuse_waiting(Refusal.NO_TOOL, why_none)
         return []
+
+    def rename_tool(self, name: str) -> None:
+        """Call the tool in force by another name; nothing else changes, the tare stays."""
+        assert self._tool is not None
+        self._tool = replace(self._tool, tool=name)
 
     def restart(self, why: str) -> list[Result]:
         """Forget everything that belongs to the driver's life so far: samples, wander and tare.
@@ -222,7 +247,27 @@ class Compensator(WrenchPairing[Compensated]):
         )
         return push_block(block, self, self._push_stretch)
 
+    def push_imu(
+        self, stamp_ns: int, angular_rad_s: Sequence[float], linear_m_s2: Sequence[float]
+    ) -> list[Result]:
+        """Take an IMU's reading (3,), (3,) in its axes; returns what became of what waited."""
+        motion = self._stages.motion
+        if motion is not None:
+            motion.push_imu(stamp_ns, angular_rad_s, linear_m_s2)
+        return self._release()
+
     # Inside
+
+    def _known_until_ns(self) -> int | None:
+        joints_ns, motion = self._joints.newest_ns, self._stages.motion
+        if motion is None or joints_ns is None:
+            return joints_ns
+        motion_ns = motion.known_until_ns
+        return None if motion_ns is None else min(joints_ns, motion_ns)
+
+    def _late(self, newest_wrench_ns: int) -> tuple[Enum, str] | None:
+        motion = self._stages.motion
+        return None if motion is None else motion.late(newest_wrench_ns)
 
     def _barred(self) -> tuple[Refusal, str] | None:
         if not self._enabled:
@@ -258,13 +303,12 @@ class Compensator(WrenchPairing[Compensated]):
         roll, tilt = joints
         stages, prediction = self._stages, self._prediction
         assert prediction is not None
-        expected = prediction.reading(roll, tilt)
+        untared = prediction.wrench(raw - prediction.reading(roll, tilt))
         if stages.motion is not None:
             motion = stages.motion.reading(stamp_ns, roll, tilt)
             if isinstance(motion, NoMotion):
                 return self._refuse(stamp_ns, motion.reason, motion.detail, number)
-            expected = expected + motion
-        untared = prediction.wrench(raw - expected)
+            untared = untared - motion
         if stages.wander is not None:
             stages.wander.push(stamp_ns, roll, tilt, untared)
             untared = untared - stages.wander.offset_at(stamp_ns)

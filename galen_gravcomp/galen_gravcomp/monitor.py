@@ -15,10 +15,15 @@ class Monitor(StreamMonitor):
         super().__init__(compensator, silence_s)
         self._compensator = compensator
         self._tool_error = ""
+        self._file_note = ""
 
     def set_tool_error(self, text: str) -> None:
         """Say why the tool asked for at start is not loaded; empty when one is in force."""
         self._tool_error = text
+
+    def set_file_note(self, text: str) -> None:
+        """Say what became of the file of the tool in force since; empty while it is as loaded."""
+        self._file_note = text
 
     def _standing_state(self) -> State | None:
         if self._tool_error:
@@ -39,6 +44,8 @@ class Monitor(StreamMonitor):
             return State(Severity.OK, "taring", f"compensating '{tool}', averaging for a tare")
         if compensator.tare_ramping:
             return State(Severity.OK, "tare_ramp", f"compensating '{tool}', applying a tare")
+        if self._file_note:
+            return State(Severity.WARN, "file_changed", f"compensating '{tool}': {self._file_note}")
         return State(Severity.OK, "compensating", f"compensating '{tool}'")
 
     def values(self, now_s: float) -> dict[str, object]:
@@ -63,6 +70,8 @@ class Monitor(StreamMonitor):
             "tare_force_n": joined(offset[:3]),
             "tare_torque_nm": joined(offset[3:]),
         }
+        motion = compensator.motion
+        values |= {"motion": "off"} if motion is None else motion.values()
         values |= self.inputs(now_s, "wrench_compensated")
         values |= {"received": compensator.received, "compensated": compensator.compensated}
         return values | self.refused()

@@ -5,20 +5,23 @@ from typing import Any
 
 from galen_model.errors import ToolFileError, ToolNameError
 from galen_model.tool_file import ToolFile, read_tool, tool_path
+from galen_ros.cdr import UnreadableError
 from galen_ros.deferred_service import DeferredService, Respond
 from galen_ros.parameters import declare_parameters
 from galen_ros.qos import STREAM
 from galen_ros.spin import run
 from geometry_msgs.msg import WrenchStamped
+from sensor_msgs.msg import Imu
 from std_srvs.srv import SetBool, Trigger
 
 from galen_gravcomp.compensator import Compensator, TareRefusedError
 from galen_gravcomp.monitor import Monitor
 from galen_gravcomp.parameters import GravcompParameters
 from galen_gravcomp.results import Compensated, Result
-from galen_gravcomp.stream_node import StreamNode
+from galen_gravcomp.stages import Stages
+from galen_gravcomp.stream_node import StreamNode, input_qos
 from galen_gravcomp.tare import TareOutcome
-from galen_gravcomp.wire import RawWrench
+from galen_gravcomp.wire import ImuWire, RawWrench
 from galen_msgs.srv import SetTool
 
 
@@ -32,7 +35,8 @@ class GravcompNode(StreamNode):
         super().__init__("gravcomp", **node_options)
         self._config = declare_parameters(self, GravcompParameters)
         p = self._config
-        self._compensator = Compensator(p.settings(), on_restart=self._on_restart)
+        stages = Stages(motion=p.motion_stage())
+        self._compensator = Compensator(p.settings(), self._on_restart, stages)
         self._compensation = Monitor(self._compensator, p.silence_s)
         self._tare_progress = (0, 0.0)
 
@@ -42,6 +46,10 @@ class GravcompNode(StreamNode):
             self._load_at_start(p.tool)
         self._begin(self._compensator, self._compensation, p.joint_names, p.best_effort_input)
         self._choose_joints()
+        if self._compensator.needs_imu:
+            self._imu_wire = ImuWire()
+            qos = input_qos(p.best_effort_input)
+            self._imu = self.create_subscription(Imu, "imu", self._on_imu, qos, raw=True)
         self.create_service(SetBool, "~/enable", self._on_enable)
         self.create_service(SetTool, "~/set_tool", self._on_set_tool)
         self._tare_service = DeferredService(self, Trigger, "~/tare", self._on_tare)
@@ -49,6 +57,17 @@ class GravcompNode(StreamNode):
     def _push_joints(self, stamp_ns: int, positions: tuple[float, ...]) -> list[Result]:
         roll, tilt, *platform = positions
         return self._compensator.push_joints(stamp_ns, roll, tilt, tuple(platform) or None)
+
+    def _on_imu(self, data: bytes) -> None:
+        try:
+            reading = self._imu_wire.read(data)
+        except UnreadableError as error:
+            # As if it had not come: wrenches are refused when it stays so.
+            self._compensation.on_notice(f"imu can't be used: {error}", time.monotonic())
+            return
+        results = self._compensator.push_imu(*reading)
+        if results:
+            self._emit(results)
 
     def _choose_joints(self) -> None:
         """Read the platform's position from joint_states only while it is needed."""

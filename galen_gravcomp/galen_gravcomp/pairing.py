@@ -119,6 +119,13 @@ class WrenchPairing(ABC, Generic[Made]):
     ) -> Made | Refused:
         """What becomes of a finite wrench (6,) with finite joints at its stamp."""
 
+    def _known_until_ns(self) -> int | None:
+        """The newest stamp that need not wait: the newest joints', or earlier; None: none yet."""
+        return self._joints.newest_ns
+
+    def _late(self, newest_wrench_ns: int) -> tuple[Enum, str] | None:
+        """Why what waits for something else than joints must not wait any longer."""
+
     # State
 
     @property
@@ -187,8 +194,8 @@ class WrenchPairing(ABC, Generic[Made]):
         if other_unit:
             self.notices[Notice.TORQUE_UNIT] += 1
         raw = np.array(values)
-        newest = self._joints.newest_ns
-        if newest is not None and stamp_ns <= newest:
+        until = self._known_until_ns()
+        if until is not None and stamp_ns <= until:
             results.append(self._pair(stamp_ns, raw, tag, number))
             return results
         self._waiting.append(Waiting(stamp_ns, raw, tag, number))
@@ -220,7 +227,14 @@ class WrenchPairing(ABC, Generic[Made]):
             duplicate = pushed is JointPush.DUPLICATE
             self.notices[Notice.DUPLICATE_JOINTS if duplicate else Notice.OUT_OF_ORDER_JOINTS] += 1
             return results
-        while self._waiting and self._waiting[0].stamp_ns <= stamp_ns:
+        results.extend(self._release())
+        return results
+
+    def _release(self) -> list[Made | Refused]:
+        """What becomes of the wrenches that have waited long enough."""
+        until = self._known_until_ns()
+        results: list[Made | Refused] = []
+        while until is not None and self._waiting and self._waiting[0].stamp_ns <= until:
             results.append(self._pair(*self._waiting.popleft()))
         return results
 
@@ -293,6 +307,8 @@ class WrenchPairing(ABC, Generic[Made]):
                 f"{self._clock_hint(newest_wrench - newest_joints)}"
             )
             return self._refuse_waiting(*self._joint_reason(Refusal.STALE_JOINTS, detail))
+        elif late := self._late(newest_wrench):
+            return self._refuse_waiting(*late)
         if len(self._waiting) > self._limits.max_waiting:
             oldest = self._waiting.popleft()
             detail = f"more than {self._limits.max_waiting} wrenches wait for joint_states"

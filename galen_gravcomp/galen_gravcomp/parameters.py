@@ -6,7 +6,13 @@ import numpy as np
 from galen_ros.param import param
 
 from galen_gravcomp.compensator import CompensatorSettings
+from galen_gravcomp.imu_motion import ImuMotion, ImuMount
+from galen_gravcomp.joint_motion import JointMotion
+from galen_gravcomp.motion_window import MotionSettings
+from galen_gravcomp.stages import MotionStage
 from galen_gravcomp.tare import TareSettings
+
+_MOTIONS = ("off", "joints", "imu")
 
 
 @dataclass(frozen=True)
@@ -25,6 +31,41 @@ class GravcompParameters:
     position_joint_names: tuple[str, ...] = param(
         ("delta_x", "delta_y", "delta_z"),
         "names of the joints that are the platform's position, m; read only where it is needed",
+    )
+    motion: str = param(
+        "off",
+        "forces of motion of tool and adapter: `off`: they stay in the output; `joints`: from"
+        " `joint_states`; `imu`: from the topic `imu`",
+    )
+    motion_window_s: float = param(
+        MotionSettings.window_s,
+        "s; window of samples that motion is differentiated in",
+        minimum=0.002,
+        maximum=1.0,
+    )
+    motion_delay_s: float = param(
+        MotionSettings.delay_s,
+        "s; how long before the window's end motion is read off, and so how much later a wrench"
+        " goes out",
+        minimum=0.001,
+        maximum=0.5,
+    )
+    motion_lag_s: float = param(
+        0.0,
+        "s; how much later the stamps of `wrench_raw` are than those of `joint_states` (or `imu`)"
+        " for the same moment",
+        minimum=-0.1,
+        maximum=0.1,
+    )
+    imu_rotvec_rad: tuple[float, ...] = param(
+        (0.0, 0.0, 0.0), "rad; rotation vector that turns the IMU's axes into `ft_sensor`"
+    )
+    imu_lever_m: tuple[float, ...] = param((0.0, 0.0, 0.0), "m; where the IMU is in `ft_sensor`")
+    imu_bias_m_s2: tuple[float, ...] = param(
+        (0.0, 0.0, 0.0), "m/s^2; what the IMU reads too much, in its axes"
+    )
+    imu_scale: float = param(
+        1.0, "the IMU's reading over the true one, of accelerations", minimum=0.5, maximum=2.0
     )
     max_joint_age_s: float = param(
         0.05,
@@ -91,10 +132,39 @@ class GravcompParameters:
                 f"parameter 'position_joint_names' is {list(self.position_joint_names)}, but must"
                 " name three joints, x, y and z"
             )
+        if self.motion not in _MOTIONS:
+            raise ValueError(
+                f"parameter 'motion' is '{self.motion}', but must be one of {', '.join(_MOTIONS)}"
+            )
+        if not self.motion_delay_s < self.motion_window_s:
+            raise ValueError(
+                f"parameter 'motion_delay_s' is {self.motion_delay_s:g}, but must be less than"
+                f" motion_window_s, {self.motion_window_s:g}"
+            )
+        for name in ("imu_rotvec_rad", "imu_lever_m", "imu_bias_m_s2"):
+            if len(getattr(self, name)) != 3:
+                raise ValueError(
+                    f"parameter '{name}' has {len(getattr(self, name))} numbers, but must have 3"
+                )
         if len(self.sensor_range) != 6:
             raise ValueError(
                 f"parameter 'sensor_range' has {len(self.sensor_range)} numbers, but must have 6"
             )
+
+    def motion_stage(self) -> MotionStage | None:
+        """The stage of the forces of motion, None without."""
+        settings = MotionSettings(self.motion_window_s, self.motion_delay_s, self.motion_lag_s)
+        if self.motion == "joints":
+            return JointMotion(settings)
+        if self.motion == "imu":
+            mount = ImuMount(
+                np.array(self.imu_rotvec_rad),
+                np.array(self.imu_lever_m),
+                np.array(self.imu_bias_m_s2),
+                self.imu_scale,
+            )
+            return ImuMotion(mount, settings, self.max_joint_age_s)
+        return None
 
     def settings(self) -> CompensatorSettings:
         """The compensator's part of the parameters."""

@@ -21,6 +21,7 @@ class Refusal(Enum):
     BAD_JOINTS = "bad_joints"  # only unusable joint messages came, e.g. with unknown names
     NONFINITE_JOINTS = "nonfinite_joints"
     QUEUE_FULL = "queue_full"
+    NO_MOTION = "no_motion"  # forces of motion are asked for and not known at the stamp
     RESTART = "restart"  # was waiting for joints when the driver restarted
 
 

@@ -1,7 +1,7 @@
 """What a compensator can do beside the tool's weight, stage by stage. No ROS.
 
-    expected = weight(roll, tilt) + forces of motion + pull of a cable   (raw axes of the sensor)
-    untared  = C (raw - expected)        C: undoes the sensor's gains and rotation in its mount
+    expected = weight(roll, tilt) + pull of a cable     as the sensor reads them, in its own axes
+    untared  = C (raw - expected) - forces of motion    C: undoes its gains and rotation
     out      = untared - slow wander - tare
 
 Every stage is optional. A stage sees each sample once, in the order of its arrival, by its stamp.
@@ -9,6 +9,7 @@ Every stage is optional. A stage sees each sample once, in the order of its arri
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum
 from typing import NamedTuple, Protocol
@@ -28,12 +29,22 @@ class MotionStage(Protocol):
     """Forces of motion of tool and adapter."""
 
     @property
-    def look_ahead_ns(self) -> int:
-        """How far joint samples must have gone beyond a wrench's stamp, ns."""
+    def known_until_ns(self) -> int | None:
+        """The newest stamp whose forces the samples that came tell; None: none yet.
+
+        A wrench waits until it is reached: that is the latency which motion costs.
+        """
+
+    def late(self, newest_wrench_ns: int) -> NoMotion | None:
+        """Why wrenches must not wait any longer for what the stage lacks; None: they may."""
 
     @property
     def needs_positions(self) -> bool:
         """Whether `push_joints` must be given the platform's position."""
+
+    @property
+    def needs_imu(self) -> bool:
+        """Whether `push_imu` must be called."""
 
     def set_tool(self, tool: ToolFile | None) -> None:
         """Take the loads of another tool."""
@@ -46,8 +57,16 @@ class MotionStage(Protocol):
     ) -> None:
         """Take a joint sample: angles, and the platform's position (3,) in base_link."""
 
+    def push_imu(
+        self, stamp_ns: int, angular_rad_s: Sequence[float], linear_m_s2: Sequence[float]
+    ) -> None:
+        """Take an IMU's angular velocity and specific force, (3,) each in its axes."""
+
     def reading(self, stamp_ns: int, roll_rad: float, tilt_rad: float) -> Array | NoMotion:
         """Forces of motion (6,) at a stamp, N and N.m in ft_sensor, beside the weight."""
+
+    def values(self) -> dict[str, object]:
+        """What there is to say of it on /diagnostics; units are in the names."""
 
 
 class WanderStage(Protocol):

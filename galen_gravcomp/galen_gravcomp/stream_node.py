@@ -28,6 +28,13 @@ WATCH_PERIOD_S = 0.2
 MIN_ANNOUNCE_S = 0.05
 
 
+def input_qos(best_effort: bool) -> QoSProfile:
+    """How a stream of samples is subscribed to."""
+    if best_effort:
+        return QoSProfile(depth=STREAM.depth, reliability=ReliabilityPolicy.BEST_EFFORT)
+    return STREAM
+
+
 class StreamNode(Node):
     """Feeds a `WrenchPairing` from its topics, publishes what comes out, and says how it is."""
 
@@ -41,6 +48,8 @@ class StreamNode(Node):
         self._announced: State | None = None
         self._announced_s = float("-inf")
         self._qos_trouble = ""
+        self._newest_joint_state: tuple[float, bytes] | None = None
+        """Wall time of its arrival, s, and the message, serialised."""
 
     def _begin(
         self,
@@ -56,9 +65,7 @@ class StreamNode(Node):
         self._wrench_wire = WrenchWire()
         self._publisher_counts = {pairing.wrench_topic: 0, "joint_states": 0}
         self._diagnostics = DiagnosticsPublisher(self, self.hardware_id, self._report)
-        qos = STREAM
-        if best_effort:
-            qos = QoSProfile(depth=STREAM.depth, reliability=ReliabilityPolicy.BEST_EFFORT)
+        qos = input_qos(best_effort)
         self._joint_subscription = self._subscribe(
             JointState, "joint_states", self._on_joint_state, qos
         )
@@ -103,7 +110,9 @@ class StreamNode(Node):
         )
 
     def _on_joint_state(self, data: bytes) -> None:
-        self._monitor.on_joints(time.monotonic())
+        now_s = time.monotonic()
+        self._monitor.on_joints(now_s)
+        self._newest_joint_state = (now_s, data)
         try:
             stamp_ns, positions = self._joint_wire.read(data)
         except (JointStateError, UnreadableError) as error:

@@ -1,4 +1,4 @@
-"""Reads wrenches and joint angles from serialised messages, and writes a wrench into one.
+"""Reads wrenches, joint angles and IMUs from serialised messages, and writes a wrench into one.
 
 Converting a message to Python costs rclpy more than all of the compensation. Of a publisher's
 serialised messages only stamp and numbers change, and they stay at their places. So the places are
@@ -57,6 +57,30 @@ class WrenchWire:
             return stamped_layout(data, doubles=6)
         except UnreadableError as error:
             raise _unreadable(data, "geometry_msgs/msg/WrenchStamped", error) from error
+
+
+class ImuWire:
+    """Reads serialised sensor_msgs/Imu.
+
+    After the header come doubles alone: orientation (4) and its covariance (9), angular velocity
+    (3) and its covariance (9), linear acceleration (3) and its covariance (9).
+    """
+
+    _DOUBLES, _ANGULAR, _LINEAR = 37, slice(13, 16), slice(25, 28)
+
+    def __init__(self) -> None:
+        self._layout: Layout | None = None
+
+    def read(self, data: bytes) -> tuple[int, tuple[float, ...], tuple[float, ...]]:
+        """Stamp (ns), angular velocity (3,), linear acceleration (3,); raises UnreadableError."""
+        layout = self._layout
+        if layout is None or not layout.fits(data):
+            try:
+                layout = self._layout = stamped_layout(data, doubles=self._DOUBLES)
+            except UnreadableError as error:
+                raise _unreadable(data, "sensor_msgs/msg/Imu", error) from error
+        values = layout.doubles[0].unpack_from(data, layout.doubles_at[0])
+        return layout.stamp_ns(data), values[self._ANGULAR], values[self._LINEAR]
 
 
 class JointWire:

