@@ -94,7 +94,7 @@ class Measurements:
     """All that the estimate needs; the bias pose (rad) is where the sensor was zeroed.
 
     `known_bias`: the adapter of an earlier calibration; with one sweep it tells adapter and tool
-    apart.
+    apart. `notes`: how it went, where nothing is wrong.
     """
 
     bare: StillPoses | None
@@ -106,6 +106,7 @@ class Measurements:
     rejected: list[str]
     warnings: list[str]
     known_bias: LoadEstimate | None = None
+    notes: list[str] = field(default_factory=list)
 
 
 @dataclass(frozen=True)

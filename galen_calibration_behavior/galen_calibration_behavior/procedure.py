@@ -14,11 +14,14 @@ are as in `goal_procedure`; waiting for a person goes by the wall clock, too.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, field
 from enum import IntEnum
 
 import numpy as np
 from galen_model.arm import WRENCH_AXES
+from galen_model.arm_clearance import ObstacleError
+from galen_model.arm_routes import Router
 from galen_model.arrays import Array
 from galen_model.identification import StillPoses
 
@@ -35,6 +38,7 @@ from galen_calibration_behavior.commands import (
 )
 from galen_calibration_behavior.pose_procedure import PoseProcedure, PoseSettings
 from galen_calibration_behavior.pose_recorder import Rejection
+from galen_calibration_behavior.precision import WantedPrecision, sweep_precision
 from galen_calibration_behavior.stillness import PoseRecord
 from galen_calibration_behavior.sweep import Sweep, Verdict, stack
 
@@ -77,12 +81,18 @@ class ProcedureSettings(PoseSettings):
 
 @dataclass(frozen=True)
 class Request:
-    """What one goal asks for; `poses` (n, 2) are roll and tilt in rad."""
+    """What one goal asks for; `poses` (n, 2) are roll and tilt in rad.
+
+    `router` knows the ways around boxes, None: all are free. A sweep ends as soon as it is as
+    precise as `wanted`.
+    """
 
     tool: str
     one_sweep: bool
     attach_by_service: bool
     poses: Array
+    router: Router | None = None
+    wanted: WantedPrecision = field(default_factory=WantedPrecision)
 
 
 class CalibrationProcedure(PoseProcedure[Command, Finished]):
@@ -100,7 +110,11 @@ class CalibrationProcedure(PoseProcedure[Command, Finished]):
         self._bare: Sweep | None = None
         self._tool: Sweep | None = None
         self._done_before = 0
-        self._total = len(request.poses) * (1 if request.one_sweep else 2)
+        self._planned = len(request.poses) * (1 if request.one_sweep else 2)
+        self._skipped = 0
+        self._notes: list[str] = []
+        self._missed: list[str] = []
+        self._ordered: Array | None = None
         self._waiting_for_person = False
         self._zero_attempts = 0
         self._zero_checks_left = 0
@@ -114,7 +128,8 @@ class CalibrationProcedure(PoseProcedure[Command, Finished]):
     @property
     def progress(self) -> tuple[int, int]:
         """Poses finished in all sweeps, and poses in all sweeps."""
-        return self._done_before + (self._sweep.finished_poses if self._sweep else 0), self._total
+        done = self._done_before + (self._sweep.finished_poses if self._sweep else 0)
+        return done, self._planned - self._skipped
 
     # ---- events
 
@@ -200,7 +215,7 @@ class CalibrationProcedure(PoseProcedure[Command, Finished]):
         """The arm may have been pushed while a person took the tool off: home again, and still."""
         self._zero_attempts += 1
         self._report("zeroing the sensor")
-        self._record(self._settings.home, self._move(self._settings.home), self._on_ready_to_zero)
+        self._visit(self._settings.home, self._on_ready_to_zero)
 
     def _on_ready_to_zero(self, outcome: PoseRecord | Rejection) -> None:
         if isinstance(outcome, Rejection):
@@ -262,7 +277,7 @@ class CalibrationProcedure(PoseProcedure[Command, Finished]):
             return
         roll, tilt = self._sweep.poses[index]
         target = np.array([*self._settings.home[:3], roll, tilt])
-        self._record(target, self._move(target), self._on_pose)
+        self._visit(target, self._on_pose)
 
     def _on_pose(self, outcome: PoseRecord | Rejection) -> None:
         assert self._sweep is not None
@@ -276,10 +291,37 @@ class CalibrationProcedure(PoseProcedure[Command, Finished]):
                 f"{self._sweep.rejected_in_a_row} poses in a row can't be used; the last: {reason}",
             )
             return
+        self._stop_when_precise(self._sweep)
         self._visit_next_pose()
 
+    def _stop_when_precise(self, sweep: Sweep) -> None:
+        """End the sweep where its poses so far make the compensation as precise as is wanted."""
+        wanted = self._request.wanted
+        if not wanted.any or sweep.current is None or len(sweep.sound) < wanted.fewest_poses:
+            return
+        if sweep_precision(sweep.sound).reaches(wanted):
+            verdicts = sweep.stop()
+            self._skipped += len(sweep.poses) - sweep.count
+            for verdict in verdicts:
+                self._report_pose(verdict)
+
+    def _note_precision(self, sweep: Sweep) -> None:
+        """Say after how many poses it ended, and how precise it is; a wish not come true warns."""
+        if not self._request.wanted.any:
+            return
+        precision = sweep_precision(sweep.records)
+        text = (
+            f"{sweep.name} sweep: {sweep.count} of {len(sweep.poses)} poses visited; the"
+            f" compensation's own error has a standard deviation of {precision}"
+        )
+        if precision.reaches(self._request.wanted):
+            self._notes.append(text)
+        else:
+            self._missed.append(f"{text}, more than was wanted")
+        self._report(text)
+
     def _finish_sweep(self, sweep: Sweep) -> None:
-        good, count = len(sweep.records), len(sweep.poses)
+        good, count = len(sweep.records), sweep.count
         if good < self._settings.min_pose_fraction * count:
             reason = sweep.rejections[-1]
             self.fail(
@@ -287,6 +329,7 @@ class CalibrationProcedure(PoseProcedure[Command, Finished]):
                 f"only {good} of {count} poses of the {sweep.name} sweep can be used; {reason}",
             )
             return
+        self._note_precision(sweep)
         self._done_before += count
         self._sweep = None
         self._next()
@@ -305,11 +348,57 @@ class CalibrationProcedure(PoseProcedure[Command, Finished]):
                     tool_indices=self._tool.indices,
                     rejected=self._rejections(),
                     warnings=self._warnings(),
+                    notes=self._notes,
                 )
             )
         )
 
+    # ---- motion around boxes
+
+    def _go_to(self, target: Array, then: Callable[[], None]) -> None:
+        go_straight = super()._go_to
+        self._on_the_way(target, lambda: go_straight(target, then))
+
+    def _move(self, target: Array) -> float:
+        self._ordered = target
+        return super()._move(target)
+
+    def _visit(self, target: Array, then: Callable[[PoseRecord | Rejection], None]) -> None:
+        """Go to `target` around all boxes, and average there."""
+        self._on_the_way(target, lambda: self._record(target, self._move(target), then))
+
+    def _on_the_way(self, target: Array, then: Callable[[], None]) -> None:
+        """Go where `target` is straight ahead, and call `then`."""
+        router, joints = self._request.router, self._joints
+        if router is None or joints is None or not np.all(np.isfinite(joints)):
+            then()
+            return
+        # An arm that is where it was sent is so within its tolerance; the way was looked at from
+        # the place itself.
+        near = self._settings.arrival.position_tolerance
+        sent = self._ordered
+        start = sent if sent is not None and np.all(np.abs(joints - sent) <= near) else joints
+        try:
+            way = router.route(start, target)
+        except ObstacleError as error:
+            roll, tilt = target[3:]
+            self.fail(
+                ErrorCode.BAD_INPUT,
+                f"no way to roll {roll:.3f}, tilt {tilt:.3f} rad: {error}",
+            )
+            return
+        self._follow(way[:-1], then)
+
+    def _follow(self, way: list[Array], then: Callable[[], None]) -> None:
+        if not way:
+            then()
+            return
+        super()._go_to(way[0], lambda: self._follow(way[1:], then))
+
     # ---- reports
+
+    def _warnings(self) -> list[str]:
+        return [*super()._warnings(), *self._missed]
 
     def _report(self, message: str) -> None:
         done, total = self.progress
@@ -319,7 +408,7 @@ class CalibrationProcedure(PoseProcedure[Command, Finished]):
                 self._state,
                 message,
                 pose=sweep.finished_poses if sweep else 0,
-                poses=len(sweep.poses) if sweep else 0,
+                poses=sweep.count if sweep else 0,
                 done=done,
                 total=total,
             )
@@ -337,7 +426,7 @@ class CalibrationProcedure(PoseProcedure[Command, Finished]):
                 self._state,
                 f"{where}: {verdict.message}" if verdict.message else f"{where} recorded",
                 pose=self._sweep.finished_poses,
-                poses=len(self._sweep.poses),
+                poses=self._sweep.count,
                 done=done,
                 total=total,
                 roll=verdict.roll,

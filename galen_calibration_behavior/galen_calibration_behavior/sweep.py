@@ -41,12 +41,19 @@ class Sweep:
         self._visits = [0] * len(poses)
         self._records: dict[int, PoseRecord] = {}
         self._left_out: dict[int, Rejection] = {}
+        self._rejected: dict[int, Rejection] = {}  # to be tried again
+        self._skipped = 0
         self.rejected_in_a_row = 0
 
     @property
     def current(self) -> int | None:
         """Index of the pose to visit now; None when the sweep is over."""
         return self._queue[0] if self._queue else None
+
+    @property
+    def count(self) -> int:
+        """Number of poses, without those that `stop` has skipped."""
+        return len(self.poses) - self._skipped
 
     @property
     def finished_poses(self) -> int:
@@ -67,6 +74,12 @@ class Sweep:
     def records(self) -> list[PoseRecord]:
         """The recorded poses in the grid's order."""
         return [self._records[k] for k in self.indices]
+
+    @property
+    def sound(self) -> list[PoseRecord]:
+        """The recorded poses that would stay if all were judged now."""
+        faults = self._faults()
+        return [self._records[k] for k in self.indices if k not in faults]
 
     @property
     def rejections(self) -> list[str]:
@@ -104,26 +117,45 @@ class Sweep:
             ]
         return verdicts
 
+    def stop(self) -> list[Verdict]:
+        """Let it be enough: skip the poses not visited yet, leave out those to be tried again.
+
+        Returns verdicts as the end of a round does.
+        """
+        self._skipped = self._visits.count(0)
+        self._retries = 0
+        verdicts = self._judge_all()
+        self._queue.clear()
+        self._left_out |= self._rejected
+        self._rejected.clear()
+        return verdicts
+
     def _keep(self, index: int, record: PoseRecord) -> Verdict:
         self._records[index] = record
+        self._rejected.pop(index, None)
         return self._verdict(index, True, record, "")
 
     def _reject(self, index: int, rejection: Rejection) -> Verdict:
         if self._visits[index] > self._retries:
+            self._rejected.pop(index, None)
             self._left_out[index] = rejection
             return self._verdict(index, False, None, f"{rejection.reason}; left out")
+        self._rejected[index] = rejection
         return self._verdict(index, False, None, f"{rejection.reason}; will be tried again")
 
     def _judge_all(self) -> list[Verdict]:
+        faults = self._faults()
+        for k in faults:
+            del self._records[k]
+        return [self._reject(k, Rejection(fault)) for k, fault in sorted(faults.items())]
+
+    def _faults(self) -> dict[int, str]:
         records = list(self._records.values())
-        faults = {
+        return {
             k: fault
             for k, record in self._records.items()
             if (fault := wrench_fault(record, records, self._stillness))
         }
-        for k in faults:
-            del self._records[k]
-        return [self._reject(k, Rejection(fault)) for k, fault in sorted(faults.items())]
 
     def _verdict(
         self, index: int, accepted: bool, record: PoseRecord | None, message: str

@@ -11,8 +11,9 @@ PURE = [
     "grid", "motion_time", "stamps", "arrival", "stillness", "pose_recorder", "sweep", "commands",
     "procedure", "estimate", "result_text", "visits", "tool_border", "recorded_sweeps",
     "pose_table", "home_stays", "silence", "goal_procedure", "pose_procedure",
+    "pose_order", "precision", "sweep_plan",
 ]  # fmt: skip
-ALLOWED = {"numpy", "galen_model", "galen_bags", "galen_calibration_behavior"}
+ALLOWED = {"numpy", "scipy", "galen_model", "galen_bags", "galen_calibration_behavior"}
 
 
 @pytest.mark.parametrize("module", PURE)
