@@ -9,6 +9,9 @@ from galen_model.arrays import Array
 from galen_ros.param import param
 
 from galen_calibration_behavior.arrival import ArrivalSettings
+from galen_calibration_behavior.goal_procedure import GoalSettings
+from galen_calibration_behavior.pose_procedure import PoseSettings
+from galen_calibration_behavior.stillness import StillnessSettings
 
 
 @dataclass(frozen=True)
@@ -63,6 +66,19 @@ class MotionParameters:
             max_stamp_step_s=self.max_stamp_step_s,
         )
 
+    def goal_settings(self, max_stamp_offset_s: float) -> GoalSettings:
+        """What each procedure is told of the arm and the driver."""
+        return GoalSettings(
+            arrival=self.arrival(),
+            max_velocity=self.max_velocity,
+            max_acceleration=self.max_acceleration,
+            motion_timeout_s=self.motion_timeout_s,
+            max_stamp_offset_s=max_stamp_offset_s,
+            silent_timeout_s=self.silent_timeout_s,
+            service_timeout_s=self.service_timeout_s,
+            stop_timeout_s=self.stop_timeout_s,
+        )
+
     @property
     def max_velocity(self) -> Array:
         """(5,), m/s and rad/s."""
@@ -72,6 +88,49 @@ class MotionParameters:
     def max_acceleration(self) -> Array:
         """(5,), m/s^2 and rad/s^2."""
         return by_joint(self.max_delta_acceleration_m_s2, self.max_angle_acceleration_rad_s2)
+
+
+@dataclass(frozen=True)
+class PoseParameters(MotionParameters):
+    """How long a pose is averaged, and when it was still."""
+
+    average_s: float = param(
+        0.5,
+        "length of the average (the report's waitLimit), s of stamps",
+        minimum=0.01,
+        maximum=60.0,
+    )
+
+    joint_motion_m: float = param(0.0001, "largest motion of delta during an average", 1e-7, 0.1)
+    joint_motion_rad: float = param(
+        0.0005, "largest motion of roll and tilt during an average", 1e-6, 0.5
+    )
+    max_scatter_ratio: float = param(
+        1.5, "a pose whose wrench scatters more, in units of the sweep's median, is rejected", 1.01
+    )
+    max_trend_sigmas: float = param(
+        6.0,
+        "a pose whose wrench changes more between the average's halves, in standard deviations,"
+        " is rejected",
+        2.0,
+    )
+    min_samples: int = param(20, "fewest wrenches in an average", 4, 1_000_000)
+    max_stamp_offset_s: float = param(
+        0.2, "largest difference between the stamps of joint_states and wrench_raw", 0.001, 10.0
+    )
+
+    def pose_settings(self) -> PoseSettings:
+        """What procedures that measure at poses are told, each joint with its own unit's number."""
+        return PoseSettings(
+            **vars(self.goal_settings(self.max_stamp_offset_s)),
+            stillness=StillnessSettings(
+                joint_motion=by_joint(self.joint_motion_m, self.joint_motion_rad),
+                scatter_ratio=self.max_scatter_ratio,
+                trend_sigmas=self.max_trend_sigmas,
+                min_samples=self.min_samples,
+            ),
+            average_s=self.average_s,
+        )
 
 
 def by_joint(delta: float, angle: float) -> Array:

@@ -10,15 +10,14 @@ from galen_model.mounting_groups import entities
 from galen_ros.param import param
 
 from galen_calibration_behavior.grid import GridError, SweepGrid
-from galen_calibration_behavior.motion_parameters import MotionParameters, by_joint
+from galen_calibration_behavior.motion_parameters import PoseParameters
 from galen_calibration_behavior.procedure import ProcedureSettings
-from galen_calibration_behavior.stillness import StillnessSettings
 
 MAX_ITERS = 100  # so that the feedback's counts of poses, uint16, hold two sweeps
 
 
 @dataclass(frozen=True)
-class CalibrationParameters(MotionParameters):
+class CalibrationParameters(PoseParameters):
     """Parameters of calibration_node."""
 
     tools_dir: str = param("~/.ros/galen/tools", "directory of the tools' files; `~` is expanded")
@@ -35,30 +34,6 @@ class CalibrationParameters(MotionParameters):
     Rhome: float = param(0.0, "roll at home, where the sensor is zeroed, rad")
     Thome: float = param(0.0, "tilt at home, where the sensor is zeroed, rad")
 
-    average_s: float = param(
-        0.5,
-        "length of the average (the report's waitLimit), s of stamps",
-        minimum=0.01,
-        maximum=60.0,
-    )
-
-    joint_motion_m: float = param(0.0001, "largest motion of delta during an average", 1e-7, 0.1)
-    joint_motion_rad: float = param(
-        0.0005, "largest motion of roll and tilt during an average", 1e-6, 0.5
-    )
-    max_scatter_ratio: float = param(
-        1.5, "a pose whose wrench scatters more, in units of the sweep's median, is rejected", 1.01
-    )
-    max_trend_sigmas: float = param(
-        6.0,
-        "a pose whose wrench changes more between the average's halves, in standard deviations,"
-        " is rejected",
-        2.0,
-    )
-    min_samples: int = param(20, "fewest wrenches in an average", 4, 1_000_000)
-    max_stamp_offset_s: float = param(
-        0.2, "largest difference between the stamps of joint_states and wrench_raw", 0.001, 10.0
-    )
     pose_retries: int = param(1, "how often a rejected pose is tried again", 0, 10)
     max_rejected_in_a_row: int = param(8, "so many rejected poses in a row end it", 1, 10_000)
     min_pose_fraction: float = param(0.5, "fewest good poses, as a part of the sweep", 0.05, 1.0)
@@ -106,27 +81,13 @@ class CalibrationParameters(MotionParameters):
         return grid.poses((low_roll, low_tilt), (high_roll, high_tilt))
 
     def settings(self) -> ProcedureSettings:
-        """Return the procedure's settings, each joint with its own unit's number."""
+        """Return the procedure's settings."""
         return ProcedureSettings(
             home=np.array(self.home),
-            arrival=self.arrival(),
-            stillness=StillnessSettings(
-                joint_motion=by_joint(self.joint_motion_m, self.joint_motion_rad),
-                scatter_ratio=self.max_scatter_ratio,
-                trend_sigmas=self.max_trend_sigmas,
-                min_samples=self.min_samples,
-            ),
-            average_s=self.average_s,
-            max_velocity=self.max_velocity,
-            max_acceleration=self.max_acceleration,
-            motion_timeout_s=self.motion_timeout_s,
+            **vars(self.pose_settings()),
             pose_retries=self.pose_retries,
             max_rejected_in_a_row=self.max_rejected_in_a_row,
             min_pose_fraction=self.min_pose_fraction,
             zero_tolerance=np.array([self.zero_tolerance_n] * 3 + [self.zero_tolerance_nm] * 3),
-            max_stamp_offset_s=self.max_stamp_offset_s,
-            silent_timeout_s=self.silent_timeout_s,
-            service_timeout_s=self.service_timeout_s,
             confirm_timeout_s=self.confirm_timeout_s,
-            stop_timeout_s=self.stop_timeout_s,
         )

@@ -107,10 +107,7 @@ class CollectionParameters(MotionParameters):
     def settings(self) -> CollectionSettings:
         """The procedure's settings."""
         return CollectionSettings(
-            arrival=self.arrival(),
-            max_velocity=self.max_velocity,
-            max_acceleration=self.max_acceleration,
-            motion_timeout_s=self.motion_timeout_s,
+            **vars(self.goal_settings(self.max_stamp_offset_s)),
             untouched=UntouchedSettings(
                 duration_s=self.untouched_s,
                 tolerance=np.array([self.untouched_force_n] * 3 + [self.untouched_torque_nm] * 3),
@@ -132,12 +129,8 @@ class CollectionParameters(MotionParameters):
             push_retries=self.push_retries,
             max_left_out_in_a_row=self.max_left_out_in_a_row,
             limits=self.limits,
-            max_stamp_offset_s=self.max_stamp_offset_s,
             shift_tolerance_m=self.shift_tolerance_m,
             shift_tolerance_rad=self.shift_tolerance_rad,
-            silent_timeout_s=self.silent_timeout_s,
-            service_timeout_s=self.service_timeout_s,
-            stop_timeout_s=self.stop_timeout_s,
         )
 
 
