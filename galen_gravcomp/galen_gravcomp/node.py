@@ -4,7 +4,6 @@ import time
 from typing import Any
 
 from galen_model.errors import ToolFileError, ToolNameError
-from galen_model.tool_file import ToolFile, read_tool, tool_path
 from galen_ros.cdr import UnreadableError
 from galen_ros.deferred_service import DeferredService, Respond
 from galen_ros.parameters import declare_parameters
@@ -21,6 +20,7 @@ from galen_gravcomp.results import Compensated, Result
 from galen_gravcomp.stages import Stages
 from galen_gravcomp.stream_node import StreamNode, input_qos
 from galen_gravcomp.tare import TareOutcome
+from galen_gravcomp.tool_services import LiveJoints, ToolServices
 from galen_gravcomp.wire import ImuWire, RawWrench
 from galen_msgs.srv import SetTool
 
@@ -42,6 +42,12 @@ class GravcompNode(StreamNode):
 
         self._publisher = self.create_publisher(WrenchStamped, "wrench_compensated", STREAM)
         self._compensator.set_enabled(p.enabled)
+        joints = LiveJoints(
+            lambda: self._newest_joint_state, p.position_joint_names, p.joint_names, p.silence_s
+        )
+        self._tools = ToolServices(
+            self, self._compensator, p.tools_dir, joints, self._compensation.set_file_note
+        )
         if p.tool:
             self._load_at_start(p.tool)
         self._begin(self._compensator, self._compensation, p.joint_names, p.best_effort_input)
@@ -81,17 +87,11 @@ class GravcompNode(StreamNode):
 
     # Tools
 
-    def _read_tool(self, name: str) -> ToolFile:
-        """Read a tool's file; raises ToolNameError or ToolFileError that names it."""
-        path = tool_path(self._config.tools_dir, name)
-        tool = read_tool(path)
-        if tool.tool != name:
-            raise ToolFileError(f"{path}: holds the tool '{tool.tool}', not '{name}'")
-        return tool
-
     def _load_at_start(self, name: str) -> None:
         try:
-            self._compensator.set_tool(self._read_tool(name))
+            stored = self._tools.read(name)
+            self._compensator.set_tool(stored.tool)
+            self._tools.in_force.put(stored)
         except (ToolNameError, ToolFileError) as error:
             # The node lives on, so that the state is on /diagnostics and the file can be mended.
             self._compensator.set_tool(None, str(error))
@@ -100,7 +100,7 @@ class GravcompNode(StreamNode):
     def _on_set_tool(self, request: SetTool.Request, response: SetTool.Response) -> Any:
         response.success = False
         try:
-            tool = self._read_tool(request.tool) if request.tool else None
+            stored = self._tools.read(request.tool) if request.tool else None
         except ToolNameError as error:
             response.error_code, response.error_msg = response.INVALID_NAME, str(error)
         except ToolFileError as error:
@@ -110,10 +110,12 @@ class GravcompNode(StreamNode):
         else:
             response.success = True
             self._compensation.set_tool_error("")
-            self._emit(self._compensator.set_tool(tool))
+            self._emit(self._compensator.set_tool(None if stored is None else stored.tool))
+            self._tools.in_force.put(stored)
             self._choose_joints()
             self.get_logger().info(f"tool in force: {request.tool or 'none'}")
         self._fill_tool_in_force(response)
+        self._tools.in_force.update()
         if not response.success:
             self.get_logger().error(f"set_tool refused: {response.error_msg}")
         self._announce(always=True)
@@ -133,6 +135,7 @@ class GravcompNode(StreamNode):
 
     def _on_enable(self, request: SetBool.Request, response: SetBool.Response) -> Any:
         self._emit(self._compensator.set_enabled(request.data))
+        self._tools.in_force.update()
         response.success = True
         response.message = "compensation is on" if request.data else "compensation is off"
         if request.data and self._compensator.tool is None:
@@ -145,6 +148,7 @@ class GravcompNode(StreamNode):
     ) -> None:
         def on_done(outcome: TareOutcome) -> None:
             response.success, response.message = outcome.success, outcome.message
+            self._tools.in_force.update()
             respond(response)
             log = self.get_logger().info if outcome.success else self.get_logger().warning
             log(outcome.message)
@@ -159,7 +163,13 @@ class GravcompNode(StreamNode):
 
     # State
 
+    def destroy_node(self) -> None:
+        """End the work on files first."""
+        self._tools.close()
+        super().destroy_node()
+
     def _watch(self, now_s: float) -> None:
+        self._tools.in_force.watch(now_s)
         if not self._compensator.taring:
             return
         count, since_s = self._tare_progress

@@ -159,8 +159,12 @@ class ToolStore:
         file, or ToolStoreError.
         """
         path = self._checked(name)
-        if not path.is_file():
-            raise ToolFileError(f"{path}: is no file")
+        try:
+            mode = path.stat().st_mode
+        except OSError as error:
+            raise ToolFileError(f"{path}: can't be read: {error.strerror}") from error
+        if not stat.S_ISREG(mode):
+            raise ToolFileError(f"{path}: is no regular file")
         try:
             backup = _backup(path)
             files = (path, backup) if backup.exists() else (path,)
@@ -213,17 +217,16 @@ class ToolStore:
             raise ToolStoreError(f"{self.directory}: can't be read: {error.strerror}") from error
 
     def _checked(self, name: str) -> Path:
-        """Path of a name; raises ToolFileError where a link leads out of the directory."""
+        """Path of a name; raises ToolFileError where it is a link out of the directory."""
         path = tool_path(self.directory, name)
         try:
             within = path.resolve().is_relative_to(self.directory.resolve())
-        except (OSError, RuntimeError):  # links in a circle
+        except OSError as error:
+            raise ToolFileError(f"{path}: can't be read: {error.strerror}") from error
+        except RuntimeError:  # links in a circle, up to Python 3.12
             within = False
         if not within:
             raise ToolFileError(f"{path}: is a link that leads out of {self.directory}")
-        if not os.path.lexists(path):
-            missing = FileNotFoundError(f"{path}: no such file")
-            raise ToolFileError(f"{path}: can't be read: No such file or directory") from missing
         return path
 
     def _check_free(self, old: StoredTool, new_path: Path) -> None:

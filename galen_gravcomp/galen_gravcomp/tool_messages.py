@@ -1,0 +1,119 @@
+"""What the node's services on tools answer, as messages."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from galen_model.arrays import Array
+from galen_model.errors import GalenError, ToolFileError, ToolNameError
+from galen_model.load_frames import FrameError, FrameNeedsJointsError
+from galen_model.tool_comparison import Comparison, IncomparableError
+from galen_model.tool_store import Entry, FileState, StoredTool, ToolExistsError
+from geometry_msgs.msg import Wrench
+
+from galen_gravcomp.compensator import Compensator
+from galen_msgs.msg import ToolDifference, ToolInForce, ToolSummary
+
+
+class InForceError(GalenError):
+    """The tool is in force, and can't be removed."""
+
+
+class NothingInForceError(GalenError):
+    """There is no tool in force."""
+
+
+_FILE_STATES = {
+    FileState.AS_LOADED: ToolInForce.FILE_AS_LOADED,
+    FileState.CHANGED: ToolInForce.FILE_CHANGED,
+    FileState.GONE: ToolInForce.FILE_GONE,
+}
+_CODES: dict[type[GalenError], str] = {
+    ToolNameError: "INVALID_NAME",
+    ToolExistsError: "EXISTS",
+    FrameError: "INVALID_FRAME",
+    FrameNeedsJointsError: "NEEDS_JOINTS",
+    IncomparableError: "INCOMPARABLE",
+    InForceError: "IN_FORCE",
+    NothingInForceError: "NOT_FOUND",
+}
+
+
+def error_code(response: Any, error: GalenError, otherwise: str) -> int:
+    """The code of an error in an answer; `otherwise`: the name of that of any other error."""
+    name = _CODES.get(type(error), otherwise)
+    if isinstance(error, ToolFileError):
+        missing = isinstance(error.__cause__, FileNotFoundError)
+        name = "NOT_FOUND" if missing else "INVALID_FILE"
+    return int(getattr(response, name))
+
+
+def in_force_message(
+    stored: StoredTool | None, state: FileState, compensator: Compensator
+) -> ToolInForce:
+    """What is in force; `stored`: the tool as it was loaded, `state`: its file since."""
+    offset, wander = compensator.tare_offset, compensator.wander_offset
+    message = ToolInForce(enabled=compensator.enabled)
+    message.header.frame_id = compensator.sensor_frame
+    message.tared = bool(offset.any())
+    message.tare = _wrench(offset)
+    message.wander_estimated = wander is not None
+    message.wander = _wrench(np.zeros(6) if wander is None else wander)
+    if stored is None:
+        return message
+    tool = stored.tool
+    message.tool = tool.tool
+    message.mass_kg = float(tool.load.mass_kg)
+    message.com_m = np.asarray(tool.load.com_m, dtype=float)
+    message.covariance = np.asarray(tool.load.covariance, dtype=float).ravel()
+    message.tip_m = np.asarray(tool.tip_m, dtype=float)
+    message.adapter_mass_kg = float(tool.bias.mass_kg)
+    message.adapter_com_m = np.asarray(tool.bias.com_m, dtype=float)
+    message.parts = list(tool.parts)
+    message.calibrated_at = tool.calibrated_at
+    message.path = str(stored.path)
+    message.sha256 = stored.sha256
+    message.file_state = _FILE_STATES[state]
+    return message
+
+
+def fill_comparison(response: Any, comparison: Comparison) -> None:
+    """Write a comparison into the answer of `~/compare_tools`."""
+    response.same_load, response.text = comparison.same_load, comparison.text
+    response.differences = [
+        ToolDifference(
+            quantity=row.quantity,
+            unit=row.unit,
+            a=float(row.a),
+            b=float(row.b),
+            difference=float(row.value),
+            std_dev=float(row.std_dev),
+            text=row.text,
+        )
+        for row in comparison.differences
+    ]
+    response.worst_force_n = comparison.worst_force.size
+    response.worst_force_at = comparison.worst_force.at_rad
+    response.worst_torque_nm = comparison.worst_torque.size
+    response.worst_torque_at = comparison.worst_torque.at_rad
+
+
+def summary(entry: Entry, in_force: bool) -> ToolSummary:
+    """A row of the list."""
+    row = ToolSummary(tool=entry.name, problem=entry.problem, in_force=in_force)
+    if entry.stored is not None:
+        tool = entry.stored.tool
+        row.mass_kg = float(tool.load.mass_kg)
+        row.mass_std_kg = tool.load.mass_std_kg
+        row.com_m = np.asarray(tool.load.com_m, dtype=float)
+        row.calibrated_at = tool.calibrated_at
+        row.parts = list(tool.parts)
+    return row
+
+
+def _wrench(values: Array) -> Wrench:
+    message = Wrench()
+    force, torque = message.force, message.torque
+    force.x, force.y, force.z, torque.x, torque.y, torque.z = (float(value) for value in values)
+    return message

@@ -1,0 +1,255 @@
+"""The node's services on tools' files and the topic of what is in force, in one node's life."""
+
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from diagnostic_msgs.msg import DiagnosticArray
+from galen_gravcomp.node import GravcompNode
+from galen_model.kinematics import sensor_pose
+from galen_model.tool_file import LoadEstimate, ToolFile, tool_path, write_tool
+from galen_ros.conversions import fill_stamp, fill_wrench, wrench_to_array
+from galen_ros.qos import LATCHED, STREAM
+from galen_ros.testing import Harness, parameters
+from geometry_msgs.msg import WrenchStamped
+from rclpy.node import Node
+from sensor_msgs.msg import JointState
+from std_srvs.srv import SetBool, Trigger
+
+from galen_gravcomp import tool_in_force
+from galen_msgs.msg import ToolInForce
+from galen_msgs.srv import CompareTools, GetTool, ListTools, RemoveTool, RenameTool, SetTool
+
+JOINTS = np.array([0.02, -0.01, 0.45, 0.2, -0.1])
+LEFT = np.array([0.5, -0.4, 0.3, 0.01, -0.02, 0.03])
+
+
+def a_tool(name: str, mass_kg: float) -> ToolFile:
+    return ToolFile(
+        tool=name,
+        load=LoadEstimate(mass_kg, np.array([0.055, 0.002, 0.045]), np.eye(4) * 1e-8),
+        bias=LoadEstimate(0.1, np.array([0.0, 0.0, 0.02]), np.eye(4) * 1e-8),
+        tip_m=np.array([0.15, 0.0, 0.05]),
+        rmse=np.zeros(6),
+        poses_used=56,
+        calibrated_at="2026-01-01T00:00:00+00:00",
+    )
+
+
+POINTER, RETRACTOR = a_tool("pointer", 0.06), a_tool("retractor", 0.2)
+
+
+class Person(Node):
+    """Drives the arm, calls the services, listens."""
+
+    def __init__(self, harness: Harness, **options: Any) -> None:
+        super().__init__("person", **options)
+        self.harness = harness
+        self.stamp_ns = 100_000_000_000
+        self.joints = self.create_publisher(JointState, "joint_states", STREAM)
+        self.wrench = self.create_publisher(WrenchStamped, "wrench_raw", STREAM)
+        self.outputs: list[np.ndarray] = []
+        self.states: list[str] = []
+        self.told: list[ToolInForce] = []
+        self.create_subscription(
+            WrenchStamped,
+            "wrench_compensated",
+            lambda message: self.outputs.append(wrench_to_array(message)),
+            STREAM,
+        )
+        self.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 10)
+        self.create_subscription(ToolInForce, "gravcomp/tool_in_force", self.told.append, LATCHED)
+
+    def _on_diagnostics(self, message: DiagnosticArray) -> None:
+        self.states += [status.message for status in message.status if "gravcomp" in status.name]
+
+    def step(self) -> None:
+        """One sample of an arm with the pointer on."""
+        joints = JointState(name=["delta_x", "delta_y", "delta_z", "roll", "tilt"])
+        joints.position = JOINTS.tolist()
+        wrench = WrenchStamped()
+        wrench.header.frame_id = "ft_sensor"
+        fill_wrench(wrench, POINTER.predict(*JOINTS[3:]) + LEFT)
+        for message in (joints, wrench):
+            fill_stamp(message.header.stamp, self.stamp_ns)
+        self.joints.publish(joints)
+        self.wrench.publish(wrench)
+        self.stamp_ns += 2_000_000
+
+    def call(self, service: str, kind: Any, **request: Any) -> Any:
+        client = self.create_client(kind, f"gravcomp/{service}")
+        return self.harness.call(client, kind.Request(**request))
+
+    def call_later(self, service: str, kind: Any) -> Any:
+        client = self.create_client(kind, f"gravcomp/{service}")
+        self.harness.wait_for(client.service_is_ready, 5.0, service)
+        return client.call_async(kind.Request())
+
+    def wait_told(self, accepts: Callable[[ToolInForce], bool], what: str) -> ToolInForce:
+        self.harness.wait_for(lambda: self.told and accepts(self.told[-1]), 5.0, what)
+        return self.told[-1]
+
+    def output(self) -> np.ndarray:
+        """The newest one, after a step."""
+        count = len(self.outputs)
+        self.step()
+        self.harness.wait_for(lambda: len(self.outputs) > count, 5.0, "an output")
+        return self.outputs[-1]
+
+
+def test_tools_by_service_in_one_nodes_life(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(tool_in_force, "_FILE_CHECK_S", 0.05)
+    for tool in (POINTER, RETRACTOR, a_tool("drill", 0.06 + 1e-5)):
+        write_tool(tool_path(tmp_path, tool.tool), tool)
+    (tmp_path / "cut.json").write_text("{")
+    values = {"tools_dir": str(tmp_path), "tool": "pointer", "tare_window_s": 0.05}
+    with Harness() as harness:
+        harness.add(
+            lambda context: GravcompNode(
+                context=context, parameter_overrides=parameters(**values, tare_ramp_s=0.05)
+            )
+        )
+        person = harness.add(lambda context: Person(harness, context=context))
+        harness.wait_for(
+            lambda: (
+                person.joints.get_subscription_count() and person.wrench.get_subscription_count()
+            ),
+            10.0,
+            "the node",
+        )
+        # Latched: told once at the start, before this node was there.
+        first = person.wait_told(lambda m: True, "the topic")
+        assert (first.tool, first.mass_kg, first.enabled) == ("pointer", 0.06, True)
+        assert first.header.frame_id == "ft_sensor" and first.file_state == first.FILE_AS_LOADED
+        assert first.path == str(tmp_path / "pointer.json") and not first.tared
+        np.testing.assert_array_equal(np.reshape(first.covariance, (4, 4)), np.eye(4) * 1e-8)
+        check_list_get_compare(person, tmp_path)
+        check_refusals(person)
+        check_tare_and_switch(person)
+        check_rename_in_force(person, tmp_path)
+        check_changed_file(person, tmp_path)
+        gone = person.call("set_tool", SetTool, tool="")
+        assert gone.success
+        assert person.wait_told(lambda m: m.tool == "", "no tool").file_state == first.FILE_NONE
+        assert person.call("get_tool", GetTool).error_code == GetTool.Response.NOT_FOUND
+        removed = person.call("remove_tool", RemoveTool, tool="probe")
+        assert removed.success and Path(removed.kept_as).is_file()
+        assert [row.tool for row in person.call("list_tools", ListTools).tools] == [
+            "cut", "drill", "retractor",
+        ]  # fmt: skip
+
+
+def check_list_get_compare(person: Person, folder: Path) -> None:
+    answer = person.call("list_tools", ListTools)
+    assert answer.success and answer.tools_dir == str(folder) and answer.left_out == 0
+    rows = {row.tool: row for row in answer.tools}
+    assert list(rows) == ["cut", "drill", "pointer", "retractor"]
+    assert "not JSON" in rows["cut"].problem and rows["pointer"].problem == ""
+    assert [row.in_force for row in answer.tools] == [False, False, True, False]
+    assert rows["retractor"].mass_kg == 0.2
+    assert rows["retractor"].mass_std_kg == pytest.approx(1e-4)
+
+    # Live joints reach the base; before there are any, they must be given.
+    asked = {"tool": "retractor", "frame": "base_link"}
+    answer = person.call("get_tool", GetTool, **asked)
+    assert answer.error_code == answer.NEEDS_JOINTS and "delta_x" in answer.error_msg
+    given = person.call("get_tool", GetTool, **asked, joints=JOINTS.tolist())
+    person.output()
+    live = person.call("get_tool", GetTool, **asked)
+    rotation, origin = sensor_pose(JOINTS)
+    for answer in (given, live):
+        assert answer.success and answer.frame == "base_link" and not answer.in_force
+        np.testing.assert_allclose(answer.com_m, rotation @ RETRACTOR.load.com_m + origin)
+        np.testing.assert_allclose(answer.tip_m, rotation @ RETRACTOR.tip_m + origin)
+        np.testing.assert_array_equal(answer.joints, JOINTS)
+    assert json.loads(live.content)["tool"] == "retractor"
+    in_force = person.call("get_tool", GetTool)
+    assert (in_force.tool, in_force.in_force, in_force.frame) == ("pointer", True, "ft_sensor")
+    assert np.isnan(in_force.joints).all()
+    np.testing.assert_array_equal(in_force.com_m, POINTER.load.com_m)
+
+    other = person.call("compare_tools", CompareTools, b="retractor")
+    assert other.success and not other.same_load and "'pointer in force'" in other.text
+    assert other.differences[0].text == "differs by 140 g (990 sigma)"
+    assert other.worst_force_n == pytest.approx(0.14 * 9.80665)
+    assert person.call("compare_tools", CompareTools, a="pointer", b="drill").same_load
+
+
+def check_refusals(person: Person) -> None:
+    for service, kind, request, code, words in (
+        ("get_tool", GetTool, {"tool": "../x"}, "INVALID_NAME", "letters"),
+        ("get_tool", GetTool, {"tool": "cut"}, "INVALID_FILE", "cut.json"),
+        ("get_tool", GetTool, {"tool": "none"}, "NOT_FOUND", "none.json"),
+        ("get_tool", GetTool, {"frame": "tool0"}, "INVALID_FRAME", "tool0"),
+        ("compare_tools", CompareTools, {"a": "none"}, "NOT_FOUND", "none.json"),
+        ("rename_tool", RenameTool, {"tool": "drill", "new_name": "a/b"}, "INVALID_NAME", "a/b"),
+        ("rename_tool", RenameTool, {"tool": "drill", "new_name": "cut"}, "EXISTS", "cut.json"),
+        ("rename_tool", RenameTool, {"tool": "cut", "new_name": "x"}, "INVALID_FILE", "cut.json"),
+        ("remove_tool", RemoveTool, {"tool": "pointer"}, "IN_FORCE", "another tool in force"),
+        ("remove_tool", RemoveTool, {"tool": "none"}, "NOT_FOUND", "none.json"),
+    ):
+        answer = person.call(service, kind, **request)
+        assert not answer.success
+        assert answer.error_code == getattr(answer, code), (service, request, answer)
+        assert words in answer.error_msg
+
+
+def check_tare_and_switch(person: Person) -> None:
+    tare = person.call_later("tare", Trigger)
+    person.harness.wait_for(lambda: person.step() or tare.done(), 5.0, "the tare")
+    told = person.wait_told(lambda m: m.tared, "the tare")
+    np.testing.assert_allclose(
+        [told.tare.force.x, told.tare.force.y, told.tare.torque.z], LEFT[[0, 1, 5]]
+    )
+    person.call("enable", SetBool, data=False)
+    person.wait_told(lambda m: not m.enabled, "the switch")
+    person.call("enable", SetBool, data=True)
+    assert person.wait_told(lambda m: m.enabled, "the switch").tared
+    person.harness.wait_for(
+        lambda: np.allclose(person.output(), 0.0, atol=1e-9), 5.0, "the ramp's end"
+    )
+
+
+def check_rename_in_force(person: Person, folder: Path) -> None:
+    """It goes on under the new name: neither the load nor the tare changes, nothing steps."""
+    before = person.output()
+    answer = person.call("rename_tool", RenameTool, tool="pointer", new_name="probe")
+    assert answer.success and answer.path == str(folder / "probe.json")
+    told = person.wait_told(lambda m: m.tool == "probe", "the new name")
+    assert told.tared and told.path == answer.path and told.file_state == told.FILE_AS_LOADED
+    np.testing.assert_array_equal(person.output(), before)
+    in_force = person.call("get_tool", GetTool)
+    assert in_force.sha256 == told.sha256 and in_force.content != ""
+    assert not (folder / "pointer.json").exists()
+    assert person.call("remove_tool", RemoveTool, tool="probe").error_code == 4
+
+
+def check_changed_file(person: Person, folder: Path) -> None:
+    """A calibration that nobody put in force is told, until somebody does."""
+    path = folder / "probe.json"
+    write_tool(path, replace(POINTER, tool="probe", load=replace(POINTER.load, mass_kg=0.061)))
+    told = person.wait_told(lambda m: m.file_state == m.FILE_CHANGED, "the change")
+    assert told.mass_kg == 0.06
+    person.harness.wait_for(
+        lambda: person.step() or any("has changed since" in text for text in person.states),
+        5.0,
+        "the warning",
+    )
+    # Renamed, what is in force stays what was loaded, and so does the warning.
+    assert person.call("rename_tool", RenameTool, tool="probe", new_name="p2").success
+    told = person.wait_told(lambda m: m.tool == "p2", "the new name")
+    assert (told.mass_kg, told.file_state) == (0.06, told.FILE_CHANGED)
+    assert person.call("rename_tool", RenameTool, tool="p2", new_name="probe").success
+    assert person.call("set_tool", SetTool, tool="probe").success
+    told = person.wait_told(lambda m: m.file_state == m.FILE_AS_LOADED, "the file loaded")
+    assert (told.mass_kg, told.tared) == (0.061, False)
+    path.rename(folder / "elsewhere")
+    person.wait_told(lambda m: m.file_state == m.FILE_GONE, "the file gone")
+    (folder / "elsewhere").rename(path)
+    person.wait_told(lambda m: m.file_state == m.FILE_AS_LOADED, "the file back")
