@@ -52,7 +52,7 @@ class MountingRequest:
 class Calibration:
     """What was written, and where, and what the file does not hold of the fit.
 
-    worth: whether the mounting's parameters pay, where they were asked for.
+    worth: whether the mounting's parameters pay, where they were asked for. notes: how it went.
     """
 
     path: Path
@@ -60,6 +60,7 @@ class Calibration:
     warnings: list[str]
     found: Identification
     worth: Worth | None = None
+    notes: tuple[str, ...] = ()
 
 
 def check_writable(path: Path) -> None:
@@ -161,7 +162,7 @@ def estimate(
     said = [*warnings, *measurements.warnings, *found.warnings]
     if gain is not None and not gain.pays:
         said.append(gain.sentence)
-    return Calibration(path, content, said, found, gain)
+    return Calibration(path, content, said, found, gain, tuple(measurements.notes))
 
 
 def _identify(measurements: Measurements) -> Identification:

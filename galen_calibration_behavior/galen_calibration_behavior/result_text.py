@@ -30,6 +30,7 @@ def calibration_fields(calibration: Calibration) -> dict[str, Any]:
         "poses_used": file.poses_used,
         "poses_rejected": list(file.poses_rejected),
         "warnings": list(calibration.warnings),
+        "notes": list(calibration.notes),
     }
 
 
@@ -67,7 +68,7 @@ def format_result(result: Any) -> str:
         f"poses rejected     {len(result.poses_rejected):10d}",
     ]
     lines += [f"  {text}" for text in result.poses_rejected]
-    lines += [f"warning: {text}" for text in result.warnings]
+    lines += [*result.notes, *(f"warning: {text}" for text in result.warnings)]
     lines.append(f"written: {result.file}" if result.file else "nothing is written")
     return "\n".join(lines)
 
