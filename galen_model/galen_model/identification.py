@@ -24,6 +24,7 @@ from numpy.typing import ArrayLike
 
 from galen_model.arm import WRENCH_AXES
 from galen_model.arrays import Array
+from galen_model.bias_choice import Wander
 from galen_model.errors import IdentificationError, ImplausibleLoadError, NotExcitedError
 from galen_model.excitation import LOAD_PARAMETERS, check_excitation
 from galen_model.kinematics import gravity_in_sensor
@@ -45,13 +46,15 @@ class StillPoses:
     """Averaged readings of n still poses of one sweep.
 
     roll, tilt: (n,) rad; wrench: (n, 6) N and N.m in ft_sensor; std_of_mean: (n, 6), the averaged
-    reading's standard deviation as the scatter within each pose tells it, or None.
+    reading's standard deviation as the scatter within each pose tells it, or None; time_s: (n,)
+    when each was taken, s from anywhere, or None. A bias that wanders needs it.
     """
 
     roll: Array
     tilt: Array
     wrench: Array
     std_of_mean: Array | None = None
+    time_s: Array | None = None
 
     def __post_init__(self) -> None:
         """Check shapes and values; raises IdentificationError."""
@@ -62,7 +65,12 @@ class StillPoses:
             raise IdentificationError(
                 f"wrenches of the still poses have shape {self.wrench.shape}; expected ({count}, 6)"
             )
-        for name, values in (("roll", self.roll), ("tilt", self.tilt), ("wrench", self.wrench)):
+        named = {"roll": self.roll, "tilt": self.tilt, "wrench": self.wrench}
+        if self.time_s is not None:
+            if self.time_s.shape != (count,):
+                raise IdentificationError("roll and times of the still poses differ in length")
+            named["time"] = self.time_s
+        for name, values in named.items():
             if not np.all(np.isfinite(values)):
                 raise IdentificationError(f"{name} of the still poses holds a non-finite value")
 
@@ -93,7 +101,8 @@ class Identification:
     of the sweep with the tool on, and its standard deviation; offset_change: (6,) that offset less
     the one of the sweep without the tool, with its standard deviation (None after one sweep).
     rmse: (6,) residual of the used readings of the sweep with the tool; sigma: (6,) noise of one
-    averaged reading as the residuals tell it. used_*: masks of the poses used.
+    averaged reading as the residuals tell it. used_*: masks of the poses used. wander: None unless
+    a bias that wanders was asked for; where it does, each offset is that at its sweep's last pose.
     """
 
     load: LoadEstimate
@@ -109,6 +118,7 @@ class Identification:
     outliers: tuple[Outlier, ...]
     warnings: tuple[str, ...]
     unresolved: tuple[str, ...] = ()
+    wander: Wander | None = None
 
 
 def identify_two_sweeps(
@@ -124,7 +134,7 @@ def identify_two_sweeps(
     zero = gravity_regressor(gravity_in_sensor(bias_roll_rad, bias_tilt_rad))
     bare_rows = gravity_regressor(bare.gravity) - zero
     tool_rows = gravity_regressor(tool.gravity)
-    design = _two_sweeps_design(bare_rows, tool_rows, zero)
+    design = two_sweeps_design(bare_rows, tool_rows, zero)
     poses = {"without the tool": bare, "with the tool": tool}
     check_excitation(design, LOAD_PARAMETERS, poses)
     check_channels(bare_rows, bare, "sweep without the tool")
@@ -265,10 +275,10 @@ def check_planned_poses(
         return
     zero = gravity_regressor(gravity_in_sensor(bias_roll_rad, bias_tilt_rad))
     poses = {"in each sweep": planned}
-    check_excitation(_two_sweeps_design(rows - zero, rows, zero), LOAD_PARAMETERS, poses)
+    check_excitation(two_sweeps_design(rows - zero, rows, zero), LOAD_PARAMETERS, poses)
 
 
-def _two_sweeps_design(bare_rows: Array, tool_rows: Array, zero: Array) -> Array:
+def two_sweeps_design(bare_rows: Array, tool_rows: Array, zero: Array) -> Array:
     """Columns: tool's moments (4), adapter's (4), offsets of the bare sweep (6), the other (6)."""
     count = len(bare_rows)
     design = np.zeros((count + len(tool_rows), 6, 20))
