@@ -21,4 +21,5 @@ def push_arm_block(compensator: Compensator, block: ArmBlock) -> BlockResult:
         frame_ids=wrenches.frame_ids,
         bad_joints=joints.bad,
         bad_wrenches=wrenches.bad,
+        positions=joints.values[:, :3] if compensator.needs_positions else None,
     )

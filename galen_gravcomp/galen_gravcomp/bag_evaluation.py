@@ -23,9 +23,12 @@ from galen_gravcomp.arm_block import push_arm_block
 from galen_gravcomp.cells import CELL_S, CellReducer, Cells
 from galen_gravcomp.channel_check import ChannelCheck, ChannelReport
 from galen_gravcomp.compensator import Compensator, CompensatorSettings
+from galen_gravcomp.joint_motion import JointMotion, inertia_source
 from galen_gravcomp.load_change import LoadChange, find_change
 from galen_gravcomp.misfit import Limits, Misfit, take_apart
+from galen_gravcomp.motion_window import MotionSettings
 from galen_gravcomp.results import Notice
+from galen_gravcomp.stages import Stages
 from galen_gravcomp.still_cells import StillCellSettings, StillPhases, find_still_phases
 from galen_gravcomp.verdict import Verdict, judge
 
@@ -55,6 +58,8 @@ class EvaluationSettings:
     compensator: CompensatorSettings = field(default_factory=CompensatorSettings)
     still: StillCellSettings = field(default_factory=StillCellSettings)
     limits: Limits = field(default_factory=Limits)
+    motion: MotionSettings | None = None
+    """Take forces of motion off as well, from the joints; None: not."""
 
 
 @dataclass(frozen=True)
@@ -63,7 +68,8 @@ class BagEvaluation:
 
     rmse_still, rmse_moving: of single compensated readings while the arm was still, and not;
     rmse_phases: of the still phases' means. `refused` and `notices` count by name, with an
-    example of each refusal in words; `problems` are the bag's.
+    example of each refusal in words; `problems` are the bag's. motion: the inertia with which
+    forces of motion were taken off, in words; empty where they were not.
     """
 
     path: Path
@@ -90,6 +96,7 @@ class BagEvaluation:
     limits: Limits
     verdict: Verdict
     sentence: str
+    motion: str = ""
 
     @property
     def start_ns(self) -> int:
@@ -157,7 +164,8 @@ class _Run:
     def __init__(self, tool: ToolFile, settings: EvaluationSettings) -> None:
         self._tool = tool
         self._settings = settings
-        self._compensator = Compensator(settings.compensator)
+        motion = None if settings.motion is None else JointMotion(settings.motion)
+        self._compensator = Compensator(settings.compensator, stages=Stages(motion=motion))
         self._compensator.set_tool(tool)
         self._joint_stamps = StampCheck()
         self._wrench_stamps = StampCheck()
@@ -241,6 +249,7 @@ class _Run:
             limits=limits,
             verdict=verdict,
             sentence=sentence,
+            motion="" if self._settings.motion is None else inertia_source(self._tool),
         )
 
     def _doubt(self) -> str:

@@ -34,6 +34,8 @@ def print_evaluation(result: BagEvaluation, console: Console) -> None:
         f" ({1e3 * tool.load.mass_kg:.1f} g, calibrated {tool.calibrated_at})",
         soft_wrap=True,
     )
+    if result.motion:
+        console.print(f"Forces of motion are taken off, with the inertia: {result.motion}")
     style = _VERDICT_STYLE.get(result.verdict, "bold red")
     console.print(f"[{style}]{result.sentence}[/{style}]", soft_wrap=True)
     console.print(_rmse_table(result))
@@ -92,6 +94,7 @@ def to_dict(result: BagEvaluation) -> dict[str, Any]:
     return {
         "bag": str(result.path),
         "tool": result.tool.tool,
+        "motion": result.motion or None,
         "verdict": result.verdict.value,
         "sentence": result.sentence,
         "duration_s": result.duration_s,

@@ -27,9 +27,10 @@ class SampleBlock:
     """Samples of both topics in the order of their arrival; is_wrench (n,) bool says whose.
 
     joint_stamp_ns (j,), angles (j, 2): roll and tilt, rad; wrench_stamp_ns (w,), wrenches (w, 6):
-    N and N.m. frame (w,) counts in `frame_ids`; None: frames aren't checked. `bad_joints` and
-    `bad_wrenches`: rows (of joints, of wrenches) whose message can't be used, and why; the
-    numbers in such a row are not looked at. Raises ValueError for shapes that don't fit.
+    N and N.m. positions (j, 3): the platform's, m, where a stage asks for them. frame (w,) counts
+    in `frame_ids`; None: frames aren't checked. `bad_joints` and `bad_wrenches`: rows (of joints,
+    of wrenches) whose message can't be used, and why; the numbers in such a row are not looked at.
+    Raises ValueError for shapes that don't fit.
     """
 
     is_wrench: np.ndarray
@@ -41,6 +42,7 @@ class SampleBlock:
     frame_ids: Sequence[str] = ()
     bad_joints: Mapping[int, str] = field(default_factory=dict)
     bad_wrenches: Mapping[int, str] = field(default_factory=dict)
+    positions: Array | None = None
 
     def __post_init__(self) -> None:
         w = int(np.count_nonzero(self.is_wrench))
@@ -53,6 +55,8 @@ class SampleBlock:
         }
         if self.frame is not None:
             shapes["frame"] = (self.frame, (w,))
+        if self.positions is not None:
+            shapes["positions"] = (self.positions, (j, 3))
         for name, (array, shape) in shapes.items():
             if array.shape != shape:
                 raise ValueError(
@@ -108,7 +112,13 @@ class Sink(Protocol):
     def sensor_frame(self) -> str:
         """The frame that a wrench must have."""
 
-    def push_joints(self, stamp_ns: int, roll_rad: float, tilt_rad: float) -> list[Result]:
+    def push_joints(
+        self,
+        stamp_ns: int,
+        roll_rad: float,
+        tilt_rad: float,
+        position_m: tuple[float, ...] | None = None,
+    ) -> list[Result]:
         """As `Compensator.push_joints`."""
 
     def push_bad_joints(self, detail: str) -> None:
@@ -195,7 +205,13 @@ class _Pushing:
             if not is_wrench:
                 if self._joint_usable[joint_row]:
                     stamp_ns = int(block.joint_stamp_ns[joint_row])
-                    self._sort(sink.push_joints(stamp_ns, *block.angles[joint_row].tolist()))
+                    roll, tilt = block.angles[joint_row].tolist()
+                    platform = (
+                        None
+                        if block.positions is None
+                        else tuple(block.positions[joint_row].tolist())
+                    )
+                    self._sort(sink.push_joints(stamp_ns, roll, tilt, platform))
                 else:
                     sink.push_bad_joints(block.bad_joints[joint_row])
                 joint_row += 1

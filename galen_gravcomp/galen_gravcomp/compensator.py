@@ -227,6 +227,7 @@ class Compensator(WrenchPairing[Compensated]):
         frame_ids: Sequence[str] = (),
         bad_joints: Mapping[int, str] | None = None,
         bad_wrenches: Mapping[int, str] | None = None,
+        positions: Array | None = None,
     ) -> BlockResult:
         """Take many samples of both topics: the same as pushing one by one, only faster.
 
@@ -244,6 +245,7 @@ class Compensator(WrenchPairing[Compensated]):
             frame_ids,
             bad_joints or {},
             bad_wrenches or {},
+            positions,
         )
         return push_block(block, self, self._push_stretch)
 

@@ -17,6 +17,8 @@ from galen_bags.many import add_many_options, run_many
 from galen_bags.orientation_table import read_table
 from galen_model.arm import JOINT_NAMES, WRENCH_AXES
 from galen_model.errors import GalenError, ToolFileError
+from galen_model.mounting_groups import entities
+from galen_model.mounting_identification import KnownLoad
 from galen_model.tool_file import read_tool, tool_path, write_tool
 from galen_ros.param import add_options, from_options
 from rich.console import Console
@@ -30,6 +32,7 @@ from galen_gravcomp.parameters import GravcompParameters
 from galen_gravcomp.still_cells import StillCellSettings
 from galen_gravcomp.still_phases import StillSettings
 from galen_gravcomp.table_evaluation import evaluate_table
+from galen_gravcomp.table_mounting import TableMounting
 from galen_gravcomp.table_report import print_report, to_json
 from galen_gravcomp.table_tool import tool_from_table
 
@@ -41,7 +44,10 @@ _EPILOG = f"""exit codes:
   {EXIT_USAGE}    wrong arguments
   {EXIT_INTERRUPTED}  interrupted (Ctrl-C)"""
 # The node's own parameters that decide what becomes of a wrench, with its defaults.
-_NODE_OPTIONS = ("max_joint_age_s", "restart_gap_s", "sensor_frame")
+_NODE_OPTIONS = (
+    "max_joint_age_s", "restart_gap_s", "sensor_frame",
+    "motion", "motion_window_s", "motion_delay_s", "motion_lag_s",
+)  # fmt: skip
 
 
 def build_parser() -> argparse.ArgumentParser:
@@ -189,6 +195,23 @@ def _add_table_options(group: argparse._ArgumentGroup) -> None:
         "--blocks", type=int, metavar="N", help="blocks of neighbouring readings to hold out"
     )
     group.add_argument(
+        "--estimate",
+        metavar="GROUPS",
+        type=lambda text: tuple(text.split(",")),
+        help="score a model beside that has these together with the load, comma-separated; refused"
+        " where the orientations can't tell them apart: sensor_rotation, axis_gain, gain_ratio,"
+        " base_inclination (not with gx gy gz alone) and their parts",
+    )
+    group.add_argument(
+        "--known-mass-kg",
+        type=positive,
+        metavar="KG",
+        help="mass of all that hangs on the sensor, as a scale tells it, for the force gains",
+    )
+    group.add_argument(
+        "--known-mass-std-kg", type=positive, metavar="KG", help="and its standard deviation"
+    )
+    group.add_argument(
         "--write-tool",
         metavar="FILE",
         help="write the load from all readings as the tool's file <tools_dir>/<tool>.json; one "
@@ -206,9 +229,14 @@ def run_table(arguments: argparse.Namespace, console: Console) -> None:
         arguments.still_rate_rad_s,
         min_duration_s=arguments.still_min_s or StillSettings.min_duration_s,
     )
-    result = evaluate_table(table, arguments.blocks, arguments.average_s, settings, tool)
+    result = evaluate_table(
+        table, arguments.blocks, arguments.average_s, settings, tool, _mounting(arguments)
+    )
     if written_tool is not None:
-        write_tool(written_tool, tool_from_table(written_tool.stem, result.table, result.fit))
+        write_tool(
+            written_tool,
+            tool_from_table(written_tool.stem, result.table, result.fit, result.mounted),
+        )
         if not arguments.json:
             console.print(f"tool file: {written_tool}")
     if arguments.plots:
@@ -224,6 +252,14 @@ def run_table(arguments: argparse.Namespace, console: Console) -> None:
         print(json.dumps(to_json(result), indent=2))
     else:
         print_report(result, console)
+
+
+def _mounting(arguments: argparse.Namespace) -> TableMounting | None:
+    if arguments.estimate is None:
+        return None
+    entities(arguments.estimate)
+    mass, std = arguments.known_mass_kg, arguments.known_mass_std_kg
+    return TableMounting(arguments.estimate, None if mass is None else KnownLoad(mass, std))
 
 
 def _written_tool(file: str | None) -> Path | None:
@@ -294,6 +330,7 @@ def _bag_settings(arguments: argparse.Namespace) -> EvaluationSettings:
             min_duration_s=arguments.still_min_s or StillCellSettings.min_duration_s,
         ),
         limits=Limits(arguments.limit_force_n, arguments.limit_torque_nm),
+        motion=parameters.motion_settings() if parameters.motion == "joints" else None,
     )
 
 
@@ -308,6 +345,15 @@ def _written(job: BagJob, bag: Path) -> list[Path]:
     return written + ([] if job.bags_out is None else [job.bags_out / f"{name}_compensated"])
 
 
+def _check_motion(parser: argparse.ArgumentParser, arguments: argparse.Namespace) -> None:
+    if arguments.motion not in ("off", "joints"):
+        parser.error("--motion is 'off' or 'joints'; with an IMU, see score_motion")
+    try:
+        from_options(arguments, GravcompParameters, _NODE_OPTIONS).validate()
+    except ValueError as error:
+        parser.error(str(error))
+
+
 def main(args: Sequence[str] | None = None) -> int:
     """Entry point; returns the exit code."""
     parser = build_parser()
@@ -316,6 +362,11 @@ def main(args: Sequence[str] | None = None) -> int:
         parser.error("give bags, or a --table")
     if arguments.bags and bool(arguments.tool) == bool(arguments.tool_beside):
         parser.error("bags need --tool FILE or --tool-beside NAME")
+    _check_motion(parser, arguments)
+    if (arguments.known_mass_kg is None) != (arguments.known_mass_std_kg is None):
+        parser.error("--known-mass-kg and --known-mass-std-kg belong together")
+    if arguments.estimate and not arguments.table:
+        parser.error("--estimate is for a --table; calibrate_from_bag estimates from recordings")
     console = Console(width=None if sys.stdout.isatty() else 120)
     try:
         if arguments.bags:

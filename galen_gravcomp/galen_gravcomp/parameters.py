@@ -151,9 +151,13 @@ class GravcompParameters:
                 f"parameter 'sensor_range' has {len(self.sensor_range)} numbers, but must have 6"
             )
 
+    def motion_settings(self) -> MotionSettings:
+        """Window, delay and lag of the forces of motion."""
+        return MotionSettings(self.motion_window_s, self.motion_delay_s, self.motion_lag_s)
+
     def motion_stage(self) -> MotionStage | None:
         """The stage of the forces of motion, None without."""
-        settings = MotionSettings(self.motion_window_s, self.motion_delay_s, self.motion_lag_s)
+        settings = self.motion_settings()
         if self.motion == "joints":
             return JointMotion(settings)
         if self.motion == "imu":

@@ -234,3 +234,23 @@ def test_an_imu_that_is_silent_or_broken_off_is_refused():
 def test_a_delay_outside_the_window_is_a_mistake(window_s, delay_s):
     with pytest.raises(ValueError, match="delay"):
         LocalPolynomial(window_s, delay_s)
+
+
+def test_a_block_with_positions_is_the_same_as_sample_by_sample():
+    times = np.arange(0.0, 0.6, 0.002)
+    joints, wrenches = measured(swing(times), np.random.default_rng(4))
+    stamps = START_NS + np.round(times * 1e9).astype(np.int64)
+    single = [
+        r for r in push(compensator(), stamps, joints, wrenches) if isinstance(r, Compensated)
+    ]
+    block = compensator().push_block(
+        np.tile([False, True], len(times)),
+        stamps,
+        joints[:, 3:],
+        stamps,
+        wrenches,
+        positions=joints[:, :3],
+    )
+    np.testing.assert_array_equal(block.wrench, [r.wrench for r in single])
+    np.testing.assert_array_equal(block.stamp_ns, [r.stamp_ns for r in single])
+    assert {r.reason for r in block.refused} == {Refusal.NO_MOTION}
