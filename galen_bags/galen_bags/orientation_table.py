@@ -46,7 +46,8 @@ class OrientationTable:
     """Readings with orientations.
 
     gravity: (n, 3) in the sensor's frame, m/s^2; wrench: (n, 6) N and N.m in the sensor's frame;
-    time: (n,) s or None; block: (n,) of texts or None.
+    time: (n,) s or None; block: (n,) of texts or None; rotation: R_base_sensor (n, 3, 3), or None
+    where the table tells gravity alone.
     """
 
     path: str
@@ -55,6 +56,7 @@ class OrientationTable:
     time: Array | None
     block: np.ndarray | None
     orientation: str
+    rotation: Array | None = None
 
     def __len__(self) -> int:
         """Number of readings."""
@@ -63,8 +65,15 @@ class OrientationTable:
     def take(self, rows: np.ndarray, block: np.ndarray | None) -> "OrientationTable":
         """The table's `rows`, with the labels `block` (for those rows)."""
         time = None if self.time is None else self.time[rows]
+        rotation = None if self.rotation is None else self.rotation[rows]
         return OrientationTable(
-            self.path, self.gravity[rows], self.wrench[rows], time, block, self.orientation
+            self.path,
+            self.gravity[rows],
+            self.wrench[rows],
+            time,
+            block,
+            self.orientation,
+            rotation,
         )
 
     def timed(self) -> "OrientationTable":
@@ -100,7 +109,8 @@ def read_table(
     if "block" in text.names:
         at = text.names.index("block")
         block = np.array([row[at].strip() for row in text.rows])
-    return OrientationTable(str(text.path), gravity, wrench, text.numbers.get("t"), block, kind)
+    time = text.numbers.get("t")
+    return OrientationTable(str(text.path), gravity, wrench, time, block, kind, rotation)
 
 
 def read_wrenches(

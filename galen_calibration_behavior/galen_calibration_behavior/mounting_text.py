@@ -7,12 +7,9 @@ from typing import Any
 import numpy as np
 from galen_model.arm import WRENCH_AXES
 from galen_model.mounting import Mounting
-from galen_model.mounting_groups import PARAMETERS
 from galen_model.mounting_worth import Worth
 
 from galen_calibration_behavior.estimate import Calibration
-
-_GAINS = range(3, 9)
 
 
 def mounting_fields(calibration: Calibration) -> dict[str, Any] | None:
@@ -44,11 +41,8 @@ def format_mounting(calibration: Calibration) -> str:
 
 
 def _values(mounting: Mounting) -> str:
-    lines = [f"{'estimated with the load':34}{'value':>10}{'std':>9}"]
-    for index in np.flatnonzero(mounting.std > 0.0):
-        value, std = mounting.vector[index], mounting.std[index]
-        factor, unit = (100.0, "%") if index in _GAINS else (np.degrees(1.0), "deg")
-        lines.append(f"{PARAMETERS[index]:34}{factor * value:10.4f}{factor * std:9.4f} {unit}")
+    lines = [f"{'estimated with the load':48}{'value':>10}{'std':>9}"]
+    lines += [f"{n:48}{value:10.4f}{std:9.4f} {unit}" for n, value, std, unit in mounting.rows]
     return "\n".join(lines)
 
 

@@ -8,6 +8,7 @@ import numpy as np
 from galen_bags.orientation_table import OrientationTable
 from galen_model.arm import GRAVITY_M_S2
 from galen_model.identification import SingleLoad
+from galen_model.mounting_identification import MountedLoad
 from galen_model.tool_file import LoadEstimate, ToolFile
 
 _UNRESOLVED = (
@@ -19,13 +20,19 @@ _UNRESOLVED = (
 )
 
 
-def tool_from_table(name: str, table: OrientationTable, fit: SingleLoad) -> ToolFile:
+def tool_from_table(
+    name: str, table: OrientationTable, fit: SingleLoad, mounted: MountedLoad | None = None
+) -> ToolFile:
     """The tool's file of one load and six constants found by `identify_single_load` on `table`.
 
-    Its reading under any gravity is `fit.predict`'s. Gravity is as large as in the table, since the
-    mass was found with that. `unresolved` says what readings with one load can't tell.
+    Its reading under any gravity is `fit.predict`'s or, where `mounted` is given, whose load then
+    holds, `mounted.predict`'s. Gravity is as large as in the table, since the mass was found with
+    that. `unresolved` says what readings with one load can't tell.
     """
-    residuals = (table.wrench - fit.predict(table.gravity))[fit.used]
+    predicted = fit.predict(table.gravity)
+    if mounted is not None:
+        fit, predicted = mounted.single, mounted.predict(table.gravity, table.rotation)
+    residuals = (table.wrench - predicted)[fit.used]
     gravity = GRAVITY_M_S2.copy()
     if table.orientation == "gravity":
         gravity[2] = -np.mean(np.linalg.norm(table.gravity, axis=1))
@@ -43,4 +50,5 @@ def tool_from_table(name: str, table: OrientationTable, fit: SingleLoad) -> Tool
         ),
         gravity_m_s2=gravity,
         unresolved=_UNRESOLVED,
+        mounting=None if mounted is None else mounted.mounting,
     )

@@ -83,6 +83,16 @@ class Mounting:
         return np.sqrt(np.diag(self.covariance))
 
     @property
+    def rows(self) -> list[tuple[str, float, float, str]]:
+        """Name, value, standard deviation and unit (deg or %) of what was estimated."""
+        rows = []
+        for index in np.flatnonzero(self.std > 0.0):
+            factor, unit = (100.0, "%") if 3 <= index < 9 else (np.degrees(1.0), "deg")
+            value, std = factor * self.vector[index], factor * self.std[index]
+            rows.append((PARAMETERS[index], float(value), float(std), unit))
+        return rows
+
+    @property
     def gravity_direction(self) -> Array:
         """Unit vector (3,) of gravity in base_link."""
         return gravity_direction(*self.base_inclination_rad)

@@ -77,15 +77,21 @@ def check_told(
         if twins is None:
             continue
         pair = frozenset({name, *twins})
-        known = " and ".join(sorted(pair, key=_order(columns.names)))
-        remedy = _REMEDIES.get(pair, what_separates)
-        alone = f"{name} by itself" if len(pair) == 1 else known
-        pairs.setdefault(pair, f"{alone} ({remedy})")
+        *first, last = sorted(pair, key=_order(columns.names))
+        both = f"{', '.join(first)} and {last}"
+        said = f"tell {both} apart" if first else f"tell enough of {name}"
+        pairs.setdefault(pair, f"{said} ({_remedy(pair, what_separates)})")
     if pairs:
         raise NotToldApartError(
-            "the poses can't tell apart " + "; nor ".join(pairs.values()),
+            "the poses can't " + "; nor can they ".join(pairs.values()),
             tuple(tuple(sorted(pair, key=_order(columns.names))) for pair in pairs),
         )
+
+
+def _remedy(pair: frozenset[str], otherwise: str) -> str:
+    if _CENTRES in pair and TORQUE_GAIN not in pair and any("of t" in name for name in pair):
+        return "a load well off every axis, or ask for the force gains' ratios only"
+    return _REMEDIES.get(pair, otherwise)
 
 
 def _order(names: Sequence[str]) -> Callable[[str], tuple[int, str]]:

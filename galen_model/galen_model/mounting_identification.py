@@ -38,6 +38,7 @@ from galen_model.robust_fit import RobustFit, fit_with_known_prior
 from galen_model.tool_file import LoadEstimate
 
 _STEPS = 20
+_STEPS_WITH_ALL = 6
 _SETTLED = 1e-3  # of a standard deviation
 _TURNED_MORE = "turn the sensor further, about both axes, or sweep with the base in another place"
 
@@ -290,20 +291,28 @@ class _Problem:
     def fit(self, readings: Array, values: Array, sigma: Array) -> RobustFit:
         """Fit from `values` (p,); sigma: (6,) a first guess of the noise."""
         self.check(values, sigma, None)
-        for _ in range(_STEPS):
+        asked = np.ones(len(readings), dtype=bool)
+        last = asked
+        for step in range(_STEPS):
             expected, jacobian = self.model.evaluate(values)
-            fit = fit_with_known_prior(
-                jacobian, readings - expected + jacobian @ values, *self.known, self.offsets
-            )
-            step = np.abs(fit.values - values)
+            right = readings - expected + jacobian @ values
+            fit = fit_with_known_prior(jacobian[asked], right[asked], *self.known, self.offsets)
+            used = asked.copy()
+            used[asked] = fit.used
+            change = np.abs(fit.values - values)
             values = fit.values
             if np.any(np.abs(values[self.model.linear :]) > 1.0):
                 break
-            if np.all(step <= _SETTLED * np.sqrt(np.diag(fit.covariance))):
+            if np.all(change <= _SETTLED * np.sqrt(np.diag(fit.covariance))):
+                residuals = readings - self.model.evaluate(values)[0]
+                distance = np.sqrt(np.sum((residuals / fit.sigma) ** 2, axis=1))
+                fit = replace(fit, residuals=residuals, used=used, distance=distance)
                 check_rejections(fit)
-                self.check(values, fit.sigma, MAX_STD, fit.used)
-                # of the last step: off the model's own by less than rounding matters
-                return replace(fit, residuals=readings - self.model.evaluate(values)[0])
+                self.check(values, fit.sigma, MAX_STD, used)
+                return fit
+            if step >= _STEPS_WITH_ALL:  # poses that come and go with every step would never end
+                asked = asked & (used | ~last) & (last | ~used)
+            last = used
         raise IdentificationError(
             "sensor and mounting: the fit does not settle; the readings fit no small rotation, gain"
             " or inclination"

@@ -7,7 +7,7 @@ are squared residuals in units of the noise, block by block, so that what a bloc
 for both models drops out.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -32,6 +32,9 @@ from galen_model.mounting_identification import (
 from galen_model.tool_file import LoadEstimate
 
 BLOCKS = 5
+PLAIN, GALEN, MOUNTED = "plain least squares", "galen", "galen, mounted"
+"""The models' names."""
+
 _PAYS_SIGMAS = 2.0
 
 _Predict = Callable[[StillPoses], Array]
@@ -80,19 +83,31 @@ class Worth:
 
     rmse: (6,) by model, N and N.m, NaN where the model refused some block; gain: by how much the
     mounting lowers the mean squared residual in units of the noise, and its standard deviation
-    over the blocks; against: the model compared with.
+    over the blocks; by_kind: the same (2, 2) of forces and of torques, gain and deviation;
+    against: the model compared with.
     """
 
     rmse: dict[str, Array]
     gain: float
     gain_std: float
+    by_kind: Array
     against: str
     blocks: int
 
     @property
+    def worse(self) -> str:
+        """Which of "forces" and "torques" becomes worse beyond chance; else empty.
+
+        A rotation, an inclination or a zero acts on both; one at the cost of the other is
+        something else.
+        """
+        lost = self.by_kind[:, 0] < -_PAYS_SIGMAS * self.by_kind[:, 1]
+        return "forces" if lost[0] else "torques" if lost[1] else ""
+
+    @property
     def pays(self) -> bool:
-        """Whether the gain is beyond chance."""
-        return self.gain > _PAYS_SIGMAS * self.gain_std
+        """Whether the gain is beyond chance, and not one kind's at the other's cost."""
+        return self.gain > _PAYS_SIGMAS * self.gain_std and not self.worse
 
     @property
     def sentence(self) -> str:
@@ -101,6 +116,8 @@ class Worth:
             f"on {self.blocks} held-out blocks they lower the squared residual by "
             f"{self.gain:.3g} +- {self.gain_std:.2g} of the noise's, against {self.against}"
         )
+        if self.worse and self.gain > 0.0:
+            change += f"; but the {self.worse} become worse, so that it is something else"
         if self.pays:
             return f"the mounting's parameters pay: {change}"
         return f"the mounting's parameters do not pay, calibrate without them: {change}"
@@ -111,8 +128,7 @@ def worth(measured: Calibrated, all_poses: MountedIdentification, blocks: int = 
 
     Raises IdentificationError where the mounting can't be fitted without a block.
     """
-    parts: dict[str, list[Array]] = {"plain least squares": [], "galen": [], "galen, mounted": []}
-    names = list(parts)
+    parts: dict[str, list[Array]] = {name: [] for name in (PLAIN, GALEN, MOUNTED)}
     for block in range(blocks):
         held = _held(measured.tool, block, blocks)
         rest = measured.without(block, blocks)
@@ -123,20 +139,36 @@ def worth(measured: Calibrated, all_poses: MountedIdentification, blocks: int = 
             raise IdentificationError(
                 f"without block {block + 1} of {blocks} of the poses: {error}"
             ) from error
-        for name, predict in zip(names, _models(rest, mounted), strict=True):
+        for name, predict in zip(parts, _models(rest, mounted), strict=True):
             left = np.full((len(scored), 6), np.nan) if predict is None else predict(scored)
             parts[name].append(scored.wrench - left)
-    sigma = all_poses.found.sigma
-    squares = {
-        name: np.array([np.mean((part / sigma) ** 2) for part in of if len(part)])
+    return compare(parts, all_poses.found.sigma)
+
+
+def compare(parts: Mapping[str, Sequence[Array]], sigma: Array) -> Worth:
+    """Of held-out residuals (k, 6) by model and block, NaN where one refused; sigma (6,) noise.
+
+    The models are `PLAIN`, `GALEN` and `MOUNTED`; two blocks at least, empty ones don't count.
+    """
+    squares = {  # (blocks, 2): forces, torques
+        name: np.array(
+            [
+                np.mean((part / sigma) ** 2, axis=0).reshape(2, 3).mean(axis=1)
+                for part in of
+                if len(part)
+            ]
+        )
         for name, of in parts.items()
     }
-    against = "galen" if np.all(np.isfinite(squares["galen"])) else "plain least squares"
-    gains = squares[against] - squares["galen, mounted"]
+    against = GALEN if np.all(np.isfinite(squares[GALEN])) else PLAIN
+    gains = squares[against] - squares[MOUNTED]
+    together = gains.mean(axis=1)
+    root = np.sqrt(len(gains))
     return Worth(
         {name: np.sqrt(np.mean(np.concatenate(of) ** 2, axis=0)) for name, of in parts.items()},
-        float(np.mean(gains)),
-        float(np.std(gains, ddof=1) / np.sqrt(len(gains))),
+        float(np.mean(together)),
+        float(np.std(together, ddof=1) / root),
+        np.stack([gains.mean(axis=0), gains.std(axis=0, ddof=1) / root], axis=1),
         against,
         len(gains),
     )
