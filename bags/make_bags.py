@@ -77,7 +77,7 @@ def _calibrate(cell: OfflineCell, recipe: Recipe, folder: Path) -> None:
             tool=recipe.tool,
             one_sweep=False,
             attach_by_service=True,
-            poses=parameters.poses(parameters.itersT, parameters.itersR),
+            poses=parameters.grid_poses(parameters.itersT, parameters.itersR),
         ),
     )
     last_stamp = datetime.fromtimestamp(cell.plant.now_ns // NS_PER_S, UTC)

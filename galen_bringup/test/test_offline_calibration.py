@@ -53,7 +53,7 @@ def calibrate_and_record(folder, grid, *, rate_hz=100.0, seed=1, start=None, tou
     with BagWriter(folder / "bag") as bag:
         cell = OfflineCell(plant, [*listeners, CellBag(bag)])
         cell.run(2.0)
-        poses = dataclasses.replace(PARAMETERS, **grid).poses(grid["itersT"], grid["itersR"])
+        poses = dataclasses.replace(PARAMETERS, **grid).grid_poses(grid["itersT"], grid["itersR"])
         live = cell.calibrate(PARAMETERS.settings(), Request("retractor", False, True, poses))
     return live, read_arm(folder / "bag")
 
@@ -96,7 +96,7 @@ def test_a_recording_gives_the_live_averages_to_the_last_bit(tmp_path, grid, rat
 
 
 def test_a_pose_that_was_touched_and_tried_again_live_is_so_offline(tmp_path):
-    poses = dataclasses.replace(PARAMETERS, **SMALL).poses(3, 3)
+    poses = dataclasses.replace(PARAMETERS, **SMALL).grid_poses(3, 3)
     touch = Toucher(*poses[6], tool="retractor")
     live, recording = calibrate_and_record(tmp_path, SMALL, touch=touch)
     again = offline(recording)

@@ -19,7 +19,7 @@ from galen_sim_driver.config import HandPush, PlantConfig
 from galen_sim_driver.plant import Plant
 
 PARAMETERS = CalibrationParameters(settle_s=0.1, average_s=0.3)
-POSES = PARAMETERS.poses(3, 3)
+POSES = PARAMETERS.grid_poses(3, 3)
 
 
 def cell(*listeners, **config):

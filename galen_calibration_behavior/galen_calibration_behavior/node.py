@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 from galen_model.arrays import Array
 from galen_model.errors import GalenError, NotExcitedError, ToolFileError, ToolNameError
-from galen_model.identification import check_planned_poses
 from galen_model.mounting_identification import check_planned_mounting
 from galen_model.tool_file import tool_path
 from galen_ros.spin import run
@@ -29,14 +28,16 @@ from galen_calibration_behavior.estimate import (
     Calibration,
     EstimateError,
     MountingRequest,
+    TipError,
     calibrate,
     check_writable,
     choose_tip,
 )
 from galen_calibration_behavior.goal_node import GoalNode, RefusedGoalError, RunningGoal, Words
-from galen_calibration_behavior.parameters import MAX_ITERS, CalibrationParameters
+from galen_calibration_behavior.parameters import CalibrationParameters
 from galen_calibration_behavior.procedure import CalibrationProcedure, Request
 from galen_calibration_behavior.result_text import calibration_fields
+from galen_calibration_behavior.sweep_parameters import MAX_ITERS
 from galen_msgs.action import CalibrateTool
 from galen_msgs.srv import SetTool
 
@@ -90,28 +91,27 @@ class CalibrationNode(GoalNode[CalibrationParameters, _Goal, Finished]):
                 raise RefusedGoalError(
                     ErrorCode.BAD_INPUT, f"{name} is {count}: at most {MAX_ITERS}, or 0"
                 )
-        tilts = request.iters_t or self._settings.itersT
-        rolls = request.iters_r or self._settings.itersR
+            if count and self._settings.chosen:
+                raise RefusedGoalError(
+                    ErrorCode.BAD_INPUT, f"{name} is {count}, but the node's poses are chosen ones"
+                )
         try:
             path = tool_path(self._tools_dir, request.tool)
-            poses = self._settings.poses(tilts, rolls)
-            check_planned_poses(
-                poses[:, 0],
-                poses[:, 1],
-                one_sweep=request.one_sweep,
-                bias_roll_rad=self._settings.Rhome,
-                bias_tilt_rad=self._settings.Thome,
+            tip_m, warnings = choose_tip(np.array(request.tip_m, float), path)
+            if warnings and self._settings.obstacles:
+                raise TipError(f"{warnings[0]}, so that nobody knows what the tool would hit")
+            plan = self._settings.plan(
+                tip_m, one_sweep=request.one_sweep, tilts=request.iters_t, rolls=request.iters_r
             )
             if self._settings.estimate:
                 check_planned_mounting(
-                    poses[:, 0],
-                    poses[:, 1],
+                    plan.poses[:, 0],
+                    plan.poses[:, 1],
                     self._settings.estimate,
                     one_sweep=request.one_sweep,
                     bias_roll_rad=self._settings.Rhome,
                     bias_tilt_rad=self._settings.Thome,
                 )
-            tip_m, warnings = choose_tip(np.array(request.tip_m, float), path)
             check_writable(path)
         except ToolNameError as error:
             raise RefusedGoalError(ErrorCode.INVALID_NAME, str(error)) from error
@@ -123,7 +123,14 @@ class CalibrationNode(GoalNode[CalibrationParameters, _Goal, Finished]):
             raise RefusedGoalError(ErrorCode.BAD_INPUT, str(error)) from error
         procedure = CalibrationProcedure(
             self._settings.settings(),
-            Request(request.tool, request.one_sweep, request.attach_by_service, poses),
+            Request(
+                request.tool,
+                request.one_sweep,
+                request.attach_by_service,
+                plan.poses,
+                plan.router,
+                self._settings.wanted,
+            ),
         )
         return _Goal(handle, procedure, path, tip_m, warnings)
 

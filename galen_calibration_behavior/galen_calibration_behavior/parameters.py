@@ -9,30 +9,16 @@ from galen_model.arm import LIMITS
 from galen_model.mounting_groups import entities
 from galen_ros.param import param
 
-from galen_calibration_behavior.grid import GridError, SweepGrid
-from galen_calibration_behavior.motion_parameters import PoseParameters
+from galen_calibration_behavior.grid import GridError
 from galen_calibration_behavior.procedure import ProcedureSettings
-
-MAX_ITERS = 100  # so that the feedback's counts of poses, uint16, hold two sweeps
+from galen_calibration_behavior.sweep_parameters import SweepParameters
 
 
 @dataclass(frozen=True)
-class CalibrationParameters(PoseParameters):
+class CalibrationParameters(SweepParameters):
     """Parameters of calibration_node."""
 
     tools_dir: str = param("~/.ros/galen/tools", "directory of the tools' files; `~` is expanded")
-
-    tstart: float = param(-1.0, "first tilt of the sweep, rad")
-    tend: float = param(0.9, "last tilt of the sweep, rad")
-    itersT: int = param(7, "number of tilts", minimum=1, maximum=MAX_ITERS)
-    rstart: float = param(-1.5, "first roll of the sweep, rad")
-    rend: float = param(1.5, "last roll of the sweep, rad")
-    itersR: int = param(8, "number of rolls", minimum=1, maximum=MAX_ITERS)
-    Xhome: float = param(0.0, "delta_x at home and during the sweeps, m")
-    Yhome: float = param(0.0, "delta_y at home and during the sweeps, m")
-    Zhome: float = param(0.408, "delta_z at home and during the sweeps, m")
-    Rhome: float = param(0.0, "roll at home, where the sensor is zeroed, rad")
-    Thome: float = param(0.0, "tilt at home, where the sensor is zeroed, rad")
 
     pose_retries: int = param(1, "how often a rejected pose is tried again", 0, 10)
     max_rejected_in_a_row: int = param(8, "so many rejected poses in a row end it", 1, 10_000)
@@ -55,7 +41,8 @@ class CalibrationParameters(PoseParameters):
     def validate(self) -> None:
         """Refuse a home or a sweep outside the joint limits, and what can't be estimated.
 
-        Raises GridError naming the joint, IdentificationError naming the group.
+        Raises GridError naming the joint, IdentificationError naming the group, ObstacleError
+        naming the box.
         """
         for name, value, low, high in zip(
             ("Xhome", "Yhome", "Zhome", "Rhome", "Thome"),
@@ -67,24 +54,13 @@ class CalibrationParameters(PoseParameters):
             if not low <= value <= high:
                 raise GridError(f"{name} = {value:g} is outside its limits, {low:g} ... {high:g}")
         entities(self.estimate)
-        self.poses(self.itersT, self.itersR)
-
-    @property
-    def home(self) -> tuple[float, float, float, float, float]:
-        """Home in the joint vector's order, m and rad."""
-        return (self.Xhome, self.Yhome, self.Zhome, self.Rhome, self.Thome)
-
-    def poses(self, tilts: int, rolls: int) -> np.ndarray:
-        """Return the sweep's poses (n, 2), roll and tilt in rad; raises GridError."""
-        grid = SweepGrid(self.tstart, self.tend, tilts, self.rstart, self.rend, rolls)
-        (low_roll, low_tilt), (high_roll, high_tilt) = LIMITS.lower[3:], LIMITS.upper[3:]
-        return grid.poses((low_roll, low_tilt), (high_roll, high_tilt))
+        self.check_sweep()
 
     def settings(self) -> ProcedureSettings:
         """Return the procedure's settings."""
         return ProcedureSettings(
             home=np.array(self.home),
-            **vars(self.pose_settings()),
+            **vars(self.sweep_pose_settings()),
             pose_retries=self.pose_retries,
             max_rejected_in_a_row=self.max_rejected_in_a_row,
             min_pose_fraction=self.min_pose_fraction,

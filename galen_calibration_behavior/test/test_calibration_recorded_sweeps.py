@@ -65,7 +65,7 @@ def test_both_loads_come_out_as_well_as_they_say_and_the_border_where_the_tool_c
 )
 def test_the_errors_have_the_size_of_the_stated_covariance(tool, whole_phases):
     """Over seeds the squared normalised errors average to their 4 degrees of freedom."""
-    poses = [tuple(pose) for pose in PARAMETERS.poses(PARAMETERS.itersT, PARAMETERS.itersR)]
+    poses = [tuple(pose) for pose in PARAMETERS.grid_poses(PARAMETERS.itersT, PARAMETERS.itersR)]
     squares = []
     for seed in range(8):
         tape = Tape(seed).calibration(tool, poses)
