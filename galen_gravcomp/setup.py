@@ -21,6 +21,7 @@ setup(
         "console_scripts": [
             "gravcomp_node = galen_gravcomp.node:main",
             "evaluate = galen_gravcomp.evaluate:main",
+            "tools = galen_gravcomp.tools_command:main",
         ]
     },
 )

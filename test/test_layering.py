@@ -41,6 +41,7 @@ ROS_MODULES = {
     "galen_deflection.collection_node",
     "galen_deflection.collection_recorder",
     "galen_gravcomp.benchmark",
+    "galen_gravcomp.in_force_client",
     "galen_gravcomp.node",
     "galen_gravcomp.node_benchmark",
     "galen_gravcomp.stream_node",

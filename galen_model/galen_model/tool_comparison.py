@@ -58,9 +58,14 @@ class Difference:
         return 0.0 if self.value == 0.0 else float("inf")
 
     @property
+    def shown(self) -> tuple[float, str]:
+        """For a person: what to multiply the values by, and the unit then."""
+        return _SHOWN[self.unit]
+
+    @property
     def text(self) -> str:
         """In words, in g, mm, mN and mN.m."""
-        scale, unit = _SHOWN[self.unit]
+        scale, unit = self.shown
         amount = f"{three_digits(scale * abs(self.value))} {unit}"
         if np.isnan(self.std_dev):
             return "the same" if self.value == 0.0 else f"differs by {amount}"

@@ -1,0 +1,196 @@
+"""The command `tools`: what it prints, what it refuses, exit codes; without a node."""
+
+import json
+from dataclasses import dataclass, field, make_dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from galen_gravcomp.tools_command import main
+from galen_gravcomp.tools_report import age_text, print_in_force, print_tool
+from galen_model.kinematics import sensor_pose
+from galen_model.load_frames import sensor_in_frame
+from galen_model.tool_file import LoadEstimate, ToolFile, tool_path, write_tool
+from galen_model.tool_store import StoredTool
+from rich.console import Console
+
+from galen_gravcomp import tools_command
+
+
+def a_tool(name: str, mass_kg: float) -> ToolFile:
+    return ToolFile(
+        tool=name,
+        load=LoadEstimate(mass_kg, np.array([0.055, 0.002, 0.045]), np.diag([1, 4, 4, 4]) * 1e-8),
+        bias=LoadEstimate(0.1, np.array([0.0, 0.0, 0.02]), np.eye(4) * 1e-8),
+        tip_m=np.array([0.15, 0.0, 0.05]),
+        rmse=np.zeros(6),
+        poses_used=56,
+        calibrated_at="2026-01-01T00:00:00+00:00",
+        unresolved=("how much of the load is the adapter",) if name == "retractor" else (),
+    )
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    for tool in (a_tool("pointer", 0.06), a_tool("retractor", 0.2)):
+        write_tool(tool_path(tmp_path, tool.tool), tool)
+    (tmp_path / "cut.json").write_text("{")
+    return tmp_path
+
+
+@dataclass
+class Command:
+    folder: Path
+    capsys: Any
+    err: str = field(default="")
+
+    def __call__(self, *words: str, code: int = 0) -> str:
+        assert main([*words, "--tools-dir", str(self.folder)]) == code
+        captured = self.capsys.readouterr()
+        self.err = captured.err
+        return captured.out
+
+    def json(self, *words: str) -> Any:
+        return json.loads(self(*words, "--json"))
+
+
+@pytest.fixture
+def tools(folder: Path, capsys: pytest.CaptureFixture[str]) -> Command:
+    return Command(folder, capsys)
+
+
+def test_list_names_what_is_broken_and_what_was_removed(tools: Command) -> None:
+    out = tools("list")
+    assert "pointer" in out and "200.00 ± 0.100" in out and "one sweep" in out
+    assert "cut.json: not JSON" in out
+    assert f"kept as {tools.folder / 'pointer.json.removed'}" in tools("remove", "pointer", "--yes")
+    assert "can be restored: pointer" in tools("list")
+    found = tools.json("list")
+    assert found["removed"] == ["pointer"]
+    assert [(row["tool"], row["problem"] is None) for row in found["tools"]] == [
+        ("cut", False), ("retractor", True),
+    ]  # fmt: skip
+    assert "'pointer' is back" in tools("restore", "pointer")
+    assert tools.json("show", "pointer")["load"]["mass_kg"] == 0.06
+
+
+def test_show_in_another_frame(tools: Command) -> None:
+    joints = [0.0, 0.0, 0.408, 0.1, 0.2]
+    found = tools.json("show", "pointer", "--frame", "base_link", "--joints=0,0,0.408,0.1,0.2")
+    rotation, origin = sensor_pose(joints)
+    np.testing.assert_allclose(found["load"]["com_m"], rotation @ [0.055, 0.002, 0.045] + origin)
+    np.testing.assert_allclose(found["tip_m"], rotation @ [0.15, 0.0, 0.05] + origin)
+    assert found["joints"] == joints and found["frame"] == "base_link"
+    out = tools("show", "pointer", "--frame", "roll_link", "--joints=0.1,0.2")
+    assert "centre in roll_link at tilt 0.2, mm" in out and "roll 0.1" not in out
+    tools("show", "pointer", "--frame", "base_link", "--joints=0.1,0.2", code=1)
+    assert "unknown: delta_x, delta_y, delta_z" in tools.err and tools.err.count("\n") == 1
+    assert "not told by the calibration: how much" in tools("show", "retractor")
+
+
+def test_optional_parts_are_shown_whatever_they_hold(folder: Path) -> None:
+    class Part:
+        def to_json(self) -> dict[str, Any]:
+            return {"gain": [1.0, 2.5], "covariance": [[1.0]], "nested": {"x": 0.1}}
+
+    kind = make_dataclass(
+        "WithPart", [("of_later", Any, field(default=None))], bases=(ToolFile,), frozen=True
+    )
+    tool = kind(**{**vars(a_tool("pointer", 0.06)), "of_later": Part()})
+    assert tool.parts[-1:] == ("of_later",)
+    console = Console(width=100)
+    place = sensor_in_frame("ft_sensor", tool.tip_m)
+    with console.capture() as captured:
+        print_tool(StoredTool(folder / "x", tool, "", ""), place, np.full(5, np.nan), console)
+    out = captured.get()
+    assert "of_later" in out and "1 2.5" in out and "x: 0.1" in out and "given" in out
+
+
+def test_compare(tools: Command) -> None:
+    out = tools("compare", "pointer", "retractor")
+    assert "another load: mass differs by 140 g (990 sigma)" in out
+    found = tools.json("compare", "pointer", "retractor")
+    assert found["differences"][0]["difference"] == pytest.approx(0.14)
+    assert found["worst"]["force_n"]["size"] == pytest.approx(0.14 * 9.80665)
+    tip = next(row for row in found["differences"] if row["quantity"] == "tip_x")
+    assert tip["std_dev"] is None and tip["text"] == "the same"
+    assert tools.json("compare", "pointer", "pointer")["same_load"]
+
+
+def test_what_is_refused_is_one_line_and_changes_nothing(tools: Command) -> None:
+    before = {path.name: path.read_bytes() for path in tools.folder.iterdir()}
+    for words, said in (
+        (("rename", "pointer", "retractor"), "never overwritten"),
+        (("rename", "pointer", "../x"), "letters, digits"),
+        (("rename", "cut", "x"), "not JSON"),
+        (("remove", "none", "--yes"), "can't be read: No such file"),
+        (("restore", "pointer"), "is there"),
+        (("compare", "pointer", "none"), "none.json"),
+        (("show", "cut"), "not JSON"),
+    ):
+        tools(*words, code=1)
+        assert said in tools.err and tools.err.startswith("tools: ") and tools.err.count("\n") == 1
+    assert before == {path.name: path.read_bytes() for path in tools.folder.iterdir()}
+    assert "is now" in tools("rename", "pointer", "probe")
+    assert (tools.folder / "probe.json").is_file() and not (tools.folder / "pointer.json").exists()
+
+
+def test_remove_asks(
+    tools: Command, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    class Terminal:
+        answer = ""
+
+        def isatty(self) -> bool:
+            return True
+
+        def readline(self) -> str:
+            if self.answer == "interrupt":
+                raise KeyboardInterrupt
+            return self.answer
+
+    terminal = Terminal()
+    monkeypatch.setattr(tools_command.sys, "stdin", terminal)
+    for answer, code in (("n\n", 1), ("", 1), ("interrupt", 130), ("y\n", 0)):
+        terminal.answer = answer
+        tools("remove", "pointer", code=code)
+        assert "remove 'pointer' (60.0 g, calibrated 2026" in tools.err
+        assert (tools.folder / "pointer.json").exists() == (code != 0)
+    terminal.isatty = lambda: False  # type: ignore[method-assign]
+    with pytest.raises(SystemExit) as usage:
+        main(["remove", "retractor", "--tools-dir", str(tools.folder)])
+    assert usage.value.code == 2 and "give --yes" in capsys.readouterr().err
+
+
+def test_ages() -> None:
+    now = datetime(2026, 1, 3, 1, 30, tzinfo=UTC)
+    for time, text in (
+        ("2026-01-01T00:00:00+00:00", "2 days ago"),
+        ("2026-01-03T01:10:00+01:00", "1 hour ago"),
+        ("2026-01-03T01:29:50Z", "just now"),
+        ("2026-01-04T00:00:00+00:00", "in the future"),
+    ):
+        assert age_text(time, now) == text
+
+
+def test_in_force_tells_a_switch_that_is_off_and_a_file_that_changed() -> None:
+    state = {
+        "tool": "pointer", "enabled": False, "frame": "ft_sensor", "mass_kg": 0.06,
+        "com_m": [0.055, 0.002, 0.045], "covariance": (np.eye(4) * 1e-8).tolist(),
+        "tip_m": [0.15, 0.0, 0.05], "adapter": {"mass_kg": 0.1, "com_m": [0.0, 0.0, 0.02]},
+        "parts": ["inertia"], "calibrated_at": "2026-01-01T00:00:00Z", "path": "/x/pointer.json",
+        "sha256": "0123456789abcdef", "file_state": "changed",
+        "tare": [0.5, 0.0, 0.0, 0.0, 0.0, 0.0], "wander": None,
+    }  # fmt: skip
+    console = Console(width=100)
+    with console.capture() as captured:
+        print_in_force(state, console)
+    out = captured.get()
+    for words in ("switched off", "has changed since", "500.00", "inertia", "0123456789ab"):
+        assert words in out
+    assert "wander" not in out
+    with console.capture() as captured:
+        print_in_force({**state, "tool": ""}, console)
+    assert "no tool is in force" in captured.get()
