@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike
 
 from galen_model.arm import GRAVITY_M_S2, SENSOR_FRAME
 from galen_model.arrays import Array
+from galen_model.cable_drag import CableDrag
 from galen_model.errors import ToolFileError, ToolNameError
 from galen_model.inertia_estimate import InertiaEstimate
 from galen_model.json_fields import (
@@ -86,8 +87,10 @@ class ToolFile:
     unresolved: tuple[str, ...] = ()
     """What the calibration could not tell (one sweep); empty after two sweeps."""
     inertia: InertiaEstimate | None = None
-    mounting: Mounting | None = None
     """Of tool and adapter together, where a recording of motion told it."""
+    mounting: Mounting | None = None
+    cable: CableDrag | None = None
+    """What a cable at the tool pulls beside the load, where a sweep with the cable on told it."""
 
     def predict(self, roll_rad: ArrayLike, tilt_rad: ArrayLike) -> Array:
         """Reading (..., 6) expected at roll and tilt (...) without touch, N and N.m.
@@ -154,6 +157,8 @@ class ToolFile:
             content["inertia"] = self.inertia.to_json()
         if self.mounting is not None:
             content["mounting"] = self.mounting.to_json()
+        if self.cable is not None:
+            content["cable"] = self.cable.to_json()
         return content
 
 
@@ -252,6 +257,7 @@ def _from_json(content: Any) -> ToolFile:
         if "inertia" in whole
         else None,
         mounting=Mounting.from_json(whole["mounting"], "mounting") if "mounting" in whole else None,
+        cable=CableDrag.from_json(whole["cable"], "cable") if "cable" in whole else None,
     )
 
 
