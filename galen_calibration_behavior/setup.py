@@ -21,6 +21,7 @@ setup(
             "calibration_node = galen_calibration_behavior.node:main",
             "calibrate = galen_calibration_behavior.calibrate:main",
             "calibrate_from_bag = galen_calibration_behavior.calibrate_from_bag:main",
+            "choose_poses = galen_calibration_behavior.choose_poses:main",
         ]
     },
 )

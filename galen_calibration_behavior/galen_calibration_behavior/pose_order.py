@@ -44,6 +44,12 @@ class SweepTimes:
             [[quintic_duration_s(b - a, *self._limits) for b in places] for a in places]
         )
 
+    def at_s(self, poses: Array) -> Array:
+        """Seconds (n,) from home until the stay at each pose is over, in this order."""
+        places = np.vstack([self._home, poses])
+        legs = [quintic_duration_s(leg, *self._limits) for leg in np.diff(places, axis=0)]
+        return np.asarray(np.cumsum(np.array(legs) + self.stay_s))
+
     def sweep_s(self, poses: Array) -> float:
         """Seconds of a sweep in this order, from home to home."""
         places = np.vstack([self._home, poses, self._home])

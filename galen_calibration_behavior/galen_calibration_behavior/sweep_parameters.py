@@ -9,6 +9,7 @@ from galen_model.arm import LIMITS
 from galen_model.arm_clearance import boxes_from_numbers
 from galen_model.arrays import Array
 from galen_model.identification import check_planned_poses
+from galen_model.pose_design import GOALS
 from galen_ros.param import ParameterError, param
 
 from galen_calibration_behavior.grid import SweepGrid
@@ -57,6 +58,11 @@ class SweepParameters(PoseParameters):
         0.01,
         60.0,
     )
+    chosen_for: str = param(
+        "compensation",
+        "what the chosen poses shall make precise: the `compensation`, or the `load`'s own mass and"
+        " centre",
+    )
     wanted_force_std_n: float = param(
         0.0,
         "a sweep ends as soon as the standard deviation of the compensation's own error in force,"
@@ -81,6 +87,11 @@ class SweepParameters(PoseParameters):
         if self.poses not in POSES:
             raise ParameterError(
                 f"parameter 'poses' is {self.poses!r}, but must be {' or '.join(map(repr, POSES))}"
+            )
+        if self.chosen_for not in GOALS:
+            raise ParameterError(
+                f"parameter 'chosen_for' is {self.chosen_for!r}, but must be"
+                f" {' or '.join(map(repr, GOALS))}"
             )
         boxes_from_numbers(self.obstacles)
 
@@ -115,6 +126,7 @@ class SweepParameters(PoseParameters):
                 self.surroundings,
                 tip_m,
                 self.times(),
+                goal=self.chosen_for,
                 one_sweep=one_sweep,
             )
         poses = self.grid_poses(tilts or self.itersT, rolls or self.itersR)
