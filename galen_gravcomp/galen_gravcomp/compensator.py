@@ -21,7 +21,7 @@ from galen_gravcomp.block import NOTHING, BlockResult, Outputs, SampleBlock, pus
 from galen_gravcomp.pairing import PairingSettings, WrenchPairing
 from galen_gravcomp.prediction import Prediction
 from galen_gravcomp.results import Compensated, Refusal, Refused, Result
-from galen_gravcomp.stages import MotionStage, NoMotion, Stages
+from galen_gravcomp.stages import FitWatch, MotionStage, NoMotion, Stages, WanderStage
 from galen_gravcomp.stretch import Arrivals
 from galen_gravcomp.tare import TareOutcome, TareRamp, TareSettings, TareWindow
 
@@ -84,6 +84,16 @@ class Compensator(WrenchPairing[Compensated]):
     def motion(self) -> MotionStage | None:
         """The stage of the forces of motion."""
         return self._stages.motion
+
+    @property
+    def wander(self) -> WanderStage | None:
+        """The stage of the sensor's slow wander."""
+        return self._stages.wander
+
+    @property
+    def fit(self) -> FitWatch | None:
+        """The watch on whether the file fits."""
+        return self._stages.fit
 
     @property
     def needs_positions(self) -> bool:
@@ -198,6 +208,13 @@ class Compensator(WrenchPairing[Compensated]):
             window, self._window = self._window, None
             window.finish(TareOutcome(False, f"not tared: {why}"))
 
+    def set_wander(self, enabled: bool) -> None:
+        """Switch the wander's estimate on or off, where there is one."""
+        if self._stages.wander is not None:
+            before = self._settled_offset
+            self._stages.wander.set_enabled(enabled)
+            self._offset_changed(before)
+
     # Samples
 
     def push_joints(
@@ -260,6 +277,28 @@ class Compensator(WrenchPairing[Compensated]):
 
     # Inside
 
+    @property
+    def _settled_offset(self) -> Array:
+        """What tare and wander take off (6,) when no ramp runs."""
+        wander = self._stages.wander
+        return self._ramp.target if wander is None else self._ramp.target + wander.settled
+
+    def _offset_changed(self, before: Array) -> None:
+        if self._stages.fit is not None:
+            self._stages.fit.offset_changed(self._settled_offset - before)
+
+    def _end_tare(self, window: TareWindow, stamp_ns: int, roll: float, tilt: float) -> None:
+        """Its offset holds what the wander took off: that goes as the tare comes."""
+        self._window = None
+        outcome = window.evaluate()
+        if outcome.offset is not None:
+            before = self._settled_offset
+            self._ramp.start(stamp_ns, outcome.offset)
+            if self._stages.wander is not None:
+                self._stages.wander.tared(stamp_ns, roll, tilt, outcome.offset)
+            self._offset_changed(before)
+        window.finish(outcome)
+
     def _known_until_ns(self) -> int | None:
         joints_ns, motion = self._joints.newest_ns, self._stages.motion
         if motion is None or joints_ns is None:
@@ -311,17 +350,13 @@ class Compensator(WrenchPairing[Compensated]):
             if isinstance(motion, NoMotion):
                 return self._refuse(stamp_ns, motion.reason, motion.detail, number)
             untared = untared - motion
+        compensated: Array = untared - self._ramp.offset_at(stamp_ns)
         if stages.wander is not None:
             stages.wander.push(stamp_ns, roll, tilt, untared)
-            untared = untared - stages.wander.offset_at(stamp_ns)
-        compensated: Array = untared - self._ramp.offset_at(stamp_ns)
+            compensated = compensated - stages.wander.offset_at(stamp_ns)
         if self._window is not None and self._window.add(stamp_ns, roll, tilt, untared):
-            window, self._window = self._window, None
-            outcome = window.evaluate()
-            if outcome.offset is not None:
-                self._ramp.start(stamp_ns, outcome.offset)
-            window.finish(outcome)
+            self._end_tare(self._window, stamp_ns, roll, tilt)
         if stages.fit is not None:
-            stages.fit.push(stamp_ns, roll, tilt, compensated)
+            stages.fit.push(stamp_ns, roll, tilt, untared - self._settled_offset)
         self.compensated += 1
         return Compensated(stamp_ns, compensated, tag, number, (roll, tilt))

@@ -44,6 +44,11 @@ class Monitor(StreamMonitor):
             return State(Severity.OK, "taring", f"compensating '{tool}', averaging for a tare")
         if compensator.tare_ramping:
             return State(Severity.OK, "tare_ramp", f"compensating '{tool}', applying a tare")
+        fit, wander = compensator.fit, compensator.wander
+        if fit is not None and fit.trouble:
+            return State(Severity.WARN, "does_not_fit", f"compensating, but {fit.trouble}")
+        if wander is not None and wander.trouble:
+            return State(Severity.WARN, "wander_limit", f"compensating, but {wander.trouble}")
         if self._file_note:
             return State(Severity.WARN, "file_changed", f"compensating '{tool}': {self._file_note}")
         return State(Severity.OK, "compensating", f"compensating '{tool}'")
@@ -72,6 +77,8 @@ class Monitor(StreamMonitor):
         }
         motion = compensator.motion
         values |= {"motion": "off"} if motion is None else motion.values()
+        values |= {"wander": "off"} if compensator.wander is None else compensator.wander.values()
+        values |= {"fit": "off"} if compensator.fit is None else compensator.fit.values()
         values |= self.inputs(now_s, "wrench_compensated")
         values |= {"received": compensator.received, "compensated": compensator.compensated}
         return values | self.refused()

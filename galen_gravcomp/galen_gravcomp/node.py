@@ -17,7 +17,6 @@ from galen_gravcomp.compensator import Compensator, TareRefusedError
 from galen_gravcomp.monitor import Monitor
 from galen_gravcomp.parameters import GravcompParameters
 from galen_gravcomp.results import Compensated, Result
-from galen_gravcomp.stages import Stages
 from galen_gravcomp.stream_node import StreamNode, input_qos
 from galen_gravcomp.tare import TareOutcome
 from galen_gravcomp.tool_services import LiveJoints, ToolServices
@@ -35,8 +34,7 @@ class GravcompNode(StreamNode):
         super().__init__("gravcomp", **node_options)
         self._config = declare_parameters(self, GravcompParameters)
         p = self._config
-        stages = Stages(motion=p.motion_stage())
-        self._compensator = Compensator(p.settings(), self._on_restart, stages)
+        self._compensator = Compensator(p.settings(), self._on_restart, p.stages())
         self._compensation = Monitor(self._compensator, p.silence_s)
         self._tare_progress = (0, 0.0)
 
@@ -58,6 +56,7 @@ class GravcompNode(StreamNode):
             self._imu = self.create_subscription(Imu, "imu", self._on_imu, qos, raw=True)
         self.create_service(SetBool, "~/enable", self._on_enable)
         self.create_service(SetTool, "~/set_tool", self._on_set_tool)
+        self.create_service(SetBool, "~/set_wander", self._on_set_wander)
         self._tare_service = DeferredService(self, Trigger, "~/tare", self._on_tare)
 
     def _push_joints(self, stamp_ns: int, positions: tuple[float, ...]) -> list[Result]:
@@ -140,6 +139,19 @@ class GravcompNode(StreamNode):
         response.message = "compensation is on" if request.data else "compensation is off"
         if request.data and self._compensator.tool is None:
             response.message += ", but no tool is loaded"
+        self._announce(always=True)
+        return response
+
+    def _on_set_wander(self, request: SetBool.Request, response: SetBool.Response) -> Any:
+        self._compensator.set_wander(request.data)
+        self._tools.in_force.update()
+        response.success = True
+        response.message = (
+            "wander is learned while the arm is still and nobody touches the tool"
+            if request.data
+            else "wander is off, what it took off goes"
+        )
+        self.get_logger().info(response.message)
         self._announce(always=True)
         return response
 

@@ -6,11 +6,14 @@ import numpy as np
 from galen_ros.param import param
 
 from galen_gravcomp.compensator import CompensatorSettings
+from galen_gravcomp.fit_watch import GravityFitWatch
 from galen_gravcomp.imu_motion import ImuMotion, ImuMount
 from galen_gravcomp.joint_motion import JointMotion
+from galen_gravcomp.misfit import Limits
 from galen_gravcomp.motion_window import MotionSettings
-from galen_gravcomp.stages import MotionStage
+from galen_gravcomp.stages import MotionStage, Stages
 from galen_gravcomp.tare import TareSettings
+from galen_gravcomp.wander import Wander, WanderSettings
 
 _MOTIONS = ("off", "joints", "imu")
 
@@ -67,6 +70,27 @@ class GravcompParameters:
     imu_scale: float = param(
         1.0, "the IMU's reading over the true one, of accelerations", minimum=0.5, maximum=2.0
     )
+    wander: bool = param(
+        False,
+        "whether the sensor's slow wander is learned and taken off from the start, while the arm"
+        " is still and nobody touches the tool; `~/set_wander` switches it",
+    )
+    wander_max_force_n: float = param(
+        WanderSettings.max_force_n,
+        "N; the most of it that is taken off along an axis",
+        minimum=0.0,
+        maximum=5.0,
+    )
+    wander_max_torque_nm: float = param(
+        WanderSettings.max_torque_nm, "N.m; the same about an axis", minimum=0.0, maximum=0.5
+    )
+    fit_watch: bool = param(
+        True, "whether to watch, while nobody touches the tool, if its file still fits"
+    )
+    fit_limit_force_n: float = param(
+        Limits.force_n, "N; what is left over below that is no warning", minimum=0.001
+    )
+    fit_limit_torque_nm: float = param(Limits.torque_nm, "N.m; the same", minimum=1e-5)
     max_joint_age_s: float = param(
         0.05,
         "s; how far `joint_states` may lie behind a wrench, and how far apart two joint samples"
@@ -169,6 +193,18 @@ class GravcompParameters:
             )
             return ImuMotion(mount, settings, self.max_joint_age_s)
         return None
+
+    def stages(self) -> Stages:
+        """What stands beside the tool's weight."""
+        limits = Limits(self.fit_limit_force_n, self.fit_limit_torque_nm)
+        wander = WanderSettings(
+            self.wander_max_force_n, self.wander_max_torque_nm, self.tare_ramp_s
+        )
+        return Stages(
+            motion=self.motion_stage(),
+            wander=Wander(wander, enabled=self.wander),
+            fit=GravityFitWatch(limits) if self.fit_watch else None,
+        )
 
     def settings(self) -> CompensatorSettings:
         """The compensator's part of the parameters."""

@@ -80,7 +80,27 @@ class WanderStage(Protocol):
         """Offset (6,) to take off at a stamp, N and N.m in ft_sensor; it never jumps."""
 
     def push(self, stamp_ns: int, roll_rad: float, tilt_rad: float, untared: Array) -> None:
-        """Take an untared wrench (6,)."""
+        """Take an untared wrench (6,), which must not be written into later."""
+
+    @property
+    def settled(self) -> Array:
+        """Offset (6,) that is taken off when no ramp runs; not to be written into."""
+
+    def set_enabled(self, enabled: bool) -> None:
+        """Switch on or off; what it took off goes along a ramp."""
+
+    def tared(self, stamp_ns: int, roll_rad: float, tilt_rad: float, offset: Array) -> None:
+        """From a stamp on a tare takes `offset` (6,) off the untared wrench, along its own ramp.
+
+        What the wander took off is in it, so that goes to zero along a ramp as long.
+        """
+
+    @property
+    def trouble(self) -> str:
+        """What a person should be warned of, empty if nothing."""
+
+    def values(self) -> dict[str, object]:
+        """What there is to say of it on /diagnostics; units are in the names."""
 
     def clear(self, why: str) -> None:
         """Forget everything, for the reason given: another tool, another life of the driver."""
@@ -93,7 +113,20 @@ class FitWatch(Protocol):
         """Watch another tool; what was seen is forgotten."""
 
     def push(self, stamp_ns: int, roll_rad: float, tilt_rad: float, output: Array) -> None:
-        """Take a wrench (6,) as it goes out, and the angles at its stamp."""
+        """Take a wrench (6,) as it goes out when no ramp runs, and the angles at its stamp.
+
+        It must not be written into later.
+        """
+
+    def offset_changed(self, change: Array) -> None:
+        """From now on `change` (6,) more is taken off than before, by a tare."""
+
+    @property
+    def trouble(self) -> str:
+        """Why the file seems not to fit, empty while nothing says so."""
+
+    def values(self) -> dict[str, object]:
+        """What there is to say of it on /diagnostics; units are in the names."""
 
     def clear(self, why: str) -> None:
         """Forget everything, for the reason given."""
