@@ -112,6 +112,10 @@ class Sink(Protocol):
     def sensor_frame(self) -> str:
         """The frame that a wrench must have."""
 
+    @property
+    def pairs_positions(self) -> bool:
+        """Whether each wrench is paired with the platform's position as well."""
+
     def push_joints(
         self,
         stamp_ns: int,
@@ -161,6 +165,7 @@ class _Pushing:
         self.at = 0
         self._joint_row = 0
         self._wrench_row = 0
+        self._joints = _paired_joints(block, sink)
         self._joint_usable = _all_but(block.bad_joints, len(block.joint_stamp_ns))
         self._wrench_readable = _all_but(block.bad_wrenches, len(block.wrench_stamp_ns))
         self._parts = [NOTHING]
@@ -182,7 +187,7 @@ class _Pushing:
         return Arrivals(
             is_wrench,
             block.joint_stamp_ns[joints],
-            block.angles[joints],
+            self._joints[joints],
             self._joint_usable[joints],
             block.wrench_stamp_ns[wrenches],
             block.wrenches[wrenches],
@@ -267,6 +272,16 @@ class _Pushing:
             )
         )
         self._single = []
+
+
+def _paired_joints(block: SampleBlock, sink: Sink) -> Array:
+    """What wrenches are paired with (j, 2), or (j, 5) with the platform's position first."""
+    if not sink.pairs_positions:
+        return block.angles
+    positions = block.positions
+    if positions is None:
+        positions = np.full((len(block.angles), 3), np.nan)
+    return np.concatenate((positions, block.angles), axis=1)
 
 
 def _all_but(rows: Mapping[int, str], count: int) -> np.ndarray:

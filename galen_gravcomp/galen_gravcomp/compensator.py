@@ -8,6 +8,7 @@ blocks, which gives the same. Live node and offline evaluation feed the same cla
 belong to a wrench, and which wrench is refused, is `galen_gravcomp.pairing`'s.
 """
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import Enum
@@ -18,6 +19,7 @@ from galen_model.errors import GalenError
 from galen_model.tool_file import ToolFile
 
 from galen_gravcomp.block import NOTHING, BlockResult, Outputs, SampleBlock, push_block
+from galen_gravcomp.cable_pull import CablePull
 from galen_gravcomp.pairing import PairingSettings, WrenchPairing
 from galen_gravcomp.prediction import Prediction
 from galen_gravcomp.results import Compensated, Refusal, Refused, Result
@@ -56,6 +58,7 @@ class Compensator(WrenchPairing[Compensated]):
         self._enabled = True
         self._tool: ToolFile | None = None
         self._prediction: Prediction | None = None
+        self._cable: CablePull | None = None
         self._no_tool_detail = "no tool is loaded"
         self._ramp = TareRamp(self._settings.tare.ramp_s)
         self._window: TareWindow | None = None
@@ -96,10 +99,20 @@ class Compensator(WrenchPairing[Compensated]):
         return self._stages.fit
 
     @property
+    def cable(self) -> CablePull | None:
+        """The pull of the cable that the tool's file tells of."""
+        return self._cable
+
+    @property
     def needs_positions(self) -> bool:
         """Whether `push_joints` must be given the platform's position."""
         motion = self._stages.motion
-        return motion is not None and motion.needs_positions
+        return self.pairs_positions or (motion is not None and motion.needs_positions)
+
+    @property
+    def pairs_positions(self) -> bool:
+        """Whether each wrench is paired with the platform's position as well."""
+        return self._cable is not None
 
     @property
     def needs_imu(self) -> bool:
@@ -157,6 +170,7 @@ class Compensator(WrenchPairing[Compensated]):
         self._tool = tool
         self._prediction = None if tool is None else Prediction(tool)
         self._no_tool_detail = why_none
+        results = self._set_cable(tool)
         if self._stages.motion is not None:
             self._stages.motion.set_tool(tool)
         if self._stages.wander is not None:
@@ -164,8 +178,8 @@ class Compensator(WrenchPairing[Compensated]):
         if self._stages.fit is not None:
             self._stages.fit.set_tool(tool)
         if tool is None:
-            return self._refuse_waiting(Refusal.NO_TOOL, why_none)
-        return []
+            results += self._refuse_waiting(Refusal.NO_TOOL, why_none)
+        return results
 
     def rename_tool(self, name: str) -> None:
         """Call the tool in force by another name; nothing else changes, the tare stays."""
@@ -179,6 +193,8 @@ class Compensator(WrenchPairing[Compensated]):
         """
         self.cancel_tare(why)
         self._ramp.reset()
+        if self._cable is not None:
+            self._cable.forget()
         if self._stages.motion is not None:
             self._stages.motion.clear()
         if self._stages.wander is not None:
@@ -230,7 +246,10 @@ class Compensator(WrenchPairing[Compensated]):
         """
         if self._stages.motion is not None:
             self._stages.motion.push_joints(stamp_ns, roll_rad, tilt_rad, position_m)
-        return self._push_joint_sample(stamp_ns, (roll_rad, tilt_rad))
+        if self._cable is None:
+            return self._push_joint_sample(stamp_ns, (roll_rad, tilt_rad))
+        platform = (math.nan,) * 3 if position_m is None else position_m
+        return self._push_joint_sample(stamp_ns, (*platform, roll_rad, tilt_rad))
 
     def push_block(
         self,
@@ -276,6 +295,18 @@ class Compensator(WrenchPairing[Compensated]):
         return self._release()
 
     # Inside
+
+    def _set_cable(self, tool: ToolFile | None) -> list[Result]:
+        """Take the cable of another tool, or none."""
+        before = self.pairs_positions
+        drag = None if tool is None else tool.cable
+        self._cable = None if drag is None else CablePull(drag)
+        if self.pairs_positions == before:
+            return []
+        # The joints so far were kept without the platform's position, or with one too many.
+        self._joints.clear()
+        why = "the tool was changed, and the joints are paired anew"
+        return self._refuse_waiting(Refusal.NO_JOINTS, why)
 
     @property
     def _settled_offset(self) -> Array:
@@ -326,8 +357,10 @@ class Compensator(WrenchPairing[Compensated]):
         paired = self._pair_stretch(arrivals)
         self.compensated += len(paired.number)
         self.pushed_as_arrays += paired.taken
-        angles = paired.joints
+        angles = paired.joints[:, -2:]
         expected = prediction.readings(angles[:, 0], angles[:, 1])
+        if self._cable is not None:
+            expected += self._cable.readings(paired.joints)
         wrench = prediction.wrenches(paired.raw - expected) - self._ramp.target
         return Outputs(paired.taken, paired.number, paired.stamp_ns, wrench, angles)
 
@@ -341,22 +374,28 @@ class Compensator(WrenchPairing[Compensated]):
     def _make(
         self, stamp_ns: int, raw: Array, joints: tuple[float, ...], tag: object, number: int
     ) -> Compensated | Refused:
-        roll, tilt = joints
+        roll, tilt = joints[-2:]
         stages, prediction = self._stages, self._prediction
         assert prediction is not None
-        untared = prediction.wrench(raw - prediction.reading(roll, tilt))
+        expected = prediction.reading(roll, tilt)
+        if self._cable is not None:
+            expected = expected + self._cable.reading(joints)
+        untared = prediction.wrench(raw - expected)
         if stages.motion is not None:
             motion = stages.motion.reading(stamp_ns, roll, tilt)
             if isinstance(motion, NoMotion):
                 return self._refuse(stamp_ns, motion.reason, motion.detail, number)
             untared = untared - motion
         compensated: Array = untared - self._ramp.offset_at(stamp_ns)
+        # Where a cable's pull is not known, what is left is neither the sensor's nor the load's.
+        known = self._cable is None or self._cable.weight == 1.0
         if stages.wander is not None:
-            stages.wander.push(stamp_ns, roll, tilt, untared)
+            if known:
+                stages.wander.push(stamp_ns, roll, tilt, untared)
             compensated = compensated - stages.wander.offset_at(stamp_ns)
         if self._window is not None and self._window.add(stamp_ns, roll, tilt, untared):
             self._end_tare(self._window, stamp_ns, roll, tilt)
-        if stages.fit is not None:
+        if stages.fit is not None and known:
             stages.fit.push(stamp_ns, roll, tilt, untared - self._settled_offset)
         self.compensated += 1
         return Compensated(stamp_ns, compensated, tag, number, (roll, tilt))

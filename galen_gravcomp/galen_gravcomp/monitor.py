@@ -49,6 +49,12 @@ class Monitor(StreamMonitor):
             return State(Severity.WARN, "does_not_fit", f"compensating, but {fit.trouble}")
         if wander is not None and wander.trouble:
             return State(Severity.WARN, "wander_limit", f"compensating, but {wander.trouble}")
+        if compensator.cable is not None and compensator.cable.where == "outside":
+            return State(
+                Severity.WARN,
+                "cable_outside",
+                f"compensating '{tool}' without its cable's pull: no such pose was seen with it",
+            )
         if self._file_note:
             return State(Severity.WARN, "file_changed", f"compensating '{tool}': {self._file_note}")
         return State(Severity.OK, "compensating", f"compensating '{tool}'")
@@ -77,6 +83,7 @@ class Monitor(StreamMonitor):
         }
         motion = compensator.motion
         values |= {"motion": "off"} if motion is None else motion.values()
+        values |= {"cable": "none"} if compensator.cable is None else compensator.cable.values()
         values |= {"wander": "off"} if compensator.wander is None else compensator.wander.values()
         values |= {"fit": "off"} if compensator.fit is None else compensator.fit.values()
         values |= self.inputs(now_s, "wrench_compensated")

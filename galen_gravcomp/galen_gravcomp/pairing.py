@@ -265,7 +265,7 @@ class WrenchPairing(ABC, Generic[Made]):
         beyond_range, other_unit = self._limits.count_range_notices(arrivals.wrenches)
         self._note(Notice.BEYOND_RANGE, beyond_range)
         self._note(Notice.TORQUE_UNIT, other_unit)
-        self._note(Notice.ANGLE_UNIT, count_angle_unit_notices(arrivals.angles))
+        self._note(Notice.ANGLE_UNIT, count_angle_unit_notices(arrivals.angles[:, -2:]))
         return Paired(len(arrivals.is_wrench), number[:out], stamp_ns[:out], raw[:out], angles)
 
     # Inside

@@ -26,7 +26,8 @@ _AFTER_ALL_NS = 2**61
 class Arrivals:
     """Samples of both topics; is_wrench (n,) says whose the next one is.
 
-    Joints: stamps (j,) ns, angles (j, 2) rad. Wrenches: stamps (w,), wrenches (w, 6) N and N.m.
+    Joints: stamps (j,) ns, angles (j, 2) rad, or (j, 5) with the platform's position before them.
+    Wrenches: stamps (w,), wrenches (w, 6) N and N.m.
     `*_usable`: whether the message could be read and its frame is right.
     """
 
@@ -57,7 +58,7 @@ class Stretch(NamedTuple):
     """What was found: the first so many arrivals are regular.
 
     Of the wrenches that waited, followed by those that arrived, the first ones come out, as many
-    as there are `angles` (k, 2), roll and tilt at their stamps, rad.
+    as there are `angles` (k, 2 or 5), what `Arrivals` has of them at their stamps.
     """
 
     arrivals: Arrivals
@@ -77,7 +78,7 @@ def regular_stretch(
     the joint samples.
     """
     if np.any(np.diff(waiting_ns) <= 0):
-        return Stretch(arrivals.first(0), np.zeros((0, 2)))
+        return Stretch(arrivals.first(0), np.zeros((0, arrivals.angles.shape[1])))
     arrivals = arrivals.first(_in_line(arrivals, newest_wrench_ns, joints.newest_ns, limits))
     # From here on the stamps of either topic increase, so they can be searched.
     wrench_at = np.flatnonzero(arrivals.is_wrench)

@@ -145,8 +145,10 @@ class CableDrag:
 
 def smooth_kernel(a: Array, b: Array, lengths: Array) -> Array:
     """exp(-|a - b|^2 / 2) (n, m) of rows (n, d) and (m, d), in units of lengths (d,)."""
-    apart = a[:, None] / lengths - b[None] / lengths
-    return np.asarray(np.exp(-0.5 * np.einsum("nmd,nmd->nm", apart, apart)))
+    left, right = a / lengths, b / lengths
+    # By products, without an array of all differences: |a - b|^2 = |a|^2 + |b|^2 - 2 a.b.
+    apart2 = np.sum(left**2, axis=1)[:, None] + np.sum(right**2, axis=1) - 2.0 * left @ right.T
+    return np.asarray(np.exp(-0.5 * np.maximum(apart2, 0.0)))
 
 
 def prior_covariance(drag: CableDrag, a: Array, b: Array) -> Array:

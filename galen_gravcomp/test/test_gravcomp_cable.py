@@ -1,0 +1,220 @@
+"""A tool's cable in the compensator: fast and slow way, one by one and as arrays, in and out."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from galen_gravcomp.cable_pull import CablePull
+from galen_gravcomp.compensator import Compensator
+from galen_gravcomp.monitor import Monitor
+from galen_gravcomp.results import Compensated, Refusal
+from galen_gravcomp.stream_monitor import Severity
+from galen_model.arm import HOME, SENSOR
+from galen_model.cable_drag import CableDrag
+from galen_model.cable_form import FORMS, form_matrices
+from galen_model.tool_file import LoadEstimate, ToolFile
+from galen_model.tools import ADAPTER, TOOLS
+
+PERIOD_NS = 2_000_000
+START_NS = 1_000_000_000
+AT = np.array([0.09, 0.01, 0.05])
+
+
+def a_drag(form="point", seed=0):
+    """A cable learned from 20 poses at home's place."""
+    roll, tilt = np.meshgrid(np.linspace(-1.0, 1.0, 5), np.linspace(-0.8, 0.8, 4), indexing="ij")
+    joints = np.tile(HOME, (20, 1))
+    joints[:, 3], joints[:, 4] = roll.ravel(), tilt.ravel()
+    matrices = form_matrices("point_and_couple", joints, AT)
+    force = np.array([0.2, -0.15, 0.1]) + 0.05 * np.sin(joints[:, 3:4] + [0.0, 1.0, 2.0])
+    couple = 0.005 * np.cos(joints[:, 4:] + [0.0, 1.0, 2.0])
+    wrench = np.einsum("gnkl,gnl->nk", matrices, np.array([force, couple]))
+    std = np.tile(SENSOR.noise_std / 20.0, (20, 1))
+    length = np.array([1.2, 1.1])
+    return CableDrag(form, joints, wrench, std, length, 0.3, [0.1, 0.01] * np.ones(2), 0.6, "x", AT)
+
+
+def a_tool(cable=None):
+    tool, adapter = TOOLS["retractor"].load, ADAPTER
+    load = LoadEstimate(tool.mass_kg, tool.com_m, 1e-8 * np.eye(4))
+    bias = LoadEstimate(adapter.mass_kg, adapter.com_m, 1e-8 * np.eye(4))
+    return ToolFile("retractor", load, bias, AT, np.zeros(6), 56, "x", cable=cable)
+
+
+def motion(count=1500):
+    """Joints (n, 5) that leave the poses seen in the last third, and come back."""
+    t = np.linspace(0.0, 1.0, count)
+    joints = np.tile(HOME, (count, 1))
+    joints[:, 3] = 0.9 * np.sin(5.0 * t)
+    joints[:, 4] = 0.6 * np.sin(7.0 * t + 1.0)
+    joints[:, 0] += 0.2 * np.clip(np.sin(3.0 * np.pi * t - 2.0 * np.pi), 0.0, None) * (t > 0.66)
+    return joints
+
+
+def raw_of(tool, joints, push=0.0):
+    expected = tool.predict(joints[:, 3], joints[:, 4])
+    if tool.cable is not None:
+        expected = expected + tool.cable.posterior.means(joints)
+    return expected + push
+
+
+def one_by_one(compensator, joints, raw, lag=1):
+    """Outputs (n, 6) in order; wrenches come `lag` samples before their joints."""
+    results = []
+    for row in range(len(joints) + lag):
+        if row < len(joints):
+            results += compensator.push_wrench(START_NS + row * PERIOD_NS, raw[row])
+        late = row - lag
+        if late >= 0:
+            q = joints[late].tolist()
+            stamp_ns = START_NS + late * PERIOD_NS - PERIOD_NS // 3
+            results += compensator.push_joints(stamp_ns, q[3], q[4], tuple(q[:3]))
+    return results
+
+
+# --- the pull itself ----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_the_fast_way_is_the_posteriors(form):
+    drag = a_drag(form)
+    rng = np.random.default_rng(1)
+    joints = HOME + rng.uniform(-1.0, 1.0, (300, 5)) * [0.15, 0.05, 0.05, 1.6, 1.2]
+    pull, expected = CablePull(drag), drag.posterior.readings(joints)
+    found = np.array([pull.reading(tuple(q)) for q in joints.tolist()])
+    assert np.abs(found - expected).max() < 1e-12
+    assert np.abs(pull.readings(joints) - expected).max() < 1e-12
+    weights = drag.posterior.weights(joints)
+    assert (weights == 0.0).any() and (weights == 1.0).any()
+    assert ((weights > 0.0) & (weights < 1.0)).any()
+    assert pull.weight == pytest.approx(weights[-1], abs=1e-12)
+    # Far from everything nothing overflows.
+    assert not pull.reading((1e6, -1e6, 1e6, 1e6, -1e6)).any()
+
+
+def test_it_says_where_the_pose_lies_and_how_well_the_pull_is_known():
+    pull = CablePull(a_drag())
+    assert pull.where == "no pose yet"
+    assert np.isnan(pull.std).all()
+    pull.reading(tuple(HOME.tolist()))
+    inside = pull.values()
+    assert inside["cable"] == "inside" and inside["cable_weight"] == 1.0
+    std = pull.std
+    assert (std > 0.0).all() and std[0] < 0.01
+    pull.reading((*HOME[:2].tolist(), HOME[2] + 0.09, 0.0, 0.0))
+    assert pull.where == "edge"
+    pull.reading((*HOME[:2].tolist(), HOME[2] + 0.3, 0.0, 0.0))
+    assert pull.where == "outside"
+    assert pull.std[0] > 10.0 * std[0]
+    pull.forget()
+    assert pull.where == "no pose yet"
+
+
+# --- in the compensator -------------------------------------------------------------------------
+
+
+def test_one_by_one_and_as_arrays_it_is_the_same_and_gone_where_it_was_seen():
+    tool, joints = a_tool(a_drag()), motion()
+    raw = raw_of(tool, joints)
+    single = Compensator()
+    single.set_tool(tool)
+    assert single.needs_positions and single.pairs_positions
+    results = one_by_one(single, joints, raw)
+    wrench = np.array([result.wrench for result in results if isinstance(result, Compensated)])
+    stamps = [result.stamp_ns for result in results if isinstance(result, Compensated)]
+
+    block = Compensator()
+    block.set_tool(tool)
+    kinds, joint_rows = [], np.arange(len(joints))
+    for row in range(len(joints) + 1):
+        kinds += [True] * (row < len(joints)) + [False] * (row > 0)
+    whole = block.push_block(
+        np.array(kinds),
+        START_NS + joint_rows * PERIOD_NS - PERIOD_NS // 3,
+        joints[:, 3:],
+        START_NS + joint_rows * PERIOD_NS,
+        raw,
+        positions=joints[:, :3],
+    )
+    assert block.pushed_as_arrays > 0.9 * len(kinds)
+    assert whole.stamp_ns.tolist() == stamps
+    assert len(wrench) > 1400
+    assert np.abs(whole.wrench - wrench).max() < 1e-9
+    assert whole.angles.shape == (len(wrench), 2)
+    # Inside, all of the pull is taken off; outside, nothing.
+    at = joints[np.searchsorted(START_NS + joint_rows * PERIOD_NS, stamps)]
+    weights = tool.cable.posterior.weights(at)
+    inside, outside = weights == 1.0, weights == 0.0
+    assert inside.sum() > 500 and outside.sum() > 50
+    # Joints are interpolated a third of a period: the pull changes by no more between two samples.
+    assert np.abs(wrench[inside]).max() < 5e-3
+    pull = tool.cable.posterior.means(at)
+    assert np.abs(wrench - pull)[outside].max() < 5e-3 < 0.1 < np.abs(pull[outside]).max()
+    assert np.abs(np.diff(wrench, axis=0)).max() < 0.01
+
+
+def test_a_push_comes_out_as_it_went_in():
+    tool, joints = a_tool(a_drag()), motion(400)
+    push = np.array([5.0, -5.0, 5.0, 0.2, 0.1, -0.1])
+    outputs = []
+    for size in (0.0, 1.0):
+        compensator = Compensator()
+        compensator.set_tool(tool)
+        results = one_by_one(compensator, joints, raw_of(tool, joints, size * push))
+        outputs.append(np.array([r.wrench for r in results if isinstance(r, Compensated)]))
+    assert len(outputs[0]) > 390
+    assert np.abs(outputs[1] - outputs[0] - push).max() < 1e-12
+
+
+def test_without_a_position_nothing_is_published():
+    compensator = Compensator()
+    compensator.set_tool(a_tool(a_drag()))
+    compensator.push_joints(START_NS, 0.1, 0.2)
+    (refused,) = compensator.push_wrench(START_NS, np.zeros(6))
+    assert refused.reason is Refusal.NONFINITE_JOINTS
+
+
+def test_a_tool_with_a_cable_and_one_without_follow_each_other():
+    plain, corded = a_tool(), a_tool(a_drag())
+    compensator = Compensator()
+    compensator.set_tool(plain)
+    q = HOME.tolist()
+
+    def step(number):
+        stamp_ns = START_NS + number * PERIOD_NS
+        platform = tuple(q[:3]) if compensator.needs_positions else None
+        compensator.push_joints(stamp_ns, q[3], q[4], platform)
+        return compensator.push_wrench(stamp_ns, raw_of(corded, HOME[None])[0])
+
+    (first,) = step(1)
+    assert np.abs(first.wrench).max() > 0.1
+    waits = compensator.push_wrench(START_NS + 3 * PERIOD_NS // 2, np.zeros(6))
+    assert waits == []
+    (refused,) = compensator.set_tool(corded)
+    assert refused.reason is Refusal.NO_JOINTS
+    (second,) = step(2)
+    assert np.abs(second.wrench).max() < 1e-3
+    assert compensator.set_tool(replace(corded, tool="other")) == []
+    assert np.abs(step(3)[0].wrench).max() < 1e-3
+    compensator.set_tool(plain)
+    assert not compensator.needs_positions
+    assert np.abs(step(4)[0].wrench - first.wrench).max() < 1e-12
+
+
+def test_outside_is_told_on_diagnostics():
+    compensator = Compensator()
+    monitor = Monitor(compensator, silence_s=1.0)
+    compensator.set_tool(a_tool(a_drag()))
+    for number, (away, state) in enumerate(((0.0, "compensating"), (0.3, "cable_outside"))):
+        stamp_ns = START_NS + number * PERIOD_NS
+        now_s = 0.002 * number
+        monitor.on_joints(now_s)
+        monitor.on_wrench(now_s)
+        compensator.push_joints(stamp_ns, 0.0, 0.0, (away, 0.0, 0.408))
+        assert isinstance(compensator.push_wrench(stamp_ns, np.zeros(6))[0], Compensated)
+        monitor.on_output(now_s, now_s)
+        assert monitor.state(now_s).name == state
+    assert monitor.state(now_s).severity is Severity.WARN
+    assert monitor.values(now_s)["cable"] == "outside"
+    compensator.set_tool(a_tool())
+    assert monitor.values(now_s)["cable"] == "none"
