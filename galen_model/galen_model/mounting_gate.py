@@ -121,19 +121,21 @@ class _Space:
         beside_loads = self._left(mine, offsets + every_load)
         beside_all = self._left(mine, offsets + every_load + others)
 
-        def lost(of: float, left: float, limit: float = MAX_INFLATION) -> bool:
+        # What is known beforehand is as good as it is stated, beside readings however exact.
+        limit = _EXACT if self._has_known else MAX_INFLATION
+
+        def lost(of: float, left: float) -> bool:
             return left * limit < of or (max_std is not None and left * max_std < 1.0)
 
-        by_loads = _EXACT if self._has_known else MAX_INFLATION
         if alone == 0.0 or lost(alone, alone):
             return ()
-        if lost(alone, beside_loads, by_loads):
+        if lost(alone, beside_loads):
             free = {
                 name: self._left(mine, [c for c in offsets + every_load if c not in part])
                 for name, part in self._loads.items()
             }
             best = max(free, key=lambda name: free[name])
-            return () if lost(alone, free[best], by_loads) else (best,)
+            return () if lost(alone, free[best]) else (best,)
         if not lost(beside_loads, beside_all):
             return None
         for other in others:

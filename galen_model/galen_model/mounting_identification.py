@@ -39,7 +39,8 @@ from galen_model.tool_file import LoadEstimate
 
 _STEPS = 20
 _STEPS_WITH_ALL = 6
-_SETTLED = 1e-3  # of a standard deviation
+_SETTLED = 0.05  # of a standard deviation: the step after that is smaller by two orders
+_ROUNDING = 1e-11  # kg, kg.m, N, N.m, rad
 _TURNED_MORE = "turn the sensor further, about both axes, or sweep with the base in another place"
 
 
@@ -228,10 +229,10 @@ def check_planned_mounting(
     load, noise = 0.1 * np.array([1.0, 0.05, 0.03, 0.05]), np.array([1.0] * 3 + [0.02] * 3)
     if one_sweep:
         problem = _single_problem(planned, asked, None)
-        problem.check(np.concatenate([load, np.zeros(6)]), noise, None)
+        problem.check(np.concatenate([load, np.zeros(6 + len(asked))]), noise, None)
         return
     problem = _two_sweeps_problem(planned, planned, zero, asked, None)
-    problem.check(np.concatenate([load, load, np.zeros(12)]), noise, None)
+    problem.check(np.concatenate([load, load, np.zeros(12 + len(asked))]), noise, None)
 
 
 def _two_sweeps_problem(
@@ -303,7 +304,7 @@ class _Problem:
             values = fit.values
             if np.any(np.abs(values[self.model.linear :]) > 1.0):
                 break
-            if np.all(change <= _SETTLED * np.sqrt(np.diag(fit.covariance))):
+            if np.all(change <= _SETTLED * np.sqrt(np.diag(fit.covariance)) + _ROUNDING):
                 residuals = readings - self.model.evaluate(values)[0]
                 distance = np.sqrt(np.sum((residuals / fit.sigma) ** 2, axis=1))
                 fit = replace(fit, residuals=residuals, used=used, distance=distance)

@@ -1,0 +1,165 @@
+"""A mis-mounted sensor through the compensator and through tables of readings."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from galen_bags.orientation_table import read_table
+from galen_gravcomp.compensator import Compensator
+from galen_gravcomp.cross_validation import (
+    contiguous_blocks,
+    cross_validate,
+    plain_model,
+    robust_model,
+)
+from galen_gravcomp.evaluate import main
+from galen_gravcomp.prediction import Prediction
+from galen_gravcomp.results import Compensated
+from galen_gravcomp.table_mounting import TableMounting, table_prediction, table_worth
+from galen_gravcomp.table_tool import tool_from_table
+from galen_model.errors import GalenError
+from galen_model.mounting import Mounting
+from galen_model.mounting_worth import GALEN, MOUNTED, PLAIN
+from galen_model.tool_file import LoadEstimate, ToolFile, read_tool
+from scipy.spatial.transform import Rotation
+
+TURNED = Mounting(
+    sensor_rotvec_rad=np.array([0.1, -0.2, 0.15]),
+    axis_gain=np.array([0.02, -0.03, 0.01, 0.04, -0.02, 0.03]),
+    base_inclination_rad=np.array([0.05, -0.08]),
+    joint_zero_rad=np.array([0.03, 0.06]),
+)
+NONE = np.zeros((4, 4))
+TOOL = ToolFile(
+    tool="pointer",
+    load=LoadEstimate(0.2, np.array([0.07, -0.01, 0.055]), NONE),
+    bias=LoadEstimate(0.1, np.array([0.0, 0.0, 0.02]), NONE),
+    tip_m=np.zeros(3),
+    rmse=np.zeros(6),
+    poses_used=56,
+    calibrated_at="2026-01-01T00:00:00+00:00",
+    residual_offset=np.array([0.01, -0.02, 0.03, 1e-3, -2e-3, 3e-3]),
+    gravity_m_s2=np.array([0.0, 0.0, -9.81]),
+    mounting=TURNED,
+)
+PUSH = np.array([5.0, -3.0, 2.0, 0.1, 0.2, -0.3])
+NOISE = np.array([2e-3, 2e-3, 3e-3, 4e-5, 4e-5, 4e-5])
+
+
+def sensed(wrench):
+    """A wrench in ft_sensor as the turned element with its gains reads it, by rotations."""
+    turn = Rotation.from_rotvec(TURNED.sensor_rotvec_rad).inv()
+    axes = np.concatenate([turn.apply(wrench[:3]), turn.apply(wrench[3:])])
+    return axes * (1.0 + TURNED.axis_gain)
+
+
+def test_the_fast_prediction_is_the_mounted_tools_own():
+    prediction = Prediction(TOOL)
+    roll, tilt = np.random.default_rng(0).uniform(-1.5, 1.5, (2, 40))
+    expected = TOOL.predict(roll, tilt)
+    np.testing.assert_allclose(prediction.readings(roll, tilt), expected, atol=1e-13)
+    for one in range(5):
+        np.testing.assert_allclose(
+            prediction.reading(float(roll[one]), float(tilt[one])), expected[one], atol=1e-13
+        )
+
+
+def test_a_push_on_a_mismounted_sensor_comes_out_right_one_by_one_and_in_blocks():
+    rng = np.random.default_rng(1)
+    count, step = 60, 2_000_000
+    stamps = 10**9 + step * np.arange(count)
+    angles = np.cumsum(rng.normal(size=(count, 2)), axis=0) * 1e-3 + [0.4, -0.3]
+    raw = TOOL.predict(angles[:, 0], angles[:, 1]) + sensed(PUSH)
+    single = Compensator()
+    single.set_tool(TOOL)
+    out = []
+    for stamp, (roll, tilt), reading in zip(stamps.tolist(), angles, raw, strict=True):
+        single.push_joints(stamp, float(roll), float(tilt))
+        out += single.push_wrench(stamp, reading)
+    wrenches = np.array([one.wrench for one in out if isinstance(one, Compensated)])
+    np.testing.assert_allclose(wrenches, np.tile(PUSH, (count, 1)), atol=1e-12)
+    block = Compensator()
+    block.set_tool(TOOL)
+    result = block.push_block(np.tile([False, True], count), stamps, angles, stamps, raw)
+    assert block.pushed_as_arrays > 0
+    np.testing.assert_allclose(result.wrench, wrenches[: len(result.wrench)], atol=1e-12)
+    assert len(result.wrench) == count
+
+
+def write_table(path, turn_deg=2.0, rows=28):
+    """Readings of a sensor whose element is turned about z, under random orientations."""
+    rng = np.random.default_rng(2)
+    quaternions = Rotation.random(rows, random_state=rng).as_quat()
+    gravity = Rotation.from_quat(quaternions).inv().apply([0.0, 0.0, -9.80665])
+    force = 0.5 * gravity
+    torque = np.cross([0.05, 0.02, 0.06], force)
+    turn = Rotation.from_euler("z", turn_deg, degrees=True).inv()
+    wrench = np.concatenate([turn.apply(force), turn.apply(torque)], axis=1) + 0.2
+    wrench += NOISE * rng.standard_normal(wrench.shape)
+    table = np.column_stack([wrench, quaternions])
+    names = "fx,fy,fz,tx,ty,tz,qx,qy,qz,qw"
+    np.savetxt(path, table, delimiter=",", header=names, comments="", fmt="%.9g")
+
+
+@pytest.fixture
+def table(tmp_path):
+    path = tmp_path / "readings.csv"
+    write_table(path)
+    return str(path)
+
+
+def test_a_model_with_the_mounting_wins_on_held_out_readings_of_a_turned_sensor(table):
+    request = TableMounting(("sensor_rotation",))
+    readings = read_table(table)
+    found = request.identify(readings)
+    std = np.degrees(found.mounting.std[:3])
+    assert np.all(np.abs(np.degrees(found.mounting.vector[:3]) - [0.0, 0.0, 2.0]) < 4.0 * std)
+    groups = contiguous_blocks(len(readings), 4)
+    models = {PLAIN: plain_model, GALEN: robust_model, MOUNTED: request.model}
+    scores = {name: cross_validate(readings, groups, model) for name, model in models.items()}
+    verdict = table_worth(scores, groups, found.single.sigma)
+    assert verdict is not None
+    assert verdict.pays
+    assert scores[MOUNTED].rmse[0] < 0.1 * scores[PLAIN].rmse[0]
+    assert np.all(scores[MOUNTED].rmse < 1.5 * NOISE)
+    file = tool_from_table("gripper", readings, found.single, found)
+    assert file.mounting is not None
+    left = readings.wrench - table_prediction(file, readings)
+    np.testing.assert_allclose(np.sqrt(np.mean(left**2, axis=0)), file.rmse, rtol=1e-9)
+    assert np.all(file.rmse < 1.4 * NOISE)
+
+
+@pytest.mark.slow
+def test_the_command_shows_the_mounting_beside_the_other_models(tmp_path, capsys):
+    path, file = tmp_path / "readings.csv", tmp_path / "gripper.json"
+    write_table(path, rows=9)
+    arguments = ["--table", str(path), "--estimate", "sensor_rotation"]
+    assert main([*arguments, "--write-tool", str(file)]) == 0
+    assert "the mounting's parameters pay" in " ".join(capsys.readouterr().out.split())
+    assert read_tool(file).mounting.estimated == ("sensor_rotation",)
+
+
+def test_a_table_refuses_what_it_can_not_tell(table, capsys):
+    assert main(["--table", table, "--estimate", "axis_gain"]) == 1
+    assert "the common force gain and the masses" in capsys.readouterr().err
+    assert main(["--table", table, "--estimate", "roll_zero"]) == 1
+    assert "enough of the roll joint's zero" in capsys.readouterr().err
+    assert main(["--table", table, "--estimate", "everything"]) == 1
+    assert "'everything' can't be estimated" in capsys.readouterr().err
+    with pytest.raises(GalenError, match="holds zeros of joints"):
+        table_prediction(TOOL, read_table(table))
+
+
+def test_an_inclined_base_is_followed_in_a_table_of_angles(tmp_path):
+    only = Mounting(base_inclination_rad=np.array([0.05, -0.08]))
+    tool = replace(TOOL, mounting=only, gravity_m_s2=np.array([0.0, 0.0, -9.80665]))
+    path = tmp_path / "angles.csv"
+    roll, tilt = np.random.default_rng(3).uniform(-1.0, 0.9, (2, 16))
+    wrench = tool.predict(roll, tilt)
+    rows = np.column_stack([wrench, roll, tilt])
+    np.savetxt(path, rows, delimiter=",", header="fx,fy,fz,tx,ty,tz,roll,tilt", comments="")
+    readings = read_table(path)
+    np.testing.assert_allclose(table_prediction(tool, readings), wrench, atol=1e-9)
+    level = replace(readings, rotation=None)
+    with pytest.raises(GalenError, match="inclination of the base, which needs"):
+        table_prediction(tool, level)

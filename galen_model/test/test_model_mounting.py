@@ -1,0 +1,407 @@
+"""Sensor and mounting: recovered at the noise's limit, told apart or refused by the pair."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from galen_model.errors import IdentificationError, NotToldApartError
+from galen_model.identification import StillPoses, identify_two_sweeps
+from galen_model.json_fields import FieldError
+from galen_model.load import Load
+from galen_model.mounting import Mounting
+from galen_model.mounting_groups import GROUPS, PARAMETERS, entities
+from galen_model.mounting_identification import (
+    KnownLoad,
+    check_planned_mounting,
+    identify_one_sweep_mounted,
+    identify_single_load_mounted,
+    identify_two_sweeps_mounted,
+)
+from galen_model.mounting_model import JointPoses, ReadingModel, Sweep
+from galen_model.mounting_worth import GALEN, MOUNTED, Calibrated, worth
+from galen_model.pinocchio_arm import PinocchioArm
+from galen_model.tool_file import LoadEstimate, ToolFile, read_tool, write_tool
+from galen_model.tools import ADAPTER, TOOLS
+from scipy.spatial.transform import Rotation
+from scipy.stats import chi2
+
+SIGMA = np.array([0.02, 0.02, 0.03, 4e-4, 4e-4, 4e-4]) / np.sqrt(125)
+DEG = np.pi / 180.0
+RETRACTOR, NOTHING = TOOLS["retractor"].load, Load(0.0)
+ARM = PinocchioArm()
+GRAVITY = np.array([0.0, 0.0, -9.80665])
+
+
+def mounting(seed=3, size=1.0, only=None):
+    """Rotation 1 deg, gains 1 %, inclination and zeros 0.5 deg, times `size`; `only` some."""
+    rng = np.random.default_rng(seed)
+    vector = np.repeat([DEG, 0.01, 0.5 * DEG, 0.5 * DEG], [3, 6, 2, 2]) * rng.uniform(-1, 1, 13)
+    kept = np.ones(13, dtype=bool)
+    if only is not None:
+        basis = np.array([e.direction for e in entities(only)])
+        kept, vector = np.ones(13, dtype=bool), np.linalg.pinv(basis) @ basis @ vector
+    return Mounting.from_vector(size * vector * kept)
+
+
+def grid(tilts=7, rolls=8):
+    mesh = np.meshgrid(np.linspace(-1.0, 0.9, tilts), np.linspace(-1.5, 1.5, rolls), indexing="ij")
+    return mesh[1].ravel(), mesh[0].ravel()
+
+
+def true_wrench(mounted, roll, tilt, load):
+    """Weight in ft_sensor, by Pinocchio's frames and torque about the sensor's origin in base."""
+    a, b = mounted.base_inclination_rad
+    down = (Rotation.from_euler("x", a) * Rotation.from_euler("y", b)).inv().apply(GRAVITY)
+    zero = mounted.joint_zero_rad
+    wrenches = []
+    for one_roll, one_tilt in zip(np.atleast_1d(roll), np.atleast_1d(tilt), strict=True):
+        joints = [0.0, 0.0, 0.408, one_roll + zero[0], one_tilt + zero[1]]
+        rotation = Rotation.from_matrix(ARM.pose(joints)[0])
+        force = load.mass_kg * down
+        torque = np.cross(rotation.apply(load.com_m), force)
+        wrenches.append(np.concatenate([rotation.inv().apply(f) for f in (force, torque)]))
+    return np.array(wrenches)
+
+
+def sensed(mounted, wrench):
+    """What the turned sensing element reads of wrenches (n, 6) in ft_sensor, by rotations."""
+    turn = Rotation.from_rotvec(mounted.sensor_rotvec_rad).inv()
+    axes = np.concatenate([turn.apply(wrench[:, :3]), turn.apply(wrench[:, 3:])], axis=1)
+    return axes * (1.0 + mounted.axis_gain)
+
+
+def reading(mounted, roll, tilt, tool):
+    """As the sensor reads, zeroed at home with the adapter on: one reading less another."""
+    both = true_wrench(mounted, roll, tilt, tool) + true_wrench(mounted, roll, tilt, ADAPTER)
+    home = true_wrench(mounted, 0.0, 0.0, ADAPTER)
+    return sensed(mounted, both) - sensed(mounted, home)
+
+
+def sweeps(mounted, rng=None, noise=SIGMA, poses=None, tool=RETRACTOR):
+    roll, tilt = grid() if poses is None else poses
+    made = []
+    for load in (NOTHING, tool):
+        wrench = reading(mounted, roll, tilt, load)
+        if rng is not None:
+            wrench = wrench + noise * rng.standard_normal(wrench.shape)
+        made.append(StillPoses(roll, tilt, wrench))
+    return made
+
+
+def tool_file(mounted, load=RETRACTOR):
+    none = np.zeros((4, 4))
+    return ToolFile(
+        "retractor",
+        LoadEstimate(load.mass_kg, np.asarray(load.com_m), none),
+        LoadEstimate(ADAPTER.mass_kg, np.asarray(ADAPTER.com_m), none),
+        np.zeros(3),
+        np.zeros(6),
+        56,
+        "2026-01-01T00:00:00+00:00",
+        mounting=mounted,
+    )
+
+
+def test_the_reading_is_that_of_finite_rotations_in_pinocchio():
+    """At 20 degrees and more, where a slip in order or sign can't hide."""
+    mounted = mounting(size=30.0)
+    roll, tilt = grid(3, 4)
+    expected = reading(mounted, roll, tilt, RETRACTOR)
+    file = tool_file(mounted)
+    np.testing.assert_allclose(file.predict(roll, tilt), expected, atol=1e-12)
+    single = np.array([file.predict(r, t) for r, t in zip(roll, tilt, strict=True)])
+    np.testing.assert_allclose(single, expected, atol=1e-12)
+
+
+def test_a_push_comes_out_right_through_gains_rotation_and_zeroing():
+    mounted, push = mounting(size=30.0), np.array([5.0, -3.0, 2.0, 0.1, 0.2, -0.3])
+    roll, tilt = grid(3, 4)
+    weight = reading(mounted, roll, tilt, RETRACTOR)
+    both = true_wrench(mounted, roll, tilt, RETRACTOR) + true_wrench(mounted, roll, tilt, ADAPTER)
+    raw = sensed(mounted, both + push) - (sensed(mounted, both) - weight)
+    left = (raw - tool_file(mounted).predict(roll, tilt)) @ mounted.wrench_from_reading.T
+    np.testing.assert_allclose(left, np.tile(push, (len(roll), 1)), atol=1e-12)
+
+
+def two_sweeps_model(groups):
+    roll, tilt = grid(4, 5)
+    poses, adapter = JointPoses(roll, tilt), slice(4, 8)
+    return ReadingModel(
+        [
+            Sweep(poses, None, adapter, slice(8, 14)),
+            Sweep(poses, slice(0, 4), adapter, slice(14, 20)),
+        ],
+        JointPoses(np.array([0.1]), np.array([-0.2])),
+        entities(groups),
+        20,
+    )
+
+
+ALL = ["sensor_rotation", "axis_gain", "base_inclination", "joint_zero"]
+
+
+@pytest.mark.parametrize("size", [0.0, 20.0])
+def test_the_jacobian_is_that_of_finite_differences(size):
+    model = two_sweeps_model(ALL)
+    rng = np.random.default_rng(0)
+    values = np.concatenate(
+        [RETRACTOR.moments, ADAPTER.moments, rng.normal(size=12), size * 0.02 * rng.normal(size=13)]
+    )
+    _, jacobian = model.evaluate(values)
+    for column in range(len(values)):
+        step = np.zeros(len(values))
+        step[column] = 1e-6
+        slope = (model.evaluate(values + step)[0] - model.evaluate(values - step)[0]) / 2e-6
+        np.testing.assert_allclose(jacobian[:, :, column], slope, atol=2e-8)
+
+
+def test_four_twins_and_no_others():
+    """The null space of all parameters at once, over a sweep without and one with the tool."""
+    model = two_sweeps_model(ALL)
+    values = np.concatenate([RETRACTOR.moments, ADAPTER.moments, np.zeros(25)])
+    rows = model.evaluate(values)[1].reshape(-1, 33)
+    rows = rows / np.linalg.norm(rows, axis=0)
+    singular = np.linalg.svd(rows, compute_uv=False)
+    assert np.sum(singular < 1e-9 * singular[0]) == 4
+    assert singular[-5] > 1e-3 * singular[0]
+
+
+TOLD = [
+    ["sensor_rotation", "gain_ratio", "base_inclination"],
+    ["sensor_rotation_x", "sensor_rotation_z", "joint_zero", "gain_ratio", "base_inclination_y"],
+]
+
+
+@pytest.mark.parametrize("groups", TOLD)
+def test_next_to_no_noise_gives_the_mounting_and_the_loads(groups):
+    mounted, rng = mounting(only=groups), np.random.default_rng(2)
+    made = sweeps(mounted, rng, noise=1e-6 * SIGMA, poses=grid(4, 5))
+    found = identify_two_sweeps_mounted(*made, groups)
+    np.testing.assert_allclose(found.mounting.vector, mounted.vector, atol=1e-8)
+    assert found.found.load.mass_kg == pytest.approx(RETRACTOR.mass_kg, abs=1e-8)
+    np.testing.assert_allclose(found.found.load.com_m, RETRACTOR.com_m, atol=1e-8)
+    assert not found.found.outliers
+
+
+def test_a_weighed_load_with_a_known_centre_tells_every_gain():
+    mounted = mounting(only=["axis_gain"])
+    known = KnownLoad(RETRACTOR.mass_kg, 1e-4, RETRACTOR.com_m, 1e-4)
+    made = sweeps(mounted, np.random.default_rng(2), noise=1e-3 * SIGMA)
+    found = identify_two_sweeps_mounted(*made, ["axis_gain"], known=known)
+    np.testing.assert_allclose(found.mounting.axis_gain, mounted.axis_gain, atol=1e-4)
+    # no better than the scale tells the mass, nor the drawing the centre, of the whole load
+    relative = 1e-4 / RETRACTOR.mass_kg
+    common = found.mounting.covariance[3:6, 3:6].mean() ** 0.5
+    assert common == pytest.approx(relative, rel=0.05)
+
+
+TWINS = [
+    (["roll_zero", "base_inclination"], ("base's inclination about x", "roll joint's zero")),
+    (["joint_zero", "sensor_rotation"], ("tilt joint's zero", "sensor's rotation about y")),
+    (["force_gain"], ("common force gain", "masses")),
+    (["torque_gain"], ("common torque gain", "centres")),
+]
+
+
+@pytest.mark.parametrize(("groups", "pair"), TWINS)
+def test_twins_are_refused_by_name(groups, pair):
+    rng = np.random.default_rng(5)
+    with pytest.raises(NotToldApartError) as refused:
+        identify_two_sweeps_mounted(*sweeps(mounting(only=groups), rng), groups)
+    (named,) = refused.value.pairs
+    assert set(named) == {f"the {name}" for name in pair}
+    assert all(name in str(refused.value) for name in pair)
+    with pytest.raises(NotToldApartError) as planned:
+        check_planned_mounting(*grid(), groups)
+    assert planned.value.pairs == refused.value.pairs
+
+
+def test_all_at_once_names_all_four_pairs():
+    with pytest.raises(NotToldApartError) as refused:
+        identify_two_sweeps_mounted(*sweeps(Mounting(), np.random.default_rng(1)), ALL)
+    assert {frozenset(pair) for pair in refused.value.pairs} == {
+        frozenset(f"the {name}" for name in pair) for _, pair in TWINS
+    }
+
+
+def test_a_tool_on_the_axis_does_not_tell_the_torque_about_it():
+    on_axis = Load(0.2, np.array([0.0, 0.0, 0.05]))
+    made = sweeps(Mounting(), np.random.default_rng(1), tool=on_axis)
+    with pytest.raises(NotToldApartError, match=r"gain of tz .* centres"):
+        identify_two_sweeps_mounted(*made, ["torque_gain_ratio"])
+
+
+def test_poses_without_roll_do_not_tell_inclination_from_the_tilts_zero():
+    roll, tilt = grid(7, 8)
+    near = (0.02 * roll, tilt)
+    with pytest.raises(IdentificationError, match=r"apart|tell"):
+        identify_two_sweeps_mounted(
+            *sweeps(Mounting(), np.random.default_rng(1), poses=near),
+            ["tilt_zero", "base_inclination_y"],
+        )
+
+
+def test_a_healthy_arm_gives_zeros_and_does_not_pay():
+    bare, tool = sweeps(Mounting(), np.random.default_rng(11), poses=grid(4, 6))
+    measured = Calibrated(bare, tool, ["sensor_rotation", "gain_ratio", "base_inclination"])
+    found = measured.identify()
+    basis = np.array([e.direction for e in entities(measured.groups)]).T
+    reduced = np.linalg.pinv(basis)
+    error, covariance = reduced @ found.mounting.vector, reduced @ found.mounting.covariance
+    distance = error @ np.linalg.solve(covariance @ reduced.T, error)
+    assert distance < chi2.ppf(0.999, len(error))
+    verdict = worth(measured, found)
+    assert not verdict.pays
+    assert "do not pay" in verdict.sentence
+
+
+def test_a_turned_sensor_pays_down_to_the_noise():
+    mounted = mounting(only=["sensor_rotation"])
+    bare, tool = sweeps(mounted, np.random.default_rng(12), poses=grid(4, 6))
+    measured = Calibrated(bare, tool, ["sensor_rotation"])
+    verdict = worth(measured, measured.identify())
+    assert verdict.pays
+    assert np.all(verdict.rmse[MOUNTED] < 1.4 * SIGMA)
+    unmounted = verdict.rmse[GALEN]
+    assert not np.all(np.isfinite(unmounted)) or np.any(unmounted > 3.0 * SIGMA)
+
+
+def test_a_touched_pose_is_named_and_does_not_turn_the_sensor():
+    mounted = mounting(only=["sensor_rotation"])
+    bare, tool = sweeps(mounted, np.random.default_rng(13))
+    tool.wrench[17] += [0.5, 0.0, 0.3, 0.0, 0.02, 0.0]
+    found = identify_two_sweeps_mounted(bare, tool, ["sensor_rotation"])
+    assert [(o.sweep, o.pose) for o in found.found.outliers] == [("tool", 17)]
+    error = found.mounting.vector[:3] - mounted.vector[:3]
+    assert np.all(np.abs(error) < 4.5 * found.mounting.std[:3])
+
+
+def test_one_sweep_tells_the_mounting_too():
+    mounted = mounting(only=["joint_zero"])
+    _, tool = sweeps(mounted, np.random.default_rng(14))
+    found = identify_one_sweep_mounted(tool, ["joint_zero"])
+    error = found.mounting.joint_zero_rad - mounted.joint_zero_rad
+    assert np.all(np.abs(error) < 4.0 * found.mounting.std[11:])
+    assert found.mounting.std[11:].max() < 0.1 * DEG
+    assert found.found.unresolved
+    with pytest.raises(NotToldApartError, match="common force gain and the masses"):
+        identify_one_sweep_mounted(tool, ["force_gain"])
+
+
+def test_orientations_tell_rotation_and_inclination():
+    mounted = replace(mounting(seed=4), joint_zero_rad=np.zeros(2), axis_gain=np.zeros(6))
+    rng = np.random.default_rng(15)
+    turns = Rotation.random(30, random_state=rng)
+    level = turns.inv().apply(GRAVITY)
+    true = mounted.turned_gravity(level, turns.as_matrix())
+    np.testing.assert_allclose(
+        true, turns.inv().apply(mounted.gravity_direction * 9.80665), atol=1e-12
+    )
+    force = RETRACTOR.mass_kg * true
+    weight = np.concatenate([force, np.cross(RETRACTOR.com_m, force)], axis=1)
+    wrench = sensed(mounted, weight) + 0.3 + SIGMA * rng.standard_normal((30, 6))
+    groups = ["sensor_rotation", "base_inclination"]
+    found = identify_single_load_mounted(level, wrench, groups, turns.as_matrix())
+    told = found.mounting.std > 0.0
+    assert told.sum() == 5
+    error = (found.mounting.vector - mounted.vector)[told] / found.mounting.std[told]
+    assert np.all(np.abs(error) < 4.0)
+    left = wrench - found.predict(level, turns.as_matrix())
+    assert np.all(np.sqrt(np.mean(left**2, axis=0)) < 1.4 * SIGMA)
+    with pytest.raises(NotToldApartError, match="enough of the base's inclination"):
+        identify_single_load_mounted(level, wrench, ["base_inclination"])
+    with pytest.raises(NotToldApartError, match="enough of the roll joint's zero"):
+        identify_single_load_mounted(level, wrench, ["roll_zero"], turns.as_matrix())
+
+
+@pytest.mark.slow
+def test_errors_are_the_bounds_and_the_intervals_hold():
+    """30 calibrations: scatter against Cramer-Rao by the simulator's own slopes, chi-square."""
+    groups = ["sensor_rotation", "base_inclination", "gain_ratio"]
+    basis = np.array([e.direction for e in entities(groups)]).T
+    mounted, poses, count = mounting(only=groups), grid(4, 5), 30
+    rng = np.random.default_rng(16)
+    clean = sweeps(mounted, poses=poses)
+    reduce = np.linalg.pinv(basis)
+    truth = reduce @ mounted.vector
+    errors, distances, inside = [], [], []
+    for _ in range(count):
+        bare, tool = (
+            StillPoses(*poses, one.wrench + SIGMA * rng.standard_normal(one.wrench.shape))
+            for one in clean
+        )
+        found = identify_two_sweeps_mounted(bare, tool, groups).mounting
+        error, covariance = reduce @ found.vector - truth, reduce @ found.covariance @ reduce.T
+        errors.append(error)
+        distances.append(error @ np.linalg.solve(covariance, error))
+        inside.append(np.abs(error) < 1.96 * np.sqrt(np.diag(covariance)))
+
+    def simulated(change):
+        made = Mounting.from_vector(mounted.vector + basis @ change[20:])
+        parts = []
+        for load, offset in ((NOTHING, change[8:14]), (RETRACTOR, change[14:20])):
+            moments = np.asarray([load.mass_kg, *(load.mass_kg * np.asarray(load.com_m))])
+            moments = moments + (change[:4] if load is RETRACTOR else 0.0)
+            adapter = ADAPTER.moments + change[4:8]
+            tool = Load(moments[0], moments[1:] / moments[0] if moments[0] else np.zeros(3))
+            hung = Load(adapter[0], adapter[1:] / adapter[0])
+            both = true_wrench(made, *poses, tool) + true_wrench(made, *poses, hung)
+            home = sensed(made, true_wrench(made, 0.0, 0.0, hung))
+            parts.append(((sensed(made, both) - home + offset) / SIGMA).ravel())
+        return np.concatenate(parts)
+
+    steps = 1e-6 * np.eye(20 + len(truth))
+    slopes = np.array([(simulated(step) - simulated(-step)) / 2e-6 for step in steps]).T
+    bound = np.sqrt(np.diag(np.linalg.inv(slopes.T @ slopes))[20:])
+    scatter = np.sqrt(np.mean(np.square(errors), axis=0))
+    np.testing.assert_allclose(scatter / bound, 1.0, atol=4.5 / np.sqrt(2 * count))
+    # 30 x 9 outcomes; the chi-square of each has 9 degrees of freedom
+    assert 0.90 < np.mean(inside) < 0.985
+    assert abs(np.mean(distances) - 9.0) < 4.0 * np.sqrt(2 * 9 / count)
+
+
+def test_a_file_holds_the_mounting_and_refuses_a_broken_one(tmp_path):
+    covariance = np.diag(np.arange(13) * 1e-8)
+    mounted = replace(mounting(), estimated=("sensor_rotation",), covariance=covariance)
+    path = tmp_path / "retractor.json"
+    write_tool(path, tool_file(mounted))
+    back = read_tool(path)
+    assert back.mounting is not None
+    np.testing.assert_array_equal(back.mounting.vector, mounted.vector)
+    np.testing.assert_array_equal(back.mounting.covariance, covariance)
+    assert back.mounting.estimated == ("sensor_rotation",)
+    np.testing.assert_array_equal(back.predict(0.3, -0.2), tool_file(mounted).predict(0.3, -0.2))
+    write_tool(path, tool_file(None))
+    assert "mounting" not in json.loads(path.read_text())
+    good = mounted.to_json()
+    for change, named in (
+        ({"axis_gain": [0.0] * 5 + [0.7]}, "axis_gain"),
+        ({"sensor_rotvec_rad": [4.0, 0.0, 0.0]}, "sensor_rotvec_rad"),
+        ({"base_inclination_rad": {"about_x": 0.0}}, "about_y"),
+        ({"joint_zero_rad": {"roll": 2.0, "tilt": 0.0}}, "joint_zero_rad"),
+        ({"estimated": ["everything"]}, "everything"),
+        ({"covariance": (-covariance).tolist()}, "covariance"),
+    ):
+        with pytest.raises(FieldError, match=named):
+            Mounting.from_json(good | change, "mounting")
+
+
+def test_what_can_not_be_asked_for_is_said():
+    with pytest.raises(IdentificationError, match="'gains' can't be estimated"):
+        entities(["gains"])
+    with pytest.raises(IdentificationError, match="known mass"):
+        KnownLoad(0.0, 1e-3)
+    with pytest.raises(IdentificationError, match="known centre"):
+        KnownLoad(0.1, 1e-3, np.zeros(3))
+    assert len(PARAMETERS) == 13
+    basis = np.array([e.direction for group in ALL for e in GROUPS[group]])
+    assert np.linalg.matrix_rank(basis) == 13
+
+
+def test_without_a_mounting_the_loads_are_those_of_the_plain_identification():
+    bare, tool = sweeps(Mounting(), np.random.default_rng(17))
+    plain = identify_two_sweeps(bare, tool)
+    none = identify_two_sweeps_mounted(bare, tool, [])
+    assert none.found.load.mass_kg == pytest.approx(plain.load.mass_kg, rel=1e-9)
+    np.testing.assert_allclose(none.found.load.covariance, plain.load.covariance, rtol=1e-6)
