@@ -20,7 +20,10 @@ setup(
         "console_scripts": [
             "calibration_node = galen_calibration_behavior.node:main",
             "calibrate = galen_calibration_behavior.calibrate:main",
+            "check_node = galen_calibration_behavior.check_node:main",
+            "check = galen_calibration_behavior.check:main",
             "calibrate_from_bag = galen_calibration_behavior.calibrate_from_bag:main",
+            "inertia_from_bag = galen_calibration_behavior.inertia_from_bag:main",
             "choose_poses = galen_calibration_behavior.choose_poses:main",
         ]
     },

@@ -44,6 +44,7 @@ _PARAMETERS = 17
 # Mean squares of a block over those of most blocks; three times as much in each reading.
 _TOUCHED = 9.0
 _ROUNDS = 3
+_OTHER_MASS = 0.2
 _MOST_TOUCHED = 1.0 / 3.0
 _ITERATIONS = 3
 _LONGEST_MEMORY = 50
@@ -74,7 +75,11 @@ class InertiaFit:
     @property
     def disagrees(self) -> bool:
         """Whether mass and centre in the recording are not the file's."""
-        return bool(chi2.sf(self.file_distance, 4) < 1e-3)
+        return _is_other(self.file_distance)
+
+
+def _is_other(file_distance: float) -> bool:
+    return bool(chi2.sf(file_distance, 4) < 1e-3)
 
 
 def total_moments(tool: ToolFile) -> tuple[Array, Array]:
@@ -117,7 +122,7 @@ def identify_inertia(record: MotionRecord, moments: Array, covariance: Array) ->
     known = np.concatenate([moments, np.zeros(_PARAMETERS - 4)])
     fitted = _fit(record, block, prior, known)
     for _ in range(_ROUNDS):  # with what was left out gone, others may stand out
-        kept = _untouched(fitted, block)
+        kept = _untouched(fitted, block, record.acceleration_rad_s2)
         if kept.all():
             break
         record, block = record.take(kept), block[kept]
@@ -125,21 +130,29 @@ def identify_inertia(record: MotionRecord, moments: Array, covariance: Array) ->
         if touched > _MOST_TOUCHED * count:
             raise IdentificationError(
                 f"{touched} of {count} blocks of {BLOCK_S:g} s disagree with the rest: was the"
-                " tool touched, or is it another one?"
+                " tool touched, is it another one, or are forces of motion not in the wrench?"
             )
         fitted = _fit(record, block, prior, known)
     touched = count - len(np.unique(block))
-    _check_told(fitted, moments)
     free = _fit(record, block, np.zeros((4, 4)), known)
     difference = free.values[_LOAD] - moments
-    distance = difference @ np.linalg.solve(
-        free.covariance[_LOAD, _LOAD] + covariance + floor, difference
+    distance = float(
+        difference @ np.linalg.solve(free.covariance[_LOAD, _LOAD] + covariance + floor, difference)
     )
+    # A mass that the turning does not tell is nobody's.
+    told = _inverse(free.information)[0, 0] < (_OTHER_MASS / 3.0 * moments[0]) ** 2
+    if told and _is_other(distance) and abs(difference[0]) > _OTHER_MASS * moments[0]:
+        raise IdentificationError(
+            f"the recording is of {1e3 * free.values[0]:.1f} g, the file of {1e3 * moments[0]:.1f}"
+            " g on the sensor: another tool is on"
+        )
+    _check_there(record, fitted)
+    _check_told(fitted, moments)
     return InertiaFit(
         inertia=InertiaEstimate(fitted.values[_INERTIA], fitted.covariance[_INERTIA, _INERTIA]),
         moments=free.values[_LOAD],
         moments_covariance=free.covariance[_LOAD, _LOAD],
-        file_distance=float(distance),
+        file_distance=distance,
         lag_s=float(fitted.values[_LAG]),
         lag_std_s=float(np.sqrt(fitted.covariance[_LAG, _LAG])),
         left_over=np.sqrt(np.mean(fitted.residuals**2, axis=0)),
@@ -244,15 +257,35 @@ def _joined(time_s: Array) -> np.ndarray:
     return np.concatenate([[True], close]) & np.concatenate([close, [True]])
 
 
-def _untouched(fitted: _Fitted, block: np.ndarray) -> np.ndarray:
-    """Which readings (n,) are in blocks that agree with the rest, in every channel."""
+def _untouched(fitted: _Fitted, block: np.ndarray, moving: Array) -> np.ndarray:
+    """Which readings (n,) are in blocks that agree with the rest, in every channel.
+
+    The rest is the half of the blocks in which the arm moved most: a real arm shakes when it moves.
+    """
     _, index = np.unique(block, return_inverse=True)
     counts = np.bincount(index)[:, None]
     sums = np.zeros((len(counts), 6))
     np.add.at(sums, index, fitted.residuals**2)
     mean = sums / counts
-    agree: np.ndarray = np.all(mean <= _TOUCHED * np.median(mean, axis=0), axis=1)
+    motion = np.bincount(index, np.sum(moving**2, axis=1)) / counts[:, 0]
+    usual = np.median(mean[motion >= np.median(motion)], axis=0)
+    agree: np.ndarray = np.all(mean <= _TOUCHED * usual, axis=1)
     return agree[index]
+
+
+def _check_there(record: MotionRecord, fitted: _Fitted) -> None:
+    """Raise IdentificationError where the readings are the weight's alone."""
+    rows = np.zeros((len(record), 6, 10))
+    rows[..., :4] = gravity_regressor(record.gravity)
+    rows[..., 4:] = np.eye(6)
+    scaled = (rows / fitted.sigma[None, :, None]).reshape(-1, 10)
+    right = (record.wrench / fitted.sigma).reshape(-1)
+    weight, *_ = np.linalg.lstsq(scaled, right, rcond=None)
+    if np.sum((right - scaled @ weight) ** 2) < np.sum((fitted.residuals / fitted.sigma) ** 2):
+        raise IdentificationError(
+            "weight alone explains the readings better than weight and forces of motion: were they"
+            " taken off already?"
+        )
 
 
 def _check_told(fitted: _Fitted, moments: Array) -> None:

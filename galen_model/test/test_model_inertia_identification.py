@@ -109,6 +109,17 @@ def test_what_the_motion_does_not_tell_is_refused_and_named(size, missing, told)
 def test_another_load_than_the_files_is_noticed():
     heavier = (TOOL.moments + ADAPTER.moments) * np.array([1.05, 1.0, 1.0, 1.0])
     assert identify(moments=heavier).disagrees
+    with pytest.raises(IdentificationError, match=r"of 19\d\.\d g, the file of 300\.0 g"):
+        identify(moments=MOMENTS * np.array([0.65, 0.6, 0.6, 0.6]))
+
+
+def test_readings_that_hold_the_weight_alone_are_refused():
+    stamps, joints, same, wrench = recording(8)
+    q, v, a = motion((stamps - stamps[0]) / NS)
+    moving = sensor_motion(q, v, a)
+    wrench -= inertial_wrench(-moving[2], moving[0], moving[1], MOMENTS, INERTIA)
+    with pytest.raises(IdentificationError, match="weight alone"):
+        identify_inertia(motion_record(stamps, joints, same, wrench), MOMENTS, KNOWN)
 
 
 def test_touched_blocks_are_left_out_and_a_recording_touched_all_over_is_refused():

@@ -1,0 +1,170 @@
+"""`inertia_from_bag`: the inertia of tool and adapter out of a recording of free motion. No ROS."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from typing import Any
+
+import numpy as np
+from galen_bags.arm_recording import ArmTopics, read_arm
+from galen_model.arm import WRENCH_AXES
+from galen_model.errors import GalenError, ToolNameError
+from galen_model.inertial import INERTIA_NAMES, point_mass_inertia
+from galen_model.tool_file import check_tool_name, read_tool, tool_path, write_tool
+from galen_ros.param import add_options
+from rich.console import Console
+from rich.table import Table
+
+from galen_calibration_behavior.estimate import check_writable
+from galen_calibration_behavior.inertia_estimation import InertiaResult, estimate_inertia
+from galen_calibration_behavior.parameters import CalibrationParameters
+
+EXIT_OK, EXIT_FAILED, EXIT_USAGE, EXIT_CANCELED = 0, 1, 2, 130
+_EPILOG = f"""exit codes:
+  {EXIT_OK}    estimated; the file is written, but for --dry-run
+  {EXIT_FAILED}    failed, as when the motion does not tell the inertia; the reason is printed,
+       nothing is written
+  {EXIT_USAGE}    wrong arguments
+  {EXIT_CANCELED}  interrupted (Ctrl-C); nothing is written"""
+
+
+def parse(arguments: list[str] | None = None) -> argparse.Namespace:
+    """Read the command line; exits with code 2 and a message where it is wrong."""
+    topics = ArmTopics()
+    parser = argparse.ArgumentParser(
+        prog="inertia_from_bag",
+        description="Add the inertia of tool and adapter to a calibrated tool's file, from a"
+        " recording of at least 12 s in which the arm swings roll and tilt, smoothly and fast, and"
+        " nobody touches the tool.",
+        epilog=_EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("tool", help="name of the tool, whose file there is")
+    parser.add_argument("bag", help="rosbag2 directory, .mcap, .db3 or ROS 1 .bag")
+    add_options(parser, CalibrationParameters, ("tools_dir",))
+    parser.add_argument("--dry-run", action="store_true", help="print what is found, write nothing")
+    parser.add_argument("--json", action="store_true", help="print the result as one JSON object")
+    parser.add_argument("--joint-states", default=topics.joint_states, metavar="TOPIC")
+    parser.add_argument("--wrench-raw", default=topics.wrench_raw, metavar="TOPIC")
+    parser.add_argument(
+        "--joint-names",
+        nargs=5,
+        default=topics.joint_names,
+        metavar="NAME",
+        help=f"default: {' '.join(topics.joint_names)}",
+    )
+    options = parser.parse_args(arguments)
+    try:
+        check_tool_name(options.tool)
+    except ToolNameError as error:
+        parser.error(str(error))
+    return options
+
+
+def run(options: argparse.Namespace) -> InertiaResult:
+    """Estimate as the options say; writes the file, but for `dry_run`. Raises GalenError."""
+    path = tool_path(options.tools_dir, options.tool)
+    tool = read_tool(path)
+    if not options.dry_run:
+        check_writable(path)
+    topics = ArmTopics(options.joint_states, options.wrench_raw, tuple(options.joint_names))
+    recording = read_arm(options.bag, topics)
+    if not np.isfinite(recording.joints).any(axis=0).all():
+        raise GalenError(
+            f"{options.bag}: {options.joint_states} lacks the platform's position: of"
+            f" {' '.join(options.joint_names)} all five are needed (--joint-names)"
+        )
+    try:
+        result = estimate_inertia(tool, recording)
+    except GalenError as error:
+        raise GalenError(f"{options.bag}: {error}") from error
+    if not options.dry_run:
+        write_tool(path, result.tool)
+    return result
+
+
+def result_fields(options: argparse.Namespace, result: InertiaResult) -> dict[str, Any]:
+    """The result as plain numbers and texts, SI units."""
+    fit, held = result.fit, result.held_out
+    scores = None
+    if held is not None:
+        scores = {
+            name: dict(zip(WRENCH_AXES, getattr(held, name).tolist(), strict=True))
+            for name in ("static", "points", "inertia")
+        }
+    return {
+        "tool": options.tool,
+        "file": "" if options.dry_run else str(tool_path(options.tools_dir, options.tool)),
+        "inertia": fit.inertia.to_json(),
+        "std_kg_m2": fit.inertia.std_kg_m2.tolist(),
+        "point_masses_kg_m2": _points(result).tolist(),
+        "mass_kg": float(fit.moments[0]),
+        "agrees_with_file": not fit.disagrees,
+        "lag_s": fit.lag_s,
+        "lag_std_s": fit.lag_std_s,
+        "blocks": fit.blocks,
+        "blocks_left_out": fit.touched,
+        "held_out_rms": scores,
+        "warnings": list(result.warnings),
+    }
+
+
+def _points(result: InertiaResult) -> np.ndarray:
+    return point_mass_inertia(result.tool.load.load, result.tool.bias.load)
+
+
+def print_result(options: argparse.Namespace, result: InertiaResult, console: Console) -> None:
+    """Tables for a person."""
+    fit = result.fit
+    table = Table(title=f"Inertia of {options.tool} and adapter about ft_sensor, 1e-6 kg m^2")
+    table.add_column("")
+    for name in INERTIA_NAMES:
+        table.add_column(name, justify="right")
+    for label, values in (
+        ("estimated", fit.inertia.about_sensor_kg_m2),
+        ("one standard deviation", fit.inertia.std_kg_m2),
+        ("points at the centres", _points(result)),
+    ):
+        table.add_row(label, *(f"{1e6 * value:.1f}" for value in values))
+    console.print(table)
+    if result.held_out is None:
+        console.print("Half of the recording alone does not tell the inertia: nothing is held out")
+    else:
+        table = Table(title="Left over below 10 Hz, each half by a fit to the other, mN and mN.m")
+        table.add_column("")
+        for axis in WRENCH_AXES:
+            table.add_column(axis, justify="right")
+        for label, rms in (
+            ("weight only", result.held_out.static),
+            ("points at the centres", result.held_out.points),
+            ("inertia", result.held_out.inertia),
+        ):
+            table.add_row(label, *(f"{1e3 * value:.2f}" for value in rms))
+        console.print(table)
+    for warning in result.warnings:
+        console.print(f"[yellow]{warning}[/yellow]", soft_wrap=True, highlight=False)
+    written = "not written (--dry-run)" if options.dry_run else "written"
+    console.print(f"{tool_path(options.tools_dir, options.tool)}: {written}", soft_wrap=True)
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """Run the command; see `inertia_from_bag --help`."""
+    options = parse(arguments)
+    try:
+        result = run(options)
+        if options.json:
+            print(json.dumps(result_fields(options, result)))
+        else:
+            print_result(options, result, Console(width=None if sys.stdout.isatty() else 100))
+    except GalenError as error:
+        print(f"inertia_from_bag: {error}", file=sys.stderr)
+        raise SystemExit(EXIT_FAILED) from None
+    except KeyboardInterrupt:
+        print("inertia_from_bag: interrupted; nothing is written", file=sys.stderr)
+        raise SystemExit(EXIT_CANCELED) from None
+
+
+if __name__ == "__main__":
+    main()
