@@ -1,0 +1,119 @@
+"""Distances to boxes, straight ways that nothing slips through, and ways around."""
+
+import itertools
+
+import numpy as np
+import pytest
+from galen_model.arm import HOME
+from galen_model.arm_clearance import (
+    TOOL_RADIUS_M,
+    ArmClearance,
+    ObstacleError,
+    boxes_from_numbers,
+)
+from galen_model.arm_routes import Router
+from galen_model.kinematics import tip_pose
+from galen_model.pose_design import angle_grid
+
+TIP = np.array([0.15, 0.0, 0.05])
+CLEARANCE = 0.02
+SIDE = [0.5, 0.08, 0.2, 0.9, 0.5, 0.44]
+
+
+def clearance(*boxes, tip=TIP):
+    return ArmClearance(boxes_from_numbers(np.ravel(boxes)), CLEARANCE, tip)
+
+
+def at(roll, tilt):
+    return np.array([*HOME[:3], roll, tilt])
+
+
+def test_a_wall_beside_the_tip_is_as_far_as_the_tip_says():
+    # A wall across y that only the tip comes near: its distance is the tip's own.
+    wall = [0.0, 0.3, 0.0, 2.0, 0.4, 0.6]
+    arm = clearance(wall)
+    for roll in (0.6, 0.9, 1.2):
+        _, tip = tip_pose(at(roll, 0.5), TIP)
+        nearest = arm.nearest(at(roll, 0.5))
+        assert nearest.part == "tool"
+        assert nearest.distance_m == pytest.approx(0.3 - tip[1] - TOOL_RADIUS_M, abs=1e-6)
+
+
+def test_points_of_the_tool_are_no_nearer_than_the_library_says():
+    rng = np.random.default_rng(1)
+    numbers = np.array(SIDE)
+    arm = clearance(numbers)
+    for joints in rng.uniform([-0.1, -0.1, 0.3, -1.5, -1.0], [0.1, 0.1, 0.5, 1.5, 0.9], (12, 5)):
+        line = np.array([tip_pose(joints, share * TIP)[1] for share in np.linspace(0.0, 1.0, 200)])
+        outside = np.maximum(np.maximum(numbers[:3] - line, line - numbers[3:]), 0.0)
+        of_points = np.min(np.linalg.norm(outside, axis=1)) - TOOL_RADIUS_M
+        if of_points > 0.0:
+            assert arm.nearest(joints).distance_m <= of_points + 1e-6
+
+
+def test_nothing_slips_through_a_straight_way_and_few_are_refused_in_vain():
+    rng = np.random.default_rng(2)
+    thin = [0.4, 0.15, 0.0, 1.0, 0.151, 0.6]
+    arm = clearance(SIDE, thin)
+    ends = rng.uniform([-0.05, -0.05, 0.35, -1.5, -1.0], [0.05, 0.05, 0.5, 1.5, 0.9], (21, 5))
+    free = 0
+    for start, goal in itertools.pairwise(ends):
+        fault = arm.path_fault(start, goal)
+        shares = np.linspace(0.0, 1.0, 60)
+        nearest = min(arm.nearest(start + s * (goal - start)).distance_m for s in shares)
+        free += not fault
+        assert (nearest >= CLEARANCE) if not fault else (nearest < CLEARANCE + 0.01)
+    assert 3 < free < 18
+
+
+def test_a_thin_wall_between_two_free_poses_is_seen():
+    wall = [0.6, 0.0, 0.0, 1.2, 0.0005, 0.42]  # half a millimetre, across the tool's way
+    arm = clearance(wall)
+    left, right = np.array([0.0, -0.1, 0.408, 0.0, 0.0]), np.array([0.0, 0.1, 0.408, 0.0, 0.0])
+    assert not arm.pose_fault(left)
+    assert not arm.pose_fault(right)
+    assert arm.path_fault(left, right) == "the tool would be 20 mm from box 1"
+    assert not arm.path_fault(left, left - [0.0, 0.03, 0.0, 0.0, 0.0])
+
+
+def test_ways_lead_around_and_every_leg_is_free():
+    arm = clearance([0.5, 0.05, 0.2, 0.9, 0.5, 0.44])
+    router = Router(arm, HOME, angle_grid((-1.5, -1.0), (1.5, 0.9), 9, 7))
+    start, goal = at(0.0, -0.6), at(1.5, -0.6)
+    assert "box 1" in arm.path_fault(start, goal)
+    way = router.route(start, goal)
+    assert len(way) > 1
+    np.testing.assert_array_equal(way[-1], goal)
+    for one, other in itertools.pairwise([start, *way]):
+        assert not arm.path_fault(one, other)
+    # where nothing is in the way it goes straight ahead
+    assert len(router.route(start, at(-0.7, 0.2))) == 1
+
+
+def test_what_can_not_be_reached_is_named():
+    wall = [0.3, -0.6, 0.0, 1.2, -0.09, 0.8]
+    arm = clearance(wall)
+    lattice = angle_grid((-1.5, -1.0), (1.5, 0.9), 9, 7)
+    router = Router(arm, HOME, lattice)
+    faults = router.lattice_faults
+    assert 0 < sum(map(bool, faults)) < len(faults)
+    assert all("box 1" in fault for fault in faults if fault)
+    assert "box 1" in router.fault(at(*lattice[next(k for k, f in enumerate(faults) if f)]))
+    with pytest.raises(ObstacleError, match=r"home can't be taken: the .* in box 1"):
+        Router(clearance([0.5, -0.1, 0.4, 0.9, 0.1, 0.6]), HOME, angle_grid((0, 0), (1, 0.5), 3, 3))
+    assert "limits" in arm.pose_fault(at(0.0, -1.2))
+    high = np.array([0.14, 0.14, 0.6, 0.0, 0.0])
+    assert "carriage" in clearance([5, 5, 5, 6, 6, 6]).pose_fault(high)
+
+
+@pytest.mark.parametrize(
+    ("numbers", "message"),
+    [
+        ([1, 2, 3, 4, 5], "has 5 numbers"),
+        ([0, 0, 0, 1, -1, 1], "box 1 is empty"),
+        ([0, 0, 0, 1, 1, 1, 0, 0, 0, 1, float("nan"), 1], "box 2 holds a value that is not finite"),
+    ],
+)
+def test_boxes_that_are_none(numbers, message):
+    with pytest.raises(ObstacleError, match=message):
+        boxes_from_numbers(numbers)

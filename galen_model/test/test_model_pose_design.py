@@ -1,0 +1,145 @@
+"""Chosen poses: the criterion is the identification's own, and nothing beats them by much."""
+
+import itertools
+
+import numpy as np
+import pytest
+from galen_model.identification import (
+    StillPoses,
+    one_sweep_prior,
+    plain_least_squares,
+    two_sweeps_design,
+)
+from galen_model.kinematics import gravity_in_sensor
+from galen_model.load import gravity_regressor
+from galen_model.pose_design import (
+    ANGLE_LIMITS,
+    PoseDesign,
+    PoseDesignError,
+    angle_grid,
+    compensation_std,
+    reading_noise,
+)
+
+RANGE = (-1.5, -1.0), (1.5, 0.9)
+SIGMA = reading_noise()
+BIAS = (0.3, -0.2)
+
+
+def random_poses(rng, count):
+    return rng.uniform(*RANGE, (count, 2))
+
+
+def both_loads(design):
+    """From all parameters to the sum of both loads and what the tool's sweep adds to it."""
+    at_zero = gravity_regressor(gravity_in_sensor(*BIAS))
+    matrix = np.zeros((10, design))
+    matrix[:4, :4] = matrix[:4, 4:8] = np.eye(4)
+    matrix[4:, 4:8] = -at_zero
+    matrix[4:, design - 6 :] = np.eye(6)
+    return matrix
+
+
+def workspace_error(covariance):
+    """Mean variance of G x + c over the workspace and axes, in readings; written out again."""
+    poses = angle_grid(*ANGLE_LIMITS, 25, 25)
+    total = 0.0
+    for gravity in gravity_in_sensor(*poses.T):
+        row = np.hstack([gravity_regressor(gravity), np.eye(6)])
+        total += np.mean(np.diag(row @ covariance @ row.T) / SIGMA**2)
+    return total / len(poses)
+
+
+def test_the_criterion_is_what_two_sweeps_leave():
+    poses = random_poses(np.random.default_rng(1), 9)
+    gravity = StillPoses(*poses.T, np.zeros((9, 6))).gravity
+    rows, zero = gravity_regressor(gravity), gravity_regressor(gravity_in_sensor(*BIAS))
+    design = two_sweeps_design(rows - zero, rows, zero) / SIGMA[:, None]
+    covariance = np.linalg.inv(np.einsum("nkp,nkq->pq", design, design))
+    matrix = both_loads(20)
+    both = matrix @ covariance @ matrix.T
+    value = PoseDesign(poses).value(poses)
+    np.testing.assert_allclose(value, workspace_error(both), rtol=1e-6)
+    # with the same poses in both sweeps the tool alone is known with twice the sum's variance
+    np.testing.assert_allclose(covariance[:4, :4], 2.0 * both[:4, :4], rtol=1e-5, atol=1e-15)
+    ideal = np.array([SIGMA[:3].mean()] + [np.sqrt(1.5) * SIGMA[3:].mean()] * 3) / 9.80665
+    of_load = PoseDesign(poses, goal="load").value(poses)
+    np.testing.assert_allclose(of_load, np.mean(np.diag(both)[:4] / ideal**2), rtol=1e-6)
+
+
+def test_the_criterion_is_what_one_sweep_leaves():
+    poses = random_poses(np.random.default_rng(2), 7)
+    rows = gravity_regressor(gravity_in_sensor(*poses.T))
+    at_zero = gravity_in_sensor(*BIAS)
+    design = np.zeros((7, 6, 14))
+    design[:, :, :4], design[:, :, 4:8] = rows, rows - gravity_regressor(at_zero)
+    design[:, :, 8:] = np.eye(6)
+    scaled = design / SIGMA[:, None]
+    prior, _, std = one_sweep_prior(at_zero, None)
+    information = np.einsum("nkp,nkq->pq", scaled, scaled)
+    information += (prior / std[:, None] ** 2).T @ prior
+    information[8:, 8:] += np.diag(1.0 / SIGMA**2)
+    matrix = both_loads(14)
+    both = matrix @ np.linalg.inv(information) @ matrix.T
+    value = PoseDesign(poses, one_sweep_bias=BIAS).value(poses)
+    np.testing.assert_allclose(value, workspace_error(both), rtol=1e-5)
+    assert value < PoseDesign(poses).value(poses)  # the zeroing tells something
+
+
+def test_the_std_is_that_of_fits_to_noise():
+    rng = np.random.default_rng(3)
+    poses, unseen = random_poses(rng, 8), angle_grid(*ANGLE_LIMITS, 9, 9)
+    gravity, there = gravity_in_sensor(*poses.T), gravity_regressor(gravity_in_sensor(*unseen.T))
+    even = np.array([0.02] * 3 + [4e-4] * 3)  # plain least squares counts the axes alike
+    errors = []
+    for _ in range(500):
+        moments, offset = plain_least_squares(gravity, even * rng.standard_normal((8, 6)))
+        errors.append(there @ moments + offset)
+    seen = np.sqrt(np.mean(np.square(errors), axis=(0, 1)))
+    # 81 points lie denser at the workspace's borders than the criterion's 625
+    np.testing.assert_allclose(compensation_std(poses, even), seen, rtol=0.1)
+    assert np.all(np.isinf(compensation_std(poses[:2], even)))
+
+
+@pytest.mark.parametrize("goal", ["compensation", "load"])
+@pytest.mark.parametrize("bias", [None, BIAS])
+def test_exchange_finds_the_best_of_all_subsets(goal, bias):
+    rng = np.random.default_rng(4)
+    for count in (4, 5):
+        candidates = random_poses(rng, 8)
+        design = PoseDesign(candidates, goal=goal, one_sweep_bias=bias)
+        best = min(
+            design.value(candidates[list(subset)])
+            for subset in itertools.combinations(range(8), count)
+        )
+        found = design.choose(count)
+        assert len(set(found)) == count
+        value = design.value(candidates[found])
+        # an exchange may end at a local optimum
+        assert best <= value < 1.01 * best
+        assert design.lower_bound(count) <= best * (1.0 + 1e-9)
+
+
+def test_the_bound_holds_for_repeated_poses_and_is_nearly_reached():
+    rng = np.random.default_rng(5)
+    candidates = angle_grid(*RANGE, 17, 11)
+    design = PoseDesign(candidates)
+    bound = design.lower_bound(18)
+    found = design.value(candidates[design.choose(18)])
+    assert bound < found < 1.006 * bound
+    for _ in range(50):
+        some = candidates[rng.integers(len(candidates), size=18)]
+        assert design.value(some) >= bound
+    # the candidates themselves cost nothing: with others between them it is no better
+    finer = PoseDesign(angle_grid(*RANGE, 21, 13)).lower_bound(18)
+    assert finer > 0.998 * bound
+
+
+def test_a_good_start_is_kept_and_few_or_bad_candidates_are_refused():
+    line = np.column_stack([np.zeros(8), np.linspace(-1.0, 0.9, 8)])
+    with pytest.raises(PoseDesignError, match="6 poses out of 8 don't tell all"):
+        PoseDesign(np.tile(line[:1], (8, 1))).choose(6)
+    with pytest.raises(PoseDesignError, match="9 poses are wanted, but there are only 8"):
+        PoseDesign(line).choose(9)
+    with pytest.raises(PoseDesignError, match="goal is 'mass', but must be one of"):
+        PoseDesign(line, goal="mass")
