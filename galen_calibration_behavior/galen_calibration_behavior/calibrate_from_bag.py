@@ -8,6 +8,7 @@ import json
 import math
 import sys
 from collections.abc import Iterable
+from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 from types import SimpleNamespace
@@ -16,6 +17,7 @@ from typing import Any
 import numpy as np
 from galen_bags.arm_recording import ArmTopics, read_arm
 from galen_bags.command_line import positive
+from galen_model.bias_choice import BiasMode
 from galen_model.errors import GalenError, ToolNameError
 from galen_model.mounting_groups import GROUPS, entities
 from galen_model.mounting_identification import KnownLoad
@@ -106,6 +108,14 @@ def parse(arguments: list[str] | None = None) -> argparse.Namespace:
     )
     add_options(parser, CalibrationParameters, ("tools_dir",))
     add_mounting_options(parser.add_argument_group("sensor and mounting"))
+    parser.add_argument(
+        "--bias",
+        type=BiasMode,
+        choices=list(BiasMode),
+        default=BiasMode.CONSTANT,
+        help="the sensor's bias over a sweep: constant; wandering; or whichever of them held-out"
+        " blocks of poses prefer (default: %(default)s)",
+    )
     parser.add_argument("--dry-run", action="store_true", help="print what is found, write nothing")
     parser.add_argument("--poses", action="store_true", help="print every pose with its residual")
     parser.add_argument("--json", action="store_true", help="print the result as one JSON object")
@@ -209,6 +219,8 @@ def _check_combination(parser: argparse.ArgumentParser, options: argparse.Namesp
         parser.error("--known-com-m and --known-com-std-m belong together")
     if options.known_com_m is not None and options.known_mass_kg is None:
         parser.error("--known-com-m needs --known-mass-kg")
+    if options.bias is not BiasMode.CONSTANT and options.estimate is not None:
+        parser.error("--estimate is for a constant bias")
     if options.known_mass_kg is not None and options.estimate is None:
         parser.error("--known-mass-kg is for --estimate")
     given = {
@@ -279,7 +291,7 @@ def run(options: argparse.Namespace) -> tuple[RecordedSweeps, Calibration]:
         path,
         options.tool,
         tip,
-        sweeps.measurements,
+        replace(sweeps.measurements, bias_mode=options.bias),
         warnings,
         calibrated_at=measured_at(sweeps.last),
         mounting=mounting_request(options),
@@ -297,7 +309,10 @@ def result_fields(
         "tool": options.tool,
         "file": "" if options.dry_run else str(calibration.path),
     } | {name: plain(value) for name, value in calibration_fields(calibration).items()}
+    wander = calibration.found.wander
     return fields | {
+        "bias": None if wander is None else str(wander.choice),
+        "bias_mass_growth": None if wander is None else wander.mass_growth,
         "calibrated_at": calibration.content.calibrated_at,
         "tool_on_s": sweeps.tool_on_s,
         "next_border_worse_sigmas": None if border is None else border.next_worse,

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from enum import IntEnum
 
 from galen_model.arrays import Array
+from galen_model.bias_choice import BiasMode
 from galen_model.identification import StillPoses
 from galen_model.tool_file import LoadEstimate
 
@@ -94,7 +95,8 @@ class Measurements:
     """All that the estimate needs; the bias pose (rad) is where the sensor was zeroed.
 
     `known_bias`: the adapter of an earlier calibration; with one sweep it tells adapter and tool
-    apart. `notes`: how it went, where nothing is wrong.
+    apart. `notes`: how it went, where nothing is wrong. `bias_mode`: whether the sensor's bias may
+    wander over a sweep; then the poses need times.
     """
 
     bare: StillPoses | None
@@ -107,6 +109,7 @@ class Measurements:
     warnings: list[str]
     known_bias: LoadEstimate | None = None
     notes: list[str] = field(default_factory=list)
+    bias_mode: BiasMode = BiasMode.CONSTANT
 
 
 @dataclass(frozen=True)

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 from galen_model.arrays import Array
+from galen_model.bias_choice import BiasMode
 from galen_model.errors import (
     GalenError,
     IdentificationError,
@@ -24,6 +25,10 @@ from galen_model.mounting import Mounting
 from galen_model.mounting_identification import KnownLoad
 from galen_model.mounting_worth import Calibrated, Worth, worth
 from galen_model.tool_file import ToolFile, read_tool, write_tool
+from galen_model.wandering_identification import (
+    identify_one_sweep_wandering,
+    identify_two_sweeps_wandering,
+)
 
 from galen_calibration_behavior.commands import ErrorCode, Measurements
 
@@ -167,9 +172,14 @@ def estimate(
 
 def _identify(measurements: Measurements) -> Identification:
     roll, tilt = measurements.bias_roll, measurements.bias_tilt
-    if measurements.bare is None:
-        return identify_one_sweep(measurements.tool, roll, tilt, measurements.known_bias)
-    return identify_two_sweeps(measurements.bare, measurements.tool, roll, tilt)
+    mode, bare, tool = measurements.bias_mode, measurements.bare, measurements.tool
+    if mode is not BiasMode.CONSTANT:
+        if bare is None:
+            return identify_one_sweep_wandering(tool, roll, tilt, measurements.known_bias, mode)
+        return identify_two_sweeps_wandering(bare, tool, roll, tilt, mode)
+    if bare is None:
+        return identify_one_sweep(tool, roll, tilt, measurements.known_bias)
+    return identify_two_sweeps(bare, tool, roll, tilt)
 
 
 def _with_mounting(measurements: Measurements, request: MountingRequest) -> Calibrated:

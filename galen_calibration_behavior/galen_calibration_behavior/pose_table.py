@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from galen_model.arm import WRENCH_AXES
 from galen_model.arrays import Array
+from galen_model.identification import Identification
 
 from galen_calibration_behavior.estimate import Calibration
 from galen_calibration_behavior.recorded_sweeps import RecordedSweeps
@@ -24,6 +25,7 @@ def pose_rows(sweeps: RecordedSweeps, calibration: Calibration) -> list[dict[str
     found = calibration.found
     fit = {"bare": iter(found.used_bare.tolist()), "tool": iter(found.used_tool.tolist())}
     off = {"bare": iter(_off(calibration, "bare")), "tool": iter(_off(calibration, "tool"))}
+    curve = {name: iter(_wander(found, name)) for name in ("bare", "tool")}
     rows = []
     for pose in sweeps.poses:
         outcome = pose.visit.outcome
@@ -31,6 +33,8 @@ def pose_rows(sweeps: RecordedSweeps, calibration: Calibration) -> list[dict[str
         if isinstance(outcome, PoseRecord):
             joints, wrench = outcome.joints, outcome.wrench
             residual = wrench - _predicted(calibration, pose.sweep, joints)
+            if not pose.fault:
+                residual -= next(curve[pose.sweep], 0.0)
         fault = pose.fault or ("" if next(fit[pose.sweep]) else next(off[pose.sweep]))
         rows.append(
             {
@@ -66,6 +70,21 @@ def format_poses(rows: list[dict[str, Any]]) -> str:
             f"{name:8}{row['time_s']:8.1f}{angles}{'':10}{values}  {row['fault']}".rstrip()
         )
     return "\n".join(lines)
+
+
+def _wander(found: Identification, sweep: str) -> Array | list[Array]:
+    """How far (n, 6) the bias was from that at the sweep's end, pose by pose; [] if it is constant.
+
+    N and N.m.
+    """
+    wander = found.wander
+    if wander is None or wander.tool is None:
+        return []
+    if sweep == "tool":
+        return wander.tool - found.offset
+    if wander.bare is None or found.offset_change is None:
+        return []
+    return wander.bare - (found.offset - found.offset_change)
 
 
 def _off(calibration: Calibration, sweep: str) -> list[str]:

@@ -116,6 +116,15 @@ class SweepSorter:
         poses = self._one_load_sweep("tool", recording, visits)
         return self._put_together([], poses, [*recording.warnings, *lost], known_bias)
 
+    def still_poses(self, recording: Visits) -> tuple[list[RecordedPose], list[str]]:
+        """The poses of a sweep of one tool, and warnings; raises RecordingError.
+
+        Whether one load explains them is not asked: a cable's pull comes and goes with the pose.
+        """
+        visits, lost = self._home.after_zeroing(recording)
+        poses = self._judge("tool", recording, self._home.without_ends(visits))
+        return poses, [*recording.warnings, *lost]
+
     def _one_load_sweep(
         self, name: str, recording: Visits, visits: list[Visit]
     ) -> list[RecordedPose]:
@@ -258,7 +267,8 @@ def _left_out(poses: list[RecordedPose]) -> list[str]:
 
 def _still_poses(poses: list[RecordedPose]) -> StillPoses:
     roll, tilt, wrench, std_of_mean = stack([_record(pose.visit) for pose in poses])
-    return StillPoses(roll=roll, tilt=tilt, wrench=wrench, std_of_mean=std_of_mean)
+    time_s = np.array([pose.time_s for pose in poses])
+    return StillPoses(roll, tilt, wrench, std_of_mean, time_s)
 
 
 def _span(recording: Visits, visits: list[Visit]) -> str:

@@ -13,6 +13,7 @@ from galen_model.arrays import Array
 from galen_model.errors import GalenError, IdentificationError
 from galen_model.identification import identify_single_load, plain_least_squares
 from galen_model.load import gravity_regressor
+from galen_model.wandering_load import WanderingLoad, identify_wandering_load
 
 Predictor = Callable[[OrientationTable], Array]
 """From readings, whose wrench it must not look at, to what they should be (n, 6)."""
@@ -33,7 +34,35 @@ def plain_model(known: OrientationTable) -> Predictor:
     return lambda asked: gravity_regressor(asked.gravity) @ moments + offset
 
 
+def identify_wandering(known: OrientationTable) -> WanderingLoad:
+    """The load with a bias chosen by blocks (`bias_choice`), the table's own where it has them.
+
+    The table has times. Raises IdentificationError.
+    """
+    assert known.time is not None
+    groups = None
+    if known.block is not None:
+        groups = np.unique(known.block, return_inverse=True)[1]
+    return identify_wandering_load(known.gravity, known.wrench, known.time, groups)
+
+
+def wandering_model(known: OrientationTable) -> Predictor:
+    """With a bias that may wander, as blocks of the known readings choose.
+
+    A held-out block between known readings is bridged by the curve, one at an end extrapolated.
+    """
+    found = identify_wandering(known)
+
+    def predict(asked: OrientationTable) -> Array:
+        assert asked.time is not None
+        return found.predict(asked.gravity, asked.time)
+
+    return predict
+
+
 MODELS: dict[str, Model] = {"plain least squares": plain_model, "galen": robust_model}
+BLOCK_MODELS: dict[str, Model] = {"galen, wandering bias": wandering_model}
+"""Those for blocks alone: a single reading lies between two neighbours that tell any curve."""
 
 
 @dataclass(frozen=True)
@@ -68,7 +97,8 @@ def cross_validate(table: OrientationTable, groups: np.ndarray, model: Model) ->
     for label in labels:
         held = groups == label
         try:
-            predict = model(table.take(~held, None))
+            block = None if table.block is None else table.block[~held]
+            predict = model(table.take(~held, block))
         except IdentificationError as error:
             refused.append(f"without {label}: {error}")
             continue

@@ -192,6 +192,12 @@ def _add_table_options(group: argparse._ArgumentGroup) -> None:
         help="the table is a recording: find its still phases and average this long within them",
     )
     group.add_argument(
+        "--wander",
+        action="store_true",
+        help="beside the others, a model whose bias may wander, in the order of the readings; its"
+        " shape is chosen by blocks, within what is not held out (takes some seconds a block)",
+    )
+    group.add_argument(
         "--blocks", type=int, metavar="N", help="blocks of neighbouring readings to hold out"
     )
     group.add_argument(
@@ -230,7 +236,13 @@ def run_table(arguments: argparse.Namespace, console: Console) -> None:
         min_duration_s=arguments.still_min_s or StillSettings.min_duration_s,
     )
     result = evaluate_table(
-        table, arguments.blocks, arguments.average_s, settings, tool, _mounting(arguments)
+        table,
+        arguments.blocks,
+        arguments.average_s,
+        settings,
+        tool,
+        _mounting(arguments),
+        arguments.wander,
     )
     if written_tool is not None:
         write_tool(

@@ -1,16 +1,29 @@
 """How well a load model fits a table's readings that it has not seen."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 from galen_bags.orientation_table import OrientationTable
 from galen_model.arrays import Array
-from galen_model.errors import GalenError
+from galen_model.errors import GalenError, IdentificationError
 from galen_model.identification import SingleLoad, identify_single_load
+from galen_model.mounting_identification import MountedLoad
+from galen_model.mounting_worth import MOUNTED, Worth
 from galen_model.tool_file import ToolFile
+from galen_model.wandering_load import WanderingLoad
 
-from galen_gravcomp.cross_validation import MODELS, Score, contiguous_blocks, cross_validate
+from galen_gravcomp.cross_validation import (
+    BLOCK_MODELS,
+    MODELS,
+    Model,
+    Score,
+    contiguous_blocks,
+    cross_validate,
+    identify_wandering,
+)
 from galen_gravcomp.still_phases import StillSettings, still_phases
+from galen_gravcomp.table_mounting import TableMounting, table_prediction, table_worth
 
 _FEWEST_READINGS = 4
 _MOST_LEFT_OUT_ONE_BY_ONE = 200  # each takes a fit of all others
@@ -29,6 +42,9 @@ class Evaluation:
     tool: ToolFile | None = None
     tool_residuals: Array | None = None
     notes: list[str] = field(default_factory=list)
+    mounted: MountedLoad | None = None
+    worth: Worth | None = None
+    wandering: WanderingLoad | None = None
 
 
 def average_still(
@@ -49,6 +65,7 @@ def average_still(
             f"({table.time[row - 1]:.6f} s, then {table.time[row]:.6f} s)"
         )
     means: list[tuple[Array, Array, float, str]] = []
+    rotations = []
     variances = []
     for number, phase in enumerate(still_phases(table.time, table.gravity, settings)):
         time = table.time[phase]
@@ -63,6 +80,8 @@ def average_still(
                 (table.gravity[rows].mean(axis=0), wrench, float(table.time[rows].mean()),
                  f"still phase {number + 1}")
             )  # fmt: skip
+            if table.rotation is not None:  # still: as good as equal, like gravity
+                rotations.append(table.rotation[rows].mean(axis=0))
         if len(in_phase) > 1:
             variances.append(np.var(in_phase, axis=0, ddof=1))
     if not means:
@@ -70,7 +89,7 @@ def average_still(
     gravity, wrench, time_of, label = zip(*means, strict=True)
     averaged = OrientationTable(
         table.path, np.array(gravity), np.array(wrench), np.array(time_of), np.array(label),
-        table.orientation,
+        table.orientation, np.array(rotations) if rotations else None,
     )  # fmt: skip
     scatter = np.sqrt(np.mean(variances, axis=0)) if variances else np.full(6, np.nan)
     return averaged, scatter
@@ -82,8 +101,14 @@ def evaluate_table(
     average_window_s: float | None = None,
     settings: StillSettings | None = None,
     tool: ToolFile | None = None,
+    mounting: TableMounting | None = None,
+    wander: bool = False,
 ) -> Evaluation:
-    """Fit and score every model on a table; raises GalenError naming what stands in the way."""
+    """Fit and score every model on a table; raises GalenError naming what stands in the way.
+
+    mounting: what to estimate beside the load, in a model of its own. wander: also a model whose
+    bias may wander, where blocks are held out.
+    """
     source_rows, phases, scatter = len(table), None, None
     notes = []
     if average_window_s is not None:
@@ -117,24 +142,83 @@ def evaluate_table(
             group = contiguous_blocks(len(order), count)
             of_label = {label: f"block {g + 1}" for label, g in zip(order, group, strict=True)}
             splits[f"{count} blocks of neighbours"] = np.array([of_label[b] for b in table.block])
+    models = dict(MODELS)
+    mounted = None
+    if mounting is not None:
+        mounted = mounting.identify(table)
+        models[MOUNTED] = mounting.model
     scores = {
-        split: {name: cross_validate(table, groups, model) for name, model in MODELS.items()}
+        split: {
+            name: cross_validate(table, groups, model)
+            for name, model in (models | (_block_models(table, groups) if wander else {})).items()
+        }
         for split, groups in splits.items()
     }
     fit = identify_single_load(table.gravity, table.wrench)
+    wandering = None
+    try:
+        wandering = identify_wandering(table.timed()) if wander else None
+    except IdentificationError as error:
+        notes.append(f"with a bias that wanders: {error}")
     if phases is not None and phases > 2:
         # averages within a phase share its error, so the residuals' own covariance is too small
-        load = replace(fit.load, covariance=_jackknife(table))
+        load = replace(fit.load, covariance=_jackknife(table, _mass_and_centre))
         fit = replace(fit, load=load)
+        if mounting is not None and mounted is not None:
+            mounted = _jackknifed(mounted, mounting, table)
+    worth = None
+    if mounted is not None:  # the widest blocks that leave enough to tell the mounting
+        found = (table_worth(scores[s], splits[s], mounted.single.sigma) for s in reversed(splits))
+        worth = next((one for one in found if one is not None), None)
     if not fit.used.all():
         rows = ", ".join(str(row + 1) for row in np.flatnonzero(~fit.used))
         notes.append(f"the fit on all readings left out reading {rows}: off the common load")
-    residuals = None if tool is None else table.wrench - tool.predict_under(table.gravity)
-    return Evaluation(table, source_rows, phases, fit, scores, scatter, tool, residuals, notes)
+    residuals = None if tool is None else table.wrench - table_prediction(tool, table)
+    return Evaluation(
+        table,
+        source_rows,
+        phases,
+        fit,
+        scores,
+        scatter,
+        tool,
+        residuals,
+        notes,
+        mounted,
+        worth,
+        wandering,
+    )
 
 
-def _jackknife(table: OrientationTable) -> Array:
-    """Covariance (4, 4) of mass and centre, by leaving out each of G blocks.
+def _block_models(table: OrientationTable, groups: np.ndarray) -> dict[str, Model]:
+    return BLOCK_MODELS if len(set(groups.tolist())) < len(table) else {}
+
+
+def _mass_and_centre(table: OrientationTable) -> Array:
+    load = identify_single_load(table.gravity, table.wrench).load
+    return np.concatenate([[load.mass_kg], load.com_m])
+
+
+def _jackknifed(
+    mounted: MountedLoad, mounting: TableMounting, table: OrientationTable
+) -> MountedLoad:
+    """The same with covariances by leaving out each block."""
+
+    def values(known: OrientationTable) -> Array:
+        found = mounting.identify(known)
+        load = found.single.load
+        return np.concatenate([[load.mass_kg], load.com_m, found.mounting.vector])
+
+    covariance = _jackknife(table, values)
+    load = replace(mounted.single.load, covariance=covariance[:4, :4])
+    return MountedLoad(
+        replace(mounted.single, load=load),
+        replace(mounted.mounting, covariance=covariance[4:, 4:]),
+    )
+
+
+def _jackknife(table: OrientationTable, estimate: Callable[[OrientationTable], Array]) -> Array:
+    """Covariance (k, k) of what `estimate` (k,) finds, by leaving out each of G blocks.
 
     (G - 1) / G sum (x_g - mean) (x_g - mean)^T: Efron and Tibshirani, *An Introduction to the
     Bootstrap* (1993), eq. (11.5). Raises IdentificationError when a block can't be spared.
@@ -143,8 +227,6 @@ def _jackknife(table: OrientationTable) -> Array:
     labels = np.unique(table.block)
     values = []
     for label in labels:
-        kept = table.block != label
-        load = identify_single_load(table.gravity[kept], table.wrench[kept]).load
-        values.append(np.concatenate([[load.mass_kg], load.com_m]))
+        values.append(estimate(table.take(table.block != label, None)))
     spread = np.array(values) - np.mean(values, axis=0)
     return np.asarray((len(labels) - 1) / len(labels) * spread.T @ spread)

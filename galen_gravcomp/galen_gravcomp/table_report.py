@@ -29,6 +29,7 @@ def to_json(result: Evaluation) -> dict[str, Any]:
             "weight_N": load.mass_kg * 9.80665,
         },
         "offset": result.fit.offset.tolist(),
+        "wandering_bias": _wandering(result),
         "left_out": (np.flatnonzero(~result.fit.used) + 1).tolist(),
         "scatter_within_phases": None if result.scatter is None else result.scatter.tolist(),
         "scores": {
@@ -43,6 +44,14 @@ def to_json(result: Evaluation) -> dict[str, Any]:
             for split, models in result.scores.items()
         },
     }
+    if result.mounted is not None:
+        load = result.mounted.single.load
+        content["mounted"] = result.mounted.mounting.to_json() | {
+            "load": {"mass_kg": load.mass_kg, "com_m": load.com_m.tolist()},
+            "pays": None if result.worth is None else result.worth.pays,
+            "gain": None if result.worth is None else result.worth.gain,
+            "gain_std": None if result.worth is None else result.worth.gain_std,
+        }
     if result.tool is not None and result.tool_residuals is not None:
         rmse = np.sqrt(np.mean(result.tool_residuals**2, axis=0))
         content["tool"] = {
@@ -50,6 +59,21 @@ def to_json(result: Evaluation) -> dict[str, Any]:
             "rmse": _by_axis(rmse),
         }
     return content
+
+
+def _wandering(result: Evaluation) -> dict[str, Any] | None:
+    """What a bias that may wander makes of the load; None where it can't be told."""
+    found = result.wandering
+    if found is None or found.choice is None:
+        return None
+    return {
+        "force": str(found.choice.shapes[0]),
+        "torque": str(found.choice.shapes[1]),
+        "mass_kg": found.load.mass_kg,
+        "mass_std_kg": found.load.mass_std_kg,
+        "com_m": found.load.com_m.tolist(),
+        "offset_at_end": found.bias_end.tolist(),
+    }
 
 
 def _by_axis(rmse: Array) -> dict[str, float] | None:
@@ -74,7 +98,21 @@ def print_report(result: Evaluation, console: Console) -> None:
     found.add_row("mass (g)", f"{load.mass_kg * 1e3:.2f}", f"{load.mass_std_kg * 1e3:.2f}")
     for axis, com, std in zip("xyz", load.com_m, load.com_std_m, strict=True):
         found.add_row(f"centre {axis} (mm)", f"{com * 1e3:.2f}", f"{std * 1e3:.2f}")
+    if result.mounted is not None:
+        found.add_section()
+        mounted = result.mounted.single.load
+        mass, std = mounted.mass_kg * 1e3, mounted.mass_std_kg * 1e3
+        found.add_row("with sensor and mounting: mass (g)", f"{mass:.2f}", f"{std:.2f}")
+        for name, value, deviation, unit in result.mounted.mounting.rows:
+            found.add_row(f"{name} ({unit})", f"{value:.3f}", f"{deviation:.3f}")
     console.print(found)
+    if result.wandering is not None:
+        wandering = result.wandering.load
+        console.print(
+            f"bias over the readings, chosen by held-out blocks: {result.wandering.choice}; with it"
+            f" {wandering.mass_kg * 1e3:.2f} ± {wandering.mass_std_kg * 1e3:.2f} g, the weight"
+            f" {(wandering.mass_kg / load.mass_kg - 1.0) * 100.0:+.2f} %"
+        )
     scores = Table(
         title="Root mean square of what is left over on readings that the fit has not seen",
         title_justify="left",
@@ -100,6 +138,9 @@ def print_report(result: Evaluation, console: Console) -> None:
                     f"[yellow]{split}, {name}: {len(score.refused)} of {score.groups} could not be "
                     f"scored; {score.refused[0]}[/yellow]"
                 )
+    if result.worth is not None:
+        colour = "green" if result.worth.pays else "yellow"
+        console.print(f"[{colour}]{result.worth.sentence}[/{colour}]")
     for note in result.notes:
         console.print(f"[yellow]{note}[/yellow]")
 

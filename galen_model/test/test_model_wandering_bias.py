@@ -1,0 +1,181 @@
+"""A bias that wanders: chosen by held-out blocks, with covariances that hold what it costs."""
+
+import numpy as np
+import pytest
+from galen_model.bias_choice import CANDIDATES, BiasMode, choose_shapes
+from galen_model.bias_curve import BiasBasis, BiasShape, Shape
+from galen_model.errors import IdentificationError, NotExcitedError
+from galen_model.identification import StillPoses, identify_single_load, identify_two_sweeps
+from galen_model.kinematics import gravity_in_sensor
+from galen_model.load import Load, gravity_regressor, gravity_wrench, nominal_reading
+from galen_model.tools import ADAPTER, TOOLS
+from galen_model.wandering_bias import Sweeps, finish
+from galen_model.wandering_identification import (
+    identify_one_sweep_wandering,
+    identify_two_sweeps_wandering,
+)
+from galen_model.wandering_load import identify_wandering_load
+
+SIGMA = np.array([0.02, 0.02, 0.03, 4e-4, 4e-4, 4e-4]) / np.sqrt(125)
+TOOL = TOOLS["retractor"].load
+PERIOD_S = 2.0
+WALK = (BiasShape(Shape.WALK, 10.0),) * 2
+
+
+def grid():
+    """A sweep's 56 poses in a meandering order."""
+    roll, tilt = np.meshgrid(np.linspace(-1.5, 1.5, 8), np.linspace(-1.0, 0.9, 7))
+    roll[1::2] = roll[1::2, ::-1].copy()
+    return roll.ravel(), tilt.ravel()
+
+
+ROLL, TILT = grid()
+GRAVITY = gravity_in_sensor(ROLL, TILT)
+TIME_S = PERIOD_S * np.arange(56)
+
+
+def wander(rng, over_sigma):
+    """Random walks (56, 6) that get `over_sigma` of the noise far in a sweep."""
+    return np.cumsum(rng.standard_normal((56, 6)), axis=0) * SIGMA * over_sigma / np.sqrt(56)
+
+
+def reading(rng, over_sigma):
+    return (
+        gravity_wrench(GRAVITY, TOOL)
+        + wander(rng, over_sigma)
+        + SIGMA * rng.standard_normal((56, 6))
+    )
+
+
+def sweeps(readings):
+    return Sweeps(gravity_regressor(GRAVITY), readings, TIME_S, np.zeros(56, dtype=int))
+
+
+def test_the_elimination_is_generalised_least_squares():
+    """The same x and covariance as with the readings' whole covariance matrix, written out."""
+    rng = np.random.default_rng(0)
+    data = sweeps(reading(rng, 10.0))
+    found = finish(data, WALK, np.ones(56, dtype=bool))
+    time = TIME_S / TIME_S[-1]
+    prior = np.eye(56) + 100.0 * np.minimum.outer(time, time)  # b(0) is free: one more column
+    information, right = np.zeros((4, 4)), np.zeros(4)
+    for channel in range(6):
+        columns = np.column_stack([data.design[:, channel], np.ones(56)])
+        weight = np.linalg.inv(prior) / found.fit.sigma[channel] ** 2
+        joint = columns.T @ weight @ columns
+        reduced = joint[:4, :4] - np.outer(joint[:4, 4], joint[4, :4]) / joint[4, 4]
+        side = columns.T @ weight @ data.readings[:, channel]
+        information += reduced
+        right += side[:4] - joint[:4, 4] * side[4] / joint[4, 4]
+    expected = np.linalg.solve(information, right)
+    np.testing.assert_allclose(found.fit.values[:4], expected, rtol=1e-6)
+    ratio = np.diag(found.fit.covariance)[:4] / np.diag(np.linalg.inv(information))
+    np.testing.assert_allclose(ratio, ratio[0], rtol=1e-6)  # all widened by the same
+    assert 1.0 < ratio[0] < 1.1
+    # the end of the curve, and the curve there, are one
+    np.testing.assert_allclose(found.fit.values[4:], found.bias[-1], atol=1e-12)
+    np.testing.assert_allclose(found.bias_at(TIME_S, data.segment), found.bias, atol=1e-12)
+
+
+def test_penalties_are_the_priors():
+    """A walk's variance grows with time, a smooth curve's line costs nothing."""
+    time = np.array([0.0, 1.0, 3.0, 7.0, 10.0])
+    segment = np.zeros(5, dtype=int)
+    walk = BiasBasis(BiasShape(Shape.WALK, 5.0), time, segment)
+    inner = np.linalg.inv(walk.penalty()[1:, 1:])  # given the first value
+    np.testing.assert_allclose(np.diag(inner), 25.0 * time[1:] / 10.0)
+    smooth = BiasBasis(BiasShape(Shape.SMOOTH, 5.0), time, segment)
+    np.testing.assert_allclose(smooth.penalty() @ (2.0 - 3.0 * time), 0.0, atol=1e-12)
+    assert walk.free == 1
+    assert smooth.free == 2
+
+
+@pytest.mark.slow
+def test_mass_under_wander_is_better_and_its_interval_true():
+    """40 sweeps: the scatter is the standard deviation stated, which is the Cramer-Rao bound given
+    the shape, and less than 0.6 of the constant bias's.
+    """
+    rng = np.random.default_rng(1)
+    constant, walk, stated = [], [], []
+    for _ in range(40):
+        readings = reading(rng, 30.0)
+        constant.append(identify_single_load(GRAVITY, readings).load.mass_kg - TOOL.mass_kg)
+        shapes = (BiasShape(Shape.WALK, 30.0),) * 2
+        fit = finish(sweeps(readings), shapes, np.ones(56, dtype=bool)).fit
+        walk.append(fit.values[0] - TOOL.mass_kg)
+        stated.append(np.sqrt(fit.covariance[0, 0]))
+    walk, stated = np.array(walk), np.array(stated)
+    assert np.sqrt(np.mean(walk**2)) < 0.6 * np.sqrt(np.mean(np.square(constant)))
+    assert np.mean(np.abs(walk) < 1.96 * stated) >= 0.875  # 0.95 less two standard errors
+    assert np.sqrt(np.mean(walk**2)) == pytest.approx(np.mean(stated), rel=0.2)
+
+
+@pytest.mark.slow
+def test_a_wander_is_chosen_where_there_is_one_and_not_where_there_is_none():
+    rng = np.random.default_rng(2)
+    none = choose_shapes(sweeps(reading(rng, 0.0)))
+    assert none.constant
+    there = choose_shapes(sweeps(reading(rng, 50.0)))
+    assert not there.constant
+    assert min(there.gain) > 0.0
+    few = sweeps(reading(rng, 50.0))
+    short = Sweeps(few.design[:8], few.readings[:8], few.time_s[:8], few.segment[:8])
+    assert choose_shapes(short, CANDIDATES).constant
+
+
+@pytest.mark.slow
+def test_two_sweeps_with_a_wander_and_a_touched_pose():
+    rng = np.random.default_rng(3)
+    bare = nominal_reading(ROLL, TILT, Load(0.0), ADAPTER) + wander(rng, 50.0)
+    with_tool = nominal_reading(ROLL, TILT, TOOL, ADAPTER) + wander(rng, 50.0) + 0.3
+    noise = SIGMA * rng.standard_normal((2, 56, 6))
+    with_tool[20] += [0.5, -0.5, 0.5, 0.0, 0.0, 0.0]
+    both = (
+        StillPoses(ROLL, TILT, bare + noise[0], None, TIME_S),
+        StillPoses(ROLL, TILT, with_tool + noise[1], None, TIME_S + 500.0),
+    )
+    found = identify_two_sweeps_wandering(*both)
+    assert found.wander is not None
+    assert found.wander.tool is not None
+    assert [(o.sweep, o.pose) for o in found.outliers] == [("tool", 20)]
+    np.testing.assert_array_less(np.abs(found.load.com_m - TOOL.com_m) / found.load.com_std_m, 3.5)
+    assert abs(found.load.mass_kg - TOOL.mass_kg) < 3.5 * found.load.mass_std_kg
+    # what holds at the end is what is written
+    last = with_tool[-1] - nominal_reading(ROLL[-1], TILT[-1], TOOL, ADAPTER)
+    np.testing.assert_allclose(found.offset[:3], last[:3], atol=0.01)
+    assert "wandered" in found.warnings[0]
+    steady = identify_two_sweeps_wandering(*both, mode=BiasMode.CONSTANT)
+    assert steady.load.mass_kg == identify_two_sweeps(*both).load.mass_kg
+    untimed = StillPoses(ROLL, TILT, both[1].wrench)
+    with pytest.raises(IdentificationError, match="no times"):
+        identify_two_sweeps_wandering(both[0], untimed)
+
+
+def test_one_sweep_with_a_known_adapter():
+    rng = np.random.default_rng(4)
+    tool = nominal_reading(ROLL, TILT, TOOL, ADAPTER) + wander(rng, 50.0)
+    tool += SIGMA * rng.standard_normal((56, 6))
+    poses = StillPoses(ROLL, TILT, tool, None, TIME_S)
+    found = identify_one_sweep_wandering(poses, mode=BiasMode.WANDERING)
+    assert found.wander is not None
+    assert found.unresolved
+    total = found.load.mass_kg + found.bias.mass_kg
+    assert total == pytest.approx(TOOL.mass_kg + ADAPTER.mass_kg, abs=2e-3)
+
+
+def test_poses_in_an_order_that_goes_with_time_are_told_or_refused():
+    """Tilt alone, slowly from one end to the other: a straight drift is a load."""
+    tilt = np.linspace(-0.15, 0.15, 40)
+    gravity = gravity_in_sensor(np.zeros(40), tilt)
+    time = np.arange(40.0)
+    rng = np.random.default_rng(5)
+    readings = gravity_wrench(gravity, TOOL) + 0.05 * rng.standard_normal((40, 6))
+    with pytest.raises((NotExcitedError, IdentificationError)):
+        identify_wandering_load(gravity, readings, time, bias=BiasMode.WANDERING)
+    # a grid's order goes with the tilt; that costs more than any order by chance
+    data = sweeps(reading(rng, 0.0))
+    order = rng.permutation(56)
+    shuffled = Sweeps(data.design[order], data.readings[order], TIME_S, data.segment)
+    everything = np.ones(56, dtype=bool)
+    in_order = finish(data, WALK, everything).growth[0]
+    assert in_order > 1.3 * finish(shuffled, WALK, everything).growth[0]
