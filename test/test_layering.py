@@ -31,6 +31,8 @@ ROS_MODULES = {
     "galen_bringup.verification",
     "galen_calibration_behavior.arm_link",
     "galen_calibration_behavior.calibrate",
+    "galen_calibration_behavior.check",
+    "galen_calibration_behavior.check_node",
     "galen_calibration_behavior.deferred_action",
     "galen_calibration_behavior.goal_client",
     "galen_calibration_behavior.goal_node",

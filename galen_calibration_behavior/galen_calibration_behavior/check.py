@@ -1,0 +1,174 @@
+"""`check`: has check_node find out whether a tool's file still fits, and says what to do."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import sys
+from typing import Any
+
+from galen_model.arm import WRENCH_AXES
+from galen_model.errors import ToolNameError
+from galen_model.tool_file import check_tool_name
+from rclpy.utilities import remove_ros_args
+
+from galen_calibration_behavior.check_answer import Answer, Cause
+from galen_calibration_behavior.check_commands import ErrorCode
+from galen_calibration_behavior.goal_client import (
+    EXIT_CANCELED,
+    EXIT_FAILED,
+    EXIT_OK,
+    EXIT_USAGE,
+    Bar,
+    GoalClient,
+    add_client_options,
+    read_options,
+    report_error,
+    run_client,
+)
+from galen_calibration_behavior.result_text import result_to_dict
+from galen_msgs.action import CheckTool
+
+EXIT_RETARE, EXIT_RECALIBRATE, EXIT_UNSURE = 3, 4, 5
+_EXITS = {
+    Answer.GOOD: EXIT_OK,
+    Answer.RETARE: EXIT_RETARE,
+    Answer.RECALIBRATE: EXIT_RECALIBRATE,
+    Answer.UNSURE: EXIT_UNSURE,
+}
+_HEADS = {
+    Answer.GOOD: "good",
+    Answer.RETARE: "re-tare",
+    Answer.RECALIBRATE: "recalibrate",
+    Answer.UNSURE: "can't tell",
+}
+_EPILOG = f"""The tool is on, and nobody touches it. The tool's file stays as it is.
+
+exit codes:
+  {EXIT_OK}    good: the file still fits
+  {EXIT_FAILED}    not checked; the reason is printed
+  {EXIT_USAGE}    wrong arguments
+  {EXIT_RETARE}    re-tare: an offset, which a tare takes off
+  {EXIT_RECALIBRATE}    recalibrate: another load, or something that a tare does not mend
+  {EXIT_UNSURE}    can't tell: too noisy, or one pose does not agree with the others
+  {EXIT_CANCELED}  canceled (Ctrl-C); the arm is stopped where it is"""
+
+
+class CheckClient(GoalClient):
+    """A check; tells of poses that can't be used."""
+
+    def __init__(self, options: argparse.Namespace, bar: Bar) -> None:
+        super().__init__(
+            "check_client",
+            CheckTool,
+            "check_tool",
+            server="check_node",
+            server_node=options.node,
+            timeout_s=options.timeout_s,
+            lost="nothing is known of the tool",
+            bar=bar,
+        )
+        self._options = options
+
+    def make_goal(self) -> CheckTool.Goal:
+        """Return what the options ask for."""
+        return CheckTool.Goal(tool=self._options.tool, poses=self._options.poses)
+
+    def on_feedback(self, feedback: Any) -> None:
+        """Show it: the bar, or without a terminal a line for each; and each bad pose."""
+        self.bar.show(feedback.done, feedback.total, "checking")
+        rejected = math.isfinite(feedback.roll) and not feedback.accepted
+        if rejected or not self.bar.fancy:
+            self.bar.say(f"[{feedback.done}/{feedback.total}] {feedback.message}")
+
+
+def parse(arguments: list[str]) -> argparse.Namespace:
+    """Read the command line; exits with code 2 and a message where it is wrong."""
+    parser = argparse.ArgumentParser(
+        prog="check",
+        description="Check at a few poses whether a tool's file still fits.",
+        epilog=_EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument(
+        "tool", nargs="?", default="", help="name of the tool; default: that in force in gravcomp"
+    )
+    parser.add_argument("--poses", type=int, default=0, help="number of poses; 0: the node's")
+    add_client_options(parser, "check")
+    options = read_options(parser, arguments)
+    try:
+        if options.tool:
+            check_tool_name(options.tool)
+    except ToolNameError as error:
+        parser.error(str(error))
+    if not 0 <= options.poses <= 100:
+        parser.error(f"--poses is {options.poses}, not in 0 ... 100")
+    return options
+
+
+def main() -> None:
+    """Run the client; see `check --help`."""
+    options = parse(remove_ros_args(sys.argv)[1:])
+    run_client(
+        "check",
+        lambda bar: CheckClient(options, bar),
+        Bar("pose"),
+        lambda result: _print_result(result, options.json),
+    )
+
+
+def result_fields(result: Any) -> dict[str, Any]:
+    """A CheckTool.Result for JSON: answer and cause as words, no NaN."""
+    content = result_to_dict(result)
+    if result.error_code == ErrorCode.NONE:
+        content |= {"answer": Answer(result.answer).name, "cause": Cause(result.cause).name}
+    else:
+        content |= {"answer": None, "cause": None}
+    for name in ("com_change_m", "com_change_std_m"):
+        if not all(map(math.isfinite, content[name])):
+            content[name] = None
+    return content
+
+
+def format_result(result: Any) -> str:
+    """Return a CheckTool.Result for a person; one standard deviation after +-."""
+    lines = [
+        f"{_HEADS[Answer(result.answer)]}: {result.tool}: {result.text}",
+        "",
+        "                " + "".join(f"{axis:>10}" for axis in WRENCH_AXES) + "   [N, mN.m]",
+        _row("offset", result.offset),
+        _row("+-", result.offset_std),
+        _row("unexplained", result.unexplained),
+        _row("off by at most", result.effect),
+        f"mass {1e3 * result.mass_change_kg:+.2f} +- {1e3 * result.mass_change_std_kg:.2f} g;"
+        f" {result.poses_used} poses; from {1e3 * result.found_mass_kg:.2f} g on it would be told"
+        " from noise",
+    ]
+    lines += [f"rejected {text}" for text in result.poses_rejected]
+    lines += [f"warning: {text}" for text in result.warnings]
+    return "\n".join(lines)
+
+
+def _row(name: str, values: Any) -> str:
+    scaled = [value if k < 3 else 1e3 * value for k, value in enumerate(values)]
+    return f"{name:16}" + "".join(f"{round(value, 4) + 0.0:10.4f}" for value in scaled)
+
+
+def _print_result(result: Any, as_json: bool) -> int:
+    code = ErrorCode(result.error_code)
+    if as_json:
+        print(json.dumps(result_fields(result)))
+    elif code == ErrorCode.NONE:
+        print(format_result(result))
+    exit_code = report_error("check", code, result.error_msg)
+    if code == ErrorCode.NONE:
+        return _EXITS[Answer(result.answer)]
+    if not as_json:
+        for text in result.poses_rejected:
+            print(f"  rejected {text}", file=sys.stderr)
+    return exit_code
+
+
+if __name__ == "__main__":
+    main()

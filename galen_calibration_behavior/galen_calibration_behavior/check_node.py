@@ -1,0 +1,179 @@
+"""The action server `check_tool`: runs the quick check on the arm's topics."""
+
+from __future__ import annotations
+
+from enum import IntEnum
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from galen_model.arrays import Array
+from galen_model.errors import GalenError, ToolFileError, ToolNameError
+from galen_model.tool_store import ToolStore
+from galen_ros.qos import LATCHED
+from galen_ros.spin import run
+from rclpy.action.server import ServerGoalHandle
+
+from galen_calibration_behavior.check_commands import ErrorCode, Feedback, Finished
+from galen_calibration_behavior.check_parameters import MOST_POSES, CheckParameters
+from galen_calibration_behavior.check_procedure import CheckProcedure, CheckRequest
+from galen_calibration_behavior.check_text import centre_change
+from galen_calibration_behavior.goal_node import GoalNode, RefusedGoalError, RunningGoal, Words
+from galen_calibration_behavior.quick_check import FEWEST_POSES
+from galen_msgs.action import CheckTool
+from galen_msgs.msg import ToolInForce
+
+
+class _Goal(RunningGoal[CheckProcedure]):
+    """One running check; `warnings`: known from before it began."""
+
+    def __init__(
+        self, handle: ServerGoalHandle, procedure: CheckProcedure, warnings: list[str]
+    ) -> None:
+        super().__init__(handle, procedure)
+        self.warnings = warnings
+
+
+class CheckNode(GoalNode[CheckParameters, _Goal, Finished]):
+    """Declares, converts and calls; what happens when is in CheckProcedure."""
+
+    codes = ErrorCode
+    words = Words(
+        subject="tool",
+        doing="checking",
+        nothing_yet="no check yet",
+        unit="poses",
+        restarted="the driver was restarted",
+        shutting_down="shutting down: stopping the arm",
+    )
+
+    def __init__(self, **kwargs: Any) -> None:
+        super().__init__("check", CheckParameters, CheckTool, "check_tool", **kwargs)
+        self._store = ToolStore(Path(self._settings.tools_dir).expanduser())
+        self._in_force: ToolInForce | None = None
+        self.create_subscription(
+            ToolInForce, "gravcomp/tool_in_force", self._on_tool_in_force, LATCHED
+        )
+
+    def _on_tool_in_force(self, message: ToolInForce) -> None:
+        self._in_force = message
+
+    # ---- the action
+
+    def _subject(self, request: Any) -> str:
+        if request.tool or self._in_force is None:
+            return str(request.tool)
+        return str(self._in_force.tool)
+
+    def _make_goal(self, handle: ServerGoalHandle) -> _Goal:
+        name, poses = self._subject(handle.request), handle.request.poses
+        if not name:
+            raise RefusedGoalError(
+                ErrorCode.BAD_INPUT,
+                "no tool is named, and none is known to be in force: name one, or start"
+                " gravcomp_node with one",
+            )
+        if poses and not FEWEST_POSES <= poses <= MOST_POSES:
+            raise RefusedGoalError(
+                ErrorCode.BAD_INPUT,
+                f"poses is {poses}: from {FEWEST_POSES} to {MOST_POSES}, or 0",
+            )
+        try:
+            tool = self._store.read(name).tool
+            others = {
+                entry.name: entry.stored.tool
+                for entry in self._store.entries()
+                if entry.stored is not None and entry.name != name
+            }
+        except ToolNameError as error:
+            raise RefusedGoalError(ErrorCode.INVALID_NAME, str(error)) from error
+        except ToolFileError as error:
+            raise RefusedGoalError(ErrorCode.TOOL_FILE, str(error)) from error
+        except GalenError as error:
+            raise RefusedGoalError(ErrorCode.BAD_INPUT, str(error)) from error
+        known_offset = self._known_offset(name)
+        warnings = []
+        if known_offset is not None:
+            warnings.append("what gravcomp's tare, or its estimate of the wander, takes off counts")
+        request = CheckRequest(tool, poses or self._settings.poses, others, known_offset)
+        procedure = CheckProcedure(self._settings.settings(), request)
+        return _Goal(handle, procedure, warnings)
+
+    def _known_offset(self, tool: str) -> Array | None:
+        """What the compensation takes off beside the file (6,), N and N.m; None for nothing."""
+        now = self._in_force
+        if now is None or now.tool != tool or not (now.tared or now.wander_estimated):
+            return None
+        taken_off = np.zeros(6)
+        for on, wrench in ((now.tared, now.tare), (now.wander_estimated, now.wander)):
+            if on:
+                force, torque = wrench.force, wrench.torque
+                taken_off += [force.x, force.y, force.z, torque.x, torque.y, torque.z]
+        return taken_off
+
+    def _introduce(self, goal: _Goal) -> str:
+        return f"{goal.procedure.progress[1]} poses"
+
+    def _make_end(self, code: IntEnum, message: str, goal: _Goal | None) -> Finished:
+        return Finished(ErrorCode(code), message)
+
+    def _make_result(
+        self, handle: ServerGoalHandle, end: Finished, goal: _Goal | None
+    ) -> tuple[CheckTool.Result, str]:
+        name = self._subject(handle.request)
+        result = CheckTool.Result(
+            error_code=int(end.error_code),
+            error_msg=end.error_msg,
+            tool=name,
+            poses_rejected=list(end.rejected),
+            warnings=[*(goal.warnings if goal else []), *end.warnings],
+        )
+        if end.check is None or goal is None:
+            return result, f"{name!r} not checked: {end.error_code.name}: {end.error_msg}"
+        check, found = end.check, end.check.found
+        result.answer, result.cause, result.text = int(check.answer), int(check.cause), check.text
+        result.mass_change_kg = float(found.moments[0])
+        result.mass_change_std_kg = float(np.sqrt(found.moments_covariance[0, 0]))
+        nowhere = np.full(3, np.nan)
+        moved = centre_change(found, goal.procedure.tool)
+        result.com_change_m, result.com_change_std_m = moved or (nowhere, nowhere)
+        result.offset, result.offset_std = found.offset, found.offset_std
+        result.unexplained = np.sqrt(np.mean(found.rest**2, axis=0))
+        result.effect = found.effect
+        result.found_mass_kg, result.found_offset = check.found_mass_kg, check.found_offset
+        result.poses_used = check.poses
+        return result, f"{name!r} checked: {check.answer.name}: {check.text}"
+
+    # ---- commands
+
+    def _obey(self, goal: _Goal, command: Any) -> None:
+        match command:
+            case Feedback():
+                goal.handle.publish_feedback(
+                    CheckTool.Feedback(
+                        state=int(command.state),
+                        done=command.done,
+                        total=command.total,
+                        roll=command.roll,
+                        tilt=command.tilt,
+                        accepted=command.accepted,
+                        message=command.message,
+                    )
+                )
+                self.get_logger().debug(command.message)
+            case _:
+                super()._obey(goal, command)
+
+    # ---- diagnostics
+
+    def _folders(self) -> dict[str, object]:
+        return {"tools_dir": self._store.directory}
+
+
+def main() -> None:
+    """Run the node until SIGINT or SIGTERM."""
+    run(CheckNode)
+
+
+if __name__ == "__main__":
+    main()

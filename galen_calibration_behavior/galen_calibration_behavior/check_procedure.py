@@ -1,0 +1,165 @@
+"""The quick check's course, without ROS: samples and events in, commands out.
+
+    MEASURE (each pose: go, arrive, settle, average, judge) > decide > RETURN to where the arm was
+
+A cancel, an error and time are as in `goal_procedure`; the arm then stays where it stops.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import IntEnum
+
+import numpy as np
+from galen_model.arrays import Array
+from galen_model.pose_design import PoseDesignError
+from galen_model.tool_file import ToolFile
+
+from galen_calibration_behavior.check_answer import CheckLimits, QuickCheck
+from galen_calibration_behavior.check_commands import (
+    Command,
+    ErrorCode,
+    Feedback,
+    Finished,
+    State,
+)
+from galen_calibration_behavior.check_poses import choose_check_poses
+from galen_calibration_behavior.pose_order import SweepTimes
+from galen_calibration_behavior.pose_procedure import PoseProcedure, PoseSettings
+from galen_calibration_behavior.pose_recorder import Rejection
+from galen_calibration_behavior.quick_check import FEWEST_POSES, quick_check
+from galen_calibration_behavior.stillness import PoseRecord
+from galen_calibration_behavior.sweep import Sweep, Verdict
+
+
+@dataclass(frozen=True)
+class CheckSettings(PoseSettings):
+    """Everything that the node's parameters decide."""
+
+    reach_rad: float
+    pose_retries: int
+    limits: CheckLimits
+
+
+@dataclass(frozen=True)
+class CheckRequest:
+    """What one goal asks for.
+
+    others: the files of other tools by name; known_offset (6,): what a tare already takes off, N
+    and N.m, None where that isn't known.
+    """
+
+    tool: ToolFile
+    poses: int
+    others: Mapping[str, ToolFile]
+    known_offset: Array | None
+
+
+class CheckProcedure(PoseProcedure[Command, Finished]):
+    """One check. Call `start`, feed samples and events, and do what `take_commands` gives."""
+
+    codes = ErrorCode
+    _settings: CheckSettings
+    _state: State
+
+    def __init__(self, settings: CheckSettings, request: CheckRequest) -> None:
+        super().__init__(settings, State.MEASURE)
+        self._request = request
+        self._before = np.zeros(5)
+        self._sweep: Sweep | None = None
+        self._check: QuickCheck | None = None
+
+    @property
+    def tool(self) -> ToolFile:
+        """The tool's file that is checked."""
+        return self._request.tool
+
+    @property
+    def progress(self) -> tuple[int, int]:
+        """Poses finished, and poses in all."""
+        return self._sweep.finished_poses if self._sweep else 0, self._request.poses
+
+    def _begin(self) -> None:
+        assert self._joints is not None
+        if not np.all(np.isfinite(self._joints)):
+            self.fail(ErrorCode.BAD_INPUT, "joint_states holds values that are not finite")
+            return
+        settings = self._settings
+        self._before = self._joints
+        stay_s = settings.arrival.velocity_window_s + settings.arrival.settle_s + settings.average_s
+        times = SweepTimes(
+            self._before[3:], settings.max_velocity[3:], settings.max_acceleration[3:], stay_s
+        )
+        try:
+            poses = choose_check_poses(
+                self._before[3:], settings.reach_rad, self._request.poses, times
+            )
+        except PoseDesignError as error:
+            self.fail(ErrorCode.BAD_INPUT, str(error))
+            return
+        self._sweep = Sweep("check", poses, settings.stillness, settings.pose_retries)
+        self._report(f"{len(poses)} poses: keep off the tool")
+        self._visit()
+
+    def _visit(self) -> None:
+        assert self._sweep is not None
+        index = self._sweep.current
+        if index is None:
+            self._judge(self._sweep)
+            return
+        target = np.concatenate([self._before[:3], self._sweep.poses[index]])
+        self._record(target, self._move(target), self._on_pose)
+
+    def _on_pose(self, outcome: PoseRecord | Rejection) -> None:
+        assert self._sweep is not None
+        for verdict in self._sweep.take(outcome):
+            self._report_pose(verdict)
+        self._visit()
+
+    def _judge(self, sweep: Sweep) -> None:
+        if len(sweep.records) < FEWEST_POSES:
+            self.fail(
+                ErrorCode.BAD_INPUT if sweep.not_finite else ErrorCode.POSES_NOT_STILL,
+                f"only {len(sweep.records)} of {len(sweep.poses)} poses can be used, and"
+                f" {FEWEST_POSES} are needed; {sweep.rejections[-1]}",
+            )
+            return
+        request = self._request
+        self._check = quick_check(
+            sweep.records,
+            request.tool,
+            self._settings.limits,
+            others=request.others,
+            known_offset=request.known_offset,
+        )
+        self._state = State.RETURN
+        self._report("going back to where it was")
+        self._go_to(self._before, self._succeed)
+
+    def _make_end(self, code: IntEnum, message: str) -> Finished:
+        return Finished(
+            ErrorCode(code),
+            message,
+            check=self._check if code == ErrorCode.NONE else None,
+            rejected=tuple(self._sweep.rejections) if self._sweep else (),
+            warnings=tuple(self._warnings()),
+        )
+
+    # ---- reports
+
+    def _report(self, message: str) -> None:
+        self._commands.append(Feedback(self._state, message, *self.progress))
+
+    def _report_pose(self, verdict: Verdict) -> None:
+        where = f"pose {verdict.index + 1}"
+        self._commands.append(
+            Feedback(
+                self._state,
+                f"{where}: {verdict.message}" if verdict.message else f"{where} recorded",
+                *self.progress,
+                roll=verdict.roll,
+                tilt=verdict.tilt,
+                accepted=verdict.accepted,
+            )
+        )

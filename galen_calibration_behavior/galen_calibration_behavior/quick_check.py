@@ -1,0 +1,270 @@
+"""Does the tool's file still fit? Decided from the mean readings at a few still poses. No ROS.
+
+With u_k gravity in ft_sensor at pose k, the reading there less the file's expected one is
+
+    r_k = G(u_k) d + b + e_k,
+
+d (4,) what the load's moments (mass, first moment) differ from the file's (`galen_model.load`),
+b (6,) an offset, as a sensor zeroed anew or wandered leaves it. Expected without any change:
+
+    Cov e_k = S, the same at all poses: by axis the largest of the file's rmse^2, of the variance of
+              the mean by the samples' scatter, and of that by the averages' two halves, which sees
+              coloured noise as well;
+    Cov d   = C, the calibration's: that of the tool's (m, h), by the file's of (m, p) with h = m p;
+    Cov b   = O = rmse^2 / poses_used, the calibration's offset's.
+
+Least squares weighted by S^-1 gives (d, b) with the covariance (X^T S^-1 X)^-1 + diag(C, O),
+X = [G, I]: C and O act within X's columns, and so neither change the estimate nor the rest. Tests:
+
+    the rest of 6 n - 10 degrees   sum_k rest_k^T S^-1 rest_k         chi^2(6 n - 10)
+    another load                   d^T (Cov d)^-1 d                   chi^2(4)
+    an offset alone, d = 0         b^T (S / n + O + G_m C G_m^T)^-1 b chi^2(6), b and G_m the means
+
+What a difference matters is another question: how far would a compensation by this file be off,
+at worst, anywhere in the arm's range of roll and tilt? Only what is beyond a limit there and can't
+be noise is called a change. Where noise alone could be beyond a limit, nothing can be told.
+Two poses tell (d, b) at best; the more there are beyond, the more is told of what is neither.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from galen_model.arrays import Array
+from galen_model.mounting import Mounting
+from galen_model.pose_design import ANGLE_LIMITS, angle_grid
+from galen_model.tool_file import ToolFile
+from scipy.optimize import brentq
+from scipy.stats import chi2, ncx2, norm
+
+from galen_calibration_behavior.check_answer import (
+    Answer,
+    Cause,
+    CheckLimits,
+    Differences,
+    QuickCheck,
+)
+from galen_calibration_behavior.check_causes import (
+    Explanation,
+    explain_rest,
+    load_and_offset,
+    zero_lost,
+)
+from galen_calibration_behavior.check_text import in_words
+from galen_calibration_behavior.stillness import PoseRecord
+from galen_calibration_behavior.sweep import stack
+
+FEWEST_POSES = 4
+# Standard deviations after the default grid, over those after as many ideal poses.
+_GRID_INFLATION = 4.0
+_ANYWHERE = angle_grid(*ANGLE_LIMITS, 13, 13)
+# What no load and no offset explains is the cause, not a remark, where it is so unlikely ...
+_UNEXPLAINED = 1e-3
+# ... and so large a part of the load that would be told besides (as in `galen_gravcomp.verdict`).
+_WORTH = 4.0
+
+
+def quick_check(
+    records: Sequence[PoseRecord],
+    tool: ToolFile,
+    limits: CheckLimits,
+    *,
+    others: Mapping[str, ToolFile] | None = None,
+    known_offset: Array | None = None,
+) -> QuickCheck:
+    """Decide from records of at least FEWEST_POSES poses.
+
+    `others`: files of other tools by name, which the load is compared with; `known_offset` (6,):
+    what a tare already takes off.
+    """
+    taken_off = np.zeros(6) if known_offset is None else known_offset
+    found = differences(records, tool, limits, taken_off)
+    explained: tuple[Explanation, ...] = ()
+    if found.rest_p < _UNEXPLAINED:
+        angles, residual, sigma = _readings(records, tool, taken_off)
+        explained = explain_rest(angles, residual, sigma, tool, _ANYWHERE, _UNEXPLAINED)
+    hints = tuple(one.name for one in explained)
+    answer, cause = _decide(found, limits, explained)
+    if cause is Cause.UNEXPLAINED:
+        stands_out = _one_that_stands_out(records, tool, limits, taken_off)
+        if stands_out is not None:
+            answer, cause, hints = Answer.UNSURE, Cause.TOUCHED, (stands_out,)
+    elif cause is Cause.LOAD:
+        cause, hints = _which_load(found, tool, limits, others or {})
+    elif cause is Cause.OFFSET and (how := zero_lost(found.offset, tool, limits.axes)):
+        cause, hints = Cause.ZERO_LOST, (how,)
+    information = _load_information(records, tool, found.sigma)
+    return QuickCheck(
+        answer=answer,
+        cause=cause,
+        text=in_words(cause, found, tool, limits, hints, len(records)),
+        found=found,
+        poses=len(records),
+        found_mass_kg=smallest_mass_kg(information, tool, limits.false_alarm),
+        found_offset=_noncentrality(6, limits.false_alarm) ** 0.5 * found.offset_std,
+    )
+
+
+def differences(
+    records: Sequence[PoseRecord], tool: ToolFile, limits: CheckLimits, known_offset: Array
+) -> Differences:
+    """Estimate what the readings differ by, with the tests of the module's text."""
+    angles, residual, sigma = _readings(records, tool, known_offset)
+    count = len(residual)
+    rows = load_and_offset(angles, tool)
+    scaled = (rows / sigma[:, None]).reshape(-1, 10)
+    inverse = np.linalg.pinv(scaled)
+    values = inverse @ (residual / sigma).ravel()
+    rest = residual - rows @ values
+    fit_covariance = inverse @ inverse.T
+    by_file = _file_covariance(tool)
+    covariance = fit_covariance[:4, :4] + by_file[:4, :4]
+    moments = values[:4]
+    load_p = _p_value(moments, covariance)
+
+    mean_rows = rows[:, :, :4].mean(axis=0)
+    alone = residual.mean(axis=0)
+    alone_covariance = (
+        np.diag(sigma**2) / count + by_file[4:, 4:] + mean_rows @ by_file[:4, :4] @ mean_rows.T
+    )
+    told = load_p < limits.false_alarm
+    everywhere = load_and_offset(_ANYWHERE, tool)
+    both = fit_covariance + by_file
+    variance = np.sum((everywhere @ both) * everywhere, axis=2)
+    return Differences(
+        moments=moments,
+        moments_covariance=covariance,
+        offset=values[4:] if told else alone,
+        offset_std=np.sqrt(np.diag(both)[4:] if told else np.diag(alone_covariance)),
+        rest=rest,
+        sigma=sigma,
+        rest_p=float(chi2.sf(np.sum((rest / sigma) ** 2), 6 * count - 10)),
+        load_p=load_p,
+        offset_p=_p_value(alone, alone_covariance),
+        load_effect=np.max(np.abs(everywhere[:, :, :4] @ moments), axis=0),
+        effect=np.max(np.abs(everywhere @ values), axis=0) if told else np.abs(alone),
+        effect_std=np.sqrt(np.max(variance, axis=0)),
+    )
+
+
+def smallest_mass_kg(load_information: Array, tool: ToolFile, false_alarm: float) -> float:
+    """Least mass that, put on at the tool's own centre, is told from noise with 95 %.
+
+    By the test's noncentrality m^2 (1, p)^T (Cov d)^-1 (1, p), `load_information` (4, 4) being
+    (Cov d)^-1; p = 0 where the tool has no mass of its own.
+    """
+    direction = np.array([1.0, *tool.load.com_m])
+    size = direction @ load_information @ direction
+    return float(np.sqrt(_noncentrality(4, false_alarm) / size))
+
+
+def _noncentrality(freedom: int, false_alarm: float, power: float = 0.95) -> float:
+    threshold = chi2.isf(false_alarm, freedom)
+    return float(brentq(lambda size: ncx2.sf(threshold, freedom, size) - power, 1e-3, 1e3))
+
+
+def _decide(
+    found: Differences, limits: CheckLimits, explained: tuple[Explanation, ...]
+) -> tuple[Answer, Cause]:
+    # The fit takes ten values, and so freedom of the rest's mean square, in six axes.
+    rest = np.sqrt(np.sum(found.rest**2, axis=0) / (len(found.rest) - 10.0 / 6.0))
+    load_size = limits.size(found.load_effect)
+    load_told = found.load_p < limits.false_alarm and load_size > 1.0
+    if found.rest_p < _UNEXPLAINED:
+        by_cause = [limits.size(one.effect) for one in explained[:1]]
+        no_load_then = any(limits.size(one.load_effect) <= 1.0 for one in explained[:1])
+        instead = no_load_then or _WORTH * limits.size(rest) > load_size
+        if max([limits.size(rest), *by_cause]) > 1.0 and (not load_told or instead):
+            return Answer.RECALIBRATE, Cause.UNEXPLAINED
+    if load_told:
+        return Answer.RECALIBRATE, Cause.LOAD
+    if limits.size(found.effect) > 1.0 and found.offset_p < limits.false_alarm:
+        return Answer.RETARE, Cause.OFFSET
+    two_sided = norm.isf(limits.false_alarm / 2.0)
+    if np.any(two_sided * found.effect_std > limits.axes):
+        return Answer.UNSURE, Cause.NOISE
+    return Answer.GOOD, Cause.NOTHING
+
+
+def _which_load(
+    found: Differences, tool: ToolFile, limits: CheckLimits, others: Mapping[str, ToolFile]
+) -> tuple[Cause, tuple[str, ...]]:
+    """Another tool whose file fits within the limits, or no tool at all."""
+    everywhere = load_and_offset(_ANYWHERE, tool)[:, :, :4]
+    own = tool.load.load.moments
+
+    def fits(moments: Array) -> bool:
+        off = np.max(np.abs(everywhere @ (own + found.moments - moments)), axis=0)
+        spread = norm.isf(limits.false_alarm / 2.0) * found.effect_std
+        return bool(np.all(off <= limits.axes + spread))
+
+    if fits(np.zeros(4)):
+        return Cause.NO_TOOL, ()
+    same = [name for name, other in sorted(others.items()) if fits(other.load.load.moments)]
+    return (Cause.OTHER_TOOL, tuple(same)) if same else (Cause.LOAD, ())
+
+
+def _one_that_stands_out(
+    records: Sequence[PoseRecord], tool: ToolFile, limits: CheckLimits, known_offset: Array
+) -> str | None:
+    """The pose without which the rest is noise, in words: it was touched, more likely than not."""
+    if len(records) <= FEWEST_POSES:
+        return None
+    p_values = []
+    for k in range(len(records)):
+        others = [*records[:k], *records[k + 1 :]]
+        p_values.append(differences(others, tool, limits, known_offset).rest_p)
+    best = int(np.argmax(p_values))
+    if p_values[best] < limits.false_alarm:
+        return None
+    roll, tilt = records[best].joints[3:]
+    return f"that at roll {roll:.2f}, tilt {tilt:.2f} rad"
+
+
+def _readings(
+    records: Sequence[PoseRecord], tool: ToolFile, known_offset: Array
+) -> tuple[Array, Array, Array]:
+    """Roll and tilt (n, 2), rad, residual (n, 6) in ft_sensor, a mean's noise sigma (6,)."""
+    roll, tilt, wrench, std_of_mean = stack(list(records))
+    to_wrench = (tool.mounting or Mounting()).wrench_from_reading
+    residual = (wrench - tool.predict(roll, tilt)) @ to_wrench.T - known_offset
+    halves = np.array([record.half_difference for record in records]) / 2.0
+    seen = np.maximum(np.mean(std_of_mean**2, axis=0), np.mean(halves**2, axis=0))
+    sigma = np.sqrt(np.maximum(tool.rmse**2, seen))
+    return np.column_stack([roll, tilt]), residual, sigma
+
+
+def _file_covariance(tool: ToolFile) -> Array:
+    """Of the load's moments and the offset (10, 10), as the calibration knows them.
+
+    The tool's own covariance bounds that of tool and adapter together, which the readings show:
+    two sweeps of the same poses tell the sum twice as well as the tool. One sweep that could not
+    take the two apart tells the sum all the same; its own covariance says nothing of it, and that
+    of as many ideal poses (`galen_model.excitation`), inflated as by the default grid, stands in.
+    """
+    whole = np.diag(np.concatenate([np.zeros(4), tool.rmse**2 / tool.poses_used]))
+    if tool.unresolved:
+        gravity = float(np.linalg.norm(tool.gravity_m_s2))
+        force, torque = np.max(tool.rmse[:3]), np.max(tool.rmse[3:])
+        ideal = np.array([force, *[np.sqrt(1.5) * torque] * 3]) / gravity
+        whole[:4, :4] = np.diag(_GRID_INFLATION**2 * ideal**2 / tool.poses_used)
+        return whole
+    jacobian = np.eye(4) * tool.load.mass_kg
+    jacobian[0, 0] = 1.0
+    jacobian[1:, 0] = tool.load.com_m
+    whole[:4, :4] = jacobian @ tool.load.covariance @ jacobian.T
+    return whole
+
+
+def _load_information(records: Sequence[PoseRecord], tool: ToolFile, sigma: Array) -> Array:
+    roll, tilt, _, _ = stack(list(records))
+    regressor = load_and_offset(np.column_stack([roll, tilt]), tool)[:, :, :4]
+    free = (regressor - regressor.mean(axis=0)) / sigma[:, None]
+    rows = free.reshape(-1, 4)
+    covariance = np.linalg.inv(rows.T @ rows) + _file_covariance(tool)[:4, :4]
+    return np.asarray(np.linalg.inv(covariance))
+
+
+def _p_value(values: Array, covariance: Array) -> float:
+    return float(chi2.sf(values @ np.linalg.solve(covariance, values), len(values)))

@@ -1,0 +1,114 @@
+"""The check's course against a small arm: where it goes, what it answers, how it ends."""
+
+import numpy as np
+import pytest
+from calibration_fake_arm import ADAPTER, NO_TOOL, POINTER, FakeArm
+from galen_calibration_behavior.check_answer import Answer, Cause
+from galen_calibration_behavior.check_commands import ErrorCode, Feedback, Finished, State
+from galen_calibration_behavior.check_parameters import CheckParameters
+from galen_calibration_behavior.check_procedure import CheckProcedure, CheckRequest
+from galen_calibration_behavior.commands import MoveTo, Stop
+from galen_model.tool_file import LoadEstimate, ToolFile
+
+START = np.array([0.02, -0.01, 0.41, 0.3, -0.2])
+SLOW = CheckParameters().settings()
+FAST = CheckParameters(
+    settle_s=0.1, average_s=0.3, max_angle_velocity_rad_s=4.0, max_angle_acceleration_rad_s2=40.0
+).settings()
+STD = np.diag(np.full(4, 3e-5) ** 2)
+TOOL = ToolFile(
+    tool="pointer",
+    load=LoadEstimate(POINTER.mass_kg, POINTER.com_m, STD),
+    bias=LoadEstimate(ADAPTER.mass_kg, ADAPTER.com_m, STD),
+    tip_m=np.array([0.15, 0.0, 0.05]),
+    rmse=np.array([3e-3, 3e-3, 4e-3, 6e-5, 6e-5, 6e-5]),
+    poses_used=56,
+    calibrated_at="2026-01-01T00:00:00+00:00",
+)
+
+
+class Course:
+    """An arm that was zeroed at home without the tool, and a check of it."""
+
+    def __init__(self, settings=FAST, poses=5, tool=POINTER):
+        self.arm = FakeArm(1)
+        self.arm.tool = NO_TOOL
+        self.arm.zero()
+        self.arm.tool = tool
+        self.arm._from = self.arm._to = self.arm.joints = START.copy()
+        self.procedure = CheckProcedure(settings, CheckRequest(TOOL, poses, {}, None))
+        self.commands = []
+        self.seconds = 0.0
+        self.procedure.start()
+
+    def of(self, kind):
+        return [c for c in self.commands if isinstance(c, kind)]
+
+    def run(self, until=lambda course: False, limit_s=60.0):
+        while self.seconds < limit_s:
+            for command in self.procedure.take_commands():
+                self.commands.append(command)
+                if isinstance(command, MoveTo):
+                    self.arm.move_to(command.joints, command.duration_s)
+                elif isinstance(command, Stop):
+                    self.arm.stop()
+            if self.of(Finished) or until(self):
+                return self.of(Finished)[0] if self.of(Finished) else None
+            stamp, position, velocity, wrench = self.arm.step()
+            self.procedure.on_joints(stamp, position, velocity)
+            self.procedure.on_wrench(stamp, wrench)
+            self.seconds += 0.01
+            if round(100 * self.seconds) % 10 == 0:
+                self.procedure.on_wall(self.seconds)
+        raise AssertionError(f"no end in state {self.procedure.state.name}")
+
+
+def test_a_good_file_is_called_good_and_the_arm_is_where_it_was():
+    course = Course(SLOW)
+    end = course.run()
+    assert (end.error_code, end.check.answer) == (ErrorCode.NONE, Answer.GOOD), end
+    assert course.arm.joints == pytest.approx(START, abs=1e-9)
+    assert course.seconds < 20.0
+    assert [f.done for f in course.of(Feedback) if np.isfinite(f.roll)] == [1, 2, 3, 4, 5]
+    assert course.of(Feedback)[-1].state == State.RETURN
+    moves = np.array([move.joints for move in course.of(MoveTo)])
+    assert np.all(moves[:, :3] == START[:3])
+    assert course.of(Stop) == []
+
+
+def test_no_tool_on_is_told():
+    end = Course(tool=NO_TOOL).run()
+    assert (end.check.answer, end.check.cause) == (Answer.RECALIBRATE, Cause.NO_TOOL)
+
+
+def test_a_pose_that_is_touched_is_tried_again():
+    course = Course()
+    course.arm.touch = lambda arm: (
+        np.array([np.sin(30.0 * course.seconds), 0, 0, 0, 0, 0])
+        if course.procedure.progress[0] == 3 and course.seconds < 3.5
+        else np.zeros(6)
+    )
+    end = course.run()
+    assert end.check.answer is Answer.GOOD
+    assert end.rejected == ()
+    assert len(course.of(MoveTo)) > 6
+
+
+def test_an_arm_that_creeps_gives_no_answer_and_stays():
+    course = Course()
+    course.arm.creep = np.array([0, 0, 0, 0, 0.0012])
+    end = course.run()
+    assert end.error_code == ErrorCode.POSES_NOT_STILL
+    assert end.check is None
+    assert "tilt moved by" in end.error_msg
+    assert course.of(Stop)
+
+
+def test_a_cancel_stops_the_arm():
+    course = Course()
+    course.run(lambda c: c.procedure.progress[0] == 2)
+    course.procedure.cancel()
+    end = course.run()
+    assert (end.error_code, end.check) == (ErrorCode.CANCELED, None)
+    assert len(course.of(Stop)) == 1
+    assert not np.allclose(course.arm.joints, START, atol=0.01)
