@@ -96,7 +96,7 @@ def test_a_pose_that_is_touched_is_tried_again():
 
 def test_an_arm_that_creeps_gives_no_answer_and_stays():
     course = Course()
-    course.arm.creep = np.array([0, 0, 0, 0, 0.0012])
+    course.arm.creep = np.array([0, 0, 0, 0, 0.0019])
     end = course.run()
     assert end.error_code == ErrorCode.POSES_NOT_STILL
     assert end.check is None
