@@ -51,6 +51,7 @@ def test_joint_zeros_are_written_and_told(tmp_path):
     assert fields["joint_zero_rad"]["roll"] == pytest.approx(mounting.joint_zero_rad[0])
 
 
+@pytest.mark.slow
 def test_a_healthy_arm_is_warned_that_it_does_not_pay(tmp_path):
     done = calibrate(
         tmp_path / "pointer.json",

@@ -256,6 +256,7 @@ def test_a_healthy_arm_gives_zeros_and_does_not_pay():
     assert "do not pay" in verdict.sentence
 
 
+@pytest.mark.slow
 def test_a_turned_sensor_pays_down_to_the_noise():
     mounted = mounting(only=["sensor_rotation"])
     bare, tool = sweeps(mounted, np.random.default_rng(12), poses=grid(4, 6))
