@@ -78,16 +78,23 @@ def load_and_offset(angles: Array, tool: ToolFile) -> Array:
 def zero_lost(offset: Array, tool: ToolFile, limit: Array) -> str:
     """How the sensor's zero went, if an offset (6,) is just as that would leave it; else empty.
 
-    `limit` (6,): how near. The file's zero is with the adapter on, at its bias pose.
+    What the zeroing took for nothing is Z = W(theta_bias; adapter) - offset: none if there was no
+    zeroing, the adapter's wrench under another direction of gravity if it was elsewhere, that of
+    tool and adapter if the tool was on. `limit` (6,): how near.
     """
+    if np.all(np.abs(offset) <= 2.0 * limit):
+        return ""
     at_bias = tool.gravity_in_sensor(tool.bias_roll_rad, tool.bias_tilt_rad)
-    unzeroed = gravity_wrench(at_bias, tool.bias.load) - tool.residual_offset
-    with_tool = -gravity_wrench(at_bias, tool.load.load) - tool.residual_offset
-    for left, how in (
-        (unzeroed, "it was not zeroed since it was switched on"),
-        (with_tool, "it was zeroed with the tool on"),
+    zero = gravity_wrench(at_bias, tool.bias.load) - tool.residual_offset - offset
+    if np.all(np.abs(zero) <= limit):
+        return "it was not zeroed since it was switched on"
+    adapter, own = tool.bias.load.moments, tool.load.load.moments
+    gravity = zero[:3] / np.linalg.norm(zero[:3]) * np.linalg.norm(at_bias)
+    for moments, how in (
+        (adapter + own, "it was zeroed with the tool on"),
+        (adapter, "it was zeroed in another pose than the file's"),
     ):
-        if np.any(np.abs(left) > 2.0 * limit) and np.all(np.abs(offset - left) <= limit):
+        if np.all(np.abs(gravity_regressor(gravity) @ moments - zero) <= limit):
             return how
     return ""
 

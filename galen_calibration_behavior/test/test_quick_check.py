@@ -76,6 +76,7 @@ def touch(_roll, _tilt, k):
 
 
 NEVER_ZEROED = gravity_wrench(gravity_in_sensor(0.0, 0.0), ADAPTER)
+ZEROED_ELSEWHERE = NEVER_ZEROED - gravity_wrench(gravity_in_sensor(0.9, -0.6), ADAPTER)
 ZEROED_WITH_TOOL = -gravity_wrench(gravity_in_sensor(0.0, 0.0), POINTER)
 PULL = np.array([0.0, 0.2, 0.0, 0.0, 0.0, 0.0])
 CASES = {
@@ -89,10 +90,14 @@ CASES = {
         POINTER, POINTER, {"offset": ZEROED_WITH_TOOL}, Answer.RETARE, Cause.ZERO_LOST,
         "with the tool on",
     ),
+    "elsewhere": (
+        POINTER, POINTER, {"offset": ZEROED_ELSEWHERE}, Answer.RETARE, Cause.ZERO_LOST,
+        "in another pose",
+    ),
     "wrong": (POINTER, RETRACTOR, {}, Answer.RECALIBRATE, Cause.OTHER_TOOL, "'retractor'"),
     "none": (RETRACTOR, Load(0.0), {}, Answer.RECALIBRATE, Cause.NO_TOOL, "no tool on"),
     "heavier": (
-        POINTER, heavier(POINTER, 0.005), {}, Answer.RECALIBRATE, Cause.LOAD, "9 +- 0.1 g, its centre by",
+        POINTER, heavier(POINTER, 0.005), {}, Answer.RECALIBRATE, Cause.LOAD, "9 +- 0.1 g, its",
     ),
     "both": (
         RETRACTOR, heavier(RETRACTOR, 0.01), {"offset": PULL}, Answer.RECALIBRATE, Cause.LOAD,
