@@ -21,6 +21,8 @@ setup(
         "console_scripts": [
             "gravcomp_node = galen_gravcomp.node:main",
             "evaluate = galen_gravcomp.evaluate:main",
+            "score_motion = galen_gravcomp.score_motion:main",
+            "drift = galen_gravcomp.drift:main",
             "tools = galen_gravcomp.tools_command:main",
         ]
     },
