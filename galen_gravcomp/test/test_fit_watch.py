@@ -1,0 +1,165 @@
+"""Does the tool's file still fit: reasons, recovery, and no alarm for a hand."""
+
+import numpy as np
+import pytest
+from galen_gravcomp.compensator import Compensator
+from galen_gravcomp.fit_evidence import Explanation, FitEvidence, Stops
+from galen_gravcomp.fit_watch import GravityFitWatch
+from galen_gravcomp.fit_words import FitNotice, Misfit
+from galen_gravcomp.monitor import Monitor
+from galen_gravcomp.stages import Stages
+from galen_gravcomp.stream_monitor import Severity
+from galen_model.kinematics import gravity_in_sensor
+from galen_model.load import Load
+from scipy.stats import multivariate_normal
+from untouched_arm import NO_TOOL, POINTER, RETRACTOR, START_NS, UntouchedArm, push, tool_file
+
+
+class Watched:
+    """A watch with every state that it had: (time, notice, reason)."""
+
+    def __init__(self, **arm):
+        self.watch = GravityFitWatch()
+        self.states = []
+        self.arm = UntouchedArm(self._take, **arm)
+        self.watch.set_tool(self.arm.file)
+
+    def _take(self, stamp_ns, roll, tilt, wrench):
+        self.watch.push(stamp_ns, roll, tilt, wrench)
+        state = self.watch.state
+        if not self.states or self.states[-1][1:] != (state.notice, state.reason):
+            self.states.append((self.arm.time_s, state.notice, state.reason))
+
+    @property
+    def now(self):
+        return self.watch.state.notice, self.watch.state.reason
+
+    @property
+    def warnings(self):
+        return [state for state in self.states if state[1] is FitNotice.DOES_NOT_FIT]
+
+
+FITS = (FitNotice.FITS, None)
+
+
+@pytest.mark.parametrize(
+    ("reason", "spoil"),
+    [
+        (Misfit.WRONG_TOOL, lambda arm: setattr(arm, "on", POINTER)),
+        (Misfit.NO_TOOL, lambda arm: setattr(arm, "on", NO_TOOL)),
+        (Misfit.WRONG_TOOL, lambda arm: setattr(arm, "on", Load(0.215, RETRACTOR.com_m))),
+        (
+            Misfit.DRIFT,
+            lambda arm: setattr(arm, "offset", np.array([0.3, -0.3, 0.2, 0.003, 0.0, 0.002])),
+        ),
+        (Misfit.LOOSE_TOOL, lambda arm: setattr(arm, "sag_m", 0.006)),
+    ],
+    ids=["wrong tool", "no tool", "15 g", "offset", "loose"],
+)
+def test_the_reason_is_found_within_a_few_stops_and_goes_by_itself(reason, spoil):
+    watched = Watched(seed=1)
+    arm = watched.arm
+    arm.visit(6)
+    assert watched.now == FITS
+    assert not watched.warnings
+    spoil(arm)
+    arm.visit(5)
+    assert watched.now == (FitNotice.DOES_NOT_FIT, reason)
+    assert watched.watch.trouble
+    arm.on, arm.sag_m, arm.offset = arm.file.load.load, 0.0, np.zeros(6)
+    arm.visit(4)
+    assert watched.now == FITS
+    assert watched.watch.trouble == ""
+
+
+def test_a_lone_pose_tells_a_load_from_what_leans_on_the_tool():
+    watched = Watched(seed=2)
+    arm = watched.arm
+    arm.visit(4)
+    arm.hold(3.0)
+    arm.hold(10.0, push(np.array([0.0, 2.0, 0.5])))
+    assert not watched.warnings  # a push, so far
+    arm.hold(3.0)
+    arm.hold(20.0, push(np.array([0.0, 2.0, 0.5])))
+    assert watched.now == (FitNotice.DOES_NOT_FIT, Misfit.CONTACT)
+    arm.hold(3.0)
+    assert watched.now == FITS
+    arm.on = POINTER
+    arm.hold(20.0)
+    assert watched.now == (FitNotice.DOES_NOT_FIT, Misfit.WRONG_TOOL)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("tremor", [0.0, 0.03])
+def test_a_surgeon_s_pushes_are_no_alarm(tremor):
+    watched = Watched(seed=3)
+    arm, rng = watched.arm, np.random.default_rng(7)
+    for _ in range(25):
+        arm.hold(rng.uniform(0.5, 2.0))
+        force = rng.normal(size=3) * rng.uniform(0.3, 4.0)
+        arm.hold(rng.uniform(1.0, 6.0), push(force), tremor)
+        arm.move(arm.pose + rng.uniform(-0.3, 0.3, 2), extra=push(force / 2.0))
+    assert not watched.warnings
+
+
+def test_a_tare_moves_what_is_remembered():
+    watched = Watched(seed=4)
+    arm = watched.arm
+    arm.offset = np.array([0.4, -0.3, 0.3, 0.004, 0.0, 0.002])
+    arm.visit(6)
+    assert watched.now == (FitNotice.DOES_NOT_FIT, Misfit.DRIFT)
+    watched.watch.offset_changed(arm.offset)
+    assert watched.now == FITS
+    arm.offset = np.zeros(6)
+    arm.visit(3)
+    assert watched.now == FITS
+
+
+def test_the_node_s_state_warns_of_it_and_a_bad_file_is_worse():
+    compensator = Compensator(stages=Stages(fit=GravityFitWatch()))
+    monitor = Monitor(compensator, 1.0)
+    tool = tool_file()
+    compensator.set_tool(tool)
+
+    def take(stamp_ns, roll, tilt, left):
+        compensator.push_joints(stamp_ns, roll, tilt)
+        compensator.push_wrench(stamp_ns, left + tool.predict(roll, tilt))
+
+    arm = UntouchedArm(take, tool, seed=5)
+    arm.on = NO_TOOL
+    arm.visit(4)
+    monitor.on_wrench(0.0)
+    monitor.on_joints(0.0)
+    monitor.on_output(0.0, 0.0)
+    state = monitor.state(0.1)
+    assert (state.severity, state.name) == (Severity.WARN, "does_not_fit")
+    assert "-200" in state.message and "not on" in state.message
+    assert monitor.values(0.1)["fit_reason"] == "no_tool_on"
+    monitor.set_tool_error("torn")
+    assert monitor.state(0.1).name == "bad_tool_file"
+
+
+def test_evidence_is_the_density_of_the_stops():
+    """Against scipy's normal density of all stops at once, with the parameters summed out."""
+    tool = tool_file()
+    evidence = FitEvidence(tool)
+    rng = np.random.default_rng(0)
+    angles = rng.uniform(-0.8, 0.8, (3, 2))
+    gravity = gravity_in_sensor(angles[:, 0], angles[:, 1])
+    mean = 0.02 * np.concatenate([gravity, np.cross([0.07, 0.0, 0.05], gravity)], axis=1)
+    end_ns = START_NS + np.arange(3) * 3_000_000_000
+    stops = Stops(mean, np.full((3, 6), 1e-3), angles, end_ns)
+    judgement = evidence.judge(stops)
+    assert judgement.explanation is Explanation.LOAD
+    assert not judgement.touched.any()
+    assert np.isclose(judgement.load[0], 0.02, atol=3.0 * judgement.load_std[0])
+    density = {}
+    for k in (0, 1):
+        rows = evidence.design(stops).reshape(18, -1)
+        covariance = rows @ np.linalg.inv(evidence._precision[k]) @ rows.T
+        covariance += np.diag(evidence.variance(stops).ravel())
+        density[k] = multivariate_normal(np.zeros(18), covariance).logpdf(mean.ravel())
+    odds = density[1] + np.log(0.04) - density[0] - np.log(0.9)
+    assert judgement.log_odds <= odds + 1e-6  # a file that fits may have touched stops instead
+    touched = evidence.log_touched(stops).sum() - density[0]
+    assert judgement.log_odds == pytest.approx(odds - max(touched, 0.0), abs=20.0)
