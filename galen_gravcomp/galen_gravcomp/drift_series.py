@@ -1,0 +1,267 @@
+"""A long untouched recording as one series of cells, and what of it nobody may have touched.
+
+Samples are reduced to cells of a second on the way in, so that three days at 500 Hz (130 million)
+need memory for 260 thousand cells. The weight is taken off with a tool's file where one is given,
+at poses at which the arm was at rest; without one, only cells at the pose where the arm stood
+longest are kept, because the weight turns with the sensor.
+
+Cells that lie far from the median of their neighbourhood (`_WINDOW_CELLS`), in units of how far
+cells of this recording lie from it (median absolute deviation), or that scatter within far more
+than the recording's do, are touched ones: left out with those beside them. A level that jumps and
+stays is kept, and told as a step; a hand that holds still for longer than half the window looks
+like two steps.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from galen_bags.arm_recording import ArmTopics, find_topic
+from galen_bags.bag import Bag, open_bag
+from galen_bags.errors import BagError
+from galen_bags.messages import JOINT_STATE_TYPE, WRENCH_TYPE, Decoder
+from galen_bags.text_table import read_text_table
+from galen_model.arm import WRENCH_AXES
+from galen_model.arrays import Array
+from galen_model.errors import GalenError
+from galen_model.tool_file import ToolFile
+from scipy.ndimage import median_filter
+
+from galen_gravcomp.cells import CellReducer, Cells
+
+CELL_S = 1.0
+_WINDOW_CELLS = 600
+_TOUCH_SIGMAS = 8.0
+_STEP_CELLS = 60
+_STEP_SIGMAS = 10.0
+_BESIDE = 3
+_MAD_TO_STD = 1.4826
+_POSE_RAD = 2e-3
+_FEWEST_CELLS = 60
+_FEWEST_IN_CELL = 10
+TEXT_SUFFIXES = (".csv", ".txt", ".tsv", ".dat")
+
+
+@dataclass(frozen=True)
+class DriftSeries:
+    """reading (n, 6), N and N.m, one row each `cell_s`, NaN where there is none or it was left out.
+
+    noise (6,): standard deviation of one sample about its cell's mean; samples: how many there
+    were; start_ns: stamp of the first row. touched_s: spans (begin, end), s from the start, left
+    out as touched; steps: (time in s, change (6,)) of levels that jump and stay. notes: in words.
+    """
+
+    reading: Array
+    cell_s: float
+    noise: Array
+    samples: int
+    start_ns: int
+    touched_s: tuple[tuple[float, float], ...]
+    steps: tuple[tuple[float, Array], ...]
+    notes: tuple[str, ...]
+
+    @property
+    def duration_s(self) -> float:
+        """From the first to the last cell, s."""
+        return len(self.reading) * self.cell_s
+
+    def every(self, cell_s: float) -> Array:
+        """Means (m, 6) of `cell_s`, a multiple of the cells; NaN where less than half is there."""
+        group = max(1, round(cell_s / self.cell_s))
+        count = len(self.reading) // group
+        rows = self.reading[: count * group].reshape(count, group, 6)
+        there = np.isfinite(rows)
+        total = np.where(there, rows, 0.0).sum(axis=1)
+        number = there.sum(axis=1)
+        mean = total / np.maximum(number, 1)
+        return np.where(2 * number >= group, mean, np.nan)
+
+
+def read_series(
+    paths: Sequence[Path],
+    topics: ArmTopics,
+    tool: ToolFile | None = None,
+    columns: Sequence[str] | None = None,
+    rate_hz: float | None = None,
+    cell_s: float = CELL_S,
+    on_progress: Callable[[int, int | None], None] | None = None,
+) -> DriftSeries:
+    """Read bags, or tables of t, fx ... tz, on one clock. Raises GalenError.
+
+    rate_hz: of a table without the column t.
+    """
+    wrenches, joints = CellReducer(cell_s), CellReducer(cell_s)
+    for path in paths:
+        if path.suffix in TEXT_SUFFIXES:
+            stamp_ns, wrench = _table(path, columns, rate_hz)
+            wrenches.add(stamp_ns, wrench, np.zeros((len(wrench), 2)))
+        else:
+            with open_bag(path) as bag:
+                _read_bag(bag, topics, wrenches, joints, on_progress)
+    cells = wrenches.finish()
+    name = ", ".join(str(path) for path in paths)
+    if not len(cells):
+        raise GalenError(f"{name}: no wrench in it")
+    if np.any(np.diff(cells.start_ns) < 0):
+        raise GalenError(f"{name}: the stamps jump back; are the recordings in order?")
+    return series_of(name, cells, joints.finish(), tool)
+
+
+def _table(
+    path: Path, columns: Sequence[str] | None, rate_hz: float | None
+) -> tuple[np.ndarray, Array]:
+    text = read_text_table(path, {"t", *WRENCH_AXES}, columns)
+    wrench = np.column_stack([text.require(axis) for axis in WRENCH_AXES])
+    if rate_hz is None and "t" not in text.names:
+        raise GalenError(f"{path}: no column 't'; say --rate-hz")
+    time_s = np.arange(len(wrench)) / rate_hz if rate_hz is not None else text.require("t")
+    if np.any(np.diff(time_s) < 0.0):
+        raise GalenError(f"{path}: time steps back")
+    return np.round((time_s - time_s[0]) * 1e9).astype(np.int64), wrench
+
+
+def _read_bag(
+    bag: Bag,
+    topics: ArmTopics,
+    wrenches: CellReducer,
+    joints: CellReducer,
+    on_progress: Callable[[int, int | None], None] | None,
+) -> None:
+    names = [find_topic(bag, topics.wrench_raw, WRENCH_TYPE)]
+    with contextlib.suppress(BagError):  # a sensor on a table has no joints
+        names.append(find_topic(bag, topics.joint_states, JOINT_STATE_TYPE))
+    counts = [bag.topics[name].count for name in names]
+    total = None if None in counts else sum(count or 0 for count in counts)
+    decoder = Decoder(WRENCH_TYPE)
+    angles = Decoder(JOINT_STATE_TYPE, topics.joint_names[3:], required=2)
+    done = 0
+    for block in bag.blocks(names):
+        found = decoder.decode(block, np.flatnonzero(block.topic == 0))
+        good = np.asarray(np.isfinite(found.values).all(axis=1))
+        good[list(found.bad)] = False
+        wrenches.add(found.stamp_ns[good], found.values[good], np.zeros((int(good.sum()), 2)))
+        if len(names) > 1:
+            turned = angles.decode(block, np.flatnonzero(block.topic == 1))
+            good = np.asarray(np.isfinite(turned.values[:, :2]).all(axis=1))
+            good[list(turned.bad)] = False
+            place = turned.values[good][:, :2]
+            joints.add(turned.stamp_ns[good], np.zeros((len(place), 6)), place)
+        done += len(block.topic)
+        if on_progress is not None:
+            on_progress(done, total)
+
+
+def series_of(name: str, cells: Cells, joints: Cells, tool: ToolFile | None) -> DriftSeries:
+    """The series of cells and, where there are any, of the joints' cells."""
+    notes = []
+    cell_ns = round(cells.cell_s * 1e9)
+    first = int(cells.start_ns[0]) // cell_ns
+    row = cells.start_ns // cell_ns - first
+    count = int(row[-1]) + 1
+    reading, scatter = np.full((count, 6), np.nan), np.full((count, 6), np.nan)
+    reading[row] = cells.mean
+    scatter[row] = np.sqrt(cells.squares / np.maximum(cells.count - 1, 1)[:, None])
+    scatter[row[cells.count < _FEWEST_IN_CELL]] = np.nan  # would say little
+    angles = np.full((count, 2), np.nan)
+    if len(joints):
+        place = joints.start_ns // cell_ns - first
+        inside = (place >= 0) & (place < count) & (joints.spans <= _POSE_RAD).all(axis=1)
+        angles[place[inside]] = joints.angles[inside]
+        moving = np.isnan(angles[:, 0])
+        if tool is not None:
+            reading = reading - tool.predict(angles[:, 0], angles[:, 1])
+            left = moving
+        else:
+            stood = _longest_pose(angles)
+            left = moving | (np.abs(angles - stood) > _POSE_RAD).any(axis=1)
+        share = float(np.mean(left[row]))
+        if left.any() and share > 0.01:
+            notes.append(
+                f"{share:.0%} of it is left out, where the arm "
+                + ("moved" if tool is not None else "was elsewhere (--tool takes the weight off)")
+            )
+        reading[left] = np.nan
+    elif tool is not None:
+        raise GalenError(f"{name}: --tool needs the joints, and it has none")
+    touched = _touched(reading, scatter)
+    reading[touched] = np.nan
+    there = int(np.isfinite(reading[:, 0]).sum())
+    if there < _FEWEST_CELLS:
+        raise GalenError(
+            f"{name}: {there} cells of {cells.cell_s:g} s that can be used are too few; there must"
+            f" be {_FEWEST_CELLS} (--cell-s)"
+        )
+    spans = _spans(touched)
+    steps = _steps(reading, cells.cell_s)
+    noise = np.sqrt(cells.squares.sum(axis=0) / max(int((cells.count - 1).sum()), 1))
+    return DriftSeries(
+        reading,
+        cells.cell_s,
+        noise,
+        int(cells.count.sum()),
+        int(cells.start_ns[0]),
+        tuple((begin * cells.cell_s, end * cells.cell_s) for begin, end in spans),
+        steps,
+        tuple(notes),
+    )
+
+
+def _longest_pose(angles: Array) -> Array:
+    """The angles (2,) at which the arm stood longest."""
+    known = angles[np.isfinite(angles[:, 0])]
+    if not len(known):
+        raise GalenError("the arm never stands still in it")
+    _, which = np.unique(np.round(known / _POSE_RAD), axis=0, return_inverse=True)
+    return np.median(known[which.ravel() == np.argmax(np.bincount(which.ravel()))], axis=0)
+
+
+def _touched(reading: Array, scatter: Array) -> np.ndarray:
+    """Mask (n,) of the cells in which somebody touched."""
+    there = np.isfinite(reading[:, 0])
+    touched = np.zeros(len(reading), dtype=bool)
+    rows = np.flatnonzero(there)
+    if len(rows) < _FEWEST_CELLS:
+        return touched
+    window = min(_WINDOW_CELLS, len(rows) // 3) | 1
+    for channel in range(6):
+        value = reading[rows, channel]
+        off = value - median_filter(value, window, mode="nearest")
+        scale = _MAD_TO_STD * np.median(np.abs(off))
+        far = np.abs(off) > _TOUCH_SIGMAS * max(scale, 1e-9)
+        # A filter that is late at a jump that stays is no hand: only what comes back counts.
+        within = scatter[rows, channel]
+        usual = np.nanmedian(within) if np.isfinite(within).any() else np.nan
+        shaken = within > 4.0 * usual if np.isfinite(usual) and usual > 0.0 else np.zeros_like(far)
+        touched[rows[far | shaken]] = True
+    return np.convolve(touched, np.ones(2 * _BESIDE + 1), mode="same") > 0.5
+
+
+def _steps(reading: Array, cell_s: float) -> tuple[tuple[float, Array], ...]:
+    """Levels that jump and stay: the medians of a minute before and after, robustly judged."""
+    rows = np.flatnonzero(np.isfinite(reading[:, 0]))
+    length = _STEP_CELLS
+    if len(rows) < 6 * length:
+        return ()
+    known = reading[rows]
+    medians = median_filter(known, size=(length | 1, 1), mode="nearest")
+    change = medians[length:] - medians[:-length]
+    scale = np.maximum(_MAD_TO_STD * np.median(np.abs(change), axis=0), 1e-9)
+    over = np.max(np.abs(change) / scale, axis=1)
+    found = []
+    while over.max() > _STEP_SIGMAS:
+        # A jump's change is flat while the two windows straddle it: its middle is the jump.
+        top = int(np.median(np.flatnonzero(over > 0.95 * over.max())[: length + 1]))
+        found.append((float(rows[top + length // 2] * cell_s), change[top]))
+        over[max(0, top - 2 * length) : top + 2 * length] = 0.0
+        if len(found) == 20:
+            break
+    return tuple(sorted(found, key=lambda step: step[0]))
+
+
+def _spans(mask: np.ndarray) -> list[tuple[int, int]]:
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], mask.astype(int), [0]])))
+    return list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))

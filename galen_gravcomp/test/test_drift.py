@@ -1,0 +1,124 @@
+"""`drift`: Allan deviation against analytic values, and truths that the answer must name."""
+
+import json
+
+import numpy as np
+import pytest
+from galen_gravcomp.allan import allan_deviation
+from galen_gravcomp.cells import CellReducer, Cells
+from galen_gravcomp.drift import main
+from galen_gravcomp.drift_forecast import score_forecasts
+from galen_gravcomp.drift_result import judge_drift
+from galen_gravcomp.drift_series import series_of
+from galen_gravcomp.misfit import Limits
+
+UNITS = np.array([1.0, 1.0, 1.0, 0.02, 0.02, 0.02])
+
+
+def test_white_noise_and_random_walk_have_their_analytic_deviations():
+    """sigma / sqrt(m) of white noise; q sqrt((2 m^2 + 1) / (6 m)) of a walk of steps q."""
+    rng = np.random.default_rng(0)
+    white = allan_deviation(0.02 * rng.standard_normal(20000), 0.1)
+    m = white.tau_s / 0.1
+    early = m < 500
+    np.testing.assert_allclose(white.deviation[early], 0.02 / np.sqrt(m[early]), rtol=0.15)
+    assert white.white == pytest.approx(0.02 * np.sqrt(0.1), rel=0.03)
+    assert np.mean((white.low < 0.02 / np.sqrt(m)) & (0.02 / np.sqrt(m) < white.high)) > 0.7
+    walk = allan_deviation(np.cumsum(0.003 * rng.standard_normal(20000)), 1.0)
+    m = walk.tau_s
+    expected = 0.003 * np.sqrt((2.0 * m**2 + 1.0) / (6.0 * m))
+    np.testing.assert_allclose(walk.deviation[m < 300], expected[m < 300], rtol=0.2)
+    assert walk.walk == pytest.approx(0.003, rel=0.15)
+    ramp = allan_deviation(0.5 * np.arange(1000.0), 1.0)
+    assert ramp.ramp == pytest.approx(0.5, rel=1e-3)
+
+
+def test_gaps_leave_out_the_pairs_that_need_them():
+    cells = np.ones(1000)
+    cells[400:420] = np.nan
+    cells[420:] = 3.0
+    one = allan_deviation(cells, 1.0)
+    assert one.deviation[0] < 1e-12  # nothing is beside the gap
+
+
+def minutes(kind, rng, hours=72.0):
+    """Means of a minute (n, 3) of a known truth."""
+    count = int(60 * hours)
+    hour = np.arange(count)[:, None] / 60.0
+    white = 3e-4 * rng.standard_normal((count, 3))
+    walk = np.cumsum(rng.standard_normal((count, 3)), axis=0) / np.sqrt(60.0)
+    return {
+        "white": white,
+        "walk": white + 0.1 * walk,
+        "trend": white + 0.03 * walk + 0.2 * hour,
+        "day": white + 0.03 * walk + 0.3 * np.sin(2.0 * np.pi * hour / 24.0),
+    }[kind]
+
+
+@pytest.mark.parametrize("kind", ["white", "walk"])
+def test_what_nobody_can_foretell_is_not_called_predictable(kind):
+    for seed in range(2):
+        scores = score_forecasts(minutes(kind, np.random.default_rng(seed)), 60.0)
+        assert len(scores) == 6
+        assert not any(score.predictable for score in scores)
+
+
+@pytest.mark.parametrize(("kind", "teller", "skill"), [("trend", "line", 0.9), ("day", "day", 0.7)])
+def test_a_trend_and_a_day_seen_before_are_predictable(kind, teller, skill):
+    scores = score_forecasts(minutes(kind, np.random.default_rng(0)), 60.0)
+    at_six = scores[-1]
+    assert at_six.predictable
+    assert at_six.skill > skill
+    assert at_six.rmse[teller] < at_six.rmse["last"]
+
+
+def no_joints():
+    return CellReducer(1.0).finish()
+
+
+def cells_of(reading):
+    count = len(reading)
+    start = np.arange(count) * 1_000_000_000
+    two = np.zeros((count, 2))
+    squares = np.full((count, 6), 500 * 1e-4) * UNITS**2
+    return Cells(start, start + 990_000_000, np.full(count, 500), reading, squares, two, two, 1.0)
+
+
+def test_a_hand_is_left_out_and_a_jump_that_stays_is_told():
+    rng = np.random.default_rng(1)
+    reading = 0.002 * rng.standard_normal((7200, 6)) * UNITS
+    reading[3000:3040] += 2.0 * UNITS
+    reading[5000:] += 0.1 * UNITS
+    series = series_of("x", cells_of(reading), no_joints(), None)
+    assert len(series.touched_s) == 1
+    begin, end = series.touched_s[0]
+    assert 2990 <= begin <= 3000
+    assert 3040 <= end <= 3050
+    ((at_s, change),) = series.steps
+    assert at_s == pytest.approx(5000, abs=60)
+    np.testing.assert_allclose(change / UNITS, 0.1, atol=0.01)
+    assert np.nanmax(np.abs(series.reading[:4900])) < 0.02
+
+
+def test_how_long_a_tare_holds():
+    """A walk of 0.1 N/sqrt(h) is 0.05 N off after a quarter of an hour."""
+    rng = np.random.default_rng(2)
+    reading = np.cumsum(rng.standard_normal((30000, 6)), axis=0) / 60.0 * 0.1 * UNITS
+    result = judge_drift(series_of("x", cells_of(reading), no_joints(), None), Limits())
+    assert result.holds_s["force"] == pytest.approx(900.0, rel=0.4)
+    assert "re-tare every" in result.sentence["force"]
+    assert "not predictable" in result.sentence["force"]
+
+
+def test_the_command_on_a_table(tmp_path, capsys):
+    rng = np.random.default_rng(3)
+    table = tmp_path / "still.csv"
+    rows = [",".join(map(str, row)) for row in 0.01 * rng.standard_normal((2000, 6)) * UNITS]
+    table.write_text("\n".join(["fx,fy,fz,tx,ty,tz", *rows]))
+    assert main([str(table), "--rate-hz", "10", "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["samples"] == 2000
+    assert found["axes"]["fx"]["white_per_sqrt_hz"] == pytest.approx(0.01 / np.sqrt(10), rel=0.2)
+    assert main([str(table)]) == 1
+    assert "--rate-hz" in capsys.readouterr().err
+    assert main([str(tmp_path / "nothing")]) == 1
