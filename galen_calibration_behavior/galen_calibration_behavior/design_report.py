@@ -101,8 +101,10 @@ def equal_count(design: PoseDesign, grid: Array) -> int | None:
     """
     of_grid = design.value(grid)
     first = max(int(np.floor(design.lower_bound(len(grid)) * len(grid) / of_grid)), 4)
+    chosen: list[int] = []
     for count in range(first, min(len(grid), len(design.candidates)) + 1):
-        if design.value(design.candidates[design.choose(count)]) <= of_grid:
+        chosen = design.choose(count, chosen)
+        if design.value(design.candidates[chosen]) <= of_grid:
             return count
     return None
 

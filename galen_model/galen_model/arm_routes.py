@@ -6,6 +6,7 @@ joined to home is where the arm can go; any pose from which a node is straight a
 """
 
 import itertools
+from functools import cached_property
 
 import numpy as np
 from scipy.sparse import coo_array
@@ -31,15 +32,15 @@ class Router:
         self._nodes = np.column_stack([np.tile(self._home[:3], (len(nodes), 1)), nodes])
         self._faults = [clearance.pose_fault(node) for node in self._nodes]
         self._known: dict[bytes, str] = {}
-        self._lengths, self._before = self._ways_from_home()
 
     @property
     def lattice_faults(self) -> list[str]:
         """Why each node of the lattice can't be reached, "" where it can."""
+        lengths, _ = self._ways
         faults = []
         for index in range(1, len(self._nodes)):
             fault = self._faults[index]
-            if not fault and not np.isfinite(self._lengths[0, index]):
+            if not fault and not np.isfinite(lengths[0, index]):
                 fault = self._path_fault(self._home, self._nodes[index]) or "no way leads there"
             faults.append(fault)
         return faults
@@ -59,21 +60,23 @@ class Router:
         straight = self._path_fault(start, goal)
         if not straight:
             return [np.asarray(goal, dtype=float)]
+        lengths, before = self._ways
         best: list[int] | None = None
         shortest = np.inf
         for first, last in itertools.product(self._joined(start), self._joined(goal)):
             length = (
-                self._lengths[first, last]
+                lengths[first, last]
                 + _length(start, self._nodes[first])
                 + _length(self._nodes[last], goal)
             )
             if length < shortest:
-                shortest, best = length, self._nodes_between(first, last)
+                shortest, best = length, _nodes_between(before, first, last)
         if best is None:
             raise ObstacleError(f"there is no free way: straight ahead {straight}")
         return self._shortened([start, *(self._nodes[k] for k in best), np.asarray(goal)])
 
-    def _ways_from_home(self) -> tuple[Array, Array]:
+    @cached_property  # most ways are straight ahead, and then nobody asks
+    def _ways(self) -> tuple[Array, Array]:
         """Lengths between all nodes, inf for no way, and each way's last node but one."""
         free = np.array([not fault for fault in self._faults])
         angles = self._nodes[:, 3:]
@@ -105,12 +108,6 @@ class Router:
             candidates.append(0)
         return [k for k in candidates if not self._path_fault(joints, self._nodes[k])]
 
-    def _nodes_between(self, first: int, last: int) -> list[int]:
-        way = [last]
-        while way[-1] != first:
-            way.append(int(self._before[first, way[-1]]))
-        return way[::-1]
-
     def _shortened(self, way: list[Array]) -> list[Array]:
         """Without the nodes that a straight way skips; the start left out."""
         kept, at = [], 0
@@ -129,6 +126,13 @@ class Router:
         if key not in self._known:
             self._known[key] = self._clearance.path_fault(start, goal)
         return self._known[key]
+
+
+def _nodes_between(before: Array, first: int, last: int) -> list[int]:
+    way = [last]
+    while way[-1] != first:
+        way.append(int(before[first, way[-1]]))
+    return way[::-1]
 
 
 def _length(start: Array, goal: Array) -> float:
