@@ -1,0 +1,111 @@
+"""check_node and its client's words with real rclpy, against the calibration tests' driver."""
+
+import json
+import math
+
+import numpy as np
+import pytest
+from action_msgs.msg import GoalStatus
+from calibration_fake_arm import ADAPTER, NO_TOOL, POINTER
+from galen_calibration_behavior.check import format_result, parse, result_fields
+from galen_calibration_behavior.check_answer import Answer, Cause
+from galen_calibration_behavior.check_commands import ErrorCode
+from galen_calibration_behavior.check_node import CheckNode
+from galen_model.tool_file import LoadEstimate, ToolFile, write_tool
+from galen_ros.qos import LATCHED
+from galen_ros.testing import Harness, parameters
+from rclpy.action import ActionClient
+from rclpy.node import Node
+from test_calibration_node import FakeDriver
+
+from galen_msgs.action import CheckTool
+from galen_msgs.msg import ToolInForce
+
+STD = np.diag(np.full(4, 3e-5) ** 2)
+POINTER_FILE = ToolFile(
+    tool="pointer",
+    load=LoadEstimate(POINTER.mass_kg, POINTER.com_m, STD),
+    bias=LoadEstimate(ADAPTER.mass_kg, ADAPTER.com_m, STD),
+    tip_m=np.array([0.15, 0.0, 0.05]),
+    rmse=np.array([3e-3, 3e-3, 4e-3, 6e-5, 6e-5, 6e-5]),
+    poses_used=56,
+    calibrated_at="2026-01-01T00:00:00+00:00",
+)
+
+
+@pytest.mark.slow
+def test_the_tool_in_force_is_checked_with_its_tare_and_an_unknown_one_is_refused(tmp_path):
+    write_tool(tmp_path / "pointer.json", POINTER_FILE)
+    before = (tmp_path / "pointer.json").read_bytes()
+    values = parameters(
+        tools_dir=str(tmp_path), settle_s=0.1, average_s=0.3, max_angle_velocity_rad_s=4.0,
+        max_angle_acceleration_rad_s2=40.0,
+    )  # fmt: skip
+    with Harness() as harness:
+        driver = harness.add(FakeDriver)
+        driver.arm.tool = NO_TOOL
+        driver.arm.zero()
+        driver.arm.tool = POINTER
+        push = np.array([0.0, 0.3, 0.0, 0.0, 0.0, 0.0])
+        driver.arm.touch = lambda _arm: push
+        node = harness.add(lambda context: CheckNode(context=context, parameter_overrides=values))
+        person = harness.add(lambda context: Node("person", context=context))
+        client = ActionClient(person, CheckTool, "check_tool")
+        harness.wait_for(client.server_is_ready, 10.0, "the action server")
+
+        def check(**goal):
+            sending = client.send_goal_async(CheckTool.Goal(**goal))
+            harness.wait_for(sending.done, 10.0, "an answer to the goal")
+            getting = sending.result().get_result_async()
+            harness.wait_for(getting.done, 30.0, "the result")
+            return getting.result().status, getting.result().result
+
+        status, result = check()
+        assert (status, result.error_code) == (GoalStatus.STATUS_ABORTED, ErrorCode.BAD_INPUT)
+        assert "no tool is named" in result.error_msg
+        assert result_fields(result)["answer"] is None
+        _, result = check(tool="spoon")
+        assert result.error_code == ErrorCode.TOOL_FILE
+        assert "spoon.json" in result.error_msg
+
+        status, result = check(tool="pointer", poses=4)
+        assert (status, result.error_code) == (GoalStatus.STATUS_SUCCEEDED, 0), result.error_msg
+        assert (result.answer, result.cause) == (Answer.RETARE, Cause.OFFSET), result.text
+        assert result.offset == pytest.approx(push, abs=0.02)
+        assert result.poses_used == 4
+        assert abs(result.mass_change_kg) < 5 * result.mass_change_std_kg
+
+        publisher = person.create_publisher(ToolInForce, "gravcomp/tool_in_force", LATCHED)
+        in_force = ToolInForce(tool="pointer", tared=True)
+        in_force.tare.force.y = 0.3
+        harness.call_in_executor(lambda: publisher.publish(in_force))
+        harness.wait_for(lambda: node._in_force is not None, 10.0, "the tool in force")
+        _, result = check()
+        assert (result.tool, result.answer) == ("pointer", Answer.GOOD), result.text
+        assert "tare" in result.warnings[0]
+        assert (tmp_path / "pointer.json").read_bytes() == before
+        assert len(list(tmp_path.iterdir())) == 1
+        harness.call_in_executor(client.destroy)
+
+
+def test_a_result_is_words_for_a_person_and_json_for_a_program():
+    result = CheckTool.Result(
+        tool="pointer", answer=int(Answer.RECALIBRATE), cause=int(Cause.NO_TOOL),
+        text="there is no tool on", com_change_m=[math.nan] * 3, com_change_std_m=[math.nan] * 3,
+        mass_change_kg=-0.06, poses_used=6, poses_rejected=["check/1: tilt moved"],
+    )  # fmt: skip
+    words = format_result(result)
+    assert words.startswith("recalibrate: pointer: there is no tool on\n")
+    assert "mass -60.00 +- 0.00 g; 6 poses" in words
+    assert "rejected check/1: tilt moved" in words
+    fields = json.loads(json.dumps(result_fields(result), allow_nan=False))
+    assert (fields["answer"], fields["cause"], fields["com_change_m"]) == (
+        "RECALIBRATE", "NO_TOOL", None,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("arguments", [["a/b"], ["--poses", "-1"], ["pointer", "--timeout-s", "0"]])
+def test_wrong_arguments_end_with_code_2(arguments):
+    with pytest.raises(SystemExit) as error:
+        parse(arguments)
+    assert error.value.code == 2
