@@ -1,7 +1,7 @@
 """Recent joint positions, and their value at a stamp between two samples."""
 
 import math
-from bisect import bisect_left, bisect_right
+from bisect import bisect_left
 from enum import Enum
 from typing import NamedTuple
 
@@ -109,11 +109,6 @@ class JointBuffer:
         if not len(positions):
             positions = positions.reshape(0, 0)
         return np.array(self._stamps[first:], dtype=np.int64), positions
-
-    def window(self, first_ns: int, last_ns: int) -> tuple[np.ndarray, Array]:
-        """Stamps (n,) and positions (n, k) of the samples from `first_ns` to `last_ns`."""
-        rows = slice(bisect_left(self._stamps, first_ns), bisect_right(self._stamps, last_ns))
-        return np.array(self._stamps[rows], dtype=np.int64), np.array(self._positions[rows])
 
     def interpolate(self, stamps: np.ndarray, positions: Array, at_ns: np.ndarray) -> Interpolated:
         """`joints_at` for stamps (n,) in samples (m,), (m, k), none newer than the last sample.

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from galen_model.arrays import Array
 
-from galen_gravcomp.joint_buffer import JointBuffer
 from galen_gravcomp.local_polynomial import Derivatives, LocalPolynomial
 from galen_gravcomp.results import Refusal
 from galen_gravcomp.stages import NoMotion
@@ -39,6 +39,44 @@ class MotionSettings:
         return 2 * (self.degree + 1)
 
 
+# Samples kept: more than a window's, and than come while a wrench waits.
+_CAPACITY = 4096
+
+
+class _Ring:
+    """The newest samples of k values in arrays, so that a window of them is a view."""
+
+    def __init__(self) -> None:
+        self._stamps = np.zeros(2 * _CAPACITY, dtype=np.int64)
+        self._values = np.zeros((0, 0))
+        self._count = 0
+        self.newest_ns: int | None = None
+
+    def clear(self) -> None:
+        self._count, self.newest_ns = 0, None
+
+    def push(self, stamp_ns: int, values: tuple[float, ...]) -> None:
+        if self.newest_ns is not None and stamp_ns <= self.newest_ns:
+            return
+        if not len(self._values):
+            self._values = np.zeros((2 * _CAPACITY, len(values)))
+        if self._count == 2 * _CAPACITY:
+            self._stamps[:_CAPACITY] = self._stamps[_CAPACITY:]
+            self._values[:_CAPACITY] = self._values[_CAPACITY:]
+            self._count = _CAPACITY
+        self._stamps[self._count] = self.newest_ns = stamp_ns
+        self._values[self._count] = values
+        self._count += 1
+
+    def window(self, first_ns: int, last_ns: int) -> tuple[np.ndarray, Array]:
+        """Stamps (n,) and values (n, k) from `first_ns` to `last_ns`."""
+        stamps = self._stamps[: self._count]
+        rows = slice(
+            int(stamps.searchsorted(first_ns)), int(stamps.searchsorted(last_ns, side="right"))
+        )
+        return stamps[rows], self._values[rows]
+
+
 class MotionWindow:
     """Keeps one stream's samples and differentiates them at a stamp."""
 
@@ -51,7 +89,7 @@ class MotionWindow:
         self._lag_ns = round(settings.lag_s * 1e9)
         self._window_ns = round(settings.window_s * 1e9)
         self._gap_ns = round(_LARGEST_GAP * settings.window_s * 1e9)
-        self._samples = JointBuffer(self._window_ns)
+        self._samples = _Ring()
 
     @property
     def known_until_ns(self) -> int | None:
@@ -75,7 +113,7 @@ class MotionWindow:
         stamps, values = self._samples.window(start_ns, end_ns)
         if len(stamps) < self._settings.fewest_samples:
             return self._none(f"holds {len(stamps)} samples of {self._topic}; there must be", True)
-        gap_ns = max(int(np.diff(stamps).max()), int(stamps[0]) - start_ns)
+        gap_ns = max(int((stamps[1:] - stamps[:-1]).max()), int(stamps[0]) - start_ns)
         # At the end, where it is read off, the polynomial must not hang over.
         end_gap_ns = end_ns - int(stamps[-1])
         if gap_ns > self._gap_ns or end_gap_ns > self._delay_ns // 2:
