@@ -188,6 +188,8 @@ def series_of(name: str, cells: Cells, joints: Cells, tool: ToolFile | None) -> 
     elif tool is not None:
         raise GalenError(f"{name}: --tool needs the joints, and it has none")
     touched = _touched(reading, scatter)
+    if int(np.isfinite(reading[:, 0]).sum()) < 3 * _WINDOW_CELLS:
+        notes.append("too short to find out whether somebody touched")
     reading[touched] = np.nan
     there = int(np.isfinite(reading[:, 0]).sum())
     if there < _FEWEST_CELLS:
@@ -224,9 +226,9 @@ def _touched(reading: Array, scatter: Array) -> np.ndarray:
     there = np.isfinite(reading[:, 0])
     touched = np.zeros(len(reading), dtype=bool)
     rows = np.flatnonzero(there)
-    if len(rows) < _FEWEST_CELLS:
+    if len(rows) < 3 * _WINDOW_CELLS:
         return touched
-    window = min(_WINDOW_CELLS, len(rows) // 3) | 1
+    window = _WINDOW_CELLS | 1
     for channel in range(6):
         value = reading[rows, channel]
         off = value - median_filter(value, window, mode="nearest")
