@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from galen_gravcomp.wire import JointWire, RawWrench, WrenchWire
+from galen_gravcomp.wire import ImuWire, JointWire, RawWrench, WrenchWire
 from galen_ros.cdr import UnreadableError
 from galen_ros.conversions import fill_wrench
 from galen_ros.joint_names import JointStateError, UnknownJointError
@@ -16,7 +16,7 @@ from galen_ros.testing import Harness
 from geometry_msgs.msg import WrenchStamped
 from rclpy.node import Node
 from rclpy.serialization import deserialize_message, serialize_message
-from sensor_msgs.msg import JointState
+from sensor_msgs.msg import Imu, JointState
 
 from galen_gravcomp import wire
 
@@ -246,3 +246,23 @@ def test_messages_that_came_over_dds_are_read_directly(learned: list[str]) -> No
             assert isinstance(got[-2], RawWrench) and got[-2].wrench == values(wrench)
             assert got[-1][1] == (state.position[3], state.position[4])  # type: ignore[index]
     assert learned == [WRENCH, JOINTS]
+
+
+def test_an_imu_is_read_as_rclpy_reads_it() -> None:
+    message = Imu()
+    message.header.frame_id = "imu_link"
+    message.header.stamp.sec, message.header.stamp.nanosec = 12, 34
+    reader = ImuWire()
+    for scale in (1.0, -2.0):  # the second by the layout of the first
+        message.orientation.w = scale
+        message.orientation_covariance = np.arange(9.0)
+        angular, linear = message.angular_velocity, message.linear_acceleration
+        angular.x, angular.y, angular.z = 0.1 * scale, 0.2, 0.3
+        message.angular_velocity_covariance = np.arange(9.0) + 10.0
+        linear.x, linear.y, linear.z = 1.0 * scale, 2.0, 3.0
+        message.linear_acceleration_covariance = np.arange(9.0) + 20.0
+        stamp_ns, velocity, acceleration = reader.read(serialize_message(message))
+        assert stamp_ns == 12_000_000_034
+        assert velocity == (0.1 * scale, 0.2, 0.3) and acceleration == (scale, 2.0, 3.0)
+    with pytest.raises(UnreadableError, match="sensor_msgs/msg/Imu"):
+        reader.read(b"\x00\x01\x00\x00 too short")
