@@ -24,6 +24,7 @@ setup(
             "check = galen_calibration_behavior.check:main",
             "calibrate_from_bag = galen_calibration_behavior.calibrate_from_bag:main",
             "inertia_from_bag = galen_calibration_behavior.inertia_from_bag:main",
+            "cable_from_bag = galen_calibration_behavior.cable_from_bag:main",
             "choose_poses = galen_calibration_behavior.choose_poses:main",
         ]
     },

@@ -25,8 +25,9 @@ from galen_model.cable_form import attachment_derivatives, form_matrices, groups
 from galen_model.errors import IdentificationError
 
 # Priors: mean and standard deviation of the logarithms, of length_rad (2), length_m, amplitude (2)
-# and scatter; a wrist's motion of 1 rad, an anchor some 0.3 m away, a cable of some 0.1 N.
-_LOG_PRIOR = np.log([1.0, 1.0, 0.3, 0.1, 0.01, 0.1])
+# and scatter: 1 rad of the wrist, 0.15 m of the platform (half the way to an anchor nearby), some
+# 0.1 N and 0.01 N.m.
+_LOG_PRIOR = np.log([1.0, 1.0, 0.15, 0.1, 0.01, 0.1])
 _LOG_WIDTH = np.array([0.7, 0.7, 0.7, 1.5, 1.5, 1.5])
 _ATTACHMENT_WIDTH_M = 0.2
 _DUPLICATE_RAD = 0.02
@@ -70,6 +71,20 @@ def spacing_rad(joints: Array) -> float:
     apart = np.linalg.norm(angles[:, None] - angles[None], axis=2)
     apart[apart < _DUPLICATE_RAD] = np.inf
     return float(np.quantile(apart.min(axis=1), 0.8))
+
+
+def spread_out(joints: Array, count: int) -> Array:
+    """Indices (count,) of poses (n, 5) that lie far apart: each next one farthest from the others.
+
+    A tenth of a metre of the platform counts as much as half a radian.
+    """
+    scaled = joints / np.array([0.1, 0.1, 0.1, 0.5, 0.5])
+    chosen = [int(np.argmin(np.linalg.norm(scaled - scaled.mean(axis=0), axis=1)))]
+    nearest = np.linalg.norm(scaled - scaled[chosen[0]], axis=1)
+    while len(chosen) < min(count, len(joints)):
+        chosen.append(int(np.argmax(nearest)))
+        nearest = np.minimum(nearest, np.linalg.norm(scaled - scaled[chosen[-1]], axis=1))
+    return np.sort(chosen)
 
 
 def fit_cable(

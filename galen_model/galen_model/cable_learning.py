@@ -28,7 +28,9 @@ _TILT_PARTS = 3
 _CLEARLY = 2.0
 """Standard errors over the blocks."""
 _NOISE = 1.5
-"""What a sweep without a cable leaves, in units of its averages' noise, is not more than this."""
+"""What a sweep without a cable leaves, in units of its averages' noise, is not more than this; and
+less than the noise of one reading is not worth a cable: a joint's zero that is a little wrong, or a
+drift, leaves as much."""
 
 
 class NoCableError(IdentificationError):
@@ -102,10 +104,12 @@ def learn_cable(
     parts = range(int(block.max()) + 1)
     file = _held_out(sweep, -sweep.wrench)
     least_squares = _held_out(sweep, _ten_parameters(sweep, block) - sweep.wrench)
-    if file.chi < _NOISE:
+    over_noise = float(np.max(file.rmse / sweep.noise))
+    if file.chi < _NOISE or over_noise < 1.0:
         raise NoCableError(
             f"no pull beyond the noise: the tool's file leaves {_newtons(file)}, {file.chi:.1f}"
-            " times the noise of the averages"
+            f" times the noise of the averages and, in the worst axis, {over_noise:.2g} times that"
+            " of one reading"
         )
     whole: dict[str, CableFit] = {}
     predicted = {form: np.zeros_like(sweep.wrench) for form in forms}

@@ -1,0 +1,79 @@
+"""A cable's pull out of a recorded sweep with the cable on: poses, what is left, the file."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from galen_bags.arm_recording import ArmRecording
+from galen_model.cable_drag import MAX_POSES, SUPPORT_M
+from galen_model.cable_fit import CableSweep, spread_out
+from galen_model.cable_learning import LearnedCable, learn_cable
+from galen_model.tool_file import ToolFile
+
+from galen_calibration_behavior.calibrate_from_bag import measured_at
+from galen_calibration_behavior.home_stays import BiasPose
+from galen_calibration_behavior.procedure import ProcedureSettings
+from galen_calibration_behavior.recorded_sweeps import SweepSorter
+from galen_calibration_behavior.stillness import PoseRecord
+from galen_calibration_behavior.visits import RecordingError, find_visits
+
+# Poses of one sweep at one place stand nearer to each other than this.
+_PLACE_M = 0.01
+
+
+@dataclass(frozen=True)
+class CableResult:
+    """The tool's file with the cable in it, what was learned, of which poses, and what is odd."""
+
+    tool: ToolFile
+    learned: LearnedCable
+    sweep: CableSweep
+    warnings: tuple[str, ...]
+
+
+def estimate_cable(
+    tool: ToolFile,
+    recording: ArmRecording,
+    settings: ProcedureSettings,
+    *,
+    whole_phases: bool = False,
+    phase_progress: Callable[[list[slice]], Iterable[slice]] = iter,
+    fit_progress: Callable[[list[tuple[str, int]]], Iterable[tuple[str, int]]] = iter,
+) -> CableResult:
+    """Learn what a sweep with the cable on reads beyond the tool's file; writes nothing.
+
+    The cable that the file may already hold is not looked at. Raises RecordingError, and
+    galen_model.cable_learning's errors where there is no cable, or too few poses.
+    """
+    if not np.isfinite(recording.joints).any(axis=0).all():
+        raise RecordingError(
+            f"{recording.path}: the platform's position is not in it, and a cable's pull hangs on"
+            " all five joints"
+        )
+    visits = find_visits(recording, settings, whole_phases=whole_phases, progress=phase_progress)
+    sorter = SweepSorter(settings, BiasPose(tool.bias_roll_rad, tool.bias_tilt_rad))
+    poses, warnings = sorter.still_poses(visits)
+    warnings += [f"pose {p.number} at {p.time_s:.1f} s: {p.fault}" for p in poses if p.fault]
+    used = [pose.visit for pose in poses if not pose.fault]
+    records = [visit.outcome for visit in used if isinstance(visit.outcome, PoseRecord)]
+    joints = np.array([record.joints for record in records])
+    wrench = np.array([record.wrench for record in records])
+    sweep = CableSweep(
+        joints=joints,
+        wrench=wrench - tool.predict(joints[:, 3], joints[:, 4]),
+        std_of_mean=np.array([record.std_of_mean for record in records]),
+        noise=np.median([record.wrench_std for record in records], axis=0),
+    )
+    if len(sweep) > MAX_POSES:
+        warnings.append(f"of {len(sweep)} poses the {MAX_POSES} that lie farthest apart are used")
+        sweep = sweep.part(spread_out(sweep.joints, MAX_POSES))
+    when = measured_at(used[-1]).isoformat(timespec="seconds")
+    learned = learn_cable(sweep, when, progress=fit_progress)
+    if np.ptp(sweep.joints[:, :3], axis=0).max() < _PLACE_M:
+        warnings.append(
+            "all poses have one place of the platform: the pull is taken off whole up to"
+            f" {0.6 * SUPPORT_M:.2g} m from it, and less and less beyond"
+        )
+    return CableResult(replace(tool, cable=learned.drag), learned, sweep, tuple(warnings))

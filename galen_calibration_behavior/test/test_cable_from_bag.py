@@ -1,0 +1,132 @@
+"""`cable_from_bag`: from a recorded sweep to the tool's file, and what it says where it can't."""
+
+import json
+
+import numpy as np
+import pytest
+from calibration_tape import RETRACTOR, Tape, grid
+from galen_model.arm import HOME
+from galen_model.kinematics import gravity_in_sensor, sensor_pose
+from galen_model.load import Load, gravity_wrench
+from galen_model.tool_file import LoadEstimate, ToolFile, read_tool, write_tool
+from galen_model.tools import ADAPTER
+
+from galen_calibration_behavior import cable_from_bag
+
+AT = np.array([0.08, 0.0, 0.06])
+ANCHOR = np.array([0.35, 0.35, 0.9])
+POSES = grid(np.linspace(-1.2, 1.2, 6), np.linspace(-0.9, 0.8, 5))
+
+
+def pull(pose):
+    rotation, origin = sensor_pose([*HOME[:3], *pose])
+    line = ANCHOR - origin - rotation @ AT
+    length = np.linalg.norm(line)
+    force = rotation.T @ line / length * (0.3 + length - 0.5)
+    return np.concatenate([force, np.cross(AT, force)])
+
+
+@pytest.fixture
+def place(tmp_path, monkeypatch):
+    """A tools' directory with a calibrated retractor, and recordings by name."""
+    load = LoadEstimate(RETRACTOR.mass_kg, RETRACTOR.com_m, 1e-10 * np.eye(4))
+    bias = LoadEstimate(ADAPTER.mass_kg, ADAPTER.com_m, 1e-10 * np.eye(4))
+    tool = ToolFile("retractor", load, bias, AT, np.zeros(6), 56, "2026-01-02T03:04:05+00:00")
+    write_tool(tmp_path / "retractor.json", tool)
+    tapes = {}
+    monkeypatch.setattr(cable_from_bag, "read_arm", lambda bag, _topics: tapes[str(bag)])
+
+    def record(name, pull_at, poses=POSES, tool=RETRACTOR):
+        tape = Tape(seed=5, tool=tool)
+        tape.bias = gravity_wrench(gravity_in_sensor(0.0, 0.0), ADAPTER)
+        for pose in poses:
+            tape.move(pose)
+            tape.touch = lambda _, at=pose: pull_at(at)
+            tape.stay(1.0)
+        tapes[name] = tape.recording(name)
+
+    return tmp_path, record
+
+
+def run(*arguments):
+    cable_from_bag.main([str(argument) for argument in arguments])
+
+
+def test_it_learns_the_pull_and_keeps_the_rest_of_the_file(place, capsys):
+    folder, record = place
+    record("corded", pull)
+    before = json.loads((folder / "retractor.json").read_text())
+    run("retractor", "corded", "--tools-dir", folder, "--json")
+    fields = json.loads(capsys.readouterr().out)
+    tool = read_tool(folder / "retractor.json")
+    after = json.loads((folder / "retractor.json").read_text())
+    assert {key: after[key] for key in before} == before
+    rng = np.random.default_rng(2)
+    angles = rng.uniform([-1.2, -0.9], [1.2, 0.8], (20, 2))
+    joints = np.column_stack([np.tile(HOME[:3], (20, 1)), angles])
+    error = tool.cable.posterior.readings(joints) - [pull(pose) for pose in angles]
+    assert np.abs(error[:, :3]).max() < 0.012
+    assert np.abs(error[:, 3:]).max() < 5e-4
+    scores = fields["held_out"]
+    ours, plain = scores[fields["form"]], scores["ten-parameter least squares"]
+    assert (
+        ours["times_noise"] < 0.2 * plain["times_noise"] < scores["the tool's file"]["times_noise"]
+    )
+    assert fields["poses"] == 30
+    assert any("one place of the platform" in warning for warning in fields["warnings"])
+
+    run("retractor", "--remove", "--tools-dir", folder)
+    assert json.loads((folder / "retractor.json").read_text()) == before
+    with pytest.raises(SystemExit) as end:
+        run("retractor", "--remove", "--tools-dir", folder)
+    assert end.value.code == 1
+    assert "holds no cable" in capsys.readouterr().err
+
+
+@pytest.mark.slow
+def test_a_person_gets_a_table_and_a_picture_and_a_dry_run_writes_nothing(place, capsys):
+    folder, record = place
+    record("corded", pull)
+    before = (folder / "retractor.json").read_bytes()
+    plots = folder / "plots"
+    run("retractor", "corded", "--tools-dir", folder, "--dry-run", "--plots", plots)
+    text = capsys.readouterr().out
+    assert "ten-parameter least squares" in text
+    assert "not written (--dry-run)" in text
+    assert (folder / "retractor.json").read_bytes() == before
+    assert (plots / "retractor_cable.png").stat().st_size > 20_000
+
+
+@pytest.mark.parametrize(
+    ("pull_at", "poses", "tool", "words"),
+    [
+        (lambda _: np.zeros(6), POSES, RETRACTOR, "no pull beyond the noise"),
+        (pull, POSES[:12], RETRACTOR, "12 still poses; at least 16"),
+        (
+            lambda _: np.zeros(6),
+            POSES,
+            Load(RETRACTOR.mass_kg + 0.02, RETRACTOR.com_m),
+            "another load explains it",
+        ),
+    ],
+)
+def test_where_there_is_no_cable_to_learn_it_says_so(place, capsys, pull_at, poses, tool, words):
+    folder, record = place
+    record("sweep", pull_at, poses, tool)
+    before = (folder / "retractor.json").read_bytes()
+    with pytest.raises(SystemExit) as end:
+        run("retractor", "sweep", "--tools-dir", folder)
+    assert end.value.code == 1
+    error = capsys.readouterr().err
+    assert error.startswith("cable_from_bag: sweep: ") and words in error
+    assert error.count("\n") == 1
+    assert (folder / "retractor.json").read_bytes() == before
+
+
+@pytest.mark.parametrize(
+    "arguments", [["retractor"], ["retractor", "bag", "--remove"], ["../x", "b"]]
+)
+def test_wrong_arguments_are_a_usage_error(arguments):
+    with pytest.raises(SystemExit) as end:
+        cable_from_bag.parse(arguments)
+    assert end.value.code == 2
