@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
+from textwrap import fill
 
 import matplotlib
 
@@ -16,6 +17,7 @@ from galen_gravcomp.drift_result import GROUPS, DriftResult
 
 _COLOURS = ("#1f6f8b", "#c44e52", "#55a868")
 _MOST_POINTS = 2000
+_TITLE_WIDTH = 150
 _SLOW_PART = 1 / 20
 
 
@@ -60,7 +62,8 @@ def plot_drift(result: DriftResult, directory: Path, name: str) -> Path:
         hold.axhline(limit, color="grey", lw=0.8, ls="--")
         hold.set_xlabel("time since tare, s (dashed: the limit)")
         hold.set_ylabel(f"rms change, {unit}")
-    figure.suptitle("\n".join(f"{sentence}" for sentence in result.sentence.values()), fontsize=9)
+    title = "\n".join(fill(sentence, _TITLE_WIDTH) for sentence in result.sentence.values())
+    figure.suptitle(title, fontsize=9)
     figure.tight_layout()
     path = directory / f"{name}_drift.png"
     unfinished = path.with_name(f".{path.name}.{os.getpid()}")
