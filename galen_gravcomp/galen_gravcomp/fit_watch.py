@@ -249,7 +249,7 @@ class GravityFitWatch:
             self._stops = deque(against)
 
     def _likeliest(self) -> tuple[Judgement | None, FitState] | None:
-        """What is wrong, if something is: by the fewest of the newest stops that tell."""
+        """What is wrong, if something is: by the fewest of the newest stops that tell of it."""
         assert self._evidence is not None and self._tool is not None
         stops = [stop for stop in self._stops if stop.windows >= 2]
         newest = stops[-1]
@@ -259,13 +259,16 @@ class GravityFitWatch:
             judgement = self._evidence.judge(self._as_stops(some))
             if self._worth_saying(judgement, some):
                 self._keep(some, judgement)
+                # A few poses near each other fit any load: the reason is what all of them say.
+                kept = [stop for stop in self._stops if stop.windows >= 2]
+                whole = self._evidence.judge(self._as_stops(kept))
+                if self._worth_saying(whole, kept):
+                    judgement = whole
                 return judgement, words.misfit(judgement, self._tool, self._limits)
             if len(some) < count:
                 break
         if lone and newest.log_touched > _SURE:
-            return None, words.contact(
-                newest.mean, newest.lasts_s, newest.log_touched, self._limits
-            )
+            return None, words.contact(newest.mean, newest.lasts_s, newest.log_touched)
         return None
 
     def _keep(self, some: list[_Stop], judgement: Judgement) -> None:
@@ -275,7 +278,11 @@ class GravityFitWatch:
         if not others or judgement.explanation is Explanation.UNKNOWN:
             return
         odds = self._evidence.log_contradiction(self._as_stops(others), judgement)
-        kept = [stop for stop, value in zip(others, odds, strict=True) if value <= _CONTRADICTION]
+        kept = [
+            stop
+            for stop, value in zip(others, odds, strict=True)
+            if value <= _CONTRADICTION or not stop.fits
+        ]
         self._stops = deque(kept + some)
 
     def _worth_saying(self, judgement: Judgement, stops: list[_Stop]) -> bool:

@@ -78,11 +78,12 @@ def misfit(judgement: Judgement, tool: ToolFile, limits: Limits) -> FitState:
     return FitState(FitNotice.DOES_NOT_FIT, reason, sentence, stops, judgement.log_odds)
 
 
-def contact(mean: Array, lasts_s: float, log_odds: float, limits: Limits) -> FitState:
+def contact(mean: Array, lasts_s: float, log_odds: float) -> FitState:
     """A lone stop's wrench (6,) that is neither a load nor a hand's, for `lasts_s` s."""
     sentence = (
-        f"{_worst(np.abs(mean), limits)} for {lasts_s:.0f} s without a tremble, and not along"
-        " gravity: a collision, or something leans on the tool? Free it"
+        f"{np.linalg.norm(mean[:3]):.2f} N and {1e3 * np.linalg.norm(mean[3:]):.0f} mN.m for"
+        f" {lasts_s:.0f} s without a tremble, and not along gravity: a collision, or something"
+        " leans on the tool? Free it"
     )
     return FitState(FitNotice.DOES_NOT_FIT, Misfit.CONTACT, sentence, 1, log_odds)
 

@@ -1,4 +1,4 @@
-"""A made-up arm for tests of what is watched live: poses, pushes, another load, a wandering zero."""
+"""A made-up arm for tests of what is watched live: poses, pushes, another load, drift."""
 
 import numpy as np
 from galen_model.arm import SENSOR
