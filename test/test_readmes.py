@@ -10,6 +10,7 @@ from galen_bags.growing_bag import GrowingBagWriter
 from galen_bags.player import PlayerNode, PlayOptions
 from galen_bags.recorder import RecorderNode
 from galen_bags.writer import BagWriter
+from galen_calibration_behavior.check_node import CheckNode
 from galen_calibration_behavior.node import CalibrationNode
 from galen_deflection.collection_node import CollectionNode
 from galen_deflection.node import DeflectionNode
@@ -23,7 +24,7 @@ ROOT = Path(__file__).resolve().parent.parent
 PACKAGES = sorted(path.parent.name for path in ROOT.glob("*/package.xml"))
 MARKED = re.compile(r"<!-- parameters: ([\w.]+) -->\n(.*?)\n<!-- end -->", re.DOTALL)
 NODES = {
-    "galen_calibration_behavior": (CalibrationNode,),
+    "galen_calibration_behavior": (CalibrationNode, CheckNode),
     "galen_deflection": (CollectionNode, DeflectionNode),
     "galen_gravcomp": (GravcompNode,),
     "galen_sim_driver": (SimDriverNode,),
