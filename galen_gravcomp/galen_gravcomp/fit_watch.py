@@ -61,6 +61,7 @@ _NOT_JUDGED = FitState(FitNotice.NOT_JUDGED)
 class _Stop:
     """A pose with one steady wrench.
 
+    stepped: it began by a step of the wrench where the arm stood, as a push does;
     fits: by chi-square; fitted: it did once; log_touched: log odds of a touch against a fit.
     """
 
@@ -71,6 +72,7 @@ class _Stop:
     start_ns: int
     end_ns: int
     windows: int = 1
+    stepped: bool = False
     fits: bool = False
     fitted: bool = False
     log_touched: float = 0.0
@@ -171,6 +173,9 @@ class GravityFitWatch:
             stop = _Stop(
                 unit, window.angles, window.mean, window.std_of_mean, window.start_ns, window.end_ns
             )
+            if self._stops:
+                last = self._stops[-1]
+                stop.stepped = self._near(last, window, unit)
             self._begin(stop)
         stop.recent.append(window.mean)
         self._open = True
@@ -179,15 +184,18 @@ class GravityFitWatch:
         return stop.windows >= 2 and stop.windows & (stop.windows - 1) == 0
 
     def _goes_on(self, stop: _Stop, window: StillWindow, unit: Array) -> bool:
-        near = float(np.linalg.norm(unit - stop.gravity)) < _SAME_POSE
-        soon = window.start_ns - stop.end_ns < _STOP_NS
-        if not (near and soon):
+        if not self._near(stop, window, unit):
             return False
         if not stop.recent:  # a tare just moved it
             return True
         level = np.mean(stop.recent, axis=0)
         allowed = _STEP_SIGMAS * window.std_of_mean * np.sqrt(1.0 + 1.0 / len(stop.recent))
         return bool(np.all(np.abs(window.mean - level) <= allowed + _STEP_FLOOR))
+
+    def _near(self, stop: _Stop, window: StillWindow, unit: Array) -> bool:
+        """Whether a window is at a stop's pose and follows it soon."""
+        soon = window.start_ns - stop.end_ns < _STOP_NS
+        return soon and float(np.linalg.norm(unit - stop.gravity)) < _SAME_POSE
 
     def _begin(self, stop: _Stop) -> None:
         oldest_ns = stop.end_ns - _OLDEST_NS
@@ -296,6 +304,10 @@ class GravityFitWatch:
         counted = [stop for stop, out in zip(stops, judgement.touched, strict=True) if not out]
         if not counted or 2 * len(counted) < len(stops):
             return False
+        if what is Explanation.UNKNOWN:
+            # Pushes on most stops look like that as well.
+            counted = [stop for stop in counted if not stop.stepped]
+            return len(counted) >= _FEWEST[what] and 2 * len(counted) >= len(stops)
         if len(counted) >= _FEWEST[what]:
             return True
         lone = counted[-1].lasts_s >= _LONE_S
