@@ -9,7 +9,7 @@ b (6,) an offset, as a sensor zeroed anew or wandered leaves it. Expected withou
 
     Cov e_k = S, the same at all poses: by axis the largest of the file's rmse^2, of the variance of
               the mean by the samples' scatter, and of that by the averages' two halves, which sees
-              coloured noise as well;
+              coloured noise as well; and with a learned cable what isn't known of its pull there;
     Cov d   = C, the calibration's: that of the tool's (m, h), by the file's of (m, p) with h = m p;
     Cov b   = O = rmse^2 / poses_used, the calibration's offset's.
 
@@ -227,11 +227,18 @@ def _readings(
 ) -> tuple[Array, Array, Array]:
     """Roll and tilt (n, 2), rad, residual (n, 6) in ft_sensor, a mean's noise sigma (6,)."""
     roll, tilt, wrench, std_of_mean = stack(list(records))
+    expected = tool.predict(roll, tilt)
+    unknown = np.zeros(6)
+    if tool.cable is not None:
+        joints = np.array([record.joints for record in records])
+        pull = tool.cable.posterior
+        expected = expected + pull.readings(joints)
+        unknown = np.mean([np.diag(pull.covariance(q)) for q in joints], axis=0)
     to_wrench = (tool.mounting or Mounting()).wrench_from_reading
-    residual = (wrench - tool.predict(roll, tilt)) @ to_wrench.T - known_offset
+    residual = (wrench - expected) @ to_wrench.T - known_offset
     halves = np.array([record.half_difference for record in records]) / 2.0
     seen = np.maximum(np.mean(std_of_mean**2, axis=0), np.mean(halves**2, axis=0))
-    sigma = np.sqrt(np.maximum(tool.rmse**2, seen))
+    sigma = np.sqrt(np.maximum(tool.rmse**2, seen) + unknown)
     return np.column_stack([roll, tilt]), residual, sigma
 
 

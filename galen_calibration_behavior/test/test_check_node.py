@@ -6,12 +6,13 @@ import math
 import numpy as np
 import pytest
 from action_msgs.msg import GoalStatus
-from calibration_fake_arm import ADAPTER, NO_TOOL, POINTER
+from calibration_fake_arm import NO_TOOL, POINTER
+from check_pointer_file import POINTER_FILE
 from galen_calibration_behavior.check import format_result, parse, result_fields
 from galen_calibration_behavior.check_answer import Answer, Cause
 from galen_calibration_behavior.check_commands import ErrorCode
 from galen_calibration_behavior.check_node import CheckNode
-from galen_model.tool_file import LoadEstimate, ToolFile, write_tool
+from galen_model.tool_file import write_tool
 from galen_ros.qos import LATCHED
 from galen_ros.testing import Harness, parameters
 from rclpy.action import ActionClient
@@ -20,17 +21,6 @@ from test_calibration_node import FakeDriver
 
 from galen_msgs.action import CheckTool
 from galen_msgs.msg import ToolInForce
-
-STD = np.diag(np.full(4, 3e-5) ** 2)
-POINTER_FILE = ToolFile(
-    tool="pointer",
-    load=LoadEstimate(POINTER.mass_kg, POINTER.com_m, STD),
-    bias=LoadEstimate(ADAPTER.mass_kg, ADAPTER.com_m, STD),
-    tip_m=np.array([0.15, 0.0, 0.05]),
-    rmse=np.array([3e-3, 3e-3, 4e-3, 6e-5, 6e-5, 6e-5]),
-    poses_used=56,
-    calibrated_at="2026-01-01T00:00:00+00:00",
-)
 
 
 @pytest.mark.slow

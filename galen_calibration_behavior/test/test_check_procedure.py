@@ -2,29 +2,19 @@
 
 import numpy as np
 import pytest
-from calibration_fake_arm import ADAPTER, NO_TOOL, POINTER, FakeArm
+from calibration_fake_arm import NO_TOOL, POINTER, FakeArm
+from check_pointer_file import POINTER_FILE
 from galen_calibration_behavior.check_answer import Answer, Cause
 from galen_calibration_behavior.check_commands import ErrorCode, Feedback, Finished, State
 from galen_calibration_behavior.check_parameters import CheckParameters
 from galen_calibration_behavior.check_procedure import CheckProcedure, CheckRequest
 from galen_calibration_behavior.commands import MoveTo, Stop
-from galen_model.tool_file import LoadEstimate, ToolFile
 
 START = np.array([0.02, -0.01, 0.41, 0.3, -0.2])
 SLOW = CheckParameters().settings()
 FAST = CheckParameters(
     settle_s=0.1, average_s=0.3, max_angle_velocity_rad_s=4.0, max_angle_acceleration_rad_s2=40.0
 ).settings()
-STD = np.diag(np.full(4, 3e-5) ** 2)
-TOOL = ToolFile(
-    tool="pointer",
-    load=LoadEstimate(POINTER.mass_kg, POINTER.com_m, STD),
-    bias=LoadEstimate(ADAPTER.mass_kg, ADAPTER.com_m, STD),
-    tip_m=np.array([0.15, 0.0, 0.05]),
-    rmse=np.array([3e-3, 3e-3, 4e-3, 6e-5, 6e-5, 6e-5]),
-    poses_used=56,
-    calibrated_at="2026-01-01T00:00:00+00:00",
-)
 
 
 class Course:
@@ -36,7 +26,7 @@ class Course:
         self.arm.zero()
         self.arm.tool = tool
         self.arm._from = self.arm._to = self.arm.joints = START.copy()
-        self.procedure = CheckProcedure(settings, CheckRequest(TOOL, poses, {}, None))
+        self.procedure = CheckProcedure(settings, CheckRequest(POINTER_FILE, poses, {}, None))
         self.commands = []
         self.seconds = 0.0
         self.procedure.start()

@@ -9,6 +9,7 @@ from galen_calibration_behavior.check_poses import choose_check_poses
 from galen_calibration_behavior.pose_order import SweepTimes
 from galen_calibration_behavior.quick_check import differences, quick_check
 from galen_calibration_behavior.stillness import PoseRecord
+from galen_model.cable_drag import CableDrag
 from galen_model.kinematics import gravity_in_sensor
 from galen_model.load import Load, gravity_wrench, nominal_reading
 from galen_model.pose_design import ANGLE_LIMITS, PoseDesign, PoseDesignError
@@ -179,6 +180,29 @@ def test_what_a_tare_takes_off_is_no_offset_any_more():
     check = quick_check(averages, file_of(POINTER), LIMITS, known_offset=PULL)
     assert check.answer is Answer.GOOD
     assert np.all(np.abs(check.found.offset) < 5 * SIGMA)
+
+
+def test_a_learned_cable_is_expected_as_the_compensation_expects_it():
+    learned = np.array([[0.0, 0.0, 0.408, r, t] for r in (-0.6, 0.0, 0.6) for t in (-0.6, 0, 0.6)])
+    pulls = np.column_stack([0.3 * np.sin(learned[:, 3:]), 0.2 * np.cos(learned[:, 3])])
+    wrench = np.concatenate([pulls, 0.05 * pulls], axis=1)
+    cable = CableDrag(
+        form="free", joints=learned, wrench=wrench, std=np.tile(SIGMA, (9, 1)),
+        length_rad=np.array([1.0, 1.0]), length_m=0.1, amplitude=np.array([0.3, 0.02]),
+        support_rad=0.6, learned_at="2026-01-01T00:00:00+00:00",
+    )  # fmt: skip
+
+    def pull(roll, tilt, _k):
+        return cable.posterior.readings(np.array([[0.0, 0.0, 0.408, roll, tilt]]))[0]
+
+    averages = records(POINTER, np.random.default_rng(1), extra=pull)
+    with_cable, without = (
+        quick_check(averages, file_of(POINTER, cable=part), LIMITS) for part in (cable, None)
+    )
+    left, without_part = (np.max(np.abs(c.found.rest)) for c in (with_cable, without))
+    assert left < 5 * np.max(SIGMA) < 0.5 * without_part
+    assert with_cable.cause in (Cause.NOTHING, Cause.NOISE)
+    assert without.answer in (Answer.RECALIBRATE, Answer.RETARE)
 
 
 def test_a_file_of_one_sweep_is_judged_by_what_it_knows_of_tool_and_adapter_together():
