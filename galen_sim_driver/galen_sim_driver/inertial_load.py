@@ -17,8 +17,8 @@ x, then the tilt link whose axis y' = Rx(roll) y is carried along:
 
 with A from roll axis to tilt axis and B from tilt axis to sensor.
 
-Velocities and accelerations are the plant's own: differences of its positions over the last one and
-two periods. So the force at a stamp belongs to the motion of one period (2 ms) earlier.
+Velocities and accelerations are the plant's own: central differences of its positions, a period
+before and after the stamp. For that the plant's motion runs a period ahead of what it tells.
 """
 
 from __future__ import annotations

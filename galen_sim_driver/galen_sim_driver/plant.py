@@ -88,6 +88,8 @@ class Plant:
         self._sag = 0.0
         self._set_load(None)
         self._inertial = InertialLoad(self._geometry) if config.inertia.on else None
+        # An acceleration at a stamp hangs on where the joints are a period later.
+        self._ahead_ns = self._period_ns if self._inertial is not None else 0
         cable = config.cable
         self._cable = Cable(cable, self._geometry, HOME.tolist()) if cable.on else None
 
@@ -164,7 +166,8 @@ class Plant:
         if not trajectory.points:
             self.stop()
             return
-        check_trajectory(trajectory, self._config.motion.limits, self.now_ns)
+        motion_ns = self.now_ns + self._ahead_ns
+        check_trajectory(trajectory, self._config.motion.limits, motion_ns)
         motion = self._motion
         start = JointState(
             [q - offset for q, offset in zip(motion.positions, self._offset, strict=True)],
@@ -173,7 +176,7 @@ class Plant:
             [0.0] * 5 if self._admittance_on else motion.accelerations,
         )
         hold = self._stopping_reference()
-        self._reference = Reference(trajectory, self.now_ns, start, hold)
+        self._reference = Reference(trajectory, motion_ns, start, hold)
 
     def stop(self) -> None:
         """Brake at the acceleration limits and stand."""
@@ -239,8 +242,13 @@ class Plant:
         self._count += 1
         now_ns = self.now_ns = self._config.start_ns + self._count * self._period_ns
         motion = self._motion
-        motion.step(self._targets(now_ns))
-        joints = motion.positions
+        before, speeds = motion.positions.copy(), motion.velocities.copy()
+        motion.step(self._targets(now_ns + self._ahead_ns))
+        joints, velocities = motion.positions, motion.velocities
+        if self._inertial is not None:
+            # The motion is a period ahead: its last two steps lie around the stamp.
+            joints = before
+            velocities = [0.5 * (a + b) for a, b in zip(speeds, velocities, strict=True)]
         if self._zeroing is not None and motion.moving:
             self._sensor.spoil_zeroing("the arm moved while the sensor was zeroed")
 
@@ -263,7 +271,7 @@ class Plant:
             moving = self._inertial.wrench(
                 matrix,
                 joints,
-                motion.velocities,
+                velocities,
                 motion.accelerations,
                 mass,
                 (hx, hy, hz),
@@ -289,9 +297,8 @@ class Plant:
             self._zeroing = None
 
         encoded = self._encode(joints)
-        before = self._encoded[0]
-        window_s = self._window_s
-        velocities = [(a - b) / window_s for a, b in zip(encoded, before, strict=True)]
+        oldest, window_s = self._encoded[0], self._window_s
+        told_velocities = [(a - b) / window_s for a, b in zip(encoded, oldest, strict=True)]
         self._encoded.append(encoded)
 
         tracked = None
@@ -302,9 +309,9 @@ class Plant:
         return Sample(
             now_ns,
             joints.copy(),
-            motion.velocities.copy(),
+            velocities.copy(),
             encoded,
-            velocities,
+            told_velocities,
             reading,
             tracked,
         )
