@@ -8,14 +8,14 @@ from galen_ros.param import param
 
 from galen_calibration_behavior.check_answer import CheckLimits
 from galen_calibration_behavior.check_procedure import CheckSettings
-from galen_calibration_behavior.motion_parameters import PoseParameters
+from galen_calibration_behavior.obstacle_parameters import ObstacleParameters
 from galen_calibration_behavior.quick_check import FEWEST_POSES
 
 MOST_POSES = 12
 
 
 @dataclass(frozen=True)
-class CheckParameters(PoseParameters):
+class CheckParameters(ObstacleParameters):
     """Parameters of check_node."""
 
     tools_dir: str = param("~/.ros/galen/tools", "directory of the tools' files; `~` is expanded")
@@ -32,6 +32,10 @@ class CheckParameters(PoseParameters):
         0.05, "how often chance alone may look like a change, before the limits", 1e-6, 0.5
     )
 
+    def validate(self) -> None:
+        """Refuse boxes that are none; raises ObstacleError naming the box."""
+        self.check_obstacles()
+
     @property
     def limits(self) -> CheckLimits:
         """What a file is judged by."""
@@ -44,4 +48,5 @@ class CheckParameters(PoseParameters):
             reach_rad=self.reach_rad,
             pose_retries=self.pose_retries,
             limits=self.limits,
+            surroundings=self.surroundings,
         )

@@ -12,8 +12,9 @@ from dataclasses import dataclass
 from enum import IntEnum
 
 import numpy as np
+from galen_model.arm import LIMITS
 from galen_model.arrays import Array
-from galen_model.pose_design import PoseDesignError
+from galen_model.errors import GalenError
 from galen_model.tool_file import ToolFile
 
 from galen_calibration_behavior.check_answer import CheckLimits, QuickCheck
@@ -24,13 +25,14 @@ from galen_calibration_behavior.check_commands import (
     Finished,
     State,
 )
-from galen_calibration_behavior.check_poses import choose_check_poses
+from galen_calibration_behavior.check_poses import plan_check
 from galen_calibration_behavior.pose_order import SweepTimes
 from galen_calibration_behavior.pose_procedure import PoseProcedure, PoseSettings
 from galen_calibration_behavior.pose_recorder import Rejection
 from galen_calibration_behavior.quick_check import FEWEST_POSES, quick_check
 from galen_calibration_behavior.stillness import PoseRecord
 from galen_calibration_behavior.sweep import Sweep, Verdict
+from galen_calibration_behavior.sweep_plan import Surroundings
 
 
 @dataclass(frozen=True)
@@ -40,6 +42,7 @@ class CheckSettings(PoseSettings):
     reach_rad: float
     pose_retries: int
     limits: CheckLimits
+    surroundings: Surroundings
 
 
 @dataclass(frozen=True)
@@ -86,36 +89,45 @@ class CheckProcedure(PoseProcedure[Command, Finished]):
             self.fail(ErrorCode.BAD_INPUT, "joint_states holds values that are not finite")
             return
         settings = self._settings
-        self._before = self._joints
+        # An arm that stands at a limit may read a little beyond it, where none may be sent.
+        inside = np.clip(self._joints, LIMITS.lower, LIMITS.upper)
+        near = np.abs(self._joints - inside) <= settings.arrival.position_tolerance
+        self._before = np.where(near, inside, self._joints)
         stay_s = settings.arrival.velocity_window_s + settings.arrival.settle_s + settings.average_s
         times = SweepTimes(
             self._before[3:], settings.max_velocity[3:], settings.max_acceleration[3:], stay_s
         )
         try:
-            poses = choose_check_poses(
-                self._before[3:], settings.reach_rad, self._request.poses, times
+            plan = plan_check(
+                self._before,
+                settings.reach_rad,
+                self._request.poses,
+                times,
+                settings.surroundings,
+                self.tool.tip_m,
             )
-        except PoseDesignError as error:
+        except GalenError as error:
             self.fail(ErrorCode.BAD_INPUT, str(error))
             return
-        self._sweep = Sweep("check", poses, settings.stillness, settings.pose_retries)
-        self._report(f"{len(poses)} poses: keep off the tool")
-        self._visit()
+        self._router = plan.router
+        self._sweep = Sweep("check", plan.poses, settings.stillness, settings.pose_retries)
+        self._report(f"{len(plan.poses)} poses: keep off the tool")
+        self._visit_next()
 
-    def _visit(self) -> None:
+    def _visit_next(self) -> None:
         assert self._sweep is not None
         index = self._sweep.current
         if index is None:
             self._judge(self._sweep)
             return
         target = np.concatenate([self._before[:3], self._sweep.poses[index]])
-        self._record(target, self._move(target), self._on_pose)
+        self._visit(target, self._on_pose)
 
     def _on_pose(self, outcome: PoseRecord | Rejection) -> None:
         assert self._sweep is not None
         for verdict in self._sweep.take(outcome):
             self._report_pose(verdict)
-        self._visit()
+        self._visit_next()
 
     def _judge(self, sweep: Sweep) -> None:
         if len(sweep.records) < FEWEST_POSES:

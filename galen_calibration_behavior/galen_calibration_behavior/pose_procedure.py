@@ -1,4 +1,4 @@
-"""What the procedures share that measure at still poses: visits that average, and their stamps."""
+"""What the procedures share that measure at still poses: ways there, averages, their stamps."""
 
 from __future__ import annotations
 
@@ -7,6 +7,9 @@ from dataclasses import dataclass
 from enum import IntEnum
 from typing import ClassVar
 
+import numpy as np
+from galen_model.arm_clearance import ObstacleError
+from galen_model.arm_routes import Router
 from galen_model.arrays import Array
 
 from galen_calibration_behavior.goal_procedure import (
@@ -29,7 +32,10 @@ class PoseSettings(GoalSettings):
 
 
 class PoseProcedure(GoalProcedure[CommandT, EndT]):
-    """Goes to poses and averages the raw reading there; a wrench is of no use on the way."""
+    """Goes to poses and averages the raw reading there; a wrench is of no use on the way.
+
+    A subclass that knows of boxes sets `_router`; None: all ways are free.
+    """
 
     wrench_topic: ClassVar[str] = "wrench_raw"
     _settings: PoseSettings
@@ -37,6 +43,8 @@ class PoseProcedure(GoalProcedure[CommandT, EndT]):
     def __init__(self, settings: PoseSettings, state: IntEnum) -> None:
         """`state` is the first one."""
         super().__init__(settings, state)
+        self._router: Router | None = None
+        self._ordered: Array | None = None
         self._recorder: PoseRecorder | None = None
         self._on_record: Callable[[PoseRecord | Rejection], None] | None = None
         self._jumps = 0
@@ -79,6 +87,46 @@ class PoseProcedure(GoalProcedure[CommandT, EndT]):
         self._recorder = None
         self._note_jumps(recorder.jumps, recorder.last_jump)
         self._on_record(recorder.result)
+
+    def _go_to(self, target: Array, then: Callable[[], None]) -> None:
+        go_straight = super()._go_to
+        self._on_the_way(target, lambda: go_straight(target, then))
+
+    def _move(self, target: Array) -> float:
+        self._ordered = target
+        return super()._move(target)
+
+    def _visit(self, target: Array, then: Callable[[PoseRecord | Rejection], None]) -> None:
+        """Go to `target` around all boxes, and average there."""
+        self._on_the_way(target, lambda: self._record(target, self._move(target), then))
+
+    def _on_the_way(self, target: Array, then: Callable[[], None]) -> None:
+        """Go where `target` is straight ahead, and call `then`."""
+        router, joints = self._router, self._joints
+        if router is None or joints is None or not np.all(np.isfinite(joints)):
+            then()
+            return
+        # An arm that is where it was sent is so within its tolerance; the way was looked at from
+        # the place itself.
+        near = self._settings.arrival.position_tolerance
+        sent = self._ordered
+        start = sent if sent is not None and np.all(np.abs(joints - sent) <= near) else joints
+        try:
+            way = router.route(start, target)
+        except ObstacleError as error:
+            roll, tilt = target[3:]
+            self.fail(
+                self.codes["BAD_INPUT"],
+                f"no way to roll {roll:.3f}, tilt {tilt:.3f} rad: {error}",
+            )
+            return
+        self._follow(way[:-1], then)
+
+    def _follow(self, way: list[Array], then: Callable[[], None]) -> None:
+        if not way:
+            then()
+            return
+        super()._go_to(way[0], lambda: self._follow(way[1:], then))
 
     def _note_arrival(self, clock: StampClock) -> None:
         self._note_jumps(clock.jumps, clock.last_jump)

@@ -14,13 +14,11 @@ are as in `goal_procedure`; waiting for a person goes by the wall clock, too.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from enum import IntEnum
 
 import numpy as np
 from galen_model.arm import WRENCH_AXES
-from galen_model.arm_clearance import ObstacleError
 from galen_model.arm_routes import Router
 from galen_model.arrays import Array
 from galen_model.identification import StillPoses
@@ -105,6 +103,7 @@ class CalibrationProcedure(PoseProcedure[Command, Finished]):
     def __init__(self, settings: ProcedureSettings, request: Request) -> None:
         super().__init__(settings, State.HOME)
         self._request = request
+        self._router = request.router
         self._plan = iter(_ONE_SWEEP if request.one_sweep else _TWO_SWEEPS)
         self._sweep: Sweep | None = None
         self._bare: Sweep | None = None
@@ -114,7 +113,6 @@ class CalibrationProcedure(PoseProcedure[Command, Finished]):
         self._skipped = 0
         self._notes: list[str] = []
         self._missed: list[str] = []
-        self._ordered: Array | None = None
         self._waiting_for_person = False
         self._zero_attempts = 0
         self._zero_checks_left = 0
@@ -352,48 +350,6 @@ class CalibrationProcedure(PoseProcedure[Command, Finished]):
                 )
             )
         )
-
-    # ---- motion around boxes
-
-    def _go_to(self, target: Array, then: Callable[[], None]) -> None:
-        go_straight = super()._go_to
-        self._on_the_way(target, lambda: go_straight(target, then))
-
-    def _move(self, target: Array) -> float:
-        self._ordered = target
-        return super()._move(target)
-
-    def _visit(self, target: Array, then: Callable[[PoseRecord | Rejection], None]) -> None:
-        """Go to `target` around all boxes, and average there."""
-        self._on_the_way(target, lambda: self._record(target, self._move(target), then))
-
-    def _on_the_way(self, target: Array, then: Callable[[], None]) -> None:
-        """Go where `target` is straight ahead, and call `then`."""
-        router, joints = self._request.router, self._joints
-        if router is None or joints is None or not np.all(np.isfinite(joints)):
-            then()
-            return
-        # An arm that is where it was sent is so within its tolerance; the way was looked at from
-        # the place itself.
-        near = self._settings.arrival.position_tolerance
-        sent = self._ordered
-        start = sent if sent is not None and np.all(np.abs(joints - sent) <= near) else joints
-        try:
-            way = router.route(start, target)
-        except ObstacleError as error:
-            roll, tilt = target[3:]
-            self.fail(
-                ErrorCode.BAD_INPUT,
-                f"no way to roll {roll:.3f}, tilt {tilt:.3f} rad: {error}",
-            )
-            return
-        self._follow(way[:-1], then)
-
-    def _follow(self, way: list[Array], then: Callable[[], None]) -> None:
-        if not way:
-            then()
-            return
-        super()._go_to(way[0], lambda: self._follow(way[1:], then))
 
     # ---- reports
 

@@ -6,19 +6,17 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from galen_model.arm import LIMITS
-from galen_model.arm_clearance import boxes_from_numbers
 from galen_model.arrays import Array
 from galen_model.identification import check_planned_poses
 from galen_model.pose_design import GOALS
 from galen_ros.param import ParameterError, param
 
 from galen_calibration_behavior.grid import SweepGrid
-from galen_calibration_behavior.motion_parameters import PoseParameters
+from galen_calibration_behavior.obstacle_parameters import ObstacleParameters
 from galen_calibration_behavior.pose_order import SweepTimes
 from galen_calibration_behavior.pose_procedure import PoseSettings
 from galen_calibration_behavior.precision import WantedPrecision
 from galen_calibration_behavior.sweep_plan import (
-    Surroundings,
     SweepPlan,
     SweepRange,
     plan_chosen,
@@ -31,7 +29,7 @@ POSES = ("grid", "chosen")
 
 
 @dataclass(frozen=True)
-class SweepParameters(PoseParameters):
+class SweepParameters(ObstacleParameters):
     """Which poses, around which obstacles, and how precise."""
 
     tstart: float = param(-1.0, "first tilt of the sweep, rad")
@@ -74,12 +72,6 @@ class SweepParameters(PoseParameters):
         0.0, "likewise in torque, N·m; where both are given, both must be reached", 0.0, 1.0
     )
     fewest_poses: int = param(12, "but not before so many good poses", 6, 10_000)
-    obstacles: tuple[float, ...] = param(
-        (),
-        "boxes that the arm keeps away from, six numbers each: smallest x, y, z, largest x, y, z,"
-        " in `base_link`, m",
-    )
-    obstacle_clearance_m: float = param(0.03, "how far it keeps away from them", 0.0, 1.0)
 
     def check_sweep(self) -> None:
         """Refuse a sweep outside the joint limits, poses of no kind, and boxes that are none."""
@@ -93,7 +85,7 @@ class SweepParameters(PoseParameters):
                 f"parameter 'chosen_for' is {self.chosen_for!r}, but must be"
                 f" {' or '.join(map(repr, GOALS))}"
             )
-        boxes_from_numbers(self.obstacles)
+        self.check_obstacles()
 
     @property
     def home(self) -> tuple[float, float, float, float, float]:
@@ -147,11 +139,6 @@ class SweepParameters(PoseParameters):
             lower=(min(self.rstart, self.rend), min(self.tstart, self.tend)),
             upper=(max(self.rstart, self.rend), max(self.tstart, self.tend)),
         )
-
-    @property
-    def surroundings(self) -> Surroundings:
-        """The obstacles."""
-        return Surroundings(boxes_from_numbers(self.obstacles), self.obstacle_clearance_m)
 
     @property
     def wanted(self) -> WantedPrecision:

@@ -32,15 +32,20 @@ class Surroundings:
 
 @dataclass(frozen=True)
 class SweepRange:
-    """Where a sweep may go: home (5,), and lowest and highest (roll, tilt), rad."""
+    """Where a sweep may go: home (5,), and lowest and highest (roll, tilt), rad.
+
+    steps: candidates along roll and tilt; `name`: what home is called where it can't be taken.
+    """
 
     home: Array
     lower: tuple[float, float]
     upper: tuple[float, float]
+    steps: tuple[int, int] = (CANDIDATE_ROLLS, CANDIDATE_TILTS)
+    name: str = "home"
 
     def candidates(self) -> Array:
         """Poses (k, 2), rad, evenly over the range."""
-        grid = angle_grid(self.lower, self.upper, CANDIDATE_ROLLS, CANDIDATE_TILTS)
+        grid = angle_grid(self.lower, self.upper, *self.steps)
         return np.unique(grid, axis=0)  # a range of no width gives the same ones again
 
 
@@ -111,7 +116,7 @@ def make_router(where: SweepRange, surroundings: Surroundings, tip_m: Array) -> 
     if not surroundings.boxes:
         return None
     clearance = ArmClearance(surroundings.boxes, surroundings.clearance_m, tip_m)
-    return Router(clearance, where.home, where.candidates())
+    return Router(clearance, where.home, where.candidates(), where.name)
 
 
 def left_out(faults: Sequence[str]) -> dict[str, int]:

@@ -1,5 +1,8 @@
 """The check's course against a small arm: where it goes, what it answers, how it ends."""
 
+import re
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from calibration_fake_arm import NO_TOOL, POINTER, FakeArm
@@ -9,7 +12,11 @@ from galen_calibration_behavior.check_commands import ErrorCode, Feedback, Finis
 from galen_calibration_behavior.check_parameters import CheckParameters
 from galen_calibration_behavior.check_procedure import CheckProcedure, CheckRequest
 from galen_calibration_behavior.commands import MoveTo, Stop
+from galen_calibration_behavior.sweep_plan import Surroundings
+from galen_model.arm import LIMITS
+from galen_model.arm_clearance import ArmClearance, boxes_from_numbers
 
+BOX = (0.721, -0.003, 0.304, 0.768, 0.111, 0.352)
 START = np.array([0.02, -0.01, 0.41, 0.3, -0.2])
 SLOW = CheckParameters().settings()
 FAST = CheckParameters(
@@ -20,15 +27,16 @@ FAST = CheckParameters(
 class Course:
     """An arm that was zeroed at home without the tool, and a check of it."""
 
-    def __init__(self, settings=FAST, poses=5, tool=POINTER):
+    def __init__(self, settings=FAST, poses=5, tool=POINTER, start=START, file=POINTER_FILE):
         self.arm = FakeArm(1)
         self.arm.tool = NO_TOOL
         self.arm.zero()
         self.arm.tool = tool
-        self.arm._from = self.arm._to = self.arm.joints = START.copy()
-        self.procedure = CheckProcedure(settings, CheckRequest(POINTER_FILE, poses, {}, None))
+        self.arm._from = self.arm._to = self.arm.joints = np.array(start)
+        self.procedure = CheckProcedure(settings, CheckRequest(file, poses, {}, None))
         self.commands = []
         self.seconds = 0.0
+        self.watch = lambda arm: None
         self.procedure.start()
 
     def of(self, kind):
@@ -45,6 +53,7 @@ class Course:
             if self.of(Finished) or until(self):
                 return self.of(Finished)[0] if self.of(Finished) else None
             stamp, position, velocity, wrench = self.arm.step()
+            self.watch(self.arm)
             self.procedure.on_joints(stamp, position, velocity)
             self.procedure.on_wrench(stamp, wrench)
             self.seconds += 0.01
@@ -92,6 +101,50 @@ def test_an_arm_that_creeps_gives_no_answer_and_stays():
     assert end.check is None
     assert "tilt moved by" in end.error_msg
     assert course.of(Stop)
+
+
+@pytest.mark.slow
+def test_it_goes_around_a_box():
+    settings = replace(FAST, surroundings=Surroundings(boxes_from_numbers(BOX), 0.02))
+    straight, around = Course(), Course(settings)
+    clearance = ArmClearance(boxes_from_numbers(BOX), 0.02, POINTER_FILE.tip_m)
+    nearest = {}
+    for course in (straight, around):
+        nearest[course] = np.inf
+
+        def watch(arm, course=course):
+            if arm.moving and round(arm.stamp_ns / 1e7) % 3 == 0:
+                nearest[course] = min(nearest[course], clearance.nearest(arm.joints).distance_m)
+
+        course.watch = watch
+        assert course.run().check.answer is Answer.GOOD
+    assert nearest[straight] < 0.01
+    assert 0.02 <= nearest[around] < 0.05
+    assert len(around.of(MoveTo)) > len(straight.of(MoveTo)) == 6
+    assert around.arm.joints == pytest.approx(START, abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("tip", "box", "words"),
+    [
+        (POINTER_FILE.tip_m, (0.6, -0.1, 0.2, 0.9, 0.5, 0.5), "present pose can't .* in box 1"),
+        (np.zeros(3), BOX, r"its tip at \(0, 0, 0\)"),
+    ],
+)
+def test_an_arm_that_may_hit_something_does_not_move(tip, box, words):
+    settings = replace(FAST, surroundings=Surroundings(boxes_from_numbers(box), 0.02))
+    course = Course(settings, file=replace(POINTER_FILE, tip_m=tip))
+    end = course.run()
+    assert end.error_code == ErrorCode.BAD_INPUT
+    assert re.search(words, end.error_msg)
+    assert course.of(MoveTo) == []
+
+
+def test_an_arm_that_reads_a_little_beyond_a_limit_is_sent_inside():
+    start = [*START[:3], LIMITS.upper[3] + 1e-4, -0.2]
+    course = Course(start=start)
+    course.run(lambda c: c.of(MoveTo))
+    assert course.procedure._before[3] == LIMITS.upper[3]
 
 
 def test_a_cancel_stops_the_arm():

@@ -5,10 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from galen_calibration_behavior.check_answer import Answer, Cause, CheckLimits
-from galen_calibration_behavior.check_poses import choose_check_poses
+from galen_calibration_behavior.check_poses import plan_check
 from galen_calibration_behavior.pose_order import SweepTimes
 from galen_calibration_behavior.quick_check import differences, quick_check
 from galen_calibration_behavior.stillness import PoseRecord
+from galen_calibration_behavior.sweep_plan import Surroundings
 from galen_model.cable_drag import CableDrag
 from galen_model.kinematics import gravity_in_sensor
 from galen_model.load import Load, gravity_wrench, nominal_reading
@@ -20,8 +21,15 @@ POINTER, RETRACTOR = TOOLS["pointer"].load, TOOLS["retractor"].load
 SIGMA = np.array([1.3e-3, 1.3e-3, 1.9e-3, 2.6e-5, 2.6e-5, 2.6e-5])  # of a mean of 250 samples
 LOAD_STD = np.array([3e-5, 3e-5, 3e-5, 3e-5])  # kg and m, as a sweep of 56 poses leaves it
 TIMES = SweepTimes(np.zeros(2), [0.8, 0.8], [3.0, 3.0], 0.9)
-POSES = choose_check_poses(np.zeros(2), 0.5, 6, TIMES)
 LIMITS = CheckLimits()
+
+
+def choose(here, reach_rad=0.5):
+    joints = np.array([0.0, 0.0, 0.408, *here])
+    return plan_check(joints, reach_rad, 6, TIMES, Surroundings(), np.zeros(3)).poses
+
+
+POSES = choose((0.0, 0.0))
 
 
 def file_of(load, name="pointer", std=LOAD_STD, **changes):
@@ -219,7 +227,7 @@ def test_a_file_of_one_sweep_is_judged_by_what_it_knows_of_tool_and_adapter_toge
 
 @pytest.mark.parametrize("here", [(0.0, 0.0), (1.5, 0.9), (-0.8, 0.4)])
 def test_poses_are_near_and_tell_the_most_of_those_near(here):
-    poses = choose_check_poses(np.array(here), 0.5, 6, TIMES)
+    poses = choose(here)
     low, high = (np.array(limit) for limit in ANGLE_LIMITS)
     assert np.all((poses >= low) & (poses <= high))
     assert np.all(np.abs(poses - here) <= 1.0 + 1e-9)
@@ -233,4 +241,4 @@ def test_poses_are_near_and_tell_the_most_of_those_near(here):
 
 def test_a_reach_that_tells_nothing_is_refused():
     with pytest.raises(PoseDesignError):
-        choose_check_poses(np.zeros(2), 1e-7, 6, TIMES)
+        choose((0.0, 0.0), 1e-7)

@@ -22,12 +22,14 @@ _NEAREST = 12
 class Router:
     """Free ways between poses; `lattice` (k, 2) are rolls and tilts, rad, `home` (5,) joints."""
 
-    def __init__(self, clearance: ArmClearance, home: Array, lattice: Array) -> None:
-        """Raise ObstacleError where the arm can't stand at home."""
+    def __init__(
+        self, clearance: ArmClearance, home: Array, lattice: Array, name: str = "home"
+    ) -> None:
+        """Raise ObstacleError where the arm can't stand at home, which it calls by `name`."""
         self._clearance = clearance
         self._home = np.asarray(home, dtype=float)
         if fault := clearance.pose_fault(self._home):
-            raise ObstacleError(f"home can't be taken: {fault}")
+            raise ObstacleError(f"{name} can't be taken: {fault}")
         nodes = np.vstack([self._home[3:], lattice])
         self._nodes = np.column_stack([np.tile(self._home[:3], (len(nodes), 1)), nodes])
         self._faults = [clearance.pose_fault(node) for node in self._nodes]
