@@ -68,8 +68,8 @@ def estimate_inertia(tool: ToolFile, recording: ArmRecording) -> InertiaResult:
         )
     if abs(fit.lag_s) > max(_LAG_SIGMAS * fit.lag_std_s, _LAG_S):
         warnings.append(
-            f"forces of motion come {1e3 * fit.lag_s:.2f} +- {1e3 * fit.lag_std_s:.2f} ms after"
-            f" the joints' motion: run gravcomp_node with motion_lag_s:={fit.lag_s:.4f}"
+            f"the wrench comes {1e3 * fit.lag_s:.2f} +- {1e3 * fit.lag_std_s:.2f} ms after the"
+            f" joints: run gravcomp_node with motion_lag_s:={fit.lag_s:.4f}"
         )
     if fit.touched:
         warnings.append(

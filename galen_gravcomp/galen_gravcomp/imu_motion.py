@@ -13,11 +13,10 @@ m e also at rest. `galen_gravcomp.imu_fit` finds R, scale and b from still poses
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from galen_model.arm import GRAVITY_M_S2
 from galen_model.arrays import Array
 from galen_model.inertial import LoadInMotion
 from galen_model.kinematics import gravity_in_sensor
@@ -65,8 +64,7 @@ class ImuMotion:
         self._usual_ns = round((self.settings.delay_s - self.settings.lag_s) * 1e9)
         self._max_age_ns = round(max_age_s * 1e9)
         self._load: LoadInMotion | None = None
-        self._gravity_scale = 1.0
-        self._gravity = gravity_in_sensor
+        self._gravity: Callable[[float, float], Array] = gravity_in_sensor
         self._source = inertia_source(None)
         self._first_wrench_ns: int | None = None
         self._received = 0
@@ -96,11 +94,8 @@ class ImuMotion:
     def set_tool(self, tool: ToolFile | None) -> None:
         """Take another tool's loads; the samples stay."""
         self._load = None if tool is None else load_in_motion(tool)
-        self._gravity_scale = 1.0 if tool is None else tool.gravity_m_s2[2] / GRAVITY_M_S2[2]
         self._source = inertia_source(tool)
-        self._gravity = gravity_in_sensor
-        if tool is not None and tool.mounting is not None:
-            self._gravity = tool.mounting.gravity_in_sensor
+        self._gravity = gravity_in_sensor if tool is None else tool.gravity_in_sensor
 
     def clear(self) -> None:
         """Forget every sample."""
@@ -130,7 +125,7 @@ class ImuMotion:
         mount, turn = self.mount, self._rotation
         w, al = turn @ found.value[:3], turn @ found.first[:3]
         felt = turn @ ((found.value[3:] - mount.bias_m_s2) / mount.scale)
-        gravity = self._gravity(roll_rad, tilt_rad) * self._gravity_scale
+        gravity = self._gravity(roll_rad, tilt_rad)
         # -a of the sensor's origin
         arm = np.cross(al, mount.lever_m) + np.cross(w, np.cross(w, mount.lever_m))
         specific = arm - felt - gravity

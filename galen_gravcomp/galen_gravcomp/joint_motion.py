@@ -6,16 +6,20 @@ with the sensor's motion from the joints' derivatives at the wrench's stamp (`se
 `inertial`), these from a local polynomial. Tool and adapter move as one, so that the sum of their
 loads counts. Without an estimated inertia in the tool's file it is that of two points at their
 centres, which lacks their own inertia about these centres.
+
+A wrench whose stamp is late by a lag is that of earlier joints, its weight too: with s = g - a at
+stamp - lag and g at the stamp, whose weight the compensator takes off, -a above becomes s - g.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from galen_model.arrays import Array
 from galen_model.inertial import LoadInMotion, point_mass_inertia
+from galen_model.kinematics import gravity_in_sensor
 from galen_model.sensor_motion import MotionOfSensor
 from galen_model.tool_file import ToolFile
 
@@ -52,6 +56,7 @@ class JointMotion:
         self._load: LoadInMotion | None = None
         self._source = inertia_source(None)
         self._zero = (0.0, 0.0)
+        self._gravity: Callable[[float, float], Array] = gravity_in_sensor
 
     @property
     def known_until_ns(self) -> int | None:
@@ -69,6 +74,7 @@ class JointMotion:
         mounting = None if tool is None else tool.mounting
         zero = (0.0, 0.0) if mounting is None else mounting.joint_zero_rad
         self._zero = (float(zero[0]), float(zero[1]))
+        self._gravity = gravity_in_sensor if tool is None else tool.gravity_in_sensor
 
     def clear(self) -> None:
         """Forget every sample."""
@@ -92,13 +98,19 @@ class JointMotion:
         found = self._window.at(stamp_ns)
         if isinstance(found, NoMotion):
             return found
+        then, change = (roll_rad, tilt_rad), (0.0, 0.0, 0.0)
+        if self.settings.lag_s:
+            then = (float(found.value[3]), float(found.value[4]))
+            x, y, z = (self._gravity(*then) - self._gravity(roll_rad, tilt_rad)).tolist()
+            change = (x, y, z)
         w, al, (ax, ay, az) = self._sensor.at(
-            roll_rad + self._zero[0],
-            tilt_rad + self._zero[1],
+            then[0] + self._zero[0],
+            then[1] + self._zero[1],
             tuple(found.first.tolist()),
             tuple(found.second.tolist()),
         )
-        return np.array(self._load.wrench((-ax, -ay, -az), w, al))
+        specific = (change[0] - ax, change[1] - ay, change[2] - az)
+        return np.array(self._load.wrench(specific, w, al))
 
     def values(self) -> dict[str, object]:
         """For /diagnostics."""

@@ -63,7 +63,10 @@ class MotionStage(Protocol):
         """Take an IMU's angular velocity and specific force, (3,) each in its axes."""
 
     def reading(self, stamp_ns: int, roll_rad: float, tilt_rad: float) -> Array | NoMotion:
-        """Forces of motion (6,) at a stamp, N and N.m in ft_sensor, beside the weight."""
+        """Forces of motion (6,) at a stamp, N and N.m in ft_sensor, beside the weight.
+
+        With a lag also what the weight was before, less what it is at the stamp.
+        """
 
     def values(self) -> dict[str, object]:
         """What there is to say of it on /diagnostics; units are in the names."""

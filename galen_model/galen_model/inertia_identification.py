@@ -3,7 +3,7 @@
 With s = g - a, Y the regressor of `galen_model.inertial`, x = (m, h, I) of tool and adapter
 together and r the readings,
 
-    r = Y(s, w, al) x + b - lag d/dt [Y(-a, w, al) x] + noise,
+    r = Y(s, w, al) x + b - lag d/dt [Y(s, w, al) x] + noise,
 
 linear in x and the offset b (the sensor's zero takes up the adapter's weight there), and, at the x
 found before, in the lag of the wrench's stamps. The tool's file knows (m, h) far better than motion
@@ -178,20 +178,18 @@ def _fit(record: MotionRecord, block: np.ndarray, prior: Array, known: Array) ->
         record.velocity_rad_s,
         record.acceleration_rad_s2,
     )
-    moving = weight.copy()
-    moving[..., :4] -= gravity_regressor(record.gravity)
     design = np.zeros((len(record), 6, _PARAMETERS))
     design[..., :10] = weight
     design[..., _OFFSET] = np.eye(6)
     inside = np.zeros((_PARAMETERS, _PARAMETERS))
     inside[_LOAD, _LOAD] = prior
-    # Without a lag at first; what moves is then known well enough to be shifted in time.
+    # Without a lag at first; the wrench is then known well enough to be shifted in time.
     free = np.arange(_PARAMETERS) != _LAG
     values, sigma = known.copy(), np.ones(6)
     sigma[3:] = 0.02
     for step in range(_ITERATIONS + 1):
         if step:
-            shape = np.gradient(moving @ values[:10], record.time_s, axis=0)
+            shape = np.gradient(weight @ values[:10], record.time_s, axis=0)
             # Blocks that were left out leave gaps in time, over which there is no derivative.
             design[..., _LAG] = np.where(_joined(record.time_s)[:, None], -shape, 0.0)
             free[_LAG] = bool(np.any(design[..., _LAG]))
