@@ -70,9 +70,9 @@ def get(content: Mapping[str, Any], name: str) -> Any:
 
 
 def text(value: Any, name: str) -> str:
-    """A text that isn't empty."""
-    if not isinstance(value, str) or not value:
-        raise FieldError(f"{name} is {value!r}; expected a text")
+    """A text that isn't empty, and can be written as UTF-8, as half of a surrogate pair can't."""
+    if not isinstance(value, str) or not value or any("\ud800" <= c <= "\udfff" for c in value):
+        raise FieldError(f"{name} is {value!r:.80}; expected a text")
     return value
 
 

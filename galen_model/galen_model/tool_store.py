@@ -10,7 +10,6 @@ So at every moment, also after a crash, each calibration is there under at least
     <tool>.json.removed    a tool that was removed; .removed.2 and so on where that is taken
 """
 
-import errno
 import hashlib
 import json
 import os
@@ -18,7 +17,7 @@ import re
 import stat
 from collections.abc import Iterator
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 from pathlib import Path
 
@@ -30,7 +29,7 @@ from galen_model.tool_file import (
     parse_tool,
     tool_path,
 )
-from galen_model.whole_file import rename_to_free, sync_directory, write_new
+from galen_model.whole_file import rename_to_free, sync_directory, unlink_if, write_new
 
 _SUFFIX = ".json"
 _BACKUP = ".bak"
@@ -62,6 +61,11 @@ class StoredTool:
     tool: ToolFile
     sha256: str
     content: str
+
+    @property
+    def as_loaded(self) -> bool:
+        """Whether its file is there, with the same content."""
+        return self.file_state() is FileState.AS_LOADED
 
     def file_state(self) -> FileState:
         """What became of the file since; a file with the same content is as loaded."""
@@ -138,9 +142,8 @@ class ToolStore:
                     _set_aside(new_path, (new_backup,))  # left by a tool that is gone
                 write_new(new_backup, _named_backup(backup, new_name))
                 made.append(new_backup)
-            if old.file_state() is not FileState.AS_LOADED:  # a calibration was written meanwhile
-                raise OSError(errno.EBUSY, "it is being written; ask again")
-            old.path.unlink()
+            # A calibration may have been written meanwhile.
+            unlink_if(old.path, lambda path: replace(old, path=path).as_loaded)
         except OSError as error:
             for path in made:
                 path.unlink(missing_ok=True)
@@ -210,7 +213,11 @@ class ToolStore:
 
     def _files(self) -> list[str]:
         try:
-            return [path.name for path in self.directory.iterdir()]
+            # A name that is no UTF-8 is told with \\xff for a byte, which no tool's name holds.
+            return [
+                os.fsencode(path.name).decode("utf-8", "backslashreplace")
+                for path in self.directory.iterdir()
+            ]
         except FileNotFoundError:
             return []
         except OSError as error:
@@ -295,8 +302,9 @@ def _read(path: Path) -> bytes:
 
 
 def _text(raw: bytes) -> str:
-    """As JSON finds its encoding."""
-    return raw.decode(json.detect_encoding(raw), "surrogatepass")
+    """As JSON finds its encoding; half of a surrogate pair, which no message takes, becomes '?'."""
+    text = raw.decode(json.detect_encoding(raw), "surrogatepass")
+    return text.encode("utf-8", "replace").decode()
 
 
 def _digest(raw: bytes) -> str:

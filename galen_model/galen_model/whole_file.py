@@ -8,6 +8,7 @@ renamed over the old name, as POSIX does in one step; before that the old file g
 import errno
 import os
 import tempfile
+from collections.abc import Callable
 from pathlib import Path
 
 _NO_HARD_LINKS = (errno.EPERM, errno.ENOTSUP, errno.EOPNOTSUPP, errno.EMLINK)
@@ -58,9 +59,30 @@ def rename_to_free(path: Path, free: Path) -> None:
         path.rename(free)
         return
     try:
-        path.unlink()
+        # What another process put there meanwhile under the old name must not be lost.
+        unlink_if(path, lambda there: os.path.samestat(there.lstat(), free.lstat()))
     except OSError:
         free.unlink(missing_ok=True)
+        raise
+
+
+def unlink_if(path: Path, is_it: Callable[[Path], bool]) -> None:
+    """Remove a file if it still is what it was, which is asked when no other can be put there.
+
+    It is renamed first, in one step; one that is something else gets its name back, unless there is
+    yet another by then, and the OSError says so (EBUSY).
+    """
+    aside = path.with_name(f".{path.name}.aside.{os.getpid()}")
+    path.rename(aside)
+    try:
+        if not is_it(aside):
+            raise OSError(errno.EBUSY, "it is being written; ask again")
+        aside.unlink()
+    except BaseException:
+        if os.path.lexists(path):  # newer still
+            aside.unlink()
+        else:
+            aside.rename(path)
         raise
 
 

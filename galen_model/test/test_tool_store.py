@@ -201,6 +201,41 @@ def test_a_calibration_written_during_a_rename_is_not_lost(
     assert masses(store) == BEFORE | {"pointer.json": 0.07, "pointer.json.bak": 0.06}
 
 
+@pytest.mark.parametrize("change", ["rename", "remove"])
+def test_a_calibration_written_at_the_last_moment_is_not_lost(
+    store: ToolStore, monkeypatch: pytest.MonkeyPatch, change: str
+) -> None:
+    """Between the last look at the old file and its removal."""
+    real = Path.rename
+
+    def calibrate_before(path, target):
+        if path.name == "retractor.json" and ".aside." in Path(target).name:
+            monkeypatch.undo()
+            write_tool(store.directory / "retractor.json", a_tool("retractor", 0.3))
+        return real(path, target)
+
+    monkeypatch.setattr(Path, "rename", calibrate_before)
+    with pytest.raises(ToolStoreError, match="is being written; ask again"):
+        store.rename("retractor", "hook") if change == "rename" else store.remove("retractor")
+    assert store.read("retractor").tool.load.mass_kg == 0.3
+    assert not list(store.directory.glob(".*"))
+
+
+def test_odd_names_and_texts_can_be_told_in_messages(store: ToolStore) -> None:
+    """A byte or half a surrogate pair that is no UTF-8 would end a node that sends it."""
+    (store.directory / os.fsdecode(b"\xff.json")).touch()
+    assert "\\xff" in store.names()
+    content = json.loads((store.directory / "pointer.json").read_text())
+    for name, odd in (("note", {"note": "\ud800"}), ("frame", {"sensor_frame": "\ud800"})):
+        text = json.dumps(content | {"tool": name} | odd, ensure_ascii=False)
+        (store.directory / f"{name}.json").write_bytes(text.encode("utf-8", "surrogatepass"))
+    with pytest.raises(ToolFileError, match="sensor_frame"):
+        store.read("frame")
+    assert store.read("note").content.encode()
+    for entry in store.entries():
+        assert (entry.name + entry.problem).encode()
+
+
 def test_removed_tools_come_back_with_their_backup(store: ToolStore) -> None:
     kept = store.remove("pointer")
     assert kept.name == "pointer.json.removed"
