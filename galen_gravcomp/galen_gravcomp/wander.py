@@ -153,12 +153,13 @@ class Wander:
 
     def offset_at(self, stamp_ns: int) -> Array:
         """Offset (6,) in force at a stamp; the caller must not write into it."""
+        # Also while nothing is pushed (a cable whose pull is not known): a ramp begins now.
+        self._see_stamp(stamp_ns)
         return self._ramp.offset_at(stamp_ns)
 
     def push(self, stamp_ns: int, roll_rad: float, tilt_rad: float, untared: Array) -> None:
         """Take an untared wrench (6,), which must not be written into later."""
-        if self._newest_ns is None or stamp_ns > self._newest_ns:
-            self._newest_ns = stamp_ns
+        self._see_stamp(stamp_ns)
         if not self._enabled:
             return
         window = self._windows.push(stamp_ns, roll_rad, tilt_rad, untared)
@@ -198,6 +199,10 @@ class Wander:
         self._newest_ns = None
 
     # Inside
+
+    def _see_stamp(self, stamp_ns: int) -> None:
+        if self._newest_ns is None or stamp_ns > self._newest_ns:
+            self._newest_ns = stamp_ns
 
     def _begin_state(self) -> None:
         self._state = WanderState.HELD
