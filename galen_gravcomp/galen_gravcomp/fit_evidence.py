@@ -27,6 +27,7 @@ covariance and its RMSE.
 
 from __future__ import annotations
 
+from collections.abc import Generator
 from dataclasses import dataclass
 from enum import Enum
 
@@ -197,8 +198,18 @@ class FitEvidence:
         unknown = EXPLANATIONS[k] is Explanation.UNKNOWN
         return variance + _WRONG_STOP**2 if unknown else variance
 
-    def judge(self, stops: Stops) -> Judgement:
-        """The likeliest explanation of all the stops together."""
+    def log_density_of(self, explanation: Explanation, stops: Stops) -> float:
+        """Log density of all means together under an explanation, none of them touched."""
+        k, size = EXPLANATIONS.index(explanation), 6 * len(stops)
+        rows = self.design(stops).reshape(size, _COUNT)
+        covariance = rows @ np.linalg.inv(self._precision[k]) @ rows.T
+        covariance[range(size), range(size)] += self._noise(k, self.variance(stops)).ravel()
+        means = stops.mean.ravel()
+        square = means @ np.linalg.solve(covariance, means)
+        return float(-0.5 * (square + np.linalg.slogdet(covariance)[1] + size * _LOG_2PI))
+
+    def judge(self, stops: Stops) -> Generator[None, None, Judgement]:
+        """The likeliest explanation of all the stops together; yields between pieces of work."""
         design, variance = self.design(stops), self.variance(stops)
         kinds, count = len(EXPLANATIONS), len(stops)
         own = np.array([self._noise(k, variance) for k in range(kinds)])
@@ -231,11 +242,11 @@ class FitEvidence:
             if np.all(most <= 0.0):
                 break
             free &= (gain <= 0.5 * most) | (most <= 0.0)
+            yield
         evidence = best + np.log(_PRIOR)
         k = int(np.argmax(evidence))
-        return self._judgement(
-            k, float(evidence[k] - evidence[0]), best_free[k], design, own, stops
-        )
+        log_odds = float(evidence[k] - evidence[0])
+        return self._judgement(k, log_odds, best_free[k], design, own, stops)
 
     def _judgement(
         self,

@@ -47,8 +47,8 @@ class FitState:
     log_odds: float = 0.0
 
 
-def misfit(judgement: Judgement, tool: ToolFile, limits: Limits) -> FitState:
-    """What a judgement says."""
+def misfit(judgement: Judgement, tool: ToolFile, limits: Limits, pulled: bool) -> FitState:
+    """What a judgement says; pulled: a cable's pull may look like that, too."""
     what = judgement.explanation
     size = _worst(judgement.beyond, limits)
     if what is Explanation.LOAD:
@@ -72,9 +72,11 @@ def misfit(judgement: Judgement, tool: ToolFile, limits: Limits) -> FitState:
             "it changes from pose to pose as no load, drift or loose tool does: a cable, wrong"
             " angles, or something touches the tool; look, then recalibrate"
         )
+    if pulled and what is not Explanation.UNKNOWN:
+        why += "; or a cable that pulls, which looks the same at these poses"
     stops = int(np.count_nonzero(~judgement.touched))
     plural = "" if stops == 1 else "s"
-    sentence = f"'{tool.tool}' does not fit, {size} too much at {stops} stop{plural}: {why}"
+    sentence = f"its file does not fit, {size} too much at {stops} stop{plural}: {why}"
     return FitState(FitNotice.DOES_NOT_FIT, reason, sentence, stops, judgement.log_odds)
 
 

@@ -46,18 +46,21 @@ class Monitor(StreamMonitor):
             return State(Severity.OK, "tare_ramp", f"compensating '{tool}', applying a tare")
         fit, wander = compensator.fit, compensator.wander
         if fit is not None and fit.trouble:
-            return State(Severity.WARN, "does_not_fit", f"compensating, but {fit.trouble}")
+            return self._warning("does_not_fit", f"'{tool}', but {fit.trouble}")
         if wander is not None and wander.trouble:
-            return State(Severity.WARN, "wander_limit", f"compensating, but {wander.trouble}")
+            return self._warning("wander_limit", f"'{tool}', but {wander.trouble}")
         if compensator.cable is not None and compensator.cable.where == "outside":
-            return State(
-                Severity.WARN,
-                "cable_outside",
-                f"compensating '{tool}' without its cable's pull: no such pose was seen with it",
+            return self._warning(
+                "cable_outside", f"'{tool}' without its cable's pull: no such pose was seen with it"
             )
         if self._file_note:
             return State(Severity.WARN, "file_changed", f"compensating '{tool}': {self._file_note}")
         return State(Severity.OK, "compensating", f"compensating '{tool}'")
+
+    def _warning(self, name: str, text: str) -> State:
+        """A warning, and what became of the file beside it, which may be the reason."""
+        note = f"; {self._file_note}" if self._file_note else ""
+        return State(Severity.WARN, name, f"compensating {text}{note}")
 
     def values(self, now_s: float) -> dict[str, object]:
         """Everything measured, for /diagnostics; units are in the names."""

@@ -11,8 +11,11 @@ from galen_gravcomp.stages import Stages
 from galen_gravcomp.stream_monitor import Severity
 from galen_model.kinematics import gravity_in_sensor
 from galen_model.load import Load
+from scipy.linalg import helmert
 from scipy.stats import multivariate_normal
 from untouched_arm import NO_TOOL, POINTER, RETRACTOR, START_NS, UntouchedArm, push, tool_file
+
+from galen_gravcomp import fit_pull
 
 
 class Watched:
@@ -39,6 +42,15 @@ class Watched:
         return [state for state in self.states if state[1] is FitNotice.DOES_NOT_FIT]
 
 
+def judged(evidence, stops):
+    work = evidence.judge(stops)
+    while True:
+        try:
+            next(work)
+        except StopIteration as end:
+            return end.value
+
+
 FITS = (FitNotice.FITS, None)
 
 
@@ -57,7 +69,7 @@ FITS = (FitNotice.FITS, None)
     ids=["wrong tool", "no tool", "15 g", "offset", "loose"],
 )
 def test_the_reason_is_found_within_a_few_stops_and_goes_by_itself(reason, spoil):
-    watched = Watched(seed=1)
+    watched = Watched(seed=1, rate_hz=40.0)
     arm = watched.arm
     arm.visit(6)
     assert watched.now == FITS
@@ -90,6 +102,24 @@ def test_a_lone_pose_tells_a_load_from_what_leans_on_the_tool():
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize(("seed", "tremor"), [(1, 0.0), (1, 0.02), (2, 0.0)])
+def test_a_hand_that_never_lets_go_is_no_alarm(seed, tremor):
+    """Another push at every stop looks like a pull that changes from pose to pose."""
+    watched = Watched(seed=seed, rate_hz=40.0)
+    arm, rng = watched.arm, np.random.default_rng(seed)
+
+    def some_push():
+        force = rng.normal(size=3)
+        size_n = np.exp(rng.uniform(np.log(0.1), np.log(3.0)))
+        return push(size_n * force / np.linalg.norm(force))
+
+    for _ in range(40):
+        arm.move(rng.uniform([-1.3, -0.9], [1.3, 0.9]), 1.0, some_push())
+        arm.hold(rng.uniform(1.0, 4.0), some_push(), tremor)
+    assert not watched.warnings
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("tremor", [0.0, 0.03])
 def test_a_surgeon_s_pushes_are_no_alarm(tremor):
     watched = Watched(seed=3)
@@ -109,8 +139,9 @@ def test_a_tare_moves_what_is_remembered():
     arm.visit(6)
     assert watched.now == (FitNotice.DOES_NOT_FIT, Misfit.DRIFT)
     watched.watch.offset_changed(arm.offset)
-    assert watched.now == FITS
     arm.offset = np.zeros(6)
+    arm.hold(0.4)  # no window's length: it is what was seen before, moved
+    assert watched.now == FITS
     arm.visit(3)
     assert watched.now == FITS
 
@@ -135,8 +166,59 @@ def test_the_node_s_state_warns_of_it_and_a_bad_file_is_worse():
     assert (state.severity, state.name) == (Severity.WARN, "does_not_fit")
     assert "-200" in state.message and "not on" in state.message
     assert monitor.values(0.1)["fit_reason"] == "no_tool_on"
+    compensator.rename_tool("hook")
+    monitor.set_file_note("its file has changed")
+    state = monitor.state(0.1)
+    assert state.name == "does_not_fit"
+    assert "'hook'" in state.message and "retractor" not in state.message
+    assert "not on" in state.message and "its file has changed" in state.message
     monitor.set_tool_error("torn")
     assert monitor.state(0.1).name == "bad_tool_file"
+
+
+@pytest.mark.parametrize("centred", [False, True])
+def test_a_pull_s_density_is_the_normal_density(centred):
+    """Against scipy's, an axis and a size at a time."""
+    rng = np.random.default_rng(3)
+    angles = rng.uniform(-0.8, 0.8, (5, 2))
+    mean = 0.1 * rng.normal(size=(5, 6))
+    stops = Stops(mean, np.full((5, 6), 1e-3), angles, START_NS + np.arange(5))
+    variance = np.full((5, 6), 0.01**2)
+    kernel = fit_pull._by_pose(stops)[0]
+    rows = helmert(5) if centred else np.eye(5)
+    expected = 0.0
+    for axis in range(6):
+        densities = []
+        for size in fit_pull._SIZES[axis]:
+            covariance = rows @ (size**2 * kernel + 0.01**2 * np.eye(5)) @ rows.T
+            y = rows @ mean[:, axis]
+            densities.append(multivariate_normal(np.zeros(len(y)), covariance).pdf(y))
+        expected += np.log(np.mean(densities))
+    found = fit_pull._log_density(stops, variance, kernel, centred=centred)
+    assert np.isclose(found, expected, rtol=1e-9)
+
+
+def test_a_pull_is_told_from_hands_by_poses_near_each_other():
+    rng = np.random.default_rng(0)
+    angles = rng.uniform([-1.3, -0.9], [1.3, 0.9], (14, 2))
+    waves = np.array([[1.5, 0.7], [-0.8, 1.9], [1.0, -1.2]])
+    pull = 0.12 * np.sin(np.repeat(angles @ waves.T, 2, axis=1) + np.arange(6))
+    pull *= np.repeat([1.0, 0.04], 3)
+    variance = np.full((14, 6), 0.01**2) * np.repeat([1.0, 0.04**2], 3)
+
+    def odds(mean, order):
+        stops = Stops(mean[order], variance**0.5, angles[order], START_NS + np.arange(14))
+        return fit_pull.log_odds_of_pull(stops, variance)
+
+    assert odds(pull, np.arange(14)) > 9.2
+    hands = [odds(rng.permutation(pull), np.arange(14)) for _ in range(20)]
+    assert max(hands) < 0.0
+    # A hand that changes slowly, while the arm goes from place to place nearby: can't be told.
+    along = np.argsort(angles[:, 0])
+    slow = 0.3 * np.cumsum(rng.normal(size=(14, 6)), axis=0) * np.repeat([1.0, 0.04], 3)
+    mean = np.empty_like(slow)
+    mean[along] = slow
+    assert odds(mean, along) < 4.6
 
 
 def test_evidence_is_the_density_of_the_stops():
@@ -149,7 +231,7 @@ def test_evidence_is_the_density_of_the_stops():
     mean = 0.02 * np.concatenate([gravity, np.cross([0.07, 0.0, 0.05], gravity)], axis=1)
     end_ns = START_NS + np.arange(3) * 3_000_000_000
     stops = Stops(mean, np.full((3, 6), 1e-3), angles, end_ns)
-    judgement = evidence.judge(stops)
+    judgement = judged(evidence, stops)
     assert judgement.explanation is Explanation.LOAD
     assert not judgement.touched.any()
     assert np.isclose(judgement.load[0], 0.02, atol=3.0 * judgement.load_std[0])

@@ -1,0 +1,71 @@
+"""Whether what a file leaves at some stops is a pull that belongs to the pose, or a hand's.
+
+A cable's pull, and a wrong angle, change with the pose, and little from one pose to another near
+it. A hand is whatever it is at each stop, or what it was at the stop before. With y_i (n,) an
+axis' means at n stops and u gravity's unit vector there, each is a normal density of y_i with
+
+    covariance s^2 R + v_i 1,    R_kl = exp(-|u_k - u_l|^2 / (2 l^2))     a pull
+                                 R = 1, or exp(-|k - l| / 2)              hands
+
+and the size s integrated out over a coarse scale of sizes (Rasmussen and Williams, *Gaussian
+Processes for Machine Learning*, 2006, section 5.4). What all stops have in common tells nothing of
+that, and is taken off first. So nothing is said while poses are as near to each other as they are
+in time, which is then the same.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from galen_model.arm import GRAVITY_M_S2
+from galen_model.arrays import Array
+from galen_model.kinematics import gravity_in_sensor
+from scipy.linalg import helmert
+from scipy.special import logsumexp
+
+from galen_gravcomp.fit_evidence import Stops
+
+_LENGTHS = (0.35, 0.7)
+_STOPS_ALIKE = 2.0
+_SIZES = np.repeat([0.15, 0.006], 3)[:, None] * 2.0 ** np.arange(-2, 5)
+_LOG_2PI = float(np.log(2.0 * np.pi))
+
+
+def log_odds_of_pull(stops: Stops, variance: Array) -> float:
+    """Log odds of a pull by the pose against hands; `variance` (n, 6): of the noise."""
+    count = len(stops)
+    order = np.arange(count)
+    pulls = [_log_density(stops, variance, kernel, centred=True) for kernel in _by_pose(stops)]
+    hands = [
+        _log_density(stops, variance, kernel, centred=True)
+        for kernel in (
+            np.eye(count),
+            np.exp(-np.abs(order[:, None] - order) / _STOPS_ALIKE),
+        )
+    ]
+    return float(logsumexp(pulls) - np.log(len(pulls)) - max(hands))
+
+
+def log_density_of_pull(stops: Stops, variance: Array) -> float:
+    """Log density of all means (n, 6) if a pull by the pose is all there is."""
+    values = [_log_density(stops, variance, kernel, centred=False) for kernel in _by_pose(stops)]
+    return float(logsumexp(values) - np.log(len(values)))
+
+
+def _by_pose(stops: Stops) -> list[Array]:
+    unit = gravity_in_sensor(stops.angles[:, 0], stops.angles[:, 1]) / -GRAVITY_M_S2[2]
+    square = np.sum((unit[:, None] - unit) ** 2, axis=2)
+    return [np.exp(-square / (2.0 * length**2)) for length in _LENGTHS]
+
+
+def _log_density(stops: Stops, variance: Array, kernel: Array, *, centred: bool) -> float:
+    """Summed over the axes, by the kernel's own axes: noise is taken as the same at all stops."""
+    means = stops.mean
+    if centred:
+        differences = helmert(len(stops))
+        kernel, means = differences @ kernel @ differences.T, differences @ means
+    values, modes = np.linalg.eigh(kernel)
+    spread = np.maximum(values, 0.0) * _SIZES[..., None] ** 2
+    spread = spread + np.mean(variance, axis=0)[:, None, None]
+    square = (modes.T @ means).T[:, None, :] ** 2
+    density = -0.5 * np.sum(square / spread + np.log(spread) + _LOG_2PI, axis=2)
+    return float(np.sum(logsumexp(density, axis=1)) - 6.0 * np.log(_SIZES.shape[1]))
