@@ -10,8 +10,6 @@ import sys
 import termios
 from typing import Any
 
-from galen_model.errors import ToolNameError
-from galen_model.tool_file import check_tool_name
 from rclpy.utilities import remove_ros_args
 from std_srvs.srv import Trigger
 
@@ -21,9 +19,9 @@ from galen_calibration_behavior.goal_client import (
     EXIT_FAILED,
     EXIT_OK,
     EXIT_USAGE,
-    Bar,
     GoalClient,
     add_client_options,
+    make_parser,
     read_options,
     report_error,
     run_client,
@@ -52,18 +50,15 @@ _STATE_TEXT = {
 class CalibrateClient(GoalClient):
     """A calibration; tells states and bad poses, and hands a person's Enter on to the node."""
 
-    def __init__(self, options: argparse.Namespace, bar: Bar) -> None:
-        super().__init__(
-            "calibrate",
-            CalibrateTool,
-            "calibrate_tool",
-            server="calibration_node",
-            server_node=options.node,
-            timeout_s=options.timeout_s,
-            lost="nothing was written",
-            bar=bar,
-        )
-        self._options = options
+    action_type = CalibrateTool
+    action_name = "calibrate_tool"
+    node_name = "calibrate"
+    server = "calibration_node"
+    lost = "nothing was written"
+    unit = "pose"
+
+    def __init__(self, options: argparse.Namespace) -> None:
+        super().__init__(options)
         self._confirm = self.node.create_client(Trigger, f"{options.node}/confirm")
         self._state: int | None = None
         self._asked: int | None = None
@@ -71,7 +66,7 @@ class CalibrateClient(GoalClient):
 
     def make_goal(self) -> CalibrateTool.Goal:
         """Return what the options ask for."""
-        options = self._options
+        options = self.options
         return CalibrateTool.Goal(
             tool=options.tool,
             one_sweep=options.one_sweep,
@@ -85,7 +80,7 @@ class CalibrateClient(GoalClient):
         """Show it, and ask a person where the node waits for one."""
         self._show(feedback)
         asks = feedback.state in (State.REMOVE_TOOL, State.ATTACH_TOOL)
-        if self._options.by_hand and asks and self._asked != feedback.state:
+        if self.options.by_hand and asks and self._asked != feedback.state:
             if sys.stdin.isatty():
                 # An Enter from before the question must not answer it: the arm would move.
                 termios.tcflush(sys.stdin, termios.TCIFLUSH)
@@ -126,11 +121,10 @@ class CalibrateClient(GoalClient):
 
 def parse(arguments: list[str]) -> argparse.Namespace:
     """Read the command line; exits with code 2 and a message where it is wrong."""
-    parser = argparse.ArgumentParser(
-        prog="calibrate",
-        description="Calibrate a tool on the arm: sweep over still poses, write the tool's file.",
-        epilog=_EPILOG,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
+    parser = make_parser(
+        "calibrate",
+        "Calibrate a tool on the arm: sweep over still poses, write the tool's file.",
+        _EPILOG,
     )
     parser.add_argument("tool", help="name of the tool and of its file: letters, digits, _ and -")
     parser.add_argument(
@@ -155,11 +149,7 @@ def parse(arguments: list[str]) -> argparse.Namespace:
     parser.add_argument("--iters-t", type=_count, default=0, help="number of tilts; 0: the node's")
     parser.add_argument("--iters-r", type=_count, default=0, help="number of rolls; 0: the node's")
     add_client_options(parser, "calibration", ", for ~/confirm")
-    options = read_options(parser, arguments)
-    try:
-        check_tool_name(options.tool)
-    except ToolNameError as error:
-        parser.error(str(error))
+    options = read_options(parser, arguments, tool="tool")
     if options.tip is not None and not all(map(math.isfinite, options.tip)):
         parser.error("--tip needs three finite numbers")
     return options
@@ -175,12 +165,7 @@ def _count(text: str) -> int:
 def main() -> None:
     """Run the client; see `calibrate --help`."""
     options = parse(remove_ros_args(sys.argv)[1:])
-    run_client(
-        "calibrate",
-        lambda bar: CalibrateClient(options, bar),
-        Bar("pose"),
-        lambda result: _print_result(result, options.json),
-    )
+    run_client("calibrate", CalibrateClient, options, _print_result)
 
 
 def _print_result(result: Any, as_json: bool) -> int:

@@ -9,8 +9,6 @@ import sys
 from typing import Any
 
 from galen_model.arm import WRENCH_AXES
-from galen_model.errors import ToolNameError
-from galen_model.tool_file import check_tool_name
 from rclpy.utilities import remove_ros_args
 
 from galen_calibration_behavior.check_answer import Answer, Cause
@@ -20,9 +18,9 @@ from galen_calibration_behavior.goal_client import (
     EXIT_FAILED,
     EXIT_OK,
     EXIT_USAGE,
-    Bar,
     GoalClient,
     add_client_options,
+    make_parser,
     read_options,
     report_error,
     run_client,
@@ -58,22 +56,16 @@ exit codes:
 class CheckClient(GoalClient):
     """A check; tells of poses that can't be used."""
 
-    def __init__(self, options: argparse.Namespace, bar: Bar) -> None:
-        super().__init__(
-            "check_client",
-            CheckTool,
-            "check_tool",
-            server="check_node",
-            server_node=options.node,
-            timeout_s=options.timeout_s,
-            lost="nothing is known of the tool",
-            bar=bar,
-        )
-        self._options = options
+    action_type = CheckTool
+    action_name = "check_tool"
+    node_name = "check_client"
+    server = "check_node"
+    lost = "nothing is known of the tool"
+    unit = "pose"
 
     def make_goal(self) -> CheckTool.Goal:
         """Return what the options ask for."""
-        return CheckTool.Goal(tool=self._options.tool, poses=self._options.poses)
+        return CheckTool.Goal(tool=self.options.tool, poses=self.options.poses)
 
     def on_feedback(self, feedback: Any) -> None:
         """Show it: the bar, or without a terminal a line for each; and each bad pose."""
@@ -85,23 +77,13 @@ class CheckClient(GoalClient):
 
 def parse(arguments: list[str]) -> argparse.Namespace:
     """Read the command line; exits with code 2 and a message where it is wrong."""
-    parser = argparse.ArgumentParser(
-        prog="check",
-        description="Check at a few poses whether a tool's file still fits.",
-        epilog=_EPILOG,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+    parser = make_parser("check", "Check at a few poses whether a tool's file still fits.", _EPILOG)
     parser.add_argument(
         "tool", nargs="?", default="", help="name of the tool; default: that in force in gravcomp"
     )
     parser.add_argument("--poses", type=int, default=0, help="number of poses; 0: the node's")
     add_client_options(parser, "check")
-    options = read_options(parser, arguments)
-    try:
-        if options.tool:
-            check_tool_name(options.tool)
-    except ToolNameError as error:
-        parser.error(str(error))
+    options = read_options(parser, arguments, tool="tool")
     if not 0 <= options.poses <= 100:
         parser.error(f"--poses is {options.poses}, not in 0 ... 100")
     return options
@@ -110,12 +92,7 @@ def parse(arguments: list[str]) -> argparse.Namespace:
 def main() -> None:
     """Run the client; see `check --help`."""
     options = parse(remove_ros_args(sys.argv)[1:])
-    run_client(
-        "check",
-        lambda bar: CheckClient(options, bar),
-        Bar("pose"),
-        lambda result: _print_result(result, options.json),
-    )
+    run_client("check", CheckClient, options, _print_result)
 
 
 def result_fields(result: Any) -> dict[str, Any]:

@@ -11,10 +11,12 @@ import uuid
 from collections.abc import Callable
 from enum import IntEnum
 from types import FrameType
-from typing import Any, NoReturn
+from typing import Any, ClassVar, NoReturn
 
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
+from galen_model.errors import ToolNameError
+from galen_model.tool_file import check_tool_name
 from rclpy.action import ActionClient
 from rclpy.action.client import ClientGoalHandle
 from rclpy.executors import SingleThreadedExecutor
@@ -69,35 +71,26 @@ class Bar:
 
 
 class GoalClient:
-    """One goal, from finding the server to its result; subclasses say which.
+    """One goal, from finding the server to its result; subclasses say which."""
 
-    `name` is the command's and its node's, `server` the executable that it needs, `server_node` the
-    name of that one's node, `lost` what becomes of the goal if that goes away.
-    """
+    action_type: ClassVar[Any]
+    action_name: ClassVar[str]
+    node_name: ClassVar[str]
+    server: ClassVar[str]
+    """The executable that it needs."""
+    lost: ClassVar[str]
+    """What becomes of the goal if that goes away."""
+    unit: ClassVar[str]
+    """Of the bar."""
 
-    def __init__(
-        self,
-        name: str,
-        action_type: Any,
-        action_name: str,
-        *,
-        server: str,
-        server_node: str,
-        timeout_s: float,
-        lost: str,
-        bar: Bar,
-    ) -> None:
-        self.bar = bar
-        self._server = server
-        self._server_node = server_node
-        self._timeout_s = timeout_s
-        self._lost = lost
-        self.node = Node(name)
+    def __init__(self, options: argparse.Namespace) -> None:
+        """`options` are those of `read_options`."""
+        self.options = options
+        self.bar = Bar(self.unit)
+        self.node = Node(self.node_name)
         self._executor = SingleThreadedExecutor()
         self._executor.add_node(self.node)
-        self._action_name = action_name
-        self._action_type = action_type
-        self._action = ActionClient(self.node, action_type, action_name)
+        self._action = ActionClient(self.node, self.action_type, self.action_name)
         self.node.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 10)
         self._refused = ""
         self._interrupts = 0
@@ -121,10 +114,10 @@ class GoalClient:
         """Return the action's Result; raises ClientError when there is none."""
         self._wait(
             self._action.server_is_ready,
-            self._timeout_s,
-            f"no action server {self.node.resolve_service_name(self._action_name)!r} after"
-            f" {self._timeout_s:g} s: start {self._server} (and the driver) first, with the same"
-            " ROS_DOMAIN_ID",
+            self.options.timeout_s,
+            f"no action server {self.node.resolve_service_name(self.action_name)!r} after"
+            f" {self.options.timeout_s:g} s: start {self.server} (and the driver) first, with the"
+            " same ROS_DOMAIN_ID",
         )
         goal_id = UUID(uuid=list(uuid.uuid4().bytes))
         sending = self._action.send_goal_async(
@@ -135,8 +128,8 @@ class GoalClient:
         try:
             self._wait(
                 sending.done,
-                self._timeout_s,
-                f"{self._server} did not answer the goal",
+                self.options.timeout_s,
+                f"{self.server} did not answer the goal",
                 "canceled while waiting for an answer to the goal",
             )
         except ClientError as error:
@@ -163,7 +156,7 @@ class GoalClient:
             else:
                 lost_since = lost_since or now
                 if now - lost_since > _SERVER_LOST_S:
-                    raise ClientError(f"{self._server} went away; {self._lost}")
+                    raise ClientError(f"{self.server} went away; {self.lost}")
             self.while_waiting()
         return result.result().result
 
@@ -181,15 +174,15 @@ class GoalClient:
         """
         self.bar.say("canceling: the goal may have begun (Ctrl-C: don't wait)")
         interrupts, deadline = self._interrupts, time.monotonic() + _CANCEL_PATIENCE_S
-        unanswered = self._action_type.Impl.SendGoalService.Response()
+        unanswered = self.action_type.Impl.SendGoalService.Response()
         canceling = ClientGoalHandle(self._action, goal_id, unanswered).cancel_goal_async()
         while not canceling.done():
             if time.monotonic() > deadline or self._interrupts > interrupts:
-                return f"whether it has begun is not known: see {self._server}'s /diagnostics"
+                return f"whether it has begun is not known: see {self.server}'s /diagnostics"
             self._executor.spin_once(timeout_sec=0.05)
         if canceling.result().goals_canceling:
             return "it had begun, and is canceled"
-        return f"{self._server} says that it is not at work"
+        return f"{self.server} says that it is not at work"
 
     def _wait(
         self,
@@ -211,14 +204,24 @@ class GoalClient:
         deadline = time.monotonic() + 2.5
         while not self._refused and time.monotonic() < deadline:
             self._executor.spin_once(timeout_sec=0.05)
-        raise ClientError(self._refused or f"{self._server} refused the goal; see its log")
+        raise ClientError(self._refused or f"{self.server} refused the goal; see its log")
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
         for status in message.status:
-            if status.name.rsplit("/", 1)[-1] == self._server_node.rsplit("/", 1)[-1]:
+            if status.name.rsplit("/", 1)[-1] == self.options.node.rsplit("/", 1)[-1]:
                 for item in status.values:
                     if item.key == "refused":
                         self._refused = item.value
+
+
+def make_parser(name: str, description: str, epilog: str) -> argparse.ArgumentParser:
+    """The parser of such a command; the epilog, with its exit codes, is printed as it is."""
+    return argparse.ArgumentParser(
+        prog=name,
+        description=description,
+        epilog=epilog,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
 
 
 def add_client_options(parser: argparse.ArgumentParser, node: str, use: str = "") -> None:
@@ -233,11 +236,22 @@ def add_client_options(parser: argparse.ArgumentParser, node: str, use: str = ""
     parser.add_argument("--node", default=node, help=f"the node's name{use} (default {node})")
 
 
-def read_options(parser: argparse.ArgumentParser, arguments: list[str]) -> argparse.Namespace:
-    """Read the command line; exits with code 2 and a message where it is wrong."""
+def read_options(
+    parser: argparse.ArgumentParser, arguments: list[str], **names: str
+) -> argparse.Namespace:
+    """Read the command line; exits with code 2 and a message where it is wrong.
+
+    `names`: the options that become names of files, and what `check_tool_name` calls them.
+    """
     options = parser.parse_args(arguments)
     if not options.timeout_s > 0:
         parser.error("--timeout-s needs a positive number")
+    try:
+        for name, whose in names.items():
+            if (value := getattr(options, name)) != parser.get_default(name):
+                check_tool_name(value, whose)
+    except ToolNameError as error:
+        parser.error(str(error))
     return options
 
 
@@ -250,22 +264,25 @@ def report_error(name: str, code: IntEnum, message: str) -> int:
 
 
 def run_client(
-    name: str, make: Callable[[Bar], GoalClient], bar: Bar, print_result: Callable[[Any], int]
+    name: str,
+    make: Callable[[argparse.Namespace], GoalClient],
+    options: argparse.Namespace,
+    print_result: Callable[[Any, bool], int],
 ) -> NoReturn:
     """Make the client, run it to its end and leave with an exit code.
 
-    `print_result(result)` returns that of a goal that came to its end.
+    `print_result(result, as_json)` returns that of a goal that came to its end.
     """
     rclpy.init(args=sys.argv, signal_handler_options=SignalHandlerOptions.NO)
-    client = make(bar)
+    client = make(options)
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, client.on_signal)
     try:
         result = client.run()
-        bar.close()
-        exit_code = print_result(result)
+        client.bar.close()
+        exit_code = print_result(result, options.json)
     except ClientError as failure:
-        bar.close()
+        client.bar.close()
         print(f"{name}: {failure}", file=sys.stderr)
         exit_code = failure.exit_code
     finally:

@@ -14,16 +14,14 @@ from galen_calibration_behavior.goal_client import (
     EXIT_FAILED,
     EXIT_OK,
     EXIT_USAGE,
-    Bar,
     GoalClient,
     add_client_options,
+    make_parser,
     read_options,
     report_error,
     run_client,
 )
 from galen_calibration_behavior.result_text import result_to_dict
-from galen_model.errors import ToolNameError
-from galen_model.tool_file import check_tool_name
 from rclpy.utilities import remove_ros_args
 
 from galen_deflection.collection_commands import ErrorCode, State
@@ -43,23 +41,20 @@ _PUSHING = (State.PUSH, State.HOLD, State.RELEASE, State.REST)
 class CollectClient(GoalClient):
     """A collection; where there is a terminal, the bar says what to push and what is there."""
 
-    def __init__(self, options: argparse.Namespace, bar: Bar) -> None:
-        super().__init__(
-            "collect",
-            CollectPushes,
-            "collect_pushes",
-            server="collection_node",
-            server_node=options.node,
-            timeout_s=options.timeout_s,
-            lost="what it recorded is under a name that ends in .unfinished",
-            bar=bar,
-        )
-        self._options = options
+    action_type = CollectPushes
+    action_name = "collect_pushes"
+    node_name = "collect"
+    server = "collection_node"
+    lost = "what it recorded is under a name that ends in .unfinished"
+    unit = "push"
+
+    def __init__(self, options: argparse.Namespace) -> None:
+        super().__init__(options)
         self._said: tuple[Any, ...] = ()
 
     def make_goal(self) -> CollectPushes.Goal:
         """Return what the options ask for."""
-        options = self._options
+        options = self.options
         return CollectPushes.Goal(
             name=options.name,
             tool=options.tool,
@@ -85,11 +80,10 @@ class CollectClient(GoalClient):
 
 def parse(arguments: list[str]) -> argparse.Namespace:
     """Read the command line; exits with code 2 and a message where it is wrong."""
-    parser = argparse.ArgumentParser(
-        prog="collect",
-        description="Record pushes at the tool's tip, for deflection models to be fitted to.",
-        epilog=_EPILOG,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
+    parser = make_parser(
+        "collect",
+        "Record pushes at the tool's tip, for deflection models to be fitted to.",
+        _EPILOG,
     )
     parser.add_argument("name", help="of the recording: letters, digits, _ and -")
     parser.add_argument("--tool", required=True, help="the tool that is on, with a tool's file")
@@ -121,12 +115,7 @@ def parse(arguments: list[str]) -> argparse.Namespace:
         help="levels of torque about the tip, N·m",
     )
     add_client_options(parser, "collection")
-    options = read_options(parser, arguments)
-    try:
-        check_tool_name(options.name, "recording's")
-        check_tool_name(options.tool)
-    except ToolNameError as error:
-        parser.error(str(error))
+    options = read_options(parser, arguments, name="recording's", tool="tool")
     if len(options.positions) % 5:
         parser.error(f"--positions has {len(options.positions)} numbers, not five a position")
     return options
@@ -149,12 +138,7 @@ def _sets(text: str) -> int:
 def main() -> None:
     """Run the client; see `collect --help`."""
     options = parse(remove_ros_args(sys.argv)[1:])
-    run_client(
-        "collect",
-        lambda bar: CollectClient(options, bar),
-        Bar("push"),
-        lambda result: _print_result(result, options.json),
-    )
+    run_client("collect", CollectClient, options, _print_result)
 
 
 def result_fields(result: Any) -> dict[str, Any]:
