@@ -9,7 +9,8 @@ import numpy as np
 from galen_bags.arm_recording import ArmRecording
 from galen_model.cable_drag import MAX_POSES, SUPPORT_M
 from galen_model.cable_fit import CableSweep, spread_out
-from galen_model.cable_learning import LearnedCable, learn_cable
+from galen_model.cable_learning import HeldOut, LearnedCable, learn_cable
+from galen_model.cable_rivals import doubts, rivals
 from galen_model.tool_file import ToolFile
 
 from galen_calibration_behavior.calibrate_from_bag import measured_at
@@ -25,11 +26,15 @@ _PLACE_M = 0.01
 
 @dataclass(frozen=True)
 class CableResult:
-    """The tool's file with the cable in it, what was learned, of which poses, and what is odd."""
+    """The tool's file with the cable in it, what was learned, of which poses, and what is odd.
+
+    others: how well what is no cable explains the same poses held out, by name.
+    """
 
     tool: ToolFile
     learned: LearnedCable
     sweep: CableSweep
+    others: dict[str, HeldOut]
     warnings: tuple[str, ...]
 
 
@@ -56,8 +61,8 @@ def estimate_cable(
     sorter = SweepSorter(settings, BiasPose(tool.bias_roll_rad, tool.bias_tilt_rad))
     poses, warnings = sorter.still_poses(visits)
     warnings += [f"pose {p.number} at {p.time_s:.1f} s: {p.fault}" for p in poses if p.fault]
-    used = [pose.visit for pose in poses if not pose.fault]
-    records = [visit.outcome for visit in used if isinstance(visit.outcome, PoseRecord)]
+    used = [pose for pose in poses if isinstance(pose.visit.outcome, PoseRecord) and not pose.fault]
+    records = [pose.visit.outcome for pose in used if isinstance(pose.visit.outcome, PoseRecord)]
     joints = np.array([record.joints for record in records])
     wrench = np.array([record.wrench for record in records])
     sweep = CableSweep(
@@ -65,15 +70,18 @@ def estimate_cable(
         wrench=wrench - tool.predict(joints[:, 3], joints[:, 4]),
         std_of_mean=np.array([record.std_of_mean for record in records]),
         noise=np.median([record.wrench_std for record in records], axis=0),
+        time_s=np.array([pose.time_s for pose in used]),
     )
     if len(sweep) > MAX_POSES:
         warnings.append(f"of {len(sweep)} poses the {MAX_POSES} that lie farthest apart are used")
         sweep = sweep.part(spread_out(sweep.joints, MAX_POSES))
-    when = measured_at(used[-1]).isoformat(timespec="seconds")
+    when = measured_at(used[-1].visit).isoformat(timespec="seconds")
     learned = learn_cable(sweep, when, progress=fit_progress)
     if np.ptp(sweep.joints[:, :3], axis=0).max() < _PLACE_M:
         warnings.append(
             "all poses have one place of the platform: the pull is taken off whole up to"
             f" {0.6 * SUPPORT_M:.2g} m from it, and less and less beyond"
         )
-    return CableResult(replace(tool, cable=learned.drag), learned, sweep, tuple(warnings))
+    others = rivals(tool, sweep, learned)
+    warnings += doubts(sweep, learned, others)
+    return CableResult(replace(tool, cable=learned.drag), learned, sweep, others, tuple(warnings))

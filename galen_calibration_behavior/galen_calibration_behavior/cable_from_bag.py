@@ -147,6 +147,7 @@ def _scores(result: CableResult) -> dict[str, HeldOut]:
         "the tool's file": learned.file,
         "ten-parameter least squares": learned.least_squares,
         **learned.forms,
+        **result.others,
     }
 
 

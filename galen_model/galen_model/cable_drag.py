@@ -42,6 +42,8 @@ SEEN, UNSEEN = 0.3, 0.8
 _CONSTANT = np.array([1.0, 0.1])
 """c of forces (N) and torques (N.m): larger than any cable on a tool that a hand can guide."""
 _SUPPORT_NOISE = 0.05
+_LARGEST_N = 20.0
+"""No pull of a cable that an arm guided by hand could work with; N.m as well."""
 
 
 @dataclass(frozen=True)
@@ -110,14 +112,14 @@ class CableDrag:
                 [array(get(pose, key), f"{name}.poses.{key}", (width,)) for pose in poses]
             )
 
-        def positive(key: str, values: Array, least: float, most: float) -> Array:
+        def within(key: str, values: Array, least: float, most: float) -> Array:
             if np.any(values < least) or np.any(values > most):
                 raise FieldError(f"{name}.{key} is not between {least:g} and {most:g}")
             return values
 
         def one(key: str, least: float, most: float) -> float:
             found = number(get(whole, key), f"{name}.{key}")
-            return float(positive(key, np.array(found), least, most))
+            return float(within(key, np.array(found), least, most))
 
         def vector(key: str, length: int) -> Array:
             return array(get(whole, key), f"{name}.{key}", (length,))
@@ -125,16 +127,16 @@ class CableDrag:
         drag = cls(
             form=form,
             joints=rows("joints", 5),
-            wrench=rows("wrench", 6),
-            std=positive("poses.std", rows("std", 6), 1e-6, 100.0),
-            length_rad=positive("length_rad", vector("length_rad", 2), 1e-2, 100.0),
+            wrench=within("poses.wrench", rows("wrench", 6), -_LARGEST_N, _LARGEST_N),
+            std=within("poses.std", rows("std", 6), 1e-6, 100.0),
+            length_rad=within("length_rad", vector("length_rad", 2), 1e-2, 100.0),
             length_m=one("length_m", 1e-3, 100.0),
-            amplitude=positive("amplitude", vector("amplitude", 2), 1e-6, 100.0),
+            amplitude=within("amplitude", vector("amplitude", 2), 1e-6, 100.0),
             support_rad=one("support_rad", 1e-2, 2.0),
             learned_at=text(get(whole, "learned_at"), f"{name}.learned_at"),
-            attachment_m=positive("attachment_m", vector("attachment_m", 3), -2.0, 2.0),
+            attachment_m=within("attachment_m", vector("attachment_m", 3), -2.0, 2.0),
             inflation=one("inflation", 1.0, 1e3),
-            held_out_rmse=positive("held_out_rmse", vector("held_out_rmse", 6), 0.0, 100.0),
+            held_out_rmse=within("held_out_rmse", vector("held_out_rmse", 6), 0.0, 100.0),
         )
         try:
             drag.posterior  # noqa: B018 - only to see whether there is one

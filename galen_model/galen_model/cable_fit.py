@@ -38,13 +38,14 @@ _SPACINGS = 1.5
 class CableSweep:
     """Still poses with the cable on: joints (n, 5), wrench (n, 6) beyond the tool's file, N, N.m.
 
-    std_of_mean (n, 6) of the wrench; noise (6,), the sensor's, of one reading.
+    std_of_mean (n, 6) of the wrench; noise (6,), the sensor's, of one reading; time_s (n,).
     """
 
     joints: Array
     wrench: Array
     std_of_mean: Array
     noise: Array
+    time_s: Array
 
     def __len__(self) -> int:
         return len(self.joints)
@@ -52,7 +53,11 @@ class CableSweep:
     def part(self, which: Array) -> CableSweep:
         """Some of the poses, by mask (n,) or indices."""
         return CableSweep(
-            self.joints[which], self.wrench[which], self.std_of_mean[which], self.noise
+            self.joints[which],
+            self.wrench[which],
+            self.std_of_mean[which],
+            self.noise,
+            self.time_s[which],
         )
 
 

@@ -102,8 +102,8 @@ def learn_cable(
     _check_poses(sweep)
     block = pose_blocks(sweep.joints)
     parts = range(int(block.max()) + 1)
-    file = _held_out(sweep, -sweep.wrench)
-    least_squares = _held_out(sweep, _ten_parameters(sweep, block) - sweep.wrench)
+    file = scored(sweep, np.zeros_like(sweep.wrench))
+    least_squares = scored(sweep, linear_held_out(sweep, block))
     over_noise = float(np.max(file.rmse / sweep.noise))
     if file.chi < _NOISE or over_noise < 1.0:
         raise NoCableError(
@@ -125,9 +125,7 @@ def learn_cable(
         own = [np.diag(posterior.process_covariance(q)) for q in sweep.joints[out]]
         noise = np.hypot(sweep.std_of_mean[out], fold.scatter * sweep.noise)
         stated[form][out] = np.sqrt(np.maximum(own, 0.0) + noise**2)
-    held_out = {
-        form: _held_out(sweep, predicted[form] - sweep.wrench, stated[form]) for form in predicted
-    }
+    held_out = {form: scored(sweep, predicted[form], stated[form]) for form in predicted}
     best = min(held_out, key=lambda form: held_out[form].chi)
     _check_worth(sweep, block, held_out[best], file, least_squares)
     ratio = held_out[best].error / stated[best]
@@ -162,20 +160,20 @@ def _check_poses(sweep: CableSweep) -> None:
 def _check_worth(
     sweep: CableSweep, block: np.ndarray, best: HeldOut, file: HeldOut, least_squares: HeldOut
 ) -> None:
-    if not _better(sweep, block, best, file):
+    if not clearly_better(sweep, block, best, file):
         raise NoCableError(
             f"the tool's file leaves {_newtons(file)}, but what it leaves at some poses does not"
             f" tell of the others ({_newtons(best)} on poses held out): no cable's pull that"
             " repeats, or a sweep too sparse for it"
         )
-    if not _better(sweep, block, best, least_squares):
+    if not clearly_better(sweep, block, best, least_squares):
         raise NoCableError(
             f"another load explains it as well as a cable ({_newtons(least_squares)} and"
             f" {_newtons(best)} on poses held out): calibrate the tool without the cable first"
         )
 
 
-def _better(sweep: CableSweep, block: np.ndarray, one: HeldOut, other: HeldOut) -> bool:
+def clearly_better(sweep: CableSweep, block: np.ndarray, one: HeldOut, other: HeldOut) -> bool:
     """Whether `one` has clearly smaller errors, by the paired differences of the blocks' means."""
     gain = np.sum((other.error / sweep.std_of_mean) ** 2, axis=1)
     gain -= np.sum((one.error / sweep.std_of_mean) ** 2, axis=1)
@@ -183,26 +181,43 @@ def _better(sweep: CableSweep, block: np.ndarray, one: HeldOut, other: HeldOut) 
     return bool(means.mean() > _CLEARLY * means.std(ddof=1) / np.sqrt(len(means)))
 
 
-def _held_out(sweep: CableSweep, error: Array, stated: Array | None = None) -> HeldOut:
+def scored(sweep: CableSweep, predicted: Array, stated: Array | None = None) -> HeldOut:
+    """Score wrenches (n, 6) predicted for the sweep's poses, N and N.m.
+
+    stated (n, 6): standard deviations of the difference to what was measured.
+    """
+    error = predicted - sweep.wrench
     chi = float(np.sqrt(np.mean((error / sweep.std_of_mean) ** 2)))
     if stated is None:
         return HeldOut(error, chi)
     return HeldOut(error, chi, float(np.mean(np.abs(error) < 1.96 * stated)))
 
 
-def _ten_parameters(sweep: CableSweep, block: np.ndarray) -> Array:
-    """Each block's wrenches (n, 6) by the load and offsets that the other blocks give."""
+def linear_held_out(sweep: CableSweep, block: np.ndarray, more: Array | None = None) -> Array:
+    """Each block's wrenches (n, 6) by load and offsets that the other blocks give, ten parameters.
+
+    more: further columns (n, 6, k) beside the ten.
+    """
     gravity = gravity_in_sensor(sweep.joints[:, 3], sweep.joints[:, 4])
     constant = np.broadcast_to(np.eye(6), (len(sweep), 6, 6))
-    design = np.concatenate([gravity_regressor(gravity), constant], axis=2)
+    columns = [gravity_regressor(gravity), constant]
+    design = np.concatenate(columns if more is None else [*columns, more], axis=2)
     predicted = np.zeros_like(sweep.wrench)
     for part in np.unique(block):
         out = block == part
-        scale = 1.0 / sweep.std_of_mean[~out]
-        rows = (design[~out] * scale[:, :, None]).reshape(-1, 10)
-        found = np.linalg.lstsq(rows, (sweep.wrench[~out] * scale).ravel(), rcond=None)[0]
+        found = least_squares(design[~out], sweep.wrench[~out], sweep.std_of_mean[~out])
         predicted[out] = design[out] @ found
     return predicted
+
+
+def least_squares(design: Array, readings: Array, std: Array) -> Array:
+    """Parameters (p,) of readings (n, 6) by design (n, 6, p), weighted by std (n, 6).
+
+    Where the readings don't tell some apart, the smallest.
+    """
+    scale = 1.0 / std
+    rows = (design * scale[:, :, None]).reshape(-1, design.shape[2])
+    return np.asarray(np.linalg.lstsq(rows, (readings * scale).ravel(), rcond=1e-9)[0])
 
 
 def _newtons(held_out: HeldOut) -> str:
