@@ -28,6 +28,12 @@ from galen_gravcomp.stretch import Arrivals
 from galen_gravcomp.tare import TareOutcome, TareRamp, TareSettings, TareWindow
 
 
+_IMPOSSIBLE = (
+    "forces of motion are not known: they come out beyond the sensor's range; does joint_states (or"
+    " the IMU) jump, or come in another unit?"
+)
+
+
 class TareRefusedError(GalenError):
     """A tare can't start now; the message says why."""
 
@@ -385,6 +391,9 @@ class Compensator(WrenchPairing[Compensated]):
             motion = stages.motion.reading(stamp_ns, roll, tilt)
             if isinstance(motion, NoMotion):
                 return self._refuse(stamp_ns, motion.reason, motion.detail, number)
+            # No reading can hold more than the sensor does, and NaN is no less.
+            if not (np.abs(motion) <= self._settings.sensor_range).all():
+                return self._refuse(stamp_ns, Refusal.NO_MOTION, _IMPOSSIBLE, number)
             untared = untared - motion
         compensated: Array = untared - self._ramp.offset_at(stamp_ns)
         # Where a cable's pull is not known, what is left is neither the sensor's nor the load's.

@@ -12,7 +12,6 @@ m e also at rest. `galen_gravcomp.imu_fit` finds R, scale and b from still poses
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
@@ -41,6 +40,11 @@ class ImuMount:
     lever_m: Array = field(default_factory=lambda: np.zeros(3))
     bias_m_s2: Array = field(default_factory=lambda: np.zeros(3))
     scale: float = 1.0
+
+
+# As joint_states and wrenches: a longer step of the stamps is no gap, and this far apart are clocks.
+_RESTART_NS = 1_000_000_000
+_OTHER_CLOCK_NS = 5_000_000_000
 
 
 class ImuMotion:
@@ -85,6 +89,8 @@ class ImuMotion:
         if behind_ns <= self._max_age_ns:
             return None
         what = f"is {behind_ns * 1e-6:.0f} ms behind the wrench"
+        if behind_ns > _OTHER_CLOCK_NS:
+            what += ", does it get its stamps from another clock?"
         if self.known_until_ns is None:
             what = "has sent nothing"
         return NoMotion(
@@ -110,11 +116,16 @@ class ImuMotion:
     def push_imu(
         self, stamp_ns: int, angular_rad_s: Sequence[float], linear_m_s2: Sequence[float]
     ) -> None:
-        """Take a reading: angular velocity (3,), specific force (3,), in the IMU's axes."""
+        """Take a reading: angular velocity (3,), specific force (3,), in the IMU's axes.
+
+        Where its stamps jump, what came before is forgotten: one wrong stamp from the future must
+        not make all that follow it too old.
+        """
         self._received += 1
-        values = (*angular_rad_s, *linear_m_s2)
-        usable = math.isfinite(sum(values))
-        self._window.push(stamp_ns, values if usable else (math.nan,) * 6)
+        newest = self._window.newest_ns
+        if newest is not None and not -self._max_age_ns <= stamp_ns - newest <= _RESTART_NS:
+            self.clear()
+        self._window.push(stamp_ns, (*angular_rad_s, *linear_m_s2))
 
     def reading(self, stamp_ns: int, roll_rad: float, tilt_rad: float) -> Array | NoMotion:
         """Forces of motion (6,) at a stamp, N and N.m in ft_sensor."""

@@ -43,6 +43,11 @@ def inertia_source(tool: ToolFile | None) -> str:
     return "of two points at the centres" if tool.inertia is None else "the tool's file"
 
 
+# From one sample to the next no joint goes further than this and 7 times its fastest: m, m/s; rad,
+# rad/s. A wrong sample, differentiated twice, would be a blow at the tool for a whole window.
+_JUMPS = ((0.005, 1.5),) * 3 + ((0.03, 10.0),) * 2
+
+
 class JointMotion:
     """Motion stage of a `Compensator`: the platform's position and both angles, differentiated."""
 
@@ -56,6 +61,7 @@ class JointMotion:
         self._load: LoadInMotion | None = None
         self._source = inertia_source(None)
         self._zero = (0.0, 0.0)
+        self._last: tuple[int, tuple[float, ...]] | None = None
         self._gravity: Callable[[float, float], Array] = gravity_in_sensor
 
     @property
@@ -79,13 +85,18 @@ class JointMotion:
     def clear(self) -> None:
         """Forget every sample."""
         self._window.clear()
+        self._last = None
 
     def push_joints(
         self, stamp_ns: int, roll_rad: float, tilt_rad: float, position_m: tuple[float, ...] | None
     ) -> None:
-        """Take a joint sample; without a position it tells no motion."""
+        """Take a joint sample; without a position, and after a jump, it tells no motion."""
         platform = (math.nan,) * 3 if position_m is None else position_m
-        self._window.push(stamp_ns, (*platform, roll_rad, tilt_rad))
+        joints = (*platform, roll_rad, tilt_rad)
+        last, self._last = self._last, (stamp_ns, joints)
+        if last is not None and _jumps(stamp_ns - last[0], last[1], joints):
+            joints = (math.nan,) * 5
+        self._window.push(stamp_ns, joints)
 
     def push_imu(
         self, stamp_ns: int, angular_rad_s: Sequence[float], linear_m_s2: Sequence[float]
@@ -121,3 +132,11 @@ class JointMotion:
             "motion_lag_s": self.settings.lag_s,
             "motion_inertia": self._source,
         }
+
+
+def _jumps(step_ns: int, before: tuple[float, ...], joints: tuple[float, ...]) -> bool:
+    step_s = abs(step_ns) * 1e-9
+    return any(
+        abs(now - then) > size + speed * step_s
+        for now, then, (size, speed) in zip(joints, before, _JUMPS, strict=True)
+    )

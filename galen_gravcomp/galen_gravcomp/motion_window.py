@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -92,13 +93,23 @@ class MotionWindow:
         self._samples = _Ring()
 
     @property
+    def newest_ns(self) -> int | None:
+        """The newest sample's stamp."""
+        return self._samples.newest_ns
+
+    @property
     def known_until_ns(self) -> int | None:
         """The newest stamp of a wrench whose samples have come; None before the first one."""
         newest = self._samples.newest_ns
         return None if newest is None else newest - self._delay_ns + self._lag_ns
 
     def push(self, stamp_ns: int, values: tuple[float, ...]) -> None:
-        """Take a sample (k,); one that is not newer than the newest is dropped."""
+        """Take a sample (k,); one that is not newer than the newest is dropped.
+
+        One with a value that is not finite is kept as such: nothing is known around it.
+        """
+        if not math.isfinite(sum(values)):
+            values = (math.nan,) * len(values)
         self._samples.push(stamp_ns, values)
 
     def clear(self) -> None:
@@ -112,21 +123,36 @@ class MotionWindow:
         start_ns = end_ns - self._window_ns
         stamps, values = self._samples.window(start_ns, end_ns)
         if len(stamps) < self._settings.fewest_samples:
-            return self._none(f"holds {len(stamps)} samples of {self._topic}; there must be", True)
-        gap_ns = max(int((stamps[1:] - stamps[:-1]).max()), int(stamps[0]) - start_ns)
-        # At the end, where it is read off, the polynomial must not hang over.
-        end_gap_ns = end_ns - int(stamps[-1])
-        if gap_ns > self._gap_ns or end_gap_ns > self._delay_ns // 2:
-            gap_ns = max(gap_ns, end_gap_ns)
-            return self._none(f"has a gap of {gap_ns * 1e-6:.0f} ms in {self._topic}")
+            return self._none(
+                f"holds {len(stamps)} samples of {self._topic}; {self._settings.fewest_samples} are"
+                " needed (a longer motion_window_s, or more samples a second)"
+            )
+        lacking = self._lacking(stamps, start_ns, end_ns)
+        if lacking:
+            return self._none(lacking)
         found = self._polynomial.derivatives(stamps, values, at_ns)
         if not np.isfinite(found.second.sum()):
-            return self._none(f"holds a value of {self._topic} that is not finite")
+            return self._none(f"holds a value of {self._topic} that is not finite, or jumps")
         return found
 
-    def _none(self, what: str, few: bool = False) -> NoMotion:
+    def _lacking(self, stamps: np.ndarray, start_ns: int, end_ns: int) -> str:
+        """What makes stamps (n,) too far apart to differentiate; empty if nothing."""
+        before_ns, after_ns = int(stamps[0]) - start_ns, end_ns - int(stamps[-1])
+        gap_ns = int((stamps[1:] - stamps[:-1]).max())
+        if gap_ns > self._gap_ns:
+            return f"has a gap of {gap_ns * 1e-6:.0f} ms in {self._topic}"
+        if before_ns > self._gap_ns:
+            return f"has no sample of {self._topic} in its first {before_ns * 1e-6:.0f} ms"
+        # At the end, where it is read off, the polynomial must not hang over by more than the
+        # sample that is always still to come there.
+        period_ns = int(stamps[-1] - stamps[0]) // (len(stamps) - 1)
+        if after_ns > max(self._delay_ns // 2, period_ns):
+            return f"has no sample of {self._topic} in its last {after_ns * 1e-6:.0f} ms"
+        return ""
+
+    def _none(self, what: str) -> NoMotion:
         window_ms = self._settings.window_s * 1e3
-        detail = f"forces of motion are not known: the window of {window_ms:.0f} ms {what}"
-        if few:
-            detail += f" {self._settings.fewest_samples} (motion_window_s)"
-        return NoMotion(Refusal.NO_MOTION, detail)
+        return NoMotion(
+            Refusal.NO_MOTION,
+            f"forces of motion are not known: the window of {window_ms:.0f} ms {what}",
+        )

@@ -155,7 +155,44 @@ def test_gaps_bad_values_and_lacking_positions_are_refused_with_their_own_reason
     bad = run(lambda number: [(np.nan, *q[1:])] if number == 50 else [q])
     assert len(bad) == FIRST + 31 and "not finite" in bad[-1]
     few = run(lambda number: [q] if number % 5 == 0 else [])
-    assert "samples of joint_states; there must be 8 (motion_window_s)" in few[-1]
+    assert "samples of joint_states; 8 are needed (a longer motion_window_s" in few[-1]
+    for wild in (0.01, 1e200, np.inf):  # 1 cm, or anything, in one sample
+        wrong = run(lambda number, wild=wild: [(wild, *q[1:])] if number == 50 else [q])
+        assert len(wrong) in (FIRST + 31, FIRST + 32) and "or jumps" in wrong[-1], wild
+
+
+def test_forces_of_motion_beyond_the_sensors_range_are_refused():
+    made = compensator(ImuMotion(MOUNT))
+    for k in range(60):
+        stamp = START_NS + k * 2 * MS
+        made.push_imu(stamp, (0.0, 0.0, 1e6 if k == 30 else 0.0), (0.0, 0.0, 9.8))
+        made.push_joints(stamp, 0.1, 0.2)
+    results = [made.push_wrench(START_NS + k * 2 * MS, np.zeros(6))[0] for k in (25, 30)]
+    assert [r.reason for r in results] == [Refusal.NO_MOTION] * 2
+    assert all("beyond the sensor's range" in r.detail for r in results)
+
+
+def test_a_short_delay_is_taken_between_two_joint_samples():
+    made = compensator(delay_s=0.001)
+    stamps = START_NS + np.arange(60) * 2 * MS
+    q = np.tile([0.0, 0.0, 0.4, 0.1, 0.2], (60, 1))
+    out = push(made, stamps, q, np.zeros((60, 6)), wrench_late_ns=700_000)
+    assert sum(isinstance(result, Compensated) for result in out) > 30
+
+
+def test_an_imu_whose_stamps_jumped_is_known_again_a_window_later():
+    for jump_ns in (10**13, -3 * 10**9):
+        made = compensator(ImuMotion(MOUNT))
+        out = []
+        for k in range(120):
+            stamp = START_NS + k * 2 * MS
+            # one stamp from the future, or a clock that was ahead until it started anew
+            wrong = k == 50 if jump_ns > 0 else k < 50
+            out += made.push_imu(stamp + wrong * abs(jump_ns), (0.0,) * 3, (0.0, 0.0, 9.8))
+            out += made.push_joints(stamp, 0.1, 0.2) + made.push_wrench(stamp, np.zeros(6))
+        known = [r.stamp_ns for r in out if isinstance(r, Compensated)]
+        assert len([stamp for stamp in known if stamp > START_NS + 150 * MS]) > 30
+        assert set(made.refusals) == {Refusal.NO_MOTION}
 
 
 def test_after_a_restart_nothing_is_known_until_the_window_is_full_again():

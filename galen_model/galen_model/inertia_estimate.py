@@ -16,6 +16,8 @@ from galen_model.json_fields import FieldError, array, get, mapping, numbers
 
 _LARGEST_KG_M2 = 10.0
 """A tool of 1 kg would be metres long."""
+_MOST_UNKNOWN = 0.5
+"""Of the largest principal inertia: however large the covariance, no other may be below minus it."""
 
 
 @dataclass(frozen=True)
@@ -56,9 +58,10 @@ class InertiaEstimate:
             raise FieldError(f"{name}.covariance has a negative variance")
         if np.any(np.abs(inertia) > _LARGEST_KG_M2):
             raise FieldError(f"{name}.about_sensor_kg_m2 holds more than {_LARGEST_KG_M2:g} kg m^2")
-        lowest = float(np.linalg.eigvalsh(inertia_matrix(inertia))[0])
+        lowest, _, largest = np.linalg.eigvalsh(inertia_matrix(inertia)).tolist()
         # An estimate's noise may make the least principal one a little negative.
-        if lowest < -5.0 * float(np.sqrt(np.trace(covariance))) - 1e-12:
+        noise = min(5.0 * float(np.sqrt(np.trace(covariance))), _MOST_UNKNOWN * largest)
+        if lowest < -noise - 1e-12:
             raise FieldError(
                 f"{name}.about_sensor_kg_m2 has a principal inertia of {lowest:.3g} kg m^2;"
                 " they are positive"

@@ -150,6 +150,13 @@ def test_a_tools_file_holds_the_inertia_or_no_key_for_it(tmp_path):
     [
         ({"about_sensor_kg_m2": [0.0] * 5}, "inertia.about_sensor_kg_m2 has shape"),
         ({"about_sensor_kg_m2": [-1e-3, 1e-3, 1e-3, 0, 0, 0]}, "principal inertia"),
+        (
+            {
+                "about_sensor_kg_m2": [-1.0, 1.0, 1.0, 0, 0, 0],
+                "covariance": np.diag([9e3] * 6).tolist(),
+            },
+            "principal inertia",
+        ),
         ({"about_sensor_kg_m2": [11.0, 11.0, 11.0, 0, 0, 0]}, "more than 10"),
         ({"order": ["xx", "xy", "xz", "yy", "yz", "zz"]}, "inertia.order"),
         ({"covariance": [[-1.0] * 6] * 6}, "negative variance"),
