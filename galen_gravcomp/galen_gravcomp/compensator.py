@@ -27,7 +27,6 @@ from galen_gravcomp.stages import FitWatch, MotionStage, NoMotion, Stages, Wande
 from galen_gravcomp.stretch import Arrivals
 from galen_gravcomp.tare import TareOutcome, TareRamp, TareSettings, TareWindow
 
-
 _IMPOSSIBLE = (
     "forces of motion are not known: they come out beyond the sensor's range; does joint_states (or"
     " the IMU) jump, or come in another unit?"

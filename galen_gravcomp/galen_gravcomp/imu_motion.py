@@ -42,7 +42,7 @@ class ImuMount:
     scale: float = 1.0
 
 
-# As joint_states and wrenches: a longer step of the stamps is no gap, and this far apart are clocks.
+# As with joint_states: a longer step of the stamps is no gap, and this far apart are two clocks.
 _RESTART_NS = 1_000_000_000
 _OTHER_CLOCK_NS = 5_000_000_000
 

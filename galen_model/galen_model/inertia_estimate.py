@@ -17,7 +17,7 @@ from galen_model.json_fields import FieldError, array, get, mapping, numbers
 _LARGEST_KG_M2 = 10.0
 """A tool of 1 kg would be metres long."""
 _MOST_UNKNOWN = 0.5
-"""Of the largest principal inertia: however large the covariance, no other may be below minus it."""
+"""Of the largest principal inertia: below minus it no other may be, whatever the covariance."""
 
 
 @dataclass(frozen=True)
