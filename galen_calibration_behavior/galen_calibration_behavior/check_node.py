@@ -66,6 +66,8 @@ class CheckNode(GoalNode[CheckParameters, _Goal, Finished]):
         return str(self._in_force.tool)
 
     def _make_goal(self, handle: ServerGoalHandle) -> _Goal:
+        if not self.count_publishers("gravcomp/tool_in_force"):
+            self._in_force = None  # who is gone takes off nothing
         name, poses = self._subject(handle.request), handle.request.poses
         if not name:
             raise RefusedGoalError(

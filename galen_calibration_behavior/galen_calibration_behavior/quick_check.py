@@ -92,7 +92,8 @@ def quick_check(
             answer, cause, hints = Answer.UNSURE, Cause.TOUCHED, (stands_out,)
     elif cause is Cause.LOAD:
         cause, hints = _which_load(found, tool, limits, others or {})
-    elif cause is Cause.OFFSET and (how := zero_lost(found.offset, tool, limits.axes)):
+    # The sensor's zero knows nothing of a tare.
+    elif cause is Cause.OFFSET and (how := zero_lost(found.offset + taken_off, tool, limits.axes)):
         cause, hints = Cause.ZERO_LOST, (how,)
     information = _load_information(records, tool, found.sigma)
     return QuickCheck(

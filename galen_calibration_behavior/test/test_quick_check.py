@@ -1,11 +1,14 @@
 """The quick check's decision: what it finds of known changes, and how often it is wrong."""
 
+import json
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from galen_calibration_behavior.check_answer import Answer, Cause, CheckLimits
 from galen_calibration_behavior.check_poses import plan_check
+from galen_calibration_behavior.check_power import CASES as CHECK_CASES
+from galen_calibration_behavior.check_power import heavier, loose, main, tilt_zero, touched
 from galen_calibration_behavior.pose_order import SweepTimes
 from galen_calibration_behavior.quick_check import differences, quick_check
 from galen_calibration_behavior.stillness import PoseRecord
@@ -57,33 +60,6 @@ def records(load, random, *, offset=0.0, extra=None, sigma=SIGMA, poses=POSES, n
     return made
 
 
-def heavier(load, mass_kg):
-    return Load(load.mass_kg + mass_kg, load.com_m)
-
-
-def loose(load, shift_m):
-    def extra(roll, tilt, _k):
-        gravity = gravity_in_sensor(roll, tilt)
-        aside = gravity / np.linalg.norm(gravity) * (1.0, 1.0, 0.0)
-        return np.concatenate([np.zeros(3), np.cross(aside * shift_m, load.mass_kg * gravity)])
-
-    return extra
-
-
-def tilt_zero(load, offset_rad):
-    def extra(roll, tilt, _k):
-        moved, nominal = (
-            nominal_reading(roll, angle, load, ADAPTER) for angle in (tilt + offset_rad, tilt)
-        )
-        return moved - nominal
-
-    return extra
-
-
-def touch(_roll, _tilt, k):
-    return np.array([0.3, 0.0, 0.0, 0.0, 0.0, 0.0]) * (k == 2)
-
-
 NEVER_ZEROED = gravity_wrench(gravity_in_sensor(0.0, 0.0), ADAPTER)
 ZEROED_ELSEWHERE = NEVER_ZEROED - gravity_wrench(gravity_in_sensor(0.9, -0.6), ADAPTER)
 ZEROED_WITH_TOOL = -gravity_wrench(gravity_in_sensor(0.0, 0.0), POINTER)
@@ -120,7 +96,7 @@ CASES = {
         RETRACTOR, RETRACTOR, {"extra": tilt_zero(RETRACTOR, 0.03)}, Answer.RECALIBRATE,
         Cause.UNEXPLAINED, "a joint's zero that has moved",
     ),
-    "touched": (POINTER, POINTER, {"extra": touch}, Answer.UNSURE, Cause.TOUCHED, "repeat"),
+    "touched": (POINTER, POINTER, {"extra": touched(0.3)}, Answer.UNSURE, Cause.TOUCHED, "repeat"),
     "noisy": (POINTER, POINTER, {"sigma": 60 * SIGMA}, Answer.UNSURE, Cause.NOISE, "too noisy"),
 }  # fmt: skip
 
@@ -188,6 +164,10 @@ def test_what_a_tare_takes_off_is_no_offset_any_more():
     check = quick_check(averages, file_of(POINTER), LIMITS, known_offset=PULL)
     assert check.answer is Answer.GOOD
     assert np.all(np.abs(check.found.offset) < 5 * SIGMA)
+    unzeroed = records(POINTER, np.random.default_rng(1), offset=NEVER_ZEROED)
+    check = quick_check(unzeroed, file_of(POINTER), LIMITS, known_offset=PULL)
+    assert check.cause is Cause.ZERO_LOST
+    assert check.found.offset == pytest.approx(NEVER_ZEROED - PULL, abs=5e-3)
 
 
 def test_a_learned_cable_is_expected_as_the_compensation_expects_it():
@@ -242,3 +222,17 @@ def test_poses_are_near_and_tell_the_most_of_those_near(here):
 def test_a_reach_that_tells_nothing_is_refused():
     with pytest.raises(PoseDesignError):
         choose((0.0, 0.0), 1e-7)
+
+
+@pytest.mark.slow
+def test_the_table_of_the_readme_is_made_by_a_command(capsys, monkeypatch):
+    wanted = [case for case in CHECK_CASES if case.name in ("mass +2 g", "loose by 6 mm")]
+    monkeypatch.setattr("galen_calibration_behavior.check_power.CASES", wanted)
+    main(["--checks", "1", "--json"])
+    found = json.loads(capsys.readouterr().out)
+    assert [row["answers"] for row in found["cases"]] == [{"GOOD": 1}, {"RECALIBRATE": 1}]
+    assert [row["share"] for row in found["power"]] == [0.0, 0.5, 1.0]
+    assert 5e-5 < found["power"][0]["mass_kg"] < 3e-4
+    with pytest.raises(SystemExit) as ended:
+        main(["--checks", "0"])
+    assert ended.value.code == 2
