@@ -147,6 +147,7 @@ class FitEvidence:
             precision[k, _DRIFT, _DRIFT] = np.diag(1.0 / drift**2)
             precision[k, _SAG, _SAG] = sag if what is Explanation.LOOSE else tight
         self._precision = precision
+        self._prior_covariance = np.linalg.inv(precision)
         self._log_det_prior = np.linalg.slogdet(precision)[1]
 
     def design(self, stops: Stops) -> Array:
@@ -168,7 +169,7 @@ class FitEvidence:
 
     def fit_of_each(self, stops: Stops) -> tuple[Array, Array]:
         """Of each stop on its own, with a file that fits: chi-square (n,) of 6, and log density."""
-        return self._log_density(stops, np.zeros(_COUNT), np.linalg.inv(self._precision[0]), 0)
+        return self._log_density(stops, np.zeros(_COUNT), self._prior_covariance[0], 0)
 
     def log_contradiction(self, stops: Stops, judgement: Judgement) -> Array:
         """Log odds (n,) by which each stop is likelier with a file that fits than as foretold.
@@ -202,7 +203,7 @@ class FitEvidence:
         """Log density of all means together under an explanation, none of them touched."""
         k, size = EXPLANATIONS.index(explanation), 6 * len(stops)
         rows = self.design(stops).reshape(size, _COUNT)
-        covariance = rows @ np.linalg.inv(self._precision[k]) @ rows.T
+        covariance = rows @ self._prior_covariance[k] @ rows.T
         covariance[range(size), range(size)] += self._noise(k, self.variance(stops)).ravel()
         means = stops.mean.ravel()
         square = means @ np.linalg.solve(covariance, means)
@@ -221,6 +222,7 @@ class FitEvidence:
         squares = np.sum(stops.mean**2 / own, axis=2)
         free = np.ones((kinds, count), dtype=bool)
         best, best_free = np.full(kinds, -np.inf), free.copy()
+        yield
         for _ in range(_LOOKS):
             information = self._precision + np.einsum("hn,hnpq->hpq", free, matrices)
             right = np.einsum("hn,hnp->hp", free, rights)
@@ -239,10 +241,10 @@ class FitEvidence:
             # does to the fit makes others look touched, which a second look clears up.
             gain = np.where(free, touched_value[None] - foretold, 0.0)
             most = np.max(gain, axis=1, keepdims=True)
+            yield
             if np.all(most <= 0.0):
                 break
             free &= (gain <= 0.5 * most) | (most <= 0.0)
-            yield
         evidence = best + np.log(_PRIOR)
         k = int(np.argmax(evidence))
         log_odds = float(evidence[k] - evidence[0])

@@ -15,12 +15,13 @@ in time, which is then the same.
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 from galen_model.arm import GRAVITY_M_S2
 from galen_model.arrays import Array
 from galen_model.kinematics import gravity_in_sensor
 from scipy.linalg import helmert
-from scipy.special import logsumexp
 
 from galen_gravcomp.fit_evidence import Stops
 
@@ -32,40 +33,50 @@ _LOG_2PI = float(np.log(2.0 * np.pi))
 
 def log_odds_of_pull(stops: Stops, variance: Array) -> float:
     """Log odds of a pull by the pose against hands; `variance` (n, 6): of the noise."""
-    count = len(stops)
-    order = np.arange(count)
-    pulls = [_log_density(stops, variance, kernel, centred=True) for kernel in _by_pose(stops)]
-    hands = [
-        _log_density(stops, variance, kernel, centred=True)
-        for kernel in (
-            np.eye(count),
-            np.exp(-np.abs(order[:, None] - order) / _STOPS_ALIKE),
-        )
-    ]
-    return float(logsumexp(pulls) - np.log(len(pulls)) - max(hands))
+    order = np.arange(len(stops))
+    hands = [np.eye(len(stops)), np.exp(-np.abs(order[:, None] - order) / _STOPS_ALIKE)]
+    density = _log_density(stops, variance, np.array([*_by_pose(stops), *hands]), centred=True)
+    count = len(_LENGTHS)
+    return float(_log_mean(density[:count], 0) - np.max(density[count:]))
 
 
 def log_density_of_pull(stops: Stops, variance: Array) -> float:
     """Log density of all means (n, 6) if a pull by the pose is all there is."""
-    values = [_log_density(stops, variance, kernel, centred=False) for kernel in _by_pose(stops)]
-    return float(logsumexp(values) - np.log(len(values)))
+    return float(_log_mean(_log_density(stops, variance, _by_pose(stops), centred=False), 0))
 
 
-def _by_pose(stops: Stops) -> list[Array]:
+def _by_pose(stops: Stops) -> Array:
+    """Kernels (lengths, n, n)."""
     unit = gravity_in_sensor(stops.angles[:, 0], stops.angles[:, 1]) / -GRAVITY_M_S2[2]
     square = np.sum((unit[:, None] - unit) ** 2, axis=2)
-    return [np.exp(-square / (2.0 * length**2)) for length in _LENGTHS]
+    return np.array([np.exp(-square / (2.0 * length**2)) for length in _LENGTHS])
 
 
-def _log_density(stops: Stops, variance: Array, kernel: Array, *, centred: bool) -> float:
-    """Summed over the axes, by the kernel's own axes: noise is taken as the same at all stops."""
+def _log_density(stops: Stops, variance: Array, kernels: Array, *, centred: bool) -> Array:
+    """Of each kernel (k, n, n), summed over the axes: (k,).
+
+    Sums over the kernel's own axes; noise is taken as the same at all stops.
+    """
     means = stops.mean
     if centred:
-        differences = helmert(len(stops))
-        kernel, means = differences @ kernel @ differences.T, differences @ means
-    values, modes = np.linalg.eigh(kernel)
-    spread = np.maximum(values, 0.0) * _SIZES[..., None] ** 2
+        differences = _differences(len(stops))
+        kernels, means = differences @ kernels @ differences.T, differences @ means
+    values, modes = np.linalg.eigh(kernels)
+    spread = np.maximum(values, 0.0)[:, None, None] * _SIZES[..., None] ** 2
     spread = spread + np.mean(variance, axis=0)[:, None, None]
-    square = (modes.T @ means).T[:, None, :] ** 2
-    density = -0.5 * np.sum(square / spread + np.log(spread) + _LOG_2PI, axis=2)
-    return float(np.sum(logsumexp(density, axis=1)) - 6.0 * np.log(_SIZES.shape[1]))
+    square = np.swapaxes(np.swapaxes(modes, 1, 2) @ means, 1, 2)[:, :, None] ** 2
+    density = -0.5 * np.sum(square / spread + np.log(spread) + _LOG_2PI, axis=3)
+    return np.asarray(np.sum(_log_mean(density, 2), axis=1))
+
+
+def _log_mean(values: Array, axis: int) -> Array:
+    """Logarithm of the mean of exp(values): a tenth of what scipy's logsumexp takes."""
+    most = np.max(values, axis=axis, keepdims=True)
+    mean = np.mean(np.exp(values - most), axis=axis)
+    return np.asarray(np.squeeze(most, axis=axis) + np.log(mean))
+
+
+@lru_cache(maxsize=32)
+def _differences(count: int) -> Array:
+    """Orthonormal contrasts (n - 1, n), without what all have in common."""
+    return np.asarray(helmert(count))

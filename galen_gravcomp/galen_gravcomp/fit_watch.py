@@ -185,11 +185,15 @@ class GravityFitWatch:
         for count in sorted({1 if lone else _NEWEST, _NEWEST, REMEMBERED}):
             some = stops[-count:]
             judgement = yield from self._evidence.judge(as_arrays(some))
+            yield
             if self._worth_saying(judgement, some):
+                yield
                 self._keep(some, judgement)
+                yield
                 # A few poses near each other fit any load: the reason is what all of them say.
                 kept = self._judged
                 whole = yield from self._evidence.judge(as_arrays(kept))
+                yield
                 if self._worth_saying(whole, kept):
                     judgement, some = whole, kept
                 yield
@@ -197,6 +201,7 @@ class GravityFitWatch:
                 return judgement, words.misfit(judgement, self._tool, self._limits, pulled)
             if len(some) < count:
                 break
+            yield
         if lone and newest.log_touched > _SURE:
             return None, words.contact(newest.mean, newest.lasts_s, newest.log_touched)
         return None

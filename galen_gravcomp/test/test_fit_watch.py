@@ -194,7 +194,7 @@ def test_a_pull_s_density_is_the_normal_density(centred):
             y = rows @ mean[:, axis]
             densities.append(multivariate_normal(np.zeros(len(y)), covariance).pdf(y))
         expected += np.log(np.mean(densities))
-    found = fit_pull._log_density(stops, variance, kernel, centred=centred)
+    found = fit_pull._log_density(stops, variance, kernel[None], centred=centred)[0]
     assert np.isclose(found, expected, rtol=1e-9)
 
 
