@@ -18,7 +18,7 @@ import numpy as np
 from galen_bags.arm_recording import ArmTopics, read_arm
 from galen_bags.command_line import positive
 from galen_model.bias_choice import BiasMode
-from galen_model.errors import GalenError, ToolNameError
+from galen_model.errors import GalenError, IdentificationError, ToolNameError
 from galen_model.mounting_groups import GROUPS, entities
 from galen_model.mounting_identification import KnownLoad
 from galen_model.tool_file import LoadEstimate, check_tool_name, read_tool, tool_path
@@ -188,10 +188,9 @@ def add_mounting_options(group: argparse._ArgumentGroup) -> None:
 
 
 def mounting_request(options: argparse.Namespace) -> MountingRequest | None:
-    """What the options ask of the mounting; raises IdentificationError for an unknown name."""
+    """What the options ask of the mounting; raises IdentificationError for what can't be known."""
     if options.estimate is None:
         return None
-    entities(options.estimate)
     if options.known_mass_kg is None:
         return MountingRequest(options.estimate)
     com = None if options.known_com_m is None else np.array(options.known_com_m)
@@ -223,6 +222,10 @@ def _check_combination(parser: argparse.ArgumentParser, options: argparse.Namesp
         parser.error("--estimate is for a constant bias")
     if options.known_mass_kg is not None and options.estimate is None:
         parser.error("--known-mass-kg is for --estimate")
+    try:
+        entities(options.estimate or ())
+    except IdentificationError as error:
+        parser.error(f"--estimate: {error}")
     given = {
         "--known-com-m": options.known_com_m or [],
         "--tip": options.tip or [],

@@ -75,6 +75,7 @@ def test_what_the_poses_can_not_tell_writes_nothing(tmp_path):
 
 def test_the_command_and_the_node_refuse_what_they_can_not_use(capsys):
     for arguments in (
+        ["--estimate", "gains"],
         ["--known-mass-kg", "0.1"],
         ["--known-mass-kg", "0.1", "--known-mass-std-kg", "1e-4"],
         ["--estimate", "axis_gain", "--known-com-m", "0", "0", "0", "--known-com-std-m", "1e-3"],

@@ -16,7 +16,7 @@ from galen_bags.find import find_bags
 from galen_bags.many import add_many_options, run_many
 from galen_bags.orientation_table import read_table
 from galen_model.arm import JOINT_NAMES, WRENCH_AXES
-from galen_model.errors import GalenError, ToolFileError
+from galen_model.errors import GalenError, IdentificationError, ToolFileError
 from galen_model.mounting_groups import entities
 from galen_model.mounting_identification import KnownLoad
 from galen_model.tool_file import read_tool, tool_path, write_tool
@@ -269,7 +269,6 @@ def run_table(arguments: argparse.Namespace, console: Console) -> None:
 def _mounting(arguments: argparse.Namespace) -> TableMounting | None:
     if arguments.estimate is None:
         return None
-    entities(arguments.estimate)
     mass, std = arguments.known_mass_kg, arguments.known_mass_std_kg
     return TableMounting(arguments.estimate, None if mass is None else KnownLoad(mass, std))
 
@@ -375,6 +374,12 @@ def main(args: Sequence[str] | None = None) -> int:
     if arguments.bags and bool(arguments.tool) == bool(arguments.tool_beside):
         parser.error("bags need --tool FILE or --tool-beside NAME")
     _check_motion(parser, arguments)
+    try:
+        entities(arguments.estimate or ())
+    except IdentificationError as error:
+        parser.error(f"--estimate: {error}")
+    if arguments.known_mass_kg is not None and arguments.estimate is None:
+        parser.error("--known-mass-kg is for --estimate")
     if (arguments.known_mass_kg is None) != (arguments.known_mass_std_kg is None):
         parser.error("--known-mass-kg and --known-mass-std-kg belong together")
     if arguments.estimate and not arguments.table:

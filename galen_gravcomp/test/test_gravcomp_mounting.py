@@ -144,7 +144,9 @@ def test_a_table_refuses_what_it_can_not_tell(table, capsys):
     assert "the common force gain and the masses" in capsys.readouterr().err
     assert main(["--table", table, "--estimate", "roll_zero"]) == 1
     assert "enough of the roll joint's zero" in capsys.readouterr().err
-    assert main(["--table", table, "--estimate", "everything"]) == 1
+    for wrong in (["--estimate", "everything"], ["--known-mass-kg", "1"]):
+        with pytest.raises(SystemExit, match="2"):
+            main(["--table", table, *wrong])
     assert "'everything' can't be estimated" in capsys.readouterr().err
     with pytest.raises(GalenError, match="holds zeros of joints"):
         table_prediction(TOOL, read_table(table))
