@@ -100,7 +100,8 @@ def remove(options: argparse.Namespace) -> dict[str, Any]:
         raise GalenError(f"{path}: holds no cable")
     if not options.dry_run:
         write_tool(path, replace(tool, cable=None))
-    return {"tool": options.tool, "file": "" if options.dry_run else str(path), "removed": True}
+    done = not options.dry_run
+    return {"tool": options.tool, "file": str(path) if done else "", "removed": done}
 
 
 def run(options: argparse.Namespace) -> CableResult:
