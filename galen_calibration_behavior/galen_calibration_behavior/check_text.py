@@ -40,7 +40,8 @@ def in_words(
             return f"{left}; it is as of {' or '.join(hints)}: mend that, then calibrate again"
         return (
             f"{left}, nor a loose tool, a joint's zero, a turned sensor or a steady pull alone:"
-            " see to the mount and the cables, then calibrate again"
+            " repeat, in case it was touched; else see to the mount and the cables, then calibrate"
+            " again"
         )
     if cause in (Cause.OFFSET, Cause.ZERO_LOST):
         text = f"a constant offset, {_values(found.offset)}"
