@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 from galen_bags.command_line import positive
 from galen_bags.orientation_table import read_orientations, read_table, read_wrenches
-from galen_bags.text_table import read_text_table
+from galen_bags.text_table import TableError, read_text_table
 from galen_model.arm import GRAVITY_M_S2, WRENCH_AXES
 from galen_model.arrays import Array
 from galen_model.errors import GalenError
@@ -82,6 +82,13 @@ def run(arguments: argparse.Namespace) -> MotionScore:
     wrench_t, wrench = read_wrenches(arguments.wrench)
     gravity_t, gravity = read_orientations(arguments.orientations)
     imu_t = read_text_table(arguments.imu, {"t", *_IMU}).require("t")
+    specific = _specific(arguments.imu, arguments.imu_unit_m_s2)
+    for path, times in (
+        (arguments.wrench, wrench_t),
+        (arguments.imu, imu_t),
+        (arguments.orientations, gravity_t),
+    ):
+        _check_times(path, times)
     start = wrench_t[0]
     return score_motion(
         still,
@@ -89,12 +96,22 @@ def run(arguments: argparse.Namespace) -> MotionScore:
             (wrench_t - start) * unit_s,
             wrench,
             (imu_t - start) * unit_s,
-            _specific(arguments.imu, arguments.imu_unit_m_s2),
+            specific,
             (gravity_t - start) * unit_s,
             gravity,
         ),
         tuple(arguments.bands_hz),
     )
+
+
+def _check_times(path: Path, times: Array) -> None:
+    late = np.flatnonzero(np.diff(times) <= 0.0)
+    if len(late):
+        row = int(late[0]) + 1
+        raise TableError(
+            f"{path}: reading {row + 1} has t = {times[row]:.15g} after {times[row - 1]:.15g};"
+            " a run's times increase"
+        )
 
 
 def _specific(path: Path, unit_m_s2: float) -> Array:

@@ -116,6 +116,11 @@ def test_a_run_of_tables_is_scored_by_halves(tmp_path, capsys):
         assert everything["with the IMU"][axis] < 1.15 * noise
         assert everything["at rest"][axis] == pytest.approx(noise, rel=0.1)
     assert main(args) == 0 and "with the IMU" in capsys.readouterr().out
+    lines = (tmp_path / "o.csv").read_text().split("\n")
+    (tmp_path / "o.csv").write_text("\n".join([*lines[:5], *lines[4:]]))
+    assert main(args) == EXIT_FAILED
+    error = capsys.readouterr().err
+    assert "o.csv: reading 5 has t = " in error and error.count("\n") == 1
     (tmp_path / "i.csv").write_text("t,ax,ay\n1,2,3\n")
     assert main(args) == EXIT_FAILED
     error = capsys.readouterr().err
