@@ -5,23 +5,22 @@ it. A hand is whatever it is at each stop, or what it was at the stop before. Wi
 axis' means at n stops and u gravity's unit vector there, each is a normal density of y_i with
 
     covariance s^2 R + v_i 1,    R_kl = exp(-|u_k - u_l|^2 / (2 l^2))     a pull
-                                 R = 1, or exp(-|k - l| / 2)              hands
+                                 R_kl = exp(-|k - l| / 2)                 a hand that changes slowly
 
 and the size s integrated out over a coarse scale of sizes (Rasmussen and Williams, *Gaussian
-Processes for Machine Learning*, 2006, section 5.4). What all stops have in common tells nothing of
-that, and is taken off first. So nothing is said while poses are as near to each other as they are
-in time, which is then the same.
+Processes for Machine Learning*, 2006, section 5.4). A hand that is another at each stop has another
+size at each as well: pushes of newtons and of tenths come from the same hand, and small ones at
+poses near each other are not alike for that. The median over the stops is taken off first: what
+they have in common tells a pull from hands by nothing. Nothing is said while poses are as near to
+each other as they are in time, which is then the same.
 """
 
 from __future__ import annotations
-
-from functools import lru_cache
 
 import numpy as np
 from galen_model.arm import GRAVITY_M_S2
 from galen_model.arrays import Array
 from galen_model.kinematics import gravity_in_sensor
-from scipy.linalg import helmert
 
 from galen_gravcomp.fit_evidence import Stops
 
@@ -33,16 +32,17 @@ _LOG_2PI = float(np.log(2.0 * np.pi))
 
 def log_odds_of_pull(stops: Stops, variance: Array) -> float:
     """Log odds of a pull by the pose against hands; `variance` (n, 6): of the noise."""
+    means = stops.mean - np.median(stops.mean, axis=0)
     order = np.arange(len(stops))
-    hands = [np.eye(len(stops)), np.exp(-np.abs(order[:, None] - order) / _STOPS_ALIKE)]
-    density = _log_density(stops, variance, np.array([*_by_pose(stops), *hands]), centred=True)
-    count = len(_LENGTHS)
-    return float(_log_mean(density[:count], 0) - np.max(density[count:]))
+    slow = np.exp(-np.abs(order[:, None] - order) / _STOPS_ALIKE)
+    density = _log_density(means, variance, np.array([*_by_pose(stops), slow]))
+    hands = max(density[-1], _log_density_of_hands(means, variance))
+    return float(_log_mean(density[:-1], 0) - hands)
 
 
 def log_density_of_pull(stops: Stops, variance: Array) -> float:
     """Log density of all means (n, 6) if a pull by the pose is all there is."""
-    return float(_log_mean(_log_density(stops, variance, _by_pose(stops), centred=False), 0))
+    return float(_log_mean(_log_density(stops.mean, variance, _by_pose(stops)), 0))
 
 
 def _by_pose(stops: Stops) -> Array:
@@ -52,15 +52,11 @@ def _by_pose(stops: Stops) -> Array:
     return np.array([np.exp(-square / (2.0 * length**2)) for length in _LENGTHS])
 
 
-def _log_density(stops: Stops, variance: Array, kernels: Array, *, centred: bool) -> Array:
-    """Of each kernel (k, n, n), summed over the axes: (k,).
+def _log_density(means: Array, variance: Array, kernels: Array) -> Array:
+    """Of means (n, 6) by each kernel (k, n, n), summed over the axes: (k,).
 
     Sums over the kernel's own axes; noise is taken as the same at all stops.
     """
-    means = stops.mean
-    if centred:
-        differences = _differences(len(stops))
-        kernels, means = differences @ kernels @ differences.T, differences @ means
     values, modes = np.linalg.eigh(kernels)
     spread = np.maximum(values, 0.0)[:, None, None] * _SIZES[..., None] ** 2
     spread = spread + np.mean(variance, axis=0)[:, None, None]
@@ -69,14 +65,16 @@ def _log_density(stops: Stops, variance: Array, kernels: Array, *, centred: bool
     return np.asarray(np.sum(_log_mean(density, 2), axis=1))
 
 
+def _log_density_of_hands(means: Array, variance: Array) -> float:
+    """Of means (n, 6), if each stop's force and torque are of a size of their own."""
+    spread = _SIZES**2 + variance[..., None]
+    density = -0.5 * (means[..., None] ** 2 / spread + np.log(spread) + _LOG_2PI)
+    by_size = density.reshape(len(means), 2, 3, -1).sum(axis=2)
+    return float(np.sum(_log_mean(by_size, 2)))
+
+
 def _log_mean(values: Array, axis: int) -> Array:
     """Logarithm of the mean of exp(values): a tenth of what scipy's logsumexp takes."""
     most = np.max(values, axis=axis, keepdims=True)
     mean = np.mean(np.exp(values - most), axis=axis)
     return np.asarray(np.squeeze(most, axis=axis) + np.log(mean))
-
-
-@lru_cache(maxsize=32)
-def _differences(count: int) -> Array:
-    """Orthonormal contrasts (n - 1, n), without what all have in common."""
-    return np.asarray(helmert(count))
