@@ -45,6 +45,7 @@ from galen_calibration_behavior.sweep_plan import Surroundings
 
 _SAMPLES = 250
 _CHECKS_A_FILE = 10
+_POWER_CHECKS = 4  # for each of a case's
 _PLATFORM = (0.0, 0.0, 0.408)
 _LIMITS = CheckLimits()
 _ANYWHERE = angle_grid(*ANGLE_LIMITS, 13, 13)
@@ -249,8 +250,8 @@ def power(checks: int, seed: int, step: Callable[[], object]) -> list[dict[str, 
         rows.append(
             {
                 "share": share,
-                "load_told": told[0] / checks,
-                "offset_told": told[1] / checks,
+                "load_told": float(told[0]) / checks,
+                "offset_told": float(told[1]) / checks,
                 "mass_kg": float(mass_kg),
                 "force_n": float(force_n),
                 "torque_nm": float(torque_nm),
@@ -271,7 +272,12 @@ def main(arguments: list[str] | None = None) -> None:
         description=__doc__.partition("\n")[0],
         epilog="exit codes: 0 done, 2 wrong arguments, 130 interrupted (Ctrl-C)",
     )
-    parser.add_argument("--checks", type=int, default=50, help="of each case (default 50)")
+    parser.add_argument(
+        "--checks",
+        type=int,
+        default=50,
+        help="of each case, and four times as many for what can be told (default 50)",
+    )
     parser.add_argument("--seed", type=int, default=1, help="of the noise (default 1)")
     parser.add_argument("--json", action="store_true", help="print the result as one JSON object")
     options = parser.parse_args(arguments)
@@ -279,10 +285,12 @@ def main(arguments: list[str] | None = None) -> None:
         parser.error("--checks is at least 1, --seed at least 0")
     silent = options.json or not sys.stderr.isatty()
     try:
-        total = (len(CASES) + 3) * options.checks
+        # Checks of one file share its errors: a rate to the per cent needs many files.
+        more = _POWER_CHECKS * options.checks
+        total = len(CASES) * options.checks + 3 * more
         with tqdm(total=total, unit="check", disable=silent) as bar:
             table = [answers(case, options.checks, options.seed, bar.update) for case in CASES]
-            shares = power(options.checks, options.seed, bar.update)
+            shares = power(more, options.seed + 1, bar.update)
     except KeyboardInterrupt:
         raise SystemExit(130) from None
     if options.json:
