@@ -48,6 +48,9 @@ def inertia_source(tool: ToolFile | None) -> str:
 _JUMPS = ((0.005, 1.5),) * 3 + ((0.03, 10.0),) * 2
 
 
+_NO_PLATFORM = "forces of motion are not known: joint_states lacks the platform's position"
+
+
 class JointMotion:
     """Motion stage of a `Compensator`: the platform's position and both angles, differentiated."""
 
@@ -108,7 +111,8 @@ class JointMotion:
         assert self._load is not None
         found = self._window.at(stamp_ns)
         if isinstance(found, NoMotion):
-            return found
+            lacking = self._last is not None and all(map(math.isnan, self._last[1][:3]))
+            return NoMotion(found.reason, _NO_PLATFORM) if lacking else found
         then, change = (roll_rad, tilt_rad), (0.0, 0.0, 0.0)
         if self.settings.lag_s:
             then = (float(found.value[3]), float(found.value[4]))

@@ -156,6 +156,8 @@ def test_gaps_bad_values_and_lacking_positions_are_refused_with_their_own_reason
     assert len(bad) == FIRST + 31 and "not finite" in bad[-1]
     few = run(lambda number: [q] if number % 5 == 0 else [])
     assert "samples of joint_states; 8 are needed (a longer motion_window_s" in few[-1]
+    none = run(lambda number: [(np.nan,) * 3 + q[3:]])
+    assert none[-1].endswith("joint_states lacks the platform's position")
     for wild in (0.01, 1e200, np.inf):  # 1 cm, or anything, in one sample
         wrong = run(lambda number, wild=wild: [(wild, *q[1:])] if number == 50 else [q])
         assert len(wrong) in (FIRST + 31, FIRST + 32) and "or jumps" in wrong[-1], wild
