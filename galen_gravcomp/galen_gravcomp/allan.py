@@ -46,7 +46,7 @@ class Allan:
 
     def fitted(self, tau_s: Array) -> Array:
         """Deviation (n,) that the coefficients give."""
-        return np.sqrt(_basis(tau_s) @ np.square(self._coefficients()))
+        return np.sqrt(_basis(tau_s, 1.0 / tau_s) @ np.square(self._coefficients()))
 
     def _coefficients(self) -> Array:
         return np.array([self.white, self.instability, self.walk, self.ramp])
@@ -59,18 +59,20 @@ def allan_deviation(cells: Array, cell_s: float) -> Allan:
     number = np.concatenate([[0], np.cumsum(there)])
     longest = max(1, len(cells) // (_FEWEST_PAIRS + 1))
     steps = int(_PER_DECADE * np.log10(longest)) + 1
-    rows: list[tuple[int, float, int]] = []
+    rows: list[tuple[int, float, int, float]] = []
     for m in np.unique(np.round(np.logspace(0, np.log10(longest), steps)).astype(int)):
-        mean = (total[m:] - total[:-m]) / m
-        whole = number[m:] - number[:-m] == m
-        pairs = whole[m:] & whole[:-m]
+        used = number[m:] - number[:-m]
+        mean = (total[m:] - total[:-m]) / np.maximum(used, 1)
+        enough = 2 * used > m
+        pairs = enough[m:] & enough[:-m]
         if pairs.sum() < _FEWEST_PAIRS * m and m > 1:
             continue
         if not pairs.any():
             continue
         half = float(np.mean((mean[m:] - mean[:-m])[pairs] ** 2) / 2.0)
-        rows.append((int(m), half, int(pairs.sum()) + 2 * int(m) - 1))
-    factor, variance, cells_used = np.array(rows).T
+        white = float(np.mean(1.0 / used[m:][pairs] + 1.0 / used[:-m][pairs]) / 2.0)
+        rows.append((int(m), half, int(pairs.sum()) + 2 * int(m) - 1, white / cell_s))
+    factor, variance, cells_used, white_part = np.array(rows).T
     tau = factor * cell_s
     deviation = np.sqrt(variance)
     with np.errstate(divide="ignore"):
@@ -81,26 +83,28 @@ def allan_deviation(cells: Array, cell_s: float) -> Allan:
     )
     low = deviation * np.sqrt(freedom / chi2.ppf(0.975, freedom))
     high = deviation * np.sqrt(freedom / chi2.ppf(0.025, freedom))
-    coefficients = _fit(tau, variance, freedom)
+    coefficients = _fit(tau, variance, freedom, white_part)
     return Allan(tau, deviation, low, high, *np.sqrt(coefficients).tolist())
 
 
-def _basis(tau: Array) -> Array:
+def _basis(tau: Array, white: Array) -> Array:
     return np.column_stack(
-        [1.0 / tau, np.full(len(tau), 2.0 * np.log(2.0) / np.pi), tau / 3.0, tau**2 / 2.0]
+        [white, np.full(len(tau), 2.0 * np.log(2.0) / np.pi), tau / 3.0, tau**2 / 2.0]
     )
 
 
-def _fit(tau: Array, variance: Array, freedom: Array) -> Array:
+def _fit(tau: Array, variance: Array, freedom: Array, white: Array) -> Array:
     """Squares (4,) of the coefficients."""
-    floor = max(float(variance.max()) * 1e-12, 1e-300)
+    if not variance.max() > 0.0:  # a sensor that stands at one value
+        return np.zeros(4)
+    floor = float(variance.max()) * 1e-12
     expected = np.maximum(variance, floor)
     for _ in range(10):  # the error of a variance is a part of the true one, not of the measured
         weight = np.sqrt(freedom / 2.0) / expected
-        basis = _basis(tau) * weight[:, None]
+        basis = _basis(tau, white) * weight[:, None]
         size = np.maximum(np.linalg.norm(basis, axis=0), 1e-300)
         squares = nnls(basis / size, variance * weight)[0] / size
-        expected = np.maximum(_basis(tau) @ squares, floor)
+        expected = np.maximum(_basis(tau, white) @ squares, floor)
     return np.asarray(squares)
 
 

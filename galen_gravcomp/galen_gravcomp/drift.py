@@ -23,6 +23,7 @@ from galen_gravcomp.drift_series import CELL_S, TEXT_SUFFIXES, read_series
 from galen_gravcomp.misfit import Limits
 
 EXIT_OK, EXIT_FAILED, EXIT_USAGE, EXIT_INTERRUPTED = 0, 1, 2, 130
+_CELL_LIMITS_S = 1e-3, 3600.0
 _EPILOG = f"""exit codes:
   {EXIT_OK}    done, whatever the answer
   {EXIT_FAILED}    a recording or the tool's file can't be used; a line says why
@@ -137,7 +138,13 @@ def run(arguments: argparse.Namespace, console: Console) -> None:
 
 def main(args: Sequence[str] | None = None) -> int:
     """Entry point; returns the exit code."""
-    arguments = build_parser().parse_args(args)
+    parser = build_parser()
+    arguments = parser.parse_args(args)
+    low, high = _CELL_LIMITS_S
+    if not low <= arguments.cell_s <= high:
+        parser.error(f"--cell-s is {arguments.cell_s:g}, but must be {low:g} to {high:g}")
+    if len(arguments.joint_names.split(",")) != len(JOINT_NAMES):
+        parser.error(f"--joint-names needs {len(JOINT_NAMES)} names, separated by commas")
     try:
         run(arguments, Console(width=None if sys.stdout.isatty() else 120))
     except GalenError as error:

@@ -43,6 +43,8 @@ _MAD_TO_STD = 1.4826
 _POSE_RAD = 2e-3
 _FEWEST_CELLS = 60
 _FEWEST_IN_CELL = 10
+_MOST_CELLS = 5_000_000  # 58 days of seconds, 2 GB
+_MOST_TABLE_S = 1e9  # of nanoseconds that int64 holds
 TEXT_SUFFIXES = (".csv", ".txt", ".tsv", ".dat")
 
 
@@ -50,7 +52,7 @@ TEXT_SUFFIXES = (".csv", ".txt", ".tsv", ".dat")
 class DriftSeries:
     """reading (n, 6), N and N.m, one row each `cell_s`, NaN where there is none or it was left out.
 
-    noise (6,): standard deviation of one sample about its cell's mean; samples: how many there
+    noise (6,): standard deviation of one sample about its kept cell's mean; samples: how many there
     were; start_ns: stamp of the first row. touched_s: spans (begin, end), s from the start, left
     out as touched; steps: (time in s, change (6,)) of levels that jump and stay. notes: in words.
     """
@@ -121,6 +123,8 @@ def _table(
     time_s = np.arange(len(wrench)) / rate_hz if rate_hz is not None else text.require("t")
     if np.any(np.diff(time_s) < 0.0):
         raise GalenError(f"{path}: time steps back")
+    if not time_s[-1] - time_s[0] < _MOST_TABLE_S:
+        raise GalenError(f"{path}: {time_s[-1] - time_s[0]:.0g} s long; is its time in seconds?")
     return np.round((time_s - time_s[0]) * 1e9).astype(np.int64), wrench
 
 
@@ -162,6 +166,13 @@ def series_of(name: str, cells: Cells, joints: Cells, tool: ToolFile | None) -> 
     first = int(cells.start_ns[0]) // cell_ns
     row = cells.start_ns // cell_ns - first
     count = int(row[-1]) + 1
+    if count > _MOST_CELLS:
+        gap = int(np.argmax(np.diff(row)))
+        raise GalenError(
+            f"{name}: {count} cells of {cells.cell_s:g} s from first to last stamp are more than"
+            f" {_MOST_CELLS}; the longest gap is {np.diff(row)[gap] * cells.cell_s / 3600.0:.3g} h:"
+            " are all stamps of one clock? (else a larger --cell-s)"
+        )
     reading, scatter = np.full((count, 6), np.nan), np.full((count, 6), np.nan)
     reading[row] = cells.mean
     scatter[row] = np.sqrt(cells.squares / np.maximum(cells.count - 1, 1)[:, None])
@@ -184,6 +195,11 @@ def series_of(name: str, cells: Cells, joints: Cells, tool: ToolFile | None) -> 
                 f"{share:.0%} of it is left out, where the arm "
                 + ("moved" if tool is not None else "was elsewhere (--tool takes the weight off)")
             )
+        if tool is not None and bool(np.nanmax(np.abs(angles - _longest_pose(angles))) > 0.1):
+            notes.append(
+                "the arm stood in several poses: what the tool's file is wrong by there is in all"
+                " changes"
+            )
         reading[left] = np.nan
     elif tool is not None:
         raise GalenError(f"{name}: --tool needs the joints, and it has none")
@@ -199,7 +215,9 @@ def series_of(name: str, cells: Cells, joints: Cells, tool: ToolFile | None) -> 
         )
     spans = _spans(touched)
     steps = _steps(reading, cells.cell_s)
-    noise = np.sqrt(cells.squares.sum(axis=0) / max(int((cells.count - 1).sum()), 1))
+    still = np.isfinite(reading[row, 0])
+    freedom = max(int((cells.count[still] - 1).sum()), 1)
+    noise = np.sqrt(cells.squares[still].sum(axis=0) / freedom)
     return DriftSeries(
         reading,
         cells.cell_s,

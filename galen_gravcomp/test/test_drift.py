@@ -1,6 +1,8 @@
 """`drift`: Allan deviation against analytic values, and truths that the answer must name."""
 
+import dataclasses
 import json
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,6 +13,7 @@ from galen_gravcomp.drift_forecast import score_forecasts
 from galen_gravcomp.drift_result import judge_drift
 from galen_gravcomp.drift_series import series_of
 from galen_gravcomp.misfit import Limits
+from galen_model.errors import GalenError
 
 UNITS = np.array([1.0, 1.0, 1.0, 0.02, 0.02, 0.02])
 
@@ -41,6 +44,18 @@ def test_gaps_leave_out_the_pairs_that_need_them():
     assert one.deviation[0] < 1e-12  # nothing is beside the gap
 
 
+def test_an_arm_that_moves_between_its_stops_hides_neither_noise_nor_walk():
+    """Two of six cells missing, over and over, as where it holds for 4 s and moves for 2 s."""
+    rng = np.random.default_rng(4)
+    cells = 0.02 * rng.standard_normal(20000) + np.cumsum(0.003 * rng.standard_normal(20000))
+    cells[np.arange(20000) % 6 >= 4] = np.nan
+    found = allan_deviation(cells, 1.0)
+    assert found.tau_s[-1] > 1000.0
+    assert found.walk == pytest.approx(0.003, rel=0.15)
+    assert found.white == pytest.approx(0.02, rel=0.05)
+    assert np.all(allan_deviation(np.zeros(100), 1.0).deviation == 0.0)
+
+
 def minutes(kind, rng, hours=72.0):
     """Means of a minute (n, 3) of a known truth."""
     count = int(60 * hours)
@@ -58,8 +73,8 @@ def minutes(kind, rng, hours=72.0):
 @pytest.mark.parametrize("kind", ["white", "walk"])
 def test_what_nobody_can_foretell_is_not_called_predictable(kind):
     for seed in range(2):
-        scores = score_forecasts(minutes(kind, np.random.default_rng(seed)), 60.0)
-        assert len(scores) == 6
+        scores = score_forecasts(minutes(kind, np.random.default_rng(seed), 36.0), 60.0)
+        assert len(scores) == 5
         assert not any(score.predictable for score in scores)
 
 
@@ -100,10 +115,26 @@ def test_a_hand_is_left_out_and_a_jump_that_stays_is_told():
     assert np.nanmax(np.abs(series.reading[:4900])) < 0.02
 
 
+def test_cells_in_motion_are_not_the_sensor_s_noise_and_wild_stamps_are_refused():
+    rng = np.random.default_rng(5)
+    cells = cells_of(0.002 * rng.standard_normal((600, 6)) * UNITS)
+    moving = np.arange(600) % 6 >= 4
+    cells.squares[moving] *= 100.0
+    joints = dataclasses.replace(cells, spans=np.where(moving[:, None], 0.3, 0.0) * np.ones(2))
+    joints.angles[300:] = 0.5
+    tool = SimpleNamespace(predict=lambda roll, tilt: np.zeros((len(roll), 6)))
+    series = series_of("x", cells, joints, tool)
+    np.testing.assert_allclose(series.noise, 0.01 * np.sqrt(500 / 499) * UNITS)
+    assert "several poses" in series.notes[1]
+    cells.start_ns[-1] += 10**17
+    with pytest.raises(GalenError, match=r"longest gap is 2.78e\+04 h"):
+        series_of("x", cells, no_joints(), None)
+
+
 def test_how_long_a_tare_holds():
     """A walk of 0.1 N/sqrt(h) is 0.05 N off after a quarter of an hour."""
     rng = np.random.default_rng(2)
-    reading = np.cumsum(rng.standard_normal((30000, 6)), axis=0) / 60.0 * 0.1 * UNITS
+    reading = np.cumsum(rng.standard_normal((20000, 6)), axis=0) / 60.0 * 0.1 * UNITS
     result = judge_drift(series_of("x", cells_of(reading), no_joints(), None), Limits())
     assert result.holds_s["force"] == pytest.approx(900.0, rel=0.4)
     assert "re-tare every" in result.sentence["force"]
@@ -122,3 +153,7 @@ def test_the_command_on_a_table(tmp_path, capsys):
     assert main([str(table)]) == 1
     assert "--rate-hz" in capsys.readouterr().err
     assert main([str(tmp_path / "nothing")]) == 1
+    for wrong in (("--cell-s", "1e-10"), ("--joint-names", "a,b")):
+        with pytest.raises(SystemExit) as ended:
+            main([str(table), *wrong])
+        assert ended.value.code == 2
