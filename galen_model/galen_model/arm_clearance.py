@@ -33,6 +33,9 @@ PLATFORM_RADIUS_M = 0.06
 LINK_RADIUS_M = 0.04  # of roll link, tilt link, sensor and adapter
 ADAPTER_LENGTH_M = 0.05
 TOOL_RADIUS_M = 0.02
+MOST_BOXES = 100  # all are looked at, at every pose, while a goal's sender waits
+MOST_BOX_M = 100.0  # the library's distances fail at absurd numbers
+MOST_TIP_M = 2.0  # ways would be looked at in steps too small to come to an end
 
 # A look finds at least this more than the clearance, so that the looks' number is finite.
 _SLACK_M = 1e-3
@@ -58,11 +61,21 @@ def boxes_from_numbers(numbers: Sequence[float]) -> tuple[Box, ...]:
             f"obstacles has {len(numbers)} numbers: six a box are needed, smallest x y z, then"
             " largest x y z"
         )
+    if len(numbers) > 6 * MOST_BOXES:
+        raise ObstacleError(
+            f"obstacles has {len(numbers) // 6} boxes; at most {MOST_BOXES} are looked at: put"
+            " those together that stand close"
+        )
     boxes = []
     for index, row in enumerate(np.reshape(np.asarray(numbers, dtype=float), (-1, 6))):
         name = f"box {index + 1}"
         if not np.all(np.isfinite(row)):
             raise ObstacleError(f"obstacles: {name} holds a value that is not finite")
+        if np.any(np.abs(row) > MOST_BOX_M):
+            raise ObstacleError(
+                f"obstacles: {name} goes further than {MOST_BOX_M:g} m from base_link; are its"
+                " numbers in m?"
+            )
         if not np.all(row[:3] < row[3:]):
             raise ObstacleError(
                 f"obstacles: {name} is empty: its smallest corner {row[:3].tolist()} must be below"
@@ -102,7 +115,15 @@ class ArmClearance:
         tip_m: Array,
         arm: ArmParameters = GALEN,
     ) -> None:
-        """`clearance_m`: nothing may come nearer; tip_m (3,): the tool's tip in ft_sensor."""
+        """`clearance_m`: nothing may come nearer; tip_m (3,): the tool's tip in ft_sensor.
+
+        Raises ObstacleError for a tip that is no tool's.
+        """
+        if not np.linalg.norm(tip_m) <= MOST_TIP_M:
+            raise ObstacleError(
+                f"the tool's tip would be {np.linalg.norm(tip_m):g} m from ft_sensor, further than"
+                f" the {MOST_TIP_M:g} m that ways around obstacles are looked for; is it in m?"
+            )
         self._boxes = tuple(boxes)
         self._clearance_m = clearance_m
         self._arm = arm

@@ -55,15 +55,15 @@ def test_nothing_slips_through_a_straight_way_and_few_are_refused_in_vain():
     rng = np.random.default_rng(2)
     thin = [0.4, 0.15, 0.0, 1.0, 0.151, 0.6]
     arm = clearance(SIDE, thin)
-    ends = rng.uniform([-0.05, -0.05, 0.35, -1.5, -1.0], [0.05, 0.05, 0.5, 1.5, 0.9], (21, 5))
+    ends = rng.uniform([-0.05, -0.05, 0.35, -1.5, -1.0], [0.05, 0.05, 0.5, 1.5, 0.9], (15, 5))
     free = 0
     for start, goal in itertools.pairwise(ends):
         fault = arm.path_fault(start, goal)
-        shares = np.linspace(0.0, 1.0, 60)
+        shares = np.linspace(0.0, 1.0, 40)
         nearest = min(arm.nearest(start + s * (goal - start)).distance_m for s in shares)
         free += not fault
         assert (nearest >= CLEARANCE) if not fault else (nearest < CLEARANCE + 0.01)
-    assert 3 < free < 18
+    assert 2 < free < 13
 
 
 def test_a_thin_wall_between_two_free_poses_is_seen():
@@ -102,6 +102,8 @@ def test_what_can_not_be_reached_is_named():
     with pytest.raises(ObstacleError, match=r"home can't be taken: the .* in box 1"):
         Router(clearance([0.5, -0.1, 0.4, 0.9, 0.1, 0.6]), HOME, angle_grid((0, 0), (1, 0.5), 3, 3))
     assert "limits" in arm.pose_fault(at(0.0, -1.2))
+    with pytest.raises(ObstacleError, match=r"tip would be 150 m from ft_sensor.* in m"):
+        clearance(wall, tip=np.array([150.0, 0.0, 0.0]))
     high = np.array([0.14, 0.14, 0.6, 0.0, 0.0])
     assert "carriage" in clearance([5, 5, 5, 6, 6, 6]).pose_fault(high)
 
@@ -112,6 +114,8 @@ def test_what_can_not_be_reached_is_named():
         ([1, 2, 3, 4, 5], "has 5 numbers"),
         ([0, 0, 0, 1, -1, 1], "box 1 is empty"),
         ([0, 0, 0, 1, 1, 1, 0, 0, 0, 1, float("nan"), 1], "box 2 holds a value that is not finite"),
+        ([0, 0, 0, 1, 1, 500], "box 1 goes further than 100 m .* in m"),
+        ([0, 0, 0, 1, 1, 1] * 101, "has 101 boxes; at most 100"),
     ],
 )
 def test_boxes_that_are_none(numbers, message):
