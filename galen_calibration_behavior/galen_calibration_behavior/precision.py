@@ -10,7 +10,7 @@ of freedom: nu = 3 n - 4 for force (a mass, three offsets), 3 n - 6 for torque.
 Who looks after every pose and stops at the first estimate that is small enough takes the noise for
 smaller than it is: it stops where chance has made the residuals small (Anscombe, *J. R. Stat. Soc.
 B* 15, 1953). So not their mean square counts but its upper confidence limit, s^2 nu / chi^2_a(nu);
-`test_calibration_precision.py` holds what that leaves, over many simulated sweeps.
+`test_calibration_sweep_plan.py` holds what that leaves, over many simulated sweeps.
 """
 
 from __future__ import annotations

@@ -6,10 +6,10 @@ import json
 import numpy as np
 import pytest
 from calibration_fake_arm import FakeArm
-from galen_calibration_behavior.choose_poses import main
+from galen_calibration_behavior.choose_poses import format_choice, main
 from galen_calibration_behavior.commands import ErrorCode, Feedback
 from galen_calibration_behavior.design_plots import plot_curve, plot_poses
-from galen_calibration_behavior.design_report import efficiency_curve
+from galen_calibration_behavior.design_report import efficiency_curve, equal_count, promise
 from galen_calibration_behavior.parameters import CalibrationParameters
 from galen_calibration_behavior.pose_order import drift_share, order_poses
 from galen_calibration_behavior.precision import (
@@ -129,7 +129,7 @@ def test_sweeps_that_stop_are_as_precise_as_they_say(ratio):
     true = np.array([compensation_std(poses[:n], sigma)[:3] for n in range(1, 41)])
     true = np.sqrt(np.mean(true**2, axis=1))
     stops = []
-    for _ in range(50):
+    for _ in range(25):
         readings = sigma * rng.standard_normal((40, 6))
         for count in range(12, 41):
             rows = (design[:count] / SCATTER[:, None]).reshape(-1, 10)
@@ -221,15 +221,18 @@ def test_the_command_prints_and_refuses(capsys, tmp_path):
     assert 0.95 < found["grid_efficiency"] < found["efficiency"]
     assert found["equal_count"] == 55
     poses, grid = np.array(found["poses"]), np.array(found["grid"])
-    curve = efficiency_curve(PoseDesign(CHOSEN.range.candidates()), grid, (8, 12))
+    curve = efficiency_curve(PoseDesign(CHOSEN.range.candidates()), grid, (6, 8))
     assert curve[1].grid_ratio < 0.9 * curve[0].grid_ratio
     for path in (
         plot_poses(poses, grid, np.array(found["free"]), np.zeros((0, 2)), tmp_path / "a.png"),
         plot_curve(curve, tmp_path / "new" / "b.png"),
     ):
         assert path.stat().st_size > 10_000
-    main(["--for", "load"])
-    assert "46 chosen poses equal the grid's 56" in capsys.readouterr().out
+    assert equal_count(PoseDesign(CHOSEN.range.candidates(), goal="load"), grid) == 46
+    found["parameters"], found["curve"] = CHOSEN, curve
+    assert "55 chosen poses equal the grid's 56" in format_choice(
+        found | {"promises": {"chosen": promise(poses, CHOSEN.times(), 1.5, 500.0)}}
+    )
     with pytest.raises(SystemExit) as ended:
         main(["--obstacle", "0.5", "-0.1", "0.4", "0.9", "0.1", "0.6", "--tip", "0.1", "0", "0"])
     assert ended.value.code == 1
