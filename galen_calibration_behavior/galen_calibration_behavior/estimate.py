@@ -164,10 +164,27 @@ def estimate(
         unresolved=found.unresolved,
         mounting=mounted,
     )
-    said = [*warnings, *measurements.warnings, *found.warnings]
+    said = [*warnings, *measurements.warnings, *found.warnings, *_dropped(path, content)]
     if gain is not None and not gain.pays:
         said.append(gain.sentence)
     return Calibration(path, content, said, found, gain, tuple(measurements.notes))
+
+
+# How each part of a tool's file that a calibration does not find is found.
+_FOUND_BY = {"inertia": "inertia_from_bag", "cable": "cable_from_bag", "mounting": "--estimate"}
+
+
+def _dropped(path: Path, content: ToolFile) -> list[str]:
+    """Say which parts of the old file the new one does not have: they belong to the old load."""
+    try:
+        old = read_tool(path)
+    except ToolFileError:
+        return []
+    lost = [part for part in old.parts if part not in content.parts]
+    if not lost:
+        return []
+    again = ", ".join(f"{part} ({_FOUND_BY[part]})" for part in lost)
+    return [f"the old file's {again} belongs to its load and is not in the new file: find it again"]
 
 
 def _identify(measurements: Measurements) -> Identification:

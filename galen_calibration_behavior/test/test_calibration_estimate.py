@@ -1,5 +1,6 @@
 import json
 import math
+from dataclasses import replace
 from datetime import UTC, datetime, timedelta, timezone
 
 import numpy as np
@@ -16,8 +17,9 @@ from galen_calibration_behavior.estimate import (
 )
 from galen_model.errors import ToolFileError
 from galen_model.identification import StillPoses
+from galen_model.inertia_estimate import InertiaEstimate
 from galen_model.load import nominal_reading
-from galen_model.tool_file import read_tool
+from galen_model.tool_file import read_tool, write_tool
 
 NAN = np.full(3, math.nan)
 TIP = np.array([0.15, 0.0, 0.05])
@@ -52,6 +54,19 @@ def test_two_sweeps_recover_the_load_and_write_it(tmp_path):
     assert read.poses_used == 20
     assert done.content.poses_rejected == ()
     assert json.loads(path.read_text())["tool"] == "pointer"
+
+
+def test_parts_of_the_old_file_that_go_are_named(tmp_path):
+    path = tmp_path / "pointer.json"
+    sweeps = measurements(still(NO_TOOL, seed=1), still(POINTER))
+    assert not any(
+        "old file" in said for said in calibrate(path, "pointer", TIP, sweeps, []).warnings
+    )
+    inertia = InertiaEstimate(np.array([1e-3, 2e-3, 2e-3, 0, 0, 0]), np.eye(6) * 1e-12)
+    write_tool(path, replace(read_tool(path), inertia=inertia))
+    (said,) = (s for s in estimate(path, "pointer", TIP, sweeps, []).warnings if "old file" in s)
+    assert "inertia (inertia_from_bag)" in said
+    assert "cable" not in said
 
 
 def test_one_sweep_says_what_it_cannot_know(tmp_path):
