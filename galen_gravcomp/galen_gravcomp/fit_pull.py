@@ -11,8 +11,9 @@ and the size s integrated out over a coarse scale of sizes (Rasmussen and Willia
 Processes for Machine Learning*, 2006, section 5.4). A hand that is another at each stop has another
 size at each as well: pushes of newtons and of tenths come from the same hand, and small ones at
 poses near each other are not alike for that. The median over the stops is taken off first: what
-they have in common tells a pull from hands by nothing. Nothing is said while poses are as near to
-each other as they are in time, which is then the same.
+they have in common tells a pull from hands by nothing. Forces and torques of a push at one point
+say the same twice, so only those count that tell less of a pull. Nothing is said while poses are as
+near to each other as they are in time, which is then the same.
 """
 
 from __future__ import annotations
@@ -36,13 +37,14 @@ def log_odds_of_pull(stops: Stops, variance: Array) -> float:
     order = np.arange(len(stops))
     slow = np.exp(-np.abs(order[:, None] - order) / _STOPS_ALIKE)
     density = _log_density(means, variance, np.array([*_by_pose(stops), slow]))
-    hands = max(density[-1], _log_density_of_hands(means, variance))
-    return float(_log_mean(density[:-1], 0) - hands)
+    pulls = _log_mean(density[:-1], 0)
+    hands = np.maximum(density[-1], _log_density_of_hands(means, variance))
+    return float(np.min(pulls - hands))
 
 
 def log_density_of_pull(stops: Stops, variance: Array) -> float:
     """Log density of all means (n, 6) if a pull by the pose is all there is."""
-    return float(_log_mean(_log_density(stops.mean, variance, _by_pose(stops)), 0))
+    return float(np.sum(_log_mean(_log_density(stops.mean, variance, _by_pose(stops)), 0)))
 
 
 def _by_pose(stops: Stops) -> Array:
@@ -53,7 +55,7 @@ def _by_pose(stops: Stops) -> Array:
 
 
 def _log_density(means: Array, variance: Array, kernels: Array) -> Array:
-    """Of means (n, 6) by each kernel (k, n, n), summed over the axes: (k,).
+    """Of means (n, 6) by each kernel (k, n, n), of forces and of torques: (k, 2).
 
     Sums over the kernel's own axes; noise is taken as the same at all stops.
     """
@@ -62,15 +64,15 @@ def _log_density(means: Array, variance: Array, kernels: Array) -> Array:
     spread = spread + np.mean(variance, axis=0)[:, None, None]
     square = np.swapaxes(np.swapaxes(modes, 1, 2) @ means, 1, 2)[:, :, None] ** 2
     density = -0.5 * np.sum(square / spread + np.log(spread) + _LOG_2PI, axis=3)
-    return np.asarray(np.sum(_log_mean(density, 2), axis=1))
+    return np.asarray(_log_mean(density, 2).reshape(-1, 2, 3).sum(axis=2))
 
 
-def _log_density_of_hands(means: Array, variance: Array) -> float:
-    """Of means (n, 6), if each stop's force and torque are of a size of their own."""
+def _log_density_of_hands(means: Array, variance: Array) -> Array:
+    """Of means (n, 6), of forces and of torques (2,), if each stop's are of a size of their own."""
     spread = _SIZES**2 + variance[..., None]
     density = -0.5 * (means[..., None] ** 2 / spread + np.log(spread) + _LOG_2PI)
     by_size = density.reshape(len(means), 2, 3, -1).sum(axis=2)
-    return float(np.sum(_log_mean(by_size, 2)))
+    return np.asarray(np.sum(_log_mean(by_size, 2), axis=0))
 
 
 def _log_mean(values: Array, axis: int) -> Array:

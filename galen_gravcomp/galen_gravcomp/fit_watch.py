@@ -57,6 +57,7 @@ class GravityFitWatch:
         self._windows = StillWindows()
         self._evidence: FitEvidence | None = None
         self._tool: ToolFile | None = None
+        self._work: Iterator[None]
         self._forget()
 
     @property
@@ -127,7 +128,7 @@ class GravityFitWatch:
         self._memory = StopMemory()
         self._state = _NOT_JUDGED
         self._judgement: Judgement | None = None
-        self._work: Iterator[None] = iter(())
+        self._work = iter(())
 
     def _work_on(self, pieces: int | None) -> None:
         """Go on with the judgement at work, by some pieces; None: to its end."""

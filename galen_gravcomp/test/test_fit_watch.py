@@ -192,13 +192,13 @@ def test_a_pull_s_density_is_the_normal_density():
             normal = multivariate_normal(np.zeros(5), size**2 * kernel + 0.01**2 * np.eye(5))
             densities.append(normal.pdf(mean[:, axis]))
         pull += np.log(np.mean(densities))
-    found = fit_pull._log_density(mean, variance, kernel[None])[0]
+    found = fit_pull._log_density(mean, variance, kernel[None])[0].sum()
     assert np.isclose(found, pull, rtol=1e-9)
     for row, part in product(mean, (slice(0, 3), slice(3, 6))):
         sizes = fit_pull._SIZES[part].T
         densities = [norm.pdf(row[part], 0.0, np.hypot(size, 0.01)).prod() for size in sizes]
         hands += np.log(np.mean(densities))
-    assert np.isclose(fit_pull._log_density_of_hands(mean, variance), hands, rtol=1e-9)
+    assert np.isclose(fit_pull._log_density_of_hands(mean, variance).sum(), hands, rtol=1e-9)
 
 
 def test_a_pull_is_told_from_hands_by_poses_near_each_other():
@@ -220,7 +220,7 @@ def test_a_pull_is_told_from_hands_by_poses_near_each_other():
     sizes = np.exp(rng.uniform(np.log(0.1), np.log(3.0), (200, 14, 1)))
     forces = sizes * rng.normal(size=(200, 14, 3))
     pushes = np.concatenate([forces, np.cross([0.15, 0.0, 0.05], forces)], axis=2)
-    assert max(odds(some, np.arange(14)) for some in pushes) < 4.6
+    assert max(odds(some, np.arange(14)) for some in pushes) < 0.0
     # A hand that changes slowly, while the arm goes from place to place nearby: can't be told.
     along = np.argsort(angles[:, 0])
     slow = 0.3 * np.cumsum(rng.normal(size=(14, 6)), axis=0) * np.repeat([1.0, 0.04], 3)
