@@ -355,6 +355,8 @@ def main(arguments: list[str] | None = None) -> None:
             if options.poses:
                 print(format_poses(fields["poses"]) + "\n")
             print(f"{format_sweeps(sweeps)}\n{format_mounting(calibration)}")
+            if fields["bias"] is not None:
+                print(f"bias of the sensor, as held-out poses choose it: {fields['bias']}\n")
             print(format_result(SimpleNamespace(**fields)))
     except EstimateError as error:
         _fail(f"{error.code.name}: {error}")
