@@ -12,41 +12,45 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
-from galen_bags.arm_recording import ArmTopics, read_arm
+from galen_bags.arm_recording import read_arm
 from galen_model.arm import WRENCH_AXES
 from galen_model.cable_learning import HeldOut
-from galen_model.errors import GalenError, ToolNameError
-from galen_model.tool_file import check_tool_name, read_tool, tool_path, write_tool
-from galen_ros.param import add_options, from_options
+from galen_model.errors import GalenError
+from galen_model.tool_file import read_tool, tool_path, write_tool
+from galen_ros.param import from_options
 from rich.console import Console
 from rich.table import Table
 from tqdm import tqdm
 
 from galen_calibration_behavior.cable_estimation import CableResult, estimate_cable
 from galen_calibration_behavior.estimate import check_writable
+from galen_calibration_behavior.from_bag_command import (
+    EXIT_CANCELED,
+    EXIT_FAILED,
+    EXIT_OK,
+    EXIT_USAGE,
+    POSE_PARAMETERS,
+    add_output_options,
+    add_pose_options,
+    add_topic_options,
+    arm_topics,
+    parse_with_tool,
+    reported,
+)
 from galen_calibration_behavior.parameters import CalibrationParameters
 
-EXIT_OK, EXIT_FAILED, EXIT_USAGE, EXIT_CANCELED = 0, 1, 2, 130
 _EPILOG = f"""exit codes:
   {EXIT_OK}    learned (or, with --remove, removed); the file is written, but for --dry-run
   {EXIT_FAILED}    failed, as when no pull rises above the noise or the sweep is too sparse; the
        reason is printed, nothing is written
   {EXIT_USAGE}    wrong arguments
   {EXIT_CANCELED}  interrupted (Ctrl-C); nothing is written"""
-# What a recording is judged by, as in calibrate_from_bag.
-_PARAMETERS = (
-    "settle_s", "average_s", "velocity_tolerance_m_s", "velocity_tolerance_rad_s",
-    "velocity_window_s", "position_tolerance_rad", "joint_motion_m", "joint_motion_rad",
-    "max_scatter_ratio", "max_trend_sigmas", "min_samples", "max_stamp_step_s",
-    "min_pose_fraction", "zero_tolerance_n", "zero_tolerance_nm",
-)  # fmt: skip
 
 T = TypeVar("T")
 
 
 def parse(arguments: list[str] | None = None) -> argparse.Namespace:
     """Read the command line; exits with code 2 and a message where it is wrong."""
-    topics = ArmTopics()
     parser = argparse.ArgumentParser(
         prog="cable_from_bag",
         usage="%(prog)s TOOL BAG [options]\n       %(prog)s TOOL --remove [options]",
@@ -58,35 +62,12 @@ def parse(arguments: list[str] | None = None) -> argparse.Namespace:
     parser.add_argument("tool", help="name of the tool, whose file there is")
     parser.add_argument("bag", nargs="?", help="rosbag2 directory, .mcap, .db3 or ROS 1 .bag")
     parser.add_argument("--remove", action="store_true", help="take the cable out of the file")
-    add_options(parser, CalibrationParameters, ("tools_dir",))
-    parser.add_argument("--dry-run", action="store_true", help="print what is found, write nothing")
+    add_output_options(parser)
     parser.add_argument("--plots", metavar="DIR", help="write a picture of the pull into DIR")
-    parser.add_argument("--json", action="store_true", help="print the result as one JSON object")
-    parser.add_argument(
-        "--whole-phases",
-        action="store_true",
-        help="average all of a still phase after settling, not only average_s of it",
-    )
     where = parser.add_argument_group("where things are in the recording")
-    where.add_argument("--joint-states", default=topics.joint_states, metavar="TOPIC")
-    where.add_argument("--wrench-raw", default=topics.wrench_raw, metavar="TOPIC")
-    where.add_argument(
-        "--joint-names",
-        nargs=5,
-        default=topics.joint_names,
-        metavar="NAME",
-        help=f"default: {' '.join(topics.joint_names)}",
-    )
-    add_options(
-        parser.add_argument_group("how poses are judged, as calibration_node's parameters"),
-        CalibrationParameters,
-        _PARAMETERS,
-    )
-    options = parser.parse_args(arguments)
-    try:
-        check_tool_name(options.tool)
-    except ToolNameError as error:
-        parser.error(str(error))
+    add_topic_options(where)
+    add_pose_options(parser)
+    options = parse_with_tool(parser, arguments)
     if options.remove == (options.bag is not None):
         parser.error("either a BAG, or --remove")
     return options
@@ -110,13 +91,12 @@ def run(options: argparse.Namespace) -> CableResult:
     tool = read_tool(path)
     if not options.dry_run:
         check_writable(path)
-    topics = ArmTopics(options.joint_states, options.wrench_raw, tuple(options.joint_names))
-    recording = read_arm(options.bag, topics)
+    recording = read_arm(options.bag, arm_topics(options))
     try:
         result = estimate_cable(
             tool,
             recording,
-            from_options(options, CalibrationParameters, _PARAMETERS).settings(),
+            from_options(options, CalibrationParameters, POSE_PARAMETERS).settings(),
             whole_phases=options.whole_phases,
             phase_progress=functools.partial(_progress, "averaging", "phase"),
             fit_progress=functools.partial(_progress, "learning", "fit"),
@@ -218,7 +198,7 @@ def print_result(options: argparse.Namespace, result: CableResult, console: Cons
 def main(arguments: list[str] | None = None) -> None:
     """Run the command; see `cable_from_bag --help`."""
     options = parse(arguments)
-    try:
+    with reported("cable_from_bag"):
         if options.remove:
             fields = remove(options)
             written = "not written (--dry-run)" if options.dry_run else "the cable is removed"
@@ -230,12 +210,6 @@ def main(arguments: list[str] | None = None) -> None:
             print(json.dumps(result_fields(options, result)))
         else:
             print_result(options, result, Console(width=None if sys.stdout.isatty() else 100))
-    except GalenError as error:
-        print(f"cable_from_bag: {error}", file=sys.stderr)
-        raise SystemExit(EXIT_FAILED) from None
-    except KeyboardInterrupt:
-        print("cable_from_bag: interrupted; nothing is written", file=sys.stderr)
-        raise SystemExit(EXIT_CANCELED) from None
 
 
 if __name__ == "__main__":

@@ -15,25 +15,37 @@ from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
-from galen_bags.arm_recording import ArmTopics, read_arm
+from galen_bags.arm_recording import read_arm
 from galen_bags.command_line import positive
 from galen_model.bias_choice import BiasMode
-from galen_model.errors import GalenError, IdentificationError, ToolNameError
+from galen_model.errors import IdentificationError
 from galen_model.mounting_groups import GROUPS, entities
 from galen_model.mounting_identification import KnownLoad
-from galen_model.tool_file import LoadEstimate, check_tool_name, read_tool, tool_path
-from galen_ros.param import add_options, from_options
+from galen_model.tool_file import LoadEstimate, read_tool, tool_path
+from galen_ros.param import from_options
 from tqdm import tqdm
 
 from galen_calibration_behavior.commands import ErrorCode
 from galen_calibration_behavior.estimate import (
     Calibration,
-    EstimateError,
     MountingRequest,
     calibrate,
     check_writable,
     choose_tip,
     estimate,
+)
+from galen_calibration_behavior.from_bag_command import (
+    EXIT_CANCELED,
+    EXIT_FAILED,
+    EXIT_OK,
+    EXIT_USAGE,
+    POSE_PARAMETERS,
+    add_output_options,
+    add_pose_options,
+    add_topic_options,
+    arm_topics,
+    parse_with_tool,
+    reported,
 )
 from galen_calibration_behavior.home_stays import BiasPose
 from galen_calibration_behavior.mounting_text import format_mounting, mounting_fields
@@ -43,26 +55,18 @@ from galen_calibration_behavior.recorded_sweeps import RecordedSweeps, SweepSort
 from galen_calibration_behavior.result_text import calibration_fields, format_result, plain
 from galen_calibration_behavior.visits import RecordingError, Visit, Visits, find_visits
 
-EXIT_OK, EXIT_FAILED, EXIT_USAGE, EXIT_CANCELED = 0, 1, 2, 130
 _EPILOG = f"""exit codes:
   {EXIT_OK}    calibrated; the file is written, but for --dry-run
   {EXIT_FAILED}    failed; the reason is printed, nothing is written
   {EXIT_USAGE}    wrong arguments
   {EXIT_CANCELED}  interrupted (Ctrl-C); nothing is written"""
-# The node's parameters that a recording is judged by.
-_PARAMETERS = (
-    "settle_s", "average_s", "velocity_tolerance_m_s", "velocity_tolerance_rad_s",
-    "velocity_window_s", "position_tolerance_rad", "joint_motion_m", "joint_motion_rad",
-    "max_scatter_ratio", "max_trend_sigmas", "min_samples", "max_stamp_step_s",
-    "min_pose_fraction", "zero_tolerance_n", "zero_tolerance_nm",
-)  # fmt: skip
 # A stamp before this is not a date: a simulation's clock, or one that nobody has set.
 _EARLIEST_DATE = datetime(2000, 1, 1, tzinfo=UTC)
 
 
 def parse(arguments: list[str] | None = None) -> argparse.Namespace:
     """Read the command line; exits with code 2 and a message where it is wrong."""
-    home, topics = CalibrationParameters(), ArmTopics()
+    home = CalibrationParameters()
     parser = argparse.ArgumentParser(
         prog="calibrate_from_bag",
         usage="%(prog)s TOOL BAG [options]\n"
@@ -106,7 +110,7 @@ def parse(arguments: list[str] | None = None) -> argparse.Namespace:
         metavar=("X", "Y", "Z"),
         help="the tool's tip in ft_sensor, m; else the old file's is kept, or (0, 0, 0)",
     )
-    add_options(parser, CalibrationParameters, ("tools_dir",))
+    add_output_options(parser)
     add_mounting_options(parser.add_argument_group("sensor and mounting"))
     parser.add_argument(
         "--bias",
@@ -116,24 +120,9 @@ def parse(arguments: list[str] | None = None) -> argparse.Namespace:
         help="the sensor's bias over a sweep: constant; wandering; or whichever of them held-out"
         " blocks of poses prefer (default: %(default)s)",
     )
-    parser.add_argument("--dry-run", action="store_true", help="print what is found, write nothing")
     parser.add_argument("--poses", action="store_true", help="print every pose with its residual")
-    parser.add_argument("--json", action="store_true", help="print the result as one JSON object")
-    parser.add_argument(
-        "--whole-phases",
-        action="store_true",
-        help="average all of a still phase after settling, not only average_s of it",
-    )
     where = parser.add_argument_group("where things are in the recording")
-    where.add_argument("--joint-states", default=topics.joint_states, metavar="TOPIC")
-    where.add_argument("--wrench-raw", default=topics.wrench_raw, metavar="TOPIC")
-    where.add_argument(
-        "--joint-names",
-        nargs=5,
-        default=topics.joint_names,
-        metavar="NAME",
-        help=f"default: {' '.join(topics.joint_names)}",
-    )
+    add_topic_options(where)
     for joint, value in (("roll", home.Rhome), ("tilt", home.Thome)):
         where.add_argument(
             f"--bias-{joint}-rad",
@@ -142,16 +131,8 @@ def parse(arguments: list[str] | None = None) -> argparse.Namespace:
             metavar="RAD",
             help=f"{joint} where the sensor was zeroed (default {value:g})",
         )
-    add_options(
-        parser.add_argument_group("how poses are judged, as calibration_node's parameters"),
-        CalibrationParameters,
-        _PARAMETERS,
-    )
-    options = parser.parse_args(arguments)
-    try:
-        check_tool_name(options.tool)
-    except ToolNameError as error:
-        parser.error(str(error))
+    add_pose_options(parser)
+    options = parse_with_tool(parser, arguments)
     _check_combination(parser, options)
     return options
 
@@ -240,12 +221,11 @@ def _check_combination(parser: argparse.ArgumentParser, options: argparse.Namesp
 
 def find_sweeps(options: argparse.Namespace) -> RecordedSweeps:
     """Read the recordings and sort their still poses into sweeps; raises GalenError."""
-    settings = from_options(options, CalibrationParameters, _PARAMETERS).settings()
-    topics = ArmTopics(options.joint_states, options.wrench_raw, tuple(options.joint_names))
+    settings = from_options(options, CalibrationParameters, POSE_PARAMETERS).settings()
 
     def visits(bag: str) -> Visits:
         return find_visits(
-            read_arm(bag, topics),
+            read_arm(bag, arm_topics(options)),
             settings,
             whole_phases=options.whole_phases,
             progress=functools.partial(_progress, Path(bag).name),
@@ -346,7 +326,7 @@ def format_sweeps(sweeps: RecordedSweeps) -> str:
 def main(arguments: list[str] | None = None) -> None:
     """Run the command; see `calibrate_from_bag --help`."""
     options = parse(arguments)
-    try:
+    with reported("calibrate_from_bag"):
         sweeps, calibration = run(options)
         fields = result_fields(options, sweeps, calibration)
         if options.json:
@@ -358,18 +338,6 @@ def main(arguments: list[str] | None = None) -> None:
             if fields["bias"] is not None:
                 print(f"bias of the sensor, as held-out poses choose it: {fields['bias']}\n")
             print(format_result(SimpleNamespace(**fields)))
-    except EstimateError as error:
-        _fail(f"{error.code.name}: {error}")
-    except GalenError as error:
-        _fail(str(error))
-    except KeyboardInterrupt:
-        print("calibrate_from_bag: interrupted; nothing is written", file=sys.stderr)
-        raise SystemExit(EXIT_CANCELED) from None
-
-
-def _fail(message: str) -> None:
-    print(f"calibrate_from_bag: {message}", file=sys.stderr)
-    raise SystemExit(EXIT_FAILED) from None
 
 
 if __name__ == "__main__":

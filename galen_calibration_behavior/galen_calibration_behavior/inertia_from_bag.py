@@ -8,20 +8,28 @@ import sys
 from typing import Any
 
 import numpy as np
-from galen_bags.arm_recording import ArmTopics, read_arm
+from galen_bags.arm_recording import read_arm
 from galen_model.arm import WRENCH_AXES
-from galen_model.errors import GalenError, ToolNameError
+from galen_model.errors import GalenError
 from galen_model.inertial import INERTIA_NAMES, point_mass_inertia
-from galen_model.tool_file import check_tool_name, read_tool, tool_path, write_tool
-from galen_ros.param import add_options
+from galen_model.tool_file import read_tool, tool_path, write_tool
 from rich.console import Console
 from rich.table import Table
 
 from galen_calibration_behavior.estimate import check_writable
+from galen_calibration_behavior.from_bag_command import (
+    EXIT_CANCELED,
+    EXIT_FAILED,
+    EXIT_OK,
+    EXIT_USAGE,
+    add_output_options,
+    add_topic_options,
+    arm_topics,
+    parse_with_tool,
+    reported,
+)
 from galen_calibration_behavior.inertia_estimation import InertiaResult, estimate_inertia
-from galen_calibration_behavior.parameters import CalibrationParameters
 
-EXIT_OK, EXIT_FAILED, EXIT_USAGE, EXIT_CANCELED = 0, 1, 2, 130
 _EPILOG = f"""exit codes:
   {EXIT_OK}    estimated; the file is written, but for --dry-run
   {EXIT_FAILED}    failed, as when the motion does not tell the inertia; the reason is printed,
@@ -32,7 +40,6 @@ _EPILOG = f"""exit codes:
 
 def parse(arguments: list[str] | None = None) -> argparse.Namespace:
     """Read the command line; exits with code 2 and a message where it is wrong."""
-    topics = ArmTopics()
     parser = argparse.ArgumentParser(
         prog="inertia_from_bag",
         description="Add the inertia of tool and adapter to a calibrated tool's file, from a"
@@ -43,24 +50,9 @@ def parse(arguments: list[str] | None = None) -> argparse.Namespace:
     )
     parser.add_argument("tool", help="name of the tool, whose file there is")
     parser.add_argument("bag", help="rosbag2 directory, .mcap, .db3 or ROS 1 .bag")
-    add_options(parser, CalibrationParameters, ("tools_dir",))
-    parser.add_argument("--dry-run", action="store_true", help="print what is found, write nothing")
-    parser.add_argument("--json", action="store_true", help="print the result as one JSON object")
-    parser.add_argument("--joint-states", default=topics.joint_states, metavar="TOPIC")
-    parser.add_argument("--wrench-raw", default=topics.wrench_raw, metavar="TOPIC")
-    parser.add_argument(
-        "--joint-names",
-        nargs=5,
-        default=topics.joint_names,
-        metavar="NAME",
-        help=f"default: {' '.join(topics.joint_names)}",
-    )
-    options = parser.parse_args(arguments)
-    try:
-        check_tool_name(options.tool)
-    except ToolNameError as error:
-        parser.error(str(error))
-    return options
+    add_output_options(parser)
+    add_topic_options(parser)
+    return parse_with_tool(parser, arguments)
 
 
 def run(options: argparse.Namespace) -> InertiaResult:
@@ -69,8 +61,7 @@ def run(options: argparse.Namespace) -> InertiaResult:
     tool = read_tool(path)
     if not options.dry_run:
         check_writable(path)
-    topics = ArmTopics(options.joint_states, options.wrench_raw, tuple(options.joint_names))
-    recording = read_arm(options.bag, topics)
+    recording = read_arm(options.bag, arm_topics(options))
     if not np.isfinite(recording.joints).any(axis=0).all():
         raise GalenError(
             f"{options.bag}: {options.joint_states} lacks the platform's position: of"
@@ -152,18 +143,12 @@ def print_result(options: argparse.Namespace, result: InertiaResult, console: Co
 def main(arguments: list[str] | None = None) -> None:
     """Run the command; see `inertia_from_bag --help`."""
     options = parse(arguments)
-    try:
+    with reported("inertia_from_bag"):
         result = run(options)
         if options.json:
             print(json.dumps(result_fields(options, result)))
         else:
             print_result(options, result, Console(width=None if sys.stdout.isatty() else 100))
-    except GalenError as error:
-        print(f"inertia_from_bag: {error}", file=sys.stderr)
-        raise SystemExit(EXIT_FAILED) from None
-    except KeyboardInterrupt:
-        print("inertia_from_bag: interrupted; nothing is written", file=sys.stderr)
-        raise SystemExit(EXIT_CANCELED) from None
 
 
 if __name__ == "__main__":

@@ -7,14 +7,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from galen_calibration_behavior.calibrate_from_bag import (
-    EXIT_CANCELED,
-    EXIT_FAILED,
-    EXIT_USAGE,
-    main,
-    measured_at,
-    parse,
-)
+from galen_calibration_behavior.calibrate_from_bag import main, measured_at, parse
+from galen_calibration_behavior.from_bag_command import EXIT_CANCELED, EXIT_FAILED, EXIT_USAGE
 from galen_calibration_behavior.visits import Visit
 from galen_model.tool_file import read_tool
 from galen_model.tools import ADAPTER, TOOLS

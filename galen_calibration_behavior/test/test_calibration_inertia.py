@@ -5,7 +5,8 @@ import json
 import numpy as np
 import pytest
 from galen_bags.writer import BagWriter
-from galen_calibration_behavior.inertia_from_bag import EXIT_FAILED, EXIT_USAGE, main
+from galen_calibration_behavior.from_bag_command import EXIT_FAILED, EXIT_USAGE
+from galen_calibration_behavior.inertia_from_bag import main
 from galen_model.arm import ENCODER_QUANTUM, HOME, JOINT_NAMES, SENSOR
 from galen_model.inertial import inertial_wrench, point_mass_inertia
 from galen_model.kinematics import gravity_in_sensor
