@@ -6,6 +6,9 @@ SHELL := /bin/bash
 STARTER ?= python3
 SETUP = $(STARTER) scripts/setup_env.py
 ENTER = source scripts/env.sh
+# Test files side by side; every test has a ROS domain of its own. With 0 they go one by one.
+TEST_WORKERS ?= 2
+PYTEST = python -m pytest --numprocesses $(TEST_WORKERS) --dist loadfile
 # Given on the command line, as in `make GALEN_PYTHON=/usr/bin/python3.12 build`.
 ifdef GALEN_PYTHON
 export GALEN_PYTHON
@@ -25,10 +28,10 @@ build: ## set up, then build the packages
 	@$(SETUP) build
 
 test: build ## run the quick tests
-	@$(ENTER) && python -m pytest -m "not slow" $(ARGS)
+	@$(ENTER) && $(PYTEST) -m "not slow" $(ARGS)
 
 test-slow: build ## run the slow tests
-	@$(ENTER) && python -m pytest -m slow $(ARGS)
+	@$(ENTER) && $(PYTEST) -m slow $(ARGS)
 
 lint: setup ## check style, format and types
 	@.venv/bin/ruff check .
