@@ -20,7 +20,7 @@ from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 from launch_ros.substitutions import FindPackageShare
 
-_TOPICS = ("wrench_raw", "joint_states", "wrench_compensated", "joint_trajectory")
+_TOPICS = ("wrench_raw", "joint_states", "imu", "wrench_compensated", "joint_trajectory")
 _CRTK = {"wrench_raw": "measured_cf", "joint_states": "measured_js"}
 
 
