@@ -15,6 +15,14 @@ from geometry_msgs.msg import WrenchStamped
 
 from galen_gravcomp.node_benchmark import Subject, add_benchmark_options, compare, relays
 
+VARIANTS = (
+    ("gravcomp, weight alone", ("fit_watch:=false",), False),
+    ("gravcomp", (), False),
+    ("gravcomp, wander", ("wander:=true",), False),
+    ("gravcomp, motion", ("motion:=joints",), True),
+)
+"""Names, the node's parameters that are not at their defaults, and whether the arm moves."""
+
 
 def write_bench_tool(tools_dir: Path) -> None:
     """A tool file for the compensator to use."""
@@ -38,14 +46,16 @@ def main() -> None:
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as directory:
         write_bench_tool(Path(directory))
-        gravcomp = Subject(
-            "gravcomp",
-            ("galen_gravcomp.node", "--ros-args", "--log-level", "error")
-            + ("-p", f"tools_dir:={directory}", "-p", "tool:=bench"),
-            ("wrench_compensated", WrenchStamped),
+        node = (
+            *("galen_gravcomp.node", "--ros-args", "--log-level", "error"),
+            *("-p", f"tools_dir:={directory}", "-p", "tool:=bench"),
         )
-        subjects = (*relays("wrench_raw"), gravcomp)
-        compare([(subject, False) for subject in subjects], "wrench_raw", options)
+        subjects = [(relay, False) for relay in relays("wrench_raw")]
+        for name, values, moving in VARIANTS:
+            given = tuple(word for value in values for word in ("-p", value))
+            output = ("wrench_compensated", WrenchStamped)
+            subjects.append((Subject(name, (*node, *given), output), moving))
+        compare(subjects, "wrench_raw", options)
 
 
 if __name__ == "__main__":
