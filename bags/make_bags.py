@@ -15,8 +15,8 @@ import math
 import re
 import sys
 import tempfile
-from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
@@ -35,7 +35,14 @@ from galen_calibration_behavior.procedure import Request
 from galen_model.arm import HOME, JOINT_NAMES
 from galen_model.errors import GalenError
 from galen_model.tools import TOOLS
-from galen_sim_driver.config import ZERO3, HandPush, HysteresisConfig, PlantConfig
+from galen_sim_driver.config import (
+    ZERO3,
+    CableConfig,
+    HandPush,
+    HysteresisConfig,
+    InertiaConfig,
+    PlantConfig,
+)
 from galen_sim_driver.plant import Plant
 from galen_sim_driver.trajectory import Trajectory, TrajectoryPoint
 from tqdm import tqdm
@@ -61,6 +68,8 @@ class Recipe:
     tracker: bool = False
     hand: tuple[HandPush, ...] = ()
     hysteresis_fraction: float = 0.0
+    effects: Mapping[str, Any] = field(default_factory=dict)
+    """What the arm has beside the nominal model, as `PlantConfig` takes it."""
 
     @property
     def tool_file(self) -> str | None:
@@ -135,6 +144,53 @@ def _progress(time_s: float) -> tuple[float, float, float]:
     return rise + full + (0.5 - fall), speed, change
 
 
+# --- swings, for forces of motion ---------------------------------------------------------------
+
+INERTIA = InertiaConfig(
+    on=True,
+    adapter_kg_m2=(3e-5, 3e-5, 4e-5, 0.0, 0.0, 0.0),
+    tools_kg_m2={"retractor": (2e-4, 5e-4, 4e-4, 0.0, -3e-5, 0.0)},
+)
+_SWING_MOVES, _SHARE_OF_LIMITS = 24, 0.97
+_SWING_RANGE = np.array([0.08, 0.08, 0.06, 1.2, 0.8])
+
+
+def _swings(cell: OfflineCell, recipe: Recipe, _folder: Path) -> None:
+    """Moves to random places, each as fast as the arm's limits allow."""
+    rng = np.random.default_rng(recipe.seed)
+    limits = PlantConfig().motion
+    velocity, acceleration = np.array(limits.velocity), np.array(limits.acceleration)
+    joints = HOME
+    cell.run(1.5)
+    for _ in range(_SWING_MOVES):
+        target = HOME + _SWING_RANGE * rng.uniform(-1.0, 1.0, 5)
+        way = np.abs(target - joints)
+        # The peaks of a quintic from rest to rest: 1.875 way / T, 5.7735 way / T^2.
+        duration_s = max(
+            float((1.875 * way / (_SHARE_OF_LIMITS * velocity)).max()),
+            float(np.sqrt(5.7735 * way / (_SHARE_OF_LIMITS * acceleration)).max()),
+        )
+        cell.move_to(target.tolist(), duration_s)
+        cell.run(duration_s + 0.2)
+        joints = target
+    cell.run(1.0)
+
+
+# --- a sweep with a cable on --------------------------------------------------------------------
+
+CABLE = CableConfig(tension_n=0.3)
+
+
+def _sweep(cell: OfflineCell, _recipe: Recipe, _folder: Path) -> None:
+    """Each pose of the calibration's grid, 0.8 s still."""
+    parameters = CalibrationParameters()
+    cell.run(1.0)
+    for angles in parameters.grid_poses(parameters.itersT, parameters.itersR):
+        cell.move_to([*HOME[:3].tolist(), *angles.tolist()], 1.2)
+        cell.run(1.2 + 0.9)
+    cell.run(0.5)
+
+
 # --- pushes -------------------------------------------------------------------------------------
 
 _POSITIONS = np.array(
@@ -197,6 +253,14 @@ RECIPES = (
         "pushes", 4, datetime(2026, 3, 2, 12, tzinfo=UTC), 250.0, "retractor", 179.0, _pushes,
         tracker=True, hand=_push_script(),
     ),
+    Recipe(
+        "swings", 5, datetime(2026, 3, 2, 13, tzinfo=UTC), 500.0, "retractor", 42.1, _swings,
+        effects={"inertia": INERTIA},
+    ),
+    Recipe(
+        "cable_sweep", 6, datetime(2026, 3, 2, 14, tzinfo=UTC), 200.0, "pointer", 119.1, _sweep,
+        effects={"cable": CABLE},
+    ),
 )  # fmt: skip
 
 
@@ -239,6 +303,7 @@ def make(recipe: Recipe, folder: Path, quiet: bool = False) -> None:
         start_ns=start_ns,
         hand=recipe.hand,
         hysteresis=HysteresisConfig(recipe.hysteresis_fraction),
+        **recipe.effects,
     )
     (folder / recipe.name).parent.mkdir(parents=True, exist_ok=True)
     plant = Plant(config, np.random.default_rng(recipe.seed))

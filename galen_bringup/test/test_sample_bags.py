@@ -10,8 +10,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 from galen_bags.arm_recording import read_arm
+from galen_calibration_behavior.cable_from_bag import main as cable_from_bag
 from galen_calibration_behavior.calibrate_from_bag import main as calibrate_from_bag
+from galen_calibration_behavior.inertia_from_bag import main as inertia_from_bag
 from galen_model.arm import SENSOR
+from galen_model.inertial import point_mass_inertia
 from galen_model.tool_file import read_tool
 from galen_model.tools import ADAPTER, TOOLS
 
@@ -75,6 +78,30 @@ def test_nobody_touches_the_tool_in_free_motion():
     moving = np.abs(recording.joint_velocities).max(axis=1) > 0.01
     assert 0.6 < moving.mean() < 0.8
     assert np.all(np.ptp(recording.joints, axis=0) > [0.08, 0.06, 0.06, 1.8, 1.1])
+
+
+@pytest.mark.slow
+def test_swings_tell_the_inertia_that_made_them(capsys):
+    bag, tools = str(BAGS / "swings"), str(BAGS / "tools")
+    inertia_from_bag(["retractor", bag, "--tools-dir", tools, "--dry-run", "--json"])
+    found = json.loads(capsys.readouterr().out)
+    own = np.add(make_bags.INERTIA.tools_kg_m2["retractor"], make_bags.INERTIA.adapter_kg_m2)
+    points = point_mass_inertia(TOOLS["retractor"].load, ADAPTER)
+    off = np.array(found["inertia"]["about_sensor_kg_m2"]) - (points + own)
+    covariance = np.array(found["inertia"]["covariance"])
+    assert off @ np.linalg.solve(covariance, off) < 27.9  # of six: once in ten thousand
+    held_out = found["held_out_rms"]
+    assert held_out["inertia"]["ty"] < 0.2 * held_out["points"]["ty"]
+
+
+@pytest.mark.slow
+def test_the_cable_is_found_in_its_sweep(capsys):
+    bag, tools = str(BAGS / "cable_sweep"), str(BAGS / "tools")
+    cable_from_bag(["pointer", bag, "--tools-dir", tools, "--dry-run", "--json"])
+    found = json.loads(capsys.readouterr().out)
+    assert found["form"].startswith("point")
+    assert found["attachment_m"] == pytest.approx(make_bags.CABLE.attachment_m, abs=2e-3)
+    assert found["warnings"] == [text for text in found["warnings"] if "one place" in text]
 
 
 def test_pushes_are_pushes_with_untouched_stretches_between():
