@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 
 import matplotlib
@@ -12,6 +11,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 from galen_model.arm import WRENCH_AXES
 from galen_model.arrays import Array
+from galen_model.figure_file import save_figure
 from matplotlib.axes import Axes
 
 from galen_calibration_behavior.cable_estimation import CableResult
@@ -57,17 +57,7 @@ def plot_cable(result: CableResult, directory: Path, name: str) -> Path:
         f"{name}: pull of the cable as '{result.learned.drag.form}'; dots: the sweep's poses; taken"
         " off whole within the line, not at all beyond the dotted one"
     )
-    path = directory / f"{name}_cable.png"
-    unfinished = path.with_name(f".{path.name}.{os.getpid()}")
-    try:
-        directory.mkdir(parents=True, exist_ok=True)
-        figure.savefig(unfinished, dpi=110, format="png")
-        os.replace(unfinished, path)
-    finally:
-        plt.close(figure)
-        if unfinished.exists():
-            unfinished.unlink()
-    return path
+    return save_figure(figure, directory / f"{name}_cable.png")
 
 
 def _span(values: Array) -> Array:

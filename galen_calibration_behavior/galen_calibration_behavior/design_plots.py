@@ -11,6 +11,7 @@ matplotlib.use("Agg")  # a lab's machine over ssh has no display
 import matplotlib.pyplot as plt
 import numpy as np
 from galen_model.arrays import Array
+from galen_model.figure_file import save_figure
 
 from galen_calibration_behavior.design_report import Efficiency
 
@@ -55,7 +56,4 @@ def plot_curve(curve: Sequence[Efficiency], path: Path) -> Path:
 
 def _save(figure: plt.Figure, path: Path) -> Path:
     figure.tight_layout(rect=(0.0, 0.05, 1.0, 1.0))
-    path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, dpi=110)
-    plt.close(figure)
-    return path
+    return save_figure(figure, path)

@@ -22,6 +22,7 @@ matplotlib.use("Agg")  # a lab's machine over ssh has no display
 import matplotlib.pyplot as plt
 import numpy as np
 from galen_model.arrays import Array
+from galen_model.figure_file import save_figure
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
@@ -216,7 +217,4 @@ def _written(figure: Figure, title: str, path: Path) -> Path:
     if title:
         figure.suptitle(title, x=0.01, ha="left", fontsize=11)
     figure.tight_layout()
-    path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, dpi=110)
-    plt.close(figure)
-    return path
+    return save_figure(figure, path)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 
 import matplotlib
@@ -12,6 +11,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 from galen_model.arm import WRENCH_AXES
 from galen_model.arrays import Array
+from galen_model.figure_file import save_figure
 from matplotlib.axes import Axes
 
 from galen_gravcomp.bag_evaluation import BagEvaluation
@@ -35,17 +35,7 @@ def plot_evaluation(result: BagEvaluation, directory: Path, name: str) -> Path:
     _parts(figure.add_subplot(grid[2, 2]), result)
     figure.suptitle(f"{name}, {result.tool.tool}: {_wrapped(result.sentence)}")
     figure.tight_layout()
-    path = directory / f"{name}_evaluation.png"
-    unfinished = path.with_name(f".{path.name}.{os.getpid()}")
-    try:
-        directory.mkdir(parents=True, exist_ok=True)
-        figure.savefig(unfinished, dpi=110, format="png")
-        os.replace(unfinished, path)
-    finally:
-        plt.close(figure)
-        if unfinished.exists():
-            unfinished.unlink()
-    return path
+    return save_figure(figure, directory / f"{name}_evaluation.png")
 
 
 def _course(axes: Axes, result: BagEvaluation, which: slice, factor: float, unit: str) -> None:

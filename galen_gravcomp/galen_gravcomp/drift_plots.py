@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 from textwrap import fill
 
@@ -12,6 +11,7 @@ matplotlib.use("Agg")  # a lab's machine over ssh has no display
 import matplotlib.pyplot as plt
 import numpy as np
 from galen_model.arm import WRENCH_AXES
+from galen_model.figure_file import save_figure
 
 from galen_gravcomp.drift_result import GROUPS, DriftResult
 
@@ -65,13 +65,4 @@ def plot_drift(result: DriftResult, directory: Path, name: str) -> Path:
     title = "\n".join(fill(sentence, _TITLE_WIDTH) for sentence in result.sentence.values())
     figure.suptitle(title, fontsize=9)
     figure.tight_layout()
-    path = directory / f"{name}_drift.png"
-    unfinished = path.with_name(f".{path.name}.{os.getpid()}")
-    try:
-        directory.mkdir(parents=True, exist_ok=True)
-        figure.savefig(unfinished, dpi=110, format="png")
-        os.replace(unfinished, path)
-    finally:
-        plt.close(figure)
-        unfinished.unlink(missing_ok=True)
-    return path
+    return save_figure(figure, directory / f"{name}_drift.png")

@@ -10,6 +10,7 @@ import matplotlib
 matplotlib.use("Agg")  # a lab's machine over ssh has no display
 import matplotlib.pyplot as plt
 from galen_model.arm import WRENCH_AXES
+from galen_model.figure_file import save_figure
 
 if TYPE_CHECKING:
     from galen_gravcomp.table_evaluation import Evaluation
@@ -36,8 +37,4 @@ def plot_scores(result: Evaluation, directory: Path) -> Path:
     handles, names = axes.flat[0].get_legend_handles_labels()
     figure.legend(handles, names, loc="lower center", ncol=len(names), frameon=False)
     figure.tight_layout(rect=(0.0, 0.04, 1.0, 1.0))
-    directory.mkdir(parents=True, exist_ok=True)
-    path = directory / f"{Path(result.table.path).stem}_residuals.png"
-    figure.savefig(path, dpi=110)
-    plt.close(figure)
-    return path
+    return save_figure(figure, directory / f"{Path(result.table.path).stem}_residuals.png")
