@@ -1,4 +1,4 @@
-"""What the commands `record` and `play` share: numbers on the command line, a line that lives."""
+"""What commands share: numbers on the command line, a line that lives, how they end."""
 
 from __future__ import annotations
 
@@ -9,9 +9,10 @@ import sys
 import time
 from collections.abc import Callable, Sequence
 
+from galen_model.errors import GalenError
 from tqdm import tqdm
 
-EXIT_OK, EXIT_FAILED, EXIT_USAGE = 0, 1, 2
+EXIT_OK, EXIT_FAILED, EXIT_USAGE, EXIT_INTERRUPTED = 0, 1, 2, 130
 # A process that a signal ended has this much more than the signal's number.
 EXIT_SIGNAL = 128
 _SHOW_PERIOD_S = 0.2
@@ -56,6 +57,18 @@ def _finite(text: str) -> float:
     if not math.isfinite(value):
         raise argparse.ArgumentTypeError(f"{text} is not finite")
     return value
+
+
+def run_command(name: str, work: Callable[[], int]) -> int:
+    """Do a command's work; returns the exit code, and says in a line what went wrong."""
+    try:
+        return work()
+    except GalenError as error:
+        print(f"{name}: {error}", file=sys.stderr)
+        return EXIT_FAILED
+    except KeyboardInterrupt:
+        print(f"{name}: interrupted", file=sys.stderr)
+        return EXIT_INTERRUPTED
 
 
 class LiveLine:

@@ -21,7 +21,6 @@ from galen_deflection.push_recording import PushSettings, PushTopics
 from galen_deflection.recordings import ReadSettings, Recording, read_recording
 from galen_deflection.registration_fit import RegistrationSettings
 
-EXIT_OK, EXIT_FAILED, EXIT_USAGE, EXIT_INTERRUPTED = 0, 1, 2, 130
 _TABLE_WIDTH = 170
 
 
@@ -176,18 +175,6 @@ def print_problems(recordings: Sequence[Recording], to: Console) -> None:
     for recording in recordings:
         for problem in recording.problems:
             to.print(f"[yellow]{recording.path}: {problem}[/yellow]", soft_wrap=True)
-
-
-def run_command(name: str, work: Callable[[], int]) -> int:
-    """Do a command's work; returns the exit code, and says in a line what went wrong."""
-    try:
-        return work()
-    except GalenError as error:
-        print(f"{name}: {error}", file=sys.stderr)
-        return EXIT_FAILED
-    except KeyboardInterrupt:
-        print(f"{name}: interrupted", file=sys.stderr)
-        return EXIT_INTERRUPTED
 
 
 def _whole(least: int) -> Callable[[str], int]:

@@ -11,14 +11,17 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from galen_model.errors import GalenError
-from rich.console import Console
-
-from galen_deflection.command_options import (
+from galen_bags.command_line import (
     EXIT_FAILED,
     EXIT_INTERRUPTED,
     EXIT_OK,
     EXIT_USAGE,
+    run_command,
+)
+from galen_model.errors import GalenError
+from rich.console import Console
+
+from galen_deflection.command_options import (
     add_bags,
     add_fit,
     check_folder,
@@ -28,7 +31,6 @@ from galen_deflection.command_options import (
     progress,
     read_all,
     read_settings,
-    run_command,
     written,
 )
 from galen_deflection.cross_check import Checked, Task, by_position, cross_check, make_tasks

@@ -10,23 +10,25 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from galen_bags.command_line import (
+    EXIT_FAILED,
+    EXIT_INTERRUPTED,
+    EXIT_OK,
+    EXIT_USAGE,
+    run_command,
+)
 from galen_bags.find import find_bags
 from galen_bags.many import add_many_options, run_many
 from galen_gravcomp.bag_job import distinct_names
 from rich.console import Console
 
 from galen_deflection.command_options import (
-    EXIT_FAILED,
-    EXIT_INTERRUPTED,
-    EXIT_OK,
-    EXIT_USAGE,
     add_bags,
     check_folder,
     console,
     print_problems,
     progress,
     read_settings,
-    run_command,
 )
 from galen_deflection.evaluation import Evaluation, EvaluationJob, to_dict
 from galen_deflection.model_file import read_model

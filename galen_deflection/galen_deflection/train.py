@@ -11,13 +11,16 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from galen_model.errors import GalenError
-
-from galen_deflection.command_options import (
+from galen_bags.command_line import (
     EXIT_FAILED,
     EXIT_INTERRUPTED,
     EXIT_OK,
     EXIT_USAGE,
+    run_command,
+)
+from galen_model.errors import GalenError
+
+from galen_deflection.command_options import (
     add_bags,
     add_fit,
     check_folder,
@@ -26,7 +29,6 @@ from galen_deflection.command_options import (
     progress,
     read_all,
     read_settings,
-    run_command,
     written,
 )
 from galen_deflection.cross_check import cross_check, make_tasks, seen_split

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from galen_deflection.command_options import EXIT_FAILED, EXIT_INTERRUPTED, EXIT_OK
+from galen_bags.command_line import EXIT_FAILED, EXIT_INTERRUPTED, EXIT_OK
 from galen_deflection.errors import FitError
 from galen_deflection.model_file import read_model
 from galen_deflection.models.registry import KINDS

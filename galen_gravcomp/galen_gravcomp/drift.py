@@ -9,7 +9,14 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from galen_bags.arm_recording import ArmTopics
-from galen_bags.command_line import positive
+from galen_bags.command_line import (
+    EXIT_FAILED,
+    EXIT_INTERRUPTED,
+    EXIT_OK,
+    EXIT_USAGE,
+    positive,
+    run_command,
+)
 from galen_bags.find import find_bags
 from galen_model.arm import JOINT_NAMES
 from galen_model.errors import GalenError
@@ -22,7 +29,6 @@ from galen_gravcomp.drift_result import judge_drift, to_json
 from galen_gravcomp.drift_series import CELL_S, TEXT_SUFFIXES, read_series
 from galen_gravcomp.misfit import Limits
 
-EXIT_OK, EXIT_FAILED, EXIT_USAGE, EXIT_INTERRUPTED = 0, 1, 2, 130
 _CELL_LIMITS_S = 1e-3, 3600.0
 _EPILOG = f"""exit codes:
   {EXIT_OK}    done, whatever the answer
@@ -145,15 +151,12 @@ def main(args: Sequence[str] | None = None) -> int:
         parser.error(f"--cell-s is {arguments.cell_s:g}, but must be {low:g} to {high:g}")
     if len(arguments.joint_names.split(",")) != len(JOINT_NAMES):
         parser.error(f"--joint-names needs {len(JOINT_NAMES)} names, separated by commas")
-    try:
+
+    def work() -> int:
         run(arguments, Console(width=None if sys.stdout.isatty() else 120))
-    except GalenError as error:
-        print(f"drift: {error}", file=sys.stderr)
-        return EXIT_FAILED
-    except KeyboardInterrupt:
-        print("drift: interrupted", file=sys.stderr)
-        return EXIT_INTERRUPTED
-    return EXIT_OK
+        return EXIT_OK
+
+    return run_command("drift", work)
 
 
 if __name__ == "__main__":

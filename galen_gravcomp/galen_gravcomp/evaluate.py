@@ -11,7 +11,15 @@ from pathlib import Path
 from typing import Any
 
 from galen_bags.arm_recording import ArmTopics
-from galen_bags.command_line import not_negative, positive
+from galen_bags.command_line import (
+    EXIT_FAILED,
+    EXIT_INTERRUPTED,
+    EXIT_OK,
+    EXIT_USAGE,
+    not_negative,
+    positive,
+    run_command,
+)
 from galen_bags.find import find_bags
 from galen_bags.many import add_many_options, run_many
 from galen_bags.orientation_table import read_table
@@ -36,7 +44,6 @@ from galen_gravcomp.table_mounting import TableMounting
 from galen_gravcomp.table_report import print_report, to_json
 from galen_gravcomp.table_tool import tool_from_table
 
-EXIT_OK, EXIT_FAILED, EXIT_USAGE, EXIT_INTERRUPTED = 0, 1, 2, 130
 _EPILOG = f"""exit codes:
   {EXIT_OK}    done, whatever the verdict
   {EXIT_FAILED}    a bag, table or tool's file can't be used; a line says why. Of many bags, the
@@ -385,17 +392,14 @@ def main(args: Sequence[str] | None = None) -> int:
     if arguments.estimate and not arguments.table:
         parser.error("--estimate is for a --table; calibrate_from_bag estimates from recordings")
     console = Console(width=None if sys.stdout.isatty() else 120)
-    try:
+
+    def work() -> int:
         if arguments.bags:
             return run_bags(arguments, console)
         run_table(arguments, console)
-    except GalenError as error:
-        print(f"evaluate: {error}", file=sys.stderr)
-        return EXIT_FAILED
-    except KeyboardInterrupt:
-        print("evaluate: interrupted", file=sys.stderr)
-        return EXIT_INTERRUPTED
-    return EXIT_OK
+        return EXIT_OK
+
+    return run_command("evaluate", work)
 
 
 if __name__ == "__main__":

@@ -9,18 +9,23 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from galen_bags.command_line import positive
+from galen_bags.command_line import (
+    EXIT_FAILED,
+    EXIT_INTERRUPTED,
+    EXIT_OK,
+    EXIT_USAGE,
+    positive,
+    run_command,
+)
 from galen_bags.orientation_table import read_orientations, read_table, read_wrenches
 from galen_bags.text_table import TableError, read_text_table
 from galen_model.arm import GRAVITY_M_S2, WRENCH_AXES
 from galen_model.arrays import Array
-from galen_model.errors import GalenError
 from rich.console import Console
 from rich.table import Table
 
 from galen_gravcomp.motion_table import MotionScore, MotionTable, StillTable, score_motion
 
-EXIT_OK, EXIT_FAILED, EXIT_USAGE, EXIT_INTERRUPTED = 0, 1, 2, 130
 _IMU = ("ax", "ay", "az")
 _EPILOG = f"""exit codes:
   {EXIT_OK}    done
@@ -170,19 +175,16 @@ def print_score(score: MotionScore, console: Console) -> None:
 def main(args: Sequence[str] | None = None) -> int:
     """Entry point; returns the exit code."""
     arguments = build_parser().parse_args(args)
-    try:
+
+    def work() -> int:
         score = run(arguments)
         if arguments.json:
             print(json.dumps(to_json(score), indent=2))
         else:
             print_score(score, Console(width=None if sys.stdout.isatty() else 120))
-    except GalenError as error:
-        print(f"score_motion: {error}", file=sys.stderr)
-        return EXIT_FAILED
-    except KeyboardInterrupt:
-        print("score_motion: interrupted", file=sys.stderr)
-        return EXIT_INTERRUPTED
-    return EXIT_OK
+        return EXIT_OK
+
+    return run_command("score_motion", work)
 
 
 if __name__ == "__main__":

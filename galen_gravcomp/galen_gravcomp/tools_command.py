@@ -10,7 +10,14 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from galen_bags.command_line import positive
+from galen_bags.command_line import (
+    EXIT_FAILED,
+    EXIT_INTERRUPTED,
+    EXIT_OK,
+    EXIT_USAGE,
+    positive,
+    run_command,
+)
 from galen_model.arm import JOINT_NAMES, SENSOR_FRAME
 from galen_model.errors import GalenError
 from galen_model.load_frames import FRAMES, joint_vector, needed_joints, sensor_in_frame
@@ -29,7 +36,6 @@ from galen_gravcomp.tools_report import (
     tool_to_dict,
 )
 
-EXIT_OK, EXIT_FAILED, EXIT_USAGE, EXIT_INTERRUPTED = 0, 1, 2, 130
 _EPILOG = f"""A running gravcomp_node keeps what it has loaded, whatever happens to the files; its
 services do the same as these commands and know what is in force.
 
@@ -212,18 +218,15 @@ def main(args: Sequence[str] | None = None) -> int:
     if arguments.command == "remove" and not arguments.yes and not sys.stdin.isatty():
         parser.error("remove asks on a terminal, and there is none: give --yes")
     console = Console(width=None if sys.stdout.isatty() else 120)
-    try:
+
+    def work() -> int:
         if arguments.command == "in-force":
             _in_force(arguments, words[at:], console)
         else:
             _COMMANDS[arguments.command](arguments, ToolStore(arguments.tools_dir), console)
-    except GalenError as error:
-        print(f"tools: {error}", file=sys.stderr)
-        return EXIT_FAILED
-    except KeyboardInterrupt:
-        print("tools: interrupted", file=sys.stderr)
-        return EXIT_INTERRUPTED
-    return EXIT_OK
+        return EXIT_OK
+
+    return run_command("tools", work)
 
 
 if __name__ == "__main__":

@@ -9,17 +9,19 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from galen_bags.command_line import positive
-
-from galen_deflection.command_options import (
+from galen_bags.command_line import (
     EXIT_FAILED,
     EXIT_INTERRUPTED,
     EXIT_OK,
     EXIT_USAGE,
+    positive,
+    run_command,
+)
+
+from galen_deflection.command_options import (
     check_folder,
     console,
     progress,
-    run_command,
     written,
 )
 from galen_deflection.transmission.comparison import Comparison, JointSettings, compare
