@@ -1,0 +1,1 @@
+"""Where arm and model differ, which unmodelled effect causes it, and how far the gap shrinks."""

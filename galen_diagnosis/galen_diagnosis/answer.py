@@ -1,0 +1,103 @@
+"""What a diagnosis says: the contract's `diagnosis.json` (section 7) as dataclasses."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import Any, Literal, NamedTuple
+
+Verdict = Literal["none", "identified", "ambiguous", "unknown"]
+
+NONE = "none"
+UNKNOWN = "unknown"
+
+
+class Interval(NamedTuple):
+    """A value and its 95 % interval, None where it can't be said."""
+
+    value: float
+    low: float | None
+    high: float | None
+
+    def to_json(self) -> dict[str, Any]:
+        """`{"value": .., "ci95": [.., ..]}`."""
+        if self.low is None or self.high is None:
+            return {"value": _number(self.value), "ci95": None}
+        return {"value": _number(self.value), "ci95": [_number(self.low), _number(self.high)]}
+
+
+@dataclass(frozen=True)
+class Cause:
+    """One effect that was found.
+
+    parameters: name to interval, or to a list of them, or to a word (`axis`, `joint`, `bag`).
+    extra: numbers of the form that was fitted and the contract doesn't name, for the driver's file.
+    equivalent: effects that this recording can't tell from it.
+    """
+
+    effect: str
+    probability: float
+    parameters: dict[str, Any]
+    equivalent: tuple[str, ...]
+    gap_closed: Interval | None
+    extra: dict[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Answer:
+    """The whole of `diagnosis.json`; `where`, `gap`, `next_experiment` as the contract has them."""
+
+    recording: str
+    verdict: Verdict
+    causes: tuple[Cause, ...]
+    ranking: tuple[tuple[str, float], ...]
+    where: dict[str, Any]
+    gap: dict[str, Any]
+    next_experiment: dict[str, Any] | None
+    sentence: str = ""
+    cannot_tell: tuple[str, ...] = ()
+    problems: tuple[str, ...] = ()
+
+    def to_json(self) -> dict[str, Any]:
+        """The file's content; `sentence`, `cannot_tell` and `problems` are beyond the contract."""
+        return {
+            "schema_version": 1,
+            "recording": self.recording,
+            "verdict": self.verdict,
+            "sentence": self.sentence,
+            "causes": [_cause_to_json(cause) for cause in self.causes],
+            "ranking": [{"effect": name, "probability": p} for name, p in self.ranking],
+            "where": self.where,
+            "gap": self.gap,
+            "next_experiment": self.next_experiment,
+            "cannot_tell": list(self.cannot_tell),
+            "problems": list(self.problems),
+        }
+
+
+def _cause_to_json(cause: Cause) -> dict[str, Any]:
+    return {
+        "effect": cause.effect,
+        "probability": cause.probability,
+        "parameters": {name: _value(value) for name, value in cause.parameters.items()},
+        "extra": cause.extra,
+        "equivalent": list(cause.equivalent),
+        "gap_closed": None if cause.gap_closed is None else cause.gap_closed.to_json(),
+    }
+
+
+def _value(value: Any) -> Any:
+    """Intervals as they are in the contract; six of them as {"value": [6], "ci95": [[2]]}."""
+    if isinstance(value, Interval):
+        return value.to_json()
+    if isinstance(value, list | tuple) and value and isinstance(value[0], Interval):
+        parts = [part.to_json() for part in value]
+        return {
+            "value": [part["value"] for part in parts],
+            "ci95": [part["ci95"] for part in parts],
+        }
+    return value
+
+
+def _number(value: float) -> float | None:
+    return float(value) if math.isfinite(value) else None

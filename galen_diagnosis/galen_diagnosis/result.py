@@ -1,0 +1,35 @@
+"""A diagnosis with everything that its report shows."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from galen_model.arrays import Array
+from galen_sim_driver.effects.effect import Effect
+
+from galen_diagnosis.answer import Answer
+from galen_diagnosis.rows import Rows, Stream
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """The answer and the residuals behind it.
+
+    rows (N); before, after (N,): whitened residuals without and with the effects that were found,
+    what isn't known but no gap fitted in both; streams_before, streams_after: the same in time.
+    held_out_before, held_out_after (N,): each row predicted from the folds that it isn't in.
+    effects: as fitted to all of it, for the driver; empty where nothing was found.
+    floor: mean square of a row that noise alone gives, 1 but for what the noise estimate leaves.
+    """
+
+    answer: Answer
+    rows: Rows
+    before: Array
+    after: Array
+    held_out_before: Array
+    held_out_after: Array
+    streams_before: tuple[Stream, ...]
+    streams_after: tuple[Stream, ...]
+    effects: tuple[Effect, ...]
+    floor: float
+    seconds: dict[str, float]

@@ -1,0 +1,174 @@
+"""What every simulated effect is: a part of the arm, the sensor or the tracker that nominal lacks.
+
+An effect is a frozen dataclass whose fields are its parameters, named as the contract's section 6
+names them, and whose hooks change what passes on the way from the reported joints to what sensor
+and tracker say. All hooks take arrays of n samples in the order of time. The live plant calls them
+with n = 1, `replay` with a whole bag; both so run the same code. A hook that isn't overridden
+changes nothing.
+
+The way, in this order (`replay.py`, `plant.py`):
+
+1. `wrench_delay_s`, `tracker_delay_s`: a stamp is later than the measurement by that much.
+2. `true_joints`: from the reported joints to the arm's own.
+3. `tilt_axis_about_z_rad`, `gravity`, `arm`: geometry, gravity in base_link, stiffness.
+4. `tool_load`: mass and centre of the tool.
+5. `wrench`: what else acts on the sensor, about its origin in ft_sensor.
+6. `read`, in the order of `order`: from the true wrench to the reading; `unread` goes back.
+7. `deflect`: what is added to the elastic deflection of the tip, in base_link.
+8. `seen`, `base_marker`: what the tracker says.
+
+Effects that remember (play, friction) keep their state in the object that `fresh` returns.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from typing import ClassVar, NamedTuple, Self
+
+import numpy as np
+from galen_model.arm import ArmParameters
+from galen_model.arrays import Array
+from galen_model.load import Load
+from galen_model.sensor_motion import SensorMotion
+
+
+class Fitted(NamedTuple):
+    """A parameter that a diagnosis may estimate.
+
+    `typical`: its usual size where the effect is there, in `unit`; one standard deviation of the
+    prior. Values outside `lower` ... `upper` make no sense. `size` numbers, 1 for a scalar.
+    `positive`: it can't be negative, and its sign says nothing.
+    """
+
+    name: str
+    unit: str
+    typical: float
+    lower: float
+    upper: float
+    size: int = 1
+
+
+@dataclass(frozen=True)
+class Instants:
+    """When n samples were taken: true times, later corrected for the stamps' delay.
+
+    bag_s (n,): since the bag's first stamp; session_s (n,): since the recording's first stamp.
+    """
+
+    bag: str
+    bag_s: Array
+    session_s: Array
+
+    def __len__(self) -> int:
+        return len(self.bag_s)
+
+
+@dataclass(frozen=True)
+class Posture:
+    """Where the true arm is: n samples.
+
+    joints (n, 5) m and rad; rotation (n, 3, 3) R_base_sensor; origin (n, 3) of the sensor in
+    base_link, m; gravity (n, 3) in ft_sensor, m/s^2. motion: of the sensor in ft_sensor, None where
+    nobody asked for it (`needs_motion`). tool, adapter: the true loads. tip_m (3,) in ft_sensor.
+    """
+
+    joints: Array
+    rotation: Array
+    origin: Array
+    gravity: Array
+    motion: SensorMotion | None
+    tool: Load
+    adapter: Load
+    tip_m: Array
+
+
+@dataclass(frozen=True)
+class Loading:
+    """What bends the arm: n samples.
+
+    joints (n, 5) true; wrench (n, 6) at the tip in base_link, N and N.m; elastic (n, 6) the nominal
+    springs' displacement of the tip in base_link, m and rad; arm: with its stiffness as it is.
+    """
+
+    joints: Array
+    wrench: Array
+    elastic: Array
+    tip_m: Array
+    arm: ArmParameters
+
+
+@dataclass(frozen=True)
+class Effect:
+    """Base of all effects: changes nothing."""
+
+    name: ClassVar[str]
+    fitted: ClassVar[tuple[Fitted, ...]]
+    order: ClassVar[int] = 0
+    needs_motion: ClassVar[bool] = False
+    wrench_delay_s: ClassVar[float] = 0.0
+    tracker_delay_s: ClassVar[float] = 0.0
+    tilt_axis_about_z_rad: ClassVar[float] = 0.0
+
+    # --- numbers ------------------------------------------------------------------------------
+
+    def vector(self) -> Array:
+        """The fitted parameters as one array, in the order of `fitted`."""
+        return np.concatenate(
+            [np.atleast_1d(np.asarray(getattr(self, p.name), dtype=float)) for p in self.fitted]
+        )
+
+    def with_vector(self, vector: Array) -> Self:
+        """The same effect with other numbers."""
+        values, at = {}, 0
+        for p in self.fitted:
+            part = vector[at : at + p.size]
+            values[p.name] = float(part[0]) if p.size == 1 else tuple(float(v) for v in part)
+            at += p.size
+        own = {f.name: getattr(self, f.name) for f in fields(self)}
+        return type(self)(**{**own, **values})
+
+    def fresh(self) -> Effect:
+        """The effect at the start of a bag; those that remember return a new object."""
+        return self
+
+    # --- the way from joints to readings ------------------------------------------------------
+
+    def true_joints(self, when: Instants, joints: Array) -> Array:
+        """True joints (n, 5) of reported ones."""
+        return joints
+
+    def arm(self, arm: ArmParameters) -> ArmParameters:
+        """The arm's true numbers."""
+        return arm
+
+    def gravity(self, gravity_base: Array) -> Array:
+        """Gravity (3,) in base_link, m/s^2."""
+        return gravity_base
+
+    def tool_load(self, mass_kg: float, com_m: Array, direction: Array) -> tuple[float, Array]:
+        """True mass and centre (n, 3) in ft_sensor; direction (n, 3): gravity's, in ft_sensor."""
+        return mass_kg, com_m
+
+    def wrench(self, when: Instants, posture: Posture) -> Array | None:
+        """What else acts on the sensor (n, 6), about its origin in ft_sensor; None for nothing."""
+        return None
+
+    def read(self, when: Instants, wrench: Array) -> Array:
+        """The reading (n, 6) of a true wrench."""
+        return wrench
+
+    def unread(self, when: Instants, reading: Array) -> Array:
+        """The true wrench (n, 6) of a reading."""
+        return reading
+
+    def deflect(self, when: Instants, loading: Loading) -> Array | None:
+        """Displacement (n, 6) of the tip beside the elastic one, in base_link; None for none."""
+        return None
+
+    def seen(self, when: Instants, position: Array) -> Array:
+        """A marker's position (n, 3) in the tracker's frame as the tracker tells it."""
+        return position
+
+    def base_marker(self, when: Instants) -> Array | None:
+        """Displacement (n, 6) of the base's marker in base_link: m, rad; None for none."""
+        return None

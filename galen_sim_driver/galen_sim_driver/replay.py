@@ -1,0 +1,291 @@
+"""The simulated arm driven along recorded joint states: what would sensor and tracker have told?
+
+    reading = read(W(true pose; tool) + W(true pose; adapter) - W(true bias pose; adapter) + others)
+    tip     = T(true joints) moved by the deflection that the applied wrench causes
+
+with effects (`effects/`) in the places that `effects/effect.py` tells. Everything works on whole
+bags at once. What a hand pushed is not known beforehand: it is what a reading tells beyond the
+prediction, `applied_wrench`. No noise, no quanta.
+
+Sensor errors act on the zeroed reading here, and on the whole load in the plant; both are the same
+but for a constant and for where a saturated axis clips.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from galen_model.arm import GALEN, GRAVITY_M_S2, ArmParameters
+from galen_model.arrays import Array
+from galen_model.kinematics import tip_pose
+from galen_model.load import Load
+from galen_model.rotation import rot_x, rot_y, rot_z, rotvec_to_matrix
+from galen_model.sensor_motion import SensorMotion, sensor_motion
+from galen_model.stiffness import tip_compliance
+from galen_model.tools import ToolGeometry
+from galen_model.wrench import move_wrench
+from scipy.signal import savgol_filter
+
+from galen_sim_driver.effects.effect import Effect, Instants, Loading, Posture
+
+_STILL_POSE_M = 2e-4
+"""Joints nearer to each other than this (m, rad) share a compliance: it changes by 1e-3 of itself
+over some millimetres."""
+
+
+@dataclass(frozen=True)
+class Scene:
+    """One bag as the simulator needs it; times in s since the bag's first stamp.
+
+    joint_s (nj,), joints (nj, 5) as reported, m and rad; wrench_s (nw,), reading (nw, 6), N and
+    N.m in ft_sensor; touched (nw,): where a hand may be at the tool; tracker_s (nt,), empty without
+    a tracker. start_s: the bag's first stamp since the recording's. tool, adapter, bias_pose_rad
+    (roll, tilt): as the tool's file says.
+    """
+
+    bag: str
+    start_s: float
+    joint_s: Array
+    joints: Array
+    wrench_s: Array
+    reading: Array
+    touched: Array
+    tracker_s: Array
+    tool: ToolGeometry
+    adapter: Load
+    bias_pose_rad: tuple[float, float] = (0.0, 0.0)
+    arm: ArmParameters = GALEN
+
+    def instants(self, at_s: Array) -> Instants:
+        """Times of this bag as effects see them."""
+        return Instants(self.bag, at_s, at_s + self.start_s)
+
+
+class Replay:
+    """The simulator with some effects, driven along a scene."""
+
+    def __init__(self, scene: Scene, effects: Sequence[Effect] = ()) -> None:
+        self.scene = scene
+        self.effects = tuple(effects)
+        self._sensing = sorted(self.effects, key=lambda effect: effect.order)
+        self._wrench_delay_s = sum(effect.wrench_delay_s for effect in effects)
+        self._tracker_delay_s = sum(effect.tracker_delay_s for effect in effects)
+        self._axis_turn = sum(effect.tilt_axis_about_z_rad for effect in effects)
+        self._gravity = GRAVITY_M_S2
+        self.arm = scene.arm
+        for effect in effects:
+            self._gravity = effect.gravity(self._gravity)
+            self.arm = effect.arm(self.arm)
+
+    # --- the wrench ---------------------------------------------------------------------------
+
+    def reading(self) -> Array:
+        """The reading (nw, 6) that an untouched tool gives at the wrenches' stamps."""
+        when, true = self._untouched()
+        return self._read(when, true)
+
+    def applied_wrench(self) -> Array:
+        """What a hand pushes (nw, 6), in ft_sensor about its origin; zero where nobody touches."""
+        when, true = self._untouched()
+        pushed = self.scene.reading
+        for effect in reversed(self._sensing):
+            pushed = effect.unread(when, pushed)
+        return np.where(self.scene.touched[:, None], pushed - true, 0.0)
+
+    def _read(self, when: Instants, true: Array) -> Array:
+        for effect in self._sensing:
+            true = effect.read(when, true)
+        return true
+
+    def _untouched(self) -> tuple[Instants, Array]:
+        """The true wrench (nw, 6) less that at the bias pose, and when it was."""
+        scene = self.scene
+        at_s = scene.wrench_s - self._wrench_delay_s
+        when = scene.instants(at_s)
+        needs_motion = any(effect.needs_motion for effect in self.effects)
+        posture = self._posture(when, self._joints_at(at_s), needs_motion)
+        total = self._weight(posture, with_tool=True)
+        for effect in self.effects:
+            more = effect.fresh().wrench(when, posture)
+            if more is not None:
+                total = total + more
+        zero = np.array([[*self._home(), *scene.bias_pose_rad]])
+        at_zero = self._posture(scene.instants(np.zeros(1)), zero, False)
+        return when, total - self._weight(at_zero, with_tool=False)
+
+    def _home(self) -> Array:
+        return np.asarray(self.scene.joints[0, :3])
+
+    def _weight(self, posture: Posture, *, with_tool: bool) -> Array:
+        loads = [(self.scene.adapter.mass_kg, np.asarray(self.scene.adapter.com_m, dtype=float))]
+        if with_tool:
+            direction = posture.gravity / np.linalg.norm(posture.gravity, axis=1, keepdims=True)
+            mass = self.scene.tool.load.mass_kg
+            com = np.broadcast_to(self.scene.tool.load.com_m, direction.shape)
+            for effect in self.effects:
+                mass, com = effect.tool_load(mass, com, direction)
+            loads.append((mass, com))
+        force = sum(mass * posture.gravity for mass, _ in loads)
+        torque = sum(np.cross(com, mass * posture.gravity) for mass, com in loads)
+        return np.concatenate([force, torque], axis=1)
+
+    # --- the tip ------------------------------------------------------------------------------
+
+    def tip(self, applied: Array | None = None) -> tuple[Array, Array]:
+        """Rotation (nt, 3, 3) and position (nt, 3) of tool_tip in base_link at the tracker's stamps.
+
+        applied (nw, 6): what is pushed at the wrenches' stamps; None to take `applied_wrench`.
+        """
+        scene = self.scene
+        if applied is None:
+            applied = self.applied_wrench()
+        at_s = scene.tracker_s - self._tracker_delay_s
+        when = scene.instants(at_s)
+        joints = self._joints_at(at_s)
+        posture = self._posture(when, joints, False)
+        tip_m = np.asarray(scene.tool.tip_m, dtype=float)
+        rotation = posture.rotation
+        position = posture.origin + rotation @ tip_m
+        wrench_s = scene.wrench_s - self._wrench_delay_s
+        pushed = _interpolated(at_s, wrench_s, applied)
+        at_tip = move_wrench(pushed, rotation, posture.origin - position)
+        elastic = self._elastic(posture.joints, at_tip)
+        loading = Loading(posture.joints, at_tip, elastic, tip_m, self.arm)
+        bent = elastic
+        for effect in self.effects:
+            more = effect.fresh().deflect(when, loading)
+            if more is not None:
+                bent = bent + more
+        return rotvec_to_matrix(bent[:, 3:]) @ rotation, position + bent[:, :3]
+
+    def _elastic(self, joints: Array, wrench: Array) -> Array:
+        bent = np.zeros((len(joints), 6))
+        loaded = np.flatnonzero(np.any(wrench != 0.0, axis=1))
+        if not len(loaded):
+            return bent
+        keys = np.round(joints[loaded] / _STILL_POSE_M).astype(np.int64)
+        places, which = np.unique(keys, axis=0, return_inverse=True)
+        for number, place in enumerate(places):
+            rows = loaded[which.ravel() == number]
+            compliance = _compliance(
+                tuple(place * _STILL_POSE_M), tuple(self.scene.tool.tip_m), _Arm(self.arm)
+            )
+            bent[rows] = wrench[rows] @ compliance.T
+        return bent
+
+    def seen_by_tracker(
+        self, rotation: Array, position: Array, base_rotation: Array, base_position: Array
+    ) -> tuple[Array, Array]:
+        """The tip in the tracker's frame, with base_link at (base_rotation, base_position) there.
+
+        rotation (nt, 3, 3), position (nt, 3) in base_link; what the tracker tells of them.
+        """
+        when = self.scene.instants(self.scene.tracker_s - self._tracker_delay_s)
+        there = base_position + position @ base_rotation.T
+        for effect in self.effects:
+            there = effect.seen(when, there)
+        return base_rotation @ rotation, there
+
+    def base_marker(self) -> Array:
+        """Displacement (nt, 6) of the base's marker in base_link at the tracker's stamps, m, rad."""
+        when = self.scene.instants(self.scene.tracker_s - self._tracker_delay_s)
+        moved = np.zeros((len(when), 6))
+        for effect in self.effects:
+            more = effect.base_marker(when)
+            if more is not None:
+                moved = moved + more
+        return moved
+
+    # --- inside -------------------------------------------------------------------------------
+
+    def _joints_at(self, at_s: Array) -> Array:
+        return _interpolated(at_s, self.scene.joint_s, self.scene.joints)
+
+    def _posture(self, when: Instants, reported: Array, needs_motion: bool) -> Posture:
+        joints = reported
+        for effect in self.effects:
+            joints = effect.fresh().true_joints(when, joints)
+        rotation, origin = self._sensor_pose(joints)
+        return Posture(
+            joints=joints,
+            rotation=rotation,
+            origin=origin,
+            gravity=np.einsum("nji,j->ni", rotation, self._gravity),
+            motion=self._motion(when.bag_s, joints) if needs_motion else None,
+            tool=self.scene.tool.load,
+            adapter=self.scene.adapter,
+            tip_m=np.asarray(self.scene.tool.tip_m, dtype=float),
+        )
+
+    def _sensor_pose(self, joints: Array) -> tuple[Array, Array]:
+        if not self._axis_turn:
+            rotation, origin = tip_pose(joints, np.zeros(3), self.arm)
+            return rotation, origin
+        # The tilt turns about Rz(a) e_y instead of e_y.
+        aside = rot_z(self._axis_turn)
+        turned = rot_x(joints[:, 3]) @ aside @ rot_y(joints[:, 4]) @ aside.T
+        arm = self.arm
+        roll_to_sensor = rot_x(joints[:, 3]) @ arm.roll_to_tilt_m + turned @ arm.tilt_to_sensor_m
+        origin = joints[:, :3] + arm.platform_to_roll_m + roll_to_sensor
+        return turned @ rot_y(np.pi / 2), origin
+
+    def _motion(self, at_s: Array, joints: Array) -> SensorMotion:
+        velocities, accelerations = rates(at_s, joints)
+        return sensor_motion(joints, velocities, accelerations, self.arm)
+
+
+class _Arm:
+    """Arm parameters as a key: the arrays in them have no hash of their own."""
+
+    def __init__(self, arm: ArmParameters) -> None:
+        self.arm = arm
+        self._key = repr(arm)
+
+    def __hash__(self) -> int:
+        return hash(self._key)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, _Arm) and self._key == other._key
+
+
+@lru_cache(maxsize=4096)
+def _compliance(joints: tuple[float, ...], tip_m: tuple[float, ...], arm: _Arm) -> Array:
+    return tip_compliance(np.array(joints), np.array(tip_m), arm.arm)
+
+
+def _interpolated(at_s: Array, known_s: Array, values: Array) -> Array:
+    """Values (n, k) at known_s, linearly at at_s; the ends hold."""
+    return np.stack([np.interp(at_s, known_s, column) for column in values.T], axis=1)
+
+
+_RATE_WINDOW_S = 0.08
+
+
+def rates(at_s: Array, joints: Array) -> tuple[Array, Array]:
+    """Velocity and acceleration (n, 5) of joints (n, 5) at times at_s (n,), s.
+
+    Cubic polynomials over 80 ms (Savitzky and Golay, Anal. Chem. 36, 1964) on an even grid of the
+    stamps' median period; across a gap of more than 80 ms nothing is known, and both are zero there.
+    """
+    velocity, acceleration = np.zeros_like(joints), np.zeros_like(joints)
+    step = float(np.median(np.diff(at_s))) if len(at_s) > 1 else 0.0
+    if step <= 0.0:
+        return velocity, acceleration
+    window = 2 * round(0.5 * _RATE_WINDOW_S / step) + 1
+    window = max(window, 5)
+    cuts = np.flatnonzero(np.diff(at_s) > _RATE_WINDOW_S) + 1
+    for rows in np.split(np.arange(len(at_s)), cuts):
+        if len(rows) < window + 2:
+            continue
+        here = at_s[rows]
+        even = np.arange(here[0], here[-1] + 0.5 * step, step)
+        if len(even) <= window:
+            continue
+        on_even = _interpolated(even, here, joints[rows])
+        for order, out in ((1, velocity), (2, acceleration)):
+            fitted = savgol_filter(on_even, window, 3, deriv=order, delta=step, axis=0)
+            out[rows] = _interpolated(here, even, fitted)
+    return velocity, acceleration
