@@ -7,6 +7,7 @@ from typing import ClassVar
 
 import numpy as np
 from galen_model.arrays import Array
+from galen_ros.param import param
 
 from galen_sim_driver.effects.effect import Effect, Fitted, Instants
 
@@ -19,7 +20,9 @@ class AxisGain(Effect):
     fitted: ClassVar[tuple[Fitted, ...]] = (Fitted("gain", "", 0.03, -0.9, 2.0, 6),)
     order: ClassVar[int] = 1
 
-    gain: tuple[float, ...] = (0.0,) * 6
+    gain: tuple[float, ...] = param(
+        (0.0,) * 6, "what each axis of the sensor reads too much of itself, fx to tz", -0.9, 2.0
+    )
 
     def read(self, when: Instants, wrench: Array) -> Array:
         """Each axis times its gain."""

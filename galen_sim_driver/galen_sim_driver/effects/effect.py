@@ -22,30 +22,41 @@ Effects that remember (play, friction) keep their state in the object that `fres
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from typing import ClassVar, NamedTuple, Self
 
 import numpy as np
-from galen_model.arm import ArmParameters
+from galen_model.arm import WRENCH_AXES, ArmParameters
 from galen_model.arrays import Array
 from galen_model.load import Load
 from galen_model.sensor_motion import SensorMotion
+
+from galen_sim_driver.errors import ConfigError
+
+BAG_ORDER = ("sweep", "motion", "push")
+"""A recording's bags as they were recorded, one after the other."""
 
 
 class Fitted(NamedTuple):
     """A parameter that a diagnosis may estimate.
 
     `typical`: its usual size where the effect is there, in `unit`; one standard deviation of the
-    prior. Values outside `lower` ... `upper` make no sense. `size` numbers, 1 for a scalar.
-    `positive`: it can't be negative, and its sign says nothing.
+    prior, one number for all or one each. Values outside `lower` ... `upper` make no sense. `size`
+    numbers, 1 for a scalar.
     """
 
     name: str
     unit: str
-    typical: float
+    typical: float | tuple[float, ...]
     lower: float
     upper: float
     size: int = 1
+
+    @property
+    def typicals(self) -> Array:
+        """`typical` of each number, shape (size,)."""
+        return np.broadcast_to(np.asarray(self.typical, dtype=float), (self.size,))
 
 
 @dataclass(frozen=True)
@@ -99,17 +110,35 @@ class Loading:
 
 @dataclass(frozen=True)
 class Effect:
-    """Base of all effects: changes nothing."""
+    """Base of all effects: changes nothing.
+
+    With its defaults an effect changes nothing either: every field is a `param` whose default is
+    none of it, and whose meaning is that of the driver's parameter.
+
+    order: where in `read` it comes. after_noise: `read` gets the noise as well. needs_motion:
+    `wrench` needs the posture's motion. contract_names: names of fields in the contract, where they
+    are others. beyond_contract: fields that the contract doesn't name. recording_only: fields that
+    say nothing to a driver.
+    """
 
     name: ClassVar[str]
     fitted: ClassVar[tuple[Fitted, ...]]
     order: ClassVar[int] = 0
+    after_noise: ClassVar[bool] = False
     needs_motion: ClassVar[bool] = False
-    wrench_delay_s: ClassVar[float] = 0.0
-    tracker_delay_s: ClassVar[float] = 0.0
-    tilt_axis_about_z_rad: ClassVar[float] = 0.0
+    contract_names: ClassVar[Mapping[str, str]] = {}
+    beyond_contract: ClassVar[tuple[str, ...]] = ()
+    recording_only: ClassVar[tuple[str, ...]] = ()
 
     # --- numbers ------------------------------------------------------------------------------
+
+    @property
+    def changes_nothing(self) -> bool:
+        """Whether its numbers are those of an arm without it."""
+        return bool(np.array_equal(self.vector(), type(self)().vector()))
+
+    def validate(self) -> None:
+        """Raise ConfigError, naming the field, where the numbers don't fit together."""
 
     def vector(self) -> Array:
         """The fitted parameters as one array, in the order of `fitted`."""
@@ -132,6 +161,21 @@ class Effect:
         return self
 
     # --- the way from joints to readings ------------------------------------------------------
+
+    @property
+    def wrench_delay_s(self) -> float:
+        """How much later than the measurement a wrench's stamp is."""
+        return 0.0
+
+    @property
+    def tracker_delay_s(self) -> float:
+        """How much later than the measurement a tracker's stamp is."""
+        return 0.0
+
+    @property
+    def tilt_axis_about_z_rad(self) -> float:
+        """How far the tilt axis is turned about the roll link's z."""
+        return 0.0
 
     def true_joints(self, when: Instants, joints: Array) -> Array:
         """True joints (n, 5) of reported ones."""
@@ -172,3 +216,9 @@ class Effect:
     def base_marker(self, when: Instants) -> Array | None:
         """Displacement (n, 6) of the base's marker in base_link: m, rad; None for none."""
         return None
+
+
+def check_axis(effect: str, name: str, axis: str) -> None:
+    """Raise ConfigError unless `axis` is one of the sensor's."""
+    if axis not in WRENCH_AXES:
+        raise ConfigError(f"{effect}: {name} is {axis!r}, not one of {', '.join(WRENCH_AXES)}")

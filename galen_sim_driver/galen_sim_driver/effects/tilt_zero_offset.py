@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from galen_model.arrays import Array
+from galen_ros.param import param
 
 from galen_sim_driver.effects.effect import Effect, Fitted, Instants
 
@@ -19,7 +20,7 @@ class TiltZeroOffset(Effect):
     name: ClassVar[str] = "tilt_zero_offset"
     fitted: ClassVar[tuple[Fitted, ...]] = (Fitted("offset_rad", "rad", 0.01, -0.5, 0.5),)
 
-    offset_rad: float = 0.0
+    offset_rad: float = param(0.0, "true tilt less what the encoder tells, rad", -0.5, 0.5)
 
     def true_joints(self, when: Instants, joints: Array) -> Array:
         """The tilt is farther by the offset."""
