@@ -1,0 +1,53 @@
+"""Forces of acceleration of tool and adapter, which nominal leaves out (contract, section 6).
+
+Newton and Euler (`galen_model.inertial`) with s = -a, the part without gravity, for tool and
+adapter as two points, each at its own centre p_i with the share of `mass_kg` that it has of the
+weight of both:
+
+    m_i = mass_kg w_i / sum w,   h = sum m_i p_i,   I = sum m_i (p_i.p_i 1 - p_i p_i^T)
+
+so that they swing about their common centre h / m. What the bodies turn about their own centres is
+not in it: some 1e-4 kg m^2 for a tool of this size.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+from galen_model.arrays import Array
+from galen_model.inertial import inertial_wrench, point_mass_inertia
+from galen_model.load import Load
+from galen_ros.param import param
+
+from galen_sim_driver.effects.effect import Effect, Fitted, Instants, Posture
+
+
+@dataclass(frozen=True)
+class InertialLoad(Effect):
+    """`mass_kg` accelerates with the sensor, tool and adapter together."""
+
+    name: ClassVar[str] = "inertial_load"
+    fitted: ClassVar[tuple[Fitted, ...]] = (Fitted("mass_kg", "kg", 0.15, 0.0, 5.0),)
+    needs_motion: ClassVar[bool] = True
+
+    mass_kg: float = param(0.0, "mass of tool and adapter that accelerates, kg", 0.0, 5.0)
+
+    def wrench(self, when: Instants, posture: Posture) -> Array | None:
+        """What the motion adds to the weight."""
+        motion = posture.motion
+        weight = posture.tool.mass_kg + posture.adapter.mass_kg
+        if motion is None or weight <= 0.0:
+            return None
+        loads = [
+            Load(self.mass_kg * load.mass_kg / weight, load.com_m)
+            for load in (posture.tool, posture.adapter)
+        ]
+        return inertial_wrench(
+            -motion.acceleration_m_s2,
+            motion.velocity_rad_s,
+            motion.acceleration_rad_s2,
+            np.sum([load.moments for load in loads], axis=0),
+            point_mass_inertia(*loads),
+        )
