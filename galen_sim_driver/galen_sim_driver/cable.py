@@ -1,13 +1,16 @@
 """A cable that pulls at the tool: from a point on it to an anchor in base_link.
 
-    T(d) = s ln(1 + exp((T_1 + k (d - d_home)) / s)),   s = T_home / 4
+    T(d) = T_0 g(kappa (d - d_0)),   g(x) = c ln(1 + exp((x_1 + x) / c)),   c = 1/4
 
-is the tension at a distance d from attachment to anchor: a spring of stiffness k where the cable is
-taut, nothing where it is slack, with a rounded corner between, as a sagging cord has it; T_1 is
-such that T(d_home) = T_home. The cord is bent where it leaves the tool: at home it lies straight,
-and where its direction l in ft_sensor is another than n at home, it turns the tool back to it by
-M = B n x l. A cable without weight, free to turn at its anchor, passes that moment on as a force
-across itself, so that all of it together has no moment about the anchor:
+is the tension at a distance d from attachment to anchor, T_0 that at the distance d_0: a spring of
+stiffness kappa T_0 where the cable is taut, nothing where it is slack, with a rounded corner
+between, as a sagging cord has it; x_1 is such that g(0) = 1. It is smooth in all its numbers, and
+for a given kappa proportional to T_0.
+
+The cord is bent where it leaves the tool: at home it lies straight, and where its direction l in
+ft_sensor is another than n at home, it turns the tool back to it by M = B n x l. A cable without
+weight, free to turn at its anchor, passes that moment on as a force across itself, so that all of
+it together has no moment about the anchor:
 
     f = T l + (M x l) / d,    tau = r x f + M     about the sensor's origin, r to the attachment.
 
@@ -16,33 +19,68 @@ Cables on real arms have weight and friction and lie against things as well. Non
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 
+import numpy as np
+from galen_model.arrays import Array
+from numpy.typing import ArrayLike
+
 from galen_sim_driver.config import CableConfig
-from galen_sim_driver.geometry import (
-    ArmGeometry,
-    Matrix,
-    Vector,
-    cross,
-    rotate_back,
-    sensor_matrix,
-)
+from galen_sim_driver.geometry import ArmGeometry, Matrix, sensor_matrix
 
 _CORNER = 0.25
-"""s over the tension at home."""
+_TAUT = _CORNER * float(np.log(np.expm1(1.0 / _CORNER)))
+_NEAREST_M = 0.01
+"""Nearer than this the line has no direction any more; the cable is slack there."""
+
+
+def cable_line(
+    rotation: ArrayLike, origin: ArrayLike, anchor_m: ArrayLike, attachment_m: ArrayLike
+) -> tuple[Array, Array]:
+    """Distance (...,), m, from attachment to anchor, and the direction there (..., 3) in ft_sensor.
+
+    rotation (..., 3, 3) R_base_sensor; origin (..., 3) of the sensor and anchor (3,) in base_link;
+    attachment (3,) in ft_sensor, m.
+    """
+    to_anchor = np.asarray(anchor_m, dtype=float) - np.asarray(origin, dtype=float)
+    line = np.einsum("...ji,...j->...i", np.asarray(rotation), to_anchor)
+    line = line - np.asarray(attachment_m, dtype=float)
+    distance_m = np.linalg.norm(line, axis=-1)
+    return distance_m, line / np.maximum(distance_m, 1e-9)[..., None]
+
+
+def relative_tension(farther: ArrayLike) -> Array:
+    """g(x): the tension over T_0, for x = kappa (d - d_0)."""
+    return _CORNER * np.logaddexp(0.0, (_TAUT + np.asarray(farther, dtype=float)) / _CORNER)
+
+
+def cable_wrench(
+    tension_n: ArrayLike,
+    bending_nm: float,
+    distance_m: Array,
+    direction: Array,
+    home_direction: Array,
+    attachment_m: ArrayLike,
+) -> Array:
+    """Force and torque (..., 6) about the sensor's origin in ft_sensor, N and N.m.
+
+    tension, distance (...,); direction (..., 3) and home_direction (3,) in ft_sensor.
+    """
+    moment = bending_nm * np.cross(home_direction, direction)
+    span_m = np.maximum(distance_m, _NEAREST_M)[..., None]
+    force = np.asarray(tension_n)[..., None] * direction + np.cross(moment, direction) / span_m
+    torque = np.cross(np.asarray(attachment_m, dtype=float), force) + moment
+    return np.concatenate([force, torque], axis=-1)
 
 
 class Cable:
-    """The wrench of a cable at the tool, for one arm."""
+    """The wrench of a cable at the tool, for one arm and one moment at a time."""
 
     def __init__(self, config: CableConfig, geometry: ArmGeometry, home: Sequence[float]) -> None:
         """`config` must be on; home (5,): the joints where the tension is `tension_n`."""
         config.validate()
         self._config = config
         self._geometry = geometry
-        self._corner = _CORNER * config.tension_n
-        self._taut = self._corner * math.log(math.expm1(1.0 / _CORNER))
         self._home_m, self._home_direction = self._line(sensor_matrix(home[3], home[4]), home)
 
     def wrench(self, matrix: Matrix, joints: Sequence[float]) -> list[float]:
@@ -50,27 +88,20 @@ class Cable:
 
         joints (5,): m, rad. matrix: R_base_sensor.
         """
+        config = self._config
         distance_m, direction = self._line(matrix, joints)
-        tension = self._tension(distance_m)
-        bend = self._config.bending_nm
-        moment = [bend * value for value in cross(self._home_direction, direction)]
-        shear = cross(moment, direction)
-        # Nearer than this the line has no direction any more; the cable is slack there.
-        span_m = max(distance_m, 0.01)
-        force = [tension * direction[k] + shear[k] / span_m for k in range(3)]
-        lever = cross(self._config.attachment_m, force)
-        return force + [lever[k] + moment[k] for k in range(3)]
+        farther = config.stiffness_n_m / config.tension_n * (distance_m - self._home_m)
+        wrench = cable_wrench(
+            config.tension_n * relative_tension(farther),
+            config.bending_nm,
+            distance_m,
+            direction,
+            self._home_direction,
+            config.attachment_m,
+        )
+        return [float(value) for value in wrench]
 
-    def _tension(self, distance_m: float) -> float:
-        stretch = self._taut + self._config.stiffness_n_m * (distance_m - self._home_m)
-        exponent = stretch / self._corner
-        # ln(1 + e^x) without overflow.
-        return self._corner * (max(exponent, 0.0) + math.log1p(math.exp(-abs(exponent))))
-
-    def _line(self, matrix: Matrix, joints: Sequence[float]) -> tuple[float, Vector]:
-        """Distance (m) from attachment to anchor, and the direction there in ft_sensor."""
-        at = self._geometry.tip_position(joints, matrix, self._config.attachment_m)
-        x, y, z = (a - b for a, b in zip(self._config.anchor_m, at, strict=True))
-        distance_m = math.sqrt(x * x + y * y + z * z)
-        scale = 1.0 / max(distance_m, 1e-9)
-        return distance_m, rotate_back(matrix, (x * scale, y * scale, z * scale))
+    def _line(self, matrix: Matrix, joints: Sequence[float]) -> tuple[Array, Array]:
+        origin = self._geometry.tip_position(joints, matrix, (0.0, 0.0, 0.0))
+        config = self._config
+        return cable_line(np.reshape(matrix, (3, 3)), origin, config.anchor_m, config.attachment_m)

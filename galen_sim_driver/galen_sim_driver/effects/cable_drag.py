@@ -1,0 +1,107 @@
+"""A cable pulls at the tool, more or less with the pose (contract, section 6).
+
+The law is `galen_sim_driver.cable`: a rounded spring from a point on the tool to an anchor, and a
+cord that is bent where it leaves the tool. `tension_n` is the tension when the attachment is at
+`reference_m`. With the attachment's mean position there (`centred`), it is the mean tension over a
+recording but for how the line's length curves: a few percent.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import ClassVar, Self
+
+import numpy as np
+from galen_model.arm import HOME
+from galen_model.arrays import Array
+from galen_model.kinematics import sensor_pose
+from galen_ros.param import param
+
+from galen_sim_driver.cable import cable_line, cable_wrench, relative_tension
+from galen_sim_driver.effects.effect import Effect, Fitted, Instants, Posture
+
+_HOME_ROTATION, _HOME_ORIGIN = sensor_pose(HOME)
+
+
+@dataclass(frozen=True)
+class CableDrag(Effect):
+    """A cable of `tension_n` from the tool to `anchor_m`.
+
+    The wrench is linear in `tension_n` and `bending_nm`. Priors of the other numbers lie about
+    their defaults, which say where a cable usually is.
+    """
+
+    name: ClassVar[str] = "cable_drag"
+    fitted: ClassVar[tuple[Fitted, ...]] = (
+        Fitted("tension_n", "N", 0.2, 0.0, 50.0),
+        Fitted("anchor_m", "m", 0.5, -5.0, 5.0, 3),
+        Fitted("attachment_m", "m", 0.06, -0.5, 0.5, 3),
+        Fitted("stretch_per_m", "1/m", 3.0, 0.0, 50.0),
+        Fitted("bending_nm", "N.m", 0.005, -1.0, 1.0),
+    )
+    contract_names: ClassVar[Mapping[str, str]] = {"tension_n": "tension_N"}
+    beyond_contract: ClassVar[tuple[str, ...]] = (
+        "anchor_m",
+        "attachment_m",
+        "stretch_per_m",
+        "bending_nm",
+        "reference_m",
+    )
+
+    tension_n: float = param(0.0, "tension when the attachment is at reference_m, N", 0.0, 50.0)
+    anchor_m: tuple[float, ...] = param(
+        (0.35, 0.35, 0.9), "where the cable's other end is held, in base_link, m", -5.0, 5.0
+    )
+    attachment_m: tuple[float, ...] = param(
+        (0.08, 0.0, 0.06), "where it leaves the tool, in ft_sensor, m", -0.5, 0.5
+    )
+    stretch_per_m: float = param(
+        3.0,
+        "how much tighter a metre farther from the anchor, as a fraction of tension_n",
+        0.0,
+        50.0,
+    )
+    bending_nm: float = param(
+        0.0, "moment of the cord bent to a right angle to how it lies at home, Nm", -1.0, 1.0
+    )
+    reference_m: tuple[float, ...] = param(
+        (0.7, 0.0, 0.442), "where the attachment is at tension_n, in base_link, m", -5.0, 5.0
+    )
+
+    @property
+    def changes_nothing(self) -> bool:
+        """Neither tension nor bending."""
+        return self.tension_n == 0.0 and self.bending_nm == 0.0
+
+    def centred(self, rotation: Array, origin: Array) -> Self:
+        """The same with `reference_m` at the attachment's mean position.
+
+        rotation (n, 3, 3) R_base_sensor, origin (n, 3) of the sensor in base_link, m.
+        """
+        at = np.mean(origin + rotation @ np.asarray(self.attachment_m), axis=0)
+        return replace(self, reference_m=tuple(float(value) for value in at))
+
+    def tension(self, rotation: Array, origin: Array) -> Array:
+        """T (n,), N, at poses as `centred` takes them."""
+        return self._tension(cable_line(rotation, origin, self.anchor_m, self.attachment_m)[0])
+
+    def _tension(self, distance_m: Array) -> Array:
+        at_reference = np.linalg.norm(np.subtract(self.anchor_m, self.reference_m))
+        farther = self.stretch_per_m * (distance_m - at_reference)
+        return self.tension_n * relative_tension(farther)
+
+    def wrench(self, when: Instants, posture: Posture) -> Array | None:
+        """The cable's pull."""
+        distance_m, direction = cable_line(
+            posture.rotation, posture.origin, self.anchor_m, self.attachment_m
+        )
+        _, at_home = cable_line(_HOME_ROTATION, _HOME_ORIGIN, self.anchor_m, self.attachment_m)
+        return cable_wrench(
+            self._tension(distance_m),
+            self.bending_nm,
+            distance_m,
+            direction,
+            at_home,
+            self.attachment_m,
+        )
