@@ -9,10 +9,14 @@ whoever fits has it among the columns.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from galen_model.arm import WRENCH_AXES
 from galen_model.arrays import Array
+
+if TYPE_CHECKING:
+    from galen_diagnosis.noise import ChannelNoise
 
 TIP_AXES = ("dx", "dy", "dz", "rx", "ry", "rz")
 """Displacement of tool_tip in base_link: m, rad."""
@@ -67,7 +71,8 @@ class Stream:
     """A residual in time, for spectra and pictures: not averaged, in the channels' own units.
 
     channels: names of the k columns; bag; at_s (n,) since the bag's first stamp; residual (n, k);
-    noise (k,): standard deviation of one sample. Rows that say nothing are NaN.
+    noise (k,): standard deviation of one sample. Rows that say nothing are NaN. models: of each
+    column's noise, whose pieces they whiten; empty for white noise of `noise`.
     """
 
     bag: str
@@ -75,3 +80,4 @@ class Stream:
     at_s: Array
     residual: Array
     noise: Array
+    models: tuple[ChannelNoise, ...] = ()

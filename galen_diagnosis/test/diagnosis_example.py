@@ -1,0 +1,176 @@
+"""A made-up recording's rows and streams, and diagnoses of it: for tests of what shows them."""
+
+from __future__ import annotations
+
+import numpy as np
+from galen_diagnosis.answer import Answer, Cause, Interval
+from galen_diagnosis.result import Diagnosis
+from galen_diagnosis.rows import BAGS, CHANNELS, FOLDS, REGIMES, Rows, Stream
+from galen_sim_driver.effects.tilt_zero_offset import TiltZeroOffset
+
+TILTS = np.linspace(-0.9, 0.8, 7)
+ROLLS = np.linspace(-1.4, 1.4, 8)
+WRENCH_NOISE = np.array([0.02, 0.02, 0.03, 4e-4, 4e-4, 4e-4])
+TIP_NOISE = np.array([3e-5] * 3 + [1e-4] * 3)
+WRENCH, TIP, MARKER = CHANNELS[:6], CHANNELS[6:12], CHANNELS[12:]
+
+
+def example_rows(rows_a_pose=2, seed=0):
+    """Rows of three bags: 56 poses, 45 s of motion, four positions with pushes."""
+    parts = []
+    for pose in range(56):
+        tilt, roll = TILTS[pose // 8], ROLLS[pose % 8]
+        at_s = 2.3 * pose + 0.8 + 0.5 * np.arange(rows_a_pose)
+        joints = np.tile([0.0, 0.0, 0.408, roll, tilt], (rows_a_pose, 1))
+        parts.append(_part("sweep", "still", at_s, joints, 0.0 * joints, pose, pose, WRENCH))
+    at_s = np.arange(0.0, 45.0, 0.25)
+    amplitude = np.array([0.03, 0.03, 0.03, 1.2, 0.8])
+    speed = np.array([0.7, 0.9, 0.5, 0.6, 0.8])
+    middle = np.array([0.0, 0.0, 0.408, 0.0, 0.0])
+    joints = middle + amplitude * np.sin(np.outer(at_s, speed))
+    rate = amplitude * speed * np.cos(np.outer(at_s, speed))
+    for first in range(0, len(at_s), 12):
+        own = slice(first, first + 12)
+        for regime, sign in (("moving+", 1.0), ("moving-", -1.0)):
+            moving = sign * rate[own, 4] > 0
+            block = 56 + first // 12
+            chosen = (at_s[own][moving], joints[own][moving], rate[own][moving])
+            parts.append(_part("motion", regime, *chosen, -1, block, WRENCH))
+    for position in range(4):
+        place = np.array([0.02 * position, 0.0, 0.4, 0.3 * position - 0.5, 0.2 * position - 0.3])
+        for push in range(18):
+            for part, regime in enumerate(("loading", "held", "unloading", "rest")):
+                at_s = np.array([30.0 * position + 3.0 + 1.5 * push + 0.375 * part])
+                block = 72 + 6 * position + push // 3
+                joints = place[None]
+                channels = TIP + MARKER + (WRENCH if regime == "rest" else ())
+                parts.append(
+                    _part("push", regime, at_s, joints, 0 * joints, position, block, channels)
+                )
+    columns = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+    return Rows(**columns)
+
+
+def _part(bag, regime, at_s, joints, rate, pose, block, channels):
+    n, k = len(at_s), len(channels)
+    start_s = {"sweep": 0.0, "motion": 143.0, "push": 202.0}[bag]
+    noise = dict(zip(CHANNELS, (*WRENCH_NOISE, *TIP_NOISE, *TIP_NOISE), strict=True))
+
+    def every(value):
+        return np.full(n * k, value)
+
+    return {
+        "channel": np.tile([CHANNELS.index(name) for name in channels], n),
+        "bag": every(BAGS.index(bag)),
+        "regime": every(REGIMES.index(regime)),
+        "bag_s": np.repeat(at_s, k),
+        "session_s": np.repeat(at_s, k) + start_s,
+        "pose": every(pose),
+        "block": every(block),
+        "fold": every(block % FOLDS),
+        "joints": np.repeat(joints, k, axis=0),
+        "rate": np.repeat(rate, k, axis=0),
+        "samples": every(25),
+        "scale": np.tile([noise[name] / 5.0 for name in channels], n),
+    }
+
+
+def tilt_error(rows, size=20.0):
+    """Whitened residual (N,) as a wrong zero of the tilt makes it, in fx, fz and ty."""
+    tilt, roll = rows.joints[:, 4], rows.joints[:, 3]
+    shape = {0: np.sin(tilt) * np.cos(roll), 2: np.cos(tilt) * np.cos(roll), 4: np.cos(tilt)}
+    out = np.zeros(len(rows))
+    for channel, values in shape.items():
+        chosen = rows.channel == channel
+        out[chosen] = size * (values[chosen] - values[chosen].mean())
+    return out
+
+
+def example_streams(error=0.0, seed=1):
+    """Residuals in time; `error` times a wrong tilt's signature in units of the noise."""
+    rng = np.random.default_rng(seed)
+    streams = []
+    for bag, length_s, rate_hz in (("sweep", 129.0, 50.0), ("motion", 45.0, 100.0)):
+        at_s = np.arange(0.0, length_s, 1.0 / rate_hz)
+        residual = rng.standard_normal((len(at_s), 6)) * WRENCH_NOISE
+        if bag == "sweep":
+            tilt = TILTS[np.minimum(at_s / 2.3, 55).astype(int) // 8]
+            residual[(at_s % 2.3) < 0.5] = np.nan
+        else:
+            tilt = 0.8 * np.sin(0.8 * at_s)
+        residual[:, 0] += error * WRENCH_NOISE[0] * np.sin(tilt)
+        residual[:, 2] += error * WRENCH_NOISE[2] * (np.cos(tilt) - np.cos(tilt).mean())
+        streams.append(Stream(bag, WRENCH, at_s, residual, WRENCH_NOISE))
+    at_s = np.arange(0.0, 120.0, 1 / 60)
+    residual = rng.standard_normal((len(at_s), 6)) * TIP_NOISE
+    streams.append(Stream("push", TIP, at_s, residual, TIP_NOISE))
+    return tuple(streams)
+
+
+def example_answer(verdict="identified", recording="example"):
+    """An answer with that verdict; its numbers are made up."""
+    tilt = Cause(
+        "tilt_zero_offset",
+        0.93,
+        {"offset_rad": Interval(0.0102, 0.0099, 0.0105)},
+        (),
+        Interval(0.98, 0.97, 0.99),
+    )
+    turned = Cause(
+        "sensor_mount_rotation",
+        0.45,
+        {"rotvec_rad": [Interval(0.0, -1e-4, 1e-4), Interval(0.01, 9e-3, 11e-3)]
+         + [Interval(0.0, -1e-4, 1e-4)]},
+        ("tilt_zero_offset",),
+        Interval(0.97, 0.95, 0.99),
+    )  # fmt: skip
+    causes = {"identified": (tilt,), "ambiguous": (tilt, turned)}.get(verdict, ())
+    ranking = {
+        "none": (("none", 0.97), ("unknown", 0.02), ("tilt_zero_offset", 0.01)),
+        "unknown": (("unknown", 0.96), ("cable_drag", 0.04), ("none", 0.0)),
+        "ambiguous": (("tilt_zero_offset", 0.5), ("sensor_mount_rotation", 0.45), ("none", 0.0)),
+    }.get(verdict, (("tilt_zero_offset", 0.93), ("unknown", 0.05), ("none", 0.0)))
+    closed = None if verdict == "none" else Interval(0.98, 0.97, 0.99).to_json()
+    after = 1.01 if verdict in ("identified", "ambiguous") else 8.0
+    gap = {
+        "before": {"all": 1.0 if verdict == "none" else 17.3},
+        "after": {"all": 1.0 if verdict == "none" else after},
+        "floor": {"all": 1.0},
+        "closed_fraction": closed,
+    }
+    following = {"separates": ["tilt_zero_offset", "sensor_mount_rotation"], "do": "Push."}
+    return Answer(
+        recording=recording,
+        verdict=verdict,
+        causes=causes,
+        ranking=ranking,
+        where={},
+        gap=gap,
+        next_experiment=following if verdict == "ambiguous" else None,
+        cannot_tell=("without a tracker a tilt's zero looks like a turned sensor",),
+        problems=("sweep: 3 stamps went back",),
+    )
+
+
+def example_diagnosis(verdict="identified", recording="example", seed=0):
+    """A whole diagnosis with the residuals that belong to it."""
+    rows = example_rows()
+    noise = np.random.default_rng(seed).standard_normal(len(rows))
+    gap = 0.0 if verdict == "none" else 20.0
+    before = noise + tilt_error(rows, gap)
+    found = verdict in ("identified", "ambiguous")
+    after = noise if found else before
+    streams = example_streams(gap)
+    return Diagnosis(
+        answer=example_answer(verdict, recording),
+        rows=rows,
+        before=before,
+        after=after,
+        held_out_before=before,
+        held_out_after=after,
+        streams_before=streams,
+        streams_after=example_streams(0.0) if found else streams,
+        effects=(TiltZeroOffset(0.0102),) if found else (),
+        floor=1.0,
+        seconds={"read": 1.0, "fit": 3.2},
+    )
