@@ -7,14 +7,14 @@ with effects (`effects/`) in the places that `effects/effect.py` tells. Everythi
 bags at once. What a hand pushed is not known beforehand: it is what a reading tells beyond the
 prediction, `applied_wrench`. No noise, no quanta.
 
-Sensor errors act on the zeroed reading here, and on the whole load in the plant; both are the same
-but for a constant and for where a saturated axis clips.
+Sensor errors act on the zeroed reading. Had the zero been taken through the same errors, that would
+be the same but for where a saturated axis clips.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import lru_cache
 
 import numpy as np
@@ -29,7 +29,7 @@ from galen_model.tools import ToolGeometry
 from galen_model.wrench import move_wrench
 from scipy.signal import savgol_filter
 
-from galen_sim_driver.effects.effect import Effect, Instants, Loading, Posture
+from galen_sim_driver.effects.effect import Effect, Instants, Loading, Posture, in_order
 
 _STILL_POSE_M = 2e-4
 """Joints nearer to each other than this (m, rad) share a compliance: it changes by 1e-3 of itself
@@ -69,8 +69,7 @@ class Replay:
 
     def __init__(self, scene: Scene, effects: Sequence[Effect] = ()) -> None:
         self.scene = scene
-        self.effects = tuple(effects)
-        self._sensing = sorted(self.effects, key=lambda effect: effect.order)
+        self.effects = in_order(effects)
         self._wrench_delay_s = sum(effect.wrench_delay_s for effect in effects)
         self._tracker_delay_s = sum(effect.tracker_delay_s for effect in effects)
         self._axis_turn = sum(effect.tilt_axis_about_z_rad for effect in effects)
@@ -91,12 +90,12 @@ class Replay:
         """What a hand pushes (nw, 6), in ft_sensor about its origin; zero where nobody touches."""
         when, true = self._untouched()
         pushed = self.scene.reading
-        for effect in reversed(self._sensing):
+        for effect in reversed(self.effects):
             pushed = effect.unread(when, pushed)
         return np.where(self.scene.touched[:, None], pushed - true, 0.0)
 
     def _read(self, when: Instants, true: Array) -> Array:
-        for effect in self._sensing:
+        for effect in self.effects:
             true = effect.read(when, true)
         return true
 
@@ -215,7 +214,7 @@ class Replay:
             origin=origin,
             gravity=np.einsum("nji,j->ni", rotation, self._gravity),
             motion=self._motion(when.bag_s, joints) if needs_motion else None,
-            tool=self.scene.tool.load,
+            tool=self._true_tool(),
             adapter=self.scene.adapter,
             tip_m=np.asarray(self.scene.tool.tip_m, dtype=float),
         )
@@ -232,8 +231,25 @@ class Replay:
         origin = joints[:, :3] + arm.platform_to_roll_m + roll_to_sensor
         return turned @ rot_y(np.pi / 2), origin
 
+    def _true_tool(self) -> Load:
+        """The tool as it is, without what gravity moves of it."""
+        mass, com = self.scene.tool.load.mass_kg, np.reshape(self.scene.tool.load.com_m, (1, 3))
+        for effect in self.effects:
+            mass, com = effect.tool_load(mass, com, np.zeros((1, 3)))
+        return Load(mass, com[0])
+
     def _motion(self, at_s: Array, joints: Array) -> SensorMotion:
-        velocities, accelerations = rates(at_s, joints)
+        """Motion at times at_s (n,), where the true joints are joints (n, 5).
+
+        Rates come from the joints' own stamps: between them joints go in straight lines here.
+        """
+        scene = self.scene
+        moving = scene.joints
+        for effect in self.effects:
+            moving = effect.fresh().true_joints(scene.instants(scene.joint_s), moving)
+        velocities, accelerations = (
+            _interpolated(at_s, scene.joint_s, rate) for rate in rates(scene.joint_s, moving)
+        )
         return sensor_motion(joints, velocities, accelerations, self.arm)
 
 
@@ -242,7 +258,9 @@ class _Arm:
 
     def __init__(self, arm: ArmParameters) -> None:
         self.arm = arm
-        self._key = repr(arm)
+        self._key = tuple(
+            tuple(np.ravel(getattr(arm, field.name)).tolist()) for field in fields(arm)
+        )
 
     def __hash__(self) -> int:
         return hash(self._key)

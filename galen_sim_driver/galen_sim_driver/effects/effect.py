@@ -22,7 +22,7 @@ Effects that remember (play, friction) keep their state in the object that `fres
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, fields
 from typing import ClassVar, NamedTuple, Self
 
@@ -115,10 +115,10 @@ class Effect:
     With its defaults an effect changes nothing either: every field is a `param` whose default is
     none of it, and whose meaning is that of the driver's parameter.
 
-    order: where in `read` it comes. after_noise: `read` gets the noise as well. needs_motion:
-    `wrench` needs the posture's motion. contract_names: names of fields in the contract, where they
-    are others. beyond_contract: fields that the contract doesn't name. recording_only: fields that
-    say nothing to a driver.
+    order: where in `true_joints` and `read` it comes. after_noise: `read` gets the noise as well.
+    needs_motion: `wrench` needs the posture's motion. contract_names: names of fields in the
+    contract, where they are others. beyond_contract: fields that the contract doesn't name.
+    recording_only: fields that say nothing to a driver.
     """
 
     name: ClassVar[str]
@@ -216,6 +216,11 @@ class Effect:
     def base_marker(self, when: Instants) -> Array | None:
         """Displacement (n, 6) of the base's marker in base_link: m, rad; None for none."""
         return None
+
+
+def in_order(effects: Iterable[Effect]) -> tuple[Effect, ...]:
+    """Effects as they come one after the other, by `order`; equals as they are given."""
+    return tuple(sorted(effects, key=lambda effect: effect.order))
 
 
 def check_axis(effect: str, name: str, axis: str) -> None:

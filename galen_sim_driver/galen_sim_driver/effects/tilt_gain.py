@@ -1,4 +1,7 @@
-"""The tilt joint goes farther than it tells: true tilt = (1 + gain) reported (contract, 6)."""
+"""The tilt joint goes farther than it tells: true tilt = (1 + gain) reported (contract, 6).
+
+With an offset of the zero as well: (1 + gain) reported + offset.
+"""
 
 from __future__ import annotations
 

@@ -19,6 +19,7 @@ class TiltZeroOffset(Effect):
 
     name: ClassVar[str] = "tilt_zero_offset"
     fitted: ClassVar[tuple[Fitted, ...]] = (Fitted("offset_rad", "rad", 0.01, -0.5, 0.5),)
+    order: ClassVar[int] = 1
 
     offset_rad: float = param(0.0, "true tilt less what the encoder tells, rad", -0.5, 0.5)
 

@@ -1,0 +1,339 @@
+"""The simulator along recorded joints: nominal, each effect by an independent formula, together."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pinocchio
+import pytest
+from galen_model.arm import GRAVITY_M_S2, HOME, SENSOR_FRAME
+from galen_model.errors import GalenError
+from galen_model.load import Load, gravity_wrench, nominal_reading
+from galen_model.pinocchio_arm import PinocchioArm
+from galen_model.stiffness import deflection
+from galen_model.tools import ADAPTER, TOOLS
+from galen_ros.param import param_fields
+from galen_sim_driver.effects.axis_gain import AxisGain
+from galen_sim_driver.effects.base_inclination import BaseInclination
+from galen_sim_driver.effects.bias_step import BiasStep
+from galen_sim_driver.effects.crosstalk import Crosstalk
+from galen_sim_driver.effects.effect import Instants
+from galen_sim_driver.effects.loose_tool import LooseTool
+from galen_sim_driver.effects.registry import (
+    CONTRACT_ORDER,
+    EFFECTS,
+    contract_parameters,
+    effect_from,
+    extra_parameters,
+)
+from galen_sim_driver.effects.roll_zero_offset import RollZeroOffset
+from galen_sim_driver.effects.sensor_drift import SensorDrift
+from galen_sim_driver.effects.sensor_mount_rotation import SensorMountRotation
+from galen_sim_driver.effects.sensor_saturation import SensorSaturation
+from galen_sim_driver.effects.tilt_axis_misalignment import TiltAxisMisalignment
+from galen_sim_driver.effects.tilt_gain import TiltGain
+from galen_sim_driver.effects.tilt_zero_offset import TiltZeroOffset
+from galen_sim_driver.effects.tool_com_error import ToolComError
+from galen_sim_driver.effects.tool_mass_error import ToolMassError
+from galen_sim_driver.effects.wrench_delay import WrenchDelay
+from galen_sim_driver.replay import Replay, Scene, rates
+from scipy.spatial.transform import Rotation
+
+TOOL = TOOLS["retractor"]
+BIAS = (0.1, -0.05)
+START_S = 30.0
+JOINT_S = np.arange(0.0, 4.0, 0.004)
+WRENCH_S = np.arange(0.3, 3.7, 0.01) + 0.0007
+PUSH = np.array([3.0, -2.0, 5.0, 0.05, -0.02, 0.01])
+
+
+def joints_at(at_s):
+    """A motion of all joints in closed form, (n, 5)."""
+    amplitude = np.array([0.05, 0.06, 0.04, 1.1, 0.7])
+    turns = np.array([1.1, 0.9, 1.3, 0.8, 1.0])
+    return HOME + amplitude * np.sin(np.outer(at_s, turns) + np.arange(5))
+
+
+def scene(bag="motion", **changes):
+    first = Scene(
+        bag=bag,
+        start_s=START_S,
+        joint_s=JOINT_S,
+        joints=joints_at(JOINT_S),
+        wrench_s=WRENCH_S,
+        reading=np.zeros((len(WRENCH_S), 6)),
+        touched=np.zeros(len(WRENCH_S), dtype=bool),
+        tracker_s=np.arange(0.5, 3.5, 1 / 60),
+        tool=TOOL,
+        adapter=ADAPTER,
+        bias_pose_rad=BIAS,
+    )
+    return replace(first, **changes)
+
+
+def held(joints):
+    """A scene that stands still under one push."""
+    joints = np.tile(joints, (len(JOINT_S), 1))
+    still = scene("push", joints=joints, touched=np.ones(len(WRENCH_S), dtype=bool))
+    return replace(still, reading=Replay(still).reading() + PUSH)
+
+
+STILL = np.array([0.03, -0.02, 0.45, 0.4, -0.5])
+WHEN = scene().instants(WRENCH_S)
+JOINTS = np.stack([np.interp(WRENCH_S, JOINT_S, q) for q in joints_at(JOINT_S).T], axis=1)
+NOMINAL = nominal_reading(JOINTS[:, 3], JOINTS[:, 4], TOOL.load, ADAPTER, *BIAS)
+
+
+def sensor_by_pinocchio(joints, about_z_rad=0.0):
+    """R_base_sensor and its origin at joints (5,), the tilt axis turned about the roll link's z."""
+    model = PinocchioArm().model.copy()
+    turn = Rotation.from_rotvec([0.0, 0.0, about_z_rad]).as_matrix()
+    aside = pinocchio.SE3(turn, np.zeros(3))
+    tilt, frame = model.getJointId("tilt"), model.getFrameId(SENSOR_FRAME)
+    model.jointPlacements[tilt] = model.jointPlacements[tilt] * aside
+    model.frames[frame].placement = aside.inverse() * model.frames[frame].placement
+    data = model.createData()
+    pinocchio.framesForwardKinematics(model, data, np.asarray(joints))
+    return data.oMf[frame].rotation.copy(), data.oMf[frame].translation.copy()
+
+
+def reading_of(joints, gravity=GRAVITY_M_S2, about_z_rad=0.0, tool=lambda gravity: TOOL.load,
+               true=lambda q: q):  # fmt: skip
+    """The reading (6,) at reported joints (5,), zeroed at BIAS; `true` makes the true joints."""
+
+    def seen(q):
+        return sensor_by_pinocchio(true(np.asarray(q)), about_z_rad)[0].T @ gravity
+
+    now, zero = seen(joints), seen([*HOME[:3], *BIAS])
+    weight = gravity_wrench(now, tool(now)) + gravity_wrench(now, ADAPTER)
+    return weight - gravity_wrench(zero, ADAPTER)
+
+
+def inclined(joints):
+    # Capitals: about axes that move along, so Rx(a) Ry(b).
+    base = Rotation.from_euler("XY", [0.03, -0.02]).as_matrix()
+    return reading_of(joints, base.T @ GRAVITY_M_S2)
+
+
+def sagging(gravity):
+    down = gravity / np.linalg.norm(gravity)
+    return Load(TOOL.load.mass_kg, TOOL.load.com_m + 0.004 * np.array([down[0], down[1], 0.0]))
+
+
+def other_tool(_gravity):
+    return Load(TOOL.load.mass_kg + 0.01, TOOL.load.com_m + [0.002, -0.001, 0.003])
+
+
+def angles(roll=0.0, tilt=0.0, gain=1.0):
+    return {"true": lambda q: np.array([*q[:3], q[3] + roll, gain * q[4] + tilt])}
+
+
+@pytest.mark.parametrize(
+    ("effects", "arm"),
+    [
+        ((), {}),
+        ((RollZeroOffset(0.02),), angles(roll=0.02)),
+        ((TiltZeroOffset(-0.03),), angles(tilt=-0.03)),
+        ((TiltGain(0.05),), angles(gain=1.05)),
+        # However they are given: the encoder's gain first, then its zero.
+        ((TiltZeroOffset(0.02), TiltGain(0.05)), angles(tilt=0.02, gain=1.05)),
+        ((TiltAxisMisalignment(0.06),), {"about_z_rad": 0.06}),
+        ((LooseTool(0.004),), {"tool": sagging}),
+        ((ToolMassError(0.01), ToolComError((0.002, -0.001, 0.003))), {"tool": other_tool}),
+        ((BaseInclination(0.03, -0.02),), inclined),
+    ],
+)
+def test_what_changes_the_load_reads_as_pinocchios_arm_with_it(effects, arm):
+    found = Replay(scene(), effects).reading()[::20]
+    wanted = np.array([arm(q) if callable(arm) else reading_of(q, **arm) for q in JOINTS[::20]])
+    assert np.abs(found - wanted).max() < 1e-12
+    gone = np.abs(found - NOMINAL[::20]).max()
+    assert gone > 0.002 if effects else gone < 1e-12
+
+
+def saturated(wrench):
+    wrench[:, 2] = np.minimum(np.maximum(wrench[:, 2], -0.9), 0.9)
+    return wrench
+
+
+def mixed(wrench):
+    wrench[:, 3] += 0.02 * wrench[:, 1]
+    return wrench
+
+
+RATE = (0.5, -1.0, 2.0, 0.01, 0.02, -0.03)
+KNOTS = np.array([30.0, 31.0, 33.0])
+LEVELS = np.array([np.zeros(6), np.arange(6.0), np.full(6, 2.0)])
+TURN = (0.03, -0.05, 0.02)
+STEP = (0.1, 0.0, -0.3, 0.0, 0.01, 0.0)
+COLUMN = WRENCH_S[:, None]
+
+
+def turned(wrench):
+    back = Rotation.from_rotvec(TURN).inv()
+    return np.hstack([back.apply(part) for part in np.hsplit(wrench, 2)])
+
+
+def through_knots(wrench):
+    second = LEVELS[1] + (COLUMN - 1.0) / 2.0 * (LEVELS[2] - LEVELS[1])
+    late = np.where(COLUMN < 3.0, second, LEVELS[2])
+    return wrench + np.where(COLUMN < 1.0, COLUMN * LEVELS[1], late)
+
+
+@pytest.mark.parametrize(
+    ("effect", "expected"),
+    [
+        (AxisGain((0.01, 0.02, -0.03, 0.04, 0.05, -0.06)),
+         lambda w: w * [1.01, 1.02, 0.97, 1.04, 1.05, 0.94]),
+        (Crosstalk("fy", "tx", 0.02), mixed),
+        (SensorMountRotation(TURN), turned),
+        (SensorDrift(RATE), lambda w: w + (COLUMN + START_S) / 3600.0 * RATE),
+        (SensorDrift.through(KNOTS, LEVELS), through_knots),
+        (BiasStep(2.0, STEP, "motion"), lambda w: w + (COLUMN >= 2.0) * STEP),
+        (BiasStep(32.0, STEP), lambda w: w + (COLUMN >= 2.0) * STEP),
+        (BiasStep(2.0, STEP, "sweep"), lambda w: w + STEP),
+        (BiasStep(2.0, STEP, "push"), lambda w: w),
+        (SensorSaturation(0.9, "fz"), saturated),
+    ],
+)  # fmt: skip
+def test_the_sensors_errors_and_back(effect, expected):
+    assert np.abs(NOMINAL[:, 2]).max() > 1.0  # so that the axis clips at all
+    found = Replay(scene(), [effect]).reading()
+    assert np.abs(found - expected(NOMINAL.copy())).max() < 1e-12
+    if effect.name != "sensor_saturation":
+        assert np.abs(effect.unread(WHEN, found) - NOMINAL).max() < 1e-12
+
+
+def test_the_sensors_errors_come_one_after_the_other_and_a_push_is_found_behind_them():
+    chain = [
+        SensorSaturation(0.9, "fz"),
+        BiasStep(1.0, STEP, "push"),
+        SensorDrift(RATE),
+        Crosstalk("fy", "tx", 0.02),
+        AxisGain((0.1,) * 6),
+        SensorMountRotation(TURN),
+    ]
+    pushed = scene("push", touched=WRENCH_S > 1.5)
+    wrench = mixed(1.1 * turned(NOMINAL + np.outer(pushed.touched, PUSH)))
+    wrench += (COLUMN + START_S) / 3600.0 * RATE + (COLUMN >= 1.0) * STEP
+    found = Replay(pushed, chain).reading()
+    assert np.abs(found - saturated(wrench.copy()))[~pushed.touched].max() < 1e-12
+    applied = Replay(replace(pushed, reading=wrench), chain[1:]).applied_wrench()
+    assert np.abs(applied - np.outer(pushed.touched, PUSH)).max() < 1e-12
+
+
+def test_a_late_wrench_is_that_of_the_joints_before():
+    found = Replay(scene(), [WrenchDelay(0.02)]).reading()
+    sooner = joints_at(WRENCH_S - 0.02)
+    expected = nominal_reading(sooner[:, 3], sooner[:, 4], TOOL.load, ADAPTER, *BIAS)
+    assert np.abs(found - expected).max() < 3e-5  # straight lines between samples of 4 ms
+    assert np.abs(NOMINAL - expected).max() > 0.01
+
+
+def test_the_tip_stands_where_the_arm_and_the_push_put_it():
+    bent = deflection(STILL, PUSH, TOOL.tip_m)
+    assert np.linalg.norm(bent[:3]) > 1e-4
+    nobody = np.zeros((len(WRENCH_S), 6))
+    for effects, about_z_rad, offset_rad in (
+        ((), 0.0, 0.0),
+        ((TiltAxisMisalignment(0.05), RollZeroOffset(0.01)), 0.05, 0.01),
+    ):
+        replay = Replay(held(STILL), effects)
+        true = STILL + [0.0, 0.0, 0.0, offset_rad, 0.0]
+        rotation, origin = sensor_by_pinocchio(true, about_z_rad)
+        bare_rotations, bare = replay.tip(nobody)
+        assert np.abs(bare_rotations - rotation).max() < 1e-12
+        assert np.abs(bare - origin - rotation @ TOOL.tip_m).max() < 1e-12
+    rotations, positions = Replay(held(STILL)).tip()
+    _, bare = Replay(held(STILL)).tip(nobody)
+    rotation, _ = sensor_by_pinocchio(STILL)
+    bend = Rotation.from_matrix(rotations @ rotation.T).as_rotvec()
+    # Poses are rounded to 0.2 mm and mrad for the compliance.
+    assert np.abs(positions - bare - bent[:3]).max() < 1e-3 * np.linalg.norm(bent[:3])
+    assert np.abs(bend - bent[3:]).max() < 1e-3 * np.linalg.norm(bent[3:])
+
+
+def test_the_motion_that_effects_feel_is_that_of_the_joints():
+    velocity, acceleration = rates(JOINT_S, joints_at(JOINT_S))
+    inner, step = slice(20, -20), 1e-4
+    before, now, after = (joints_at(JOINT_S + s) for s in (-step, 0.0, step))
+    slope, bend = (after - before) / (2.0 * step), (after - 2.0 * now + before) / step**2
+    # What cubic polynomials over 80 ms leave of sines of 1.3 rad/s.
+    assert np.abs(velocity - slope)[inner].max() < 1e-5
+    assert np.abs(acceleration - bend)[inner].max() < 2e-3
+    assert np.abs(bend[inner]).max() > 0.5
+    # Across a gap nothing is known; on either side of it all is.
+    there = (JOINT_S < 1.0) | (JOINT_S > 2.0)
+    found, _ = rates(JOINT_S[there], joints_at(JOINT_S)[there])
+    assert np.abs(found - slope[there])[inner].max() < 1e-3
+
+
+# --- the registry -------------------------------------------------------------------------------
+
+
+def some(name):
+    """The effect with numbers in all that is fitted, no two alike."""
+    effect = EFFECTS[name]()
+    typical = np.concatenate([p.typicals for p in effect.fitted])
+    return effect.with_vector(typical * (1.0 + 0.1 * np.arange(len(typical))))
+
+
+def test_all_effects_of_the_contract_are_there_in_its_order():
+    assert tuple(EFFECTS)[: len(CONTRACT_ORDER)] == CONTRACT_ORDER
+    assert len(CONTRACT_ORDER) == 23
+
+
+@pytest.mark.parametrize("name", EFFECTS)
+def test_an_effects_numbers_survive_a_file(name):
+    effect, default = some(name), EFFECTS[name]()
+    assert default.changes_nothing
+    assert not effect.changes_nothing
+    told = json.loads(json.dumps(contract_parameters(effect) | extra_parameters(effect)))
+    assert len(told) == len(param_fields(EFFECTS[name]))
+    again = effect_from(name, told)
+    assert again == effect
+    assert np.array_equal(again.vector(), effect.vector())
+
+
+@pytest.mark.parametrize("name", EFFECTS)
+def test_by_default_an_effect_changes_nothing(name):
+    nominal, found = Replay(held(STILL)), Replay(held(STILL), [EFFECTS[name]()])
+    assert np.array_equal(found.reading(), nominal.reading())
+    for a, b in zip(found.tip(), nominal.tip(), strict=True):
+        assert np.array_equal(a, b)
+    assert not found.base_marker().any()
+
+
+@pytest.mark.parametrize(
+    ("name", "parameters", "words"),
+    [
+        ("friction", {}, "no effect 'friction'"),
+        ("tilt_gain", {"gian": 0.1}, "tilt_gain: no parameter 'gian'; known: gain"),
+        ("tilt_gain", {"gain": float("nan")}, "tilt_gain.*'gain' is nan"),
+        ("tilt_gain", {"gain": [0.1]}, "tilt_gain.*'gain'"),
+        ("tilt_gain", {"gain": 7.0}, "tilt_gain.*-0.5 to 0.5"),
+        ("axis_gain", {"gain": [0.1] * 5}, "axis_gain: gain has 5 numbers.*6"),
+        ("axis_gain", {"gain": [0.1] * 5 + [float("inf")]}, "axis_gain.*gain"),
+        ("crosstalk", {"from": "fw", "to": "tx"}, "crosstalk: from is 'fw'"),
+        ("crosstalk", {"from": "fx", "to": "fx"}, "crosstalk: from and to are both fx"),
+        ("sensor_saturation", {"axis": "z"}, "sensor_saturation: axis is 'z'"),
+        ("bias_step", {"bag": "../push"}, "bias_step: bag is '../push'"),
+        ("sensor_drift", {"knots_s": [1.0, 1.0]}, "sensor_drift: knots_s"),
+        ("sensor_drift", {"knots_s": [1.0, 2.0], "levels": [0.0] * 6}, "sensor_drift: levels"),
+    ],
+)
+def test_bad_numbers_are_named(name, parameters, words):
+    with pytest.raises(GalenError, match=words):
+        effect_from(name, parameters)
+
+
+def test_a_drift_of_a_shape_keeps_it_when_its_mean_changes():
+    drift = SensorDrift.through(KNOTS, LEVELS)
+    mean = (LEVELS[-1] - LEVELS[0]) / 3.0 * 3600.0
+    assert np.allclose(drift.rate_per_hour, mean)
+    other = drift.with_vector(mean + RATE)
+    assert np.allclose(other.rate_per_hour, mean + RATE)
+    when = Instants("motion", KNOTS - START_S, KNOTS)
+    zero = np.zeros((3, 6))
+    added = other.read(when, zero) - drift.read(when, zero)
+    assert np.allclose(added, np.outer(KNOTS - START_S, RATE) / 3600.0)
