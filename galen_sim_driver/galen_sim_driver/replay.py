@@ -1,4 +1,4 @@
-"""The simulated arm driven along recorded joint states: what would sensor and tracker have told?
+"""What sensor and tracker of the simulated arm tell along recorded joint states.
 
     reading = read(W(true pose; tool) + W(true pose; adapter) - W(true bias pose; adapter) + others)
     tip     = T(true joints) moved by the deflection that the applied wrench causes
@@ -134,7 +134,7 @@ class Replay:
     # --- the tip ------------------------------------------------------------------------------
 
     def tip(self, applied: Array | None = None) -> tuple[Array, Array]:
-        """Rotation (nt, 3, 3) and position (nt, 3) of tool_tip in base_link at the tracker's stamps.
+        """Rotation (nt, 3, 3) and position (nt, 3) of tool_tip in base_link at the tracker's.
 
         applied (nw, 6): what is pushed at the wrenches' stamps; None to take `applied_wrench`.
         """
@@ -189,7 +189,7 @@ class Replay:
         return base_rotation @ rotation, there
 
     def base_marker(self) -> Array:
-        """Displacement (nt, 6) of the base's marker in base_link at the tracker's stamps, m, rad."""
+        """Displacement (nt, 6) of the base's marker in base_link at the tracker's stamps."""
         when = self.scene.instants(self.scene.tracker_s - self._tracker_delay_s)
         moved = np.zeros((len(when), 6))
         for effect in self.effects:
@@ -286,7 +286,7 @@ def rates(at_s: Array, joints: Array) -> tuple[Array, Array]:
     """Velocity and acceleration (n, 5) of joints (n, 5) at times at_s (n,), s.
 
     Cubic polynomials over 80 ms (Savitzky and Golay, Anal. Chem. 36, 1964) on an even grid of the
-    stamps' median period; across a gap of more than 80 ms nothing is known, and both are zero there.
+    stamps' median period; across a gap of more than that nothing is known, and both are 0 there.
     """
     velocity, acceleration = np.zeros_like(joints), np.zeros_like(joints)
     step = float(np.median(np.diff(at_s))) if len(at_s) > 1 else 0.0
