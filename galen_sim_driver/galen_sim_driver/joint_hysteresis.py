@@ -40,6 +40,7 @@ from galen_model.arrays import Array
 from galen_model.delta import LinearDelta
 from galen_model.kinematics import tip_jacobian, tip_pose
 from galen_model.wrench import move_twist
+from numpy.typing import ArrayLike
 from scipy.optimize import brentq, minimize_scalar
 from scipy.special import lambertw
 
@@ -66,15 +67,22 @@ class DahlFriction:
 
     def load(self, load: Array) -> None:
         """Go from the last load to this one (joints,), N or N.m, straight."""
-        change = (load - self._load) / self._level
+        self._phi = slide(self._ratio, self._phi, (load - self._load) / self._level)
         self._load = load
-        sign = np.sign(change)
-        gap = 1.0 - sign * self._phi
-        shift = self._ratio * (np.abs(change) - gap)
-        way = shift + lambertw(self._ratio * gap * np.exp(-shift)).real
-        # Without a change the way is nothing but rounding, and there is no sign to go to.
-        moved = sign * (1.0 - gap * np.exp(-np.maximum(way, 0.0)))
-        self._phi = np.where(change == 0.0, self._phi, moved)
+
+
+def slide(ratio: float, phi: Array, change: Array) -> Array:
+    """Friction over F_c after the load over F_c has changed straight; arrays of one shape.
+
+    ratio: a. phi: the friction before.
+    """
+    sign = np.sign(change)
+    gap = 1.0 - sign * phi
+    shift = ratio * (np.abs(change) - gap)
+    way = shift + lambertw(ratio * gap * np.exp(-shift)).real
+    # Without a change the way is nothing but rounding, and there is no sign to go to.
+    moved = sign * (1.0 - gap * np.exp(-np.maximum(way, 0.0)))
+    return np.where(change == 0.0, phi, moved)
 
 
 def residual_fraction(ratio: float, way: float) -> float:
@@ -119,12 +127,7 @@ class JointHysteresis:
         """Start as if never loaded. Raises ConfigError; the fraction must be above 0 here."""
         config.validate()
         self._arm = arm
-        self._delta = LinearDelta(arm)
-        self._stiffness = np.array(
-            [arm.carriage_stiffness_n_m] * 3
-            + [arm.roll_stiffness_nm_rad, arm.tilt_stiffness_nm_rad]
-            + [arm.rod_stiffness_n_m] * 6
-        )
+        self._stiffness = joint_stiffness(arm)
         ratio, way = shape(config.residual_fraction)
         reference = np.array(
             [config.carriage_load_n] * 3
@@ -166,11 +169,30 @@ class JointHysteresis:
         """Twist of the tip (6, 11) over what carriages, roll, tilt and rods give."""
         key = (tuple(joints), tuple(tip_m))
         if key != self._columns_at:
-            columns = np.zeros((6, 11))
-            columns[:, :5] = tip_jacobian(joints, tip_m, self._arm)
-            columns[:3, :3] = np.linalg.inv(self._delta.jacobian(joints[:3]))
-            rods = np.linalg.inv(self._delta.rod_rows(joints[:3]))
-            _, tip = tip_pose(joints, tip_m, self._arm)
-            columns[:, 5:] = move_twist(rods.T, np.asarray(joints[:3]), tip).T
-            self._columns, self._columns_at = columns, key
+            self._columns, self._columns_at = joint_columns(joints, tip_m, self._arm), key
         return self._columns
+
+
+def joint_stiffness(arm: ArmParameters) -> Array:
+    """Stiffness (11,) of three carriages, roll, tilt and six rods, N/m and N.m/rad."""
+    return np.array(
+        [arm.carriage_stiffness_n_m] * 3
+        + [arm.roll_stiffness_nm_rad, arm.tilt_stiffness_nm_rad]
+        + [arm.rod_stiffness_n_m] * 6
+    )
+
+
+def joint_columns(joints: ArrayLike, tip_m: ArrayLike, arm: ArmParameters) -> Array:
+    """Twist of the tip (6, 11) in base_link over what carriages, roll, tilt and rods give.
+
+    joints (5,): m, rad. tip_m (3,): in ft_sensor.
+    """
+    q = np.asarray(joints, dtype=float)
+    delta = LinearDelta(arm)
+    columns = np.zeros((6, 11))
+    columns[:, :5] = tip_jacobian(q, tip_m, arm)
+    columns[:3, :3] = np.linalg.inv(delta.jacobian(q[:3]))
+    rods = np.linalg.inv(delta.rod_rows(q[:3]))
+    _, tip = tip_pose(q, tip_m, arm)
+    columns[:, 5:] = move_twist(rods.T, q[:3], tip).T
+    return columns

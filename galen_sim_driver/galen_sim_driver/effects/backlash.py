@@ -1,0 +1,149 @@
+"""Play in a joint: after each reversal its true value lags by half the gap (contract, section 6).
+
+In motion: with x the reported joint and h = gap / 2 the true one is the play operator's
+
+    w_k = min(max(w_(k-1), x_k - h), x_k + h),    w_0 = x_0
+
+(e.g. Brokate and Sprekels, Hysteresis and Phase Transitions, 1996, section 2.2): x - h while it
+goes up, x + h while it goes down, and between the two it stays. Before the first motion of a bag
+the joint is in the middle of its gap, w = x; it has gone h before it takes the joint along.
+
+In a push: a moment M about the axis takes the joint to the side of the gap that it points to, over
+a small seat M_s (0.05 N.m, or 0.5 N of a sliding joint), and there it stays until the moment points
+the other way:
+
+    s_k = max(s_(k-1), min(M / M_s, 1))  for M > 0,    min(s_(k-1), max(M / M_s, -1))  for M < 0,
+
+and the tip moves by s h less where it rested. Rest is where the last motion left the joint: on the
+side it came from, s = -1 after going up; in the middle, s = 0, before any motion. So the first push
+moves it by h in the middle, and by the whole gap or not at all after a motion.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import ClassVar, Self
+
+import numpy as np
+from galen_model.arm import JOINT_NAMES
+from galen_model.arrays import Array
+from galen_model.rotation import rot_x
+from galen_ros.param import param
+
+from galen_sim_driver.effects.effect import Effect, Fitted, Instants, Loading
+from galen_sim_driver.errors import ConfigError
+
+_TILT = JOINT_NAMES.index("tilt")
+_ROLL = JOINT_NAMES.index("roll")
+_SEAT = (0.5, 0.5, 0.5, 0.05, 0.05)
+_STILL = (5e-5, 5e-5, 5e-5, 5e-4, 5e-4)
+"""Joints that move by less, m or rad, stand: some ten quanta of the encoders."""
+
+
+class _Memory:
+    """What a joint in its gap knows of before."""
+
+    def __init__(self) -> None:
+        self.true: float | None = None
+        self.at: float | None = None
+        self.rest = self.side = 0.0
+
+
+@dataclass(frozen=True)
+class Backlash(Effect):
+    """`joint` has a gap of `gap_rad`; of a sliding joint, in m."""
+
+    name: ClassVar[str] = "backlash"
+    fitted: ClassVar[tuple[Fitted, ...]] = (Fitted("gap_rad", "rad", 0.002, 0.0, 0.2),)
+
+    joint: str = param("tilt", "the joint with the gap: delta_x delta_y delta_z roll tilt")
+    gap_rad: float = param(0.0, "the gap, rad; of a sliding joint in m", 0.0, 0.2)
+
+    _memory: ClassVar[_Memory | None] = None
+
+    def validate(self) -> None:
+        """The joint is one of the arm's."""
+        if self.joint not in JOINT_NAMES:
+            known = ", ".join(JOINT_NAMES)
+            raise ConfigError(f"{self.name}: joint is {self.joint!r}, not one of {known}")
+
+    def fresh(self) -> Self:
+        """The same, in the middle of its gap."""
+        new = replace(self)
+        # A dataclass's own way into its frozen fields; the memory is none of its numbers.
+        object.__setattr__(new, "_memory", _Memory())
+        return new
+
+    @property
+    def _index(self) -> int:
+        return JOINT_NAMES.index(self.joint)
+
+    def true_joints(self, when: Instants, joints: Array) -> Array:
+        """The play operator on the one joint."""
+        if not len(joints) or self.gap_rad == 0.0:
+            return joints
+        memory = self._memory or _Memory()
+        half, reported = 0.5 * self.gap_rad, joints[:, self._index].tolist()
+        now = reported[0] if memory.true is None else memory.true
+        path = []
+        for value in reported:
+            now = min(max(now, value - half), value + half)
+            path.append(now)
+        memory.true = now
+        true = joints.copy()
+        true[:, self._index] = path
+        return true
+
+    def deflect(self, when: Instants, loading: Loading) -> Array | None:
+        """How far the tip moves where the load takes the joint through its gap."""
+        if not len(when) or self.gap_rad == 0.0:
+            return None
+        memory = self._memory or _Memory()
+        column = self._column(loading)
+        index = self._index
+        loads = np.einsum("ni,ni->n", column, loading.wrench) / _SEAT[index]
+        at = memory.at
+        moved = []
+        for place, load in zip(loading.joints[:, index].tolist(), loads.tolist(), strict=True):
+            if at is None:
+                at = place
+            elif abs(place - at) > _STILL[index]:
+                memory.rest = memory.side = -1.0 if place > at else 1.0
+                at = place
+            if load > 0.0:
+                memory.side = max(memory.side, min(load, 1.0))
+            elif load < 0.0:
+                memory.side = min(memory.side, max(load, -1.0))
+            moved.append(memory.side - memory.rest)
+        memory.at = at
+        return 0.5 * self.gap_rad * np.array(moved)[:, None] * column
+
+    def _column(self, loading: Loading) -> Array:
+        """Twist of the tip (n, 6) in base_link over the joint's rate.
+
+        The tip lies from the tilt axis by Ry(tilt) (tilt to sensor + Ry(pi/2) tip) in the axes of
+        the roll link, and from the roll axis by that and roll to tilt.
+        """
+        column = np.zeros((len(loading.joints), 6))
+        index = self._index
+        if index < _ROLL:
+            column[:, index] = 1.0
+            return column
+        tilt, arm = loading.joints[:, _TILT], loading.arm
+        z, y, x = -loading.tip_m[0], loading.tip_m[1], loading.tip_m[2]
+        x, y, z = np.array([x, y, z]) + arm.tilt_to_sensor_m
+        lever = np.stack(
+            [
+                np.cos(tilt) * x + np.sin(tilt) * z,
+                0.0 * tilt + y,
+                np.cos(tilt) * z - np.sin(tilt) * x,
+            ],
+            axis=1,
+        )
+        axis = np.array([0.0, 1.0, 0.0])
+        if index == _ROLL:
+            lever, axis = lever + arm.roll_to_tilt_m, np.array([1.0, 0.0, 0.0])
+        roll = rot_x(loading.joints[:, _ROLL])
+        column[:, :3] = np.einsum("nij,nj->ni", roll, np.cross(axis, lever))
+        column[:, 3:] = roll @ axis
+        return column

@@ -1,0 +1,224 @@
+"""What a load leaves of a deflection when it is gone (contract, section 6).
+
+`residual_fraction` is how much is left at no load after the largest load, over the elastic
+deflection at that load. Two laws, by `form`:
+
+"tip": a state z beside each of the six components e of the tip's elastic displacement in base_link,
+in units of its largest, P:
+
+    dz = (de / P - |de / P| z) / knee,    so that going from e_0 in the direction s = +-1
+    z = s - (s - z_0) exp(-|e - e_0| / (knee P)).
+
+This is Bouc's and Wen's law with the exponent 1 and without their gamma (Y.-K. Wen, Method for
+random vibration of hysteretic systems, J. Eng. Mech. Div. ASCE 102 (2), 1976, pp. 249-263). The tip
+stands at e - side c P z: with side 1 it lags the load, as friction makes it; with side -1 it runs
+ahead of it and comes back too far. A first push to P leaves z = -(1 - exp(-1 / knee))^2, so that
+
+    c = residual_fraction / (1 - exp(-1 / knee))^2.
+
+"joints": Dahl's friction beside the springs of carriages, roll, tilt and rods, as
+`galen_sim_driver.joint_hysteresis` derives it, each with the fraction at its own largest load (over
+its deflection with the friction, there). With side -1 what friction takes is added.
+
+Loads that turn by less than 2 % of the largest are noise (`galen_sim_driver.turning`). The largest
+loads are those of the samples. A driver looks at one sample at a time and can't know what comes: it
+takes those of about 10 N at the retractor's tip.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cache, partial
+from typing import ClassVar, Self
+
+import numpy as np
+from galen_model.arm import HOME
+from galen_model.arrays import Array
+from galen_model.stiffness import tip_compliance
+from galen_model.tools import TOOLS
+from galen_ros.param import param
+
+from galen_sim_driver.config import HysteresisConfig
+from galen_sim_driver.effects.effect import Effect, Fitted, Instants, Loading
+from galen_sim_driver.errors import ConfigError
+from galen_sim_driver.joint_hysteresis import (
+    joint_columns,
+    joint_stiffness,
+    load_of,
+    shape,
+    slide,
+)
+from galen_sim_driver.turning import along_turns
+
+FORMS = ("tip", "joints")
+
+_GATE = 0.02
+_LEAST_FRACTION = 1e-4
+_STILL_POSE_M = 2e-4
+_TYPICAL_FORCE_N = 10.0
+
+
+class _Memory:
+    """Loads (k,) and states (k,) of k frictions at the last sample."""
+
+    def __init__(self) -> None:
+        self._peak: Array | None = None
+        self._load: Array | None = None
+        self._state: Array | None = None
+
+    def states(
+        self,
+        loads: Array,
+        typical: Callable[[], Array],
+        slider: Callable[[Array], Callable[[Array, Array], Array]],
+    ) -> tuple[Array, Array]:
+        """States (n, k) under loads (n, k), and the largest loads (k,).
+
+        typical: loads to take for the largest where there is but one sample; slider(peak): the
+        law, in units of the load, of all that have that peak (k,).
+        """
+        if self._peak is None or self._load is None or self._state is None:
+            self._peak = np.abs(loads).max(axis=0) if len(loads) > 1 else typical()
+            self._load = self._state = np.zeros(loads.shape[1])
+        peak = self._peak
+        if len(loads) == 1:
+            states = slider(peak)(self._state, loads[0] - self._load)[None]
+        else:
+            columns = [
+                along_turns(
+                    loads[:, k],
+                    _GATE * peak[k],
+                    slider(peak[k : k + 1]),
+                    self._load[k],
+                    self._state[k],
+                )
+                for k in range(loads.shape[1])
+            ]
+            states = np.stack(columns, axis=1)
+        self._load, self._state = loads[-1], states[-1]
+        return states, peak
+
+
+@dataclass(frozen=True)
+class DeflectionHysteresis(Effect):
+    """`residual_fraction` of the deflection is left, on the load's side or on the other.
+
+    `vector` holds the fraction with its side's sign, and the knee.
+    """
+
+    name: ClassVar[str] = "deflection_hysteresis"
+    fitted: ClassVar[tuple[Fitted, ...]] = (
+        Fitted("signed_fraction", "", 0.05, -0.5, 0.5),
+        Fitted("knee", "", 0.15, 0.02, 2.0),
+    )
+    beyond_contract: ClassVar[tuple[str, ...]] = ("side", "form", "knee")
+
+    residual_fraction: float = param(
+        0.0, "deflection left after the largest load, over the elastic one at that load", 0.0, 0.5
+    )
+    side: float = param(
+        1.0, "1: it is left on the load's side, as by friction; -1: on the other", -1.0, 1.0
+    )
+    form: str = param("tip", "law: tip (the whole displacement) or joints (friction in each)")
+    knee: float = param(
+        0.2, "form tip: load over which the state turns, over the largest load", 0.02, 2.0
+    )
+
+    _memory: ClassVar[_Memory | None] = None
+
+    def validate(self) -> None:
+        """The form is one of the two, the side 1 or -1."""
+        if self.form not in FORMS:
+            raise ConfigError(f"{self.name}: form is {self.form!r}, not one of {', '.join(FORMS)}")
+        if self.side not in (1.0, -1.0):
+            raise ConfigError(f"{self.name}: side is {self.side}, but must be 1 or -1")
+
+    @property
+    def changes_nothing(self) -> bool:
+        """Nothing is left."""
+        return self.residual_fraction == 0.0
+
+    def vector(self) -> Array:
+        """The signed fraction and the knee, (2,)."""
+        return np.array([self.side * self.residual_fraction, self.knee])
+
+    def with_vector(self, vector: Array) -> Self:
+        """The same law with another signed fraction and knee."""
+        signed = float(vector[0])
+        return replace(
+            self,
+            residual_fraction=abs(signed),
+            side=-1.0 if signed < 0.0 else 1.0,
+            knee=float(vector[1]),
+        )
+
+    def fresh(self) -> Self:
+        """The same, never loaded."""
+        new = replace(self)
+        # A dataclass's own way into its frozen fields; the memory is none of its numbers.
+        object.__setattr__(new, "_memory", _Memory())
+        return new
+
+    def deflect(self, when: Instants, loading: Loading) -> Array | None:
+        """What the tip has more, or less, than the elastic displacement."""
+        if self.changes_nothing or not len(when):
+            return None
+        memory = self._memory or _Memory()
+        more = self._in_joints if self.form == "joints" else self._at_tip
+        return -self.side * more(memory, loading)
+
+    def _at_tip(self, memory: _Memory, loading: Loading) -> Array:
+        """What lags (n, 6)."""
+        states, peak = memory.states(loading.elastic, _typical_tip, partial(_bouc_wen, self.knee))
+        left = np.expm1(-1.0 / self.knee) ** 2
+        return np.asarray(self.residual_fraction / left * peak * states)
+
+    def _in_joints(self, memory: _Memory, loading: Loading) -> Array:
+        """What friction takes of the displacement (n, 6)."""
+        arm = loading.arm
+        places, which = np.unique(
+            np.round(loading.joints / _STILL_POSE_M).astype(np.int64), axis=0, return_inverse=True
+        )
+        each = [joint_columns(place * _STILL_POSE_M, loading.tip_m, arm) for place in places]
+        columns = np.array(each)[which.ravel()]
+        loads = np.einsum("nij,ni->nj", columns, loading.wrench)
+        # Below the least fraction the law is taken for proportional to it.
+        fraction = max(self.residual_fraction, _LEAST_FRACTION)
+        ratio, way = shape(fraction)
+        unit = load_of(ratio, way)
+
+        def dahl(peak: Array) -> Callable[[Array, Array], Array]:
+            level = np.where(peak > 0.0, peak, 1.0) / unit
+            return lambda phi, change: slide(ratio, phi, change / level)
+
+        phi, peak = memory.states(loads, _typical_joints, dahl)
+        slack = phi * peak / unit / joint_stiffness(arm)
+        taken = np.einsum("nij,nj->ni", columns, slack)
+        return np.asarray(self.residual_fraction / fraction * taken)
+
+
+def _bouc_wen(knee: float, peak: Array) -> Callable[[Array, Array], Array]:
+    length = knee * np.where(peak > 0.0, peak, 1.0)
+
+    def slide_tip(state: Array, change: Array) -> Array:
+        sign = np.sign(change)
+        gone = sign - (sign - state) * np.exp(-np.abs(change) / length)
+        return np.where(change == 0.0, state, gone)
+
+    return slide_tip
+
+
+@cache
+def _typical_tip() -> Array:
+    compliance = tip_compliance(HOME, TOOLS["retractor"].tip_m)
+    return _TYPICAL_FORCE_N * np.abs(compliance[:, :3]).max(axis=1)
+
+
+def _typical_joints() -> Array:
+    loads = HysteresisConfig()
+    return np.array(
+        [loads.carriage_load_n] * 3
+        + [loads.roll_load_nm, loads.tilt_load_nm]
+        + [loads.rod_load_n] * 6
+    )
