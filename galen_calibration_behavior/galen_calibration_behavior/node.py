@@ -91,9 +91,10 @@ class CalibrationNode(GoalNode[CalibrationParameters, _Goal, Finished]):
                 raise RefusedGoalError(
                     ErrorCode.BAD_INPUT, f"{name} is {count}: at most {MAX_ITERS}, or 0"
                 )
-            if count and self._settings.chosen:
+            if count and self._settings.poses != "grid":
                 raise RefusedGoalError(
-                    ErrorCode.BAD_INPUT, f"{name} is {count}, but the node's poses are chosen ones"
+                    ErrorCode.BAD_INPUT,
+                    f"{name} is {count}, but the node's poses are {self._settings.poses} ones",
                 )
         try:
             path = tool_path(self._tools_dir, request.tool)

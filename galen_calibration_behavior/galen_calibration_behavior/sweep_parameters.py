@@ -11,7 +11,7 @@ from galen_model.identification import check_planned_poses
 from galen_model.pose_design import GOALS
 from galen_ros.param import ParameterError, param
 
-from galen_calibration_behavior.grid import SweepGrid
+from galen_calibration_behavior.grid import GridError, SweepGrid
 from galen_calibration_behavior.obstacle_parameters import ObstacleParameters
 from galen_calibration_behavior.pose_order import SweepTimes
 from galen_calibration_behavior.pose_procedure import PoseSettings
@@ -21,11 +21,13 @@ from galen_calibration_behavior.sweep_plan import (
     SweepRange,
     plan_chosen,
     plan_grid,
+    plan_listed,
 )
 
 MAX_ITERS = 100  # so that the feedback's counts of poses, uint16, hold two sweeps
 MAX_CHOSEN = 60  # more take long to choose and to order, and are no better than a grid
-POSES = ("grid", "chosen")
+MAX_LISTED = 1000
+POSES = ("grid", "chosen", "listed")
 
 
 @dataclass(frozen=True)
@@ -46,8 +48,14 @@ class SweepParameters(ObstacleParameters):
 
     poses: str = param(
         "grid",
-        "which poses a sweep visits: `grid`, all tilts at all rolls, or `chosen`, those in the"
-        " grid's range that tell most, see *Fewer poses*",
+        "which poses a sweep visits: `grid`, all tilts at all rolls, `chosen`, those in the"
+        " grid's range that tell most, see *Fewer poses*, or `listed`, those of"
+        " `listed_poses_rad`",
+    )
+    listed_poses_rad: tuple[float, ...] = param(
+        (),
+        "roll and tilt of each listed pose, one pose after the other, visited in this order;"
+        " `diagnose --next` writes such a list",
     )
     chosen_poses: int = param(18, "number of chosen poses", 6, MAX_CHOSEN)
     chosen_average_s: float = param(
@@ -80,6 +88,8 @@ class SweepParameters(ObstacleParameters):
             raise ParameterError(
                 f"parameter 'poses' is {self.poses!r}, but must be {' or '.join(map(repr, POSES))}"
             )
+        if self.poses == "listed":
+            self.listed_poses()
         if self.chosen_for not in GOALS:
             raise ParameterError(
                 f"parameter 'chosen_for' is {self.chosen_for!r}, but must be"
@@ -103,6 +113,25 @@ class SweepParameters(ObstacleParameters):
         (low_roll, low_tilt), (high_roll, high_tilt) = LIMITS.lower[3:], LIMITS.upper[3:]
         return grid.poses((low_roll, low_tilt), (high_roll, high_tilt))
 
+    def listed_poses(self) -> Array:
+        """The listed poses (n, 2), roll and tilt in rad; raises ParameterError or GridError."""
+        numbers = self.listed_poses_rad
+        if not numbers or len(numbers) % 2 or len(numbers) > 2 * MAX_LISTED:
+            raise ParameterError(
+                f"parameter 'listed_poses_rad' has {len(numbers)} numbers, but must have two a"
+                f" pose, roll and tilt, for 1 to {MAX_LISTED} poses"
+            )
+        poses = np.reshape(np.array(numbers), (-1, 2))
+        outside = np.any((poses < LIMITS.lower[3:]) | (poses > LIMITS.upper[3:]), axis=1)
+        if outside.any():
+            index = int(np.argmax(outside))
+            roll, tilt = poses[index]
+            raise GridError(
+                f"pose {index} of listed_poses_rad (roll {roll:g}, tilt {tilt:g} rad) is outside"
+                " the joints' limits"
+            )
+        return poses
+
     def plan(
         self, tip_m: Array, *, one_sweep: bool = False, tilts: int = 0, rolls: int = 0
     ) -> SweepPlan:
@@ -121,7 +150,12 @@ class SweepParameters(ObstacleParameters):
                 goal=self.chosen_for,
                 one_sweep=one_sweep,
             )
-        poses = self.grid_poses(tilts or self.itersT, rolls or self.itersR)
+        listed = self.poses == "listed"
+        poses = (
+            self.listed_poses()
+            if listed
+            else self.grid_poses(tilts or self.itersT, rolls or self.itersR)
+        )
         check_planned_poses(
             poses[:, 0],
             poses[:, 1],
@@ -129,7 +163,8 @@ class SweepParameters(ObstacleParameters):
             bias_roll_rad=self.Rhome,
             bias_tilt_rad=self.Thome,
         )
-        return plan_grid(poses, self.range, self.surroundings, tip_m)
+        plan = plan_listed if listed else plan_grid
+        return plan(poses, self.range, self.surroundings, tip_m)
 
     @property
     def range(self) -> SweepRange:

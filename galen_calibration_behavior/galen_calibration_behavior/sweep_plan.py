@@ -1,4 +1,4 @@
-"""Which poses a sweep visits: the grid's or chosen ones, and around which boxes the arm goes."""
+"""Which poses a sweep visits: the grid's, chosen or listed ones, and the ways around boxes."""
 
 from __future__ import annotations
 
@@ -61,13 +61,33 @@ def plan_grid(
     poses: Array, where: SweepRange, surroundings: Surroundings, tip_m: Array
 ) -> SweepPlan:
     """The grid as it is; raises ObstacleError naming the first pose that a box is in the way of."""
+    remedy = "clear the space, narrow the grid, or set poses to chosen"
+    return _plan_as_is(poses, "the grid", remedy, where, surroundings, tip_m)
+
+
+def plan_listed(
+    poses: Array, where: SweepRange, surroundings: Surroundings, tip_m: Array
+) -> SweepPlan:
+    """The listed poses as they are, raising as `plan_grid` does."""
+    remedy = "clear the space, or leave it out"
+    return _plan_as_is(poses, "listed_poses_rad", remedy, where, surroundings, tip_m)
+
+
+def _plan_as_is(
+    poses: Array,
+    source: str,
+    remedy: str,
+    where: SweepRange,
+    surroundings: Surroundings,
+    tip_m: Array,
+) -> SweepPlan:
     router = make_router(where, surroundings, tip_m)
     if router is not None:
         for index, (roll, tilt) in enumerate(poses):
             if fault := router.fault(np.array([*where.home[:3], roll, tilt])):
                 raise ObstacleError(
-                    f"pose {index} of the grid (roll {roll:.3f}, tilt {tilt:.3f} rad) can't be"
-                    f" visited: {fault}; clear the space, narrow the grid, or set poses to chosen"
+                    f"pose {index} of {source} (roll {roll:.3f}, tilt {tilt:.3f} rad) can't be"
+                    f" visited: {fault}; {remedy}"
                 )
     return SweepPlan(poses, router)
 
