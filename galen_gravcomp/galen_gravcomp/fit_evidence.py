@@ -132,7 +132,7 @@ class FitEvidence:
         self._scale = float(tool.gravity_m_s2[2] / GRAVITY_M_S2[2])
         self._mass_kg = float(tool.load.mass_kg + tool.bias.mass_kg)
         self._sag_mass_kg = float(tool.load.mass_kg)
-        known = _moment_covariance(tool.load) + _moment_covariance(tool.bias)
+        known = moment_covariance(tool.load) + moment_covariance(tool.bias)
         sag = 1.0 / _WRONG_SHIFT_M**2
         tight = 1.0 / _ALLOWED_SHIFT_M**2
         wrong_load = 1.0 / np.array([_WRONG_MASS_KG, *[_WRONG_MOMENT_KGM] * 3]) ** 2
@@ -282,7 +282,7 @@ class FitEvidence:
         )
 
 
-def _moment_covariance(estimate: LoadEstimate) -> Array:
+def moment_covariance(estimate: LoadEstimate) -> Array:
     """Covariance (4, 4) of (m, h) from that of (m, p), h = m p; with a floor of 0.1 g."""
     change = np.zeros((4, 4))
     change[0, 0] = 1.0
