@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 from galen_model.arrays import Array
 from galen_sim_driver.effects.effect import Effect
 
 from galen_diagnosis.answer import Answer
 from galen_diagnosis.rows import Rows, Stream
+
+if TYPE_CHECKING:
+    from galen_diagnosis.next_experiment import Experiment
 
 
 @dataclass(frozen=True)
@@ -20,6 +24,7 @@ class Diagnosis:
     held_out_before, held_out_after (N,): each row predicted from the folds that it isn't in.
     effects: as fitted to all of it, for the driver; empty where nothing was found.
     floor: mean square of a row that noise alone gives, 1 but for what the noise estimate leaves.
+    experiment: the next one, whose sweep `diagnose --next` writes.
     """
 
     answer: Answer
@@ -33,3 +38,4 @@ class Diagnosis:
     effects: tuple[Effect, ...]
     floor: float
     seconds: dict[str, float]
+    experiment: Experiment | None = None
