@@ -1,0 +1,1 @@
+"""The blind check: recordings with a hidden cause, sealed labels, scores."""

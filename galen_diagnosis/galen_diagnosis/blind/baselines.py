@@ -1,0 +1,86 @@
+"""What simpler methods answer from the same residual rows: the check's columns for comparison.
+
+Each effect has one or more linear templates, columns of what its parameters change of the rows.
+The least squares fit of each beside the columns of what isn't known leaves a sum of squares:
+
+- largest RMSE drop: the effect that leaves the least; `none` where that is less than 1 %.
+- naive BIC: n ln(RSS/n) + k ln n (G. Schwarz, Ann. Stat. 6, 1978), every row counted as new
+  knowledge, nothing known of what a model may lack; probabilities as exp(-BIC/2).
+- network: a small one on features of the residual (`network.py`).
+
+Neither of the first two can say `unknown`, and none of them takes more than one cause.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from galen_model.arrays import Array
+
+from galen_diagnosis.answer import NONE, UNKNOWN
+
+RMSE_DROP, NAIVE_BIC, NETWORK = "largest RMSE drop", "naive BIC", "network"
+_LEAST_DROP = 0.01
+
+
+def leftover(residual: Array, unknowns: Array, templates: Sequence[Array]) -> tuple[float, int]:
+    """The least sum of squares (templates' best) and its number of parameters beside the unknowns.
+
+    residual (n,), unknowns (n, u), templates: (n, k) each.
+    """
+    basis = _basis(unknowns)
+    rest = residual - basis @ (basis.T @ residual)
+    found: list[tuple[float, int]] = [(float(rest @ rest), 0)]
+    for columns in templates:
+        own = _basis(columns - basis @ (basis.T @ columns))
+        part = own.T @ rest
+        found.append((float(rest @ rest - part @ part), columns.shape[1]))
+    return min(found[1:] or found)
+
+
+def _basis(columns: Array) -> Array:
+    """Orthonormal columns of the same span; those that say nothing are left out."""
+    norms = np.linalg.norm(columns, axis=0)
+    scaled = columns[:, norms > 0.0] / norms[norms > 0.0]
+    if not scaled.size:
+        return np.zeros((len(columns), 0))
+    left, size, _ = np.linalg.svd(scaled, full_matrices=False)
+    return np.asarray(left[:, size > 1e-9 * size[0]])
+
+
+def simple_answers(n: int, before: float, left: Mapping[str, tuple[float, int]]) -> dict[str, Any]:
+    """Answers of the first two methods, in the form of `diagnosis.json`.
+
+    n: rows. before: sum of squares with the unknowns alone. left: sum of squares and number of
+    parameters of each effect's best template.
+    """
+    drop = {name: 1.0 - np.sqrt(max(rss, 0.0) / before) for name, (rss, _) in left.items()}
+    drop = {NONE: _LEAST_DROP, **drop}
+    bic = {NONE: n * np.log(before / n)}
+    bic |= {name: n * np.log(rss / n) + k * np.log(n) for name, (rss, k) in left.items()}
+    least = min(bic.values())
+    weight = {name: np.exp(-0.5 * (value - least)) for name, value in bic.items()}
+    return {RMSE_DROP: _answer(drop), NAIVE_BIC: _answer(weight)}
+
+
+def network_answer(probabilities: Mapping[str, float]) -> dict[str, Any]:
+    """The network's, in the same form."""
+    return _answer(probabilities)
+
+
+def _answer(weights: Mapping[str, float]) -> dict[str, Any]:
+    """`identified` or what the first is; probabilities are the weights' shares."""
+    total = float(sum(weights.values()))
+    shares = {name: float(weight) / total for name, weight in weights.items()}
+    first = max(shares, key=lambda name: shares[name])
+    alone = first in (NONE, UNKNOWN)
+    return {
+        "verdict": first if alone else "identified",
+        "causes": []
+        if alone
+        else [{"effect": first, "probability": shares[first], "parameters": {}}],
+        "ranking": [{"effect": name, "probability": p} for name, p in shares.items()],
+        "gap": {},
+    }

@@ -1,0 +1,111 @@
+"""Start a command that can't read one directory, nor the memory of who started it.
+
+    echo DIRECTORY | python -m galen_diagnosis.blind.confine [--allow DIR...] -- COMMAND...
+
+Linux's Landlock (kernel 5.13 and later; Documentation/userspace-api/landlock.rst) takes from a
+process, for good and for all its children, rights that it had. It knows only what is allowed, so
+allowed is all but the way down to the directory: on each level everything beside it. What appears
+there later can't be read either, but for the directories of `--allow`. A process so confined can't
+look into the memory of those that aren't (ptrace, /proc/PID/mem). The directory comes
+by standard input and is forgotten when COMMAND takes this process's place: it is in no argument and
+no variable.
+
+Without Landlock COMMAND runs all the same, and nothing but not knowing the directory holds it off;
+`available` says which.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import sys
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+
+# The same on all of Linux's architectures since 5.13.
+_CREATE_RULESET, _ADD_RULE, _RESTRICT_SELF = 444, 445, 446
+_VERSION_FLAG = 1
+_PATH_BENEATH = 1
+_READ_FILE, _READ_DIR = 1 << 2, 1 << 3
+_NO_NEW_PRIVILEGES = 38
+
+
+class _Ruleset(ctypes.Structure):
+    _fields_ = (("handled_access_fs", ctypes.c_uint64),)
+
+
+class _PathBeneath(ctypes.Structure):
+    _pack_ = 1
+    _fields_ = (("allowed_access", ctypes.c_uint64), ("parent_fd", ctypes.c_int32))
+
+
+def available() -> bool:
+    """Whether this system can lock a process out of a directory."""
+    if not sys.platform.startswith("linux"):
+        return False
+    return _libc().syscall(_CREATE_RULESET, None, ctypes.c_size_t(0), _VERSION_FLAG) > 0
+
+
+def lock_out(directory: Path, allow: Iterable[Path] = ()) -> None:
+    """Take the right to read `directory` from this thread and its children; raises OSError."""
+    libc = _libc()
+    attributes = _Ruleset(_READ_FILE | _READ_DIR)
+    ruleset = _checked(
+        libc.syscall(
+            _CREATE_RULESET, ctypes.byref(attributes), ctypes.c_size_t(ctypes.sizeof(attributes)), 0
+        )
+    )
+    try:
+        for path in (*_beside(directory.resolve()), *allow):
+            _allow(libc, ruleset, path)
+        _checked(libc.prctl(_NO_NEW_PRIVILEGES, 1, 0, 0, 0))
+        _checked(libc.syscall(_RESTRICT_SELF, ruleset, 0))
+    finally:
+        os.close(ruleset)
+
+
+def _beside(directory: Path) -> Iterator[Path]:
+    """Everything on every level of the way down to a directory but the way itself."""
+    for step in (directory, *directory.parents[:-1]):
+        try:
+            yield from (path for path in step.parent.iterdir() if path != step)
+        except PermissionError:
+            continue  # what this process can't list it can't open to its children either
+
+
+def _allow(libc: ctypes.CDLL, ruleset: int, path: Path) -> None:
+    try:
+        handle = os.open(path, os.O_PATH | os.O_CLOEXEC)
+    except OSError:
+        return  # gone meanwhile, or a link to nothing
+    try:
+        rights = _READ_FILE | _READ_DIR if path.is_dir() else _READ_FILE
+        rule = _PathBeneath(rights, handle)
+        _checked(libc.syscall(_ADD_RULE, ruleset, _PATH_BENEATH, ctypes.byref(rule), 0))
+    finally:
+        os.close(handle)
+
+
+def _libc() -> ctypes.CDLL:
+    return ctypes.CDLL(None, use_errno=True)
+
+
+def _checked(result: int) -> int:
+    if result < 0:
+        number = ctypes.get_errno()
+        raise OSError(number, os.strerror(number))
+    return result
+
+
+def main(arguments: list[str]) -> int:
+    """Entry point; on success COMMAND takes this process's place."""
+    cut = arguments.index("--")
+    allow = [Path(path) for path in arguments[:cut] if path != "--allow"]
+    directory = Path(sys.stdin.readline().rstrip("\n"))
+    if available():
+        lock_out(directory, allow)
+    os.execv(arguments[cut + 1], arguments[cut + 1 :])
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
