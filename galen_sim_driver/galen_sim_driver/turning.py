@@ -22,45 +22,51 @@ def turning_points(values: Array, gate: float) -> np.ndarray:
     A turn is where the values were farthest, before they came back by more than the gate.
     """
     turns = [0]
-    if not len(values):
+    far, since = np.abs(values - values[0]) > gate, np.arange(len(values))
+    if not far.any():
         return np.array(turns)
+    # The first value that is off by the gate tells the direction that it starts in.
+    up = bool(values[int(since[far][0])] > values[0])
     plain = values.tolist()
-    high = low = plain[0]
-    at_high = at_low = 0
-    direction = 0
+    farthest, at = plain[0], 0
     for index, value in enumerate(plain):
-        if value > high:
-            high, at_high = value, index
-        if value < low:
-            low, at_low = value, index
-        if direction <= 0 and value - low > gate:
-            if direction < 0 or at_low > 0:
-                turns.append(at_low)
-            direction, high, at_high = 1, value, index
-        elif direction >= 0 and high - value > gate:
-            if direction > 0 or at_high > 0:
-                turns.append(at_high)
-            direction, low, at_low = -1, value, index
+        if up:
+            if value >= farthest:
+                farthest, at = value, index
+            elif farthest - value > gate:
+                turns.append(at)
+                farthest, at, up = value, index, False
+        elif value <= farthest:
+            farthest, at = value, index
+        elif value - farthest > gate:
+            turns.append(at)
+            farthest, at, up = value, index, True
     return np.array(turns)
 
 
 def along_turns(
-    load: Array,
-    gate: float,
+    loads: Array,
+    gates: Array,
     slide: Callable[[Array, Array], Array],
-    before: float = 0.0,
-    start: float = 0.0,
+    before: Array,
+    start: Array,
 ) -> Array:
-    """State (n,) of a friction under load (n,), which was `before` with the state `start`.
+    """States (n, k) of k frictions under loads (n, k), before which they had `before` and `start`.
 
-    slide(state, change) gives the states after the load has changed straight by `change`, for
-    arrays of one shape.
+    before, start (k,): load and state of the last sample. gates (k,). slide(states, changes) gives
+    the states after the loads have changed straight by `changes`, for arrays (..., k).
     """
-    path = np.concatenate([[before], load])
-    turns = turning_points(path, gate)
-    state = np.empty(len(turns))
-    state[0] = start
-    for leg, change in enumerate(np.diff(path[turns])):
-        state[leg + 1] = slide(state[leg : leg + 1], np.array([change]))[0]
-    last = np.searchsorted(turns, np.arange(1, len(path)), side="right") - 1
-    return slide(state[last], load - path[turns[last]])
+    path = np.concatenate([before[None], loads])
+    turns = [turning_points(column, gate) for column, gate in zip(path.T, gates, strict=True)]
+    legs = max(map(len, turns)) - 1
+    # One with fewer turns than others stays at its last.
+    at = np.stack([np.pad(t, (0, legs + 1 - len(t)), mode="edge") for t in turns], axis=1)
+    at_turns = np.take_along_axis(path, at, axis=0)
+    states = np.empty_like(at_turns)
+    states[0] = start
+    for leg in range(legs):
+        states[leg + 1] = slide(states[leg], at_turns[leg + 1] - at_turns[leg])
+    samples = np.arange(1, len(path))
+    last = np.stack([np.searchsorted(t, samples, side="right") - 1 for t in turns], axis=1)
+    since = loads - np.take_along_axis(at_turns, last, axis=0)
+    return slide(np.take_along_axis(states, last, axis=0), since)

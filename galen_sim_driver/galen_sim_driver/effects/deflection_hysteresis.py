@@ -47,7 +47,9 @@ from galen_sim_driver.joint_hysteresis import (
     joint_stiffness,
     load_of,
     shape,
-    slide,
+)
+from galen_sim_driver.joint_hysteresis import (
+    slide as dahl_slide,
 )
 from galen_sim_driver.turning import along_turns
 
@@ -82,20 +84,11 @@ class _Memory:
             self._peak = np.abs(loads).max(axis=0) if len(loads) > 1 else typical()
             self._load = self._state = np.zeros(loads.shape[1])
         peak = self._peak
+        slide = slider(peak)
         if len(loads) == 1:
-            states = slider(peak)(self._state, loads[0] - self._load)[None]
+            states = slide(self._state, loads[0] - self._load)[None]
         else:
-            columns = [
-                along_turns(
-                    loads[:, k],
-                    _GATE * peak[k],
-                    slider(peak[k : k + 1]),
-                    self._load[k],
-                    self._state[k],
-                )
-                for k in range(loads.shape[1])
-            ]
-            states = np.stack(columns, axis=1)
+            states = along_turns(loads, _GATE * peak, slide, self._load, self._state)
         self._load, self._state = loads[-1], states[-1]
         return states, peak
 
@@ -177,11 +170,7 @@ class DeflectionHysteresis(Effect):
     def _in_joints(self, memory: _Memory, loading: Loading) -> Array:
         """What friction takes of the displacement (n, 6)."""
         arm = loading.arm
-        places, which = np.unique(
-            np.round(loading.joints / _STILL_POSE_M).astype(np.int64), axis=0, return_inverse=True
-        )
-        each = [joint_columns(place * _STILL_POSE_M, loading.tip_m, arm) for place in places]
-        columns = np.array(each)[which.ravel()]
+        columns = _columns(loading)
         loads = np.einsum("nij,ni->nj", columns, loading.wrench)
         # Below the least fraction the law is taken for proportional to it.
         fraction = max(self.residual_fraction, _LEAST_FRACTION)
@@ -190,12 +179,21 @@ class DeflectionHysteresis(Effect):
 
         def dahl(peak: Array) -> Callable[[Array, Array], Array]:
             level = np.where(peak > 0.0, peak, 1.0) / unit
-            return lambda phi, change: slide(ratio, phi, change / level)
+            return lambda phi, change: dahl_slide(ratio, phi, change / level)
 
         phi, peak = memory.states(loads, _typical_joints, dahl)
         slack = phi * peak / unit / joint_stiffness(arm)
         taken = np.einsum("nij,nj->ni", columns, slack)
         return np.asarray(self.residual_fraction / fraction * taken)
+
+
+def _columns(loading: Loading) -> Array:
+    """Twist of the tip (n, 6, 11) over what each joint gives; the arm stands most of the time."""
+    keys = np.round(loading.joints / _STILL_POSE_M).astype(np.int64)
+    new = np.concatenate([[True], np.any(np.diff(keys, axis=0) != 0, axis=1)])
+    places, which = np.unique(keys[new], axis=0, return_inverse=True)
+    each = [joint_columns(place * _STILL_POSE_M, loading.tip_m, loading.arm) for place in places]
+    return np.array(each)[which.ravel()[np.cumsum(new) - 1]]
 
 
 def _bouc_wen(knee: float, peak: Array) -> Callable[[Array, Array], Array]:
