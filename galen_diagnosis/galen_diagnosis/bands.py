@@ -118,7 +118,8 @@ def band_energies(
 ) -> tuple[tuple[Band, ...], Array, Array, np.ndarray, np.ndarray]:
     """Energies by piece and band.
 
-    Returns the bands, then energy, count, block and cell (M,) as `compare_cells` takes them. Blocks are pieces, numbered over all streams.
+    Returns the bands, then energy, count, block and cell (M,) as `compare_cells` takes them; blocks
+    are pieces, numbered over all streams.
     """
     bands: list[Band] = []
     energy, count, block, cell = [], [], [], []
@@ -155,11 +156,12 @@ def band_energies(
 
 
 def spectrum(
-    streams: Sequence[Stream], bag: str, group: str, bins: int = 18
+    streams: Sequence[Stream], bag: str, group: str, bins: int = 20
 ) -> tuple[Array, Array]:
     """Frequencies (Hz) and mean power over the noise's, in `bins` bins even in the logarithm.
 
-    What stays the same over a piece is left out. Empty arrays where nothing is known.
+    What stays the same over a piece stands at half the lowest frequency. Empty arrays where nothing
+    is known.
     """
     frequency, square = [], []
     for stream in streams:
@@ -172,9 +174,9 @@ def spectrum(
     if not frequency:
         return np.zeros(0), np.zeros(0)
     at_hz, power = np.concatenate(frequency), np.concatenate(square)
-    power, at_hz = power[at_hz > 0.0], at_hz[at_hz > 0.0]
-    if not len(at_hz):
-        return at_hz, power
+    if not np.any(at_hz > 0.0):
+        return np.zeros(0), np.zeros(0)
+    at_hz[at_hz == 0.0] = 0.5 * at_hz[at_hz > 0.0].min()
     edges = np.geomspace(at_hz.min(), at_hz.max() * 1.0001, bins + 1)
     which = np.digitize(at_hz, edges) - 1
     count = np.bincount(which, minlength=bins)

@@ -55,7 +55,8 @@ def by_map(rows: Rows) -> Cells:
     """Cells are channels in each regime of each bag: the picture's."""
     keys = np.stack([rows.bag, rows.regime, rows.channel])
     present, cell = np.unique(keys, axis=1, return_inverse=True)
-    labels, details = [], []
+    labels: list[str] = []
+    details: list[dict[str, Any]] = []
     for bag, regime, channel in present.T:
         labels.append(f"{CHANNELS[channel]}, {BAGS[bag]} {REGIMES[regime]}")
         details.append({"channel": CHANNELS[channel], "bag": BAGS[bag], "regime": REGIMES[regime]})
@@ -67,7 +68,8 @@ def by_pose(rows: Rows) -> Cells:
     row = np.flatnonzero(rows.pose >= 0)
     keys = np.stack([rows.bag[row], rows.pose[row]])
     present, cell = np.unique(keys, axis=1, return_inverse=True)
-    labels, details = [], []
+    labels: list[str] = []
+    details: list[dict[str, Any]] = []
     for number, (bag, pose) in enumerate(present.T):
         joints = np.median(rows.joints[row[cell.ravel() == number]], axis=0)
         labels.append(f"{BAGS[bag]} {'pose' if BAGS[bag] == 'sweep' else 'position'} {pose}")
@@ -85,7 +87,10 @@ def by_pose(rows: Rows) -> Cells:
 
 def by_time(rows: Rows) -> Cells:
     """Cells are TIME_BINS equal spans of each bag."""
-    row, cell, labels, details = [], [], [], []
+    row: list[np.ndarray] = []
+    cell: list[np.ndarray] = []
+    labels: list[str] = []
+    details: list[dict[str, Any]] = []
     for bag in np.unique(rows.bag):
         own = np.flatnonzero(rows.bag == bag)
         at_s = rows.bag_s[own]
@@ -103,7 +108,10 @@ def by_time(rows: Rows) -> Cells:
 
 def by_joint(rows: Rows) -> Cells:
     """Cells are ranges of each joint, and its directions of motion; a row is in several."""
-    row, cell, labels, details = [], [], [], []
+    row: list[np.ndarray] = []
+    cell: list[np.ndarray] = []
+    labels: list[str] = []
+    details: list[dict[str, Any]] = []
 
     def add(rows_in: np.ndarray, label: str, detail: dict[str, Any]) -> None:
         if len(rows_in) >= _ENOUGH_ROWS:

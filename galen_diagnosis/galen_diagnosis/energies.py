@@ -110,8 +110,8 @@ def compare_cells(
     freedom = np.ones(len(energy)) if count is None else count
     used = cell >= 0
     energy, block, cell, freedom = energy[used], block[used], cell[used], freedom[used]
-    total = np.bincount(cell, freedom, minlength=cells)
-    own = np.bincount(cell, energy, minlength=cells)
+    total = np.bincount(cell, freedom, minlength=cells).astype(float)
+    own = np.bincount(cell, energy, minlength=cells).astype(float)
     there = np.flatnonzero(total > 0)
     p, ratio = np.ones(cells), np.ones(cells)
     if not len(there):
@@ -121,7 +121,7 @@ def compare_cells(
     keys, pair = np.unique(
         np.stack([cell, np.unique(block, return_inverse=True)[1]]), axis=1, return_inverse=True
     )
-    pairs = np.bincount(pair.ravel(), freedom)
+    pairs = np.bincount(pair.ravel(), freedom).astype(float)
     starts = np.searchsorted(keys[0], there)
     n = total[there]
     clumps = np.add.reduceat(pairs**2, starts) / n**2

@@ -185,6 +185,13 @@ def hertz(from_hz: float, to_hz: float | None) -> str:
     return f"below {to_hz:g} Hz" if from_hz == 0.0 else f"{from_hz:g} to {to_hz:g} Hz"
 
 
+def p_words(p: float | None) -> str:
+    """A p-value as tables show it; below 0.001 the null wasn't drawn often enough to say more."""
+    if p is None:
+        return "-"
+    return "≤ 0.001" if p <= 0.001 else f"{p:.3f}"
+
+
 def _of(
     labels: tuple[str, ...], details: tuple[Detail, ...], tested: Tested, settings: CellSettings
 ) -> View:

@@ -1,0 +1,98 @@
+"""A diagnosis in a sentence or two that a person understands."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from galen_diagnosis.answer import Answer, Cause
+from galen_diagnosis.effect_words import cause_words, title
+
+_MOST_PLACES = 3
+_NAMED_SHARE = 0.1
+
+
+def sentence(answer: Answer) -> str:
+    """The verdict, what causes the gap with its numbers, how much of it that explains, where."""
+    if answer.verdict == "none":
+        return "No gap: the recording is what the model says, down to the noise."
+    where = _where(answer.where)
+    if answer.verdict == "unknown":
+        best = _best_of_list(answer)
+        return f"There is a gap that nothing on the list explains{best}.{where}"
+    if answer.verdict == "ambiguous":
+        return _ambiguous(answer) + where
+    return _identified(answer) + where
+
+
+def alternatives(answer: Answer) -> tuple[str, ...]:
+    """Effects that remain where the recording can't tell, each once."""
+    names = [name for cause in answer.causes for name in (cause.effect, *cause.equivalent)]
+    return tuple(dict.fromkeys(names))
+
+
+def _identified(answer: Answer) -> str:
+    parts = [cause_words(cause.effect, cause.parameters) for cause in answer.causes]
+    if len(parts) == 1:
+        text = f"{_capital(parts[0])}: this explains{_closed(answer.gap)} of the gap."
+    else:
+        text = (
+            f"{_capital('; '.join(parts[:-1]))}; and {parts[-1]}: together they explain"
+            f"{_closed(answer.gap)} of the gap."
+        )
+    return text + "".join(_twins(cause) for cause in answer.causes)
+
+
+def _ambiguous(answer: Answer) -> str:
+    told = {cause.effect: cause_words(cause.effect, cause.parameters) for cause in answer.causes}
+    names = [told.get(name, title(name)) for name in alternatives(answer)]
+    text = "There is a gap, and this recording can't tell what causes it"
+    if names:
+        text += f": {', or '.join(names)}"
+    return text + (f". What is found explains{_closed(answer.gap)} of it." if names else ".")
+
+
+def _twins(cause: Cause) -> str:
+    if not cause.equivalent:
+        return ""
+    names = " or ".join(f"{title(name)} ({name})" for name in cause.equivalent)
+    return f" This recording can't tell it from: {names}."
+
+
+def _best_of_list(answer: Answer) -> str:
+    known = [(name, p) for name, p in answer.ranking if name not in ("none", "unknown")]
+    if not known or known[0][1] < 0.01:
+        return ""
+    name, probability = known[0]
+    return f" (the nearest is {title(name)}, {probability:.0%})"
+
+
+def _closed(gap: dict[str, Any]) -> str:
+    closed = gap.get("closed_fraction")
+    if not closed or closed.get("value") is None:
+        return " an unknown part"
+    text = f" {closed['value']:.0%}"
+    interval = closed.get("ci95")
+    return text + (f" ({interval[0]:.0%} to {interval[1]:.0%})" if interval else "")
+
+
+def _where(where: dict[str, Any]) -> str:
+    """The channels and bags that hold most of it."""
+    phrases = []
+    for name, preposition in (("channels", "in"), ("bags", "of")):
+        shares = [(key, share) for key, share in where.get(name, {}).items() if share]
+        shares = sorted(shares, key=lambda one: -one[1])[:_MOST_PLACES]
+        shares = [one for one in shares if one[1] >= _NAMED_SHARE] or shares[:1]
+        if shares:
+            parts = " and ".join(f"{key} ({share:.0%})" for key, share in shares)
+            phrases.append(f"{preposition} {parts}")
+    if not phrases:
+        return ""
+    text = f" The gap lies {', '.join(phrases)}"
+    follows = where.get("joints", {}).get("follows", [])
+    if follows and follows[0]["p"] < 0.05 and follows[0]["part"] >= 0.3:
+        text += f"; {follows[0]['part']:.0%} of it in the sweep follow {follows[0]['joint']}"
+    return text + "."
+
+
+def _capital(text: str) -> str:
+    return text[:1].upper() + text[1:]
