@@ -1,0 +1,417 @@
+"""Effects of cable, motion, stiffness, hysteresis, play and tracker against other formulas."""
+
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from galen_model.arm import GALEN, HOME, JOINT_NAMES
+from galen_model.kinematics import sensor_pose, tip_jacobian, tip_pose
+from galen_model.rotation import matrix_to_rotvec, rotvec_to_matrix
+from galen_model.stiffness import deflection, tip_compliance
+from galen_model.tools import ADAPTER, TOOLS
+from galen_sim_driver.config import HysteresisConfig
+from galen_sim_driver.effects.backlash import Backlash
+from galen_sim_driver.effects.base_shift import BaseShift
+from galen_sim_driver.effects.cable_drag import CableDrag
+from galen_sim_driver.effects.deflection_hysteresis import DeflectionHysteresis
+from galen_sim_driver.effects.effect import Instants, Loading, Posture
+from galen_sim_driver.effects.inertial_load import InertialLoad
+from galen_sim_driver.effects.joint_compliance import JointCompliance
+from galen_sim_driver.effects.tracker_delay import TrackerDelay
+from galen_sim_driver.effects.tracker_scale import TrackerScale
+from galen_sim_driver.errors import ConfigError
+from galen_sim_driver.joint_hysteresis import JointHysteresis
+from galen_sim_driver.replay import Replay, Scene
+from galen_sim_driver.turning import turning_points
+
+POINTER = TOOLS["pointer"]
+TURNED = np.array([0.03, -0.05, 0.45, 0.8, -0.6])
+SETTINGS = [
+    CableDrag(0.2),
+    InertialLoad(0.16),
+    JointCompliance(k_roll=1500.0),
+    DeflectionHysteresis(0.07),
+    DeflectionHysteresis(0.07, form="joints"),
+    Backlash(gap_rad=0.001),
+    TrackerDelay(0.02),
+    TrackerScale(0.01),
+    BaseShift((0.001, 0.0, 0.0)),
+]
+
+
+def scene(at_s, joints, applied=None, joint_s=None, bag="push", **changes):
+    """A bag that reads what the nominal arm would, with `applied` (n, 6) in ft_sensor pushed."""
+    at_s = np.asarray(at_s, dtype=float)
+    given = Scene(
+        bag=bag,
+        start_s=0.0,
+        joint_s=at_s if joint_s is None else joint_s,
+        joints=np.broadcast_to(joints, (len(at_s if joint_s is None else joint_s), 5)),
+        wrench_s=at_s,
+        reading=np.zeros((len(at_s), 6)),
+        touched=np.ones(len(at_s), dtype=bool),
+        tracker_s=at_s,
+        tool=POINTER,
+        adapter=ADAPTER,
+        **changes,
+    )
+    reading = Replay(given).reading()
+    return replace(given, reading=reading if applied is None else reading + applied)
+
+
+def instants(count, bag="push"):
+    at_s = 0.01 * np.arange(count)
+    return Instants(bag, at_s, at_s)
+
+
+def pushes(turns, samples=60):
+    """Loads (n,) that go straight from turn to turn."""
+    legs = [np.linspace(a, b, samples, endpoint=False) for a, b in pairwise(turns)]
+    return np.concatenate([*legs, [turns[-1]]])
+
+
+def loading(joints, load, direction=(0.0, 1.0, 0.0, 0.0, 0.0, 0.0)):
+    """`load` (n,) times a wrench at the tip in base_link."""
+    wrench = np.outer(load, direction)
+    compliance = tip_compliance(joints, POINTER.tip_m)
+    return Loading(
+        np.broadcast_to(joints, (len(load), 5)), wrench, wrench @ compliance.T, POINTER.tip_m, GALEN
+    )
+
+
+@pytest.mark.parametrize("effect", SETTINGS, ids=lambda effect: effect.name)
+def test_numbers_go_there_and_back_and_the_default_is_no_effect(effect):
+    assert not effect.changes_nothing
+    assert type(effect)().changes_nothing
+    effect.validate()
+    again = effect.with_vector(effect.vector())
+    assert again.vector() == pytest.approx(effect.vector(), rel=1e-12)
+    assert len(effect.vector()) == sum(part.size for part in effect.fitted)
+    for part, value in zip(
+        [p for p in effect.fitted for _ in range(p.size)], effect.vector(), strict=True
+    ):
+        assert part.lower <= value <= part.upper
+
+
+# --- cable --------------------------------------------------------------------------------------
+
+
+def test_a_cable_pulls_along_its_line_without_a_moment_about_its_anchor():
+    drag = CableDrag(0.3, bending_nm=0.02)
+    rng = np.random.default_rng(1)
+    joints = HOME + rng.uniform(-1.0, 1.0, (30, 5)) * [0.14, 0.14, 0.2, 1.5, 0.9]
+    rotation, origin = sensor_pose(joints)
+    posture = Posture(joints, rotation, origin, None, None, POINTER.load, ADAPTER, POINTER.tip_m)
+
+    def pull(effect):
+        return effect.wrench(instants(30), posture)
+
+    # In base_link, about the anchor.
+    force = np.einsum("nij,nj->ni", rotation, pull(drag)[:, :3])
+    torque = np.einsum("nij,nj->ni", rotation, pull(drag)[:, 3:])
+    assert np.abs(torque - np.cross(np.array(drag.anchor_m) - origin, force)).max() < 1e-12
+    straight = np.einsum("nij,nj->ni", rotation, pull(replace(drag, bending_nm=0.0))[:, :3])
+    line = np.array(drag.anchor_m) - origin - rotation @ np.array(drag.attachment_m)
+    length = np.linalg.norm(line, axis=1)
+    tension = np.linalg.norm(straight, axis=1)
+    assert np.abs(straight - tension[:, None] * line / length[:, None]).max() < 1e-12
+    # A spring of 0.3 N times 3 a metre where it is taut, to the rounded corner's 0.2 %.
+    reference = np.linalg.norm(np.subtract(drag.anchor_m, drag.reference_m))
+    taut = 0.3 * (1.0 + 3.0 * (length - reference))
+    assert np.ptp(taut) > 0.2
+    assert np.abs(tension - taut)[taut > 0.35].max() < 0.01 * 0.3
+    assert (tension[taut < 0.0] < 0.06).all()
+    assert (np.diff(tension[np.argsort(length)]) > 0.0).all()
+    # Bending: none at home, and a force of B |n x l| / d across the line.
+    home_rotation, home_origin = sensor_pose(HOME)
+    at_home = home_rotation.T @ (np.array(drag.anchor_m) - home_origin) - drag.attachment_m
+    here = np.einsum("nji,nj->ni", rotation, line) / length[:, None]
+    turned = np.linalg.norm(np.cross(at_home / np.linalg.norm(at_home), here), axis=1)
+    across = np.linalg.norm(force - straight, axis=1)
+    assert across == pytest.approx(0.02 * turned / length, rel=1e-9)
+    # Twice the cable pulls twice, and a cable without tension and bending not at all.
+    assert pull(replace(drag, tension_n=0.6, bending_nm=0.04)) == pytest.approx(2.0 * pull(drag))
+    assert np.abs(pull(replace(drag, tension_n=0.0, bending_nm=0.0))).max() == 0.0
+    # Smooth where it goes slack: the change over a small step is the mean of both slopes there.
+    slack = replace(drag, stretch_per_m=40.0)
+    vector = slack.vector()
+    for number in range(1, len(vector)):
+        step = np.zeros(len(vector))
+        step[number] = 1e-5
+        forward = pull(slack.with_vector(vector + step)) - pull(slack)
+        backward = pull(slack) - pull(slack.with_vector(vector - step))
+        assert np.abs(forward - backward).max() < 0.01 * np.abs(forward).max() + 1e-9
+
+
+def test_the_tension_is_the_mean_one_where_the_reference_is_centred():
+    rng = np.random.default_rng(3)
+    joints = HOME + rng.uniform(-1.0, 1.0, (400, 5)) * [0.05, 0.05, 0.05, 1.2, 0.8]
+    rotation, origin = sensor_pose(joints)
+    drag = CableDrag(0.2).centred(rotation, origin)
+    tension = drag.tension(rotation, origin)
+    assert np.ptp(tension) > 0.05
+    assert tension.mean() == pytest.approx(0.2, rel=0.04)
+    by_force = np.linalg.norm(
+        drag.wrench(
+            instants(400),
+            Posture(joints, rotation, origin, None, None, POINTER.load, ADAPTER, POINTER.tip_m),
+        )[:, :3],
+        axis=1,
+    )
+    assert tension == pytest.approx(by_force, rel=1e-9)
+
+
+# --- forces of acceleration ---------------------------------------------------------------------
+
+
+def test_forces_of_acceleration_are_the_change_of_momentum_of_two_points():
+    at_s = 0.001 * np.arange(1500)
+    phase = 2.0 * np.pi * np.outer(at_s, [0.9, 0.7, 0.5, 1.1, 0.8])
+    joints = HOME + np.sin(phase + [0.0, 1.0, 2.0, 0.5, 1.5]) * [0.03, 0.03, 0.03, 0.6, 0.5]
+    mass = 0.21
+    still = scene(at_s, HOME, joint_s=at_s, bag="motion")
+    moving = replace(still, joints=joints)
+    found = Replay(moving, [InertialLoad(mass)]).reading() - Replay(moving).reading()
+    rotation, origin = sensor_pose(joints)
+    expected = np.zeros_like(found)
+    both = POINTER.load.mass_kg + ADAPTER.mass_kg
+    for load in (POINTER.load, ADAPTER):
+        centre = origin + rotation @ load.com_m
+        force = np.zeros_like(centre)
+        force[1:-1] = -mass * load.mass_kg / both * np.diff(centre, 2, axis=0) / 0.001**2
+        torque = np.cross(centre - origin, force)
+        expected[:, :3] += np.einsum("nji,nj->ni", rotation, force)
+        expected[:, 3:] += np.einsum("nji,nj->ni", rotation, torque)
+    inner = slice(60, -60)
+    size = np.abs(expected[inner]).max(axis=0)
+    assert (size[:3] > 0.1).all()
+    # The replay's rates are cubics over 80 ms of the joints.
+    assert (np.abs(found - expected)[inner].max(axis=0) < 0.03 * size).all()
+    assert np.abs(Replay(still, [InertialLoad(mass)]).reading() - still.reading).max() < 1e-10
+
+
+# --- stiffness ----------------------------------------------------------------------------------
+
+
+def test_other_stiffnesses_bend_as_the_stiffness_model_says_and_linearly_in_softness():
+    rng = np.random.default_rng(5)
+    wrench = rng.uniform(-1.0, 1.0, (8, 6)) * [8.0, 8.0, 8.0, 0.3, 0.3, 0.3]
+    softer = JointCompliance(k_roll=1200.0, k_carriage=2e5, k_rod=3e6)
+    pushed = scene(0.1 * np.arange(8), TURNED, wrench)
+
+    def bent(effects):
+        rotation, position = Replay(pushed, effects).tip(wrench)
+        base_rotation, base = tip_pose(TURNED, POINTER.tip_m)
+        return np.hstack([position - base, matrix_to_rotvec(rotation @ base_rotation.T)])
+
+    arm = replace(
+        GALEN, roll_stiffness_nm_rad=1200.0, carriage_stiffness_n_m=2e5, rod_stiffness_n_m=3e6
+    )
+    # Replay rounds the pose to 0.2 mm for its compliance.
+    expected = np.array([deflection(TURNED, row, POINTER.tip_m, arm) for row in wrench])
+    assert np.abs(bent([softer]) - expected).max() < 1e-3 * np.abs(expected).max()
+    nominal = bent([])
+    assert np.abs(nominal - expected).max() > 0.05 * np.abs(expected).max()
+    # Half the softness is half the change, far from small changes.
+    vector = np.array([1.5, 0.8, 0.7, 0.9])
+    whole = bent([JointCompliance().with_vector(vector)]) - nominal
+    half = bent([JointCompliance().with_vector(0.5 * vector)]) - nominal
+    assert np.abs(2.0 * half - whole).max() < 1e-6 * np.abs(whole).max()
+    assert JointCompliance().with_vector(np.array([1.0, 0.0, 0.0, 0.0])) == JointCompliance(1000.0)
+
+
+# --- hysteresis ---------------------------------------------------------------------------------
+
+
+def test_turning_points_are_where_a_load_turned_and_not_where_noise_did():
+    path = pushes([0.0, 3.0, -2.0, 2.5, 0.0], samples=200)
+    exact = turning_points(path, 0.05)
+    assert exact.tolist() == [0, 200, 400, 600]
+    noisy = turning_points(path + np.random.default_rng(2).normal(0.0, 0.05, len(path)), 0.6)
+    assert len(noisy) == 4
+    assert np.abs(noisy - exact).max() < 12
+
+
+@pytest.mark.parametrize("form", ["tip", "joints"])
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_the_fraction_is_left_after_the_largest_push_on_its_side(form, side):
+    effect = DeflectionHysteresis(0.08, side, form)
+    given = loading(TURNED, pushes([0.0, 10.0, 0.0]))
+    found = effect.fresh().deflect(instants(len(given.wrench)), given)
+    peak, left = given.elastic[60], found[-1]
+    if form == "joints":
+        # There each joint has its fraction, over its deflection with the friction: none is a joint
+        # that shares with others.
+        peak = peak + side * found[60]
+    largest = np.argmax(np.abs(peak[:3]))
+    assert left[largest] / peak[largest] == pytest.approx(
+        side * 0.08, rel=1e-6 if form == "tip" else 0.01
+    )
+
+
+def test_the_tips_state_solves_its_equation_and_its_loops_area_is_the_integral():
+    knee, fraction = 0.3, 0.1
+    load = pushes([0.0, 8.0, -10.0, 5.0, -2.0, 0.0], samples=4000)
+    given = loading(HOME, load)
+    effect = DeflectionHysteresis(fraction, 1.0, "tip", knee)
+    found = effect.fresh().deflect(instants(len(load)), given)[:, 1]
+    e = given.elastic[:, 1]
+    peak = np.abs(e).max()
+    z = np.zeros(len(e))
+    for k, step in enumerate(np.diff(e) / peak):
+        middle = z[k] + 0.5 * (step - abs(step) * z[k]) / knee
+        z[k + 1] = z[k] + (step - abs(step) * middle) / knee
+    c = fraction / (1.0 - np.exp(-1.0 / knee)) ** 2
+    assert np.abs(found + c * peak * z).max() < 1e-5 * peak
+    # A closed cycle between +-F_1 of a saturated state takes work: the integral of F d(bent).
+    cycle = pushes([0.0, 10.0, -10.0, 10.0, -10.0, 10.0], samples=4000)
+    given = loading(HOME, cycle)
+    work = {}
+    for side in (1.0, -1.0):
+        effect = replace(effect, side=side)
+        bent = given.elastic + effect.fresh().deflect(instants(len(cycle)), given)
+        last = slice(12000, None)
+        work[side] = np.trapezoid(cycle[last], bent[last, 1])
+    e1, f1 = np.abs(given.elastic[:, 1]).max(), 10.0
+    q = np.exp(-2.0 / knee)
+    # z = s (1 - (1 + z_1) exp(-x / knee)) with z_1 = (1 - q) / (1 + q), x from 0 to 2; the area of
+    # the loop is 2 c integral over x of (f1 - f1 x)(...)' = -2 c f1 int (x - 1) dz.
+    z1 = (1.0 - q) / (1.0 + q)
+    x = np.linspace(0.0, 2.0, 20001)
+    up = 1.0 - (1.0 + z1) * np.exp(-x / knee)
+    area = -2.0 * c * e1 * f1 * np.trapezoid(x - 1.0, up)
+    assert work[1.0] == pytest.approx(area, rel=1e-4)
+    assert work[1.0] == pytest.approx(-work[-1.0], rel=1e-9)
+    assert area > 0.0
+
+
+@pytest.mark.parametrize("form", ["tip", "joints"])
+def test_one_sample_at_a_time_is_a_whole_bag_where_the_largest_loads_are_the_drivers(form):
+    load = np.concatenate([pushes([0.0, 9.0, -6.0, 0.0], samples=40), np.zeros(5)])
+    given = loading(TURNED, load, (0.2, 1.0, -0.4, 0.0, 0.0, 0.0))
+    effect = DeflectionHysteresis(0.06, 1.0, form).fresh()
+    one = [
+        effect.deflect(
+            instants(1),
+            Loading(given.joints[k : k + 1], given.wrench[k : k + 1], given.elastic[k : k + 1],
+                    given.tip_m, GALEN),
+        )[0]
+        for k in range(len(load))
+    ]  # fmt: skip
+    # The first sample is no load, so the driver's own largest loads are taken for the bag as well.
+    whole = DeflectionHysteresis(0.06, 1.0, form).fresh()
+    first = Loading(given.joints[:1], given.wrench[:1], given.elastic[:1], given.tip_m, given.arm)
+    whole.deflect(instants(1), first)
+    found = whole.deflect(instants(len(load)), given)
+    assert np.abs(found - one).max() < 1e-9 * np.abs(found).max() + 1e-15
+    assert np.abs(found[-1]).max() > 1e-6
+
+
+def test_joints_friction_is_the_plants():
+    load = pushes([0.0, 9.0, -6.0, 0.0], samples=30)
+    given = loading(TURNED, load)
+    effect = DeflectionHysteresis(0.06, 1.0, "joints").fresh()
+    plant = JointHysteresis(HysteresisConfig(0.06), GALEN)
+    for k in range(len(load)):
+        now = Loading(
+            given.joints[k : k + 1], given.wrench[k : k + 1], given.elastic[k : k + 1],
+            given.tip_m, GALEN,
+        )  # fmt: skip
+        found = effect.deflect(instants(1), now)[0]
+        plant.load(TURNED, POINTER.tip_m, given.wrench[k])
+        assert found == pytest.approx(plant.displacement(TURNED, POINTER.tip_m), rel=0.01, abs=1e-9)
+
+
+def test_noise_doesnt_wear_the_tips_state_off():
+    rng = np.random.default_rng(7)
+    load = np.concatenate([pushes([0.0, 10.0, 0.0]), np.zeros(2000)])
+    effect = DeflectionHysteresis(0.08)
+    clean = effect.fresh().deflect(instants(len(load)), loading(HOME, load))[-1, 1]
+    noisy_load = loading(HOME, load + rng.normal(0.0, 0.02, len(load)))
+    noisy = effect.fresh().deflect(instants(len(load)), noisy_load)[-100:, 1].mean()
+    assert noisy == pytest.approx(clean, rel=0.03)
+
+
+# --- play ---------------------------------------------------------------------------------------
+
+
+def test_a_joint_with_play_lags_by_half_its_gap_after_each_reversal():
+    gap = 0.004
+    joints = np.tile(HOME, (4001, 1))
+    joints[:, 4] = pushes([0.0, 0.3, -0.2, 0.1, 0.0], samples=1000)
+    effect = Backlash("tilt", gap)
+    true = effect.fresh().true_joints(instants(4001), joints)
+    lag = joints[:, 4] - true[:, 4]
+    assert np.abs(true[:, :4] - joints[:, :4]).max() == 0.0
+    # In the middle at first; then half a gap behind, in the direction of the motion.
+    assert lag[0] == 0.0
+    for leg, sign in enumerate((1.0, -1.0, 1.0, -1.0)):
+        assert lag[1000 * leg + 100 : 1000 * leg + 1000] == pytest.approx(0.5 * gap * sign)
+    # It stays while the joint goes through the gap.
+    step = 0.3 / 1000.0
+    assert np.ptp(true[1000 : 1000 + int(gap / (0.5 / 1000.0)), 4]) < step
+    # A loop of true over reported has the area of a parallelogram, gap times stroke.
+    loop = np.tile(HOME, (6001, 1))
+    loop[:, 4] = pushes([0.0, 0.2, -0.2, 0.2], samples=2000)
+    path = effect.fresh().true_joints(instants(6001), loop)[:, 4]
+    there = path[2000:4001], loop[2000:4001, 4]
+    back = path[4000:], loop[4000:, 4]
+    area = np.trapezoid(*there) + np.trapezoid(*back)
+    assert abs(area) == pytest.approx(gap * (0.4 - gap), rel=1e-3)
+    # One at a time is the same.
+    one = effect.fresh()
+    again = [one.true_joints(instants(1), row[None])[0, 4] for row in joints]
+    assert again == pytest.approx(true[:, 4], abs=1e-15)
+
+
+@pytest.mark.parametrize("joint", JOINT_NAMES)
+def test_a_push_takes_a_joint_to_the_side_it_pushes_to_and_leaves_it_there(joint):
+    gap = 0.002
+    index = JOINT_NAMES.index(joint)
+    column = tip_jacobian(TURNED, POINTER.tip_m)[:, index]
+    # Along the joint's own motion of the tip; then back, then to rest.
+    direction = np.concatenate([column[:3], np.zeros(3)]) / np.linalg.norm(column[:3])
+    load = pushes([0.0, 0.0, 5.0, 0.0, -5.0, 0.0])
+    given = loading(TURNED, load, direction)
+    moved = Backlash(joint, gap).fresh().deflect(instants(len(load)), given)
+    for at, side in ((30, 0.0), (120, 1.0), (180, 1.0), (240, -1.0), (300, -1.0)):
+        assert moved[at] == pytest.approx(side * 0.5 * gap * column, abs=1e-12)
+    # After a motion upwards it rests below: the same push now takes it through the whole gap.
+    before = TURNED.copy()
+    before[index] -= 0.05
+    joints = np.concatenate([np.tile(before, (5, 1)), given.joints[5:]])
+    moved = Backlash(joint, gap).fresh().deflect(instants(len(load)), replace(given, joints=joints))
+    assert moved[120] == pytest.approx(gap * column, abs=1e-12)
+    assert moved[240] == pytest.approx(np.zeros(6), abs=1e-12)
+    with pytest.raises(ConfigError, match="elbow"):
+        Backlash("elbow").validate()
+
+
+# --- tracker ------------------------------------------------------------------------------------
+
+
+def test_a_late_tracker_sees_what_was_and_a_long_one_sees_it_farther():
+    at_s = 0.01 * np.arange(300)
+    joints = np.tile(HOME, (300, 1))
+    joints[:, 0] = 0.05 * at_s
+    moving = replace(scene(at_s, HOME, joint_s=at_s), joints=joints)
+    nominal = Replay(moving).tip(np.zeros((300, 6)))[1]
+    late = Replay(moving, [TrackerDelay(0.04)]).tip(np.zeros((300, 6)))[1]
+    assert nominal[50:] - late[50:] == pytest.approx(np.tile([0.002, 0.0, 0.0], (250, 1)), abs=1e-9)
+    there = rotvec_to_matrix([0.1, 2.9, 0.3]), np.array([0.15, -0.35, 1.8])
+    rotation, _ = tip_pose(joints, POINTER.tip_m)
+    plain = Replay(moving).seen_by_tracker(rotation, nominal, *there)
+    longer = Replay(moving, [TrackerScale(0.01)]).seen_by_tracker(rotation, nominal, *there)
+    assert longer[1] == pytest.approx(1.01 * plain[1])
+    assert (longer[0] == plain[0]).all()
+
+
+def test_the_bases_marker_moves_once_and_only_in_the_pushes():
+    effect = BaseShift((0.001, -0.002, 0.0), (0.0, 0.003, 0.0), 0.5)
+    moved = effect.base_marker(instants(100))
+    assert (moved[:50] == 0.0).all()
+    assert (moved[50:] == [0.001, -0.002, 0.0, 0.0, 0.003, 0.0]).all()
+    assert effect.base_marker(instants(100, "sweep")) is None
+    still = scene(0.01 * np.arange(100), HOME)
+    assert (Replay(still, [effect]).base_marker() == moved).all()
