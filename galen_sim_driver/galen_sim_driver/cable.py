@@ -19,14 +19,9 @@ Cables on real arms have weight and friction and lie against things as well. Non
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 from galen_model.arrays import Array
 from numpy.typing import ArrayLike
-
-from galen_sim_driver.config import CableConfig
-from galen_sim_driver.geometry import ArmGeometry, Matrix, sensor_matrix
 
 _CORNER = 0.25
 _TAUT = _CORNER * float(np.log(np.expm1(1.0 / _CORNER)))
@@ -71,37 +66,3 @@ def cable_wrench(
     force = np.asarray(tension_n)[..., None] * direction + np.cross(moment, direction) / span_m
     torque = np.cross(np.asarray(attachment_m, dtype=float), force) + moment
     return np.concatenate([force, torque], axis=-1)
-
-
-class Cable:
-    """The wrench of a cable at the tool, for one arm and one moment at a time."""
-
-    def __init__(self, config: CableConfig, geometry: ArmGeometry, home: Sequence[float]) -> None:
-        """`config` must be on; home (5,): the joints where the tension is `tension_n`."""
-        config.validate()
-        self._config = config
-        self._geometry = geometry
-        self._home_m, self._home_direction = self._line(sensor_matrix(home[3], home[4]), home)
-
-    def wrench(self, matrix: Matrix, joints: Sequence[float]) -> list[float]:
-        """Force and torque (6,) about the sensor's origin in ft_sensor, N and N.m.
-
-        joints (5,): m, rad. matrix: R_base_sensor.
-        """
-        config = self._config
-        distance_m, direction = self._line(matrix, joints)
-        farther = config.stiffness_n_m / config.tension_n * (distance_m - self._home_m)
-        wrench = cable_wrench(
-            config.tension_n * relative_tension(farther),
-            config.bending_nm,
-            distance_m,
-            direction,
-            self._home_direction,
-            config.attachment_m,
-        )
-        return [float(value) for value in wrench]
-
-    def _line(self, matrix: Matrix, joints: Sequence[float]) -> tuple[Array, Array]:
-        origin = self._geometry.tip_position(joints, matrix, (0.0, 0.0, 0.0))
-        config = self._config
-        return cable_line(np.reshape(matrix, (3, 3)), origin, config.anchor_m, config.attachment_m)

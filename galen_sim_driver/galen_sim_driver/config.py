@@ -23,9 +23,12 @@ from galen_model.arm import (
     JointLimits,
     SensorParameters,
 )
+from galen_model.kinematics import tip_pose
 from galen_model.load import Load
 from galen_model.tools import ADAPTER, TOOLS, ToolGeometry
 
+from galen_sim_driver.effects.cable_drag import CableDrag
+from galen_sim_driver.effects.effect import Effect
 from galen_sim_driver.errors import ConfigError
 
 Vector3 = tuple[float, float, float]
@@ -184,33 +187,32 @@ class InertiaConfig:
 
 @dataclass(frozen=True)
 class WanderConfig:
-    """The sensor's slow wander, fx fy fz in N, tx ty tz in N.m; none in the nominal arm."""
+    """The sensor's random walk, fx fy fz in N, tx ty tz in N.m; none in the nominal arm."""
 
-    drift_per_hour: SixNumbers = ZERO6
-    """Steady drift, each axis an hour."""
     per_sqrt_hour: SixNumbers = ZERO6
-    """Random walk: its standard deviation after one hour."""
+    """Its standard deviation after one hour."""
 
     @property
     def on(self) -> bool:
         """Whether there is any."""
-        return any(self.drift_per_hour) or any(self.per_sqrt_hour)
+        return any(self.per_sqrt_hour)
 
     def validate(self) -> None:
-        """Numbers are finite, and a standard deviation isn't negative."""
-        for value in (*self.drift_per_hour, *self.per_sqrt_hour):
-            _require(math.isfinite(value), f"the sensor wanders by {value} an hour")
+        """A standard deviation is finite and not negative."""
         for value in self.per_sqrt_hour:
-            _require(value >= 0.0, f"the sensor's random walk is {value}, but can't be negative")
+            _require(
+                math.isfinite(value) and value >= 0.0,
+                f"the sensor's random walk is {value}, but can't be negative",
+            )
 
 
 @dataclass(frozen=True)
 class CableConfig:
-    """A cable from the tool to an anchor (`cable.py`); none in the nominal arm.
+    """A cable from the tool to an anchor, told by its stiffness; none in the nominal arm.
 
-    It pulls while a tool is on, with `tension_n` at home and `stiffness_n_m` more for each metre
-    farther from the anchor. `bending_nm` is the moment of the cord's bend at the tool at a right
-    angle to how it lies at home.
+    The law is that of the effect `cable_drag`. It pulls while a tool is on, with `tension_n` at
+    home and `stiffness_n_m` more for each metre farther from the anchor. `bending_nm` is the moment
+    of the cord's bend at the tool at a right angle to how it lies at home.
     """
 
     tension_n: float = 0.0
@@ -239,6 +241,18 @@ class CableConfig:
             )
         for value in (*self.anchor_m, *self.attachment_m):
             _require(math.isfinite(value), f"an end of the cable is at {value} m")
+
+    def effect(self) -> CableDrag:
+        """The cable as the plant has it; it must be on."""
+        _, at_home = tip_pose(HOME, self.attachment_m)
+        return CableDrag(
+            self.tension_n,
+            self.anchor_m,
+            self.attachment_m,
+            self.stiffness_n_m / self.tension_n,
+            self.bending_nm,
+            tuple(at_home.tolist()),
+        )
 
 
 @dataclass(frozen=True)
@@ -316,8 +330,8 @@ class PlantConfig:
     inertia: InertiaConfig = field(default_factory=InertiaConfig)
     wander: WanderConfig = WanderConfig()
     cable: CableConfig = CableConfig()
-    loose_tool_shift_m: float = 0.0
-    """How far the tool sags: its centre moves by this times x and y of gravity's direction."""
+    effects: tuple[Effect, ...] = ()
+    """Of `effects/`, beside those above."""
     hand: Sequence[HandPush] = field(default_factory=_default_script)
 
     @property
@@ -338,9 +352,8 @@ class PlantConfig:
         self.inertia.validate()
         self.wander.validate()
         self.cable.validate()
-        _require(
-            math.isfinite(self.loose_tool_shift_m), f"the tool sags by {self.loose_tool_shift_m} m"
-        )
+        for effect in self.effects:
+            effect.validate()
         for push in self.hand:
             push.validate()
         _require(

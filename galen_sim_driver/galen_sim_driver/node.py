@@ -30,6 +30,7 @@ from trajectory_msgs.msg import JointTrajectory
 
 from galen_msgs.srv import PushTool, SetTool
 from galen_sim_driver.conversions import fill_pose, push_from_request, trajectory_from_message
+from galen_sim_driver.effect_parameters import DRIVER_NODE, EffectParameters, effects_of
 from galen_sim_driver.errors import (
     ConfigError,
     HandBusyError,
@@ -62,10 +63,11 @@ class SimDriverNode(Node):
 
     def __init__(self, **node_options: Any) -> None:
         """Take rclpy.node.Node's keyword arguments, such as context and parameter_overrides."""
-        super().__init__("sim_driver", **node_options)
+        super().__init__(DRIVER_NODE, **node_options)
         self._settings = declare_parameters(self, DriverParameters, self._on_parameters)
+        effects = effects_of(declare_parameters(self, EffectParameters))
         real_time = self._settings.speed_factor == 1.0
-        config = self._settings.plant_config()
+        config = replace(self._settings.plant_config(), effects=effects)
         if real_time:
             config = replace(config, start_ns=time.time_ns())
         self._config = config
@@ -136,9 +138,10 @@ class SimDriverNode(Node):
         self._joint_states.publish(
             self._joint_state_bytes.fill(stamp_ns, sample.positions, sample.velocities)
         )
-        self._wrench_raw.publish(self._wrench_bytes.fill(stamp_ns, sample.wrench))
+        wrench_ns = stamp_ns + self._plant.wrench_delay_ns
+        self._wrench_raw.publish(self._wrench_bytes.fill(wrench_ns, sample.wrench))
         if sample.tracker is not None:
-            self._publish_tracker(stamp_ns, sample.tracker)
+            self._publish_tracker(stamp_ns + self._plant.tracker_delay_ns, sample.tracker)
 
     def _publish_tracker(self, stamp_ns: int, tracked: TrackerSample) -> None:
         if tracked.tool is not None:
@@ -293,6 +296,7 @@ class SimDriverNode(Node):
                 "admittance": self._plant.admittance_on,
                 "admittance_source": self._settings.admittance_source,
                 "hand": self._plant.hand_active,
+                "effects": ", ".join(effect.name for effect in self._config.effects) or "none",
                 "zeroed_at_roll_rad": roll,
                 "zeroed_at_tilt_rad": tilt,
                 "trajectories_refused": self._refused_count,

@@ -1,4 +1,4 @@
-"""The driver's parameters, and the plant's configuration that they make."""
+"""The driver's parameters, but for its effects' own, and the plant's configuration they make."""
 
 from __future__ import annotations
 
@@ -189,9 +189,6 @@ class DriverParameters:
     tool_inertia_kg_m2: tuple[float, ...] = param(
         [0.0] * 6 * len(TOOLS), "the same of each tool, six numbers a tool, kg m^2"
     )
-    sensor_drift_per_hour: tuple[float, ...] = param(
-        _DEFAULT.wander.drift_per_hour, "steady drift of each axis an hour, N and Nm"
-    )
     sensor_wander_per_sqrt_hour: tuple[float, ...] = param(
         _DEFAULT.wander.per_sqrt_hour,
         "random walk of each axis: its sigma after one hour, N and Nm",
@@ -218,11 +215,6 @@ class DriverParameters:
     cable_attachment_m: tuple[float, ...] = param(
         _DEFAULT.cable.attachment_m, "where it pulls at the tool, in `ft_sensor`, m"
     )
-    loose_tool_shift_m: float = param(
-        _DEFAULT.loose_tool_shift_m,
-        "a tool that sags in its mount: its centre moves by this length times the x and y parts, "
-        "in `ft_sensor`, of gravity's unit vector, m",
-    )
 
     hand_pushes: tuple[float, ...] = param(
         [
@@ -248,7 +240,6 @@ class DriverParameters:
             "sensor_quantum",
             "sensor_range",
             "adapter_inertia_kg_m2",
-            "sensor_drift_per_hour",
             "sensor_wander_per_sqrt_hour",
         ):
             self._require_length(name, 6)
@@ -342,9 +333,7 @@ class DriverParameters:
             inertia=InertiaConfig(
                 self.inertial_load, _six(self.adapter_inertia_kg_m2), self._tool_inertias()
             ),
-            wander=WanderConfig(
-                _six(self.sensor_drift_per_hour), _six(self.sensor_wander_per_sqrt_hour)
-            ),
+            wander=WanderConfig(_six(self.sensor_wander_per_sqrt_hour)),
             cable=CableConfig(
                 self.cable_tension_n,
                 self.cable_stiffness_n_m,
@@ -352,7 +341,6 @@ class DriverParameters:
                 _vector(self.cable_anchor_m),
                 _vector(self.cable_attachment_m),
             ),
-            loose_tool_shift_m=self.loose_tool_shift_m,
             hand=self._hand_script(),
         )
 

@@ -5,9 +5,8 @@ The reading is the nominal measurement model,
     reading = W(theta; tool) + W(theta; adapter) - zero + applied wrench + noise,
 
 with W = (m g, m p x g) of a load m at p under gravity g in ft_sensor, and the zero what the sensor
-held when it was last zeroed; at the start W(home; adapter). There is no delay. Forces of
-acceleration, a cable's pull, a tool that sags, the sensor's wander and hysteresis of the deflection
-are there only where the configuration asks for them.
+held when it was last zeroed; at the start W(home; adapter). What nominal lacks, the effects of
+`effects/` and some more, is there only where the configuration asks for it.
 """
 
 from __future__ import annotations
@@ -24,7 +23,6 @@ from galen_model.stiffness import tip_compliance
 from galen_model.tools import ToolGeometry
 
 from galen_sim_driver.admittance import Admittance
-from galen_sim_driver.cable import Cable
 from galen_sim_driver.config import ZERO6, HandPush, PlantConfig
 from galen_sim_driver.errors import UnknownToolError, ZeroingError
 from galen_sim_driver.geometry import (
@@ -39,6 +37,7 @@ from galen_sim_driver.hand import Hand
 from galen_sim_driver.inertial_load import InertialLoad, inertia_about_origin
 from galen_sim_driver.joint_hysteresis import JointHysteresis
 from galen_sim_driver.motion import LimitedMotion
+from galen_sim_driver.plant_effects import ArmNow, PlantEffects
 from galen_sim_driver.sensor import ForceTorqueSensor, Zeroing
 from galen_sim_driver.tracker import Tracker, TrackerSample
 from galen_sim_driver.trajectory import JointState, Reference, Trajectory, check_trajectory
@@ -53,6 +52,7 @@ class Sample(NamedTuple):
     stamp_ns: int
     true_joints: list[float]
     true_velocities: list[float]
+    """Of the joints that the encoders measure."""
     positions: list[float]
     """As the encoders tell them."""
     velocities: list[float]
@@ -69,6 +69,8 @@ class Plant:
     def __init__(self, config: PlantConfig, rng: np.random.Generator) -> None:
         """Start at rest at `config.start_joints`, no tool on, zeroed at home with the adapter on.
 
+        The motion is that of the joints as the encoders see them; effects make true ones of them.
+
         Sensor and tracker draw from their own generators, spawned from `rng`, so that what one
         draws doesn't depend on the other's rate.
         """
@@ -77,6 +79,8 @@ class Plant:
         self._period_ns = config.period_ns
         self._period_s = config.period_ns * 1e-9
         self._geometry = ArmGeometry(config.arm)
+        self._effects = _effects_at_work(config)
+        self._arm = config.arm if self._effects is None else self._effects.arm
         self._motion = LimitedMotion(config.motion, config.start_joints, self._period_s)
         self._hold = list(config.start_joints)
         self._reference: Reference | None = None
@@ -85,23 +89,26 @@ class Plant:
         self._tip: list[float] = [0.0, 0.0, 0.0]
         self._mass = 0.0
         self._moment: list[float] = []
-        self._sag = 0.0
         self._set_load(None)
         self._inertial = InertialLoad(self._geometry) if config.inertia.on else None
         # An acceleration at a stamp hangs on where the joints are a period later.
-        self._ahead_ns = self._period_ns if self._inertial is not None else 0
-        cable = config.cable
-        self._cable = Cable(cable, self._geometry, HOME.tolist()) if cable.on else None
+        self._ahead = self._inertial is not None or (
+            self._effects is not None and self._effects.needs_motion
+        )
+        self._ahead_ns = self._period_ns if self._ahead else 0
 
         sensor_rng, tracker_rng = rng.spawn(2)
-        zero = gravity_wrench(gravity_in_sensor(HOME[3], HOME[4]), config.adapter)
+        if self._effects is None:
+            zero = gravity_wrench(gravity_in_sensor(HOME[3], HOME[4]), config.adapter).tolist()
+        else:
+            zero = self._effects.zero
         # Spawned after the others, which so draw the same with and without it.
         wander = (
             SensorWander(config.wander, self._period_s, rng.spawn(1)[0])
             if config.wander.on
             else None
         )
-        self._sensor = ForceTorqueSensor(config.sensor, zero.tolist(), sensor_rng, wander)
+        self._sensor = ForceTorqueSensor(config.sensor, zero, sensor_rng, wander)
         self._zero_pose = (float(HOME[3]), float(HOME[4]))
         self._zeroing: Zeroing | None = None
         self._tracker = Tracker(config.tracker, tracker_rng)
@@ -109,7 +116,7 @@ class Plant:
         self._compliance_of: tuple[tuple[float, ...], str] | None = None
         self._compliance = np.zeros((6, 6))
         hysteresis = config.hysteresis
-        self._hysteresis = JointHysteresis(hysteresis, config.arm) if hysteresis.on else None
+        self._hysteresis = JointHysteresis(hysteresis, self._arm) if hysteresis.on else None
 
         self._hand = Hand(config.hand)
         self._admittance = Admittance(config.admittance, self._geometry, config.motion.velocity)
@@ -142,8 +149,18 @@ class Plant:
 
     @property
     def zero_pose(self) -> tuple[float, float]:
-        """Roll and tilt (rad) where the sensor was last zeroed."""
+        """Roll and tilt (rad), as the encoders see them, where the sensor was last zeroed."""
         return self._zero_pose
+
+    @property
+    def wrench_delay_ns(self) -> int:
+        """How much later than the sample a wrench's stamp is."""
+        return 0 if self._effects is None else self._effects.wrench_delay_ns
+
+    @property
+    def tracker_delay_ns(self) -> int:
+        """How much later than the sample a tracker's stamp is."""
+        return 0 if self._effects is None else self._effects.tracker_delay_ns
 
     @property
     def admittance_on(self) -> bool:
@@ -245,20 +262,24 @@ class Plant:
         before, speeds = motion.positions.copy(), motion.velocities.copy()
         motion.step(self._targets(now_ns + self._ahead_ns))
         joints, velocities = motion.positions, motion.velocities
-        if self._inertial is not None:
+        if self._ahead:
             # The motion is a period ahead: its last two steps lie around the stamp.
             joints = before
             velocities = [0.5 * (a + b) for a, b in zip(speeds, velocities, strict=True)]
         if self._zeroing is not None and motion.moving:
             self._sensor.spoil_zeroing("the arm moved while the sensor was zeroed")
 
-        roll, tilt = joints[3], joints[4]
-        matrix = sensor_matrix(roll, tilt)
-        # Gravity in ft_sensor is R^T (0, 0, -g).
-        gx, gy, gz = -_G * matrix[6], -_G * matrix[7], -_G * matrix[8]
-        mass, (hx, hy, hz) = self._mass, self._moment
-        if self._sag:
-            hx, hy = hx + self._sag * gx, hy + self._sag * gy
+        effects = self._effects
+        if effects is None:
+            now = None
+            true, matrix = joints, sensor_matrix(joints[3], joints[4])
+            # Gravity in ft_sensor is R^T (0, 0, -g).
+            gx, gy, gz = -_G * matrix[6], -_G * matrix[7], -_G * matrix[8]
+            mass, (hx, hy, hz) = self._mass, self._moment
+        else:
+            effects.at(self._count * self._period_s)
+            now = effects.arm_now(joints)
+            true, matrix, (gx, gy, gz), mass, (hx, hy, hz) = now
         wrench = [
             mass * gx,
             mass * gy,
@@ -270,7 +291,7 @@ class Plant:
         if self._inertial is not None:
             moving = self._inertial.wrench(
                 matrix,
-                joints,
+                true,
                 velocities,
                 motion.accelerations,
                 mass,
@@ -278,9 +299,10 @@ class Plant:
                 self._inertia,
             )
             wrench = [a + b for a, b in zip(wrench, moving, strict=True)]
-        if self._cable is not None and self._tool:
-            pull = self._cable.wrench(matrix, joints)
-            wrench = [a + b for a, b in zip(wrench, pull, strict=True)]
+        if effects is not None and now is not None:
+            more = effects.more_wrench(now, velocities, motion.accelerations)
+            if more is not None:
+                wrench = [a + b for a, b in zip(wrench, more, strict=True)]
         touch = self._hand.wrench_at_tip(now_ns, matrix)
         if touch is not None:
             lever = cross(self._tip, touch[:3])
@@ -289,11 +311,14 @@ class Plant:
                 wrench[axis + 3] += touch[axis + 3] + lever[axis]
         if self._hysteresis is not None:
             at_tip = None if touch is None else _in_base(matrix, touch)
-            self._hysteresis.load(joints, self._tip, at_tip)
-        reading = self._sensor.read(wrench)
+            self._hysteresis.load(true, self._tip, at_tip)
+        if effects is None:
+            reading = self._sensor.read(wrench)
+        else:
+            reading = self._sensor.read(effects.before_noise(wrench), effects.after_noise)
         if self._zeroing is not None and self._zeroing.done:
             if self._zeroing.error is None:
-                self._zero_pose = (roll, tilt)
+                self._zero_pose = (joints[3], joints[4])
             self._zeroing = None
 
         encoded = self._encode(joints)
@@ -305,10 +330,10 @@ class Plant:
         due = int(self._count * self._config.tracker.rate_hz * self._period_s + 1e-9)
         if due > self._tracker_count:
             self._tracker_count = due
-            tracked = self._look(joints, matrix, touch)
+            tracked = self._look(true, matrix, touch, now)
         return Sample(
             now_ns,
-            joints.copy(),
+            true.copy(),
             velocities.copy(),
             encoded,
             told_velocities,
@@ -362,10 +387,10 @@ class Plant:
         moments = self._config.adapter.moments + (tool.load.moments if tool else 0.0)
         self._mass = float(moments[0])
         self._moment = moments[1:].tolist()
-        # A tool that sags: its centre moves by the shift along x and y of gravity's direction. Its
-        # inertia about the sensor stays what it is without.
-        self._sag = tool.load.mass_kg * self._config.loose_tool_shift_m / _G if tool else 0.0
+        # What a loose tool's sag changes of the inertia is left out.
         self._inertia = self._inertia_of(tool)
+        if self._effects is not None:
+            self._effects.attach(tool)
         # Without a tool there is no tip; a hand then holds the sensor's own origin.
         self._tip = np.asarray(tool.tip_m, dtype=float).tolist() if tool else [0.0, 0.0, 0.0]
 
@@ -386,15 +411,22 @@ class Plant:
         ]
 
     def _look(
-        self, joints: Sequence[float], matrix: Matrix, touch: Sequence[float] | None
+        self,
+        joints: Sequence[float],
+        matrix: Matrix,
+        touch: Sequence[float] | None,
+        now: ArmNow | None,
     ) -> TrackerSample:
+        effects = self._effects
+        seen = None if effects is None else effects.seen
+        base_shift = None if effects is None else effects.base_shift()
         if not self._tool:
-            return self._tracker.sample(None, None)
+            return self._tracker.sample(None, None, seen, base_shift)
         deflection = None
         if touch is not None:
             key = (tuple(joints), self._tool)
             if key != self._compliance_of:
-                self._compliance = tip_compliance(joints, self._tip, self._config.arm)
+                self._compliance = tip_compliance(joints, self._tip, self._arm)
                 self._compliance_of = key
             deflection = (self._compliance @ _in_base(matrix, touch)).tolist()
         if self._hysteresis is not None:
@@ -402,8 +434,26 @@ class Plant:
             if left is not None:
                 elastic = deflection or [0.0] * 6
                 deflection = [a + b for a, b in zip(elastic, left, strict=True)]
-        position = self._geometry.tip_position(joints, matrix, self._tip)
-        return self._tracker.sample((position, sensor_quaternion(joints[3], joints[4])), deflection)
+        if effects is None or now is None:
+            position = self._geometry.tip_position(joints, matrix, self._tip)
+            tip = (position, sensor_quaternion(joints[3], joints[4]))
+            return self._tracker.sample(tip, deflection)
+        at_tip = [0.0] * 6 if touch is None else _in_base(matrix, touch)
+        more = effects.more_deflection(now, at_tip, deflection or [0.0] * 6)
+        if more is not None:
+            deflection = [a + b for a, b in zip(deflection or [0.0] * 6, more, strict=True)]
+        tip = (effects.position(now, self._tip), effects.quaternion(now))
+        return self._tracker.sample(tip, deflection, seen, base_shift)
+
+
+def _effects_at_work(config: PlantConfig) -> PlantEffects | None:
+    """The effects that change something, the configured cable among them; None where none does."""
+    effects = [effect for effect in config.effects if not effect.changes_nothing]
+    if config.cable.on:
+        effects.append(config.cable.effect())
+    if not effects:
+        return None
+    return PlantEffects(effects, config.arm, config.adapter, HOME.tolist())
 
 
 def _in_base(matrix: Matrix, touch: Sequence[float]) -> list[float]:

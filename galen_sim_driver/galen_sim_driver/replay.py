@@ -22,7 +22,7 @@ from galen_model.arm import GALEN, GRAVITY_M_S2, ArmParameters
 from galen_model.arrays import Array
 from galen_model.kinematics import tip_pose
 from galen_model.load import Load
-from galen_model.rotation import rot_x, rot_y, rot_z, rotvec_to_matrix
+from galen_model.rotation import rotvec_to_matrix
 from galen_model.sensor_motion import SensorMotion, sensor_motion
 from galen_model.stiffness import tip_compliance
 from galen_model.tools import ToolGeometry
@@ -30,6 +30,7 @@ from galen_model.wrench import move_wrench
 from scipy.signal import savgol_filter
 
 from galen_sim_driver.effects.effect import Effect, Instants, Loading, Posture, in_order
+from galen_sim_driver.effects.tilt_axis_misalignment import sensor_pose
 
 _STILL_POSE_M = 2e-4
 """Joints nearer to each other than this (m, rad) share a compliance: it changes by 1e-3 of itself
@@ -223,13 +224,7 @@ class Replay:
         if not self._axis_turn:
             rotation, origin = tip_pose(joints, np.zeros(3), self.arm)
             return rotation, origin
-        # The tilt turns about Rz(a) e_y instead of e_y.
-        aside = rot_z(self._axis_turn)
-        turned = rot_x(joints[:, 3]) @ aside @ rot_y(joints[:, 4]) @ aside.T
-        arm = self.arm
-        roll_to_sensor = rot_x(joints[:, 3]) @ arm.roll_to_tilt_m + turned @ arm.tilt_to_sensor_m
-        origin = joints[:, :3] + arm.platform_to_roll_m + roll_to_sensor
-        return turned @ rot_y(np.pi / 2), origin
+        return sensor_pose(joints, self._axis_turn, self.arm)
 
     def _true_tool(self) -> Load:
         """The tool as it is, without what gravity moves of it."""

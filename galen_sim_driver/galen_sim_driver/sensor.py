@@ -6,7 +6,7 @@ the zero is a number that is subtracted afterwards.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -79,8 +79,12 @@ class ForceTorqueSensor:
             self._zeroing.error = ZeroingError(reason)
             self._zeroing = None
 
-    def read(self, wrench: list[float]) -> list[float]:
-        """Return the reading of a true wrench."""
+    def read(
+        self,
+        wrench: list[float],
+        after_noise: Callable[[list[float]], list[float]] | None = None,
+    ) -> list[float]:
+        """Return the reading of a true wrench; `after_noise` changes it before the quantum."""
         raw = wrench
         if self._wander is not None:
             raw = [a + b for a, b in zip(raw, self._wander.next(), strict=True)]
@@ -99,6 +103,8 @@ class ForceTorqueSensor:
                 raw[4] + e[4],
                 raw[5] + e[5],
             ]
+        if after_noise is not None:
+            raw = after_noise(raw)
         if self._quantum is not None:
             raw = [
                 round(value / step) * step for value, step in zip(raw, self._quantum, strict=True)

@@ -5,7 +5,7 @@ It sees the true tip, deflection included. Base to tracker is fixed and known to
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -51,18 +51,24 @@ class Tracker:
         self._base_turn = from_rotvec(config.base_in_tracker.rotvec_rad)
         self._marker_position = config.tool_marker.translation_m
         self._marker_turn = from_rotvec(config.tool_marker.rotvec_rad)
-        self._base_marker = self._seen(
-            config.base_marker.translation_m, from_rotvec(config.base_marker.rotvec_rad)
-        )
+        base = config.base_marker
+        self._base_marker_in_base = (base.translation_m, from_rotvec(base.rotvec_rad))
+        self._base_marker = self._seen(*self._base_marker_in_base)
 
     def sample(
-        self, tip: tuple[Vector, Quaternion] | None, deflection: Sequence[float] | None
+        self,
+        tip: tuple[Vector, Quaternion] | None,
+        deflection: Sequence[float] | None,
+        seen: Callable[[MarkerPose], MarkerPose] | None = None,
+        base_shift: Sequence[float] | None = None,
     ) -> TrackerSample:
         """Look once.
 
         `tip` is the undeflected tool_tip in base_link, `deflection` (6,) its displacement there:
-        translation (m), rotation vector (rad), or None for no touch.
+        translation (m), rotation vector (rad), or None for no touch. `seen` makes of a marker's
+        pose what the tracker tells; `base_shift` (6,) is how far the base's marker has moved.
         """
+        base = self._base_marker if base_shift is None else self._shifted_base(base_shift)
         tool = None
         if tip is not None:
             position, turn = tip
@@ -70,8 +76,14 @@ class Tracker:
                 position = _add(position, deflection[:3])
                 turn = multiply(from_rotvec(deflection[3:]), turn)
             marker = _add(position, rotate_by(turn, self._marker_position))
-            tool = self._with_noise(self._seen(marker, multiply(turn, self._marker_turn)))
-        return TrackerSample(tool, self._with_noise(self._base_marker))
+            there = self._seen(marker, multiply(turn, self._marker_turn))
+            tool = self._with_noise(there if seen is None else seen(there))
+        return TrackerSample(tool, self._with_noise(base if seen is None else seen(base)))
+
+    def _shifted_base(self, shift: Sequence[float]) -> MarkerPose:
+        """The base's marker, moved and turned about itself along base_link's axes."""
+        position, turn = self._base_marker_in_base
+        return self._seen(_add(position, shift[:3]), multiply(from_rotvec(shift[3:]), turn))
 
     def _seen(self, position: Sequence[float], turn: Quaternion) -> MarkerPose:
         return MarkerPose(

@@ -1,9 +1,9 @@
-"""The sensor's slow wander: a steady drift and a random walk, added to what the element sees.
+"""The sensor's random walk, added to what the element sees.
 
-    b(t) = r t + sum of steps,   step ~ N(0, s^2 T)   a period T
+    b(t) = sum of steps,   step ~ N(0, s^2 T)   a period T
 
-with the drift r an hour and s the random walk's standard deviation after one hour. It acts before
-the quantum, and zeroing takes away what there is of it at that moment, and no more.
+with s its standard deviation after one hour. It acts before the quantum, and zeroing takes away
+what there is of it at that moment, and no more. A steady drift is the effect `sensor_drift`.
 """
 
 from __future__ import annotations
@@ -23,7 +23,6 @@ class SensorWander:
         """Start at none; `rng` is this wander's own."""
         self._rng = rng
         self._step = np.array(config.per_sqrt_hour) * np.sqrt(period_s / _HOUR_S)
-        self._drift = np.array(config.drift_per_hour) * (period_s / _HOUR_S)
         self._at = np.zeros(6)
         self._block: list[list[float]] = []
         self._next = 0
@@ -31,7 +30,7 @@ class SensorWander:
     def next(self) -> list[float]:
         """The wander (6,) of the next sample, N and N.m."""
         if self._next == len(self._block):
-            steps = self._rng.standard_normal((_BLOCK, 6)) * self._step + self._drift
+            steps = self._rng.standard_normal((_BLOCK, 6)) * self._step
             path = self._at + np.cumsum(steps, axis=0)
             self._at, self._block, self._next = path[-1], path.tolist(), 0
         value = self._block[self._next]

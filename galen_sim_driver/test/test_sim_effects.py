@@ -11,7 +11,6 @@ from galen_model.kinematics import gravity_in_sensor, sensor_pose
 from galen_model.load import Load, nominal_reading
 from galen_model.pinocchio_arm import PinocchioArm
 from galen_model.tools import ADAPTER, TOOLS
-from galen_sim_driver.cable import Cable
 from galen_sim_driver.config import (
     CableConfig,
     InertiaConfig,
@@ -19,6 +18,10 @@ from galen_sim_driver.config import (
     SensorConfig,
     WanderConfig,
 )
+from galen_sim_driver.effect_parameters import EffectParameters, effects_of
+from galen_sim_driver.effects.effect import Instants, Posture
+from galen_sim_driver.effects.loose_tool import LooseTool
+from galen_sim_driver.effects.sensor_drift import SensorDrift
 from galen_sim_driver.geometry import ArmGeometry, sensor_matrix
 from galen_sim_driver.inertial_load import InertialLoad, inertia_about_origin
 from galen_sim_driver.parameters import DriverParameters
@@ -51,15 +54,15 @@ def tensor(entries):
 def test_none_is_there_by_default_and_any_leaves_the_noise_what_it_is():
     config = DriverParameters().plant_config()
     assert not (config.inertia.on or config.wander.on or config.cable.on)
+    assert effects_of(EffectParameters()) == config.effects == ()
     nominal = make_plant(**{name: getattr(config, name) for name in ("inertia", "wander")})
-    assert nominal._inertial is nominal._cable is nominal._sensor._wander is None
-    assert nominal._sag == 0.0
+    assert nominal._inertial is nominal._effects is nominal._sensor._wander is None
     # Still, without a tool, only the wander shows, and it draws from a generator of its own.
     every = {
         "inertia": InertiaConfig(True, ADAPTER_INERTIA),
         "wander": WanderConfig(per_sqrt_hour=(1e-9,) * 6),
         "cable": CableConfig(0.5, bending_nm=0.01),
-        "loose_tool_shift_m": 0.01,
+        "effects": (LooseTool(0.01),),
     }
     nominal, other = make_plant(""), make_plant("", **every)
     nominal.start_hand()
@@ -159,20 +162,28 @@ def test_the_plant_reads_the_change_of_momentum_along_its_own_path():
 # --- cable --------------------------------------------------------------------------------------
 
 
+def pull_of(cable, joints):
+    rotation, origin = sensor_pose(joints)
+    tool = TOOLS["retractor"]
+    at = Posture(
+        joints[None], rotation[None], origin[None], np.zeros((1, 3)), None, tool.load, ADAPTER,
+        tool.tip_m,
+    )  # fmt: skip
+    (wrench,) = cable.wrench(Instants("", np.zeros(1), np.zeros(1)), at)
+    return wrench
+
+
 def test_a_cable_has_no_moment_about_its_anchor_and_pulls_as_a_spring():
     config = CableConfig(0.3, stiffness_n_m=4.0, bending_nm=0.02)
-    geometry = ArmGeometry(GALEN)
-    bent = Cable(config, geometry, HOME)
-    plain = Cable(replace(config, bending_nm=0.0), geometry, HOME)
+    bent, plain = config.effect(), replace(config, bending_nm=0.0).effect()
     rng = np.random.default_rng(2)
     lengths, tensions = [], []
     for _ in range(30):
         joints = HOME + rng.uniform(-1.0, 1.0, 5) * [0.14, 0.14, 0.2, 1.5, 0.9]
         rotation, origin = sensor_pose(joints)
-        matrix = sensor_matrix(joints[3], joints[4])
         lever = rotation.T @ (np.array(config.anchor_m) - origin)
         for cable in (bent, plain):
-            wrench = np.array(cable.wrench(matrix, joints))
+            wrench = pull_of(cable, joints)
             about_anchor = wrench[3:] - np.cross(lever, wrench[:3])
             assert np.abs(about_anchor).max() < 1e-12
         line = lever - config.attachment_m
@@ -185,7 +196,7 @@ def test_a_cable_has_no_moment_about_its_anchor_and_pulls_as_a_spring():
     at_home = np.linalg.norm(
         rotation.T @ (np.array(config.anchor_m) - origin) - config.attachment_m
     )
-    wrench = np.array(bent.wrench(sensor_matrix(0.0, 0.0), HOME))
+    wrench = pull_of(bent, HOME)
     assert np.linalg.norm(wrench[:3]) == pytest.approx(0.3, rel=1e-12)
     lengths, tensions = np.array(lengths), np.array(tensions)
     taut = 0.3 + 4.0 * (lengths - at_home)
@@ -217,7 +228,7 @@ def test_the_cable_pulls_at_the_tool_that_is_on_and_every_joint_matters():
 def test_drift_is_what_was_asked_for_and_zeroing_takes_it_away_once():
     drift = np.array([3.0, -2.0, 9.0, 0.01, -0.02, 0.03])
     changes = {"sensor": EXACT, "start_joints": TURNED}
-    plant = make_plant(wander=WanderConfig(tuple(drift)), **changes)
+    plant = make_plant(effects=(SensorDrift(tuple(drift)),), **changes)
     nominal = np.array(make_plant(**changes).step().wrench)
     shift = np.array([plant.step().wrench for _ in range(5000)]) - nominal
     assert shift[-1] == pytest.approx(drift * 10.0 / 3600.0, rel=1e-9)
@@ -249,7 +260,7 @@ def test_a_loose_tools_centre_moves_with_gravity():
     tool = TOOLS["retractor"].load
     for roll, tilt in ((0.0, 0.6), (0.9, -0.7), (-1.3, 0.8)):
         joints = (0.0, 0.0, 0.408, roll, tilt)
-        plant = make_plant(sensor=EXACT, start_joints=joints, loose_tool_shift_m=shift)
+        plant = make_plant(sensor=EXACT, start_joints=joints, effects=(LooseTool(shift),))
         unit = gravity_in_sensor(roll, tilt) / np.linalg.norm(GRAVITY_M_S2)
         sagged = Load(tool.mass_kg, tool.com_m + shift * np.array([unit[0], unit[1], 0.0]))
         found = np.array(plant.step().wrench)
@@ -263,22 +274,19 @@ def test_the_nodes_parameters_reach_the_plant():
         inertial_load=True,
         adapter_inertia_kg_m2=ADAPTER_INERTIA,
         tool_inertia_kg_m2=(*TOOL_INERTIA, *(0.0,) * 6),
-        sensor_drift_per_hour=(0.1,) * 6,
         sensor_wander_per_sqrt_hour=(0.2,) * 6,
         cable_tension_n=0.3,
         cable_stiffness_n_m=2.0,
         cable_bending_nm=0.01,
         cable_anchor_m=(1.0, 2.0, 3.0),
         cable_attachment_m=(0.1, 0.2, 0.3),
-        loose_tool_shift_m=0.002,
     )
     asked.validate()
     config = asked.plant_config()
     tools = {"pointer": TOOL_INERTIA, "retractor": (0.0,) * 6}
     assert config.inertia == InertiaConfig(True, ADAPTER_INERTIA, tools)
-    assert config.wander == WanderConfig((0.1,) * 6, (0.2,) * 6)
+    assert config.wander == WanderConfig((0.2,) * 6)
     assert config.cable == CableConfig(0.3, 2.0, 0.01, (1.0, 2.0, 3.0), (0.1, 0.2, 0.3))
-    assert config.loose_tool_shift_m == 0.002
 
 
 @pytest.mark.parametrize(
@@ -287,13 +295,10 @@ def test_the_nodes_parameters_reach_the_plant():
         ({"adapter_inertia_kg_m2": (1.0,)}, r"adapter_inertia_kg_m2.*1 numbers.*6"),
         ({"adapter_inertia_kg_m2": (1.0, 1.0, 3.0, 0.0, 0.0, 0.0)}, "adapter.*no body"),
         ({"tool_inertia_kg_m2": (1.0,) * 6}, r"tool_inertia_kg_m2.*6 numbers.*12"),
-        ({"sensor_drift_per_hour": (1.0,)}, "sensor_drift_per_hour.*1 numbers.*6"),
-        ({"sensor_drift_per_hour": (float("nan"),) * 6}, "nan"),
         ({"sensor_wander_per_sqrt_hour": (-1.0,) * 6}, "random walk"),
         ({"cable_tension_n": -0.1}, "tension"),
         ({"cable_anchor_m": (0.0, 1.0)}, "cable_anchor_m.*2 numbers.*3"),
         ({"cable_anchor_m": (0.0, 1.0, float("inf"))}, "end of the cable"),
-        ({"loose_tool_shift_m": float("nan")}, "sags"),
     ],
 )
 def test_bad_values_are_named(changes, words):

@@ -118,7 +118,8 @@ class Effect:
     order: where in `true_joints` and `read` it comes. after_noise: `read` gets the noise as well.
     needs_motion: `wrench` needs the posture's motion. contract_names: names of fields in the
     contract, where they are others. beyond_contract: fields that the contract doesn't name.
-    recording_only: fields that say nothing to a driver.
+    recording_only: fields that say nothing to a driver. driver_names: the driver's parameters of
+    fields, where they have names from before (`galen_sim_driver.effect_parameters`).
     """
 
     name: ClassVar[str]
@@ -129,6 +130,7 @@ class Effect:
     contract_names: ClassVar[Mapping[str, str]] = {}
     beyond_contract: ClassVar[tuple[str, ...]] = ()
     recording_only: ClassVar[tuple[str, ...]] = ()
+    driver_names: ClassVar[Mapping[str, str]] = {}
 
     # --- numbers ------------------------------------------------------------------------------
 

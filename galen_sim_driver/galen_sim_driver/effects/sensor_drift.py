@@ -8,7 +8,7 @@ the rate is then the mean one, (last level - first level) over the time between 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import ClassVar, Self
 
@@ -32,6 +32,7 @@ class SensorDrift(Effect):
     )
     order: ClassVar[int] = 3
     beyond_contract: ClassVar[tuple[str, ...]] = ("knots_s", "levels")
+    driver_names: ClassVar[Mapping[str, str]] = {"rate_per_hour": "sensor_drift_per_hour"}
 
     rate_per_hour: tuple[float, ...] = param(
         (0.0,) * 6,
