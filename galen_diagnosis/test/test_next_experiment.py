@@ -1,0 +1,274 @@
+"""The experiment that separates what is left, against second methods and known twins."""
+
+from dataclasses import replace
+from itertools import combinations
+
+import numpy as np
+import pytest
+import yaml
+from galen_calibration_behavior.parameters import CalibrationParameters
+from galen_deflection.collection_parameters import CollectionParameters
+from galen_diagnosis.errors import DiagnosisError
+from galen_diagnosis.experiments import Budget, Experiments
+from galen_diagnosis.next_experiment import propose, write_sweep
+from galen_diagnosis.separation import (
+    Alternative,
+    choose_units,
+    fitted_covariance,
+    separate,
+    typical_sizes,
+)
+from galen_diagnosis.trial import (
+    Instruments,
+    free_columns,
+    load_columns,
+    motion_trial,
+    push_trial,
+    signature,
+    still_trial,
+)
+from galen_model.arm import HOME
+from galen_model.pose_design import angle_grid
+from galen_model.tool_file import LoadEstimate, ToolFile
+from galen_model.tools import ADAPTER, TOOLS
+from galen_sim_driver.effects.registry import EFFECTS
+from scipy.integrate import quad
+from scipy.optimize import least_squares
+from scipy.stats import norm
+
+INSTRUMENTS = Instruments()
+GRID = angle_grid((-1.5, -1.0), (1.5, 0.9), 8, 7)
+
+
+def tool_file(com_std_m=2e-4):
+    load, covariance = TOOLS["pointer"].load, np.diag([1e-4, *[com_std_m] * 3]) ** 2
+    return ToolFile(
+        "pointer",
+        LoadEstimate(load.mass_kg, load.com_m, covariance),
+        LoadEstimate(ADAPTER.mass_kg, ADAPTER.com_m, covariance),
+        TOOLS["pointer"].tip_m,
+        np.zeros(6),
+        56,
+        "2026-01-01T00:00:00Z",
+    )
+
+
+TOOL = tool_file()
+
+
+def effect(name, **parameters):
+    return EFFECTS[name](**parameters)
+
+
+def sweep(tool=TOOL, **options):
+    return still_trial(GRID, 2.3 * np.arange(1, 57), 1.0, tool, INSTRUMENTS, HOME, **options)
+
+
+def refitted(trials, truth, effects, tool):
+    """Effects fitted on the simulator itself to what the truth shows, and what is left then."""
+    shown = np.concatenate([signature(trial, truth) for trial in trials])
+    typical = typical_sizes(effects)
+    free, _ = np.linalg.qr(free_columns(trials))
+    known = load_columns(trials, tool)
+    other = Alternative(effects, 1.0, np.zeros((len(typical),) * 2))
+
+    def left(unknown):
+        found = other.with_vector(unknown[: len(typical)] * typical)
+        rest = shown - np.concatenate([signature(trial, found) for trial in trials])
+        rest = rest - known @ unknown[len(typical) :]
+        return np.concatenate([rest - free @ (free.T @ rest), unknown[len(typical) :]])
+
+    start = np.concatenate([other.vector() / typical, np.zeros(known.shape[1])])
+    fit = least_squares(left, start, x_scale="jac")
+    return other.with_vector(fit.x[: len(typical)] * typical), np.sqrt(2.0 * fit.cost)
+
+
+def alternatives(truth, others, tool=TOOL):
+    """The truth, and others as a recording of the wrench alone would have them fitted."""
+    trials = [sweep(tool), motion_trial(1.0, 10.0, tool, INSTRUMENTS, HOME)]
+    left = [truth, *(refitted(trials, truth, other, tool)[0] for other in others)]
+    return [Alternative(e, 1 / len(left), fitted_covariance(trials, e, tool)) for e in left]
+
+
+def judged(left, tool=TOOL):
+    """Smallest distance by kind of experiment."""
+    kinds = Experiments(left, tool, Budget()).all()
+    return {one.kind: separate(one.trials, left, tool) for one in kinds}
+
+
+@pytest.fixture(scope="module")
+def roll_twins():
+    return alternatives(
+        (effect("roll_zero_offset", offset_rad=0.012),), [(effect("base_inclination"),)]
+    )
+
+
+@pytest.fixture(scope="module")
+def roll_experiment(roll_twins):
+    return propose(roll_twins, TOOL)
+
+
+def test_the_distance_is_what_a_fit_on_the_simulator_leaves():
+    # A gain of fx against a heavier tool, a turned sensor against a tilt's zero: the parameters
+    # are known to nearly nothing before, as in the fit.
+    for truth, other in (
+        ((effect("axis_gain", gain=(0.04, 0.0, 0.0, 0.0, 0.0, 0.0)),), "tool_mass_error"),
+        ((effect("loose_tool", shift_m=0.004),), "tool_com_error"),
+        ((effect("tilt_zero_offset", offset_rad=0.03),), "sensor_mount_rotation"),
+    ):
+        trials = [sweep(), push_trial(np.array([HOME]), (5.0,), TOOL, INSTRUMENTS)]
+        found, left = refitted(trials, truth, (effect(other),), TOOL)
+        loose = np.diag(1e3 * typical_sizes(found)) ** 2
+        known = np.zeros((len(typical_sizes(truth)),) * 2)
+        both = [Alternative(truth, 0.5, known), Alternative(found, 0.5, loose)]
+        distance = separate(trials, both, TOOL).distance[0, 1]
+        assert left > 3.0
+        assert distance == pytest.approx(left, rel=0.03), other
+
+
+def test_the_expected_probability_is_that_of_two_gaussians():
+    """Against quadrature: with x the log odds, normal with mean D^2/2 and deviation D."""
+    trials = [sweep()]
+    exact = tool_file(0.0)
+    for shift_m in (4e-5, 1.2e-4):
+        loose = (effect("loose_tool", shift_m=shift_m),)
+        both = [
+            Alternative(loose, 0.5, np.zeros((1, 1))),
+            Alternative((), 0.5, np.zeros((0, 0))),
+        ]
+        told = separate(trials, both, exact)
+        distance = told.smallest
+        assert 0.5 < distance < 6.0
+        expected, _ = quad(
+            lambda x, d=distance: norm.pdf(x, d * d / 2, d) / (1.0 + np.exp(-x)), -40.0, 60.0
+        )
+        assert told.expected_probability == pytest.approx(expected, abs=0.02)
+
+
+@pytest.mark.slow
+def test_twins_on_wrenches_are_told_apart_by_the_tracker_alone(roll_twins):
+    tracked = {"tracker at rest", "pushes"}
+    vague = tool_file(0.02)  # the centre of a tool that doesn't turn with the sensor tells a little
+    tilt_twins = alternatives(
+        (effect("tilt_zero_offset", offset_rad=0.012),), [(effect("sensor_mount_rotation"),)], vague
+    )
+    for left, tool in ((roll_twins, TOOL), (tilt_twins, vague)):
+        told = judged(left, tool)
+        assert {"still poses", "reversed order", "second mass", "two speeds"} < set(told)
+        for kind, separation in told.items():
+            if kind not in tracked:
+                assert separation.smallest < 0.5, (left[1].name, kind)
+                assert separation.expected_probability < 0.65, (left[1].name, kind)
+        assert told["pushes"].smallest > 30.0
+        found = propose(left, tool)
+        assert found.kind in tracked
+        assert found.expected_probability > 0.99
+
+
+def test_a_turn_about_rolls_axis_needs_the_platform_to_move(roll_twins, roll_experiment):
+    """With the platform at home it is base_link's place in `tracker`, which nobody knows."""
+    at_home = separate([sweep(tracker=True)], roll_twins, TOOL)
+    moved = np.array([[0.07, -0.06, 0.45, 0.9, -0.6], [-0.07, 0.06, 0.36, -0.9, 0.6]])
+    elsewhere = separate([push_trial(moved, (3.0,), TOOL, INSTRUMENTS)], roll_twins, TOOL)
+    assert separate([sweep()], roll_twins, TOOL).smallest < 0.5
+    assert at_home.smallest < 3.3 < 30.0 < elsewhere.smallest
+    assert roll_experiment.kind == "pushes"
+    assert set(roll_experiment.separates) == {"roll_zero_offset", "base_inclination"}
+    assert roll_experiment.before == pytest.approx(0.5)
+    assert roll_experiment.expected_probability > 0.99
+
+
+@pytest.mark.slow
+def test_each_kind_of_experiment_is_worth_most_for_what_it_is_for():
+    wander = effect("sensor_drift", rate_per_hour=(0.3, 0.3, 0.3, 0.006, 0.006, 0.006))
+    left = alternatives((wander,), [(effect("loose_tool"),)])
+    left = [one.in_another_session() for one in left]
+    told = judged(left)
+    unsure = 1.0 - told["reversed order"].expected_probability
+    assert 1.0 - told["still poses"].expected_probability > 5.0 * unsure
+    assert 1.0 - told["tracker at rest"].expected_probability > 5.0 * unsure
+
+    gain = alternatives((effect("axis_gain", gain=(0.03,) * 6),), [(effect("tool_mass_error"),)])
+    told = judged(gain)
+    assert told["second mass"].smallest > 2.0 * told["still poses"].smallest
+
+    late = effect("wrench_delay", delay_s=0.01)
+    inertia = effect("inertial_load", mass_kg=0.16)
+    known = np.diag([1e-6])
+    told = judged([Alternative((late,), 0.5, known), Alternative((inertia,), 0.5, known)])
+    assert told["two speeds"].smallest > 30.0
+    assert told["still poses"].smallest == pytest.approx(0.0, abs=1e-9)
+    both = [Alternative((late,), 0.5, known), Alternative((inertia,), 0.5, known)]
+    assert propose(both, TOOL).kind == "two speeds"
+
+
+def test_what_happened_once_or_can_not_be_separated_gets_no_experiment():
+    step = effect("bias_step", time_s=20.0, step=(0.1,) * 6, bag="sweep")
+    jumped = Alternative((step,), 0.5, np.eye(6) * 1e-4)
+    nothing = Alternative((), 0.5, np.zeros((0, 0)))
+    assert propose([jumped, nothing], TOOL) is None
+    assert propose([nothing], TOOL) is None
+    with pytest.raises(DiagnosisError, match=r"loose_tool: the covariance, .2, 2., must be of 1"):
+        propose([nothing, Alternative((effect("loose_tool"),), 0.5, np.eye(2))], TOOL)
+    with pytest.raises(DiagnosisError, match="none: the probability is nan"):
+        propose([Alternative((), float("nan"), np.zeros((0, 0)))], TOOL)
+
+
+@pytest.mark.slow
+def test_chosen_poses_are_the_best_of_all_sets():
+    poses = angle_grid((-1.4, -0.9), (1.4, 0.9), 3, 3)
+    trial = still_trial(poses, 2.0 * np.arange(1, 10), 1.0, TOOL, INSTRUMENTS, HOME)
+    both = [
+        Alternative((effect("loose_tool", shift_m=0.003),), 0.5, np.diag([1e-6])),
+        Alternative(
+            (effect("tool_com_error", delta_m=(0.001, 0.0, 0.001)),), 0.5, np.eye(3) * 1e-6
+        ),
+    ]
+
+    def smallest(some):
+        part = still_trial(poses[some], 2.0 * np.arange(1, 4), 1.0, TOOL, INSTRUMENTS, HOME)
+        return separate([part], both, TOOL).smallest
+
+    every = {some: smallest(list(some)) for some in combinations(range(9), 3)}
+    chosen = tuple(choose_units(trial, both, TOOL, 3))
+    assert every[chosen] > 0.999 * max(every.values())
+    assert min(every.values()) < 0.8 * every[chosen]
+
+
+def read_parameters(path, node):
+    return yaml.safe_load(path.read_text())[f"/**/{node}"]["ros__parameters"]
+
+
+def test_the_file_is_what_the_nodes_take(tmp_path, roll_experiment):
+    poses = np.column_stack([np.tile(HOME[:3], (56, 1)), GRID])
+    found = replace(roll_experiment, kind="still poses", poses=poses, program="calibration")
+    write_sweep(found, tmp_path / "sweep.yaml")
+    numbers = read_parameters(tmp_path / "sweep.yaml", "calibration")
+    numbers["listed_poses_rad"] = tuple(numbers["listed_poses_rad"])
+    parameters = CalibrationParameters(**numbers)
+    parameters.validate()
+    plan = parameters.plan(np.asarray(TOOL.tip_m), one_sweep=True)
+    assert np.abs(plan.poses - GRID).max() < 1e-5
+    assert parameters.home == tuple(HOME)
+    assert found.to_json()["poses"] == 56
+
+    write_sweep(roll_experiment, tmp_path / "pushes.yaml")
+    numbers = read_parameters(tmp_path / "pushes.yaml", "collection")
+    CollectionParameters(**{name: tuple(value) for name, value in numbers.items()}).validate()
+
+
+@pytest.mark.slow
+def test_a_proposed_sweep_can_be_calibrated_with():
+    wander = effect("sensor_drift", rate_per_hour=(0.3, 0.3, 0.3, 0.006, 0.006, 0.006))
+    found = propose(alternatives((wander,), [(effect("loose_tool"),)]), TOOL)
+    assert found.program == "calibration"
+    numbers = tuple(found.poses[:, 3:].ravel().tolist())
+    parameters = CalibrationParameters(poses="listed", listed_poses_rad=numbers)
+    assert len(parameters.plan(np.asarray(TOOL.tip_m)).poses) == len(found.poses)
+
+
+def test_what_no_node_runs_is_not_written(tmp_path, roll_experiment):
+    found = replace(roll_experiment, kind="two speeds", program="none")
+    with pytest.raises(DiagnosisError, match="do it by hand: with the tracker on"):
+        write_sweep(found, tmp_path / "none.yaml")
+    assert not list(tmp_path.iterdir())
