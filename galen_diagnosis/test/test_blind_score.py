@@ -231,9 +231,9 @@ def test_errors_in_own_sigma_and_coverage():
     # all through the score: two recordings, one within its interval
     truth = label("r", strength="gross", parameters={"gain": 0.02})
     answers = [
-        said("r", {"alpha": 1.0}, causes={"alpha": {"gain": {"value": v, "ci95": [v - 1e-3, v + 1e-3]}}})
-        for v in (0.0205, 0.025)
-    ]  # fmt: skip
+        said("r", {"alpha": 1.0}, causes={"alpha": {"gain": {"value": v, "ci95": [low, high]}}})
+        for v, low, high in ((0.0205, 0.0195, 0.0215), (0.025, 0.024, 0.026))
+    ]
     total = score([one(truth, answer) for answer in answers], EFFECTS)
     assert total.covered == Rate(1, 2)
     sigma = 1e-3 / 1.959964
@@ -291,9 +291,12 @@ def test_answers_that_make_no_sense_are_refused(change, names):
     content = {
         "verdict": "identified",
         "causes": [{"effect": "alpha", "parameters": {}, "equivalent": ["beta"]}],
-        "ranking": [{"effect": "none", "probability": 0.2}, {"effect": "alpha", "probability": 0.8}],
+        "ranking": [
+            {"effect": "none", "probability": 0.2},
+            {"effect": "alpha", "probability": 0.8},
+        ],
         "gap": {"closed_fraction": {"value": 0.9, "ci95": [0.8, 1.0]}},
-    }  # fmt: skip
+    }
     good = said_from_json("r", content, 2.0)
     assert (good.first, good.closed, good.named) == ("alpha", 0.9, {"alpha", "beta"})
     with pytest.raises(FieldError, match=names):

@@ -13,41 +13,61 @@ Neither of the first two can say `unknown`, and none of them takes more than one
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 from galen_model.arrays import Array
 
 from galen_diagnosis.answer import NONE, UNKNOWN
+from galen_diagnosis.blind.features import features
+from galen_diagnosis.blind.network import lacking, read_network
+from galen_diagnosis.blind.templates import templates, unknown_columns
+from galen_diagnosis.observation import Observation
 
 RMSE_DROP, NAIVE_BIC, NETWORK = "largest RMSE drop", "naive BIC", "network"
 _LEAST_DROP = 0.01
 
 
-def leftover(residual: Array, unknowns: Array, templates: Sequence[Array]) -> tuple[float, int]:
-    """The least sum of squares (templates' best) and its number of parameters beside the unknowns.
+def answers(observation: Observation) -> dict[str, Any]:
+    """Every baseline's answer, by its name; the network's only where there is one."""
+    unknowns = unknown_columns(observation)
+    rest = Rest(observation.nominal, unknowns)
+    left: dict[str, tuple[float, int]] = {}
+    for name, columns in templates(observation, unknowns):
+        left[name] = min(rest.left_by(columns), left.get(name, (np.inf, 0)))
+    found = simple_answers(len(observation.nominal), rest.sum_of_squares, left)
+    if not lacking():
+        described = features(observation.rows, rest.residual)
+        found[NETWORK] = network_answer(read_network().probabilities(described))
+    return found
 
-    residual (n,), unknowns (n, u), templates: (n, k) each.
-    """
-    basis = _basis(unknowns)
-    rest = residual - basis @ (basis.T @ residual)
-    found: list[tuple[float, int]] = [(float(rest @ rest), 0)]
-    for columns in templates:
-        own = _basis(columns - basis @ (basis.T @ columns))
-        part = own.T @ rest
-        found.append((float(rest @ rest - part @ part), columns.shape[1]))
-    return min(found[1:] or found)
+
+class Rest:
+    """What the columns of unknowns (n, u) leave of a residual (n,)."""
+
+    def __init__(self, residual: Array, unknowns: Array) -> None:
+        self._basis = _basis(unknowns)
+        self.residual = self._without(residual)
+        self.sum_of_squares = float(self.residual @ self.residual)
+
+    def left_by(self, columns: Array) -> tuple[float, int]:
+        """The sum of squares that columns (n, k) leave beside the unknowns, and k."""
+        part = _basis(self._without(columns)).T @ self.residual
+        return float(self.sum_of_squares - part @ part), columns.shape[1]
+
+    def _without(self, columns: Array) -> Array:
+        return np.asarray(columns - self._basis @ (self._basis.T @ columns))
 
 
 def _basis(columns: Array) -> Array:
     """Orthonormal columns of the same span; those that say nothing are left out."""
     norms = np.linalg.norm(columns, axis=0)
-    scaled = columns[:, norms > 0.0] / norms[norms > 0.0]
-    if not scaled.size:
+    if not norms.any():
         return np.zeros((len(columns), 0))
+    scaled = columns[:, norms > 0.0] / norms[norms > 0.0]
     left, size, _ = np.linalg.svd(scaled, full_matrices=False)
-    return np.asarray(left[:, size > 1e-9 * size[0]])
+    return np.asarray(left[:, size > 1e-6 * size[0]])
 
 
 def simple_answers(n: int, before: float, left: Mapping[str, tuple[float, int]]) -> dict[str, Any]:

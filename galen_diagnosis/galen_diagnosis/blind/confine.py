@@ -65,10 +65,15 @@ def lock_out(directory: Path, allow: Iterable[Path] = ()) -> None:
 
 
 def _beside(directory: Path) -> Iterator[Path]:
-    """Everything on every level of the way down to a directory but the way itself."""
+    """Everything on every level of the way down to a directory but the way itself.
+
+    Links are left out: what they lead to is allowed where it lies, and may be the way itself.
+    """
     for step in (directory, *directory.parents[:-1]):
         try:
-            yield from (path for path in step.parent.iterdir() if path != step)
+            yield from (
+                path for path in step.parent.iterdir() if path != step and not path.is_symlink()
+            )
         except PermissionError:
             continue  # what this process can't list it can't open to its children either
 

@@ -53,7 +53,7 @@ class Network:
             raise NetworkError(f"{path}: can't be written: {error.strerror}") from error
 
 
-def available(path: Path = FILE) -> str:
+def lacking(path: Path = FILE) -> str:
     """Why there is no network; empty where there is one."""
     if not path.exists():
         return f"{path.name}: isn't there; `python -m galen_diagnosis.train_baseline` makes it"

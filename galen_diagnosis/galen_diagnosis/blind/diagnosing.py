@@ -1,0 +1,95 @@
+"""The diagnosing process: gets a directory of recordings, leaves an answer for each.
+
+    python -m galen_diagnosis.blind.diagnosing RECORDINGS ANSWERS [--workers N]
+
+It is told nothing else, and `confine` starts it so that it can't read the labels.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import sys
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from galen_bags.command_line import EXIT_FAILED, EXIT_OK, run_command
+from galen_bags.many import add_many_options, run_many
+from galen_model.whole_file import write_whole
+
+ANSWER, BESIDE, FAILED = "diagnosis.json", "beside.json", "failed.txt"
+
+
+def diagnosed(recording: Path) -> tuple[Mapping[str, Any], Mapping[str, Any]]:
+    """The program's answer and the baselines' on the same rows, as JSON."""
+    from galen_diagnosis.blind.baselines import answers
+    from galen_diagnosis.diagnosing import diagnose_recording
+    from galen_diagnosis.observation import Observation
+    from galen_diagnosis.recording import read_recording
+
+    started_s = time.monotonic()
+    read = read_recording(recording)
+    found = diagnose_recording(read)
+    seconds = time.monotonic() - started_s
+    return found.answer.to_json(), {"seconds": seconds, "baselines": answers(Observation(read))}
+
+
+@dataclass(frozen=True)
+class Diagnoser:
+    """Diagnoses one recording and writes the answer; called in any process."""
+
+    answers: Path
+    diagnose: Callable[[Path], tuple[Mapping[str, Any], Mapping[str, Any]]] = diagnosed
+
+    def __call__(self, recording: Path) -> None:
+        """Write the answer last, so that it is there only when all is."""
+        answer, beside = self.diagnose(recording)
+        folder = self.answers / recording.name
+        write_whole(folder / BESIDE, json.dumps(beside))
+        write_whole(folder / ANSWER, json.dumps(answer, indent=2))
+
+
+def diagnose_all(
+    recordings: Path,
+    diagnoser: Diagnoser,
+    workers: int | None = None,
+    scheduler: str | None = None,
+) -> int:
+    """Diagnose what has no answer yet; returns how many failed, which say why in a file."""
+    waiting = [
+        folder
+        for folder in sorted(recordings.iterdir())
+        if not (diagnoser.answers / folder.name / ANSWER).exists()
+    ]
+    outcomes = run_many(diagnoser, waiting, scheduler=scheduler, workers=workers)
+    failed = [outcome for outcome in outcomes if outcome.error is not None]
+    for outcome in failed:
+        write_whole(diagnoser.answers / outcome.bag.name / FAILED, f"{outcome.error}\n")
+    return len(failed)
+
+
+def main(args: Sequence[str] | None = None, diagnose: Any = diagnosed) -> int:
+    """Entry point; returns the exit code: that some recordings failed is for the score."""
+    parser = argparse.ArgumentParser(prog="blind_check: diagnosing")
+    parser.add_argument("recordings", type=Path)
+    parser.add_argument("answers", type=Path)
+    add_many_options(parser)
+    given = parser.parse_args(args)
+    os.environ["OMP_NUM_THREADS"] = "1"
+
+    def work() -> int:
+        failed = diagnose_all(
+            given.recordings, Diagnoser(given.answers, diagnose), given.workers, given.scheduler
+        )
+        total = sum(1 for _ in given.recordings.iterdir())
+        return EXIT_FAILED if failed == total else EXIT_OK
+
+    return run_command("blind_check: diagnosing", work)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

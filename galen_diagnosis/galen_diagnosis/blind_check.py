@@ -1,0 +1,222 @@
+"""`blind_check`: the diagnosis on recordings whose cause it can't know, and what came of it.
+
+Recordings are made by a plant of other laws than the diagnosis fits (`blind/plant`). Their labels
+are sealed and the hash is told; another process diagnoses; then the labels are opened and all is
+scored, beside simpler methods. `blind/keeper.py` says what is hidden from whom.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+from galen_bags.command_line import (
+    EXIT_FAILED,
+    EXIT_INTERRUPTED,
+    EXIT_OK,
+    EXIT_USAGE,
+    run_command,
+)
+from galen_bags.many import add_many_options
+from galen_model.errors import GalenError
+from galen_model.whole_file import write_whole
+from galen_sim_driver.effects.registry import CONTRACT_ORDER
+from rich.console import Console
+
+from galen_diagnosis.blind.keeper import (
+    DIAGNOSING,
+    Places,
+    answered,
+    baselines,
+    diagnose_blind,
+    open_labels,
+    sealed_set,
+)
+from galen_diagnosis.blind.making import Generate
+from galen_diagnosis.blind.plan import Planned, full_plan, short_plan, thinned
+from galen_diagnosis.blind.plant.case import generate
+from galen_diagnosis.blind.score import Score, score, to_json
+from galen_diagnosis.blind.seal import forget, private_directory
+from galen_diagnosis.blind.table import PROGRAM, markdown, print_scores
+
+_EPILOG = f"""An interrupted check goes on where it stopped, if it is called again with the same
+options and --output. A finished one is only scored again.
+
+exit codes:
+  {EXIT_OK}    done, whatever the score
+  {EXIT_FAILED}    no recordings can be made or diagnosed, or the labels aren't those that were
+       sealed; a line says why. Single diagnoses that failed are counted as wrong
+  {EXIT_USAGE}    wrong arguments
+  {EXIT_INTERRUPTED}  interrupted (Ctrl-C)"""
+
+
+def build_parser() -> argparse.ArgumentParser:
+    """The command's options."""
+    parser = argparse.ArgumentParser(
+        prog="blind_check",
+        description="Make recordings with hidden causes, seal the labels, diagnose in another"
+        " process that can't read them, open, and score beside simpler methods.",
+        epilog=_EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    size = parser.add_mutually_exclusive_group()
+    size.add_argument(
+        "--per-class",
+        type=_count,
+        default=3,
+        metavar="N",
+        help="recordings of each effect at each strength; others in proportion (default:"
+        " %(default)s)",
+    )
+    size.add_argument(
+        "--short", action="store_true", help="one recording of each sort: a check of the program"
+    )
+    parser.add_argument(
+        "--cases", type=_count, metavar="N", help="only so many, of all sorts and strengths in turn"
+    )
+    parser.add_argument(
+        "--seed",
+        type=_seed,
+        metavar="N",
+        help="makes the same recordings again (default: a random one, told when all is open)",
+    )
+    parser.add_argument(
+        "--output",
+        type=Path,
+        metavar="DIR",
+        help="recordings, answers, labels, score and pictures (default: nothing is kept)",
+    )
+    parser.add_argument("--json", action="store_true", help="print one JSON object")
+    parser.add_argument(
+        "--readme", action="store_true", help="print the tables as Markdown, for a README"
+    )
+    add_many_options(parser)
+    return parser
+
+
+def _count(text: str) -> int:
+    if not text.isdecimal() or int(text) < 1:
+        raise argparse.ArgumentTypeError(f"{text!r} is no number from 1")
+    return int(text)
+
+
+def _seed(text: str) -> int:
+    if not text.isdecimal():
+        raise argparse.ArgumentTypeError(f"{text!r} is no whole number")
+    return int(text)
+
+
+def run(
+    arguments: argparse.Namespace,
+    output: Path,
+    command: Sequence[str] = DIAGNOSING,
+    generate: Generate = generate,
+) -> int:
+    """The whole check in `output`; returns the exit code; raises GalenError."""
+    say = _sayer(arguments)
+    places = Places(output)
+    wanted: dict[str, Any] = {
+        "short": arguments.short,
+        "per_class": None if arguments.short else arguments.per_class,
+        "cases": arguments.cases,
+    }
+
+    def plan(seed: int) -> list[Planned]:
+        whole = short_plan(seed) if arguments.short else full_plan(seed, arguments.per_class)
+        return whole if arguments.cases is None else thinned(whole, arguments.cases)
+
+    started_s = time.monotonic()
+    told = sealed_set(places, wanted, arguments.seed, plan, arguments.workers, generate)
+    made_s = time.monotonic()
+    say(f"labels sealed before any diagnosis, SHA-256 {told}")
+    if not places.labels.exists():
+        locked_out = diagnose_blind(places, arguments.workers, arguments.scheduler, command)
+        if arguments.scheduler is not None:
+            say("diagnosed by a scheduler's workers, which nothing but ignorance kept from labels")
+        elif locked_out:
+            say("diagnosed by a process that the system kept from reading the labels")
+        else:
+            say("diagnosed by a process that wasn't told where the labels are; this system can't"
+                " keep it from reading them")  # fmt: skip
+    labels = open_labels(places, told)
+    say("labels opened: they are those that were sealed")
+    ended_s = time.monotonic()
+    scores = {PROGRAM: score(answered(places, labels), CONTRACT_ORDER)}
+    scores |= {
+        name: score(found, CONTRACT_ORDER) for name, found in baselines(places, labels).items()
+    }
+    content = {
+        "schema_version": 1,
+        "labels_sha256": told,
+        "making_s": made_s - started_s,
+        "diagnosing_s": ended_s - made_s,
+        "scores": {name: to_json(one) for name, one in scores.items()},
+    }
+    _write(output / "blind_check.json", json.dumps(content, indent=1))
+    pictures = [] if arguments.output is None else _pictures(scores[PROGRAM], output)
+    if arguments.json:
+        print(json.dumps(content, indent=1))
+    elif arguments.readme:
+        print(markdown(scores))
+    else:
+        console = Console(width=None if sys.stdout.isatty() else 150)
+        print_scores(scores, console)
+        for picture in pictures:
+            console.print(f"picture: {picture}", soft_wrap=True)
+    if scores[PROGRAM].failed == len(labels):
+        raise GalenError(f"{output}: no recording could be diagnosed; {_first_failure(places)}")
+    return EXIT_OK
+
+
+def _sayer(arguments: argparse.Namespace) -> Callable[[str], None]:
+    """Where the course is told: beside what --json and --readme print."""
+    stream = sys.stderr if arguments.json or arguments.readme else sys.stdout
+    return lambda text: print(text, file=stream, flush=True)
+
+
+def _pictures(found: Score, folder: Path) -> list[Path]:
+    from galen_diagnosis.blind.score_pictures import draw_pictures  # matplotlib is slow to import
+
+    try:
+        return draw_pictures(found, folder)
+    except OSError as error:
+        raise GalenError(f"{folder}: can't be written: {error.strerror}") from error
+
+
+def _write(path: Path, text: str) -> None:
+    try:
+        write_whole(path, text)
+    except OSError as error:
+        raise GalenError(f"{path}: can't be written: {error.strerror}") from error
+
+
+def _first_failure(places: Places) -> str:
+    for path in sorted(places.answers.glob("*/failed.txt")):
+        return path.read_text(encoding="utf-8").strip()
+    return "the diagnosing process says nothing"
+
+
+def main(args: Sequence[str] | None = None) -> int:
+    """Entry point; returns the exit code."""
+    arguments = build_parser().parse_args(args)
+
+    def work() -> int:
+        if arguments.output is not None:
+            return run(arguments, arguments.output)
+        with tempfile.TemporaryDirectory(prefix="galen_blind_check_") as folder:
+            try:
+                return run(arguments, Path(folder))
+            finally:
+                forget(private_directory(Path(folder)))
+
+    return run_command("blind_check", work)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
