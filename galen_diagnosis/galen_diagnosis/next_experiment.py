@@ -7,6 +7,7 @@ as sure as the best does, but for a hundredth.
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -129,17 +130,19 @@ def _experiment(
 
 
 _HEAD = """\
-# {do}.
+{do}
 # It tells apart: {separates}.
 #
-#   ros2 run {node} --ros-args --params-file THIS_FILE
+#   ros2 run {node} --ros-args --params-file THIS_FILE{more}
 #   ros2 run {command}
+#
 {remark}
 """
-_SWEEP_REMARK = """\
-#
-# Record joint_states and wrench_raw{tracker} meanwhile. Take another name than the tool's: the
-# calibration writes a file of this name."""
+_SWEEP_REMARK = (
+    "Record joint_states and wrench_raw{tracker} meanwhile. A calibration writes the tool's file:"
+    " give it a directory of its own, so that the file in use stays."
+)
+_PUSH_REMARK = "It records what a diagnosis needs."
 
 
 def write_sweep(experiment: Experiment, path: Path) -> None:
@@ -157,15 +160,16 @@ def write_sweep(experiment: Experiment, path: Path) -> None:
     tracker = ", tracker/tool_pose, tracker/base_pose" if "tracker" in experiment.kind else ""
     one_sweep = "" if experiment.kind == "second mass" else " --one-sweep"
     head = _HEAD.format(
-        do=experiment.do,
+        do=_comment(f"{experiment.do}."),
         separates=", ".join(experiment.separates),
         node="galen_calibration_behavior calibration_node"
         if sweep
         else "galen_deflection collection_node",
-        command=f"galen_calibration_behavior calibrate NEW_NAME --tip X Y Z{one_sweep}"
+        more=" -p tools_dir:=DIR" if sweep else "",
+        command=f"galen_calibration_behavior calibrate TOOL --tip X Y Z{one_sweep}"
         if sweep
         else "galen_deflection collect NAME --tool TOOL",
-        remark=_SWEEP_REMARK.format(tracker=tracker) if sweep else "#",
+        remark=_comment(_SWEEP_REMARK.format(tracker=tracker) if sweep else _PUSH_REMARK),
     )
     body = yaml.safe_dump(
         {f"/**/{experiment.program}": {"ros__parameters": parameters}},
@@ -177,6 +181,10 @@ def write_sweep(experiment: Experiment, path: Path) -> None:
         write_whole(path, head + body)
     except OSError as error:
         raise DiagnosisError(f"{path}: can't be written: {error.strerror or error}") from error
+
+
+def _comment(text: str) -> str:
+    return textwrap.fill(text, 100, initial_indent="# ", subsequent_indent="# ")
 
 
 def _sweep_parameters(experiment: Experiment) -> dict[str, Any]:
