@@ -1,0 +1,356 @@
+"""Makes a diagnostic recording (contract, section 5) with the simulated arm, without ROS.
+
+One plant goes through all three bags, with some seconds between them, as a person records them: the
+sweep's poses row by row, a free motion of all joints, and pushes by the plant's hand at four
+positions; the moves from one position to the next are not in the bag. It steps as fast as it goes.
+
+A plant knows no bags. Effects that count from a bag's first stamp are told their time from the
+plant's start, which is the recording's first stamp.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import tempfile
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+import numpy as np
+from galen_bags.messages import JOINT_STATE_TYPE, POSE_TYPE, WRENCH_TYPE
+from galen_bags.writer import BagWriter
+from galen_model.arm import BASE_FRAME, HOME, JOINT_NAMES, SENSOR, SENSOR_FRAME, TRACKER_FRAME
+from galen_model.arrays import Array
+from galen_model.load import Load
+from galen_model.tool_file import LoadEstimate, ToolFile, write_tool
+from galen_ros.cdr import JointStateBytes, PoseBytes, WrenchBytes
+from galen_sim_driver.config import HandPush, PlantConfig, TrackerConfig
+from galen_sim_driver.effects.base_shift import BaseShift
+from galen_sim_driver.effects.bias_step import BiasStep
+from galen_sim_driver.effects.effect import BAG_ORDER, Effect
+from galen_sim_driver.effects.registry import contract_parameters
+from galen_sim_driver.plant import Plant, Sample
+from galen_sim_driver.trajectory import Trajectory, TrajectoryPoint
+
+from galen_diagnosis.errors import DiagnosisError
+
+RATE_HZ = 200.0
+"""Of the plant: a multiple of the rates of all bags."""
+
+BAG_RATES_HZ = {"sweep": 50.0, "motion": 200.0, "push": 100.0}
+TRACKER_RATE_HZ = 60.0
+MOTION_S = 45.0
+
+_START_NS = 1_700_000_000_000_000_000
+_PAUSE_S = 5.0
+"""Between two bags; the move to where the next starts takes as much."""
+_STILL_S = 1.6
+_MOVE_VELOCITY = np.array([0.15, 0.15, 0.15, 1.3, 1.3])
+_MOVE_ACCELERATION = np.array([0.8, 0.8, 0.8, 5.0, 5.0])
+_POINT_S = 0.05
+
+_REST_S = 3.0
+_PUSH_S = 1.5
+_PUSH_LEVELS_N = (3.0, 6.0, 11.0)
+_PUSH_POSITIONS = np.array(
+    [
+        [0.000, 0.000, 0.408, 0.0, 0.0],
+        [0.055, -0.045, 0.440, 0.6, -0.4],
+        [-0.050, 0.060, 0.370, -0.7, 0.4],
+        [0.030, 0.050, 0.420, 0.4, 0.6],
+    ]
+)
+
+
+def sweep_poses() -> Array:
+    """Joints (56, 5) of a sweep: 7 tilts, 8 rolls each, there and back."""
+    tilts, rolls = np.linspace(-0.95, 0.85, 7), np.linspace(-1.4, 1.4, 8)
+    poses = np.tile(HOME, (len(tilts) * len(rolls), 1))
+    for row, tilt in enumerate(tilts):
+        here = slice(row * len(rolls), (row + 1) * len(rolls))
+        poses[here, 3] = rolls[:: 1 if row % 2 == 0 else -1]
+        poses[here, 4] = tilt
+    return poses
+
+
+def make_recording(
+    directory: str | os.PathLike[str],
+    effects: Sequence[Effect] = (),
+    seed: int = 0,
+    tool: str = "pointer",
+    *,
+    poses: Array | None = None,
+    bags: Sequence[str] = BAG_ORDER,
+    truth: bool = False,
+    progress: Callable[[str], None] | None = None,
+) -> None:
+    """Make a recording in a new directory; it is whole or not there.
+
+    effects: what the arm has beside nominal. seed: of all noise, of how the arm moves in the free
+    motion and of how hard it is pushed. poses (n, 5): of the sweep. bags: those that are written.
+    truth: with truth.json beside it. progress: told what comes next. Raises DiagnosisError, and
+    ConfigError where the tool isn't known or an effect's numbers can't be.
+    """
+    target = Path(directory)
+    if target.exists() or target.is_symlink():
+        raise DiagnosisError(f"{target}: is there already, and is not written over")
+    unknown = [name for name in bags if name not in BAG_ORDER]
+    if unknown:
+        raise DiagnosisError(f"no bag '{unknown[0]}'; a recording has {', '.join(BAG_ORDER)}")
+    try:
+        target.parent.mkdir(parents=True, exist_ok=True)
+        work = Path(tempfile.mkdtemp(dir=target.parent, prefix=f".{target.name}."))
+    except OSError as error:
+        raise DiagnosisError(f"{target}: can't be made: {error.strerror}") from error
+    try:
+        _Session(work, effects, seed, tool, sweep_poses() if poses is None else poses).record(
+            bags, progress or (lambda name: None)
+        )
+        if truth:
+            told = [{"effect": e.name, "parameters": contract_parameters(e)} for e in effects]
+            text = json.dumps({"effects": told}, indent=1)
+            (work / "truth.json").write_text(text, encoding="utf-8")
+        work.chmod(0o755)  # mkdtemp's are the owner's alone
+        os.replace(work, target)
+    except OSError as error:
+        raise DiagnosisError(f"{target}: can't be made: {error.strerror}") from error
+    finally:
+        shutil.rmtree(work, ignore_errors=True)
+
+
+class _Session:
+    """One plant on its way through the bags."""
+
+    def __init__(
+        self, directory: Path, effects: Sequence[Effect], seed: int, tool: str, poses: Array
+    ) -> None:
+        self._directory = directory
+        self._rng = np.random.default_rng([seed, 1])
+        self._poses = poses
+        self._motion = _free_motion(self._rng)
+        moves = [_move_s(a, b) for a, b in zip([HOME, *poses[:-1]], poses, strict=True)]
+        self._sweep_s = sum(moves) + _STILL_S * len(poses)
+        starts = {"sweep": 0.0, "motion": self._sweep_s + _PAUSE_S}
+        starts["push"] = starts["motion"] + MOTION_S + _PAUSE_S
+        self._starts = starts
+        config = PlantConfig(
+            rate_hz=RATE_HZ,
+            start_ns=_START_NS,
+            tracker=TrackerConfig(rate_hz=TRACKER_RATE_HZ),
+            effects=tuple(_in_plants_time(effect, starts) for effect in effects),
+            hand=_pushes(self._rng),
+        )
+        self._plant = Plant(config, np.random.default_rng([seed, 2]))
+        attached = self._plant.attach_tool(tool)
+        if attached is None:
+            raise DiagnosisError("a recording needs a tool on the arm")
+        self._tool_file = _believed(tool, attached.load, config.adapter, attached.tip_m)
+
+    def record(self, bags: Sequence[str], progress: Callable[[str], None]) -> None:
+        """Go through all bags and write those asked for."""
+        write_tool(self._directory / "tool.json", self._tool_file)
+        parts = {"sweep": self._sweep, "motion": self._free, "push": self._push}
+        last = max(map(BAG_ORDER.index, bags), default=-1)
+        for name in BAG_ORDER[: last + 1]:
+            progress(name)
+            self._wait_for(self._starts[name])
+            with _Tape(self._directory / name, name, self._plant, keep=name in bags) as tape:
+                parts[name](tape)
+
+    def _sweep(self, tape: _Tape) -> None:
+        here = HOME
+        for pose in self._poses:
+            self._move(here, pose, tape)
+            tape.run(_STILL_S)
+            here = pose
+        # On the way to where the motion starts, nobody records.
+        self._order(here, HOME, _PAUSE_S - 1.0)
+
+    def _free(self, tape: _Tape) -> None:
+        self._plant.command(self._motion)
+        tape.run(MOTION_S)
+        self._order(HOME, _PUSH_POSITIONS[0], 1.0)
+
+    def _push(self, tape: _Tape) -> None:
+        here = _PUSH_POSITIONS[0]
+        for position in _PUSH_POSITIONS:
+            tape.pause()
+            self._move(here, position, tape)
+            tape.run(1.0)
+            tape.go_on()
+            tape.run(_REST_S)
+            self._plant.start_hand()
+            tape.run(_PUSH_S * 6 * len(_PUSH_LEVELS_N))
+            here = position
+
+    def _move(self, start: Array, end: Array, tape: _Tape) -> None:
+        duration_s = _move_s(start, end)
+        self._order(start, end, duration_s)
+        tape.run(duration_s)
+
+    def _order(self, start: Array, end: Array, duration_s: float) -> None:
+        if np.array_equal(start, end):
+            return
+        rest = [0.0] * len(JOINT_NAMES)
+        point = TrajectoryPoint(duration_s, end.tolist(), rest, rest)
+        self._plant.command(Trajectory(JOINT_NAMES, [point]))
+
+    def _wait_for(self, since_start_s: float) -> None:
+        until_ns = _START_NS + round(since_start_s * 1e9)
+        while self._plant.now_ns < until_ns:
+            self._plant.step()
+
+
+class _Tape:
+    """Steps the plant and writes what a recorder of one bag gets; a context manager."""
+
+    def __init__(self, path: Path, bag: str, plant: Plant, *, keep: bool) -> None:
+        self._plant = plant
+        self._every = round(RATE_HZ / BAG_RATES_HZ[bag])
+        self._tracker = bag == "push"
+        self._writer = BagWriter(path) if keep else None
+        self._on = True
+        self._joints = JointStateBytes(JOINT_NAMES, BASE_FRAME)
+        self._wrench = WrenchBytes(SENSOR_FRAME)
+        self._pose = PoseBytes(TRACKER_FRAME)
+        self._period_ns = round(1e9 / RATE_HZ)
+
+    def __enter__(self) -> Self:
+        if self._writer is not None:
+            bag = self._writer.__enter__()
+            self._joint_states = bag.add_topic("joint_states", JOINT_STATE_TYPE)
+            self._wrench_raw = bag.add_topic("wrench_raw", WRENCH_TYPE)
+            if self._tracker:
+                self._tool_pose = bag.add_topic("tracker/tool_pose", POSE_TYPE)
+                self._base_pose = bag.add_topic("tracker/base_pose", POSE_TYPE)
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        if self._writer is not None:
+            self._writer.__exit__(kind, error, trace)
+
+    def pause(self) -> None:
+        """Write nothing from now on."""
+        self._on = False
+
+    def go_on(self) -> None:
+        """Write again."""
+        self._on = True
+
+    def run(self, duration_s: float) -> None:
+        """Step the plant for this long."""
+        end_ns = self._plant.now_ns + round(duration_s * 1e9)
+        while self._plant.now_ns < end_ns:
+            sample = self._plant.step()
+            if self._on and self._writer is not None:
+                self._write(self._writer, sample)
+
+    def _write(self, bag: BagWriter, sample: Sample) -> None:
+        stamp_ns = sample.stamp_ns
+        if (stamp_ns // self._period_ns) % self._every == 0:
+            state = self._joints.fill(stamp_ns, sample.positions, sample.velocities)
+            bag.write(self._joint_states, stamp_ns, state)
+            late_ns = stamp_ns + self._plant.wrench_delay_ns
+            bag.write(self._wrench_raw, late_ns, self._wrench.fill(late_ns, sample.wrench))
+        if self._tracker and sample.tracker is not None and sample.tracker.tool is not None:
+            late_ns = stamp_ns + self._plant.tracker_delay_ns
+            for topic, seen in (
+                (self._tool_pose, sample.tracker.tool),
+                (self._base_pose, sample.tracker.base),
+            ):
+                pose = self._pose.fill(late_ns, list(seen.position_m), list(seen.quaternion))
+                bag.write(topic, late_ns, pose)
+
+
+def _move_s(start: Array, end: Array) -> float:
+    """How long a quintic from rest to rest takes within the moves' limits, and 0.3 s at least.
+
+    Its largest velocity is 15/8 and its largest acceleration 10/sqrt(3) of way over time (squared).
+    """
+    way = np.abs(end - start)
+    by_velocity = 1.875 * way / _MOVE_VELOCITY
+    by_acceleration = np.sqrt(5.7735 * way / _MOVE_ACCELERATION)
+    return float(np.round(max(by_velocity.max(), by_acceleration.max(), 0.3), 2))
+
+
+_TONES_HZ = np.array([0.09, 0.17, 0.31, 0.83])
+_AMPLITUDES = np.array([0.016, 0.016, 0.016, 0.42, 0.28])[:, None] * [1.0, 0.6, 0.35, 0.12]
+
+
+def _free_motion(rng: np.random.Generator) -> Trajectory:
+    """All joints at once, sums of four sines with phases and tones of their own, from home to home.
+
+    The ends are smooth: the sums are faded in and out over 3 s by a quintic. Velocities and
+    accelerations at the points are differences of the curve itself.
+    """
+    step_s = 0.001
+    at_s = np.arange(0.0, MOTION_S + 0.5 * step_s, step_s)
+    tones = _TONES_HZ * rng.uniform(0.85, 1.15, _AMPLITUDES.shape)
+    phases = rng.uniform(0.0, 2.0 * np.pi, _AMPLITUDES.shape)
+    angle = 2.0 * np.pi * tones[:, :, None] * at_s + phases[:, :, None]
+    swing = np.einsum("jk,jkn->nj", _AMPLITUDES, np.sin(angle))
+    ends = np.clip(np.minimum(at_s, at_s[-1] - at_s) / 3.0, 0.0, 1.0)
+    fade = ends**3 * (10.0 - 15.0 * ends + 6.0 * ends**2)
+    joints = HOME + fade[:, None] * swing
+    velocity = np.gradient(joints, step_s, axis=0)
+    acceleration = np.gradient(velocity, step_s, axis=0)
+    every = round(_POINT_S / step_s)
+    points = [
+        TrajectoryPoint(
+            float(at_s[k]), joints[k].tolist(), velocity[k].tolist(), acceleration[k].tolist()
+        )
+        for k in range(every, len(at_s), every)
+    ]
+    return Trajectory(JOINT_NAMES, points)
+
+
+def _pushes(rng: np.random.Generator) -> tuple[HandPush, ...]:
+    """18 pushes: three levels in + and - every axis of base_link, as exactly as a hand can."""
+    pushes: list[HandPush] = []
+    for axis in range(3):
+        for level in _PUSH_LEVELS_N:
+            for sign in (1.0, -1.0):
+                force = rng.normal(0.0, 0.08 * level, 3)
+                force[axis] = sign * level * rng.uniform(0.85, 1.05)
+                x, y, z = force.tolist()
+                ramp_s = float(rng.uniform(0.25, 0.4))
+                pushes.append(
+                    HandPush(_PUSH_S * len(pushes), _PUSH_S - 0.4, (x, y, z), ramp_s=ramp_s)
+                )
+    return tuple(pushes)
+
+
+def _in_plants_time(effect: Effect, starts: dict[str, float]) -> Effect:
+    """The same with its time from the plant's start, where it has one of a bag."""
+    if isinstance(effect, BiasStep) and effect.bag:
+        return replace(effect, bag="", time_s=effect.time_s + starts[effect.bag])
+    if isinstance(effect, BaseShift):
+        return replace(effect, time_s=effect.time_s + starts["push"])
+    return effect
+
+
+def _believed(tool: str, load: Load, adapter: Load, tip_m: Array) -> ToolFile:
+    """tool.json as a calibration some time before would have left it, without its error."""
+
+    def estimate(of: Load) -> LoadEstimate:
+        covariance = np.diag([1e-8, 1e-10, 1e-10, 1e-10])
+        return LoadEstimate(of.mass_kg, np.asarray(of.com_m, dtype=float), covariance)
+
+    return ToolFile(
+        tool=tool,
+        load=estimate(load),
+        bias=estimate(adapter),
+        tip_m=np.asarray(tip_m, dtype=float),
+        rmse=SENSOR.noise_std.copy(),
+        poses_used=56,
+        calibrated_at="2023-11-14T00:00:00Z",
+    )
