@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import yaml
-from galen_sim_driver.effect_parameters import driver_parameters
+from galen_sim_driver.effect_parameters import driver_file
 
 from galen_diagnosis.result import Diagnosis
 
@@ -16,15 +16,18 @@ _HEAD = """\
 
 
 def effect_file(diagnosis: Diagnosis) -> str | None:
-    """The YAML's text; None where no effect was found."""
+    """The YAML's text; None where no effect was found. Raises ConfigError.
+
+    The driver has one of each effect, so that two of a kind are refused.
+    """
     if not diagnosis.effects:
         return None
     head = _HEAD.format(
         recording=_one_line(diagnosis.answer.recording),
         causes=", ".join(effect.name for effect in diagnosis.effects),
     )
-    parameters = {"/**/sim_driver": {"ros__parameters": driver_parameters(diagnosis.effects)}}
-    return head + yaml.safe_dump(parameters, sort_keys=False, allow_unicode=True)
+    content = {f"/**/{node}": below for node, below in driver_file(diagnosis.effects).items()}
+    return head + yaml.safe_dump(content, sort_keys=False)
 
 
 def _one_line(text: str) -> str:

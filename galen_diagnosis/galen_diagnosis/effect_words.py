@@ -129,7 +129,7 @@ def plain(number: float, uncertainty: float) -> str:
         return "?"
     if not (uncertainty > 0.0 and math.isfinite(uncertainty)):
         return f"{number:.3g}"
-    decimals = math.ceil(-math.log10(uncertainty) + math.log10(3.0))
+    decimals = math.ceil(math.log10(3.0 / uncertainty) - 1e-9)
     text = f"{number:.{min(max(decimals, 0), 9)}f}"
     return text.removeprefix("-") if float(text) == 0.0 else text
 

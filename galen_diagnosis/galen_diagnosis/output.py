@@ -10,6 +10,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from galen_model.whole_file import sync_directory
+from galen_sim_driver.errors import ConfigError
 
 from galen_diagnosis.effect_file import effect_file
 from galen_diagnosis.errors import DiagnosisError
@@ -27,13 +28,22 @@ DIAGNOSIS, REPORT, EFFECT, PICTURES = (
 
 
 def told(diagnosis: Diagnosis) -> Diagnosis:
-    """With where the gap lies and the sentence, where they aren't there yet."""
+    """With where the gap lies and the sentence, where they aren't there yet.
+
+    Effects that the driver can't have are left out, with a problem that says so.
+    """
     answer = diagnosis.answer
     if not answer.where:
         place = where(diagnosis.rows, diagnosis.before, diagnosis.streams_before, diagnosis.floor)
         answer = replace(answer, where=place.to_json())
     if not answer.sentence:
         answer = replace(answer, sentence=sentence(answer))
+    try:
+        effect_file(diagnosis)
+    except ConfigError as error:
+        problem = f"{EFFECT} is not written: {error}"
+        answer = replace(answer, problems=(*answer.problems, problem))
+        diagnosis = replace(diagnosis, effects=())
     return replace(diagnosis, answer=answer)
 
 

@@ -1,0 +1,301 @@
+"""The page, the pictures, the sentence, the driver's file."""
+
+import base64
+import hashlib
+import re
+from dataclasses import replace
+from html.parser import HTMLParser
+
+import numpy as np
+import pytest
+import yaml
+from diagnosis_example import example_answer, example_diagnosis
+from galen_diagnosis.answer import Answer, Cause, Interval
+from galen_diagnosis.effect_file import effect_file
+from galen_diagnosis.effect_words import SENTENCES, TITLES, cause_words, parameter_words, plain
+from galen_diagnosis.output import told
+from galen_diagnosis.pictures import gap_figure, sweep_figure
+from galen_diagnosis.report import report
+from galen_diagnosis.sentence import sentence
+from galen_sim_driver.effect_parameters import EffectParameters, effects_of
+from galen_sim_driver.effects.registry import CONTRACT_ORDER
+from matplotlib import pyplot as plt
+
+HOSTILE = "x\"><script>alert(1)</script><img src=http://evil.example/a.png onerror='alert(2)'>&lt;"
+LOADING = {"src", "href", "srcset", "data", "action", "background", "poster", "style", "srcdoc"}
+
+
+class Page(HTMLParser):
+    """Tags, attributes and text of a page."""
+
+    def __init__(self, html):
+        super().__init__()
+        self.tags, self.attributes, self.text, self.open = [], [], [], []
+        self.feed(html)
+
+    def handle_starttag(self, tag, attributes):
+        self.tags.append(tag)
+        self.attributes += [(tag, name, value) for name, value in attributes]
+        if tag not in ("meta", "img", "link"):
+            self.open.append(tag)
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+    def handle_data(self, text):
+        self.text.append(text)
+
+
+@pytest.fixture(scope="module")
+def pictures(tmp_path_factory):
+    """Files of the pictures' names; the page doesn't look into them."""
+    folder = tmp_path_factory.mktemp("pictures")
+    files = {name: folder / f"{name}.png" for name in ("gap", "sweep", "time", "spectra")}
+    for name, file in files.items():
+        file.write_bytes(name.encode())
+    return files
+
+
+@pytest.fixture(scope="module")
+def diagnosis():
+    return told(example_diagnosis())
+
+
+def hostile(diagnosis):
+    """Names and texts that come from a file, all of them hostile."""
+    answer = diagnosis.answer
+    answer = replace(
+        answer,
+        recording=HOSTILE,
+        sentence=HOSTILE,
+        cannot_tell=(HOSTILE,),
+        problems=(HOSTILE,),
+        next_experiment={"separates": [HOSTILE], "do": HOSTILE},
+        ranking=((HOSTILE, 0.5), *answer.ranking),
+        causes=tuple(replace(one, parameters={HOSTILE: HOSTILE}) for one in answer.causes),
+        gap={**answer.gap, "before": {HOSTILE: 1.0}},
+    )
+    return replace(diagnosis, answer=answer)
+
+
+def test_page_stands_alone_and_runs_nothing(diagnosis, pictures):
+    html = report(hostile(diagnosis), pictures)
+    page = Page(html)
+    assert not page.open
+    allowed = {
+        "html", "head", "meta", "title", "style", "body", "header", "main", "h1", "h2", "p",
+        "figure", "figcaption", "img", "div", "table", "tr", "th", "td", "svg", "rect", "ul", "li",
+        "details", "summary",
+    }  # fmt: skip
+    assert set(page.tags) <= allowed
+    for tag, name, value in page.attributes:
+        assert not name.startswith("on")
+        if name in LOADING:
+            assert tag == "img" and value.startswith("data:image/png;base64,")
+    assert "".join(page.text).count(HOSTILE) >= 7  # shown as it is, not as what it pretends to be
+
+
+def test_policy_lets_in_its_own_style_and_pictures_only(diagnosis, pictures):
+    html = report(diagnosis, pictures)
+    (policy,) = re.findall(r'Content-Security-Policy" content="([^"]*)"', html)
+    (style,) = re.findall(r"<style>(.*?)</style>", html, re.DOTALL)
+    digest = base64.b64encode(hashlib.sha256(style.encode()).digest()).decode()
+    rules = {rule.split()[0]: rule.split()[1:] for rule in policy.split(";")}
+    assert rules["default-src"] == ["'none'"] and rules["img-src"] == ["data:"]
+    assert rules["style-src"] == [f"'sha256-{digest}'"]
+    assert "prefers-color-scheme: dark" in style and "url(" not in style and "@import" not in style
+    shown = re.findall(r'src="data:image/png;base64,([^"]*)"', html)
+    assert [base64.b64decode(one) for one in shown] == [
+        pictures[name].read_bytes() for name in ("gap", "sweep", "time", "spectra")
+    ]
+
+
+def test_page_tells_the_numbers(diagnosis, pictures):
+    text = " ".join("".join(Page(report(diagnosis, pictures)).text).split())
+    for told_there in (
+        diagnosis.answer.sentence,
+        "0.584° (0.567 to 0.602)",
+        "93.0%",
+        "17.3",
+        "0.980 (0.970 to 0.990)",
+        "without a tracker a tilt's zero looks like a turned sensor",
+        "sweep: 3 stamps went back",
+        "tilt",
+    ):
+        assert told_there in text
+
+
+def test_gap_picture_has_one_scale_and_frames_what_is_beyond_noise(diagnosis):
+    figure = gap_figure(diagnosis)
+    try:
+        before, after = figure.axes[:2]
+        assert before.images[0].get_clim() == after.images[0].get_clim()
+        # fx, fz and ty, in the sweep's, both of motion's and the pushes' rest
+        assert len(before.patches) == 12 and len(after.patches) == 0
+        assert "2.47" in before.get_title() and "1.00" in after.get_title()
+    finally:
+        plt.close(figure)
+
+
+def test_sweep_picture_shows_each_pose_at_its_place(diagnosis):
+    figure = sweep_figure(diagnosis)
+    try:
+        force_before, force_after = figure.axes[0].collections[0], figure.axes[1].collections[0]
+        assert len(force_before.get_offsets()) == 56
+        assert force_before.norm is force_after.norm
+        assert np.ptp(force_before.get_offsets()[:, 0]) == pytest.approx(np.degrees(2.8))
+        assert np.mean(force_before.get_array()) > 3 * np.mean(force_after.get_array())
+    finally:
+        plt.close(figure)
+    none = replace(diagnosis.rows, pose=np.full(len(diagnosis.rows), -1))
+    assert sweep_figure(replace(diagnosis, rows=none)) is None
+
+
+# --- words ----------------------------------------------------------------------------------------
+
+
+# The contract's section 6: what each effect is told with, and how many numbers that is.
+CONTRACT = {
+    "roll_zero_offset": {"offset_rad": 1},
+    "tilt_zero_offset": {"offset_rad": 1},
+    "tilt_gain": {"gain": 1},
+    "tilt_axis_misalignment": {"about_z_rad": 1},
+    "base_inclination": {"about_x_rad": 1, "about_y_rad": 1},
+    "sensor_mount_rotation": {"rotvec_rad": 3},
+    "axis_gain": {"gain": 6},
+    "crosstalk": {"from": "fx", "to": "tz", "coefficient": 1},
+    "sensor_drift": {"rate_per_hour": 6},
+    "bias_step": {"time_s": 1, "step": 6, "bag": "motion"},
+    "wrench_delay": {"delay_s": 1},
+    "sensor_saturation": {"limit": 1, "axis": "fz"},
+    "tool_mass_error": {"delta_kg": 1},
+    "tool_com_error": {"delta_m": 3},
+    "loose_tool": {"shift_m": 1},
+    "cable_drag": {"tension_N": 1},
+    "inertial_load": {"mass_kg": 1},
+    "joint_compliance": {"k_roll": 1, "k_tilt": 1, "k_carriage": 1, "k_rod": 1},
+    "deflection_hysteresis": {"residual_fraction": 1},
+    "backlash": {"joint": "tilt", "gap_rad": 1},
+    "tracker_delay": {"delay_s": 1},
+    "tracker_scale": {"gain": 1},
+    "base_shift": {"translation_m": 3, "rotvec_rad": 3, "time_s": 1},
+}
+
+
+def test_every_effect_has_a_sentence_with_all_its_numbers():
+    assert set(SENTENCES) == set(CONTRACT) == set(CONTRACT_ORDER)
+    for name, shapes in CONTRACT.items():
+        parameters = {}
+        for number, (parameter, shape) in enumerate(shapes.items(), start=3):
+            value = Interval(number * 0.01, number * 0.0099, number * 0.0101)
+            parts = shape if isinstance(shape, str) else value if shape == 1 else [value] * shape
+            parameters[parameter] = parts
+        text = cause_words(name, parameters)
+        assert not text.startswith(TITLES[name] + " (")  # what it is called if its words don't fit
+        for parameter in parameters:
+            assert parameter_words(name, parameter, parameters) in text, (name, parameter)
+        assert cause_words(name, {}).strip()  # what the fit doesn't tell makes no error
+
+
+@pytest.mark.parametrize(
+    ("effect", "parameters", "expected"),
+    [
+        (
+            "tilt_zero_offset",
+            {"offset_rad": Interval(0.01, 0.0098, 0.0102)},
+            "the tilt joint's zero is off by 0.573° (0.561 to 0.584)",
+        ),
+        (
+            "sensor_mount_rotation",
+            {"rotvec_rad": [Interval(0.0, -1e-3, 1e-3), Interval(-0.02, -0.021, -0.019)]
+             + [Interval(0.0, -1e-3, 1e-3)]},
+            "the sensor is turned in its mount, by -1.15° (-1.20 to -1.09) about y",
+        ),
+        (
+            "crosstalk",
+            {"from": "fx", "to": "ty", "coefficient": Interval(0.002, 0.0019, 0.0021)},
+            "the sensor reads 2.00 mN.m/N (1.90 to 2.10) of fx in ty",
+        ),
+        (
+            "sensor_saturation",
+            {"axis": "ty", "limit": Interval(0.05, None, None)},
+            "the sensor's ty clips at 50.0 mN.m",
+        ),
+        (
+            "bias_step",
+            {"step": [Interval(0.2, 0.19, 0.21)] + [Interval(0.0, -0.01, 0.01)] * 2
+             + [Interval(0.003, 0.0029, 0.0031)] + [Interval(0.0, -1e-4, 1e-4)] * 2,
+             "time_s": Interval(12.0, 11.9, 12.1), "bag": "motion"},
+            "the sensor's reading jumps by 0.200 N (0.190 to 0.210) in fx, 3.00 mN.m (2.90 to 3.10)"
+            " in tx at 12.00 s (11.90 to 12.10) of motion",
+        ),
+        ("joint_compliance", {"k_tilt": Interval(1200.0, 1180.0, 1220.0)},
+         "the arm's stiffness is not the nominal one: k_tilt 1200 N.m/rad (1180 to 1220)"),
+    ],
+)  # fmt: skip
+def test_parameters_in_units_that_people_read(effect, parameters, expected):
+    assert cause_words(effect, parameters) == expected
+
+
+@pytest.mark.parametrize(
+    ("number", "uncertainty", "expected"),
+    [
+        (1.23456, 0.012, "1.235"),
+        (1.23456, 0.04, "1.23"),
+        (1234.5, 20.0, "1234"),
+        (-0.0001, 0.01, "0.000"),
+        (0.5, 0.0, "0.5"),
+        (float("nan"), 0.1, "?"),
+    ],
+)
+def test_numbers_have_the_digits_that_they_are_worth(number, uncertainty, expected):
+    assert plain(number, uncertainty) == expected
+
+
+def test_sentences_of_the_verdicts(diagnosis):
+    where = diagnosis.answer.where
+    words = {
+        verdict: sentence(replace(example_answer(verdict), where=where))
+        for verdict in ("none", "identified", "ambiguous", "unknown")
+    }
+    assert words["none"].startswith("No gap")
+    assert words["identified"].startswith(
+        "The tilt joint's zero is off by 0.584° (0.567 to 0.602): this explains 98% (97% to 99%)"
+        " of the gap. The gap lies in fx"
+    )
+    assert "tilt joint's zero is off by" in words["ambiguous"]
+    assert ", or the sensor is turned" in words["ambiguous"]
+    assert "can't tell" in words["ambiguous"]
+    assert "nothing on the list explains" in words["unknown"]
+
+
+def test_two_causes_explain_the_gap_together_and_twins_are_named(diagnosis):
+    answer = diagnosis.answer
+    mass = Cause("tool_mass_error", 0.9, {"delta_kg": Interval(0.005, 0.0048, 0.0052)},
+                 ("axis_gain",), None)  # fmt: skip
+    text = sentence(replace(answer, causes=(*answer.causes, mass)))
+    assert (
+        "0.602); and the tool's true mass differs from its file's by 5.00 g (4.80 to 5.20): "
+        in text
+    )
+    assert "together they explain 98%" in text and "(axis_gain)" in text
+
+
+def test_driver_file_gives_the_driver_what_was_found():
+    diagnosis = example_diagnosis(recording="a\n- {injected: 1}")
+    text = effect_file(diagnosis)
+    ((node, below),) = yaml.safe_load(text).items()
+    assert node == "/**/sim_driver"
+    assert effects_of(EffectParameters(**below["ros__parameters"])) == diagnosis.effects
+    assert effect_file(example_diagnosis("unknown")) is None
+
+
+def test_two_of_a_kind_are_a_problem_and_no_file(diagnosis):
+    twice = told(replace(diagnosis, effects=diagnosis.effects * 2))
+    assert effect_file(twice) is None
+    assert "found_effect.yaml is not written" in twice.answer.problems[-1]
+
+
+def test_an_answer_of_nothing_but_a_verdict_makes_a_page(diagnosis):
+    bare = Answer("r", "unknown", (), (), {}, {}, None)
+    assert "Diagnosis of r" in report(replace(diagnosis, answer=bare, seconds={}), {})
