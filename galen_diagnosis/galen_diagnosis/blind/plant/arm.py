@@ -21,7 +21,7 @@ import numpy as np
 from galen_model.arm import GALEN, GRAVITY_M_S2
 from galen_model.arrays import Array
 
-from galen_diagnosis.blind.plant.turning import turned_about, unit
+from galen_diagnosis.blind.plant.turning import cross, turned_about, unit
 
 _SENSOR_ON_TILT = np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]])
 """Ry(pi / 2)."""
@@ -93,10 +93,10 @@ class BlindArm:
         w1 = velocity[:, 3:4] * axis_1
         w2 = w1 + velocity[:, 4:5] * axis_2
         al1 = acceleration[:, 3:4] * axis_1
-        al2 = al1 + acceleration[:, 4:5] * axis_2 + np.cross(w1, velocity[:, 4:5] * axis_2)
-        speed = velocity[:, :3] + np.cross(w1, arm_1) + np.cross(w2, arm_2)
-        push = acceleration[:, :3] + np.cross(al1, arm_1) + np.cross(al2, arm_2)
-        push = push + np.cross(w1, np.cross(w1, arm_1)) + np.cross(w2, np.cross(w2, arm_2))
+        al2 = al1 + acceleration[:, 4:5] * axis_2 + cross(w1, velocity[:, 4:5] * axis_2)
+        speed = velocity[:, :3] + cross(w1, arm_1) + cross(w2, arm_2)
+        push = acceleration[:, :3] + cross(al1, arm_1) + cross(al2, arm_2)
+        push = push + cross(w1, cross(w1, arm_1)) + cross(w2, cross(w2, arm_2))
         return w2, al2, speed, push
 
     def springs(self, joints: Array, tip_m: Array) -> Springs:
@@ -115,7 +115,7 @@ class BlindArm:
             (6, unit(self.roll_axis), roll_at),
             (7, rolled @ unit(self.tilt_axis), tilt_at),
         ):
-            loads[row, :3] = np.cross(axis, tip - at)
+            loads[row, :3] = cross(axis, tip - at)
             loads[row, 3:] = axis
         give = np.zeros((8, 8))
         give[:6, :6] = np.linalg.inv(self._platform_stiffness(joints[:3]))
@@ -135,7 +135,7 @@ class BlindArm:
             for side in (0, 1):
                 ball = GALEN.platform_radius_m * out
                 ball = ball + (1 - 2 * side) * GALEN.rod_half_spacing_m * along
-                rods[2 * leg + side] = [*direction, *np.cross(ball, direction)]
+                rods[2 * leg + side] = [*direction, *cross(ball, direction)]
                 rails[2 * leg + side, leg] = direction[2]
         own = self.k_rod * rods.T @ rods
         mixed = self.k_rod * rods.T @ rails

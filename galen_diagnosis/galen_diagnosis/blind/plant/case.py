@@ -200,21 +200,16 @@ class Listed:
     def __init__(self, session: Session, scale: Scale) -> None:
         self._scale = scale
         self._families = {
-            name: [
-                np.array([scale.difference([cause]) for cause in family])
-                for family in cause.spans(session)
-            ]
+            name: [scale.family(family) for family in cause.spans(session)]
             for name, cause in CAUSES.items()
             if "push" in session.takes or name not in NEED_PUSHES
         }
 
     def left(self, difference: Array) -> dict[str, float]:
         """D that each effect, as large as it likes, leaves of a difference."""
+        own = self._scale.strength(difference)
         return {
-            name: min(
-                (self._scale.left(difference, columns) for columns in families),
-                default=self._scale.strength(difference),
-            )
+            name: min(family.left(difference, own) for family in families)
             for name, families in self._families.items()
         }
 

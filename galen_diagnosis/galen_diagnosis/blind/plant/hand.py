@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from galen_model.arrays import Array
 
-from galen_diagnosis.blind.plant.turning import unit
+from galen_diagnosis.blind.plant.turning import cross, unit
 
 _RAMPS = 3
 """Straight, rounded, and quick at first."""
@@ -51,7 +51,7 @@ class Pushes:
         held = np.sin(np.pi * np.clip((since - self.rise_s[number]) / self.hold_s[number], 0, 1))
         share = share * (1.0 + size * held * np.sin(2.0 * np.pi * frequency * since))
         force = share[:, None] * self.force_n[number]
-        return np.concatenate([force, np.cross(self.at_m[number], force)], axis=1)
+        return np.concatenate([force, cross(self.at_m[number], force)], axis=1)
 
     def _number(self, at_s: Array) -> np.ndarray:
         return np.asarray(np.searchsorted(self.start_s, at_s, side="right") - 1)

@@ -19,23 +19,37 @@ from galen_diagnosis.blind.plant.cause import Cause, Moment, State
 from galen_diagnosis.blind.plant.course import Going
 from galen_diagnosis.blind.plant.session import Session, Take, adapter, tool_body
 from galen_diagnosis.blind.plant.tolerance import NOMINAL, Tolerance
-from galen_diagnosis.blind.plant.turning import back, forth, turned_by
+from galen_diagnosis.blind.plant.turning import back, cross, forth, turned_by
 
 HISTORY_S = 0.02
 """Springs with memory are followed at this step."""
+
+
+def changes(causes: Sequence[Cause], *hooks: str) -> bool:
+    """Whether one of the causes has one of these hooks of its own."""
+    return any(getattr(type(c), hook) is not getattr(Cause, hook) for c in causes for hook in hooks)
 
 
 class Machine:
     """One arm in one session."""
 
     def __init__(
-        self, session: Session, causes: Sequence[Cause] = (), tolerance: Tolerance = NOMINAL
+        self,
+        session: Session,
+        causes: Sequence[Cause] = (),
+        tolerance: Tolerance = NOMINAL,
+        like: Machine | None = None,
     ) -> None:
+        """like: the nominal machine of that session, whose springs are used where they are so."""
         self.session = session
         self.causes = tuple(sorted(causes, key=lambda cause: cause.order))
-        self.arm = tolerance.arm(BlindArm())
-        for cause in self.causes:
-            self.arm = cause.arm(self.arm)
+        self._loads: dict[tuple[bytes, bytes], tuple[Springs, Array]] = {}
+        if like is not None and not tolerance.sigmas.any() and not changes(self.causes, "arm"):
+            self.arm, self._loads = like.arm, like._loads
+        else:
+            self.arm = tolerance.arm(BlindArm())
+            for cause in self.causes:
+                self.arm = cause.arm(self.arm)
         self.tool = tolerance.tool(tool_body(session.tool))
         self.adapter = adapter()
         self.zeroing = self._sensed_at_zeroing()
@@ -46,6 +60,10 @@ class Machine:
     def reading(self, bag: str, taken_s: Array, *, hand: bool = True) -> Array:
         """(n, 6) at the times when samples are thought to be taken; hand: with what it pushes."""
         at = self.moment(bag, taken_s, "wrench")
+        return self.told(at, self.total(at, hand=hand))
+
+    def total(self, at: Moment, *, hand: bool = True) -> Array:
+        """The true wrench (n, 6) on the sensor."""
         state = self.state(at)
         total = self.weight(at, state)
         for cause in self.causes:
@@ -54,6 +72,10 @@ class Machine:
                 total = total + more
         if hand and at.take.pushes is not None:
             total = total + at.take.pushes.wrench(at.bag_s)
+        return total
+
+    def told(self, at: Moment, total: Array) -> Array:
+        """The reading (n, 6) of a true wrench."""
         reading = self._sense(at, total) - self.zeroing + self.session.zero
         for cause in self.causes:
             reading = cause.show(at, reading)
@@ -83,12 +105,12 @@ class Machine:
         for cause in self.causes:
             tool, com = cause.tool(at, tool, com, state.gravity)
         force = tool.mass_kg * state.gravity
-        total = np.concatenate([force, np.cross(com, force)], axis=1)
+        total = np.concatenate([force, cross(com, force)], axis=1)
         return total + self._adapter_weight(state.gravity)
 
     def _adapter_weight(self, gravity: Array) -> Array:
         force = self.adapter.mass_kg * gravity
-        return np.concatenate([force, np.cross(self.adapter.com_m, force)], axis=1)
+        return np.concatenate([force, cross(self.adapter.com_m, force)], axis=1)
 
     def _sense(self, at: Moment, total: Array) -> Array:
         total = total * self.arm.sensor_gain
@@ -167,7 +189,7 @@ class Machine:
 
     def _more(self, take: Take, grid_s: Array, place: int) -> Array | None:
         """What causes add (n, 6) to the tip's displacement on a grid at one place."""
-        asked = [cause for cause in self.causes if type(cause).displace is not Cause.displace]
+        asked = [cause for cause in self.causes if changes([cause], "displace")]
         if not asked:
             return None
         springs, loads = self.loads(take, take.places[place], grid_s)
@@ -183,12 +205,16 @@ class Machine:
         """The springs at a place's joints (5,), and what a hand loads them with (n, 8)."""
         assert take.pushes is not None
         true = self.arm.turned_joints(joints)
-        springs = self.arm.springs(true, self.session.tool.tip_m)
-        rotation = self.arm.pose(true[None]).rotation[0]
-        return springs, springs.loaded(self._at_tip(rotation, take.pushes.wrench(at_s)))
+        key = (true.tobytes(), at_s.tobytes())
+        if key not in self._loads:
+            springs = self.arm.springs(true, self.session.tool.tip_m)
+            rotation = self.arm.pose(true[None]).rotation[0]
+            loads = springs.loaded(self._at_tip(rotation, take.pushes.wrench(at_s)))
+            self._loads[key] = springs, loads
+        return self._loads[key]
 
     def _at_tip(self, rotation: Array, wrench: Array) -> Array:
         """A wrench (n, 6) about the sensor's origin in ft_sensor, at the tip in base_link."""
         force, torque = wrench[:, :3], wrench[:, 3:]
-        torque = torque - np.cross(self.session.tool.tip_m, force)
+        torque = torque - cross(self.session.tool.tip_m, force)
         return np.concatenate([force @ rotation.T, torque @ rotation.T], axis=1)

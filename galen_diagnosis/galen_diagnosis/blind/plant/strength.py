@@ -25,11 +25,11 @@ from galen_model.arrays import Array
 
 from galen_diagnosis.blind.plant.arm import BlindArm
 from galen_diagnosis.blind.plant.cause import Cause
-from galen_diagnosis.blind.plant.machine import Machine
+from galen_diagnosis.blind.plant.machine import Machine, changes
 from galen_diagnosis.blind.plant.session import Session
 from galen_diagnosis.blind.plant.tolerance import COUNT, Tolerance
 
-_SAMPLES_A_TOPIC = 1000
+_SAMPLES_A_TOPIC = 900
 _AROUND_TOUCH_S = 0.06
 """Readings so near to a touch are left out."""
 _AROUND = np.linspace(-_AROUND_TOUCH_S, _AROUND_TOUCH_S, 5)
@@ -50,6 +50,18 @@ class _Told:
     marker_position: Array
 
 
+@dataclass(frozen=True)
+class Family:
+    """Directions (k, n) of unit D that a linear family spans, after nuisances."""
+
+    directions: Array
+
+    def left(self, difference: Array, strength: float) -> float:
+        """D that the family can't explain of a difference whose own is `strength`."""
+        explained = self.directions @ difference
+        return float(np.sqrt(max(0.0, strength**2 - explained @ explained)))
+
+
 class Scale:
     """Measures causes in one session."""
 
@@ -60,7 +72,7 @@ class Scale:
         colour = (1.0 + session.rho) / (1.0 - session.rho)
         for bag, take in session.takes.items():
             taken_s = take.wrench.taken_s
-            every = max(1, len(taken_s) // _SAMPLES_A_TOPIC)
+            every = -(-len(taken_s) // _SAMPLES_A_TOPIC)
             chosen = taken_s[every // 2 :: every]
             if take.pushes is not None:
                 near = [take.pushes.touched(chosen + shift) for shift in _AROUND]
@@ -70,13 +82,19 @@ class Scale:
         push = session.takes.get("push")
         if push is not None and push.tracker is not None and push.pushes is not None:
             taken_s = push.tracker.taken_s
-            every = max(1, len(taken_s) // _SAMPLES_A_TOPIC)
+            every = -(-len(taken_s) // _SAMPLES_A_TOPIC)
             self._tracked_s = taken_s[every // 2 :: every]
             colour = (1.0 + session.tracker_rho) / (1.0 - session.tracker_rho)
             self._tracker_weight = float(np.sqrt(every / colour))
             self._touched = push.pushes.touched(self._tracked_s)
             self._compliances = self._nominal_compliances()
-        self._nominal = self._tell(Machine(session))
+        self._machine = Machine(session)
+        self._moments = [self._machine.moment(b, s, "wrench") for b, s, _ in self._readings]
+        self._totals = [self._machine.total(at, hand=False) for at in self._moments]
+        if len(self._tracked_s):
+            self._pushed_at = self._machine.moment("push", self._tracked_s, "wrench")
+            self._pushed = self._machine.total(self._pushed_at)
+        self._nominal = self._tell(self._machine)
         self._columns = self._nuisances()
         if tolerance_scale > 0.0:
             each = tolerance_scale * np.eye(COUNT)
@@ -89,31 +107,31 @@ class Scale:
 
     def difference(self, causes: Sequence[Cause], tolerance: Tolerance | None = None) -> Array:
         """d: what the causes change, each sample over its noise."""
-        machine = (
-            Machine(self._session, causes)
-            if tolerance is None
-            else Machine(self._session, causes, tolerance)
-        )
-        return self._compared(self._tell(machine))
+        if tolerance is not None:
+            return self._compared(self._tell(Machine(self._session, causes, tolerance)))
+        machine = Machine(self._session, causes, like=self._machine)
+        return self._compared(self._tell_anew(machine))
 
-    def product(self, first: Array, second: Array) -> Array:
-        """first^T (1 + J S J^T)^-1 second, for rows (k, n) and (m, n)."""
-        solved = np.linalg.solve(self._information, self._j @ second.T)
-        return np.asarray(first @ second.T - (self._j @ first.T).T @ solved)
+    def _free(self, rows: Array) -> Array:
+        """J rows^T solved with the information: what the nuisances take of rows (k, n)."""
+        return np.asarray(np.linalg.solve(self._information, self._j @ rows.T))
 
     def strength(self, difference: Array) -> float:
         """D of a difference."""
-        return float(np.sqrt(max(0.0, self.product(difference[None], difference[None])[0, 0])))
+        taken = self._j @ difference
+        square = difference @ difference - taken @ np.linalg.solve(self._information, taken)
+        return float(np.sqrt(max(0.0, square)))
 
-    def left(self, difference: Array, columns: Array) -> float:
-        """D of what columns (k, n) can't explain of a difference, each as large as it likes."""
-        own = self.product(difference[None], difference[None])[0, 0]
-        cross = self.product(columns, difference[None])[:, 0]
-        gram = self.product(columns, columns)
-        scale = 1.0 / np.sqrt(np.maximum(np.diag(gram), 1e-30))
-        gram, cross = gram * np.outer(scale, scale), cross * scale
-        explained = cross @ np.linalg.pinv(gram, rcond=1e-9, hermitian=True) @ cross
-        return float(np.sqrt(max(0.0, own - explained)))
+    def family(self, causes: Sequence[Cause]) -> Family:
+        """What these causes, each as large as it likes, can explain together."""
+        columns = np.array([self.difference([cause]) for cause in causes])
+        length = np.linalg.norm(columns, axis=1)
+        columns = columns / np.where(length > 0.0, length, 1.0)[:, None]
+        free = columns - self._free(columns).T @ self._j
+        gram = free @ columns.T
+        values, vectors = np.linalg.eigh(0.5 * (gram + gram.T))
+        good = values > 1e-9
+        return Family((vectors[:, good] / np.sqrt(values[good])).T @ free)
 
     def sized(
         self, cause: Cause, strength: float, measure: Callable[[Array], float] | None = None
@@ -153,6 +171,28 @@ class Scale:
         tip = machine.tool_pose("push", self._tracked_s)
         marker = machine.base_pose("push", self._tracked_s)
         return _Told(readings, *tip, machine.reading("push", self._tracked_s), *marker)
+
+    def _tell_anew(self, machine: Machine) -> _Told:
+        """The same as `_tell`, but what the causes can't change is taken from the nominal one."""
+        causes, nominal = machine.causes, self._nominal
+        readings, applied = nominal.readings, nominal.applied
+        if changes(causes, "late", "arm", "joints", "tool", "wrench"):
+            readings = [machine.reading(bag, at_s, hand=False) for bag, at_s, _ in self._readings]
+            if len(self._tracked_s):
+                applied = machine.reading("push", self._tracked_s)
+        elif changes(causes, "sense", "show"):
+            each = zip(self._moments, self._totals, strict=True)
+            readings = [machine.told(at, total) for at, total in each]
+            if len(self._tracked_s):
+                applied = machine.told(self._pushed_at, self._pushed)
+        tip = nominal.tip_rotation, nominal.tip_position
+        marker = nominal.marker_rotation, nominal.marker_position
+        if len(self._tracked_s):
+            if changes(causes, "late", "arm", "joints", "displace", "track"):
+                tip = machine.tool_pose("push", self._tracked_s)
+            if changes(causes, "late", "arm", "track", "stand"):
+                marker = machine.base_pose("push", self._tracked_s)
+        return _Told(readings, *tip, applied, *marker)
 
     def _compared(self, told: _Told) -> Array:
         nominal = self._nominal

@@ -13,7 +13,7 @@ from galen_diagnosis.blind.plant.arm import Body
 from galen_diagnosis.blind.plant.cause import Cause, Moment, State, size_of
 from galen_diagnosis.blind.plant.machine import Machine
 from galen_diagnosis.blind.plant.session import Session
-from galen_diagnosis.blind.plant.turning import any_direction, back, forth
+from galen_diagnosis.blind.plant.turning import any_direction, back, cross, forth
 
 
 @dataclass(frozen=True)
@@ -142,7 +142,7 @@ class CableDrag(Cause):
         force = back(state.pose.rotation, tension[:, None] * line)
         down = state.gravity / np.linalg.norm(state.gravity, axis=1, keepdims=True)
         force = force + self.size * self.weight_share * down
-        return np.concatenate([force, np.cross(self.attachment_m, force)], axis=1)
+        return np.concatenate([force, cross(self.attachment_m, force)], axis=1)
 
     def _pull(self, at: Moment, state: State) -> tuple[Array, Array]:
         """Direction (n, 3) in base_link and tension (n,)."""
@@ -151,7 +151,7 @@ class CableDrag(Cause):
         distance = np.linalg.norm(way, axis=1)
         line = way / distance[:, None]
         omega, _, speed, _ = state.arm.twist(state.joints, at.going.velocity, at.going.acceleration)
-        leaving = -np.sum(line * (speed + np.cross(omega, lever)), axis=1)
+        leaving = -np.sum(line * (speed + cross(omega, lever)), axis=1)
         usual = float(np.linalg.norm(np.array(self.anchor_m) - [0.72, 0.0, 0.5]))
         tension = self.size * (1.0 + self.grow * (distance - usual) / usual)
         return line, tension * (1.0 + self.friction * np.tanh(leaving / 0.02))
@@ -195,11 +195,11 @@ class InertialLoad(Cause):
         total = np.zeros((len(at), 6))
         for body in bodies:
             com = body.com_m
-            at_com = a + np.cross(al, com) + np.cross(w, np.cross(w, com))
+            at_com = a + cross(al, com) + cross(w, cross(w, com))
             force = -share * body.mass_kg * at_com
             tensor = share * body.inertia_kg_m2
-            spin = al @ tensor.T + np.cross(w, w @ tensor.T)
-            total = total + np.concatenate([force, np.cross(com, force) - spin], axis=1)
+            spin = al @ tensor.T + cross(w, w @ tensor.T)
+            total = total + np.concatenate([force, cross(com, force) - spin], axis=1)
         return total
 
     def parameters(self, machine: Machine) -> Mapping[str, Any]:
