@@ -1,0 +1,228 @@
+"""The plant with effects set by parameters, against `replay` with the same effects."""
+
+import json
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from galen_model.arm import JOINT_NAMES
+from galen_model.errors import GalenError
+from galen_model.rotation import quaternion_to_matrix, rotvec_to_matrix
+from galen_model.tools import ADAPTER, TOOLS
+from galen_ros.param import param_fields
+from galen_sim_driver.config import HandPush, PlantConfig, SensorConfig, TrackerConfig
+from galen_sim_driver.effect_parameters import (
+    EffectParameters,
+    driver_file,
+    driver_parameters,
+    effects_of,
+    parameter_name,
+)
+from galen_sim_driver.effects.base_shift import BaseShift
+from galen_sim_driver.effects.bias_step import BiasStep
+from galen_sim_driver.effects.crosstalk import Crosstalk
+from galen_sim_driver.effects.registry import EFFECTS, effect_from
+from galen_sim_driver.effects.sensor_drift import SensorDrift
+from galen_sim_driver.effects.sensor_saturation import SensorSaturation
+from galen_sim_driver.effects.wrench_delay import WrenchDelay
+from galen_sim_driver.plant import Plant
+from galen_sim_driver.replay import Replay, Scene
+from galen_sim_driver.trajectory import Trajectory, TrajectoryPoint
+
+RATE_HZ = 200.0
+WAY = [0.03, -0.05, 0.45, 0.8, -0.6]
+PUSHES = [
+    HandPush(1.2, 0.6, (0.0, 10.0, 0.0)),
+    HandPush(1.9, 0.6, (-6.0, 0.0, 8.0), (0.05, -0.03, 0.0)),
+]
+EXACT = PlantConfig(
+    rate_hz=RATE_HZ,
+    start_ns=0,
+    encoder_quantum=(1e-12,) * 5,
+    sensor=SensorConfig(noise=False, quantise=False),
+    tracker=TrackerConfig(rate_hz=50.0, noise=False),
+    hand=PUSHES,
+)
+BASE = EXACT.tracker.base_in_tracker
+
+
+def run(effects):
+    """What the plant tells of a motion and two pushes: the scene, tracker poses, untouched rows."""
+    plant = Plant(replace(EXACT, effects=tuple(effects)), np.random.default_rng(0))
+    plant.attach_tool("retractor")
+    plant.command(Trajectory(JOINT_NAMES, [TrajectoryPoint(1.0, WAY, [0.0] * 5, [0.0] * 5)]))
+    plant.start_hand()
+    # It ends in a push: on a bare zero, rounding would tell a joint in its gap where to go.
+    samples = [plant.step() for _ in range(round(2.3 * RATE_HZ))]
+    stamps = np.array([s.stamp_ns for s in samples]) * 1e-9
+    looks = [k for k, sample in enumerate(samples) if sample.tracker is not None]
+    scene = Scene(
+        bag="push",
+        start_s=0.0,
+        joint_s=stamps,
+        joints=np.array([s.positions for s in samples]),
+        wrench_s=stamps + plant.wrench_delay_ns * 1e-9,
+        reading=np.array([s.wrench for s in samples]),
+        touched=stamps > 1.2,
+        tracker_s=stamps[looks] + plant.tracker_delay_ns * 1e-9,
+        tool=TOOLS["retractor"],
+        adapter=ADAPTER,
+    )
+    return scene, [samples[k].tracker for k in looks]
+
+
+@cache
+def nominal():
+    return run([])
+
+
+def some(name):
+    effect = EFFECTS[name]()
+    typical = np.concatenate([p.typicals for p in effect.fitted])
+    return effect.with_vector(typical * (1.0 + 0.1 * np.arange(len(typical))))
+
+
+# Those that clip, are smoothed, or remember.
+NOT_TOGETHER = {"sensor_saturation", "inertial_load", "backlash", "deflection_hysteresis"}
+CASES = {name: (some(name),) for name in EFFECTS} | {
+    "sensor_saturation": (SensorSaturation(0.9, "fx"),),
+    "sensor_drift": (SensorDrift.through([0.0, 0.5, 3.0], 0.1 * np.arange(18.0).reshape(3, 6)),),
+    "bias_step": (BiasStep(0.5, (0.1, 0.2, -0.3, 0.01, 0.0, 0.0)),),
+    "wrench_delay": (WrenchDelay(0.025),),
+    "base_shift": (BaseShift((0.001, -0.002, 0.003), (0.01, 0.02, -0.03), 1.5),),
+    "together": (*(some(name) for name in EFFECTS if name not in NOT_TOGETHER),),
+}
+# What is told of a remembered or differentiated path hangs on when somebody looks: replay smooths
+# rates over 80 ms, knows the largest load of a bag beforehand, and sees the tip only when the
+# tracker does. As parts of what the effect does.
+WRENCH_DIFFERS = {"inertial_load": 0.06}
+TIP_DIFFERS = {"deflection_hysteresis": 0.15, "backlash": 0.06}
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_the_plant_with_parameters_tells_what_replay_with_the_effects_tells(name):
+    effects = CASES[name]
+    told = json.loads(json.dumps(driver_parameters(effects)))
+    lists = {key: tuple(value) for key, value in told.items() if isinstance(value, list)}
+    live = effects_of(EffectParameters(**(told | lists)))
+    assert live == effects
+    scene, seen = run(live)
+    replay, (before, seen_before) = Replay(scene, effects), nominal()
+    untouched = ~scene.touched
+    error = np.abs(replay.reading() - scene.reading)[untouched].max()
+    size = np.abs(before.reading - scene.reading)[untouched].max()
+    assert error < WRENCH_DIFFERS.get(name, 0.0) * size + 1e-11
+
+    # What was clipped can't be told back: there the push is taken as it was.
+    applied = Replay(before).applied_wrench() if name == "sensor_saturation" else None
+    base_turn, base_m = rotvec_to_matrix(BASE.rotvec_rad), np.array(BASE.translation_m)
+    turn, position = replay.seen_by_tracker(*replay.tip(applied), base_turn, base_m)
+    told_m = np.array([look.tool.position_m for look in seen])
+    error = np.abs(position - told_m).max()
+    size = np.abs(told_m - [look.tool.position_m for look in seen_before]).max()
+    differs = TIP_DIFFERS.get(name, 0.0)
+    assert error < differs * size + 1e-11
+    turned = quaternion_to_matrix([look.tool.quaternion for look in seen])
+    assert np.abs(turn - turned).max() < 10.0 * differs * size + 1e-11
+
+    marker, moved = EXACT.tracker.base_marker, replay.base_marker()
+    at = base_m + (np.array(marker.translation_m) + moved[:, :3]) @ base_turn.T
+    for effect in effects:
+        at = effect.seen(scene.instants(scene.tracker_s), at)
+    assert np.abs(at - [look.base.position_m for look in seen]).max() < 1e-12
+    turn = base_turn @ rotvec_to_matrix(moved[:, 3:]) @ rotvec_to_matrix(marker.rotvec_rad)
+    turned = quaternion_to_matrix([look.base.quaternion for look in seen])
+    assert np.abs(turn - turned).max() < 1e-12
+
+    # Each shows somewhere, so that all of this could fail.
+    late = np.array_equal(scene.wrench_s, before.wrench_s) and np.array_equal(
+        scene.tracker_s, before.tracker_s
+    )
+    same = np.array_equal(scene.reading, before.reading) and seen == seen_before
+    assert not (late and same)
+
+
+@pytest.mark.parametrize("name", EFFECTS)
+def test_every_number_of_an_effect_is_a_parameter_of_the_driver(name):
+    kind = EFFECTS[name]
+    asked = set(param_fields(kind)) - set(kind.recording_only)
+    names = [parameter_name(kind, field) for field in asked]
+    assert set(names) <= set(param_fields(EffectParameters))
+    assert len(set(names)) == len(asked) > 0
+    for p in kind.fitted:  # what a fit may find the driver may have
+        if p.name in param_fields(kind):
+            _, _, meaning = param_fields(kind)[p.name]
+            assert meaning.minimum is None or meaning.minimum <= p.lower
+            assert meaning.maximum is None or p.upper <= meaning.maximum
+
+
+def test_names_of_parameters():
+    wanted = {
+        ("roll_zero_offset", "offset_rad"): "roll_zero_offset_rad",
+        ("tilt_gain", "gain"): "tilt_gain",
+        ("crosstalk", "from_axis"): "crosstalk_from",
+        ("bias_step", "time_s"): "bias_step_time_s",
+        ("bias_step", "step"): "bias_step",
+        ("tool_mass_error", "delta_kg"): "tool_mass_error_delta_kg",
+        # These were there before there were any others.
+        ("sensor_drift", "rate_per_hour"): "sensor_drift_per_hour",
+        ("loose_tool", "shift_m"): "loose_tool_shift_m",
+    }
+    assert {key: parameter_name(EFFECTS[key[0]], key[1]) for key in wanted} == wanted
+
+
+def test_effects_become_a_parameter_file():
+    step = BiasStep(2.0, (0.1,) * 6, "push")
+    effects = [
+        effect_from("tilt_zero_offset", {"offset_rad": 0.012}),
+        SensorDrift((1.0,) * 6),
+        step,
+    ]
+    assert driver_file(effects) == {
+        "sim_driver": {
+            "ros__parameters": {
+                "tilt_zero_offset_rad": 0.012,
+                "sensor_drift_per_hour": [1.0] * 6,
+                "bias_step_time_s": 2.0,
+                "bias_step": [0.1] * 6,
+            }
+        }
+    }
+    with pytest.raises(GalenError, match="one crosstalk at a time"):
+        driver_parameters([Crosstalk("fx", "fy", 0.1), Crosstalk("fx", "fz", 0.1)])
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"axis_gain": (0.1,)}, "axis_gain.*1 numbers.*6"),
+        ({"sensor_drift_per_hour": (1.0,)}, "sensor_drift_per_hour.*1 numbers.*6"),
+        ({"crosstalk_from": "up"}, "crosstalk: from is 'up'"),
+        ({"sensor_drift_knots_s": (1.0,)}, "sensor_drift: knots_s"),
+        ({"backlash_joint": "knee"}, "backlash: joint is 'knee'"),
+    ],
+)
+def test_bad_values_are_named(changes, words):
+    with pytest.raises(GalenError, match=words):
+        replace(EffectParameters(), **changes).validate()
+
+
+def test_the_noise_is_the_same_with_and_without():
+    noisy = replace(EXACT, sensor=SensorConfig(quantise=False), tracker=TrackerConfig(rate_hz=50.0))
+    offset = BiasStep(0.0, (0.5, -0.5, 0.25, 0.125, 0.0, 0.0))
+    scale = effect_from("tracker_scale", {"gain": 0.01})
+    plain, other = (
+        Plant(replace(noisy, effects=effects), np.random.default_rng(1))
+        for effects in ((), (offset, scale))
+    )
+    for plant in (plain, other):
+        plant.attach_tool("pointer")
+    for _ in range(40):
+        a, b = plain.step(), other.step()
+        assert np.abs(np.array(b.wrench) - a.wrench - offset.step).max() < 1e-12
+        if a.tracker is not None:
+            exact = np.array(BASE.translation_m)
+            far = np.array(b.tracker.tool.position_m) - a.tracker.tool.position_m
+            assert np.abs(far - 0.01 * np.array(a.tracker.tool.position_m)).max() < 1e-5
+            assert np.abs(far).max() > 1e-3 * np.abs(exact).max()
