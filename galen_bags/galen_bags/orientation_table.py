@@ -135,6 +135,16 @@ def read_orientations(
     return _time(text), _orientation(text)[0]
 
 
+def read_rotations(
+    path: str | os.PathLike[str], columns: Sequence[str] | None = None
+) -> Array | None:
+    """R_base_sensor (n, 3, 3) of a table with orientations; None where it tells gravity alone.
+
+    Raises TableError naming the file and what is wrong in it.
+    """
+    return _orientation(read_text_table(path, _KNOWN, columns))[1]
+
+
 def _wrench(text: TextTable) -> Array:
     for axis in WRENCH_AXES:
         text.require(axis)

@@ -91,22 +91,22 @@ def score_motion(still: StillTable, run: MotionTable, bands_hz: tuple[float, ...
         raise TableError("wrench, IMU and orientations lie together in fewer than 100 readings")
     gravity = CubicSpline(run.gravity_s, run.gravity)
     at = CubicSpline(run.imu_s, felt)
-    moving = _moving(time_s, gravity)
-    if np.count_nonzero(~moving) < _FEWEST_REST or np.count_nonzero(moving) < 100:
+    in_motion = moving(time_s, gravity)
+    if np.count_nonzero(~in_motion) < _FEWEST_REST or np.count_nonzero(in_motion) < 100:
         raise TableError("the run must hold motion, and rest to tare in")
     weight = wrench - gravity_regressor(gravity(time_s)) @ moments - offset
 
     def left(lag_s: float) -> Array:
         return np.asarray(wrench - gravity_regressor(at(time_s + lag_s)) @ moments - offset)
 
-    half = time_s < np.median(time_s[moving])
-    lags = [_best_lag(left, moving & rows, moments) for rows in (half, ~half)]
+    half = time_s < np.median(time_s[in_motion])
+    lags = [_best_lag(left, in_motion & rows, moments) for rows in (half, ~half)]
     with_imu = np.where(half[:, None], left(lags[1]), left(lags[0]))
     taps = np.concatenate([at(time_s + t) - gravity(time_s) for t in _TAPS_S], axis=1)
     residuals = {
-        WEIGHT: weight - weight[~moving].mean(axis=0),
-        WITH_IMU: with_imu - with_imu[~moving].mean(axis=0),
-        FILTER: _filtered(weight, taps, moving),
+        WEIGHT: weight - weight[~in_motion].mean(axis=0),
+        WITH_IMU: with_imu - with_imu[~in_motion].mean(axis=0),
+        FILTER: _filtered(weight, taps, in_motion),
     }
     rate_hz = 1.0 / float(np.median(np.diff(time_s)))
     bands = {}
@@ -114,13 +114,13 @@ def score_motion(still: StillTable, run: MotionTable, bands_hz: tuple[float, ...
         if band_hz >= rate_hz / 2.0 and np.isfinite(band_hz):
             raise TableError(f"a band of {band_hz:g} Hz: readings come at {rate_hz:.0f} Hz")
         low = {name: _low_pass(part, band_hz, rate_hz) for name, part in residuals.items()}
-        bands[band_hz] = {name: _rms(part[moving]) for name, part in low.items()}
-        bands[band_hz][REST] = np.std(low[WEIGHT][~moving], axis=0)
-    rest_s = float(np.count_nonzero(~moving) / rate_hz)
+        bands[band_hz] = {name: _rms(part[in_motion]) for name, part in low.items()}
+        bands[band_hz][REST] = np.std(low[WEIGHT][~in_motion], axis=0)
+    rest_s = float(np.count_nonzero(~in_motion) / rate_hz)
     return MotionScore(imu, (float(lags[0]), float(lags[1])), rest_s, bands)
 
 
-def _moving(time_s: Array, gravity: CubicSpline) -> np.ndarray:
+def moving(time_s: Array, gravity: CubicSpline) -> np.ndarray:
     """Whether gravity turns, or has or will within a quarter of a second, at each moment."""
     around = [gravity(time_s + shift) for shift in (-_REST_S / 2.0, _REST_S / 2.0)]
     change = np.linalg.norm(around[1] - around[0], axis=1) / 9.8

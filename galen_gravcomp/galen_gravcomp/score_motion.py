@@ -79,33 +79,45 @@ def build_parser() -> argparse.ArgumentParser:
 
 def run(arguments: argparse.Namespace) -> MotionScore:
     """Read the tables and score; raises GalenError."""
-    unit_s = arguments.time_unit_s
     table = read_table(arguments.still)
     still = StillTable(
-        table.gravity, table.wrench, _specific(arguments.still, arguments.imu_unit_m_s2)
+        table.gravity, table.wrench, read_specific(arguments.still, arguments.imu_unit_m_s2)
     )
-    wrench_t, wrench = read_wrenches(arguments.wrench)
-    gravity_t, gravity = read_orientations(arguments.orientations)
-    imu_t = read_text_table(arguments.imu, {"t", *_IMU}).require("t")
-    specific = _specific(arguments.imu, arguments.imu_unit_m_s2)
-    for path, times in (
-        (arguments.wrench, wrench_t),
-        (arguments.imu, imu_t),
-        (arguments.orientations, gravity_t),
-    ):
-        _check_times(path, times)
+    motion = read_motion(
+        arguments.wrench,
+        arguments.imu,
+        arguments.orientations,
+        arguments.time_unit_s,
+        arguments.imu_unit_m_s2,
+    )
+    return score_motion(still, motion, tuple(arguments.bands_hz))
+
+
+def read_motion(
+    wrench_file: Path,
+    imu_file: Path | None,
+    orientations_file: Path,
+    time_unit_s: float,
+    imu_unit_m_s2: float,
+) -> MotionTable:
+    """A run's tables; without an IMU its arrays are empty. Raises TableError."""
+    wrench_t, wrench = read_wrenches(wrench_file)
+    gravity_t, gravity = read_orientations(orientations_file)
+    imu_t, specific = np.zeros(0), np.zeros((0, 3))
+    if imu_file is not None:
+        imu_t = read_text_table(imu_file, {"t", *_IMU}).require("t")
+        specific = read_specific(imu_file, imu_unit_m_s2)
+        _check_times(imu_file, imu_t)
+    _check_times(wrench_file, wrench_t)
+    _check_times(orientations_file, gravity_t)
     start = wrench_t[0]
-    return score_motion(
-        still,
-        MotionTable(
-            (wrench_t - start) * unit_s,
-            wrench,
-            (imu_t - start) * unit_s,
-            specific,
-            (gravity_t - start) * unit_s,
-            gravity,
-        ),
-        tuple(arguments.bands_hz),
+    return MotionTable(
+        (wrench_t - start) * time_unit_s,
+        wrench,
+        (imu_t - start) * time_unit_s,
+        specific,
+        (gravity_t - start) * time_unit_s,
+        gravity,
     )
 
 
@@ -119,7 +131,8 @@ def _check_times(path: Path, times: Array) -> None:
         )
 
 
-def _specific(path: Path, unit_m_s2: float) -> Array:
+def read_specific(path: Path, unit_m_s2: float) -> Array:
+    """Specific force (n, 3), m/s^2, of a table of ax ay az; raises TableError."""
     text = read_text_table(path, set(_IMU))
     return unit_m_s2 * np.column_stack([text.require(name) for name in _IMU])
 

@@ -80,12 +80,13 @@ def build_parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--unit", choices=tuple(LAG_UNITS), default="mrad", help="of lags (default: %(default)s)"
     )
-    _add_column_options(parser.add_argument_group("columns"))
+    add_column_options(parser.add_argument_group("columns"))
     _add_model_options(parser.add_argument_group("models and hold-outs"))
     return parser
 
 
-def _add_column_options(group: argparse._ArgumentGroup) -> None:
+def add_column_options(group: argparse._ArgumentGroup) -> None:
+    """Which columns of a file are which, and what takes them to the joint."""
     group.add_argument(
         "--columns",
         type=_columns,
@@ -181,8 +182,7 @@ def main(args: Sequence[str] | None = None) -> int:
     arguments = parser.parse_args(args)
     if arguments.unlike is not None and arguments.hold_out == "block":
         parser.error("--unlike is for runs held out, not for blocks")
-    if arguments.rate_hz is not None and (arguments.time_scale or "t" in arguments.columns):
-        parser.error("--rate-hz is for tables without a column t")
+    check_column_options(parser, arguments)
     if arguments.iterations < 1:
         parser.error("--iterations must be at least 1")
     if arguments.seed < 0:
@@ -203,15 +203,7 @@ def _table(arguments: argparse.Namespace) -> int:
 
 def _fit(arguments: argparse.Namespace) -> int:
     check_folder(arguments.plots)
-    columns = ColumnMap(
-        **{"t": None if arguments.rate_hz else "t", **arguments.columns},
-        time_scale_s=arguments.time_scale,
-        rate_hz=arguments.rate_hz,
-        opposite=arguments.opposite,
-        angle_gear=arguments.angle_gear,
-        torque_gear=arguments.torque_gear,
-    )
-    runs = read_runs(arguments.files, columns)
+    runs = read_runs(arguments.files, column_map(arguments))
     held = arguments.hold_out or ("run" if len(runs) >= 3 or arguments.unlike else "block")
     parts = (
         whole_runs(runs, arguments.unlike) if held == "run" else time_blocks(runs, arguments.blocks)
@@ -253,6 +245,24 @@ def _picture(comparison: Comparison, label: str, arguments: argparse.Namespace) 
 
     place = folder
     return written(lambda: [plot_joint(comparison, label, arguments.unit, place)], place)
+
+
+def check_column_options(parser: argparse.ArgumentParser, arguments: argparse.Namespace) -> None:
+    """End the command where the options of `add_column_options` don't go together."""
+    if arguments.rate_hz is not None and (arguments.time_scale or "t" in arguments.columns):
+        parser.error("--rate-hz is for tables without a column t")
+
+
+def column_map(arguments: argparse.Namespace) -> ColumnMap:
+    """From the options of `add_column_options`."""
+    return ColumnMap(
+        **{"t": None if arguments.rate_hz else "t", **arguments.columns},
+        time_scale_s=arguments.time_scale,
+        rate_hz=arguments.rate_hz,
+        opposite=arguments.opposite,
+        angle_gear=arguments.angle_gear,
+        torque_gear=arguments.torque_gear,
+    )
 
 
 def _columns(text: str) -> dict[str, str]:
