@@ -92,17 +92,13 @@ def chance(values: Array, causes: Sequence[str], draws: int = 500, seed: int = 0
     so that choosing between them, and among columns, is paid for.
     """
     labels = np.unique(np.asarray(causes), return_inverse=True)[1]
-    orders = [_neighbours(column[:, None]) for column in values.T] if values.size else []
-    orders += [_neighbours(values)] if values.size else []
-    if not orders:
+    if not values.size:
         most = float(np.bincount(labels).max() / len(labels))
         return Chance(most, most, 1.0)
+    orders = np.stack([_neighbours(columns) for columns in (*values.T[:, :, None], values)])
     random = np.random.default_rng(seed)
-    own = max(_share(order, labels) for order in orders)
-    drawn = []
-    for _ in range(draws):
-        dealt = random.permutation(labels)
-        drawn.append(max(_share(order, dealt) for order in orders))
+    own = _best_share(orders, labels)
+    drawn = [_best_share(orders, random.permutation(labels)) for _ in range(draws)]
     p = (1 + sum(share >= own for share in drawn)) / (draws + 1)
     return Chance(own, float(np.mean(drawn)), float(p))
 
@@ -115,10 +111,8 @@ def _neighbours(values: Array) -> np.ndarray:
     return np.argsort(distance, axis=1, kind="stable")[:, :_NEIGHBOURS]
 
 
-def _share(neighbours: np.ndarray, labels: np.ndarray) -> float:
-    """Share of recordings whose label most of their neighbours have."""
-    classes = int(labels.max()) + 1
-    votes = np.zeros((len(labels), classes))
-    for column in neighbours.T:
-        votes[np.arange(len(labels)), labels[column]] += 1.0
-    return float(np.mean(votes.argmax(axis=1) == labels))
+def _best_share(orders: np.ndarray, labels: np.ndarray) -> float:
+    """Share of recordings whose label most of their neighbours (m, n, k) have, of the best of m."""
+    near = labels[orders]
+    votes = np.stack([(near == label).sum(axis=2) for label in range(int(labels.max()) + 1)])
+    return float(np.max(np.mean(votes.argmax(axis=0) == labels, axis=1)))

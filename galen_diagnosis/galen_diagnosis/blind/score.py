@@ -70,7 +70,8 @@ class Score:
     wrong_and_sure: faint singles with the verdict identified and the effect not among the named
     ones; faint_missed: those with the verdict none; faint_open: ambiguous or unknown.
     pair_f1: 2 TP / (2 TP + FP + FN) over the causes of all pairs; pair_whole: both and no other.
-    ambiguous_held: all the effects that can't be separated are named; ambiguous_alone: a subset of
+    Of recordings that can't separate their one effect from others, ambiguous_held:
+    all of these are named; ambiguous_alone: a subset of
     them named as identified without the others, or a wrong one. abstained: verdicts ambiguous and
     unknown, by kind. closed_error: closed fraction less the oracle's, of singles
     and pairs of clear and gross strength; closed_near: within 0.03.
@@ -123,7 +124,9 @@ def score(cases: Sequence[Answered], effects: Sequence[str]) -> Score:
     unknown = [c for c in cases if c.label.kind == UNKNOWN]
     known = [c for c in cases if c.label.kind != UNKNOWN]
     pairs = [c for c in cases if c.label.kind == "pair"]
-    twins = [c for c in cases if c.label.kind == "ambiguous"]
+    twins = [
+        c for c in cases if c.label.kind in ("single", "ambiguous") and len(c.label.accepted) > 1
+    ]
     plain = [*healthy, *singles, *unknown]
     classes = tuple(_class(name, plain) for name in names)
     confusion, predicted = _confusion(plain, names)
@@ -214,7 +217,7 @@ def _unknown(case: Answered) -> float:
 
 
 def _holds(case: Answered) -> bool:
-    return case.said is not None and case.label.accepted <= case.said.named
+    return case.said is not None and case.label.accepted - {NONE} <= case.said.named
 
 
 def _mean_of_classes(classes: Iterable[Mapping[str, Rate]]) -> float | None:
