@@ -53,7 +53,10 @@ class Rest:
 
     def left_by(self, columns: Array) -> tuple[float, int]:
         """The sum of squares that columns (n, k) leave beside the unknowns, and k."""
-        part = _basis(self._without(columns)).T @ self.residual
+        norms = np.linalg.norm(columns, axis=0)
+        own = self._without(columns[:, norms > 0.0] / norms[norms > 0.0])
+        # What the unknowns take whole leaves rounding errors, which would explain something.
+        part = _basis(own[:, np.linalg.norm(own, axis=0) > 1e-9]).T @ self.residual
         return float(self.sum_of_squares - part @ part), columns.shape[1]
 
     def _without(self, columns: Array) -> Array:
