@@ -21,6 +21,7 @@ from __future__ import annotations
 
 import numpy as np
 from galen_model.arrays import Array
+from galen_model.rotation import skew
 from numpy.typing import ArrayLike
 
 _CORNER = 0.25
@@ -61,8 +62,14 @@ def cable_wrench(
 
     tension, distance (...,); direction (..., 3) and home_direction (3,) in ft_sensor.
     """
-    moment = bending_nm * np.cross(home_direction, direction)
+    force = np.asarray(tension_n)[..., None] * direction
+    # r x f as a product: numpy's cross takes longer than all the rest of one sample.
+    torque_of = skew(attachment_m).T
+    if not bending_nm:
+        return np.concatenate([force, force @ torque_of], axis=-1)
+    moment = bending_nm * direction @ skew(home_direction).T
     span_m = np.maximum(distance_m, _NEAREST_M)[..., None]
-    force = np.asarray(tension_n)[..., None] * direction + np.cross(moment, direction) / span_m
-    torque = np.cross(np.asarray(attachment_m, dtype=float), force) + moment
-    return np.concatenate([force, torque], axis=-1)
+    # (n x l) x l = l (n.l) - n
+    across = bending_nm * (direction * (direction @ home_direction)[..., None] - home_direction)
+    force = force + across / span_m
+    return np.concatenate([force, force @ torque_of + moment], axis=-1)

@@ -14,12 +14,19 @@ from galen_model.arm import GRAVITY_M_S2, ArmParameters
 from galen_model.arrays import Array
 from galen_model.load import Load, gravity_wrench
 from galen_model.rotation import matrix_to_quaternion
-from galen_model.sensor_motion import SensorMotion, sensor_motion
+from galen_model.sensor_motion import MotionOfSensor, SensorMotion
 from galen_model.tools import ToolGeometry
 
 from galen_sim_driver.effects.effect import Effect, Instants, Loading, Posture, in_order
 from galen_sim_driver.effects.tilt_axis_misalignment import sensor_pose
-from galen_sim_driver.geometry import ArmGeometry, Matrix, Quaternion, rotate_back, sensor_matrix
+from galen_sim_driver.geometry import (
+    ArmGeometry,
+    Matrix,
+    Quaternion,
+    rotate_back,
+    sensor_matrix,
+    sensor_quaternion,
+)
 from galen_sim_driver.tracker import MarkerPose
 
 _ORIGIN = (0.0, 0.0, 0.0)
@@ -52,6 +59,7 @@ class PlantEffects:
         self._gravity: list[float] = gravity.tolist()
         self._direction = gravity / np.linalg.norm(gravity)
         self._geometry = ArmGeometry(arm)
+        self._motion = MotionOfSensor(arm)
         self._adapter = adapter
         self._turn = sum(effect.tilt_axis_about_z_rad for effect in self._effects)
         self.wrench_delay_ns = _ns(sum(effect.wrench_delay_s for effect in self._effects))
@@ -108,8 +116,9 @@ class PlantEffects:
             return None
         motion = None
         if self.needs_motion:
-            own = sensor_motion(arm.joints, velocities, accelerations, self.arm)
-            motion = SensorMotion(*(part[None] for part in own))
+            roll, tilt = arm.joints[3:]
+            own = self._motion.at(roll, tilt, tuple(velocities), tuple(accelerations))
+            motion = SensorMotion(*(np.array([part]) for part in own))
         posture = Posture(
             joints=np.array([arm.joints]),
             rotation=np.reshape(arm.matrix, (1, 3, 3)),
@@ -145,6 +154,8 @@ class PlantEffects:
 
     def quaternion(self, arm: ArmNow) -> Quaternion:
         """How the sensor is turned in base_link."""
+        if not self._turn:
+            return sensor_quaternion(arm.joints[3], arm.joints[4])
         x, y, z, w = matrix_to_quaternion(np.reshape(arm.matrix, (3, 3)))
         return (float(x), float(y), float(z), float(w))
 

@@ -10,6 +10,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import lru_cache
+from functools import lru_cache
 from typing import ClassVar, Self
 
 import numpy as np
@@ -20,8 +22,6 @@ from galen_ros.param import param
 
 from galen_sim_driver.cable import cable_line, cable_wrench, relative_tension
 from galen_sim_driver.effects.effect import Effect, Fitted, Instants, Posture
-
-_HOME_ROTATION, _HOME_ORIGIN = sensor_pose(HOME)
 
 
 @dataclass(frozen=True)
@@ -96,12 +96,23 @@ class CableDrag(Effect):
         distance_m, direction = cable_line(
             posture.rotation, posture.origin, self.anchor_m, self.attachment_m
         )
-        _, at_home = cable_line(_HOME_ROTATION, _HOME_ORIGIN, self.anchor_m, self.attachment_m)
         return cable_wrench(
             self._tension(distance_m),
             self.bending_nm,
             distance_m,
             direction,
-            at_home,
+            _direction_at_home(tuple(self.anchor_m), tuple(self.attachment_m)),
             self.attachment_m,
         )
+
+
+@lru_cache(maxsize=256)
+def _direction_at_home(anchor_m: tuple[float, ...], attachment_m: tuple[float, ...]) -> Array:
+    """The line's direction (3,) in ft_sensor at home, where the cord lies straight."""
+    return cable_line(_HOME_ROTATION, _HOME_ORIGIN, anchor_m, attachment_m)[1]
+
+
+@lru_cache(maxsize=64)
+def _home_direction(anchor_m: tuple[float, ...], attachment_m: tuple[float, ...]) -> Array:
+    rotation, origin = sensor_pose(HOME)
+    return cable_line(rotation, origin, anchor_m, attachment_m)[1]

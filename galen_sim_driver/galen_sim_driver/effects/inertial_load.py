@@ -13,11 +13,12 @@ not in it: some 1e-4 kg m^2 for a tool of this size.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import ClassVar
 
 import numpy as np
 from galen_model.arrays import Array
-from galen_model.inertial import inertial_wrench, point_mass_inertia
+from galen_model.inertial import LoadInMotion, inertial_wrench, point_mass_inertia
 from galen_model.load import Load
 from galen_ros.param import param
 
@@ -37,17 +38,23 @@ class InertialLoad(Effect):
     def wrench(self, when: Instants, posture: Posture) -> Array | None:
         """What the motion adds to the weight."""
         motion = posture.motion
-        weight = posture.tool.mass_kg + posture.adapter.mass_kg
-        if motion is None or weight <= 0.0:
+        loads = (posture.tool, posture.adapter)
+        if motion is None or sum(load.mass_kg for load in loads) <= 0.0:
             return None
-        loads = [
-            Load(self.mass_kg * load.mass_kg / weight, load.com_m)
-            for load in (posture.tool, posture.adapter)
-        ]
+        told = tuple((load.mass_kg, *np.asarray(load.com_m).tolist()) for load in loads)
+        moments, inertia = _numbers(self.mass_kg, told)
         return inertial_wrench(
             -motion.acceleration_m_s2,
             motion.velocity_rad_s,
             motion.acceleration_rad_s2,
-            np.sum([load.moments for load in loads], axis=0),
-            point_mass_inertia(*loads),
+            moments,
+            inertia,
         )
+
+
+@lru_cache(maxsize=256)
+def _numbers(mass_kg: float, loads: tuple[tuple[float, ...], ...]) -> tuple[Array, Array]:
+    """Moments (4,) and inertia (6,) of `mass_kg` dealt to loads of (mass, centre)."""
+    weight = sum(load[0] for load in loads)
+    dealt = [Load(mass_kg * load[0] / weight, np.array(load[1:])) for load in loads]
+    return np.sum([load.moments for load in dealt], axis=0), point_mass_inertia(*dealt)

@@ -7,6 +7,7 @@ E^T tau, about the same origin.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import ClassVar
 
 import numpy as np
@@ -34,11 +35,16 @@ class SensorMountRotation(Effect):
 
     def read(self, when: Instants, wrench: Array) -> Array:
         """Along the element's axes: rows times E are E^T v."""
-        return _turned(wrench, rotvec_to_matrix(self.rotvec_rad))
+        return _turned(wrench, _matrix(tuple(self.rotvec_rad)))
 
     def unread(self, when: Instants, reading: Array) -> Array:
         """Back to ft_sensor's axes."""
-        return _turned(reading, rotvec_to_matrix(self.rotvec_rad).T)
+        return _turned(reading, _matrix(tuple(self.rotvec_rad)).T)
+
+
+@lru_cache(maxsize=256)
+def _matrix(rotvec_rad: tuple[float, ...]) -> Array:
+    return rotvec_to_matrix(rotvec_rad)
 
 
 def _turned(wrench: Array, matrix: Array) -> Array:
