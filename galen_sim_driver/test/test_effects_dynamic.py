@@ -188,6 +188,17 @@ def test_forces_of_acceleration_are_the_change_of_momentum_of_two_points():
     assert (size[:3] > 0.1).all()
     # The replay's rates are cubics over 80 ms of the joints.
     assert (np.abs(found - expected)[inner].max(axis=0) < 0.03 * size).all()
+    # As a driver has it, one sample at a time.
+    posture = Replay(moving, [InertialLoad(mass)])._posture(moving.instants(at_s), joints, True)
+    for k in (200, 700):
+        now = Posture(
+            **{
+                name: value[k : k + 1] if name in ("joints", "rotation", "origin") else value
+                for name, value in vars(posture).items()
+            }
+            | {"motion": type(posture.motion)(*(part[k : k + 1] for part in posture.motion))}
+        )
+        assert InertialLoad(mass).wrench(instants(1), now)[0] == pytest.approx(found[k], rel=1e-9)
     assert np.abs(Replay(still, [InertialLoad(mass)]).reading() - still.reading).max() < 1e-10
 
 
@@ -348,6 +359,10 @@ def test_a_joint_with_play_lags_by_half_its_gap_after_each_reversal():
     assert lag[0] == 0.0
     for leg, sign in enumerate((1.0, -1.0, 1.0, -1.0)):
         assert lag[1000 * leg + 100 : 1000 * leg + 1000] == pytest.approx(0.5 * gap * sign)
+    # Or where it starts, which ends with the first motion.
+    below = replace(effect, start=-1.0).fresh().true_joints(instants(4001), joints)[:, 4]
+    assert joints[:900, 4] - below[:900] == pytest.approx(0.5 * gap)
+    assert below[100:] == pytest.approx(true[100:, 4], abs=1e-15)
     # It stays while the joint goes through the gap.
     step = 0.3 / 1000.0
     assert np.ptp(true[1000 : 1000 + int(gap / (0.5 / 1000.0)), 4]) < step
@@ -377,6 +392,8 @@ def test_a_push_takes_a_joint_to_the_side_it_pushes_to_and_leaves_it_there(joint
     moved = Backlash(joint, gap).fresh().deflect(instants(len(load)), given)
     for at, side in ((30, 0.0), (120, 1.0), (180, 1.0), (240, -1.0), (300, -1.0)):
         assert moved[at] == pytest.approx(side * 0.5 * gap * column, abs=1e-12)
+    below = Backlash(joint, gap, -1.0).fresh().deflect(instants(len(load)), given)
+    assert below[120] == pytest.approx(gap * column, abs=1e-12)
     # After a motion upwards it rests below: the same push now takes it through the whole gap.
     before = TURNED.copy()
     before[index] -= 0.05

@@ -2,11 +2,12 @@
 
 In motion: with x the reported joint and h = gap / 2 the true one is the play operator's
 
-    w_k = min(max(w_(k-1), x_k - h), x_k + h),    w_0 = x_0
+    w_k = min(max(w_(k-1), x_k - h), x_k + h),    w_0 = x_0 + `start` h
 
 (e.g. Brokate and Sprekels, Hysteresis and Phase Transitions, 1996, section 2.2): x - h while it
-goes up, x + h while it goes down, and between the two it stays. Before the first motion of a bag
-the joint is in the middle of its gap, w = x; it has gone h before it takes the joint along.
+goes up, x + h while it goes down, and between the two it stays. Where it is in its gap before the
+first motion of a bag nobody knows who hasn't seen what was before: `start`, 0 for the middle, is -1
+after going up and 1 after going down.
 
 In a push: a moment M about the axis takes the joint to the side of the gap that it points to, over
 a small seat M_s (0.05 N.m, or 0.5 N of a sliding joint), and there it stays until the moment points
@@ -15,8 +16,8 @@ the other way:
     s_k = max(s_(k-1), min(M / M_s, 1))  for M > 0,    min(s_(k-1), max(M / M_s, -1))  for M < 0,
 
 and the tip moves by s h less where it rested. Rest is where the last motion left the joint: on the
-side it came from, s = -1 after going up; in the middle, s = 0, before any motion. So the first push
-moves it by h in the middle, and by the whole gap or not at all after a motion.
+side it came from, s = -1 after going up; `start` before any motion. So the first push moves it by h
+from the middle, and by the whole gap or not at all after a motion.
 """
 
 from __future__ import annotations
@@ -43,10 +44,10 @@ _STILL = (5e-5, 5e-5, 5e-5, 5e-4, 5e-4)
 class _Memory:
     """What a joint in its gap knows of before."""
 
-    def __init__(self) -> None:
+    def __init__(self, start: float) -> None:
         self.true: float | None = None
         self.at: float | None = None
-        self.rest = self.side = 0.0
+        self.rest = self.side = start
 
 
 @dataclass(frozen=True)
@@ -54,12 +55,24 @@ class Backlash(Effect):
     """`joint` has a gap of `gap_rad`; of a sliding joint, in m."""
 
     name: ClassVar[str] = "backlash"
-    fitted: ClassVar[tuple[Fitted, ...]] = (Fitted("gap_rad", "rad", 0.002, 0.0, 0.2),)
+    fitted: ClassVar[tuple[Fitted, ...]] = (
+        Fitted("gap_rad", "rad", 0.002, 0.0, 0.2),
+        Fitted("start", "", 1.0, -1.0, 1.0),
+    )
+    beyond_contract: ClassVar[tuple[str, ...]] = ("start",)
 
     joint: str = param("tilt", "the joint with the gap: delta_x delta_y delta_z roll tilt")
     gap_rad: float = param(0.0, "the gap, rad; of a sliding joint in m", 0.0, 0.2)
+    start: float = param(
+        0.0, "where in its gap it starts, -1 to 1, as after going up or down", -1.0, 1.0
+    )
 
     _memory: ClassVar[_Memory | None] = None
+
+    @property
+    def changes_nothing(self) -> bool:
+        """There is no gap."""
+        return self.gap_rad == 0.0
 
     def validate(self) -> None:
         """The joint is one of the arm's."""
@@ -68,10 +81,10 @@ class Backlash(Effect):
             raise ConfigError(f"{self.name}: joint is {self.joint!r}, not one of {known}")
 
     def fresh(self) -> Self:
-        """The same, in the middle of its gap."""
+        """The same, where it starts in its gap."""
         new = replace(self)
         # A dataclass's own way into its frozen fields; the memory is none of its numbers.
-        object.__setattr__(new, "_memory", _Memory())
+        object.__setattr__(new, "_memory", _Memory(self.start))
         return new
 
     @property
@@ -82,9 +95,9 @@ class Backlash(Effect):
         """The play operator on the one joint."""
         if not len(joints) or self.gap_rad == 0.0:
             return joints
-        memory = self._memory or _Memory()
+        memory = self._memory or _Memory(self.start)
         half, reported = 0.5 * self.gap_rad, joints[:, self._index].tolist()
-        now = reported[0] if memory.true is None else memory.true
+        now = reported[0] + self.start * half if memory.true is None else memory.true
         path = []
         for value in reported:
             now = min(max(now, value - half), value + half)
@@ -98,7 +111,7 @@ class Backlash(Effect):
         """How far the tip moves where the load takes the joint through its gap."""
         if not len(when) or self.gap_rad == 0.0:
             return None
-        memory = self._memory or _Memory()
+        memory = self._memory or _Memory(self.start)
         column = self._column(loading)
         index = self._index
         loads = np.einsum("ni,ni->n", column, loading.wrench) / _SEAT[index]

@@ -11,7 +11,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from functools import lru_cache
 from typing import ClassVar, Self
 
 import numpy as np
@@ -109,10 +108,5 @@ class CableDrag(Effect):
 @lru_cache(maxsize=256)
 def _direction_at_home(anchor_m: tuple[float, ...], attachment_m: tuple[float, ...]) -> Array:
     """The line's direction (3,) in ft_sensor at home, where the cord lies straight."""
-    return cable_line(_HOME_ROTATION, _HOME_ORIGIN, anchor_m, attachment_m)[1]
-
-
-@lru_cache(maxsize=64)
-def _home_direction(anchor_m: tuple[float, ...], attachment_m: tuple[float, ...]) -> Array:
     rotation, origin = sensor_pose(HOME)
     return cable_line(rotation, origin, anchor_m, attachment_m)[1]
