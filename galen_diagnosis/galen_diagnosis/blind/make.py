@@ -57,7 +57,9 @@ def build_parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--bags", nargs="+", choices=BAGS, default=list(BAGS), help="(default: all three)"
     )
-    parser.add_argument("-o", "--output", required=True, type=Path, metavar="DIR", help="new folder")
+    parser.add_argument(
+        "-o", "--output", required=True, type=Path, metavar="DIR", help="new folder"
+    )
     parser.add_argument("--truth", type=Path, metavar="FILE", help="write the truth there (JSON)")
     parser.add_argument(
         "--oracle", type=Path, metavar="FILE", help="write what it is without noise there (.npz)"

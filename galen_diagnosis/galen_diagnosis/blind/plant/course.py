@@ -24,7 +24,7 @@ class Stops:
     """
 
     def __init__(self, poses: Array, arrive_s: Array, leave_s: Array) -> None:
-        """poses (k, 5); the arm stands at each from arrive_s to leave_s, both (k,)."""
+        """Stand at poses (k, 5), at each from arrive_s to leave_s, both (k,)."""
         self.poses = poses
         self.arrive_s = arrive_s
         self.leave_s = leave_s
@@ -50,7 +50,7 @@ class Spline:
     """Through knots with continuous acceleration, at rest at both ends."""
 
     def __init__(self, knot_s: Array, joints: Array) -> None:
-        """knot_s (k,), joints (k, 5)."""
+        """Go through joints (k, 5) at knot_s (k,)."""
         self._place = CubicSpline(knot_s, joints, bc_type="clamped")
         self._rate = self._place.derivative(1)
         self._change = self._place.derivative(2)
@@ -74,7 +74,7 @@ class Multisine:
         duration_s: float,
         fade_s: float,
     ) -> None:
-        """middle (5,); amplitude, frequency_hz, phase_rad (k, 5)."""
+        """Go about `middle` (5,); amplitude, frequency_hz, phase_rad (k, 5)."""
         self._middle = middle
         self._amplitude = amplitude
         self._omega = 2.0 * np.pi * frequency_hz

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from galen_model.arrays import Array
@@ -17,8 +18,8 @@ _RAMPS = 3
 class Pushes:
     """k pushes, in ft_sensor: each rises, stays a while with a tremor, and goes.
 
-    start_s, rise_s, hold_s, fall_s (k,); force_n (k, 3); at_m (k, 3): where the finger is; ramp (k,)
-    of 0, 1, 2; tremor (k, 2): share of the force, Hz.
+    start_s, rise_s, hold_s, fall_s (k,); force_n (k, 3); at_m (k, 3): where the finger is; ramp
+    (k,) of 0, 1, 2; tremor (k, 2): share of the force, Hz.
     """
 
     start_s: Array
@@ -68,7 +69,7 @@ def draw_pushes(
 ) -> Pushes:
     """18 pushes from each of the times (p,) on: about 3, 6 and 11 N along every axis both ways."""
     way = rng.integers(_RAMPS)
-    kinds = {
+    kinds: dict[str, list[Any]] = {
         name: [] for name in ("start", "rise", "hold", "fall", "force", "at", "ramp", "tremor")
     }
     directions = [sign * axis for axis in np.eye(3) for sign in (1.0, -1.0)]

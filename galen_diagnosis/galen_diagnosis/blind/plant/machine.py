@@ -1,4 +1,4 @@
-"""Arm, sensor and tracker with tolerances and causes: what would they tell, noise apart?
+"""What arm, sensor and tracker tell with tolerances and causes, noise apart.
 
     reading = show( sense(weights + causes + hand) - sense(adapter at the zeroing) ) + zero
 
@@ -40,10 +40,11 @@ class Machine:
         tolerance: Tolerance = NOMINAL,
         like: Machine | None = None,
     ) -> None:
-        """like: the nominal machine of that session, whose springs are used where they are so."""
+        """Take from `like`, a session's nominal machine, the springs where they are the same."""
         self.session = session
         self.causes = tuple(sorted(causes, key=lambda cause: cause.order))
         self._loads: dict[tuple[bytes, bytes], tuple[Springs, Array]] = {}
+        self.arm: BlindArm
         if like is not None and not tolerance.sigmas.any() and not changes(self.causes, "arm"):
             self.arm, self._loads = like.arm, like._loads
         else:

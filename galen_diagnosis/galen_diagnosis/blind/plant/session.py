@@ -171,7 +171,7 @@ def _sweep(rng: np.random.Generator, start_s: float, tool: Tool) -> Take:
     kind = rng.choice(["tilt first", "roll first", "shuffled"])
     outer, inner = (tilts, rolls) if kind == "tilt first" else (rolls, tilts)
     pairs = [(a, b) for k, a in enumerate(outer) for b in (inner if k % 2 == 0 else inner[::-1])]
-    angles = np.array(pairs if kind == "roll first" else [(b, a) for a, b in pairs])
+    angles = np.array([(b, a) for a, b in pairs] if kind == "tilt first" else pairs)
     if kind == "shuffled":
         rng.shuffle(angles)
     angles = angles + rng.uniform(-0.06, 0.06, angles.shape)
@@ -242,9 +242,9 @@ def _push(rng: np.random.Generator, start_s: float, tool: Tool) -> Take:
     rest_s = 3.0
     gap_s = float(rng.uniform(0.12, 0.3))
     stay_s = rest_s + longest_s(gap_s) + 0.5
-    arrive_s = np.arange(4) * (stay_s + _MOVE_BETWEEN_PUSHES_S)
+    arrive_s = np.arange(4.0) * (stay_s + _MOVE_BETWEEN_PUSHES_S)
     pushes = draw_pushes(rng, arrive_s + rest_s, tool.tip_m, gap_s)
-    ends = pushes.end_s.reshape(4, -1)[:, -1] + 0.4
+    ends = np.asarray(pushes.end_s.reshape(4, -1)[:, -1] + 0.4)
     recorded = np.column_stack([arrive_s, ends])
     joints, wrench = _clocks(rng, recorded, 80.0, 250.0)
     tracker = _clock(rng, float(rng.uniform(60.0, 150.0)), recorded, rng.uniform(0.0, 5e-3))

@@ -17,6 +17,7 @@ variance at low frequency, (1 + rho) / (1 - rho) times the sample's.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -35,7 +36,7 @@ _AROUND_TOUCH_S = 0.06
 _AROUND = np.linspace(-_AROUND_TOUCH_S, _AROUND_TOUCH_S, 5)
 
 TELLABLE = 3.3
-"""Two causes nearer to each other than this can't be told apart (5 % errors either way: 2 x 1.65)."""
+"""Two causes nearer to each other than this can't be told apart: 5 % errors each way, 2 x 1.65."""
 
 
 @dataclass(frozen=True)
@@ -59,7 +60,7 @@ class Family:
     def left(self, difference: Array, strength: float) -> float:
         """D that the family can't explain of a difference whose own is `strength`."""
         explained = self.directions @ difference
-        return float(np.sqrt(max(0.0, strength**2 - explained @ explained)))
+        return math.sqrt(max(0.0, strength**2 - float(explained @ explained)))
 
 
 class Scale:
@@ -69,7 +70,7 @@ class Scale:
         """tolerance_scale: of the healthy arm's tolerances; 0 counts none."""
         self._session = session
         self._readings: list[tuple[str, Array, float]] = []
-        colour = (1.0 + session.rho) / (1.0 - session.rho)
+        colour = float((1.0 + session.rho) / (1.0 - session.rho))
         for bag, take in session.takes.items():
             taken_s = take.wrench.taken_s
             every = -(-len(taken_s) // _SAMPLES_A_TOPIC)
@@ -120,7 +121,7 @@ class Scale:
         """D of a difference."""
         taken = self._j @ difference
         square = difference @ difference - taken @ np.linalg.solve(self._information, taken)
-        return float(np.sqrt(max(0.0, square)))
+        return math.sqrt(max(0.0, float(square)))
 
     def family(self, causes: Sequence[Cause]) -> Family:
         """What these causes, each as large as it likes, can explain together."""
@@ -140,14 +141,15 @@ class Scale:
 
         Secant steps on log D over log size. measure: of a difference, D if not given.
         """
-        found, log_sizes, log_strengths = cause, [], []
-        reached = 0.0
+        found, reached = cause, 0.0
+        log_sizes: list[float] = []
+        log_strengths: list[float] = []
         for _ in range(12):
             reached = (measure or self.strength)(self.difference([found]))
             if abs(reached / strength - 1.0) < 0.01:
                 break
-            log_sizes.append(np.log(abs(found.size)))
-            log_strengths.append(np.log(max(reached, 1e-9)))
+            log_sizes.append(math.log(abs(found.size)))
+            log_strengths.append(math.log(max(reached, 1e-9)))
             slope = 1.0
             if len(log_sizes) > 1:
                 run = log_sizes[-1] - log_sizes[-2]
@@ -209,7 +211,9 @@ class Scale:
         )  # fmt: skip
         return self._whitened(changes, tip - self._bent(applied), marker)
 
-    def _moved(self, rotation: Array, position: Array, rotation_0: Array, position_0: Array) -> Array:
+    def _moved(
+        self, rotation: Array, position: Array, rotation_0: Array, position_0: Array
+    ) -> Array:
         """Displacement (n, 6) in base_link of poses in the tracker from others."""
         turn = rotation @ np.swapaxes(rotation_0, 1, 2)
         # Small turns: the skew part is the rotation vector.

@@ -28,9 +28,9 @@ SIZES: tuple[tuple[str, int, float], ...] = (
     ("stiffness", 4, 0.005),
     # Sensor gains: 0.05 % (two sigma), what is left after the maker's matrix and an adjustment.
     ("sensor_gain", 6, 0.25e-3),
-    # Where the platform really is at each of four places: rods that differ by 0.02 mm shift it by as
-    # much, and turn it by that over a pair's spacing of 110 mm, 0.2 mrad, of which a calibration
-    # of the arm leaves a sixth.
+    # Where the platform really is at each of four places: rods that differ by 0.02 mm shift it by
+    # as much, and turn it by that over a pair's spacing of 110 mm, 0.2 mrad, of which a
+    # calibration of the arm leaves a sixth.
     ("place_m", 12, 0.02e-3),
     ("place_rad", 12, 0.03e-3),
     # The tracker's scale: 0.12 mm over a volume of some 2.5 m.

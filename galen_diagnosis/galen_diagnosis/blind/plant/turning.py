@@ -59,7 +59,7 @@ def forth(rotation: Array, vector: Array) -> Array:
 
 
 def cross(first: Array, second: Array) -> Array:
-    """a x b for (n, 3) or (3,), either; numpy's own takes several times as long for short ones."""
+    """The product a x b of (n, 3) or (3,), either; numpy's own takes several times as long."""
     a, b, c = np.asarray(first).T
     x, y, z = np.asarray(second).T
     return np.stack(np.broadcast_arrays(b * z - c * y, c * x - a * z, a * y - b * x), axis=-1)

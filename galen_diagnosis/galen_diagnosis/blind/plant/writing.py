@@ -46,9 +46,7 @@ def write_recording(directory: Path, machine: Machine) -> None:
     for bag, take in session.takes.items():
         topics = _topics(rng, machine, bag, take)
         _write_bag(directory / bag, topics)
-    (directory / "tool.json").write_text(
-        json.dumps(tool_file(session), indent=1), encoding="utf-8"
-    )
+    (directory / "tool.json").write_text(json.dumps(tool_file(session), indent=1), encoding="utf-8")
 
 
 def stamps_ns(session: Session, take: Take, stamp_s: Array) -> Array:

@@ -65,7 +65,7 @@ class TiltGain(Cause):
         return joints * (1.0 + self.size * np.eye(5)[TILT])
 
     def parameters(self, machine: Machine) -> Mapping[str, Any]:
-        """gain."""
+        """The gain."""
         return {"gain": self.size}
 
 
@@ -89,7 +89,7 @@ class TiltAxisMisalignment(Cause):
 
 @dataclass(frozen=True)
 class BaseInclination(Cause):
-    """The base stands aslant: gravity in base_link is (Rx(a) Ry(b))^T g, (a, b) = size times way."""
+    """The base stands aslant: gravity is (Rx(a) Ry(b))^T g, (a, b) = size times way."""
 
     name: ClassVar[str] = "base_inclination"
     typical: ClassVar[float] = 0.005

@@ -24,9 +24,7 @@ class ToolMassError(Cause):
     typical: ClassVar[float] = 0.001
     largest: ClassVar[float] = 1.0
 
-    def tool(
-        self, at: Moment, tool: Body, com_m: Array, gravity: Array
-    ) -> tuple[Body, Array]:
+    def tool(self, at: Moment, tool: Body, com_m: Array, gravity: Array) -> tuple[Body, Array]:
         """A heavier one."""
         return replace(tool, mass_kg=max(1e-4, tool.mass_kg + self.size)), com_m
 
@@ -57,9 +55,7 @@ class ToolComError(Cause):
         ways = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
         return [[cls(cls.typical, way) for way in ways]]
 
-    def tool(
-        self, at: Moment, tool: Body, com_m: Array, gravity: Array
-    ) -> tuple[Body, Array]:
+    def tool(self, at: Moment, tool: Body, com_m: Array, gravity: Array) -> tuple[Body, Array]:
         """Its centre moved."""
         return tool, com_m + self.size * np.array(self.way)
 
@@ -87,9 +83,7 @@ class LooseTool(Cause):
         """It always sags downwards."""
         return cls(cls.typical, float(rng.uniform(0.1, 0.8)))
 
-    def tool(
-        self, at: Moment, tool: Body, com_m: Array, gravity: Array
-    ) -> tuple[Body, Array]:
+    def tool(self, at: Moment, tool: Body, com_m: Array, gravity: Array) -> tuple[Body, Array]:
         """Its centre where gravity takes it."""
         down = gravity / np.linalg.norm(gravity, axis=1, keepdims=True)
         sag = self.size * np.tanh(self.stop * down) / np.tanh(self.stop)
@@ -142,7 +136,7 @@ class CableDrag(Cause):
         force = back(state.pose.rotation, tension[:, None] * line)
         down = state.gravity / np.linalg.norm(state.gravity, axis=1, keepdims=True)
         force = force + self.size * self.weight_share * down
-        return np.concatenate([force, cross(self.attachment_m, force)], axis=1)
+        return np.concatenate([force, cross(np.array(self.attachment_m), force)], axis=1)
 
     def _pull(self, at: Moment, state: State) -> tuple[Array, Array]:
         """Direction (n, 3) in base_link and tension (n,)."""

@@ -82,7 +82,7 @@ class AxisGain(Cause):
         return total * (1.0 + self.size * np.array(self.way))
 
     def parameters(self, machine: Machine) -> Mapping[str, Any]:
-        """gain."""
+        """The gain."""
         return {"gain": size_of(self.size * np.array(self.way))}
 
 
@@ -186,7 +186,7 @@ class SensorSaturation(Cause):
         return clipped
 
     def parameters(self, machine: Machine) -> Mapping[str, Any]:
-        """limit as it shows, axis."""
+        """The limit as it shows, and the axis."""
         shown = self.limit
         if self.raw:
             offset = float(machine.zeroing[self.axis])

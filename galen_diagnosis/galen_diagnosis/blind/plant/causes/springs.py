@@ -159,7 +159,7 @@ def _plays(course: Array) -> Array:
 
 
 def _bouc_wen(course: Array, knee: float, shape: float) -> Array:
-    """z (n, k), within +-1, of courses (n, k) that start at rest."""
+    """States z (n, k), within +-1, of courses (n, k) that start at rest."""
     steps = np.diff(course, axis=0, prepend=0.0) / knee
     z = np.zeros(course.shape[1])
     states = np.zeros_like(course)

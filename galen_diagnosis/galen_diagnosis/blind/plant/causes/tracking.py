@@ -28,13 +28,13 @@ class TrackerScale(Cause):
         return position * (1.0 + self.size)
 
     def parameters(self, machine: Machine) -> Mapping[str, Any]:
-        """gain."""
+        """The gain."""
         return {"gain": self.size}
 
 
 @dataclass(frozen=True)
 class BaseShift(Cause):
-    """The stand goes by size (m) times way, and turns by `turns` times it a metre, within `takes_s`."""
+    """The stand goes by size (m) times way and turns by size times `turn`, within `takes_s`."""
 
     name: ClassVar[str] = "base_shift"
     typical: ClassVar[float] = 1e-4
@@ -59,16 +59,17 @@ class BaseShift(Cause):
     @classmethod
     def spans(cls, session: Session) -> list[list[Cause]]:
         """All six ways at some times."""
+        families: list[list[Cause]] = []
         if "push" not in session.takes:
-            return []
+            return families
         none = (0.0, 0.0, 0.0)
         ways = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
         end_s = session.takes["push"].end_s
-        return [
-            [cls(cls.typical, way, none, share * end_s) for way in ways]
-            + [cls(cls.typical, none, way, share * end_s) for way in ways]
-            for share in np.linspace(0.1, 0.9, 9)
-        ]
+        for share in np.linspace(0.1, 0.9, 9):
+            moved = [cls(cls.typical, way, none, share * end_s) for way in ways]
+            turned = [cls(cls.typical, none, way, share * end_s) for way in ways]
+            families.append([*moved, *turned])
+        return families
 
     def stand(self, at: Moment) -> Array | None:
         """Where it is by then."""
