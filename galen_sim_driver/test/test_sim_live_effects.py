@@ -1,8 +1,10 @@
 """The plant with effects set by parameters, against `replay` with the same effects."""
 
 import json
+import re
 from dataclasses import replace
 from functools import cache
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -155,6 +157,17 @@ def test_every_number_of_an_effect_is_a_parameter_of_the_driver(name):
             _, _, meaning = param_fields(kind)[p.name]
             assert meaning.minimum is None or meaning.minimum <= p.lower
             assert meaning.maximum is None or p.upper <= meaning.maximum
+
+
+def test_the_readmes_table_names_every_effect_with_its_parameters():
+    readme = (Path(__file__).parents[1] / "README.md").read_text()
+    table = readme.split("### Simulated effects")[1].split("\n\n")[2]
+    rows = [re.findall(r"`(\w+)`", "|".join(row.split("|")[1:3])) for row in table.splitlines()[2:]]
+    assert [row[0] for row in rows] == list(EFFECTS)
+    for name, *parameters in rows:
+        kind = EFFECTS[name]
+        own = [field for field in param_fields(kind) if field not in kind.recording_only]
+        assert parameters == [parameter_name(kind, field) for field in own]
 
 
 def test_names_of_parameters():
