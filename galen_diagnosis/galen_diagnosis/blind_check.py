@@ -21,6 +21,7 @@ from galen_bags.command_line import (
     EXIT_INTERRUPTED,
     EXIT_OK,
     EXIT_USAGE,
+    not_negative,
     run_command,
 )
 from galen_bags.many import add_many_options
@@ -49,9 +50,10 @@ _EPILOG = f"""An interrupted check goes on where it stopped, if it is called aga
 options and --output. A finished one is only scored again.
 
 exit codes:
-  {EXIT_OK}    done, whatever the score
-  {EXIT_FAILED}    no recordings can be made or diagnosed, or the labels aren't those that were
-       sealed; a line says why. Single diagnoses that failed are counted as wrong
+  {EXIT_OK}    done; whatever the score, but for --at-least
+  {EXIT_FAILED}    no recordings can be made or diagnosed, the labels aren't those that were sealed,
+       or the score is below --at-least; a line says why. Single diagnoses that failed are counted
+       as wrong
   {EXIT_USAGE}    wrong arguments
   {EXIT_INTERRUPTED}  interrupted (Ctrl-C)"""
 
@@ -90,7 +92,20 @@ def build_parser() -> argparse.ArgumentParser:
         "--output",
         type=Path,
         metavar="DIR",
-        help="recordings, answers, labels, score and pictures (default: nothing is kept)",
+        help="recordings (some 20 MB each), answers, labels and score (default: nothing is kept)",
+    )
+    parser.add_argument(
+        "--at-least",
+        type=_share,
+        metavar="SHARE",
+        help="exit with 1 if a diagnosis failed, or top-1 by class of clear and gross singles (what"
+        " the recording can't separate taken as one) is below this, 0 ... 1; for CI",
+    )
+    parser.add_argument(
+        "--plots",
+        type=Path,
+        metavar="DIR",
+        help="write pictures of confusions, probabilities and parameters' errors here",
     )
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     parser.add_argument(
@@ -110,6 +125,13 @@ def _seed(text: str) -> int:
     if not text.isdecimal():
         raise argparse.ArgumentTypeError(f"{text!r} is no whole number")
     return int(text)
+
+
+def _share(text: str) -> float:
+    value = not_negative(text)
+    if value > 1.0:
+        raise argparse.ArgumentTypeError(f"{text} is above 1")
+    return value
 
 
 def run(
@@ -159,7 +181,7 @@ def run(
         "scores": {name: to_json(one) for name, one in scores.items()},
     }
     _write(output / "blind_check.json", json.dumps(content, indent=1))
-    pictures = [] if arguments.output is None else _pictures(scores[PROGRAM], output)
+    pictures = [] if arguments.plots is None else _pictures(scores[PROGRAM], arguments.plots)
     if arguments.json:
         print(json.dumps(content, indent=1))
     elif arguments.readme:
@@ -171,7 +193,19 @@ def run(
             console.print(f"picture: {picture}", soft_wrap=True)
     if scores[PROGRAM].failed == len(labels):
         raise GalenError(f"{output}: no recording could be diagnosed; {_first_failure(places)}")
+    if arguments.at_least is not None:
+        check_score(scores[PROGRAM], arguments.at_least)
     return EXIT_OK
+
+
+def check_score(found: Score, at_least: float) -> None:
+    """Raise GalenError unless all were diagnosed and enough singles were told right."""
+    if found.failed:
+        raise GalenError(f"{found.failed} of {found.cases} diagnoses failed")
+    if found.by_class_accepted is not None and found.by_class_accepted < at_least:
+        raise GalenError(
+            f"top-1 by class is {found.by_class_accepted:.3f}, below the {at_least:g} wanted"
+        )
 
 
 def _sayer(arguments: argparse.Namespace) -> Callable[[str], None]:

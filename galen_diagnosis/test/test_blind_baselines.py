@@ -95,6 +95,7 @@ def examples(random, n):
     return names, truth, x
 
 
+@pytest.mark.slow
 @torch
 def test_the_network_learns_and_comes_back_from_its_file(tmp_path):
     random = np.random.default_rng(2)

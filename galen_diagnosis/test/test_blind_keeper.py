@@ -14,6 +14,8 @@ from galen_diagnosis.blind.plan import CALIBRATION, TEST, full_plan, short_plan,
 from galen_diagnosis.blind.plant.case import STRENGTHS, Truth
 from galen_diagnosis.blind.plant.listed import EFFECTS
 from galen_diagnosis.blind.plant.unlisted import CALIBRATION_UNKNOWN, TEST_UNKNOWN
+from galen_diagnosis.blind.said import Said
+from galen_diagnosis.blind.score import Answered, score
 from galen_diagnosis.blind.seal import SealError, opened, private_directory, sealed, write_sealed
 
 from galen_diagnosis import blind_check
@@ -230,6 +232,20 @@ def test_an_interrupted_check_goes_on(tmp_path, monkeypatch):
             blind_check.run(arguments(*options), output, PROBE, fake_generate)
 
 
+def test_a_score_may_be_asked_for():
+    label = Label("r", "single", ({"effect": "tilt_gain", "parameters": {}},), "clear")
+    right, wrong = (
+        Said("r", "identified", {name: {}}, frozenset(), {name: 1.0})
+        for name in ("tilt_gain", "bias_step")
+    )
+    answers = [Answered(label, right)] * 3 + [Answered(label, wrong)]
+    blind_check.check_score(score(answers, EFFECTS), 0.75)
+    with pytest.raises(blind_check.GalenError, match=r"0\.750, below the 0\.8"):
+        blind_check.check_score(score(answers, EFFECTS), 0.8)
+    with pytest.raises(blind_check.GalenError, match="1 of 4 diagnoses failed"):
+        blind_check.check_score(score([*answers[:3], Answered(label, None)], EFFECTS), 0.0)
+
+
 def test_a_strange_directory_is_left_alone(tmp_path):
     (tmp_path / "mine.txt").write_text("x")
     with pytest.raises(blind_check.GalenError, match="isn't empty"):
@@ -238,7 +254,12 @@ def test_a_strange_directory_is_left_alone(tmp_path):
 
 
 def test_wrong_arguments(capsys):
-    for options in (["--cases", "0"], ["--seed", "-1"], ["--short", "--per-class", "2"]):
+    for options in (
+        ["--cases", "0"],
+        ["--seed", "-1"],
+        ["--at-least", "2"],
+        ["--short", "--per-class", "2"],
+    ):
         with pytest.raises(SystemExit) as ended:
             blind_check.main(options)
         assert ended.value.code == 2
