@@ -392,6 +392,12 @@ def test_a_push_takes_a_joint_to_the_side_it_pushes_to_and_leaves_it_there(joint
     moved = Backlash(joint, gap).fresh().deflect(instants(len(load)), given)
     for at, side in ((30, 0.0), (120, 1.0), (180, 1.0), (240, -1.0), (300, -1.0)):
         assert moved[at] == pytest.approx(side * 0.5 * gap * column, abs=1e-12)
+    # What noise makes of no load takes it nowhere.
+    noisy = load + 0.1 * np.random.default_rng(1).uniform(-1.0, 1.0, len(load))
+    shaken = (
+        Backlash(joint, gap).fresh().deflect(instants(len(load)), loading(TURNED, noisy, direction))
+    )
+    assert shaken[[30, 180, 300]] == pytest.approx(moved[[30, 180, 300]], abs=1e-12)
     below = Backlash(joint, gap, -1.0).fresh().deflect(instants(len(load)), given)
     assert below[120] == pytest.approx(gap * column, abs=1e-12)
     # After a motion upwards it rests below: the same push now takes it through the whole gap.

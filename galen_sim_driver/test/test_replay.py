@@ -275,7 +275,8 @@ def some(name):
     """The effect with numbers in all that is fitted, no two alike."""
     effect = EFFECTS[name]()
     typical = np.concatenate([p.typicals for p in effect.fitted])
-    return effect.with_vector(typical * (1.0 + 0.1 * np.arange(len(typical))))
+    upper = np.concatenate([np.full(p.size, p.upper) for p in effect.fitted])
+    return effect.with_vector(np.minimum(typical * (1.0 + 0.1 * np.arange(len(typical))), upper))
 
 
 def test_all_effects_of_the_contract_are_there_in_its_order():

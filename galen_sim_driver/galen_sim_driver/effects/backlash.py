@@ -9,11 +9,12 @@ goes up, x + h while it goes down, and between the two it stays. Where it is in 
 first motion of a bag nobody knows who hasn't seen what was before: `start`, 0 for the middle, is -1
 after going up and 1 after going down.
 
-In a push: a moment M about the axis takes the joint to the side of the gap that it points to, over
-a small seat M_s (0.05 N.m, or 0.5 N of a sliding joint), and there it stays until the moment points
-the other way:
+In a push: a moment M about the axis takes the joint to the side of the gap that it points to, and
+there it stays until a moment points the other way. It takes M_s (0.05 N.m, or 0.5 N of a sliding
+joint) to move it at all, so that what a sensor's noise makes of no load does nothing, and 3 M_s to
+take it all the way. With u = M / M_s, and clip to -1 ... 1,
 
-    s_k = max(s_(k-1), min(M / M_s, 1))  for M > 0,    min(s_(k-1), max(M / M_s, -1))  for M < 0,
+    s_k = min(max(s_(k-1), clip(u - 2)), clip(u + 2)),
 
 and the tip moves by s h less where it rested. Rest is where the last motion left the joint: on the
 side it came from, s = -1 after going up; `start` before any motion. So the first push moves it by h
@@ -123,10 +124,8 @@ class Backlash(Effect):
             elif abs(place - at) > _STILL[index]:
                 memory.rest = memory.side = -1.0 if place > at else 1.0
                 at = place
-            if load > 0.0:
-                memory.side = max(memory.side, min(load, 1.0))
-            elif load < 0.0:
-                memory.side = min(memory.side, max(load, -1.0))
+            low, high = (min(max(load + way, -1.0), 1.0) for way in (-2.0, 2.0))
+            memory.side = min(max(memory.side, low), high)
             moved.append(memory.side - memory.rest)
         memory.at = at
         return 0.5 * self.gap_rad * np.array(moved)[:, None] * column
