@@ -53,11 +53,12 @@ def by_regime(rows: Rows) -> Cells:
 
 def by_map(rows: Rows) -> Cells:
     """Cells are channels in each regime of each bag: the picture's."""
-    keys = np.stack([rows.bag, rows.regime, rows.channel])
-    present, cell = np.unique(keys, axis=1, return_inverse=True)
+    shape = (len(BAGS), len(REGIMES), len(CHANNELS))
+    keys = np.ravel_multi_index((rows.bag, rows.regime, rows.channel), shape)
+    present, cell = np.unique(keys, return_inverse=True)
     labels: list[str] = []
     details: list[dict[str, Any]] = []
-    for bag, regime, channel in present.T:
+    for bag, regime, channel in zip(*np.unravel_index(present, shape), strict=True):
         labels.append(f"{CHANNELS[channel]}, {BAGS[bag]} {REGIMES[regime]}")
         details.append({"channel": CHANNELS[channel], "bag": BAGS[bag], "regime": REGIMES[regime]})
     return Cells(tuple(labels), tuple(details), np.arange(len(rows)), cell.ravel())
@@ -66,11 +67,11 @@ def by_map(rows: Rows) -> Cells:
 def by_pose(rows: Rows) -> Cells:
     """Cells are the sweep's still poses and the arm's positions among the pushes."""
     row = np.flatnonzero(rows.pose >= 0)
-    keys = np.stack([rows.bag[row], rows.pose[row]])
-    present, cell = np.unique(keys, axis=1, return_inverse=True)
+    poses = int(rows.pose.max(initial=0)) + 1
+    present, cell = np.unique(rows.bag[row] * poses + rows.pose[row], return_inverse=True)
     labels: list[str] = []
     details: list[dict[str, Any]] = []
-    for number, (bag, pose) in enumerate(present.T):
+    for number, (bag, pose) in enumerate(zip(present // poses, present % poses, strict=True)):
         joints = np.median(rows.joints[row[cell.ravel() == number]], axis=0)
         labels.append(f"{BAGS[bag]} {'pose' if BAGS[bag] == 'sweep' else 'position'} {pose}")
         details.append(

@@ -4,20 +4,23 @@ A gap adds energy: the sum of squared whitened residuals of a cell of n rows is 
 degrees of freedom where there is noise alone, and larger where there is a gap. Flipping signs
 doesn't change an energy, and resampling the recording's own blocks keeps its gap, so neither gives
 the null. Here the null is drawn: each block's energy in each cell anew from the chi-square that
-noise gives it, times two things that a real recording has and white noise hasn't,
+noise gives it, and with what a real recording has beside white noise,
 
-    E*_c = (1 + s g_c) * sum_b m_b chi2(n_bc),   E[m_b] = 1, var m_b = t^2, g_c ~ N(0, 1)
+    E*_c = (1 + s g_c) sum_b m_b chi2(n_bc) + d^T M_c d + 2 sqrt(d^T M_c d) g'_c,
 
-with s how far the noise's estimate may be off, and m_b what is left of correlation within a block
-and of noise that isn't always the same. t^2 is estimated from blocks with less energy than the
-floor: a gap can't put them there (`block_spread`). Each cell's ratio E_c / n_c is made comparable
-by Wilson and Hilferty's cube root (Proc. Natl. Acad. Sci. 17, 684, 1931),
+with s how far the noise's estimate may be off, E[m_b] = 1, var m_b = t^2 what is left of
+correlation within a block and of noise that isn't always the same; g, g' ~ N(0, 1). t^2 is
+estimated from blocks with less energy than the floor: a gap can't put them there (`block_spread`).
+The last two terms are a healthy arm's: no arm is nominal to the last micrometre, and with its
+deviations d ~ N(0, 1) in units of their tolerances, rows are off by H d, M_c = H_c^T H_c; the cross
+term with the noise is Gaussian. One d holds for all cells of a draw.
 
-    T_c = ((E_c / n_c)^(1/3) - (1 - 2/(9 v_c))) / sqrt(2/(9 v_c)),   v_c = 2 / var(E*_c / n_c)
-
-and the p-value of a cell is how often the largest T* of all cells reaches T_c (Westfall and Young,
-Resampling-based multiple testing, 1993: single-step max T). So the chance that any cell of a
-healthy recording is marked at all is the level, however many cells there are.
+Each cell's ratio E_c / n_c is made comparable by Wilson and Hilferty's cube root (Proc. Natl. Acad.
+Sci. 17, 684, 1931), which makes a chi-square nearly normal, less its mean in the draws, over its
+standard deviation there. The p-value of a cell is how often the largest of all cells' scores in a
+draw reaches the cell's (Westfall and Young, Resampling-based multiple testing, 1993: single-step
+max T). So the chance that any cell of a healthy recording is marked at all is the level, however
+many cells there are.
 """
 
 from __future__ import annotations
@@ -99,17 +102,17 @@ def compare_cells(
     *,
     count: Array | None = None,
     spread: float | None = None,
+    healthy: Array | None = None,
 ) -> Tested:
     """Test K = `cells` cells at once.
 
     energy (N,): sums of squares over the floor, of `count` (N,) rows each (default: 1); block, cell
-    (N,): where they belong, cell -1 for nowhere. A row may be given twice, for cells that overlap:
-    the null then takes them for independent, which errs to the safe side. spread: `block_spread`'s,
-    None to estimate it here. A cell without rows has p = 1 and ratio 1.
+    (N,): where they belong. A row may be given twice, for cells that overlap: the null then takes
+    their noise for independent, which errs to the safe side. spread: `block_spread`'s, None to
+    estimate it here. healthy (N, q): H, how rows change with a healthy arm's deviations, in units
+    of the rows' noise, each by one tolerance. A cell without rows has p = 1 and ratio 1.
     """
     freedom = np.ones(len(energy)) if count is None else count
-    used = cell >= 0
-    energy, block, cell, freedom = energy[used], block[used], cell[used], freedom[used]
     total = np.bincount(cell, freedom, minlength=cells).astype(float)
     own = np.bincount(cell, energy, minlength=cells).astype(float)
     there = np.flatnonzero(total > 0)
@@ -118,42 +121,62 @@ def compare_cells(
         return Tested(total, ratio, own - total, p)
     if spread is None:
         spread = block_spread(energy, block)
-    keys, pair = np.unique(
-        np.stack([cell, np.unique(block, return_inverse=True)[1]]), axis=1, return_inverse=True
-    )
-    pairs = np.bincount(pair.ravel(), freedom).astype(float)
-    starts = np.searchsorted(keys[0], there)
     n = total[there]
-    clumps = np.add.reduceat(pairs**2, starts) / n**2
-    variance = 2.0 / n + spread**2 * (clumps + 2.0 / n) + settings.level_std**2
     ratio[there] = own[there] / n
-    score = cube_root_score(ratio[there], 2.0 / variance)
-    largest = _largest(keys[1], pairs, starts, n, variance, spread, settings)
+    sums = _Null(block, cell, there, freedom, spread).draw(settings)
+    if healthy is not None and healthy.size:
+        sums += _deviations(healthy, cell, there, settings)
+    drawn = np.cbrt(np.maximum(sums, 0.0) / n)
+    mean, std = drawn.mean(axis=0), drawn.std(axis=0)
+    largest = ((drawn - mean) / std).max(axis=1)
+    score = (np.cbrt(ratio[there]) - mean) / std
     reached = len(largest) - np.searchsorted(np.sort(largest), score)
     p[there] = (1.0 + reached) / (1.0 + len(largest))
     return Tested(total, ratio, own - total, p)
 
 
-def _largest(
-    block: np.ndarray,
-    pairs: Array,
-    starts: np.ndarray,
-    n: Array,
-    variance: Array,
-    spread: float,
-    settings: CellSettings,
+class _Null:
+    """Energies of noise alone: of K cells that have rows."""
+
+    def __init__(
+        self, block: np.ndarray, cell: np.ndarray, there: np.ndarray, freedom: Array, spread: float
+    ) -> None:
+        names, number = np.unique(block, return_inverse=True)
+        rows = np.bincount(cell * len(names) + number, freedom)
+        keys = np.flatnonzero(rows > 0)
+        self._rows, self._block = rows[keys], keys % len(names)
+        self._starts = np.searchsorted(keys // len(names), there)
+        self._blocks, self._spread = len(names), spread
+
+    def draw(self, settings: CellSettings) -> Array:
+        """Sums of squares (draws, K)."""
+        rng = np.random.default_rng(settings.seed)
+        found = []
+        for first in range(0, settings.draws, _CHUNK):
+            size = min(_CHUNK, settings.draws - first)
+            if self._spread > 0.0:
+                energy = 2.0 * rng.standard_gamma(0.5 * self._rows, (size, len(self._rows)))
+                levels = rng.gamma(self._spread**-2, self._spread**2, (size, self._blocks))
+                sums = np.add.reduceat(energy * levels[:, self._block], self._starts, axis=1)
+            else:
+                n = np.add.reduceat(self._rows, self._starts)
+                sums = 2.0 * rng.standard_gamma(0.5 * n, (size, len(n)))
+            found.append(sums * (1.0 + settings.level_std * rng.standard_normal(sums.shape)))
+        return np.concatenate(found)
+
+
+def _deviations(
+    healthy: Array, cell: np.ndarray, there: np.ndarray, settings: CellSettings
 ) -> Array:
-    """The largest score of all cells in each draw of the null."""
-    rng = np.random.default_rng(settings.seed)
-    found = []
-    for first in range(0, settings.draws, _CHUNK):
-        size = min(_CHUNK, settings.draws - first)
-        if spread > 0.0:
-            energy = 2.0 * rng.standard_gamma(0.5 * pairs, (size, len(pairs)))
-            levels = rng.gamma(spread**-2, spread**2, (size, int(block.max()) + 1))
-            sums = np.add.reduceat(energy * levels[:, block], starts, axis=1)
-        else:
-            sums = 2.0 * rng.standard_gamma(0.5 * n, (size, len(n)))
-        sums *= np.maximum(1.0 + settings.level_std * rng.standard_normal(sums.shape), 0.0)
-        found.append(cube_root_score(sums / n, 2.0 / variance).max(axis=1))
-    return np.concatenate(found)
+    """What a healthy arm adds to the sums of squares (draws, K)."""
+    rng = np.random.default_rng([settings.seed, 1])
+    deviation = rng.standard_normal((settings.draws, healthy.shape[1]))
+    order = np.argsort(cell, kind="stable")
+    starts = np.searchsorted(cell[order], there)
+    ends = np.searchsorted(cell[order], there, side="right")
+    added = np.empty((settings.draws, len(there)))
+    for k, (start, end) in enumerate(zip(starts, ends, strict=True)):
+        own = healthy[order[start:end]]
+        added[:, k] = np.sum((deviation @ (own.T @ own)) * deviation, axis=1)
+    cross = 2.0 * np.sqrt(np.maximum(added, 0.0)) * rng.standard_normal(added.shape)
+    return np.asarray(added + cross)

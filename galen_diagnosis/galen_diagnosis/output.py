@@ -34,7 +34,13 @@ def told(diagnosis: Diagnosis) -> Diagnosis:
     """
     answer = diagnosis.answer
     if not answer.where:
-        place = where(diagnosis.rows, diagnosis.before, diagnosis.streams_before, diagnosis.floor)
+        place = where(
+            diagnosis.rows,
+            diagnosis.before,
+            diagnosis.streams_before,
+            diagnosis.floor,
+            healthy=diagnosis.healthy,
+        )
         answer = replace(answer, where=place.to_json())
     if not answer.sentence:
         answer = replace(answer, sentence=sentence(answer))

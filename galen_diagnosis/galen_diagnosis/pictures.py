@@ -18,12 +18,13 @@ from matplotlib.patches import Rectangle
 from galen_diagnosis.bands import GROUPS, group_of, spectrum
 from galen_diagnosis.result import Diagnosis
 from galen_diagnosis.rows import BAGS, CHANNELS, REGIMES, Rows
-from galen_diagnosis.time_picture import AFTER, BEFORE, draw_times
+from galen_diagnosis.time_picture import AFTER, BEFORE, draw_times, margins
 from galen_diagnosis.where import View, picture_cells
 
 _MAP = "YlOrBr"
 _STATES = ("before", "after")
 _LEAST_TOP = 3.0
+_TICKS = (1, 2, 3, 5, 10, 20, 50, 100, 200, 500, 1000)
 _DARK = 0.55
 """Beyond this part of the colours' range, text is white."""
 _MOST_TEXTS = 14
@@ -48,19 +49,18 @@ def write_pictures(diagnosis: Diagnosis, folder: Path) -> dict[str, Path]:
 def gap_figure(diagnosis: Diagnosis) -> plt.Figure:
     """RMS residual over the noise: channels by regimes of bags, before and after.
 
-    A black frame marks a cell beyond noise (p < 0.05, corrected for all cells of the map).
+    A black frame marks a cell beyond noise and a healthy arm's tolerances (p < 0.05, corrected for
+    all cells of the map).
     """
     views = [
-        picture_cells(diagnosis.rows, residual, diagnosis.floor)
+        picture_cells(diagnosis.rows, residual, diagnosis.floor, healthy=diagnosis.healthy)
         for residual in (diagnosis.held_out_before, diagnosis.held_out_after)
     ]
     channels = [name for name in CHANNELS if any(d["channel"] == name for d in views[0].details)]
     columns = _columns(views[0])
     top = max(_LEAST_TOP, *(float(np.sqrt(view.ratio).max(initial=1.0)) for view in views))
     height = 2.3 + 0.33 * len(channels)
-    figure, axes = plt.subplots(
-        1, 2, figsize=(4.0 + 1.05 * len(columns), height), sharey=True, layout="constrained"
-    )
+    figure, axes = plt.subplots(1, 2, figsize=(4.0 + 1.05 * len(columns), height), sharey=True)
     norm = LogNorm(1.0, top)
     for axis, view, state, residual in zip(
         axes,
@@ -73,12 +73,8 @@ def gap_figure(diagnosis: Diagnosis) -> plt.Figure:
         _draw_cells(axis, view, channels, columns, norm)
         axis.set_title(f"{state}: {rms:.2f} × noise over all", fontsize=12)
     axes[0].set_yticks(range(len(channels)), channels)
-    mappable = plt.cm.ScalarMappable(norm=norm, cmap=_MAP)
-    bar = figure.colorbar(mappable, ax=axes, fraction=0.04, pad=0.01)
-    ticks = [t for t in (1, 2, 3, 5, 10, 20, 50, 100, 200, 500, 1000) if t <= top]
-    bar.set_ticks(ticks, labels=[str(t) for t in ticks])
-    bar.ax.minorticks_off()
-    bar.set_label("RMS residual over noise (1: noise alone)")
+    margins(figure, 0.6, 1.1, 0.95, 0.95, between_x=0.04)
+    _colour_bar(figure, plt.cm.ScalarMappable(norm=norm, cmap=_MAP), top)
     figure.suptitle(_headline(diagnosis), fontsize=11)
     return figure
 
@@ -90,7 +86,19 @@ def _headline(diagnosis: Diagnosis) -> str:
     closed = answer.gap.get("closed_fraction") or {}
     if closed.get("value") is not None:
         text += f"; {closed['value']:.0%} of the gap closed"
-    return f"{text}\nframed: beyond noise (p < 0.05, corrected for all cells)"
+    return f"{text}\nframed: beyond noise and tolerances (p < 0.05, corrected for all cells)"
+
+
+def _colour_bar(figure: plt.Figure, mappable: plt.cm.ScalarMappable, top: float) -> None:
+    """At the right rim, which `margins` left free."""
+    width, _ = figure.get_size_inches()
+    inside = figure.subplotpars
+    place = (1.0 - 0.95 / width, inside.bottom, 0.22 / width, inside.top - inside.bottom)
+    bar = figure.colorbar(mappable, cax=figure.add_axes(place))
+    ticks = [tick for tick in _TICKS if tick <= top]
+    bar.set_ticks(ticks, labels=[str(tick) for tick in ticks])
+    bar.ax.minorticks_off()
+    bar.set_label("RMS residual over noise (1: noise alone)")
 
 
 def _columns(view: View) -> list[tuple[str, str]]:
@@ -165,9 +173,7 @@ def sweep_figure(diagnosis: Diagnosis) -> plt.Figure | None:
         return None
     top = max(_LEAST_TOP, *(float(one[:, 2:].max()) for one in maps))
     norm = LogNorm(1.0, top)
-    figure, axes = plt.subplots(
-        2, 2, figsize=(9.5, 6.6), sharex=True, sharey=True, layout="constrained"
-    )
+    figure, axes = plt.subplots(2, 2, figsize=(9.5, 6.6), sharex=True, sharey=True)
     for column, (state, values) in enumerate(zip(_STATES, maps, strict=True)):
         for row, group in enumerate(("force", "torque")):
             axis = axes[row, column]
@@ -188,11 +194,8 @@ def sweep_figure(diagnosis: Diagnosis) -> plt.Figure | None:
         axis.set_xlabel("roll, °")
     for axis in axes[:, 0]:
         axis.set_ylabel("tilt, °")
-    bar = figure.colorbar(shown, ax=axes, fraction=0.04, pad=0.01)
-    ticks = [t for t in (1, 2, 3, 5, 10, 20, 50, 100, 200, 500, 1000) if t <= top]
-    bar.set_ticks(ticks, labels=[str(t) for t in ticks])
-    bar.ax.minorticks_off()
-    bar.set_label("RMS residual over noise (1: noise alone)")
+    margins(figure, 0.75, 1.1, 0.6, 0.4, between_x=0.06, between_y=0.18)
+    _colour_bar(figure, shown, top)
     return figure
 
 
@@ -242,7 +245,7 @@ def spectra_figure(diagnosis: Diagnosis) -> plt.Figure:
     for axis in list(axes.flat)[len(panels) :]:
         axis.set_visible(False)
     axes[0, 0].legend(frameon=False, fontsize=9)
-    figure.tight_layout()
+    margins(figure, 0.75, 0.15, 0.55, 0.35, between_x=0.08, between_y=0.42)
     return figure
 
 

@@ -26,7 +26,7 @@ _LEVEL = 0.05
 _CAPTIONS = {
     "gap": "RMS residual over the noise, by channel and by what the arm was doing: before, and"
     " after the cause was added to the simulator, on blocks that no fit has seen. 1 is noise alone;"
-    " framed cells are beyond noise.",
+    " framed cells are beyond noise and the tolerances of a healthy arm.",
     "sweep": "RMS residual over the noise at each still pose of the sweep, before and after.",
     "time": "The residual in time, before (left) and after (right) on the same scale.",
     "spectra": "Power of the residual over the noise's by frequency, before and after.",
@@ -40,8 +40,9 @@ _HOW = (
     " after and the closed fraction are of blocks of time that the fit has not seen.",
     "Closed fraction: (before - after) / (before - floor) of the mean squared residual in units of"
     " the noise; 1 means down to the noise.",
-    "p-values of where the gap lies are corrected for all cells of their table: among all cells of"
-    " a healthy recording one is marked by chance in 5 % of the recordings.",
+    "p-values of where the gap lies say how often noise and the tolerances of a healthy arm give"
+    " as much, and are corrected for all cells of their table: in 5 % of healthy recordings any"
+    " cell of it is marked.",
 )
 
 
@@ -163,7 +164,9 @@ def _where(where: dict[str, Any]) -> Iterator[str]:
         return
     yield heading("Where the gap lies")
     if not any(any(where.get(name, {}).values()) for name in ("channels", "bags", "regimes")):
-        yield paragraph("Nowhere: no channel, bag or regime is beyond noise.")
+        yield paragraph(
+            "Nowhere: no channel, bag or regime is beyond noise and a healthy arm's tolerances."
+        )
     ratios, p_values = where.get("ratio", {}), where.get("p", {})
     for name, word in (("bags", "bag"), ("regimes", "regime"), ("channels", "channel")):
         table = Table(word, "share", "", "RMS over noise", "p", numbers=(1, 3, 4))

@@ -24,7 +24,8 @@ class Diagnosis:
     held_out_before, held_out_after (N,): each row predicted from the folds that it isn't in.
     effects: as fitted to all of it, for the driver; empty where nothing was found.
     floor: mean square of a row that noise alone gives, 1 but for what the noise estimate leaves.
-    experiment: the next one, whose sweep `diagnose --next` writes.
+    experiment: the next one, whose sweep `diagnose --next` writes. healthy (N, q): how rows change
+    by each of q tolerances of a healthy arm, for what is marked as beyond noise.
     """
 
     answer: Answer
@@ -39,3 +40,4 @@ class Diagnosis:
     floor: float
     seconds: dict[str, float]
     experiment: Experiment | None = None
+    healthy: Array | None = None

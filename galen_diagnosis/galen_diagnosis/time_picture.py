@@ -57,8 +57,32 @@ def draw_times(diagnosis: Diagnosis) -> plt.Figure:
         )
     for axis in axes[-1]:
         axis.set_xlabel("time in the bag, s (grey: ± 2 σ of the noise of a point)")
-    figure.tight_layout(h_pad=0.4)
+    margins(figure, 0.75, 0.15, 0.5, 0.3, between_x=0.05, between_y=0.5)
     return figure
+
+
+def margins(
+    figure: plt.Figure,
+    left: float,
+    right: float,
+    bottom: float,
+    top: float,
+    between_x: float = 0.2,
+    between_y: float = 0.2,
+) -> None:
+    """Set margins in inches: matplotlib's own layouts draw everything twice to find them.
+
+    between_x, between_y: of panels, over their own size.
+    """
+    width, height = figure.get_size_inches()
+    figure.subplots_adjust(
+        left=left / width,
+        right=1.0 - right / width,
+        bottom=bottom / height,
+        top=1.0 - top / height,
+        wspace=between_x,
+        hspace=between_y,
+    )
 
 
 def _lines(

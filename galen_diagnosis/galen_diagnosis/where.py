@@ -2,8 +2,8 @@
 
 The gap is the excess of the squared whitened residual over the floor. A view cuts it into cells (by
 channel, bag, regime, pose, time, frequency, joint); a cell has a share of the excess and a p-value,
-corrected for all cells of its view (`energies.py`). Where no cell of a view is beyond noise its
-shares are 0: noise has no place.
+corrected for all cells of its view (`energies.py`): that noise and a healthy arm's tolerances give
+as much. Where no cell of a view is beyond those its shares are 0: noise has no place.
 """
 
 from __future__ import annotations
@@ -107,15 +107,18 @@ def where(
     streams: Sequence[Stream] = (),
     floor: float = 1.0,
     settings: CellSettings = DEFAULTS,
+    healthy: Array | None = None,
 ) -> Where:
-    """Where the residual (N,) of rows is beyond noise.
+    """Where the residual (N,) of rows is beyond noise and a healthy arm's tolerances.
 
     residual: whitened, what is no gap fitted; streams: the same in time; floor: mean square of
-    noise alone.
+    noise alone. healthy (N, q): how rows change by each of q tolerances of a healthy arm, what is
+    no gap projected out; None for an arm that is the nominal one. Frequencies know of noise alone.
     """
     energy = residual**2 / floor
     spread = block_spread(energy, rows.block) if len(rows) else 0.0
-    look = partial(_view, rows, energy, spread=spread, settings=settings)
+    off = None if healthy is None else healthy / np.sqrt(floor)
+    look = partial(_view, rows, energy, spread=spread, settings=settings, healthy=off)
     views = {
         "channels": look(cut.by_channel(rows)),
         "bags": look(cut.by_bag(rows)),
@@ -123,9 +126,8 @@ def where(
         "poses": look(cut.by_pose(rows)),
         "times": look(cut.by_time(rows)),
     }
-    whole = compare_cells(
-        energy, rows.block, np.zeros(len(rows), dtype=int), 1, settings, spread=spread
-    )
+    everything = np.zeros(len(rows), dtype=int)
+    whole = compare_cells(energy, rows.block, everything, 1, settings, spread=spread, healthy=off)
     smallest = [whole.p.min(), *(view.p.min(initial=1.0) for view in views.values())]
     return Where(
         **views,
@@ -140,16 +142,27 @@ def where(
 
 
 def picture_cells(
-    rows: Rows, residual: Array, floor: float = 1.0, settings: CellSettings = DEFAULTS
+    rows: Rows,
+    residual: Array,
+    floor: float = 1.0,
+    settings: CellSettings = DEFAULTS,
+    healthy: Array | None = None,
 ) -> View:
     """The view `cells` alone."""
+    off = None if healthy is None else healthy / np.sqrt(floor)
     energy = residual**2 / floor
     spread = block_spread(energy, rows.block) if len(rows) else 0.0
-    return _view(rows, energy, cut.by_map(rows), spread=spread, settings=settings)
+    return _view(rows, energy, cut.by_map(rows), spread=spread, settings=settings, healthy=off)
 
 
 def _view(
-    rows: Rows, energy: Array, cells: cut.Cells, *, spread: float, settings: CellSettings
+    rows: Rows,
+    energy: Array,
+    cells: cut.Cells,
+    *,
+    spread: float,
+    settings: CellSettings,
+    healthy: Array | None,
 ) -> View:
     tested = compare_cells(
         energy[cells.row],
@@ -158,6 +171,7 @@ def _view(
         len(cells.labels),
         settings,
         spread=spread,
+        healthy=None if healthy is None else healthy[cells.row],
     )
     return _of(cells.labels, cells.details, tested, settings)
 
