@@ -11,7 +11,7 @@ from galen_model.arrays import Array
 
 from galen_diagnosis.answer import NONE, UNKNOWN, Answer, Cause, Interval, Verdict
 from galen_diagnosis.block_evidence import BlockEvidence, Hypothesis
-from galen_diagnosis.block_rows import BlockRows
+from galen_diagnosis.block_rows import BlockRows, Effects
 from galen_diagnosis.block_search import Found
 
 SURE = 0.9
@@ -20,6 +20,8 @@ _PART = 0.5
 _NAMED = 0.05
 _DRAWS = 2000
 _PARTS = 3
+_TOLD_APART = 3.3
+"""Sigma: below it two hypotheses can't be told apart."""
 _OF_TIME = {"sensor_drift", "bias_step"}
 _ABOVE_FLOOR = 1.25**2
 
@@ -40,13 +42,14 @@ def conclude(
     name: str,
     evidence: BlockEvidence,
     found: Found,
-    cannot_tell: Sequence[str] = (),
+    effects: Effects,
     words: Sequence[str] = (),
     seed: int = 0,
 ) -> BlockDiagnosis:
     """Verdict, causes with intervals, gap before and after, where it lies."""
+    cannot_tell = effects.cannot_tell
     rows, best = evidence.rows, found.best
-    bare = next(one for one in found.hypotheses if not one.effects and not one.floor_only)
+    bare = min((one for one in found.hypotheses if not one.effects), key=lambda one: one.floor_only)
     before = evidence.held_out(bare)
     after = before if not best.effects else evidence.held_out(best)
     floor = 1.0 if rows.floor_known else 0.0
@@ -83,7 +86,7 @@ def conclude(
         },
         next_experiment=None,
         sentence=_sentence(verdict, found, closed, parts, remains and rows.floor_known),
-        cannot_tell=tuple(cannot_tell),
+        cannot_tell=(*cannot_tell, *_hidden(evidence, effects)),
         problems=()
         if rows.floor_known
         else ("the noise floor isn't known: closed fractions are of the whole residual",),
@@ -146,11 +149,22 @@ def _in_parts(
     if not _OF_TIME & set(best.effects) or len(evidence.rows) <= len(evidence.rows.labels):
         return None
     finer = BlockEvidence(evidence.rows.finer(_PARTS), evidence.nominal)
-    bare = finer.hypothesis((), [()], False)
+    bare = finer.hypothesis((), [()], False) or finer.hypothesis((), [()], True)
     again = finer.hypothesis(best.effects, [best.ways], best.floor_only)
     if bare is None or again is None:
         return None
     return closed_fraction(evidence.rows, finer.held_out(bare), finer.held_out(again), floor, seed)
+
+
+def _hidden(evidence: BlockEvidence, effects: Effects) -> list[str]:
+    """Effects whose usual size is no more than what noise does to a fit."""
+    if not evidence.rows.floor_known:
+        return []
+    return [
+        f"{name}: its usual size would not show"
+        for name, ways in effects.of.items()
+        if max(evidence.shows(way) for way in ways) < _TOLD_APART
+    ]
 
 
 def _rest(found: Found) -> float:
@@ -298,11 +312,11 @@ def _sentence(
     more = f" It may as well be {', '.join(effect for _, effect in others)}." if others else ""
     rest = " What is left is more than noise, and unknown." if remains else ""
     start = {
-        "identified": "Found:",
-        "ambiguous": "Not sure:",
-        "unknown": "Mostly unknown, in part:",
+        "identified": "Found",
+        "ambiguous": "Not sure",
+        "unknown": "Mostly unknown, in part",
     }
-    return f"{start[verdict]} {named}.{part}{more}{rest}"
+    return f"{start[verdict]}: {named}.{part}{more}{rest}"
 
 
 def _told(closed: Interval) -> str:

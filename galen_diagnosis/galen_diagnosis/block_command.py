@@ -43,7 +43,7 @@ def diagnose_rows(
             bar.update()
 
         found = search(evidence, prepared.effects, settings, show)
-    return conclude(name, evidence, found, prepared.effects.cannot_tell, prepared.words)
+    return conclude(name, evidence, found, prepared.effects, prepared.words)
 
 
 def give(found: list[BlockDiagnosis], arguments: argparse.Namespace) -> None:

@@ -11,8 +11,8 @@ section 3.5.1, with K for the noise)
 
 A block b that no fit has seen is predicted with the density p(y_b | others) = Z(all) / Z(others),
 parameters' uncertainty included. Where an effect shows in one of several ways, Z is their mean. K's
-form, a few numbers, is chosen channel by channel where it makes Z of all blocks largest; weights are
-not in that, being integrated out.
+form, a few numbers, is chosen channel by channel where it makes Z of all blocks largest; weights
+are not in that, being integrated out.
 """
 
 from __future__ import annotations
@@ -27,7 +27,10 @@ from galen_model.arrays import Array
 from galen_diagnosis.block_rows import FLOOR_FORMS, BlockRows, Columns, noise_forms
 
 _NEGLIGIBLE_NATS = 15.0
-_SWEEPS = 3
+_SWEEPS = 2
+_NOISE_AS_IT_IS = 1  # of FLOOR_FORMS
+_MORE_THAN_NOISE_NATS = 4.0
+"""What a channel's evidence must gain before it counts as more than noise."""
 
 
 class _Sums(NamedTuple):
@@ -76,6 +79,7 @@ class BlockEvidence:
         self._nominal = nominal.values / rows.floor[None, :, None]
         self._where = [np.flatnonzero(rows.block == b) for b in range(self.blocks)]
         self._inverse: list[Array] = []  # of each block (F, m, m)
+        self._last: dict[tuple[int, ...], _Sums] = {}
         log_size = np.zeros((len(self.forms), self.blocks))
         for b, where in enumerate(self._where):
             whiteners = []
@@ -112,6 +116,27 @@ class BlockEvidence:
                 right[c, :, b][:, active] = gram[:, :-1, -1]
         return _Sums(information, right)
 
+    def _remembered(self, ways: tuple[Columns, ...]) -> _Sums:
+        """The sums, which a hypothesis with and one without the floor alone share."""
+        key = tuple(id(way) for way in ways)
+        if key not in self._last:
+            self._last[key] = self.sums(ways)
+        return self._last[key]
+
+    def forget(self) -> None:
+        """Free what was remembered of earlier sets."""
+        self._last.clear()
+
+    def shows(self, way: Columns) -> float:
+        """How many sigma of noise the usual size of this effect is away from all nominal ones."""
+        sums = self.sums((way,))
+        information = sums.information[:, _NOISE_AS_IT_IS].sum(axis=(0, 1))
+        size = self.nominal.size
+        among = information[:size, :size] + np.eye(size)
+        across = information[:size, size:]
+        left = information[size:, size:] - across.T @ np.linalg.solve(among, across)
+        return float(np.sqrt(max(np.linalg.eigvalsh(left)[-1], 0.0)))
+
     def _log_z(self, information: Array, right: Array, rest: Array) -> Array:
         """Of sums (..., k, k), (..., k), (...)."""
         size = right.shape[-1]
@@ -127,13 +152,16 @@ class BlockEvidence:
         r = sums.right[:, allowed].sum(axis=2)
         rest = self._rest[:, allowed].sum(axis=2)
         channels = np.arange(len(a))
-        forms = np.argmax(self._log_z(a, r, rest), axis=1)
+        doubt = np.zeros(a.shape[1])
+        doubt[len(FLOOR_FORMS) :] = _MORE_THAN_NOISE_NATS if self.rows.floor_known else 0.0
+        forms = np.argmax(self._log_z(a, r, rest) - doubt, axis=1)
         for _ in range(_SWEEPS):
             before = forms.copy()
             for c in channels:
                 others = channels[channels != c]
                 base = [part[others, forms[others]].sum(axis=0) for part in (a, r, rest)]
-                forms[c] = np.argmax(self._log_z(a[c] + base[0], r[c] + base[1], rest[c] + base[2]))
+                log_z = self._log_z(a[c] + base[0], r[c] + base[1], rest[c] + base[2])
+                forms[c] = np.argmax(log_z - doubt)
             if np.array_equal(before, forms):
                 break
         return forms
@@ -143,10 +171,13 @@ class BlockEvidence:
     def hypothesis(
         self, effects: tuple[str, ...], sets: Sequence[tuple[Columns, ...]], floor_only: bool
     ) -> Hypothesis | None:
-        """A hypothesis that holds in one of `sets` of ways; None where no set has allowed weights."""
+        """A hypothesis that holds in one of `sets` of ways; None where no weights are allowed.
+
+        None as well where noise was not to be alone, and is.
+        """
         found = []
         for ways in sets:
-            sums = self.sums(ways)
+            sums = self._remembered(ways)
             forms = self._best_forms(sums, floor_only)
             channels = np.arange(len(forms))
             a = sums.information[channels, forms].sum(axis=0)  # (B, k, k)
@@ -159,6 +190,9 @@ class BlockEvidence:
         if not found:
             return None
         best = max(found, key=lambda one: one[0])
+        noise_alone = bool(np.all(best[2] < len(FLOOR_FORMS)))
+        if noise_alone and not floor_only and self.rows.floor_known:
+            return None  # the same as with the floor only
         kept = [one for one in found if one[0] > best[0] - _NEGLIGIBLE_NATS]
         # (ways, B): evidence of all blocks but one
         seen = np.stack(
@@ -167,8 +201,8 @@ class BlockEvidence:
                 for _, _, _, _, a, r, rest in kept
             ]
         )
-        whole = np.array([one[0] for one in kept])
-        elpd = np.logaddexp.reduce(whole) - np.logaddexp.reduce(seen, axis=0)
+        of_all = np.array([one[0] for one in kept])
+        elpd = np.logaddexp.reduce(of_all) - np.logaddexp.reduce(seen, axis=0)
         folds = []
         for b in range(self.blocks):
             _, ways, _, _, a, r, _ = kept[int(np.argmax(seen[:, b]))]
@@ -207,5 +241,5 @@ class BlockEvidence:
 
 
 def _fit(information: Array, right: Array) -> Fit:
-    covariance = np.linalg.inv(information + np.eye(len(right)))
+    covariance = np.asarray(np.linalg.inv(information + np.eye(len(right))), dtype=float)
     return Fit(covariance @ right, covariance)

@@ -1,4 +1,4 @@
-"""Readings cut into blocks, and what could explain them, as the diagnosis of measured tables has it.
+"""Readings cut into blocks, and what could explain them, for the diagnosis of measured tables.
 
 A reading has C channels. What may be in it is linear: columns, each of one or more channels, scaled
 so that one unit is what is usual (the prior's standard deviation). A block (a stop, a stretch of
@@ -113,7 +113,7 @@ class NoiseForm:
 FLOOR_FORMS = (NoiseForm(0.8), NoiseForm(1.0), NoiseForm(1.25))
 """Noise alone: an estimated floor may be wrong by a quarter."""
 
-_SIZES = (0.5, 1.0, 2.5, 6.0, 15.0, 40.0, 100.0)
+_SIZES = (0.7, 2.0, 6.0, 18.0, 50.0, 150.0)
 
 
 def noise_forms(rows: BlockRows) -> tuple[NoiseForm, ...]:

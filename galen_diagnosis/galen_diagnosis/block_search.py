@@ -5,8 +5,8 @@ within a block and nobody knows. Its weight is how well it predicts each block f
 
     score = eta sum_b elpd_b + ln prior,
 
-and probabilities are the mean of the scores' softmax over Bayesian bootstraps of the blocks: pseudo-
-BMA+ (Y. Yao, A. Vehtari, D. Simpson, A. Gelman, *Bayesian Analysis* 13(3), 2018, section 3.4).
+and probabilities are the mean of the scores' softmax over Bayesian bootstraps of the blocks:
+pseudo-BMA+ (Y. Yao et al., *Bayesian Analysis* 13(3), 2018, section 3.4).
 Every effect is tried by itself; the best few are joined by a second and a third; and each effect of
 the best set is exchanged for every other, to see what could stand in its place.
 """
@@ -27,6 +27,7 @@ Progress = Callable[[str], None]
 
 _MOST_WAYS = 8
 _HALF = 0.5
+_NEARLY_NATS = 1.0
 _TOLD_APART_NATS = 2.3
 """Ten to one."""
 
@@ -75,7 +76,7 @@ def search(
         work.try_sets((name,), [(way,) for way in ways])
     work.prune()
     for size in range(2, work.settings.most + 1):
-        for base in work.best_sets(size - 1):
+        for base in work.worth_joining(size - 1):
             for name in effects.of:
                 if name not in base.effects:
                     work.join(base.effects, base.ways, name)
@@ -113,6 +114,7 @@ class _Search:
             found = self.evidence.hypothesis(names, sets, floor_only)
             if found is not None:
                 self.tried[key] = found
+        self.evidence.forget()
 
     def prune(self) -> None:
         """From now on only such ways of an effect as weren't hopeless by themselves."""
@@ -144,6 +146,13 @@ class _Search:
         for one in ordered:
             kept.setdefault(frozenset(one.effects), one)
         return list(kept.values())[: self.settings.joined]
+
+    def worth_joining(self, size: int) -> list[Hypothesis]:
+        """Of the best sets of a size, those that are better than any smaller set, or nearly."""
+        smaller = [self.score(one) for one in self.tried.values() if len(one.effects) < size]
+        return [
+            one for one in self.best_sets(size) if self.score(one) > max(smaller) - _NEARLY_NATS
+        ]
 
     def weighed(self) -> Found:
         every = tuple(self.tried.values())

@@ -30,7 +30,8 @@ from galen_diagnosis.table_rows import prepare_table
 from galen_diagnosis.table_run import prepare_run
 
 _RUN_WINDOW_S, _STOP_WINDOW_S = 0.01, 1.0
-_EPILOG = f"""TABLE: fx .. tz and an orientation ({"; ".join(" ".join(of) for of in ORIENTATIONS.values())}),
+_WAYS = "; ".join(" ".join(columns) for columns in ORIENTATIONS.values())
+_EPILOG = f"""TABLE: fx .. tz and an orientation ({_WAYS}),
 perhaps t and block. With t it is cut into its stops. With --wrench and --orientations the tables
 are still poses that tell the load, and the run is diagnosed.
 

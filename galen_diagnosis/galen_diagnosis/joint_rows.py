@@ -22,10 +22,10 @@ from collections.abc import Callable, Sequence
 from itertools import pairwise
 
 import numpy as np
+from galen_deflection.hysteresis import PlayOperators
 from galen_deflection.transmission.parts import Parts
 from galen_deflection.transmission.runs import Run, noise_of
 from galen_deflection.transmission.terms import (
-    MOTION_PLAYS,
     TERMS,
     TORQUE_PLAYS,
     Scales,
@@ -39,6 +39,8 @@ from galen_diagnosis.table_rows import Prepared
 CHANNELS = ("lag",)
 _MOST_ROWS = 700
 _SEVERAL = (0, 2, 4, 6)
+_GAPS = np.geomspace(0.08, 2.2, 14)
+"""Thresholds of plays of the motion over half of the lag's range."""
 _DELAY_S = 0.005
 _GEAR = 0.02
 _APART_S = 1e4
@@ -51,7 +53,9 @@ def prepare_joint(runs: Sequence[Run], parts: Parts) -> Prepared:
     """Rows and effects of a joint's runs; a part is a block."""
     every = [np.ones(len(run), dtype=bool) for run in runs]
     scales = Scales.of(runs, every, _VELOCITY_WINDOW_S)
+    gaps = scales.lag_half_range * _GAPS
     terms = np.concatenate([design(run, scales) for run in runs])
+    lost = np.concatenate([_lost(run, gaps) for run in runs])
     lag = np.concatenate([run.lag for run in runs])
     torque_rate = np.concatenate([np.gradient(run.torque, run.time_s) for run in runs])
     at_s = np.concatenate([run.time_s + k * _APART_S for k, run in enumerate(runs)])
@@ -85,9 +89,10 @@ def prepare_joint(runs: Sequence[Run], parts: Parts) -> Prepared:
         f"{len(residual)} means over {size} readings of {len(runs)} runs",
         "floor: encoders' steps and the lag's jitter",
     )
-    return Prepared(
-        rows, _effects(mean(terms), mean(torque_rate), residual, scales, constant), words
-    )
+    effects = _effects(mean(terms), mean(torque_rate), residual, scales, constant)
+    of = {**effects.of, "backlash": _backlash(mean(lost), gaps)}
+    effects = Effects(constant, of, effects.cannot_tell)
+    return Prepared(rows, effects, words)
 
 
 def _windows(runs: Sequence[Run], label: np.ndarray) -> tuple[np.ndarray, int]:
@@ -111,15 +116,12 @@ def _effects(
     column = {name: terms[:, k] for k, name in enumerate(TERMS)}
     half_lag = scales.lag_half_range
     soft = half_lag / scales.torque_half_range
+
+    def stiffness(w: Array) -> Array:
+        return np.asarray(1.0 / (soft * max(w[0], _SOFTEST)))
+
     of: dict[str, Sequence[Columns]] = {
-        "joint_compliance": [
-            _one(
-                soft * column["spring"],
-                {"k": lambda w: 1.0 / (soft * max(w[0], _SOFTEST))},
-                _positive,
-            )
-        ],
-        "backlash": _backlash(column, scales),
+        "joint_compliance": [_one(soft * column["spring"], {"k": stiffness}, _positive)],
         "deflection_hysteresis": _hysteresis(column, scales, soft),
         "encoder_delay": [_one(_DELAY_S * column["delay"], {"delay_s": lambda w: _DELAY_S * w[0]})],
         "gear_error": [_one(_GEAR * column["gear"], {"gain": lambda w: _GEAR * w[0]})],
@@ -148,19 +150,25 @@ def _one(
     return Columns(values[:, None, None], parameters, allowed=allowed)
 
 
-def _backlash(column: dict[str, Array], scales: Scales) -> list[Columns]:
-    """One gap, or several that close bit by bit."""
-    ways = []
-    for chosen in (*((k,) for k in range(len(MOTION_PLAYS))), _SEVERAL):
-        values = np.stack([column[MOTION_PLAYS[k]] for k in chosen], axis=1)
-        thresholds = scales.motion_thresholds[list(chosen)]
+def _lost(run: Run, thresholds: Array) -> Array:
+    """What each play of the motion leaves behind (n, p), rad; from amid the gap."""
+    motion = np.repeat((run.motor - run.motor[0])[:, None], len(thresholds), axis=1)
+    return np.asarray(motion - PlayOperators(thresholds).run(motion).output)
 
-        def gap(w: Array, thresholds: Array = thresholds) -> Array:
-            return np.asarray(2.0 * w @ thresholds)
+
+def _backlash(lost: Array, thresholds: Array) -> list[Columns]:
+    """One gap, between two neighbouring thresholds, or several that close bit by bit."""
+    ways = []
+    pairs = [(k, k + 1) for k in range(len(thresholds) - 1)]
+    for chosen in (*pairs, tuple(range(0, len(thresholds), 4))):
+        some = thresholds[list(chosen)]
+
+        def gap(w: Array, some: Array = some) -> Array:
+            return np.asarray(2.0 * w @ some)
 
         ways.append(
             Columns(
-                values[:, None, :],
+                lost[:, None, list(chosen)],
                 {"gap_rad": gap},
                 allowed=lambda w, gap=gap: bool(gap(w) > 0.0),  # type: ignore[misc]
             )

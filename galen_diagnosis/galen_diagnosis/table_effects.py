@@ -35,7 +35,7 @@ _LEVER_M = 0.05
 _CABLE_N = 0.3
 _MOST_STEPS = 24
 _SATURATION_SHARES = (0.97, 0.9, 0.75)
-_KEPT = 0.995
+_KEPT = 0.999
 _FEWEST_YAWS = 3
 
 _BY_HOOKS = ("base_inclination", "sensor_mount_rotation", "axis_gain", "loose_tool")
@@ -187,8 +187,7 @@ def _cable(plant: TablePlant, mean: Callable[[Array], Array]) -> Columns:
         values[:, 3:, 3 + 3 * i : 6 + 3 * i] = _CABLE_N * _LEVER_M * (cross @ back)
     return Columns(
         mean(values),
-        {"tension_N": lambda w: _CABLE_N * np.linalg.norm(w[:2])},
-        beyond=(),
+        {"tension_N": lambda w: np.asarray(_CABLE_N * np.linalg.norm(w[:2]))},
     )
 
 

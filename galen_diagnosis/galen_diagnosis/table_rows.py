@@ -67,7 +67,7 @@ def prepare_table(
     """
     if table.time is not None and table.block is None:
         still = settings or StillSettings()
-        floor = _floor_in_stops(table, window_s, still)
+        floor: Floor | None = _floor_in_stops(table, window_s, still)
         averaged, _ = average_still(table, window_s, still)
         words = [f"{len(averaged)} averages of {window_s:g} s in stops"]
     else:
@@ -135,7 +135,8 @@ def _nominal(table: OrientationTable, tool: ToolFile | None) -> tuple[TablePlant
         load = Load(float(moments[0]), moments[1:] / moments[0])
         columns = load_columns(table.gravity, lambda values: values)
     else:
-        total = tool.load.moments + tool.bias.moments
+        loads = [Load(of.mass_kg, np.asarray(of.com_m)) for of in (tool.load, tool.bias)]
+        total = loads[0].moments + loads[1].moments
         load = Load(float(total[0]), total[1:] / total[0])
         weight = TablePlant(table.gravity, table.rotation, at_s, load, np.zeros(6)).reading()
         offset = (table.wrench - weight).mean(axis=0)

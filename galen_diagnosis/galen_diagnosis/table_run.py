@@ -13,6 +13,7 @@ acceleration can't be told.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from itertools import pairwise
 
 import numpy as np
 from galen_bags.orientation_table import OrientationTable
@@ -111,7 +112,7 @@ def prepare_run(
         floor=floor.std,
         at_s=at_s - at_s[0],
         block=block,
-        labels=tuple(f"{a:.1f} to {b:.1f} s" for a, b in zip(edges, edges[1:], strict=False)),
+        labels=tuple(f"{a:.1f} to {b:.1f} s" for a, b in pairwise(edges)),
         alike=floor.alike,
         memory_s=floor.memory_s,
         memories_s=_MEMORIES_S,
