@@ -30,6 +30,7 @@ from galen_model.whole_file import write_whole
 from galen_sim_driver.effects.registry import CONTRACT_ORDER
 from rich.console import Console
 
+from galen_diagnosis.blind.baselines import NETWORK
 from galen_diagnosis.blind.keeper import (
     DIAGNOSING,
     Places,
@@ -40,6 +41,7 @@ from galen_diagnosis.blind.keeper import (
     sealed_set,
 )
 from galen_diagnosis.blind.making import Generate
+from galen_diagnosis.blind.network import lacking
 from galen_diagnosis.blind.plan import Planned, full_plan, short_plan, thinned
 from galen_diagnosis.blind.plant.case import generate
 from galen_diagnosis.blind.score import Score, score, to_json
@@ -173,6 +175,8 @@ def run(
     scores |= {
         name: score(found, CONTRACT_ORDER) for name, found in baselines(places, labels).items()
     }
+    if NETWORK not in scores:
+        say(f"no column for the network: {lacking() or 'it was not there when it was diagnosed'}")
     content = {
         "schema_version": 1,
         "labels_sha256": told,

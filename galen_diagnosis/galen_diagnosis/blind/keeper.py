@@ -20,6 +20,7 @@ from __future__ import annotations
 import json
 import os
 import secrets
+import shutil
 import signal
 import subprocess
 import sys
@@ -173,6 +174,8 @@ def diagnose_blind(
     except BaseException:
         _end(process)
         raise
+    finally:
+        shutil.rmtree(temporary, ignore_errors=True)
     if code == EXIT_INTERRUPTED:
         raise KeyboardInterrupt
     if code not in (EXIT_OK, EXIT_FAILED):
