@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -27,6 +28,8 @@ STRENGTHS = {"faint": 6.0, "clear": 30.0, "gross": 150.0}
 KINDS = ("none", "single", "pair", "unknown_calibration", "unknown_test", "ambiguous")
 
 _REDRAWS = 8
+_PARTED = 2.0 * TELLABLE
+"""What has to be left of a cause by the other of a pair, or of an unlisted one by any effect."""
 
 
 @dataclass(frozen=True)
@@ -112,14 +115,11 @@ def work_out(case: Case) -> Made:
     listed = Listed(session, scale)
     for _ in range(_REDRAWS):
         names = case.effects or _drawn(rng, case, session)
-        made = _made(rng, case, session, scale, listed, names)
-        truth = made.truth
-        if case.kind == "pair" and (
-            names[1] in truth.acceptable[0] or names[0] in truth.acceptable[1]
-        ):
-            continue  # the recording can't part these two
-        if case.kind.startswith("unknown") and truth.left[0] < 2.0 * TELLABLE:
-            continue  # a listed effect does the same
+        made, explained = _made(rng, case, session, scale, listed, names)
+        if case.kind == "pair" and _parted(names, explained) < _PARTED:
+            continue
+        if case.kind.startswith("unknown") and made.truth.left[0] < _PARTED:
+            continue
         return made
     return made
 
@@ -131,9 +131,11 @@ def _made(
     scale: Scale,
     listed: Listed,
     names: Sequence[str],
-) -> Made:
+) -> tuple[Made, list[dict[str, float]]]:
+    """The case with these names, and what each listed effect leaves of each cause."""
     wanted = STRENGTHS[case.strength]
-    causes, strengths, left, acceptable = [], [], [], []
+    capped = False
+    causes, strengths, lefts, acceptable = [], [], [], []
     for name in names:
         cause = (CAUSES | UNLISTED)[name].draw(rng, session)
         if name in UNLISTED:
@@ -142,16 +144,16 @@ def _made(
             cause, reached = scale.sized(cause, wanted)
         difference = scale.difference([cause])
         explained = listed.left(difference)
+        lefts.append(explained)
         causes.append(cause)
         strengths.append(scale.strength(difference))
-        left.append(min(explained.values()))
         if name in UNLISTED:
             acceptable.append(["unknown"])
         else:
             others = [e for e, rest in explained.items() if rest < TELLABLE and e != name]
             weak = ["none"] if strengths[-1] < TELLABLE else []
             acceptable.append([name, *others, *weak])
-        capped = bool(reached < 0.9 * wanted)
+        capped = capped or bool(reached < 0.9 * wanted)
     machine = Machine(session, causes)
     effects = [
         {"effect": cause.name, "parameters": dict(cause.parameters(machine))} for cause in causes
@@ -165,12 +167,18 @@ def _made(
         effects=effects,
         d=strengths,
         d_all=scale.strength(scale.difference(causes)),
-        left=left,
+        left=[min(explained.values()) for explained in lefts],
         acceptable=acceptable,
         expected_verdict="unknown" if unknown else verdict,
         capped=capped,
     )
-    return Made(session, tuple(causes), truth)
+    return Made(session, tuple(causes), truth), lefts
+
+
+def _parted(names: Sequence[str], explained: list[dict[str, float]]) -> float:
+    """D that either of a pair leaves of the other, the smaller one."""
+    first, second = names
+    return min(explained[0].get(second, math.inf), explained[1].get(first, math.inf))
 
 
 def _bags(case: Case) -> tuple[str, ...]:

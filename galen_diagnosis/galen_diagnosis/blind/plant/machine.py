@@ -40,12 +40,12 @@ class Machine:
         tolerance: Tolerance = NOMINAL,
         like: Machine | None = None,
     ) -> None:
-        """Take from `like`, a session's nominal machine, the springs where they are the same."""
+        """Take springs from `like`: a machine of that session and tolerance without causes."""
         self.session = session
         self.causes = tuple(sorted(causes, key=lambda cause: cause.order))
         self._loads: dict[tuple[bytes, bytes], tuple[Springs, Array]] = {}
         self.arm: BlindArm
-        if like is not None and not tolerance.sigmas.any() and not changes(self.causes, "arm"):
+        if like is not None and not changes(self.causes, "arm"):
             self.arm, self._loads = like.arm, like._loads
         else:
             self.arm = tolerance.arm(BlindArm())

@@ -28,9 +28,9 @@ from galen_diagnosis.blind.plant.arm import BlindArm
 from galen_diagnosis.blind.plant.cause import Cause
 from galen_diagnosis.blind.plant.machine import Machine, changes
 from galen_diagnosis.blind.plant.session import Session
-from galen_diagnosis.blind.plant.tolerance import COUNT, Tolerance
+from galen_diagnosis.blind.plant.tolerance import COUNT, NAMES, Tolerance
 
-_SAMPLES_A_TOPIC = 900
+_SAMPLES_A_TOPIC = 600
 _AROUND_TOUCH_S = 0.06
 """Readings so near to a touch are left out."""
 _AROUND = np.linspace(-_AROUND_TOUCH_S, _AROUND_TOUCH_S, 5)
@@ -49,6 +49,21 @@ class _Told:
     applied: Array
     marker_rotation: Array
     marker_position: Array
+
+
+def _changed(causes: Sequence[Cause]) -> tuple[bool, bool, bool, bool]:
+    """Whether causes change the true wrench, what becomes of it, the tip, the marker."""
+    return (
+        changes(causes, "late", "arm", "joints", "tool", "wrench"),
+        changes(causes, "sense", "show"),
+        changes(causes, "late", "arm", "joints", "displace", "track"),
+        changes(causes, "late", "track", "stand"),
+    )
+
+
+_SEEN_ONLY = ("length_m", "rod_length_m", "stiffness", "place_m", "place_rad", "tracker_scale")
+_READ_ONLY = ("level_rad", "sensor_gain", "mass_kg", "moment_kg_m")
+"""Tolerances that change only what the tracker sees, and only the reading."""
 
 
 @dataclass(frozen=True)
@@ -98,8 +113,7 @@ class Scale:
         self._nominal = self._tell(self._machine)
         self._columns = self._nuisances()
         if tolerance_scale > 0.0:
-            each = tolerance_scale * np.eye(COUNT)
-            of_tolerances = [self.difference((), Tolerance(sigmas)) for sigmas in each]
+            of_tolerances = [self._by_tolerance(k, tolerance_scale) for k in range(COUNT)]
         else:
             of_tolerances = []
         known = np.concatenate([np.zeros(len(self._columns)), np.ones(len(of_tolerances))])
@@ -111,7 +125,15 @@ class Scale:
         if tolerance is not None:
             return self._compared(self._tell(Machine(self._session, causes, tolerance)))
         machine = Machine(self._session, causes, like=self._machine)
-        return self._compared(self._tell_anew(machine))
+        return self._compared(self._tell_anew(machine, *_changed(causes)))
+
+    def _by_tolerance(self, number: int, size: float) -> Array:
+        """The difference that one tolerance makes at `size` standard deviations."""
+        name = NAMES[number]
+        machine = Machine(self._session, (), Tolerance(size * np.eye(COUNT)[number]))
+        reads = name not in _SEEN_ONLY
+        seen = name not in _READ_ONLY
+        return self._compared(self._tell_anew(machine, reads, False, seen, name == "tracker_scale"))
 
     def _free(self, rows: Array) -> Array:
         """J rows^T solved with the information: what the nuisances take of rows (k, n)."""
@@ -174,15 +196,20 @@ class Scale:
         marker = machine.base_pose("push", self._tracked_s)
         return _Told(readings, *tip, machine.reading("push", self._tracked_s), *marker)
 
-    def _tell_anew(self, machine: Machine) -> _Told:
-        """The same as `_tell`, but what the causes can't change is taken from the nominal one."""
-        causes, nominal = machine.causes, self._nominal
+    def _tell_anew(
+        self, machine: Machine, loaded: bool, sensed: bool, bent: bool, marked: bool
+    ) -> _Told:
+        """As `_tell`, but what isn't said to be changed is taken from the nominal machine.
+
+        loaded: the true wrench; sensed: what becomes of it; bent: the tip; marked: the marker.
+        """
+        nominal = self._nominal
         readings, applied = nominal.readings, nominal.applied
-        if changes(causes, "late", "arm", "joints", "tool", "wrench"):
+        if loaded:
             readings = [machine.reading(bag, at_s, hand=False) for bag, at_s, _ in self._readings]
             if len(self._tracked_s):
                 applied = machine.reading("push", self._tracked_s)
-        elif changes(causes, "sense", "show"):
+        elif sensed:
             each = zip(self._moments, self._totals, strict=True)
             readings = [machine.told(at, total) for at, total in each]
             if len(self._tracked_s):
@@ -190,9 +217,9 @@ class Scale:
         tip = nominal.tip_rotation, nominal.tip_position
         marker = nominal.marker_rotation, nominal.marker_position
         if len(self._tracked_s):
-            if changes(causes, "late", "arm", "joints", "displace", "track"):
+            if bent:
                 tip = machine.tool_pose("push", self._tracked_s)
-            if changes(causes, "late", "arm", "track", "stand"):
+            if marked:
                 marker = machine.base_pose("push", self._tracked_s)
         return _Told(readings, *tip, applied, *marker)
 
@@ -201,15 +228,22 @@ class Scale:
         changes = [a - b for a, b in zip(told.readings, nominal.readings, strict=True)]
         if not len(self._tracked_s):
             return self._whitened(changes, None, None)
-        applied = told.applied - nominal.applied
-        tip = self._moved(
-            told.tip_rotation, told.tip_position, nominal.tip_rotation, nominal.tip_position
-        )
-        marker = self._moved(
-            told.marker_rotation, told.marker_position, nominal.marker_rotation,
-            nominal.marker_position,
-        )  # fmt: skip
-        return self._whitened(changes, tip - self._bent(applied), marker)
+        tip = marker = np.zeros((len(self._tracked_s), 6))
+        # What is the same object was not computed anew.
+        if told.tip_position is not nominal.tip_position:
+            tip = self._moved(
+                told.tip_rotation, told.tip_position, nominal.tip_rotation, nominal.tip_position
+            )
+        if told.marker_position is not nominal.marker_position:
+            marker = self._moved(
+                told.marker_rotation,
+                told.marker_position,
+                nominal.marker_rotation,
+                nominal.marker_position,
+            )
+        if told.applied is not nominal.applied:
+            tip = tip - self._bent(told.applied - nominal.applied)
+        return self._whitened(changes, tip, marker)
 
     def _moved(
         self, rotation: Array, position: Array, rotation_0: Array, position_0: Array

@@ -44,7 +44,8 @@ SIZES: tuple[tuple[str, int, float], ...] = (
 )
 """Name, how many, standard deviation of each."""
 
-COUNT = sum(count for _, count, _ in SIZES)
+NAMES = tuple(name for name, count, _ in SIZES for _ in range(count))
+COUNT = len(NAMES)
 
 
 @dataclass(frozen=True)
