@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 from galen_diagnosis.answer import Answer, Cause
@@ -9,12 +10,18 @@ from galen_diagnosis.effect_words import cause_words, title
 
 _MOST_PLACES = 3
 _NAMED_SHARE = 0.1
+_MOST_TWINS = 4
+_SURE = 0.9
+"""A cause as likely as this is there, whatever else is."""
 
 
 def sentence(answer: Answer) -> str:
     """The verdict, what causes the gap with its numbers, how much of it that explains, where."""
     if answer.verdict == "none":
-        return "No gap: the recording is what the model says, down to the noise."
+        return (
+            "No gap: the recording is what the model says, but for noise and what a healthy arm"
+            " may be off."
+        )
     where = _where(answer.where)
     if answer.verdict == "unknown":
         best = _best_of_list(answer)
@@ -22,12 +29,6 @@ def sentence(answer: Answer) -> str:
     if answer.verdict == "ambiguous":
         return _ambiguous(answer) + where
     return _identified(answer) + where
-
-
-def alternatives(answer: Answer) -> tuple[str, ...]:
-    """Effects that remain where the recording can't tell, each once."""
-    names = [name for cause in answer.causes for name in (cause.effect, *cause.equivalent)]
-    return tuple(dict.fromkeys(names))
 
 
 def _identified(answer: Answer) -> str:
@@ -43,19 +44,42 @@ def _identified(answer: Answer) -> str:
 
 
 def _ambiguous(answer: Answer) -> str:
-    told = {cause.effect: cause_words(cause.effect, cause.parameters) for cause in answer.causes}
-    names = [told.get(name, title(name)) for name in alternatives(answer)]
-    text = "There is a gap, and this recording can't tell what causes it"
-    if names:
-        text += f": {', or '.join(names)}"
-    return text + (f". What is found explains{_closed(answer.gap)} of it." if names else ".")
+    sure = [cause for cause in answer.causes if cause.probability >= _SURE]
+    open_ = [cause for cause in answer.causes if cause.probability < _SURE]
+    told = [cause_words(cause.effect, cause.parameters) for cause in sure]
+    maybe = [_one_of(cause) for cause in open_]
+    if told:
+        text = f"{_capital('; and '.join(told))}."
+        if maybe:
+            text += (
+                f" Whether there is more, this recording can't tell: perhaps {', or '.join(maybe)}."
+            )
+        text += "".join(_twins(cause) for cause in sure)
+    elif maybe:
+        text = "There is a gap, and this recording can't tell what causes it: "
+        text += f"{', or '.join(maybe)}."
+    else:
+        return "There is a gap, and this recording can't tell what causes it."
+    return f"{text} What is found explains{_closed(answer.gap)} of the gap."
+
+
+def _one_of(cause: Cause) -> str:
+    """An open cause with its probability and what can't be told from it."""
+    text = f"{cause_words(cause.effect, cause.parameters)} ({cause.probability:.0%})"
+    return f"{text}, or {_names(cause.equivalent)}" if cause.equivalent else text
 
 
 def _twins(cause: Cause) -> str:
     if not cause.equivalent:
         return ""
-    names = " or ".join(f"{title(name)} ({name})" for name in cause.equivalent)
-    return f" This recording can't tell it from: {names}."
+    return f" This recording can't tell it from: {_names(cause.equivalent)}."
+
+
+def _names(effects: Sequence[str]) -> str:
+    """Some of them by name; of something faint it may be nearly all effects."""
+    if len(effects) > _MOST_TWINS:
+        return f"one of {len(effects)} other effects"
+    return " or ".join(f"{title(name)} ({name})" for name in effects)
 
 
 def _best_of_list(answer: Answer) -> str:

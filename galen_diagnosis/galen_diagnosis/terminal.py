@@ -62,9 +62,13 @@ def _causes(answer: Answer) -> Table:
         for number, name in enumerate(names):
             words = parameter_words(cause.effect, name, cause.parameters) if name else ""
             first = (cause.effect, f"{cause.probability:.1%}") if number == 0 else ("", "")
-            last = ", ".join(cause.equivalent) if number == 0 else ""
+            last = _few(cause.equivalent) if number == 0 else ""
             table.add_row(*first, name, escape(words), last)
     return table
+
+
+def _few(effects: Sequence[str]) -> str:
+    return ", ".join(effects) if len(effects) <= _PLACES else f"{len(effects)} other effects"
 
 
 def _ranking(answer: Answer) -> Table:
