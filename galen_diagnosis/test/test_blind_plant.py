@@ -26,11 +26,15 @@ from galen_diagnosis.blind.plant.strength import Scale
 from galen_diagnosis.blind.plant.tolerance import COUNT, Tolerance, draw_tolerance
 from galen_diagnosis.blind.plant.unlisted import CALIBRATION_UNKNOWN, TEST_UNKNOWN, UNLISTED
 from galen_model.arm import ENCODER_QUANTUM, SENSOR
+from galen_model.kinematics import tip_pose
 from galen_model.load import Load, nominal_reading
 from galen_model.pinocchio_arm import PinocchioArm
-from galen_model.stiffness import tip_compliance
+from galen_model.rotation import rotvec_to_matrix
+from galen_model.stiffness import deflection, tip_compliance
 from galen_model.tool_file import read_tool
-from galen_model.tools import ADAPTER
+from galen_model.tools import ADAPTER, ToolGeometry
+from galen_sim_driver.effects.registry import effect_from
+from galen_sim_driver.replay import Replay, Scene
 
 CONTRACT = {
     "roll_zero_offset": {"offset_rad"},
@@ -115,6 +119,100 @@ def test_nominal_reading_is_the_contracts(session):
         expected = nominal_reading(joints[:, 3], joints[:, 4], tool, ADAPTER)
         told = machine.reading(bag, at_s, hand=False) - session.zero
         np.testing.assert_allclose(told, expected, atol=1e-12)
+
+
+def test_nominal_tip_is_the_models(session):
+    """Under the hand's wrench and in the tracker's frame, at some samples of all four places."""
+    take, tool = session.takes["push"], session.tool
+    at_s = take.tracker.taken_s[::211]
+    rotation, position = Machine(session).tool_pose("push", at_s)
+    base_rotation, base_position = Machine(session).base_pose("push", at_s)
+    joints, pushed = take.course.at(at_s).joints, take.pushes.wrench(at_s)
+    assert np.count_nonzero(pushed.any(axis=1)) > 10
+    for k, q in enumerate(joints):
+        turned, at = tip_pose(q, tool.tip_m)
+        moved = deflection(q, pushed[k], tool.tip_m)
+        there = session.base_rotation @ (at + moved[:3]) + session.base_position
+        np.testing.assert_allclose(position[k], there, atol=1e-9)
+        turned = session.base_rotation @ rotvec_to_matrix(moved[3:]) @ turned
+        np.testing.assert_allclose(rotation[k], turned, atol=1e-9)
+    stand = session.base_rotation @ session.marker_position + session.base_position
+    np.testing.assert_allclose(base_position, np.tile(stand, (len(at_s), 1)), atol=1e-12)
+    np.testing.assert_allclose(
+        base_rotation[0], session.base_rotation @ session.marker_rotation, atol=1e-12
+    )
+
+
+def _scene(machine, bag):
+    """A bag of the machine as the simulator is driven along it."""
+    session, take = machine.session, machine.session.takes[bag]
+    fine_s = np.arange(0.0, take.end_s, 0.01)
+    wrench_s = take.wrench.taken_s[::15]
+    touched = np.zeros(len(wrench_s), dtype=bool)
+    if take.pushes is not None:
+        touched = take.pushes.touched(wrench_s)
+    return Scene(
+        bag=bag,
+        start_s=take.start_s,
+        joint_s=fine_s,
+        joints=take.course.at(fine_s).joints,
+        wrench_s=wrench_s,
+        reading=machine.reading(bag, wrench_s) - session.zero,
+        touched=touched,
+        tracker_s=take.recorded[:, 0] + 1.0,
+        tool=ToolGeometry(Load(session.tool.mass_kg, session.tool.com_m), session.tool.tip_m),
+        adapter=ADAPTER,
+    )
+
+
+@pytest.mark.parametrize(
+    ("name", "bag", "beside"),
+    [
+        ("roll_zero_offset", "push", 0.002),
+        ("tilt_zero_offset", "push", 0.002),
+        ("tilt_gain", "push", 0.002),
+        ("tilt_axis_misalignment", "push", 0.002),
+        ("base_inclination", "sweep", 0.002),
+        ("sensor_mount_rotation", "sweep", 0.002),
+        ("axis_gain", "sweep", 0.002),
+        ("crosstalk", "sweep", 0.002),
+        ("wrench_delay", "motion", 0.15),
+        ("tool_mass_error", "sweep", 0.002),
+        ("tool_com_error", "sweep", 0.002),
+        ("loose_tool", "sweep", 0.3),
+        ("inertial_load", "motion", 0.5),
+        ("tracker_scale", "push", 0.002),
+    ],
+)
+def test_truths_numbers_mean_what_the_simulator_takes_them_for(session, name, bag, beside):
+    """The same numbers in the simulator's effect: signs, axes and units agree.
+
+    `beside`: the share that another law than the simulator's may leave.
+    """
+    kind = CAUSES[name]
+    cause = kind.draw(np.random.default_rng(7), session).times(3.0)
+    machine, healthy = Machine(session, [cause]), Machine(session)
+    effect = effect_from(name, dict(cause.parameters(machine)))
+    scene, nominal = _scene(machine, bag), _scene(healthy, bag)
+    sigma = SENSOR.noise_std
+    there = ~scene.touched
+    wanted = machine.reading(bag, scene.wrench_s, hand=False)[there] / sigma
+    wanted = wanted - healthy.reading(bag, scene.wrench_s, hand=False)[there] / sigma
+    got = (Replay(scene, [effect]).reading() - Replay(nominal).reading())[there] / sigma
+    # Zeroing is the sensor's affair: a constant says nothing.
+    wanted, got = wanted - wanted.mean(axis=0), got - got.mean(axis=0)
+    if name != "tracker_scale":
+        assert np.linalg.norm(wanted) > 5.0
+        assert np.linalg.norm(wanted - got) < beside * np.linalg.norm(wanted)
+    if bag == "push":
+        replay = Replay(scene, [effect])
+        frame = (session.base_rotation, session.base_position)
+        seen = replay.seen_by_tracker(*replay.tip(), *frame)
+        told = machine.tool_pose(bag, scene.tracker_s)
+        plain = healthy.tool_pose(bag, scene.tracker_s)
+        assert np.max(np.abs(told[1] - plain[1])) > 1e-4
+        np.testing.assert_allclose(told[1], seen[1], atol=2e-6)
+        np.testing.assert_allclose(told[0], seen[0], atol=2e-6)
 
 
 def test_courses_rates_are_their_differences_and_stay_in_the_limits():
