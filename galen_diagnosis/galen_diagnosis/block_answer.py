@@ -67,6 +67,7 @@ def conclude(
             extra=extra,
         )
         for effect, told, extra in _parameters(evidence, best, seed)
+        if verdict != UNKNOWN or found.inclusion[effect] >= SURE
     ]
     if verdict == UNKNOWN or (best.effects and remains and rows.floor_known):
         causes.append(Cause(UNKNOWN, round(_rest(found), 4), {}, (), None))
@@ -294,8 +295,9 @@ def _sentence(
     best = found.best
     if verdict == NONE:
         return "Nothing above the noise: the nominal model holds on blocks that it hasn't seen."
-    if not best.effects:
-        return "Something is missing, and no effect on the list predicts unseen blocks better."
+    sure = [effect for effect in best.effects if found.inclusion[effect] >= SURE]
+    if verdict == UNKNOWN and not sure:
+        return "Something is missing, and no effect on the list explains it."
     named = " and ".join(
         f"{effect} ({100 * found.inclusion[effect]:.0f} %)" for effect in best.effects
     )

@@ -24,7 +24,7 @@ from galen_model.arm import WRENCH_AXES
 from galen_model.arrays import Array
 from galen_model.load import Load
 from galen_sim_driver.effects.effect import Effect
-from galen_sim_driver.effects.registry import EFFECTS
+from galen_sim_driver.effects.registry import effect_from
 from scipy.signal import lfilter
 from tqdm import tqdm
 
@@ -70,22 +70,25 @@ def simulated(
 
 
 def _effects(cause: str, random: np.random.Generator, strength: float) -> list[Effect]:
+    numbers = _numbers(cause, random, strength)
+    return [] if numbers is None else [effect_from(cause, numbers)]
+
+
+def _numbers(cause: str, random: np.random.Generator, strength: float) -> dict[str, object] | None:
     if cause == "sensor_mount_rotation":
-        turn = strength * 0.03 * _unit(random, 3)
-        return [EFFECTS[cause](rotvec_rad=tuple(turn))]  # type: ignore[call-arg]
+        return {"rotvec_rad": (strength * 0.03 * _unit(random, 3)).tolist()}
     if cause == "axis_gain":
-        return [EFFECTS[cause](gain=tuple(strength * 0.04 * random.standard_normal(6)))]  # type: ignore[call-arg]
+        return {"gain": (strength * 0.04 * random.standard_normal(6)).tolist()}
     if cause == "crosstalk":
         origin, target = random.permutation(3)[:2]
-        size = strength * 0.05 * random.choice([-1.0, 1.0])
-        names = {"from_axis": WRENCH_AXES[origin], "to_axis": WRENCH_AXES[target]}
-        return [EFFECTS[cause](coefficient=size, **names)]  # type: ignore[arg-type]
+        size = float(strength * 0.05 * random.choice([-1.0, 1.0]))
+        return {"from": WRENCH_AXES[origin], "to": WRENCH_AXES[target], "coefficient": size}
     if cause == "loose_tool":
-        return [EFFECTS[cause](shift_m=strength * random.uniform(0.003, 0.006))]  # type: ignore[call-arg]
+        return {"shift_m": strength * random.uniform(0.003, 0.006)}
     if cause == "base_inclination":
-        about = strength * 0.03 * _unit(random, 2)
-        return [EFFECTS[cause](about_x_rad=about[0], about_y_rad=about[1])]  # type: ignore[call-arg]
-    return []
+        about = (strength * 0.03 * _unit(random, 2)).tolist()
+        return {"about_x_rad": about[0], "about_y_rad": about[1]}
+    return None
 
 
 def _more(
