@@ -142,7 +142,7 @@ def print_scores(scores: Mapping[str, Score], console: Console) -> None:
 
 def _class_table(scores: Mapping[str, Score]) -> Table:
     name, first = next(iter(scores.items()))
-    table = Table(title=f"Top-1 of {name} by class and strength; others over clear and gross")
+    table = Table(title=f"Top-1 of {name} by class", caption="others: clear and gross")
     for heading in ("class", *STRENGTHS, "all", *list(scores)[1:]):
         table.add_column(heading)
     others = list(scores.values())[1:]
