@@ -176,16 +176,15 @@ class _Session:
         self._order(HOME, _PUSH_POSITIONS[0], 1.0)
 
     def _push(self, tape: _Tape) -> None:
-        here = _PUSH_POSITIONS[0]
-        for position in _PUSH_POSITIONS:
-            tape.pause()
-            self._move(here, position, tape)
-            tape.run(1.0)
-            tape.go_on()
+        for number, position in enumerate(_PUSH_POSITIONS):
+            if number > 0:
+                tape.pause()
+                self._move(_PUSH_POSITIONS[number - 1], position, tape)
+                tape.run(1.0)
+                tape.go_on()
             tape.run(_REST_S)
             self._plant.start_hand()
             tape.run(_PUSH_S * 6 * len(_PUSH_LEVELS_N))
-            here = position
 
     def _move(self, start: Array, end: Array, tape: _Tape) -> None:
         duration_s = _move_s(start, end)
