@@ -73,7 +73,8 @@ def gap_figure(diagnosis: Diagnosis) -> plt.Figure:
         _draw_cells(axis, view, channels, columns, norm)
         axis.set_title(f"{state}: {rms:.2f} × noise over all", fontsize=12)
     axes[0].set_yticks(range(len(channels)), channels)
-    margins(figure, 0.6, 1.1, 0.95, 0.95, between_x=0.04)
+    margins(figure, 0.95, 1.1, 0.95, 0.95, between_x=0.04)
+    _name_groups(axes[0], channels)
     _colour_bar(figure, plt.cm.ScalarMappable(norm=norm, cmap=_MAP), top)
     figure.suptitle(_headline(diagnosis), fontsize=11)
     return figure
@@ -87,6 +88,24 @@ def _headline(diagnosis: Diagnosis) -> str:
     if closed.get("value") is not None:
         text += f"; {closed['value']:.0%} of the gap closed"
     return f"{text}\nframed: beyond noise and tolerances (p < 0.05, corrected for all cells)"
+
+
+def _name_groups(axis: plt.Axes, channels: Sequence[str]) -> None:
+    """The channels' groups, left of their names."""
+    for group in dict.fromkeys(map(group_of, channels)):
+        rows = [row for row, name in enumerate(channels) if group_of(name) == group]
+        axis.annotate(
+            group.replace(" ", "\n"),
+            (0.0, float(np.mean(rows))),
+            xycoords=("axes fraction", "data"),
+            xytext=(-46, 0),
+            textcoords="offset points",
+            rotation=90,
+            ha="center",
+            va="center",
+            fontsize=9,
+            color="0.35",
+        )
 
 
 def _colour_bar(figure: plt.Figure, mappable: plt.cm.ScalarMappable, top: float) -> None:

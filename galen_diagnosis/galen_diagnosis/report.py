@@ -179,14 +179,15 @@ def _where(where: dict[str, Any]) -> Iterator[str]:
         yield table.html()
     joints = where.get("joints", {})
     yield _follows(joints.get("follows", []))
-    for name, cells in (
-        ("Frequencies", where.get("bands", [])),
-        ("Joints: ranges and directions of motion", joints.get("cells", [])),
-        ("Times", where.get("times", [])),
-        ("Poses", where.get("poses", [])),
+    both = "noise and tolerances"
+    for name, beyond, cells in (
+        ("Joints: ranges and directions of motion", both, joints.get("cells", [])),
+        ("Times", both, where.get("times", [])),
+        ("Poses", both, where.get("poses", [])),
+        ("Frequencies", "noise, tolerances not counted", where.get("bands", [])),
     ):
         marked = [cell for cell in cells if cell["p"] < _LEVEL]
-        summary = f"{name}: {len(marked)} of {len(cells)} cells are beyond noise"
+        summary = f"{name}: {len(marked)} of {len(cells)} cells are beyond {beyond}"
         if marked:
             yield details(summary, _cells(marked))
         elif cells:

@@ -57,7 +57,7 @@ def draw_times(diagnosis: Diagnosis) -> plt.Figure:
         )
     for axis in axes[-1]:
         axis.set_xlabel("time in the bag, s (grey: ± 2 σ of the noise of a point)")
-    margins(figure, 0.75, 0.15, 0.5, 0.3, between_x=0.05, between_y=0.5)
+    margins(figure, 0.9, 0.15, 0.5, 0.3, between_x=0.05, between_y=0.5)
     return figure
 
 

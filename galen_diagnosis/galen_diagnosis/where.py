@@ -9,7 +9,7 @@ as much. Where no cell of a view is beyond those its shares are 0: noise has no 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
@@ -129,14 +129,19 @@ def where(
     everything = np.zeros(len(rows), dtype=int)
     whole = compare_cells(energy, rows.block, everything, 1, settings, spread=spread, healthy=off)
     smallest = [whole.p.min(), *(view.p.min(initial=1.0) for view in views.values())]
+    p = min(1.0, float(min(smallest)) * len(smallest))
+    bands = _bands(streams, settings)
+    if p >= settings.level:
+        # Bands know of noise alone: what they mark on a healthy arm are its tolerances.
+        bands = replace(bands, share=np.zeros_like(bands.share))
     return Where(
         **views,
-        bands=_bands(streams, settings),
+        bands=bands,
         joints=look(cut.by_joint(rows)),
         cells=look(cut.by_map(rows)),
         follows=joints_followed(rows, residual, floor),
         ratio=float(whole.ratio[0]),
-        p=min(1.0, float(min(smallest)) * len(smallest)),
+        p=p,
         level=settings.level,
     )
 

@@ -1,0 +1,231 @@
+"""`diagnose`: where recordings and model differ, what causes it, how far the gap shrinks."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from galen_bags.command_line import (
+    EXIT_FAILED,
+    EXIT_INTERRUPTED,
+    EXIT_OK,
+    EXIT_USAGE,
+    run_command,
+)
+from galen_bags.many import add_many_options, run_many
+from rich.console import Console
+from tqdm import tqdm
+
+from galen_diagnosis.answer import Answer
+from galen_diagnosis.diagnosing import diagnose_recording
+from galen_diagnosis.errors import DiagnosisError
+from galen_diagnosis.next_experiment import write_sweep
+from galen_diagnosis.output import check_output, told, write_output
+from galen_diagnosis.recording import read_recording
+from galen_diagnosis.result import Diagnosis
+from galen_diagnosis.terminal import print_answer, print_overview
+
+EXIT_GAP = 3
+_READ, _DIAGNOSED = 0.1, 0.75
+"""Parts of the time that reading and diagnosing take; the rest is for the report."""
+_BAR = "{percentage:3.0f}% |{bar}| {elapsed} {desc}"
+_EPILOG = f"""written to the output directory, whole or not at all:
+  diagnosis.json     the answer, for programs
+  report.html        the same with pictures, for people; opens without a network
+  found_effect.yaml  what was found, as parameters of sim_driver_node; only where something was
+  pictures/          the report's pictures
+
+exit codes:
+  {EXIT_OK}    done, whatever the verdict
+  {EXIT_FAILED}    a recording or file can't be used; a line says why. Of many recordings, the
+       others were diagnosed
+  {EXIT_USAGE}    wrong arguments
+  {EXIT_GAP}    with --fail-on-gap: there is a gap in a recording (any verdict but none)
+  {EXIT_INTERRUPTED}  interrupted (Ctrl-C)"""
+
+
+@dataclass(frozen=True)
+class Job:
+    """What is done with each recording; picklable, for workers."""
+
+    tool: Path | None
+    folders: dict[Path, Path]
+    report: bool
+    overwrite: bool
+
+    def __call__(self, recording: Path) -> dict[str, Any]:
+        """Diagnose and write; returns what diagnosis.json holds."""
+        return self.diagnose(recording, lambda stage, share: None).answer.to_json()
+
+    def diagnose(self, recording: Path, progress: Callable[[str, float], None]) -> Diagnosis:
+        """Diagnose and write; raises GalenError. progress: told each stage, and what is done."""
+        folder = self.folders[recording]
+        check_output(folder, overwrite=self.overwrite)
+        began_s = time.monotonic()
+        progress("reading", 0.0)
+        read = read_recording(recording, self.tool)
+        read_s = time.monotonic() - began_s
+        diagnosis = diagnose_recording(
+            read, progress=lambda stage, share: progress(stage, _READ + share * _DIAGNOSED)
+        )
+        progress("writing", _READ + _DIAGNOSED)
+        diagnosis = told(diagnosis)
+        diagnosis.seconds.setdefault("reading", read_s)
+        write_output(diagnosis, folder, with_report=self.report, overwrite=self.overwrite)
+        return diagnosis
+
+
+def build_parser() -> argparse.ArgumentParser:
+    """The command's options."""
+    parser = argparse.ArgumentParser(
+        prog="diagnose",
+        description="Compare recordings with the nominal simulator driven along their joint states:"
+        " is there a gap, where, which effect causes it, how far does it shrink with that effect in"
+        " the simulator, what to do next.",
+        epilog=_EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument(
+        "recordings",
+        nargs="+",
+        type=Path,
+        metavar="RECORDING",
+        help="directory with the bags sweep, motion, push (or some of them) and tool.json",
+    )
+    parser.add_argument(
+        "--tool", type=Path, metavar="FILE", help="the tool's file, where it isn't the recording's"
+    )
+    parser.add_argument(
+        "--output",
+        type=Path,
+        metavar="DIR",
+        help="write here, of several recordings into a directory each in here (default:"
+        " ./diagnosis_<recording>)",
+    )
+    parser.add_argument(
+        "--overwrite", action="store_true", help="replace an old diagnosis in the output directory"
+    )
+    parser.add_argument("--json", action="store_true", help="print diagnosis.json's content")
+    parser.add_argument("--no-report", action="store_true", help="no report.html, no pictures")
+    parser.add_argument(
+        "--next",
+        type=Path,
+        metavar="FILE",
+        help="write the experiment that would separate the causes that are left, as parameters of"
+        " the node that runs it; none where no causes are left to separate (one recording only)",
+    )
+    parser.add_argument(
+        "--fail-on-gap", action="store_true", help=f"exit with {EXIT_GAP} where there is a gap"
+    )
+    add_many_options(parser)
+    return parser
+
+
+def output_folders(recordings: Sequence[Path], output: Path | None) -> dict[Path, Path]:
+    """Where each recording's diagnosis goes; raises DiagnosisError where two would go to one."""
+    folders: dict[Path, Path] = {}
+    for recording in recordings:
+        name = f"diagnosis_{recording.resolve().name or 'recording'}"
+        if output is None:
+            folder = Path(name)
+        else:
+            folder = output if len(recordings) == 1 else output / name
+        if folder in folders.values() or recording in folders:
+            raise DiagnosisError(
+                f"{recording}: {folder} would be written twice; diagnose recordings of the same"
+                " name one by one, with --output"
+            )
+        folders[recording] = folder
+    return folders
+
+
+def run(arguments: argparse.Namespace, console: Console) -> int:
+    """Diagnose; returns the exit code; raises GalenError."""
+    # A cluster's workers have another working directory.
+    place = Path.absolute if arguments.scheduler else Path
+    recordings = [place(recording) for recording in arguments.recordings]
+    folders = output_folders(recordings, arguments.output)
+    job = Job(
+        tool=None if arguments.tool is None else place(arguments.tool),
+        folders={recording: place(folder) for recording, folder in folders.items()},
+        report=not arguments.no_report,
+        overwrite=arguments.overwrite,
+    )
+    for folder in folders.values():
+        check_output(folder, overwrite=arguments.overwrite)  # before minutes of work
+    if len(recordings) == 1 and not arguments.scheduler:
+        return _one(job, recordings[0], arguments, console)
+    outcomes = run_many(job, recordings, scheduler=arguments.scheduler, workers=arguments.workers)
+    rows: list[dict[str, Any]] = [
+        {"path": str(outcome.bag), "error": outcome.error}
+        if outcome.result is None
+        else {"path": str(outcome.bag), **outcome.result}
+        for outcome in outcomes
+    ]
+    if arguments.json:
+        print(json.dumps({"recordings": rows}, indent=2))
+    else:
+        print_overview(rows, console)
+    if any("error" in row for row in rows):
+        return EXIT_FAILED
+    return _code(arguments, [row["verdict"] for row in rows])
+
+
+def _one(job: Job, recording: Path, arguments: argparse.Namespace, console: Console) -> int:
+    # Nothing where standard error is no terminal, and never left behind an error message.
+    off = True if arguments.json else None
+    with tqdm(total=1.0, bar_format=_BAR, ncols=80, disable=off, leave=False) as bar:
+        diagnosis = job.diagnose(recording, partial(_show, bar))
+    if arguments.next is not None:
+        if diagnosis.experiment is None:
+            print(f"diagnose: {arguments.next} not written: {_why_none(diagnosis.answer)}",
+                  file=sys.stderr)  # fmt: skip
+        else:
+            write_sweep(diagnosis.experiment, arguments.next)
+    if arguments.json:
+        print(json.dumps(diagnosis.answer.to_json(), indent=2))
+    else:
+        print_answer(diagnosis.answer, console)
+        console.print(f"written: {job.folders[recording]}", soft_wrap=True, markup=False)
+        if arguments.next is not None and diagnosis.experiment is not None:
+            console.print(f"next experiment: {arguments.next}", soft_wrap=True, markup=False)
+    return _code(arguments, [diagnosis.answer.verdict])
+
+
+def _show(bar: tqdm, stage: str, share: float) -> None:
+    bar.n = max(bar.n, min(share, 1.0))  # what tells a share too small doesn't turn it back
+    bar.set_description_str(stage)
+
+
+def _why_none(answer: Answer) -> str:
+    if answer.verdict == "ambiguous":
+        return "no experiment that is known here would separate the causes that are left"
+    return f"the verdict is {answer.verdict}, so no causes are left to separate"
+
+
+def _code(arguments: argparse.Namespace, verdicts: Sequence[str]) -> int:
+    if arguments.fail_on_gap and any(verdict != "none" for verdict in verdicts):
+        return EXIT_GAP
+    return EXIT_OK
+
+
+def main(args: Sequence[str] | None = None) -> int:
+    """Entry point; returns the exit code."""
+    parser = build_parser()
+    arguments = parser.parse_args(args)
+    several = len(arguments.recordings) > 1
+    if arguments.next is not None and several:
+        parser.error("--next is for one RECORDING")
+    console = Console(width=None if sys.stdout.isatty() else 120, highlight=False)
+    return run_command("diagnose", partial(run, arguments, console))
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,219 @@
+"""The command `diagnose`: what it writes, its exit codes, and that it never looks at the truth."""
+
+import json
+import shutil
+import sys
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+from diagnosis_example import example_diagnosis
+from galen_bags.writer import BagWriter
+from galen_diagnosis.errors import DiagnosisError
+from galen_diagnosis.recording import Recording
+from galen_model.arm import JOINT_NAMES
+from galen_ros.cdr import JointStateBytes, WrenchBytes
+from matplotlib import pyplot as plt
+
+from galen_diagnosis import diagnose, output
+
+ROOT = Path(__file__).resolve().parents[2]
+ALL = ["diagnosis.json", "found_effect.yaml", "pictures", "report.html"]
+
+
+@cache
+def diagnosed_as(verdict):
+    return output.told(example_diagnosis(verdict))
+
+
+@pytest.fixture
+def recordings(monkeypatch, tmp_path):
+    """Work in a directory of its own; names of recordings are their verdicts."""
+
+    def read(path, tool=None):
+        if path.name.startswith("broken"):
+            raise DiagnosisError(f"{path}: no directory with a recording")
+        return Recording(path.name, tool, {}, (), ())
+
+    def diagnosed(recording, progress=None):
+        diagnosis = diagnosed_as(recording.name.split("_")[0])
+        return replace(diagnosis, answer=replace(diagnosis.answer, recording=recording.name))
+
+    monkeypatch.setattr(diagnose, "read_recording", read)
+    monkeypatch.setattr(diagnose, "diagnose_recording", diagnosed)
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def run(*arguments):
+    return diagnose.main([str(argument) for argument in arguments])
+
+
+@pytest.mark.slow
+def test_writes_answer_report_and_the_drivers_file(recordings, capsys):
+    assert run("identified") == 0
+    folder = recordings / "diagnosis_identified"
+    assert sorted(path.name for path in folder.iterdir()) == ALL
+    content = json.loads((folder / "diagnosis.json").read_text())
+    assert content["verdict"] == "identified" and content["causes"][0]["probability"] == 0.93
+    assert content["where"]["channels"]["fx"] > 0.4
+    pictures = sorted((folder / "pictures").iterdir())
+    assert [path.name for path in pictures] == ["gap.png", "spectra.png", "sweep.png", "time.png"]
+    for file in pictures:
+        pixels = plt.imread(file)
+        assert min(pixels.shape[:2]) > 500 and np.ptp(pixels[..., :3]) > 0.9
+    assert (folder / "report.html").read_text().count("data:image/png") == 4
+    out, err = capsys.readouterr()
+    assert content["sentence"][:40] in out and "written: diagnosis_identified" in out
+    assert err == ""
+    assert [path.name for path in recordings.iterdir()] == ["diagnosis_identified"]
+
+
+def test_json_is_what_is_in_the_file(recordings, capsys):
+    assert run("none", "--json", "--no-report", "--output", "somewhere/else") == 0
+    printed = json.loads(capsys.readouterr().out)
+    folder = recordings / "somewhere" / "else"
+    assert printed == json.loads((folder / "diagnosis.json").read_text())
+    assert [path.name for path in folder.iterdir()] == ["diagnosis.json"]
+
+
+def test_a_gap_can_be_an_exit_code(recordings):
+    assert run("none", "--no-report", "--fail-on-gap") == 0
+    assert run("unknown", "--no-report", "--fail-on-gap") == diagnose.EXIT_GAP
+    assert run("unknown_2", "--no-report") == 0
+
+
+def test_an_old_diagnosis_is_replaced_only_when_asked(recordings, capsys):
+    assert run("none", "--no-report", "--output", "o") == 0
+    assert run("unknown", "--no-report", "--output", "o") == 1
+    assert "o: is there already" in capsys.readouterr().err
+    assert json.loads(Path("o/diagnosis.json").read_text())["verdict"] == "none"
+    assert run("unknown", "--no-report", "--output", "o", "--overwrite") == 0
+    assert json.loads(Path("o/diagnosis.json").read_text())["verdict"] == "unknown"
+    Path("home").mkdir()
+    Path("home/letter.txt").write_text("dear")
+    assert run("unknown", "--no-report", "--output", "home", "--overwrite") == 1
+    assert Path("home/letter.txt").read_text() == "dear"
+    assert sorted(path.name for path in recordings.iterdir()) == ["home", "o"]
+
+
+def test_what_fails_half_way_leaves_nothing(recordings, monkeypatch, capsys):
+    def full(diagnosis):
+        raise OSError(28, "No space left on device")
+
+    assert run("none", "--no-report", "--output", "o") == 0
+    monkeypatch.setattr(output, "effect_file", full)
+    monkeypatch.setattr(diagnose, "told", lambda diagnosis: diagnosis)
+    assert run("unknown", "--no-report", "--output", "o", "--overwrite") == 1
+    assert run("unknown", "--no-report", "--output", "new") == 1
+    assert capsys.readouterr().err.count("can't be written: No space left on device") == 2
+    assert [path.name for path in recordings.iterdir()] == ["o"]
+    assert json.loads(Path("o/diagnosis.json").read_text())["verdict"] == "none"
+
+
+def test_of_many_recordings_the_good_ones_are_diagnosed(recordings, capsys):
+    arguments = ("none_1", "broken", "unknown", "--no-report", "--output", "all", "--workers", "1")
+    assert run(*arguments) == 1
+    assert sorted(path.name for path in Path("all").iterdir()) == [
+        "diagnosis_none_1",
+        "diagnosis_unknown",
+    ]
+    assert "failed: broken: no directory" in capsys.readouterr().out
+    assert run("none_2", "unknown_2", "--no-report", "--workers", "1", "--json") == 0
+    rows = json.loads(capsys.readouterr().out)["recordings"]
+    assert [row["verdict"] for row in rows] == ["none", "unknown"]
+
+
+def test_two_recordings_of_one_name_are_refused_before_any_work(recordings, capsys):
+    assert run("a/none", "b/none", "--no-report") == 1
+    assert "would be written twice" in capsys.readouterr().err
+    assert list(recordings.iterdir()) == []
+
+
+def test_next_says_where_there_is_nothing_to_separate(recordings, capsys):
+    assert run("none", "--no-report", "--next", "next.yaml") == 0
+    assert "next.yaml not written: the verdict is none" in capsys.readouterr().err
+    assert not Path("next.yaml").exists()
+
+
+def test_wrong_arguments_are_2(recordings, capsys):
+    for arguments in ([], ["a", "b", "--next", "n.yaml"], ["a", "--workers", "0"]):
+        with pytest.raises(SystemExit) as ended:
+            run(*arguments)
+        assert ended.value.code == 2
+
+
+def test_interrupted_is_130(recordings, monkeypatch, capsys):
+    def interrupted(recording, progress=None):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(diagnose, "diagnose_recording", interrupted)
+    assert run("none") == 130
+    assert capsys.readouterr().err == "diagnose: interrupted\n" and not any(recordings.iterdir())
+
+
+def test_help_tells_the_exit_codes(capsys):
+    with pytest.raises(SystemExit):
+        run("--help")
+    out = capsys.readouterr().out
+    for code in (0, 1, 2, diagnose.EXIT_GAP, 130):
+        assert f"\n  {code} " in out
+    assert "diagnosis.json" in out and "report.html" in out
+
+
+# --- the truth ------------------------------------------------------------------------------------
+
+
+class Opened:
+    """Every file that Python opens, by whatever way, while it is entered."""
+
+    def __init__(self):
+        self.paths = []
+        self._watching = False
+        sys.addaudithook(self._see)  # there is no way to take one away
+
+    def __enter__(self):
+        self._watching = True
+        return self
+
+    def __exit__(self, *_):
+        self._watching = False
+
+    def _see(self, event, arguments):
+        if self._watching and event == "open" and isinstance(arguments[0], str | bytes):
+            path = arguments[0]
+            self.paths.append(path.decode() if isinstance(path, bytes) else path)
+
+
+def write_recording(folder):
+    """A second of standing still; the truth beside it is poisoned."""
+    joints, wrench = JointStateBytes(JOINT_NAMES, "base_link"), WrenchBytes("ft_sensor")
+    for name in ("sweep", "motion"):
+        with BagWriter(folder / name) as bag:
+            states = bag.add_topic("joint_states", "sensor_msgs/msg/JointState")
+            wrenches = bag.add_topic("wrench_raw", "geometry_msgs/msg/WrenchStamped")
+            for stamp_ns in range(10**9, 2 * 10**9, 10**7):
+                bag.write(states, stamp_ns, joints.fill(stamp_ns, [0.0] * 5, [0.0] * 5))
+                bag.write(wrenches, stamp_ns, wrench.fill(stamp_ns, [0.0] * 6))
+        (folder / name / "truth.json").write_text("not even JSON")
+    shutil.copy(ROOT / "bags" / "tools" / "retractor.json", folder / "tool.json")
+    (folder / "truth.json").write_text("not even JSON")
+
+
+def test_the_truth_is_never_opened(monkeypatch, tmp_path, capsys):
+    write_recording(tmp_path / "recording")
+    seen = []
+
+    def diagnosed(recording, progress=None):
+        seen.append(recording)
+        return diagnosed_as("none")
+
+    monkeypatch.setattr(diagnose, "diagnose_recording", diagnosed)
+    with Opened() as opened:
+        assert run(tmp_path / "recording", "--no-report", "--output", tmp_path / "out") == 0
+    assert set(seen[0].bags) == {"sweep", "motion"} and seen[0].missing == ("push",)
+    names = {Path(path).name for path in opened.paths}
+    assert "tool.json" in names and any(name.endswith(".mcap") for name in names)
+    assert "truth.json" not in names
