@@ -42,6 +42,7 @@ ROS_MODULES = {
     "galen_deflection.collect",
     "galen_deflection.collection_node",
     "galen_deflection.collection_recorder",
+    "galen_diagnosis.gap_monitor",
     "galen_gravcomp.benchmark",
     "galen_gravcomp.in_force_client",
     "galen_gravcomp.node",

@@ -14,6 +14,7 @@ from galen_calibration_behavior.check_node import CheckNode
 from galen_calibration_behavior.node import CalibrationNode
 from galen_deflection.collection_node import CollectionNode
 from galen_deflection.node import DeflectionNode
+from galen_diagnosis.gap_monitor import GapMonitorNode
 from galen_gravcomp.node import GravcompNode
 from galen_ros.cdr import WrenchBytes
 from galen_ros.parameters import markdown_table
@@ -26,6 +27,7 @@ MARKED = re.compile(r"<!-- parameters: ([\w.]+) -->\n(.*?)\n<!-- end -->", re.DO
 NODES = {
     "galen_calibration_behavior": (CalibrationNode, CheckNode),
     "galen_deflection": (CollectionNode, DeflectionNode),
+    "galen_diagnosis": (GapMonitorNode,),
     "galen_gravcomp": (GravcompNode,),
     "galen_sim_driver": (SimDriverNode,),
 }

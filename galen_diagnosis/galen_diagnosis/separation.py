@@ -135,8 +135,8 @@ class Linear:
 
 def linearise(trials: Sequence[Trial], alternative: Alternative) -> Linear:
     """By central differences, a hundredth of a parameter's typical size to either side."""
-    here, slopes = _slopes(trials, alternative.effects)
-    return Linear(here, slopes @ alternative.spread())
+    here, slope = slopes(trials, alternative.effects)
+    return Linear(here, slope @ alternative.spread())
 
 
 def fitted_covariance(
@@ -146,18 +146,19 @@ def fitted_covariance(
 
     The inverse of 1 / typical^2 and the information S^T (1 + L L^T)^-1 S, N projected out.
     """
-    _, slopes = _slopes(trials, effects)
+    _, slope = slopes(trials, effects)
     free, _ = np.linalg.qr(free_columns(trials))
-    columns = np.hstack([slopes, load_columns(trials, tool)])
+    columns = np.hstack([slope, load_columns(trials, tool)])
     columns -= free @ (free.T @ columns)
     information = columns.T @ columns
     prior = np.ones(columns.shape[1])
-    prior[: slopes.shape[1]] = typical_sizes(effects) ** -2.0
+    prior[: slope.shape[1]] = typical_sizes(effects) ** -2.0
     inverse = np.linalg.inv(information + np.diag(prior))
-    return np.asarray(inverse[: slopes.shape[1], : slopes.shape[1]])
+    return np.asarray(inverse[: slope.shape[1], : slope.shape[1]])
 
 
-def _slopes(trials: Sequence[Trial], effects: tuple[Effect, ...]) -> tuple[Array, Array]:
+def slopes(trials: Sequence[Trial], effects: tuple[Effect, ...]) -> tuple[Array, Array]:
+    """What effects show (n,) and how it changes with each parameter (n, k), by differences."""
     size = len(typical_sizes(effects))
     alternative = Alternative(effects, 1.0, np.zeros((size, size)))
 
@@ -167,12 +168,12 @@ def _slopes(trials: Sequence[Trial], effects: tuple[Effect, ...]) -> tuple[Array
 
     at = alternative.vector()
     here = shown(at)
-    slopes = np.zeros((len(here), len(at)))
+    slope = np.zeros((len(here), len(at)))
     for k, typical in enumerate(typical_sizes(alternative.effects)):
         step = np.zeros(len(at))
         step[k] = _STEP * typical
-        slopes[:, k] = (shown(at + step) - shown(at - step)) / (2.0 * step[k])
-    return here, slopes
+        slope[:, k] = (shown(at + step) - shown(at - step)) / (2.0 * step[k])
+    return here, slope
 
 
 @dataclass(frozen=True)

@@ -160,13 +160,28 @@ def _free(trial: Trial) -> Array:
     return free
 
 
+def moment_covariances(tool: ToolFile) -> tuple[Array, Array]:
+    """Covariances (4, 4) of mass and first moment, of the tool and of the adapter.
+
+    One sweep doesn't tell the two apart, and each alone is then known to nearly nothing; but their
+    sum, which is what the sensor feels, is known well: such a file counts as exact.
+    """
+    parts = (tool.load, tool.bias)
+    if tool.unresolved:
+        parts = (
+            replace(tool.load, covariance=np.zeros((4, 4))),
+            replace(tool.bias, covariance=np.zeros((4, 4))),
+        )
+    return moment_covariance(parts[0]), moment_covariance(parts[1])
+
+
 def load_columns(trials: Sequence[Trial], tool: ToolFile) -> Array:
     """Columns (n, 8): one standard deviation each of what the file doesn't know of its loads.
 
     With G(u) of `galen_model.load` and C = L L^T the covariance of mass and first moment: G(u) L of
     the tool, where it is on, and of the adapter.
     """
-    factors = [np.linalg.cholesky(moment_covariance(part)) for part in (tool.load, tool.bias)]
+    factors = [np.linalg.cholesky(known) for known in moment_covariances(tool)]
     blocks = []
     for trial in trials:
         scene = trial.scene

@@ -62,6 +62,8 @@ class StreamMonitor(ABC):
     """Refusals that the state itself, or the restart's own text, says better."""
     working: ClassVar[str]
     """The state's name when all is well."""
+    lost: ClassVar[str] = "nothing is published"
+    """What is so when all wrenches are refused."""
 
     def __init__(self, pairing: WrenchPairing[Any], silence_s: float) -> None:
         """`silence_s`: how long an input may be silent on the wall clock."""
@@ -198,7 +200,7 @@ class StreamMonitor(ABC):
         if reason in self.said_better:
             return None
         if self._output_s is None or now_s - self._output_s > HOLD_S:
-            return State(Severity.ERROR, reason.value, f"nothing is published: {detail}")
+            return State(Severity.ERROR, reason.value, f"{self.lost}: {detail}")
         return State(Severity.WARN, reason.value, f"some wrenches are refused: {detail}")
 
     def _waiting_state(self) -> State | None:
