@@ -75,6 +75,7 @@ class Replay:
         self._tracker_delay_s = sum(effect.tracker_delay_s for effect in effects)
         self._axis_turn = sum(effect.tilt_axis_about_z_rad for effect in effects)
         self._gravity = GRAVITY_M_S2
+        self._known: tuple[Instants, Array] | None = None
         self.arm = scene.arm
         for effect in effects:
             self._gravity = effect.gravity(self._gravity)
@@ -101,7 +102,12 @@ class Replay:
         return true
 
     def _untouched(self) -> tuple[Instants, Array]:
-        """The true wrench (nw, 6) less that at the bias pose, and when it was."""
+        """The true wrench (nw, 6) less that at the bias pose, and when it was; worked out once."""
+        if self._known is None:
+            self._known = self._true_untouched()
+        return self._known
+
+    def _true_untouched(self) -> tuple[Instants, Array]:
         scene = self.scene
         at_s = scene.wrench_s - self._wrench_delay_s
         when = scene.instants(at_s)

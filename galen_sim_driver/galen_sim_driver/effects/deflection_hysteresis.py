@@ -16,6 +16,9 @@ ahead of it and comes back too far. A first push to P leaves z = -(1 - exp(-1 / 
 
     c = residual_fraction / (1 - exp(-1 / knee))^2.
 
+`softness` adds that part of e: a spring with friction that doesn't slide yet is stiffer than one
+whose friction does, and which of the two the nominal stiffness is of, nobody says.
+
 "joints": Dahl's friction beside the springs of carriages, roll, tilt and rods, as
 `galen_sim_driver.joint_hysteresis` derives it, each with the fraction at its own largest load (over
 its deflection with the friction, there). With side -1 what friction takes is added.
@@ -104,8 +107,9 @@ class DeflectionHysteresis(Effect):
     fitted: ClassVar[tuple[Fitted, ...]] = (
         Fitted("signed_fraction", "", 0.05, -0.5, 0.5),
         Fitted("knee", "", 0.15, 0.02, 2.0),
+        Fitted("softness", "", 0.1, -0.5, 2.0),
     )
-    beyond_contract: ClassVar[tuple[str, ...]] = ("side", "form", "knee")
+    beyond_contract: ClassVar[tuple[str, ...]] = ("side", "form", "knee", "softness")
 
     residual_fraction: float = param(
         0.0, "deflection left after the largest load, over the elastic one at that load", 0.0, 0.5
@@ -116,6 +120,10 @@ class DeflectionHysteresis(Effect):
     form: str = param("tip", "law: tip (the whole displacement) or joints (friction in each)")
     knee: float = param(
         0.2, "form tip: load over which the state turns, over the largest load", 0.02, 2.0
+    )
+
+    softness: float = param(
+        0.0, "form tip: by how much more the tip gives way than the springs, all along", -0.5, 2.0
     )
 
     _memory: ClassVar[_Memory | None] = None
@@ -130,20 +138,21 @@ class DeflectionHysteresis(Effect):
     @property
     def changes_nothing(self) -> bool:
         """Nothing is left."""
-        return self.residual_fraction == 0.0
+        return self.residual_fraction == 0.0 and self.softness == 0.0
 
     def vector(self) -> Array:
-        """The signed fraction and the knee, (2,)."""
-        return np.array([self.side * self.residual_fraction, self.knee])
+        """The signed fraction, the knee and the softness, (3,)."""
+        return np.array([self.side * self.residual_fraction, self.knee, self.softness])
 
     def with_vector(self, vector: Array) -> Self:
-        """The same law with another signed fraction and knee."""
+        """The same law with another signed fraction, knee and softness."""
         signed = float(vector[0])
         return replace(
             self,
             residual_fraction=abs(signed),
             side=-1.0 if signed < 0.0 else 1.0,
             knee=float(vector[1]),
+            softness=float(vector[2]),
         )
 
     def fresh(self) -> Self:
@@ -162,10 +171,11 @@ class DeflectionHysteresis(Effect):
         return -self.side * more(memory, loading)
 
     def _at_tip(self, memory: _Memory, loading: Loading) -> Array:
-        """What lags (n, 6)."""
+        """What lags (n, 6), less what is softer."""
         states, peak = memory.states(loading.elastic, _typical_tip, partial(_bouc_wen, self.knee))
         left = np.expm1(-1.0 / self.knee) ** 2
-        return np.asarray(self.residual_fraction / left * peak * states)
+        softer = self.side * self.softness * loading.elastic
+        return np.asarray(self.residual_fraction / left * peak * states - softer)
 
     def _in_joints(self, memory: _Memory, loading: Loading) -> Array:
         """What friction takes of the displacement (n, 6)."""

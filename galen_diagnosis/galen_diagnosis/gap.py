@@ -1,0 +1,125 @@
+"""How far the gap shrinks, on blocks that no fit has seen.
+
+Blocks (a pose with its move, three seconds) are dealt to folds; effects and unknowns are fitted on
+the others and the simulator, with the effects in it, predicts the one left out. With mean squares E
+of whitened rows, before, after and of noise alone,
+
+    closed fraction = (E_before - E_after) / (E_before - E_floor),
+
+with an interval from drawing blocks with replacement, before and after from the same draw.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from galen_model.arrays import Array
+
+from galen_diagnosis.answer import Interval
+from galen_diagnosis.background import unknown_columns
+from galen_diagnosis.linear import Background
+from galen_diagnosis.observation import Observation
+from galen_diagnosis.refine import Hypothesis, refine
+from galen_diagnosis.rows import FOLDS, Rows
+from galen_diagnosis.saturation import SaturationCandidate
+
+_DRAWS = 400
+_SEED = 20191
+
+
+@dataclass(frozen=True)
+class Gap:
+    """before, after (N,): held-out rows; floor: mean square of noise; the closed fraction.
+
+    fraction is None where there is nothing to close: E_before isn't above the floor.
+    """
+
+    before: Array
+    after: Array
+    floor: float
+    fraction: Interval | None
+
+    def to_json(self) -> dict[str, object]:
+        """As the contract's `gap`: mean squares in units of the noise."""
+        return {
+            "before": {"mean_square": float(np.mean(self.before**2))},
+            "after": {"mean_square": float(np.mean(self.after**2))},
+            "floor": {"mean_square": self.floor},
+            "closed_fraction": None if self.fraction is None else self.fraction.to_json(),
+        }
+
+
+def plain_background(observation: Observation, columns: Array | None = None) -> Background:
+    """Only what isn't known and no gap; no tolerances, which would close some of it."""
+    if columns is None:
+        columns = unknown_columns(observation)
+    return Background(columns, np.array([0.1] * 3 + [2e-3] * 3 + [np.inf] * 12))
+
+
+def held_out_gap(
+    observation: Observation,
+    hypothesis: Hypothesis,
+    floor: float,
+    columns: Array | None = None,
+    progress: Callable[[str, float], None] | None = None,
+) -> Gap:
+    """Every row predicted from the folds that it isn't in; the fit starts at the hypothesis'."""
+    rows = observation.rows
+    behind = plain_background(observation, columns)
+    before, after = np.zeros(len(rows)), np.zeros(len(rows))
+    for fold in range(FOLDS):
+        if progress is not None:
+            progress(f"held out, part {fold + 1} of {FOLDS}", 0.9 + 0.02 * fold)
+        out = rows.fold == fold
+        if not out.any() or out.all():
+            continue
+        kept = _only(behind, ~out)
+        nominal = observation.nominal
+        nu = kept.fit(np.where(out, 0.0, nominal))
+        before[out] = (nominal - behind.columns @ nu)[out]
+        if not hypothesis.parts:
+            after[out] = before[out]
+            continue
+        fitted = refine(observation, kept, hypothesis.parts, hypothesis.values, ~out, none_cost=0.0)
+        everywhere = observation.residual(fitted.effects, fitted.unknowns)
+        for part in fitted.parts:
+            # Loads that the sensor didn't tell are inputs, as the reading is, and no parameters.
+            if isinstance(part, SaturationCandidate) and part.beyond.shape[1]:
+                columns = part.beyond[out]
+                seen = np.any(columns != 0.0, axis=0)
+                loads = np.linalg.lstsq(columns[:, seen], everywhere[out], rcond=None)[0]
+                everywhere[out] -= columns[:, seen] @ loads
+        after[out] = everywhere[out]
+    return Gap(before, after, floor, closed_fraction(rows, before, after, floor))
+
+
+def closed_fraction(rows: Rows, before: Array, after: Array, floor: float) -> Interval | None:
+    """With its interval; None where before isn't above the floor."""
+    blocks = int(rows.block.max()) + 1
+    sums = [np.bincount(rows.block, part, blocks) for part in (before**2, after**2)]
+    number = np.bincount(rows.block, minlength=blocks).astype(float)
+    value = _fraction(sums[0].sum(), sums[1].sum(), floor * number.sum())
+    chance = 3.0 * floor * np.sqrt(2.0 * len(before))
+    if sums[0].sum() - floor * number.sum() <= chance or value is None:
+        return None
+    generator = np.random.default_rng(_SEED)
+    draws = generator.integers(0, blocks, (_DRAWS, blocks))
+    fractions = [
+        _fraction(sums[0][draw].sum(), sums[1][draw].sum(), floor * number[draw].sum())
+        for draw in draws
+    ]
+    known = np.array([one for one in fractions if one is not None])
+    if len(known) < _DRAWS // 2:
+        return Interval(value, None, None)
+    low, high = np.quantile(known, [0.025, 0.975])
+    return Interval(value, float(low), float(high))
+
+
+def _fraction(before: float, after: float, floor: float) -> float | None:
+    return None if before <= floor else float((before - after) / (before - floor))
+
+
+def _only(behind: Background, keep: np.ndarray) -> Background:
+    return Background(behind.columns * keep[:, None], behind.prior_std)

@@ -1,0 +1,108 @@
+"""Probabilities of hypotheses: none, effects alone and together, and something that isn't listed.
+
+A law is not quite the arm's: of the energy E that an effect explains, its law leaves a part
+kappa^2 E, spread over nu directions that the other hypotheses know nothing of. Under a hypothesis
+whose fit leaves the energy E_h the log likelihood is that of nu such directions with variance
+1 + v, v = kappa^2 (energy explained) / nu, beside white noise,
+
+    l_h = -1/2 (E_h / (1 + v_h) + nu log(1 + v_h)) - Occam_h,
+
+with Occam_h = 1/2 log det(1 + L G) of the fit. "Unknown" is nu_u directions with the variance that
+fits best, l_u = -1/2 (nu_u + nu_u log(E_0 / nu_u)) - c_u, "none" has nothing but noise and a
+healthy arm's excess. Probabilities are softmax of eta l: eta < 1 tempers evidence that is never as good as
+its formula (Grünwald, van Ommen, Bayesian Analysis 12, 2017). Energies are counted from the noise,
+with what the best fit leaves of structure (`leftover.py`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import logsumexp
+
+from galen_diagnosis.answer import NONE, UNKNOWN
+from galen_diagnosis.refine import Hypothesis
+from galen_diagnosis.search import Found
+from galen_diagnosis.settings import Settings
+
+
+@dataclass(frozen=True)
+class Scored:
+    """What a posterior needs of a hypothesis, and nothing else (so that settings can be fitted).
+
+    names; energy: what it leaves over the noise; shares: the energy that each effect explains;
+    occam: 1/2 log det.
+    """
+
+    names: tuple[str, ...]
+    energy: float
+    shares: tuple[float, ...]
+    occam: float
+
+
+@dataclass(frozen=True)
+class Posterior:
+    """probability of each hypothesis in the order given, of none and unknown; by effect."""
+
+    hypotheses: tuple[float, ...]
+    none: float
+    unknown: float
+    effects: dict[str, float]
+
+
+def scored(found: Found, left: float) -> list[Scored]:
+    """Hypotheses as a posterior sees them; left: structure that the best one leaves."""
+    best = min(hypothesis.cost for hypothesis in found.hypotheses)
+    out = []
+    for hypothesis in found.hypotheses:
+        occam = 0.5 * (found.none.cost - hypothesis.cost) - hypothesis.log_bayes
+        energy = hypothesis.cost - best + left
+        out.append(Scored(hypothesis.names, energy, _shares(hypothesis), float(occam)))
+    return out
+
+
+def _shares(hypothesis: Hypothesis) -> tuple[float, ...]:
+    """theta_i^T cov_ii^-1 theta_i: by how much F rises without effect i, linearly."""
+    shares = []
+    for part, values, where in zip(
+        hypothesis.parts, hypothesis.values, hypothesis.slices(), strict=True
+    ):
+        off = values - part.start
+        block = hypothesis.covariance[where, where]
+        shares.append(float(off @ np.linalg.pinv(block, hermitian=True) @ off))
+    return tuple(shares)
+
+
+def posterior(of: Sequence[Scored], settings: Settings) -> Posterior:
+    """Probabilities."""
+    none = next(one for one in of if not one.names)
+    logs = np.array([_log(one, none.energy, settings) for one in of])
+    start = max(none.energy, settings.unknown_dof)
+    spread = settings.unknown_dof * (1.0 + np.log(start / settings.unknown_dof))
+    unknown = -0.5 * spread - settings.unknown_cost
+    everything = settings.temper * np.append(logs, unknown)
+    weights = np.exp(everything - logsumexp(everything))
+    effects: dict[str, float] = {}
+    for one, weight in zip(of, weights, strict=False):
+        for name in one.names:
+            effects[name] = effects.get(name, 0.0) + float(weight)
+    at_none = sum(float(w) for one, w in zip(of, weights, strict=False) if not one.names)
+    return Posterior(tuple(float(w) for w in weights[:-1]), at_none, float(weights[-1]), effects)
+
+
+def _log(one: Scored, before: float, settings: Settings) -> float:
+    if not one.names:
+        return -0.5 * one.energy / (1.0 + settings.healthy)
+    explained = sum(
+        settings.kappa_of(name) ** 2 * min(share, before)
+        for name, share in zip(one.names, one.shares, strict=True)
+    )
+    extra = explained / settings.dof
+    spread = one.energy / (1.0 + extra) + settings.dof * np.log1p(extra)
+    cost = settings.effect_cost + settings.more_cost * (len(one.names) - 1)
+    return -0.5 * float(spread) - one.occam - cost
+
+
+__all__ = ["NONE", "UNKNOWN", "Posterior", "Scored", "posterior", "scored"]
