@@ -13,7 +13,7 @@ from galen_model.arrays import Array
 from scipy.spatial.transform import Rotation
 
 from galen_diagnosis.blind.plant.cause import Cause
-from galen_diagnosis.blind.plant.listed import AMBIGUOUS, CAUSES, EFFECTS, NEED_PUSHES, PAIRS
+from galen_diagnosis.blind.plant.listed import AMBIGUOUS, CAUSES, EFFECTS, NEED_PUSHES, PAIRS, TWINS
 from galen_diagnosis.blind.plant.machine import Machine
 from galen_diagnosis.blind.plant.session import BAGS, Session, draw_session
 from galen_diagnosis.blind.plant.strength import TELLABLE, Scale
@@ -137,7 +137,10 @@ def _made(
     capped = False
     causes, strengths, lefts, acceptable = [], [], [], []
     for name in names:
-        cause = (CAUSES | UNLISTED)[name].draw(rng, session)
+        if case.kind == "ambiguous":
+            cause = TWINS[name].times(float(rng.choice([-1.0, 1.0])))
+        else:
+            cause = (CAUSES | UNLISTED)[name].draw(rng, session)
         if name in UNLISTED:
             cause, reached = scale.sized(cause, wanted, listed.left_by_best)
         else:
