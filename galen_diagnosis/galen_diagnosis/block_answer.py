@@ -46,16 +46,24 @@ def conclude(
     words: Sequence[str] = (),
     seed: int = 0,
 ) -> BlockDiagnosis:
-    """Verdict, causes with intervals, gap before and after, where it lies."""
+    """Verdict, causes with intervals, gap before and after, where it lies.
+
+    Whole blocks are held out; with an effect of time among those found, thirds of blocks, and what
+    is closed of whole blocks is told beside.
+    """
     cannot_tell = effects.cannot_tell
     rows, best = evidence.rows, found.best
     bare = min((one for one in found.hypotheses if not one.effects), key=lambda one: one.floor_only)
     before = evidence.held_out(bare)
     after = before if not best.effects else evidence.held_out(best)
     floor = 1.0 if rows.floor_known else 0.0
-    closed = closed_fraction(rows, before, after, floor, seed) if best.effects else None
-    parts = _in_parts(evidence, best, floor, seed)
-    verdict = _verdict(found, parts or closed)
+    whole = closed_fraction(rows, before, after, floor, seed) if best.effects else None
+    parts = _in_parts(evidence, best)
+    closed = whole
+    if parts is not None:
+        before, after = parts
+        closed = closed_fraction(rows, before, after, floor, seed)
+    verdict = _verdict(found, closed)
     remains = not best.floor_only and _mean_square(after) > max(floor, 1e-12) * _ABOVE_FLOOR
     causes = [
         Cause(
@@ -63,7 +71,7 @@ def conclude(
             probability=round(found.inclusion[effect], 4),
             parameters=told,
             equivalent=found.equivalent.get(effect, ()),
-            gap_closed=_alone(evidence, found, effect, rows, before, floor, seed),
+            gap_closed=_alone(evidence, found, effect, floor, seed),
             extra=extra,
         )
         for effect, told, extra in _parameters(evidence, best, seed)
@@ -83,10 +91,12 @@ def conclude(
             "after": _gap(rows, after),
             "floor": {"mean_square": floor, "rms": _named(rows, rows.floor * floor)},
             "closed_fraction": None if closed is None else closed.to_json(),
-            "closed_fraction_of_parts": None if parts is None else parts.to_json(),
+            "closed_fraction_of_whole_blocks": None if whole is None else whole.to_json(),
         },
         next_experiment=None,
-        sentence=_sentence(verdict, found, closed, parts, remains and rows.floor_known),
+        sentence=_sentence(
+            verdict, found, closed, None if parts is None else whole, remains and rows.floor_known
+        ),
         cannot_tell=(*cannot_tell, *_hidden(evidence, effects)),
         problems=()
         if rows.floor_known
@@ -140,10 +150,8 @@ def _verdict(found: Found, closed: Interval | None) -> Verdict:
     return "ambiguous"
 
 
-def _in_parts(
-    evidence: BlockEvidence, best: Hypothesis, floor: float, seed: int
-) -> Interval | None:
-    """What is closed where parts of blocks are held out; None but for effects of time.
+def _in_parts(evidence: BlockEvidence, best: Hypothesis) -> tuple[Array, Array] | None:
+    """Before and after where thirds of blocks are held out; None but for effects of time.
 
     Nobody predicts a wander's course in a stop from other stops; from the rest of the stop one can.
     """
@@ -154,7 +162,7 @@ def _in_parts(
     again = finer.hypothesis(best.effects, [best.ways], best.floor_only)
     if bare is None or again is None:
         return None
-    return closed_fraction(evidence.rows, finer.held_out(bare), finer.held_out(again), floor, seed)
+    return finer.held_out(bare), finer.held_out(again)
 
 
 def _hidden(evidence: BlockEvidence, effects: Effects) -> list[str]:
@@ -183,8 +191,6 @@ def _alone(
     evidence: BlockEvidence,
     found: Found,
     effect: str,
-    rows: BlockRows,
-    before: Array,
     floor: float,
     seed: int,
 ) -> Interval | None:
@@ -193,7 +199,9 @@ def _alone(
     if not singles:
         return None
     best = max(singles, key=lambda one: float(one.elpd.sum()))
-    return closed_fraction(rows, before, evidence.held_out(best), floor, seed)
+    bare = min((one for one in found.hypotheses if not one.effects), key=lambda one: one.floor_only)
+    left = _in_parts(evidence, best) or (evidence.held_out(bare), evidence.held_out(best))
+    return closed_fraction(evidence.rows, *left, floor, seed)
 
 
 # --- parameters ---------------------------------------------------------------------------------
@@ -289,7 +297,7 @@ def _sentence(
     verdict: Verdict,
     found: Found,
     closed: Interval | None,
-    parts: Interval | None,
+    whole: Interval | None,
     remains: bool,
 ) -> str:
     best = found.best
@@ -302,9 +310,10 @@ def _sentence(
         f"{effect} ({100 * found.inclusion[effect]:.0f} %)" for effect in best.effects
     )
     closes = "It closes" if len(best.effects) == 1 else "They close"
-    part = "" if closed is None else f" {closes} {_told(closed)} of the gap on unseen blocks"
-    if parts is not None:
-        part += f", {_told(parts)} on unseen parts of blocks"
+    unseen = "unseen blocks" if whole is None else "unseen thirds of blocks"
+    part = "" if closed is None else f" {closes} {_told(closed)} of the gap on {unseen}"
+    if whole is not None:
+        part += f", {_told(whole)} on whole unseen blocks"
     part += "." if part else ""
     others = sorted(
         (share, effect)

@@ -52,7 +52,7 @@ def print_diagnosis(found: BlockDiagnosis, to: Console) -> None:
 
 def _gap_table(found: BlockDiagnosis) -> Table:
     rows, gap = found.rows, found.answer.gap
-    table = Table(title="RMS on blocks that no fit has seen")
+    table = Table(title="RMS on readings that no fit has seen")
     table.add_column("")
     for name, unit in zip(rows.channels, rows.units, strict=True):
         table.add_column(f"{name}, {_SMALL[unit][1]}", justify="right")
@@ -133,7 +133,7 @@ def plot_diagnosis(found: BlockDiagnosis, folder: Path) -> Path:
     for panel in panels[-1]:
         panel.set_xlabel("row; lines part the blocks")
     figure.suptitle(
-        f"{found.answer.recording}: {found.answer.verdict}. What is left on unseen blocks",
+        f"{found.answer.recording}: {found.answer.verdict}. What is left on unseen readings",
         x=0.01, ha="left", fontsize=11,
     )  # fmt: skip
     figure.tight_layout(rect=(0.0, 0.0, 1.0, 0.98))
