@@ -43,6 +43,8 @@ ELSEWHERE = frozenset({"crosstalk", "sensor_drift", "bias_step", "base_shift", "
 """Effects whose forms are scanned (`scans.py`, `saturation.py`) instead of being listed here."""
 
 _CABLE_REACH_M = 0.7
+_CABLE_WAYS = (1.0, float(np.sqrt(3.0)))
+"""Held towards the faces and corners of a cube about the tool."""
 _SOFTNESS = ("roll", "tilt", "carriage", "rod")
 
 
@@ -182,7 +184,7 @@ def _cables(observation: Observation) -> Iterator[Candidate]:
     at = np.mean(origin + rotation @ np.asarray(effect.attachment_m), axis=0)
     for direction in product((-1.0, 0.0, 1.0), repeat=3):
         length = float(np.linalg.norm(direction))
-        if length == 0.0:
+        if length not in _CABLE_WAYS:
             continue
         anchor = at + _CABLE_REACH_M * np.array(direction) / length
         here = replace(

@@ -18,6 +18,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from galen_deflection.hand_eye import solve_base
 from galen_deflection.rigid import Transform
+from galen_model.arm import WRENCH_AXES
 from galen_model.arrays import Array
 from galen_model.rotation import matrix_to_rotvec, rotvec_to_matrix
 from galen_model.tools import ToolGeometry
@@ -35,7 +36,7 @@ from galen_diagnosis.phases import (
     touched,
 )
 from galen_diagnosis.recording import BagData, Recording, Track
-from galen_diagnosis.rows import BAGS, CHANNELS, MARKER_AXES, TIP_AXES, WRENCH_AXES, Rows, Stream
+from galen_diagnosis.rows import BAGS, CHANNELS, MARKER_AXES, TIP_AXES, Rows, Stream
 
 _GROUP_S = {"sweep": 0.1, "motion": 0.025, "push": 0.1}
 _TRACK_GROUP_S = 0.05

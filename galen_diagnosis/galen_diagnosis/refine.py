@@ -5,8 +5,8 @@ Gauss and Newton's method on the penalised sum of squares
     F(theta, nu) = |r(theta, xi) - N nu|^2 + nu^T V^-1 nu + (theta - c)^T L^-1 (theta - c),
 
 with r the rows under the effects' numbers theta, N nu as in `linear.py`, xi the pose of base_link
-in the tracker, which is followed nonlinearly, c and L the prior of theta. A step that doesn't lower F
-is halved. The evidence is Laplace's at the minimum.
+in the tracker, which is followed nonlinearly, c and L the prior of theta. A step that doesn't
+lower F is halved. The evidence is Laplace's at the minimum.
 """
 
 from __future__ import annotations
@@ -112,7 +112,7 @@ def refine(
     columns = np.zeros((len(rows), len(theta)))
     gram = np.zeros((len(theta), len(theta)))
     for step in range(_MOST_STEPS):
-        if parts and (step < 3 or step % 2 == 0):
+        if parts and (step < 2 or step % 2 == 0):
             columns = _jacobian(observation, parts, theta, cuts)
             if weight is not None:
                 columns = columns * weight[:, None]

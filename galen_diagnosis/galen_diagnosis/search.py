@@ -37,6 +37,8 @@ _LINEAR_FORMS = {"cable_drag": 1}
 """Of some effects only the first numbers are linear from the start."""
 
 _WORTH = 2.0
+_WORTH_MORE = 4.0
+_HOPELESS = 15.0
 _SINGLES, _PAIRS_FROM, _PAIRS, _TRIPLES = 7, 3, 4, 2
 _FORMS_EACH = {"cable_drag": 3, "deflection_hysteresis": 2, "crosstalk": 2, "sensor_drift": 2}
 _WITHIN = 60.0
@@ -240,9 +242,12 @@ def _grown(
         judged = [
             pair for pair in forms.judged(seed.raw_rows, behind) if pair[0].effect not in seed.names
         ]
-        for candidate, found in _shortlist(judged, most, _WORTH):
+        for candidate, found in _shortlist(judged, most, _WORTH_MORE):
             chances.append((seed.log_bayes + found.log_bayes, seed, candidate, found))
     chances.sort(key=lambda chance: -chance[0])
+    # Linear evidence of a nonlinear effect may fall short, but not without end.
+    top = max((seed.log_bayes for seed in seeds), default=0.0)
+    chances = [chance for chance in chances if chance[0] > top - _HOPELESS]
     out: list[Hypothesis] = []
     seen = set()
     for _, seed, candidate, found in chances:

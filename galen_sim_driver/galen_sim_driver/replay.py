@@ -53,7 +53,7 @@ class Scene:
     joints: Array
     wrench_s: Array
     reading: Array
-    touched: Array
+    touched: np.ndarray
     tracker_s: Array
     tool: ToolGeometry
     adapter: Load
