@@ -57,6 +57,11 @@ class GapMonitorNode(StreamNode):
 
     # Samples
 
+    @property
+    def samples(self) -> int:
+        """Wrenches received so far."""
+        return self._gap.received
+
     def _push_joints(self, stamp_ns: int, positions: tuple[float, ...]) -> list[Judged | Refused]:
         return self._gap.push_joints(stamp_ns, positions)
 

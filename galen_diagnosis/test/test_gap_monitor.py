@@ -201,42 +201,49 @@ class Probe(Node):
                 self.status = status
                 self.values = {item.key: item.value for item in status.values}
 
-    def play(self, rng, poses, gap):
-        """Stops of 2 s at 100 Hz; gap: what is added to the reading at each pose."""
-        at_ns = 10**9
-        for roll, tilt in poses:
-            more = gap(np.array([0.0, 0.0, 0.408, roll, tilt]))
-            expected = TOOL.predict(roll, tilt) + more
-            for reading in expected + SENSOR.noise_std * rng.standard_normal((230, 6)):
-                at_ns += 10_000_000
-                joints = JointState(
-                    name=list(JOINT_NAMES), position=[0.0, 0.0, 0.408, float(roll), float(tilt)]
-                )
-                wrench = WrenchStamped()
-                wrench.header.frame_id = "ft_sensor"
-                for message in (joints, wrench):
-                    message.header.stamp.sec = at_ns // 10**9
-                    message.header.stamp.nanosec = at_ns % 10**9
-                force, torque = wrench.wrench.force, wrench.wrench.torque
-                force.x, force.y, force.z, torque.x, torque.y, torque.z = map(float, reading)
-                self.joints.publish(joints)
-                self.wrench.publish(wrench)
+    def stop(self, rng, at_ns, pose, gap):
+        """A stop of 2.3 s at 100 Hz; gap (6,) is added to the reading."""
+        expected = TOOL.predict(*pose) + gap
+        for reading in expected + SENSOR.noise_std * rng.standard_normal((230, 6)):
+            at_ns += 10_000_000
+            joints = JointState(name=list(JOINT_NAMES), position=[0.0, 0.0, 0.408, *pose])
+            wrench = WrenchStamped()
+            wrench.header.frame_id = "ft_sensor"
+            for message in (joints, wrench):
+                message.header.stamp.sec = at_ns // 10**9
+                message.header.stamp.nanosec = at_ns % 10**9
+            force, torque = wrench.wrench.force, wrench.wrench.torque
+            force.x, force.y, force.z, torque.x, torque.y, torque.z = map(float, reading)
+            self.joints.publish(joints)
+            self.wrench.publish(wrench)
+        return at_ns
 
 
 @pytest.mark.slow
 def test_the_node_says_so(tmp_path):
     write_tool(tmp_path / "pointer.json", TOOL)
     rng = np.random.default_rng(9)
-    poses = rng.uniform([-1.4, -0.9], [1.4, 0.9], (26, 2))
+    poses = rng.uniform([-1.4, -0.9], [1.4, 0.9], (36, 2)).tolist()
     with Harness() as harness:
         options = parameters(tool="pointer", tools_dir=str(tmp_path), look_s=5.0)
-        harness.add(lambda context: GapMonitorNode(context=context, parameter_overrides=options))
+        node = harness.add(
+            lambda context: GapMonitorNode(context=context, parameter_overrides=options)
+        )
         probe = harness.add(lambda context: Probe(context=context))
         harness.wait_for(
             lambda: probe.wrench.get_subscription_count() and probe.status, 20.0, "the monitor"
         )
         gap = left_by(EFFECTS["tool_com_error"](delta_m=(0.006, 0.0, 0.004)))
-        harness.call_in_executor(lambda: probe.play(rng, poses, gap), 60.0)
+        at_ns = 10**9
+        for number, pose in enumerate(poses, start=1):
+            left = gap(np.array([0.0, 0.0, 0.408, *pose]))
+            at_ns = harness.call_in_executor(
+                lambda now=at_ns, pose=pose, left=left: probe.stop(rng, now, pose, left)
+            )
+            # No faster than it is heard: a topic's queue holds 2000 samples.
+            harness.wait_for(
+                lambda sent=230 * number: node.samples >= sent - 10, 20.0, "the samples"
+            )
         harness.wait_for(
             lambda: probe.values["gap"] == "gap" and "tool_com_error" in probe.values["effects"],
             60.0,
