@@ -31,6 +31,7 @@ from galen_diagnosis.blind.plant.session import Session
 from galen_diagnosis.blind.plant.tolerance import COUNT, NAMES, Tolerance
 
 _SAMPLES_A_TOPIC = 600
+_MOST_STEPS = 40
 _AROUND_TOUCH_S = 0.06
 """Readings so near to a touch are left out."""
 _AROUND = np.linspace(-_AROUND_TOUCH_S, _AROUND_TOUCH_S, 5)
@@ -161,27 +162,25 @@ class Scale:
     ) -> tuple[Cause, float]:
         """The cause at the size that has this D, or at its largest; and the D that it then has.
 
-        Secant steps on log D over log size. measure: of a difference, D if not given.
+        Secant steps on log D over log size, halved where they leave what is known to hold it.
+        measure: of a difference, D if not given.
         """
-        found, reached = cause, 0.0
-        log_sizes: list[float] = []
-        log_strengths: list[float] = []
-        for _ in range(12):
+        start, ceiling = abs(cause.size), math.log(cause.largest)
+        low, high = -math.inf, math.inf
+        at, before, found, reached = math.log(start), (0.0, 0.0), cause, 0.0
+        for step in range(_MOST_STEPS):
+            found = cause.times(math.exp(at) / start)
             reached = (measure or self.strength)(self.difference([found]))
-            if abs(reached / strength - 1.0) < 0.01:
+            if abs(reached / strength - 1.0) < 0.01 or (reached < strength and at >= ceiling):
                 break
-            log_sizes.append(math.log(abs(found.size)))
-            log_strengths.append(math.log(max(reached, 1e-9)))
-            slope = 1.0
-            if len(log_sizes) > 1:
-                run = log_sizes[-1] - log_sizes[-2]
-                slope = (log_strengths[-1] - log_strengths[-2]) / run if run else 1.0
-                slope = float(np.clip(slope, 0.2, 8.0))
-            step = float(np.clip((np.log(strength) - log_strengths[-1]) / slope, -5.0, 5.0))
-            step = min(step, np.log(found.largest / abs(found.size)))
-            if abs(step) < 1e-4:
-                break
-            found = found.times(float(np.exp(step)))
+            beside = math.log(max(reached, 1e-9) / strength)
+            low, high = (at, high) if beside < 0.0 else (low, at)
+            run = at - before[0]
+            slope = (beside - before[1]) / run if step and run else 1.0
+            before = (at, beside)
+            at = min(at - beside / max(slope, 0.1), ceiling)
+            if not low < at < high:
+                at = 0.5 * (low + high)
         return found, reached
 
     # --- inside -------------------------------------------------------------------------------

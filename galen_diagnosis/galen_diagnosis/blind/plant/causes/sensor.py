@@ -132,14 +132,14 @@ class Crosstalk(Cause):
 class SensorSaturation(Cause):
     """An axis clips: hard, or soft with x / (1 + |x / L|^p)^(1 / p).
 
-    At L = peak exp(-size), peak the largest that the session has on that axis. Of what is shown,
+    At L = peak exp(-size), peak twice the largest that the session has on that axis. Of what shows,
     or of the whole load on the sensor (`raw`): the limit is then told as it shows, on the side
     where it clips more.
     """
 
     name: ClassVar[str] = "sensor_saturation"
-    typical: ClassVar[float] = 0.4
-    largest: ClassVar[float] = 3.0
+    typical: ClassVar[float] = 1.0
+    largest: ClassVar[float] = 4.0
     order: ClassVar[int] = 5
     linear: ClassVar[bool] = False
 
@@ -159,7 +159,7 @@ class SensorSaturation(Cause):
     def spans(cls, session: Session) -> list[list[Cause]]:
         """Every axis at some limits."""
         peaks = _peaks(session)
-        return [[cls(size, axis, peaks[axis])] for axis in range(6) for size in (0.1, 0.4, 1.0)]
+        return [[cls(size, axis, peaks[axis])] for axis in range(6) for size in (0.8, 1.1, 1.7)]
 
     def sense(self, at: Moment, total: Array) -> Array:
         """The whole load clipped."""
@@ -201,10 +201,10 @@ class SensorSaturation(Cause):
 
 
 def _peaks(session: Session) -> list[float]:
-    """Largest reading of each axis, nearly."""
+    """Twice the largest reading of each axis, nearly."""
     machine = Machine(session)
     most = [
         np.max(np.abs(machine.reading(bag, take.wrench.taken_s[::20])), axis=0)
         for bag, take in session.takes.items()
     ]
-    return size_of(np.max(most, axis=0))
+    return size_of(2.0 * np.max(most, axis=0))
