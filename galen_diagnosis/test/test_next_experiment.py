@@ -108,6 +108,7 @@ def roll_experiment(roll_twins):
     return propose(roll_twins, TOOL)
 
 
+@pytest.mark.slow
 def test_the_distance_is_what_a_fit_on_the_simulator_leaves():
     # A gain of fx against a heavier tool, a turned sensor against a tilt's zero: the parameters
     # are known to nearly nothing before, as in the fit.
