@@ -74,6 +74,11 @@ class Candidate:
         return 0.0
 
     @property
+    def has_inputs(self) -> bool:
+        """Whether its numbers are unknown inputs instead of the effect's own."""
+        return False
+
+    @property
     def other_evidence(self) -> float:
         """Log evidence for the form that isn't in the rows."""
         return 0.0
@@ -173,8 +178,9 @@ def _hysteresis(_: Observation) -> Iterator[Candidate]:
 
 def _backlashes(_: Observation) -> Iterator[Candidate]:
     for joint in ("roll", "tilt"):
-        one = _plain("backlash", joint, Backlash(joint=joint), np.arange(1))
-        yield replace(one, probe=np.array([1e-3]))
+        # With no gap the other numbers do nothing: they come in with the fit on the simulator.
+        one = _plain("backlash", joint, Backlash(joint=joint, seat=2.0), np.arange(3))
+        yield replace(one, probe=np.array([1e-3, 0.05, 0.1]))
 
 
 def _cables(observation: Observation) -> Iterator[Candidate]:

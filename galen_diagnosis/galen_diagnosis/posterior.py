@@ -28,6 +28,9 @@ from galen_diagnosis.search import Found
 from galen_diagnosis.settings import Settings
 
 
+_INPUTS_FREE = 0.8
+
+
 @dataclass(frozen=True)
 class Scored:
     """What a posterior needs of a hypothesis, and nothing else (so that settings can be fitted).
@@ -59,8 +62,27 @@ def scored(found: Found, left: float) -> list[Scored]:
     for hypothesis in found.hypotheses:
         occam = 0.5 * (found.none.cost - hypothesis.cost) - hypothesis.log_bayes
         energy = hypothesis.cost - best + left
-        out.append(Scored(hypothesis.names, energy, _shares(hypothesis), float(occam)))
+        out.append(
+            Scored(
+                hypothesis.names, energy, _shares(hypothesis), float(occam) * _counted(hypothesis)
+            )
+        )
     return out
+
+
+def _counted(hypothesis: Hypothesis) -> float:
+    """How much of Occam's factor counts against "unknown", which pays for no input.
+
+    Loads beyond a clipped axis are inputs that nobody measured, two a push, and no part of the
+    effect; all listed effects but this one get them from the reading for nothing.
+    """
+    inputs = sum(
+        len(values)
+        for part, values in zip(hypothesis.parts, hypothesis.values, strict=True)
+        if part.has_inputs
+    )
+    total = sum(len(values) for values in hypothesis.values)
+    return 1.0 - _INPUTS_FREE * inputs / max(total, 1)
 
 
 def _shares(hypothesis: Hypothesis) -> tuple[float, ...]:

@@ -51,6 +51,11 @@ class SaturationCandidate(Candidate):
         return np.asarray(self.beyond @ values)
 
     @property
+    def has_inputs(self) -> bool:
+        """Loads are inputs."""
+        return True
+
+    @property
     def other_evidence(self) -> float:
         """The pile's."""
         return self.bonus

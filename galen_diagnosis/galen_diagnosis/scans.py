@@ -28,8 +28,8 @@ from galen_diagnosis.observation import Observation
 from galen_diagnosis.rows import BAGS
 
 _HOUR_S = 3600.0
-_KNOT_S = 30.0
-_BUMP = np.array([0.01] * 3 + [3e-4] * 3)
+_KNOT_S = 15.0
+_BUMP = np.array([0.007] * 3 + [2e-4] * 3)
 _RATE = np.array([1.0] * 3 + [0.02] * 3)
 _STEP = np.array([0.1] * 3 + [3e-3] * 3)
 _SHIFT = np.array([1e-3] * 3 + [3e-3] * 3)

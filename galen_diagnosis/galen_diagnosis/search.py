@@ -33,7 +33,7 @@ from galen_diagnosis.scans import (
 
 Progress = Callable[[str, float], None]
 
-_LINEAR_FORMS = {"cable_drag": 1}
+_LINEAR_FORMS = {"cable_drag": 1, "backlash": 1}
 """Of some effects only the first numbers are linear from the start."""
 
 _WORTH = 2.0

@@ -10,8 +10,8 @@ first motion of a bag nobody knows who hasn't seen what was before: `start`, 0 f
 after going up and 1 after going down.
 
 In a push: a moment M about the axis takes the joint to the side of the gap that it points to, and
-there it stays until a moment points the other way. It takes M_s (0.05 N.m, or 0.5 N of a sliding
-joint) to move it at all, so that what a sensor's noise makes of no load does nothing, and 3 M_s to
+there it stays until a moment points the other way. It takes M_s (`seat` times 0.05 N.m, or 0.5 N of
+a sliding joint) to move it at all, so that what a sensor's noise makes of no load does nothing, and 3 M_s to
 take it all the way. With u = M / M_s, and clip to -1 ... 1,
 
     s_k = min(max(s_(k-1), clip(u - 2)), clip(u + 2)),
@@ -59,13 +59,17 @@ class Backlash(Effect):
     fitted: ClassVar[tuple[Fitted, ...]] = (
         Fitted("gap_rad", "rad", 0.002, 0.0, 0.2),
         Fitted("start", "", 1.0, -1.0, 1.0),
+        Fitted("seat", "", 2.0, 0.1, 30.0),
     )
-    beyond_contract: ClassVar[tuple[str, ...]] = ("start",)
+    beyond_contract: ClassVar[tuple[str, ...]] = ("start", "seat")
 
     joint: str = param("tilt", "the joint with the gap: delta_x delta_y delta_z roll tilt")
     gap_rad: float = param(0.0, "the gap, rad; of a sliding joint in m", 0.0, 0.2)
     start: float = param(
         0.0, "where in its gap it starts, -1 to 1, as after going up or down", -1.0, 1.0
+    )
+    seat: float = param(
+        1.0, "moment that moves it through its gap, over 0.05 Nm, or force over 0.5 N", 0.1, 30.0
     )
 
     _memory: ClassVar[_Memory | None] = None
@@ -115,7 +119,7 @@ class Backlash(Effect):
         memory = self._memory or _Memory(self.start)
         column = self._column(loading)
         index = self._index
-        loads = np.einsum("ni,ni->n", column, loading.wrench) / _SEAT[index]
+        loads = np.einsum("ni,ni->n", column, loading.wrench) / (self.seat * _SEAT[index])
         at = memory.at
         moved = []
         for place, load in zip(loading.joints[:, index].tolist(), loads.tolist(), strict=True):
