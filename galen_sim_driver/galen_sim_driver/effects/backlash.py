@@ -11,8 +11,8 @@ after going up and 1 after going down.
 
 In a push: a moment M about the axis takes the joint to the side of the gap that it points to, and
 there it stays until a moment points the other way. It takes M_s (`seat` times 0.05 N.m, or 0.5 N of
-a sliding joint) to move it at all, so that what a sensor's noise makes of no load does nothing, and 3 M_s to
-take it all the way. With u = M / M_s, and clip to -1 ... 1,
+a sliding joint) to move it at all, so that what a sensor's noise makes of no load does nothing, and
+3 M_s to take it all the way. With u = M / M_s, and clip to -1 ... 1,
 
     s_k = min(max(s_(k-1), clip(u - 2)), clip(u + 2)),
 
