@@ -1,0 +1,139 @@
+"""The whole diagnosis: on our simulated arm, and on an arm that we didn't write."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from galen_diagnosis.candidates import candidates
+from galen_diagnosis.diagnosing import diagnose_recording
+from galen_diagnosis.gap import closed_fraction
+from galen_diagnosis.observation import Observation, Unknowns
+from galen_diagnosis.recording import read_recording
+from galen_diagnosis.rows import CHANNELS, FOLDS
+from galen_diagnosis.scans import crosstalk_candidates
+from galen_diagnosis.simulated_recording import make_recording
+from galen_sim_driver.effects.axis_gain import AxisGain
+from galen_sim_driver.effects.tilt_zero_offset import TiltZeroOffset
+
+DISCLOSED = Path(__file__).resolve().parents[3] / "shared" / "recordings" / "disclosed"
+needs_disclosed = pytest.mark.skipif(
+    not DISCLOSED.is_dir(), reason="recordings of another arm aren't beside the checkout"
+)
+SWEEP_ONLY = ("sweep",)
+
+
+@pytest.fixture(scope="module")
+def healthy(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("healthy") / "made"
+    make_recording(folder, seed=3, bags=SWEEP_ONLY)
+    return Observation(read_recording(folder))
+
+
+def test_a_healthy_arms_rows_are_white_with_unit_variance(healthy):
+    rows = healthy.rows
+    assert len(rows) == len(healthy.nominal) > 3000
+    for number in np.unique(rows.channel):
+        own = healthy.nominal[rows.channel == number]
+        chance = np.sqrt(2.0 / len(own))
+        assert np.mean(own**2) == pytest.approx(1.0, abs=5.0 * chance), CHANNELS[number]
+        assert abs(np.mean(own[1:] * own[:-1])) < 5.0 / np.sqrt(len(own)), CHANNELS[number]
+
+
+def test_a_block_is_held_out_whole(healthy):
+    rows = healthy.rows
+    for number in np.unique(rows.block):
+        assert len(np.unique(rows.fold[rows.block == number])) == 1
+    assert set(np.unique(rows.fold)) == set(range(FOLDS))
+
+
+def test_what_unknowns_add_is_what_they_say(healthy):
+    offset = np.zeros(18)
+    offset[2] = 0.01
+    change = healthy.change((), Unknowns(offset))
+    rows = healthy.rows
+    there = rows.channel == 2
+    assert change[~there] == pytest.approx(0.0, abs=1e-12)
+    assert change[there] * rows.scale[there] == pytest.approx(0.01, rel=1e-6)
+
+
+def test_a_candidates_columns_are_the_simulators_slope(healthy):
+    for candidate in candidates(healthy):
+        if candidate.effect in ("tilt_zero_offset", "tool_com_error"):
+            columns = candidate.jacobian(healthy, lambda v, c=candidate: [c.at(v)], candidate.start)
+            step = 0.3 * candidate.typical
+            told = healthy.change([candidate.at(candidate.start + step)])
+            assert columns @ step == pytest.approx(told, abs=0.01 * np.abs(told).max())
+
+
+def test_crosstalks_shortcut_is_what_the_simulator_does(healthy):
+    zero = np.stack(
+        [healthy.change((), Unknowns(np.eye(18)[k] * 0.01)) / 0.01 for k in range(6)], axis=1
+    )
+    for candidate in crosstalk_candidates(healthy, zero)[::7]:
+        told = healthy.change([candidate.at(np.array([0.02]))])
+        assert candidate.columns[:, 0] * 0.02 == pytest.approx(told, abs=1e-6)
+
+
+def test_a_gap_that_is_none_has_no_closed_fraction(healthy):
+    noise = np.random.default_rng(0).standard_normal(len(healthy.rows))
+    assert closed_fraction(healthy.rows, noise, noise, 1.0) is None
+    wide = closed_fraction(healthy.rows, 3.0 * noise, noise, 1.0)
+    assert wide is not None
+    assert wide.value == pytest.approx(1.0, abs=0.05)
+    assert wide.low <= wide.value <= wide.high
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(400)
+def test_the_simulated_arms_tilt_zero_is_found_and_its_gap_closes(tmp_path):
+    effects = [TiltZeroOffset(offset_rad=0.012)]
+    make_recording(tmp_path / "made", effects, seed=8)
+    shares = []
+    answer = diagnose_recording(
+        read_recording(tmp_path / "made"), progress=lambda what, share: shares.append(share)
+    ).answer
+    assert answer.verdict == "identified"
+    assert answer.ranking[0][0] == "tilt_zero_offset"
+    (cause,) = answer.causes
+    found = cause.parameters["offset_rad"]
+    assert found.low < 0.012 < found.high
+    assert found.value == pytest.approx(0.012, rel=0.05)
+    assert answer.gap["closed_fraction"]["value"] > 0.95
+    assert shares == sorted(shares)
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(400)
+def test_without_pushes_the_answer_says_what_it_cant_tell(tmp_path):
+    make_recording(tmp_path / "made", [AxisGain(gain=(0.05, 0, 0, 0, 0, 0))], 5, bags=SWEEP_ONLY)
+    answer = diagnose_recording(read_recording(tmp_path / "made")).answer
+    assert any("no push" in line for line in answer.cannot_tell)
+    assert any("joint_compliance" in line for line in answer.cannot_tell)
+    found = {cause.effect for cause in answer.causes}
+    assert "axis_gain" in found | {name for cause in answer.causes for name in cause.equivalent}
+
+
+CAUSES = {
+    "recording_359": (),
+    "recording_420": ("tool_mass_error", "wrench_delay"),
+    "recording_601": ("tilt_zero_offset",),
+    "recording_695": ("cable_drag",),
+    "recording_942": ("sensor_drift",),
+    "recording_956": ("deflection_hysteresis",),
+}
+
+
+@needs_disclosed
+@pytest.mark.slow
+@pytest.mark.timeout(400)
+@pytest.mark.parametrize("name", CAUSES)
+def test_causes_of_another_arm_that_were_told_are_found(name):
+    answer = diagnose_recording(read_recording(DISCLOSED / name)).answer
+    wanted = CAUSES[name]
+    if not wanted:
+        assert answer.verdict == "none"
+        assert answer.causes == ()
+        return
+    assert answer.verdict == "identified"
+    assert {cause.effect for cause in answer.causes} == set(wanted)
+    assert answer.gap["closed_fraction"]["value"] > 0.9
