@@ -167,10 +167,17 @@ def _compliances(_: Observation) -> Iterator[Candidate]:
 
 
 def _hysteresis(_: Observation) -> Iterator[Candidate]:
-    for form, knee in (("tip", 0.08), ("tip", 0.3), ("tip", 1.0), ("joints", 0.2)):
-        effect = DeflectionHysteresis(form=form, knee=knee)
+    for form, knee, restarts in (
+        ("tip", 0.08, True),
+        ("tip", 0.3, True),
+        ("tip", 1.0, True),
+        ("tip", 0.3, False),
+        ("joints", 0.2, True),
+    ):
+        effect = DeflectionHysteresis(form=form, knee=knee, restarts=restarts)
         free = np.arange(3) if form == "tip" else np.arange(1)
-        one = _plain("deflection_hysteresis", f"{form} {knee:g}", effect, free)
+        kept = "" if restarts else " kept"
+        one = _plain("deflection_hysteresis", f"{form} {knee:g}{kept}", effect, free)
         probe = np.array([0.02, 0.05 * knee, 0.02])[free]
         typical = np.array([0.1, 0.5 * knee, 0.05])[free]
         yield replace(one, probe=probe, typical=typical)

@@ -1,7 +1,7 @@
 """What a load leaves of a deflection when it is gone (contract, section 6).
 
-`residual_fraction` is how much is left at no load after the largest load, over the elastic
-deflection at that load. Two laws, by `form`:
+`residual_fraction` is how much is left at no load after the largest load, over the deflection at
+that load. Two laws, by `form`:
 
 "tip": a state z beside each of the six components e of the tip's elastic displacement in base_link,
 in units of its largest, P:
@@ -12,16 +12,22 @@ in units of its largest, P:
 This is Bouc's and Wen's law with the exponent 1 and without their gamma (Y.-K. Wen, Method for
 random vibration of hysteretic systems, J. Eng. Mech. Div. ASCE 102 (2), 1976, pp. 249-263). The tip
 stands at e - side c P z: with side 1 it lags the load, as friction makes it; with side -1 it runs
-ahead of it and comes back too far. A first push to P leaves z = -(1 - exp(-1 / knee))^2, so that
+ahead of it and comes back too far. With a = 1 - exp(-1 / knee) a first push to P takes z to a, and
+back to -a^2 at no load. `softness` b adds that part of e. The fraction of c P a^2 over the deflection
+at P, (1 + b) P - side c P a, so is
 
-    c = residual_fraction / (1 - exp(-1 / knee))^2.
+    residual_fraction = c a^2 / (1 + b - side c a),
+    c = residual_fraction (1 + b) / (a^2 + side residual_fraction a).
 
-`softness` adds that part of e: a spring with friction that doesn't slide yet is stiffer than one
+Why a softness: a spring with friction that doesn't slide yet is stiffer than one
 whose friction does, and which of the two the nominal stiffness is of, nobody says.
 
 "joints": Dahl's friction beside the springs of carriages, roll, tilt and rods, as
 `galen_sim_driver.joint_hysteresis` derives it, each with the fraction at its own largest load (over
 its deflection with the friction, there). With side -1 what friction takes is added.
+
+With `restarts` a move of the arm takes away what loads have left, and largest loads are those of a
+place: joints that move shake their friction out. Without, all of it stays.
 
 Loads that turn by less than 2 % of the largest are noise (`galen_sim_driver.turning`). The largest
 loads are those of the samples. A driver looks at one sample at a time and can't know what comes: it
@@ -30,7 +36,7 @@ takes those of about 10 N at the retractor's tip.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import cache, partial
 from typing import ClassVar, Self
@@ -62,6 +68,8 @@ _GATE = 0.02
 _LEAST_FRACTION = 1e-4
 _STILL_POSE_M = 2e-4
 _TYPICAL_FORCE_N = 10.0
+_MOVED = np.array([1e-3, 1e-3, 1e-3, 5e-3, 5e-3])
+"""By how much joints change, m or rad, where the arm has moved to another place."""
 
 
 class _Memory:
@@ -71,6 +79,11 @@ class _Memory:
         self._peak: Array | None = None
         self._load: Array | None = None
         self._state: Array | None = None
+        self.place: Array | None = None
+
+    def clear(self) -> None:
+        """Nothing was loaded yet."""
+        self._peak = self._load = self._state = None
 
     def states(
         self,
@@ -109,10 +122,10 @@ class DeflectionHysteresis(Effect):
         Fitted("knee", "", 0.15, 0.02, 2.0),
         Fitted("softness", "", 0.1, -0.5, 2.0),
     )
-    beyond_contract: ClassVar[tuple[str, ...]] = ("side", "form", "knee", "softness")
+    beyond_contract: ClassVar[tuple[str, ...]] = ("side", "form", "knee", "softness", "restarts")
 
     residual_fraction: float = param(
-        0.0, "deflection left after the largest load, over the elastic one at that load", 0.0, 0.5
+        0.0, "deflection left after the largest load, over that at that load", 0.0, 0.5
     )
     side: float = param(
         1.0, "1: it is left on the load's side, as by friction; -1: on the other", -1.0, 1.0
@@ -124,6 +137,9 @@ class DeflectionHysteresis(Effect):
 
     softness: float = param(
         0.0, "form tip: by how much more the tip gives way than the springs, all along", -0.5, 2.0
+    )
+    restarts: bool = param(
+        True, "whether moving the arm to another place takes away what loads have left"
     )
 
     _memory: ClassVar[_Memory | None] = None
@@ -168,14 +184,43 @@ class DeflectionHysteresis(Effect):
             return None
         memory = self._memory or _Memory()
         more = self._in_joints if self.form == "joints" else self._at_tip
-        return -self.side * more(memory, loading)
+        out = np.empty_like(loading.elastic)
+        for rows in self._places(memory, loading.joints):
+            here = replace(
+                loading,
+                joints=loading.joints[rows],
+                wrench=loading.wrench[rows],
+                elastic=loading.elastic[rows],
+            )
+            out[rows] = -self.side * more(memory, here)
+        return out
+
+    def _places(self, memory: _Memory, joints: Array) -> Iterator[slice]:
+        """Runs of samples at one place; memory is cleared where the arm has left the one before."""
+        if not self.restarts:
+            yield slice(0, len(joints))
+            return
+        first = 0
+        while first < len(joints):
+            if memory.place is None:
+                memory.place = joints[first]
+            gone = np.flatnonzero((np.abs(joints[first:] - memory.place) > _MOVED).any(axis=1))
+            last = first + int(gone[0]) if len(gone) else len(joints)
+            if last > first:
+                yield slice(first, last)
+            if len(gone):
+                memory.clear()
+                memory.place = joints[last]
+            first = last
 
     def _at_tip(self, memory: _Memory, loading: Loading) -> Array:
         """What lags (n, 6), less what is softer."""
         states, peak = memory.states(loading.elastic, _typical_tip, partial(_bouc_wen, self.knee))
-        left = np.expm1(-1.0 / self.knee) ** 2
+        turned = -np.expm1(-1.0 / self.knee)
+        fraction, soft = self.residual_fraction, 1.0 + self.softness
+        size = fraction * soft / (turned**2 + self.side * fraction * turned)
         softer = self.side * self.softness * loading.elastic
-        return np.asarray(self.residual_fraction / left * peak * states - softer)
+        return np.asarray(size * peak * states - softer)
 
     def _in_joints(self, memory: _Memory, loading: Loading) -> Array:
         """What friction takes of the displacement (n, 6)."""
