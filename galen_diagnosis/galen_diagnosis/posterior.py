@@ -10,8 +10,8 @@ whose fit leaves the energy E_h the log likelihood is that of nu such directions
 with Occam_h = 1/2 log det(1 + L G) of the fit. "Unknown" is nu_u directions with the variance that
 fits best, l_u = -1/2 (nu_u + nu_u log(E_0 / nu_u)) - c_u, "none" has nothing but noise and a
 healthy arm's excess. Probabilities are softmax of eta l: eta < 1 tempers evidence that is
-never as good as its formula (Grünwald, van Ommen, Bayesian Analysis 12, 2017). Energies are counted from the noise,
-with what the best fit leaves of structure (`leftover.py`).
+never as good as its formula (Grünwald, van Ommen, Bayesian Analysis 12, 2017). Energies are counted
+from the noise, with what the best fit leaves of structure (`leftover.py`).
 """
 
 from __future__ import annotations
@@ -26,7 +26,6 @@ from galen_diagnosis.answer import NONE, UNKNOWN
 from galen_diagnosis.refine import Hypothesis
 from galen_diagnosis.search import Found
 from galen_diagnosis.settings import Settings
-
 
 _INPUTS_FREE = 0.8
 

@@ -251,8 +251,8 @@ def test_the_fraction_is_left_after_the_largest_push_on_its_side(form, side):
     given = loading(TURNED, pushes([0.0, 10.0, 0.0]))
     found = effect.fresh().deflect(instants(len(given.wrench)), given)
     peak, left = given.elastic[60], found[-1]
-    # There each joint has its fraction, over its deflection with the friction (which with side -1 is
-    # added): none is a joint that shares with others.
+    # In "joints" each joint has its fraction, over its deflection with the friction (which with
+    # side -1 is added); none here is a joint that shares with others.
     peak = peak + (side if form == "joints" else 1.0) * found[60]
     largest = np.argmax(np.abs(peak[:3]))
     assert left[largest] / peak[largest] == pytest.approx(
