@@ -28,6 +28,7 @@ from galen_diagnosis.search import Found
 from galen_diagnosis.settings import Settings
 
 _INPUTS_FREE = 0.8
+_FULL, _REST = 40.0, 0.25
 
 
 @dataclass(frozen=True)
@@ -63,7 +64,10 @@ def scored(found: Found, left: float) -> list[Scored]:
         energy = hypothesis.cost - best + left
         out.append(
             Scored(
-                hypothesis.names, energy, _shares(hypothesis), float(occam) * _counted(hypothesis)
+                hypothesis.names,
+                energy,
+                _shares(hypothesis),
+                _bent(float(occam) * _counted(hypothesis)),
             )
         )
     return out
@@ -82,6 +86,15 @@ def _counted(hypothesis: Hypothesis) -> float:
     )
     total = sum(len(values) for values in hypothesis.values)
     return 1.0 - _INPUTS_FREE * inputs / max(total, 1)
+
+
+def _bent(occam: float) -> float:
+    """Occam's factor with what lies beyond _FULL counted less.
+
+    A wander of any shape takes a hundred numbers, because it is one; "unknown" has a few directions
+    whatever it is of, and would be cheaper than the truth.
+    """
+    return occam if occam < _FULL else _FULL + _REST * (occam - _FULL)
 
 
 def _shares(hypothesis: Hypothesis) -> tuple[float, ...]:

@@ -18,7 +18,7 @@ LAWS = {
     "backlash": "loose",
     "inertial_load": "loose",
     "sensor_saturation": "loose",
-    "loose_tool": "firm",
+    "loose_tool": "loose",
     "base_shift": "firm",
     "bias_step": "firm",
 }

@@ -13,7 +13,7 @@ This is Bouc's and Wen's law with the exponent 1 and without their gamma (Y.-K. 
 random vibration of hysteretic systems, J. Eng. Mech. Div. ASCE 102 (2), 1976, pp. 249-263). The tip
 stands at e - side c P z: with side 1 it lags the load, as friction makes it; with side -1 it runs
 ahead of it and comes back too far. With a = 1 - exp(-1 / knee) a first push to P takes z to a, and
-back to -a^2 at no load. `softness` b adds that part of e. c P a^2 over the deflection at P, which is
+back to -a^2 at no load. `softness` b adds that part of e. c P a^2 over the deflection at P, that is
 (1 + b) P - side c P a, is the fraction:
 
     residual_fraction = c a^2 / (1 + b - side c a),

@@ -205,7 +205,7 @@ class Machine:
     def loads(self, take: Take, joints: Array, at_s: Array) -> tuple[Springs, Array]:
         """The springs at a place's joints (5,), and what a hand loads them with (n, 8)."""
         assert take.pushes is not None
-        true = self.arm.turned_joints(joints)
+        true = self._true_joints(take, joints, at_s)
         key = (true.tobytes(), at_s.tobytes())
         if key not in self._loads:
             springs = self.arm.springs(true, self.session.tool.tip_m)
@@ -213,6 +213,18 @@ class Machine:
             loads = springs.loaded(self._at_tip(rotation, take.pushes.wrench(at_s)))
             self._loads[key] = springs, loads
         return self._loads[key]
+
+    def _true_joints(self, take: Take, joints: Array, at_s: Array) -> Array:
+        """Where the arm stands (5,) while its joints tell `joints`; causes as at the middle of at_s.
+
+        A joint in its gap moves by far less than turns the springs.
+        """
+        true = self.arm.turned_joints(joints[None])
+        middle = at_s[len(at_s) // 2 : len(at_s) // 2 + 1]
+        then = Moment(take, middle, middle + take.start_s, take.course.at(middle))
+        for cause in self.causes:
+            true = cause.joints(then, true)
+        return np.asarray(true[0])
 
     def _at_tip(self, rotation: Array, wrench: Array) -> Array:
         """A wrench (n, 6) about the sensor's origin in ft_sensor, at the tip in base_link."""
