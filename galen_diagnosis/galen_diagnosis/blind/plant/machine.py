@@ -215,9 +215,9 @@ class Machine:
         return self._loads[key]
 
     def _true_joints(self, take: Take, joints: Array, at_s: Array) -> Array:
-        """Where the arm stands (5,) while its joints tell `joints`; causes as at the middle of at_s.
+        """Where the arm stands (5,) while its joints tell `joints`.
 
-        A joint in its gap moves by far less than turns the springs.
+        Causes are taken as at the middle of at_s: what a joint moves in its gap turns no spring.
         """
         true = self.arm.turned_joints(joints[None])
         middle = at_s[len(at_s) // 2 : len(at_s) // 2 + 1]
