@@ -237,8 +237,8 @@ def _ranking(chances: Posterior) -> tuple[tuple[str, float], ...]:
 
 
 def _next(explored: Explored, chances: Posterior, verdict: Verdict) -> Experiment | None:
-    """The experiment for the fits that are left, where one set isn't sure."""
-    if verdict in (NONE, UNKNOWN):
+    """The experiment for the fits that are left, where more than one is."""
+    if verdict != "ambiguous":
         return None
     found = explored.found
     left = []
