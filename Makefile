@@ -1,7 +1,7 @@
 # `make demo` and `make test` do all they need; `make help` lists the rest.
 SHELL := /bin/bash
 .DEFAULT_GOAL := help
-.PHONY: help setup networks build test test-slow lint demo bench clean
+.PHONY: help setup networks build test test-slow lint demo bench blind blind-short clean
 
 STARTER ?= python3
 SETUP = $(STARTER) scripts/setup_env.py
@@ -45,6 +45,12 @@ bench: build ## measure: evaluate against reading a bag, the nodes against a bar
 	@$(ENTER) && python -m galen_gravcomp.bag_benchmark $(ARGS)
 	@$(ENTER) && python -m galen_gravcomp.benchmark
 	@$(ENTER) && python -m galen_deflection.benchmark
+
+blind: build ## hide causes in recordings, diagnose them, score that (an hour or more)
+	@$(ENTER) && python -m galen_diagnosis.blind_check $(ARGS)
+
+blind-short: build ## the same with six recordings, always the same ones; must get them right
+	@$(ENTER) && python -m galen_diagnosis.blind_check --short --seed 1 --at-least 1
 
 clean: ## remove what was built; with ALL=1 the environment too
 	rm -rf build install log $(if $(ALL),.venv)
