@@ -32,8 +32,8 @@ TOLERANCES: Mapping[tuple[str, str], float | tuple[float, ...]] = {
     # What is left of a sensor's gains after its maker's matrix and an adjustment on the arm.
     ("axis_gain", ""): (_GAIN,) * 6,
     # Samples are stamped when they are read: within a fraction of a period of 2 to 10 ms.
-    ("wrench_delay", ""): 0.4e-3,
-    ("tracker_delay", ""): 0.5e-3,
+    ("wrench_delay", ""): 0.3e-3,
+    ("tracker_delay", ""): 0.3e-3,
     ("tracker_scale", ""): 0.05e-3,
     # A tool seated in its mount.
     ("loose_tool", ""): 0.01e-3,

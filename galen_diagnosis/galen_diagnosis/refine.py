@@ -24,7 +24,7 @@ from galen_diagnosis.linear import Background
 from galen_diagnosis.observation import UNKNOWNS, Observation, Unknowns
 
 _BASE = slice(6, 12)
-_MOST_STEPS = 8
+_MOST_STEPS = 12
 _ENOUGH = 0.02
 _LEAST_SCALE, _MOST_SCALE = 0.1, 10.0
 

@@ -39,6 +39,7 @@ _LINEAR_FORMS = {"cable_drag": 1, "backlash": 1}
 _WORTH = 2.0
 _WORTH_MORE = 4.0
 _HOPELESS = 15.0
+_IDLE = 9.0
 _SINGLES, _PAIRS_FROM, _PAIRS, _TRIPLES = 7, 3, 4, 2
 _FORMS_EACH = {"cable_drag": 3, "deflection_hysteresis": 2, "crosstalk": 2, "sensor_drift": 2}
 _WITHIN = 60.0
@@ -165,6 +166,7 @@ def search(observation: Observation, progress: Progress | None = None) -> Found:
     say("three together", 0.85)
     best_pairs = _best([p for p in pairs if p.log_bayes > _top(singles) + _WORTH], 1)
     hypotheses += _grown(observation, forms, best_pairs, _TRIPLES, none.cost)
+    hypotheses += _pruned(observation, forms, hypotheses, none.cost)
     lap("triples")
     ordered = sorted(hypotheses, key=lambda h: -h.log_bayes)
     return Found(
@@ -223,6 +225,26 @@ def _best(hypotheses: list[Hypothesis], most: int) -> list[Hypothesis]:
 
 def _top(hypotheses: list[Hypothesis]) -> float:
     return max((hypothesis.log_bayes for hypothesis in hypotheses), default=0.0)
+
+
+def _pruned(
+    observation: Observation, forms: _Forms, hypotheses: list[Hypothesis], none_cost: float
+) -> list[Hypothesis]:
+    """The best fit without those of its effects that do next to nothing in it.
+
+    A third effect may have helped the other two on their way to where they fit, and be idle there.
+    """
+    best = min(hypotheses, key=lambda hypothesis: hypothesis.cost)
+    idle = []
+    for values, where, part in zip(best.values, best.slices(), best.parts, strict=True):
+        off = values - part.start
+        block = np.linalg.pinv(best.covariance[where, where], hermitian=True)
+        idle.append(float(off @ block @ off) < _IDLE * len(values))
+    if len(best.parts) < 2 or not any(idle) or all(idle):
+        return []
+    kept = [k for k, is_idle in enumerate(idle) if not is_idle]
+    parts, values = [best.parts[k] for k in kept], [best.values[k] for k in kept]
+    return [refine(observation, forms.behind, parts, values, None, none_cost)]
 
 
 def _grown(
