@@ -5,7 +5,8 @@ Noise is taken as autoregressive,
     e_t = a_1 e_{t-1} + ... + a_p e_{t-p} + s w_t,   w white with unit variance,
 
 with a by Yule and Walker (Box, Jenkins, *Time Series Analysis*, 1976, section 3.2.2) from what is
-left of the residual after a smooth curve in each stretch, and the order p by the smallest BIC.
+left of the residual after a smooth curve in each stretch, and the order p by the smallest BIC with
+twice its penalty: colour that isn't sure is taken for chance.
 Taking the curve away makes the autocovariances too small. With P the projection, C the process'
 covariance and D_k the shift by k samples,
 
@@ -84,9 +85,9 @@ def channel_noise(
     """Noise of k channels; stretches of (at_s (n,), residual (n, k)).
 
     knot_s: the smooth curve that is taken away bends this often; what is slower isn't noise here.
-    A channel that doesn't vary at all (frozen) gets quantum_floor.
+    A channel that doesn't vary at all (frozen) gets quantum_floor. Empty where no stretch is long
+    enough to tell.
     """
-    width = stretches[0][1].shape[1] if stretches else 0
     lags = _HIGHEST_ORDER + 1
     pieces: list[tuple[Array, Array]] = []
     for at_s, residual in stretches:
@@ -96,7 +97,7 @@ def channel_noise(
                 basis, _ = np.linalg.qr(smooth_basis(at_s[rows], knot_s))
                 pieces.append((basis, residual[rows] - basis @ (basis.T @ residual[rows])))
     if not pieces:
-        return [ChannelNoise(np.zeros(0), quantum_floor)] * width
+        return []
     count = sum(len(left) for _, left in pieces)
     sums = np.array(
         [
@@ -142,7 +143,10 @@ def _autoregressive(covariance: Array, count: int, floor: float) -> ChannelNoise
     best = ChannelNoise(np.zeros(0), float(np.sqrt(variance)))
     best_score = count * np.log(variance)
     for order in range(1, _HIGHEST_ORDER + 1):
-        coefficients = solve_toeplitz(covariance[:order], covariance[1 : order + 1])
+        try:
+            coefficients = solve_toeplitz(covariance[:order], covariance[1 : order + 1])
+        except np.linalg.LinAlgError:  # one sample tells the next exactly
+            break
         innovation = variance - float(coefficients @ covariance[1 : order + 1])
         if innovation <= 0.0 or np.abs(np.roots([1.0, *(-coefficients)])).max() >= 0.995:
             break

@@ -25,6 +25,7 @@ from galen_model.tools import ToolGeometry
 from galen_sim_driver.effects.effect import Effect
 from galen_sim_driver.replay import Replay, Scene
 
+from galen_diagnosis.errors import DiagnosisError
 from galen_diagnosis.noise import ChannelNoise, channel_noise
 from galen_diagnosis.phases import (
     Phases,
@@ -44,6 +45,11 @@ _KNOT_S = {"sweep": 5.0, "motion": 0.4, "push": 5.0}
 _REST_KNOT_S = 5.0
 _TRACK_KNOT_S = 0.4
 _LEAST_NOISE = np.array([1e-4] * 3 + [1e-6] * 3 + [1e-7] * 12)
+_USUAL_TRACKER_NOISE = [
+    *[ChannelNoise(np.zeros(0), 3e-5)] * 3,
+    *[ChannelNoise(np.zeros(0), 1e-4)] * 3,
+]
+"""Of a tracker whose own noise can't be told: m, rad."""
 UNKNOWNS = 18
 
 
@@ -111,8 +117,8 @@ class BagView:
 class Observation:
     """What was measured, as rows; `residual` gives them under effects and unknowns."""
 
-    def __init__(self, recording: Recording, effects: Sequence[Effect] = ()) -> None:
-        """Whiten with the noise of what `effects` leave (none: of the nominal residual)."""
+    def __init__(self, recording: Recording) -> None:
+        """Whiten with the noise of the nominal residual; raises DiagnosisError for too little."""
         self.recording = recording
         self.base_in_tracker: Transform | None = None
         self.views: dict[str, BagView] = {}
@@ -129,6 +135,11 @@ class Observation:
             parts.append(values)
         joined = {key: np.concatenate([part[key] for part in meta]) for key in meta[0]}
         self.rows = Rows(**joined)
+        if first_block < 2:
+            raise DiagnosisError(
+                f"{recording.name}: one pose, or three seconds, is all there is; nothing is "
+                "left to score a fit on"
+            )
         self.nominal = np.concatenate(parts)
         self._none = {name: self._predictions(view, (), None) for name, view in self.views.items()}
 
@@ -249,21 +260,23 @@ class Observation:
         noise = channel_noise(
             _stretches(bag.wrench_s, residual, of.stretch, at_rest), _KNOT_S[name], 1e-6
         )
+        if not noise:
+            raise DiagnosisError(
+                f"{self.recording.name}/{name}: the arm never stays or moves long enough without a "
+                "gap in the wrenches to tell their noise"
+            )
         noise = [_at_least(one, floor) for one, floor in zip(noise, _LEAST_NOISE, strict=False)]
         stretch = of.stretch * 2 + is_touched
         groups = _groups(bag.wrench_s, stretch, _GROUP_S[name], max(n.order for n in noise))
         white, gain = _grouped(residual, noise, stretch, groups)
         shows = _mean(groups, at_rest.astype(float)) > 0.5
-        if name == "push" and not shows.any():
-            shows[:] = False
-        start = bag.start_s
         force = np.linalg.norm(residual[:, :3], axis=1)
         regime = moving_regime(of)
         if name == "push":
             regime = np.where(of.still, push_regime(bag.wrench_s, force, is_touched), regime)
         block = blocks(name, bag.wrench_s, of.pose)
         meta = self._meta(
-            name, start, groups, of, regime, block, bag.wrench_s, bag, shows, 0, noise
+            name, bag.start_s, groups, of, regime, block, bag.wrench_s, bag, shows, 0, noise
         )
         values = [white[shows].ravel()]
         thin = replace(
@@ -336,12 +349,15 @@ class Observation:
             channel_noise(
                 _stretches(at_s, off, of_track.stretch, of_track.still), _TRACK_KNOT_S, 1e-7
             )
-            or [ChannelNoise(np.zeros(0), 3e-5)] * 3 + [ChannelNoise(np.zeros(0), 1e-4)] * 3
+            or _USUAL_TRACKER_NOISE
         )
-        marker_noise = channel_noise(
-            _stretches(at_s, marker, np.zeros(len(at_s), int), np.ones(len(at_s), bool)),
-            _REST_KNOT_S,
-            1e-7,
+        marker_noise = (
+            channel_noise(
+                _stretches(at_s, marker, np.zeros(len(at_s), int), np.ones(len(at_s), bool)),
+                _REST_KNOT_S,
+                1e-7,
+            )
+            or _USUAL_TRACKER_NOISE
         )
         stretch = of_track.stretch
         order = max(n.order for n in (*tip_noise, *marker_noise))

@@ -46,7 +46,6 @@ def phases(at_s: Array, joint_s: Array, joints: Array) -> Phases:
         np.abs(velocity[:, :3]).max(axis=1) < _STILL_M_S
     )
     cuts = (np.diff(at_s) > _GAP_S) | (np.diff(still.astype(np.int8)) != 0)
-    # A jump of the joints across a gap is another pose, however short the gap.
     stretch = np.concatenate([[0], np.cumsum(cuts)])
     starts = np.flatnonzero(np.concatenate([[True], cuts]))
     ends = np.concatenate([starts[1:], [len(at_s)]])

@@ -147,6 +147,8 @@ class _Arm:
                 raise DiagnosisError(
                     f"{path}: stamps of {what} go back by {back_s:.3g} s, as when a clock is set"
                 )
+        if not np.isfinite(arm.joints).all(axis=1).any():
+            raise DiagnosisError(f"{path}: joint states don't name all five joints")
         joint_ns, joints = self._usable("joint states", arm.joint_stamp_ns, arm.joints)
         wrench_ns, wrenches = self._usable("wrenches", arm.wrench_stamp_ns, arm.wrenches)
         known = _within_reach(wrench_ns, joint_ns)

@@ -183,6 +183,8 @@ def floor_of_windows(
     """
     size = max(1, round(window_s / step_s))
     noise = channel_noise(stretches, max(_LONGEST_CURVE_S, 3.0 * window_s))
+    if not noise:
+        raise DiagnosisError(f"no stretch is long enough to tell {source}")
     variances = np.array([_of_means(channel, size) for channel in noise])
     together = float(np.clip(np.mean(variances[:, 1] / variances[:, 0]), 0.0, 0.99))
     if together < 0.02:

@@ -1,11 +1,13 @@
 """The whole diagnosis: on our simulated arm, and on an arm that we didn't write."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from galen_diagnosis.candidates import candidates
 from galen_diagnosis.diagnosing import diagnose_recording
+from galen_diagnosis.errors import DiagnosisError
 from galen_diagnosis.gap import closed_fraction
 from galen_diagnosis.observation import Observation, Unknowns
 from galen_diagnosis.recording import read_recording
@@ -37,6 +39,16 @@ def test_a_healthy_arms_rows_are_white_with_unit_variance(healthy):
         chance = np.sqrt(2.0 / len(own))
         assert np.mean(own**2) == pytest.approx(1.0, abs=5.0 * chance), CHANNELS[number]
         assert abs(np.mean(own[1:] * own[:-1])) < 5.0 / np.sqrt(len(own)), CHANNELS[number]
+
+
+def test_a_recording_too_short_to_hold_anything_out_is_an_error(healthy):
+    whole = healthy.recording.bags["sweep"]
+    few = replace(whole, wrench_s=whole.wrench_s[:60], wrenches=whole.wrenches[:60])
+    with pytest.raises(DiagnosisError, match="score a fit"):
+        Observation(replace(healthy.recording, bags={"sweep": few}))
+    slow = replace(whole, wrench_s=whole.wrench_s[::25], wrenches=whole.wrenches[::25])
+    with pytest.raises(DiagnosisError, match="noise"):
+        Observation(replace(healthy.recording, bags={"sweep": slow}))
 
 
 def test_a_block_is_held_out_whole(healthy):

@@ -36,6 +36,17 @@ def test_whitened_rows_are_white_with_unit_variance():
     assert abs(np.corrcoef(white[1:], white[:-1])[0, 1]) < 5.0 / np.sqrt(len(white))
 
 
+def test_of_short_stretches_no_noise_is_told():
+    assert channel_noise([(np.arange(14) * 0.01, np.zeros((14, 6)))] * 5, 1.0) == []
+    assert channel_noise([], 1.0) == []
+
+
+def test_a_channel_that_only_alternates_is_no_error():
+    turns = np.where(np.arange(100) % 2, 1.0, -1.0)[:, None]
+    (noise,) = channel_noise([(np.arange(100) * 0.01, turns)], 1.0)
+    assert np.isfinite(noise.gain)
+
+
 def test_a_frozen_channel_gets_the_floor():
     (noise,) = channel_noise([(np.arange(100) * 0.01, np.full((100, 1), 0.3))], 1.0, 1e-6)
     assert noise.innovation == 1e-6

@@ -86,7 +86,7 @@ def test_a_dead_axis_is_a_problem(tmp_path):
     ("change", "sentence"),
     [
         (lambda one: replace(one, wrench_stamp_ns=0 * one.wrench_stamp_ns), "0 usable wrenches"),
-        (lambda one: replace(one, joints=np.full((100, 5), np.nan)), "0 usable joint states"),
+        (lambda one: replace(one, joints=np.full((100, 5), np.nan)), "name all five joints"),
         (
             lambda one: replace(one, joint_stamp_ns=one.joint_stamp_ns[0] + 0 * np.arange(100)),
             "1 u",
