@@ -258,8 +258,9 @@ def _full_covariance(fit: Hypothesis) -> Array:
         size = len(effect.vector())
         block = np.zeros((size, size))
         free = part.free if len(part.free) <= size else np.arange(size)
-        inner = fit.covariance[where_, where_][: len(free), : len(free)]
-        block[np.ix_(free, free)] = inner
+        if not part.has_inputs:
+            inner = fit.covariance[where_, where_][: len(free), : len(free)]
+            block[np.ix_(free, free)] = inner
         blocks.append(block)
     return np.asarray(block_diag(*blocks))
 

@@ -17,10 +17,10 @@ from dataclasses import dataclass
 import numpy as np
 from galen_model.arrays import Array
 from galen_sim_driver.effects.effect import Effect
-from scipy.linalg import cho_factor, cho_solve
+from scipy.linalg import cho_solve
 
 from galen_diagnosis.candidates import Candidate
-from galen_diagnosis.linear import Background
+from galen_diagnosis.linear import Background, factor
 from galen_diagnosis.observation import UNKNOWNS, Observation, Unknowns
 
 _BASE = slice(6, 12)
@@ -120,8 +120,7 @@ def refine(
         precision = np.diag(1.0 / (typical * scale) ** 2) if parts else np.zeros((0, 0))
         move = np.zeros(0)
         if parts:
-            factor = cho_factor(gram + precision)
-            move = cho_solve(factor, along - precision @ (theta - centre))
+            move = cho_solve(factor(gram + precision), along - precision @ (theta - centre))
         nu = behind.fit(rows - columns @ move)
         turn = nu[_BASE]
         lowered = False

@@ -29,6 +29,8 @@ from galen_diagnosis.rows import BAGS
 
 _HOUR_S = 3600.0
 _KNOT_S = 15.0
+_MOST_PIECES = 80
+"""Of a drift: bags may lie hours apart, and six columns a piece fill the memory."""
 _BUMP = np.array([0.007] * 3 + [2e-4] * 3)
 _RATE = np.array([1.0] * 3 + [0.02] * 3)
 _STEP = np.array([0.1] * 3 + [3e-3] * 3)
@@ -100,7 +102,7 @@ def drift_candidates(observation: Observation, zero: Array) -> list[DriftCandida
     ramp = at_s / _HOUR_S
     steady = zero * ramp[:, None]
     ends = np.array([0.0, length])
-    pieces = max(round(length / _KNOT_S), 2)
+    pieces = min(max(round(length / _KNOT_S), 2), _MOST_PIECES)
     knots = np.linspace(0.0, length, pieces + 1)
     bumps = []
     for k in range(1, pieces):
@@ -182,9 +184,11 @@ def _scan(
     times: list[tuple[str, float]],
     typical: Array,
 ) -> Scan | None:
-    """Evidence of columns (N, 6) switched on at each time."""
+    """Evidence of columns (N, 6) switched on at each time; None where there is none to try."""
     if not times:
         return None
+    # Bags may not have been recorded in their usual order.
+    times = sorted(times, key=lambda time: float(_session_times(observation, [time])[0]))
     after = _session_times(observation, times)
     bins = np.searchsorted(after, observation.rows.session_s, side="right")
     count = len(after) + 1

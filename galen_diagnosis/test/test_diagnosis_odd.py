@@ -1,0 +1,90 @@
+"""What fits and scans do with columns and readings that aren't as they should be."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from galen_diagnosis.background import unknown_columns
+from galen_diagnosis.diagnosing import _full_covariance
+from galen_diagnosis.linear import Background
+from galen_diagnosis.observation import Observation, Unknowns
+from galen_diagnosis.recording import read_recording
+from galen_diagnosis.refine import Hypothesis
+from galen_diagnosis.saturation import SaturationCandidate
+from galen_diagnosis.scans import drift_candidates, scan_steps
+from galen_diagnosis.simulated_recording import make_recording, sweep_poses
+from galen_sim_driver.effects.sensor_saturation import SensorSaturation
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("odd") / "made"
+    make_recording(folder, seed=5, poses=sweep_poses()[::8], bags=("sweep", "motion"))
+    return read_recording(folder)
+
+
+def test_columns_that_are_alike_share_what_they_explain():
+    generator = np.random.default_rng(0)
+    column, other = generator.standard_normal((2, 50))
+    alone = Background(np.stack([column, other], axis=1), np.full(2, np.inf))
+    # Rounding can make a gram of twins indefinite; here it is singular for sure.
+    twins = np.stack([column, column, other], axis=1)
+    behind = Background(twins, np.full(3, np.inf))
+    rows = generator.standard_normal(50)
+    assert behind.sum_of_squares(rows) == pytest.approx(alone.sum_of_squares(rows), rel=1e-6)
+
+
+def test_a_step_is_found_whatever_order_the_bags_were_recorded_in(recording):
+    sweep, motion = recording.bags["sweep"], recording.bags["motion"]
+    jumped = sweep.wrenches + 0.5 * (sweep.wrench_s >= 10.0)[:, None]
+    bags = {
+        "sweep": replace(sweep, start_s=80.0, wrenches=jumped),
+        "motion": replace(motion, start_s=0.0),
+    }
+    observation = Observation(replace(recording, bags=bags))
+    unknown = unknown_columns(observation)
+    behind = Background(unknown, np.array([0.1] * 3 + [2e-3] * 3 + [np.inf] * 12))
+    scan = scan_steps(observation, unknown[:, :6], observation.nominal, behind)
+    bag, at_s = scan.times[scan.best()]
+    assert bag == "sweep"
+    assert at_s == pytest.approx(10.0, abs=0.5)
+
+
+def test_a_drift_over_days_between_bags_stays_small(recording):
+    motion = replace(recording.bags["motion"], start_s=3e5)
+    recording = replace(recording, bags={**recording.bags, "motion": motion})
+    observation = Observation(recording)
+    zero = unknown_columns(observation)[:, :6]
+    widths = [one.columns.shape[1] for one in drift_candidates(observation, zero)]
+    assert widths[0] == 6
+    assert widths[1] <= 6 * 80
+
+
+def test_loads_beyond_a_limit_are_no_covariance_of_the_limit():
+    effect = SensorSaturation(limit=4.0, axis="fz")
+    two = np.zeros(2)
+    part = SaturationCandidate(
+        "sensor_saturation",
+        "fz 4",
+        effect,
+        np.arange(2),
+        two,
+        two,
+        two + 2.0,
+        two,
+        two[:, None],
+        9.0,
+    )
+    fit = Hypothesis(
+        parts=(part,),
+        values=(two,),
+        covariance=np.eye(2),
+        columns=np.zeros((0, 2)),
+        effects=(effect,),
+        unknowns=Unknowns.none(),
+        rows=np.zeros(0),
+        raw_rows=np.zeros(0),
+        cost=0.0,
+        log_bayes=0.0,
+    )
+    assert np.array_equal(_full_covariance(fit), np.zeros((1, 1)))
