@@ -5,7 +5,7 @@
 makes recordings by the blind plant, with seeds and unknown kinds that `blind_check` never uses,
 explores each (CASES keeps what came out, so that a run can be taken up again), and fits the
 settings of `posterior.py` to the largest mean log probability of what was there, every kind of case
-counting the same. Half of the sessions are fitted, the other half tells whether that holds.
+counting the same, with a prior about the settings' defaults. Half of the sessions are fitted, the other half tells whether that holds.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import os
 import sys
 import tempfile
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -39,7 +39,12 @@ from galen_diagnosis.settings import Settings
 FIRST_SEED = 7_000_000
 """Seeds from here on are calibration's."""
 
-_LEAST = 1e-6
+_LEAST = 1e-3
+"""A single case costs no more than this probability: the plant's laws may be odd, too."""
+
+_SPREAD = (0.5, 0.5, 0.5, 0.3, 0.3, 0.5, 0.5, 0.5, 0.7, 0.4)
+"""Prior of the settings' logarithms about where they start: a hundred cases tell ten numbers, and
+the least so how well laws of other arms are known."""
 
 
 @dataclass(frozen=True)
@@ -141,12 +146,18 @@ def loss(cases: Sequence[Known], settings: Settings) -> float:
 
 
 def fitted(cases: Sequence[Known], start: Settings) -> Settings:
-    """Settings with the smallest loss, by Nelder and Mead on their logarithms."""
+    """Settings with the smallest loss beside their prior, by Nelder and Mead on logarithms."""
+    origin = _vector(Settings())
+
+    def cost(vector: np.ndarray) -> float:
+        prior = 0.5 * float(np.sum(((vector - origin) / np.array(_SPREAD)) ** 2))
+        return loss(cases, _settings(vector)) + prior / len(cases)
+
     result = minimize(
-        lambda vector: loss(cases, _settings(vector)),
+        cost,
         _vector(start),
         method="Nelder-Mead",
-        options={"maxiter": 1500, "xatol": 1e-2, "fatol": 1e-4, "adaptive": True},
+        options={"maxiter": 500, "xatol": 1e-2, "fatol": 1e-4, "adaptive": True},
     )
     return _settings(result.x)
 
@@ -219,7 +230,7 @@ def _run(given: argparse.Namespace) -> int:
         raise DiagnosisError(f"{given.cases}: no cases to calibrate on")
     cases = [known(json.loads(path.read_text(encoding="utf-8"))) for path in files]
     halves = cases[0::2], cases[1::2]
-    start = replace(Settings())
+    start = Settings()
     half = fitted(halves[0], start)
     everything = fitted(cases, half)
     outcome = {

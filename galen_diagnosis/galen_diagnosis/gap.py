@@ -7,6 +7,9 @@ of whitened rows, before, after and of noise alone,
     closed fraction = (E_before - E_after) / (E_before - E_floor),
 
 with an interval from drawing blocks with replacement, before and after from the same draw.
+
+What isn't a number of a fit was chosen on all blocks: which effects, in which form, when a jump
+was, how white the noise is. Loads beyond a clipped axis are fitted to the block left out itself.
 """
 
 from __future__ import annotations
@@ -65,7 +68,11 @@ def held_out_gap(
     columns: Array | None = None,
     progress: Callable[[str, float], None] | None = None,
 ) -> Gap:
-    """Every row predicted from the folds that it isn't in; the fit starts at the hypothesis'."""
+    """Every row predicted from the folds that it isn't in; the fit starts at the hypothesis'.
+
+    floor: mean square of a row that noise alone gives; columns (N, 18): of `unknown_columns`, where
+    they are known already.
+    """
     rows = observation.rows
     behind = plain_background(observation, columns)
     before, after = np.zeros(len(rows)), np.zeros(len(rows))
@@ -87,16 +94,16 @@ def held_out_gap(
         for part in fitted.parts:
             # Loads that the sensor didn't tell are inputs, as the reading is, and no parameters.
             if isinstance(part, SaturationCandidate) and part.beyond.shape[1]:
-                columns = part.beyond[out]
-                seen = np.any(columns != 0.0, axis=0)
-                loads = np.linalg.lstsq(columns[:, seen], everywhere[out], rcond=None)[0]
-                everywhere[out] -= columns[:, seen] @ loads
+                beyond = part.beyond[out]
+                seen = np.any(beyond != 0.0, axis=0)
+                loads = np.linalg.lstsq(beyond[:, seen], everywhere[out], rcond=None)[0]
+                everywhere[out] -= beyond[:, seen] @ loads
         after[out] = everywhere[out]
     return Gap(before, after, floor, closed_fraction(rows, before, after, floor))
 
 
 def closed_fraction(rows: Rows, before: Array, after: Array, floor: float) -> Interval | None:
-    """With its interval; None where before isn't above the floor."""
+    """Of rows before and after (N,), with its interval; None where before isn't above the floor."""
     blocks = int(rows.block.max()) + 1
     sums = [np.bincount(rows.block, part, blocks) for part in (before**2, after**2)]
     number = np.bincount(rows.block, minlength=blocks).astype(float)

@@ -22,7 +22,6 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import logsumexp
 
-from galen_diagnosis.answer import NONE, UNKNOWN
 from galen_diagnosis.refine import Hypothesis
 from galen_diagnosis.search import Found
 from galen_diagnosis.settings import Settings
@@ -137,6 +136,3 @@ def _log(one: Scored, before: float, settings: Settings) -> float:
     spread = one.energy / (1.0 + extra) + settings.dof * np.log1p(extra)
     cost = settings.effect_cost + settings.more_cost * (len(one.names) - 1)
     return -0.5 * float(spread) - one.occam - cost
-
-
-__all__ = ["NONE", "UNKNOWN", "Posterior", "Scored", "posterior", "scored"]

@@ -23,7 +23,6 @@ from galen_diagnosis.observation import Observation
 from galen_diagnosis.refine import Hypothesis, nothing, refine
 from galen_diagnosis.saturation import saturation_candidates
 from galen_diagnosis.scans import (
-    LinearCandidate,
     crosstalk_candidates,
     drift_candidates,
     jump_candidate,
@@ -288,6 +287,3 @@ def _grown(
             )
         )
     return out
-
-
-__all__ = ["Found", "LinearCandidate", "search"]
