@@ -18,6 +18,7 @@ from galen_sim_driver.effects.deflection_hysteresis import DeflectionHysteresis
 from galen_sim_driver.effects.effect import Instants, Loading, Posture
 from galen_sim_driver.effects.inertial_load import InertialLoad
 from galen_sim_driver.effects.joint_compliance import JointCompliance
+from galen_sim_driver.effects.sensor_drift import SensorDrift
 from galen_sim_driver.effects.tracker_delay import TrackerDelay
 from galen_sim_driver.effects.tracker_scale import TrackerScale
 from galen_sim_driver.errors import ConfigError
@@ -439,3 +440,15 @@ def test_the_bases_marker_moves_once_and_only_in_the_pushes():
     assert effect.base_marker(instants(100, "sweep")) is None
     still = scene(0.01 * np.arange(100), HOME)
     assert (Replay(still, [effect]).base_marker() == moved).all()
+
+
+def test_a_fraction_that_a_law_cant_leave_is_refused():
+    DeflectionHysteresis(residual_fraction=0.4, side=1.0, knee=2.0).validate()
+    DeflectionHysteresis(residual_fraction=0.38, side=-1.0, knee=2.0).validate()
+    with pytest.raises(ConfigError, match=r"stays below 0\.393"):
+        DeflectionHysteresis(residual_fraction=0.4, side=-1.0, knee=2.0).validate()
+
+
+def test_a_drifts_knots_must_be_numbers():
+    with pytest.raises(ConfigError, match="knots_s"):
+        SensorDrift(knots_s=(0.0, float("nan")), levels=(0.0,) * 12).validate()

@@ -145,11 +145,17 @@ class DeflectionHysteresis(Effect):
     _memory: ClassVar[_Memory | None] = None
 
     def validate(self) -> None:
-        """The form is one of the two, the side 1 or -1."""
+        """The form is one of the two, the side 1 or -1, and the law can leave that fraction."""
         if self.form not in FORMS:
             raise ConfigError(f"{self.name}: form is {self.form!r}, not one of {', '.join(FORMS)}")
         if self.side not in (1.0, -1.0):
             raise ConfigError(f"{self.name}: side is {self.side}, but must be 1 or -1")
+        most = -np.expm1(-1.0 / self.knee)
+        if self.form == "tip" and self.side < 0.0 and self.residual_fraction >= most:
+            raise ConfigError(
+                f"{self.name}: residual_fraction is {self.residual_fraction:g}, but with side -1 "
+                f"and knee {self.knee:g} it stays below {most:.3g}"
+            )
 
     @property
     def changes_nothing(self) -> bool:

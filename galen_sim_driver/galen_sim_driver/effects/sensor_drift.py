@@ -60,7 +60,7 @@ class SensorDrift(Effect):
 
     def validate(self) -> None:
         """Knots increase, and there are six levels at each."""
-        if len(self.knots_s) == 1 or np.any(np.diff(self.knots_s) <= 0.0):
+        if len(self.knots_s) == 1 or not np.all(np.diff(self.knots_s) > 0.0):
             raise ConfigError(f"{self.name}: knots_s must be two or more that increase, or none")
         if len(self.levels) != 6 * len(self.knots_s):
             raise ConfigError(
