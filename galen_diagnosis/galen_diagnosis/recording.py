@@ -99,13 +99,13 @@ def read_recording(
     for name, arm in arms.items():
         _check_frames(path / name, arm, tool_file)
     taken = {name: _Arm(path / name, arm) for name, arm in arms.items()}
-    session_ns = min(arm.first_ns for arm in taken.values())
+    session_ns = min(usable.first_ns for usable in taken.values())
     bags = {}
-    for name, arm in taken.items():
-        problems += [f"{name}: {problem}" for problem in arm.problems]
-        bags[name] = _bag(path / name, name, arm, session_ns, problems)
-    starts = [(bag.start_s, bag.start_s + bag.wrench_s[-1]) for bag in bags.values()]
-    if any(later[0] < before[1] for before, later in pairwise(starts)):
+    for name, usable in taken.items():
+        problems += [f"{name}: {problem}" for problem in usable.problems]
+        bags[name] = _bag(path / name, name, usable, session_ns, problems)
+    spans = [(bag.start_s, bag.start_s + bag.wrench_s[-1]) for bag in bags.values()]
+    if any(later[0] < before[1] for before, later in pairwise(spans)):
         problems.append(
             f"by their stamps the bags weren't recorded one after the other in the order "
             f"{', '.join(bags)}: drifts and jumps that last from bag to bag can't be trusted"

@@ -242,8 +242,8 @@ def _pruned(
     if len(best.parts) < 2 or not any(idle) or all(idle):
         return []
     kept = [k for k, is_idle in enumerate(idle) if not is_idle]
-    parts, values = [best.parts[k] for k in kept], [best.values[k] for k in kept]
-    return [refine(observation, forms.behind, parts, values, None, none_cost)]
+    parts, start = [best.parts[k] for k in kept], [best.values[k] for k in kept]
+    return [refine(observation, forms.behind, parts, start, None, none_cost)]
 
 
 def _grown(
