@@ -5,7 +5,8 @@
 makes recordings by the blind plant, with seeds and unknown kinds that `blind_check` never uses,
 explores each (CASES keeps what came out, so that a run can be taken up again), and fits the
 settings of `posterior.py` to the largest mean log probability of what was there, every kind of case
-counting the same, with a prior about the settings' defaults. Half of the sessions are fitted, the other half tells whether that holds.
+counting the same, with a prior about the settings' defaults. Half of the sessions are fitted, the
+other half tells whether that holds.
 """
 
 from __future__ import annotations
@@ -60,9 +61,11 @@ class Known:
         """Probability of what was there: sets of effects that hold one acceptable name for each."""
         if self.kind == "none":
             return of.none
+        # What is next to nothing may be called so; it must only not be called something else.
+        faint = self.strength == "faint" or all(NONE in names for names in self.acceptable)
+        right = of.none if faint else 0.0
         if self.kind.startswith("unknown"):
-            return of.unknown
-        right = of.none if all(NONE in names for names in self.acceptable) else 0.0
+            return of.unknown + right
         for one, chance in zip(self.scored, of.hypotheses, strict=True):
             if one.names and self._is_right(one.names):
                 right += chance
