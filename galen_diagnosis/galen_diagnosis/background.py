@@ -33,7 +33,8 @@ TOLERANCES: Mapping[tuple[str, str], float | tuple[float, ...]] = {
     ("axis_gain", ""): (_GAIN,) * 6,
     # Samples are stamped when they are read: within a fraction of a period of 2 to 10 ms.
     ("wrench_delay", ""): 0.3e-3,
-    ("tracker_delay", ""): 0.3e-3,
+    # A camera's exposure and way are known to a fraction of its period of 3 to 17 ms.
+    ("tracker_delay", ""): 1.0e-3,
     ("tracker_scale", ""): 0.05e-3,
     # A tool seated in its mount.
     ("loose_tool", ""): 0.01e-3,

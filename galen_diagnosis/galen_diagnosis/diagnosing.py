@@ -32,6 +32,9 @@ from galen_diagnosis.where import where
 Progress = Callable[[str, float], None]
 
 _SURE = 0.9
+_NO_GAP = 0.2
+"""A gap is said only where it is four times as likely as none: two dozen effects that are not there
+have some probability each."""
 _LISTED = 0.05
 _APART = 3.3
 """Two causes nearer than this in units of the noise can't be told apart (study of diagnosis)."""
@@ -159,12 +162,13 @@ def _verdict(explored: Explored, chances: Posterior) -> tuple[Verdict, Hypothesi
     best = next(
         (fit for _, names in sets if (fit := _fitted(explored.found, names)) is not None), None
     )
-    if best is None or chances.none >= max(0.5, chances.unknown):
+    if best is None or chances.none >= max(_NO_GAP, chances.unknown):
         return ("unknown" if chances.unknown > chances.none else "none"), None
     if chances.unknown >= 0.5:
         return "unknown", best
     # What can't be told from it hides behind one name: `_causes` says which.
-    return ("identified" if sets[0][0] >= _SURE else "ambiguous"), best
+    sure = sets[0][0] >= _SURE and sets[0][1] == frozenset(best.names)
+    return ("identified" if sure else "ambiguous"), best
 
 
 def _causes(
@@ -191,7 +195,7 @@ def _causes(
                 probability=chances.effects.get(part.effect, 0.0),
                 parameters=named,
                 equivalent=_equivalent(explored, fit, index),
-                gap_closed=closed if closed is not None else _share_closed(gap, fit, index),
+                gap_closed=closed or (_share_closed(gap, fit, index) if number == 0 else None),
                 extra=extra,
             )
     return tuple(sorted(causes.values(), key=lambda cause: -cause.probability))

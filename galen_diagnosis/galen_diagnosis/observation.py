@@ -43,6 +43,7 @@ _GROUP_S = {"sweep": 0.1, "motion": 0.025, "push": 0.1}
 _TRACK_GROUP_S = 0.05
 _KNOT_S = {"sweep": 5.0, "motion": 0.4, "push": 5.0}
 _REST_KNOT_S = 5.0
+_QUIET = 500
 _TRACK_KNOT_S = 0.4
 _LEAST_NOISE = np.array([1e-4] * 3 + [1e-6] * 3 + [1e-7] * 12)
 _USUAL_TRACKER_NOISE = [
@@ -257,8 +258,10 @@ class Observation:
             is_touched = touched(bag.wrench_s, of, residual, rough)
             scene = replace(scene, touched=is_touched)
         at_rest = ~is_touched
+        # Quick moves turn a gap into what looks like coloured noise; rest doesn't.
+        quiet = at_rest & of.still if (at_rest & of.still).sum() >= _QUIET else at_rest
         noise = channel_noise(
-            _stretches(bag.wrench_s, residual, of.stretch, at_rest), _KNOT_S[name], 1e-6
+            _stretches(bag.wrench_s, residual, of.stretch, quiet), _KNOT_S[name], 1e-6
         )
         if not noise:
             raise DiagnosisError(
@@ -430,7 +433,7 @@ class Observation:
         rows = {key: np.repeat(value[shows], 6, axis=0) for key, value in per_group.items()}
         count = int(shows.sum())
         rows["channel"] = np.tile(np.arange(first_channel, first_channel + 6), count)
-        std = np.array([n.innovation for n in noise])
+        std = np.array([1.0 / n.gain for n in noise])
         rows["scale"] = np.tile(std, count) / np.sqrt(rows["samples"])
         assert rows["channel"].max(initial=0) < len(CHANNELS)
         return rows

@@ -8,9 +8,9 @@ whose fit leaves the energy E_h the log likelihood is that of nu such directions
     l_h = -1/2 (E_h / (1 + v_h) + nu log(1 + v_h)) - Occam_h,
 
 with Occam_h = 1/2 log det(1 + L G) of the fit. "Unknown" is nu_u directions with the variance that
-fits best, l_u = -1/2 (nu_u + nu_u log(E_0 / nu_u)) - c_u, "none" has nothing but noise and a
-healthy arm's excess. Probabilities are softmax of eta l: eta < 1 tempers evidence that is
-never as good as its formula (Grünwald, van Ommen, Bayesian Analysis 12, 2017). Energies are counted
+fits best, l_u = -1/2 (nu_u + nu_u log(E_0 / nu_u)) , "none" has nothing but noise and a
+healthy arm's excess. Probabilities go as exp(eta l - c), with c what effects and unknown ones cost
+beforehand: eta < 1 tempers evidence that is never as good as its formula (Grünwald, van Ommen, Bayesian Analysis 12, 2017). Energies are counted
 from the noise, with what the best fit leaves of structure (`leftover.py`).
 """
 
@@ -27,7 +27,7 @@ from galen_diagnosis.search import Found
 from galen_diagnosis.settings import Settings
 
 _INPUTS_FREE = 0.8
-_FULL, _REST = 40.0, 0.25
+_FULL, _REST = 30.0, 0.1
 
 
 @dataclass(frozen=True)
@@ -66,7 +66,7 @@ def scored(found: Found, left: float) -> list[Scored]:
                 hypothesis.names,
                 energy,
                 _shares(hypothesis),
-                _bent(float(occam) * _counted(hypothesis)),
+                float(occam) * _counted(hypothesis),
             )
         )
     return out
@@ -114,8 +114,10 @@ def posterior(of: Sequence[Scored], settings: Settings) -> Posterior:
     logs = np.array([_log(one, none.energy, settings) for one in of])
     start = max(none.energy, settings.unknown_dof)
     spread = settings.unknown_dof * (1.0 + np.log(start / settings.unknown_dof))
-    unknown = -0.5 * spread - settings.unknown_cost
-    everything = settings.temper * np.append(logs, unknown)
+    costs = np.array([_cost(len(one.names), settings) for one in of])
+    # Evidence is tempered, what is likely beforehand is not.
+    everything = settings.temper * np.append(logs, -0.5 * spread)
+    everything -= np.append(costs, settings.unknown_cost)
     weights = np.exp(everything - logsumexp(everything))
     effects: dict[str, float] = {}
     for one, weight in zip(of, weights, strict=False):
@@ -134,5 +136,9 @@ def _log(one: Scored, before: float, settings: Settings) -> float:
     )
     extra = explained / settings.dof
     spread = one.energy / (1.0 + extra) + settings.dof * np.log1p(extra)
-    cost = settings.effect_cost + settings.more_cost * (len(one.names) - 1)
-    return -0.5 * float(spread) - one.occam - cost
+    return -0.5 * float(spread) - _bent(one.occam)
+
+
+def _cost(effects: int, settings: Settings) -> float:
+    """Minus the log of how likely so many effects are beforehand, none being 0."""
+    return settings.effect_cost + settings.more_cost * (effects - 1) if effects else 0.0

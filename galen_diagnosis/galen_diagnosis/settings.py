@@ -39,9 +39,9 @@ class Settings:
     )
     dof: float = 12.0
     unknown_dof: float = 20.0
-    unknown_cost: float = 8.0
-    effect_cost: float = 3.0
-    more_cost: float = 4.0
+    unknown_cost: float = 5.0
+    effect_cost: float = 5.0
+    more_cost: float = 3.0
     healthy: float = 1.0
     temper: float = 0.5
 
