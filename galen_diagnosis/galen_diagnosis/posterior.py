@@ -10,8 +10,9 @@ whose fit leaves the energy E_h the log likelihood is that of nu such directions
 with Occam_h = 1/2 log det(1 + L G) of the fit. "Unknown" is nu_u directions with the variance that
 fits best, l_u = -1/2 (nu_u + nu_u log(E_0 / nu_u)) , "none" has nothing but noise and a
 healthy arm's excess. Probabilities go as exp(eta l - c), with c what effects and unknown ones cost
-beforehand: eta < 1 tempers evidence that is never as good as its formula (Grünwald, van Ommen, Bayesian Analysis 12, 2017). Energies are counted
-from the noise, with what the best fit leaves of structure (`leftover.py`).
+beforehand: eta < 1 tempers evidence that is never as good as its formula (Grünwald, van Ommen,
+Bayesian Analysis 12, 2017). Energies are counted from the noise, with what the best fit leaves of
+structure (`leftover.py`).
 """
 
 from __future__ import annotations
