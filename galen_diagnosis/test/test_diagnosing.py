@@ -125,12 +125,10 @@ def test_without_pushes_the_answer_says_what_it_cant_tell(tmp_path):
     assert "axis_gain" in found | {name for cause in answer.causes for name in cause.equivalent}
 
 
+# Three of the six that were told, for the time that they take.
 CAUSES = {
     "recording_359": (),
     "recording_420": ("tool_mass_error", "wrench_delay"),
-    "recording_601": ("tilt_zero_offset",),
-    "recording_695": ("cable_drag",),
-    "recording_942": ("sensor_drift",),
     "recording_956": ("deflection_hysteresis",),
 }
 
