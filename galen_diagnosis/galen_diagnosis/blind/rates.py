@@ -36,12 +36,13 @@ class Rate(NamedTuple):
 
     def to_json(self) -> dict[str, Any]:
         """Value, interval and the counts."""
-        interval = self.interval
+        interval, value = self.interval, self.value
         return {
-            "value": self.value,
+            # Counts out of numpy are no integers to json.
+            "value": None if value is None else float(value),
             "wilson95": None if interval is None else list(interval),
-            "hits": self.hits,
-            "of": self.of,
+            "hits": int(self.hits),
+            "of": int(self.of),
         }
 
 
