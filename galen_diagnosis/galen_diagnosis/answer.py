@@ -45,7 +45,11 @@ class Cause:
 
 @dataclass(frozen=True)
 class Answer:
-    """The whole of `diagnosis.json`; `where`, `gap`, `next_experiment` as the contract has them."""
+    """The whole of `diagnosis.json`; `where`, `gap`, `next_experiment` as the contract has them.
+
+    left_over: what the best fit leaves, each with `what` it is a function of, `energy` over the
+    noise's and `log_bayes` against noise; the clearest first.
+    """
 
     recording: str
     verdict: Verdict
@@ -56,10 +60,11 @@ class Answer:
     next_experiment: dict[str, Any] | None
     sentence: str = ""
     cannot_tell: tuple[str, ...] = ()
+    left_over: tuple[dict[str, Any], ...] = ()
     problems: tuple[str, ...] = ()
 
     def to_json(self) -> dict[str, Any]:
-        """The file's content; `sentence`, `cannot_tell` and `problems` are beyond the contract."""
+        """The file's content; the contract doesn't have the last three and `sentence`."""
         return {
             "schema_version": 1,
             "recording": self.recording,
@@ -71,6 +76,7 @@ class Answer:
             "gap": self.gap,
             "next_experiment": self.next_experiment,
             "cannot_tell": list(self.cannot_tell),
+            "left_over": list(self.left_over),
             "problems": list(self.problems),
         }
 

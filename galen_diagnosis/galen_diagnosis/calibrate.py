@@ -40,6 +40,7 @@ from galen_diagnosis.settings import Settings
 FIRST_SEED = 7_000_000
 """Seeds from here on are calibration's."""
 
+_FAINT = 0.5
 _LEAST = 1e-3
 """A single case costs no more than this probability: the plant's laws may be odd, too."""
 
@@ -61,9 +62,11 @@ class Known:
         """Probability of what was there: sets of effects that hold one acceptable name for each."""
         if self.kind == "none":
             return of.none
-        # What is next to nothing may be called so; it must only not be called something else.
-        faint = self.strength == "faint" or all(NONE in names for names in self.acceptable)
-        right = of.none if faint else 0.0
+        # What can't be told from nothing may be called so. A faint cause can, just: "none" is half
+        # right there, as it is better than any other cause.
+        right = _FAINT * of.none if self.strength == "faint" else 0.0
+        if all(NONE in names for names in self.acceptable):
+            right = of.none
         if self.kind.startswith("unknown"):
             return of.unknown + right
         for one, chance in zip(self.scored, of.hypotheses, strict=True):
@@ -206,17 +209,26 @@ def main(args: Sequence[str] | None = None) -> int:
     )
     parser.add_argument("cases", type=Path, help="folder that keeps what came out of each case")
     parser.add_argument("--per-class", type=int, default=4, help="turns over all kinds (4)")
-    parser.add_argument("--part", default="0/1", metavar="I/N", help="make only every Nth case")
+    parser.add_argument(
+        "--part", type=_part, default=(0, 1), metavar="I/N", help="make only every Nth case"
+    )
     parser.add_argument("--fit-only", action="store_true", help="make no more cases")
     parser.add_argument("--write", action="store_true", help="write the package's calibration.json")
     given = parser.parse_args(args)
     return run_command(parser.prog, lambda: _run(given))
 
 
+def _part(text: str) -> tuple[int, int]:
+    first, slash, of = text.partition("/")
+    if not (slash and first.isdecimal() and of.isdecimal() and int(first) < int(of)):
+        raise argparse.ArgumentTypeError(f"{text!r:.20} is no part like 0/2 or 1/2")
+    return int(first), int(of)
+
+
 def _run(given: argparse.Namespace) -> int:
     os.environ.setdefault("OMP_NUM_THREADS", "1")
     given.cases.mkdir(parents=True, exist_ok=True)
-    part, parts = (int(number) for number in given.part.split("/"))
+    part, parts = given.part
     if not given.fit_only:
         mine = plan(given.per_class)[part::parts]
         for case in tqdm(mine, unit="case", disable=not sys.stderr.isatty()):

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from galen_model.arrays import Array
@@ -19,6 +20,7 @@ from galen_diagnosis.linear import Background, evidence
 from galen_diagnosis.next_experiment import Experiment, propose
 from galen_diagnosis.numbers_found import covariance, parameters
 from galen_diagnosis.observation import UNKNOWNS, Observation
+from galen_diagnosis.oscillation import Oscillation, oscillation
 from galen_diagnosis.posterior import Posterior, Scored, posterior, scored
 from galen_diagnosis.recording import Recording
 from galen_diagnosis.refine import Hypothesis, refine
@@ -27,6 +29,7 @@ from galen_diagnosis.search import Found, search
 from galen_diagnosis.sentence import sentence
 from galen_diagnosis.separation import Alternative
 from galen_diagnosis.settings import Settings, load_settings
+from galen_diagnosis.structure import Structure, structures
 from galen_diagnosis.where import where
 
 Progress = Callable[[str, float], None]
@@ -36,6 +39,8 @@ _NO_GAP = 0.2
 """A gap is said only where it is four times as likely as none: two dozen effects that are not there
 have some probability each."""
 _LISTED = 0.05
+_CLEAR = 5.0
+"""Log of the odds from which on what is left over is told."""
 _APART = 3.3
 """Two causes nearer than this in units of the noise can't be told apart (study of diagnosis)."""
 
@@ -47,24 +52,44 @@ class Explored:
     observation: Observation
     found: Found
     left: Leftover
+    structures: tuple[Structure, ...]
+    oscillation: Oscillation | None
     scored: tuple[Scored, ...]
 
 
 def explore(recording: Recording, progress: Progress | None = None) -> Explored:
     """Observe and search."""
+    say = progress or (lambda what, share: None)
     observation = Observation(recording)
     found = search(observation, progress)
     best = min(found.hypotheses, key=lambda hypothesis: hypothesis.cost)
     left = leftover(observation.rows, best.rows)
-    of = scored(found, left.sure)
+    say("what the best fit leaves", 0.86)
+    seen = structures(observation, _with_effects(found.behind, best), best.raw_rows)
+    fast = oscillation(observation.streams_with(best.effects, best.unknowns))
+    of = scored(found, max(left.sure, _sure_of(seen), 2.0 * fast.log_bayes if fast else 0.0))
+    least = min(one.energy for one in of)
     fitted = {one.names[0] for one in of if len(one.names) == 1}
     none = next(one for one in of if not one.names)
     for name, log in found.linear.items():
         if name not in fitted:
             # Not worth a fit: what its columns alone say.
-            energy = max(none.energy - 2.0 * max(log, 0.0), left.sure)
+            energy = max(none.energy - 2.0 * max(log, 0.0), least)
             of.append(Scored((name,), energy, (none.energy - energy,), max(-log, 0.0)))
-    return Explored(observation, found, left, tuple(of))
+    return Explored(observation, found, left, tuple(seen), fast, tuple(of))
+
+
+def _with_effects(behind: Background, fit: Hypothesis) -> Background:
+    """The background with a fit's effects, free, in it."""
+    return Background(
+        np.concatenate([behind.columns, fit.columns], axis=1),
+        np.concatenate([behind.prior_std, np.full(fit.columns.shape[1], np.inf)]),
+    )
+
+
+def _sure_of(seen: Sequence[Structure]) -> float:
+    """Energy of the clearest structure that so many looks don't make."""
+    return max(0.0, 2.0 * (seen[0].log_bayes - float(np.log(len(seen))))) if seen else 0.0
 
 
 def diagnose_recording(
@@ -92,14 +117,14 @@ def conclude(explored: Explored, settings: Settings, say: Progress) -> Diagnosis
     plain = plain_background(observation)
     say("held out", 0.88)
     floor = explored.left.floor
-    gap = held_out_gap(observation, best, floor, plain.columns, say)
+    gap = held_out_gap(observation, best, found.behind, floor, say)
     none = refine(observation, plain, (), ())
     whole = refine(observation, plain, best.parts, best.values, None, 0.0) if best.parts else none
     say("where", 0.96)
     streams_before = observation.streams_with((), none.unknowns)
     healthy = _healthy(found, plain)
     place = where(observation.rows, none.rows, streams_before, floor, healthy=healthy)
-    causes = _causes(explored, chances, verdict, best, gap) if best.parts else ()
+    causes = _causes(explored, chances, verdict, best, gap, settings) if best.parts else ()
     if verdict == NONE:
         causes = ()
     say("what next", 0.98)
@@ -114,6 +139,7 @@ def conclude(explored: Explored, settings: Settings, say: Progress) -> Diagnosis
         next_experiment=None if experiment is None else experiment.to_json(),
         cannot_tell=_cannot_tell(observation),
         problems=observation.recording.problems,
+        left_over=_left_over(explored),
     )
     answer = replace(answer, sentence=sentence(answer))
     effects = best.effects if verdict in ("identified", "ambiguous") else ()
@@ -172,11 +198,17 @@ def _verdict(explored: Explored, chances: Posterior) -> tuple[Verdict, Hypothesi
 
 
 def _causes(
-    explored: Explored, chances: Posterior, verdict: Verdict, best: Hypothesis, gap: Gap
+    explored: Explored,
+    chances: Posterior,
+    verdict: Verdict,
+    best: Hypothesis,
+    gap: Gap,
+    settings: Settings,
 ) -> tuple[Cause, ...]:
     """The best fit's effects; where it is ambiguous, those of the other likely fits as well."""
     found = explored.found
     causes: dict[str, Cause] = {}
+    left = min(one.energy for one in explored.scored)
     fits = [best]
     if verdict == "ambiguous":
         for chance, names in _sets(explored, chances):
@@ -184,7 +216,7 @@ def _causes(
             if chance >= _LISTED and fit is not None and fit is not best:
                 fits.append(fit)
     for number, fit in enumerate(fits):
-        spread = covariance(explored.observation, found.behind, fit)
+        spread = covariance(explored.observation, found.behind, fit, settings, left)
         told = parameters(explored.observation, fit, spread)
         for index, (part, (named, extra)) in enumerate(zip(fit.parts, told, strict=True)):
             if part.effect in causes:
@@ -267,6 +299,21 @@ def _full_covariance(fit: Hypothesis) -> Array:
             block[np.ix_(free, free)] = inner
         blocks.append(block)
     return np.asarray(block_diag(*blocks))
+
+
+def _left_over(explored: Explored) -> tuple[dict[str, Any], ...]:
+    """What the best fit leaves goes with, as far as that is no chance."""
+    looks = float(np.log(max(len(explored.structures), 1)))
+    found: list[dict[str, Any]] = [
+        {"what": one.name, "energy": one.energy, "log_bayes": one.log_bayes - looks}
+        for one in explored.structures
+    ]
+    fast = explored.oscillation
+    if fast is not None:
+        what = f"wrench in {fast.bag} at {fast.from_hz:g} to {fast.to_hz:g} Hz"
+        found.append({"what": what, "energy": fast.energy, "log_bayes": fast.log_bayes})
+    clear = [one for one in found if one["log_bayes"] > _CLEAR]
+    return tuple(sorted(clear, key=lambda one: -one["log_bayes"]))
 
 
 def _cannot_tell(observation: Observation) -> tuple[str, ...]:

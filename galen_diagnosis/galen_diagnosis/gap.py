@@ -1,8 +1,11 @@
 """How far the gap shrinks, on blocks that no fit has seen.
 
-Blocks (a pose with its move, three seconds) are dealt to folds; effects and unknowns are fitted on
-the others and the simulator, with the effects in it, predicts the one left out. With mean squares E
-of whitened rows, before, after and of noise alone,
+Blocks (a pose with its move, three seconds) are dealt to folds; effects, unknowns and what a
+healthy arm may be off (`background.py`) are fitted on the others and the simulator, with the
+effects in it, predicts the one left out. "Before" is the same arm without the effects: what it is
+off stays as it was fitted beside them, unknowns are fitted anew. So tolerances, which are no gap,
+neither close it nor stand in the way of seeing it closed. With mean squares E of whitened rows,
+before, after and of noise alone,
 
     closed fraction = (E_before - E_after) / (E_before - E_floor),
 
@@ -23,7 +26,7 @@ from galen_model.arrays import Array
 from galen_diagnosis.answer import Interval
 from galen_diagnosis.background import unknown_columns
 from galen_diagnosis.linear import Background
-from galen_diagnosis.observation import Observation
+from galen_diagnosis.observation import UNKNOWNS, Observation
 from galen_diagnosis.refine import Hypothesis, refine
 from galen_diagnosis.rows import FOLDS, Rows
 from galen_diagnosis.saturation import SaturationCandidate
@@ -54,27 +57,24 @@ class Gap:
         }
 
 
-def plain_background(observation: Observation, columns: Array | None = None) -> Background:
-    """Only what isn't known and no gap; no tolerances, which would close some of it."""
-    if columns is None:
-        columns = unknown_columns(observation)
+def plain_background(observation: Observation) -> Background:
+    """Only what isn't known and no gap, against which the nominal arm itself is shown."""
+    columns = unknown_columns(observation)
     return Background(columns, np.array([0.1] * 3 + [2e-3] * 3 + [np.inf] * 12))
 
 
 def held_out_gap(
     observation: Observation,
     hypothesis: Hypothesis,
+    behind: Background,
     floor: float,
-    columns: Array | None = None,
     progress: Callable[[str, float], None] | None = None,
 ) -> Gap:
     """Every row predicted from the folds that it isn't in; the fit starts at the hypothesis'.
 
-    floor: mean square of a row that noise alone gives; columns (N, 18): of `unknown_columns`, where
-    they are known already.
+    behind: unknowns and tolerances; floor: mean square of a row that noise alone gives.
     """
     rows = observation.rows
-    behind = plain_background(observation, columns)
     before, after = np.zeros(len(rows)), np.zeros(len(rows))
     for fold in range(FOLDS):
         if progress is not None:
@@ -82,15 +82,17 @@ def held_out_gap(
         out = rows.fold == fold
         if not out.any() or out.all():
             continue
-        kept = _only(behind, ~out)
-        nominal = observation.nominal
-        nu = kept.fit(np.where(out, 0.0, nominal))
-        before[out] = (nominal - behind.columns @ nu)[out]
-        if not hypothesis.parts:
-            after[out] = before[out]
-            continue
-        fitted = refine(observation, kept, hypothesis.parts, hypothesis.values, ~out, none_cost=0.0)
-        everywhere = observation.residual(fitted.effects, fitted.unknowns)
+        fitted = refine(
+            observation,
+            _only(behind, ~out),
+            hypothesis.parts,
+            hypothesis.values,
+            ~out,
+            none_cost=0.0,
+        )
+        healthy = behind.columns[:, UNKNOWNS:] @ fitted.background[UNKNOWNS:]
+        before[out] = without_unknowns(behind, observation.nominal - healthy, out)
+        everywhere = observation.residual(fitted.effects, fitted.unknowns) - healthy
         for part in fitted.parts:
             # Loads that the sensor didn't tell are inputs, as the reading is, and no parameters.
             if isinstance(part, SaturationCandidate) and part.beyond.shape[1]:
@@ -126,6 +128,13 @@ def closed_fraction(rows: Rows, before: Array, after: Array, floor: float) -> In
 
 def _fraction(before: float, after: float, floor: float) -> float | None:
     return None if before <= floor else float((before - after) / (before - floor))
+
+
+def without_unknowns(behind: Background, rows: Array, out: np.ndarray) -> Array:
+    """Rows left out (m,), less the unknowns as the other rows (N,) tell them."""
+    columns = behind.columns[:, :UNKNOWNS]
+    unknowns = _only(Background(columns, behind.prior_std[:UNKNOWNS]), ~out)
+    return np.asarray(rows[out] - columns[out] @ unknowns.fit(np.where(out, 0.0, rows)))
 
 
 def _only(behind: Background, keep: np.ndarray) -> Background:

@@ -13,7 +13,7 @@ from galen_model.arrays import Array
 
 from galen_diagnosis.rows import BAGS, CHANNELS, Rows
 
-_CELL_S = {"motion": 0.5, "push": 0.5}
+_CELL_S = 0.5
 _SURE = 2.0
 _FLOOR_ERROR = 0.04
 
@@ -30,15 +30,16 @@ class Leftover(NamedTuple):
 
 
 def cells(rows: Rows) -> np.ndarray:
-    """Cell (N,) of each row: a channel of a pose, or of half a second."""
+    """Cell (N,) of each row: a channel of a pose of the sweep, else of half a second."""
     piece = np.zeros(len(rows), dtype=np.int64)
     for number, name in enumerate(BAGS):
         here = rows.bag == number
+        halves = np.floor(rows.bag_s[here] / _CELL_S).astype(np.int64)
         if name == "sweep":
+            # A pose is a cell; a move, over which everything changes, is several.
             still = rows.pose[here] >= 0
-            piece[here] = rows.block[here] * 2 + still
-        else:
-            piece[here] = np.floor(rows.bag_s[here] / _CELL_S[name]).astype(np.int64)
+            halves[still] = -1 - rows.block[here][still]
+        piece[here] = halves
     key = (piece * len(BAGS) + rows.bag) * len(CHANNELS) + rows.channel
     return np.unique(key, return_inverse=True)[1]
 

@@ -6,7 +6,13 @@ Zeger, Biometrika 73, 1986),
 
     H^-1 (sum_b g_b g_b^T) H^-1,    g_b = J_b^T r_b,
 
-with J the columns of background and effects together.
+with J the columns of background and effects together. Nor is an effect's law quite the arm's: it
+may be wrong along its own parameters, too, which leaves no trace. With the posterior's discrepancy
+(`posterior.py`), nu directions whose variance is 1 + v beside noise's 1, Laplace's covariance
+counts (1 + v) times. Beforehand v = kappa^2 (energy explained) / nu, which weighs as _FIRM
+directions do; the energy L that the fit leaves tells of the others:
+
+    v = (_FIRM kappa^2 E / nu + L) / (_FIRM + nu).
 """
 
 from __future__ import annotations
@@ -20,23 +26,42 @@ from galen_model.kinematics import sensor_pose
 from galen_sim_driver.effects.cable_drag import CableDrag
 from galen_sim_driver.effects.effect import Effect
 from galen_sim_driver.effects.registry import contract_parameters, extra_parameters
+from scipy.linalg import cho_solve
 
 from galen_diagnosis.answer import Interval
-from galen_diagnosis.linear import Background
+from galen_diagnosis.candidates import Candidate
+from galen_diagnosis.linear import Background, factor
 from galen_diagnosis.observation import Observation
+from galen_diagnosis.posterior import energies_explained
 from galen_diagnosis.refine import Hypothesis
+from galen_diagnosis.saturation import SaturationCandidate
+from galen_diagnosis.scans import JumpCandidate
+from galen_diagnosis.settings import Settings
 
 _DRAWS = 400
 _SEED = 1956
-_TIMES = {"bias_step": 0.5, "base_shift": 0.3}
-"""By how much a jump's time may lie off, s: the grid's step, and that a jump takes a moment."""
+_FIRM = 9.0
 
 
-def covariance(observation: Observation, behind: Background, hypothesis: Hypothesis) -> Array:
-    """Of all numbers of a hypothesis (p, p): Laplace's, widened to the sandwich."""
+def covariance(
+    observation: Observation,
+    behind: Background,
+    hypothesis: Hypothesis,
+    settings: Settings,
+    left: float,
+) -> Array:
+    """Of all numbers of a hypothesis (p, p): Laplace's with its laws' errors, or the sandwich.
+
+    left: energy that the fit leaves over the noise.
+    """
     if not hypothesis.parts:
         return hypothesis.covariance
     laplace = hypothesis.covariance
+    shares = energies_explained(hypothesis)
+    wrong = np.empty(len(laplace))
+    for part, where, share in zip(hypothesis.parts, hypothesis.slices(), shares, strict=True):
+        before = _FIRM * settings.kappa_of(part.effect) ** 2 * share / settings.dof
+        wrong[where] = np.sqrt(1.0 + (before + left) / (_FIRM + settings.dof))
     columns = np.concatenate([behind.columns, hypothesis.columns], axis=1)
     width = behind.columns.shape[1]
     precision = np.zeros(columns.shape[1])
@@ -54,9 +79,10 @@ def covariance(observation: Observation, behind: Background, hypothesis: Hypothe
     scores = np.add.reduceat(weighted, np.concatenate([[0], edges]), axis=0)
     silent = np.diag(hessian) <= 0.0
     hessian[silent, silent] = 1.0
-    bread = np.linalg.solve(hessian, scores.T)[width:]
+    bread = cho_solve(factor(hessian), scores.T)[width:]
     sandwich = bread @ bread.T
-    widen = np.sqrt(np.maximum(np.diag(sandwich) / np.maximum(np.diag(laplace), 1e-300), 1.0))
+    widen = np.sqrt(np.diag(sandwich) / np.maximum(np.diag(laplace), 1e-300))
+    widen = np.maximum(widen, wrong)
     return np.asarray(laplace * np.outer(widen, widen))
 
 
@@ -76,7 +102,7 @@ def parameters(
         told = _told(observation, effect)
         draws = [_told(observation, one) for one in drawn]
         named = {
-            name: _interval(part.effect, name, value, [draw[name] for draw in draws])
+            name: _interval(part, name, value, [draw[name] for draw in draws])
             for name, value in told.items()
         }
         if part.effect == "joint_compliance":
@@ -99,12 +125,14 @@ def _told(observation: Observation, effect: Effect) -> Mapping[str, Any]:
     return told
 
 
-def _interval(effect: str, name: str, value: Any, draws: list[Any]) -> Any:
+def _interval(part: Candidate, name: str, value: Any, draws: list[Any]) -> Any:
     if isinstance(value, str):
         return value
-    if name == "time_s":
-        near = _TIMES[effect]
-        return Interval(float(value), max(0.0, float(value) - near), float(value) + near)
+    if name == "time_s" and isinstance(part, JumpCandidate):
+        return Interval(float(value), part.from_s, part.to_s)
+    if isinstance(part, SaturationCandidate):
+        # Where readings pile up is known to the noise of one of them.
+        return Interval(float(value), float(value) - part.noise, float(value) + part.noise)
     low, high = np.quantile(np.array(draws, dtype=float), [0.025, 0.975], axis=0)
     if isinstance(value, list | tuple):
         return [

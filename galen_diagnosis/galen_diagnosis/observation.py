@@ -26,6 +26,7 @@ from galen_sim_driver.effects.effect import Effect
 from galen_sim_driver.replay import Replay, Scene
 
 from galen_diagnosis.errors import DiagnosisError
+from galen_diagnosis.grouping import Groups, group_mean, groups_of, middle, stretches, whitened
 from galen_diagnosis.noise import ChannelNoise, channel_noise
 from galen_diagnosis.phases import (
     Phases,
@@ -84,15 +85,6 @@ class Unknowns:
     def marker(self) -> Array:
         """Of the base's marker (6,)."""
         return self.values[12:]
-
-
-@dataclass(frozen=True)
-class _Group:
-    """Samples of one stream in groups: which (n,) (-1 for none), mean time, number of samples."""
-
-    which: np.ndarray
-    at_s: Array
-    count: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -174,6 +166,16 @@ class Observation:
                 )
             ]
         return np.concatenate(out)
+
+    def nominal_reading(self, name: str) -> Array:
+        """What the nominal arm would read at a bag's wrench rows (nw, 6)."""
+        return self._none[name][0][self.views[name].shows]
+
+    def applied_load(self, name: str) -> tuple[Array, Array]:
+        """Times (n,) and the hand's wrench (n, 6), as the nominal arm tells it; 0 untouched."""
+        scene = self.views[name].scene
+        load = scene.reading - self._none[name][0]
+        return scene.wrench_s, np.where(scene.touched[:, None], load, 0.0)
 
     def streams_with(
         self, effects: Sequence[Effect], unknowns: Unknowns | None = None
@@ -261,7 +263,7 @@ class Observation:
         # Quick moves turn a gap into what looks like coloured noise; rest doesn't.
         quiet = at_rest & of.still if (at_rest & of.still).sum() >= _QUIET else at_rest
         noise = channel_noise(
-            _stretches(bag.wrench_s, residual, of.stretch, quiet), _KNOT_S[name], 1e-6
+            stretches(bag.wrench_s, residual, of.stretch, quiet), _KNOT_S[name], 1e-6
         )
         if not noise:
             raise DiagnosisError(
@@ -270,9 +272,9 @@ class Observation:
             )
         noise = [_at_least(one, floor) for one, floor in zip(noise, _LEAST_NOISE, strict=False)]
         stretch = of.stretch * 2 + is_touched
-        groups = _groups(bag.wrench_s, stretch, _GROUP_S[name], max(n.order for n in noise))
-        white, gain = _grouped(residual, noise, stretch, groups)
-        shows = _mean(groups, at_rest.astype(float)) > 0.5
+        groups = groups_of(bag.wrench_s, stretch, _GROUP_S[name], max(n.order for n in noise))
+        white, gain = whitened(residual, noise, stretch, groups)
+        shows = group_mean(groups, at_rest.astype(float)) > 0.5
         force = np.linalg.norm(residual[:, :3], axis=1)
         regime = moving_regime(of)
         if name == "push":
@@ -285,8 +287,8 @@ class Observation:
         thin = replace(
             scene,
             wrench_s=groups.at_s,
-            reading=_mean(groups, scene.reading),
-            touched=_mean(groups, is_touched.astype(float)) > 0.5,
+            reading=group_mean(groups, scene.reading),
+            touched=group_mean(groups, is_touched.astype(float)) > 0.5,
             tracker_s=np.zeros(0),
         )
         shown = np.where(at_rest[:, None], residual, np.nan)
@@ -325,7 +327,7 @@ class Observation:
         is_touched: np.ndarray,
         regime: np.ndarray,
         force: Array,
-    ) -> tuple[_Group, Array, Array, list[Array], list[dict[str, np.ndarray]]]:
+    ) -> tuple[Groups, Array, Array, list[Array], list[dict[str, np.ndarray]]]:
         tool, base = bag.tool_marker, bag.base_marker
         assert tool is not None
         assert base is not None
@@ -350,13 +352,13 @@ class Observation:
         off[moves] = np.nan  # in motion the tracker's own delay says more than the arm
         tip_noise = (
             channel_noise(
-                _stretches(at_s, off, of_track.stretch, of_track.still), _TRACK_KNOT_S, 1e-7
+                stretches(at_s, off, of_track.stretch, of_track.still), _TRACK_KNOT_S, 1e-7
             )
             or _USUAL_TRACKER_NOISE
         )
         marker_noise = (
             channel_noise(
-                _stretches(at_s, marker, np.zeros(len(at_s), int), np.ones(len(at_s), bool)),
+                stretches(at_s, marker, np.zeros(len(at_s), int), np.ones(len(at_s), bool)),
                 _REST_KNOT_S,
                 1e-7,
             )
@@ -364,9 +366,9 @@ class Observation:
         )
         stretch = of_track.stretch
         order = max(n.order for n in (*tip_noise, *marker_noise))
-        groups = _groups(at_s, stretch, _TRACK_GROUP_S, order)
-        tip_white, tip_gain = _grouped(off, tip_noise, stretch, groups)
-        marker_white, marker_gain = _grouped(marker, marker_noise, stretch, groups)
+        groups = groups_of(at_s, stretch, _TRACK_GROUP_S, order)
+        tip_white, tip_gain = whitened(off, tip_noise, stretch, groups)
+        marker_white, marker_gain = whitened(marker, marker_noise, stretch, groups)
         # Rows that say nothing weigh nothing; the shapes stay simple.
         for white, gain in ((tip_white, tip_gain), (marker_white, marker_gain)):
             dead = ~np.isfinite(white)
@@ -403,7 +405,7 @@ class Observation:
         self,
         name: str,
         start_s: float,
-        groups: _Group,
+        groups: Groups,
         of: Phases,
         regime: np.ndarray,
         block: np.ndarray,
@@ -414,20 +416,20 @@ class Observation:
         noise: list[ChannelNoise],
     ) -> dict[str, np.ndarray]:
         """Rows' whereabouts: of each group shown, six rows, one a channel."""
-        middle = _middle(groups)
+        central = middle(groups)
         joints = np.stack(
             [np.interp(groups.at_s, bag.joint_s, column) for column in bag.joints.T], axis=1
         )
         per_group = {
             "bag": np.full(len(groups.at_s), BAGS.index(name)),
-            "regime": regime[middle],
+            "regime": regime[central],
             "bag_s": groups.at_s,
             "session_s": groups.at_s + start_s,
-            "pose": of.pose[middle],
-            "block": block[middle],
+            "pose": of.pose[central],
+            "block": block[central],
             "fold": np.zeros(len(groups.at_s), dtype=int),
             "joints": joints,
-            "rate": of.rate[middle],
+            "rate": of.rate[central],
             "samples": groups.count,
         }
         rows = {key: np.repeat(value[shows], 6, axis=0) for key, value in per_group.items()}
@@ -460,62 +462,6 @@ def _difference(new: Array, old: Array, kind: str) -> Array:
 
 def _at_least(noise: ChannelNoise, floor: float) -> ChannelNoise:
     return noise if noise.innovation >= floor else ChannelNoise(np.zeros(0), floor)
-
-
-def _stretches(
-    at_s: Array, residual: Array, stretch: np.ndarray, use: np.ndarray
-) -> list[tuple[Array, Array]]:
-    """Runs of usable samples within one stretch."""
-    key = np.where(use & np.isfinite(residual).all(axis=1), stretch, -1)
-    cuts = np.flatnonzero(np.diff(key) != 0) + 1
-    runs = np.split(np.arange(len(at_s)), cuts)
-    return [(at_s[run], residual[run]) for run in runs if len(run) and key[run[0]] >= 0]
-
-
-def _groups(at_s: Array, stretch: np.ndarray, length_s: float, order: int) -> _Group:
-    """Samples of each stretch in groups of about length_s; the first `order` of it in none."""
-    step = max(float(np.median(np.diff(at_s))), 1e-6)
-    most = max(round(length_s / step), 1)
-    which = np.full(len(at_s), -1)
-    number = 0
-    for run in np.split(np.arange(len(at_s)), np.flatnonzero(np.diff(stretch) != 0) + 1):
-        for part in np.array_split(run[order:], max(1, -(-(len(run) - order) // most))):
-            if len(part):
-                which[part] = number
-                number += 1
-    groups = _Group(which, np.zeros(number), np.bincount(which[which >= 0], minlength=number))
-    return replace(groups, at_s=_mean(groups, at_s))
-
-
-def _mean(groups: _Group, values: Array) -> Array:
-    """Mean (m, ...) of values (n, ...) over each group."""
-    inside = groups.which >= 0
-    flat = values[inside].reshape(int(inside.sum()), -1)
-    sums = np.stack(
-        [np.bincount(groups.which[inside], column, len(groups.count)) for column in flat.T], axis=1
-    )
-    return (sums / groups.count[:, None]).reshape(len(groups.count), *values.shape[1:])
-
-
-def _middle(groups: _Group) -> np.ndarray:
-    """The sample in the middle of each group."""
-    inside = np.flatnonzero(groups.which >= 0)
-    first = np.searchsorted(groups.which[inside], np.arange(len(groups.count)))
-    return inside[first + groups.count // 2]
-
-
-def _grouped(
-    residual: Array, noise: list[ChannelNoise], stretch: np.ndarray, groups: _Group
-) -> tuple[Array, Array]:
-    """Whitened rows (m, k) of samples (n, k), and what a constant 1 becomes in them (m, k)."""
-    white = np.empty_like(residual)
-    runs = np.split(np.arange(len(residual)), np.flatnonzero(np.diff(stretch) != 0) + 1)
-    for column, one in enumerate(noise):
-        for run in runs:
-            white[run, column] = one.whitened(residual[run, column])
-    root = np.sqrt(groups.count)[:, None]
-    gain = root * np.array([one.gain for one in noise])
-    return _mean(groups, white) * root, gain
 
 
 def _registered(tool: Track, rotation: Array, position: Array, rest: np.ndarray) -> Transform:

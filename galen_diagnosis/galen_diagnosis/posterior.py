@@ -7,12 +7,16 @@ whose fit leaves the energy E_h the log likelihood is that of nu such directions
 
     l_h = -1/2 (E_h / (1 + v_h) + nu log(1 + v_h)) - Occam_h,
 
-with Occam_h = 1/2 log det(1 + L G) of the fit. "Unknown" is nu_u directions with the variance that
-fits best, l_u = -1/2 (nu_u + nu_u log(E_0 / nu_u)) , "none" has nothing but noise and a
-healthy arm's excess. Probabilities go as exp(eta l - c), with c what effects and unknown ones cost
+with Occam_h = 1/2 log det(1 + L G) of the fit. "Unknown" is something unlisted beside one of these,
+or alone: nu_u directions with the variance that fits best, which take what the best fit leaves, L,
+
+    l_u = max_h -1/2 (E_h - L + nu_u + nu_u log(L / nu_u)) - Occam_h,
+
+and all of E_0 where nothing listed is there. "None" has nothing but noise and a healthy arm's
+excess. Probabilities go as exp(eta l - c), with c what effects and unknown ones cost
 beforehand: eta < 1 tempers evidence that is never as good as its formula (Grünwald, van Ommen,
 Bayesian Analysis 12, 2017). Energies are counted from the noise, with what the best fit leaves of
-structure (`leftover.py`).
+structure (`leftover.py`, `structure.py`, `oscillation.py`).
 """
 
 from __future__ import annotations
@@ -66,7 +70,7 @@ def scored(found: Found, left: float) -> list[Scored]:
             Scored(
                 hypothesis.names,
                 energy,
-                _shares(hypothesis),
+                energies_explained(hypothesis),
                 float(occam) * _counted(hypothesis),
             )
         )
@@ -97,8 +101,8 @@ def _bent(occam: float) -> float:
     return occam if occam < _FULL else _FULL + _REST * (occam - _FULL)
 
 
-def _shares(hypothesis: Hypothesis) -> tuple[float, ...]:
-    """theta_i^T cov_ii^-1 theta_i: by how much F rises without effect i, linearly."""
+def energies_explained(hypothesis: Hypothesis) -> tuple[float, ...]:
+    """Of each part theta_i^T cov_ii^-1 theta_i: by how much F rises without effect i, linearly."""
     shares = []
     for part, values, where in zip(
         hypothesis.parts, hypothesis.values, hypothesis.slices(), strict=True
@@ -113,12 +117,15 @@ def posterior(of: Sequence[Scored], settings: Settings) -> Posterior:
     """Probabilities."""
     none = next(one for one in of if not one.names)
     logs = np.array([_log(one, none.energy, settings) for one in of])
-    start = max(none.energy, settings.unknown_dof)
-    spread = settings.unknown_dof * (1.0 + np.log(start / settings.unknown_dof))
     costs = np.array([_cost(len(one.names), settings) for one in of])
     # Evidence is tempered, what is likely beforehand is not.
-    everything = settings.temper * np.append(logs, -0.5 * spread)
-    everything -= np.append(costs, settings.unknown_cost)
+    everything = settings.temper * logs - costs
+    left = min(one.energy for one in of)
+    beside = [
+        settings.temper * _log_beside(one, left, settings) - cost
+        for one, cost in zip(of, costs, strict=True)
+    ]
+    everything = np.append(everything, max(beside) - settings.unknown_cost)
     weights = np.exp(everything - logsumexp(everything))
     effects: dict[str, float] = {}
     for one, weight in zip(of, weights, strict=False):
@@ -126,6 +133,13 @@ def posterior(of: Sequence[Scored], settings: Settings) -> Posterior:
             effects[name] = effects.get(name, 0.0) + float(weight)
     at_none = sum(float(w) for one, w in zip(of, weights, strict=False) if not one.names)
     return Posterior(tuple(float(w) for w in weights[:-1]), at_none, float(weights[-1]), effects)
+
+
+def _log_beside(one: Scored, left: float, settings: Settings) -> float:
+    """Of something unlisted beside a hypothesis; all that is there, where there is no other."""
+    taken = left if one.names else one.energy
+    spread = 1.0 + np.log(max(taken / settings.unknown_dof, 1.0))
+    return -0.5 * float(one.energy - taken + settings.unknown_dof * spread) - _bent(one.occam)
 
 
 def _log(one: Scored, before: float, settings: Settings) -> float:

@@ -34,8 +34,9 @@ class Hypothesis:
     """Effects together, as fitted.
 
     parts, values: candidates and their numbers; covariance (p, p) of all numbers in this order;
-    columns (N, p): how the rows' prediction changes with them; effects; unknowns; rows (N,) after
-    the fit, background's part taken away; cost: F at the minimum; log_bayes: against none.
+    columns (N, p): how the rows' prediction changes with them; effects; unknowns; background (n,):
+    its columns' numbers, the unknowns' first; rows (N,) after the fit, background's part taken
+    away; cost: F at the minimum; log_bayes: against none.
     """
 
     parts: tuple[Candidate, ...]
@@ -44,6 +45,7 @@ class Hypothesis:
     columns: Array
     effects: tuple[Effect, ...]
     unknowns: Unknowns
+    background: Array
     rows: Array
     raw_rows: Array
     cost: float
@@ -165,6 +167,7 @@ def refine(
         columns,
         tuple(effects(theta)),
         Unknowns(unknown),
+        np.concatenate([unknown, nu[UNKNOWNS:]]),
         after,
         rows,
         cost,

@@ -40,6 +40,10 @@ _HOW = (
     " after and the closed fraction are of blocks of time that the fit has not seen.",
     "Closed fraction: (before - after) / (before - floor) of the mean squared residual in units of"
     " the noise; 1 means down to the noise.",
+    "Before is the same arm without the cause: what a healthy arm may be off stays as it was fitted"
+    " beside the cause, so that it neither closes the gap nor hides that it is closed.",
+    "What the best fit leaves is looked through for smooth functions that stand for no effect"
+    " in particular, of gravity's direction, joints, rates, time, load, and for oscillations.",
     "p-values of where the gap lies say how often noise and the tolerances of a healthy arm give"
     " as much, and are corrected for all cells of their table: in 5 % of healthy recordings any"
     " cell of it is marked.",
@@ -66,6 +70,9 @@ def _body(diagnosis: Diagnosis, answer: Answer, pictures: Mapping[str, Path]) ->
     yield _gap(answer.gap)
     yield heading("Which effect")
     yield _ranking(answer)
+    if answer.left_over:
+        yield heading("What the best fit leaves")
+        yield _left_over(answer.left_over)
     yield from _where(answer.where)
     for name, words in (
         ("sweep", "Over the sweep's poses"),
@@ -157,6 +164,15 @@ def _ranking(answer: Answer) -> str:
             rest.append(f"{name}: {probability:.2%}")
     more = details(f"{len(rest)} more, each below 0.5 %", items(rest)) if rest else ""
     return shown.html() + more
+
+
+def _left_over(left: tuple[dict[str, Any], ...]) -> str:
+    table = Table(
+        "is a function of", "energy over noise's", "log of the odds against noise", numbers=(1, 2)
+    )
+    for one in left:
+        table.add(one["what"], _number(one["energy"]), _number(one["log_bayes"]))
+    return table.html()
 
 
 def _where(where: dict[str, Any]) -> Iterator[str]:

@@ -22,7 +22,7 @@ from galen_diagnosis.candidates import Candidate, EffectsAt
 from galen_diagnosis.observation import Observation
 from galen_diagnosis.rows import BAGS
 
-_PINNED = 6
+_PINNED, _NEXT = 6, 5
 _PILE, _PILE_OVER = 25, 5.0
 _LOWEST_PART = 0.4
 _SAME = 1e-7
@@ -36,11 +36,13 @@ _WORTH_EACH, _WORTH_MOST = 0.5, 40.0
 class SaturationCandidate(Candidate):
     """A limit of an axis. Its numbers are the loads beyond it, which no simulator knows.
 
-    beyond (N, p): what each adds to the prediction. bonus: log evidence of the pile itself.
+    beyond (N, p): what each adds to the prediction. bonus: log evidence of the pile itself. noise:
+    of one reading, in the axis' unit.
     """
 
     beyond: Array
     bonus: float
+    noise: float
 
     def at(self, values: Array) -> Effect:
         """The effect, the same whatever was pushed."""
@@ -95,6 +97,7 @@ def saturation_candidates(observation: Observation, zero: Array) -> list[Saturat
                     0.1 * typical,
                     beyond,
                     bonus,
+                    noise,
                 )
             )
     return found
@@ -105,8 +108,12 @@ def _piles(sizes: Array, noise: float) -> list[tuple[float, float]]:
     top = float(sizes.max())
     if top <= 4.0 * noise:
         return []
-    pinned = int(np.sum(sizes >= top - _SAME * max(top, 1.0)))
-    if pinned >= _PINNED:
+    at_top = sizes >= top - _SAME * max(top, 1.0)
+    pinned = int(np.sum(at_top))
+    # Coarse steps repeat every value, a limit only its own.
+    _, repeats = np.unique(sizes[~at_top], return_counts=True)
+    usual = float(np.median(repeats[-_NEXT:])) if len(repeats) else 0.0
+    if pinned >= _PINNED and pinned > 2.0 * usual:
         return [(top, min(_WORTH_EACH * pinned, _WORTH_MOST))]
     width = 2.0 * noise
     edges = np.arange(_LOWEST_PART * top, top + width, width)
@@ -116,8 +123,8 @@ def _piles(sizes: Array, noise: float) -> list[tuple[float, float]]:
     # A limit has nothing above it, but for noise.
     last = len(counts) - 1
     for bin_ in range(last, max(last - 4, 6), -1):
-        usual = float(np.mean(counts[bin_ - 6 : bin_ - 2]))
-        if counts[bin_] >= _PILE and counts[bin_] > _PILE_OVER * max(usual, 1.0):
+        before = float(np.mean(counts[bin_ - 6 : bin_ - 2]))
+        if counts[bin_] >= _PILE and counts[bin_] > _PILE_OVER * max(before, 1.0):
             inside = np.abs(sizes - edges[bin_]) < width
             return [(float(np.mean(sizes[inside])), 0.0)]
     return []

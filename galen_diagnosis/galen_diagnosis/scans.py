@@ -38,6 +38,7 @@ _SHIFT = np.array([1e-3] * 3 + [3e-3] * 3)
 _STEP_GRID_S = {"sweep": 0.4, "motion": 0.25, "push": 0.4}
 _SHIFT_GRID_S = 0.2
 _EDGE_S = 1.0
+_TEMPER = 0.5
 
 
 @dataclass(frozen=True)
@@ -67,6 +68,14 @@ class DriftCandidate(LinearCandidate):
         if len(values) > 6:
             line[1:-1] += values[6:].reshape(-1, 6)
         return SensorDrift.through(self.knots_s, line)
+
+
+@dataclass(frozen=True)
+class JumpCandidate(LinearCandidate):
+    """A jump at a time; from_s, to_s: within the bag, where it was with 95 %."""
+
+    from_s: float
+    to_s: float
 
 
 def readings_at_rows(observation: Observation) -> Array:
@@ -228,7 +237,8 @@ def jump_candidate(observation: Observation, scan: Scan, columns: Array, index: 
     else:
         base, typical = BaseShift(time_s=at_s), _SHIFT
     nothing = np.zeros(6)
-    return LinearCandidate(
+    from_s, to_s = _when(scan, bag)
+    return JumpCandidate(
         scan.effect,
         f"{bag} {at_s:.2f} s",
         base,
@@ -238,7 +248,25 @@ def jump_candidate(observation: Observation, scan: Scan, columns: Array, index: 
         typical,
         0.1 * typical,
         columns * on[:, None],
+        from_s,
+        to_s,
     )
+
+
+def _when(scan: Scan, bag: str) -> tuple[float, float]:
+    """Times of a bag that hold 95 % of a jump's probability there, half a step beside them.
+
+    The evidence is tempered as all is (`settings.py`): noise is white but for what a fit leaves.
+    """
+    times = np.array([at_s for name, at_s in scan.times if name == bag])
+    pairs = zip(scan.found, scan.times, strict=True)
+    logs = np.array([found.log_bayes for found, (name, _) in pairs if name == bag])
+    weights = np.exp(_TEMPER * (logs - logs.max()))
+    order = np.argsort(-weights, kind="stable")
+    enough = int(np.searchsorted(np.cumsum(weights[order]) / weights.sum(), 0.95)) + 1
+    likely = times[order[:enough]]
+    step = float(np.min(np.diff(np.sort(times)), initial=1.0)) if len(times) > 1 else 1.0
+    return max(0.0, float(likely.min()) - step), float(likely.max()) + step
 
 
 def _session_times(observation: Observation, times: list[tuple[str, float]]) -> Array:

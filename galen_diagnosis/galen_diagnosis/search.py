@@ -16,7 +16,7 @@ import numpy as np
 from galen_model.arrays import Array
 from scipy.special import logsumexp
 
-from galen_diagnosis.background import background, key_of, unknown_columns
+from galen_diagnosis.background import background, key_of, tolerances, unknown_columns
 from galen_diagnosis.candidates import Candidate, candidates
 from galen_diagnosis.linear import Background, Evidence, evidence
 from galen_diagnosis.observation import Observation
@@ -83,19 +83,8 @@ class _Forms:
         self.limits = saturation_candidates(observation, zero)
 
     def add(self, candidate: Candidate) -> None:
-        first = _LINEAR_FORMS.get(candidate.effect, len(candidate.start))
-        part = replace(
-            candidate,
-            free=candidate.free[:first],
-            start=candidate.start[:first],
-            centre=candidate.centre[:first],
-            typical=candidate.typical[:first],
-            probe=candidate.probe[:first],
-        )
         self.all.append(candidate)
-        self.columns[key_of(candidate)] = part.jacobian(
-            self.observation, lambda values: [part.at(values)], part.start
-        )
+        self.columns[key_of(candidate)] = _columns(self.observation, candidate)
 
     def judged(self, rows: Array, behind: Background) -> list[tuple[Candidate, Evidence]]:
         """Every form's evidence on rows (N,) beside a background, jumps in time included."""
@@ -128,6 +117,31 @@ class _Forms:
                 found = replace(scan.found[best], log_bayes=scan.log_bayes)
                 out.append((candidate, found))
         return out
+
+
+def _columns(observation: Observation, candidate: Candidate) -> Array:
+    """How the prediction changes (N, p) from nominal by a candidate's linear numbers."""
+    first = _LINEAR_FORMS.get(candidate.effect, len(candidate.start))
+    part = replace(
+        candidate,
+        free=candidate.free[:first],
+        start=candidate.start[:first],
+        centre=candidate.centre[:first],
+        typical=candidate.typical[:first],
+        probe=candidate.probe[:first],
+    )
+    return part.jacobian(observation, lambda values: [part.at(values)], part.start)
+
+
+def healthy_background(observation: Observation) -> Background:
+    """Unknowns and a healthy arm's tolerances, without any search."""
+    wanted = tolerances(observation)
+    columns = {
+        key_of(candidate): _columns(observation, candidate)
+        for candidate in candidates(observation)
+        if key_of(candidate) in wanted
+    }
+    return background(observation, unknown_columns(observation), columns)
 
 
 def search(observation: Observation, progress: Progress | None = None) -> Found:

@@ -25,7 +25,8 @@ def sentence(answer: Answer) -> str:
     where = _where(answer.where)
     if answer.verdict == "unknown":
         best = _best_of_list(answer)
-        return f"There is a gap that nothing on the list explains{best}.{where}"
+        left = _left(answer)
+        return f"There is a gap that nothing on the list explains{best}.{left}{where}"
     if answer.verdict == "ambiguous":
         return _ambiguous(answer) + where
     return _identified(answer) + where
@@ -88,6 +89,12 @@ def _best_of_list(answer: Answer) -> str:
         return ""
     name, probability = known[0]
     return f" (the nearest is {title(name)}, {probability:.0%})"
+
+
+def _left(answer: Answer) -> str:
+    if not answer.left_over:
+        return ""
+    return f" What the nearest leaves goes with: {answer.left_over[0]['what']}."
 
 
 def _closed(gap: dict[str, Any]) -> str:

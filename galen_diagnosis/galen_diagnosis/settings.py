@@ -21,6 +21,9 @@ LAWS = {
     "loose_tool": "loose",
     "base_shift": "firm",
     "bias_step": "firm",
+    "joint_compliance": "firm",
+    "wrench_delay": "firm",
+    "tracker_delay": "firm",
 }
 """How well an effect's law is known; all others are exact."""
 

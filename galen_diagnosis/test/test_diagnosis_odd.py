@@ -74,6 +74,7 @@ def test_loads_beyond_a_limit_are_no_covariance_of_the_limit():
         two,
         two[:, None],
         9.0,
+        0.02,
     )
     fit = Hypothesis(
         parts=(part,),
@@ -82,6 +83,7 @@ def test_loads_beyond_a_limit_are_no_covariance_of_the_limit():
         columns=np.zeros((0, 2)),
         effects=(effect,),
         unknowns=Unknowns.none(),
+        background=np.zeros(0),
         rows=np.zeros(0),
         raw_rows=np.zeros(0),
         cost=0.0,

@@ -62,7 +62,7 @@ def build_parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--truth", type=Path, metavar="FILE", help="write the truth there (JSON)")
     parser.add_argument(
-        "--oracle", type=Path, metavar="FILE", help="write what it is without noise there (.npz)"
+        "--twin", type=Path, metavar="DIR", help="write the same there without the cause"
     )
     parser.add_argument("--json", action="store_true", help="print the truth as JSON")
     return parser
@@ -86,7 +86,7 @@ def _make(options: argparse.Namespace) -> int:
         tuple(bag for bag in BAGS if bag in options.bags),
         options.tolerance,
     )
-    truth = generate(case, options.output, options.oracle).to_json()
+    truth = generate(case, options.output, options.twin).to_json()
     if options.truth is not None:
         write_whole(options.truth, json.dumps(truth, indent=1) + "\n")
     if options.json:

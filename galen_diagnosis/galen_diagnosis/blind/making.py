@@ -48,18 +48,18 @@ class Maker:
         label = self._label_path(recording.name)
         if label.exists() and recording.exists():
             return
-        work, oracle = (self.private / f"{recording.name}{end}" for end in (".work", ".npz"))
-        for old in (work, recording):
+        work, twin = (self.private / f"{recording.name}{end}" for end in (".work", ".twin"))
+        for old in (work, twin, recording):
             shutil.rmtree(old, ignore_errors=True)
-        truth = self.generate(case, work, oracle)
+        truth = self.generate(case, work, twin if _asks_oracle(case) else None)
         made = label_of(
             recording.name,
             case,
             truth,
-            oracle_closed(oracle) if oracle.exists() else None,
+            oracle_closed(work, twin) if twin.exists() else None,
             directory_sha256(work),
         )
-        oracle.unlink(missing_ok=True)
+        shutil.rmtree(twin, ignore_errors=True)
         shutil.move(work, recording)
         write_whole(label, json.dumps(made.to_json()))
 
@@ -73,6 +73,11 @@ class Maker:
 
     def _label_path(self, name: str) -> Path:
         return self.private / f"{name}.json"
+
+
+def _asks_oracle(case: Case) -> bool:
+    """Whether there is a listed cause that should close the gap."""
+    return case.kind in ("single", "pair", "ambiguous") and case.strength != "faint"
 
 
 def label_of(name: str, case: Case, truth: Truth, oracle: float | None, sha256: str) -> Label:

@@ -1,4 +1,4 @@
-"""The share of a gap that its true cause closes, from the plant's noise-free readings."""
+"""The share of a gap that its true cause closes: the same arm measured again without the cause."""
 
 from __future__ import annotations
 
@@ -6,40 +6,44 @@ from pathlib import Path
 
 import numpy as np
 from galen_model.arrays import Array
-from scipy.spatial.transform import Rotation
 
-_WRENCH_SIGMA = np.array([0.02, 0.02, 0.03, 4e-4, 4e-4, 4e-4])
-_TRACKER_SIGMA = np.array([3e-5] * 3 + [1e-4] * 3)
-"""Contract, section 1: noise of one sample; N, N.m, m, rad."""
+from galen_diagnosis.gap import without_unknowns
+from galen_diagnosis.leftover import leftover
+from galen_diagnosis.observation import UNKNOWNS, Observation
+from galen_diagnosis.recording import read_recording
+from galen_diagnosis.refine import nothing
+from galen_diagnosis.rows import FOLDS
+from galen_diagnosis.search import healthy_background
 
 
-def oracle_closed(file: Path) -> float | None:
-    """1 - |full - cause|^2 / |full - nominal|^2 in units of the noise; None where there is no gap.
+def oracle_closed(recording: Path, twin: Path) -> float | None:
+    """(E - E_twin) / (E - floor); None where E isn't above the floor.
 
-    `nominal`, `cause` and `full` are the readings of the nominal arm, of the nominal arm with the
-    cause, and of the arm that was recorded, which has its tolerances beside. A constant in a
-    channel over a bag is no gap: it is the sensor's zero, or where the tracker stands.
+    twin: the recording with the same course, tolerances and noise, and without the cause. E is the
+    mean square of held-out rows as a diagnosis counts it (`gap.py`), beside the nominal simulator
+    with the tolerances that the twin shows: what is left when the true cause, as it really acts, is
+    taken away.
     """
-    before = after = 0.0
-    with np.load(file, allow_pickle=False) as stored:
-        for name in (key.removesuffix("_full") for key in stored.files if key.endswith("_full")):
-            nominal, cause, full = (stored[f"{name}_{x}"] for x in ("nominal", "cause", "full"))
-            before += _energy(full, nominal)
-            after += _energy(full, cause)
-    return 1.0 - after / before if before > 0.0 else None
+    healthy = _Told(twin)
+    none = nothing(healthy.observation, healthy.behind)
+    tolerances = none.background[UNKNOWNS:]
+    floor = leftover(healthy.observation.rows, none.rows).floor
+    before, after = (one.energy(tolerances) for one in (_Told(recording), healthy))
+    return None if before <= floor else float((before - after) / (before - floor))
 
 
-def _energy(full: Array, other: Array) -> float:
-    """Sum of squares of the difference less its mean, in units of the noise of one sample.
+class _Told:
+    """A recording beside the nominal simulator."""
 
-    Columns: six of a wrench, or position and quaternion (x, y, z, w) of a marker.
-    """
-    if full.shape[1] == 6:
-        difference = (full - other) / _WRENCH_SIGMA
-    else:
-        turned = Rotation.from_quat(full[:, 3:]) * Rotation.from_quat(other[:, 3:]).inv()
-        difference = (
-            np.concatenate([full[:, :3] - other[:, :3], turned.as_rotvec()], axis=1)
-            / _TRACKER_SIGMA
-        )
-    return float(np.sum((difference - difference.mean(axis=0)) ** 2))
+    def __init__(self, path: Path) -> None:
+        self.observation = Observation(read_recording(path))
+        self.behind = healthy_background(self.observation)
+
+    def energy(self, tolerances: Array) -> float:
+        """Mean square of held-out rows with these tolerances in the simulator."""
+        rows = self.observation.nominal - self.behind.columns[:, UNKNOWNS:] @ tolerances
+        left = np.empty(len(rows))
+        for fold in range(FOLDS):
+            out = self.observation.rows.fold == fold
+            left[out] = without_unknowns(self.behind, rows, out)
+        return float(np.mean(left**2))

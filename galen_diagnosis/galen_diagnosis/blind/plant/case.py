@@ -10,7 +10,6 @@ from typing import Any, Self
 
 import numpy as np
 from galen_model.arrays import Array
-from scipy.spatial.transform import Rotation
 
 from galen_diagnosis.blind.plant.cause import Cause
 from galen_diagnosis.blind.plant.listed import AMBIGUOUS, CAUSES, EFFECTS, NEED_PUSHES, PAIRS, TWINS
@@ -19,7 +18,7 @@ from galen_diagnosis.blind.plant.session import BAGS, Session, draw_session
 from galen_diagnosis.blind.plant.strength import TELLABLE, Scale
 from galen_diagnosis.blind.plant.tolerance import draw_tolerance
 from galen_diagnosis.blind.plant.unlisted import CALIBRATION_UNKNOWN, TEST_UNKNOWN, UNLISTED
-from galen_diagnosis.blind.plant.writing import stamps_ns, write_recording
+from galen_diagnosis.blind.plant.writing import write_recording
 from galen_diagnosis.errors import DiagnosisError
 
 STRENGTHS = {"faint": 6.0, "clear": 30.0, "gross": 150.0}
@@ -87,20 +86,21 @@ class Made:
     truth: Truth
 
 
-def generate(case: Case, directory: Path, oracle: Path | None = None) -> Truth:
-    """Write the case's recording into a new directory, and what it would be without noise to
-    `oracle` (.npz), if asked for.
+def generate(case: Case, directory: Path, twin: Path | None = None) -> Truth:
+    """Write the case's recording into a new directory; returns what it hides.
 
-    Raises DiagnosisError.
-    """  # noqa: D205
+    twin: directory for the same recording, noise included, without the cause. Raises
+    DiagnosisError.
+    """
     if directory.exists() and any(directory.iterdir()):
         raise DiagnosisError(f"{directory}: is there already, and isn't empty")
     made = work_out(case)
     full = Machine(made.session, made.causes, draw_tolerance(case.seed, case.tolerance))
     directory.mkdir(parents=True, exist_ok=True)
     write_recording(directory, full)
-    if oracle is not None:
-        _write_oracle(oracle, made, full)
+    if twin is not None:
+        twin.mkdir(parents=True, exist_ok=True)
+        write_recording(twin, Machine(made.session, (), full.tolerance))
     return made.truth
 
 
@@ -229,26 +229,3 @@ class Listed:
     def left_by_best(self, difference: Array) -> float:
         """D that the best of them leaves."""
         return min(self.left(difference).values())
-
-
-def _write_oracle(path: Path, made: Made, full: Machine) -> None:
-    session = made.session
-    machines = {"nominal": Machine(session), "cause": Machine(session, made.causes), "full": full}
-    arrays: dict[str, Any] = {}
-    for bag, take in session.takes.items():
-        arrays[f"{bag}_wrench_ns"] = stamps_ns(session, take, take.wrench.stamp_s)
-        for name, machine in machines.items():
-            arrays[f"{bag}_{name}"] = machine.reading(bag, take.wrench.taken_s)
-        if take.tracker is None:
-            continue
-        arrays[f"{bag}_tracker_ns"] = stamps_ns(session, take, take.tracker.stamp_s)
-        for name, machine in machines.items():
-            arrays[f"{bag}_tool_{name}"] = _pose(machine.tool_pose(bag, take.tracker.taken_s))
-            arrays[f"{bag}_base_{name}"] = _pose(machine.base_pose(bag, take.tracker.taken_s))
-    with path.open("wb") as stream:
-        np.savez(stream, **arrays)
-
-
-def _pose(pose: tuple[Array, Array]) -> Array:
-    rotation, position = pose
-    return np.concatenate([position, Rotation.from_matrix(rotation).as_quat()], axis=1)

@@ -42,6 +42,7 @@ class Machine:
     ) -> None:
         """Take springs from `like`: a machine of that session and tolerance without causes."""
         self.session = session
+        self.tolerance = tolerance
         self.causes = tuple(sorted(causes, key=lambda cause: cause.order))
         self._loads: dict[tuple[bytes, bytes], tuple[Springs, Array]] = {}
         self.arm: BlindArm
@@ -85,6 +86,7 @@ class Machine:
     def moment(self, bag: str, taken_s: Array, of: str) -> Moment:
         """True times and course of samples of `of` ("wrench" or "tracker")."""
         take = self.session.takes[bag]
+        taken_s = taken_s - self.tolerance.late_s(of)
         for cause in self.causes:
             taken_s = cause.late(taken_s, of)
         return Moment(take, taken_s, taken_s + take.start_s, take.course.at(taken_s))

@@ -62,8 +62,11 @@ def _changed(causes: Sequence[Cause]) -> tuple[bool, bool, bool, bool]:
     )
 
 
-_SEEN_ONLY = ("length_m", "rod_length_m", "stiffness", "place_m", "place_rad", "tracker_scale")
-_READ_ONLY = ("level_rad", "sensor_gain", "mass_kg", "moment_kg_m")
+_SEEN_ONLY = (
+    "length_m", "rod_length_m", "stiffness", "place_m", "place_rad", "tracker_scale",
+    "tracker_late_s",
+)  # fmt: skip
+_READ_ONLY = ("level_rad", "sensor_gain", "mass_kg", "moment_kg_m", "wrench_late_s")
 """Tolerances that change only what the tracker sees, and only the reading."""
 
 

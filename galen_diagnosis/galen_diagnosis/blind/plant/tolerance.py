@@ -41,6 +41,10 @@ SIZES: tuple[tuple[str, int, float], ...] = (
     # the first moment 0.4 mN.m / sqrt(5600) / g: 10 um of a centre of 60 g.
     ("mass_kg", 1, 0.03e-3),
     ("moment_kg_m", 3, 0.6e-6),
+    # A sample is stamped when it is read: within a fraction of a period of 2 to 10 ms.
+    ("wrench_late_s", 1, 0.3e-3),
+    # A camera's exposure and way, known to a fraction of a period of some 16 ms.
+    ("tracker_late_s", 1, 1.0e-3),
 )
 """Name, how many, standard deviation of each."""
 
@@ -90,6 +94,10 @@ class Tolerance:
             tracker_scale=1.0 + float(self.part("tracker_scale")[0]),
             sensor_gain=arm.sensor_gain * (1.0 + self.part("sensor_gain")),
         )
+
+    def late_s(self, of: str) -> float:
+        """By how much samples of "wrench" or "tracker" are older than their stamps say."""
+        return float(self.part(f"{of}_late_s")[0])
 
     def tool(self, tool: Body) -> Body:
         """The tool as it is, of what its file says."""

@@ -1,0 +1,83 @@
+"""What a fit leaves: functions and oscillations that are no effect are seen, and noise is not."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from galen_diagnosis.leftover import leftover
+from galen_diagnosis.observation import Observation
+from galen_diagnosis.oscillation import oscillation
+from galen_diagnosis.recording import read_recording
+from galen_diagnosis.refine import nothing
+from galen_diagnosis.search import healthy_background
+from galen_diagnosis.simulated_recording import make_recording
+from galen_diagnosis.structure import structures
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("structure") / "made"
+    make_recording(folder, seed=8, bags=("sweep",))
+    return read_recording(folder)
+
+
+def changed(recording, by):
+    """The recording with by(bag) (n, 6) added to the sweep's wrenches."""
+    sweep = recording.bags["sweep"]
+    more = replace(sweep, wrenches=sweep.wrenches + by(sweep))
+    return replace(recording, bags={**recording.bags, "sweep": more})
+
+
+def left_of(recording):
+    observation = Observation(recording)
+    behind = healthy_background(observation)
+    none = nothing(observation, behind)
+    seen = structures(observation, behind, none.raw_rows)
+    return observation, none, seen, oscillation(observation.streams_with((), none.unknowns))
+
+
+def roll_at_wrenches(bag):
+    return np.interp(bag.wrench_s, bag.joint_s, bag.joints[:, 3])
+
+
+def test_a_healthy_arm_leaves_nothing(recording):
+    _, none, seen, fast = left_of(recording)
+    assert seen[0].log_bayes - np.log(len(seen)) < 3.0
+    assert fast.log_bayes < 3.0
+    assert len(seen) == 6
+    assert not any(np.isnan(one.log_bayes) for one in seen)
+    assert len(none.rows) > 3000
+
+
+def test_a_function_of_a_joint_is_seen_where_means_over_cells_see_none(recording):
+    def ripple(bag):
+        out = np.zeros((len(bag.wrench_s), 6))
+        out[:, 0] = 0.006 * np.sin(3.0 * roll_at_wrenches(bag) + 0.5)  # a third of the noise
+        return out
+
+    observation, none, seen, fast = left_of(changed(recording, ripple))
+    assert seen[0].name == "wrench by roll and tilt"
+    assert seen[0].log_bayes > 10.0
+    assert seen[0].energy > 20.0
+    assert leftover(observation.rows, none.rows).sure == 0.0
+    assert fast.log_bayes < 3.0
+
+
+def test_an_oscillation_is_seen_at_its_frequency_though_its_mean_is_nothing(recording):
+    def moves(bag):
+        return np.abs(np.gradient(roll_at_wrenches(bag), bag.wrench_s)) > 0.1
+
+    def hum(bag):
+        out = np.zeros((len(bag.wrench_s), 6))
+        out[:, 2] = 0.03 * np.sin(2.0 * np.pi * 17.3 * bag.wrench_s)  # as large as the noise
+        return out * moves(bag)[:, None]
+
+    observation, none, seen, fast = left_of(changed(recording, hum))
+    assert fast.bag == "sweep"
+    assert fast.from_hz <= 17.3 <= fast.to_hz
+    assert fast.log_bayes > 20.0
+    # A sine of the noise's size has half its variance; not all of it lies in the band.
+    expected = 0.5 * np.sum(moves(recording.bags["sweep"]))
+    assert 0.5 * expected < fast.energy < 1.2 * expected
+    assert seen[0].log_bayes - np.log(len(seen)) < 3.0
+    assert leftover(observation.rows, none.rows).sure == 0.0
