@@ -10,7 +10,7 @@ whose fit leaves the energy E_h the log likelihood is that of nu such directions
 with Occam_h = 1/2 log det(1 + L G) of the fit. "Unknown" is something unlisted beside one of these,
 or alone: nu_u directions with the variance that fits best, which take what the best fit leaves, L,
 
-    l_u = max_h -1/2 (E_h - L + nu_u + nu_u log(L / nu_u)) - Occam_h,
+    l_u = max_h l_h(E_h - L) - 1/2 (nu_u + nu_u log(L / nu_u)),
 
 and all of E_0 where nothing listed is there. "None" has nothing but noise and a healthy arm's
 excess. Probabilities go as exp(eta l - c), with c what effects and unknown ones cost
@@ -116,13 +116,13 @@ def energies_explained(hypothesis: Hypothesis) -> tuple[float, ...]:
 def posterior(of: Sequence[Scored], settings: Settings) -> Posterior:
     """Probabilities."""
     none = next(one for one in of if not one.names)
-    logs = np.array([_log(one, none.energy, settings) for one in of])
+    logs = np.array([_log(one, one.energy, none.energy, settings) for one in of])
     costs = np.array([_cost(len(one.names), settings) for one in of])
     # Evidence is tempered, what is likely beforehand is not.
     everything = settings.temper * logs - costs
     left = min(one.energy for one in of)
     beside = [
-        settings.temper * _log_beside(one, left, settings) - cost
+        settings.temper * _log_beside(one, left, none.energy, settings) - cost
         for one, cost in zip(of, costs, strict=True)
     ]
     everything = np.append(everything, max(beside) - settings.unknown_cost)
@@ -135,22 +135,25 @@ def posterior(of: Sequence[Scored], settings: Settings) -> Posterior:
     return Posterior(tuple(float(w) for w in weights[:-1]), at_none, float(weights[-1]), effects)
 
 
-def _log_beside(one: Scored, left: float, settings: Settings) -> float:
+def _log_beside(one: Scored, left: float, before: float, settings: Settings) -> float:
     """Of something unlisted beside a hypothesis; all that is there, where there is no other."""
     taken = left if one.names else one.energy
     spread = 1.0 + np.log(max(taken / settings.unknown_dof, 1.0))
-    return -0.5 * float(one.energy - taken + settings.unknown_dof * spread) - _bent(one.occam)
+    return _log(one, one.energy - taken, before, settings) - 0.5 * float(
+        settings.unknown_dof * spread
+    )
 
 
-def _log(one: Scored, before: float, settings: Settings) -> float:
+def _log(one: Scored, energy: float, before: float, settings: Settings) -> float:
+    """Of a hypothesis, with so much energy left that it has to answer for."""
     if not one.names:
-        return -0.5 * one.energy / (1.0 + settings.healthy)
+        return -0.5 * energy / (1.0 + settings.healthy)
     explained = sum(
         settings.kappa_of(name) ** 2 * min(share, before)
         for name, share in zip(one.names, one.shares, strict=True)
     )
     extra = explained / settings.dof
-    spread = one.energy / (1.0 + extra) + settings.dof * np.log1p(extra)
+    spread = energy / (1.0 + extra) + settings.dof * np.log1p(extra)
     return -0.5 * float(spread) - _bent(one.occam)
 
 
