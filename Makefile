@@ -1,7 +1,7 @@
 # `make demo` and `make test` do all they need; `make help` lists the rest.
 SHELL := /bin/bash
 .DEFAULT_GOAL := help
-.PHONY: help setup networks build test test-slow lint demo bench blind blind-short clean
+.PHONY: help setup networks build test test-slow test-soak lint demo bench blind blind-short clean
 
 STARTER ?= python3
 SETUP = $(STARTER) scripts/setup_env.py
@@ -28,10 +28,13 @@ build: ## set up, then build the packages
 	@$(SETUP) build
 
 test: build ## run the quick tests
-	@$(ENTER) && $(PYTEST) -m "not slow" $(ARGS)
+	@$(ENTER) && $(PYTEST) -m "not slow and not soak" $(ARGS)
 
 test-slow: build ## run the slow tests
-	@$(ENTER) && $(PYTEST) -m slow $(ARGS)
+	@$(ENTER) && $(PYTEST) -m "slow and not soak" $(ARGS)
+
+test-soak: build ## run the long tests: a thousand kills, more made-up input (many minutes)
+	@$(ENTER) && python -m pytest -m soak $(ARGS)
 
 lint: setup ## check style, format and types
 	@.venv/bin/ruff check .
