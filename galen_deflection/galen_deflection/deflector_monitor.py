@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import deque
 
 import numpy as np
+from galen_gravcomp.frozen import FROZEN_S
 from galen_gravcomp.results import Refusal
 from galen_gravcomp.stream_monitor import RATE_WINDOW_S, Severity, State, StreamMonitor, joined
 from galen_model.arrays import Array
@@ -16,14 +17,14 @@ _NOT_HERE = (Refusal.DISABLED, Refusal.NO_TOOL)
 
 
 class DeflectorMonitor(StreamMonitor):
-    """Watches one deflector. `silence_s`: how long an input may be silent on the wall clock."""
+    """Watches one deflector; `silence_s` and `frozen_s` as `StreamMonitor` says."""
 
     reasons = tuple(r for r in Refusal if r not in _NOT_HERE) + tuple(ModelRefusal)
     said_better = (Refusal.RESTART, ModelRefusal.NO_MODEL, ModelRefusal.OTHER_TIP)
     working = "predicting"
 
-    def __init__(self, deflector: Deflector, silence_s: float) -> None:
-        super().__init__(deflector, silence_s)
+    def __init__(self, deflector: Deflector, silence_s: float, frozen_s: float = FROZEN_S) -> None:
+        super().__init__(deflector, silence_s, frozen_s)
         self._deflector = deflector
         self._model_error = ""
         self._last_forgotten = ""

@@ -48,7 +48,7 @@ class DeflectionNode(StreamNode):
         self._config = declare_parameters(self, DeflectionParameters, self._on_change)
         p = self._config
         self._deflector = Deflector(p.settings(), self._on_restart, self._on_forgotten)
-        self._prediction = DeflectorMonitor(self._deflector, p.silence_s)
+        self._prediction = DeflectorMonitor(self._deflector, p.silence_s, p.frozen_s)
         self._model_file = ""
         self._model_written_at = ""
         self._gravcomp: GravcompState | None = None

@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
+from galen_gravcomp.frozen import FROZEN_S
 from galen_model.arm import JOINT_NAMES
 from galen_ros.param import param
 
@@ -50,6 +51,13 @@ class DeflectionParameters:
         1.0,
         "s of wall time without a message after which a topic is called silent",
         minimum=0.1,
+        maximum=60.0,
+    )
+    frozen_s: float = param(
+        FROZEN_S,
+        "s of wall time that a wrench may stay the same to the last bit while roll or tilt turns;"
+        " then it is refused: the sensor hangs; 0: for ever",
+        minimum=0.0,
         maximum=60.0,
     )
     best_effort_input: bool = param(

@@ -371,10 +371,11 @@ class Compensator(WrenchPairing[Compensated]):
 
     @property
     def _one_by_one(self) -> bool:
-        """Whether a stage has to see the samples one by one."""
+        """Whether the samples have to be pushed one by one: a stage has to see each, or refused."""
         stages = self._stages
         wander = stages.wander is not None and stages.wander.active
-        return stages.motion is not None or wander or stages.fit is not None
+        seen = stages.motion is not None or wander or stages.fit is not None
+        return seen or self.distrusted
 
     def _make(
         self, stamp_ns: int, raw: Array, joints: tuple[float, ...], tag: object, number: int

@@ -1,18 +1,21 @@
 """What the compensator's node can say of its health: state, rates, latency. No ROS."""
 
 from galen_gravcomp.compensator import Compensator
+from galen_gravcomp.frozen import FROZEN_S
 from galen_gravcomp.results import Refusal
 from galen_gravcomp.stream_monitor import Severity, State, StreamMonitor, joined
 
 
 class Monitor(StreamMonitor):
-    """Watches one compensator. `silence_s`: how long an input may be silent on the wall clock."""
+    """Watches one compensator; `silence_s` and `frozen_s` as `StreamMonitor` says."""
 
     said_better = (Refusal.DISABLED, Refusal.NO_TOOL, Refusal.RESTART)
     working = "compensating"
 
-    def __init__(self, compensator: Compensator, silence_s: float) -> None:
-        super().__init__(compensator, silence_s)
+    def __init__(
+        self, compensator: Compensator, silence_s: float, frozen_s: float = FROZEN_S
+    ) -> None:
+        super().__init__(compensator, silence_s, frozen_s)
         self._compensator = compensator
         self._tool_error = ""
         self._file_note = ""

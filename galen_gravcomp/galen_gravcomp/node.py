@@ -35,7 +35,7 @@ class GravcompNode(StreamNode):
         self._config = declare_parameters(self, GravcompParameters)
         p = self._config
         self._compensator = Compensator(p.settings(), self._on_restart, p.stages())
-        self._compensation = Monitor(self._compensator, p.silence_s)
+        self._compensation = Monitor(self._compensator, p.silence_s, p.frozen_s)
         self._tare_progress = (0, 0.0)
 
         self._publisher = self.create_publisher(WrenchStamped, "wrench_compensated", STREAM)

@@ -22,8 +22,13 @@ from galen_model.arrays import Array
 
 from galen_gravcomp.joint_buffer import JointBuffer, JointPush, NoJoints
 from galen_gravcomp.results import Notice, Refusal, Refused
-from galen_gravcomp.sample_limits import SampleLimits, angle_unit_notice, count_angle_unit_notices
-from galen_gravcomp.stretch import Arrivals, regular_stretch
+from galen_gravcomp.sample_limits import (
+    SampleLimits,
+    angle_unit_notice,
+    count_angle_unit_notices,
+    joint_jump,
+)
+from galen_gravcomp.stretch import Arrivals, Reported, regular_stretch
 
 Made = TypeVar("Made")
 
@@ -98,6 +103,11 @@ class WrenchPairing(ABC, Generic[Made]):
         self._waiting: deque[Waiting] = deque()
         self._newest_wrench_ns: int | None = None
         self._joint_trouble: str | None = None
+        self._distrust: tuple[Enum, str] | None = None
+        self._reported: Reported | None = None
+        self._jump: tuple[int, str] | None = None
+        self.newest_wrench: Sequence[float] | Array | None = None
+        """The last wrench (6,) that came by itself, N and N.m, whatever became of it."""
         self.received = 0
         self.refusals: Counter[Enum] = Counter()
         self.notices: Counter[Notice] = Counter()
@@ -133,10 +143,32 @@ class WrenchPairing(ABC, Generic[Made]):
         """Wrenches that wait for joint samples."""
         return len(self._waiting)
 
+    @property
+    def newest_angles(self) -> tuple[float, float] | None:
+        """Roll and tilt as last reported, rad; None before any."""
+        reported = self._reported
+        return None if reported is None else (reported.roll_rad, reported.tilt_rad)
+
+    @property
+    def distrusted(self) -> bool:
+        """Whether every wrench is refused by `distrust`."""
+        return self._distrust is not None
+
+    def distrust(self, reason: Enum, detail: str) -> list[Made | Refused]:
+        """Refuse every wrench until `trust`, for a reason that no single sample shows."""
+        self._distrust = (reason, detail)
+        return self._refuse_waiting(reason, detail)
+
+    def trust(self) -> None:
+        """Take wrenches again."""
+        self._distrust = None
+
     def restart(self, why: str) -> list[Made | Refused]:
         """Forget every sample: it belongs to the driver's life so far. Counters stay."""
         results = self._refuse_waiting(Refusal.RESTART, why)
         self._joints.clear()
+        self._reported = None
+        self._jump = None
         self._newest_wrench_ns = None
         self._joint_trouble = None
         self.notices[Notice.RESTART] += 1
@@ -165,7 +197,8 @@ class WrenchPairing(ABC, Generic[Made]):
         """
         number = self.received
         self.received += 1
-        barred = self._barred()
+        self.newest_wrench = wrench
+        barred = self._barred() or self._distrust
         if frame_id is not None and barred is None and frame_id != self.sensor_frame:
             detail = (
                 f"{self.wrench_topic} has frame_id '{frame_id}', expected '{self.sensor_frame}'"
@@ -220,8 +253,13 @@ class WrenchPairing(ABC, Generic[Made]):
         if not math.isfinite(sum(joints)):
             self.notices[Notice.NONFINITE_JOINTS] += 1
             joints = (math.nan,) * len(joints)
-        elif angle_unit_notice(*joints[-2:]):
-            self.notices[Notice.ANGLE_UNIT] += 1
+        else:
+            roll_rad, tilt_rad = joints[-2:]
+            if angle_unit_notice(roll_rad, tilt_rad):
+                self.notices[Notice.ANGLE_UNIT] += 1
+            if self._jumped(stamp_ns, roll_rad, tilt_rad):
+                self.notices[Notice.JOINT_JUMP] += 1
+                joints = (math.nan,) * len(joints)
         pushed = self._joints.push(stamp_ns, joints)
         if pushed is not JointPush.STORED:
             duplicate = pushed is JointPush.DUPLICATE
@@ -229,6 +267,22 @@ class WrenchPairing(ABC, Generic[Made]):
             return results
         results.extend(self._release())
         return results
+
+    def _jumped(self, stamp_ns: int, roll_rad: float, tilt_rad: float) -> bool:
+        """Whether the arm can't have turned so since the last report: one of both is wrong."""
+        before = self._reported
+        if before is not None and stamp_ns <= before.stamp_ns:
+            return False
+        self._reported = Reported(stamp_ns, roll_rad, tilt_rad)
+        if before is None:
+            return False
+        step_ns = stamp_ns - before.stamp_ns
+        step_rad = max(abs(roll_rad - before.roll_rad), abs(tilt_rad - before.tilt_rad))
+        if not joint_jump(step_ns, step_rad):
+            return False
+        detail = f"joint_states jumped by {step_rad:.2f} rad within {step_ns * 1e-6:.1f} ms"
+        self._jump = (stamp_ns, detail)
+        return True
 
     def _release(self) -> list[Made | Refused]:
         """What becomes of the wrenches that have waited long enough."""
@@ -243,7 +297,12 @@ class WrenchPairing(ABC, Generic[Made]):
         waiting = self._waiting
         waiting_ns = np.array([one.stamp_ns for one in waiting], dtype=np.int64)
         stretch = regular_stretch(
-            arrivals, waiting_ns, self._newest_wrench_ns, self._joints, self._limits
+            arrivals,
+            waiting_ns,
+            self._newest_wrench_ns,
+            self._joints,
+            self._limits,
+            self._reported,
         )
         arrivals, angles = stretch.arrivals, stretch.angles
         out, waited = len(angles), len(waiting)
@@ -259,6 +318,9 @@ class WrenchPairing(ABC, Generic[Made]):
         self._joints.push_regular(arrivals.joint_stamp_ns, arrivals.angles)
         if len(arrivals.joint_stamp_ns):
             self._joint_trouble = None
+            self._reported = Reported(
+                int(arrivals.joint_stamp_ns[-1]), *arrivals.angles[-1, -2:].tolist()
+            )
         if len(arrivals.wrench_stamp_ns):
             self._newest_wrench_ns = int(arrivals.wrench_stamp_ns[-1])
         self.received += len(arrivals.wrenches)
@@ -342,6 +404,9 @@ class WrenchPairing(ABC, Generic[Made]):
             detail = f"no joint angles: {joints.value}{hint}"
             return self._refuse(stamp_ns, *self._joint_reason(Refusal.NO_JOINTS, detail), number)
         if math.isnan(joints[0]):
+            jump = self._jump
+            if jump is not None and abs(stamp_ns - jump[0]) <= self._limits.max_age_ns:
+                return self._refuse(stamp_ns, Refusal.JUMPING_JOINTS, jump[1], number)
             detail = "joint_states hold an angle that is not finite"
             return self._refuse(stamp_ns, Refusal.NONFINITE_JOINTS, detail, number)
         return self._make(stamp_ns, raw, joints, tag, number)

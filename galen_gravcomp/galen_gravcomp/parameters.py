@@ -7,6 +7,7 @@ from galen_ros.param import param
 
 from galen_gravcomp.compensator import CompensatorSettings
 from galen_gravcomp.fit_watch import GravityFitWatch
+from galen_gravcomp.frozen import FROZEN_S
 from galen_gravcomp.imu_motion import ImuMotion, ImuMount
 from galen_gravcomp.joint_motion import JointMotion
 from galen_gravcomp.misfit import Limits
@@ -108,6 +109,13 @@ class GravcompParameters:
         1.0,
         "s of wall time without a message after which a topic is called silent",
         minimum=0.1,
+        maximum=60.0,
+    )
+    frozen_s: float = param(
+        FROZEN_S,
+        "s of wall time that a wrench may stay the same to the last bit while roll or tilt turns;"
+        " then it is refused: the sensor hangs; 0: for ever",
+        minimum=0.0,
         maximum=60.0,
     )
     best_effort_input: bool = param(

@@ -12,6 +12,8 @@ class Refusal(Enum):
     DISABLED = "disabled"
     NO_TOOL = "no_tool"
     WRONG_FRAME = "wrong_frame"
+    SEVERAL_PUBLISHERS = "several_publishers"  # whose of them is it?
+    FROZEN = "frozen_wrench"  # the sensor hangs
     UNREADABLE = "unreadable"  # not even a message
     UNSTAMPED = "unstamped"
     DUPLICATE = "duplicate_stamp"
@@ -20,6 +22,7 @@ class Refusal(Enum):
     STALE_JOINTS = "stale_joints"
     BAD_JOINTS = "bad_joints"  # only unusable joint messages came, e.g. with unknown names
     NONFINITE_JOINTS = "nonfinite_joints"
+    JUMPING_JOINTS = "jumping_joints"  # faster than any arm turns
     QUEUE_FULL = "queue_full"
     NO_MOTION = "no_motion"  # forces of motion are asked for and not known at the stamp
     RESTART = "restart"  # was waiting for joints when the driver restarted
@@ -33,6 +36,7 @@ class Notice(Enum):
     DUPLICATE_JOINTS = "duplicate_joints"
     NONFINITE_JOINTS = "nonfinite_joint_samples"
     BAD_JOINTS = "bad_joint_messages"
+    JOINT_JUMP = "joint_jumps"
     BEYOND_RANGE = "beyond_sensor_range"
     TORQUE_UNIT = "torque_looks_like_N_mm"
     ANGLE_UNIT = "angles_look_like_degrees"

@@ -14,8 +14,12 @@ from galen_model.arrays import Array
 # A torque this many times beyond the sensor's range is no overload but another unit.
 TORQUE_UNIT_FACTOR = 20.0
 ANGLE_UNIT_LIMIT_RAD = 2.0 * math.pi
+# No arm turns so fast: 0.4 rad between two samples at 500 Hz.
+JOINT_JUMP_RAD_S = 200.0
 # No wrench comes near it; six such numbers still have a finite sum.
 _LARGEST = 1e300
+# Of the range; a multiple of the sensor's quantum may come out below it by rounding.
+_AT_RANGE = 1.0 - 1e-9
 
 
 @dataclass(frozen=True)
@@ -54,13 +58,17 @@ class SampleLimits:
         return regular
 
     def range_notices(self, wrench: Sequence[float]) -> tuple[bool, bool]:
-        """Whether a wrench (6,) is beyond the sensor's range, and its torque of another unit."""
+        """Whether a wrench (6,) is at the sensor's range or beyond, and its torque of another unit.
+
+        A sensor that clips reads its range itself.
+        """
         limits = self.sensor_range
         worst_torque = max(
             abs(value) / limit for value, limit in zip(wrench[3:], limits[3:], strict=True)
         )
-        beyond = worst_torque > 1.0 or any(
-            abs(value) > limit for value, limit in zip(wrench[:3], limits[:3], strict=True)
+        beyond = worst_torque >= _AT_RANGE or any(
+            abs(value) >= _AT_RANGE * limit
+            for value, limit in zip(wrench[:3], limits[:3], strict=True)
         )
         return beyond, worst_torque > TORQUE_UNIT_FACTOR
 
@@ -68,8 +76,19 @@ class SampleLimits:
         """How many of the wrenches (n, 6) `range_notices` tells of."""
         sizes, limits = np.abs(wrenches), np.array(self.sensor_range)
         worst_torque = (sizes[:, 3:] / limits[3:]).max(axis=1, initial=0.0)
-        beyond = (worst_torque > 1.0) | (sizes[:, :3] > limits[:3]).any(axis=1)
+        beyond = worst_torque >= _AT_RANGE
+        beyond |= (sizes[:, :3] >= _AT_RANGE * limits[:3]).any(axis=1)
         return int(beyond.sum()), int((worst_torque > TORQUE_UNIT_FACTOR).sum())
+
+
+def joint_jump(step_ns: int, step_rad: float) -> bool:
+    """Whether roll or tilt can't have turned by so much between two samples."""
+    return step_rad > JOINT_JUMP_RAD_S * 1e-9 * step_ns
+
+
+def joint_jumps(step_ns: np.ndarray, steps_rad: Array) -> np.ndarray:
+    """Which of the steps `joint_jump` tells of: (n,) and (n, 2)."""
+    return np.asarray(np.abs(steps_rad).max(axis=1) > JOINT_JUMP_RAD_S * 1e-9 * step_ns)
 
 
 def angle_unit_notice(roll_rad: float, tilt_rad: float) -> bool:

@@ -7,19 +7,28 @@ whether something arrives at all, never what is done with a sample.
 
 from abc import ABC, abstractmethod
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum
+from itertools import pairwise
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
+from galen_gravcomp.frozen import FROZEN_S, FrozenWatch
 from galen_gravcomp.pairing import WrenchPairing
+from galen_gravcomp.publishers import Publishers
 from galen_gravcomp.results import Notice, Refusal, Refused
 
 HOLD_S = 0.5
 NOTICE_HOLD_S = 5.0
 RATE_WINDOW_S = 2.0
+# What stopped so recently may be what a new publisher goes on with.
+SILENCE_SEEN_S = 1.5
+# So long without a message is no jitter of a stream.
+PAUSE_S = 0.1
+# From one look to the next; one publisher's stamps are in order.
+MANY_IRREGULAR = 10
 LATENCY_SAMPLES = 2000
 
 
@@ -65,8 +74,14 @@ class StreamMonitor(ABC):
     lost: ClassVar[str] = "nothing is published"
     """What is so when all wrenches are refused."""
 
-    def __init__(self, pairing: WrenchPairing[Any], silence_s: float) -> None:
-        """`silence_s`: how long an input may be silent on the wall clock."""
+    def __init__(
+        self, pairing: WrenchPairing[Any], silence_s: float, frozen_s: float = FROZEN_S
+    ) -> None:
+        """`silence_s`: how long an input may be silent on the wall clock.
+
+        frozen_s: how long its wrench may be the same to the last bit while the arm turns; 0: any
+        time.
+        """
         self._pairing = pairing
         self._silence_s = silence_s
         self._outputs = 0
@@ -78,7 +93,12 @@ class StreamMonitor(ABC):
         self._restart: tuple[str, float] | None = None
         self._notices_seen: Mapping[Notice, int] = {}
         self._notice: tuple[str, float] | None = None
-        self._several = ""
+        self.publishers = {
+            topic: Publishers(topic) for topic in (pairing.wrench_topic, "joint_states")
+        }
+        """By the inputs' topics."""
+        self._frozen = FrozenWatch(frozen_s)
+        self._irregular = 0
         self._counts: deque[_Counts] = deque()
         self._latencies_s: deque[float] = deque(maxlen=LATENCY_SAMPLES)
 
@@ -116,12 +136,30 @@ class StreamMonitor(ABC):
         """Note what a person should hear of for a while."""
         self._notice = (text, now_s)
 
-    def set_publishers(self, counts: Mapping[str, int]) -> None:
-        """Say how many publishers the topics have."""
-        crowded = [
-            f"{topic} has {count} publishers" for topic, count in counts.items() if count > 1
-        ]
-        self._several = " and ".join(crowded)
+    def publishers_changed(self, topic: str, listed: int, came: int, now_s: float) -> str:
+        """Take what discovery says of a topic; returns why to start anew, or nothing."""
+        publishers = self.publishers[topic]
+        silent = publishers.listed > 0 and self._was_silent(topic, publishers.since_s, now_s)
+        return publishers.changed(listed, came, silent, now_s)
+
+    def review(self, now_s: float) -> Sequence[Refused]:
+        """Judge what no single sample shows; call it after `tick`, and when publishers changed.
+
+        Returns what is refused for it of the wrenches that waited.
+        """
+        pairing = self._pairing
+        topic = pairing.wrench_topic
+        several = self.publishers[topic].several
+        frozen = self._frozen.look(
+            now_s, pairing.received, pairing.newest_wrench, pairing.newest_angles
+        )
+        if several:
+            detail = f"{several}: stop all but one of them"
+            return pairing.distrust(Refusal.SEVERAL_PUBLISHERS, detail)
+        if frozen:
+            return pairing.distrust(Refusal.FROZEN, f"{topic} {frozen}")
+        pairing.trust()
+        return []
 
     def tick(self, now_s: float) -> None:
         """Take the counts for the rates, and new notices; call it a few times a second."""
@@ -134,6 +172,14 @@ class StreamMonitor(ABC):
                 self.on_notice(text, now_s)
                 break
         self._notices_seen = dict(pairing.notices)
+        irregular = (
+            pairing.refusals[Refusal.DUPLICATE]
+            + pairing.notices[Notice.OUT_OF_ORDER_WRENCH]
+            + pairing.notices[Notice.RESTART]
+        )
+        if irregular - self._irregular >= MANY_IRREGULAR:
+            self.publishers[pairing.wrench_topic].heard_again()
+        self._irregular = irregular
 
     def state(self, now_s: float) -> State:
         """The state now; the most serious and most basic trouble comes first."""
@@ -161,7 +207,9 @@ class StreamMonitor(ABC):
         return {
             Notice.TORQUE_UNIT: "torques far beyond the sensor's range: are they in N.mm?",
             Notice.ANGLE_UNIT: "joint angles beyond a full turn: are they in degrees?",
-            Notice.BEYOND_RANGE: "wrenches beyond the sensor's range: the reading may be clipped",
+            Notice.BEYOND_RANGE: f"{topic} is at the end of the sensor's range or beyond: the"
+            " reading may be clipped, and the true load larger",
+            Notice.JOINT_JUMP: "joint_states jumped faster than the arm can turn",
             Notice.OUT_OF_ORDER_WRENCH: f"{topic} stamps are out of order",
             Notice.OUT_OF_ORDER_JOINTS: "joint_states stamps are out of order",
         }
@@ -180,16 +228,21 @@ class StreamMonitor(ABC):
         return State(Severity.STALE, "silent", " and ".join(silent))
 
     def _several_state(self, now_s: float) -> State | None:
-        """Two publishers' wrenches are repeated and out of order by turns: that is one state.
-
-        Where nothing goes out, the refusal says why.
-        """
-        if not self._several or self._output_s is None or now_s - self._output_s > HOLD_S:
+        """Two publishers' samples are repeated and out of order by turns: that is one state."""
+        several = [one.several for one in self.publishers.values() if one.several]
+        if not several:
             return None
+        text = " and ".join(several)
+        if self.publishers[self._pairing.wrench_topic].several:
+            text = f"{self.lost}: {text}: stop all but one of them"
+            return State(Severity.ERROR, "several_publishers", text)
+        # Joints may come from several, as long as only one of them has roll and tilt.
+        if self._output_s is None or now_s - self._output_s > HOLD_S:
+            return None  # the refusal says why nothing goes out
         rest = (
             self._refusal_state(now_s) or self._noticed_state(now_s) or self._running_state()
         ).message
-        text = f"{self._several}: stop all but one of them; {rest}"
+        text = f"{text}: only one of them may have this arm's joints; {rest}"
         return State(Severity.WARN, "several_publishers", text)
 
     def _refusal_state(self, now_s: float) -> State | None:
@@ -237,7 +290,21 @@ class StreamMonitor(ABC):
         values |= {notice.value: pairing.notices[notice] for notice in Notice}
         values["last_refusal"] = "" if self._last is None else self._last.refused.detail
         values["last_restart"] = "" if self._restart is None else self._restart[0]
+        for topic, publishers in self.publishers.items():
+            values[f"{topic}_publishers"] = publishers.listed
+            values[f"{topic}_publisher_nodes"] = publishers.nodes
         return values
+
+    def _was_silent(self, topic: str, since_s: float, now_s: float) -> bool:
+        """Whether nothing came for a while just now, of publishers that were there."""
+        wrenches = topic == self._pairing.wrench_topic
+        last_s = self._wrench_s if wrenches else self._joints_s
+        start_s = max(since_s, now_s - SILENCE_SEEN_S)
+        if now_s - max(start_s, -np.inf if last_s is None else last_s) > PAUSE_S:
+            return True
+        counts = [one for one in self._counts if one.now_s >= start_s]
+        totals = [one.wrenches if wrenches else one.joints for one in counts]
+        return any(before == after for before, after in pairwise(totals))
 
     def _rate(self, name: str) -> float:
         if len(self._counts) < 2:

@@ -63,7 +63,6 @@ class StreamNode(Node):
         self._monitor = monitor
         self._read_joints(joint_names)
         self._wrench_wire = WrenchWire()
-        self._publisher_counts = {pairing.wrench_topic: 0, "joint_states": 0}
         self._diagnostics = DiagnosticsPublisher(self, self.hardware_id, self._report)
         qos = input_qos(best_effort)
         self._joint_subscription = self._subscribe(
@@ -153,23 +152,29 @@ class StreamNode(Node):
     # Restarts of the driver
 
     def _on_matched(self, topic: str, info: Any) -> None:
-        """A publisher of an input came or went: whoever publishes now may be another driver.
-
-        A first publisher is no restart: its first samples may even have come before this event.
-        """
-        before = self._publisher_counts[topic]
-        came = info.total_count_change
-        gone = before + came - info.current_count
-        self._publisher_counts[topic] = info.current_count
-        self._monitor.set_publishers(self._publisher_counts)
-        if gone > 0 or (came > 0 and before > 0):
-            why = f"driver restarted: a publisher of {topic} {'is gone' if gone > 0 else 'is new'}"
+        """A publisher of an input came or went: whoever publishes now may be another driver."""
+        now_s = time.monotonic()
+        why = self._monitor.publishers_changed(
+            topic, info.current_count, info.total_count_change, now_s
+        )
+        if why:
             self._emit(self._pairing.restart(why))
+        self._name_publishers(topic)
+        self._emit(self._monitor.review(now_s))
         self._announce()
+
+    def _name_publishers(self, topic: str) -> None:
+        nodes = [
+            f"{info.node_namespace.rstrip('/')}/{info.node_name}"
+            for info in self.get_publishers_info_by_topic(self.resolve_topic_name(topic))
+        ]
+        self._monitor.publishers[topic].name(sorted(nodes))
 
     def _on_restart(self, why: str) -> None:
         self._monitor.on_restart(why, time.monotonic())
-        self.get_logger().warning(f"{why}; {self.cleared_on_restart} are cleared")
+        # Two drivers with two clocks restart it with every message.
+        text = f"{why}; {self.cleared_on_restart} are cleared"
+        self.get_logger().warning(text, throttle_duration_sec=1.0)
 
     def _on_incompatible_qos(self, topic: str) -> None:
         self._qos_trouble = (
@@ -183,6 +188,10 @@ class StreamNode(Node):
     def _on_watch(self) -> None:
         now_s = time.monotonic()
         self._monitor.tick(now_s)
+        for topic, publishers in self._monitor.publishers.items():
+            if publishers.several:  # names come later than the publishers themselves
+                self._name_publishers(topic)
+        self._emit(self._monitor.review(now_s))
         self._watch(now_s)
         self._announce()
 
@@ -221,6 +230,4 @@ class StreamNode(Node):
         state = self._state(now_s)
         values: dict[str, object] = {"state": state.name}
         values |= self._values(now_s)
-        for topic, count in self._publisher_counts.items():
-            values[f"{topic}_publishers"] = count
         return Status(Level[state.severity.value], state.message, values)

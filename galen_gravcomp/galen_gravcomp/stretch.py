@@ -14,7 +14,7 @@ import numpy as np
 from galen_model.arrays import Array
 
 from galen_gravcomp.joint_buffer import JointBuffer
-from galen_gravcomp.sample_limits import SampleLimits, surely_finite
+from galen_gravcomp.sample_limits import SampleLimits, joint_jumps, surely_finite
 
 # Earlier and later than any stamp of a message, which has 32 bits for the seconds; differences of
 # these don't overflow.
@@ -54,6 +54,14 @@ class Arrivals:
         )
 
 
+class Reported(NamedTuple):
+    """Angles as the driver reported them last, rad."""
+
+    stamp_ns: int
+    roll_rad: float
+    tilt_rad: float
+
+
 class Stretch(NamedTuple):
     """What was found: the first so many arrivals are regular.
 
@@ -71,15 +79,18 @@ def regular_stretch(
     newest_wrench_ns: int | None,
     joints: JointBuffer,
     limits: SampleLimits,
+    reported: Reported | None,
 ) -> Stretch:
     """The regular stretch at the start of `arrivals`.
 
     The rest is the state before: stamps (k,) of the wrenches that wait, the newest wrench's stamp,
-    the joint samples.
+    the joint samples, the last angles reported.
     """
     if np.any(np.diff(waiting_ns) <= 0):
         return Stretch(arrivals.first(0), np.zeros((0, arrivals.angles.shape[1])))
-    arrivals = arrivals.first(_in_line(arrivals, newest_wrench_ns, joints.newest_ns, limits))
+    arrivals = arrivals.first(
+        _in_line(arrivals, newest_wrench_ns, joints.newest_ns, limits, reported)
+    )
     # From here on the stamps of either topic increase, so they can be searched.
     wrench_at = np.flatnonzero(arrivals.is_wrench)
     joint_at = np.flatnonzero(~arrivals.is_wrench)
@@ -126,6 +137,7 @@ def _in_line(
     newest_wrench_ns: int | None,
     newest_joints_ns: int | None,
     limits: SampleLimits,
+    reported: Reported | None,
 ) -> int:
     """How many arrivals are in line with those before them in their own topic."""
     fine = np.empty(len(arrivals.is_wrench), dtype=bool)
@@ -133,6 +145,7 @@ def _in_line(
         arrivals.joint_usable
         & limits.regular_steps(arrivals.joint_stamp_ns, newest_joints_ns)
         & np.isfinite(arrivals.angles).all(axis=1)
+        & ~_jumps(arrivals, reported)
     )
     fine[arrivals.is_wrench] = (
         arrivals.wrench_usable
@@ -141,6 +154,17 @@ def _in_line(
         & surely_finite(arrivals.wrenches)
     )
     return _first(~fine, np.arange(len(fine)), len(fine))
+
+
+def _jumps(arrivals: Arrivals, reported: Reported | None) -> np.ndarray:
+    """Which joint samples the arm can't have turned to from the one before."""
+    stamp_ns, angles = arrivals.joint_stamp_ns, arrivals.angles[:, -2:]
+    jumped = np.zeros(len(stamp_ns), dtype=bool)
+    jumped[1:] = joint_jumps(np.diff(stamp_ns), np.diff(angles, axis=0))
+    if reported is not None and len(stamp_ns):
+        step_rad = angles[:1] - np.array([reported[1:]])
+        jumped[:1] = joint_jumps(stamp_ns[:1] - reported.stamp_ns, step_rad)
+    return jumped
 
 
 def _first(marks: np.ndarray, at: np.ndarray, none: int) -> int:

@@ -75,7 +75,8 @@ def clean_stream(
     joints = START + np.arange(0, duration_ns, joint_period_ns)
     wrenches = START + wrench_offset_ns + np.arange(0, duration_ns, wrench_period_ns)
     arrivals: list[tuple[int, int, Sample]] = []
-    angles = rng.normal(0.0, 0.3, size=(len(joints), 2))
+    # No arm jumps from one to another by more than 0.2 rad; faults do.
+    angles = rng.uniform(-0.1, 0.1, size=(len(joints), 2))
     for stamp, pair in zip(joints.tolist(), angles.tolist(), strict=True):
         arrivals.append((stamp + joint_delay_ns, 0, Sample(False, stamp, tuple(pair))))
     values = rng.normal(0.0, 1.0, size=(len(wrenches), 6))
@@ -379,8 +380,9 @@ def test_many_random_faults_and_borders(seed: int) -> None:
 @pytest.mark.slow
 def test_the_random_streams_meet_everything() -> None:
     seen = run_cases(1, 300)
-    # Forces of motion are asked for nowhere here.
-    assert set(seen.refusals) == set(Refusal) - {Refusal.NO_MOTION}
+    # Forces of motion are asked for nowhere here, and nobody watches publishers and bits.
+    elsewhere = {Refusal.NO_MOTION, Refusal.SEVERAL_PUBLISHERS, Refusal.FROZEN}
+    assert set(seen.refusals) == set(Refusal) - elsewhere
     assert set(seen.notices) == set(Notice)
     assert seen.compensated > 0.1 * seen.samples
     assert sum(line.startswith("tared: ") for line in seen.log) > 5

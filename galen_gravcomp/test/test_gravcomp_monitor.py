@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from galen_gravcomp.compensator import Compensator
 from galen_gravcomp.monitor import Monitor
-from galen_gravcomp.results import Compensated, Refused
+from galen_gravcomp.results import Compensated, Notice, Refusal, Refused
 from galen_gravcomp.stream_monitor import HOLD_S, NOTICE_HOLD_S, Severity
 from galen_model.tool_file import LoadEstimate, ToolFile
 
@@ -30,13 +30,34 @@ class Rig:
         self.monitor = Monitor(self.compensator, silence_s=1.0)
         self.t = 1000.0
 
-    def step(self, wrench: tuple[float, ...] = GOOD, joints: bool = True) -> bool:
+    def wait(self, time_s: float) -> None:
+        """Nothing comes for so long."""
+        end_s = self.t + time_s
+        while self.t < end_s:
+            self.t += 0.01
+            self.tick()
+
+    def tick(self) -> None:
+        self.monitor.tick(self.t)
+        for refused in self.monitor.review(self.t):
+            self.monitor.on_refused(refused, self.t)
+
+    def publishers(self, topic: str, listed: int, came: int) -> str:
+        why = self.monitor.publishers_changed(topic, listed, came, self.t)
+        if why:
+            self.compensator.restart(why)
+        self.monitor.review(self.t)
+        return why
+
+    def step(
+        self, wrench: tuple[float, ...] = GOOD, joints: bool = True, roll: float = 0.0
+    ) -> bool:
         self.t += 0.01
         stamp = round(self.t * S)
         changed = False
         if joints:
             self.monitor.on_joints(self.t)
-            self.compensator.push_joints(stamp, 0.0, 0.0)
+            self.compensator.push_joints(stamp, roll, 0.0)
         self.monitor.on_wrench(self.t)
         for result in self.compensator.push_wrench(stamp, wrench):
             if isinstance(result, Compensated):
@@ -44,7 +65,7 @@ class Rig:
             else:
                 assert isinstance(result, Refused)
                 changed |= self.monitor.on_refused(result, self.t)
-        self.monitor.tick(self.t)
+        self.tick()
         return changed
 
     @property
@@ -142,17 +163,141 @@ def test_values(rig: Rig) -> None:
     assert "not finite" in str(values["last_refusal"])
 
 
-def test_two_publishers_are_one_state(rig: Rig) -> None:
-    """What their wrenches are refused for changes with each of them; the state must not."""
-    rig.step()
-    rig.monitor.set_publishers({"wrench_raw": 2, "joint_states": 1})
+def test_an_end_of_the_range_is_told(rig: Rig) -> None:
+    """A sensor that clips reads its range itself, give or take a rounding."""
+    rig.step((125.0 - 1e-12, 0.0, 0.0, 0.0, 0.0, 0.0))
+    assert rig.now == (Severity.WARN, "compensating") and "may be clipped" in rig.message
+    for _ in range(int(NOTICE_HOLD_S / 0.01) + 1):
+        rig.step((124.99, 0.0, 0.0, 0.0, 0.0, -2.9998))
+    assert rig.now == (Severity.OK, "compensating")
+
+
+def test_two_publishers_of_the_wrench_are_refused_by_name(rig: Rig) -> None:
+    """Whose is it? What their wrenches are refused for changes with each; the state must not."""
+    rig.publishers("wrench_raw", 1, 1)
+    for _ in range(100):
+        rig.step()
+    assert (
+        rig.publishers("wrench_raw", 2, 1) == "driver restarted: a publisher of wrench_raw is new"
+    )
+    rig.monitor.publishers["wrench_raw"].name(["/left/driver", "/sim_driver"])
+    before = rig.compensator.compensated
     for wrench in (GOOD, BAD, GOOD):
         rig.step(wrench)
-        assert rig.now == (Severity.WARN, "several_publishers")
-        assert rig.message.startswith("wrench_raw has 2 publishers: stop all but one")
+        assert rig.now == (Severity.ERROR, "several_publishers")
+        assert rig.message == (
+            "nothing is published: wrench_raw has 2 publishers (/left/driver, /sim_driver):"
+            " stop all but one of them"
+        )
+    assert rig.compensator.compensated == before
+    assert rig.compensator.refusals[Refusal.SEVERAL_PUBLISHERS] == 3
+    assert "is gone" in rig.publishers("wrench_raw", 1, 0)
+    rig.step()
+    assert rig.compensator.compensated == before + 1
+
+
+@pytest.mark.parametrize("back_after_s", [0.3, 1.2, 30.0])
+def test_a_killed_driver_that_came_back_is_one(rig: Rig, back_after_s: float) -> None:
+    """DDS lists the killed one for some 20 s yet, and its end is no restart of the new one."""
+    rig.publishers("wrench_raw", 1, 1)
+    for _ in range(200):
+        rig.step()
+    rig.wait(back_after_s)
+    assert "is new" in rig.publishers("wrench_raw", 2, 1)
+    for _ in range(2000):
+        rig.step()
+    assert rig.now == (Severity.OK, "compensating")
+    assert rig.publishers("wrench_raw", 1, 0) == ""
+    assert "is gone" in rig.publishers("wrench_raw", 0, 0)
+
+
+def test_the_first_samples_of_the_driver_that_came_back_may_be_before_the_event(rig: Rig) -> None:
+    rig.publishers("wrench_raw", 1, 1)
+    for _ in range(200):
+        rig.step()
+    rig.wait(0.5)
+    for _ in range(30):
+        rig.step()
+    rig.publishers("wrench_raw", 2, 1)
+    rig.step()
+    assert rig.compensator.refusals[Refusal.SEVERAL_PUBLISHERS] == 0
+
+
+def test_a_publisher_thought_dead_that_speaks_again_is_one_too_many(rig: Rig) -> None:
+    rig.publishers("wrench_raw", 1, 1)
+    for _ in range(200):
+        rig.step()
+    rig.wait(0.5)
+    rig.publishers("wrench_raw", 2, 1)
+    for _ in range(50):
+        rig.step()
+        assert rig.now[1] == "compensating"
+    for _ in range(20):  # with the same stamps
+        rig.monitor.on_wrench(rig.t)
+        rig.compensator.push_wrench(round(rig.t * S), GOOD)
+    rig.step()
+    assert rig.now == (Severity.ERROR, "several_publishers")
+
+
+def test_two_publishers_at_the_start_are_two(rig: Rig) -> None:
+    rig.wait(3.0)
+    rig.publishers("wrench_raw", 1, 1)
+    rig.publishers("wrench_raw", 2, 1)
+    rig.step()
+    assert rig.now == (Severity.ERROR, "several_publishers")
+    assert rig.compensator.compensated == 0
+
+
+def test_another_publisher_of_joints_is_a_warning(rig: Rig) -> None:
+    """A gripper publishes its joints on the same topic."""
+    rig.publishers("joint_states", 1, 1)
+    rig.step()
+    rig.publishers("joint_states", 2, 1)
+    rig.step()
+    assert rig.now == (Severity.WARN, "several_publishers")
+    assert "joint_states has 2 publishers: only one of them may" in rig.message
     rig.t += HOLD_S + 0.1
     rig.step(BAD)
     assert rig.now == (Severity.ERROR, "nonfinite_wrench")  # nothing goes out: that is worse
-    rig.step(GOOD)
-    rig.monitor.set_publishers({"wrench_raw": 1, "joint_states": 1})
-    assert rig.now == (Severity.WARN, "nonfinite_wrench")
+
+
+def test_a_frozen_wrench_is_refused_while_the_arm_turns(rig: Rig) -> None:
+    same = (1.0, 2.0, 3.0, 0.1, 0.2, 0.3)
+    for i in range(90):
+        rig.step(same, roll=0.01 * i)
+    assert rig.now == (Severity.OK, "compensating")
+    for i in range(90, 130):
+        rig.step(same, roll=0.01 * i)
+    assert rig.compensator.refusals[Refusal.FROZEN] >= 25
+    rig.t += HOLD_S
+    rig.step(same, roll=1.4)
+    assert rig.now == (Severity.ERROR, "frozen_wrench")
+    assert "nothing is published: wrench_raw has been the same to the last bit for" in rig.message
+    rig.step((1.0, 2.0, 3.0, 0.1, 0.2, 0.3001), roll=1.4)
+    done = rig.compensator.compensated
+    rig.step((1.0, 2.0, 3.0, 0.1, 0.2, 0.3002), roll=1.4)
+    assert rig.compensator.compensated == done + 1
+
+
+def test_a_wrench_that_stays_is_fine_where_the_arm_stays_or_nothing_comes(rig: Rig) -> None:
+    for _ in range(300):
+        rig.step(roll=0.04)
+    rig.step(roll=0.06)  # a silence while the arm is moved by hand
+    rig.wait(5.0)
+    rig.step(roll=0.8)
+    assert rig.compensator.refusals[Refusal.FROZEN] == 0
+
+
+def test_a_jump_of_the_joints_costs_its_own_wrenches_and_is_told(rig: Rig) -> None:
+    for i in range(20):
+        rig.step(roll=0.8 if i == 10 else 0.01 * i)
+    # 10 ms a sample: 80 rad/s is fast, but no jump by the limit of 200
+    assert rig.compensator.notices[Notice.JOINT_JUMP] == 0
+    for i in range(20):
+        rig.step(roll=0.2 + (2.5 if i == 10 else 0.0))
+    assert rig.compensator.refusals[Refusal.JUMPING_JOINTS] == 2  # there and back
+    assert rig.now == (Severity.WARN, "jumping_joints")
+    assert "joint_states jumped by 2.50 rad within 10.0 ms" in rig.message
+    for _ in range(60):
+        rig.step(roll=0.2)
+    assert rig.now == (Severity.WARN, "compensating") and "faster than the arm" in rig.message

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import IntEnum
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
@@ -60,8 +60,12 @@ class DiagnosticsPublisher:
     def publish_now(self) -> None:
         """Publish the state as it is now; call it when the state changes."""
         status = self._report()
+        now = self._node.get_clock().now()
+        if now.nanoseconds == 0:  # only a simulation's clock is ever zero
+            text = f"{status.message}; use_sim_time is set, but no /clock came: time stands still"
+            status = replace(status, level=max(status.level, Level.WARN), message=text)
         message = DiagnosticArray()
-        message.header.stamp = self._node.get_clock().now().to_msg()
+        message.header.stamp = now.to_msg()
         message.status = [
             DiagnosticStatus(
                 level=bytes([status.level]),
