@@ -363,10 +363,9 @@ class Compensator(WrenchPairing[Compensated]):
         self.compensated += len(paired.number)
         self.pushed_as_arrays += paired.taken
         angles = paired.joints[:, -2:]
-        expected = prediction.readings(angles[:, 0], angles[:, 1])
-        if self._cable is not None:
-            expected += self._cable.readings(paired.joints)
-        wrench = prediction.wrenches(paired.raw - expected) - self._ramp.target
+        pull = 0.0 if self._cable is None else self._cable.readings(paired.joints)
+        wrench = prediction.compensate(paired.raw - pull, angles[:, 0], angles[:, 1])
+        wrench -= self._ramp.target
         return Outputs(paired.taken, paired.number, paired.stamp_ns, wrench, angles)
 
     @property

@@ -7,6 +7,9 @@ from galen_model.arrays import Array
 from galen_model.mounting import Mounting
 from galen_model.tool_file import ToolFile
 
+_BLOCK = 4096
+"""Samples; with all that is worked out of them some 0.7 MB."""
+
 
 class Prediction:
     """`ToolFile.predict`, for single poses some ten times as fast.
@@ -54,6 +57,20 @@ class Prediction:
         )
         readings: Array = directions @ self._by_direction.T + self._constant
         return readings
+
+    def compensate(self, readings: Array, roll_rad: Array, tilt_rad: Array) -> Array:
+        """Wrenches (n, 6) in ft_sensor of readings (n, 6) at angles (n,), less what is expected.
+
+        Block by block: what a block needs in between stays in the processor's cache, so that only
+        readings, angles and wrenches go through memory.
+        """
+        out = np.empty_like(readings)
+        for first in range(0, len(readings), _BLOCK):
+            rows = slice(first, first + _BLOCK)
+            expected = self.readings(roll_rad[rows], tilt_rad[rows])
+            np.subtract(readings[rows], expected, out=expected)
+            out[rows] = self.wrenches(expected)
+        return out
 
     def wrench(self, difference: Array) -> Array:
         """Wrench (6,) in ft_sensor, N and N.m, of a raw reading less the expected one (6,)."""

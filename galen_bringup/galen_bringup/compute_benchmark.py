@@ -1,0 +1,255 @@
+"""What computing costs, without any ROS: each against a baseline in the same run.
+
+    python -m galen_bringup.compute_benchmark --json
+
+- compensation of one sample: the node's kernel against the weight by Pinocchio's forward kinematics
+  and against the formula of other packages (R^T m g and the centre's torque, R from the caller);
+- compensation of an array: against the same formula on arrays, and against writing as many bytes
+  as the kernel has to read and write, once (numpy's copy): what memory allows;
+- regression: a calibration's two sweeps of 56 and of 10 000 poses, against one plain least squares
+  of the same equations;
+- hysteresis: a sample of a deflection model with two smooth plays at each spring, against the
+  springs alone.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+
+import numpy as np
+from galen_deflection.bench_models import bench_models
+from galen_deflection.models.interface import Stream
+from galen_gravcomp.prediction import Prediction
+from galen_model.arm import SENSOR
+from galen_model.arrays import Array
+from galen_model.identification import StillPoses, identify_two_sweeps
+from galen_model.kinematics import gravity_in_sensor
+from galen_model.load import gravity_regressor
+from galen_model.pinocchio_arm import PinocchioArm
+from galen_model.tool_file import LoadEstimate, ToolFile
+from rich.console import Console
+from rich.table import Table
+
+from galen_bringup.timing import Timing, time_calls
+
+_SAMPLES = 1_000_000
+_UNITS = (("ns", 1e9), ("us", 1e6), ("ms", 1e3), ("s", 1.0))
+_GRAVITY = np.array([0.0, 0.0, -9.81])
+
+
+@dataclass(frozen=True)
+class Compared:
+    """A subject beside its baseline: s a piece; ratio of the medians."""
+
+    group: str
+    subject: str
+    baseline: str
+    piece: str
+    time: Timing
+    baseline_time: Timing
+
+    @property
+    def ratio(self) -> float:
+        """Median over the baseline's."""
+        return self.time.median_s / self.baseline_time.median_s
+
+
+def peer_wrench(rotation: Array, mass_kg: float, com_m: Array, reading: Array) -> Array:
+    """The reading (6,) less the weight, as other packages have it: f = R^T m g, t = c x f.
+
+    rotation (3, 3): of the sensor in the base, from a transform tree in their case.
+    """
+    force = rotation.T @ (mass_kg * _GRAVITY)
+    return np.asarray(reading - np.concatenate([force, np.cross(com_m, force)]))
+
+
+def bench_tool() -> ToolFile:
+    """The pointer, as calibrated."""
+    load = LoadEstimate(0.06, np.array([0.055, 0.002, 0.045]), np.eye(4) * 1e-8)
+    return ToolFile(
+        tool="bench", load=load, bias=load, tip_m=np.zeros(3), rmse=np.zeros(6), poses_used=0,
+        calibrated_at="2026-01-01T00:00:00+00:00",
+    )  # fmt: skip
+
+
+def one_sample(rounds: int) -> list[Compared]:
+    """A sample at a time."""
+    tool = bench_tool()
+    kernel, arm = Prediction(tool), PinocchioArm()
+    reading, joints = np.ones(6), np.array([0.0, 0.0, 0.408, 0.3, -0.2])
+    mass, com = tool.load.mass_kg, tool.load.com_m
+    turned, _ = arm.pose(joints)
+
+    def ours() -> Array:
+        return kernel.wrench(reading - kernel.reading(0.3, -0.2))
+
+    def by_pinocchio() -> Array:
+        rotation, _ = arm.pose(joints)
+        return peer_wrench(rotation, mass, com, reading)
+
+    def by_peer() -> Array:
+        return peer_wrench(turned, mass, com, reading)
+
+    times = time_calls({"ours": ours, "pinocchio": by_pinocchio, "peer": by_peer}, rounds)
+    return [
+        Compared("compensation, one sample", "kernel", name, "sample", times["ours"], times[key])
+        for key, name in (
+            ("pinocchio", "Pinocchio's kinematics and the peers' formula"),
+            ("peer", "the peers' formula, rotation given"),
+        )
+    ]
+
+
+def arrays(rounds: int, samples: int = _SAMPLES) -> list[Compared]:
+    """A million samples at once."""
+    tool = bench_tool()
+    kernel = Prediction(tool)
+    random = np.random.default_rng(1)
+    roll, tilt = random.uniform(-1.5, 1.5, (2, samples))
+    readings = random.normal(size=(samples, 6))
+    from_here, to_here = np.ones(samples * 7), np.empty(samples * 7)
+    mass, com = tool.load.mass_kg, tool.load.com_m
+
+    def ours() -> Array:
+        return kernel.compensate(readings, roll, tilt)
+
+    def by_peer() -> Array:
+        force = mass * gravity_in_sensor(roll, tilt)
+        return np.asarray(readings - np.concatenate([force, np.cross(com, force)], axis=1))
+
+    def copied() -> None:
+        # 8 doubles in, 6 out a sample; a copy of 7 reads 7 and writes 7.
+        np.copyto(to_here, from_here)
+
+    times = time_calls({"ours": ours, "peer": by_peer, "copy": copied}, rounds)
+    each = {name: one.each(samples) for name, one in times.items()}
+    return [
+        Compared("compensation, arrays", "kernel", name, "sample", each["ours"], each[key])
+        for key, name in (("peer", "the peers' formula on arrays"), ("copy", "memory"))
+    ]
+
+
+def regression(rounds: int) -> list[Compared]:
+    """A whole calibration's computing, checks included."""
+    out = []
+    for poses in (56, 10_000):
+        bare, tool = _sweeps(poses)
+        rows = _plain_rows(bare, tool)
+        target = np.concatenate([bare.wrench, tool.wrench]).ravel()
+        calls: dict[str, Callable[[], object]] = {
+            "ours": lambda bare=bare, tool=tool: identify_two_sweeps(bare, tool),
+            "plain": lambda rows=rows, target=target: np.linalg.lstsq(rows, target, rcond=None),
+        }
+        times = time_calls(calls, rounds)
+        out.append(
+            Compared(
+                "calibration's regression",
+                f"two sweeps of {poses} poses",
+                "one plain least squares",
+                "calibration",
+                times["ours"],
+                times["plain"],
+            )
+        )
+    return out
+
+
+def hysteresis(rounds: int) -> list[Compared]:
+    """A sample of the deflection's models as they stream."""
+    random = np.random.default_rng(2)
+    joints = np.array([0.0, 0.0, 0.408, 0.3, -0.2]) + 1e-4 * random.normal(size=(256, 5))
+    wrench = 3.0 * np.sin(0.05 * np.arange(256))[:, None] * np.array([1, 0.3, 0.5, 0, 0, 0.01])
+    calls: dict[str, Callable[[], object]] = {}
+    for model in bench_models():
+        calls[model.name] = _Steps(model.stream(), joints, wrench)
+    times = {name: one.each(256) for name, one in time_calls(calls, rounds).items()}
+    springs, plays = times
+    return [
+        Compared("deflection, one sample", plays, springs, "sample", times[plays], times[springs])
+    ]
+
+
+class _Steps:
+    """Streams all samples through a model, at 500 Hz by their stamps, again and again."""
+
+    def __init__(self, stream: Stream, joints: Array, wrench: Array) -> None:
+        self._stream, self._samples = stream, list(zip(joints, wrench, strict=True))
+        self._now_ns = 0
+
+    def __call__(self) -> None:
+        for joints, wrench in self._samples:
+            self._now_ns += 2_000_000
+            self._stream.step(self._now_ns, joints, wrench)
+
+
+def _sweeps(poses: int) -> tuple[StillPoses, StillPoses]:
+    random = np.random.default_rng(poses)
+    tool = bench_tool()
+    out = []
+    for load in (0.0, 1.0):
+        roll, tilt = random.uniform(-1.4, 1.4, poses), random.uniform(-0.9, 0.8, poses)
+        whole = tool.predict(roll, tilt) * (1.0 + load)
+        noise = SENSOR.noise_std / 10.0 * random.normal(size=(poses, 6))
+        out.append(StillPoses(roll, tilt, whole + noise))
+    return out[0], out[1]
+
+
+def _plain_rows(bare: StillPoses, tool: StillPoses) -> Array:
+    """Both sweeps' mass and first moment, and an offset each: (12 n, 14)."""
+    return np.concatenate([_with_offset(bare, 0), _with_offset(tool, 1)])
+
+
+def _with_offset(sweep: StillPoses, number: int) -> Array:
+    regressor = gravity_regressor(sweep.gravity)
+    n, axes, columns = regressor.shape
+    rows = np.zeros((n, axes, 2 * columns + axes))
+    rows[:, :, :columns] = regressor
+    if number:
+        rows[:, :, columns : 2 * columns] = regressor
+    rows[:, :, 2 * columns :] = np.eye(axes)
+    return rows.reshape(n * axes, -1)
+
+
+GROUPS: dict[str, Callable[[int], list[Compared]]] = {
+    "sample": one_sample,
+    "arrays": arrays,
+    "regression": regression,
+    "hysteresis": hysteresis,
+}
+
+
+def main() -> None:
+    """Measure all, or some, and print a table, or JSON."""
+    parser = argparse.ArgumentParser(
+        description=__doc__.partition("\n")[0], formatter_class=argparse.RawTextHelpFormatter
+    )
+    parser.add_argument("--only", nargs="+", choices=GROUPS, default=list(GROUPS), help="groups")
+    parser.add_argument("--rounds", type=int, default=9, help="turns of each subject (9)")
+    parser.add_argument("--json", action="store_true", help="print one JSON object")
+    options = parser.parse_args()
+    found = [one for name in options.only for one in GROUPS[name](options.rounds)]
+    if options.json:
+        print(json.dumps([asdict(one) | {"ratio": one.ratio} for one in found], indent=1))
+        return
+    table = Table("what", "subject", "time", "baseline", "its time", "ratio", box=None)
+    for one in found:
+        times = (_words(each, one.piece) for each in (one.time, one.baseline_time))
+        ours, base = times
+        table.add_row(one.group, one.subject, ours, one.baseline, base, f"{one.ratio:.2f}")
+    Console(width=170).print(table)
+    Console().print("Times: least/median/largest of the rounds.")
+
+
+def _words(time: Timing, piece: str) -> str:
+    unit, scale = next(
+        ((unit, scale) for unit, scale in _UNITS if time.median_s * scale < 1000.0), _UNITS[-1]
+    )
+    values = (time.least_s, time.median_s, time.largest_s)
+    return "/".join(f"{value * scale:.3g}" for value in values) + f" {unit} a {piece}"
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,141 @@
+"""How long each node takes from its process' start till others see it, beside a bare relay.
+
+    python -m galen_bringup.startup_benchmark --json
+
+Seen is: the node's name is in the graph and it has told its state on /diagnostics (a relay: its
+name). CPU is user and system time of the process until then.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray
+from galen_gravcomp.benchmark import write_bench_tool
+from galen_gravcomp.node_benchmark import cpu_s
+from galen_ros.domain import DomainLock
+from galen_ros.spin import make_executor
+from rclpy.node import Node
+
+_LONGEST_S = 60.0
+_POLL_S = 0.02
+
+
+@dataclass(frozen=True)
+class Started:
+    """One start of a node: s from its process' start till it was seen, and its CPU time, s."""
+
+    subject: str
+    seconds: float
+    cpu_s: float
+
+
+def subjects(folder: Path) -> dict[str, tuple[str, tuple[str, ...]]]:
+    """Name in the graph and arguments after `python -m`, by subject; the relay first."""
+    tools = ("-p", f"tools_dir:={folder}")
+    ros = ("--ros-args", "--log-level", "error")
+    return {
+        "relay": ("relay", ("galen_gravcomp.node_benchmark", "relay", "wrench_raw")),
+        "gravcomp_node": (
+            "gravcomp",
+            ("galen_gravcomp.node", *ros, *tools, "-p", "tool:=bench"),
+        ),
+        "deflection_node": ("deflection", ("galen_deflection.node", *ros)),
+        "sim_driver_node": ("sim_driver", ("galen_sim_driver.node", *ros)),
+        "calibration_node": ("calibration", ("galen_calibration_behavior.node", *ros, *tools)),
+        "gap_monitor": ("gap_monitor", ("galen_diagnosis.gap_monitor", *ros, *tools)),
+    }
+
+
+class _Watcher(Node):
+    """Sees names in the graph, and who told its state."""
+
+    def __init__(self, context: rclpy.Context) -> None:
+        super().__init__("startup_watcher", context=context)
+        self.told: set[str] = set()
+        self.create_subscription(DiagnosticArray, "/diagnostics", self._on_state, 50)
+
+    def _on_state(self, message: DiagnosticArray) -> None:
+        self.told.update(status.name for status in message.status)
+
+    def sees(self, name: str) -> bool:
+        """Whether a node of that name is there and, unless it is a relay, has told its state."""
+        if name not in self.get_node_names():
+            return False
+        return name == "relay" or any(name in told for told in self.told)
+
+
+def start(subject: str, name: str, arguments: Sequence[str]) -> Started:
+    """Start a node once, alone in its domain."""
+    lock = DomainLock()
+    environment = os.environ | {"ROS_DOMAIN_ID": str(lock.domain_id), "OMP_NUM_THREADS": "1"}
+    context = rclpy.Context()
+    rclpy.init(context=context, domain_id=lock.domain_id)
+    watcher = _Watcher(context)
+    executor = make_executor(context)
+    executor.add_node(watcher)
+    process = None
+    try:
+        began_s = time.monotonic()
+        process = subprocess.Popen([sys.executable, "-m", *arguments], env=environment)
+        while not watcher.sees(name):
+            executor.spin_once(timeout_sec=_POLL_S)
+            if process.poll() is not None:
+                raise RuntimeError(f"{subject} ended with exit code {process.returncode}")
+            if time.monotonic() - began_s > _LONGEST_S:
+                raise RuntimeError(f"{subject} wasn't seen within {_LONGEST_S:g} s")
+        return Started(subject, time.monotonic() - began_s, cpu_s(process.pid))
+    finally:
+        if process is not None:
+            process.terminate()
+            process.wait(timeout=10.0)
+        executor.remove_node(watcher)
+        watcher.destroy_node()
+        executor.shutdown()
+        rclpy.shutdown(context=context)
+        lock.release()
+
+
+def main() -> None:
+    """Start every node a few times, in turns, and print a table, or JSON."""
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("--rounds", type=int, default=5, help="starts of each (5)")
+    parser.add_argument("--json", action="store_true", help="print every start as JSON")
+    options = parser.parse_args()
+    os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    found: list[Started] = []
+    with tempfile.TemporaryDirectory() as folder:
+        write_bench_tool(Path(folder))
+        known = subjects(Path(folder))
+        for _ in range(options.rounds):
+            for subject, (name, arguments) in known.items():
+                found.append(start(subject, name, arguments))
+    if options.json:
+        print(json.dumps([asdict(one) for one in found], indent=1))
+        return
+    base = statistics.median(one.seconds for one in found if one.subject == "relay")
+    print(f"{'node':20s} {'s till seen':20s} {'CPU s':20s} ratio")
+    for subject in known:
+        own = [one for one in found if one.subject == subject]
+        seconds, cpu = [one.seconds for one in own], [one.cpu_s for one in own]
+        ratio = statistics.median(seconds) / base
+        print(f"{subject:20s} {_three(seconds):20s} {_three(cpu):20s} {ratio:.2f}")
+
+
+def _three(values: Sequence[float]) -> str:
+    return "/".join(f"{one:.2f}" for one in (min(values), statistics.median(values), max(values)))
+
+
+if __name__ == "__main__":
+    main()
