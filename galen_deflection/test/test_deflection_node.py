@@ -282,8 +282,18 @@ def test_another_publisher_of_the_wrench_is_another_driver(harness, folder):
         bench.step(size * PUSH)
     bench.outputs(60)
     other = harness.add(lambda context: Arm(context=context))
-    values = bench.state("several_publishers", Level.WARN, "is new", bench.step)
-    assert "wrench_compensated has 2 publishers" in values["message"]
+
+    def both():
+        """The other one repeats each sample."""
+        bench.step()
+        first, bench.arm = bench.arm, other
+        bench.stamp -= 2 * MS
+        bench.step()
+        bench.arm = first
+
+    words = "wrench_compensated has 2 publishers (/arm 2 times)"
+    values = bench.state("several_publishers", Level.ERROR, words, both)
+    assert "is new" in values["last_restart"]
     assert int(values["restarts"]) >= 1 and int(values["forgotten"]) >= 1
     assert values["wrench_compensated_publishers"] == "2"
     harness.remove(other)
