@@ -2,7 +2,12 @@
 
 The new content goes into a temporary file beside the old one, which is synced to the disk and
 renamed over the old name, as POSIX does in one step; before that the old file gets a second name,
-`<name>.bak`. A process killed at any moment leaves the old file or the new one.
+`<name>.bak`. A process killed at any moment leaves the old file or the new one, and perhaps a
+hidden `.<name>.<anything>` beside it, which nobody reads.
+
+Where the name is a symbolic link, the link is replaced, and `.bak` leads to where it led: what is
+written never ends up in another directory, and nothing there changes. A directory that is a link is
+followed.
 """
 
 import errno
@@ -111,10 +116,14 @@ def _keep_backup(path: Path) -> None:
     spare = path.with_name(f".{path.name}.bak.{os.getpid()}")
     spare.unlink(missing_ok=True)
     try:
-        os.link(path, spare)
-    except OSError:  # a file system without hard links
-        spare.write_bytes(path.read_bytes())
-    os.replace(spare, backup)
+        try:
+            os.link(path, spare)
+        except OSError:  # a file system without hard links
+            spare.write_bytes(path.read_bytes())
+        os.replace(spare, backup)
+    except BaseException:
+        spare.unlink(missing_ok=True)
+        raise
 
 
 def sync_directory(directory: Path) -> None:

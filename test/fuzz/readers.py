@@ -1,0 +1,425 @@
+"""Every reader of files and messages, and what it promises whatever the bytes are.
+
+Either it reads something that holds together (finite numbers, the right shapes, what is written
+again is read the same), or it raises a GalenError whose message is one line that names the file.
+The property tests (test_bad_input.py) and the fuzzer (run.py) hold all readers to it.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import sys
+import warnings
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+ROOT = Path(__file__).resolve().parents[2]
+for _package in ("galen_bags", "galen_deflection"):
+    sys.path.append(str(ROOT / _package / "test"))  # their made-up bags and models
+
+from bags_samples import (  # noqa: E402  after the paths
+    JOINT_STATE,
+    ROS1_TYPES,
+    WRENCH,
+    Sample,
+    StoragePlugin,
+    arm_samples,
+    cdr,
+    header,
+    joint_state,
+    mcap_of,
+    wrench,
+    write_ros1,
+    write_rosbag2,
+)
+from deflection_made_model import made_model  # noqa: E402
+from galen_bags.arm_recording import read_arm  # noqa: E402
+from galen_bags.bag import open_bag  # noqa: E402
+from galen_bags.mcap_records import zstd  # noqa: E402
+from galen_bags.messages import Decoder  # noqa: E402
+from galen_bags.metadata import read_metadata  # noqa: E402
+from galen_bags.orientation_table import (  # noqa: E402
+    read_orientations,
+    read_rotations,
+    read_table,
+    read_wrenches,
+)
+from galen_bags.raw_block import pack  # noqa: E402
+from galen_deflection.model_file import read_model, write_model  # noqa: E402
+from galen_deflection.transmission.joint_report import read_listed  # noqa: E402
+from galen_deflection.transmission.runs import ColumnMap, read_run  # noqa: E402
+from galen_gravcomp.wire import ImuWire, JointWire, WrenchWire  # noqa: E402
+from galen_model.arm import JOINT_NAMES  # noqa: E402
+from galen_model.errors import GalenError  # noqa: E402
+from galen_model.tool_comparison import compare_tools  # noqa: E402
+from galen_model.tool_file import LoadEstimate, ToolFile, read_tool, write_tool  # noqa: E402
+from galen_model.tool_store import ToolStore  # noqa: E402
+
+LONGEST_MESSAGE = 2000
+"""Letters, beside the path; more of a hostile file must not get into a log."""
+
+POSES = np.array([[0.0, 0.0], [1.5, -1.0], [-1.5, 0.9]])
+"""Roll and tilt, rad, at which what a file predicts must be finite."""
+
+JOINTS = np.array([0.0, 0.0, 0.408, 0.0, 0.0])
+
+
+@dataclass(frozen=True)
+class Reader:
+    """`use` reads a file and checks what it got; `names_file`: its errors name the file."""
+
+    file_name: str
+    seeds: Callable[[], list[bytes]]
+    use: Callable[[Path], None]
+    names_file: bool = True
+
+
+def check(reader: Reader, data: bytes, folder: Path) -> bool:
+    """Whether the bytes were read; AssertionError, or what should not get out, if it is wrong."""
+    path = folder / reader.file_name
+    path.write_bytes(data)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")  # such as an overflow, which a user would see
+            reader.use(path)
+    except GalenError as error:
+        told = str(error)
+        assert not reader.names_file or path.name in told, f"does not name the file: {told}"
+        rest = told.replace(str(folder), "")
+        assert told.isprintable(), f"not one plain line: {told!r}"
+        assert len(rest) < LONGEST_MESSAGE, f"{len(rest)} letters: {rest[:100]}"
+        return False
+    return True
+
+
+# --- tools' files ---------------------------------------------------------------------------------
+
+
+def a_tool(name: str = "file", mass_kg: float = 0.06) -> ToolFile:
+    """A tool's file that is right."""
+    return ToolFile(
+        tool=name,
+        load=LoadEstimate(mass_kg, np.array([0.055, 0.002, 0.045]), np.eye(4) * 1e-8),
+        bias=LoadEstimate(0.1, np.array([0.0, 0.0, 0.02]), np.eye(4) * 1e-8),
+        tip_m=np.array([0.15, 0.0, 0.05]),
+        rmse=np.full(6, 1e-3),
+        poses_used=56,
+        calibrated_at="2026-01-01T00:00:00+00:00",
+        poses_rejected=("with the tool, pose 3: moved",),
+    )
+
+
+def _tool_contents() -> list[dict]:
+    inertia = {
+        "about_sensor_kg_m2": [1e-4, 2e-4, 2e-4, 0.0, 0.0, 0.0],
+        "order": ["xx", "yy", "zz", "xy", "xz", "yz"],
+        "covariance": (np.eye(6) * 1e-12).tolist(),
+    }
+    mounting = {
+        "sensor_rotvec_rad": [0.01, 0.0, 0.0],
+        "axis_gain": [0.0] * 6,
+        "base_inclination_rad": {"about_x": 0.0, "about_y": 0.01},
+        "joint_zero_rad": {"roll": 0.0, "tilt": 0.0},
+        "covariance": (np.eye(13) * 1e-8).tolist(),
+        "estimated": [],
+    }
+    whole = a_tool().to_json()
+    return [whole, {**whole, "inertia": inertia}, {**whole, "mounting": mounting}]
+
+
+def use_tool(path: Path) -> None:
+    """Read, predict, compare, write, read again."""
+    store = ToolStore(path.parent)
+    entry = next(store.entries([path.stem]))
+    tool = read_tool(path)  # its error ends it
+    if tool.tool == path.stem:
+        assert entry.stored is not None and entry.stored.tool.to_json() == tool.to_json()
+    assert tool.load.mass_kg > 0.0 and tool.bias.mass_kg >= 0.0
+    assert np.isfinite(tool.predict(POSES[:, 0], POSES[:, 1])).all()
+    assert compare_tools(tool, a_tool("other")).text if tool.sensor_frame == "ft_sensor" else True
+    again = path.with_name("again.json")
+    write_tool(again, tool)
+    assert read_tool(again).to_json() == tool.to_json()
+    again.with_name("again.json.bak").unlink(missing_ok=True)
+    again.unlink()
+
+
+# --- models ---------------------------------------------------------------------------------------
+
+
+def signed(data: bytes) -> bytes:
+    """A model's JSON with the checksum that is right for it, where it is JSON at all.
+
+    Else nothing but the checksum would ever be tried.
+    """
+    try:
+        content = json.loads(data)
+        rest = {name: value for name, value in content.items() if name != "sha256"}
+        canonical = json.dumps(rest, sort_keys=True, separators=(",", ":"))
+        return json.dumps(
+            {**rest, "sha256": hashlib.sha256(canonical.encode()).hexdigest()}
+        ).encode()
+    except (ValueError, AttributeError, RecursionError, TypeError):
+        return data
+
+
+def _model_seeds() -> list[bytes]:
+    return [
+        json.dumps({"schema_version": 1, **made_model(hysteresis).to_json()}).encode()
+        for hysteresis in (False, True)
+    ]
+
+
+def use_model(path: Path) -> None:
+    """Read as it is and signed, predict, write, read again."""
+    data = path.read_bytes()
+    path.write_bytes(signed(data))
+    model = read_model(path)
+    stream = model.stream()
+    for k in range(3):
+        predicted = stream.step(k * 2_000_000, JOINTS, np.array([1.0, -2.0, 3.0, 0.1, 0.0, -0.1]))
+        assert np.isfinite(predicted.mean).all() and np.isfinite(predicted.covariance).all()
+    again = path.with_name("again.json")
+    write_model(again, model)
+    assert read_model(again).to_json() == model.to_json()
+    again.with_name("again.json.bak").unlink(missing_ok=True)
+    again.unlink()
+
+
+def _packed_seeds() -> list[bytes]:
+    described = json.dumps({"schema_version": 1, "kind": "lstm", "sha256": "0"})
+    weights = np.zeros((2, 3), dtype=np.float32)
+    head = json.dumps(
+        {
+            "__metadata__": {"galen_deflection": described},
+            "w": {"dtype": "F32", "shape": [2, 3], "data_offsets": [0, 24]},
+        }
+    ).encode()
+    return [len(head).to_bytes(8, "little") + head + weights.tobytes()]
+
+
+def use_comparison(path: Path) -> None:
+    """A comparison that fit_joint printed."""
+    listed = read_listed(path)
+    assert np.isfinite([listed.noise, listed.lag_std, *np.ravel([*listed.scores.values()])]).all()
+
+
+def _comparison_seeds() -> list[bytes]:
+    content = {
+        "schema_version": 1,
+        "label": "roll",
+        "scores": {"linear": {"rmse_rad": 1e-3, "share_of_std": 0.5}},
+        "noise_rad": {"floor": 1e-5},
+        "lag_std_rad": 2e-3,
+    }
+    return [json.dumps(content).encode()]
+
+
+# --- tables ---------------------------------------------------------------------------------------
+
+
+def use_table(path: Path) -> None:
+    """By every reader of tables; one that refuses leaves the others their turn."""
+    refused: GalenError | None = None
+    columns = ColumnMap(motor="gx", link="gy", torque="gz", t="t")
+    for read in (read_table, _in_base, read_wrenches, read_orientations, read_rotations):
+        try:
+            found = read(path)
+        except GalenError as error:
+            refused = error
+            continue
+        for part in found if isinstance(found, tuple) else (found,):
+            _check_table(part)
+    try:
+        run = read_run(path, columns)
+        assert np.isfinite(run.lag).all() and run.step_s > 0.0
+    except GalenError as error:
+        refused = refused or error
+    if refused is not None:
+        raise refused
+
+
+def _in_base(path: Path) -> object:
+    return read_table(path, wrench_frame="base")
+
+
+def _check_table(part: object) -> None:
+    if isinstance(part, np.ndarray):
+        assert np.isfinite(part).all()
+    elif part is not None:
+        assert part.wrench.shape == (len(part), 6) and part.gravity.shape == (len(part), 3)
+        assert np.isfinite(part.wrench).all() and np.isfinite(part.gravity).all()
+        assert np.allclose(np.linalg.norm(part.gravity, axis=1), 9.80665, rtol=0.03)
+        if part.rotation is not None:
+            products = part.rotation @ part.rotation.transpose(0, 2, 1)
+            assert np.allclose(products, np.eye(3), atol=0.05)
+
+
+def _table_seeds() -> list[bytes]:
+    heads = (
+        "t,fx,fy,fz,tx,ty,tz,gx,gy,gz,block",
+        "t;fx;fy;fz;tx;ty;tz;qx;qy;qz;qw",
+        "t fx fy fz tx ty tz roll tilt",
+        "t,fx,fy,fz,tx,ty,tz,r11,r12,r13,r21,r22,r23,r31,r32,r33",
+    )
+    rows = (
+        "0.1,1,2,3,.1,.2,.3,0,0,-9.81,a\n0.2,1,2,3,.1,.2,.3,0,0,-9.81,b",
+        "0.1;1;2;3;.1;.2;.3;0;0;0;1\n0.2;1;2;3;.1;.2;.3;0;0;1;0",
+        "0.1 1 2 3 .1 .2 .3 .5 .25\n0.2 1 2 3 .1 .2 .3 -.5 .25",
+        "0.1,1,2,3,.1,.2,.3,1,0,0,0,1,0,0,0,1",
+    )
+    seeds = ["\n".join(pair).encode() for pair in zip(heads, rows, strict=True)]
+    run = "t,gx,gy,gz\n" + "".join(f"{k / 50},{k},{k * 0.9 + k % 3},{k % 7}\n" for k in range(60))
+    return [*seeds, run.encode()]
+
+
+# --- bags -----------------------------------------------------------------------------------------
+
+
+def use_bag(path: Path) -> None:
+    """All its messages as bytes, then the arm's as numbers."""
+    bag_path = path.parent if path.name == "metadata.yaml" else path
+    with open_bag(bag_path) as bag:
+        for block in bag.blocks([t.name for t in bag.topics.values() if t.encoding == "cdr"]):
+            assert len(block) and (block.size >= 0).all()
+            assert (block.start + block.size <= len(block.data)).all()
+        for problem in bag.problems:
+            assert "\n" not in problem and len(problem) < LONGEST_MESSAGE
+    arm = read_arm(bag_path)
+    assert arm.joints.shape == (len(arm.joint_stamp_ns), 5) and len(arm.joints)
+    assert arm.wrenches.shape == (len(arm.wrench_stamp_ns), 6) and len(arm.wrenches)
+
+
+def use_metadata(path: Path) -> None:
+    """A directory whose metadata.yaml is this; its one file is whole."""
+    (path.parent / "bag_0.mcap").write_bytes(_MCAP)
+    found = read_metadata(path.parent)
+    assert found.start_ns is None or isinstance(found.start_ns, int)
+    use_bag(path)
+
+
+_SAMPLES = arm_samples(6)
+_MCAP = mcap_of(_SAMPLES, chunk_of=5)
+
+
+def _mcap_seeds() -> list[bytes]:
+    return [
+        mcap_of(_SAMPLES, compression, chunk_of=chunk_of, summary=summary, crc=False)
+        for compression, chunk_of, summary in (
+            ("", 5, True), ("", None, False), ("zstd", 5, True), ("lz4", 5, False),
+        )
+    ]  # fmt: skip
+
+
+def _in_folder(write: Callable[[Path], list[bytes]]) -> list[bytes]:
+    import tempfile
+
+    with tempfile.TemporaryDirectory() as folder:
+        return write(Path(folder))
+
+
+def _db3_seeds() -> list[bytes]:
+    def write(folder: Path) -> list[bytes]:
+        path = write_rosbag2(folder / "bag", _SAMPLES, StoragePlugin.SQLITE3)
+        return [file.read_bytes() for file in path.glob("*.db3")]
+
+    return _in_folder(write)
+
+
+def _metadata_seeds() -> list[bytes]:
+    def write(folder: Path) -> list[bytes]:
+        path = write_rosbag2(folder / "bag", _SAMPLES)
+        return [(path / "metadata.yaml").read_bytes().replace(b"bag.mcap", b"bag_0.mcap")]
+
+    return _in_folder(write)
+
+
+def _ros1_seeds() -> list[bytes]:
+    def messages() -> list[tuple]:
+        head = header(_SAMPLES[0].log_time_ns, "ft_sensor", ROS1_TYPES, seq=1)
+        joints = joint_state(head, JOINT_NAMES, JOINTS, types=ROS1_TYPES)
+        force = wrench(head, range(6), ROS1_TYPES)
+        return [("/joint_states", 1, joints), ("/wrench_raw", 2, force)]
+
+    return _in_folder(
+        lambda folder: [
+            write_ros1(folder / f"{kind}x.bag", messages(), kind).read_bytes()
+            for kind in ("", "LZ4", "BZ2")
+        ]
+    )
+
+
+# --- messages -------------------------------------------------------------------------------------
+
+
+def use_messages(path: Path) -> None:
+    """Bytes as a publisher may send them, to all that read them live and from bags."""
+    data = path.read_bytes()
+    refused: GalenError | None = None
+    live: dict[str, object] = {}
+    for name, read in (
+        ("wrench", WrenchWire().read),
+        ("imu", ImuWire().read),
+        ("joints", JointWire(JOINT_NAMES[3:]).read),
+    ):
+        try:
+            live[name] = read(data)
+        except GalenError as error:
+            refused = error
+    if "wrench" in live:
+        raw = live["wrench"]
+        written = raw.with_wrench(np.arange(6.0))
+        again = WrenchWire().read(written)
+        assert len(written) == len(data) and again.wrench == tuple(range(6))
+        assert (again.stamp_ns, again.frame_id) == (raw.stamp_ns, raw.frame_id)
+    if "imu" in live:
+        assert len(live["imu"][1]) == len(live["imu"][2]) == 3
+    block = pack([0], [0], [data])
+    decoders = {
+        "wrench": Decoder(WRENCH),
+        "joints": Decoder(JOINT_STATE, JOINT_NAMES[3:], required=2),
+    }
+    for name, decoder in decoders.items():
+        samples = decoder.decode(block, np.zeros(1, dtype=int))
+        assert bool(samples.bad) == (name not in live), f"{name}: {samples.bad}"
+        if name == "joints" and name in live:
+            np.testing.assert_array_equal(samples.values[0, :2], live[name][1])
+            assert samples.stamp_ns[0] == live[name][0]
+        elif name in live:
+            np.testing.assert_array_equal(samples.values[0], live[name].wrench)
+            assert samples.stamp_ns[0] == live[name].stamp_ns
+    if refused is not None:
+        raise refused
+
+
+def _message_seeds() -> list[bytes]:
+    head = header(_SAMPLES[0].log_time_ns, "ft_sensor")
+    joints = joint_state(head, JOINT_NAMES, JOINTS, JOINTS)
+    messages = [cdr(wrench(head, range(6))), cdr(joints), cdr(joints, little_endian=False)]
+    return [*messages, messages[0] + bytes(37 * 8)]  # as long as an Imu
+
+
+def samples_file(samples: list[Sample]) -> bytes:
+    """A bag of these, for tests that make their own messages."""
+    return mcap_of(samples)
+
+
+READERS = {
+    "tool_file": Reader(
+        "file.json", lambda: [json.dumps(c).encode() for c in _tool_contents()], use_tool
+    ),
+    "model_json": Reader("model.json", _model_seeds, use_model),
+    "model_packed": Reader("model.safetensors", _packed_seeds, use_model),
+    "comparison": Reader("comparison.json", _comparison_seeds, use_comparison),
+    "table": Reader("table.csv", _table_seeds, use_table),
+    "mcap": Reader("bag.mcap", _mcap_seeds, use_bag),
+    "mcap_zstd": Reader("bag.mcap.zstd", lambda: [zstd.compress(_MCAP)], use_bag),
+    "db3": Reader("bag.db3", _db3_seeds, use_bag),
+    "ros1": Reader("bag.bag", _ros1_seeds, use_bag),
+    "metadata": Reader("metadata.yaml", _metadata_seeds, use_metadata, names_file=False),
+    "messages": Reader("message", _message_seeds, use_messages, names_file=False),
+}
