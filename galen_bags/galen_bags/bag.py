@@ -22,6 +22,7 @@ from galen_bags.errors import BagError
 from galen_bags.library_file import LibraryFile
 from galen_bags.mcap_file import McapFile
 from galen_bags.mcap_records import LARGEST_BYTES
+from galen_bags.metadata import MOST_BYTES
 from galen_bags.problems import Problems
 from galen_bags.raw_block import Messages, TopicInfo, packed
 
@@ -35,8 +36,6 @@ _KINDS = (*STORAGES, ".bag")
 _ZSTD = ".zstd"
 # No serialised message starts so: CDR's first byte is zero.
 _ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
-# metadata.yaml has some hundred bytes a topic and a file, and the list of files first.
-_MOST_METADATA_BYTES = 1 << 20
 # Recordings don't shrink to less; what grows by more is meant to fill the disk.
 _MOST_EXPANSION = 1000
 _MOST_NAMED = 12
@@ -266,7 +265,7 @@ def _listed_files(directory: Path) -> tuple[list[Path] | None, list[str]]:
 def _listed_paths(metadata: Path) -> list[str]:
     """The texts in the list of files; the rest of the file is not taken apart."""
     with metadata.open(encoding="utf-8") as file:
-        events = yaml.parse(file.read(_MOST_METADATA_BYTES), Loader=yaml.BaseLoader)
+        events = yaml.parse(file.read(MOST_BYTES), Loader=yaml.BaseLoader)
         for event in events:
             if isinstance(event, yaml.ScalarEvent) and event.value == "relative_file_paths":
                 break

@@ -4,11 +4,16 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import yaml
+from galen_model.json_fields import read_limited
 from rosbags.interfaces import Qos
 from rosbags.rosbag2 import ReaderError
 from rosbags.rosbag2.metadata import parse_qos
+
+# A topic's entry has some hundred bytes, and a file's as well.
+MOST_BYTES = 1 << 20
 
 
 @dataclass(frozen=True)
@@ -26,7 +31,8 @@ def read_metadata(path: Path) -> BagMetadata:
     That is no error here: `open_bag` reports it, and reads the messages all the same.
     """
     try:
-        content = yaml.safe_load((path / "metadata.yaml").read_text(encoding="utf-8"))
+        raw = read_limited(path / "metadata.yaml", MOST_BYTES, "a bag's metadata")
+        content = yaml.load(raw.decode(), Loader=_Loader)
         known = content["rosbag2_bagfile_information"]
         qos = {}
         for entry in known["topics_with_message_count"]:
@@ -36,5 +42,18 @@ def read_metadata(path: Path) -> BagMetadata:
             return BagMetadata(qos=qos)
         start_ns = int(known["starting_time"]["nanoseconds_since_epoch"])
         return BagMetadata(start_ns, start_ns + int(known["duration"]["nanoseconds"]), qos)
-    except (OSError, ValueError, yaml.YAMLError, KeyError, TypeError, ReaderError):
+    except (
+        OSError, ValueError, OverflowError, yaml.YAMLError, LookupError, TypeError, AttributeError,
+        RecursionError, ReaderError,
+    ):  # fmt: skip
         return BagMetadata()
+
+
+class _Loader(yaml.SafeLoader):
+    """Without aliases, which rosbag2 never writes: a few lines of them stand for gigabytes."""
+
+    def compose_node(self, parent: Any, index: Any) -> Any:
+        """As the base's, which would follow an alias."""
+        if self.check_event(yaml.AliasEvent):
+            raise yaml.YAMLError("an alias")
+        return super().compose_node(parent, index)

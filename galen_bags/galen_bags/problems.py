@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
+from galen_model.errors import one_line
+
 _MOST = 20
 
 
@@ -17,7 +19,7 @@ class Problems:
 
     def add(self, text: str) -> None:
         """Note a problem. Reading a bag again finds the same ones again."""
-        text = " ".join(text.split())
+        text = one_line(" ".join(text.split()))
         if text in self._texts:
             return
         if len(self._texts) < _MOST:

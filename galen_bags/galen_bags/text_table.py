@@ -7,6 +7,7 @@ that starts with # is a comment. The columns are named in the first line or by t
 from __future__ import annotations
 
 import os
+from collections import Counter
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,6 +15,10 @@ from pathlib import Path
 import numpy as np
 from galen_model.arrays import Array
 from galen_model.errors import GalenError
+
+_MOST_BYTES = 1 << 30
+# No reading, stamp or gain is larger, in whatever units; products of such numbers are finite.
+_LARGEST = 1e30
 
 
 class TableError(GalenError):
@@ -58,9 +63,13 @@ def _rows(
 ) -> tuple[list[str], list[list[str]], list[int]]:
     """Column names, cells and line numbers."""
     try:
-        text = path.read_text(encoding="utf-8-sig")
+        with path.open("rb") as stream:
+            raw = stream.read(_MOST_BYTES + 1)
+        text = raw[:_MOST_BYTES].decode("utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:
         raise TableError(f"{path}: can't be read: {error}") from error
+    if len(raw) > _MOST_BYTES:
+        raise TableError(f"{path}: larger than {_MOST_BYTES} bytes, not a table of readings")
     names = [name.strip() for name in columns] if columns else None
     rows: list[list[str]] = []
     lines: list[int] = []
@@ -82,7 +91,7 @@ def _rows(
         lines.append(number)
     if names is None or not rows:
         raise TableError(f"{path}: no readings in it")
-    doubles = sorted({name for name in names if names.count(name) > 1 and name != "-"})
+    doubles = sorted(name for name, count in Counter(names).items() if count > 1 and name != "-")
     if doubles:
         raise TableError(f"{path}: column {doubles[0]!r} is there twice")
     return names, rows, lines
@@ -118,9 +127,11 @@ def _numbers(
             continue
         column = np.empty(len(rows))
         for row, (cells, line) in enumerate(zip(rows, lines, strict=True)):
-            if not _is_number(cells[index]) or not np.isfinite(float(cells[index])):
+            # NaN fails the comparison.
+            if not _is_number(cells[index]) or not abs(float(cells[index])) <= _LARGEST:
                 raise TableError(
-                    f"{path}: line {line}, column {name!r}: {cells[index]!r} is not a finite number"
+                    f"{path}: line {line}, column {name!r}: {cells[index]!r:.80} is not a finite"
+                    f" number up to {_LARGEST:g}"
                 )
             column[row] = float(cells[index])
         numbers[name] = column

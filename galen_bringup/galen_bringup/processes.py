@@ -22,7 +22,9 @@ _PATIENCE_S = 5.0
 
 
 class ProcessError(GalenError):
-    """An executable is missing, or a process ended by itself."""
+    """An executable is missing, or a process ended by itself; then with its log's last lines."""
+
+    __str__ = Exception.__str__
 
 
 def executable_path(package: str, executable: str) -> Path:

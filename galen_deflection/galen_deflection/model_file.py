@@ -51,9 +51,6 @@ def read_model(path: str | os.PathLike[str]) -> DeflectionModel:
     """Read and check a model's file. Raises ModelFileError that names the file and the field."""
     path = Path(path)
     try:
-        # A pipe or a terminal would keep the node waiting for ever.
-        if path.exists() and not (path.is_file() or path.is_dir()):
-            raise ModelFileError(f"{path}: can't be read: it is no regular file")
         raw = read_limited(path, _MAX_FILE_BYTES, "a model's file")
         return _made(*_parts(raw))
     except OSError as error:
@@ -103,5 +100,8 @@ def _made(content: Any, tensors: _Tensors | None) -> DeflectionModel:
 
 def _checksum(content: Mapping[str, Any], tensors: _Tensors | None) -> str:
     checked = {name: value for name, value in content.items() if name != "sha256"}
-    canonical = json.dumps(checked, sort_keys=True, separators=(",", ":"), allow_nan=False)
+    try:
+        canonical = json.dumps(checked, sort_keys=True, separators=(",", ":"), allow_nan=False)
+    except ValueError as error:  # Python reads NaN and 1e999, which no JSON holds
+        raise FieldError(f"a number in it is not finite: {error}") from error
     return hashlib.sha256(canonical.encode() + digest(tensors or {})).hexdigest()

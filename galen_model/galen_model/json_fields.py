@@ -1,6 +1,8 @@
 """Reading a JSON file's fields with checks; what is wrong is said with the field's name."""
 
 import json
+import os
+import stat
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -12,6 +14,9 @@ from galen_model.arrays import Array
 
 LARGEST = 1e6
 """No SI number of this arm or its tools comes near it; a larger one would overflow in a product."""
+
+_ROUNDING = 1e-6
+"""By which a correlation may be off that went through an inverse."""
 
 
 class FieldError(ValueError):
@@ -27,9 +32,18 @@ def read_json(path: Path, max_bytes: int, what: str) -> Any:
 
 
 def read_limited(path: Path, max_bytes: int, what: str) -> bytes:
-    """A file's bytes; raises OSError, and FieldError, without reading on, if there are more."""
-    with path.open("rb") as stream:
-        raw = stream.read(max_bytes + 1)
+    """A file's bytes; raises OSError, and FieldError, without reading on, if there are more.
+
+    What is no file is refused: a pipe or a terminal would keep a node waiting for ever.
+    """
+    handle = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
+    try:
+        if not stat.S_ISREG(os.fstat(handle).st_mode):
+            raise FieldError("can't be read: it is no regular file")
+        with os.fdopen(handle, "rb", closefd=False) as stream:
+            raw = stream.read(max_bytes + 1)
+    finally:
+        os.close(handle)
     if len(raw) > max_bytes:
         raise FieldError(f"larger than {max_bytes} bytes, not {what}")
     return raw
@@ -91,7 +105,7 @@ def items(value: Any, name: str) -> Sequence[Any]:
 def count(value: Any, name: str) -> int:
     """A whole number from 0 on."""
     if not isinstance(value, int) or isinstance(value, bool) or value < 0:
-        raise FieldError(f"{name} is {value!r}; expected a count")
+        raise FieldError(f"{name} is {value!r:.40}; expected a count")
     return value
 
 
@@ -116,6 +130,25 @@ def array(value: Any, name: str, shape: tuple[int, ...]) -> Array:
     if not np.all(np.abs(values) <= LARGEST):
         raise FieldError(f"{name} holds a value that is not finite, or above {LARGEST:g}")
     return values
+
+
+def covariance(value: Any, name: str, size: int) -> Array:
+    """A covariance (size, size): symmetric, no eigenvalue below zero, as correlations."""
+    matrix = array(value, name, (size, size))
+    variance = np.diag(matrix)
+    if np.any(variance < 0.0):
+        raise FieldError(f"{name} has a negative variance")
+    # compared as correlations: the entries' own sizes differ by orders of magnitude
+    scale = np.sqrt(np.where(variance > 0.0, variance, 1.0))
+    with np.errstate(over="ignore"):
+        correlation = matrix / scale / scale[:, None]
+    if not np.allclose(correlation, correlation.T, atol=_ROUNDING):
+        raise FieldError(f"{name} is not symmetric")
+    if not np.all(np.abs(correlation) < 1.0 + _ROUNDING):
+        raise FieldError(f"{name} has a correlation above one")
+    if np.linalg.eigvalsh(correlation)[0] < -_ROUNDING:
+        raise FieldError(f"{name} has a negative eigenvalue")
+    return matrix
 
 
 def _is_number(value: Any) -> bool:

@@ -152,9 +152,10 @@ def same_load(a: LoadEstimate, b: LoadEstimate) -> bool:
     if np.any((scale == 0.0) & (difference != 0.0)):
         return False
     scale[scale == 0.0] = 1.0
-    z = difference / scale
-    correlation = covariance / np.outer(scale, scale) + _RIDGE * np.eye(4)
-    return bool(z @ np.linalg.solve(correlation, z) < chi2.ppf(_CONFIDENCE, 4))
+    correlation = covariance / scale / scale[:, None] + _RIDGE * np.eye(4)
+    with np.errstate(over="ignore"):  # variances next to nothing: surely not the same
+        z = difference / scale
+        return bool(z @ np.linalg.solve(correlation, z) < chi2.ppf(_CONFIDENCE, 4))
 
 
 def _load_differences(prefix: str, a: LoadEstimate, b: LoadEstimate) -> list[Difference]:

@@ -24,6 +24,7 @@ from galen_model.json_fields import (
     array,
     check_version,
     count,
+    covariance,
     get,
     mapping,
     number,
@@ -169,7 +170,8 @@ def check_tool_name(name: str, what: str = "tool") -> str:
     """
     if not isinstance(name, str) or not _NAME.fullmatch(name):
         raise ToolNameError(
-            f"{what} name {name!r}: a name holds 1 to 64 letters, digits, '_' and '-', nothing else"
+            f"{what} name {name!r:.80}: a name holds 1 to 64 letters, digits, '_' and '-',"
+            " nothing else"
         )
     return name
 
@@ -277,11 +279,8 @@ def _load(value: Any, name: str, none_allowed: bool = False) -> LoadEstimate:
     mass = number(get(whole, "mass_kg"), f"{name}.mass_kg")
     if mass < 0.0 or (mass == 0.0 and not none_allowed):
         raise FieldError(f"{name}.mass_kg is {mass}; a mass is positive")
-    covariance = array(get(whole, "covariance"), f"{name}.covariance", (4, 4))
-    if np.any(np.diag(covariance) < 0.0):
-        raise FieldError(f"{name}.covariance has a negative variance")
     com = array(get(whole, "com_m"), f"{name}.com_m", (3,))
-    return LoadEstimate(mass, com, covariance)
+    return LoadEstimate(mass, com, covariance(get(whole, "covariance"), f"{name}.covariance", 4))
 
 
 def _time(value: Any) -> str:
@@ -289,7 +288,7 @@ def _time(value: Any) -> str:
     try:
         moment = datetime.fromisoformat(written)
     except ValueError:
-        raise FieldError(f"calibrated_at is {written!r}; expected an RFC 3339 time") from None
+        raise FieldError(f"calibrated_at is {written!r:.40}; expected an RFC 3339 time") from None
     if moment.tzinfo is None:
-        raise FieldError(f"calibrated_at is {written!r}; it has no time zone")
+        raise FieldError(f"calibrated_at is {written!r:.40}; it has no time zone")
     return written

@@ -22,6 +22,7 @@ from enum import Enum
 from pathlib import Path
 
 from galen_model.errors import GalenError, ToolFileError, ToolNameError
+from galen_model.json_fields import FieldError, read_limited
 from galen_model.tool_file import (
     MAX_FILE_BYTES,
     ToolFile,
@@ -284,21 +285,13 @@ def _removed(path: Path, number: int) -> Path:
 
 
 def _read(path: Path) -> bytes:
-    """The bytes of a tool's file; raises ToolFileError. A pipe is refused, not waited for."""
+    """The bytes of a tool's file; raises ToolFileError."""
     try:
-        handle = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
-        try:
-            if not stat.S_ISREG(os.fstat(handle).st_mode):
-                raise ToolFileError(f"{path}: can't be read: it is no regular file")
-            with os.fdopen(handle, "rb", closefd=False) as stream:
-                raw = stream.read(MAX_FILE_BYTES + 1)
-        finally:
-            os.close(handle)
+        return read_limited(path, MAX_FILE_BYTES, "a tool's file")
     except OSError as error:
         raise ToolFileError(f"{path}: can't be read: {error.strerror}") from error
-    if len(raw) > MAX_FILE_BYTES:
-        raise ToolFileError(f"{path}: larger than {MAX_FILE_BYTES} bytes, not a tool's file")
-    return raw
+    except FieldError as error:
+        raise ToolFileError(f"{path}: {error}") from error
 
 
 def _text(raw: bytes) -> str:

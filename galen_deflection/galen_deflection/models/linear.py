@@ -22,6 +22,7 @@ from galen_model.json_fields import (
     FieldError,
     array,
     count,
+    covariance,
     get,
     items,
     mapping,
@@ -308,15 +309,4 @@ def noise_from_json(content: Mapping[str, Any]) -> Array:
 
 def covariance_from_json(content: Mapping[str, Any], name: str, size: int) -> Array:
     """A field that holds a covariance (size, size); raises FieldError."""
-    matrix = array(get(content, name), name, (size, size))
-    variance = np.diag(matrix)
-    if np.any(variance < 0.0):
-        raise FieldError(f"{name} has a negative variance")
-    # compared as correlations: the entries' own sizes differ by orders of magnitude
-    scale = np.sqrt(np.where(variance > 0.0, variance, 1.0))
-    correlation = matrix / np.outer(scale, scale)
-    if not np.allclose(correlation, correlation.T, atol=1e-6):
-        raise FieldError(f"{name} is not symmetric")
-    if np.linalg.eigvalsh(correlation)[0] < -1e-6:
-        raise FieldError(f"{name} has a negative eigenvalue")
-    return matrix
+    return covariance(get(content, name), name, size)
