@@ -55,6 +55,7 @@ ROS_MODULES = {
     "galen_ros.conversions",
     "galen_ros.deferred_service",
     "galen_ros.diagnostics",
+    "galen_ros.managed_node",
     "galen_ros.parameters",
     "galen_ros.qos",
     "galen_ros.spin",

@@ -59,9 +59,11 @@ WHILE_BUSY = {
         "joint_states", "wrench_compensated", "tracker/tool_pose", "tracker/base_pose",
     },
 }  # fmt: skip
-# What rclpy itself gives every node.
+# What rclpy itself gives every node, and every managed one.
 RCLPY = re.compile(
     r"^/(parameter_events|rosout)$|_parameters?(_types|_atomically)?$|type_description$"
+    r"|/(change_state|get_state|get_available_(states|transitions)|get_transition_graph"
+    r"|transition_event)$"
 )
 
 

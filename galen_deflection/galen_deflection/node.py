@@ -11,7 +11,6 @@ from galen_gravcomp.stream_node import StreamNode
 from galen_gravcomp.wire import RawWrench
 from galen_model.errors import GalenError
 from galen_ros.cdr import DeflectionBytes, PoseBytes
-from galen_ros.parameters import declare_parameters
 from galen_ros.qos import STREAM
 from galen_ros.spin import run
 from geometry_msgs.msg import PoseStamped
@@ -45,8 +44,11 @@ class DeflectionNode(StreamNode):
         self._read: tuple[str, DeflectionModel | None] | None = None
         # Before the parameters' own check, which accepts any text.
         self.add_on_set_parameters_callback(self._check_model_file)
-        self._config = declare_parameters(self, DeflectionParameters, self._on_change)
-        p = self._config
+        self._held = self.hold(DeflectionParameters, self._on_change)
+        self.start()
+
+    def _configure(self) -> None:
+        p = self._config = self._held.now
         self._deflector = Deflector(p.settings(), self._on_restart, self._on_forgotten)
         self._prediction = DeflectorMonitor(self._deflector, p.silence_s, p.frozen_s)
         self._model_file = ""
@@ -94,7 +96,7 @@ class DeflectionNode(StreamNode):
         for parameter in parameters:
             if parameter.name != "model_file" or not isinstance(parameter.value, str):
                 continue
-            if not hasattr(self, "_deflector"):  # declared at start, when a bad file is no refusal
+            if not self.configured:  # it is read then
                 continue
             try:
                 self._read = (parameter.value, _model_of(parameter.value))
@@ -121,6 +123,8 @@ class DeflectionNode(StreamNode):
         try:
             self._put_in_force(file, _model_of(file))
         except GalenError as error:
+            if not self.starts_itself:
+                raise  # whoever configures it hears of it
             # The node lives on, so that the state is on /diagnostics and the file can be mended.
             self._deflector.set_model(None, str(error))
             self._prediction.set_model_error(str(error))
@@ -147,7 +151,8 @@ class DeflectionNode(StreamNode):
 
     def _on_forgotten(self, why: str) -> None:
         self._prediction.on_forgotten(why, time.monotonic())
-        self.get_logger().info(f"the loads so far are forgotten: {why}")
+        if self.configured:
+            self.get_logger().info(f"the loads so far are forgotten: {why}")
 
     # The compensation
 

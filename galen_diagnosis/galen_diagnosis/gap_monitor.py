@@ -13,7 +13,6 @@ from galen_model.errors import GalenError, ToolFileError, ToolNameError
 from galen_model.tool_file import LoadEstimate, ToolFile
 from galen_model.tool_store import ToolStore
 from galen_ros.background import Background
-from galen_ros.parameters import declare_parameters
 from galen_ros.qos import LATCHED
 from galen_ros.spin import run
 
@@ -34,12 +33,16 @@ class GapMonitorNode(StreamNode):
 
     def __init__(self, **node_options: Any) -> None:
         super().__init__("gap_monitor", **node_options)
-        self._config = declare_parameters(self, GapMonitorParameters)
-        p = self._config
+        self._held = self.hold(GapMonitorParameters)
+        self.start()
+
+    def _configure(self) -> None:
+        p = self._held.now
         self._gap = GapPairing(p.pairing(), p.gap(), self._on_restart)
         self._says = GapMonitor(self._gap, p.silence_s)
         self._store = ToolStore(p.tools_dir)
         self._background = Background(self)
+        self._at_undo(self._background.close)
         self._asked_s = float("-inf")
         self._asking = False
         self._in_force: tuple[object, ...] = ()
@@ -49,11 +52,6 @@ class GapMonitorNode(StreamNode):
         if not p.tool:
             topic = f"{p.gravcomp_node}/tool_in_force"
             self.create_subscription(ToolInForce, topic, self._on_tool_in_force, LATCHED)
-
-    def destroy_node(self) -> None:
-        """End the work beside the executor first."""
-        self._background.close()
-        super().destroy_node()
 
     # Samples
 
@@ -74,6 +72,8 @@ class GapMonitorNode(StreamNode):
         try:
             self._put_on(self._store.read(name).tool)
         except (ToolNameError, ToolFileError) as error:
+            if not self.starts_itself:
+                raise  # whoever configures it hears of it
             # The node lives on, so that the state is on /diagnostics.
             self._says.set_tool_trouble(f"no tool: {error}")
 

@@ -6,7 +6,6 @@ from typing import Any
 from galen_model.errors import ToolFileError, ToolNameError
 from galen_ros.cdr import UnreadableError
 from galen_ros.deferred_service import DeferredService, Respond
-from galen_ros.parameters import declare_parameters
 from galen_ros.qos import STREAM
 from galen_ros.spin import run
 from geometry_msgs.msg import WrenchStamped
@@ -32,8 +31,11 @@ class GravcompNode(StreamNode):
 
     def __init__(self, **node_options: Any) -> None:
         super().__init__("gravcomp", **node_options)
-        self._config = declare_parameters(self, GravcompParameters)
-        p = self._config
+        self._held = self.hold(GravcompParameters)
+        self.start()
+
+    def _configure(self) -> None:
+        p = self._config = self._held.now
         self._compensator = Compensator(p.settings(), self._on_restart, p.stages())
         self._compensation = Monitor(self._compensator, p.silence_s, p.frozen_s)
         self._tare_progress = (0, 0.0)
@@ -46,18 +48,22 @@ class GravcompNode(StreamNode):
         self._tools = ToolServices(
             self, self._compensator, p.tools_dir, joints, self._compensation.set_file_note
         )
+        self._at_undo(self._tools.close)
         if p.tool:
             self._load_at_start(p.tool)
         self._begin(self._compensator, self._compensation, p.joint_names, p.best_effort_input)
         self._choose_joints()
-        if self._compensator.needs_imu:
-            self._imu_wire = ImuWire()
-            qos = input_qos(p.best_effort_input)
-            self._imu = self.create_subscription(Imu, "imu", self._on_imu, qos, raw=True)
         self.create_service(SetBool, "~/enable", self._on_enable)
         self.create_service(SetTool, "~/set_tool", self._on_set_tool)
         self.create_service(SetBool, "~/set_wander", self._on_set_wander)
         self._tare_service = DeferredService(self, Trigger, "~/tare", self._on_tare)
+
+    def _activate(self) -> None:
+        super()._activate()
+        if self._compensator.needs_imu:
+            self._imu_wire = ImuWire()
+            qos = input_qos(self._config.best_effort_input)
+            self._imu = self.create_subscription(Imu, "imu", self._on_imu, qos, raw=True)
 
     def _push_joints(self, stamp_ns: int, positions: tuple[float, ...]) -> list[Result]:
         roll, tilt, *platform = positions
@@ -92,6 +98,8 @@ class GravcompNode(StreamNode):
             self._compensator.set_tool(stored.tool)
             self._tools.in_force.put(stored)
         except (ToolNameError, ToolFileError) as error:
+            if not self.starts_itself:
+                raise  # whoever configures it hears of it
             # The node lives on, so that the state is on /diagnostics and the file can be mended.
             self._compensator.set_tool(None, str(error))
             self._compensation.set_tool_error(str(error))
@@ -139,6 +147,8 @@ class GravcompNode(StreamNode):
         response.message = "compensation is on" if request.data else "compensation is off"
         if request.data and self._compensator.tool is None:
             response.message += ", but no tool is loaded"
+        elif request.data and not self.active:
+            response.message += ", but the node is inactive"
         self._announce(always=True)
         return response
 
@@ -162,10 +172,15 @@ class GravcompNode(StreamNode):
             response.success, response.message = outcome.success, outcome.message
             self._tools.in_force.update()
             respond(response)
-            log = self.get_logger().info if outcome.success else self.get_logger().warning
-            log(outcome.message)
+            # rclpy's logger wants one severity for each line of code, and raises otherwise.
+            if outcome.success:
+                self.get_logger().info(outcome.message)
+            else:
+                self.get_logger().warning(outcome.message)
 
         try:
+            if not self.active:
+                raise TareRefusedError("not tared: the node is inactive")
             self._compensator.start_tare(on_done)
         except TareRefusedError as error:
             on_done(TareOutcome(False, str(error)))
@@ -174,11 +189,6 @@ class GravcompNode(StreamNode):
         self._announce(always=True)
 
     # State
-
-    def destroy_node(self) -> None:
-        """End the work on files first."""
-        self._tools.close()
-        super().destroy_node()
 
     def _watch(self, now_s: float) -> None:
         self._tools.in_force.watch(now_s)

@@ -102,6 +102,13 @@ class StreamMonitor(ABC):
         self._counts: deque[_Counts] = deque()
         self._latencies_s: deque[float] = deque(maxlen=LATENCY_SAMPLES)
 
+    def begin(self) -> None:
+        """Forget when what came, and from whom: the inputs are subscribed to anew."""
+        self._joints_s = self._wrench_s = self._output_s = None
+        self.publishers = {topic: Publishers(topic) for topic in self.publishers}
+        self._counts.clear()
+        self._latencies_s.clear()
+
     def on_joints(self, now_s: float) -> None:
         """Note that a joint message came."""
         self._joints_seen += 1

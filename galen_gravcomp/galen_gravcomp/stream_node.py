@@ -8,13 +8,13 @@ from collections.abc import Sequence
 from typing import Any, ClassVar, cast
 
 from galen_ros.cdr import UnreadableError
-from galen_ros.diagnostics import DiagnosticsPublisher, Level, Status
+from galen_ros.diagnostics import Level, Status
 from galen_ros.joint_names import JointStateError
+from galen_ros.managed_node import ManagedNode
 from galen_ros.qos import STREAM
 from geometry_msgs.msg import WrenchStamped
 from rclpy.clock import Clock, ClockType
 from rclpy.event_handler import SubscriptionEventCallbacks
-from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState
 
@@ -35,11 +35,9 @@ def input_qos(best_effort: bool) -> QoSProfile:
     return STREAM
 
 
-class StreamNode(Node):
+class StreamNode(ManagedNode):
     """Feeds a `WrenchPairing` from its topics, publishes what comes out, and says how it is."""
 
-    hardware_id: ClassVar[str]
-    """On /diagnostics."""
     cleared_on_restart: ClassVar[str]
     """As the log says it."""
 
@@ -58,22 +56,35 @@ class StreamNode(Node):
         joint_names: Sequence[str],
         best_effort: bool,
     ) -> None:
-        """Subscribe and watch. `joint_names` in the order in which `_push_joints` takes them."""
+        """To be called in `_configure`: watch these; the inputs are subscribed to when active.
+
+        `joint_names` in the order in which `_push_joints` takes them.
+        """
         self._pairing = pairing
         self._monitor = monitor
         self._read_joints(joint_names)
         self._wrench_wire = WrenchWire()
-        self._diagnostics = DiagnosticsPublisher(self, self.hardware_id, self._report)
-        qos = input_qos(best_effort)
+        self._inputs_qos = input_qos(best_effort)
+        # Wall time: it watches for silence, also when a simulation's clock stands still.
+        self._watch_clock = Clock(clock_type=ClockType.STEADY_TIME)
+        self.create_timer(WATCH_PERIOD_S, self._on_watch, clock=self._watch_clock)
+
+    def _activate(self) -> None:
+        self._monitor.begin()
+        self._qos_trouble = ""
+        self._at_undo(self._forget_samples)
+        qos = self._inputs_qos
         self._joint_subscription = self._subscribe(
             JointState, "joint_states", self._on_joint_state, qos
         )
         self._wrench_subscription = self._subscribe(
-            WrenchStamped, pairing.wrench_topic, self._on_wrench, qos
+            WrenchStamped, self._pairing.wrench_topic, self._on_wrench, qos
         )
-        # Wall time: it watches for silence, also when a simulation's clock stands still.
-        self._watch_clock = Clock(clock_type=ClockType.STEADY_TIME)
-        self.create_timer(WATCH_PERIOD_S, self._on_watch, clock=self._watch_clock)
+
+    def _forget_samples(self) -> None:
+        """As when the driver was restarted: nothing is held over to the next time."""
+        self._emit(self._pairing.restart("the node was deactivated"))
+        self._newest_joint_state = None
 
     def _read_joints(self, joint_names: Sequence[str]) -> None:
         """Read these joints from now on, in this order."""
@@ -172,6 +183,8 @@ class StreamNode(Node):
 
     def _on_restart(self, why: str) -> None:
         self._monitor.on_restart(why, time.monotonic())
+        if not self.configured:  # it ends
+            return
         # Two drivers with two clocks restart it with every message.
         text = f"{why}; {self.cleared_on_restart} are cleared"
         self.get_logger().warning(text, throttle_duration_sec=1.0)
@@ -187,15 +200,18 @@ class StreamNode(Node):
 
     def _on_watch(self) -> None:
         now_s = time.monotonic()
-        self._monitor.tick(now_s)
-        for topic, publishers in self._monitor.publishers.items():
-            if publishers.several:  # names come later than the publishers themselves
-                self._name_publishers(topic)
-        self._emit(self._monitor.review(now_s))
+        if self.active:
+            self._monitor.tick(now_s)
+            for topic, publishers in self._monitor.publishers.items():
+                if publishers.several:  # names come later than the publishers themselves
+                    self._name_publishers(topic)
+            self._emit(self._monitor.review(now_s))
         self._watch(now_s)
         self._announce()
 
     def _state(self, now_s: float) -> State:
+        if not self.active:
+            return State(Severity.WARN, "inactive", self.inactive_text)
         state = self._monitor.state(now_s)
         if state.severity is Severity.STALE and self._qos_trouble:
             return State(Severity.ERROR, "incompatible_qos", self._qos_trouble)
@@ -204,7 +220,7 @@ class StreamNode(Node):
     def _announce(self, always: bool = False) -> None:
         """Publish the state if it changed, or `always`; log a change."""
         now_s = time.monotonic()
-        if not always and now_s - self._announced_s < MIN_ANNOUNCE_S:
+        if not self.configured or (not always and now_s - self._announced_s < MIN_ANNOUNCE_S):
             return
         state = self._state(now_s)
         last = self._announced

@@ -29,6 +29,7 @@ from galen_model.tool_store import (
     FileState,
     StoredTool,
     ToolStore,
+    ToolStoreError,
 )
 from galen_ros.background import Background
 from galen_ros.cdr import UnreadableError
@@ -108,7 +109,7 @@ class ToolServices:
         return self._store.read(name)
 
     def close(self) -> None:
-        """Call it before the node is destroyed."""
+        """Call it before the services are destroyed: who waits for an answer gets one."""
         self._background.close()
 
     # Services
@@ -141,7 +142,10 @@ class ToolServices:
                 fill(result)
             respond(response)
 
-        self._background.submit(guarded, done)
+        def dropped() -> None:
+            done(ToolStoreError("not done: the node was shut down or cleaned up meanwhile"))
+
+        self._background.submit(guarded, done, dropped)
 
     def _on_list(self, _request: Any, response: Any, respond: Respond) -> None:
         in_force = self.in_force.name

@@ -6,7 +6,8 @@ A node writes
     class Parameters:
         rate_hz: float = param(500.0, "sample rate in Hz", minimum=1.0, maximum=2000.0)
 
-and calls `declare_parameters(node, Parameters)`.
+and calls `declare_parameters(node, Parameters)`. A managed node (`galen_ros.managed_node`) calls
+`hold_parameters`: what others take at their start alone, it takes anew whenever it is configured.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Callable, Sequence
-from typing import Any, TypeVar
+from typing import Any, Generic, TypeVar, cast
 
 from galen_model.errors import GalenError
 from rcl_interfaces.msg import (
@@ -37,7 +38,14 @@ from galen_ros.param import (
     wanted,
 )
 
-__all__ = ["ParameterError", "declare_parameters", "markdown_table", "param"]
+__all__ = [
+    "Held",
+    "ParameterError",
+    "declare_parameters",
+    "hold_parameters",
+    "markdown_table",
+    "param",
+]
 
 T = TypeVar("T")
 
@@ -53,22 +61,103 @@ def declare_parameters(node: Node, cls: type[T], on_change: Callable[[T], None] 
     `on_change(new_instance)` is called after every accepted change of a `read_only=False` field.
     """
     fields = param_fields(cls)
+    held = Held(_declare_all(node, cls, fields), fields, on_change)
+    if any(not meaning.read_only for _, _, meaning in fields.values()):
+        held.follow(node)
+    return held.now
+
+
+def hold_parameters(
+    node: Node,
+    cls: type[T],
+    on_change: Callable[[T], None] | None,
+    why_fixed: Callable[[], str],
+) -> Held[T]:
+    """As `declare_parameters`; while `why_fixed()` is empty, every field can be set.
+
+    Otherwise it says why the `read_only` ones can't be set now, such as "while the node is active".
+    `on_change` is called for changes in that time alone.
+    """
+    fields = param_fields(cls)
+    held = Held(_declare_all(node, cls, fields, fixed=False), fields, on_change, why_fixed)
+    held.follow(node)
+    return held
+
+
+class Held(Generic[T]):
+    """The parameters of a node, checked when they are set; `now` has those in force."""
+
+    def __init__(
+        self,
+        first: T,
+        fields: dict[str, tuple[Any, Any, Meaning]],
+        on_change: Callable[[T], None] | None,
+        why_fixed: Callable[[], str] | None = None,
+    ) -> None:
+        self.now = first
+        self._fields = fields
+        self._on_change = on_change
+        self._why_fixed = why_fixed
+
+    def follow(self, node: Node) -> None:
+        """Check what is set from now on, and tell `on_change`."""
+        node.add_on_set_parameters_callback(self._on_set)
+        node.add_post_set_parameters_callback(self._on_post_set)
+
+    def _changed(self, parameters: Sequence[Parameter]) -> T:
+        new = {}
+        for parameter in parameters:
+            if parameter.name in self._fields:
+                hint, _, meaning = self._fields[parameter.name]
+                new[parameter.name] = checked(parameter.name, parameter.value, hint, meaning)
+        if not new:
+            return self.now
+        instance = cast(T, dataclasses.replace(cast(Any, self.now), **new))
+        _validate(instance)
+        return instance
+
+    def _on_set(self, parameters: Sequence[Parameter]) -> SetParametersResult:
+        why = "" if self._why_fixed is None else self._why_fixed()
+        for parameter in parameters if why else ():
+            if parameter.name in self._fields and self._fields[parameter.name][2].read_only:
+                reason = f"parameter '{parameter.name}' can't be set {why}"
+                return SetParametersResult(successful=False, reason=reason)
+        try:
+            self._changed(parameters)
+        except GalenError as error:
+            return SetParametersResult(successful=False, reason=str(error))
+        return SetParametersResult(successful=True)
+
+    def _on_post_set(self, parameters: Sequence[Parameter]) -> None:
+        new = self._changed(parameters)
+        if new is self.now:
+            return
+        self.now = new
+        if self._on_change is not None and (self._why_fixed is None or self._why_fixed()):
+            self._on_change(new)
+
+
+def _declare_all(
+    node: Node, cls: type[T], fields: dict[str, tuple[Any, Any, Meaning]], fixed: bool = True
+) -> T:
+    """Declare the fields, return what is in force; `fixed`: rclpy keeps the read-only ones."""
     values = {}
     for name, (hint, default, meaning) in fields.items():
-        values[name] = _declare(node, name, hint, default, meaning)
-    current = cls(**values)
-    _validate(current)
-    if any(not meaning.read_only for _, _, meaning in fields.values()):
-        _follow_changes(node, current, fields, on_change)
-    return current
+        read_only = fixed and meaning.read_only
+        values[name] = _declare(node, name, hint, default, meaning, read_only)
+    instance = cls(**values)
+    _validate(instance)
+    return instance
 
 
-def _declare(node: Node, name: str, hint: Any, default: Any, meaning: Meaning) -> Any:
+def _declare(
+    node: Node, name: str, hint: Any, default: Any, meaning: Meaning, read_only: bool
+) -> Any:
     """Declare one parameter and return its checked value."""
     descriptor = ParameterDescriptor(
         name=name,
         description=meaning.description,
-        read_only=meaning.read_only,
+        read_only=read_only,
         # With a static type rclpy would refuse 5 for 5.0; `_checked` holds the type instead.
         dynamic_typing=True,
     )
@@ -94,42 +183,6 @@ def _declare(node: Node, name: str, hint: Any, default: Any, meaning: Meaning) -
             f"parameter '{name}' must be {wanted(hint, meaning)}: {error}"
         ) from error
     return checked(name, value, hint, meaning)
-
-
-def _follow_changes(
-    node: Node, first: T, fields: dict[str, Any], on_change: Callable[[T], None] | None
-) -> None:
-    """Check what is set at run time, and tell `on_change`."""
-    current = first
-
-    def changed(parameters: Sequence[Parameter]) -> T:
-        new = {}
-        for parameter in parameters:
-            if parameter.name in fields:
-                hint, _, meaning = fields[parameter.name]
-                new[parameter.name] = checked(parameter.name, parameter.value, hint, meaning)
-        instance = dataclasses.replace(current, **new) if new else current  # type: ignore[type-var]
-        if new:
-            _validate(instance)
-        return instance
-
-    def on_set(parameters: Sequence[Parameter]) -> SetParametersResult:
-        try:
-            changed(parameters)
-        except GalenError as error:
-            return SetParametersResult(successful=False, reason=str(error))
-        return SetParametersResult(successful=True)
-
-    def on_post_set(parameters: Sequence[Parameter]) -> None:
-        nonlocal current
-        new = changed(parameters)
-        if new is not current:
-            current = new
-            if on_change is not None:
-                on_change(new)
-
-    node.add_on_set_parameters_callback(on_set)
-    node.add_post_set_parameters_callback(on_post_set)
 
 
 def _validate(instance: Any) -> None:

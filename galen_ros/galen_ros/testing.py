@@ -10,6 +10,9 @@ from concurrent.futures import Future
 from typing import Any, TypeVar
 
 import rclpy
+from lifecycle_msgs.msg import Transition
+from lifecycle_msgs.srv import ChangeState, GetState
+from rcl_interfaces.srv import SetParameters
 from rclpy.client import Client
 from rclpy.context import Context
 from rclpy.executors import Executor
@@ -144,3 +147,41 @@ class Harness:
         if self._error is not None:
             error, self._error = self._error, None
             raise error
+
+
+class Lifecycle:
+    """Drives a managed node by its own services, as `ros2 lifecycle` does.
+
+    life = Lifecycle(harness, probe, "gravcomp")
+    assert life.go("deactivate", "cleanup") and life.state == "unconfigured"
+    """
+
+    def __init__(self, harness: Harness, probe: Node, node_name: str) -> None:
+        """`probe`: a node in this world that may call them."""
+        self._harness = harness
+        self._change = probe.create_client(ChangeState, f"{node_name}/change_state")
+        self._get = probe.create_client(GetState, f"{node_name}/get_state")
+        self._set = probe.create_client(SetParameters, f"{node_name}/set_parameters")
+
+    def go(self, *labels: str) -> bool:
+        """Ask for these transitions, one after another; whether all succeeded."""
+        return all(self.ask(Transition(label=label)) for label in labels)
+
+    def ask(self, transition: Transition) -> bool:
+        """Ask for one transition, by its label or number."""
+        request = ChangeState.Request(transition=transition)
+        return bool(self._harness.call(self._change, request).success)
+
+    @property
+    def state(self) -> str:
+        """The node's state, as it answers it."""
+        return str(self._harness.call(self._get, GetState.Request()).current_state.label)
+
+    def set(self, **values: Any) -> str:
+        """Set parameters one by one, as `ros2 param set` does; returns the first refusal, or ""."""
+        for parameter in parameters(**values):
+            request = SetParameters.Request(parameters=[parameter.to_parameter_msg()])
+            (result,) = self._harness.call(self._set, request).results
+            if not result.successful:
+                return str(result.reason)
+        return ""

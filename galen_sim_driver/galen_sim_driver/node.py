@@ -14,14 +14,13 @@ from galen_model.urdf import galen_urdf
 from galen_ros.cdr import JointStateBytes, WrenchBytes
 from galen_ros.conversions import fill_stamp, stamp_to_ns, wrench_to_array
 from galen_ros.deferred_service import DeferredService, Respond
-from galen_ros.diagnostics import ERROR, OK, WARN, DiagnosticsPublisher, Status
-from galen_ros.parameters import declare_parameters
+from galen_ros.diagnostics import ERROR, OK, WARN, Status
+from galen_ros.managed_node import ManagedNode
 from galen_ros.qos import LATCHED, STREAM
 from galen_ros.spin import run
 from geometry_msgs.msg import PoseStamped, WrenchStamped
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
-from rclpy.node import Node
 from rosgraph_msgs.msg import Clock as ClockMessage
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
@@ -47,6 +46,7 @@ from galen_sim_driver.tracker import TrackerSample
 _CLOCK_RATE_HZ = 100.0
 # Slower than this part of what was asked is worth a warning.
 _SLOW = 0.9
+_INACTIVE = "the driver is inactive: activate it first"
 
 
 @dataclass
@@ -58,14 +58,25 @@ class _PendingZeroing:
     respond: Respond
 
 
-class SimDriverNode(Node):
-    """Steps the plant by wall time, publishes its samples, passes commands on to it."""
+class SimDriverNode(ManagedNode):
+    """Steps the plant by wall time, publishes its samples, passes commands on to it.
+
+    While it is inactive, the arm and the world go on: the plant is stepped, nobody hears of it, and
+    nothing moves the arm.
+    """
+
+    hardware_id = "galen_simulated"
 
     def __init__(self, **node_options: Any) -> None:
         """Take rclpy.node.Node's keyword arguments, such as context and parameter_overrides."""
         super().__init__(DRIVER_NODE, **node_options)
-        self._settings = declare_parameters(self, DriverParameters, self._on_parameters)
-        effects = effects_of(declare_parameters(self, EffectParameters))
+        self._held = self.hold(DriverParameters, self._on_parameters)
+        self._held_effects = self.hold(EffectParameters)
+        self.start()
+
+    def _configure(self) -> None:
+        self._settings = self._held.now
+        effects = effects_of(self._held_effects.now)
         real_time = self._settings.speed_factor == 1.0
         config = replace(self._settings.plant_config(), effects=effects)
         if real_time:
@@ -94,10 +105,7 @@ class SimDriverNode(Node):
         self._sim_clock = None if real_time else self.create_publisher(ClockMessage, "/clock", 10)
         self._publish_description()
 
-        self.create_subscription(JointTrajectory, "joint_trajectory", self._on_trajectory, 10)
-        self.create_subscription(
-            WrenchStamped, "wrench_compensated", self._on_wrench_compensated, STREAM
-        )
+        self._at_undo(self._give_up_zeroing)
         DeferredService(self, Trigger, "bias_sensor", self._on_bias_sensor)
         self.create_service(SetTool, "attach_tool", self._on_attach_tool)
         self.create_service(PushTool, "push_tool", self._on_push_tool)
@@ -105,7 +113,6 @@ class SimDriverNode(Node):
         self.create_service(Trigger, "~/run_hand", self._on_run_hand)
 
         self._speed_meter = SpeedMeter(window_s=0.9)
-        self._diagnostics = DiagnosticsPublisher(self, "galen_simulated", self._report)
         self._pacer = Pacer(
             config.period_ns * 1e-9,
             self._settings.speed_factor,
@@ -115,12 +122,26 @@ class SimDriverNode(Node):
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(self._settings.tick_s, self._on_tick, clock=self._steady)
 
+    def _activate(self) -> None:
+        self.create_subscription(JointTrajectory, "joint_trajectory", self._on_trajectory, 10)
+        self.create_subscription(
+            WrenchStamped, "wrench_compensated", self._on_wrench_compensated, STREAM
+        )
+        self._at_undo(self._stand_still)
+
+    def _stand_still(self) -> None:
+        """Nobody moves the arm through a driver that is not active."""
+        self._plant.set_admittance(False)
+        self._plant.stop()
+
     # --- samples out ------------------------------------------------------------------------
 
     def _on_tick(self) -> None:
         raw_admittance = self._plant.admittance_on and self._settings.admittance_source == "raw"
         for _ in range(self._pacer.due(time.monotonic())):
             sample = self._plant.step()
+            if not self.active:
+                continue
             self._publish(sample)
             if raw_admittance:
                 self._plant.feed_admittance(sample.stamp_ns, sample.wrench)
@@ -196,12 +217,20 @@ class SimDriverNode(Node):
 
     def _on_bias_sensor(self, _: Any, response: Any, respond: Respond) -> None:
         try:
+            if not self.active:
+                raise ZeroingError(_INACTIVE)
             zeroing = self._plant.start_zeroing(self._settings.bias_window_s)
         except ZeroingError as error:
             response.message = f"not zeroed: {error}"
             respond(response)
             return
         self._pending_zeroing = _PendingZeroing(zeroing, response, respond)
+
+    def _give_up_zeroing(self) -> None:
+        """Answer who waits for a zeroing when the services go."""
+        if self._pending_zeroing is not None:
+            self._pending_zeroing.zeroing.error = ZeroingError("the driver was shut down")
+            self._answer_zeroing(self._pending_zeroing)
 
     def _answer_zeroing(self, pending: _PendingZeroing) -> None:
         self._pending_zeroing = None
@@ -251,6 +280,9 @@ class SimDriverNode(Node):
         return response
 
     def _on_set_admittance(self, request: Any, response: Any) -> Any:
+        if request.data and not self.active:
+            response.message = f"admittance stays off: {_INACTIVE}"
+            return response
         self._plant.set_admittance(request.data)
         self._diagnostics.publish_now()
         response.success = True
@@ -275,7 +307,9 @@ class SimDriverNode(Node):
         self._speed_meter.update(time.monotonic(), self._plant.now_ns)
         speed = self._speed_meter.speed
         level, message = OK, "running"
-        if self._refusal:
+        if not self.active:
+            level, message = WARN, self.inactive_text
+        elif self._refusal:
             level, message = ERROR, f"trajectory refused: {self._refusal}"
         elif self._ignored_wrench and self._plant.admittance_on:
             level, message = ERROR, self._ignored_wrench
