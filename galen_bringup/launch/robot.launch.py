@@ -7,6 +7,8 @@
 wrench `measured_cf` and the joints `measured_js`, under `crtk_namespace`.
 """
 
+from typing import Any
+
 from launch import LaunchDescription
 from launch.actions import DeclareLaunchArgument
 from launch.conditions import IfCondition
@@ -22,6 +24,11 @@ from launch_ros.substitutions import FindPackageShare
 
 _TOPICS = ("wrench_raw", "joint_states", "imu", "wrench_compensated", "joint_trajectory")
 _CRTK = {"wrench_raw": "measured_cf", "joint_states": "measured_js"}
+
+
+def _enclave(node: str) -> list[Any]:
+    """The node's enclave; it counts only where ROS_SECURITY_ENABLE is true."""
+    return ["--enclave", [LaunchConfiguration("enclaves"), f"/{node}"]]
 
 
 def generate_launch_description() -> LaunchDescription:
@@ -56,6 +63,11 @@ def generate_launch_description() -> LaunchDescription:
             ),
             DeclareLaunchArgument("namespace", default_value="", description="of all nodes"),
             DeclareLaunchArgument(
+                "enclaves",
+                default_value="/galen",
+                description="where SROS 2 has the nodes' enclaves",
+            ),
+            DeclareLaunchArgument(
                 "use_sim_time", default_value="false", description="follow /clock"
             ),
             DeclareLaunchArgument(
@@ -85,6 +97,7 @@ def generate_launch_description() -> LaunchDescription:
                 package="galen_gravcomp",
                 executable="gravcomp_node",
                 name="gravcomp",
+                ros_arguments=_enclave("gravcomp"),
                 parameters=[
                     config,
                     overrides,
@@ -96,6 +109,7 @@ def generate_launch_description() -> LaunchDescription:
                 package="galen_calibration_behavior",
                 executable="calibration_node",
                 name="calibration",
+                ros_arguments=_enclave("calibration"),
                 parameters=[config, overrides],
                 **common,
             ),
@@ -103,6 +117,7 @@ def generate_launch_description() -> LaunchDescription:
                 package="galen_calibration_behavior",
                 executable="check_node",
                 name="check",
+                ros_arguments=_enclave("check"),
                 parameters=[config, overrides],
                 **common,
             ),
@@ -110,6 +125,7 @@ def generate_launch_description() -> LaunchDescription:
                 package="galen_deflection",
                 executable="deflection_node",
                 name="deflection",
+                ros_arguments=_enclave("deflection"),
                 condition=IfCondition(NotEqualsSubstitution(model, "")),
                 parameters=[
                     config,

@@ -32,6 +32,11 @@ def generate_launch_description() -> LaunchDescription:
             ),
             DeclareLaunchArgument("namespace", default_value="", description="of all nodes"),
             DeclareLaunchArgument(
+                "enclaves",
+                default_value="/galen",
+                description="where SROS 2 has the nodes' enclaves",
+            ),
+            DeclareLaunchArgument(
                 "speed_factor", default_value="1.0", description="simulated over wall time"
             ),
             DeclareLaunchArgument(
@@ -49,6 +54,7 @@ def generate_launch_description() -> LaunchDescription:
                 package="galen_sim_driver",
                 executable="sim_driver_node",
                 name="sim_driver",
+                ros_arguments=["--enclave", [LaunchConfiguration("enclaves"), "/sim_driver"]],
                 namespace=LaunchConfiguration("namespace"),
                 parameters=[config, {"speed_factor": ParameterValue(speed, value_type=float)}],
                 # A busy machine must slow the simulation down, not the nodes that it feeds.
@@ -60,6 +66,7 @@ def generate_launch_description() -> LaunchDescription:
                 launch_arguments={
                     "config": config,
                     "namespace": LaunchConfiguration("namespace"),
+                    "enclaves": LaunchConfiguration("enclaves"),
                     "tool": LaunchConfiguration("tool"),
                     "tools_dir": LaunchConfiguration("tools_dir"),
                     "deflection_model": LaunchConfiguration("deflection_model"),
