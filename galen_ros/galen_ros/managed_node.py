@@ -203,7 +203,7 @@ class ManagedNode(LifecycleNode):
         before = {id(entity) for entity, _ in self._entities()}
         made: list[tuple[Any, Callable[[Any], object]]] = []
         # The first in, so the last out: what is called before may still answer by these services.
-        undo.callback(lambda: [destroy(entity) for entity, destroy in made])
+        undo.callback(lambda: [_end(entity, destroy) for entity, destroy in made])
         try:
             work()
         finally:
@@ -220,18 +220,13 @@ class ManagedNode(LifecycleNode):
     def _entities(self) -> list[tuple[Any, Callable[[Any], object]]]:
         """All that is attached to the node, each with what destroys it."""
         kinds = (
-            (self.subscriptions, self._end_subscription),
+            (self.subscriptions, self.destroy_subscription),
             (self.timers, self.destroy_timer),
             (self.clients, self.destroy_client),
             (self.services, self.destroy_service),
             (self.publishers, self.destroy_publisher),
         )
         return [(entity, destroy) for entities, destroy in kinds for entity in entities]
-
-    def _end_subscription(self, subscription: Any) -> None:
-        # The executor still hands over what had come before: to nobody.
-        subscription.callback = _ignore
-        self.destroy_subscription(subscription)
 
     def _refuse_what_cannot_be(self) -> None:
         """Answer a transition that the state doesn't have by "no".
@@ -289,7 +284,17 @@ class ManagedNode(LifecycleNode):
             super().destroy_node()
 
 
-def _ignore(_message: Any) -> None:
+def _end(entity: Any, destroy: Callable[[Any], object]) -> None:
+    """Destroy it; what the executor still holds of it (rclpy 7.1.6 calls it later) is for nobody."""
+    for one in (entity, *getattr(entity, "event_handlers", ())):
+        if hasattr(one, "callback"):
+            one.callback = _ignore
+    if hasattr(entity, "send_response"):
+        entity.send_response = _ignore
+    destroy(entity)
+
+
+def _ignore(*_: Any) -> None:
     pass
 
 

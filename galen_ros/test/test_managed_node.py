@@ -1,5 +1,6 @@
 """Managed nodes: transitions over the real services, what is undone, and what a failure becomes."""
 
+import time
 from dataclasses import dataclass
 
 import pytest
@@ -37,21 +38,26 @@ class Worker(ManagedNode):
 
     def __init__(self, **options):
         super().__init__("worker", **options)
-        self.undone, self.gains = [], []
+        self.undone, self.gains, self.heard = [], [], []
         self._held = self.hold(Settings, lambda new: self.gains.append(new.gain))
         self.start()
 
     def _configure(self):
         self._settings = self._held.now
         self.words = self.create_publisher(String, self._settings.topic, 10)
-        self.create_service(Trigger, "~/ask", lambda _request, response: response)
+        self.create_service(Trigger, "~/ask", self._on_ask)
         self._at_undo(lambda: self._undone("cleanup"))
         self._settings.fail("configure")
 
     def _activate(self):
-        self.create_subscription(String, "said", lambda message: self.words.publish(message), 10)
+        self.create_subscription(String, "said", lambda _: self.heard.append("said"), 10)
+        self.create_timer(0.001, lambda: self.heard.append("timer"))
         self._at_undo(lambda: self._undone("deactivate"))
         self._settings.fail("activate")
+
+    def _on_ask(self, _request, response):
+        self.heard.append("asked")
+        return response
 
     def _undone(self, name):
         self.undone.append(name)
@@ -139,6 +145,26 @@ def test_told_not_to_it_waits_unconfigured_and_says_so(harness):
     labels = {item.transition.label for item in answer.available_transitions}
     assert {"configure", "shutdown"} <= labels
     assert world.go("configure", "activate") and world.state == "active"
+
+
+def test_what_still_waits_in_the_executor_reaches_nobody(harness):
+    world = World(harness)
+    publisher = world.probe.create_publisher(String, "said", 10)
+    ask = world.probe.create_client(Trigger, "worker/ask")
+    harness.wait_for(publisher.get_subscription_count, 5.0, "the subscription")
+    harness.wait_for(ask.service_is_ready, 5.0, "the service")
+
+    def end():
+        publisher.publish(String())
+        ask.call_async(Trigger.Request())
+        time.sleep(0.05)  # they arrive, and the timer is due, while the executor is busy
+        world.node.trigger_deactivate()
+        world.node.trigger_cleanup()
+        world.node.heard.clear()
+
+    harness.call_in_executor(end)
+    assert world.go("configure") and world.go("shutdown")  # time for what waited
+    assert world.node.heard == []
 
 
 def test_what_is_fixed_stays_while_it_is_configured(harness):
