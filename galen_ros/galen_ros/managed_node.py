@@ -285,7 +285,7 @@ class ManagedNode(LifecycleNode):
 
 
 def _end(entity: Any, destroy: Callable[[Any], object]) -> None:
-    """Destroy it; what the executor still holds of it (rclpy 7.1.6 calls it later) is for nobody."""
+    """Destroy it. What the executor still holds of it, and calls later (7.1.6), is for nobody."""
     for one in (entity, *getattr(entity, "event_handlers", ())):
         if hasattr(one, "callback"):
             one.callback = _ignore
