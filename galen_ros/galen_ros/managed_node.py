@@ -203,7 +203,7 @@ class ManagedNode(LifecycleNode):
         before = {id(entity) for entity, _ in self._entities()}
         made: list[tuple[Any, Callable[[Any], object]]] = []
         # The first in, so the last out: what is called before may still answer by these services.
-        undo.callback(lambda: [_end(entity, destroy) for entity, destroy in made])
+        undo.callback(_end_all, made)
         try:
             work()
         finally:
@@ -284,14 +284,15 @@ class ManagedNode(LifecycleNode):
             super().destroy_node()
 
 
-def _end(entity: Any, destroy: Callable[[Any], object]) -> None:
-    """Destroy it. What the executor still holds of it, and calls later (7.1.6), is for nobody."""
-    for one in (entity, *getattr(entity, "event_handlers", ())):
-        if hasattr(one, "callback"):
-            one.callback = _ignore
-    if hasattr(entity, "send_response"):
-        entity.send_response = _ignore
-    destroy(entity)
+def _end_all(made: list[tuple[Any, Callable[[Any], object]]]) -> None:
+    """Destroy these. What the executor still holds of them, and calls later (7.1.6), is lost."""
+    for entity, destroy in made:
+        for one in (entity, *getattr(entity, "event_handlers", ())):
+            if hasattr(one, "callback"):
+                one.callback = _ignore
+        if hasattr(entity, "send_response"):
+            entity.send_response = _ignore
+        destroy(entity)
 
 
 def _ignore(*_: Any) -> None:
