@@ -18,6 +18,7 @@ import argparse
 import json
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
+from functools import partial
 
 import numpy as np
 from galen_deflection.bench_models import bench_models
@@ -140,8 +141,8 @@ def regression(rounds: int) -> list[Compared]:
         rows = _plain_rows(bare, tool)
         target = np.concatenate([bare.wrench, tool.wrench]).ravel()
         calls: dict[str, Callable[[], object]] = {
-            "ours": lambda bare=bare, tool=tool: identify_two_sweeps(bare, tool),
-            "plain": lambda rows=rows, target=target: np.linalg.lstsq(rows, target, rcond=None),
+            "ours": partial(identify_two_sweeps, bare, tool),
+            "plain": partial(np.linalg.lstsq, rows, target, rcond=None),
         }
         times = time_calls(calls, rounds)
         out.append(

@@ -7,6 +7,8 @@ happen by chance (noise of four quanta: once in 10^7 looks).
 
 from collections.abc import Sequence
 
+from galen_model.arrays import Array
+
 # A pointer's weight of 0.6 N then changes by six quanta of the sensor.
 TURN_RAD = 0.05
 FROZEN_S = 1.0
@@ -28,7 +30,7 @@ class FrozenWatch:
         self,
         now_s: float,
         received: int,
-        wrench: Sequence[float] | None,
+        wrench: Sequence[float] | Array | None,
         angles: Sequence[float] | None,
     ) -> str:
         """Why the reading can't be a live one, in words; empty while it may be.
