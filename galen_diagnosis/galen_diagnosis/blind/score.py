@@ -70,9 +70,9 @@ class Score:
     wrong_and_sure: faint singles with the verdict identified and the effect not among the named
     ones; faint_missed: those with the verdict none; faint_open: ambiguous or unknown.
     pair_f1: 2 TP / (2 TP + FP + FN) over the causes of all pairs; pair_whole: both and no other.
-    Of recordings that can't separate their one effect from others, ambiguous_held:
-    all of these are named; ambiguous_alone: a subset of
-    them named as identified without the others, or a wrong one. abstained: verdicts ambiguous and
+    Of recordings that can't separate their one effect from others, but for faint ones,
+    ambiguous_held: all of these are named; ambiguous_alone: a subset of them named as identified
+    without the others, or a wrong one. abstained: verdicts ambiguous and
     unknown, by kind. calibration: of the ranking's first; calibration_sure: without the faint ones.
     closed_error: closed fraction less the oracle's, of singles
     and pairs of clear and gross strength; closed_near: within 0.03.
@@ -127,7 +127,11 @@ def score(cases: Sequence[Answered], effects: Sequence[str]) -> Score:
     known = [c for c in cases if c.label.kind != UNKNOWN]
     pairs = [c for c in cases if c.label.kind == "pair"]
     twins = [
-        c for c in cases if c.label.kind in ("single", "ambiguous") and len(c.label.accepted) > 1
+        c
+        for c in cases
+        if c.label.kind in ("single", "ambiguous")
+        and c.label.strength != "faint"
+        and len(c.label.accepted) > 1
     ]
     plain = [*healthy, *singles, *unknown]
     classes = tuple(_class(name, plain) for name in names)
