@@ -65,7 +65,7 @@ def explore(recording: Recording, progress: Progress | None = None) -> Explored:
     best = min(found.hypotheses, key=lambda hypothesis: hypothesis.cost)
     left = leftover(observation.rows, best.rows)
     say("what the best fit leaves", 0.86)
-    seen = structures(observation, _with_effects(found.behind, best), best.raw_rows)
+    seen = structures(observation, found.behind.with_free(best.columns), best.raw_rows)
     fast = oscillation(observation.streams_with(best.effects, best.unknowns))
     of = scored(found, max(left.sure, _sure_of(seen), 2.0 * fast.log_bayes if fast else 0.0))
     least = min(one.energy for one in of)
@@ -77,14 +77,6 @@ def explore(recording: Recording, progress: Progress | None = None) -> Explored:
             energy = max(none.energy - 2.0 * max(log, 0.0), least)
             of.append(Scored((name,), energy, (none.energy - energy,), max(-log, 0.0)))
     return Explored(observation, found, left, tuple(seen), fast, tuple(of))
-
-
-def _with_effects(behind: Background, fit: Hypothesis) -> Background:
-    """The background with a fit's effects, free, in it."""
-    return Background(
-        np.concatenate([behind.columns, fit.columns], axis=1),
-        np.concatenate([behind.prior_std, np.full(fit.columns.shape[1], np.inf)]),
-    )
 
 
 def _sure_of(seen: Sequence[Structure]) -> float:

@@ -55,14 +55,48 @@ class Background:
 
     def __init__(self, columns: Array, prior_std: Array) -> None:
         """Of columns (N, n), prior_std (n,), infinite for none."""
+        self._set(columns, prior_std, columns.T @ columns)
+        self._base: Background | None = None
+
+    def _set(self, columns: Array, prior_std: Array, products: Array) -> None:
         self.columns = columns
         self.prior_std = prior_std
         self.precision = np.where(np.isfinite(prior_std), 1.0 / prior_std**2, 0.0)
-        gram = columns.T @ columns + np.diag(self.precision)
+        self._products = products
+        gram = products + np.diag(self.precision)
         # A column that shows nowhere has no information and, without prior, no value either.
         silent = np.diag(gram) <= 0.0
         gram[silent, silent] = 1.0
         self._factor = factor(gram)
+        self._remembered: dict[int, tuple[Array, Array, Array]] = {}
+
+    def with_free(self, more: Array) -> Background:
+        """Add columns (N, m) without a prior; what is remembered counts there as well."""
+        cross = self.columns.T @ more
+        extended = Background.__new__(Background)
+        extended._set(
+            np.concatenate([self.columns, more], axis=1),
+            np.concatenate([self.prior_std, np.full(more.shape[1], np.inf)]),
+            np.block([[self._products, cross], [cross.T, more.T @ more]]),
+        )
+        extended._base = self
+        return extended
+
+    def remember(self, columns: Array) -> None:
+        """Keep the products of columns (N, p), this very array, that will be asked for often."""
+        products = self.columns.T @ columns, columns.T @ columns
+        self._remembered[id(columns)] = (columns, *products)
+
+    def _products_with(self, columns: Array) -> tuple[Array, Array]:
+        """N^T T (n, p) and T^T T (p, p)."""
+        known = self._remembered.get(id(columns))
+        if known is not None:
+            return known[1], known[2]
+        if self._base is not None and id(columns) in self._base._remembered:
+            cross, gram = self._base._products_with(columns)
+            more = self.columns[:, len(cross) :]
+            return np.concatenate([cross, more.T @ columns]), gram
+        return self.columns.T @ columns, columns.T @ columns
 
     def solve(self, projections: Array) -> Array:
         """(N^T N + prior)^-1 of N^T times something, (n, ...)."""
@@ -83,9 +117,9 @@ class Background:
 
     def reduced(self, columns: Array, rows: Array) -> tuple[Array, Array]:
         """G = T^T P T (p, p) and b = T^T P r (p,)."""
-        cross = self.columns.T @ columns
+        cross, products = self._products_with(columns)
         back = self.solve(cross)
-        gram = columns.T @ columns - cross.T @ back
+        gram = products - cross.T @ back
         return gram, columns.T @ rows - back.T @ (self.columns.T @ rows)
 
 

@@ -131,6 +131,8 @@ def posterior(of: Sequence[Scored], settings: Settings) -> Posterior:
     for one, weight in zip(of, weights, strict=False):
         for name in one.names:
             effects[name] = effects.get(name, 0.0) + float(weight)
+    # Sums of many that are one but for rounding.
+    effects = {name: min(1.0, chance) for name, chance in effects.items()}
     at_none = sum(float(w) for one, w in zip(of, weights, strict=False) if not one.names)
     return Posterior(tuple(float(w) for w in weights[:-1]), at_none, float(weights[-1]), effects)
 

@@ -80,6 +80,8 @@ class _Forms:
         ):
             self.all.append(linear)
             self.columns[key_of(linear)] = linear.columns
+        for columns in self.columns.values():
+            self.behind.remember(columns)
         self.limits = saturation_candidates(observation, zero)
 
     def add(self, candidate: Candidate) -> None:
@@ -270,10 +272,7 @@ def _grown(
     """Seeds with one more effect each, the likeliest fitted."""
     chances: list[tuple[float, Hypothesis, Candidate, Evidence]] = []
     for seed in seeds:
-        behind = Background(
-            np.concatenate([forms.behind.columns, seed.columns], axis=1),
-            np.concatenate([forms.behind.prior_std, np.full(seed.columns.shape[1], np.inf)]),
-        )
+        behind = forms.behind.with_free(seed.columns)
         judged = [
             pair for pair in forms.judged(seed.raw_rows, behind) if pair[0].effect not in seed.names
         ]

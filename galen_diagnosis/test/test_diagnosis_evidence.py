@@ -43,6 +43,26 @@ def test_sum_of_squares_is_that_of_the_best_fit():
         assert worse @ worse + behind.penalty(moved) > behind.sum_of_squares(rows)
 
 
+def test_a_background_with_more_columns_is_that_of_all_of_them():
+    generator = np.random.default_rng(2)
+    nuisance, more, columns = (generator.standard_normal((50, k)) for k in (4, 2, 3))
+    rows = generator.standard_normal(50)
+    prior = np.array([0.5, np.inf, 1.0, 0.1])
+    behind = Background(nuisance, prior)
+    whole = Background(
+        np.concatenate([nuisance, more], axis=1), np.concatenate([prior, [np.inf] * 2])
+    )
+    extended = behind.with_free(more)
+    for remembered in (False, True):
+        if remembered:
+            behind.remember(columns)
+        both = extended.reduced(columns, rows), whole.reduced(columns, rows)
+        for one, other in zip(*both, strict=True):
+            np.testing.assert_allclose(one, other, atol=1e-10)
+    assert extended.sum_of_squares(rows) == pytest.approx(whole.sum_of_squares(rows))
+    np.testing.assert_allclose(extended.fit(rows), whole.fit(rows), atol=1e-10)
+
+
 def _scored(name, energy, share, occam=4.0):
     return Scored((name,) if name else (), energy, (share,) if name else (), occam if name else 0.0)
 

@@ -52,7 +52,7 @@ def test_a_healthy_arm_leaves_nothing(recording):
 def test_a_function_of_a_joint_is_seen_where_means_over_cells_see_none(recording):
     def ripple(bag):
         out = np.zeros((len(bag.wrench_s), 6))
-        out[:, 0] = 0.006 * np.sin(3.0 * roll_at_wrenches(bag) + 0.5)  # a third of the noise
+        out[:, 0] = 0.004 * np.sin(3.0 * roll_at_wrenches(bag) + 0.5)  # a fifth of the noise
         return out
 
     observation, none, seen, fast = left_of(changed(recording, ripple))

@@ -43,6 +43,10 @@ def answers(observation: Observation) -> dict[str, Any]:
     return found
 
 
+_SAME = 1e-10
+"""Eigenvalues below this part of the largest are columns that others make up."""
+
+
 class Rest:
     """What the columns of unknowns (n, u) leave of a residual (n,)."""
 
@@ -56,7 +60,14 @@ class Rest:
         norms = np.linalg.norm(columns, axis=0)
         own = self._without(columns[:, norms > 0.0] / norms[norms > 0.0])
         # What the unknowns take whole leaves rounding errors, which would explain something.
-        part = _basis(own[:, np.linalg.norm(own, axis=0) > 1e-9]).T @ self.residual
+        own = own[:, np.linalg.norm(own, axis=0) > 1e-9]
+        if not own.shape[1]:
+            return self.sum_of_squares, columns.shape[1]
+        # By the Gram matrix: a drift has hundreds of columns, of which a decomposition takes longer
+        # than a whole diagnosis.
+        size, vectors = np.linalg.eigh(own.T @ own)
+        good = size > _SAME * size[-1]
+        part = vectors[:, good].T @ (own.T @ self.residual) / np.sqrt(size[good])
         return float(self.sum_of_squares - part @ part), columns.shape[1]
 
     def _without(self, columns: Array) -> Array:

@@ -70,10 +70,11 @@ class Score:
     wrong_and_sure: faint singles with the verdict identified and the effect not among the named
     ones; faint_missed: those with the verdict none; faint_open: ambiguous or unknown.
     pair_f1: 2 TP / (2 TP + FP + FN) over the causes of all pairs; pair_whole: both and no other.
-    Of recordings that can't separate their one effect from others, ambiguous_held:
-    all of these are named; ambiguous_alone: a subset of
-    them named as identified without the others, or a wrong one. abstained: verdicts ambiguous and
-    unknown, by kind. closed_error: closed fraction less the oracle's, of singles
+    Of recordings that can't separate their one effect from others, but for faint ones,
+    ambiguous_held: all of these are named; ambiguous_alone: a subset of them named as identified
+    without the others, or a wrong one. abstained: verdicts ambiguous and
+    unknown, by kind. calibration: of the ranking's first; calibration_sure: without the faint ones.
+    closed_error: closed fraction less the oracle's, of singles
     and pairs of clear and gross strength; closed_near: within 0.03.
     """
 
@@ -105,6 +106,7 @@ class Score:
     ambiguous_alone: Rate
     abstained: Mapping[str, Rate]
     calibration: Calibration | None
+    calibration_sure: Calibration | None
     errors: tuple[ParameterError, ...]
     words: Rate
     covered: Rate
@@ -125,7 +127,11 @@ def score(cases: Sequence[Answered], effects: Sequence[str]) -> Score:
     known = [c for c in cases if c.label.kind != UNKNOWN]
     pairs = [c for c in cases if c.label.kind == "pair"]
     twins = [
-        c for c in cases if c.label.kind in ("single", "ambiguous") and len(c.label.accepted) > 1
+        c
+        for c in cases
+        if c.label.kind in ("single", "ambiguous")
+        and c.label.strength != "faint"
+        and len(c.label.accepted) > 1
     ]
     plain = [*healthy, *singles, *unknown]
     classes = tuple(_class(name, plain) for name in names)
@@ -145,7 +151,6 @@ def score(cases: Sequence[Answered], effects: Sequence[str]) -> Score:
             and c.label.strength in SURE
         ]
     )
-    answered = [(dict(c.said.ranking), c.label.answer) for c in plain if c.said is not None]
     return Score(
         cases=len(cases),
         failed=sum(c.said is None for c in cases),
@@ -182,7 +187,8 @@ def score(cases: Sequence[Answered], effects: Sequence[str]) -> Score:
             kind: rate(_verdict(c) in ("ambiguous", UNKNOWN) for c in cases if c.label.kind == kind)
             for kind in dict.fromkeys(c.label.kind for c in cases)
         },
-        calibration=calibration([r for r, _ in answered], [truth for _, truth in answered]),
+        calibration=_calibration(plain),
+        calibration_sure=_calibration([c for c in plain if c.label.strength != "faint"]),
         errors=errors,
         words=words,
         covered=rate(e.covered for e in errors if e.covered is not None),
@@ -193,6 +199,11 @@ def score(cases: Sequence[Answered], effects: Sequence[str]) -> Score:
             [c.said.seconds for c in cases if c.said is not None and c.said.seconds is not None]
         ),
     )
+
+
+def _calibration(cases: Sequence[Answered]) -> Calibration | None:
+    answered = [(dict(c.said.ranking), c.label.answer) for c in cases if c.said is not None]
+    return calibration([ranking for ranking, _ in answered], [truth for _, truth in answered])
 
 
 def _right(case: Answered) -> bool:
@@ -357,6 +368,9 @@ def to_json(found: Score) -> dict[str, Any]:
         },
         "abstained": {kind: r.to_json() for kind, r in found.abstained.items()},
         "calibration": None if found.calibration is None else found.calibration.to_json(),
+        "calibration_without_faint": (
+            None if found.calibration_sure is None else found.calibration_sure.to_json()
+        ),
         "parameters": {
             "coverage_of_95_percent_intervals": found.covered.to_json(),
             "rms_error_in_own_sigma": found.error_rms_sigma,

@@ -9,7 +9,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from galen_diagnosis.blind.rates import Rate
+from galen_diagnosis.blind.rates import Calibration, Rate
 from galen_diagnosis.blind.score import CLOSED_WITHIN, STRENGTHS, Score
 
 PROGRAM = "galen_diagnosis"
@@ -87,12 +87,12 @@ def lines(scores: Mapping[str, Score]) -> list[Line]:
         line(
             "calibration error (ECE; by chance alone)",
             "",
-            [
-                "–"
-                if s.calibration is None
-                else f"{s.calibration.error:.3f} ({s.calibration.by_chance:.3f})"
-                for s in found
-            ],
+            [_calibration_words(s.calibration) for s in found],
+        ),
+        line(
+            "calibration error without faint ones",
+            "",
+            [_calibration_words(s.calibration_sure) for s in found],
         ),
         line(
             "Brier score; log score, nats",
@@ -117,6 +117,10 @@ def lines(scores: Mapping[str, Score]) -> list[Line]:
         line("diagnoses that failed", "", [f"{s.failed} of {s.cases}" for s in found]),
     ]
     return rows
+
+
+def _calibration_words(of: Calibration | None) -> str:
+    return "–" if of is None else f"{of.error:.3f} ({of.by_chance:.3f})"
 
 
 def print_scores(scores: Mapping[str, Score], console: Console) -> None:
