@@ -34,14 +34,14 @@ def test_nothing_goes_out_while_it_is_inactive_and_the_loads_are_forgotten(bench
     bench.outputs(1)
     assert bench.life.go("deactivate") and bench.life.state == "inactive"
     bench.state("inactive", Level.WARN)
-    bench.harness.wait_for(lambda: not connected(bench), 5.0, "the subscriptions to go")
+    bench.harness.wait_for(lambda: not connected(bench), 20.0, "the subscriptions to go")
     for _ in range(20):
         bench.step()
     assert bench.life.go("activate")
-    bench.harness.wait_for(lambda: connected(bench), 5.0, "the subscriptions")
+    bench.harness.wait_for(lambda: connected(bench), 20.0, "the subscriptions")
     stamp = bench.step()
     assert [row[0] for row in bench.outputs(2)][1:] == [stamp]
-    bench.harness.wait_for(lambda: says(bench)["lifecycle"] == "active", 5.0, "a report")
+    bench.harness.wait_for(lambda: says(bench)["lifecycle"] == "active", 20.0, "a report")
     assert says(bench)["model_file"].endswith("good.json")
     assert says(bench)["last_forgotten"] == "the node was deactivated"
 
@@ -61,10 +61,10 @@ def test_it_is_configured_anew_with_another_model(bench):
         said = bench.arm.reports[-1]
         return said.level == bytes([Level.ERROR]) and "torn.json" in said.message
 
-    bench.harness.wait_for(failed, 5.0, "the error on /diagnostics")
+    bench.harness.wait_for(failed, 20.0, "the error on /diagnostics")
     assert not bench.life.set(model_file=str(bench.folder / "softer.json"))
     assert bench.life.go("configure", "activate")
-    bench.harness.wait_for(lambda: connected(bench), 5.0, "the subscriptions")
-    bench.harness.wait_for(bench.arm.inputs[0].get_publisher_count, 5.0, "the publisher")
+    bench.harness.wait_for(lambda: connected(bench), 20.0, "the subscriptions")
+    bench.harness.wait_for(bench.arm.inputs[0].get_publisher_count, 20.0, "the publisher")
     assert bench.step() > push
     assert bench.outputs(2)[1][2][0] == pytest.approx(1.5 * first[0], rel=0.2)

@@ -53,7 +53,7 @@ def test_nothing_is_held_over_from_before_it_was_deactivated(harness: Harness, t
     bench.running()
     tare = bench.listener.create_client(Trigger, "gravcomp/tare")
     future = tare.call_async(Trigger.Request())
-    harness.wait_for(lambda: bench.step(LEFT) and future.done(), 5.0, "a tare")
+    harness.wait_for(lambda: bench.step(LEFT) and future.done(), 20.0, "a tare")
     assert future.result().success
     for _ in range(20):
         tared = bench.step(LEFT)
@@ -61,7 +61,7 @@ def test_nothing_is_held_over_from_before_it_was_deactivated(harness: Harness, t
 
     assert life.go("deactivate") and life.state == "inactive"
     bench.state("inactive", Level.WARN)
-    harness.wait_for(lambda: not bench.driver.ready(), 5.0, "the subscriptions to go")
+    harness.wait_for(lambda: not bench.driver.ready(), 20.0, "the subscriptions to go")
     refused = bench.call("tare", Trigger, Trigger.Request())
     assert not refused.success and refused.message == "not tared: the node is inactive"
     assert "inactive" in bench.call("enable", SetBool, SetBool.Request(data=True)).message
@@ -73,7 +73,7 @@ def test_nothing_is_held_over_from_before_it_was_deactivated(harness: Harness, t
     for _ in range(50):
         late = bench.step(PUSH)
     assert life.go("activate")
-    harness.wait_for(bench.driver.ready, 5.0, "the subscriptions")
+    harness.wait_for(bench.driver.ready, 20.0, "the subscriptions")
     fresh = bench.step(LEFT)
     bench.expect(fresh, LEFT)  # the tool stays, the tare does not
     assert bench.output_at(late) is None and len(bench.listener.outputs) == before + 1
@@ -106,12 +106,12 @@ def test_it_is_configured_anew_with_other_files_and_joints(harness: Harness, too
     assert not bench.node.get_publishers_info_by_topic("/wrench_compensated")
     assert not life.set(tools_dir=str(other), joint_names=["a", "b"])
     assert life.go("configure", "activate")
-    harness.wait_for(bench.driver.ready, 5.0, "the subscriptions")
+    harness.wait_for(bench.driver.ready, 20.0, "the subscriptions")
     bench.driver.joints(bench.stamp, *STILL, names=("roll", "tilt"))
     bench.state("bad_joints", Level.ERROR, lambda: bench.step(PUSH))
     assert life.go("deactivate", "cleanup") and not life.set(joint_names=["roll", "tilt"])
     assert life.go("configure", "activate")
-    harness.wait_for(bench.driver.ready, 5.0, "the subscriptions")
+    harness.wait_for(bench.driver.ready, 20.0, "the subscriptions")
     stamp = bench.step(PUSH)
     bench.expect(stamp, PUSH + POINTER.predict(*STILL) - OTHER.predict(*STILL))
 
@@ -126,7 +126,7 @@ def test_a_bad_file_fails_configure_and_can_be_mended(harness: Harness, tools: P
     assert said["message"].startswith("configure failed: ") and "pointer.json" in said["message"]
     (tools / "pointer.json").write_bytes(good)
     assert life.go("configure", "activate")
-    harness.wait_for(bench.driver.ready, 5.0, "the subscriptions")
+    harness.wait_for(bench.driver.ready, 20.0, "the subscriptions")
     bench.running()
 
 
@@ -138,14 +138,14 @@ def test_who_waits_for_an_answer_gets_one(harness: Harness, tools: Path) -> None
     waits = tare.call_async(Trigger.Request())
     bench.state("taring", Level.OK)
     assert life.go("deactivate")
-    harness.wait_for(waits.done, 5.0, "the tare's answer")
+    harness.wait_for(waits.done, 20.0, "the tare's answer")
     assert waits.result().message == "not tared: the node was deactivated"
 
     client = bench.listener.create_client(ListTools, "gravcomp/list_tools")
-    harness.wait_for(client.service_is_ready, 5.0, "the service")
+    harness.wait_for(client.service_is_ready, 20.0, "the service")
     bench.node._tools._background.submit(lambda: time.sleep(0.3), lambda _: None)  # a slow disk
     waits = client.call_async(ListTools.Request())
-    harness.wait_for(lambda: len(bench.node._tools._background._waiting) > 1, 5.0, "the request")
+    harness.wait_for(lambda: len(bench.node._tools._background._waiting) > 1, 20.0, "the request")
     assert life.go("cleanup")
-    harness.wait_for(waits.done, 5.0, "the list's answer")
+    harness.wait_for(waits.done, 20.0, "the list's answer")
     assert not waits.result().success and "cleaned up" in waits.result().error_msg

@@ -120,23 +120,23 @@ def test_it_starts_active_by_itself_and_walks_through_its_states(harness):
     assert world.own() == {"/words", "~/ask"} and world.node.undone == ["deactivate"]
     assert world.go("cleanup") and world.state == "unconfigured" and world.own() == set()
     assert world.node.undone == ["deactivate", "cleanup"]
-    harness.wait_for(lambda: world.status.get("lifecycle") == "unconfigured", 5.0, "its state")
+    harness.wait_for(lambda: world.status.get("lifecycle") == "unconfigured", 20.0, "its state")
     assert world.status["level"] is Level.WARN and "call configure" in world.status["message"]
     # What was fixed can be set now, and is what it is configured with.
     assert not world.set(topic="other")
     assert world.go("configure", "activate")
     assert world.own() == {"/other", "/said", "~/ask"}
-    harness.wait_for(lambda: world.status.get("topic") == "other", 5.0, "the new topic")
+    harness.wait_for(lambda: world.status.get("topic") == "other", 20.0, "the new topic")
     assert world.status["lifecycle"] == "active" and world.status["level"] is Level.OK
     # From active, all is undone.
     assert world.go("shutdown") and world.state == "finalized" and world.own() == set()
-    harness.wait_for(lambda: world.status["lifecycle"] == "finalized", 5.0, "the end")
+    harness.wait_for(lambda: world.status["lifecycle"] == "finalized", 20.0, "the end")
     assert "deactivating" in world.events and world.events[-1] == "finalized"
 
 
 def test_told_not_to_it_waits_unconfigured_and_says_so(harness):
     world = World(harness, autostart=False)
-    harness.wait_for(lambda: world.status, 5.0, "diagnostics")
+    harness.wait_for(lambda: world.status, 20.0, "diagnostics")
     assert world.status["lifecycle"] == world.state == "unconfigured" and world.own() == set()
     transitions = world.probe.create_client(
         GetAvailableTransitions, "worker/get_available_transitions"
@@ -151,8 +151,8 @@ def test_what_still_waits_in_the_executor_reaches_nobody(harness):
     world = World(harness)
     publisher = world.probe.create_publisher(String, "said", 10)
     ask = world.probe.create_client(Trigger, "worker/ask")
-    harness.wait_for(publisher.get_subscription_count, 5.0, "the subscription")
-    harness.wait_for(ask.service_is_ready, 5.0, "the service")
+    harness.wait_for(publisher.get_subscription_count, 20.0, "the subscription")
+    harness.wait_for(ask.service_is_ready, 20.0, "the service")
 
     def end():
         publisher.publish(String())
@@ -199,11 +199,11 @@ def test_a_failed_transition_leaves_it_unconfigured_and_ready_to_be_mended(harne
     assert not world.go(name)
     assert world.state == "unconfigured" and world.own() == set()
     assert "errorprocessing" in world.events
-    harness.wait_for(lambda: world.status.get("level") is Level.ERROR, 5.0, "the error")
+    harness.wait_for(lambda: world.status.get("level") is Level.ERROR, 20.0, "the error")
     assert f"{name} failed: {name} can't be done with words;" in world.status["message"]
     assert not world.set(fails_in="")
     assert world.go("configure", "activate") and world.state == "active"
-    harness.wait_for(lambda: world.status["level"] is Level.OK, 5.0, "a good state")
+    harness.wait_for(lambda: world.status["level"] is Level.OK, 20.0, "a good state")
 
 
 def test_a_bug_in_a_transition_is_an_error_state_too_and_its_traceback_is_logged(harness, capfd):
