@@ -282,6 +282,8 @@ class ManagedNode(LifecycleNode):
             self._go_down(Stage.FINALIZED)
         finally:
             super().destroy_node()
+            # rclpy (7.1.6) leaves it, and with it the node's services, on the graph.
+            self._state_machine.destroy_when_not_in_use()
 
 
 def _end_all(made: list[tuple[Any, Callable[[Any], object]]]) -> None:

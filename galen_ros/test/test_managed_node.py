@@ -167,6 +167,19 @@ def test_what_still_waits_in_the_executor_reaches_nobody(harness):
     assert world.node.heard == []
 
 
+def test_a_destroyed_node_leaves_the_graph(harness):
+    world = World(harness)
+    harness.remove(world.node)  # which is still referred to here, as any is until it is collected
+
+    def gone():
+        topic = "/worker/transition_event"
+        return not world.probe.get_publishers_info_by_topic(topic) and "worker" not in [
+            name for name, _ in world.probe.get_node_names_and_namespaces()
+        ]
+
+    harness.wait_for(gone, 20.0, "the node to go")
+
+
 def test_what_is_fixed_stays_while_it_is_configured(harness):
     world = World(harness)
     refused = world.set(topic="other")
