@@ -151,8 +151,7 @@ class DeflectionNode(StreamNode):
 
     def _on_forgotten(self, why: str) -> None:
         self._prediction.on_forgotten(why, time.monotonic())
-        if self.configured:
-            self.get_logger().info(f"the loads so far are forgotten: {why}")
+        self.get_logger().info(f"the loads so far are forgotten: {why}")
 
     # The compensation
 

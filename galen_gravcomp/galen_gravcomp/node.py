@@ -60,6 +60,7 @@ class GravcompNode(StreamNode):
 
     def _activate(self) -> None:
         super()._activate()
+        self._at_undo(lambda: self._compensator.cancel_tare("the node was deactivated"))
         if self._compensator.needs_imu:
             self._imu_wire = ImuWire()
             qos = input_qos(self._config.best_effort_input)

@@ -83,7 +83,8 @@ class StreamNode(ManagedNode):
 
     def _forget_samples(self) -> None:
         """As when the driver was restarted: nothing is held over to the next time."""
-        self._emit(self._pairing.restart("the node was deactivated"))
+        if self.configured:  # else it ends, and there is no next time
+            self._emit(self._pairing.restart("the node was deactivated"))
         self._newest_joint_state = None
 
     def _read_joints(self, joint_names: Sequence[str]) -> None:
@@ -183,8 +184,6 @@ class StreamNode(ManagedNode):
 
     def _on_restart(self, why: str) -> None:
         self._monitor.on_restart(why, time.monotonic())
-        if not self.configured:  # it ends
-            return
         # Two drivers with two clocks restart it with every message.
         text = f"{why}; {self.cleared_on_restart} are cleared"
         self.get_logger().warning(text, throttle_duration_sec=1.0)
