@@ -162,8 +162,11 @@ class GravcompNode(StreamNode):
             response.success, response.message = outcome.success, outcome.message
             self._tools.in_force.update()
             respond(response)
-            log = self.get_logger().info if outcome.success else self.get_logger().warning
-            log(outcome.message)
+            # A line of code each: rclpy refuses a second severity on the same one, and raises.
+            if outcome.success:
+                self.get_logger().info(outcome.message)
+            else:
+                self.get_logger().warning(outcome.message)
 
         try:
             self._compensator.start_tare(on_done)
