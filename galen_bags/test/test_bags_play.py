@@ -6,6 +6,7 @@ import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -46,7 +47,9 @@ def wrench(index: int, stamp_ns: int | None = None) -> bytes:
     return WrenchBytes("ft_sensor").fill(stamp_ns, [float(index)] * 6)
 
 
+@cache
 def deflection(index: int) -> bytes:
+    """The same bytes each time: what rclpy leaves between a text and a number is by chance."""
     message = DeflectionStamped()
     message.translation.x = float(index)
     return bytes(serialize_message(message))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -14,7 +14,7 @@ from scipy.linalg import block_diag
 
 from galen_diagnosis.answer import NONE, UNKNOWN, Answer, Cause, Interval, Verdict
 from galen_diagnosis.candidates import NEEDS_MOTION, NEEDS_TRACKER
-from galen_diagnosis.gap import Gap, held_out_gap, plain_background
+from galen_diagnosis.gap import Gap, held_out_gap, unknowns_alone
 from galen_diagnosis.leftover import Leftover, leftover
 from galen_diagnosis.linear import Background, evidence
 from galen_diagnosis.next_experiment import Experiment, propose
@@ -67,7 +67,8 @@ def explore(recording: Recording, progress: Progress | None = None) -> Explored:
     say("what the best fit leaves", 0.86)
     seen = structures(observation, found.behind.with_free(best.columns), best.raw_rows)
     fast = oscillation(observation.streams_with(best.effects, best.unknowns))
-    of = scored(found, max(left.sure, _sure_of(seen), 2.0 * fast.log_bayes if fast else 0.0))
+    clear = [one.log_bayes for one in (*seen, fast) if one is not None]
+    of = scored(found, max(left.sure, 2.0 * max(clear, default=0.0)))
     least = min(one.energy for one in of)
     fitted = {one.names[0] for one in of if len(one.names) == 1}
     none = next(one for one in of if not one.names)
@@ -77,11 +78,6 @@ def explore(recording: Recording, progress: Progress | None = None) -> Explored:
             energy = max(none.energy - 2.0 * max(log, 0.0), least)
             of.append(Scored((name,), energy, (none.energy - energy,), max(-log, 0.0)))
     return Explored(observation, found, left, tuple(seen), fast, tuple(of))
-
-
-def _sure_of(seen: Sequence[Structure]) -> float:
-    """Energy of the clearest structure that so many looks don't make."""
-    return max(0.0, 2.0 * (seen[0].log_bayes - float(np.log(len(seen))))) if seen else 0.0
 
 
 def diagnose_recording(
@@ -106,7 +102,7 @@ def conclude(explored: Explored, settings: Settings, say: Progress) -> Diagnosis
     chances = posterior(explored.scored, settings)
     verdict, chosen = _verdict(explored, chances)
     best = chosen or found.none
-    plain = plain_background(observation)
+    plain = unknowns_alone(found.behind)
     say("held out", 0.88)
     floor = explored.left.floor
     gap = held_out_gap(observation, best, found.behind, floor, say)
@@ -229,10 +225,7 @@ def _share_closed(gap: Gap, fit: Hypothesis, index: int) -> Interval | None:
     """An effect's part of what a fit of several closes: by how much F rises without it."""
     if gap.fraction is None:
         return None
-    energies = []
-    for values, where_, part in zip(fit.values, fit.slices(), fit.parts, strict=True):
-        block = np.linalg.pinv(fit.covariance[where_, where_], hermitian=True)
-        energies.append(float((values - part.start) @ block @ (values - part.start)))
+    energies = fit.energies_explained()
     share = energies[index] / max(sum(energies), 1e-12)
     value = gap.fraction.value * share
     return Interval(float(value), None, None)
@@ -295,9 +288,8 @@ def _full_covariance(fit: Hypothesis) -> Array:
 
 def _left_over(explored: Explored) -> tuple[dict[str, Any], ...]:
     """What the best fit leaves goes with, as far as that is no chance."""
-    looks = float(np.log(max(len(explored.structures), 1)))
     found: list[dict[str, Any]] = [
-        {"what": one.name, "energy": one.energy, "log_bayes": one.log_bayes - looks}
+        {"what": one.name, "energy": one.energy, "log_bayes": one.log_bayes}
         for one in explored.structures
     ]
     fast = explored.oscillation

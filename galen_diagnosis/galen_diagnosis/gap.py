@@ -24,7 +24,6 @@ import numpy as np
 from galen_model.arrays import Array
 
 from galen_diagnosis.answer import Interval
-from galen_diagnosis.background import unknown_columns
 from galen_diagnosis.linear import Background
 from galen_diagnosis.observation import UNKNOWNS, Observation
 from galen_diagnosis.refine import Hypothesis, refine
@@ -57,10 +56,9 @@ class Gap:
         }
 
 
-def plain_background(observation: Observation) -> Background:
-    """Only what isn't known and no gap, against which the nominal arm itself is shown."""
-    columns = unknown_columns(observation)
-    return Background(columns, np.array([0.1] * 3 + [2e-3] * 3 + [np.inf] * 12))
+def unknowns_alone(behind: Background) -> Background:
+    """Only what isn't known and no gap, beside which the nominal arm itself is shown."""
+    return Background(behind.columns[:, :UNKNOWNS], behind.prior_std[:UNKNOWNS])
 
 
 def held_out_gap(
@@ -132,9 +130,8 @@ def _fraction(before: float, after: float, floor: float) -> float | None:
 
 def without_unknowns(behind: Background, rows: Array, out: np.ndarray) -> Array:
     """Rows left out (m,), less the unknowns as the other rows (N,) tell them."""
-    columns = behind.columns[:, :UNKNOWNS]
-    unknowns = _only(Background(columns, behind.prior_std[:UNKNOWNS]), ~out)
-    return np.asarray(rows[out] - columns[out] @ unknowns.fit(np.where(out, 0.0, rows)))
+    unknowns = unknowns_alone(_only(behind, ~out)).fit(np.where(out, 0.0, rows))
+    return np.asarray(rows[out] - behind.columns[out, :UNKNOWNS] @ unknowns)
 
 
 def _only(behind: Background, keep: np.ndarray) -> Background:

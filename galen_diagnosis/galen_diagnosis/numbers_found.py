@@ -32,7 +32,6 @@ from galen_diagnosis.answer import Interval
 from galen_diagnosis.candidates import Candidate
 from galen_diagnosis.linear import Background, factor
 from galen_diagnosis.observation import Observation
-from galen_diagnosis.posterior import energies_explained
 from galen_diagnosis.refine import Hypothesis
 from galen_diagnosis.saturation import SaturationCandidate
 from galen_diagnosis.scans import JumpCandidate
@@ -57,7 +56,7 @@ def covariance(
     if not hypothesis.parts:
         return hypothesis.covariance
     laplace = hypothesis.covariance
-    shares = energies_explained(hypothesis)
+    shares = hypothesis.energies_explained()
     wrong = np.empty(len(laplace))
     for part, where, share in zip(hypothesis.parts, hypothesis.slices(), shares, strict=True):
         before = _FIRM * settings.kappa_of(part.effect) ** 2 * share / settings.dof

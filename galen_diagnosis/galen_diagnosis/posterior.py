@@ -70,7 +70,7 @@ def scored(found: Found, left: float) -> list[Scored]:
             Scored(
                 hypothesis.names,
                 energy,
-                energies_explained(hypothesis),
+                hypothesis.energies_explained(),
                 float(occam) * _counted(hypothesis),
             )
         )
@@ -99,18 +99,6 @@ def _bent(occam: float) -> float:
     whatever it is of, and would be cheaper than the truth.
     """
     return occam if occam < _FULL else _FULL + _REST * (occam - _FULL)
-
-
-def energies_explained(hypothesis: Hypothesis) -> tuple[float, ...]:
-    """Of each part theta_i^T cov_ii^-1 theta_i: by how much F rises without effect i, linearly."""
-    shares = []
-    for part, values, where in zip(
-        hypothesis.parts, hypothesis.values, hypothesis.slices(), strict=True
-    ):
-        off = values - part.start
-        block = hypothesis.covariance[where, where]
-        shares.append(float(off @ np.linalg.pinv(block, hermitian=True) @ off))
-    return tuple(shares)
 
 
 def posterior(of: Sequence[Scored], settings: Settings) -> Posterior:

@@ -56,6 +56,15 @@ class Hypothesis:
         """The effects' names."""
         return tuple(part.effect for part in self.parts)
 
+    def energies_explained(self) -> tuple[float, ...]:
+        """Of each part theta_i^T cov_ii^-1 theta_i: by how much F rises without it, linearly."""
+        energies = []
+        for part, values, where in zip(self.parts, self.values, self.slices(), strict=True):
+            off = values - part.start
+            block = np.linalg.pinv(self.covariance[where, where], hermitian=True)
+            energies.append(float(off @ block @ off))
+        return tuple(energies)
+
     def slices(self) -> list[slice]:
         """Where each part's numbers are among all."""
         ends = np.cumsum([len(values) for values in self.values])

@@ -254,9 +254,9 @@ def jump_candidate(observation: Observation, scan: Scan, columns: Array, index: 
 
 
 def _when(scan: Scan, bag: str) -> tuple[float, float]:
-    """Times of a bag that hold 95 % of a jump's probability there, half a step beside them.
+    """Times of a bag that hold 95 % of a jump's probability there, and a step beside them.
 
-    The evidence is tempered as all is (`settings.py`): noise is white but for what a fit leaves.
+    The evidence is tempered, as all is: noise is white but for what a fit leaves.
     """
     times = np.array([at_s for name, at_s in scan.times if name == bag])
     pairs = zip(scan.found, scan.times, strict=True)

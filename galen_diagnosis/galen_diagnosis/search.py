@@ -250,11 +250,8 @@ def _pruned(
     A third effect may have helped the other two on their way to where they fit, and be idle there.
     """
     best = min(hypotheses, key=lambda hypothesis: hypothesis.cost)
-    idle = []
-    for values, where, part in zip(best.values, best.slices(), best.parts, strict=True):
-        off = values - part.start
-        block = np.linalg.pinv(best.covariance[where, where], hermitian=True)
-        idle.append(float(off @ block @ off) < _IDLE * len(values))
+    explained = zip(best.energies_explained(), best.values, strict=True)
+    idle = [energy < _IDLE * len(values) for energy, values in explained]
     if len(best.parts) < 2 or not any(idle) or all(idle):
         return []
     kept = [k for k, is_idle in enumerate(idle) if not is_idle]

@@ -20,9 +20,9 @@ from galen_model.kinematics import sensor_pose
 from galen_diagnosis.linear import Background, evidence
 from galen_diagnosis.noise import smooth_basis
 from galen_diagnosis.observation import Observation
-from galen_diagnosis.rows import BAGS
+from galen_diagnosis.rows import BAGS, CHANNELS, TIP_AXES
 
-_TURNS = tuple(JOINT_NAMES.index(name) for name in JOINT_NAMES[3:])
+_TURNS = (JOINT_NAMES.index("roll"), JOINT_NAMES.index("tilt"))
 _TYPICAL = 10.0
 """Prior standard deviation of each function's coefficient, in its own standard errors."""
 _KNOT_S = 8.0
@@ -39,7 +39,7 @@ class Family(NamedTuple):
 
 
 class Structure(NamedTuple):
-    """log_bayes: that rows hold something of this family, against noise; energy explained."""
+    """log_bayes: that rows hold something of this family, its look paid; energy explained."""
 
     name: str
     log_bayes: float
@@ -54,34 +54,30 @@ def structures(observation: Observation, behind: Background, residual: Array) ->
     """
     out = []
     for family in families(observation):
-        gram = family.columns.T @ family.columns
-        seen = np.sqrt(np.maximum(np.diag(gram), 1e-300))
+        seen = np.maximum(np.linalg.norm(family.columns, axis=0), 1e-150)
         columns = np.zeros((len(residual), len(seen)))
         columns[family.rows] = family.columns / seen
         reduced, along = behind.reduced(columns, residual)
         got = evidence(reduced, along, np.full(len(seen), _TYPICAL))
         out.append(Structure(family.name, got.log_bayes, got.gain))
-    return sorted(out, key=lambda one: -one.log_bayes)
+    looks = float(np.log(max(len(out), 1)))
+    paid = [one._replace(log_bayes=one.log_bayes - looks) for one in out]
+    return sorted(paid, key=lambda one: -one.log_bayes)
 
 
 def families(observation: Observation) -> Iterator[Family]:
     """All that this recording can show."""
     rows = observation.rows
-    first = 0
-    wrench = np.zeros(len(rows), dtype=bool)
-    tip = np.zeros(len(rows), dtype=bool)
+    first = CHANNELS.index(TIP_AXES[0])
+    wrench = rows.channel < first
+    tip = (rows.channel >= first) & (rows.channel < first + len(TIP_AXES))
     functions: list[Array] = []
     loads: list[Array] = []
     for name, view in observation.views.items():
         # The reading itself has the noise that is to be explained; what it should be has none.
         expected = observation.nominal_reading(name)
-        wrench[first : first + expected.size] = True
         functions.append(_of_reading(view.scene.wrench_s[view.shows], expected))
-        first += expected.size
-        tracks = view.tip_gain.size
-        tip[first : first + tracks] = True
-        first += 2 * tracks
-        if tracks:
+        if view.tracks:
             loads.append(_of_load(view.scene.tracker_s, *observation.applied_load(name)))
     yield from _of_arm(observation, wrench, "wrench")
     of_reading = _each(rows.scale[wrench], np.concatenate(functions))
@@ -143,7 +139,7 @@ def _of_reading(at_s: Array, reading: Array) -> Array:
 
 
 def _of_load(tracker_s: Array, at_s: Array, load: Array) -> Array:
-    """The hand's wrench (n, 6) at at_s, its squares and its past at the tracker's times (m, 27)."""
+    """The hand's wrench (n, 6) at at_s, its squares and its past at the tracker's times (m, 30)."""
     size = np.sqrt(np.mean(load**2, axis=0)) + 1e-9
     x = load / size
     steps = np.maximum(np.diff(at_s, prepend=at_s[:1]), 0.0)

@@ -32,7 +32,7 @@ def own_home(tmp_path, monkeypatch):
     return tmp_path / "home"
 
 
-def fake_generate(case, directory, oracle):
+def fake_generate(case, directory, twin):
     """A recording of one small file; what the probe is to answer stands in it."""
     drawn = {"none": (), "pair": EFFECTS[:2]}.get(case.kind, ("hail",))
     effects = case.effects or drawn
@@ -204,19 +204,19 @@ def test_an_interrupted_check_goes_on(tmp_path, monkeypatch):
     output = tmp_path / "out"
     made = []
 
-    def stops(case, directory, oracle):
+    def stops(case, directory, twin):
         if len(made) == 3:
             raise KeyboardInterrupt
         made.append(case)
-        return fake_generate(case, directory, oracle)
+        return fake_generate(case, directory, twin)
 
     with pytest.raises(KeyboardInterrupt):
         blind_check.run(arguments("--short", "--seed", "7"), output, PROBE, stops)
     assert not (output / "commitment.json").exists()
 
-    def goes_on(case, directory, oracle):
+    def goes_on(case, directory, twin):
         made.append(case)
-        return fake_generate(case, directory, oracle)
+        return fake_generate(case, directory, twin)
 
     blind_check.run(arguments("--short", "--seed", "7"), output, PROBE, goes_on)
     assert sorted(case.seed for case in made) == sorted(p.case.seed for p in short_plan(7))

@@ -482,6 +482,11 @@ def test_tare_without_a_jump(bench: Bench) -> None:
     assert np.all(largest <= 1.5 * np.abs(LEFT) * 0.002 / 1.0 + 1e-9)
     values = bench.running()
     assert values["tare_force_n"] == "0.5 -0.4 0.3"
+    # Refused after one that succeeded: another severity in the log, and the node lives on.
+    bench.set_tool("")
+    answer = bench.call("tare", Trigger, Trigger.Request())
+    assert not answer.success and "no tool" in answer.message
+    assert bench.set_tool("pointer").success
 
 
 def test_tare_that_cannot_be_is_answered(bench: Bench) -> None:

@@ -27,6 +27,8 @@ from galen_diagnosis.observation import Observation
 
 RMSE_DROP, NAIVE_BIC, NETWORK = "largest RMSE drop", "naive BIC", "network"
 _LEAST_DROP = 0.01
+_SAME = 1e-10
+"""Eigenvalues below this part of the largest are columns that others make up."""
 
 
 def answers(observation: Observation) -> dict[str, Any]:
@@ -41,10 +43,6 @@ def answers(observation: Observation) -> dict[str, Any]:
         described = features(observation.rows, rest.residual)
         found[NETWORK] = network_answer(read_network().probabilities(described))
     return found
-
-
-_SAME = 1e-10
-"""Eigenvalues below this part of the largest are columns that others make up."""
 
 
 class Rest:
