@@ -27,6 +27,7 @@ ROS_MODULES = {
     "galen_bringup.drift",
     "galen_bringup.figures",
     "galen_bringup.processes",
+    "galen_bringup.startup_benchmark",
     "galen_bringup.suite",
     "galen_bringup.verification",
     "galen_calibration_behavior.arm_link",

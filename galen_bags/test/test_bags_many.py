@@ -114,7 +114,7 @@ def test_a_bag_that_fails_does_not_stop_the_others(tmp_path, where):
     assert [outcome.result for outcome in outcomes] == [10, None, 20, None, None, 30]
     errors = [outcome.error for outcome in outcomes]
     assert [error is None for error in errors] == [True, False, True, False, False, True]
-    assert errors[1] == f"{bags[1]}: its stamps jump"
+    assert errors[1] == f"{bags[1]}: its stamps\\njump"
     assert errors[3].startswith(f"{bags[3]}: ValueError: not now (test_bags_many.py, line ")
     assert errors[4].startswith(f"{bags[4]}: SystemExit: enough (")
     assert all(outcome.seconds >= 0.0 for outcome in outcomes)
