@@ -48,7 +48,7 @@ class Relay(Node):
             self.create_subscription(
                 kind,
                 f"true/{topic}",
-                lambda data, out=out: self.pass_on(data, out),
+                lambda data, out=out: self.pass_on(out, data),
                 STREAM,
                 raw=True,
             )

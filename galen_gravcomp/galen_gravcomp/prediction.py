@@ -29,6 +29,7 @@ class Prediction:
         self._by_direction: Array = (
             tool.predict_under(gravity * np.eye(3)) - self._constant[None, :]
         ).T
+        self._by_direction_and_one: Array = np.vstack([self._by_direction.T, self._constant])
         mounting = Mounting() if tool.mounting is None else tool.mounting
         self._down: tuple[float, ...] = tuple(mounting.gravity_direction.tolist())
         self._zero: tuple[float, ...] = tuple(mounting.joint_zero_rad.tolist())
@@ -48,29 +49,44 @@ class Prediction:
 
     def readings(self, roll_rad: Array, tilt_rad: Array) -> Array:
         """Readings (n, 6) as `reading` gives them, for angles (n,)."""
-        (x, y, z), (zero_roll, zero_tilt) = self._down, self._zero
-        sin_roll, cos_roll = np.sin(roll_rad + zero_roll), np.cos(roll_rad + zero_roll)
-        sin_tilt, cos_tilt = np.sin(tilt_rad + zero_tilt), np.cos(tilt_rad + zero_tilt)
-        across, down = y * cos_roll + z * sin_roll, y * sin_roll - z * cos_roll
-        directions = np.stack(
-            (down * cos_tilt - x * sin_tilt, across, down * sin_tilt + x * cos_tilt), axis=1
-        )
-        readings: Array = directions @ self._by_direction.T + self._constant
+        directions: Array = np.ones((len(roll_rad), 4))
+        self._write_directions(directions, roll_rad, tilt_rad)
+        readings: Array = directions @ self._by_direction_and_one
         return readings
 
     def compensate(self, readings: Array, roll_rad: Array, tilt_rad: Array) -> Array:
         """Wrenches (n, 6) in ft_sensor of readings (n, 6) at angles (n,), less what is expected.
 
         Block by block: what a block needs in between stays in the processor's cache, so that only
-        readings, angles and wrenches go through memory.
+        readings, angles and wrenches go through memory. Sines and cosines take most of the time.
         """
         out = np.empty_like(readings)
+        directions = np.ones((min(_BLOCK, len(readings)), 4))
         for first in range(0, len(readings), _BLOCK):
             rows = slice(first, first + _BLOCK)
-            expected = self.readings(roll_rad[rows], tilt_rad[rows])
-            np.subtract(readings[rows], expected, out=expected)
-            out[rows] = self.wrenches(expected)
+            block = out[rows]
+            u = directions[: len(block)]
+            self._write_directions(u, roll_rad[rows], tilt_rad[rows])
+            np.matmul(u, self._by_direction_and_one, out=block)
+            np.subtract(readings[rows], block, out=block)
+            if self._to_wrench is not None:
+                block[...] = self.wrenches(block)
         return out
+
+    def _write_directions(self, out: Array, roll_rad: Array, tilt_rad: Array) -> None:
+        """Write gravity's directions u for angles (n,) into the first columns of out (n, 4)."""
+        (x, y, z), (zero_roll, zero_tilt) = self._down, self._zero
+        roll, tilt = roll_rad + zero_roll, tilt_rad + zero_tilt
+        sin_roll, cos_roll, sin_tilt, cos_tilt = (
+            np.sin(roll),
+            np.cos(roll),
+            np.sin(tilt),
+            np.cos(tilt),
+        )
+        across, down = y * cos_roll + z * sin_roll, y * sin_roll - z * cos_roll
+        out[:, 0] = down * cos_tilt - x * sin_tilt
+        out[:, 1] = across
+        out[:, 2] = down * sin_tilt + x * cos_tilt
 
     def wrench(self, difference: Array) -> Array:
         """Wrench (6,) in ft_sensor, N and N.m, of a raw reading less the expected one (6,)."""
