@@ -18,11 +18,11 @@ from dataclasses import dataclass
 
 import numpy as np
 from galen_model.arrays import Array
+from galen_model.distributions import chi2_sf
 from galen_model.kinematics import sensor_rotation
 from galen_model.load import gravity_regressor, gravity_wrench
 from galen_model.rotation import skew
 from galen_model.tool_file import ToolFile
-from scipy.stats import chi2
 
 _STEP_RAD = 1e-4
 
@@ -56,7 +56,7 @@ def explain_rest(
         scaled = (rows / sigma[:, None]).reshape(-1, width)
         values = np.linalg.lstsq(scaled, (residual / sigma).ravel(), rcond=1e-9)[0]
         left = (residual - rows @ values) / sigma
-        p_value = float(chi2.sf(np.sum(left**2), 6 * count - width))
+        p_value = float(chi2_sf(np.sum(left**2), 6 * count - width))
         if p_value > p_noise:
             known = load_and_offset(anywhere, tool)
             by_all = known @ values[:10] + there[name] @ values[10:]

@@ -20,12 +20,12 @@ from dataclasses import dataclass
 
 import numpy as np
 from galen_model.arrays import Array
+from galen_model.distributions import chi2_ppf
 from galen_model.errors import IdentificationError
 from galen_model.identification import single_load_design
 from galen_model.kinematics import gravity_in_sensor
 from galen_model.pose_design import compensation_std
 from galen_model.robust_fit import fit_robust
-from scipy.stats import chi2
 
 from galen_calibration_behavior.stillness import PoseRecord
 from galen_calibration_behavior.sweep import stack
@@ -95,7 +95,7 @@ def averaged_noise(residuals: Array, scatter: Array, chance: float = _CHANCE) ->
         freedom = 3 * len(residuals) - parameters
         if freedom < 1:
             return np.full(6, np.inf)
-        noise[axes] *= np.sqrt(max(1.0, squares / chi2.ppf(chance, freedom)))
+        noise[axes] *= np.sqrt(max(1.0, squares / chi2_ppf(chance, freedom)))
     return noise
 
 

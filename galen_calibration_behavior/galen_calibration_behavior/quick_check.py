@@ -32,11 +32,11 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 from galen_model.arrays import Array
+from galen_model.distributions import chi2_isf, chi2_sf, noncentral_chi2_sf, normal_ppf
 from galen_model.mounting import Mounting
 from galen_model.pose_design import ANGLE_LIMITS, angle_grid
 from galen_model.tool_file import ToolFile
 from scipy.optimize import brentq
-from scipy.stats import chi2, ncx2, norm
 
 from galen_calibration_behavior.check_answer import (
     Answer,
@@ -140,7 +140,7 @@ def differences(
         offset_std=np.sqrt(np.diag(both)[4:] if told else np.diag(alone_covariance)),
         rest=rest,
         sigma=sigma,
-        rest_p=float(chi2.sf(np.sum((rest / sigma) ** 2), 6 * count - 10)),
+        rest_p=float(chi2_sf(np.sum((rest / sigma) ** 2), 6 * count - 10)),
         load_p=load_p,
         offset_p=_p_value(alone, alone_covariance),
         load_effect=np.max(np.abs(everywhere[:, :, :4] @ moments), axis=0),
@@ -161,8 +161,10 @@ def smallest_mass_kg(load_information: Array, tool: ToolFile, false_alarm: float
 
 
 def _noncentrality(freedom: int, false_alarm: float, power: float = 0.95) -> float:
-    threshold = chi2.isf(false_alarm, freedom)
-    return float(brentq(lambda size: ncx2.sf(threshold, freedom, size) - power, 1e-3, 1e3))
+    threshold = chi2_isf(false_alarm, freedom)
+    return float(
+        brentq(lambda size: noncentral_chi2_sf(threshold, freedom, size) - power, 1e-3, 1e3)
+    )
 
 
 def _decide(
@@ -182,7 +184,7 @@ def _decide(
         return Answer.RECALIBRATE, Cause.LOAD
     if limits.size(found.effect) > 1.0 and found.offset_p < limits.false_alarm:
         return Answer.RETARE, Cause.OFFSET
-    two_sided = norm.isf(limits.false_alarm / 2.0)
+    two_sided = normal_ppf(1.0 - limits.false_alarm / 2.0)
     if np.any(two_sided * found.effect_std > limits.axes):
         return Answer.UNSURE, Cause.NOISE
     return Answer.GOOD, Cause.NOTHING
@@ -197,7 +199,7 @@ def _which_load(
 
     def fits(moments: Array) -> bool:
         off = np.max(np.abs(everywhere @ (own + found.moments - moments)), axis=0)
-        spread = norm.isf(limits.false_alarm / 2.0) * found.effect_std
+        spread = normal_ppf(1.0 - limits.false_alarm / 2.0) * found.effect_std
         return bool(np.all(off <= limits.axes + spread))
 
     if fits(np.zeros(4)):
@@ -275,4 +277,4 @@ def _load_information(records: Sequence[PoseRecord], tool: ToolFile, sigma: Arra
 
 
 def _p_value(values: Array, covariance: Array) -> float:
-    return float(chi2.sf(values @ np.linalg.solve(covariance, values), len(values)))
+    return float(chi2_sf(values @ np.linalg.solve(covariance, values), len(values)))

@@ -13,7 +13,7 @@ from itertools import pairwise
 
 import numpy as np
 from galen_model.arrays import Array
-from scipy.stats import chi2
+from galen_model.distributions import chi2_isf
 
 from galen_deflection.marker_tracks import MarkerTrack
 from galen_deflection.rigid import Transform, mean_pose
@@ -96,7 +96,7 @@ def _correlation(scaled: Array) -> float:
 
 def _moves(scaled: Array) -> list[int]:
     """Rows at which a new stand begins; scaled (n, 6) in units of the noise."""
-    limit = chi2.isf(_FALSE_MOVES_A_RECORDING / max(len(scaled), 1), scaled.shape[1])
+    limit = chi2_isf(_FALSE_MOVES_A_RECORDING / max(len(scaled), 1), scaled.shape[1])
     limit *= _correlation(scaled)
     found: list[int] = []
     todo = [(0, len(scaled))]

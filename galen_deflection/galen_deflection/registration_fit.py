@@ -8,9 +8,9 @@ from dataclasses import dataclass, field
 import numpy as np
 from galen_model.arm import ENCODER_QUANTUM, GALEN, ArmParameters
 from galen_model.arrays import Array
+from galen_model.distributions import chi2_isf
 from galen_model.kinematics import tip_jacobian, tip_pose
 from galen_model.rotation import skew
-from scipy.stats import chi2
 
 from galen_deflection.errors import RegistrationError
 from galen_deflection.hand_eye import solve_base, solve_base_and_offset, turns
@@ -204,7 +204,7 @@ class RegistrationFit:
             spread = root @ axes / np.sqrt(redundancy)
             distance = float(np.sqrt(np.sum(along**2 / redundancy)))
             false_alarms = _FALSE_ALARMS_A_REGISTRATION / len(self._rests)
-            limit = float(np.sqrt(chi2.isf(false_alarms, freedom)))
+            limit = float(np.sqrt(chi2_isf(false_alarms, freedom)))
             large = (
                 np.linalg.norm(residual[:3]) > self._settings.max_residual_m
                 or np.linalg.norm(residual[3:]) > self._settings.max_residual_rad

@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 from galen_model.arrays import Array
+from galen_model.distributions import chi2_ppf, normal_ppf
 from galen_model.errors import GalenError
-from scipy.stats import chi2, norm
 
 from galen_deflection.hysteresis_score import LoopScore, RestScore, score_loops, score_rests
 from galen_deflection.models.interface import PredictedSamples
@@ -119,7 +119,7 @@ def score(
 
 
 def _coverage(error: Array, covariance: Array) -> Array:
-    width = norm.ppf(0.5 + 0.5 * _CONFIDENCE)
+    width = normal_ppf(0.5 + 0.5 * _CONFIDENCE)
     variance = np.diagonal(covariance, axis1=1, axis2=2)
     return np.asarray(np.mean(error**2 <= width**2 * variance, axis=0))
 
@@ -133,7 +133,7 @@ def _joint_coverage(error: Array, covariance: Array) -> float:
             "a prediction's covariance is none: with the noise added it isn't positive"
         ) from reason
     scaled = np.linalg.solve(root, error[:, :, None])[:, :, 0]
-    return float(np.mean(np.sum(scaled**2, axis=1) <= chi2.ppf(_CONFIDENCE, 6)))
+    return float(np.mean(np.sum(scaled**2, axis=1) <= chi2_ppf(_CONFIDENCE, 6)))
 
 
 def _check(samples: DeflectionSamples, predicted: PredictedSamples) -> None:

@@ -21,8 +21,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from galen_model.arrays import Array
+from galen_model.distributions import chi2_ppf
 from scipy.optimize import nnls
-from scipy.stats import chi2
 
 _PER_DECADE = 8
 _FEWEST_PAIRS = 3  # whole, that don't overlap
@@ -81,8 +81,8 @@ def allan_deviation(cells: Array, cell_s: float) -> Allan:
     freedom = np.array(
         [_freedom(s, n + 1, m) for s, n, m in zip(slope, cells_used, factor, strict=True)]
     )
-    low = deviation * np.sqrt(freedom / chi2.ppf(0.975, freedom))
-    high = deviation * np.sqrt(freedom / chi2.ppf(0.025, freedom))
+    low = deviation * np.sqrt(freedom / chi2_ppf(0.975, freedom))
+    high = deviation * np.sqrt(freedom / chi2_ppf(0.025, freedom))
     coefficients = _fit(tau, variance, freedom, white_part)
     return Allan(tau, deviation, low, high, *np.sqrt(coefficients).tolist())
 

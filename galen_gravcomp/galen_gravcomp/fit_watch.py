@@ -24,8 +24,8 @@ from itertools import islice
 
 import numpy as np
 from galen_model.arrays import Array
+from galen_model.distributions import chi2_ppf
 from galen_model.tool_file import ToolFile
-from scipy.stats import chi2
 
 from galen_gravcomp import fit_words as words
 from galen_gravcomp.fit_evidence import Explanation, FitEvidence, Judgement
@@ -39,7 +39,7 @@ _NEWEST = 4
 _LONE_S = 15.0
 _SURE = 9.2  # a factor of ten thousand
 _CONTRADICTION = 4.6  # of a hundred
-_FITS = float(chi2.ppf(0.999, 6))
+_FITS = float(chi2_ppf(0.999, 6))
 _FEWEST = {
     Explanation.LOAD: 2,
     Explanation.DRIFT: 3,

@@ -20,13 +20,13 @@ from dataclasses import dataclass
 import numpy as np
 from galen_model.arm import GRAVITY_M_S2
 from galen_model.arrays import Array
+from galen_model.distributions import chi2_sf
 from galen_model.errors import IdentificationError, NotExcitedError
 from galen_model.excitation import LOAD_PARAMETERS, check_excitation
 from galen_model.kinematics import gravity_in_sensor
 from galen_model.load import gravity_regressor
 from galen_model.robust_fit import RobustFit, fit_robust
 from galen_model.tool_file import ToolFile
-from scipy.stats import chi2
 
 from galen_gravcomp.still_cells import StillPhases
 
@@ -140,7 +140,7 @@ def _misfit(
         stds[name] = np.sqrt(np.diag(covariance))
         parts[name] = _rms(design[fit.used] @ values[name])
         distance = values[name] @ np.linalg.pinv(covariance, hermitian=True) @ values[name]
-        if chi2.sf(distance, design.shape[2]) < _SIGNIFICANT:
+        if chi2_sf(distance, design.shape[2]) < _SIGNIFICANT:
             significant.add(name)
     load = values.get("load", np.full(4, np.nan))
     load_std = stds.get("load", np.full(4, np.nan))

@@ -24,7 +24,7 @@ from typing import NamedTuple
 import numpy as np
 from galen_model.arm import ENCODER_QUANTUM, SENSOR
 from galen_model.arrays import Array
-from scipy.stats import chi2
+from galen_model.distributions import chi2_ppf
 
 WINDOW_S = 0.5
 _RIM_S = 0.3
@@ -186,7 +186,7 @@ class _NoiseLevel:
 @lru_cache(maxsize=256)
 def _quantile(probability: float, freedom: int) -> float:
     """Of chi-square over its degrees of freedom."""
-    return float(chi2.ppf(probability, freedom) / freedom)
+    return float(chi2_ppf(probability, freedom) / freedom)
 
 
 def _most(freedom: int) -> float:

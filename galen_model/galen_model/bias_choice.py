@@ -22,10 +22,10 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 import numpy as np
-from scipy.stats import t
 
 from galen_model.arrays import Array
 from galen_model.bias_curve import BiasShape, Shape
+from galen_model.distributions import student_t_logpdf
 from galen_model.errors import IdentificationError
 from galen_model.robust_fit import MIN_POSES_TO_REJECT, PRIOR_READINGS
 from galen_model.wandering_bias import Problem, Shapes, Sweeps, agreeing, settle
@@ -182,5 +182,5 @@ def _density(
         variance = sigma[channel] ** 2 * own
         variance += np.maximum(np.sum((free @ covariance) * free, axis=1), 0.0)
         known_by = freedom[channel] + PRIOR_READINGS
-        result[channel] = np.mean(t.logpdf(miss, known_by, scale=np.sqrt(variance)))
+        result[channel] = np.mean(student_t_logpdf(miss, known_by, np.sqrt(variance)))
     return float(result[:3].sum()), float(result[3:].sum())

@@ -24,9 +24,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import chi2
 
 from galen_model.arrays import Array
+from galen_model.distributions import chi2_sf
 from galen_model.errors import IdentificationError, NotExcitedError
 from galen_model.inertia_estimate import InertiaEstimate
 from galen_model.inertial import INERTIA_NAMES, inertial_regressor
@@ -79,7 +79,7 @@ class InertiaFit:
 
 
 def _is_other(file_distance: float) -> bool:
-    return bool(chi2.sf(file_distance, 4) < 1e-3)
+    return bool(chi2_sf(file_distance, 4) < 1e-3)
 
 
 def total_moments(tool: ToolFile) -> tuple[Array, Array]:

@@ -18,10 +18,9 @@ Under twelve poses nothing is rejected: too few to say which of them don't belon
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import chi2
-from scipy.stats import f as f_distribution
 
 from galen_model.arrays import Array
+from galen_model.distributions import chi2_ppf, f_ppf
 from galen_model.errors import IdentificationError
 
 FALSE_REJECTIONS_PER_SWEEP = 0.01
@@ -110,7 +109,7 @@ def _fit(design: Array, readings: Array, prior: _Prior) -> RobustFit:
     # the noise is known no better than from the freedom left to a channel.
     freedom = max(count - parameters / channels, 1.0)
     sigma = mad_scale(readings - design @ values) * np.sqrt(count / freedom)
-    cut = channels * f_distribution.ppf(1.0 - FALSE_REJECTIONS_PER_SWEEP / count, channels, freedom)
+    cut = channels * f_ppf(1.0 - FALSE_REJECTIONS_PER_SWEEP / count, channels, freedom)
     for _ in range(_ITERATIONS):
         distance = _distance(readings - design @ values, sigma)
         next_used = distance**2 <= cut
@@ -138,7 +137,7 @@ def _irls(design: Array, readings: Array, prior: _Prior, scale: Array) -> Array:
         distance = _distance(residuals, scale)
         weights = 1.0 / np.maximum(distance, 0.1 * np.sqrt(channels))
         values = _solve(design, readings, prior, scale, weights)[0]
-    cut = np.sqrt(chi2.ppf(0.9999, channels)) * 1.5
+    cut = np.sqrt(chi2_ppf(0.9999, channels)) * 1.5
     for _ in range(_ITERATIONS):
         residuals = readings - design @ values
         scale = mad_scale(residuals)

@@ -13,10 +13,10 @@ Offset and tip have no covariance in the file: their differences are told withou
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import chi2
 
 from galen_model.arm import LIMITS, WRENCH_AXES
 from galen_model.arrays import Array
+from galen_model.distributions import chi2_ppf
 from galen_model.errors import GalenError
 from galen_model.tool_file import LoadEstimate, ToolFile
 
@@ -155,7 +155,7 @@ def same_load(a: LoadEstimate, b: LoadEstimate) -> bool:
     correlation = covariance / scale / scale[:, None] + _RIDGE * np.eye(4)
     with np.errstate(over="ignore"):  # variances next to nothing: surely not the same
         z = difference / scale
-        return bool(z @ np.linalg.solve(correlation, z) < chi2.ppf(_CONFIDENCE, 4))
+        return bool(z @ np.linalg.solve(correlation, z) < chi2_ppf(_CONFIDENCE, 4))
 
 
 def _load_differences(prefix: str, a: LoadEstimate, b: LoadEstimate) -> list[Difference]:

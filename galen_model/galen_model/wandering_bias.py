@@ -25,11 +25,10 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
-from scipy.stats import chi2
-from scipy.stats import f as f_distribution
 
 from galen_model.arrays import Array
 from galen_model.bias_curve import BiasBasis, BiasShape
+from galen_model.distributions import chi2_ppf, f_ppf
 from galen_model.errors import IdentificationError
 from galen_model.robust_fit import (
     FALSE_REJECTIONS_PER_SWEEP,
@@ -270,7 +269,7 @@ def agreeing(sweeps: Sweeps, shapes: Shapes) -> np.ndarray:
     count = len(sweeps)
     sigma = np.maximum(np.std(sweeps.readings, axis=0), tiny(sweeps.readings))
     weights = np.ones(count)
-    cut = np.sqrt(chi2.ppf(0.9999, 6)) * 1.5
+    cut = np.sqrt(chi2_ppf(0.9999, 6)) * 1.5
     for step in range(2 * _ITERATIONS):
         problem = Problem(sweeps, shapes, weights)
         values, covariance = problem.solve(sigma)
@@ -288,7 +287,7 @@ def agreeing(sweeps: Sweeps, shapes: Shapes) -> np.ndarray:
         if step >= _ITERATIONS and moved < 1e-3:
             break
     freedom = max(count - sweeps.design.shape[2] / 6.0 - problem.bases[0].free, 1.0)
-    limit = 6.0 * f_distribution.ppf(1.0 - FALSE_REJECTIONS_PER_SWEEP / count, 6, freedom)
+    limit = 6.0 * f_ppf(1.0 - FALSE_REJECTIONS_PER_SWEEP / count, 6, freedom)
     used = distance**2 <= limit
     for _ in range(_ITERATIONS):
         if used.sum() * 6 <= sweeps.design.shape[2] + 6 * problem.bases[0].free:
