@@ -14,6 +14,8 @@ from rosbags.rosbag2.metadata import parse_qos
 
 # A topic's entry has some hundred bytes, and a file's as well.
 MOST_BYTES = 1 << 20
+# rosbag2 writes two levels of brackets at most.
+_MOST_BRACKETS = 20
 
 
 @dataclass(frozen=True)
@@ -50,7 +52,16 @@ def read_metadata(path: Path) -> BagMetadata:
 
 
 class _Loader(yaml.SafeLoader):
-    """Without aliases, which rosbag2 never writes: a few lines of them stand for gigabytes."""
+    """Without what rosbag2 never writes and what makes a small file long to read.
+
+    A few lines of aliases stand for gigabytes, and a few thousand open brackets take a minute.
+    """
+
+    def fetch_flow_collection_start(self, token_class: Any) -> None:
+        """As the base's, for each `[` and `{`."""
+        if self.flow_level >= _MOST_BRACKETS:
+            raise yaml.YAMLError("brackets within brackets")
+        super().fetch_flow_collection_start(token_class)
 
     def compose_node(self, parent: Any, index: Any) -> Any:
         """As the base's, which would follow an alias."""
