@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
+import numpy as np
+from galen_model.arm import GALEN, ArmParameters
 from galen_model.arrays import Array
-from galen_model.kinematics import tip_pose
-from galen_model.rotation import matrix_to_quaternion
-
-from galen_deflection.recent_poses import RecentPoses
+from galen_model.rotation import rot_y
 
 
 class TipPose(NamedTuple):
@@ -26,14 +26,15 @@ class CorrectedTip:
     vector, along the axes of base_link, turns the tip after the joints have, R' = exp(r^) R.
     """
 
-    def __init__(self, tip_m: Array) -> None:
+    def __init__(self, tip_m: Array, arm: ArmParameters = GALEN) -> None:
         """tip_m (3,): in ft_sensor."""
-        self._tip_m = tip_m
-        self._unloaded = RecentPoses(self._calculate)
+        self._from_platform = _floats(arm.platform_to_roll_m)
+        self._to_tilt = _floats(arm.roll_to_tilt_m)
+        self._beyond_tilt = _floats(arm.tilt_to_sensor_m + rot_y(np.pi / 2) @ tip_m)
 
-    def __call__(self, joints: Array, deflection: tuple[float, ...]) -> TipPose:
+    def __call__(self, joints: Sequence[float], deflection: Sequence[float]) -> TipPose:
         """Of joints (5,) and a deflection (6,), m and rad."""
-        (px, py, pz), (x, y, z, w) = self._unloaded(joints[None])
+        (px, py, pz), (x, y, z, w) = self._unloaded(joints)
         dx, dy, dz, rx, ry, rz = deflection
         angle = math.sqrt(rx * rx + ry * ry + rz * rz)
         # sin(angle / 2) / angle; below, the next term of its series is lost in rounding
@@ -49,6 +50,25 @@ class CorrectedTip:
             ),
         )
 
-    def _calculate(self, joints: Array) -> tuple[list[float], list[float]]:
-        rotation, position = tip_pose(joints[0], self._tip_m)
-        return position.tolist(), matrix_to_quaternion(rotation).tolist()
+    def _unloaded(
+        self, joints: Sequence[float]
+    ) -> tuple[tuple[float, float, float], tuple[float, float, float, float]]:
+        """`galen_model.kinematics.tip_pose` in plain floats; q = q_x(roll) q_y(tilt + pi/2)."""
+        px, py, pz, roll, tilt = joints
+        (ux, uy, uz), (vx, vy, vz), (ax, ay, az) = (
+            self._from_platform,
+            self._to_tilt,
+            self._beyond_tilt,
+        )
+        cos_r, sin_r, cos_t, sin_t = math.cos(roll), math.sin(roll), math.cos(tilt), math.sin(tilt)
+        x, y, z = vx + cos_t * ax + sin_t * az, vy + ay, vz + cos_t * az - sin_t * ax
+        position = (px + ux + x, py + uy + cos_r * y - sin_r * z, pz + uz + sin_r * y + cos_r * z)
+        half_roll, half_tilt = 0.5 * roll, 0.5 * tilt + 0.25 * math.pi
+        a, b = math.sin(half_roll), math.cos(half_roll)
+        c, d = math.sin(half_tilt), math.cos(half_tilt)
+        return position, (a * d, b * c, a * c, b * d)
+
+
+def _floats(vector: Array) -> tuple[float, float, float]:
+    x, y, z = (float(value) for value in vector)
+    return x, y, z

@@ -195,7 +195,7 @@ class Deflector(WrenchPairing[Deflected]):
             return self._refuse(stamp_ns, ModelRefusal.NONFINITE, detail, number)
         self.predicted += 1
         self.extrapolated += predicted.extrapolated
-        tip = self._corrected(at, mean)
+        tip = self._corrected(joints, mean)
         self.last = Deflected(stamp_ns, predicted, tip, tag, number, joints)
         return self.last
 

@@ -17,14 +17,20 @@ _NOT_HERE = (Refusal.DISABLED, Refusal.NO_TOOL)
 
 
 class DeflectorMonitor(StreamMonitor):
-    """Watches one deflector; `silence_s` and `frozen_s` as `StreamMonitor` says."""
+    """Watches one deflector; times as `StreamMonitor` says."""
 
     reasons = tuple(r for r in Refusal if r not in _NOT_HERE) + tuple(ModelRefusal)
     said_better = (Refusal.RESTART, ModelRefusal.NO_MODEL, ModelRefusal.OTHER_TIP)
     working = "predicting"
 
-    def __init__(self, deflector: Deflector, silence_s: float, frozen_s: float = FROZEN_S) -> None:
-        super().__init__(deflector, silence_s, frozen_s)
+    def __init__(
+        self,
+        deflector: Deflector,
+        silence_s: float,
+        frozen_s: float = FROZEN_S,
+        late_s: float = 0.0,
+    ) -> None:
+        super().__init__(deflector, silence_s, frozen_s, late_s)
         self._deflector = deflector
         self._model_error = ""
         self._last_forgotten = ""

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
-from galen_gravcomp.frozen import FROZEN_S
+from galen_gravcomp.stream_parameters import LoopParameters
 from galen_model.arm import JOINT_NAMES
 from galen_ros.param import param
 
@@ -11,7 +11,7 @@ from galen_deflection.deflector import DeflectorSettings
 
 
 @dataclass(frozen=True)
-class DeflectionParameters:
+class DeflectionParameters(LoopParameters):
     """Parameters of the node. Times of samples are by their stamps."""
 
     model_file: str = param(
@@ -27,46 +27,12 @@ class DeflectionParameters:
         JOINT_NAMES,
         "names in `joint_states` of the platform's x, y and z, of roll and of tilt, in this order",
     )
-    max_joint_age_s: float = param(
-        0.05,
-        "s; how far `joint_states` may lie behind a wrench, and how far apart two joint samples"
-        " may be to interpolate between them",
-        minimum=0.001,
-        maximum=1.0,
-    )
     memory_gap_s: float = param(
         0.1,
         "s; after a longer time without a usable wrench, loads may have come and gone unseen: the"
         " hysteresis is forgotten",
         minimum=0.002,
         maximum=10.0,
-    )
-    restart_gap_s: float = param(
-        1.0,
-        "s; a longer gap in the stamps of a topic means that the driver was restarted",
-        minimum=0.1,
-        maximum=60.0,
-    )
-    silence_s: float = param(
-        1.0,
-        "s of wall time without a message after which a topic is called silent",
-        minimum=0.1,
-        maximum=60.0,
-    )
-    frozen_s: float = param(
-        FROZEN_S,
-        "s of wall time that a wrench may stay the same to the last bit while roll or tilt turns;"
-        " then it is refused: the sensor hangs; 0: for ever",
-        minimum=0.0,
-        maximum=60.0,
-    )
-    best_effort_input: bool = param(
-        False, "subscribe as best effort, for a compensation that publishes its wrench so"
-    )
-    sensor_range: tuple[float, ...] = param(
-        (125.0, 125.0, 500.0, 3.0, 3.0, 3.0),
-        "N, N.m; range of the sensor's axes fx fy fz tx ty tz; a wrench beyond it gives a warning",
-        minimum=1e-6,
     )
     gravcomp_node: str = param(
         "gravcomp",
@@ -76,15 +42,12 @@ class DeflectionParameters:
 
     def validate(self) -> None:
         """Check what no single range can say."""
+        super().validate()
         count = len(JOINT_NAMES)
         if len(self.joint_names) != count or len(set(self.joint_names)) != count:
             raise ValueError(
                 f"parameter 'joint_names' is {list(self.joint_names)}, but must name five joints:"
                 " x, y and z of the platform, roll and tilt"
-            )
-        if len(self.sensor_range) != 6:
-            raise ValueError(
-                f"parameter 'sensor_range' has {len(self.sensor_range)} numbers, but must have 6"
             )
 
     def settings(self) -> DeflectorSettings:

@@ -30,6 +30,7 @@ from galen_model.rotation import rot_y, skew
 from galen_model.wrench import adjoint
 
 from galen_deflection.recent_poses import RecentPoses
+from galen_deflection.single_pose import SpringsAt, tip_wrench_at
 
 SPRINGS = (
     "roll", "tilt", "carriage_1", "carriage_2", "carriage_3",
@@ -66,13 +67,15 @@ class TipWrench:
         tip_in_sensor = np.eye(4)  # tool_tip is turned as ft_sensor is
         tip_in_sensor[:3, 3] = tip_m
         self._move = adjoint(tip_in_sensor).T
-        self._matrices = RecentPoses(self._calculate)
+        self._tip_m = tuple(float(value) for value in tip_m)
 
     def __call__(self, joints: Array, wrench: Array) -> Array:
         """Wrenches (n, 6) at the tip in base_link, from joints (n, 5) and ft_sensor's (n, 6)."""
+        if len(joints) == 1:
+            return tip_wrench_at(joints[0].tolist(), wrench[0].tolist(), self._tip_m)
         return np.asarray(np.matmul(self._matrices(joints), wrench[:, :, None])[:, :, 0])
 
-    def _calculate(self, joints: Array) -> Array:
+    def _matrices(self, joints: Array) -> Array:
         """(n, 6, 6): from ft_sensor to the tip, then turned into base_link."""
         rotation = sensor_rotation(joints[:, 3], joints[:, 4])
         matrices = np.empty((len(joints), 6, 6))
@@ -103,7 +106,8 @@ class Springs:
         )
         self._leg = np.repeat(np.arange(3), 2)
         self._beyond_tilt = arm.tilt_to_sensor_m + rot_y(np.pi / 2) @ tip_m
-        self._single = RecentPoses(self._calculate)
+        self._at = SpringsAt(self._beyond_tilt, arm)
+        self._single = RecentPoses(self._calculate_single)
 
     def jacobian(self, joints: Array) -> Array:
         """J (n, 6, 11), base_link; as `geometry`."""
@@ -121,6 +125,11 @@ class Springs:
         jacobian, lever = self._calculate(joints[new])
         which = np.cumsum(new) - 1
         return Geometry(jacobian[which], lever[which])
+
+    def _calculate_single(self, joints: Array) -> Geometry:
+        """As `_calculate`, of joints (1, 5): the same in a sixth of the time."""
+        jacobian, lever = self._at(joints[0].tolist())
+        return Geometry(jacobian[None], lever[None])
 
     def _calculate(self, joints: Array) -> Geometry:
         count = len(joints)

@@ -108,6 +108,24 @@ def test_one_joint_vector_after_another_is_as_all_at_once():
     np.testing.assert_allclose(Springs(TIP_M).jacobian(joints), single, rtol=0, atol=1e-13)
 
 
+def test_one_pose_is_calculated_as_many_are():
+    """The two ways to the same numbers, in all of the arm's room."""
+    rng = np.random.default_rng(8)
+    joints = np.array([0.0, 0.0, 0.408, 0.0, 0.0]) + rng.uniform(-1, 1, (200, 5)) * [
+        *(0.1, 0.1, 0.1, np.pi, np.pi / 2)
+    ]
+    wrench = rng.normal(size=(200, 6))
+    one, many = Springs(TIP_M), Springs(TIP_M).geometry(joints)
+    to_tip = TipWrench(TIP_M)
+    at_tip = to_tip(joints, wrench)
+    for k in range(200):
+        single = one.geometry(joints[k : k + 1])
+        np.testing.assert_allclose(single.jacobian[0], many.jacobian[k], rtol=0, atol=1e-13)
+        np.testing.assert_allclose(single.lever[0], many.lever[k], rtol=0, atol=1e-15)
+        alone = to_tip(joints[k : k + 1], wrench[k : k + 1])
+        np.testing.assert_allclose(alone[0], at_tip[k], rtol=0, atol=1e-14)
+
+
 def test_the_wrench_at_the_tip_does_the_same_work():
     """Power of a rigid motion: the same by the sensor's wrench and by the tip's."""
     joints = places(3, seed=6)

@@ -391,7 +391,7 @@ class Watched(Rig):
             self.monitor.on_wrench(self.now_s)
             result = self.step(**step)
             if isinstance(result, Deflected):
-                self.monitor.on_output(self.now_s - 1e-3, self.now_s)
+                self.monitor.on_output(self.now_s - 1e-3, self.now_s, result.stamp_ns)
             else:
                 self.monitor.on_refused(result, self.now_s)
             self.monitor.tick(self.now_s)

@@ -159,11 +159,11 @@ class HysteresisRun:
     def loaded_rows(self, joints: Array, wrench: Array) -> tuple[Rows, Array, Array]:
         """The next samples' rows, and their J and loads as `loads` has them."""
         at_tip, springs, jacobian, loads = self.loads(joints, wrench)
-        inputs = loads[:, self._column]
+        inputs = loads.take(self._column, axis=1)
         output, unknown = self._played(inputs)
         if self._any_stop:
             output = np.where(self._stop, inputs - output, output)
-        columns = jacobian[:, :, self._column]
+        columns = jacobian.take(self._column, axis=2)
         remembered = (columns * output[:, None, :]) @ self._of_operator
         design = np.concatenate([springs, remembered], axis=2)
         start = None
