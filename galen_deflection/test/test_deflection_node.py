@@ -81,7 +81,8 @@ class Bench:
 
     def __init__(self, harness, model_file, arm_options=None, **values):
         self.harness = harness
-        values = {"model_file": str(model_file)} | values
+        # The stamps here are slower than time.
+        values = {"model_file": str(model_file), "late_s": 0.0} | values
         self.node = harness.add(
             lambda context: DeflectionNode(
                 context=context, parameter_overrides=parameters(**values)
@@ -328,7 +329,9 @@ def test_with_gravcomp_itself(harness, folder):
     harness.add(
         lambda context: GravcompNode(
             context=context,
-            parameter_overrides=parameters(tools_dir=str(folder / "tools"), tool="retractor"),
+            parameter_overrides=parameters(
+                tools_dir=str(folder / "tools"), tool="retractor", late_s=0.0
+            ),
         )
     )
     bench = Bench(harness, folder / "good.json", {"wrench_topic": "wrench_raw"})

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from galen_gravcomp.pairing import PairingSettings
+from galen_gravcomp.stream_parameters import StreamParameters
 from galen_model.arm import JOINT_NAMES
 from galen_ros.param import param
 
@@ -12,7 +13,7 @@ from galen_diagnosis.gap_watch import GapSettings
 
 
 @dataclass(frozen=True)
-class GapMonitorParameters:
+class GapMonitorParameters(StreamParameters):
     """Parameters of the node. Times of samples are by their stamps."""
 
     tools_dir: str = param("~/.ros/galen/tools", "directory of the tools' files; `~` is expanded")
@@ -42,28 +43,6 @@ class GapMonitorParameters:
         10.0,
     )
     floor_torque_nm: float = param(2e-5, "N.m; the same", 1e-8, 1.0)
-    max_joint_age_s: float = param(
-        0.05,
-        "s; how far `joint_states` may lie behind a wrench, and how far apart two joint samples"
-        " may be to interpolate between them",
-        minimum=0.001,
-        maximum=1.0,
-    )
-    restart_gap_s: float = param(
-        1.0,
-        "s; a longer gap in the stamps of a topic means that the driver was restarted",
-        minimum=0.1,
-        maximum=60.0,
-    )
-    silence_s: float = param(
-        1.0,
-        "s of wall time without a message after which a topic is called silent",
-        minimum=0.1,
-        maximum=60.0,
-    )
-    best_effort_input: bool = param(
-        False, "subscribe as best effort, for a driver that publishes so"
-    )
 
     def validate(self) -> None:
         """Check what no single range can say."""

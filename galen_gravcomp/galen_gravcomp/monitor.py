@@ -7,15 +7,19 @@ from galen_gravcomp.stream_monitor import Severity, State, StreamMonitor, joined
 
 
 class Monitor(StreamMonitor):
-    """Watches one compensator; `silence_s` and `frozen_s` as `StreamMonitor` says."""
+    """Watches one compensator; times as `StreamMonitor` says."""
 
     said_better = (Refusal.DISABLED, Refusal.NO_TOOL, Refusal.RESTART)
     working = "compensating"
 
     def __init__(
-        self, compensator: Compensator, silence_s: float, frozen_s: float = FROZEN_S
+        self,
+        compensator: Compensator,
+        silence_s: float,
+        frozen_s: float = FROZEN_S,
+        late_s: float = 0.0,
     ) -> None:
-        super().__init__(compensator, silence_s, frozen_s)
+        super().__init__(compensator, silence_s, frozen_s, late_s)
         self._compensator = compensator
         self._tool_error = ""
         self._file_note = ""

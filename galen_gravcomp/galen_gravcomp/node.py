@@ -37,7 +37,7 @@ class GravcompNode(StreamNode):
     def _configure(self) -> None:
         p = self._config = self._held.now
         self._compensator = Compensator(p.settings(), self._on_restart, p.stages())
-        self._compensation = Monitor(self._compensator, p.silence_s, p.frozen_s)
+        self._compensation = Monitor(self._compensator, p.silence_s, p.frozen_s, p.late_s)
         self._tare_progress = (0, 0.0)
 
         self._publisher = self.create_publisher(WrenchStamped, "wrench_compensated", STREAM)

@@ -7,12 +7,12 @@ from galen_ros.param import param
 
 from galen_gravcomp.compensator import CompensatorSettings
 from galen_gravcomp.fit_watch import GravityFitWatch
-from galen_gravcomp.frozen import FROZEN_S
 from galen_gravcomp.imu_motion import ImuMotion, ImuMount
 from galen_gravcomp.joint_motion import JointMotion
 from galen_gravcomp.misfit import Limits
 from galen_gravcomp.motion_window import MotionSettings
 from galen_gravcomp.stages import MotionStage, Stages
+from galen_gravcomp.stream_parameters import LoopParameters
 from galen_gravcomp.tare import TareSettings
 from galen_gravcomp.wander import Wander, WanderSettings
 
@@ -20,7 +20,7 @@ _MOTIONS = ("off", "joints", "imu")
 
 
 @dataclass(frozen=True)
-class GravcompParameters:
+class GravcompParameters(LoopParameters):
     """Parameters of the node. Times of samples are by their stamps."""
 
     tools_dir: str = param("~/.ros/galen/tools", "directory of the tools' files; `~` is expanded")
@@ -92,40 +92,6 @@ class GravcompParameters:
         Limits.force_n, "N; what is left over below that is no warning", minimum=0.001
     )
     fit_limit_torque_nm: float = param(Limits.torque_nm, "N.m; the same", minimum=1e-5)
-    max_joint_age_s: float = param(
-        0.05,
-        "s; how far `joint_states` may lie behind a wrench, and how far apart two joint samples"
-        " may be to interpolate between them",
-        minimum=0.001,
-        maximum=1.0,
-    )
-    restart_gap_s: float = param(
-        1.0,
-        "s; a longer gap in the stamps of a topic means that the driver was restarted",
-        minimum=0.1,
-        maximum=60.0,
-    )
-    silence_s: float = param(
-        1.0,
-        "s of wall time without a message after which a topic is called silent",
-        minimum=0.1,
-        maximum=60.0,
-    )
-    frozen_s: float = param(
-        FROZEN_S,
-        "s of wall time that a wrench may stay the same to the last bit while roll or tilt turns;"
-        " then it is refused: the sensor hangs; 0: for ever",
-        minimum=0.0,
-        maximum=60.0,
-    )
-    best_effort_input: bool = param(
-        False, "subscribe as best effort, for a driver that publishes its sensor so"
-    )
-    sensor_range: tuple[float, ...] = param(
-        (125.0, 125.0, 500.0, 3.0, 3.0, 3.0),
-        "N, N.m; range of the sensor's axes fx fy fz tx ty tz; a reading beyond it gives a warning",
-        minimum=1e-6,
-    )
     tare_window_s: float = param(0.5, "s over which `~/tare` averages", minimum=0.05, maximum=60.0)
     tare_ramp_s: float = param(
         1.0, "s over which a new tare is applied", minimum=0.01, maximum=60.0
@@ -154,6 +120,7 @@ class GravcompParameters:
 
     def validate(self) -> None:
         """Check what no single range can say."""
+        super().validate()
         if len(self.joint_names) != 2 or len(set(self.joint_names)) != 2:
             raise ValueError(
                 f"parameter 'joint_names' is {list(self.joint_names)}, but must name two joints,"
@@ -178,10 +145,6 @@ class GravcompParameters:
                 raise ValueError(
                     f"parameter '{name}' has {len(getattr(self, name))} numbers, but must have 3"
                 )
-        if len(self.sensor_range) != 6:
-            raise ValueError(
-                f"parameter 'sensor_range' has {len(self.sensor_range)} numbers, but must have 6"
-            )
 
     def motion_settings(self) -> MotionSettings:
         """Window, delay and lag of the forces of motion."""

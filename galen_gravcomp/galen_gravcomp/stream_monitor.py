@@ -16,6 +16,7 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 
 from galen_gravcomp.frozen import FROZEN_S, FrozenWatch
+from galen_gravcomp.lateness import LateWatch
 from galen_gravcomp.pairing import WrenchPairing
 from galen_gravcomp.publishers import Publishers
 from galen_gravcomp.results import Notice, Refusal, Refused
@@ -75,12 +76,16 @@ class StreamMonitor(ABC):
     """What is so when all wrenches are refused."""
 
     def __init__(
-        self, pairing: WrenchPairing[Any], silence_s: float, frozen_s: float = FROZEN_S
+        self,
+        pairing: WrenchPairing[Any],
+        silence_s: float,
+        frozen_s: float = FROZEN_S,
+        late_s: float = 0.0,
     ) -> None:
         """`silence_s`: how long an input may be silent on the wall clock.
 
         frozen_s: how long its wrench may be the same to the last bit while the arm turns; 0: any
-        time.
+        time. late_s: how late a wrench may come; 0: any time.
         """
         self._pairing = pairing
         self._silence_s = silence_s
@@ -98,6 +103,7 @@ class StreamMonitor(ABC):
         }
         """By the inputs' topics."""
         self._frozen = FrozenWatch(frozen_s)
+        self._lateness = LateWatch(late_s)
         self._irregular = 0
         self._counts: deque[_Counts] = deque()
         self._latencies_s: deque[float] = deque(maxlen=LATENCY_SAMPLES)
@@ -106,6 +112,7 @@ class StreamMonitor(ABC):
         """Forget when what came, and from whom: the inputs are subscribed to anew."""
         self._joints_s = self._wrench_s = self._output_s = None
         self.publishers = {topic: Publishers(topic) for topic in self.publishers}
+        self._lateness.forget()
         self._counts.clear()
         self._latencies_s.clear()
 
@@ -118,12 +125,20 @@ class StreamMonitor(ABC):
         """Note that a wrench came."""
         self._wrench_s = now_s
 
-    def on_output(self, arrival_s: float, now_s: float) -> bool:
-        """Note an output. True when it may have changed the state."""
+    def stamps_are_simulated(self) -> None:
+        """Say that no wrench can be called late: a simulation's time stops and runs as it likes.
+
+        Nor would its own clock tell: after a stall, the clock's messages are as late as the others.
+        """
+        self._lateness = LateWatch(0.0)
+
+    def on_output(self, arrival_s: float, now_s: float, stamp_ns: int) -> bool:
+        """Note an output, and when its wrench came. True when it may have changed the state."""
         first = self._output_s is None or now_s - self._output_s > HOLD_S
         self._outputs += 1
         self._output_s = now_s
         self._latencies_s.append(now_s - arrival_s)
+        self._lateness.push(arrival_s, stamp_ns)
         return first
 
     def on_refused(self, refused: Refused, now_s: float) -> bool:
@@ -147,7 +162,10 @@ class StreamMonitor(ABC):
         """Take what discovery says of a topic; returns why to start anew, or nothing."""
         publishers = self.publishers[topic]
         silent = publishers.listed > 0 and self._was_silent(topic, publishers.since_s, now_s)
-        return publishers.changed(listed, came, silent, now_s)
+        why = publishers.changed(listed, came, silent, now_s)
+        if why:
+            self._lateness.forget()
+        return why
 
     def review(self, now_s: float) -> Sequence[Refused]:
         """Judge what no single sample shows; call it after `tick`, and when publishers changed.
@@ -179,6 +197,7 @@ class StreamMonitor(ABC):
                 self.on_notice(text, now_s)
                 break
         self._notices_seen = dict(pairing.notices)
+        self._lateness.tick(now_s)
         irregular = (
             pairing.refusals[Refusal.DUPLICATE]
             + pairing.notices[Notice.OUT_OF_ORDER_WRENCH]
@@ -196,6 +215,7 @@ class StreamMonitor(ABC):
             or self._several_state(now_s)
             or self._refusal_state(now_s)
             or self._waiting_state()
+            or self._late_state(now_s)
             or self._noticed_state(now_s)
             or self._running_state()
         )
@@ -268,6 +288,13 @@ class StreamMonitor(ABC):
             return State(Severity.STALE, "waiting", "waiting for wrenches with joints around them")
         return None
 
+    def _late_state(self, now_s: float) -> State | None:
+        text = self._lateness.trouble(now_s, NOTICE_HOLD_S)
+        if not text:
+            return None
+        text = f"{self.working}, but: of {self._pairing.wrench_topic} {text}"
+        return State(Severity.WARN, "late", text)
+
     def _noticed_state(self, now_s: float) -> State | None:
         for held in (self._restart, self._notice):
             if held is not None and now_s - held[1] < NOTICE_HOLD_S:
@@ -287,6 +314,8 @@ class StreamMonitor(ABC):
         if self._latencies_s:
             median, p99 = np.percentile(np.array(self._latencies_s) * 1e3, (50, 99))
             values |= {"latency_median_ms": float(median), "latency_p99_ms": float(p99)}
+        late = self._lateness
+        values |= {"late": late.count, "late_worst_s": late.worst_s} if late.on else {"late": "off"}
         return values
 
     def refused(self) -> dict[str, object]:

@@ -62,6 +62,8 @@ class StreamNode(ManagedNode):
         """
         self._pairing = pairing
         self._monitor = monitor
+        if self.get_parameter("use_sim_time").value:
+            monitor.stamps_are_simulated()
         self._read_joints(joint_names)
         self._wrench_wire = WrenchWire()
         self._inputs_qos = input_qos(best_effort)
@@ -157,7 +159,7 @@ class StreamNode(ManagedNode):
             else:
                 arrival_s, raw = cast(tuple[float, RawWrench], result.tag)
                 self._publish(result, raw)
-                changed |= self._monitor.on_output(arrival_s, time.monotonic())
+                changed |= self._monitor.on_output(arrival_s, time.monotonic(), raw.stamp_ns)
         if changed:
             self._announce()
 

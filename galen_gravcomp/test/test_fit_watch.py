@@ -162,7 +162,7 @@ def test_the_node_s_state_warns_of_it_and_a_bad_file_is_worse():
     arm.visit(4)
     monitor.on_wrench(0.0)
     monitor.on_joints(0.0)
-    monitor.on_output(0.0, 0.0)
+    monitor.on_output(0.0, 0.0, 1)
     state = monitor.state(0.1)
     assert (state.severity, state.name) == (Severity.WARN, "does_not_fit")
     assert "-200" in state.message and "not on" in state.message

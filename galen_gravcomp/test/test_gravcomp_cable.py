@@ -212,7 +212,7 @@ def test_outside_is_told_on_diagnostics():
         monitor.on_wrench(now_s)
         compensator.push_joints(stamp_ns, 0.0, 0.0, (away, 0.0, 0.408))
         assert isinstance(compensator.push_wrench(stamp_ns, np.zeros(6))[0], Compensated)
-        monitor.on_output(now_s, now_s)
+        monitor.on_output(now_s, now_s, stamp_ns)
         assert monitor.state(now_s).name == state
     assert monitor.state(now_s).severity is Severity.WARN
     assert monitor.values(now_s)["cable"] == "outside"

@@ -61,7 +61,7 @@ class Rig:
         self.monitor.on_wrench(self.t)
         for result in self.compensator.push_wrench(stamp, wrench):
             if isinstance(result, Compensated):
-                changed |= self.monitor.on_output(self.t - 0.001, self.t)
+                changed |= self.monitor.on_output(self.t - 0.001, self.t, result.stamp_ns)
             else:
                 assert isinstance(result, Refused)
                 changed |= self.monitor.on_refused(result, self.t)

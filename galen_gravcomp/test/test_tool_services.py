@@ -108,7 +108,7 @@ def test_tools_by_service_in_one_nodes_life(
     for tool in (POINTER, RETRACTOR, a_tool("drill", 0.06 + 1e-5)):
         write_tool(tool_path(tmp_path, tool.tool), tool)
     (tmp_path / "cut.json").write_text("{")
-    values = {"tools_dir": str(tmp_path), "tool": "pointer", "tare_window_s": 0.05}
+    values = {"tools_dir": str(tmp_path), "tool": "pointer", "tare_window_s": 0.05, "late_s": 0.0}
     with Harness() as harness:
         harness.add(
             lambda context: GravcompNode(

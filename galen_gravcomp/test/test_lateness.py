@@ -1,0 +1,178 @@
+"""Late wrenches, told by arrivals and stamps that are made up."""
+
+import math
+
+import numpy as np
+import pytest
+from galen_gravcomp.compensator import Compensator
+from galen_gravcomp.lateness import LateWatch
+from galen_gravcomp.monitor import Monitor
+from galen_gravcomp.parameters import GravcompParameters
+from galen_gravcomp.stream_monitor import NOTICE_HOLD_S, Severity
+from untouched_arm import tool_file
+
+MS = 1_000_000
+START_NS = 1_700_000_000_000 * MS
+
+
+class Line:
+    """Wrenches every 2 ms, by a driver's clock that is `offset_s` from ours, on a line of 1 ms."""
+
+    def __init__(self, late_s=0.05, offset_s=0.0):
+        self.watch = LateWatch(late_s)
+        self.arrival_s = 5000.0
+        self.offset_s = offset_s
+        self.stamp_ns = START_NS
+
+    def send(self, count, extra_s=0.0, rate=1.0):
+        """`rate`: how many seconds of the driver's clock one of ours is."""
+        for _ in range(count):
+            self.stamp_ns += 2 * MS
+            self.arrival_s += 0.002 / rate
+            at_s = self.arrival_s + 0.001 + extra_s + self.offset_s
+            self.watch.push(at_s, self.stamp_ns)
+            self.watch.tick(at_s)
+
+    def stall(self, time_s):
+        """Nothing comes for so long; then all of it at once."""
+        end_s = self.arrival_s + time_s
+        for _ in range(round(time_s / 0.002)):
+            self.stamp_ns += 2 * MS
+            self.arrival_s += 0.002
+            self.watch.push(end_s + 0.001 + self.offset_s, self.stamp_ns)
+        self.watch.tick(end_s)
+
+
+@pytest.mark.parametrize("offset_s", [0.0, -3600.0, 1e5])
+def test_what_queued_up_is_late_whatever_the_clocks_offset(offset_s):
+    line = Line(offset_s=offset_s)
+    line.send(3000)
+    line.stall(0.04)
+    assert line.watch.count == 0
+    line.stall(2.0)
+    # Waited 1.998, 1.996 ... s: those that waited for more than 50 ms.
+    assert line.watch.count in (974, 975)
+    assert line.watch.worst_s == pytest.approx(1.998, abs=1e-5)
+    line.send(10_000)
+    assert line.watch.count in (974, 975)
+
+
+def test_a_line_that_got_longer_is_late_for_ten_seconds_at_most_and_then_the_normal_one():
+    line = Line()
+    line.send(5000)
+    line.send(20_000, extra_s=0.2)
+    late_s = line.watch.count * 0.002
+    assert 5.0 <= late_s <= 10.01
+    line.send(5000)
+    assert line.watch.count * 0.002 == late_s
+    line.send(5000, extra_s=0.2)
+    assert line.watch.count * 0.002 > late_s
+
+
+@pytest.mark.parametrize("drift", [5e-4, -5e-4])
+def test_clocks_that_drift_apart_make_nothing_late(drift):
+    line = Line(late_s=0.01)
+    line.send(100_000, rate=1.0 + drift)
+    assert line.watch.count == 0
+
+
+def test_a_clock_that_is_set_makes_nothing_late():
+    line = Line()
+    for jump_s in (-3600, 5000, 0.8, -0.3, -0.06):
+        line.send(3000)
+        line.stamp_ns += round(jump_s * 1e9)
+    line.send(3000)
+    assert line.watch.count == 0
+    line.stall(0.2)
+    assert line.watch.count in (74, 75)
+
+
+def test_the_worst_is_the_difference_itself():
+    """Against the definition, for delays of any kind within the first five seconds."""
+    rng = np.random.default_rng(3)
+    stamps = START_NS + np.arange(2000) * 2 * MS
+    took_s = 0.001 + rng.exponential(0.02, 2000)
+    watch, limit_s = LateWatch(0.05), 0.05
+    for stamp, took in zip(stamps.tolist(), took_s, strict=True):
+        watch.push(stamp * 1e-9 + took, stamp)
+    over_s = took_s - np.minimum.accumulate(took_s)
+    assert watch.count == np.count_nonzero(over_s > limit_s) > 50
+    assert watch.worst_s == pytest.approx(over_s.max(), abs=1e-6)
+
+
+def test_nothing_is_watched_with_zero():
+    line = Line(late_s=0.0)
+    line.send(100)
+    line.stall(3.0)
+    assert line.watch.count == 0 and not line.watch.on
+    assert line.watch.trouble(line.arrival_s, math.inf) == ""
+
+
+class Feed:
+    """A monitor that takes outputs, 10 ms apart."""
+
+    def __init__(self):
+        compensator = Compensator()
+        compensator.set_tool(tool_file())
+        self.monitor = Monitor(compensator, 1.0, late_s=GravcompParameters().late_s)
+        self.t = 100.0
+
+    def step(self, late_s=0.0, wait_s=0.01):
+        self.t += wait_s
+        self.monitor.on_joints(self.t)
+        self.monitor.on_wrench(self.t)
+        self.monitor.on_output(self.t, self.t + 1e-4, START_NS + round((self.t - late_s) * 1e9))
+        self.monitor.tick(self.t)
+
+    @property
+    def state(self):
+        return self.monitor.state(self.t)
+
+
+@pytest.fixture
+def feed():
+    return Feed()
+
+
+def test_late_is_a_state_with_numbers_that_goes_by_itself(feed):
+    for _ in range(100):
+        feed.step()
+    assert feed.state.severity is Severity.OK
+    feed.t += 0.3
+    for left in range(30, 0, -1):
+        feed.step(late_s=0.01 * left - 0.004, wait_s=0.0)
+    assert (feed.state.severity, feed.state.name) == (Severity.WARN, "late")
+    assert feed.state.message == (
+        "compensating, but: of wrench_raw 25 so far came late, the worst by 0.3 s: they go out,"
+        " and whoever takes them has to look at their stamps"
+    )
+    values = feed.monitor.values(feed.t)
+    assert values["late"] == 25 and values["late_worst_s"] == pytest.approx(0.296, abs=1e-5)
+    for _ in range(round(NOTICE_HOLD_S / 0.01) + 10):
+        feed.step()
+    assert feed.state.severity is Severity.OK
+    assert feed.monitor.values(feed.t)["late"] == 25
+
+
+def test_another_driver_has_another_clock(feed):
+    for _ in range(100):
+        feed.step()
+    feed.monitor.publishers_changed("wrench_raw", 1, 1, feed.t)
+    feed.t += 1.0
+    assert feed.monitor.publishers_changed("wrench_raw", 2, 1, feed.t)
+    for _ in range(100):
+        feed.step(late_s=0.2)
+    assert feed.monitor.values(feed.t)["late"] == 0
+    feed.t += 1.0
+    feed.step(late_s=0.4)
+    assert feed.monitor.values(feed.t)["late_worst_s"] == pytest.approx(0.2, abs=1e-5)
+
+
+def test_a_simulation_s_stamps_are_never_late(feed):
+    feed.monitor.stamps_are_simulated()
+    for _ in range(100):
+        feed.step()
+    feed.t += 5.0
+    feed.step(late_s=3.0)
+    assert feed.state.severity is Severity.OK
+    assert feed.monitor.values(feed.t)["late"] == "off"
