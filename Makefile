@@ -16,7 +16,7 @@ endif
 
 help: ## list the targets
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /  make \1\t/' | expand -t 20
-	@echo "  ARGS='...' is handed to the demo, to pytest and to the bags' benchmark."
+	@echo "  ARGS='...' is handed to the demo, to pytest, to bench and to blind."
 
 setup: ## make .venv: on the sourced ROS 2 Jazzy, or else with ROS 2 from PyPI
 	@$(SETUP) setup
@@ -44,10 +44,8 @@ lint: setup ## check style, format and types
 demo: build ## calibrate two tools on the simulated arm and show the report's tables
 	@$(ENTER) && python -m galen_bringup.demo $(ARGS)
 
-bench: build ## measure: evaluate against reading a bag, the nodes against a bare relay
-	@$(ENTER) && python -m galen_gravcomp.bag_benchmark $(ARGS)
-	@$(ENTER) && python -m galen_gravcomp.benchmark
-	@$(ENTER) && python -m galen_deflection.benchmark
+bench: build ## measure: nodes against a bare relay, kernels, start-up, diagnosis, bags (40 min)
+	@$(ENTER) && python -m galen_bringup.bench --output output/bench.json $(ARGS)
 
 blind: build ## hide causes in recordings, diagnose them, score that (an hour or more)
 	@$(ENTER) && python -m galen_diagnosis.blind_check $(ARGS)

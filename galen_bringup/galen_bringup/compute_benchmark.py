@@ -1,7 +1,5 @@
 """What computing costs, without any ROS: each against a baseline in the same run.
 
-    python -m galen_bringup.compute_benchmark --json
-
 - compensation of one sample: the node's kernel against the weight by Pinocchio's forward kinematics
   and against the formula of other packages (R^T m g and the centre's torque, R from the caller);
 - compensation of an array: against the same formula on arrays, and against writing as many bytes
@@ -14,10 +12,8 @@
 
 from __future__ import annotations
 
-import argparse
-import json
-from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
@@ -31,7 +27,6 @@ from galen_model.kinematics import gravity_in_sensor
 from galen_model.load import gravity_regressor
 from galen_model.pinocchio_arm import PinocchioArm
 from galen_model.tool_file import LoadEstimate, ToolFile
-from rich.console import Console
 from rich.table import Table
 
 from galen_bringup.timing import Timing, time_calls
@@ -214,34 +209,26 @@ def _with_offset(sweep: StillPoses, number: int) -> Array:
     return rows.reshape(n * axes, -1)
 
 
-GROUPS: dict[str, Callable[[int], list[Compared]]] = {
-    "sample": one_sample,
-    "arrays": arrays,
-    "regression": regression,
-    "hysteresis": hysteresis,
-}
+PARTS: tuple[Callable[[int], list[Compared]], ...] = (one_sample, arrays, regression, hysteresis)
 
 
-def main() -> None:
-    """Measure all, or some, and print a table, or JSON."""
-    parser = argparse.ArgumentParser(
-        description=__doc__.partition("\n")[0], formatter_class=argparse.RawTextHelpFormatter
-    )
-    parser.add_argument("--only", nargs="+", choices=GROUPS, default=list(GROUPS), help="groups")
-    parser.add_argument("--rounds", type=int, default=9, help="turns of each subject (9)")
-    parser.add_argument("--json", action="store_true", help="print one JSON object")
-    options = parser.parse_args()
-    found = [one for name in options.only for one in GROUPS[name](options.rounds)]
-    if options.json:
-        print(json.dumps([asdict(one) | {"ratio": one.ratio} for one in found], indent=1))
-        return
-    table = Table("what", "subject", "time", "baseline", "its time", "ratio", box=None)
+def compare(rounds: int, progress: Callable[[str], None]) -> list[Compared]:
+    """Time all of it; progress(what) is called before each part."""
+    out = []
+    for part in PARTS:
+        progress(part.__name__.replace("_", " "))
+        out += part(rounds)
+    return out
+
+
+def table(found: Sequence[Compared]) -> Table:
+    """A row a comparison: least/median/largest of the rounds, and the ratio of the medians."""
+    out = Table("what", "subject", "time", "baseline", "its time", "ratio", box=None,
+                header_style="bold")  # fmt: skip
     for one in found:
-        times = (_words(each, one.piece) for each in (one.time, one.baseline_time))
-        ours, base = times
-        table.add_row(one.group, one.subject, ours, one.baseline, base, f"{one.ratio:.2f}")
-    Console(width=170).print(table)
-    Console().print("Times: least/median/largest of the rounds.")
+        ours, base = (_words(each, one.piece) for each in (one.time, one.baseline_time))
+        out.add_row(one.group, one.subject, ours, one.baseline, base, f"{one.ratio:.2f}")
+    return out
 
 
 def _words(time: Timing, piece: str) -> str:
@@ -250,7 +237,3 @@ def _words(time: Timing, piece: str) -> str:
     )
     values = (time.least_s, time.median_s, time.largest_s)
     return "/".join(f"{value * scale:.3g}" for value in values) + f" {unit} a {piece}"
-
-
-if __name__ == "__main__":
-    main()

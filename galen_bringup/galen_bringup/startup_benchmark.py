@@ -1,32 +1,30 @@
 """How long each node takes from its process' start till others see it, beside a bare relay.
 
-    python -m galen_bringup.startup_benchmark --json
-
 Seen is: the node's name is in the graph and it has told its state on /diagnostics (a relay: its
 name). CPU is user and system time of the process until then.
 """
 
 from __future__ import annotations
 
-import argparse
-import json
 import os
 import statistics
 import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from galen_gravcomp.benchmark import write_bench_tool
 from galen_gravcomp.node_benchmark import cpu_s
+from galen_gravcomp.node_benchmark_table import spread
 from galen_ros.domain import DomainLock
 from galen_ros.spin import make_executor
 from rclpy.node import Node
+from rich.table import Table
 
 _LONGEST_S = 60.0
 _POLL_S = 0.02
@@ -107,35 +105,26 @@ def start(subject: str, name: str, arguments: Sequence[str]) -> Started:
         lock.release()
 
 
-def main() -> None:
-    """Start every node a few times, in turns, and print a table, or JSON."""
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("--rounds", type=int, default=5, help="starts of each (5)")
-    parser.add_argument("--json", action="store_true", help="print every start as JSON")
-    options = parser.parse_args()
+def compare(rounds: int, progress: Callable[[str], None]) -> list[Started]:
+    """Start every node so often, in turns; progress(what) is called before each."""
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     found: list[Started] = []
     with tempfile.TemporaryDirectory() as folder:
         write_bench_tool(Path(folder))
-        known = subjects(Path(folder))
-        for _ in range(options.rounds):
-            for subject, (name, arguments) in known.items():
+        for _ in range(rounds):
+            for subject, (name, arguments) in subjects(Path(folder)).items():
+                progress(f"start of {subject}")
                 found.append(start(subject, name, arguments))
-    if options.json:
-        print(json.dumps([asdict(one) for one in found], indent=1))
-        return
+    return found
+
+
+def table(found: Sequence[Started]) -> Table:
+    """A row a node: least/median/largest of the rounds."""
     base = statistics.median(one.seconds for one in found if one.subject == "relay")
-    print(f"{'node':20s} {'s till seen':20s} {'CPU s':20s} ratio")
-    for subject in known:
+    out = Table("node", "s till seen", "x relay", "CPU s", box=None, header_style="bold")
+    for subject in dict.fromkeys(one.subject for one in found):
         own = [one for one in found if one.subject == subject]
-        seconds, cpu = [one.seconds for one in own], [one.cpu_s for one in own]
-        ratio = statistics.median(seconds) / base
-        print(f"{subject:20s} {_three(seconds):20s} {_three(cpu):20s} {ratio:.2f}")
-
-
-def _three(values: Sequence[float]) -> str:
-    return "/".join(f"{one:.2f}" for one in (min(values), statistics.median(values), max(values)))
-
-
-if __name__ == "__main__":
-    main()
+        ratio = statistics.median(one.seconds for one in own) / base
+        seconds, cpu = (spread([getattr(one, k) for one in own], 2) for k in ("seconds", "cpu_s"))
+        out.add_row(subject, seconds, f"{ratio:.2f}", cpu)
+    return out

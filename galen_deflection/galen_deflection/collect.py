@@ -22,7 +22,7 @@ from galen_calibration_behavior.goal_client import (
     run_client,
 )
 from galen_calibration_behavior.result_text import result_to_dict
-from rclpy.utilities import remove_ros_args
+from galen_ros.spin import own_arguments
 
 from galen_deflection.collection_commands import ErrorCode, State
 from galen_deflection.collection_plan import MOST_SETS
@@ -137,7 +137,7 @@ def _sets(text: str) -> int:
 
 def main() -> None:
     """Run the client; see `collect --help`."""
-    options = parse(remove_ros_args(sys.argv)[1:])
+    options = parse(own_arguments(sys.argv)[1:])
     run_client("collect", CollectClient, options, _print_result)
 
 

@@ -146,11 +146,11 @@ class CollectionNode(GoalNode[CollectionParameters, _Goal, Finished]):
             messages=goal.messages if goal else 0,
             warnings=list(collected.warnings),
         )
-        name = handle.request.name
-        last = f"{name!r} not collected: {end.error_code.name}: {end.error_msg}"
+        name = self._named(handle.request)
+        last = f"{name} not collected: {end.error_code.name}: {end.error_msg}"
         if end.error_code == ErrorCode.NONE:
             last = (
-                f"{name!r} collected: {collected.pushes} of {result.pushes_asked} pushes,"
+                f"{name} collected: {collected.pushes} of {result.pushes_asked} pushes,"
                 f" {result.directory}"
             )
         return result, last

@@ -11,6 +11,8 @@ from galen_model.arm import GALEN, ArmParameters
 from galen_model.arrays import Array
 from galen_model.rotation import rot_y
 
+from galen_deflection.single_pose import vector
+
 
 class TipPose(NamedTuple):
     """A pose of tool_tip in base_link: position (3,), m, and quaternion (4,) in the order xyzw."""
@@ -28,9 +30,9 @@ class CorrectedTip:
 
     def __init__(self, tip_m: Array, arm: ArmParameters = GALEN) -> None:
         """tip_m (3,): in ft_sensor."""
-        self._from_platform = _floats(arm.platform_to_roll_m)
-        self._to_tilt = _floats(arm.roll_to_tilt_m)
-        self._beyond_tilt = _floats(arm.tilt_to_sensor_m + rot_y(np.pi / 2) @ tip_m)
+        self._from_platform = vector(arm.platform_to_roll_m)
+        self._to_tilt = vector(arm.roll_to_tilt_m)
+        self._beyond_tilt = vector(arm.tilt_to_sensor_m + rot_y(np.pi / 2) @ tip_m)
 
     def __call__(self, joints: Sequence[float], deflection: Sequence[float]) -> TipPose:
         """Of joints (5,) and a deflection (6,), m and rad."""
@@ -67,8 +69,3 @@ class CorrectedTip:
         a, b = math.sin(half_roll), math.cos(half_roll)
         c, d = math.sin(half_tilt), math.cos(half_tilt)
         return position, (a * d, b * c, a * c, b * d)
-
-
-def _floats(vector: Array) -> tuple[float, float, float]:
-    x, y, z = (float(value) for value in vector)
-    return x, y, z

@@ -69,11 +69,11 @@ class SpringsAt:
         ]
         self._length = arm.rod_length_m
         balls = ball_joints(arm)
-        self._apart = [_vector(row) for row in balls[0::2] - balls[1::2]]
-        self._middle = [_vector(row) for row in 0.5 * (balls[0::2] + balls[1::2])]
-        self._from_centre = _vector(arm.platform_to_roll_m)
-        self._to_tilt = _vector(arm.roll_to_tilt_m)
-        self._beyond_tilt = _vector(beyond_tilt_m)
+        self._apart = [vector(row) for row in balls[0::2] - balls[1::2]]
+        self._middle = [vector(row) for row in 0.5 * (balls[0::2] + balls[1::2])]
+        self._from_centre = vector(arm.platform_to_roll_m)
+        self._to_tilt = vector(arm.roll_to_tilt_m)
+        self._beyond_tilt = vector(beyond_tilt_m)
 
     def __call__(self, joints: Sequence[float]) -> tuple[Array, Array]:
         """J (6, 11) and the lever (3,) from the platform's centre to the tip, base_link.
@@ -133,7 +133,8 @@ class SpringsAt:
         return out
 
 
-def _vector(values: Array) -> Vector:
+def vector(values: Array) -> Vector:
+    """Three numbers as plain floats."""
     x, y, z = (float(value) for value in values)
     return x, y, z
 

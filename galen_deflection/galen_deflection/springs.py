@@ -30,7 +30,7 @@ from galen_model.rotation import rot_y, skew
 from galen_model.wrench import adjoint
 
 from galen_deflection.recent_poses import RecentPoses
-from galen_deflection.single_pose import SpringsAt, tip_wrench_at
+from galen_deflection.single_pose import SpringsAt, tip_wrench_at, vector
 
 SPRINGS = (
     "roll", "tilt", "carriage_1", "carriage_2", "carriage_3",
@@ -67,7 +67,7 @@ class TipWrench:
         tip_in_sensor = np.eye(4)  # tool_tip is turned as ft_sensor is
         tip_in_sensor[:3, 3] = tip_m
         self._move = adjoint(tip_in_sensor).T
-        self._tip_m = tuple(float(value) for value in tip_m)
+        self._tip_m = vector(tip_m)
 
     def __call__(self, joints: Array, wrench: Array) -> Array:
         """Wrenches (n, 6) at the tip in base_link, from joints (n, 5) and ft_sensor's (n, 6)."""

@@ -1,6 +1,6 @@
 """Time and memory of `evaluate` against only reading the same bag with the library rosbags.
 
-    python -m galen_gravcomp.bag_benchmark --hours 0.25 0.5 1 --json
+    make bench ARGS="--only bags --hours 0.25 0.5 1"
 
 For each length a bag of joint_states and wrench_raw (MCAP, zstd) is generated, and worked through
 by processes of their own, one after the other, each measured by itself:
@@ -21,8 +21,8 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -32,7 +32,6 @@ from galen_bags.writer import BagWriter
 from galen_model.arm import JOINT_NAMES, SENSOR
 from galen_model.tool_file import LoadEstimate, ToolFile, read_tool, write_tool
 from galen_ros.cdr import JointStateBytes, WrenchBytes
-from rich.console import Console
 from rich.table import Table
 from tqdm import tqdm
 
@@ -157,7 +156,7 @@ _BASELINE = "rosbags read and deserialise"
 
 def measure(subject: str, bag: Path, tool: Path, hours: float, messages: int) -> Measurement:
     """Run a subject in a process of its own."""
-    command = [sys.executable, "-m", "galen_gravcomp.bag_benchmark", "--run", subject]
+    command = [sys.executable, "-m", "galen_gravcomp.bag_benchmark", subject]
     done = subprocess.run(
         [*command, str(bag), str(tool)], check=True, capture_output=True, text=True
     )
@@ -185,49 +184,48 @@ def _peak_mb() -> float:
     return int(peak) * 1024 / 1e6
 
 
-def print_table(measurements: list[Measurement], console: Console) -> None:
+def table(measurements: list[Measurement]) -> Table:
     """Each subject at each length, and its time over the baseline's."""
-    table = Table(title="evaluate against reading alone", title_justify="left")
-    table.add_column("subject")
+    out = Table("subject", box=None, header_style="bold")
     for name in ("hours", "messages", "s", "us a message", "of the baseline", "peak MB"):
-        table.add_column(name, justify="right")
+        out.add_column(name, justify="right")
     for one in measurements:
         baseline = next(
             (m.seconds for m in measurements if m.subject == _BASELINE and m.hours == one.hours),
             float("nan"),
         )
-        table.add_row(
+        out.add_row(
             one.subject, f"{one.hours:g}", str(one.messages), f"{one.seconds:.1f}",
             f"{one.us_a_message:.2f}", f"{one.seconds / baseline:.3f}", f"{one.peak_mb:.0f}",
         )  # fmt: skip
-    console.print(table)
+    return out
 
 
-def main() -> None:
-    """Measure every subject at every length and print a table, or JSON."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
-    parser.add_argument(
-        "--hours", type=float, nargs="+", default=[0.25, 0.5, 1.0], help="lengths of the bags"
-    )
-    parser.add_argument("--rate-hz", type=float, default=500.0, help="of both topics")
-    parser.add_argument("--json", action="store_true", help="print JSON")
-    parser.add_argument("--run", nargs=3, help=argparse.SUPPRESS)
-    options = parser.parse_args()
-    if options.run:
-        run_subject(options.run[0], Path(options.run[1]), Path(options.run[2]))
-        return
-    quiet = not sys.stderr.isatty()
-    results: list[Measurement] = []
-    for hours in options.hours:
+def compare(
+    hours: Sequence[float], rate_hz: float, progress: Callable[[str], None]
+) -> list[Measurement]:
+    """Measure every subject on bags of these lengths; progress(what) is called before each."""
+    out: list[Measurement] = []
+    for length in hours:
         with tempfile.TemporaryDirectory(prefix="galen_bench_") as directory:
             bag, tool = Path(directory, "bag"), Path(directory, "bench.json")
             write_tool(tool, bench_tool())
-            messages = generate(bag, hours, options.rate_hz, quiet=quiet)
-            results += [measure(name, bag, tool, hours, messages) for name in SUBJECTS]
-    if options.json:
-        print(json.dumps([asdict(result) for result in results], indent=2))
-    else:
-        print_table(results, Console(width=None if sys.stdout.isatty() else 110))
+            progress(f"writing a bag of {length:g} h")
+            messages = generate(bag, length, rate_hz, quiet=not sys.stderr.isatty())
+            for name in SUBJECTS:
+                progress(f"{name}, {length:g} h")
+                out.append(measure(name, bag, tool, length, messages))
+    return out
+
+
+def main() -> None:
+    """Run one subject: `compare` calls it."""
+    parser = argparse.ArgumentParser(description="a process that a benchmark of bags needs")
+    parser.add_argument("subject", choices=SUBJECTS)
+    parser.add_argument("bag", type=Path)
+    parser.add_argument("tool", type=Path)
+    options = parser.parse_args()
+    run_subject(options.subject, options.bag, options.tool)
 
 
 if __name__ == "__main__":

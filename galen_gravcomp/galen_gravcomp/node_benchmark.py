@@ -1,27 +1,28 @@
-"""Cost and latency of one node's process, against bare relays in the same run.
+"""Cost, latency and loss of one node's process, against bare relays in the same run.
 
 A sender process publishes joint_states and a wrench; the subject is a process of its own; this
-process receives what the subject puts out. Subjects beside the node itself:
+process receives what the subject puts out. Subjects beside the nodes themselves:
 
 - `relay`: publishes every wrench as it is;
-- `relay_joints`: the same, and takes joint_states too, without looking at them.
+- `relay_joints`: the same, and takes joint_states too, without looking at them;
+- `relay_deflection`: takes both, and publishes a deflection and a pose for each wrench.
 
 What rclpy itself costs is in the relays; the node's own work is the difference. Latency is from the
 sender's publish call to this process's callback, so it holds two hops through DDS. CPU is the
-subject's user and system time for one wrench, with the joint message that comes with it. Subjects
-take turns, round by round, so that what else the machine does meets all of them.
+subject's user and system time for one wrench, with the joint message that comes with it. Loss is
+exact: the last four digits of a stamp, ns, are the wrench's number (the time is good to 10 us).
+Subjects take turns, round by round, so that what else the machine does meets all of them; ratios
+are of one round.
 """
 
 import argparse
-import json
 import os
-import statistics
 import struct
 import subprocess
 import sys
 import time
-from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -32,42 +33,50 @@ from galen_ros.conversions import fill_stamp
 from galen_ros.domain import DomainLock
 from galen_ros.qos import STREAM
 from galen_ros.spin import make_executor, run
-from geometry_msgs.msg import WrenchStamped
+from geometry_msgs.msg import PoseStamped, WrenchStamped
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import JointState
+
+from galen_msgs.msg import DeflectionStamped
 
 WARM_UP_S = 1.5
 DISCOVERY_TIMEOUT_S = 60.0
 # An encoder's last digit, so that no two joint vectors that follow each other are alike.
 _JOINT_STEP = 1e-6
+_NUMBERS = 10_000
+"""Of wrenches, until they begin again."""
 
 
 @dataclass(frozen=True)
 class Subject:
     """A process to measure: arguments after `python -m`, and the topic whose stamps are taken.
 
-    others: further topics that it publishes, which are received as well and not looked at.
+    others: further topics that it publishes, which are received as well and not looked at. moving:
+    whether the arm moves, so that no two joint vectors are alike.
     """
 
     name: str
     arguments: tuple[str, ...]
     output: tuple[str, Any]
     others: tuple[tuple[str, Any], ...] = ()
+    moving: bool = False
 
 
 @dataclass(frozen=True)
 class Measurement:
-    """One subject at one rate, one round."""
+    """One subject at one rate, one round. lost: wrenches that never came out of it."""
 
     subject: str
     rate_hz: float
-    sent: int
+    round: int
     received: int
+    lost: int
     cpu_us_per_wrench: float
     cpu_percent: float
-    latency_median_ms: float
+    latency_p50_ms: float
     latency_p99_ms: float
+    latency_p999_ms: float
     latency_max_ms: float
 
 
@@ -78,6 +87,16 @@ def relays(wrench_topic: str) -> tuple[Subject, Subject]:
     return (
         Subject("relay", (module, "relay", wrench_topic), output),
         Subject("relay_joints", (module, "relay_joints", wrench_topic), output),
+    )
+
+
+def deflection_relay(wrench_topic: str) -> Subject:
+    """The bare relay that takes and gives what a deflection's node does."""
+    return Subject(
+        "relay_deflection",
+        ("galen_gravcomp.node_benchmark", "relay_deflection", wrench_topic),
+        ("relayed_deflection", DeflectionStamped),
+        (("relayed_pose", PoseStamped),),
     )
 
 
@@ -93,6 +112,26 @@ class Relay(Node):
 
     def _on_joint_state(self, message: JointState) -> None:
         """Only the cost of receiving it is wanted."""
+
+
+class DeflectionRelay(Node):
+    """Publishes a deflection and a pose for each wrench, and takes joint_states."""
+
+    def __init__(self, wrench_topic: str) -> None:
+        super().__init__("relay")
+        self._deflection, self._pose = DeflectionStamped(), PoseStamped()
+        self._deflections = self.create_publisher(DeflectionStamped, "relayed_deflection", STREAM)
+        self._poses = self.create_publisher(PoseStamped, "relayed_pose", STREAM)
+        self.create_subscription(WrenchStamped, wrench_topic, self._on_wrench, STREAM)
+        self.create_subscription(JointState, "joint_states", self._on_joint_state, STREAM)
+
+    def _on_joint_state(self, message: JointState) -> None:
+        """Only the cost of receiving it is wanted."""
+
+    def _on_wrench(self, message: WrenchStamped) -> None:
+        self._deflection.header = self._pose.header = message.header
+        self._deflections.publish(self._deflection)
+        self._poses.publish(self._pose)
 
 
 def send(wrench_topic: str, rate_hz: float, moving: bool) -> None:
@@ -118,7 +157,7 @@ def send(wrench_topic: str, rate_hz: float, moving: bool) -> None:
         if moving:
             joints.position = (home + _JOINT_STEP * (count % 10007)).tolist()
         wrench.wrench.force.x = 3.0 * np.sin(0.01 * count)
-        now_ns = time.time_ns()
+        now_ns = time.time_ns() // _NUMBERS * _NUMBERS + count % _NUMBERS
         fill_stamp(joints.header.stamp, now_ns)
         fill_stamp(wrench.header.stamp, now_ns)
         joints_publisher.publish(joints)
@@ -130,7 +169,8 @@ class Receiver(Node):
 
     def __init__(self, subject: Subject, **options: Any) -> None:
         super().__init__("receiver", **options)
-        self.latencies_ns: list[int] = []
+        self.stamps_ns: list[int] = []
+        self.times_ns: list[int] = []
         topic, kind = subject.output
         self.create_subscription(kind, topic, self._on_output, STREAM, raw=True)
         for topic, kind in subject.others:
@@ -138,7 +178,8 @@ class Receiver(Node):
 
     def _on_output(self, data: bytes) -> None:
         sec, nanosec = struct.unpack_from("<iI", data, STAMP_AT)
-        self.latencies_ns.append(time.time_ns() - (sec * NS_PER_S + nanosec))
+        self.stamps_ns.append(sec * NS_PER_S + nanosec)
+        self.times_ns.append(time.time_ns())
 
     def _on_other(self, data: bytes) -> None:
         """Only that it is sent to somebody is wanted."""
@@ -151,13 +192,13 @@ def cpu_s(pid: int) -> float:
 
 
 def measure(
-    subject: Subject, wrench_topic: str, rate_hz: float, seconds: float, moving: bool = False
+    subject: Subject, wrench_topic: str, rate_hz: float, seconds: float, number: int = 0
 ) -> Measurement:
     """Run sender and subject for a while and take the numbers."""
     lock = DomainLock()
     environment = os.environ | {"ROS_DOMAIN_ID": str(lock.domain_id), "OMP_NUM_THREADS": "1"}
     sending = ["galen_gravcomp.node_benchmark", "sender", wrench_topic, "--rate", str(rate_hz)]
-    sending += ["--moving"] * moving
+    sending += ["--moving"] * subject.moving
     processes = []
     context = rclpy.Context()
     rclpy.init(context=context, domain_id=lock.domain_id)
@@ -176,17 +217,18 @@ def measure(
                 subprocess.Popen([sys.executable, "-m", *module_arguments], env=environment)
             )
         deadline_s = time.monotonic() + DISCOVERY_TIMEOUT_S
-        while not receiver.latencies_ns:
+        while not receiver.stamps_ns:
             if time.monotonic() > deadline_s:
                 raise RuntimeError(f"nothing came from {subject.name} for {DISCOVERY_TIMEOUT_S} s")
             spin_for(0.1)
         spin_for(WARM_UP_S)
-        receiver.latencies_ns.clear()
+        receiver.stamps_ns.clear()
+        receiver.times_ns.clear()
         cpu_before_s, start_s = cpu_s(processes[0].pid), time.monotonic()
         spin_for(seconds)
         cpu_used_s = cpu_s(processes[0].pid) - cpu_before_s
         elapsed_s = time.monotonic() - start_s
-        latencies_ms = np.array(receiver.latencies_ns) * 1e-6
+        stamps_ns, times_ns = np.array(receiver.stamps_ns), np.array(receiver.times_ns)
     finally:
         for process in processes:
             process.terminate()
@@ -196,87 +238,71 @@ def measure(
         executor.shutdown()
         rclpy.shutdown(context=context)
         lock.release()
-    if len(latencies_ms) == 0:
+    if len(stamps_ns) == 0:
         raise RuntimeError(f"{subject.name} stopped putting out anything at {rate_hz:g} Hz")
-    median, p99 = np.percentile(latencies_ms, (50, 99))
+    latencies_ms = (times_ns - stamps_ns) * 1e-6
+    p50, p99, p999 = np.percentile(latencies_ms, (50, 99, 99.9))
     return Measurement(
         subject=subject.name,
         rate_hz=rate_hz,
-        sent=round(rate_hz * elapsed_s),
+        round=number,
         received=len(latencies_ms),
+        lost=lost_between(stamps_ns),
         cpu_us_per_wrench=1e6 * cpu_used_s / len(latencies_ms),
         cpu_percent=100.0 * cpu_used_s / elapsed_s,
-        latency_median_ms=float(median),
+        latency_p50_ms=float(p50),
         latency_p99_ms=float(p99),
+        latency_p999_ms=float(p999),
         latency_max_ms=float(latencies_ms.max()),
     )
 
 
-def add_benchmark_options(parser: argparse.ArgumentParser) -> None:
-    """Rates, time, rounds, JSON."""
-    parser.add_argument("--rates", type=float, nargs="+", default=[500.0], help="Hz")
-    parser.add_argument("--seconds", type=float, default=10.0, help="measured time of each run")
-    parser.add_argument("--rounds", type=int, default=1, help="how often each subject has its turn")
-    parser.add_argument("--json", action="store_true", help="print every measurement as JSON")
+def lost_between(stamps_ns: np.ndarray) -> int:
+    """How many numbers lack between the first and the last of stamps (n,), n > 0."""
+    steps = np.diff(np.sort(stamps_ns % _NUMBERS + _turns(stamps_ns) * _NUMBERS))
+    return int(np.sum(steps - 1))
+
+
+def _turns(stamps_ns: np.ndarray) -> np.ndarray:
+    """How often the numbers had begun again, for stamps (n,) in the order in which they came."""
+    back = np.diff(stamps_ns % _NUMBERS) < -_NUMBERS // 2
+    return np.concatenate([[0], np.cumsum(back)])
 
 
 def compare(
-    subjects: Sequence[tuple[Subject, bool]], wrench_topic: str, options: argparse.Namespace
-) -> None:
-    """Measure subjects (and whether the arm moves) at every rate; print a table, or JSON."""
+    subjects: Sequence[Subject],
+    wrench_topic: str,
+    rates_hz: Sequence[float],
+    seconds: float,
+    rounds: int,
+    progress: Callable[[str], None] = lambda what: None,
+) -> list[Measurement]:
+    """Measure all subjects at every rate, turn by turn; progress(what) is called before each."""
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-    every: list[Measurement] = []
-    for rate_hz in options.rates:
-        rows: dict[str, list[Measurement]] = {subject.name: [] for subject, _ in subjects}
-        for _ in range(options.rounds):
-            for subject, moving in subjects:
-                found = measure(subject, wrench_topic, rate_hz, options.seconds, moving)
-                rows[subject.name].append(found)
-                every.append(found)
-        if not options.json:
-            for number, measured in enumerate(rows.values()):
-                _print_row(measured, first=number == 0 and rate_hz == options.rates[0])
-    if options.json:
-        print(json.dumps([asdict(measurement) for measurement in every], indent=2))
-
-
-def _print_row(rounds: list[Measurement], first: bool) -> None:
-    """Print one line of the table: minimum, median and maximum of the rounds."""
-    if first:
-        print(
-            "subject                  rate Hz       received  CPU us/wrench     CPU %"
-            "             median ms         p99 ms            max ms"
-        )
-
-    def three(name: str, digits: int) -> str:
-        values = [getattr(measured, name) for measured in rounds]
-        spread = (min(values), statistics.median(values), max(values))
-        return "/".join(f"{value:.{digits}f}" for value in spread)
-
-    received = sum(measured.received for measured in rounds)
-    sent = sum(measured.sent for measured in rounds)
-    print(
-        f"{rounds[0].subject:24s} {rounds[0].rate_hz:7g} {received:7d}/{sent:<7d}"
-        f" {three('cpu_us_per_wrench', 0):16s} {three('cpu_percent', 1):17s}"
-        f" {three('latency_median_ms', 2):17s} {three('latency_p99_ms', 2):17s}"
-        f" {three('latency_max_ms', 2)}",
-        flush=True,
-    )
+    found = []
+    for rate_hz in rates_hz:
+        for number in range(rounds):
+            for subject in subjects:
+                progress(f"{subject.name} at {rate_hz:g} Hz")
+                found.append(measure(subject, wrench_topic, rate_hz, seconds, number))
+    return found
 
 
 def main() -> None:
     """Be the sender or a relay."""
     parser = argparse.ArgumentParser(description="a process that a benchmark of a node needs")
-    parser.add_argument("role", choices=("sender", "relay", "relay_joints"))
+    parser.add_argument("role", choices=("sender", "relay", "relay_joints", "relay_deflection"))
     parser.add_argument("wrench_topic")
     parser.add_argument("--rate", type=float, default=500.0, help="Hz")
     parser.add_argument("--moving", action="store_true", help="no two joint vectors alike")
     options = parser.parse_args()
+    topic = options.wrench_topic
     if options.role == "sender":
-        send(options.wrench_topic, options.rate, options.moving)
+        send(topic, options.rate, options.moving)
+    elif options.role == "relay_deflection":
+        run(lambda: DeflectionRelay(topic), args=[])
     else:
-        take_joints = options.role == "relay_joints"
-        run(lambda: Relay(options.wrench_topic, take_joints), args=[])
+        run(lambda: Relay(topic, options.role == "relay_joints"), args=[])
 
 
 if __name__ == "__main__":

@@ -1,0 +1,171 @@
+"""Measures how fast everything is, each against a baseline in the same run: tables, and JSON.
+
+python -m galen_bringup.bench --output output/bench.json
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import platform
+import sys
+import tempfile
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import asdict, dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from galen_deflection.bench_models import write_bench_models
+from galen_model.whole_file import write_whole
+from rich.console import Console
+from rich.table import Table
+
+from galen_bringup import compute_benchmark, diagnose_benchmark, startup_benchmark
+from galen_deflection import benchmark as deflection_nodes
+from galen_gravcomp import bag_benchmark, node_benchmark, node_benchmark_table
+from galen_gravcomp import benchmark as gravcomp_nodes
+
+_EPILOG = """\
+groups:
+  nodes     gravcomp and deflection against bare rclpy relays: latency, CPU, loss
+  compute   one sample, arrays, a calibration's regression, hysteresis
+  startup   each node, from its process' start till others see it
+  diagnose  one recording, by part
+  bags      evaluate on a bag against only reading it
+
+Least/median/largest of the rounds where a cell has three numbers. Nothing else should run
+meanwhile: the load average before each group is in the JSON. Ends with 0; 1: a subject failed."""
+
+
+@dataclass(frozen=True)
+class Group:
+    """One group of measurements: `measure(options, progress)` gives dataclasses, for `table`."""
+
+    title: str
+    measure: Callable[[argparse.Namespace, Callable[[str], None]], Sequence[Any]]
+    table: Callable[[Any], Table]
+
+
+def measure_nodes(
+    options: argparse.Namespace, progress: Callable[[str], None]
+) -> list[node_benchmark.Measurement]:
+    """The nodes of the loop, beside the relays."""
+    topic = "wrench_raw"
+    with tempfile.TemporaryDirectory(prefix="galen_bench_") as directory:
+        folder = Path(directory)
+        subjects = [
+            *node_benchmark.relays(topic),
+            *gravcomp_nodes.subjects(folder),
+            node_benchmark.deflection_relay(topic),
+            *deflection_nodes.subjects(write_bench_models(folder), topic),
+        ]
+        return node_benchmark.compare(
+            subjects, topic, options.rates, options.seconds, options.rounds, progress
+        )
+
+
+GROUPS = {
+    "nodes": Group("nodes beside bare relays", measure_nodes, node_benchmark_table.table),
+    "compute": Group(
+        "computing",
+        lambda options, progress: compute_benchmark.compare(3 * options.rounds, progress),
+        compute_benchmark.table,
+    ),
+    "startup": Group(
+        "start of a node's process",
+        lambda options, progress: startup_benchmark.compare(options.rounds, progress),
+        startup_benchmark.table,
+    ),
+    "diagnose": Group(
+        "diagnosis of one recording",
+        lambda options, progress: diagnose_benchmark.compare(options.rounds, progress),
+        diagnose_benchmark.table,
+    ),
+    "bags": Group(
+        "evaluate beside reading alone",
+        lambda options, progress: bag_benchmark.compare(options.hours, 500.0, progress),
+        bag_benchmark.table,
+    ),
+}
+
+
+def machine() -> dict[str, Any]:
+    """What was measured on."""
+    names = [
+        line.partition(":")[2].strip()
+        for line in Path("/proc/cpuinfo").read_text().splitlines()
+        if line.startswith("model name")
+    ]
+    return {
+        "at": datetime.now(UTC).isoformat(timespec="seconds"),
+        "processor": names[0] if names else platform.machine(),
+        "cores": os.cpu_count(),
+        "system": platform.platform(),
+        "python": platform.python_version(),
+        "numpy": np.__version__,
+    }
+
+
+def build_parser() -> argparse.ArgumentParser:
+    """The command's options."""
+    parser = argparse.ArgumentParser(
+        prog="make bench",
+        description=(__doc__ or "").partition("\n")[0],
+        epilog=_EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("--only", nargs="+", choices=GROUPS, default=list(GROUPS), help="groups")
+    parser.add_argument(
+        "--rates", type=float, nargs="+", default=[500.0, 1000.0, 2000.0], help="of nodes, Hz"
+    )
+    parser.add_argument("--seconds", type=float, default=8.0, help="of each run of a node (8)")
+    parser.add_argument("--rounds", type=int, default=3, help="turns of each subject (3)")
+    parser.add_argument("--hours", type=float, nargs="+", default=[0.25], help="of bags (0.25)")
+    parser.add_argument("--output", type=Path, metavar="FILE", help="write all as JSON as well")
+    parser.add_argument("--json", action="store_true", help="print JSON in place of tables")
+    return parser
+
+
+def run(
+    options: argparse.Namespace, console: Console, progress: Callable[[str], None]
+) -> dict[str, Any]:
+    """Measure the groups that are asked for and print each one's table when it is done."""
+    out: dict[str, Any] = {"machine": machine()}
+    for name in options.only:
+        group = GROUPS[name]
+        load = os.getloadavg()[0]
+        found = group.measure(options, progress)
+        out[name] = {"load_before": load, "measured": [asdict(one) for one in found]}
+        progress("")
+        console.rule(f"[bold]{group.title}", align="left")
+        console.print(group.table(found))
+    return out
+
+
+def main(arguments: Iterable[str] | None = None) -> None:
+    """Be the command."""
+    options = build_parser().parse_args(None if arguments is None else list(arguments))
+    tables = Console(quiet=options.json, width=None if sys.stdout.isatty() else 150)
+    line = Console(stderr=True)
+    status = line.status("")
+
+    def progress(what: str) -> None:
+        if line.is_terminal:
+            status.update(what)
+        elif what:
+            line.print(what)
+
+    with status:
+        found = run(options, tables, progress)
+    text = json.dumps(found, indent=1)
+    if options.output:
+        write_whole(options.output, text + "\n")
+    if options.json:
+        print(text)
+
+
+if __name__ == "__main__":
+    main()
