@@ -22,7 +22,7 @@ from galen_bags.errors import BagError
 from galen_bags.library_file import LibraryFile
 from galen_bags.mcap_file import McapFile
 from galen_bags.mcap_records import LARGEST_BYTES
-from galen_bags.metadata import MOST_BYTES
+from galen_bags.metadata import MOST_BYTES, events
 from galen_bags.problems import Problems
 from galen_bags.raw_block import Messages, TopicInfo, packed
 
@@ -265,13 +265,13 @@ def _listed_files(directory: Path) -> tuple[list[Path] | None, list[str]]:
 def _listed_paths(metadata: Path) -> list[str]:
     """The texts in the list of files; the rest of the file is not taken apart."""
     with metadata.open(encoding="utf-8") as file:
-        events = yaml.parse(file.read(MOST_BYTES), Loader=yaml.BaseLoader)
-        for event in events:
+        found = events(file.read(MOST_BYTES))
+        for event in found:
             if isinstance(event, yaml.ScalarEvent) and event.value == "relative_file_paths":
                 break
         paths: list[str] = []
-        if isinstance(next(events, None), yaml.SequenceStartEvent):
-            for event in events:
+        if isinstance(next(found, None), yaml.SequenceStartEvent):
+            for event in found:
                 if not isinstance(event, yaml.ScalarEvent):
                     break
                 paths.append(event.value)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -14,8 +15,8 @@ from rosbags.rosbag2.metadata import parse_qos
 
 # A topic's entry has some hundred bytes, and a file's as well.
 MOST_BYTES = 1 << 20
-# rosbag2 writes two levels of brackets at most.
-_MOST_BRACKETS = 20
+# rosbag2 writes half as many levels.
+_DEEPEST = 20
 
 
 @dataclass(frozen=True)
@@ -51,17 +52,29 @@ def read_metadata(path: Path) -> BagMetadata:
         return BagMetadata()
 
 
+def events(text: str) -> Iterator[yaml.Event]:
+    """YAML's events of a metadata.yaml, one by one; raises yaml.YAMLError."""
+    found: Iterator[yaml.Event] = yaml.parse(text, Loader=_Loader)
+    return found
+
+
 class _Loader(yaml.SafeLoader):
     """Without what rosbag2 never writes and what makes a small file long to read.
 
-    A few lines of aliases stand for gigabytes, and a few thousand open brackets take a minute.
+    A few lines of aliases stand for gigabytes; a few thousand levels take a minute.
     """
 
     def fetch_flow_collection_start(self, token_class: Any) -> None:
         """As the base's, for each `[` and `{`."""
-        if self.flow_level >= _MOST_BRACKETS:
-            raise yaml.YAMLError("brackets within brackets")
+        if self.flow_level >= _DEEPEST:
+            raise yaml.YAMLError("too deep")
         super().fetch_flow_collection_start(token_class)
+
+    def add_indent(self, column: int) -> bool:
+        """As the base's, for each list or mapping without brackets."""
+        if len(self.indents) >= _DEEPEST:
+            raise yaml.YAMLError("too deep")
+        return bool(super().add_indent(column))
 
     def compose_node(self, parent: Any, index: Any) -> Any:
         """As the base's, which would follow an alias."""
