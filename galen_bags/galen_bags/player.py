@@ -10,6 +10,7 @@ from typing import Any
 
 from galen_ros.conversions import fill_stamp
 from galen_ros.diagnostics import OK, WARN, DiagnosticsPublisher, Status
+from galen_ros.parameter_services import guard_parameter_services
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.duration import Duration
@@ -60,6 +61,7 @@ class PlayerNode(Node):
     def __init__(self, bag: Bag, options: PlayOptions = PlayOptions(), **node_options: Any) -> None:
         """`bag` stays the caller's. Raises BagError for topics that the bag lacks."""
         super().__init__("player", **node_options)
+        guard_parameter_services(self)
         self._bag = bag
         self._options = options
         self.acknowledged = True

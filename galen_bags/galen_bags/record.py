@@ -12,10 +12,9 @@ from pathlib import Path
 from typing import Any
 
 from galen_model.errors import GalenError
-from galen_ros.spin import run_until
+from galen_ros.spin import own_arguments, run_until
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.parameter import Parameter
-from rclpy.utilities import remove_ros_args
 
 from galen_bags.command_line import EXIT_FAILED, EXIT_OK, EXIT_USAGE, LiveLine, positive
 from galen_bags.errors import BagError
@@ -178,7 +177,7 @@ def parse(arguments: Sequence[str]) -> argparse.Namespace:
 
 def main() -> None:
     """Run the command; see `record --help`."""
-    options = parse(remove_ros_args(sys.argv)[1:])
+    options = parse(own_arguments(sys.argv)[1:])
     exit_code = EXIT_OK
     recording = None
     try:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from galen_ros.diagnostics import OK, WARN, DiagnosticsPublisher, Status
+from galen_ros.parameter_services import guard_parameter_services
 from rclpy.callback_groups import CallbackGroup
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
@@ -118,6 +119,7 @@ class RecorderNode(Node):
         Raises BagError for a name that no topic can have.
         """
         super().__init__(node_name, **node_options)
+        guard_parameter_services(self)
         self._bag = bag
         self._all = all_topics
         self._wanted = (

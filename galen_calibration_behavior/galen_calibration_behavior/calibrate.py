@@ -10,7 +10,7 @@ import sys
 import termios
 from typing import Any
 
-from rclpy.utilities import remove_ros_args
+from galen_ros.spin import own_arguments
 from std_srvs.srv import Trigger
 
 from galen_calibration_behavior.commands import ErrorCode, State
@@ -164,7 +164,7 @@ def _count(text: str) -> int:
 
 def main() -> None:
     """Run the client; see `calibrate --help`."""
-    options = parse(remove_ros_args(sys.argv)[1:])
+    options = parse(own_arguments(sys.argv)[1:])
     run_client("calibrate", CalibrateClient, options, _print_result)
 
 

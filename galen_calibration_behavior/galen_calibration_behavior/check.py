@@ -9,7 +9,7 @@ import sys
 from typing import Any
 
 from galen_model.arm import WRENCH_AXES
-from rclpy.utilities import remove_ros_args
+from galen_ros.spin import own_arguments
 
 from galen_calibration_behavior.check_answer import Answer, Cause
 from galen_calibration_behavior.check_commands import ErrorCode
@@ -91,7 +91,7 @@ def parse(arguments: list[str]) -> argparse.Namespace:
 
 def main() -> None:
     """Run the client; see `check --help`."""
-    options = parse(remove_ros_args(sys.argv)[1:])
+    options = parse(own_arguments(sys.argv)[1:])
     run_client("check", CheckClient, options, _print_result)
 
 

@@ -15,13 +15,14 @@ from typing import Any, ClassVar, NoReturn
 
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
-from galen_model.errors import ToolNameError
+from galen_model.errors import GalenError, ToolNameError
 from galen_model.tool_file import check_tool_name
+from galen_ros.parameter_services import guard_parameter_services
+from galen_ros.spin import init_ros
 from rclpy.action import ActionClient
 from rclpy.action.client import ClientGoalHandle
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
-from rclpy.signals import SignalHandlerOptions
 from tqdm import tqdm
 from unique_identifier_msgs.msg import UUID
 
@@ -88,6 +89,7 @@ class GoalClient:
         self.options = options
         self.bar = Bar(self.unit)
         self.node = Node(self.node_name)
+        guard_parameter_services(self.node)
         self._executor = SingleThreadedExecutor()
         self._executor.add_node(self.node)
         self._action = ActionClient(self.node, self.action_type, self.action_name)
@@ -273,7 +275,11 @@ def run_client(
 
     `print_result(result, as_json)` returns that of a goal that came to its end.
     """
-    rclpy.init(args=sys.argv, signal_handler_options=SignalHandlerOptions.NO)
+    try:
+        init_ros(sys.argv)
+    except GalenError as error:
+        print(f"{name}: {error}", file=sys.stderr)
+        raise SystemExit(EXIT_USAGE) from None
     client = make(options)
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, client.on_signal)

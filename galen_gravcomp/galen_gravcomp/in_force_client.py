@@ -10,9 +10,9 @@ import numpy as np
 import rclpy
 from galen_model.errors import GalenError
 from galen_ros.qos import LATCHED
+from galen_ros.spin import init_ros
 from geometry_msgs.msg import Wrench
 from rclpy.node import Node
-from rclpy.signals import SignalHandlerOptions
 
 from galen_msgs.msg import ToolInForce
 
@@ -31,7 +31,7 @@ class NoAnswerError(GalenError):
 def read(node_name: str, timeout_s: float, ros_args: Sequence[str] = ()) -> dict[str, Any]:
     """What the node has in force: plain numbers, lists and texts, SI. Raises NoAnswerError."""
     # Ctrl-C ends the wait as any other command's.
-    rclpy.init(args=list(ros_args), signal_handler_options=SignalHandlerOptions.NO)
+    init_ros(list(ros_args))
     try:
         node = Node("tools")
         received: list[ToolInForce] = []

@@ -37,6 +37,7 @@ from galen_ros.param import (
     param_fields,
     wanted,
 )
+from galen_ros.parameter_services import guard_parameter_services
 
 __all__ = [
     "Held",
@@ -141,6 +142,7 @@ def _declare_all(
     node: Node, cls: type[T], fields: dict[str, tuple[Any, Any, Meaning]], fixed: bool = True
 ) -> T:
     """Declare the fields, return what is in force; `fixed`: rclpy keeps the read-only ones."""
+    guard_parameter_services(node)
     values = {}
     for name, (hint, default, meaning) in fields.items():
         read_only = fixed and meaning.read_only

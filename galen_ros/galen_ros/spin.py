@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import signal
 import sys
 from collections.abc import Callable
@@ -10,13 +11,21 @@ from typing import TypeVar
 
 import rclpy
 from galen_model.errors import GalenError
+from rclpy._rclpy_pybind11 import RCLError, UnknownROSArgsError
 from rclpy.context import Context
+from rclpy.exceptions import ParameterException
 from rclpy.executors import Executor, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
-from rclpy.utilities import ok, try_shutdown
+from rclpy.utilities import ok, remove_ros_args, try_shutdown
 
 N = TypeVar("N", bound=Node)
+
+_IN_RCL = re.compile(r",? at /\S+")
+
+
+class StartError(GalenError):
+    """What ROS itself was told after `--ros-args` can't be used."""
 
 
 def make_executor(context: Context | None = None) -> Executor:
@@ -30,6 +39,25 @@ def make_executor(context: Context | None = None) -> Executor:
     except ImportError:
         return SingleThreadedExecutor(context=context)
     return EventsExecutor(context=context)
+
+
+def init_ros(args: list[str] | None = None) -> None:
+    """Do `rclpy.init` without its signal handlers; raises StartError."""
+    try:
+        rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
+    except UnknownROSArgsError as error:
+        raise StartError(f"unknown after --ros-args: {error}") from error
+    except RCLError as error:
+        # rcl adds the lines of its own source.
+        raise StartError(_IN_RCL.sub("", str(error))) from error
+
+
+def own_arguments(arguments: list[str]) -> list[str]:
+    """A command line without what is ROS's; where that is wrong, `init_ros` says it."""
+    try:
+        return list(remove_ros_args(arguments))
+    except RuntimeError:
+        return arguments[: arguments.index("--ros-args")]
 
 
 def run(make_node: Callable[[], Node], args: list[str] | None = None) -> None:
@@ -67,7 +95,7 @@ def run_until(
         number: signal.signal(number, on_signal) for number in (signal.SIGINT, signal.SIGTERM)
     }
     try:
-        rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
+        init_ros(args)
         try:
             _make_and_spin(make_node, lambda node: bool(caught) or done(node), make)
         finally:
@@ -81,7 +109,10 @@ def run_until(
 def _make_and_spin(
     make_node: Callable[[], N], done: Callable[[N], bool], make: Callable[[], Executor]
 ) -> None:
-    node = make_node()
+    try:
+        node = make_node()
+    except ParameterException as error:  # of rclpy's own, such as use_sim_time
+        raise StartError(str(error)) from error
     executor = make()
     executor.add_node(node)
     try:
