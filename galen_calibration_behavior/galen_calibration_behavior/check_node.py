@@ -122,7 +122,7 @@ class CheckNode(GoalNode[CheckParameters, _Goal, Finished]):
     def _make_result(
         self, handle: ServerGoalHandle, end: Finished, goal: _Goal | None
     ) -> tuple[CheckTool.Result, str]:
-        name = self._subject(handle.request)
+        name, shown = self._subject(handle.request), self._named(handle.request)
         result = CheckTool.Result(
             error_code=int(end.error_code),
             error_msg=end.error_msg,
@@ -131,7 +131,7 @@ class CheckNode(GoalNode[CheckParameters, _Goal, Finished]):
             warnings=[*(goal.warnings if goal else []), *end.warnings],
         )
         if end.check is None or goal is None:
-            return result, f"{name!r} not checked: {end.error_code.name}: {end.error_msg}"
+            return result, f"{shown} not checked: {end.error_code.name}: {end.error_msg}"
         check, found = end.check, end.check.found
         result.answer, result.cause, result.text = int(check.answer), int(check.cause), check.text
         result.mass_change_kg = float(found.moments[0])
@@ -144,7 +144,7 @@ class CheckNode(GoalNode[CheckParameters, _Goal, Finished]):
         result.effect = found.effect
         result.found_mass_kg, result.found_offset = check.found_mass_kg, check.found_offset
         result.poses_used = check.poses
-        return result, f"{name!r} checked: {check.answer.name}: {check.text}"
+        return result, f"{shown} checked: {check.answer.name}: {check.text}"
 
     # ---- commands
 

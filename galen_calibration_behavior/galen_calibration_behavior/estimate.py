@@ -32,6 +32,9 @@ from galen_model.wandering_identification import (
 
 from galen_calibration_behavior.commands import ErrorCode, Measurements
 
+LONGEST_TOOL_M = 10.0
+"""A slip of the unit or a made-up number is found before the arm moves, not after the sweep."""
+
 
 class EstimateError(GalenError):
     """The measurements give no file; `code` says which error of the action it is."""
@@ -42,7 +45,7 @@ class EstimateError(GalenError):
 
 
 class TipError(GalenError):
-    """A tip that is neither three finite numbers nor left out."""
+    """A tip that is neither three numbers that a tool may have nor left out."""
 
 
 @dataclass(frozen=True)
@@ -82,9 +85,11 @@ def choose_tip(tip_m: Array, path: Path) -> tuple[Array, list[str]]:
     """Return the tip (3,) for the new file, m in ft_sensor, and warnings.
 
     `tip_m` itself or, where all of it is NaN, that of the old file at `path`, else (0, 0, 0).
-    Raises TipError for a tip with some values that are not finite.
+    Raises TipError for a tip with some values that are not finite, or that no tool reaches.
     """
     if np.all(np.isfinite(tip_m)):
+        if np.max(np.abs(tip_m)) > LONGEST_TOOL_M:
+            raise TipError(f"tip_m is {tip_m.tolist()}: at most {LONGEST_TOOL_M:g} m along an axis")
         return tip_m, []
     if not np.all(np.isnan(tip_m)):
         raise TipError(

@@ -11,7 +11,7 @@ from enum import IntEnum
 from typing import Any, ClassVar, Generic, TypeVar
 
 from galen_model.arm import JOINT_NAMES, SENSOR_FRAME
-from galen_model.errors import GalenError
+from galen_model.errors import GalenError, one_line
 from galen_ros.conversions import JointStateReader, stamp_to_ns, wrench_to_array
 from galen_ros.diagnostics import OK, WARN, DiagnosticsPublisher, Status
 from galen_ros.parameters import declare_parameters
@@ -34,6 +34,7 @@ from galen_calibration_behavior.motion_parameters import MotionParameters
 _TICK_S = 0.1
 # The publishers of the topics are looked up this often.
 _TICKS_PER_GRAPH_CHECK = 10
+_LONGEST_NAME = 80
 
 
 class RefusedGoalError(Exception):
@@ -193,7 +194,7 @@ class GoalNode(Node, ABC, Generic[SettingsT, GoalT, EndT]):
         done, total = self._goal.procedure.progress
         now = self._subject(self._goal.handle.request)
         self._refused = (
-            f"{self._subject(request)!r} refused: {words.doing} {now!r} now,"
+            f"{self._named(request)} refused: {words.doing} {now!r} now,"
             f" {done} of {total} {words.unit} done; cancel that first, or wait"
         )
         self.get_logger().warning(self._refused)
@@ -250,6 +251,10 @@ class GoalNode(Node, ABC, Generic[SettingsT, GoalT, EndT]):
 
     def _subject(self, request: Any) -> str:
         return str(getattr(request, self.words.subject))
+
+    def _named(self, request: Any) -> str:
+        """The subject in quotes, for a log; a goal that is refused may name it by a megabyte."""
+        return one_line(repr(self._subject(request)), _LONGEST_NAME)
 
     # ---- inputs
 

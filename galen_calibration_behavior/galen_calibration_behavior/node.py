@@ -144,11 +144,11 @@ class CalibrationNode(GoalNode[CalibrationParameters, _Goal, Finished]):
     def _make_result(
         self, handle: ServerGoalHandle, end: Finished, goal: _Goal | None
     ) -> tuple[CalibrateTool.Result, str]:
-        tool = handle.request.tool
+        tool, shown = handle.request.tool, self._named(handle.request)
         calibration = None if goal is None else goal.calibration
-        last = f"{tool!r} not calibrated: {end.error_code.name}: {end.error_msg}"
+        last = f"{shown} not calibrated: {end.error_code.name}: {end.error_msg}"
         if calibration is not None:
-            last = f"{tool!r} calibrated: {calibration.path}"
+            last = f"{shown} calibrated: {calibration.path}"
         return _to_result(tool, end, calibration), last
 
     def _on_confirm(self, _request: Trigger.Request, response: Trigger.Response) -> Any:
