@@ -7,6 +7,7 @@ import json
 import os
 import subprocess
 import sys
+import time
 from collections import Counter
 from dataclasses import replace
 from pathlib import Path
@@ -107,6 +108,28 @@ def test_a_thousand_kills_leave_the_old_file_or_the_new_one(tmp_path: Path) -> N
     print(f"1000 kills: {counts}")
     check_kills(counts, 1000)
     assert counts["new"] > 0
+
+
+def test_what_killed_writers_left_goes_with_a_later_writing_of_the_same_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Not while it is young: it may be another writer's at work."""
+    path = tool_path(tmp_path, "pointer")
+    write_tool(path, a_tool("pointer"))
+    left = [".pointer.json.unfinished.ab_12cd9", ".pointer.json.unfinished.bak77"]
+    others = [
+        ".pointer.json.original", ".pointer.json.aside.5", ".pointer.jsonx.unfinished.abcdefgh",
+        ".retractor.json.unfinished.abcdefgh", "pointer.json.bak", "pointer.json",
+    ]  # fmt: skip
+    for name in {*left, *others[:4]}:
+        (tmp_path / name).write_text("half of a file")
+    os.utime(tmp_path / left[0], (0.0, 0.0))  # what it says of itself doesn't matter
+    write_tool(path, a_tool("pointer"))
+    assert names(tmp_path) == sorted(left + others)
+    now_s = time.time()
+    monkeypatch.setattr(whole_file.time, "time", lambda: now_s + 660.0)
+    write_tool(path, a_tool("pointer"))
+    assert names(tmp_path) == sorted(others)
 
 
 # --- errors of the disk ---------------------------------------------------------------------------

@@ -3,7 +3,8 @@
 The new content goes into a temporary file beside the old one, which is synced to the disk and
 renamed over the old name, as POSIX does in one step; before that the old file gets a second name,
 `<name>.bak`. A process killed at any moment leaves the old file or the new one, and perhaps a
-hidden `.<name>.<anything>` beside it, which nobody reads.
+hidden `.<name>.unfinished.<anything>` beside it, which nobody reads, and which the next writing of
+that file removes when it is ten minutes old.
 
 Where the name is a symbolic link, the link is replaced, and `.bak` leads to where it led: what is
 written never ends up in another directory, and nothing there changes. A directory that is a link is
@@ -13,10 +14,14 @@ followed.
 import errno
 import os
 import tempfile
+import time
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 
 _NO_HARD_LINKS = (errno.EPERM, errno.ENOTSUP, errno.EOPNOTSUPP, errno.EMLINK)
+_LEFT_AFTER_S = 600.0
+"""No writer is at work for so long."""
 
 
 def write_whole(path: Path, content: str | bytes) -> None:
@@ -32,6 +37,7 @@ def write_whole(path: Path, content: str | bytes) -> None:
     except BaseException:
         temporary.unlink(missing_ok=True)
         raise
+    _sweep(path)
     sync_directory(path.parent)
 
 
@@ -94,7 +100,7 @@ def unlink_if(path: Path, is_it: Callable[[Path], bool]) -> None:
 def _write_beside(path: Path, content: str | bytes) -> Path:
     """Write and sync a temporary file in the folder of `path`; removed again on an error."""
     raw = content.encode() if isinstance(content, str) else content
-    handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+    handle, name = tempfile.mkstemp(dir=path.parent, prefix=_unfinished(path))
     temporary = Path(name)
     try:
         with os.fdopen(handle, "wb") as stream:
@@ -108,12 +114,30 @@ def _write_beside(path: Path, content: str | bytes) -> Path:
     return temporary
 
 
+def _unfinished(path: Path) -> str:
+    """What the names of files begin with that stand for `path` while it is written."""
+    return f".{path.name}.unfinished."
+
+
+def _sweep(path: Path) -> None:
+    """Remove what killed writers of this file left; what can't be removed does no harm."""
+    before_s = time.time() - _LEFT_AFTER_S
+    with suppress(OSError), os.scandir(path.parent) as entries:
+        for entry in entries:
+            if not entry.name.startswith(_unfinished(path)):
+                continue
+            with suppress(OSError):
+                # The inode's own time: a second name of an old file is as young as its link.
+                if entry.stat(follow_symlinks=False).st_ctime < before_s:
+                    Path(entry.path).unlink()
+
+
 def _keep_backup(path: Path) -> None:
     """Give the old file its second name; the backup, too, changes in one step."""
     if not path.exists():
         return
     backup = path.with_name(path.name + ".bak")
-    spare = path.with_name(f".{path.name}.bak.{os.getpid()}")
+    spare = path.with_name(f"{_unfinished(path)}bak{os.getpid()}")
     spare.unlink(missing_ok=True)
     try:
         try:
