@@ -15,13 +15,13 @@ MASS_KG, COM_M = 0.2, np.array([0.07, -0.01, 0.055])
 ADAPTER_KG, ADAPTER_COM_M = 0.1, np.array([0.0, 0.0, 0.02])
 
 
-def weight(roll, tilt):
+def weight(roll, tilt, mass_kg=MASS_KG):
     """Tool's weight by the contract, section 2, from its numbers alone: (6,), N and N.m.
 
     Sensor's axes in base_link: Rx(roll) Ry(tilt) Ry(pi/2). The adapter was zeroed at home.
     """
     f, torque = np.zeros(3), np.zeros(3)
-    loads = [(MASS_KG, COM_M, roll, tilt, 1), (ADAPTER_KG, ADAPTER_COM_M, roll, tilt, 1)]
+    loads = [(mass_kg, COM_M, roll, tilt, 1), (ADAPTER_KG, ADAPTER_COM_M, roll, tilt, 1)]
     for mass, com, r, t, sign in [*loads, (ADAPTER_KG, ADAPTER_COM_M, 0.0, 0.0, -1)]:
         turned = t + np.pi / 2
         x = np.array([[1, 0, 0], [0, np.cos(r), -np.sin(r)], [0, np.sin(r), np.cos(r)]])

@@ -3,14 +3,18 @@
 driver: an arm in motion, pushed by PUSH; every sample is a function of its stamp.
 relay: a bad network: takes true/joint_states and true/wrench_raw, and passes them on repeated,
 late, out of order, or not at all; its chances come from a fixed seed.
+pass: a good one.
 subscriber: hears wrench_compensated, and does nothing with it.
+slow: takes 30 ms for each, and prints its stamp, when it had it, and the wrench.
 """
 
+import json
 import sys
 import time
 
 import numpy as np
 from fault_arm import PERIOD_NS, Source, weight
+from galen_ros.conversions import stamp_to_ns, wrench_to_array
 from galen_ros.qos import STREAM
 from galen_ros.spin import run
 from geometry_msgs.msg import WrenchStamped
@@ -37,10 +41,14 @@ class Driver(Source):
 
 
 class Relay(Node):
-    """Of 100 messages 5 are lost, 5 repeated, 10 late by up to 30 ms, so that others overtake."""
+    """Of 100 messages 5 are lost, 5 repeated, 10 late by up to 30 ms, so that others overtake.
 
-    def __init__(self):
-        super().__init__("faulty_relay")
+    With `faulty` false none is.
+    """
+
+    def __init__(self, faulty=True):
+        super().__init__("relay")
+        self.faulty = faulty
         self.rng = np.random.default_rng(11)
         self.late = []
         for kind, topic in ((JointState, "joint_states"), (WrenchStamped, "wrench_raw")):
@@ -55,7 +63,7 @@ class Relay(Node):
         self.create_timer(0.001, self.send_late)
 
     def pass_on(self, out, data):
-        chance = self.rng.random()
+        chance = self.rng.random() if self.faulty else 1.0
         if chance < 0.05:
             return
         if chance < 0.15:
@@ -78,5 +86,23 @@ class Subscriber(Node):
         self.create_subscription(WrenchStamped, "wrench_compensated", lambda _: None, STREAM)
 
 
+class Slow(Node):
+    def __init__(self):
+        super().__init__("slow_subscriber")
+        self.create_subscription(WrenchStamped, "wrench_compensated", self.on_wrench, STREAM)
+
+    def on_wrench(self, message):
+        time.sleep(0.03)
+        stamp_ns, wrench = stamp_to_ns(message.header.stamp), wrench_to_array(message).tolist()
+        print(json.dumps([stamp_ns, time.time_ns(), wrench]), flush=True)
+
+
 if __name__ == "__main__":
-    run({"driver": Driver, "relay": Relay, "subscriber": Subscriber}[sys.argv[1]], sys.argv)
+    kinds = {
+        "driver": Driver,
+        "relay": Relay,
+        "pass": lambda: Relay(faulty=False),
+        "subscriber": Subscriber,
+        "slow": Slow,
+    }
+    run(kinds[sys.argv[1]], sys.argv)

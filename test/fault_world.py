@@ -33,23 +33,27 @@ from geometry_msgs.msg import WrenchStamped
 from rclpy.node import Node
 
 from galen_msgs.msg import DeflectionStamped
+from galen_msgs.srv import SetTool
 
 TIP_M = np.array([0.18, 0.01, 0.05])
 PATIENCE_S = 100.0
 
 
-def write_tool_file(folder):
+def write_tool_file(folder, mass_kg=MASS_KG):
+    """Write the retractor's file; returns its path."""
     tight = np.eye(4) * 1e-10
     tool = ToolFile(
         tool="retractor",
-        load=LoadEstimate(MASS_KG, COM_M, tight),
+        load=LoadEstimate(mass_kg, COM_M, tight),
         bias=LoadEstimate(ADAPTER_KG, ADAPTER_COM_M, tight),
         tip_m=TIP_M,
         rmse=np.zeros(6),
         poses_used=56,
         calibrated_at="2026-01-01T00:00:00+00:00",
     )
-    write_tool(tool_path(folder, "retractor"), tool)
+    path = tool_path(folder, "retractor")
+    write_tool(path, tool)
+    return path
 
 
 def write_model_file(path):
@@ -80,6 +84,7 @@ class Listener(Node):
         self.create_subscription(WrenchStamped, "wrench_compensated", self.on_wrench, STREAM)
         self.create_subscription(DeflectionStamped, "deflection", self.on_deflection, STREAM)
         self.create_subscription(DiagnosticArray, "/diagnostics", self.on_diagnostics, 100)
+        self.set_tool = self.create_client(SetTool, "gravcomp/set_tool")
 
     def on_wrench(self, message):
         self.wrenches.append((stamp_to_ns(message.header.stamp), wrench_to_array(message)))
@@ -205,6 +210,14 @@ class FaultWorld:
         self.raw.setdefault(stamp, np.asarray(wrench, dtype=float))
         source.wrench(stamp, wrench, frame_id)
 
+    def ask_for_tool(self, source, name):
+        """Call `set_tool` while samples go on; returns the answer."""
+        client = self.listener.set_tool
+        self.wait_for(client.service_is_ready, "set_tool", lambda: self.step(source))
+        future = client.call_async(SetTool.Request(tool=name))
+        self.wait_for(future.done, "set_tool's answer", lambda: self.step(source))
+        return future.result()
+
     # what a user sees
 
     def newest(self, node="gravcomp"):
@@ -235,10 +248,10 @@ class FaultWorld:
         """Stamps of the newest compensated wrenches."""
         return {stamp for stamp, _ in self.listener.wrenches[-200:]}
 
-    def check_outputs(self, first=0):
+    def check_outputs(self, first=0, mass_kg=MASS_KG):
         """Every output since the `first` is raw minus weight at the joints of its stamp."""
         outputs = self.listener.wrenches[first:]
         for stamp, found in outputs:
-            expected = self.raw[stamp] - weight(*self.angles[stamp])
+            expected = self.raw[stamp] - weight(*self.angles[stamp], mass_kg)
             np.testing.assert_allclose(found, expected, rtol=0, atol=1e-9)
         return [stamp for stamp, _ in outputs]

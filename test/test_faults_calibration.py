@@ -132,5 +132,6 @@ def test_a_client_that_is_killed_and_another_at_once(world):
     assert json.loads(file.read_text())["tool"] == "retractor"
     handle = send(world)
     assert handle.accepted, "another client may calibrate now"
+    assert not send(world).accepted, "two at once"
     handle.cancel_goal_async()
     assert result_of(world, handle).status == GoalStatus.STATUS_CANCELED

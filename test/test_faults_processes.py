@@ -3,7 +3,9 @@
 The driver's wrench is the tool's weight plus a known push, so what goes out must be that push.
 """
 
+import json
 import signal
+import time
 from pathlib import Path
 
 import numpy as np
@@ -24,9 +26,14 @@ INTERPOLATED_N = 1e-3
 def world(tmp_path):
     write_tool_file(tmp_path)
     with FaultWorld(tmp_path) as world:
-        parameters = {"tools_dir": tmp_path, "tool": "retractor", "fit_watch": False}
-        world.start("gravcomp", ["-m", "galen_gravcomp.node"], parameters)
+        start_gravcomp(world)
         yield world
+
+
+def start_gravcomp(world, late_s=0.0):
+    """`late_s` 0: a machine with other work makes wrenches late enough by itself."""
+    parameters = {"tools_dir": world.folder, "tool": "retractor", "fit_watch": False}
+    world.start("gravcomp", ["-m", "galen_gravcomp.node"], parameters | {"late_s": late_s})
 
 
 def start(world, name, which, remaps=None):
@@ -102,13 +109,58 @@ def test_a_subscriber_that_hangs_holds_nothing_up(world):
     assert world.newest().level == bytes([Level.OK])
 
 
+def test_a_slow_subscriber_falls_behind_alone(world):
+    """100 wrenches come in a second, and it takes 33."""
+    start(world, "slow", "slow")
+    start(world, "driver", "driver")
+    compensates(world, 50)
+    first = len(world.listener.wrenches)
+    compensates(world, 800)
+    check(world)
+    stamps = np.array([stamp for stamp, _ in world.listener.wrenches[first:]])
+    assert np.all(np.diff(stamps) == PERIOD_NS), "one was lost"
+    assert world.newest().level == bytes([Level.OK])
+    lines = (world.folder / "slow.log").read_text().splitlines()[:-1]  # the last may be cut
+    took = [json.loads(line) for line in lines]
+    had, at = (np.array([one[k] for one in took]) for k in (0, 1))
+    assert np.all(np.diff(had) == PERIOD_NS), "it loses nothing either, within the queue's 2000"
+    assert (at - had)[-1] > 2e9, "but what it has is old: only the stamp tells"
+    np.testing.assert_allclose([one[2] for one in took], np.tile(PUSH, (len(took), 1)), atol=1e-9)
+
+
+@pytest.mark.parametrize("stalled", ["gravcomp", "relay"])
+def test_wrenches_that_queued_up_go_out_late_and_that_is_told(world, stalled):
+    """For 1.5 s the compensation, or the network before it, stands still."""
+    world.kill("gravcomp")
+    start_gravcomp(world, late_s=0.05)
+    topics = {"joint_states": "true/joint_states", "wrench_raw": "true/wrench_raw"}
+    start(world, "relay", "pass")
+    start(world, "driver", "driver", topics)
+    compensates(world)
+    first = len(world.listener.wrenches)
+    world.processes[stalled].send_signal(signal.SIGSTOP)
+    time.sleep(1.5)  # how long it stands still is what is tested
+    world.processes[stalled].send_signal(signal.SIGCONT)
+    status = world.wait_for(lambda: world.says("came late", level=Level.WARN), "a warning")
+    said = {item.key: item.value for item in status.values}
+    assert said["state"] == "late" and "look at their stamps" in status.message
+    compensates(world)
+    check(world)
+    stamps = np.array([stamp for stamp, _ in world.listener.wrenches[first:]])
+    assert np.all(np.diff(stamps) == PERIOD_NS), "one was lost"
+    world.wait_for(lambda: int(values(world)["late"]) > 100, "all of them to be counted")
+    assert float(values(world)["late_worst_s"]) > 1.2
+    world.wait_for(
+        lambda: world.says("compensating 'retractor'", level=Level.OK), "it to pass by itself"
+    )
+
+
 def test_the_compensation_killed_and_back(world):
     start(world, "driver", "driver")
     compensates(world)
     world.kill("gravcomp")
     before = world.listener.wrenches[-1][0]
-    parameters = {"tools_dir": world.folder, "tool": "retractor", "fit_watch": False}
-    world.start("gravcomp", ["-m", "galen_gravcomp.node"], parameters)
+    start_gravcomp(world)
     compensates(world)
     assert world.listener.wrenches[-1][0] > before
     check(world)

@@ -20,9 +20,10 @@ def world(tmp_path_factory):
     write_tool_file(folder)
     write_model_file(folder / "model.json")
     with FaultWorld(folder) as world:
-        parameters = {"tools_dir": folder, "tool": "retractor", "fit_watch": False}
+        # Here stamps advance as the test gets on; what is late: test_faults_processes.
+        parameters = {"tools_dir": folder, "tool": "retractor", "fit_watch": False, "late_s": 0.0}
         world.start("gravcomp", ["-m", "galen_gravcomp.node"], parameters)
-        parameters = {"model_file": folder / "model.json"}
+        parameters = {"model_file": folder / "model.json", "late_s": 0.0}
         world.start("deflection", ["-m", "galen_deflection.node"], parameters)
         world.driver = world.source("driver")
         world.works(world.driver)
@@ -269,4 +270,6 @@ def test_a_missing_clock_is_said_and_nothing_else_is_lost(world):
         "the missing clock to be told",
         lambda: world.step(world.driver),
     )
+    said = {item.key: item.value for item in world.newest("sim/gravcomp").values}
+    assert said["late"] == "off", "by a simulation's time nothing is"
     world.kill("sim_gravcomp")
