@@ -1,0 +1,200 @@
+"""Live nodes under requests, goals, parameters and messages that make no sense.
+
+All nodes that take requests run in one process, whose thread ends with the first exception in a
+callback, as their processes do. Made from seeds; the soak tests ask for all that there is.
+"""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from bad_requests import ACTIONS, SERVICES, World, garbage, told, wrong, wrong_values
+from galen_model.errors import GalenError
+from galen_ros.managed_node import ManagedNode
+from galen_ros.testing import Harness, Lifecycle
+from rcl_interfaces.msg import ParameterType
+from rcl_interfaces.srv import SetParametersAtomically
+from rclpy.parameter import Parameter
+
+
+@pytest.fixture(scope="module")
+def world(tmp_path_factory: pytest.TempPathFactory) -> Iterator[World]:
+    with Harness() as harness:
+        world = World(harness, tmp_path_factory.mktemp("world"))
+        before = world.files()
+        yield world
+        print(f"\n{world.count} requests, goals, parameters and messages; {world.refused} refused")
+        world.compensates()
+        assert world.files() == before
+
+
+def ask(world: World, rng: random.Random, times: int) -> None:
+    for name, (kind, right, bad) in SERVICES.items():
+        for _ in range(times):
+            request = wrong(rng, right, bad)
+            answer = world.call(name, kind, **request)
+            assert not answer.success, f"{name} took {request!r:.300}"
+            told(answer.error_msg)
+
+
+def send(world: World, rng: random.Random, times: int) -> None:
+    for name, (kind, right, bad) in ACTIONS.items():
+        for _ in range(times):
+            goal = wrong(rng, right, bad)
+            result = world.goal(name, kind, **goal)
+            assert result.error_code not in (0, kind.Result.INTERNAL), f"{name}: {goal!r:.300}"
+            told(result.error_msg)
+
+
+def test_services_say_no(world: World) -> None:
+    ask(world, random.Random(1), 8)
+    world.compensates()
+
+
+def test_goals_end_at_once_with_the_reason(world: World) -> None:
+    send(world, random.Random(2), 6)
+    world.compensates()
+
+
+def test_parameters_are_refused_or_do_no_harm(world: World) -> None:
+    """Of any type at all, also of one that ROS doesn't know: rclpy alone would end with it."""
+    rng = random.Random(3)
+    for node in world.nodes:
+        names = world.names_of(node)
+        values = wrong_values()
+        for name, value in zip(rng.sample(names, 12), rng.choices(values, k=12), strict=True):
+            world.set_and_back(node, name, value)
+        assert world.set(node, names[0], wrong_values()[-1])  # of no type
+        assert world.set(node, "\x1b[2J" * 10_000, wrong_values()[-1])
+        request = {"parameters": [world.parameter(name, values[-1]) for name in names[:3]]}
+        service = f"{node.get_name()}/set_parameters_atomically"
+        answer = world.call(service, SetParametersAtomically, **request)
+        assert not answer.result.successful
+        told(answer.result.reason)
+    world.compensates()
+
+
+def litter(world: World, rng: random.Random, times: int) -> None:
+    """To everything that any node hears."""
+    for node in world.nodes:
+        for heard in list(node.subscriptions):
+            publisher = world.person.create_publisher(
+                heard.msg_type, heard.topic_name, heard.qos_profile
+            )
+            world.harness.wait_for(publisher.get_subscription_count, 10.0, heard.topic_name)
+            for data in garbage(rng, heard.msg_type, times):
+                publisher.publish(data)
+                world.count += 1
+            world.let_them_work()
+            world.person.destroy_publisher(publisher)
+
+
+def test_bytes_that_are_no_messages_end_no_node(world: World) -> None:
+    litter(world, random.Random(4), 20)
+    world.compensates()
+
+
+# --- long -----------------------------------------------------------------------------------------
+
+
+@pytest.mark.soak
+@pytest.mark.timeout(1200)
+def test_much_more_of_it(world: World) -> None:
+    rng = random.Random(5)
+    ask(world, rng, 150)
+    send(world, rng, 100)
+    litter(world, rng, 1000)
+    world.compensates()
+
+
+@pytest.mark.soak
+@pytest.mark.timeout(600)
+def test_names_of_ten_megabytes(world: World) -> None:
+    name = "x" * 10_000_000
+    for service in ("gravcomp/set_tool", "gravcomp/get_tool", "gravcomp/remove_tool"):
+        kind, right, _ = SERVICES[service]
+        answer = world.call(service, kind, **right | {"tool": name})
+        assert not answer.success
+        told(answer.error_msg)
+    for action, (kind, right, bad) in ACTIONS.items():
+        for field in {"name", "tool"} & set(bad):
+            result = world.goal(action, kind, **right | {field: name})
+            told(result.error_msg)
+    world.compensates()
+
+
+@pytest.mark.soak
+@pytest.mark.timeout(1800)
+def test_every_parameter_with_every_value(world: World) -> None:
+    for node in world.nodes:
+        for name in world.names_of(node):
+            for value in wrong_values():
+                world.set_and_back(node, name, value)
+    world.compensates()
+
+
+@pytest.mark.soak
+@pytest.mark.timeout(1800)
+def test_a_managed_node_configures_with_what_it_took_or_says_why_not(world: World) -> None:
+    """Cleaned up, it takes what it refuses while it works."""
+    rng = random.Random(6)
+    for node in world.nodes:
+        if not isinstance(node, ManagedNode):
+            continue
+        life = Lifecycle(world.harness, world.person, node.get_name())
+        assert life.go("deactivate", "cleanup")
+        for name in world.names_of(node):
+            if name == "use_sim_time":
+                continue
+            (old,) = world.values_of(node, [name])
+            for value in rng.sample(wrong_values(), 12):
+                if world.set(node, name, value):
+                    continue
+                if not life.go("configure"):
+                    assert isinstance(node._error, GalenError), (name, node._error)
+                    told(str(node._error))
+                else:
+                    assert life.go("activate"), (name, value, node._error)
+                    world.let_them_work()
+                    assert life.go("deactivate", "cleanup")
+            if old.type != ParameterType.PARAMETER_NOT_SET:
+                assert world.set(node, name, old) == ""
+        assert life.go("configure", "activate")
+    world.compensates()
+
+
+def started(world: World, kind: Callable[..., Any], name: str, value: Any) -> bool:
+    """Whether a node starts with it, as by `-p name:=value`; one line tells why not."""
+    world.count += 1
+    parameter = Parameter.from_parameter_msg(world.parameter(name, value))
+    try:
+        node = world.harness.add(
+            lambda context: kind(context=context, parameter_overrides=[parameter])
+        )
+    except GalenError as error:
+        told(str(error))
+        world.refused += 1
+        return False
+    world.let_them_work()
+    world.harness.remove(node)
+    return True
+
+
+@pytest.mark.soak
+@pytest.mark.timeout(1800)
+def test_a_node_starts_with_any_parameter_or_says_why_not(tmp_path: Path) -> None:
+    rng = random.Random(7)
+    with Harness() as harness:
+        world = World(harness, tmp_path)
+        for node in world.nodes:
+            for name in world.names_of(node):
+                if name == "use_sim_time":
+                    continue  # rclpy's own; galen_ros.spin says it
+                for value in rng.sample(wrong_values()[:-4], 6):
+                    started(world, type(node), name, value)
+        world.compensates()
+        print(f"\n{world.count} starts and requests; {world.refused} refused")
