@@ -32,11 +32,18 @@ def world(tmp_path_factory):
 
 
 def nan(world, driver):
-    return world.step(driver, wrench=[1.0, np.nan, 1.0, 0.1, 0.1, 0.1])
+    return world.step(driver, wrench=with_channel(world, 1, np.nan))
 
 
 def infinite(world, driver):
-    return world.step(driver, wrench=[1.0, 1.0, 1.0, 0.1, 0.1, -np.inf])
+    return world.step(driver, wrench=with_channel(world, 5, -np.inf))
+
+
+def with_channel(world, channel, value):
+    """What the sensor reads, but for one of its channels; all the same would be a frozen one."""
+    wrench = world.arm()[2]
+    wrench[channel] = value
+    return wrench
 
 
 def other_frame(world, driver):
