@@ -36,6 +36,11 @@ JointVector = tuple[float, float, float, float, float]
 
 SixNumbers = tuple[float, float, float, float, float, float]
 
+LONGEST_PUSH_S = 3600.0
+"""A hand that pushes for ever would keep every other push out."""
+LARGEST_PUSH = 1e4
+"""N, or N.m about the tip: beyond what any arm of this size bears, and no number overflows."""
+
 ZERO3: Vector3 = (0.0, 0.0, 0.0)
 ZERO6: SixNumbers = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
@@ -281,8 +286,8 @@ class HandPush:
         """Times make sense, forces are finite, the frame is known."""
         _require(self.start_s >= 0.0, f"a push starts at {self.start_s} s, before its script")
         _require(
-            self.duration_s > 0.0 and math.isfinite(self.duration_s),
-            f"a push lasts {self.duration_s} s",
+            0.0 < self.duration_s <= LONGEST_PUSH_S,
+            f"a push lasts {self.duration_s:g} s; it must be up to {LONGEST_PUSH_S:g} s",
         )
         _require(
             self.ramp_s >= 0.0
@@ -292,7 +297,10 @@ class HandPush:
             f" {self.falling_s} s",
         )
         values = (*self.force_n, *self.torque_nm)
-        _require(all(map(math.isfinite, values)), f"a push of {list(values)} N and Nm")
+        _require(
+            all(abs(value) <= LARGEST_PUSH for value in values),  # NaN fails it, too
+            f"a push of {list(values)} N and Nm; each up to {LARGEST_PUSH:g}",
+        )
         _require(
             self.frame in ("base", "tip"), f'a push\'s frame is "{self.frame}", not "base" or "tip"'
         )
