@@ -6,10 +6,14 @@ there are others than those of `blind_check`.
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from importlib import resources
+from typing import Any
+
+from galen_model.json_fields import FieldError, get, mapping, number, parse_json
+
+from galen_diagnosis.errors import DiagnosisError
 
 LAWS = {
     "sensor_drift": "loose",
@@ -26,6 +30,8 @@ LAWS = {
     "tracker_delay": "firm",
 }
 """How well an effect's law is known; all others are exact."""
+
+_LAW_KINDS = ("exact", "firm", "loose")
 
 
 @dataclass(frozen=True)
@@ -54,9 +60,31 @@ class Settings:
 
 
 def load_settings() -> Settings:
-    """Those of the package's calibration."""
+    """Those of the package's calibration. Raises DiagnosisError."""
     file = resources.files("galen_diagnosis") / "calibration.json"
     if not file.is_file():
         return Settings()
-    content = json.loads(file.read_text(encoding="utf-8"))
-    return Settings(**content["settings"])
+    try:
+        return settings_from_json(parse_json(file.read_bytes()))
+    except (OSError, FieldError) as error:
+        raise DiagnosisError(f"{file}: {error}; install the package again") from error
+
+
+def settings_from_json(content: Any) -> Settings:
+    """From the file that `calibrate` writes; raises FieldError."""
+    found = mapping(get(mapping(content, "the file"), "settings"), "settings")
+    known = {field.name for field in fields(Settings)}
+    if strange := set(found) ^ known:
+        raise FieldError(f"settings: {sorted(strange)[0]!r:.40} is missing or unknown")
+    kappa = mapping(found["kappa"], "kappa")
+    return Settings(
+        kappa={law: _positive(get(kappa, law), f"kappa.{law}") for law in _LAW_KINDS},
+        **{name: _positive(found[name], name) for name in known - {"kappa"}},
+    )
+
+
+def _positive(value: Any, name: str) -> float:
+    found = number(value, name)
+    if found <= 0.0:
+        raise FieldError(f"{name} is {found:g}; it must be positive")
+    return found

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from galen_model.json_fields import FieldError, get, mapping, text
+from galen_model.json_fields import FieldError, get, items, mapping, number, text, texts
 
 from galen_diagnosis.answer import NONE, UNKNOWN
 
@@ -52,19 +52,27 @@ def said_from_json(recording: str, content: Any, seconds: float | None = None) -
     if verdict not in VERDICTS:
         raise FieldError(f"verdict is {verdict!r:.40}; expected one of {', '.join(VERDICTS)}")
     ranking = {
-        text(get(mapping(row, "ranking"), "effect"), "effect"): float(get(row, "probability"))
-        for row in get(answer, "ranking")
+        text(get(mapping(row, "ranking"), "effect"), "effect"): number(
+            get(row, "probability"), "probability"
+        )
+        for row in items(get(answer, "ranking"), "ranking")
     }
     if not ranking or any(not 0.0 <= p <= 1.0 + 1e-9 for p in ranking.values()):
         raise FieldError("ranking is empty, or has a probability outside 0 ... 1")
-    causes = [mapping(cause, "cause") for cause in get(answer, "causes")]
+    causes = [mapping(cause, "cause") for cause in items(get(answer, "causes"), "causes")]
     closed = mapping(get(answer, "gap"), "gap").get("closed_fraction")
+    value = None if closed is None else get(mapping(closed, "closed_fraction"), "value")
     return Said(
         recording=recording,
         verdict=verdict,
-        causes={text(get(c, "effect"), "effect"): dict(get(c, "parameters")) for c in causes},
-        equivalent=frozenset(name for cause in causes for name in cause.get("equivalent", ())),
+        causes={
+            text(get(c, "effect"), "effect"): dict(mapping(get(c, "parameters"), "parameters"))
+            for c in causes
+        },
+        equivalent=frozenset(
+            name for cause in causes for name in texts(cause.get("equivalent", ()), "equivalent")
+        ),
         ranking=ranking,
-        closed=None if closed is None or closed["value"] is None else float(closed["value"]),
+        closed=None if value is None else number(value, "closed_fraction"),
         seconds=seconds,
     )
