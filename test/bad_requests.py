@@ -49,7 +49,7 @@ NO_NAMES = [name for name in NAMES if name not in ("absent", "POINTER")]
 NOT_FINITE = [math.nan, math.inf, -math.inf]
 HUGE = [1e300, -1e300, 1.7e308]
 
-FORCES = [[x, 0.0, 0.0] for x in NOT_FINITE] + [[0.0, math.nan, 1e308]]
+FORCES = [[x, 0.0, 0.0] for x in (*NOT_FINITE, *HUGE)] + [[0.0, math.nan, 1e308]]
 TIMES = [*NOT_FINITE, -1.0, -1e308, 1.7e308]
 
 SERVICES: dict[str, tuple[type, dict[str, Any], Bad]] = {

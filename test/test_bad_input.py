@@ -18,7 +18,7 @@ from galen_model.errors import GalenError
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-JSON_READERS = ("tool_file", "model_json", "comparison")
+JSON_READERS = ("tool_file", "model_json", "comparison", "answer", "settings")
 LEFT = {reader.file_name for reader in READERS.values()} | {"bag_0.mcap"}
 
 

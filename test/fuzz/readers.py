@@ -9,11 +9,14 @@ from __future__ import annotations
 
 import hashlib
 import json
+import shutil
 import sys
 import warnings
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 
@@ -37,8 +40,9 @@ from bags_samples import (  # noqa: E402  after the paths
     write_rosbag2,
 )
 from deflection_made_model import made_model  # noqa: E402
-from galen_bags.arm_recording import read_arm  # noqa: E402
+from galen_bags.arm_recording import ArmTopics, read_arm  # noqa: E402
 from galen_bags.bag import open_bag  # noqa: E402
+from galen_bags.convert import build_parser, convert  # noqa: E402
 from galen_bags.mcap_records import zstd  # noqa: E402
 from galen_bags.messages import Decoder  # noqa: E402
 from galen_bags.metadata import read_metadata  # noqa: E402
@@ -52,12 +56,18 @@ from galen_bags.raw_block import pack  # noqa: E402
 from galen_deflection.model_file import read_model, write_model  # noqa: E402
 from galen_deflection.transmission.joint_report import read_listed  # noqa: E402
 from galen_deflection.transmission.runs import ColumnMap, read_run  # noqa: E402
+from galen_diagnosis.blind.keeper import Places, answered  # noqa: E402
+from galen_diagnosis.settings import load_settings  # noqa: E402
+from galen_gravcomp.drift_series import read_series  # noqa: E402
+from galen_gravcomp.score_motion import read_motion  # noqa: E402
 from galen_gravcomp.wire import ImuWire, JointWire, WrenchWire  # noqa: E402
 from galen_model.arm import JOINT_NAMES  # noqa: E402
 from galen_model.errors import GalenError  # noqa: E402
 from galen_model.tool_comparison import compare_tools  # noqa: E402
 from galen_model.tool_file import LoadEstimate, ToolFile, read_tool, write_tool  # noqa: E402
 from galen_model.tool_store import ToolStore  # noqa: E402
+
+from galen_diagnosis import settings  # noqa: E402
 
 LONGEST_MESSAGE = 2000
 """Letters, beside the path; more of a hostile file must not get into a log."""
@@ -277,6 +287,101 @@ def _table_seeds() -> list[bytes]:
     return [*seeds, run.encode()]
 
 
+def use_convert(path: Path) -> None:
+    """Into a bag, by `convert`; the bag is whole, or there is none."""
+    bag = path.with_name("bag")
+    options = ["--json", "--time-unit", "ms", "--start-s", "1", "-o", str(bag)]
+    refused: GalenError | None = None
+    for files in ([str(path)], ["--wrench", str(path), "--orientations", str(path)]):
+        try:
+            written = convert(build_parser().parse_args([*files, *options]))
+        except GalenError as error:
+            assert not bag.exists()
+            refused = error
+            continue
+        arm = read_arm(bag)
+        counts = {name: topic["messages"] for name, topic in written["topics"].items()}
+        assert counts == {"joint_states": len(arm.joints), "wrench_raw": len(arm.wrenches)}
+        assert np.isfinite(arm.joints).all() and np.isfinite(arm.wrenches).all()
+        shutil.rmtree(bag)
+    if refused is not None:
+        raise refused
+
+
+def use_motion(path: Path) -> None:
+    """As `score_motion` and `drift` read tables, of wrenches, orientations and accelerations."""
+    refused: GalenError | None = None
+    try:
+        run = read_motion(path, path, path, 1.0, 9.80665)
+        for part in (run.wrench_s, run.wrench, run.imu_s, run.specific, run.gravity_s, run.gravity):
+            assert np.isfinite(part).all()
+    except GalenError as error:
+        refused = error
+    series = read_series([path], ArmTopics(), cell_s=10.0)
+    assert series.samples > 0 and series.reading.shape[1] == 6
+    if refused is not None:
+        raise refused
+
+
+def _motion_seeds() -> list[bytes]:
+    head = b"t,fx,fy,fz,tx,ty,tz,gx,gy,gz,ax,ay,az\n"
+    run = "".join(f"{k / 50},{k},2,3,.1,.2,.3,0,{k % 3},-9.81,0,{k % 2},-1\n" for k in range(20))
+    hour = "".join(f"{k},{k % 7},2,3,1,2,3\n" for k in range(650))
+    return [head + run.encode(), head[:19] + b"\n" + hour.encode()]
+
+
+# --- diagnosis ------------------------------------------------------------------------------------
+
+
+def use_settings(path: Path) -> None:
+    """The package's own calibration, by its own reader."""
+    with patched(path):
+        found = load_settings()
+    assert all(found.kappa_of(effect) > 0.0 for effect in ("none", "cable_drag", "base_shift"))
+
+
+@contextmanager
+def patched(path: Path) -> Iterator[None]:
+    """Let the package's calibration be this file."""
+    files, settings.resources.files = settings.resources.files, lambda _: path.parent
+    try:
+        yield
+    finally:
+        settings.resources.files = files
+
+
+def use_answer(path: Path) -> None:
+    """A diagnosis's answer in a blind check."""
+    folder = path.parent / "answers" / "r"
+    folder.mkdir(parents=True, exist_ok=True)
+    try:
+        (folder / path.name).write_bytes(path.read_bytes())
+        (one,) = answered(Places(path.parent), [SimpleNamespace(recording="r")])
+    finally:
+        shutil.rmtree(folder.parent)
+    assert one.said.first in one.said.ranking and one.said.named >= set(one.said.causes)
+    assert np.isfinite([*one.said.ranking.values(), one.said.closed or 0.0]).all()
+
+
+def _answer_seeds() -> list[bytes]:
+    cause = {"effect": "cable_drag", "parameters": {"x": 1.0}, "equivalent": ["base_shift"]}
+    content = {
+        "verdict": "identified",
+        "ranking": [
+            {"effect": "cable_drag", "probability": 0.9},
+            {"effect": "none", "probability": 0.1},
+        ],
+        "causes": [cause],
+        "gap": {"closed_fraction": {"value": 0.8}},
+    }
+    return [json.dumps(content).encode()]
+
+
+def _settings_seeds() -> list[bytes]:
+    content = {"settings": asdict(settings.Settings())}
+    return [json.dumps(content).encode()]
+
+
 # --- bags -----------------------------------------------------------------------------------------
 
 
@@ -416,6 +521,10 @@ READERS = {
     "model_packed": Reader("model.safetensors", _packed_seeds, use_model),
     "comparison": Reader("comparison.json", _comparison_seeds, use_comparison),
     "table": Reader("table.csv", _table_seeds, use_table),
+    "convert": Reader("table.csv", _table_seeds, use_convert),
+    "motion": Reader("table.csv", _motion_seeds, use_motion),
+    "answer": Reader("diagnosis.json", _answer_seeds, use_answer),
+    "settings": Reader("calibration.json", _settings_seeds, use_settings),
     "mcap": Reader("bag.mcap", _mcap_seeds, use_bag),
     "mcap_zstd": Reader("bag.mcap.zstd", lambda: [zstd.compress(_MCAP)], use_bag),
     "db3": Reader("bag.db3", _db3_seeds, use_bag),

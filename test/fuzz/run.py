@@ -19,10 +19,11 @@ import time
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-PACKAGES = ["galen_model", "galen_ros", "galen_bags", "galen_deflection", "galen_gravcomp"]
+PACKAGES = [f"galen_{name}" for name in ("model", "ros", "bags", "deflection", "gravcomp")]
+PACKAGES += ["galen_diagnosis"]
 TARGETS = (
-    "tool_file", "model_json", "model_packed", "comparison", "table", "mcap", "mcap_zstd", "db3",
-    "ros1", "metadata", "messages",
+    "tool_file", "model_json", "model_packed", "comparison", "table", "convert", "motion", "answer",
+    "settings", "mcap", "mcap_zstd", "db3", "ros1", "metadata", "messages",
 )  # fmt: skip
 
 
