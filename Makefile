@@ -1,7 +1,7 @@
 # `make demo` and `make test` do all they need; `make help` lists the rest.
 SHELL := /bin/bash
 .DEFAULT_GOAL := help
-.PHONY: help setup networks build test test-slow test-soak lint demo bench blind blind-short clean
+.PHONY: help setup networks build test test-slow test-soak lint demo bench soak blind blind-short clean
 
 STARTER ?= python3
 SETUP = $(STARTER) scripts/setup_env.py
@@ -46,6 +46,9 @@ demo: build ## calibrate two tools on the simulated arm and show the report's ta
 
 bench: build ## measure: nodes against a bare relay, kernels, start-up, diagnosis, bags (40 min)
 	@$(ENTER) && python -m galen_bringup.bench --output output/bench.json $(ARGS)
+
+soak: build ## run the nodes for long: losses, memory, stamps; an hour simulated, 10 min at 1000 Hz
+	@$(ENTER) && python -m galen_bringup.soak $(ARGS)
 
 blind: build ## hide causes in recordings, diagnose them, score that (an hour or more)
 	@$(ENTER) && python -m galen_diagnosis.blind_check $(ARGS)

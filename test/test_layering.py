@@ -29,6 +29,7 @@ ROS_MODULES = {
     "galen_bringup.drift",
     "galen_bringup.figures",
     "galen_bringup.processes",
+    "galen_bringup.soak",
     "galen_bringup.startup_benchmark",
     "galen_bringup.suite",
     "galen_bringup.verification",

@@ -19,6 +19,7 @@ from functools import partial
 import numpy as np
 from galen_deflection.bench_models import bench_models
 from galen_deflection.models.interface import Stream
+from galen_gravcomp.bench_tool import bench_tool
 from galen_gravcomp.prediction import Prediction
 from galen_model.arm import SENSOR
 from galen_model.arrays import Array
@@ -26,7 +27,6 @@ from galen_model.identification import StillPoses, identify_two_sweeps
 from galen_model.kinematics import gravity_in_sensor
 from galen_model.load import gravity_regressor
 from galen_model.pinocchio_arm import PinocchioArm
-from galen_model.tool_file import LoadEstimate, ToolFile
 from rich.table import Table
 
 from galen_bringup.timing import Timing, time_calls
@@ -60,15 +60,6 @@ def peer_wrench(rotation: Array, mass_kg: float, com_m: Array, reading: Array) -
     """
     force = rotation.T @ (mass_kg * _GRAVITY)
     return np.asarray(reading - np.concatenate([force, np.cross(com_m, force)]))
-
-
-def bench_tool() -> ToolFile:
-    """The pointer, as calibrated."""
-    load = LoadEstimate(0.06, np.array([0.055, 0.002, 0.045]), np.eye(4) * 1e-8)
-    return ToolFile(
-        tool="bench", load=load, bias=load, tip_m=np.zeros(3), rmse=np.zeros(6), poses_used=0,
-        calibrated_at="2026-01-01T00:00:00+00:00",
-    )  # fmt: skip
 
 
 def one_sample(rounds: int) -> list[Compared]:

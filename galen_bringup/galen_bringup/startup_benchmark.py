@@ -18,7 +18,7 @@ from pathlib import Path
 
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
-from galen_gravcomp.benchmark import write_bench_tool
+from galen_gravcomp.bench_tool import NAME, write_bench_tool
 from galen_gravcomp.node_benchmark import cpu_s
 from galen_gravcomp.node_benchmark_table import spread
 from galen_ros.domain import DomainLock
@@ -47,7 +47,7 @@ def subjects(folder: Path) -> dict[str, tuple[str, tuple[str, ...]]]:
         "relay": ("relay", ("galen_gravcomp.node_benchmark", "relay", "wrench_raw")),
         "gravcomp_node": (
             "gravcomp",
-            ("galen_gravcomp.node", *ros, *tools, "-p", "tool:=bench"),
+            ("galen_gravcomp.node", *ros, *tools, "-p", f"tool:={NAME}"),
         ),
         "deflection_node": ("deflection", ("galen_deflection.node", *ros)),
         "sim_driver_node": ("sim_driver", ("galen_sim_driver.node", *ros)),

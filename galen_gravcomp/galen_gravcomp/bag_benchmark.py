@@ -30,12 +30,13 @@ from galen_bags.arm_recording import ArmReader
 from galen_bags.bag import open_bag
 from galen_bags.writer import BagWriter
 from galen_model.arm import JOINT_NAMES, SENSOR
-from galen_model.tool_file import LoadEstimate, ToolFile, read_tool, write_tool
+from galen_model.tool_file import read_tool, write_tool
 from galen_ros.cdr import JointStateBytes, WrenchBytes
 from rich.table import Table
 from tqdm import tqdm
 
 from galen_gravcomp.bag_evaluation import evaluate_bag
+from galen_gravcomp.bench_tool import bench_tool
 
 _START_NS = 1_767_225_600_000_000_000
 _BLOCK_S = 60.0
@@ -52,20 +53,6 @@ class Measurement:
     seconds: float
     us_a_message: float
     peak_mb: float
-
-
-def bench_tool() -> ToolFile:
-    """A tool's file to evaluate with."""
-    covariance = np.eye(4) * 1e-8
-    return ToolFile(
-        tool="bench",
-        load=LoadEstimate(0.2, np.array([0.07, -0.01, 0.055]), covariance),
-        bias=LoadEstimate(0.1, np.array([0.0, 0.0, 0.02]), covariance),
-        tip_m=np.zeros(3),
-        rmse=np.full(6, 1e-3),
-        poses_used=56,
-        calibrated_at="2026-01-01T00:00:00+00:00",
-    )
 
 
 def generate(path: Path, hours: float, rate_hz: float, *, quiet: bool) -> int:

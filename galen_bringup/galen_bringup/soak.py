@@ -1,0 +1,322 @@
+"""Runs the nodes for long and looks at what wears out: losses, memory, stamps, latency.
+
+    make soak                           # an hour of simulated time, then 10 minutes at 1000 Hz
+    make soak ARGS="--only real --minutes 60"
+
+- `simulated`: the simulated arm moves about at `--speed` times real time; gravcomp compensates.
+- `real`: a sender gives 1000 wrenches and joint vectors a second with the system's stamps;
+  gravcomp compensates, deflection predicts from what comes out.
+
+This process hears every wrench_raw, wrench_compensated and deflection and compares their stamps one
+by one. Memory is each process's resident set. What counts is its slope after the first tenth.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import struct
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterable, Sequence
+from contextlib import ExitStack
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from diagnostic_msgs.msg import DiagnosticArray
+from galen_deflection.bench_models import write_bench_models
+from galen_gravcomp.bench_tool import NAME, write_bench_tool
+from galen_gravcomp.node_benchmark import cpu_s
+from galen_model.arm import HOME, JOINT_NAMES
+from galen_model.whole_file import write_whole
+from galen_ros.cdr import NS_PER_S, STAMP_AT
+from galen_ros.diagnostics import Level
+from galen_ros.qos import STREAM
+from galen_ros.spin import make_executor
+from geometry_msgs.msg import WrenchStamped
+from rclpy.node import Node
+from rich.console import Console
+from tqdm import tqdm
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
+
+from galen_bringup.processes import Processes, ros_arguments
+from galen_bringup.soak_report import print_report, save_plot
+from galen_bringup.stamp_ledger import Account, StampLedger
+from galen_bringup.suite import ros_world
+from galen_msgs.msg import DeflectionStamped
+
+_WINDOW_S = 5.0
+_MOVE_EVERY_S = 4.0
+_START_TIMEOUT_S = 60.0
+_SETTLE_S = 2.0
+
+
+@dataclass
+class Soaked:
+    """What was seen. Windows are of 5 s of wall time; memory in MB, latencies in ms.
+
+    delay: from a wrench's stamp to its compensation here (real time only); pace: simulated over
+    wall time, from the start to each window's end. states: what /diagnostics said beside OK, by
+    node and state: how often, and the last sentence.
+    """
+
+    kind: str
+    seconds: float
+    simulated_s: float
+    accounts: dict[str, Account]
+    cpu_percent: dict[str, float]
+    time_s: list[float] = field(default_factory=list)
+    memory_mb: dict[str, list[float]] = field(default_factory=dict)
+    delay_p50_ms: list[float] = field(default_factory=list)
+    delay_p99_ms: list[float] = field(default_factory=list)
+    delay_max_ms: list[float] = field(default_factory=list)
+    pace: list[float] = field(default_factory=list)
+    states: dict[str, tuple[int, str]] = field(default_factory=dict)
+
+    @property
+    def whole(self) -> bool:
+        """Whether nothing was lost, doubled, made up or out of order."""
+        return all(
+            account.went_in > 0
+            and not (account.lost or account.doubled or account.unknown or account.disordered)
+            for account in self.accounts.values()
+        )
+
+
+class Listener(Node):
+    """Hears the streams as bytes, and looks at their stamps only."""
+
+    def __init__(self, with_deflection: bool) -> None:
+        super().__init__("soak_listener")
+        self.ledgers = {"wrench_compensated": StampLedger()}
+        if with_deflection:
+            self.ledgers["deflection"] = StampLedger()
+        self.stamp_ns = 0
+        self.delays_ns: list[int] = []
+        self.states: dict[str, tuple[int, str]] = {}
+        self.compensated = 0
+        self.deflections = 0
+        self._move = self.create_publisher(JointTrajectory, "joint_trajectory", 10)
+        self._rng = np.random.default_rng(1)
+        self.create_subscription(WrenchStamped, "wrench_raw", self._on_raw, STREAM, raw=True)
+        self.create_subscription(
+            WrenchStamped, "wrench_compensated", self._on_compensated, STREAM, raw=True
+        )
+        if with_deflection:
+            self.create_subscription(
+                DeflectionStamped, "deflection", self._on_deflection, STREAM, raw=True
+            )
+        self.create_subscription(DiagnosticArray, "/diagnostics", self._on_state, 50)
+
+    def _on_raw(self, data: bytes) -> None:
+        self.stamp_ns = _stamp_ns(data)
+        self.ledgers["wrench_compensated"].go_in(self.stamp_ns)
+
+    def _on_compensated(self, data: bytes) -> None:
+        stamp_ns = _stamp_ns(data)
+        self.compensated += 1
+        self.delays_ns.append(time.time_ns() - stamp_ns)
+        self.ledgers["wrench_compensated"].come_out(stamp_ns)
+        if "deflection" in self.ledgers:
+            self.ledgers["deflection"].go_in(stamp_ns)
+
+    def _on_deflection(self, data: bytes) -> None:
+        self.deflections += 1
+        self.ledgers["deflection"].come_out(_stamp_ns(data))
+
+    def _on_state(self, message: DiagnosticArray) -> None:
+        for status in message.status:
+            level = status.level[0] if isinstance(status.level, bytes) else status.level
+            if level != Level.OK.value and "galen" in status.hardware_id:
+                state = next((one.value for one in status.values if one.key == "state"), "")
+                key = f"{status.name} {state}".rstrip()
+                count, _ = self.states.get(key, (0, ""))
+                self.states[key] = count + 1, status.message
+
+    def move(self) -> None:
+        """Send the arm somewhere."""
+        joints = HOME + self._rng.uniform(-1, 1, 5) * [0.05, 0.05, 0.04, 1.2, 0.8]
+        point = JointTrajectoryPoint(positions=joints.tolist())
+        point.time_from_start.sec = int(_MOVE_EVERY_S) - 1
+        self._move.publish(JointTrajectory(joint_names=list(JOINT_NAMES), points=[point]))
+
+
+def _stamp_ns(data: bytes) -> int:
+    sec, nanosec = struct.unpack_from("<iI", data, STAMP_AT)
+    return int(sec * NS_PER_S + nanosec)
+
+
+def memory_mb(pid: int) -> float:
+    """Resident set of a process, MB (Linux)."""
+    for line in Path(f"/proc/{pid}/status").read_text(encoding="ascii").splitlines():
+        if line.startswith("VmRSS:"):
+            return int(line.split()[1]) * 1024 / 1e6
+    raise RuntimeError(f"process {pid} has ended")
+
+
+def soak(kind: str, seconds: float, speed: float, rate_hz: float, folder: Path) -> Soaked:
+    """Run one kind for so many seconds of wall time; logs go to folder."""
+    simulated = kind == "simulated"
+    write_bench_tool(folder)
+    springs = write_bench_models(folder)[0]
+    with ExitStack() as stack:
+        stack.enter_context(ros_world())
+        processes = stack.enter_context(Processes(folder / "log"))
+        pids = {}
+        if simulated:
+            # It, not the nodes, shall give way where the machine is short of time.
+            driver = ros_arguments({"speed_factor": speed, "initial_tool": NAME})
+            pids["driver"] = processes.start(
+                "galen_sim_driver", "sim_driver_node", driver, niceness=10
+            )
+        given = {"tools_dir": folder, "tool": NAME, "use_sim_time": simulated}
+        pids["gravcomp"] = processes.start("galen_gravcomp", "gravcomp_node", ros_arguments(given))
+        if not simulated:
+            pids["deflection"] = processes.start(
+                "galen_deflection", "deflection_node", ros_arguments({"model_file": springs})
+            )
+            pids["sender"] = stack.enter_context(_Sender(rate_hz)).pid
+        executor = make_executor()
+        listener = Listener(with_deflection=not simulated)
+        executor.add_node(listener)
+        stack.callback(executor.shutdown)
+        stack.callback(listener.destroy_node)
+        stack.callback(lambda: executor.remove_node(listener))
+        return _watch(kind, seconds, listener, executor, processes, pids)
+
+
+class _Sender:
+    """The benchmark's sender as a process."""
+
+    def __init__(self, rate_hz: float) -> None:
+        self._rate_hz = rate_hz
+
+    def __enter__(self) -> subprocess.Popen[bytes]:
+        """Start it."""
+        module = ["galen_gravcomp.node_benchmark", "sender", "wrench_raw", "--moving"]
+        command = [sys.executable, "-m", *module, "--rate", str(self._rate_hz)]
+        self._process = subprocess.Popen(command)
+        return self._process
+
+    def __exit__(self, *_: object) -> None:
+        """End it."""
+        self._process.terminate()
+        self._process.wait(timeout=10.0)
+
+
+def _watch(
+    kind: str,
+    seconds: float,
+    listener: Listener,
+    executor: Any,
+    processes: Processes,
+    pids: dict[str, int],
+) -> Soaked:
+    def spin(duration_s: float) -> None:
+        until_s = time.monotonic() + duration_s
+        while (left_s := until_s - time.monotonic()) > 0.0:
+            executor.spin_once(timeout_sec=min(left_s, 0.05))
+
+    began_s = time.monotonic()
+    while not listener.compensated or (
+        "deflection" in listener.ledgers and not listener.deflections
+    ):
+        spin(0.1)
+        processes.check()
+        if time.monotonic() - began_s > _START_TIMEOUT_S:
+            raise RuntimeError(f"nothing came out for {_START_TIMEOUT_S:g} s")
+    spin(_SETTLE_S)
+    listener.states.clear()
+    listener.delays_ns.clear()
+    out = Soaked(kind, seconds, 0.0, {}, {}, memory_mb={name: [] for name in pids})
+    used_s = {name: cpu_s(pid) for name, pid in pids.items()}
+    start_s, start_ns, move_s = time.monotonic(), listener.stamp_ns, 0.0
+    with tqdm(total=round(seconds), unit="s", disable=not sys.stderr.isatty()) as bar:
+        while (now_s := time.monotonic() - start_s) < seconds:
+            if kind == "simulated" and now_s >= move_s:
+                listener.move()
+                move_s = now_s + _MOVE_EVERY_S / 2.0
+            spin(min(_WINDOW_S if kind == "real" else 2.0, seconds - now_s))
+            processes.check()
+            for ledger in listener.ledgers.values():
+                ledger.settle()
+            passed_s = time.monotonic() - start_s
+            if not out.time_s or passed_s - out.time_s[-1] >= 0.9 * _WINDOW_S:
+                out.time_s.append(passed_s)
+                for name, pid in pids.items():
+                    out.memory_mb[name].append(memory_mb(pid))
+                delays_ms = np.array(listener.delays_ns) * 1e-6
+                listener.delays_ns.clear()
+                if kind == "real":
+                    p50, p99 = np.percentile(delays_ms, (50, 99))
+                    out.delay_p50_ms.append(float(p50))
+                    out.delay_p99_ms.append(float(p99))
+                    out.delay_max_ms.append(float(delays_ms.max()))
+                out.pace.append((listener.stamp_ns - start_ns) * 1e-9 / passed_s)
+            bar.update(round(passed_s) - bar.n)
+    elapsed_s = time.monotonic() - start_s
+    out.seconds = elapsed_s
+    out.simulated_s = (listener.stamp_ns - start_ns) * 1e-9
+    out.cpu_percent = {
+        name: 100.0 * (cpu_s(pid) - used_s[name]) / elapsed_s for name, pid in pids.items()
+    }
+    for name, ledger in listener.ledgers.items():
+        ledger.settle()
+        out.accounts[name] = ledger.account
+    out.states = dict(listener.states)
+    return out
+
+
+def build_parser() -> argparse.ArgumentParser:
+    """The command's options."""
+    parser = argparse.ArgumentParser(
+        prog="make soak",
+        description=(__doc__ or "").partition("\n")[0],
+        epilog="Ends with 1 where a wrench was lost, doubled, made up or out of order.",
+    )
+    kinds = ("simulated", "real")
+    parser.add_argument("--only", nargs="+", choices=kinds, default=list(kinds), help="which")
+    parser.add_argument("--hours", type=float, default=1.0, help="of simulated time (1)")
+    parser.add_argument("--speed", type=float, default=4.0, help="simulated over wall time (4)")
+    parser.add_argument("--minutes", type=float, default=10.0, help="of real time (10)")
+    parser.add_argument("--rate", type=float, default=1000.0, help="in real time, Hz (1000)")
+    parser.add_argument(
+        "--output", type=Path, default=Path("output/soak"), metavar="DIR", help="results go here"
+    )
+    parser.add_argument("--json", action="store_true", help="print JSON in place of tables")
+    return parser
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Be the command."""
+    options = build_parser().parse_args(arguments)
+    os.environ.setdefault("OMP_NUM_THREADS", "1")
+    found = []
+    for kind in _each(options.only):
+        simulated = kind == "simulated"
+        seconds = 3600.0 * options.hours / options.speed if simulated else 60.0 * options.minutes
+        with tempfile.TemporaryDirectory(prefix="galen_soak_") as folder:
+            found.append(soak(kind, seconds, options.speed, options.rate, Path(folder)))
+        text = json.dumps([asdict(one) for one in found], indent=1)
+        write_whole(options.output / "soak.json", text + "\n")
+        save_plot(found[-1], options.output / f"soak_{kind}.png")
+    if options.json:
+        print(text)
+    else:
+        console = Console(width=None if sys.stdout.isatty() else 120)
+        for one in found:
+            print_report(one, console)
+    return 0 if all(one.whole for one in found) else 1
+
+
+def _each(kinds: Iterable[str]) -> list[str]:
+    return [kind for kind in ("simulated", "real") if kind in set(kinds)]
+
+
+if __name__ == "__main__":
+    sys.exit(main())

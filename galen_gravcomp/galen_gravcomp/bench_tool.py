@@ -1,0 +1,33 @@
+"""The tool that benchmarks work with: the simulator's nominal retractor on its adapter. No ROS."""
+
+from pathlib import Path
+
+import numpy as np
+from galen_model.arm import SENSOR
+from galen_model.load import Load
+from galen_model.tool_file import LoadEstimate, ToolFile, tool_path, write_tool
+from galen_model.tools import ADAPTER, TOOLS
+
+NAME = "retractor"
+
+
+def bench_tool() -> ToolFile:
+    """Its file's content, without any error of a calibration."""
+
+    def estimate(load: Load) -> LoadEstimate:
+        return LoadEstimate(load.mass_kg, load.com_m, np.eye(4) * 1e-8)
+
+    return ToolFile(
+        tool=NAME,
+        load=estimate(TOOLS[NAME].load),
+        bias=estimate(ADAPTER),
+        tip_m=TOOLS[NAME].tip_m,
+        rmse=SENSOR.noise_std.copy(),
+        poses_used=56,
+        calibrated_at="2026-01-01T00:00:00+00:00",
+    )
+
+
+def write_bench_tool(tools_dir: Path) -> None:
+    """Write it into a folder of tools."""
+    write_tool(tool_path(tools_dir, NAME), bench_tool())
