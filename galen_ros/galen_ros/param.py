@@ -34,6 +34,10 @@ _TYPE_NAMES: dict[Any, str] = {
 }
 
 
+LARGEST = 1e12
+"""Of any float: no SI number of an arm comes near it, and products of several don't overflow."""
+
+
 class ParameterError(GalenError):
     """A parameter's value can't be used. The message names parameter, value and what is allowed."""
 
@@ -153,7 +157,7 @@ def _checked_scalar(value: Any, kind: Any, meaning: Meaning) -> Any:
     if type(value) is not kind:
         raise ValueError
     if kind in (int, float):
-        if not math.isfinite(value):
+        if not math.isfinite(value) or (kind is float and abs(value) > LARGEST):
             raise ValueError
         if meaning.minimum is not None and value < meaning.minimum:
             raise ValueError
@@ -165,8 +169,10 @@ def _checked_scalar(value: Any, kind: Any, meaning: Meaning) -> Any:
 def wanted(hint: Any, meaning: Meaning) -> str:
     """Say of what type and in what range a value must be."""
     text = f"a {_TYPE_NAMES[hint]}" if hint is not int else "an int"
-    limits = _format_range(meaning)
-    return text if not limits else f"{text}, {limits}"
+    limits = [_format_range(meaning)]
+    if hint in (float, tuple[float, ...]) and meaning.maximum is None:
+        limits.append(f"no larger than {LARGEST:g}")
+    return ", ".join([text, *filter(None, limits)])
 
 
 def _format_range(meaning: Meaning) -> str:

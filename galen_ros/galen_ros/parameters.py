@@ -179,7 +179,7 @@ def _declare(
     start = list(default) if isinstance(default, tuple) else default
     try:
         value = node.declare_parameter(name, start, descriptor).value
-    except ParameterException as error:
+    except (ParameterException, ValueError) as error:  # ValueError: a list with nothing in it
         # rclpy keeps an override's value to itself: its own message says it, ours adds the range.
         raise ParameterError(
             f"parameter '{name}' must be {wanted(hint, meaning)}: {error}"

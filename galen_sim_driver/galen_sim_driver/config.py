@@ -41,6 +41,9 @@ LONGEST_PUSH_S = 3600.0
 LARGEST_PUSH = 1e4
 """N, or N.m about the tip: beyond what any arm of this size bears, and no number overflows."""
 
+LEAST_TENSION_N = 1e-6
+"""The stiffness over less overflows."""
+
 ZERO3: Vector3 = (0.0, 0.0, 0.0)
 ZERO6: SixNumbers = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
@@ -244,6 +247,10 @@ class CableConfig:
                 math.isfinite(value) and value >= 0.0,
                 f"{name} of the cable is {value}, but can't be negative",
             )
+        _require(
+            self.tension_n == 0.0 or self.tension_n >= LEAST_TENSION_N,
+            f"tension of the cable is {self.tension_n} N: 0, or at least {LEAST_TENSION_N:g}",
+        )
         for value in (*self.anchor_m, *self.attachment_m):
             _require(math.isfinite(value), f"an end of the cable is at {value} m")
 
