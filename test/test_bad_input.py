@@ -47,11 +47,11 @@ def test_any_bytes_and_damaged_files(name: str, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("name", JSON_READERS)
 def test_json_with_a_part_that_is_wrong(name: str, tmp_path: Path) -> None:
-    hold(name, json_with_a_wrong_part(READERS[name].seeds()), tmp_path, 60)
+    hold(name, json_with_a_wrong_part(READERS[name].seeds()), tmp_path, 20)
 
 
 def test_tables_of_anything(tmp_path: Path) -> None:
-    hold("table", table_text(), tmp_path, 80)
+    hold("table", table_text(), tmp_path, 40)
 
 
 def test_metadata_with_a_part_that_is_wrong(tmp_path: Path) -> None:

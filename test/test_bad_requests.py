@@ -226,9 +226,9 @@ def started(world: World, kind: Callable[..., Any], name: str, value: Any) -> No
         world.harness.call_in_executor(make)
     except GalenError as error:
         told(str(error))
-    except ParameterException:
+    except (ParameterException, ValueError):
         if name not in RCLPYS:
-            raise  # those galen_ros.spin says
+            raise
     else:
         return
     world.refused += 1
