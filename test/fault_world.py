@@ -6,7 +6,7 @@ import subprocess
 import sys
 import time
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import ExitStack
+from contextlib import ExitStack, contextmanager
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
@@ -172,8 +172,9 @@ class FaultWorld:
             self.wait_for(publisher.get_subscription_count, "a subscription to the driver")
         return source
 
-    def add_beside(self, source, name, remaps=()):
-        """Another driver, found while the first one sends without a pause."""
+    @contextmanager
+    def beside(self, source, name, remaps=()):
+        """Another driver, found while the first one sends without a pause, and gone in the end."""
         arguments = [word for pair in remaps for word in ("-r", pair)]
         with ThreadPoolExecutor(1) as thread:
             made = thread.submit(
@@ -183,7 +184,10 @@ class FaultWorld:
                 ),
             )
             self.wait_for(made.done, f"the driver {name}", lambda: self.step(source))
-            return made.result()
+        try:
+            yield made.result()
+        finally:
+            self.harness.remove(made.result())
 
     def arm(self):
         """Where the arm is now, and what the sensor reads there with a push of the hand on it."""

@@ -91,9 +91,13 @@ def test_a_cancel_at_any_moment_stops_the_arm_and_writes_nothing(world, state, s
     handle = send(world)
     assert handle.accepted
     number = getattr(CalibrateTool.Feedback, state)
-    world.wait_for(
-        lambda: [s for s in world.client.states if s >= number], f"{state}", patience_s=300.0
-    )
+    end = handle.get_result_async()
+
+    def there():
+        assert not end.done() or number == CalibrateTool.Feedback.ESTIMATE, end.result().result
+        return end.done() or [s for s in world.client.states if s >= number]
+
+    world.wait_for(there, state, patience_s=300.0)
     del world.client.joints[:]
     world.wait_for(lambda: len(world.client.joints) >= samples, "a moment in it")
     world.wait_for(handle.cancel_goal_async().done, "an answer to the cancel")
