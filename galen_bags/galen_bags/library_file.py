@@ -10,6 +10,8 @@ from typing import Any
 
 import apsw
 from lz4.frame import LZ4FrameDecompressor
+from rosbags.interfaces import Nodetype
+from rosbags.interfaces.typing import Typesdict
 from rosbags.rosbag1 import Reader as Ros1Reader
 from rosbags.rosbag1 import ReaderError as Ros1Error
 from rosbags.rosbag1.reader import decompressors
@@ -24,14 +26,17 @@ from galen_bags.problems import Problems
 from galen_bags.raw_block import Messages, TopicInfo, packed
 
 # What the library raises on a damaged file. The built-in ones come from its parsing of bytes; a
-# RuntimeError is also one for recursion, in a type's definition.
+# RuntimeError is also one for recursion, in a type's definition, a SyntaxError one for lists within
+# lists: of a definition the library makes a program.
 _DAMAGE = (
     Rosbag2Error, Ros1Error, SerdeError, TypesysError, apsw.Error, struct.error,
     AssertionError, LookupError, TypeError, ValueError, RuntimeError, EOFError, MemoryError,
+    SyntaxError,
 )  # fmt: skip
 # SQLite is given the path as a URI, in which these mean something.
 _URI_SIGNS = frozenset("?#%")
 _HEADER = "std_msgs/msg/Header"
+_MOST_FIELDS, _DEEPEST = 2000, 20
 _FORMS = {"MSG": "ros2msg", "IDL": "ros2idl", "NONE": ""}
 
 
@@ -135,9 +140,42 @@ def _to_cdr(connection: Any) -> Callable[[bytes], bytes]:
         # The library steps over the number that only ROS 1's headers have, if it is not a field.
         constants, fields = defined[_HEADER]
         defined[_HEADER] = (constants, [field for field in fields if field[0] != "seq"])
+    _check_size(defined)
     types = get_typestore(Stores.EMPTY)
     types.register(defined)
     return lambda data: bytes(types.ros1_to_cdr(data, connection.msgtype))
+
+
+def _check_size(defined: Typesdict) -> None:
+    """Raise TypesysError for types that hold themselves, many levels or thousands of fields.
+
+    The library writes out a program for every single one of them, also of `string[2000000000]`.
+    """
+    sizes: dict[str, int] = {}
+
+    def of_type(name: str, above: tuple[str, ...]) -> int:
+        if name in above or len(above) > _DEEPEST:
+            raise TypesysError(f"{name} holds itself, or types within types")
+        if name not in defined:
+            return 1  # time, or one that is missing, as the library will say
+        if name not in sizes:
+            sizes[name] = sum(of_field(what, (*above, name)) for _, what in defined[name][1])
+        if sizes[name] > _MOST_FIELDS:
+            raise TypesysError(f"{name} has more than {_MOST_FIELDS} fields")
+        return sizes[name]
+
+    def of_field(what: Any, above: tuple[str, ...]) -> int:
+        kind, inside = what
+        if kind == Nodetype.BASE:
+            return 1
+        if kind == Nodetype.NAME:
+            return of_type(inside, above)
+        each, count = inside
+        numbers = each[0] == Nodetype.BASE and each[1][0] != "string"
+        return of_field(each, above) * (count if kind == Nodetype.ARRAY and not numbers else 1)
+
+    for name in defined:
+        of_type(name, ())
 
 
 def _limit_chunks(reader: Ros1Reader) -> None:
