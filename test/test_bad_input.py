@@ -13,7 +13,9 @@ import numpy as np
 import pytest
 from bad_bytes import cut_up, json_with_a_wrong_part, table_text, yaml_with_a_wrong_part
 from fuzz.readers import READERS, check
+from galen_bags.errors import BagError
 from galen_bags.raw_block import pack
+from galen_bags.writer import BagWriter
 from galen_gravcomp.wire import WrenchWire
 from galen_model.errors import GalenError
 from hypothesis import HealthCheck, given, settings
@@ -149,6 +151,15 @@ def test_a_ros1_definition_that_explodes_is_refused(definition: str, words: str)
     connection = SimpleNamespace(msgdef=SimpleNamespace(data=definition), msgtype="p/msg/A")
     with pytest.raises(TypesysError, match=words):
         library_file._to_cdr(connection)
+
+
+@pytest.mark.parametrize(
+    "definition", ["A x\n", f"float64[{'9' * 5000}] x\n", "x\n", "other/T x\n"]
+)
+def test_a_definition_that_no_bag_can_hold_is_named(definition: str, tmp_path: Path) -> None:
+    """Such as that of another topic in a bag that is copied."""
+    with BagWriter(tmp_path / "bag") as bag, pytest.raises(BagError, match="topic: can't be added"):
+        bag.add_topic("topic", "p/msg/A", definition)
 
 
 FLOATS = st.floats() | st.sampled_from([math.nan, math.inf, -math.inf, 5e-324, 1e308])

@@ -100,7 +100,8 @@ class BagWriter:
                 typestore=self._types,
                 offered_qos_profiles=list(qos),
             )
-        except (TypesysError, WriterError) as error:
+        except (TypesysError, WriterError, ValueError, RecursionError) as error:
+            # The last two: of a made-up definition, with a size of 5000 digits or itself in it.
             raise BagError(f"{self.path}: {name}: can't be added: {error}") from error
 
     def knows(self, type_name: str) -> bool:
