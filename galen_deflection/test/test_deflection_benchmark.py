@@ -1,7 +1,7 @@
 """The benchmark's own models: files that read, and that do what they are measured for."""
 
 import numpy as np
-from galen_deflection.benchmark import write_bench_models
+from galen_deflection.bench_models import write_bench_models
 from galen_deflection.model_file import read_model
 
 

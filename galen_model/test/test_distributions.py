@@ -2,8 +2,9 @@
 
 import numpy as np
 import pytest
-from galen_model import distributions as ours
 from scipy import stats
+
+from galen_model import distributions as ours
 
 FREEDOM = np.array([1.0, 4.0, 6.0, 37.5, 3000.0])[:, None]
 PROBABILITY = np.array([1e-9, 1e-3, 0.025, 0.5, 0.975, 0.9999])
