@@ -31,7 +31,7 @@ test: build ## run the quick tests
 	@$(ENTER) && $(PYTEST) -m "not slow and not soak" $(ARGS)
 
 test-slow: build ## run the slow tests
-	@$(ENTER) && $(PYTEST) -m "slow and not soak" $(ARGS)
+	@$(ENTER) && $(PYTEST) -m "slow and not soak" --durations 12 $(ARGS)
 
 test-soak: build ## run the long tests: a thousand kills, more made-up input (many minutes)
 	@$(ENTER) && python -m pytest -m soak $(ARGS)
