@@ -62,6 +62,9 @@ def measure_nodes(
             node_benchmark.deflection_relay(topic),
             *deflection_nodes.subjects(write_bench_models(folder), topic),
         ]
+        if options.subjects:
+            wanted = ("relay", *options.subjects)
+            subjects = [one for one in subjects if one.name in wanted]
         return node_benchmark.compare(
             subjects, topic, options.rates, options.seconds, options.rounds, progress
         )
@@ -121,6 +124,9 @@ def build_parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--rates", type=float, nargs="+", default=[500.0, 1000.0, 2000.0], help="of nodes, Hz"
     )
+    parser.add_argument(
+        "--subjects", nargs="+", metavar="NAME", help="of nodes, by the table's names: these only"
+    )
     parser.add_argument("--seconds", type=float, default=8.0, help="of each run of a node (8)")
     parser.add_argument("--rounds", type=int, default=3, help="turns of each subject (3)")
     parser.add_argument("--hours", type=float, nargs="+", default=[0.25], help="of bags (0.25)")
@@ -148,7 +154,7 @@ def run(
 def main(arguments: Iterable[str] | None = None) -> None:
     """Be the command."""
     options = build_parser().parse_args(None if arguments is None else list(arguments))
-    tables = Console(quiet=options.json, width=None if sys.stdout.isatty() else 150)
+    tables = Console(quiet=options.json, width=None if sys.stdout.isatty() else 190)
     line = Console(stderr=True)
     status = line.status("")
 
