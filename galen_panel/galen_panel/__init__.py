@@ -1,0 +1,1 @@
+"""The operator's panel in the browser: tools, behaviours, compensation, live plots, recordings."""

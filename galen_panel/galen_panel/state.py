@@ -1,0 +1,222 @@
+"""What the panel knows of the suite: one snapshot, the same for every browser. No ROS.
+
+A snapshot is never changed: what is new is another one, with a higher `revision`. So that a thread
+may read it while the next one is made.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from enum import Enum
+
+Vector = tuple[float, ...]
+
+
+class Level(Enum):
+    """Of what a node says on /diagnostics; named as there."""
+
+    OK = 0
+    WARN = 1
+    ERROR = 2
+    STALE = 3
+
+
+class Kind(Enum):
+    """The behaviours; the value is the action's name."""
+
+    CALIBRATE = "calibrate_tool"
+    CHECK = "check_tool"
+    COLLECT = "collect_pushes"
+
+
+class Asked(Enum):
+    """What a behaviour waits for a person to do."""
+
+    REMOVE_TOOL = "remove_tool"
+    ATTACH_TOOL = "attach_tool"
+
+
+@dataclass(frozen=True)
+class Tool:
+    """One tool's file. `problem`: why it can't be used; the numbers are then 0.
+
+    com_m (3,) in the sensor's frame; rmse_* (3,): residual of the calibration's averaged readings,
+    NaN where the file has none. calibrated_at: RFC 3339. has_previous: the calibration before it is
+    kept and `revert_tool` would bring it back.
+    """
+
+    name: str
+    mass_kg: float = 0.0
+    mass_std_kg: float = 0.0
+    com_m: Vector = (0.0, 0.0, 0.0)
+    rmse_force_n: Vector = (0.0, 0.0, 0.0)
+    rmse_torque_nm: Vector = (0.0, 0.0, 0.0)
+    poses_used: int = 0
+    calibrated_at: str = ""
+    parts: tuple[str, ...] = ()
+    in_force: bool = False
+    has_previous: bool = False
+    problem: str = ""
+
+
+@dataclass(frozen=True)
+class InForce:
+    """What gravcomp subtracts now. `file_state`: none, as loaded, changed, gone."""
+
+    tool: str
+    enabled: bool
+    mass_kg: float
+    com_m: Vector
+    tip_m: Vector
+    calibrated_at: str
+    file_state: str
+    tare: Vector | None
+    """(6,) N, N.m; None: no tare."""
+    wander: Vector | None
+
+
+@dataclass(frozen=True)
+class NodeReport:
+    """A node's newest word on /diagnostics. heard_s: time.monotonic() of it."""
+
+    name: str
+    level: Level
+    message: str
+    values: Mapping[str, str]
+    heard_s: float
+
+
+@dataclass(frozen=True)
+class Pose:
+    """One finished pose of a behaviour; wrench (6,) its averaged reading, or None."""
+
+    sweep: str
+    number: int
+    roll_rad: float
+    tilt_rad: float
+    accepted: bool
+    text: str
+    wrench: Vector | None = None
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """How a behaviour ended. `error`: its code's name, empty where it came to its end.
+
+    text: a sentence for a person. file: what was written. values: the result's numbers, SI, by the
+    action's own names. warnings, notes: as in the result. new: the tool had no file before.
+    """
+
+    error: str
+    text: str
+    tool: str = ""
+    file: str = ""
+    values: Mapping[str, object] = field(default_factory=dict)
+    warnings: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
+    new: bool = False
+
+
+@dataclass(frozen=True)
+class Behaviour:
+    """A goal under way, or the one that ended last, whoever sent it.
+
+    phase: in words, such as "sweep with tool"; message: the feedback's sentence. number: of the
+    goal, so that a page sees that another one began. ours: whether this panel sent it.
+    """
+
+    number: int
+    kind: Kind
+    tool: str
+    phase: str = ""
+    message: str = ""
+    done: int = 0
+    total: int = 0
+    poses: tuple[Pose, ...] = ()
+    asked: Asked | None = None
+    canceling: bool = False
+    ours: bool = True
+    outcome: Outcome | None = None
+
+    @property
+    def running(self) -> bool:
+        """Whether it has not ended yet."""
+        return self.outcome is None
+
+
+@dataclass(frozen=True)
+class State:
+    """All of it. tools: None until a list came. available: services and actions that are there.
+
+    available holds names as in the contract: `gravcomp/set_tool`, `calibrate_tool`, `attach_tool`.
+    """
+
+    revision: int = 0
+    tools: tuple[Tool, ...] | None = None
+    tools_dir: str = ""
+    tools_problem: str = ""
+    in_force: InForce | None = None
+    nodes: Mapping[str, NodeReport] = field(default_factory=dict)
+    behaviours: Mapping[Kind, Behaviour] = field(default_factory=dict)
+    available: frozenset[str] = frozenset()
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What became of something that was asked for; text is for a person, never empty."""
+
+    ok: bool
+    text: str
+
+
+@dataclass(frozen=True)
+class Difference:
+    """One quantity of two files; std_dev NaN where the files tell none."""
+
+    quantity: str
+    unit: str
+    a: float
+    b: float
+    std_dev: float
+    text: str
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Two tools' files beside each other; worst_*: of the compensations, over all poses."""
+
+    text: str
+    same_load: bool
+    differences: tuple[Difference, ...]
+    worst_force_n: float
+    worst_torque_nm: float
+
+
+@dataclass(frozen=True)
+class CalibrateGoal:
+    """As in CalibrateTool; tip_m None: the file's is kept."""
+
+    tool: str
+    tip_m: Vector | None = None
+    one_sweep: bool = False
+    by_hand: bool = False
+
+
+@dataclass(frozen=True)
+class CheckGoal:
+    """As in CheckTool; tool "": the one in force."""
+
+    tool: str = ""
+
+
+@dataclass(frozen=True)
+class CollectGoal:
+    """As in CollectPushes, positions and loads as the node's parameters say."""
+
+    name: str
+    tool: str
+    by_hand: bool = True
+
+
+Goal = CalibrateGoal | CheckGoal | CollectGoal

@@ -1,0 +1,111 @@
+"""A suite without ROS, for what the page does; `python fake_panel.py` shows it in a browser."""
+
+from contextlib import contextmanager
+from dataclasses import replace
+
+import numpy as np
+from galen_panel.history import History
+from galen_panel.state import Answer, Comparison, Difference, InForce, State, Tool
+
+POINTER = Tool(
+    "pointer", 0.0601, 3e-5, (0.055, 0.002, 0.045), (1.6e-3, 1.7e-3, 2.8e-3),
+    (3.6e-5, 3.5e-5, 3.5e-5), 56, "2026-11-21T14:03:11+00:00", (), True, True,
+)  # fmt: skip
+RETRACTOR = Tool(
+    "retractor", 0.2, 3e-5, (0.07, -0.01, 0.055), (1.9e-3, 1.7e-3, 3.0e-3),
+    (3.5e-5, 3.4e-5, 3.6e-5), 56, "2026-11-20T09:12:44+00:00", ("inertia",),
+)  # fmt: skip
+BROKEN = Tool("drill", problem="drill.json: field 'load' is missing")
+IN_FORCE = InForce(
+    "pointer", True, 0.0601, (0.055, 0.002, 0.045), (0.15, 0.0, 0.05),
+    "2026-11-21T14:03:11+00:00", "as loaded", None, None,
+)  # fmt: skip
+ALL = frozenset(
+    {
+        "gravcomp/set_tool", "gravcomp/list_tools", "gravcomp/compare_tools",
+        "gravcomp/remove_tool", "gravcomp/revert_tool", "gravcomp/enable", "gravcomp/tare",
+        "calibration/confirm", "calibrate_tool", "check_tool", "collect_pushes", "attach_tool",
+    }
+)  # fmt: skip
+
+
+class FakeSuite:
+    """Notes each call in `calls`, answers `answer`; `put` changes the state."""
+
+    def __init__(self):
+        self.state = State(
+            1, (POINTER, RETRACTOR, BROKEN), "/tools", "", IN_FORCE, {}, {}, ALL
+        )  # fmt: skip
+        self.history = History()
+        self.calls = []
+        self.answer = Answer(True, "done")
+        self.comparison = Comparison(
+            "the same within 2 sigma", True,
+            (Difference("mass", "kg", 0.0601, 0.0602, 4e-5, "the same within 2 sigma"),),
+            0.003, 0.0001,
+        )  # fmt: skip
+        self.watching = 0
+
+    def put(self, **changes):
+        self.state = replace(self.state, revision=self.state.revision + 1, **changes)
+
+    @contextmanager
+    def watch(self):
+        self.watching += 1
+        try:
+            yield
+        finally:
+            self.watching -= 1
+
+    def stream(self, start_s, seconds, rate_hz=500.0, seed=0):
+        """Fill the history: the raw wrench swings, the compensated one is noise."""
+        rng = np.random.default_rng(seed)
+        t = start_s + np.arange(int(seconds * rate_hz)) / rate_hz
+        stamps = (t * 1e9).astype(np.int64)
+        noise = rng.normal(size=(len(t), 6)) * [0.02, 0.02, 0.03, 4e-4, 4e-4, 4e-4]
+        swing = np.sin(t[:, None] * [0.5, 0.7, 0.9, 0.5, 0.7, 0.9])
+        self.history.raw.append(stamps, noise + swing * [1, 2, 1, 0.08, 0.08, 0.09])
+        self.history.compensated.append(stamps, noise)
+        self.history.deflection.append(
+            stamps[::5], swing[::5] * [3e-4, 2e-4, 1e-4, 1e-3, 1e-3, 1e-3]
+        )
+        self.history.joints.append(
+            stamps[::5],
+            np.column_stack([0.02 * swing[::5, :2], 0.408 + 0.02 * swing[::5, 2],
+                             0.8 * swing[::5, 0], 0.5 * swing[::5, 1]]),
+        )  # fmt: skip
+
+    async def _called(self, *call):
+        self.calls.append(call)
+        return self.answer
+
+    async def list_tools(self):
+        return await self._called("list_tools")
+
+    async def put_in_force(self, tool):
+        return await self._called("put_in_force", tool)
+
+    async def remove_tool(self, tool):
+        return await self._called("remove_tool", tool)
+
+    async def revert_tool(self, tool):
+        return await self._called("revert_tool", tool)
+
+    async def compare(self, tool, with_tool=""):
+        self.calls.append(("compare", tool, with_tool))
+        return self.comparison
+
+    async def set_enabled(self, enabled):
+        return await self._called("set_enabled", enabled)
+
+    async def tare(self):
+        return await self._called("tare")
+
+    async def start(self, goal):
+        return await self._called("start", goal)
+
+    async def confirm(self):
+        return await self._called("confirm")
+
+    async def cancel(self, kind):
+        return await self._called("cancel", kind)
