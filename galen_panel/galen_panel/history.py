@@ -17,14 +17,21 @@ _ROWS = 120_000
 """120 s at 1000 Hz."""
 RESTART_S = 1.0
 NS_PER_S = 1_000_000_000
+_RESTART_NS = int(RESTART_S * NS_PER_S)
 
 
 @dataclass(frozen=True)
 class Samples:
-    """stamps_ns (n,) int64, rising; values (n, width)."""
+    """stamps_ns (n,) int64, rising; values (n, width). run: another one after each restart."""
 
     stamps_ns: np.ndarray
     values: Array
+    run: int = 0
+
+    @property
+    def newest_ns(self) -> int | None:
+        """The last stamp; None without samples."""
+        return int(self.stamps_ns[-1]) if len(self.stamps_ns) else None
 
 
 class Series:
@@ -34,40 +41,89 @@ class Series:
         self._stamps = np.zeros(rows, dtype=np.int64)
         self._values = np.zeros((rows, width))
         self._count = 0
+        self._run = 0
         self._span_ns = int(seconds * NS_PER_S)
         self._lock = threading.Lock()
 
     def append(self, stamps_ns: np.ndarray, values: Array) -> None:
         """Add rows, stamps (n,) and values (n, width); rows out of order are left out."""
+        if len(stamps_ns) != len(values):
+            raise ValueError(f"{len(stamps_ns)} stamps for {len(values)} rows")
+        stamps = np.asarray(stamps_ns, dtype=np.int64)
+        rows = np.asarray(values)
         with self._lock:
-            rows = len(self._stamps)
-            for stamp, value in zip(stamps_ns.tolist(), values, strict=True):
-                newest = int(self._stamps[(self._count - 1) % rows]) if self._count else stamp - 1
-                if stamp < newest - int(RESTART_S * NS_PER_S):
-                    self._count = 0
-                elif stamp <= newest:
-                    continue
-                self._stamps[self._count % rows] = stamp
-                self._values[self._count % rows] = value
-                self._count += 1
+            while len(stamps):
+                if self._rises(stamps):
+                    self._write(stamps, rows)
+                    return
+                highest = np.maximum.accumulate(stamps)
+                before = np.empty_like(highest)
+                before[0] = self._newest() if self._count else stamps[0] - 1
+                np.maximum(highest[:-1], before[0], out=before[1:])
+                back = np.flatnonzero(stamps < before - _RESTART_NS)
+                if not len(back):
+                    taken = stamps > before
+                    self._write(stamps[taken], rows[taken])
+                    return
+                # What came before a restart is dropped with all that was there.
+                self._restart()
+                stamps, rows = stamps[back[0] :], rows[back[0] :]
 
     def clear(self) -> None:
         """Forget all."""
         with self._lock:
-            self._count = 0
+            self._restart()
 
     def last(self, seconds: float | None = None) -> Samples:
         """A copy of the newest rows, as far back as `seconds` before the newest one."""
         with self._lock:
-            rows = len(self._stamps)
-            have = min(self._count, rows)
-            order = np.arange(self._count - have, self._count) % rows
-            stamps, values = self._stamps[order], self._values[order]
-        if not have:
-            return Samples(stamps, values)
-        span_ns = self._span_ns if seconds is None else int(seconds * NS_PER_S)
-        first = int(np.searchsorted(stamps, stamps[-1] - span_ns))
-        return Samples(stamps[first:], values[first:])
+            span_ns = self._span_ns if seconds is None else int(seconds * NS_PER_S)
+            return self._from(self._newest() - span_ns if self._count else 0)
+
+    def since(self, stamp_ns: int) -> Samples:
+        """A copy of the rows from this stamp on; it costs only as much as there are of them."""
+        with self._lock:
+            oldest = self._newest() - self._span_ns if self._count else 0
+            return self._from(max(stamp_ns, oldest))
+
+    def _newest(self) -> int:
+        return int(self._stamps[(self._count - 1) % len(self._stamps)])
+
+    def _restart(self) -> None:
+        self._count = 0
+        self._run += 1
+
+    def _rises(self, stamps: np.ndarray) -> bool:
+        """Whether nothing is to be left out, as nearly always."""
+        if self._count and int(stamps[0]) <= self._newest():
+            return False
+        return bool((stamps[1:] > stamps[:-1]).all())
+
+    def _write(self, stamps: np.ndarray, rows: Array) -> None:
+        size = len(self._stamps)
+        if len(stamps) > size:
+            self._count += len(stamps) - size
+            stamps, rows = stamps[-size:], rows[-size:]
+        start = self._count % size
+        head = min(len(stamps), size - start)
+        self._stamps[start : start + head] = stamps[:head]
+        self._values[start : start + head] = rows[:head]
+        if head < len(stamps):
+            self._stamps[: len(stamps) - head] = stamps[head:]
+            self._values[: len(stamps) - head] = rows[head:]
+        self._count += len(stamps)
+
+    def _from(self, stamp_ns: int) -> Samples:
+        size = len(self._stamps)
+        end = self._count % size
+        # Older rows lie behind the place where the next one goes, once the ring is full.
+        parts = [slice(end, size), slice(0, end)] if self._count >= size else [slice(0, end)]
+        stamps, values = [], []
+        for part in parts:
+            first = int(np.searchsorted(self._stamps[part], stamp_ns))
+            stamps.append(self._stamps[part][first:])
+            values.append(self._values[part][first:])
+        return Samples(np.concatenate(stamps), np.concatenate(values), self._run)
 
 
 class History:
