@@ -29,7 +29,7 @@ class Heard:
 
     def forget(self, now_s: float) -> None:
         """Nobody listened until now: silence counts from here."""
-        self._changed_s = {name: now_s for name in self._changed_s}
+        self._changed_s = dict.fromkeys(self._changed_s, now_s)
 
     def silent(self, now_s: float) -> frozenset[str]:
         """The streams that don't come."""

@@ -54,5 +54,5 @@ def test_between_includes_both_ends():
 
 
 def test_the_name_has_the_date_and_no_colon():
-    at = datetime(2026, 11, 22, 9, 3, 12)  # noqa: DTZ001 - local time, as the person reads it
+    at = datetime(2026, 11, 22, 9, 3, 12)
     assert file_name("wrench", "csv", at) == "galen_wrench_2026-11-22_09-03-12.csv"
