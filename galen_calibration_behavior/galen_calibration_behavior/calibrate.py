@@ -26,6 +26,7 @@ from galen_calibration_behavior.goal_client import (
     report_error,
     run_client,
 )
+from galen_calibration_behavior.phase_text import CALIBRATION_PHASES
 from galen_calibration_behavior.result_text import format_result, result_to_dict
 from galen_msgs.action import CalibrateTool
 
@@ -36,15 +37,6 @@ exit codes:
   {EXIT_FAILED}    failed; the reason is printed, nothing is written
   {EXIT_USAGE}    wrong arguments
   {EXIT_CANCELED}  canceled (Ctrl-C); the arm is stopped, nothing is written"""
-_STATE_TEXT = {
-    State.HOME: "going home",
-    State.REMOVE_TOOL: "tool off",
-    State.ZERO: "zeroing",
-    State.SWEEP_BARE: "sweep without tool",
-    State.ATTACH_TOOL: "tool on",
-    State.SWEEP_TOOL: "sweep with tool",
-    State.ESTIMATE: "estimating",
-}
 
 
 class CalibrateClient(GoalClient):
@@ -110,7 +102,7 @@ class CalibrateClient(GoalClient):
     def _show(self, feedback: Any) -> None:
         """The bar, or without a terminal a line for each state; and each bad pose."""
         state = State(feedback.state)
-        self.bar.show(feedback.done, feedback.total, _STATE_TEXT[state])
+        self.bar.show(feedback.done, feedback.total, CALIBRATION_PHASES[state])
         if not self.bar.fancy and state != self._state:
             self.bar.say(f"[{feedback.done}/{feedback.total}] {feedback.message}")
         rejected = math.isfinite(feedback.roll) and not feedback.accepted

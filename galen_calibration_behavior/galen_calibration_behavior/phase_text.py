@@ -1,0 +1,18 @@
+"""What the states of a calibration and a quick check are called for a person."""
+
+from galen_calibration_behavior import check_commands
+from galen_calibration_behavior.commands import State
+
+CALIBRATION_PHASES = {
+    State.HOME: "going home",
+    State.REMOVE_TOOL: "tool off",
+    State.ZERO: "zeroing",
+    State.SWEEP_BARE: "sweep without tool",
+    State.ATTACH_TOOL: "tool on",
+    State.SWEEP_TOOL: "sweep with tool",
+    State.ESTIMATE: "estimating",
+}
+CHECK_PHASES = {
+    check_commands.State.MEASURE: "checking",
+    check_commands.State.RETURN: "going back",
+}

@@ -1,0 +1,61 @@
+"""What of the suite is there now: its services and actions, once a second."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Protocol
+
+from rclpy.node import Node
+
+from galen_panel.board import Board
+from galen_panel.programs import OFFERED_BY, Program
+
+PERIOD_S = 1.0
+SILENT_S = 4.0
+"""A node that says nothing on /diagnostics for so long is gone.
+
+DDS hears of a killed process only by a time-out, some 20 s later.
+"""
+
+
+class Presence:
+    """Looks which names of `OFFERED_BY` are there; each was said how by `add`."""
+
+    def __init__(self, node: Node, board: Board) -> None:
+        self._node = node
+        self._board = board
+        self._ready: dict[str, Callable[[], bool]] = {}
+        self._next_s = 0.0
+
+    def add(self, name: str, *clients: ReadyClient) -> None:
+        """`name` is there while all of the clients have their server."""
+        self._ready[name] = lambda: all(client.service_is_ready() for client in clients)
+
+    def tick(self, now_s: float) -> None:
+        """Look, where it is time to."""
+        if now_s < self._next_s:
+            return
+        self._next_s = now_s + PERIOD_S
+        self._board.put(
+            available=frozenset(
+                name
+                for name, ready in self._ready.items()
+                if not self.silent(OFFERED_BY[name], now_s) and ready()
+            )
+        )
+
+    def silent(self, program: Program, now_s: float, patience_s: float = SILENT_S) -> bool:
+        """Whether a node that has been heard is not heard any more."""
+        report = self._board.state.nodes.get(self.full_name(program))
+        return report is not None and now_s - report.heard_s > patience_s
+
+    def full_name(self, program: Program) -> str:
+        """The name of a program's node on /diagnostics, in this node's namespace."""
+        return str(self._node.resolve_service_name(program.node)).lstrip("/")
+
+
+class ReadyClient(Protocol):
+    """An rclpy client."""
+
+    def service_is_ready(self) -> bool:
+        """Whether there is a server."""

@@ -1,0 +1,185 @@
+"""The panel's ROS side in a thread of its own, beside the server's event loop.
+
+All that touches rclpy happens in that thread. Jobs are handed over, and answers awaited in the
+event loop, whatever becomes of whom they came from: a page that is closed, a panel that ends.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import threading
+import time
+import traceback
+from collections import deque
+from collections.abc import Awaitable, Callable
+from concurrent.futures import Future, InvalidStateError
+from typing import Any, Generic, TypeVar
+
+from galen_model.errors import GalenError
+from galen_ros.parameter_services import guard_parameter_services
+from galen_ros.spin import StartError, init_ros, make_executor
+from rclpy.exceptions import ParameterException
+from rclpy.executors import Executor
+from rclpy.node import Node
+from rclpy.utilities import ok, try_shutdown
+
+T = TypeVar("T")
+
+BEAT_S = 0.04
+"""At least this often jobs are taken and `on_beat` is called."""
+_START_PATIENCE_S = 30.0
+_STOP_PATIENCE_S = 5.0
+
+
+class CallError(GalenError):
+    """What was asked for has not been done; the text says why, and what to do."""
+
+
+_STOPPED = "not done: the panel is being stopped"
+
+
+class Reply(Generic[T]):
+    """Takes an answer once, in any thread; what comes later is dropped."""
+
+    def __init__(self) -> None:
+        self._future: Future[T] = Future()
+        # So that who no longer waits, as a closed page, doesn't cancel what is under way.
+        self._future.set_running_or_notify_cancel()
+
+    def give(self, value: T) -> None:
+        """Answer."""
+        with contextlib.suppress(InvalidStateError):
+            self._future.set_result(value)
+
+    def fail(self, error: Exception) -> None:
+        """Answer with an exception."""
+        with contextlib.suppress(InvalidStateError):
+            self._future.set_exception(error)
+
+    @property
+    def given(self) -> bool:
+        """Whether there is an answer."""
+        return self._future.done()
+
+    def wait(self, timeout_s: float) -> T:
+        """Wait in a thread; raises what the answer raises, or TimeoutError."""
+        return self._future.result(timeout_s)
+
+    def __await__(self) -> Any:
+        """Wait in an event loop."""
+        return asyncio.wrap_future(self._future).__await__()
+
+
+class RosThread:
+    """Runs a node, from `start` to `close`."""
+
+    def __init__(self) -> None:
+        self._jobs: deque[tuple[Callable[[Reply[Any]], None], Reply[Any]]] = deque()
+        self._open: set[Reply[Any]] = set()
+        self._lock = threading.Lock()
+        self._stop = False
+        self._thread: threading.Thread | None = None
+
+    def start(
+        self,
+        name: str,
+        argv: list[str],
+        set_up: Callable[[Node], Callable[[float], None]],
+        clean_up: Callable[[], None],
+    ) -> None:
+        """Make the node; raises StartError and what `set_up` raises.
+
+        `set_up(node)` makes what is on the node, and returns what is called at each beat with
+        time.monotonic(). `clean_up()` comes before the node is destroyed. Both run in the thread.
+        """
+        started: Reply[None] = Reply()
+        work = (name, argv, set_up, clean_up, started)
+        self._thread = threading.Thread(target=self._run, args=work, name="ros", daemon=True)
+        self._thread.start()
+        started.wait(_START_PATIENCE_S)
+
+    def ask(self, job: Callable[[Reply[T]], None]) -> Awaitable[T]:
+        """Run `job(reply)` in the thread; await what it gives to the reply, at once or later.
+
+        Raises what the job raises, or CallError where the thread ends before.
+        """
+        reply: Reply[T] = Reply()
+        with self._lock:
+            if self._stop:
+                reply.fail(CallError(_STOPPED))
+            else:
+                self._open = {one for one in self._open if not one.given} | {reply}
+                self._jobs.append((job, reply))
+        return reply
+
+    def close(self) -> None:
+        """End the thread; who still waits for an answer gets a CallError. May be called again."""
+        with self._lock:
+            self._stop = True
+        if self._thread is not None:
+            self._thread.join(_STOP_PATIENCE_S)
+
+    def _run(
+        self,
+        name: str,
+        argv: list[str],
+        set_up: Callable[[Node], Callable[[float], None]],
+        clean_up: Callable[[], None],
+        started: Reply[None],
+    ) -> None:
+        try:
+            init_ros(argv)
+        except Exception as error:
+            started.fail(error)
+            return
+        try:
+            node = Node(name)
+            guard_parameter_services(node)
+            on_beat = set_up(node)
+            executor = make_executor()
+            executor.add_node(node)
+            started.give(None)
+            self._spin(executor, on_beat)
+            self._fail_open()
+            clean_up()
+            executor.remove_node(node)
+            node.destroy_node()
+            executor.shutdown()
+        except ParameterException as error:  # of rclpy's own, such as use_sim_time
+            started.fail(StartError(str(error)))
+        except Exception as error:
+            started.fail(error)
+        finally:
+            self._fail_open()
+            try_shutdown()
+
+    def _fail_open(self) -> None:
+        with self._lock:
+            self._stop = True
+            waiting, self._open = self._open, set()
+        for reply in waiting:
+            reply.fail(CallError(_STOPPED))
+
+    def _spin(self, executor: Executor, on_beat: Callable[[float], None]) -> None:
+        beat_s = 0.0
+        while ok() and not self._stop:
+            # A bug in what one message meets must not blind all browsers for good.
+            try:
+                while self._jobs:
+                    self._do(*self._jobs.popleft())
+                now_s = time.monotonic()
+                if now_s >= beat_s:
+                    beat_s = now_s + BEAT_S
+                    on_beat(now_s)
+                # The EventsExecutor takes no guard condition: a job can't wake it. It hands over
+                # one event a call.
+                executor.spin_once(timeout_sec=max(0.0, beat_s - time.monotonic()))
+            except Exception:
+                traceback.print_exc()
+
+    def _do(self, job: Callable[[Reply[Any]], None], reply: Reply[Any]) -> None:
+        try:
+            job(reply)
+        except Exception as error:
+            reply.fail(error)
