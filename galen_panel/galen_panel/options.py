@@ -4,17 +4,21 @@ from __future__ import annotations
 
 import argparse
 import os
+import re
+import socket
 from dataclasses import dataclass
 from pathlib import Path
 
 from galen_panel.access import is_loopback, new_token
 
 TOKEN_VARIABLE = "GALEN_PANEL_TOKEN"
-_MIN_TOKEN = 16
+# What needs no quoting in a link or a cookie.
+_TOKEN = re.compile(r"[A-Za-z0-9_.~-]{16,}")
+_ANY_ADDRESS = ("0.0.0.0", "::")
 _EPILOG = f"""\
 Where --host is not this machine alone, whoever opens the panel needs its token. It is made anew at
-each start and printed with the link; {TOKEN_VARIABLE} in the environment sets it. Without
---certificate what goes through the network can be read there.
+each start and printed with the link; {TOKEN_VARIABLE} in the environment sets it, and has it asked
+for on this machine, too. Without --certificate what goes through the network can be read there.
 
 Names of topics, services and actions are relative: a namespace is
   panel --ros-args -r __ns:=/left
@@ -43,9 +47,13 @@ class Options:
     def link(self) -> str:
         """What to open in a browser."""
         scheme = "http" if self.certificate is None else "https"
-        host = f"[{self.host}]" if ":" in self.host else self.host
-        query = "" if self.token is None else f"?token={self.token}"
-        return f"{scheme}://{host}:{self.port}/{query}"
+        host = socket.gethostname() if self.host in _ANY_ADDRESS else self.host
+        return f"{scheme}://{f'[{host}]' if ':' in host else host}:{self.port}{self.place}"
+
+    @property
+    def place(self) -> str:
+        """The link's path, and with it the token."""
+        return "/" if self.token is None else f"/?token={self.token}"
 
 
 def read_options(arguments: list[str], environment: dict[str, str] | None = None) -> Options:
@@ -58,60 +66,76 @@ def read_options(arguments: list[str], environment: dict[str, str] | None = None
     )
     parser.add_argument(
         "--host",
+        type=_host,
         default="127.0.0.1",
         help="address to listen at (default: %(default)s, this machine alone; 0.0.0.0: any)",
     )
     parser.add_argument("--port", type=_port, default=8080, help="default: %(default)s")
     parser.add_argument(
         "--bags-dir",
-        type=Path,
-        default=Path(),
+        type=_path,
+        default=".",
         metavar="DIR",
         help="where recordings are looked for (default: here)",
     )
     parser.add_argument(
         "--tools-dir",
-        type=Path,
-        default=Path("~/.ros/galen/tools"),
+        type=_path,
+        default="~/.ros/galen/tools",
         metavar="DIR",
         help="tools' files that recordings are evaluated with (default: %(default)s)",
     )
     parser.add_argument(
         "--output-dir",
-        type=Path,
-        default=Path("~/.ros/galen/panel"),
+        type=_path,
+        default="~/.ros/galen/panel",
         metavar="DIR",
         help="where reports on recordings are written (default: %(default)s)",
     )
     parser.add_argument("--show", action="store_true", help="open it in this machine's browser")
-    parser.add_argument("--certificate", type=Path, metavar="FILE", help="PEM: serve https")
-    parser.add_argument("--key", type=Path, metavar="FILE", help="the certificate's key, PEM")
+    parser.add_argument("--certificate", type=_path, metavar="FILE", help="PEM: serve https")
+    parser.add_argument("--key", type=_path, metavar="FILE", help="the certificate's key, PEM")
     given = parser.parse_args(arguments)
     if (given.certificate is None) != (given.key is None):
         parser.error("--certificate and --key go together")
     for path in (given.certificate, given.key):
         if path is not None and not path.is_file():
             parser.error(f"{path}: is no file")
-    if not given.bags_dir.expanduser().is_dir():
+    if not given.bags_dir.is_dir():
         parser.error(f"--bags-dir {given.bags_dir}: is no directory")
     token = (os.environ if environment is None else environment).get(TOKEN_VARIABLE, "")
-    if token and len(token) < _MIN_TOKEN:
-        parser.error(f"{TOKEN_VARIABLE} needs {_MIN_TOKEN} characters or more")
+    if token and not _TOKEN.fullmatch(token):
+        parser.error(
+            f"{TOKEN_VARIABLE} needs 16 characters or more, all of them letters, digits, _ . ~ or -"
+        )
     return Options(
         host=given.host,
         port=given.port,
         token=None if is_loopback(given.host) and not token else token or new_token(),
-        bags_dir=given.bags_dir.expanduser().resolve(),
-        tools_dir=given.tools_dir.expanduser(),
-        output_dir=given.output_dir.expanduser(),
+        bags_dir=given.bags_dir.resolve(),
+        tools_dir=given.tools_dir,
+        output_dir=given.output_dir,
         show=given.show,
         certificate=given.certificate,
         key=given.key,
     )
 
 
+def _host(text: str) -> str:
+    # NiceGUI takes an empty one for any address.
+    if not text.strip():
+        raise argparse.ArgumentTypeError("it is empty")
+    return text
+
+
 def _port(text: str) -> int:
-    value = int(text)
-    if not 1 <= value <= 65535:
-        raise argparse.ArgumentTypeError(f"{value} is not in 1 ... 65535")
-    return value
+    if not text.isascii() or not text.isdigit() or not 1 <= int(text) <= 65535:
+        raise argparse.ArgumentTypeError(f"{text} is not in 1 ... 65535")
+    return int(text)
+
+
+def _path(text: str) -> Path:
+    try:
+        return Path(text).expanduser()
+    except RuntimeError as error:
+        raise argparse.ArgumentTypeError(f"{text}: {error}") from error

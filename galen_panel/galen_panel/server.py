@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import signal
 import socket
-import tempfile
+import ssl
 from collections.abc import Callable
 from contextlib import closing
 from types import FrameType
@@ -23,21 +23,30 @@ class ServerError(GalenError):
 
 
 def serve(suite: Suite, options: Options, on_stop: Callable[[], None]) -> None:
-    """Serve the panel until SIGINT or SIGTERM; `on_stop` is called when it ends.
+    """Serve the panel until SIGINT or SIGTERM, then exit with code 0; first `on_stop` is called.
 
-    Raises ServerError where the address can't be had.
+    Raises ServerError where the address can't be had, or the certificate not be read.
     """
+    # Before the slow imports: an early signal, too, is an orderly end.
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, _end)
     _check_address(options)
-    # NiceGUI would make a folder for its storage, which the panel doesn't use, in the working
-    # directory. It reads this when it is imported.
-    os.environ.setdefault("NICEGUI_STORAGE_PATH", tempfile.gettempdir())
+    _check_certificate(options)
+    # NiceGUI looks for what it stored, which the panel doesn't use, in the working directory, where
+    # anybody's file could lie. It reads this when it is imported.
+    os.environ.setdefault("NICEGUI_STORAGE_PATH", str(options.output_dir))
     from nicegui import app, ui
 
     from galen_panel import layout
     from galen_panel.page import Page
 
     recordings = Recordings(options.bags_dir, options.tools_dir, options.output_dir)
-    app.add_middleware(Access, token=options.token, port=options.port)
+    # NiceGUI adds middleware of its own when it starts, around what was added before; one has
+    # browsers keep whatever comes from below /_nicegui, a refusal as well, for a year.
+    inner = app.build_middleware_stack
+    app.build_middleware_stack = lambda: Access(  # type: ignore[method-assign]
+        inner(), options.token, options.port
+    )
     app.on_shutdown(recordings.close)
     app.on_shutdown(on_stop)
     recordings.serve(app)
@@ -47,14 +56,11 @@ def serve(suite: Suite, options: Options, on_stop: Callable[[], None]) -> None:
         layout.build(Page(suite, options, recordings))
 
     print(f"panel: open {options.link}", flush=True)
-    # uvicorn hands signals on to who had them before, when it has ended.
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, _ended)
     ui.run(
         host=options.host,
         port=options.port,
         reload=False,
-        show=options.show and options.link.split("/", 3)[3] or options.show,
+        show=options.place if options.show else False,
         show_welcome_message=False,
         binding_refresh_interval=None,
         fastapi_docs=False,
@@ -74,8 +80,9 @@ _ICON = (
 )
 
 
-def _ended(_number: int, _frame: FrameType | None) -> None:
-    """A signal is how the panel ends: exit code 0."""
+def _end(_number: int, _frame: FrameType | None) -> None:
+    """A signal is how the panel ends. While uvicorn runs it takes them, and repeats them here."""
+    raise SystemExit(0)
 
 
 def _check_address(options: Options) -> None:
@@ -92,3 +99,15 @@ def _check_address(options: Options) -> None:
             f"can't listen at {options.host}, port {options.port}: {error.strerror or error};"
             " --port takes another one"
         ) from error
+
+
+def _check_certificate(options: Options) -> None:
+    """Say it in a line where it, or its key, is none that can be used."""
+    if options.certificate is None:
+        return
+    try:
+        ssl.create_default_context(ssl.Purpose.CLIENT_AUTH).load_cert_chain(
+            options.certificate, options.key, password=lambda: ""
+        )
+    except (OSError, ValueError) as error:
+        raise ServerError(f"can't use {options.certificate} with {options.key}: {error}") from error

@@ -5,6 +5,7 @@ import threading
 import time
 
 from fake_suite import FakeSuite
+from galen_model.errors import GalenError
 from galen_panel.options import read_options
 from galen_panel.server import serve
 
@@ -21,4 +22,8 @@ def stream(suite):
 if __name__ == "__main__":
     suite = FakeSuite()
     threading.Thread(target=stream, args=(suite,), daemon=True).start()
-    serve(suite, read_options(sys.argv[1:]), lambda: None)
+    options = read_options(sys.argv[1:])
+    try:
+        serve(suite, options, lambda: None)
+    except GalenError as error:
+        sys.exit(f"panel: {error}")

@@ -1,0 +1,179 @@
+"""A real Chromium: finds by data-testid, waits on predicates, and tells what a page asked for."""
+
+import json
+import shutil
+from urllib.parse import urlsplit
+
+from selenium import webdriver
+from selenium.common.exceptions import StaleElementReferenceException, TimeoutException
+from selenium.webdriver.chrome.service import Service
+from selenium.webdriver.common.by import By
+from selenium.webdriver.support.ui import WebDriverWait
+
+CHROMIUM = shutil.which("chromium")
+CHROMEDRIVER = shutil.which("chromedriver")
+PATIENCE_S = 20.0
+_POLL_S = 0.05
+_OWN_SCHEMES = ("data", "blob", "about", "chrome", "chrome-extension", "devtools")
+_FLAGS = (
+    "--headless=new",
+    "--no-sandbox",  # root has no other way
+    "--disable-dev-shm-usage",
+    "--disable-background-networking",
+    "--no-first-run",
+    "--force-prefers-reduced-motion",
+    "--lang=en-US",
+    # WebGL without a graphics card.
+    "--use-angle=swiftshader",
+    "--enable-unsafe-swiftshader",
+)
+
+
+class Browser:
+    """One Chromium with one window; `close` ends it. What it downloads goes to `folder`."""
+
+    def __init__(self, folder, width=1400, height=1000):
+        self.folder = folder
+        options = webdriver.ChromeOptions()
+        options.binary_location = CHROMIUM
+        for flag in (*_FLAGS, f"--window-size={width},{height}"):
+            options.add_argument(flag)
+        options.add_experimental_option("prefs", {"download.default_directory": str(folder)})
+        options.set_capability("goog:loggingPrefs", {"performance": "ALL", "browser": "ALL"})
+        self.driver = webdriver.Chrome(options=options, service=Service(CHROMEDRIVER))
+        self._allowed = set()
+        self._foreign = []
+        self._errors = []
+
+    def close(self):
+        self.driver.quit()
+
+    def forget(self):
+        """Begin anew: an empty page, no cookies, nothing complained of."""
+        self.driver.get("about:blank")
+        self.driver.execute_cdp_cmd("Network.clearBrowserCookies", {})
+        self.driver.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": []})
+        self._read_logs()
+        self._allowed, self._foreign, self._errors = set(), [], []
+
+    def open(self, link):
+        """Open a link; requests to its host are from then on no foreign ones."""
+        self._allowed.add(urlsplit(link).netloc)
+        self.driver.get(link)
+
+    def prefer(self, scheme):
+        """As the system's setting: dark or light."""
+        features = [{"name": "prefers-color-scheme", "value": scheme}]
+        self.driver.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": features})
+
+    # looking
+
+    def wait(self, predicate, what, patience_s=PATIENCE_S):
+        """Until `predicate()` is true; an element that goes away meanwhile counts as not yet."""
+        waiting = WebDriverWait(
+            self.driver, patience_s, _POLL_S, ignored_exceptions=[StaleElementReferenceException]
+        )
+        try:
+            return waiting.until(lambda _: predicate())
+        except TimeoutException:
+            raise AssertionError(f"waited {patience_s} s in vain for {what}") from None
+
+    def all(self, testid):
+        """The elements of this id that can be seen now."""
+        found = self.driver.find_elements(By.CSS_SELECTOR, f'[data-testid="{testid}"]')
+        return [element for element in found if element.is_displayed()]
+
+    def find(self, testid, patience_s=PATIENCE_S):
+        """The one of this id, as soon as it can be seen."""
+        return self.wait(lambda: self.all(testid), f"[data-testid={testid}]", patience_s)[0]
+
+    def text(self, testid):
+        return self.find(testid).text
+
+    def says(self, testid, *words, patience_s=PATIENCE_S):
+        """Wait until its text has all these words; returns the text."""
+
+        def look():
+            texts = [element.text for element in self.all(testid)]
+            return next((text for text in texts if all(word in text for word in words)), None)
+
+        try:
+            return self.wait(look, f"{testid} to say {words}", patience_s)
+        except AssertionError as error:
+            said = [element.text for element in self.all(testid)]
+            raise AssertionError(f"{error}; it says {said}") from None
+
+    def usable(self, testid):
+        """Whether it is there and not disabled."""
+        return any(
+            element.is_enabled() and element.get_attribute("aria-disabled") != "true"
+            for element in self.all(testid)
+        )
+
+    def focus(self):
+        """The data-testid that has the keyboard's focus, itself or around what has it."""
+        return self.script(
+            "return document.activeElement?.closest('[data-testid]')?.dataset.testid ?? ''"
+        )
+
+    def script(self, text, *arguments):
+        return self.driver.execute_script(text, *arguments)
+
+    def run(self, text, *arguments):
+        """Script that ends by calling `done(value)`."""
+        return self.driver.execute_async_script(
+            f"const done = arguments[arguments.length - 1]; {text}", *arguments
+        )
+
+    # doing
+
+    def click(self, testid):
+        """As soon as it can be clicked."""
+        self.wait(lambda: self.usable(testid), f"{testid} to be usable")
+        element = self.find(testid)
+        self.script("arguments[0].scrollIntoView({block: 'center'})", element)
+        element.click()
+
+    def type(self, testid, text):
+        """Into the field of this id, instead of what is there."""
+        field = self.find(testid)
+        if field.tag_name != "input":
+            field = field.find_element(By.TAG_NAME, "input")
+        self.script("arguments[0].select()", field)
+        field.send_keys(text)
+
+    def press(self, *keys):
+        """Keys to whatever has the focus."""
+        webdriver.ActionChains(self.driver).send_keys(*keys).perform()
+
+    # what it did
+
+    def screenshot(self, path):
+        self.driver.save_screenshot(str(path))
+        return path
+
+    def foreign_requests(self):
+        """Addresses that were asked for since `forget`, of other hosts than those opened."""
+        self._read_logs()
+        return self._foreign
+
+    def console_errors(self):
+        """What the console called an error since `forget`."""
+        self._read_logs()
+        return self._errors
+
+    def _read_logs(self):
+        for entry in self.driver.get_log("performance"):
+            message = json.loads(entry["message"])["message"]
+            if message["method"] == "Network.requestWillBeSent":
+                address = message["params"]["request"]["url"]
+            elif message["method"] == "Network.webSocketCreated":
+                address = message["params"]["url"]
+            else:
+                continue
+            parts = urlsplit(address)
+            if parts.scheme not in _OWN_SCHEMES and parts.netloc not in self._allowed:
+                self._foreign.append(address)
+        for entry in self.driver.get_log("browser"):
+            if entry["level"] == "SEVERE":
+                self._errors.append(entry["message"])

@@ -1,0 +1,63 @@
+"""What the browser's tests share: a Chromium a file, looked over after each test."""
+
+import pytest
+from browser import CHROMEDRIVER, CHROMIUM, Browser
+
+
+@pytest.fixture(scope="module")
+def start_browser(tmp_path_factory):
+    """Start one more Chromium; all end with the file."""
+    if CHROMIUM is None or CHROMEDRIVER is None:
+        pytest.skip("there is no chromium with its chromedriver: `make browser`")
+    started = []
+
+    def start(**options):
+        started.append(Browser(tmp_path_factory.mktemp("browser"), **options))
+        return started[-1]
+
+    yield start
+    for one in started:
+        one.close()
+
+
+@pytest.fixture(scope="module")
+def chromium(start_browser):
+    """The file's Chromium."""
+    return start_browser()
+
+
+@pytest.fixture(scope="module")
+def second_chromium(start_browser):
+    """Another one, beside it."""
+    return start_browser()
+
+
+@pytest.fixture
+def browser(chromium):
+    """A Chromium that must have asked nobody but the panel, and have no errors in its console."""
+    yield from _looked_over(chromium)
+
+
+@pytest.fixture
+def second_browser(second_chromium):
+    """Another one, as of another person."""
+    yield from _looked_over(second_chromium)
+
+
+def _looked_over(chromium):
+    chromium.forget()
+    yield chromium
+    assert chromium.foreign_requests() == []
+    assert chromium.console_errors() == []
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport(item, call):
+    """Where a test fails, say where the picture of each of its browsers lies."""
+    report = yield
+    if report.failed:
+        values = {id(one): one for one in item.funcargs.values() if isinstance(one, Browser)}
+        for one in values.values():
+            path = one.folder / f"{item.name}_{report.when}.png"
+            report.sections.append(("screenshot", str(one.screenshot(path))))
+    return report

@@ -1,0 +1,180 @@
+"""The command line, the way it ends, and the address that can't be had."""
+
+import os
+import shutil
+import signal
+import socket
+import ssl
+import subprocess
+import sys
+import urllib.request
+from contextlib import closing
+from pathlib import Path
+
+import pytest
+from galen_panel.options import read_options
+from panel_processes import FAKE_PANEL, PanelWorld, free_port
+
+TOKEN = "a-token-of-24-characters"
+
+
+@pytest.fixture
+def world(tmp_path):
+    with PanelWorld(tmp_path) as world:
+        yield world
+
+
+def run(*arguments, **environment):
+    return subprocess.run(
+        [sys.executable, FAKE_PANEL, *arguments],
+        capture_output=True,
+        text=True,
+        timeout=60,
+        env=os.environ | environment,
+        check=False,
+    )
+
+
+def test_loopback_needs_no_token():
+    for host in ("127.0.0.1", "localhost", "::1", "127.8.9.1"):
+        options = read_options(["--host", host], {})
+        assert options.token is None and "token" not in options.link
+
+
+def test_any_other_address_gets_a_token_that_is_new_each_time():
+    for host in ("0.0.0.0", "::", "192.0.2.7", "robot.example", "127.0.0.1.example", "0"):
+        tokens = {read_options(["--host", host], {}).token for _ in range(3)}
+        assert len(tokens) == 3 and min(map(len, tokens)) >= 32
+
+
+def test_a_token_of_the_environment_holds_everywhere():
+    options = read_options([], {"GALEN_PANEL_TOKEN": TOKEN})
+    assert options.token == TOKEN
+    assert options.link == f"http://127.0.0.1:8080/?token={TOKEN}"
+
+
+def test_links_are_such_as_a_browser_takes(tmp_path):
+    assert read_options(["--host", "::1", "--port", "8090"], {}).link == "http://[::1]:8090/"
+    anywhere = read_options(["--host", "0.0.0.0"], {})
+    assert anywhere.link.startswith(f"http://{socket.gethostname()}:8080/?token=")
+    pem = tmp_path / "any.pem"
+    pem.touch()
+    encrypted = read_options(["--certificate", str(pem), "--key", str(pem)], {})
+    assert encrypted.link == "https://127.0.0.1:8080/"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        (["--port", "0"], "0 is not in 1 ... 65535"),
+        (["--port", "65536"], "65536 is not in"),
+        (["--port", "eighty"], "eighty is not in"),
+        (["--port", "-1"], "-1"),
+        (["--host", ""], "empty"),
+        (["--host", " "], "empty"),
+        (["--bags-dir", "not/there"], "not/there: is no directory"),
+        (["--bags-dir", "~nobody-of-this-name/bags"], "~nobody-of-this-name/bags"),
+        (["--tools-dir", "~nobody-of-this-name/tools"], "~nobody-of-this-name/tools"),
+        (["--certificate", "a.pem"], "go together"),
+        (["--key", "a.pem"], "go together"),
+        (["--certificate", "a.pem", "--key", "b.pem"], "a.pem: is no file"),
+        (["--colour", "green"], "--colour"),
+        (["here"], "here"),
+    ],
+)
+def test_wrong_arguments_are_named(arguments, told, capsys):
+    with pytest.raises(SystemExit) as ended:
+        read_options(arguments, {})
+    assert ended.value.code == 2
+    assert told in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("token", ["short", "x" * 15, "with spaces " * 2, "ä" * 20, "a;b" * 9])
+def test_a_token_that_is_easily_guessed_or_fits_no_link_is_refused(token, capsys):
+    with pytest.raises(SystemExit) as ended:
+        read_options([], {"GALEN_PANEL_TOKEN": token})
+    assert ended.value.code == 2
+    said = capsys.readouterr().err
+    assert "GALEN_PANEL_TOKEN" in said and token not in said
+
+
+def test_help_tells_of_everything(capsys):
+    with pytest.raises(SystemExit) as ended:
+        read_options(["--help"])
+    assert ended.value.code == 0
+    said = capsys.readouterr().out
+    for word in ("--host", "--port", "--certificate", "GALEN_PANEL_TOKEN", "exit codes", "__ns"):
+        assert word in said
+
+
+def test_a_port_that_is_taken_is_told_in_a_line():
+    with closing(socket.socket()) as other:
+        other.bind(("127.0.0.1", 0))
+        other.listen()
+        port = other.getsockname()[1]
+        ended = run("--port", str(port))
+    assert ended.returncode == 1
+    assert ended.stderr.splitlines() == [
+        f"panel: can't listen at 127.0.0.1, port {port}: Address already in use;"
+        " --port takes another one"
+    ]
+
+
+def test_an_address_that_is_none_of_this_machine_is_told_in_a_line():
+    ended = run("--host", "192.0.2.7", "--port", str(free_port()))
+    assert ended.returncode == 1
+    assert len(ended.stderr.splitlines()) == 1 and "can't listen at 192.0.2.7" in ended.stderr
+    assert "token" not in ended.stdout
+
+
+def test_a_certificate_that_is_none_is_told_in_a_line(tmp_path):
+    pem = tmp_path / "any.pem"
+    pem.write_text("nothing of the kind\n")
+    ended = run("--port", str(free_port()), "--certificate", str(pem), "--key", str(pem))
+    assert ended.returncode == 1
+    assert len(ended.stderr.splitlines()) == 1 and f"can't use {pem}" in ended.stderr
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_ends_it_with_code_0_also_with_a_connection_open(world, number):
+    link = world.start_panel(fake=True)
+    port = int(link.rstrip("/").rsplit(":")[-1])
+    with closing(socket.create_connection(("127.0.0.1", port))) as connection:
+        connection.sendall(b"GET / HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n")
+        assert connection.recv(15) == b"HTTP/1.1 200 OK"
+        assert world.end("panel", number, patience_s=3.0) == 0
+    assert "Traceback" not in world.log("panel")
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_while_it_starts_is_not_lost(world, number):
+    world.start("panel", [sys.executable, FAKE_PANEL, "--port", free_port()])
+    world.wait_for(lambda: _handles_sigterm(world.processes["panel"].pid), "it to mind signals")
+    assert world.end("panel", number, patience_s=5.0) == 0
+    assert "Traceback" not in world.log("panel")
+
+
+def _handles_sigterm(pid):
+    """Whether a process has a handler of its own, which Python has not until it is told."""
+    status = Path(f"/proc/{pid}/status").read_text()
+    caught = int(status.split("SigCgt:")[1].split()[0], 16)
+    return caught >> (signal.SIGTERM - 1) & 1
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(shutil.which("openssl") is None, reason="there is no openssl")
+def test_it_serves_https(world, tmp_path):
+    certificate, key = tmp_path / "certificate.pem", tmp_path / "key.pem"
+    request = ["req", "-x509", "-newkey", "rsa:2048", "-nodes", "-days", "2", "-subj", "/CN=panel"]
+    subprocess.run(
+        ["openssl", *request, "-addext", "subjectAltName=IP:127.0.0.1", "-out", certificate]
+        + ["-keyout", key],
+        check=True,
+        capture_output=True,
+    )
+    link = world.start_panel("--certificate", certificate, "--key", key, fake=True)
+    assert link.startswith("https://")
+    trusting = ssl.create_default_context(cafile=str(certificate))
+    with urllib.request.urlopen(link, context=trusting, timeout=20) as answer:
+        assert answer.status == 200 and b"Galen" in answer.read()
