@@ -1,7 +1,7 @@
 # `make demo` and `make test` do all they need; `make help` lists the rest.
 SHELL := /bin/bash
 .DEFAULT_GOAL := help
-.PHONY: help setup networks build test test-slow test-soak lint demo bench soak blind blind-short clean
+.PHONY: help setup networks browser build test test-slow test-soak lint demo bench soak blind blind-short clean
 
 STARTER ?= python3
 SETUP = $(STARTER) scripts/setup_env.py
@@ -23,6 +23,9 @@ setup: ## make .venv: on the sourced ROS 2 Jazzy, or else with ROS 2 from PyPI
 
 networks: ## add PyTorch to .venv (5 GB): deflection's networks need it, nothing else does
 	@$(SETUP) networks
+
+browser: ## install Debian's Chromium, which the panel's tests click through the page with
+	@scripts/install_browser.sh
 
 build: ## set up, then build the packages
 	@$(SETUP) build
