@@ -33,7 +33,15 @@ from rclpy.node import Node
 from rclpy.serialization import serialize_message
 
 from galen_msgs.action import CalibrateTool, CheckTool, CollectPushes
-from galen_msgs.srv import CompareTools, GetTool, PushTool, RemoveTool, RenameTool, SetTool
+from galen_msgs.srv import (
+    CompareTools,
+    GetTool,
+    PushTool,
+    RemoveTool,
+    RenameTool,
+    RevertTool,
+    SetTool,
+)
 
 Bad = dict[str, list[Any]]
 
@@ -66,7 +74,7 @@ SERVICES: dict[str, tuple[type, dict[str, Any], Bad]] = {
     "gravcomp/compare_tools": (
         CompareTools,
         {"a": "pointer", "b": "retractor"},
-        {"a": NAMES, "b": NAMES},
+        {"a": NAMES, "b": NAMES, "a_previous": [True], "b_previous": [True]},
     ),
     "gravcomp/rename_tool": (
         RenameTool,
@@ -74,6 +82,7 @@ SERVICES: dict[str, tuple[type, dict[str, Any], Bad]] = {
         {"tool": ["", *NAMES], "new_name": ["", "pointer", *NO_NAMES]},
     ),
     "gravcomp/remove_tool": (RemoveTool, {}, {"tool": ["", "pointer", *NAMES]}),
+    "gravcomp/revert_tool": (RevertTool, {}, {"tool": ["", "pointer", *NAMES]}),
     "attach_tool": (SetTool, {}, {"tool": NAMES}),
     "push_tool": (
         PushTool,

@@ -2,7 +2,7 @@
 
 Every place where a name makes a path is here, or where its row says:
 
-    tool of ~/set_tool, ~/get_tool, ~/compare_tools, ~/rename_tool, ~/remove_tool,
+    tool of ~/set_tool, ~/get_tool, ~/compare_tools, ~/rename_tool, ~/remove_tool, ~/revert_tool,
       check_tool, gap_node, `tools`        ToolStore: check_tool_name, no link out    here
     tool of calibrate_tool, `calibrate*`   tool_path                                  here
     tool in a tool's file                  check_tool_name                            test_bad_input
@@ -32,7 +32,7 @@ from galen_model.tool_store import ToolStore
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from galen_msgs.srv import GetTool, RemoveTool, RenameTool, SetTool
+from galen_msgs.srv import GetTool, RemoveTool, RenameTool, RevertTool, SetTool
 
 ALLOWED = set("abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ0123456789_-")
 NAMES = st.text(max_size=70) | st.sampled_from(TEXTS) | st.text(sorted(ALLOWED) + ["/", "."])
@@ -79,6 +79,7 @@ def test_no_request_with_a_strange_name_changes_anything(tmp_path: Path) -> None
         (SetTool.Response, lambda name: tool_path(store.directory, name)),
         (SetTool.Response, lambda name: CollectionFolder(tmp_path / "recordings", name)),
         (RemoveTool.Response, store.restore),
+        (RevertTool.Response, store.revert),
     ]
 
     @settings(max_examples=150, deadline=None, derandomize=True, database=None)

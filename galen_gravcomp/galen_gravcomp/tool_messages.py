@@ -24,6 +24,8 @@ class NothingInForceError(GalenError):
     """There is no tool in force."""
 
 
+_MOST_POSES = 65535
+"""A uint16 of the message; the file may say any number."""
 _FILE_STATES = {
     FileState.AS_LOADED: ToolInForce.FILE_AS_LOADED,
     FileState.CHANGED: ToolInForce.FILE_CHANGED,
@@ -99,14 +101,18 @@ def fill_comparison(response: Any, comparison: Comparison) -> None:
     response.worst_torque_at = comparison.worst_torque.at_rad
 
 
-def summary(entry: Entry, in_force: bool) -> ToolSummary:
+def summary(entry: Entry, in_force: bool, has_previous: bool) -> ToolSummary:
     """A row of the list."""
     row = ToolSummary(tool=entry.name, problem=entry.problem, in_force=in_force)
+    row.has_previous = has_previous
+    row.rmse_force_n = row.rmse_torque_nm = np.full(3, np.nan)
     if entry.stored is not None:
         tool = entry.stored.tool
         row.mass_kg = float(tool.load.mass_kg)
         row.mass_std_kg = tool.load.mass_std_kg
         row.com_m = np.asarray(tool.load.com_m, dtype=float)
+        row.rmse_force_n, row.rmse_torque_nm = tool.rmse[:3], tool.rmse[3:]
+        row.poses_used = min(tool.poses_used, _MOST_POSES)
         row.calibrated_at = tool.calibrated_at
         row.parts = list(tool.parts)
     return row

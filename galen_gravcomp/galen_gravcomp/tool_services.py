@@ -4,7 +4,8 @@ Files are read and written beside the executor (`galen_ros.background`), so that
 up no wrench; answers go out later. Only `~/set_tool` reads its one small file at once.
 
 The tool in force can't be removed. It can be renamed: it stays in force under its new name, with
-its tare, and the output doesn't change.
+its tare, and the output doesn't change. It can be reverted: the file is then another one than what
+was loaded, and the output doesn't change either.
 """
 
 from __future__ import annotations
@@ -18,13 +19,13 @@ from typing import Any
 import numpy as np
 from galen_model.arm import JOINT_NAMES, SENSOR_FRAME
 from galen_model.arrays import Array
-from galen_model.errors import GalenError, ToolFileError
+from galen_model.errors import GalenError, ToolFileError, ToolNameError
 from galen_model.load_frames import (
     joint_vector,
     needed_joints,
     sensor_in_frame,
 )
-from galen_model.tool_comparison import Comparison, compare_tools
+from galen_model.tool_comparison import Comparison, before_name, compare_tools
 from galen_model.tool_store import (
     FileState,
     StoredTool,
@@ -48,7 +49,7 @@ from galen_gravcomp.tool_messages import (
 )
 from galen_gravcomp.wire import JointWire
 from galen_msgs.msg import ToolSummary
-from galen_msgs.srv import CompareTools, GetTool, ListTools, RemoveTool, RenameTool
+from galen_msgs.srv import CompareTools, GetTool, ListTools, RemoveTool, RenameTool, RevertTool
 
 MAX_LISTED = 500
 
@@ -100,12 +101,13 @@ class ToolServices:
             DeferredService(node, CompareTools, "~/compare_tools", self._on_compare),
             DeferredService(node, RenameTool, "~/rename_tool", self._on_rename),
             DeferredService(node, RemoveTool, "~/remove_tool", self._on_remove),
+            DeferredService(node, RevertTool, "~/revert_tool", self._on_revert),
         ]
 
     def read(self, name: str) -> StoredTool:
         """Read a tool that is to be put in force; raises ToolNameError or ToolFileError."""
         if self._changes({name}):
-            raise ToolFileError(f"tool '{name}' is being renamed or removed: ask again")
+            raise ToolFileError(f"tool '{name}' is being changed: ask again")
         return self._store.read(name)
 
     def close(self) -> None:
@@ -154,7 +156,7 @@ class ToolServices:
             names = self._store.names()
             rows = []
             for entry in self._store.entries(names[:MAX_LISTED]):
-                rows.append(summary(entry, entry.name == in_force))
+                rows.append(summary(entry, entry.name == in_force, self._reverts(entry.name)))
                 time.sleep(0)  # the executor's thread may go on between two files
             return rows, len(names) - len(rows)
 
@@ -199,12 +201,9 @@ class ToolServices:
         in_force = self.in_force.stored
 
         def job() -> Comparison:
-            a, b = (self._named(name, in_force) for name in (request.a, request.b))
-            names = tuple(
-                name or f"{stored.tool.tool} in force"
-                for name, stored in ((request.a, a), (request.b, b))
-            )
-            return compare_tools(a.tool, b.tool, (names[0], names[1]))
+            a, name_a = self._compared(request.a, request.a_previous, in_force)
+            b, name_b = self._compared(request.b, request.b_previous, in_force)
+            return compare_tools(a.tool, b.tool, (name_a, name_b))
 
         self._answer(
             response, respond, job, lambda comparison: fill_comparison(response, comparison)
@@ -249,6 +248,18 @@ class ToolServices:
 
         self._change({request.tool}, response, respond, job, fill)
 
+    def _on_revert(self, request: Any, response: Any, respond: Respond) -> None:
+        def fill(stored: StoredTool) -> None:
+            response.path = str(stored.path)
+            self._node.get_logger().info(
+                f"tool '{request.tool}' is as calibrated {stored.tool.calibrated_at} again;"
+                " what is in force stays until ~/set_tool is called"
+            )
+
+        self._change(
+            {request.tool}, response, respond, lambda: self._store.revert(request.tool), fill
+        )
+
     def _change(
         self,
         names: set[str],
@@ -273,6 +284,22 @@ class ToolServices:
 
     def _changes(self, names: set[str]) -> bool:
         return any(names & changing for changing in self._changing)
+
+    def _reverts(self, name: str) -> bool:
+        try:
+            return self._store.has_previous(name)
+        except ToolNameError:  # the list has files of any name
+            return False
+
+    def _compared(
+        self, name: str, previous: bool, in_force: StoredTool | None
+    ) -> tuple[StoredTool, str]:
+        """A tool, or the calibration before it, and what to call it; may read a file."""
+        if previous:
+            tool = name or self._named(name, in_force).tool.tool
+            return self._store.previous(tool), before_name(tool)
+        stored = self._named(name, in_force)
+        return stored, name or f"{stored.tool.tool} in force"
 
     def _named(self, name: str, in_force: StoredTool | None) -> StoredTool:
         """A tool by its name; empty: the one in force, as it was loaded."""

@@ -1,4 +1,4 @@
-"""`tools`: list, show, compare, rename, remove, restore tools' files; what a node has in force."""
+"""`tools`: looks after a directory's tools' files; says what a node has in force."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from galen_bags.command_line import (
 from galen_model.arm import JOINT_NAMES, SENSOR_FRAME
 from galen_model.errors import GalenError
 from galen_model.load_frames import FRAMES, joint_vector, needed_joints, sensor_in_frame
-from galen_model.tool_comparison import compare_tools
+from galen_model.tool_comparison import before_name, compare_tools
 from galen_model.tool_store import ToolStore
 from rich.console import Console
 
@@ -86,10 +86,21 @@ def build_parser() -> argparse.ArgumentParser:
         commands, "compare", "two tools: what differs, and is it more than they can tell?", files
     )
     compare.add_argument("a", metavar="A")
-    compare.add_argument("b", metavar="B")
+    other = compare.add_mutually_exclusive_group(required=True)
+    other.add_argument("b", metavar="B", nargs="?")
+    other.add_argument(
+        "--previous", action="store_true", help="the calibration before A's present one against it"
+    )
     rename = _add(commands, "rename", "give a tool another name; never over another tool", files)
     rename.add_argument("tool", metavar="OLD")
     rename.add_argument("new_name", metavar="NEW")
+    revert = _add(
+        commands,
+        "revert",
+        "swap a tool's calibration with the one before it; twice: as it was",
+        files,
+    )
+    revert.add_argument("tool", metavar="NAME")
     remove = _add(commands, "remove", "take a tool off the list; its file is kept beside", files)
     remove.add_argument("tool", metavar="NAME")
     remove.add_argument("--yes", action="store_true", help="don't ask")
@@ -140,8 +151,12 @@ def _show(arguments: argparse.Namespace, store: ToolStore, console: Console) -> 
 
 
 def _compare(arguments: argparse.Namespace, store: ToolStore, console: Console) -> None:
-    a, b = store.read(arguments.a), store.read(arguments.b)
-    comparison = compare_tools(a.tool, b.tool)
+    if arguments.previous:
+        before, present = store.previous(arguments.a), store.read(arguments.a)
+        names = (before_name(arguments.a), arguments.a)
+        comparison = compare_tools(before.tool, present.tool, names)
+    else:
+        comparison = compare_tools(store.read(arguments.a).tool, store.read(arguments.b).tool)
     if arguments.json:
         _print_json(comparison_to_dict(comparison))
     else:
@@ -151,6 +166,13 @@ def _compare(arguments: argparse.Namespace, store: ToolStore, console: Console) 
 def _rename(arguments: argparse.Namespace, store: ToolStore, console: Console) -> None:
     path = store.rename(arguments.tool, arguments.new_name).path
     _tell(arguments, console, {"path": str(path)}, f"'{arguments.tool}' is now {path}")
+
+
+def _revert(arguments: argparse.Namespace, store: ToolStore, console: Console) -> None:
+    stored = store.revert(arguments.tool)
+    told = {"path": str(stored.path), "calibrated_at": stored.tool.calibrated_at}
+    text = f"'{arguments.tool}' is as calibrated {stored.tool.calibrated_at} again: {stored.path}"
+    _tell(arguments, console, told, text)
 
 
 def _remove(arguments: argparse.Namespace, store: ToolStore, console: Console) -> None:
@@ -191,6 +213,7 @@ _COMMANDS = {
     "show": _show,
     "compare": _compare,
     "rename": _rename,
+    "revert": _revert,
     "remove": _remove,
     "restore": _restore,
 }

@@ -22,7 +22,15 @@ from std_srvs.srv import SetBool, Trigger
 
 from galen_gravcomp import tool_in_force
 from galen_msgs.msg import ToolInForce
-from galen_msgs.srv import CompareTools, GetTool, ListTools, RemoveTool, RenameTool, SetTool
+from galen_msgs.srv import (
+    CompareTools,
+    GetTool,
+    ListTools,
+    RemoveTool,
+    RenameTool,
+    RevertTool,
+    SetTool,
+)
 
 JOINTS = np.array([0.02, -0.01, 0.45, 0.2, -0.1])
 LEFT = np.array([0.5, -0.4, 0.3, 0.01, -0.02, 0.03])
@@ -34,7 +42,7 @@ def a_tool(name: str, mass_kg: float) -> ToolFile:
         load=LoadEstimate(mass_kg, np.array([0.055, 0.002, 0.045]), np.eye(4) * 1e-8),
         bias=LoadEstimate(0.1, np.array([0.0, 0.0, 0.02]), np.eye(4) * 1e-8),
         tip_m=np.array([0.15, 0.0, 0.05]),
-        rmse=np.zeros(6),
+        rmse=np.arange(6) * 1e-3,
         poses_used=56,
         calibrated_at="2026-01-01T00:00:00+00:00",
     )
@@ -107,6 +115,7 @@ def test_tools_by_service_in_one_nodes_life(
     monkeypatch.setattr(tool_in_force, "_FILE_CHECK_S", 0.05)
     for tool in (POINTER, RETRACTOR, a_tool("drill", 0.06 + 1e-5)):
         write_tool(tool_path(tmp_path, tool.tool), tool)
+    write_tool(tmp_path / "cut.json.bak", a_tool("cut", 0.1))
     (tmp_path / "cut.json").write_text("{")
     values = {"tools_dir": str(tmp_path), "tool": "pointer", "tare_window_s": 0.05, "late_s": 0.0}
     with Harness() as harness:
@@ -134,6 +143,7 @@ def test_tools_by_service_in_one_nodes_life(
         check_tare_and_switch(person)
         check_rename_in_force(person, tmp_path)
         check_changed_file(person, tmp_path)
+        check_revert_in_force(person, tmp_path)
         gone = person.call("set_tool", SetTool, tool="")
         assert gone.success
         assert person.wait_told(lambda m: m.tool == "", "no tool").file_state == first.FILE_NONE
@@ -154,6 +164,12 @@ def check_list_get_compare(person: Person, folder: Path) -> None:
     assert [row.in_force for row in answer.tools] == [False, False, True, False]
     assert rows["retractor"].mass_kg == 0.2
     assert rows["retractor"].mass_std_kg == pytest.approx(1e-4)
+    np.testing.assert_array_equal(rows["retractor"].rmse_force_n, [0.0, 1e-3, 2e-3])
+    np.testing.assert_array_equal(rows["retractor"].rmse_torque_nm, [3e-3, 4e-3, 5e-3])
+    assert rows["retractor"].poses_used == 56 and rows["cut"].poses_used == 0
+    assert np.isnan([*rows["cut"].rmse_force_n, *rows["cut"].rmse_torque_nm]).all()
+    # An unreadable file can have a calibration before it, too.
+    assert [row.has_previous for row in answer.tools] == [True, False, False, False]
 
     # Live joints reach the base; before there are any, they must be given.
     asked = {"tool": "retractor", "frame": "base_link"}
@@ -193,6 +209,10 @@ def check_refusals(person: Person) -> None:
         ("rename_tool", RenameTool, {"tool": "cut", "new_name": "x"}, "INVALID_FILE", "cut.json"),
         ("remove_tool", RemoveTool, {"tool": "pointer"}, "IN_FORCE", "another tool in force"),
         ("remove_tool", RemoveTool, {"tool": "none"}, "NOT_FOUND", "none.json"),
+        ("revert_tool", RevertTool, {"tool": "../x"}, "INVALID_NAME", "letters"),
+        ("revert_tool", RevertTool, {"tool": "none"}, "NOT_FOUND", "none.json"),
+        ("revert_tool", RevertTool, {"tool": "drill"}, "NOT_FOUND", "no calibration of 'drill'"),
+        ("compare_tools", CompareTools, {"a_previous": True}, "NOT_FOUND", "pointer.json.bak"),
     ):
         answer = person.call(service, kind, **request)
         assert not answer.success
@@ -253,3 +273,27 @@ def check_changed_file(person: Person, folder: Path) -> None:
     person.wait_told(lambda m: m.file_state == m.FILE_GONE, "the file gone")
     (folder / "elsewhere").rename(path)
     person.wait_told(lambda m: m.file_state == m.FILE_AS_LOADED, "the file back")
+
+
+def check_revert_in_force(person: Person, folder: Path) -> None:
+    """The file is the one before; what is in force doesn't change until it is loaded."""
+    before = person.output()
+    compared = person.call("compare_tools", CompareTools, a_previous=True, b="probe")
+    assert compared.success and "'probe before' and 'probe'" in compared.text
+    assert compared.differences[0].difference == pytest.approx(1e-3)
+    answer = person.call("revert_tool", RevertTool, tool="probe")
+    assert answer.success and answer.path == str(folder / "probe.json")
+    told = person.wait_told(lambda m: m.file_state == m.FILE_CHANGED, "the change")
+    assert (told.tool, told.mass_kg) == ("probe", 0.061)
+    np.testing.assert_array_equal(person.output(), before)
+    compared = person.call("compare_tools", CompareTools, a="probe", b="probe", b_previous=True)
+    assert compared.differences[0].difference == pytest.approx(1e-3)
+    (folder / "probe.json.bak").rename(folder / "elsewhere")
+    (folder / "probe.json.bak").write_text("{")
+    assert person.call("revert_tool", RevertTool, tool="probe").error_code == (
+        RevertTool.Response.INVALID_FILE
+    )
+    (folder / "elsewhere").replace(folder / "probe.json.bak")
+    # Back again, it is what was loaded.
+    assert person.call("revert_tool", RevertTool, tool="probe").success
+    person.wait_told(lambda m: m.file_state == m.FILE_AS_LOADED, "the file as it was")

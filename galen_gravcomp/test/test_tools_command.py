@@ -119,6 +119,26 @@ def test_compare(tools: Command) -> None:
     assert tools.json("compare", "pointer", "pointer")["same_load"]
 
 
+def test_the_calibration_before(tools: Command, capsys: pytest.CaptureFixture[str]) -> None:
+    write_tool(tool_path(tools.folder, "pointer"), a_tool("pointer", 0.061))
+    found = tools.json("compare", "pointer", "--previous")
+    assert (found["a"], found["b"]) == ("pointer before", "pointer")
+    assert found["differences"][0]["difference"] == pytest.approx(1e-3)
+    assert "'pointer' is as calibrated 2026-01-01" in tools("revert", "pointer")
+    assert tools.json("show", "pointer")["load"]["mass_kg"] == 0.06
+    assert tools.json("compare", "pointer", "--previous")["differences"][0]["a"] == 0.061
+    path = str(tools.folder / "pointer.json")
+    assert tools.json("revert", "pointer") == {
+        "path": path,
+        "calibrated_at": "2026-01-01T00:00:00+00:00",
+    }
+    assert tools.json("show", "pointer")["load"]["mass_kg"] == 0.061
+    for words in (("compare", "pointer"), ("compare", "pointer", "retractor", "--previous")):
+        with pytest.raises(SystemExit) as usage:
+            main([*words, "--tools-dir", str(tools.folder)])
+        assert usage.value.code == 2 and "--previous" in capsys.readouterr().err
+
+
 def test_what_is_refused_is_one_line_and_changes_nothing(tools: Command) -> None:
     before = {path.name: path.read_bytes() for path in tools.folder.iterdir()}
     for words, said in (
@@ -127,6 +147,9 @@ def test_what_is_refused_is_one_line_and_changes_nothing(tools: Command) -> None
         (("rename", "cut", "x"), "not JSON"),
         (("remove", "none", "--yes"), "can't be read: No such file"),
         (("restore", "pointer"), "is there"),
+        (("revert", "pointer"), "no calibration of 'pointer' before its present one"),
+        (("revert", "none"), "none.json: can't be read"),
+        (("compare", "pointer", "--previous"), "no calibration of 'pointer' before"),
         (("compare", "pointer", "none"), "none.json"),
         (("show", "cut"), "not JSON"),
     ):

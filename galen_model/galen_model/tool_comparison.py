@@ -114,6 +114,11 @@ class Comparison:
         return text
 
 
+def before_name(tool: str) -> str:
+    """What the calibration before a tool's present one is called beside others."""
+    return f"{tool} before"
+
+
 def compare_tools(a: ToolFile, b: ToolFile, names: tuple[str, str] | None = None) -> Comparison:
     """Compare two files; `names`: as they are called here. Raises IncomparableError."""
     name_a, name_b = names or (a.tool, b.tool)

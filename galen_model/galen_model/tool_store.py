@@ -1,13 +1,16 @@
-"""The tools' files of one directory: listed, read, renamed, removed and brought back.
+"""The tools' files of one directory: listed, read, renamed, reverted, removed and brought back.
 
 A tool's name is the only way in: it is checked, and what it names must be a file within the
 directory, so that neither a name nor a link leads out of it. Nothing is ever overwritten: a file
 gets its new name by a hard link, which fails where the name is taken, and loses its old one after.
-So at every moment, also after a crash, each calibration is there under at least one name.
+Reverting swaps two names (`whole_file.exchange`). So at every moment, also after a crash, each
+calibration is there under at least one name.
 
     <tool>.json            the tool's file
     <tool>.json.bak        the calibration before it (`galen_model.whole_file`)
     <tool>.json.removed    a tool that was removed; .removed.2 and so on where that is taken
+    <tool>.json.bak.removed, without the above: left by a revert that a crash cut short, on a file
+                           system that can't swap names in one step
 """
 
 import hashlib
@@ -30,7 +33,13 @@ from galen_model.tool_file import (
     parse_tool,
     tool_path,
 )
-from galen_model.whole_file import rename_to_free, sync_directory, unlink_if, write_new
+from galen_model.whole_file import (
+    exchange,
+    rename_to_free,
+    sync_directory,
+    unlink_if,
+    write_new,
+)
 
 _SUFFIX = ".json"
 _BACKUP = ".bak"
@@ -98,12 +107,24 @@ class ToolStore:
         Raises ToolNameError, or ToolFileError that names the file; where there is none, its cause
         is a FileNotFoundError.
         """
-        path = self._checked(name)
-        raw = _read(path)
-        tool = parse_tool(path, raw)
-        if tool.tool != name:
-            raise ToolFileError(f"{path}: holds the tool '{tool.tool}', not '{name}'")
-        return StoredTool(path, tool, _digest(raw), _text(raw))
+        return _stored(self._checked(name), name)
+
+    def previous(self, name: str) -> StoredTool:
+        """Read and check the calibration before a tool's present one, as `read` does."""
+        backup = self._within(_backup(tool_path(self.directory, name)))
+        if not os.path.lexists(backup):
+            raise ToolFileError(
+                f"{backup}: no calibration of '{name}' before its present one is kept"
+            ) from FileNotFoundError()
+        return _stored(backup, name)
+
+    def has_previous(self, name: str) -> bool:
+        """Whether `revert` would bring a calibration back. Raises ToolNameError."""
+        try:
+            self.previous(name)
+        except ToolFileError:
+            return False
+        return True
 
     def names(self) -> list[str]:
         """What is listed, sorted: files named *.json without it. Raises ToolStoreError."""
@@ -156,19 +177,28 @@ class ToolStore:
             sync_directory(self.directory)
         return self.read(new_name)
 
+    def revert(self, name: str) -> StoredTool:
+        """Swap a tool's file and the calibration before it; doing it twice changes nothing.
+
+        A broken file is kept as the other one. Raises ToolNameError, ToolFileError where there is
+        no file or no usable calibration before it, or ToolStoreError; nothing is then changed.
+        """
+        path = self._regular(name)
+        self.previous(name)
+        backup = _backup(path)
+        try:
+            exchange(path, backup, _removed(backup, _free_number(path)))
+        except OSError as error:
+            raise ToolStoreError(f"{path}: can't be reverted: {error.strerror}") from error
+        return self.read(name)
+
     def remove(self, name: str) -> Path:
         """Take a tool off the list; returns where its file is kept, so that it can come back.
 
         A broken file can be removed as well. Raises ToolNameError, ToolFileError where there is no
         file, or ToolStoreError.
         """
-        path = self._checked(name)
-        try:
-            mode = path.stat().st_mode
-        except OSError as error:
-            raise ToolFileError(f"{path}: can't be read: {error.strerror}") from error
-        if not stat.S_ISREG(mode):
-            raise ToolFileError(f"{path}: is no regular file")
+        path = self._regular(name)
         try:
             backup = _backup(path)
             files = (path, backup) if backup.exists() else (path,)
@@ -226,7 +256,9 @@ class ToolStore:
 
     def _checked(self, name: str) -> Path:
         """Path of a name; raises ToolFileError where it is a link out of the directory."""
-        path = tool_path(self.directory, name)
+        return self._within(tool_path(self.directory, name))
+
+    def _within(self, path: Path) -> Path:
         try:
             within = path.resolve().is_relative_to(self.directory.resolve())
         except OSError as error:
@@ -235,6 +267,17 @@ class ToolStore:
             within = False
         if not within:
             raise ToolFileError(f"{path}: is a link that leads out of {self.directory}")
+        return path
+
+    def _regular(self, name: str) -> Path:
+        """Path of a tool's file, broken or not; raises ToolNameError or ToolFileError."""
+        path = self._checked(name)
+        try:
+            mode = path.stat().st_mode
+        except OSError as error:
+            raise ToolFileError(f"{path}: can't be read: {error.strerror}") from error
+        if not stat.S_ISREG(mode):
+            raise ToolFileError(f"{path}: is no regular file")
         return path
 
     def _check_free(self, old: StoredTool, new_path: Path) -> None:
@@ -247,6 +290,14 @@ class ToolStore:
             there = b""
         if there != _named(old.content, new_path.name.removesuffix(_SUFFIX)).encode():
             raise ToolExistsError(f"{new_path}: is there already; a tool is never overwritten")
+
+
+def _stored(path: Path, name: str) -> StoredTool:
+    raw = _read(path)
+    tool = parse_tool(path, raw)
+    if tool.tool != name:
+        raise ToolFileError(f"{path}: holds the tool '{tool.tool}', not '{name}'")
+    return StoredTool(path, tool, _digest(raw), _text(raw))
 
 
 def _named(content: str, name: str) -> str:
@@ -272,11 +323,17 @@ def _named_backup(backup: Path, name: str) -> bytes | str:
 
 def _set_aside(path: Path, files: tuple[Path, ...]) -> int:
     """Rename the files of a tool (`path`: its own) to *.removed, with the first number free."""
+    number = _free_number(path)
+    for file in files:
+        rename_to_free(file, _removed(file, number))
+    return number
+
+
+def _free_number(path: Path) -> int:
+    """The first under which neither a tool's file nor its backup was removed."""
     number = 1
     while any(os.path.lexists(_removed(file, number)) for file in (path, _backup(path))):
         number += 1
-    for file in files:
-        rename_to_free(file, _removed(file, number))
     return number
 
 

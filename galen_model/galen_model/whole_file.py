@@ -11,6 +11,7 @@ written never ends up in another directory, and nothing there changes. A directo
 followed.
 """
 
+import ctypes
 import errno
 import os
 import tempfile
@@ -20,6 +21,8 @@ from contextlib import suppress
 from pathlib import Path
 
 _NO_HARD_LINKS = (errno.EPERM, errno.ENOTSUP, errno.EOPNOTSUPP, errno.EMLINK)
+_NO_EXCHANGE = (errno.EINVAL, errno.ENOSYS, errno.ENOTSUP, errno.EOPNOTSUPP)
+_AT_FDCWD, _RENAME_EXCHANGE = -100, 2
 _LEFT_AFTER_S = 600.0
 """No writer is at work for so long."""
 
@@ -97,6 +100,50 @@ def unlink_if(path: Path, is_it: Callable[[Path], bool]) -> None:
         raise
 
 
+def exchange(path: Path, other: Path, spare: Path) -> None:
+    """Have two files of a directory swap their names, in one step where the file system can.
+
+    Where it can't (some network file systems), a process killed in between leaves what `path` had
+    under both names, and what `other` had as `spare`, which must be a free name (FileExistsError).
+
+    Raises OSError; both then have their names.
+    """
+    try:
+        _exchange_in_one_step(path, other)
+    except OSError as error:
+        if error.errno not in _NO_EXCHANGE:
+            raise
+        _exchange_in_steps(path, other, spare)
+    sync_directory(path.parent)
+
+
+def _exchange_in_one_step(path: Path, other: Path) -> None:
+    """Linux's renameat2, which Python's os has not."""
+    try:
+        rename = ctypes.CDLL(None, use_errno=True).renameat2
+    except AttributeError:  # another C library
+        raise OSError(errno.ENOSYS, os.strerror(errno.ENOSYS)) from None
+    names = (os.fsencode(path), os.fsencode(other))
+    if rename(_AT_FDCWD, names[0], _AT_FDCWD, names[1], _RENAME_EXCHANGE) != 0:
+        number = ctypes.get_errno()
+        raise OSError(number, os.strerror(number), str(path), None, str(other))
+
+
+def _exchange_in_steps(path: Path, other: Path, spare: Path) -> None:
+    """At every moment `path` is a whole file."""
+    _second_name(other, spare)
+    try:
+        _keep_as(path, other)
+        try:
+            os.replace(spare, path)
+        except OSError:
+            os.replace(spare, other)
+            raise
+    except OSError:
+        spare.unlink(missing_ok=True)
+        raise
+
+
 def _write_beside(path: Path, content: str | bytes) -> Path:
     """Write and sync a temporary file in the folder of `path`; removed again on an error."""
     raw = content.encode() if isinstance(content, str) else content
@@ -133,21 +180,30 @@ def _sweep(path: Path) -> None:
 
 
 def _keep_backup(path: Path) -> None:
-    """Give the old file its second name; the backup, too, changes in one step."""
-    if not path.exists():
-        return
-    backup = path.with_name(path.name + ".bak")
+    """Give the old file its second name."""
+    if path.exists():
+        _keep_as(path, path.with_name(path.name + ".bak"))
+
+
+def _keep_as(path: Path, name: Path) -> None:
+    """Give a file a second name; what had it before loses it in one step."""
     spare = path.with_name(f"{_unfinished(path)}bak{os.getpid()}")
     spare.unlink(missing_ok=True)
     try:
-        try:
-            os.link(path, spare)
-        except OSError:  # a file system without hard links
-            spare.write_bytes(path.read_bytes())
-        os.replace(spare, backup)
+        _second_name(path, spare)
+        os.replace(spare, name)
     except BaseException:
         spare.unlink(missing_ok=True)
         raise
+
+
+def _second_name(path: Path, free: Path) -> None:
+    try:
+        os.link(path, free, follow_symlinks=False)
+    except FileExistsError:
+        raise
+    except OSError:  # a file system without hard links
+        free.write_bytes(path.read_bytes())
 
 
 def sync_directory(directory: Path) -> None:

@@ -101,6 +101,8 @@ def test_names_are_checked_everywhere(store: ToolStore, name: str) -> None:
         lambda: store.rename("pointer", name),
         lambda: store.remove(name),
         lambda: store.restore(name),
+        lambda: store.previous(name),
+        lambda: store.revert(name),
     ):
         with pytest.raises(ToolNameError):
             call()
@@ -154,6 +156,7 @@ def steps(monkeypatch: pytest.MonkeyPatch, fail_at: int, error: type[BaseExcepti
         return call
 
     monkeypatch.setattr(whole_file.os, "link", failing(os.link))
+    monkeypatch.setattr(whole_file.os, "replace", failing(os.replace))
     monkeypatch.setattr(Path, "unlink", failing(Path.unlink))
 
 
@@ -258,6 +261,133 @@ def test_removed_tools_come_back_with_their_backup(store: ToolStore) -> None:
     assert masses(store) == BEFORE
     with pytest.raises(ToolFileError, match="no removed tool"):
         store.restore("drill")
+
+
+SWAPPED = BEFORE | {"pointer.json": 0.05, "pointer.json.bak": 0.06}
+
+
+def no_exchange(*_args: object) -> None:
+    raise OSError(22, "Invalid argument")
+
+
+@pytest.fixture(params=["in one step", "in steps", "without hard links"])
+def swapping(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    """How the file system swaps names."""
+
+    def no_links(*_args: object, **_options: object) -> None:
+        raise PermissionError(1, "Operation not permitted")
+
+    if request.param != "in one step":
+        monkeypatch.setattr(whole_file, "_exchange_in_one_step", no_exchange)
+    if request.param == "without hard links":
+        monkeypatch.setattr(whole_file.os, "link", no_links)
+
+
+@pytest.mark.usefixtures("swapping")
+def test_reverting_twice_changes_nothing(store: ToolStore) -> None:
+    before = files(store)
+    assert store.has_previous("pointer") and store.previous("pointer").tool.load.mass_kg == 0.05
+    reverted = store.revert("pointer")
+    assert reverted.tool.load.mass_kg == 0.05 and reverted.path.name == "pointer.json"
+    assert masses(store) == SWAPPED
+    assert store.previous("pointer").tool.load.mass_kg == 0.06
+    store.revert("pointer")
+    assert files(store) == before
+    store.rename("pointer", "probe")
+    assert store.revert("probe").tool.load.mass_kg == 0.05
+
+
+def test_what_can_not_be_reverted_stays(store: ToolStore, tmp_path: Path) -> None:
+    for missing in ("retractor", "drill"):
+        with pytest.raises(ToolFileError) as absent:
+            store.revert(missing)
+        assert isinstance(absent.value.__cause__, FileNotFoundError)
+        assert not store.has_previous(missing)
+    with pytest.raises(ToolFileError, match="no calibration of 'retractor' before its present"):
+        store.revert("retractor")
+    outside = tmp_path / "outside.json"
+    write_tool(outside, a_tool("pointer", 0.04))
+    content, backup = outside.read_bytes(), store.directory / "pointer.json.bak"
+    for make, words in (
+        (lambda: backup.write_text("{"), "not JSON"),
+        (lambda: write_tool(backup, a_tool("retractor")), "holds the tool 'retractor'"),
+        (lambda: backup.symlink_to(outside), "leads out of"),
+        (lambda: backup.symlink_to(backup), "out of|levels of symbolic links"),
+        (backup.mkdir, "regular file"),
+    ):
+        backup.unlink()
+        make()
+        present = (store.directory / "pointer.json").read_bytes()
+        with pytest.raises(ToolFileError, match=words):
+            store.revert("pointer")
+        assert not store.has_previous("pointer")
+        assert (store.directory / "pointer.json").read_bytes() == present
+    assert outside.read_bytes() == content
+
+
+@pytest.mark.usefixtures("swapping")
+def test_a_broken_file_is_reverted_and_links_within_swap_their_names(store: ToolStore) -> None:
+    pointer = store.directory / "pointer.json"
+    pointer.write_text("{")
+    assert store.revert("pointer").tool.load.mass_kg == 0.05
+    assert pointer.with_name("pointer.json.bak").read_text() == "{"
+    data = store.directory / "..data"
+    data.mkdir()
+    write_tool(data / "retractor.json", a_tool("retractor", 0.19))
+    (store.directory / "retractor.json.bak").symlink_to("..data/retractor.json")
+    assert store.revert("retractor").tool.load.mass_kg == 0.19
+    assert store.previous("retractor").tool.load.mass_kg == 0.2
+    assert read_tool(data / "retractor.json").load.mass_kg == 0.19
+
+
+@pytest.mark.parametrize("fail_at", range(1, 6))
+@pytest.mark.parametrize("error", [OSError, KeyboardInterrupt])
+def test_a_revert_cut_short_loses_nothing(
+    store: ToolStore, fail_at: int, error: type[BaseException]
+) -> None:
+    """On a file system that can't swap names in one step. Killed, the tool is still there whole,
+    and every calibration under some name; with an error all is as before, or done."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(whole_file, "_exchange_in_one_step", no_exchange)
+        steps(patch, fail_at, error)
+        try:
+            store.revert("pointer")
+            done = True
+        except (ToolStoreError, KeyboardInterrupt):
+            done = False
+    after = masses(store)
+    assert {0.05, 0.06, 0.2} == set(after.values())
+    assert after["pointer.json"] in (0.05, 0.06)
+    if error is OSError:
+        assert after == (SWAPPED if done else BEFORE)
+        assert not list(store.directory.glob(".*"))
+
+
+def test_a_calibration_written_during_a_revert_is_not_lost(
+    store: ToolStore, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What is in force of both names is swapped, whatever was looked at before."""
+    real = tool_store.exchange
+
+    def calibrate_before(path, other, spare):
+        write_tool(path, a_tool("pointer", 0.07))
+        real(path, other, spare)
+
+    monkeypatch.setattr(tool_store, "exchange", calibrate_before)
+    assert store.revert("pointer").tool.load.mass_kg == 0.06
+    assert store.previous("pointer").tool.load.mass_kg == 0.07
+
+
+def test_a_full_disk_or_a_file_system_for_reading_says_so(
+    store: ToolStore, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def read_only(*_args: object) -> None:
+        raise OSError(30, "Read-only file system")
+
+    monkeypatch.setattr(whole_file, "_exchange_in_one_step", read_only)
+    with pytest.raises(ToolStoreError, match=r"pointer\.json: can't be reverted: Read-only"):
+        store.revert("pointer")
+    assert masses(store) == BEFORE
 
 
 def test_a_broken_file_can_be_removed_and_a_link_never_takes_its_target(
