@@ -393,8 +393,8 @@ class GoalNode(Node, ABC, Generic[SettingsT, GoalT, EndT]):
             values["refused"] = self._refused
         goal = self._goal
         if goal is None:
-            level = WARN if self._last_failed else OK
-            return Status(level, f"ready; {self._last}", values)
+            level, state = (WARN, "failed") if self._last_failed else (OK, "ready")
+            return Status(level, f"ready; {self._last}", {"state": state} | values)
         words = self.words
         done, total = goal.procedure.progress
         name, state = self._subject(goal.handle.request), goal.procedure.state.name

@@ -351,8 +351,18 @@ def test_a_refusal_is_forgotten_when_another_goal_begins(world):
     world.harness.wait_for(
         lambda: any("drill" in status.message for status in world.diagnostics), 5.0, "the new goal"
     )
-    values = [item.key for status in world.diagnostics[-1:] for item in status.values]
+    values = {item.key: item.value for s in world.diagnostics[-1:] for item in s.values}
     assert "refused" not in values
+    assert values["state"] in [state.name for state in State]
+
+
+def test_without_a_goal_its_state_is_ready_or_that_the_last_one_failed(world):
+    def told():
+        return [v.value for s in world.diagnostics[-1:] for v in s.values if v.key == "state"]
+
+    world.harness.wait_for(lambda: told() == ["ready"], 10.0, "that it is ready")
+    world.fails(world.send(tool="../drill"), ErrorCode.INVALID_NAME, "drill")
+    world.harness.wait_for(lambda: told() == ["failed"], 10.0, "that it failed")
 
 
 def test_a_tip_that_is_no_number_is_refused(world):

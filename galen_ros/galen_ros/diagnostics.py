@@ -63,7 +63,12 @@ class DiagnosticsPublisher:
         now = self._node.get_clock().now()
         if now.nanoseconds == 0:  # only a simulation's clock is ever zero
             text = f"{status.message}; use_sim_time is set, but no /clock came: time stands still"
-            status = replace(status, level=max(status.level, Level.WARN), message=text)
+            status = replace(
+                status,
+                level=max(status.level, Level.WARN),
+                message=text,
+                values={"clock": "stands still", **status.values},
+            )
         message = DiagnosticArray()
         message.header.stamp = now.to_msg()
         message.status = [

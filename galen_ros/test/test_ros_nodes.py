@@ -10,6 +10,7 @@ from galen_ros.spin import make_executor
 from galen_ros.testing import Harness
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
+from rclpy.parameter import Parameter
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
@@ -49,6 +50,25 @@ def test_diagnostics_come_by_period_and_on_change(harness):
         "the new state",
     )
     assert last.status[0].level == DiagnosticStatus.WARN
+
+
+def test_time_that_stands_still_is_told_with_a_value(harness):
+    node = harness.add(
+        lambda context: Node(
+            "talker",
+            context=context,
+            parameter_overrides=[Parameter("use_sim_time", value=True)],
+        )
+    )
+    probe = harness.add(lambda context: Node("probe", context=context))
+    received = []
+    probe.create_subscription(DiagnosticArray, "/diagnostics", received.append, 10)
+    DiagnosticsPublisher(node, "arm", lambda: Status(OK, "fine", {"on": True}), period_s=0.05)
+    harness.wait_for(lambda: received, 10.0, "diagnostics")
+    status = received[-1].status[0]
+    assert status.level == DiagnosticStatus.WARN and "no /clock came" in status.message
+    values = {item.key: item.value for item in status.values}
+    assert values == {"clock": "stands still", "on": "true"}
 
 
 def test_a_latched_message_reaches_a_late_subscriber(harness):

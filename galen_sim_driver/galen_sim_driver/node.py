@@ -14,7 +14,7 @@ from galen_model.urdf import galen_urdf
 from galen_ros.cdr import JointStateBytes, WrenchBytes
 from galen_ros.conversions import fill_stamp, stamp_to_ns, wrench_to_array
 from galen_ros.deferred_service import DeferredService, Respond
-from galen_ros.diagnostics import ERROR, OK, WARN, Status
+from galen_ros.diagnostics import ERROR, OK, WARN, Level, Status
 from galen_ros.managed_node import ManagedNode
 from galen_ros.qos import LATCHED, STREAM
 from galen_ros.spin import run
@@ -302,26 +302,33 @@ class SimDriverNode(ManagedNode):
 
     # --- state ------------------------------------------------------------------------------
 
+    def _state(self, speed: float | None) -> tuple[Level, str, str]:
+        """Level, the state's short name, and a sentence for a person."""
+        asked = self._settings.speed_factor
+        if not self.active:
+            return WARN, "inactive", self.inactive_text
+        if self._refusal:
+            return ERROR, "trajectory_refused", f"trajectory refused: {self._refusal}"
+        if self._ignored_wrench and self._plant.admittance_on:
+            return ERROR, "wrench_ignored", self._ignored_wrench
+        if self.count_publishers("joint_states") > 1:
+            text = "another node publishes joint_states too: two drivers at once?"
+            return WARN, "several_drivers", text
+        if speed is not None and speed < _SLOW * asked:
+            return WARN, "slow", f"runs at {speed:.3g} times real time, not {asked:g}"
+        return OK, "running", "running"
+
     def _report(self) -> Status:
         asked = self._settings.speed_factor
         self._speed_meter.update(time.monotonic(), self._plant.now_ns)
         speed = self._speed_meter.speed
-        level, message = OK, "running"
-        if not self.active:
-            level, message = WARN, self.inactive_text
-        elif self._refusal:
-            level, message = ERROR, f"trajectory refused: {self._refusal}"
-        elif self._ignored_wrench and self._plant.admittance_on:
-            level, message = ERROR, self._ignored_wrench
-        elif self.count_publishers("joint_states") > 1:
-            level, message = WARN, "another node publishes joint_states too: two drivers at once?"
-        elif speed is not None and speed < _SLOW * asked:
-            level, message = WARN, f"runs at {speed:.3g} times real time, not {asked:g}"
+        level, state, message = self._state(speed)
         roll, tilt = self._plant.zero_pose
         return Status(
             level,
             message,
             {
+                "state": state,
                 "samples_per_wall_s": self._config.rate_hz * (speed or 0.0),
                 "speed_factor": asked,
                 "speed_reached": speed or 0.0,

@@ -323,6 +323,7 @@ def test_a_bad_trajectory_is_refused_and_told(cell):
         "the refusal on /diagnostics",
     )
     assert cell.value("trajectories_refused") == "1"
+    assert cell.value("state") == "trajectory_refused"
     assert np.allclose(cell.positions(), HOME, atol=1e-9)
     cell.send(["wrist"], [0.1], 1.0)
     cell.wait(
@@ -347,6 +348,7 @@ def test_a_second_driver_is_told(cell):
         "the second on /diagnostics",
     )
     assert second.count_publishers("joint_states") == 2
+    assert cell.value("state") == "several_drivers"
 
 
 def test_robot_description_reaches_a_late_subscriber_with_the_tip(cell):
