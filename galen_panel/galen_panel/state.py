@@ -150,6 +150,7 @@ class State:
     """All of it. tools: None until a list came. available: services and actions that are there.
 
     available holds names as in the contract: `gravcomp/set_tool`, `calibrate_tool`, `attach_tool`.
+    namespace: the panel's own, without slashes at its ends; nodes of others are another arm's.
     """
 
     revision: int = 0
@@ -160,6 +161,7 @@ class State:
     nodes: Mapping[str, NodeReport] = field(default_factory=dict)
     behaviours: Mapping[Kind, Behaviour] = field(default_factory=dict)
     available: frozenset[str] = frozenset()
+    namespace: str = ""
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,296 @@
+"""The nodes in plain words: each state that the nodes' code can tell has words and advice."""
+
+import ast
+import time
+from pathlib import Path
+
+import pytest
+from galen_calibration_behavior.check_commands import State as CheckState
+from galen_calibration_behavior.commands import State as CalibrationState
+from galen_deflection.collection_commands import State as CollectionState
+from galen_deflection.deflector import ModelRefusal
+from galen_deflection.deflector_monitor import DeflectorMonitor
+from galen_diagnosis.gap_stream import GapMonitor
+from galen_diagnosis.gap_watch import GapNotice
+from galen_gravcomp.monitor import Monitor
+from galen_panel.state import InForce, Level, NodeReport, State
+from galen_panel.words import ROLES, find_advice, others, overall, words_of, words_of_other
+from galen_panel.words_advice import ADVICE, LIFECYCLE, REFUSED
+from galen_ros.managed_node import Stage
+
+ROOT = Path(__file__).resolve().parents[2]
+NOW_S = 1000.0
+STREAM = ("galen_gravcomp/galen_gravcomp/stream_monitor.py",)
+SOURCES = {
+    "gravcomp": (*STREAM, "galen_gravcomp/galen_gravcomp/monitor.py"),
+    "deflection": (*STREAM, "galen_deflection/galen_deflection/deflector_monitor.py"),
+    "gap_monitor": (*STREAM, "galen_diagnosis/galen_diagnosis/gap_stream.py"),
+}
+MONITORS = {"gravcomp": Monitor, "deflection": DeflectorMonitor, "gap_monitor": GapMonitor}
+ENUMERATED = {
+    "calibration": [state.name for state in CalibrationState],
+    "check": [state.name for state in CheckState],
+    "collection": [state.name for state in CollectionState],
+    "gap_monitor": [notice.value for notice in GapNotice],
+    "deflection": [],
+    "gravcomp": [],
+    "sim_driver": [],
+}
+
+
+def calls(path, name):
+    for node in ast.walk(ast.parse((ROOT / path).read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Call) and ast.unparse(node.func).endswith(name):
+            yield node
+
+
+def level_of(severity):
+    return Level[ast.unparse(severity).rsplit(".", 1)[-1]]
+
+
+def states_of_streams(role):
+    """(level, name) of each State(...) in the code that has a name of its own."""
+    found = set()
+    for path in (*SOURCES[role], "galen_gravcomp/galen_gravcomp/stream_node.py"):
+        for call in calls(path, "State"):
+            level, name = call.args[0], call.args[1]
+            text = ast.unparse(name)
+            if text.startswith("ModelRefusal."):
+                found.add((level_of(level), ModelRefusal[text.split(".")[1]].value))
+            elif isinstance(name, ast.Constant):
+                found.add((level_of(level), name.value))
+        for call in calls(path, "_warning"):
+            if isinstance(call.args[0], ast.Constant):
+                found.add((Level.WARN, call.args[0].value))
+    monitor = MONITORS[role]
+    if role != "gap_monitor":  # it says by its notices what goes on
+        found.add((Level.OK, monitor.working))
+    found.add((Level.WARN, monitor.working))
+    for reason in monitor.reasons:
+        if reason not in monitor.said_better:
+            found |= {(level, reason.value) for level in (Level.WARN, Level.ERROR)}
+    return found
+
+
+def states_of_driver():
+    tree = ast.parse((ROOT / "galen_sim_driver/galen_sim_driver/node.py").read_text())
+    (state,) = (n for n in ast.walk(tree) if isinstance(n, ast.FunctionDef) and n.name == "_state")
+    returned = [n.value for n in ast.walk(state) if isinstance(n, ast.Return)]
+    return {(Level[one.elts[0].id], one.elts[1].value) for one in returned}
+
+
+def states_of_goals(role):
+    path = "galen_calibration_behavior/galen_calibration_behavior/goal_node.py"
+    tree = ast.parse((ROOT / path).read_text())
+    (report,) = (
+        n for n in ast.walk(tree) if isinstance(n, ast.FunctionDef) and n.name == "_report_status"
+    )
+    idle = {
+        (Level[one.elts[0].id], one.elts[1].value)
+        for one in ast.walk(report)
+        if isinstance(one, ast.Tuple)
+        and len(one.elts) == 2
+        and isinstance(one.elts[1], ast.Constant)
+    }
+    assert len(idle) == 2
+    return idle | {(Level.OK, name) for name in ENUMERATED[role]}
+
+
+def all_states():
+    for role in SOURCES:
+        for level, name in states_of_streams(role):
+            yield role, level, name
+    for notice in GapNotice:
+        level = Level.WARN if notice is GapNotice.GAP else Level.OK
+        yield "gap_monitor", level, notice.value
+    for role in ("calibration", "check", "collection"):
+        for level, name in states_of_goals(role):
+            yield role, level, name
+    for level, name in states_of_driver():
+        yield "sim_driver", level, name
+
+
+ALL = sorted(
+    {(role, level, name) for role, level, name in all_states() if name != "inactive"},
+    key=lambda one: (one[0], one[2], one[1].value),
+)
+
+
+def report(name, level, state="", heard_s=NOW_S, message="says", **values):
+    values = {"state": state, **values} if state else values
+    return NodeReport(name, level, message, values, heard_s)
+
+
+def state_of(*reports, **changes):
+    return State(nodes={one.name: one for one in reports}, **changes)
+
+
+def role(name):
+    return next(one for one in ROLES if one.name == name)
+
+
+def test_the_list_of_states_is_that_of_the_code():
+    names = {(role, name) for role, _, name in ALL}
+    assert {("gravcomp", "frozen_wrench"), ("gravcomp", "file_changed"), ("gravcomp", "late"),
+            ("deflection", "out_of_reach"), ("deflection", "predicting"),
+            ("gap_monitor", "gap"), ("sim_driver", "slow"), ("sim_driver", "running"),
+            ("calibration", "ATTACH_TOOL"), ("collection", "HOLD"), ("check", "failed"),
+            ("gravcomp", "incompatible_qos"), ("gravcomp", "cable_outside")} <= names  # fmt: skip
+    assert len(ALL) > 90
+
+
+@pytest.mark.parametrize(
+    ("name", "level", "state"), ALL, ids=[f"{one[0]}-{one[2]}-{one[1].name}" for one in ALL]
+)
+def test_each_state_has_words_and_trouble_has_advice(name, level, state):
+    advice = find_advice(name, state, level)
+    assert advice is not None
+    assert advice.doing.endswith(".") and advice.doing[0].isupper()
+    if level is not Level.OK:
+        assert advice.todo
+    words = words_of(state_of(report(name, level, state, tool="pointer")), role(name), NOW_S)
+    assert words.level is level and words.running
+    assert "{" not in words.doing + words.todo
+    assert words.said == "says"
+
+
+def test_no_words_are_left_that_no_node_can_tell():
+    told = {(role, name) for role, _, name in ALL}
+    for role_name, advices in ADVICE.items():
+        for key in advices:
+            name = key.removesuffix(" warn").removesuffix(" stale")
+            assert (role_name, name) in told
+    names = {name for _, name in told}
+    assert set(REFUSED) <= names
+
+
+@pytest.mark.parametrize(
+    ("stage", "level"),
+    [(stage, Level.WARN) for stage in Stage if stage is not Stage.ACTIVE]
+    # A transition that failed leaves a node unconfigured.
+    + [(Stage.UNCONFIGURED, Level.ERROR)],
+)
+def test_each_stage_of_a_nodes_life_has_words(stage, level):
+    name = "inactive" if stage is Stage.INACTIVE else ""
+    told = report("left/gravcomp", level, name, lifecycle=stage.value)
+    state = state_of(told, namespace="left")
+    words = words_of(state, role("gravcomp"), NOW_S)
+    assert words.level is level and words.stopped and words.todo
+    assert stage is Stage.FINALIZED or "/left/gravcomp" in words.todo
+    assert ("could not start" in words.doing) == (level is Level.ERROR)
+    assert len(LIFECYCLE) == 4
+
+
+def test_two_drivers_are_said_with_what_to_do():
+    both = report("gravcomp", Level.ERROR, "several_publishers", lifecycle="active")
+    words = words_of(state_of(both), role("gravcomp"), NOW_S)
+    assert words.doing == "No compensation: two drivers publish the same topic."
+    assert "Stop all but one" in words.todo and words.stopped
+    joints = report("gravcomp", Level.WARN, "several_publishers", lifecycle="active")
+    words = words_of(state_of(joints), role("gravcomp"), NOW_S)
+    assert "joint_states" in words.doing and not words.stopped
+
+
+def test_some_refused_wrenches_are_less_than_all():
+    some = words_of(
+        state_of(report("gravcomp", Level.WARN, "stale_joints")), role("gravcomp"), NOW_S
+    )
+    all_of_them = words_of(
+        state_of(report("gravcomp", Level.ERROR, "stale_joints")), role("gravcomp"), NOW_S
+    )
+    assert "some wrenches" in some.doing and not some.stopped
+    assert all_of_them.doing.startswith("No compensation: ") and all_of_them.stopped
+
+
+def test_a_node_not_heard_of_is_not_running_and_says_how_to_start():
+    state = state_of(report("gravcomp", Level.OK, "compensating", heard_s=NOW_S - 7.0))
+    words = words_of(state, role("gravcomp"), NOW_S)
+    assert words.level is Level.STALE and not words.running
+    assert "silent for 7 s" in words.doing and "gravcomp_node" in words.todo
+    assert words_of(state, role("gravcomp"), NOW_S - 4.5).level is Level.OK
+
+
+@pytest.mark.parametrize("one", ROLES, ids=[one.name for one in ROLES])
+def test_without_any_node_each_card_says_how_to_start_it(one):
+    words = words_of(State(), one, time.monotonic())
+    assert not words.running and "ros2 " in words.todo
+    assert words.level is (Level.STALE if one.needed else Level.OK)
+
+
+def test_a_service_without_a_report_yet_is_there():
+    state = State(available=frozenset({"calibrate_tool"}))
+    words = words_of(state, role("calibration"), NOW_S)
+    assert words.doing.startswith("It is there")
+
+
+def test_another_driver_is_no_missing_one():
+    compensation = report(
+        "gravcomp", Level.OK, "compensating", wrench_raw_publisher_nodes="/ati_driver"
+    )
+    words = words_of(state_of(compensation), role("sim_driver"), NOW_S)
+    assert words.level is Level.OK and "/ati_driver" in words.doing
+
+
+def test_time_that_stands_still_is_said():
+    still = report("gravcomp", Level.WARN, "compensating", clock="stands still")
+    words = words_of(state_of(still), role("gravcomp"), NOW_S)
+    assert "/clock" in words.doing and words.todo
+
+
+def test_an_unknown_state_is_told_in_the_nodes_own_words():
+    odd = report("gravcomp", Level.ERROR, "from_the_future", message="something new")
+    words = words_of(state_of(odd), role("gravcomp"), NOW_S)
+    assert words.doing == "Something new" and words.todo and words.stopped
+
+
+def test_other_nodes_are_listed_by_their_own_message():
+    state = state_of(report("recorder", Level.WARN, message="disk nearly full"))
+    (other,) = others(state)
+    assert words_of_other(other, NOW_S).doing == "Disk nearly full"
+    assert words_of_other(other, NOW_S + 10.0).level is Level.STALE
+
+
+def test_the_nodes_of_another_arm_are_others():
+    own = report("left/gravcomp", Level.OK, "compensating")
+    another = report("right/gravcomp", Level.ERROR, "bad_tool_file")
+    state = state_of(own, another, namespace="left")
+    assert words_of(state, role("gravcomp"), NOW_S).level is Level.OK
+    assert others(state) == [another]
+    alone = state_of(another, namespace="left")
+    assert not words_of(alone, role("gravcomp"), NOW_S).running
+
+
+GOOD = (
+    report("sim_driver", Level.OK, "running"),
+    report("gravcomp", Level.OK, "compensating", tool="pointer"),
+    report("calibration", Level.OK, "ready"),
+)
+IN_FORCE = InForce("pointer", True, 0.06, (0, 0, 0), (0, 0, 0), "", "as loaded", None, None)
+
+
+def test_the_lamp_is_good_when_all_is():
+    assert overall(state_of(*GOOD, in_force=IN_FORCE), NOW_S) == (
+        Level.OK, "Compensates 'pointer'."
+    )  # fmt: skip
+
+
+def test_the_lamp_names_what_stops_the_compensation_first():
+    broken = report("deflection", Level.ERROR, "bad_model_file")
+    off = report("gravcomp", Level.WARN, "disabled")
+    level, text = overall(state_of(*GOOD, broken, off), NOW_S)
+    assert level is Level.WARN and text.startswith("Compensation is off")
+
+
+def test_the_lamp_names_the_worst_of_the_others_when_compensation_works():
+    failed = report("calibration", Level.WARN, "failed")
+    broken = report("deflection", Level.ERROR, "bad_model_file")
+    level, text = overall(state_of(*GOOD[:2], failed, broken), NOW_S)
+    assert level is Level.ERROR and text.startswith("Deflection: No prediction")
+    fits = report("gravcomp", Level.WARN, "does_not_fit", tool="pointer")
+    level, text = overall(state_of(GOOD[0], fits, failed), NOW_S)
+    assert level is Level.WARN and "does not fit" in text
+
+
+def test_the_lamp_without_any_node():
+    level, text = overall(State(), NOW_S)
+    assert level is Level.STALE and text.startswith("No compensation: not running")
