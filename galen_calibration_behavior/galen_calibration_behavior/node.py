@@ -230,6 +230,9 @@ class CalibrationNode(GoalNode[CalibrationParameters, _Goal, Finished]):
     def _folders(self) -> dict[str, object]:
         return {"tools_dir": self._tools_dir}
 
+    def _status_values(self, goal: _Goal) -> dict[str, object]:
+        return {"waits_for_person": goal.procedure.waiting_for_person}
+
     def _status_remark(self, goal: _Goal) -> str:
         return "; waits for ~/confirm" if goal.procedure.waiting_for_person else ""
 

@@ -328,7 +328,11 @@ class CollectionNode(GoalNode[CollectionParameters, _Goal, Finished]):
 
     def _status_values(self, goal: _Goal) -> dict[str, object]:
         recorded = goal.recording.messages if goal.recording else goal.messages
-        return {"directory": goal.folder.path, "messages": recorded}
+        return {
+            "tool": goal.tool.tool,
+            "directory": goal.folder.path,
+            "messages": recorded,
+        }
 
 
 def _worse(end: Finished, what: str) -> Finished:

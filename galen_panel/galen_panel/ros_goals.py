@@ -50,11 +50,11 @@ _ACTIVE = (GoalStatus.STATUS_ACCEPTED, GoalStatus.STATUS_EXECUTING, GoalStatus.S
 
 @dataclass
 class _Followed:
-    """The goal that is under way. by_hand None: not known, for somebody else sent it."""
+    """The goal that is under way; `goal` is None where somebody else sent it."""
 
     goal_id: bytes
+    goal: Goal | None
     behaviour: Behaviour
-    by_hand: bool | None
     new: bool
     began_s: float
     stop_asking: Callable[[], None] = lambda: None
@@ -96,7 +96,8 @@ class GoalFollower:
         self._numbers = numbers
         self._on_end = on_end
         self._followed: _Followed | None = None
-        self._sending: dict[bytes, Goal] = {}
+        # Sent, and not heard of yet.
+        self._ours: dict[bytes, Goal] = {}
         # Their last word on the topics may come after their result.
         self._ended: deque[bytes] = deque(maxlen=100)
         self._refusals: list[_Refusal] = []
@@ -134,7 +135,7 @@ class GoalFollower:
         if not self._send.service_is_ready():
             raise CallError(kind.program.absent)
         goal_id = uuid.uuid4().bytes
-        self._sending[goal_id] = goal
+        self._ours[goal_id] = goal
 
         def done(answer: Any) -> None:
             if isinstance(answer, CallError):
@@ -143,7 +144,7 @@ class GoalFollower:
                 self._begin(goal_id)
                 reply.give(Answer(True, kind.begun(goal)))
             else:
-                del self._sending[goal_id]
+                del self._ours[goal_id]
                 now_s = time.monotonic()
                 refusal = _Refusal(reply, sent_s, now_s + _REFUSAL_PATIENCE_S)
                 self._refusals.append(refusal)
@@ -211,15 +212,15 @@ class GoalFollower:
             if self._followed.goal_id == goal_id:
                 return
             self._forget(self._followed)
-        goal = self._sending.pop(goal_id, None)
+        goal = self._ours.pop(goal_id, None)
         in_force = self._board.state.in_force
         tool = ""
         if goal is not None:
             tool = self._kind.tool(goal, "" if in_force is None else in_force.tool)
         self._followed = followed = _Followed(
             goal_id,
+            goal,
             Behaviour(next(self._numbers), self._kind.kind, tool, ours=goal is not None),
-            goal.by_hand if isinstance(goal, CalibrateGoal) else None,
             self._is_new(tool),
             time.monotonic(),
         )
@@ -251,6 +252,8 @@ class GoalFollower:
         self._end(followed, self._kind.lost(followed.behaviour.tool, followed.new))
         # Where it was only out of sight, it is followed again as soon as it is heard.
         self._ended.remove(followed.goal_id)
+        if followed.goal is not None:
+            self._ours[followed.goal_id] = followed.goal
 
     def _ask_result(self, followed: _Followed) -> None:
         followed.stop_asking()
@@ -318,7 +321,7 @@ class GoalFollower:
         step, behaviour = self._kind.step(message.feedback), followed.behaviour
         phase = self._kind.phase_text(step.phase)
         asked = behaviour.asked if phase == behaviour.phase else None
-        if followed.by_hand:
+        if isinstance(followed.goal, CalibrateGoal) and followed.goal.by_hand:
             asked = self._kind.asked(step.phase)
         self._show(
             followed,
@@ -369,12 +372,17 @@ class GoalFollower:
 
 
 def _with(poses: tuple[Pose, ...], pose: Pose | None) -> tuple[Pose, ...]:
-    """The poses and another one; one that was tried again takes the place of its first trial."""
+    """The poses and another one; one that was tried again takes the place of its first trial.
+
+    Numbers differ within a sweep, also where a pose that is to be tried again wasn't counted.
+    """
     if pose is None:
         return poses
-    where = (pose.sweep, pose.roll_rad, pose.tilt_rad)
-    kept = [one for one in poses if (one.sweep, one.roll_rad, one.tilt_rad) != where]
-    return (*kept, pose)
+    for k, one in enumerate(poses):
+        if (one.sweep, one.roll_rad, one.tilt_rad) == (pose.sweep, pose.roll_rad, pose.tilt_rad):
+            return (*poses[:k], replace(pose, number=one.number), *poses[k + 1 :])
+    newest = max((one.number for one in poses if one.sweep == pose.sweep), default=0)
+    return (*poses, replace(pose, number=max(pose.number, newest + 1)))
 
 
 def _at_work(report: NodeReport) -> bool:

@@ -13,7 +13,7 @@ from rclpy.node import Node
 from galen_panel.board import Board
 from galen_panel.state import Level, NodeReport
 
-# Anybody may publish there.
+# Anybody may publish there; those heard last are kept.
 _MOST_NODES, _MOST_VALUES, _LONGEST_KEY = 100, 200, 100
 
 
@@ -26,14 +26,14 @@ class Reports:
         node.create_subscription(DiagnosticArray, "/diagnostics", self._on_message, 100)
 
     def _on_message(self, message: DiagnosticArray) -> None:
-        nodes = dict(self._board.state.nodes)
         now_s = time.monotonic()
-        for status in message.status:
-            report = _report(status, now_s)
-            if report.name in nodes or len(nodes) < _MOST_NODES:
-                nodes[report.name] = report
-                self._on_report(report)
-        self._board.put(nodes=nodes)
+        reports = [_report(status, now_s) for status in message.status[:_MOST_NODES]]
+        nodes = {**self._board.state.nodes, **{report.name: report for report in reports}}
+        newest_first = sorted(nodes.values(), key=lambda report: -report.heard_s)
+        kept = {report.name for report in newest_first[:_MOST_NODES]}
+        self._board.put(nodes={name: nodes[name] for name in nodes if name in kept})
+        for report in reports:
+            self._on_report(report)
 
 
 def _report(status: Any, heard_s: float) -> NodeReport:

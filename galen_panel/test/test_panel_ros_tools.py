@@ -1,0 +1,311 @@
+"""The tools' buttons over ROS, on a real gravcomp node; and on none, and one that hangs."""
+
+import asyncio
+import json
+import shutil
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from galen_gravcomp.node import GravcompNode
+from galen_model.tool_file import read_tool, tool_path, write_tool
+from galen_panel.ros_suite import RosSuite
+from galen_panel.state import (
+    CalibrateGoal,
+    CheckGoal,
+    CollectGoal,
+    Comparison,
+    Kind,
+    Level,
+)
+from galen_ros.deferred_service import DeferredService
+from galen_ros.qos import STREAM
+from galen_ros.spin import StartError
+from galen_ros.testing import parameters
+from geometry_msgs.msg import WrenchStamped
+from panel_ros_world import panel_world
+from rclpy.node import Node
+from sensor_msgs.msg import JointState
+from std_srvs.srv import SetBool, Trigger
+
+from galen_msgs.srv import SetTool
+from galen_panel import ros_tools
+
+TOOLS = Path(__file__).resolve().parents[2] / "bags" / "tools"
+
+
+@pytest.fixture
+def tools_dir(tmp_path):
+    """Two tools, one of them with a calibration before its present one, and a broken file."""
+    folder = tmp_path / "tools"
+    folder.mkdir()
+    shutil.copy(TOOLS / "retractor.json", folder)
+    pointer = read_tool(TOOLS / "retractor.json")
+    for mass_kg in (0.050, 0.060):
+        load = replace(pointer.load, mass_kg=mass_kg)
+        write_tool(folder / "pointer.json", replace(pointer, tool="pointer", load=load))
+    (folder / "drill.json").write_text("{}")
+    return folder
+
+
+@pytest.fixture
+def world(monkeypatch):
+    with panel_world(monkeypatch) as world:
+        yield world
+
+
+@pytest.fixture
+def with_gravcomp(world, tools_dir):
+    world.add(GravcompNode, tools_dir=str(tools_dir), tool="retractor")
+    world.wait_for(lambda state: state.in_force and state.tools, "gravcomp and its tools")
+    return world
+
+
+def names(state):
+    return [tool.name for tool in state.tools]
+
+
+def tool(state, name):
+    return next(tool for tool in state.tools if tool.name == name)
+
+
+def calls(suite):
+    """Every call of the suite that asks a node for something."""
+    return [
+        suite.list_tools(),
+        suite.put_in_force("retractor"),
+        suite.put_in_force(""),
+        suite.remove_tool("retractor"),
+        suite.revert_tool("retractor"),
+        suite.compare("retractor"),
+        suite.set_enabled(True),
+        suite.tare(),
+        suite.start(CalibrateGoal("retractor")),
+        suite.start(CheckGoal()),
+        suite.start(CollectGoal("monday", "retractor")),
+        suite.confirm(),
+        *(suite.cancel(kind) for kind in Kind),
+    ]
+
+
+def test_the_tools_are_listed_with_their_numbers_as_soon_as_gravcomp_is_there(
+    with_gravcomp, tools_dir
+):
+    state = with_gravcomp.state
+    assert names(state) == ["drill", "pointer", "retractor"]
+    assert state.tools_dir == str(tools_dir)
+    file = read_tool(tools_dir / "retractor.json")
+    listed = tool(state, "retractor")
+    assert listed.mass_kg == file.load.mass_kg
+    assert listed.com_m == tuple(file.load.com_m)
+    assert (*listed.rmse_force_n, *listed.rmse_torque_nm) == tuple(file.rmse)
+    assert (listed.poses_used, listed.calibrated_at) == (file.poses_used, file.calibrated_at)
+    assert listed.in_force and not listed.has_previous and not listed.problem
+    assert not tool(state, "pointer").in_force and tool(state, "pointer").has_previous
+    assert "drill.json" in tool(state, "drill").problem
+    assert state.nodes["gravcomp"].level is Level.STALE  # no wrenches come
+
+
+def test_a_tool_is_put_in_force_and_taken_out_again(with_gravcomp):
+    world = with_gravcomp
+    answer = world.ask(world.suite.put_in_force("pointer"))
+    assert answer.ok and "pointer" in answer.text
+    world.wait_for(
+        lambda state: state.in_force.tool == "pointer" and tool(state, "pointer").in_force,
+        "the pointer in force",
+    )
+    assert world.state.in_force.mass_kg == 0.060
+    assert not tool(world.state, "retractor").in_force
+    answer = world.ask(world.suite.put_in_force("drill"))
+    assert not answer.ok and "drill.json" in answer.text
+    answer = world.ask(world.suite.put_in_force("../pointer"))
+    assert not answer.ok and "name" in answer.text
+    assert world.state.in_force.tool == "pointer"
+    assert world.ask(world.suite.put_in_force("")).ok
+    world.wait_for(lambda state: state.in_force.tool == "", "no tool in force")
+    assert not any(tool.in_force for tool in world.state.tools)
+
+
+def test_a_tool_is_removed_and_its_file_kept_but_not_the_one_in_force(with_gravcomp, tools_dir):
+    world = with_gravcomp
+    answer = world.ask(world.suite.remove_tool("pointer"))
+    assert answer.ok
+    assert names(world.state) == ["drill", "retractor"]  # with the answer, not some time later
+    kept_as = Path(answer.text.rsplit(" ", 1)[1])
+    assert json.loads(kept_as.read_text())["tool"] == "pointer"
+    answer = world.ask(world.suite.remove_tool("retractor"))
+    assert not answer.ok and "in force" in answer.text
+    assert (tools_dir / "retractor.json").is_file()
+
+
+def test_a_calibration_is_compared_with_the_one_before_and_reverted_to_it(with_gravcomp, tools_dir):
+    world = with_gravcomp
+    comparison = world.ask(world.suite.compare("pointer"))
+    assert isinstance(comparison, Comparison)
+    mass = next(row for row in comparison.differences if row.quantity == "mass")
+    assert (mass.a, mass.b, mass.unit) == (0.050, 0.060, "kg")
+    assert not comparison.same_load and comparison.worst_force_n == pytest.approx(0.098, abs=1e-3)
+    other = world.ask(world.suite.compare("pointer", "retractor"))
+    assert isinstance(other, Comparison)
+    assert other.differences[0].b == 0.060 and other.differences[0].a > 0.19
+    answer = world.ask(world.suite.compare("retractor"))
+    assert not answer.ok and "retractor" in answer.text  # it has none before
+
+    answer = world.ask(world.suite.revert_tool("pointer"))
+    assert answer.ok
+    assert tool(world.state, "pointer").mass_kg == 0.050
+    assert read_tool(tool_path(tools_dir, "pointer")).load.mass_kg == 0.050
+    answer = world.ask(world.suite.revert_tool("retractor"))
+    assert not answer.ok
+
+
+def test_a_tool_in_force_that_is_reverted_is_still_the_one_that_was_loaded(with_gravcomp):
+    world = with_gravcomp
+    world.ask(world.suite.put_in_force("pointer"))
+    world.wait_for(lambda state: state.in_force.tool == "pointer", "the pointer in force")
+    answer = world.ask(world.suite.revert_tool("pointer"))
+    assert answer.ok and "put pointer in force" in answer.text
+    world.wait_for(lambda state: state.in_force.file_state == "changed", "the file's change")
+    assert world.state.in_force.mass_kg == 0.060
+
+
+class StillArm(Node):
+    """An arm at home that reads nothing: enough to compensate and to tare."""
+
+    def __init__(self, context, **_):
+        super().__init__("still_arm", context=context)
+        self.joints = self.create_publisher(JointState, "joint_states", STREAM)
+        self.wrenches = self.create_publisher(WrenchStamped, "wrench_raw", STREAM)
+        self.create_timer(0.004, self.on_timer)
+
+    def on_timer(self):
+        joints = JointState(name=["delta_x", "delta_y", "delta_z", "roll", "tilt"])
+        joints.header.stamp = self.get_clock().now().to_msg()
+        joints.position, joints.velocity = [0.0, 0.0, 0.408, 0.0, 0.0], [0.0] * 5
+        self.joints.publish(joints)
+        wrench = WrenchStamped()
+        wrench.header.stamp, wrench.header.frame_id = joints.header.stamp, "ft_sensor"
+        self.wrenches.publish(wrench)
+
+
+def test_switch_and_tare_are_seen_whoever_uses_them(with_gravcomp):
+    world = with_gravcomp
+    assert world.state.in_force.enabled
+    assert world.ask(world.suite.set_enabled(False)).ok
+    world.wait_for(lambda state: not state.in_force.enabled, "compensation off")
+    somebody = world.harness.add(lambda context: Node("somebody", context=context))
+    enable = somebody.create_client(SetBool, "gravcomp/enable")
+    assert world.harness.call(enable, SetBool.Request(data=True)).success
+    world.wait_for(lambda state: state.in_force.enabled, "compensation on")
+
+    world.add(StillArm)
+    world.wait_for(
+        lambda state: float(state.nodes["gravcomp"].values["wrench_compensated_hz"]) > 100.0,
+        "compensated wrenches",
+    )
+    assert world.state.in_force.tare is None
+    answer = world.ask(world.suite.tare())
+    assert answer.ok and "tared" in answer.text
+    tare = world.wait_for(lambda state: state.in_force.tare, "the tare")
+    # The sensor reads nothing, so that the tare takes off the whole of the tool's weight.
+    assert np.linalg.norm(tare[:3]) == pytest.approx(0.200 * 9.80665, abs=0.01)
+
+
+def test_gravcomp_goes_and_comes_back(world, tools_dir):
+    node = world.add(GravcompNode, tools_dir=str(tools_dir), tool="retractor")
+    world.wait_for(lambda state: state.in_force and state.tools, "gravcomp and its tools")
+    world.harness.remove(node)
+    world.wait_for(lambda state: state.in_force is None, "that gravcomp is gone")
+    assert not any(tool.in_force for tool in world.state.tools)
+    assert not any(name.startswith("gravcomp/") for name in world.state.available)
+    answer = world.ask(world.suite.tare())
+    assert not answer.ok and "ros2 run galen_gravcomp gravcomp_node" in answer.text
+    world.add(GravcompNode, tools_dir=str(tools_dir), tool="pointer")
+    world.wait_for(
+        lambda state: state.in_force and state.in_force.tool == "pointer", "gravcomp again"
+    )
+    world.wait_for_service("gravcomp/set_tool", "gravcomp/tare")
+    assert world.ask(world.suite.put_in_force("retractor")).ok
+
+
+def test_with_nothing_there_every_call_answers_at_once(world):
+    for coroutine in calls(world.suite):
+        answer, took_s = world.timed(coroutine)
+        assert not answer.ok and answer.text and took_s < 0.5, answer
+    assert world.state.tools is None and world.state.in_force is None
+    assert world.state.available == frozenset()
+
+
+class Mute(Node):
+    """Offers services under gravcomp's names, and answers when it is told to."""
+
+    def __init__(self, context, **_):
+        super().__init__("gravcomp", context=context)
+        self.unanswered = []
+        for kind, name in ((SetTool, "set_tool"), (Trigger, "tare")):
+            DeferredService(self, kind, f"~/{name}", self.on_call)
+
+    def on_call(self, _request, response, respond):
+        self.unanswered.append(lambda: respond(response))
+
+
+def test_a_silent_node_holds_up_no_button(world, monkeypatch):
+    monkeypatch.setattr(ros_tools, "_FILE_LIMIT_S", 0.3)
+    mute = world.add(Mute)
+    world.wait_for_service("gravcomp/set_tool")
+    answer, took_s = world.timed(world.suite.put_in_force("retractor"))
+    assert not answer.ok and "gravcomp_node has not answered for 0.3 s" in answer.text
+    assert took_s < 2.0
+    # Its answer comes after all, and is nobody's.
+    world.harness.call_in_executor(mute.unanswered.pop())
+    for _ in range(3):
+        answer, _ = world.timed(world.suite.put_in_force(""))
+        assert not answer.ok and "has not answered" in answer.text
+    assert len(mute.unanswered) == 3
+
+
+def test_who_waits_when_the_panel_ends_is_told_so(world):
+    mute = world.add(Mute)
+    world.wait_for_service("gravcomp/tare")
+
+    async def waiting():
+        # As the server does it, close is called in the event loop while calls wait in it.
+        tare = asyncio.ensure_future(world.suite.tare())
+        while not mute.unanswered:
+            await asyncio.sleep(0.01)
+        gone = asyncio.ensure_future(world.suite.put_in_force(""))
+        await asyncio.sleep(0)
+        gone.cancel()  # a page that was closed
+        began_s = time.monotonic()
+        world.suite.close()
+        world.suite.close()
+        assert time.monotonic() - began_s < 2.0
+        late = await world.suite.tare()
+        return await tare, late
+
+    for answer in world.ask(waiting()):
+        assert not answer.ok and "being stopped" in answer.text
+
+
+def test_a_namespace_is_the_panel_s_own(monkeypatch, tools_dir):
+    with panel_world(monkeypatch, "--ros-args", "-r", "__ns:=/left") as world:
+        values = {"tools_dir": str(tools_dir), "tool": "retractor"}
+        world.harness.add(
+            lambda context: GravcompNode(
+                context=context,
+                namespace="left",
+                parameter_overrides=parameters(**values),
+            )
+        )
+        world.wait_for(lambda state: state.in_force, "the left arm's gravcomp")
+        assert world.state.namespace == "left"
+        assert "left/gravcomp" in world.state.nodes
+        assert world.ask(world.suite.put_in_force("")).ok
+
+
+def test_wrong_arguments_of_ros_are_told(monkeypatch):
+    monkeypatch.setenv("ROS_DOMAIN_ID", "60")
+    with pytest.raises(StartError, match="ros-args"):
+        RosSuite(["panel", "--ros-args", "--nonsense"])
