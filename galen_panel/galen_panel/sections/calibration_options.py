@@ -1,0 +1,68 @@
+"""How a calibration is to be done: one sweep or two, by hand or not, the tool's tip."""
+
+from __future__ import annotations
+
+import math
+
+from nicegui import ui
+
+from galen_panel.state import CalibrateGoal, State
+
+_SERVICE = "attach_tool"
+_FARTHEST_MM = 2000.0
+
+
+class CalibrationOptions:
+    """Fields for it; `name` begins their test ids. The owner calls `update` with the state."""
+
+    def __init__(self, name: str) -> None:
+        self._by_hand = ui.switch("A person takes the tool off and puts it on")
+        self._by_hand.props(f"data-testid={name}-by-hand")
+        self._one_sweep = ui.switch("One sweep only, with the tool on")
+        self._one_sweep.props(f"data-testid={name}-one-sweep")
+        ui.label(
+            "One sweep takes half the time; what the tool and what the adapter weighs is then not"
+            " fully told apart."
+        ).classes("panel-quiet")
+        ui.label("Tip, from the sensor, in mm. Empty: as in the tool's file.").classes("mt-2")
+        with ui.row().classes("panel-tip no-wrap"):
+            self._tip = [
+                ui.number(
+                    axis,
+                    format="%.1f",
+                    min=-_FARTHEST_MM,
+                    max=_FARTHEST_MM,
+                    validation=_number_problem,
+                ).props(f'outlined dense data-testid={name}-tip-{axis} aria-label="Tip {axis}, mm"')
+                for axis in "xyz"
+            ]
+
+    def goal(self, tool: str) -> CalibrateGoal | None:
+        """What was chosen, for a tool; None where a field is wrong, which then says so."""
+        values = [field.value for field in self._tip]
+        given = [value is not None for value in values]
+        if any(given):
+            for field in self._tip:
+                if field.value is None:
+                    field.error = "all three, or none"
+            if not all(given) or not all(field.validate() for field in self._tip):
+                return None
+        return CalibrateGoal(
+            tool,
+            tuple(1e-3 * float(value) for value in values) if all(given) else None,
+            one_sweep=bool(self._one_sweep.value),
+            by_hand=bool(self._by_hand.value),
+        )
+
+    def update(self, state: State) -> None:
+        """Where nothing takes the tool off by itself, a person must."""
+        can_choose = _SERVICE in state.available
+        if not can_choose:
+            self._by_hand.set_value(True)
+        self._by_hand.set_enabled(can_choose)
+
+
+def _number_problem(value: float | None) -> str | None:
+    if value is None or (math.isfinite(value) and abs(value) <= _FARTHEST_MM):
+        return None
+    return f"within ±{_FARTHEST_MM:.0f}"

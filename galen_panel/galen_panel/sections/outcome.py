@@ -1,0 +1,87 @@
+"""How a behaviour ended, and what a person may do about it."""
+
+from __future__ import annotations
+
+from nicegui import ui
+
+from galen_panel import result_words, texts
+from galen_panel.elements import pick_class, table
+from galen_panel.page import Page
+from galen_panel.result_words import Todo
+from galen_panel.sections.calibration_file import CalibrationFile
+from galen_panel.state import CalibrateGoal, CheckGoal, Goal, Kind, Outcome, State
+
+_ICONS = {"positive": "check_circle", "warning": "warning", "negative": "error"}
+
+
+class OutcomeView:
+    """One outcome; drawn once, then its buttons follow the state."""
+
+    def __init__(self, page: Page, kind: Kind, outcome: Outcome) -> None:
+        self._page = page
+        self._outcome = outcome
+        self._file: CalibrationFile | None = None
+        title, level = result_words.ended(kind, outcome)
+        todo = Todo.NOTHING
+        if kind is Kind.CHECK and not outcome.error:
+            title, level, todo = result_words.verdict(outcome)
+        with ui.column().classes("panel-outcome") as self._element:
+            self._element.props("role=status data-testid=outcome")
+            pick_class(self._element, "panel-level-", level)
+            with ui.row().classes("panel-outcome-head no-wrap"):
+                ui.icon(_ICONS[level]).props("aria-hidden=true").classes(f"text-{level}")
+                ui.label(f"{title}: {outcome.tool}" if outcome.tool else title)
+                ui.space()
+                close = ui.button(
+                    icon="close", on_click=lambda: self._element.set_visibility(False)
+                )
+                close.props('flat round aria-label="Close the result" data-testid=outcome-close')
+            ui.label(result_words.told(outcome)).props("data-testid=outcome-text")
+            _warnings(outcome)
+            if kind is Kind.CALIBRATE and not outcome.error:
+                table([], result_words.calibration_rows(outcome))
+                self._file = CalibrationFile(page, outcome)
+            elif kind is Kind.COLLECT and not outcome.error:
+                ui.label(result_words.collection_sentence(outcome))
+            if kind is Kind.COLLECT and outcome.file:
+                ui.label(f"The recording is {outcome.file}").classes("panel-path")
+            if todo is not Todo.NOTHING:
+                self._offer(todo)
+            _rest(outcome)
+
+    def update(self, state: State) -> None:
+        """Follow the state with the buttons."""
+        if self._file is not None:
+            self._file.update(state)
+
+    def _offer(self, todo: Todo) -> None:
+        async def do() -> None:
+            suite = self._page.suite
+            work = suite.tare() if todo is Todo.TARE else suite.start(self._goal(todo))
+            await self._page.ask(work, button)
+
+        button = ui.button(todo.value, icon="arrow_forward", on_click=do)
+        button.props("unelevated data-testid=outcome-do")
+
+    def _goal(self, todo: Todo) -> Goal:
+        tool = self._outcome.tool
+        if todo is Todo.CHECK:
+            return CheckGoal(tool)
+        return CalibrateGoal(tool, by_hand="attach_tool" not in self._page.suite.state.available)
+
+
+def _warnings(outcome: Outcome) -> None:
+    for warning in outcome.warnings:
+        with ui.row().classes("no-wrap items-start"):
+            ui.icon("warning").classes("text-warning panel-icon").props("aria-hidden=true")
+            ui.label(texts.sentence(warning))
+
+
+def _rest(outcome: Outcome) -> None:
+    """How it went; what was left out can be unfolded."""
+    for note in outcome.notes:
+        ui.label(texts.sentence(note)).classes("panel-quiet")
+    left_out = result_words.left_out(outcome)
+    if left_out:
+        with ui.expansion(f"{len(left_out)} not used").props("dense").classes("w-full"):
+            ui.label("\n".join(left_out)).classes("panel-lines")

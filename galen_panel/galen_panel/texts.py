@@ -1,0 +1,151 @@
+"""Numbers and times as the page writes them: g, mm, N, mN·m. No ROS, no NiceGUI.
+
+What a file or a message has no number for (NaN) is written as "–".
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from datetime import datetime
+
+NOTHING = "–"
+# By a file's unit: what to multiply by, the unit then, and its decimals.
+_SHOWN = {
+    "kg": (1e3, "g", 2),
+    "m": (1e3, "mm", 2),
+    "N": (1e3, "mN", 1),
+    "N.m": (1e3, "mN·m", 2),
+}
+_NAMES = {"com": "centre", "adapter com": "adapter's centre", "adapter mass": "adapter's mass"}
+
+
+def mass(mass_kg: float, std_kg: float = math.nan) -> str:
+    """Such as "60.10 ± 0.03 g"; without a standard deviation "60.10 g"."""
+    if not math.isfinite(mass_kg):
+        return NOTHING
+    if not std_kg > 0.0 or math.isinf(std_kg):
+        return f"{_plain(1e3 * mass_kg, 2)} g"
+    digits = _digits(1e3 * std_kg)
+    return f"{_plain(1e3 * mass_kg, digits)} ± {_plain(1e3 * std_kg, digits)} g"
+
+
+def centre(com_m: Sequence[float]) -> str:
+    """Such as "55.0, 2.0, 45.0 mm"."""
+    return f"{_list([1e3 * value for value in com_m], 1)} mm"
+
+
+def wrench(values: Sequence[float]) -> str:
+    """Six numbers fx ... tz, N and N·m, such as "(0.12, 0.00, 0.01) N, (1.2, 0.0, 0.0) mN·m"."""
+    torque = [1e3 * value for value in values[3:6]]
+    return f"({_list(values[:3], 3)}) N, ({_list(torque, 1)}) mN·m"
+
+
+def size(force_n: float, torque_nm: float) -> str:
+    """How much a wrench is, such as "3.1 mN, 0.05 mN·m"; from 1 N on in N; "unknown" for NaN."""
+    if not (math.isfinite(force_n) and math.isfinite(torque_nm)):
+        return "unknown"
+    force = f"{_short(force_n)} N" if abs(force_n) >= 1.0 else f"{_short(1e3 * force_n)} mN"
+    return f"{force}, {_short(1e3 * torque_nm)} mN·m"
+
+
+def norm(values: Sequence[float]) -> float:
+    """Length of a vector; NaN where a part is."""
+    return math.sqrt(sum(value * value for value in values))
+
+
+def quantity_name(quantity: str) -> str:
+    """A file's quantity in words: "com_x" is "centre x"."""
+    words = quantity.replace("_", " ")
+    head, _, axis = words.rpartition(" ")
+    return _NAMES.get(words) or f"{_NAMES.get(head, head)} {axis}".strip()
+
+
+def quantity(value: float, unit: str) -> str:
+    """A file's number, units kg, m, N and N.m as g, mm, mN and mN·m."""
+    factor, shown, digits = _SHOWN.get(unit, (1.0, unit, 4))
+    return f"{_plain(factor * value, digits)} {shown}" if math.isfinite(value) else NOTHING
+
+
+def change(value: float, unit: str) -> str:
+    """A difference with its sign, such as "+0.10 g"."""
+    factor, shown, digits = _SHOWN.get(unit, (1.0, unit, 4))
+    if not math.isfinite(value):
+        return NOTHING
+    rounded = round(factor * value, digits)
+    return f"{rounded:+.{digits}f} {shown}" if rounded else f"{0:.{digits}f} {shown}"
+
+
+def sigmas(value: float, std_dev: float) -> str:
+    """How many standard deviations a difference is, such as "2.5 σ"."""
+    if not std_dev > 0.0 or not math.isfinite(value / std_dev):
+        return NOTHING
+    return f"{abs(value) / std_dev:.1f} σ"
+
+
+def date(rfc3339: str) -> str:
+    """Such as "2026-11-21 14:03 UTC", in the zone that it was written in; as it is if unclear."""
+    try:
+        at = datetime.fromisoformat(rfc3339)
+    except ValueError:
+        return rfc3339
+    zone = at.strftime("%z")
+    if zone == "+0000":
+        return at.strftime("%Y-%m-%d %H:%M UTC")
+    return at.strftime("%Y-%m-%d %H:%M ") + zone if zone else at.strftime("%Y-%m-%d %H:%M")
+
+
+def duration(seconds: float) -> str:
+    """Such as "40 s", "2 min", "1 h 10 min": what a person waits, not what a clock shows."""
+    if seconds < 55.0:
+        return f"{max(5, 5 * round(seconds / 5.0))} s"
+    minutes = max(1, round(seconds / 60.0))
+    if minutes < 60:
+        return f"{minutes} min"
+    hours, minutes = divmod(minutes, 60)
+    return f"{hours} h {minutes} min" if minutes else f"{hours} h"
+
+
+def degrees(angle_rad: float, digits: int = 1) -> str:
+    """Such as "-45°"; a part of a degree only where there is one."""
+    return f"{round(math.degrees(angle_rad), digits) + 0.0:g}°"
+
+
+def count(number: int, what: str) -> str:
+    """Such as "1 pose", "56 poses"."""
+    return f"{number} {what}" if number == 1 else f"{number} {what}s"
+
+
+def sentence(text: str, name: str = "") -> str:
+    """With a full stop at its end, and a capital letter at its start unless a name stands there."""
+    text = text.strip()
+    if not text:
+        return text
+    first = text.split()[0]
+    is_word = first.rstrip(",:;").isalpha() and first != name
+    start = text[0].upper() if is_word else text[0]
+    return start + text[1:] + ("" if text[-1] in ".!?" else ".")
+
+
+def _digits(std: float) -> int:
+    """Decimals that show a standard deviation with one digit, with two from 0.10 to 0.19 on."""
+    leading = math.floor(math.log10(std))
+    return min(3, max(0, -leading + (std < 2.0 * 10.0**leading)))
+
+
+def _plain(value: float, digits: int) -> str:
+    return f"{round(value, digits) + 0.0:.{digits}f}"
+
+
+def _short(value: float, significant: int = 2) -> str:
+    """With so many digits, and never as a power of ten."""
+    if not math.isfinite(value):
+        return NOTHING
+    if value == 0.0:
+        return "0"
+    decimals = max(0, significant - 1 - math.floor(math.log10(abs(value))))
+    return _plain(value, min(decimals, 6))
+
+
+def _list(values: Sequence[float], digits: int) -> str:
+    return ", ".join(_plain(v, digits) if math.isfinite(v) else NOTHING for v in values)
