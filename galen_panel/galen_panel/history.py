@@ -74,6 +74,12 @@ class Series:
         with self._lock:
             self._restart()
 
+    @property
+    def newest_ns(self) -> int | None:
+        """The last stamp; None without rows."""
+        with self._lock:
+            return self._newest() if self._count else None
+
     def last(self, seconds: float | None = None) -> Samples:
         """A copy of the newest rows, as far back as `seconds` before the newest one."""
         with self._lock:

@@ -1,0 +1,245 @@
+"""How the plots look: ECharts' options, plain dictionaries. No ROS, no page.
+
+Six plots of the wrench in two columns (force left, torque right), below them one of the tip's
+deflection. All share the time axis, seconds before the newest sample, and one zoom. Above each
+plot is room for a heading that the page writes; `HEADINGS` says where.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from galen_model.arm import WRENCH_AXES
+from galen_model.arrays import Array
+
+Option = dict[str, Any]
+
+LEGEND_PX = 44
+ROW_PX = 172
+HEADING_PX = 44
+BETWEEN_PX = 16
+TIME_PX = 34
+NAME_PX = 30
+SLIDER_PX = 34
+HEIGHT_PX = LEGEND_PX + 4 * ROW_PX + 2 * TIME_PX + NAME_PX + SLIDER_PX + BETWEEN_PX
+_FONT_PX = 18
+_FONT = "Roboto, sans-serif"
+_LEFT_PX = 96
+_RIGHT_PX = 16
+_HALF = 50
+
+DEFLECTION_NAMES = ("x", "y", "z", "size")
+# Told apart by their dashes as well as by their colours.
+_DASHES = ("solid", "dashed", "dotted", "solid")
+
+
+class Heading(NamedTuple):
+    """Where a plot's heading goes: left in % of the width, top in px."""
+
+    axis: str
+    unit: str
+    left_percent: int
+    top_px: int
+
+
+def wrench_curves(values: Array) -> Array:
+    """N and mN·m of wrenches (n, 6) in N and N·m."""
+    return np.round(values * [1, 1, 1, 1e3, 1e3, 1e3], 4)
+
+
+def deflection_curves(values: Array) -> Array:
+    """mm, (n, 4): x, y, z and their size, of deflections (n, 6) in m and rad."""
+    return np.round(1e3 * np.column_stack([values[:, :3], sizes(values)]), 5)
+
+
+def sizes(values: Array) -> Array:
+    """How far (n,), m, the tip is displaced; values (n, 6)."""
+    return np.asarray(np.linalg.norm(values[:, :3], axis=1))
+
+
+def headings() -> list[Heading]:
+    """Of the six axes, then of the tip."""
+    return [
+        *(
+            Heading(axis, "N" if row < 3 else "mN·m", _HALF * (row // 3), _top(row % 3))
+            for row, axis in enumerate(WRENCH_AXES)
+        ),
+        Heading("tip", "mm", 0, _top(3)),
+    ]
+
+
+def options(window_s: float) -> Option:
+    """All of it, without rows; they come as datasets raw, compensated and deflection."""
+    return {
+        "animation": False,
+        "textStyle": {"fontSize": _FONT_PX, "fontFamily": _FONT},
+        "legend": {
+            "top": 2,
+            "left": _LEFT_PX,
+            "itemGap": 24,
+            "itemWidth": 40,
+            # A line with its dashes, without a symbol on it.
+            "itemStyle": {"opacity": 0},
+            "lineStyle": {"width": "inherit"},
+            "textStyle": {"fontSize": _FONT_PX},
+            "data": ["raw", "compensated", *(f"tip {name}" for name in DEFLECTION_NAMES)],
+        },
+        "tooltip": {
+            "trigger": "axis",
+            "confine": True,
+            "textStyle": {"fontSize": _FONT_PX},
+        },
+        "axisPointer": {"link": [{"xAxisIndex": "all"}]},
+        "dataset": [{"id": name, "source": []} for name in ("raw", "compensated", "deflection")],
+        "grid": [_grid(index) for index in range(7)],
+        "xAxis": [_time_axis(index, window_s) for index in range(7)],
+        "yAxis": [_value_axis(index) for index in range(7)],
+        "dataZoom": [
+            # Without a key the wheel scrolls the page.
+            {"type": "inside", "xAxisIndex": "all", "zoomOnMouseWheel": "shift"},
+            {
+                "type": "slider",
+                "xAxisIndex": "all",
+                "bottom": 4,
+                "left": _LEFT_PX,
+                "right": _RIGHT_PX,
+                "height": SLIDER_PX,
+                "showDataShadow": False,
+                "showDetail": False,
+                "brushSelect": False,
+            },
+        ],
+        "series": [
+            *(_curve(stream, index) for stream in ("raw", "compensated") for index in range(6)),
+            *(_tip_curve(index) for index in range(4)),
+        ],
+    }
+
+
+def time_span(span_s: float) -> Option:
+    """To set another length of the time axis."""
+    return {"xAxis": [{"min": -span_s} for _ in range(7)]}
+
+
+def look(dark: bool) -> Option:
+    """The colours on a dark or a light page."""
+    text, faint = ("#e6eaee", "#3d4852") if dark else ("#1f2933", "#d5dbe1")
+    raw, compensated = ("#8397ab", "#ffb347") if dark else ("#8294a6", "#b84300")
+    tip = ("#6cb8ff", "#ff8fb1", "#7ddc9a", "#ffffff") if dark else (
+        "#0a5fb4", "#b0145a", "#12703a", "#101418"
+    )  # fmt: skip
+    axis = {
+        "axisLabel": {"color": text},
+        "axisLine": {"lineStyle": {"color": text}},
+        "nameTextStyle": {"color": text},
+        "splitLine": {"lineStyle": {"color": faint}},
+    }
+    colours = [
+        *((f"raw {name}", raw) for name in WRENCH_AXES),
+        *((f"compensated {name}", compensated) for name in WRENCH_AXES),
+        *((f"tip {name}", colour) for name, colour in zip(DEFLECTION_NAMES, tip, strict=True)),
+    ]
+    return {
+        "textStyle": {"color": text},
+        "legend": {"textStyle": {"color": text}, "inactiveColor": "#808890"},
+        "tooltip": {
+            "backgroundColor": "#2a3138" if dark else "#ffffff",
+            "textStyle": {"color": text},
+        },
+        "xAxis": [axis] * 7,
+        "yAxis": [axis] * 7,
+        "series": [
+            {"id": name, "lineStyle": {"color": colour}, "itemStyle": {"color": colour}}
+            for name, colour in colours
+        ],
+    }
+
+
+def _top(row: int) -> int:
+    """Where a row begins, px; the last rows of wrenches and deflection tell the time below."""
+    return LEGEND_PX + row * ROW_PX + (TIME_PX if row == 3 else 0)
+
+
+def _grid(index: int) -> Option:
+    row = 3 if index == 6 else index % 3
+    return {
+        "top": _top(row) + HEADING_PX,
+        "height": ROW_PX - HEADING_PX - BETWEEN_PX,
+        # ECharts adds no lengths in px to those in %: the right column begins at 60 %.
+        "left": "60%" if 3 <= index < 6 else _LEFT_PX,
+        "right": "52%" if index < 3 else _RIGHT_PX,
+    }
+
+
+def _time_axis(index: int, window_s: float) -> Option:
+    told = index in (2, 5, 6)
+    axis: Option = {
+        "type": "value",
+        "gridIndex": index,
+        "min": -window_s,
+        "max": 0,
+        "axisLabel": {"show": told, "fontSize": _FONT_PX, "hideOverlap": True},
+        "axisTick": {"show": told},
+        "splitLine": {"show": True},
+        # Otherwise the axis would cross at a value of 0, in the midst of the curves.
+        "axisLine": {"onZero": False},
+    }
+    if index == 6:
+        axis |= {
+            "name": "seconds before the newest sample",
+            "nameLocation": "middle",
+            "nameGap": NAME_PX,
+            "nameTextStyle": {"fontSize": _FONT_PX},
+        }
+    return axis
+
+
+def _value_axis(index: int) -> Option:
+    unit = "mm" if index == 6 else "N" if index < 3 else "mN·m"
+    name = "tip" if index == 6 else WRENCH_AXES[index]
+    return {
+        "type": "value",
+        "gridIndex": index,
+        "scale": True,
+        "splitNumber": 3,
+        "name": f"{name}, {unit}",
+        "nameLocation": "middle",
+        "nameGap": 62,
+        "nameTextStyle": {"fontSize": _FONT_PX},
+        # Otherwise at a time of 0, on the right.
+        "axisLine": {"show": True, "onZero": False},
+        "axisLabel": {"fontSize": _FONT_PX, "hideOverlap": True},
+    }
+
+
+def _curve(stream: str, index: int) -> Option:
+    raw = stream == "raw"
+    return {
+        "id": f"{stream} {WRENCH_AXES[index]}",
+        "name": stream,
+        "type": "line",
+        "datasetIndex": 0 if raw else 1,
+        "xAxisIndex": index,
+        "yAxisIndex": index,
+        "encode": {"x": 0, "y": index + 1},
+        "showSymbol": False,
+        "lineStyle": {"width": 1 if raw else 2.5},
+        "z": 2 if raw else 3,
+        "silent": True,
+    }
+
+
+def _tip_curve(index: int) -> Option:
+    return {
+        "id": f"tip {DEFLECTION_NAMES[index]}",
+        "name": f"tip {DEFLECTION_NAMES[index]}",
+        "type": "line",
+        "datasetIndex": 2,
+        "xAxisIndex": 6,
+        "yAxisIndex": 6,
+        "encode": {"x": 0, "y": index + 1},
+        "showSymbol": False,
+        "lineStyle": {"width": 3 if index == 3 else 2, "type": _DASHES[index]},
+        "silent": True,
+    }

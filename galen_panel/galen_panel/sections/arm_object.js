@@ -1,0 +1,62 @@
+import { THREE } from "nicegui-scene";
+
+// The arm: each part is a group with shapes fixed to it, and only the groups are moved.
+export default class ArmObject {
+  create_mesh(parts) {
+    this.mesh = new THREE.Group();
+    this.groups = new Map();
+    for (const part of parts) {
+      const group = new THREE.Group();
+      for (const shape of part.shapes) group.add(drawn(shape));
+      this.groups.set(part.name, group);
+      this.mesh.add(group);
+    }
+    return this.mesh;
+  }
+
+  // Answers true, so that the next one isn't sent before this one is there.
+  place(places) {
+    for (const [name, place] of Object.entries(places)) {
+      const group = this.groups.get(name);
+      if (!group) continue;
+      group.visible = place !== null;
+      if (place === null) continue;
+      put(group, place);
+      if (place.length > 7) group.scale.set(1, 1, place[7]);
+    }
+    return true;
+  }
+}
+
+function put(object, place) {
+  object.position.set(place[0], place[1], place[2]);
+  object.quaternion.set(place[3], place[4], place[5], place[6]);
+}
+
+function drawn(shape) {
+  const material = new THREE.MeshPhongMaterial({
+    color: shape.colour,
+    transparent: shape.opacity < 1,
+    opacity: shape.opacity,
+    depthWrite: shape.opacity === 1,
+  });
+  const object = new THREE.Group();
+  for (const geometry of geometries(shape)) object.add(new THREE.Mesh(geometry, material));
+  put(object, shape.place);
+  return object;
+}
+
+function geometries({ kind, sizes }) {
+  if (kind === "sphere") return [new THREE.SphereGeometry(sizes[0], 24, 16)];
+  if (kind === "box") return [new THREE.BoxGeometry(...sizes)];
+  // three.js has the axes of cylinders along y, URDF along z.
+  if (kind === "cylinder") {
+    return [new THREE.CylinderGeometry(sizes[0], sizes[0], sizes[1], 28).rotateX(Math.PI / 2)];
+  }
+  // An arrow of length 1 along z: the part's length stretches it.
+  const [shaft, head] = sizes;
+  return [
+    new THREE.CylinderGeometry(shaft, shaft, 0.75, 16).translate(0, 0.375, 0).rotateX(Math.PI / 2),
+    new THREE.ConeGeometry(head, 0.25, 20).translate(0, 0.875, 0).rotateX(Math.PI / 2),
+  ];
+}
