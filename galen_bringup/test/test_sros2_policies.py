@@ -22,8 +22,10 @@ from galen_deflection.collection_procedure import CollectionProcedure
 from galen_deflection.node import DeflectionNode
 from galen_diagnosis.gap_monitor import GapMonitorNode
 from galen_gravcomp.node import GravcompNode
+from galen_panel.ros_suite import RosSuite
 from galen_ros.testing import Harness, parameters
 from galen_sim_driver.node import SimDriverNode
+from rclpy.node import Node
 
 from galen_deflection import collection_node
 
@@ -113,9 +115,11 @@ def allowed_to(node):
     return rules
 
 
-def in_graph(node):
-    """The same of a node that runs, {rule: names}."""
-    this = (node.get_name(), node.get_namespace())
+def in_graph(node, name=None):
+    """The same of a node that runs, or of another one of this name that it sees: {rule: names}."""
+    if name is not None and name not in node.get_node_names():
+        return {}
+    this = (name or node.get_name(), node.get_namespace())
     found = {
         "publish": node.get_publisher_names_and_types_by_node(*this),
         "subscribe": node.get_subscriber_names_and_types_by_node(*this),
@@ -131,12 +135,12 @@ def in_graph(node):
     return rules
 
 
-def assert_allowed(harness, node, allowed):
+def assert_allowed(harness, node, allowed, name=None):
     """Wait until the graph is what the policy allows; else say where they differ."""
     try:
-        harness.wait_for(lambda: in_graph(node) == allowed, 5.0, "the policy's interfaces")
+        harness.wait_for(lambda: in_graph(node, name) == allowed, 5.0, "the policy's interfaces")
     except AssertionError:
-        assert in_graph(node) == allowed
+        assert in_graph(node, name) == allowed
         raise
 
 
@@ -164,6 +168,16 @@ def test_a_command_may_do_what_it_does_and_no_more(kind):
             client.node.destroy_node()
         finally:
             rclpy.try_shutdown()
+
+
+def test_the_panel_may_do_what_it_does_and_no_more(monkeypatch):
+    with Harness() as harness:
+        probe = harness.add(lambda context: Node("probe", context=context))
+        monkeypatch.setenv("ROS_DOMAIN_ID", str(harness.domain_id))
+        arguments = ["panel", "--ros-args", "-p", "use_sim_time:=true"]
+        with RosSuite(arguments) as suite, suite.watch():
+            for name in ("panel", "panel_streams"):
+                assert_allowed(harness, probe, allowed_to(name), name)
 
 
 def test_recorders_may_hear_what_they_record(tmp_path):
