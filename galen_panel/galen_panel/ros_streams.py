@@ -18,6 +18,7 @@ from galen_model.arm import JOINT_NAMES
 from galen_ros.cdr import Layout, UnreadableError, stamped_layout
 from galen_ros.joint_names import JointStateError
 from geometry_msgs.msg import WrenchStamped
+from rclpy.context import Context
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.subscription import Subscription
@@ -74,7 +75,8 @@ class _Tap:
 class Streams:
     """Fills a history. `watch` may be called in any thread, all else in the ROS thread."""
 
-    def __init__(self, history: History) -> None:
+    def __init__(self, history: History, context: Context) -> None:
+        self._context = context
         self.unreadable = dict.fromkeys(
             ("wrench_raw", "wrench_compensated", "deflection", "joint_states"), 0
         )
@@ -128,7 +130,9 @@ class Streams:
 
     def _subscribe(self) -> None:
         if self._node is None:
-            self._node = Node("panel_streams", start_parameter_services=False)
+            self._node = Node(
+                "panel_streams", context=self._context, start_parameter_services=False
+            )
         qos = QoSProfile(depth=_DEPTH, reliability=ReliabilityPolicy.BEST_EFFORT)
         for tap in self._taps:
             tap.subscription = self._node.create_subscription(

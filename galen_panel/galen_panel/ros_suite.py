@@ -38,8 +38,8 @@ class RosSuite(AbstractContextManager["RosSuite"]):
         """`argv`: the command line, with what is ROS's; raises StartError."""
         self._board = Board()
         self._history = History()
-        self.streams = Streams(self._history)
         self._thread = RosThread()
+        self.streams = Streams(self._history, self._thread.context)
         self._calls = Calls(self._thread)
         self._thread.start(NODE_NAME, argv, self._set_up, self.streams.close)
 

@@ -19,6 +19,7 @@ from typing import Any, Generic, TypeVar
 from galen_model.errors import GalenError
 from galen_ros.parameter_services import guard_parameter_services
 from galen_ros.spin import StartError, init_ros, make_executor
+from rclpy.context import Context
 from rclpy.exceptions import ParameterException
 from rclpy.executors import Executor
 from rclpy.node import Node
@@ -75,6 +76,8 @@ class RosThread:
     """Runs a node, from `start` to `close`."""
 
     def __init__(self) -> None:
+        self.context = Context()
+        """For further nodes."""
         self._jobs: deque[tuple[Callable[[Reply[Any]], None], Reply[Any]]] = deque()
         self._open: set[Reply[Any]] = set()
         self._lock = threading.Lock()
@@ -129,15 +132,15 @@ class RosThread:
         started: Reply[None],
     ) -> None:
         try:
-            init_ros(argv)
+            init_ros(argv, self.context)
         except Exception as error:
             started.fail(error)
             return
         try:
-            node = Node(name)
+            node = Node(name, context=self.context)
             guard_parameter_services(node)
             on_beat = set_up(node)
-            executor = make_executor()
+            executor = make_executor(self.context)
             executor.add_node(node)
             started.give(None)
             self._spin(executor, on_beat)
@@ -152,7 +155,7 @@ class RosThread:
             started.fail(error)
         finally:
             self._fail_open()
-            try_shutdown()
+            try_shutdown(context=self.context)
 
     def _fail_open(self) -> None:
         with self._lock:
@@ -163,7 +166,7 @@ class RosThread:
 
     def _spin(self, executor: Executor, on_beat: Callable[[float], None]) -> None:
         beat_s = 0.0
-        while ok() and not self._stop:
+        while ok(context=self.context) and not self._stop:
             # A bug in what one message meets must not blind all browsers for good.
             try:
                 while self._jobs:

@@ -305,7 +305,6 @@ def test_a_namespace_is_the_panel_s_own(monkeypatch, tools_dir):
         assert world.ask(world.suite.put_in_force("")).ok
 
 
-def test_wrong_arguments_of_ros_are_told(monkeypatch):
-    monkeypatch.setenv("ROS_DOMAIN_ID", "60")
+def test_wrong_arguments_of_ros_are_told():
     with pytest.raises(StartError, match="ros-args"):
         RosSuite(["panel", "--ros-args", "--nonsense"])

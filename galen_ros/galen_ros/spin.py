@@ -42,10 +42,10 @@ def make_executor(context: Context | None = None) -> Executor:
     return EventsExecutor(context=context)
 
 
-def init_ros(args: list[str] | None = None) -> None:
+def init_ros(args: list[str] | None = None, context: Context | None = None) -> None:
     """Do `rclpy.init` without its signal handlers; raises StartError."""
     try:
-        rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
+        rclpy.init(args=args, context=context, signal_handler_options=SignalHandlerOptions.NO)
     except UnknownROSArgsError as error:
         raise StartError(f"unknown after --ros-args: {error}") from error
     except RCLError as error:

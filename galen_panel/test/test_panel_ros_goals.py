@@ -1,0 +1,357 @@
+"""Behaviours over ROS: goals of the panel and of anybody, on a server that does as it is told."""
+
+import asyncio
+import math
+import threading
+
+import pytest
+from galen_calibration_behavior.commands import ErrorCode
+from galen_calibration_behavior.commands import State as Phase
+from galen_calibration_behavior.deferred_action import DeferredActionServer
+from galen_panel.ros_suite import RosSuite
+from galen_panel.state import Asked, CalibrateGoal, CheckGoal, Kind
+from galen_ros.diagnostics import OK, DiagnosticsPublisher, Status
+from panel_ros_world import World, panel_world
+from rclpy.action import ActionClient, CancelResponse, GoalResponse
+from rclpy.node import Node
+from std_srvs.srv import Trigger
+
+from galen_msgs.action import CalibrateTool
+from galen_panel import ros_goals
+
+
+class Server(Node):
+    """`calibrate_tool` as calibration_node has it, without an arm."""
+
+    def __init__(self, context, **_):
+        super().__init__("calibration", context=context)
+        self.goal = None
+        self.canceled = []
+        self.confirmed = 0
+        self.refused = ""
+        self.person = False
+        self.values = {}
+        self.server = DeferredActionServer(
+            self, CalibrateTool, "calibrate_tool", self.on_goal, self.on_start, self.on_cancel
+        )
+        self.create_service(Trigger, "~/confirm", self.on_confirm)
+        self.diagnostics = DiagnosticsPublisher(self, "galen", self.report, 0.2)
+
+    def destroy_node(self):
+        if self.goal is not None:
+            self.goal.abort()
+        self.server.destroy()
+        super().destroy_node()
+
+    def on_goal(self, request):
+        if self.goal is None:
+            return GoalResponse.ACCEPT
+        self.refused = f"'{request.tool}' refused: calibrating {self.goal.request.tool!r} now"
+        self.diagnostics.publish_now()
+        return GoalResponse.REJECT
+
+    def on_start(self, handle):
+        self.goal, self.refused = handle, ""
+
+    def on_cancel(self, handle):
+        self.canceled.append(bytes(handle.goal_id.uuid))
+        return CancelResponse.ACCEPT
+
+    def on_confirm(self, _request, response):
+        self.confirmed += 1
+        response.success, response.message = self.person, "" if self.person else "nobody was asked"
+        return response
+
+    def say(self, state, **fields):
+        nothing = {"roll": math.nan, "tilt": math.nan, "wrench": [math.nan] * 6, "total": 4}
+        fields = nothing | {"message": state.name.lower()} | fields
+        self.goal.publish_feedback(CalibrateTool.Feedback(state=int(state), **fields))
+
+    def pose(self, done, roll, *, accepted=True, message="recorded"):
+        self.say(
+            Phase.SWEEP_TOOL, pose=done, done=done, roll=roll, tilt=0.1, accepted=accepted,
+            wrench=[1.0] * 6 if accepted else [math.nan] * 6, message=message,
+        )  # fmt: skip
+
+    def end(self, code=ErrorCode.NONE, message="", **fields):
+        handle, self.goal = self.goal, None
+        result = CalibrateTool.Result(
+            error_code=int(code), error_msg=message, tool=handle.request.tool, **fields
+        )
+        self.server.finish(handle, result, code is ErrorCode.NONE)
+
+    def report(self):
+        values = {"refused": self.refused} if self.refused else {}
+        if self.goal is None:
+            return Status(OK, "ready", values)
+        values |= {"tool": self.goal.request.tool, "done": 1, "total": 4}
+        values |= {"state": "ATTACH_TOOL", "waits_for_person": self.person}
+        return Status(OK, "calibrating", values)
+
+
+class Goals(World):
+    """The suite, the server and what is seen of a calibration."""
+
+    def __init__(self, world):
+        super().__init__(world.harness, world.suite)
+        self.start_server()
+
+    def start_server(self):
+        self.server = self.add(Server)
+        self.wait_for_service("calibrate_tool")
+
+    def do(self, job):
+        """Run in the executor's thread, as the server's own callbacks do."""
+        return self.harness.call_in_executor(job)
+
+    @property
+    def behaviour(self):
+        return self.state.behaviours.get(Kind.CALIBRATE)
+
+    def seen(self, what, predicate):
+        return self.harness.wait_for(
+            lambda: self.behaviour and predicate(self.behaviour), 10.0, what
+        )
+
+    def send_as_another(self, tool="pointer"):
+        """A goal of somebody else's, such as the command `calibrate`."""
+        node = self.harness.add(lambda context: Node("somebody", context=context))
+        client = ActionClient(node, CalibrateTool, "calibrate_tool")
+        self.harness.wait_for(client.server_is_ready, 10.0, "the action server")
+        future = client.send_goal_async(CalibrateTool.Goal(tool=tool, tip_m=[math.nan] * 3))
+        self.harness.wait_for(future.done, 10.0, "an answer to the goal")
+        return future.result()
+
+
+@pytest.fixture
+def goals(monkeypatch):
+    with panel_world(monkeypatch) as world:
+        yield Goals(world)
+
+
+def test_a_goal_is_followed_from_pose_to_pose_to_its_result(goals):
+    answer = goals.ask(goals.suite.start(CalibrateGoal("pointer", tip_m=(0.1, 0.0, 0.05))))
+    assert answer.ok and "pointer" in answer.text
+    request = goals.server.goal.request
+    assert request.attach_by_service and list(request.tip_m) == [0.1, 0.0, 0.05]
+    behaviour = goals.behaviour
+    assert behaviour.running and behaviour.ours and behaviour.tool == "pointer"
+
+    goals.do(lambda: goals.server.say(Phase.ZERO))
+    goals.seen("zeroing", lambda b: b.phase == "zeroing" and b.total == 4)
+    goals.do(lambda: goals.server.pose(1, 0.1))
+    goals.do(lambda: goals.server.pose(1, 0.2, accepted=False, message="tool/1: moved"))
+    goals.do(lambda: goals.server.pose(2, 0.3))
+    goals.seen("three poses", lambda b: len(b.poses) == 3)
+    behaviour = goals.behaviour
+    assert (behaviour.phase, behaviour.done) == ("sweep with tool", 2)
+    assert [pose.number for pose in behaviour.poses] == [1, 2, 3]
+    assert [pose.accepted for pose in behaviour.poses] == [True, False, True]
+    assert behaviour.poses[0].wrench == (1.0,) * 6 and behaviour.poses[1].wrench is None
+    goals.do(lambda: goals.server.pose(3, 0.2))  # tried again
+    goals.seen("the second trial", lambda b: all(pose.accepted for pose in b.poses))
+    assert [(pose.number, pose.roll_rad) for pose in goals.behaviour.poses] == [
+        (1, 0.1), (2, 0.2), (3, 0.3),
+    ]  # fmt: skip
+
+    goals.do(
+        lambda: goals.server.end(
+            mass_kg=0.0601, mass_std_kg=3e-5, poses_used=4, file="pointer.json",
+            warnings=["odd"], notes=["as precise as wanted"],
+        )
+    )  # fmt: skip
+    outcome = goals.seen("the end", lambda b: b.outcome)
+    assert not outcome.error and "pointer is calibrated: 60.10 ± 0.03 g; 4 poses" in outcome.text
+    assert (outcome.file, outcome.tool) == ("pointer.json", "pointer")
+    assert (outcome.warnings, outcome.notes) == (("odd",), ("as precise as wanted",))
+    assert outcome.values["mass_kg"] == 0.0601 and outcome.values["poses_used"] == 4
+
+
+def test_a_failure_says_why_and_the_next_goal_is_another_one(goals):
+    goals.ask(goals.suite.start(CalibrateGoal("pointer")))
+    first = goals.behaviour.number
+    goals.do(lambda: goals.server.end(ErrorCode.POSES_NOT_STILL, "too few poses were still"))
+    outcome = goals.seen("the end", lambda b: b.outcome)
+    assert outcome.error == "POSES_NOT_STILL"
+    assert "too few poses were still" in outcome.text and "nothing is written" in outcome.text
+    goals.ask(goals.suite.start(CalibrateGoal("retractor")))
+    assert goals.behaviour.running and goals.behaviour.number > first
+
+
+def test_a_cancel_stops_the_panel_s_own_goal(goals):
+    goals.ask(goals.suite.start(CalibrateGoal("pointer")))
+    answer = goals.ask(goals.suite.cancel(Kind.CALIBRATE))
+    assert answer.ok and goals.behaviour.canceling
+    assert goals.server.canceled == [bytes(goals.server.goal.goal_id.uuid)]
+    goals.do(lambda: goals.server.end(ErrorCode.CANCELED, "canceled by the client"))
+    outcome = goals.seen("the end", lambda b: b.outcome)
+    assert outcome.error == "CANCELED"
+    answer = goals.ask(goals.suite.cancel(Kind.CALIBRATE))
+    assert not answer.ok and "nothing is running" in answer.text
+
+
+def test_a_goal_is_refused_with_the_node_s_reason(goals):
+    goals.ask(goals.suite.start(CalibrateGoal("pointer")))
+    answer = goals.ask(goals.suite.start(CalibrateGoal("retractor")))
+    assert not answer.ok and answer.text == "'retractor' refused: calibrating 'pointer' now"
+    # It is the first one that goes on, and not hurt.
+    assert goals.behaviour.running and goals.behaviour.tool == "pointer"
+    assert goals.behaviour.ours
+
+
+@pytest.mark.parametrize(
+    "goal",
+    [
+        CalibrateGoal("../pointer"),
+        CalibrateGoal("pointer", tip_m=(0.0, math.nan, 0.0)),
+        CalibrateGoal("pointer", tip_m=(0.0, 0.0)),
+        CalibrateGoal("\ud800"),
+    ],
+)
+def test_a_goal_that_makes_no_sense_is_not_sent(goals, goal):
+    answer = goals.ask(goals.suite.start(goal))
+    assert not answer.ok and answer.text
+    assert goals.server.goal is None and goals.behaviour is None
+
+
+def test_a_goal_of_somebody_else_is_shown_and_can_be_canceled(goals):
+    theirs = goals.send_as_another()
+    goals.seen("their goal", lambda b: b.tool == "pointer" and b.total == 4)
+    behaviour = goals.behaviour
+    assert not behaviour.ours and behaviour.running
+    assert (behaviour.phase, behaviour.done) == ("tool on", 1)  # from /diagnostics
+    goals.do(lambda: goals.server.pose(2, 0.1))
+    goals.seen("its pose", lambda b: len(b.poses) == 1 and b.phase == "sweep with tool")
+    assert goals.ask(goals.suite.cancel(Kind.CALIBRATE)).ok
+    assert goals.server.canceled == [bytes(theirs.goal_id.uuid)]
+    goals.do(lambda: goals.server.end(ErrorCode.CANCELED, "canceled by the client"))
+    goals.seen("its end", lambda b: b.outcome and b.outcome.error == "CANCELED")
+
+
+def test_a_person_is_asked_and_answers(goals):
+    goals.ask(goals.suite.start(CalibrateGoal("pointer", by_hand=True)))
+    assert not goals.server.goal.request.attach_by_service
+    answer = goals.ask(goals.suite.confirm())
+    assert not answer.ok and answer.text == "nobody was asked"
+    goals.server.person = True
+    goals.do(lambda: goals.server.say(Phase.REMOVE_TOOL))
+    goals.seen("the question", lambda b: b.asked is Asked.REMOVE_TOOL)
+    assert goals.ask(goals.suite.confirm()).ok and goals.server.confirmed == 2
+    goals.do(lambda: goals.server.say(Phase.ZERO))
+    goals.seen("the next step", lambda b: b.asked is None)
+
+
+def test_a_driver_that_is_asked_asks_no_person(goals):
+    goals.ask(goals.suite.start(CalibrateGoal("pointer")))
+    goals.do(lambda: goals.server.say(Phase.ATTACH_TOOL))
+    goals.seen("the step", lambda b: b.phase == "tool on")
+    assert goals.behaviour.asked is None
+
+
+def test_a_question_of_a_goal_that_was_taken_over_is_known_from_diagnostics(goals):
+    goals.server.person = True
+    goals.send_as_another()
+    goals.seen("the question", lambda b: b.asked is Asked.ATTACH_TOOL)
+    goals.server.person = False
+    goals.seen("its answer", lambda b: b.asked is None)
+
+
+def test_another_panel_takes_over_a_goal_that_is_under_way(goals):
+    """As this panel does after it was killed and started again."""
+    goals.ask(goals.suite.start(CalibrateGoal("pointer")))
+    with RosSuite(["panel"]) as second:
+        goals.harness.wait_for(
+            lambda: Kind.CALIBRATE in second.state.behaviours, 10.0, "the goal in another panel"
+        )
+        assert not second.state.behaviours[Kind.CALIBRATE].ours
+        goals.harness.wait_for(
+            lambda: "calibrate_tool" in second.state.available, 10.0, "the server"
+        )
+        assert asyncio.run(second.cancel(Kind.CALIBRATE)).ok
+        goals.seen("the other's cancelling", lambda b: b.canceling)
+        goals.do(lambda: goals.server.end(ErrorCode.CANCELED, "canceled"))
+        goals.harness.wait_for(
+            lambda: not second.state.behaviours[Kind.CALIBRATE].running, 10.0, "its end there"
+        )
+    goals.seen("its end here", lambda b: b.outcome)
+
+
+def test_a_server_that_goes_away_takes_its_goal_with_it(goals):
+    goals.ask(goals.suite.start(CalibrateGoal("pointer")))
+    goals.harness.remove(goals.server)
+    outcome = goals.seen("the loss", lambda b: b.outcome)
+    assert outcome.error == "LOST" and "calibration_node went away" in outcome.text
+    assert "nothing was written" in outcome.text
+    goals.wait_for(lambda state: "calibrate_tool" not in state.available, "that it is gone")
+    answer = goals.ask(goals.suite.start(CalibrateGoal("pointer")))
+    assert not answer.ok and "ros2 run galen_calibration_behavior" in answer.text
+    goals.start_server()
+    assert goals.ask(goals.suite.start(CalibrateGoal("pointer"))).ok
+    assert goals.behaviour.running
+
+
+def test_a_server_that_was_restarted_unseen_doesn_t_know_the_goal(goals, monkeypatch):
+    monkeypatch.setattr(ros_goals, "_LOST_S", 60.0)
+    goals.ask(goals.suite.start(CalibrateGoal("pointer")))
+    goals.harness.remove(goals.server)
+    goals.start_server()
+    outcome = goals.seen("the loss", lambda b: b.outcome)
+    assert outcome.error == "LOST"
+
+
+def test_a_goal_that_was_out_of_sight_is_followed_again(goals, monkeypatch):
+    """A node that stood still for some time, as a machine out of memory does it."""
+    monkeypatch.setattr(ros_goals, "_SILENT_S", 0.7)
+    goals.ask(goals.suite.start(CalibrateGoal("pointer")))
+    timer = goals.server.diagnostics._timer
+    goals.do(timer.cancel)
+    goals.seen("the loss", lambda b: b.outcome and b.outcome.error == "LOST")
+    goals.do(timer.reset)
+    goals.do(lambda: goals.server.pose(1, 0.1))
+    goals.seen("the goal again", lambda b: b.running and b.ours and len(b.poses) == 1)
+    goals.do(goals.server.end)
+    goals.seen("its end", lambda b: b.outcome and not b.outcome.error)
+
+
+class Late(Node):
+    """An action server that answers a goal when `answer` says so."""
+
+    def __init__(self, context, **_):
+        super().__init__("calibration", context=context)
+        self.answer = threading.Event()
+        self.goal = None
+        self.server = DeferredActionServer(
+            self,
+            CalibrateTool,
+            "calibrate_tool",
+            self.on_goal,
+            self.on_start,
+            lambda _: CancelResponse.ACCEPT,
+        )
+
+    def destroy_node(self):
+        self.server.destroy()
+        super().destroy_node()
+
+    def on_goal(self, _request):
+        self.answer.wait(20.0)
+        return GoalResponse.ACCEPT
+
+    def on_start(self, handle):
+        self.goal = handle
+
+
+def test_a_goal_whose_answer_is_late_is_taken_back(monkeypatch):
+    monkeypatch.setattr(ros_goals, "_SEND_LIMIT_S", 0.3)
+    with panel_world(monkeypatch) as world:
+        server = world.add(Late)
+        world.wait_for_service("calibrate_tool")
+        threading.Timer(1.0, server.answer.set).start()
+        answer = world.ask(world.suite.start(CalibrateGoal("pointer")))
+        assert not answer.ok
+        assert "has not answered" in answer.text and "had begun, and is canceled" in answer.text
+
+
+def test_without_a_check_node_there_is_no_check(goals):
+    answer = goals.ask(goals.suite.start(CheckGoal()))
+    assert not answer.ok and "check_node" in answer.text

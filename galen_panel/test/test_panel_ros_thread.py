@@ -1,0 +1,114 @@
+"""The ROS thread by itself: jobs, errors in them, and the board that it writes on."""
+
+import asyncio
+import math
+
+import pytest
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from galen_panel.board import Board
+from galen_panel.ros_thread import CallError, RosThread
+from galen_panel.state import Behaviour, Kind, Level
+from galen_ros.domain import DomainLock
+from panel_ros_world import panel_world
+from rclpy.node import Node
+
+
+@pytest.fixture
+def thread(monkeypatch):
+    lock = DomainLock()
+    monkeypatch.setenv("ROS_DOMAIN_ID", str(lock.domain_id))
+    thread = RosThread()
+    yield thread
+    thread.close()
+    lock.release()
+
+
+def test_jobs_run_in_the_thread_and_their_errors_come_back(thread):
+    beats = []
+    thread.start("panel", ["panel"], lambda _: beats.append, lambda: None)
+
+    async def jobs():
+        assert await thread.ask(lambda reply: reply.give(3)) == 3
+        with pytest.raises(KeyError):
+            await thread.ask(lambda reply: {}["nothing"])
+
+        def twice(reply):
+            reply.give("first")
+            reply.give("second")
+            reply.fail(ValueError())
+
+        assert await thread.ask(twice) == "first"
+
+    asyncio.run(jobs())
+    assert beats
+
+
+def test_a_bug_in_a_beat_is_printed_and_does_not_end_the_thread(thread, capfd):
+    def beat(_now_s):
+        raise ZeroDivisionError("in a beat")
+
+    thread.start("panel", ["panel"], lambda _: beat, lambda: None)
+
+    async def ask():
+        return await asyncio.wait_for(thread.ask(lambda reply: reply.give(3)), 5.0)
+
+    assert asyncio.run(ask()) == 3
+    assert "in a beat" in capfd.readouterr().err
+
+
+def test_what_can_t_be_set_up_is_raised_where_it_is_started(thread):
+    def set_up(_node):
+        raise CallError("no")
+
+    with pytest.raises(CallError, match="no"):
+        thread.start("panel", ["panel"], set_up, lambda: None)
+
+    async def ask():
+        with pytest.raises(CallError, match="stopped"):
+            await thread.ask(lambda reply: reply.give(3))
+
+    asyncio.run(ask())
+
+
+def test_a_board_has_a_new_revision_only_where_something_is_new():
+    board = Board()
+    board.put(available=frozenset({"check_tool"}))
+    first = board.state
+    board.put(available=frozenset({"check_tool"}))
+    assert board.state is first and first.revision == 1
+    board.put_behaviour(Behaviour(1, Kind.CHECK, "pointer"))
+    board.put_behaviour(Behaviour(2, Kind.CALIBRATE, "pointer"))
+    assert board.state.revision == 3 and set(board.state.behaviours) == {Kind.CHECK, Kind.CALIBRATE}
+    assert first.behaviours == {}
+
+
+def test_diagnostics_of_anybody_are_kept_small(monkeypatch):
+    with panel_world(monkeypatch) as world:
+        node = world.harness.add(lambda context: Node("somebody", context=context))
+        publisher = node.create_publisher(DiagnosticArray, "/diagnostics", 10)
+        world.harness.wait_for(lambda: publisher.get_subscription_count(), 10.0, "the panel")
+
+        def say(*statuses):
+            world.harness.call_in_executor(
+                lambda: publisher.publish(DiagnosticArray(status=list(statuses)))
+            )
+
+        values = [KeyValue(key=f"key {k}", value="x" * 10_000) for k in range(1000)]
+        say(
+            DiagnosticStatus(
+                name="noisy\n\x1b[2J", level=b"\x07", message="m" * 100_000, values=values
+            )
+        )
+        world.wait_for(lambda state: state.nodes, "a report")
+        (report,) = world.state.nodes.values()
+        assert report.level is Level.STALE and report.name.isprintable()
+        assert len(report.message) < 5000 and len(report.values) == 200
+        assert all(len(text) < 5000 for text in report.values.values())
+        for first in (0, 100, 200):
+            say(
+                *(DiagnosticStatus(name=f"node {k}", level=b"\0") for k in range(first, first + 99))
+            )
+        say(DiagnosticStatus(name="gravcomp", level=b"\0", message="fine"))
+        world.wait_for(lambda state: "gravcomp" in state.nodes, "the last one")
+        assert len(world.state.nodes) == 100 and "node 0" not in world.state.nodes
+        assert math.isfinite(world.state.nodes["gravcomp"].heard_s)
