@@ -122,7 +122,7 @@ def sentence(text: str, name: str = "") -> str:
     if not text:
         return text
     first = text.split()[0]
-    is_word = first.rstrip(",:;").isalpha() and first != name
+    is_word = first.rstrip(",:;.!?").isalpha() and first != name
     start = text[0].upper() if is_word else text[0]
     return start + text[1:] + ("" if text[-1] in ".!?" else ".")
 

@@ -1,0 +1,126 @@
+"""One browser's page without a browser: NiceGUI's own simulation of a user, on the fake suite."""
+
+import asyncio
+import logging
+import tempfile
+import time
+from contextlib import contextmanager
+from pathlib import Path
+
+from galen_panel.options import read_options
+from galen_panel.page import Page
+from galen_panel.recordings import Recordings
+from galen_panel.sections import behaviours, compensation, lamp, tools, under_way
+from nicegui import app
+from nicegui.storage import Storage
+from nicegui.testing.user_interaction import UserInteraction
+from nicegui.testing.user_simulation import user_simulation
+
+PATIENCE_S = 10.0
+
+
+def on_page(suite, story):
+    """Run `story(PageUser)`, a coroutine function, on a page; an error in a log fails it."""
+    errors = _Errors()
+    with _own_storage():
+        asyncio.run(_tell(suite, story, errors))
+    assert errors.texts == []
+
+
+@contextmanager
+def _own_storage():
+    """NiceGUI's simulation empties and removes its storage's directory: never a shared one."""
+    before = Storage.path, app.storage
+    with tempfile.TemporaryDirectory(prefix="panel-page-", ignore_cleanup_errors=True) as directory:
+        Storage.path = Path(directory) / "storage"
+        app.storage = Storage()
+        try:
+            yield
+        finally:
+            Storage.path, app.storage = before
+
+
+async def _tell(suite, story, errors):
+    def draw():
+        nowhere = Path("/nonexistent")
+        page = Page(suite, read_options([], {}), Recordings(nowhere, nowhere, nowhere))
+        for section in (compensation, lamp, under_way, tools, behaviours):
+            section.build(page)
+
+    async with user_simulation(root=draw) as user:
+        logging.getLogger().addHandler(errors)
+        try:
+            await user.open("/")
+            await story(PageUser(user))
+        finally:
+            logging.getLogger().removeHandler(errors)
+            if user.client is not None:
+                user.client.delete()
+
+
+class _Errors(logging.Handler):
+    def __init__(self):
+        super().__init__(logging.ERROR)
+        self.texts = []
+
+    def emit(self, record):
+        self.texts.append(self.format(record))
+
+
+class PageUser:
+    """Sees what is visible, and acts on it by the names that tests have for it."""
+
+    def __init__(self, user):
+        self._user = user
+
+    def all(self, test_id):
+        return [
+            element
+            for element in self._user.client.elements.values()
+            if element.props.get("data-testid") == test_id and _seen(element)
+        ]
+
+    def get(self, test_id):
+        (element,) = self.all(test_id)
+        return element
+
+    def click(self, test_id):
+        UserInteraction(self._user, {self.get(test_id)}, None).click()
+
+    def enter(self, test_id, value):
+        with self._user.client:
+            self.get(test_id).set_value(value)
+
+    def text(self, test_id):
+        """All visible text in it."""
+        parts = [
+            getattr(element, "text", "") or getattr(element, "content", "")
+            for element in self.get(test_id).descendants(include_self=True)
+            if _seen(element)
+        ]
+        return "\n".join(part for part in parts if part)
+
+    def notices(self):
+        """What was told so far."""
+        return list(self._user.notify.messages)
+
+    async def until(self, what):
+        """Wait for a predicate; what can't be found yet is false."""
+        end_s = time.monotonic() + PATIENCE_S
+        while time.monotonic() < end_s:
+            try:
+                if what():
+                    return
+            except ValueError:
+                pass
+            await asyncio.sleep(0.02)
+        raise AssertionError("it did not come true in time")
+
+
+def _seen(element):
+    """A dialog's content is there while the dialog is; all else may be hidden."""
+    while element is not None:
+        if not element.visible or "invisible" in element.classes:
+            return False
+        element = element.parent_slot.parent if element.parent_slot else None
+    return True

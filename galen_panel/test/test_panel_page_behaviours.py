@@ -1,0 +1,264 @@
+"""Behaviours on the page: start, progress, what a person is asked, cancel, the outcome."""
+
+from dataclasses import replace
+
+import pytest
+from fake_suite import ALL, IN_FORCE, POINTER, RETRACTOR, FakeSuite
+from galen_panel.state import (
+    Answer,
+    Asked,
+    Behaviour,
+    CalibrateGoal,
+    CheckGoal,
+    CollectGoal,
+    Kind,
+    Outcome,
+    Pose,
+)
+from page_user import on_page
+
+VALUES = {
+    "mass_kg": 0.2, "mass_std_kg": 3e-5, "com_m": [0.07, -0.01, 0.055],
+    "com_std_m": [2e-5, 2e-5, 3e-5], "rmse_force_n": [1e-3, 1e-3, 2e-3],
+    "rmse_torque_nm": [3e-5, 3e-5, 3e-5], "poses_used": 55,
+    "poses_rejected": ["tool/9: not still"],
+}  # fmt: skip
+CALIBRATING = Behaviour(7, Kind.CALIBRATE, "retractor", "sweep with tool", "at a pose", 12, 112)
+CALIBRATED = replace(
+    CALIBRATING,
+    outcome=Outcome("", "it is calibrated", "retractor", "/tools/retractor.json", VALUES),
+)
+CHECKED = Behaviour(8, Kind.CHECK, "pointer", total=6, done=6)
+
+
+def check_outcome(answer, cause, text="so it is"):
+    return replace(
+        CHECKED, outcome=Outcome("", text, "pointer", values={"answer": answer, "cause": cause})
+    )
+
+
+def test_each_is_started_with_what_was_chosen():
+    suite = FakeSuite()
+
+    async def story(user):
+        user.click("calibrate")
+        await user.until(lambda: suite.calls == [("start", CalibrateGoal("pointer"))])
+        user.enter("calibrate-tool", "retractor")
+        user.enter("calibrate-one-sweep", True)
+        user.enter("calibrate-by-hand", True)
+        user.click("calibrate")
+        goal = CalibrateGoal("retractor", one_sweep=True, by_hand=True)
+        await user.until(lambda: suite.calls[1:] == [("start", goal)])
+        user.click("check")
+        await user.until(lambda: suite.calls[2:] == [("start", CheckGoal(""))])
+        user.click("collect")
+        await user.until(lambda: user.get("collect-name").error)
+        user.enter("collect-name", "monday")
+        user.click("collect")
+        goal = CollectGoal("monday", "pointer", by_hand=True)
+        await user.until(lambda: suite.calls[3:] == [("start", goal)])
+
+    on_page(suite, story)
+
+
+def test_what_was_chosen_stays_when_the_list_is_read_again():
+    suite = FakeSuite()
+
+    async def story(user):
+        user.enter("calibrate-tool", "retractor")
+        suite.put(tools=(POINTER, RETRACTOR, replace(RETRACTOR, name="scope")))
+        await user.until(lambda: user.all("tool-scope"))
+        assert user.get("calibrate-tool").value == "retractor"
+        suite.put(tools=(POINTER,))
+        await user.until(lambda: not user.all("tool-scope"))
+        assert user.get("calibrate-tool").value == "pointer"
+
+    on_page(suite, story)
+
+
+def test_a_node_that_is_absent_is_named_where_its_button_is():
+    suite = FakeSuite()
+    suite.put(available=ALL - {"check_tool"})
+
+    async def story(user):
+        assert not user.get("check").enabled
+        assert "ros2 run galen_calibration_behavior check_node" in user.text("card-check")
+        assert user.get("calibrate").enabled
+        suite.put(available=ALL)
+        await user.until(lambda: user.get("check").enabled)
+
+    on_page(suite, story)
+
+
+def test_progress_is_followed_and_cancel_is_there():
+    suite = FakeSuite()
+
+    async def story(user):
+        assert user.all("cancel") == []
+        suite.put(behaviours={Kind.CALIBRATE: CALIBRATING})
+        await user.until(lambda: user.all("cancel"))
+        assert "Calibration of retractor: sweep with tool" in user.text("running")
+        assert user.text("count") == "12 of 112 poses"
+        assert user.all("calibrate") == [], "it can't be started twice"
+        assert not user.get("check").enabled
+        assert "Calibration of retractor is under way" in user.text("card-check")
+        strip = user.get("running")
+        suite.put(behaviours={Kind.CALIBRATE: replace(CALIBRATING, done=56)})
+        await user.until(lambda: user.get("progress").value == pytest.approx(0.5))
+        assert user.get("running") is strip, "another one would lose the focus"
+        user.click("cancel")
+        await user.until(lambda: suite.calls == [("cancel", Kind.CALIBRATE)])
+        suite.put(behaviours={Kind.CALIBRATE: replace(CALIBRATING, canceling=True)})
+        await user.until(lambda: user.text("cancel") == "Canceling")
+        ended = replace(CALIBRATING, outcome=Outcome("CANCELED", "it was canceled", "retractor"))
+        suite.put(behaviours={Kind.CALIBRATE: ended})
+        await user.until(lambda: user.all("outcome"))
+        assert user.all("running") == []
+        assert "Canceled: retractor" in user.text("outcome")
+        assert user.all("keep") == []
+        assert user.get("calibrate").enabled
+
+    on_page(suite, story)
+
+
+def test_what_was_started_elsewhere_is_told_so():
+    suite = FakeSuite()
+    suite.put(behaviours={Kind.CHECK: replace(CHECKED, ours=False, done=2)})
+
+    async def story(user):
+        assert "Quick check of pointer (started elsewhere)" in user.text("running")
+
+    on_page(suite, story)
+
+
+def test_a_person_is_asked_and_answers():
+    suite = FakeSuite()
+    suite.put(behaviours={Kind.CALIBRATE: replace(CALIBRATING, asked=Asked.REMOVE_TOOL)})
+
+    async def story(user):
+        assert user.text("asked") == "Take the tool off, then press."
+        user.click("confirm")
+        await user.until(lambda: suite.calls == [("confirm",)])
+        suite.put(behaviours={Kind.CALIBRATE: replace(CALIBRATING, asked=Asked.ATTACH_TOOL)})
+        await user.until(lambda: user.text("asked") == "Put retractor on, then press.")
+        assert user.text("confirm") == "The tool is on"
+        suite.put(behaviours={Kind.CALIBRATE: CALIBRATING})
+        await user.until(lambda: not user.all("confirm"))
+
+    on_page(suite, story)
+
+
+def test_poses_are_shown_one_by_one():
+    suite = FakeSuite()
+    poses = (
+        Pose("tool", 1, -0.5, 0.1, True, "", None),
+        Pose("tool", 2, 0.5, 0.1, False, "the arm <moved>", None),
+    )
+    suite.put(behaviours={Kind.CALIBRATE: replace(CALIBRATING, poses=poses[:1])})
+
+    async def story(user):
+        assert "1 pose." in user.text("poses-summary")
+        assert user.text("poses").count("<td class='panel-pose-used'") == 1
+        suite.put(behaviours={Kind.CALIBRATE: replace(CALIBRATING, poses=poses)})
+        await user.until(lambda: "1 not used" in user.text("poses-summary"))
+        assert "the arm <moved>" not in user.text("poses")
+        assert "the arm &lt;moved&gt;" in user.text("poses")
+
+    on_page(suite, story)
+
+
+def test_a_calibration_is_shown_beside_the_old_one_and_kept():
+    suite = FakeSuite()
+    suite.put(behaviours={Kind.CALIBRATE: CALIBRATED})
+
+    async def story(user):
+        await user.until(lambda: ("compare", "retractor", "") in suite.calls)
+        await user.until(lambda: "0.10 g" in user.text("beside"))
+        for part in ("200.00 ± 0.03 g", "70.00 ± 0.02 mm", "1 not used"):
+            assert part in user.text("outcome"), part
+        user.click("keep")
+        await user.until(lambda: ("put_in_force", "retractor") in suite.calls)
+        in_force = replace(IN_FORCE, tool="retractor", mass_kg=0.2, com_m=(0.07, -0.01, 0.055))
+        suite.put(in_force=in_force)
+        await user.until(lambda: user.text("fate") == "The new file is in force.")
+        assert not user.get("keep").enabled
+
+    on_page(suite, story)
+
+
+@pytest.mark.parametrize(("new", "call"), [(False, "revert_tool"), (True, "remove_tool")])
+def test_a_calibration_is_discarded_once(new, call):
+    suite = FakeSuite()
+    outcome = replace(CALIBRATED.outcome, new=new)
+    suite.put(behaviours={Kind.CALIBRATE: replace(CALIBRATED, outcome=outcome)})
+
+    async def story(user):
+        await user.until(lambda: user.get("discard").enabled)
+        user.click("discard")
+        await user.until(lambda: user.all("dialog-ok"))
+        user.click("dialog-ok")
+        await user.until(lambda: (call, "retractor") in suite.calls)
+        # The old file is back: going back again would bring the discarded one.
+        suite.put(tools=(POINTER, replace(RETRACTOR, mass_kg=0.1999)))
+        await user.until(lambda: not user.get("discard").enabled)
+        assert not user.get("keep").enabled
+        assert "another one by now" in user.text("fate")
+
+    on_page(suite, story)
+
+
+def test_a_list_from_before_the_calibration_is_not_taken_for_a_discarded_file():
+    suite = FakeSuite()
+    suite.answer = Answer(False, "gravcomp_node has not answered")
+    suite.put(
+        tools=(POINTER, replace(RETRACTOR, mass_kg=0.1999)),
+        behaviours={Kind.CALIBRATE: CALIBRATED},
+    )
+
+    async def story(user):
+        await user.until(lambda: user.notices())
+        assert user.text("fate") == "Reading the new file."
+        assert not user.get("discard").enabled
+        suite.put(tools=(POINTER, RETRACTOR))
+        await user.until(lambda: user.get("discard").enabled)
+
+    on_page(suite, story)
+
+
+@pytest.mark.parametrize(
+    ("answer", "cause", "title", "call"),
+    [
+        (0, 0, "Good", None),
+        (1, 1, "Tare it", ("tare",)),
+        (2, 5, "calibrate again", ("start", CalibrateGoal("pointer"))),
+        (2, 3, "another tool is on", ("start", CheckGoal("pointer"))),
+        (3, 8, "Can't tell", ("start", CheckGoal("pointer"))),
+    ],
+)
+def test_a_quick_check_says_what_to_do_and_does_it(answer, cause, title, call):
+    suite = FakeSuite()
+    suite.put(behaviours={Kind.CHECK: check_outcome(answer, cause)})
+
+    async def story(user):
+        assert title in user.text("outcome")
+        assert "So it is." in user.text("outcome")
+        if call is None:
+            assert user.all("outcome-do") == []
+            return
+        user.click("outcome-do")
+        await user.until(lambda: suite.calls == [call])
+
+    on_page(suite, story)
+
+
+def test_an_outcome_can_be_closed_and_the_next_one_is_shown():
+    suite = FakeSuite()
+    suite.put(behaviours={Kind.CHECK: check_outcome(0, 0)})
+
+    async def story(user):
+        user.click("outcome-close")
+        await user.until(lambda: not user.all("outcome"))
+        suite.put(behaviours={Kind.CHECK: replace(check_outcome(3, 8), number=9)})
+        await user.until(lambda: "Can't tell" in user.text("outcome"))
+
+    on_page(suite, story)

@@ -1,0 +1,129 @@
+"""The header: the tool in force, compensation, tare, the lamp; and how the page asks."""
+
+import asyncio
+from dataclasses import replace
+
+from fake_suite import ALL, IN_FORCE, FakeSuite
+from galen_panel.state import Answer
+from page_user import on_page
+
+
+def test_it_shows_what_gravcomp_says():
+    suite = FakeSuite()
+
+    async def story(user):
+        assert "pointer" in user.text("in-force")
+        assert "60.10 g" in user.text("in-force")
+        assert user.text("enable") == "Compensation on"
+        suite.put(in_force=replace(IN_FORCE, tool="", mass_kg=0.0, enabled=False))
+        await user.until(lambda: "no tool" in user.text("in-force"))
+        assert user.text("enable") == "Compensation off"
+        assert user.get("enable").props["aria-checked"] == "false"
+        suite.put(in_force=replace(IN_FORCE, file_state="changed"))
+        await user.until(lambda: "has changed" in user.text("in-force"))
+
+    on_page(suite, story)
+
+
+def test_the_switch_asks_for_the_other_state_and_waits_for_gravcomp():
+    suite = FakeSuite()
+
+    async def story(user):
+        user.click("enable")
+        await user.until(lambda: suite.calls == [("set_enabled", False)])
+        assert user.text("enable") == "Compensation on", "clicked is not yet switched"
+        suite.put(in_force=replace(IN_FORCE, enabled=False))
+        await user.until(lambda: user.text("enable") == "Compensation off")
+        user.click("enable")
+        await user.until(lambda: suite.calls[-1] == ("set_enabled", True))
+
+    on_page(suite, story)
+
+
+def test_tare_says_what_it_takes_off():
+    suite = FakeSuite()
+
+    async def story(user):
+        assert user.text("tare-value") == "Takes nothing off now."
+        user.click("tare")
+        await user.until(lambda: suite.calls == [("tare",)])
+        suite.put(in_force=replace(IN_FORCE, tare=(0.03, 0.0, 0.04, 0.0, 1e-3, 0.0)))
+        await user.until(lambda: user.text("tare-value") == "Takes off 50 mN, 1.0 mN·m now.")
+
+    on_page(suite, story)
+
+
+def test_without_gravcomp_all_says_so():
+    suite = FakeSuite()
+
+    async def story(user):
+        suite.put(in_force=None, available=frozenset(), tools=None)
+        await user.until(lambda: not user.get("enable").enabled)
+        assert user.text("enable") == "Compensation: unknown"
+        assert "gravcomp is not running" in user.text("in-force")
+        assert "gravcomp_node" in user.get("tare").props["title"]
+        assert not user.get("tare").enabled
+        assert "ros2 run galen_gravcomp gravcomp_node" in user.text("tools-note")
+        suite.put(in_force=IN_FORCE, available=ALL)
+        await user.until(lambda: user.get("enable").enabled and user.get("tare").enabled)
+        assert "title" not in user.get("tare").props
+
+    on_page(suite, story)
+
+
+def test_the_lamp_tells_its_level_in_words():
+    suite = FakeSuite()
+
+    async def story(user):
+        suite.put(in_force=None, available=frozenset())
+        await user.until(lambda: user.get("lamp").props["data-level"] in ("error", "stale"))
+        assert len(user.text("lamp")) > 10
+
+    on_page(suite, story)
+
+
+class _Slow(FakeSuite):
+    """Answers when it is let."""
+
+    def __init__(self):
+        super().__init__()
+        self.free = asyncio.Event()
+
+    async def _called(self, *call):
+        self.calls.append(call)
+        await self.free.wait()
+        return self.answer
+
+
+def test_two_clicks_ask_once_and_the_state_does_not_enable_what_waits():
+    suite = _Slow()
+
+    async def story(user):
+        button = user.get("tare")
+        user.click("tare")
+        user.click("tare")
+        await user.until(lambda: not button.enabled)
+        assert "loading" in button.props
+        suite.put(in_force=None, available=frozenset())
+        await user.until(lambda: "title" in button.props)
+        suite.put(in_force=IN_FORCE, available=ALL)
+        await user.until(lambda: "title" not in button.props)
+        assert not button.enabled, "it waits still"
+        suite.free.set()
+        await user.until(lambda: button.enabled)
+        assert suite.calls == [("tare",)]
+        assert user.notices() == ["done"]
+        assert "loading" not in button.props
+
+    on_page(suite, story)
+
+
+def test_a_refusal_is_told():
+    suite = FakeSuite()
+    suite.answer = Answer(False, "the tool was touched: tare again")
+
+    async def story(user):
+        user.click("tare")
+        await user.until(lambda: user.notices() == ["the tool was touched: tare again"])
+
+    on_page(suite, story)

@@ -1,0 +1,168 @@
+"""The list of tools, and what is asked before a file changes."""
+
+from dataclasses import replace
+from functools import partial
+
+from fake_suite import ALL, IN_FORCE, POINTER, RETRACTOR, FakeSuite
+from galen_panel.sections.comparison import told
+from galen_panel.state import CalibrateGoal, Difference, Tool
+from page_user import on_page
+
+
+def test_a_button_a_tool_puts_it_in_force():
+    suite = FakeSuite()
+
+    async def story(user):
+        text = user.text("tool-pointer")
+        for part in ("60.10 ± 0.03 g", "55.0, 2.0, 45.0 mm", "2026-11-21 14:03 UTC", "in force"):
+            assert part in text, part
+        assert "Residual 3.6 mN" in text
+        assert "in force" not in user.text("tool-retractor")
+        assert user.get("tool-pointer").props["aria-pressed"] == "true"
+        user.click("tool-retractor")
+        await user.until(lambda: suite.calls == [("put_in_force", "retractor")])
+        suite.put(
+            tools=(replace(POINTER, in_force=False), replace(RETRACTOR, in_force=True)),
+            in_force=replace(IN_FORCE, tool="retractor"),
+        )
+        await user.until(lambda: "in force" in user.text("tool-retractor"))
+        assert "in force" not in user.text("tool-pointer")
+        user.click("no-tool")
+        await user.until(lambda: suite.calls[-1] == ("put_in_force", ""))
+
+    on_page(suite, story)
+
+
+def test_a_broken_file_is_listed_with_its_reason_and_not_loadable():
+    suite = FakeSuite()
+
+    async def story(user):
+        assert "field 'load' is missing" in user.text("tool-drill")
+        assert "0.00 g" not in user.text("tool-drill")
+        assert not user.get("tool-drill").enabled
+
+    on_page(suite, story)
+
+
+def test_removing_is_asked_first():
+    suite = FakeSuite()
+
+    async def story(user):
+        assert not user.get("tool-pointer-remove").enabled, "it is in force"
+        user.click("tool-retractor-remove")
+        await user.until(lambda: user.all("dialog-ok"))
+        user.click("dialog-cancel")
+        await user.until(lambda: not user.all("dialog-ok"))
+        assert suite.calls == []
+        user.click("tool-retractor-remove")
+        await user.until(lambda: user.all("dialog-ok"))
+        user.click("dialog-ok")
+        await user.until(lambda: suite.calls == [("remove_tool", "retractor")])
+
+    on_page(suite, story)
+
+
+def test_a_row_that_goes_while_its_question_is_open():
+    suite = FakeSuite()
+
+    async def story(user):
+        user.click("tool-retractor-remove")
+        await user.until(lambda: user.all("dialog-ok"))
+        suite.put(tools=(POINTER,))
+        await user.until(lambda: not user.all("tool-retractor"))
+        user.click("dialog-ok")
+        await user.until(lambda: suite.calls == [("remove_tool", "retractor")])
+        await user.until(lambda: user.notices() == ["done"])
+
+    on_page(suite, story)
+
+
+def test_going_back_shows_first_what_would_change():
+    suite = FakeSuite()
+
+    async def story(user):
+        assert user.all("tool-retractor-revert") == [], "it has none before"
+        user.click("tool-pointer-revert")
+        await user.until(lambda: user.all("dialog-ok"))
+        assert suite.calls == [("compare", "pointer", "")]
+        user.click("dialog-ok")
+        await user.until(lambda: suite.calls[1:] == [("revert_tool", "pointer")])
+
+    on_page(suite, story)
+
+
+def refused(user, reason):
+    return reason in (user.get("new-tool-name").error or "")
+
+
+def test_a_new_tool_is_named_and_calibrated():
+    suite = FakeSuite()
+
+    async def story(user):
+        user.click("new-tool")
+        await user.until(lambda: user.all("dialog-ok"))
+        for name, reason in (("../up", "letters"), ("", "letters"), ("pointer", "this name")):
+            user.enter("new-tool-name", name)
+            user.click("dialog-ok")
+            await user.until(partial(refused, user, reason))
+        assert suite.calls == []
+        user.enter("new-tool-name", "drill_2")
+        user.enter("new-tool-tip-x", 150.0)
+        user.click("dialog-ok")
+        await user.until(lambda: user.get("new-tool-tip-y").error)
+        assert suite.calls == []
+        user.enter("new-tool-tip-y", 0.0)
+        user.enter("new-tool-tip-z", 50.0)
+        user.click("dialog-ok")
+        await user.until(lambda: suite.calls)
+        ((call, goal),) = suite.calls
+        assert call == "start"
+        assert goal == CalibrateGoal("drill_2", (0.15, 0.0, 0.05))
+        await user.until(lambda: not user.all("dialog-ok"))
+
+    on_page(suite, story)
+
+
+def test_where_nothing_takes_the_tool_off_a_person_does():
+    suite = FakeSuite()
+    suite.put(available=ALL - {"attach_tool"})
+
+    async def story(user):
+        user.click("new-tool")
+        await user.until(lambda: user.all("dialog-ok"))
+        assert not user.get("new-tool-by-hand").enabled
+        user.enter("new-tool-name", "drill_2")
+        user.click("dialog-ok")
+        await user.until(lambda: suite.calls == [("start", CalibrateGoal("drill_2", by_hand=True))])
+
+    on_page(suite, story)
+
+
+def test_five_hundred_tools_are_found_by_name_and_rows_are_kept():
+    suite = FakeSuite()
+    many = tuple(Tool(f"tool_{i:03d}", 0.1, 1e-5, (0, 0, 0.05)) for i in range(500))
+    suite.put(tools=(*many, POINTER))
+
+    async def story(user):
+        assert "of 501" in user.text("tools-note")
+        assert user.all("tool-pointer"), "the one in force is listed, wherever it stands"
+        assert user.all("tool-tool_000")
+        assert not user.all("tool-tool_499")
+        user.enter("tools-filter", "499")
+        await user.until(lambda: user.all("tool-tool_499"))
+        assert not user.all("tool-tool_000")
+        kept = user.get("tool-tool_499")
+        suite.put(tools=(*many[:-1], replace(many[-1], mass_kg=0.3), POINTER))
+        await user.until(lambda: "300.00" in user.text("tool-tool_499"))
+        assert user.get("tool-tool_499") is kept, "another one would lose the focus"
+        user.enter("tools-filter", "nothing like it")
+        await user.until(lambda: "No tool's name" in user.text("tools-note"))
+
+    on_page(suite, story)
+
+
+def test_of_a_comparison_mass_and_centre_are_told_and_else_what_differs():
+    same = "the same within 2 sigma"
+    assert told(Difference("mass", "kg", 0.1, 0.1, 1e-5, same))
+    assert not told(Difference("adapter_mass", "kg", 0.1, 0.1, 1e-5, same))
+    assert told(Difference("tip_x", "m", 0.1, 0.2, float("nan"), "differs by 100 mm"))

@@ -1,0 +1,244 @@
+"""What the page writes: numbers, times, hints, poses, outcomes. No page is needed."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from fake_suite import ALL, IN_FORCE, POINTER, RETRACTOR
+from galen_model.kinematics import gravity_in_sensor
+from galen_model.load import Load, gravity_wrench
+from galen_panel.pace import Pace
+from galen_panel.result_words import Fate, Todo
+from galen_panel.running_fit import residuals
+from galen_panel.sections.under_way import count
+from galen_panel.state import Behaviour, Kind, Outcome, Pose, State
+
+from galen_panel import hints, pose_table, result_words, texts
+
+NAN = math.nan
+
+
+@pytest.mark.parametrize(
+    ("mass_kg", "std_kg", "text"),
+    [
+        (0.0601, 3e-5, "60.10 ± 0.03 g"),
+        (0.0601, 1.4e-5, "60.100 ± 0.014 g"),
+        (0.2, 4e-3, "200 ± 4 g"),
+        (0.2, NAN, "200.00 g"),
+        (0.2, 0.0, "200.00 g"),
+        (0.2, math.inf, "200.00 g"),
+        (NAN, 1e-5, "–"),
+    ],
+)
+def test_a_mass_has_the_digits_that_it_is_known_with(mass_kg, std_kg, text):
+    assert texts.mass(mass_kg, std_kg) == text
+
+
+@pytest.mark.parametrize(
+    ("force_n", "torque_nm", "text"),
+    [
+        (0.0031, 5e-5, "3.1 mN, 0.050 mN·m"),
+        (0.0, 0.0, "0 mN, 0 mN·m"),
+        (12.34, 0.5, "12 N, 500 mN·m"),
+        (NAN, 0.1, "unknown"),
+    ],
+)
+def test_a_size_is_never_a_power_of_ten(force_n, torque_nm, text):
+    assert texts.size(force_n, torque_nm) == text
+
+
+def test_quantities_have_a_persons_units_and_no_negative_zero():
+    assert texts.quantity(0.0601, "kg") == "60.10 g"
+    assert texts.quantity(-1e-9, "m") == "0.00 mm"
+    assert texts.change(-1e-9, "m") == "0.00 mm"
+    assert texts.change(4e-4, "kg") == "+0.40 g"
+    assert texts.change(-0.003, "N") == "-3.0 mN"
+    assert texts.quantity(NAN, "N.m") == "–"
+    assert texts.sigmas(4e-4, 1e-4) == "4.0 σ"
+    assert texts.sigmas(4e-4, NAN) == texts.sigmas(1.0, 0.0) == "–"
+    assert texts.quantity_name("com_x") == "centre x"
+    assert texts.quantity_name("adapter_com_z") == "adapter's centre z"
+    assert texts.quantity_name("adapter_mass") == "adapter's mass"
+    assert texts.quantity_name("offset_fx") == "offset fx"
+
+
+@pytest.mark.parametrize(
+    ("written", "text"),
+    [
+        ("2026-11-21T14:03:11.123456+00:00", "2026-11-21 14:03 UTC"),
+        ("2026-11-21T14:03:11Z", "2026-11-21 14:03 UTC"),
+        ("2026-11-21T14:03:11+01:00", "2026-11-21 14:03 +0100"),
+        ("yesterday", "yesterday"),
+        ("", ""),
+    ],
+)
+def test_a_date_has_its_zone_and_no_fraction(written, text):
+    assert texts.date(written) == text
+
+
+@pytest.mark.parametrize(
+    ("seconds", "text"),
+    [(0.0, "5 s"), (41.0, "40 s"), (70.0, "1 min"), (130.0, "2 min"), (4200.0, "1 h 10 min")],
+)
+def test_a_duration_is_as_exact_as_a_guess(seconds, text):
+    assert texts.duration(seconds) == text
+
+
+@pytest.mark.parametrize(
+    ("text", "sentence"),
+    [
+        ("going home", "Going home."),
+        ("done!", "Done!"),
+        ("pointer is calibrated", "pointer is calibrated."),
+        ("joint_states stopped", "joint_states stopped."),
+        ("", ""),
+    ],
+)
+def test_a_sentence_does_not_change_names(text, sentence):
+    assert texts.sentence(text, "pointer") == sentence
+
+
+def test_each_service_that_the_page_calls_has_a_program_that_offers_it():
+    nothing = State()
+    for name in ALL:
+        assert "Start it: ros2 run" in hints.missing(nothing, name)
+        assert hints.missing(State(available=ALL), name) == ""
+
+
+def test_nothing_is_started_while_something_moves_the_arm():
+    running = Behaviour(1, Kind.COLLECT, "pointer")
+    state = State(available=ALL, behaviours={Kind.COLLECT: running})
+    assert "Collection of pushes with pointer is under way" in hints.cannot_start(state, Kind.CHECK)
+    ended = replace(running, outcome=Outcome("", "done"))
+    assert hints.cannot_start(replace(state, behaviours={Kind.COLLECT: ended}), Kind.CHECK) == ""
+
+
+def test_the_time_left_follows_the_poses_and_not_a_persons_pause():
+    pace = Pace()
+    assert math.isnan(pace.left_s(0, 20, 0.0))
+    for done in range(1, 6):
+        left = pace.left_s(done, 20, 2.0 * done)
+    assert left == pytest.approx(30.0)
+    assert pace.left_s(5, 20, 11.0) == pytest.approx(29.0)
+    assert pace.left_s(6, 20, 310.0) == pytest.approx(28.0)
+    assert pace.left_s(20, 20, 340.0) == 0.0
+    assert math.isnan(pace.left_s(0, 20, 341.0)), "another goal"
+
+
+def test_a_count_says_what_is_counted():
+    behaviour = Behaviour(1, Kind.COLLECT, "pointer", done=3, total=48)
+    assert count(behaviour, NAN) == "3 of 48 pushes"
+    assert count(replace(behaviour, kind=Kind.CHECK), 100.0) == "3 of 48 poses, about 2 min left"
+    assert count(replace(behaviour, total=0), NAN) == ""
+
+
+def sweep(number=56, touched=None, load=0.2):
+    """Poses on the grid with readings of a load and offsets, without noise."""
+    rolls, tilts = np.linspace(-1.5, 1.5, 8), np.linspace(-1.0, 0.9, 7)
+    poses = []
+    for index in range(number):
+        roll, tilt = rolls[index % 8], tilts[index // 8]
+        reading = gravity_wrench(gravity_in_sensor(roll, tilt), Load(load, np.array([0.07, 0, 0])))
+        reading = reading + [0.1, -0.2, 0.3, 0.01, 0.02, 0.03]
+        if index == touched:
+            reading = reading + [0.5, 0, 0, 0, 0, 0]
+        poses.append(Pose("tool", index + 1, roll, tilt, True, "", tuple(reading)))
+    return poses
+
+
+def test_poses_that_agree_leave_nothing_and_a_touched_one_stands_out():
+    clean = residuals(sweep())
+    assert len(clean) == 56
+    assert max(force for force, _ in clean.values()) < 1e-9
+    assert max(torque for _, torque in clean.values()) < 1e-9
+    touched = residuals(sweep(touched=20))
+    assert max(touched, key=lambda number: touched[number][0]) == 21
+    assert touched[21][0] == pytest.approx(0.5, rel=0.2)
+
+
+def test_poses_without_a_reading_are_left_out_of_the_fit():
+    poses = sweep(12)
+    poses[3] = replace(poses[3], accepted=False)
+    poses[4] = replace(poses[4], wrench=None)
+    poses[5] = replace(poses[5], wrench=(NAN,) * 6)
+    assert set(residuals(poses)) == set(range(1, 13)) - {4, 5, 6}
+    assert residuals(poses[3:7]) == {}
+    assert residuals([]) == {}
+
+
+def test_a_grid_of_poses_is_a_table_of_roll_and_tilt():
+    poses = sweep(touched=20)
+    poses[9] = replace(poses[9], accepted=False, text="it <moved> 'here'")
+    html = pose_table.table(poses, residuals(poses))
+    assert html.count("<tr>") == 8
+    assert html.count("<td class=") == 56
+    assert html.count("panel-pose-odd") == 1
+    assert html.count("✗</td>") == 1
+    assert "title='it &lt;moved&gt; &#x27;here&#x27;'" in html
+    assert pose_table.refusals(poses) == ["Roll -61.4°, tilt -39.2°: it <moved> 'here'"]
+    assert "56 poses, 1 not used; they agree within" in pose_table.summary(poses, residuals(poses))
+
+
+def test_scattered_poses_are_a_list_of_the_newest():
+    rng = np.random.default_rng(1)
+    poses = [
+        Pose("check", number, *rng.uniform(-1, 1, 2), True, "", None) for number in range(1, 31)
+    ]
+    html = pose_table.table(poses, {})
+    assert html.count("<tr>") == 11
+    assert ">30</th>" in html
+    assert pose_table.table([], {}) == ""
+
+
+VALUES = {"mass_kg": 0.2, "mass_std_kg": 3e-5, "com_m": [0.07, -0.01, 0.055]}
+WRITTEN = Outcome("", "done", "retractor", values=VALUES)
+
+
+def test_a_calibrations_file_is_known_by_what_is_in_it():
+    state = State(tools=(POINTER, RETRACTOR), in_force=IN_FORCE)
+    assert result_words.fate(WRITTEN, state) is Fate.HERE
+    other = replace(RETRACTOR, mass_kg=0.2 + 1e-6)
+    assert result_words.fate(WRITTEN, replace(state, tools=(other,))) is Fate.REPLACED
+    assert result_words.fate(WRITTEN, replace(state, tools=None)) is Fate.REPLACED
+    broken = replace(RETRACTOR, problem="cut off")
+    assert result_words.fate(WRITTEN, replace(state, tools=(broken,))) is Fate.REPLACED
+    old = replace(IN_FORCE, tool="retractor", mass_kg=0.1999, com_m=RETRACTOR.com_m)
+    assert result_words.fate(WRITTEN, replace(state, in_force=old)) is Fate.HERE
+    new = replace(old, mass_kg=0.2)
+    assert result_words.fate(WRITTEN, replace(state, in_force=new)) is Fate.IN_FORCE
+
+
+@pytest.mark.parametrize("values", [{}, {"answer": 99, "cause": 0}, {"answer": None, "cause": 0}])
+def test_an_answer_that_nobody_knows_is_not_good(values):
+    assert result_words.verdict(Outcome("", "?", values=values)).todo is Todo.CHECK
+
+
+def test_a_checks_sentence_has_no_command_for_a_terminal():
+    outcome = Outcome(
+        "", "a constant offset; a tare takes it off: ros2 service call /gravcomp/tare"
+        " std_srvs/srv/Trigger",
+    )  # fmt: skip
+    assert result_words.told(outcome) == "A constant offset; a tare takes it off."
+
+
+@pytest.mark.parametrize(
+    ("error", "title", "level"),
+    [
+        ("", "Calibrated", "positive"),
+        ("CANCELED", "Canceled", "warning"),
+        ("LOST", "Lost", "negative"),
+        ("DRIVER_SILENT", "It failed", "negative"),
+    ],
+)
+def test_every_end_has_a_title(error, title, level):
+    assert result_words.ended(Kind.CALIBRATE, Outcome(error, "x")) == (title, level)
+
+
+def test_a_collection_says_how_much_there_is():
+    values = {"pushes": 46, "pushes_asked": 48, "calibration_holds": False, "left_out": ["set 1"]}
+    outcome = Outcome("", "collected", values=values)
+    text = result_words.collection_sentence(outcome)
+    assert text.startswith("46 of 48 pushes")
+    assert "moved" in text
+    assert result_words.left_out(outcome) == ["set 1"]
