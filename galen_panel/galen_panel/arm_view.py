@@ -13,7 +13,7 @@ as one.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
 from dataclasses import dataclass
 from xml.etree import ElementTree
 
@@ -22,13 +22,12 @@ from galen_model.arm import BASE_FRAME, GALEN, JOINT_NAMES, ArmParameters
 from galen_model.arrays import Array
 from galen_model.delta import LinearDelta, ball_joints
 from galen_model.errors import KinematicsError
-from galen_model.kinematics import joint_axes, tip_pose
-from galen_model.rotation import rot_x, rot_y, rot_z, rotvec_to_matrix
-from galen_model.stiffness import platform_stiffness, tip_compliance
-from galen_model.wrench import move_twist, move_wrench
+from galen_model.kinematics import sensor_rotation, tip_jacobian, tip_pose
+from galen_model.rotation import rot_x, rot_y, rot_z, rotvec_to_matrix, skew
+from galen_model.stiffness import tip_compliance
+from galen_model.wrench import move_twist
 
 PLATFORM_FRAME = "delta_platform"
-_MOVABLE = ("prismatic", "revolute")
 
 
 @dataclass(frozen=True)
@@ -43,7 +42,8 @@ class Pose:
         return Pose(self.rotation @ pose.rotation, self.origin_m + self.rotation @ pose.origin_m)
 
 
-HERE = Pose(np.eye(3), np.zeros(3))
+_EYE = np.eye(3)
+HERE = Pose(_EYE, np.zeros(3))
 
 
 @dataclass(frozen=True)
@@ -58,14 +58,19 @@ class Shape:
 
 @dataclass(frozen=True)
 class Joint:
-    """pose: of the joint's frame in its parent's; axis (3,): what it moves along or about."""
+    """pose: of the joint's frame in its parent's.
+
+    direction_m (3,): what it moves along, in the parent's frame; across (3, 3): the skew matrix of
+    the unit vector that it turns about, in its own.
+    """
 
     name: str
     kind: str
     parent: str
     child: str
     pose: Pose
-    axis: Array
+    direction_m: Array
+    across: Array
 
 
 @dataclass(frozen=True)
@@ -92,7 +97,7 @@ def frames(model: Model, joints: Array) -> dict[str, Pose]:
     values = dict(zip(JOINT_NAMES, np.asarray(joints, dtype=float).tolist(), strict=True))
     poses = {BASE_FRAME: HERE}
     for joint in model.joints:
-        poses[joint.child] = poses[joint.parent].then(joint.pose).then(_motion(joint, values))
+        poses[joint.child] = poses[joint.parent].then(_moved(joint, values.get(joint.name, 0.0)))
     return poses
 
 
@@ -116,31 +121,12 @@ def share(joints: Array, deflection: Array, tip_m: Array, arm: ArmParameters = G
     """
     _, tip = tip_pose(joints, tip_m, arm)
     load = np.linalg.solve(tip_compliance(joints, tip_m, arm), deflection)
-    centre = np.asarray(joints[:3], dtype=float)
-    at_centre = move_wrench(load, np.eye(3), tip - centre)
-    roll_point, roll_axis, tilt_point, tilt_axis = joint_axes(joints, arm)
-    angles = [
-        float(axis @ (load[3:] + np.cross(tip - point, load[:3]))) / stiffness
-        for point, axis, stiffness in (
-            (roll_point, roll_axis, arm.roll_stiffness_nm_rad),
-            (tilt_point, tilt_axis, arm.tilt_stiffness_nm_rad),
-        )
-    ]
-    platform = np.linalg.solve(platform_stiffness(centre, arm), at_centre)
-    return Bend(np.asarray(platform, dtype=float), angles[0], angles[1])
-
-
-def tip_twist(joints: Array, bend: Bend, tip_m: Array, arm: ArmParameters = GALEN) -> Array:
-    """The tip's displacement (6,) to first order, m and rad in base_link, of a bend."""
-    _, tip = tip_pose(joints, tip_m, arm)
-    twist = move_twist(bend.platform, np.asarray(joints[:3], dtype=float), tip)
-    roll_point, roll_axis, tilt_point, tilt_axis = joint_axes(joints, arm)
-    for point, axis, angle in (
-        (roll_point, roll_axis, bend.roll_rad),
-        (tilt_point, tilt_axis, bend.tilt_rad),
-    ):
-        twist = twist + angle * np.concatenate([np.cross(axis, tip - point), axis])
-    return np.asarray(twist)
+    columns = tip_jacobian(joints, tip_m, arm)[:, 3:]
+    stiffness = (arm.roll_stiffness_nm_rad, arm.tilt_stiffness_nm_rad)
+    angles = columns.T @ load / np.array(stiffness)
+    # C_p C^-1 d is what the other two leave.
+    platform = move_twist(deflection - columns @ angles, tip, np.asarray(joints[:3], dtype=float))
+    return Bend(platform, float(angles[0]), float(angles[1]))
 
 
 def bent_frames(model: Model, joints: Array, bend: Bend) -> dict[str, Pose]:
@@ -186,17 +172,23 @@ def delta_parts(platform_m: Array, arm: ArmParameters = GALEN) -> Delta | None:
 
 def force_in_base(joints: Array, wrench: Array) -> Array:
     """The force (3,), N, of a wrench (6,) in ft_sensor, in base_link."""
-    rotation, _ = tip_pose(joints, np.zeros(3))
+    rotation = sensor_rotation(joints[3], joints[4])
     return np.asarray(rotation @ np.asarray(wrench, dtype=float)[:3])
 
 
-def _motion(joint: Joint, values: Mapping[str, float]) -> Pose:
-    if joint.kind not in _MOVABLE:
-        return HERE
-    value = values[joint.name]
+def _moved(joint: Joint, value: float) -> Pose:
+    """The child's pose in the parent; m or rad."""
     if joint.kind == "prismatic":
-        return Pose(np.eye(3), value * joint.axis)
-    return Pose(rotvec_to_matrix(value * joint.axis), np.zeros(3))
+        return Pose(joint.pose.rotation, joint.pose.origin_m + value * joint.direction_m)
+    if joint.kind == "revolute":
+        return Pose(joint.pose.rotation @ _turned(joint.across, value), joint.pose.origin_m)
+    return joint.pose
+
+
+def _turned(across: Array, angle_rad: float) -> Array:
+    """Rodrigues' formula; across (3, 3): the skew matrix of a unit vector. SciPy's takes longer."""
+    sine, versine = math.sin(angle_rad), 1.0 - math.cos(angle_rad)
+    return _EYE + sine * across + versine * (across @ across)
 
 
 def _shape(link: str, visual: ElementTree.Element) -> Shape:
@@ -217,13 +209,16 @@ def _joint(element: ElementTree.Element) -> Joint:
     parent, child, axis = (element.find(name) for name in ("parent", "child", "axis"))
     assert parent is not None
     assert child is not None
+    pose = _origin(element)
+    along = np.array(_numbers("1 0 0" if axis is None else axis.get("xyz", "")))
     return Joint(
         name=str(element.get("name")),
         kind=str(element.get("type")),
         parent=str(parent.get("link")),
         child=str(child.get("link")),
-        pose=_origin(element),
-        axis=np.array(_numbers("1 0 0" if axis is None else axis.get("xyz", ""))),
+        pose=pose,
+        direction_m=pose.rotation @ along,
+        across=skew(along),
     )
 
 

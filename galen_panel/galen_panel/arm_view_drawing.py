@@ -8,13 +8,14 @@ exaggerated.
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
-from galen_model.arm import GALEN, SENSOR_FRAME, TIP_FRAME, ArmParameters
+from galen_model.arm import BASE_FRAME, GALEN, HOME, SENSOR_FRAME, TIP_FRAME, ArmParameters
 from galen_model.arrays import Array
 from galen_model.errors import KinematicsError
-from galen_model.rotation import matrix_to_quaternion
+from galen_model.rotation import matrix_to_quaternion, quaternion_to_matrix
 from galen_model.urdf import galen_urdf
 
 from galen_panel.arm_view import (
@@ -45,6 +46,8 @@ _STRAIGHT, _BENT, _DELTA, _COM, _FORCE = (
     "#98a4b0", "#ff8c1a", "#6c7a89", "#2f9e6e", "#e0316f",
 )  # fmt: skip
 _BENT_OPACITY = 0.6
+_DECIMALS = 5
+"""Of places, m, and of quaternions."""
 
 
 class Drawing:
@@ -55,11 +58,17 @@ class Drawing:
         self._com_m = com_m
         self._arm = arm
         self._model: Model = read_urdf(galen_urdf(self._tip_m, arm))
+        self._moving = [
+            *(f"bent/{shape.link}" for shape in self._model.shapes if shape.link != BASE_FRAME),
+            *(f"rod/{rod}" for rod in range(6)),
+            *(f"carriage/{leg}" for leg in range(3)),
+            "force",
+        ]
 
     def parts(self) -> list[Part]:
         """All parts: name and shapes, each with kind, sizes (m), place, colour, opacity."""
         rail_m = 2.0 * self._arm.carriage_travel_m
-        rails = delta_parts(np.array([0.0, 0.0, 0.408]), self._arm)
+        rails = delta_parts(HOME[:3], self._arm)
         assert rails is not None
         parts = [
             *(
@@ -68,7 +77,7 @@ class Drawing:
                     ("straight", _STRAIGHT, 1.0), ("bent", _BENT, _BENT_OPACITY),
                 )
                 for link, shapes in self._shapes().items()
-                if arm == "straight" or link != "base_link"
+                if arm == "straight" or link != BASE_FRAME
             ),
             *(
                 _part(f"rail/{leg}", [
@@ -100,22 +109,26 @@ class Drawing:
         """
         straight = frames(self._model, joints)
         bent = self._bent(joints, deflection, factor)
-        named = {f"straight/{link}": pose for link, pose in straight.items()}
-        named |= {f"bent/{link}": pose for link, pose in bent.items()}
-        lengths: dict[str, float] = {}
+        placed: Placement = dict.fromkeys(self._moving)
+        placed |= _places(
+            {f"straight/{link}": pose for link, pose in straight.items()}
+            | {f"bent/{link}": pose for link, pose in bent.items()}
+        )
         delta = delta_parts(joints[:3], self._arm)
         if delta is not None:
-            for rod, (start, end) in enumerate(zip(delta.start_m, delta.end_m, strict=True)):
-                named[f"rod/{rod}"] = Pose(_along(end - start), (start + end) / 2.0)
-            for leg, middle in enumerate(delta.carriages_m):
-                named[f"carriage/{leg}"] = Pose(_facing(middle), middle)
+            rods = zip(delta.start_m.tolist(), delta.end_m.tolist(), strict=True)
+            for rod, (start, end) in enumerate(rods):
+                placed[f"rod/{rod}"] = _between(start, end)
+            for leg, middle in enumerate(delta.carriages_m.tolist()):
+                placed[f"carriage/{leg}"] = _facing(middle)
         force = np.zeros(3) if wrench is None else force_in_base(joints, wrench)
         size_n = float(np.linalg.norm(force))
         if size_n >= _FORCE_MIN_N:
-            tip = bent.get(TIP_FRAME, straight[TIP_FRAME]).origin_m
-            named["force"] = Pose(_along(force), tip)
-            lengths["force"] = min(FORCE_M_PER_N * size_n, _FORCE_MAX_M)
-        return self._placement(named, lengths)
+            tip_m = bent.get(TIP_FRAME, straight[TIP_FRAME]).origin_m
+            length_m = min(FORCE_M_PER_N * size_n, _FORCE_MAX_M)
+            turn = _turn_of_z((force / size_n).tolist())
+            placed["force"] = [*_rounded([*tip_m.tolist(), *turn]), round(length_m, 3)]
+        return placed
 
     def _bent(self, joints: Array, deflection: Array | None, factor: float) -> dict[str, Pose]:
         if deflection is None:
@@ -132,27 +145,14 @@ class Drawing:
             shapes.setdefault(shape.link, []).append(shape)
         length_m = float(np.linalg.norm(self._tip_m))
         if length_m > 0.0:
-            place = Pose(_along(self._tip_m), self._tip_m / 2.0)
+            turn = quaternion_to_matrix(_turn_of_z((self._tip_m / length_m).tolist()))
+            place = Pose(turn, self._tip_m / 2.0)
             tool = Shape(SENSOR_FRAME, "cylinder", (_TOOL_RADIUS_M, length_m), place)
             shapes[SENSOR_FRAME].append(tool)
         if self._com_m is not None:
             place = Pose(np.eye(3), np.asarray(self._com_m, dtype=float))
             shapes[SENSOR_FRAME].append(Shape("com", "sphere", (_COM_RADIUS_M,), place))
         return shapes
-
-    def _placement(self, named: dict[str, Pose], lengths: dict[str, float]) -> Placement:
-        # All at once: a quaternion costs more to ask for than to compute.
-        turns = matrix_to_quaternion(np.stack([pose.rotation for pose in named.values()]))
-        places = np.column_stack([np.stack([pose.origin_m for pose in named.values()]), turns])
-        rows = np.round(places, 5).tolist()
-        placed: Placement = {
-            name: row + [round(lengths[name], 3)] if name in lengths else row
-            for name, row in zip(named, rows, strict=True)
-        }
-        moving = [f"bent/{link}" for link in ("delta_platform", "roll_link", "tilt_link")]
-        moving += [f"bent/{SENSOR_FRAME}", f"bent/{TIP_FRAME}", "force"]
-        moving += [f"rod/{rod}" for rod in range(6)] + [f"carriage/{leg}" for leg in range(3)]
-        return {name: placed.get(name) for name in [*placed, *moving]}
 
 
 def _part(name: str, shapes: list[Shape], colour: str, opacity: float) -> Part:
@@ -174,15 +174,35 @@ def _part(name: str, shapes: list[Shape], colour: str, opacity: float) -> Part:
     }
 
 
-def _along(direction: Array) -> Array:
-    """A rotation (3, 3) whose z axis is this direction (3,)."""
-    z = direction / np.linalg.norm(direction)
-    x = np.cross(np.eye(3)[int(np.argmin(np.abs(z)))], z)
-    x /= np.linalg.norm(x)
-    return np.column_stack([x, np.cross(z, x), z])
+def _places(poses: dict[str, Pose]) -> Placement:
+    # All at once: a quaternion costs more to ask for than to compute.
+    turns = matrix_to_quaternion(np.stack([pose.rotation for pose in poses.values()]))
+    rows = np.column_stack([np.stack([pose.origin_m for pose in poses.values()]), turns])
+    return dict(zip(poses, np.round(rows, _DECIMALS).tolist(), strict=True))
 
 
-def _facing(point: Array) -> Array:
-    """A rotation (3, 3) about z whose x axis points from base_link's z axis to this point."""
-    x = np.array([point[0], point[1], 0.0]) / np.hypot(point[0], point[1])
-    return np.column_stack([x, [-x[1], x[0], 0.0], [0.0, 0.0, 1.0]])
+def _between(start_m: list[float], end_m: list[float]) -> list[float]:
+    """Of a part whose axis is z, from start to end."""
+    length_m = math.dist(start_m, end_m)
+    direction = [(end - start) / length_m for start, end in zip(start_m, end_m, strict=True)]
+    middle = [(start + end) / 2.0 for start, end in zip(start_m, end_m, strict=True)]
+    return _rounded([*middle, *_turn_of_z(direction)])
+
+
+def _facing(point_m: list[float]) -> list[float]:
+    """Of a part at this point whose x axis points away from base_link's z axis."""
+    half = math.atan2(point_m[1], point_m[0]) / 2.0
+    return _rounded([*point_m, 0.0, 0.0, math.sin(half), math.cos(half)])
+
+
+def _turn_of_z(direction: list[float]) -> list[float]:
+    """The quaternion x, y, z, w that turns the z axis to this unit vector the shortest way."""
+    x, y, z = direction
+    if z < -1.0 + 1e-9:
+        return [1.0, 0.0, 0.0, 0.0]
+    size = math.sqrt(2.0 * (1.0 + z))
+    return [-y / size, x / size, 0.0, size / 2.0]
+
+
+def _rounded(numbers: list[float]) -> list[float]:
+    return [round(number, _DECIMALS) for number in numbers]

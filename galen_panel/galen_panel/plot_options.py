@@ -22,7 +22,7 @@ BETWEEN_PX = 16
 TIME_PX = 34
 NAME_PX = 30
 SLIDER_PX = 34
-HEIGHT_PX = LEGEND_PX + 4 * ROW_PX + 2 * TIME_PX + NAME_PX + SLIDER_PX + BETWEEN_PX
+HEIGHT_PX = LEGEND_PX + 4 * ROW_PX + 2 * TIME_PX + NAME_PX + SLIDER_PX
 _FONT_PX = 18
 _FONT = "Roboto, sans-serif"
 _LEFT_PX = 96
@@ -179,7 +179,13 @@ def _time_axis(index: int, window_s: float) -> Option:
         "gridIndex": index,
         "min": -window_s,
         "max": 0,
-        "axisLabel": {"show": told, "fontSize": _FONT_PX, "hideOverlap": True},
+        "axisLabel": {
+            "show": told,
+            "fontSize": _FONT_PX,
+            "hideOverlap": True,
+            # Where it is zoomed the ends are no round numbers.
+            ":formatter": "(seconds) => String(Number(seconds.toFixed(2)))",
+        },
         "axisTick": {"show": told},
         "splitLine": {"show": True},
         # Otherwise the axis would cross at a value of 0, in the midst of the curves.

@@ -2,10 +2,11 @@ import numpy as np
 import pytest
 from galen_model.arm import GALEN, LIMITS
 from galen_model.delta import LinearDelta
-from galen_model.kinematics import joint_axes, sensor_pose, tip_pose
+from galen_model.kinematics import joint_axes, sensor_pose, tip_jacobian, tip_pose
 from galen_model.rotation import matrix_to_rotvec
-from galen_model.stiffness import deflection
+from galen_model.stiffness import deflection, platform_stiffness
 from galen_model.urdf import galen_urdf
+from galen_model.wrench import move_twist, move_wrench
 from galen_panel.arm_view import (
     bent_frames,
     delta_parts,
@@ -13,7 +14,6 @@ from galen_panel.arm_view import (
     frames,
     read_urdf,
     share,
-    tip_twist,
 )
 
 TIP = np.array([0.18, 0.01, 0.05])
@@ -56,13 +56,20 @@ def test_every_shape_of_the_urdf_is_read():
     assert (shapes["tool_tip"].kind, shapes["tool_tip"].sizes_m) == ("sphere", (0.004,))
 
 
+def to_the_tip(joints, bend):
+    """What a bend does to the tip, to first order."""
+    _, tip = tip_pose(joints, TIP)
+    twist = move_twist(bend.platform, joints[:3], tip)
+    return twist + tip_jacobian(joints, TIP)[:, 3:] @ [bend.roll_rad, bend.tilt_rad]
+
+
 @pytest.mark.parametrize("joints", poses(10, seed=6))
 def test_the_shares_add_up_to_the_deflection(joints):
     rng = np.random.default_rng(7)
     # Any twist, not only one that the nominal model would predict.
     twist = rng.normal(size=6) * [3e-4, 3e-4, 3e-4, 1e-3, 1e-3, 1e-3]
     bend = share(joints, twist, TIP)
-    np.testing.assert_allclose(tip_twist(joints, bend, TIP), twist, rtol=1e-9, atol=1e-15)
+    np.testing.assert_allclose(to_the_tip(joints, bend), twist, rtol=1e-9, atol=1e-15)
 
 
 @pytest.mark.parametrize("joints", poses(10, seed=8))
@@ -78,6 +85,9 @@ def test_of_a_nominal_deflection_each_spring_has_its_own_part(joints):
     ):
         moment = axis @ (torque + np.cross(origin - point, force))
         assert angle == pytest.approx(moment / stiffness, rel=1e-6)
+    at_centre = move_wrench(wrench, rotation, origin - joints[:3])
+    platform = np.linalg.solve(platform_stiffness(joints[:3]), at_centre)
+    np.testing.assert_allclose(bend.platform, platform, rtol=1e-6, atol=1e-12)
 
 
 @pytest.mark.parametrize("joints", poses(10, seed=9))
