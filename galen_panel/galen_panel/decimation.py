@@ -116,6 +116,7 @@ class Follower:
     def forget(self) -> None:
         """The browser has nothing: the next patch is whole."""
         self._run: int | None = None
+        self._newest_ns: int | None = None
         self._from_ns = 0
         self._before_ns: int | None = None
 
@@ -125,9 +126,13 @@ class Follower:
         whole = samples.run != self._run
         if whole:
             samples = self._series.last(self._span_ns / NS_PER_S)
-            self._from_ns, self._before_ns = 0, None
+            self._from_ns, self._before_ns, self._newest_ns = 0, None, None
         self._run = samples.run
         from_ns, newest = self._from_ns, samples.newest_ns
+        if newest == self._newest_ns and not whole:
+            nothing = Rows(samples.stamps_ns[:0], samples.values[:0])
+            return Patch(0 if newest is None else newest + 1, nothing, whole, newest)
+        self._newest_ns = newest
         rows = decimate(samples.stamps_ns, self._curves(samples.values), self._width_ns)
         rows = with_gaps(rows, self._width_ns, self._before_ns)
         if newest is not None:

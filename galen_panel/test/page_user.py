@@ -2,6 +2,7 @@
 
 import asyncio
 import logging
+import re
 import tempfile
 import time
 from contextlib import contextmanager
@@ -19,11 +20,19 @@ from nicegui.testing.user_simulation import user_simulation
 PATIENCE_S = 10.0
 
 
-def on_page(suite, story):
-    """Run `story(PageUser)`, a coroutine function, on a page; an error in a log fails it."""
+def _operate(page):
+    for section in (compensation, lamp, under_way, tools, behaviours):
+        section.build(page)
+
+
+def on_page(suite, story, build=_operate):
+    """Run `story(PageUser)`, a coroutine function, on a page; an error in a log fails it.
+
+    `build(page)` draws it.
+    """
     errors = _Errors()
     with _own_storage():
-        asyncio.run(_tell(suite, story, errors))
+        asyncio.run(_tell(suite, story, errors, build))
     assert errors.texts == []
 
 
@@ -40,12 +49,10 @@ def _own_storage():
             Storage.path, app.storage = before
 
 
-async def _tell(suite, story, errors):
+async def _tell(suite, story, errors, build):
     def draw():
         nowhere = Path("/nonexistent")
-        page = Page(suite, read_options([], {}), Recordings(nowhere, nowhere, nowhere))
-        for section in (compensation, lamp, under_way, tools, behaviours):
-            section.build(page)
+        build(Page(suite, read_options([], {}), Recordings(nowhere, nowhere, nowhere)))
 
     async with user_simulation(root=draw) as user:
         logging.getLogger().addHandler(errors)
@@ -99,6 +106,26 @@ class PageUser:
             if _seen(element)
         ]
         return "\n".join(part for part in parts if part)
+
+    def answers(self, pattern, answer):
+        """From now on `answer(match)` is what the browser answers to a script of this pattern."""
+        self._user.javascript_rules[re.compile(pattern, re.DOTALL)] = answer
+
+    def trigger(self, test_id, event, arguments=None):
+        """As if this event of the element came from the browser."""
+        UserInteraction(self._user, {self.get(test_id)}, None).trigger(event, arguments)
+
+    def downloads(self):
+        """Contents of the files that were offered."""
+        return [response.content for response in self._user.download.http_responses]
+
+    def vanish(self):
+        """As a browser that loses its network; `come_back` undoes it."""
+        client = self._user.client
+        client.handle_disconnect(next(iter(client._socket_to_document_id)))
+
+    async def come_back(self):
+        await self._user.client.handle_handshake("again", self._user.tab_id, None, "again", None)
 
     def notices(self):
         """What was told so far."""

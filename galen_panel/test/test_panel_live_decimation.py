@@ -93,6 +93,7 @@ def test_patches_add_up_to_what_all_samples_give(seed):
         series.append(stamps[done : done + step], values[done : done + step])
         done += step
         browser.take(follower.patch())
+    browser.take(follower.patch())
     expected = drawn(stamps, values, 200 * MS)
     assert browser.stamps == expected.stamps_ns.tolist()
     assert np.array_equal(browser.values, expected.values, equal_nan=True)
@@ -110,6 +111,7 @@ def test_a_patch_holds_what_is_new():
     patch = follower.patch()
     assert not patch.whole
     assert 1 <= len(patch.rows) <= 6
+    assert not len(follower.patch().rows), "nothing came since"
     follower.forget()
     assert follower.patch().whole
 
