@@ -21,11 +21,12 @@ _DEEPEST = 20
 
 @dataclass(frozen=True)
 class BagMetadata:
-    """Log times of the first and the last message, ns; offered QoS by topic."""
+    """Log times of the first and the last message, ns; offered QoS and messages by topic."""
 
     start_ns: int | None = None
     end_ns: int | None = None
     qos: dict[str, list[Qos]] = field(default_factory=dict)
+    counts: dict[str, int] = field(default_factory=dict)
 
 
 def read_metadata(path: Path) -> BagMetadata:
@@ -37,14 +38,16 @@ def read_metadata(path: Path) -> BagMetadata:
         raw = read_limited(path / "metadata.yaml", MOST_BYTES, "a bag's metadata")
         content = yaml.load(raw.decode(), Loader=_Loader)
         known = content["rosbag2_bagfile_information"]
-        qos = {}
+        qos, counts = {}, {}
         for entry in known["topics_with_message_count"]:
             topic = entry["topic_metadata"]
             qos[topic["name"]] = parse_qos(topic.get("offered_qos_profiles") or [])
+            counts[topic["name"]] = int(entry["message_count"])
         if not known["message_count"]:
-            return BagMetadata(qos=qos)
+            return BagMetadata(qos=qos, counts=counts)
         start_ns = int(known["starting_time"]["nanoseconds_since_epoch"])
-        return BagMetadata(start_ns, start_ns + int(known["duration"]["nanoseconds"]), qos)
+        end_ns = start_ns + int(known["duration"]["nanoseconds"])
+        return BagMetadata(start_ns, end_ns, qos, counts)
     except (
         OSError, ValueError, OverflowError, yaml.YAMLError, LookupError, TypeError, AttributeError,
         RecursionError, ReaderError,

@@ -161,7 +161,7 @@ def _absent(state: State, role: Role, report: NodeReport | None, now_s: float) -
         text = _silence(now_s - report.heard_s)
     elif role.offers and role.offers in state.available:
         return Words(
-            Level.STALE, "It is there, but has told nothing of itself yet.",
+            Level.STALE, f"{role.title} is there, but has told nothing of itself yet.",
             "Wait a moment. If that stays so, start it again.", "", False, True,
         )  # fmt: skip
     else:

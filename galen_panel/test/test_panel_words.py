@@ -220,7 +220,7 @@ def test_without_any_node_each_card_says_how_to_start_it(one):
 def test_a_service_without_a_report_yet_is_there():
     state = State(available=frozenset({"calibrate_tool"}))
     words = words_of(state, role("calibration"), NOW_S)
-    assert words.doing.startswith("It is there")
+    assert words.doing.startswith("Calibration is there")
 
 
 def test_another_driver_is_no_missing_one():

@@ -18,9 +18,9 @@ _PERIOD_S = 1.0
 _STYLE = Path(__file__).parents[1] / "nodes.css"
 _LAMPS = {
     Level.OK: ("check_circle", "text-positive", "OK"),
-    Level.WARN: ("warning", "panel-warn", "Look at it"),
+    Level.WARN: ("warning", "text-warning", "Look at it"),
     Level.ERROR: ("error", "text-negative", "Trouble"),
-    Level.STALE: ("help", "panel-warn", "Silent"),
+    Level.STALE: ("help", "text-warning", "Silent"),
 }
 _NOT_RUNNING = ("power_settings_new", "panel-quiet", "Not running")
 _COLOURS = " ".join({colour for _, colour, _ in (*_LAMPS.values(), _NOT_RUNNING)})
@@ -92,7 +92,7 @@ class _Card:
         self._icon.classes(add=colour, remove=_COLOURS.replace(colour, ""))
         if self._status.props.get("data-level") != words.level.name.lower():
             self._status.props["data-level"] = words.level.name.lower()
-        self._doing.set_text(f"{word}. {words.doing}")
+        self._doing.set_text(f"{word}. {words.doing}" if words.running else words.doing)
         self._todo.set_text(words.todo)
         self._todo.set_visibility(bool(words.todo))
         said = f"It says: {words.said}" if words.said else ""

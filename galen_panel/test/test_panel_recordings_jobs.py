@@ -1,0 +1,344 @@
+"""The queue of evaluations and diagnoses: one at a time, cancelled, killed, crashed; restarts."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+from galen_panel.bag_worker import NICENESS
+from galen_panel.recordings_jobs import MOST_WAITING, Jobs, Stage, Wanted
+from galen_panel.report_files import EVALUATION, PICTURE, ReportError, Reports
+
+PATIENCE_S = 30.0
+WORKER = """
+import json, os, pathlib, signal, subprocess, sys, time
+
+def tell(**content):
+    print(json.dumps(content), flush=True)
+
+request = json.loads(sys.stdin.readline())
+output = pathlib.Path(request["output"])
+what = pathlib.Path(request["recording"]).name
+tell(stage="reading", share=0.25, nice=os.nice(0))
+if what.startswith("good"):
+    (output / "evaluation.json").write_text(json.dumps({"tool": request["tool"]}))
+    tell(verdict="fits", sentence="It fits.")
+elif what == "hang":
+    child = subprocess.Popen(["sleep", "600"], stdin=subprocess.DEVNULL)
+    (output.parent / "child").write_text(str(child.pid))
+    tell(stage="hanging", share=None)
+    sys.stdin.read()
+elif what == "killed":
+    os.kill(os.getpid(), signal.SIGKILL)
+elif what == "error":
+    tell(error="the bag has no joint_states")
+    sys.exit(1)
+elif what == "crash":
+    raise ValueError("a bug")
+elif what == "silent":
+    sys.exit(0)
+elif what == "garbage":
+    print("no JSON {", flush=True)
+    tell(verdict="fits", sentence="It fits.")
+"""
+
+
+def wanted(name, kind="evaluate", tool="/tools/pointer.json"):
+    return Wanted(kind, name, f"id-{name}", Path("/bags") / name, "pointer", Path(tool))
+
+
+def until(predicate, what):
+    end_s = time.monotonic() + PATIENCE_S
+    while time.monotonic() < end_s:
+        if found := predicate():
+            return found
+        time.sleep(0.01)
+    raise AssertionError(f"waited {PATIENCE_S} s in vain for {what}")
+
+
+def gone(pid):
+    """Whether a process has ended; one that nobody has waited for yet has."""
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] == "Z"
+    except OSError:
+        return True
+
+
+@pytest.fixture
+def output(tmp_path):
+    return tmp_path / "reports"
+
+
+@pytest.fixture
+def jobs(output):
+    one = Jobs(Reports(output), [sys.executable, "-c", WORKER])
+    yield one
+    one.close()
+
+
+def ended(jobs, job_id):
+    return until(lambda: (job := jobs.get(job_id)) and job.ended and job, f"the end of {job_id}")
+
+
+def folders(output):
+    return [path.name for path in output.iterdir() if path.is_dir()] if output.exists() else []
+
+
+def test_a_job_leaves_a_report_that_is_found_again_after_a_restart(jobs, output):
+    assert jobs.submit(wanted("good")).ok
+    job = ended(jobs, 1)
+    assert (job.stage, job.text) == (Stage.DONE, "It fits.")
+    again = Reports(output)
+    (report,) = again.all()
+    assert report.id == job.report and report.recording_id == "id-good"
+    assert (report.verdict, report.tool) == ("fits", "pointer")
+    assert again.content(report) == {"tool": "/tools/pointer.json"}
+    assert folders(output) == [report.id]
+
+
+def test_two_jobs_run_one_after_the_other_in_their_order(jobs):
+    assert jobs.submit(wanted("hang")).ok
+    answer = jobs.submit(wanted("good"))
+    assert answer.ok and "1 before it" in answer.text
+    until(lambda: jobs.get(1).doing == "hanging", "the first at work")
+    assert jobs.get(1).share is None
+    assert [job.stage for job in jobs.jobs] == [Stage.RUNNING, Stage.WAITING]
+    assert jobs.cancel(1).ok
+    assert ended(jobs, 1).stage is Stage.CANCELED
+    assert ended(jobs, 2).stage is Stage.DONE
+
+
+def test_a_cancel_ends_the_worker_and_all_that_it_started(jobs, output):
+    jobs.submit(wanted("hang"))
+    until(lambda: jobs.get(1).doing == "hanging", "it to be at work")
+    child = int((output / "child").read_text())
+    assert not gone(child)
+    assert jobs.cancel(1).ok
+    assert ended(jobs, 1).stage is Stage.CANCELED
+    until(lambda: gone(child), "the child's end")
+    assert folders(output) == []
+    assert not jobs.cancel(1).ok and not jobs.cancel(77).ok
+
+
+def test_a_job_that_waits_is_cancelled_without_being_begun(jobs):
+    jobs.submit(wanted("hang"))
+    jobs.submit(wanted("good"))
+    assert jobs.cancel(2).ok
+    assert jobs.get(2).stage is Stage.CANCELED
+    jobs.cancel(1)
+    ended(jobs, 1)
+    assert jobs.get(2).stage is Stage.CANCELED and jobs.get(2).report == ""
+
+
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [
+        ("error", "It failed: the bag has no joint_states"),
+        ("killed", "Its process was ended by SIGKILL. Perhaps there was not enough memory."),
+        ("crash", "Its process ended with code 1: ValueError: a bug"),
+        ("silent", "Its process ended with code 0."),
+    ],
+)
+def test_a_worker_that_fails_is_told_and_the_next_one_runs(jobs, output, name, text):
+    jobs.submit(wanted(name))
+    jobs.submit(wanted("good"))
+    job = ended(jobs, 1)
+    assert (job.stage, job.text) == (Stage.FAILED, text)
+    assert ended(jobs, 2).stage is Stage.DONE
+    assert len(folders(output)) == 1
+
+
+def test_a_worker_killed_from_outside_is_told(jobs):
+    jobs.submit(wanted("hang"))
+    until(lambda: jobs.get(1).doing == "hanging", "it to be at work")
+    os.kill(jobs._worker.pid, signal.SIGKILL)
+    assert "ended by SIGKILL" in ended(jobs, 1).text
+
+
+def test_lines_that_are_no_json_do_no_harm(jobs):
+    jobs.submit(wanted("garbage"))
+    assert ended(jobs, 1).stage is Stage.DONE
+
+
+def test_a_worker_that_can_not_be_started_is_told(output):
+    jobs = Jobs(Reports(output), ["/nowhere/python"])
+    jobs.submit(wanted("good"))
+    assert "No such file" in ended(jobs, 1).text
+    jobs.close()
+
+
+def test_where_nothing_can_be_written_it_is_told(tmp_path):
+    (tmp_path / "file").write_text("")
+    jobs = Jobs(Reports(tmp_path / "file" / "reports"), [sys.executable, "-c", WORKER])
+    jobs.submit(wanted("good"))
+    assert "can't be written" in ended(jobs, 1).text
+    jobs.close()
+
+
+def test_the_same_job_is_not_queued_twice_and_the_queue_has_an_end(jobs):
+    jobs.submit(wanted("hang"))
+    assert not jobs.submit(wanted("hang")).ok
+    for number in range(MOST_WAITING):
+        assert jobs.submit(wanted(f"good{number}")).ok
+    answer = jobs.submit(wanted("good"))
+    assert not answer.ok and "wait already" in answer.text
+
+
+def test_the_revision_rises_with_what_is_shown(jobs):
+    before = jobs.revision
+    jobs.submit(wanted("good"))
+    assert jobs.revision > before
+    ended(jobs, 1)
+    assert jobs.revision >= before + 3
+
+
+def test_close_ends_what_runs_and_takes_nothing_more(output):
+    jobs = Jobs(Reports(output), [sys.executable, "-c", WORKER])
+    jobs.submit(wanted("hang"))
+    jobs.submit(wanted("good"))
+    until(lambda: jobs.get(1).doing == "hanging", "it to be at work")
+    child = int((output / "child").read_text())
+    jobs.close()
+    until(lambda: gone(child), "the child's end")
+    assert not jobs.submit(wanted("good")).ok
+    assert [thread for thread in threading.enumerate() if thread.name == "recordings"] == []
+    assert folders(output) == []
+
+
+ENDLESS = """
+import time
+from galen_panel import bag_worker
+bag_worker.evaluate = lambda *_: time.sleep(600)
+bag_worker.main()
+"""
+PANEL = f"""
+import sys, time
+from pathlib import Path
+from galen_panel.recordings_jobs import Jobs, Stage, Wanted
+from galen_panel.report_files import Reports
+jobs = Jobs(Reports(Path(sys.argv[1])), [sys.executable, "-c", {ENDLESS!r}])
+jobs.submit(Wanted("evaluate", "x", "x", Path("x"), "x", Path("x")))
+while jobs._worker is None:
+    time.sleep(0.01)
+print(jobs._worker.pid, flush=True)
+time.sleep(600)
+"""
+
+
+@contextmanager
+def process_with_a_job(output):
+    panel = subprocess.Popen([sys.executable, "-c", PANEL, str(output)], stdout=subprocess.PIPE)
+    try:
+        yield panel, int(panel.stdout.readline())
+    finally:
+        panel.kill()
+        panel.wait()
+        panel.stdout.close()
+
+
+def threads(pid):
+    return len(list(Path(f"/proc/{pid}/task").iterdir()))
+
+
+def test_the_real_worker_ends_when_the_panel_is_killed(output):
+    with process_with_a_job(output) as (panel, worker):
+        # Its second thread waits for the panel's end.
+        until(lambda: threads(worker) > 1, "the worker at work")
+        assert os.getpriority(os.PRIO_PROCESS, worker) == NICENESS
+        panel.kill()
+        panel.wait()
+        until(lambda: gone(worker), "the worker's end")
+
+
+# Reports on the disk
+
+
+def finish(reports, kind="evaluate", **files):
+    folder = reports.begin()
+    for name, content in files.items():
+        path = folder / name.replace("__", "/").replace("_dot_", ".")
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(content)
+    told = {"kind": kind, "recording": "run", "recording_id": "id", "tool": "pointer",
+            "verdict": "fits", "sentence": "It fits."}  # fmt: skip
+    return reports.finish(folder, told)
+
+
+def test_only_the_reports_own_files_are_served_with_fixed_types(output):
+    reports = Reports(output)
+    report = finish(
+        reports, evaluation_dot_json=b"{}", evaluation_dot_png=b"\x89PNG", other_dot_txt=b"x"
+    )
+    assert set(reports.files(report)) == {EVALUATION, PICTURE}
+    picture = reports.serve(report.id, PICTURE)
+    assert (picture.content, picture.content_type) == (b"\x89PNG", "image/png")
+    assert reports.serve(report.id, EVALUATION).attachment
+    for name in ("other.txt", "report.json", "", "..", "../report.json", "/etc/passwd",
+                 f"../{report.id}/{PICTURE}", f"{PICTURE}\x00"):  # fmt: skip
+        assert reports.serve(report.id, name) is None
+    for name in ("", "..", ".", "../..", f"{report.id}/", f"./{report.id}", "/", report.id[:-1]):
+        assert reports.serve(name, PICTURE) is None
+
+
+def test_links_in_a_report_are_not_served(output, tmp_path):
+    secret = tmp_path / "secret"
+    secret.mkdir()
+    (secret / "report.html").write_text("secret")
+    (secret / "pictures").mkdir()
+    (secret / "pictures" / "a.png").write_text("secret")
+    reports = Reports(output)
+    one = finish(reports, evaluation_dot_json=b"{}")
+    (output / one.id / PICTURE).symlink_to(secret / "report.html")
+    assert reports.serve(one.id, PICTURE) is None
+    two = finish(reports, "diagnose")
+    (output / two.id / "diagnosis").symlink_to(secret)
+    assert reports.files(two) == {}
+    three = finish(reports, "diagnose", diagnosis__report_dot_html=b"<html>")
+    (output / three.id / "diagnosis" / "pictures").symlink_to(secret / "pictures")
+    assert set(reports.files(three)) == {"report.html"}
+    assert reports.serve(three.id, "report.html").content_type.startswith("text/html")
+    assert reports.serve(three.id, "a.png") is None
+
+
+def test_a_folder_that_is_no_report_is_not_listed(output, tmp_path):
+    reports = Reports(output)
+    good = finish(reports, evaluation_dot_json=b"{}")
+    told = json.loads((output / good.id / "report.json").read_text())
+    stem = good.id[:-8]
+    for number, content in enumerate(
+        ["{", "[]", "{}", json.dumps(told), json.dumps({**told, "schema_version": 2}),
+         json.dumps({**told, "id": f"{stem}00000005", "kind": "else"}),
+         json.dumps({**told, "id": f"{stem}00000006", "verdict": 3}), "[" * 100_000]
+    ):  # fmt: skip
+        folder = output / f"{stem}0000000{number}"
+        folder.mkdir()
+        (folder / "report.json").write_text(content)
+    (output / "elsewhere").mkdir()
+    (output / f"{stem}0000000f").symlink_to(output / good.id)
+    assert [one.id for one in Reports(output).all()] == [good.id]
+
+
+def test_a_report_that_was_removed_or_damaged_is_an_error_that_is_told(output):
+    reports = Reports(output)
+    report = finish(reports, evaluation_dot_json=b"[1]")
+    with pytest.raises(ReportError, match="damaged"):
+        reports.content(report)
+    (output / report.id / EVALUATION).unlink()
+    with pytest.raises(ReportError, match="can't be read"):
+        reports.content(report)
+    assert reports.serve(report.id, EVALUATION) is None
+
+
+def test_what_a_killed_panel_left_is_swept_a_day_later(output):
+    reports = Reports(output)
+    old, new = reports.begin(), reports.begin()
+    day_ago_s = time.time() - 25 * 3600.0
+    os.utime(old, (day_ago_s, day_ago_s))
+    reports.discard(reports.begin())
+    assert not old.exists() and new.exists()
