@@ -34,7 +34,8 @@ from galen_panel.state import (
     Pose,
 )
 
-_LOST = "LOST"
+LOST = "LOST"
+"""The error of a goal that no result will come of."""
 
 
 @dataclass(frozen=True)
@@ -122,10 +123,10 @@ class GoalKind(ABC):
             new=new,
         )
 
-    def lost(self, tool: str, new: bool) -> Outcome:
-        """The server went away, and with it the goal."""
-        text = f"{self.program.executable} went away; {self.client.lost}"
-        return Outcome(error=_LOST, text=text, tool=tool, new=new)
+    @property
+    def gone(self) -> str:
+        """That the server went away, and what became of its goal."""
+        return f"{self.program.executable} went away; {self.client.lost}"
 
 
 class Calibration(GoalKind):

@@ -22,8 +22,8 @@ from unique_identifier_msgs.msg import UUID
 
 from galen_panel.board import Board
 from galen_panel.ros_calls import Calls
-from galen_panel.ros_goal_kinds import GoalKind
-from galen_panel.ros_presence import Presence
+from galen_panel.ros_goal_kinds import LOST, GoalKind
+from galen_panel.ros_presence import SILENT_S, Presence
 from galen_panel.ros_thread import CallError, Reply, RosThread
 from galen_panel.state import (
     Answer,
@@ -40,15 +40,18 @@ from galen_panel.state import (
 _SEND_LIMIT_S, _CANCEL_LIMIT_S = 5.0, 5.0
 _LOST_S = 1.5
 """So long a server may be out of sight before its goal is given up."""
-_SILENT_S = 10.0
-"""So long it may say nothing on /diagnostics: it was killed, or hangs."""
+_SILENT_S = 30.0
+"""So long its node may say nothing at all; longer than DDS takes to hear that one was killed.
+
+A machine that is too busy silences a node for 10 s and more that is well otherwise.
+"""
 _ASK_AGAIN_S = 2.0
 _REFUSAL_PATIENCE_S = 2.5
 _LOOK_PERIOD_S = 0.5
 _ACTIVE = (GoalStatus.STATUS_ACCEPTED, GoalStatus.STATUS_EXECUTING, GoalStatus.STATUS_CANCELING)
 
 
-@dataclass
+@dataclass(eq=False)
 class _Followed:
     """The goal that is under way; `goal` is None where somebody else sent it."""
 
@@ -59,6 +62,7 @@ class _Followed:
     began_s: float
     stop_asking: Callable[[], None] = lambda: None
     asked_s: float = 0.0
+    heard_s: float = 0.0
     over: bool = False
     """By its status; the result is still to come."""
     gone_s: float | None = None
@@ -96,6 +100,7 @@ class GoalFollower:
         self._numbers = numbers
         self._on_end = on_end
         self._followed: _Followed | None = None
+        self._lost: _Followed | None = None
         # Sent, and not heard of yet.
         self._ours: dict[bytes, Goal] = {}
         # Their last word on the topics may come after their result.
@@ -212,6 +217,14 @@ class GoalFollower:
             if self._followed.goal_id == goal_id:
                 return
             self._forget(self._followed)
+        lost, self._lost = self._lost, None
+        if lost is not None and lost.goal_id == goal_id:
+            self._followed, lost.gone_s = lost, None
+            lost.heard_s = time.monotonic()
+            self._show(lost, outcome=None)
+            return
+        if lost is not None:
+            lost.stop_asking()
         goal = self._ours.pop(goal_id, None)
         in_force = self._board.state.in_force
         tool = ""
@@ -222,7 +235,8 @@ class GoalFollower:
             goal,
             Behaviour(next(self._numbers), self._kind.kind, tool, ours=goal is not None),
             self._is_new(tool),
-            time.monotonic(),
+            began_s=time.monotonic(),
+            heard_s=time.monotonic(),
         )
         self._show(followed)
         self._ask_result(followed)
@@ -245,15 +259,16 @@ class GoalFollower:
 
     def _end(self, followed: _Followed, outcome: Outcome) -> None:
         self._forget(followed)
+        self._lost = None
         self._show(followed, outcome=outcome, asked=None)
         self._on_end()
 
-    def _lose(self, followed: _Followed) -> None:
-        self._end(followed, self._kind.lost(followed.behaviour.tool, followed.new))
-        # Where it was only out of sight, it is followed again as soon as it is heard.
-        self._ended.remove(followed.goal_id)
-        if followed.goal is not None:
-            self._ours[followed.goal_id] = followed.goal
+    def _lose(self, followed: _Followed, why: str) -> None:
+        """Give it up, but not for good: its server may only have been out of sight."""
+        self._followed, self._lost = None, followed
+        outcome = Outcome(LOST, why, followed.behaviour.tool, new=followed.new)
+        self._show(followed, outcome=outcome, asked=None)
+        self._on_end()
 
     def _ask_result(self, followed: _Followed) -> None:
         followed.stop_asking()
@@ -270,10 +285,11 @@ class GoalFollower:
         )
 
     def _on_result(self, followed: _Followed, answer: Any) -> None:
-        if self._followed is not followed or isinstance(answer, CallError):
+        if followed not in (self._followed, self._lost) or isinstance(answer, CallError):
             return
         if answer.status == GoalStatus.STATUS_UNKNOWN:  # a server that was started since
-            self._lose(followed)
+            if followed is self._followed:
+                self._lose(followed, self._kind.gone)
             return
         tool = followed.behaviour.tool or getattr(answer.result, "tool", "")
         self._end(followed, self._kind.outcome(answer.result, tool, followed.new))
@@ -287,16 +303,26 @@ class GoalFollower:
         followed = self._followed
         if followed is None:
             return
-        silent = self._presence.silent(self._kind.program, now_s, _SILENT_S)
-        if silent or not all(client.service_is_ready() for client in self._clients):
+        if not all(client.service_is_ready() for client in self._clients):
             followed.gone_s = followed.gone_s or now_s
             if now_s - followed.gone_s > _LOST_S:
-                self._lose(followed)
+                self._lose(followed, self._kind.gone)
             return
+        if (silent_s := self._silent_s(followed, now_s)) > SILENT_S:
+            silent = f"{self._kind.program.executable} has said nothing for {silent_s:.0f} s"
+            if silent_s > _SILENT_S:
+                self._lose(followed, silent)
+                return
+            self._show(followed, message=silent)
         back, followed.gone_s = followed.gone_s is not None, None
         overdue = followed.over or self._idle_since(followed.began_s)
         if back or (overdue and now_s - followed.asked_s > _ASK_AGAIN_S):
             self._ask_result(followed)
+
+    def _silent_s(self, followed: _Followed, now_s: float) -> float:
+        """How long nothing was heard of a goal or its node; 0 where the node tells no state."""
+        report = self._report
+        return 0.0 if report is None else now_s - max(followed.heard_s, report.heard_s)
 
     # ---- topics
 
@@ -305,6 +331,7 @@ class GoalFollower:
             goal_id = bytes(one.goal_info.goal_id.uuid)
             followed = self._followed
             if followed is not None and goal_id == followed.goal_id:
+                followed.heard_s = time.monotonic()
                 followed.over = one.status not in _ACTIVE
                 if one.status == GoalStatus.STATUS_CANCELING:
                     self._show(followed, canceling=True)
@@ -318,6 +345,7 @@ class GoalFollower:
         self._begin(goal_id)
         followed = self._followed
         assert followed is not None
+        followed.heard_s = time.monotonic()
         step, behaviour = self._kind.step(message.feedback), followed.behaviour
         phase = self._kind.phase_text(step.phase)
         asked = behaviour.asked if phase == behaviour.phase else None

@@ -44,10 +44,10 @@ class Presence:
             )
         )
 
-    def silent(self, program: Program, now_s: float, patience_s: float = SILENT_S) -> bool:
+    def silent(self, program: Program, now_s: float) -> bool:
         """Whether a node that has been heard is not heard any more."""
         report = self._board.state.nodes.get(self.full_name(program))
-        return report is not None and now_s - report.heard_s > patience_s
+        return report is not None and now_s - report.heard_s > SILENT_S
 
     def full_name(self, program: Program) -> str:
         """The name of a program's node on /diagnostics, in this node's namespace."""

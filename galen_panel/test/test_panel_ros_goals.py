@@ -301,16 +301,32 @@ def test_a_server_that_was_restarted_unseen_doesn_t_know_the_goal(goals, monkeyp
 
 def test_a_goal_that_was_out_of_sight_is_followed_again(goals, monkeypatch):
     """A node that stood still for some time, as a machine out of memory does it."""
-    monkeypatch.setattr(ros_goals, "_SILENT_S", 0.7)
+    monkeypatch.setattr(ros_goals, "SILENT_S", 0.5)
+    monkeypatch.setattr(ros_goals, "_SILENT_S", 2.0)
     goals.ask(goals.suite.start(CalibrateGoal("pointer")))
     timer = goals.server.diagnostics._timer
     goals.do(timer.cancel)
+    goals.do(lambda: goals.server.pose(1, 0.1))
+    goals.seen("the silence", lambda b: b.running and "has said nothing for" in b.message)
     goals.seen("the loss", lambda b: b.outcome and b.outcome.error == "LOST")
     goals.do(timer.reset)
-    goals.do(lambda: goals.server.pose(1, 0.1))
-    goals.seen("the goal again", lambda b: b.running and b.ours and len(b.poses) == 1)
+    goals.do(lambda: goals.server.pose(2, 0.2))
+    goals.seen("the goal again", lambda b: b.running and b.ours and len(b.poses) == 2)
     goals.do(goals.server.end)
     goals.seen("its end", lambda b: b.outcome and not b.outcome.error)
+
+
+def test_the_result_of_a_goal_that_was_out_of_sight_is_taken_all_the_same(goals, monkeypatch):
+    """A node may say nothing while it estimates; then it has no more feedback to give."""
+    monkeypatch.setattr(ros_goals, "SILENT_S", 0.5)
+    monkeypatch.setattr(ros_goals, "_SILENT_S", 2.0)
+    goals.ask(goals.suite.start(CalibrateGoal("pointer")))
+    goals.do(goals.server.diagnostics._timer.cancel)
+    goals.seen("the loss", lambda b: b.outcome and b.outcome.error == "LOST")
+    number = goals.behaviour.number
+    goals.do(lambda: goals.server.end(poses_used=4))
+    goals.seen("its end", lambda b: b.outcome and not b.outcome.error)
+    assert goals.behaviour.number == number and goals.behaviour.outcome.values["poses_used"] == 4
 
 
 class Late(Node):
