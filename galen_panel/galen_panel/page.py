@@ -121,7 +121,7 @@ class Page:
                 else 0,
                 close_button="Close",
                 multi_line=True,
-                position="bottom",
+                position="bottom-left",
             )
 
     def complain(self, text: str) -> None:

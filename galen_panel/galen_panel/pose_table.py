@@ -69,8 +69,8 @@ def table(poses: Sequence[Pose], residuals: Residuals) -> str:
             line += "<td></td>" if pose is None else _cell(pose, residuals, odd)
         lines.append(line + "</tr>")
     return (
-        "<table class='panel-poses'><caption>Force left over, mN. ✓ used, ✗ not used, ▲ stands out"
-        f"</caption>{''.join(lines)}</table>"
+        "<p class='panel-quiet'>Force left over, mN. ✓ used, ✗ not used, ▲ stands out</p>"
+        f"<table class='panel-poses'>{''.join(lines)}</table>"
     )
 
 
@@ -82,8 +82,8 @@ def _list(poses: Sequence[Pose], residuals: Residuals, odd: frozenset[int]) -> s
     ]
     head = "".join(f"<th scope='col'>{name}</th>" for name in ("pose", "roll", "tilt", "left, mN"))
     return (
-        "<table class='panel-poses'><caption>✓ used, ✗ not used, ▲ stands out</caption>"
-        f"<tr>{head}</tr>{''.join(lines)}</table>"
+        "<p class='panel-quiet'>✓ used, ✗ not used, ▲ stands out</p>"
+        f"<table class='panel-poses'><tr>{head}</tr>{''.join(lines)}</table>"
     )
 
 

@@ -97,18 +97,21 @@ def fate(outcome: Outcome, state: State) -> Fate:
     return Fate.HERE
 
 
-def calibration_rows(outcome: Outcome) -> list[list[str]]:
-    """Mass, centre and residual as texts: name, value."""
+def load_rows(outcome: Outcome) -> list[list[str]]:
+    """Mass and centre that a calibration found, as texts: name, value."""
     values = outcome.values
     com, com_std = _vector(values, "com_m"), _vector(values, "com_std_m")
-    force = texts.norm(_vector(values, "rmse_force_n"))
-    torque = texts.norm(_vector(values, "rmse_torque_nm"))
     rows = [["mass", texts.mass(_number(values, "mass_kg"), _number(values, "mass_std_kg"))]]
     for axis, value, std in zip("xyz", com, com_std, strict=True):
         rows.append([f"centre {axis}", f"{1e3 * value:.2f} ± {1e3 * std:.2f} mm"])
-    rows.append(["residual", texts.size(force, torque)])
-    rows.append(["poses used", f"{_number(values, 'poses_used'):.0f}"])
     return rows
+
+
+def residual(outcome: Outcome) -> str:
+    """What a calibration leaves over of the poses' readings."""
+    force = texts.norm(_vector(outcome.values, "rmse_force_n"))
+    torque = texts.norm(_vector(outcome.values, "rmse_torque_nm"))
+    return f"Residual of the averaged readings: {texts.size(force, torque)}."
 
 
 def collection_sentence(outcome: Outcome) -> str:

@@ -15,6 +15,7 @@ from galen_panel.state import (
     Outcome,
     Pose,
 )
+from nicegui import ui
 from page_user import on_page
 
 VALUES = {
@@ -29,6 +30,12 @@ CALIBRATED = replace(
     outcome=Outcome("", "it is calibrated", "retractor", "/tools/retractor.json", VALUES),
 )
 CHECKED = Behaviour(8, Kind.CHECK, "pointer", total=6, done=6)
+
+
+def _headers(user):
+    """Of what can be unfolded in the outcome."""
+    inside = user.get("outcome").descendants()
+    return [element.text for element in inside if isinstance(element, ui.expansion)]
 
 
 def check_outcome(answer, cause, text="so it is"):
@@ -114,7 +121,7 @@ def test_progress_is_followed_and_cancel_is_there():
         suite.put(behaviours={Kind.CALIBRATE: ended})
         await user.until(lambda: user.all("outcome"))
         assert user.all("running") == []
-        assert "Canceled: retractor" in user.text("outcome")
+        assert "Canceled · retractor" in user.text("outcome")
         assert user.all("keep") == []
         assert user.get("calibrate").enabled
 
@@ -173,15 +180,29 @@ def test_a_calibration_is_shown_beside_the_old_one_and_kept():
 
     async def story(user):
         await user.until(lambda: ("compare", "retractor", "") in suite.calls)
-        await user.until(lambda: "0.10 g" in user.text("beside"))
-        for part in ("200.00 ± 0.03 g", "70.00 ± 0.02 mm", "1 not used"):
-            assert part in user.text("outcome"), part
+        await user.until(lambda: "+0.10 g" in user.text("beside"))
+        assert "Residual of the averaged readings: 2.4 mN, 0.052 mN·m." in user.text("outcome")
+        assert "1 not used" in _headers(user)
         user.click("keep")
         await user.until(lambda: ("put_in_force", "retractor") in suite.calls)
         in_force = replace(IN_FORCE, tool="retractor", mass_kg=0.2, com_m=(0.07, -0.01, 0.055))
         suite.put(in_force=in_force)
         await user.until(lambda: user.text("fate") == "The new file is in force.")
         assert not user.get("keep").enabled
+
+    on_page(suite, story)
+
+
+def test_of_a_new_tool_all_that_was_found_is_shown():
+    suite = FakeSuite()
+    outcome = replace(CALIBRATED.outcome, new=True)
+    suite.put(behaviours={Kind.CALIBRATE: replace(CALIBRATED, outcome=outcome)})
+
+    async def story(user):
+        await user.until(lambda: "no file before" in user.text("beside"))
+        for part in ("200.00 ± 0.03 g", "70.00 ± 0.02 mm", "-10.00 ± 0.02 mm"):
+            assert part in user.text("outcome"), part
+        assert ("compare", "retractor", "") not in suite.calls
 
     on_page(suite, story)
 

@@ -4,7 +4,7 @@ from dataclasses import replace
 from functools import partial
 
 from fake_suite import ALL, IN_FORCE, POINTER, RETRACTOR, FakeSuite
-from galen_panel.sections.comparison import told
+from galen_panel.sections.comparison import differs_beside
 from galen_panel.state import CalibrateGoal, Difference, Tool
 from page_user import on_page
 
@@ -161,8 +161,8 @@ def test_five_hundred_tools_are_found_by_name_and_rows_are_kept():
     on_page(suite, story)
 
 
-def test_of_a_comparison_mass_and_centre_are_told_and_else_what_differs():
+def test_of_a_comparison_the_rest_is_told_where_it_differs():
     same = "the same within 2 sigma"
-    assert told(Difference("mass", "kg", 0.1, 0.1, 1e-5, same))
-    assert not told(Difference("adapter_mass", "kg", 0.1, 0.1, 1e-5, same))
-    assert told(Difference("tip_x", "m", 0.1, 0.2, float("nan"), "differs by 100 mm"))
+    assert not differs_beside(Difference("mass", "kg", 0.1, 0.2, 1e-5, "differs by 100 g"))
+    assert not differs_beside(Difference("adapter_mass", "kg", 0.1, 0.1, 1e-5, same))
+    assert differs_beside(Difference("tip_x", "m", 0.1, 0.2, float("nan"), "differs by 100 mm"))

@@ -16,6 +16,7 @@ class CalibrationOptions:
     """Fields for it; `name` begins their test ids. The owner calls `update` with the state."""
 
     def __init__(self, name: str) -> None:
+        self._can_choose = True
         self._by_hand = ui.switch("A person takes the tool off and puts it on")
         self._by_hand.props(f"data-testid={name}-by-hand")
         self._one_sweep = ui.switch("One sweep only, with the tool on")
@@ -33,7 +34,7 @@ class CalibrationOptions:
                     min=-_FARTHEST_MM,
                     max=_FARTHEST_MM,
                     validation=_number_problem,
-                ).props(f'outlined dense data-testid={name}-tip-{axis} aria-label="Tip {axis}, mm"')
+                ).props(f'outlined data-testid={name}-tip-{axis} aria-label="Tip {axis}, mm"')
                 for axis in "xyz"
             ]
 
@@ -57,9 +58,10 @@ class CalibrationOptions:
     def update(self, state: State) -> None:
         """Where nothing takes the tool off by itself, a person must."""
         can_choose = _SERVICE in state.available
-        if not can_choose:
-            self._by_hand.set_value(True)
-        self._by_hand.set_enabled(can_choose)
+        if can_choose != self._can_choose:
+            self._can_choose = can_choose
+            self._by_hand.set_value(not can_choose)
+            self._by_hand.set_enabled(can_choose)
 
 
 def _number_problem(value: float | None) -> str | None:

@@ -8,7 +8,7 @@ from galen_panel import texts
 from galen_panel.elements import table
 from galen_panel.state import Comparison, Difference
 
-_ALWAYS = ("mass", "com_x", "com_y", "com_z")
+_LOAD = ("mass", "com_x", "com_y", "com_z")
 _THE_SAME = "the same"
 
 
@@ -16,24 +16,31 @@ def draw(comparison: Comparison, before: str, after: str) -> None:
     """Draw what differs. before, after: what the two files, a and b, are called here."""
     ui.label(worst_case(comparison)).classes("panel-lead")
     ui.label(same_load(comparison))
-    rows = [
-        [
-            texts.quantity_name(row.quantity),
-            texts.quantity(row.a, row.unit),
-            texts.quantity(row.b, row.unit),
-            texts.change(row.b - row.a, row.unit),
-            texts.sigmas(row.b - row.a, row.std_dev),
-        ]
-        for row in comparison.differences
-        if told(row)
-    ]
+    headers = ["", before, after, "difference", "σ"]
     with ui.element("div").classes("panel-scroll"):
-        table(["", before, after, "difference", "σ"], rows)
+        table(headers, [_row(row) for row in comparison.differences if row.quantity in _LOAD])
+    others = [row for row in comparison.differences if differs_beside(row)]
+    if others:
+        with (
+            ui.expansion(f"{len(others)} other numbers differ").props("dense").classes("w-full"),
+            ui.element("div").classes("panel-scroll"),
+        ):
+            table(headers, [_row(row) for row in others])
 
 
-def told(row: Difference) -> bool:
-    """Mass and centre always; of the rest, what differs."""
-    return row.quantity in _ALWAYS or not row.text.startswith(_THE_SAME)
+def differs_beside(row: Difference) -> bool:
+    """Whether a quantity that is neither mass nor centre is another one."""
+    return row.quantity not in _LOAD and not row.text.startswith(_THE_SAME)
+
+
+def _row(row: Difference) -> list[str]:
+    return [
+        texts.quantity_name(row.quantity),
+        texts.quantity(row.a, row.unit),
+        texts.quantity(row.b, row.unit),
+        texts.change(row.b - row.a, row.unit),
+        texts.sigmas(row.b - row.a, row.std_dev),
+    ]
 
 
 def worst_case(comparison: Comparison) -> str:

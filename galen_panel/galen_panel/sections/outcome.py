@@ -30,7 +30,7 @@ class OutcomeView:
             pick_class(self._element, "panel-level-", level)
             with ui.row().classes("panel-outcome-head no-wrap"):
                 ui.icon(_ICONS[level]).props("aria-hidden=true").classes(f"text-{level}")
-                ui.label(f"{title}: {outcome.tool}" if outcome.tool else title)
+                ui.label(f"{title} · {outcome.tool}" if outcome.tool else title)
                 ui.space()
                 close = ui.button(
                     icon="close", on_click=lambda: self._element.set_visibility(False)
@@ -39,7 +39,9 @@ class OutcomeView:
             ui.label(result_words.told(outcome)).props("data-testid=outcome-text")
             _warnings(outcome)
             if kind is Kind.CALIBRATE and not outcome.error:
-                table([], result_words.calibration_rows(outcome))
+                if outcome.new:
+                    table([], result_words.load_rows(outcome))
+                ui.label(result_words.residual(outcome)).classes("panel-number")
                 self._file = CalibrationFile(page, outcome)
             elif kind is Kind.COLLECT and not outcome.error:
                 ui.label(result_words.collection_sentence(outcome))

@@ -8,7 +8,7 @@ from nicegui import ui
 
 from galen_panel import hints, texts
 from galen_panel.dialogs import buttons, confirmed, dialog
-from galen_panel.page import Page
+from galen_panel.page import LOOK_PERIOD_S, Page
 from galen_panel.sections import comparison
 from galen_panel.sections.calibration_options import CalibrationOptions
 from galen_panel.state import Answer, Kind
@@ -61,6 +61,7 @@ async def new_tool(page: Page) -> None:
         name.without_auto_validation()
         options = CalibrationOptions("new-tool")
         options.update(page.suite.state)
+        ui.timer(LOOK_PERIOD_S, lambda: options.update(page.suite.state))
         reason = ui.label().classes("text-negative").props("role=status")
         start = buttons(shown, "Calibrate it", "play_arrow")
 
