@@ -135,7 +135,8 @@ class Recordings:
         )
 
     def serve(self, app: Starlette) -> None:
-        """Add the routes of reports and pictures."""
+        """Add the routes of reports and pictures, and read which reports there are."""
+        self.reports.all()
         app.add_route(f"{REPORTS_PATH}/{{report}}/{{name}}", self._answer, methods=["GET"])
 
     def close(self) -> None:

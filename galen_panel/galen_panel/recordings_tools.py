@@ -43,7 +43,7 @@ def tool_choices(recording: Recording, bags_dir: Path, tools_dir: Path) -> list[
             entries = list(store.entries())
         except GalenError:
             continue
-        where = "" if key == "tools" else " (of the recordings)"
+        where = "" if key == "tools" else " (kept with the recordings)"
         choices += [
             ToolChoice(f"{key}:{entry.name}", f"{entry.name}{where}", entry.stored.path)
             for entry in entries

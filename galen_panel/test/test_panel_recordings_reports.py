@@ -19,7 +19,7 @@ from galen_panel.state import Level
 from starlette.applications import Starlette
 
 BAGS = Path(__file__).resolve().parents[2] / "bags"
-PATIENCE_S = 110.0
+PATIENCE_S = 300.0
 
 
 def finished(recordings, job_id, patience_s=PATIENCE_S):
@@ -64,6 +64,7 @@ def ask(recordings, path, method="GET", **headers):
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(600)
 def test_an_evaluation_says_what_the_command_says(make, tmp_path):
     recordings = make(BAGS)
     found = next(one for one in recordings.search().recordings if one.name == "free_motion")
@@ -98,6 +99,7 @@ def test_an_evaluation_says_what_the_command_says(make, tmp_path):
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(600)
 def test_an_evaluation_that_can_not_be_made_is_told(make, tmp_path):
     folder = tmp_path / "bags"
     shutil.copytree(BAGS / "free_motion", folder / "cut")

@@ -13,7 +13,7 @@ from galen_panel.state import Level, State
 from galen_panel.words import ROLES, Words, others, report_of, words_of, words_of_other
 from galen_panel.words_numbers import numbers_of
 
-# A node that falls silent changes nothing in the state; only time tells.
+# Nodes tell their state once a second; one that falls silent is told by time alone.
 _PERIOD_S = 1.0
 _STYLE = Path(__file__).parents[1] / "nodes.css"
 _LAMPS = {
@@ -54,7 +54,7 @@ def build(page: Page) -> None:
         for report in reports:
             other_cards[report.name].show(words_of_other(report, now_s), report.values)
 
-    page.on_change(lambda _state: look())
+    look()
     ui.timer(_PERIOD_S, look)
 
 
