@@ -50,7 +50,7 @@ class Page:
     def allow(self, element: DisableableElement, why_not: str = "") -> None:
         """Enable an element, or disable it with the reason as its title.
 
-        An element that waits for an answer stays disabled until that has come.
+        What waits for an answer takes no second click until that has come, nevertheless.
         """
         if self._refused.get(element.id) == why_not:
             return
@@ -59,34 +59,39 @@ class Page:
             element.props["title"] = why_not
         else:
             element.props.pop("title", None)
-        element.set_enabled(not why_not and element.id not in self._waiting)
+        waits = element.id in self._waiting and not isinstance(element, ui.button)
+        element.set_enabled(not why_not and not waits)
 
     @contextmanager
     def waiting(self, *elements: DisableableElement) -> Iterator[bool]:
-        """Within it the elements are disabled, and buttons turn; False: one waits already.
+        """Within it the elements take no input, and buttons turn; False: one waits already.
 
-        Two clicks may be on their way before the browser hears that a button is disabled.
+        Two clicks may be on their way before the browser hears of it. A button isn't disabled: it
+        would lose the keyboard's focus.
         """
         if any(element.id in self._waiting for element in elements):
             yield False
             return
         for element in elements:
             self._waiting.add(element.id)
-            element.disable()
             if isinstance(element, ui.button):
                 element.props("loading")
+            else:
+                element.disable()
         try:
             yield True
         finally:
             for element in elements:
                 self._waiting.discard(element.id)
-                if not element.is_deleted:
+                if element.is_deleted:
+                    continue
+                if isinstance(element, ui.button):
+                    element.props(remove="loading")
+                else:
                     element.set_enabled(not self._refused.get(element.id))
-                    if isinstance(element, ui.button):
-                        element.props(remove="loading")
 
     async def ask(self, work: Awaitable[Answer], *elements: DisableableElement) -> Answer:
-        """Wait for an answer and show it; the elements are disabled meanwhile.
+        """Wait for an answer and show it; the elements take no input meanwhile.
 
         Where one of them waits for an answer already, `work` is not done. A failure of the panel
         itself is an answer, too.

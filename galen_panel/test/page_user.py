@@ -33,7 +33,7 @@ def on_page(suite, story, build=_operate):
     errors = _Errors()
     with _own_storage():
         asyncio.run(_tell(suite, story, errors, build))
-    assert errors.texts == []
+    assert not errors.texts, "\n".join(errors.texts)
 
 
 @contextmanager
@@ -61,7 +61,7 @@ async def _tell(suite, story, errors, build):
             await story(PageUser(user))
         finally:
             logging.getLogger().removeHandler(errors)
-            if user.client is not None:
+            if user.client is not None and not user.client.is_deleted:
                 user.client.delete()
 
 
@@ -126,6 +126,10 @@ class PageUser:
 
     async def come_back(self):
         await self._user.client.handle_handshake("again", self._user.tab_id, None, "again", None)
+
+    def go(self):
+        """Close the browser."""
+        self._user.client.delete()
 
     def notices(self):
         """What was told so far."""

@@ -3,6 +3,7 @@
 import asyncio
 from dataclasses import replace
 
+import pytest
 from fake_suite import ALL, IN_FORCE, FakeSuite
 from galen_panel.state import Answer
 from page_user import on_page
@@ -95,25 +96,60 @@ class _Slow(FakeSuite):
         return self.answer
 
 
-def test_two_clicks_ask_once_and_the_state_does_not_enable_what_waits():
+def test_two_clicks_ask_once_and_the_state_frees_nothing_that_waits():
     suite = _Slow()
 
     async def story(user):
         button = user.get("tare")
         user.click("tare")
         user.click("tare")
-        await user.until(lambda: not button.enabled)
-        assert "loading" in button.props
+        await user.until(lambda: "loading" in button.props)
+        assert button.enabled, "disabled, it would lose the keyboard's focus"
         suite.put(in_force=None, available=frozenset())
-        await user.until(lambda: "title" in button.props)
+        await user.until(lambda: not button.enabled)
         suite.put(in_force=IN_FORCE, available=ALL)
-        await user.until(lambda: "title" not in button.props)
-        assert not button.enabled, "it waits still"
-        suite.free.set()
         await user.until(lambda: button.enabled)
+        assert "loading" in button.props
+        user.click("tare")
+        suite.free.set()
+        await user.until(lambda: "loading" not in button.props)
         assert suite.calls == [("tare",)]
         assert user.notices() == ["done"]
-        assert "loading" not in button.props
+        user.click("tare")
+        await user.until(lambda: suite.calls == [("tare",), ("tare",)])
+
+    on_page(suite, story)
+
+
+class _Failing(FakeSuite):
+    async def tare(self):
+        raise RuntimeError("a bug")
+
+
+def test_a_bug_is_told_and_frees_the_button():
+    suite = _Failing()
+
+    async def story(user):
+        user.click("tare")
+        await user.until(lambda: user.notices())
+        assert "a bug" in user.notices()[0]
+        assert "loading" not in user.get("tare").props
+
+    with pytest.raises(AssertionError, match="the panel failed to ask"):
+        on_page(suite, story)
+
+
+def test_a_browser_may_go_while_its_page_waits():
+    suite = _Slow()
+
+    async def story(user):
+        user.click("tare")
+        await user.until(lambda: suite.calls)
+        user.go()
+        suite.free.set()
+        for _ in range(20):
+            await asyncio.sleep(0)
+        assert user.notices() == []
 
     on_page(suite, story)
 
