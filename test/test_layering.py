@@ -28,6 +28,7 @@ ROS_MODULES = {
     "galen_bringup.diagnose_benchmark",
     "galen_bringup.drift",
     "galen_bringup.figures",
+    "galen_bringup.panel_benchmark",
     "galen_bringup.processes",
     "galen_bringup.soak",
     "galen_bringup.startup_benchmark",

@@ -23,7 +23,12 @@ from galen_model.whole_file import write_whole
 from rich.console import Console
 from rich.table import Table
 
-from galen_bringup import compute_benchmark, diagnose_benchmark, startup_benchmark
+from galen_bringup import (
+    compute_benchmark,
+    diagnose_benchmark,
+    panel_benchmark,
+    startup_benchmark,
+)
 from galen_deflection import benchmark as deflection_nodes
 from galen_gravcomp import bag_benchmark, node_benchmark, node_benchmark_table
 from galen_gravcomp import benchmark as gravcomp_nodes
@@ -31,6 +36,7 @@ from galen_gravcomp import benchmark as gravcomp_nodes
 _EPILOG = """\
 groups:
   nodes     gravcomp and deflection against bare rclpy relays: latency, CPU, loss
+  panel     the operator's panel, and gravcomp at 500 Hz beside it
   compute   one sample, arrays, a calibration's regression, hysteresis
   startup   each node, from its process' start till others see it
   diagnose  one recording, by part
@@ -72,6 +78,13 @@ def measure_nodes(
 
 GROUPS = {
     "nodes": Group("nodes beside bare relays", measure_nodes, node_benchmark_table.table),
+    "panel": Group(
+        "gravcomp at 500 Hz beside the panel",
+        lambda options, progress: panel_benchmark.measure(
+            options.seconds, options.rounds, progress
+        ),
+        panel_benchmark.table,
+    ),
     "compute": Group(
         "computing",
         lambda options, progress: compute_benchmark.compare(3 * options.rounds, progress),

@@ -1,7 +1,8 @@
-"""Calibration and compensation on an arm that is already up, and its deflection if asked for.
+"""Calibration and compensation on an arm that is already up; deflection and panel if asked for.
 
     ros2 launch galen_bringup robot.launch.py tool:=pointer wrench_raw:=/ft_sensor/wrench
     ros2 launch galen_bringup robot.launch.py tool:=pointer deflection_model:=pointer_model.json
+    ros2 launch galen_bringup robot.launch.py panel:=true
 
 `crtk:=true` takes the names of JHU's Collaborative Robotics Toolkit as input instead: the measured
 wrench `measured_cf` and the joints `measured_js`, under `crtk_namespace`.
@@ -82,6 +83,20 @@ def generate_launch_description() -> LaunchDescription:
                 description="model's file for the deflection; empty: its node is not started",
             ),
             DeclareLaunchArgument(
+                "panel", default_value="false", description="start the operator's panel, too"
+            ),
+            DeclareLaunchArgument(
+                "panel_host",
+                default_value="127.0.0.1",
+                description="where the panel listens; not this machine alone: it prints a token",
+            ),
+            DeclareLaunchArgument(
+                "panel_port", default_value="8080", description="the panel's port"
+            ),
+            DeclareLaunchArgument(
+                "bags_dir", default_value=".", description="where the panel looks for recordings"
+            ),
+            DeclareLaunchArgument(
                 "crtk", default_value="false", description="inputs by their CRTK names"
             ),
             DeclareLaunchArgument(
@@ -132,6 +147,22 @@ def generate_launch_description() -> LaunchDescription:
                     {"use_sim_time": overrides["use_sim_time"]},
                     {"model_file": ParameterValue(model, value_type=str)},
                 ],
+                **common,
+            ),
+            Node(
+                package="galen_panel",
+                executable="panel",
+                # No name: it would be that of both nodes in the panel's process.
+                ros_arguments=_enclave("panel"),
+                arguments=[
+                    *("--host", LaunchConfiguration("panel_host")),
+                    *("--port", LaunchConfiguration("panel_port")),
+                    *("--tools-dir", LaunchConfiguration("tools_dir")),
+                    *("--bags-dir", LaunchConfiguration("bags_dir")),
+                ],
+                condition=IfCondition(LaunchConfiguration("panel")),
+                # Plots may wait, wrenches may not.
+                prefix="nice -n 10",
                 **common,
             ),
         ]

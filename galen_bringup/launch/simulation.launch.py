@@ -1,6 +1,6 @@
-"""Simulated arm, calibration and compensation, and the deflection if a model is given.
+"""Simulated arm, calibration and compensation; deflection if a model is given, panel if asked for.
 
-ros2 launch galen_bringup simulation.launch.py speed_factor:=5 tool:=pointer
+ros2 launch galen_bringup simulation.launch.py speed_factor:=5 tool:=pointer panel:=true
 """
 
 from launch import LaunchDescription
@@ -14,6 +14,11 @@ from launch.substitutions import (
 from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 from launch_ros.substitutions import FindPackageShare
+
+_HANDED_ON = (
+    *("namespace", "enclaves", "tool", "tools_dir", "deflection_model"),
+    *("panel", "panel_host", "panel_port", "bags_dir"),
+)
 
 
 def generate_launch_description() -> LaunchDescription:
@@ -50,6 +55,20 @@ def generate_launch_description() -> LaunchDescription:
             DeclareLaunchArgument(
                 "tools_dir", default_value="~/.ros/galen/tools", description="the tools' files"
             ),
+            DeclareLaunchArgument(
+                "panel", default_value="false", description="start the operator's panel, too"
+            ),
+            DeclareLaunchArgument(
+                "panel_host",
+                default_value="127.0.0.1",
+                description="where the panel listens; not this machine alone: it prints a token",
+            ),
+            DeclareLaunchArgument(
+                "panel_port", default_value="8080", description="the panel's port"
+            ),
+            DeclareLaunchArgument(
+                "bags_dir", default_value=".", description="where the panel looks for recordings"
+            ),
             Node(
                 package="galen_sim_driver",
                 executable="sim_driver_node",
@@ -65,12 +84,8 @@ def generate_launch_description() -> LaunchDescription:
                 PathJoinSubstitution([share, "launch", "robot.launch.py"]),
                 launch_arguments={
                     "config": config,
-                    "namespace": LaunchConfiguration("namespace"),
-                    "enclaves": LaunchConfiguration("enclaves"),
-                    "tool": LaunchConfiguration("tool"),
-                    "tools_dir": LaunchConfiguration("tools_dir"),
-                    "deflection_model": LaunchConfiguration("deflection_model"),
                     "use_sim_time": sim_time,
+                    **{name: LaunchConfiguration(name) for name in _HANDED_ON},
                 }.items(),
             ),
         ]

@@ -21,8 +21,9 @@ import struct
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import AbstractContextManager, nullcontext
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -48,12 +49,18 @@ _NUMBERS = 10_000
 """Of wrenches, until they begin again."""
 
 
+CpuSoFar = Callable[[], dict[str, float]]
+"""CPU time so far of what runs beside a subject, s, by its name."""
+
+
 @dataclass(frozen=True)
 class Subject:
     """A process to measure: arguments after `python -m`, and the topic whose stamps are taken.
 
     others: further topics that it publishes, which are received as well and not looked at. moving:
-    whether the arm moves, so that no two joint vectors are alike.
+    whether the arm moves, so that no two joint vectors are alike. beside: starts what else shall
+    run, in the environment that it is given, before the subject, and ends it. warm_up_s: from the
+    first output until the numbers are taken.
     """
 
     name: str
@@ -61,11 +68,16 @@ class Subject:
     output: tuple[str, Any]
     others: tuple[tuple[str, Any], ...] = ()
     moving: bool = False
+    beside: Callable[[Mapping[str, str]], AbstractContextManager[CpuSoFar]] | None = None
+    warm_up_s: float = WARM_UP_S
 
 
 @dataclass(frozen=True)
 class Measurement:
-    """One subject at one rate, one round. lost: wrenches that never came out of it."""
+    """One subject at one rate, one round. lost: wrenches that never came out of it.
+
+    beside_percent: CPU of what ran beside it, by its name.
+    """
 
     subject: str
     rate_hz: float
@@ -78,6 +90,7 @@ class Measurement:
     latency_p99_ms: float
     latency_p999_ms: float
     latency_max_ms: float
+    beside_percent: dict[str, float] = field(default_factory=dict)
 
 
 def relays(wrench_topic: str) -> tuple[Subject, Subject]:
@@ -197,11 +210,63 @@ def measure(
     """Run sender and subject for a while and take the numbers."""
     lock = DomainLock()
     environment = os.environ | {"ROS_DOMAIN_ID": str(lock.domain_id), "OMP_NUM_THREADS": "1"}
+    try:
+        beside = nullcontext(dict) if subject.beside is None else subject.beside(environment)
+        with beside as cpu_beside:
+            taken = _take(
+                subject, wrench_topic, rate_hz, seconds, lock.domain_id, environment, cpu_beside
+            )
+    finally:
+        lock.release()
+    stamps_ns, times_ns = taken.stamps_ns, taken.times_ns
+    if len(stamps_ns) == 0:
+        raise RuntimeError(f"{subject.name} stopped putting out anything at {rate_hz:g} Hz")
+    latencies_ms = (times_ns - stamps_ns) * 1e-6
+    p50, p99, p999 = np.percentile(latencies_ms, (50, 99, 99.9))
+    return Measurement(
+        subject=subject.name,
+        rate_hz=rate_hz,
+        round=number,
+        received=len(latencies_ms),
+        lost=lost_between(stamps_ns),
+        cpu_us_per_wrench=1e6 * taken.cpu_s / len(latencies_ms),
+        cpu_percent=100.0 * taken.cpu_s / taken.elapsed_s,
+        latency_p50_ms=float(p50),
+        latency_p99_ms=float(p99),
+        latency_p999_ms=float(p999),
+        latency_max_ms=float(latencies_ms.max()),
+        beside_percent={
+            name: 100.0 * used_s / taken.elapsed_s for name, used_s in taken.beside_s.items()
+        },
+    )
+
+
+@dataclass(frozen=True)
+class _Taken:
+    """Outputs' stamps and times of arrival (n,); CPU time meanwhile, of the subject and beside."""
+
+    stamps_ns: np.ndarray
+    times_ns: np.ndarray
+    cpu_s: float
+    elapsed_s: float
+    beside_s: dict[str, float]
+
+
+def _take(
+    subject: Subject,
+    wrench_topic: str,
+    rate_hz: float,
+    seconds: float,
+    domain_id: int,
+    environment: Mapping[str, str],
+    cpu_beside: CpuSoFar,
+) -> _Taken:
+    """Run sender and subject, and receive for a while."""
     sending = ["galen_gravcomp.node_benchmark", "sender", wrench_topic, "--rate", str(rate_hz)]
     sending += ["--moving"] * subject.moving
     processes = []
     context = rclpy.Context()
-    rclpy.init(context=context, domain_id=lock.domain_id)
+    rclpy.init(context=context, domain_id=domain_id)
     executor = make_executor(context)
     receiver = Receiver(subject, context=context)
     executor.add_node(receiver)
@@ -221,14 +286,21 @@ def measure(
             if time.monotonic() > deadline_s:
                 raise RuntimeError(f"nothing came from {subject.name} for {DISCOVERY_TIMEOUT_S} s")
             spin_for(0.1)
-        spin_for(WARM_UP_S)
+        spin_for(subject.warm_up_s)
         receiver.stamps_ns.clear()
         receiver.times_ns.clear()
-        cpu_before_s, start_s = cpu_s(processes[0].pid), time.monotonic()
+        beside_s = cpu_beside()
+        before_s, start_s = cpu_s(processes[0].pid), time.monotonic()
         spin_for(seconds)
-        cpu_used_s = cpu_s(processes[0].pid) - cpu_before_s
+        used_s = cpu_s(processes[0].pid) - before_s
         elapsed_s = time.monotonic() - start_s
-        stamps_ns, times_ns = np.array(receiver.stamps_ns), np.array(receiver.times_ns)
+        return _Taken(
+            np.array(receiver.stamps_ns),
+            np.array(receiver.times_ns),
+            used_s,
+            elapsed_s,
+            {name: so_far_s - beside_s[name] for name, so_far_s in cpu_beside().items()},
+        )
     finally:
         for process in processes:
             process.terminate()
@@ -237,24 +309,6 @@ def measure(
         receiver.destroy_node()
         executor.shutdown()
         rclpy.shutdown(context=context)
-        lock.release()
-    if len(stamps_ns) == 0:
-        raise RuntimeError(f"{subject.name} stopped putting out anything at {rate_hz:g} Hz")
-    latencies_ms = (times_ns - stamps_ns) * 1e-6
-    p50, p99, p999 = np.percentile(latencies_ms, (50, 99, 99.9))
-    return Measurement(
-        subject=subject.name,
-        rate_hz=rate_hz,
-        round=number,
-        received=len(latencies_ms),
-        lost=lost_between(stamps_ns),
-        cpu_us_per_wrench=1e6 * cpu_used_s / len(latencies_ms),
-        cpu_percent=100.0 * cpu_used_s / elapsed_s,
-        latency_p50_ms=float(p50),
-        latency_p99_ms=float(p99),
-        latency_p999_ms=float(p999),
-        latency_max_ms=float(latencies_ms.max()),
-    )
 
 
 def lost_between(stamps_ns: np.ndarray) -> int:
