@@ -39,11 +39,10 @@ from galen_panel.state import (
 
 _SEND_LIMIT_S, _CANCEL_LIMIT_S = 5.0, 5.0
 _LOST_S = 1.5
-"""So long a server may be out of sight before its goal is given up."""
-_SILENT_S = 30.0
-"""So long its node may say nothing at all; longer than DDS takes to hear that one was killed.
+"""So long a server may be out of sight before its goal is given up.
 
-A machine that is too busy silences a node for 10 s and more that is well otherwise.
+Only discovery counts, which takes some 20 s where a process was killed: a node that says nothing
+may be well, on a machine that is too busy.
 """
 _ASK_AGAIN_S = 2.0
 _REFUSAL_PATIENCE_S = 2.5
@@ -263,10 +262,10 @@ class GoalFollower:
         self._show(followed, outcome=outcome, asked=None)
         self._on_end()
 
-    def _lose(self, followed: _Followed, why: str) -> None:
+    def _lose(self, followed: _Followed) -> None:
         """Give it up, but not for good: its server may only have been out of sight."""
         self._followed, self._lost = None, followed
-        outcome = Outcome(LOST, why, followed.behaviour.tool, new=followed.new)
+        outcome = Outcome(LOST, self._kind.gone, followed.behaviour.tool, new=followed.new)
         self._show(followed, outcome=outcome, asked=None)
         self._on_end()
 
@@ -289,7 +288,7 @@ class GoalFollower:
             return
         if answer.status == GoalStatus.STATUS_UNKNOWN:  # a server that was started since
             if followed is self._followed:
-                self._lose(followed, self._kind.gone)
+                self._lose(followed)
             return
         tool = followed.behaviour.tool or getattr(answer.result, "tool", "")
         self._end(followed, self._kind.outcome(answer.result, tool, followed.new))
@@ -306,13 +305,10 @@ class GoalFollower:
         if not all(client.service_is_ready() for client in self._clients):
             followed.gone_s = followed.gone_s or now_s
             if now_s - followed.gone_s > _LOST_S:
-                self._lose(followed, self._kind.gone)
+                self._lose(followed)
             return
         if (silent_s := self._silent_s(followed, now_s)) > SILENT_S:
             silent = f"{self._kind.program.executable} has said nothing for {silent_s:.0f} s"
-            if silent_s > _SILENT_S:
-                self._lose(followed, silent)
-                return
             self._show(followed, message=silent)
         back, followed.gone_s = followed.gone_s is not None, None
         overdue = followed.over or self._idle_since(followed.began_s)

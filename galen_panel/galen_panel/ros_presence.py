@@ -8,14 +8,14 @@ from typing import Protocol
 from rclpy.node import Node
 
 from galen_panel.board import Board
-from galen_panel.programs import OFFERED_BY, Program
+from galen_panel.programs import DRIVER, GRAVCOMP, OFFERED_BY, Program
 
 PERIOD_S = 1.0
 SILENT_S = 4.0
-"""A node that says nothing on /diagnostics for so long is gone.
-
-DDS hears of a killed process only by a time-out, some 20 s later.
-"""
+"""A node that says nothing on /diagnostics for so long is gone, or too busy."""
+# DDS hears of a killed process only by a time-out, some 20 s later. Too late for these: what they
+# do must not be believed in meanwhile. Others may be silent while they run a goal, and live.
+_GONE_WHEN_SILENT = (DRIVER, GRAVCOMP)
 
 
 class Presence:
@@ -40,14 +40,15 @@ class Presence:
             available=frozenset(
                 name
                 for name, ready in self._ready.items()
-                if not self.silent(OFFERED_BY[name], now_s) and ready()
+                if not self._silent(OFFERED_BY[name], now_s) and ready()
             )
         )
 
-    def silent(self, program: Program, now_s: float) -> bool:
-        """Whether a node that has been heard is not heard any more."""
+    def _silent(self, program: Program, now_s: float) -> bool:
+        """Whether a node that has been heard is not heard any more, and is gone for that."""
         report = self._board.state.nodes.get(self.full_name(program))
-        return report is not None and now_s - report.heard_s > SILENT_S
+        heard = report is None or now_s - report.heard_s <= SILENT_S
+        return program in _GONE_WHEN_SILENT and not heard
 
     def full_name(self, program: Program) -> str:
         """The name of a program's node on /diagnostics, in this node's namespace."""

@@ -299,34 +299,49 @@ def test_a_server_that_was_restarted_unseen_doesn_t_know_the_goal(goals, monkeyp
     assert outcome.error == "LOST"
 
 
-def test_a_goal_that_was_out_of_sight_is_followed_again(goals, monkeypatch):
-    """A node that stood still for some time, as a machine out of memory does it."""
+class OutOfSight:
+    """In place of a client whose server discovery has lost."""
+
+    def service_is_ready(self):
+        return False
+
+
+def test_a_node_that_says_nothing_is_told_and_its_goal_goes_on(goals, monkeypatch):
     monkeypatch.setattr(ros_goals, "SILENT_S", 0.5)
-    monkeypatch.setattr(ros_goals, "_SILENT_S", 2.0)
     goals.ask(goals.suite.start(CalibrateGoal("pointer")))
     timer = goals.server.diagnostics._timer
     goals.do(timer.cancel)
+    goals.seen("the silence", lambda b: "calibration_node has said nothing for" in b.message)
+    assert goals.behaviour.running
     goals.do(lambda: goals.server.pose(1, 0.1))
-    goals.seen("the silence", lambda b: b.running and "has said nothing for" in b.message)
+    goals.seen("its word", lambda b: b.message == "recorded")
+
+
+def test_a_goal_that_was_out_of_sight_is_followed_again(goals):
+    """A machine that stood still, or a network: discovery gives up what is still there."""
+    goals.ask(goals.suite.start(CalibrateGoal("pointer")))
+    goals.do(lambda: goals.server.pose(1, 0.1))
+    goals.seen("a pose", lambda b: len(b.poses) == 1)
+    number = goals.behaviour.number
+    follower = goals.suite._followers[Kind.CALIBRATE]
+    in_sight = follower._clients
+    follower._clients = (OutOfSight(),)
     goals.seen("the loss", lambda b: b.outcome and b.outcome.error == "LOST")
-    goals.do(timer.reset)
+    follower._clients = in_sight
     goals.do(lambda: goals.server.pose(2, 0.2))
     goals.seen("the goal again", lambda b: b.running and b.ours and len(b.poses) == 2)
+    assert goals.behaviour.number == number
     goals.do(goals.server.end)
     goals.seen("its end", lambda b: b.outcome and not b.outcome.error)
 
 
-def test_the_result_of_a_goal_that_was_out_of_sight_is_taken_all_the_same(goals, monkeypatch):
-    """A node may say nothing while it estimates; then it has no more feedback to give."""
-    monkeypatch.setattr(ros_goals, "SILENT_S", 0.5)
-    monkeypatch.setattr(ros_goals, "_SILENT_S", 2.0)
+def test_the_result_of_a_goal_that_was_out_of_sight_is_taken_all_the_same(goals):
     goals.ask(goals.suite.start(CalibrateGoal("pointer")))
-    goals.do(goals.server.diagnostics._timer.cancel)
+    goals.suite._followers[Kind.CALIBRATE]._clients = (OutOfSight(),)
     goals.seen("the loss", lambda b: b.outcome and b.outcome.error == "LOST")
-    number = goals.behaviour.number
     goals.do(lambda: goals.server.end(poses_used=4))
-    goals.seen("its end", lambda b: b.outcome and not b.outcome.error)
-    assert goals.behaviour.number == number and goals.behaviour.outcome.values["poses_used"] == 4
+    outcome = goals.seen("its end", lambda b: b.outcome and not b.outcome.error and b.outcome)
+    assert outcome.values["poses_used"] == 4
 
 
 class Late(Node):

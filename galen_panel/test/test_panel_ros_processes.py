@@ -144,7 +144,7 @@ def test_nodes_that_are_killed_are_missed_and_found_again(world):
     assert time.monotonic() - began_s < 10.0
     ended = outcome(world, Kind.CALIBRATE)
     assert ended.error == "LOST" and "calibration_node" in ended.text
-    assert "calibrate_tool" not in world.state.available
+    world.wait_for(lambda state: "calibrate_tool" not in state.available, "that it is gone, too")
 
     start_gravcomp(world)
     start_calibration(world)
@@ -154,6 +154,7 @@ def test_nodes_that_are_killed_are_missed_and_found_again(world):
     )
     answer = world.ask(world.suite.start(CalibrateGoal("retractor")))
     assert answer.ok, answer.text
-    assert world.ask(world.suite.cancel(Kind.CALIBRATE)).ok
+    answer = world.ask(world.suite.cancel(Kind.CALIBRATE))
+    assert answer.ok, (answer, world.state.behaviours[Kind.CALIBRATE])
     ended = outcome(world, Kind.CALIBRATE)
     assert ended.error == "CANCELED"
