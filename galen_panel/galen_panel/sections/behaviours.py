@@ -7,9 +7,9 @@ from galen_model.tool_file import check_tool_name
 from nicegui import ui
 
 from galen_panel import hints, texts
-from galen_panel.elements import heading
 from galen_panel.page import Page
 from galen_panel.sections.calibration_options import CalibrationOptions
+from galen_panel.sections.elements import heading
 from galen_panel.sections.outcome import OutcomeView
 from galen_panel.sections.poses import PosesView
 from galen_panel.state import CheckGoal, CollectGoal, Goal, Kind, State

@@ -5,10 +5,10 @@ from __future__ import annotations
 from nicegui import ui
 
 from galen_panel import hints, result_words
-from galen_panel.dialogs import confirmed
 from galen_panel.page import Page
 from galen_panel.result_words import Fate
 from galen_panel.sections import comparison
+from galen_panel.sections.dialogs import confirmed
 from galen_panel.state import Answer, Outcome, State
 
 _FATES = {

@@ -5,7 +5,7 @@ from __future__ import annotations
 from nicegui import ui
 
 from galen_panel import texts
-from galen_panel.elements import table
+from galen_panel.sections.elements import table
 from galen_panel.state import Comparison, Difference
 
 _LOAD = ("mass", "com_x", "com_y", "com_z")

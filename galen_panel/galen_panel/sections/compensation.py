@@ -5,8 +5,8 @@ from __future__ import annotations
 from nicegui import ui
 
 from galen_panel import hints, texts
-from galen_panel.elements import pick_class, set_prop
 from galen_panel.page import Page
+from galen_panel.sections.elements import pick_class, set_prop
 from galen_panel.state import InForce, State
 
 _FILE_STATES = {

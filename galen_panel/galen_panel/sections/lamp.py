@@ -6,8 +6,8 @@ import time
 
 from nicegui import ui
 
-from galen_panel.elements import pick_class, set_prop
 from galen_panel.page import Page
+from galen_panel.sections.elements import pick_class, set_prop
 from galen_panel.state import Level
 from galen_panel.words import overall
 

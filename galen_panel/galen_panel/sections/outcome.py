@@ -5,10 +5,10 @@ from __future__ import annotations
 from nicegui import ui
 
 from galen_panel import result_words, texts
-from galen_panel.elements import pick_class, table
 from galen_panel.page import Page
 from galen_panel.result_words import Todo
 from galen_panel.sections.calibration_file import CalibrationFile
+from galen_panel.sections.elements import pick_class, table
 from galen_panel.state import CalibrateGoal, CheckGoal, Goal, Kind, Outcome, State
 
 _ICONS = {"positive": "check_circle", "warning": "warning", "negative": "error"}

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from nicegui import ui
 
-from galen_panel.elements import heading, set_prop
 from galen_panel.page import Page
 from galen_panel.recording_words import VERBS
 from galen_panel.recordings_jobs import Job, Stage
+from galen_panel.sections.elements import heading, set_prop
 from galen_panel.sections.report import ReportDialog
 from galen_panel.state import Answer
 

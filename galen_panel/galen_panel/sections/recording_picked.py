@@ -5,10 +5,10 @@ from __future__ import annotations
 from nicegui import ui
 from starlette.concurrency import run_in_threadpool
 
-from galen_panel.elements import heading
 from galen_panel.page import Page
 from galen_panel.recording_words import facts_of
 from galen_panel.recordings_index import Details, Recording, RecordingKind
+from galen_panel.sections.elements import heading
 from galen_panel.sections.report import ReportDialog
 from galen_panel.sections.report_buttons import ReportButtons
 

@@ -8,11 +8,11 @@ from nicegui import ui
 from starlette.concurrency import run_in_threadpool
 
 from galen_panel import texts
-from galen_panel.elements import heading, set_prop
 from galen_panel.page import Page
 from galen_panel.recording_words import line_of
 from galen_panel.recordings import Listed, ListPage
 from galen_panel.recordings_index import Details, Recording, RecordingKind
+from galen_panel.sections.elements import heading, set_prop
 from galen_panel.sections.recording_jobs import Queue
 from galen_panel.sections.recording_picked import Picked
 from galen_panel.sections.report import ReportDialog

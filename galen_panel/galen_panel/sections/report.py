@@ -5,11 +5,11 @@ from __future__ import annotations
 from nicegui import ui
 from starlette.concurrency import run_in_threadpool
 
-from galen_panel.elements import heading, table
 from galen_panel.page import Page
 from galen_panel.recordings import REPORTS_PATH
 from galen_panel.report_files import EFFECT, Report, ReportError
 from galen_panel.report_view import View, view_of
+from galen_panel.sections.elements import heading, table
 from galen_panel.state import Answer, Level
 
 LAMPS = {

@@ -5,11 +5,11 @@ from __future__ import annotations
 from nicegui import ui
 
 from galen_panel import texts
-from galen_panel.elements import heading
 from galen_panel.page import Page
 from galen_panel.recording_words import VERBS
 from galen_panel.report_files import Report
 from galen_panel.report_view import verdict_of
+from galen_panel.sections.elements import heading
 from galen_panel.sections.report import LAMPS, ReportDialog
 
 _PERIOD_S = 0.5

@@ -7,10 +7,10 @@ from galen_model.tool_file import check_tool_name
 from nicegui import ui
 
 from galen_panel import hints, texts
-from galen_panel.dialogs import buttons, confirmed, dialog
 from galen_panel.page import LOOK_PERIOD_S, Page
 from galen_panel.sections import comparison
 from galen_panel.sections.calibration_options import CalibrationOptions
+from galen_panel.sections.dialogs import buttons, confirmed, dialog
 from galen_panel.state import Answer, Kind
 
 

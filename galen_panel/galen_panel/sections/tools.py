@@ -5,9 +5,9 @@ from __future__ import annotations
 from nicegui import ui
 
 from galen_panel import hints, texts
-from galen_panel.elements import heading, pick_class, set_prop, set_test_id
 from galen_panel.page import Page
 from galen_panel.sections import tool_dialogs
+from galen_panel.sections.elements import heading, pick_class, set_prop, set_test_id
 from galen_panel.state import State, Tool
 
 _LISTED = 40

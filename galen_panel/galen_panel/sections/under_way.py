@@ -8,9 +8,9 @@ import time
 from nicegui import ui
 
 from galen_panel import hints, texts
-from galen_panel.elements import set_prop
 from galen_panel.pace import Pace
 from galen_panel.page import Page
+from galen_panel.sections.elements import set_prop
 from galen_panel.state import Asked, Behaviour, Kind, State
 
 _UNITS = {Kind.CALIBRATE: "poses", Kind.CHECK: "poses", Kind.COLLECT: "pushes"}

@@ -7,8 +7,8 @@ from contextlib import contextmanager
 
 from nicegui import ui
 
-from galen_panel.elements import heading
 from galen_panel.page import Page
+from galen_panel.sections.elements import heading
 
 
 @contextmanager
