@@ -11,11 +11,17 @@ RECORDINGS = Path(__file__).parents[3] / "shared" / "recordings"
 BAGS = sorted(path.parent for path in RECORDINGS.glob("*/*/*/metadata.yaml"))
 
 
-@pytest.mark.slow
 @pytest.mark.timeout(600)
 @pytest.mark.skipif(not BAGS, reason="the project's recordings are not here")
-def test_every_message_of_every_recording():
-    for path in BAGS:
+@pytest.mark.parametrize(
+    "bags",
+    [
+        pytest.param(BAGS[::8], id="some", marks=pytest.mark.slow),
+        pytest.param(BAGS, id="all", marks=pytest.mark.soak),
+    ],
+)
+def test_every_message_of_the_recordings(bags):
+    for path in bags:
         expected = read_by_rosbags(path)
         found, problems = read(path)
         assert found == expected and problems == [], path

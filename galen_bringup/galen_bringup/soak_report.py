@@ -80,7 +80,7 @@ def save_plot(one: Soaked, path: Path) -> None:
     for name, values in one.memory_mb.items():
         axes[0].plot(minutes, values, label=name)
     axes[0].set_ylabel("resident set [MB]")
-    axes[0].set_ylim(bottom=0)
+    axes[0].set_ylim(0, 1.25 * max(map(max, one.memory_mb.values())))
     axes[0].legend(loc="lower right", ncols=4)
     if one.delay_p99_ms:
         for name, values in (
