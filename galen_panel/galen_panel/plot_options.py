@@ -27,7 +27,7 @@ _FONT_PX = 18
 _FONT = "Roboto, sans-serif"
 _LEFT_PX = 96
 _RIGHT_PX = 16
-_HALF = 50
+_RIGHT_COLUMN = "60%"
 
 DEFLECTION_NAMES = ("x", "y", "z", "size")
 # Told apart by their dashes as well as by their colours.
@@ -35,11 +35,11 @@ _DASHES = ("solid", "dashed", "dotted", "solid")
 
 
 class Heading(NamedTuple):
-    """Where a plot's heading goes: left in % of the width, top in px."""
+    """Where a plot's heading goes: left as in CSS, top in px."""
 
     axis: str
     unit: str
-    left_percent: int
+    left: str
     top_px: int
 
 
@@ -62,10 +62,15 @@ def headings() -> list[Heading]:
     """Of the six axes, then of the tip."""
     return [
         *(
-            Heading(axis, "N" if row < 3 else "mN·m", _HALF * (row // 3), _top(row % 3))
+            Heading(
+                axis,
+                "N" if row < 3 else "mN·m",
+                f"{_LEFT_PX}px" if row < 3 else _RIGHT_COLUMN,
+                _top(row % 3),
+            )
             for row, axis in enumerate(WRENCH_AXES)
         ),
-        Heading("tip", "mm", 0, _top(3)),
+        Heading("tip", "mm", f"{_LEFT_PX}px", _top(3)),
     ]
 
 
@@ -166,8 +171,8 @@ def _grid(index: int) -> Option:
     return {
         "top": _top(row) + HEADING_PX,
         "height": ROW_PX - HEADING_PX - BETWEEN_PX,
-        # ECharts adds no lengths in px to those in %: the right column begins at 60 %.
-        "left": "60%" if 3 <= index < 6 else _LEFT_PX,
+        # ECharts adds no lengths in px to those in %.
+        "left": _RIGHT_COLUMN if 3 <= index < 6 else _LEFT_PX,
         "right": "52%" if index < 3 else _RIGHT_PX,
     }
 

@@ -29,8 +29,8 @@ class Shown:
         live.build(page, lambda: self.tab)
 
     def listen(self, user):
-        user.answers(r"return galenPlots\.patch\(\d+, (.*)\)", self._patched)
-        user.answers(r"return galenPlots\.png\(\d+, (.*)\)", self._saved)
+        user.answers(r"galenPlots\.patch\(\d+, (.*)\)", self._patched)
+        user.answers(r"galenPlots\.png\(\d+, (.*)\)", self._saved)
         user.answers(r"return runMethod\(\d+, \"run_method_on_component\", (.*)\)", self._placed)
 
     def _patched(self, match):

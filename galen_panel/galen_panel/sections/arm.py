@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import time
+from pathlib import Path
 
 import numpy as np
 from galen_model.arm import HOME
@@ -19,7 +20,8 @@ from galen_panel.state import InForce
 FACTOR_MAX = 500
 FACTOR = 100
 """0.3 mm are then 30 mm, some 20 pixels."""
-_ANSWER_S = 2.0
+_SCRIPT = Path(__file__).with_suffix(".js")
+_ANSWER_S = 10.0
 _NUMBERS_PERIOD_S = 0.5
 _MEAN_S = 0.1
 _STALE_S = 1.0
@@ -67,6 +69,7 @@ class Arm:
         self._placed = placement if arrived is True else None
 
     def _build(self) -> None:
+        ui.add_head_html(f"<script>{_SCRIPT.read_text()}</script>")
         with ui.row().classes("items-center w-full"):
             for name, (label, _) in _VIEWS.items():
                 ui.button(label, on_click=lambda name=name: self._look_from(name)).props(

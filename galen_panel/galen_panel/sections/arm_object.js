@@ -14,8 +14,8 @@ export default class ArmObject {
     return this.mesh;
   }
 
-  // Answers true, so that the next one isn't sent before this one is there.
-  place(places) {
+  // Answers true when it has been drawn, so that a slow browser is not sent more than it can show.
+  async place(places) {
     for (const [name, place] of Object.entries(places)) {
       const group = this.groups.get(name);
       if (!group) continue;
@@ -24,6 +24,8 @@ export default class ArmObject {
       put(group, place);
       if (place.length > 7) group.scale.set(1, 1, place[7]);
     }
+    this.mesh.userData.placed = (this.mesh.userData.placed ?? 0) + 1;
+    await galenPanel.drawn();
     return true;
   }
 }

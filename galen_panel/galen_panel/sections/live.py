@@ -20,6 +20,7 @@ PLOT_PERIOD_S = 0.2
 ARM_PERIOD_S = 0.1
 _LOOK_PERIOD_S = 0.2
 _STYLE = Path(__file__).with_suffix(".css")
+_SCRIPT = Path(__file__).with_suffix(".js")
 
 
 class _Watch:
@@ -47,6 +48,7 @@ class _Watch:
 def build(page: Page, shown: Callable[[], bool]) -> None:
     """Draw it; `shown` says whether its tab is open."""
     ui.add_css(_STYLE)
+    ui.add_head_html(f"<script>{_SCRIPT.read_text()}</script>")
     client = ui.context.client
     watch = _Watch(page.suite)
     with ui.element("div").classes("live-columns"):

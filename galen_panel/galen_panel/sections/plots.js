@@ -12,8 +12,9 @@ window.galenPlots = (() => {
   }
 
   // message: {now, span, looks: [light, dark], option?, streams: [{whole, from, rows}]}, times in ms.
-  // Answers false where it lacks what came before: then all of it has to be sent.
-  function patch(id, message) {
+  // Answers true when it has been drawn, so that a slow browser is not sent more than it can show,
+  // and false where it lacks what came before: then all of it has to be sent.
+  async function patch(id, message) {
     const chart = chartOf(id);
     if (!chart) return false;
     let state = kept.get(chart);
@@ -38,6 +39,7 @@ window.galenPlots = (() => {
         source: rows.map(([time, ...values]) => [(time - message.now) / 1000, ...values]),
       })),
     });
+    await galenPanel.drawn();
     return true;
   }
 

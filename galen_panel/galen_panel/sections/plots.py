@@ -38,7 +38,7 @@ WINDOWS_S = (10, 30, 60, 120)
 _FIRST_WINDOW_S = 30
 RMS_S = 2.0
 _RMS_PERIOD_S = 0.5
-_ANSWER_S = 3.0
+_ANSWER_S = 10.0
 _MIN_ZOOM_PERCENT = 0.02
 _SCRIPT = Path(__file__).with_suffix(".js")
 _ZOOM_ARGUMENTS = (
@@ -132,7 +132,7 @@ class Plots:
             )
             self._chart.on("chart:datazoom", self._zoomed, js_handler=_ZOOM_ARGUMENTS)
             for heading in headings():
-                place = f"left:{heading.left_percent}%;top:{heading.top_px}px"
+                place = f"left:{heading.left};top:{heading.top_px}px"
                 with ui.row(wrap=False).classes("live-heading").style(place):
                     ui.label(heading.axis).classes("live-axis")
                     number = ui.label("–").classes("live-rms")
@@ -209,7 +209,7 @@ class Plots:
         option = self._option
         if option is not None:
             message |= {"option": option, "looks": [look(dark=False), look(dark=True)]}
-        script = f"return galenPlots.patch({self._chart.id}, {json.dumps(message)})"
+        script = f"galenPlots.patch({self._chart.id}, {json.dumps(message)})"
         arrived = await self._ask(script)
         if arrived and self._option is option:
             self._option = None
@@ -312,7 +312,7 @@ class Plots:
 
     async def _save_png(self) -> None:
         name = file_name("plots", "png", datetime.now())
-        await self._ask(f"return galenPlots.png({self._chart.id}, {json.dumps(name)})")
+        await self._ask(f"galenPlots.png({self._chart.id}, {json.dumps(name)})")
 
     def _tell_silence(self) -> None:
         history, now_s = self._page.suite.history, time.monotonic()
