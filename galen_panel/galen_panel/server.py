@@ -17,6 +17,8 @@ from galen_panel.options import Options
 from galen_panel.recordings import Recordings
 from galen_panel.suite import Suite
 
+RECONNECT_S = 10.0
+
 
 class ServerError(GalenError):
     """The panel can't be served."""
@@ -63,6 +65,8 @@ def serve(suite: Suite, options: Options, on_stop: Callable[[], None]) -> None:
         show=options.place if options.show else False,
         show_welcome_message=False,
         binding_refresh_interval=None,
+        # A browser that stands still for longer gets a new page, and has to find its place again.
+        reconnect_timeout=RECONNECT_S,
         fastapi_docs=False,
         favicon=_ICON,
         ssl_certfile=None if options.certificate is None else str(options.certificate),

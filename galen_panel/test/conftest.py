@@ -55,7 +55,7 @@ def _looked_over(chromium):
 def pytest_runtest_makereport(item, call):
     """Where a test fails, say where the picture of each of its browsers lies."""
     report = yield
-    if report.failed:
+    if report.failed and report.when != "teardown":
         values = {id(one): one for one in item.funcargs.values() if isinstance(one, Browser)}
         for one in values.values():
             path = one.folder / f"{item.name}_{report.when}.png"

@@ -13,6 +13,20 @@ from galen_bringup.processes import executable_path, ros_arguments
 from galen_panel.options import TOKEN_VARIABLE
 from galen_ros.domain import DomainLock
 
+# Quicker than the nodes' defaults, which are for a real arm; the simulated one does not ring.
+BEHAVIOUR = {
+    "settle_s": 0.05,
+    "velocity_window_s": 0.06,
+    "max_angle_velocity_rad_s": 1.4,
+    "max_angle_acceleration_rad_s2": 5.5,
+    "max_delta_velocity_m_s": 0.15,
+    "max_delta_acceleration_m_s2": 0.9,
+    "use_sim_time": True,
+    # A machine with other work is no fault.
+    "silent_timeout_s": 30.0,
+    "service_timeout_s": 60.0,
+    "max_stamp_step_s": 0.5,
+}
 FAKE_PANEL = Path(__file__).with_name("fake_panel.py")
 PATIENCE_S = 60.0
 _POLL_S = 0.02
@@ -51,13 +65,13 @@ class PanelWorld:
     def __exit__(self, *error):
         return self._stack.__exit__(*error)
 
-    def start(self, name, command, **environment):
+    def start(self, name, command, niceness=0, **environment):
         """Start a process; what it says goes to the file that `log` reads."""
         assert name not in self.processes
         clean = {key: text for key, text in os.environ.items() if key not in _NOT_HANDED_ON}
         with (self.folder / f"{name}.log").open("ab") as log:
             self.processes[name] = subprocess.Popen(
-                [str(word) for word in command],
+                ["nice", "-n", str(niceness), *(str(word) for word in command)],
                 env=clean | {"ROS_DOMAIN_ID": str(self.domain_id)} | environment,
                 cwd=self.folder,
                 stdin=subprocess.DEVNULL,
@@ -65,8 +79,35 @@ class PanelWorld:
                 stderr=subprocess.STDOUT,
             )
 
-    def start_node(self, package, executable, parameters=None):
-        self.start(executable, [executable_path(package, executable), *ros_arguments(parameters)])
+    def start_node(self, package, executable, parameters=None, niceness=0):
+        command = [executable_path(package, executable), *ros_arguments(parameters)]
+        self.start(executable, command, niceness)
+
+    def start_driver(self, speed=2.0, **parameters):
+        """Where the machine is short of time, the simulation must be what slows down."""
+        given = {"speed_factor": speed, "seed": 1} | parameters
+        self.start_node("galen_sim_driver", "sim_driver_node", given, niceness=2)
+
+    def start_gravcomp(self, **parameters):
+        self.start_node(
+            "galen_gravcomp",
+            "gravcomp_node",
+            {"tools_dir": self.tools_dir, "use_sim_time": True} | parameters,
+        )
+
+    def start_calibration(self, **parameters):
+        """A sweep visits 12 poses."""
+        few = {"tools_dir": self.tools_dir, "itersT": 3, "itersR": 4, "average_s": 0.25}
+        self.start_node(
+            "galen_calibration_behavior", "calibration_node", BEHAVIOUR | few | parameters
+        )
+
+    def start_check(self, **parameters):
+        self.start_node(
+            "galen_calibration_behavior",
+            "check_node",
+            BEHAVIOUR | {"tools_dir": self.tools_dir} | parameters,
+        )
 
     def start_panel(self, *arguments, fake=False, **environment):
         """Start it and return its link, when it answers there."""

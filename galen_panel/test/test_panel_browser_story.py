@@ -1,0 +1,241 @@
+"""An operator's day in a real browser, on the simulated arm: all of it through the page."""
+
+import numpy as np
+import pytest
+from browser_plots import COMPENSATED, RAW, force_rms, rows
+from galen_model.tool_file import read_tool, tool_path
+from galen_model.tools import TOOLS
+from panel_processes import PanelWorld
+from panel_tools import write_perfect_tool
+from selenium.webdriver.common.keys import Keys
+
+pytestmark = [pytest.mark.slow, pytest.mark.timeout(600)]
+
+# The suite, its simulation and two Chromiums share a machine with other tests.
+PATIENCE_S = 90.0
+NOISE_N = 0.15
+"""The plotted curve is of smallest and largest values, of noise of 0.04 N in its size."""
+
+
+@pytest.fixture(scope="module")
+def world(tmp_path_factory):
+    """The pointer is on; there are files of it and of the retractor."""
+    with PanelWorld(tmp_path_factory.mktemp("world")) as world:
+        for name in TOOLS:
+            write_perfect_tool(world.tools_dir, name)
+        world.start_driver(initial_tool="pointer")
+        world.start_gravcomp()
+        world.start_calibration()
+        world.start_check()
+        world.link = world.start_panel()
+        yield world
+
+
+@pytest.fixture
+def page(browser, world):
+    browser.open(world.link)
+    browser.wait(lambda: browser.usable("calibrate"), "the calibration", PATIENCE_S)
+    browser.wait(lambda: browser.usable("enable"), "the compensation", PATIENCE_S)
+    return browser
+
+
+def put_in_force(browser, tool):
+    browser.click("tab-operate")
+    browser.click(f"tool-{tool}")
+    browser.says("in-force", tool, patience_s=PATIENCE_S)
+
+
+def plotted(browser, stream, holds, what):
+    """Wait until the RMS of the plotted force is such."""
+
+    def look():
+        value = force_rms(browser, stream)
+        return value is not None and holds(value)
+
+    try:
+        browser.wait(look, what, PATIENCE_S)
+    except AssertionError as error:
+        raise AssertionError(f"{error}; it is {force_rms(browser, stream)} N") from None
+
+
+def test_the_right_tool_takes_the_plotted_wrench_to_zero(page):
+    put_in_force(page, "retractor")
+    page.click("tab-live")
+    plotted(page, RAW, lambda value: value > 0.4, "the pointer's weight")
+    plotted(page, COMPENSATED, lambda value: value > 1.0, "the wrong tool to leave a lot over")
+    put_in_force(page, "pointer")
+    page.click("tab-live")
+    plotted(page, COMPENSATED, lambda value: value < NOISE_N, "the weight to be gone")
+    plotted(page, RAW, lambda value: value > 0.4, "the raw wrench to be as before")
+    page.wait(lambda: float(page.text("rms-fz")) < NOISE_N, "the number beside it")
+
+    page.click("enable")
+    page.says("enable", "off")
+    page.says("silence", "wrench_compensated", patience_s=PATIENCE_S)
+    page.wait(lambda: not len(rows(page, COMPENSATED)), "the curve to end", PATIENCE_S)
+    page.click("enable")
+    page.says("enable", "on")
+    plotted(page, COMPENSATED, lambda value: value < NOISE_N, "the compensation to be back")
+
+
+def test_what_is_plotted_can_be_paused_zoomed_and_saved(page):
+    page.click("tab-live")
+    plotted(page, RAW, lambda value: value > 0.4, "something to save")
+    page.click("pause")
+    page.says("pause", "Resume")
+    before = rows(page, RAW, 10.0)
+    page.click("zoom-in")
+    page.wait(lambda: not np.array_equal(rows(page, RAW, 10.0), before), "finer rows")
+    for button, ending in (("csv", ".csv"), ("png", ".png")):
+        page.click(button)
+        (path,) = page.wait(
+            lambda ending=ending: list(page.folder.glob(f"*{ending}")), f"the {ending} file"
+        )
+        assert path.stat().st_size > 1000
+    table = np.genfromtxt(next(page.folder.glob("*.csv")), delimiter=",", names=True)
+    assert len(table) > 100 and "stamp_s" in table.dtype.names
+    assert np.all(np.diff(table["stamp_s"]) > 0)
+    page.click("pause")
+    page.says("pause", "Pause")
+
+
+def test_a_calibration_is_seen_by_everybody_and_kept(page, second_browser, world):
+    put_in_force(page, "pointer")
+    page.type("calibrate-tool", "pointer")
+    page.press(Keys.ENTER)
+    page.click("calibrate")
+    page.find("progress", PATIENCE_S)
+    second_browser.open(world.link)
+    second_browser.find("progress", PATIENCE_S)
+    at_pose(second_browser, 2)
+    assert "started elsewhere" not in second_browser.text("running")
+    second_browser.driver.refresh()
+    done = at_pose(second_browser, 3)
+    assert at_pose(page, done) >= done
+    page.says("poses-summary", "pose")
+
+    for one in (page, second_browser):
+        one.says("outcome", "Calibrated", "pointer", patience_s=3 * PATIENCE_S)
+        one.says("beside", "before", "new", "difference")
+        one.wait(lambda one=one: one.usable("keep"), "keep", PATIENCE_S)
+    file = read_tool(tool_path(world.tools_dir, "pointer"))
+    assert file.poses_used == 24
+    assert file.load.mass_kg == pytest.approx(TOOLS["pointer"].load.mass_kg, abs=5e-4)
+    grams = f"{1e3 * file.load.mass_kg:.2f}"
+    assert grams in page.text("outcome")
+    page.click("keep")
+    for one in (page, second_browser):
+        one.says("fate", "in force", patience_s=PATIENCE_S)
+        one.says("tool-pointer", "in force", patience_s=PATIENCE_S)
+    page.click("tab-live")
+    plotted(page, COMPENSATED, lambda value: value < NOISE_N, "the new file to fit")
+
+
+def test_a_calibration_is_discarded(page, world):
+    """The one before comes back: that of the story's begin, or of the calibration kept."""
+    before = tool_path(world.tools_dir, "pointer").read_bytes()
+    page.click("tab-operate")
+    page.type("calibrate-tool", "pointer")
+    page.press(Keys.ENTER)
+    page.click("calibrate")
+    page.find("progress", PATIENCE_S)
+    page.wait(lambda: page.usable("discard"), "the end", 3 * PATIENCE_S)
+    assert tool_path(world.tools_dir, "pointer").read_bytes() != before
+    page.click("discard")
+    page.click("dialog-ok")
+    page.wait(
+        lambda: tool_path(world.tools_dir, "pointer").read_bytes() == before,
+        "the file before",
+        PATIENCE_S,
+    )
+
+
+def test_a_calibration_is_canceled(page, world):
+    before = tool_path(world.tools_dir, "pointer").read_bytes()
+    page.type("calibrate-tool", "pointer")
+    page.press(Keys.ENTER)
+    page.click("calibrate")
+    at_pose(page, 1)
+    page.click("tab-nodes")  # it is reached from everywhere
+    page.click("cancel")
+    page.click("tab-operate")
+    page.says("outcome", "Canceled", patience_s=PATIENCE_S)
+    assert not page.all("progress")
+    assert tool_path(world.tools_dir, "pointer").read_bytes() == before
+    page.wait(lambda: page.usable("calibrate"), "another one to be possible", PATIENCE_S)
+
+
+def test_a_quick_check_says_that_the_file_fits(page):
+    put_in_force(page, "pointer")
+    page.click("check")
+    page.says("outcome", "Good", patience_s=3 * PATIENCE_S)
+
+
+def test_the_keyboard_does_it_all(page):
+    """Put another tool in force, switch, tare; the focus is seen wherever it is."""
+    put_in_force(page, "pointer")
+    page.driver.refresh()
+    page.says("in-force", "pointer", patience_s=PATIENCE_S)
+    page.wait(lambda: page.usable("tool-retractor"), "the tools", PATIENCE_S)
+    go_to(page, "tare")
+    page.press(Keys.ENTER)
+    page.says("tare-value", "Takes off", patience_s=PATIENCE_S)
+    go_to(page, "enable")
+    page.press(Keys.SPACE)
+    page.says("enable", "off", patience_s=PATIENCE_S)
+    page.press(Keys.SPACE)
+    page.says("enable", "on", patience_s=PATIENCE_S)
+    go_to(page, "tool-retractor")
+    page.press(Keys.ENTER)
+    page.says("in-force", "retractor", patience_s=PATIENCE_S)
+    go_to(page, "tab-live")
+    page.press(Keys.ENTER)
+    page.find("plot")
+    go_to(page, "pause")
+    page.press(Keys.ENTER)
+    page.says("pause", "Resume")
+
+
+def test_the_driver_is_lost_and_comes_back(page, world):
+    put_in_force(page, "pointer")
+    page.wait(lambda: level(page) == "ok", "all to be well", PATIENCE_S)
+    page.click("tab-live")
+    plotted(page, COMPENSATED, lambda value: value < NOISE_N, "the compensation")
+    world.kill("sim_driver_node")
+    page.wait(lambda: level(page) in ("error", "stale"), "the lamp to say so", PATIENCE_S)
+    page.says("silence", "wrench_raw", patience_s=PATIENCE_S)
+    page.click("tab-nodes")
+    page.says("node-sim_driver", "ros2 run galen_sim_driver", patience_s=PATIENCE_S)
+    world.start_driver(initial_tool="pointer")
+    page.wait(lambda: level(page) == "ok", "all to be well again", PATIENCE_S)
+    page.click("tab-live")
+    plotted(page, COMPENSATED, lambda value: value < NOISE_N, "the compensation to be back")
+
+
+def at_pose(browser, number):
+    """Wait until so many poses are done; returns how many are."""
+
+    def look():
+        texts = [element.text for element in browser.all("count")]
+        done = [int(text.split()[0]) for text in texts if text]
+        return done and done[0] >= number and done[0]
+
+    return browser.wait(look, f"pose {number}", PATIENCE_S)
+
+
+def level(browser):
+    return browser.find("lamp").get_attribute("data-level")
+
+
+def go_to(browser, testid):
+    """Press Tab until the focus is there, and see that it shows."""
+    for _ in range(120):
+        browser.press(Keys.TAB)
+        if browser.focus() == testid:
+            break
+    assert browser.focus() == testid, f"Tab does not lead to {testid}"
+    style = browser.script(
+        "const style = getComputedStyle(document.activeElement);"
+        "return [style.outlineStyle, parseFloat(style.outlineWidth)]"
+    )
+    assert style[0] != "none" and style[1] >= 2, f"the focus on {testid} is not seen: {style}"
