@@ -164,6 +164,11 @@ class Browser:
         self._read_logs()
         return self._errors
 
+    def forgive(self, words):
+        """Errors of the console with these words were expected."""
+        self._read_logs()
+        self._errors = [text for text in self._errors if words not in text]
+
     def _read_logs(self):
         for entry in self.driver.get_log("performance"):
             message = json.loads(entry["message"])["message"]

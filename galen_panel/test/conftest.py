@@ -21,9 +21,9 @@ def start_browser(tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def chromium(start_browser):
-    """The file's Chromium."""
-    return start_browser()
+def chromium(start_browser, request):
+    """The file's Chromium; it draws in three dimensions where the file says WEBGL = True."""
+    return start_browser(webgl=getattr(request.module, "WEBGL", False))
 
 
 @pytest.fixture(scope="module")

@@ -109,9 +109,9 @@ class PanelWorld:
             BEHAVIOUR | {"tools_dir": self.tools_dir} | parameters,
         )
 
-    def start_panel(self, *arguments, fake=False, **environment):
+    def start_panel(self, *arguments, fake=False, port=None, **environment):
         """Start it and return its link, when it answers there."""
-        port = free_port()
+        port = port or free_port()
         program = [executable_path("galen_panel", "panel")]
         if fake:
             program = [sys.executable, FAKE_PANEL]
