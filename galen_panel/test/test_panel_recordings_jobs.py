@@ -256,6 +256,33 @@ def test_the_real_worker_ends_when_the_panel_is_killed(output):
         until(lambda: gone(worker), "the worker's end")
 
 
+FAILING = """
+from galen_panel import bag_worker
+
+def evaluate(*_):
+    print("a library's chatter")
+    raise {error}
+
+bag_worker.evaluate = evaluate
+raise SystemExit(bag_worker.main())
+"""
+
+
+@pytest.mark.parametrize(
+    ("error", "text"),
+    [
+        ("MemoryError", "It failed: there is not enough memory for this recording"),
+        ("KeyError('x')", "It failed: the program failed: KeyError: 'x'"),
+    ],
+)
+def test_the_real_worker_tells_what_ended_it(output, error, text):
+    jobs = Jobs(Reports(output), [sys.executable, "-c", FAILING.format(error=error)])
+    jobs.submit(wanted("good"))
+    job = ended(jobs, 1)
+    assert (job.stage, job.text) == (Stage.FAILED, text)
+    jobs.close()
+
+
 # Reports on the disk
 
 
