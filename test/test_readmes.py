@@ -16,10 +16,12 @@ from galen_deflection.collection_node import CollectionNode
 from galen_deflection.node import DeflectionNode
 from galen_diagnosis.gap_monitor import GapMonitorNode
 from galen_gravcomp.node import GravcompNode
+from galen_panel.ros_suite import RosSuite
 from galen_ros.cdr import WrenchBytes
 from galen_ros.parameters import markdown_table
 from galen_ros.testing import Harness, parameters
 from galen_sim_driver.node import SimDriverNode
+from rclpy.node import Node
 
 ROOT = Path(__file__).resolve().parent.parent
 PACKAGES = sorted(path.parent.name for path in ROOT.glob("*/package.xml"))
@@ -100,9 +102,12 @@ def plain(kind):
     return re.sub(r"/(msg|srv|action)/", "/", kind)
 
 
-def in_use(node):
-    """What the graph knows of a node: {name: type}, names as the README writes them."""
-    name, space = node.get_name(), node.get_namespace()
+def in_use(node, name=None):
+    """What the graph knows of a node: {name: type}, names as the README writes them.
+
+    name: of another one that it sees.
+    """
+    name, space = name or node.get_name(), node.get_namespace()
     graph = (
         node.get_publisher_names_and_types_by_node(name, space)
         + node.get_subscriber_names_and_types_by_node(name, space)
@@ -146,3 +151,18 @@ def test_interface_tables_are_what_the_node_has(package, tmp_path):
     readme = documented(package)
     assert code.items() <= readme.items(), "in the code, not in the README"
     assert set(readme) - set(code) <= WHILE_BUSY.get(package, set()), "in the README alone"
+
+
+def test_the_panels_interface_table_is_what_it_has(monkeypatch):
+    with Harness() as harness:
+        probe = harness.add(lambda context: Node("probe", context=context))
+        monkeypatch.setenv("ROS_DOMAIN_ID", str(harness.domain_id))
+        wanted = documented("galen_panel")
+        with RosSuite(["panel"]) as suite, suite.watch():
+
+            def seen():
+                names = [name for name in probe.get_node_names() if name.startswith("panel")]
+                return {key: kind for name in names for key, kind in in_use(probe, name).items()}
+
+            harness.wait_for(lambda: set(seen()) >= set(wanted), 10.0, "all that the README names")
+            assert seen() == wanted
