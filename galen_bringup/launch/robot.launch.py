@@ -161,8 +161,8 @@ def generate_launch_description() -> LaunchDescription:
                     *("--bags-dir", LaunchConfiguration("bags_dir")),
                 ],
                 condition=IfCondition(LaunchConfiguration("panel")),
-                # Plots may wait, wrenches may not.
-                prefix="nice -n 10",
+                # Plots may wait, wrenches may not; but a cancel must get through on a busy machine.
+                prefix="nice -n 5",
                 **common,
             ),
         ]
