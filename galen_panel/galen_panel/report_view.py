@@ -19,6 +19,7 @@ Row = list[str]
 _UNITS = ("mN", "mN", "mN", "mN·m", "mN·m", "mN·m")
 _AXES = [f"{axis} ({unit})" for axis, unit in zip(WRENCH_AXES, _UNITS, strict=True)]
 _RANKED = 6
+_WORTH_NAMING = 0.001
 
 VERDICTS = {
     ("evaluate", "fits"): (Level.OK, "The tool's file fits"),
@@ -196,9 +197,11 @@ def _diagnosis(content: Mapping[str, Any]) -> tuple[list[tuple[str, list[str]]],
         headers = ["cause", "probability", "how much (95 % interval)", "gap closed", "or else"]
         tables.append(Table("Causes", headers, [_cause(one) for one in content["causes"]]))
     ranking = [
-        [title(one["effect"]), f"{one['probability']:.1%}"] for one in content["ranking"][:_RANKED]
+        [title(one["effect"]), f"{one['probability']:.1%}"]
+        for one in content["ranking"][:_RANKED]
+        if one["probability"] >= _WORTH_NAMING
     ]
-    tables.append(Table("What else it may be", ["effect", "probability"], ranking))
+    tables.append(Table("How likely each effect is", ["effect", "probability"], ranking))
     return lists, tables
 
 
