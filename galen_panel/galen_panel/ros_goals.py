@@ -60,7 +60,8 @@ class _Followed:
     new: bool
     began_s: float
     stop_asking: Callable[[], None] = lambda: None
-    asked_s: float = 0.0
+    asked_s: float | None = None
+    said: str = ""
     heard_s: float = 0.0
     over: bool = False
     """By its status; the result is still to come."""
@@ -148,7 +149,7 @@ class GoalFollower:
                 self._begin(goal_id)
                 reply.give(Answer(True, kind.begun(goal)))
             else:
-                del self._ours[goal_id]
+                self._ours.pop(goal_id, None)
                 now_s = time.monotonic()
                 refusal = _Refusal(reply, sent_s, now_s + _REFUSAL_PATIENCE_S)
                 self._refusals.append(refusal)
@@ -212,6 +213,9 @@ class GoalFollower:
 
     def _begin(self, goal_id: bytes) -> None:
         """Follow a goal from now on; of another one before it no more is to be heard."""
+        # Also where its acceptance is the last that comes of it.
+        if goal_id in self._ended:
+            return
         if self._followed is not None:
             if self._followed.goal_id == goal_id:
                 return
@@ -239,8 +243,6 @@ class GoalFollower:
         )
         self._show(followed)
         self._ask_result(followed)
-        if goal is None and self._report is not None:
-            self._take_report(followed, self._report)
 
     def _is_new(self, tool: str) -> bool:
         tools = self._board.state.tools
@@ -271,9 +273,9 @@ class GoalFollower:
 
     def _ask_result(self, followed: _Followed) -> None:
         followed.stop_asking()
-        followed.asked_s = time.monotonic()
         if not self._get_result.service_is_ready():
             return  # asked when it is; or the goal is lost
+        followed.asked_s = time.monotonic()
         request = self._impl.GetResultService.Request(goal_id=UUID(uuid=list(followed.goal_id)))
         followed.stop_asking = self._calls.send(
             self._get_result,
@@ -307,12 +309,14 @@ class GoalFollower:
             if now_s - followed.gone_s > _LOST_S:
                 self._lose(followed)
             return
-        if (silent_s := self._silent_s(followed, now_s)) > SILENT_S:
-            silent = f"{self._kind.program.executable} has said nothing for {silent_s:.0f} s"
-            self._show(followed, message=silent)
+        silent_s, message = self._silent_s(followed, now_s), followed.said
+        if silent_s > SILENT_S:
+            message = f"{self._kind.program.executable} has said nothing for {silent_s:.0f} s"
+        self._show(followed, message=message)
         back, followed.gone_s = followed.gone_s is not None, None
         overdue = followed.over or self._idle_since(followed.began_s)
-        if back or (overdue and now_s - followed.asked_s > _ASK_AGAIN_S):
+        asked_s = followed.asked_s
+        if asked_s is None or back or (overdue and now_s - asked_s > _ASK_AGAIN_S):
             self._ask_result(followed)
 
     def _silent_s(self, followed: _Followed, now_s: float) -> float:
@@ -331,7 +335,7 @@ class GoalFollower:
                 followed.over = one.status not in _ACTIVE
                 if one.status == GoalStatus.STATUS_CANCELING:
                     self._show(followed, canceling=True)
-            elif one.status in _ACTIVE and goal_id not in self._ended:
+            elif one.status in _ACTIVE:
                 self._begin(goal_id)
 
     def _on_feedback(self, message: Any) -> None:
@@ -343,6 +347,7 @@ class GoalFollower:
         assert followed is not None
         followed.heard_s = time.monotonic()
         step, behaviour = self._kind.step(message.feedback), followed.behaviour
+        followed.said = one_line(step.message)
         phase = self._kind.phase_text(step.phase)
         asked = behaviour.asked if phase == behaviour.phase else None
         if isinstance(followed.goal, CalibrateGoal) and followed.goal.by_hand:
@@ -350,7 +355,7 @@ class GoalFollower:
         self._show(
             followed,
             phase=phase,
-            message=one_line(step.message),
+            message=followed.said,
             done=step.done,
             total=step.total,
             poses=_with(behaviour.poses, step.pose),

@@ -214,6 +214,24 @@ def test_a_goal_that_makes_no_sense_is_not_sent(goals, goal):
     assert goals.server.goal is None and goals.behaviour is None
 
 
+def test_a_goal_that_ends_at_once_has_ended(goals):
+    """Its acceptance and its result cross on the way, in either order."""
+    start = goals.server.on_start
+
+    def on_start(handle):
+        start(handle)
+        goals.server.end(ErrorCode.BAD_INPUT, "no such pose")
+
+    goals.server.server._on_start = on_start
+    numbers = set()
+    for _ in range(10):
+        assert goals.ask(goals.suite.start(CalibrateGoal("pointer"))).ok
+        outcome = goals.seen("the end", lambda b: b.outcome if b.number not in numbers else None)
+        assert outcome.error == "BAD_INPUT"
+        numbers.add(goals.behaviour.number)
+    assert len(numbers) == 10
+
+
 def test_a_goal_of_somebody_else_is_shown_and_can_be_canceled(goals):
     theirs = goals.send_as_another()
     goals.seen("their goal", lambda b: b.tool == "pointer" and b.total == 4)
@@ -309,12 +327,14 @@ class OutOfSight:
 def test_a_node_that_says_nothing_is_told_and_its_goal_goes_on(goals, monkeypatch):
     monkeypatch.setattr(ros_goals, "SILENT_S", 0.5)
     goals.ask(goals.suite.start(CalibrateGoal("pointer")))
+    goals.do(lambda: goals.server.pose(1, 0.1))
+    goals.seen("its word", lambda b: b.message == "recorded")
     timer = goals.server.diagnostics._timer
     goals.do(timer.cancel)
     goals.seen("the silence", lambda b: "calibration_node has said nothing for" in b.message)
     assert goals.behaviour.running
-    goals.do(lambda: goals.server.pose(1, 0.1))
-    goals.seen("its word", lambda b: b.message == "recorded")
+    goals.do(timer.reset)
+    goals.seen("its word again", lambda b: b.message == "recorded")
 
 
 def test_a_goal_that_was_out_of_sight_is_followed_again(goals):
