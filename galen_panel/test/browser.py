@@ -144,6 +144,17 @@ class Browser:
         self.script("arguments[0].select()", field)
         field.send_keys(text)
 
+    def choose(self, testid, text):
+        """An entry of a list that opens."""
+        self.click(testid)
+
+        def look():
+            entries = self.driver.find_elements(By.CSS_SELECTOR, ".q-menu .q-item")
+            return next((one for one in entries if text in one.text), None)
+
+        self.wait(look, f"the entry {text} of {testid}").click()
+        self.wait(lambda: look() is None, f"the list of {testid} to close")
+
     def press(self, *keys):
         """Keys to whatever has the focus."""
         webdriver.ActionChains(self.driver).send_keys(*keys).perform()
@@ -165,7 +176,8 @@ class Browser:
         return self._errors
 
     def forgive(self, words):
-        """Errors of the console with these words were expected."""
+        """Leave the page; errors of the console with these words were expected."""
+        self.driver.get("about:blank")
         self._read_logs()
         self._errors = [text for text in self._errors if words not in text]
 

@@ -10,6 +10,8 @@ from galen_panel.access import new_token
 from panel_processes import PanelWorld
 from selenium.webdriver.common.by import By
 
+pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]
+
 TOKEN = new_token()
 
 # Tries all a page may try, and tells what got through.

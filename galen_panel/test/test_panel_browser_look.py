@@ -116,8 +116,7 @@ def test_a_recording_is_evaluated_and_its_report_read(browser, second_browser, l
     )
     rows[0].click()
     browser.says("bag-picked", "free_motion")
-    browser.click("bag-tool")
-    choose(browser, "retractor")
+    browser.choose("bag-tool", "retractor")
     browser.click("evaluate")
     second_browser.open(link)
     open_tab(second_browser, "recordings")
@@ -140,19 +139,6 @@ def test_a_recording_is_evaluated_and_its_report_read(browser, second_browser, l
     assert too_small(found) == [] and too_faint(found) == []
     picture = "return document.querySelector('.panel-picture')?.naturalWidth ?? 0"
     browser.wait(lambda: browser.script(picture) > 300, "the report's picture")
-
-
-def choose(browser, text):
-    """The entry of an open list."""
-    entries = browser.wait(
-        lambda: [
-            one
-            for one in browser.driver.find_elements("css selector", ".q-menu .q-item")
-            if text in one.text
-        ],
-        f"the entry {text}",
-    )
-    entries[0].click()
 
 
 def open_tab(browser, name):

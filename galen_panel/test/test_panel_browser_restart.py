@@ -35,7 +35,9 @@ def test_the_panel_before_the_nodes_and_killed_while_they_work(browser, tmp_path
         browser.click("tab-operate")
         browser.find("tool-pointer", PATIENCE_S)
         browser.wait(lambda: browser.usable("calibrate"), "the calibration", PATIENCE_S)
-        choose_by_hand(browser)
+        browser.choose("calibrate-tool", "pointer")
+        browser.click("calibrate-options")
+        browser.click("calibrate-by-hand")
         browser.click("calibrate")
         browser.says("asked", "Take the tool off", patience_s=PATIENCE_S)
 
@@ -55,15 +57,6 @@ def test_the_panel_before_the_nodes_and_killed_while_they_work(browser, tmp_path
         browser.click("cancel")
         browser.says("outcome", "Canceled", patience_s=PATIENCE_S)
         browser.forgive("ERR_CONNECTION_REFUSED")
-
-
-def choose_by_hand(browser):
-    browser.find("card-calibrate")
-    browser.type("calibrate-tool", "pointer")
-    browser.press("\ue007")
-    browser.click("calibrate-options")
-    browser.find("calibrate-by-hand")
-    browser.click("calibrate-by-hand")
 
 
 def done(browser):

@@ -101,8 +101,7 @@ def test_what_is_plotted_can_be_paused_zoomed_and_saved(page):
 
 def test_a_calibration_is_seen_by_everybody_and_kept(page, second_browser, world):
     put_in_force(page, "pointer")
-    page.type("calibrate-tool", "pointer")
-    page.press(Keys.ENTER)
+    page.choose("calibrate-tool", "pointer")
     page.click("calibrate")
     page.find("progress", PATIENCE_S)
     second_browser.open(world.link)
@@ -119,7 +118,7 @@ def test_a_calibration_is_seen_by_everybody_and_kept(page, second_browser, world
         one.says("beside", "before", "new", "difference")
         one.wait(lambda one=one: one.usable("keep"), "keep", PATIENCE_S)
     file = read_tool(tool_path(world.tools_dir, "pointer"))
-    assert file.poses_used == 24
+    assert file.poses_used == 12
     assert file.load.mass_kg == pytest.approx(TOOLS["pointer"].load.mass_kg, abs=5e-4)
     grams = f"{1e3 * file.load.mass_kg:.2f}"
     assert grams in page.text("outcome")
@@ -135,8 +134,7 @@ def test_a_calibration_is_discarded(page, world):
     """The one before comes back: that of the story's begin, or of the calibration kept."""
     before = tool_path(world.tools_dir, "pointer").read_bytes()
     page.click("tab-operate")
-    page.type("calibrate-tool", "pointer")
-    page.press(Keys.ENTER)
+    page.choose("calibrate-tool", "pointer")
     page.click("calibrate")
     page.find("progress", PATIENCE_S)
     page.wait(lambda: page.usable("discard"), "the end", 3 * PATIENCE_S)
@@ -152,8 +150,7 @@ def test_a_calibration_is_discarded(page, world):
 
 def test_a_calibration_is_canceled(page, world):
     before = tool_path(world.tools_dir, "pointer").read_bytes()
-    page.type("calibrate-tool", "pointer")
-    page.press(Keys.ENTER)
+    page.choose("calibrate-tool", "pointer")
     page.click("calibrate")
     at_pose(page, 1)
     page.click("tab-nodes")  # it is reached from everywhere
@@ -198,7 +195,7 @@ def test_the_keyboard_does_it_all(page):
 
 def test_the_driver_is_lost_and_comes_back(page, world):
     put_in_force(page, "pointer")
-    page.wait(lambda: level(page) == "ok", "all to be well", PATIENCE_S)
+    page.wait(lambda: level(page) in ("ok", "warn"), "all to be well", PATIENCE_S)
     page.click("tab-live")
     plotted(page, COMPENSATED, lambda value: value < NOISE_N, "the compensation")
     world.kill("sim_driver_node")
@@ -207,7 +204,7 @@ def test_the_driver_is_lost_and_comes_back(page, world):
     page.click("tab-nodes")
     page.says("node-sim_driver", "ros2 run galen_sim_driver", patience_s=PATIENCE_S)
     world.start_driver(initial_tool="pointer")
-    page.wait(lambda: level(page) == "ok", "all to be well again", PATIENCE_S)
+    page.wait(lambda: level(page) in ("ok", "warn"), "all to be well again", PATIENCE_S)
     page.click("tab-live")
     plotted(page, COMPENSATED, lambda value: value < NOISE_N, "the compensation to be back")
 

@@ -147,6 +147,7 @@ def test_a_signal_ends_it_with_code_0_also_with_a_connection_open(world, number)
     assert "Traceback" not in world.log("panel")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_a_signal_while_it_starts_is_not_lost(world, number):
     world.start("panel", [sys.executable, FAKE_PANEL, "--port", free_port()])
