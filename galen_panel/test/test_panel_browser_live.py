@@ -10,7 +10,7 @@ pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]
 PATIENCE_S = 90.0
 OPTION = """
 const element = document.querySelector('[data-testid=plot]');
-const option = getElement(Number(element.id.slice(1)))?.chart?.getOption();
+const option = getElement(Number(element?.id.slice(1) ?? -1))?.chart?.getOption();
 return option?.dataset.map(({source}) => source) ?? [];
 """
 ZOOM = """
@@ -20,7 +20,7 @@ return [zoom.startValue, zoom.endValue];
 """
 ARM = """
 const element = document.querySelector('[data-testid=arm]');
-const scene = window['scene_' + element.id];
+const scene = window['scene_' + element?.id];
 const object = scene?.children.find(child => child.userData.placed);
 return object ? [object.userData.placed, object.children.length,
   object.children.filter(child => child.visible).length] : [0, 0, 0];
