@@ -4,16 +4,20 @@ from __future__ import annotations
 
 import sys
 
-from galen_model.errors import GalenError
-from galen_ros.spin import own_arguments
-
-from galen_panel.options import read_options
+from galen_panel.ending import end_by_signals
 
 
 def main() -> None:
     """Run the panel; see `panel --help`."""
+    # Before the slow imports: an early signal, too, is an orderly end.
+    end_by_signals()
+    from galen_model.errors import GalenError
+    from galen_ros.spin import own_arguments
+
+    from galen_panel.options import read_options
+
     options = read_options(own_arguments(sys.argv)[1:])
-    # Slow to import, and nothing of it is needed for --help.
+    # Slower still, and nothing of it is needed for --help.
     from galen_panel.ros_suite import RosSuite
     from galen_panel.server import serve
 

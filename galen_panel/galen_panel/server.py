@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import os
-import signal
 import socket
 import ssl
 from collections.abc import Callable
 from contextlib import closing
-from types import FrameType
 
 from galen_model.errors import GalenError
 
 from galen_panel.access import Access
+from galen_panel.ending import end_by_signals
 from galen_panel.options import Options
 from galen_panel.recordings import Recordings
 from galen_panel.suite import Suite
@@ -29,9 +28,7 @@ def serve(suite: Suite, options: Options, on_stop: Callable[[], None]) -> None:
 
     Raises ServerError where the address can't be had, or the certificate not be read.
     """
-    # Before the slow imports: an early signal, too, is an orderly end.
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, _end)
+    end_by_signals()
     _check_address(options)
     _check_certificate(options)
     # NiceGUI looks for what it stored, which the panel doesn't use, in the working directory, where
@@ -82,11 +79,6 @@ _ICON = (
     ' rx="3" fill="#10324d"/><path d="M3 12 8 4l5 8" fill="none" stroke="#f5a623"'
     ' stroke-width="2"/></svg>'
 )
-
-
-def _end(_number: int, _frame: FrameType | None) -> None:
-    """A signal is how the panel ends. While uvicorn runs it takes them, and repeats them here."""
-    raise SystemExit(0)
 
 
 def _check_address(options: Options) -> None:
