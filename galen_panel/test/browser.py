@@ -145,15 +145,20 @@ class Browser:
         field.send_keys(text)
 
     def choose(self, testid, text):
-        """An entry of a list that opens."""
-        self.click(testid)
+        """An entry of a list that opens; a page that is just changing closes it again."""
 
-        def look():
+        def entry():
             entries = self.driver.find_elements(By.CSS_SELECTOR, ".q-menu .q-item")
             return next((one for one in entries if text in one.text), None)
 
-        self.wait(look, f"the entry {text} of {testid}").click()
-        self.wait(lambda: look() is None, f"the list of {testid} to close")
+        def opened():
+            found = entry()
+            if found is None and not self.driver.find_elements(By.CSS_SELECTOR, ".q-menu"):
+                self.click(testid)
+            return found
+
+        self.wait(opened, f"the entry {text} of {testid}").click()
+        self.wait(lambda: entry() is None, f"the list of {testid} to close")
 
     def press(self, *keys):
         """Keys to whatever has the focus."""

@@ -76,7 +76,6 @@ def operate(browser, path):
     """In the middle of a calibration."""
     browser.wait(lambda: browser.usable("calibrate"), "the calibration", PATIENCE_S)
     browser.says("in-force", "retractor", patience_s=PATIENCE_S)
-    browser.choose("calibrate-tool", "retractor")
     browser.click("calibrate")
     browser.wait(lambda: done(browser) >= POSES, "some poses", PATIENCE_S)
     take(browser, path)
