@@ -33,16 +33,25 @@ def main():
     output.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory() as folder, PanelWorld(folder) as world:
         link = start(world)
-        for scheme, ending in (("light", ""), ("dark", "_dark")):
-            browser = Browser(world.folder, 1500, 1250, webgl=True)
-            try:
-                browser.prefer(scheme)
-                browser.open(link)
-                operate(browser, output / f"panel_operate{ending}.png")
-                live(browser, world, output / f"panel_live{ending}.png")
-                recordings(browser, output / f"panel_recordings{ending}.png")
-            finally:
-                browser.close()
+        # A calibration takes the tool off: last.
+        for take_all in (looks, operates):
+            for scheme, ending in (("light", ""), ("dark", "_dark")):
+                browser = Browser(world.folder, 1600, 1250, webgl=True)
+                try:
+                    browser.prefer(scheme)
+                    browser.open(link)
+                    take_all(browser, world, output, ending)
+                finally:
+                    browser.close()
+
+
+def looks(browser, world, output, ending):
+    live(browser, world, output / f"panel_live{ending}.png")
+    recordings(browser, output / f"panel_recordings{ending}.png")
+
+
+def operates(browser, _world, output, ending):
+    operate(browser, output / f"panel_operate{ending}.png")
 
 
 def start(world):
@@ -86,6 +95,7 @@ def operate(browser, path):
 
 def live(browser, world, path):
     """While the tool is pushed."""
+    browser.says("in-force", "retractor", patience_s=PATIENCE_S)
     browser.click("tab-live")
     browser.find("plot")
     run_hand(world)
@@ -108,7 +118,6 @@ def recordings(browser, path):
     )
     bags[0].click()
     browser.says("bag-picked", "cable_sweep")
-    browser.choose("bag-tool", "retractor")
     browser.click("evaluate")
     selector = "[data-testid=jobs] [data-testid$=-report]"
     reports = browser.wait(
