@@ -112,12 +112,12 @@ def recordings(browser, path):
             row
             for number in range(8)
             for row in browser.all(f"bag-{number}")
-            if "cable_sweep" in row.text
+            if "free_motion" in row.text
         ],
         "the recordings",
     )
     bags[0].click()
-    browser.says("bag-picked", "cable_sweep")
+    browser.says("bag-picked", "free_motion")
     browser.click("evaluate")
     selector = "[data-testid=jobs] [data-testid$=-report]"
     reports = browser.wait(
