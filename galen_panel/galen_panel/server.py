@@ -16,7 +16,7 @@ from galen_panel.options import Options
 from galen_panel.recordings import Recordings
 from galen_panel.suite import Suite
 
-RECONNECT_S = 10.0
+RECONNECT_S = 15.0
 
 
 class ServerError(GalenError):

@@ -2,6 +2,7 @@
 
 import pytest
 from browser import CHROMEDRIVER, CHROMIUM, Browser
+from selenium.common.exceptions import WebDriverException
 
 
 @pytest.fixture(scope="module")
@@ -59,5 +60,9 @@ def pytest_runtest_makereport(item, call):
         values = {id(one): one for one in item.funcargs.values() if isinstance(one, Browser)}
         for one in values.values():
             path = one.folder / f"{item.name}_{report.when}.png"
-            report.sections.append(("screenshot", str(one.screenshot(path))))
+            try:
+                found = str(one.screenshot(path))
+            except WebDriverException as error:  # it must not hide why the test failed
+                found = f"none: {error.msg}"
+            report.sections.append(("screenshot", found))
     return report
