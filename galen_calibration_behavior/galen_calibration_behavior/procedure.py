@@ -376,11 +376,14 @@ class CalibrationProcedure(PoseProcedure[Command, Finished]):
         wrench: tuple[float, ...] = (float("nan"),) * 6
         if verdict.record is not None:
             wrench = tuple(float(value) for value in verdict.record.wrench)
-        where = f"{self._sweep.name}/{verdict.index}"
+        sweep = self._sweep
+        message = f"pose {sweep.finished_poses} of {sweep.count} recorded"
+        if verdict.message:
+            message = f"{sweep.name}/{verdict.index}: {verdict.message}"
         self._commands.append(
             Feedback(
                 self._state,
-                f"{where}: {verdict.message}" if verdict.message else f"{where} recorded",
+                message,
                 pose=self._sweep.finished_poses,
                 poses=self._sweep.count,
                 done=done,
