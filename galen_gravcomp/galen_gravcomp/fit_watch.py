@@ -181,6 +181,8 @@ class GravityFitWatch:
         """What is wrong, if something is: by the fewest of the newest stops that tell of it."""
         assert self._evidence is not None and self._tool is not None
         stops = self._judged
+        if not stops:  # a tare in the first moments of the first stop, or of one that it leaves
+            return None
         newest = stops[-1]
         lone = newest.lasts_s >= _LONE_S
         for count in sorted({1 if lone else _NEWEST, _NEWEST, REMEMBERED}):

@@ -147,6 +147,18 @@ def test_a_tare_moves_what_is_remembered():
     assert watched.now == FITS
 
 
+def test_a_tare_in_the_first_stop_s_first_moments_is_no_end():
+    """Of one window nothing is judged: a node once ended here."""
+    watched = Watched(seed=4)
+    arm = watched.arm
+    arm.visit(2)
+    arm.hold(1.6)
+    assert [stop.windows for stop in watched.watch._memory.stops] == [1]
+    watched.watch.offset_changed(np.zeros(6))
+    arm.hold(2.0)
+    assert watched.now == FITS
+
+
 def test_the_node_s_state_warns_of_it_and_a_bad_file_is_worse():
     compensator = Compensator(stages=Stages(fit=GravityFitWatch()))
     monitor = Monitor(compensator, 1.0)

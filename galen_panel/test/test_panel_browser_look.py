@@ -102,6 +102,7 @@ def test_everything_that_acts_has_a_name_and_a_place_in_the_order(browser, link)
         assert nameless == [], tab
 
 
+@pytest.mark.soak
 def test_a_recording_is_evaluated_and_its_report_read(browser, second_browser, link):
     browser.open(link)
     open_tab(browser, "recordings")

@@ -6,7 +6,7 @@ import pytest
 from panel_processes import PanelWorld
 from panel_tools import write_perfect_tool
 
-pytestmark = [pytest.mark.slow, pytest.mark.timeout(600)]
+pytestmark = [pytest.mark.soak, pytest.mark.timeout(600)]
 
 PATIENCE_S = 90.0
 

@@ -148,6 +148,12 @@ def test_a_calibration_is_discarded(page, world):
     )
 
 
+def test_a_quick_check_says_that_the_file_fits(page):
+    put_in_force(page, "pointer")
+    page.click("check")
+    page.says("outcome", "Good", patience_s=3 * PATIENCE_S)
+
+
 def test_a_calibration_is_canceled(page, world):
     before = tool_path(world.tools_dir, "pointer").read_bytes()
     page.choose("calibrate-tool", "pointer")
@@ -160,12 +166,6 @@ def test_a_calibration_is_canceled(page, world):
     assert not page.all("progress")
     assert tool_path(world.tools_dir, "pointer").read_bytes() == before
     page.wait(lambda: page.usable("calibrate"), "another one to be possible", PATIENCE_S)
-
-
-def test_a_quick_check_says_that_the_file_fits(page):
-    put_in_force(page, "pointer")
-    page.click("check")
-    page.says("outcome", "Good", patience_s=3 * PATIENCE_S)
 
 
 def test_the_keyboard_does_it_all(page):

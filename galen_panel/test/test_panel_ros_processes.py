@@ -89,6 +89,7 @@ def outcome(world, kind):
     )
 
 
+@pytest.mark.soak
 def test_a_tool_is_calibrated_put_in_force_and_checked(world):
     start_driver_and_gravcomp(world)
     start_calibration(world)
