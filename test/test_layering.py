@@ -57,7 +57,6 @@ ROS_MODULES = {
     "galen_gravcomp.tool_in_force",
     "galen_gravcomp.tool_messages",
     "galen_gravcomp.tool_services",
-    "galen_panel.panel",
     "galen_panel.ros_calls",
     "galen_panel.ros_goal_kinds",
     "galen_panel.ros_goals",
