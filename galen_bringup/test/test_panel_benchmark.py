@@ -77,8 +77,9 @@ def children(pid):
 def test_it_measures_and_leaves_nothing_behind(monkeypatch):
     # NiceGUI would serve a test of its own kind.
     monkeypatch.delenv("PYTEST_CURRENT_TEST")
+    before = children(os.getpid())
     found = {one.subject: one for one in measure(1.0, 1)}
-    assert not children(os.getpid())
+    assert set(children(os.getpid())) <= set(before)
     assert set(found["gravcomp"].beside_percent) == set()
     assert set(found["gravcomp, panel that nobody has open"].beside_percent) == {"panel"}
     if not browser_lacks():
