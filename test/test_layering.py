@@ -60,7 +60,6 @@ ROS_MODULES = {
     "galen_panel.ros_calls",
     "galen_panel.ros_goal_kinds",
     "galen_panel.ros_goals",
-    "galen_panel.ros_presence",
     "galen_panel.ros_reports",
     "galen_panel.ros_streams",
     "galen_panel.ros_suite",

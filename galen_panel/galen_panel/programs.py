@@ -29,6 +29,8 @@ GRAVCOMP = Program("gravcomp", "galen_gravcomp", "gravcomp_node")
 CALIBRATION = Program("calibration", "galen_calibration_behavior", "calibration_node")
 CHECK = Program("check", "galen_calibration_behavior", "check_node")
 COLLECTION = Program("collection", "galen_deflection", "collection_node")
+DEFLECTION = Program("deflection", "galen_deflection", "deflection_node")
+GAP_MONITOR = Program("gap_monitor", "galen_diagnosis", "gap_monitor")
 
 OFFERED_BY = {
     "gravcomp/set_tool": GRAVCOMP,

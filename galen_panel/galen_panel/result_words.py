@@ -12,10 +12,9 @@ from galen_calibration_behavior.check_answer import Answer, Cause
 from galen_calibration_behavior.check_text import TARE_COMMAND
 
 from galen_panel import texts
-from galen_panel.state import Kind, Outcome, State
+from galen_panel.state import LOST, Kind, Outcome, State
 
 _CANCELED = "CANCELED"
-_LOST = "LOST"
 _DONE = {Kind.CALIBRATE: "Calibrated", Kind.CHECK: "Checked", Kind.COLLECT: "Collected"}
 
 
@@ -63,7 +62,7 @@ def ended(kind: Kind, outcome: Outcome) -> tuple[str, str]:
         return _DONE[kind], "positive"
     if outcome.error == _CANCELED:
         return "Canceled", "warning"
-    if outcome.error == _LOST:
+    if outcome.error == LOST:
         return "Lost", "negative"
     return "It failed", "negative"
 

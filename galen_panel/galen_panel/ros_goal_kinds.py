@@ -34,9 +34,6 @@ from galen_panel.state import (
     Pose,
 )
 
-LOST = "LOST"
-"""The error of a goal that no result will come of."""
-
 
 @dataclass(frozen=True)
 class Step:

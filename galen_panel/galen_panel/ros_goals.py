@@ -21,11 +21,12 @@ from rclpy.qos import QoSProfile, qos_profile_action_status_default
 from unique_identifier_msgs.msg import UUID
 
 from galen_panel.board import Board
+from galen_panel.presence import SILENT_S, Presence
 from galen_panel.ros_calls import Calls
-from galen_panel.ros_goal_kinds import LOST, GoalKind
-from galen_panel.ros_presence import SILENT_S, Presence
+from galen_panel.ros_goal_kinds import GoalKind
 from galen_panel.ros_thread import CallError, Reply, RosThread
 from galen_panel.state import (
+    LOST,
     Answer,
     Asked,
     Behaviour,
@@ -96,7 +97,6 @@ class GoalFollower:
         self._board = board
         self._thread = thread
         self._calls = calls
-        self._presence = presence
         self._numbers = numbers
         self._on_end = on_end
         self._followed: _Followed | None = None
@@ -366,7 +366,7 @@ class GoalFollower:
 
     @property
     def _report(self) -> NodeReport | None:
-        return self._board.state.nodes.get(self._presence.full_name(self._kind.program))
+        return self._board.state.report_of(self._kind.program.node)
 
     def _idle_since(self, since_s: float) -> bool:
         """Whether the node has said since that it is not at work."""
@@ -375,7 +375,7 @@ class GoalFollower:
 
     def on_report(self, report: NodeReport) -> None:
         """Take what any node says; it is on the board already."""
-        if report.name != self._presence.full_name(self._kind.program):
+        if report.name != self._board.state.full_name(self._kind.program.node):
             return
         self._tell_refusals(report.heard_s)
         if self._followed is not None:

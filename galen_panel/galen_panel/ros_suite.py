@@ -14,11 +14,11 @@ from std_srvs.srv import Trigger
 from galen_msgs.srv import SetTool
 from galen_panel.board import Board
 from galen_panel.history import History
+from galen_panel.presence import Presence
 from galen_panel.programs import CALIBRATION
 from galen_panel.ros_calls import Calls
 from galen_panel.ros_goal_kinds import KINDS, kind_of
 from galen_panel.ros_goals import GoalFollower
-from galen_panel.ros_presence import Presence
 from galen_panel.ros_reports import Reports
 from galen_panel.ros_streams import Streams
 from galen_panel.ros_thread import RosThread
@@ -53,7 +53,7 @@ class RosSuite(AbstractContextManager["RosSuite"]):
     def _set_up(self, node: Node) -> Callable[[float], None]:
         board, calls = self._board, self._calls
         board.put(namespace=node.get_namespace().strip("/"))
-        presence = Presence(node, board)
+        presence = Presence(board)
         self._tools = tools = Tools(node, board, calls, presence)
         self._confirm = node.create_client(Trigger, "calibration/confirm")
         presence.add("calibration/confirm", self._confirm)

@@ -15,9 +15,9 @@ from std_srvs.srv import SetBool, Trigger
 from galen_msgs.msg import ToolInForce
 from galen_msgs.srv import CompareTools, ListTools, RemoveTool, RevertTool, SetTool
 from galen_panel.board import Board
+from galen_panel.presence import Presence
 from galen_panel.programs import GRAVCOMP
 from galen_panel.ros_calls import Calls
-from galen_panel.ros_presence import Presence
 from galen_panel.ros_thread import CallError
 from galen_panel.state import Answer, Comparison, Difference, InForce, State, Tool
 

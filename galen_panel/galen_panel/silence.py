@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
+from galen_panel import programs
 from galen_panel.state import State
 
 SILENT_S = 1.0
@@ -43,14 +44,14 @@ def tell(silent: frozenset[str], state: State) -> str:
     if RAW in silent:
         return (
             "No wrench_raw: the arm's driver is not running or not heard. "
-            "The simulated arm: ros2 run galen_sim_driver sim_driver_node"
+            f"The simulated arm: {programs.DRIVER.start}"
         )
     if COMPENSATED in silent:
         return f"No wrench_compensated: {_why_not_compensated(silent, state)}"
     if DEFLECTION in silent:
         return (
             "No deflection: its node is not running or has refused its model (see Nodes). "
-            "Start it: ros2 run galen_deflection deflection_node"
+            f"Start it: {programs.DEFLECTION.start}"
         )
     if JOINTS in silent:
         return "No joint_states: the arm's driver doesn't say where its joints are."
@@ -59,7 +60,7 @@ def tell(silent: frozenset[str], state: State) -> str:
 
 def _why_not_compensated(silent: frozenset[str], state: State) -> str:
     if state.in_force is None:
-        return "gravcomp_node is not running. Start it: ros2 run galen_gravcomp gravcomp_node"
+        return f"gravcomp_node is not running. Start it: {programs.GRAVCOMP.start}"
     if not state.in_force.tool:
         return "no tool is in force. Choose one under Operate."
     if not state.in_force.enabled:

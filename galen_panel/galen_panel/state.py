@@ -100,9 +100,13 @@ class Pose:
     wrench: Vector | None = None
 
 
+LOST = "LOST"
+"""The error of a goal that no result will come of."""
+
+
 @dataclass(frozen=True)
 class Outcome:
-    """How a behaviour ended. `error`: its code's name, empty where it came to its end.
+    """How a behaviour ended. `error`: its code's name or LOST, empty where it came to its end.
 
     text: a sentence for a person. file: what was written. values: the result's numbers, SI, by the
     action's own names. warnings, notes: as in the result. new: the tool had no file before.
@@ -162,6 +166,14 @@ class State:
     behaviours: Mapping[Kind, Behaviour] = field(default_factory=dict)
     available: frozenset[str] = frozenset()
     namespace: str = ""
+
+    def full_name(self, node: str) -> str:
+        """What a node of the panel's own namespace is called on /diagnostics."""
+        return f"{self.namespace}/{node}".lstrip("/")
+
+    def report_of(self, node: str) -> NodeReport | None:
+        """Its newest report; None where there is none."""
+        return self.nodes.get(self.full_name(node))
 
 
 @dataclass(frozen=True)

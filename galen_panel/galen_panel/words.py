@@ -9,7 +9,16 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
-from galen_panel.programs import CALIBRATION, CHECK, COLLECTION, DRIVER, GRAVCOMP, Program
+from galen_panel.programs import (
+    CALIBRATION,
+    CHECK,
+    COLLECTION,
+    DEFLECTION,
+    DRIVER,
+    GAP_MONITOR,
+    GRAVCOMP,
+    Program,
+)
 from galen_panel.state import InForce, Level, NodeReport, State
 from galen_panel.words_advice import (
     ADVICE,
@@ -63,7 +72,7 @@ ROLES = (
         "check_tool",
     ),
     Role(
-        Program("deflection", "galen_deflection", "deflection_node"),
+        DEFLECTION,
         "Deflection",
         "Predicts how far the arm bends.",
     ),
@@ -74,7 +83,7 @@ ROLES = (
         "collect_pushes",
     ),
     Role(
-        Program("gap_monitor", "galen_diagnosis", "gap_monitor"),
+        GAP_MONITOR,
         "Gap monitor",
         "Watches whether the arm at rest reads as the model does.",
     ),
@@ -96,21 +105,16 @@ class Words:
     stopped: bool = False
 
 
-def report_of(state: State, role: Role) -> NodeReport | None:
-    """The newest report of a role's node in the panel's own namespace; None where there is none."""
-    return state.nodes.get(f"{state.namespace}/{role.name}".lstrip("/"))
-
-
 def others(state: State) -> list[NodeReport]:
     """Reports of other nodes, such as a recorder, or those of another arm; by name."""
-    known = {report.name for role in ROLES if (report := report_of(state, role)) is not None}
+    known = {report.name for role in ROLES if (report := state.report_of(role.name)) is not None}
     rest = (report for report in state.nodes.values() if report.name not in known)
     return sorted(rest, key=lambda report: report.name)
 
 
 def words_of(state: State, role: Role, now_s: float) -> Words:
     """What a role's node is doing. now_s: time.monotonic()."""
-    report = report_of(state, role)
+    report = state.report_of(role.name)
     if report is None or now_s - report.heard_s > SILENT_S:
         return _absent(state, role, report, now_s)
     words = _present(role, report, state.in_force)
@@ -180,7 +184,7 @@ def _silence(silent_s: float) -> str:
 
 def _other_drivers(state: State, now_s: float) -> str:
     """Who publishes wrench_raw, as gravcomp tells."""
-    report = report_of(state, _COMPENSATION)
+    report = state.report_of(_COMPENSATION.name)
     if report is None or now_s - report.heard_s > SILENT_S:
         return ""
     return report.values.get("wrench_raw_publisher_nodes", "")

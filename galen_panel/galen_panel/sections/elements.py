@@ -4,6 +4,16 @@ from __future__ import annotations
 
 from nicegui import ui
 
+from galen_panel.state import Level
+
+LOOKS = {
+    Level.OK: ("check_circle", "text-positive"),
+    Level.WARN: ("warning", "text-warning"),
+    Level.ERROR: ("error", "text-negative"),
+    Level.STALE: ("help", "text-warning"),
+}
+"""A level's icon, and its colour's class; a word has to stand beside."""
+
 
 def set_prop(element: ui.element, name: str, value: str | None) -> None:
     """Set an attribute, or take it away; nothing is sent to the browser where it is so already."""

@@ -7,18 +7,11 @@ import time
 from nicegui import ui
 
 from galen_panel.page import Page
-from galen_panel.sections.elements import pick_class, set_prop
-from galen_panel.state import Level
+from galen_panel.sections.elements import LOOKS, pick_class, set_prop
 from galen_panel.words import overall
 
 # Nodes that fall silent change nothing in the state; only time tells.
 _PERIOD_S = 1.0
-_LAMPS = {
-    Level.OK: ("check_circle", "ok"),
-    Level.WARN: ("warning", "warn"),
-    Level.ERROR: ("error", "error"),
-    Level.STALE: ("help", "stale"),
-}
 
 
 def build(page: Page) -> None:
@@ -30,8 +23,8 @@ def build(page: Page) -> None:
 
     def look() -> None:
         level, sentence = overall(page.suite.state, time.monotonic())
-        name, word = _LAMPS[level]
-        icon.set_name(name)
+        word = level.name.lower()
+        icon.set_name(LOOKS[level][0])
         text.set_text(sentence)
         pick_class(lamp, "panel-lamp-", word)
         set_prop(lamp, "data-level", word)

@@ -9,19 +9,21 @@ from pathlib import Path
 from nicegui import ui
 
 from galen_panel.page import Page
+from galen_panel.sections.elements import LOOKS
 from galen_panel.state import Level, State
-from galen_panel.words import ROLES, Words, others, report_of, words_of, words_of_other
+from galen_panel.words import ROLES, Words, others, words_of, words_of_other
 from galen_panel.words_numbers import numbers_of
 
 # Nodes tell their state once a second; one that falls silent is told by time alone.
 _PERIOD_S = 1.0
 _STYLE = Path(__file__).parents[1] / "nodes.css"
-_LAMPS = {
-    Level.OK: ("check_circle", "text-positive", "OK"),
-    Level.WARN: ("warning", "text-warning", "Look at it"),
-    Level.ERROR: ("error", "text-negative", "Trouble"),
-    Level.STALE: ("help", "text-warning", "Silent"),
+_WORDS = {
+    Level.OK: "OK",
+    Level.WARN: "Look at it",
+    Level.ERROR: "Trouble",
+    Level.STALE: "Silent",
 }
+_LAMPS = {level: (*LOOKS[level], word) for level, word in _WORDS.items()}
 _NOT_RUNNING = ("power_settings_new", "panel-quiet", "Not running")
 _COLOURS = " ".join({colour for _, colour, _ in (*_LAMPS.values(), _NOT_RUNNING)})
 
@@ -38,7 +40,7 @@ def build(page: Page) -> None:
     def look() -> None:
         state, now_s = page.suite.state, time.monotonic()
         for role, card in cards:
-            report = report_of(state, role)
+            report = state.report_of(role.name)
             card.show(words_of(state, role, now_s), {} if report is None else report.values)
         _look_at_others(state, now_s)
 

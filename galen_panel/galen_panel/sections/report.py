@@ -9,15 +9,8 @@ from galen_panel.page import Page
 from galen_panel.recordings import REPORTS_PATH
 from galen_panel.report_files import EFFECT, Report, ReportError
 from galen_panel.report_view import View, view_of
-from galen_panel.sections.elements import heading, table
-from galen_panel.state import Answer, Level
-
-LAMPS = {
-    Level.OK: ("check_circle", "text-positive"),
-    Level.WARN: ("warning", "text-warning"),
-    Level.ERROR: ("error", "text-negative"),
-    Level.STALE: ("help", "text-warning"),
-}
+from galen_panel.sections.elements import LOOKS, heading, table
+from galen_panel.state import Answer
 
 
 class ReportDialog:
@@ -57,7 +50,7 @@ def _draw(report: Report, view: View, files: list[str], dialog: ui.dialog) -> No
         ui.space()
         close = ui.button("Close", icon="close", on_click=dialog.close)
         close.props("flat no-caps autofocus data-testid=report-close").classes("text-inherit")
-    icon, colour = LAMPS[view.level]
+    icon, colour = LOOKS[view.level]
     with ui.row().classes("items-center no-wrap"):
         ui.icon(icon, size="2.5rem").classes(colour).props("aria-hidden=true")
         word = ui.label(view.word).classes("panel-verdict")

@@ -9,8 +9,8 @@ from galen_panel.page import Page
 from galen_panel.recording_words import VERBS
 from galen_panel.report_files import Report
 from galen_panel.report_view import verdict_of
-from galen_panel.sections.elements import heading
-from galen_panel.sections.report import LAMPS, ReportDialog
+from galen_panel.sections.elements import LOOKS, heading
+from galen_panel.sections.report import ReportDialog
 
 _PERIOD_S = 0.5
 _MOST = 10
@@ -44,7 +44,7 @@ def _report_button(report: Report, dialog: ReportDialog, of_one: bool) -> None:
         await dialog.show(report.id)
 
     level, word = verdict_of(report)
-    icon, colour = LAMPS[level]
+    icon, colour = LOOKS[level]
     button = ui.button(on_click=show, color=None).classes("panel-recording")
     button.props(f"flat no-caps align=left data-testid=report-{report.id}")
     name = "" if of_one else f"{report.recording}: "

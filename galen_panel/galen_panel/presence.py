@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Protocol
 
-from rclpy.node import Node
-
 from galen_panel.board import Board
 from galen_panel.programs import DRIVER, GRAVCOMP, OFFERED_BY, Program
 
@@ -21,8 +19,7 @@ _GONE_WHEN_SILENT = (DRIVER, GRAVCOMP)
 class Presence:
     """Looks which names of `OFFERED_BY` are there; each was said how by `add`."""
 
-    def __init__(self, node: Node, board: Board) -> None:
-        self._node = node
+    def __init__(self, board: Board) -> None:
         self._board = board
         self._ready: dict[str, Callable[[], bool]] = {}
         self._next_s = 0.0
@@ -46,13 +43,9 @@ class Presence:
 
     def _silent(self, program: Program, now_s: float) -> bool:
         """Whether a node that has been heard is not heard any more, and is gone for that."""
-        report = self._board.state.nodes.get(self.full_name(program))
+        report = self._board.state.report_of(program.node)
         heard = report is None or now_s - report.heard_s <= SILENT_S
         return program in _GONE_WHEN_SILENT and not heard
-
-    def full_name(self, program: Program) -> str:
-        """The name of a program's node on /diagnostics, in this node's namespace."""
-        return str(self._node.resolve_service_name(program.node)).lstrip("/")
 
 
 class ReadyClient(Protocol):
