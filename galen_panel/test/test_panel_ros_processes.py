@@ -136,6 +136,8 @@ def test_nodes_that_are_killed_are_missed_and_found_again(world):
         "the nodes",
         PATIENCE_S,
     )
+    # It tells its tool on connecting, its state a second later: by this one it is missed.
+    world.wait_for(lambda state: state.report_of("gravcomp"), "its report", PATIENCE_S)
     assert world.ask(world.suite.start(CalibrateGoal("retractor"))).ok
     world.processes.kill("galen_calibration_behavior.node")
     world.processes.kill("galen_gravcomp.node")
