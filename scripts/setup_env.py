@@ -20,7 +20,7 @@ from pathlib import Path
 from workspace.build import build
 from workspace.environment import Environment
 from workspace.errors import SetupError
-from workspace.lock import exclusive
+from workspace.lock import exclusive, shared
 
 ROOT = Path(__file__).resolve().parent.parent
 
@@ -36,13 +36,7 @@ def main(arguments: "list[str] | None" = None) -> int:
     parser.add_argument("--verbose", action="store_true", help="show all that colcon prints")
     options = parser.parse_args(arguments)
     try:
-        with exclusive(ROOT / ".workspace.lock"):
-            environment = Environment(ROOT, os.environ)
-            environment.make()
-            if options.step == "networks":
-                environment.add("networks")
-            if options.step == "build":
-                build(environment, verbose=options.verbose)
+        do(options.step, Environment(ROOT, os.environ), verbose=options.verbose)
     except SetupError as error:
         print(f"error: {error}", file=sys.stderr)
         return 1
@@ -50,6 +44,31 @@ def main(arguments: "list[str] | None" = None) -> int:
         print("\nerror: interrupted; the next run starts that step again", file=sys.stderr)
         return 130
     return 0
+
+
+def do(step: str, environment: Environment, *, verbose: bool) -> None:
+    """Make `.venv` where it is not ready, then go on in it.
+
+    A build and PyTorch's installation may go side by side; while either does, nobody makes
+    `.venv` anew.
+    """
+    lock = ROOT / ".workspace.lock"
+    while True:
+        with shared(lock):
+            if environment.is_ready():
+                with exclusive(ROOT / f".workspace.{step}.lock"):
+                    go_on(step, environment, verbose=verbose)
+                return
+        with exclusive(lock):
+            environment.make()
+
+
+def go_on(step: str, environment: Environment, *, verbose: bool) -> None:
+    """Do what comes after `.venv`."""
+    if step == "networks":
+        environment.add(step)
+    elif step == "build":
+        build(environment, verbose=verbose)
 
 
 if __name__ == "__main__":

@@ -449,24 +449,40 @@ def test_paths_of_an_earlier_source_are_left_out(tmp_path):
     assert cleaned == {"AMENT_PREFIX_PATH": "/opt/ros/jazzy", "PATH": "/usr/bin"}
 
 
-def test_a_second_run_waits_for_the_first(tmp_path):
-    root = workspace_copy(tmp_path / "ws")
+def waits(root, lock_kind):
+    """Whether a set-up waits while this process holds the workspace; and what it says then."""
     with (root / ".workspace.lock").open("a") as held:
-        fcntl.flock(held, fcntl.LOCK_EX)
+        fcntl.flock(held, lock_kind)
         second = subprocess.Popen(
             [sys.executable, str(root / "scripts" / "setup_env.py"), "setup"],
-            env={"HOME": str(root), "PATH": str(tmp_path), "PYTHONUNBUFFERED": "1"},
+            env={"HOME": str(root), "PATH": str(root), "PYTHONUNBUFFERED": "1"},
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
             text=True,
         )
         with contextlib.ExitStack() as stack:
             stack.callback(second.kill)
-            assert "Waiting" in second.stdout.readline()
-            assert second.poll() is None
+            waited = "Waiting" in second.stdout.readline()
+            assert not waited or second.poll() is None
             fcntl.flock(held, fcntl.LOCK_UN)
             _, errors = second.communicate(timeout=60)
+    return waited, errors
+
+
+@pytest.mark.parametrize("lock_kind", [fcntl.LOCK_EX, fcntl.LOCK_SH])
+def test_none_makes_the_environment_beside_another_run(tmp_path, lock_kind):
+    waited, errors = waits(workspace_copy(tmp_path / "ws"), lock_kind)
+    assert waited
     assert "C compiler" in errors  # it went on, to this
+
+
+def test_where_the_environment_is_made_one_run_goes_beside_another(tmp_path):
+    root = workspace_copy(tmp_path / "ws")
+    script(root / ".venv" / "bin" / "python", "")
+    key = Environment(root, {}).key()
+    (root / ".venv" / environment.STAMP_NAME).write_text(json.dumps({"key": key}))
+    assert waits(root, fcntl.LOCK_SH) == (False, "")
+    assert waits(root, fcntl.LOCK_EX) == (True, "")
 
 
 # ---- the wheels' repair
