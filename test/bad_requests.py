@@ -210,13 +210,14 @@ class World:
             self._clients[name] = ActionClient(self.person, kind, name)
             self.harness.wait_for(self._clients[name].server_is_ready, 10.0, name)
         self.count += 1
-        sent = self._clients[name].send_goal_async(kind.Goal(**goal))
-        self.harness.wait_for(sent.done, 10.0, f"an answer of {name}")
-        if not sent.result().accepted:
+        request = kind.Goal(**goal)
+        handle = self.harness.answer_of(
+            lambda: self._clients[name].send_goal_async(request), 10.0, f"an answer of {name}"
+        )
+        if not handle.accepted:
             return None
-        ended = sent.result().get_result_async()
-        self.harness.wait_for(ended.done, 10.0, f"a result of {name}: {goal!r:.300}")
-        return ended.result().result
+        what = f"a result of {name}: {goal!r:.300}"
+        return self.harness.answer_of(handle.get_result_async, 10.0, what).result
 
     def names_of(self, node: Node) -> list[str]:
         service = f"{node.get_name()}/list_parameters"

@@ -44,11 +44,12 @@ def test_the_tool_in_force_is_checked_with_its_tare_and_an_unknown_one_is_refuse
         harness.wait_for(client.server_is_ready, 10.0, "the action server")
 
         def check(**goal):
-            sending = client.send_goal_async(CheckTool.Goal(**goal))
-            harness.wait_for(sending.done, 10.0, "an answer to the goal")
-            getting = sending.result().get_result_async()
-            harness.wait_for(getting.done, 30.0, "the result")
-            return getting.result().status, getting.result().result
+            request = CheckTool.Goal(**goal)
+            handle = harness.answer_of(
+                lambda: client.send_goal_async(request), 10.0, "an answer to the goal"
+            )
+            answer = harness.answer_of(handle.get_result_async, 30.0, "the result")
+            return answer.status, answer.result
 
         status, result = check()
         assert (status, result.error_code) == (GoalStatus.STATUS_ABORTED, ErrorCode.BAD_INPUT)

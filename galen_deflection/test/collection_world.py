@@ -67,18 +67,22 @@ class CollectionWorld:
             "name": "monday", "tool": TOOL, "push_by_service": True, "positions": POSITIONS,
             "forces_n": [8.0],
         }  # fmt: skip
-        future = self.client.send_goal_async(
-            CollectPushes.Goal(**goal | fields),
-            feedback_callback=lambda m: self.feedback.append(m.feedback),
+        return self.harness.answer_of(
+            lambda: self.client.send_goal_async(
+                CollectPushes.Goal(**goal | fields),
+                feedback_callback=lambda m: self.feedback.append(m.feedback),
+            ),
+            10.0,
+            "an answer to the goal",
         )
-        self.harness.wait_for(future.done, 10.0, "an answer to the goal")
-        return future.result()
+
+    def cancel(self, handle):
+        return self.harness.answer_of(handle.cancel_goal_async, 5.0, "the cancel's answer")
 
     def result(self, handle, timeout_s=30.0):
         """Wait for the goal's result; return status and result."""
-        future = handle.get_result_async()
-        self.harness.wait_for(future.done, timeout_s, "the goal's result")
-        return future.result().status, future.result().result
+        answer = self.harness.answer_of(handle.get_result_async, timeout_s, "the goal's result")
+        return answer.status, answer.result
 
     def wait_for_state(self, state, timeout_s=30.0):
         self.harness.wait_for(

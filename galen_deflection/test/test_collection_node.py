@@ -70,7 +70,7 @@ def test_a_second_goal_is_refused_with_the_reason_on_diagnostics(idle):
 
     (text, *_) = idle.harness.wait_for(reason, 5.0, "the reason on /diagnostics")
     assert "'tuesday' refused: collecting 'monday' now" in text
-    idle.harness.wait_for(first.cancel_goal_async().done, 5.0, "the cancel's answer")
+    idle.cancel(first)
     status, result = idle.result(first)
     assert status == GoalStatus.STATUS_CANCELED
     assert result.error_code == ErrorCode.CANCELED
@@ -225,7 +225,7 @@ def test_a_cancel_leaves_a_readable_bag_named_as_unfinished(tmp_path):
         world = CollectionWorld(harness, tmp_path, speed=1.0)
         handle = world.send()
         world.wait_for_state(State.HOLD)
-        harness.wait_for(handle.cancel_goal_async().done, 5.0, "the cancel's answer")
+        world.cancel(handle)
         status, result = world.result(handle)
         assert status == GoalStatus.STATUS_CANCELED
         assert result.error_code == ErrorCode.CANCELED

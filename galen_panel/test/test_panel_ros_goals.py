@@ -118,9 +118,10 @@ class Goals(World):
         node = self.harness.add(lambda context: Node("somebody", context=context))
         client = ActionClient(node, CalibrateTool, "calibrate_tool")
         self.harness.wait_for(client.server_is_ready, 10.0, "the action server")
-        future = client.send_goal_async(CalibrateTool.Goal(tool=tool, tip_m=[math.nan] * 3))
-        self.harness.wait_for(future.done, 10.0, "an answer to the goal")
-        return future.result()
+        goal = CalibrateTool.Goal(tool=tool, tip_m=[math.nan] * 3)
+        return self.harness.answer_of(
+            lambda: client.send_goal_async(goal), 10.0, "an answer to the goal"
+        )
 
 
 @pytest.fixture

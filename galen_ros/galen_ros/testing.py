@@ -101,6 +101,16 @@ class Harness:
         self.wait_for(future.done, timeout_s, "the executor to take a job")
         return future.result()
 
+    def answer_of(self, ask: Callable[[], Any], timeout_s: float, what: str) -> Any:
+        """Run `ask` in the executor's thread, and return the result of the future it returns.
+
+        From any other thread an action client may hear the answer before it has noted the
+        question, and drops it (rclpy's ActionClient has no lock; its Client has).
+        """
+        future = self.call_in_executor(ask)
+        self.wait_for(future.done, timeout_s, what)
+        return future.result()
+
     def wait_for(self, predicate: Callable[[], Any], timeout_s: float, what: str) -> Any:
         """Wait until `predicate()` is true and return its value, or fail naming `what`."""
         deadline = time.monotonic() + timeout_s
