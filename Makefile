@@ -8,7 +8,7 @@ SETUP = $(STARTER) scripts/setup_env.py
 ENTER = source scripts/env.sh
 # Test files side by side; every test has a ROS domain of its own. With 0 they go one by one.
 TEST_WORKERS ?= 2
-PYTEST = python -m pytest --numprocesses $(TEST_WORKERS) --dist loadfile
+PYTEST = python -m pytest --numprocesses $(TEST_WORKERS) --dist loadfile --no-loadscope-reorder
 # Given on the command line, as in `make GALEN_PYTHON=/usr/bin/python3.12 build`.
 ifdef GALEN_PYTHON
 export GALEN_PYTHON

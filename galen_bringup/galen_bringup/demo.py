@@ -90,7 +90,7 @@ def run_demo(options: argparse.Namespace, console: Console) -> DemoResult:
         drift = None
         for tool in TOOLS:
             print(f"calibrating the {tool} through the action:", file=sys.stderr)
-            calibration = calibrate(processes, tool)
+            calibration = calibrate(processes, tool, _sweep_arguments(options.sweep))
             with connected_arm(processes) as arm, _progress(console) as progress:
                 arm.set_tool(tool)
                 readings = visit(
@@ -122,6 +122,11 @@ def run_demo(options: argparse.Namespace, console: Console) -> DemoResult:
     figures.append(str(path))
     wall_s = time.monotonic() - started
     return DemoResult(found, list(TOOLS)[-1], drift[0], drift[1], wall_s, figures)
+
+
+def _sweep_arguments(sweep: Sequence[int] | None) -> list[str]:
+    """The client's options for so many tilts and rolls; its node knows how many without."""
+    return [] if sweep is None else ["--iters-t", str(sweep[0]), "--iters-r", str(sweep[1])]
 
 
 def _sample_rmse(readings: PoseReadings) -> Array:
@@ -250,6 +255,13 @@ def build_parser() -> argparse.ArgumentParser:
         "--poses", type=_count, default=200, help="poses to visit with each tool (default 200)"
     )
     parser.add_argument(
+        "--sweep",
+        type=_sweep_count,
+        nargs=2,
+        metavar=("TILTS", "ROLLS"),
+        help="poses of a sweep; fewer are quicker and tell less (default 7 8)",
+    )
+    parser.add_argument(
         "--speed",
         type=float,
         default=5.0,
@@ -265,6 +277,10 @@ def build_parser() -> argparse.ArgumentParser:
 
 def _count(text: str) -> int:
     return _whole_number(text, 10)
+
+
+def _sweep_count(text: str) -> int:
+    return _whole_number(text, 3)
 
 
 def _seed(text: str) -> int:
