@@ -8,7 +8,7 @@ import json
 import numpy as np
 import pytest
 from action_msgs.msg import GoalStatus
-from fault_world import TIP_M, FaultWorld
+from fault_world import PATIENCE_S, TIP_M, FaultWorld, write_tool_file
 from galen_model.tool_file import read_tool
 from galen_model.tools import TOOLS
 from galen_ros.qos import STREAM
@@ -16,7 +16,7 @@ from rclpy.action import ActionClient
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
 
-from galen_msgs.action import CalibrateTool
+from galen_msgs.action import CalibrateTool, CheckTool
 
 pytestmark = [pytest.mark.soak, pytest.mark.timeout(1800)]
 STATES = ("HOME", "REMOVE_TOOL", "ZERO", "SWEEP_BARE", "ATTACH_TOOL", "SWEEP_TOOL", "ESTIMATE")
@@ -36,6 +36,7 @@ class Client(Node):
     def __init__(self, **options):
         super().__init__("client", **options)
         self.calibrate = ActionClient(self, CalibrateTool, "calibrate_tool")
+        self.check = ActionClient(self, CheckTool, "check_tool")
         self.states, self.joints = [], []
         self.create_subscription(JointState, "joint_states", self.joints.append, STREAM)
 
@@ -56,18 +57,20 @@ def world(tmp_path_factory):
         yield world
 
 
+def ask(world, question):
+    return world.harness.answer_of(question, PATIENCE_S, "an answer of the action server")
+
+
 def send(world):
     goal = CalibrateTool.Goal(tool="retractor", attach_by_service=True, tip_m=TIP_M)
     world.client.states.clear()
-    future = world.client.calibrate.send_goal_async(goal, world.client.on_feedback)
-    world.wait_for(future.done, "an answer to the goal")
-    return future.result()
+    return ask(
+        world, lambda: world.client.calibrate.send_goal_async(goal, world.client.on_feedback)
+    )
 
 
 def result_of(world, handle):
-    future = handle.get_result_async()
-    world.wait_for(future.done, "the goal's end", patience_s=300.0)
-    return future.result()
+    return world.harness.answer_of(handle.get_result_async, 300.0, "the goal's end")
 
 
 def stands_still(world):
@@ -91,7 +94,7 @@ def test_a_cancel_at_any_moment_stops_the_arm_and_writes_nothing(world, state, s
     handle = send(world)
     assert handle.accepted
     number = getattr(CalibrateTool.Feedback, state)
-    end = handle.get_result_async()
+    end = world.harness.call_in_executor(handle.get_result_async)
 
     def there():
         assert not end.done() or number == CalibrateTool.Feedback.ESTIMATE, end.result().result
@@ -100,7 +103,7 @@ def test_a_cancel_at_any_moment_stops_the_arm_and_writes_nothing(world, state, s
     world.wait_for(there, state, patience_s=300.0)
     del world.client.joints[:]
     world.wait_for(lambda: len(world.client.joints) >= samples, "a moment in it")
-    world.wait_for(handle.cancel_goal_async().done, "an answer to the cancel")
+    ask(world, handle.cancel_goal_async)
     answer = result_of(world, handle)
     if answer.status == GoalStatus.STATUS_SUCCEEDED:
         assert state == "ESTIMATE", "it went on"  # too late: it was being written
@@ -137,5 +140,36 @@ def test_a_client_that_is_killed_and_another_at_once(world):
     handle = send(world)
     assert handle.accepted, "another client may calibrate now"
     assert not send(world).accepted, "two at once"
-    handle.cancel_goal_async()
+    ask(world, handle.cancel_goal_async)
     assert result_of(world, handle).status == GoalStatus.STATUS_CANCELED
+
+
+@pytest.mark.parametrize("time", range(5))
+def test_a_check_beside_a_calibration_leaves_at_most_one_of_them_at_the_arm(world, time):
+    if not time:
+        parameters = {"tools_dir": world.folder, "use_sim_time": True}
+        quick = {name: value for name, value in QUICK.items() if not name.startswith("iters")}
+        world.start("check", ["-m", "galen_calibration_behavior.check_node"], parameters | quick)
+        world.wait_for(world.client.check.server_is_ready, "the action server")
+    write_tool_file(world.folder)
+    before = (world.folder / "retractor.json").read_bytes()
+    calibrating = send(world)
+    assert calibrating.accepted
+    sweep = CalibrateTool.Feedback.SWEEP_BARE
+    world.wait_for(
+        lambda: [s for s in world.client.states if s >= sweep], "the sweep", patience_s=300.0
+    )
+    goal = CheckTool.Goal(tool="retractor")
+    checking = ask(world, lambda: world.client.check.send_goal_async(goal))
+    first = result_of(world, calibrating)
+    assert first.result.error_code == CalibrateTool.Result.BAD_INPUT, first.result.error_msg
+    assert "somebody else commands the arm" in first.result.error_msg
+    assert "/check" in first.result.error_msg
+    second = result_of(world, checking)
+    assert second.result.error_code in (
+        CheckTool.Result.NONE,
+        CheckTool.Result.BAD_INPUT,
+        CheckTool.Result.MOTION_TIMEOUT,  # it did not hear who stopped its move
+    ), second.result.error_msg
+    assert (world.folder / "retractor.json").read_bytes() == before
+    assert stands_still(world)

@@ -153,6 +153,7 @@ def test_a_node_may_do_what_it_does_and_no_more(kind, tmp_path):
             topic = PROCEDURES[kind].wrench_topic
             goal = SimpleNamespace(procedure=SimpleNamespace(wrench_topic=topic))
             harness.call_in_executor(lambda: node._subscribe(goal))
+            harness.call_in_executor(lambda: node._arm.hear_others(lambda text: None))
         assert_allowed(harness, node, allowed_to(node.get_name()))
 
 

@@ -2,24 +2,29 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections import deque
+from collections.abc import Callable, Sequence
 
 from galen_model.arm import JOINT_NAMES
 from rclpy.duration import Duration
 from rclpy.node import Node
+from rclpy.subscription import Subscription
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from galen_calibration_behavior.commands import MoveTo
 
 DISCOVERY_S = 5.0
 """A driver that runs may take so long to be found: DDS repeats a lost announcement after 3 s."""
+_DEPTH = 10
 
 
 class ArmPublisher:
-    """Sends the arm somewhere, and stops it, over `joint_trajectory`."""
+    """Sends the arm somewhere, and stops it, over `joint_trajectory`; hears who else does."""
 
     def __init__(self, node: Node) -> None:
-        self._publisher = node.create_publisher(JointTrajectory, "joint_trajectory", 10)
+        self._node = node
+        self._publisher = node.create_publisher(JointTrajectory, "joint_trajectory", _DEPTH)
+        self._not_heard: deque[JointTrajectory] = deque(maxlen=_DEPTH)
 
     @property
     def topic_name(self) -> str:
@@ -39,16 +44,46 @@ class ArmPublisher:
             accelerations=[0.0] * len(JOINT_NAMES),
             time_from_start=Duration(seconds=move.duration_s).to_msg(),
         )
-        self._publisher.publish(JointTrajectory(joint_names=list(JOINT_NAMES), points=[point]))
+        self._send([point])
 
     def stop(self) -> None:
         """No points: stop where you are."""
-        self._publisher.publish(JointTrajectory(joint_names=list(JOINT_NAMES)))
+        self._send([])
+
+    def _send(self, points: list[JointTrajectoryPoint]) -> None:
+        message = JointTrajectory(joint_names=list(JOINT_NAMES), points=points)
+        self._not_heard.append(message)
+        self._publisher.publish(message)
 
     def stop_and_wait(self) -> None:
         """Stop; returns when the message is out: else the process could be gone before it is."""
         self.stop()
         self._publisher.wait_for_all_acked(Duration(seconds=0.2))
+
+    def hear_others(self, on_command: Callable[[str], None]) -> Subscription:
+        """Call `on_command`, with what to say, when somebody else commands the arm.
+
+        Own commands come back over the topic as well. They are told by what they say, for rclpy
+        doesn't tell who sent a message; a stranger's that says the same does no harm.
+        """
+        self._not_heard.clear()
+
+        def on_message(message: JointTrajectory) -> None:
+            if message in self._not_heard:
+                self._not_heard.remove(message)
+            else:
+                on_command(self._others_text())
+
+        return self._node.create_subscription(
+            JointTrajectory, self._publisher.topic_name, on_message, _DEPTH
+        )
+
+    def _others_text(self) -> str:
+        infos = self._node.get_publishers_info_by_topic(self.topic_name)
+        names = {f"{info.node_namespace.rstrip('/')}/{info.node_name}" for info in infos}
+        names -= {self._node.get_fully_qualified_name()}
+        who = f"; it could be {' or '.join(sorted(names))}" if names else ""
+        return f"somebody else commands the arm on {self.topic_name}{who}"
 
 
 class PublisherWatch:

@@ -285,6 +285,11 @@ class GoalNode(Node, ABC, Generic[SettingsT, GoalT, EndT]):
             goal.procedure.on_wrench, stamp_to_ns(message.header.stamp), wrench_to_array(message)
         )
 
+    def _on_other_command(self, text: str) -> None:
+        """End: two that command one arm are a danger, and no pose is where it was sent."""
+        if self._goal is not None:
+            self._feed(self._goal.procedure.fail, self.codes["BAD_INPUT"], text)
+
     def _on_tick(self) -> None:
         for over in self._over:
             for subscription in over.subscriptions:
@@ -310,6 +315,8 @@ class GoalNode(Node, ABC, Generic[SettingsT, GoalT, EndT]):
         missing = self._find_missing(goal)
         if missing is None:
             goal.preflight_s = None
+            # Not before: this node's own subscription would count as somebody who listens.
+            goal.subscriptions.append(self._arm.hear_others(self._on_other_command))
             goal.procedure.start()
             return
         assert goal.preflight_s is not None

@@ -6,6 +6,7 @@ import math
 import numpy as np
 import pytest
 from action_msgs.msg import GoalStatus
+from builtin_interfaces.msg import Duration
 from calibration_fake_arm import NO_TOOL, POINTER, FakeArm
 from diagnostic_msgs.msg import DiagnosticArray
 from galen_calibration_behavior.commands import ErrorCode, State
@@ -21,7 +22,7 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
-from trajectory_msgs.msg import JointTrajectory
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from galen_msgs.action import CalibrateTool
 from galen_msgs.srv import SetTool
@@ -132,17 +133,21 @@ class World:
         goal = CalibrateTool.Goal(
             **{"tool": "pointer", "attach_by_service": True, "tip_m": [math.nan] * 3} | fields
         )
-        future = self.client.send_goal_async(
-            goal, feedback_callback=lambda m: self.feedback.append(m.feedback)
+        return self.harness.answer_of(
+            lambda: self.client.send_goal_async(
+                goal, feedback_callback=lambda m: self.feedback.append(m.feedback)
+            ),
+            10.0,
+            "an answer to the goal",
         )
-        self.harness.wait_for(future.done, 10.0, "an answer to the goal")
-        return future.result()
+
+    def cancel(self, handle):
+        return self.harness.answer_of(handle.cancel_goal_async, 10.0, "the cancel's answer")
 
     def result(self, handle, timeout_s=30.0):
         """Wait for the goal's result; return status and result."""
-        future = handle.get_result_async()
-        self.harness.wait_for(future.done, timeout_s, "the goal's result")
-        return future.result().status, future.result().result
+        answer = self.harness.answer_of(handle.get_result_async, timeout_s, "the goal's result")
+        return answer.status, answer.result
 
     def wait_for_pose(self, count=2):
         self.harness.wait_for(
@@ -215,7 +220,7 @@ def test_it_works_without_the_events_executor(tmp_path):
         world.driver.steps_a_tick = 2  # this executor takes one message a turn
         first = world.send()
         world.wait_for_pose(1)
-        first.cancel_goal_async()
+        world.cancel(first)
         assert world.result(first)[0] == GoalStatus.STATUS_CANCELED
         status, result = world.result(world.send(one_sweep=True, iters_t=2, iters_r=3))
         assert status == GoalStatus.STATUS_SUCCEEDED, result.error_msg
@@ -224,9 +229,7 @@ def test_it_works_without_the_events_executor(tmp_path):
 def test_cancel_stops_the_arm_and_writes_nothing(world):
     handle = world.send()
     world.wait_for_pose()
-    future = handle.cancel_goal_async()
-    world.harness.wait_for(future.done, 5.0, "the cancel's answer")
-    assert len(future.result().goals_canceling) == 1
+    assert len(world.cancel(handle).goals_canceling) == 1
     status, result = world.result(handle)
     assert status == GoalStatus.STATUS_CANCELED
     assert result.error_code == ErrorCode.CANCELED
@@ -245,7 +248,7 @@ def test_cancel_stops_the_arm_and_writes_nothing(world):
 def test_after_a_cancel_the_next_goal_is_taken(world):
     handle = world.send()
     world.wait_for_pose(1)
-    handle.cancel_goal_async()
+    world.cancel(handle)
     world.result(handle)
     status, result = world.result(world.send(iters_t=2, iters_r=4))
     assert status == GoalStatus.STATUS_SUCCEEDED, result.error_msg
@@ -263,6 +266,39 @@ def test_a_second_goal_is_refused_with_the_reason_on_diagnostics(world):
     assert "'retractor' refused: calibrating 'pointer' now" in text
     status, _ = world.result(first)
     assert status == GoalStatus.STATUS_SUCCEEDED, "the first goal must not notice"
+
+
+ZEROS = [0.0] * 5
+
+
+@pytest.mark.parametrize(
+    "points",
+    [
+        [
+            JointTrajectoryPoint(
+                positions=ZEROS,
+                velocities=ZEROS,
+                accelerations=ZEROS,
+                time_from_start=Duration(sec=1),
+            )
+        ],
+        [],
+    ],
+)
+def test_somebody_else_who_commands_the_arm_ends_it(world, points):
+    pendant = world.harness.add(lambda context: Node("teach_pendant", context=context))
+    publisher = pendant.create_publisher(JointTrajectory, "joint_trajectory", 10)
+    handle = world.send()
+    world.wait_for_pose(1)
+    world.harness.wait_for(
+        lambda: publisher.get_subscription_count() >= 2, 10.0, "driver and node to be matched"
+    )
+    command = JointTrajectory(joint_names=list(JOINT_NAMES), points=points)
+    world.harness.call_in_executor(lambda: publisher.publish(command))
+    world.fails(handle, ErrorCode.BAD_INPUT, "somebody else commands the arm", "/teach_pendant")
+    assert not world.driver.arm.moving
+    status, result = world.result(world.send(iters_t=2, iters_r=4))
+    assert status == GoalStatus.STATUS_SUCCEEDED, result.error_msg
 
 
 @pytest.mark.parametrize("topic", ["joint_states", "wrench_raw"])
@@ -344,7 +380,7 @@ def test_a_tools_directory_that_can_not_be_looked_into_is_found_at_once(tmp_path
 def test_a_refusal_is_forgotten_when_another_goal_begins(world):
     first = world.send()
     assert not world.send(tool="retractor").accepted
-    world.harness.wait_for(first.cancel_goal_async().done, 10.0, "the cancel's answer")
+    world.cancel(first)
     world.result(first)
     world.send(tool="drill")
     world.diagnostics.clear()
