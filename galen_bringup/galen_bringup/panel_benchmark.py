@@ -2,8 +2,9 @@
 
 `gravcomp` in turn without a panel, beside one that nobody has open, and beside one whose page
 "Live" is open in a headless Chromium, by `galen_gravcomp.node_benchmark`. The browser would run on
-the operator's computer; here it takes its part of the same cores, once at the panel's own priority
-and once at the lowest, so that only what the panel and its streams take is left.
+the operator's computer; here it takes its part of the same cores. So once it draws, and once it
+only takes what the panel sends and says that it was drawn: what is left is what the panel takes
+from a robot's computer when somebody plots on another one.
 """
 
 from __future__ import annotations
@@ -34,7 +35,12 @@ _RATE_HZ = 500.0
 _START_TIMEOUT_S = 60.0
 _WARM_UP_S = 5.0
 _POLL_S = 0.1
-_LOWEST = 19
+_TAKE_ALL_DRAW_NOTHING = """
+window.taken = 0;
+galenPlots.patch = async () => { window.taken += 1; return true; };
+const arm = document.querySelector("[data-testid=arm]");
+getElement(arm.id.slice(1)).renderer.render = () => {};
+"""
 _FLAGS = (
     "--headless=new",
     "--disable-dev-shm-usage",
@@ -62,17 +68,17 @@ def subjects(folder: Path) -> list[Subject]:
     """A bare relay, and gravcomp with more and more beside it; writes its tool into `folder`."""
     node = gravcomp_nodes.subjects(folder)[0]
 
-    def beside(what: str, niceness: int | None) -> Subject:
+    def beside(what: str, drawn: bool | None) -> Subject:
         return replace(
             node,
             name=f"{node.name}, {what}",
             warm_up_s=_WARM_UP_S,
-            beside=lambda environment: _panel(folder, environment, niceness),
+            beside=lambda environment: _panel(folder, environment, drawn),
         )
 
     out = [relays(_TOPIC)[0], node, beside("panel that nobody has open", None)]
     if not browser_lacks():
-        out += [beside("page that plots", 0), beside("page that plots, browser niced", _LOWEST)]
+        out += [beside("page that plots", True), beside("page that plots, not drawn here", False)]
     return out
 
 
@@ -116,9 +122,12 @@ def table(found: Sequence[Measurement]) -> Table:
 
 @contextmanager
 def _panel(
-    folder: Path, environment: Mapping[str, str], niceness: int | None
+    folder: Path, environment: Mapping[str, str], drawn: bool | None
 ) -> Iterator[Callable[[], dict[str, float]]]:
-    """A panel, and a browser of this niceness on its page; gives their CPU time so far, s."""
+    """A panel, and a browser on its page; gives their CPU time so far, s.
+
+    drawn: whether the browser draws what it is sent; None for no browser.
+    """
     with closing(socket.socket()) as free:
         free.bind(("127.0.0.1", 0))
         port = free.getsockname()[1]
@@ -131,15 +140,15 @@ def _panel(
     link = f"http://127.0.0.1:{port}/"
     try:
         _wait(lambda: _answers(panel, link), "the panel's page")
-        if niceness is None:
+        if drawn is None:
             yield lambda: {_PANEL: cpu_s(panel.pid)}
         else:
-            with _page(link, niceness) as browser:
+            with _page(link, drawn) as browser:
                 yield lambda: {
                     _PANEL: cpu_s(panel.pid),
                     _BROWSER: _tree_cpu_s(browser.service.process.pid),
                 }
-                if not any(_rows(browser)):
+                if not (any(_rows(browser)) if drawn else _taken(browser)):
                     raise RuntimeError("the panel's page plotted nothing")
     finally:
         panel.terminate()
@@ -151,8 +160,8 @@ def _panel(
 
 
 @contextmanager
-def _page(link: str, niceness: int) -> Iterator[Any]:
-    """A Chromium with the page's plots."""
+def _page(link: str, drawn: bool) -> Iterator[Any]:
+    """A Chromium with the page's plots, which nothing comes for yet."""
     from selenium import webdriver
     from selenium.webdriver.chrome.service import Service
     from selenium.webdriver.common.by import By
@@ -161,9 +170,7 @@ def _page(link: str, niceness: int) -> Iterator[Any]:
     options.binary_location = shutil.which("chromium") or ""
     for flag in (*_FLAGS, *(["--no-sandbox"] if os.geteuid() == 0 else [])):
         options.add_argument(flag)
-    # The driver hands its niceness on to the browser and all its threads.
-    lowered = {"preexec_fn": lambda: os.nice(niceness)}
-    service = Service(shutil.which("chromedriver"), popen_kw=lowered)
+    service = Service(shutil.which("chromedriver"))
     browser = webdriver.Chrome(options=options, service=service)
     try:
         browser.get(link)
@@ -171,6 +178,8 @@ def _page(link: str, niceness: int) -> Iterator[Any]:
         _wait(lambda: bool(browser.find_elements(By.CSS_SELECTOR, tab)), "the page's tabs")
         browser.find_element(By.CSS_SELECTOR, tab).click()
         _wait(lambda: bool(_rows(browser)), "the page's plots")
+        if not drawn:
+            browser.execute_script(_TAKE_ALL_DRAW_NOTHING)
         yield browser
     finally:
         browser.quit()
@@ -185,6 +194,11 @@ def _rows(browser: Any) -> list[int]:
             " .reduce((sum, one) => sum + (one.source?.length ?? 0), 0))"
         )
     )
+
+
+def _taken(browser: Any) -> int:
+    """How many updates of the plots came since none is drawn any more."""
+    return int(browser.execute_script("return window.taken"))
 
 
 def _answers(panel: subprocess.Popen[bytes], link: str) -> bool:

@@ -171,6 +171,6 @@ def test_a_tools_file_is_compared_number_by_number(tmp_path):
     assert "other values" in told
 
 
-@pytest.mark.slow
+@pytest.mark.soak
 def test_all_are_made_again_the_same():
     assert make_bags.run(make_bags.RECIPES, check=True, quiet=True) == []

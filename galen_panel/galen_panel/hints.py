@@ -14,10 +14,7 @@ NAMES = {
 
 def missing(state: State, name: str) -> str:
     """What to do where a service or action of that name isn't there; empty where it is."""
-    if name in state.available:
-        return ""
-    program = OFFERED_BY[name]
-    return f"{program.executable} isn't running. Start it: {program.start}"
+    return "" if name in state.available else OFFERED_BY[name].absent
 
 
 def title(behaviour: Behaviour) -> str:
@@ -36,7 +33,7 @@ def running(state: State) -> Behaviour | None:
 def cannot_start(state: State, kind: Kind) -> str:
     """Why a behaviour can't be started now and what to do; empty where it can.
 
-    Each node refuses a second goal of its own, but not while another node moves the arm.
+    A node refuses a second goal of its own; another node's at the same arm would end both.
     """
     other = running(state)
     if other is not None:

@@ -21,7 +21,7 @@ class Program:
     @property
     def absent(self) -> str:
         """That it isn't there, and what to do."""
-        return f"{self.executable} isn't running: start it with `{self.start}`"
+        return f"{self.executable} isn't running. Start it: {self.start}"
 
 
 DRIVER = Program("sim_driver", "galen_sim_driver", "sim_driver_node")

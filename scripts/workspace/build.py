@@ -73,6 +73,10 @@ def build(environment: Environment, *, verbose: bool = False) -> None:
     with log.open("w", encoding="utf-8") as file:
         output = None if verbose else file
         env = environment.variables()
+        flags = env.get("MAKEFLAGS", "")
+        if "-j" not in flags and "--jobs" not in flags:
+            # colcon would add -l, and the compiler wait while anything else is at work.
+            env["MAKEFLAGS"] = f"{flags} -j{os.cpu_count() or 1}".strip()
         done = subprocess.run(command, cwd=root, env=env, stdout=output, stderr=output, check=False)
     if done.returncode:
         raise SetupError(_explain(root, log))
