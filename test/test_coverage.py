@@ -49,7 +49,7 @@ def calibration(tool, roll, tilt, rng):
     return found, left_by_zeroing
 
 
-@pytest.mark.slow
+@pytest.mark.soak
 @pytest.mark.timeout(600)
 @pytest.mark.parametrize("name", ["pointer", "retractor"])
 def test_intervals_hold_the_truth_in_95_of_100_and_unseen_poses_are_compensated(name):
