@@ -9,6 +9,7 @@ from galen_model.arm import JOINT_NAMES
 from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.subscription import Subscription
+from rclpy.topic_endpoint_info import TopicEndpointInfo
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from galen_calibration_behavior.commands import MoveTo
@@ -80,10 +81,14 @@ class ArmPublisher:
 
     def _others_text(self) -> str:
         infos = self._node.get_publishers_info_by_topic(self.topic_name)
-        names = {f"{info.node_namespace.rstrip('/')}/{info.node_name}" for info in infos}
-        names -= {self._node.get_fully_qualified_name()}
-        who = f"; it could be {' or '.join(sorted(names))}" if names else ""
+        names = sorted({*_node_names(infos)} - {self._node.get_fully_qualified_name()})
+        who = f"; it could be {' or '.join(names)}" if names else ""
         return f"somebody else commands the arm on {self.topic_name}{who}"
+
+
+def _node_names(infos: Sequence[TopicEndpointInfo]) -> list[str]:
+    """Full names of the nodes that these endpoints belong to, a name for each endpoint, sorted."""
+    return sorted(f"{info.node_namespace.rstrip('/')}/{info.node_name}" for info in infos)
 
 
 class PublisherWatch:
@@ -103,7 +108,7 @@ class PublisherWatch:
         for topic in self._topics:
             infos = self._node.get_publishers_info_by_topic(topic)
             if len(infos) > 1:
-                names = sorted(f"{i.node_namespace.rstrip('/')}/{i.node_name}" for i in infos)
+                names = _node_names(infos)
                 text = f"{len(infos)} publishers on {topic}: {', '.join(names)}"
                 if len(set(names)) < len(names):
                     # Nobody tells DDS of a kill -9; it finds out by its own time-out.
