@@ -55,7 +55,7 @@ def test_the_compensated_wrench_is_near_zero_and_the_raw_one_is_not(live):
     assert largest(compensated, 1) < 0.2
     assert largest(raw, 2) > 0.5
     assert all(-30.5 < row[0] <= 0.0 for row in raw)
-    live.says("rms-fx", "0.0", patience_s=PATIENCE_S)
+    live.says("mean-fx", "0.0", patience_s=PATIENCE_S)
 
 
 def test_pause_holds_the_picture_and_the_keyboard_zooms_it(live):

@@ -140,18 +140,23 @@ def test_a_browser_that_lacks_what_came_before_is_sent_all_again():
     on_live(story)
 
 
-def test_numbers_are_the_rms_of_the_last_two_seconds():
+def test_numbers_are_the_signed_mean_of_the_last_two_seconds():
     async def story(user, shown):
-        def rms(series, column):
-            values = series.last(2.0).values[:, column]
-            return np.sqrt(np.mean(values**2))
-
         history = shown.suite.history
-        await user.until(lambda: user.text("rms-fx") != "–")
-        assert user.text("rms-fx") == f"{rms(history.compensated, 0):.3f}"
-        assert user.text("rms-tz") == f"{1e3 * rms(history.compensated, 5):.1f}"
-        tip = np.linalg.norm(history.deflection.last(2.0).values[:, :3], axis=1)
-        assert user.text("rms-tip") == f"{1e3 * np.sqrt(np.mean(tip**2)):.3f}"
+        end_s = START_S + 30.0
+        stamps = ((end_s + np.arange(1, 1500) / 500.0) * 1e9).astype(np.int64)
+        pushed = np.tile([-8.0, 0.5, 0.0, 0.0, 0.0, -0.25], (len(stamps), 1))
+        history.compensated.append(stamps, pushed)
+        history.raw.append(stamps, pushed + [1.0, 0.0, 0.0, 0.0, 0.0, 0.0])
+        history.deflection.append(
+            stamps, np.tile([-3e-4, 0.0, 4e-4, 0.0, 0.0, 0.0], (len(stamps), 1))
+        )
+        await user.until(lambda: user.text("mean-fx") == "-8.000")
+        assert user.text("mean-raw-fx") == "raw -7.000"
+        assert user.text("mean-fy") == "0.500"
+        assert user.text("mean-fz") == "0.000"
+        assert user.text("mean-tz") == "-250.0"
+        assert user.text("mean-tip") == "0.500"
 
     on_live(story)
 
@@ -172,7 +177,7 @@ def test_it_says_what_does_not_come():
         task = asyncio.ensure_future(raw_only())
         await user.until(lambda: "compensation is off" in user.text("silence"))
         task.cancel()
-        assert user.text("rms-fx") == "–"
+        assert user.text("mean-fx") == "–"
 
     on_live(story, seconds=0.0)
 

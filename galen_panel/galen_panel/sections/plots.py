@@ -22,13 +22,13 @@ from galen_panel.exports import between, csv, file_name
 from galen_panel.history import NS_PER_S, SECONDS, Samples, Series
 from galen_panel.page import Page
 from galen_panel.plot_options import (
+    DEFLECTION_NAMES,
     HEIGHT_PX,
     Option,
     deflection_curves,
     headings,
     look,
     options,
-    sizes,
     time_span,
     wrench_curves,
 )
@@ -36,8 +36,8 @@ from galen_panel.silence import COMPENSATED, DEFLECTION, JOINTS, RAW, Heard, tel
 
 WINDOWS_S = (10, 30, 60, 120)
 _FIRST_WINDOW_S = 30
-RMS_S = 2.0
-_RMS_PERIOD_S = 0.5
+MEAN_S = 2.0
+_MEAN_PERIOD_S = 0.5
 _ANSWER_S = 10.0
 _MIN_ZOOM_PERCENT = 0.02
 _SCRIPT = Path(__file__).with_suffix(".js")
@@ -65,8 +65,8 @@ class Plots:
         self._frozen: tuple[Samples, ...] | None = None
         self._zoom = (0.0, 100.0)
         self._stale = False
-        self._rms_at_s = -math.inf
-        self._rms: dict[str, tuple[ui.label, ui.label]] = {}
+        self._means_at_s = -math.inf
+        self._means: dict[str, tuple[ui.label, ui.label]] = {}
         self._build()
         self._look_at(self._window_s)
 
@@ -84,9 +84,9 @@ class Plots:
         if not await self._send_patches(patches):
             self._forget()
         now_s = time.monotonic()
-        if now_s - self._rms_at_s >= _RMS_PERIOD_S:
-            self._rms_at_s = now_s
-            self._show_rms()
+        if now_s - self._means_at_s >= _MEAN_PERIOD_S:
+            self._means_at_s = now_s
+            self._show_means()
 
     def resume_listening(self) -> None:
         """Nobody listened for a while: silence counts anew."""
@@ -135,13 +135,14 @@ class Plots:
                 place = f"left:{heading.left};top:{heading.top_px}px"
                 with ui.row(wrap=False).classes("live-heading").style(place):
                     ui.label(heading.axis).classes("live-axis")
-                    number = ui.label("–").classes("live-rms")
-                    number.props(f"data-testid=rms-{heading.axis}")
+                    number = ui.label("–").classes("live-mean")
+                    number.props(f"data-testid=mean-{heading.axis}")
                     ui.label(heading.unit)
                     raw = ui.label().classes("live-raw")
-                self._rms[heading.axis] = (number, raw)
+                    raw.props(f"data-testid=mean-raw-{heading.axis}")
+                self._means[heading.axis] = (number, raw)
         ui.label(
-            f"Numbers: RMS of the last {RMS_S:.0f} s. Zoom: the bar below the plots, the buttons"
+            f"Numbers: mean of the last {MEAN_S:.0f} s. Zoom: the bar below the plots, the buttons"
             " above, or Shift and the wheel; pause to see single samples."
         )
         ui.timer(0.0, self._follow_look, once=True)
@@ -327,19 +328,20 @@ class Plots:
         self._silence_text.set_text(text)
         self._silence.set_visibility(bool(text))
 
-    def _show_rms(self) -> None:
+    def _show_means(self) -> None:
         newest = max((series.newest_ns or 0 for series in self._series), default=0)
         raw, compensated, deflection = (
-            series.since(newest - int(RMS_S * NS_PER_S)).values for series in self._series
+            _mean(curves(series.since(newest - int(MEAN_S * NS_PER_S)).values))
+            for series, curves in zip(self._series, _CURVES, strict=True)
         )
-        axes = list(self._rms)[:6]
-        shown = zip(axes, _rms(wrench_curves(compensated)), _rms(wrench_curves(raw)), strict=True)
-        for index, (axis, net, gross) in enumerate(shown):
+        axes = list(self._means)[:6]
+        for index, (axis, net, gross) in enumerate(zip(axes, compensated, raw, strict=True)):
             digits = 3 if index < 3 else 1
-            number, beside = self._rms[axis]
+            number, beside = self._means[axis]
             number.set_text(_text(net, digits))
             beside.set_text(f"raw {_text(gross, digits)}")
-        self._rms["tip"][0].set_text(_text(_rms(1e3 * sizes(deflection)[:, None])[0], 3))
+        size = deflection[DEFLECTION_NAMES.index("size")]
+        self._means["tip"][0].set_text(_text(size, 3))
 
 
 def _newest(streams: tuple[Samples, ...]) -> int:
@@ -350,12 +352,13 @@ def _ms(duration_ns: int) -> float:
     return round(duration_ns / 1e6, 1)
 
 
-def _rms(values: Array) -> Array:
-    """Of each column; NaN without rows."""
+def _mean(values: Array) -> Array:
+    """Of each column, with its sign; NaN without rows."""
     if not len(values):
         return np.full(values.shape[1], np.nan)
-    return np.asarray(np.sqrt(np.mean(values**2, axis=0)))
+    return np.asarray(values.mean(axis=0))
 
 
 def _text(value: float, digits: int) -> str:
-    return f"{value:.{digits}f}" if math.isfinite(value) else "–"
+    # A rounded zero has no sign.
+    return f"{round(value, digits) + 0.0:.{digits}f}" if math.isfinite(value) else "–"
