@@ -19,9 +19,9 @@ setup(
     license="Apache-2.0",
     entry_points={
         "console_scripts": [
-            "convert = galen_bags.convert:main",
-            "record = galen_bags.record:main",
-            "play = galen_bags.play:main",
+            "convert = galen_ros.executable:galen_bags.convert.main",
+            "record = galen_ros.executable:galen_bags.record.main",
+            "play = galen_ros.executable:galen_bags.play.main",
         ]
     },
 )

@@ -22,5 +22,5 @@ setup(
     maintainer_email="galen@example.org",
     description="Launch files, configuration and the demonstration of the Galen suite.",
     license="Apache-2.0",
-    entry_points={"console_scripts": ["demo = galen_bringup.demo:main"]},
+    entry_points={"console_scripts": ["demo = galen_ros.executable:galen_bringup.demo.main"]},
 )

@@ -18,14 +18,14 @@ setup(
     license="Apache-2.0",
     entry_points={
         "console_scripts": [
-            "calibration_node = galen_calibration_behavior.node:main",
-            "calibrate = galen_calibration_behavior.calibrate:main",
-            "check_node = galen_calibration_behavior.check_node:main",
-            "check = galen_calibration_behavior.check:main",
-            "calibrate_from_bag = galen_calibration_behavior.calibrate_from_bag:main",
-            "inertia_from_bag = galen_calibration_behavior.inertia_from_bag:main",
-            "cable_from_bag = galen_calibration_behavior.cable_from_bag:main",
-            "choose_poses = galen_calibration_behavior.choose_poses:main",
+            f"calibration_node = galen_ros.executable:{package_name}.node.main",
+            f"calibrate = galen_ros.executable:{package_name}.calibrate.main",
+            f"check_node = galen_ros.executable:{package_name}.check_node.main",
+            f"check = galen_ros.executable:{package_name}.check.main",
+            f"calibrate_from_bag = galen_ros.executable:{package_name}.calibrate_from_bag.main",
+            f"inertia_from_bag = galen_ros.executable:{package_name}.inertia_from_bag.main",
+            f"cable_from_bag = galen_ros.executable:{package_name}.cable_from_bag.main",
+            f"choose_poses = galen_ros.executable:{package_name}.choose_poses.main",
         ]
     },
 )

@@ -19,11 +19,11 @@ setup(
     license="Apache-2.0",
     entry_points={
         "console_scripts": [
-            "diagnose = galen_diagnosis.diagnose:main",
-            "diagnose_table = galen_diagnosis.diagnose_table:main",
-            "diagnose_joints = galen_diagnosis.diagnose_joints:main",
-            "blind_check = galen_diagnosis.blind_check:main",
-            "gap_monitor = galen_diagnosis.gap_monitor:main",
+            "diagnose = galen_ros.executable:galen_diagnosis.diagnose.main",
+            "diagnose_table = galen_ros.executable:galen_diagnosis.diagnose_table.main",
+            "diagnose_joints = galen_ros.executable:galen_diagnosis.diagnose_joints.main",
+            "blind_check = galen_ros.executable:galen_diagnosis.blind_check.main",
+            "gap_monitor = galen_ros.executable:galen_diagnosis.gap_monitor.main",
         ]
     },
 )

@@ -19,11 +19,11 @@ setup(
     license="Apache-2.0",
     entry_points={
         "console_scripts": [
-            "gravcomp_node = galen_gravcomp.node:main",
-            "evaluate = galen_gravcomp.evaluate:main",
-            "score_motion = galen_gravcomp.score_motion:main",
-            "drift = galen_gravcomp.drift:main",
-            "tools = galen_gravcomp.tools_command:main",
+            "gravcomp_node = galen_ros.executable:galen_gravcomp.node.main",
+            "evaluate = galen_ros.executable:galen_gravcomp.evaluate.main",
+            "score_motion = galen_ros.executable:galen_gravcomp.score_motion.main",
+            "drift = galen_ros.executable:galen_gravcomp.drift.main",
+            "tools = galen_ros.executable:galen_gravcomp.tools_command.main",
         ]
     },
 )

@@ -16,5 +16,7 @@ setup(
     maintainer_email="galen@example.org",
     description="Stands in for the Galen's arm, force/torque sensor and optical tracker.",
     license="Apache-2.0",
-    entry_points={"console_scripts": ["sim_driver_node = galen_sim_driver.node:main"]},
+    entry_points={
+        "console_scripts": ["sim_driver_node = galen_ros.executable:galen_sim_driver.node.main"]
+    },
 )

@@ -20,6 +20,8 @@ from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import ok, remove_ros_args, try_shutdown
 
+from galen_ros.executable import interrupted
+
 N = TypeVar("N", bound=Node)
 
 _IN_RCL = re.compile(r",? at /\S+")
@@ -89,6 +91,8 @@ def run_until(
 
     def on_signal(number: int, _frame: FrameType | None) -> None:
         caught.append(number)
+        if number == signal.SIGINT:
+            interrupted()
 
     # Own handlers, not rclpy's: rclpy's shut the context down under a running callback, whose next
     # publish then raises. With these, the callback ends first and the node can say good-bye.

@@ -1,0 +1,93 @@
+"""The start and end that all executables share: SIGINT ends them without a traceback.
+
+An entry point has this module in front of its function's path, so that the signal is handled before
+the imports, which take seconds: `tools = galen_ros.executable:galen_gravcomp.tools_command.main`.
+"""
+
+from __future__ import annotations
+
+import importlib
+import os
+import signal
+import time
+from enum import Enum, auto
+from types import FrameType
+
+EXIT_INTERRUPTED = 130
+# One Ctrl-C may come twice: from the terminal, and handed on by `ros2 launch`.
+_SAME_S = 1.0
+
+
+class _Phase(Enum):
+    IMPORTING = auto()
+    WORKING = auto()
+    ENDING = auto()
+
+
+class _Interrupts:
+    """The handler of SIGINT while no handler of the executable's own is in place."""
+
+    def __init__(self) -> None:
+        self.phase = _Phase.IMPORTING
+        self._came_s: float | None = None
+
+    def take(self) -> None:
+        """Become the handler, also after others."""
+        signal.signal(signal.SIGINT, self)
+
+    def note(self) -> bool:
+        """Note that SIGINT came. True if it is a new one, not the last one repeated."""
+        now_s = time.monotonic()
+        if self._came_s is not None and now_s - self._came_s < _SAME_S:
+            return False
+        self._came_s = now_s
+        return True
+
+    def __call__(self, _number: int, _frame: FrameType | None) -> None:
+        first = self._came_s is None
+        if self.phase is _Phase.IMPORTING:
+            os._exit(EXIT_INTERRUPTED)  # an exception would come out of somebody's import
+        if not self.note():
+            return
+        if self.phase is _Phase.WORKING:
+            raise KeyboardInterrupt
+        if not first:  # the end itself hangs
+            os._exit(EXIT_INTERRUPTED)
+
+
+_interrupts = _Interrupts()
+
+
+def interrupted() -> None:
+    """Note a SIGINT that a handler of one's own has taken: its repetition is ignored, too."""
+    _interrupts.note()
+
+
+class _Path:
+    """A function of an executable by its full name, imported when it is called."""
+
+    def __init__(self, name: str) -> None:
+        self._name = name
+
+    def __getattr__(self, name: str) -> _Path:
+        return _Path(f"{self._name}.{name}")
+
+    def __call__(self) -> object:
+        """Run the executable; returns its exit code."""
+        _interrupts.take()
+        module, _, function = self._name.rpartition(".")
+        main = getattr(importlib.import_module(module), function)
+        try:
+            _interrupts.phase = _Phase.WORKING
+            return main()
+        except KeyboardInterrupt:
+            return EXIT_INTERRUPTED
+        finally:
+            _interrupts.phase = _Phase.ENDING
+            _interrupts.take()
+
+
+def __getattr__(name: str) -> _Path:
+    if name.startswith("_"):  # the import system's questions
+        raise AttributeError(name)
+    return _Path(name)

@@ -1,0 +1,108 @@
+"""SIGINT at any time of an executable's life: while it imports, works, and ends."""
+
+import signal
+import subprocess
+import sys
+
+import pytest
+
+_PROGRAM = """
+import os, signal, sys, time
+sys.path.insert(0, sys.argv[1])
+from galen_ros.executable import work
+sys.exit(work.main())
+"""
+
+_WORK = """
+import os, signal, sys, time, rclpy
+from galen_ros.spin import run
+from rclpy.node import Node
+
+def interrupt(*_):
+    os.kill(os.getpid(), signal.SIGINT)
+
+what = sys.argv[2]
+if what == "imports":
+    try:
+        interrupt()
+    except BaseException as error:  # as libraries do
+        raise ImportError("an interrupted import") from error
+
+class Quick(Node):
+    def destroy_node(self):
+        super().destroy_node()
+        print("destroyed", flush=True)
+        interrupt()
+
+def make_node():
+    node = Quick("quick")
+    node.create_timer(0.01, interrupt)
+    return node
+
+def main():
+    if what == "node":
+        import atexit
+        atexit.register(interrupt)
+        run(make_node)
+        interrupt()
+        print("counted", flush=True)
+        return 0
+    if what == "end":
+        import atexit
+        atexit.register(interrupt)
+        return 7
+    try:
+        interrupt()
+        time.sleep(10.0)
+    finally:
+        if what != "once":
+            if what == "later":
+                import galen_ros.executable as executable
+                executable._SAME_S = 0.0
+            interrupt()
+        print("tidied up", flush=True)
+"""
+
+
+@pytest.fixture
+def end(tmp_path):
+    (tmp_path / "work.py").write_text(_WORK, encoding="utf-8")
+
+    def run(what):
+        done = subprocess.run(
+            [sys.executable, "-c", _PROGRAM, str(tmp_path), what],
+            capture_output=True,
+            text=True,
+            timeout=30.0,
+            check=False,
+        )
+        return done.returncode, done.stdout, done.stderr
+
+    return run
+
+
+def test_ends_quietly_while_it_imports(end):
+    assert end("imports") == (130, "", "")
+
+
+@pytest.mark.parametrize("what", ["once", "twice"])
+def test_one_interrupt_sent_twice_lets_the_command_tidy_up(end, what):
+    assert end(what) == (130, "tidied up\n", "")
+
+
+def test_a_later_interrupt_ends_a_command_that_tidies_up_for_long(end):
+    assert end("later") == (130, "", "")
+
+
+def test_an_interrupt_at_the_end_changes_nothing(end):
+    assert end("end") == (7, "", "")
+
+
+def test_a_node_interrupted_twice_ends_as_if_once(end):
+    assert end("node") == (0, "destroyed\ncounted\n", "")
+
+
+def test_other_handlers_are_not_replaced_by_the_import():
+    import galen_ros.executable  # noqa: F401
+
+    assert "galen_ros" not in repr(signal.getsignal(signal.SIGINT))

@@ -1,0 +1,50 @@
+"""Ctrl-C while any executable imports what it needs: no traceback, exit code 130."""
+
+import os
+import subprocess
+import sys
+from importlib.metadata import distribution
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parent.parent
+PACKAGES = sorted(path.parent.name for path in ROOT.glob("galen_*/setup.py"))
+
+INTERRUPT_AT_IMPORT = """
+import os, signal, sys
+from importlib.metadata import distribution
+
+package, executable, module = sys.argv[1:4]
+
+class Interrupt:
+    def find_spec(self, name, path=None, target=None):
+        if name == module:
+            os.kill(os.getpid(), signal.SIGINT)
+
+sys.meta_path.insert(0, Interrupt())
+(entry,) = distribution(package).entry_points.select(group="console_scripts", name=executable)
+sys.argv = [executable, "--help"]
+sys.exit(entry.load()())
+"""
+
+
+def executables():
+    """All, as (package, name, the module with its function)."""
+    for package in PACKAGES:
+        for entry in distribution(package).entry_points.select(group="console_scripts"):
+            function = entry.value.removeprefix("galen_ros.executable:").replace(":", ".")
+            yield package, entry.name, function.rpartition(".")[0]
+
+
+@pytest.mark.parametrize(("package", "name", "module"), list(executables()))
+def test_interrupted_import_ends_without_a_traceback(package, name, module):
+    done = subprocess.run(
+        [sys.executable, "-c", INTERRUPT_AT_IMPORT, package, name, module],
+        capture_output=True,
+        text=True,
+        timeout=60.0,
+        check=False,
+        env={**os.environ, "PYTHONWARNINGS": "ignore"},
+    )
+    assert (done.returncode, done.stdout, done.stderr) == (130, "", "")
