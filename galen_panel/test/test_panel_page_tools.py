@@ -23,12 +23,50 @@ def test_a_button_a_tool_puts_it_in_force():
         await user.until(lambda: suite.calls == [("put_in_force", "retractor")])
         suite.put(
             tools=(replace(POINTER, in_force=False), replace(RETRACTOR, in_force=True)),
-            in_force=replace(IN_FORCE, tool="retractor"),
+            in_force=replace(IN_FORCE, tool="retractor", calibrated_at=RETRACTOR.calibrated_at),
         )
         await user.until(lambda: "in force" in user.text("tool-retractor"))
         assert "in force" not in user.text("tool-pointer")
         user.click("no-tool")
         await user.until(lambda: suite.calls[-1] == ("put_in_force", ""))
+
+    on_page(suite, story)
+
+
+def test_a_new_calibration_is_not_taken_for_the_one_that_is_compensated():
+    suite = FakeSuite()
+    new = replace(POINTER, mass_kg=0.0647, calibrated_at="2026-11-23T08:00:00+00:00")
+
+    async def story(user):
+        suite.put(tools=(new, RETRACTOR))
+        await user.until(lambda: "64.70" in user.text("tool-pointer"))
+        text = user.text("tool-pointer")
+        assert "in force" not in text
+        assert "not active yet" in text
+        assert "Compensated now: 60.10 g, calibrated 2026-11-21 14:03 UTC" in text
+        assert "Press to load this file" in text
+        assert user.get("tool-pointer").props["aria-pressed"] == "false"
+        assert not user.get("tool-pointer-remove").enabled
+        user.click("tool-pointer")
+        await user.until(lambda: suite.calls == [("put_in_force", "pointer")])
+        suite.put(in_force=replace(IN_FORCE, mass_kg=0.0647, calibrated_at=new.calibrated_at))
+        await user.until(lambda: "in force" in user.text("tool-pointer"))
+        assert "Compensated now" not in user.text("tool-pointer")
+
+    on_page(suite, story)
+
+
+def test_a_file_that_was_changed_otherwise_is_not_active_either():
+    suite = FakeSuite()
+
+    async def story(user):
+        suite.put(in_force=replace(IN_FORCE, file_state="changed"))
+        await user.until(lambda: "not active yet" in user.text("tool-pointer"))
+        broken = Tool("pointer", problem="pointer.json: field 'load' is missing", in_force=True)
+        suite.put(tools=(broken, RETRACTOR))
+        await user.until(lambda: "is missing" in user.text("tool-pointer"))
+        text = user.text("tool-pointer")
+        assert "Compensated now: 60.10 g" in text and "Press" not in text
 
     on_page(suite, story)
 

@@ -8,7 +8,7 @@ from galen_panel import hints, texts
 from galen_panel.page import Page
 from galen_panel.sections import tool_dialogs
 from galen_panel.sections.elements import heading, pick_class, set_prop, set_test_id
-from galen_panel.state import State, Tool
+from galen_panel.state import InForce, State, Tool
 
 _LISTED = 40
 """Tools that are drawn at most: a page of 500 would be slow, and nobody reads it."""
@@ -109,12 +109,14 @@ class _Row:
                     with self._mark:
                         ui.icon("check_circle").props("aria-hidden=true")
                         ui.label("in force")
+                    self._not_active = ui.label("not active yet").classes("text-warning panel-lead")
                     ui.space()
                     self._mass = ui.label().classes("panel-number panel-tool-mass")
                 self._centre = ui.label().classes("panel-number")
                 self._residual = ui.label().classes("panel-number")
                 self._made = ui.label().classes("panel-quiet")
                 self._problem = ui.label().classes("text-negative")
+                self._compensated = ui.label().classes("panel-lead")
             self._revert = ui.button(icon="history", on_click=self._revert_tool)
             self._revert.props("flat round")
             set_prop(self._revert, "aria-label", f"Go back to the calibration of {name} before")
@@ -126,9 +128,14 @@ class _Row:
 
     def update(self, tool: Tool, state: State, set_tool: str) -> None:
         """Show it as it is now. set_tool: why none can be put in force, or empty."""
-        self._mark.set_visibility(tool.in_force)
-        pick_class(self._button, "panel-tool-", "in-force" if tool.in_force else "other")
-        set_prop(self._button, "aria-pressed", "true" if tool.in_force else "false")
+        compensated = _compensated_instead(tool, state.in_force)
+        active = tool.in_force and not compensated
+        self._mark.set_visibility(active)
+        self._not_active.set_visibility(bool(compensated))
+        self._compensated.set_text(compensated)
+        self._compensated.set_visibility(bool(compensated))
+        pick_class(self._button, "panel-tool-", "in-force" if active else "other")
+        set_prop(self._button, "aria-pressed", "true" if active else "false")
         self._problem.set_text(f"Can't be used: {tool.problem}")
         self._problem.set_visibility(bool(tool.problem))
         for label in (self._mass, self._centre, self._residual, self._made):
@@ -157,6 +164,18 @@ class _Row:
 
     async def _remove_tool(self) -> None:
         await tool_dialogs.remove_tool(self._page, self._name, self._remove)
+
+
+def _compensated_instead(tool: Tool, loaded: InForce | None) -> str:
+    """What of the active tool is compensated where its file is another one by now; else empty."""
+    if not tool.in_force or loaded is None:
+        return ""
+    if loaded.file_state == "as loaded" and loaded.calibrated_at == tool.calibrated_at:
+        return ""
+    now = f"Compensated now: {texts.mass(loaded.mass_kg)}"
+    if loaded.calibrated_at:
+        now += f", calibrated {texts.date(loaded.calibrated_at)}"
+    return f"{now}." if tool.problem else f"{now}. Press to load this file."
 
 
 def _made(tool: Tool) -> str:
