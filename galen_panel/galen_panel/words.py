@@ -19,13 +19,14 @@ from galen_panel.programs import (
     GRAVCOMP,
     Program,
 )
-from galen_panel.state import InForce, Level, NodeReport, State
+from galen_panel.state import InForce, Kind, Level, NodeReport, State
 from galen_panel.words_advice import (
     ADVICE,
     LIFECYCLE,
     NO_CLOCK,
     OUTPUT,
     REFUSED,
+    WHILE_CALIBRATING,
     Advice,
 )
 
@@ -117,7 +118,9 @@ def words_of(state: State, role: Role, now_s: float) -> Words:
     report = state.report_of(role.name)
     if report is None or now_s - report.heard_s > SILENT_S:
         return _absent(state, role, report, now_s)
-    words = _present(role, report, state.in_force)
+    calibration = state.behaviours.get(Kind.CALIBRATE)
+    calibrating = calibration is not None and calibration.running
+    words = _present(role, report, state.in_force, calibrating)
     if "clock" in report.values:
         return replace(words, doing=NO_CLOCK.doing, todo=NO_CLOCK.todo)
     return words
@@ -130,6 +133,13 @@ def words_of_other(report: NodeReport, now_s: float) -> Words:
         return Words(Level.STALE, _silence(silent_s), "Start it again if it is needed.", "", False)
     todo = "" if report.level is Level.OK else "Its own message says what is wrong."
     return Words(report.level, _sentence(report.message), todo)
+
+
+def compensates(state: State, now_s: float) -> bool:
+    """Whether compensated wrenches go out; switched on is not enough. now_s: as in `words_of`."""
+    in_force = state.in_force
+    wanted = in_force is not None and in_force.enabled and bool(in_force.tool)
+    return wanted and not words_of(state, _COMPENSATION, now_s).stopped
 
 
 def overall(state: State, now_s: float) -> tuple[Level, str]:
@@ -190,11 +200,11 @@ def _other_drivers(state: State, now_s: float) -> str:
     return report.values.get("wrench_raw_publisher_nodes", "")
 
 
-def _present(role: Role, report: NodeReport, in_force: InForce | None) -> Words:
+def _present(role: Role, report: NodeReport, in_force: InForce | None, calibrating: bool) -> Words:
     lifecycle = report.values.get("lifecycle", "")
     name = report.values.get("state", "")
     if name not in ("", "inactive") or lifecycle in ("", "active"):
-        return _by_state(role, report, name, in_force)
+        return _by_state(role, report, name, in_force, calibrating)
     failed = report.level is Level.ERROR
     advice = LIFECYCLE.get(f"{lifecycle} failed" if failed else lifecycle)
     if advice is None:
@@ -204,14 +214,18 @@ def _present(role: Role, report: NodeReport, in_force: InForce | None) -> Words:
     )
 
 
-def _by_state(role: Role, report: NodeReport, name: str, in_force: InForce | None) -> Words:
-    advice = find_advice(role.name, name, report.level)
+def _by_state(
+    role: Role, report: NodeReport, name: str, in_force: InForce | None, calibrating: bool
+) -> Words:
+    level, advice = report.level, find_advice(role.name, name, report.level)
+    if calibrating and name in (expected := WHILE_CALIBRATING.get(role.name, {})):
+        level, advice = Level.OK, expected[name]
     if advice is None:
         return _own_words(report)
     tool = report.values.get("tool", "") or ("" if in_force is None else in_force.tool)
     given = {"tool": tool or "the tool", "node": report.name}
     return Words(
-        report.level, advice.doing.format(**given), advice.todo.format(**given), report.message,
+        level, advice.doing.format(**given), advice.todo.format(**given), report.message,
         True, advice.stopped,
     )  # fmt: skip
 

@@ -164,6 +164,22 @@ _GOAL_IDLE = {
 }
 _KEEP_OFF = "Keep off the arm and the tool."
 
+WHILE_CALIBRATING = {
+    "gravcomp": {
+        "does_not_fit": Advice(
+            "Compensates '{tool}'. A calibration takes the tool off and puts it on: until it has"
+            " ended the fit is not judged."
+        )
+    },
+    "gap_monitor": {
+        "gap": Advice(
+            "A calibration takes the tool off and puts it on: until it has ended the gap is not"
+            " judged."
+        )
+    },
+}
+"""Warnings that are expected while a calibration runs, and what is said in their place."""
+
 ADVICE: dict[str, dict[str, Advice]] = {
     "gravcomp": _STREAM
     | {

@@ -1,11 +1,21 @@
 """A suite without ROS, for what the page does; `python fake_panel.py` shows it in a browser."""
 
+import math
 from contextlib import contextmanager
 from dataclasses import replace
 
 import numpy as np
 from galen_panel.history import History
-from galen_panel.state import Answer, Comparison, Difference, InForce, State, Tool
+from galen_panel.state import (
+    Answer,
+    Comparison,
+    Difference,
+    InForce,
+    Level,
+    NodeReport,
+    State,
+    Tool,
+)
 
 POINTER = Tool(
     "pointer", 0.0601, 3e-5, (0.055, 0.002, 0.045), (1.6e-3, 1.7e-3, 2.8e-3),
@@ -20,6 +30,13 @@ IN_FORCE = InForce(
     "pointer", True, 0.0601, (0.055, 0.002, 0.045), (0.15, 0.0, 0.05),
     "2026-11-21T14:03:11+00:00", "as loaded", None, None,
 )  # fmt: skip
+COMPENSATING = NodeReport(
+    "gravcomp", Level.OK, "compensating 'pointer'", {"state": "compensating"}, math.inf
+)
+"""It is never silent."""
+CALIBRATION_READY = NodeReport(
+    "calibration", Level.OK, "ready", {"state": "ready", "sweep_s": "102.0"}, math.inf
+)
 ALL = frozenset(
     {
         "gravcomp/set_tool", "gravcomp/list_tools", "gravcomp/compare_tools",
@@ -34,7 +51,8 @@ class FakeSuite:
 
     def __init__(self):
         self.state = State(
-            1, (POINTER, RETRACTOR, BROKEN), "/tools", "", IN_FORCE, {}, {}, ALL
+            1, (POINTER, RETRACTOR, BROKEN), "/tools", "", IN_FORCE,
+            {one.name: one for one in (COMPENSATING, CALIBRATION_READY)}, {}, ALL
         )  # fmt: skip
         self.history = History()
         self.calls = []

@@ -1,11 +1,12 @@
 """The header: the tool in force, compensation, tare, the lamp; and how the page asks."""
 
 import asyncio
+import time
 from dataclasses import replace
 
 import pytest
-from fake_suite import ALL, IN_FORCE, FakeSuite
-from galen_panel.state import Answer
+from fake_suite import ALL, COMPENSATING, IN_FORCE, FakeSuite
+from galen_panel.state import Answer, Level
 from page_user import on_page
 
 
@@ -37,6 +38,40 @@ def test_the_switch_asks_for_the_other_state_and_waits_for_gravcomp():
         await user.until(lambda: user.text("enable") == "Compensation off")
         user.click("enable")
         await user.until(lambda: suite.calls[-1] == ("set_enabled", True))
+
+    on_page(suite, story)
+
+
+@pytest.mark.parametrize(
+    ("in_force", "level", "state"),
+    [
+        (replace(IN_FORCE, tool=""), Level.WARN, "no_tool"),
+        (replace(IN_FORCE, tool=""), Level.OK, "compensating"),  # said a moment ago
+        (IN_FORCE, Level.STALE, "silent"),
+        (IN_FORCE, Level.ERROR, "stale_joints"),
+    ],
+)
+def test_the_switch_is_on_only_while_something_is_published(in_force, level, state):
+    suite = FakeSuite()
+
+    async def story(user):
+        assert "panel-switch-on" in user.get("enable").classes
+        report = replace(COMPENSATING, level=level, values={"state": state})
+        suite.put(in_force=in_force, nodes={"gravcomp": report})
+        await user.until(lambda: user.text("enable") == "No compensation (switched on)")
+        assert "panel-switch-on" not in user.get("enable").classes
+        user.click("enable")
+        await user.until(lambda: suite.calls == [("set_enabled", False)])
+
+    on_page(suite, story)
+
+
+def test_the_switch_follows_a_gravcomp_that_fell_silent():
+    suite = FakeSuite()
+    suite.put(nodes={"gravcomp": replace(COMPENSATING, heard_s=time.monotonic() - 2.5)})
+
+    async def story(user):
+        await user.until(lambda: user.text("enable") == "No compensation (switched on)")
 
     on_page(suite, story)
 
@@ -76,7 +111,7 @@ def test_the_lamp_tells_its_level_in_words():
     suite = FakeSuite()
 
     async def story(user):
-        suite.put(in_force=None, available=frozenset())
+        suite.put(in_force=None, available=frozenset(), nodes={})
         await user.until(lambda: user.get("lamp").props["data-level"] in ("error", "stale"))
         assert len(user.text("lamp")) > 10
 

@@ -2,6 +2,7 @@
 
 import ast
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -13,7 +14,7 @@ from galen_deflection.deflector_monitor import DeflectorMonitor
 from galen_diagnosis.gap_stream import GapMonitor
 from galen_diagnosis.gap_watch import GapNotice
 from galen_gravcomp.monitor import Monitor
-from galen_panel.state import InForce, Level, NodeReport, State
+from galen_panel.state import Behaviour, InForce, Kind, Level, NodeReport, Outcome, State
 from galen_panel.words import ROLES, find_advice, others, overall, words_of, words_of_other
 from galen_panel.words_advice import ADVICE, LIFECYCLE, REFUSED
 from galen_ros.managed_node import Stage
@@ -289,6 +290,31 @@ def test_the_lamp_names_the_worst_of_the_others_when_compensation_works():
     fits = report("gravcomp", Level.WARN, "does_not_fit", tool="pointer")
     level, text = overall(state_of(GOOD[0], fits, failed), NOW_S)
     assert level is Level.WARN and "does not fit" in text
+
+
+def calibrating(**changes):
+    return {Kind.CALIBRATE: Behaviour(1, Kind.CALIBRATE, "pointer", **changes)}
+
+
+def test_a_calibration_that_takes_the_tool_off_is_no_warning():
+    fits = report("gravcomp", Level.WARN, "does_not_fit", tool="pointer")
+    gap = report("gap_monitor", Level.WARN, "gap")
+    state = state_of(GOOD[0], fits, gap, in_force=IN_FORCE, behaviours=calibrating())
+    level, text = overall(state, NOW_S)
+    assert level is Level.OK
+    assert text.startswith("Compensates 'pointer'") and "calibration" in text
+    assert words_of(state, role("gap_monitor"), NOW_S).level is Level.OK
+    assert not words_of(state, role("gravcomp"), NOW_S).todo
+    # When it has ended, a tool that is still off is a warning again.
+    ended = replace(state, behaviours=calibrating(outcome=Outcome("CANCELED", "canceled")))
+    assert overall(ended, NOW_S)[0] is Level.WARN
+    assert "does not fit" in overall(ended, NOW_S)[1]
+
+
+def test_a_calibration_hides_no_other_trouble():
+    late = report("gravcomp", Level.WARN, "late", tool="pointer")
+    level, _ = overall(state_of(*GOOD[:1], late, behaviours=calibrating()), NOW_S)
+    assert level is Level.WARN
 
 
 def test_the_lamp_without_any_node():

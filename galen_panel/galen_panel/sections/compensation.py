@@ -2,18 +2,23 @@
 
 from __future__ import annotations
 
+import time
+
 from nicegui import ui
 
 from galen_panel import hints, texts
 from galen_panel.page import Page
 from galen_panel.sections.elements import pick_class, set_prop
 from galen_panel.state import InForce, State
+from galen_panel.words import compensates
 
 _FILE_STATES = {
     "changed": "Its file has changed since: put it in force again.",
     "gone": "Its file is gone.",
 }
 _ABSENT = "gravcomp is not running"
+# A gravcomp that falls silent changes nothing in the state; only time tells.
+_PERIOD_S = 1.0
 
 
 def build(page: Page) -> None:
@@ -55,21 +60,27 @@ def _enable(page: Page) -> None:
     button.props('unelevated no-caps role=switch data-testid=enable aria-label="Compensation"')
 
     def update(state: State) -> None:
-        on = state.in_force is not None and state.in_force.enabled
-        button.set_text(_enabled_text(state.in_force))
-        button.set_icon("toggle_on" if on else "toggle_off")
-        set_prop(button, "aria-checked", "true" if on else "false")
-        word = "unknown" if state.in_force is None else "on" if on else "off"
+        switched_on = state.in_force is not None and state.in_force.enabled
+        text, word = _shown(state)
+        button.set_text(text)
+        button.set_icon("toggle_on" if switched_on else "toggle_off")
+        set_prop(button, "aria-checked", "true" if switched_on else "false")
         pick_class(button, "panel-switch-", word)
         page.allow(button, hints.missing(state, "gravcomp/enable"))
 
     page.on_change(update)
+    ui.timer(_PERIOD_S, lambda: update(page.suite.state))
 
 
-def _enabled_text(in_force: InForce | None) -> str:
-    if in_force is None:
-        return "Compensation: unknown"
-    return "Compensation on" if in_force.enabled else "Compensation off"
+def _shown(state: State) -> tuple[str, str]:
+    """The switch's text and look: what is published, not what is wished."""
+    if state.in_force is None:
+        return "Compensation: unknown", "unknown"
+    if not state.in_force.enabled:
+        return "Compensation off", "off"
+    if compensates(state, time.monotonic()):
+        return "Compensation on", "on"
+    return "No compensation (switched on)", "off"
 
 
 def _tare(page: Page) -> None:
