@@ -1,4 +1,4 @@
-"""What commands share: numbers on the command line, a line that lives, how they end."""
+"""What commands share: numbers and places on the command line, a live line, how they end."""
 
 from __future__ import annotations
 
@@ -6,8 +6,10 @@ import argparse
 import math
 import shutil
 import sys
+import tempfile
 import time
 from collections.abc import Callable, Sequence
+from pathlib import Path
 
 from galen_model.errors import GalenError
 from tqdm import tqdm
@@ -57,6 +59,45 @@ def _finite(text: str) -> float:
     if not math.isfinite(value):
         raise argparse.ArgumentTypeError(f"{text} is not finite")
     return value
+
+
+def check_folder(folder: Path | None) -> None:
+    """Raise GalenError before the work if no file can be written into it.
+
+    The folder, and those above it, need not be there yet.
+    """
+    if folder is not None:
+        _check_writable(folder, folder)
+
+
+def check_parent(path: Path) -> None:
+    """Raise GalenError before the work if nothing of this name can be made."""
+    _check_writable(path.parent, path)
+
+
+def check_file(path: Path | None) -> None:
+    """Raise GalenError before the work if the file can't be written."""
+    if path is None:
+        return
+    try:
+        is_folder = path.is_dir()
+    except OSError as error:
+        raise GalenError(f"{path}: can't be written: {error.strerror}") from error
+    if is_folder:
+        raise GalenError(f"{path}: is a directory; name the file")
+    check_parent(path)
+
+
+def _check_writable(folder: Path, named: Path) -> None:
+    """Write into the folder, or the nearest above that is there; nothing is left behind."""
+    try:
+        there = next((path for path in (folder, *folder.parents) if path.exists()), Path())
+        if not there.is_dir():
+            raise GalenError(f"{there}: is no directory")
+        # Permissions alone don't tell: root has them all, and a file system may be read-only.
+        Path(tempfile.mkdtemp(dir=there, prefix=".galen_")).rmdir()
+    except OSError as error:
+        raise GalenError(f"{named}: can't be written: {error.strerror}") from error
 
 
 def run_command(name: str, work: Callable[[], int]) -> int:

@@ -6,6 +6,7 @@ import argparse
 import json
 import sys
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,7 +14,7 @@ from galen_model.arm import SENSOR_FRAME
 from galen_model.errors import GalenError
 from galen_ros.cdr import NS_PER_S
 
-from galen_bags.command_line import EXIT_FAILED, EXIT_OK, EXIT_USAGE, positive
+from galen_bags.command_line import EXIT_FAILED, EXIT_OK, EXIT_USAGE, check_parent, positive
 from galen_bags.measured import UNITS_NS, Measured, Written, stamps_ns, write_measured
 from galen_bags.orientation_table import read_orientations, read_table, read_wrenches
 from galen_bags.text_table import TableError
@@ -94,6 +95,7 @@ def build_parser() -> argparse.ArgumentParser:
 
 def convert(arguments: argparse.Namespace) -> dict[str, Any]:
     """Read, write, and return what was written; raises GalenError."""
+    check_parent(Path(arguments.output))
     measured = _read_one(arguments) if arguments.table else _read_two(arguments)
     written = write_measured(
         arguments.output, measured, sensor_frame=arguments.sensor_frame, quiet=arguments.json

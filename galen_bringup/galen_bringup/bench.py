@@ -18,7 +18,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from galen_bags.command_line import check_file
 from galen_deflection.bench_models import write_bench_models
+from galen_model.errors import GalenError
 from galen_model.whole_file import write_whole
 from rich.console import Console
 from rich.table import Table
@@ -166,7 +168,12 @@ def run(
 
 def main(arguments: Iterable[str] | None = None) -> None:
     """Be the command."""
-    options = build_parser().parse_args(None if arguments is None else list(arguments))
+    parser = build_parser()
+    options = parser.parse_args(None if arguments is None else list(arguments))
+    try:
+        check_file(options.output)
+    except GalenError as error:
+        parser.error(str(error))
     tables = Console(quiet=options.json, width=None if sys.stdout.isatty() else 190)
     line = Console(stderr=True)
     status = line.status("")

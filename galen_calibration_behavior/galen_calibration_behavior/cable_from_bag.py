@@ -13,6 +13,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 from galen_bags.arm_recording import read_arm
+from galen_bags.command_line import check_folder
 from galen_model.arm import WRENCH_AXES
 from galen_model.cable_learning import HeldOut
 from galen_model.errors import GalenError
@@ -87,6 +88,7 @@ def remove(options: argparse.Namespace) -> dict[str, Any]:
 
 def run(options: argparse.Namespace) -> CableResult:
     """Learn as the options say; writes the file, but for `dry_run`. Raises GalenError."""
+    check_folder(None if options.plots is None else Path(options.plots))
     path = tool_path(options.tools_dir, options.tool)
     tool = read_tool(path)
     if not options.dry_run:

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from galen_bags.command_line import check_folder
 from galen_model.arm_clearance import ObstacleError
 from galen_model.arrays import Array
 from galen_model.errors import GalenError
@@ -202,6 +203,7 @@ def main(arguments: list[str] | None = None) -> None:
     """Run the command; see `choose_poses --help`."""
     options = parse(arguments)
     try:
+        check_folder(options.plots)
         found = choose(options)
         if options.plots:
             _plot(found, options.plots)

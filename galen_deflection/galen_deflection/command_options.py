@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import os
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -137,24 +136,6 @@ def read_all(paths: Sequence[Path], settings: ReadSettings, quiet: bool) -> list
 def progress(total: int, unit: str, quiet: bool) -> Any:
     """A bar on standard error, where that is a terminal."""
     return tqdm(total=total, unit=unit, disable=quiet or not sys.stderr.isatty())
-
-
-def check_folder(folder: Path | None) -> None:
-    """Raise GalenError now, and not after the work, if no file can be written into it.
-
-    It, and folders above it, need not be there yet.
-    """
-    if folder is None:
-        return
-    try:
-        there = next((path for path in (folder, *folder.parents) if path.exists()), Path())
-        is_folder = there.is_dir()
-    except OSError as error:
-        raise GalenError(f"{folder}: can't be written: {error.strerror}") from error
-    if not is_folder:
-        raise GalenError(f"{there}: is no directory")
-    if not os.access(there, os.W_OK | os.X_OK):
-        raise GalenError(f"{folder}: can't be written: no permission to write into {there}")
 
 
 def written(draw: Callable[[], list[Path]], folder: Path) -> list[Path]:

@@ -16,6 +16,7 @@ from galen_bags.command_line import (
     EXIT_INTERRUPTED,
     EXIT_OK,
     EXIT_USAGE,
+    check_folder,
     run_command,
 )
 from galen_model.errors import GalenError
@@ -24,7 +25,6 @@ from rich.console import Console
 from galen_deflection.command_options import (
     add_bags,
     add_fit,
-    check_folder,
     console,
     fit_settings,
     print_problems,

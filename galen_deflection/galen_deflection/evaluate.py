@@ -15,6 +15,7 @@ from galen_bags.command_line import (
     EXIT_INTERRUPTED,
     EXIT_OK,
     EXIT_USAGE,
+    check_folder,
     run_command,
 )
 from galen_bags.find import find_bags
@@ -24,7 +25,6 @@ from rich.console import Console
 
 from galen_deflection.command_options import (
     add_bags,
-    check_folder,
     console,
     print_problems,
     progress,

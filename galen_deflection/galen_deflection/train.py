@@ -16,6 +16,8 @@ from galen_bags.command_line import (
     EXIT_INTERRUPTED,
     EXIT_OK,
     EXIT_USAGE,
+    check_file,
+    check_folder,
     run_command,
 )
 from galen_model.errors import GalenError
@@ -23,7 +25,6 @@ from galen_model.errors import GalenError
 from galen_deflection.command_options import (
     add_bags,
     add_fit,
-    check_folder,
     console,
     fit_settings,
     progress,
@@ -32,7 +33,6 @@ from galen_deflection.command_options import (
     written,
 )
 from galen_deflection.cross_check import cross_check, make_tasks, seen_split
-from galen_deflection.errors import ModelFileError
 from galen_deflection.model_file import write_model
 from galen_deflection.models.fit_settings import FitSettings
 from galen_deflection.models.interface import DeflectionModel
@@ -143,20 +143,9 @@ def _checks(arguments: argparse.Namespace, samples: DeflectionSamples) -> list[s
     return [seen_split(samples), "position"]
 
 
-def _check_output(path: Path) -> None:
-    """Raise GalenError now, and not after the training, if the file can't be written there."""
-    try:
-        is_folder = path.is_dir()
-    except OSError as error:
-        raise ModelFileError(f"{path}: can't be written: {error.strerror}") from error
-    if is_folder:
-        raise ModelFileError(f"{path}: is a directory; name the file")
-    check_folder(path.parent)
-
-
 def run(arguments: argparse.Namespace) -> int:
     """Do it; returns the exit code; raises GalenError."""
-    _check_output(arguments.output)
+    check_file(arguments.output)
     check_folder(arguments.plots)
     quiet = arguments.json
     recordings = read_all(arguments.bags, read_settings(arguments), quiet)

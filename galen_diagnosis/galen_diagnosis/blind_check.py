@@ -21,6 +21,7 @@ from galen_bags.command_line import (
     EXIT_INTERRUPTED,
     EXIT_OK,
     EXIT_USAGE,
+    check_folder,
     not_negative,
     run_command,
 )
@@ -143,6 +144,8 @@ def run(
     generate: Generate = generate,
 ) -> int:
     """The whole check in `output`; returns the exit code; raises GalenError."""
+    check_folder(output)
+    check_folder(arguments.plots)
     say = _sayer(arguments)
     places = Places(output)
     wanted: dict[str, Any] = {

@@ -7,7 +7,8 @@ import json
 import sys
 from pathlib import Path
 
-from galen_deflection.command_options import check_folder, console, progress, written
+from galen_bags.command_line import check_folder
+from galen_deflection.command_options import console, progress, written
 from galen_model.errors import GalenError
 from galen_model.whole_file import write_whole
 
@@ -26,6 +27,12 @@ def add_output_options(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--plots", type=Path, metavar="DIR", help="write a picture here")
     parser.add_argument("--label", metavar="TEXT", help="what it is called (default: the file's)")
+
+
+def check_outputs(arguments: argparse.Namespace) -> None:
+    """Raise GalenError before the work if what was asked for can't be written."""
+    check_folder(arguments.plots)
+    check_folder(arguments.output)
 
 
 def diagnose_rows(
@@ -48,8 +55,6 @@ def diagnose_rows(
 
 def give(found: list[BlockDiagnosis], arguments: argparse.Namespace) -> None:
     """Write and print what was found; raises GalenError where a file can't be written."""
-    check_folder(arguments.plots)
-    check_folder(arguments.output)
     answers = [one.answer.to_json() for one in found]
     pictures: list[Path] = []
     if arguments.plots is not None:

@@ -17,6 +17,7 @@ from galen_bags.command_line import (
     EXIT_INTERRUPTED,
     EXIT_OK,
     EXIT_USAGE,
+    check_file,
     run_command,
 )
 from galen_bags.many import add_many_options, run_many
@@ -160,6 +161,7 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
     )
     for folder in folders.values():
         check_output(folder, overwrite=arguments.overwrite)  # before minutes of work
+    check_file(arguments.next)
     if len(recordings) == 1 and not arguments.scheduler:
         return _one(job, recordings[0], arguments, console)
     outcomes = run_many(job, recordings, scheduler=arguments.scheduler, workers=arguments.workers)

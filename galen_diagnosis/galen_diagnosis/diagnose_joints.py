@@ -22,7 +22,13 @@ from galen_deflection.transmission.fit_joint import (
 from galen_deflection.transmission.parts import time_blocks, whole_runs
 from galen_deflection.transmission.runs import read_runs
 
-from galen_diagnosis.block_command import add_output_options, diagnose_rows, give, name_of
+from galen_diagnosis.block_command import (
+    add_output_options,
+    check_outputs,
+    diagnose_rows,
+    give,
+    name_of,
+)
 from galen_diagnosis.joint_rows import prepare_joint
 
 _EPILOG = f"""effects: joint_compliance, backlash, deflection_hysteresis, wrench_delay (the torque's
@@ -70,6 +76,7 @@ def main(args: Sequence[str] | None = None) -> int:
 
 
 def _diagnose(arguments: argparse.Namespace) -> int:
+    check_outputs(arguments)
     name = name_of(arguments.files[0], arguments.label)
     runs = read_runs(arguments.files, column_map(arguments))
     by_run = arguments.blocks is None and len(runs) >= 4

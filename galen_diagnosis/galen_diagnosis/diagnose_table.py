@@ -25,7 +25,13 @@ from galen_model.arrays import Array
 from galen_model.tool_file import read_tool
 
 from galen_diagnosis.block_answer import BlockDiagnosis
-from galen_diagnosis.block_command import add_output_options, diagnose_rows, give, name_of
+from galen_diagnosis.block_command import (
+    add_output_options,
+    check_outputs,
+    diagnose_rows,
+    give,
+    name_of,
+)
 from galen_diagnosis.table_rows import prepare_table
 from galen_diagnosis.table_run import prepare_run
 
@@ -132,6 +138,7 @@ def main(args: Sequence[str] | None = None) -> int:
 
 
 def _diagnose(arguments: argparse.Namespace) -> int:
+    check_outputs(arguments)
     found = [_one(path, arguments) for path in arguments.tables]
     give(found, arguments)
     return EXIT_OK

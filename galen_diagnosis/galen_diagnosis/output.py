@@ -9,6 +9,7 @@ import tempfile
 from dataclasses import replace
 from pathlib import Path
 
+from galen_bags.command_line import check_parent
 from galen_model.whole_file import sync_directory
 from galen_sim_driver.errors import ConfigError
 
@@ -54,7 +55,8 @@ def told(diagnosis: Diagnosis) -> Diagnosis:
 
 
 def check_output(folder: Path, *, overwrite: bool) -> None:
-    """Raise DiagnosisError where `write_output` would refuse the folder."""
+    """Raise GalenError where `write_output` would reject the folder, or can't write it."""
+    check_parent(folder)
     if not os.path.lexists(folder):
         return
     if not overwrite:
@@ -68,7 +70,7 @@ def write_output(
 ) -> list[Path]:
     """Write diagnosis.json, report.html with its pictures, found_effect.yaml; returns the files.
 
-    They are made in a directory beside, which is renamed once all are there. Raises DiagnosisError;
+    They are made in a directory beside, which is renamed once all are there. Raises GalenError;
     an old directory is then untouched.
     """
     check_output(folder, overwrite=overwrite)

@@ -14,6 +14,7 @@ from galen_bags.command_line import (
     EXIT_INTERRUPTED,
     EXIT_OK,
     EXIT_USAGE,
+    check_folder,
     positive,
     run_command,
 )
@@ -105,8 +106,7 @@ def build_parser() -> argparse.ArgumentParser:
 
 def run(arguments: argparse.Namespace, console: Console) -> None:
     """Judge the recordings; raises GalenError."""
-    if arguments.plots is not None and arguments.plots.exists() and not arguments.plots.is_dir():
-        raise GalenError(f"{arguments.plots}: is no directory")
+    check_folder(arguments.plots)
     tool = None if arguments.tool is None else read_tool(arguments.tool)
     paths: list[Path] = []
     for given in arguments.recordings:

@@ -16,6 +16,8 @@ from galen_bags.command_line import (
     EXIT_INTERRUPTED,
     EXIT_OK,
     EXIT_USAGE,
+    check_file,
+    check_folder,
     not_negative,
     positive,
     run_command,
@@ -235,7 +237,9 @@ def _add_table_options(group: argparse._ArgumentGroup) -> None:
 def run_table(arguments: argparse.Namespace, console: Console) -> None:
     """Evaluate a table; raises GalenError."""
     columns = arguments.columns.split(",") if arguments.columns else None
+    check_folder(arguments.plots)
     written_tool = _written_tool(arguments.write_tool)
+    check_file(written_tool)
     table = read_table(arguments.table, columns, arguments.wrench_frame)
     tool = read_tool(arguments.tool) if arguments.tool else None
     settings = StillSettings(
@@ -307,8 +311,7 @@ def run_bags(arguments: argparse.Namespace, console: Console) -> int:
     if not job.tool_beside:
         read_tool(job.tool)  # a wrong file is said once, and not for each bag
     for folder in (job.plots, job.bags_out):
-        if folder is not None and folder.exists() and not folder.is_dir():
-            raise GalenError(f"{folder}: is no directory")
+        check_folder(folder)
     if len(bags) == 1 and not arguments.scheduler:
         with tqdm(unit="msg", unit_scale=True, disable=not sys.stderr.isatty()) as bar:
             result = job.evaluate(bags[0], lambda done, total: _show(bar, done, total))

@@ -14,12 +14,12 @@ from galen_bags.command_line import (
     EXIT_INTERRUPTED,
     EXIT_OK,
     EXIT_USAGE,
+    check_folder,
     positive,
     run_command,
 )
 
 from galen_deflection.command_options import (
-    check_folder,
     console,
     progress,
     written,

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from galen_bags.command_line import EXIT_FAILED, EXIT_OK, EXIT_USAGE, run_command
+from galen_bags.command_line import EXIT_FAILED, EXIT_OK, EXIT_USAGE, check_file, run_command
 from galen_model.whole_file import write_whole
 
 from galen_diagnosis.blind.plant.case import KINDS, STRENGTHS, Case, generate
@@ -86,6 +86,7 @@ def _make(options: argparse.Namespace) -> int:
         tuple(bag for bag in BAGS if bag in options.bags),
         options.tolerance,
     )
+    check_file(options.truth)
     truth = generate(case, options.output, options.twin).to_json()
     if options.truth is not None:
         write_whole(options.truth, json.dumps(truth, indent=1) + "\n")
