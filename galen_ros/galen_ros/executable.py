@@ -6,6 +6,7 @@ the imports, which take seconds: `tools = galen_ros.executable:galen_gravcomp.to
 
 from __future__ import annotations
 
+import atexit
 import importlib
 import os
 import signal
@@ -75,6 +76,8 @@ class _Path:
     def __call__(self) -> object:
         """Run the executable; returns its exit code."""
         _interrupts.take()
+        # Called last: what is left is the interpreter's end, which would drop a handler in Python.
+        atexit.register(signal.signal, signal.SIGINT, signal.SIG_IGN)
         module, _, function = self._name.rpartition(".")
         main = getattr(importlib.import_module(module), function)
         try:

@@ -21,6 +21,13 @@ from rclpy.node import Node
 def interrupt(*_):
     os.kill(os.getpid(), signal.SIGINT)
 
+class AtTheEnd:
+    def __init__(self):
+        self.interrupt, self.where = os.kill, (os.getpid(), signal.SIGINT)
+
+    def __del__(self):
+        self.interrupt(*self.where)
+
 what = sys.argv[2]
 if what == "imports":
     try:
@@ -50,6 +57,7 @@ def main():
     if what == "end":
         import atexit
         atexit.register(interrupt)
+        sys.modules["kept to the end"] = AtTheEnd()
         return 7
     try:
         interrupt()
