@@ -10,7 +10,7 @@ from galen_bags.arm_recording import ArmRecording
 from galen_model.cable_drag import MAX_POSES, SUPPORT_M
 from galen_model.cable_fit import CableSweep, spread_out
 from galen_model.cable_learning import HeldOut, LearnedCable, learn_cable
-from galen_model.cable_rivals import doubts, rivals
+from galen_model.cable_rivals import check_same_tool, doubts, rivals
 from galen_model.tool_file import ToolFile
 
 from galen_calibration_behavior.calibrate_from_bag import measured_at
@@ -75,6 +75,7 @@ def estimate_cable(
     if len(sweep) > MAX_POSES:
         warnings.append(f"of {len(sweep)} poses the {MAX_POSES} that lie farthest apart are used")
         sweep = sweep.part(spread_out(sweep.joints, MAX_POSES))
+    warnings += check_same_tool(tool, sweep)
     when = measured_at(used[-1].visit).isoformat(timespec="seconds")
     learned = learn_cable(sweep, when, progress=fit_progress)
     if np.ptp(sweep.joints[:, :3], axis=0).max() < _PLACE_M:

@@ -10,7 +10,7 @@ from galen_model.arm import HOME
 from galen_model.kinematics import gravity_in_sensor, sensor_pose
 from galen_model.load import Load, gravity_wrench
 from galen_model.tool_file import LoadEstimate, ToolFile, read_tool, write_tool
-from galen_model.tools import ADAPTER
+from galen_model.tools import ADAPTER, TOOLS
 
 from galen_calibration_behavior import cable_estimation, cable_from_bag
 
@@ -118,6 +118,7 @@ def test_a_person_gets_a_table_and_a_picture_and_a_dry_run_writes_nothing(place,
             Load(RETRACTOR.mass_kg + 0.02, RETRACTOR.com_m),
             "another load explains it",
         ),
+        (pull, POSES, TOOLS["pointer"].load, "the file of 300.0 g on the sensor, more than 20 %"),
     ],
 )
 @pytest.mark.usefixtures("one_form")

@@ -29,6 +29,8 @@ from galen_model.cable_learning import (
     linear_held_out,
     scored,
 )
+from galen_model.errors import IdentificationError
+from galen_model.inertia_identification import OTHER_MASS
 from galen_model.kinematics import gravity_in_sensor
 from galen_model.load import gravity_regressor
 from galen_model.mounting_groups import entities
@@ -46,6 +48,39 @@ _DRIFTS = (BiasShape(Shape.LINEAR), BiasShape(Shape.WALK, 10.0))
 DRIFT, LOOSE = "a drift of the sensor", "a loose tool"
 # Quadratic convergence: angles of 0.3 rad settle to 1e-9 in five.
 _STEPS = 6
+# Of the mean square that another tool leaves a load leaves less; of a cable's pull mostly more.
+_LOAD_LEAVES = 0.06
+
+
+def check_same_tool(tool: ToolFile, sweep: CableSweep) -> list[str]:
+    """Compare the load that the sweep's wrenches show with the file's; return warnings.
+
+    Raises IdentificationError where another load explains nearly all of them.
+    """
+    columns = np.concatenate(
+        [
+            gravity_regressor(gravity_in_sensor(sweep.joints[:, 3], sweep.joints[:, 4])),
+            np.broadcast_to(np.eye(6), (len(sweep), 6, 6)),
+        ],
+        axis=2,
+    )
+    found = least_squares(columns, sweep.wrench, sweep.std_of_mean)
+    mass = tool.load.mass_kg + tool.bias.mass_kg
+    if abs(found[0]) <= OTHER_MASS * mass:
+        return []
+    file = scored(sweep, np.zeros_like(sweep.wrench))
+    left = (scored(sweep, columns @ found).chi / file.chi) ** 2
+    text = (
+        f"the recording is of {1e3 * (mass + found[0]):.1f} g, the file of {1e3 * mass:.1f} g on"
+        f" the sensor, more than {100.0 * OTHER_MASS:.0f} % apart"
+    )
+    if left < _LOAD_LEAVES:
+        raise IdentificationError(
+            f"{text}, and another load leaves only {100.0 * left:.1g} % of what the file leaves:"
+            " another tool is on (or the cable pulls straight up or down, as a load does); name the"
+            " tool that is on, or calibrate it without the cable first"
+        )
+    return [f"{text}: if that is not the cable, another tool is on"]
 
 
 def rivals(tool: ToolFile, sweep: CableSweep, learned: LearnedCable) -> dict[str, HeldOut]:

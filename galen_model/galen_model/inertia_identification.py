@@ -44,7 +44,8 @@ _PARAMETERS = 17
 # Mean squares of a block over those of most blocks; three times as much in each reading.
 _TOUCHED = 9.0
 _ROUNDS = 3
-_OTHER_MASS = 0.2
+OTHER_MASS = 0.2
+"""By more than this part, the mass on the sensor is that of another tool."""
 _MOST_TOUCHED = 1.0 / 3.0
 _ITERATIONS = 3
 _LONGEST_MEMORY = 50
@@ -140,8 +141,8 @@ def identify_inertia(record: MotionRecord, moments: Array, covariance: Array) ->
         difference @ np.linalg.solve(free.covariance[_LOAD, _LOAD] + covariance + floor, difference)
     )
     # A mass that the turning does not tell is nobody's.
-    told = _inverse(free.information)[0, 0] < (_OTHER_MASS / 3.0 * moments[0]) ** 2
-    if told and _is_other(distance) and abs(difference[0]) > _OTHER_MASS * moments[0]:
+    told = _inverse(free.information)[0, 0] < (OTHER_MASS / 3.0 * moments[0]) ** 2
+    if told and _is_other(distance) and abs(difference[0]) > OTHER_MASS * moments[0]:
         raise IdentificationError(
             f"the recording is of {1e3 * free.values[0]:.1f} g, the file of {1e3 * moments[0]:.1f}"
             " g on the sensor: another tool is on"
