@@ -34,6 +34,8 @@ DEFAULT_TOPICS = (
 # Topics that many nodes publish, as they should.
 _SHARED = ("/diagnostics", "/rosout", "/parameter_events", "/tf", "/tf_static")
 _DISCOVER_PERIOD_S = 0.1
+# Publishers that are there are found within this.
+_DISCOVERY_S = 1.0
 _DRAIN_PERIOD_S = 0.02
 _FLUSH_PERIOD_S = 1.0
 # More than a subscription's queue holds; so that one topic can't keep the others waiting for ever.
@@ -145,6 +147,7 @@ class RecorderNode(Node):
             (_FLUSH_PERIOD_S, self._flush),
         ):
             self.create_timer(period_s, callback, clock=self._steady)
+        self._first_look = self.create_timer(_DISCOVERY_S, self._say_absent, clock=self._steady)
 
     # --- state -------------------------------------------------------------------------------
 
@@ -188,6 +191,18 @@ class RecorderNode(Node):
             except BagError as error:
                 self._refused[name] = f"not recorded: {error}"
                 self.get_logger().error(f"{name} is not recorded: {error}")
+
+    def _say_absent(self) -> None:
+        """Say once which topics have no publisher; `_take_up` says when one appears."""
+        self._first_look.cancel()
+        absent = [name for name in self._wanted if name not in (*self._topics, *self._refused)]
+        if self._use_sim_time and not self.count_publishers("/clock"):
+            absent.append("/clock, without which nothing is written")
+        if absent:
+            self.get_logger().warning(
+                f"no publisher on {', '.join(absent)}: waiting for it; is its node running, is the"
+                " name right?"
+            )
 
     def _published(self) -> list[str]:
         return [

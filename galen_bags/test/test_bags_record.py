@@ -161,6 +161,32 @@ def test_late_topics_of_any_quality_of_service_are_taken_up(
     assert offers["/sensor"].reliability is QosReliability.BEST_EFFORT
 
 
+def test_topics_without_a_publisher_are_said_at_once_and_when_they_appear(
+    harness: Harness, bag: GrowingBagWriter, capfd: pytest.CaptureFixture[str]
+) -> None:
+    heard: list[str] = []
+
+    def wait_for(words: str) -> None:
+        def said() -> bool:
+            heard.append(capfd.readouterr().err)
+            return words in "".join(heard)
+
+        harness.wait_for(said, 10.0, words)
+
+    publisher(harness, JointState, "joint_states")
+    recorder = start(
+        harness,
+        bag,
+        ("joint_states", "wrench_raw", "imu"),
+        parameter_overrides=[Parameter("use_sim_time", value=True)],
+    )
+    wait_for("no publisher on /wrench_raw, /imu, /clock, without which nothing is written: waiting")
+    publisher(harness, WrenchStamped, "wrench_raw")
+    wait_for("recording /wrench_raw (geometry_msgs/msg/WrenchStamped)")
+    assert "".join(heard).count("no publisher on") == 1
+    end(harness, recorder, bag)
+
+
 def test_all_takes_what_there_is_but_hidden_topics(harness: Harness, bag: GrowingBagWriter) -> None:
     recorder = harness.add(lambda context: RecorderNode(bag, all_topics=True, context=context))
     wrenches = publisher(harness, WrenchStamped, "left/wrench_raw")
