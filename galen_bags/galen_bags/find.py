@@ -43,16 +43,21 @@ def find_bags(paths: Iterable[str | os.PathLike[str]]) -> list[Path]:
     return sorted(found.values())
 
 
+def is_bag(path: Path) -> bool:
+    """Whether the path itself is a bag, by names and metadata; raises OSError."""
+    return path.name.endswith(_FILES) if path.is_file() else path.is_dir() and _is_rosbag2(path)
+
+
 def _below(path: Path, seen: set[tuple[int, int]]) -> Iterator[Path]:
     """The bags at `path` or below; `seen` holds the directories searched, against loops."""
     if path.is_file():
-        if path.name.endswith(_FILES):
+        if is_bag(path):
             yield path
         return
     if not path.is_dir() or _identity(path) in seen:  # such as a link to nowhere, a pipe
         return
     seen.add(_identity(path))
-    if _is_rosbag2(path):
+    if is_bag(path):
         yield path
         return
     for entry in sorted(path.iterdir()):

@@ -14,7 +14,7 @@ import numpy as np
 
 _NS = 1e9
 # Steps of this many periods are gaps; schedulers make steps of two.
-_GAP_PERIODS = 2.5
+GAP_PERIODS = 2.5
 _KEPT_EVENTS = 100
 
 
@@ -126,7 +126,7 @@ class StampCheck:
             self._periods.append(float(np.median(forward)))
             del self._periods[1000:]
             self._period_ns = float(np.median(self._periods))
-        wide = step > _GAP_PERIODS * self._period_ns
+        wide = step > GAP_PERIODS * self._period_ns
         # A log time that stood still, as while a disk was busy, makes no jump of a regular stamp.
         far = (step < -self.jump_s / 2 * _NS) | (wide & (step > self.jump_s / 2 * _NS))
         jump = far & (np.abs(step - log_step) > self.jump_s * _NS)

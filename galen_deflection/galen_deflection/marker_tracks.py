@@ -87,17 +87,24 @@ def _joined(bag: Bag, topic: str, parts: list[tuple[Samples, np.ndarray]]) -> Ra
     )
 
 
-def marker_track(raw: RawTrack, jump_s: float, start_ns: int, *, may_stand: bool) -> MarkerTrack:
+def marker_track(
+    raw: RawTrack,
+    jump_s: float,
+    start_ns: int,
+    *,
+    may_stand: bool,
+    beside_ns: np.ndarray | None = None,
+) -> MarkerTrack:
     """The good poses of a marker; sentences tell times in s after `start_ns`.
 
     Lost are poses that aren't finite, whose quaternion's length isn't 1, that are the identity (as
     some trackers say it), those that repeat the one before to the last bit: a tracker that holds
     its last pose, and those of a few samples elsewhere. `may_stand`: repeats are all right, as of a
     marker that stands, looked at once and published for ever; and what is elsewhere is left to
-    `base_stands`.
+    `base_stands`. `beside_ns`: see `stamp_sentences`.
     """
     line = lay_out(raw.stamp_ns, raw.log_ns, jump_s)
-    problems = stamp_sentences(raw.topic, line, start_ns)
+    problems = stamp_sentences(raw.topic, line, start_ns, beside_ns)
     if raw.bad:
         why = next(iter(raw.bad.values()))
         problems.append(f"{raw.topic}: {len(raw.bad)} messages can't be read: {why}")

@@ -8,10 +8,10 @@ what is measured is taken only from where all topics agree (`Timeline.shift_ns`)
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
-from galen_bags.stamp_check import StampCheck, StampReport
+from galen_bags.stamp_check import GAP_PERIODS, StampCheck, StampReport
 from galen_model.arrays import Array
 
 _NS = 1e9
@@ -122,9 +122,17 @@ def interpolated(
     return np.where(known[:, None], between, np.nan), known, line.shift_ns[left]
 
 
-def stamp_sentences(topic: str, line: Timeline, start_ns: int) -> list[str]:
-    """What is wrong with a topic's stamps, as sentences; times in s after `start_ns`."""
+def stamp_sentences(
+    topic: str, line: Timeline, start_ns: int, beside_ns: np.ndarray | None = None
+) -> list[str]:
+    """What is wrong with a topic's stamps, as sentences; times in s after `start_ns`.
+
+    beside_ns (m,), increasing: another topic's stamps. Where that has a gap, too, the recorder
+    paused, as between two positions, and no sample is missing.
+    """
     report, said = line.report, []
+    if beside_ns is not None:
+        report = _without_pauses(line, beside_ns)
     if report.unstamped:
         said.append(f"{topic}: {_count(report.unstamped, 'sample')} without a stamp; left out")
     if report.gaps:
@@ -146,6 +154,28 @@ def stamp_sentences(topic: str, line: Timeline, start_ns: int) -> list[str]:
         if number:
             said.append(f"{topic}: {_count(number, 'sample')} {kinds[number > 1]}; left out")
     return said
+
+
+def _without_pauses(line: Timeline, beside_ns: np.ndarray) -> StampReport:
+    """The line's report without the gaps that `beside_ns` has as well."""
+    report = line.report
+    if len(line) < 2 or len(beside_ns) < 2:
+        return report
+    step, beside_step = np.diff(line.time_ns), np.diff(beside_ns)
+    period_ns = report.period_s * _NS
+    pause = np.flatnonzero(beside_step > GAP_PERIODS * np.median(beside_step))
+    wide = np.flatnonzero(step > GAP_PERIODS * period_ns)
+    overlap = np.minimum(line.time_ns[wide + 1, None], beside_ns[pause + 1]) - np.maximum(
+        line.time_ns[wide, None], beside_ns[pause]
+    )
+    left = step[wide] - np.maximum(overlap, 0).sum(axis=1)
+    paused = wide[left <= GAP_PERIODS * period_ns]
+    return replace(
+        report,
+        gaps=max(report.gaps - len(paused), 0),
+        missing=max(report.missing - int(np.sum(np.rint(step[paused] / period_ns) - 1)), 0),
+        longest_step_s=float(np.delete(step, paused).max(initial=0)) / _NS,
+    )
 
 
 _SAID_JUMPS = 5

@@ -41,7 +41,11 @@ def print_diagnosis(found: BlockDiagnosis, to: Console) -> None:
     if answer.causes:
         to.print(causes)
     ranking = [f"{name} {share:.2f}" for name, share in answer.ranking if share >= _SHOWN]
-    to.print(f"probabilities: {', '.join(ranking)}", soft_wrap=True, highlight=False)
+    to.print(
+        f"probabilities, of each cause being there, alone or with others: {', '.join(ranking)}",
+        soft_wrap=True,
+        highlight=False,
+    )
     to.print(_gap_table(found))
     worst = sorted(answer.where["poses"], key=lambda pose: -pose["share"])[:4]
     shares = ", ".join(f"{pose['pose']} {100 * pose['share']:.0f} %" for pose in worst)

@@ -10,6 +10,10 @@ from galen_model.arm import WRENCH_AXES
 
 from galen_diagnosis.answer import NONE, UNKNOWN, Interval
 
+RANKING_NOTE = (
+    "Each probability is that of one cause being there; several can be there together, so they"
+    " need not add up to 100 %."
+)
 TITLES = {
     "roll_zero_offset": "zero of the roll joint",
     "tilt_zero_offset": "zero of the tilt joint",

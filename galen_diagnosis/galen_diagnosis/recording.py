@@ -15,6 +15,7 @@ import numpy as np
 from galen_bags.arm_recording import ArmRecording, ArmTopics, read_arm
 from galen_bags.bag import open_bag
 from galen_bags.errors import BagError
+from galen_bags.find import is_bag
 from galen_deflection.marker_tracks import marker_track, read_poses
 from galen_model.arm import WRENCH_AXES
 from galen_model.arrays import Array
@@ -83,8 +84,8 @@ def read_recording(
     `missing`; without any there is nothing to diagnose.
     """
     path = Path(path)
-    if not path.is_dir():
-        raise DiagnosisError(f"{path}: no directory with a recording")
+    if not any((path / name).exists() for name in BAGS):
+        raise DiagnosisError(_no_recording(path))
     tool_file = read_tool(path / "tool.json" if tool is None else tool)
     arms: dict[str, ArmRecording] = {}
     problems: list[str] = []
@@ -94,8 +95,6 @@ def read_recording(
                 progress(name)
             arms[name] = read_arm(path / name, topics)
             problems += [f"{name}: {problem}" for problem in arms[name].problems]
-    if not arms:
-        raise DiagnosisError(f"{path}: holds none of the bags {', '.join(BAGS)}")
     for name, arm in arms.items():
         _check_frames(path / name, arm, tool_file)
     taken = {name: _Arm(path / name, arm) for name, arm in arms.items()}
@@ -117,6 +116,18 @@ def read_recording(
         )
     missing = tuple(name for name in BAGS if name not in arms)
     return Recording(path.absolute().name or str(path), tool_file, bags, missing, tuple(problems))
+
+
+def _no_recording(path: Path) -> str:
+    wanted = f"a directory with the bags {', '.join(BAGS)} (or some of them) and tool.json"
+    if is_bag(path):
+        return (
+            f"{path}: is a bag, and a recording is {wanted}; `ros2 run galen_gravcomp evaluate"
+            f" {path} --tool FILE` takes a single bag"
+        )
+    if not path.is_dir():
+        return f"{path}: no directory with a recording; a recording is {wanted}"
+    return f"{path}: holds none of the bags {', '.join(BAGS)}; a recording is {wanted}"
 
 
 def _check_frames(path: Path, arm: ArmRecording, tool: ToolFile) -> None:
@@ -208,7 +219,9 @@ def _bag(path: Path, name: str, arm: _Arm, session_ns: int, problems: list[str])
             raw = read_poses(bag, _TRACKER_TOPICS)
         tracks = []
         for track, may_stand in zip(raw, (False, True), strict=True):
-            good = marker_track(track, _JUMP_S, arm.first_ns, may_stand=may_stand)
+            good = marker_track(
+                track, _JUMP_S, arm.first_ns, may_stand=may_stand, beside_ns=arm.joint_ns
+            )
             problems += [f"{name}: {problem}" for problem in good.problems]
             order = np.argsort(good.line.time_ns, kind="stable")
             order = order[_within_reach(good.line.time_ns[order], arm.joint_ns)]

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from galen_diagnosis.answer import NONE, UNKNOWN, Answer, Cause
-from galen_diagnosis.effect_words import parameter_words, title
+from galen_diagnosis.effect_words import RANKING_NOTE, parameter_words, title
 from galen_diagnosis.report_html import (
     Table,
     bar,
@@ -69,6 +69,7 @@ def _body(diagnosis: Diagnosis, answer: Answer, pictures: Mapping[str, Path]) ->
     yield heading("How far the gap shrinks")
     yield _gap(answer.gap)
     yield heading("Which effect")
+    yield paragraph(RANKING_NOTE, "note")
     yield _ranking(answer)
     if answer.left_over:
         yield heading("What the best fit leaves")

@@ -10,7 +10,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from galen_diagnosis.answer import Answer
-from galen_diagnosis.effect_words import parameter_words
+from galen_diagnosis.effect_words import RANKING_NOTE, parameter_words
 from galen_diagnosis.where import p_words
 
 _RANKED = 6
@@ -24,6 +24,7 @@ def print_answer(answer: Answer, console: Console) -> None:
     if answer.causes:
         console.print(_causes(answer))
     console.print(_ranking(answer))
+    console.print(RANKING_NOTE)
     places = _places(answer.where)
     if len(places.rows):
         console.print(places)
@@ -72,7 +73,7 @@ def _few(effects: Sequence[str]) -> str:
 
 
 def _ranking(answer: Answer) -> Table:
-    table = Table("ranking", "probability", box=None)
+    table = Table("cause alone or with others", "probability that it is there", box=None)
     for name, probability in answer.ranking[:_RANKED]:
         table.add_row(name, f"{probability:.1%}")
     return table

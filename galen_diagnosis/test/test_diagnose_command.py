@@ -71,6 +71,14 @@ def test_writes_answer_report_and_the_drivers_file(recordings, capsys):
     assert [path.name for path in recordings.iterdir()] == ["diagnosis_identified"]
 
 
+def test_the_ranking_says_that_causes_can_be_there_together(recordings, capsys):
+    assert run("ambiguous") == 0
+    note = " ".join(capsys.readouterr().out.split())
+    assert "several can be there together, so they need not add up to 100 %" in note
+    page = (recordings / "diagnosis_ambiguous" / "report.html").read_text()
+    assert "several can be there together" in page
+
+
 def test_json_is_what_is_in_the_file(recordings, capsys):
     assert run("none", "--json", "--no-report", "--output", "somewhere/else") == 0
     printed = json.loads(capsys.readouterr().out)

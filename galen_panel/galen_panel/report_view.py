@@ -201,7 +201,7 @@ def _diagnosis(content: Mapping[str, Any]) -> tuple[list[tuple[str, list[str]]],
         for one in content["ranking"][:_RANKED]
         if one["probability"] >= _WORTH_NAMING
     ]
-    tables.append(Table("How likely each effect is", ["effect", "probability"], ranking))
+    tables.append(Table("How likely each effect is; several can be there together", ["effect", "probability"], ranking))
     return lists, tables
 
 
