@@ -11,6 +11,7 @@ class Monitor(StreamMonitor):
 
     said_better = (Refusal.DISABLED, Refusal.NO_TOOL, Refusal.RESTART)
     working = "compensating"
+    output = "wrench_compensated"
 
     def __init__(
         self,
@@ -96,7 +97,7 @@ class Monitor(StreamMonitor):
         values |= {"cable": "none"} if compensator.cable is None else compensator.cable.values()
         values |= {"wander": "off"} if compensator.wander is None else compensator.wander.values()
         values |= {"fit": "off"} if compensator.fit is None else compensator.fit.values()
-        values |= self.inputs(now_s, "wrench_compensated")
+        values |= self.inputs(now_s, self.output)
         values |= {"received": compensator.received, "compensated": compensator.compensated}
         return values | self.refused()
 

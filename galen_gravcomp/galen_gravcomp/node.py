@@ -40,7 +40,6 @@ class GravcompNode(StreamNode):
         self._compensation = Monitor(self._compensator, p.silence_s, p.frozen_s, p.late_s)
         self._tare_progress = (0, 0.0)
 
-        self._publisher = self.create_publisher(WrenchStamped, "wrench_compensated", STREAM)
         self._compensator.set_enabled(p.enabled)
         joints = LiveJoints(
             lambda: self._newest_joint_state, p.position_joint_names, p.joint_names, p.silence_s
@@ -59,6 +58,8 @@ class GravcompNode(StreamNode):
         self._tare_service = DeferredService(self, Trigger, "~/tare", self._on_tare)
 
     def _activate(self) -> None:
+        # Not before: another node that is active is alone on the topic then.
+        self._publisher = self.create_publisher(WrenchStamped, Monitor.output, STREAM)
         super()._activate()
         self._at_undo(lambda: self._compensator.cancel_tare("the node was deactivated"))
         if self._compensator.needs_imu:

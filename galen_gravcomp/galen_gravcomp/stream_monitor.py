@@ -72,6 +72,8 @@ class StreamMonitor(ABC):
     """Refusals that the state itself, or the restart's own text, says better."""
     working: ClassVar[str]
     """The state's name when all is well."""
+    output: ClassVar[str] = ""
+    """The topic that no other node may publish on; empty: others may."""
     lost: ClassVar[str] = "nothing is published"
     """What is so when all wrenches are refused."""
 
@@ -102,6 +104,7 @@ class StreamMonitor(ABC):
             topic: Publishers(topic) for topic in (pairing.wrench_topic, "joint_states")
         }
         """By the inputs' topics."""
+        self.outputs = Publishers(self.output)
         self._frozen = FrozenWatch(frozen_s)
         self._lateness = LateWatch(late_s)
         self._irregular = 0
@@ -112,6 +115,7 @@ class StreamMonitor(ABC):
         """Forget when what came, and from whom: the inputs are subscribed to anew."""
         self._joints_s = self._wrench_s = self._output_s = None
         self.publishers = {topic: Publishers(topic) for topic in self.publishers}
+        self.outputs = Publishers(self.output)
         self._lateness.forget()
         self._counts.clear()
         self._latencies_s.clear()
@@ -174,7 +178,7 @@ class StreamMonitor(ABC):
         """
         pairing = self._pairing
         topic = pairing.wrench_topic
-        several = self.publishers[topic].several
+        several = self.outputs.several or self.publishers[topic].several
         frozen = self._frozen.look(
             now_s, pairing.received, pairing.newest_wrench, pairing.newest_angles
         )
@@ -256,11 +260,12 @@ class StreamMonitor(ABC):
 
     def _several_state(self, now_s: float) -> State | None:
         """Two publishers' samples are repeated and out of order by turns: that is one state."""
-        several = [one.several for one in self.publishers.values() if one.several]
+        watched = (self.outputs, *self.publishers.values())
+        several = [one.several for one in watched if one.several]
         if not several:
             return None
         text = " and ".join(several)
-        if self.publishers[self._pairing.wrench_topic].several:
+        if self.outputs.several or self.publishers[self._pairing.wrench_topic].several:
             text = f"{self.lost}: {text}: stop all but one of them"
             return State(Severity.ERROR, "several_publishers", text)
         # Joints may come from several, as long as only one of them has roll and tilt.
@@ -326,9 +331,11 @@ class StreamMonitor(ABC):
         values |= {notice.value: pairing.notices[notice] for notice in Notice}
         values["last_refusal"] = "" if self._last is None else self._last.refused.detail
         values["last_restart"] = "" if self._restart is None else self._restart[0]
-        for topic, publishers in self.publishers.items():
-            values[f"{topic}_publishers"] = publishers.listed
-            values[f"{topic}_publisher_nodes"] = publishers.nodes
+        watched = {**self.publishers, self.output: self.outputs}
+        for topic, publishers in watched.items():
+            if topic:
+                values[f"{topic}_publishers"] = publishers.listed
+                values[f"{topic}_publisher_nodes"] = publishers.nodes
         return values
 
     def _was_silent(self, topic: str, since_s: float, now_s: float) -> bool:

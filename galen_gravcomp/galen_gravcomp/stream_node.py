@@ -19,6 +19,7 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState
 
 from galen_gravcomp.pairing import WrenchPairing
+from galen_gravcomp.publishers import Publishers
 from galen_gravcomp.results import Refused
 from galen_gravcomp.stream_monitor import Severity, State, StreamMonitor
 from galen_gravcomp.wire import JointWire, RawWrench, WrenchWire
@@ -173,16 +174,27 @@ class StreamNode(ManagedNode):
         )
         if why:
             self._emit(self._pairing.restart(why))
-        self._name_publishers(topic)
+        self._name_publishers(topic, self._monitor.publishers[topic])
+        self._count_outputs()
         self._emit(self._monitor.review(now_s))
         self._announce()
 
-    def _name_publishers(self, topic: str) -> None:
+    def _name_publishers(self, topic: str, publishers: Publishers) -> None:
         nodes = [
             f"{info.node_namespace.rstrip('/')}/{info.node_name}"
             for info in self.get_publishers_info_by_topic(self.resolve_topic_name(topic))
         ]
-        self._monitor.publishers[topic].name(sorted(nodes))
+        publishers.name(sorted(nodes))
+
+    def _count_outputs(self) -> None:
+        """Count the publishers, this node's too, where it must be alone: no event tells of them."""
+        topic, outputs = self._monitor.output, self._monitor.outputs
+        if not topic:
+            return
+        before = outputs.listed
+        outputs.listed = self.count_publishers(self.resolve_topic_name(topic))
+        if outputs.listed != before or outputs.several:
+            self._name_publishers(topic, outputs)
 
     def _on_restart(self, why: str) -> None:
         self._monitor.on_restart(why, time.monotonic())
@@ -205,7 +217,8 @@ class StreamNode(ManagedNode):
             self._monitor.tick(now_s)
             for topic, publishers in self._monitor.publishers.items():
                 if publishers.several:  # names come later than the publishers themselves
-                    self._name_publishers(topic)
+                    self._name_publishers(topic, publishers)
+            self._count_outputs()
             self._emit(self._monitor.review(now_s))
         self._watch(now_s)
         self._announce()

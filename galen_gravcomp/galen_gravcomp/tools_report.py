@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from datetime import UTC, datetime
 from typing import Any
 
 import numpy as np
@@ -12,27 +11,11 @@ from galen_model.arm import JOINT_NAMES, WRENCH_AXES
 from galen_model.arrays import Array
 from galen_model.load_frames import SensorInFrame
 from galen_model.tool_comparison import Comparison, three_digits
-from galen_model.tool_file import LoadEstimate
+from galen_model.tool_file import LoadEstimate, age_text
 from galen_model.tool_store import Entry, StoredTool
 from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
-
-_AGES = ((86400.0, "day"), (3600.0, "hour"), (60.0, "minute"))
-
-
-def age_text(calibrated_at: str, now: datetime | None = None) -> str:
-    """How long ago an RFC 3339 time was."""
-    then = datetime.fromisoformat(calibrated_at)
-    age_s = ((now or datetime.now(UTC)) - then).total_seconds()
-    if age_s < -60.0:
-        return "in the future"
-    for length_s, unit in _AGES:
-        count = int(age_s // length_s)
-        if count >= 1:
-            return f"{count} {unit}{'' if count == 1 else 's'} ago"
-    return "just now"
-
 
 # A list
 

@@ -6,9 +6,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from galen_gravcomp.node import GravcompNode
 from galen_model.tool_file import tool_path, write_tool
 from galen_ros.diagnostics import Level
-from galen_ros.testing import Harness, Lifecycle
+from galen_ros.testing import Harness, Lifecycle, parameters
 from std_srvs.srv import SetBool, Trigger
 from test_gravcomp_node import LEFT, POINTER, PUSH, RETRACTOR, STILL, Bench, make_tool
 
@@ -38,13 +39,13 @@ def managed(harness: Harness, tools: Path, **values: Any) -> tuple[Bench, Lifecy
 def published(bench: Bench) -> list[bool]:
     """For each wrench that goes out from now on, whether the node was active."""
     said: list[bool] = []
-    publish = bench.node._publisher.publish
+    publish = bench.node._publish
 
-    def recorded(data: bytes) -> None:
+    def recorded(*args: Any) -> None:
         said.append(bench.node.active)
-        publish(data)
+        publish(*args)
 
-    bench.node._publisher.publish = recorded
+    bench.node._publish = recorded
     return said
 
 
@@ -73,7 +74,7 @@ def test_nothing_is_held_over_from_before_it_was_deactivated(harness: Harness, t
     for _ in range(50):
         late = bench.step(PUSH)
     assert life.go("activate")
-    harness.wait_for(bench.driver.ready, 20.0, "the subscriptions")
+    harness.wait_for(bench.ready, 20.0, "inputs and output")
     fresh = bench.step(LEFT)
     bench.expect(fresh, LEFT)  # the tool stays, the tare does not
     assert bench.output_at(late) is None and len(bench.listener.outputs) == before + 1
@@ -111,7 +112,7 @@ def test_it_is_configured_anew_with_other_files_and_joints(harness: Harness, too
     bench.state("bad_joints", Level.ERROR, lambda: bench.step(PUSH))
     assert life.go("deactivate", "cleanup") and not life.set(joint_names=["roll", "tilt"])
     assert life.go("configure", "activate")
-    harness.wait_for(bench.driver.ready, 20.0, "the subscriptions")
+    harness.wait_for(bench.ready, 20.0, "inputs and output")
     stamp = bench.step(PUSH)
     bench.expect(stamp, PUSH + POINTER.predict(*STILL) - OTHER.predict(*STILL))
 
@@ -149,3 +150,27 @@ def test_who_waits_for_an_answer_gets_one(harness: Harness, tools: Path) -> None
     assert life.go("cleanup")
     harness.wait_for(waits.done, 20.0, "the list's answer")
     assert not waits.result().success and "cleaned up" in waits.result().error_msg
+
+
+def test_a_second_compensator_that_waits_is_no_conflict(harness: Harness, tools: Path) -> None:
+    """A spare, configured and inactive, takes over when the first one is deactivated."""
+    bench, life = managed(harness, tools)
+    spare = harness.add(
+        lambda context: GravcompNode(
+            context=context,
+            parameter_overrides=parameters(
+                tools_dir=str(tools), tool="retractor", late_s=0.0, autostart=False
+            ),
+            cli_args=["--ros-args", "-r", "__node:=spare"],
+        )
+    )
+    spare_life = Lifecycle(harness, bench.listener, "spare")
+    assert spare_life.go("configure")
+    bench.running()
+    assert bench.running()["wrench_compensated_publishers"] == "1"
+    assert spare_life.go("activate")
+    bench.state("several_publishers", Level.ERROR, lambda: bench.step(LEFT))
+    assert life.go("deactivate")
+    harness.wait_for(
+        lambda: bench.step(PUSH) and spare._compensator.compensated, 20.0, "the spare to take over"
+    )

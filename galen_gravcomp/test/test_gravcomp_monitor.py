@@ -196,6 +196,25 @@ def test_two_publishers_of_the_wrench_are_refused_by_name(rig: Rig) -> None:
     assert rig.compensator.compensated == before + 1
 
 
+def test_another_publisher_of_the_output_is_refused_by_name(rig: Rig) -> None:
+    rig.step()
+    rig.monitor.outputs.listed = 2
+    rig.monitor.outputs.name(["/gravcomp", "/gravcomp"])
+    rig.tick()
+    before = rig.compensator.compensated
+    rig.step()
+    assert rig.now == (Severity.ERROR, "several_publishers")
+    assert rig.message == (
+        "nothing is published: wrench_compensated has 2 publishers (/gravcomp 2 times):"
+        " stop all but one of them"
+    )
+    assert rig.monitor.values(rig.t)["wrench_compensated_publisher_nodes"] == "/gravcomp 2 times"
+    rig.monitor.outputs.listed = 1
+    rig.tick()
+    rig.step()
+    assert rig.compensator.compensated == before + 1
+
+
 @pytest.mark.parametrize("back_after_s", [0.3, 1.2, 30.0])
 def test_a_killed_driver_that_came_back_is_one(rig: Rig, back_after_s: float) -> None:
     """DDS lists the killed one for some 20 s yet, and its end is no restart of the new one."""

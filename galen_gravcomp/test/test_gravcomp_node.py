@@ -149,10 +149,14 @@ class Bench:
             lambda context: Driver(name, context=context, **self._driver_options)
         )
         self.harness.wait_for(driver.ready, 10.0, "the compensator to see the driver")
-        self.harness.wait_for(
-            lambda: self.listener.subscription.get_publisher_count(), 10.0, "the output's publisher"
-        )
+        self.harness.wait_for(self.heard, 10.0, "the output's publisher")
         return driver
+
+    def heard(self) -> bool:
+        return bool(self.listener.subscription.get_publisher_count())
+
+    def ready(self) -> bool:
+        return self.driver.ready() and self.heard()
 
     def step(self, touch: Array, roll: float = STILL[0], tilt: float = STILL[1]) -> int:
         """One sample of an arm with the pointer on; returns its stamp."""
@@ -556,6 +560,53 @@ def test_second_publisher_is_told(bench: Bench) -> None:
         lambda _, v: v["wrench_raw_publishers"] == "2" and "is new" in v["last_restart"],
         "two publishers",
     )
+
+
+def second(harness: Harness, tools_dir: Path, *words: str) -> GravcompNode:
+    """Another compensator, with another tool."""
+    return harness.add(
+        lambda context: GravcompNode(
+            context=context,
+            parameter_overrides=parameters(tools_dir=str(tools_dir), tool="retractor", late_s=0.0),
+            cli_args=["--ros-args", *words],
+        )
+    )
+
+
+def test_two_compensators_on_one_topic_are_both_silent(bench: Bench, tools_dir: Path) -> None:
+    """Their wrenches differ by the tools' weights, and an arm would follow both by turns."""
+    bench.expect(bench.step(PUSH), PUSH)
+    other = second(bench.harness, tools_dir, "-r", "__node:=gravcomp_2")
+    for name in ("gravcomp", "gravcomp_2"):
+        report = bench.report(
+            lambda s, v, name=name: s.name == name and v["state"] == "several_publishers",
+            f"the conflict from {name}",
+            lambda: bench.step(LEFT),
+        )
+        assert report["message"] == (
+            "nothing is published: wrench_compensated has 2 publishers (/gravcomp, /gravcomp_2):"
+            " stop all but one of them"
+        )
+    made = len(bench.listener.outputs)
+    bench.harness.wait_for(
+        lambda: bench.step(LEFT) > 0 and other._compensator.received > 100, 10.0, "wrenches"
+    )
+    assert len(bench.listener.outputs) == made
+    bench.harness.remove(other)
+    bench.running()
+    bench.expect(bench.step(LEFT), LEFT)
+
+
+@pytest.mark.parametrize("words", [("-r", "__ns:=/left"), ("-r", "wrench_compensated:=other")])
+def test_a_compensator_on_another_topic_is_no_conflict(
+    bench: Bench, tools_dir: Path, words: tuple[str, ...]
+) -> None:
+    other = second(bench.harness, tools_dir, *words)
+    publisher = other._publisher.topic_name
+    bench.harness.wait_for(
+        lambda: bench.listener.count_publishers(publisher) == 1, 10.0, "the other one"
+    )
+    assert bench.running()["wrench_compensated_publishers"] == "1"
 
 
 def test_best_effort_driver(harness: Harness, tools_dir: Path) -> None:

@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 import pytest
 from galen_gravcomp.tools_command import main
-from galen_gravcomp.tools_report import age_text, print_in_force, print_tool
+from galen_gravcomp.tools_report import print_in_force, print_tool
 from galen_model.kinematics import sensor_pose
 from galen_model.load_frames import sensor_in_frame
-from galen_model.tool_file import LoadEstimate, ToolFile, tool_path, write_tool
+from galen_model.tool_file import LoadEstimate, ToolFile, age_text, tool_path, write_tool
 from galen_model.tool_store import StoredTool
 from rich.console import Console
 
