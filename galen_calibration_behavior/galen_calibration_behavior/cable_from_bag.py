@@ -35,8 +35,10 @@ from galen_calibration_behavior.from_bag_command import (
     add_pose_options,
     add_topic_options,
     arm_topics,
+    check_not_newer,
     parse_with_tool,
     reported,
+    sample_time,
 )
 from galen_calibration_behavior.parameters import CalibrationParameters
 
@@ -94,6 +96,8 @@ def run(options: argparse.Namespace) -> CableResult:
     if not options.dry_run:
         check_writable(path)
     recording = read_arm(options.bag, arm_topics(options))
+    recorded = sample_time(int(recording.joint_stamp_ns[-1]), int(recording.joint_log_ns[-1]))
+    check_not_newer(options, path, recorded)
     try:
         result = estimate_cable(
             tool,

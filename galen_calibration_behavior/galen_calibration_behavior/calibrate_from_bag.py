@@ -9,7 +9,7 @@ import math
 import sys
 from collections.abc import Iterable
 from dataclasses import replace
-from datetime import UTC, datetime
+from datetime import datetime
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -44,8 +44,10 @@ from galen_calibration_behavior.from_bag_command import (
     add_pose_options,
     add_topic_options,
     arm_topics,
+    check_not_newer,
     parse_with_tool,
     reported,
+    sample_time,
 )
 from galen_calibration_behavior.home_stays import BiasPose
 from galen_calibration_behavior.mounting_text import format_mounting, mounting_fields
@@ -60,8 +62,6 @@ _EPILOG = f"""exit codes:
   {EXIT_FAILED}    failed; the reason is printed, nothing is written
   {EXIT_USAGE}    wrong arguments
   {EXIT_CANCELED}  interrupted (Ctrl-C); nothing is written"""
-# A stamp before this is not a date: a simulation's clock, or one that nobody has set.
-_EARLIEST_DATE = datetime(2000, 1, 1, tzinfo=UTC)
 
 
 def parse(arguments: list[str] | None = None) -> argparse.Namespace:
@@ -256,10 +256,8 @@ def _known_adapter(path: str | None) -> LoadEstimate | None:
 
 
 def measured_at(last: Visit) -> datetime:
-    """When the last sample was taken: its stamp or, where that is no date, when it was received."""
-    stamp = datetime.fromtimestamp(last.window_ns[1] / 1e9, UTC)
-    received = datetime.fromtimestamp(last.log_ns / 1e9, UTC)
-    return stamp if stamp >= _EARLIEST_DATE else max(stamp, received)
+    """When the last sample was taken."""
+    return sample_time(last.window_ns[1], last.log_ns)
 
 
 def run(options: argparse.Namespace) -> tuple[RecordedSweeps, Calibration]:
@@ -269,6 +267,8 @@ def run(options: argparse.Namespace) -> tuple[RecordedSweeps, Calibration]:
         check_writable(path)
     tip, warnings = choose_tip(np.array(options.tip or [math.nan] * 3), path)
     sweeps = find_sweeps(options)
+    recorded = measured_at(sweeps.last)
+    check_not_newer(options, path, recorded)
     make = estimate if options.dry_run else calibrate
     return sweeps, make(
         path,
@@ -276,7 +276,7 @@ def run(options: argparse.Namespace) -> tuple[RecordedSweeps, Calibration]:
         tip,
         replace(sweeps.measurements, bias_mode=options.bias),
         warnings,
-        calibrated_at=measured_at(sweeps.last),
+        calibrated_at=recorded,
         mounting=mounting_request(options),
     )
 

@@ -6,10 +6,12 @@ import argparse
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
+from datetime import UTC, datetime
+from pathlib import Path
 
 from galen_bags.arm_recording import ArmTopics
-from galen_model.errors import GalenError, ToolNameError
-from galen_model.tool_file import check_tool_name
+from galen_model.errors import GalenError, ToolFileError, ToolNameError
+from galen_model.tool_file import age_text, check_tool_name, read_tool
 from galen_ros.param import add_options
 
 from galen_calibration_behavior.estimate import EstimateError
@@ -24,13 +26,46 @@ POSE_PARAMETERS = (
     "min_pose_fraction", "zero_tolerance_n", "zero_tolerance_nm",
 )  # fmt: skip
 """The node's parameters that a recording's poses are judged by."""
+# A stamp before this is not a date: a simulation's clock, or one that nobody has set.
+_EARLIEST_DATE = datetime(2000, 1, 1, tzinfo=UTC)
 
 
 def add_output_options(parser: argparse.ArgumentParser) -> None:
-    """Add `--tools-dir`, `--dry-run` and `--json`."""
+    """Add `--tools-dir`, `--replace-newer`, `--dry-run` and `--json`."""
     add_options(parser, CalibrationParameters, ("tools_dir",))
+    parser.add_argument(
+        "--replace-newer",
+        action="store_true",
+        help="write also where the file's calibration is newer than the recording",
+    )
     parser.add_argument("--dry-run", action="store_true", help="print what is found, write nothing")
     parser.add_argument("--json", action="store_true", help="print the result as one JSON object")
+
+
+def sample_time(stamp_ns: int, log_ns: int) -> datetime:
+    """When a sample was taken: its stamp or, where that is no date, when it was received."""
+    stamp = datetime.fromtimestamp(stamp_ns / 1e9, UTC)
+    received = datetime.fromtimestamp(log_ns / 1e9, UTC)
+    return stamp if stamp >= _EARLIEST_DATE else max(stamp, received)
+
+
+def check_not_newer(options: argparse.Namespace, path: Path, recorded: datetime) -> None:
+    """Raise GalenError where the file's calibration is newer than the recording's end.
+
+    Nothing is raised where nothing is to be written, or `--replace-newer` allows it.
+    """
+    if options.dry_run or options.replace_newer:
+        return
+    try:
+        held = read_tool(path).calibrated_at
+    except ToolFileError:
+        return
+    ended = recorded.isoformat(timespec="seconds")  # as precise as the file's
+    if datetime.fromisoformat(ended) < datetime.fromisoformat(held):
+        raise GalenError(
+            f"{path}: not replaced: calibrated {held} ({age_text(held)}), after the recording's"
+            f" end, {ended} ({age_text(ended)}); --replace-newer replaces it all the same"
+        )
 
 
 def add_topic_options(parser: argparse.ArgumentParser | argparse._ArgumentGroup) -> None:

@@ -25,8 +25,10 @@ from galen_calibration_behavior.from_bag_command import (
     add_output_options,
     add_topic_options,
     arm_topics,
+    check_not_newer,
     parse_with_tool,
     reported,
+    sample_time,
 )
 from galen_calibration_behavior.inertia_estimation import InertiaResult, estimate_inertia
 
@@ -62,6 +64,8 @@ def run(options: argparse.Namespace) -> InertiaResult:
     if not options.dry_run:
         check_writable(path)
     recording = read_arm(options.bag, arm_topics(options))
+    recorded = sample_time(int(recording.joint_stamp_ns[-1]), int(recording.joint_log_ns[-1]))
+    check_not_newer(options, path, recorded)
     if not np.isfinite(recording.joints).any(axis=0).all():
         raise GalenError(
             f"{options.bag}: {options.joint_states} lacks the platform's position: of"

@@ -32,7 +32,7 @@ def place(tmp_path, monkeypatch):
     """A tools' directory with a calibrated retractor, and recordings by name."""
     load = LoadEstimate(RETRACTOR.mass_kg, RETRACTOR.com_m, 1e-10 * np.eye(4))
     bias = LoadEstimate(ADAPTER.mass_kg, ADAPTER.com_m, 1e-10 * np.eye(4))
-    tool = ToolFile("retractor", load, bias, AT, np.zeros(6), 56, "2026-01-02T03:04:05+00:00")
+    tool = ToolFile("retractor", load, bias, AT, np.zeros(6), 56, "2023-11-01T03:04:05+00:00")
     write_tool(tmp_path / "retractor.json", tool)
     tapes = {}
     monkeypatch.setattr(cable_from_bag, "read_arm", lambda bag, _topics: tapes[str(bag)])
@@ -133,6 +133,20 @@ def test_where_there_is_no_cable_to_learn_it_says_so(place, capsys, pull_at, pos
     assert error.startswith("cable_from_bag: sweep: ") and words in error
     assert error.count("\n") == 1
     assert (folder / "retractor.json").read_bytes() == before
+
+
+def test_a_recording_from_before_the_calibration_is_rejected(place, capsys):
+    folder, record = place
+    record("sweep", pull, POSES[:2])
+    file = folder / "retractor.json"
+    file.write_text(file.read_text().replace("2023-11-01", "2026-01-02"))
+    before = file.read_bytes()
+    with pytest.raises(SystemExit) as end:
+        run("retractor", "sweep", "--tools-dir", folder)
+    assert (end.value.code, file.read_bytes()) == (1, before)
+    error = capsys.readouterr().err
+    assert "calibrated 2026-01-02T03:04:05+00:00" in error and "2023-11-14T" in error
+    assert "--replace-newer" in error
 
 
 @pytest.mark.parametrize(

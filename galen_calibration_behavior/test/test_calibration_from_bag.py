@@ -3,6 +3,7 @@
 import json
 import subprocess
 import sys
+from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
@@ -156,6 +157,23 @@ def test_what_gives_no_file_is_said_in_one_line_and_leaves_nothing(
     assert error.count("\n") == 1
     assert words in error
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_newer_calibration_is_replaced_only_if_asked(capsys, tmp_path, calibrated):
+    old = json.loads((calibrated / "pointer.json").read_text())
+    now = datetime.now(UTC).isoformat(timespec="seconds")
+    file = tmp_path / "pointer.json"
+    file.write_text(json.dumps(old | {"calibrated_at": now}))
+    before = file.read_bytes()
+    arguments = ["pointer", POINTER_BAG, "--tools-dir", str(tmp_path)]
+    code, out, error = run(capsys, *arguments)
+    assert (code, out, file.read_bytes()) == (EXIT_FAILED, "", before)
+    assert f"{file}: not replaced: calibrated {now} (just now)" in error
+    assert "2026-03-02T09:03:1" in error and "days ago" in error and "--replace-newer" in error
+    code, _, error = run(capsys, *arguments, "--replace-newer")
+    assert (code, error) == (0, "")
+    # The recording that gave the file is not older than it.
+    assert run(capsys, *arguments)[0] == 0
 
 
 def test_a_directory_that_can_not_be_written_is_found_before_the_bag_is_read(capsys, tmp_path):

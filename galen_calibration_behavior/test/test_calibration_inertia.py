@@ -53,7 +53,7 @@ def tools(tmp_path):
         tip_m=np.array([0.18, 0.01, 0.05]),
         rmse=np.full(6, 1e-3),
         poses_used=56,
-        calibrated_at="2026-11-21T12:00:00+00:00",
+        calibrated_at="2026-09-21T12:00:00+00:00",
         residual_offset=np.arange(6) * 1e-3,
     )
     write_tool(tmp_path / "retractor.json", tool)
@@ -88,6 +88,18 @@ def test_the_file_gets_the_inertia_and_keeps_the_rest(tools, capsys):
     assert np.all(np.abs(error) < 4.5 * estimate.std_kg_m2)
     after = json.loads((tools / "retractor.json").read_text())
     assert after.pop("inertia") and after == before
+
+
+def test_a_recording_from_before_the_calibration_is_used_only_if_asked(tools, capsys):
+    write_recording(tools / "bag", np.array([0.04, 0.04, 0.04, 0.45, 0.35]))
+    file = tools / "retractor.json"
+    file.write_text(file.read_text().replace("2026-09-21T12", "2026-09-21T15"))
+    before = file.read_bytes()
+    arguments = ("retractor", tools / "bag", "--tools-dir", tools)
+    code, out, err = run(capsys, *arguments)
+    assert (code, out, file.read_bytes()) == (EXIT_FAILED, "", before)
+    assert "calibrated 2026-09-21T15:00:00+00:00" in err and "--replace-newer" in err
+    assert run(capsys, *arguments, "--replace-newer")[0] == 0
 
 
 def test_what_is_not_told_or_not_there_is_one_line_and_nothing_is_written(tools, capsys):

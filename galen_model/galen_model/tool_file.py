@@ -7,7 +7,7 @@ import json
 import os
 import re
 from dataclasses import dataclass, field, fields
-from datetime import datetime
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -42,6 +42,7 @@ from galen_model.whole_file import write_whole
 SCHEMA_VERSION = 1
 _NAME = re.compile(r"[A-Za-z0-9_-]{1,64}")
 MAX_FILE_BYTES = 1_000_000
+_AGES = ((86400.0, "day"), (3600.0, "hour"), (60.0, "minute"))
 
 
 @dataclass(frozen=True)
@@ -219,6 +220,19 @@ def write_tool(path: str | os.PathLike[str], tool: ToolFile) -> None:
         write_whole(path, content_text)
     except OSError as error:
         raise ToolFileError(f"{path}: can't be written: {error.strerror}") from error
+
+
+def age_text(calibrated_at: str, now: datetime | None = None) -> str:
+    """How long ago an RFC 3339 time was."""
+    then = datetime.fromisoformat(calibrated_at)
+    age_s = ((now or datetime.now(UTC)) - then).total_seconds()
+    if age_s < -60.0:
+        return "in the future"
+    for length_s, unit in _AGES:
+        count = int(age_s // length_s)
+        if count >= 1:
+            return f"{count} {unit}{'' if count == 1 else 's'} ago"
+    return "just now"
 
 
 def _load_to_json(estimate: LoadEstimate) -> dict[str, Any]:
