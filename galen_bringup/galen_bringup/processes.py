@@ -73,21 +73,18 @@ class Processes:
         """End all of them."""
         self.stop()
 
-    def start(
-        self, package: str, executable: str, arguments: Sequence[str] = (), niceness: int = 0
-    ) -> int:
-        """Start an executable; returns its process id. `niceness` lowers its priority."""
+    def start(self, package: str, executable: str, arguments: Sequence[str] = ()) -> int:
+        """Start an executable; returns its process id."""
         path = executable_path(package, executable)
-        prefix = ["nice", "-n", str(niceness)] if niceness else []
         # A signal between a process' start and its entry in the list would leave it behind.
         with (self._log_dir / f"{executable}.log").open("wb") as log, _signals_later():
             self._running[executable] = process = subprocess.Popen(
-                [*prefix, str(path), *arguments],
+                [str(path), *arguments],
                 stdin=subprocess.DEVNULL,
                 stdout=log,
                 stderr=subprocess.STDOUT,
                 # A group of their own: a Ctrl-C ends them through stop(), in order. Not a session
-                # of their own, in which Linux would not weigh their niceness against the others'.
+                # of their own, in which Linux would not weigh the driver's niceness against theirs.
                 process_group=0,
             )
         return process.pid

@@ -169,11 +169,8 @@ def soak(kind: str, seconds: float, speed: float, rate_hz: float, folder: Path) 
         processes = stack.enter_context(Processes(folder / "log"))
         pids = {}
         if simulated:
-            # It, not the nodes, shall give way where the machine is short of time.
             driver = ros_arguments({"speed_factor": speed, "initial_tool": NAME})
-            pids["driver"] = processes.start(
-                "galen_sim_driver", "sim_driver_node", driver, niceness=10
-            )
+            pids["driver"] = processes.start("galen_sim_driver", "sim_driver_node", driver)
         given = {"tools_dir": folder, "tool": NAME, "use_sim_time": simulated}
         pids["gravcomp"] = processes.start("galen_gravcomp", "gravcomp_node", ros_arguments(given))
         if not simulated:

@@ -53,9 +53,6 @@ def start_suite(processes: Processes, tools_dir: Path, speed: float, seed: int) 
         "galen_sim_driver",
         "sim_driver_node",
         ros_arguments({"speed_factor": speed, "seed": seed}),
-        # Where the machine is short of time, the simulation must be what slows down: a node that
-        # falls behind a faster simulation loses samples.
-        niceness=10,
     )
     processes.start(
         "galen_gravcomp",

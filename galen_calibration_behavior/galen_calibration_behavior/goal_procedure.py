@@ -126,7 +126,7 @@ class GoalProcedure(ABC, Generic[CommandT, EndT]):
         """Give feedback."""
 
     def _note_arrival(self, clock: StampClock) -> None:
-        """The arm has arrived, by this clock of the joint states."""
+        """The arm has arrived, or has not in time, by this clock of the joint states."""
 
     # ---- events
 
@@ -145,7 +145,9 @@ class GoalProcedure(ABC, Generic[CommandT, EndT]):
         try:
             self._take_joints(stamp_ns, position, velocity)
         except MotionTimeoutError as error:
-            self._arrival = None
+            if self._arrival is not None:
+                self._note_arrival(self._arrival.clock)
+                self._arrival = None
             self.fail(self.codes["MOTION_TIMEOUT"], str(error))
         except StampsError as error:
             self.fail(self.codes["BAD_INPUT"], str(error))

@@ -22,6 +22,9 @@ from galen_calibration_behavior.pose_recorder import PoseRecorder, Rejection
 from galen_calibration_behavior.stamps import StampClock
 from galen_calibration_behavior.stillness import PoseRecord, StillnessSettings
 
+# Errors that lost samples may be the cause of.
+_OF_LOST_SAMPLES = ("MOTION_TIMEOUT", "POSES_NOT_STILL")
+
 
 @dataclass(frozen=True)
 class PoseSettings(GoalSettings):
@@ -64,6 +67,17 @@ class PoseProcedure(GoalProcedure[CommandT, EndT]):
 
     def _drop_watches(self) -> None:
         self._recorder = None
+
+    def fail(self, code: IntEnum, message: str) -> None:
+        """Stop the arm and end with this error; where samples were lost, it names the cause."""
+        if self._recorder is not None and not self.ending:
+            self._note_jumps(self._recorder.jumps, self._recorder.last_jump)
+        if self._jumps and code.name in _OF_LOST_SAMPLES:
+            message += (
+                f"; time stamps jumped {self._jumps} times: samples are lost where the machine is"
+                " overloaded; close other programs, or lower the simulated driver's speed_factor"
+            )
+        super().fail(code, message)
 
     def _record(
         self, target: Array, duration_s: float, then: Callable[[PoseRecord | Rejection], None]

@@ -290,6 +290,34 @@ def test_a_stuck_joint_is_named(joint):
     world.run()
     name = ("roll", "tilt")[joint - 3]
     failed(world, ErrorCode.MOTION_TIMEOUT, f"{name} did not reach")
+    assert "overloaded" not in world.end.error_msg
+
+
+@pytest.mark.parametrize("state", [State.HOME, State.SWEEP_BARE])
+def test_a_timeout_after_lost_samples_names_an_overloaded_machine(state):
+    world = World()
+    world.run(in_state(state))
+    world.arm.ignored_joints = (3,)
+    world.run(lambda w: w.arm.moving)
+    begin_s = world.wall_s
+    world.run(lambda w: w.wall_s > begin_s + 0.1)
+    world.arm.skip_ns = 1_700_000_000
+    world.run()
+    failed(world, ErrorCode.MOTION_TIMEOUT, "roll did not reach", "overloaded", "speed_factor")
+
+
+def test_poses_spoilt_by_lost_samples_name_an_overloaded_machine():
+    world = World(one_sweep=True)
+    world.run(in_state(State.SWEEP_TOOL))
+
+    def averages(w):
+        recorder = w.procedure._recorder
+        if recorder is not None and recorder._window is not None:
+            w.arm.skip_ns = 1_700_000_000
+        return False
+
+    world.run(averages)
+    failed(world, ErrorCode.POSES_NOT_STILL, "3 poses in a row", "jumped by +1.7", "overloaded")
 
 
 @pytest.mark.parametrize("service", ["bias_sensor", "attach_tool"])

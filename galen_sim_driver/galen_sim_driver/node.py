@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import time
 from dataclasses import dataclass, replace
 from typing import Any
@@ -46,6 +47,9 @@ from galen_sim_driver.tracker import TrackerSample
 _CLOCK_RATE_HZ = 100.0
 # Slower than this part of what was asked is worth a warning.
 _SLOW = 0.9
+_TELL_SLOW_EVERY_S = 60.0
+# A busy machine must slow the simulation down: a node that falls behind it loses samples.
+_NICENESS = 10
 _INACTIVE = "the driver is inactive: activate it first"
 
 
@@ -315,7 +319,12 @@ class SimDriverNode(ManagedNode):
             text = "another node publishes joint_states too: two drivers at once?"
             return WARN, "several_drivers", text
         if speed is not None and speed < _SLOW * asked:
-            return WARN, "slow", f"runs at {speed:.3g} times real time, not {asked:g}"
+            text = (
+                f"runs at {speed:.3g} times real time, speed_factor is {asked:g}: this machine"
+                " keeps up with no more; close other programs, or lower speed_factor"
+            )
+            self.get_logger().warning(text, throttle_duration_sec=_TELL_SLOW_EVERY_S)
+            return WARN, "slow", text
         return OK, "running", "running"
 
     def _report(self) -> Status:
@@ -346,7 +355,8 @@ class SimDriverNode(ManagedNode):
 
 
 def main() -> None:
-    """Run the node until SIGINT or SIGTERM."""
+    """Run the node until SIGINT or SIGTERM, at a lower priority than the other nodes."""
+    os.nice(_NICENESS)
     run(SimDriverNode)
 
 

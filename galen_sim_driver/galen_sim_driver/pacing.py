@@ -2,23 +2,19 @@
 
 from __future__ import annotations
 
-_MAKE_UP_S = 0.5
-
 
 class Pacer:
     """Spreads simulated periods over wall time, `speed_factor` simulated seconds to a second.
 
-    After a stall the missing steps are made up, at most `max_steps` at once. In real time every
-    one of them is, since the stamps follow the system's clock. At another speed no more than half
-    a second's are: on a machine that can't keep up, simulated time just runs slower.
+    In real time every step that a stall left out is made up, at most `max_steps` at once, since
+    the stamps follow the system's clock. At another speed a stall slows simulated time down
+    instead: steps in a burst would overrun the subscribers of a machine that is short of time.
     """
 
     def __init__(self, period_s: float, speed_factor: float, max_steps: int) -> None:
         self._steps_per_s = speed_factor / period_s
         self._max_steps = max_steps
-        self._most_missing = (
-            None if speed_factor == 1.0 else max(max_steps, round(_MAKE_UP_S * self._steps_per_s))
-        )
+        self._makes_up = speed_factor == 1.0
         self._origin_s = 0.0
         self._taken = 0
 
@@ -32,9 +28,8 @@ class Pacer:
         missing = int((now_s - self._origin_s) * self._steps_per_s) - self._taken
         steps = max(0, min(missing, self._max_steps))
         self._taken += steps
-        if self._most_missing is not None and missing - steps > self._most_missing:
-            self._origin_s = now_s
-            self._taken = 0
+        if steps < missing and not self._makes_up:
+            self.start(now_s)
         return steps
 
 

@@ -1,5 +1,6 @@
 """The node over real DDS: streams, services, trajectories, clock, admittance."""
 
+import os
 import time
 from xml.etree import ElementTree
 
@@ -21,7 +22,7 @@ from galen_ros.parameters import ParameterError
 from galen_ros.qos import LATCHED, STREAM
 from galen_ros.spin import make_executor
 from galen_ros.testing import Harness, parameters
-from galen_sim_driver.node import SimDriverNode
+from galen_sim_driver.node import SimDriverNode, main
 from geometry_msgs.msg import PoseStamped, WrenchStamped
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
@@ -34,6 +35,7 @@ from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from galen_msgs.srv import PushTool, SetTool
+from galen_sim_driver import node as node_module
 
 TIMEOUT_S = 30.0
 SIGMA = np.sqrt(SENSOR.noise_std**2 + SENSOR.quantum**2 / 12)
@@ -334,6 +336,23 @@ def test_a_bad_trajectory_is_refused_and_told(cell):
     cell.send(["tilt"], [0.1], 0.5)
     cell.wait(lambda: cell.diagnostics[-1].message == "running", "the all-clear")
     cell.wait(lambda: abs(cell.positions()[4] - 0.1) < 1e-4, "the target")
+
+
+def test_a_speed_that_the_machine_does_not_keep_up_with_is_told(harness):
+    cell = Cell(harness, speed_factor=1000.0)  # a tick takes max_steps_per_tick, of 1000 due
+    cell.wait(lambda: cell.diagnostics and cell.value("state") == "slow", "the warning")
+    reached = float(cell.value("speed_reached"))
+    assert 0.0 < reached < 900.0
+    assert f"runs at {reached:.3g} times real time" in cell.diagnostics[-1].message
+    assert cell.diagnostics[-1].message.endswith("or lower speed_factor")
+
+
+def test_the_process_gives_way_to_the_nodes_that_it_feeds(monkeypatch):
+    order = []
+    monkeypatch.setattr(os, "nice", order.append)
+    monkeypatch.setattr(node_module, "run", order.append)
+    main()
+    assert order == [10, SimDriverNode]
 
 
 def test_a_second_driver_is_told(cell):
