@@ -163,6 +163,7 @@ def generate_launch_description() -> LaunchDescription:
                 condition=IfCondition(LaunchConfiguration("panel")),
                 # Plots may wait, wrenches may not; but a cancel must get through on a busy machine.
                 prefix="nice -n 5",
+                exec_name="panel",  # else the log calls it nice
                 **common,
             ),
         ]

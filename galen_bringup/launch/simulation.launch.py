@@ -45,7 +45,9 @@ def generate_launch_description() -> LaunchDescription:
                 "speed_factor", default_value="1.0", description="simulated over wall time"
             ),
             DeclareLaunchArgument(
-                "tool", default_value="", description="tool whose file gravcomp loads at start"
+                "tool",
+                default_value="",
+                description="tool on the simulated arm, whose file gravcomp loads; empty: none",
             ),
             DeclareLaunchArgument(
                 "deflection_model",
@@ -75,9 +77,13 @@ def generate_launch_description() -> LaunchDescription:
                 name="sim_driver",
                 ros_arguments=["--enclave", [LaunchConfiguration("enclaves"), "/sim_driver"]],
                 namespace=LaunchConfiguration("namespace"),
-                parameters=[config, {"speed_factor": ParameterValue(speed, value_type=float)}],
-                # A busy machine must slow the simulation down, not the nodes that it feeds.
-                prefix="nice -n 10",
+                parameters=[
+                    config,
+                    {
+                        "speed_factor": ParameterValue(speed, value_type=float),
+                        "initial_tool": ParameterValue(LaunchConfiguration("tool"), value_type=str),
+                    },
+                ],
                 output="screen",
             ),
             IncludeLaunchDescription(
