@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from enum import IntEnum
 from pathlib import Path
 from typing import Any
@@ -11,6 +12,7 @@ from galen_model.arrays import Array
 from galen_model.errors import GalenError, NotExcitedError, ToolFileError, ToolNameError
 from galen_model.mounting_identification import check_planned_mounting
 from galen_model.tool_file import tool_path
+from galen_ros.diagnostics import Status
 from galen_ros.spin import run
 from rclpy.action.server import ServerGoalHandle
 from rclpy.client import Client
@@ -78,6 +80,7 @@ class CalibrationNode(GoalNode[CalibrationParameters, _Goal, Finished]):
             "calibration", CalibrationParameters, CalibrateTool, "calibrate_tool", **kwargs
         )
         self._tools_dir = Path(self._settings.tools_dir).expanduser()
+        self._duration = _duration(self._settings)
         self._bias_client = self.create_client(Trigger, "bias_sensor")
         self._attach_client = self.create_client(SetTool, "attach_tool")
         self.create_service(Trigger, "~/confirm", self._on_confirm)
@@ -230,11 +233,23 @@ class CalibrationNode(GoalNode[CalibrationParameters, _Goal, Finished]):
     def _folders(self) -> dict[str, object]:
         return {"tools_dir": self._tools_dir}
 
+    def _report_status(self) -> Status:
+        status = super()._report_status()
+        return replace(status, values=self._duration | dict(status.values))
+
     def _status_values(self, goal: _Goal) -> dict[str, object]:
         return {"waits_for_person": goal.procedure.waiting_for_person}
 
     def _status_remark(self, goal: _Goal) -> str:
         return "; waits for ~/confirm" if goal.procedure.waiting_for_person else ""
+
+
+def _duration(settings: CalibrationParameters) -> dict[str, object]:
+    """How long a sweep takes, for /diagnostics; a goal says why its poses can't be."""
+    try:
+        return {"sweep_s": settings.sweep_s()}
+    except GalenError:
+        return {}
 
 
 def _to_result(tool: str, end: Finished, calibration: Calibration | None) -> CalibrateTool.Result:

@@ -189,6 +189,14 @@ class SweepParameters(ObstacleParameters):
             return settings
         return replace(settings, average_s=self.chosen_average_s)
 
+    def sweep_s(self) -> float:
+        """Return how long one sweep takes, s of stamps; ways around obstacles are not counted.
+
+        Raises a GalenError that names what the poses don't tell.
+        """
+        free = replace(self, obstacles=())
+        return self.times().sweep_s(free.plan(np.zeros(3)).poses)
+
     def times(self) -> SweepTimes:
         """Return how long a sweep's moves and stays take."""
         average_s = self.chosen_average_s if self.chosen else self.average_s

@@ -407,6 +407,19 @@ def test_a_tip_that_is_no_number_is_refused(world):
     assert world.driver.moves == 0
 
 
+def test_a_tool_that_the_driver_does_not_know_is_rejected_before_anything_moves(world):
+    world.harness.call_in_executor(
+        lambda: world.driver.declare_parameter("tools", ["pointer", "retractor"])
+    )
+    world.fails(
+        world.send(tool="pionter"), ErrorCode.SERVICE_FAILED, "'pionter'", "/fake_driver",
+        "pointer, retractor",
+    )  # fmt: skip
+    assert world.driver.moves == 0
+    status, result = world.result(world.send(iters_t=2, iters_r=4))
+    assert status == GoalStatus.STATUS_SUCCEEDED, result.error_msg
+
+
 @pytest.mark.parametrize("service", ["bias_sensor", "attach_tool"])
 def test_a_missing_service_is_named_before_anything_moves(tmp_path, service):
     with Harness() as harness:
@@ -519,3 +532,12 @@ def test_error_codes_and_states_are_the_action_s():
     assert {s.name: int(s) for s in State} == {
         s.name: getattr(CalibrateTool.Feedback, s.name) for s in State
     }
+
+
+def test_it_tells_how_long_a_sweep_takes(world):
+    def told():
+        return [v.value for s in world.diagnostics[-1:] for v in s.values if v.key == "sweep_s"]
+
+    (text,) = world.harness.wait_for(told, 10.0, "the duration")
+    stays_s = 9 * (0.1 + 0.1 + 0.3)  # the window in which it is still, settling, the average
+    assert stays_s < float(text) < 3.0 * stays_s
