@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
-from galen_panel.programs import OFFERED_BY
+import math
+
+from galen_panel import texts
+from galen_panel.programs import CALIBRATION, OFFERED_BY
 from galen_panel.state import Behaviour, Kind, State
 
 NAMES = {
@@ -39,3 +42,49 @@ def cannot_start(state: State, kind: Kind) -> str:
     if other is not None:
         return f"{title(other)} is under way. Wait until it has ended, or cancel it."
     return missing(state, kind.value)
+
+
+def cannot_check(state: State, tool: str) -> str:
+    """Why a quick check has no file to check against; empty where it has one.
+
+    tool: its name; empty: the active one.
+    """
+    if tool:
+        found = next((one for one in state.tools or () if one.name == tool), None)
+        problem = "" if found is None else found.problem
+        return f"Not checked: {problem}. Calibrate {tool} again." if problem else ""
+    if state.in_force is not None and state.in_force.tool:
+        return ""
+    if state.tools is not None and not state.tools:
+        return "Not checked: no tool is calibrated yet. Calibrate the one that is on: New tool."
+    return (
+        "Not checked: no tool is active. Press the one that is on in the list of tools to load its"
+        " file, or choose it in the quick check."
+    )
+
+
+def before_calibration(state: State, *, one_sweep: bool, by_hand: bool) -> list[str]:
+    """What a person must know before the arm moves: how long, and that the area must be clear."""
+    duration_s = (1 if one_sweep else 2) * _sweep_s(state)
+    long = (
+        f"{CALIBRATION.executable} does not tell how long that takes"
+        if math.isnan(duration_s)
+        else f"about {texts.duration(duration_s)}"
+    )
+    sentences = [f"The arm moves: it goes through its poses, {long}."]
+    if by_hand:
+        sentences.append("It waits for the tool to be taken off and put on; that comes on top.")
+    return [
+        *sentences,
+        "Look whether the area around the arm is clear. Keep off the arm and the tool until the"
+        " calibration has ended.",
+    ]
+
+
+def _sweep_s(state: State) -> float:
+    """How long one sweep takes, as the calibration's node tells; NaN where it doesn't."""
+    report = state.report_of(CALIBRATION.node)
+    try:
+        return float("nan" if report is None else report.values.get("sweep_s", "nan"))
+    except ValueError:
+        return math.nan

@@ -86,6 +86,7 @@ def operate(browser, path):
     browser.wait(lambda: browser.usable("calibrate"), "the calibration", PATIENCE_S)
     browser.says("in-force", "retractor", patience_s=PATIENCE_S)
     browser.click("calibrate")
+    browser.click("dialog-ok")
     browser.wait(lambda: done(browser) >= POSES, "some poses", PATIENCE_S)
     take(browser, path)
     browser.click("cancel")

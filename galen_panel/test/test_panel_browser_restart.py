@@ -39,6 +39,7 @@ def test_the_panel_before_the_nodes_and_killed_while_they_work(browser, tmp_path
         browser.click("calibrate-options")
         browser.click("calibrate-by-hand")
         browser.click("calibrate")
+        browser.click("dialog-ok")
         browser.says("asked", "Take the tool off", patience_s=PATIENCE_S)
 
         # the panel is killed while the calibration waits for a person, and comes back

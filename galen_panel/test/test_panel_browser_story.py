@@ -103,6 +103,7 @@ def test_a_calibration_is_seen_by_everybody_and_kept(page, second_browser, world
     put_in_force(page, "pointer")
     page.choose("calibrate-tool", "pointer")
     page.click("calibrate")
+    page.click("dialog-ok")
     page.find("progress", PATIENCE_S)
     second_browser.open(world.link)
     second_browser.find("progress", PATIENCE_S)
@@ -136,6 +137,7 @@ def test_a_calibration_is_discarded(page, world):
     page.click("tab-operate")
     page.choose("calibrate-tool", "pointer")
     page.click("calibrate")
+    page.click("dialog-ok")
     page.find("progress", PATIENCE_S)
     page.wait(lambda: page.usable("discard"), "the end", 3 * PATIENCE_S)
     assert tool_path(world.tools_dir, "pointer").read_bytes() != before
@@ -185,6 +187,7 @@ def test_a_calibration_is_canceled(page, world):
     before = tool_path(world.tools_dir, "pointer").read_bytes()
     page.choose("calibrate-tool", "pointer")
     page.click("calibrate")
+    page.click("dialog-ok")
     at_pose(page, 1)
     page.click("tab-nodes")  # it is reached from everywhere
     page.click("cancel")

@@ -3,7 +3,7 @@
 from dataclasses import replace
 
 import pytest
-from fake_suite import ALL, IN_FORCE, POINTER, RETRACTOR, FakeSuite
+from fake_suite import ALL, BROKEN, IN_FORCE, POINTER, RETRACTOR, FakeSuite
 from galen_panel.state import (
     Answer,
     Asked,
@@ -44,22 +44,106 @@ def check_outcome(answer, cause, text="so it is"):
     )
 
 
-def test_each_is_started_with_what_was_chosen():
+async def calibrate(user, button="calibrate"):
+    """Press it, and say that the area is clear."""
+    user.click(button)
+    await user.until(lambda: user.all("dialog-ok"))
+    user.click("dialog-ok")
+    await user.until(lambda: not user.all("dialog-ok"))
+
+
+def dialog_text(user):
+    (card,) = (
+        element
+        for element in user.get("dialog-ok").ancestors()
+        if "panel-dialog" in element.classes
+    )
+    return "\n".join(getattr(element, "text", "") for element in card.descendants())
+
+
+def test_the_arm_is_not_moved_at_one_click():
     suite = FakeSuite()
 
     async def story(user):
         user.click("calibrate")
+        await user.until(lambda: user.all("dialog-ok"))
+        text = dialog_text(user)
+        assert "Calibrate pointer?" in text
+        assert "about 3 min" in text, "two sweeps of 102 s, as the node says"
+        assert "area around the arm" in text
+        assert "taken off" not in text
+        user.click("dialog-cancel")
+        await user.until(lambda: not user.all("dialog-ok"))
+        assert suite.calls == []
+        user.enter("calibrate-one-sweep", True)
+        user.enter("calibrate-by-hand", True)
+        user.click("calibrate")
+        await user.until(lambda: user.all("dialog-ok"))
+        assert "about 2 min" in dialog_text(user)
+        assert "taken off" in dialog_text(user)
+
+    on_page(suite, story)
+
+
+def test_what_began_while_the_question_was_open_is_told():
+    suite = FakeSuite()
+
+    async def story(user):
+        user.click("calibrate")
+        await user.until(lambda: user.all("dialog-ok"))
+        suite.put(behaviours={Kind.CHECK: replace(CHECKED, done=2)})
+        await user.until(lambda: user.all("running"))
+        user.click("dialog-ok")
+        await user.until(lambda: user.notices())
+        assert "Quick check of pointer is under way" in user.notices()[0]
+        assert suite.calls == []
+
+    on_page(suite, story)
+
+
+@pytest.mark.parametrize(
+    ("changes", "chosen", "words"),
+    [
+        ({"in_force": replace(IN_FORCE, tool="")}, "", "no tool is active"),
+        ({"in_force": None}, "", "no tool is active"),
+        ({"in_force": replace(IN_FORCE, tool=""), "tools": ()}, "", "no tool is calibrated yet"),
+        ({"tools": (POINTER, BROKEN)}, "drill", "field 'load' is missing"),
+    ],
+)
+def test_a_check_without_a_tools_file_is_not_begun(changes, chosen, words):
+    suite = FakeSuite()
+    suite.put(**changes)
+
+    async def story(user):
+        user.enter("check-tool", chosen)
+        user.click("check")
+        await user.until(lambda: user.notices())
+        assert words in user.notices()[0]
+        assert suite.calls == []
+
+    on_page(suite, story)
+
+
+def test_each_is_started_with_what_was_chosen():
+    suite = FakeSuite()
+
+    async def story(user):
+        await calibrate(user)
         await user.until(lambda: suite.calls == [("start", CalibrateGoal("pointer"))])
         user.enter("calibrate-tool", "retractor")
         user.enter("calibrate-one-sweep", True)
         user.enter("calibrate-by-hand", True)
-        user.click("calibrate")
+        await calibrate(user)
         goal = CalibrateGoal("retractor", one_sweep=True, by_hand=True)
         await user.until(lambda: suite.calls[1:] == [("start", goal)])
         user.click("check")
         await user.until(lambda: suite.calls[2:] == [("start", CheckGoal(""))])
         user.click("collect")
         await user.until(lambda: user.get("collect-name").error)
+        assert "maxlength" not in user.get("collect-name").props
+        user.enter("collect-name", "x" * 300)
+        user.click("collect")
+        await user.until(lambda: "xxx" in (user.get("collect-name").error or ""))
         user.enter("collect-name", "monday")
         user.click("collect")
         goal = CollectGoal("monday", "pointer", by_hand=True)
@@ -266,7 +350,10 @@ def test_a_quick_check_says_what_to_do_and_does_it(answer, cause, title, call):
         if call is None:
             assert user.all("outcome-do") == []
             return
-        user.click("outcome-do")
+        if isinstance(call[-1], CalibrateGoal):
+            await calibrate(user, "outcome-do")
+        else:
+            user.click("outcome-do")
         await user.until(lambda: suite.calls == [call])
 
     on_page(suite, story)

@@ -139,7 +139,12 @@ def test_a_new_tool_is_named_and_calibrated():
     async def story(user):
         user.click("new-tool")
         await user.until(lambda: user.all("dialog-ok"))
-        for name, reason in (("../up", "letters"), ("", "letters"), ("pointer", "this name")):
+        assert "about 3 min" in user.text("new-tool-before")
+        assert "area around the arm" in user.text("new-tool-before")
+        # A browser would cut what is longer, and say nothing.
+        assert "maxlength" not in user.get("new-tool-name").props
+        wrong = (("../up", "letters"), ("", "letters"), ("x" * 300, "1 to 64 letters"))
+        for name, reason in (*wrong, ("pointer", "this name")):
             user.enter("new-tool-name", name)
             user.click("dialog-ok")
             await user.until(partial(refused, user, reason))

@@ -12,7 +12,7 @@ from galen_panel.pace import Pace
 from galen_panel.result_words import Fate, Todo
 from galen_panel.running_fit import residuals
 from galen_panel.sections.under_way import count
-from galen_panel.state import Behaviour, Kind, Outcome, Pose, State
+from galen_panel.state import Behaviour, Kind, Level, NodeReport, Outcome, Pose, State
 
 from galen_panel import hints, pose_table, result_words, texts
 
@@ -112,6 +112,19 @@ def test_nothing_is_started_while_something_moves_the_arm():
     assert "Collection of pushes with pointer is under way" in hints.cannot_start(state, Kind.CHECK)
     ended = replace(running, outcome=Outcome("", "done"))
     assert hints.cannot_start(replace(state, behaviours={Kind.COLLECT: ended}), Kind.CHECK) == ""
+
+
+def test_before_a_calibration_its_duration_is_told_where_its_node_tells_it():
+    def told(values, **options):
+        node = NodeReport("left/calibration", Level.OK, "ready", values, 0.0)
+        state = State(nodes={node.name: node}, namespace="left")
+        chosen = {"one_sweep": False, "by_hand": False} | options
+        return " ".join(hints.before_calibration(state, **chosen))
+
+    assert "about 3 min" in told({"sweep_s": "102"})
+    assert "about 50 s" in told({"sweep_s": "49.5"}, one_sweep=True)
+    for odd in ({}, {"sweep_s": "soon"}, {"sweep_s": "nan"}):
+        assert "does not tell how long" in told(odd)
 
 
 def test_the_time_left_follows_the_poses_and_not_a_persons_pause():

@@ -8,11 +8,11 @@ from nicegui import ui
 
 from galen_panel import hints, texts
 from galen_panel.page import Page
-from galen_panel.sections.calibration_options import CalibrationOptions
+from galen_panel.sections.calibration_options import CalibrationOptions, start_calibration
 from galen_panel.sections.elements import heading
 from galen_panel.sections.outcome import OutcomeView
 from galen_panel.sections.poses import PosesView
-from galen_panel.state import CheckGoal, CollectGoal, Goal, Kind, State
+from galen_panel.state import CalibrateGoal, CheckGoal, CollectGoal, Goal, Kind, State
 
 _IN_FORCE = ""
 _IN_FORCE_TEXT = "the one in force"
@@ -72,7 +72,9 @@ class _Card:
 
     async def _begin(self) -> None:
         goal = self.goal()
-        if goal is not None:
+        if isinstance(goal, CalibrateGoal):
+            await start_calibration(self.page, goal, self._start)
+        elif goal is not None:
             await self.page.ask(self.page.suite.start(goal), self._start)
 
     def _update(self, state: State) -> None:
@@ -145,7 +147,12 @@ class _Check(_Card):
         _set_tools(self._tool, state, _IN_FORCE_TEXT)
 
     def goal(self) -> Goal | None:
-        return CheckGoal(str(self._tool.value or _IN_FORCE))
+        tool = str(self._tool.value or _IN_FORCE)
+        why_not = hints.cannot_check(self.page.suite.state, tool)
+        if why_not:
+            self.page.complain(why_not)
+            return None
+        return CheckGoal(tool)
 
 
 class _Collect(_Card):
@@ -161,7 +168,7 @@ class _Collect(_Card):
             self._tool = _tool_select("Tool", self.name)
             self._name = ui.input("Name of the recording", validation=_name_problem)
             self._name.without_auto_validation()
-            self._name.props("outlined maxlength=64 data-testid=collect-name")
+            self._name.props("outlined data-testid=collect-name")
         self._by_hand = ui.switch("A person pushes as the page says", value=True)
         self._by_hand.props("data-testid=collect-by-hand")
 

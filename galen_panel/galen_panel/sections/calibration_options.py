@@ -6,7 +6,12 @@ import math
 
 from nicegui import ui
 
-from galen_panel.state import CalibrateGoal, State
+from galen_panel import hints
+from galen_panel.page import Page
+from galen_panel.sections.dialogs import confirmed
+from galen_panel.state import CalibrateGoal, Kind, State
+
+AREA_CLEAR = "Area clear: calibrate"
 
 _SERVICE = "attach_tool"
 _FARTHEST_MM = 2000.0
@@ -55,6 +60,12 @@ class CalibrationOptions:
             by_hand=bool(self._by_hand.value),
         )
 
+    def before(self, state: State) -> list[str]:
+        """What a person must know before the arm moves."""
+        return hints.before_calibration(
+            state, one_sweep=bool(self._one_sweep.value), by_hand=bool(self._by_hand.value)
+        )
+
     def update(self, state: State) -> None:
         """Where nothing takes the tool off by itself, a person must."""
         can_choose = _SERVICE in state.available
@@ -62,6 +73,21 @@ class CalibrationOptions:
             self._can_choose = can_choose
             self._by_hand.set_value(not can_choose)
             self._by_hand.set_enabled(can_choose)
+
+
+async def start_calibration(page: Page, goal: CalibrateGoal, button: ui.button) -> None:
+    """Start it once a person has said that the area is clear."""
+    before = hints.before_calibration(
+        page.suite.state, one_sweep=goal.one_sweep, by_hand=goal.by_hand
+    )
+    title = f"Calibrate {goal.tool}?"
+    if not await confirmed(page, title, before, AREA_CLEAR, "play_arrow", "primary"):
+        return
+    why_not = hints.cannot_start(page.suite.state, Kind.CALIBRATE)
+    if why_not:
+        page.complain(why_not)
+    else:
+        await page.ask(page.suite.start(goal), button)
 
 
 def _number_problem(value: float | None) -> str | None:

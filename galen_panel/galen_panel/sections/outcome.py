@@ -8,8 +8,9 @@ from galen_panel import result_words, texts
 from galen_panel.page import Page
 from galen_panel.result_words import Todo
 from galen_panel.sections.calibration_file import CalibrationFile
+from galen_panel.sections.calibration_options import start_calibration
 from galen_panel.sections.elements import pick_class, table
-from galen_panel.state import CalibrateGoal, CheckGoal, Goal, Kind, Outcome, State
+from galen_panel.state import CalibrateGoal, CheckGoal, Kind, Outcome, State
 
 _ICONS = {"positive": "check_circle", "warning": "warning", "negative": "error"}
 
@@ -59,17 +60,16 @@ class OutcomeView:
     def _offer(self, todo: Todo) -> None:
         async def do() -> None:
             suite = self._page.suite
-            work = suite.tare() if todo is Todo.TARE else suite.start(self._goal(todo))
-            await self._page.ask(work, button)
+            if todo is Todo.CALIBRATE:
+                by_hand = "attach_tool" not in suite.state.available
+                goal = CalibrateGoal(self._outcome.tool, by_hand=by_hand)
+                await start_calibration(self._page, goal, button)
+                return
+            check = CheckGoal(self._outcome.tool)
+            await self._page.ask(suite.tare() if todo is Todo.TARE else suite.start(check), button)
 
         button = ui.button(todo.value, icon="arrow_forward", on_click=do)
         button.props("unelevated data-testid=outcome-do")
-
-    def _goal(self, todo: Todo) -> Goal:
-        tool = self._outcome.tool
-        if todo is Todo.CHECK:
-            return CheckGoal(tool)
-        return CalibrateGoal(tool, by_hand="attach_tool" not in self._page.suite.state.available)
 
 
 def _warnings(outcome: Outcome) -> None:

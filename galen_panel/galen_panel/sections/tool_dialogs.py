@@ -9,7 +9,7 @@ from nicegui import ui
 from galen_panel import hints, texts
 from galen_panel.page import LOOK_PERIOD_S, Page
 from galen_panel.sections import comparison
-from galen_panel.sections.calibration_options import CalibrationOptions
+from galen_panel.sections.calibration_options import AREA_CLEAR, CalibrationOptions
 from galen_panel.sections.dialogs import buttons, confirmed, dialog
 from galen_panel.state import Answer, Kind
 
@@ -53,17 +53,20 @@ async def revert_tool(page: Page, name: str, button: ui.button) -> None:
 async def new_tool(page: Page) -> None:
     """Ask for a name and a tip, and start the calibration."""
     with dialog(page, "New tool") as shown:
-        ui.label(
-            "The arm turns the tool through its poses and finds its mass and centre. Keep off it."
-        )
         name = ui.input("Name", validation=lambda text: name_problem(page, text or "") or None)
-        name.props("outlined autofocus data-testid=new-tool-name maxlength=64").classes("w-full")
+        name.props("outlined autofocus data-testid=new-tool-name").classes("w-full")
         name.without_auto_validation()
         options = CalibrationOptions("new-tool")
-        options.update(page.suite.state)
-        ui.timer(LOOK_PERIOD_S, lambda: options.update(page.suite.state))
+        before = ui.label().props("data-testid=new-tool-before")
+
+        def look() -> None:
+            options.update(page.suite.state)
+            before.set_text(" ".join(options.before(page.suite.state)))
+
+        look()
+        ui.timer(LOOK_PERIOD_S, look)
         reason = ui.label().classes("text-negative").props("role=status")
-        start = buttons(shown, "Calibrate it", "play_arrow")
+        start = buttons(shown, AREA_CLEAR, "play_arrow")
 
         async def begin() -> None:
             goal = options.goal(name.value or "") if name.validate() else None
