@@ -119,12 +119,19 @@ def format_result(result: Any) -> str:
         _row("unexplained", result.unexplained),
         _row("off by at most", result.effect),
         f"mass {1e3 * result.mass_change_kg:+.2f} +- {1e3 * result.mass_change_std_kg:.2f} g;"
-        f" {result.poses_used} poses; from {1e3 * result.found_mass_kg:.2f} g on it would be told"
-        " from noise",
+        f" {result.poses_used} poses; {_beside_noise(result)}",
     ]
     lines += [f"rejected {text}" for text in result.poses_rejected]
     lines += [f"warning: {text}" for text in result.warnings]
     return "\n".join(lines)
+
+
+def _beside_noise(result: Any) -> str:
+    """Say whether the change of mass is noise; whether it matters, the answer says."""
+    found = f"{1e3 * result.found_mass_kg:.2f} g"
+    if abs(result.mass_change_kg) < result.found_mass_kg:
+        return f"a change of less than {found} can be noise"
+    return f"a change of {found} or more is no noise; the limits say whether it matters"
 
 
 def _row(name: str, values: Any) -> str:

@@ -23,7 +23,10 @@ def in_words(
     """The answer in words; `hints` are what the cause was told by."""
     size = _worst(found.effect, limits)
     if cause is Cause.NOTHING:
-        text = f"the file fits: a compensation by it is off by at most {size}"
+        text = f"the file fits: a compensation by it is off by at most {size}, within the limits"
+        text += f" ({limits.force_n:g} N, {1e3 * limits.torque_nm:g} mN.m)"
+        if found.load_p < limits.false_alarm:
+            text += ", although noise alone does not explain the change of the load"
         return f"{text}; a little is left as of {' or '.join(hints)}" if hints else text
     if cause is Cause.NOISE:
         spread = _worst(2.0 * found.effect_std, limits)

@@ -66,6 +66,10 @@ ZEROED_WITH_TOOL = -gravity_wrench(gravity_in_sensor(0.0, 0.0), POINTER)
 PULL = np.array([0.0, 0.2, 0.0, 0.0, 0.0, 0.0])
 CASES = {
     "healthy": (POINTER, POINTER, {}, Answer.GOOD, Cause.NOTHING, "fits"),
+    "no noise": (
+        Load(POINTER.mass_kg - 0.0005, POINTER.com_m), POINTER, {}, Answer.GOOD, Cause.NOTHING,
+        "within the limits (0.05 N, 2 mN.m), although noise alone does not explain",
+    ),
     "small": (POINTER, POINTER, {"offset": 0.1 * PULL}, Answer.GOOD, Cause.NOTHING, "0.020 N"),
     "offset": (POINTER, POINTER, {"offset": PULL}, Answer.RETARE, Cause.OFFSET, "/gravcomp/tare"),
     "unzeroed": (
