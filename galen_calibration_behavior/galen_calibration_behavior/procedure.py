@@ -117,6 +117,7 @@ class CalibrationProcedure(PoseProcedure[Command, Finished]):
         self._zero_attempts = 0
         self._zero_checks_left = 0
         self._bias_pose = (float("nan"), float("nan"))
+        self._tool_off = False
 
     @property
     def waiting_for_person(self) -> bool:
@@ -143,14 +144,14 @@ class CalibrationProcedure(PoseProcedure[Command, Finished]):
             self._zero_checks_left = math.ceil(_DEEPEST_QUEUE_S / one_check_s)
             self._record(self._settings.home, 0.0, self._on_zero_checked)
         else:
-            self._next()
+            self._tool_is_changed()
 
     def confirm(self) -> bool:
         """Take a person's word that the tool is off or on; False when nobody was asked."""
         if not self.waiting_for_person:
             return False
         self._waiting_for_person = False
-        self._next()
+        self._tool_is_changed()
         return True
 
     def on_estimated(self) -> None:
@@ -169,6 +170,8 @@ class CalibrationProcedure(PoseProcedure[Command, Finished]):
             )
 
     def _make_end(self, code: IntEnum, message: str) -> Finished:
+        if code != ErrorCode.NONE and self._tool_off:
+            message += "; the tool is still off: put it on again"
         return Finished(ErrorCode(code), message, self._rejections(), self._warnings())
 
     def _drop_watches(self) -> None:
@@ -208,6 +211,10 @@ class CalibrationProcedure(PoseProcedure[Command, Finished]):
         else:
             self._waiting_for_person = True
             self._report(f"please {what}, let go, then confirm")
+
+    def _tool_is_changed(self) -> None:
+        self._tool_off = self._state == State.REMOVE_TOOL
+        self._next()
 
     def _enter_zero(self) -> None:
         """The arm may have been pushed while a person took the tool off: home again, and still."""

@@ -212,6 +212,8 @@ def test_cancel_in_every_state_stops_the_arm_and_waits_for_it(state):
     world.run()
     failed(world, ErrorCode.CANCELED, state.name)
     assert not world.arm.moving
+    off = state in (State.ZERO, State.SWEEP_BARE, State.ATTACH_TOOL)
+    assert world.end.error_msg.endswith("the tool is still off: put it on again") == off
 
 
 def test_cancel_while_estimating_writes_nothing():
