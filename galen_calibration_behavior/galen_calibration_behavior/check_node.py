@@ -65,16 +65,16 @@ class CheckNode(GoalNode[CheckParameters, _Goal, Finished]):
             return str(request.tool)
         return str(self._in_force.tool)
 
-    def _make_goal(self, handle: ServerGoalHandle) -> _Goal:
+    def _rejection(self, request: Any) -> str:
         if not self.count_publishers("gravcomp/tool_in_force"):
-            self._in_force = None  # who is gone takes off nothing
+            self._in_force = None  # a node that is gone subtracts nothing
+        if self._subject(request):
+            return ""
+        why = "no gravcomp_node is running" if self._in_force is None else "gravcomp has none"
+        return f"the goal names no tool, and {why}: name the tool that is on, as in 'check pointer'"
+
+    def _make_goal(self, handle: ServerGoalHandle) -> _Goal:
         name, poses = self._subject(handle.request), handle.request.poses
-        if not name:
-            raise RefusedGoalError(
-                ErrorCode.BAD_INPUT,
-                "no tool is named, and none is known to be in force: name one, or start"
-                " gravcomp_node with one",
-            )
         if poses and not FEWEST_POSES <= poses <= MOST_POSES:
             raise RefusedGoalError(
                 ErrorCode.BAD_INPUT,

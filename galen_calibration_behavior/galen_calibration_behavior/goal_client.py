@@ -121,6 +121,7 @@ class GoalClient:
             f" {self.options.timeout_s:g} s: start {self.server} (and the driver) first, with the"
             " same ROS_DOMAIN_ID",
         )
+        self._refused = ""  # an earlier goal's, heard while the server was looked for
         goal_id = UUID(uuid=list(uuid.uuid4().bytes))
         sending = self._action.send_goal_async(
             self.make_goal(),

@@ -13,7 +13,7 @@ from typing import Any, ClassVar, Generic, TypeVar
 from galen_model.arm import JOINT_NAMES, SENSOR_FRAME
 from galen_model.errors import GalenError, one_line
 from galen_ros.conversions import JointStateReader, stamp_to_ns, wrench_to_array
-from galen_ros.diagnostics import OK, WARN, DiagnosticsPublisher, Status
+from galen_ros.diagnostics import ERROR, OK, WARN, DiagnosticsPublisher, Status
 from galen_ros.parameters import declare_parameters
 from galen_ros.qos import STREAM
 from geometry_msgs.msg import WrenchStamped
@@ -111,6 +111,10 @@ class GoalNode(Node, ABC, Generic[SettingsT, GoalT, EndT]):
             on_start=self._on_start,
             on_cancel=self._on_cancel,
         )
+        # Each server of an action publishes this.
+        status = f"{self.resolve_service_name(action_name)}/_action/status"
+        self._servers = PublisherWatch(self, [status])
+        self._other_server = ""
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(_TICK_S, self._on_tick, clock=self._steady)
         self._diagnostics = DiagnosticsPublisher(self, "galen", self._report_status)
@@ -151,6 +155,10 @@ class GoalNode(Node, ABC, Generic[SettingsT, GoalT, EndT]):
     def _folders(self) -> dict[str, object]:
         """Name the folders that it works in."""
 
+    def _rejection(self, request: Any) -> str:
+        """Say why this goal can't even begin; empty where it can."""
+        return ""
+
     def _subscribe(self, goal: GoalT) -> list[Subscription]:
         topic = goal.procedure.wrench_topic
         return [
@@ -187,19 +195,35 @@ class GoalNode(Node, ABC, Generic[SettingsT, GoalT, EndT]):
     # ---- the action
 
     def _on_goal(self, request: Any) -> GoalResponse:
-        """Refuse a second goal; an action's refusal carries no text, so /diagnostics does."""
-        if self._goal is None:
+        """Reject a second goal; an action's rejection carries no text, so /diagnostics does."""
+        self._look_for_servers()
+        why = self._other_server or self._busy_text() or self._rejection(request)
+        if not why:
             return GoalResponse.ACCEPT
-        words = self.words
-        done, total = self._goal.procedure.progress
-        now = self._subject(self._goal.handle.request)
-        self._refused = (
-            f"{self._named(request)} refused: {words.doing} {now!r} now,"
-            f" {done} of {total} {words.unit} done; cancel that first, or wait"
-        )
+        self._refused = f"{self._named(request)} refused: {why}"
         self.get_logger().warning(self._refused)
         self._diagnostics.publish_now()
         return GoalResponse.REJECT
+
+    def _busy_text(self) -> str:
+        if self._goal is None:
+            return ""
+        words = self.words
+        done, total = self._goal.procedure.progress
+        now = self._subject(self._goal.handle.request)
+        return (
+            f"{words.doing} {now!r} now,"
+            f" {done} of {total} {words.unit} done; cancel that first, or wait"
+        )
+
+    def _look_for_servers(self) -> None:
+        """Two servers of one action both take each goal: an error, from whichever starts second."""
+        several = self._servers.several()
+        if several:
+            several = f"this action has two servers: {several}; end one of them"
+        if several and not self._other_server:
+            self.get_logger().error(several)
+        self._other_server = several
 
     def _on_start(self, handle: ServerGoalHandle) -> None:
         """Begin; a goal that makes no sense ends at once, for a result can say why."""
@@ -288,7 +312,10 @@ class GoalNode(Node, ABC, Generic[SettingsT, GoalT, EndT]):
     def _on_other_command(self, text: str) -> None:
         """End: two that command one arm are a danger, and no pose is where it was sent."""
         if self._goal is not None:
-            self._feed(self._goal.procedure.fail, self.codes["BAD_INPUT"], text)
+            self._look_for_servers()
+            self._feed(
+                self._goal.procedure.fail, self.codes["BAD_INPUT"], self._other_server or text
+            )
 
     def _on_tick(self) -> None:
         for over in self._over:
@@ -313,6 +340,8 @@ class GoalNode(Node, ABC, Generic[SettingsT, GoalT, EndT]):
     def _check_driver(self, goal: GoalT) -> None:
         """Start the procedure once everything it needs is there, or say what is missing."""
         missing = self._find_missing(goal)
+        if goal.procedure.ending:
+            return
         if missing is None:
             goal.preflight_s = None
             # Not before: this node's own subscription would count as somebody who listens.
@@ -399,6 +428,10 @@ class GoalNode(Node, ABC, Generic[SettingsT, GoalT, EndT]):
         if self._refused:
             values["refused"] = self._refused
         goal = self._goal
+        self._look_for_servers()
+        if self._other_server:
+            level, state = (ERROR, "several_servers")
+            return Status(level, self._other_server, {"state": state} | values)
         if goal is None:
             level, state = (WARN, "failed") if self._last_failed else (OK, "ready")
             return Status(level, f"ready; {self._last}", {"state": state} | values)

@@ -18,6 +18,7 @@ from rclpy.action.server import ServerGoalHandle
 from rclpy.client import Client
 from std_srvs.srv import Trigger
 
+from galen_calibration_behavior.arm_link import DriversTools
 from galen_calibration_behavior.commands import (
     AttachTool,
     ErrorCode,
@@ -60,6 +61,7 @@ class _Goal(RunningGoal[CalibrationProcedure]):
         self.tip_m = tip_m
         self.warnings = warnings
         self.calibration: Calibration | None = None
+        self.asking: DriversTools | None = None
 
 
 class CalibrationNode(GoalNode[CalibrationParameters, _Goal, Finished]):
@@ -170,6 +172,27 @@ class CalibrationNode(GoalNode[CalibrationParameters, _Goal, Finished]):
     def _needed_clients(self, goal: _Goal) -> list[Client]:
         by_service = goal.handle.request.attach_by_service
         return [self._bias_client, self._attach_client] if by_service else [self._bias_client]
+
+    def _find_missing(self, goal: _Goal) -> tuple[IntEnum, str] | None:
+        """Beside what each goal needs: a driver that changes tools has to know this one."""
+        missing = super()._find_missing(goal)
+        request = goal.handle.request
+        if missing is not None or not request.attach_by_service:
+            return missing
+        if goal.asking is None:
+            goal.asking = DriversTools(self, self._attach_client)
+            goal.preflight_s = 0.0  # what it needs is there; this waits by its own clock
+        if not goal.asking.is_over():
+            return ErrorCode.SERVICE_FAILED, f"{goal.asking.driver} does not answer"
+        known = goal.asking.tools
+        if known is not None and request.tool not in known:
+            goal.procedure.fail(
+                ErrorCode.SERVICE_FAILED,
+                f"attach_tool can't put {request.tool!r} on: {goal.asking.driver} knows"
+                f" {', '.join(known) or 'no tool'} (its parameter 'tools'); correct the name, or"
+                " calibrate by hand",
+            )
+        return None
 
     def _obey(self, goal: _Goal, command: Any) -> None:
         on_service = goal.procedure.on_service

@@ -8,6 +8,7 @@ import pytest
 from action_msgs.msg import GoalStatus
 from calibration_fake_arm import NO_TOOL, POINTER
 from check_pointer_file import POINTER_FILE
+from diagnostic_msgs.msg import DiagnosticArray
 from galen_calibration_behavior.check import format_result, parse, result_fields
 from galen_calibration_behavior.check_answer import Answer, Cause
 from galen_calibration_behavior.check_commands import ErrorCode
@@ -51,12 +52,9 @@ def test_the_tool_in_force_is_checked_with_its_tare_and_an_unknown_one_is_refuse
             answer = harness.answer_of(handle.get_result_async, 30.0, "the result")
             return answer.status, answer.result
 
-        status, result = check()
-        assert (status, result.error_code) == (GoalStatus.STATUS_ABORTED, ErrorCode.BAD_INPUT)
-        assert "no tool is named" in result.error_msg
+        status, result = check(tool="spoon")
+        assert (status, result.error_code) == (GoalStatus.STATUS_ABORTED, ErrorCode.TOOL_FILE)
         assert result_fields(result)["answer"] is None
-        _, result = check(tool="spoon")
-        assert result.error_code == ErrorCode.TOOL_FILE
         assert "spoon.json" in result.error_msg
 
         status, result = check(tool="pointer", poses=4)
@@ -79,6 +77,67 @@ def test_the_tool_in_force_is_checked_with_its_tare_and_an_unknown_one_is_refuse
         harness.call_in_executor(client.destroy)
 
 
+class Idle:
+    """check_node without a driver, a client, and what /diagnostics says of its goals."""
+
+    def __init__(self, harness, tools_dir):
+        self.harness = harness
+        self.values = parameters(tools_dir=str(tools_dir))
+        self.node = self.another()
+        self.person = harness.add(lambda context: Node("person", context=context))
+        self.client = ActionClient(self.person, CheckTool, "check_tool")
+        self.told = {}
+        self.person.create_subscription(DiagnosticArray, "/diagnostics", self.hear, 10)
+        harness.wait_for(self.client.server_is_ready, 10.0, "the action server")
+
+    def another(self):
+        return self.harness.add(
+            lambda context: CheckNode(context=context, parameter_overrides=self.values)
+        )
+
+    def hear(self, message):
+        for status in message.status:
+            self.told = {item.key: item.value for item in status.values} | {
+                "message": status.message
+            }
+
+    def rejected(self, *words, **goal):
+        """Expect a goal to be rejected, for a reason with these words."""
+        handle = self.harness.answer_of(
+            lambda: self.client.send_goal_async(CheckTool.Goal(**goal)), 10.0, "an answer"
+        )
+        assert not handle.accepted
+        self.harness.wait_for(
+            lambda: all(word in self.told.get("refused", "") for word in words), 5.0, f"{words}"
+        )
+
+
+def test_a_check_without_a_tool_is_rejected_at_once_with_the_remedy(tmp_path):
+    with Harness() as harness:
+        idle = Idle(harness, tmp_path)
+        idle.rejected("no gravcomp_node is running", "name the tool that is on")
+        publisher = idle.person.create_publisher(ToolInForce, "gravcomp/tool_in_force", LATCHED)
+        harness.call_in_executor(lambda: publisher.publish(ToolInForce()))
+        harness.wait_for(lambda: idle.node._in_force is not None, 10.0, "the message")
+        idle.rejected("gravcomp has none", "name the tool that is on")
+        harness.call_in_executor(idle.client.destroy)
+
+
+def test_a_second_server_is_an_error_of_both_and_takes_no_goal(tmp_path):
+    write_tool(tmp_path / "pointer.json", POINTER_FILE)
+    with Harness() as harness:
+        idle = Idle(harness, tmp_path)
+        second = idle.another()
+        for node in (idle.node, second):
+            harness.wait_for(lambda node=node: node._other_server, 10.0, "it to see the other")
+        assert "/check_tool/_action/status: /check, /check" in second._other_server
+        idle.rejected("two servers", "/check, /check", "end one of them", tool="pointer")
+        assert idle.told["state"] == "several_servers"
+        harness.remove(second)
+        harness.wait_for(lambda: idle.told.get("state") == "ready", 30.0, "it to be alone")
+        harness.call_in_executor(idle.client.destroy)
+
+
 def test_a_result_is_words_for_a_person_and_json_for_a_program():
     result = CheckTool.Result(
         tool="pointer", answer=int(Answer.RECALIBRATE), cause=int(Cause.NO_TOOL),
@@ -93,6 +152,20 @@ def test_a_result_is_words_for_a_person_and_json_for_a_program():
     assert (fields["answer"], fields["cause"], fields["com_change_m"]) == (
         "RECALIBRATE", "NO_TOOL", None,
     )  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("change_kg", "words"),
+    [
+        (-0.00019, "a change of 0.13 g or more is no noise; the limits say whether it matters"),
+        (0.00005, "a change of less than 0.13 g can be noise"),
+    ],
+)
+def test_the_mass_is_called_noise_or_not_by_what_was_found(change_kg, words):
+    result = CheckTool.Result(
+        answer=int(Answer.GOOD), mass_change_kg=change_kg, found_mass_kg=0.00013, poses_used=6
+    )
+    assert format_result(result).splitlines()[-1].endswith(f"6 poses; {words}")
 
 
 @pytest.mark.parametrize("arguments", [["a/b"], ["--poses", "-1"], ["pointer", "--timeout-s", "0"]])

@@ -157,6 +157,11 @@ _NOTICED = "Read its message. If it comes again, look at the driver."
 
 _GOAL_IDLE = {
     "ready": Advice("Ready."),
+    "several_servers": Advice(
+        "Takes no goal: another node serves the same action.",
+        "End one of the two that its message names.",
+        True,
+    ),
     "failed": Advice(
         "Ready, but the last run failed.",
         "Read in its message why, mend it, and start again.",

@@ -93,7 +93,7 @@ def states_of_goals(role):
         and len(one.elts) == 2
         and isinstance(one.elts[1], ast.Constant)
     }
-    assert len(idle) == 2
+    assert len(idle) == 3
     return idle | {(Level.OK, name) for name in ENUMERATED[role]}
 
 
