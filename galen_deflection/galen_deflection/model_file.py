@@ -26,7 +26,9 @@ from typing import Any
 
 import numpy as np
 from galen_model.json_fields import (
+    DEFLECTION_MODEL,
     FieldError,
+    check_kind,
     check_version,
     get,
     mapping,
@@ -90,6 +92,7 @@ def _parts(raw: bytes) -> tuple[Any, _Tensors | None]:
 
 def _made(content: Any, tensors: _Tensors | None) -> DeflectionModel:
     whole = mapping(content, "the file")
+    check_kind(whole, DEFLECTION_MODEL)
     check_version(whole, SCHEMA_VERSION)
     kind = kind_of(text(get(whole, "kind"), "kind"))
     found = text(get(whole, "sha256"), "sha256")

@@ -13,6 +13,8 @@ from deflection_synthetic import Arm, recording
 from galen_deflection.errors import ModelFileError
 from galen_deflection.model_file import read_model, write_model
 from galen_deflection.models.registry import KINDS
+from galen_model.errors import ToolFileError
+from galen_model.tool_file import LoadEstimate, ToolFile, read_tool, write_tool
 
 ALL = [kind for kind, what in KINDS.items() if not what.is_network]
 
@@ -178,3 +180,21 @@ def test_a_process_that_ends_in_the_writing_leaves_the_old_file(path):
     result = subprocess.run([sys.executable, "-c", code], timeout=60, check=False)
     assert result.returncode == 7
     assert path.read_bytes() == before
+
+
+def test_a_calibration_file_and_a_model_are_not_taken_for_each_other(path, tmp_path):
+    model, tool = path, tmp_path / "pointer.json"
+    load = LoadEstimate(0.06, np.zeros(3), np.eye(4) * 1e-8)
+    write_tool(
+        tool, ToolFile("pointer", load, load, np.zeros(3), np.zeros(6), 56, "2026-01-01T00:00:00Z")
+    )
+    calibration, deflection = (
+        "a tool's calibration file (`calibrate` writes it)",
+        "a deflection model (`train` writes it)",
+    )
+    with pytest.raises(ToolFileError) as wrong:
+        read_tool(model)
+    assert str(wrong.value) == f"{model}: it is {deflection}; {calibration} is needed here"
+    with pytest.raises(ModelFileError) as wrong:
+        read_model(tool)
+    assert str(wrong.value) == f"{tool}: it is {calibration}; {deflection} is needed here"

@@ -15,6 +15,11 @@ from galen_model.arrays import Array
 LARGEST = 1e6
 """No SI number of this arm or its tools comes near it; a larger one would overflow in a product."""
 
+CALIBRATION_FILE = "a tool's calibration file (`calibrate` writes it)"
+DEFLECTION_MODEL = "a deflection model (`train` writes it)"
+_MARKS = {CALIBRATION_FILE: {"bias_pose_rad"}, DEFLECTION_MODEL: {"kind", "sha256"}}
+"""Fields that no other file of the suite has."""
+
 _ROUNDING = 1e-6
 """By which a correlation may be off that went through an inverse."""
 
@@ -62,6 +67,15 @@ def check_version(content: Mapping[str, Any], version: int) -> None:
     found = get(content, "schema_version")
     if found != version or isinstance(found, bool):
         raise FieldError(f"schema_version is {found!r:.40}; this version reads {version}")
+
+
+def check_kind(content: Mapping[str, Any], wanted: str) -> None:
+    """Raise FieldError where it is the suite's other file, and not `wanted`."""
+    if _MARKS[wanted] <= content.keys():
+        return
+    for other, marks in _MARKS.items():
+        if marks <= content.keys():
+            raise FieldError(f"it is {other}; {wanted} is needed here")
 
 
 def numbers(values: ArrayLike) -> list[float]:

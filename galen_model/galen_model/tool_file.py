@@ -20,8 +20,10 @@ from galen_model.cable_drag import CableDrag
 from galen_model.errors import ToolFileError, ToolNameError
 from galen_model.inertia_estimate import InertiaEstimate
 from galen_model.json_fields import (
+    CALIBRATION_FILE,
     FieldError,
     array,
+    check_kind,
     check_version,
     count,
     covariance,
@@ -249,6 +251,7 @@ def _wrench_to_json(wrench: Array) -> dict[str, Any]:
 
 def _from_json(content: Any) -> ToolFile:
     whole = mapping(content, "the file")
+    check_kind(whole, CALIBRATION_FILE)
     check_version(whole, SCHEMA_VERSION)
     pose = mapping(get(whole, "bias_pose_rad"), "bias_pose_rad")
     gravity = array(get(whole, "gravity_m_s2"), "gravity_m_s2", (3,))
