@@ -22,7 +22,7 @@ from galen_model.arm import JOINT_NAMES, SENSOR_FRAME
 from galen_model.errors import GalenError
 from galen_model.load_frames import FRAMES, joint_vector, needed_joints, sensor_in_frame
 from galen_model.tool_comparison import before_name, compare_tools
-from galen_model.tool_store import ToolStore
+from galen_model.tool_store import ToolStore, ToolStoreError
 from rich.console import Console
 
 from galen_gravcomp.parameters import GravcompParameters
@@ -132,6 +132,11 @@ def _joints(text: str) -> np.ndarray:
 
 
 def _list(arguments: argparse.Namespace, store: ToolStore, console: Console) -> None:
+    if not store.directory.is_dir():
+        raise ToolStoreError(
+            f"{store.directory}: no such directory; --tools-dir names another one, and the first"
+            " calibration makes it"
+        )
     entries, removed = list(store.entries()), store.removed()
     if arguments.json:
         _print_json(list_to_dict(str(store.directory), entries, removed))

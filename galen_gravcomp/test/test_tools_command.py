@@ -61,6 +61,15 @@ def tools(folder: Path, capsys: pytest.CaptureFixture[str]) -> Command:
     return Command(folder, capsys)
 
 
+@pytest.mark.parametrize("words", [(), ("--json",)])
+def test_list_of_a_directory_that_is_missing_is_an_error(tools: Command, words: Any) -> None:
+    tools.folder = tools.folder / "tolls"
+    assert tools("list", *words, code=1) == ""
+    assert tools.err.startswith(f"tools: {tools.folder}: no such directory; --tools-dir names")
+    tools.folder.mkdir()
+    assert tools.json("list")["tools"] == []
+
+
 def test_list_names_what_is_broken_and_what_was_removed(tools: Command) -> None:
     out = tools("list")
     assert "pointer" in out and "200.00 ± 0.100" in out and "one sweep" in out
