@@ -75,6 +75,7 @@ ROS_MODULES = {
     "galen_ros.qos",
     "galen_ros.spin",
     "galen_ros.testing",
+    "galen_ros.unknown_parameters",
     "galen_sim_driver.conversions",
     "galen_sim_driver.node",
     "galen_sim_driver.parameters",

@@ -21,6 +21,7 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import ok, remove_ros_args, try_shutdown
 
 from galen_ros.executable import interrupted
+from galen_ros.unknown_parameters import warn_of_unknown_parameters
 
 N = TypeVar("N", bound=Node)
 
@@ -118,6 +119,7 @@ def _make_and_spin(
         node = make_node()
     except ParameterException as error:  # of rclpy's own, such as use_sim_time
         raise StartError(str(error)) from error
+    warn_of_unknown_parameters(node)
     executor = make()
     executor.add_node(node)
     # A full collection looks at all that the imports made, 30 ms and more between two messages.

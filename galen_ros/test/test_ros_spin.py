@@ -9,7 +9,7 @@ import pytest
 from galen_ros.domain import DomainLock
 
 _PROGRAM = """
-import sys
+import os, signal, sys
 from galen_model.errors import GalenError
 from galen_ros.spin import run
 from rclpy.node import Node
@@ -34,7 +34,12 @@ class Talker(Node):
 def broken():
     raise GalenError("parameter 'rate_hz' is 0")
 
-run({"talker": Talker, "broken": broken, "bug": lambda: 1 / 0}[sys.argv[1]])
+def misspelt():
+    node = Node("node", cli_args=["--ros-args", "-p", "use_sim_tim:=true"])
+    node.create_timer(0.01, lambda: os.kill(os.getpid(), signal.SIGINT))
+    return node
+
+run({"talker": Talker, "misspelt": misspelt, "broken": broken, "bug": lambda: 1 / 0}[sys.argv[1]])
 """
 
 
@@ -88,3 +93,10 @@ def test_a_bug_keeps_its_traceback(start):
     _, err = process.communicate(timeout=20.0)
     assert process.returncode != 0
     assert "ZeroDivisionError" in err
+
+
+def test_a_parameter_that_the_node_does_not_have_is_told(start):
+    process = start("misspelt")
+    _, err = process.communicate(timeout=20.0)
+    assert process.returncode == 0
+    assert "'use_sim_tim' is unknown to /node and ignored: did you mean 'use_sim_time'?" in err
