@@ -190,7 +190,7 @@ class Calibration(GoalKind):
         )
 
     def _failed(self, message: str, result: Any) -> str:
-        return f"not calibrated: {message}; nothing is written"
+        return f"not calibrated, and nothing is written: {message}"
 
 
 class Check(GoalKind):

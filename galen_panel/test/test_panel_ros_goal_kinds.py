@@ -3,6 +3,7 @@
 import math
 
 import pytest
+from galen_panel.result_words import told
 from galen_panel.ros_goal_kinds import KINDS, Calibration, Check, Collection, kind_of
 from galen_panel.ros_thread import CallError
 from galen_panel.state import Asked, CalibrateGoal, CheckGoal, CollectGoal, Kind
@@ -57,6 +58,16 @@ def test_a_collection_tells_what_was_left_out_and_where_it_is():
     outcome = Collection().outcome(result, "pointer", new=False)
     assert outcome.error == "OVERLOAD"
     assert "more than 20 N" in outcome.text and "recordings/monday" in outcome.text
+
+
+def test_what_to_do_after_a_cancel_is_the_last_that_is_told():
+    result = CalibrateTool.Result(error_code=CalibrateTool.Result.CANCELED)
+    result.error_msg = "canceled; the tool is still off: put it on again"
+    outcome = Calibration().outcome(result, "pointer", new=False)
+    assert outcome.error == "CANCELED"
+    assert told(outcome) == (
+        "Not calibrated, and nothing is written: canceled; the tool is still off: put it on again."
+    )
 
 
 def test_what_a_newer_node_says_is_shown_all_the_same():
