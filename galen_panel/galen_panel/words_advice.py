@@ -171,17 +171,9 @@ _KEEP_OFF = "Keep off the arm and the tool."
 
 WHILE_CALIBRATING = {
     "gravcomp": {
-        "does_not_fit": Advice(
-            "Compensates '{tool}'. A calibration takes the tool off and puts it on: until it has"
-            " ended the fit is not judged."
-        )
+        "does_not_fit": Advice("Compensates '{tool}'; its fit is not judged during a calibration.")
     },
-    "gap_monitor": {
-        "gap": Advice(
-            "A calibration takes the tool off and puts it on: until it has ended the gap is not"
-            " judged."
-        )
-    },
+    "gap_monitor": {"gap": Advice("Watches; the gap is not judged during a calibration.")},
 }
 """Warnings that are expected while a calibration runs, and what is said in their place."""
 
