@@ -200,7 +200,7 @@ class GoalNode(Node, ABC, Generic[SettingsT, GoalT, EndT]):
         why = self._other_server or self._busy_text() or self._rejection(request)
         if not why:
             return GoalResponse.ACCEPT
-        self._refused = f"{self._named(request)} refused: {why}"
+        self._refused = f"{self._named(request)} refused: {why}" if self._subject(request) else why
         self.get_logger().warning(self._refused)
         self._diagnostics.publish_now()
         return GoalResponse.REJECT
@@ -220,7 +220,7 @@ class GoalNode(Node, ABC, Generic[SettingsT, GoalT, EndT]):
         """Two servers of one action both take each goal: an error, from whichever starts second."""
         several = self._servers.several()
         if several:
-            several = f"this action has two servers: {several}; end one of them"
+            several = f"this action has more than one server: {several}; end one of them"
         if several and not self._other_server:
             self.get_logger().error(several)
         self._other_server = several

@@ -131,7 +131,7 @@ def test_a_second_server_is_an_error_of_both_and_takes_no_goal(tmp_path):
         for node in (idle.node, second):
             harness.wait_for(lambda node=node: node._other_server, 10.0, "it to see the other")
         assert "/check_tool/_action/status: /check, /check" in second._other_server
-        idle.rejected("two servers", "/check, /check", "end one of them", tool="pointer")
+        idle.rejected("more than one server", "/check, /check", "end one of them", tool="pointer")
         assert idle.told["state"] == "several_servers"
         harness.remove(second)
         harness.wait_for(lambda: idle.told.get("state") == "ready", 30.0, "it to be alone")
