@@ -93,7 +93,7 @@ def _check_writable(folder: Path, named: Path) -> None:
     try:
         there = next((path for path in (folder, *folder.parents) if path.exists()), Path())
         if not there.is_dir():
-            raise GalenError(f"{there}: is no directory")
+            raise GalenError(f"{named}: can't be written: {there}: is no directory")
         # Permissions alone don't tell: root has them all, and a file system may be read-only.
         Path(tempfile.mkdtemp(dir=there, prefix=".galen_")).rmdir()
     except OSError as error:
