@@ -10,6 +10,7 @@ from galen_panel.page import Page
 from galen_panel.sections import (
     behaviours,
     compensation,
+    connection,
     lamp,
     live,
     nodes,
@@ -30,6 +31,7 @@ _TABS = (
 def build(page: Page) -> None:
     """Draw the page."""
     ui.add_css(STYLE)
+    connection.build()
     with ui.header().classes("panel-header"):
         with ui.row().classes("panel-bar"):
             compensation.build(page)
