@@ -2,21 +2,26 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import socket
 import ssl
 from collections.abc import Callable
 from contextlib import closing
 
+from galen_bags.command_line import check_folder
 from galen_model.errors import GalenError
 
 from galen_panel.access import Access
-from galen_panel.ending import end_by_signals
+from galen_panel.ending import end_by_signals, end_server, ignore_signals
 from galen_panel.options import Options
 from galen_panel.recordings import Recordings
 from galen_panel.suite import Suite
 
 RECONNECT_S = 15.0
+# A page whose panel says nothing for the sum of both shows that its connection is lost.
+_PING_S = 2.0
+_PONG_WITHIN_S = 4.0
 
 
 class ServerError(GalenError):
@@ -24,19 +29,22 @@ class ServerError(GalenError):
 
 
 def serve(suite: Suite, options: Options, on_stop: Callable[[], None]) -> None:
-    """Serve the panel until SIGINT or SIGTERM, then exit with code 0; first `on_stop` is called.
+    """Serve the panel until SIGINT or SIGTERM; at the end `on_stop` is called.
 
     Raises ServerError where the address can't be had, or the certificate not be read.
     """
     end_by_signals()
     _check_address(options)
     _check_certificate(options)
+    _check_output_dir(options)
     # NiceGUI looks for what it stored, which the panel doesn't use, in the working directory, where
     # anybody's file could lie. It reads this when it is imported.
     os.environ.setdefault("NICEGUI_STORAGE_PATH", str(options.output_dir))
-    from nicegui import app, ui
+    from nicegui import app, core, ui
+    from nicegui.server import Server
 
     from galen_panel import layout
+    from galen_panel.limits import MAX_HEADER_BYTES, LimitedProtocol, Turns
     from galen_panel.page import Page
 
     recordings = Recordings(options.bags_dir, options.tools_dir, options.output_dir)
@@ -44,8 +52,14 @@ def serve(suite: Suite, options: Options, on_stop: Callable[[], None]) -> None:
     # browsers keep whatever comes from below /_nicegui, a refusal as well, for a year.
     inner = app.build_middleware_stack
     app.build_middleware_stack = lambda: Access(  # type: ignore[method-assign]
-        inner(), options.token, options.port
+        Turns(inner()), options.token, options.port
     )
+
+    def ping_often() -> None:
+        # NiceGUI sets them by its reconnect_timeout when it starts, to three times as long.
+        core.sio.eio.ping_interval, core.sio.eio.ping_timeout = _PING_S, _PONG_WITHIN_S
+
+    app.on_startup(ping_often)
     app.on_shutdown(recordings.close)
     app.on_shutdown(on_stop)
     recordings.serve(app)
@@ -54,6 +68,7 @@ def serve(suite: Suite, options: Options, on_stop: Callable[[], None]) -> None:
     def panel() -> None:
         layout.build(Page(suite, options, recordings))
 
+    Server.handle_exit = end_server  # type: ignore[assignment,method-assign]
     print(f"panel: open {options.link}", flush=True)
     ui.run(
         host=options.host,
@@ -69,9 +84,12 @@ def serve(suite: Suite, options: Options, on_stop: Callable[[], None]) -> None:
         ssl_certfile=None if options.certificate is None else str(options.certificate),
         ssl_keyfile=None if options.key is None else str(options.key),
         timeout_graceful_shutdown=2,
+        http=LimitedProtocol,
+        h11_max_incomplete_event_size=MAX_HEADER_BYTES,
         # Deflating the plots' messages costs more than loopback or a lab's network saves.
         ws_per_message_deflate=False,
     )
+    ignore_signals()
 
 
 _ICON = (
@@ -91,10 +109,19 @@ def _check_address(options: Options) -> None:
             trial.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             trial.bind(address)
     except OSError as error:
+        wrong = "port" if error.errno in (errno.EADDRINUSE, errno.EACCES) else "host"
         raise ServerError(
             f"can't listen at {options.host}, port {options.port}: {error.strerror or error};"
-            " --port takes another one"
+            f" choose another {wrong} by --{wrong}, in a launch by panel_{wrong}:="
         ) from error
+
+
+def _check_output_dir(options: Options) -> None:
+    """Say it in a line where no report could be written there."""
+    try:
+        check_folder(options.output_dir)
+    except GalenError as error:
+        raise ServerError(f"{error}; choose another directory by --output-dir") from error
 
 
 def _check_certificate(options: Options) -> None:

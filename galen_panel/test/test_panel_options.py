@@ -7,6 +7,7 @@ import socket
 import ssl
 import subprocess
 import sys
+import time
 import urllib.request
 from contextlib import closing
 from pathlib import Path
@@ -116,7 +117,7 @@ def test_a_port_that_is_taken_is_told_in_a_line():
     assert ended.returncode == 1
     assert ended.stderr.splitlines() == [
         f"panel: can't listen at 127.0.0.1, port {port}: Address already in use;"
-        " --port takes another one"
+        " choose another port by --port, in a launch by panel_port:="
     ]
 
 
@@ -124,7 +125,18 @@ def test_an_address_that_is_none_of_this_machine_is_told_in_a_line():
     ended = run("--host", "192.0.2.7", "--port", str(free_port()))
     assert ended.returncode == 1
     assert len(ended.stderr.splitlines()) == 1 and "can't listen at 192.0.2.7" in ended.stderr
+    assert "another host by --host" in ended.stderr and "--port" not in ended.stderr
     assert "token" not in ended.stdout
+
+
+@pytest.mark.parametrize("where", ["", "/below"])
+def test_unwritable_output_dir_is_rejected_at_start(tmp_path, where):
+    file = tmp_path / "file"
+    file.touch()
+    ended = run("--port", str(free_port()), "--output-dir", f"{file}{where}")
+    assert ended.returncode == 1
+    assert len(ended.stderr.splitlines()) == 1
+    assert str(file) in ended.stderr and "--output-dir" in ended.stderr
 
 
 def test_a_certificate_that_is_none_is_told_in_a_line(tmp_path):
@@ -144,6 +156,22 @@ def test_a_signal_ends_it_with_code_0_also_with_a_connection_open(world, number)
         connection.sendall(b"GET / HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n")
         assert connection.recv(15) == b"HTTP/1.1 200 OK"
         assert world.end("panel", number, patience_s=3.0) == 0
+    assert "Traceback" not in world.log("panel")
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_that_is_repeated_ends_it_as_one_does(world, number):
+    """As Ctrl-C does that a person presses twice, or that a launch hands on."""
+    world.start_panel(fake=True)
+    process = world.processes["panel"]
+    process.send_signal(number)
+    process.send_signal(number)
+    # Until it is gone, lest one comes only after its end.
+    while process.poll() is None:
+        process.send_signal(number)
+        time.sleep(0.02)
+    assert process.returncode == 0
+    world.processes.pop("panel")
     assert "Traceback" not in world.log("panel")
 
 
