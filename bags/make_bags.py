@@ -32,9 +32,9 @@ from galen_bringup.offline_cell import OfflineCell
 from galen_calibration_behavior.estimate import calibrate
 from galen_calibration_behavior.parameters import CalibrationParameters
 from galen_calibration_behavior.procedure import Request
-from galen_model.arm import HOME, JOINT_NAMES
+from galen_model.arm.galen import HOME, JOINT_NAMES
 from galen_model.errors import GalenError
-from galen_model.tools import TOOLS
+from galen_model.load.nominal_tools import TOOLS
 from galen_sim_driver.config import (
     ZERO3,
     CableConfig,

@@ -19,8 +19,8 @@ from galen_deflection.collection_node import CollectionNode
 from galen_deflection.node import DeflectionNode
 from galen_diagnosis.gap_monitor import GapMonitorNode
 from galen_gravcomp.node import GravcompNode
-from galen_model.arm import HOME
-from galen_model.tool_file import tool_path, write_tool
+from galen_model.arm.galen import HOME
+from galen_model.files.calibration_file import tool_path, write_tool
 from galen_ros.conversions import wrench_to_array
 from galen_ros.qos import STREAM
 from galen_ros.testing import Harness, parameters

@@ -25,7 +25,7 @@ from galen_deflection.fitted_range import FittedRange
 from galen_deflection.model_file import write_model
 from galen_deflection.models.joint_stiffness import COMPLIANCES, StiffnessBasis
 from galen_deflection.models.linear import FittedOn, LinearModel
-from galen_model.tool_file import LoadEstimate, ToolFile, tool_path, write_tool
+from galen_model.files.calibration_file import LoadEstimate, ToolFile, tool_path, write_tool
 from galen_ros.conversions import stamp_to_ns, wrench_to_array
 from galen_ros.qos import STREAM
 from galen_ros.testing import Harness

@@ -27,8 +27,8 @@ from galen_bags.errors import BagError
 from galen_deflection.collection_folder import CollectionFolder
 from galen_gravcomp.tool_messages import error_code
 from galen_model.errors import GalenError, ToolFileError, ToolNameError
-from galen_model.tool_file import check_tool_name, tool_path, write_tool
-from galen_model.tool_store import ToolStore
+from galen_model.files.calibration_file import check_tool_name, tool_path, write_tool
+from galen_model.files.calibration_store import ToolStore
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 

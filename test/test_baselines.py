@@ -142,7 +142,7 @@ def compensate_live(bag, tool, seconds, tare_at_s=None, **parameters):
     """Stamps (n,) ns and wrenches (n, 6) as the node makes them, sample by sample."""
     from galen_gravcomp.compensator import Compensator
     from galen_gravcomp.parameters import GravcompParameters
-    from galen_model.tool_file import read_tool
+    from galen_model.files.calibration_file import read_tool
 
     settings = GravcompParameters(**parameters)
     compensator = Compensator(settings.settings(), stages=settings.stages())

@@ -2,11 +2,11 @@
 
 import numpy as np
 import pytest
-from galen_calibration_behavior.grid import SweepGrid
-from galen_model.arm import ENCODER_QUANTUM
-from galen_model.identification import StillPoses, identify_two_sweeps
-from galen_model.load import Load, nominal_reading
-from galen_model.tools import ADAPTER, TOOLS
+from galen_model.arm.galen import ENCODER_QUANTUM
+from galen_model.load.identification import StillPoses, identify_two_sweeps
+from galen_model.load.model import Load, nominal_reading
+from galen_model.load.nominal_tools import ADAPTER, TOOLS
+from galen_model.poses.grid import SweepGrid
 from galen_sim_driver.config import SensorConfig
 from galen_sim_driver.sensor import ForceTorqueSensor
 

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from action_msgs.msg import GoalStatus
 from fault_world import PATIENCE_S, TIP_M, FaultWorld, write_tool_file
-from galen_model.tool_file import read_tool
-from galen_model.tools import TOOLS
+from galen_model.files.calibration_file import read_tool
+from galen_model.load.nominal_tools import TOOLS
 from galen_ros.qos import STREAM
 from rclpy.action import ActionClient
 from rclpy.node import Node

@@ -15,16 +15,15 @@ from pathlib import Path
 import pytest
 from fuzz.readers import a_tool
 from galen_model.errors import ToolFileError
-from galen_model.tool_file import read_tool, tool_path, write_tool
-from galen_model.tool_store import ToolStore
-
-from galen_model import whole_file
+from galen_model.files import atomic_file as whole_file
+from galen_model.files.calibration_file import read_tool, tool_path, write_tool
+from galen_model.files.calibration_store import ToolStore
 
 NURSERY = """
 import json, mmap, os, random, signal, struct, sys, time
 from dataclasses import replace
 from pathlib import Path
-from galen_model.tool_file import read_tool, write_tool
+from galen_model.files.calibration_file import read_tool, write_tool
 
 path, kills, seed = Path(sys.argv[1]), int(sys.argv[2]), int(sys.argv[3])
 rng = random.Random(seed)
@@ -190,7 +189,7 @@ IN_A_PROCESS = """
 import os, resource, signal, sys
 from pathlib import Path
 from galen_model.errors import ToolFileError
-from galen_model.tool_file import read_tool, write_tool
+from galen_model.files.calibration_file import read_tool, write_tool
 from dataclasses import replace
 
 path = Path(sys.argv[1])

@@ -9,8 +9,8 @@ from galen_bringup.demo import main as demo
 from galen_bringup.processes import Processes
 from galen_bringup.suite import AVERAGE_S, calibrate, connected_arm, ros_world, start_suite
 from galen_bringup.verification import random_poses, visit
-from galen_model.tool_file import read_tool
-from galen_model.tools import ADAPTER, TOOLS
+from galen_model.files.calibration_file import read_tool
+from galen_model.load.nominal_tools import ADAPTER, TOOLS
 from rich.console import Console
 from rich.progress import Progress
 

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from galen_model.arm import SENSOR_FRAME
+from galen_model.arm.galen import SENSOR_FRAME
 from galen_model.errors import GalenError
 from galen_ros.cdr import NS_PER_S
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import yaml
-from galen_model.json_fields import read_limited
+from galen_model.files.json_fields import read_limited
 from rosbags.interfaces import Qos
 from rosbags.rosbag2 import ReaderError
 from rosbags.rosbag2.metadata import parse_qos

@@ -21,9 +21,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from galen_model.arm import GRAVITY_M_S2, WRENCH_AXES
+from galen_model.arm.galen import GRAVITY_M_S2, WRENCH_AXES
+from galen_model.arm.kinematics import sensor_rotation
 from galen_model.arrays import Array
-from galen_model.kinematics import sensor_rotation
 from galen_model.rotation import quaternion_to_matrix
 
 from galen_bags.text_table import TableError, TextTable, read_text_table

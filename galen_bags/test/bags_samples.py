@@ -13,7 +13,7 @@ import numpy as np
 from galen_bags.bag import open_bag
 from galen_bags.errors import BagError
 from galen_bags.mcap_records import zstd
-from galen_model.arm import JOINT_NAMES
+from galen_model.arm.galen import JOINT_NAMES
 from rosbags.rosbag1 import Writer as Ros1Writer
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, Reader, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore

@@ -24,7 +24,7 @@ from bags_samples import (
 from galen_bags.arm_recording import ArmReader, ArmTopics, find_topic, read_arm
 from galen_bags.bag import open_bag
 from galen_bags.errors import BagError
-from galen_model.arm import JOINT_NAMES
+from galen_model.arm.galen import JOINT_NAMES
 
 
 @pytest.fixture

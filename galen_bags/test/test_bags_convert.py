@@ -9,9 +9,9 @@ from galen_bags.arm_recording import read_arm
 from galen_bags.convert import main
 from galen_bags.errors import BagError
 from galen_bags.measured import roll_and_tilt, stamps_ns
-from galen_model.arm import GRAVITY_M_S2, HOME
-from galen_model.kinematics import gravity_in_sensor
-from galen_model.load import Load, gravity_wrench
+from galen_model.arm.galen import GRAVITY_M_S2, HOME
+from galen_model.arm.kinematics import gravity_in_sensor
+from galen_model.load.model import Load, gravity_wrench
 from galen_model.rotation import matrix_to_quaternion, quaternion_to_matrix, rotvec_to_matrix
 
 LOAD = Load(0.9, np.array([0.002, -0.001, 0.044]))

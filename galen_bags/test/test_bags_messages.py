@@ -20,7 +20,7 @@ from bags_samples import (
 from galen_bags.errors import BagError
 from galen_bags.messages import Decoder
 from galen_bags.raw_block import pack
-from galen_model.arm import JOINT_NAMES
+from galen_model.arm.galen import JOINT_NAMES
 from rosbags.serde import SerdeError
 
 ODD = [0.0, -0.0, np.nan, np.inf, -np.inf, 5e-324, 1.7976931348623157e308, 0.1]

@@ -34,7 +34,7 @@ from bags_samples import (
 from galen_bags.bag import open_bag, storage_files
 from galen_bags.errors import BagError
 from galen_bags.mcap_records import zstd
-from galen_model.arm import JOINT_NAMES
+from galen_model.arm.galen import JOINT_NAMES
 from rosbags.rosbag2 import CompressionMode, StoragePlugin
 
 from galen_bags import raw_block, time_order

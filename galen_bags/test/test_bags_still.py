@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-from galen_bags.still import StillSettings, find_still, still_rows
-from galen_model.arm import ENCODER_QUANTUM, HOME
+from galen_model.arm.galen import ENCODER_QUANTUM, HOME
+from galen_model.rest.joints import StillSettings, find_still, still_rows
 
 NS = 1_000_000_000
 START_NS = 1_700_000_000 * NS + 123_456_789

@@ -8,10 +8,10 @@ from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
-from galen_calibration_behavior.motion_time import quintic_duration_s
-from galen_model.arm import JOINT_NAMES
+from galen_model.arm.galen import JOINT_NAMES
 from galen_model.arrays import Array
 from galen_model.errors import GalenError
+from galen_model.poses.motion_time import quintic_duration_s
 from galen_ros.conversions import JointStateReader, fill_stamp, stamp_to_ns, wrench_to_array
 from galen_ros.qos import STREAM
 from galen_ros.spin import make_executor

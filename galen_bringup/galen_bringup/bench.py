@@ -21,7 +21,7 @@ import numpy as np
 from galen_bags.command_line import check_file
 from galen_deflection.bench_models import write_bench_models
 from galen_model.errors import GalenError
-from galen_model.whole_file import write_whole
+from galen_model.files.atomic_file import write_whole
 from rich.console import Console
 from rich.table import Table
 

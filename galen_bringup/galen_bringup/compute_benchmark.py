@@ -20,13 +20,13 @@ import numpy as np
 from galen_deflection.bench_models import bench_models
 from galen_deflection.models.interface import Stream
 from galen_gravcomp.bench_tool import bench_tool
-from galen_gravcomp.prediction import Prediction
-from galen_model.arm import SENSOR
+from galen_model.arm.galen import SENSOR
+from galen_model.arm.kinematics import gravity_in_sensor
+from galen_model.arm.pinocchio_arm import PinocchioArm
 from galen_model.arrays import Array
-from galen_model.identification import StillPoses, identify_two_sweeps
-from galen_model.kinematics import gravity_in_sensor
-from galen_model.load import gravity_regressor
-from galen_model.pinocchio_arm import PinocchioArm
+from galen_model.load.identification import StillPoses, identify_two_sweeps
+from galen_model.load.model import gravity_regressor
+from galen_model.load.prediction import Prediction
 from rich.table import Table
 
 from galen_bringup.timing import Timing, time_calls

@@ -19,11 +19,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from galen_model.arm import WRENCH_AXES
+from galen_model.arm.galen import WRENCH_AXES
 from galen_model.arrays import Array
 from galen_model.errors import GalenError
-from galen_model.load import nominal_reading
-from galen_model.tools import ADAPTER, TOOLS
+from galen_model.load.model import nominal_reading
+from galen_model.load.nominal_tools import ADAPTER, TOOLS
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table

@@ -11,9 +11,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from galen_model.arm import HOME
+from galen_model.arm.galen import HOME
+from galen_model.arm.kinematics import tip_pose
 from galen_model.arrays import Array
-from galen_model.kinematics import tip_pose
 from galen_model.rotation import matrix_to_rotvec
 from rich.progress import Progress
 

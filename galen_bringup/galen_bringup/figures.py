@@ -9,7 +9,7 @@ import matplotlib
 matplotlib.use("Agg")  # the machine in the lab may have no display
 import matplotlib.pyplot as plt
 import numpy as np
-from galen_model.arm import WRENCH_AXES
+from galen_model.arm.galen import WRENCH_AXES
 
 from galen_bringup.drift import Drift
 from galen_bringup.verification import PoseReadings

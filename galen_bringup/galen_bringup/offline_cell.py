@@ -20,7 +20,7 @@ from galen_calibration_behavior.commands import (
     ZeroSensor,
 )
 from galen_calibration_behavior.procedure import CalibrationProcedure, ProcedureSettings, Request
-from galen_model.arm import JOINT_NAMES
+from galen_model.arm.galen import JOINT_NAMES
 from galen_model.errors import GalenError
 from galen_sim_driver.errors import UnknownToolError, ZeroingError
 from galen_sim_driver.plant import Plant, Sample

@@ -32,8 +32,8 @@ from diagnostic_msgs.msg import DiagnosticArray
 from galen_deflection.bench_models import write_bench_models
 from galen_gravcomp.bench_tool import NAME, write_bench_tool
 from galen_gravcomp.node_benchmark import cpu_s
-from galen_model.arm import HOME, JOINT_NAMES
-from galen_model.whole_file import write_whole
+from galen_model.arm.galen import HOME, JOINT_NAMES
+from galen_model.files.atomic_file import write_whole
 from galen_ros.cdr import NS_PER_S, STAMP_AT
 from galen_ros.diagnostics import Level
 from galen_ros.qos import STREAM

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import rclpy
-from galen_model.tools import TOOLS
+from galen_model.load.nominal_tools import TOOLS
 from galen_ros.domain import DomainLock
 from rclpy.signals import SignalHandlerOptions
 

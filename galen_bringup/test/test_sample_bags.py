@@ -13,10 +13,10 @@ from galen_bags.arm_recording import read_arm
 from galen_calibration_behavior.cable_from_bag import main as cable_from_bag
 from galen_calibration_behavior.calibrate_from_bag import main as calibrate_from_bag
 from galen_calibration_behavior.inertia_from_bag import main as inertia_from_bag
-from galen_model.arm import SENSOR
-from galen_model.inertial import point_mass_inertia
-from galen_model.tool_file import read_tool
-from galen_model.tools import ADAPTER, TOOLS
+from galen_model.arm.galen import SENSOR
+from galen_model.files.calibration_file import read_tool
+from galen_model.load.inertia.inertial import point_mass_inertia
+from galen_model.load.nominal_tools import ADAPTER, TOOLS
 
 BAGS = Path(__file__).resolve().parents[2] / "bags"
 

@@ -7,7 +7,7 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 import pytest
-from galen_model.arm import JOINT_NAMES
+from galen_model.arm.galen import JOINT_NAMES
 from rosidl_parser.definition import AbstractNestedType, BasicType, NamespacedType
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -6,7 +6,7 @@ from collections import deque
 from dataclasses import dataclass
 
 import numpy as np
-from galen_model.arm import JOINT_NAMES, JOINT_UNITS
+from galen_model.arm.galen import JOINT_NAMES, JOINT_UNITS
 from galen_model.arrays import Array
 
 from galen_calibration_behavior.stamps import NS, StampClock

@@ -7,17 +7,17 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from galen_bags.arm_recording import ArmRecording
-from galen_model.cable_drag import MAX_POSES, SUPPORT_M
-from galen_model.cable_fit import CableSweep, spread_out
-from galen_model.cable_learning import HeldOut, LearnedCable, learn_cable
-from galen_model.cable_rivals import check_same_tool, doubts, rivals
-from galen_model.tool_file import ToolFile
+from galen_model.files.calibration_file import ToolFile
+from galen_model.load.cable.drag import MAX_POSES, SUPPORT_M
+from galen_model.load.cable.fit import CableSweep, spread_out
+from galen_model.load.cable.learning import HeldOut, LearnedCable, learn_cable
+from galen_model.load.cable.rivals import check_same_tool, doubts, rivals
+from galen_model.rest.pose import PoseRecord
 
 from galen_calibration_behavior.calibrate_from_bag import measured_at
 from galen_calibration_behavior.home_stays import BiasPose
 from galen_calibration_behavior.procedure import ProcedureSettings
 from galen_calibration_behavior.recorded_sweeps import SweepSorter
-from galen_calibration_behavior.stillness import PoseRecord
 from galen_calibration_behavior.visits import RecordingError, find_visits
 
 # Poses of one sweep at one place stand nearer to each other than this.
@@ -50,7 +50,7 @@ def estimate_cable(
     """Learn what a sweep with the cable on reads beyond the tool's file; writes nothing.
 
     The cable that the file may already hold is not looked at. Raises RecordingError, and
-    galen_model.cable_learning's errors where there is no cable, or too few poses.
+    galen_model.load.cable.learning's errors where there is no cable, or too few poses.
     """
     if not np.isfinite(recording.joints).any(axis=0).all():
         raise RecordingError(

@@ -17,11 +17,11 @@ from typing import Any
 import numpy as np
 from galen_bags.arm_recording import read_arm
 from galen_bags.command_line import positive
-from galen_model.bias_choice import BiasMode
 from galen_model.errors import IdentificationError
-from galen_model.mounting_groups import GROUPS, entities
-from galen_model.mounting_identification import KnownLoad
-from galen_model.tool_file import LoadEstimate, read_tool, tool_path
+from galen_model.files.calibration_file import LoadEstimate, read_tool, tool_path
+from galen_model.load.bias.choice import BiasMode
+from galen_model.load.mounting.groups import GROUPS, entities
+from galen_model.load.mounting.identification import KnownLoad
 from galen_ros.param import from_options
 from tqdm import tqdm
 

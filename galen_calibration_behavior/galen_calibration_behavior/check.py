@@ -8,7 +8,7 @@ import math
 import sys
 from typing import Any
 
-from galen_model.arm import WRENCH_AXES
+from galen_model.arm.galen import WRENCH_AXES
 from galen_ros.spin import own_arguments
 
 from galen_calibration_behavior.check_answer import Answer, Cause

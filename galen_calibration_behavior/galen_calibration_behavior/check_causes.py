@@ -17,12 +17,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from galen_model.arm.kinematics import sensor_rotation
 from galen_model.arrays import Array
 from galen_model.distributions import chi2_sf
-from galen_model.kinematics import sensor_rotation
-from galen_model.load import gravity_regressor, gravity_wrench
+from galen_model.files.calibration_file import ToolFile
+from galen_model.load.model import gravity_regressor, gravity_wrench
 from galen_model.rotation import skew
-from galen_model.tool_file import ToolFile
 
 _STEP_RAD = 1e-4
 

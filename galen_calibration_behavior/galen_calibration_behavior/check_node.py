@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from galen_model.arrays import Array
 from galen_model.errors import GalenError, ToolFileError, ToolNameError
-from galen_model.tool_store import ToolStore
+from galen_model.files.calibration_store import ToolStore
 from galen_ros.qos import LATCHED
 from galen_ros.spin import run
 from rclpy.action.server import ServerGoalHandle

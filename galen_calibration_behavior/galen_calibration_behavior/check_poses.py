@@ -1,7 +1,7 @@
 """Which few poses a quick check goes to: near where the arm is, and worth most.
 
 The poses are those of a small grid around the present one that make the compensation's error,
-mean over the arm's range, best known (`galen_model.pose_design`, goal "compensation"): just what
+mean over the arm's range, best known (`galen_model.poses.design`, goal "compensation"): just what
 the check has to judge. They are visited in the order that is shortest and on which a drift does
 not look like a load (`pose_order`). Around boxes the arm goes within that grid, too.
 """
@@ -9,12 +9,11 @@ not look like a load (`pose_order`). Around boxes the arm goes within that grid,
 from __future__ import annotations
 
 import numpy as np
-from galen_model.arm_clearance import ObstacleError
+from galen_model.arm.clearance import ObstacleError
 from galen_model.arrays import Array
-from galen_model.pose_design import ANGLE_LIMITS
-
-from galen_calibration_behavior.pose_order import SweepTimes
-from galen_calibration_behavior.sweep_plan import (
+from galen_model.poses.design import ANGLE_LIMITS
+from galen_model.poses.order import SweepTimes
+from galen_model.poses.plan import (
     Surroundings,
     SweepPlan,
     SweepRange,

@@ -20,14 +20,17 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from galen_model.arm import SENSOR
+from galen_model.arm.galen import SENSOR
+from galen_model.arm.kinematics import gravity_in_sensor
 from galen_model.arrays import Array
-from galen_model.identification import StillPoses, identify_two_sweeps
-from galen_model.kinematics import gravity_in_sensor
-from galen_model.load import Load, gravity_wrench, nominal_reading
-from galen_model.pose_design import ANGLE_LIMITS, angle_grid
-from galen_model.tool_file import ToolFile
-from galen_model.tools import ADAPTER, TOOLS
+from galen_model.files.calibration_file import ToolFile
+from galen_model.load.identification import StillPoses, identify_two_sweeps
+from galen_model.load.model import Load, gravity_wrench, nominal_reading
+from galen_model.load.nominal_tools import ADAPTER, TOOLS
+from galen_model.poses.design import ANGLE_LIMITS, angle_grid
+from galen_model.poses.order import SweepTimes
+from galen_model.poses.plan import Surroundings
+from galen_model.rest.pose import PoseRecord, average_pose
 from rich.console import Console
 from rich.table import Table
 from tqdm import tqdm
@@ -37,11 +40,8 @@ from galen_calibration_behavior.check_causes import load_and_offset
 from galen_calibration_behavior.check_parameters import CheckParameters
 from galen_calibration_behavior.check_poses import plan_check
 from galen_calibration_behavior.parameters import CalibrationParameters
-from galen_calibration_behavior.pose_order import SweepTimes
 from galen_calibration_behavior.quick_check import differences, quick_check
-from galen_calibration_behavior.stillness import PoseRecord, average_pose
 from galen_calibration_behavior.sweep import stack
-from galen_calibration_behavior.sweep_plan import Surroundings
 
 _SAMPLES = 250
 _CHECKS_A_FILE = 10

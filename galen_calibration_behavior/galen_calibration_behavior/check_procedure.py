@@ -12,10 +12,13 @@ from dataclasses import dataclass
 from enum import IntEnum
 
 import numpy as np
-from galen_model.arm import LIMITS
+from galen_model.arm.galen import LIMITS
 from galen_model.arrays import Array
 from galen_model.errors import GalenError
-from galen_model.tool_file import ToolFile
+from galen_model.files.calibration_file import ToolFile
+from galen_model.poses.order import SweepTimes
+from galen_model.poses.plan import Surroundings
+from galen_model.rest.pose import PoseRecord
 
 from galen_calibration_behavior.check_answer import CheckLimits, QuickCheck
 from galen_calibration_behavior.check_commands import (
@@ -26,13 +29,10 @@ from galen_calibration_behavior.check_commands import (
     State,
 )
 from galen_calibration_behavior.check_poses import plan_check
-from galen_calibration_behavior.pose_order import SweepTimes
 from galen_calibration_behavior.pose_procedure import PoseProcedure, PoseSettings
 from galen_calibration_behavior.pose_recorder import Rejection
 from galen_calibration_behavior.quick_check import FEWEST_POSES, quick_check
-from galen_calibration_behavior.stillness import PoseRecord
 from galen_calibration_behavior.sweep import Sweep, Verdict
-from galen_calibration_behavior.sweep_plan import Surroundings
 
 
 @dataclass(frozen=True)

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from galen_model.arm import WRENCH_AXES
+from galen_model.arm.galen import WRENCH_AXES
 from galen_model.arrays import Array
-from galen_model.tool_file import ToolFile
+from galen_model.files.calibration_file import ToolFile
 
 from galen_calibration_behavior.check_answer import Cause, CheckLimits, Differences
 

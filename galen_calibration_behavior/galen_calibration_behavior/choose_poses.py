@@ -13,10 +13,11 @@ from typing import Any
 
 import numpy as np
 from galen_bags.command_line import check_folder
-from galen_model.arm_clearance import ObstacleError
+from galen_model.arm.clearance import ObstacleError
 from galen_model.arrays import Array
 from galen_model.errors import GalenError
-from galen_model.pose_design import GOALS, PoseDesign
+from galen_model.poses.design import GOALS, PoseDesign
+from galen_model.poses.plan import left_out, make_router, plan_grid
 from galen_ros.param import add_options, from_options
 from tqdm import tqdm
 
@@ -31,7 +32,6 @@ from galen_calibration_behavior.design_report import (
     to_dict,
 )
 from galen_calibration_behavior.parameters import CalibrationParameters
-from galen_calibration_behavior.sweep_plan import left_out, make_router, plan_grid
 
 EXIT_OK, EXIT_FAILED, EXIT_USAGE, EXIT_CANCELED = 0, 1, 2, 130
 _EPILOG = f"""exit codes:

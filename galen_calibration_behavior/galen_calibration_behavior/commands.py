@@ -6,9 +6,9 @@ from dataclasses import dataclass, field
 from enum import IntEnum
 
 from galen_model.arrays import Array
-from galen_model.bias_choice import BiasMode
-from galen_model.identification import StillPoses
-from galen_model.tool_file import LoadEstimate
+from galen_model.files.calibration_file import LoadEstimate
+from galen_model.load.bias.choice import BiasMode
+from galen_model.load.identification import StillPoses
 
 
 class State(IntEnum):

@@ -7,12 +7,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from galen_model.arm.kinematics import gravity_in_sensor
 from galen_model.arrays import Array
-from galen_model.identification import single_load_design
-from galen_model.kinematics import gravity_in_sensor
-from galen_model.pose_design import PoseDesign, compensation_std, reading_noise
-
-from galen_calibration_behavior.pose_order import SweepTimes, drift_share
+from galen_model.load.identification import single_load_design
+from galen_model.poses.design import PoseDesign, compensation_std, reading_noise
+from galen_model.poses.order import SweepTimes, drift_share
 
 # A centre of mass can only be told for a tool of some mass.
 EXAMPLE_TOOL_KG = 0.1
@@ -42,7 +41,7 @@ class Promise:
 def promise(poses: Array, times: SweepTimes, average_s: float, rate_hz: float) -> Promise:
     """Of poses (n, 2), rad, in visiting order, averaged for `average_s` at `rate_hz`.
 
-    The sensor's noise is that of `galen_model.arm.SENSOR`, taken as white.
+    The sensor's noise is that of `galen_model.arm.galen.SENSOR`, taken as white.
     """
     sigma = reading_noise() / np.sqrt(average_s * rate_hz)
     std = compensation_std(poses, sigma)

@@ -9,26 +9,26 @@ from pathlib import Path
 
 import numpy as np
 from galen_model.arrays import Array
-from galen_model.bias_choice import BiasMode
 from galen_model.errors import (
     GalenError,
     IdentificationError,
     NotExcitedError,
     ToolFileError,
 )
-from galen_model.identification import (
+from galen_model.files.calibration_file import ToolFile, read_tool, write_tool
+from galen_model.load.bias.choice import BiasMode
+from galen_model.load.bias.identification import (
+    identify_one_sweep_wandering,
+    identify_two_sweeps_wandering,
+)
+from galen_model.load.identification import (
     Identification,
     identify_one_sweep,
     identify_two_sweeps,
 )
-from galen_model.mounting import Mounting
-from galen_model.mounting_identification import KnownLoad
-from galen_model.mounting_worth import Calibrated, Worth, worth
-from galen_model.tool_file import ToolFile, read_tool, write_tool
-from galen_model.wandering_identification import (
-    identify_one_sweep_wandering,
-    identify_two_sweeps_wandering,
-)
+from galen_model.load.mounting.held_out import Calibrated, Worth, worth
+from galen_model.load.mounting.identification import KnownLoad
+from galen_model.load.mounting.mounting import Mounting
 
 from galen_calibration_behavior.commands import ErrorCode, Measurements
 
@@ -50,7 +50,7 @@ class TipError(GalenError):
 
 @dataclass(frozen=True)
 class MountingRequest:
-    """Which of `galen_model.mounting_groups.GROUPS` to estimate, and what is known of the tool."""
+    """Which of `galen_model.load.mounting.groups.GROUPS` to estimate, and what is known of the tool."""
 
     groups: tuple[str, ...]
     known: KnownLoad | None = None

@@ -16,7 +16,7 @@ from typing import Any, ClassVar, NoReturn
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from galen_model.errors import GalenError, ToolNameError
-from galen_model.tool_file import check_tool_name
+from galen_model.files.calibration_file import check_tool_name
 from galen_ros.parameter_services import guard_parameter_services
 from galen_ros.spin import init_ros
 from rclpy.action import ActionClient

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from enum import IntEnum
 from typing import Any, ClassVar, Generic, TypeVar
 
-from galen_model.arm import JOINT_NAMES, SENSOR_FRAME
+from galen_model.arm.galen import JOINT_NAMES, SENSOR_FRAME
 from galen_model.errors import GalenError, one_line
 from galen_ros.conversions import JointStateReader, stamp_to_ns, wrench_to_array
 from galen_ros.diagnostics import ERROR, OK, WARN, DiagnosticsPublisher, Status

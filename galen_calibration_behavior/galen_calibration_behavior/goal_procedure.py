@@ -14,8 +14,9 @@ from enum import IntEnum
 from typing import ClassVar, Generic, TypeVar
 
 import numpy as np
-from galen_model.arm import JOINT_NAMES
+from galen_model.arm.galen import JOINT_NAMES
 from galen_model.arrays import Array
+from galen_model.poses.motion_time import quintic_duration_s
 
 from galen_calibration_behavior.arrival import (
     ArrivalMonitor,
@@ -23,7 +24,6 @@ from galen_calibration_behavior.arrival import (
     MotionTimeoutError,
 )
 from galen_calibration_behavior.commands import End, MoveTo, Stop
-from galen_calibration_behavior.motion_time import quintic_duration_s
 from galen_calibration_behavior.silence import Silence, WallClock
 from galen_calibration_behavior.stamps import NS, StampClock, StampsError
 

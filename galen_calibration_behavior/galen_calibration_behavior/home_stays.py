@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from itertools import groupby
 
 import numpy as np
-from galen_model.identification import MIN_POSES
+from galen_model.load.identification import MIN_POSES
 
 from galen_calibration_behavior.procedure import ProcedureSettings
 from galen_calibration_behavior.visits import Visit, Visits

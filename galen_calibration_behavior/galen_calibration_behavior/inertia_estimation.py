@@ -6,13 +6,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from galen_bags.arm_recording import ArmRecording
-from galen_model.arm import GRAVITY_M_S2
+from galen_model.arm.galen import GRAVITY_M_S2
 from galen_model.arrays import Array
 from galen_model.errors import IdentificationError
-from galen_model.inertia_identification import InertiaFit, identify_inertia, total_moments
-from galen_model.inertial import inertial_regressor, point_mass_inertia
-from galen_model.motion_record import MotionRecord, motion_record
-from galen_model.tool_file import ToolFile
+from galen_model.files.calibration_file import ToolFile
+from galen_model.load.inertia.identification import InertiaFit, identify_inertia, total_moments
+from galen_model.load.inertia.inertial import inertial_regressor, point_mass_inertia
+from galen_model.load.inertia.motion_record import MotionRecord, motion_record
 
 # What a lag must be to be worth a word: neither noise nor less than it does harm.
 _LAG_SIGMAS, _LAG_S = 5.0, 0.0005

@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 from galen_bags.arm_recording import read_arm
-from galen_model.arm import WRENCH_AXES
+from galen_model.arm.galen import WRENCH_AXES
 from galen_model.errors import GalenError
-from galen_model.inertial import INERTIA_NAMES, point_mass_inertia
-from galen_model.tool_file import read_tool, tool_path, write_tool
+from galen_model.files.calibration_file import read_tool, tool_path, write_tool
+from galen_model.load.inertia.inertial import INERTIA_NAMES, point_mass_inertia
 from rich.console import Console
 from rich.table import Table
 

@@ -6,12 +6,12 @@ from dataclasses import dataclass
 
 import numpy as np
 from galen_model.arrays import Array
+from galen_model.rest.pose import StillnessSettings
 from galen_ros.param import param
 
 from galen_calibration_behavior.arrival import ArrivalSettings
 from galen_calibration_behavior.goal_procedure import GoalSettings
 from galen_calibration_behavior.pose_procedure import PoseSettings
-from galen_calibration_behavior.stillness import StillnessSettings
 
 
 @dataclass(frozen=True)

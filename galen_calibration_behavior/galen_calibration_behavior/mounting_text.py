@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from galen_model.arm import WRENCH_AXES
-from galen_model.mounting import Mounting
-from galen_model.mounting_worth import Worth
+from galen_model.arm.galen import WRENCH_AXES
+from galen_model.load.mounting.held_out import Worth
+from galen_model.load.mounting.mounting import Mounting
 
 from galen_calibration_behavior.estimate import Calibration
 

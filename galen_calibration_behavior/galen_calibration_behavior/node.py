@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 from galen_model.arrays import Array
 from galen_model.errors import GalenError, NotExcitedError, ToolFileError, ToolNameError
-from galen_model.mounting_identification import check_planned_mounting
-from galen_model.tool_file import tool_path
+from galen_model.files.calibration_file import tool_path
+from galen_model.load.mounting.identification import check_planned_mounting
 from galen_ros.diagnostics import Status
 from galen_ros.spin import run
 from rclpy.action.server import ServerGoalHandle

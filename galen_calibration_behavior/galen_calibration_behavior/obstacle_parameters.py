@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from galen_model.arm_clearance import boxes_from_numbers
+from galen_model.arm.clearance import boxes_from_numbers
+from galen_model.poses.plan import Surroundings
 from galen_ros.param import param
 
 from galen_calibration_behavior.motion_parameters import PoseParameters
-from galen_calibration_behavior.sweep_plan import Surroundings
 
 
 @dataclass(frozen=True)

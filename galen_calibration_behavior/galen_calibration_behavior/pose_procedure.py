@@ -8,9 +8,10 @@ from enum import IntEnum
 from typing import ClassVar
 
 import numpy as np
-from galen_model.arm_clearance import ObstacleError
-from galen_model.arm_routes import Router
+from galen_model.arm.clearance import ObstacleError
+from galen_model.arm.routes import Router
 from galen_model.arrays import Array
+from galen_model.rest.pose import PoseRecord, StillnessSettings
 
 from galen_calibration_behavior.goal_procedure import (
     CommandT,
@@ -20,7 +21,6 @@ from galen_calibration_behavior.goal_procedure import (
 )
 from galen_calibration_behavior.pose_recorder import PoseRecorder, Rejection
 from galen_calibration_behavior.stamps import StampClock
-from galen_calibration_behavior.stillness import PoseRecord, StillnessSettings
 
 # Errors that lost samples may be the cause of.
 _OF_LOST_SAMPLES = ("MOTION_TIMEOUT", "POSES_NOT_STILL")

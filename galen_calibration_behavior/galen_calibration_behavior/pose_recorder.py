@@ -5,17 +5,17 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from galen_model.arm import JOINT_NAMES, WRENCH_AXES
+from galen_model.arm.galen import JOINT_NAMES, WRENCH_AXES
 from galen_model.arrays import Array
-
-from galen_calibration_behavior.arrival import ArrivalMonitor, ArrivalSettings
-from galen_calibration_behavior.stamps import NS, StampClock
-from galen_calibration_behavior.stillness import (
+from galen_model.rest.pose import (
     PoseRecord,
     StillnessSettings,
     average_pose,
     joint_motion_fault,
 )
+
+from galen_calibration_behavior.arrival import ArrivalMonitor, ArrivalSettings
+from galen_calibration_behavior.stamps import NS, StampClock
 
 # How far the wrenches may lag behind the joint states before the window is given up.
 _LAG_NS = NS // 2

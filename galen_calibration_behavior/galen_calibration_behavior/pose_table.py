@@ -6,13 +6,13 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from galen_model.arm import WRENCH_AXES
+from galen_model.arm.galen import WRENCH_AXES
 from galen_model.arrays import Array
-from galen_model.identification import Identification
+from galen_model.load.identification import Identification
+from galen_model.rest.pose import PoseRecord
 
 from galen_calibration_behavior.estimate import Calibration
 from galen_calibration_behavior.recorded_sweeps import RecordedSweeps
-from galen_calibration_behavior.stillness import PoseRecord
 
 
 def pose_rows(sweeps: RecordedSweeps, calibration: Calibration) -> list[dict[str, Any]]:

@@ -1,7 +1,7 @@
 """How precise a sweep's poses so far make the compensation, and whether that is enough.
 
 The error's standard deviation follows from the poses and the noise of an averaged reading
-(`galen_model.pose_design.compensation_std`). The noise is what the scatter within the poses tells,
+(`galen_model.poses.design.compensation_std`). The noise is what the scatter within the poses tells,
 or what the residuals of one load and six offsets tell, whichever is larger: a filtered sensor
 scatters too little within a pose, a cable or a wrong joint zero only shows between them. Residuals
 are held against the scatter, force and torque each as a kind, so that few poses have many degrees
@@ -19,15 +19,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from galen_model.arm.kinematics import gravity_in_sensor
 from galen_model.arrays import Array
 from galen_model.distributions import chi2_ppf
 from galen_model.errors import IdentificationError
-from galen_model.identification import single_load_design
-from galen_model.kinematics import gravity_in_sensor
-from galen_model.pose_design import compensation_std
-from galen_model.robust_fit import fit_robust
+from galen_model.load.identification import single_load_design
+from galen_model.load.robust_fit import fit_robust
+from galen_model.poses.design import compensation_std
+from galen_model.rest.pose import PoseRecord
 
-from galen_calibration_behavior.stillness import PoseRecord
 from galen_calibration_behavior.sweep import stack
 
 _CHANCE = 0.2  # that the noise is larger than the limit taken

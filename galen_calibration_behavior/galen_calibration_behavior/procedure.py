@@ -18,10 +18,11 @@ from dataclasses import dataclass, field
 from enum import IntEnum
 
 import numpy as np
-from galen_model.arm import WRENCH_AXES
-from galen_model.arm_routes import Router
+from galen_model.arm.galen import WRENCH_AXES
+from galen_model.arm.routes import Router
 from galen_model.arrays import Array
-from galen_model.identification import StillPoses
+from galen_model.load.identification import StillPoses
+from galen_model.rest.pose import PoseRecord
 
 from galen_calibration_behavior.commands import (
     AttachTool,
@@ -37,7 +38,6 @@ from galen_calibration_behavior.commands import (
 from galen_calibration_behavior.pose_procedure import PoseProcedure, PoseSettings
 from galen_calibration_behavior.pose_recorder import Rejection
 from galen_calibration_behavior.precision import WantedPrecision, sweep_precision
-from galen_calibration_behavior.stillness import PoseRecord
 from galen_calibration_behavior.sweep import Sweep, Verdict, stack
 
 # A topic's queue holds no more than this of stamps: 2000 samples at 500 Hz.

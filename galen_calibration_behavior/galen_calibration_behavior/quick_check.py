@@ -4,7 +4,7 @@ With u_k gravity in ft_sensor at pose k, the reading there less the file's expec
 
     r_k = G(u_k) d + b + e_k,
 
-d (4,) what the load's moments (mass, first moment) differ from the file's (`galen_model.load`),
+d (4,) what the load's moments (mass, first moment) differ from the file's (`galen_model.load.model`),
 b (6,) an offset, as a sensor zeroed anew or wandered leaves it. Expected without any change:
 
     Cov e_k = S, the same at all poses: by axis the largest of the file's rmse^2, of the variance of
@@ -33,9 +33,10 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from galen_model.arrays import Array
 from galen_model.distributions import chi2_isf, chi2_sf, noncentral_chi2_sf, normal_ppf
-from galen_model.mounting import Mounting
-from galen_model.pose_design import ANGLE_LIMITS, angle_grid
-from galen_model.tool_file import ToolFile
+from galen_model.files.calibration_file import ToolFile
+from galen_model.load.mounting.mounting import Mounting
+from galen_model.poses.design import ANGLE_LIMITS, angle_grid
+from galen_model.rest.pose import PoseRecord
 from scipy.optimize import brentq
 
 from galen_calibration_behavior.check_answer import (
@@ -52,7 +53,6 @@ from galen_calibration_behavior.check_causes import (
     zero_lost,
 )
 from galen_calibration_behavior.check_text import in_words
-from galen_calibration_behavior.stillness import PoseRecord
 from galen_calibration_behavior.sweep import stack
 
 FEWEST_POSES = 4
@@ -251,7 +251,7 @@ def _file_covariance(tool: ToolFile) -> Array:
     The tool's own covariance bounds that of tool and adapter together, which the readings show:
     two sweeps of the same poses tell the sum twice as well as the tool. One sweep that could not
     take the two apart tells the sum all the same; its own covariance says nothing of it, and that
-    of as many ideal poses (`galen_model.excitation`), inflated as by the default grid, stands in.
+    of as many ideal poses (`galen_model.load.excitation`), inflated as by the default grid, stands in.
     """
     whole = np.diag(np.concatenate([np.zeros(4), tool.rmse**2 / tool.poses_used]))
     if tool.unresolved:

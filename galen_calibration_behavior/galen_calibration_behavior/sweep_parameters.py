@@ -5,24 +5,24 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from galen_model.arm import LIMITS
+from galen_model.arm.galen import LIMITS
 from galen_model.arrays import Array
-from galen_model.identification import check_planned_poses
-from galen_model.pose_design import GOALS
-from galen_ros.param import ParameterError, param
-
-from galen_calibration_behavior.grid import GridError, SweepGrid
-from galen_calibration_behavior.obstacle_parameters import ObstacleParameters
-from galen_calibration_behavior.pose_order import SweepTimes
-from galen_calibration_behavior.pose_procedure import PoseSettings
-from galen_calibration_behavior.precision import WantedPrecision
-from galen_calibration_behavior.sweep_plan import (
+from galen_model.load.identification import check_planned_poses
+from galen_model.poses.design import GOALS
+from galen_model.poses.grid import GridError, SweepGrid
+from galen_model.poses.order import SweepTimes
+from galen_model.poses.plan import (
     SweepPlan,
     SweepRange,
     plan_chosen,
     plan_grid,
     plan_listed,
 )
+from galen_ros.param import ParameterError, param
+
+from galen_calibration_behavior.obstacle_parameters import ObstacleParameters
+from galen_calibration_behavior.pose_procedure import PoseSettings
+from galen_calibration_behavior.precision import WantedPrecision
 
 MAX_ITERS = 100  # so that the feedback's counts of poses, uint16, hold two sweeps
 MAX_CHOSEN = 60  # more take long to choose and to order, and are no better than a grid

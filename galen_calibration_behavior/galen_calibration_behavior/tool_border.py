@@ -1,7 +1,7 @@
 """Where in a recording the tool came on, as the readings of its still poses tell it.
 
 Bare, the poses read the adapter, with the tool on they read both, each with an offset of its own:
-since offsets are free, the two-sweep model of `galen_model.identification` with the border after
+since offsets are free, the two-sweep model of `galen_model.load.identification` with the border after
 pose k is one load with six offsets for the poses up to k and another for those after it. So each
 border's cost is that of two separate fits: the sum over the poses of how far they are off, in
 standard deviations over all six channels, at the values that make this sum smallest (iteratively
@@ -13,11 +13,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from galen_model.arm.kinematics import gravity_in_sensor
 from galen_model.arrays import Array
 from galen_model.errors import GalenError
-from galen_model.identification import MIN_POSES
-from galen_model.kinematics import gravity_in_sensor
-from galen_model.load import gravity_regressor
+from galen_model.load.identification import MIN_POSES
+from galen_model.load.model import gravity_regressor
 
 _ITERATIONS = 15
 _MAD_TO_STD = 1.4826

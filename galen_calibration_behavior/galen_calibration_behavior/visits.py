@@ -1,6 +1,6 @@
 """The still phases of a recording, each averaged and judged as the live sweep does it.
 
-The phases come from the joints alone (`galen_bags.still`). Each is then played to a `PoseRecorder`,
+The phases come from the joints alone (`galen_model.rest.joints`). Each is then played to a `PoseRecorder`,
 sample by sample in the order they were received, with the phase's own pose as its target. A live
 sweep's recorder sees the same samples, and where its average lies hangs on their stamps alone. So
 a recording of a live calibration gives the averages that the live one had.
@@ -15,15 +15,15 @@ from pathlib import Path
 
 import numpy as np
 from galen_bags.arm_recording import ArmRecording
-from galen_bags.still import StillSettings, still_rows
-from galen_model.arm import JOINT_NAMES, SENSOR, SENSOR_FRAME
+from galen_model.arm.galen import JOINT_NAMES, SENSOR, SENSOR_FRAME
 from galen_model.arrays import Array
 from galen_model.errors import GalenError
+from galen_model.rest.joints import StillSettings, still_rows
+from galen_model.rest.pose import PoseRecord
 
 from galen_calibration_behavior.pose_recorder import PoseRecorder, Rejection
 from galen_calibration_behavior.procedure import ProcedureSettings
 from galen_calibration_behavior.stamps import NS, StampClock, StampsError
-from galen_calibration_behavior.stillness import PoseRecord
 
 # The recorder hears the samples from this long before a phase, for a stop is told by a window that
 # reaches back into the motion, and until this long after it, for wrenches received late.

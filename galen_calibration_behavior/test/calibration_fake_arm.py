@@ -1,9 +1,9 @@
 """A small arm, sensor and hand for the tests: no ROS, no limits, exact physics plus noise."""
 
 import numpy as np
-from galen_model.arm import HOME, SENSOR
-from galen_model.kinematics import gravity_in_sensor
-from galen_model.load import Load, gravity_wrench
+from galen_model.arm.galen import HOME, SENSOR
+from galen_model.arm.kinematics import gravity_in_sensor
+from galen_model.load.model import Load, gravity_wrench
 
 ADAPTER = Load(0.100, np.array([0.0, 0.0, 0.020]))
 POINTER = Load(0.060, np.array([0.055, 0.002, 0.045]))

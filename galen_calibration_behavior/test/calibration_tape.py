@@ -4,10 +4,10 @@ from pathlib import Path
 
 import numpy as np
 from galen_bags.arm_recording import ArmRecording
-from galen_model.arm import ENCODER_QUANTUM, HOME, SENSOR
-from galen_model.kinematics import gravity_in_sensor
-from galen_model.load import Load, gravity_wrench
-from galen_model.tools import ADAPTER, TOOLS
+from galen_model.arm.galen import ENCODER_QUANTUM, HOME, SENSOR
+from galen_model.arm.kinematics import gravity_in_sensor
+from galen_model.load.model import Load, gravity_wrench
+from galen_model.load.nominal_tools import ADAPTER, TOOLS
 
 START_NS = 1_700_000_000_000_000_000
 NS = 1_000_000_000

@@ -2,7 +2,7 @@
 
 import numpy as np
 from calibration_fake_arm import ADAPTER, POINTER
-from galen_model.tool_file import LoadEstimate, ToolFile
+from galen_model.files.calibration_file import LoadEstimate, ToolFile
 
 _STD = np.diag(np.full(4, 3e-5) ** 2)
 POINTER_FILE = ToolFile(

@@ -6,11 +6,11 @@ import json
 import numpy as np
 import pytest
 from calibration_tape import RETRACTOR, Tape, grid
-from galen_model.arm import HOME
-from galen_model.kinematics import gravity_in_sensor, sensor_pose
-from galen_model.load import Load, gravity_wrench
-from galen_model.tool_file import LoadEstimate, ToolFile, read_tool, write_tool
-from galen_model.tools import ADAPTER, TOOLS
+from galen_model.arm.galen import HOME
+from galen_model.arm.kinematics import gravity_in_sensor, sensor_pose
+from galen_model.files.calibration_file import LoadEstimate, ToolFile, read_tool, write_tool
+from galen_model.load.model import Load, gravity_wrench
+from galen_model.load.nominal_tools import ADAPTER, TOOLS
 
 from galen_calibration_behavior import cable_estimation, cable_from_bag
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from calibration_tape import POINTER, Tape, grid
 from galen_calibration_behavior.calibrate_from_bag import main
-from galen_model.tool_file import read_tool
+from galen_model.files.calibration_file import read_tool
 
 UNITS = np.array([1.0, 1.0, 1.0, 0.02, 0.02, 0.02])
 

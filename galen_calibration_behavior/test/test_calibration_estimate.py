@@ -16,10 +16,10 @@ from galen_calibration_behavior.estimate import (
     estimate,
 )
 from galen_model.errors import ToolFileError
-from galen_model.identification import StillPoses
-from galen_model.inertia_estimate import InertiaEstimate
-from galen_model.load import nominal_reading
-from galen_model.tool_file import read_tool, write_tool
+from galen_model.files.calibration_file import read_tool, write_tool
+from galen_model.load.identification import StillPoses
+from galen_model.load.inertia.estimate import InertiaEstimate
+from galen_model.load.model import nominal_reading
 
 NAN = np.full(3, math.nan)
 TIP = np.array([0.15, 0.0, 0.05])

@@ -11,8 +11,8 @@ import pytest
 from galen_calibration_behavior.calibrate_from_bag import main, measured_at, parse
 from galen_calibration_behavior.from_bag_command import EXIT_CANCELED, EXIT_FAILED, EXIT_USAGE
 from galen_calibration_behavior.visits import Visit
-from galen_model.tool_file import read_tool
-from galen_model.tools import ADAPTER, TOOLS
+from galen_model.files.calibration_file import read_tool
+from galen_model.load.nominal_tools import ADAPTER, TOOLS
 
 BAGS = Path(__file__).resolve().parents[2] / "bags"
 POINTER_BAG = str(BAGS / "pointer_calibration")

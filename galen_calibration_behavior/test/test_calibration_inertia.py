@@ -7,12 +7,12 @@ import pytest
 from galen_bags.writer import BagWriter
 from galen_calibration_behavior.from_bag_command import EXIT_FAILED, EXIT_USAGE
 from galen_calibration_behavior.inertia_from_bag import main
-from galen_model.arm import ENCODER_QUANTUM, HOME, JOINT_NAMES, SENSOR
-from galen_model.inertial import inertial_wrench, point_mass_inertia
-from galen_model.kinematics import gravity_in_sensor
-from galen_model.sensor_motion import sensor_motion
-from galen_model.tool_file import LoadEstimate, ToolFile, read_tool, write_tool
-from galen_model.tools import ADAPTER, TOOLS
+from galen_model.arm.galen import ENCODER_QUANTUM, HOME, JOINT_NAMES, SENSOR
+from galen_model.arm.kinematics import gravity_in_sensor
+from galen_model.arm.sensor_motion import sensor_motion
+from galen_model.files.calibration_file import LoadEstimate, ToolFile, read_tool, write_tool
+from galen_model.load.inertia.inertial import inertial_wrench, point_mass_inertia
+from galen_model.load.nominal_tools import ADAPTER, TOOLS
 from galen_ros.cdr import JointStateBytes, WrenchBytes
 
 LOAD = TOOLS["retractor"].load

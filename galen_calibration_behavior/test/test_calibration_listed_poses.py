@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
-from galen_calibration_behavior.grid import GridError
 from galen_calibration_behavior.parameters import CalibrationParameters
-from galen_model.arm_clearance import ObstacleError
+from galen_model.arm.clearance import ObstacleError
 from galen_model.errors import NotExcitedError
+from galen_model.poses.grid import GridError
 from galen_ros.param import ParameterError
 
 TIP = np.array([0.15, 0.0, 0.05])

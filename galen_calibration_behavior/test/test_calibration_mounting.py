@@ -9,9 +9,9 @@ from galen_calibration_behavior.estimate import EstimateError, MountingRequest, 
 from galen_calibration_behavior.mounting_text import format_mounting, mounting_fields
 from galen_calibration_behavior.parameters import CalibrationParameters
 from galen_model.errors import IdentificationError
-from galen_model.identification import StillPoses
-from galen_model.load import nominal_reading
-from galen_model.tool_file import read_tool
+from galen_model.files.calibration_file import read_tool
+from galen_model.load.identification import StillPoses
+from galen_model.load.model import nominal_reading
 
 ZERO = np.array([0.008, -0.006])
 POSES = np.array([[r, t] for r in np.linspace(-1.5, 1.5, 5) for t in np.linspace(-1.0, 0.9, 4)])

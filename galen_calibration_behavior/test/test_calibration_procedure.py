@@ -22,8 +22,8 @@ from galen_calibration_behavior.procedure import (
     ProcedureSettings,
     Request,
 )
-from galen_calibration_behavior.stillness import StillnessSettings
-from galen_model.arm import HOME
+from galen_model.arm.galen import HOME
+from galen_model.rest.pose import StillnessSettings
 
 SETTINGS = ProcedureSettings(
     home=HOME,

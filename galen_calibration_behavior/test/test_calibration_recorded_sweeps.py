@@ -9,9 +9,9 @@ from galen_calibration_behavior.parameters import CalibrationParameters
 from galen_calibration_behavior.pose_table import format_poses, pose_rows
 from galen_calibration_behavior.recorded_sweeps import SweepSorter
 from galen_calibration_behavior.visits import RecordingError, find_visits
-from galen_model.kinematics import gravity_in_sensor
-from galen_model.load import Load, gravity_wrench
-from galen_model.tools import ADAPTER
+from galen_model.arm.kinematics import gravity_in_sensor
+from galen_model.load.model import Load, gravity_wrench
+from galen_model.load.nominal_tools import ADAPTER
 
 PARAMETERS = CalibrationParameters()
 SETTINGS = PARAMETERS.settings()

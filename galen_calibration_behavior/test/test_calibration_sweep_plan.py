@@ -11,21 +11,21 @@ from galen_calibration_behavior.commands import ErrorCode, Feedback
 from galen_calibration_behavior.design_plots import plot_curve, plot_poses
 from galen_calibration_behavior.design_report import efficiency_curve, equal_count, promise
 from galen_calibration_behavior.parameters import CalibrationParameters
-from galen_calibration_behavior.pose_order import drift_share, order_poses
 from galen_calibration_behavior.precision import (
     Precision,
     WantedPrecision,
     averaged_noise,
     sweep_precision,
 )
-from galen_calibration_behavior.stillness import PoseRecord
-from galen_calibration_behavior.sweep_plan import make_router
-from galen_model.arm_clearance import ArmClearance, ObstacleError, boxes_from_numbers
-from galen_model.identification import plain_least_squares, single_load_design
-from galen_model.kinematics import gravity_in_sensor
-from galen_model.load import gravity_wrench
-from galen_model.pose_design import PoseDesign, compensation_std
-from galen_model.tools import ADAPTER
+from galen_model.arm.clearance import ArmClearance, ObstacleError, boxes_from_numbers
+from galen_model.arm.kinematics import gravity_in_sensor
+from galen_model.load.identification import plain_least_squares, single_load_design
+from galen_model.load.model import gravity_wrench
+from galen_model.load.nominal_tools import ADAPTER
+from galen_model.poses.design import PoseDesign, compensation_std
+from galen_model.poses.order import drift_share, order_poses
+from galen_model.poses.plan import make_router
+from galen_model.rest.pose import PoseRecord
 from galen_ros.param import ParameterError
 from test_calibration_procedure import World
 

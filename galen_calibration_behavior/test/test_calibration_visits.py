@@ -5,15 +5,15 @@ import dataclasses
 import numpy as np
 import pytest
 from calibration_tape import NO_TOOL, NS, POINTER, Tape, grid
-from galen_bags.still import StillSettings
 from galen_calibration_behavior.parameters import CalibrationParameters
 from galen_calibration_behavior.pose_recorder import Rejection
-from galen_calibration_behavior.stillness import PoseRecord
 from galen_calibration_behavior.visits import RecordingError, find_visits
-from galen_model.arm import HOME
-from galen_model.kinematics import gravity_in_sensor
-from galen_model.load import gravity_wrench
-from galen_model.tools import ADAPTER
+from galen_model.arm.galen import HOME
+from galen_model.arm.kinematics import gravity_in_sensor
+from galen_model.load.model import gravity_wrench
+from galen_model.load.nominal_tools import ADAPTER
+from galen_model.rest.joints import StillSettings
+from galen_model.rest.pose import PoseRecord
 
 SETTINGS = CalibrationParameters().settings()
 POSES = grid()

@@ -13,7 +13,7 @@ from galen_calibration_behavior.check import format_result, parse, result_fields
 from galen_calibration_behavior.check_answer import Answer, Cause
 from galen_calibration_behavior.check_commands import ErrorCode
 from galen_calibration_behavior.check_node import CheckNode
-from galen_model.tool_file import write_tool
+from galen_model.files.calibration_file import write_tool
 from galen_ros.qos import LATCHED
 from galen_ros.testing import Harness, parameters
 from rclpy.action import ActionClient

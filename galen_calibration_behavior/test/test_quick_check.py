@@ -9,16 +9,16 @@ from galen_calibration_behavior.check_answer import Answer, Cause, CheckLimits
 from galen_calibration_behavior.check_poses import plan_check
 from galen_calibration_behavior.check_power import CASES as CHECK_CASES
 from galen_calibration_behavior.check_power import heavier, loose, main, tilt_zero, touched
-from galen_calibration_behavior.pose_order import SweepTimes
 from galen_calibration_behavior.quick_check import differences, quick_check
-from galen_calibration_behavior.stillness import PoseRecord
-from galen_calibration_behavior.sweep_plan import Surroundings
-from galen_model.cable_drag import CableDrag
-from galen_model.kinematics import gravity_in_sensor
-from galen_model.load import Load, gravity_wrench, nominal_reading
-from galen_model.pose_design import ANGLE_LIMITS, PoseDesign, PoseDesignError
-from galen_model.tool_file import LoadEstimate, ToolFile
-from galen_model.tools import ADAPTER, TOOLS
+from galen_model.arm.kinematics import gravity_in_sensor
+from galen_model.files.calibration_file import LoadEstimate, ToolFile
+from galen_model.load.cable.drag import CableDrag
+from galen_model.load.model import Load, gravity_wrench, nominal_reading
+from galen_model.load.nominal_tools import ADAPTER, TOOLS
+from galen_model.poses.design import ANGLE_LIMITS, PoseDesign, PoseDesignError
+from galen_model.poses.order import SweepTimes
+from galen_model.poses.plan import Surroundings
+from galen_model.rest.pose import PoseRecord
 
 POINTER, RETRACTOR = TOOLS["pointer"].load, TOOLS["retractor"].load
 SIGMA = np.array([1.3e-3, 1.3e-3, 1.9e-3, 2.6e-5, 2.6e-5, 2.6e-5])  # of a mean of 250 samples

@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-from galen_bags.still import StillSettings, still_rows
-from galen_model.arm import SENSOR
+from galen_model.arm.galen import SENSOR
 from galen_model.arrays import Array
+from galen_model.rest.joints import StillSettings, still_rows
 
 from galen_deflection.timeline import Timeline
 

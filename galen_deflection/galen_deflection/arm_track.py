@@ -11,9 +11,9 @@ from galen_bags.arm_recording import ArmBlock, ArmReader, ArmTopics
 from galen_bags.bag import Bag
 from galen_gravcomp.arm_block import push_arm_block
 from galen_gravcomp.compensator import Compensator, CompensatorSettings
-from galen_model.arm import JOINT_NAMES, SENSOR
+from galen_model.arm.galen import JOINT_NAMES, SENSOR
 from galen_model.arrays import Array
-from galen_model.tool_file import ToolFile
+from galen_model.files.calibration_file import ToolFile
 
 from galen_deflection.errors import PushRecordingError
 from galen_deflection.timeline import Timeline, lay_out, stamp_sentences

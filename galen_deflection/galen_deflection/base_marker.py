@@ -14,9 +14,9 @@ from itertools import pairwise
 import numpy as np
 from galen_model.arrays import Array
 from galen_model.distributions import chi2_isf
+from galen_model.registration.rigid import Transform, mean_pose
 
 from galen_deflection.marker_tracks import MarkerTrack
-from galen_deflection.rigid import Transform, mean_pose
 
 _LEAST_SAMPLES = 20
 _FALSE_MOVES_A_RECORDING = 1e-6

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from galen_model.tools import TOOLS
+from galen_model.load.nominal_tools import TOOLS
 
 from galen_deflection.fitted_range import FittedRange
 from galen_deflection.model_file import write_model

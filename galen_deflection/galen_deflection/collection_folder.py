@@ -19,8 +19,8 @@ from pathlib import Path
 from typing import Any
 
 from galen_model.errors import GalenError
-from galen_model.tool_file import ToolFile, check_tool_name, write_tool
-from galen_model.whole_file import write_whole
+from galen_model.files.atomic_file import write_whole
+from galen_model.files.calibration_file import ToolFile, check_tool_name, write_tool
 
 TOOL_FILE, SUMMARY_FILE = "tool.json", "collection.json"
 _MOST_UNFINISHED = 1000

@@ -11,11 +11,11 @@ from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
-from galen_model.arm import JOINT_NAMES, JOINT_UNITS, LIMITS
+from galen_model.arm.delta import LinearDelta
+from galen_model.arm.galen import JOINT_NAMES, JOINT_UNITS, LIMITS
+from galen_model.arm.kinematics import sensor_pose, tip_pose
 from galen_model.arrays import Array
-from galen_model.delta import LinearDelta
 from galen_model.errors import GalenError, KinematicsError
-from galen_model.kinematics import sensor_pose, tip_pose
 from galen_model.wrench import move_wrench
 
 from galen_deflection.arm_positions import PositionSettings

@@ -22,7 +22,7 @@ from functools import partial
 import numpy as np
 from galen_calibration_behavior.goal_procedure import JOINTS, GoalProcedure, GoalSettings
 from galen_calibration_behavior.stamps import NS, StampClock
-from galen_model.arm import JOINT_NAMES, JOINT_UNITS
+from galen_model.arm.galen import JOINT_NAMES, JOINT_UNITS
 from galen_model.arrays import Array
 
 from galen_deflection.collection_commands import (

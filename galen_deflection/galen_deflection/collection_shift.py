@@ -9,11 +9,11 @@ are nearly the same.
 from __future__ import annotations
 
 import numpy as np
+from galen_model.arm.kinematics import tip_pose
 from galen_model.arrays import Array
-from galen_model.kinematics import tip_pose
+from galen_model.registration.rigid import Transform
 
 from galen_deflection.collection_untouched import Untouched
-from galen_deflection.rigid import Transform
 
 
 def collection_shift(first: Untouched, second: Untouched, tip_m: Array) -> Array:

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 from galen_model.arrays import Array
-from galen_model.json_fields import numbers
+from galen_model.files.json_fields import numbers
 
 from galen_deflection.collection_commands import Collected, ErrorCode
 from galen_deflection.collection_plan import CollectionPlan

@@ -11,9 +11,9 @@ from dataclasses import dataclass, field
 import numpy as np
 from galen_calibration_behavior.stamps import NS
 from galen_model.arrays import Array
+from galen_model.registration.rigid import Transform, mean_pose
 
 from galen_deflection.arm_positions import UnloadedSettings, load_phases, noise_of_mean
-from galen_deflection.rigid import Transform, mean_pose
 
 _LEAST_POSES = 10
 

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from galen_model.arm import GALEN, ArmParameters
+from galen_model.arm.galen import GALEN, ArmParameters
 from galen_model.arrays import Array
 from galen_model.rotation import rot_y
 
@@ -55,7 +55,7 @@ class CorrectedTip:
     def _unloaded(
         self, joints: Sequence[float]
     ) -> tuple[tuple[float, float, float], tuple[float, float, float, float]]:
-        """`galen_model.kinematics.tip_pose` in plain floats; q = q_x(roll) q_y(tilt + pi/2)."""
+        """`galen_model.arm.kinematics.tip_pose` in plain floats; q = q_x(roll) q_y(tilt + pi/2)."""
         px, py, pz, roll, tilt = joints
         (ux, uy, uz), (vx, vy, vz), (ax, ay, az) = (
             self._from_platform,

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from galen_model.tool_file import ToolFile
+from galen_model.files.calibration_file import ToolFile
 
 from galen_deflection.command_options import written
 from galen_deflection.cross_check import by_position

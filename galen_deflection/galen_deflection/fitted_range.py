@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 from galen_model.arrays import Array
-from galen_model.json_fields import FieldError, array, get, items, mapping, numbers
+from galen_model.files.json_fields import FieldError, array, get, items, mapping, numbers
 
 MARGIN = 0.1
 """Share of its span by which a range may be left before that counts: noise, a bit more push."""

@@ -10,10 +10,10 @@ from galen_bags.arm_recording import find_topic
 from galen_bags.bag import Bag
 from galen_bags.errors import BagError
 from galen_bags.messages import POSE_TYPE, Decoder, Samples
+from galen_model.registration.rigid import Transform
 from galen_model.rotation import quaternion_to_matrix
 from scipy.ndimage import median_filter
 
-from galen_deflection.rigid import Transform
 from galen_deflection.timeline import Timeline, lay_out, stamp_sentences
 
 _NORM_TOLERANCE = 1e-3

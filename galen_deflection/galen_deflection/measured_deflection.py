@@ -7,15 +7,15 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
+from galen_model.arm.kinematics import tip_pose
 from galen_model.arrays import Array
-from galen_model.kinematics import tip_pose
+from galen_model.registration.rigid import Transform
 
 from galen_deflection.errors import RegistrationError
 from galen_deflection.push_recording import PushRecording
 from galen_deflection.registration import Registration, register
 from galen_deflection.registration_fit import RegistrationSettings
 from galen_deflection.rest_poses import rest_poses
-from galen_deflection.rigid import Transform
 from galen_deflection.samples import DeflectionSamples
 
 _LEAST_NOISE = 1e-6

@@ -25,7 +25,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from galen_model.json_fields import (
+from galen_model.files.atomic_file import write_whole
+from galen_model.files.json_fields import (
     DEFLECTION_MODEL,
     FieldError,
     check_kind,
@@ -36,7 +37,6 @@ from galen_model.json_fields import (
     read_limited,
     text,
 )
-from galen_model.whole_file import write_whole
 
 from galen_deflection.errors import ModelFileError
 from galen_deflection.models.interface import DeflectionModel, WithTensors

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from galen_gravcomp.stream_parameters import LoopParameters
-from galen_model.arm import JOINT_NAMES
+from galen_model.arm.galen import JOINT_NAMES
 from galen_ros.param import param
 
 from galen_deflection.deflector import DeflectorSettings

@@ -18,7 +18,8 @@ from galen_bags.arm_recording import ArmTopics
 from galen_bags.bag import open_bag
 from galen_gravcomp.compensator import CompensatorSettings
 from galen_model.arrays import Array
-from galen_model.tool_file import ToolFile
+from galen_model.files.calibration_file import ToolFile
+from galen_model.registration.rigid import Transform
 
 from galen_deflection.arm_positions import (
     LoadPhases,
@@ -34,7 +35,6 @@ from galen_deflection.arm_track import ArmTrack, read_arm_track
 from galen_deflection.base_marker import BaseStand, base_stands
 from galen_deflection.errors import PushRecordingError
 from galen_deflection.marker_tracks import MarkerTrack, RawTrack, marker_track, read_poses
-from galen_deflection.rigid import Transform
 from galen_deflection.timeline import Timeline, interpolated
 
 _NS = 1e9

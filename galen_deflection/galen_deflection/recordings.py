@@ -10,7 +10,7 @@ import numpy as np
 from galen_gravcomp.bag_job import BagJob
 from galen_model.arrays import Array
 from galen_model.errors import GalenError
-from galen_model.tool_file import ToolFile
+from galen_model.files.calibration_file import ToolFile
 
 from galen_deflection.arm_positions import PositionSettings
 from galen_deflection.errors import PushRecordingError

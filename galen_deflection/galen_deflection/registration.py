@@ -25,11 +25,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from galen_model.arrays import Array
+from galen_model.registration.rigid import Transform
 
 from galen_deflection.errors import RegistrationError
 from galen_deflection.registration_fit import PositionCheck, RegistrationFit, RegistrationSettings
 from galen_deflection.rest_poses import RestPose
-from galen_deflection.rigid import Transform
 
 
 @dataclass(frozen=True)

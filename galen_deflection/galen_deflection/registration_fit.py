@@ -6,16 +6,16 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from galen_model.arm import ENCODER_QUANTUM, GALEN, ArmParameters
+from galen_model.arm.galen import ENCODER_QUANTUM, GALEN, ArmParameters
+from galen_model.arm.kinematics import tip_jacobian, tip_pose
 from galen_model.arrays import Array
 from galen_model.distributions import chi2_isf
-from galen_model.kinematics import tip_jacobian, tip_pose
+from galen_model.registration.hand_eye import solve_base, solve_base_and_offset, turns
+from galen_model.registration.rigid import IDENTITY, Transform
 from galen_model.rotation import skew
 
 from galen_deflection.errors import RegistrationError
-from galen_deflection.hand_eye import solve_base, solve_base_and_offset, turns
 from galen_deflection.rest_poses import RestPose
-from galen_deflection.rigid import IDENTITY, Transform
 
 _ITERATIONS = 30
 _FALSE_ALARMS_A_REGISTRATION = 1e-3

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from galen_model.arrays import Array
+from galen_model.registration.rigid import Transform, mean_pose
 
 from galen_deflection.push_recording import PushRecording
-from galen_deflection.rigid import Transform, mean_pose
 
 _BLOCK = 10
 _LEAST_SAMPLES = 10

@@ -23,9 +23,9 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from galen_model.arm import GALEN, ArmParameters
+from galen_model.arm.delta import LinearDelta, ball_joints
+from galen_model.arm.galen import GALEN, ArmParameters
 from galen_model.arrays import Array
-from galen_model.delta import LinearDelta, ball_joints
 
 Vector = tuple[float, float, float]
 

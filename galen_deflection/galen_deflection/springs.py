@@ -22,10 +22,10 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from galen_model.arm import GALEN, ArmParameters
+from galen_model.arm.delta import LinearDelta, ball_joints
+from galen_model.arm.galen import GALEN, ArmParameters
+from galen_model.arm.kinematics import sensor_rotation
 from galen_model.arrays import Array
-from galen_model.delta import LinearDelta, ball_joints
-from galen_model.kinematics import sensor_rotation
 from galen_model.rotation import rot_y, skew
 from galen_model.wrench import adjoint
 

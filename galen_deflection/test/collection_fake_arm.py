@@ -4,11 +4,11 @@ from dataclasses import dataclass
 
 import numpy as np
 from galen_deflection.collection_plan import ToTip, to_tip
-from galen_deflection.rigid import Transform
-from galen_model.arm import HOME
-from galen_model.kinematics import tip_pose
+from galen_model.arm.galen import HOME
+from galen_model.arm.kinematics import tip_pose
+from galen_model.arm.stiffness import tip_compliance
+from galen_model.registration.rigid import Transform
 from galen_model.rotation import rotvec_to_matrix
-from galen_model.stiffness import tip_compliance
 
 STEP_S = 0.01
 STEP_NS = 10_000_000

@@ -3,7 +3,7 @@
 import numpy as np
 from galen_deflection.models.interface import PredictedSamples
 from galen_deflection.samples import DeflectionSamples
-from galen_model.kinematics import sensor_pose, tip_pose
+from galen_model.arm.kinematics import sensor_pose, tip_pose
 from galen_model.wrench import move_wrench
 
 TIP = np.array([0.18, 0.01, 0.05])

@@ -7,13 +7,13 @@ from pathlib import Path
 
 import numpy as np
 from galen_bags.writer import BagWriter
-from galen_deflection.rigid import IDENTITY, Transform
-from galen_gravcomp.prediction import Prediction
-from galen_model.arm import JOINT_NAMES, SENSOR
-from galen_model.kinematics import sensor_pose, tip_pose
+from galen_model.arm.galen import JOINT_NAMES, SENSOR
+from galen_model.arm.kinematics import sensor_pose, tip_pose
+from galen_model.arm.stiffness import tip_compliance
+from galen_model.files.calibration_file import read_tool
+from galen_model.load.prediction import Prediction
+from galen_model.registration.rigid import IDENTITY, Transform
 from galen_model.rotation import matrix_to_quaternion, rotvec_to_matrix
-from galen_model.stiffness import tip_compliance
-from galen_model.tool_file import read_tool
 from galen_model.wrench import move_wrench
 from galen_ros.cdr import JointStateBytes, PoseBytes, WrenchBytes
 

@@ -22,7 +22,7 @@ from galen_deflection.push_recording import read_pushes
 from galen_deflection.pushes import find_pushes, tip_wrench
 from galen_deflection.splits import report_splits, sets_of
 from galen_deflection.springs import kinds
-from galen_model.tool_file import read_tool
+from galen_model.files.calibration_file import read_tool
 from galen_ros.testing import Harness
 
 from galen_msgs.action import CollectPushes

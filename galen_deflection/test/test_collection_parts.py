@@ -21,9 +21,9 @@ from galen_deflection.collection_push import PushLimits, PushWatch
 from galen_deflection.collection_summary import summary
 from galen_deflection.collection_untouched import MarkerPoses
 from galen_deflection.springs import TipWrench
-from galen_model.arm import HOME
+from galen_model.arm.galen import HOME
 from galen_model.errors import ToolNameError
-from galen_model.tool_file import read_tool
+from galen_model.files.calibration_file import read_tool
 from push_bag import TOOL
 
 LIMITS = LoadLimits(20.0, 2.9)

@@ -14,7 +14,7 @@ from galen_deflection.model_file import read_model
 from galen_deflection.models.registry import KINDS
 from galen_deflection.networks.residual_model import ResidualModel
 from galen_deflection.recordings import ReadSettings, read_recording
-from galen_model.tool_file import write_tool
+from galen_model.files.calibration_file import write_tool
 from push_bag import POSITIONS, ROOT, TOOL, Scene, write
 
 from galen_deflection import compare, evaluate, evaluation, train

@@ -14,12 +14,12 @@ from galen_deflection.models.joint_stiffness import StiffnessBasis
 from galen_deflection.models.least_squares import BLOCK_S, blocks, folds
 from galen_deflection.models.registry import KINDS
 from galen_deflection.springs import Springs, TipWrench, kinds
-from galen_model.arm import GALEN, HOME, LIMITS
-from galen_model.delta import LinearDelta
+from galen_model.arm.delta import LinearDelta
+from galen_model.arm.galen import GALEN, HOME, LIMITS
+from galen_model.arm.kinematics import tip_pose
+from galen_model.arm.stiffness import deflection, tip_compliance
 from galen_model.errors import KinematicsError
-from galen_model.kinematics import tip_pose
 from galen_model.rotation import matrix_to_rotvec
-from galen_model.stiffness import deflection, tip_compliance
 
 ALL = [kind for kind, what in KINDS.items() if not what.is_network]
 WORN = Arm(k_roll=1700.0, k_tilt=1800.0, k_carriage=2.4e5, k_rod=1.6e6)

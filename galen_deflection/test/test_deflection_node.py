@@ -9,12 +9,12 @@ from deflection_synthetic import TIP_M, recording
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from galen_deflection.model_file import write_model
 from galen_deflection.node import DeflectionNode
-from galen_deflection.rigid import Transform
 from galen_gravcomp.node import GravcompNode
-from galen_model.kinematics import tip_pose
+from galen_model.arm.kinematics import tip_pose
+from galen_model.files.calibration_file import LoadEstimate, ToolFile, tool_path, write_tool
+from galen_model.load.nominal_tools import TOOLS
+from galen_model.registration.rigid import Transform
 from galen_model.rotation import quaternion_to_matrix
-from galen_model.tool_file import LoadEstimate, ToolFile, tool_path, write_tool
-from galen_model.tools import TOOLS
 from galen_ros.conversions import fill_stamp, fill_wrench, stamp_to_ns
 from galen_ros.diagnostics import Level
 from galen_ros.qos import STREAM

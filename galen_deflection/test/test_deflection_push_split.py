@@ -14,8 +14,8 @@ from galen_deflection.recordings import Recording
 from galen_deflection.samples import DeflectionSamples, joined
 from galen_deflection.score import score
 from galen_deflection.splits import Split, SplitError, checked_samples, push_splits
-from galen_model.kinematics import sensor_pose, tip_pose
-from galen_model.stiffness import tip_compliance
+from galen_model.arm.kinematics import sensor_pose, tip_pose
+from galen_model.arm.stiffness import tip_compliance
 from galen_model.wrench import move_wrench
 from push_bag import TOOL
 

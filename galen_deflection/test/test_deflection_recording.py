@@ -17,10 +17,10 @@ from galen_deflection.marker_tracks import RawTrack, marker_track
 from galen_deflection.measured_deflection import measure_deflection
 from galen_deflection.push_recording import read_pushes
 from galen_deflection.registration_fit import RegistrationSettings
-from galen_deflection.rigid import Transform, mean_pose
-from galen_model.arm import SENSOR
+from galen_model.arm.galen import SENSOR
+from galen_model.files.calibration_file import read_tool
+from galen_model.registration.rigid import Transform, mean_pose
 from galen_model.rotation import matrix_to_quaternion, quaternion_to_matrix, rotvec_to_matrix
-from galen_model.tool_file import read_tool
 from push_bag import (
     BASE_POSE,
     JOINTS,

@@ -6,17 +6,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 from galen_deflection.errors import RegistrationError
-from galen_deflection.hand_eye import solve_base, solve_base_and_offset, turns
 from galen_deflection.measured_deflection import measure_deflection
 from galen_deflection.push_recording import read_pushes
 from galen_deflection.registration import register
 from galen_deflection.registration_fit import RegistrationFit, RegistrationSettings
 from galen_deflection.rest_poses import RestPose, rest_poses
-from galen_deflection.rigid import IDENTITY, Transform
-from galen_model.arm import ENCODER_QUANTUM
-from galen_model.kinematics import tip_pose
+from galen_model.arm.galen import ENCODER_QUANTUM
+from galen_model.arm.kinematics import tip_pose
+from galen_model.files.calibration_file import read_tool
+from galen_model.registration.hand_eye import solve_base, solve_base_and_offset, turns
+from galen_model.registration.rigid import IDENTITY, Transform
 from galen_model.rotation import rot_y, rotvec_to_matrix
-from galen_model.tool_file import read_tool
 from push_bag import BASE_MARKER, NOISE, POSITIONS, TOOL, Scene, write
 from scipy.optimize import least_squares
 from scipy.stats import chi2

@@ -27,7 +27,7 @@ from galen_bags.command_line import (
 )
 from galen_bags.many import add_many_options
 from galen_model.errors import GalenError
-from galen_model.whole_file import write_whole
+from galen_model.files.atomic_file import write_whole
 from galen_sim_driver.effects.registry import CONTRACT_ORDER
 from rich.console import Console
 

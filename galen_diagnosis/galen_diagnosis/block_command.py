@@ -10,7 +10,7 @@ from pathlib import Path
 from galen_bags.command_line import check_folder
 from galen_deflection.command_options import console, progress, written
 from galen_model.errors import GalenError
-from galen_model.whole_file import write_whole
+from galen_model.files.atomic_file import write_whole
 
 from galen_diagnosis.block_answer import BlockDiagnosis, conclude
 from galen_diagnosis.block_evidence import BlockEvidence

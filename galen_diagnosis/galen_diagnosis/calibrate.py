@@ -23,7 +23,7 @@ from typing import Any
 
 import numpy as np
 from galen_bags.command_line import EXIT_OK, run_command
-from galen_model.whole_file import write_whole
+from galen_model.files.atomic_file import write_whole
 from scipy.optimize import minimize
 from tqdm import tqdm
 

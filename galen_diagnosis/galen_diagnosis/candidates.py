@@ -12,9 +12,9 @@ from dataclasses import dataclass, replace
 from itertools import permutations, product
 
 import numpy as np
-from galen_model.arm import WRENCH_AXES
+from galen_model.arm.galen import WRENCH_AXES
+from galen_model.arm.kinematics import sensor_pose
 from galen_model.arrays import Array
-from galen_model.kinematics import sensor_pose
 from galen_sim_driver.effects.backlash import Backlash
 from galen_sim_driver.effects.cable_drag import CableDrag
 from galen_sim_driver.effects.crosstalk import Crosstalk

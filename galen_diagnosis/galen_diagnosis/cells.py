@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from galen_model.arm import JOINT_NAMES
+from galen_model.arm.galen import JOINT_NAMES
 
 from galen_diagnosis.rows import BAGS, CHANNELS, REGIMES, Rows
 

@@ -19,10 +19,10 @@ from galen_bags.command_line import (
 from galen_bags.orientation_table import ORIENTATIONS, OrientationTable, read_rotations, read_table
 from galen_bags.text_table import read_text_table
 from galen_gravcomp.score_motion import read_motion, read_specific
-from galen_gravcomp.still_phases import StillSettings
-from galen_model.arm import GRAVITY_M_S2, WRENCH_AXES
+from galen_model.arm.galen import GRAVITY_M_S2, WRENCH_AXES
 from galen_model.arrays import Array
-from galen_model.tool_file import read_tool
+from galen_model.files.calibration_file import read_tool
+from galen_model.rest.orientations import StillSettings
 
 from galen_diagnosis.block_answer import BlockDiagnosis
 from galen_diagnosis.block_command import (

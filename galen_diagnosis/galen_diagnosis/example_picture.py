@@ -9,9 +9,9 @@ import matplotlib
 matplotlib.use("Agg")  # a lab's machine over ssh has no display
 import matplotlib.pyplot as plt
 import numpy as np
-from galen_model.arm import JOINT_NAMES, WRENCH_AXES
+from galen_model.arm.galen import JOINT_NAMES, WRENCH_AXES
 from galen_model.arrays import Array
-from galen_model.figure_file import save_figure
+from galen_model.files.figure_file import save_figure
 
 from galen_diagnosis.errors import DiagnosisError
 from galen_diagnosis.result import Diagnosis

@@ -15,15 +15,15 @@ from typing import Literal
 
 import numpy as np
 from galen_calibration_behavior.motion_parameters import MotionParameters
-from galen_calibration_behavior.pose_order import SweepTimes, order_poses
-from galen_calibration_behavior.sweep_plan import Surroundings, SweepRange, make_router
-from galen_model.arm import HOME
-from galen_model.arm_clearance import ArmClearance
+from galen_model.arm.clearance import ArmClearance
+from galen_model.arm.galen import HOME
 from galen_model.arrays import Array
 from galen_model.errors import NotExcitedError
-from galen_model.identification import check_planned_poses
-from galen_model.pose_design import PoseDesign, PoseDesignError
-from galen_model.tool_file import ToolFile
+from galen_model.files.calibration_file import ToolFile
+from galen_model.load.identification import check_planned_poses
+from galen_model.poses.design import PoseDesign, PoseDesignError
+from galen_model.poses.order import SweepTimes, order_poses
+from galen_model.poses.plan import Surroundings, SweepRange, make_router
 
 from galen_diagnosis.errors import DiagnosisError
 from galen_diagnosis.separation import Alternative, choose_units

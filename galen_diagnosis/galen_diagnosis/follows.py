@@ -13,7 +13,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from galen_model.arm import JOINT_NAMES, WRENCH_AXES
+from galen_model.arm.galen import JOINT_NAMES, WRENCH_AXES
 from galen_model.arrays import Array
 
 from galen_diagnosis.cells import JOINT_BINS, joint_bins

@@ -20,7 +20,7 @@ from collections.abc import Sequence
 
 import numpy as np
 from galen_model.arrays import Array
-from galen_model.tool_file import ToolFile
+from galen_model.files.calibration_file import ToolFile
 from galen_sim_driver.effects.registry import EFFECTS
 from scipy.special import logsumexp
 

@@ -10,8 +10,8 @@ from galen_gravcomp.results import Refused
 from galen_gravcomp.stream_node import StreamNode
 from galen_gravcomp.wire import RawWrench
 from galen_model.errors import GalenError, ToolFileError, ToolNameError
-from galen_model.tool_file import LoadEstimate, ToolFile
-from galen_model.tool_store import ToolStore
+from galen_model.files.calibration_file import LoadEstimate, ToolFile
+from galen_model.files.calibration_store import ToolStore
 from galen_ros.background import Background
 from galen_ros.qos import LATCHED
 from galen_ros.spin import run

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from galen_gravcomp.pairing import PairingSettings
 from galen_gravcomp.stream_parameters import StreamParameters
-from galen_model.arm import JOINT_NAMES
+from galen_model.arm.galen import JOINT_NAMES
 from galen_ros.param import param
 
 from galen_diagnosis.gap_watch import GapSettings

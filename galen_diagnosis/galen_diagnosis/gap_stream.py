@@ -7,11 +7,11 @@ from enum import Enum
 from typing import NamedTuple
 
 from galen_gravcomp.pairing import PairingSettings, WrenchPairing
-from galen_gravcomp.prediction import Prediction
 from galen_gravcomp.results import Refusal, Refused
 from galen_gravcomp.stream_monitor import Severity, State, StreamMonitor, joined
 from galen_model.arrays import Array
-from galen_model.tool_file import ToolFile
+from galen_model.files.calibration_file import ToolFile
+from galen_model.load.prediction import Prediction
 
 from galen_diagnosis.gap_watch import GapNotice, GapSettings, GapState, GapWatch
 

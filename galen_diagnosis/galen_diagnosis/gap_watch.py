@@ -1,6 +1,6 @@
 """The gap, watched live: stops of an untouched arm in a sliding window, tested again and again.
 
-Half-second windows of what the file's load leaves come from `galen_gravcomp.still_windows`, which
+Half-second windows of what the file's load leaves come from `galen_model.rest.windows`, which
 says whether the wrench trembled as a hand does. Those that didn't are put together to stops. Where
 the wrench jumps while the arm stands, a hand (or anything else) has come: until the arm moves or
 the wrench is back, nothing counts. `galen_diagnosis.gap_statistic` tests the last stops.
@@ -14,12 +14,12 @@ from dataclasses import dataclass, field
 from enum import Enum
 
 import numpy as np
-from galen_gravcomp.still_windows import WINDOW_S, StillWindow, StillWindows
-from galen_model.arm import WRENCH_AXES
+from galen_model.arm.galen import WRENCH_AXES
+from galen_model.arm.kinematics import gravity_in_sensor
 from galen_model.arrays import Array
-from galen_model.kinematics import gravity_in_sensor
-from galen_model.load import gravity_regressor
-from galen_model.tool_file import ToolFile
+from galen_model.files.calibration_file import ToolFile
+from galen_model.load.model import gravity_regressor
+from galen_model.rest.windows import WINDOW_S, StillWindow, StillWindows
 
 from galen_diagnosis.gap_statistic import (
     LONGEST,

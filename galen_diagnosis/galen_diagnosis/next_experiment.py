@@ -16,8 +16,8 @@ from typing import Any
 import numpy as np
 import yaml
 from galen_model.arrays import Array
-from galen_model.tool_file import ToolFile
-from galen_model.whole_file import write_whole
+from galen_model.files.atomic_file import write_whole
+from galen_model.files.calibration_file import ToolFile
 
 from galen_diagnosis.errors import DiagnosisError
 from galen_diagnosis.experiments import LEVELS_N, Budget, Experiments, Program, Proposal

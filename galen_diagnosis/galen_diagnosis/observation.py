@@ -16,12 +16,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from galen_deflection.hand_eye import solve_base
-from galen_deflection.rigid import Transform
-from galen_model.arm import WRENCH_AXES
+from galen_model.arm.galen import WRENCH_AXES
 from galen_model.arrays import Array
+from galen_model.load.nominal_tools import ToolGeometry
+from galen_model.registration.hand_eye import solve_base
+from galen_model.registration.rigid import Transform
 from galen_model.rotation import matrix_to_rotvec, rotvec_to_matrix
-from galen_model.tools import ToolGeometry
 from galen_sim_driver.effects.effect import Effect
 from galen_sim_driver.replay import Replay, Scene
 

@@ -15,7 +15,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from galen_model.arm import WRENCH_AXES
+from galen_model.arm.galen import WRENCH_AXES
 
 from galen_diagnosis.bands import coefficients
 from galen_diagnosis.rows import Stream

@@ -10,7 +10,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from galen_bags.command_line import check_parent
-from galen_model.whole_file import sync_directory
+from galen_model.files.atomic_file import sync_directory
 from galen_sim_driver.errors import ConfigError
 
 from galen_diagnosis.effect_file import effect_file

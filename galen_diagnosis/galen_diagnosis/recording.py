@@ -17,9 +17,9 @@ from galen_bags.bag import open_bag
 from galen_bags.errors import BagError
 from galen_bags.find import is_bag
 from galen_deflection.marker_tracks import marker_track, read_poses
-from galen_model.arm import WRENCH_AXES
+from galen_model.arm.galen import WRENCH_AXES
 from galen_model.arrays import Array
-from galen_model.tool_file import ToolFile, read_tool
+from galen_model.files.calibration_file import ToolFile, read_tool
 
 from galen_diagnosis.errors import DiagnosisError
 from galen_diagnosis.rows import BAGS

@@ -26,7 +26,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from galen_model.arrays import Array
-from galen_model.tool_file import ToolFile
+from galen_model.files.calibration_file import ToolFile
 from galen_sim_driver.effects.effect import Effect
 from galen_sim_driver.effects.sensor_drift import SensorDrift
 
@@ -249,7 +249,7 @@ def choose_units(
     """The units (poses, positions) of a trial that together make the smallest D_ij largest.
 
     Everything that D holds are sums over units; so poses are taken one by one, the best first, and
-    then exchanged until none is better (Fedorov's exchange, as in `galen_model.pose_design`).
+    then exchanged until none is better (Fedorov's exchange, as in `galen_model.poses.design`).
     """
     linear = [linearise([trial], alternative) for alternative in alternatives]
     free, known = free_columns([trial]), load_columns([trial], tool)

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, fields
 from importlib import resources
 from typing import Any
 
-from galen_model.json_fields import FieldError, get, mapping, number, parse_json
+from galen_model.files.json_fields import FieldError, get, mapping, number, parse_json
 
 from galen_diagnosis.errors import DiagnosisError
 

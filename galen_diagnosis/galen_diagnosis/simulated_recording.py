@@ -23,10 +23,10 @@ from typing import Self
 import numpy as np
 from galen_bags.messages import JOINT_STATE_TYPE, POSE_TYPE, WRENCH_TYPE
 from galen_bags.writer import BagWriter
-from galen_model.arm import BASE_FRAME, HOME, JOINT_NAMES, SENSOR, SENSOR_FRAME, TRACKER_FRAME
+from galen_model.arm.galen import BASE_FRAME, HOME, JOINT_NAMES, SENSOR, SENSOR_FRAME, TRACKER_FRAME
 from galen_model.arrays import Array
-from galen_model.load import Load
-from galen_model.tool_file import LoadEstimate, ToolFile, write_tool
+from galen_model.files.calibration_file import LoadEstimate, ToolFile, write_tool
+from galen_model.load.model import Load
 from galen_ros.cdr import JointStateBytes, PoseBytes, WrenchBytes
 from galen_sim_driver.config import HandPush, PlantConfig, TrackerConfig
 from galen_sim_driver.effects.base_shift import BaseShift

@@ -13,9 +13,9 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
-from galen_model.arm import JOINT_NAMES
+from galen_model.arm.galen import JOINT_NAMES
+from galen_model.arm.kinematics import sensor_pose
 from galen_model.arrays import Array
-from galen_model.kinematics import sensor_pose
 
 from galen_diagnosis.linear import Background, evidence
 from galen_diagnosis.noise import smooth_basis

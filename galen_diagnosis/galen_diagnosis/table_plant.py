@@ -12,10 +12,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from galen_model.arm import GRAVITY_M_S2
+from galen_model.arm.galen import GRAVITY_M_S2
+from galen_model.arm.sensor_motion import SensorMotion
 from galen_model.arrays import Array
-from galen_model.load import Load
-from galen_model.sensor_motion import SensorMotion
+from galen_model.load.model import Load
 from galen_sim_driver.effects.effect import Effect, Instants, Posture
 
 

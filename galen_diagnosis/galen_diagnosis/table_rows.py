@@ -12,13 +12,13 @@ from dataclasses import dataclass
 
 import numpy as np
 from galen_bags.orientation_table import OrientationTable
-from galen_gravcomp.still_phases import StillSettings, still_phases
 from galen_gravcomp.table_evaluation import average_still
-from galen_model.arm import WRENCH_AXES
+from galen_model.arm.galen import WRENCH_AXES
 from galen_model.arrays import Array
-from galen_model.identification import plain_least_squares
-from galen_model.load import Load, gravity_regressor
-from galen_model.tool_file import ToolFile
+from galen_model.files.calibration_file import ToolFile
+from galen_model.load.identification import plain_least_squares
+from galen_model.load.model import Load, gravity_regressor
+from galen_model.rest.orientations import StillSettings, still_phases
 
 from galen_diagnosis.block_rows import BlockRows, Columns, Effects
 from galen_diagnosis.errors import DiagnosisError

@@ -19,12 +19,12 @@ import numpy as np
 from galen_bags.orientation_table import OrientationTable
 from galen_gravcomp.imu_fit import fit_imu
 from galen_gravcomp.motion_table import MotionTable, moving
-from galen_model.arm import WRENCH_AXES
+from galen_model.arm.galen import WRENCH_AXES
+from galen_model.arm.sensor_motion import SensorMotion
 from galen_model.arrays import Array
-from galen_model.identification import identify_single_load
-from galen_model.load import Load
+from galen_model.load.identification import identify_single_load
+from galen_model.load.model import Load
 from galen_model.rotation import rotvec_to_matrix
-from galen_model.sensor_motion import SensorMotion
 from galen_sim_driver.effects.registry import EFFECTS
 from scipy.interpolate import CubicSpline
 from scipy.signal import savgol_filter

@@ -15,17 +15,17 @@ from typing import ClassVar
 
 import numpy as np
 from galen_gravcomp.fit_evidence import moment_covariance
-from galen_model.arm import (
+from galen_model.arm.galen import (
     SENSOR,
     TRACKER_POSITION_NOISE_M,
     TRACKER_ROTATION_NOISE_RAD,
 )
+from galen_model.arm.kinematics import gravity_in_sensor, sensor_pose
 from galen_model.arrays import Array
-from galen_model.kinematics import gravity_in_sensor, sensor_pose
-from galen_model.load import Load, gravity_regressor
+from galen_model.files.calibration_file import ToolFile
+from galen_model.load.model import Load, gravity_regressor
+from galen_model.load.nominal_tools import ToolGeometry
 from galen_model.rotation import matrix_to_rotvec, skew
-from galen_model.tool_file import ToolFile
-from galen_model.tools import ToolGeometry
 from galen_sim_driver.effects.effect import Effect, Fitted, Instants, Posture
 from galen_sim_driver.replay import Replay, Scene
 from scipy.linalg import block_diag
@@ -178,7 +178,7 @@ def moment_covariances(tool: ToolFile) -> tuple[Array, Array]:
 def load_columns(trials: Sequence[Trial], tool: ToolFile) -> Array:
     """Columns (n, 8): one standard deviation each of what the file doesn't know of its loads.
 
-    With G(u) of `galen_model.load` and C = L L^T the covariance of mass and first moment: G(u) L of
+    With G(u) of `galen_model.load.model` and C = L L^T the covariance of mass and first moment: G(u) L of
     the tool, where it is on, and of the adapter.
     """
     factors = [np.linalg.cholesky(known) for known in moment_covariances(tool)]

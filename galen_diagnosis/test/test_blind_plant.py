@@ -25,14 +25,14 @@ from galen_diagnosis.blind.plant.session import BAGS, draw_session
 from galen_diagnosis.blind.plant.strength import Scale
 from galen_diagnosis.blind.plant.tolerance import COUNT, Tolerance, draw_tolerance
 from galen_diagnosis.blind.plant.unlisted import CALIBRATION_UNKNOWN, TEST_UNKNOWN, UNLISTED
-from galen_model.arm import ENCODER_QUANTUM, SENSOR
-from galen_model.kinematics import tip_pose
-from galen_model.load import Load, nominal_reading
-from galen_model.pinocchio_arm import PinocchioArm
+from galen_model.arm.galen import ENCODER_QUANTUM, SENSOR
+from galen_model.arm.kinematics import tip_pose
+from galen_model.arm.pinocchio_arm import PinocchioArm
+from galen_model.arm.stiffness import deflection, tip_compliance
+from galen_model.files.calibration_file import read_tool
+from galen_model.load.model import Load, nominal_reading
+from galen_model.load.nominal_tools import ADAPTER, ToolGeometry
 from galen_model.rotation import rotvec_to_matrix
-from galen_model.stiffness import deflection, tip_compliance
-from galen_model.tool_file import read_tool
-from galen_model.tools import ADAPTER, ToolGeometry
 from galen_sim_driver.effects.registry import effect_from
 from galen_sim_driver.replay import Replay, Scene
 

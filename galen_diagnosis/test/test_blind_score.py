@@ -9,7 +9,7 @@ from galen_diagnosis.blind.said import Said, said_from_json
 from galen_diagnosis.blind.score import Answered, score, to_json
 from galen_diagnosis.blind.score_pictures import draw_pictures
 from galen_diagnosis.blind.table import markdown
-from galen_model.json_fields import FieldError
+from galen_model.files.json_fields import FieldError
 
 EFFECTS = ("alpha", "beta", "gamma")
 

@@ -13,7 +13,7 @@ from diagnosis_example import example_diagnosis
 from galen_bags.writer import BagWriter
 from galen_diagnosis.errors import DiagnosisError
 from galen_diagnosis.recording import Recording
-from galen_model.arm import JOINT_NAMES
+from galen_model.arm.galen import JOINT_NAMES
 from galen_ros.cdr import JointStateBytes, WrenchBytes
 from matplotlib import pyplot as plt
 

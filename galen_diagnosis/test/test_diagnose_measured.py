@@ -11,8 +11,8 @@ from galen_diagnosis.block_rows import BlockRows, Columns
 from galen_diagnosis.measured_check import diagnose_case, is_right
 from galen_diagnosis.table_effects import drift_columns
 from galen_diagnosis.table_plant import TablePlant
-from galen_model.arm import GRAVITY_M_S2
-from galen_model.load import Load, gravity_wrench
+from galen_model.arm.galen import GRAVITY_M_S2
+from galen_model.load.model import Load, gravity_wrench
 from galen_model.rotation import rotvec_to_matrix
 from galen_sim_driver.effects.registry import EFFECTS
 from scipy.stats import multivariate_normal

@@ -9,10 +9,10 @@ from galen_diagnosis.gap_statistic import Scatter, gap_test, window_noise
 from galen_diagnosis.gap_stream import gap_sentence
 from galen_diagnosis.gap_watch import GapNotice, GapSettings, GapWatch
 from galen_diagnosis.trial import Instruments, signature, still_trial
-from galen_gravcomp.still_windows import StillWindow
-from galen_model.arm import JOINT_NAMES, SENSOR
-from galen_model.tool_file import LoadEstimate, ToolFile, write_tool
-from galen_model.tools import ADAPTER, TOOLS
+from galen_model.arm.galen import JOINT_NAMES, SENSOR
+from galen_model.files.calibration_file import LoadEstimate, ToolFile, write_tool
+from galen_model.load.nominal_tools import ADAPTER, TOOLS
+from galen_model.rest.windows import StillWindow
 from galen_ros.qos import STREAM
 from galen_ros.testing import Harness, parameters
 from galen_sim_driver.effects.registry import EFFECTS

@@ -27,10 +27,10 @@ from galen_diagnosis.trial import (
     signature,
     still_trial,
 )
-from galen_model.arm import HOME
-from galen_model.pose_design import angle_grid
-from galen_model.tool_file import LoadEstimate, ToolFile
-from galen_model.tools import ADAPTER, TOOLS
+from galen_model.arm.galen import HOME
+from galen_model.files.calibration_file import LoadEstimate, ToolFile
+from galen_model.load.nominal_tools import ADAPTER, TOOLS
+from galen_model.poses.design import angle_grid
 from galen_sim_driver.effects.registry import EFFECTS
 from scipy.integrate import quad
 from scipy.optimize import least_squares

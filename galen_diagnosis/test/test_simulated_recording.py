@@ -9,10 +9,10 @@ from galen_bags.bag import open_bag
 from galen_diagnosis.errors import DiagnosisError
 from galen_diagnosis.recording import Recording, read_recording
 from galen_diagnosis.simulated_recording import make_recording, sweep_poses
-from galen_model.arm import LIMITS, SENSOR, TRACKER_POSITION_NOISE_M
+from galen_model.arm.galen import LIMITS, SENSOR, TRACKER_POSITION_NOISE_M
 from galen_model.errors import GalenError
+from galen_model.load.nominal_tools import TOOLS
 from galen_model.rotation import rotvec_to_matrix
-from galen_model.tools import TOOLS
 from galen_sim_driver.config import TrackerConfig
 from galen_sim_driver.effects.base_shift import BaseShift
 from galen_sim_driver.effects.bias_step import BiasStep

@@ -17,10 +17,11 @@ from galen_bags.arm_recording import ArmBlock, ArmReader, ArmTopics
 from galen_bags.bag import Bag, open_bag
 from galen_bags.stamp_check import StampCheck, StampReport
 from galen_model.arrays import Array
-from galen_model.tool_file import ToolFile
+from galen_model.files.calibration_file import ToolFile
+from galen_model.rest.binned import StillCellSettings, StillPhases, find_still_phases
+from galen_model.rest.time_bins import CELL_S, CellReducer, Cells
 
 from galen_gravcomp.arm_block import push_arm_block
-from galen_gravcomp.cells import CELL_S, CellReducer, Cells
 from galen_gravcomp.channel_check import ChannelCheck, ChannelReport
 from galen_gravcomp.compensator import Compensator, CompensatorSettings
 from galen_gravcomp.joint_motion import JointMotion, inertia_source
@@ -29,7 +30,6 @@ from galen_gravcomp.misfit import Limits, Misfit, take_apart
 from galen_gravcomp.motion_window import MotionSettings
 from galen_gravcomp.results import Notice
 from galen_gravcomp.stages import Stages
-from galen_gravcomp.still_cells import StillCellSettings, StillPhases, find_still_phases
 from galen_gravcomp.verdict import Verdict, judge
 
 # Slower sensors get longer cells, so that a cell holds a few readings.

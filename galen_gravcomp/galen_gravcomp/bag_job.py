@@ -13,7 +13,7 @@ from galen_bags.arm_recording import ArmReader
 from galen_bags.bag import open_bag
 from galen_bags.writer import BagWriter
 from galen_model.errors import GalenError
-from galen_model.tool_file import ToolFile, read_tool
+from galen_model.files.calibration_file import ToolFile, read_tool
 
 from galen_gravcomp.bag_evaluation import (
     BagEvaluation,

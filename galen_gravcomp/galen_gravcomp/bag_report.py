@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 from galen_bags.stamp_check import StampReport
-from galen_model.arm import WRENCH_AXES
+from galen_model.arm.galen import WRENCH_AXES
 from galen_model.arrays import Array
 from rich.console import Console
 from rich.table import Table

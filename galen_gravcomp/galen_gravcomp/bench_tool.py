@@ -3,10 +3,10 @@
 from pathlib import Path
 
 import numpy as np
-from galen_model.arm import SENSOR
-from galen_model.load import Load
-from galen_model.tool_file import LoadEstimate, ToolFile, tool_path, write_tool
-from galen_model.tools import ADAPTER, TOOLS
+from galen_model.arm.galen import SENSOR
+from galen_model.files.calibration_file import LoadEstimate, ToolFile, tool_path, write_tool
+from galen_model.load.model import Load
+from galen_model.load.nominal_tools import ADAPTER, TOOLS
 
 NAME = "retractor"
 

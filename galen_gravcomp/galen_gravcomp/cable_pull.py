@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 from galen_model.arrays import Array
-from galen_model.cable_drag import SEEN, UNSEEN, CableDrag
+from galen_model.load.cable.drag import SEEN, UNSEEN, CableDrag
 
 from galen_gravcomp.stream_monitor import joined
 
@@ -118,7 +118,7 @@ class CablePull:
 
 
 def _step(missing: float) -> float:
-    """`galen_model.cable_drag.support_step` of one number."""
+    """`galen_model.load.cable.drag.support_step` of one number."""
     x = min(max((missing - SEEN) / (UNSEEN - SEEN), 0.0), 1.0)
     return 1.0 - x * x * (3.0 - 2.0 * x)
 

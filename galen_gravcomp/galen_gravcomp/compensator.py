@@ -16,12 +16,12 @@ from enum import Enum
 import numpy as np
 from galen_model.arrays import Array
 from galen_model.errors import GalenError
-from galen_model.tool_file import ToolFile
+from galen_model.files.calibration_file import ToolFile
+from galen_model.load.prediction import Prediction
 
 from galen_gravcomp.block import NOTHING, BlockResult, Outputs, SampleBlock, push_block
 from galen_gravcomp.cable_pull import CablePull
 from galen_gravcomp.pairing import PairingSettings, WrenchPairing
-from galen_gravcomp.prediction import Prediction
 from galen_gravcomp.results import Compensated, Refusal, Refused, Result
 from galen_gravcomp.stages import FitWatch, MotionStage, NoMotion, Stages, WanderStage
 from galen_gravcomp.stretch import Arrivals

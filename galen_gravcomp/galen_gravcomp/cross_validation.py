@@ -11,9 +11,9 @@ import numpy as np
 from galen_bags.orientation_table import OrientationTable
 from galen_model.arrays import Array
 from galen_model.errors import GalenError, IdentificationError
-from galen_model.identification import identify_single_load, plain_least_squares
-from galen_model.load import gravity_regressor
-from galen_model.wandering_load import WanderingLoad, identify_wandering_load
+from galen_model.load.bias.single_load import WanderingLoad, identify_wandering_load
+from galen_model.load.identification import identify_single_load, plain_least_squares
+from galen_model.load.model import gravity_regressor
 
 Predictor = Callable[[OrientationTable], Array]
 """From readings, whose wrench it must not look at, to what they should be (n, 6)."""

@@ -19,9 +19,9 @@ from galen_bags.command_line import (
     run_command,
 )
 from galen_bags.find import find_bags
-from galen_model.arm import JOINT_NAMES
+from galen_model.arm.galen import JOINT_NAMES
 from galen_model.errors import GalenError
-from galen_model.tool_file import read_tool
+from galen_model.files.calibration_file import read_tool
 from rich.console import Console
 from tqdm import tqdm
 

@@ -10,8 +10,8 @@ import matplotlib
 matplotlib.use("Agg")  # a lab's machine over ssh has no display
 import matplotlib.pyplot as plt
 import numpy as np
-from galen_model.arm import WRENCH_AXES
-from galen_model.figure_file import save_figure
+from galen_model.arm.galen import WRENCH_AXES
+from galen_model.files.figure_file import save_figure
 
 from galen_gravcomp.drift_result import GROUPS, DriftResult
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from galen_model.arm import WRENCH_AXES
+from galen_model.arm.galen import WRENCH_AXES
 from rich.console import Console
 from rich.table import Table
 

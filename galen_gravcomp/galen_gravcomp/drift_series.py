@@ -25,13 +25,12 @@ from galen_bags.bag import Bag, open_bag
 from galen_bags.errors import BagError
 from galen_bags.messages import JOINT_STATE_TYPE, WRENCH_TYPE, Decoder
 from galen_bags.text_table import read_text_table
-from galen_model.arm import WRENCH_AXES
+from galen_model.arm.galen import WRENCH_AXES
 from galen_model.arrays import Array
 from galen_model.errors import GalenError
-from galen_model.tool_file import ToolFile
+from galen_model.files.calibration_file import ToolFile
+from galen_model.rest.time_bins import CellReducer, Cells
 from scipy.ndimage import median_filter
-
-from galen_gravcomp.cells import CellReducer, Cells
 
 CELL_S = 1.0
 _WINDOW_CELLS = 600

@@ -25,11 +25,13 @@ from galen_bags.command_line import (
 from galen_bags.find import find_bags
 from galen_bags.many import add_many_options, run_many
 from galen_bags.orientation_table import read_table
-from galen_model.arm import JOINT_NAMES, WRENCH_AXES
+from galen_model.arm.galen import JOINT_NAMES, WRENCH_AXES
 from galen_model.errors import GalenError, IdentificationError, ToolFileError
-from galen_model.mounting_groups import entities
-from galen_model.mounting_identification import KnownLoad
-from galen_model.tool_file import read_tool, tool_path, write_tool
+from galen_model.files.calibration_file import read_tool, tool_path, write_tool
+from galen_model.load.mounting.groups import entities
+from galen_model.load.mounting.identification import KnownLoad
+from galen_model.rest.binned import StillCellSettings
+from galen_model.rest.orientations import StillSettings
 from galen_ros.param import add_options, from_options
 from rich.console import Console
 from tqdm import tqdm
@@ -39,8 +41,6 @@ from galen_gravcomp.bag_job import BagJob, distinct_names
 from galen_gravcomp.bag_report import print_evaluation, print_overview, to_dict
 from galen_gravcomp.misfit import Limits
 from galen_gravcomp.parameters import GravcompParameters
-from galen_gravcomp.still_cells import StillCellSettings
-from galen_gravcomp.still_phases import StillSettings
 from galen_gravcomp.table_evaluation import evaluate_table
 from galen_gravcomp.table_mounting import TableMounting
 from galen_gravcomp.table_report import print_report, to_json

@@ -5,7 +5,7 @@ mean output r_k (6,),
 
     r_k = G(u_k) d + b + t_k c + L(u_k) s + noise_k
 
-d: what the load (mass, first moment) differs from the file's (`galen_model.load`); b, c: an offset
+d: what the load (mass, first moment) differs from the file's (`galen_model.load.model`); b, c: an offset
 and its drift; s: how far the tool sags in its mount, its centre moving by s times the x and y parts
 of gravity's unit vector u^ (the contract's `loose_tool`), times its mass: with g = |u|
 
@@ -32,11 +32,11 @@ from dataclasses import dataclass
 from enum import Enum
 
 import numpy as np
-from galen_model.arm import GRAVITY_M_S2
+from galen_model.arm.galen import GRAVITY_M_S2
+from galen_model.arm.kinematics import gravity_in_sensor
 from galen_model.arrays import Array
-from galen_model.kinematics import gravity_in_sensor
-from galen_model.load import gravity_regressor
-from galen_model.tool_file import LoadEstimate, ToolFile
+from galen_model.files.calibration_file import LoadEstimate, ToolFile
+from galen_model.load.model import gravity_regressor
 
 _LOAD, _OFFSET, _DRIFT, _SAG = slice(0, 4), slice(4, 10), slice(10, 16), 16
 _COUNT = 17

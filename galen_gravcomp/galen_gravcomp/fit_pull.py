@@ -19,9 +19,9 @@ near to each other as they are in time, which is then the same.
 from __future__ import annotations
 
 import numpy as np
-from galen_model.arm import GRAVITY_M_S2
+from galen_model.arm.galen import GRAVITY_M_S2
+from galen_model.arm.kinematics import gravity_in_sensor
 from galen_model.arrays import Array
-from galen_model.kinematics import gravity_in_sensor
 
 from galen_gravcomp.fit_evidence import Stops
 

@@ -11,11 +11,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
+from galen_model.arm.kinematics import gravity_in_sensor
 from galen_model.arrays import Array
-from galen_model.kinematics import gravity_in_sensor
+from galen_model.rest.windows import StillWindow
 
 from galen_gravcomp.fit_evidence import Stops
-from galen_gravcomp.still_windows import StillWindow
 
 REMEMBERED = 16
 _OLDEST_NS = 1_800_000_000_000

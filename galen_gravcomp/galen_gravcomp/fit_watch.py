@@ -1,6 +1,6 @@
 """Does the tool's file still fit? Asked live, while the arm stands and nobody touches the tool.
 
-Still windows (`galen_gravcomp.still_windows`) of what goes out are put together to stops
+Still windows (`galen_model.rest.windows`) of what goes out are put together to stops
 (`galen_gravcomp.fit_stops`). The last stops are judged together (`galen_gravcomp.fit_evidence`),
 the newest few and all that are remembered, since what is wrong may be new. What is likelier than a
 file that fits by `_SURE` is said, if it also leaves more than the limits of
@@ -25,7 +25,8 @@ from itertools import islice
 import numpy as np
 from galen_model.arrays import Array
 from galen_model.distributions import chi2_ppf
-from galen_model.tool_file import ToolFile
+from galen_model.files.calibration_file import ToolFile
+from galen_model.rest.windows import StillWindows
 
 from galen_gravcomp import fit_words as words
 from galen_gravcomp.fit_evidence import Explanation, FitEvidence, Judgement
@@ -33,7 +34,6 @@ from galen_gravcomp.fit_pull import log_density_of_pull, log_odds_of_pull
 from galen_gravcomp.fit_stops import REMEMBERED, Stop, StopMemory, as_arrays
 from galen_gravcomp.fit_words import FitNotice, FitState
 from galen_gravcomp.misfit import Limits
-from galen_gravcomp.still_windows import StillWindows
 
 _NEWEST = 4
 _LONE_S = 15.0

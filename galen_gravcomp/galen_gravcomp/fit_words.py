@@ -6,9 +6,9 @@ from dataclasses import dataclass
 from enum import Enum
 
 import numpy as np
-from galen_model.arm import WRENCH_AXES
+from galen_model.arm.galen import WRENCH_AXES
 from galen_model.arrays import Array
-from galen_model.tool_file import ToolFile
+from galen_model.files.calibration_file import ToolFile
 
 from galen_gravcomp.fit_evidence import Explanation, Judgement
 from galen_gravcomp.misfit import Limits

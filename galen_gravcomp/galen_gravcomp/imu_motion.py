@@ -16,11 +16,11 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
+from galen_model.arm.kinematics import gravity_in_sensor
 from galen_model.arrays import Array
-from galen_model.inertial import LoadInMotion
-from galen_model.kinematics import gravity_in_sensor
+from galen_model.files.calibration_file import ToolFile
+from galen_model.load.inertia.inertial import LoadInMotion
 from galen_model.rotation import rotvec_to_matrix
-from galen_model.tool_file import ToolFile
 
 from galen_gravcomp.joint_motion import inertia_source, load_in_motion
 from galen_gravcomp.motion_window import MotionSettings, MotionWindow

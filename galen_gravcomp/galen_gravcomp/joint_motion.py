@@ -17,11 +17,11 @@ import math
 from collections.abc import Callable, Sequence
 
 import numpy as np
+from galen_model.arm.kinematics import gravity_in_sensor
+from galen_model.arm.sensor_motion import MotionOfSensor
 from galen_model.arrays import Array
-from galen_model.inertial import LoadInMotion, point_mass_inertia
-from galen_model.kinematics import gravity_in_sensor
-from galen_model.sensor_motion import MotionOfSensor
-from galen_model.tool_file import ToolFile
+from galen_model.files.calibration_file import ToolFile
+from galen_model.load.inertia.inertial import LoadInMotion, point_mass_inertia
 
 from galen_gravcomp.motion_window import MotionSettings, MotionWindow
 from galen_gravcomp.stages import NoMotion

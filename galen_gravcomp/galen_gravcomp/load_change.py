@@ -6,11 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 from galen_model.arrays import Array
-from galen_model.load import gravity_regressor
-from galen_model.tool_file import ToolFile
+from galen_model.files.calibration_file import ToolFile
+from galen_model.load.model import gravity_regressor
+from galen_model.rest.binned import StillPhases
 
 from galen_gravcomp.misfit import Limits, phase_gravity
-from galen_gravcomp.still_cells import StillPhases
 
 _FEWEST_A_SIDE = 6
 _CHANGE = 5.0

@@ -5,10 +5,10 @@ With u_k gravity in the sensor's frame in phase k, the mean residual there is fi
     r_k = G(u_k) d + b + c (t_k - t_mean) + rest
 
 d: what the load (mass, first moment) differs from the file's, in which the reading is linear (see
-`galen_model.load`); b: an offset, as a sensor zeroed anew or wandered leaves it, which a tare takes
-off; c: its drift; robustly, so that a few touched phases don't count (`galen_model.robust_fit`).
+`galen_model.load.model`); b: an offset, as a sensor zeroed anew or wandered leaves it, which a tare takes
+off; c: its drift; robustly, so that a few touched phases don't count (`galen_model.load.robust_fit`).
 Poses that can't tell d from b are refused by the same gate as a calibration's
-(`galen_model.excitation`); then only the offset and the drift are fitted. The standard deviations
+(`galen_model.load.excitation`); then only the offset and the drift are fitted. The standard deviations
 come from the rest's scatter from phase to phase, so a sensor's coloured noise is in them, but not
 a wander over many phases, which offset and drift follow.
 """
@@ -18,17 +18,16 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from galen_model.arm import GRAVITY_M_S2
+from galen_model.arm.galen import GRAVITY_M_S2
+from galen_model.arm.kinematics import gravity_in_sensor
 from galen_model.arrays import Array
 from galen_model.distributions import chi2_sf
 from galen_model.errors import IdentificationError, NotExcitedError
-from galen_model.excitation import LOAD_PARAMETERS, check_excitation
-from galen_model.kinematics import gravity_in_sensor
-from galen_model.load import gravity_regressor
-from galen_model.robust_fit import RobustFit, fit_robust
-from galen_model.tool_file import ToolFile
-
-from galen_gravcomp.still_cells import StillPhases
+from galen_model.files.calibration_file import ToolFile
+from galen_model.load.excitation import LOAD_PARAMETERS, check_excitation
+from galen_model.load.model import gravity_regressor
+from galen_model.load.robust_fit import RobustFit, fit_robust
+from galen_model.rest.binned import StillPhases
 
 _FEWEST_PHASES = 4
 # Drift needs phases before and after; with fewer it takes up whatever is left.

@@ -19,8 +19,8 @@ from dataclasses import dataclass
 import numpy as np
 from galen_bags.text_table import TableError
 from galen_model.arrays import Array
-from galen_model.identification import plain_least_squares
-from galen_model.load import gravity_regressor
+from galen_model.load.identification import plain_least_squares
+from galen_model.load.model import gravity_regressor
 from galen_model.rotation import rotvec_to_matrix
 from scipy.interpolate import CubicSpline
 from scipy.signal import butter, sosfiltfilt

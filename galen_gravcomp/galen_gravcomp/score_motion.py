@@ -19,7 +19,7 @@ from galen_bags.command_line import (
 )
 from galen_bags.orientation_table import read_orientations, read_table, read_wrenches
 from galen_bags.text_table import TableError, read_text_table
-from galen_model.arm import GRAVITY_M_S2, WRENCH_AXES
+from galen_model.arm.galen import GRAVITY_M_S2, WRENCH_AXES
 from galen_model.arrays import Array
 from rich.console import Console
 from rich.table import Table

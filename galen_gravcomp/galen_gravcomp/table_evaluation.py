@@ -7,11 +7,12 @@ import numpy as np
 from galen_bags.orientation_table import OrientationTable
 from galen_model.arrays import Array
 from galen_model.errors import GalenError, IdentificationError
-from galen_model.identification import SingleLoad, identify_single_load
-from galen_model.mounting_identification import MountedLoad
-from galen_model.mounting_worth import MOUNTED, Worth
-from galen_model.tool_file import ToolFile
-from galen_model.wandering_load import WanderingLoad
+from galen_model.files.calibration_file import ToolFile
+from galen_model.load.bias.single_load import WanderingLoad
+from galen_model.load.identification import SingleLoad, identify_single_load
+from galen_model.load.mounting.held_out import MOUNTED, Worth
+from galen_model.load.mounting.identification import MountedLoad
+from galen_model.rest.orientations import StillSettings, still_phases
 
 from galen_gravcomp.cross_validation import (
     BLOCK_MODELS,
@@ -22,7 +23,6 @@ from galen_gravcomp.cross_validation import (
     cross_validate,
     identify_wandering,
 )
-from galen_gravcomp.still_phases import StillSettings, still_phases
 from galen_gravcomp.table_mounting import TableMounting, table_prediction, table_worth
 
 _FEWEST_READINGS = 4

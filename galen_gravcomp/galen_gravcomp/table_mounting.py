@@ -8,20 +8,20 @@ import numpy as np
 from galen_bags.orientation_table import OrientationTable
 from galen_model.arrays import Array
 from galen_model.errors import GalenError
-from galen_model.mounting_identification import (
+from galen_model.files.calibration_file import ToolFile
+from galen_model.load.mounting.held_out import GALEN, MOUNTED, PLAIN, Worth, compare
+from galen_model.load.mounting.identification import (
     KnownLoad,
     MountedLoad,
     identify_single_load_mounted,
 )
-from galen_model.mounting_worth import GALEN, MOUNTED, PLAIN, Worth, compare
-from galen_model.tool_file import ToolFile
 
 from galen_gravcomp.cross_validation import Predictor, Score
 
 
 @dataclass(frozen=True)
 class TableMounting:
-    """What to estimate beside the load: `galen_model.mounting_groups.GROUPS`; what is known."""
+    """What to estimate beside the load: `galen_model.load.mounting.groups.GROUPS`; what is known."""
 
     groups: tuple[str, ...]
     known: KnownLoad | None = None

@@ -9,8 +9,8 @@ import matplotlib
 
 matplotlib.use("Agg")  # a lab's machine over ssh has no display
 import matplotlib.pyplot as plt
-from galen_model.arm import WRENCH_AXES
-from galen_model.figure_file import save_figure
+from galen_model.arm.galen import WRENCH_AXES
+from galen_model.files.figure_file import save_figure
 
 if TYPE_CHECKING:
     from galen_gravcomp.table_evaluation import Evaluation

@@ -3,7 +3,7 @@
 from typing import Any
 
 import numpy as np
-from galen_model.arm import WRENCH_AXES
+from galen_model.arm.galen import WRENCH_AXES
 from galen_model.arrays import Array
 from rich.console import Console
 from rich.table import Table

@@ -6,10 +6,10 @@ from datetime import UTC, datetime
 
 import numpy as np
 from galen_bags.orientation_table import OrientationTable
-from galen_model.arm import GRAVITY_M_S2
-from galen_model.identification import SingleLoad
-from galen_model.mounting_identification import MountedLoad
-from galen_model.tool_file import LoadEstimate, ToolFile
+from galen_model.arm.galen import GRAVITY_M_S2
+from galen_model.files.calibration_file import LoadEstimate, ToolFile
+from galen_model.load.identification import SingleLoad
+from galen_model.load.mounting.identification import MountedLoad
 
 _UNRESOLVED = (
     "how much of the load is the adapter: all that hangs on the sensor is written as the tool, and"

@@ -10,8 +10,8 @@ import time
 from collections.abc import Callable
 
 import numpy as np
-from galen_model.arm import SENSOR
-from galen_model.tool_store import FileState, StoredTool
+from galen_model.arm.galen import SENSOR
+from galen_model.files.calibration_store import FileState, StoredTool
 from galen_ros.background import Background
 from galen_ros.qos import LATCHED
 from rclpy.node import Node

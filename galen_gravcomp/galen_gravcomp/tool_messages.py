@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 from galen_model.arrays import Array
 from galen_model.errors import GalenError, ToolFileError, ToolNameError
-from galen_model.load_frames import FrameError, FrameNeedsJointsError
-from galen_model.tool_comparison import Comparison, IncomparableError
-from galen_model.tool_store import Entry, FileState, StoredTool, ToolExistsError
+from galen_model.files.calibration_store import Entry, FileState, StoredTool, ToolExistsError
+from galen_model.files.comparison import Comparison, IncomparableError
+from galen_model.load.frames import FrameError, FrameNeedsJointsError
 from geometry_msgs.msg import Wrench
 
 from galen_gravcomp.compensator import Compensator

@@ -17,20 +17,20 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from galen_model.arm import JOINT_NAMES, SENSOR_FRAME
+from galen_model.arm.galen import JOINT_NAMES, SENSOR_FRAME
 from galen_model.arrays import Array
 from galen_model.errors import GalenError, ToolFileError, ToolNameError
-from galen_model.load_frames import (
-    joint_vector,
-    needed_joints,
-    sensor_in_frame,
-)
-from galen_model.tool_comparison import Comparison, before_name, compare_tools
-from galen_model.tool_store import (
+from galen_model.files.calibration_store import (
     FileState,
     StoredTool,
     ToolStore,
     ToolStoreError,
+)
+from galen_model.files.comparison import Comparison, before_name, compare_tools
+from galen_model.load.frames import (
+    joint_vector,
+    needed_joints,
+    sensor_in_frame,
 )
 from galen_ros.background import Background
 from galen_ros.cdr import UnreadableError

@@ -18,11 +18,11 @@ from galen_bags.command_line import (
     positive,
     run_command,
 )
-from galen_model.arm import JOINT_NAMES, SENSOR_FRAME
+from galen_model.arm.galen import JOINT_NAMES, SENSOR_FRAME
 from galen_model.errors import GalenError
-from galen_model.load_frames import FRAMES, joint_vector, needed_joints, sensor_in_frame
-from galen_model.tool_comparison import before_name, compare_tools
-from galen_model.tool_store import ToolStore, ToolStoreError
+from galen_model.files.calibration_store import ToolStore, ToolStoreError
+from galen_model.files.comparison import before_name, compare_tools
+from galen_model.load.frames import FRAMES, joint_vector, needed_joints, sensor_in_frame
 from rich.console import Console
 
 from galen_gravcomp.parameters import GravcompParameters

@@ -7,12 +7,12 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from galen_model.arm import JOINT_NAMES, WRENCH_AXES
+from galen_model.arm.galen import JOINT_NAMES, WRENCH_AXES
 from galen_model.arrays import Array
-from galen_model.load_frames import SensorInFrame
-from galen_model.tool_comparison import Comparison, three_digits
-from galen_model.tool_file import LoadEstimate, age_text
-from galen_model.tool_store import Entry, StoredTool
+from galen_model.files.calibration_file import LoadEstimate, age_text
+from galen_model.files.calibration_store import Entry, StoredTool
+from galen_model.files.comparison import Comparison, three_digits
+from galen_model.load.frames import SensorInFrame
 from rich.console import Console
 from rich.markup import escape
 from rich.table import Table

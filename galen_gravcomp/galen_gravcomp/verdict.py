@@ -5,13 +5,13 @@ from __future__ import annotations
 from enum import Enum
 
 import numpy as np
-from galen_model.arm import WRENCH_AXES
+from galen_model.arm.galen import WRENCH_AXES
 from galen_model.arrays import Array
-from galen_model.tool_file import ToolFile
+from galen_model.files.calibration_file import ToolFile
+from galen_model.rest.binned import StillPhases
 
 from galen_gravcomp.load_change import LoadChange
 from galen_gravcomp.misfit import Limits, Misfit, take_apart
-from galen_gravcomp.still_cells import StillPhases
 
 # The parts are the reason if leaving them out makes the residual so many times smaller ...
 _WORTH = 2.0

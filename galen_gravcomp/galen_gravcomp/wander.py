@@ -3,7 +3,7 @@
     out = untared - wander - tare
 
 The estimate is `galen_gravcomp.wander_filter`'s, from the windows of
-`galen_gravcomp.still_windows`; here are its switch, its limits and what is taken off of it. It is
+`galen_model.rest.windows`; here are its switch, its limits and what is taken off of it. It is
 off unless it is asked for: what is taken off a surgeon's force without being asked should be
 nothing. What comes off never jumps: each new value is gone to along the tare's smoothstep, and so
 is zero when it is switched off.
@@ -22,10 +22,10 @@ from dataclasses import dataclass, field
 from enum import Enum
 
 import numpy as np
-from galen_model.arm import WRENCH_AXES
+from galen_model.arm.galen import WRENCH_AXES
 from galen_model.arrays import Array
+from galen_model.rest.windows import StillWindows
 
-from galen_gravcomp.still_windows import StillWindows
 from galen_gravcomp.stream_monitor import joined
 from galen_gravcomp.tare import TareRamp
 from galen_gravcomp.wander_filter import WanderFilter, WanderModel

@@ -5,7 +5,7 @@ The residual z (6,) of a still window, with the tool's weight and the tare off, 
     z = b(t) + G(u) d + e(pose) + noise
 
 in one Kalman filter of sixteen states: b, the wander, a random walk of density q; d, what the load
-(mass, first moment) differs from the file's, in which the reading is linear (`galen_model.load`);
+(mass, first moment) differs from the file's, in which the reading is linear (`galen_model.load.model`);
 e, whatever else the calibration leaves at a pose: another value at another pose, the same at the
 same. With the angle a between gravity's directions u at two stops e is carried over as rho e with
 rho = exp(-a^2 / (2 l^2)), and (1 - rho^2) sigma_e^2 of new variance. So at one place every change
@@ -28,10 +28,10 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-from galen_model.arm import GRAVITY_M_S2
+from galen_model.arm.galen import GRAVITY_M_S2
+from galen_model.arm.kinematics import gravity_in_sensor
 from galen_model.arrays import Array
-from galen_model.kinematics import gravity_in_sensor
-from galen_model.load import gravity_regressor
+from galen_model.load.model import gravity_regressor
 
 FEWEST_CALM = 3
 _SIGMAS = 4.0

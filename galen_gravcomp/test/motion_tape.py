@@ -2,12 +2,12 @@
 
 import numpy as np
 import pinocchio
-from galen_model.arm import ENCODER_QUANTUM, HOME, SENSOR
-from galen_model.inertia_estimate import InertiaEstimate
-from galen_model.inertial import inertia_matrix, point_mass_inertia
-from galen_model.load import Load, gravity_wrench
-from galen_model.pinocchio_arm import PinocchioArm
-from galen_model.tool_file import LoadEstimate, ToolFile
+from galen_model.arm.galen import ENCODER_QUANTUM, HOME, SENSOR
+from galen_model.arm.pinocchio_arm import PinocchioArm
+from galen_model.files.calibration_file import LoadEstimate, ToolFile
+from galen_model.load.inertia.estimate import InertiaEstimate
+from galen_model.load.inertia.inertial import inertia_matrix, point_mass_inertia
+from galen_model.load.model import Load, gravity_wrench
 
 MS = 1_000_000
 START_NS = 1_000_000_000_000

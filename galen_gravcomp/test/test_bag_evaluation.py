@@ -13,8 +13,8 @@ from galen_gravcomp.bag_report import findings, print_overview, to_dict
 from galen_gravcomp.compensator import CompensatorSettings
 from galen_gravcomp.misfit import Limits
 from galen_gravcomp.verdict import Verdict
-from galen_model.arm import SENSOR
-from galen_model.tool_file import LoadEstimate
+from galen_model.arm.galen import SENSOR
+from galen_model.files.calibration_file import LoadEstimate
 from gravcomp_bags import Recording, tool_file
 from rich.console import Console
 from scipy.signal import lfilter

@@ -8,7 +8,7 @@ from galen_bags.bag import open_bag
 from galen_gravcomp.bag_evaluation import evaluate_bag
 from galen_gravcomp.bag_job import BagJob
 from galen_gravcomp.node import GravcompNode
-from galen_model.tool_file import write_tool
+from galen_model.files.calibration_file import write_tool
 from galen_ros.conversions import stamp_to_ns, wrench_to_array
 from galen_ros.qos import STREAM
 from galen_ros.testing import Harness, parameters

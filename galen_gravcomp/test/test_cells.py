@@ -1,6 +1,6 @@
 import numpy as np
 import pytest
-from galen_gravcomp.cells import CellReducer
+from galen_model.rest.time_bins import CellReducer
 
 START = 1_700_000_000_000_000_000
 

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 from galen_gravcomp.channel_check import ChannelCheck, describe_run
-from galen_model.arm import SENSOR
+from galen_model.arm.galen import SENSOR
 from scipy.signal import lfilter
 
 START = 1_700_000_000_000_000_000

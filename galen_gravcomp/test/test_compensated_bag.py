@@ -6,8 +6,8 @@ import numpy as np
 from galen_bags.bag import open_bag
 from galen_bags.writer import BagWriter
 from galen_gravcomp.bag_job import BagJob
-from galen_model.arm import JOINT_NAMES
-from galen_model.tool_file import write_tool
+from galen_model.arm.galen import JOINT_NAMES
+from galen_model.files.calibration_file import write_tool
 from galen_ros.cdr import JointStateBytes, WrenchBytes
 from gravcomp_bags import START_NS, tool_file
 

@@ -12,7 +12,7 @@ from galen_gravcomp.compensator import Compensator, CompensatorSettings, TareRef
 from galen_gravcomp.results import Compensated, Notice, Refusal, Refused, Result
 from galen_gravcomp.tare import TareOutcome, TareRamp, TareSettings
 from galen_model.arrays import Array
-from galen_model.tool_file import LoadEstimate, ToolFile
+from galen_model.files.calibration_file import LoadEstimate, ToolFile
 
 MS = 1_000_000
 S = 1_000_000_000

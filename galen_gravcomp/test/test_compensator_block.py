@@ -22,7 +22,7 @@ from galen_gravcomp.sample_limits import (
     surely_finite,
 )
 from galen_gravcomp.tare import TareOutcome, TareSettings
-from galen_model.tool_file import LoadEstimate, ToolFile
+from galen_model.files.calibration_file import LoadEstimate, ToolFile
 
 from galen_gravcomp import block as block_module
 from galen_gravcomp import pairing as pairing_module

@@ -7,13 +7,13 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from galen_gravcomp.allan import allan_deviation
-from galen_gravcomp.cells import CellReducer, Cells
 from galen_gravcomp.drift import main
 from galen_gravcomp.drift_forecast import score_forecasts
 from galen_gravcomp.drift_result import judge_drift
 from galen_gravcomp.drift_series import series_of
 from galen_gravcomp.misfit import Limits
 from galen_model.errors import GalenError
+from galen_model.rest.time_bins import CellReducer, Cells
 
 UNITS = np.array([1.0, 1.0, 1.0, 0.02, 0.02, 0.02])
 

@@ -6,7 +6,7 @@ import re
 import pytest
 from galen_gravcomp.bag_job import distinct_names
 from galen_gravcomp.evaluate import main
-from galen_model.tool_file import write_tool
+from galen_model.files.calibration_file import write_tool
 from gravcomp_bags import Recording, tool_file
 
 

@@ -9,14 +9,14 @@ from galen_bags.orientation_table import OrientationTable, read_table
 from galen_bags.text_table import TableError
 from galen_gravcomp.cross_validation import MODELS, contiguous_blocks, cross_validate
 from galen_gravcomp.evaluate import main
-from galen_gravcomp.still_phases import StillSettings, still_phases
 from galen_gravcomp.table_evaluation import evaluate_table
-from galen_model.arm import GRAVITY_M_S2
-from galen_model.kinematics import sensor_rotation
-from galen_model.load import Load, gravity_wrench
+from galen_model.arm.galen import GRAVITY_M_S2
+from galen_model.arm.kinematics import sensor_rotation
+from galen_model.files.calibration_file import LoadEstimate, ToolFile, read_tool, write_tool
+from galen_model.load.model import Load, gravity_wrench
+from galen_model.load.nominal_tools import ADAPTER, TOOLS
+from galen_model.rest.orientations import StillSettings, still_phases
 from galen_model.rotation import matrix_to_quaternion
-from galen_model.tool_file import LoadEstimate, ToolFile, read_tool, write_tool
-from galen_model.tools import ADAPTER, TOOLS
 
 LOAD = Load(0.9, np.array([0.002, -0.001, 0.044]))
 OFFSET = np.array([9.0, -1.0, 10.0, 0.4, -0.7, -0.2])

@@ -10,7 +10,7 @@ from galen_bags.convert import main as convert
 from galen_gravcomp.compensator import Compensated, Compensator
 from galen_gravcomp.evaluate import main as evaluate
 from galen_gravcomp.node import GravcompNode
-from galen_model.tool_file import read_tool
+from galen_model.files.calibration_file import read_tool
 from galen_ros.conversions import stamp_to_ns, wrench_to_array
 from galen_ros.qos import STREAM
 from galen_ros.testing import Harness, parameters

@@ -11,10 +11,10 @@ from galen_gravcomp.local_polynomial import LocalPolynomial
 from galen_gravcomp.motion_window import MotionSettings
 from galen_gravcomp.results import Compensated, Refusal
 from galen_gravcomp.stages import Stages
-from galen_model.arm import SENSOR
-from galen_model.kinematics import gravity_in_sensor
+from galen_model.arm.galen import SENSOR
+from galen_model.arm.kinematics import gravity_in_sensor
+from galen_model.arm.sensor_motion import sensor_motion
 from galen_model.rotation import rotvec_to_matrix
-from galen_model.sensor_motion import sensor_motion
 from motion_tape import MS, START_NS, measured, readings, swing, tool_file
 
 SETTINGS = MotionSettings()

@@ -10,7 +10,7 @@ import pytest
 from diagnostic_msgs.msg import DiagnosticArray
 from galen_gravcomp.node import GravcompNode
 from galen_model.arrays import Array
-from galen_model.tool_file import LoadEstimate, ToolFile, tool_path, write_tool
+from galen_model.files.calibration_file import LoadEstimate, ToolFile, tool_path, write_tool
 from galen_ros.conversions import fill_stamp, fill_wrench, stamp_to_ns, wrench_to_array
 from galen_ros.diagnostics import Level
 from galen_ros.qos import STREAM

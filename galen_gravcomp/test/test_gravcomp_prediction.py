@@ -1,8 +1,8 @@
 """The fast prediction is the tool file's own."""
 
 import numpy as np
-from galen_gravcomp.prediction import Prediction
-from galen_model.tool_file import LoadEstimate, ToolFile
+from galen_model.files.calibration_file import LoadEstimate, ToolFile
+from galen_model.load.prediction import Prediction
 
 
 def test_equals_the_tool_file_at_every_pose() -> None:

@@ -1,8 +1,8 @@
 """Still phases of cells that were made up."""
 
 import numpy as np
-from galen_gravcomp.cells import Cells
-from galen_gravcomp.still_cells import find_still_phases
+from galen_model.rest.binned import find_still_phases
+from galen_model.rest.time_bins import Cells
 from gravcomp_bags import START_NS
 
 CELL_NS = 100_000_000

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray
 from galen_gravcomp.node import GravcompNode
-from galen_model.kinematics import sensor_pose
-from galen_model.tool_file import LoadEstimate, ToolFile, tool_path, write_tool
+from galen_model.arm.kinematics import sensor_pose
+from galen_model.files.calibration_file import LoadEstimate, ToolFile, tool_path, write_tool
 from galen_ros.conversions import fill_stamp, fill_wrench, wrench_to_array
 from galen_ros.qos import LATCHED, STREAM
 from galen_ros.testing import Harness, parameters

@@ -10,10 +10,16 @@ import numpy as np
 import pytest
 from galen_gravcomp.tools_command import main
 from galen_gravcomp.tools_report import print_in_force, print_tool
-from galen_model.kinematics import sensor_pose
-from galen_model.load_frames import sensor_in_frame
-from galen_model.tool_file import LoadEstimate, ToolFile, age_text, tool_path, write_tool
-from galen_model.tool_store import StoredTool
+from galen_model.arm.kinematics import sensor_pose
+from galen_model.files.calibration_file import (
+    LoadEstimate,
+    ToolFile,
+    age_text,
+    tool_path,
+    write_tool,
+)
+from galen_model.files.calibration_store import StoredTool
+from galen_model.load.frames import sensor_in_frame
 from rich.console import Console
 
 from galen_gravcomp import tools_command

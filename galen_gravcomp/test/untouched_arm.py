@@ -1,10 +1,10 @@
 """A made-up arm for tests of what is watched live: poses, pushes, another load, drift."""
 
 import numpy as np
-from galen_model.arm import SENSOR
-from galen_model.kinematics import gravity_in_sensor
-from galen_model.load import Load, gravity_wrench
-from galen_model.tool_file import LoadEstimate, ToolFile
+from galen_model.arm.galen import SENSOR
+from galen_model.arm.kinematics import gravity_in_sensor
+from galen_model.files.calibration_file import LoadEstimate, ToolFile
+from galen_model.load.model import Load, gravity_wrench
 
 POINTER = Load(0.06, np.array([0.055, 0.002, 0.045]))
 RETRACTOR = Load(0.2, np.array([0.07, -0.01, 0.055]))

@@ -2,10 +2,11 @@
 
 import numpy as np
 import pytest
-from galen_model.arm import GRAVITY_M_S2, HOME, LIMITS
-from galen_model.kinematics import gravity_in_sensor
-from galen_model.load import gravity_wrench
-from galen_model.load_frames import (
+from galen_model.arm.galen import GRAVITY_M_S2, HOME, LIMITS
+from galen_model.arm.kinematics import gravity_in_sensor
+from galen_model.arm.pinocchio_arm import PinocchioArm
+from galen_model.files.calibration_file import LoadEstimate
+from galen_model.load.frames import (
     FRAMES,
     FrameError,
     FrameNeedsJointsError,
@@ -13,8 +14,7 @@ from galen_model.load_frames import (
     needed_joints,
     sensor_in_frame,
 )
-from galen_model.pinocchio_arm import PinocchioArm
-from galen_model.tool_file import LoadEstimate
+from galen_model.load.model import gravity_wrench
 
 TIP_M = np.array([0.15, -0.02, 0.05])
 COVARIANCE = np.cov(

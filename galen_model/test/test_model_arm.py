@@ -5,7 +5,8 @@ Other tests take the numbers from the package on both sides, and would follow a 
 
 import numpy as np
 import pytest
-from galen_model.arm import (
+from galen_model.arm.delta import LinearDelta
+from galen_model.arm.galen import (
     ENCODER_QUANTUM,
     GALEN,
     GRAVITY_M_S2,
@@ -16,9 +17,8 @@ from galen_model.arm import (
     TRACKER_POSITION_NOISE_M,
     TRACKER_ROTATION_NOISE_RAD,
 )
-from galen_model.delta import LinearDelta
-from galen_model.load import nominal_reading
-from galen_model.tools import ADAPTER, TOOLS
+from galen_model.load.model import nominal_reading
+from galen_model.load.nominal_tools import ADAPTER, TOOLS
 
 
 def test_geometry_and_stiffness():

@@ -4,16 +4,16 @@ import itertools
 
 import numpy as np
 import pytest
-from galen_model.arm import HOME
-from galen_model.arm_clearance import (
+from galen_model.arm.clearance import (
     TOOL_RADIUS_M,
     ArmClearance,
     ObstacleError,
     boxes_from_numbers,
 )
-from galen_model.arm_routes import Router
-from galen_model.kinematics import tip_pose
-from galen_model.pose_design import angle_grid
+from galen_model.arm.galen import HOME
+from galen_model.arm.kinematics import tip_pose
+from galen_model.arm.routes import Router
+from galen_model.poses.design import angle_grid
 
 TIP = np.array([0.15, 0.0, 0.05])
 CLEARANCE = 0.02

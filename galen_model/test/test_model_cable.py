@@ -5,22 +5,22 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from galen_model.arm import HOME, SENSOR
-from galen_model.cable_drag import CableDrag, smooth_kernel
-from galen_model.cable_fit import CableSweep, _Likelihood, fit_cable, spacing_rad
-from galen_model.cable_form import FORMS, attachment_derivatives, form_matrices
-from galen_model.cable_learning import (
+from galen_model.arm.galen import HOME, SENSOR
+from galen_model.arm.kinematics import gravity_in_sensor, sensor_pose
+from galen_model.errors import ToolFileError
+from galen_model.files.calibration_file import LoadEstimate, ToolFile, read_tool, write_tool
+from galen_model.load.cable.drag import CableDrag, smooth_kernel
+from galen_model.load.cable.fit import CableSweep, _Likelihood, fit_cable, spacing_rad
+from galen_model.load.cable.form import FORMS, attachment_derivatives, form_matrices
+from galen_model.load.cable.learning import (
     NoCableError,
     SparseSweepError,
     learn_cable,
     pose_blocks,
 )
-from galen_model.cable_rivals import doubts, rivals
-from galen_model.errors import ToolFileError
-from galen_model.kinematics import gravity_in_sensor, sensor_pose
-from galen_model.load import Load, gravity_wrench
-from galen_model.mounting import Mounting
-from galen_model.tool_file import LoadEstimate, ToolFile, read_tool, write_tool
+from galen_model.load.cable.rivals import doubts, rivals
+from galen_model.load.model import Load, gravity_wrench
+from galen_model.load.mounting.mounting import Mounting
 from galen_model.wrench import move_wrench
 
 AT = np.array([0.09, 0.01, 0.05])

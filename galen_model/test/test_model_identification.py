@@ -4,8 +4,9 @@ import re
 
 import numpy as np
 import pytest
+from galen_model.arm.kinematics import gravity_in_sensor
 from galen_model.errors import IdentificationError, ImplausibleLoadError, NotExcitedError
-from galen_model.identification import (
+from galen_model.load.identification import (
     StillPoses,
     check_planned_poses,
     identify_one_sweep,
@@ -13,9 +14,8 @@ from galen_model.identification import (
     identify_two_sweeps,
     plain_least_squares,
 )
-from galen_model.kinematics import gravity_in_sensor
-from galen_model.load import Load, gravity_regressor, gravity_wrench, nominal_reading
-from galen_model.tools import ADAPTER, TOOLS
+from galen_model.load.model import Load, gravity_regressor, gravity_wrench, nominal_reading
+from galen_model.load.nominal_tools import ADAPTER, TOOLS
 
 SIGMA = np.array([0.02, 0.02, 0.03, 4e-4, 4e-4, 4e-4]) / np.sqrt(125)
 NO_TOOL = Load(0.0)

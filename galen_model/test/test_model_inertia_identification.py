@@ -2,15 +2,19 @@
 
 import numpy as np
 import pytest
-from galen_model.arm import ENCODER_QUANTUM, HOME, SENSOR
+from galen_model.arm.galen import ENCODER_QUANTUM, HOME, SENSOR
+from galen_model.arm.kinematics import gravity_in_sensor
+from galen_model.arm.sensor_motion import sensor_motion
 from galen_model.errors import IdentificationError, NotExcitedError
-from galen_model.inertia_identification import identify_inertia, total_moments
-from galen_model.inertial import inertial_regressor, inertial_wrench, point_mass_inertia
-from galen_model.kinematics import gravity_in_sensor
-from galen_model.load import Load
-from galen_model.motion_record import motion_record
-from galen_model.sensor_motion import sensor_motion
-from galen_model.tool_file import LoadEstimate, ToolFile
+from galen_model.files.calibration_file import LoadEstimate, ToolFile
+from galen_model.load.inertia.identification import identify_inertia, total_moments
+from galen_model.load.inertia.inertial import (
+    inertial_regressor,
+    inertial_wrench,
+    point_mass_inertia,
+)
+from galen_model.load.inertia.motion_record import motion_record
+from galen_model.load.model import Load
 
 TOOL, ADAPTER = Load(0.2, np.array([0.07, -0.01, 0.055])), Load(0.1, np.array([0, 0, 0.02]))
 INERTIA = point_mass_inertia(TOOL, ADAPTER) + np.array([3e-4, 5e-4, 4e-4, 2e-5, -4e-5, 1e-5])

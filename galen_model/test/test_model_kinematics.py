@@ -2,17 +2,17 @@
 
 import numpy as np
 import pytest
-from galen_model.arm import GALEN, HOME, LIMITS
-from galen_model.delta import LinearDelta
-from galen_model.errors import KinematicsError
-from galen_model.kinematics import (
+from galen_model.arm.delta import LinearDelta
+from galen_model.arm.galen import GALEN, HOME, LIMITS
+from galen_model.arm.kinematics import (
     gravity_in_sensor,
     sensor_pose,
     sensor_rotation,
     tip_jacobian,
     tip_pose,
 )
-from galen_model.pinocchio_arm import PinocchioArm
+from galen_model.arm.pinocchio_arm import PinocchioArm
+from galen_model.errors import KinematicsError
 
 TIP = np.array([0.18, 0.01, 0.05])
 

@@ -5,10 +5,14 @@ import json
 import numpy as np
 import pinocchio
 import pytest
-from galen_model.arm import HOME, LIMITS
+from galen_model.arm.galen import HOME, LIMITS
+from galen_model.arm.kinematics import sensor_pose
+from galen_model.arm.pinocchio_arm import PinocchioArm
+from galen_model.arm.sensor_motion import MotionOfSensor, sensor_motion
 from galen_model.errors import ToolFileError
-from galen_model.inertia_estimate import InertiaEstimate
-from galen_model.inertial import (
+from galen_model.files.calibration_file import LoadEstimate, ToolFile, read_tool, write_tool
+from galen_model.load.inertia.estimate import InertiaEstimate
+from galen_model.load.inertia.inertial import (
     LoadInMotion,
     inertia_matrix,
     inertia_numbers,
@@ -16,12 +20,8 @@ from galen_model.inertial import (
     inertial_wrench,
     point_mass_inertia,
 )
-from galen_model.kinematics import sensor_pose
-from galen_model.load import Load, gravity_wrench
-from galen_model.pinocchio_arm import PinocchioArm
+from galen_model.load.model import Load, gravity_wrench
 from galen_model.rotation import matrix_to_rotvec
-from galen_model.sensor_motion import MotionOfSensor, sensor_motion
-from galen_model.tool_file import LoadEstimate, ToolFile, read_tool, write_tool
 
 INERTIA = np.array([2e-3, 3e-3, 4e-3, 1e-4, -2e-4, 3e-4])
 LOAD = Load(0.3, np.array([0.04, -0.01, 0.05]))

@@ -5,24 +5,24 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from galen_model.arm.pinocchio_arm import PinocchioArm
 from galen_model.errors import IdentificationError, NotToldApartError
-from galen_model.identification import StillPoses, identify_two_sweeps
-from galen_model.json_fields import FieldError
-from galen_model.load import Load
-from galen_model.mounting import Mounting
-from galen_model.mounting_groups import GROUPS, PARAMETERS, entities
-from galen_model.mounting_identification import (
+from galen_model.files.calibration_file import LoadEstimate, ToolFile, read_tool, write_tool
+from galen_model.files.json_fields import FieldError
+from galen_model.load.identification import StillPoses, identify_two_sweeps
+from galen_model.load.model import Load
+from galen_model.load.mounting.groups import GROUPS, PARAMETERS, entities
+from galen_model.load.mounting.held_out import GALEN, MOUNTED, Calibrated, worth
+from galen_model.load.mounting.identification import (
     KnownLoad,
     check_planned_mounting,
     identify_one_sweep_mounted,
     identify_single_load_mounted,
     identify_two_sweeps_mounted,
 )
-from galen_model.mounting_model import JointPoses, ReadingModel, Sweep
-from galen_model.mounting_worth import GALEN, MOUNTED, Calibrated, worth
-from galen_model.pinocchio_arm import PinocchioArm
-from galen_model.tool_file import LoadEstimate, ToolFile, read_tool, write_tool
-from galen_model.tools import ADAPTER, TOOLS
+from galen_model.load.mounting.mounting import Mounting
+from galen_model.load.mounting.reading_model import JointPoses, ReadingModel, Sweep
+from galen_model.load.nominal_tools import ADAPTER, TOOLS
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 

@@ -4,15 +4,15 @@ import itertools
 
 import numpy as np
 import pytest
-from galen_model.identification import (
+from galen_model.arm.kinematics import gravity_in_sensor
+from galen_model.load.identification import (
     StillPoses,
     one_sweep_prior,
     plain_least_squares,
     two_sweeps_design,
 )
-from galen_model.kinematics import gravity_in_sensor
-from galen_model.load import gravity_regressor
-from galen_model.pose_design import (
+from galen_model.load.model import gravity_regressor
+from galen_model.poses.design import (
     ANGLE_LIMITS,
     PoseDesign,
     PoseDesignError,

@@ -6,11 +6,11 @@ one; R0 at home; f_t, f_b weights in the base-parallel frame; p_t, p_b centres i
 
 import numpy as np
 import pytest
-from galen_model.arm import GRAVITY_M_S2
-from galen_model.kinematics import sensor_rotation
-from galen_model.load import nominal_reading
+from galen_model.arm.galen import GRAVITY_M_S2
+from galen_model.arm.kinematics import sensor_rotation
+from galen_model.load.model import nominal_reading
+from galen_model.load.nominal_tools import ADAPTER, TOOLS
 from galen_model.rotation import skew
-from galen_model.tools import ADAPTER, TOOLS
 from galen_model.wrench import adjoint
 
 ROLL, TILT = (a.ravel() for a in np.meshgrid(np.linspace(-1.5, 1.5, 8), np.linspace(-1, 0.9, 7)))

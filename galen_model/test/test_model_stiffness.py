@@ -2,11 +2,11 @@
 
 import numpy as np
 import pytest
-from galen_model.arm import GALEN, HOME, LIMITS
-from galen_model.delta import LinearDelta, ball_joints
-from galen_model.kinematics import joint_axes, sensor_pose, tip_pose
+from galen_model.arm.delta import LinearDelta, ball_joints
+from galen_model.arm.galen import GALEN, HOME, LIMITS
+from galen_model.arm.kinematics import joint_axes, sensor_pose, tip_pose
+from galen_model.arm.stiffness import deflection, platform_stiffness, tip_compliance
 from galen_model.rotation import rotvec_to_matrix
-from galen_model.stiffness import deflection, platform_stiffness, tip_compliance
 
 TIP = np.array([0.15, 0.0, 0.05])
 

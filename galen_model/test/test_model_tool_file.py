@@ -10,8 +10,7 @@ import time
 import numpy as np
 import pytest
 from galen_model.errors import ToolFileError, ToolNameError
-from galen_model.load import nominal_reading
-from galen_model.tool_file import (
+from galen_model.files.calibration_file import (
     LoadEstimate,
     ToolFile,
     check_tool_name,
@@ -19,7 +18,8 @@ from galen_model.tool_file import (
     tool_path,
     write_tool,
 )
-from galen_model.tools import ADAPTER, TOOLS
+from galen_model.load.model import nominal_reading
+from galen_model.load.nominal_tools import ADAPTER, TOOLS
 
 
 def make(name="pointer", mass=0.06, **changes):
@@ -173,7 +173,7 @@ def test_a_directory_that_can_not_be_made_is_named(tmp_path):
 
 WRITER = """
 import sys, dataclasses
-from galen_model.tool_file import read_tool, write_tool
+from galen_model.files.calibration_file import read_tool, write_tool
 path = sys.argv[1]
 tool = read_tool(path)
 print("ready", flush=True)

@@ -2,19 +2,19 @@
 
 import numpy as np
 import pytest
-from galen_model.bias_choice import CANDIDATES, BiasMode, choose_shapes
-from galen_model.bias_curve import BiasBasis, BiasShape, Shape
+from galen_model.arm.kinematics import gravity_in_sensor
 from galen_model.errors import IdentificationError, NotExcitedError
-from galen_model.identification import StillPoses, identify_single_load, identify_two_sweeps
-from galen_model.kinematics import gravity_in_sensor
-from galen_model.load import Load, gravity_regressor, gravity_wrench, nominal_reading
-from galen_model.tools import ADAPTER, TOOLS
-from galen_model.wandering_bias import Sweeps, finish
-from galen_model.wandering_identification import (
+from galen_model.load.bias.choice import CANDIDATES, BiasMode, choose_shapes
+from galen_model.load.bias.curve import BiasBasis, BiasShape, Shape
+from galen_model.load.bias.drifting import Sweeps, finish
+from galen_model.load.bias.identification import (
     identify_one_sweep_wandering,
     identify_two_sweeps_wandering,
 )
-from galen_model.wandering_load import identify_wandering_load
+from galen_model.load.bias.single_load import identify_wandering_load
+from galen_model.load.identification import StillPoses, identify_single_load, identify_two_sweeps
+from galen_model.load.model import Load, gravity_regressor, gravity_wrench, nominal_reading
+from galen_model.load.nominal_tools import ADAPTER, TOOLS
 
 SIGMA = np.array([0.02, 0.02, 0.03, 4e-4, 4e-4, 4e-4]) / np.sqrt(125)
 TOOL = TOOLS["retractor"].load

@@ -4,14 +4,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from galen_model.arm import LIMITS
-from galen_model.tool_comparison import (
+from galen_model.arm.galen import LIMITS
+from galen_model.files.calibration_file import LoadEstimate, ToolFile
+from galen_model.files.comparison import (
     IncomparableError,
     compare_tools,
     same_load,
     three_digits,
 )
-from galen_model.tool_file import LoadEstimate, ToolFile
 
 COVARIANCE = np.diag([0.03e-3, 0.2e-3, 0.3e-3, 0.1e-3]) ** 2
 COVARIANCE[0, 1] = COVARIANCE[1, 0] = -0.6 * 0.03e-3 * 0.2e-3

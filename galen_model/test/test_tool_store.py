@@ -8,10 +8,21 @@ from pathlib import Path
 import numpy as np
 import pytest
 from galen_model.errors import GalenError, ToolFileError, ToolNameError
-from galen_model.tool_file import LoadEstimate, ToolFile, read_tool, tool_path, write_tool
-from galen_model.tool_store import FileState, ToolExistsError, ToolStore, ToolStoreError
-
-from galen_model import tool_store, whole_file
+from galen_model.files import atomic_file as whole_file
+from galen_model.files import calibration_store as tool_store
+from galen_model.files.calibration_file import (
+    LoadEstimate,
+    ToolFile,
+    read_tool,
+    tool_path,
+    write_tool,
+)
+from galen_model.files.calibration_store import (
+    FileState,
+    ToolExistsError,
+    ToolStore,
+    ToolStoreError,
+)
 
 
 def a_tool(name: str, mass_kg: float = 0.06) -> ToolFile:

@@ -1,10 +1,10 @@
 """The arm as shapes at poses, and how it bends. No ROS, no page.
 
-Shapes and frames come from the arm's URDF (`galen_model.urdf`); the delta's rods, which are no
-links there, from `galen_model.delta`.
+Shapes and frames come from the arm's URDF (`galen_model.arm.urdf`); the delta's rods, which are no
+links there, from `galen_model.arm.delta`.
 
 The predicted deflection is one rigid displacement of the tip. How platform, roll and tilt share it
-is that of the nominal springs (`galen_model.stiffness`): with C = C_p + C_roll + C_tilt the tip's
+is that of the nominal springs (`galen_model.arm.stiffness`): with C = C_p + C_roll + C_tilt the tip's
 nominal compliance, the load that would displace the tip by d is C^-1 d, and each spring's share is
 its own C_k C^-1 d. The shares add up to d whatever model has predicted it, and of all ways to share
 it this one strains the springs least. Beyond the tilt axis, where there are no springs, all moves
@@ -18,13 +18,13 @@ from dataclasses import dataclass
 from xml.etree import ElementTree
 
 import numpy as np
-from galen_model.arm import BASE_FRAME, GALEN, JOINT_NAMES, ArmParameters
+from galen_model.arm.delta import LinearDelta, ball_joints
+from galen_model.arm.galen import BASE_FRAME, GALEN, JOINT_NAMES, ArmParameters
+from galen_model.arm.kinematics import sensor_rotation, tip_jacobian, tip_pose
+from galen_model.arm.stiffness import tip_compliance
 from galen_model.arrays import Array
-from galen_model.delta import LinearDelta, ball_joints
 from galen_model.errors import KinematicsError
-from galen_model.kinematics import sensor_rotation, tip_jacobian, tip_pose
 from galen_model.rotation import rot_x, rot_y, rot_z, rotvec_to_matrix, skew
-from galen_model.stiffness import tip_compliance
 from galen_model.wrench import move_twist
 
 PLATFORM_FRAME = "delta_platform"

@@ -12,11 +12,11 @@ import math
 from typing import Any
 
 import numpy as np
-from galen_model.arm import BASE_FRAME, GALEN, HOME, SENSOR_FRAME, TIP_FRAME, ArmParameters
+from galen_model.arm.galen import BASE_FRAME, GALEN, HOME, SENSOR_FRAME, TIP_FRAME, ArmParameters
+from galen_model.arm.urdf import galen_urdf
 from galen_model.arrays import Array
 from galen_model.errors import KinematicsError
 from galen_model.rotation import matrix_to_quaternion, quaternion_to_matrix
-from galen_model.urdf import galen_urdf
 
 from galen_panel.arm_view import (
     HERE,

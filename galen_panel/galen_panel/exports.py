@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from datetime import datetime
 
 import numpy as np
-from galen_model.arm import WRENCH_AXES
+from galen_model.arm.galen import WRENCH_AXES
 from galen_model.arrays import Array
 
 from galen_panel.history import NS_PER_S, Samples

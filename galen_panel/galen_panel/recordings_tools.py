@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from galen_model.errors import GalenError
-from galen_model.tool_store import ToolStore
+from galen_model.files.calibration_store import ToolStore
 
 from galen_panel.recordings_index import TOOL_BESIDE, Recording, leads_out
 

@@ -22,7 +22,7 @@ from pathlib import Path
 from typing import Any
 
 from galen_model.errors import GalenError
-from galen_model.json_fields import parse_json, read_limited
+from galen_model.files.json_fields import parse_json, read_limited
 
 REPORT = "report.json"
 EVALUATION = "evaluation.json"

@@ -9,7 +9,7 @@ from typing import Any
 
 from galen_diagnosis.answer import Interval
 from galen_diagnosis.effect_words import parameter_words, title
-from galen_model.arm import WRENCH_AXES
+from galen_model.arm.galen import WRENCH_AXES
 
 from galen_panel import texts
 from galen_panel.report_files import PAGE, PICTURE, Report, ReportError
@@ -201,7 +201,13 @@ def _diagnosis(content: Mapping[str, Any]) -> tuple[list[tuple[str, list[str]]],
         for one in content["ranking"][:_RANKED]
         if one["probability"] >= _WORTH_NAMING
     ]
-    tables.append(Table("How likely each effect is; several can be there together", ["effect", "probability"], ranking))
+    tables.append(
+        Table(
+            "How likely each effect is; several can be there together",
+            ["effect", "probability"],
+            ranking,
+        )
+    )
     return lists, tables
 
 

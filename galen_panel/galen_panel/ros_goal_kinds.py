@@ -16,7 +16,7 @@ from galen_calibration_behavior.phase_text import CALIBRATION_PHASES, CHECK_PHAS
 from galen_calibration_behavior.result_text import result_to_dict
 from galen_deflection.collect import CollectClient
 from galen_deflection.collection_phases import COLLECTION_PHASES
-from galen_model.tool_file import check_tool_name
+from galen_model.files.calibration_file import check_tool_name
 
 from galen_calibration_behavior import check_commands, commands
 from galen_deflection import collection_commands

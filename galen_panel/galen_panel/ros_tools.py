@@ -7,7 +7,7 @@ from dataclasses import replace
 from typing import Any
 
 from galen_gravcomp.in_force_client import to_dict
-from galen_model.tool_file import check_tool_name
+from galen_model.files.calibration_file import check_tool_name
 from galen_ros.qos import LATCHED
 from rclpy.node import Node
 from std_srvs.srv import SetBool, Trigger

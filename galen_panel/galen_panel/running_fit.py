@@ -9,9 +9,9 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from galen_model.identification import plain_least_squares
-from galen_model.kinematics import gravity_in_sensor
-from galen_model.load import gravity_regressor
+from galen_model.arm.kinematics import gravity_in_sensor
+from galen_model.load.identification import plain_least_squares
+from galen_model.load.model import gravity_regressor
 
 from galen_panel.state import Pose
 

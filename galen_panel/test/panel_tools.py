@@ -1,8 +1,8 @@
 """Tools' files as a perfect calibration of the simulated arm would write them."""
 
 import numpy as np
-from galen_model.tool_file import LoadEstimate, ToolFile, tool_path, write_tool
-from galen_model.tools import ADAPTER, TOOLS
+from galen_model.files.calibration_file import LoadEstimate, ToolFile, tool_path, write_tool
+from galen_model.load.nominal_tools import ADAPTER, TOOLS
 
 _COVARIANCE = np.diag([3e-5, 3e-5, 2e-5, 3e-5]) ** 2
 

@@ -2,8 +2,8 @@ import json
 
 import numpy as np
 import pytest
-from galen_model.arm import GALEN, HOME
-from galen_model.kinematics import tip_pose
+from galen_model.arm.galen import GALEN, HOME
+from galen_model.arm.kinematics import tip_pose
 from galen_model.rotation import quaternion_to_matrix
 from galen_panel.arm_view import delta_parts
 from galen_panel.arm_view_drawing import FORCE_M_PER_N, Drawing

@@ -1,11 +1,11 @@
 import numpy as np
 import pytest
-from galen_model.arm import GALEN, LIMITS
-from galen_model.delta import LinearDelta
-from galen_model.kinematics import joint_axes, sensor_pose, tip_jacobian, tip_pose
+from galen_model.arm.delta import LinearDelta
+from galen_model.arm.galen import GALEN, LIMITS
+from galen_model.arm.kinematics import joint_axes, sensor_pose, tip_jacobian, tip_pose
+from galen_model.arm.stiffness import deflection, platform_stiffness
+from galen_model.arm.urdf import galen_urdf
 from galen_model.rotation import matrix_to_rotvec
-from galen_model.stiffness import deflection, platform_stiffness
-from galen_model.urdf import galen_urdf
 from galen_model.wrench import move_twist, move_wrench
 from galen_panel.arm_view import (
     bent_frames,

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 from browser_plots import COMPENSATED, RAW, force_rms, rows
-from galen_model.tool_file import read_tool, tool_path
-from galen_model.tools import TOOLS
+from galen_model.files.calibration_file import read_tool, tool_path
+from galen_model.load.nominal_tools import TOOLS
 from panel_processes import PanelWorld
 from panel_tools import write_perfect_tool
 from selenium.webdriver.common.keys import Keys

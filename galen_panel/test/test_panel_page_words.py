@@ -6,8 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from fake_suite import ALL, IN_FORCE, POINTER, RETRACTOR
-from galen_model.kinematics import gravity_in_sensor
-from galen_model.load import Load, gravity_wrench
+from galen_model.arm.kinematics import gravity_in_sensor
+from galen_model.load.model import Load, gravity_wrench
 from galen_panel.pace import Pace
 from galen_panel.result_words import Fate, Todo
 from galen_panel.running_fit import residuals

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from galen_model.arm import JOINT_NAMES
+from galen_model.arm.galen import JOINT_NAMES
 from galen_ros.cdr import DeflectionBytes, JointStateBytes, WrenchBytes
 from galen_ros.qos import STREAM
 from geometry_msgs.msg import WrenchStamped

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from galen_gravcomp.node import GravcompNode
-from galen_model.tool_file import read_tool, tool_path, write_tool
+from galen_model.files.calibration_file import read_tool, tool_path, write_tool
 from galen_panel.ros_suite import RosSuite
 from galen_panel.state import (
     CalibrateGoal,

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from galen_model.arm import JOINT_NAMES
+from galen_model.arm.galen import JOINT_NAMES
 from galen_ros.cdr import (
     JointStateBytes,
     PoseBytes,

@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from galen_model.arm import (
+from galen_model.arm.galen import (
     ENCODER_QUANTUM,
     GALEN,
     HOME,
@@ -23,9 +23,9 @@ from galen_model.arm import (
     JointLimits,
     SensorParameters,
 )
-from galen_model.kinematics import tip_pose
-from galen_model.load import Load
-from galen_model.tools import ADAPTER, TOOLS, ToolGeometry
+from galen_model.arm.kinematics import tip_pose
+from galen_model.load.model import Load
+from galen_model.load.nominal_tools import ADAPTER, TOOLS, ToolGeometry
 
 from galen_sim_driver.effects.cable_drag import CableDrag
 from galen_sim_driver.effects.effect import Effect

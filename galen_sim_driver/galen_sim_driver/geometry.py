@@ -1,7 +1,7 @@
 """The arm's geometry for one pose, in plain floats.
 
 numpy takes microseconds for every call on a 3-vector, and the plant makes hundreds of steps a
-second of them. The formulas are those of galen_model.kinematics, and a test compares the two.
+second of them. The formulas are those of galen_model.arm.kinematics, and a test compares the two.
 Matrices are nine floats, row by row; quaternions are x, y, z, w.
 """
 
@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from galen_model.arm import ArmParameters
+from galen_model.arm.galen import ArmParameters
 
 Matrix = tuple[float, float, float, float, float, float, float, float, float]
 Vector = tuple[float, float, float]

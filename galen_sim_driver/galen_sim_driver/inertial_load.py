@@ -27,7 +27,7 @@ from collections.abc import Sequence
 
 import numpy as np
 from galen_model.arrays import Array
-from galen_model.load import Load
+from galen_model.load.model import Load
 
 from galen_sim_driver.geometry import (
     ArmGeometry,

@@ -8,10 +8,10 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from galen_model.arm import JOINT_NAMES, SENSOR_FRAME, TRACKER_FRAME
+from galen_model.arm.galen import JOINT_NAMES, SENSOR_FRAME, TRACKER_FRAME
+from galen_model.arm.urdf import galen_urdf
 from galen_model.errors import ToolNameError
-from galen_model.tool_file import check_tool_name
-from galen_model.urdf import galen_urdf
+from galen_model.files.calibration_file import check_tool_name
 from galen_ros.cdr import JointStateBytes, WrenchBytes
 from galen_ros.conversions import fill_stamp, stamp_to_ns, wrench_to_array
 from galen_ros.deferred_service import DeferredService, Respond

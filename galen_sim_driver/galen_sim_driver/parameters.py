@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from galen_model.arm import (
+from galen_model.arm.galen import (
     HOME,
     LIMITS,
     SENSOR,
@@ -13,9 +13,9 @@ from galen_model.arm import (
     TRACKER_ROTATION_NOISE_RAD,
     SensorParameters,
 )
-from galen_model.load import Load
-from galen_model.tool_file import check_tool_name
-from galen_model.tools import ADAPTER, TOOLS, ToolGeometry
+from galen_model.files.calibration_file import check_tool_name
+from galen_model.load.model import Load
+from galen_model.load.nominal_tools import ADAPTER, TOOLS, ToolGeometry
 from galen_ros.parameters import ParameterError, param
 
 from galen_sim_driver.config import (

@@ -16,11 +16,11 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from galen_model.arm import GRAVITY_M_S2, HOME
-from galen_model.kinematics import gravity_in_sensor
-from galen_model.load import gravity_wrench
-from galen_model.stiffness import tip_compliance
-from galen_model.tools import ToolGeometry
+from galen_model.arm.galen import GRAVITY_M_S2, HOME
+from galen_model.arm.kinematics import gravity_in_sensor
+from galen_model.arm.stiffness import tip_compliance
+from galen_model.load.model import gravity_wrench
+from galen_model.load.nominal_tools import ToolGeometry
 
 from galen_sim_driver.admittance import Admittance
 from galen_sim_driver.config import ZERO6, HandPush, PlantConfig

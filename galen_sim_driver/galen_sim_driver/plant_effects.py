@@ -10,12 +10,12 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from galen_model.arm import GRAVITY_M_S2, ArmParameters
+from galen_model.arm.galen import GRAVITY_M_S2, ArmParameters
+from galen_model.arm.sensor_motion import MotionOfSensor, SensorMotion
 from galen_model.arrays import Array
-from galen_model.load import Load, gravity_wrench
+from galen_model.load.model import Load, gravity_wrench
+from galen_model.load.nominal_tools import ToolGeometry
 from galen_model.rotation import matrix_to_quaternion
-from galen_model.sensor_motion import MotionOfSensor, SensorMotion
-from galen_model.tools import ToolGeometry
 
 from galen_sim_driver.effects.effect import Effect, Instants, Loading, Posture, in_order
 from galen_sim_driver.effects.tilt_axis_misalignment import sensor_pose

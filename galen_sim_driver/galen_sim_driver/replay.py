@@ -18,14 +18,14 @@ from dataclasses import dataclass, fields
 from functools import lru_cache
 
 import numpy as np
-from galen_model.arm import GALEN, GRAVITY_M_S2, ArmParameters
+from galen_model.arm.galen import GALEN, GRAVITY_M_S2, ArmParameters
+from galen_model.arm.kinematics import tip_pose
+from galen_model.arm.sensor_motion import SensorMotion, sensor_motion
+from galen_model.arm.stiffness import tip_compliance
 from galen_model.arrays import Array
-from galen_model.kinematics import tip_pose
-from galen_model.load import Load
+from galen_model.load.model import Load
+from galen_model.load.nominal_tools import ToolGeometry
 from galen_model.rotation import rotvec_to_matrix
-from galen_model.sensor_motion import SensorMotion, sensor_motion
-from galen_model.stiffness import tip_compliance
-from galen_model.tools import ToolGeometry
 from galen_model.wrench import move_wrench
 from scipy.signal import savgol_filter
 

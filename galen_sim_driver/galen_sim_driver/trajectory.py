@@ -12,7 +12,7 @@ from bisect import bisect_right
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from galen_model.arm import JOINT_NAMES, JointLimits
+from galen_model.arm.galen import JOINT_NAMES, JointLimits
 
 from galen_sim_driver.errors import TrajectoryError
 

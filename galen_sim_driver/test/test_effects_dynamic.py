@@ -5,11 +5,11 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from galen_model.arm import GALEN, HOME, JOINT_NAMES
-from galen_model.kinematics import sensor_pose, tip_jacobian, tip_pose
+from galen_model.arm.galen import GALEN, HOME, JOINT_NAMES
+from galen_model.arm.kinematics import sensor_pose, tip_jacobian, tip_pose
+from galen_model.arm.stiffness import deflection, tip_compliance
+from galen_model.load.nominal_tools import ADAPTER, TOOLS
 from galen_model.rotation import matrix_to_rotvec, rotvec_to_matrix
-from galen_model.stiffness import deflection, tip_compliance
-from galen_model.tools import ADAPTER, TOOLS
 from galen_sim_driver.config import HysteresisConfig
 from galen_sim_driver.effects.backlash import Backlash
 from galen_sim_driver.effects.base_shift import BaseShift

@@ -6,12 +6,12 @@ from dataclasses import replace
 import numpy as np
 import pinocchio
 import pytest
-from galen_model.arm import GRAVITY_M_S2, HOME, SENSOR_FRAME
+from galen_model.arm.galen import GRAVITY_M_S2, HOME, SENSOR_FRAME
+from galen_model.arm.pinocchio_arm import PinocchioArm
+from galen_model.arm.stiffness import deflection
 from galen_model.errors import GalenError
-from galen_model.load import Load, gravity_wrench, nominal_reading
-from galen_model.pinocchio_arm import PinocchioArm
-from galen_model.stiffness import deflection
-from galen_model.tools import ADAPTER, TOOLS
+from galen_model.load.model import Load, gravity_wrench, nominal_reading
+from galen_model.load.nominal_tools import ADAPTER, TOOLS
 from galen_ros.param import param_fields
 from galen_sim_driver.effects.axis_gain import AxisGain
 from galen_sim_driver.effects.base_inclination import BaseInclination

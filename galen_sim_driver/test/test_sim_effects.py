@@ -5,12 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pinocchio
 import pytest
-from galen_model.arm import GALEN, GRAVITY_M_S2, HOME, JOINT_NAMES, SENSOR, SENSOR_FRAME
+from galen_model.arm.galen import GALEN, GRAVITY_M_S2, HOME, JOINT_NAMES, SENSOR, SENSOR_FRAME
+from galen_model.arm.kinematics import gravity_in_sensor, sensor_pose
+from galen_model.arm.pinocchio_arm import PinocchioArm
 from galen_model.errors import GalenError
-from galen_model.kinematics import gravity_in_sensor, sensor_pose
-from galen_model.load import Load, nominal_reading
-from galen_model.pinocchio_arm import PinocchioArm
-from galen_model.tools import ADAPTER, TOOLS
+from galen_model.load.model import Load, nominal_reading
+from galen_model.load.nominal_tools import ADAPTER, TOOLS
 from galen_sim_driver.config import (
     CableConfig,
     InertiaConfig,

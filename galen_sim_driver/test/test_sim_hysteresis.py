@@ -4,12 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from galen_model.arm import GALEN, HOME
+from galen_model.arm.galen import GALEN, HOME
+from galen_model.arm.kinematics import tip_pose
+from galen_model.arm.stiffness import tip_compliance
 from galen_model.errors import GalenError
-from galen_model.kinematics import tip_pose
+from galen_model.load.nominal_tools import TOOLS
 from galen_model.rotation import matrix_to_rotvec, quaternion_to_matrix, rotvec_to_matrix
-from galen_model.stiffness import tip_compliance
-from galen_model.tools import TOOLS
 from galen_sim_driver.config import (
     HandPush,
     HysteresisConfig,

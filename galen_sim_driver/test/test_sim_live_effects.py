@@ -8,10 +8,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from galen_model.arm import JOINT_NAMES
+from galen_model.arm.galen import JOINT_NAMES
 from galen_model.errors import GalenError
+from galen_model.load.nominal_tools import ADAPTER, TOOLS
 from galen_model.rotation import quaternion_to_matrix, rotvec_to_matrix
-from galen_model.tools import ADAPTER, TOOLS
 from galen_ros.param import param_fields
 from galen_sim_driver.config import HandPush, PlantConfig, SensorConfig, TrackerConfig
 from galen_sim_driver.effect_parameters import (

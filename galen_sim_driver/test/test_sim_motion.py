@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from galen_model.arm import HOME, LIMITS
+from galen_model.arm.galen import HOME, LIMITS
 from galen_sim_driver.config import MotionConfig
 from galen_sim_driver.motion import LimitedMotion, braking_velocity, stopping_distance
 

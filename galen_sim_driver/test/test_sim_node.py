@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from builtin_interfaces.msg import Duration
 from diagnostic_msgs.msg import DiagnosticArray
-from galen_model.arm import HOME, JOINT_NAMES, SENSOR
-from galen_model.load import Load, nominal_reading
-from galen_model.tools import ADAPTER, TOOLS
+from galen_model.arm.galen import HOME, JOINT_NAMES, SENSOR
+from galen_model.load.model import Load, nominal_reading
+from galen_model.load.nominal_tools import ADAPTER, TOOLS
 from galen_ros.conversions import (
     JointStateReader,
     fill_stamp,

@@ -4,10 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from galen_model.arm import ENCODER_QUANTUM, HOME, JOINT_NAMES, SENSOR
-from galen_model.kinematics import sensor_pose, tip_pose
-from galen_model.load import Load, nominal_reading
-from galen_model.tools import ADAPTER, TOOLS, ToolGeometry
+from galen_model.arm.galen import ENCODER_QUANTUM, HOME, JOINT_NAMES, SENSOR
+from galen_model.arm.kinematics import sensor_pose, tip_pose
+from galen_model.load.model import Load, nominal_reading
+from galen_model.load.nominal_tools import ADAPTER, TOOLS, ToolGeometry
 from galen_model.wrench import move_wrench
 from galen_sim_driver.config import (
     ConfigError,

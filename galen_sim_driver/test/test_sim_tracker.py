@@ -4,10 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from galen_model.kinematics import tip_pose
+from galen_model.arm.kinematics import tip_pose
+from galen_model.arm.stiffness import deflection
+from galen_model.load.nominal_tools import TOOLS
 from galen_model.rotation import matrix_to_rotvec, quaternion_to_matrix, rotvec_to_matrix
-from galen_model.stiffness import deflection
-from galen_model.tools import TOOLS
 from galen_model.wrench import move_wrench
 from galen_sim_driver.config import HandPush, PlantConfig, Pose, TrackerConfig
 from galen_sim_driver.plant import Plant

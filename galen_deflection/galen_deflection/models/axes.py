@@ -6,9 +6,9 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from galen_model.arm import HOME
+from galen_model.arm.galen import HOME
+from galen_model.arm.stiffness import tip_compliance
 from galen_model.arrays import Array
-from galen_model.stiffness import tip_compliance
 
 from galen_deflection.models.linear import Parameter, Rows
 from galen_deflection.springs import TipWrench

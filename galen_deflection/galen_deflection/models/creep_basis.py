@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from galen_model.arrays import Array
-from galen_model.json_fields import FieldError, get, items, mapping, number, text
+from galen_model.files.json_fields import FieldError, get, items, mapping, number, text
 
 from galen_deflection.creep import LagOperators
 from galen_deflection.models.hysteresis_basis import COLUMNS, HysteresisBasis

@@ -8,7 +8,7 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from galen_model.arrays import Array
-from galen_model.json_fields import FieldError, array, get, items, mapping, numbers, text
+from galen_model.files.json_fields import FieldError, array, get, items, mapping, numbers, text
 from galen_model.rotation import skew
 
 from galen_deflection.hysteresis import Operators, PlayOperators, SmoothOperators

@@ -186,7 +186,7 @@ def not_told(information: Array, parameters: Sequence[Parameter]) -> list[int]:
     """The parameters that the samples tell hardly more of than was known before.
 
     In units of what was known, a combination whose standard deviation is above MAX_RELATIVE_STD is
-    not told, and all that have a share in it are named, as `galen_model.excitation` does it. What
+    not told, and all that have a share in it are named, as `galen_model.load.excitation` does it. What
     has no prior is left out: of hysteresis, the fit itself takes what the samples want.
     """
     asked = np.array([k for k, p in enumerate(parameters) if p.prior_std is not None], dtype=int)

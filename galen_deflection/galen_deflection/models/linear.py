@@ -18,7 +18,7 @@ from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from galen_model.arrays import Array
-from galen_model.json_fields import (
+from galen_model.files.json_fields import (
     FieldError,
     array,
     count,

@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
-from galen_model.json_fields import FieldError
+from galen_model.files.json_fields import FieldError
 
 from galen_deflection.models import coupled, independent, joint_hysteresis, joint_stiffness
 from galen_deflection.models.fit_settings import FitSettings

@@ -7,7 +7,16 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from galen_model.json_fields import FieldError, array, count, get, mapping, number, numbers, texts
+from galen_model.files.json_fields import (
+    FieldError,
+    array,
+    count,
+    get,
+    mapping,
+    number,
+    numbers,
+    texts,
+)
 
 from galen_deflection.networks.paced import PacedNet
 from galen_deflection.networks.recurrent_net import RecurrentNet, Scaling, Weights

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 from galen_model.arrays import Array
-from galen_model.json_fields import get, numbers, text, texts
+from galen_model.files.json_fields import get, numbers, text, texts
 
 from galen_deflection.fitted_range import NEARBY, SMALLEST_MARGIN, FittedRange
 from galen_deflection.models.axes import LOADS, MOTIONS

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 from galen_model.arrays import Array
-from galen_model.json_fields import get, mapping, numbers, texts
+from galen_model.files.json_fields import get, mapping, numbers, texts
 
 from galen_deflection.models import joint_hysteresis
 from galen_deflection.models.axes import LOADS, MOTIONS

@@ -12,7 +12,7 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from galen_model.json_fields import FieldError, get, mapping, parse_json, text
+from galen_model.files.json_fields import FieldError, get, mapping, parse_json, text
 
 from galen_deflection.networks import NEEDS
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from galen_model.json_fields import FieldError, array, count, get, items, mapping, numbers
+from galen_model.files.json_fields import FieldError, array, count, get, items, mapping, numbers
 
 
 @dataclass(frozen=True)

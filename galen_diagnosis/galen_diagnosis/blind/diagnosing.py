@@ -19,7 +19,7 @@ from typing import Any
 
 from galen_bags.command_line import EXIT_FAILED, EXIT_OK, run_command
 from galen_bags.many import add_many_options, run_many
-from galen_model.whole_file import write_whole
+from galen_model.files.atomic_file import write_whole
 
 ANSWER, BESIDE, FAILED = "diagnosis.json", "beside.json", "failed.txt"
 

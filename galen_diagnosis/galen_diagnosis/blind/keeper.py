@@ -31,8 +31,8 @@ from typing import Any
 
 from galen_bags.command_line import EXIT_FAILED, EXIT_INTERRUPTED, EXIT_OK
 from galen_model.errors import GalenError
-from galen_model.json_fields import FieldError, get, mapping, read_json
-from galen_model.whole_file import write_whole
+from galen_model.files.atomic_file import write_whole
+from galen_model.files.json_fields import FieldError, get, mapping, read_json
 
 from galen_diagnosis.blind import confine
 from galen_diagnosis.blind.diagnosing import ANSWER, BESIDE

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields
 from typing import Any, Literal
 
-from galen_model.json_fields import FieldError, get, mapping, text
+from galen_model.files.json_fields import FieldError, get, mapping, text
 
 from galen_diagnosis.answer import NONE, UNKNOWN
 

@@ -11,8 +11,8 @@ from pathlib import Path
 
 from galen_bags.many import run_many
 from galen_model.errors import GalenError
-from galen_model.json_fields import FieldError
-from galen_model.whole_file import write_whole
+from galen_model.files.atomic_file import write_whole
+from galen_model.files.json_fields import FieldError
 
 from galen_diagnosis.answer import NONE
 from galen_diagnosis.blind.label import Label, LabelKind, label_from_json

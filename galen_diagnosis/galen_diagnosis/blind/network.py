@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from galen_model.arrays import Array
 from galen_model.errors import GalenError
-from galen_model.whole_file import write_whole
+from galen_model.files.atomic_file import write_whole
 
 FILE = Path(__file__).parent / "network.safetensors"
 NEEDS = "needs PyTorch and safetensors: `make networks` installs them"

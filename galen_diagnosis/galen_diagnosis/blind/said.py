@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from galen_model.json_fields import FieldError, get, items, mapping, number, text, texts
+from galen_model.files.json_fields import FieldError, get, items, mapping, number, text, texts
 
 from galen_diagnosis.answer import NONE, UNKNOWN
 

@@ -17,8 +17,8 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from galen_model.errors import GalenError
-from galen_model.json_fields import FieldError, get, mapping, parse_json
-from galen_model.whole_file import write_whole
+from galen_model.files.atomic_file import write_whole
+from galen_model.files.json_fields import FieldError, get, mapping, parse_json
 
 from galen_diagnosis.blind.label import Label, label_from_json
 

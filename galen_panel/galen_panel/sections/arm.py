@@ -7,7 +7,7 @@ import time
 from pathlib import Path
 
 import numpy as np
-from galen_model.arm import HOME
+from galen_model.arm.galen import HOME
 from galen_model.arrays import Array
 from nicegui import events, ui
 

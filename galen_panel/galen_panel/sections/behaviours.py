@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from galen_model.errors import GalenError
-from galen_model.tool_file import check_tool_name
+from galen_model.files.calibration_file import check_tool_name
 from nicegui import ui
 
 from galen_panel import hints, texts

@@ -27,7 +27,7 @@ from dataclasses import dataclass, replace
 from typing import ClassVar, Self
 
 import numpy as np
-from galen_model.arm import JOINT_NAMES
+from galen_model.arm.galen import JOINT_NAMES
 from galen_model.arrays import Array
 from galen_model.rotation import rot_x
 from galen_ros.param import param

@@ -14,9 +14,9 @@ from functools import lru_cache
 from typing import ClassVar, Self
 
 import numpy as np
-from galen_model.arm import HOME
+from galen_model.arm.galen import HOME
+from galen_model.arm.kinematics import sensor_pose
 from galen_model.arrays import Array
-from galen_model.kinematics import sensor_pose
 from galen_ros.param import param
 
 from galen_sim_driver.cable import cable_line, cable_wrench, relative_tension

@@ -42,10 +42,10 @@ from functools import cache, partial
 from typing import ClassVar, Self
 
 import numpy as np
-from galen_model.arm import HOME
+from galen_model.arm.galen import HOME
+from galen_model.arm.stiffness import tip_compliance
 from galen_model.arrays import Array
-from galen_model.stiffness import tip_compliance
-from galen_model.tools import TOOLS
+from galen_model.load.nominal_tools import TOOLS
 from galen_ros.param import param
 
 from galen_sim_driver.config import HysteresisConfig

@@ -27,10 +27,10 @@ from dataclasses import dataclass, fields
 from typing import ClassVar, NamedTuple, Self
 
 import numpy as np
-from galen_model.arm import WRENCH_AXES, ArmParameters
+from galen_model.arm.galen import WRENCH_AXES, ArmParameters
+from galen_model.arm.sensor_motion import SensorMotion
 from galen_model.arrays import Array
-from galen_model.load import Load
-from galen_model.sensor_motion import SensorMotion
+from galen_model.load.model import Load
 
 from galen_sim_driver.errors import ConfigError
 

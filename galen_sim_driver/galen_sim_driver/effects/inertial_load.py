@@ -1,6 +1,6 @@
 """Forces of acceleration of tool and adapter, which nominal leaves out (contract, section 6).
 
-Newton and Euler (`galen_model.inertial`) with s = -a, the part without gravity, for tool and
+Newton and Euler (`galen_model.load.inertia.inertial`) with s = -a, the part without gravity, for tool and
 adapter as two points, each at its own centre p_i with the share of `mass_kg` that it has of the
 weight of both:
 
@@ -18,8 +18,8 @@ from typing import ClassVar
 
 import numpy as np
 from galen_model.arrays import Array
-from galen_model.inertial import LoadInMotion, inertial_wrench, point_mass_inertia
-from galen_model.load import Load
+from galen_model.load.inertia.inertial import LoadInMotion, inertial_wrench, point_mass_inertia
+from galen_model.load.model import Load
 from galen_ros.param import param
 
 from galen_sim_driver.effects.effect import Effect, Fitted, Instants, Posture

@@ -6,7 +6,7 @@ therefore works on how much softer than nominal a spring is,
     c = k_nominal / k - 1,
 
 in which the deflection is linear, carriages and rods included: with the square matrix A of the
-six rods' rows K_p^-1 = A^-1 (I / k_rod + G G^T / k_q) A^-T (`galen_model.stiffness`).
+six rods' rows K_p^-1 = A^-1 (I / k_rod + G G^T / k_q) A^-T (`galen_model.arm.stiffness`).
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 from typing import ClassVar, Self
 
 import numpy as np
-from galen_model.arm import GALEN, ArmParameters
+from galen_model.arm.galen import GALEN, ArmParameters
 from galen_model.arrays import Array
 from galen_ros.param import param
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
-from galen_model.arm import ArmParameters
+from galen_model.arm.galen import ArmParameters
 from galen_model.arrays import Array
 from galen_model.rotation import rot_x, rot_y, rot_z
 from galen_ros.param import param

@@ -18,7 +18,7 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
-from galen_model.arm import GALEN, GRAVITY_M_S2
+from galen_model.arm.galen import GALEN, GRAVITY_M_S2
 from galen_model.arrays import Array
 
 from galen_diagnosis.blind.plant.turning import cross, turned_about, unit

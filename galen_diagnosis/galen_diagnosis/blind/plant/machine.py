@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from galen_model.arm import HOME
+from galen_model.arm.galen import HOME
 from galen_model.arrays import Array
 
 from galen_diagnosis.blind.plant.arm import BlindArm, Springs

@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from galen_model.arm import (
+from galen_model.arm.galen import (
     HOME,
     SENSOR,
     TRACKER_POSITION_NOISE_M,

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from galen_bags.messages import JOINT_STATE_TYPE, POSE_TYPE, WRENCH_TYPE
 from galen_bags.writer import BagWriter
-from galen_model.arm import (
+from galen_model.arm.galen import (
     BASE_FRAME,
     ENCODER_QUANTUM,
     JOINT_NAMES,

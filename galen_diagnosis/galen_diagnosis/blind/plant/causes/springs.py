@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from typing import Any, ClassVar, Self
 
 import numpy as np
-from galen_model.arm import GALEN
+from galen_model.arm.galen import GALEN
 from galen_model.arrays import Array
 
 from galen_diagnosis.blind.plant.arm import BlindArm, Springs

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any, ClassVar, Self
 
 import numpy as np
-from galen_model.arm import SENSOR, WRENCH_AXES
+from galen_model.arm.galen import SENSOR, WRENCH_AXES
 from galen_model.arrays import Array
 
 from galen_diagnosis.blind.plant.arm import Body

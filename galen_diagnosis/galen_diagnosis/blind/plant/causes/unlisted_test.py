@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any, ClassVar, Self
 
 import numpy as np
-from galen_model.arm import HOME, SENSOR, WRENCH_AXES
+from galen_model.arm.galen import HOME, SENSOR, WRENCH_AXES
 from galen_model.arrays import Array
 from scipy.signal import lfilter
 

@@ -8,7 +8,7 @@ from functools import cached_property
 from typing import Any, ClassVar, Self
 
 import numpy as np
-from galen_model.arm import SENSOR
+from galen_model.arm.galen import SENSOR
 from galen_model.arrays import Array
 from scipy.interpolate import PchipInterpolator
 

@@ -1,0 +1,1 @@
+"""The Galen's geometry, kinematics, stiffness and URDF."""

@@ -1,0 +1,1 @@
+"""Files: calibration files, JSON with checks, writing whole or not at all."""

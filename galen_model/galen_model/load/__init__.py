@@ -1,0 +1,1 @@
+"""What a load reads at the wrist, and its identification."""

@@ -1,0 +1,1 @@
+"""A sensor's bias over a sweep: constant, straight or drifting."""

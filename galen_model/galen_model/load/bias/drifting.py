@@ -1,0 +1,299 @@
+"""Least squares of a load whose sensor's bias wanders while the poses are visited.
+
+    y_ik = X_ik x + b_k(t_i) + e_ik,    e_ik ~ N(0, sigma_k^2),   b_k = B beta_k (`bias_curve`)
+
+x are the loads' moments; the six curves have the prior beta_k ~ N(0, sigma_k^2 Q^-1), with one Q
+for the forces and one for the torques. Given Q this is generalised least squares with the
+covariance V_k = sigma_k^2 (I + B Q^-1 B'), in the form that needs no inverse of a singular Q
+(Woodbury): with M = B'B + Q,
+
+    N_k = X_k'X_k - X_k'B M^-1 B'X_k,   C = (sum N_k / sigma_k^2)^-1,   x = C sum (...) / sigma_k^2
+    beta_k = M^-1 B'(y_k - X_k x)
+
+so that C, the covariance of x, holds what the wander costs. sigma_k^2 is the restricted maximum
+likelihood's (Harville, *J. Am. Stat. Assoc.* 72, 1977): (r'r + beta'Q beta) over the freedom left,
+drawn towards its kind's mean, and the covariance widened for its own error, as `robust_fit` does.
+
+A pose is an outlier by its studentised residuals, r / (sigma sqrt(1 - h)) with h its leverage on
+its own fitted value, because a curve bends towards what it is to be compared with. A hand that
+stays over several poses looks like a wander, and no fit of this kind tells them apart.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import cho_factor, cho_solve
+
+from galen_model.arrays import Array
+from galen_model.distributions import chi2_ppf, f_ppf
+from galen_model.errors import IdentificationError
+from galen_model.load.bias.curve import BiasBasis, BiasShape
+from galen_model.load.robust_fit import (
+    FALSE_REJECTIONS_PER_SWEEP,
+    MIN_POSES_TO_REJECT,
+    PRIOR_READINGS,
+    RobustFit,
+    mad_scale,
+    pooled_sigma,
+    tiny,
+)
+
+_ITERATIONS = 30
+Shapes = tuple[BiasShape, BiasShape]
+"""Shape of the three forces' curves, and of the three torques'."""
+
+
+@dataclass(frozen=True)
+class Sweeps:
+    """Readings to fit: design (n, 6, p) of the loads without offsets, readings (n, 6), times.
+
+    time_s (n,): when each was taken; segment (n,): which sweep it belongs to, from 0 on. Each sweep
+    has curves of its own. prior_matrix (p, p), prior_right (p,): what is known of x beforehand, as
+    a part of its normal equations; None: nothing. zeroed: the sensor was zeroed just before the
+    only sweep's first reading, so that its bias there is zero within one reading's noise.
+    """
+
+    design: Array
+    readings: Array
+    time_s: Array
+    segment: np.ndarray
+    prior_matrix: Array | None = None
+    prior_right: Array | None = None
+    zeroed: bool = False
+
+    def __len__(self) -> int:
+        """Number of readings."""
+        return len(self.readings)
+
+
+@dataclass(frozen=True)
+class WanderFit:
+    """What was found.
+
+    fit: values (p + 6 segments,) are x, then each sweep's six biases at its last reading.
+    bias (n, 6): the curves at the readings' times, N and N.m. shapes: of force and torque.
+    growth (p,): how many times larger the wander makes the standard deviations of x.
+    bases, curves: of force and torque; of the six channels.
+    """
+
+    fit: RobustFit
+    bias: Array
+    shapes: Shapes
+    growth: Array
+    bases: list[BiasBasis]
+    curves: list[Array]
+
+    def bias_at(self, time_s: Array, segment: np.ndarray) -> Array:
+        """The curves (m, 6) at other times (m,), s, of the sweeps `segment` (m,)."""
+        rows = [basis.rows(time_s, segment) for basis in self.bases]
+        return np.column_stack([rows[k // 3] @ curve for k, curve in enumerate(self.curves)])
+
+
+class Problem:
+    """The normal equations of some rows, with the curves eliminated, for given pose weights."""
+
+    def __init__(self, sweeps: Sweeps, shapes: Shapes, weights: Array) -> None:
+        self.sweeps = sweeps
+        self.weights = weights
+        self.count = int(np.count_nonzero(weights))
+        parameters = sweeps.design.shape[2]
+        self.bases = [BiasBasis(shape, sweeps.time_s, sweeps.segment) for shape in shapes]
+        self.rows = [basis.rows(sweeps.time_s, sweeps.segment) for basis in self.bases]
+        self.penalty = [basis.penalty() for basis in self.bases]
+        if sweeps.zeroed:  # one more reading of the bias alone, which is zero
+            first = int(np.argmin(sweeps.time_s))
+            starts = [rows[first] for rows in self.rows]
+            self.penalty = [
+                q + np.outer(start, start) for q, start in zip(self.penalty, starts, strict=True)
+            ]
+        self.information = np.zeros((6, parameters, parameters))
+        self.right = np.zeros((6, parameters))
+        self.curve_x: list[Array] = []  # M^-1 B'W X_k: (width, p)
+        self.curve_y: list[Array] = []  # M^-1 B'W y_k: (width,)
+        self.inverse: list[Array] = []
+        for kind, rows in enumerate(self.rows):
+            weighted = rows * weights[:, None]
+            matrix = rows.T @ weighted + self.penalty[kind]
+            try:
+                factor = cho_factor(matrix)
+            except np.linalg.LinAlgError:  # a sweep all of whose poses were weighted to nothing
+                raise IdentificationError("the poses agree on no load") from None
+            self.inverse.append(cho_solve(factor, np.eye(len(matrix))))
+            for channel in range(3 * kind, 3 * kind + 3):
+                design, reading = sweeps.design[:, channel], sweeps.readings[:, channel]
+                curve_x = self.inverse[kind] @ (weighted.T @ design)
+                curve_y = self.inverse[kind] @ (weighted.T @ reading)
+                free = design - rows @ curve_x
+                self.information[channel] = (design * weights[:, None]).T @ free
+                self.right[channel] = (free * weights[:, None]).T @ reading
+                self.curve_x.append(curve_x)
+                self.curve_y.append(curve_y)
+
+    def solve(self, sigma: Array) -> tuple[Array, Array]:
+        """Moments x (p,) and their covariance (p, p)."""
+        scale = 1.0 / sigma**2
+        information = np.einsum("kij,k->ij", self.information, scale)
+        right = self.right.T @ scale
+        if self.sweeps.prior_matrix is not None and self.sweeps.prior_right is not None:
+            information = information + self.sweeps.prior_matrix
+            right = right + self.sweeps.prior_right
+        diagonal = np.diag(information)
+        if np.any(diagonal <= 0.0):
+            raise IdentificationError("the poses agree on no load")
+        balance = 1.0 / np.sqrt(diagonal)
+        try:
+            inverse = np.linalg.inv(information * np.outer(balance, balance))
+        except np.linalg.LinAlgError:
+            raise IdentificationError("the poses agree on no load") from None
+        covariance = np.asarray(inverse * np.outer(balance, balance))
+        return covariance @ right, covariance
+
+    def curves(self, values: Array) -> list[Array]:
+        """beta_k (width,) of the six channels."""
+        return [y - x @ values for x, y in zip(self.curve_x, self.curve_y, strict=True)]
+
+    def bias(self, values: Array) -> Array:
+        """The curves (n, 6) at the readings."""
+        curves = self.curves(values)
+        return np.column_stack([self.rows[k // 3] @ curves[k] for k in range(6)])
+
+    def squares(self, values: Array, residuals: Array) -> Array:
+        """Sums r'W r + beta' Q beta, (6,), whose mean is sigma^2 times the freedom."""
+        rough = [b @ self.penalty[k // 3] @ b for k, b in enumerate(self.curves(values))]
+        return np.asarray(self.weights @ residuals**2 + np.array(rough))
+
+    def freedom(self, covariance: Array, sigma: Array) -> Array:
+        """Readings less what the fit has taken of each channel, (6,)."""
+        taken = np.einsum("kij,ji->k", self.information, covariance) / sigma**2
+        free = np.repeat([basis.free for basis in self.bases], 3)
+        return np.asarray(np.maximum(self.count + self.sweeps.zeroed - free - taken, 1.0))
+
+    def studentised(self, residuals: Array, covariance: Array, sigma: Array) -> Array:
+        """Residuals (n, 6) over the root of 1 - h; of a pose without weight, of 1 + h."""
+        result = np.empty(self.sweeps.readings.shape)
+        of_curve = [_forms(rows, inv) for rows, inv in zip(self.rows, self.inverse, strict=True)]
+        for channel in range(6):
+            free = self.sweeps.design[:, channel] - self.rows[channel // 3] @ self.curve_x[channel]
+            own = of_curve[channel // 3] + _forms(free, covariance) / sigma[channel] ** 2
+            result[:, channel] = np.where(self.weights > 0.0, 1.0 - own * self.weights, 1.0 + own)
+        return residuals / np.sqrt(np.maximum(result, 1e-3))
+
+
+def _forms(rows: Array, matrix: Array) -> Array:
+    """Quadratic form (n,) of each of rows (n, m) with matrix (m, m)."""
+    return np.asarray(np.sum((rows @ matrix) * rows, axis=1))
+
+
+def fit_wandering(sweeps: Sweeps, shapes: Shapes) -> WanderFit:
+    """Fit robustly; raises IdentificationError when the poses leave no freedom."""
+    count = len(sweeps)
+    used = np.ones(count, dtype=bool)
+    if count >= MIN_POSES_TO_REJECT:
+        used = agreeing(sweeps, shapes)
+    return finish(sweeps, shapes, used)
+
+
+def finish(sweeps: Sweeps, shapes: Shapes, used: np.ndarray) -> WanderFit:
+    """Weighted least squares of the poses `used` (n,)."""
+    problem = Problem(sweeps, shapes, used.astype(float))
+    values, covariance, sigma, freedom = settle(problem)
+    # as in robust_fit: sigma is itself estimated
+    known = freedom + PRIOR_READINGS
+    wider = float(np.mean(known / (known - 2.0)))
+    bias = problem.bias(values)
+    residuals = sweeps.readings - sweeps.design @ values - bias
+    whole_values, whole_covariance = _with_ends(problem, values, covariance, sigma)
+    distance = _distance(problem, residuals, covariance, sigma)
+    fit = RobustFit(whole_values, whole_covariance * wider, residuals, sigma, used, distance)
+    constant = Problem(sweeps, (BiasShape(), BiasShape()), problem.weights).solve(sigma)[1]
+    growth = np.sqrt(np.diag(covariance) / np.diag(constant))
+    curves = problem.curves(values)
+    return WanderFit(fit, bias, shapes, growth, problem.bases, curves)
+
+
+def settle(problem: Problem, tolerance: float = 1e-9) -> tuple[Array, Array, Array, Array]:
+    """x, its covariance, each channel's noise and freedom, found together."""
+    sweeps = problem.sweeps
+    sigma = np.maximum(np.std(sweeps.readings, axis=0), tiny(sweeps.readings))
+    for _ in range(_ITERATIONS):
+        values, covariance = problem.solve(sigma)
+        residuals = sweeps.readings - sweeps.design @ values - problem.bias(values)
+        freedom = problem.freedom(covariance, sigma)
+        next_sigma = np.maximum(
+            pooled_sigma(problem.squares(values, residuals), freedom), tiny(sweeps.readings)
+        )
+        settled = np.allclose(next_sigma, sigma, rtol=tolerance)
+        sigma = next_sigma
+        if settled:
+            break
+    values, covariance = problem.solve(sigma)
+    return values, covariance, sigma, freedom
+
+
+def _with_ends(
+    problem: Problem, values: Array, covariance: Array, sigma: Array
+) -> tuple[Array, Array]:
+    """Values and covariance of x and of each sweep's biases at its end, sweep by sweep."""
+    parameters, segments = len(values), problem.bases[0].segments
+    curves = problem.curves(values)
+    # e = const - (E M^-1 B'X) x + E (beta's own error)
+    slope = np.zeros((6 * segments, parameters))
+    own = np.zeros((6 * segments, 6 * segments))
+    ends = np.zeros(6 * segments)
+    for channel in range(6):
+        kind = channel // 3
+        at = problem.bases[kind].ends()
+        places = channel + 6 * np.arange(segments)
+        ends[places] = at @ curves[channel]
+        slope[places] = -at @ problem.curve_x[channel]
+        own[np.ix_(places, places)] = sigma[channel] ** 2 * at @ problem.inverse[kind] @ at.T
+    joint = np.block(
+        [
+            [covariance, covariance @ slope.T],
+            [slope @ covariance, own + slope @ covariance @ slope.T],
+        ]
+    )
+    return np.concatenate([values, ends]), joint
+
+
+def _distance(problem: Problem, residuals: Array, covariance: Array, sigma: Array) -> Array:
+    """How far off (n,) each pose is, over its six channels, in standard deviations."""
+    studentised = problem.studentised(residuals, covariance, sigma)
+    return np.asarray(np.sqrt(np.sum((studentised / sigma) ** 2, axis=1)))
+
+
+def agreeing(sweeps: Sweeps, shapes: Shapes) -> np.ndarray:
+    """Mask (n,) of the poses that agree on one load: bisquare, then a limit (`robust_fit`)."""
+    count = len(sweeps)
+    sigma = np.maximum(np.std(sweeps.readings, axis=0), tiny(sweeps.readings))
+    weights = np.ones(count)
+    cut = np.sqrt(chi2_ppf(0.9999, 6)) * 1.5
+    for step in range(2 * _ITERATIONS):
+        problem = Problem(sweeps, shapes, weights)
+        values, covariance = problem.solve(sigma)
+        residuals = sweeps.readings - sweeps.design @ values - problem.bias(values)
+        studentised = problem.studentised(residuals, covariance, sigma)
+        sigma = mad_scale(studentised)
+        distance = np.sqrt(np.sum((studentised / sigma) ** 2, axis=1))
+        if step < _ITERATIONS:  # least absolute distance: a start that few outliers can't lead
+            new = 1.0 / np.maximum(distance, 0.1 * np.sqrt(6.0))
+            new /= new.max()
+        else:
+            new = np.clip(1.0 - (distance / cut) ** 2, 0.0, None) ** 2
+        moved = float(np.abs(new - weights).max())
+        weights = new
+        if step >= _ITERATIONS and moved < 1e-3:
+            break
+    freedom = max(count - sweeps.design.shape[2] / 6.0 - problem.bases[0].free, 1.0)
+    limit = 6.0 * f_ppf(1.0 - FALSE_REJECTIONS_PER_SWEEP / count, 6, freedom)
+    used = distance**2 <= limit
+    for _ in range(_ITERATIONS):
+        if used.sum() * 6 <= sweeps.design.shape[2] + 6 * problem.bases[0].free:
+            raise IdentificationError(f"only {int(used.sum())} of {count} poses agree on a load")
+        next_used = finish(sweeps, shapes, used).fit.distance ** 2 <= limit
+        if np.array_equal(next_used, used):
+            break
+        used = next_used
+    return used

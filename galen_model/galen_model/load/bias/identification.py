@@ -1,0 +1,142 @@
+"""Tool and adapter as `identification`, with a sensor whose bias wanders over the sweeps.
+
+Each sweep has six curves of its own (the sensor may have been zeroed in between), of a shape that
+held-out blocks choose (`bias_choice`); the fit is `wandering_bias`. What comes out is an
+`Identification` whose offsets are the biases at the end of each sweep, because they are what holds
+for the first readings that the calibration is used on, and whose covariances hold the wander.
+Where a constant bias is chosen, it is that of `identification`, to the last digit.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from galen_model.arm.galen import WRENCH_AXES
+from galen_model.arm.kinematics import gravity_in_sensor
+from galen_model.errors import IdentificationError
+from galen_model.files.calibration_file import LoadEstimate
+from galen_model.load.bias.choice import BiasMode, Wander, choose_by_mode
+from galen_model.load.bias.drifting import Sweeps, fit_wandering
+from galen_model.load.bias.single_load import check_told
+from galen_model.load.excitation import LOAD_PARAMETERS, check_excitation
+from galen_model.load.identification import (
+    Identification,
+    StillPoses,
+    check_channels,
+    check_count,
+    check_rejections,
+    identify_one_sweep,
+    identify_two_sweeps,
+    one_sweep_prior,
+    one_sweep_result,
+    two_sweeps_design,
+    two_sweeps_result,
+)
+from galen_model.load.model import gravity_regressor
+
+_TELLING_GROWTH = 3.0
+
+
+def identify_two_sweeps_wandering(
+    bare: StillPoses,
+    tool: StillPoses,
+    bias_roll_rad: float = 0.0,
+    bias_tilt_rad: float = 0.0,
+    mode: BiasMode = BiasMode.AUTO,
+) -> Identification:
+    """As `identify_two_sweeps`; the poses need times. Raises as it does.
+
+    NotExcitedError also where the order of the poses makes a wander look like a load.
+    """
+    named = {"without the tool": bare, "with the tool": tool}
+    for name, poses in named.items():
+        check_count(poses, f"sweep {name}")
+    zero = gravity_regressor(gravity_in_sensor(bias_roll_rad, bias_tilt_rad))
+    bare_rows, tool_rows = gravity_regressor(bare.gravity) - zero, gravity_regressor(tool.gravity)
+    design = two_sweeps_design(bare_rows, tool_rows, zero)
+    check_excitation(design, LOAD_PARAMETERS, named)
+    check_channels(bare_rows, bare, "sweep without the tool")
+    check_channels(tool_rows, tool, "sweep with the tool")
+    sweeps = Sweeps(
+        design[:, :, :8],
+        np.concatenate([bare.wrench, tool.wrench]),
+        _times(bare, tool),
+        np.repeat([0, 1], [len(bare), len(tool)]),
+    )
+    choice = choose_by_mode(sweeps, mode)
+    if choice is None or choice.constant:
+        found = identify_two_sweeps(bare, tool, bias_roll_rad, bias_tilt_rad)
+        return replace(found, wander=None if choice is None else Wander(choice, None, None, 1.0))
+    fitted = fit_wandering(sweeps, choice.shapes)
+    check_rejections(fitted.fit)
+    result = two_sweeps_result(fitted.fit, bare, tool)
+    check_told(result.load, fitted, "the tool")
+    check_told(result.bias, fitted, "the adapter")
+    curves = fitted.bias[: len(bare)], fitted.bias[len(bare) :]
+    return _with_wander(result, Wander(choice, *curves, float(fitted.growth[0])))
+
+
+def identify_one_sweep_wandering(
+    tool: StillPoses,
+    bias_roll_rad: float = 0.0,
+    bias_tilt_rad: float = 0.0,
+    known_bias: LoadEstimate | None = None,
+    mode: BiasMode = BiasMode.AUTO,
+) -> Identification:
+    """As `identify_one_sweep`; the poses need times, and the zeroing holds for the first of them.
+
+    Raises as it does.
+    """
+    check_count(tool, "sweep with the tool")
+    gravity_zero = gravity_in_sensor(bias_roll_rad, bias_tilt_rad)
+    rows = gravity_regressor(tool.gravity)
+    offsets = np.broadcast_to(np.eye(6), (len(rows), 6, 6))
+    sum_design = np.concatenate([rows, offsets], axis=2)
+    check_excitation(sum_design, LOAD_PARAMETERS[:4], {"with the tool": tool})
+    check_channels(rows, tool, "sweep with the tool")
+    prior_rows, prior_values, prior_std = one_sweep_prior(gravity_zero, known_bias)
+    weighted = prior_rows[:, :8] / prior_std[:, None] ** 2
+    sweeps = Sweeps(
+        np.concatenate([rows, rows - gravity_regressor(gravity_zero)], axis=2),
+        tool.wrench,
+        _times(tool),
+        np.zeros(len(tool), dtype=int),
+        weighted.T @ prior_rows[:, :8],
+        weighted.T @ prior_values,
+        zeroed=True,
+    )
+    choice = choose_by_mode(sweeps, mode)
+    if choice is None or choice.constant:
+        found = identify_one_sweep(tool, bias_roll_rad, bias_tilt_rad, known_bias)
+        return replace(found, wander=None if choice is None else Wander(choice, None, None, 1.0))
+    fitted = fit_wandering(sweeps, choice.shapes)
+    check_rejections(fitted.fit)
+    wander = Wander(choice, None, fitted.bias, float(fitted.growth[0]))
+    return _with_wander(one_sweep_result(fitted.fit, tool, gravity_zero, known_bias), wander)
+
+
+def _times(*sweeps: StillPoses) -> np.ndarray:
+    times = [sweep.time_s for sweep in sweeps if sweep.time_s is not None]
+    if len(times) != len(sweeps):
+        raise IdentificationError("the still poses have no times, which a wandering bias needs")
+    return np.concatenate(times)
+
+
+def _with_wander(found: Identification, wander: Wander) -> Identification:
+    """Add what the bias did, and tell what that costs."""
+    parts = [part for part in (wander.bare, wander.tool) if part is not None]
+    span = np.max([np.ptp(part, axis=0) for part in parts], axis=0)
+    force, torque = int(np.argmax(span[:3])), 3 + int(np.argmax(span[3:]))
+    text = (
+        f"the sensor's bias wandered ({wander.choice}), by up to {span[force]:.3f} N "
+        f"({WRENCH_AXES[force]}) and {span[torque] * 1e3:.2f} mN.m ({WRENCH_AXES[torque]}) over a "
+        "sweep; the offset written is that at the end"
+    )
+    if wander.mass_growth > _TELLING_GROWTH:
+        text += (
+            ". In the order of these poses that looks like a load: the mass's standard deviation "
+            f"is {wander.mass_growth:.1f} times what it would be without; visit them in another"
+        )
+    return replace(found, wander=wander, warnings=(text, *found.warnings))

@@ -1,0 +1,1 @@
+"""The pull of a cable at the tool."""

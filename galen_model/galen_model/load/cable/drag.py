@@ -1,0 +1,261 @@
+"""The pull of a cable at the tool, as a sweep with the cable on shows it.
+
+What a reading holds beyond the tool's file, y (6,), is a Gaussian process over the joints q
+(Rasmussen & Williams, Gaussian Processes for Machine Learning, 2006, eqs. 2.25, 2.26):
+
+    y = B(q) g(q) + noise,   cov(g_l(q), g_l(q')) = a^2 exp(-|q - q'|^2 / 2) + c^2
+
+with distances in units of the lengths over which the pull changes, a the size of its changes and c
+a broad prior for what is the same at all poses; B is `cable_form`'s. The pull at q is the mean
+given the sweep's poses; the covariance says how well that is known. It needs no parameters but the
+sweep and the few numbers that `cable_fit` found, so a tool's file holds the sweep itself.
+
+Off where nobody looked: s(q), the share of the sweep's information that is missing at q, is the
+same process' variance over its prior's, but for lengths that come from the sweep's spacing and not
+from the pull (`support_rad`, SUPPORT_M), so that a slow pull is not trusted farther than a quick
+one. The pull is taken whole up to s = SEEN, not at all from UNSEEN on, and by a smooth step
+between, with a continuous slope; nothing jumps.
+
+A part of the pull that is constant or linear in gravity's direction looks like a load. So the load
+comes from a calibration without the cable; what is left with it on is the cable's.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.linalg import cho_factor, cho_solve
+
+from galen_model.arrays import Array
+from galen_model.files.json_fields import (
+    FieldError,
+    array,
+    get,
+    items,
+    mapping,
+    number,
+    numbers,
+    text,
+)
+from galen_model.load.cable.form import FORMS, form_matrices, groups
+
+MIN_POSES = 16
+MAX_POSES = 120
+SUPPORT_M = 0.10
+"""Length of s over the platform's position: whole up to 6 cm away, nothing from 13 cm on."""
+SEEN, UNSEEN = 0.3, 0.8
+_CONSTANT = np.array([1.0, 0.1])
+"""c of forces (N) and torques (N.m): larger than any cable on a tool that a hand can guide."""
+_SUPPORT_NOISE = 0.05
+_LARGEST_N = 20.0
+"""No pull of a cable that an arm guided by hand could work with; N.m as well."""
+
+
+@dataclass(frozen=True)
+class CableDrag:
+    """What was learned: the sweep and how smooth the pull is. SI, wrenches along ft_sensor.
+
+    joints (n, 5), wrench (n, 6) beyond the tool's file, std (n, 6) of it. length_rad (2,), over
+    roll and tilt, length_m over the platform's position. amplitude (2,): a of forces (N) and of
+    torques (N.m). attachment_m (3,): r. inflation: the covariance's standard deviations are this
+    much larger than the process says, as held-out poses asked for. held_out_rmse (6,): theirs.
+    """
+
+    form: str
+    joints: Array
+    wrench: Array
+    std: Array
+    length_rad: Array
+    length_m: float
+    amplitude: Array
+    support_rad: float
+    learned_at: str
+    attachment_m: Array = field(default_factory=lambda: np.zeros(3))
+    inflation: float = 1.0
+    held_out_rmse: Array = field(default_factory=lambda: np.zeros(6))
+
+    @cached_property
+    def posterior(self) -> CablePosterior:
+        """What it says of any pose; numpy's LinAlgError where the numbers don't make one."""
+        return CablePosterior(self)
+
+    def to_json(self) -> dict[str, Any]:
+        """The content of the key `cable`."""
+        return {
+            "form": self.form,
+            "length_rad": numbers(self.length_rad),
+            "length_m": float(self.length_m),
+            "amplitude": numbers(self.amplitude),
+            "attachment_m": numbers(self.attachment_m),
+            "support_rad": float(self.support_rad),
+            "inflation": float(self.inflation),
+            "held_out_rmse": numbers(self.held_out_rmse),
+            "learned_at": self.learned_at,
+            "poses": [
+                {"joints": numbers(q), "wrench": numbers(y), "std": numbers(s)}
+                for q, y, s in zip(self.joints, self.wrench, self.std, strict=True)
+            ],
+        }
+
+    @classmethod
+    def from_json(cls, value: Any, name: str) -> CableDrag:
+        """From the key's content; raises FieldError that names what is wrong."""
+        whole = mapping(value, name)
+        form = text(get(whole, "form"), f"{name}.form")
+        if form not in FORMS:
+            raise FieldError(f"{name}.form is {form!r:.40}; expected one of {', '.join(FORMS)}")
+        poses = [
+            mapping(pose, f"{name}.poses") for pose in items(get(whole, "poses"), f"{name}.poses")
+        ]
+        if not MIN_POSES <= len(poses) <= MAX_POSES:
+            raise FieldError(
+                f"{name}.poses are {len(poses)}; expected {MIN_POSES} to {MAX_POSES} of them"
+            )
+
+        def rows(key: str, width: int) -> Array:
+            return np.array(
+                [array(get(pose, key), f"{name}.poses.{key}", (width,)) for pose in poses]
+            )
+
+        def within(key: str, values: Array, least: float, most: float) -> Array:
+            if np.any(values < least) or np.any(values > most):
+                raise FieldError(f"{name}.{key} is not between {least:g} and {most:g}")
+            return values
+
+        def one(key: str, least: float, most: float) -> float:
+            found = number(get(whole, key), f"{name}.{key}")
+            return float(within(key, np.array(found), least, most))
+
+        def vector(key: str, length: int) -> Array:
+            return array(get(whole, key), f"{name}.{key}", (length,))
+
+        drag = cls(
+            form=form,
+            joints=rows("joints", 5),
+            wrench=within("poses.wrench", rows("wrench", 6), -_LARGEST_N, _LARGEST_N),
+            std=within("poses.std", rows("std", 6), 1e-6, 100.0),
+            length_rad=within("length_rad", vector("length_rad", 2), 1e-2, 100.0),
+            length_m=one("length_m", 1e-3, 100.0),
+            amplitude=within("amplitude", vector("amplitude", 2), 1e-6, 100.0),
+            support_rad=one("support_rad", 1e-2, 2.0),
+            learned_at=text(get(whole, "learned_at"), f"{name}.learned_at"),
+            attachment_m=within("attachment_m", vector("attachment_m", 3), -2.0, 2.0),
+            inflation=one("inflation", 1.0, 1e3),
+            held_out_rmse=within("held_out_rmse", vector("held_out_rmse", 6), 0.0, 100.0),
+        )
+        try:
+            drag.posterior  # noqa: B018 - only to see whether there is one
+        except np.linalg.LinAlgError:
+            raise FieldError(f"{name} holds poses that no pull can be computed from") from None
+        return drag
+
+
+def smooth_kernel(a: Array, b: Array, lengths: Array) -> Array:
+    """exp(-|a - b|^2 / 2) (n, m) of rows (n, d) and (m, d), in units of lengths (d,)."""
+    left, right = a / lengths, b / lengths
+    # By products, without an array of all differences: |a - b|^2 = |a|^2 + |b|^2 - 2 a.b.
+    apart2 = np.sum(left**2, axis=1)[:, None] + np.sum(right**2, axis=1) - 2.0 * left @ right.T
+    return np.asarray(np.exp(-0.5 * np.maximum(apart2, 0.0)))
+
+
+def prior_covariance(drag: CableDrag, a: Array, b: Array) -> Array:
+    """Prior covariance (6 n, 6 m) of the readings at joints (n, 5) and (m, 5)."""
+    kernel = smooth_kernel(a, b, _lengths(drag))
+    left = form_matrices(drag.form, a, drag.attachment_m)
+    right = form_matrices(drag.form, b, drag.attachment_m)
+    total: Array = np.zeros((len(a), 6, len(b), 6))
+    for group in range(groups(drag.form)):
+        size = drag.amplitude[group] ** 2 * kernel + _CONSTANT[group] ** 2
+        total += together(left[group], right[group]) * size[:, None, :, None]
+    return total.reshape(6 * len(a), 6 * len(b))
+
+
+def together(left: Array, right: Array) -> Array:
+    """B B'^T (n, 6, m, 6) of matrices (n, 6, 3) and (m, 6, 3)."""
+    return np.asarray(np.tensordot(left, right, axes=(2, 2)))
+
+
+def constant_size(group: int) -> float:
+    """The prior's c for a group of `cable_form`: N or N.m."""
+    return float(_CONSTANT[group])
+
+
+def _lengths(drag: CableDrag) -> Array:
+    return np.array([drag.length_m] * 3 + drag.length_rad.tolist())
+
+
+def support_step(missing: ArrayLike) -> Array:
+    """How much of the pull is taken, from 1 to 0, where a share (...) is missing (s)."""
+    x = np.clip((np.asarray(missing, dtype=float) - SEEN) / (UNSEEN - SEEN), 0.0, 1.0)
+    return np.asarray(1.0 - x * x * (3.0 - 2.0 * x))
+
+
+class CablePosterior:
+    """What the sweep says of the pull at other poses."""
+
+    def __init__(self, drag: CableDrag) -> None:
+        """Raises numpy's LinAlgError where the poses' covariance is none."""
+        self._drag = drag
+        covariance = prior_covariance(drag, drag.joints, drag.joints)
+        covariance[np.diag_indices(len(covariance))] += drag.std.ravel() ** 2
+        self._factor = cho_factor(covariance, lower=True)
+        weights = cho_solve(self._factor, drag.wrench.ravel()).reshape(-1, 6)
+        if not np.all(np.isfinite(weights)):
+            raise np.linalg.LinAlgError("the weights are not finite")
+        matrices = form_matrices(drag.form, drag.joints, drag.attachment_m)
+        # g_l(q) = a^2 sum_i k(q, q_i) b_il + c^2 sum_i b_il,   b_il = sum_k B_ikl w_ik
+        parts: Array = np.einsum("gnkl,nk->gln", matrices, weights)
+        size: Array = drag.amplitude[: len(parts), None, None] ** 2
+        constant: Array = _CONSTANT[: len(parts), None] ** 2
+        self.by_pose: Array = (size * parts).reshape(-1, len(weights))
+        """(3 groups, n): g over the kernel's values, but for `constant`."""
+        self.constant: Array = (constant * parts.sum(axis=2)).ravel()
+        """(3 groups,)."""
+        self.lengths: Array = _lengths(drag)
+        """(5,) of the pull, m and rad."""
+        self.support_lengths = np.array([SUPPORT_M] * 3 + [drag.support_rad] * 2)
+        """(5,) of s."""
+        seen = smooth_kernel(drag.joints, drag.joints, self.support_lengths)
+        seen[np.diag_indices(len(seen))] += _SUPPORT_NOISE**2
+        self.support: Array = np.asarray(np.linalg.inv(seen), dtype=float)
+        """(n, n): s = 1 - k^T support k."""
+
+    def readings(self, joints: ArrayLike) -> Array:
+        """The pull (n, 6) to take off at joints (n, 5): mean times `weights`."""
+        q = np.asarray(joints, dtype=float)
+        return self.means(q) * self.weights(q)[:, None]
+
+    def means(self, joints: ArrayLike) -> Array:
+        """The process' mean (n, 6), whether the pose was seen or not."""
+        q = np.asarray(joints, dtype=float)
+        kernel = smooth_kernel(q, self._drag.joints, self.lengths)
+        smooth = (kernel @ self.by_pose.T + self.constant).reshape(len(q), -1, 3)
+        matrices = form_matrices(self._drag.form, q, self._drag.attachment_m)
+        return np.asarray(np.einsum("gnkl,ngl->nk", matrices, smooth))
+
+    def weights(self, joints: ArrayLike) -> Array:
+        """How much of the mean is taken (n,), from 0 to 1."""
+        q = np.asarray(joints, dtype=float)
+        kernel = smooth_kernel(q, self._drag.joints, self.support_lengths)
+        return support_step(1.0 - np.einsum("ni,ij,nj->n", kernel, self.support, kernel))
+
+    def covariance(self, joints: ArrayLike) -> Array:
+        """Covariance (6, 6) of what `readings` leaves of the pull at joints (5,).
+
+        The process' own, inflated; and, where the pull isn't taken whole, what is not taken.
+        """
+        q = np.asarray(joints, dtype=float)[None]
+        left = (1.0 - self.weights(q)[0]) * self.means(q)[0]
+        own = self.process_covariance(joints) * self._drag.inflation**2
+        return np.asarray(own + np.outer(left, left))
+
+    def process_covariance(self, joints: ArrayLike) -> Array:
+        """Covariance (6, 6) of the pull at joints (5,) given the sweep, as the process has it."""
+        q = np.asarray(joints, dtype=float)[None]
+        across = prior_covariance(self._drag, q, self._drag.joints)
+        known = across @ cho_solve(self._factor, across.T)
+        return np.asarray(prior_covariance(self._drag, q, q) - known)

@@ -1,0 +1,501 @@
+"""Identify loads at the wrist from averaged readings of still poses.
+
+The model is linear in the loads' moments x = (m, h = m p) (see `galen_model.load.model`), with
+G(theta) the gravity regressor and G_0 the one at the pose where the sensor was zeroed:
+
+    sweep without the tool:   y_i = (G(theta_i) - G_0) x_b               + o_bare
+    sweep with the tool:      y_i = G(theta_i) x_t + (G(theta_i) - G_0) x_b + o_tool
+
+x_t belongs to the tool, x_b to the adapter ("bias load"). The offsets o hold what the zeroing left
+and how far the sensor had wandered when each sweep was made; they are free and apart, so that a
+slow drift between the two sweeps reaches neither mass nor centre. After two sweeps everything is
+told. With one sweep the offset has to be taken as the zeroing's own noise, and even then only the
+sum of tool and adapter is known for the part of h along gravity at the zeroing pose, because the
+sensor reads G(theta) (x_t + x_b) - G_0 x_b, and g_0 x h_b says nothing of h_b along g_0.
+
+Source: the 2019 report's eqs. (1)-(8) with the errata's bias term, as one least-squares problem
+that uses force and torque of both sweeps together.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from galen_model.arm.galen import WRENCH_AXES
+from galen_model.arm.kinematics import gravity_in_sensor
+from galen_model.arrays import Array
+from galen_model.errors import IdentificationError, ImplausibleLoadError, NotExcitedError
+from galen_model.files.calibration_file import LoadEstimate
+from galen_model.load.bias.choice import Wander
+from galen_model.load.excitation import LOAD_PARAMETERS, check_excitation
+from galen_model.load.model import gravity_regressor
+from galen_model.load.robust_fit import RobustFit, fit_robust, fit_with_known_prior
+
+MIN_POSES = 4
+"""Fewer still poses than this leave no residual worth the name."""
+
+_MAX_REJECTED_FRACTION = 1 / 3
+_MIN_POSES_FOR_WANDER = 12
+_WANDER_SIGMAS = 4.0  # by chance in one calibration of a thousand, over its twelve channels
+_UNOBSERVED_MOMENT_STD_KGM = 0.01  # 100 g at 100 mm: wider than any adapter's first moment
+
+
+@dataclass(frozen=True)
+class StillPoses:
+    """Averaged readings of n still poses of one sweep.
+
+    roll, tilt: (n,) rad; wrench: (n, 6) N and N.m in ft_sensor; std_of_mean: (n, 6), the averaged
+    reading's standard deviation as the scatter within each pose tells it, or None; time_s: (n,)
+    when each was taken, s from anywhere, or None. A bias that wanders needs it.
+    """
+
+    roll: Array
+    tilt: Array
+    wrench: Array
+    std_of_mean: Array | None = None
+    time_s: Array | None = None
+
+    def __post_init__(self) -> None:
+        """Check shapes and values; raises IdentificationError."""
+        count = len(self.roll)
+        if self.roll.shape != (count,) or self.tilt.shape != (count,):
+            raise IdentificationError("roll and tilt of the still poses differ in length")
+        if self.wrench.shape != (count, 6):
+            raise IdentificationError(
+                f"wrenches of the still poses have shape {self.wrench.shape}; expected ({count}, 6)"
+            )
+        named = {"roll": self.roll, "tilt": self.tilt, "wrench": self.wrench}
+        if self.time_s is not None:
+            if self.time_s.shape != (count,):
+                raise IdentificationError("roll and times of the still poses differ in length")
+            named["time"] = self.time_s
+        for name, values in named.items():
+            if not np.all(np.isfinite(values)):
+                raise IdentificationError(f"{name} of the still poses holds a non-finite value")
+
+    def __len__(self) -> int:
+        """Number of poses."""
+        return len(self.roll)
+
+    @property
+    def gravity(self) -> Array:
+        """Gravity (n, 3) in ft_sensor, m/s^2."""
+        return gravity_in_sensor(self.roll, self.tilt)
+
+
+@dataclass(frozen=True)
+class Outlier:
+    """A pose that the fit left out: its sweep ("bare" or "tool"), its place in it, how far off."""
+
+    sweep: str
+    pose: int
+    sigmas: float
+
+
+@dataclass(frozen=True)
+class Identification:
+    """What a calibration found.
+
+    load, bias: tool and adapter with covariance (4, 4) of (kg, m, m, m). offset: (6,) constant part
+    of the sweep with the tool on, and its standard deviation; offset_change: (6,) that offset less
+    the one of the sweep without the tool, with its standard deviation (None after one sweep).
+    rmse: (6,) residual of the used readings of the sweep with the tool; sigma: (6,) noise of one
+    averaged reading as the residuals tell it. used_*: masks of the poses used. wander: None unless
+    a bias that wanders was asked for; where it does, each offset is that at its sweep's last pose.
+    """
+
+    load: LoadEstimate
+    bias: LoadEstimate
+    offset: Array
+    offset_std: Array
+    offset_change: Array | None
+    offset_change_std: Array | None
+    rmse: Array
+    sigma: Array
+    used_tool: np.ndarray
+    used_bare: np.ndarray
+    outliers: tuple[Outlier, ...]
+    warnings: tuple[str, ...]
+    unresolved: tuple[str, ...] = ()
+    wander: Wander | None = None
+
+
+def identify_two_sweeps(
+    bare: StillPoses, tool: StillPoses, bias_roll_rad: float = 0.0, bias_tilt_rad: float = 0.0
+) -> Identification:
+    """Tool and adapter from a sweep without the tool and one with it.
+
+    Raises NotExcitedError naming what the poses don't tell, ImplausibleLoadError for a mass that is
+    not positive, IdentificationError for too few poses or too many that fit no load.
+    """
+    check_count(bare, "sweep without the tool")
+    check_count(tool, "sweep with the tool")
+    zero = gravity_regressor(gravity_in_sensor(bias_roll_rad, bias_tilt_rad))
+    bare_rows = gravity_regressor(bare.gravity) - zero
+    tool_rows = gravity_regressor(tool.gravity)
+    design = two_sweeps_design(bare_rows, tool_rows, zero)
+    poses = {"without the tool": bare, "with the tool": tool}
+    check_excitation(design, LOAD_PARAMETERS, poses)
+    check_channels(bare_rows, bare, "sweep without the tool")
+    check_channels(tool_rows, tool, "sweep with the tool")
+
+    fit = fit_robust(design, np.concatenate([bare.wrench, tool.wrench]))
+    check_rejections(fit)
+    check_excitation(design[fit.used], LOAD_PARAMETERS, poses)
+    return two_sweeps_result(fit, bare, tool)
+
+
+def two_sweeps_result(fit: RobustFit, bare: StillPoses, tool: StillPoses) -> Identification:
+    """What a fit to both sweeps found; its values: see `identify_two_sweeps`, any others last.
+
+    Raises ImplausibleLoadError.
+    """
+    used_bare, used_tool = fit.used[: len(bare)], fit.used[len(bare) :]
+    change = fit.values[14:20] - fit.values[8:14]
+    change_matrix = np.zeros((6, len(fit.values)))
+    change_matrix[:, 14:20], change_matrix[:, 8:14] = np.eye(6), -np.eye(6)
+    change_std = np.sqrt(np.diag(change_matrix @ fit.covariance @ change_matrix.T))
+    warnings = [
+        *_noise_warnings(fit, _joined_std(bare, tool)),
+        *_drift_warnings(change, change_std, fit.sigma),
+        *_wander_warnings(fit, slice(0, len(bare)), "sweep without the tool"),
+        *_wander_warnings(fit, slice(len(bare), None), "sweep with the tool"),
+    ]
+    return Identification(
+        load=load_estimate(fit, slice(0, 4), "the tool"),
+        bias=load_estimate(fit, slice(4, 8), "the adapter"),
+        offset=fit.values[14:20],
+        offset_std=np.sqrt(np.diag(fit.covariance)[14:20]),
+        offset_change=change,
+        offset_change_std=change_std,
+        rmse=_rmse(fit.residuals[len(bare) :], used_tool),
+        sigma=fit.sigma,
+        used_tool=used_tool,
+        used_bare=used_bare,
+        outliers=(
+            *_outliers(fit, np.arange(len(bare)), "bare"),
+            *_outliers(fit, len(bare) + np.arange(len(tool)), "tool"),
+        ),
+        warnings=tuple(warnings),
+    )
+
+
+def identify_one_sweep(
+    tool: StillPoses,
+    bias_roll_rad: float = 0.0,
+    bias_tilt_rad: float = 0.0,
+    known_bias: LoadEstimate | None = None,
+) -> Identification:
+    """Tool and adapter from one sweep with the tool on, after zeroing without it.
+
+    The compensation is fully determined; the split between tool and adapter is not. With
+    `known_bias` (the adapter of an earlier calibration) it is. Otherwise `unresolved` says what
+    is not known, the adapter's first moment along gravity at the zeroing pose is put to zero,
+    and the covariances hold how wide that leaves both.
+
+    The offset is taken as the zeroing's noise, as large as that of one averaged reading. A sensor
+    that has drifted since it was zeroed is mistaken for adapter mass; two sweeps don't do that.
+
+    Raises as `identify_two_sweeps` does.
+    """
+    check_count(tool, "sweep with the tool")
+    gravity_zero = gravity_in_sensor(bias_roll_rad, bias_tilt_rad)
+    rows = gravity_regressor(tool.gravity)
+    design = np.zeros((len(tool), 6, 14))
+    design[:, :, :4] = rows
+    design[:, :, 4:8] = rows - gravity_regressor(gravity_zero)
+    design[:, :, 8:14] = np.eye(6)
+    # The sum of both loads must show in the poses themselves, whatever the zeroing tells.
+    sum_design = np.concatenate([design[:, :, :4], design[:, :, 8:14]], axis=2)
+    check_excitation(sum_design, LOAD_PARAMETERS[:4], {"with the tool": tool})
+    check_channels(rows, tool, "sweep with the tool")
+
+    prior_rows, prior_values, prior_std = one_sweep_prior(gravity_zero, known_bias)
+    fit = fit_with_known_prior(
+        design, tool.wrench, prior_rows, prior_values, prior_std, offset_columns=slice(8, 14)
+    )
+    check_rejections(fit)
+    check_excitation(sum_design[fit.used], LOAD_PARAMETERS[:4], {"with the tool": tool})
+    return one_sweep_result(fit, tool, gravity_zero, known_bias)
+
+
+def one_sweep_result(
+    fit: RobustFit, tool: StillPoses, gravity_zero: Array, known_bias: LoadEstimate | None
+) -> Identification:
+    """What a fit to one sweep found; its values: see `identify_one_sweep`, any others last.
+
+    gravity_zero: (3,) in ft_sensor where the sensor was zeroed, m/s^2. Raises ImplausibleLoadError.
+    """
+    unresolved: tuple[str, ...] = ()
+    if known_bias is None:
+        along = gravity_zero / np.linalg.norm(gravity_zero)
+        total = along @ (fit.values[1:4] + fit.values[5:8])
+        unresolved = (
+            "the first moments of tool and adapter along gravity at the zeroing pose "
+            f"(ft_sensor direction {np.round(along, 4).tolist()}): only their sum "
+            f"{total:.6f} kg.m is known, here all of it is given to the tool; "
+            "the compensation is not affected",
+        )
+    return Identification(
+        load=load_estimate(fit, slice(0, 4), "the tool"),
+        bias=load_estimate(fit, slice(4, 8), "the adapter"),
+        offset=fit.values[8:14],
+        offset_std=np.sqrt(np.diag(fit.covariance)[8:14]),
+        offset_change=None,
+        offset_change_std=None,
+        rmse=_rmse(fit.residuals, fit.used),
+        sigma=fit.sigma,
+        used_tool=fit.used,
+        used_bare=np.zeros(0, dtype=bool),
+        outliers=_outliers(fit, np.arange(len(tool)), "tool"),
+        warnings=(
+            *_noise_warnings(fit, tool.std_of_mean),
+            *_wander_warnings(fit, slice(None), "sweep with the tool"),
+            *unresolved,
+        ),
+        unresolved=unresolved,
+    )
+
+
+def check_planned_poses(
+    roll: Array,
+    tilt: Array,
+    *,
+    one_sweep: bool = False,
+    bias_roll_rad: float = 0.0,
+    bias_tilt_rad: float = 0.0,
+) -> None:
+    """Raise NotExcitedError, before the arm moves, for poses (n,), rad, that tell too little."""
+    planned = StillPoses(roll, tilt, np.zeros((len(roll), 6)))
+    check_count(planned, "each sweep")
+    rows = gravity_regressor(planned.gravity)
+    if one_sweep:
+        check_excitation(single_load_design(planned.gravity), LOAD_PARAMETERS[:4])
+        return
+    zero = gravity_regressor(gravity_in_sensor(bias_roll_rad, bias_tilt_rad))
+    poses = {"in each sweep": planned}
+    check_excitation(two_sweeps_design(rows - zero, rows, zero), LOAD_PARAMETERS, poses)
+
+
+def two_sweeps_design(bare_rows: Array, tool_rows: Array, zero: Array) -> Array:
+    """Columns: tool's moments (4), adapter's (4), offsets of the bare sweep (6), the other (6)."""
+    count = len(bare_rows)
+    design = np.zeros((count + len(tool_rows), 6, 20))
+    design[:count, :, 4:8] = bare_rows
+    design[:count, :, 8:14] = np.eye(6)
+    design[count:, :, :4] = tool_rows
+    design[count:, :, 4:8] = tool_rows - zero
+    design[count:, :, 14:20] = np.eye(6)
+    return design
+
+
+def one_sweep_prior(
+    gravity_zero: Array, known_bias: LoadEstimate | None
+) -> tuple[Array, Array, Array]:
+    """Rows (k, 14), values (k,) and standard deviations (k,) of what is known beforehand.
+
+    gravity_zero: (3,) in ft_sensor where the sensor was zeroed, m/s^2.
+    """
+    if known_bias is None:
+        row = np.zeros((1, 14))
+        row[0, 5:8] = gravity_zero / np.linalg.norm(gravity_zero)
+        return row, np.zeros(1), np.array([_UNOBSERVED_MOMENT_STD_KGM])
+    # (m, h) of the known adapter, its covariance taken from (m, p) and decorrelated into rows.
+    moments = known_bias.load.moments
+    jacobian = np.eye(4)
+    jacobian[1:, 0] = known_bias.com_m
+    jacobian[1:, 1:] *= known_bias.mass_kg
+    covariance = jacobian @ known_bias.covariance @ jacobian.T
+    variances, vectors = np.linalg.eigh(covariance)
+    rows = np.zeros((4, 14))
+    rows[:, 4:8] = vectors.T
+    floor = 1e-12 * max(float(variances.max()), 1e-12)
+    return rows, vectors.T @ moments, np.sqrt(np.maximum(variances, floor))
+
+
+@dataclass(frozen=True)
+class SingleLoad:
+    """One load and six constant biases from orientations alone (the ten-parameter model)."""
+
+    load: LoadEstimate
+    offset: Array
+    sigma: Array
+    used: np.ndarray
+
+    def predict(self, gravity_sensor: ArrayLike) -> Array:
+        """Reading (..., 6), N and N.m, under gravity (..., 3) in the sensor's frame, m/s^2."""
+        return gravity_regressor(gravity_sensor) @ self.load.load.moments + self.offset
+
+
+def identify_single_load(gravity_sensor: ArrayLike, wrench: ArrayLike) -> SingleLoad:
+    """Mass, centre and six biases, robust to outliers, from gravity (n, 3) and readings (n, 6).
+
+    Raises as `identify_two_sweeps` does.
+    """
+    gravity, reading = np.asarray(gravity_sensor, dtype=float), np.asarray(wrench, dtype=float)
+    if len(gravity) < MIN_POSES:
+        raise IdentificationError(f"{len(gravity)} still poses; at least {MIN_POSES} are needed")
+    design = single_load_design(gravity)
+    check_excitation(design, LOAD_PARAMETERS[:4])
+    fit = fit_robust(design, reading)
+    check_rejections(fit)
+    check_excitation(design[fit.used], LOAD_PARAMETERS[:4])
+    load = load_estimate(fit, slice(0, 4), "the load")
+    return SingleLoad(load, fit.values[4:], fit.sigma, fit.used)
+
+
+def plain_least_squares(gravity_sensor: ArrayLike, wrench: ArrayLike) -> tuple[Array, Array]:
+    """The baseline that other packages use: moments (4,) and biases (6,), unweighted, no checks.
+
+    gravity (n, 3) in the sensor's frame, m/s^2; readings (n, 6). The three axes of a force (of a
+    torque) count alike, whatever their noise; force and torque share no parameter in (m, h).
+    """
+    design = single_load_design(np.asarray(gravity_sensor, dtype=float))
+    solution = np.linalg.lstsq(
+        design.reshape(-1, 10), np.asarray(wrench, dtype=float).reshape(-1), rcond=None
+    )[0]
+    return solution[:4], solution[4:]
+
+
+def single_load_design(gravity: Array) -> Array:
+    """Columns (n, 6, 10): one load's moments (4) and six offsets, from gravity (n, 3), m/s^2."""
+    design = np.zeros((len(gravity), 6, 10))
+    design[:, :, :4] = gravity_regressor(gravity)
+    design[:, :, 4:] = np.eye(6)
+    return design
+
+
+def check_count(poses: StillPoses, name: str) -> None:
+    """Raise NotExcitedError for fewer than `MIN_POSES`."""
+    if len(poses) < MIN_POSES:
+        raise NotExcitedError(f"{name}: {len(poses)} still poses; at least {MIN_POSES} are needed")
+
+
+def check_channels(rows: Array, poses: StillPoses, name: str) -> None:
+    """Raise IdentificationError for a channel that reads the same whatever the other five do.
+
+    rows: (n, 6, 4) of one load and, with free offsets, of any that hang on the sensor together.
+    A dead channel would else pass as a noisy one, since its own residual makes its weight.
+    """
+    centred_rows = rows - rows.mean(axis=0)
+    centred = poses.wrench - poses.wrench.mean(axis=0)
+    for channel in np.flatnonzero(np.ptp(poses.wrench, axis=0) == 0.0):
+        others = np.delete(np.arange(6), channel)
+        moments = np.linalg.lstsq(
+            centred_rows[:, others].reshape(-1, 4), centred[:, others].reshape(-1), rcond=None
+        )[0]
+        kind = [other for other in others if other // 3 == channel // 3]
+        noise = np.std(centred[:, kind] - centred_rows[:, kind] @ moments)
+        expected = np.ptp(centred_rows[:, channel] @ moments)
+        # Zero is right for a channel on which this load has no lever.
+        if expected > 10.0 * noise + 1e-9:
+            unit = "N" if channel < 3 else "N.m"
+            raise IdentificationError(
+                f"{name}: {WRENCH_AXES[channel]} is {poses.wrench[0, channel]:g} {unit}, the same "
+                f"at all {len(poses)} poses, where it should change by {expected:.3g} {unit}: "
+                "does the sensor measure it?"
+            )
+
+
+def check_rejections(fit: RobustFit) -> None:
+    """Raise IdentificationError where too many poses fit no common load."""
+    rejected = int(np.sum(~fit.used))
+    if rejected > _MAX_REJECTED_FRACTION * len(fit.used):
+        raise IdentificationError(
+            f"{rejected} of {len(fit.used)} poses fit no common load: was the tool touched, did it "
+            "shift, or do the joint angles not belong to the readings?"
+        )
+
+
+def load_estimate(fit: RobustFit, columns: slice, name: str) -> LoadEstimate:
+    """Mass and centre from the moments; covariance by p = h / m, dp = (dh - p dm) / m.
+
+    Raises ImplausibleLoadError calling the load `name`.
+    """
+    moments, covariance = fit.values[columns], fit.covariance[columns, columns]
+    mass, std = float(moments[0]), float(np.sqrt(covariance[0, 0]))
+    if mass <= 0.0:
+        raise ImplausibleLoadError(
+            f"{name} would weigh {mass * 1e3:.3f} g (standard deviation {std * 1e3:.3f} g): a mass "
+            "is positive. Is it mounted? Does a push read positive in the direction of the push?"
+        )
+    if mass < 3.0 * std:
+        raise ImplausibleLoadError(
+            f"{name} weighs {mass * 1e3:.3f} g with a standard deviation of {std * 1e3:.3f} g, "
+            "which is not told apart from nothing. Is it mounted?"
+        )
+    com = moments[1:] / mass
+    jacobian = np.zeros((4, 4))
+    jacobian[0, 0] = 1.0
+    jacobian[1:, 0] = -com / mass
+    jacobian[1:, 1:] = np.eye(3) / mass
+    return LoadEstimate(mass, com, jacobian @ covariance @ jacobian.T)
+
+
+def _rmse(residuals: Array, used: np.ndarray) -> Array:
+    return np.asarray(np.sqrt(np.mean(residuals[used] ** 2, axis=0)))
+
+
+def _joined_std(*sweeps: StillPoses) -> Array | None:
+    parts = [sweep.std_of_mean for sweep in sweeps]
+    known = [part for part in parts if part is not None]
+    return np.concatenate(known) if len(known) == len(parts) else None
+
+
+def _outliers(fit: RobustFit, indices: np.ndarray, sweep: str) -> tuple[Outlier, ...]:
+    return tuple(
+        Outlier(sweep, pose, float(fit.distance[index]))
+        for pose, index in enumerate(indices)
+        if not fit.used[index]
+    )
+
+
+def _noise_warnings(fit: RobustFit, std_of_mean: Array | None) -> list[str]:
+    """Tell when the residual is larger than what the scatter within the poses explains."""
+    if std_of_mean is None:
+        return []
+    expected = np.sqrt(np.mean(std_of_mean[fit.used] ** 2, axis=0))
+    if not np.all(expected > 0.0):  # an ideal sensor, without any noise to compare with
+        return []
+    ratio = fit.sigma / expected
+    worst = int(np.argmax(ratio))
+    if ratio[worst] < 2.0:
+        return []
+    axis = WRENCH_AXES[worst]
+    return [
+        f"the residual of {axis} is {ratio[worst]:.1f} times what the noise within a pose explains"
+        ": something that the model doesn't hold (drift, joint zero, sensor rotation, a cable)"
+    ]
+
+
+def _drift_warnings(change: Array, std: Array, sigma: Array) -> list[str]:
+    return [
+        f"the sensor's {name} moved by {value:+.4f} {'N' if index < 3 else 'N.m'} between the "
+        "sweeps: it drifts, or was zeroed in between"
+        for index, (name, value) in enumerate(zip(WRENCH_AXES, change, strict=True))
+        if abs(value) > 5.0 * std[index] and abs(value) > 3.0 * sigma[index]
+    ]
+
+
+def _wander_warnings(fit: RobustFit, sweep: slice, name: str) -> list[str]:
+    """Tell when a sweep's residual goes up or down over its poses, taken as in visiting order.
+
+    Where the order goes with roll or tilt, a drift looks in part like a load, and the parameters
+    are off by more than their covariance says. The fit takes that part, so that the drift told is
+    a lower bound, and its test against noise a cautious one.
+    """
+    used, residuals = fit.used[sweep], fit.residuals[sweep]
+    order = np.linspace(0.0, 1.0, len(used))[used]
+    order = order - order.mean()
+    if len(order) < _MIN_POSES_FOR_WANDER:
+        return []
+    wander = order @ residuals[used] / (order @ order)
+    limit = _WANDER_SIGMAS * fit.sigma / np.sqrt(order @ order)
+    return [
+        f"the residual of {axis} wandered by {value:+.4g} {'N' if index < 3 else 'N.m'} over the "
+        f"{name}: the sensor drifts, or the model misses something that goes with the pose; the "
+        "stated standard deviations don't hold that"
+        for index, (axis, value) in enumerate(zip(WRENCH_AXES, wander, strict=True))
+        if abs(value) > limit[index]
+    ]

@@ -1,0 +1,1 @@
+"""Inertial forces of a load, and identification of its inertia."""

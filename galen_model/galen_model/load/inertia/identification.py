@@ -1,0 +1,309 @@
+"""Inertia of all that hangs on the sensor, from a recording of free motion.
+
+With s = g - a, Y the regressor of `galen_model.load.inertia.inertial`, x = (m, h, I) of tool and adapter
+together and r the readings,
+
+    r = Y(s, w, al) x + b - lag d/dt [Y(s, w, al) x] + noise,
+
+linear in x and the offset b (the sensor's zero takes up the adapter's weight there), and, at the x
+found before, in the lag of the wrench's stamps. The tool's file knows (m, h) far better than motion
+does: it enters with its covariance. Beside it the same is fitted without the file, and the two
+(m, h) are compared.
+
+Residuals of neighbouring samples belong together (vibration, differentiated encoder steps), so the
+covariance is taken from blocks of time, not from samples (Liang, Zeger, *Biometrika* 73, 1986):
+
+    C = N^-1 (sum over blocks u u^T + P) N^-1 B / (B - p),   N = sum X^T W X + P,
+
+u the sum of X^T W e over a block, P the file's information, B blocks, p parameters. Blocks that
+disagree with the rest (somebody touched the tool) are left out.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from galen_model.arrays import Array
+from galen_model.distributions import chi2_sf
+from galen_model.errors import IdentificationError, NotExcitedError
+from galen_model.files.calibration_file import LoadEstimate, ToolFile
+from galen_model.load.inertia.estimate import InertiaEstimate
+from galen_model.load.inertia.inertial import INERTIA_NAMES, inertial_regressor
+from galen_model.load.inertia.motion_record import MotionRecord
+from galen_model.load.model import gravity_regressor
+
+BLOCK_S = 0.5
+FEWEST_BLOCKS = 24
+MAX_RELATIVE_STD = 0.05
+"""Of the inertia's size: along a direction that is known worse, the motion doesn't tell it."""
+
+_LOAD, _INERTIA, _OFFSET, _LAG = slice(0, 4), slice(4, 10), slice(10, 16), 16
+_PARAMETERS = 17
+# Mean squares of a block over those of most blocks; three times as much in each reading.
+_TOUCHED = 9.0
+_ROUNDS = 3
+OTHER_MASS = 0.2
+"""By more than this part, the mass on the sensor is that of another tool."""
+_MOST_TOUCHED = 1.0 / 3.0
+_ITERATIONS = 3
+_LONGEST_MEMORY = 50
+_DEAD = 0.05
+
+
+@dataclass(frozen=True)
+class InertiaFit:
+    """What a recording tells.
+
+    moments (4,), moments_covariance: (m, h) without the file; file_distance: chi^2 of the
+    difference to the file's, of 4 degrees of freedom, and disagrees whether noise does not make it.
+    lag_s, lag_std_s: how late the wrench's stamps are. left_over (6,): RMS, filtered. offset (6,).
+    blocks, touched: how many there are, and how many were left out.
+    """
+
+    inertia: InertiaEstimate
+    moments: Array
+    moments_covariance: Array
+    file_distance: float
+    lag_s: float
+    lag_std_s: float
+    left_over: Array
+    offset: Array
+    blocks: int
+    touched: int
+
+    @property
+    def disagrees(self) -> bool:
+        """Whether mass and centre in the recording are not the file's."""
+        return _is_other(self.file_distance)
+
+
+def _is_other(file_distance: float) -> bool:
+    return bool(chi2_sf(file_distance, 4) < 1e-3)
+
+
+def total_moments(tool: ToolFile) -> tuple[Array, Array]:
+    """(m, h) (4,) of tool and adapter, and their covariance (4, 4), kg and kg m.
+
+    h = m p: its covariance is that of (m, p), taken by the Jacobian [[1, 0], [p, m 1]].
+    """
+    total, covariance = np.zeros(4), np.zeros((4, 4))
+    for part in (tool.load, tool.bias):
+        total += part.load.moments
+        jacobian = _moments_jacobian(part)
+        covariance += jacobian @ part.covariance @ jacobian.T
+    return total, covariance
+
+
+def _moments_jacobian(part: LoadEstimate) -> Array:
+    jacobian = np.zeros((4, 4))
+    jacobian[0, 0] = 1.0
+    jacobian[1:, 0] = part.com_m
+    jacobian[1:, 1:] = part.mass_kg * np.eye(3)
+    return jacobian
+
+
+def identify_inertia(record: MotionRecord, moments: Array, covariance: Array) -> InertiaFit:
+    """The inertia, given (m, h) (4,) and their covariance (4, 4) from the tool's file.
+
+    Raises IdentificationError for a recording that is too short or touched all over, and
+    NotExcitedError, naming the components, where the motion doesn't tell them.
+    """
+    block = np.floor((record.time_s - record.time_s[0]) / BLOCK_S).astype(int)
+    count = len(np.unique(block))
+    if count < FEWEST_BLOCKS:
+        raise IdentificationError(
+            f"{count * BLOCK_S:.1f} s of motion are too short: {FEWEST_BLOCKS * BLOCK_S:.0f} s are"
+            " needed to tell the inertia and how well it is known"
+        )
+    # A file that claims to know (m, h) exactly must not make the fit singular.
+    floor = np.diag([1e-8, 1e-10, 1e-10, 1e-10])
+    prior: Array = np.asarray(np.linalg.inv(covariance + floor), dtype=np.float64)
+    known = np.concatenate([moments, np.zeros(_PARAMETERS - 4)])
+    fitted = _fit(record, block, prior, known)
+    for _ in range(_ROUNDS):  # with what was left out gone, others may stand out
+        kept = _untouched(fitted, block, record.acceleration_rad_s2)
+        if kept.all():
+            break
+        record, block = record.take(kept), block[kept]
+        touched = count - len(np.unique(block))
+        if touched > _MOST_TOUCHED * count:
+            raise IdentificationError(
+                f"{touched} of {count} blocks of {BLOCK_S:g} s disagree with the rest: was the"
+                " tool touched, is it another one, or are forces of motion not in the wrench?"
+            )
+        fitted = _fit(record, block, prior, known)
+    touched = count - len(np.unique(block))
+    free = _fit(record, block, np.zeros((4, 4)), known)
+    difference = free.values[_LOAD] - moments
+    distance = float(
+        difference @ np.linalg.solve(free.covariance[_LOAD, _LOAD] + covariance + floor, difference)
+    )
+    # A mass that the turning does not tell is nobody's.
+    told = _inverse(free.information)[0, 0] < (OTHER_MASS / 3.0 * moments[0]) ** 2
+    if told and _is_other(distance) and abs(difference[0]) > OTHER_MASS * moments[0]:
+        raise IdentificationError(
+            f"the recording is of {1e3 * free.values[0]:.1f} g, the file of {1e3 * moments[0]:.1f}"
+            " g on the sensor: another tool is on"
+        )
+    _check_there(record, fitted)
+    _check_told(fitted, moments)
+    return InertiaFit(
+        inertia=InertiaEstimate(fitted.values[_INERTIA], fitted.covariance[_INERTIA, _INERTIA]),
+        moments=free.values[_LOAD],
+        moments_covariance=free.covariance[_LOAD, _LOAD],
+        file_distance=distance,
+        lag_s=float(fitted.values[_LAG]),
+        lag_std_s=float(np.sqrt(fitted.covariance[_LAG, _LAG])),
+        left_over=np.sqrt(np.mean(fitted.residuals**2, axis=0)),
+        offset=fitted.values[_OFFSET],
+        blocks=count,
+        touched=touched,
+    )
+
+
+@dataclass(frozen=True)
+class _Fitted:
+    values: Array
+    covariance: Array
+    information: Array
+    residuals: Array
+    sigma: Array
+
+
+def _fit(record: MotionRecord, block: np.ndarray, prior: Array, known: Array) -> _Fitted:
+    """Least squares with the channels' own noise, the lag linearised at the values before."""
+    weight = inertial_regressor(
+        record.gravity - record.acceleration_m_s2,
+        record.velocity_rad_s,
+        record.acceleration_rad_s2,
+    )
+    design = np.zeros((len(record), 6, _PARAMETERS))
+    design[..., :10] = weight
+    design[..., _OFFSET] = np.eye(6)
+    inside = np.zeros((_PARAMETERS, _PARAMETERS))
+    inside[_LOAD, _LOAD] = prior
+    # Without a lag at first; the wrench is then known well enough to be shifted in time.
+    free = np.arange(_PARAMETERS) != _LAG
+    values, sigma = known.copy(), np.ones(6)
+    sigma[3:] = 0.02
+    for step in range(_ITERATIONS + 1):
+        if step:
+            shape = np.gradient(weight @ values[:10], record.time_s, axis=0)
+            # Blocks that were left out leave gaps in time, over which there is no derivative.
+            design[..., _LAG] = np.where(_joined(record.time_s)[:, None], -shape, 0.0)
+            free[_LAG] = bool(np.any(design[..., _LAG]))
+        values, information = _solve(design, record.wrench, sigma, inside, known, free)
+        residuals = record.wrench - design @ values
+        sigma = _noise(residuals)
+    _, information = _solve(design, record.wrench, sigma, inside, known, free)
+    rows = np.einsum("nkp,nk->np", design / sigma[None, :, None] ** 2, residuals)
+    _, index = np.unique(block, return_inverse=True)
+    sums = np.zeros((index.max() + 1, _PARAMETERS))
+    np.add.at(sums, index, rows)
+    blocks = len(sums)
+    inverse = np.zeros((_PARAMETERS, _PARAMETERS))
+    inverse[np.ix_(free, free)] = _inverse(information[np.ix_(free, free)])
+    middle = sums.T @ sums * blocks / max(blocks - _PARAMETERS, 1) + inside
+    return _Fitted(values, inverse @ middle @ inverse, information, residuals, sigma)
+
+
+def _noise(residuals: Array) -> Array:
+    """Noise (6,) of each channel that so many independent readings would have to have.
+
+    Filtered readings are not independent: n of them tell as much as n / k, k = 1 + 2 sum of the
+    autocorrelation up to where it has died out.
+    """
+    spread = np.mean(residuals**2, axis=0) + 1e-24
+    times = np.ones(6)
+    alive = np.ones(6, dtype=bool)
+    for lag in range(1, min(len(residuals) // 4, _LONGEST_MEMORY)):
+        correlation = np.mean(residuals[lag:] * residuals[:-lag], axis=0) / spread
+        alive &= correlation > _DEAD
+        if not alive.any():
+            break
+        times += np.where(alive, 2.0 * correlation, 0.0)
+    return np.asarray(np.sqrt(spread * times))
+
+
+def _solve(
+    design: Array, wrench: Array, sigma: Array, inside: Array, known: Array, free: np.ndarray
+) -> tuple[Array, Array]:
+    rows = (design / sigma[None, :, None]).reshape(-1, _PARAMETERS)
+    information = rows.T @ rows + inside
+    right = rows.T @ (wrench / sigma).reshape(-1) + inside @ known
+    values = np.zeros(_PARAMETERS)
+    values[free] = _inverse(information[np.ix_(free, free)]) @ right[free]
+    return values, information
+
+
+def _inverse(information: Array) -> Array:
+    """Inverse of an information matrix whose parameters differ by orders of magnitude in size.
+
+    What it doesn't tell at all comes out enormous and not infinite, for `_check_told` to name.
+    """
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(information), 1e-6))
+    values, vectors = np.linalg.eigh(information * np.outer(scale, scale))
+    values = np.maximum(values, 1e-13)
+    return np.asarray((vectors / values) @ vectors.T * np.outer(scale, scale))
+
+
+def _joined(time_s: Array) -> np.ndarray:
+    """Which readings (n,) have their neighbours close by."""
+    steps = np.diff(time_s)
+    close = steps < 3.0 * np.median(steps)
+    return np.concatenate([[True], close]) & np.concatenate([close, [True]])
+
+
+def _untouched(fitted: _Fitted, block: np.ndarray, moving: Array) -> np.ndarray:
+    """Which readings (n,) are in blocks that agree with the rest, in every channel.
+
+    The rest is the half of the blocks in which the arm moved most: a real arm shakes when it moves.
+    """
+    _, index = np.unique(block, return_inverse=True)
+    counts = np.bincount(index)[:, None]
+    sums = np.zeros((len(counts), 6))
+    np.add.at(sums, index, fitted.residuals**2)
+    mean = sums / counts
+    motion = np.bincount(index, np.sum(moving**2, axis=1)) / counts[:, 0]
+    usual = np.median(mean[motion >= np.median(motion)], axis=0)
+    agree: np.ndarray = np.all(mean <= _TOUCHED * usual, axis=1)
+    return agree[index]
+
+
+def _check_there(record: MotionRecord, fitted: _Fitted) -> None:
+    """Raise IdentificationError where the readings are the weight's alone."""
+    rows = np.zeros((len(record), 6, 10))
+    rows[..., :4] = gravity_regressor(record.gravity)
+    rows[..., 4:] = np.eye(6)
+    scaled = (rows / fitted.sigma[None, :, None]).reshape(-1, 10)
+    right = (record.wrench / fitted.sigma).reshape(-1)
+    weight, *_ = np.linalg.lstsq(scaled, right, rcond=None)
+    if np.sum((right - scaled @ weight) ** 2) < np.sum((fitted.residuals / fitted.sigma) ** 2):
+        raise IdentificationError(
+            "weight alone explains the readings better than weight and forces of motion: were they"
+            " taken off already?"
+        )
+
+
+def _check_told(fitted: _Fitted, moments: Array) -> None:
+    """Raise NotExcitedError, naming components, unless the motion tells the inertia."""
+    size = max(
+        float(np.abs(fitted.values[_INERTIA]).max()),
+        # of a point mass at the centre of all
+        float(moments[1:] @ moments[1:] / moments[0]),
+    )
+    # By the noise alone and by blocks: what was never moved can't be judged by its residuals.
+    by_noise = _inverse(fitted.information)[_INERTIA, _INERTIA]
+    covariance = (by_noise + fitted.covariance[_INERTIA, _INERTIA]) / 2.0
+    variances, directions = np.linalg.eigh(covariance)
+    bad = variances > (MAX_RELATIVE_STD * size) ** 2
+    if not bad.any():
+        return
+    share = np.sum(directions[:, bad] ** 2, axis=1)
+    missing = [name for name, part in zip(INERTIA_NAMES, share, strict=True) if part > 0.1]
+    raise NotExcitedError(
+        f"the motion does not tell the inertia's {', '.join(missing)}: turn roll and tilt both,"
+        " each way and faster, with tilt at different places while roll turns"
+    )

@@ -1,0 +1,127 @@
+"""What a rigid load in motion reads: Newton's and Euler's equations about the sensor's origin.
+
+In the axes of ft_sensor, with g gravity, a the acceleration of the sensor's origin, w and al the
+angular velocity and acceleration, m the mass, h = m p the first moment, I the inertia about the
+sensor's origin, s = g - a:
+
+    f   = m s - al x h - w x (w x h),
+    tau = h x s - I al - w x (I w),
+
+which is linear in the ten numbers (m, h, I). Source: Atkeson, An, Hollerbach, *Estimation of
+Inertial Parameters of Manipulator Loads and Links*, Int. J. Robotics Research 5(3), 1986, eqs. (3)
+to (9), with the sign of this suite's wrench (a push reads positive in its direction). At rest it is
+`galen_model.load.model`.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from galen_model.arrays import Array
+from galen_model.load.model import Load, gravity_regressor
+from galen_model.rotation import skew
+
+INERTIA_NAMES = ("xx", "yy", "zz", "xy", "xz", "yz")
+"""Order of the six numbers of an inertia; those off the diagonal as they stand in the matrix."""
+
+Vector = tuple[float, float, float]
+
+
+def inertial_regressor(
+    specific_m_s2: ArrayLike, velocity_rad_s: ArrayLike, acceleration_rad_s2: ArrayLike
+) -> Array:
+    """Y (..., 6, 10) with the wrench Y (m, h, I), N and N.m in ft_sensor.
+
+    All (..., 3) in ft_sensor: s = g - a, m/s^2 (-a alone for the forces of motion without the
+    weight), angular velocity, angular acceleration.
+    """
+    specific, omega, alpha = np.broadcast_arrays(
+        np.asarray(specific_m_s2, dtype=float),
+        np.asarray(velocity_rad_s, dtype=float),
+        np.asarray(acceleration_rad_s2, dtype=float),
+    )
+    spin = skew(omega)
+    regressor = np.zeros((*specific.shape[:-1], 6, 10))
+    regressor[..., :4] = gravity_regressor(specific)
+    regressor[..., :3, 1:4] = -skew(alpha) - spin @ spin
+    regressor[..., 3:, 4:] = -_times_inertia(alpha) - spin @ _times_inertia(omega)
+    return regressor
+
+
+def inertial_wrench(
+    specific_m_s2: ArrayLike,
+    velocity_rad_s: ArrayLike,
+    acceleration_rad_s2: ArrayLike,
+    moments: ArrayLike,
+    about_sensor_kg_m2: ArrayLike,
+) -> Array:
+    """Wrench (..., 6) of a load: moments (4,) as `Load.moments`, inertia (6,) about the sensor."""
+    numbers = np.concatenate([np.asarray(moments, float), np.asarray(about_sensor_kg_m2, float)])
+    regressor = inertial_regressor(specific_m_s2, velocity_rad_s, acceleration_rad_s2)
+    return np.asarray(regressor @ numbers)
+
+
+def point_mass_inertia(*loads: Load) -> Array:
+    """Inertia (6,) about the sensor's origin, kg m^2, of loads as points: m (p.p 1 - p p^T).
+
+    The least that the loads can have: their own inertia about their centres comes on top.
+    """
+    total = np.zeros((3, 3))
+    for load in loads:
+        p = np.asarray(load.com_m, dtype=float)
+        total += load.mass_kg * (p @ p * np.eye(3) - np.outer(p, p))
+    return inertia_numbers(total)
+
+
+def inertia_numbers(matrix: ArrayLike) -> Array:
+    """The six numbers of a symmetric matrix (3, 3), in the order of `INERTIA_NAMES`."""
+    i = np.asarray(matrix, dtype=float)
+    return np.array([i[0, 0], i[1, 1], i[2, 2], i[0, 1], i[0, 2], i[1, 2]])
+
+
+def inertia_matrix(numbers: ArrayLike) -> Array:
+    """The symmetric matrix (3, 3) of six numbers."""
+    xx, yy, zz, xy, xz, yz = np.asarray(numbers, dtype=float)
+    return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+
+
+def _times_inertia(vector: Array) -> Array:
+    """L (..., 3, 6) with L (xx yy zz xy xz yz) = I v."""
+    x, y, z = vector[..., 0], vector[..., 1], vector[..., 2]
+    zero = np.zeros_like(x)
+    rows = [(x, zero, zero, y, z, zero), (zero, y, zero, x, zero, z), (zero, zero, z, zero, x, y)]
+    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+
+
+class LoadInMotion:
+    """`inertial_wrench` of one load, for one moment at a time and some ten times as fast."""
+
+    def __init__(self, moments: ArrayLike, about_sensor_kg_m2: ArrayLike) -> None:
+        """Moments (4,) as `Load.moments`, inertia (6,) about the sensor's origin."""
+        self._moments = tuple(float(v) for v in np.asarray(moments, dtype=float))
+        self._inertia = tuple(float(v) for v in np.asarray(about_sensor_kg_m2, dtype=float))
+
+    def wrench(
+        self, specific: Vector, velocity: Vector, acceleration: Vector
+    ) -> tuple[float, float, float, float, float, float]:
+        """The wrench, N and N.m, from s (g - a, or -a alone), w and al in ft_sensor."""
+        m, hx, hy, hz = self._moments
+        xx, yy, zz, xy, xz, yz = self._inertia
+        sx, sy, sz = specific
+        wx, wy, wz = velocity
+        ax, ay, az = acceleration
+        # w x h, then al x h + w x (w x h)
+        ux, uy, uz = wy * hz - wz * hy, wz * hx - wx * hz, wx * hy - wy * hx
+        # I w, then I al + w x (I w)
+        lx = xx * wx + xy * wy + xz * wz
+        ly = xy * wx + yy * wy + yz * wz
+        lz = xz * wx + yz * wy + zz * wz
+        return (
+            m * sx - (ay * hz - az * hy + wy * uz - wz * uy),
+            m * sy - (az * hx - ax * hz + wz * ux - wx * uz),
+            m * sz - (ax * hy - ay * hx + wx * uy - wy * ux),
+            hy * sz - hz * sy - (xx * ax + xy * ay + xz * az + wy * lz - wz * ly),
+            hz * sx - hx * sz - (xy * ax + yy * ay + yz * az + wz * lx - wx * lz),
+            hx * sy - hy * sx - (xz * ax + yz * ay + zz * az + wx * ly - wy * lx),
+        )

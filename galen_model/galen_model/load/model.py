@@ -1,0 +1,68 @@
+"""What a load at the wrist reads: the nominal measurement model.
+
+A load of mass m with its centre at p (ft_sensor) reads, about the sensor's origin,
+
+    f = m R^T g,   tau = p x f,
+
+which is linear in (m, h) with the first moment h = m p:  tau = h x (R^T g) = -(R^T g)^ h.
+
+    reading = W(theta; tool) + W(theta; adapter) - W(theta_bias; adapter) + applied + noise
+
+Source: the 2019 report's section 2.3 as corrected for its eqs. (3) and (7): the zeroing happened
+at theta_bias, so its term holds R(theta_bias) on both sides.
+"""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from galen_model.arm.kinematics import gravity_in_sensor
+from galen_model.arrays import Array
+from galen_model.rotation import skew
+
+
+@dataclass(frozen=True)
+class Load:
+    """A rigid load: mass (kg) and centre of mass (3,) in ft_sensor (m)."""
+
+    mass_kg: float
+    com_m: Array = field(default_factory=lambda: np.zeros(3))
+
+    @property
+    def moments(self) -> Array:
+        """(4,): mass (kg) and first moment m p (kg.m), in which the model is linear."""
+        return np.concatenate([[self.mass_kg], self.mass_kg * np.asarray(self.com_m, dtype=float)])
+
+
+def gravity_regressor(gravity_sensor: ArrayLike) -> Array:
+    """G (..., 6, 4) with W = G (m, h), for gravity in ft_sensor (..., 3), m/s^2."""
+    gravity = np.asarray(gravity_sensor, dtype=float)
+    regressor = np.zeros((*gravity.shape[:-1], 6, 4))
+    regressor[..., :3, 0] = gravity
+    regressor[..., 3:, 1:] = -skew(gravity)
+    return regressor
+
+
+def gravity_wrench(gravity_sensor: ArrayLike, load: Load) -> Array:
+    """W (..., 6), N and N.m in ft_sensor, of `load` under gravity in ft_sensor (..., 3)."""
+    gravity = np.asarray(gravity_sensor, dtype=float)
+    force = load.mass_kg * gravity
+    return np.concatenate([force, np.cross(np.asarray(load.com_m, dtype=float), force)], axis=-1)
+
+
+def nominal_reading(
+    roll_rad: ArrayLike,
+    tilt_rad: ArrayLike,
+    tool: Load,
+    adapter: Load,
+    bias_roll_rad: float = 0.0,
+    bias_tilt_rad: float = 0.0,
+) -> Array:
+    """Reading (..., 6) without touch and noise, N and N.m in ft_sensor.
+
+    The sensor was zeroed at (bias_roll_rad, bias_tilt_rad) with the adapter on and no tool.
+    """
+    gravity = gravity_in_sensor(roll_rad, tilt_rad)
+    at_bias = gravity_wrench(gravity_in_sensor(bias_roll_rad, bias_tilt_rad), adapter)
+    return gravity_wrench(gravity, tool) + gravity_wrench(gravity, adapter) - at_bias

@@ -1,0 +1,1 @@
+"""The sensor's rotation and gains, the base's inclination, the joints' zeros."""

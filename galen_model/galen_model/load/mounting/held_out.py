@@ -1,0 +1,212 @@
+"""Do a mounting's parameters pay? Poses held out by blocks say so, not the fit's own residual.
+
+Blocks of neighbouring poses, in visiting order, are left out of both sweeps in turn; three models
+fitted to the rest predict the readings with the tool: the ten-parameter least squares of other
+packages (from the sweep with the tool alone), loads without a mounting, loads with it. Compared
+are squared residuals in units of the noise, block by block, so that what a block has in common
+for both models drops out.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from galen_model.arrays import Array
+from galen_model.errors import IdentificationError
+from galen_model.files.calibration_file import LoadEstimate
+from galen_model.load.identification import (
+    Identification,
+    StillPoses,
+    identify_one_sweep,
+    identify_two_sweeps,
+    plain_least_squares,
+)
+from galen_model.load.model import gravity_regressor, gravity_wrench
+from galen_model.load.mounting.identification import (
+    KnownLoad,
+    MountedIdentification,
+    identify_one_sweep_mounted,
+    identify_two_sweeps_mounted,
+)
+from galen_model.load.mounting.mounting import Mounting
+
+BLOCKS = 5
+PLAIN, GALEN, MOUNTED = "plain least squares", "galen", "galen, mounted"
+"""The models' names."""
+
+_PAYS_SIGMAS = 2.0
+
+_Predict = Callable[[StillPoses], Array]
+
+
+@dataclass(frozen=True)
+class Calibrated:
+    """What was measured: sweeps, the zeroing pose (rad), what is known, the groups asked for."""
+
+    bare: StillPoses | None
+    tool: StillPoses
+    groups: Sequence[str]
+    bias_roll_rad: float = 0.0
+    bias_tilt_rad: float = 0.0
+    known: KnownLoad | None = None
+    known_bias: LoadEstimate | None = None
+
+    def identify(self) -> MountedIdentification:
+        """From all poses, or those `without` leaves; raises IdentificationError."""
+        zero = (self.bias_roll_rad, self.bias_tilt_rad)
+        if self.bare is not None:
+            return identify_two_sweeps_mounted(
+                self.bare, self.tool, self.groups, *zero, known=self.known
+            )
+        if self.known is not None:
+            raise IdentificationError("a known mass of the tool needs two sweeps")
+        return identify_one_sweep_mounted(self.tool, self.groups, *zero, self.known_bias)
+
+    def identify_unmounted(self) -> Identification:
+        """The same without a mounting; raises IdentificationError."""
+        zero = (self.bias_roll_rad, self.bias_tilt_rad)
+        if self.bare is not None:
+            return identify_two_sweeps(self.bare, self.tool, *zero)
+        return identify_one_sweep(self.tool, *zero, self.known_bias)
+
+    def without(self, block: int, blocks: int) -> "Calibrated":
+        """The same without a block of each sweep."""
+        bare = None if self.bare is None else _take(self.bare, ~_held(self.bare, block, blocks))
+        tool = _take(self.tool, ~_held(self.tool, block, blocks))
+        return replace(self, bare=bare, tool=tool)
+
+
+@dataclass(frozen=True)
+class Worth:
+    """Held-out residuals of the readings with the tool.
+
+    rmse: (6,) by model, N and N.m, NaN where the model refused some block; gain: by how much the
+    mounting lowers the mean squared residual in units of the noise, and its standard deviation
+    over the blocks; by_kind: the same (2, 2) of forces and of torques, gain and deviation;
+    against: the model compared with.
+    """
+
+    rmse: dict[str, Array]
+    gain: float
+    gain_std: float
+    by_kind: Array
+    against: str
+    blocks: int
+
+    @property
+    def worse(self) -> str:
+        """Which of "forces" and "torques" becomes worse beyond chance; else empty.
+
+        A rotation, an inclination or a zero acts on both; one at the cost of the other is
+        something else.
+        """
+        lost = self.by_kind[:, 0] < -_PAYS_SIGMAS * self.by_kind[:, 1]
+        return "forces" if lost[0] else "torques" if lost[1] else ""
+
+    @property
+    def pays(self) -> bool:
+        """Whether the gain is beyond chance, and not one kind's at the other's cost."""
+        return self.gain > _PAYS_SIGMAS * self.gain_std and not self.worse
+
+    @property
+    def sentence(self) -> str:
+        """The verdict for a person."""
+        change = (
+            f"on {self.blocks} held-out blocks they lower the squared residual by "
+            f"{self.gain:.3g} +- {self.gain_std:.2g} of the noise's, against {self.against}"
+        )
+        if self.worse and self.gain > 0.0:
+            change += f"; but the {self.worse} become worse, so that it is something else"
+        if self.pays:
+            return f"the mounting's parameters pay: {change}"
+        return f"the mounting's parameters do not pay, calibrate without them: {change}"
+
+
+def worth(measured: Calibrated, all_poses: MountedIdentification, blocks: int = BLOCKS) -> Worth:
+    """Score the models; all_poses: the mounted fit to everything, whose outliers don't count.
+
+    Raises IdentificationError where the mounting can't be fitted without a block.
+    """
+    parts: dict[str, list[Array]] = {name: [] for name in (PLAIN, GALEN, MOUNTED)}
+    for block in range(blocks):
+        held = _held(measured.tool, block, blocks)
+        rest = measured.without(block, blocks)
+        scored = _take(measured.tool, held & all_poses.found.used_tool)
+        try:
+            mounted = rest.identify()
+        except IdentificationError as error:
+            raise IdentificationError(
+                f"without block {block + 1} of {blocks} of the poses: {error}"
+            ) from error
+        for name, predict in zip(parts, _models(rest, mounted), strict=True):
+            left = np.full((len(scored), 6), np.nan) if predict is None else predict(scored)
+            parts[name].append(scored.wrench - left)
+    return compare(parts, all_poses.found.sigma)
+
+
+def compare(parts: Mapping[str, Sequence[Array]], sigma: Array) -> Worth:
+    """Of held-out residuals (k, 6) by model and block, NaN where one refused; sigma (6,) noise.
+
+    The models are `PLAIN`, `GALEN` and `MOUNTED`; two blocks at least, empty ones don't count.
+    """
+    squares = {  # (blocks, 2): forces, torques
+        name: np.array(
+            [
+                np.mean((part / sigma) ** 2, axis=0).reshape(2, 3).mean(axis=1)
+                for part in of
+                if len(part)
+            ]
+        )
+        for name, of in parts.items()
+    }
+    against = GALEN if np.all(np.isfinite(squares[GALEN])) else PLAIN
+    gains = squares[against] - squares[MOUNTED]
+    together = gains.mean(axis=1)
+    root = np.sqrt(len(gains))
+    return Worth(
+        {name: np.sqrt(np.mean(np.concatenate(of) ** 2, axis=0)) for name, of in parts.items()},
+        float(np.mean(together)),
+        float(np.std(together, ddof=1) / root),
+        np.stack([gains.mean(axis=0), gains.std(axis=0, ddof=1) / root], axis=1),
+        against,
+        len(gains),
+    )
+
+
+def _models(rest: Calibrated, mounted: MountedIdentification) -> list[_Predict | None]:
+    moments, offset = plain_least_squares(rest.tool.gravity, rest.tool.wrench)
+    zero = np.array([rest.bias_roll_rad, rest.bias_tilt_rad])
+    try:
+        unmounted = rest.identify_unmounted()
+    except IdentificationError:  # far off, readings fit no load at all without a mounting
+        galen = None
+    else:
+        galen = _predictor(unmounted, Mounting(), zero)
+    return [
+        lambda poses: gravity_regressor(poses.gravity) @ moments + offset,
+        galen,
+        _predictor(mounted.found, mounted.mounting, zero),
+    ]
+
+
+def _predictor(found: Identification, mounting: Mounting, zero: Array) -> _Predict:
+    def predict(poses: StillPoses) -> Array:
+        gravity = mounting.gravity_in_sensor(poses.roll, poses.tilt)
+        wrench = (
+            gravity_wrench(gravity, found.load.load)
+            + gravity_wrench(gravity, found.bias.load)
+            - gravity_wrench(mounting.gravity_in_sensor(*zero), found.bias.load)
+        )
+        return np.asarray(wrench @ mounting.reading_from_wrench.T + found.offset)
+
+    return predict
+
+
+def _held(poses: StillPoses, block: int, blocks: int) -> np.ndarray:
+    return np.asarray(np.arange(len(poses)) * blocks // len(poses) == block)
+
+
+def _take(poses: StillPoses, rows: np.ndarray) -> StillPoses:
+    std = None if poses.std_of_mean is None else poses.std_of_mean[rows]
+    return StillPoses(poses.roll[rows], poses.tilt[rows], poses.wrench[rows], std)

@@ -1,0 +1,349 @@
+"""Loads, offsets and chosen parameters of the mounting together, from still poses.
+
+Gauss-Newton: the model (`galen_model.load.mounting.reading_model`) is made linear at the last values and each
+step is a whole robust fit (`galen_model.load.robust_fit`), so that outliers, the channels' noise and
+the covariance are those of the fits without a mounting. Before and after, `mounting_gate` refuses
+parameters that the poses can't tell apart. No parameter of the mounting has a prior; of the loads
+only what the caller has measured otherwise (a scale, a drawing) enters beforehand.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from galen_model.arrays import Array
+from galen_model.errors import IdentificationError
+from galen_model.files.calibration_file import LoadEstimate
+from galen_model.load.excitation import LOAD_PARAMETERS, check_excitation
+from galen_model.load.identification import (
+    MIN_POSES,
+    Identification,
+    SingleLoad,
+    StillPoses,
+    check_channels,
+    check_count,
+    check_rejections,
+    load_estimate,
+    one_sweep_prior,
+    one_sweep_result,
+    two_sweeps_result,
+)
+from galen_model.load.model import gravity_regressor
+from galen_model.load.mounting.gate import MAX_STD, Columns, check_told
+from galen_model.load.mounting.groups import Entity, entities
+from galen_model.load.mounting.mounting import Mounting
+from galen_model.load.mounting.reading_model import (
+    JointPoses,
+    OrientedPoses,
+    Poses,
+    ReadingModel,
+    Sweep,
+)
+from galen_model.load.robust_fit import RobustFit, fit_with_known_prior
+
+_STEPS = 20
+_STEPS_WITH_ALL = 6
+_SETTLED = 0.05  # of a standard deviation: the step after that is smaller by two orders
+_ROUNDING = 1e-11  # kg, kg.m, N, N.m, rad
+_TURNED_MORE = "turn the sensor further, about both axes, or sweep with the base in another place"
+
+
+@dataclass(frozen=True)
+class KnownLoad:
+    """What is known of the load otherwise: its mass, as of a scale, and its centre (3,) or None.
+
+    It must not come from the sensor that is being calibrated.
+    """
+
+    mass_kg: float
+    mass_std_kg: float
+    com_m: Array | None = None
+    com_std_m: float | None = None
+
+    def __post_init__(self) -> None:
+        """Check the values; raises IdentificationError."""
+        if not (0.0 < self.mass_kg < np.inf and 0.0 < self.mass_std_kg < np.inf):
+            raise IdentificationError(
+                f"the known mass is {self.mass_kg:g} +- {self.mass_std_kg:g} kg: both are positive"
+            )
+        if (self.com_m is None) != (self.com_std_m is None):
+            raise IdentificationError(
+                "a known centre needs its standard deviation, and it a centre"
+            )
+        if self.com_std_m is not None and not 0.0 < self.com_std_m < np.inf:
+            raise IdentificationError(f"the known centre's deviation is {self.com_std_m:g} m")
+
+    def prior(self, parameters: int, column: int) -> tuple[Array, Array, Array]:
+        """Rows (k, p), values (k,), deviations (k,) on the moments (m, h) from `column` on.
+
+        h - p m = 0 within m times the centre's deviation.
+        """
+        count = 1 if self.com_m is None else 4
+        rows, values = np.zeros((count, parameters)), np.zeros(count)
+        std = np.full(count, self.mass_std_kg)
+        rows[0, column], values[0] = 1.0, self.mass_kg
+        if self.com_m is not None and self.com_std_m is not None:
+            rows[1:, column + 1 : column + 4] = np.eye(3)
+            rows[1:, column] = -np.asarray(self.com_m, dtype=float)
+            std[1:] = self.mass_kg * self.com_std_m
+        return rows, values, std
+
+
+@dataclass(frozen=True)
+class MountedIdentification:
+    """Loads with offsets, as without a mounting, and the mounting. rmse, offsets: raw axes."""
+
+    found: Identification
+    mounting: Mounting
+
+
+@dataclass(frozen=True)
+class MountedLoad:
+    """One load, its offsets (6,) and the mounting, from orientations."""
+
+    single: SingleLoad
+    mounting: Mounting
+
+    def predict(self, gravity_sensor: ArrayLike, base_from_sensor: Array | None) -> Array:
+        """Raw reading (n, 6) under a level base's gravity (n, 3) with R_base_sensor (n, 3, 3)."""
+        gravity = np.asarray(gravity_sensor, dtype=float)
+        if base_from_sensor is not None:
+            gravity = self.mounting.turned_gravity(gravity, base_from_sensor)
+        weight = self.single.predict(gravity) - self.single.offset
+        return weight @ self.mounting.reading_from_wrench.T + self.single.offset
+
+
+def identify_two_sweeps_mounted(
+    bare: StillPoses,
+    tool: StillPoses,
+    groups: Sequence[str],
+    bias_roll_rad: float = 0.0,
+    bias_tilt_rad: float = 0.0,
+    known: KnownLoad | None = None,
+) -> MountedIdentification:
+    """As `identify_two_sweeps`, with the mounting's `groups`. known: of the tool.
+
+    Raises NotToldApartError naming the pairs, and as `identify_two_sweeps` does.
+    """
+    check_count(bare, "sweep without the tool")
+    check_count(tool, "sweep with the tool")
+    asked = entities(groups)
+    problem = _two_sweeps_problem(
+        JointPoses(bare.roll, bare.tilt),
+        JointPoses(tool.roll, tool.tilt),
+        JointPoses(np.array([bias_roll_rad]), np.array([bias_tilt_rad])),
+        asked,
+        known,
+    )
+    readings = np.concatenate([bare.wrench, tool.wrench])
+    start, design, sigma = problem.start(readings)
+    check_excitation(design, LOAD_PARAMETERS, {"without the tool": bare, "with the tool": tool})
+    check_channels(design[: len(bare), :, 4:8], bare, "sweep without the tool")
+    check_channels(design[len(bare) :, :, :4], tool, "sweep with the tool")
+    fit = problem.fit(readings, start, sigma)
+    return MountedIdentification(
+        two_sweeps_result(fit, bare, tool), problem.mounting(fit, tuple(groups))
+    )
+
+
+def identify_one_sweep_mounted(
+    tool: StillPoses,
+    groups: Sequence[str],
+    bias_roll_rad: float = 0.0,
+    bias_tilt_rad: float = 0.0,
+    known_bias: LoadEstimate | None = None,
+) -> MountedIdentification:
+    """As `identify_one_sweep`, with the mounting's `groups`; raises as the two sweeps' does.
+
+    The mounting must show in the poses themselves, whatever the zeroing tells: the gate looks at
+    the sum of both loads with free offsets.
+    """
+    check_count(tool, "sweep with the tool")
+    asked = entities(groups)
+    poses = JointPoses(tool.roll, tool.tilt)
+    zero = JointPoses(np.array([bias_roll_rad]), np.array([bias_tilt_rad]))
+    together = _single_problem(poses, asked, None)
+    start, design, sigma = together.start(tool.wrench)
+    check_excitation(design, LOAD_PARAMETERS[:4], {"with the tool": tool})
+    check_channels(design[:, :, :4], tool, "sweep with the tool")
+    together.check(start, sigma, None)
+
+    gravity_zero = zero.gravity(Mounting())[0][0]
+    rows, values, std = one_sweep_prior(gravity_zero, known_bias)
+    problem = _Problem(
+        ReadingModel([Sweep(poses, slice(0, 4), slice(4, 8), slice(8, 14))], zero, asked, 14),
+        (np.hstack([rows, np.zeros((len(rows), len(asked)))]), values, std),
+        slice(8, 14),
+        None,
+    )
+    # what the sum's offset holds, the zeroing took: - G_0 x_adapter
+    at_zero = gravity_regressor(gravity_zero)
+    adapter = np.linalg.lstsq(at_zero, -start[4:10], rcond=None)[0]
+    apart = np.concatenate([start[:4] - adapter, adapter, np.zeros(6), start[10:]])
+    fit = problem.fit(tool.wrench, apart, sigma)
+    sum_values = np.concatenate([fit.values[:4] + fit.values[4:8], fit.values[8:]])
+    together.check(sum_values, fit.sigma, MAX_STD, fit.used)
+    mounting = problem.mounting(fit, tuple(groups))
+    gravity_zero = zero.gravity(mounting)[0][0]
+    return MountedIdentification(one_sweep_result(fit, tool, gravity_zero, known_bias), mounting)
+
+
+def identify_single_load_mounted(
+    gravity_sensor: ArrayLike,
+    wrench: ArrayLike,
+    groups: Sequence[str],
+    base_from_sensor: Array | None = None,
+    known: KnownLoad | None = None,
+) -> MountedLoad:
+    """As `identify_single_load`, with the mounting's `groups`, from orientations.
+
+    gravity_sensor: (n, 3) for a level base; base_from_sensor: R_base_sensor (n, 3, 3), which an
+    inclination of the base needs. known: of all that hangs on the sensor. Raises NotToldApartError
+    naming the pairs, and as `identify_single_load` does.
+    """
+    gravity, readings = np.asarray(gravity_sensor, dtype=float), np.asarray(wrench, dtype=float)
+    if len(gravity) < MIN_POSES:
+        raise IdentificationError(f"{len(gravity)} still poses; at least {MIN_POSES} are needed")
+    problem = _single_problem(OrientedPoses(gravity, base_from_sensor), entities(groups), known)
+    start, design, sigma = problem.start(readings)
+    check_excitation(design, LOAD_PARAMETERS[:4])
+    fit = problem.fit(readings, start, sigma)
+    single = SingleLoad(
+        load_estimate(fit, slice(0, 4), "the load"), fit.values[4:10], fit.sigma, fit.used
+    )
+    return MountedLoad(single, problem.mounting(fit, tuple(groups)))
+
+
+def check_planned_mounting(
+    roll: Array,
+    tilt: Array,
+    groups: Sequence[str],
+    *,
+    one_sweep: bool = False,
+    bias_roll_rad: float = 0.0,
+    bias_tilt_rad: float = 0.0,
+) -> None:
+    """Raise, before the arm moves, for poses (n,), rad, that can't tell `groups` apart.
+
+    The load isn't known then; one of 100 g, well off every axis, stands for it.
+    """
+    asked = entities(groups)
+    planned = JointPoses(np.asarray(roll, dtype=float), np.asarray(tilt, dtype=float))
+    zero = JointPoses(np.array([bias_roll_rad]), np.array([bias_tilt_rad]))
+    load, noise = 0.1 * np.array([1.0, 0.05, 0.03, 0.05]), np.array([1.0] * 3 + [0.02] * 3)
+    if one_sweep:
+        problem = _single_problem(planned, asked, None)
+        problem.check(np.concatenate([load, np.zeros(6 + len(asked))]), noise, None)
+        return
+    problem = _two_sweeps_problem(planned, planned, zero, asked, None)
+    problem.check(np.concatenate([load, load, np.zeros(12 + len(asked))]), noise, None)
+
+
+def _two_sweeps_problem(
+    bare: Poses, tool: Poses, zero: JointPoses, asked: tuple[Entity, ...], known: KnownLoad | None
+) -> "_Problem":
+    """Values: tool's moments (4), adapter's (4), offsets bare (6) and with the tool (6), asked."""
+    adapter = slice(4, 8)
+    sweeps = [
+        Sweep(bare, None, adapter, slice(8, 14)),
+        Sweep(tool, slice(0, 4), adapter, slice(14, 20)),
+    ]
+    columns = Columns((0, 4), (1, 2, 3, 5, 6, 7), range(8, 20), [e.name for e in asked])
+    return _Problem(
+        ReadingModel(sweeps, zero, asked, 20), _prior(known, 20 + len(asked)), None, columns
+    )
+
+
+def _single_problem(poses: Poses, asked: tuple[Entity, ...], known: KnownLoad | None) -> "_Problem":
+    """Values: the load's moments (4), offsets (6), asked."""
+    model = ReadingModel(
+        [Sweep(poses, slice(0, 4), None, slice(4, 10))],
+        JointPoses(np.zeros(1), np.zeros(1)),
+        asked,
+        10,
+    )
+    columns = Columns((0,), (1, 2, 3), range(4, 10), [e.name for e in asked])
+    return _Problem(model, _prior(known, 10 + len(asked)), None, columns)
+
+
+def _prior(known: KnownLoad | None, parameters: int) -> tuple[Array, Array, Array]:
+    if known is None:
+        return np.zeros((0, parameters)), np.zeros(0), np.zeros(0)
+    return known.prior(parameters, 0)
+
+
+@dataclass(frozen=True)
+class _Problem:
+    """A model, what is known beforehand (rows, values, deviations), and the gate's columns.
+
+    offsets: those known to be zero within a reading's noise, or None.
+    """
+
+    model: ReadingModel
+    known: tuple[Array, Array, Array]
+    offsets: slice | None
+    columns: Columns | None
+
+    def start(self, readings: Array) -> tuple[Array, Array, Array]:
+        """Values (p,) without a mounting, their linear part's design, and the noise (6,) so far."""
+        values = np.zeros(self.known[0].shape[1])
+        design = self.model.evaluate(values)[1][:, :, : self.model.linear]
+        rows = design.reshape(-1, self.model.linear)
+        values[: self.model.linear] = np.linalg.lstsq(rows, readings.reshape(-1), rcond=None)[0]
+        sigma = np.std(readings - design @ values[: self.model.linear], axis=0)
+        return values, design, np.maximum(sigma, 1e-12)
+
+    def fit(self, readings: Array, values: Array, sigma: Array) -> RobustFit:
+        """Fit from `values` (p,); sigma: (6,) a first guess of the noise."""
+        self.check(values, sigma, None)
+        asked = np.ones(len(readings), dtype=bool)
+        last = asked
+        for step in range(_STEPS):
+            expected, jacobian = self.model.evaluate(values)
+            right = readings - expected + jacobian @ values
+            fit = fit_with_known_prior(jacobian[asked], right[asked], *self.known, self.offsets)
+            used = asked.copy()
+            used[asked] = fit.used
+            change = np.abs(fit.values - values)
+            values = fit.values
+            if np.any(np.abs(values[self.model.linear :]) > 1.0):
+                break
+            if np.all(change <= _SETTLED * np.sqrt(np.diag(fit.covariance)) + _ROUNDING):
+                residuals = readings - self.model.evaluate(values)[0]
+                distance = np.sqrt(np.sum((residuals / fit.sigma) ** 2, axis=1))
+                fit = replace(fit, residuals=residuals, used=used, distance=distance)
+                check_rejections(fit)
+                self.check(values, fit.sigma, MAX_STD, used)
+                return fit
+            if step >= _STEPS_WITH_ALL:  # poses that come and go with every step would never end
+                asked = asked & (used | ~last) & (last | ~used)
+            last = used
+        raise IdentificationError(
+            "sensor and mounting: the fit does not settle; the readings fit no small rotation, gain"
+            " or inclination"
+        )
+
+    def check(
+        self, values: Array, sigma: Array, max_std: float | None, used: np.ndarray | None = None
+    ) -> None:
+        """Raise NotToldApartError unless the (used) poses tell all that is asked."""
+        if self.columns is None:
+            return
+        jacobian = self.model.evaluate(values)[1]
+        rows, _, std = self.known
+        check_told(
+            jacobian if used is None else jacobian[used],
+            sigma,
+            self.columns,
+            rows / std[:, None],
+            what_separates=_TURNED_MORE,
+            max_std=max_std,
+        )
+
+    def mounting(self, fit: RobustFit, groups: tuple[str, ...]) -> Mounting:
+        """The mounting of a fit's values, with its covariance."""
+        basis, linear = self.model.basis, self.model.linear
+        covariance = basis @ fit.covariance[linear:, linear:] @ basis.T
+        return Mounting.from_vector(basis @ fit.values[linear:], groups, covariance)

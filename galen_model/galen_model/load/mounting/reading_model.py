@@ -1,0 +1,188 @@
+"""Readings of still poses as a function of loads, offsets and mounting, with the Jacobian.
+
+    h_i = M [G(u_i) x_i - G(u_0) x_adapter] + o,   x_i: what hangs on the sensor at pose i
+
+(see `galen_model.load.mounting.mounting` for M and u, `galen_model.load.model` for G and x = (m, h)). The columns of
+the Jacobian: M G(u) by x, 1 by o; by a gain the element's own reading e = M w / (1 + g); by the
+rotation vector diag(1 + g) [e_f^ ; e_t^] J_r, since S(rho + d)^T w = exp(-(J_r d)^) S^T w with the
+right Jacobian J_r of the rotation group (Sola, Deray, Atchuthan, *A micro Lie theory*, 2018,
+eq. 143); by angles M [m 1 ; h^] du, with du/dtilt = u x e_y, du/droll = u x (R^T e_x) and
+du/da = g R^T dd/da.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from galen_model.arm.galen import GRAVITY_M_S2
+from galen_model.arm.kinematics import sensor_rotation
+from galen_model.arrays import Array
+from galen_model.load.model import gravity_regressor
+from galen_model.load.mounting.groups import PARAMETERS, Entity
+from galen_model.load.mounting.mounting import Mounting
+from galen_model.rotation import skew
+
+_E_Y = np.array([0.0, 1.0, 0.0])
+
+
+class Poses(Protocol):
+    """Where the sensor was."""
+
+    def __len__(self) -> int:
+        """Number of poses."""
+
+    def gravity(self, mounting: Mounting) -> tuple[Array, Array]:
+        """Gravity (n, 3) in ft_sensor and its change (n, 3, 4) by inclination x, y, zeros."""
+
+
+@dataclass(frozen=True)
+class JointPoses:
+    """Reported roll and tilt (n,), rad."""
+
+    roll: Array
+    tilt: Array
+
+    def __len__(self) -> int:
+        """Number of poses."""
+        return len(self.roll)
+
+    def gravity(self, mounting: Mounting) -> tuple[Array, Array]:
+        """See `Poses.gravity`."""
+        zero = mounting.joint_zero_rad
+        rotation = sensor_rotation(self.roll + zero[0], self.tilt + zero[1])
+        size = -GRAVITY_M_S2[2]
+        u = np.einsum("nji,j->ni", rotation, mounting.gravity_direction) * size
+        change = np.empty((len(self), 3, 4))
+        change[:, :, :2] = size * _by_inclination(rotation, mounting)
+        change[:, :, 2] = np.cross(u, rotation[:, 0, :])
+        change[:, :, 3] = np.cross(u, _E_Y)
+        return u, change
+
+
+@dataclass(frozen=True)
+class OrientedPoses:
+    """Gravity (n, 3) in the sensor's frame for a level base, and R_base_sensor (n, 3, 3) or None.
+
+    Without the rotation an inclination of the base has no effect that could be told.
+    """
+
+    level_gravity: Array
+    rotation: Array | None
+
+    def __len__(self) -> int:
+        """Number of poses."""
+        return len(self.level_gravity)
+
+    def gravity(self, mounting: Mounting) -> tuple[Array, Array]:
+        """See `Poses.gravity`; joint zeros have no effect."""
+        change = np.zeros((len(self), 3, 4))
+        if self.rotation is None:
+            return self.level_gravity, change
+        size = np.linalg.norm(self.level_gravity, axis=1)[:, None, None]
+        change[:, :, :2] = size * _by_inclination(self.rotation, mounting)
+        return mounting.turned_gravity(self.level_gravity, self.rotation), change
+
+
+def _by_inclination(rotation: Array, mounting: Mounting) -> Array:
+    a, b = mounting.base_inclination_rad
+    by_a = [-np.sin(b) * np.sin(a), -np.cos(a), np.cos(b) * np.sin(a)]
+    by_b = [np.cos(b) * np.cos(a), 0.0, np.sin(b) * np.cos(a)]
+    return np.asarray(np.einsum("nji,jk->nik", rotation, np.array([by_a, by_b]).T))
+
+
+@dataclass(frozen=True)
+class Sweep:
+    """Poses with the same on the sensor: which values are its tool, its adapter, its offset."""
+
+    poses: Poses
+    tool: slice | None
+    adapter: slice | None
+    offset: slice
+
+
+@dataclass(frozen=True)
+class ReadingModel:
+    """Sweeps, where the sensor was zeroed, and the mounting's directions after `linear` values."""
+
+    sweeps: Sequence[Sweep]
+    zero: JointPoses
+    entities: Sequence[Entity]
+    linear: int
+
+    @property
+    def basis(self) -> Array:
+        """Directions (13, q) of the mounting's values among its parameters."""
+        return np.array([entity.direction for entity in self.entities]).reshape(-1, _COUNT).T
+
+    def mounting(self, values: Array) -> Mounting:
+        """The mounting of values (p,)."""
+        return Mounting.from_vector(self.basis @ values[self.linear :])
+
+    def evaluate(self, values: Array) -> tuple[Array, Array]:
+        """Readings (n, 6) of all sweeps and their Jacobian (n, 6, p) by the values (p,)."""
+        parts = [self._sweep(sweep, values) for sweep in self.sweeps]
+        return np.concatenate([h for h, _ in parts]), np.concatenate([jac for _, jac in parts])
+
+    def _sweep(self, sweep: Sweep, values: Array) -> tuple[Array, Array]:
+        mounting = self.mounting(values)
+        u, du = sweep.poses.gravity(mounting)
+        by_wrench = mounting.reading_from_wrench
+        jacobian = np.zeros((len(u), 6, len(values)))
+        regressor = gravity_regressor(u)
+        moments = np.zeros(4)
+        wrench = np.zeros((len(u), 6))
+        by_angles = np.zeros((len(u), 6, 4))
+        if sweep.tool is not None:
+            moments = moments + values[sweep.tool]
+            jacobian[:, :, sweep.tool] = by_wrench @ regressor
+        if sweep.adapter is not None:
+            adapter = values[sweep.adapter]
+            moments = moments + adapter
+            u_zero, du_zero = self.zero.gravity(mounting)
+            at_zero = gravity_regressor(u_zero)
+            jacobian[:, :, sweep.adapter] = by_wrench @ (regressor - at_zero)
+            wrench -= at_zero @ adapter
+            by_angles -= _by_gravity(adapter) @ du_zero
+        wrench += regressor @ moments
+        by_angles += _by_gravity(moments) @ du
+        jacobian[:, :, sweep.offset] = np.eye(6)
+        if self.entities:
+            by_mounting = _by_mounting(mounting, wrench @ by_wrench.T, by_wrench @ by_angles)
+            jacobian[:, :, self.linear :] = by_mounting @ self.basis
+        return wrench @ by_wrench.T + values[sweep.offset], jacobian
+
+
+def _by_gravity(moments: Array) -> Array:
+    """(6, 3): the wrench's change by gravity, f = m u and tau = h x u."""
+    return np.concatenate([moments[0] * np.eye(3), skew(moments[1:])])
+
+
+def _by_mounting(mounting: Mounting, reading: Array, by_angles: Array) -> Array:
+    """(n, 6, 13) from readings (n, 6) without offset and their change (n, 6, 4) by the angles."""
+    gain = 1.0 + mounting.axis_gain
+    element = reading / gain
+    jacobian = np.zeros((len(reading), 6, _COUNT))
+    right = _right_jacobian(mounting.sensor_rotvec_rad)
+    jacobian[:, :3, :3] = skew(element[:, :3]) @ right
+    jacobian[:, 3:, :3] = skew(element[:, 3:]) @ right
+    jacobian[:, :, :3] *= gain[None, :, None]
+    jacobian[:, np.arange(6), 3 + np.arange(6)] = element
+    jacobian[:, :, 9:] = by_angles
+    return jacobian
+
+
+def _right_jacobian(rotvec: Array) -> Array:
+    angle, cross = float(np.linalg.norm(rotvec)), skew(rotvec)
+    if angle < 1e-4:  # its series: the closed form loses all digits
+        return np.eye(3) - cross / 2.0 + cross @ cross / 6.0
+    square = angle * angle
+    return np.asarray(
+        np.eye(3)
+        - (1.0 - np.cos(angle)) / square * cross
+        + (angle - np.sin(angle)) / (square * angle) * cross @ cross
+    )
+
+
+_COUNT = len(PARAMETERS)

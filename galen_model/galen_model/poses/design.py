@@ -1,0 +1,239 @@
+"""Which poses tell most about a load: optimal design for the load's identification.
+
+A sweep with one load on it reads y = G(theta) x + c + noise, x = (m, h) the load's moments and c
+six constants (`galen_model.load.identification`). All that the compensation uses is of this kind: with
+x = x_tool + x_adapter and c = o_tool - G_0 x_adapter it expects G(theta) x + c. So its error is
+B(theta) (dx, dc) with B = [G, I], and n poses leave the covariance N^-1 with
+
+    N = sum_i I(theta_i) + P,    I(theta) = B^T Sigma^-1 B,
+
+Sigma one averaged reading's noise and P what is known beforehand: nothing after two sweeps, after
+one what the zeroing tells of c. The sweep without the tool does not enter the compensation; it
+takes tool and adapter apart, and is the same problem (with the same poses in both sweeps the
+tool's own covariance is twice that of the sum). Both criteria are linear in N^-1:
+
+    compensation   phi = tr(M N^-1) / 6, M the mean of I(theta) over the workspace: the variance of
+                   the compensation's error, mean over workspace and axes, in units of one averaged
+                   reading's ("V-" or "I-optimality")
+    load           phi = tr(D N^-1), D diagonal over the four moments: their variance over that of
+                   one ideal reading (`galen_model.load.excitation`), mean of the four ("A-optimality")
+
+Fedorov's exchange finds n poses: each is taken out in turn and the best candidate put in, until no
+exchange is better. How good they are is told by a bound that no n of the candidates can beat. phi
+over weights w of sum n is convex and 1/phi concave (Pukelsheim, *Optimal Design of Experiments*,
+1993, sections 3.13 and 6.17), so the tangent at any w gives, with d(theta) = tr(M N^-1 I N^-1),
+
+    phi(w*) >= phi / (1 + (n max_theta d - sum_i w_i d_i) / phi),
+
+which for P = 0 is phi^2 / (n max d), the equivalence theorem's efficiency bound (Kiefer and
+Wolfowitz 1960; Fedorov 1972, chapter 2). The weights come from w <- w sqrt(d), renormalised
+(Silvey, Titterington, Torsney, *Comm. Statist. Theory Methods* 7, 1978).
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from galen_model.arm.galen import GRAVITY_M_S2, LIMITS, SENSOR
+from galen_model.arm.kinematics import gravity_in_sensor
+from galen_model.arrays import Array
+from galen_model.errors import GalenError
+from galen_model.load.identification import single_load_design
+from galen_model.load.model import gravity_regressor
+
+GOALS = ("compensation", "load")
+ANGLE_LIMITS = (tuple(LIMITS.lower[3:].tolist()), tuple(LIMITS.upper[3:].tolist()))
+"""Lowest and highest (roll, tilt), rad: the workspace over which an error is averaged."""
+
+_WORKSPACE_STEPS = 25
+_PARAMETERS = 10
+_EXCHANGES = 100  # rounds; ten are many
+_BETTER = 1e-9
+_BOUND_ROUNDS = 2000
+_BOUND_CLOSE_ENOUGH = 2e-3
+# Below this share of an even spread's information a design counts as singular.
+_RIDGE = 1e-9
+
+
+class PoseDesignError(GalenError):
+    """Poses can't be chosen; the message says why."""
+
+
+def reading_noise() -> Array:
+    """Noise of one sample (6,), N and N.m, quantum included: only its ratios matter here."""
+    return np.asarray(np.hypot(SENSOR.noise_std, SENSOR.quantum / np.sqrt(12.0)))
+
+
+def angle_grid(lower: Sequence[float], upper: Sequence[float], rolls: int, tilts: int) -> Array:
+    """Poses (rolls * tilts, 2), rad, evenly over roll and tilt, ends included."""
+    roll = np.linspace(lower[0], upper[0], rolls)
+    tilt = np.linspace(lower[1], upper[1], tilts)
+    return np.stack(np.meshgrid(roll, tilt, indexing="ij"), axis=-1).reshape(-1, 2)
+
+
+def workspace_rows() -> Array:
+    """B (w, 6, 10) at poses evenly over all that the joints' limits allow."""
+    return _rows(angle_grid(*ANGLE_LIMITS, _WORKSPACE_STEPS, _WORKSPACE_STEPS))
+
+
+def compensation_std(poses: Array, sigma: Array) -> Array:
+    """Std (6,), N and N.m, of the compensation's error after a sweep of poses (n, 2), rad.
+
+    Root of the mean variance over the workspace; sigma (6,) is one averaged reading's noise. inf
+    where the poses don't tell the load.
+    """
+    rows = _rows(np.asarray(poses, dtype=float))
+    information = _information(rows, sigma).sum(axis=0)
+    scaled, balance = _balanced(information)
+    if np.linalg.eigvalsh(scaled)[0] < _RIDGE:
+        return np.full(6, np.inf)
+    covariance = np.linalg.inv(scaled) * balance
+    everywhere = workspace_rows()
+    variance = np.einsum("wkp,pq,wkq->k", everywhere, covariance, everywhere) / len(everywhere)
+    return np.asarray(np.sqrt(variance))
+
+
+class PoseDesign:
+    """Chooses from candidates (k, 2), roll and tilt in rad, each at most once.
+
+    `goal` is one of GOALS; sigma (6,), N and N.m: the noise, up to a factor. `one_sweep_bias`
+    (roll, tilt) of the zeroing says that there is the tool's sweep alone.
+    """
+
+    def __init__(
+        self,
+        candidates: Array,
+        *,
+        goal: str = "compensation",
+        sigma: Array | None = None,
+        one_sweep_bias: tuple[float, float] | None = None,
+    ) -> None:
+        """Raise PoseDesignError for a goal that is none."""
+        self.candidates = np.asarray(candidates, dtype=float).reshape(-1, 2)
+        self._sigma = reading_noise() if sigma is None else np.asarray(sigma, dtype=float)
+        # Parameters scaled so that one ideal reading would tell each of them to about 1.
+        gravity = -GRAVITY_M_S2[2]
+        force, torque = self._sigma[:3].mean(), self._sigma[3:].mean()
+        self._scale = np.concatenate(
+            [[force / gravity], np.full(3, np.sqrt(1.5) * torque / gravity), self._sigma]
+        )
+        self._each = self.information(self.candidates)
+        self._known = np.zeros((_PARAMETERS, _PARAMETERS))
+        if one_sweep_bias is not None:
+            self._known[4:, 4:] = _zeroing_information(one_sweep_bias, self._sigma)
+            self._known *= np.outer(self._scale, self._scale)
+        if goal == "compensation":
+            rows = workspace_rows() * self._scale
+            self._target = _information(rows, self._sigma).mean(axis=0) / 6.0
+        elif goal == "load":
+            self._target = np.diag([0.25] * 4 + [0.0] * 6)
+        else:
+            raise PoseDesignError(f"goal is {goal!r}, but must be one of {', '.join(GOALS)}")
+
+    def information(self, poses: Array) -> Array:
+        """I (n, 10, 10) of poses (n, 2), rad, in the scaled parameters."""
+        return _information(_rows(np.asarray(poses, dtype=float)) * self._scale, self._sigma)
+
+    def value(self, poses: Array) -> float:
+        """Phi of poses (n, 2), rad, whether candidates or not; inf where they don't tell all."""
+        return float(self._value(self.information(poses).sum(axis=0) + self._known))
+
+    def choose(self, count: int, start: Sequence[int] = ()) -> list[int]:
+        """Indices of `count` candidates, sorted; `start`: some to begin with.
+
+        Raises PoseDesignError where there are fewer candidates, or all of them tell too little.
+        """
+        if count > len(self.candidates):
+            raise PoseDesignError(
+                f"{count} poses are wanted, but there are only {len(self.candidates)} to choose"
+                " from"
+            )
+        chosen = list(start)[:count]
+        # Until the poses tell all, a little of every candidate stands in for those to come.
+        ridge = 1e-3 * self._each.mean(axis=0)
+        while len(chosen) < count:
+            so_far = self._each[chosen].sum(axis=0) + self._known + ridge
+            chosen.append(self._best(so_far, chosen)[0])
+        self._exchange(chosen)
+        if not np.isfinite(self.value(self.candidates[chosen])):
+            raise PoseDesignError(
+                f"{count} poses out of {len(self.candidates)} don't tell all of the load"
+            )
+        return sorted(chosen)
+
+    def lower_bound(self, count: int) -> float:
+        """What phi no `count` of the candidates, however often each is taken, can be below."""
+        weights = np.full(len(self.candidates), count / len(self.candidates))
+        bound = 0.0
+        for _ in range(_BOUND_ROUNDS):
+            information = np.einsum("i,ipq->pq", weights, self._each) + self._known
+            value = float(self._value(information))
+            if not np.isfinite(value):
+                raise PoseDesignError("the candidates together don't tell all of the load")
+            inverse = np.linalg.inv(information)
+            slope = np.einsum("ipq,qp->i", self._each, inverse @ self._target @ inverse)
+            gain = (count * slope.max() - weights @ slope) / value
+            bound = max(bound, value / (1.0 + gain))
+            if gain < _BOUND_CLOSE_ENOUGH:
+                break
+            weights = weights * np.sqrt(slope)
+            weights *= count / weights.sum()
+        return bound
+
+    def _exchange(self, chosen: list[int]) -> None:
+        """Fedorov's exchange in place, until a whole round finds nothing better."""
+        for _ in range(_EXCHANGES):
+            before = self._value(self._each[chosen].sum(axis=0) + self._known)
+            for place in range(len(chosen)):
+                others = chosen[:place] + chosen[place + 1 :]
+                rest = self._each[others].sum(axis=0) + self._known
+                best, value = self._best(rest, others)
+                if value < self._value(rest + self._each[chosen[place]]) * (1.0 - _BETTER):
+                    chosen[place] = best
+            after = self._value(self._each[chosen].sum(axis=0) + self._known)
+            if not after < before * (1.0 - _BETTER):
+                return
+
+    def _best(self, rest: Array, taken: list[int]) -> tuple[int, float]:
+        values = self._value(rest + self._each)
+        values[taken] = np.inf
+        best = int(np.argmin(values))
+        return best, float(values[best])
+
+    def _value(self, information: Array) -> Array:
+        """Phi of information (..., 10, 10); inf where it is singular."""
+        lowest = np.linalg.eigvalsh(information)[..., 0]
+        told = lowest > _RIDGE * np.trace(information, axis1=-2, axis2=-1)
+        safe = np.where(told[..., None, None], information, np.eye(_PARAMETERS))
+        values = np.einsum("...pq,qp->...", np.linalg.inv(safe), self._target)
+        return np.where(told, values, np.inf)
+
+
+def _rows(poses: Array) -> Array:
+    return single_load_design(gravity_in_sensor(poses[:, 0], poses[:, 1]))
+
+
+def _information(rows: Array, sigma: Array) -> Array:
+    """(n, p, p) of each pose's rows (n, 6, p)."""
+    weighted = rows / np.asarray(sigma)[:, None] ** 2
+    return np.asarray(np.swapaxes(rows, 1, 2) @ weighted)
+
+
+def _balanced(information: Array) -> tuple[Array, Array]:
+    """With a unit diagonal, and what its inverse is to be multiplied by."""
+    balance = 1.0 / np.sqrt(np.maximum(np.diag(information), 1e-300))
+    both = np.outer(balance, balance)
+    return information * both, both
+
+
+def _zeroing_information(bias: tuple[float, float], sigma: Array) -> Array:
+    """Of c = o - G_0 x_adapter (6, 6): o is zero to one reading's noise, x_adapter not known.
+
+    W - W G_0 (G_0^T W G_0)^+ G_0^T W with W = Sigma^-1, what is left when x_adapter is taken out.
+    """
+    at_zero = gravity_regressor(gravity_in_sensor(*bias))
+    weights = np.diag(1.0 / np.asarray(sigma) ** 2)
+    root = np.diag(1.0 / np.asarray(sigma)) @ at_zero
+    basis, singular, _ = np.linalg.svd(root, full_matrices=False)
+    basis = np.diag(1.0 / np.asarray(sigma)) @ basis[:, singular > 1e-9 * singular.max()]
+    return np.asarray(weights - basis @ basis.T)

@@ -1,0 +1,150 @@
+"""Which poses a sweep visits: the grid's, chosen or listed ones, and the ways around boxes."""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from galen_model.arm.clearance import ArmClearance, Box, ObstacleError
+from galen_model.arm.routes import Router
+from galen_model.arrays import Array
+from galen_model.errors import NotExcitedError
+from galen_model.load.identification import check_planned_poses
+from galen_model.poses.design import PoseDesign, PoseDesignError, angle_grid
+from galen_model.poses.order import SweepTimes, order_poses
+
+# Candidates over the sweep's range of roll and tilt. 187 are within 0.6 % of the best poses of a
+# continuum, up to some fifty (test_model_pose_design.py).
+CANDIDATE_ROLLS, CANDIDATE_TILTS = 17, 11
+
+
+@dataclass(frozen=True)
+class Surroundings:
+    """What stands around the arm: boxes, and how far from them to stay (m)."""
+
+    boxes: tuple[Box, ...] = ()
+    clearance_m: float = 0.0
+
+
+@dataclass(frozen=True)
+class SweepRange:
+    """Where a sweep may go: home (5,), and lowest and highest (roll, tilt), rad.
+
+    steps: candidates along roll and tilt; `name`: what home is called where it can't be taken.
+    """
+
+    home: Array
+    lower: tuple[float, float]
+    upper: tuple[float, float]
+    steps: tuple[int, int] = (CANDIDATE_ROLLS, CANDIDATE_TILTS)
+    name: str = "home"
+
+    def candidates(self) -> Array:
+        """Poses (k, 2), rad, evenly over the range."""
+        grid = angle_grid(self.lower, self.upper, *self.steps)
+        return np.unique(grid, axis=0)  # a range of no width gives the same ones again
+
+
+@dataclass(frozen=True)
+class SweepPlan:
+    """Poses (n, 2), rad, in visiting order, and the way around boxes where there are any."""
+
+    poses: Array
+    router: Router | None = None
+
+
+def plan_grid(
+    poses: Array, where: SweepRange, surroundings: Surroundings, tip_m: Array
+) -> SweepPlan:
+    """The grid as it is; raises ObstacleError naming the first pose that a box is in the way of."""
+    remedy = "clear the space, narrow the grid, or set poses to chosen"
+    return _plan_as_is(poses, "the grid", remedy, where, surroundings, tip_m)
+
+
+def plan_listed(
+    poses: Array, where: SweepRange, surroundings: Surroundings, tip_m: Array
+) -> SweepPlan:
+    """The listed poses as they are, raising as `plan_grid` does."""
+    remedy = "clear the space, or leave it out"
+    return _plan_as_is(poses, "listed_poses_rad", remedy, where, surroundings, tip_m)
+
+
+def _plan_as_is(
+    poses: Array,
+    source: str,
+    remedy: str,
+    where: SweepRange,
+    surroundings: Surroundings,
+    tip_m: Array,
+) -> SweepPlan:
+    router = make_router(where, surroundings, tip_m)
+    if router is not None:
+        for index, (roll, tilt) in enumerate(poses):
+            if fault := router.fault(np.array([*where.home[:3], roll, tilt])):
+                raise ObstacleError(
+                    f"pose {index} of {source} (roll {roll:.3f}, tilt {tilt:.3f} rad) can't be"
+                    f" visited: {fault}; {remedy}"
+                )
+    return SweepPlan(poses, router)
+
+
+def plan_chosen(
+    count: int,
+    where: SweepRange,
+    surroundings: Surroundings,
+    tip_m: Array,
+    times: SweepTimes,
+    *,
+    goal: str = "compensation",
+    one_sweep: bool = False,
+) -> SweepPlan:
+    """The `count` poses that tell most of those that can be visited, in a good order.
+
+    Raises ObstacleError naming what is to blame where too few are left or they tell too little.
+    """
+    router = make_router(where, surroundings, tip_m)
+    candidates = where.candidates()
+    faults = [""] * len(candidates) if router is None else router.lattice_faults
+    free = candidates[[not fault for fault in faults]]
+    bias = float(where.home[3]), float(where.home[4])
+    design = PoseDesign(free, goal=goal, one_sweep_bias=bias if one_sweep else None)
+    try:
+        poses = free[design.choose(count)]
+        check_planned_poses(
+            poses[:, 0],
+            poses[:, 1],
+            one_sweep=one_sweep,
+            bias_roll_rad=bias[0],
+            bias_tilt_rad=bias[1],
+        )
+    except (PoseDesignError, NotExcitedError) as error:
+        if len(free) == len(candidates):
+            raise
+        raise ObstacleError(f"{error}; {_blame(faults)}") from error
+    return SweepPlan(order_poses(poses, times), router)
+
+
+def make_router(where: SweepRange, surroundings: Surroundings, tip_m: Array) -> Router | None:
+    """Ways around the boxes for a tool with its tip at tip_m (3,), ft_sensor; None without boxes.
+
+    Raises ObstacleError where the arm can't stand at home.
+    """
+    if not surroundings.boxes:
+        return None
+    clearance = ArmClearance(surroundings.boxes, surroundings.clearance_m, tip_m)
+    return Router(clearance, where.home, where.candidates(), where.name)
+
+
+def left_out(faults: Sequence[str]) -> dict[str, int]:
+    """How many candidates each box, or the limits, takes away, by its name."""
+    names = (re.search(r"box \d+", fault) for fault in faults if fault)
+    return dict(Counter(name.group() if name else "the limits" for name in names).most_common())
+
+
+def _blame(faults: Sequence[str]) -> str:
+    taken = ", ".join(f"{count} by {name}" for name, count in left_out(faults).items())
+    return f"of {len(faults)} candidates {sum(map(bool, faults))} can't be visited: {taken}"

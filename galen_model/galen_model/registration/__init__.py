@@ -1,0 +1,1 @@
+"""Rigid transforms and the registration of a tracker."""

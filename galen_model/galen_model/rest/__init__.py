@@ -1,0 +1,1 @@
+"""Rest segments: where the arm stands still and the wrench is steady."""
