@@ -22,8 +22,8 @@ from galen_gravcomp.node import GravcompNode
 from galen_model.arm.galen import HOME
 from galen_model.files.calibration_file import tool_path, write_tool
 from galen_ros.conversions import wrench_to_array
+from galen_ros.node.testing import Harness, parameters
 from galen_ros.qos import STREAM
-from galen_ros.testing import Harness, parameters
 from galen_sim_driver.node import SimDriverNode
 from geometry_msgs.msg import WrenchStamped
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue

@@ -1,7 +1,7 @@
 """An arm by the contract's numbers, and a driver that publishes what it is told."""
 
 import numpy as np
-from galen_ros.cdr import JointStateBytes, WrenchBytes
+from galen_ros.cdr.layout import JointStateBytes, WrenchBytes
 from galen_ros.qos import STREAM
 from geometry_msgs.msg import WrenchStamped
 from rclpy.node import Node

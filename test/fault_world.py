@@ -27,8 +27,8 @@ from galen_deflection.models.joint_stiffness import COMPLIANCES, StiffnessBasis
 from galen_deflection.models.linear import FittedOn, LinearModel
 from galen_model.files.calibration_file import LoadEstimate, ToolFile, tool_path, write_tool
 from galen_ros.conversions import stamp_to_ns, wrench_to_array
+from galen_ros.node.testing import Harness
 from galen_ros.qos import STREAM
-from galen_ros.testing import Harness
 from geometry_msgs.msg import WrenchStamped
 from rclpy.node import Node
 

@@ -16,8 +16,8 @@ from fuzz.readers import READERS, check
 from galen_bags.errors import BagError
 from galen_bags.raw_block import pack
 from galen_bags.writer import BagWriter
-from galen_gravcomp.wire import WrenchWire
 from galen_model.errors import GalenError
+from galen_ros.cdr.wire import WrenchWire
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from rosbags.typesys import TypesysError

@@ -18,9 +18,9 @@ import numpy as np
 import pytest
 from bad_requests import ACTIONS, SERVICES, World, garbage, told, wrong, wrong_values
 from galen_model.errors import GalenError
-from galen_ros.managed_node import ManagedNode
-from galen_ros.param import ParameterError, checked, param_fields
-from galen_ros.testing import Harness, Lifecycle
+from galen_ros.node.managed_node import ManagedNode
+from galen_ros.node.testing import Harness, Lifecycle
+from galen_ros.parameters.param import ParameterError, checked, param_fields
 from galen_sim_driver.effect_parameters import EffectParameters, effects_of
 from galen_sim_driver.parameters import DriverParameters
 from galen_sim_driver.plant import Plant

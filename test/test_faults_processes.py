@@ -13,7 +13,7 @@ import pytest
 from fault_arm import PERIOD_NS
 from fault_processes import PUSH
 from fault_world import FaultWorld, write_tool_file
-from galen_ros.diagnostics import Level
+from galen_ros.node.diagnostics import Level
 
 pytestmark = [pytest.mark.soak, pytest.mark.timeout(600)]
 PROGRAM = Path(__file__).parent / "fault_processes.py"

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from fault_arm import MS, PERIOD_NS
 from fault_world import FaultWorld, write_model_file, write_tool_file
-from galen_ros.diagnostics import Level
+from galen_ros.node.diagnostics import Level
 
 pytestmark = [pytest.mark.soak, pytest.mark.timeout(600)]
 WARN, ERROR, STALE = Level.WARN, Level.ERROR, Level.STALE

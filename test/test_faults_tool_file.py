@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from fault_arm import MASS_KG, weight
 from fault_world import FaultWorld, write_tool_file
-from galen_ros.diagnostics import Level
+from galen_ros.node.diagnostics import Level
 
 from galen_msgs.srv import SetTool
 

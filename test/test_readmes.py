@@ -17,9 +17,9 @@ from galen_deflection.node import DeflectionNode
 from galen_diagnosis.gap_monitor import GapMonitorNode
 from galen_gravcomp.node import GravcompNode
 from galen_panel.ros_suite import RosSuite
-from galen_ros.cdr import WrenchBytes
-from galen_ros.parameters import markdown_table
-from galen_ros.testing import Harness, parameters
+from galen_ros.cdr.layout import WrenchBytes
+from galen_ros.node.testing import Harness, parameters
+from galen_ros.parameters.declare import markdown_table
 from galen_sim_driver.node import SimDriverNode
 from rclpy.node import Node
 

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from galen_model.arm.galen import SENSOR_FRAME
 from galen_model.errors import GalenError
-from galen_ros.cdr import NS_PER_S
+from galen_ros.cdr.layout import NS_PER_S
 
 from galen_bags.command_line import EXIT_FAILED, EXIT_OK, EXIT_USAGE, check_parent, positive
 from galen_bags.measured import UNITS_NS, Measured, Written, stamps_ns, write_measured

@@ -22,7 +22,7 @@ from dataclasses import dataclass
 import numpy as np
 from galen_model.arm.galen import HOME, JOINT_NAMES, SENSOR_FRAME
 from galen_model.arrays import Array
-from galen_ros.cdr import NS_PER_S, JointStateBytes, WrenchBytes
+from galen_ros.cdr.layout import NS_PER_S, JointStateBytes, WrenchBytes
 from tqdm import tqdm
 
 from galen_bags.errors import BagError

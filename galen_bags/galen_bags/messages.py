@@ -1,7 +1,7 @@
 """Serialised messages straight into arrays, thousands at a time.
 
 A publisher's messages are alike but for stamp and numbers. So the first message's layout is worked
-out, all that fit it are read by array operations, and so on with what is left (`galen_ros.cdr`).
+out, all that fit it are read by array operations, and so on with what is left (`galen_ros.cdr.layout`).
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from galen_model.arrays import Array
-from galen_ros.cdr import (
+from galen_ros.cdr.layout import (
     NS_PER_S,
     STAMP_AT,
     Layout,

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from galen_model.errors import GalenError
-from galen_ros.spin import run_until
+from galen_ros.node.spin import run_until
 
 from galen_bags.bag import Bag, open_bag
 from galen_bags.command_line import (

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from galen_model.errors import GalenError
-from galen_ros.spin import own_arguments, run_until
+from galen_ros.node.spin import own_arguments, run_until
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.parameter import Parameter
 

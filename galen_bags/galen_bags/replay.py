@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from galen_ros.cdr import NS_PER_S, STAMP_AT
+from galen_ros.cdr.layout import NS_PER_S, STAMP_AT
 
 from galen_bags.raw_block import Messages
 

@@ -9,7 +9,7 @@ import pytest
 from galen_bags.bag import open_bag
 from galen_bags.errors import BagError
 from galen_bags.growing_bag import GrowingBagWriter
-from galen_ros.cdr import WrenchBytes
+from galen_ros.cdr.layout import WrenchBytes
 from rosbags.rosbag2 import Reader
 
 WRENCH = "geometry_msgs/msg/WrenchStamped"

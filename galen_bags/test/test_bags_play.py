@@ -19,10 +19,10 @@ from galen_bags.player import PlayerNode, PlayOptions
 from galen_bags.qos import to_bag
 from galen_bags.recorder import RecorderNode
 from galen_bags.writer import BagWriter
-from galen_ros.cdr import WrenchBytes
-from galen_ros.domain import DomainLock
+from galen_ros.cdr.layout import WrenchBytes
+from galen_ros.node.domain import DomainLock
+from galen_ros.node.testing import Harness
 from galen_ros.qos import LATCHED, STREAM
-from galen_ros.testing import Harness
 from geometry_msgs.msg import WrenchStamped
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node

@@ -18,11 +18,11 @@ from galen_bags.errors import BagError
 from galen_bags.growing_bag import GrowingBagWriter
 from galen_bags.record import parse
 from galen_bags.recorder import DEFAULT_TOPICS, RecorderNode, SimulatedTimes, received_ns
-from galen_ros.cdr import JointStateBytes, WrenchBytes
-from galen_ros.diagnostics import Level
-from galen_ros.domain import DomainLock
+from galen_ros.cdr.layout import JointStateBytes, WrenchBytes
+from galen_ros.node.diagnostics import Level
+from galen_ros.node.domain import DomainLock
+from galen_ros.node.testing import Harness
 from galen_ros.qos import LATCHED, STREAM
-from galen_ros.testing import Harness
 from geometry_msgs.msg import WrenchStamped
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
@@ -371,7 +371,7 @@ def domain(monkeypatch: pytest.MonkeyPatch) -> Iterator[int]:
 SOURCE = """
 import sys
 import rclpy
-from galen_ros.cdr import WrenchBytes
+from galen_ros.cdr.layout import WrenchBytes
 from galen_ros.qos import STREAM
 from geometry_msgs.msg import WrenchStamped
 from rclpy.node import Node

@@ -10,7 +10,7 @@ import pytest
 from galen_bags.errors import BagError
 from galen_bags.raw_block import Messages, pack
 from galen_bags.replay import Ahead, Playlist, Settling, Timeline, window, with_stamp
-from galen_ros.cdr import WrenchBytes
+from galen_ros.cdr.layout import WrenchBytes
 
 S = 1_000_000_000
 MS = 1_000_000

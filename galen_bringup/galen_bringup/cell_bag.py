@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from galen_bags.writer import BagWriter
 from galen_model.arm.galen import JOINT_NAMES, SENSOR_FRAME, TRACKER_FRAME
-from galen_ros.cdr import JointStateBytes, PoseBytes, WrenchBytes
+from galen_ros.cdr.layout import JointStateBytes, PoseBytes, WrenchBytes
 from galen_sim_driver.plant import Sample
 
 # A message is logged this long after its stamp, and each further one of a step so much later:

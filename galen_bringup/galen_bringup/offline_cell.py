@@ -8,7 +8,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
-from galen_calibration_behavior.commands import (
+from galen_calibration_behavior.procedure import CalibrationProcedure, ProcedureSettings, Request
+from galen_model.arm.galen import JOINT_NAMES
+from galen_model.errors import GalenError
+from galen_ros.goal.commands import (
     AttachTool,
     Command,
     Estimate,
@@ -19,9 +22,6 @@ from galen_calibration_behavior.commands import (
     Stop,
     ZeroSensor,
 )
-from galen_calibration_behavior.procedure import CalibrationProcedure, ProcedureSettings, Request
-from galen_model.arm.galen import JOINT_NAMES
-from galen_model.errors import GalenError
 from galen_sim_driver.errors import UnknownToolError, ZeroingError
 from galen_sim_driver.plant import Plant, Sample
 from galen_sim_driver.sensor import Zeroing

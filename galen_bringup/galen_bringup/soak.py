@@ -34,10 +34,10 @@ from galen_gravcomp.bench_tool import NAME, write_bench_tool
 from galen_gravcomp.node_benchmark import cpu_s
 from galen_model.arm.galen import HOME, JOINT_NAMES
 from galen_model.files.atomic_file import write_whole
-from galen_ros.cdr import NS_PER_S, STAMP_AT
-from galen_ros.diagnostics import Level
+from galen_ros.cdr.layout import NS_PER_S, STAMP_AT
+from galen_ros.node.diagnostics import Level
+from galen_ros.node.spin import make_executor
 from galen_ros.qos import STREAM
-from galen_ros.spin import make_executor
 from geometry_msgs.msg import WrenchStamped
 from rclpy.node import Node
 from rich.console import Console

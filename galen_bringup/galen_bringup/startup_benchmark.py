@@ -21,8 +21,8 @@ from diagnostic_msgs.msg import DiagnosticArray
 from galen_gravcomp.bench_tool import NAME, write_bench_tool
 from galen_gravcomp.node_benchmark import cpu_s
 from galen_gravcomp.node_benchmark_table import spread
-from galen_ros.domain import DomainLock
-from galen_ros.spin import make_executor
+from galen_ros.node.domain import DomainLock
+from galen_ros.node.spin import make_executor
 from rclpy.node import Node
 from rich.table import Table
 

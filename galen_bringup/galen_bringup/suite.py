@@ -12,7 +12,7 @@ from typing import Any
 
 import rclpy
 from galen_model.load.nominal_tools import TOOLS
-from galen_ros.domain import DomainLock
+from galen_ros.node.domain import DomainLock
 from rclpy.signals import SignalHandlerOptions
 
 from galen_bringup.arm_client import ArmClient

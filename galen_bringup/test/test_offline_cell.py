@@ -8,13 +8,13 @@ from galen_bags.bag import open_bag
 from galen_bags.writer import BagWriter
 from galen_bringup.cell_bag import CellBag
 from galen_bringup.offline_cell import OfflineCalibrationError, OfflineCell
-from galen_calibration_behavior.commands import State
 from galen_calibration_behavior.parameters import CalibrationParameters
 from galen_calibration_behavior.procedure import Request
 from galen_model.arm.galen import HOME
 from galen_model.load.identification import identify_two_sweeps
 from galen_model.load.model import Load, nominal_reading
 from galen_model.load.nominal_tools import ADAPTER, TOOLS
+from galen_ros.goal.commands import State
 from galen_sim_driver.config import HandPush, PlantConfig
 from galen_sim_driver.plant import Plant
 

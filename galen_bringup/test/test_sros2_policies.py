@@ -15,7 +15,6 @@ from galen_calibration_behavior.calibrate import CalibrateClient
 from galen_calibration_behavior.check import CheckClient
 from galen_calibration_behavior.check_node import CheckNode
 from galen_calibration_behavior.node import CalibrationNode
-from galen_calibration_behavior.pose_procedure import PoseProcedure
 from galen_deflection.collect import CollectClient
 from galen_deflection.collection_node import CollectionNode
 from galen_deflection.collection_procedure import CollectionProcedure
@@ -23,7 +22,8 @@ from galen_deflection.node import DeflectionNode
 from galen_diagnosis.gap_monitor import GapMonitorNode
 from galen_gravcomp.node import GravcompNode
 from galen_panel.ros_suite import RosSuite
-from galen_ros.testing import Harness, parameters
+from galen_ros.goal.pose_procedure import PoseProcedure
+from galen_ros.node.testing import Harness, parameters
 from galen_sim_driver.node import SimDriverNode
 from rclpy.node import Node
 

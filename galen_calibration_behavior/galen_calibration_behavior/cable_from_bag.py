@@ -18,7 +18,7 @@ from galen_model.arm.galen import WRENCH_AXES
 from galen_model.errors import GalenError
 from galen_model.files.calibration_file import read_tool, tool_path, write_tool
 from galen_model.load.cable.learning import HeldOut
-from galen_ros.param import from_options
+from galen_ros.parameters.param import from_options
 from rich.console import Console
 from rich.table import Table
 from tqdm import tqdm

@@ -10,11 +10,7 @@ import sys
 import termios
 from typing import Any
 
-from galen_ros.spin import own_arguments
-from std_srvs.srv import Trigger
-
-from galen_calibration_behavior.commands import ErrorCode, State
-from galen_calibration_behavior.goal_client import (
+from galen_ros.goal.client import (
     EXIT_CANCELED,
     EXIT_FAILED,
     EXIT_OK,
@@ -26,6 +22,10 @@ from galen_calibration_behavior.goal_client import (
     report_error,
     run_client,
 )
+from galen_ros.goal.commands import ErrorCode, State
+from galen_ros.node.spin import own_arguments
+from std_srvs.srv import Trigger
+
 from galen_calibration_behavior.phase_text import CALIBRATION_PHASES
 from galen_calibration_behavior.result_text import format_result, result_to_dict
 from galen_msgs.action import CalibrateTool

@@ -22,10 +22,10 @@ from galen_model.files.calibration_file import LoadEstimate, read_tool, tool_pat
 from galen_model.load.bias.choice import BiasMode
 from galen_model.load.mounting.groups import GROUPS, entities
 from galen_model.load.mounting.identification import KnownLoad
-from galen_ros.param import from_options
+from galen_ros.goal.commands import ErrorCode
+from galen_ros.parameters.param import from_options
 from tqdm import tqdm
 
-from galen_calibration_behavior.commands import ErrorCode
 from galen_calibration_behavior.estimate import (
     Calibration,
     MountingRequest,

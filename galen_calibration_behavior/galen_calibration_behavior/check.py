@@ -9,11 +9,7 @@ import sys
 from typing import Any
 
 from galen_model.arm.galen import WRENCH_AXES
-from galen_ros.spin import own_arguments
-
-from galen_calibration_behavior.check_answer import Answer, Cause
-from galen_calibration_behavior.check_commands import ErrorCode
-from galen_calibration_behavior.goal_client import (
+from galen_ros.goal.client import (
     EXIT_CANCELED,
     EXIT_FAILED,
     EXIT_OK,
@@ -25,6 +21,10 @@ from galen_calibration_behavior.goal_client import (
     report_error,
     run_client,
 )
+from galen_ros.node.spin import own_arguments
+
+from galen_calibration_behavior.check_answer import Answer, Cause
+from galen_calibration_behavior.check_commands import ErrorCode
 from galen_calibration_behavior.result_text import result_to_dict
 from galen_msgs.action import CheckTool
 

@@ -5,8 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import IntEnum
 
+from galen_ros.goal.commands import End, MoveTo, Stop
+
 from galen_calibration_behavior.check_answer import QuickCheck
-from galen_calibration_behavior.commands import End, MoveTo, Stop
 
 
 class State(IntEnum):

@@ -10,15 +10,15 @@ import numpy as np
 from galen_model.arrays import Array
 from galen_model.errors import GalenError, ToolFileError, ToolNameError
 from galen_model.files.calibration_store import ToolStore
+from galen_ros.goal.node import GoalNode, RefusedGoalError, RunningGoal, Words
+from galen_ros.node.spin import run
 from galen_ros.qos import LATCHED
-from galen_ros.spin import run
 from rclpy.action.server import ServerGoalHandle
 
 from galen_calibration_behavior.check_commands import ErrorCode, Feedback, Finished
 from galen_calibration_behavior.check_parameters import MOST_POSES, CheckParameters
 from galen_calibration_behavior.check_procedure import CheckProcedure, CheckRequest
 from galen_calibration_behavior.check_text import centre_change
-from galen_calibration_behavior.goal_node import GoalNode, RefusedGoalError, RunningGoal, Words
 from galen_calibration_behavior.quick_check import FEWEST_POSES
 from galen_msgs.action import CheckTool
 from galen_msgs.msg import ToolInForce

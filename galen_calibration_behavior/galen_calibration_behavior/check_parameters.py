@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from galen_ros.param import param
+from galen_ros.parameters.param import param
 
 from galen_calibration_behavior.check_answer import CheckLimits
 from galen_calibration_behavior.check_procedure import CheckSettings

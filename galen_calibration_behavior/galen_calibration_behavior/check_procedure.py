@@ -19,6 +19,8 @@ from galen_model.files.calibration_file import ToolFile
 from galen_model.poses.order import SweepTimes
 from galen_model.poses.plan import Surroundings
 from galen_model.rest.pose import PoseRecord
+from galen_ros.goal.pose_procedure import PoseProcedure, PoseSettings
+from galen_ros.goal.pose_recorder import Rejection
 
 from galen_calibration_behavior.check_answer import CheckLimits, QuickCheck
 from galen_calibration_behavior.check_commands import (
@@ -29,8 +31,6 @@ from galen_calibration_behavior.check_commands import (
     State,
 )
 from galen_calibration_behavior.check_poses import plan_check
-from galen_calibration_behavior.pose_procedure import PoseProcedure, PoseSettings
-from galen_calibration_behavior.pose_recorder import Rejection
 from galen_calibration_behavior.quick_check import FEWEST_POSES, quick_check
 from galen_calibration_behavior.sweep import Sweep, Verdict
 

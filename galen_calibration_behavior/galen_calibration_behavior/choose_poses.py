@@ -18,7 +18,7 @@ from galen_model.arrays import Array
 from galen_model.errors import GalenError
 from galen_model.poses.design import GOALS, PoseDesign
 from galen_model.poses.plan import left_out, make_router, plan_grid
-from galen_ros.param import add_options, from_options
+from galen_ros.parameters.param import add_options, from_options
 from tqdm import tqdm
 
 from galen_calibration_behavior.design_report import (

@@ -29,8 +29,7 @@ from galen_model.load.identification import (
 from galen_model.load.mounting.held_out import Calibrated, Worth, worth
 from galen_model.load.mounting.identification import KnownLoad
 from galen_model.load.mounting.mounting import Mounting
-
-from galen_calibration_behavior.commands import ErrorCode, Measurements
+from galen_ros.goal.commands import ErrorCode, Measurements
 
 LONGEST_TOOL_M = 10.0
 """A slip of the unit or a made-up number is found before the arm moves, not after the sweep."""

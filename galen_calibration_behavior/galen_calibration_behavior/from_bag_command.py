@@ -12,7 +12,7 @@ from pathlib import Path
 from galen_bags.arm_recording import ArmTopics
 from galen_model.errors import GalenError, ToolFileError, ToolNameError
 from galen_model.files.calibration_file import age_text, check_tool_name, read_tool
-from galen_ros.param import add_options
+from galen_ros.parameters.param import add_options
 
 from galen_calibration_behavior.estimate import EstimateError
 from galen_calibration_behavior.parameters import CalibrationParameters

@@ -12,14 +12,8 @@ from galen_model.arrays import Array
 from galen_model.errors import GalenError, NotExcitedError, ToolFileError, ToolNameError
 from galen_model.files.calibration_file import tool_path
 from galen_model.load.mounting.identification import check_planned_mounting
-from galen_ros.diagnostics import Status
-from galen_ros.spin import run
-from rclpy.action.server import ServerGoalHandle
-from rclpy.client import Client
-from std_srvs.srv import Trigger
-
-from galen_calibration_behavior.arm_link import DriversTools
-from galen_calibration_behavior.commands import (
+from galen_ros.goal.arm_link import DriversTools
+from galen_ros.goal.commands import (
     AttachTool,
     ErrorCode,
     Estimate,
@@ -27,6 +21,13 @@ from galen_calibration_behavior.commands import (
     Finished,
     ZeroSensor,
 )
+from galen_ros.goal.node import GoalNode, RefusedGoalError, RunningGoal, Words
+from galen_ros.node.diagnostics import Status
+from galen_ros.node.spin import run
+from rclpy.action.server import ServerGoalHandle
+from rclpy.client import Client
+from std_srvs.srv import Trigger
+
 from galen_calibration_behavior.estimate import (
     Calibration,
     EstimateError,
@@ -36,7 +37,6 @@ from galen_calibration_behavior.estimate import (
     check_writable,
     choose_tip,
 )
-from galen_calibration_behavior.goal_node import GoalNode, RefusedGoalError, RunningGoal, Words
 from galen_calibration_behavior.parameters import CalibrationParameters
 from galen_calibration_behavior.procedure import CalibrationProcedure, Request
 from galen_calibration_behavior.result_text import calibration_fields

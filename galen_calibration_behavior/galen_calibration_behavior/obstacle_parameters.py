@@ -6,9 +6,8 @@ from dataclasses import dataclass
 
 from galen_model.arm.clearance import boxes_from_numbers
 from galen_model.poses.plan import Surroundings
-from galen_ros.param import param
-
-from galen_calibration_behavior.motion_parameters import PoseParameters
+from galen_ros.goal.parameters import PoseParameters
+from galen_ros.parameters.param import param
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ import numpy as np
 from galen_model.arm.galen import LIMITS
 from galen_model.load.mounting.groups import entities
 from galen_model.poses.grid import GridError
-from galen_ros.param import param
+from galen_ros.parameters.param import param
 
 from galen_calibration_behavior.procedure import ProcedureSettings
 from galen_calibration_behavior.sweep_parameters import SweepParameters

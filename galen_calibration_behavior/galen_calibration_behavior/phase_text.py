@@ -1,7 +1,8 @@
 """What the states of a calibration and a quick check are called for a person."""
 
+from galen_ros.goal.commands import State
+
 from galen_calibration_behavior import check_commands
-from galen_calibration_behavior.commands import State
 
 CALIBRATION_PHASES = {
     State.HOME: "going home",

@@ -23,8 +23,7 @@ from galen_model.arm.routes import Router
 from galen_model.arrays import Array
 from galen_model.load.identification import StillPoses
 from galen_model.rest.pose import PoseRecord
-
-from galen_calibration_behavior.commands import (
+from galen_ros.goal.commands import (
     AttachTool,
     Command,
     ErrorCode,
@@ -35,8 +34,9 @@ from galen_calibration_behavior.commands import (
     State,
     ZeroSensor,
 )
-from galen_calibration_behavior.pose_procedure import PoseProcedure, PoseSettings
-from galen_calibration_behavior.pose_recorder import Rejection
+from galen_ros.goal.pose_procedure import PoseProcedure, PoseSettings
+from galen_ros.goal.pose_recorder import Rejection
+
 from galen_calibration_behavior.precision import WantedPrecision, sweep_precision
 from galen_calibration_behavior.sweep import Sweep, Verdict, stack
 

@@ -15,12 +15,12 @@ from galen_model.arrays import Array
 from galen_model.files.calibration_file import LoadEstimate
 from galen_model.load.identification import MIN_POSES, StillPoses
 from galen_model.rest.pose import PoseRecord, wrench_fault
+from galen_ros.goal.commands import Measurements
+from galen_ros.goal.pose_recorder import Rejection
+from galen_ros.goal.stamps import NS
 
-from galen_calibration_behavior.commands import Measurements
 from galen_calibration_behavior.home_stays import BiasPose, HomeStays
-from galen_calibration_behavior.pose_recorder import Rejection
 from galen_calibration_behavior.procedure import ProcedureSettings
-from galen_calibration_behavior.stamps import NS
 from galen_calibration_behavior.sweep import stack
 from galen_calibration_behavior.tool_border import Border, BorderError, find_border
 from galen_calibration_behavior.visits import RecordingError, Visit, Visits

@@ -7,8 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from galen_model.arrays import Array
 from galen_model.rest.pose import PoseRecord, StillnessSettings, wrench_fault
-
-from galen_calibration_behavior.pose_recorder import Rejection
+from galen_ros.goal.pose_recorder import Rejection
 
 
 @dataclass(frozen=True)

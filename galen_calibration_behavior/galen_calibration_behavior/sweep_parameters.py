@@ -18,10 +18,10 @@ from galen_model.poses.plan import (
     plan_grid,
     plan_listed,
 )
-from galen_ros.param import ParameterError, param
+from galen_ros.goal.pose_procedure import PoseSettings
+from galen_ros.parameters.param import ParameterError, param
 
 from galen_calibration_behavior.obstacle_parameters import ObstacleParameters
-from galen_calibration_behavior.pose_procedure import PoseSettings
 from galen_calibration_behavior.precision import WantedPrecision
 
 MAX_ITERS = 100  # so that the feedback's counts of poses, uint16, hold two sweeps

@@ -20,10 +20,10 @@ from galen_model.arrays import Array
 from galen_model.errors import GalenError
 from galen_model.rest.joints import StillSettings, still_rows
 from galen_model.rest.pose import PoseRecord
+from galen_ros.goal.pose_recorder import PoseRecorder, Rejection
+from galen_ros.goal.stamps import NS, StampClock, StampsError
 
-from galen_calibration_behavior.pose_recorder import PoseRecorder, Rejection
 from galen_calibration_behavior.procedure import ProcedureSettings
-from galen_calibration_behavior.stamps import NS, StampClock, StampsError
 
 # The recorder hears the samples from this long before a phase, for a stop is told by a window that
 # reaches back into the motion, and until this long after it, for wrenches received late.

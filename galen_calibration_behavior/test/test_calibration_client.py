@@ -13,7 +13,7 @@ import pytest
 from calibration_fake_arm import POINTER
 from galen_calibration_behavior.calibrate import EXIT_USAGE, parse
 from galen_calibration_behavior.result_text import format_result, result_to_dict
-from galen_ros.testing import Harness
+from galen_ros.node.testing import Harness
 from rclpy.action import ActionServer, CancelResponse, GoalResponse
 from rclpy.node import Node
 from test_calibration_node import FakeDriver, World

@@ -6,7 +6,6 @@ from datetime import UTC, datetime, timedelta, timezone
 import numpy as np
 import pytest
 from calibration_fake_arm import ADAPTER, NO_TOOL, POINTER
-from galen_calibration_behavior.commands import ErrorCode, Measurements
 from galen_calibration_behavior.estimate import (
     EstimateError,
     TipError,
@@ -20,6 +19,7 @@ from galen_model.files.calibration_file import read_tool, write_tool
 from galen_model.load.identification import StillPoses
 from galen_model.load.inertia.estimate import InertiaEstimate
 from galen_model.load.model import nominal_reading
+from galen_ros.goal.commands import ErrorCode, Measurements
 
 NAN = np.full(3, math.nan)
 TIP = np.array([0.15, 0.0, 0.05])

@@ -13,7 +13,7 @@ from galen_model.arm.sensor_motion import sensor_motion
 from galen_model.files.calibration_file import LoadEstimate, ToolFile, read_tool, write_tool
 from galen_model.load.inertia.inertial import inertial_wrench, point_mass_inertia
 from galen_model.load.nominal_tools import ADAPTER, TOOLS
-from galen_ros.cdr import JointStateBytes, WrenchBytes
+from galen_ros.cdr.layout import JointStateBytes, WrenchBytes
 
 LOAD = TOOLS["retractor"].load
 INERTIA = point_mass_inertia(LOAD, ADAPTER) + np.array([3e-4, 5e-4, 4e-4, 2e-5, -4e-5, 1e-5])

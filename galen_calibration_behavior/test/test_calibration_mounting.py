@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from calibration_fake_arm import ADAPTER, NO_TOOL, POINTER
 from galen_calibration_behavior.calibrate_from_bag import main
-from galen_calibration_behavior.commands import ErrorCode, Measurements
 from galen_calibration_behavior.estimate import EstimateError, MountingRequest, calibrate
 from galen_calibration_behavior.mounting_text import format_mounting, mounting_fields
 from galen_calibration_behavior.parameters import CalibrationParameters
@@ -12,6 +11,7 @@ from galen_model.errors import IdentificationError
 from galen_model.files.calibration_file import read_tool
 from galen_model.load.identification import StillPoses
 from galen_model.load.model import nominal_reading
+from galen_ros.goal.commands import ErrorCode, Measurements
 
 ZERO = np.array([0.008, -0.006])
 POSES = np.array([[r, t] for r in np.linspace(-1.5, 1.5, 5) for t in np.linspace(-1.0, 0.9, 4)])

@@ -9,13 +9,13 @@ from action_msgs.msg import GoalStatus
 from builtin_interfaces.msg import Duration
 from calibration_fake_arm import NO_TOOL, POINTER, FakeArm
 from diagnostic_msgs.msg import DiagnosticArray
-from galen_calibration_behavior.commands import ErrorCode, State
 from galen_calibration_behavior.node import CalibrationNode
 from galen_model.arm.galen import JOINT_NAMES
 from galen_model.files.calibration_file import read_tool
 from galen_ros.conversions import fill_stamp, fill_wrench
+from galen_ros.goal.commands import ErrorCode, State
+from galen_ros.node.testing import Harness, parameters
 from galen_ros.qos import STREAM
-from galen_ros.testing import Harness, parameters
 from geometry_msgs.msg import WrenchStamped
 from rclpy.action import ActionClient
 from rclpy.executors import SingleThreadedExecutor

@@ -3,11 +3,11 @@ import dataclasses
 import numpy as np
 import pytest
 from calibration_fake_arm import STEP_NS, FakeArm
-from galen_calibration_behavior.arrival import ArrivalSettings, MotionTimeoutError
-from galen_calibration_behavior.pose_recorder import PoseRecorder, Rejection
-from galen_calibration_behavior.stamps import StampsError
 from galen_model.arm.galen import HOME
 from galen_model.rest.pose import PoseRecord, StillnessSettings, wrench_fault
+from galen_ros.goal.arrival import ArrivalSettings, MotionTimeoutError
+from galen_ros.goal.pose_recorder import PoseRecorder, Rejection
+from galen_ros.goal.stamps import StampsError
 
 ARRIVAL = ArrivalSettings(
     position_tolerance=np.array([5e-4] * 3 + [3e-3] * 2),

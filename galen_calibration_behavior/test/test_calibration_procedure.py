@@ -5,8 +5,15 @@ import dataclasses
 import numpy as np
 import pytest
 from calibration_fake_arm import NO_TOOL, POINTER, FakeArm
-from galen_calibration_behavior.arrival import ArrivalSettings
-from galen_calibration_behavior.commands import (
+from galen_calibration_behavior.procedure import (
+    CalibrationProcedure,
+    ProcedureSettings,
+    Request,
+)
+from galen_model.arm.galen import HOME
+from galen_model.rest.pose import StillnessSettings
+from galen_ros.goal.arrival import ArrivalSettings
+from galen_ros.goal.commands import (
     AttachTool,
     ErrorCode,
     Estimate,
@@ -17,13 +24,6 @@ from galen_calibration_behavior.commands import (
     Stop,
     ZeroSensor,
 )
-from galen_calibration_behavior.procedure import (
-    CalibrationProcedure,
-    ProcedureSettings,
-    Request,
-)
-from galen_model.arm.galen import HOME
-from galen_model.rest.pose import StillnessSettings
 
 SETTINGS = ProcedureSettings(
     home=HOME,

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from calibration_fake_arm import FakeArm
 from galen_calibration_behavior.choose_poses import format_choice, main
-from galen_calibration_behavior.commands import ErrorCode, Feedback
 from galen_calibration_behavior.design_plots import plot_curve, plot_poses
 from galen_calibration_behavior.design_report import efficiency_curve, equal_count, promise
 from galen_calibration_behavior.parameters import CalibrationParameters
@@ -26,7 +25,8 @@ from galen_model.poses.design import PoseDesign, compensation_std
 from galen_model.poses.order import drift_share, order_poses
 from galen_model.poses.plan import make_router
 from galen_model.rest.pose import PoseRecord
-from galen_ros.param import ParameterError
+from galen_ros.goal.commands import ErrorCode, Feedback
+from galen_ros.parameters.param import ParameterError
 from test_calibration_procedure import World
 
 GRID = CalibrationParameters()

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from calibration_tape import NO_TOOL, NS, POINTER, Tape, grid
 from galen_calibration_behavior.parameters import CalibrationParameters
-from galen_calibration_behavior.pose_recorder import Rejection
 from galen_calibration_behavior.visits import RecordingError, find_visits
 from galen_model.arm.galen import HOME
 from galen_model.arm.kinematics import gravity_in_sensor
@@ -14,6 +13,7 @@ from galen_model.load.model import gravity_wrench
 from galen_model.load.nominal_tools import ADAPTER
 from galen_model.rest.joints import StillSettings
 from galen_model.rest.pose import PoseRecord
+from galen_ros.goal.pose_recorder import Rejection
 
 SETTINGS = CalibrationParameters().settings()
 POSES = grid()

@@ -14,8 +14,8 @@ from galen_calibration_behavior.check_answer import Answer, Cause
 from galen_calibration_behavior.check_commands import ErrorCode
 from galen_calibration_behavior.check_node import CheckNode
 from galen_model.files.calibration_file import write_tool
+from galen_ros.node.testing import Harness, parameters
 from galen_ros.qos import LATCHED
-from galen_ros.testing import Harness, parameters
 from rclpy.action import ActionClient
 from rclpy.node import Node
 from test_calibration_node import FakeDriver

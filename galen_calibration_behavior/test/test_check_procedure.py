@@ -11,10 +11,10 @@ from galen_calibration_behavior.check_answer import Answer, Cause
 from galen_calibration_behavior.check_commands import ErrorCode, Feedback, Finished, State
 from galen_calibration_behavior.check_parameters import CheckParameters
 from galen_calibration_behavior.check_procedure import CheckProcedure, CheckRequest
-from galen_calibration_behavior.commands import MoveTo, Stop
 from galen_model.arm.clearance import ArmClearance, boxes_from_numbers
 from galen_model.arm.galen import LIMITS
 from galen_model.poses.plan import Surroundings
+from galen_ros.goal.commands import MoveTo, Stop
 
 BOX = (0.721, -0.003, 0.304, 0.768, 0.111, 0.352)
 START = np.array([0.02, -0.01, 0.41, 0.3, -0.2])

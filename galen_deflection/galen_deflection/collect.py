@@ -9,7 +9,8 @@ import sys
 from typing import Any
 
 import numpy as np
-from galen_calibration_behavior.goal_client import (
+from galen_calibration_behavior.result_text import result_to_dict
+from galen_ros.goal.client import (
     EXIT_CANCELED,
     EXIT_FAILED,
     EXIT_OK,
@@ -21,8 +22,7 @@ from galen_calibration_behavior.goal_client import (
     report_error,
     run_client,
 )
-from galen_calibration_behavior.result_text import result_to_dict
-from galen_ros.spin import own_arguments
+from galen_ros.node.spin import own_arguments
 
 from galen_deflection.collection_commands import ErrorCode, State
 from galen_deflection.collection_plan import MOST_SETS

@@ -9,14 +9,14 @@ from typing import Any
 
 import numpy as np
 from galen_bags.errors import BagError
-from galen_calibration_behavior.goal_node import GoalNode, RefusedGoalError, RunningGoal, Words
 from galen_model.arrays import Array
 from galen_model.errors import GalenError, ToolFileError, ToolNameError
 from galen_model.files.calibration_file import ToolFile, read_tool, tool_path
 from galen_model.rotation import quaternion_to_matrix
 from galen_ros.conversions import stamp_to_ns
+from galen_ros.goal.node import GoalNode, RefusedGoalError, RunningGoal, Words
+from galen_ros.node.spin import run
 from galen_ros.qos import STREAM
-from galen_ros.spin import run
 from geometry_msgs.msg import PoseStamped
 from rclpy.action.server import ServerGoalHandle
 from rclpy.client import Client

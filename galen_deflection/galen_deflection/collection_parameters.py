@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from galen_calibration_behavior.motion_parameters import MotionParameters
-from galen_ros.param import param
+from galen_ros.goal.parameters import MotionParameters
+from galen_ros.parameters.param import param
 
 from galen_deflection.collection_plan import MOST_SETS, LoadLimits, make_plan
 from galen_deflection.collection_procedure import CollectionSettings

@@ -8,7 +8,7 @@ and for each push PUSH <> HOLD > RELEASE > REST, again if it was not as asked. B
 are at the first position. They have bags of their own, because a third visit there without a push
 would count as a set of pushes.
 
-A cancel, an error and time are as in `galen_calibration_behavior.goal_procedure`.
+A cancel, an error and time are as in `galen_ros.goal.procedure`.
 """
 
 from __future__ import annotations
@@ -20,10 +20,10 @@ from enum import IntEnum
 from functools import partial
 
 import numpy as np
-from galen_calibration_behavior.goal_procedure import JOINTS, GoalProcedure, GoalSettings
-from galen_calibration_behavior.stamps import NS, StampClock
 from galen_model.arm.galen import JOINT_NAMES, JOINT_UNITS
 from galen_model.arrays import Array
+from galen_ros.goal.procedure import JOINTS, GoalProcedure, GoalSettings
+from galen_ros.goal.stamps import NS, StampClock
 
 from galen_deflection.collection_commands import (
     NOTHING,

@@ -9,9 +9,9 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-from galen_calibration_behavior.stamps import NS
 from galen_model.arrays import Array
 from galen_model.registration.rigid import Transform, mean_pose
+from galen_ros.goal.stamps import NS
 
 from galen_deflection.arm_positions import UnloadedSettings, load_phases, noise_of_mean
 

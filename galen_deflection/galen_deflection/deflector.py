@@ -1,7 +1,7 @@
 """A model at work on live samples: wrenches and joints go in, deflections come out. No ROS.
 
 Each wrench pushed ends in exactly one way: as a `Deflected`, or as a `Refused` that names the
-reason. Which joints belong to a wrench is for `galen_gravcomp.pairing` to say, as for the
+reason. Which joints belong to a wrench is for `galen_ros.stream.pairing` to say, as for the
 compensator.
 
 A model with hysteresis remembers the loads that it was given, in their order. Whatever makes that
@@ -19,10 +19,10 @@ from enum import Enum
 from typing import NamedTuple
 
 import numpy as np
-from galen_gravcomp.pairing import PairingSettings, WrenchPairing
-from galen_gravcomp.results import Refused
 from galen_model.arrays import Array
 from galen_model.errors import KinematicsError
+from galen_ros.stream.pairing import PairingSettings, WrenchPairing
+from galen_ros.stream.results import Refused
 
 from galen_deflection.corrected_tip import CorrectedTip, TipPose
 from galen_deflection.models.interface import DeflectionModel, Predicted, Stream
@@ -34,7 +34,7 @@ noise is.
 
 
 class ModelRefusal(Enum):
-    """Why a deflection was not predicted, beside `galen_gravcomp.results.Refusal`."""
+    """Why a deflection was not predicted, beside `galen_ros.stream.results.Refusal`."""
 
     NO_MODEL = "no_model"
     OTHER_TIP = "other_tip"  # the model was fitted for another tool's tip

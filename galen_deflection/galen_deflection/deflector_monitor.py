@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections import deque
 
 import numpy as np
-from galen_gravcomp.frozen import FROZEN_S
-from galen_gravcomp.results import Refusal
-from galen_gravcomp.stream_monitor import RATE_WINDOW_S, Severity, State, StreamMonitor, joined
 from galen_model.arrays import Array
+from galen_ros.stream.frozen import FROZEN_S
+from galen_ros.stream.monitor import RATE_WINDOW_S, Severity, State, StreamMonitor, joined
+from galen_ros.stream.results import Refusal
 
 from galen_deflection.deflector import Deflector, ModelRefusal
 

@@ -6,13 +6,13 @@ from pathlib import Path
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
-from galen_gravcomp.results import Refused
-from galen_gravcomp.stream_node import StreamNode
-from galen_gravcomp.wire import RawWrench
 from galen_model.errors import GalenError
-from galen_ros.cdr import DeflectionBytes, PoseBytes
+from galen_ros.cdr.layout import DeflectionBytes, PoseBytes
+from galen_ros.cdr.wire import RawWrench
+from galen_ros.node.spin import run
 from galen_ros.qos import STREAM
-from galen_ros.spin import run
+from galen_ros.stream.node import StreamNode
+from galen_ros.stream.results import Refused
 from geometry_msgs.msg import PoseStamped
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.parameter import Parameter

@@ -3,9 +3,9 @@
 from dataclasses import dataclass
 
 import numpy as np
-from galen_gravcomp.stream_parameters import LoopParameters
 from galen_model.arm.galen import JOINT_NAMES
-from galen_ros.param import param
+from galen_ros.parameters.param import param
+from galen_ros.stream.parameters import LoopParameters
 
 from galen_deflection.deflector import DeflectorSettings
 

@@ -15,7 +15,7 @@ from galen_model.load.prediction import Prediction
 from galen_model.registration.rigid import IDENTITY, Transform
 from galen_model.rotation import matrix_to_quaternion, rotvec_to_matrix
 from galen_model.wrench import move_wrench
-from galen_ros.cdr import JointStateBytes, PoseBytes, WrenchBytes
+from galen_ros.cdr.layout import JointStateBytes, PoseBytes, WrenchBytes
 
 ROOT = Path(__file__).resolve().parents[2]
 TOOL = read_tool(ROOT / "bags" / "tools" / "retractor.json")

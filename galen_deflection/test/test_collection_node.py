@@ -13,7 +13,6 @@ from action_msgs.msg import GoalStatus
 from collection_world import POSITIONS, CollectionWorld
 from diagnostic_msgs.msg import DiagnosticArray
 from galen_bags.bag import open_bag
-from galen_calibration_behavior.goal_client import EXIT_USAGE
 from galen_deflection.collect import format_result, parse, result_fields
 from galen_deflection.collection_commands import ErrorCode, State
 from galen_deflection.measured_deflection import measure_deflection
@@ -23,7 +22,8 @@ from galen_deflection.pushes import find_pushes, tip_wrench
 from galen_deflection.splits import report_splits, sets_of
 from galen_deflection.springs import kinds
 from galen_model.files.calibration_file import read_tool
-from galen_ros.testing import Harness
+from galen_ros.goal.client import EXIT_USAGE
+from galen_ros.node.testing import Harness
 
 from galen_msgs.action import CollectPushes
 

@@ -5,8 +5,6 @@ import dataclasses
 import numpy as np
 import pytest
 from collection_fake_arm import BASE_IN_TRACKER, TIP, FakeArm, Hand
-from galen_calibration_behavior.arrival import ArrivalSettings
-from galen_calibration_behavior.commands import MoveTo, Stop
 from galen_deflection.collection_commands import (
     ErrorCode,
     Feedback,
@@ -19,6 +17,8 @@ from galen_deflection.collection_plan import LoadLimits, make_plan
 from galen_deflection.collection_procedure import CollectionProcedure, CollectionSettings
 from galen_deflection.collection_push import PushLimits
 from galen_deflection.collection_untouched import UntouchedSettings
+from galen_ros.goal.arrival import ArrivalSettings
+from galen_ros.goal.commands import MoveTo, Stop
 
 SETTINGS = CollectionSettings(
     arrival=ArrivalSettings(

@@ -13,12 +13,12 @@ from galen_deflection.deflector import Deflected, Deflector, DeflectorSettings, 
 from galen_deflection.deflector_monitor import DeflectorMonitor
 from galen_deflection.gravcomp_state import GravcompState
 from galen_deflection.recent_poses import RecentPoses
-from galen_gravcomp.results import Refusal, Refused
-from galen_gravcomp.stream_monitor import NOTICE_HOLD_S, Severity
 from galen_model.arm.kinematics import tip_pose
 from galen_model.load.nominal_tools import TOOLS
 from galen_model.registration.rigid import Transform
 from galen_model.rotation import quaternion_to_matrix
+from galen_ros.stream.monitor import NOTICE_HOLD_S, Severity
+from galen_ros.stream.results import Refusal, Refused
 
 MS = 1_000_000
 START = 100_000 * MS

@@ -14,7 +14,6 @@ from itertools import product
 from typing import Literal
 
 import numpy as np
-from galen_calibration_behavior.motion_parameters import MotionParameters
 from galen_model.arm.clearance import ArmClearance
 from galen_model.arm.galen import HOME
 from galen_model.arrays import Array
@@ -24,6 +23,7 @@ from galen_model.load.identification import check_planned_poses
 from galen_model.poses.design import PoseDesign, PoseDesignError
 from galen_model.poses.order import SweepTimes, order_poses
 from galen_model.poses.plan import Surroundings, SweepRange, make_router
+from galen_ros.goal.parameters import MotionParameters
 
 from galen_diagnosis.errors import DiagnosisError
 from galen_diagnosis.separation import Alternative, choose_units

@@ -6,15 +6,15 @@ import time
 from typing import Any
 
 import numpy as np
-from galen_gravcomp.results import Refused
-from galen_gravcomp.stream_node import StreamNode
-from galen_gravcomp.wire import RawWrench
 from galen_model.errors import GalenError, ToolFileError, ToolNameError
 from galen_model.files.calibration_file import LoadEstimate, ToolFile
 from galen_model.files.calibration_store import ToolStore
-from galen_ros.background import Background
+from galen_ros.cdr.wire import RawWrench
+from galen_ros.node.background import Background
+from galen_ros.node.spin import run
 from galen_ros.qos import LATCHED
-from galen_ros.spin import run
+from galen_ros.stream.node import StreamNode
+from galen_ros.stream.results import Refused
 
 from galen_diagnosis.gap_effects import likely_effects
 from galen_diagnosis.gap_parameters import GapMonitorParameters

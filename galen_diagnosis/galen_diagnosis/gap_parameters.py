@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from galen_gravcomp.pairing import PairingSettings
-from galen_gravcomp.stream_parameters import StreamParameters
 from galen_model.arm.galen import JOINT_NAMES
-from galen_ros.param import param
+from galen_ros.parameters.param import param
+from galen_ros.stream.pairing import PairingSettings
+from galen_ros.stream.parameters import StreamParameters
 
 from galen_diagnosis.gap_watch import GapSettings
 

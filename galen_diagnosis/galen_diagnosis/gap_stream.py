@@ -6,12 +6,12 @@ from collections.abc import Callable
 from enum import Enum
 from typing import NamedTuple
 
-from galen_gravcomp.pairing import PairingSettings, WrenchPairing
-from galen_gravcomp.results import Refusal, Refused
-from galen_gravcomp.stream_monitor import Severity, State, StreamMonitor, joined
 from galen_model.arrays import Array
 from galen_model.files.calibration_file import ToolFile
 from galen_model.load.prediction import Prediction
+from galen_ros.stream.monitor import Severity, State, StreamMonitor, joined
+from galen_ros.stream.pairing import PairingSettings, WrenchPairing
+from galen_ros.stream.results import Refusal, Refused
 
 from galen_diagnosis.gap_watch import GapNotice, GapSettings, GapState, GapWatch
 

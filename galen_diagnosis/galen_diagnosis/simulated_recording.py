@@ -27,7 +27,7 @@ from galen_model.arm.galen import BASE_FRAME, HOME, JOINT_NAMES, SENSOR, SENSOR_
 from galen_model.arrays import Array
 from galen_model.files.calibration_file import LoadEstimate, ToolFile, write_tool
 from galen_model.load.model import Load
-from galen_ros.cdr import JointStateBytes, PoseBytes, WrenchBytes
+from galen_ros.cdr.layout import JointStateBytes, PoseBytes, WrenchBytes
 from galen_sim_driver.config import HandPush, PlantConfig, TrackerConfig
 from galen_sim_driver.effects.base_shift import BaseShift
 from galen_sim_driver.effects.bias_step import BiasStep

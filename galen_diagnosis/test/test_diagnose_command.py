@@ -14,7 +14,7 @@ from galen_bags.writer import BagWriter
 from galen_diagnosis.errors import DiagnosisError
 from galen_diagnosis.recording import Recording
 from galen_model.arm.galen import JOINT_NAMES
-from galen_ros.cdr import JointStateBytes, WrenchBytes
+from galen_ros.cdr.layout import JointStateBytes, WrenchBytes
 from matplotlib import pyplot as plt
 
 from galen_diagnosis import diagnose, output

@@ -13,8 +13,8 @@ from galen_model.arm.galen import JOINT_NAMES, SENSOR
 from galen_model.files.calibration_file import LoadEstimate, ToolFile, write_tool
 from galen_model.load.nominal_tools import ADAPTER, TOOLS
 from galen_model.rest.windows import StillWindow
+from galen_ros.node.testing import Harness, parameters
 from galen_ros.qos import STREAM
-from galen_ros.testing import Harness, parameters
 from galen_sim_driver.effects.registry import EFFECTS
 from geometry_msgs.msg import WrenchStamped
 from rclpy.node import Node

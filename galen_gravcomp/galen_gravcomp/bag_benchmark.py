@@ -31,7 +31,7 @@ from galen_bags.bag import open_bag
 from galen_bags.writer import BagWriter
 from galen_model.arm.galen import JOINT_NAMES, SENSOR
 from galen_model.files.calibration_file import read_tool, write_tool
-from galen_ros.cdr import JointStateBytes, WrenchBytes
+from galen_ros.cdr.layout import JointStateBytes, WrenchBytes
 from rich.table import Table
 from tqdm import tqdm
 

@@ -20,6 +20,7 @@ from galen_model.arrays import Array
 from galen_model.files.calibration_file import ToolFile
 from galen_model.rest.binned import StillCellSettings, StillPhases, find_still_phases
 from galen_model.rest.time_bins import CELL_S, CellReducer, Cells
+from galen_ros.stream.results import Notice
 
 from galen_gravcomp.arm_block import push_arm_block
 from galen_gravcomp.channel_check import ChannelCheck, ChannelReport
@@ -28,7 +29,6 @@ from galen_gravcomp.joint_motion import JointMotion, inertia_source
 from galen_gravcomp.load_change import LoadChange, find_change
 from galen_gravcomp.misfit import Limits, Misfit, take_apart
 from galen_gravcomp.motion_window import MotionSettings
-from galen_gravcomp.results import Notice
 from galen_gravcomp.stages import Stages
 from galen_gravcomp.verdict import Verdict, judge
 

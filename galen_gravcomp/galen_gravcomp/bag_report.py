@@ -10,13 +10,13 @@ import numpy as np
 from galen_bags.stamp_check import StampReport
 from galen_model.arm.galen import WRENCH_AXES
 from galen_model.arrays import Array
+from galen_ros.stream.results import Notice
 from rich.console import Console
 from rich.table import Table
 
 from galen_gravcomp.bag_evaluation import BagEvaluation
 from galen_gravcomp.channel_check import describe_run
 from galen_gravcomp.misfit import Misfit
-from galen_gravcomp.results import Notice
 from galen_gravcomp.verdict import Verdict
 
 _UNITS = ("mN", "mN", "mN", "mN.m", "mN.m", "mN.m")

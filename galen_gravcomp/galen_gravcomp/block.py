@@ -8,9 +8,8 @@ from typing import Protocol
 
 import numpy as np
 from galen_model.arrays import Array
-
-from galen_gravcomp.results import Compensated, Refused, Result
-from galen_gravcomp.stretch import Arrivals
+from galen_ros.stream.regular_run import Arrivals
+from galen_ros.stream.results import Compensated, Refused, Result
 
 # Samples looked at as arrays at once. What lies behind the first irregular sample was looked at in
 # vain, so after a short stretch the next look is a short one.

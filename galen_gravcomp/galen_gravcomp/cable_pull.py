@@ -5,8 +5,7 @@ import math
 import numpy as np
 from galen_model.arrays import Array
 from galen_model.load.cable.drag import SEEN, UNSEEN, CableDrag
-
-from galen_gravcomp.stream_monitor import joined
+from galen_ros.stream.monitor import joined
 
 # Poses at once: the kernel of so many with those of a sweep stays in the processor's cache.
 _ROWS = 2048

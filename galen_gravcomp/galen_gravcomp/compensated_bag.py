@@ -9,7 +9,7 @@ from galen_bags.arm_recording import ArmBlock, ArmReader
 from galen_bags.messages import WRENCH_TYPE
 from galen_bags.writer import BagWriter
 from galen_model.arrays import Array
-from galen_ros.cdr import WrenchBytes
+from galen_ros.cdr.layout import WrenchBytes
 
 _TOPIC = "wrench_compensated"
 

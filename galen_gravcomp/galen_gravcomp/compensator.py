@@ -5,7 +5,7 @@
 What can stand beside the tool's weight in the expected reading, C, and what else is taken off,
 `galen_gravcomp.stages` says. Samples are pushed in the order of their arrival, one by one or in
 blocks, which gives the same. Live node and offline evaluation feed the same class. Which angles
-belong to a wrench, and which wrench is refused, is `galen_gravcomp.pairing`'s.
+belong to a wrench, and which wrench is refused, is `galen_ros.stream.pairing`'s.
 """
 
 import math
@@ -18,13 +18,13 @@ from galen_model.arrays import Array
 from galen_model.errors import GalenError
 from galen_model.files.calibration_file import ToolFile
 from galen_model.load.prediction import Prediction
+from galen_ros.stream.pairing import PairingSettings, WrenchPairing
+from galen_ros.stream.regular_run import Arrivals
+from galen_ros.stream.results import Compensated, Refusal, Refused, Result
 
 from galen_gravcomp.block import NOTHING, BlockResult, Outputs, SampleBlock, push_block
 from galen_gravcomp.cable_pull import CablePull
-from galen_gravcomp.pairing import PairingSettings, WrenchPairing
-from galen_gravcomp.results import Compensated, Refusal, Refused, Result
 from galen_gravcomp.stages import FitWatch, MotionStage, NoMotion, Stages, WanderStage
-from galen_gravcomp.stretch import Arrivals
 from galen_gravcomp.tare import TareOutcome, TareRamp, TareSettings, TareWindow
 
 _IMPOSSIBLE = (

@@ -32,7 +32,7 @@ from galen_model.load.mounting.groups import entities
 from galen_model.load.mounting.identification import KnownLoad
 from galen_model.rest.binned import StillCellSettings
 from galen_model.rest.orientations import StillSettings
-from galen_ros.param import add_options, from_options
+from galen_ros.parameters.param import add_options, from_options
 from rich.console import Console
 from tqdm import tqdm
 

@@ -21,10 +21,10 @@ from galen_model.arrays import Array
 from galen_model.files.calibration_file import ToolFile
 from galen_model.load.inertia.inertial import LoadInMotion
 from galen_model.rotation import rotvec_to_matrix
+from galen_ros.stream.results import Refusal
 
 from galen_gravcomp.joint_motion import inertia_source, load_in_motion
 from galen_gravcomp.motion_window import MotionSettings, MotionWindow
-from galen_gravcomp.results import Refusal
 from galen_gravcomp.stages import NoMotion
 
 

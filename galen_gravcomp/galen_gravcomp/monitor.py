@@ -1,9 +1,10 @@
 """What the compensator's node can say of its health: state, rates, latency. No ROS."""
 
+from galen_ros.stream.frozen import FROZEN_S
+from galen_ros.stream.monitor import Severity, State, StreamMonitor, joined
+from galen_ros.stream.results import Refusal
+
 from galen_gravcomp.compensator import Compensator
-from galen_gravcomp.frozen import FROZEN_S
-from galen_gravcomp.results import Refusal
-from galen_gravcomp.stream_monitor import Severity, State, StreamMonitor, joined
 
 
 class Monitor(StreamMonitor):

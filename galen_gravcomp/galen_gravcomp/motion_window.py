@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from galen_model.arrays import Array
+from galen_ros.stream.results import Refusal
 
 from galen_gravcomp.local_polynomial import Derivatives, LocalPolynomial
-from galen_gravcomp.results import Refusal
 from galen_gravcomp.stages import NoMotion
 
 # Of the window: samples further apart leave the polynomial to guess.

@@ -4,10 +4,13 @@ import time
 from typing import Any
 
 from galen_model.errors import ToolFileError, ToolNameError
-from galen_ros.cdr import UnreadableError
-from galen_ros.deferred_service import DeferredService, Respond
+from galen_ros.cdr.layout import UnreadableError
+from galen_ros.cdr.wire import ImuWire, RawWrench
+from galen_ros.node.deferred_service import DeferredService, Respond
+from galen_ros.node.spin import run
 from galen_ros.qos import STREAM
-from galen_ros.spin import run
+from galen_ros.stream.node import StreamNode, input_qos
+from galen_ros.stream.results import Compensated, Result
 from geometry_msgs.msg import WrenchStamped
 from sensor_msgs.msg import Imu
 from std_srvs.srv import SetBool, Trigger
@@ -15,11 +18,8 @@ from std_srvs.srv import SetBool, Trigger
 from galen_gravcomp.compensator import Compensator, TareRefusedError
 from galen_gravcomp.monitor import Monitor
 from galen_gravcomp.parameters import GravcompParameters
-from galen_gravcomp.results import Compensated, Result
-from galen_gravcomp.stream_node import StreamNode, input_qos
 from galen_gravcomp.tare import TareOutcome
 from galen_gravcomp.tool_services import LiveJoints, ToolServices
-from galen_gravcomp.wire import ImuWire, RawWrench
 from galen_msgs.srv import SetTool
 
 

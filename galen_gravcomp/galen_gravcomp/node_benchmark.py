@@ -29,11 +29,11 @@ from typing import Any
 
 import numpy as np
 import rclpy
-from galen_ros.cdr import NS_PER_S, STAMP_AT
+from galen_ros.cdr.layout import NS_PER_S, STAMP_AT
 from galen_ros.conversions import fill_stamp
-from galen_ros.domain import DomainLock
+from galen_ros.node.domain import DomainLock
+from galen_ros.node.spin import make_executor, run
 from galen_ros.qos import STREAM
-from galen_ros.spin import make_executor, run
 from geometry_msgs.msg import PoseStamped, WrenchStamped
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions

@@ -3,7 +3,8 @@
 from dataclasses import dataclass
 
 import numpy as np
-from galen_ros.param import param
+from galen_ros.parameters.param import param
+from galen_ros.stream.parameters import LoopParameters
 
 from galen_gravcomp.compensator import CompensatorSettings
 from galen_gravcomp.fit_watch import GravityFitWatch
@@ -12,7 +13,6 @@ from galen_gravcomp.joint_motion import JointMotion
 from galen_gravcomp.misfit import Limits
 from galen_gravcomp.motion_window import MotionSettings
 from galen_gravcomp.stages import MotionStage, Stages
-from galen_gravcomp.stream_parameters import LoopParameters
 from galen_gravcomp.tare import TareSettings
 from galen_gravcomp.wander import Wander, WanderSettings
 

@@ -12,7 +12,7 @@ from collections.abc import Callable
 import numpy as np
 from galen_model.arm.galen import SENSOR
 from galen_model.files.calibration_store import FileState, StoredTool
-from galen_ros.background import Background
+from galen_ros.node.background import Background
 from galen_ros.qos import LATCHED
 from rclpy.node import Node
 

@@ -1,6 +1,6 @@
 """The node's services on the tools' files.
 
-Files are read and written beside the executor (`galen_ros.background`), so that a slow disk holds
+Files are read and written beside the executor (`galen_ros.node.background`), so that a slow disk holds
 up no wrench; answers go out later. Only `~/set_tool` reads its one small file at once.
 
 The tool in force can't be removed. It can be renamed: it stays in force under its new name, with
@@ -32,10 +32,11 @@ from galen_model.load.frames import (
     needed_joints,
     sensor_in_frame,
 )
-from galen_ros.background import Background
-from galen_ros.cdr import UnreadableError
-from galen_ros.deferred_service import DeferredService, Respond
+from galen_ros.cdr.layout import UnreadableError
+from galen_ros.cdr.wire import JointWire
 from galen_ros.joint_names import JointStateError
+from galen_ros.node.background import Background
+from galen_ros.node.deferred_service import DeferredService, Respond
 from rclpy.node import Node
 
 from galen_gravcomp.compensator import Compensator
@@ -47,7 +48,6 @@ from galen_gravcomp.tool_messages import (
     fill_comparison,
     summary,
 )
-from galen_gravcomp.wire import JointWire
 from galen_msgs.msg import ToolSummary
 from galen_msgs.srv import CompareTools, GetTool, ListTools, RemoveTool, RenameTool, RevertTool
 

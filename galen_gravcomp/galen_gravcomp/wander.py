@@ -25,8 +25,8 @@ import numpy as np
 from galen_model.arm.galen import WRENCH_AXES
 from galen_model.arrays import Array
 from galen_model.rest.windows import StillWindows
+from galen_ros.stream.monitor import joined
 
-from galen_gravcomp.stream_monitor import joined
 from galen_gravcomp.tare import TareRamp
 from galen_gravcomp.wander_filter import WanderFilter, WanderModel
 

@@ -4,7 +4,7 @@ import numpy as np
 from galen_bags.writer import BagWriter
 from galen_model.arm.galen import JOINT_NAMES, SENSOR
 from galen_model.files.calibration_file import LoadEstimate, ToolFile
-from galen_ros.cdr import JointStateBytes, WrenchBytes
+from galen_ros.cdr.layout import JointStateBytes, WrenchBytes
 
 START_NS = 1_700_000_000_000_000_000
 DELAY_NS = 400_000

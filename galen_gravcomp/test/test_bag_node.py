@@ -10,8 +10,8 @@ from galen_gravcomp.bag_job import BagJob
 from galen_gravcomp.node import GravcompNode
 from galen_model.files.calibration_file import write_tool
 from galen_ros.conversions import stamp_to_ns, wrench_to_array
+from galen_ros.node.testing import Harness, parameters
 from galen_ros.qos import STREAM
-from galen_ros.testing import Harness, parameters
 from geometry_msgs.msg import WrenchStamped
 from gravcomp_bags import Recording, tool_file
 from rclpy.node import Node

@@ -8,7 +8,7 @@ from galen_bags.writer import BagWriter
 from galen_gravcomp.bag_job import BagJob
 from galen_model.arm.galen import JOINT_NAMES
 from galen_model.files.calibration_file import write_tool
-from galen_ros.cdr import JointStateBytes, WrenchBytes
+from galen_ros.cdr.layout import JointStateBytes, WrenchBytes
 from gravcomp_bags import START_NS, tool_file
 
 PERIOD_NS = 2_000_000

@@ -11,9 +11,12 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 from galen_gravcomp.compensator import Compensator, CompensatorSettings, TareRefusedError
-from galen_gravcomp.joint_buffer import JointBuffer
-from galen_gravcomp.results import Compensated, Notice, Refusal, Refused, Result
-from galen_gravcomp.sample_limits import (
+from galen_gravcomp.tare import TareOutcome, TareSettings
+from galen_model.files.calibration_file import LoadEstimate, ToolFile
+from galen_ros.stream import pairing as pairing_module
+from galen_ros.stream.joint_buffer import JointBuffer
+from galen_ros.stream.results import Compensated, Notice, Refusal, Refused, Result
+from galen_ros.stream.sample_limits import (
     ANGLE_UNIT_LIMIT_RAD,
     TORQUE_UNIT_FACTOR,
     SampleLimits,
@@ -21,11 +24,8 @@ from galen_gravcomp.sample_limits import (
     count_angle_unit_notices,
     surely_finite,
 )
-from galen_gravcomp.tare import TareOutcome, TareSettings
-from galen_model.files.calibration_file import LoadEstimate, ToolFile
 
 from galen_gravcomp import block as block_module
-from galen_gravcomp import pairing as pairing_module
 
 MS = 1_000_000
 S = 1_000_000_000

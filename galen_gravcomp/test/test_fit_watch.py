@@ -10,9 +10,9 @@ from galen_gravcomp.fit_watch import GravityFitWatch
 from galen_gravcomp.fit_words import FitNotice, Misfit
 from galen_gravcomp.monitor import Monitor
 from galen_gravcomp.stages import Stages
-from galen_gravcomp.stream_monitor import Severity
 from galen_model.arm.kinematics import gravity_in_sensor
 from galen_model.load.model import Load
+from galen_ros.stream.monitor import Severity
 from scipy.stats import multivariate_normal, norm
 from untouched_arm import NO_TOOL, POINTER, RETRACTOR, START_NS, UntouchedArm, push, tool_file
 

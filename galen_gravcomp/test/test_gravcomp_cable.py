@@ -7,13 +7,13 @@ import pytest
 from galen_gravcomp.cable_pull import CablePull
 from galen_gravcomp.compensator import Compensator
 from galen_gravcomp.monitor import Monitor
-from galen_gravcomp.results import Compensated, Refusal
-from galen_gravcomp.stream_monitor import Severity
 from galen_model.arm.galen import HOME, SENSOR
 from galen_model.files.calibration_file import LoadEstimate, ToolFile
 from galen_model.load.cable.drag import CableDrag
 from galen_model.load.cable.form import FORMS, form_matrices
 from galen_model.load.nominal_tools import ADAPTER, TOOLS
+from galen_ros.stream.monitor import Severity
+from galen_ros.stream.results import Compensated, Refusal
 
 PERIOD_NS = 2_000_000
 START_NS = 1_000_000_000

@@ -8,8 +8,8 @@ from typing import Any
 import pytest
 from galen_gravcomp.node import GravcompNode
 from galen_model.files.calibration_file import tool_path, write_tool
-from galen_ros.diagnostics import Level
-from galen_ros.testing import Harness, Lifecycle, parameters
+from galen_ros.node.diagnostics import Level
+from galen_ros.node.testing import Harness, Lifecycle, parameters
 from std_srvs.srv import SetBool, Trigger
 from test_gravcomp_node import LEFT, POINTER, PUSH, RETRACTOR, STILL, Bench, make_tool
 

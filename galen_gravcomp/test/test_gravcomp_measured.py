@@ -12,8 +12,8 @@ from galen_gravcomp.evaluate import main as evaluate
 from galen_gravcomp.node import GravcompNode
 from galen_model.files.calibration_file import read_tool
 from galen_ros.conversions import stamp_to_ns, wrench_to_array
+from galen_ros.node.testing import Harness, parameters
 from galen_ros.qos import STREAM
-from galen_ros.testing import Harness, parameters
 from geometry_msgs.msg import WrenchStamped
 from rclpy.node import Node
 from sensor_msgs.msg import JointState

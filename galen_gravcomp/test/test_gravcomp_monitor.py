@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from galen_gravcomp.compensator import Compensator
 from galen_gravcomp.monitor import Monitor
-from galen_gravcomp.results import Compensated, Notice, Refusal, Refused
-from galen_gravcomp.stream_monitor import HOLD_S, NOTICE_HOLD_S, Severity
 from galen_model.files.calibration_file import LoadEstimate, ToolFile
+from galen_ros.stream.monitor import HOLD_S, NOTICE_HOLD_S, Severity
+from galen_ros.stream.results import Compensated, Notice, Refusal, Refused
 
 S = 1_000_000_000
 TOOL = ToolFile(

@@ -9,12 +9,12 @@ from galen_gravcomp.imu_motion import ImuMotion, ImuMount
 from galen_gravcomp.joint_motion import JointMotion
 from galen_gravcomp.local_polynomial import LocalPolynomial
 from galen_gravcomp.motion_window import MotionSettings
-from galen_gravcomp.results import Compensated, Refusal
 from galen_gravcomp.stages import Stages
 from galen_model.arm.galen import SENSOR
 from galen_model.arm.kinematics import gravity_in_sensor
 from galen_model.arm.sensor_motion import sensor_motion
 from galen_model.rotation import rotvec_to_matrix
+from galen_ros.stream.results import Compensated, Refusal
 from motion_tape import MS, START_NS, measured, readings, swing, tool_file
 
 SETTINGS = MotionSettings()

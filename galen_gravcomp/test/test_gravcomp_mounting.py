@@ -13,7 +13,6 @@ from galen_gravcomp.cross_validation import (
     robust_model,
 )
 from galen_gravcomp.evaluate import main
-from galen_gravcomp.results import Compensated
 from galen_gravcomp.table_mounting import TableMounting, table_prediction, table_worth
 from galen_gravcomp.table_tool import tool_from_table
 from galen_model.errors import GalenError
@@ -21,6 +20,7 @@ from galen_model.files.calibration_file import LoadEstimate, ToolFile, read_tool
 from galen_model.load.mounting.held_out import GALEN, MOUNTED, PLAIN
 from galen_model.load.mounting.mounting import Mounting
 from galen_model.load.prediction import Prediction
+from galen_ros.stream.results import Compensated
 from scipy.spatial.transform import Rotation
 
 TURNED = Mounting(

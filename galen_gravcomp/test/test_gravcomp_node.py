@@ -12,9 +12,9 @@ from galen_gravcomp.node import GravcompNode
 from galen_model.arrays import Array
 from galen_model.files.calibration_file import LoadEstimate, ToolFile, tool_path, write_tool
 from galen_ros.conversions import fill_stamp, fill_wrench, stamp_to_ns, wrench_to_array
-from galen_ros.diagnostics import Level
+from galen_ros.node.diagnostics import Level
+from galen_ros.node.testing import Harness, parameters
 from galen_ros.qos import STREAM
-from galen_ros.testing import Harness, parameters
 from geometry_msgs.msg import WrenchStamped
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy

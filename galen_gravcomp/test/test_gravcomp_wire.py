@@ -7,18 +7,17 @@ from typing import Any
 
 import numpy as np
 import pytest
-from galen_gravcomp.wire import ImuWire, JointWire, RawWrench, WrenchWire
-from galen_ros.cdr import UnreadableError
+from galen_ros.cdr import wire
+from galen_ros.cdr.layout import UnreadableError
+from galen_ros.cdr.wire import ImuWire, JointWire, RawWrench, WrenchWire
 from galen_ros.conversions import fill_wrench
 from galen_ros.joint_names import JointStateError, UnknownJointError
+from galen_ros.node.testing import Harness
 from galen_ros.qos import STREAM
-from galen_ros.testing import Harness
 from geometry_msgs.msg import WrenchStamped
 from rclpy.node import Node
 from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import Imu, JointState
-
-from galen_gravcomp import wire
 
 RNG = np.random.default_rng(11)
 WRENCH, JOINTS = "stamped_layout", "joint_state_layout"

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from galen_gravcomp.joint_buffer import JointBuffer, JointPush, NoJoints
+from galen_ros.stream.joint_buffer import JointBuffer, JointPush, NoJoints
 
 MS = 1_000_000
 

@@ -5,10 +5,10 @@ import math
 import numpy as np
 import pytest
 from galen_gravcomp.compensator import Compensator
-from galen_gravcomp.lateness import LateWatch
 from galen_gravcomp.monitor import Monitor
 from galen_gravcomp.parameters import GravcompParameters
-from galen_gravcomp.stream_monitor import NOTICE_HOLD_S, Severity
+from galen_ros.stream.lateness import LateWatch
+from galen_ros.stream.monitor import NOTICE_HOLD_S, Severity
 from untouched_arm import tool_file
 
 MS = 1_000_000

@@ -13,8 +13,8 @@ from galen_gravcomp.node import GravcompNode
 from galen_model.arm.kinematics import sensor_pose
 from galen_model.files.calibration_file import LoadEstimate, ToolFile, tool_path, write_tool
 from galen_ros.conversions import fill_stamp, fill_wrench, wrench_to_array
+from galen_ros.node.testing import Harness, parameters
 from galen_ros.qos import LATCHED, STREAM
-from galen_ros.testing import Harness, parameters
 from geometry_msgs.msg import WrenchStamped
 from rclpy.node import Node
 from sensor_msgs.msg import JointState

@@ -12,7 +12,7 @@ def main() -> None:
     # Before the slow imports: an early signal, too, is an orderly end.
     end_by_signals()
     from galen_model.errors import GalenError
-    from galen_ros.spin import own_arguments
+    from galen_ros.node.spin import own_arguments
 
     from galen_panel.options import read_options
 

@@ -13,9 +13,9 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from galen_gravcomp.wire import JointWire, WrenchWire
 from galen_model.arm.galen import JOINT_NAMES
-from galen_ros.cdr import Layout, UnreadableError, stamped_layout
+from galen_ros.cdr.layout import Layout, UnreadableError, stamped_layout
+from galen_ros.cdr.wire import JointWire, WrenchWire
 from galen_ros.joint_names import JointStateError
 from geometry_msgs.msg import WrenchStamped
 from rclpy.context import Context

@@ -17,8 +17,8 @@ from concurrent.futures import Future, InvalidStateError
 from typing import Any, Generic, TypeVar
 
 from galen_model.errors import GalenError
-from galen_ros.parameter_services import guard_parameter_services
-from galen_ros.spin import StartError, init_ros, make_executor
+from galen_ros.node.spin import StartError, init_ros, make_executor
+from galen_ros.parameters.services import guard_parameter_services
 from rclpy.context import Context
 from rclpy.exceptions import ParameterException
 from rclpy.executors import Executor

@@ -5,7 +5,7 @@ import time
 from contextlib import contextmanager
 
 from galen_panel.ros_suite import RosSuite
-from galen_ros.testing import Harness, parameters
+from galen_ros.node.testing import Harness, parameters
 
 
 class World:

@@ -5,12 +5,12 @@ import math
 import threading
 
 import pytest
-from galen_calibration_behavior.commands import ErrorCode
-from galen_calibration_behavior.commands import State as Phase
-from galen_calibration_behavior.deferred_action import DeferredActionServer
 from galen_panel.ros_suite import RosSuite
 from galen_panel.state import Asked, CalibrateGoal, CheckGoal, Kind
-from galen_ros.diagnostics import OK, DiagnosticsPublisher, Status
+from galen_ros.goal.commands import ErrorCode
+from galen_ros.goal.commands import State as Phase
+from galen_ros.goal.deferred_action import DeferredActionServer
+from galen_ros.node.diagnostics import OK, DiagnosticsPublisher, Status
 from panel_ros_world import World, panel_world
 from rclpy.action import ActionClient, CancelResponse, GoalResponse
 from rclpy.node import Node

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 from galen_model.arm.galen import JOINT_NAMES
-from galen_ros.cdr import DeflectionBytes, JointStateBytes, WrenchBytes
+from galen_ros.cdr.layout import DeflectionBytes, JointStateBytes, WrenchBytes
 from galen_ros.qos import STREAM
 from geometry_msgs.msg import WrenchStamped
 from panel_ros_world import panel_world

@@ -20,10 +20,10 @@ from galen_panel.state import (
     Kind,
     Level,
 )
-from galen_ros.deferred_service import DeferredService
+from galen_ros.node.deferred_service import DeferredService
+from galen_ros.node.spin import StartError
+from galen_ros.node.testing import parameters
 from galen_ros.qos import STREAM
-from galen_ros.spin import StartError
-from galen_ros.testing import parameters
 from geometry_msgs.msg import WrenchStamped
 from panel_ros_world import panel_world
 from rclpy.node import Node

@@ -7,7 +7,6 @@ from pathlib import Path
 
 import pytest
 from galen_calibration_behavior.check_commands import State as CheckState
-from galen_calibration_behavior.commands import State as CalibrationState
 from galen_deflection.collection_commands import State as CollectionState
 from galen_deflection.deflector import ModelRefusal
 from galen_deflection.deflector_monitor import DeflectorMonitor
@@ -17,11 +16,12 @@ from galen_gravcomp.monitor import Monitor
 from galen_panel.state import Behaviour, InForce, Kind, Level, NodeReport, Outcome, State
 from galen_panel.words import ROLES, find_advice, others, overall, words_of, words_of_other
 from galen_panel.words_advice import ADVICE, LIFECYCLE, REFUSED
-from galen_ros.managed_node import Stage
+from galen_ros.goal.commands import State as CalibrationState
+from galen_ros.node.managed_node import Stage
 
 ROOT = Path(__file__).resolve().parents[2]
 NOW_S = 1000.0
-STREAM = ("galen_gravcomp/galen_gravcomp/stream_monitor.py",)
+STREAM = ("galen_ros/galen_ros/stream/monitor.py",)
 SOURCES = {
     "gravcomp": (*STREAM, "galen_gravcomp/galen_gravcomp/monitor.py"),
     "deflection": (*STREAM, "galen_deflection/galen_deflection/deflector_monitor.py"),
@@ -52,7 +52,7 @@ def level_of(severity):
 def states_of_streams(role):
     """(level, name) of each State(...) in the code that has a name of its own."""
     found = set()
-    for path in (*SOURCES[role], "galen_gravcomp/galen_gravcomp/stream_node.py"):
+    for path in (*SOURCES[role], "galen_ros/galen_ros/stream/node.py"):
         for call in calls(path, "State"):
             level, name = call.args[0], call.args[1]
             text = ast.unparse(name)
@@ -81,7 +81,7 @@ def states_of_driver():
 
 
 def states_of_goals(role):
-    path = "galen_calibration_behavior/galen_calibration_behavior/goal_node.py"
+    path = "galen_ros/galen_ros/goal/node.py"
     tree = ast.parse((ROOT / path).read_text())
     (report,) = (
         n for n in ast.walk(tree) if isinstance(n, ast.FunctionDef) and n.name == "_report_status"

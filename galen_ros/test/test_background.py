@@ -3,8 +3,8 @@
 import threading
 
 import pytest
-from galen_ros.background import Background
-from galen_ros.testing import Harness
+from galen_ros.node.background import Background
+from galen_ros.node.testing import Harness
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 

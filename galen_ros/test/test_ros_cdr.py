@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from galen_model.arm.galen import JOINT_NAMES
-from galen_ros.cdr import (
+from galen_ros.cdr.layout import (
     JointStateBytes,
     PoseBytes,
     UnreadableError,

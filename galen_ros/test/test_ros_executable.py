@@ -15,7 +15,7 @@ sys.exit(work.main())
 
 _WORK = """
 import os, signal, sys, time, rclpy
-from galen_ros.spin import run
+from galen_ros.node.spin import run
 from rclpy.node import Node
 
 def interrupt(*_):

@@ -3,8 +3,8 @@
 from dataclasses import dataclass
 
 import pytest
-from galen_ros.parameters import ParameterError, declare_parameters, markdown_table, param
-from galen_ros.testing import Harness, parameters
+from galen_ros.node.testing import Harness, parameters
+from galen_ros.parameters.declare import ParameterError, declare_parameters, markdown_table, param
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 

@@ -6,12 +6,12 @@ import subprocess
 import sys
 
 import pytest
-from galen_ros.domain import DomainLock
+from galen_ros.node.domain import DomainLock
 
 _PROGRAM = """
 import os, signal, sys
 from galen_model.errors import GalenError
-from galen_ros.spin import run
+from galen_ros.node.spin import run
 from rclpy.node import Node
 from std_msgs.msg import String
 

@@ -3,9 +3,9 @@
 from dataclasses import dataclass
 
 import pytest
-from galen_ros.parameters import declare_parameters, param
-from galen_ros.testing import Harness
-from galen_ros.unknown_parameters import warn_of_unknown_parameters
+from galen_ros.node.testing import Harness
+from galen_ros.parameters.declare import declare_parameters, param
+from galen_ros.parameters.unknown import warn_of_unknown_parameters
 from rclpy.node import Node
 
 

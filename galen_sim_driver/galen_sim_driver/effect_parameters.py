@@ -12,7 +12,7 @@ import dataclasses
 from collections.abc import Iterable, Mapping
 from typing import Any
 
-from galen_ros.param import ParameterError, param_fields
+from galen_ros.parameters.param import ParameterError, param_fields
 
 from galen_sim_driver.effects.effect import Effect
 from galen_sim_driver.effects.registry import EFFECTS
@@ -68,7 +68,7 @@ EffectParameters: type[Any] = dataclasses.make_dataclass(
     namespace={"__module__": __name__},
     frozen=True,
 )
-"""All effects' parameters, as `galen_ros.parameters.declare_parameters` takes them."""
+"""All effects' parameters, as `galen_ros.parameters.declare.declare_parameters` takes them."""
 
 
 def effects_of(parameters: Any) -> tuple[Effect, ...]:

@@ -12,13 +12,13 @@ from galen_model.arm.galen import JOINT_NAMES, SENSOR_FRAME, TRACKER_FRAME
 from galen_model.arm.urdf import galen_urdf
 from galen_model.errors import ToolNameError
 from galen_model.files.calibration_file import check_tool_name
-from galen_ros.cdr import JointStateBytes, WrenchBytes
+from galen_ros.cdr.layout import JointStateBytes, WrenchBytes
 from galen_ros.conversions import fill_stamp, stamp_to_ns, wrench_to_array
-from galen_ros.deferred_service import DeferredService, Respond
-from galen_ros.diagnostics import ERROR, OK, WARN, Level, Status
-from galen_ros.managed_node import ManagedNode
+from galen_ros.node.deferred_service import DeferredService, Respond
+from galen_ros.node.diagnostics import ERROR, OK, WARN, Level, Status
+from galen_ros.node.managed_node import ManagedNode
+from galen_ros.node.spin import run
 from galen_ros.qos import LATCHED, STREAM
-from galen_ros.spin import run
 from geometry_msgs.msg import PoseStamped, WrenchStamped
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType

@@ -12,7 +12,7 @@ from galen_model.arm.stiffness import deflection
 from galen_model.errors import GalenError
 from galen_model.load.model import Load, gravity_wrench, nominal_reading
 from galen_model.load.nominal_tools import ADAPTER, TOOLS
-from galen_ros.param import param_fields
+from galen_ros.parameters.param import param_fields
 from galen_sim_driver.effects.axis_gain import AxisGain
 from galen_sim_driver.effects.base_inclination import BaseInclination
 from galen_sim_driver.effects.bias_step import BiasStep

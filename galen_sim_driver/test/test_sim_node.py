@@ -18,10 +18,10 @@ from galen_ros.conversions import (
     stamp_to_ns,
     wrench_to_array,
 )
-from galen_ros.parameters import ParameterError
+from galen_ros.node.spin import make_executor
+from galen_ros.node.testing import Harness, parameters
+from galen_ros.parameters.declare import ParameterError
 from galen_ros.qos import LATCHED, STREAM
-from galen_ros.spin import make_executor
-from galen_ros.testing import Harness, parameters
 from galen_sim_driver.node import SimDriverNode, main
 from geometry_msgs.msg import PoseStamped, WrenchStamped
 from rclpy.executors import SingleThreadedExecutor

@@ -60,12 +60,12 @@ from galen_diagnosis.blind.keeper import Places, answered  # noqa: E402
 from galen_diagnosis.settings import load_settings  # noqa: E402
 from galen_gravcomp.drift_series import read_series  # noqa: E402
 from galen_gravcomp.score_motion import read_motion  # noqa: E402
-from galen_gravcomp.wire import ImuWire, JointWire, WrenchWire  # noqa: E402
 from galen_model.arm.galen import JOINT_NAMES  # noqa: E402
 from galen_model.errors import GalenError  # noqa: E402
 from galen_model.files.calibration_file import LoadEstimate, ToolFile, read_tool, write_tool  # noqa: E402
 from galen_model.files.calibration_store import ToolStore  # noqa: E402
 from galen_model.files.comparison import compare_tools  # noqa: E402
+from galen_ros.cdr.wire import ImuWire, JointWire, WrenchWire  # noqa: E402
 
 from galen_diagnosis import settings  # noqa: E402
 

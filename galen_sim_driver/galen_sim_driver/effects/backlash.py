@@ -30,7 +30,7 @@ import numpy as np
 from galen_model.arm.galen import JOINT_NAMES
 from galen_model.arrays import Array
 from galen_model.rotation import rot_x
-from galen_ros.param import param
+from galen_ros.parameters.param import param
 
 from galen_sim_driver.effects.effect import Effect, Fitted, Instants, Loading
 from galen_sim_driver.errors import ConfigError

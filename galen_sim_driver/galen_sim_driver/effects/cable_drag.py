@@ -17,7 +17,7 @@ import numpy as np
 from galen_model.arm.galen import HOME
 from galen_model.arm.kinematics import sensor_pose
 from galen_model.arrays import Array
-from galen_ros.param import param
+from galen_ros.parameters.param import param
 
 from galen_sim_driver.cable import cable_line, cable_wrench, relative_tension
 from galen_sim_driver.effects.effect import Effect, Fitted, Instants, Posture

@@ -46,7 +46,7 @@ from galen_model.arm.galen import HOME
 from galen_model.arm.stiffness import tip_compliance
 from galen_model.arrays import Array
 from galen_model.load.nominal_tools import TOOLS
-from galen_ros.param import param
+from galen_ros.parameters.param import param
 
 from galen_sim_driver.config import HysteresisConfig
 from galen_sim_driver.effects.effect import Effect, Fitted, Instants, Loading

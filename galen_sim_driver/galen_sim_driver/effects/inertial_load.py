@@ -20,7 +20,7 @@ import numpy as np
 from galen_model.arrays import Array
 from galen_model.load.inertia.inertial import LoadInMotion, inertial_wrench, point_mass_inertia
 from galen_model.load.model import Load
-from galen_ros.param import param
+from galen_ros.parameters.param import param
 
 from galen_sim_driver.effects.effect import Effect, Fitted, Instants, Posture
 

@@ -8,7 +8,7 @@ from typing import ClassVar
 import numpy as np
 from galen_model.arm.galen import WRENCH_AXES
 from galen_model.arrays import Array
-from galen_ros.param import param
+from galen_ros.parameters.param import param
 
 from galen_sim_driver.effects.effect import Effect, Fitted, Instants, check_axis
 

@@ -15,7 +15,7 @@ import numpy as np
 from galen_model.arm.galen import ArmParameters
 from galen_model.arrays import Array
 from galen_model.rotation import rot_x, rot_y, rot_z
-from galen_ros.param import param
+from galen_ros.parameters.param import param
 
 from galen_sim_driver.effects.effect import Effect, Fitted
 

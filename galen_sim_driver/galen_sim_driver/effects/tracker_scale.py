@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from galen_model.arrays import Array
-from galen_ros.param import param
+from galen_ros.parameters.param import param
 
 from galen_sim_driver.effects.effect import Effect, Fitted, Instants
 

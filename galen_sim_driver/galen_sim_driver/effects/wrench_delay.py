@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
-from galen_ros.param import param
+from galen_ros.parameters.param import param
 
 from galen_sim_driver.effects.effect import Effect, Fitted
 

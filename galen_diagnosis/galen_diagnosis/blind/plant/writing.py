@@ -21,7 +21,7 @@ from galen_model.arm.galen import (
     TRACKER_FRAME,
 )
 from galen_model.arrays import Array
-from galen_ros.cdr import NS_PER_S, JointStateBytes, PoseBytes, WrenchBytes
+from galen_ros.cdr.layout import NS_PER_S, JointStateBytes, PoseBytes, WrenchBytes
 from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation
 

@@ -21,7 +21,7 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import ok, remove_ros_args, try_shutdown
 
 from galen_ros.executable import interrupted
-from galen_ros.unknown_parameters import warn_of_unknown_parameters
+from galen_ros.parameters.unknown import warn_of_unknown_parameters
 
 N = TypeVar("N", bound=Node)
 

@@ -17,14 +17,15 @@ import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from galen_model.errors import GalenError, ToolNameError
 from galen_model.files.calibration_file import check_tool_name
-from galen_ros.parameter_services import guard_parameter_services
-from galen_ros.spin import init_ros
 from rclpy.action import ActionClient
 from rclpy.action.client import ClientGoalHandle
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from tqdm import tqdm
 from unique_identifier_msgs.msg import UUID
+
+from galen_ros.node.spin import init_ros
+from galen_ros.parameters.services import guard_parameter_services
 
 EXIT_OK, EXIT_FAILED, EXIT_USAGE, EXIT_CANCELED = 0, 1, 2, 130
 _SERVER_LOST_S = 1.5

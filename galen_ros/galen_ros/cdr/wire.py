@@ -2,7 +2,7 @@
 
 Converting a message to Python costs rclpy more than all of the compensation. Of a publisher's
 serialised messages only stamp and numbers change, and they stay at their places. So the places are
-worked out for the first message (`galen_ros.cdr`), and read directly as long as everything before
+worked out for the first message (`galen_ros.cdr.layout`), and read directly as long as everything before
 the numbers stays the same. A message that looks different is worked out anew.
 """
 
@@ -10,7 +10,8 @@ from collections.abc import Sequence
 from operator import itemgetter
 
 from galen_model.arrays import Array
-from galen_ros.cdr import Layout, UnreadableError, joint_state_layout, stamped_layout
+
+from galen_ros.cdr.layout import Layout, UnreadableError, joint_state_layout, stamped_layout
 from galen_ros.joint_names import check_joint_counts, joint_indices
 
 

@@ -13,8 +13,8 @@ from typing import NamedTuple
 import numpy as np
 from galen_model.arrays import Array
 
-from galen_gravcomp.joint_buffer import JointBuffer
-from galen_gravcomp.sample_limits import SampleLimits, joint_jumps, surely_finite
+from galen_ros.stream.joint_buffer import JointBuffer
+from galen_ros.stream.sample_limits import SampleLimits, joint_jumps, surely_finite
 
 # Earlier and later than any stamp of a message, which has 32 bits for the seconds; differences of
 # these don't overflow.

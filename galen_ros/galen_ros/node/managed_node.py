@@ -24,8 +24,8 @@ from typing import Any, ClassVar, TypeVar
 from galen_model.errors import GalenError
 from rclpy.lifecycle import LifecycleNode, TransitionCallbackReturn
 
-from galen_ros.diagnostics import ERROR, WARN, DiagnosticsPublisher, Status
-from galen_ros.parameters import Held, declare_parameters, hold_parameters, param
+from galen_ros.node.diagnostics import ERROR, WARN, DiagnosticsPublisher, Status
+from galen_ros.parameters.declare import Held, declare_parameters, hold_parameters, param
 
 T = TypeVar("T")
 

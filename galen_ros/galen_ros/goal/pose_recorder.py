@@ -14,8 +14,8 @@ from galen_model.rest.pose import (
     joint_motion_fault,
 )
 
-from galen_calibration_behavior.arrival import ArrivalMonitor, ArrivalSettings
-from galen_calibration_behavior.stamps import NS, StampClock
+from galen_ros.goal.arrival import ArrivalMonitor, ArrivalSettings
+from galen_ros.goal.stamps import NS, StampClock
 
 # How far the wrenches may lag behind the joint states before the window is given up.
 _LAG_NS = NS // 2

@@ -15,11 +15,11 @@ from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
-from galen_gravcomp.frozen import FROZEN_S, FrozenWatch
-from galen_gravcomp.lateness import LateWatch
-from galen_gravcomp.pairing import WrenchPairing
-from galen_gravcomp.publishers import Publishers
-from galen_gravcomp.results import Notice, Refusal, Refused
+from galen_ros.stream.frozen import FROZEN_S, FrozenWatch
+from galen_ros.stream.lateness import LateWatch
+from galen_ros.stream.pairing import WrenchPairing
+from galen_ros.stream.publishers import Publishers
+from galen_ros.stream.results import Notice, Refusal, Refused
 
 HOLD_S = 0.5
 NOTICE_HOLD_S = 5.0

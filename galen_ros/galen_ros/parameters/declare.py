@@ -1,4 +1,4 @@
-"""Declares on a node the parameters of a frozen dataclass, whose fields are `galen_ros.param`s.
+"""Declares on a node the parameters of a frozen dataclass, whose fields are `galen_ros.parameters.param`s.
 
 A node writes
 
@@ -6,7 +6,7 @@ A node writes
     class Parameters:
         rate_hz: float = param(500.0, "sample rate in Hz", minimum=1.0, maximum=2000.0)
 
-and calls `declare_parameters(node, Parameters)`. A managed node (`galen_ros.managed_node`) calls
+and calls `declare_parameters(node, Parameters)`. A managed node (`galen_ros.node.managed_node`) calls
 `hold_parameters`: what others take at their start alone, it takes anew whenever it is configured.
 """
 
@@ -28,7 +28,7 @@ from rclpy.exceptions import ParameterException
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
-from galen_ros.param import (
+from galen_ros.parameters.param import (
     Meaning,
     ParameterError,
     checked,
@@ -37,7 +37,7 @@ from galen_ros.param import (
     param_fields,
     wanted,
 )
-from galen_ros.parameter_services import guard_parameter_services
+from galen_ros.parameters.services import guard_parameter_services
 
 __all__ = [
     "Held",

@@ -12,10 +12,6 @@ from typing import Any, ClassVar, Generic, TypeVar
 
 from galen_model.arm.galen import JOINT_NAMES, SENSOR_FRAME
 from galen_model.errors import GalenError, one_line
-from galen_ros.conversions import JointStateReader, stamp_to_ns, wrench_to_array
-from galen_ros.diagnostics import ERROR, OK, WARN, DiagnosticsPublisher, Status
-from galen_ros.parameters import declare_parameters
-from galen_ros.qos import STREAM
 from geometry_msgs.msg import WrenchStamped
 from rclpy.action import CancelResponse, GoalResponse
 from rclpy.action.server import ServerGoalHandle
@@ -25,11 +21,15 @@ from rclpy.node import Node
 from rclpy.subscription import Subscription
 from sensor_msgs.msg import JointState
 
-from galen_calibration_behavior.arm_link import DISCOVERY_S, ArmPublisher, PublisherWatch
-from galen_calibration_behavior.commands import End, MoveTo, Stop
-from galen_calibration_behavior.deferred_action import DeferredActionServer
-from galen_calibration_behavior.goal_procedure import GoalProcedure
-from galen_calibration_behavior.motion_parameters import MotionParameters
+from galen_ros.conversions import JointStateReader, stamp_to_ns, wrench_to_array
+from galen_ros.goal.arm_link import DISCOVERY_S, ArmPublisher, PublisherWatch
+from galen_ros.goal.commands import End, MoveTo, Stop
+from galen_ros.goal.deferred_action import DeferredActionServer
+from galen_ros.goal.parameters import MotionParameters
+from galen_ros.goal.procedure import GoalProcedure
+from galen_ros.node.diagnostics import ERROR, OK, WARN, DiagnosticsPublisher, Status
+from galen_ros.parameters.declare import declare_parameters
+from galen_ros.qos import STREAM
 
 _TICK_S = 0.1
 # The publishers of the topics are looked up this often.

@@ -9,7 +9,7 @@ import numpy as np
 from galen_model.arm.galen import JOINT_NAMES, JOINT_UNITS
 from galen_model.arrays import Array
 
-from galen_calibration_behavior.stamps import NS, StampClock
+from galen_ros.goal.stamps import NS, StampClock
 
 # Joint states are looked at this often (by stamps); each one costs only an append.
 _LOOK_EVERY_NS = 20_000_000

@@ -18,14 +18,14 @@ from galen_model.arm.galen import JOINT_NAMES
 from galen_model.arrays import Array
 from galen_model.poses.motion_time import quintic_duration_s
 
-from galen_calibration_behavior.arrival import (
+from galen_ros.goal.arrival import (
     ArrivalMonitor,
     ArrivalSettings,
     MotionTimeoutError,
 )
-from galen_calibration_behavior.commands import End, MoveTo, Stop
-from galen_calibration_behavior.silence import Silence, WallClock
-from galen_calibration_behavior.stamps import NS, StampClock, StampsError
+from galen_ros.goal.commands import End, MoveTo, Stop
+from galen_ros.goal.silence import Silence, WallClock
+from galen_ros.goal.stamps import NS, StampClock, StampsError
 
 JOINTS = "joint_states"
 

@@ -7,11 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 from galen_model.arrays import Array
 from galen_model.rest.pose import StillnessSettings
-from galen_ros.param import param
 
-from galen_calibration_behavior.arrival import ArrivalSettings
-from galen_calibration_behavior.goal_procedure import GoalSettings
-from galen_calibration_behavior.pose_procedure import PoseSettings
+from galen_ros.goal.arrival import ArrivalSettings
+from galen_ros.goal.pose_procedure import PoseSettings
+from galen_ros.goal.procedure import GoalSettings
+from galen_ros.parameters.param import param
 
 
 @dataclass(frozen=True)

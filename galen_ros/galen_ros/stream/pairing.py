@@ -20,15 +20,15 @@ from typing import Generic, NamedTuple, TypeVar
 import numpy as np
 from galen_model.arrays import Array
 
-from galen_gravcomp.joint_buffer import JointBuffer, JointPush, NoJoints
-from galen_gravcomp.results import Notice, Refusal, Refused
-from galen_gravcomp.sample_limits import (
+from galen_ros.stream.joint_buffer import JointBuffer, JointPush, NoJoints
+from galen_ros.stream.regular_run import Arrivals, Reported, regular_stretch
+from galen_ros.stream.results import Notice, Refusal, Refused
+from galen_ros.stream.sample_limits import (
     SampleLimits,
     angle_unit_notice,
     count_angle_unit_notices,
     joint_jump,
 )
-from galen_gravcomp.stretch import Arrivals, Reported, regular_stretch
 
 Made = TypeVar("Made")
 

@@ -17,7 +17,7 @@ from rclpy.task import Future
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
-from galen_calibration_behavior.commands import MoveTo
+from galen_ros.goal.commands import MoveTo
 
 DISCOVERY_S = 5.0
 """A driver that runs may take so long to be found: DDS repeats a lost announcement after 3 s."""

@@ -2,10 +2,9 @@
 
 from dataclasses import dataclass
 
-from galen_ros.param import param
-
-from galen_gravcomp.frozen import FROZEN_S
-from galen_gravcomp.lateness import LATE_S
+from galen_ros.parameters.param import param
+from galen_ros.stream.frozen import FROZEN_S
+from galen_ros.stream.lateness import LATE_S
 
 
 @dataclass(frozen=True)

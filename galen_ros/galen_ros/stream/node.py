@@ -7,22 +7,22 @@ from abc import abstractmethod
 from collections.abc import Sequence
 from typing import Any, ClassVar, cast
 
-from galen_ros.cdr import UnreadableError
-from galen_ros.diagnostics import Level, Status
-from galen_ros.joint_names import JointStateError
-from galen_ros.managed_node import ManagedNode
-from galen_ros.qos import STREAM
 from geometry_msgs.msg import WrenchStamped
 from rclpy.clock import Clock, ClockType
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState
 
-from galen_gravcomp.pairing import WrenchPairing
-from galen_gravcomp.publishers import Publishers
-from galen_gravcomp.results import Refused
-from galen_gravcomp.stream_monitor import Severity, State, StreamMonitor
-from galen_gravcomp.wire import JointWire, RawWrench, WrenchWire
+from galen_ros.cdr.layout import UnreadableError
+from galen_ros.cdr.wire import JointWire, RawWrench, WrenchWire
+from galen_ros.joint_names import JointStateError
+from galen_ros.node.diagnostics import Level, Status
+from galen_ros.node.managed_node import ManagedNode
+from galen_ros.qos import STREAM
+from galen_ros.stream.monitor import Severity, State, StreamMonitor
+from galen_ros.stream.pairing import WrenchPairing
+from galen_ros.stream.publishers import Publishers
+from galen_ros.stream.results import Refused
 
 WATCH_PERIOD_S = 0.2
 # Not more often than this are changes of state published and logged.
@@ -118,7 +118,7 @@ class StreamNode(ManagedNode):
             matched=lambda info: self._on_matched(topic, info),
             incompatible_qos=lambda _info: self._on_incompatible_qos(topic),
         )
-        # Serialised messages: see galen_gravcomp.wire.
+        # Serialised messages: see galen_ros.cdr.wire.
         return self.create_subscription(
             message_type, topic, callback, qos, event_callbacks=events, raw=True
         )

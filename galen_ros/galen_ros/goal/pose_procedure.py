@@ -13,14 +13,14 @@ from galen_model.arm.routes import Router
 from galen_model.arrays import Array
 from galen_model.rest.pose import PoseRecord, StillnessSettings
 
-from galen_calibration_behavior.goal_procedure import (
+from galen_ros.goal.pose_recorder import PoseRecorder, Rejection
+from galen_ros.goal.procedure import (
     CommandT,
     EndT,
     GoalProcedure,
     GoalSettings,
 )
-from galen_calibration_behavior.pose_recorder import PoseRecorder, Rejection
-from galen_calibration_behavior.stamps import StampClock
+from galen_ros.goal.stamps import StampClock
 
 # Errors that lost samples may be the cause of.
 _OF_LOST_SAMPLES = ("MOTION_TIMEOUT", "POSES_NOT_STILL")

@@ -1,0 +1,1 @@
+"""Serialised messages without ROS."""

@@ -1,0 +1,1 @@
+"""Goals on the arm: moving it, averaging a pose, the action's skeleton and client."""

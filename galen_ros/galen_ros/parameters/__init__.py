@@ -1,0 +1,1 @@
+"""Parameters of nodes as fields of a frozen dataclass."""

@@ -1,0 +1,1 @@
+"""Wrenches and joint states paired by stamp, and their monitoring."""
