@@ -23,10 +23,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from galen_bags.bag import open_bag
-from galen_bags.checksum import content_sha256
 from galen_bags.errors import BagError
-from galen_bags.writer import BagWriter
+from galen_bags.formats.bag import open_bag
+from galen_bags.formats.checksum import content_sha256
+from galen_bags.formats.writer import BagWriter
 from galen_bringup.cell_bag import CellBag
 from galen_bringup.offline_cell import OfflineCell
 from galen_calibration_behavior.estimate import calibrate

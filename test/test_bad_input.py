@@ -14,15 +14,14 @@ import pytest
 from bad_bytes import cut_up, json_with_a_wrong_part, table_text, yaml_with_a_wrong_part
 from fuzz.readers import READERS, check
 from galen_bags.errors import BagError
-from galen_bags.raw_block import pack
-from galen_bags.writer import BagWriter
+from galen_bags.formats import library_file
+from galen_bags.formats.raw_block import pack
+from galen_bags.formats.writer import BagWriter
 from galen_model.errors import GalenError
 from galen_ros.cdr.wire import WrenchWire
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from rosbags.typesys import TypesysError
-
-from galen_bags import library_file
 
 JSON_READERS = ("tool_file", "model_json", "comparison", "answer", "settings")
 LEFT = {reader.file_name for reader in READERS.values()} | {"bag_0.mcap"}

@@ -22,8 +22,8 @@ from pathlib import Path
 import pytest
 from bad_bytes import TEXTS
 from fuzz.readers import READERS, a_tool, check, signed
-from galen_bags.bag import open_bag
 from galen_bags.errors import BagError
+from galen_bags.formats.bag import open_bag
 from galen_deflection.collection_folder import CollectionFolder
 from galen_gravcomp.tool_messages import error_code
 from galen_model.errors import GalenError, ToolFileError, ToolNameError

@@ -14,13 +14,13 @@ PACKAGES = sorted(path.parent.name for path in ROOT.glob("galen_*/setup.py"))
 # These import rclpy or messages, themselves or by another module here. All others are pure: they
 # work, and are tested, without ROS. A new node, client or conversion module is added on purpose.
 ROS_MODULES = {
-    "galen_bags.message_types",
-    "galen_bags.play",
-    "galen_bags.played_topics",
-    "galen_bags.player",
+    "galen_bags.formats.message_types",
+    "galen_bags.play.command",
+    "galen_bags.play.played_topics",
+    "galen_bags.play.player",
     "galen_bags.qos",
-    "galen_bags.record",
-    "galen_bags.recorder",
+    "galen_bags.record.command",
+    "galen_bags.record.recorder",
     "galen_bags.topic_names",
     "galen_bringup.arm_client",
     "galen_bringup.bench",

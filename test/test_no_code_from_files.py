@@ -27,7 +27,7 @@ BUILTINS = {"eval", "exec", "compile", "__import__"}
 SAFE_LOADERS = {"SafeLoader", "BaseLoader", "CSafeLoader"}
 # Where something on the lists is used all the same, and why that runs nothing from a file.
 KNOWN = {
-    ("galen_bags/galen_bags/many.py", "distributed.protocol.pickle"):
+    ("galen_bags/galen_bags/many/run.py", "distributed.protocol.pickle"):
         "only dumps, to see whether a result can be sent between one's own workers",
 }  # fmt: skip
 

@@ -5,11 +5,11 @@ import re
 from pathlib import Path
 
 import pytest
-from galen_bags.bag import open_bag
-from galen_bags.growing_bag import GrowingBagWriter
-from galen_bags.player import PlayerNode, PlayOptions
-from galen_bags.recorder import RecorderNode
-from galen_bags.writer import BagWriter
+from galen_bags.formats.bag import open_bag
+from galen_bags.formats.growing_bag import GrowingBagWriter
+from galen_bags.formats.writer import BagWriter
+from galen_bags.play.player import PlayerNode, PlayOptions
+from galen_bags.record.recorder import RecorderNode
 from galen_calibration_behavior.check_node import CheckNode
 from galen_calibration_behavior.node import CalibrationNode
 from galen_deflection.collection_node import CollectionNode

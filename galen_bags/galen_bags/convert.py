@@ -14,10 +14,10 @@ from galen_model.arm.galen import SENSOR_FRAME
 from galen_model.errors import GalenError
 from galen_ros.cdr.layout import NS_PER_S
 
+from galen_bags.arrays.measured import UNITS_NS, Measured, Written, stamps_ns, write_measured
+from galen_bags.arrays.orientation_table import read_orientations, read_table, read_wrenches
+from galen_bags.arrays.text_table import TableError
 from galen_bags.command_line import EXIT_FAILED, EXIT_OK, EXIT_USAGE, check_parent, positive
-from galen_bags.measured import UNITS_NS, Measured, Written, stamps_ns, write_measured
-from galen_bags.orientation_table import read_orientations, read_table, read_wrenches
-from galen_bags.text_table import TableError
 
 _EPILOG = f"""columns, named in a file's first line or by --columns:
   fx fy fz tx ty tz                 wrench, N and N.m; a push reads positive in its direction

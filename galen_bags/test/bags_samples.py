@@ -10,9 +10,9 @@ from zlib import crc32
 
 import lz4.frame
 import numpy as np
-from galen_bags.bag import open_bag
 from galen_bags.errors import BagError
-from galen_bags.mcap_records import zstd
+from galen_bags.formats.bag import open_bag
+from galen_bags.formats.mcap_records import zstd
 from galen_model.arm.galen import JOINT_NAMES
 from rosbags.rosbag1 import Writer as Ros1Writer
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, Reader, StoragePlugin, Writer

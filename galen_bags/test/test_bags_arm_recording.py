@@ -21,9 +21,9 @@ from bags_samples import (
     wrench,
     write_rosbag2,
 )
-from galen_bags.arm_recording import ArmReader, ArmTopics, find_topic, read_arm
-from galen_bags.bag import open_bag
+from galen_bags.arrays.arm_recording import ArmReader, ArmTopics, find_topic, read_arm
 from galen_bags.errors import BagError
+from galen_bags.formats.bag import open_bag
 from galen_model.arm.galen import JOINT_NAMES
 
 

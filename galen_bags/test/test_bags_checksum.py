@@ -4,9 +4,9 @@ import hashlib
 import struct
 
 import pytest
-from galen_bags.checksum import content_sha256
 from galen_bags.errors import BagError
-from galen_bags.writer import BagWriter
+from galen_bags.formats.checksum import content_sha256
+from galen_bags.formats.writer import BagWriter
 from galen_ros.cdr.layout import WrenchBytes
 
 WRENCH = "geometry_msgs/msg/WrenchStamped"

@@ -5,10 +5,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from galen_bags.arm_recording import read_arm
+from galen_bags.arrays.arm_recording import read_arm
+from galen_bags.arrays.measured import roll_and_tilt, stamps_ns
 from galen_bags.convert import main
 from galen_bags.errors import BagError
-from galen_bags.measured import roll_and_tilt, stamps_ns
 from galen_model.arm.galen import GRAVITY_M_S2, HOME
 from galen_model.arm.kinematics import gravity_in_sensor
 from galen_model.load.model import Load, gravity_wrench

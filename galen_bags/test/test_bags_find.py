@@ -2,7 +2,7 @@ import os
 
 import pytest
 from galen_bags.errors import BagError
-from galen_bags.find import find_bags
+from galen_bags.formats.find import find_bags
 
 METADATA = "rosbag2_bagfile_information:\n  version: 9\n"
 

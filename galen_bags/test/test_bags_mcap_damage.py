@@ -33,11 +33,10 @@ from bags_samples import (
     statistics,
     text,
 )
-from galen_bags.bag import open_bag
 from galen_bags.errors import BagError
-from galen_bags.mcap_records import zstd
-
-from galen_bags import mcap_file
+from galen_bags.formats import mcap_file
+from galen_bags.formats.bag import open_bag
+from galen_bags.formats.mcap_records import zstd
 
 CDR = b"\0\1\0\0"
 DESCRIBED = schema(1, WRENCH) + channel(1, 1, "/w")

@@ -17,9 +17,9 @@ from bags_samples import (
     pose,
     wrench,
 )
+from galen_bags.arrays.messages import Decoder
 from galen_bags.errors import BagError
-from galen_bags.messages import Decoder
-from galen_bags.raw_block import pack
+from galen_bags.formats.raw_block import pack
 from galen_model.arm.galen import JOINT_NAMES
 from rosbags.serde import SerdeError
 

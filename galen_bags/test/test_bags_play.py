@@ -11,14 +11,14 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from galen_bags.bag import Bag, open_bag
 from galen_bags.errors import BagError
-from galen_bags.growing_bag import GrowingBagWriter
-from galen_bags.message_types import definition_of
-from galen_bags.player import PlayerNode, PlayOptions
+from galen_bags.formats.bag import Bag, open_bag
+from galen_bags.formats.growing_bag import GrowingBagWriter
+from galen_bags.formats.message_types import definition_of
+from galen_bags.formats.writer import BagWriter
+from galen_bags.play.player import PlayerNode, PlayOptions
 from galen_bags.qos import to_bag
-from galen_bags.recorder import RecorderNode
-from galen_bags.writer import BagWriter
+from galen_bags.record.recorder import RecorderNode
 from galen_ros.cdr.layout import WrenchBytes
 from galen_ros.node.domain import DomainLock
 from galen_ros.node.testing import Harness
@@ -242,7 +242,7 @@ def test_types_that_are_not_installed_are_left_out(
             raise BagError(f"the type {type_name} is not installed here")
         return WrenchStamped
 
-    monkeypatch.setattr("galen_bags.played_topics.message_class", uninstalled)
+    monkeypatch.setattr("galen_bags.play.played_topics.message_class", uninstalled)
     player = play(harness, opened, PlayOptions(rate=10.0))
     to_the_end(harness, player)
     assert player.left_out == {"/deflection": f"the type {DEFLECTION} is not installed here"}
@@ -297,7 +297,7 @@ def start(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[..., subprocess.
 
     def launch(*arguments: str) -> subprocess.Popen[str]:
         process = subprocess.Popen(
-            [sys.executable, "-m", "galen_bags.play", *arguments],
+            [sys.executable, "-m", "galen_bags.play.command", *arguments],
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
             text=True,

@@ -31,13 +31,12 @@ from bags_samples import (
     write_ros1,
     write_rosbag2,
 )
-from galen_bags.bag import open_bag, storage_files
 from galen_bags.errors import BagError
-from galen_bags.mcap_records import zstd
+from galen_bags.formats import raw_block, time_order
+from galen_bags.formats.bag import open_bag, storage_files
+from galen_bags.formats.mcap_records import zstd
 from galen_model.arm.galen import JOINT_NAMES
 from rosbags.rosbag2 import CompressionMode, StoragePlugin
-
-from galen_bags import raw_block, time_order
 
 SQLITE, MCAP = StoragePlugin.SQLITE3, StoragePlugin.MCAP
 

@@ -13,11 +13,11 @@ from typing import Any
 
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray
-from galen_bags.bag import open_bag
 from galen_bags.errors import BagError
-from galen_bags.growing_bag import GrowingBagWriter
-from galen_bags.record import parse
-from galen_bags.recorder import DEFAULT_TOPICS, RecorderNode, SimulatedTimes, received_ns
+from galen_bags.formats.bag import open_bag
+from galen_bags.formats.growing_bag import GrowingBagWriter
+from galen_bags.record.command import parse
+from galen_bags.record.recorder import DEFAULT_TOPICS, RecorderNode, SimulatedTimes, received_ns
 from galen_ros.cdr.layout import JointStateBytes, WrenchBytes
 from galen_ros.node.diagnostics import Level
 from galen_ros.node.domain import DomainLock
@@ -228,7 +228,7 @@ def test_what_can_not_be_recorded_does_not_disturb_the_rest(
             raise BagError(f"the type {type_name} is not installed here")
         return WrenchStamped
 
-    monkeypatch.setattr("galen_bags.recorder.message_class", uninstalled)
+    monkeypatch.setattr("galen_bags.record.recorder.message_class", uninstalled)
     recorder = start(harness, bag, ("wrench_raw", "strange"))
     wrenches = publisher(harness, WrenchStamped, "wrench_raw")
     strange = publisher(harness, String, "strange")
@@ -412,7 +412,7 @@ def processes() -> Iterator[Callable[..., subprocess.Popen[str]]]:
 
 def record(processes: Any, path: Path, *options: str) -> subprocess.Popen[str]:
     process: subprocess.Popen[str] = processes(
-        "-m", "galen_bags.record", "wrench_raw", "-o", str(path), *options
+        "-m", "galen_bags.record.command", "wrench_raw", "-o", str(path), *options
     )
     return process
 
@@ -493,7 +493,7 @@ def test_limits_end_it(processes: Any, tmp_path: Path, limit: Any, ended_by: str
 def test_a_full_disk_ends_it_with_one_line(processes: Any, tmp_path: Path) -> None:
     """A limit on the size of files stands in for the disk: the system refuses the write."""
     program = (
-        "import resource, sys; from galen_bags.record import main;"
+        "import resource, sys; from galen_bags.record.command import main;"
         "resource.setrlimit(resource.RLIMIT_FSIZE, (30_000, 30_000));"
         f"sys.argv = ['record', 'wrench_raw', '-o', {str(tmp_path / 'bag')!r}]; main()"
     )
@@ -515,7 +515,7 @@ def test_a_full_disk_ends_it_with_one_line(processes: Any, tmp_path: Path) -> No
 
 def test_a_place_that_is_taken_is_an_error(tmp_path: Path) -> None:
     done = subprocess.run(
-        [sys.executable, "-m", "galen_bags.record", "-o", str(tmp_path)],
+        [sys.executable, "-m", "galen_bags.record.command", "-o", str(tmp_path)],
         capture_output=True,
         text=True,
         timeout=60,

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from bags_samples import JOINT_STATE, TYPES, WRENCH, read, read_by_rosbags
-from galen_bags.arm_recording import read_arm
+from galen_bags.arrays.arm_recording import read_arm
 
 RECORDINGS = Path(__file__).parents[3] / "shared" / "recordings"
 BAGS = sorted(path.parent for path in RECORDINGS.glob("*/*/*/metadata.yaml"))

@@ -8,8 +8,8 @@ from collections.abc import Callable, Iterator
 import numpy as np
 import pytest
 from galen_bags.errors import BagError
-from galen_bags.raw_block import Messages, pack
-from galen_bags.replay import Ahead, Playlist, Settling, Timeline, window, with_stamp
+from galen_bags.formats.raw_block import Messages, pack
+from galen_bags.play.timing import Ahead, Playlist, Settling, Timeline, window, with_stamp
 from galen_ros.cdr.layout import WrenchBytes
 
 S = 1_000_000_000

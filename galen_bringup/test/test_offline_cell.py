@@ -4,8 +4,8 @@ import dataclasses
 
 import numpy as np
 import pytest
-from galen_bags.bag import open_bag
-from galen_bags.writer import BagWriter
+from galen_bags.formats.bag import open_bag
+from galen_bags.formats.writer import BagWriter
 from galen_bringup.cell_bag import CellBag
 from galen_bringup.offline_cell import OfflineCalibrationError, OfflineCell
 from galen_calibration_behavior.parameters import CalibrationParameters

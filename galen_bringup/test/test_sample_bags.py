@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from galen_bags.arm_recording import read_arm
+from galen_bags.arrays.arm_recording import read_arm
 from galen_calibration_behavior.cable_from_bag import main as cable_from_bag
 from galen_calibration_behavior.calibrate_from_bag import main as calibrate_from_bag
 from galen_calibration_behavior.inertia_from_bag import main as inertia_from_bag

@@ -9,8 +9,8 @@ from xml.etree import ElementTree
 
 import pytest
 import rclpy
-from galen_bags.growing_bag import GrowingBagWriter
-from galen_bags.recorder import RecorderNode
+from galen_bags.formats.growing_bag import GrowingBagWriter
+from galen_bags.record.recorder import RecorderNode
 from galen_calibration_behavior.calibrate import CalibrateClient
 from galen_calibration_behavior.check import CheckClient
 from galen_calibration_behavior.check_node import CheckNode

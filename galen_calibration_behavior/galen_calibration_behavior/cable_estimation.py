@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from galen_bags.arm_recording import ArmRecording
+from galen_bags.arrays.arm_recording import ArmRecording
 from galen_model.files.calibration_file import ToolFile
 from galen_model.load.cable.drag import MAX_POSES, SUPPORT_M
 from galen_model.load.cable.fit import CableSweep, spread_out

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
-from galen_bags.arm_recording import read_arm
+from galen_bags.arrays.arm_recording import read_arm
 from galen_bags.command_line import check_folder
 from galen_model.arm.galen import WRENCH_AXES
 from galen_model.errors import GalenError

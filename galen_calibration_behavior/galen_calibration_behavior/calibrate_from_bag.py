@@ -15,7 +15,7 @@ from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
-from galen_bags.arm_recording import read_arm
+from galen_bags.arrays.arm_recording import read_arm
 from galen_bags.command_line import positive
 from galen_model.errors import IdentificationError
 from galen_model.files.calibration_file import LoadEstimate, read_tool, tool_path

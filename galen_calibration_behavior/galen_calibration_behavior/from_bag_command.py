@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from datetime import UTC, datetime
 from pathlib import Path
 
-from galen_bags.arm_recording import ArmTopics
+from galen_bags.arrays.arm_recording import ArmTopics
 from galen_model.errors import GalenError, ToolFileError, ToolNameError
 from galen_model.files.calibration_file import age_text, check_tool_name, read_tool
 from galen_ros.parameters.param import add_options

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from galen_bags.arm_recording import ArmRecording
+from galen_bags.arrays.arm_recording import ArmRecording
 from galen_model.arm.galen import GRAVITY_M_S2
 from galen_model.arrays import Array
 from galen_model.errors import IdentificationError

@@ -8,7 +8,7 @@ import sys
 from typing import Any
 
 import numpy as np
-from galen_bags.arm_recording import read_arm
+from galen_bags.arrays.arm_recording import read_arm
 from galen_model.arm.galen import WRENCH_AXES
 from galen_model.errors import GalenError
 from galen_model.files.calibration_file import read_tool, tool_path, write_tool

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from galen_bags.arm_recording import ArmRecording
+from galen_bags.arrays.arm_recording import ArmRecording
 from galen_model.arm.galen import JOINT_NAMES, SENSOR, SENSOR_FRAME
 from galen_model.arrays import Array
 from galen_model.errors import GalenError

@@ -3,7 +3,7 @@
 from pathlib import Path
 
 import numpy as np
-from galen_bags.arm_recording import ArmRecording
+from galen_bags.arrays.arm_recording import ArmRecording
 from galen_model.arm.galen import ENCODER_QUANTUM, HOME, SENSOR
 from galen_model.arm.kinematics import gravity_in_sensor
 from galen_model.load.model import Load, gravity_wrench

@@ -5,11 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
+from galen_bags.arrays.timeline import Timeline
 from galen_model.arm.galen import SENSOR
 from galen_model.arrays import Array
 from galen_model.rest.joints import StillSettings, still_rows
-
-from galen_deflection.timeline import Timeline
 
 _NS = 1e9
 _MAD_TO_STD = 1.4826

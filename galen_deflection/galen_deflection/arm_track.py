@@ -7,8 +7,9 @@ from dataclasses import dataclass
 from enum import Enum
 
 import numpy as np
-from galen_bags.arm_recording import ArmBlock, ArmReader, ArmTopics
-from galen_bags.bag import Bag
+from galen_bags.arrays.arm_recording import ArmBlock, ArmReader, ArmTopics
+from galen_bags.arrays.timeline import Timeline, lay_out, stamp_sentences
+from galen_bags.formats.bag import Bag
 from galen_gravcomp.arm_block import push_arm_block
 from galen_gravcomp.compensator import Compensator, CompensatorSettings
 from galen_model.arm.galen import JOINT_NAMES, SENSOR
@@ -16,7 +17,6 @@ from galen_model.arrays import Array
 from galen_model.files.calibration_file import ToolFile
 
 from galen_deflection.errors import PushRecordingError
-from galen_deflection.timeline import Timeline, lay_out, stamp_sentences
 
 _JOINTS = len(JOINT_NAMES)
 

@@ -12,11 +12,10 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
+from galen_bags.arrays.marker_tracks import MarkerTrack
 from galen_model.arrays import Array
 from galen_model.distributions import chi2_isf
 from galen_model.registration.rigid import Transform, mean_pose
-
-from galen_deflection.marker_tracks import MarkerTrack
 
 _LEAST_SAMPLES = 20
 _FALSE_MOVES_A_RECORDING = 1e-6

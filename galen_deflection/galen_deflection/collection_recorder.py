@@ -13,8 +13,8 @@ from pathlib import Path
 from queue import Empty, SimpleQueue
 
 from galen_bags.errors import BagError
-from galen_bags.growing_bag import GrowingBagWriter
-from galen_bags.recorder import RecorderNode
+from galen_bags.formats.growing_bag import GrowingBagWriter
+from galen_bags.record.recorder import RecorderNode
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter

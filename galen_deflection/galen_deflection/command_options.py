@@ -9,8 +9,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from galen_bags.arm_recording import ArmTopics
-from galen_bags.find import find_bags
+from galen_bags.arrays.arm_recording import ArmTopics
+from galen_bags.formats.find import find_bags
 from galen_model.errors import GalenError
 from rich.console import Console
 from tqdm import tqdm

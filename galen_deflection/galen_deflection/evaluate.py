@@ -18,8 +18,8 @@ from galen_bags.command_line import (
     check_folder,
     run_command,
 )
-from galen_bags.find import find_bags
-from galen_bags.many import add_many_options, run_many
+from galen_bags.formats.find import find_bags
+from galen_bags.many.run import add_many_options, run_many
 from galen_gravcomp.bag_job import distinct_names
 from rich.console import Console
 

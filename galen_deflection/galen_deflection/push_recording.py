@@ -14,8 +14,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
-from galen_bags.arm_recording import ArmTopics
-from galen_bags.bag import open_bag
+from galen_bags.arrays.arm_recording import ArmTopics
+from galen_bags.arrays.marker_tracks import MarkerTrack, RawTrack, marker_track, read_poses
+from galen_bags.arrays.timeline import Timeline, interpolated
+from galen_bags.formats.bag import open_bag
 from galen_gravcomp.compensator import CompensatorSettings
 from galen_model.arrays import Array
 from galen_model.files.calibration_file import ToolFile
@@ -34,8 +36,6 @@ from galen_deflection.arm_positions import (
 from galen_deflection.arm_track import ArmTrack, read_arm_track
 from galen_deflection.base_marker import BaseStand, base_stands
 from galen_deflection.errors import PushRecordingError
-from galen_deflection.marker_tracks import MarkerTrack, RawTrack, marker_track, read_poses
-from galen_deflection.timeline import Timeline, interpolated
 
 _NS = 1e9
 # Under this many samples a base marker's pose is no mean.

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
-from galen_bags.writer import BagWriter
+from galen_bags.formats.writer import BagWriter
 from galen_model.arm.galen import JOINT_NAMES, SENSOR
 from galen_model.arm.kinematics import sensor_pose, tip_pose
 from galen_model.arm.stiffness import tip_compliance

@@ -12,7 +12,7 @@ import pytest
 from action_msgs.msg import GoalStatus
 from collection_world import POSITIONS, CollectionWorld
 from diagnostic_msgs.msg import DiagnosticArray
-from galen_bags.bag import open_bag
+from galen_bags.formats.bag import open_bag
 from galen_deflection.collect import format_result, parse, result_fields
 from galen_deflection.collection_commands import ErrorCode, State
 from galen_deflection.measured_deflection import measure_deflection

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from galen_bags.text_table import TableError
+from galen_bags.arrays.text_table import TableError
 from galen_deflection.transmission.comparison import JointSettings, compare
 from galen_deflection.transmission.fit_joint import main
 from galen_deflection.transmission.parts import whole_runs

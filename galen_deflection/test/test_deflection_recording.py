@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from galen_bags.arrays.marker_tracks import RawTrack, marker_track
 from galen_bags.errors import BagError
 from galen_deflection.arm_positions import (
     UnloadedSettings,
@@ -13,7 +14,6 @@ from galen_deflection.arm_positions import (
 )
 from galen_deflection.base_marker import base_stands
 from galen_deflection.errors import PushRecordingError, RegistrationError
-from galen_deflection.marker_tracks import RawTrack, marker_track
 from galen_deflection.measured_deflection import measure_deflection
 from galen_deflection.push_recording import read_pushes
 from galen_deflection.registration_fit import RegistrationSettings

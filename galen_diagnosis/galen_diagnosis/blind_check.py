@@ -25,7 +25,7 @@ from galen_bags.command_line import (
     not_negative,
     run_command,
 )
-from galen_bags.many import add_many_options
+from galen_bags.many.run import add_many_options
 from galen_model.errors import GalenError
 from galen_model.files.atomic_file import write_whole
 from galen_sim_driver.effects.registry import CONTRACT_ORDER

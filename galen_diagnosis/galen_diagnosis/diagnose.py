@@ -20,7 +20,7 @@ from galen_bags.command_line import (
     check_file,
     run_command,
 )
-from galen_bags.many import add_many_options, run_many
+from galen_bags.many.run import add_many_options, run_many
 from rich.console import Console
 from tqdm import tqdm
 

@@ -8,6 +8,13 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
+from galen_bags.arrays.orientation_table import (
+    ORIENTATIONS,
+    OrientationTable,
+    read_rotations,
+    read_table,
+)
+from galen_bags.arrays.text_table import read_text_table
 from galen_bags.command_line import (
     EXIT_FAILED,
     EXIT_INTERRUPTED,
@@ -16,8 +23,6 @@ from galen_bags.command_line import (
     positive,
     run_command,
 )
-from galen_bags.orientation_table import ORIENTATIONS, OrientationTable, read_rotations, read_table
-from galen_bags.text_table import read_text_table
 from galen_gravcomp.score_motion import read_motion, read_specific
 from galen_model.arm.galen import GRAVITY_M_S2, WRENCH_AXES
 from galen_model.arrays import Array

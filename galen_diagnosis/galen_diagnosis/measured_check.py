@@ -18,8 +18,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+from galen_bags.arrays.orientation_table import OrientationTable, read_table
 from galen_bags.command_line import EXIT_OK, run_command
-from galen_bags.orientation_table import OrientationTable, read_table
 from galen_model.arm.galen import WRENCH_AXES
 from galen_model.arrays import Array
 from galen_model.load.model import Load

@@ -21,8 +21,8 @@ from types import TracebackType
 from typing import Self
 
 import numpy as np
-from galen_bags.messages import JOINT_STATE_TYPE, POSE_TYPE, WRENCH_TYPE
-from galen_bags.writer import BagWriter
+from galen_bags.arrays.messages import JOINT_STATE_TYPE, POSE_TYPE, WRENCH_TYPE
+from galen_bags.formats.writer import BagWriter
 from galen_model.arm.galen import BASE_FRAME, HOME, JOINT_NAMES, SENSOR, SENSOR_FRAME, TRACKER_FRAME
 from galen_model.arrays import Array
 from galen_model.files.calibration_file import LoadEstimate, ToolFile, write_tool

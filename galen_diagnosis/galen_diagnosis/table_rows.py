@@ -11,7 +11,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from galen_bags.orientation_table import OrientationTable
+from galen_bags.arrays.orientation_table import OrientationTable
 from galen_gravcomp.table_evaluation import average_still
 from galen_model.arm.galen import WRENCH_AXES
 from galen_model.arrays import Array

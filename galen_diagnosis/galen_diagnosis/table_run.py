@@ -16,7 +16,7 @@ from collections.abc import Callable, Sequence
 from itertools import pairwise
 
 import numpy as np
-from galen_bags.orientation_table import OrientationTable
+from galen_bags.arrays.orientation_table import OrientationTable
 from galen_gravcomp.imu_fit import fit_imu
 from galen_gravcomp.motion_table import MotionTable, moving
 from galen_model.arm.galen import WRENCH_AXES

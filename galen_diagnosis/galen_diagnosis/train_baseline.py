@@ -25,7 +25,7 @@ from galen_bags.command_line import (
     EXIT_USAGE,
     run_command,
 )
-from galen_bags.many import add_many_options, run_many
+from galen_bags.many.run import add_many_options, run_many
 from galen_model.arrays import Array
 from galen_model.errors import GalenError
 from galen_sim_driver.effects.registry import CONTRACT_ORDER

@@ -2,7 +2,7 @@ import shutil
 
 import numpy as np
 import pytest
-from galen_bags.writer import BagWriter
+from galen_bags.formats.writer import BagWriter
 from galen_diagnosis.blind.making import same_times
 from galen_diagnosis.blind.metadata import chance, metadata, table
 from galen_diagnosis.blind.plant import writing

@@ -8,7 +8,7 @@ from pathlib import Path
 import galen_diagnosis.blind.plant as plant
 import numpy as np
 import pytest
-from galen_bags.arm_recording import read_arm
+from galen_bags.arrays.arm_recording import read_arm
 from galen_diagnosis.blind.make import main
 from galen_diagnosis.blind.plant import strength as strength_module
 from galen_diagnosis.blind.plant.arm import BlindArm

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from diagnosis_example import example_diagnosis
-from galen_bags.writer import BagWriter
+from galen_bags.formats.writer import BagWriter
 from galen_diagnosis.errors import DiagnosisError
 from galen_diagnosis.recording import Recording
 from galen_model.arm.galen import JOINT_NAMES

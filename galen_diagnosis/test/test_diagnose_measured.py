@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from galen_bags.orientation_table import OrientationTable
+from galen_bags.arrays.orientation_table import OrientationTable
 from galen_diagnosis.block_evidence import BlockEvidence
 from galen_diagnosis.block_rows import BlockRows, Columns
 from galen_diagnosis.measured_check import diagnose_case, is_right

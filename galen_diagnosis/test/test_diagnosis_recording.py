@@ -5,8 +5,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from galen_bags.arm_recording import ArmRecording
-from galen_deflection.timeline import lay_out, stamp_sentences
+from galen_bags.arrays.arm_recording import ArmRecording
+from galen_bags.arrays.timeline import lay_out, stamp_sentences
 from galen_diagnosis.errors import DiagnosisError
 from galen_diagnosis.recording import _REACH_S, _Arm, read_recording
 from galen_diagnosis.simulated_recording import make_recording, sweep_poses

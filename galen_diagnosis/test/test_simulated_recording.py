@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from galen_bags.bag import open_bag
+from galen_bags.formats.bag import open_bag
 from galen_diagnosis.errors import DiagnosisError
 from galen_diagnosis.recording import Recording, read_recording
 from galen_diagnosis.simulated_recording import make_recording, sweep_poses

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from galen_bags.arm_recording import ArmBlock
+from galen_bags.arrays.arm_recording import ArmBlock
 
 from galen_gravcomp.block import BlockResult
 from galen_gravcomp.compensator import Compensator

@@ -26,9 +26,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from galen_bags.arm_recording import ArmReader
-from galen_bags.bag import open_bag
-from galen_bags.writer import BagWriter
+from galen_bags.arrays.arm_recording import ArmReader
+from galen_bags.formats.bag import open_bag
+from galen_bags.formats.writer import BagWriter
 from galen_model.arm.galen import JOINT_NAMES, SENSOR
 from galen_model.files.calibration_file import read_tool, write_tool
 from galen_ros.cdr.layout import JointStateBytes, WrenchBytes

@@ -13,9 +13,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
-from galen_bags.arm_recording import ArmBlock, ArmReader, ArmTopics
-from galen_bags.bag import Bag, open_bag
-from galen_bags.stamp_check import StampCheck, StampReport
+from galen_bags.arrays.arm_recording import ArmBlock, ArmReader, ArmTopics
+from galen_bags.arrays.stamp_check import StampCheck, StampReport
+from galen_bags.formats.bag import Bag, open_bag
 from galen_model.arrays import Array
 from galen_model.files.calibration_file import ToolFile
 from galen_model.rest.binned import StillCellSettings, StillPhases, find_still_phases

@@ -9,9 +9,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from galen_bags.arm_recording import ArmReader
-from galen_bags.bag import open_bag
-from galen_bags.writer import BagWriter
+from galen_bags.arrays.arm_recording import ArmReader
+from galen_bags.formats.bag import open_bag
+from galen_bags.formats.writer import BagWriter
 from galen_model.errors import GalenError
 from galen_model.files.calibration_file import ToolFile, read_tool
 

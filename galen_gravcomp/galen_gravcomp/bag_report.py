@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
-from galen_bags.stamp_check import StampReport
+from galen_bags.arrays.stamp_check import StampReport
 from galen_model.arm.galen import WRENCH_AXES
 from galen_model.arrays import Array
 from galen_ros.stream.results import Notice

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections import deque
 
 import numpy as np
-from galen_bags.arm_recording import ArmBlock, ArmReader
-from galen_bags.messages import WRENCH_TYPE
-from galen_bags.writer import BagWriter
+from galen_bags.arrays.arm_recording import ArmBlock, ArmReader
+from galen_bags.arrays.messages import WRENCH_TYPE
+from galen_bags.formats.writer import BagWriter
 from galen_model.arrays import Array
 from galen_ros.cdr.layout import WrenchBytes
 

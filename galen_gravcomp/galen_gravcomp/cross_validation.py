@@ -8,7 +8,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from galen_bags.orientation_table import OrientationTable
+from galen_bags.arrays.orientation_table import OrientationTable
 from galen_model.arrays import Array
 from galen_model.errors import GalenError, IdentificationError
 from galen_model.load.bias.single_load import WanderingLoad, identify_wandering_load

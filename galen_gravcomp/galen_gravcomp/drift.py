@@ -8,7 +8,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from galen_bags.arm_recording import ArmTopics
+from galen_bags.arrays.arm_recording import ArmTopics
 from galen_bags.command_line import (
     EXIT_FAILED,
     EXIT_INTERRUPTED,
@@ -18,7 +18,7 @@ from galen_bags.command_line import (
     positive,
     run_command,
 )
-from galen_bags.find import find_bags
+from galen_bags.formats.find import find_bags
 from galen_model.arm.galen import JOINT_NAMES
 from galen_model.errors import GalenError
 from galen_model.files.calibration_file import read_tool

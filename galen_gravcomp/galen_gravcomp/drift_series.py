@@ -20,11 +20,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from galen_bags.arm_recording import ArmTopics, find_topic
-from galen_bags.bag import Bag, open_bag
+from galen_bags.arrays.arm_recording import ArmTopics, find_topic
+from galen_bags.arrays.messages import JOINT_STATE_TYPE, WRENCH_TYPE, Decoder
+from galen_bags.arrays.text_table import read_text_table
 from galen_bags.errors import BagError
-from galen_bags.messages import JOINT_STATE_TYPE, WRENCH_TYPE, Decoder
-from galen_bags.text_table import read_text_table
+from galen_bags.formats.bag import Bag, open_bag
 from galen_model.arm.galen import WRENCH_AXES
 from galen_model.arrays import Array
 from galen_model.errors import GalenError

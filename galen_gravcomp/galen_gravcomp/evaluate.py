@@ -10,7 +10,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from galen_bags.arm_recording import ArmTopics
+from galen_bags.arrays.arm_recording import ArmTopics
+from galen_bags.arrays.orientation_table import read_table
 from galen_bags.command_line import (
     EXIT_FAILED,
     EXIT_INTERRUPTED,
@@ -22,9 +23,8 @@ from galen_bags.command_line import (
     positive,
     run_command,
 )
-from galen_bags.find import find_bags
-from galen_bags.many import add_many_options, run_many
-from galen_bags.orientation_table import read_table
+from galen_bags.formats.find import find_bags
+from galen_bags.many.run import add_many_options, run_many
 from galen_model.arm.galen import JOINT_NAMES, WRENCH_AXES
 from galen_model.errors import GalenError, IdentificationError, ToolFileError
 from galen_model.files.calibration_file import read_tool, tool_path, write_tool

@@ -17,7 +17,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from galen_bags.text_table import TableError
+from galen_bags.arrays.text_table import TableError
 from galen_model.arrays import Array
 from galen_model.load.identification import plain_least_squares
 from galen_model.load.model import gravity_regressor

@@ -9,6 +9,8 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
+from galen_bags.arrays.orientation_table import read_orientations, read_table, read_wrenches
+from galen_bags.arrays.text_table import TableError, read_text_table
 from galen_bags.command_line import (
     EXIT_FAILED,
     EXIT_INTERRUPTED,
@@ -17,8 +19,6 @@ from galen_bags.command_line import (
     positive,
     run_command,
 )
-from galen_bags.orientation_table import read_orientations, read_table, read_wrenches
-from galen_bags.text_table import TableError, read_text_table
 from galen_model.arm.galen import GRAVITY_M_S2, WRENCH_AXES
 from galen_model.arrays import Array
 from rich.console import Console

@@ -5,7 +5,7 @@ from __future__ import annotations
 from datetime import UTC, datetime
 
 import numpy as np
-from galen_bags.orientation_table import OrientationTable
+from galen_bags.arrays.orientation_table import OrientationTable
 from galen_model.arm.galen import GRAVITY_M_S2
 from galen_model.files.calibration_file import LoadEstimate, ToolFile
 from galen_model.load.identification import SingleLoad

@@ -1,7 +1,7 @@
 """Recordings for tests: a sweep over still poses, computed from the model, written as a bag."""
 
 import numpy as np
-from galen_bags.writer import BagWriter
+from galen_bags.formats.writer import BagWriter
 from galen_model.arm.galen import JOINT_NAMES, SENSOR
 from galen_model.files.calibration_file import LoadEstimate, ToolFile
 from galen_ros.cdr.layout import JointStateBytes, WrenchBytes

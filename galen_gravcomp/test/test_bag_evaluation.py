@@ -6,8 +6,8 @@ import re
 
 import numpy as np
 import pytest
-from galen_bags.bag import open_bag
-from galen_bags.writer import BagWriter
+from galen_bags.formats.bag import open_bag
+from galen_bags.formats.writer import BagWriter
 from galen_gravcomp.bag_evaluation import EvaluationSettings, evaluate_bag
 from galen_gravcomp.bag_report import findings, print_overview, to_dict
 from galen_gravcomp.compensator import CompensatorSettings

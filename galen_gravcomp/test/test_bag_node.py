@@ -4,7 +4,7 @@ import time
 
 import numpy as np
 import pytest
-from galen_bags.bag import open_bag
+from galen_bags.formats.bag import open_bag
 from galen_gravcomp.bag_evaluation import evaluate_bag
 from galen_gravcomp.bag_job import BagJob
 from galen_gravcomp.node import GravcompNode

@@ -5,8 +5,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from galen_bags.orientation_table import OrientationTable, read_table
-from galen_bags.text_table import TableError
+from galen_bags.arrays.orientation_table import OrientationTable, read_table
+from galen_bags.arrays.text_table import TableError
 from galen_gravcomp.cross_validation import MODELS, contiguous_blocks, cross_validate
 from galen_gravcomp.evaluate import main
 from galen_gravcomp.table_evaluation import evaluate_table

@@ -4,9 +4,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from galen_bags.arm_recording import read_arm
-from galen_bags.bag import open_bag
+from galen_bags.arrays.arm_recording import read_arm
 from galen_bags.convert import main as convert
+from galen_bags.formats.bag import open_bag
 from galen_gravcomp.compensator import Compensated, Compensator
 from galen_gravcomp.evaluate import main as evaluate
 from galen_gravcomp.node import GravcompNode

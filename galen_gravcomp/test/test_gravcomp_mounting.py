@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from galen_bags.orientation_table import read_table
+from galen_bags.arrays.orientation_table import read_table
 from galen_gravcomp.compensator import Compensator
 from galen_gravcomp.cross_validation import (
     contiguous_blocks,

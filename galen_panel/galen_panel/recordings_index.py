@@ -15,10 +15,10 @@ from dataclasses import dataclass, field, replace
 from enum import Enum
 from pathlib import Path
 
-from galen_bags.bag import storage_files
 from galen_bags.errors import BagError
-from galen_bags.find import find_bags
-from galen_bags.metadata import BagMetadata, read_metadata
+from galen_bags.formats.bag import storage_files
+from galen_bags.formats.find import find_bags
+from galen_bags.formats.metadata import BagMetadata, read_metadata
 from galen_diagnosis.rows import BAGS
 from galen_model.errors import one_line
 

@@ -40,19 +40,19 @@ from bags_samples import (  # noqa: E402  after the paths
     write_rosbag2,
 )
 from deflection_made_model import made_model  # noqa: E402
-from galen_bags.arm_recording import ArmTopics, read_arm  # noqa: E402
-from galen_bags.bag import open_bag  # noqa: E402
-from galen_bags.convert import build_parser, convert  # noqa: E402
-from galen_bags.mcap_records import zstd  # noqa: E402
-from galen_bags.messages import Decoder  # noqa: E402
-from galen_bags.metadata import read_metadata  # noqa: E402
-from galen_bags.orientation_table import (  # noqa: E402
+from galen_bags.arrays.arm_recording import ArmTopics, read_arm  # noqa: E402
+from galen_bags.arrays.messages import Decoder  # noqa: E402
+from galen_bags.arrays.orientation_table import (  # noqa: E402
     read_orientations,
     read_rotations,
     read_table,
     read_wrenches,
 )
-from galen_bags.raw_block import pack  # noqa: E402
+from galen_bags.convert import build_parser, convert  # noqa: E402
+from galen_bags.formats.bag import open_bag  # noqa: E402
+from galen_bags.formats.mcap_records import zstd  # noqa: E402
+from galen_bags.formats.metadata import read_metadata  # noqa: E402
+from galen_bags.formats.raw_block import pack  # noqa: E402
 from galen_deflection.model_file import read_model, write_model  # noqa: E402
 from galen_deflection.transmission.joint_report import read_listed  # noqa: E402
 from galen_deflection.transmission.runs import ColumnMap, read_run  # noqa: E402

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from galen_bags.text_table import TableError, TextTable, read_text_table
+from galen_bags.arrays.text_table import TableError, TextTable, read_text_table
 from galen_model.arrays import Array
 
 COLUMNS = ("t", "motor", "link", "torque")

@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from galen_bags.command_line import EXIT_FAILED, EXIT_OK, run_command
-from galen_bags.many import add_many_options, run_many
+from galen_bags.many.run import add_many_options, run_many
 from galen_model.files.atomic_file import write_whole
 
 ANSWER, BESIDE, FAILED = "diagnosis.json", "beside.json", "failed.txt"

@@ -9,7 +9,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from galen_bags.many import run_many
+from galen_bags.many.run import run_many
 from galen_model.errors import GalenError
 from galen_model.files.atomic_file import write_whole
 from galen_model.files.json_fields import FieldError

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from galen_bags.bag import open_bag
-from galen_bags.find import find_bags
+from galen_bags.formats.bag import open_bag
+from galen_bags.formats.find import find_bags
 from galen_model.arrays import Array
 from scipy.stats import rankdata
 

@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from galen_bags.messages import JOINT_STATE_TYPE, POSE_TYPE, WRENCH_TYPE
-from galen_bags.writer import BagWriter
+from galen_bags.arrays.messages import JOINT_STATE_TYPE, POSE_TYPE, WRENCH_TYPE
+from galen_bags.formats.writer import BagWriter
 from galen_model.arm.galen import (
     BASE_FRAME,
     ENCODER_QUANTUM,

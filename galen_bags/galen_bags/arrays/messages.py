@@ -26,7 +26,7 @@ from galen_ros.joint_names import (
 )
 
 from galen_bags.errors import BagError
-from galen_bags.raw_block import Messages, windows
+from galen_bags.formats.raw_block import Messages, windows
 
 WRENCH_TYPE = "geometry_msgs/msg/WrenchStamped"
 POSE_TYPE = "geometry_msgs/msg/PoseStamped"

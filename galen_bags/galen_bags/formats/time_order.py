@@ -8,7 +8,7 @@ from operator import itemgetter
 
 import numpy as np
 
-from galen_bags.raw_block import BLOCK_MESSAGES, Messages
+from galen_bags.formats.raw_block import BLOCK_MESSAGES, Messages
 
 # Stretches that overlap are held until their turn comes: this much, and no more.
 MOST_HELD_BYTES = 1 << 28

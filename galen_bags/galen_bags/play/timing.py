@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from galen_ros.cdr.layout import NS_PER_S, STAMP_AT
 
-from galen_bags.raw_block import Messages
+from galen_bags.formats.raw_block import Messages
 
 _BLOCKS_AHEAD = 4
 

@@ -12,7 +12,6 @@ from typing import Any
 from galen_model.errors import GalenError
 from galen_ros.node.spin import run_until
 
-from galen_bags.bag import Bag, open_bag
 from galen_bags.command_line import (
     EXIT_FAILED,
     EXIT_OK,
@@ -24,7 +23,8 @@ from galen_bags.command_line import (
     split_ros_arguments,
 )
 from galen_bags.errors import BagError
-from galen_bags.player import PlayerNode, PlayOptions
+from galen_bags.formats.bag import Bag, open_bag
+from galen_bags.play.player import PlayerNode, PlayOptions
 from galen_bags.topic_names import check_topic_name
 
 _EPILOG = f"""exit codes:

@@ -19,7 +19,7 @@ from tqdm import tqdm
 if TYPE_CHECKING:
     from distributed import Client, Future
 
-    from galen_bags.workers import Deaths
+    from galen_bags.many.workers import Deaths
 
 Result = TypeVar("Result")
 
@@ -127,7 +127,7 @@ def _outcomes(
             yield number, _work(function, bag)
         return
     # Importing dask takes longer than many a bag.
-    from galen_bags.workers import cpu_count, local_workers, scheduler_client
+    from galen_bags.many.workers import cpu_count, local_workers, scheduler_client
 
     if scheduler is not None:
         with scheduler_client(scheduler, timeout_s) as client:

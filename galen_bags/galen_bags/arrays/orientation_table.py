@@ -12,7 +12,7 @@ A row is one reading. Columns, in any order, named in the first line or by the c
     t                       time, s
     block                   a label; rows of one label are held out together
 
-Values are apart, and comments marked, as `galen_bags.text_table` says.
+Values are apart, and comments marked, as `galen_bags.arrays.text_table` says.
 """
 
 import os
@@ -26,7 +26,7 @@ from galen_model.arm.kinematics import sensor_rotation
 from galen_model.arrays import Array
 from galen_model.rotation import quaternion_to_matrix
 
-from galen_bags.text_table import TableError, TextTable, read_text_table
+from galen_bags.arrays.text_table import TableError, TextTable, read_text_table
 
 ORIENTATIONS = {
     "gravity": ("gx", "gy", "gz"),

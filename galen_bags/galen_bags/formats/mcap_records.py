@@ -15,7 +15,7 @@ from zlib import crc32
 import numpy as np
 from lz4.frame import LZ4FrameDecompressor
 
-from galen_bags.raw_block import windows
+from galen_bags.formats.raw_block import windows
 
 if sys.version_info >= (3, 14):
     from compression import zstd

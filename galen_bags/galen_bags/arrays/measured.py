@@ -25,9 +25,9 @@ from galen_model.arrays import Array
 from galen_ros.cdr.layout import NS_PER_S, JointStateBytes, WrenchBytes
 from tqdm import tqdm
 
+from galen_bags.arrays.messages import JOINT_STATE_TYPE, WRENCH_TYPE
 from galen_bags.errors import BagError
-from galen_bags.messages import JOINT_STATE_TYPE, WRENCH_TYPE
-from galen_bags.writer import BagWriter
+from galen_bags.formats.writer import BagWriter
 
 UNITS_NS = {"s": NS_PER_S, "ms": 1_000_000, "us": 1_000, "ns": 1}
 """Units of time by their names on the command line, in ns."""

@@ -18,13 +18,13 @@ from types import TracebackType
 import numpy as np
 import yaml
 
+from galen_bags.arrays.problems import Problems
 from galen_bags.errors import BagError
-from galen_bags.library_file import LibraryFile
-from galen_bags.mcap_file import McapFile
-from galen_bags.mcap_records import LARGEST_BYTES
-from galen_bags.metadata import MOST_BYTES, events
-from galen_bags.problems import Problems
-from galen_bags.raw_block import Messages, TopicInfo, packed
+from galen_bags.formats.library_file import LibraryFile
+from galen_bags.formats.mcap_file import McapFile
+from galen_bags.formats.mcap_records import LARGEST_BYTES
+from galen_bags.formats.metadata import MOST_BYTES, events
+from galen_bags.formats.raw_block import Messages, TopicInfo, packed
 
 if sys.version_info >= (3, 14):
     from compression import zstd

@@ -21,8 +21,9 @@ from typing import BinaryIO
 
 import numpy as np
 
+from galen_bags.arrays.problems import Problems
 from galen_bags.errors import BagError
-from galen_bags.mcap_records import (
+from galen_bags.formats.mcap_records import (
     CHANNEL,
     CHUNK,
     CHUNK_HEAD,
@@ -42,9 +43,8 @@ from galen_bags.mcap_records import (
     unpack_chunk,
     walk,
 )
-from galen_bags.problems import Problems
-from galen_bags.raw_block import Messages, TopicInfo
-from galen_bags.time_order import MOST_HELD_BYTES, TimeOrder
+from galen_bags.formats.raw_block import Messages, TopicInfo
+from galen_bags.formats.time_order import MOST_HELD_BYTES, TimeOrder
 
 _WINDOW_BYTES = 1 << 16
 # Messages outside of chunks are read in pieces of this size.

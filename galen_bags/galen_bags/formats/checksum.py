@@ -7,8 +7,8 @@ import os
 import struct
 from pathlib import Path
 
-from galen_bags.bag import open_bag
 from galen_bags.errors import BagError
+from galen_bags.formats.bag import open_bag
 
 
 def content_sha256(path: str | os.PathLike[str]) -> str:

@@ -6,15 +6,15 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from galen_bags.arm_recording import find_topic
-from galen_bags.bag import Bag
-from galen_bags.errors import BagError
-from galen_bags.messages import POSE_TYPE, Decoder, Samples
 from galen_model.registration.rigid import Transform
 from galen_model.rotation import quaternion_to_matrix
 from scipy.ndimage import median_filter
 
-from galen_deflection.timeline import Timeline, lay_out, stamp_sentences
+from galen_bags.arrays.arm_recording import find_topic
+from galen_bags.arrays.messages import POSE_TYPE, Decoder, Samples
+from galen_bags.arrays.timeline import Timeline, lay_out, stamp_sentences
+from galen_bags.errors import BagError
+from galen_bags.formats.bag import Bag
 
 _NORM_TOLERANCE = 1e-3
 # So many poses alike to the last bit are no measurement: noise alone would make them differ.

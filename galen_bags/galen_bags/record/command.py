@@ -18,9 +18,9 @@ from rclpy.parameter import Parameter
 
 from galen_bags.command_line import EXIT_FAILED, EXIT_OK, EXIT_USAGE, LiveLine, positive
 from galen_bags.errors import BagError
-from galen_bags.growing_bag import GrowingBagWriter
-from galen_bags.recorder import DEFAULT_TOPICS, RecorderNode
-from galen_bags.tally import topic_table
+from galen_bags.formats.growing_bag import GrowingBagWriter
+from galen_bags.record.recorder import DEFAULT_TOPICS, RecorderNode
+from galen_bags.record.topic_counts import topic_table
 from galen_bags.topic_names import check_topic_name
 
 _MB = 1_000_000

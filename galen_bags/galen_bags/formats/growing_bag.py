@@ -11,7 +11,7 @@ from typing import Any
 from rosbags.rosbag2 import WriterError
 
 from galen_bags.errors import BagError
-from galen_bags.writer import BagWriter
+from galen_bags.formats.writer import BagWriter
 
 
 class GrowingBagWriter(BagWriter):

@@ -12,10 +12,10 @@ import numpy as np
 from galen_model.arm.galen import JOINT_NAMES
 from galen_model.arrays import Array
 
-from galen_bags.bag import Bag, listing, open_bag
+from galen_bags.arrays.messages import JOINT_STATE_TYPE, WRENCH_TYPE, Decoder, Samples
 from galen_bags.errors import BagError
-from galen_bags.messages import JOINT_STATE_TYPE, WRENCH_TYPE, Decoder, Samples
-from galen_bags.raw_block import Messages
+from galen_bags.formats.bag import Bag, listing, open_bag
+from galen_bags.formats.raw_block import Messages
 
 _ROLL, _TILT = 3, 4
 

@@ -8,8 +8,8 @@ from typing import Any
 
 from ament_index_python.packages import get_package_share_path
 
-from galen_bags.definitions import find_definition
 from galen_bags.errors import BagError
+from galen_bags.formats.definitions import find_definition
 
 
 def message_class(type_name: str) -> Any:

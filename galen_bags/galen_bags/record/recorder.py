@@ -18,10 +18,10 @@ from rclpy.subscription import Subscription
 from rclpy.topic_or_service_is_hidden import topic_or_service_is_hidden
 
 from galen_bags.errors import BagError
-from galen_bags.growing_bag import GrowingBagWriter
-from galen_bags.message_types import definition_of, message_class
+from galen_bags.formats.growing_bag import GrowingBagWriter
+from galen_bags.formats.message_types import definition_of, message_class
 from galen_bags.qos import request_for, serves, to_bag
-from galen_bags.tally import TopicTally
+from galen_bags.record.topic_counts import TopicTally
 from galen_bags.topic_names import check_topic_name
 
 DEFAULT_TOPICS = (

@@ -18,13 +18,13 @@ from rclpy.node import Node
 from rosgraph_msgs.msg import Clock as ClockMessage
 from std_srvs.srv import SetBool
 
-from galen_bags.bag import Bag
 from galen_bags.errors import BagError
-from galen_bags.metadata import read_metadata
-from galen_bags.played_topics import CLOCK, make_topics, selected_topics
+from galen_bags.formats.bag import Bag
+from galen_bags.formats.metadata import read_metadata
+from galen_bags.formats.raw_block import Messages
+from galen_bags.play.played_topics import CLOCK, make_topics, selected_topics
+from galen_bags.play.timing import Ahead, Playlist, Settling, Timeline, window, with_stamp
 from galen_bags.qos import offer_again
-from galen_bags.raw_block import Messages
-from galen_bags.replay import Ahead, Playlist, Settling, Timeline, window, with_stamp
 
 _TICK_S = 0.001
 # More at once could overflow the queues of receivers (2000).

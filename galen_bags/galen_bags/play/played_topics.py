@@ -9,9 +9,9 @@ from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
 
-from galen_bags.bag import Bag
 from galen_bags.errors import BagError
-from galen_bags.message_types import message_class
+from galen_bags.formats.bag import Bag
+from galen_bags.formats.message_types import message_class
 
 CLOCK = "/clock"
 
