@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 from galen_bringup.offline_cell import OfflineCell
-from galen_sim_driver.config import HandPush
+from galen_sim_driver.plant.config import HandPush
 
 RESIDUAL_FRACTION = 0.0742
 """Of a joint's deflection, what is left at no load: what a recording of another's arm shows."""

@@ -35,7 +35,8 @@ from galen_calibration_behavior.procedure import Request
 from galen_model.arm.galen import HOME, JOINT_NAMES
 from galen_model.errors import GalenError
 from galen_model.load.nominal_tools import TOOLS
-from galen_sim_driver.config import (
+from galen_sim_driver.plant.cell import Plant
+from galen_sim_driver.plant.config import (
     ZERO3,
     CableConfig,
     HandPush,
@@ -43,8 +44,7 @@ from galen_sim_driver.config import (
     InertiaConfig,
     PlantConfig,
 )
-from galen_sim_driver.plant import Plant
-from galen_sim_driver.trajectory import Trajectory, TrajectoryPoint
+from galen_sim_driver.plant.trajectory import Trajectory, TrajectoryPoint
 from tqdm import tqdm
 
 HERE = Path(__file__).resolve().parent

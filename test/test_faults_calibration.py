@@ -48,7 +48,11 @@ class Client(Node):
 def world(tmp_path_factory):
     folder = tmp_path_factory.mktemp("calibration")
     with FaultWorld(folder) as world:
-        world.start("driver", ["-m", "galen_sim_driver.node"], {"speed_factor": 4.0, "seed": 3})
+        world.start(
+            "driver",
+            ["-m", "galen_sim_driver.node.sim_driver_node"],
+            {"speed_factor": 4.0, "seed": 3},
+        )
         parameters = {"tools_dir": folder, "use_sim_time": True} | QUICK
         world.start("calibration", ["-m", "galen_calibration_behavior.node"], parameters)
         world.client = world.harness.add(lambda context: Client(context=context))

@@ -76,9 +76,9 @@ ROS_MODULES = {
     "galen_ros.node.spin",
     "galen_ros.node.testing",
     "galen_ros.parameters.unknown",
-    "galen_sim_driver.conversions",
-    "galen_sim_driver.node",
-    "galen_sim_driver.parameters",
+    "galen_sim_driver.node.conversions",
+    "galen_sim_driver.node.sim_driver_node",
+    "galen_sim_driver.node.parameters",
 }
 
 ROS_ROOTS = {"rclpy", "rcl_interfaces", "ament_index_python", "launch", "launch_ros", "std_srvs"}

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from galen_bags.formats.writer import BagWriter
 from galen_model.arm.galen import JOINT_NAMES, SENSOR_FRAME, TRACKER_FRAME
 from galen_ros.cdr.layout import JointStateBytes, PoseBytes, WrenchBytes
-from galen_sim_driver.plant import Sample
+from galen_sim_driver.plant.cell import Sample
 
 # A message is logged this long after its stamp, and each further one of a step so much later:
 # made up, of the size that a recorder on the same machine has, so that log times differ from stamps

@@ -18,7 +18,7 @@ from galen_diagnosis.recording import read_recording
 from galen_diagnosis.simulated_recording import make_recording
 from galen_gravcomp.bag_benchmark import rosbags_deserialise
 from galen_gravcomp.node_benchmark_table import spread
-from galen_sim_driver.effects.axis_gain import AxisGain
+from galen_sim_driver.effects.sensor.axis_gain import AxisGain
 from rich.table import Table
 
 BASELINE = "rosbags read and deserialise"

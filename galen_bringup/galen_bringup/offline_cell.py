@@ -23,9 +23,9 @@ from galen_ros.goal.commands import (
     ZeroSensor,
 )
 from galen_sim_driver.errors import UnknownToolError, ZeroingError
-from galen_sim_driver.plant import Plant, Sample
-from galen_sim_driver.sensor import Zeroing
-from galen_sim_driver.trajectory import Trajectory, TrajectoryPoint
+from galen_sim_driver.plant.cell import Plant, Sample
+from galen_sim_driver.plant.sensor import Zeroing
+from galen_sim_driver.plant.trajectory import Trajectory, TrajectoryPoint
 from numpy import array
 
 _WALL_TICK_NS = 100_000_000

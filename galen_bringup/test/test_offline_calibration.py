@@ -14,8 +14,8 @@ from galen_calibration_behavior.parameters import CalibrationParameters
 from galen_calibration_behavior.procedure import Request
 from galen_calibration_behavior.recorded_sweeps import SweepSorter
 from galen_calibration_behavior.visits import find_visits
-from galen_sim_driver.config import HandPush, PlantConfig
-from galen_sim_driver.plant import Plant
+from galen_sim_driver.plant.cell import Plant
+from galen_sim_driver.plant.config import HandPush, PlantConfig
 
 PARAMETERS = CalibrationParameters()
 # 2.5 ms off the grid on which a live sweep looks at the arm

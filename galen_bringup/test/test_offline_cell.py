@@ -15,8 +15,8 @@ from galen_model.load.identification import identify_two_sweeps
 from galen_model.load.model import Load, nominal_reading
 from galen_model.load.nominal_tools import ADAPTER, TOOLS
 from galen_ros.goal.commands import State
-from galen_sim_driver.config import HandPush, PlantConfig
-from galen_sim_driver.plant import Plant
+from galen_sim_driver.plant.cell import Plant
+from galen_sim_driver.plant.config import HandPush, PlantConfig
 
 PARAMETERS = CalibrationParameters(settle_s=0.1, average_s=0.3)
 POSES = PARAMETERS.grid_poses(3, 3)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import yaml
-from galen_sim_driver.effect_parameters import driver_file
+from galen_sim_driver.node.effect_parameters import driver_file
 
 from galen_diagnosis.result import Diagnosis
 

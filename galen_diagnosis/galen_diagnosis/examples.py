@@ -27,8 +27,8 @@ from galen_bags.command_line import (
     run_command,
 )
 from galen_sim_driver.effects.effect import Effect
-from galen_sim_driver.effects.sensor_drift import SensorDrift
-from galen_sim_driver.effects.tilt_gain import TiltGain
+from galen_sim_driver.effects.joints.tilt_gain import TiltGain
+from galen_sim_driver.effects.sensor.sensor_drift import SensorDrift
 from rich.console import Console
 from tqdm import tqdm
 

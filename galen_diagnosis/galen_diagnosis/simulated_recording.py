@@ -28,13 +28,13 @@ from galen_model.arrays import Array
 from galen_model.files.calibration_file import LoadEstimate, ToolFile, write_tool
 from galen_model.load.model import Load
 from galen_ros.cdr.layout import JointStateBytes, PoseBytes, WrenchBytes
-from galen_sim_driver.config import HandPush, PlantConfig, TrackerConfig
-from galen_sim_driver.effects.base_shift import BaseShift
-from galen_sim_driver.effects.bias_step import BiasStep
 from galen_sim_driver.effects.effect import BAG_ORDER, Effect
 from galen_sim_driver.effects.registry import contract_parameters
-from galen_sim_driver.plant import Plant, Sample
-from galen_sim_driver.trajectory import Trajectory, TrajectoryPoint
+from galen_sim_driver.effects.sensor.bias_step import BiasStep
+from galen_sim_driver.effects.tracker.base_shift import BaseShift
+from galen_sim_driver.plant.cell import Plant, Sample
+from galen_sim_driver.plant.config import HandPush, PlantConfig, TrackerConfig
+from galen_sim_driver.plant.trajectory import Trajectory, TrajectoryPoint
 
 from galen_diagnosis.errors import DiagnosisError
 

@@ -6,7 +6,7 @@ import numpy as np
 from galen_diagnosis.answer import Answer, Cause, Interval
 from galen_diagnosis.result import Diagnosis
 from galen_diagnosis.rows import BAGS, CHANNELS, FOLDS, REGIMES, Rows, Stream
-from galen_sim_driver.effects.tilt_zero_offset import TiltZeroOffset
+from galen_sim_driver.effects.joints.tilt_zero_offset import TiltZeroOffset
 
 TILTS = np.linspace(-0.9, 0.8, 7)
 ROLLS = np.linspace(-1.4, 1.4, 8)

@@ -14,8 +14,8 @@ from galen_diagnosis.recording import read_recording
 from galen_diagnosis.rows import CHANNELS, FOLDS
 from galen_diagnosis.scans import crosstalk_candidates
 from galen_diagnosis.simulated_recording import make_recording
-from galen_sim_driver.effects.axis_gain import AxisGain
-from galen_sim_driver.effects.tilt_zero_offset import TiltZeroOffset
+from galen_sim_driver.effects.joints.tilt_zero_offset import TiltZeroOffset
+from galen_sim_driver.effects.sensor.axis_gain import AxisGain
 
 DISCLOSED = Path(__file__).resolve().parents[3] / "shared" / "recordings" / "disclosed"
 needs_disclosed = pytest.mark.skipif(

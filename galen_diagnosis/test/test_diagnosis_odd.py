@@ -13,7 +13,7 @@ from galen_diagnosis.refine import Hypothesis
 from galen_diagnosis.saturation import SaturationCandidate
 from galen_diagnosis.scans import drift_candidates, scan_steps
 from galen_diagnosis.simulated_recording import make_recording, sweep_poses
-from galen_sim_driver.effects.sensor_saturation import SensorSaturation
+from galen_sim_driver.effects.sensor.sensor_saturation import SensorSaturation
 
 
 @pytest.fixture(scope="module")

@@ -17,8 +17,8 @@ from galen_diagnosis.output import told
 from galen_diagnosis.pictures import gap_figure, sweep_figure
 from galen_diagnosis.report import report
 from galen_diagnosis.sentence import sentence
-from galen_sim_driver.effect_parameters import EffectParameters, effects_of
 from galen_sim_driver.effects.registry import CONTRACT_ORDER
+from galen_sim_driver.node.effect_parameters import EffectParameters, effects_of
 from matplotlib import pyplot as plt
 
 HOSTILE = "x\"><script>alert(1)</script><img src=http://evil.example/a.png onerror='alert(2)'>&lt;"

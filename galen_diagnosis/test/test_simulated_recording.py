@@ -13,13 +13,13 @@ from galen_model.arm.galen import LIMITS, SENSOR, TRACKER_POSITION_NOISE_M
 from galen_model.errors import GalenError
 from galen_model.load.nominal_tools import TOOLS
 from galen_model.rotation import rotvec_to_matrix
-from galen_sim_driver.config import TrackerConfig
-from galen_sim_driver.effects.base_shift import BaseShift
-from galen_sim_driver.effects.bias_step import BiasStep
-from galen_sim_driver.effects.inertial_load import InertialLoad
-from galen_sim_driver.effects.tilt_gain import TiltGain
-from galen_sim_driver.effects.tracker_delay import TrackerDelay
-from galen_sim_driver.effects.wrench_delay import WrenchDelay
+from galen_sim_driver.effects.joints.tilt_gain import TiltGain
+from galen_sim_driver.effects.load.inertial_load import InertialLoad
+from galen_sim_driver.effects.sensor.bias_step import BiasStep
+from galen_sim_driver.effects.sensor.wrench_delay import WrenchDelay
+from galen_sim_driver.effects.tracker.base_shift import BaseShift
+from galen_sim_driver.effects.tracker.tracker_delay import TrackerDelay
+from galen_sim_driver.plant.config import TrackerConfig
 from galen_sim_driver.replay import Replay, Scene
 
 from galen_diagnosis import examples

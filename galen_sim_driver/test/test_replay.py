@@ -13,12 +13,15 @@ from galen_model.errors import GalenError
 from galen_model.load.model import Load, gravity_wrench, nominal_reading
 from galen_model.load.nominal_tools import ADAPTER, TOOLS
 from galen_ros.parameters.param import param_fields
-from galen_sim_driver.effects.axis_gain import AxisGain
-from galen_sim_driver.effects.base_inclination import BaseInclination
-from galen_sim_driver.effects.bias_step import BiasStep
-from galen_sim_driver.effects.crosstalk import Crosstalk
 from galen_sim_driver.effects.effect import Instants
-from galen_sim_driver.effects.loose_tool import LooseTool
+from galen_sim_driver.effects.joints.base_inclination import BaseInclination
+from galen_sim_driver.effects.joints.roll_zero_offset import RollZeroOffset
+from galen_sim_driver.effects.joints.tilt_axis_misalignment import TiltAxisMisalignment
+from galen_sim_driver.effects.joints.tilt_gain import TiltGain
+from galen_sim_driver.effects.joints.tilt_zero_offset import TiltZeroOffset
+from galen_sim_driver.effects.load.loose_tool import LooseTool
+from galen_sim_driver.effects.load.tool_com_error import ToolComError
+from galen_sim_driver.effects.load.tool_mass_error import ToolMassError
 from galen_sim_driver.effects.registry import (
     CONTRACT_ORDER,
     EFFECTS,
@@ -26,16 +29,13 @@ from galen_sim_driver.effects.registry import (
     effect_from,
     extra_parameters,
 )
-from galen_sim_driver.effects.roll_zero_offset import RollZeroOffset
-from galen_sim_driver.effects.sensor_drift import SensorDrift
-from galen_sim_driver.effects.sensor_mount_rotation import SensorMountRotation
-from galen_sim_driver.effects.sensor_saturation import SensorSaturation
-from galen_sim_driver.effects.tilt_axis_misalignment import TiltAxisMisalignment
-from galen_sim_driver.effects.tilt_gain import TiltGain
-from galen_sim_driver.effects.tilt_zero_offset import TiltZeroOffset
-from galen_sim_driver.effects.tool_com_error import ToolComError
-from galen_sim_driver.effects.tool_mass_error import ToolMassError
-from galen_sim_driver.effects.wrench_delay import WrenchDelay
+from galen_sim_driver.effects.sensor.axis_gain import AxisGain
+from galen_sim_driver.effects.sensor.bias_step import BiasStep
+from galen_sim_driver.effects.sensor.crosstalk import Crosstalk
+from galen_sim_driver.effects.sensor.sensor_drift import SensorDrift
+from galen_sim_driver.effects.sensor.sensor_mount_rotation import SensorMountRotation
+from galen_sim_driver.effects.sensor.sensor_saturation import SensorSaturation
+from galen_sim_driver.effects.sensor.wrench_delay import WrenchDelay
 from galen_sim_driver.replay import Replay, Scene, rates
 from scipy.spatial.transform import Rotation
 

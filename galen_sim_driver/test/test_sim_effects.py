@@ -11,22 +11,22 @@ from galen_model.arm.pinocchio_arm import PinocchioArm
 from galen_model.errors import GalenError
 from galen_model.load.model import Load, nominal_reading
 from galen_model.load.nominal_tools import ADAPTER, TOOLS
-from galen_sim_driver.config import (
+from galen_sim_driver.effects.effect import Instants, Posture
+from galen_sim_driver.effects.load.loose_tool import LooseTool
+from galen_sim_driver.effects.sensor.sensor_drift import SensorDrift
+from galen_sim_driver.node.effect_parameters import EffectParameters, effects_of
+from galen_sim_driver.node.parameters import DriverParameters
+from galen_sim_driver.plant.cell import Plant
+from galen_sim_driver.plant.config import (
     CableConfig,
     InertiaConfig,
     PlantConfig,
     SensorConfig,
     WanderConfig,
 )
-from galen_sim_driver.effect_parameters import EffectParameters, effects_of
-from galen_sim_driver.effects.effect import Instants, Posture
-from galen_sim_driver.effects.loose_tool import LooseTool
-from galen_sim_driver.effects.sensor_drift import SensorDrift
-from galen_sim_driver.geometry import ArmGeometry, sensor_matrix
-from galen_sim_driver.inertial_load import InertialLoad, inertia_about_origin
-from galen_sim_driver.parameters import DriverParameters
-from galen_sim_driver.plant import Plant
-from galen_sim_driver.trajectory import Trajectory, TrajectoryPoint
+from galen_sim_driver.plant.geometry import ArmGeometry, sensor_matrix
+from galen_sim_driver.plant.inertial_load import InertialLoad, inertia_about_origin
+from galen_sim_driver.plant.trajectory import Trajectory, TrajectoryPoint
 
 EXACT = SensorConfig(noise=False, quantise=False)
 TURNED = (0.03, -0.05, 0.45, 0.8, -0.6)

@@ -7,8 +7,8 @@ import pytest
 from galen_model.arm.galen import GALEN, LIMITS
 from galen_model.arm.kinematics import joint_axes, sensor_rotation, tip_jacobian, tip_pose
 from galen_model.rotation import quaternion_to_matrix, rotvec_to_matrix
-from galen_sim_driver.admittance import damped_joint_velocities
-from galen_sim_driver.geometry import (
+from galen_sim_driver.plant.admittance import damped_joint_velocities
+from galen_sim_driver.plant.geometry import (
     ArmGeometry,
     from_rotvec,
     multiply,

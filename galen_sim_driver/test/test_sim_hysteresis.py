@@ -10,24 +10,24 @@ from galen_model.arm.stiffness import tip_compliance
 from galen_model.errors import GalenError
 from galen_model.load.nominal_tools import TOOLS
 from galen_model.rotation import matrix_to_rotvec, quaternion_to_matrix, rotvec_to_matrix
-from galen_sim_driver.config import (
+from galen_sim_driver.errors import ConfigError
+from galen_sim_driver.node.parameters import DriverParameters
+from galen_sim_driver.plant.cell import Plant
+from galen_sim_driver.plant.config import (
     HandPush,
     HysteresisConfig,
     PlantConfig,
     SensorConfig,
     TrackerConfig,
 )
-from galen_sim_driver.errors import ConfigError
-from galen_sim_driver.joint_hysteresis import (
+from galen_sim_driver.plant.joint_hysteresis import (
     DahlFriction,
     JointHysteresis,
     load_of,
     residual_fraction,
     shape,
 )
-from galen_sim_driver.parameters import DriverParameters
-from galen_sim_driver.plant import Plant
-from galen_sim_driver.trajectory import Trajectory, TrajectoryPoint
+from galen_sim_driver.plant.trajectory import Trajectory, TrajectoryPoint
 from scipy.optimize import brentq
 
 RETRACTOR = TOOLS["retractor"].tip_m

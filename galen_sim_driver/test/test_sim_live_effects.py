@@ -13,24 +13,24 @@ from galen_model.errors import GalenError
 from galen_model.load.nominal_tools import ADAPTER, TOOLS
 from galen_model.rotation import quaternion_to_matrix, rotvec_to_matrix
 from galen_ros.parameters.param import param_fields
-from galen_sim_driver.config import HandPush, PlantConfig, SensorConfig, TrackerConfig
-from galen_sim_driver.effect_parameters import (
+from galen_sim_driver.effects.registry import EFFECTS, effect_from
+from galen_sim_driver.effects.sensor.bias_step import BiasStep
+from galen_sim_driver.effects.sensor.crosstalk import Crosstalk
+from galen_sim_driver.effects.sensor.sensor_drift import SensorDrift
+from galen_sim_driver.effects.sensor.sensor_saturation import SensorSaturation
+from galen_sim_driver.effects.sensor.wrench_delay import WrenchDelay
+from galen_sim_driver.effects.tracker.base_shift import BaseShift
+from galen_sim_driver.node.effect_parameters import (
     EffectParameters,
     driver_file,
     driver_parameters,
     effects_of,
     parameter_name,
 )
-from galen_sim_driver.effects.base_shift import BaseShift
-from galen_sim_driver.effects.bias_step import BiasStep
-from galen_sim_driver.effects.crosstalk import Crosstalk
-from galen_sim_driver.effects.registry import EFFECTS, effect_from
-from galen_sim_driver.effects.sensor_drift import SensorDrift
-from galen_sim_driver.effects.sensor_saturation import SensorSaturation
-from galen_sim_driver.effects.wrench_delay import WrenchDelay
-from galen_sim_driver.plant import Plant
+from galen_sim_driver.plant.cell import Plant
+from galen_sim_driver.plant.config import HandPush, PlantConfig, SensorConfig, TrackerConfig
+from galen_sim_driver.plant.trajectory import Trajectory, TrajectoryPoint
 from galen_sim_driver.replay import Replay, Scene
-from galen_sim_driver.trajectory import Trajectory, TrajectoryPoint
 
 RATE_HZ = 200.0
 WAY = [0.03, -0.05, 0.45, 0.8, -0.6]

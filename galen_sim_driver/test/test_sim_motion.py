@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 from galen_model.arm.galen import HOME, LIMITS
-from galen_sim_driver.config import MotionConfig
-from galen_sim_driver.motion import LimitedMotion, braking_velocity, stopping_distance
+from galen_sim_driver.plant.config import MotionConfig
+from galen_sim_driver.plant.motion import LimitedMotion, braking_velocity, stopping_distance
 
 PERIOD_S = 0.002
 CONFIG = MotionConfig()

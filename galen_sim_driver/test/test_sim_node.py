@@ -22,7 +22,8 @@ from galen_ros.node.spin import make_executor
 from galen_ros.node.testing import Harness, parameters
 from galen_ros.parameters.declare import ParameterError
 from galen_ros.qos import LATCHED, STREAM
-from galen_sim_driver.node import SimDriverNode, main
+from galen_sim_driver.node import sim_driver_node as node_module
+from galen_sim_driver.node.sim_driver_node import SimDriverNode, main
 from geometry_msgs.msg import PoseStamped, WrenchStamped
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
@@ -35,7 +36,6 @@ from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from galen_msgs.srv import PushTool, SetTool
-from galen_sim_driver import node as node_module
 
 TIMEOUT_S = 30.0
 SIGMA = np.sqrt(SENSOR.noise_std**2 + SENSOR.quantum**2 / 12)

@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from galen_model.errors import GalenError
-from galen_sim_driver.config import PlantConfig
-from galen_sim_driver.parameters import DriverParameters
-from galen_sim_driver.plant import Plant
+from galen_sim_driver.node.parameters import DriverParameters
+from galen_sim_driver.plant.cell import Plant
+from galen_sim_driver.plant.config import PlantConfig
 
 DEFAULT = DriverParameters()
 

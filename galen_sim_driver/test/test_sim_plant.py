@@ -9,7 +9,14 @@ from galen_model.arm.kinematics import sensor_pose, tip_pose
 from galen_model.load.model import Load, nominal_reading
 from galen_model.load.nominal_tools import ADAPTER, TOOLS, ToolGeometry
 from galen_model.wrench import move_wrench
-from galen_sim_driver.config import (
+from galen_sim_driver.errors import (
+    HandBusyError,
+    TrajectoryError,
+    UnknownToolError,
+    ZeroingError,
+)
+from galen_sim_driver.plant.cell import Plant
+from galen_sim_driver.plant.config import (
     ConfigError,
     HandPush,
     MotionConfig,
@@ -17,14 +24,7 @@ from galen_sim_driver.config import (
     SensorConfig,
     TrackerConfig,
 )
-from galen_sim_driver.errors import (
-    HandBusyError,
-    TrajectoryError,
-    UnknownToolError,
-    ZeroingError,
-)
-from galen_sim_driver.plant import Plant
-from galen_sim_driver.trajectory import Trajectory, TrajectoryPoint
+from galen_sim_driver.plant.trajectory import Trajectory, TrajectoryPoint
 
 EXACT = SensorConfig(noise=False, quantise=False)
 TURNED = (0.03, -0.05, 0.45, 0.8, -0.6)

@@ -9,8 +9,8 @@ from galen_model.arm.stiffness import deflection
 from galen_model.load.nominal_tools import TOOLS
 from galen_model.rotation import matrix_to_rotvec, quaternion_to_matrix, rotvec_to_matrix
 from galen_model.wrench import move_wrench
-from galen_sim_driver.config import HandPush, PlantConfig, Pose, TrackerConfig
-from galen_sim_driver.plant import Plant
+from galen_sim_driver.plant.cell import Plant
+from galen_sim_driver.plant.config import HandPush, PlantConfig, Pose, TrackerConfig
 
 TURNED = (0.03, -0.05, 0.45, 0.8, -0.6)
 QUIET = TrackerConfig(noise=False)

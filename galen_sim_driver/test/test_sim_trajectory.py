@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from galen_model.arm.galen import HOME, JOINT_NAMES, LIMITS
 from galen_sim_driver.errors import TrajectoryError
-from galen_sim_driver.trajectory import (
+from galen_sim_driver.plant.trajectory import (
     JointState,
     Reference,
     Trajectory,

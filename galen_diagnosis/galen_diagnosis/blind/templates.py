@@ -11,7 +11,7 @@ from collections.abc import Iterator
 import numpy as np
 from galen_model.arm.galen import WRENCH_AXES
 from galen_model.arrays import Array
-from galen_sim_driver.effects.sensor_saturation import SensorSaturation
+from galen_sim_driver.effects.sensor.sensor_saturation import SensorSaturation
 
 from galen_diagnosis.candidates import Candidate, candidates, crosstalk_candidate, crosstalks
 from galen_diagnosis.observation import UNKNOWNS, Observation, Unknowns

@@ -119,7 +119,7 @@ class Effect:
     needs_motion: `wrench` needs the posture's motion. contract_names: names of fields in the
     contract, where they are others. beyond_contract: fields that the contract doesn't name.
     recording_only: fields that say nothing to a driver. driver_names: the driver's parameters of
-    fields, where they have names from before (`galen_sim_driver.effect_parameters`).
+    fields, where they have names from before (`galen_sim_driver.node.effect_parameters`).
     """
 
     name: ClassVar[str]

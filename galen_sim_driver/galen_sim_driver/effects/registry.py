@@ -1,7 +1,7 @@
 """All effects by name, and their numbers as the contract's files have them.
 
-An effect is known by its file being in this folder: nothing lists the files. In `EFFECTS` those of
-the contract come first, in its order.
+An effect is known by its file being in a folder of this one: nothing lists the files. In `EFFECTS`
+those of the contract come first, in its order.
 """
 
 from __future__ import annotations
@@ -47,10 +47,10 @@ CONTRACT_ORDER = (
 
 
 def _in_folder() -> Iterator[type[Effect]]:
-    for found in pkgutil.iter_modules(effects.__path__):
-        if found.name == "registry":
+    for found in pkgutil.walk_packages(effects.__path__, prefix=f"{effects.__name__}."):
+        if found.name == __name__:
             continue
-        module = importlib.import_module(f"{effects.__name__}.{found.name}")
+        module = importlib.import_module(found.name)
         for value in vars(module).values():
             is_effect = isinstance(value, type) and issubclass(value, Effect)
             if is_effect and value is not Effect and value.__module__ == module.__name__:

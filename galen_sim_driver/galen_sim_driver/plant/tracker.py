@@ -10,8 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from galen_sim_driver.config import TrackerConfig
-from galen_sim_driver.geometry import (
+from galen_sim_driver.plant.config import TrackerConfig
+from galen_sim_driver.plant.geometry import (
     Quaternion,
     Vector,
     from_rotvec,

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from galen_sim_driver.config import WanderConfig
+from galen_sim_driver.plant.config import WanderConfig
 
 _BLOCK = 2048
 _HOUR_S = 3600.0

@@ -44,7 +44,7 @@ from numpy.typing import ArrayLike
 from scipy.optimize import brentq, minimize_scalar
 from scipy.special import lambertw
 
-from galen_sim_driver.config import HysteresisConfig
+from galen_sim_driver.plant.config import HysteresisConfig
 
 
 class DahlFriction:

@@ -29,7 +29,7 @@ import numpy as np
 from galen_model.arrays import Array
 from galen_model.load.model import Load
 
-from galen_sim_driver.geometry import (
+from galen_sim_driver.plant.geometry import (
     ArmGeometry,
     Matrix,
     Vector,

@@ -18,8 +18,8 @@ from galen_model.load.nominal_tools import ToolGeometry
 from galen_model.rotation import matrix_to_quaternion
 
 from galen_sim_driver.effects.effect import Effect, Instants, Loading, Posture, in_order
-from galen_sim_driver.effects.tilt_axis_misalignment import sensor_pose
-from galen_sim_driver.geometry import (
+from galen_sim_driver.effects.joints.tilt_axis_misalignment import sensor_pose
+from galen_sim_driver.plant.geometry import (
     ArmGeometry,
     Matrix,
     Quaternion,
@@ -27,7 +27,7 @@ from galen_sim_driver.geometry import (
     sensor_matrix,
     sensor_quaternion,
 )
-from galen_sim_driver.tracker import MarkerPose
+from galen_sim_driver.plant.tracker import MarkerPose
 
 _ORIGIN = (0.0, 0.0, 0.0)
 

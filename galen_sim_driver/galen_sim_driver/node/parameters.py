@@ -18,7 +18,7 @@ from galen_model.load.model import Load
 from galen_model.load.nominal_tools import ADAPTER, TOOLS, ToolGeometry
 from galen_ros.parameters.declare import ParameterError, param
 
-from galen_sim_driver.config import (
+from galen_sim_driver.plant.config import (
     AdmittanceConfig,
     CableConfig,
     HandPush,

@@ -29,8 +29,6 @@ from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory
 
 from galen_msgs.srv import PushTool, SetTool
-from galen_sim_driver.conversions import fill_pose, push_from_request, trajectory_from_message
-from galen_sim_driver.effect_parameters import DRIVER_NODE, EffectParameters, effects_of
 from galen_sim_driver.errors import (
     ConfigError,
     HandBusyError,
@@ -38,11 +36,13 @@ from galen_sim_driver.errors import (
     UnknownToolError,
     ZeroingError,
 )
-from galen_sim_driver.pacing import Pacer, SpeedMeter
-from galen_sim_driver.parameters import DriverParameters
-from galen_sim_driver.plant import Plant, Sample
-from galen_sim_driver.sensor import Zeroing
-from galen_sim_driver.tracker import TrackerSample
+from galen_sim_driver.node.conversions import fill_pose, push_from_request, trajectory_from_message
+from galen_sim_driver.node.effect_parameters import DRIVER_NODE, EffectParameters, effects_of
+from galen_sim_driver.node.pacing import Pacer, SpeedMeter
+from galen_sim_driver.node.parameters import DriverParameters
+from galen_sim_driver.plant.cell import Plant, Sample
+from galen_sim_driver.plant.sensor import Zeroing
+from galen_sim_driver.plant.tracker import TrackerSample
 
 _CLOCK_RATE_HZ = 100.0
 # Slower than this part of what was asked is worth a warning.

@@ -18,7 +18,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from galen_sim_driver.config import MotionConfig
+from galen_sim_driver.plant.config import MotionConfig
 
 # Rounding must not make a step that just fits the acceleration limit look as if it didn't.
 _SLACK = 1.0 + 1e-9

@@ -22,10 +22,11 @@ from galen_model.arm.stiffness import tip_compliance
 from galen_model.load.model import gravity_wrench
 from galen_model.load.nominal_tools import ToolGeometry
 
-from galen_sim_driver.admittance import Admittance
-from galen_sim_driver.config import ZERO6, HandPush, PlantConfig
 from galen_sim_driver.errors import UnknownToolError, ZeroingError
-from galen_sim_driver.geometry import (
+from galen_sim_driver.plant.admittance import Admittance
+from galen_sim_driver.plant.config import ZERO6, HandPush, PlantConfig
+from galen_sim_driver.plant.effects import ArmNow, PlantEffects
+from galen_sim_driver.plant.geometry import (
     ArmGeometry,
     Matrix,
     cross,
@@ -33,15 +34,14 @@ from galen_sim_driver.geometry import (
     sensor_matrix,
     sensor_quaternion,
 )
-from galen_sim_driver.hand import Hand
-from galen_sim_driver.inertial_load import InertialLoad, inertia_about_origin
-from galen_sim_driver.joint_hysteresis import JointHysteresis
-from galen_sim_driver.motion import LimitedMotion
-from galen_sim_driver.plant_effects import ArmNow, PlantEffects
-from galen_sim_driver.sensor import ForceTorqueSensor, Zeroing
-from galen_sim_driver.tracker import Tracker, TrackerSample
-from galen_sim_driver.trajectory import JointState, Reference, Trajectory, check_trajectory
-from galen_sim_driver.wander import SensorWander
+from galen_sim_driver.plant.hand import Hand
+from galen_sim_driver.plant.inertial_load import InertialLoad, inertia_about_origin
+from galen_sim_driver.plant.joint_hysteresis import JointHysteresis
+from galen_sim_driver.plant.motion import LimitedMotion
+from galen_sim_driver.plant.random_walk import SensorWander
+from galen_sim_driver.plant.sensor import ForceTorqueSensor, Zeroing
+from galen_sim_driver.plant.tracker import Tracker, TrackerSample
+from galen_sim_driver.plant.trajectory import JointState, Reference, Trajectory, check_trajectory
 
 _G = -float(GRAVITY_M_S2[2])
 

@@ -27,8 +27,8 @@ from galen_model.arm.kinematics import tip_pose
 from galen_model.load.model import Load
 from galen_model.load.nominal_tools import ADAPTER, TOOLS, ToolGeometry
 
-from galen_sim_driver.effects.cable_drag import CableDrag
 from galen_sim_driver.effects.effect import Effect
+from galen_sim_driver.effects.load.cable_drag import CableDrag
 from galen_sim_driver.errors import ConfigError
 
 Vector3 = tuple[float, float, float]

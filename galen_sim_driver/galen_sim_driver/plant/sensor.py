@@ -10,9 +10,9 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from galen_sim_driver.config import SensorConfig
 from galen_sim_driver.errors import ZeroingError
-from galen_sim_driver.wander import SensorWander
+from galen_sim_driver.plant.config import SensorConfig
+from galen_sim_driver.plant.random_walk import SensorWander
 
 _BLOCK = 2048
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from galen_sim_driver.config import HandPush
 from galen_sim_driver.errors import HandBusyError
-from galen_sim_driver.geometry import Matrix, rotate_back
+from galen_sim_driver.plant.config import HandPush
+from galen_sim_driver.plant.geometry import Matrix, rotate_back
 
 
 class Hand:

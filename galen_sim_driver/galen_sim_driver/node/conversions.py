@@ -7,9 +7,9 @@ from geometry_msgs.msg import PoseStamped
 from trajectory_msgs.msg import JointTrajectory
 
 from galen_msgs.srv import PushTool
-from galen_sim_driver.config import HandPush
-from galen_sim_driver.tracker import MarkerPose
-from galen_sim_driver.trajectory import Trajectory, TrajectoryPoint
+from galen_sim_driver.plant.config import HandPush
+from galen_sim_driver.plant.tracker import MarkerPose
+from galen_sim_driver.plant.trajectory import Trajectory, TrajectoryPoint
 
 
 def trajectory_from_message(message: JointTrajectory) -> Trajectory:

@@ -17,8 +17,8 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from galen_sim_driver.config import AdmittanceConfig
-from galen_sim_driver.geometry import ArmGeometry, Matrix, cross, rotate
+from galen_sim_driver.plant.config import AdmittanceConfig
+from galen_sim_driver.plant.geometry import ArmGeometry, Matrix, cross, rotate
 
 
 def damped_joint_velocities(

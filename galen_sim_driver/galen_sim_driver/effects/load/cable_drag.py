@@ -1,6 +1,6 @@
 """A cable pulls at the tool, more or less with the pose (contract, section 6).
 
-The law is `galen_sim_driver.cable`: a rounded spring from a point on the tool to an anchor, and a
+The law is `galen_sim_driver.plant.cable`: a rounded spring from a point on the tool to an anchor, and a
 cord that is bent where it leaves the tool. `tension_n` is the tension when the attachment is at
 `reference_m`. With the attachment's mean position there (`centred`), it is the mean tension over a
 recording but for how the line's length curves: a few percent.
@@ -19,8 +19,8 @@ from galen_model.arm.kinematics import sensor_pose
 from galen_model.arrays import Array
 from galen_ros.parameters.param import param
 
-from galen_sim_driver.cable import cable_line, cable_wrench, relative_tension
 from galen_sim_driver.effects.effect import Effect, Fitted, Instants, Posture
+from galen_sim_driver.plant.cable import cable_line, cable_wrench, relative_tension
 
 
 @dataclass(frozen=True)
