@@ -20,10 +20,10 @@ setup(
     entry_points={
         "console_scripts": [
             "gravcomp_node = galen_ros.executable:galen_gravcomp.node.main",
-            "evaluate = galen_ros.executable:galen_gravcomp.evaluate.main",
-            "score_motion = galen_ros.executable:galen_gravcomp.score_motion.main",
-            "drift = galen_ros.executable:galen_gravcomp.drift.main",
-            "tools = galen_ros.executable:galen_gravcomp.tools_command.main",
+            "evaluate = galen_ros.executable:galen_gravcomp.evaluate.command.main",
+            "score_motion = galen_ros.executable:galen_gravcomp.evaluate.table.score_motion.main",
+            "drift = galen_ros.executable:galen_gravcomp.evaluate.drift.command.main",
+            "tools = galen_ros.executable:galen_gravcomp.tools.command.main",
         ]
     },
 )

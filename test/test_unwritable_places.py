@@ -20,13 +20,13 @@ COMMANDS = {
     "galen_diagnosis.diagnose_table": ("IN", "--output", NOWHERE),
     "galen_diagnosis.diagnose_table --plots": ("IN", "--plots", NOWHERE),
     "galen_diagnosis.examples": ("tilt", "--output", NOWHERE),
-    "galen_gravcomp.drift": ("IN", "--plots", NOWHERE),
-    "galen_gravcomp.evaluate": ("bags", "--tool", "bags/tools/pointer.json", "--plots", NOWHERE),
-    "galen_gravcomp.evaluate --write-bags": (
+    "galen_gravcomp.evaluate.drift.command": ("IN", "--plots", NOWHERE),
+    "galen_gravcomp.evaluate.command": ("bags", "--tool", "bags/tools/pointer.json", "--plots", NOWHERE),
+    "galen_gravcomp.evaluate.command --write-bags": (
         "bags", "--tool", "bags/tools/pointer.json", "--write-bags", NOWHERE,
     ),
-    "galen_gravcomp.evaluate --table": ("--table", "IN", "--plots", NOWHERE),
-    "galen_gravcomp.evaluate --write-tool": ("--table", "IN", "--write-tool", f"{NOWHERE}/t.json"),
+    "galen_gravcomp.evaluate.command --table": ("--table", "IN", "--plots", NOWHERE),
+    "galen_gravcomp.evaluate.command --write-tool": ("--table", "IN", "--write-tool", f"{NOWHERE}/t.json"),
 }  # fmt: skip
 
 

@@ -61,7 +61,7 @@ _GRID_INFLATION = 4.0
 _ANYWHERE = angle_grid(*ANGLE_LIMITS, 13, 13)
 # What no load and no offset explains is the cause, not a remark, where it is so unlikely ...
 _UNEXPLAINED = 1e-3
-# ... and so large a part of the load that would be told besides (as in `galen_gravcomp.verdict`).
+# ... and so large a part of the load that would be told besides (as in `galen_gravcomp.evaluate.verdict`).
 _WORTH = 4.0
 
 

@@ -20,7 +20,7 @@ from galen_bags.command_line import (
 )
 from galen_bags.formats.find import find_bags
 from galen_bags.many.run import add_many_options, run_many
-from galen_gravcomp.bag_job import distinct_names
+from galen_gravcomp.evaluate.bag_job import distinct_names
 from rich.console import Console
 
 from galen_deflection.command_options import (

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
-from galen_gravcomp.bag_job import BagJob
+from galen_gravcomp.evaluate.bag_job import BagJob
 from galen_model.arrays import Array
 from galen_model.errors import GalenError
 from galen_model.files.calibration_file import ToolFile

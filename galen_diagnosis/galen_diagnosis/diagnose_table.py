@@ -23,7 +23,7 @@ from galen_bags.command_line import (
     positive,
     run_command,
 )
-from galen_gravcomp.score_motion import read_motion, read_specific
+from galen_gravcomp.evaluate.table.score_motion import read_motion, read_specific
 from galen_model.arm.galen import GRAVITY_M_S2, WRENCH_AXES
 from galen_model.arrays import Array
 from galen_model.files.calibration_file import read_tool

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from galen_bags.arrays.orientation_table import OrientationTable
-from galen_gravcomp.table_evaluation import average_still
+from galen_gravcomp.evaluate.table.evaluation import average_still
 from galen_model.arm.galen import WRENCH_AXES
 from galen_model.arrays import Array
 from galen_model.files.calibration_file import ToolFile

@@ -2,7 +2,7 @@
 
 The load comes from a table of still poses, with its covariance; constants are the run's own. Rows
 are means over short windows, blocks are stretches of time. An IMU that still poses have mounted
-(`galen_gravcomp.imu_fit`) tells the acceleration of the sensor's origin,
+(`galen_gravcomp.evaluate.table.imu_fit`) tells the acceleration of the sensor's origin,
 
     a = g - felt - al x r - w x (w x r),
 
@@ -17,8 +17,8 @@ from itertools import pairwise
 
 import numpy as np
 from galen_bags.arrays.orientation_table import OrientationTable
-from galen_gravcomp.imu_fit import fit_imu
-from galen_gravcomp.motion_table import MotionTable, moving
+from galen_gravcomp.evaluate.table.imu_fit import fit_imu
+from galen_gravcomp.evaluate.table.motion_table import MotionTable, moving
 from galen_model.arm.galen import WRENCH_AXES
 from galen_model.arm.sensor_motion import SensorMotion
 from galen_model.arrays import Array

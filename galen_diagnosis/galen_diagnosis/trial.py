@@ -14,7 +14,7 @@ from dataclasses import dataclass, field, replace
 from typing import ClassVar
 
 import numpy as np
-from galen_gravcomp.fit_evidence import moment_covariance
+from galen_gravcomp.calibration_monitor.evidence import moment_covariance
 from galen_model.arm.galen import (
     SENSOR,
     TRACKER_POSITION_NOISE_M,

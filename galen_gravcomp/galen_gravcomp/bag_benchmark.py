@@ -35,8 +35,8 @@ from galen_ros.cdr.layout import JointStateBytes, WrenchBytes
 from rich.table import Table
 from tqdm import tqdm
 
-from galen_gravcomp.bag_evaluation import evaluate_bag
 from galen_gravcomp.bench_tool import bench_tool
+from galen_gravcomp.evaluate.bag_evaluation import evaluate_bag
 
 _START_NS = 1_767_225_600_000_000_000
 _BLOCK_S = 60.0

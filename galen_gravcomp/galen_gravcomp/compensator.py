@@ -3,7 +3,7 @@
     compensated = C (raw - expected reading of the tool at the joint angles of the raw stamp) - tare
 
 What can stand beside the tool's weight in the expected reading, C, and what else is taken off,
-`galen_gravcomp.stages` says. Samples are pushed in the order of their arrival, one by one or in
+`galen_gravcomp.corrections.stages` says. Samples are pushed in the order of their arrival, one by one or in
 blocks, which gives the same. Live node and offline evaluation feed the same class. Which angles
 belong to a wrench, and which wrench is refused, is `galen_ros.stream.pairing`'s.
 """
@@ -23,9 +23,9 @@ from galen_ros.stream.regular_run import Arrivals
 from galen_ros.stream.results import Compensated, Refusal, Refused, Result
 
 from galen_gravcomp.block import NOTHING, BlockResult, Outputs, SampleBlock, push_block
-from galen_gravcomp.cable_pull import CablePull
-from galen_gravcomp.stages import FitWatch, MotionStage, NoMotion, Stages, WanderStage
-from galen_gravcomp.tare import TareOutcome, TareRamp, TareSettings, TareWindow
+from galen_gravcomp.corrections.cable import CablePull
+from galen_gravcomp.corrections.stages import FitWatch, MotionStage, NoMotion, Stages, WanderStage
+from galen_gravcomp.corrections.tare import TareOutcome, TareRamp, TareSettings, TareWindow
 
 _IMPOSSIBLE = (
     "forces of motion are not known: they come out beyond the sensor's range; does joint_states (or"

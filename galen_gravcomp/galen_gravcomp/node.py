@@ -16,10 +16,10 @@ from sensor_msgs.msg import Imu
 from std_srvs.srv import SetBool, Trigger
 
 from galen_gravcomp.compensator import Compensator, TareRefusedError
+from galen_gravcomp.corrections.tare import TareOutcome
 from galen_gravcomp.monitor import Monitor
 from galen_gravcomp.parameters import GravcompParameters
-from galen_gravcomp.tare import TareOutcome
-from galen_gravcomp.tool_services import LiveJoints, ToolServices
+from galen_gravcomp.tools.services import LiveJoints, ToolServices
 from galen_msgs.srv import SetTool
 
 

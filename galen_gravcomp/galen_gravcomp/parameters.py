@@ -6,15 +6,15 @@ import numpy as np
 from galen_ros.parameters.param import param
 from galen_ros.stream.parameters import LoopParameters
 
+from galen_gravcomp.calibration_monitor.watch import GravityFitWatch
 from galen_gravcomp.compensator import CompensatorSettings
-from galen_gravcomp.fit_watch import GravityFitWatch
-from galen_gravcomp.imu_motion import ImuMotion, ImuMount
-from galen_gravcomp.joint_motion import JointMotion
-from galen_gravcomp.misfit import Limits
-from galen_gravcomp.motion_window import MotionSettings
-from galen_gravcomp.stages import MotionStage, Stages
-from galen_gravcomp.tare import TareSettings
-from galen_gravcomp.wander import Wander, WanderSettings
+from galen_gravcomp.corrections.bias_drift import Wander, WanderSettings
+from galen_gravcomp.corrections.imu_motion import ImuMotion, ImuMount
+from galen_gravcomp.corrections.joint_motion import JointMotion
+from galen_gravcomp.corrections.motion_window import MotionSettings
+from galen_gravcomp.corrections.stages import MotionStage, Stages
+from galen_gravcomp.corrections.tare import TareSettings
+from galen_gravcomp.evaluate.residual_decomposition import Limits
 
 _MOTIONS = ("off", "joints", "imu")
 

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from galen_bags.formats.bag import open_bag
 from galen_bags.formats.writer import BagWriter
-from galen_gravcomp.bag_evaluation import EvaluationSettings, evaluate_bag
-from galen_gravcomp.bag_report import findings, print_overview, to_dict
 from galen_gravcomp.compensator import CompensatorSettings
-from galen_gravcomp.misfit import Limits
-from galen_gravcomp.verdict import Verdict
+from galen_gravcomp.evaluate.bag_evaluation import EvaluationSettings, evaluate_bag
+from galen_gravcomp.evaluate.bag_report import findings, print_overview, to_dict
+from galen_gravcomp.evaluate.residual_decomposition import Limits
+from galen_gravcomp.evaluate.verdict import Verdict
 from galen_model.arm.galen import SENSOR
 from galen_model.files.calibration_file import LoadEstimate
 from gravcomp_bags import Recording, tool_file

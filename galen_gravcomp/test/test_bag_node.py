@@ -5,8 +5,8 @@ import time
 import numpy as np
 import pytest
 from galen_bags.formats.bag import open_bag
-from galen_gravcomp.bag_evaluation import evaluate_bag
-from galen_gravcomp.bag_job import BagJob
+from galen_gravcomp.evaluate.bag_evaluation import evaluate_bag
+from galen_gravcomp.evaluate.bag_job import BagJob
 from galen_gravcomp.node import GravcompNode
 from galen_model.files.calibration_file import write_tool
 from galen_ros.conversions import stamp_to_ns, wrench_to_array

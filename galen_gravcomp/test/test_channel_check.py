@@ -1,6 +1,6 @@
 import numpy as np
 import pytest
-from galen_gravcomp.channel_check import ChannelCheck, describe_run
+from galen_gravcomp.evaluate.channel_check import ChannelCheck, describe_run
 from galen_model.arm.galen import SENSOR
 from scipy.signal import lfilter
 

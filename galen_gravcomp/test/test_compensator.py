@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from galen_gravcomp.compensator import Compensator, CompensatorSettings, TareRefusedError
-from galen_gravcomp.tare import TareOutcome, TareRamp, TareSettings
+from galen_gravcomp.corrections.tare import TareOutcome, TareRamp, TareSettings
 from galen_model.arrays import Array
 from galen_model.files.calibration_file import LoadEstimate, ToolFile
 from galen_ros.stream.results import Compensated, Notice, Refusal, Refused, Result

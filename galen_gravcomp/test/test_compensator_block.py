@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 from galen_gravcomp.compensator import Compensator, CompensatorSettings, TareRefusedError
-from galen_gravcomp.tare import TareOutcome, TareSettings
+from galen_gravcomp.corrections.tare import TareOutcome, TareSettings
 from galen_model.files.calibration_file import LoadEstimate, ToolFile
 from galen_ros.stream import pairing as pairing_module
 from galen_ros.stream.joint_buffer import JointBuffer

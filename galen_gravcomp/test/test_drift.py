@@ -6,12 +6,12 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from galen_gravcomp.allan import allan_deviation
-from galen_gravcomp.drift import main
-from galen_gravcomp.drift_forecast import score_forecasts
-from galen_gravcomp.drift_result import judge_drift
-from galen_gravcomp.drift_series import series_of
-from galen_gravcomp.misfit import Limits
+from galen_gravcomp.evaluate.drift.allan import allan_deviation
+from galen_gravcomp.evaluate.drift.command import main
+from galen_gravcomp.evaluate.drift.forecast import score_forecasts
+from galen_gravcomp.evaluate.drift.result import judge_drift
+from galen_gravcomp.evaluate.drift.series import series_of
+from galen_gravcomp.evaluate.residual_decomposition import Limits
 from galen_model.errors import GalenError
 from galen_model.rest.time_bins import CellReducer, Cells
 

@@ -4,8 +4,8 @@ import json
 import re
 
 import pytest
-from galen_gravcomp.bag_job import distinct_names
-from galen_gravcomp.evaluate import main
+from galen_gravcomp.evaluate.bag_job import distinct_names
+from galen_gravcomp.evaluate.command import main
 from galen_model.files.calibration_file import write_tool
 from gravcomp_bags import Recording, tool_file
 

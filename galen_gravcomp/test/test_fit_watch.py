@@ -4,19 +4,18 @@ from itertools import product
 
 import numpy as np
 import pytest
+from galen_gravcomp.calibration_monitor import pull as fit_pull
+from galen_gravcomp.calibration_monitor.evidence import Explanation, FitEvidence, Stops
+from galen_gravcomp.calibration_monitor.watch import GravityFitWatch
+from galen_gravcomp.calibration_monitor.words import FitNotice, Misfit
 from galen_gravcomp.compensator import Compensator
-from galen_gravcomp.fit_evidence import Explanation, FitEvidence, Stops
-from galen_gravcomp.fit_watch import GravityFitWatch
-from galen_gravcomp.fit_words import FitNotice, Misfit
+from galen_gravcomp.corrections.stages import Stages
 from galen_gravcomp.monitor import Monitor
-from galen_gravcomp.stages import Stages
 from galen_model.arm.kinematics import gravity_in_sensor
 from galen_model.load.model import Load
 from galen_ros.stream.monitor import Severity
 from scipy.stats import multivariate_normal, norm
 from untouched_arm import NO_TOOL, POINTER, RETRACTOR, START_NS, UntouchedArm, push, tool_file
-
-from galen_gravcomp import fit_pull
 
 
 class Watched:

@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from galen_gravcomp.cable_pull import CablePull
 from galen_gravcomp.compensator import Compensator
+from galen_gravcomp.corrections.cable import CablePull
 from galen_gravcomp.monitor import Monitor
 from galen_model.arm.galen import HOME, SENSOR
 from galen_model.files.calibration_file import LoadEstimate, ToolFile

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from galen_bags.arrays.orientation_table import OrientationTable, read_table
 from galen_bags.arrays.text_table import TableError
-from galen_gravcomp.cross_validation import MODELS, contiguous_blocks, cross_validate
-from galen_gravcomp.evaluate import main
-from galen_gravcomp.table_evaluation import evaluate_table
+from galen_gravcomp.evaluate.command import main
+from galen_gravcomp.evaluate.table.cross_validation import MODELS, contiguous_blocks, cross_validate
+from galen_gravcomp.evaluate.table.evaluation import evaluate_table
 from galen_model.arm.galen import GRAVITY_M_S2
 from galen_model.arm.kinematics import sensor_rotation
 from galen_model.files.calibration_file import LoadEstimate, ToolFile, read_tool, write_tool

@@ -5,8 +5,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from galen_gravcomp.imu_fit import fit_imu
-from galen_gravcomp.score_motion import EXIT_FAILED, main
+from galen_gravcomp.evaluate.table.imu_fit import fit_imu
+from galen_gravcomp.evaluate.table.score_motion import EXIT_FAILED, main
 from galen_model.errors import IdentificationError, NotExcitedError
 from galen_model.rotation import rot_x, rot_y, rotvec_to_matrix
 

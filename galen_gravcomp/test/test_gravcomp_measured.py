@@ -8,7 +8,7 @@ from galen_bags.arrays.arm_recording import read_arm
 from galen_bags.convert import main as convert
 from galen_bags.formats.bag import open_bag
 from galen_gravcomp.compensator import Compensated, Compensator
-from galen_gravcomp.evaluate import main as evaluate
+from galen_gravcomp.evaluate.command import main as evaluate
 from galen_gravcomp.node import GravcompNode
 from galen_model.files.calibration_file import read_tool
 from galen_ros.conversions import stamp_to_ns, wrench_to_array

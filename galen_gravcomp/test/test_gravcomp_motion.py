@@ -5,11 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from galen_gravcomp.compensator import Compensator
-from galen_gravcomp.imu_motion import ImuMotion, ImuMount
-from galen_gravcomp.joint_motion import JointMotion
-from galen_gravcomp.local_polynomial import LocalPolynomial
-from galen_gravcomp.motion_window import MotionSettings
-from galen_gravcomp.stages import Stages
+from galen_gravcomp.corrections.imu_motion import ImuMotion, ImuMount
+from galen_gravcomp.corrections.joint_motion import JointMotion
+from galen_gravcomp.corrections.local_polynomial import LocalPolynomial
+from galen_gravcomp.corrections.motion_window import MotionSettings
+from galen_gravcomp.corrections.stages import Stages
 from galen_model.arm.galen import SENSOR
 from galen_model.arm.kinematics import gravity_in_sensor
 from galen_model.arm.sensor_motion import sensor_motion

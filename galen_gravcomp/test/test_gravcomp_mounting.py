@@ -6,15 +6,15 @@ import numpy as np
 import pytest
 from galen_bags.arrays.orientation_table import read_table
 from galen_gravcomp.compensator import Compensator
-from galen_gravcomp.cross_validation import (
+from galen_gravcomp.evaluate.command import main
+from galen_gravcomp.evaluate.table.calibration_file import tool_from_table
+from galen_gravcomp.evaluate.table.cross_validation import (
     contiguous_blocks,
     cross_validate,
     plain_model,
     robust_model,
 )
-from galen_gravcomp.evaluate import main
-from galen_gravcomp.table_mounting import TableMounting, table_prediction, table_worth
-from galen_gravcomp.table_tool import tool_from_table
+from galen_gravcomp.evaluate.table.mounting import TableMounting, table_prediction, table_worth
 from galen_model.errors import GalenError
 from galen_model.files.calibration_file import LoadEstimate, ToolFile, read_tool
 from galen_model.load.mounting.held_out import GALEN, MOUNTED, PLAIN

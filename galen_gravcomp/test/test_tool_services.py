@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray
 from galen_gravcomp.node import GravcompNode
+from galen_gravcomp.tools import active as tool_in_force
 from galen_model.arm.kinematics import sensor_pose
 from galen_model.files.calibration_file import LoadEstimate, ToolFile, tool_path, write_tool
 from galen_ros.conversions import fill_stamp, fill_wrench, wrench_to_array
@@ -20,7 +21,6 @@ from rclpy.node import Node
 from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool, Trigger
 
-from galen_gravcomp import tool_in_force
 from galen_msgs.msg import ToolInForce
 from galen_msgs.srv import (
     CompareTools,

@@ -8,8 +8,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from galen_gravcomp.tools_command import main
-from galen_gravcomp.tools_report import print_in_force, print_tool
+from galen_gravcomp.tools import command as tools_command
+from galen_gravcomp.tools.command import main
+from galen_gravcomp.tools.report import print_in_force, print_tool
 from galen_model.arm.kinematics import sensor_pose
 from galen_model.files.calibration_file import (
     LoadEstimate,
@@ -21,8 +22,6 @@ from galen_model.files.calibration_file import (
 from galen_model.files.calibration_store import StoredTool
 from galen_model.load.frames import sensor_in_frame
 from rich.console import Console
-
-from galen_gravcomp import tools_command
 
 
 def a_tool(name: str, mass_kg: float) -> ToolFile:

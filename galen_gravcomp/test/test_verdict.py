@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
-from galen_gravcomp.load_change import find_change
-from galen_gravcomp.misfit import Limits, take_apart
-from galen_gravcomp.verdict import Verdict, judge
+from galen_gravcomp.evaluate.load_change import find_change
+from galen_gravcomp.evaluate.residual_decomposition import Limits, take_apart
+from galen_gravcomp.evaluate.verdict import Verdict, judge
 from galen_model.arm.galen import SENSOR
 from galen_model.rest.binned import StillPhases
 from gravcomp_bags import START_NS, tool_file

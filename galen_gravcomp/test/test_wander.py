@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 from galen_gravcomp.compensator import Compensator, CompensatorSettings
-from galen_gravcomp.stages import Stages
-from galen_gravcomp.tare import TareSettings
-from galen_gravcomp.wander import Wander, WanderSettings, WanderState
-from galen_gravcomp.wander_filter import WanderModel
+from galen_gravcomp.corrections.bias_drift import Wander, WanderSettings, WanderState
+from galen_gravcomp.corrections.bias_drift_filter import WanderModel
+from galen_gravcomp.corrections.stages import Stages
+from galen_gravcomp.corrections.tare import TareSettings
 from untouched_arm import UntouchedArm, push, tool_file
 
 FORCE_5N = 5.0 * np.array([0.6, 0.64, 0.48])

@@ -63,8 +63,8 @@ def evaluate(
     recording: Path, tool: Path | None, output: Path, on_progress: OnProgress
 ) -> dict[str, Any]:
     """As the command `evaluate` does; writes its JSON and its picture."""
-    from galen_gravcomp.bag_job import BagJob
-    from galen_gravcomp.bag_report import to_dict
+    from galen_gravcomp.evaluate.bag_job import BagJob
+    from galen_gravcomp.evaluate.bag_report import to_dict
 
     assert tool is not None
     on_progress("reading", None)

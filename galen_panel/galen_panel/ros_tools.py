@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from dataclasses import replace
 from typing import Any
 
-from galen_gravcomp.in_force_client import to_dict
+from galen_gravcomp.tools.client import to_dict
 from galen_model.files.calibration_file import check_tool_name
 from galen_ros.qos import LATCHED
 from rclpy.node import Node

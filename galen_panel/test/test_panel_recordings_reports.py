@@ -76,7 +76,7 @@ def test_an_evaluation_says_what_the_command_says(make, tmp_path):
     (report,) = recordings.reports.all()
     assert (report.verdict, report.tool, report.recording) == ("fits", "retractor", "free_motion")
     content = recordings.reports.content(report)
-    command = [sys.executable, "-m", "galen_gravcomp.evaluate", BAGS / "free_motion", "--json",
+    command = [sys.executable, "-m", "galen_gravcomp.evaluate.command", BAGS / "free_motion", "--json",
                "--tool", BAGS / "tools" / "retractor.json"]  # fmt: skip
     said = subprocess.run(command, capture_output=True, text=True, check=True)
     assert content == json.loads(said.stdout)
@@ -175,7 +175,7 @@ def test_each_verdict_has_words():
     from typing import get_args
 
     from galen_diagnosis.answer import Verdict as DiagnosisVerdict
-    from galen_gravcomp.verdict import Verdict
+    from galen_gravcomp.evaluate.verdict import Verdict
 
     wanted = {("evaluate", one.value) for one in Verdict}
     wanted |= {("diagnose", one) for one in get_args(DiagnosisVerdict)}

@@ -58,8 +58,8 @@ from galen_deflection.transmission.joint_report import read_listed  # noqa: E402
 from galen_deflection.transmission.runs import ColumnMap, read_run  # noqa: E402
 from galen_diagnosis.blind.keeper import Places, answered  # noqa: E402
 from galen_diagnosis.settings import load_settings  # noqa: E402
-from galen_gravcomp.drift_series import read_series  # noqa: E402
-from galen_gravcomp.score_motion import read_motion  # noqa: E402
+from galen_gravcomp.evaluate.drift.series import read_series  # noqa: E402
+from galen_gravcomp.evaluate.table.score_motion import read_motion  # noqa: E402
 from galen_model.arm.galen import JOINT_NAMES  # noqa: E402
 from galen_model.errors import GalenError  # noqa: E402
 from galen_model.files.calibration_file import LoadEstimate, ToolFile, read_tool, write_tool  # noqa: E402

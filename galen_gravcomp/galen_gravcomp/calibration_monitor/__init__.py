@@ -1,0 +1,1 @@
+"""Whether the active calibration still fits, asked live."""

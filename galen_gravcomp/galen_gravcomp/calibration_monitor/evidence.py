@@ -1,0 +1,317 @@
+"""What some still stops say of a tool's file: it fits, or what is wrong, by Bayes' rule.
+
+With u_k gravity in the sensor's frame at stop k, t_k its time before the newest one, and the stop's
+mean output r_k (6,),
+
+    r_k = G(u_k) d + b + t_k c + L(u_k) s + noise_k
+
+d: what the load (mass, first moment) differs from the file's (`galen_model.load.model`); b, c: an offset
+and its drift; s: how far the tool sags in its mount, its centre moving by s times the x and y parts
+of gravity's unit vector u^ (the contract's `loose_tool`), times its mass: with g = |u|
+
+    L(u) s = (0, 0, 0; m (u^_x, u^_y, 0) x u^ g) s.
+
+Every explanation allows all of it by a normal prior, and differs only in how wide: where the file
+fits, d is as uncertain as the calibration's covariance, and b within an allowance for wander; with
+another load d is wide, and so on. `UNKNOWN` allows an error at each stop of its own. The likelihood
+of an explanation is then the density of all r_k with the parameters integrated out (Kass and
+Raftery, *J. Am. Stat. Assoc.* 90, 1995), so that a wide prior costs what it should, also for one
+stop. Any stop may have been touched: its r_k is then a force of newtons in any direction; it is
+counted so where that is likelier than what the other stops under that explanation foretell, so a
+hand on most stops proves nothing, and a load that turns with gravity from stop to stop does.
+
+`galen_gravcomp.evaluate.residual_decomposition` takes hours apart by least squares, with the noise from the scatter of many
+phases. Live, two or three stops must do, and their noise is known: by the sensor, the calibration's
+covariance and its RMSE.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Generator
+from dataclasses import dataclass
+from enum import Enum
+
+import numpy as np
+from galen_model.arm.galen import GRAVITY_M_S2
+from galen_model.arm.kinematics import gravity_in_sensor
+from galen_model.arrays import Array
+from galen_model.files.calibration_file import LoadEstimate, ToolFile
+from galen_model.load.model import gravity_regressor
+
+_LOAD, _OFFSET, _DRIFT, _SAG = slice(0, 4), slice(4, 10), slice(10, 16), 16
+_COUNT = 17
+_LOOKS = 5
+_LOG_2PI = float(np.log(2.0 * np.pi))
+
+
+class Explanation(Enum):
+    """What the stops may say."""
+
+    FITS = "fits"
+    LOAD = "load"
+    DRIFT = "drift"
+    LOOSE = "loose_tool"
+    UNKNOWN = "unknown"
+
+
+EXPLANATIONS = tuple(Explanation)
+
+
+def _axes(force_n: float, torque_nm: float) -> Array:
+    return np.repeat([force_n, torque_nm], 3)
+
+
+# Standard deviations of the priors. What a file that fits may be off by:
+_ALLOWED_OFFSET = _axes(0.05, 2e-3)
+_ALLOWED_DRIFT_PER_H = _axes(0.2, 4e-3)
+_ALLOWED_SHIFT_M = 1e-4
+_STOP_FLOOR = _axes(0.01, 3e-4)
+# ... and what is wrong, if it is:
+_WRONG_MASS_KG = 0.1
+_WRONG_MOMENT_KGM = 0.01
+_WRONG_OFFSET = _axes(0.5, 0.02)
+_WRONG_DRIFT_PER_H = _axes(1.0, 0.02)
+_WRONG_SHIFT_M = 0.01
+_WRONG_STOP = _axes(0.15, 0.006)
+_TOUCH = _axes(3.0, 0.3)
+_TOUCHED_SHARE = 0.3
+# Prior probabilities of the explanations, in their order.
+_PRIOR = np.array([0.9, 0.04, 0.04, 0.01, 0.01])
+
+
+@dataclass(frozen=True)
+class Stops:
+    """Stops (n,), oldest first.
+
+    mean, std (n, 6): of the output, N and N.m; angles (n, 2): roll and tilt, rad; end_ns (n,).
+    """
+
+    mean: Array
+    std: Array
+    angles: Array
+    end_ns: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.end_ns)
+
+    def rows(self, rows: slice) -> Stops:
+        """Some of them."""
+        return Stops(self.mean[rows], self.std[rows], self.angles[rows], self.end_ns[rows])
+
+
+@dataclass(frozen=True)
+class Judgement:
+    """The likeliest explanation of some stops.
+
+    log_odds: of it against `FITS` (0 for `FITS` itself); values (17,) and
+    covariance (17, 17): of all parameters; load (4,): kg and kg.m true less file's;
+    offset (6,) at the newest stop, drift_per_h (6,), shift_m, each with standard deviations;
+    touched (n,): stops that count as touched; beyond (6,): root mean square over the others of what
+    the explanation takes off, N and N.m.
+    """
+
+    explanation: Explanation
+    log_odds: float
+    values: Array
+    covariance: Array
+    load: Array
+    load_std: Array
+    offset: Array
+    offset_std: Array
+    drift_per_h: Array
+    shift_m: float
+    touched: np.ndarray
+    beyond: Array
+
+
+class FitEvidence:
+    """Judges stops of one tool's file."""
+
+    def __init__(self, tool: ToolFile) -> None:
+        self._tool = tool
+        self._scale = float(tool.gravity_m_s2[2] / GRAVITY_M_S2[2])
+        self._mass_kg = float(tool.load.mass_kg + tool.bias.mass_kg)
+        self._sag_mass_kg = float(tool.load.mass_kg)
+        known = moment_covariance(tool.load) + moment_covariance(tool.bias)
+        sag = 1.0 / _WRONG_SHIFT_M**2
+        tight = 1.0 / _ALLOWED_SHIFT_M**2
+        wrong_load = 1.0 / np.array([_WRONG_MASS_KG, *[_WRONG_MOMENT_KGM] * 3]) ** 2
+        precision = np.zeros((len(EXPLANATIONS), _COUNT, _COUNT))
+        for k, what in enumerate(EXPLANATIONS):
+            wide = what is Explanation.DRIFT
+            load = what is Explanation.LOAD
+            precision[k, _LOAD, _LOAD] = np.diag(wrong_load) if load else np.linalg.inv(known)
+            offset = _WRONG_OFFSET if wide else _ALLOWED_OFFSET
+            drift = _WRONG_DRIFT_PER_H if wide else _ALLOWED_DRIFT_PER_H
+            precision[k, _OFFSET, _OFFSET] = np.diag(1.0 / offset**2)
+            precision[k, _DRIFT, _DRIFT] = np.diag(1.0 / drift**2)
+            precision[k, _SAG, _SAG] = sag if what is Explanation.LOOSE else tight
+        self._precision = precision
+        self._prior_covariance = np.linalg.inv(precision)
+        self._log_det_prior = np.linalg.slogdet(precision)[1]
+
+    def design(self, stops: Stops) -> Array:
+        """Phi (n, 6, 17) of the parameters, see above."""
+        gravity = gravity_in_sensor(stops.angles[:, 0], stops.angles[:, 1]) * self._scale
+        design = np.zeros((len(stops), 6, _COUNT))
+        design[..., _LOAD] = gravity_regressor(gravity)
+        design[..., _OFFSET] = np.eye(6)
+        hours = (stops.end_ns - int(stops.end_ns[-1])) / 3.6e12
+        design[..., _DRIFT] = hours[:, None, None] * np.eye(6)
+        unit = gravity / np.linalg.norm(gravity, axis=1, keepdims=True)
+        centre = unit * np.array([1.0, 1.0, 0.0])
+        design[:, 3:, _SAG] = np.cross(centre, gravity) * self._sag_mass_kg
+        return design
+
+    def variance(self, stops: Stops) -> Array:
+        """Of the noise at each stop (n, 6): sensor, the calibration's RMSE, a floor."""
+        return np.asarray(stops.std**2 + self._tool.rmse**2 + _STOP_FLOOR**2)
+
+    def fit_of_each(self, stops: Stops) -> tuple[Array, Array]:
+        """Of each stop on its own, with a file that fits: chi-square (n,) of 6, and log density."""
+        return self._log_density(stops, np.zeros(_COUNT), self._prior_covariance[0], 0)
+
+    def log_contradiction(self, stops: Stops, judgement: Judgement) -> Array:
+        """Log odds (n,) by which each stop is likelier with a file that fits than as foretold.
+
+        By a judgement that these stops had no part in.
+        """
+        k = EXPLANATIONS.index(judgement.explanation)
+        foretold = self._log_density(stops, judgement.values, judgement.covariance, k)[1]
+        return np.asarray(self.fit_of_each(stops)[1] - foretold)
+
+    def log_touched(self, stops: Stops) -> Array:
+        """Log density (n,) of each stop if it is touched, against untouched by prior odds."""
+        return _log_touched(stops, self.variance(stops))
+
+    def _log_density(
+        self, stops: Stops, values: Array, covariance: Array, k: int
+    ) -> tuple[Array, Array]:
+        design = self.design(stops)
+        spread = design @ covariance @ np.swapaxes(design, 1, 2)
+        spread[:, range(6), range(6)] += self._noise(k, self.variance(stops))
+        rest = stops.mean - design @ values
+        square = np.sum(rest * np.linalg.solve(spread, rest[..., None])[..., 0], axis=1)
+        log_density = -0.5 * (square + np.linalg.slogdet(spread)[1] + 6.0 * _LOG_2PI)
+        return np.asarray(square), np.asarray(log_density)
+
+    def _noise(self, k: int, variance: Array) -> Array:
+        unknown = EXPLANATIONS[k] is Explanation.UNKNOWN
+        return variance + _WRONG_STOP**2 if unknown else variance
+
+    def log_density_of(self, explanation: Explanation, stops: Stops) -> float:
+        """Log density of all means together under an explanation, none of them touched."""
+        k, size = EXPLANATIONS.index(explanation), 6 * len(stops)
+        rows = self.design(stops).reshape(size, _COUNT)
+        covariance = rows @ self._prior_covariance[k] @ rows.T
+        covariance[range(size), range(size)] += self._noise(k, self.variance(stops)).ravel()
+        means = stops.mean.ravel()
+        square = means @ np.linalg.solve(covariance, means)
+        return float(-0.5 * (square + np.linalg.slogdet(covariance)[1] + size * _LOG_2PI))
+
+    def judge(self, stops: Stops) -> Generator[None, None, Judgement]:
+        """The likeliest explanation of all the stops together; yields between pieces of work."""
+        design, variance = self.design(stops), self.variance(stops)
+        kinds, count = len(EXPLANATIONS), len(stops)
+        own = np.array([self._noise(k, variance) for k in range(kinds)])
+        touched_value = _log_touched(stops, variance)
+        weighted = design[None] / own[..., None]
+        matrices = np.swapaxes(weighted, -1, -2) @ design
+        rights = np.einsum("hnip,ni->hnp", weighted, stops.mean)
+        log_noise = np.sum(np.log(own) + _LOG_2PI, axis=2)
+        squares = np.sum(stops.mean**2 / own, axis=2)
+        free = np.ones((kinds, count), dtype=bool)
+        best, best_free = np.full(kinds, -np.inf), free.copy()
+        yield
+        for _ in range(_LOOKS):
+            information = self._precision + np.einsum("hn,hnpq->hpq", free, matrices)
+            right = np.einsum("hn,hnp->hp", free, rights)
+            covariance = np.linalg.inv(information)
+            value = np.einsum("hpq,hq->hp", covariance, right)
+            evidence = 0.5 * (
+                self._log_det_prior
+                - np.linalg.slogdet(information)[1]
+                + np.einsum("hp,hp->h", right, value)
+                - np.sum(free * (squares + log_noise), axis=1)
+            ) + np.sum(~free * touched_value, axis=1)
+            better = evidence > best
+            best[better], best_free[better] = evidence[better], free[better]
+            foretold = _foretold(design, own, stops.mean, covariance, value)
+            # The stops that a touch explains best, of those that still count: what one touched stop
+            # does to the fit makes others look touched, which a second look clears up.
+            gain = np.where(free, touched_value[None] - foretold, 0.0)
+            most = np.max(gain, axis=1, keepdims=True)
+            yield
+            if np.all(most <= 0.0):
+                break
+            free &= (gain <= 0.5 * most) | (most <= 0.0)
+        evidence = best + np.log(_PRIOR)
+        k = int(np.argmax(evidence))
+        log_odds = float(evidence[k] - evidence[0])
+        return self._judgement(k, log_odds, best_free[k], design, own, stops)
+
+    def _judgement(
+        self,
+        k: int,
+        log_odds: float,
+        free: np.ndarray,
+        design: Array,
+        own: Array,
+        stops: Stops,
+    ) -> Judgement:
+        rows, noise = design[free], own[k][free]
+        information = self._precision[k] + np.einsum("nip,niq->pq", rows / noise[..., None], rows)
+        covariance = np.linalg.inv(information)
+        value = covariance @ np.einsum("nip,ni->p", rows / noise[..., None], stops.mean[free])
+        std = np.sqrt(np.diag(covariance))
+        explained = stops.mean[free] if EXPLANATIONS[k] is Explanation.UNKNOWN else rows @ value
+        beyond = np.zeros(6) if not free.any() else np.sqrt(np.mean(explained**2, axis=0))
+        return Judgement(
+            EXPLANATIONS[k],
+            log_odds,
+            value,
+            covariance,
+            value[_LOAD],
+            std[_LOAD],
+            value[_OFFSET],
+            std[_OFFSET],
+            value[_DRIFT],
+            float(value[_SAG]),
+            ~free,
+            beyond,
+        )
+
+
+def moment_covariance(estimate: LoadEstimate) -> Array:
+    """Covariance (4, 4) of (m, h) from that of (m, p), h = m p; with a floor of 0.1 g."""
+    change = np.zeros((4, 4))
+    change[0, 0] = 1.0
+    change[1:, 0] = estimate.com_m
+    change[1:, 1:] = estimate.mass_kg * np.eye(3)
+    floor = np.diag([1e-4, 1e-5, 1e-5, 1e-5]) ** 2
+    return np.asarray(change @ estimate.covariance @ change.T + floor)
+
+
+def _log_touched(stops: Stops, variance: Array) -> Array:
+    """Log density (n,) of stops that are touched, against untouched ones by prior odds."""
+    spread = variance + _TOUCH**2
+    density = -0.5 * np.sum(stops.mean**2 / spread + np.log(spread) + _LOG_2PI, axis=1)
+    return np.asarray(density + np.log(_TOUCHED_SHARE / (1.0 - _TOUCHED_SHARE)))
+
+
+def _foretold(design: Array, own: Array, mean: Array, covariance: Array, value: Array) -> Array:
+    """Log density (h, n) of each stop as the others foretell it.
+
+    With V = S - Phi C Phi^T the covariance of a stop's residual rho in the fit that holds it, the
+    others foretell it with the density of rho under V, less log|S| - log|V|.
+    """
+    residual = mean[None] - np.moveaxis(design @ value.T, -1, 0)
+    # Matrix products, which are many times as fast as the sum over all indices at once.
+    half = (design.reshape(-1, _COUNT) @ covariance).reshape(len(value), *design.shape)
+    spread = -half @ np.swapaxes(design, 1, 2)
+    spread[:, :, range(6), range(6)] += own
+    solved = np.linalg.solve(spread, residual[..., None])[..., 0]
+    square = np.sum(residual * solved, axis=-1)
+    log_det = np.linalg.slogdet(spread)[1]
+    log_noise = np.sum(np.log(own), axis=2)
+    return np.asarray(-0.5 * (square + 2.0 * log_noise - log_det + 6.0 * _LOG_2PI))

@@ -1,0 +1,1 @@
+"""The corrections that are subtracted from a wrench."""

@@ -1,0 +1,220 @@
+"""The sensor's slow wander, learned live while the arm is still and nobody touches the tool.
+
+    out = untared - wander - tare
+
+The estimate is `galen_gravcomp.corrections.bias_drift_filter`'s, from the windows of
+`galen_model.rest.windows`; here are its switch, its limits and what is taken off of it. It is
+off unless it is asked for: what is taken off a surgeon's force without being asked should be
+nothing. What comes off never jumps: each new value is gone to along the tare's smoothstep, and so
+is zero when it is switched off.
+
+A tare says anew what zero is: it averages the wrench with the wander still in it, so its offset
+holds what the wander took off, which goes to zero along the same ramp as the tare comes in: their
+sum goes from the old value to the new one as if there were no wander.
+
+Beyond `max_force_n` or `max_torque_nm` along an axis it stays where it is, until a tare, another
+tool or a restart of the driver: a sensor that went so far wants a person's look.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from enum import Enum
+
+import numpy as np
+from galen_model.arm.galen import WRENCH_AXES
+from galen_model.arrays import Array
+from galen_model.rest.windows import StillWindows
+from galen_ros.stream.monitor import joined
+
+from galen_gravcomp.corrections.bias_drift_filter import WanderFilter, WanderModel
+from galen_gravcomp.corrections.tare import TareRamp
+
+
+@dataclass(frozen=True)
+class WanderSettings:
+    """Limits of what is taken off along an axis, and the ramp, which is the tare's."""
+
+    max_force_n: float = 0.5
+    max_torque_nm: float = 0.02
+    ramp_s: float = 1.0
+    model: WanderModel = field(default_factory=WanderModel)
+
+    @property
+    def limits(self) -> Array:
+        """By axis (6,), N and N.m."""
+        return np.repeat([self.max_force_n, self.max_torque_nm], 3)
+
+
+class WanderState(Enum):
+    """What the estimate does now."""
+
+    OFF = "off"
+    LEARNING = "learning"
+    HELD = "held"
+    """The arm moves, the wrench is not steady, or the sensor's noise is not known yet."""
+    TOUCHED = "touched"
+    """Something touches the tool, or the file does not fit."""
+    LIMIT = "limit"
+
+
+# No still window for so long, and nothing is being learned.
+_HELD_AFTER_NS = 1_500_000_000
+
+
+class Wander:
+    """A `galen_gravcomp.corrections.stages.WanderStage`."""
+
+    def __init__(self, settings: WanderSettings | None = None, *, enabled: bool = False) -> None:
+        self._settings = settings or WanderSettings()
+        self._enabled = enabled
+        self._windows = StillWindows()
+        self._filter = WanderFilter(self._settings.model)
+        self._ramp = TareRamp(self._settings.ramp_s)
+        self._tare: Array = np.zeros(6)
+        self._newest_ns: int | None = None
+        self._window_ns: int | None = None
+        self._learned_ns: int | None = None
+        self._begin_state()
+
+    # State
+
+    @property
+    def enabled(self) -> bool:
+        """Whether it learns, and takes off what it learned."""
+        return self._enabled
+
+    @property
+    def active(self) -> bool:
+        """Whether it has to see samples one by one, or takes anything off."""
+        return self._enabled or self._ramp.ramping or bool(self._ramp.target.any())
+
+    @property
+    def state(self) -> WanderState:
+        """What it does now."""
+        if not self._enabled:
+            return WanderState.OFF
+        if self._at_limit.any():
+            return WanderState.LIMIT
+        newest, seen = self._newest_ns, self._window_ns
+        if newest is None or seen is None or newest - seen > _HELD_AFTER_NS:
+            return WanderState.HELD
+        return self._state
+
+    @property
+    def settled(self) -> Array:
+        """Offset (6,) that is taken off when no ramp runs; not to be written into."""
+        return self._ramp.target
+
+    @property
+    def learned_s_ago(self) -> float | None:
+        """Time by the stamps since something was learned; None: never since the last reset."""
+        if self._learned_ns is None or self._newest_ns is None:
+            return None
+        return (self._newest_ns - self._learned_ns) * 1e-9
+
+    @property
+    def trouble(self) -> str:
+        """What a person should be warned of, empty if nothing."""
+        if self.state is not WanderState.LIMIT:
+            return ""
+        axes = [axis for axis, over in zip(WRENCH_AXES, self._at_limit, strict=True) if over]
+        return (
+            f"the sensor wandered as far in {', '.join(axes)} as wander_max_force_n and"
+            " wander_max_torque_nm allow; it is not followed further: tare with nobody at the tool,"
+            " or recalibrate"
+        )
+
+    def values(self) -> dict[str, object]:
+        """State, what is taken off, and its standard deviation, for /diagnostics."""
+        ago_s = self.learned_s_ago
+        settled, std = self.settled, self._filter.std
+        return {
+            "wander": self.state.value,
+            "wander_force_n": joined(settled[:3]),
+            "wander_torque_nm": joined(settled[3:]),
+            "wander_std_force_n": joined(std[:3]),
+            "wander_std_torque_nm": joined(std[3:]),
+            "wander_learned_s_ago": "never" if ago_s is None else ago_s,
+        }
+
+    def set_enabled(self, enabled: bool) -> None:
+        """Switch on or off; off takes what was learned off along the ramp, and forgets it."""
+        if enabled == self._enabled:
+            return
+        self._enabled = enabled
+        self._windows.clear()
+        self._filter.begin()
+        self._begin_state()
+        if self._newest_ns is not None:
+            self._ramp.start(self._newest_ns, np.zeros(6))
+
+    # Samples
+
+    def offset_at(self, stamp_ns: int) -> Array:
+        """Offset (6,) in force at a stamp; the caller must not write into it."""
+        # Also while nothing is pushed (a cable whose pull is not known): a ramp begins now.
+        self._see_stamp(stamp_ns)
+        return self._ramp.offset_at(stamp_ns)
+
+    def push(self, stamp_ns: int, roll_rad: float, tilt_rad: float, untared: Array) -> None:
+        """Take an untared wrench (6,), which must not be written into later."""
+        self._see_stamp(stamp_ns)
+        if not self._enabled:
+            return
+        window = self._windows.push(stamp_ns, roll_rad, tilt_rad, untared)
+        if window is None:
+            return
+        self._window_ns = window.end_ns
+        if not window.steady:
+            self._filter.unsteady()
+            self._state = WanderState.HELD
+            return
+        free = self._filter.see(
+            window.end_ns, *window.angles, window.mean - self._tare, window.std_of_mean
+        )
+        if not free:
+            self._state = WanderState.TOUCHED
+        elif not self._filter.learned:
+            self._state = WanderState.HELD
+        else:
+            self._learned(stamp_ns, window.end_ns)
+
+    def tared(self, stamp_ns: int, roll_rad: float, tilt_rad: float, offset: Array) -> None:
+        """A tare takes `offset` (6,) off the untared wrench from `stamp_ns` on, along its ramp."""
+        self._tare = np.array(offset)
+        self._windows.drop()
+        self._filter.begin((stamp_ns, roll_rad, tilt_rad))
+        self._begin_state()
+        self._ramp.start(stamp_ns, np.zeros(6))
+
+    def clear(self, why: str) -> None:
+        """Forget everything, the tare as well, at once: it belonged to another tool or driver."""
+        del why
+        self._tare = np.zeros(6)
+        self._windows.clear()
+        self._filter.begin()
+        self._begin_state()
+        self._ramp.reset()
+        self._newest_ns = None
+
+    # Inside
+
+    def _see_stamp(self, stamp_ns: int) -> None:
+        if self._newest_ns is None or stamp_ns > self._newest_ns:
+            self._newest_ns = stamp_ns
+
+    def _begin_state(self) -> None:
+        self._state = WanderState.HELD
+        self._at_limit = np.zeros(6, dtype=bool)
+        self._window_ns = self._learned_ns = None
+
+    def _learned(self, stamp_ns: int, window_ns: int) -> None:
+        limits = self._settings.limits
+        self._at_limit |= np.abs(self._filter.wander) >= limits
+        if self._at_limit.any():
+            # Frozen as a whole: a sensor that is out along one axis is not to be trusted in others.
+            return
+        self._state = WanderState.LEARNING
+        self._learned_ns = window_ns
+        self._ramp.start(stamp_ns, self._filter.wander)

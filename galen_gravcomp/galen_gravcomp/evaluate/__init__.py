@@ -1,0 +1,1 @@
+"""A calibration file against recordings."""

@@ -1,0 +1,1 @@
+"""A long untouched recording: drift, and whether it can be predicted."""

@@ -1,0 +1,181 @@
+"""A long untouched recording judged: Allan deviation, forecasts, how long a tare holds; words."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from galen_model.arm.galen import WRENCH_AXES
+from galen_model.arrays import Array
+
+from galen_gravcomp.evaluate.drift.allan import Allan, allan_deviation
+from galen_gravcomp.evaluate.drift.forecast import HorizonScore, cell_for, score_forecasts
+from galen_gravcomp.evaluate.drift.series import DriftSeries
+from galen_gravcomp.evaluate.residual_decomposition import Limits
+
+GROUPS = {"force": slice(0, 3), "torque": slice(3, 6)}
+_UNIT = {"force": (1.0, "N"), "torque": (1e3, "mN.m")}
+_DELAYS = 60
+
+
+@dataclass(frozen=True)
+class DriftResult:
+    """What was found.
+
+    allan: of each axis; rate_per_hour (6,): slope of a line through it all, N/h and N.m/h;
+    delay_s (k,), change (k, 6): root mean square change of the reading over a delay; holds_s: by
+    group, after which the worst axis' change is larger than its limit, None if it never is;
+    scores, sentence: by group.
+    """
+
+    series: DriftSeries
+    limits: Limits
+    allan: tuple[Allan, ...]
+    rate_per_hour: Array
+    delay_s: Array
+    change: Array
+    holds_s: dict[str, float | None]
+    scores: dict[str, list[HorizonScore]]
+    forecast_cell_s: float
+    sentence: dict[str, str]
+
+
+def judge_drift(series: DriftSeries, limits: Limits) -> DriftResult:
+    """Everything that is said of a recording."""
+    allan = tuple(allan_deviation(column, series.cell_s) for column in series.reading.T)
+    delay_s, change = _changes(series)
+    cell_s = cell_for(series.duration_s, series.cell_s)
+    cells = series.every(cell_s)
+    scores, holds, sentence = {}, {}, {}
+    for name, axes in GROUPS.items():
+        over = np.flatnonzero((change[:, axes] > limits.axes[axes]).any(axis=1))
+        holds[name] = float(delay_s[over[0]]) if len(over) else None
+        scores[name] = score_forecasts(cells[:, axes], cell_s)
+        sentence[name] = _sentence(name, scores[name], holds[name], limits, series, change[:, axes])
+    time_h: Array = np.arange(float(len(series.reading))) * (series.cell_s / 3600.0)
+    rate = np.array([_slope(time_h, column) for column in series.reading.T])
+    return DriftResult(
+        series, limits, allan, rate, delay_s, change, holds, scores, cell_s, sentence
+    )
+
+
+def _changes(series: DriftSeries) -> tuple[Array, Array]:
+    """Delays (k,), s, and the root mean square change (k, 6) of the cells over them."""
+    count = len(series.reading)
+    steps = np.unique(np.round(np.logspace(0, np.log10(max(count // 3, 2)), _DELAYS)).astype(int))
+    rows, kept = [], []
+    for step in steps:
+        change = series.reading[step:] - series.reading[:-step]
+        if np.isfinite(change[:, 0]).sum() >= 3:
+            kept.append(step)
+            rows.append(np.sqrt(np.nanmean(change**2, axis=0)))
+    return np.array(kept) * series.cell_s, np.array(rows)
+
+
+def _slope(time_h: Array, column: Array) -> float:
+    there = np.isfinite(column)
+    return float(np.polyfit(time_h[there], column[there], 1)[0])
+
+
+def _sentence(
+    name: str,
+    scores: list[HorizonScore],
+    holds_s: float | None,
+    limits: Limits,
+    series: DriftSeries,
+    change: Array,
+) -> str:
+    factor, unit = _UNIT[name]
+    limit = limits.axes[GROUPS[name].start] * factor
+    if holds_s is None:
+        longest = duration_text(series.duration_s / 3.0)
+        hold = (
+            f"a tare stays within {limit:g} {unit} (1 sigma) for {longest}, as long as can be told"
+        )
+    elif holds_s <= 3.0 * series.cell_s:
+        cell = duration_text(series.cell_s)
+        hold = f"two means of {cell} next to each other differ by more than {limit:g} {unit} anyway"
+    else:
+        hold = f"re-tare every {duration_text(holds_s)} to stay within {limit:g} {unit} (1 sigma)"
+    if not scores:
+        return f"{name}: too short to say whether the wander can be predicted; {hold}."
+    told = [score for score in scores if score.predictable]
+    if told:
+        best = max(told, key=lambda score: score.skill)
+        what = {
+            "trend": "a linear trend of the last hours",
+            "line": "a straight line",
+            "ar": "its last changes",
+            "day": "the time of day",
+        }
+        return (
+            f"{name}: predictable; {what[best.teller]} predicts {best.skill:.0%} of the change over"
+            f" {duration_text(best.horizon_s)} (mean square, on hours that no fit has seen; at"
+            f" {len(told)} of {len(scores)} horizons it beats keeping a value); else {hold}."
+        )
+    if _only_noise(change):
+        return f"{name}: white noise, nothing wanders: average longer; {hold}."
+    return (
+        f"{name}: not predictable; no forecast up to {duration_text(scores[-1].horizon_s)} beats"
+        f" keeping the value of the last moments; {hold}."
+    )
+
+
+def _only_noise(change: Array) -> bool:
+    """Whether the change over the longest delays is that from one cell to the next."""
+    return bool(np.all(change[-5:].mean(axis=0) < 1.1 * change[0]))
+
+
+def duration_text(seconds: float) -> str:
+    """As a person says it: 40 s, 12 min, 3.5 h."""
+    if seconds < 120.0:
+        return f"{seconds:.3g} s"
+    if seconds < 7200.0:
+        return f"{seconds / 60.0:.3g} min"
+    return f"{seconds / 3600.0:.3g} h"
+
+
+def to_json(result: DriftResult) -> dict[str, object]:
+    """Everything but the samples; SI units, axes by name."""
+    series = result.series
+    axes: dict[str, object] = {}
+    for index, (axis, allan) in enumerate(zip(WRENCH_AXES, result.allan, strict=True)):
+        axes[axis] = {
+            "noise": float(series.noise[index]),
+            "rate_per_hour": float(result.rate_per_hour[index]),
+            "white_per_sqrt_hz": allan.white,
+            "bias_instability": allan.instability,
+            "random_walk_per_sqrt_h": allan.walk * 60.0,
+            "ramp_per_h": allan.ramp * 3600.0,
+            "allan": {
+                "tau_s": allan.tau_s.tolist(),
+                "deviation": allan.deviation.tolist(),
+                "low": allan.low.tolist(),
+                "high": allan.high.tolist(),
+            },
+        }
+    return {
+        "duration_s": series.duration_s,
+        "samples": series.samples,
+        "touched_s": [list(span) for span in series.touched_s],
+        "steps": [{"time_s": at, "change": change.tolist()} for at, change in series.steps],
+        "notes": list(series.notes),
+        "axes": axes,
+        "holds_s": result.holds_s,
+        "forecasts": {
+            name: [
+                {
+                    "horizon_s": score.horizon_s,
+                    "rmse": score.rmse,
+                    "keeper": score.keeper,
+                    "teller": score.teller,
+                    "skill": score.skill,
+                    "interval99": list(score.interval),
+                    "predictable": score.predictable,
+                }
+                for score in scores
+            ]
+            for name, scores in result.scores.items()
+        },
+        "answer": result.sentence,
+    }

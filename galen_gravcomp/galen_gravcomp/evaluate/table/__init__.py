@@ -1,0 +1,1 @@
+"""Load models against tables of readings."""

@@ -1,0 +1,1 @@
+"""Calibration files, looked after from a command and over services."""

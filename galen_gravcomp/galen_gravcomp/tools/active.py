@@ -1,0 +1,113 @@
+"""Which tool is in force, told on the latched topic `~/tool_in_force` and kept under watch.
+
+The file on disk is looked at from time to time: one that has changed since it was loaded, such as
+by a new calibration, is not what is compensated with.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+
+import numpy as np
+from galen_model.arm.galen import SENSOR
+from galen_model.files.calibration_store import FileState, StoredTool
+from galen_ros.node.background import Background
+from galen_ros.qos import LATCHED
+from rclpy.node import Node
+
+from galen_gravcomp.compensator import Compensator
+from galen_gravcomp.tools.messages import in_force_message
+from galen_msgs.msg import ToolInForce
+
+_FILE_CHECK_S = 2.0
+_NOTES = {
+    FileState.AS_LOADED: "",
+    FileState.CHANGED: "its file has changed since it was loaded: call ~/set_tool to load it again",
+    FileState.GONE: "its file is gone since it was loaded",
+}
+
+
+class InForce:
+    """The tool in force, as it was loaded."""
+
+    def __init__(
+        self,
+        node: Node,
+        compensator: Compensator,
+        background: Background,
+        on_note: Callable[[str], None],
+    ) -> None:
+        """`on_note(text)`: what became of the file since; empty while it is as loaded."""
+        self._node = node
+        self._compensator = compensator
+        self._background = background
+        self._on_note = on_note
+        self._stored: StoredTool | None = None
+        self._file_state = FileState.AS_LOADED
+        self._checking = False
+        self._checked_s = time.monotonic()
+        self._said: tuple[object, ...] = ()
+        self._said_wander = np.zeros(6)
+        self._publisher = node.create_publisher(ToolInForce, "~/tool_in_force", LATCHED)
+
+    @property
+    def stored(self) -> StoredTool | None:
+        """The tool; None where there is none."""
+        return self._stored
+
+    @property
+    def name(self) -> str:
+        """The tool's name; empty where there is none."""
+        return "" if self._stored is None else self._stored.tool.tool
+
+    def put(self, stored: StoredTool | None) -> None:
+        """Say that this one is in force now, read just before."""
+        self._stored = stored
+        self._set_file_state(FileState.AS_LOADED)
+
+    def rename(self, stored: StoredTool) -> None:
+        """Say that the one in force has another name and file; what became of it stays."""
+        self._stored = stored
+        self._compensator.rename_tool(stored.tool.tool)
+        self.update()
+
+    def update(self) -> None:
+        """Publish what is in force if it has changed; cheap, to be called often.
+
+        A wander's estimate never stands still: it is told when it has moved by a sensor's quantum.
+        """
+        compensator = self._compensator
+        wander = compensator.wander_offset
+        tare = tuple(compensator.tare_offset)
+        stored = self._stored
+        loaded = None if stored is None else (stored.path, stored.sha256)
+        says = (loaded, self._file_state, compensator.enabled, tare, wander is None)
+        step = np.zeros(6) if wander is None else wander - self._said_wander
+        if says == self._said and not np.any(np.abs(step) > SENSOR.quantum):
+            return
+        self._said = says
+        self._said_wander = self._said_wander + step
+        message = in_force_message(stored, self._file_state, compensator)
+        message.header.stamp = self._node.get_clock().now().to_msg()
+        self._publisher.publish(message)
+
+    def watch(self, now_s: float) -> None:
+        """Look after the file now and then, and `update`; to be called a few times a second."""
+        loaded = self._stored
+        if loaded is not None and not self._checking and now_s - self._checked_s > _FILE_CHECK_S:
+            self._checking, self._checked_s = True, now_s
+            self._background.submit(
+                loaded.file_state, lambda state: self._on_file_state(loaded, state)
+            )
+        self.update()
+
+    def _on_file_state(self, loaded: StoredTool, state: FileState) -> None:
+        self._checking = False
+        if loaded is self._stored and state is not self._file_state:
+            self._set_file_state(state)
+            self.update()
+
+    def _set_file_state(self, state: FileState) -> None:
+        self._file_state = state
+        self._on_note(_NOTES[state])
