@@ -29,9 +29,9 @@ from galen_bags.formats.checksum import content_sha256
 from galen_bags.formats.writer import BagWriter
 from galen_bringup.cell_bag import CellBag
 from galen_bringup.offline_cell import OfflineCell
-from galen_calibration_behavior.estimate import calibrate
-from galen_calibration_behavior.parameters import CalibrationParameters
-from galen_calibration_behavior.procedure import Request
+from galen_calibration_behavior.calibration.estimate import calibrate
+from galen_calibration_behavior.calibration.parameters import CalibrationParameters
+from galen_calibration_behavior.calibration.procedure import Request
 from galen_model.arm.galen import HOME, JOINT_NAMES
 from galen_model.errors import GalenError
 from galen_model.load.nominal_tools import TOOLS

@@ -153,7 +153,9 @@ def test_a_check_beside_a_calibration_leaves_at_most_one_of_them_at_the_arm(worl
     if not time:
         parameters = {"tools_dir": world.folder, "use_sim_time": True}
         quick = {name: value for name, value in QUICK.items() if not name.startswith("iters")}
-        world.start("check", ["-m", "galen_calibration_behavior.check_node"], parameters | quick)
+        world.start(
+            "check", ["-m", "galen_calibration_behavior.quick_check.node"], parameters | quick
+        )
         world.wait_for(world.client.check.server_is_ready, "the action server")
     write_tool_file(world.folder)
     before = (world.folder / "retractor.json").read_bytes()

@@ -10,8 +10,8 @@ from galen_bags.formats.growing_bag import GrowingBagWriter
 from galen_bags.formats.writer import BagWriter
 from galen_bags.play.player import PlayerNode, PlayOptions
 from galen_bags.record.recorder import RecorderNode
-from galen_calibration_behavior.check_node import CheckNode
 from galen_calibration_behavior.node import CalibrationNode
+from galen_calibration_behavior.quick_check.node import CheckNode
 from galen_deflection.collection_node import CollectionNode
 from galen_deflection.node import DeflectionNode
 from galen_diagnosis.gap_monitor import GapMonitorNode

@@ -7,8 +7,8 @@ import pytest
 NOWHERE = "/proc/galen/new"  # for root, too
 COMMANDS = {
     "galen_bags.convert": ("IN.csv", "-o", NOWHERE),
-    "galen_calibration_behavior.cable_from_bag": ("t", "IN", "--dry-run", "--plots", NOWHERE),
-    "galen_calibration_behavior.choose_poses": ("--plots", NOWHERE),
+    "galen_calibration_behavior.from_bag.cable_from_bag": ("t", "IN", "--dry-run", "--plots", NOWHERE),
+    "galen_calibration_behavior.pose_choice.command": ("--plots", NOWHERE),
     "galen_deflection.compare": ("IN", "--tool", "IN", "--plots", NOWHERE),
     "galen_deflection.evaluate": ("IN", "--tool", "IN", "--model", "IN", "--plots", NOWHERE),
     "galen_deflection.train": ("IN", "--tool", "IN", "--kind", "coupled", "-o", NOWHERE),

@@ -8,7 +8,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
-from galen_calibration_behavior.procedure import CalibrationProcedure, ProcedureSettings, Request
+from galen_calibration_behavior.calibration.procedure import (
+    CalibrationProcedure,
+    ProcedureSettings,
+    Request,
+)
 from galen_model.arm.galen import JOINT_NAMES
 from galen_model.errors import GalenError
 from galen_ros.goal.commands import (

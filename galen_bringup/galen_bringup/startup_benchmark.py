@@ -52,7 +52,7 @@ def subjects(folder: Path) -> dict[str, tuple[str, tuple[str, ...]]]:
         "deflection_node": ("deflection", ("galen_deflection.node", *ros)),
         "sim_driver_node": ("sim_driver", ("galen_sim_driver.node.sim_driver_node", *ros)),
         "calibration_node": ("calibration", ("galen_calibration_behavior.node", *ros, *tools)),
-        "check_node": ("check", ("galen_calibration_behavior.check_node", *ros, *tools)),
+        "check_node": ("check", ("galen_calibration_behavior.quick_check.node", *ros, *tools)),
         "collection_node": ("collection", ("galen_deflection.collection_node", *ros, *tools)),
         "gap_monitor": ("gap_monitor", ("galen_diagnosis.gap_monitor", *ros, *tools)),
     }

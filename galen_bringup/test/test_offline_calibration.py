@@ -8,12 +8,12 @@ from galen_bags.arrays.arm_recording import read_arm
 from galen_bags.formats.writer import BagWriter
 from galen_bringup.cell_bag import CellBag
 from galen_bringup.offline_cell import OfflineCell
-from galen_calibration_behavior.estimate import estimate
-from galen_calibration_behavior.home_stays import BiasPose
-from galen_calibration_behavior.parameters import CalibrationParameters
-from galen_calibration_behavior.procedure import Request
-from galen_calibration_behavior.recorded_sweeps import SweepSorter
-from galen_calibration_behavior.visits import find_visits
+from galen_calibration_behavior.calibration.estimate import estimate
+from galen_calibration_behavior.calibration.parameters import CalibrationParameters
+from galen_calibration_behavior.calibration.procedure import Request
+from galen_calibration_behavior.from_bag.home_stays import BiasPose
+from galen_calibration_behavior.from_bag.recorded_sweeps import SweepSorter
+from galen_calibration_behavior.from_bag.visits import find_visits
 from galen_sim_driver.plant.cell import Plant
 from galen_sim_driver.plant.config import HandPush, PlantConfig
 

@@ -8,8 +8,8 @@ from galen_bags.formats.bag import open_bag
 from galen_bags.formats.writer import BagWriter
 from galen_bringup.cell_bag import CellBag
 from galen_bringup.offline_cell import OfflineCalibrationError, OfflineCell
-from galen_calibration_behavior.parameters import CalibrationParameters
-from galen_calibration_behavior.procedure import Request
+from galen_calibration_behavior.calibration.parameters import CalibrationParameters
+from galen_calibration_behavior.calibration.procedure import Request
 from galen_model.arm.galen import HOME
 from galen_model.load.identification import identify_two_sweeps
 from galen_model.load.model import Load, nominal_reading

@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from galen_bags.arrays.arm_recording import read_arm
-from galen_calibration_behavior.cable_from_bag import main as cable_from_bag
-from galen_calibration_behavior.calibrate_from_bag import main as calibrate_from_bag
-from galen_calibration_behavior.inertia_from_bag import main as inertia_from_bag
+from galen_calibration_behavior.from_bag.cable_from_bag import main as cable_from_bag
+from galen_calibration_behavior.from_bag.calibrate_from_bag import main as calibrate_from_bag
+from galen_calibration_behavior.from_bag.inertia_from_bag import main as inertia_from_bag
 from galen_model.arm.galen import SENSOR
 from galen_model.files.calibration_file import read_tool
 from galen_model.load.inertia.inertial import point_mass_inertia

@@ -12,9 +12,9 @@ import rclpy
 from galen_bags.formats.growing_bag import GrowingBagWriter
 from galen_bags.record.recorder import RecorderNode
 from galen_calibration_behavior.calibrate import CalibrateClient
-from galen_calibration_behavior.check import CheckClient
-from galen_calibration_behavior.check_node import CheckNode
 from galen_calibration_behavior.node import CalibrationNode
+from galen_calibration_behavior.quick_check.command import CheckClient
+from galen_calibration_behavior.quick_check.node import CheckNode
 from galen_deflection.collect import CollectClient
 from galen_deflection.collection_node import CollectionNode
 from galen_deflection.collection_procedure import CollectionProcedure

@@ -26,8 +26,8 @@ from galen_ros.goal.commands import ErrorCode, State
 from galen_ros.node.spin import own_arguments
 from std_srvs.srv import Trigger
 
-from galen_calibration_behavior.phase_text import CALIBRATION_PHASES
-from galen_calibration_behavior.result_text import format_result, result_to_dict
+from galen_calibration_behavior.calibration.phase_text import CALIBRATION_PHASES
+from galen_calibration_behavior.calibration.result_text import format_result, result_to_dict
 from galen_msgs.action import CalibrateTool
 
 _EPILOG = f"""From recorded sweeps, without an arm: calibrate_from_bag.

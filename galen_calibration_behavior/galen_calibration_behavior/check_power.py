@@ -35,13 +35,13 @@ from rich.console import Console
 from rich.table import Table
 from tqdm import tqdm
 
-from galen_calibration_behavior.check_answer import Answer, CheckLimits
-from galen_calibration_behavior.check_causes import load_and_offset
-from galen_calibration_behavior.check_parameters import CheckParameters
-from galen_calibration_behavior.check_poses import plan_check
-from galen_calibration_behavior.parameters import CalibrationParameters
-from galen_calibration_behavior.quick_check import differences, quick_check
-from galen_calibration_behavior.sweep import stack
+from galen_calibration_behavior.calibration.parameters import CalibrationParameters
+from galen_calibration_behavior.calibration.sweep import stack
+from galen_calibration_behavior.quick_check.answer import Answer, CheckLimits
+from galen_calibration_behavior.quick_check.causes import load_and_offset
+from galen_calibration_behavior.quick_check.decision import differences, quick_check
+from galen_calibration_behavior.quick_check.parameters import CheckParameters
+from galen_calibration_behavior.quick_check.poses import plan_check
 
 _SAMPLES = 250
 _CHECKS_A_FILE = 10

@@ -28,7 +28,7 @@ from rclpy.action.server import ServerGoalHandle
 from rclpy.client import Client
 from std_srvs.srv import Trigger
 
-from galen_calibration_behavior.estimate import (
+from galen_calibration_behavior.calibration.estimate import (
     Calibration,
     EstimateError,
     MountingRequest,
@@ -37,10 +37,10 @@ from galen_calibration_behavior.estimate import (
     check_writable,
     choose_tip,
 )
-from galen_calibration_behavior.parameters import CalibrationParameters
-from galen_calibration_behavior.procedure import CalibrationProcedure, Request
-from galen_calibration_behavior.result_text import calibration_fields
-from galen_calibration_behavior.sweep_parameters import MAX_ITERS
+from galen_calibration_behavior.calibration.parameters import CalibrationParameters
+from galen_calibration_behavior.calibration.procedure import CalibrationProcedure, Request
+from galen_calibration_behavior.calibration.result_text import calibration_fields
+from galen_calibration_behavior.calibration.sweep_parameters import MAX_ITERS
 from galen_msgs.action import CalibrateTool
 from galen_msgs.srv import SetTool
 

@@ -6,13 +6,12 @@ import json
 import numpy as np
 import pytest
 from calibration_tape import RETRACTOR, Tape, grid
+from galen_calibration_behavior.from_bag import cable_estimation, cable_from_bag
 from galen_model.arm.galen import HOME
 from galen_model.arm.kinematics import gravity_in_sensor, sensor_pose
 from galen_model.files.calibration_file import LoadEstimate, ToolFile, read_tool, write_tool
 from galen_model.load.model import Load, gravity_wrench
 from galen_model.load.nominal_tools import ADAPTER, TOOLS
-
-from galen_calibration_behavior import cable_estimation, cable_from_bag
 
 AT = np.array([0.08, 0.0, 0.06])
 ANCHOR = np.array([0.35, 0.35, 0.9])

@@ -6,7 +6,7 @@ from datetime import UTC, datetime, timedelta, timezone
 import numpy as np
 import pytest
 from calibration_fake_arm import ADAPTER, NO_TOOL, POINTER
-from galen_calibration_behavior.estimate import (
+from galen_calibration_behavior.calibration.estimate import (
     EstimateError,
     TipError,
     calibrate,

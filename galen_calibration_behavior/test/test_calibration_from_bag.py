@@ -8,9 +8,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from galen_calibration_behavior.calibrate_from_bag import main, measured_at, parse
-from galen_calibration_behavior.from_bag_command import EXIT_CANCELED, EXIT_FAILED, EXIT_USAGE
-from galen_calibration_behavior.visits import Visit
+from galen_calibration_behavior.from_bag.calibrate_from_bag import main, measured_at, parse
+from galen_calibration_behavior.from_bag.options import EXIT_CANCELED, EXIT_FAILED, EXIT_USAGE
+from galen_calibration_behavior.from_bag.visits import Visit
 from galen_model.files.calibration_file import read_tool
 from galen_model.load.nominal_tools import ADAPTER, TOOLS
 
@@ -226,7 +226,9 @@ def test_ctrl_c_ends_with_130_and_writes_nothing(capsys, tmp_path, monkeypatch):
     def interrupted(*_, **__):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("galen_calibration_behavior.calibrate_from_bag.read_arm", interrupted)
+    monkeypatch.setattr(
+        "galen_calibration_behavior.from_bag.calibrate_from_bag.read_arm", interrupted
+    )
     code, _, error = run(capsys, "pointer", POINTER_BAG, "--tools-dir", str(tmp_path))
     assert code == EXIT_CANCELED
     assert "nothing is written" in error
@@ -238,7 +240,7 @@ def test_it_runs_without_ros(tmp_path):
     """On a machine that has none: an import of rclpy fails there."""
     code = (
         "import sys; sys.modules['rclpy'] = sys.modules['rcl_interfaces'] = None;"
-        "from galen_calibration_behavior.calibrate_from_bag import main; main(sys.argv[1:])"
+        "from galen_calibration_behavior.from_bag.calibrate_from_bag import main; main(sys.argv[1:])"
     )
     done = subprocess.run(
         [sys.executable, "-c", code, "pointer", POINTER_BAG, "--tools-dir", str(tmp_path)],

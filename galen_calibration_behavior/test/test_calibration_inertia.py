@@ -5,8 +5,8 @@ import json
 import numpy as np
 import pytest
 from galen_bags.formats.writer import BagWriter
-from galen_calibration_behavior.from_bag_command import EXIT_FAILED, EXIT_USAGE
-from galen_calibration_behavior.inertia_from_bag import main
+from galen_calibration_behavior.from_bag.inertia_from_bag import main
+from galen_calibration_behavior.from_bag.options import EXIT_FAILED, EXIT_USAGE
 from galen_model.arm.galen import ENCODER_QUANTUM, HOME, JOINT_NAMES, SENSOR
 from galen_model.arm.kinematics import gravity_in_sensor
 from galen_model.arm.sensor_motion import sensor_motion

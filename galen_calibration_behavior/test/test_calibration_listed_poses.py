@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from galen_calibration_behavior.parameters import CalibrationParameters
+from galen_calibration_behavior.calibration.parameters import CalibrationParameters
 from galen_model.arm.clearance import ObstacleError
 from galen_model.errors import NotExcitedError
 from galen_model.poses.grid import GridError

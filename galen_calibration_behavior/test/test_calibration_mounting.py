@@ -3,10 +3,14 @@
 import numpy as np
 import pytest
 from calibration_fake_arm import ADAPTER, NO_TOOL, POINTER
-from galen_calibration_behavior.calibrate_from_bag import main
-from galen_calibration_behavior.estimate import EstimateError, MountingRequest, calibrate
-from galen_calibration_behavior.mounting_text import format_mounting, mounting_fields
-from galen_calibration_behavior.parameters import CalibrationParameters
+from galen_calibration_behavior.calibration.estimate import (
+    EstimateError,
+    MountingRequest,
+    calibrate,
+)
+from galen_calibration_behavior.calibration.mounting_text import format_mounting, mounting_fields
+from galen_calibration_behavior.calibration.parameters import CalibrationParameters
+from galen_calibration_behavior.from_bag.calibrate_from_bag import main
 from galen_model.errors import IdentificationError
 from galen_model.files.calibration_file import read_tool
 from galen_model.load.identification import StillPoses

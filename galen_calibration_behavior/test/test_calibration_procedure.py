@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 from calibration_fake_arm import NO_TOOL, POINTER, FakeArm
-from galen_calibration_behavior.procedure import (
+from galen_calibration_behavior.calibration.procedure import (
     CalibrationProcedure,
     ProcedureSettings,
     Request,

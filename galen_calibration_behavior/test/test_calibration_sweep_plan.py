@@ -6,16 +6,16 @@ import json
 import numpy as np
 import pytest
 from calibration_fake_arm import FakeArm
-from galen_calibration_behavior.choose_poses import format_choice, main
-from galen_calibration_behavior.design_plots import plot_curve, plot_poses
-from galen_calibration_behavior.design_report import efficiency_curve, equal_count, promise
-from galen_calibration_behavior.parameters import CalibrationParameters
-from galen_calibration_behavior.precision import (
+from galen_calibration_behavior.calibration.parameters import CalibrationParameters
+from galen_calibration_behavior.calibration.precision import (
     Precision,
     WantedPrecision,
     averaged_noise,
     sweep_precision,
 )
+from galen_calibration_behavior.pose_choice.command import format_choice, main
+from galen_calibration_behavior.pose_choice.plots import plot_curve, plot_poses
+from galen_calibration_behavior.pose_choice.report import efficiency_curve, equal_count, promise
 from galen_model.arm.clearance import ArmClearance, ObstacleError, boxes_from_numbers
 from galen_model.arm.kinematics import gravity_in_sensor
 from galen_model.load.identification import plain_least_squares, single_load_design

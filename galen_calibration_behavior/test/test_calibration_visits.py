@@ -5,8 +5,8 @@ import dataclasses
 import numpy as np
 import pytest
 from calibration_tape import NO_TOOL, NS, POINTER, Tape, grid
-from galen_calibration_behavior.parameters import CalibrationParameters
-from galen_calibration_behavior.visits import RecordingError, find_visits
+from galen_calibration_behavior.calibration.parameters import CalibrationParameters
+from galen_calibration_behavior.from_bag.visits import RecordingError, find_visits
 from galen_model.arm.galen import HOME
 from galen_model.arm.kinematics import gravity_in_sensor
 from galen_model.load.model import gravity_wrench

@@ -9,10 +9,10 @@ from action_msgs.msg import GoalStatus
 from calibration_fake_arm import NO_TOOL, POINTER
 from check_pointer_file import POINTER_FILE
 from diagnostic_msgs.msg import DiagnosticArray
-from galen_calibration_behavior.check import format_result, parse, result_fields
-from galen_calibration_behavior.check_answer import Answer, Cause
-from galen_calibration_behavior.check_commands import ErrorCode
-from galen_calibration_behavior.check_node import CheckNode
+from galen_calibration_behavior.quick_check.answer import Answer, Cause
+from galen_calibration_behavior.quick_check.command import format_result, parse, result_fields
+from galen_calibration_behavior.quick_check.commands import ErrorCode
+from galen_calibration_behavior.quick_check.node import CheckNode
 from galen_model.files.calibration_file import write_tool
 from galen_ros.node.testing import Harness, parameters
 from galen_ros.qos import LATCHED

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from calibration_fake_arm import NO_TOOL, POINTER, FakeArm
 from check_pointer_file import POINTER_FILE
-from galen_calibration_behavior.check_answer import Answer, Cause
-from galen_calibration_behavior.check_commands import ErrorCode, Feedback, Finished, State
-from galen_calibration_behavior.check_parameters import CheckParameters
-from galen_calibration_behavior.check_procedure import CheckProcedure, CheckRequest
+from galen_calibration_behavior.quick_check.answer import Answer, Cause
+from galen_calibration_behavior.quick_check.commands import ErrorCode, Feedback, Finished, State
+from galen_calibration_behavior.quick_check.parameters import CheckParameters
+from galen_calibration_behavior.quick_check.procedure import CheckProcedure, CheckRequest
 from galen_model.arm.clearance import ArmClearance, boxes_from_numbers
 from galen_model.arm.galen import LIMITS
 from galen_model.poses.plan import Surroundings

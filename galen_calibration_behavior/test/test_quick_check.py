@@ -5,11 +5,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from galen_calibration_behavior.check_answer import Answer, Cause, CheckLimits
-from galen_calibration_behavior.check_poses import plan_check
 from galen_calibration_behavior.check_power import CASES as CHECK_CASES
 from galen_calibration_behavior.check_power import heavier, loose, main, tilt_zero, touched
-from galen_calibration_behavior.quick_check import differences, quick_check
+from galen_calibration_behavior.quick_check.answer import Answer, Cause, CheckLimits
+from galen_calibration_behavior.quick_check.decision import differences, quick_check
+from galen_calibration_behavior.quick_check.poses import plan_check
 from galen_model.arm.kinematics import gravity_in_sensor
 from galen_model.files.calibration_file import LoadEstimate, ToolFile
 from galen_model.load.cable.drag import CableDrag

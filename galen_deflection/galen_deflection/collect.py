@@ -9,7 +9,7 @@ import sys
 from typing import Any
 
 import numpy as np
-from galen_calibration_behavior.result_text import result_to_dict
+from galen_calibration_behavior.calibration.result_text import result_to_dict
 from galen_ros.goal.client import (
     EXIT_CANCELED,
     EXIT_FAILED,

@@ -6,7 +6,7 @@ from itertools import combinations
 import numpy as np
 import pytest
 import yaml
-from galen_calibration_behavior.parameters import CalibrationParameters
+from galen_calibration_behavior.calibration.parameters import CalibrationParameters
 from galen_deflection.collection_parameters import CollectionParameters
 from galen_diagnosis.errors import DiagnosisError
 from galen_diagnosis.experiments import Budget, Experiments

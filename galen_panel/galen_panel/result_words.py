@@ -8,8 +8,8 @@ from enum import Enum
 from typing import NamedTuple
 
 import numpy as np
-from galen_calibration_behavior.check_answer import Answer, Cause
-from galen_calibration_behavior.check_text import TARE_COMMAND
+from galen_calibration_behavior.quick_check.answer import Answer, Cause
+from galen_calibration_behavior.quick_check.text import TARE_COMMAND
 
 from galen_panel import texts
 from galen_panel.state import LOST, Kind, Outcome, State

@@ -10,16 +10,16 @@ from enum import IntEnum
 from typing import Any, ClassVar
 
 from galen_calibration_behavior.calibrate import CalibrateClient
-from galen_calibration_behavior.check import CheckClient
-from galen_calibration_behavior.phase_text import CALIBRATION_PHASES, CHECK_PHASES
-from galen_calibration_behavior.result_text import result_to_dict
+from galen_calibration_behavior.calibration.phase_text import CALIBRATION_PHASES, CHECK_PHASES
+from galen_calibration_behavior.calibration.result_text import result_to_dict
+from galen_calibration_behavior.quick_check import commands as check_commands
+from galen_calibration_behavior.quick_check.command import CheckClient
 from galen_deflection.collect import CollectClient
 from galen_deflection.collection_phases import COLLECTION_PHASES
 from galen_model.files.calibration_file import check_tool_name
 from galen_ros.goal import commands
 from galen_ros.goal.client import GoalClient
 
-from galen_calibration_behavior import check_commands
 from galen_deflection import collection_commands
 from galen_msgs.action import CalibrateTool, CheckTool, CollectPushes
 from galen_panel.programs import CALIBRATION, CHECK, COLLECTION, Program

@@ -95,7 +95,9 @@ def outcome(world, kind):
 def test_a_tool_is_calibrated_put_in_force_and_checked(world):
     start_driver_and_gravcomp(world)
     start_calibration(world)
-    world.processes.start("galen_calibration_behavior.check_node", tools_dir=world.tools, **QUICK)
+    world.processes.start(
+        "galen_calibration_behavior.quick_check.node", tools_dir=world.tools, **QUICK
+    )
     world.wait_for(
         lambda state: (
             {"attach_tool", "calibrate_tool", "check_tool"} <= state.available and state.tools == ()

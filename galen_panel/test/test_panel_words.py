@@ -6,7 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from galen_calibration_behavior.check_commands import State as CheckState
+from galen_calibration_behavior.quick_check.commands import State as CheckState
 from galen_deflection.collection_commands import State as CollectionState
 from galen_deflection.deflector import ModelRefusal
 from galen_deflection.deflector_monitor import DeflectorMonitor

@@ -9,7 +9,7 @@ from galen_model.arm.galen import WRENCH_AXES
 from galen_model.load.mounting.held_out import Worth
 from galen_model.load.mounting.mounting import Mounting
 
-from galen_calibration_behavior.estimate import Calibration
+from galen_calibration_behavior.calibration.estimate import Calibration
 
 
 def mounting_fields(calibration: Calibration) -> dict[str, Any] | None:

@@ -26,7 +26,7 @@ from galen_ros.goal.commands import ErrorCode
 from galen_ros.parameters.param import from_options
 from tqdm import tqdm
 
-from galen_calibration_behavior.estimate import (
+from galen_calibration_behavior.calibration.estimate import (
     Calibration,
     MountingRequest,
     calibrate,
@@ -34,7 +34,15 @@ from galen_calibration_behavior.estimate import (
     choose_tip,
     estimate,
 )
-from galen_calibration_behavior.from_bag_command import (
+from galen_calibration_behavior.calibration.mounting_text import format_mounting, mounting_fields
+from galen_calibration_behavior.calibration.parameters import CalibrationParameters
+from galen_calibration_behavior.calibration.result_text import (
+    calibration_fields,
+    format_result,
+    plain,
+)
+from galen_calibration_behavior.from_bag.home_stays import BiasPose
+from galen_calibration_behavior.from_bag.options import (
     EXIT_CANCELED,
     EXIT_FAILED,
     EXIT_OK,
@@ -49,13 +57,9 @@ from galen_calibration_behavior.from_bag_command import (
     reported,
     sample_time,
 )
-from galen_calibration_behavior.home_stays import BiasPose
-from galen_calibration_behavior.mounting_text import format_mounting, mounting_fields
-from galen_calibration_behavior.parameters import CalibrationParameters
-from galen_calibration_behavior.pose_table import format_poses, pose_rows
-from galen_calibration_behavior.recorded_sweeps import RecordedSweeps, SweepSorter
-from galen_calibration_behavior.result_text import calibration_fields, format_result, plain
-from galen_calibration_behavior.visits import RecordingError, Visit, Visits, find_visits
+from galen_calibration_behavior.from_bag.pose_table import format_poses, pose_rows
+from galen_calibration_behavior.from_bag.recorded_sweeps import RecordedSweeps, SweepSorter
+from galen_calibration_behavior.from_bag.visits import RecordingError, Visit, Visits, find_visits
 
 _EPILOG = f"""exit codes:
   {EXIT_OK}    calibrated; the file is written, but for --dry-run

@@ -22,17 +22,17 @@ from galen_model.rest.pose import PoseRecord
 from galen_ros.goal.pose_procedure import PoseProcedure, PoseSettings
 from galen_ros.goal.pose_recorder import Rejection
 
-from galen_calibration_behavior.check_answer import CheckLimits, QuickCheck
-from galen_calibration_behavior.check_commands import (
+from galen_calibration_behavior.calibration.sweep import Sweep, Verdict
+from galen_calibration_behavior.quick_check.answer import CheckLimits, QuickCheck
+from galen_calibration_behavior.quick_check.commands import (
     Command,
     ErrorCode,
     Feedback,
     Finished,
     State,
 )
-from galen_calibration_behavior.check_poses import plan_check
-from galen_calibration_behavior.quick_check import FEWEST_POSES, quick_check
-from galen_calibration_behavior.sweep import Sweep, Verdict
+from galen_calibration_behavior.quick_check.decision import FEWEST_POSES, quick_check
+from galen_calibration_behavior.quick_check.poses import plan_check
 
 
 @dataclass(frozen=True)

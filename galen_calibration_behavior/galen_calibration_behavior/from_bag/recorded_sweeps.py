@@ -19,11 +19,11 @@ from galen_ros.goal.commands import Measurements
 from galen_ros.goal.pose_recorder import Rejection
 from galen_ros.goal.stamps import NS
 
-from galen_calibration_behavior.home_stays import BiasPose, HomeStays
-from galen_calibration_behavior.procedure import ProcedureSettings
-from galen_calibration_behavior.sweep import stack
-from galen_calibration_behavior.tool_border import Border, BorderError, find_border
-from galen_calibration_behavior.visits import RecordingError, Visit, Visits
+from galen_calibration_behavior.calibration.procedure import ProcedureSettings
+from galen_calibration_behavior.calibration.sweep import stack
+from galen_calibration_behavior.from_bag.home_stays import BiasPose, HomeStays
+from galen_calibration_behavior.from_bag.tool_border import Border, BorderError, find_border
+from galen_calibration_behavior.from_bag.visits import RecordingError, Visit, Visits
 
 _AT_HAND = "say --tool-on-at-s SECONDS, from the recording's first joint state"
 

@@ -13,7 +13,7 @@ import numpy as np
 from galen_model.arrays import Array
 from galen_model.files.figure_file import save_figure
 
-from galen_calibration_behavior.design_report import Efficiency
+from galen_calibration_behavior.pose_choice.report import Efficiency
 
 _GRID, _CHOSEN = "#c44e52", "#1f6f8b"
 

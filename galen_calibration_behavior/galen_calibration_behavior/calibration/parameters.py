@@ -10,8 +10,8 @@ from galen_model.load.mounting.groups import entities
 from galen_model.poses.grid import GridError
 from galen_ros.parameters.param import param
 
-from galen_calibration_behavior.procedure import ProcedureSettings
-from galen_calibration_behavior.sweep_parameters import SweepParameters
+from galen_calibration_behavior.calibration.procedure import ProcedureSettings
+from galen_calibration_behavior.calibration.sweep_parameters import SweepParameters
 
 
 @dataclass(frozen=True)

@@ -14,8 +14,8 @@ from itertools import groupby
 import numpy as np
 from galen_model.load.identification import MIN_POSES
 
-from galen_calibration_behavior.procedure import ProcedureSettings
-from galen_calibration_behavior.visits import Visit, Visits
+from galen_calibration_behavior.calibration.procedure import ProcedureSettings
+from galen_calibration_behavior.from_bag.visits import Visit, Visits
 
 
 @dataclass(frozen=True)

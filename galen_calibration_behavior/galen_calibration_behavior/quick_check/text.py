@@ -7,7 +7,7 @@ from galen_model.arm.galen import WRENCH_AXES
 from galen_model.arrays import Array
 from galen_model.files.calibration_file import ToolFile
 
-from galen_calibration_behavior.check_answer import Cause, CheckLimits, Differences
+from galen_calibration_behavior.quick_check.answer import Cause, CheckLimits, Differences
 
 TARE_COMMAND = "ros2 service call /gravcomp/tare std_srvs/srv/Trigger"
 

@@ -37,8 +37,8 @@ from galen_ros.goal.commands import (
 from galen_ros.goal.pose_procedure import PoseProcedure, PoseSettings
 from galen_ros.goal.pose_recorder import Rejection
 
-from galen_calibration_behavior.precision import WantedPrecision, sweep_precision
-from galen_calibration_behavior.sweep import Sweep, Verdict, stack
+from galen_calibration_behavior.calibration.precision import WantedPrecision, sweep_precision
+from galen_calibration_behavior.calibration.sweep import Sweep, Verdict, stack
 
 # A topic's queue holds no more than this of stamps: 2000 samples at 500 Hz.
 _DEEPEST_QUEUE_S = 4.0

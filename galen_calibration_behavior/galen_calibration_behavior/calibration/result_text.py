@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from galen_calibration_behavior.estimate import Calibration
+from galen_calibration_behavior.calibration.estimate import Calibration
 
 
 def calibration_fields(calibration: Calibration) -> dict[str, Any]:

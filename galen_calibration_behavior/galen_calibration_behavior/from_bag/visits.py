@@ -23,7 +23,7 @@ from galen_model.rest.pose import PoseRecord
 from galen_ros.goal.pose_recorder import PoseRecorder, Rejection
 from galen_ros.goal.stamps import NS, StampClock, StampsError
 
-from galen_calibration_behavior.procedure import ProcedureSettings
+from galen_calibration_behavior.calibration.procedure import ProcedureSettings
 
 # The recorder hears the samples from this long before a phase, for a stop is told by a window that
 # reaches back into the motion, and until this long after it, for wrenches received late.

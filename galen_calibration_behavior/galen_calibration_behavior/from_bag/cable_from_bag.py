@@ -23,9 +23,10 @@ from rich.console import Console
 from rich.table import Table
 from tqdm import tqdm
 
-from galen_calibration_behavior.cable_estimation import CableResult, estimate_cable
-from galen_calibration_behavior.estimate import check_writable
-from galen_calibration_behavior.from_bag_command import (
+from galen_calibration_behavior.calibration.estimate import check_writable
+from galen_calibration_behavior.calibration.parameters import CalibrationParameters
+from galen_calibration_behavior.from_bag.cable_estimation import CableResult, estimate_cable
+from galen_calibration_behavior.from_bag.options import (
     EXIT_CANCELED,
     EXIT_FAILED,
     EXIT_OK,
@@ -40,7 +41,6 @@ from galen_calibration_behavior.from_bag_command import (
     reported,
     sample_time,
 )
-from galen_calibration_behavior.parameters import CalibrationParameters
 
 _EPILOG = f"""exit codes:
   {EXIT_OK}    learned (or, with --remove, removed); the file is written, but for --dry-run
@@ -111,7 +111,7 @@ def run(options: argparse.Namespace) -> CableResult:
         prefix = "" if str(error).startswith(f"{options.bag}: ") else f"{options.bag}: "
         raise GalenError(f"{prefix}{error}") from error
     if options.plots is not None:
-        from galen_calibration_behavior.cable_plots import plot_cable  # slow to import
+        from galen_calibration_behavior.from_bag.cable_plots import plot_cable  # slow to import
 
         try:
             plot_cable(result, Path(options.plots), options.tool)

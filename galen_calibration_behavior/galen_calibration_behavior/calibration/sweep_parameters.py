@@ -21,8 +21,8 @@ from galen_model.poses.plan import (
 from galen_ros.goal.pose_procedure import PoseSettings
 from galen_ros.parameters.param import ParameterError, param
 
-from galen_calibration_behavior.obstacle_parameters import ObstacleParameters
-from galen_calibration_behavior.precision import WantedPrecision
+from galen_calibration_behavior.calibration.obstacle_parameters import ObstacleParameters
+from galen_calibration_behavior.calibration.precision import WantedPrecision
 
 MAX_ITERS = 100  # so that the feedback's counts of poses, uint16, hold two sweeps
 MAX_CHOSEN = 60  # more take long to choose and to order, and are no better than a grid

@@ -2,7 +2,7 @@
 
 from galen_ros.goal.commands import State
 
-from galen_calibration_behavior import check_commands
+from galen_calibration_behavior.quick_check import commands as check_commands
 
 CALIBRATION_PHASES = {
     State.HOME: "going home",

@@ -11,8 +11,8 @@ from galen_model.arrays import Array
 from galen_model.load.identification import Identification
 from galen_model.rest.pose import PoseRecord
 
-from galen_calibration_behavior.estimate import Calibration
-from galen_calibration_behavior.recorded_sweeps import RecordedSweeps
+from galen_calibration_behavior.calibration.estimate import Calibration
+from galen_calibration_behavior.from_bag.recorded_sweeps import RecordedSweeps
 
 
 def pose_rows(sweeps: RecordedSweeps, calibration: Calibration) -> list[dict[str, Any]]:

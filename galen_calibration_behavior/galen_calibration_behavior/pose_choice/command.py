@@ -21,7 +21,8 @@ from galen_model.poses.plan import left_out, make_router, plan_grid
 from galen_ros.parameters.param import add_options, from_options
 from tqdm import tqdm
 
-from galen_calibration_behavior.design_report import (
+from galen_calibration_behavior.calibration.parameters import CalibrationParameters
+from galen_calibration_behavior.pose_choice.report import (
     Promise,
     efficiency_curve,
     equal_count,
@@ -31,7 +32,6 @@ from galen_calibration_behavior.design_report import (
     promise,
     to_dict,
 )
-from galen_calibration_behavior.parameters import CalibrationParameters
 
 EXIT_OK, EXIT_FAILED, EXIT_USAGE, EXIT_CANCELED = 0, 1, 2, 130
 _EPILOG = f"""exit codes:
@@ -218,7 +218,7 @@ def main(arguments: list[str] | None = None) -> None:
 
 def _plot(found: dict[str, Any], directory: Path) -> None:
     # Only here: a picture's library takes a second to load.
-    from galen_calibration_behavior.design_plots import plot_curve, plot_poses
+    from galen_calibration_behavior.pose_choice.plots import plot_curve, plot_poses
 
     for path in (
         plot_poses(

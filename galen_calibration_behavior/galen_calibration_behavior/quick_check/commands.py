@@ -7,7 +7,7 @@ from enum import IntEnum
 
 from galen_ros.goal.commands import End, MoveTo, Stop
 
-from galen_calibration_behavior.check_answer import QuickCheck
+from galen_calibration_behavior.quick_check.answer import QuickCheck
 
 
 class State(IntEnum):

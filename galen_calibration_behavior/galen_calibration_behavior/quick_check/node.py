@@ -15,11 +15,11 @@ from galen_ros.node.spin import run
 from galen_ros.qos import LATCHED
 from rclpy.action.server import ServerGoalHandle
 
-from galen_calibration_behavior.check_commands import ErrorCode, Feedback, Finished
-from galen_calibration_behavior.check_parameters import MOST_POSES, CheckParameters
-from galen_calibration_behavior.check_procedure import CheckProcedure, CheckRequest
-from galen_calibration_behavior.check_text import centre_change
-from galen_calibration_behavior.quick_check import FEWEST_POSES
+from galen_calibration_behavior.quick_check.commands import ErrorCode, Feedback, Finished
+from galen_calibration_behavior.quick_check.decision import FEWEST_POSES
+from galen_calibration_behavior.quick_check.parameters import MOST_POSES, CheckParameters
+from galen_calibration_behavior.quick_check.procedure import CheckProcedure, CheckRequest
+from galen_calibration_behavior.quick_check.text import centre_change
 from galen_msgs.action import CheckTool
 from galen_msgs.msg import ToolInForce
 

@@ -14,7 +14,7 @@ from galen_model.arrays import Array
 from galen_model.files.figure_file import save_figure
 from matplotlib.axes import Axes
 
-from galen_calibration_behavior.cable_estimation import CableResult
+from galen_calibration_behavior.from_bag.cable_estimation import CableResult
 
 _STEPS = 80
 _MARGIN_RAD = 0.4

@@ -28,7 +28,7 @@ from galen_model.load.robust_fit import fit_robust
 from galen_model.poses.design import compensation_std
 from galen_model.rest.pose import PoseRecord
 
-from galen_calibration_behavior.sweep import stack
+from galen_calibration_behavior.calibration.sweep import stack
 
 _CHANCE = 0.2  # that the noise is larger than the limit taken
 _FORCE_PARAMETERS, _TORQUE_PARAMETERS = 4, 6

@@ -23,9 +23,9 @@ from galen_ros.goal.client import (
 )
 from galen_ros.node.spin import own_arguments
 
-from galen_calibration_behavior.check_answer import Answer, Cause
-from galen_calibration_behavior.check_commands import ErrorCode
-from galen_calibration_behavior.result_text import result_to_dict
+from galen_calibration_behavior.calibration.result_text import result_to_dict
+from galen_calibration_behavior.quick_check.answer import Answer, Cause
+from galen_calibration_behavior.quick_check.commands import ErrorCode
 from galen_msgs.action import CheckTool
 
 EXIT_RETARE, EXIT_RECALIBRATE, EXIT_UNSURE = 3, 4, 5

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 from galen_ros.parameters.param import param
 
-from galen_calibration_behavior.check_answer import CheckLimits
-from galen_calibration_behavior.check_procedure import CheckSettings
-from galen_calibration_behavior.obstacle_parameters import ObstacleParameters
-from galen_calibration_behavior.quick_check import FEWEST_POSES
+from galen_calibration_behavior.calibration.obstacle_parameters import ObstacleParameters
+from galen_calibration_behavior.quick_check.answer import CheckLimits
+from galen_calibration_behavior.quick_check.decision import FEWEST_POSES
+from galen_calibration_behavior.quick_check.procedure import CheckSettings
 
 MOST_POSES = 12
 

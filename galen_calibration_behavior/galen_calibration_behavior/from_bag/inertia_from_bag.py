@@ -16,8 +16,9 @@ from galen_model.load.inertia.inertial import INERTIA_NAMES, point_mass_inertia
 from rich.console import Console
 from rich.table import Table
 
-from galen_calibration_behavior.estimate import check_writable
-from galen_calibration_behavior.from_bag_command import (
+from galen_calibration_behavior.calibration.estimate import check_writable
+from galen_calibration_behavior.from_bag.inertia_estimation import InertiaResult, estimate_inertia
+from galen_calibration_behavior.from_bag.options import (
     EXIT_CANCELED,
     EXIT_FAILED,
     EXIT_OK,
@@ -30,7 +31,6 @@ from galen_calibration_behavior.from_bag_command import (
     reported,
     sample_time,
 )
-from galen_calibration_behavior.inertia_estimation import InertiaResult, estimate_inertia
 
 _EPILOG = f"""exit codes:
   {EXIT_OK}    estimated; the file is written, but for --dry-run

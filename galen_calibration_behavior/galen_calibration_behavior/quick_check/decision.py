@@ -39,21 +39,21 @@ from galen_model.poses.design import ANGLE_LIMITS, angle_grid
 from galen_model.rest.pose import PoseRecord
 from scipy.optimize import brentq
 
-from galen_calibration_behavior.check_answer import (
+from galen_calibration_behavior.calibration.sweep import stack
+from galen_calibration_behavior.quick_check.answer import (
     Answer,
     Cause,
     CheckLimits,
     Differences,
     QuickCheck,
 )
-from galen_calibration_behavior.check_causes import (
+from galen_calibration_behavior.quick_check.causes import (
     Explanation,
     explain_rest,
     load_and_offset,
     zero_lost,
 )
-from galen_calibration_behavior.check_text import in_words
-from galen_calibration_behavior.sweep import stack
+from galen_calibration_behavior.quick_check.text import in_words
 
 FEWEST_POSES = 4
 # Standard deviations after the default grid, over those after as many ideal poses.

@@ -1,0 +1,1 @@
+"""A calibration: the procedure, its poses and its estimate."""

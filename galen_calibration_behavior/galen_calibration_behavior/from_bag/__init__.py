@@ -1,0 +1,1 @@
+"""Calibration, inertia and cables from recordings."""

@@ -1,0 +1,1 @@
+"""Poses chosen for information."""

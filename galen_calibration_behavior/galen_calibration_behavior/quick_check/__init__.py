@@ -1,0 +1,1 @@
+"""The calibration check: a few poses, then an answer."""
