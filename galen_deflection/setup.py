@@ -19,13 +19,13 @@ setup(
     license="Apache-2.0",
     entry_points={
         "console_scripts": [
-            "collect = galen_ros.executable:galen_deflection.collect.main",
-            "collection_node = galen_ros.executable:galen_deflection.collection_node.main",
-            "compare = galen_ros.executable:galen_deflection.compare.main",
+            "collect = galen_ros.executable:galen_deflection.collection.command.main",
+            "collection_node = galen_ros.executable:galen_deflection.collection.node.main",
+            "compare = galen_ros.executable:galen_deflection.scoring.compare.main",
             "deflection_node = galen_ros.executable:galen_deflection.node.main",
-            "evaluate = galen_ros.executable:galen_deflection.evaluate.main",
+            "evaluate = galen_ros.executable:galen_deflection.scoring.evaluate.main",
             "fit_joint = galen_ros.executable:galen_deflection.transmission.fit_joint.main",
-            "train = galen_ros.executable:galen_deflection.train.main",
+            "train = galen_ros.executable:galen_deflection.scoring.train.main",
         ]
     },
 )

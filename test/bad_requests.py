@@ -15,7 +15,7 @@ import numpy as np
 from fuzz.readers import a_tool
 from galen_calibration_behavior.node import CalibrationNode
 from galen_calibration_behavior.quick_check.node import CheckNode
-from galen_deflection.collection_node import CollectionNode
+from galen_deflection.collection.node import CollectionNode
 from galen_deflection.node import DeflectionNode
 from galen_diagnosis.gap_monitor import GapMonitorNode
 from galen_gravcomp.node import GravcompNode

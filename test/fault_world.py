@@ -21,8 +21,8 @@ from fault_arm import (
     Source,
     weight,
 )
-from galen_deflection.fitted_range import FittedRange
-from galen_deflection.model_file import write_model
+from galen_deflection.models.file import write_model
+from galen_deflection.models.fitted_range import FittedRange
 from galen_deflection.models.joint_stiffness import COMPLIANCES, StiffnessBasis
 from galen_deflection.models.linear import FittedOn, LinearModel
 from galen_model.files.calibration_file import LoadEstimate, ToolFile, tool_path, write_tool

@@ -24,7 +24,7 @@ from bad_bytes import TEXTS
 from fuzz.readers import READERS, a_tool, check, signed
 from galen_bags.errors import BagError
 from galen_bags.formats.bag import open_bag
-from galen_deflection.collection_folder import CollectionFolder
+from galen_deflection.collection.folder import CollectionFolder
 from galen_gravcomp.tools.messages import error_code
 from galen_model.errors import GalenError, ToolFileError, ToolNameError
 from galen_model.files.calibration_file import check_tool_name, tool_path, write_tool

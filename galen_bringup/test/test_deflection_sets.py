@@ -9,10 +9,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from galen_deflection.measurement.pushes import find_pushes, tip_wrench
+from galen_deflection.measurement.recordings import ReadSettings, read_recording
 from galen_deflection.models import joint_stiffness
-from galen_deflection.pushes import find_pushes, tip_wrench
-from galen_deflection.recordings import ReadSettings, read_recording
-from galen_deflection.score import score
+from galen_deflection.scoring.score import score
 from galen_sim_driver.plant.config import PlantConfig
 
 BAGS = Path(__file__).resolve().parents[2] / "bags"

@@ -15,9 +15,10 @@ from galen_calibration_behavior.calibrate import CalibrateClient
 from galen_calibration_behavior.node import CalibrationNode
 from galen_calibration_behavior.quick_check.command import CheckClient
 from galen_calibration_behavior.quick_check.node import CheckNode
-from galen_deflection.collect import CollectClient
-from galen_deflection.collection_node import CollectionNode
-from galen_deflection.collection_procedure import CollectionProcedure
+from galen_deflection.collection import node as collection_node
+from galen_deflection.collection.command import CollectClient
+from galen_deflection.collection.node import CollectionNode
+from galen_deflection.collection.procedure import CollectionProcedure
 from galen_deflection.node import DeflectionNode
 from galen_diagnosis.gap_monitor import GapMonitorNode
 from galen_gravcomp.node import GravcompNode
@@ -26,8 +27,6 @@ from galen_ros.goal.pose_procedure import PoseProcedure
 from galen_ros.node.testing import Harness, parameters
 from galen_sim_driver.node.sim_driver_node import SimDriverNode
 from rclpy.node import Node
-
-from galen_deflection import collection_node
 
 POLICIES = Path(__file__).resolve().parent.parent / "config" / "sros2"
 INCLUDE = "{http://www.w3.org/2001/XInclude}include"

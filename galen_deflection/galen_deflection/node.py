@@ -18,12 +18,12 @@ from rcl_interfaces.msg import SetParametersResult
 from rclpy.parameter import Parameter
 from std_srvs.srv import Trigger
 
-from galen_deflection.deflector import Deflected, Deflector
-from galen_deflection.deflector_monitor import DeflectorMonitor
-from galen_deflection.gravcomp_state import GravcompState
-from galen_deflection.model_file import read_model
+from galen_deflection.live.deflector import Deflected, Deflector
+from galen_deflection.live.gravcomp_state import GravcompState
+from galen_deflection.live.monitor import DeflectorMonitor
+from galen_deflection.live.parameters import DeflectionParameters
+from galen_deflection.models.file import read_model
 from galen_deflection.models.interface import DeflectionModel
-from galen_deflection.parameters import DeflectionParameters
 from galen_msgs.msg import DeflectionStamped
 
 BASE_FRAME = "base_link"

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
-from galen_deflection.collection_plan import ToTip, to_tip
+from galen_deflection.collection.plan import ToTip, to_tip
 from galen_model.arm.galen import HOME
 from galen_model.arm.kinematics import tip_pose
 from galen_model.arm.stiffness import tip_compliance

@@ -5,7 +5,7 @@ from __future__ import annotations
 import shutil
 from pathlib import Path
 
-from galen_deflection.collection_node import CollectionNode
+from galen_deflection.collection.node import CollectionNode
 from galen_gravcomp.node import GravcompNode
 from galen_model.arm.galen import HOME
 from galen_ros.node.testing import parameters

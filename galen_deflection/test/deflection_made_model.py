@@ -2,7 +2,7 @@
 
 import numpy as np
 from deflection_synthetic import NOISE, TIP_M
-from galen_deflection.fitted_range import FittedRange
+from galen_deflection.models.fitted_range import FittedRange
 from galen_deflection.models.hysteresis_basis import HysteresisBasis, Operator
 from galen_deflection.models.joint_stiffness import COMPLIANCES, StiffnessBasis
 from galen_deflection.models.linear import FittedOn, LinearModel

@@ -1,8 +1,8 @@
 """Pushes made up for tests of scores and pictures."""
 
 import numpy as np
+from galen_deflection.measurement.samples import DeflectionSamples
 from galen_deflection.models.interface import PredictedSamples
-from galen_deflection.samples import DeflectionSamples
 from galen_model.arm.kinematics import sensor_pose, tip_pose
 from galen_model.wrench import move_wrench
 

@@ -8,8 +8,8 @@ smooth operators go straight; and its loops are not congruent.
 from dataclasses import dataclass, replace
 
 import numpy as np
-from galen_deflection.samples import DeflectionSamples
-from galen_deflection.springs import SPRINGS, Springs, TipWrench, kinds
+from galen_deflection.measurement.samples import DeflectionSamples
+from galen_deflection.springs.springs import SPRINGS, Springs, TipWrench, kinds
 from galen_model.load.nominal_tools import TOOLS
 
 TIP_M = TOOLS["retractor"].tip_m

@@ -13,14 +13,14 @@ from action_msgs.msg import GoalStatus
 from collection_world import POSITIONS, CollectionWorld
 from diagnostic_msgs.msg import DiagnosticArray
 from galen_bags.formats.bag import open_bag
-from galen_deflection.collect import format_result, parse, result_fields
-from galen_deflection.collection_commands import ErrorCode, State
-from galen_deflection.measured_deflection import measure_deflection
+from galen_deflection.collection.command import format_result, parse, result_fields
+from galen_deflection.collection.commands import ErrorCode, State
+from galen_deflection.measurement.measured_deflection import measure_deflection
+from galen_deflection.measurement.push_recording import read_pushes
+from galen_deflection.measurement.pushes import find_pushes, tip_wrench
 from galen_deflection.models.registry import KINDS
-from galen_deflection.push_recording import read_pushes
-from galen_deflection.pushes import find_pushes, tip_wrench
-from galen_deflection.splits import report_splits, sets_of
-from galen_deflection.springs import kinds
+from galen_deflection.scoring.splits import report_splits, sets_of
+from galen_deflection.springs.springs import kinds
 from galen_model.files.calibration_file import read_tool
 from galen_ros.goal.client import EXIT_USAGE
 from galen_ros.node.testing import Harness
@@ -281,7 +281,14 @@ def test_a_place_that_can_not_be_written_is_said_before_the_arm_moves(tmp_path):
 def test_the_client_from_end_to_end_and_its_ctrl_c(tmp_path):
     def client(harness, *arguments):
         return subprocess.Popen(
-            [sys.executable, "-m", "galen_deflection.collect", "--tool", "retractor", *arguments],
+            [
+                sys.executable,
+                "-m",
+                "galen_deflection.collection.command",
+                "--tool",
+                "retractor",
+                *arguments,
+            ],
             env=os.environ | {"ROS_DOMAIN_ID": str(harness.domain_id), "PYTHONUNBUFFERED": "1"},
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,

@@ -6,10 +6,10 @@ import math
 import numpy as np
 import pytest
 from collection_fake_arm import TIP
-from galen_deflection.collection_commands import NOTHING, Collected, ErrorCode, State
-from galen_deflection.collection_folder import CollectionFolder, CollectionFolderError
-from galen_deflection.collection_parameters import CollectionParameters
-from galen_deflection.collection_plan import (
+from galen_deflection.collection.commands import NOTHING, Collected, ErrorCode, State
+from galen_deflection.collection.folder import CollectionFolder, CollectionFolderError
+from galen_deflection.collection.parameters import CollectionParameters
+from galen_deflection.collection.plan import (
     LoadLimits,
     OutOfReachError,
     PlanError,
@@ -17,10 +17,10 @@ from galen_deflection.collection_plan import (
     make_plan,
     to_tip,
 )
-from galen_deflection.collection_push import PushLimits, PushWatch
-from galen_deflection.collection_summary import summary
-from galen_deflection.collection_untouched import MarkerPoses
-from galen_deflection.springs import TipWrench
+from galen_deflection.collection.push import PushLimits, PushWatch
+from galen_deflection.collection.summary import summary
+from galen_deflection.collection.untouched import MarkerPoses
+from galen_deflection.springs.springs import TipWrench
 from galen_model.arm.galen import HOME
 from galen_model.errors import ToolNameError
 from galen_model.files.calibration_file import read_tool

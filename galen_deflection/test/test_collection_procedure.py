@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 from collection_fake_arm import BASE_IN_TRACKER, TIP, FakeArm, Hand
-from galen_deflection.collection_commands import (
+from galen_deflection.collection.commands import (
     ErrorCode,
     Feedback,
     Finished,
@@ -13,10 +13,10 @@ from galen_deflection.collection_commands import (
     Record,
     State,
 )
-from galen_deflection.collection_plan import LoadLimits, make_plan
-from galen_deflection.collection_procedure import CollectionProcedure, CollectionSettings
-from galen_deflection.collection_push import PushLimits
-from galen_deflection.collection_untouched import UntouchedSettings
+from galen_deflection.collection.plan import LoadLimits, make_plan
+from galen_deflection.collection.procedure import CollectionProcedure, CollectionSettings
+from galen_deflection.collection.push import PushLimits
+from galen_deflection.collection.untouched import UntouchedSettings
 from galen_ros.goal.arrival import ArrivalSettings
 from galen_ros.goal.commands import MoveTo, Stop
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 from galen_deflection.bench_models import write_bench_models
-from galen_deflection.model_file import read_model
+from galen_deflection.models.file import read_model
 
 
 def test_its_models_read_and_work_and_one_remembers(tmp_path):

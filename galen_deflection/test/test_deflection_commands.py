@@ -10,14 +10,13 @@ import numpy as np
 import pytest
 from galen_bags.command_line import EXIT_FAILED, EXIT_INTERRUPTED, EXIT_OK
 from galen_deflection.errors import FitError
-from galen_deflection.model_file import read_model
+from galen_deflection.measurement.recordings import ReadSettings, read_recording
+from galen_deflection.models.file import read_model
 from galen_deflection.models.registry import KINDS
 from galen_deflection.networks.residual_model import ResidualModel
-from galen_deflection.recordings import ReadSettings, read_recording
+from galen_deflection.scoring import compare, evaluate, evaluation, train
 from galen_model.files.calibration_file import write_tool
 from push_bag import POSITIONS, ROOT, TOOL, Scene, write
-
-from galen_deflection import compare, evaluate, evaluation, train
 
 PUSHES = ((8.0, 0.0, 0.0), (0.0, -8.0, 0.0), (0.0, 0.0, 8.0), (-5.0, 4.0, 0.0), (0.0, 6.0, -5.0))
 TOOL_FILE = str(ROOT / "bags" / "tools" / "retractor.json")

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from galen_deflection.creep import LagOperators
+from galen_deflection.springs.creep import LagOperators
 from scipy.integrate import solve_ivp
 
 TAU = np.array([0.3, 2.0, 15.0])

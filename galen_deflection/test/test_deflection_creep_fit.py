@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 from deflection_synthetic import NOISE, TIP_M, Arm, recording, without_noise
 from galen_deflection.errors import ModelFileError
-from galen_deflection.model_file import read_model, write_model
 from galen_deflection.models.creep_basis import CreepBasis
+from galen_deflection.models.file import read_model, write_model
 from galen_deflection.models.fit_settings import FitSettings
 from galen_deflection.models.joint_hysteresis import NO_CREEP, fit
 from galen_deflection.models.linear import segments
-from galen_deflection.springs import Springs, TipWrench, kinds
+from galen_deflection.springs.springs import Springs, TipWrench, kinds
 
 CREEP = FitSettings(creep=True)
 SHARE, T0_S = 0.25, 0.2

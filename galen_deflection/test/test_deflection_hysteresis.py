@@ -6,7 +6,6 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from deflection_synthetic import NOISE, TIP_M, Arm, dahl, recording, without_noise
-from galen_deflection.hysteresis import PlayOperators
 from galen_deflection.models import joint_hysteresis, joint_stiffness
 from galen_deflection.models.fit_settings import FitSettings
 from galen_deflection.models.hysteresis_basis import (
@@ -19,6 +18,7 @@ from galen_deflection.models.hysteresis_basis import (
 from galen_deflection.models.joint_hysteresis import LEADS, OF_PLATFORM, fit
 from galen_deflection.models.least_squares import blocks
 from galen_deflection.models.linear import LinearModel
+from galen_deflection.springs.hysteresis import PlayOperators
 from galen_model.arm.kinematics import sensor_pose, tip_pose
 from galen_model.arm.stiffness import platform_stiffness
 from galen_model.wrench import move_twist, move_wrench

@@ -2,7 +2,7 @@
 
 import pytest
 from deflection_made_model import made_model
-from galen_deflection.model_file import write_model
+from galen_deflection.models.file import write_model
 from galen_ros.node.diagnostics import Level
 from galen_ros.node.testing import Harness, Lifecycle
 from test_deflection_node import Bench

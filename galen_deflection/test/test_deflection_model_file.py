@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from deflection_synthetic import Arm, recording
 from galen_deflection.errors import ModelFileError
-from galen_deflection.model_file import read_model, write_model
+from galen_deflection.models.file import read_model, write_model
 from galen_deflection.models.registry import KINDS
 from galen_model.errors import ToolFileError
 from galen_model.files.calibration_file import LoadEstimate, ToolFile, read_tool, write_tool
@@ -172,7 +172,7 @@ def test_a_process_that_ends_in_the_writing_leaves_the_old_file(path):
     code = (
         f"import sys; sys.path[:0] = {[entry for entry in sys.path if entry]!r}\n"
         "import os, galen_model.files.atomic_file as w\n"
-        "from galen_deflection.model_file import read_model, write_model\n"
+        "from galen_deflection.models.file import read_model, write_model\n"
         f"model = read_model({str(path)!r})\n"
         "w.os.fsync = lambda handle: os._exit(7)\n"
         f"write_model({str(path)!r}, model)\n"

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from deflection_synthetic import NOISE, POSITIONS, TIP_M, Arm, in_sensor, recording, without_noise
 from galen_deflection.errors import FitError, NegativeComplianceError
-from galen_deflection.fitted_range import FittedRange
 from galen_deflection.models.fit_settings import FitSettings
+from galen_deflection.models.fitted_range import FittedRange
 from galen_deflection.models.joint_stiffness import StiffnessBasis
 from galen_deflection.models.least_squares import BLOCK_S, blocks, folds
 from galen_deflection.models.registry import KINDS
-from galen_deflection.springs import Springs, TipWrench, kinds
+from galen_deflection.springs.springs import Springs, TipWrench, kinds
 from galen_model.arm.delta import LinearDelta
 from galen_model.arm.galen import GALEN, HOME, LIMITS
 from galen_model.arm.kinematics import tip_pose
@@ -401,7 +401,7 @@ def test_a_range_keeps_one_position_for_all_that_are_near_it():
 
 def test_no_torch_and_no_ros_for_the_physical_models():
     code = (
-        "import sys, galen_deflection.model_file as f; "
+        "import sys, galen_deflection.models.file as f; "
         "print([m for m in ('torch', 'rclpy', 'matplotlib') if m in sys.modules])"
     )
     path = [entry for entry in sys.path if entry]

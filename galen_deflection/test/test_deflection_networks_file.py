@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from deflection_synthetic import POSITIONS, recording
 from galen_deflection.errors import ModelFileError
-from galen_deflection.fitted_range import FittedRange
-from galen_deflection.model_file import read_model, write_model
 from galen_deflection.models import independent, joint_hysteresis
+from galen_deflection.models.file import read_model, write_model
+from galen_deflection.models.fitted_range import FittedRange
 from galen_deflection.models.linear import FittedOn
 from galen_deflection.networks import network_model, residual_model
 from galen_deflection.networks.network import Network

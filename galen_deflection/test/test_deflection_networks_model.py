@@ -92,7 +92,7 @@ def test_nothing_loads_torch_but_a_training(tmp_path):
         "        if name.partition('.')[0] in ('torch', 'safetensors'):\n"
         "            raise ModuleNotFoundError(name)\n"
         "sys.meta_path.insert(0, NoTorch())\n"
-        "import galen_deflection.model_file\n"
+        "import galen_deflection.models.file\n"
         "from galen_deflection.models.registry import KINDS\n"
         "from deflection_synthetic import recording\n"
         "samples = recording(sets=1, rate_hz=10.0)\n"
@@ -105,7 +105,7 @@ def test_nothing_loads_torch_but_a_training(tmp_path):
         "except Exception as error:\n"
         "    print(type(error).__name__, error)\n"
         "try:\n"
-        f"    galen_deflection.model_file.read_model({str(path)!r})\n"
+        f"    galen_deflection.models.file.read_model({str(path)!r})\n"
         "except Exception as error:\n"
         "    print(type(error).__name__, error)\n"
     )

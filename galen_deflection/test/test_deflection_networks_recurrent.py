@@ -5,13 +5,13 @@ import pytest
 
 torch = pytest.importorskip("torch", reason="networks need PyTorch: `make networks`")
 
-from galen_deflection.hysteresis import PlayOperators  # noqa: E402
 from galen_deflection.networks.recurrent import (  # noqa: E402
     RecurrentSettings,
     Series,
     TrainingError,
     train,
 )
+from galen_deflection.springs.hysteresis import PlayOperators  # noqa: E402
 
 SMALL = RecurrentSettings(hidden=6, dropout=0.0, iterations=60, learning_rate=0.03)
 

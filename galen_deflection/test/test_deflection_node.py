@@ -7,7 +7,7 @@ import pytest
 from deflection_made_model import made_model
 from deflection_synthetic import TIP_M, recording
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
-from galen_deflection.model_file import write_model
+from galen_deflection.models.file import write_model
 from galen_deflection.node import DeflectionNode
 from galen_gravcomp.node import GravcompNode
 from galen_model.arm.kinematics import tip_pose

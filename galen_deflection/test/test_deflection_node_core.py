@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from deflection_made_model import made_model
 from deflection_synthetic import TIP_M, recording
-from galen_deflection.corrected_tip import CorrectedTip
-from galen_deflection.deflector import Deflected, Deflector, DeflectorSettings, ModelRefusal
-from galen_deflection.deflector_monitor import DeflectorMonitor
-from galen_deflection.gravcomp_state import GravcompState
-from galen_deflection.recent_poses import RecentPoses
+from galen_deflection.live.corrected_tip import CorrectedTip
+from galen_deflection.live.deflector import Deflected, Deflector, DeflectorSettings, ModelRefusal
+from galen_deflection.live.gravcomp_state import GravcompState
+from galen_deflection.live.monitor import DeflectorMonitor
+from galen_deflection.springs.recent_poses import RecentPoses
 from galen_model.arm.kinematics import tip_pose
 from galen_model.load.nominal_tools import TOOLS
 from galen_model.registration.rigid import Transform
@@ -484,7 +484,7 @@ def test_physics_needs_no_torch():
         "import sys; sys.path.insert(0, sys.argv[1]);"
         "import numpy as np, galen_deflection.node;"
         "from deflection_made_model import made_model;"
-        "from galen_deflection.deflector import Deflector;"
+        "from galen_deflection.live.deflector import Deflector;"
         "d = Deflector(); d.set_model(made_model());"
         "d.push_joints(10**9, (0.0, 0.0, 0.408, 0.0, 0.0));"
         "assert d.push_wrench(10**9, np.ones(6))[0].predicted.mean.any();"

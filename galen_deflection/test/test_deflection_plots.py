@@ -4,13 +4,13 @@ import matplotlib.image
 import numpy as np
 import pytest
 from deflection_pushes import hysteretic, make_samples, predict
-from galen_deflection.deflection_plots import (
+from galen_deflection.measurement.pushes import tip_wrench
+from galen_deflection.scoring.plots import (
     plot_axis,
     plot_course,
     plot_training,
     plot_true_over_predicted,
 )
-from galen_deflection.pushes import tip_wrench
 
 RED, BLUE = 0xC44E52, 0x1F6F8B
 

@@ -6,14 +6,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 from deflection_pushes import NOISE, TIP, make_samples, pushes_along
-from galen_deflection.cross_check import Task, cross_check, fit_without, make_tasks
+from galen_deflection.measurement.pushes import PushLimits, find_pushes, tip_wrench
+from galen_deflection.measurement.recordings import Recording
+from galen_deflection.measurement.samples import DeflectionSamples, joined
 from galen_deflection.models.fit_settings import FitSettings
 from galen_deflection.models.registry import KINDS
-from galen_deflection.pushes import PushLimits, find_pushes, tip_wrench
-from galen_deflection.recordings import Recording
-from galen_deflection.samples import DeflectionSamples, joined
-from galen_deflection.score import score
-from galen_deflection.splits import Split, SplitError, checked_samples, push_splits
+from galen_deflection.scoring.cross_check import Task, cross_check, fit_without, make_tasks
+from galen_deflection.scoring.score import score
+from galen_deflection.scoring.splits import Split, SplitError, checked_samples, push_splits
 from galen_model.arm.kinematics import sensor_pose, tip_pose
 from galen_model.arm.stiffness import tip_compliance
 from galen_model.wrench import move_wrench

@@ -6,17 +6,17 @@ import numpy as np
 import pytest
 from galen_bags.arrays.marker_tracks import RawTrack, marker_track
 from galen_bags.errors import BagError
-from galen_deflection.arm_positions import (
+from galen_deflection.errors import PushRecordingError, RegistrationError
+from galen_deflection.measurement.arm_positions import (
     UnloadedSettings,
     load_phases,
     noise_of_mean,
     wrench_noise,
 )
-from galen_deflection.base_marker import base_stands
-from galen_deflection.errors import PushRecordingError, RegistrationError
-from galen_deflection.measured_deflection import measure_deflection
-from galen_deflection.push_recording import read_pushes
-from galen_deflection.registration_fit import RegistrationSettings
+from galen_deflection.measurement.base_marker import base_stands
+from galen_deflection.measurement.measured_deflection import measure_deflection
+from galen_deflection.measurement.push_recording import read_pushes
+from galen_deflection.measurement.registration_fit import RegistrationSettings
 from galen_model.arm.galen import SENSOR
 from galen_model.files.calibration_file import read_tool
 from galen_model.registration.rigid import Transform, mean_pose

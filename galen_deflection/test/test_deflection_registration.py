@@ -6,11 +6,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 from galen_deflection.errors import RegistrationError
-from galen_deflection.measured_deflection import measure_deflection
-from galen_deflection.push_recording import read_pushes
-from galen_deflection.registration import register
-from galen_deflection.registration_fit import RegistrationFit, RegistrationSettings
-from galen_deflection.rest_poses import RestPose, rest_poses
+from galen_deflection.measurement.measured_deflection import measure_deflection
+from galen_deflection.measurement.push_recording import read_pushes
+from galen_deflection.measurement.registration import register
+from galen_deflection.measurement.registration_fit import RegistrationFit, RegistrationSettings
+from galen_deflection.measurement.rest_poses import RestPose, rest_poses
 from galen_model.arm.galen import ENCODER_QUANTUM
 from galen_model.arm.kinematics import tip_pose
 from galen_model.files.calibration_file import read_tool

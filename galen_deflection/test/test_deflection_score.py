@@ -6,11 +6,11 @@ from io import StringIO
 import numpy as np
 import pytest
 from deflection_pushes import NOISE, along, hysteretic, make_samples, predict, pushes_along
-from galen_deflection.hysteresis_score import RestScore, loop_area, score_loops
+from galen_deflection.measurement.pushes import PushLimits, find_pushes, tip_wrench
 from galen_deflection.models.interface import PredictedSamples
-from galen_deflection.pushes import PushLimits, find_pushes, tip_wrench
-from galen_deflection.score import ScoreError, score
-from galen_deflection.score_table import axis_table, comparison_table, overview_table
+from galen_deflection.scoring.hysteresis_score import RestScore, loop_area, score_loops
+from galen_deflection.scoring.score import ScoreError, score
+from galen_deflection.scoring.score_table import axis_table, comparison_table, overview_table
 from rich.console import Console
 
 # --- errors, noise, coverage --------------------------------------------------------------------

@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from deflection_synthetic import NOISE, TIP_M, Arm, dahl, recording
-from galen_deflection.hysteresis import PlayOperators, SmoothOperators
 from galen_deflection.models.hysteresis_basis import COLUMNS, HysteresisBasis, Operator
 from galen_deflection.models.joint_hysteresis import fit
-from galen_deflection.score import score
+from galen_deflection.scoring.score import score
+from galen_deflection.springs.hysteresis import PlayOperators, SmoothOperators
 from scipy.integrate import solve_ivp
 
 R = np.array([0.1, 0.4, 1.5])

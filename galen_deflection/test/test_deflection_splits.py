@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-from galen_deflection.samples import DeflectionSamples
-from galen_deflection.splits import (
+from galen_deflection.measurement.samples import DeflectionSamples
+from galen_deflection.scoring.splits import (
     SplitError,
     leave_one_position_out,
     leave_one_set_out,

@@ -8,7 +8,7 @@ import sys
 from pathlib import Path
 
 from galen_bags.command_line import check_folder
-from galen_deflection.command_options import console, progress, written
+from galen_deflection.scoring.options import console, progress, written
 from galen_model.errors import GalenError
 from galen_model.files.atomic_file import write_whole
 

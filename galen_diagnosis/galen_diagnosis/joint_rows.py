@@ -22,7 +22,7 @@ from collections.abc import Callable, Sequence
 from itertools import pairwise
 
 import numpy as np
-from galen_deflection.hysteresis import PlayOperators
+from galen_deflection.springs.hysteresis import PlayOperators
 from galen_deflection.transmission.parts import Parts
 from galen_deflection.transmission.runs import Run, noise_of
 from galen_deflection.transmission.terms import (

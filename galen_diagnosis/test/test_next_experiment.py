@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import yaml
 from galen_calibration_behavior.calibration.parameters import CalibrationParameters
-from galen_deflection.collection_parameters import CollectionParameters
+from galen_deflection.collection.parameters import CollectionParameters
 from galen_diagnosis.errors import DiagnosisError
 from galen_diagnosis.experiments import Budget, Experiments
 from galen_diagnosis.next_experiment import propose, write_sweep

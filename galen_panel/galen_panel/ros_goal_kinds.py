@@ -14,13 +14,13 @@ from galen_calibration_behavior.calibration.phase_text import CALIBRATION_PHASES
 from galen_calibration_behavior.calibration.result_text import result_to_dict
 from galen_calibration_behavior.quick_check import commands as check_commands
 from galen_calibration_behavior.quick_check.command import CheckClient
-from galen_deflection.collect import CollectClient
-from galen_deflection.collection_phases import COLLECTION_PHASES
+from galen_deflection.collection import commands as collection_commands
+from galen_deflection.collection.command import CollectClient
+from galen_deflection.collection.phases import COLLECTION_PHASES
 from galen_model.files.calibration_file import check_tool_name
 from galen_ros.goal import commands
 from galen_ros.goal.client import GoalClient
 
-from galen_deflection import collection_commands
 from galen_msgs.action import CalibrateTool, CheckTool, CollectPushes
 from galen_panel.programs import CALIBRATION, CHECK, COLLECTION, Program
 from galen_panel.ros_thread import CallError

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 from galen_calibration_behavior.quick_check.commands import State as CheckState
-from galen_deflection.collection_commands import State as CollectionState
-from galen_deflection.deflector import ModelRefusal
-from galen_deflection.deflector_monitor import DeflectorMonitor
+from galen_deflection.collection.commands import State as CollectionState
+from galen_deflection.live.deflector import ModelRefusal
+from galen_deflection.live.monitor import DeflectorMonitor
 from galen_diagnosis.gap_stream import GapMonitor
 from galen_diagnosis.gap_watch import GapNotice
 from galen_gravcomp.monitor import Monitor
@@ -24,7 +24,7 @@ NOW_S = 1000.0
 STREAM = ("galen_ros/galen_ros/stream/monitor.py",)
 SOURCES = {
     "gravcomp": (*STREAM, "galen_gravcomp/galen_gravcomp/monitor.py"),
-    "deflection": (*STREAM, "galen_deflection/galen_deflection/deflector_monitor.py"),
+    "deflection": (*STREAM, "galen_deflection/galen_deflection/live/monitor.py"),
     "gap_monitor": (*STREAM, "galen_diagnosis/galen_diagnosis/gap_stream.py"),
 }
 MONITORS = {"gravcomp": Monitor, "deflection": DeflectorMonitor, "gap_monitor": GapMonitor}

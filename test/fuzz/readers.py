@@ -53,7 +53,7 @@ from galen_bags.formats.bag import open_bag  # noqa: E402
 from galen_bags.formats.mcap_records import zstd  # noqa: E402
 from galen_bags.formats.metadata import read_metadata  # noqa: E402
 from galen_bags.formats.raw_block import pack  # noqa: E402
-from galen_deflection.model_file import read_model, write_model  # noqa: E402
+from galen_deflection.models.file import read_model, write_model  # noqa: E402
 from galen_deflection.transmission.joint_report import read_listed  # noqa: E402
 from galen_deflection.transmission.runs import ColumnMap, read_run  # noqa: E402
 from galen_diagnosis.blind.keeper import Places, answered  # noqa: E402

@@ -11,7 +11,7 @@ from galen_model.arm.stiffness import tip_compliance
 from galen_model.arrays import Array
 
 from galen_deflection.models.linear import Parameter, Rows
-from galen_deflection.springs import TipWrench
+from galen_deflection.springs.springs import TipWrench
 
 LOADS = ("fx", "fy", "fz", "tx", "ty", "tz")
 MOTIONS = ("dx", "dy", "dz", "rx", "ry", "rz")

@@ -10,10 +10,10 @@ import numpy as np
 from galen_model.arrays import Array
 from galen_model.files.json_fields import FieldError, get, items, mapping, number, text
 
-from galen_deflection.creep import LagOperators
 from galen_deflection.models.hysteresis_basis import COLUMNS, HysteresisBasis
 from galen_deflection.models.linear import Parameter, Rows, Start
-from galen_deflection.springs import kinds
+from galen_deflection.springs.creep import LagOperators
+from galen_deflection.springs.springs import kinds
 
 _KINDS = {kind.name: kind for kind in kinds()}
 

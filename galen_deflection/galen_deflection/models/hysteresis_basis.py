@@ -11,10 +11,10 @@ from galen_model.arrays import Array
 from galen_model.files.json_fields import FieldError, array, get, items, mapping, numbers, text
 from galen_model.rotation import skew
 
-from galen_deflection.hysteresis import Operators, PlayOperators, SmoothOperators
 from galen_deflection.models.joint_stiffness import COMPLIANCES, StiffnessRun, elastic
 from galen_deflection.models.linear import Parameter, Rows, Start
-from galen_deflection.springs import SPRINGS, kinds
+from galen_deflection.springs.hysteresis import Operators, PlayOperators, SmoothOperators
+from galen_deflection.springs.springs import SPRINGS, kinds
 
 Shape = Literal["play", "stop", "smooth_play", "smooth_stop"]
 
@@ -38,7 +38,7 @@ class Operator(NamedTuple):
     """A play, or a stop, at each spring of a kind, or each of the platform's axes; one weight.
 
     A stop is what is left of the load beside a play, with corners or smooth
-    (`galen_deflection.hysteresis`).
+    (`galen_deflection.springs.hysteresis`).
 
     thresholds: one for each of them; N.m, N, or at the platform m and rad.
     """

@@ -10,12 +10,12 @@ from typing import Any
 
 from galen_model.arrays import Array
 
+from galen_deflection.measurement.samples import DeflectionSamples
 from galen_deflection.models.axes import AxesBasis
 from galen_deflection.models.fit_settings import FitSettings
 from galen_deflection.models.least_squares import finished, sums
 from galen_deflection.models.linear import LinearModel, tip_from_json
 from galen_deflection.models.linear import from_json as linear_from_json
-from galen_deflection.samples import DeflectionSamples
 
 KIND = "independent"
 

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple, Protocol, runtime_checkable
 import numpy as np
 from galen_model.arrays import Array
 
-from galen_deflection.samples import DeflectionSamples
+from galen_deflection.measurement.samples import DeflectionSamples
 
 
 class Predicted(NamedTuple):

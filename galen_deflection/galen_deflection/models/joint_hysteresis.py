@@ -4,7 +4,7 @@ Each of these springs gives by
 
     d = c l + sum_i w_i play_i(l),   c, w_i >= 0,
 
-with play operators of its load l (`galen_deflection.hysteresis`). This is linear in c and w for
+with play operators of its load l (`galen_deflection.springs.hysteresis`). This is linear in c and w for
 given thresholds, so that non-negative least squares finds them; thresholds lie on a grid of shares
 of the largest load of each kind of spring. How fine a grid is worth it, folds that a fit has not
 seen tell.
@@ -20,7 +20,7 @@ That is what dry friction does. Other forms are tried as well:
   hysteresis looks so.
 
 Creep is an option (`FitSettings.creep`): Kelvin-Voigt elements at the springs
-(`galen_deflection.creep`), kept by the same rule.
+(`galen_deflection.springs.creep`), kept by the same rule.
 
 Of no hysteresis at all and these forms, the first is taken that is within two standard errors of
 the best, or within 1 % of its mean square: folds are few, and a memory that the arm does not have
@@ -37,6 +37,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from galen_model.arrays import Array
 
+from galen_deflection.measurement.samples import DeflectionSamples
 from galen_deflection.models.creep_basis import CreepBasis, Lag, lags_from_json
 from galen_deflection.models.fit_settings import FitSettings
 from galen_deflection.models.hysteresis_basis import (
@@ -53,8 +54,7 @@ from galen_deflection.models.joint_stiffness import COMPLIANCES, StiffnessBasis
 from galen_deflection.models.least_squares import Sums, finished, held_out_cost, solve, sums
 from galen_deflection.models.linear import LinearModel, tip_from_json
 from galen_deflection.models.linear import from_json as linear_from_json
-from galen_deflection.samples import DeflectionSamples
-from galen_deflection.springs import kinds
+from galen_deflection.springs.springs import kinds
 
 KIND = "joint_hysteresis"
 

@@ -1,7 +1,7 @@
 """The contract's arm: platform on six rods, roll and tilt, each a linear spring.
 
 The tip's compliance depends on where the arm stands, and is linear in the four compliances
-1/k_roll, 1/k_tilt, 1/k_carriage and 1/k_rod (`galen_deflection.springs` has the proof), so that
+1/k_roll, 1/k_tilt, 1/k_carriage and 1/k_rod (`galen_deflection.springs.springs` has the proof), so that
 they come from linear least squares, none below zero. What the samples do not tell stays near the
 nominal value and is named.
 """
@@ -15,12 +15,12 @@ from typing import Any
 import numpy as np
 from galen_model.arrays import Array
 
+from galen_deflection.measurement.samples import DeflectionSamples
 from galen_deflection.models.fit_settings import FitSettings
 from galen_deflection.models.least_squares import finished, sums
 from galen_deflection.models.linear import LinearModel, Parameter, Rows, tip_from_json
 from galen_deflection.models.linear import from_json as linear_from_json
-from galen_deflection.samples import DeflectionSamples
-from galen_deflection.springs import SPRINGS, Geometry, Springs, TipWrench, kinds
+from galen_deflection.springs.springs import SPRINGS, Geometry, Springs, TipWrench, kinds
 
 KIND = "joint_stiffness"
 

@@ -25,8 +25,9 @@ from galen_model.arrays import Array
 from scipy.optimize import nnls
 
 from galen_deflection.errors import FitError, NegativeComplianceError
-from galen_deflection.fitted_range import FittedRange
+from galen_deflection.measurement.samples import DeflectionSamples, check_to_fit
 from galen_deflection.models.fit_settings import FitSettings
+from galen_deflection.models.fitted_range import FittedRange
 from galen_deflection.models.linear import (
     Basis,
     FittedOn,
@@ -35,7 +36,6 @@ from galen_deflection.models.linear import (
     Rows,
     segments,
 )
-from galen_deflection.samples import DeflectionSamples, check_to_fit
 
 BLOCK_S = 4.0
 

@@ -32,9 +32,9 @@ from galen_model.files.json_fields import (
     texts,
 )
 
-from galen_deflection.fitted_range import FittedRange
+from galen_deflection.measurement.samples import DeflectionSamples
+from galen_deflection.models.fitted_range import FittedRange
 from galen_deflection.models.interface import Predicted, PredictedSamples
-from galen_deflection.samples import DeflectionSamples
 
 _CHUNK = 4096
 

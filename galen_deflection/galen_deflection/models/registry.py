@@ -11,11 +11,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from galen_model.files.json_fields import FieldError
 
+from galen_deflection.measurement.samples import DeflectionSamples
 from galen_deflection.models import coupled, independent, joint_hysteresis, joint_stiffness
 from galen_deflection.models.fit_settings import FitSettings
 from galen_deflection.models.interface import DeflectionModel
 from galen_deflection.networks import lstm, network_model, residual, residual_model
-from galen_deflection.samples import DeflectionSamples
 
 
 class ModelKind(NamedTuple):

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from galen_deflection.measurement.samples import DeflectionSamples
 from galen_deflection.models.least_squares import blocks
-from galen_deflection.samples import DeflectionSamples
 
 SHARE = 0.25
 

@@ -25,8 +25,9 @@ from dataclasses import replace
 import numpy as np
 
 from galen_deflection.errors import FitError
-from galen_deflection.fitted_range import FittedRange
+from galen_deflection.measurement.samples import DeflectionSamples, check_to_fit
 from galen_deflection.models.fit_settings import FitSettings
+from galen_deflection.models.fitted_range import FittedRange
 from galen_deflection.models.least_squares import beyond_noise
 from galen_deflection.models.linear import FittedOn
 from galen_deflection.networks.hold_out import hold_out
@@ -34,8 +35,7 @@ from galen_deflection.networks.network import Network
 from galen_deflection.networks.network_model import INPUTS, LEAST_SCALE, OUTPUTS, NetworkModel
 from galen_deflection.networks.recurrent import RecurrentSettings, Series, TrainingError, train
 from galen_deflection.networks.sequences import products, run, sequences
-from galen_deflection.samples import DeflectionSamples, check_to_fit
-from galen_deflection.springs import TipWrench
+from galen_deflection.springs.springs import TipWrench
 
 KIND = "lstm"
 KIND_DIRECT = "lstm_direct"

@@ -10,8 +10,9 @@ import numpy as np
 from galen_model.arrays import Array
 from galen_model.files.json_fields import get, numbers, text, texts
 
-from galen_deflection.fitted_range import NEARBY, SMALLEST_MARGIN, FittedRange
+from galen_deflection.measurement.samples import DeflectionSamples
 from galen_deflection.models.axes import LOADS, MOTIONS
+from galen_deflection.models.fitted_range import NEARBY, SMALLEST_MARGIN, FittedRange
 from galen_deflection.models.interface import Predicted, PredictedSamples
 from galen_deflection.models.linear import (
     FittedOn,
@@ -22,8 +23,7 @@ from galen_deflection.models.linear import (
 )
 from galen_deflection.networks.network import Network
 from galen_deflection.networks.training_curve import TrainingCurve
-from galen_deflection.samples import DeflectionSamples
-from galen_deflection.springs import TipWrench
+from galen_deflection.springs.springs import TipWrench
 
 INPUTS = (*LOADS, "q1", "q2", "q3", "roll", "tilt")
 """The wrench at the tip in base_link, N and N.m, and the joints, m and rad."""

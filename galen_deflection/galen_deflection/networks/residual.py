@@ -27,9 +27,10 @@ import numpy as np
 from galen_model.arrays import Array
 
 from galen_deflection.errors import FitError
-from galen_deflection.fitted_range import SMALLEST_MARGIN
+from galen_deflection.measurement.samples import DeflectionSamples, check_to_fit
 from galen_deflection.models import joint_hysteresis
 from galen_deflection.models.fit_settings import FitSettings
+from galen_deflection.models.fitted_range import SMALLEST_MARGIN
 from galen_deflection.models.least_squares import beyond_noise
 from galen_deflection.models.linear import LinearModel
 from galen_deflection.networks.network import Network
@@ -49,7 +50,6 @@ from galen_deflection.networks.residual_model import (
 )
 from galen_deflection.networks.sequences import products, run, sequences
 from galen_deflection.networks.training_curve import TrainingCurve
-from galen_deflection.samples import DeflectionSamples, check_to_fit
 
 SETTINGS = RecurrentSettings(
     hidden=8, dropout=0.1, iterations=120, learning_rate=0.03, weight_decay=0.05

@@ -10,6 +10,7 @@ import numpy as np
 from galen_model.arrays import Array
 from galen_model.files.json_fields import get, mapping, numbers, texts
 
+from galen_deflection.measurement.samples import DeflectionSamples
 from galen_deflection.models import joint_hysteresis
 from galen_deflection.models.axes import LOADS, MOTIONS
 from galen_deflection.models.interface import Predicted, PredictedSamples
@@ -17,8 +18,7 @@ from galen_deflection.models.linear import LinearModel, LinearStream
 from galen_deflection.networks.network import Network, check_tensors
 from galen_deflection.networks.sequences import run
 from galen_deflection.networks.training_curve import TrainingCurve
-from galen_deflection.samples import DeflectionSamples
-from galen_deflection.springs import TipWrench
+from galen_deflection.springs.springs import TipWrench
 
 KIND = "hysteresis_residual"
 

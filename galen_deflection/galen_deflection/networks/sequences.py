@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 from galen_model.arrays import Array
 
+from galen_deflection.measurement.samples import DeflectionSamples
 from galen_deflection.models.linear import segments
 from galen_deflection.networks.paced import PacedNet
 from galen_deflection.networks.recurrent import Series
 from galen_deflection.networks.recurrent_net import RecurrentNet
-from galen_deflection.samples import DeflectionSamples
 
 
 def sequences(

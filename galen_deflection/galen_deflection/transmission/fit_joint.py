@@ -19,7 +19,7 @@ from galen_bags.command_line import (
     run_command,
 )
 
-from galen_deflection.command_options import (
+from galen_deflection.scoring.options import (
     console,
     progress,
     written,

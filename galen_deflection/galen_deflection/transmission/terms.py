@@ -4,7 +4,7 @@
         + c x torque + sum_i w_i play_i(torque)                                  (it gives)
         + f x direction + sum_j u_j (motor - play_j(motor)),   c, w_i, u_j >= 0  (it loses motion)
 
-The plays of the torque are `galen_deflection.hysteresis`'s: a spring with dry friction. What a play
+The plays of the torque are `galen_deflection.springs.hysteresis`'s: a spring with dry friction. What a play
 of the motor's motion leaves behind, motor - play(motor), is a gap of backlash if one has the weight
 1, and a gap that friction closes bit by bit if there are several (of Maxwell-slip elements, in the
 motion, each gives that). The link's angle is in none of them.
@@ -24,7 +24,7 @@ import numpy as np
 from galen_model.arrays import Array
 from scipy.signal import lfilter
 
-from galen_deflection.hysteresis import PlayOperators
+from galen_deflection.springs.hysteresis import PlayOperators
 from galen_deflection.transmission.runs import Run
 
 FREE = ("offset", "gear", "delay", "direction")

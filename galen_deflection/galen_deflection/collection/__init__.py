@@ -1,0 +1,1 @@
+"""Collecting pushes on the arm."""

@@ -1,0 +1,351 @@
+"""The action server `collect_pushes`: runs the collection on the arm's topics and records it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from enum import IntEnum
+from typing import Any
+
+import numpy as np
+from galen_bags.errors import BagError
+from galen_model.arrays import Array
+from galen_model.errors import GalenError, ToolFileError, ToolNameError
+from galen_model.files.calibration_file import ToolFile, read_tool, tool_path
+from galen_model.rotation import quaternion_to_matrix
+from galen_ros.conversions import stamp_to_ns
+from galen_ros.goal.node import GoalNode, RefusedGoalError, RunningGoal, Words
+from galen_ros.node.spin import run
+from galen_ros.qos import STREAM
+from geometry_msgs.msg import PoseStamped
+from rclpy.action.server import ServerGoalHandle
+from rclpy.client import Client
+from rclpy.subscription import Subscription
+
+from galen_deflection.collection.commands import (
+    ErrorCode,
+    Feedback,
+    Finished,
+    Push,
+    Record,
+)
+from galen_deflection.collection.folder import CollectionFolder, CollectionFolderError
+from galen_deflection.collection.parameters import CollectionParameters
+from galen_deflection.collection.plan import (
+    CollectionPlan,
+    OutOfReachError,
+    PlanError,
+    make_plan,
+)
+from galen_deflection.collection.procedure import CollectionProcedure
+from galen_deflection.collection.recorder import BagRecording
+from galen_deflection.collection.summary import summary
+from galen_msgs.action import CollectPushes
+from galen_msgs.srv import PushTool
+
+_RECORDED = ("joint_states", "wrench_raw", "tracker/tool_pose", "tracker/base_pose")
+_NORM_TOLERANCE = 1e-3
+
+
+class _Goal(RunningGoal[CollectionProcedure]):
+    """One running collection; `directory`: where it was put, once that is done."""
+
+    def __init__(
+        self,
+        handle: ServerGoalHandle,
+        procedure: CollectionProcedure,
+        plan: CollectionPlan,
+        tool: ToolFile,
+        folder: CollectionFolder,
+    ) -> None:
+        super().__init__(handle, procedure)
+        self.plan = plan
+        self.tool = tool
+        self.folder = folder
+        self.recording: BagRecording | None = None
+        self.folder_made = False
+        self.directory = ""
+        self.messages = 0
+        self.problems: list[str] = []
+        self.frames: dict[str, str] = {}
+
+
+class CollectionNode(GoalNode[CollectionParameters, _Goal, Finished]):
+    """Declares, converts, calls and records; what happens when is in CollectionProcedure."""
+
+    codes = ErrorCode
+    words = Words(
+        subject="name",
+        doing="collecting",
+        nothing_yet="no collection yet",
+        unit="pushes",
+        restarted="it was restarted",
+        shutting_down="shutting down: stopping the arm",
+    )
+
+    def __init__(self, **kwargs: Any) -> None:
+        super().__init__(
+            "collection", CollectionParameters, CollectPushes, "collect_pushes", **kwargs
+        )
+        self._push_client = self.create_client(PushTool, "push_tool")
+
+    # ---- the action
+
+    def _make_goal(self, handle: ServerGoalHandle) -> _Goal:
+        request, settings = handle.request, self._settings
+        try:
+            folder = CollectionFolder(settings.folder("recordings_dir"), request.name)
+            path = tool_path(settings.folder("tools_dir"), request.tool)
+            tool = read_tool(path)
+            if tool.tool != request.tool:
+                raise ToolFileError(f"{path}: holds the tool '{tool.tool}', not '{request.tool}'")
+            plan = make_plan(
+                request.positions or settings.positions,
+                request.forces_n or settings.forces_n,
+                request.torques_nm or settings.torques_nm,
+                request.sets or settings.sets,
+                tool.tip_m,
+                settings.limits,
+            )
+        except ToolNameError as error:
+            raise RefusedGoalError(ErrorCode.INVALID_NAME, str(error)) from error
+        except CollectionFolderError as error:
+            raise RefusedGoalError(ErrorCode.WRITE_FAILED, str(error)) from error
+        except ToolFileError as error:
+            raise RefusedGoalError(ErrorCode.TOOL_FILE, str(error)) from error
+        except OutOfReachError as error:
+            raise RefusedGoalError(ErrorCode.OUT_OF_REACH, str(error)) from error
+        except PlanError as error:
+            raise RefusedGoalError(ErrorCode.BAD_INPUT, str(error)) from error
+        procedure = CollectionProcedure(
+            settings.settings(), plan, np.asarray(tool.tip_m, float), request.push_by_service
+        )
+        return _Goal(handle, procedure, plan, tool, folder)
+
+    def _introduce(self, goal: _Goal) -> str:
+        return f"{goal.plan.total} pushes, {goal.folder.final}"
+
+    def _make_end(self, code: IntEnum, message: str, goal: _Goal | None) -> Finished:
+        if goal is None:
+            return Finished(ErrorCode(code), message)
+        return Finished(ErrorCode(code), message, goal.procedure.collected)
+
+    def _make_result(
+        self, handle: ServerGoalHandle, end: Finished, goal: _Goal | None
+    ) -> tuple[CollectPushes.Result, str]:
+        collected = end.collected
+        result = CollectPushes.Result(
+            error_code=int(end.error_code),
+            error_msg=end.error_msg,
+            directory=goal.directory if goal else "",
+            pushes=collected.pushes,
+            pushes_asked=goal.plan.total if goal else 0,
+            left_out=list(collected.left_out),
+            calibration_shift=[float(value) for value in collected.shift],
+            calibration_holds=collected.holds,
+            messages=goal.messages if goal else 0,
+            warnings=list(collected.warnings),
+        )
+        name = self._named(handle.request)
+        last = f"{name} not collected: {end.error_code.name}: {end.error_msg}"
+        if end.error_code == ErrorCode.NONE:
+            last = (
+                f"{name} collected: {collected.pushes} of {result.pushes_asked} pushes,"
+                f" {result.directory}"
+            )
+        return result, last
+
+    def _conclude(self, handle: ServerGoalHandle, end: Finished, goal: _Goal | None) -> None:
+        super()._conclude(handle, end, goal)
+        for warning in end.collected.warnings:
+            self.get_logger().warning(warning)
+
+    # ---- inputs
+
+    def _subscribe(self, goal: _Goal) -> list[Subscription]:
+        subscribe = self.create_subscription
+        return [
+            *super()._subscribe(goal),
+            subscribe(PoseStamped, "tracker/tool_pose", self._on_tool_pose, STREAM),
+            subscribe(PoseStamped, "tracker/base_pose", self._on_base_pose, STREAM),
+        ]
+
+    def _also_watched(self) -> list[str]:
+        return [self.resolve_topic_name("wrench_raw")]
+
+    def _needed_clients(self, goal: _Goal) -> list[Client]:
+        return [self._push_client] if goal.handle.request.push_by_service else []
+
+    def _silent_text(self, topics: list[str]) -> str:
+        return (
+            f"nobody publishes {', '.join(topics)}: are the driver, the compensation"
+            " (wrench_compensated) and the tracker running?"
+        )
+
+    def _on_tool_pose(self, message: PoseStamped) -> None:
+        if self._goal is not None:
+            self._on_pose("tool_pose", message, self._goal.procedure.on_tool_marker)
+
+    def _on_base_pose(self, message: PoseStamped) -> None:
+        if self._goal is not None:
+            self._on_pose("base_pose", message, self._goal.procedure.on_base_marker)
+
+    def _on_pose(self, name: str, message: PoseStamped, event: Callable[..., None]) -> None:
+        goal = self._goal
+        assert goal is not None
+        goal.frames[name] = message.header.frame_id
+        if len(set(goal.frames.values())) > 1:
+            frames = " and ".join(f"tracker/{key} {goal.frames[key]!r}" for key in goal.frames)
+            self._feed(
+                goal.procedure.fail, ErrorCode.BAD_INPUT, f"both must be in one frame: {frames}"
+            )
+            return
+        position, turn = message.pose.position, message.pose.orientation
+        quaternion = np.array([turn.x, turn.y, turn.z, turn.w])
+        # A tracker that has lost its marker may send anything instead of a rotation.
+        if abs(float(np.linalg.norm(quaternion)) - 1.0) < _NORM_TOLERANCE:
+            rotation: Array = quaternion_to_matrix(quaternion)
+            translation = np.array([position.x, position.y, position.z])
+            self._feed(event, stamp_to_ns(message.header.stamp), rotation, translation)
+
+    def _look_after(self, goal: _Goal) -> None:
+        if goal.recording is None:
+            return
+        if goal.recording.error:
+            goal.procedure.fail(ErrorCode.WRITE_FAILED, goal.recording.error)
+        elif goal.recording.ready:
+            goal.procedure.on_recording()
+
+    # ---- commands
+
+    def _obey(self, goal: _Goal, command: Any) -> None:
+        match command:
+            case Feedback():
+                self._publish_feedback(goal, command)
+            case Push():
+                self._push(goal, command)
+            case Record():
+                self._record(goal, command.bag)
+            case _:
+                super()._obey(goal, command)
+
+    def _push(self, goal: _Goal, push: Push) -> None:
+        def on_answer(answer: Any) -> None:
+            busy = answer.error_code == PushTool.Response.BUSY
+            self._feed(goal.procedure.on_service, answer.success, answer.error_msg, busy)
+
+        request = PushTool.Request(
+            force_n=push.wrench[:3],
+            torque_nm=push.wrench[3:],
+            rise_s=push.rise_s,
+            hold_s=push.hold_s,
+            fall_s=push.fall_s,
+        )
+        self._call(goal, self._push_client, request, on_answer)
+
+    def _record(self, goal: _Goal, bag: str) -> None:
+        try:
+            if not goal.folder_made:
+                goal.folder.make(goal.tool)
+                goal.folder_made = True
+            path = goal.folder.path / bag
+            if goal.recording is None:
+                topics = [self.resolve_topic_name(name) for name in _RECORDED]
+                goal.recording = BagRecording(self, path, topics)
+            else:
+                goal.problems += goal.recording.change(path)
+        except GalenError as error:
+            goal.procedure.fail(ErrorCode.WRITE_FAILED, str(error))
+
+    def _close_recording(self, goal: _Goal) -> None:
+        recording, goal.recording = goal.recording, None
+        if recording is not None:
+            try:
+                goal.problems += recording.close()
+            finally:
+                goal.messages = recording.messages
+
+    # ---- the end
+
+    def _put_away(self, goal: _Goal, end: Finished) -> Finished:
+        """Close the bag and the folder; returns the end that it came to."""
+        if not goal.folder_made:
+            return end
+        try:
+            self._close_recording(goal)
+        except BagError as error:
+            end = _worse(end, str(error))
+        collected = end.collected
+        end = replace(
+            end, collected=replace(collected, warnings=(*collected.warnings, *goal.problems))
+        )
+        if not goal.messages:
+            goal.folder.discard()
+            return end
+        request = goal.handle.request
+        content = summary(
+            request.name,
+            request.tool,
+            goal.plan,
+            request.push_by_service,
+            end.error_code,
+            end.error_msg,
+            end.collected,
+            goal.messages,
+        )
+        try:
+            goal.folder.close(content, finished=end.error_code == ErrorCode.NONE)
+        except CollectionFolderError as error:
+            end = _worse(end, str(error))
+        goal.directory = str(goal.folder.path)
+        return end
+
+    def _publish_feedback(self, goal: _Goal, feedback: Feedback) -> None:
+        plan = goal.plan
+        goal.handle.publish_feedback(
+            CollectPushes.Feedback(
+                state=int(feedback.state),
+                set=feedback.set_number,
+                sets=plan.sets,
+                position=feedback.position,
+                positions=len(plan.positions),
+                done=feedback.done,
+                total=plan.total,
+                wanted=feedback.wanted.tolist(),
+                load=feedback.load.tolist(),
+                along=feedback.along,
+                aside=feedback.aside,
+                message=feedback.message,
+            )
+        )
+        self.get_logger().debug(feedback.message)
+
+    # ---- diagnostics
+
+    def _folders(self) -> dict[str, object]:
+        names = ("recordings_dir", "tools_dir")
+        return {name: self._settings.folder(name) for name in names}
+
+    def _status_values(self, goal: _Goal) -> dict[str, object]:
+        recorded = goal.recording.messages if goal.recording else goal.messages
+        return {
+            "tool": goal.tool.tool,
+            "directory": goal.folder.path,
+            "messages": recorded,
+        }
+
+
+def _worse(end: Finished, what: str) -> Finished:
+    """The end, when its recording can't be put away, too; the first error goes first."""
+    if end.error_code == ErrorCode.NONE:
+        return replace(end, error_code=ErrorCode.WRITE_FAILED, error_msg=what)
+    return replace(end, error_msg=f"{end.error_msg}; {what}")
+
+
+def main() -> None:
+    """Run the node until SIGINT or SIGTERM."""
+    run(CollectionNode)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,478 @@
+"""The collection's course, without ROS: samples and events in, commands out.
+
+    record calibration_1 > CALIBRATION
+    record push > for each set, for each position: MOVE > UNTOUCHED > pushes
+    record calibration_2 > CALIBRATION > compare both
+
+and for each push PUSH <> HOLD > RELEASE > REST, again if it was not as asked. Both calibration sets
+are at the first position. They have bags of their own, because a third visit there without a push
+would count as a set of pushes.
+
+A cancel, an error and time are as in `galen_ros.goal.procedure`.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from enum import IntEnum
+from functools import partial
+
+import numpy as np
+from galen_model.arm.galen import JOINT_NAMES, JOINT_UNITS
+from galen_model.arrays import Array
+from galen_ros.goal.procedure import JOINTS, GoalProcedure, GoalSettings
+from galen_ros.goal.stamps import NS, StampClock
+
+from galen_deflection.collection.commands import (
+    NOTHING,
+    Collected,
+    Command,
+    ErrorCode,
+    Feedback,
+    Finished,
+    Push,
+    Record,
+    State,
+)
+from galen_deflection.collection.plan import CollectionPlan, LoadLimits, ToTip, WantedPush, to_tip
+from galen_deflection.collection.push import PushLimits, PushWatch
+from galen_deflection.collection.shift import collection_shift, shift_sentence
+from galen_deflection.collection.untouched import Untouched, UntouchedSettings, UntouchedWatch
+
+CALIBRATION_BAGS = ("calibration_1", "calibration_2")
+PUSH_BAG = "push"
+
+# A push is looked at so often, by its mean load over the window; each sample costs only an append.
+_LOOK_NS = 20_000_000
+_WINDOW_NS = 50_000_000
+_FEEDBACK_S = 0.1
+# A hand by service pushes so much longer than it must be held, and may come so much later.
+_SERVICE_SPARE_S = 0.3
+_SERVICE_PATIENCE_S = 3.0
+# The tracker's poses may come so much later than the wrenches of the same time.
+_MARKER_PATIENCE_S = 0.5
+_WRENCH = "wrench_compensated"
+
+
+@dataclass(frozen=True)
+class CollectionSettings(GoalSettings):
+    """Everything that the node's parameters decide; times in s."""
+
+    untouched: UntouchedSettings
+    untouched_timeout_s: float
+    push: PushLimits
+    push_timeout_s: float
+    push_rise_s: float
+    push_fall_s: float
+    push_retries: int
+    max_left_out_in_a_row: int
+    limits: LoadLimits
+    shift_tolerance_m: float
+    shift_tolerance_rad: float
+
+
+class CollectionProcedure(GoalProcedure[Command, Finished]):
+    """One collection. Call `start`, feed samples and events, and do what `take_commands` gives."""
+
+    codes = ErrorCode
+    wrench_topic = _WRENCH
+    _settings: CollectionSettings
+    _state: State
+
+    def __init__(
+        self, settings: CollectionSettings, plan: CollectionPlan, tip_m: Array, by_service: bool
+    ) -> None:
+        """`tip_m` (3,) in ft_sensor; `by_service`: `push_tool` pushes, not a person."""
+        super().__init__(settings, State.CALIBRATION)
+        self._plan = plan
+        self._tip_m = tip_m
+        self._by_service = by_service
+        self._script = self._steps()
+        self._set = self._position = 0  # from 1; 0 in a calibration set
+        self._untouched: UntouchedWatch | None = None
+        self._on_untouched: Callable[[Untouched], None] | None = None
+        self._untouched_since_ns = 0
+        self._calibrations: list[Untouched] = []
+        self._here: Untouched | None = None
+        self._to_tip: ToTip | None = None
+        self._window: deque[tuple[int, Array]] = deque()
+        self._watch: PushWatch | None = None
+        self._push_number = 0
+        self._pushes_until_s = 0.0
+        self._tries = 0
+        self._in_a_row = 0
+        self._good = 0
+        self._left_out: list[str] = []
+        self._warnings: list[str] = []
+        self._shift = NOTHING
+        self._holds = False
+        self._not_before_ns = 0
+        self._last_look = 0
+        self._said_s = 0.0
+        self._over_limit = 0
+        self._seen_jumps = 0
+        self._tool_seen_s = 0.0
+        self._tool_stamp_ns: int | None = None
+        self._tool_key: tuple[float, ...] = ()
+        self._clock = StampClock(_WRENCH, settings.arrival.max_stamp_step_s)
+
+    @property
+    def progress(self) -> tuple[int, int]:
+        """Pushes done or left out, and pushes in all sets."""
+        return self._good + len(self._left_out), self._plan.total
+
+    @property
+    def collected(self) -> Collected:
+        """What has come of it so far."""
+        warnings = list(self._warnings)
+        if self._clock.jumps:
+            warnings.append(
+                f"time stamps jumped {self._clock.jumps} times; the last: {self._clock.last_jump}"
+            )
+        return Collected(
+            self._good, tuple(self._left_out), self._shift, self._holds, tuple(warnings)
+        )
+
+    # ---- events
+
+    def _take_joints(self, stamp_ns: int, position: Array, velocity: Array | None) -> None:
+        if not self.ending and not np.all(np.isfinite(position)):
+            self.fail(ErrorCode.BAD_INPUT, f"{JOINTS} holds values that are not finite")
+        elif self._arrival is not None:
+            self._look_at_arrival(stamp_ns, position, velocity)
+        elif self._untouched is not None:
+            self._untouched.add_joints(position)
+        elif self._watch is not None:
+            self._check_position(position)
+
+    def _take_wrench(self, stamp_ns: int, wrench: Array) -> None:
+        if self.ending or not self._clock.advance(stamp_ns):
+            return
+        self._check_limits(wrench)
+        self._check_stamps()
+        if self.ending or stamp_ns < self._not_before_ns:
+            return
+        if self._untouched is not None:
+            self._untouched.add_wrench(stamp_ns, wrench)
+            self._look_at_untouched()
+        elif self._watch is not None:
+            self._window.append((stamp_ns, wrench))
+            self._look_at_push(stamp_ns)
+
+    def on_tool_marker(self, stamp_ns: int, rotation: Array, translation: Array) -> None:
+        """Take the tool's marker in `tracker`: (3, 3) and (3,), m."""
+        if self._untouched is not None:
+            self._untouched.tool.add(stamp_ns, rotation, translation)
+        key = (*translation.tolist(), *rotation.ravel().tolist())
+        if np.all(np.isfinite(key)) and key != self._tool_key:
+            self._tool_key = key
+            if self._tool_stamp_ns is not None:
+                self._check_marker((stamp_ns - self._tool_stamp_ns) / NS)
+            self._tool_stamp_ns, self._tool_seen_s = stamp_ns, self._time_s
+
+    def on_base_marker(self, stamp_ns: int, rotation: Array, translation: Array) -> None:
+        """Take the base's marker in `tracker`: (3, 3) and (3,), m."""
+        if self._untouched is not None:
+            self._untouched.base.add(stamp_ns, rotation, translation)
+
+    def on_recording(self) -> None:
+        """Every topic is recorded."""
+        if self._waiting_for == "recording" and not self.ending:
+            self._waiting_for = ""
+            self._next()
+
+    def on_service(self, success: bool, message: str, busy: bool = False) -> None:
+        """Take the answer to the last Push; `busy`: one that was asked for earlier goes on."""
+        if self._waiting_for != "push_tool" or self.ending:
+            return
+        self._waiting_for = ""
+        if busy:
+            self._spoil(f"push_tool: {message}")
+        elif not success:
+            self.fail(ErrorCode.SERVICE_FAILED, f"push_tool failed: {message}")
+
+    def _check_patience(self) -> None:
+        patience_s = self._settings.service_timeout_s
+        if self._waiting_for == "recording" and self._waited_s > patience_s:
+            self.fail(
+                ErrorCode.WRITE_FAILED, f"not every topic was recorded within {patience_s:g} s"
+            )
+        else:
+            super()._check_patience()
+
+    def _make_end(self, code: IntEnum, message: str) -> Finished:
+        return Finished(ErrorCode(code), message, self.collected)
+
+    def _drop_watches(self) -> None:
+        self._untouched = self._watch = None
+
+    # ---- the course
+
+    def _steps(self) -> Iterator[Callable[[], None]]:
+        yield partial(self._record, CALIBRATION_BAGS[0])
+        yield self._calibrate
+        yield partial(self._record, PUSH_BAG)
+        for number in range(self._plan.sets):
+            for position in range(len(self._plan.positions)):
+                yield partial(self._visit, number + 1, position + 1)
+        yield partial(self._record, CALIBRATION_BAGS[1])
+        yield self._calibrate
+        yield self._compare
+
+    def _begin(self) -> None:
+        self._next()
+
+    @property
+    def _time_s(self) -> float:
+        """Time gone by on the wrench's stamps."""
+        return self._clock.elapsed_ns / NS
+
+    def _next(self) -> None:
+        self._waited_s = 0.0
+        next(self._script)()
+
+    def _record(self, bag: str) -> None:
+        self._waiting_for = "recording"
+        self._commands.append(Record(bag))
+
+    def _calibrate(self) -> None:
+        self._set = self._position = 0
+        self._state = State.CALIBRATION
+        number = len(self._calibrations) + 1
+        self._report(f"calibration set {number} of 2: keep off the tool")
+        self._go_to(self._plan.positions[0], partial(self._stay_untouched, self._calibrated))
+
+    def _calibrated(self, found: Untouched) -> None:
+        self._calibrations.append(found)
+        self._next()
+
+    def _visit(self, number: int, position: int) -> None:
+        self._set, self._position = number, position
+        self._state = State.MOVE
+        self._report("going to the position: keep off")
+        self._go_to(self._plan.positions[position - 1], self._arrived_at_position)
+
+    def _arrived_at_position(self) -> None:
+        self._state = State.UNTOUCHED
+        self._report("keep off the tool")
+        self._stay_untouched(self._begin_pushes)
+
+    def _begin_pushes(self, found: Untouched) -> None:
+        self._here = found
+        self._to_tip = to_tip(found.joints, self._tip_m)
+        self._push_number = self._tries = 0
+        self._ask()
+
+    def _compare(self) -> None:
+        settings = self._settings
+        first, second = self._calibrations
+        self._shift = collection_shift(first, second, self._tip_m)
+        warning = shift_sentence(
+            first, second, self._shift, settings.shift_tolerance_m, settings.shift_tolerance_rad
+        )
+        self._holds = not warning
+        if warning:
+            self._warnings.append(warning)
+        if not self._good:
+            self.fail(ErrorCode.NO_PUSHES, f"no push was as asked; the last: {self._left_out[-1]}")
+            return
+        self._succeed()
+
+    # ---- the tool left alone
+
+    def _stay_untouched(self, then: Callable[[Untouched], None]) -> None:
+        self._untouched = UntouchedWatch(self._settings.untouched)
+        self._on_untouched = then
+        self._untouched_since_ns = self._clock.elapsed_ns
+
+    def _look_at_untouched(self) -> None:
+        watch = self._untouched
+        assert watch is not None and self._on_untouched is not None
+        if watch.result is not None:
+            self._untouched = None
+            self._on_untouched(watch.result)
+        elif watch.complaint:
+            complaint, watch.complaint = watch.complaint, ""
+            waited_s = (self._clock.elapsed_ns - self._untouched_since_ns) / NS
+            if waited_s > self._settings.untouched_timeout_s:
+                where = f"at position {self._position}" if self._position else "when calibrating"
+                self.fail(ErrorCode.NOT_UNTOUCHED, f"{where}, {complaint} ({waited_s:.0f} s)")
+            else:
+                self._report(f"{complaint}; keep off the tool, and let the tracker see it")
+
+    # ---- pushes
+
+    @property
+    def _wanted(self) -> WantedPush:
+        return self._plan.pushes[self._push_number]
+
+    def _ask(self) -> None:
+        settings = self._settings
+        timeout_s = settings.push_timeout_s
+        if self._by_service:
+            timeout_s = (
+                settings.push_rise_s + settings.push.hold_s + _SERVICE_SPARE_S + _SERVICE_PATIENCE_S
+            )
+        self._watch = PushWatch(self._wanted, settings.push, timeout_s, self._time_s)
+        self._window.clear()
+        self._state = self._watch.state
+
+    def _look_at_push(self, stamp_ns: int) -> None:
+        while stamp_ns - self._window[0][0] > _WINDOW_NS:
+            self._window.popleft()
+        if stamp_ns // _LOOK_NS == self._last_look:
+            return
+        self._last_look = stamp_ns // _LOOK_NS
+        watch = self._watch
+        assert watch is not None and self._here is not None and self._to_tip is not None
+        load = self._to_tip(np.mean([w for _, w in self._window], axis=0) - self._here.offset)
+        asked, before = watch.asked, watch.state
+        self._check_marker(self._time_s - self._tool_seen_s - _MARKER_PATIENCE_S)
+        # A push that was spoiled before it was felt comes nevertheless: that isn't let go of yet.
+        if watch.state != State.RELEASE or self._time_s >= self._pushes_until_s:
+            watch.look(self._time_s, load)
+        self._state = watch.state
+        if watch.outcome is not None:
+            self._watch = None
+            self._take_outcome(watch.outcome)
+            return
+        if watch.asked and not asked and self._by_service:
+            self._push_by_service()
+        if watch.state != before or self._time_s - self._said_s >= _FEEDBACK_S:
+            self._report_push(watch, load)
+
+    def _push_by_service(self) -> None:
+        settings = self._settings
+        self._waiting_for = "push_tool"
+        self._waited_s = 0.0
+        push = Push(
+            self._wanted.wrench,
+            settings.push_rise_s,
+            settings.push.hold_s + _SERVICE_SPARE_S,
+            settings.push_fall_s,
+        )
+        self._pushes_until_s = self._time_s + push.rise_s + push.hold_s + push.fall_s
+        self._commands.append(push)
+
+    def _take_outcome(self, reason: str) -> None:
+        if not reason:
+            self._good += 1
+            self._in_a_row = 0
+        elif self._tries < self._settings.push_retries:
+            self._tries += 1
+            self._report(f"{self._wanted}: {reason}; once more")
+            self._ask()
+            return
+        else:
+            self._left_out.append(
+                f"set {self._set}, position {self._position}, {self._wanted}: {reason}"
+            )
+            self._report(f"{self._wanted}: {reason}; left out")
+            self._in_a_row += 1
+            if self._in_a_row >= self._settings.max_left_out_in_a_row:
+                self.fail(
+                    ErrorCode.NO_PUSHES,
+                    f"{self._in_a_row} pushes in a row were not as asked; the last:"
+                    f" {self._left_out[-1]}",
+                )
+                return
+        self._tries = 0
+        self._push_number += 1
+        if self._push_number < len(self._plan.pushes):
+            self._ask()
+        else:
+            self._next()
+
+    # ---- what spoils a push, or ends it all
+
+    def _check_limits(self, wrench: Array) -> None:
+        """Two samples in a row: a single one may be a spike on the line."""
+        if not np.all(np.isfinite(wrench)):
+            self.fail(ErrorCode.BAD_INPUT, f"{_WRENCH} holds values that are not finite")
+            return
+        force, torque = float(np.linalg.norm(wrench[:3])), float(np.linalg.norm(wrench[3:]))
+        limits = self._settings.limits
+        if force <= limits.force_n and torque <= limits.torque_nm:
+            self._over_limit = 0
+            return
+        self._over_limit += 1
+        if self._over_limit == 2:
+            self.fail(
+                ErrorCode.OVERLOAD,
+                f"{_WRENCH} reads {force:.1f} N and {torque:.2f} N·m; the limits are"
+                f" {limits.force_n:g} N and {limits.torque_nm:g} N·m",
+            )
+
+    def _check_stamps(self) -> None:
+        """A jump breaks what is being watched."""
+        if self._clock.jumps == self._seen_jumps:
+            return
+        self._seen_jumps = self._clock.jumps
+        if self._untouched is not None:
+            self._untouched.begin_again()
+        self._window.clear()
+        self._spoil(self._clock.last_jump)
+
+    def _check_position(self, position: Array) -> None:
+        assert self._here is not None
+        off = position - self._here.joints
+        away = np.abs(off) > self._settings.arrival.position_tolerance
+        if np.any(away):
+            k = int(np.argmax(away))
+            self._spoil(
+                f"{JOINT_NAMES[k]} moved by {off[k]:+.2g} {JOINT_UNITS[k]}: the arm must hold its"
+                " position (no admittance mode)"
+            )
+
+    def _check_marker(self, lost_s: float) -> None:
+        if lost_s > self._settings.untouched.max_gap_s:
+            self._spoil(f"the tool's marker was lost for {lost_s:.2f} s")
+
+    def _spoil(self, reason: str) -> None:
+        if self._watch is not None:
+            self._watch.spoil(reason, self._time_s)
+
+    # ---- motion
+
+    def _note_arrival(self, clock: StampClock) -> None:
+        """The wrench comes by way of another node, and so from a time when the arm still moved."""
+        assert clock.stamp_ns is not None
+        self._not_before_ns = clock.stamp_ns
+
+    # ---- reports
+
+    def _report(self, message: str) -> None:
+        self._commands.append(
+            Feedback(self._state, message, self._set, self._position, self.progress[0])
+        )
+
+    def _report_push(self, watch: PushWatch, load: Array) -> None:
+        self._said_s = self._time_s
+        wanted = watch.wanted
+        now = f"{_amount(watch.along, wanted)} now, {_amount(watch.aside, wanted)} aside"
+        message = {
+            State.PUSH: f"push {wanted}: {now}",
+            State.HOLD: f"hold {wanted}: {now}",
+            State.RELEASE: f"let go: {now}",
+            State.REST: "keep off",
+        }[watch.state]
+        self._commands.append(
+            Feedback(
+                watch.state,
+                message,
+                self._set,
+                self._position,
+                self.progress[0],
+                wanted.wrench,
+                load,
+                watch.along,
+                watch.aside,
+            )
+        )
+
+
+def _amount(value: float, wanted: WantedPush) -> str:
+    decimals = 1 if wanted.is_force else 2
+    return f"{round(value, decimals) + 0.0:.{decimals}f} {wanted.unit}"  # no minus before a zero

@@ -1,0 +1,208 @@
+"""A model at work on live samples: wrenches and joints go in, deflections come out. No ROS.
+
+Each wrench pushed ends in exactly one way: as a `Deflected`, or as a `Refused` that names the
+reason. Which joints belong to a wrench is for `galen_ros.stream.pairing` to say, as for the
+compensator.
+
+A model with hysteresis remembers the loads that it was given, in their order. Whatever makes that
+memory doubtful makes it forget: its stream starts anew, and its covariance says how little it knows
+until loads have passed again. That is so after a gap in the wrenches longer than `memory_gap_s`
+(refused ones count as lacking), after a restart of the driver, and when someone who knows more of
+the wrench says so by `forget`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import Enum
+from typing import NamedTuple
+
+import numpy as np
+from galen_model.arrays import Array
+from galen_model.errors import KinematicsError
+from galen_ros.stream.pairing import PairingSettings, WrenchPairing
+from galen_ros.stream.results import Refused
+
+from galen_deflection.live.corrected_tip import CorrectedTip, TipPose
+from galen_deflection.models.interface import DeflectionModel, Predicted, Stream
+
+TIP_TOLERANCE_M = 1e-5
+"""So far may the tip that a model was fitted for lie from the tool's: a third of what the tracker's
+noise is.
+"""
+
+
+class ModelRefusal(Enum):
+    """Why a deflection was not predicted, beside `galen_ros.stream.results.Refusal`."""
+
+    NO_MODEL = "no_model"
+    OTHER_TIP = "other_tip"  # the model was fitted for another tool's tip
+    OUT_OF_ORDER = "out_of_order"  # hysteresis takes loads in their order only
+    OUT_OF_REACH = "out_of_reach"  # joints at which the rods don't reach
+    NONFINITE = "nonfinite_prediction"
+
+
+@dataclass(frozen=True)
+class DeflectorSettings(PairingSettings):
+    """Limits, times in s by the samples' stamps."""
+
+    sensor_frame: str = "ft_sensor"
+    memory_gap_s: float = 0.1
+
+
+class Deflected(NamedTuple):
+    """A deflection at the stamp of its wrench, and the tip's pose with it, in base_link."""
+
+    stamp_ns: int
+    predicted: Predicted
+    tip: TipPose
+    tag: object
+    number: int  # of the wrench in the order of arrival, from 0
+    joints: tuple[float, ...]  # at the stamp, m and rad
+
+
+class Deflector(WrenchPairing[Deflected]):
+    """Streams one sensor's compensated wrenches through one model."""
+
+    wrench_topic = "wrench_compensated"
+
+    def __init__(
+        self,
+        settings: DeflectorSettings | None = None,
+        on_restart: Callable[[str], None] | None = None,
+        on_forgotten: Callable[[str], None] | None = None,
+    ) -> None:
+        """`on_forgotten(why)` is called after the memory of a model at work was dropped."""
+        settings = settings or DeflectorSettings()
+        super().__init__(settings, on_restart)
+        self._sensor_frame = settings.sensor_frame
+        self._memory_gap_ns = round(settings.memory_gap_s * 1e9)
+        self._on_forgotten = on_forgotten
+        self._model: DeflectionModel | None = None
+        self._why_none = "no model is loaded"
+        self._stream: Stream | None = None
+        self._corrected: CorrectedTip | None = None
+        self._tool = ""
+        self._tool_tip_m: Array | None = None
+        self._other_tip = ""
+        self._fed_ns: int | None = None
+        self.last: Deflected | None = None
+        """The newest result."""
+        self.predicted = 0
+        self.extrapolated = 0
+        self.forgotten = 0
+
+    # State
+
+    @property
+    def model(self) -> DeflectionModel | None:
+        """The model in force."""
+        return self._model
+
+    @property
+    def sensor_frame(self) -> str:
+        """The frame_id that a wrench must have."""
+        return self._sensor_frame
+
+    @property
+    def other_tip(self) -> str:
+        """Why the model is not for the tool that is on; empty if it is, or that isn't known."""
+        return self._other_tip
+
+    def set_model(
+        self, model: DeflectionModel | None, why_none: str = "no model is loaded"
+    ) -> list[Deflected | Refused]:
+        """Put a model in force, or none; it has seen no load yet. `why_none` says why none."""
+        self._model = model
+        self._why_none = why_none
+        self._stream = None if model is None else model.stream()
+        self._corrected = None if model is None else CorrectedTip(np.asarray(model.tip_m))
+        self._fed_ns = None
+        self.last = None
+        return self._compare_tips()
+
+    def set_tool(self, tool: str, tip_m: Array | None) -> list[Deflected | Refused]:
+        """Say which tool is on, and where its tip (3,) is in ft_sensor; None: not known."""
+        self._tool, self._tool_tip_m = tool, tip_m
+        return self._compare_tips()
+
+    def forget(self, why: str) -> bool:
+        """Forget all loads, as if the arm had never been loaded. False: there were none."""
+        if self._stream is None or self._fed_ns is None:
+            return False
+        self._stream.reset()
+        self._fed_ns = None
+        self.last = None
+        self.forgotten += 1
+        if self._on_forgotten is not None:
+            self._on_forgotten(why)
+        return True
+
+    def restart(self, why: str) -> list[Deflected | Refused]:
+        """Forget all that belongs to the driver's life so far: samples and loads."""
+        self.forget(why)
+        return super().restart(why)
+
+    # Samples
+
+    def push_joints(self, stamp_ns: int, positions: tuple[float, ...]) -> list[Deflected | Refused]:
+        """Take joints (5,), m and rad; returns what became of the wrenches that waited."""
+        return self._push_joint_sample(stamp_ns, positions)
+
+    # Inside
+
+    def _barred(self) -> tuple[Enum, str] | None:
+        if self._model is None:
+            return ModelRefusal.NO_MODEL, self._why_none
+        if self._other_tip:
+            return ModelRefusal.OTHER_TIP, self._other_tip
+        return None
+
+    def _compare_tips(self) -> list[Deflected | Refused]:
+        self._other_tip = ""
+        model, tip_m = self._model, self._tool_tip_m
+        if model is not None and tip_m is not None and _apart(model.tip_m, tip_m):
+            self._other_tip = (
+                f"the model is for a tip at {_point(model.tip_m)} m, the tool '{self._tool}'"
+                f" has its tip at {_point(tip_m)} m: load a model of this tool (model_file)"
+            )
+        barred = self._barred()
+        return [] if barred is None else self._refuse_waiting(*barred)
+
+    def _make(
+        self, stamp_ns: int, raw: Array, joints: tuple[float, ...], tag: object, number: int
+    ) -> Deflected | Refused:
+        fed_ns = self._fed_ns
+        if fed_ns is not None and stamp_ns <= fed_ns:
+            detail = f"{self.wrench_topic} is out of order: hysteresis takes loads in their order"
+            return self._refuse(stamp_ns, ModelRefusal.OUT_OF_ORDER, detail, number)
+        if fed_ns is not None and stamp_ns - fed_ns > self._memory_gap_ns:
+            self.forget(f"no usable {self.wrench_topic} for {(stamp_ns - fed_ns) * 1e-9:.3f} s")
+        assert self._stream is not None and self._corrected is not None
+        at = np.array(joints)
+        try:
+            predicted = self._stream.step(stamp_ns, at, raw)
+        except KinematicsError as error:
+            detail = f"joint_states say what the arm can't do: {error}"
+            return self._refuse(stamp_ns, ModelRefusal.OUT_OF_REACH, detail, number)
+        self._fed_ns = stamp_ns
+        mean = predicted.mean.tolist()
+        # As with wrenches, one sum finds what is not finite.
+        if not np.isfinite(predicted.covariance.sum() + sum(mean)):
+            self.forget("the model gave a value that is not finite")
+            detail = "the model gives a value that is not finite"
+            return self._refuse(stamp_ns, ModelRefusal.NONFINITE, detail, number)
+        self.predicted += 1
+        self.extrapolated += predicted.extrapolated
+        tip = self._corrected(joints, mean)
+        self.last = Deflected(stamp_ns, predicted, tip, tag, number, joints)
+        return self.last
+
+
+def _apart(one: Array, other: Array) -> bool:
+    return float(np.linalg.norm(one - other)) > TIP_TOLERANCE_M
+
+
+def _point(point: Array) -> str:
+    return "(" + ", ".join(f"{value:.6g}" for value in point) + ")"

@@ -1,0 +1,129 @@
+"""What the deflection's node can say of its health: state, rates, what it knows. No ROS."""
+
+from __future__ import annotations
+
+from collections import deque
+
+import numpy as np
+from galen_model.arrays import Array
+from galen_ros.stream.frozen import FROZEN_S
+from galen_ros.stream.monitor import RATE_WINDOW_S, Severity, State, StreamMonitor, joined
+from galen_ros.stream.results import Refusal
+
+from galen_deflection.live.deflector import Deflector, ModelRefusal
+
+# Of the compensator's reasons those that the deflector never has.
+_NOT_HERE = (Refusal.DISABLED, Refusal.NO_TOOL)
+
+
+class DeflectorMonitor(StreamMonitor):
+    """Watches one deflector; times as `StreamMonitor` says."""
+
+    reasons = tuple(r for r in Refusal if r not in _NOT_HERE) + tuple(ModelRefusal)
+    said_better = (Refusal.RESTART, ModelRefusal.NO_MODEL, ModelRefusal.OTHER_TIP)
+    working = "predicting"
+
+    def __init__(
+        self,
+        deflector: Deflector,
+        silence_s: float,
+        frozen_s: float = FROZEN_S,
+        late_s: float = 0.0,
+    ) -> None:
+        super().__init__(deflector, silence_s, frozen_s, late_s)
+        self._deflector = deflector
+        self._model_error = ""
+        self._last_forgotten = ""
+        self._shares: deque[tuple[float, int, int]] = deque()
+
+    def set_model_error(self, text: str) -> None:
+        """Say why the model asked for at start is not loaded; empty when one is in force."""
+        self._model_error = text
+
+    def on_forgotten(self, why: str, now_s: float) -> None:
+        """Note that loads were forgotten."""
+        self._last_forgotten = why
+        self.on_notice(f"the loads so far are forgotten: {why}", now_s)
+
+    def tick(self, now_s: float) -> None:
+        """As `StreamMonitor.tick`."""
+        super().tick(now_s)
+        deflector, shares = self._deflector, self._shares
+        shares.append((now_s, deflector.predicted, deflector.extrapolated))
+        while len(shares) > 2 and now_s - shares[1][0] > RATE_WINDOW_S:
+            shares.popleft()
+
+    @property
+    def extrapolated_share(self) -> float:
+        """Of the deflections of the last two seconds, 0 to 1."""
+        if len(self._shares) < 2:
+            return 0.0
+        (_, first, first_outside), (_, last, last_outside) = self._shares[0], self._shares[-1]
+        return (last_outside - first_outside) / (last - first) if last > first else 0.0
+
+    def _standing_state(self) -> State | None:
+        if self._model_error:
+            text = f"nothing is published: {self._model_error}; set model_file to a good file"
+            return State(Severity.ERROR, "bad_model_file", text)
+        if self._deflector.model is None:
+            text = "no model is loaded: set model_file; nothing is published"
+            return State(Severity.WARN, ModelRefusal.NO_MODEL.value, text)
+        if self._deflector.other_tip:
+            text = f"nothing is published: {self._deflector.other_tip}"
+            return State(Severity.ERROR, ModelRefusal.OTHER_TIP.value, text)
+        return None
+
+    def _running_state(self) -> State:
+        model = self._deflector.model
+        assert model is not None
+        text = f"predicting by {model.name}"
+        share = self.extrapolated_share
+        if share > 0.0:
+            text += f", {100.0 * share:.0f} % of it beyond what the model was fitted on"
+            return State(Severity.WARN, "extrapolating", text)
+        last = self._deflector.last
+        if last is not None and last.predicted.start is not None:
+            start = last.predicted.start
+            if np.trace(start[:3, :3]) > 0.5 * np.trace(last.predicted.covariance[:3, :3]):
+                text += (
+                    "; loads before the start are not known, so that it is uncertain by"
+                    f" {1e3 * _size(start[:3, :3]):.2g} mm until the arm has been pushed both ways"
+                )
+                return State(Severity.OK, "start_unknown", text)
+        return State(Severity.OK, self.working, text)
+
+    def values(self, now_s: float) -> dict[str, object]:
+        """Everything measured, for /diagnostics; units are in the names."""
+        deflector = self._deflector
+        model, last = deflector.model, deflector.last
+        values: dict[str, object] = {"model": "" if model is None else model.name}
+        if model is not None:
+            values["model_tip_m"] = joined(np.asarray(model.tip_m))
+        values["sensor_frame"] = deflector.sensor_frame
+        if last is not None:
+            covariance = last.predicted.covariance
+            values |= {
+                "deflection_mm": joined(1e3 * last.predicted.mean[:3]),
+                "deflection_mrad": joined(1e3 * last.predicted.mean[3:]),
+                "std_mm": 1e3 * _size(covariance[:3, :3]),
+                "std_mrad": 1e3 * _size(covariance[3:, 3:]),
+            }
+            start = last.predicted.start
+            if start is not None:
+                values["std_of_unknown_start_mm"] = 1e3 * _size(start[:3, :3])
+                values["std_of_unknown_start_mrad"] = 1e3 * _size(start[3:, 3:])
+        values |= self.inputs(now_s, "deflection")
+        values |= {
+            "received": deflector.received,
+            "predicted": deflector.predicted,
+            "extrapolated": deflector.extrapolated,
+            "extrapolated_percent": 100.0 * self.extrapolated_share,
+            "forgotten": deflector.forgotten,
+            "last_forgotten": self._last_forgotten,
+        }
+        return values | self.refused()
+
+
+def _size(covariance: Array) -> float:
+    """Standard deviation of the length of a vector with this covariance (3, 3), about zero."""
+    return float(np.sqrt(np.trace(covariance)))

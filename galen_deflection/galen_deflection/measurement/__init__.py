@@ -1,0 +1,1 @@
+"""Measured deflections from recordings of pushes."""

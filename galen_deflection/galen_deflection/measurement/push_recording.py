@@ -1,0 +1,297 @@
+"""A recording of pushes out of a bag: load and marker, at the tool marker's stamps.
+
+The wrench is the one that the live node would publish: the raw wrenches go through its own
+`Compensator`. Joints and wrench are interpolated at the stamps of the tool's marker; the base's
+marker is a mean (`base_marker`). Where stamps jump, samples lack, a marker is lost, the base moved
+or the arm went elsewhere, a new segment begins; everything found is told as a sentence.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from galen_bags.arrays.arm_recording import ArmTopics
+from galen_bags.arrays.marker_tracks import MarkerTrack, RawTrack, marker_track, read_poses
+from galen_bags.arrays.timeline import Timeline, interpolated
+from galen_bags.formats.bag import open_bag
+from galen_gravcomp.compensator import CompensatorSettings
+from galen_model.arrays import Array
+from galen_model.files.calibration_file import ToolFile
+from galen_model.registration.rigid import Transform
+
+from galen_deflection.errors import PushRecordingError
+from galen_deflection.measurement.arm_positions import (
+    LoadPhases,
+    PositionSettings,
+    Stay,
+    UnloadedSettings,
+    find_stays,
+    load_phases,
+    noise_of_mean,
+    wrench_noise,
+)
+from galen_deflection.measurement.arm_track import ArmTrack, read_arm_track
+from galen_deflection.measurement.base_marker import BaseStand, base_stands
+
+_NS = 1e9
+# Under this many samples a base marker's pose is no mean.
+_LEAST_BASE_SAMPLES = 20
+
+
+@dataclass(frozen=True)
+class PushTopics:
+    """Topics by name, or by the end of their name (`ArmTopics`)."""
+
+    arm: ArmTopics = field(default_factory=ArmTopics)
+    tool_pose: str = "tracker/tool_pose"
+    base_pose: str = "tracker/base_pose"
+
+
+@dataclass(frozen=True)
+class PushSettings:
+    """Limits. Times in s.
+
+    max_gap_s: nothing is interpolated over more, and more without a sample begins a segment.
+    jump_s: stamps whose delay to their log times changes by more, and stays so, jumped.
+    """
+
+    topics: PushTopics = field(default_factory=PushTopics)
+    max_gap_s: float = 0.1
+    jump_s: float = 0.03
+    compensator: CompensatorSettings = field(default_factory=CompensatorSettings)
+    positions: PositionSettings = field(default_factory=PositionSettings)
+    unloaded: UnloadedSettings = field(default_factory=UnloadedSettings)
+
+
+@dataclass(frozen=True)
+class PushRecording:
+    """Samples (n,) at the stamps of the tool's marker, of the arm standing at its positions.
+
+    stamp_ns, segment, position, visit, stand (n,): `stand` counts in `stands`, visits from 0 for
+    each position; joints (n, 5) m and rad; wrench (n, 6) compensated, ft_sensor, N and N.m; marker
+    (n): the tool's marker in the base's marker. untouched (n,): before the first push of a visit,
+    nobody touching the tool; zero_load (n,): between pushes, where hysteresis may have left a
+    deflection. positions (p, 5): joints. wrench_noise (6,): of one sample. period_s: of the tool
+    marker. loaded_segments: those that begin under load, of whose past nothing is known.
+    """
+
+    path: Path
+    tool: ToolFile
+    stamp_ns: np.ndarray
+    segment: np.ndarray
+    position: np.ndarray
+    visit: np.ndarray
+    stand: np.ndarray
+    joints: Array
+    wrench: Array
+    marker: Transform
+    untouched: np.ndarray
+    zero_load: np.ndarray
+    positions: Array
+    stands: tuple[BaseStand, ...]
+    wrench_noise: Array
+    period_s: float
+    start_ns: int
+    loaded_segments: tuple[int, ...]
+    problems: tuple[str, ...]
+
+    def __len__(self) -> int:
+        """Number of samples."""
+        return len(self.stamp_ns)
+
+
+def read_pushes(
+    path: str | os.PathLike[str],
+    tool: ToolFile,
+    settings: PushSettings | None = None,
+    on_progress: Callable[[int, int | None], None] | None = None,
+) -> PushRecording:
+    """Read a recording of pushes, made with `tool` on.
+
+    `on_progress(done, total)` counts messages of the arm. Raises BagError for a bag that can't be
+    read or lacks a topic, PushRecordingError where no sample is left, with the reasons.
+    """
+    settings = settings or PushSettings()
+    with open_bag(path) as bag:
+        arm = read_arm_track(
+            bag,
+            tool,
+            settings.topics.arm,
+            settings.compensator,
+            jump_s=settings.jump_s,
+            on_progress=on_progress,
+        )
+        names = (settings.topics.tool_pose, settings.topics.base_pose)
+        tool_raw, base_raw = read_poses(bag, names)
+        problems = [*bag.problems, *arm.problems]
+    return _assembled(Path(path), tool, settings, arm, tool_raw, base_raw, problems)
+
+
+def _assembled(
+    path: Path,
+    tool: ToolFile,
+    settings: PushSettings,
+    arm: ArmTrack,
+    tool_raw: RawTrack,
+    base_raw: RawTrack,
+    problems: list[str],
+) -> PushRecording:
+    start_ns = arm.start_ns
+    track = marker_track(tool_raw, settings.jump_s, start_ns, may_stand=False)
+    base = marker_track(base_raw, settings.jump_s, start_ns, may_stand=True)
+    problems = [*problems, *track.problems, *base.problems]
+    if set(tool_raw.frame_ids) != set(base_raw.frame_ids):
+        raise PushRecordingError(
+            f"{path}: {track.topic} is in {', '.join(tool_raw.frame_ids)}, {base.topic} in"
+            f" {', '.join(base_raw.frame_ids)}: they must be in one frame"
+        )
+    problems += _other_clocks(arm, track, base, settings.jump_s)
+    if len(base) < _LEAST_BASE_SAMPLES:
+        raise PushRecordingError(_nothing(path, f"{base.topic} has {len(base)} poses", problems))
+    stands, moved = base_stands(base, start_ns)
+    problems += moved
+    stays, positions = find_stays(arm.joint_line, arm.joints, settings.positions)
+    if not stays:
+        raise PushRecordingError(_nothing(path, "the arm never stands still", problems))
+
+    at_ns = track.line.time_ns
+    joints, joints_known, joint_shift = interpolated(
+        arm.joint_line, arm.joints, at_ns, settings.max_gap_s
+    )
+    wrench, wrench_known, wrench_shift = interpolated(
+        arm.wrench_line, arm.wrenches, at_ns, settings.max_gap_s
+    )
+    jump_ns = settings.jump_s * _NS
+    agree = np.abs(track.line.shift_ns - joint_shift) <= jump_ns
+    agree &= np.abs(track.line.shift_ns - wrench_shift) <= jump_ns
+    stay = _inside(at_ns, [(s.start_ns, s.end_ns) for s in stays])
+    # At the rims of a stay, the first and last samples of the topics don't come together.
+    told = _inside(at_ns, [_shrunk(s, settings.max_gap_s) for s in stays]) >= 0
+    for lost, why in (
+        (~agree & told, "stamps stand off from the other topics' after a jump"),
+        (agree & ~joints_known & told, f"no {arm.joint_topic} around"),
+        (agree & joints_known & ~wrench_known & told, "no compensated wrench around"),
+    ):
+        if lost.any():
+            first_s = (at_ns[lost][0] - start_ns) / _NS
+            problems.append(
+                f"{track.topic}: {int(lost.sum())} samples left out from {first_s:.2f} s on: {why}"
+            )
+    keep = (stay >= 0) & agree & joints_known & wrench_known
+    if not keep.any():
+        raise PushRecordingError(_nothing(path, "no sample is left", problems))
+
+    phases = _phases_of_visits(arm, stays, settings, problems)
+    at_ns, stay = at_ns[keep], stay[keep]
+    stand = _stand_of(at_ns, stands)
+    segment = _segments(track.line.kept(keep), stay, stand, settings.max_gap_s)
+    untouched = _inside(at_ns, [p.first for p in phases if p.first is not None]) >= 0
+    zero_load = _inside(at_ns, [span for p in phases for span in p.zero_load]) >= 0
+    loaded = _loaded_segments(segment, untouched | zero_load)
+    if loaded:
+        problems.append(
+            f"{len(loaded)} of {int(segment.max()) + 1} segments begin under load"
+            f" ({', '.join(map(str, loaded[:10]))}): of the load before, nothing is known"
+        )
+    base_in_tracker = Transform(
+        np.array([s.pose.rotation for s in stands])[stand],
+        np.array([s.pose.translation for s in stands])[stand],
+    )
+    return PushRecording(
+        path=path,
+        tool=tool,
+        stamp_ns=track.line.stamp_ns[keep],
+        segment=segment,
+        position=np.array([s.position for s in stays])[stay],
+        visit=np.array([s.visit for s in stays])[stay],
+        stand=stand,
+        joints=joints[keep],
+        wrench=wrench[keep],
+        marker=base_in_tracker.inverse() @ track.poses[keep],
+        untouched=untouched,
+        zero_load=zero_load,
+        positions=positions,
+        stands=tuple(stands),
+        wrench_noise=wrench_noise(arm.wrenches),
+        period_s=track.period_s,
+        start_ns=start_ns,
+        loaded_segments=loaded,
+        problems=tuple(problems),
+    )
+
+
+def _other_clocks(arm: ArmTrack, track: MarkerTrack, base: MarkerTrack, jump_s: float) -> list[str]:
+    said = []
+    for topic, line in ((arm.wrench_topic, arm.wrench_line), (track.topic, track.line)):
+        behind_s = (line.delay_ns - arm.joint_line.delay_ns) / _NS
+        if abs(behind_s) > jump_s:
+            said.append(
+                f"{topic}: stamps stand {abs(behind_s):.3f} s"
+                f" {'behind' if behind_s > 0 else 'ahead of'} those of {arm.joint_topic}, by when"
+                " they were received; are they from another clock?"
+            )
+    return said
+
+
+def _nothing(path: Path, what: str, problems: list[str]) -> str:
+    return f"{path}: {what}" + "".join(f"; {problem}" for problem in problems)
+
+
+def _inside(at_ns: np.ndarray, spans: list[tuple[int, int]]) -> np.ndarray:
+    """Which of the spans, in order and apart from each other, each time (n,) is in; -1 for none."""
+    if not spans:
+        return np.full(len(at_ns), -1)
+    starts, ends = np.array(spans, dtype=np.int64).T
+    which = np.searchsorted(starts, at_ns, side="right") - 1
+    return np.where((which >= 0) & (at_ns <= ends[np.maximum(which, 0)]), which, -1)
+
+
+def _shrunk(stay: Stay, by_s: float) -> tuple[int, int]:
+    return stay.start_ns + round(by_s * _NS), stay.end_ns - round(by_s * _NS)
+
+
+def _stand_of(at_ns: np.ndarray, stands: list[BaseStand]) -> np.ndarray:
+    return np.searchsorted([s.start_ns for s in stands], at_ns, side="right") - 1
+
+
+def _segments(line: Timeline, stay: np.ndarray, stand: np.ndarray, max_gap_s: float) -> np.ndarray:
+    """Numbers (n,) of stretches without a gap, a jump, a move of the base or of the arm."""
+    new = np.diff(line.time_ns) > max_gap_s * _NS
+    for number in (line.shift_ns, stay, stand):
+        new |= np.diff(number) != 0
+    return np.concatenate([[0], np.cumsum(new)])
+
+
+def _loaded_segments(segment: np.ndarray, free: np.ndarray) -> tuple[int, ...]:
+    first = np.concatenate([[True], np.diff(segment) > 0])
+    return tuple(int(number) for number in segment[first & ~free])
+
+
+def _phases_of_visits(
+    arm: ArmTrack, stays: list[Stay], settings: PushSettings, problems: list[str]
+) -> list[LoadPhases]:
+    """Of each visit; those without an untouched start are told."""
+    visits: list[list[Stay]] = []
+    for stay in stays:
+        if visits and visits[-1][-1].position == stay.position:
+            visits[-1].append(stay)
+        else:
+            visits.append([stay])
+    phases = []
+    line = arm.wrench_line
+    noise = noise_of_mean(line.time_ns, arm.wrenches, settings.unloaded.window_s)
+    for visit in visits:
+        inside = (line.time_ns >= visit[0].start_ns) & (line.time_ns <= visit[-1].end_ns)
+        found = load_phases(line.time_ns[inside], arm.wrenches[inside], noise, settings.unloaded)
+        if found.first is None:
+            at_s = (visit[0].start_ns - arm.start_ns) / _NS
+            problems.append(
+                f"position {visit[0].position}, visited at {at_s:.1f} s: not untouched at first:"
+                f" {found.why_none}"
+            )
+        phases.append(found)
+    return phases

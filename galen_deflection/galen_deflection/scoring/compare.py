@@ -1,0 +1,260 @@
+"""`compare`: every kind of model on the same questions, each scored where it was not fitted."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from galen_bags.command_line import (
+    EXIT_FAILED,
+    EXIT_INTERRUPTED,
+    EXIT_OK,
+    EXIT_USAGE,
+    check_folder,
+    run_command,
+)
+from galen_model.errors import GalenError
+from rich.console import Console
+
+from galen_deflection.models.fit_settings import FitSettings
+from galen_deflection.models.registry import KINDS
+from galen_deflection.scoring.cross_check import Checked, Task, by_position, cross_check, make_tasks
+from galen_deflection.scoring.options import (
+    add_bags,
+    add_fit,
+    console,
+    fit_settings,
+    print_problems,
+    progress,
+    read_all,
+    read_settings,
+    written,
+)
+from galen_deflection.scoring.score_table import comparison_table
+from galen_deflection.scoring.splits import SPLITS
+
+_BASELINE = "lstm"
+_EPILOG = f"""splits:
+  report    a set of each position in one half is checked, all others fitted to; in turn
+            (of four positions with two sets: six sets to two, as in the 2019 report)
+  push      pushes are dealt to four folds, each checked in turn: where every position was
+            visited once
+  set       each set in turn is checked
+  position  each position in turn is checked with all its sets: none of it was fitted to
+
+exit codes:
+  {EXIT_OK}    done
+  {EXIT_FAILED}    a bag or a tool's file can't be used, or a kind of model can't be fitted; a line
+       says why. The other kinds were compared
+  {EXIT_USAGE}    wrong arguments
+  {EXIT_INTERRUPTED}  interrupted (Ctrl-C)"""
+
+
+def build_parser() -> argparse.ArgumentParser:
+    """The command's options."""
+    parser = argparse.ArgumentParser(
+        prog="compare",
+        usage="compare BAG... (--tool FILE | --tool-beside NAME) [options]",
+        description="Fit every kind of model to a part of recordings of pushes, score it on the"
+        " rest, and print one table for each way to split them.",
+        epilog=_EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    add_bags(parser)
+    parser.add_argument(
+        "--kinds",
+        nargs="+",
+        choices=list(KINDS),
+        default=list(KINDS),
+        metavar="KIND",
+        help=f"of {', '.join(KINDS)} (default: all)",
+    )
+    parser.add_argument(
+        "--split",
+        nargs="+",
+        choices=list(SPLITS),
+        metavar="SPLIT",
+        help=f"of {', '.join(SPLITS)} (default: position, if there are several, and report where"
+        " every position has two sets, else push)",
+    )
+    parser.add_argument(
+        "--extra",
+        nargs="+",
+        type=Path,
+        metavar="BAG",
+        help="recordings that are only ever fitted to; but for the positions that are left out",
+    )
+    parser.add_argument("--plots", metavar="DIR", type=Path, help="write pictures here")
+    parser.add_argument("--json", action="store_true", help="print one JSON object")
+    add_fit(parser)
+    return parser
+
+
+@dataclass(frozen=True)
+class Compared:
+    """One split's outcome: kinds with what they did, or with a sentence why there is nothing."""
+
+    task: Task
+    kinds: Mapping[str, Checked | str]
+
+    @property
+    def checked(self) -> dict[str, Checked]:
+        """The kinds that could be fitted."""
+        return {name: one for name, one in self.kinds.items() if isinstance(one, Checked)}
+
+    def times_better(self, kind: str) -> tuple[float | None, float | None]:
+        """The network's RMSE over this kind's, and the same of the errors beyond the noise.
+
+        None without the network, or where this kind's error is lost in the noise.
+        """
+        checked = self.checked
+        if _BASELINE not in checked or kind not in checked:
+            return None, None
+        network, own = checked[_BASELINE].score, checked[kind].score
+        beyond = network.beyond_noise, own.beyond_noise
+        return network.ratio_all / own.ratio_all, (
+            None if beyond[0] is None or beyond[1] is None else beyond[0] / beyond[1]
+        )
+
+
+def compare(
+    tasks: Sequence[Task], kinds: Sequence[str], settings: FitSettings, quiet: bool
+) -> list[Compared]:
+    """Every kind at every task."""
+    folds = sum(len(task.splits) for task in tasks)
+    results = []
+    with progress(folds * len(kinds), "fit", quiet) as bar:
+
+        def show(done: int, total: int, what: str) -> None:
+            bar.set_postfix_str(f"{what} {done}/{total}")
+
+        for task in tasks:
+            outcomes: dict[str, Checked | str] = {}
+            for kind in kinds:
+                bar.set_description(f"{task.split}, {kind}")
+                before = bar.n
+                try:
+                    outcomes[kind] = cross_check(
+                        kind, task, replace(settings, on_progress=show), lambda _: bar.update()
+                    )
+                except GalenError as error:
+                    outcomes[kind] = str(error)
+                    bar.update(before + len(task.splits) - bar.n)
+            results.append(Compared(task, outcomes))
+    return results
+
+
+def _print(result: Compared, to: Console) -> None:
+    task, checked = result.task, result.checked
+    title = f"{task.split}: {len(task.splits)} splits"
+    if len(task.whole) > len(task.samples):
+        title += f", {len(task.whole) - len(task.samples)} samples more to fit to"
+    seconds = {name: f"{np.mean(one.seconds):.1f} s" for name, one in checked.items()}
+    more = {"a fit, CPU": seconds}
+    better = {name: result.times_better(name) for name in checked}
+    if _BASELINE in checked:
+        for column, heading in enumerate(("LSTM's /\nits RMSE", "LSTM's / its\nbeyond noise")):
+            more[heading] = {
+                name: f"{value:.1f}"
+                for name, values in better.items()
+                if (value := values[column]) is not None
+            }
+    scores = {name: one.score for name, one in checked.items()}
+    to.print(comparison_table(scores, title, more, to.width))
+    for name, one in result.kinds.items():
+        if isinstance(one, str):
+            to.print(f"[red]{name}: {one}[/red]", soft_wrap=True)
+
+
+def _to_dict(result: Compared) -> dict[str, Any]:
+    kinds: dict[str, Any] = {}
+    for name, one in result.kinds.items():
+        if isinstance(one, str):
+            kinds[name] = {"error": one}
+            continue
+        kinds[name] = one.score.to_dict() | {
+            "fit_cpu_s": list(one.seconds),
+            "lstm_rmse_over_its": result.times_better(name)[0],
+            "lstm_error_beyond_noise_over_its": result.times_better(name)[1],
+            "rmse_over_noise_by_position": {
+                str(position): score.ratio_all
+                for position, score in by_position(one.samples, one.predicted).items()
+            },
+        }
+    task = result.task
+    return {
+        "split": task.split,
+        "splits": [split.name for split in task.splits],
+        "samples_checked": int(sum(split.check.sum() for split in task.splits)),
+        "samples_only_fitted_to": len(task.whole) - len(task.samples),
+        "kinds": kinds,
+    }
+
+
+def _pictures(result: Compared, folder: Path) -> list[Path]:
+    from galen_deflection.scoring.pictures import plot_models, plot_trainings  # slow to import
+
+    checked = result.checked
+    if not checked:
+        return []
+    samples = next(iter(checked.values())).samples
+    predictions = {name: one.predicted for name, one in checked.items()}
+    what = f"split: {result.task.split}"
+    pictures = plot_models(samples, predictions, folder, result.task.split, what)
+    firsts = {name: one.models[0] for name, one in checked.items()}
+    return pictures + plot_trainings(firsts, folder, result.task.split)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Do it; returns the exit code; raises GalenError."""
+    to = console()
+    check_folder(arguments.plots)
+    settings = read_settings(arguments)
+    recordings = read_all(arguments.bags, settings, arguments.json)
+    extra = read_all(arguments.extra, settings, arguments.json) if arguments.extra else []
+    tasks = make_tasks(arguments.split, recordings, extra)
+    results = compare(
+        tasks, list(dict.fromkeys(arguments.kinds)), fit_settings(arguments), arguments.json
+    )
+    pictures: list[Path] = []
+    if arguments.plots is not None:
+        pictures = written(
+            lambda: [path for one in results for path in _pictures(one, arguments.plots)],
+            arguments.plots,
+        )
+    if arguments.json:
+        content = {
+            "bags": [str(recording.path) for recording in recordings],
+            "extra": [str(recording.path) for recording in extra],
+            "tool": recordings[0].tool.tool,
+            "problems": {
+                str(recording.path): list(recording.problems) for recording in [*recordings, *extra]
+            },
+            "plots": [str(path) for path in pictures],
+            "comparisons": [_to_dict(result) for result in results],
+        }
+        print(json.dumps(content, indent=2))
+    else:
+        print_problems([*recordings, *extra], to)
+        for result in results:
+            _print(result, to)
+        for path in pictures:
+            to.print(f"plot: {path}", soft_wrap=True)
+    failed = any(isinstance(one, str) for result in results for one in result.kinds.values())
+    return EXIT_FAILED if failed else EXIT_OK
+
+
+def main(args: Sequence[str] | None = None) -> int:
+    """Entry point; returns the exit code."""
+    arguments = build_parser().parse_args(args)
+    return run_command("compare", lambda: run(arguments))
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,1 @@
+"""The arm as springs: compliance, hysteresis, creep."""
