@@ -20,10 +20,10 @@ setup(
     entry_points={
         "console_scripts": [
             "diagnose = galen_ros.executable:galen_diagnosis.diagnose.main",
-            "diagnose_table = galen_ros.executable:galen_diagnosis.diagnose_table.main",
-            "diagnose_joints = galen_ros.executable:galen_diagnosis.diagnose_joints.main",
+            "diagnose_table = galen_ros.executable:galen_diagnosis.tables.diagnose_table.main",
+            "diagnose_joints = galen_ros.executable:galen_diagnosis.tables.diagnose_joints.main",
             "blind_check = galen_ros.executable:galen_diagnosis.blind_check.main",
-            "gap_monitor = galen_ros.executable:galen_diagnosis.gap_monitor.main",
+            "gap_monitor = galen_ros.executable:galen_diagnosis.monitor.node.main",
         ]
     },
 )

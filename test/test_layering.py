@@ -47,7 +47,7 @@ ROS_MODULES = {
     "galen_deflection.collection.command",
     "galen_deflection.collection.node",
     "galen_deflection.collection.recorder",
-    "galen_diagnosis.gap_monitor",
+    "galen_diagnosis.monitor.node",
     "galen_gravcomp.benchmark",
     "galen_gravcomp.tools.client",
     "galen_gravcomp.node",

@@ -13,9 +13,9 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from galen_diagnosis.diagnosing import diagnose_recording
-from galen_diagnosis.recording import read_recording
-from galen_diagnosis.simulated_recording import make_recording
+from galen_diagnosis.examples.simulated_recording import make_recording
+from galen_diagnosis.inference.diagnosing import diagnose_recording
+from galen_diagnosis.observation.recording import read_recording
 from galen_gravcomp.bag_benchmark import rosbags_deserialise
 from galen_gravcomp.node_benchmark_table import spread
 from galen_sim_driver.effects.sensor.axis_gain import AxisGain

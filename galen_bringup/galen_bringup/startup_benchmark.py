@@ -54,7 +54,7 @@ def subjects(folder: Path) -> dict[str, tuple[str, tuple[str, ...]]]:
         "calibration_node": ("calibration", ("galen_calibration_behavior.node", *ros, *tools)),
         "check_node": ("check", ("galen_calibration_behavior.quick_check.node", *ros, *tools)),
         "collection_node": ("collection", ("galen_deflection.collection.node", *ros, *tools)),
-        "gap_monitor": ("gap_monitor", ("galen_diagnosis.gap_monitor", *ros, *tools)),
+        "gap_monitor": ("gap_monitor", ("galen_diagnosis.monitor.node", *ros, *tools)),
     }
 
 

@@ -31,8 +31,9 @@ from galen_model.files.atomic_file import write_whole
 from galen_sim_driver.effects.registry import CONTRACT_ORDER
 from rich.console import Console
 
-from galen_diagnosis.blind.baselines import NETWORK
-from galen_diagnosis.blind.keeper import (
+from galen_diagnosis.blind.baselines.answers import NETWORK
+from galen_diagnosis.blind.baselines.network import lacking
+from galen_diagnosis.blind.blind_protocol import (
     DIAGNOSING,
     Places,
     answered,
@@ -42,12 +43,11 @@ from galen_diagnosis.blind.keeper import (
     sealed_set,
 )
 from galen_diagnosis.blind.making import Generate
-from galen_diagnosis.blind.network import lacking
 from galen_diagnosis.blind.plan import Planned, full_plan, short_plan, thinned
 from galen_diagnosis.blind.plant.case import generate
-from galen_diagnosis.blind.score import Score, score, to_json
+from galen_diagnosis.blind.scoring.score import Score, score, to_json
+from galen_diagnosis.blind.scoring.table import PROGRAM, markdown, print_scores
 from galen_diagnosis.blind.seal import forget, private_directory
-from galen_diagnosis.blind.table import PROGRAM, markdown, print_scores
 
 _EPILOG = f"""An interrupted check goes on where it stopped, if it is called again with the same
 options and --output. A finished one is only scored again.
@@ -222,7 +222,7 @@ def _sayer(arguments: argparse.Namespace) -> Callable[[str], None]:
 
 
 def _pictures(found: Score, folder: Path) -> list[Path]:
-    from galen_diagnosis.blind.score_pictures import draw_pictures  # matplotlib is slow to import
+    from galen_diagnosis.blind.scoring.pictures import draw_pictures  # matplotlib is slow to import
 
     try:
         return draw_pictures(found, folder)

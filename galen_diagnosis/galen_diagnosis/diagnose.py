@@ -24,14 +24,14 @@ from galen_bags.many.run import add_many_options, run_many
 from rich.console import Console
 from tqdm import tqdm
 
-from galen_diagnosis.answer import Answer
-from galen_diagnosis.diagnosing import diagnose_recording
+from galen_diagnosis.answer.answer import Answer
+from galen_diagnosis.answer.result import Diagnosis
 from galen_diagnosis.errors import DiagnosisError
-from galen_diagnosis.next_experiment import write_sweep
-from galen_diagnosis.output import check_output, told, write_output
-from galen_diagnosis.recording import read_recording
-from galen_diagnosis.result import Diagnosis
-from galen_diagnosis.terminal import print_answer, print_overview
+from galen_diagnosis.experiment.next_experiment import write_sweep
+from galen_diagnosis.inference.diagnosing import diagnose_recording
+from galen_diagnosis.observation.recording import read_recording
+from galen_diagnosis.report.output import check_output, told, write_output
+from galen_diagnosis.report.terminal import print_answer, print_overview
 
 EXIT_GAP = 3
 _READ, _DIAGNOSED = 0.1, 0.75

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from galen_diagnosis.answer import Answer, Cause, Interval
-from galen_diagnosis.result import Diagnosis
-from galen_diagnosis.rows import BAGS, CHANNELS, FOLDS, REGIMES, Rows, Stream
+from galen_diagnosis.answer.answer import Answer, Cause, Interval
+from galen_diagnosis.answer.result import Diagnosis
+from galen_diagnosis.observation.rows import BAGS, CHANNELS, FOLDS, REGIMES, Rows, Stream
 from galen_sim_driver.effects.joints.tilt_zero_offset import TiltZeroOffset
 
 TILTS = np.linspace(-0.9, 0.8, 7)

@@ -2,14 +2,14 @@ import importlib.util
 
 import numpy as np
 import pytest
-from galen_diagnosis.blind.baselines import NAIVE_BIC, RMSE_DROP, Rest, simple_answers
-from galen_diagnosis.blind.features import FEATURES, features
-from galen_diagnosis.blind.network import NetworkError, lacking, read_network, train
-from galen_diagnosis.blind.oracle import oracle_closed
+from galen_diagnosis.blind.baselines.answers import NAIVE_BIC, RMSE_DROP, Rest, simple_answers
+from galen_diagnosis.blind.baselines.features import FEATURES, features
+from galen_diagnosis.blind.baselines.network import NetworkError, lacking, read_network, train
+from galen_diagnosis.blind.parsed_answer import said_from_json
 from galen_diagnosis.blind.plant.case import Case, generate
-from galen_diagnosis.blind.said import said_from_json
-from galen_diagnosis.recording import read_recording
-from galen_diagnosis.rows import BAGS, CHANNELS, Rows
+from galen_diagnosis.blind.scoring.oracle import oracle_closed
+from galen_diagnosis.observation.recording import read_recording
+from galen_diagnosis.observation.rows import BAGS, CHANNELS, Rows
 
 torch = pytest.mark.skipif(
     importlib.util.find_spec("torch") is None, reason="needs PyTorch (make networks)"

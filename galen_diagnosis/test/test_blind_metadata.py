@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from galen_bags.formats.writer import BagWriter
 from galen_diagnosis.blind.making import same_times
-from galen_diagnosis.blind.metadata import chance, metadata, table
 from galen_diagnosis.blind.plant import writing
 from galen_diagnosis.blind.plant.listed import CAUSES
 from galen_diagnosis.blind.plant.machine import Machine
 from galen_diagnosis.blind.plant.session import draw_session
+from galen_diagnosis.blind.scoring.metadata import chance, metadata, table
 
 SORTS = ("none", "tilt_zero_offset", "sensor_saturation", "wrench_delay")
 

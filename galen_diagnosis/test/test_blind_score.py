@@ -3,12 +3,12 @@ import json
 import numpy as np
 import pytest
 from galen_diagnosis.blind.label import Label, label_from_json
-from galen_diagnosis.blind.parameter_errors import compare
-from galen_diagnosis.blind.rates import Rate, calibration
-from galen_diagnosis.blind.said import Said, said_from_json
-from galen_diagnosis.blind.score import Answered, score, to_json
-from galen_diagnosis.blind.score_pictures import draw_pictures
-from galen_diagnosis.blind.table import markdown
+from galen_diagnosis.blind.parsed_answer import Said, said_from_json
+from galen_diagnosis.blind.scoring.parameter_errors import compare
+from galen_diagnosis.blind.scoring.pictures import draw_pictures
+from galen_diagnosis.blind.scoring.rates import Rate, calibration
+from galen_diagnosis.blind.scoring.score import Answered, score, to_json
+from galen_diagnosis.blind.scoring.table import markdown
 from galen_model.files.json_fields import FieldError
 
 EFFECTS = ("alpha", "beta", "gamma")

@@ -12,12 +12,13 @@ import pytest
 from diagnosis_example import example_diagnosis
 from galen_bags.formats.writer import BagWriter
 from galen_diagnosis.errors import DiagnosisError
-from galen_diagnosis.recording import Recording
+from galen_diagnosis.observation.recording import Recording
+from galen_diagnosis.report import output
 from galen_model.arm.galen import JOINT_NAMES
 from galen_ros.cdr.layout import JointStateBytes, WrenchBytes
 from matplotlib import pyplot as plt
 
-from galen_diagnosis import diagnose, output
+from galen_diagnosis import diagnose
 
 ROOT = Path(__file__).resolve().parents[2]
 ALL = ["diagnosis.json", "found_effect.yaml", "pictures", "report.html"]

@@ -5,15 +5,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from galen_diagnosis.candidates import candidates
-from galen_diagnosis.diagnosing import diagnose_recording
+from galen_diagnosis.answer.gap import closed_fraction
+from galen_diagnosis.effects.candidates import candidates
+from galen_diagnosis.effects.scans import crosstalk_candidates
 from galen_diagnosis.errors import DiagnosisError
-from galen_diagnosis.gap import closed_fraction
-from galen_diagnosis.observation import Observation, Unknowns
-from galen_diagnosis.recording import read_recording
-from galen_diagnosis.rows import CHANNELS, FOLDS
-from galen_diagnosis.scans import crosstalk_candidates
-from galen_diagnosis.simulated_recording import make_recording
+from galen_diagnosis.examples.simulated_recording import make_recording
+from galen_diagnosis.inference.diagnosing import diagnose_recording
+from galen_diagnosis.observation.observation import Observation, Unknowns
+from galen_diagnosis.observation.recording import read_recording
+from galen_diagnosis.observation.rows import CHANNELS, FOLDS
 from galen_sim_driver.effects.joints.tilt_zero_offset import TiltZeroOffset
 from galen_sim_driver.effects.sensor.axis_gain import AxisGain
 

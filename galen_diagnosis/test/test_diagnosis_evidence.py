@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
-from galen_diagnosis.linear import SCALES, Background, evidence
-from galen_diagnosis.posterior import Scored, posterior
-from galen_diagnosis.settings import Settings
+from galen_diagnosis.inference.linear import SCALES, Background, evidence
+from galen_diagnosis.inference.posterior import Scored, posterior
+from galen_diagnosis.inference.settings import Settings
 from scipy.stats import multivariate_normal
 
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from galen_diagnosis.noise import ChannelNoise, channel_noise
+from galen_diagnosis.observation.noise import ChannelNoise, channel_noise
 
 
 def _process(generator, coefficients, count):

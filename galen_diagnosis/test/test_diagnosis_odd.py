@@ -4,15 +4,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from galen_diagnosis.background import unknown_columns
-from galen_diagnosis.diagnosing import _full_covariance
-from galen_diagnosis.linear import Background
-from galen_diagnosis.observation import Observation, Unknowns
-from galen_diagnosis.recording import read_recording
-from galen_diagnosis.refine import Hypothesis
-from galen_diagnosis.saturation import SaturationCandidate
-from galen_diagnosis.scans import drift_candidates, scan_steps
-from galen_diagnosis.simulated_recording import make_recording, sweep_poses
+from galen_diagnosis.effects.saturation import SaturationCandidate
+from galen_diagnosis.effects.scans import drift_candidates, scan_steps
+from galen_diagnosis.examples.simulated_recording import make_recording, sweep_poses
+from galen_diagnosis.inference.background import unknown_columns
+from galen_diagnosis.inference.diagnosing import _full_covariance
+from galen_diagnosis.inference.linear import Background
+from galen_diagnosis.inference.refine import Hypothesis
+from galen_diagnosis.observation.observation import Observation, Unknowns
+from galen_diagnosis.observation.recording import read_recording
 from galen_sim_driver.effects.sensor.sensor_saturation import SensorSaturation
 
 

@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray
-from galen_diagnosis.gap_effects import likely_effects
-from galen_diagnosis.gap_monitor import GapMonitorNode
-from galen_diagnosis.gap_statistic import Scatter, gap_test, window_noise
-from galen_diagnosis.gap_stream import gap_sentence
-from galen_diagnosis.gap_watch import GapNotice, GapSettings, GapWatch
-from galen_diagnosis.trial import Instruments, signature, still_trial
+from galen_diagnosis.experiment.trial import Instruments, signature, still_trial
+from galen_diagnosis.monitor.gap_effects import likely_effects
+from galen_diagnosis.monitor.gap_statistic import Scatter, gap_test, window_noise
+from galen_diagnosis.monitor.gap_stream import gap_sentence
+from galen_diagnosis.monitor.gap_watch import GapNotice, GapSettings, GapWatch
+from galen_diagnosis.monitor.node import GapMonitorNode
 from galen_model.arm.galen import JOINT_NAMES, SENSOR
 from galen_model.files.calibration_file import LoadEstimate, ToolFile, write_tool
 from galen_model.load.nominal_tools import ADAPTER, TOOLS

@@ -9,16 +9,16 @@ import yaml
 from galen_calibration_behavior.calibration.parameters import CalibrationParameters
 from galen_deflection.collection.parameters import CollectionParameters
 from galen_diagnosis.errors import DiagnosisError
-from galen_diagnosis.experiments import Budget, Experiments
-from galen_diagnosis.next_experiment import propose, write_sweep
-from galen_diagnosis.separation import (
+from galen_diagnosis.experiment.experiments import Budget, Experiments
+from galen_diagnosis.experiment.next_experiment import propose, write_sweep
+from galen_diagnosis.experiment.separation import (
     Alternative,
     choose_units,
     fitted_covariance,
     separate,
     typical_sizes,
 )
-from galen_diagnosis.trial import (
+from galen_diagnosis.experiment.trial import (
     Instruments,
     free_columns,
     load_columns,

@@ -10,13 +10,19 @@ import numpy as np
 import pytest
 import yaml
 from diagnosis_example import example_answer, example_diagnosis
-from galen_diagnosis.answer import Answer, Cause, Interval
-from galen_diagnosis.effect_file import effect_file
-from galen_diagnosis.effect_words import SENTENCES, TITLES, cause_words, parameter_words, plain
-from galen_diagnosis.output import told
-from galen_diagnosis.pictures import gap_figure, sweep_figure
-from galen_diagnosis.report import report
-from galen_diagnosis.sentence import sentence
+from galen_diagnosis.answer.answer import Answer, Cause, Interval
+from galen_diagnosis.answer.sentence import sentence
+from galen_diagnosis.effects.effect_file import effect_file
+from galen_diagnosis.report.effect_words import (
+    SENTENCES,
+    TITLES,
+    cause_words,
+    parameter_words,
+    plain,
+)
+from galen_diagnosis.report.output import told
+from galen_diagnosis.report.pictures import gap_figure, sweep_figure
+from galen_diagnosis.report.report import report
 from galen_sim_driver.effects.registry import CONTRACT_ORDER
 from galen_sim_driver.node.effect_parameters import EffectParameters, effects_of
 from matplotlib import pyplot as plt

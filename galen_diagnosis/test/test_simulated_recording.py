@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 from galen_bags.formats.bag import open_bag
 from galen_diagnosis.errors import DiagnosisError
-from galen_diagnosis.recording import Recording, read_recording
-from galen_diagnosis.simulated_recording import make_recording, sweep_poses
+from galen_diagnosis.examples import command as examples
+from galen_diagnosis.examples.simulated_recording import make_recording, sweep_poses
+from galen_diagnosis.observation.recording import Recording, read_recording
 from galen_model.arm.galen import LIMITS, SENSOR, TRACKER_POSITION_NOISE_M
 from galen_model.errors import GalenError
 from galen_model.load.nominal_tools import TOOLS
@@ -21,8 +22,6 @@ from galen_sim_driver.effects.tracker.base_shift import BaseShift
 from galen_sim_driver.effects.tracker.tracker_delay import TrackerDelay
 from galen_sim_driver.plant.config import TrackerConfig
 from galen_sim_driver.replay import Replay, Scene
-
-from galen_diagnosis import examples
 
 FEW = sweep_poses()[::11]
 

@@ -4,14 +4,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from galen_diagnosis.leftover import leftover
-from galen_diagnosis.observation import Observation
-from galen_diagnosis.oscillation import oscillation
-from galen_diagnosis.recording import read_recording
-from galen_diagnosis.refine import nothing
-from galen_diagnosis.search import healthy_background
-from galen_diagnosis.simulated_recording import make_recording
-from galen_diagnosis.structure import structures
+from galen_diagnosis.examples.simulated_recording import make_recording
+from galen_diagnosis.inference.oscillation import oscillation
+from galen_diagnosis.inference.refine import nothing
+from galen_diagnosis.inference.remaining_structure import leftover
+from galen_diagnosis.inference.search import healthy_background
+from galen_diagnosis.inference.structure import structures
+from galen_diagnosis.observation.observation import Observation
+from galen_diagnosis.observation.recording import read_recording
 
 
 @pytest.fixture(scope="module")

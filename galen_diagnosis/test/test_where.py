@@ -12,13 +12,13 @@ from diagnosis_example import (
     example_streams,
     tilt_error,
 )
-from galen_diagnosis.bands import band_energies, coefficients, spectrum
-from galen_diagnosis.cells import by_pose
-from galen_diagnosis.energies import CellSettings, block_spread, compare_cells
-from galen_diagnosis.follows import joints_followed
-from galen_diagnosis.noise import ChannelNoise
-from galen_diagnosis.rows import BAGS, CHANNELS, REGIMES, Stream
-from galen_diagnosis.where import picture_cells, where
+from galen_diagnosis.answer.bands import band_energies, coefficients, spectrum
+from galen_diagnosis.answer.energies import CellSettings, block_spread, compare_cells
+from galen_diagnosis.answer.joint_dependence import joints_followed
+from galen_diagnosis.answer.localization import picture_cells, where
+from galen_diagnosis.answer.views import by_pose
+from galen_diagnosis.observation.noise import ChannelNoise
+from galen_diagnosis.observation.rows import BAGS, CHANNELS, REGIMES, Stream
 
 ROWS = example_rows()
 EXACT = CellSettings(draws=199, level_std=0.0)

@@ -7,8 +7,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from galen_diagnosis.answer import Interval
-from galen_diagnosis.effect_words import parameter_words, title
+from galen_diagnosis.answer.answer import Interval
+from galen_diagnosis.report.effect_words import parameter_words, title
 from galen_model.arm.galen import WRENCH_AXES
 
 from galen_panel import texts
@@ -229,7 +229,7 @@ def _cause(cause: Mapping[str, Any]) -> Row:
 
 
 def _parameter(value: Any) -> Any:
-    """As `galen_diagnosis.answer` had it before it became JSON."""
+    """As `galen_diagnosis.answer.answer` had it before it became JSON."""
     if not isinstance(value, Mapping) or "value" not in value:
         return value
     number, limits = value["value"], value["ci95"]

@@ -116,7 +116,7 @@ def test_an_evaluation_that_can_not_be_made_is_told(make, tmp_path):
 @pytest.mark.slow
 @pytest.mark.timeout(900)
 def test_a_diagnosis_finds_its_cause_and_its_page_runs_nothing(make, tmp_path):
-    from galen_diagnosis.simulated_recording import make_recording
+    from galen_diagnosis.examples.simulated_recording import make_recording
     from galen_sim_driver.effects.joints.tilt_gain import TiltGain
 
     folder = tmp_path / "bags"
@@ -174,7 +174,7 @@ def test_a_damaged_report_is_an_error_that_is_told(kind, content):
 def test_each_verdict_has_words():
     from typing import get_args
 
-    from galen_diagnosis.answer import Verdict as DiagnosisVerdict
+    from galen_diagnosis.answer.answer import Verdict as DiagnosisVerdict
     from galen_gravcomp.evaluate.verdict import Verdict
 
     wanted = {("evaluate", one.value) for one in Verdict}

@@ -10,8 +10,8 @@ from galen_calibration_behavior.quick_check.commands import State as CheckState
 from galen_deflection.collection.commands import State as CollectionState
 from galen_deflection.live.deflector import ModelRefusal
 from galen_deflection.live.monitor import DeflectorMonitor
-from galen_diagnosis.gap_stream import GapMonitor
-from galen_diagnosis.gap_watch import GapNotice
+from galen_diagnosis.monitor.gap_stream import GapMonitor
+from galen_diagnosis.monitor.gap_watch import GapNotice
 from galen_gravcomp.monitor import Monitor
 from galen_panel.state import Behaviour, InForce, Kind, Level, NodeReport, Outcome, State
 from galen_panel.words import ROLES, find_advice, others, overall, words_of, words_of_other
@@ -25,7 +25,7 @@ STREAM = ("galen_ros/galen_ros/stream/monitor.py",)
 SOURCES = {
     "gravcomp": (*STREAM, "galen_gravcomp/galen_gravcomp/monitor.py"),
     "deflection": (*STREAM, "galen_deflection/galen_deflection/live/monitor.py"),
-    "gap_monitor": (*STREAM, "galen_diagnosis/galen_diagnosis/gap_stream.py"),
+    "gap_monitor": (*STREAM, "galen_diagnosis/galen_diagnosis/monitor/gap_stream.py"),
 }
 MONITORS = {"gravcomp": Monitor, "deflection": DeflectorMonitor, "gap_monitor": GapMonitor}
 ENUMERATED = {

@@ -56,8 +56,9 @@ from galen_bags.formats.raw_block import pack  # noqa: E402
 from galen_deflection.models.file import read_model, write_model  # noqa: E402
 from galen_deflection.transmission.joint_report import read_listed  # noqa: E402
 from galen_deflection.transmission.runs import ColumnMap, read_run  # noqa: E402
-from galen_diagnosis.blind.keeper import Places, answered  # noqa: E402
-from galen_diagnosis.settings import load_settings  # noqa: E402
+from galen_diagnosis.blind.blind_protocol import Places, answered  # noqa: E402
+from galen_diagnosis.inference import settings  # noqa: E402
+from galen_diagnosis.inference.settings import load_settings  # noqa: E402
 from galen_gravcomp.evaluate.drift.series import read_series  # noqa: E402
 from galen_gravcomp.evaluate.table.score_motion import read_motion  # noqa: E402
 from galen_model.arm.galen import JOINT_NAMES  # noqa: E402
@@ -66,8 +67,6 @@ from galen_model.files.calibration_file import LoadEstimate, ToolFile, read_tool
 from galen_model.files.calibration_store import ToolStore  # noqa: E402
 from galen_model.files.comparison import compare_tools  # noqa: E402
 from galen_ros.cdr.wire import ImuWire, JointWire, WrenchWire  # noqa: E402
-
-from galen_diagnosis import settings  # noqa: E402
 
 LONGEST_MESSAGE = 2000
 """Letters, beside the path; more of a hostile file must not get into a log."""

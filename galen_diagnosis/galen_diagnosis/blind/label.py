@@ -8,7 +8,7 @@ from typing import Any, Literal
 
 from galen_model.files.json_fields import FieldError, get, mapping, text
 
-from galen_diagnosis.answer import NONE, UNKNOWN
+from galen_diagnosis.answer.answer import NONE, UNKNOWN
 
 LabelKind = Literal["single", "none", "unknown", "pair", "ambiguous"]
 LABEL_KINDS: tuple[LabelKind, ...] = ("single", "none", "unknown", "pair", "ambiguous")

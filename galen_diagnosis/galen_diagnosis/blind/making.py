@@ -14,11 +14,11 @@ from galen_model.errors import GalenError
 from galen_model.files.atomic_file import write_whole
 from galen_model.files.json_fields import FieldError
 
-from galen_diagnosis.answer import NONE
+from galen_diagnosis.answer.answer import NONE
 from galen_diagnosis.blind.label import Label, LabelKind, label_from_json
-from galen_diagnosis.blind.oracle import oracle_closed
 from galen_diagnosis.blind.plan import CALIBRATION, TEST, Planned
 from galen_diagnosis.blind.plant.case import Case, Truth, generate
+from galen_diagnosis.blind.scoring.oracle import oracle_closed
 from galen_diagnosis.blind.seal import directory_sha256
 
 _KINDS: dict[str, LabelKind] = {

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from galen_diagnosis.answer import NONE
+from galen_diagnosis.answer.answer import NONE
 from galen_diagnosis.blind.plant.case import STRENGTHS, Case
 from galen_diagnosis.blind.plant.listed import AMBIGUOUS, EFFECTS, PAIRS
 from galen_diagnosis.blind.plant.unlisted import CALIBRATION_UNKNOWN, TEST_UNKNOWN

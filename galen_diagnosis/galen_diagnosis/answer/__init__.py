@@ -1,0 +1,1 @@
+"""The answer: gap, localization, parameters, sentence."""

@@ -1,0 +1,1 @@
+"""Simpler methods beside the diagnosis."""

@@ -1,0 +1,1 @@
+"""The forms in which effects are tried on a recording."""

@@ -1,0 +1,1 @@
+"""The next experiment: what would separate the causes that are left."""

@@ -1,0 +1,1 @@
+"""Which effects explain the rows, and how probable each is."""

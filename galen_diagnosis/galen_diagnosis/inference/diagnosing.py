@@ -1,0 +1,312 @@
+"""Diagnoses one recording: from its rows to an answer with everything behind it."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from galen_model.arrays import Array
+from galen_sim_driver.effects.registry import EFFECTS
+from scipy.linalg import block_diag
+
+from galen_diagnosis.answer.answer import NONE, UNKNOWN, Answer, Cause, Interval, Verdict
+from galen_diagnosis.answer.gap import Gap, held_out_gap, unknowns_alone
+from galen_diagnosis.answer.localization import where
+from galen_diagnosis.answer.numbers_found import covariance, parameters
+from galen_diagnosis.answer.result import Diagnosis
+from galen_diagnosis.answer.sentence import sentence
+from galen_diagnosis.effects.candidates import NEEDS_MOTION, NEEDS_TRACKER
+from galen_diagnosis.experiment.next_experiment import Experiment, propose
+from galen_diagnosis.experiment.separation import Alternative
+from galen_diagnosis.inference.linear import Background, evidence
+from galen_diagnosis.inference.oscillation import Oscillation, oscillation
+from galen_diagnosis.inference.posterior import Posterior, Scored, posterior, scored
+from galen_diagnosis.inference.refine import Hypothesis, refine
+from galen_diagnosis.inference.remaining_structure import Leftover, leftover
+from galen_diagnosis.inference.search import Found, search
+from galen_diagnosis.inference.settings import Settings, load_settings
+from galen_diagnosis.inference.structure import Structure, structures
+from galen_diagnosis.observation.observation import UNKNOWNS, Observation
+from galen_diagnosis.observation.recording import Recording
+
+Progress = Callable[[str, float], None]
+
+_SURE = 0.9
+_NO_GAP = 0.2
+"""A gap is said only where it is four times as likely as none: two dozen effects that are not there
+have some probability each."""
+_LISTED = 0.05
+_CLEAR = 5.0
+"""Log of the odds from which on what is left over is told."""
+_APART = 3.3
+"""Two causes nearer than this in units of the noise can't be told apart (study of diagnosis)."""
+
+
+@dataclass(frozen=True)
+class Explored:
+    """What was looked at, before any probability: enough for a posterior under any settings."""
+
+    observation: Observation
+    found: Found
+    left: Leftover
+    structures: tuple[Structure, ...]
+    oscillation: Oscillation | None
+    scored: tuple[Scored, ...]
+
+
+def explore(recording: Recording, progress: Progress | None = None) -> Explored:
+    """Observe and search."""
+    say = progress or (lambda what, share: None)
+    observation = Observation(recording)
+    found = search(observation, progress)
+    best = min(found.hypotheses, key=lambda hypothesis: hypothesis.cost)
+    left = leftover(observation.rows, best.rows)
+    say("what the best fit leaves", 0.86)
+    seen = structures(observation, found.behind.with_free(best.columns), best.raw_rows)
+    fast = oscillation(observation.streams_with(best.effects, best.unknowns))
+    clear = [one.log_bayes for one in (*seen, fast) if one is not None]
+    of = scored(found, max(left.sure, 2.0 * max(clear, default=0.0)))
+    least = min(one.energy for one in of)
+    fitted = {one.names[0] for one in of if len(one.names) == 1}
+    none = next(one for one in of if not one.names)
+    for name, log in found.linear.items():
+        if name not in fitted:
+            # Not worth a fit: what its columns alone say.
+            energy = max(none.energy - 2.0 * max(log, 0.0), least)
+            of.append(Scored((name,), energy, (none.energy - energy,), max(-log, 0.0)))
+    return Explored(observation, found, left, tuple(seen), fast, tuple(of))
+
+
+def diagnose_recording(
+    recording: Recording, settings: Settings | None = None, progress: Progress | None = None
+) -> Diagnosis:
+    """The diagnosis; progress(what, share of the whole) is called as it goes on."""
+    started = time.perf_counter()
+    say = progress or (lambda what, share: None)
+    say("reading against the nominal arm", 0.02)
+    explored = explore(recording, progress)
+    seconds = dict(explored.found.seconds)
+    seconds["observation"] = time.perf_counter() - started - sum(seconds.values())
+    clock = time.perf_counter()
+    result = conclude(explored, settings or load_settings(), say)
+    seconds["conclusion"] = time.perf_counter() - clock
+    return replace(result, seconds=seconds)
+
+
+def conclude(explored: Explored, settings: Settings, say: Progress) -> Diagnosis:
+    """Probabilities, verdict, held-out gap, where, what next."""
+    observation, found = explored.observation, explored.found
+    chances = posterior(explored.scored, settings)
+    verdict, chosen = _verdict(explored, chances)
+    best = chosen or found.none
+    plain = unknowns_alone(found.behind)
+    say("held out", 0.88)
+    floor = explored.left.floor
+    gap = held_out_gap(observation, best, found.behind, floor, say)
+    none = refine(observation, plain, (), ())
+    whole = refine(observation, plain, best.parts, best.values, None, 0.0) if best.parts else none
+    say("where", 0.96)
+    streams_before = observation.streams_with((), none.unknowns)
+    healthy = _healthy(found, plain)
+    place = where(observation.rows, none.rows, streams_before, floor, healthy=healthy)
+    causes = _causes(explored, chances, verdict, best, gap, settings) if best.parts else ()
+    if verdict == NONE:
+        causes = ()
+    say("what next", 0.98)
+    experiment = _next(explored, chances, verdict)
+    answer = Answer(
+        recording=observation.recording.name,
+        verdict=verdict,
+        causes=causes,
+        ranking=_ranking(chances),
+        where=place.to_json(),
+        gap=gap.to_json(),
+        next_experiment=None if experiment is None else experiment.to_json(),
+        cannot_tell=_cannot_tell(observation),
+        problems=observation.recording.problems,
+        left_over=_left_over(explored),
+    )
+    answer = replace(answer, sentence=sentence(answer))
+    effects = best.effects if verdict in ("identified", "ambiguous") else ()
+    return Diagnosis(
+        answer=answer,
+        rows=observation.rows,
+        before=none.rows,
+        after=whole.rows,
+        held_out_before=gap.before,
+        held_out_after=gap.after,
+        streams_before=streams_before,
+        streams_after=observation.streams_with(whole.effects, whole.unknowns),
+        effects=effects,
+        floor=floor,
+        seconds={},
+        experiment=experiment,
+        healthy=healthy,
+    )
+
+
+def _healthy(found: Found, plain: Background) -> Array:
+    """How the rows change by each tolerance of a healthy arm, after the unknowns' fit: (N, q)."""
+    tolerances = found.behind.columns[:, UNKNOWNS:] * found.behind.prior_std[UNKNOWNS:]
+    unknown = plain.columns @ plain.solve(plain.columns.T @ tolerances)
+    return np.asarray(tolerances - unknown)
+
+
+def _sets(explored: Explored, chances: Posterior) -> list[tuple[float, frozenset[str]]]:
+    """Sets of effects by probability, the likeliest first."""
+    total: dict[frozenset[str], float] = {}
+    for one, chance in zip(explored.scored, chances.hypotheses, strict=True):
+        if one.names:
+            key = frozenset(one.names)
+            total[key] = total.get(key, 0.0) + chance
+    return sorted(((chance, names) for names, chance in total.items()), key=lambda x: -x[0])
+
+
+def _fitted(found: Found, names: frozenset[str]) -> Hypothesis | None:
+    """The likeliest fit of a set of effects."""
+    fits = [one for one in found.hypotheses if one.parts and frozenset(one.names) == names]
+    return max(fits, key=lambda one: one.log_bayes, default=None)
+
+
+def _verdict(explored: Explored, chances: Posterior) -> tuple[Verdict, Hypothesis | None]:
+    sets = _sets(explored, chances)
+    best = next(
+        (fit for _, names in sets if (fit := _fitted(explored.found, names)) is not None), None
+    )
+    if best is None or chances.none >= max(_NO_GAP, chances.unknown):
+        return ("unknown" if chances.unknown > chances.none else "none"), None
+    if chances.unknown >= 0.5:
+        return "unknown", best
+    # What can't be told from it hides behind one name: `_causes` says which.
+    sure = sets[0][0] >= _SURE and sets[0][1] == frozenset(best.names)
+    return ("identified" if sure else "ambiguous"), best
+
+
+def _causes(
+    explored: Explored,
+    chances: Posterior,
+    verdict: Verdict,
+    best: Hypothesis,
+    gap: Gap,
+    settings: Settings,
+) -> tuple[Cause, ...]:
+    """The best fit's effects; where it is ambiguous, those of the other likely fits as well."""
+    found = explored.found
+    causes: dict[str, Cause] = {}
+    left = min(one.energy for one in explored.scored)
+    fits = [best]
+    if verdict == "ambiguous":
+        for chance, names in _sets(explored, chances):
+            fit = _fitted(found, names)
+            if chance >= _LISTED and fit is not None and fit is not best:
+                fits.append(fit)
+    for number, fit in enumerate(fits):
+        spread = covariance(explored.observation, found.behind, fit, settings, left)
+        told = parameters(explored.observation, fit, spread)
+        for index, (part, (named, extra)) in enumerate(zip(fit.parts, told, strict=True)):
+            if part.effect in causes:
+                continue
+            closed = gap.fraction if number == 0 and len(fit.parts) == 1 else None
+            causes[part.effect] = Cause(
+                effect=part.effect,
+                probability=chances.effects.get(part.effect, 0.0),
+                parameters=named,
+                equivalent=_equivalent(explored, fit, index),
+                gap_closed=closed or (_share_closed(gap, fit, index) if number == 0 else None),
+                extra=extra,
+            )
+    return tuple(sorted(causes.values(), key=lambda cause: -cause.probability))
+
+
+def _share_closed(gap: Gap, fit: Hypothesis, index: int) -> Interval | None:
+    """An effect's part of what a fit of several closes: by how much F rises without it."""
+    if gap.fraction is None:
+        return None
+    energies = fit.energies_explained()
+    share = energies[index] / max(sum(energies), 1e-12)
+    value = gap.fraction.value * share
+    return Interval(float(value), None, None)
+
+
+def _equivalent(explored: Explored, fit: Hypothesis, index: int) -> tuple[str, ...]:
+    """Effects that do the same as this one to the rows, but for less than _APART of noise."""
+    found = explored.found
+    part = fit.parts[index]
+    where_ = fit.slices()[index]
+    does = fit.columns[:, where_] @ (fit.values[index] - part.start)
+    whole = found.behind.sum_of_squares(does)
+    if whole < _APART**2:
+        return ()  # it does next to nothing: everything does the same
+    out = set()
+    for (effect, label), columns in found.columns.items():
+        if effect in fit.names or effect in out:
+            continue
+        gram, along = found.behind.reduced(columns, does)
+        got = evidence(gram, along, 30.0 * found.typical[effect, label][: len(along)])
+        if whole - got.gain < _APART**2:
+            out.add(effect)
+    return tuple(name for name in EFFECTS if name in out)
+
+
+def _ranking(chances: Posterior) -> tuple[tuple[str, float], ...]:
+    each = {name: chances.effects.get(name, 0.0) for name in EFFECTS}
+    each[NONE], each[UNKNOWN] = chances.none, chances.unknown
+    return tuple(sorted(each.items(), key=lambda pair: -pair[1]))
+
+
+def _next(explored: Explored, chances: Posterior, verdict: Verdict) -> Experiment | None:
+    """The experiment for the fits that are left, where more than one is."""
+    if verdict != "ambiguous":
+        return None
+    found = explored.found
+    left = []
+    for chance, names in _sets(explored, chances)[:3]:
+        fit = _fitted(found, names)
+        if chance >= _LISTED and fit is not None:
+            left.append(Alternative(fit.effects, chance, _full_covariance(fit)))
+    if len(left) < 2:
+        return None
+    return propose(left, explored.observation.recording.tool)
+
+
+def _full_covariance(fit: Hypothesis) -> Array:
+    """Of the effects' whole vectors: zero where a number wasn't fitted."""
+    blocks = []
+    for part, where_, effect in zip(fit.parts, fit.slices(), fit.effects, strict=True):
+        size = len(effect.vector())
+        block = np.zeros((size, size))
+        free = part.free if len(part.free) <= size else np.arange(size)
+        if not part.has_inputs:
+            inner = fit.covariance[where_, where_][: len(free), : len(free)]
+            block[np.ix_(free, free)] = inner
+        blocks.append(block)
+    return np.asarray(block_diag(*blocks))
+
+
+def _left_over(explored: Explored) -> tuple[dict[str, Any], ...]:
+    """What the best fit leaves goes with, as far as that is no chance."""
+    found: list[dict[str, Any]] = [
+        {"what": one.name, "energy": one.energy, "log_bayes": one.log_bayes}
+        for one in explored.structures
+    ]
+    fast = explored.oscillation
+    if fast is not None:
+        what = f"wrench in {fast.bag} at {fast.from_hz:g} to {fast.to_hz:g} Hz"
+        found.append({"what": what, "energy": fast.energy, "log_bayes": fast.log_bayes})
+    clear = [one for one in found if one["log_bayes"] > _CLEAR]
+    return tuple(sorted(clear, key=lambda one: -one["log_bayes"]))
+
+
+def _cannot_tell(observation: Observation) -> tuple[str, ...]:
+    """What is missing, and which effects so can't be seen."""
+    recording = observation.recording
+    out = [f"no {name}: nothing is said of it" for name in recording.missing]
+    if not any(view.tracks for view in observation.views.values()):
+        names = ", ".join(name for name in EFFECTS if name in NEEDS_TRACKER)
+        out.append(f"no tracker: {names} can't be seen")
+    if "motion" in recording.missing and "sweep" in recording.missing:
+        out.append(f"no motion: {', '.join(sorted(NEEDS_MOTION))} can't be seen")
+    return tuple(out)

@@ -1,0 +1,167 @@
+"""What a fit leaves, judged by smooth functions that stand for no effect in particular.
+
+Means over cells see any structure, but with thousands of cells a few hundred of energy are chance.
+What machines do wrong is mostly a smooth function of something: of gravity's direction, the joints,
+their rates, the reading itself, what the reading was before, time, the applied load. A family of
+such functions for each, with Bayes' factor as an effect has (`linear.py`), sees a tenth of that,
+and says what the gap depends on where nothing on the list is it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+from galen_model.arm.galen import JOINT_NAMES
+from galen_model.arm.kinematics import sensor_pose
+from galen_model.arrays import Array
+
+from galen_diagnosis.inference.linear import Background, evidence
+from galen_diagnosis.observation.noise import smooth_basis
+from galen_diagnosis.observation.observation import Observation
+from galen_diagnosis.observation.rows import BAGS, CHANNELS, TIP_AXES
+
+_TURNS = (JOINT_NAMES.index("roll"), JOINT_NAMES.index("tilt"))
+_TYPICAL = 10.0
+"""Prior standard deviation of each function's coefficient, in its own standard errors."""
+_KNOT_S = 8.0
+_MEMORY_S = (1.0, 10.0)
+_HARMONICS = (1, 2, 3)
+
+
+class Family(NamedTuple):
+    """name: of what they are functions; rows (N,): which they are of; columns (n, p) of these."""
+
+    name: str
+    rows: np.ndarray
+    columns: Array
+
+
+class Structure(NamedTuple):
+    """log_bayes: that rows hold something of this family, its look paid; energy explained."""
+
+    name: str
+    log_bayes: float
+    energy: float
+
+
+def structures(observation: Observation, behind: Background, residual: Array) -> list[Structure]:
+    """Each family's evidence on what a fit leaves, the likeliest first.
+
+    residual (N,): rows that were fitted, before the background is taken off; behind: background and
+    the columns of the effects that were fitted.
+    """
+    out = []
+    for family in families(observation):
+        seen = np.maximum(np.linalg.norm(family.columns, axis=0), 1e-150)
+        columns = np.zeros((len(residual), len(seen)))
+        columns[family.rows] = family.columns / seen
+        reduced, along = behind.reduced(columns, residual)
+        got = evidence(reduced, along, np.full(len(seen), _TYPICAL))
+        out.append(Structure(family.name, got.log_bayes, got.gain))
+    looks = float(np.log(max(len(out), 1)))
+    paid = [one._replace(log_bayes=one.log_bayes - looks) for one in out]
+    return sorted(paid, key=lambda one: -one.log_bayes)
+
+
+def families(observation: Observation) -> Iterator[Family]:
+    """All that this recording can show."""
+    rows = observation.rows
+    first = CHANNELS.index(TIP_AXES[0])
+    wrench = rows.channel < first
+    tip = (rows.channel >= first) & (rows.channel < first + len(TIP_AXES))
+    functions: list[Array] = []
+    loads: list[Array] = []
+    for name, view in observation.views.items():
+        # The reading itself has the noise that is to be explained; what it should be has none.
+        expected = observation.nominal_reading(name)
+        functions.append(_of_reading(view.scene.wrench_s[view.shows], expected))
+        if view.tracks:
+            loads.append(_of_load(view.scene.tracker_s, *observation.applied_load(name)))
+    yield from _of_arm(observation, wrench, "wrench")
+    of_reading = _each(rows.scale[wrench], np.concatenate(functions))
+    yield Family("wrench by what it should be, and was", wrench, of_reading)
+    if tip.any():
+        yield from _of_arm(observation, tip, "tip")
+        yield Family("tip by the load on it", tip, _each(rows.scale[tip], np.concatenate(loads)))
+
+
+def _of_arm(observation: Observation, which: np.ndarray, what: str) -> Iterator[Family]:
+    rows = observation.rows
+    groups = np.flatnonzero(which)[::6]
+    joints, rate = rows.joints[groups], rows.rate[groups]
+    scale = rows.scale[which]
+    rotation, _ = sensor_pose(joints)
+    down = -rotation[:, 2, :]
+    yield Family(f"{what} by gravity's direction", which, _each(scale, _polynomials(down)))
+    waves = [f(k * joints[:, j]) for j in _TURNS for k in _HARMONICS for f in (np.sin, np.cos)]
+    yield Family(f"{what} by roll and tilt", which, _each(scale, np.stack(waves, axis=1)))
+    places = joints[:, :3] - joints[:, :3].mean(axis=0)
+    yield Family(
+        f"{what} by the platform's place", which, _each(scale, _polynomials(10.0 * places, 2))
+    )
+    if what == "wrench":
+        speeds = np.concatenate([rate, np.abs(rate), rate * np.abs(rate)], axis=1)
+        yield Family(f"{what} by the joints' rates", which, _each(scale, speeds))
+    bag = rows.bag[groups]
+    curves = []
+    for number in range(len(BAGS)):
+        here = bag == number
+        if here.any():
+            own = smooth_basis(rows.bag_s[groups][here], _KNOT_S)
+            basis = np.zeros((len(groups), own.shape[1]))
+            basis[here] = own
+            curves.append(basis)
+    yield Family(f"{what} by time", which, _each(scale, np.concatenate(curves, axis=1)))
+
+
+def _polynomials(of: Array, degree: int = 3) -> Array:
+    """Monomials of three variables (n, 3) from degree 1 on."""
+    out = [of]
+    for _ in range(degree - 1):
+        out.append(np.concatenate([out[-1] * of[:, k : k + 1] for k in range(3)], axis=1))
+    every = np.concatenate(out, axis=1)
+    keep = np.unique(np.round(every[:: max(len(every) // 50, 1)], 9), axis=1, return_index=True)[1]
+    return every[:, np.sort(keep)]
+
+
+def _of_reading(at_s: Array, reading: Array) -> Array:
+    """Even, bent and past functions of each axis (n, 48)."""
+    size = np.sqrt(np.mean(reading**2, axis=0)) + 1e-9
+    x = reading / size
+    out = [x, x**2, np.abs(x), np.tanh(3.0 * x)]
+    steps = np.maximum(np.diff(at_s, prepend=at_s[:1]), 0.0)
+    for constant in _MEMORY_S:
+        path = _low_passed(x, np.exp(-steps / constant))
+        out += [path, np.tanh(3.0 * (x - path))]
+    return np.concatenate(out, axis=1)
+
+
+def _of_load(tracker_s: Array, at_s: Array, load: Array) -> Array:
+    """The hand's wrench (n, 6) at at_s, its squares and its past at the tracker's times (m, 30)."""
+    size = np.sqrt(np.mean(load**2, axis=0)) + 1e-9
+    x = load / size
+    steps = np.maximum(np.diff(at_s, prepend=at_s[:1]), 0.0)
+    path = _low_passed(x, np.exp(-steps / _MEMORY_S[0]))
+    every = np.concatenate([_polynomials(x[:, :3], 2), x[:, 3:], x * np.abs(x), path, x - path], 1)
+    return np.stack([np.interp(tracker_s, at_s, column) for column in every.T], axis=1)
+
+
+def _low_passed(values: Array, keep: Array) -> Array:
+    """y_k = keep_k y_{k-1} + (1 - keep_k) x_k, from y_0 = x_0."""
+    path = np.empty_like(values)
+    last = values[0]
+    for k, share in enumerate(keep):
+        last = share * last + (1.0 - share) * values[k]
+        path[k] = last
+    return path
+
+
+def _each(scale: Array, functions: Array) -> Array:
+    """Functions (n, f) of groups in each of six channels: columns (6 n, 6 f) in rows' units."""
+    n, f = functions.shape
+    columns = np.zeros((n, 6, 6, f))
+    for channel in range(6):
+        columns[:, channel, channel] = functions
+    return np.asarray(columns.reshape(6 * n, 6 * f) / scale[:, None])

@@ -1,0 +1,1 @@
+"""The gap monitor of a running arm."""

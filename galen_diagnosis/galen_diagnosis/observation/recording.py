@@ -1,0 +1,259 @@
+"""Reads a diagnostic recording (contract, section 5): up to three bags and the tool's file.
+
+Nothing else in its directory is opened, and nothing of its name is used but to say which it is.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+from galen_bags.arrays.arm_recording import ArmRecording, ArmTopics, read_arm
+from galen_bags.arrays.marker_tracks import marker_track, read_poses
+from galen_bags.errors import BagError
+from galen_bags.formats.bag import open_bag
+from galen_bags.formats.find import is_bag
+from galen_model.arm.galen import WRENCH_AXES
+from galen_model.arrays import Array
+from galen_model.files.calibration_file import ToolFile, read_tool
+
+from galen_diagnosis.errors import DiagnosisError
+from galen_diagnosis.observation.rows import BAGS
+
+_JUMP_S = 1.0
+_TRACKER_TOPICS = ("tracker/tool_pose", "tracker/base_pose")
+_LEAST_SAMPLES = 50
+_LEAST_HZ = 20.0
+_REACH_S = 0.1
+
+
+@dataclass(frozen=True)
+class Track:
+    """Poses of a marker in `tracker`: at_s (n,), rotation (n, 3, 3), position (n, 3) m."""
+
+    at_s: Array
+    rotation: Array
+    position: Array
+
+    def __len__(self) -> int:
+        return len(self.at_s)
+
+
+@dataclass(frozen=True)
+class BagData:
+    """One bag; times in s since its first stamp, in increasing order.
+
+    start_s: its first stamp since the recording's. joint_s (nj,), joints (nj, 5) m and rad;
+    wrench_s (nw,), wrenches (nw, 6) N and N.m in ft_sensor; the two markers, None without.
+    """
+
+    name: str
+    start_s: float
+    joint_s: Array
+    joints: Array
+    wrench_s: Array
+    wrenches: Array
+    tool_marker: Track | None
+    base_marker: Track | None
+
+
+@dataclass(frozen=True)
+class Recording:
+    """What there is: bags by name, in the contract's order; `missing` names those that aren't."""
+
+    name: str
+    tool: ToolFile
+    bags: dict[str, BagData]
+    missing: tuple[str, ...]
+    problems: tuple[str, ...]
+
+
+def read_recording(
+    path: str | os.PathLike[str],
+    tool: str | os.PathLike[str] | None = None,
+    topics: ArmTopics | None = None,
+    progress: Callable[[str], None] | None = None,
+) -> Recording:
+    """Read a recording's directory; raises DiagnosisError, BagError or ToolFileError.
+
+    tool: the tool's file, where it isn't the directory's own tool.json. Missing bags are named in
+    `missing`; without any there is nothing to diagnose.
+    """
+    path = Path(path)
+    if not any((path / name).exists() for name in BAGS):
+        raise DiagnosisError(_no_recording(path))
+    tool_file = read_tool(path / "tool.json" if tool is None else tool)
+    arms: dict[str, ArmRecording] = {}
+    problems: list[str] = []
+    for name in BAGS:
+        if (path / name).exists():
+            if progress is not None:
+                progress(name)
+            arms[name] = read_arm(path / name, topics)
+            problems += [f"{name}: {problem}" for problem in arms[name].problems]
+    for name, arm in arms.items():
+        _check_frames(path / name, arm, tool_file)
+    taken = {name: _Arm(path / name, arm) for name, arm in arms.items()}
+    session_ns = min(usable.first_ns for usable in taken.values())
+    bags = {}
+    for name, usable in taken.items():
+        problems += [f"{name}: {problem}" for problem in usable.problems]
+        bags[name] = _bag(path / name, name, usable, session_ns, problems)
+    spans = [(bag.start_s, bag.start_s + bag.wrench_s[-1]) for bag in bags.values()]
+    if any(later[0] < before[1] for before, later in pairwise(spans)):
+        problems.append(
+            f"by their stamps the bags weren't recorded one after the other in the order "
+            f"{', '.join(bags)}: drifts and jumps that last from bag to bag can't be trusted"
+        )
+    if tool_file.mounting is not None or tool_file.cable is not None:
+        problems.append(
+            "the tool's file has an estimate of the sensor's mounting or of a cable; the nominal "
+            "model of a diagnosis leaves them out, and so finds them again"
+        )
+    missing = tuple(name for name in BAGS if name not in arms)
+    return Recording(path.absolute().name or str(path), tool_file, bags, missing, tuple(problems))
+
+
+def _no_recording(path: Path) -> str:
+    wanted = f"a directory with the bags {', '.join(BAGS)} (or some of them) and tool.json"
+    if is_bag(path):
+        return (
+            f"{path}: is a bag, and a recording is {wanted}; `ros2 run galen_gravcomp evaluate"
+            f" {path} --tool FILE` takes a single bag"
+        )
+    if not path.is_dir():
+        return f"{path}: no directory with a recording; a recording is {wanted}"
+    return f"{path}: holds none of the bags {', '.join(BAGS)}; a recording is {wanted}"
+
+
+def _check_frames(path: Path, arm: ArmRecording, tool: ToolFile) -> None:
+    other = [frame for frame in arm.frame_ids if frame and frame != tool.sensor_frame]
+    if other:
+        raise DiagnosisError(
+            f"{path}: wrenches in frame {other[0]!r}, but the tool's file is for "
+            f"{tool.sensor_frame!r}"
+        )
+
+
+class _Arm:
+    """A bag's usable joint states and wrenches in the order of their stamps.
+
+    first_ns: the first stamp. joint_s (nj,), joints (nj, 5), wrench_s (nw,), wrenches (nw, 6):
+    times since then; joint_ns (nj,): stamps. problems: sentences about what was left out.
+    """
+
+    def __init__(self, path: Path, arm: ArmRecording) -> None:
+        """Raises DiagnosisError where too little is left."""
+        self.problems: list[str] = []
+        for what, stamps in (
+            ("joint states", arm.joint_stamp_ns),
+            ("wrenches", arm.wrench_stamp_ns),
+        ):
+            back_s = -1e-9 * float(np.diff(stamps[stamps > 0]).min(initial=0))
+            if back_s > _JUMP_S:
+                raise DiagnosisError(
+                    f"{path}: stamps of {what} go back by {back_s:.3g} s, as when a clock is set"
+                )
+        if not np.isfinite(arm.joints).all(axis=1).any():
+            raise DiagnosisError(f"{path}: joint states don't name all five joints")
+        joint_ns, joints = self._usable("joint states", arm.joint_stamp_ns, arm.joints)
+        wrench_ns, wrenches = self._usable("wrenches", arm.wrench_stamp_ns, arm.wrenches)
+        known = _within_reach(wrench_ns, joint_ns)
+        if not known.all():
+            self.problems.append(f"{np.sum(~known)} wrenches without joint states near; left out")
+        wrench_ns, wrenches = wrench_ns[known], wrenches[known]
+        for what, stamps in (("joint states", joint_ns), ("wrenches", wrench_ns)):
+            if len(stamps) < _LEAST_SAMPLES:
+                raise DiagnosisError(
+                    f"{path}: {len(stamps)} usable {what}; at least {_LEAST_SAMPLES} are needed"
+                )
+            rate_hz = 1e9 / float(np.median(np.diff(stamps)))
+            if rate_hz < _LEAST_HZ:
+                raise DiagnosisError(
+                    f"{path}: {what} at {rate_hz:.3g} Hz; at least {_LEAST_HZ:g} Hz are needed"
+                )
+        frozen = [
+            axis
+            for axis, size in zip(WRENCH_AXES, np.ptp(wrenches, axis=0), strict=True)
+            if size == 0.0
+        ]
+        if frozen:
+            self.problems.append(
+                f"{', '.join(frozen)} read the same all along, as a dead axis does"
+            )
+        self.first_ns = int(min(joint_ns[0], wrench_ns[0]))
+        self.joint_ns = joint_ns
+        self.joint_s, self.joints = (joint_ns - self.first_ns) * 1e-9, joints
+        self.wrench_s, self.wrenches = (wrench_ns - self.first_ns) * 1e-9, wrenches
+
+    def _usable(self, what: str, stamp_ns: np.ndarray, values: Array) -> tuple[np.ndarray, Array]:
+        """Samples with a stamp and finite numbers, in the order of their stamps, one a stamp."""
+        finite = np.isfinite(values).all(axis=1)
+        for bad, why in ((stamp_ns <= 0, "without a stamp"), (~finite, "with numbers missing")):
+            if bad.any():
+                self.problems.append(f"{np.sum(bad)} {what} {why}; left out")
+        use = (stamp_ns > 0) & finite
+        stamps, rows = np.unique(stamp_ns[use], return_index=True)
+        return stamps, values[use][rows]
+
+
+def _within_reach(stamp_ns: np.ndarray, known_ns: np.ndarray) -> np.ndarray:
+    """Which stamps (n,) have one of the known, in increasing order, near before or after them."""
+    if not len(known_ns):
+        return np.zeros(len(stamp_ns), dtype=bool)
+    after = np.searchsorted(known_ns, stamp_ns)
+    before = known_ns[np.maximum(after - 1, 0)]
+    after_ns = known_ns[np.minimum(after, len(known_ns) - 1)]
+    away = np.minimum(np.abs(stamp_ns - before), np.abs(after_ns - stamp_ns))
+    return np.asarray(away <= _REACH_S * 1e9)
+
+
+def _bag(path: Path, name: str, arm: _Arm, session_ns: int, problems: list[str]) -> BagData:
+    tool_marker = base_marker = None
+    try:
+        with open_bag(path) as bag:
+            raw = read_poses(bag, _TRACKER_TOPICS)
+        tracks = []
+        for track, may_stand in zip(raw, (False, True), strict=True):
+            good = marker_track(
+                track, _JUMP_S, arm.first_ns, may_stand=may_stand, beside_ns=arm.joint_ns
+            )
+            problems += [f"{name}: {problem}" for problem in good.problems]
+            order = np.argsort(good.line.time_ns, kind="stable")
+            order = order[_within_reach(good.line.time_ns[order], arm.joint_ns)]
+            at_s = (good.line.time_ns[order] - arm.first_ns) * 1e-9
+            tracks.append(Track(at_s, good.poses.rotation[order], good.poses.translation[order]))
+        problem = _too_little(tracks)
+        if problem:
+            problems.append(f"{name}: no tracker: {problem}")
+        else:
+            tool_marker, base_marker = tracks
+    except BagError as error:
+        if name == "push":
+            problems.append(f"push: no tracker: {error}")
+    return BagData(
+        name,
+        (arm.first_ns - session_ns) * 1e-9,
+        arm.joint_s,
+        arm.joints,
+        arm.wrench_s,
+        arm.wrenches,
+        tool_marker,
+        base_marker,
+    )
+
+
+def _too_little(tracks: list[Track]) -> str:
+    """Why the two markers' poses aren't enough; empty where they are."""
+    for topic, track in zip(_TRACKER_TOPICS, tracks, strict=True):
+        if len(track) < _LEAST_SAMPLES:
+            return f"{topic} has {len(track)} usable poses; at least {_LEAST_SAMPLES} are needed"
+    # The base's marker may be looked at less often: it stands.
+    rate_hz = 1.0 / float(np.median(np.diff(tracks[0].at_s)))
+    if rate_hz < _LEAST_HZ:
+        return f"{_TRACKER_TOPICS[0]} comes at {rate_hz:.3g} Hz; {_LEAST_HZ:g} Hz are needed"
+    return ""

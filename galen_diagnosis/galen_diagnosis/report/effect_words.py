@@ -1,0 +1,198 @@
+"""Effects and their parameters in words and in units that people read."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+from galen_model.arm.galen import WRENCH_AXES
+
+from galen_diagnosis.answer.answer import NONE, UNKNOWN, Interval
+
+RANKING_NOTE = (
+    "Each probability is that of one cause being there; several can be there together, so they"
+    " need not add up to 100 %."
+)
+TITLES = {
+    "roll_zero_offset": "zero of the roll joint",
+    "tilt_zero_offset": "zero of the tilt joint",
+    "tilt_gain": "gain of the tilt joint",
+    "tilt_axis_misalignment": "direction of the tilt axis",
+    "base_inclination": "inclined base",
+    "sensor_mount_rotation": "turned sensor",
+    "axis_gain": "gains of the sensor's axes",
+    "crosstalk": "crosstalk in the sensor",
+    "sensor_drift": "drifting sensor",
+    "bias_step": "jump of the sensor's reading",
+    "wrench_delay": "late wrenches",
+    "sensor_saturation": "saturated sensor",
+    "tool_mass_error": "tool's mass",
+    "tool_com_error": "tool's centre of mass",
+    "loose_tool": "loose tool",
+    "cable_drag": "pulling cable",
+    "inertial_load": "forces of acceleration",
+    "joint_compliance": "stiffness of the arm",
+    "deflection_hysteresis": "hysteresis of the deflection",
+    "backlash": "backlash",
+    "tracker_delay": "late tracker",
+    "tracker_scale": "tracker's scale",
+    "base_shift": "moved base marker",
+    NONE: "nothing is missing",
+    UNKNOWN: "something that is not on the list",
+}
+
+# {name} is the parameter with its interval, {name!r} a word as it is.
+SENTENCES = {
+    "roll_zero_offset": "the roll joint's zero is off by {offset_rad}",
+    "tilt_zero_offset": "the tilt joint's zero is off by {offset_rad}",
+    "tilt_gain": "the tilt joint turns by {gain} more than it reports",
+    "tilt_axis_misalignment": "the tilt axis is turned by {about_z_rad} about the roll link's z",
+    "base_inclination": "the base is inclined, by {about_x_rad} about x and {about_y_rad} about y",
+    "sensor_mount_rotation": "the sensor is turned in its mount, by {rotvec_rad}",
+    "axis_gain": "the sensor's axes read too much, by {gain}",
+    "crosstalk": "the sensor reads {coefficient} of {from} in {to}",
+    "sensor_drift": "the sensor drifts, by {rate_per_hour}",
+    "bias_step": "the sensor's reading jumps by {step} at {time_s} of {bag}",
+    "wrench_delay": "the wrenches are {delay_s} late against the joints",
+    "sensor_saturation": "the sensor's {axis} clips at {limit}",
+    "tool_mass_error": "the tool's true mass differs from its file's by {delta_kg}",
+    "tool_com_error": "the tool's centre of mass lies elsewhere than its file says, by {delta_m}",
+    "loose_tool": "the tool is loose and sags by {shift_m} in its mount",
+    "cable_drag": "a cable pulls at the tool with {tension_N}",
+    "inertial_load": "forces of acceleration of {mass_kg} are missing in the model",
+    "joint_compliance": "the arm's stiffness is not the nominal one: {others}",
+    "deflection_hysteresis": "the deflection has hysteresis and keeps {residual_fraction} of itself"
+    " when the load is gone",
+    "backlash": "the {joint} joint has a backlash of {gap_rad}",
+    "tracker_delay": "the tracker's stamps are {delay_s} late",
+    "tracker_scale": "the tracker's positions are {gain} too large",
+    "base_shift": "the base marker's stand moves at {time_s} of push, by {translation_m} and"
+    " {rotvec_rad}",
+}
+
+_AXES = {3: ("x", "y", "z"), 6: WRENCH_AXES}
+_ROTATIONS = ("rotvec_rad",)
+
+
+class Unit(NamedTuple):
+    """What an SI number is multiplied by, and the unit after it."""
+
+    factor: float
+    name: str
+
+
+def unit_of(name: str, axis: str | None = None) -> Unit:
+    """The unit that people read a parameter in; axis: of the wrench, where it has one."""
+    torque = axis is not None and axis.startswith("t")
+    if name == "limit":
+        return Unit(1e3, " mN.m") if torque else Unit(1.0, " N")
+    if name == "step":
+        return Unit(1e3, " mN.m") if torque else Unit(1.0, " N")
+    if name == "rate_per_hour":
+        return Unit(1e3, " mN.m/h") if torque else Unit(1.0, " N/h")
+    if name in ("gain", "residual_fraction"):
+        return Unit(100.0, " %")
+    if name in ("k_roll", "k_tilt"):
+        return Unit(1.0, " N.m/rad")
+    if name in ("k_carriage", "k_rod"):
+        return Unit(1e-3, " N/mm")
+    for end, unit in (
+        ("_rad", Unit(math.degrees(1.0), "°")),
+        ("_kg", Unit(1e3, " g")),
+        ("delay_s", Unit(1e3, " ms")),
+        ("_s", Unit(1.0, " s")),
+        ("_m", Unit(1e3, " mm")),
+        ("_N", Unit(1.0, " N")),
+    ):
+        if name.endswith(end):
+            return unit
+    return Unit(1.0, "")
+
+
+def coefficient_unit(source: str, target: str) -> Unit:
+    """Of a crosstalk from one axis to another."""
+    if source[:1] == target[:1]:
+        return Unit(100.0, " %")
+    return Unit(1e3, " mN.m/N") if target.startswith("t") else Unit(1.0, " N/N.m")
+
+
+def with_interval(value: Interval, unit: Unit) -> str:
+    """`0.584° (0.571 to 0.597)`: as many digits as the interval is worth."""
+    number = value.value * unit.factor
+    if value.low is None or value.high is None:
+        return f"{plain(number, abs(number) / 20.0)}{unit.name}"
+    low, high = value.low * unit.factor, value.high * unit.factor
+    half = 0.5 * (high - low)
+    return f"{plain(number, half)}{unit.name} ({plain(low, half)} to {plain(high, half)})"
+
+
+def plain(number: float, uncertainty: float) -> str:
+    """A number to two digits of its uncertainty where that starts with 1 or 2, else to one."""
+    if not math.isfinite(number):
+        return "?"
+    if not (uncertainty > 0.0 and math.isfinite(uncertainty)):
+        return f"{number:.3g}"
+    decimals = math.ceil(math.log10(3.0 / uncertainty) - 1e-9)
+    text = f"{number:.{min(max(decimals, 0), 9)}f}"
+    return text.removeprefix("-") if float(text) == 0.0 else text
+
+
+def parameter_words(effect: str, name: str, parameters: dict[str, Any]) -> str:
+    """A parameter with interval and unit; of a vector those parts that aren't 0."""
+    value = parameters[name]
+    if isinstance(value, str):
+        return value
+    if isinstance(value, Interval):
+        if name == "coefficient":
+            unit = coefficient_unit(str(parameters.get("from", "")), str(parameters.get("to", "")))
+        else:
+            unit = unit_of(name, _word(parameters, "axis"))
+        return with_interval(value, unit)
+    if isinstance(value, list | tuple) and value and isinstance(value[0], Interval):
+        return _vector_words(name, value)
+    if isinstance(value, int | float) and not isinstance(value, bool):
+        unit = unit_of(name, _word(parameters, "axis"))
+        return f"{value * unit.factor:.4g}{unit.name}"
+    return str(value)
+
+
+def _word(parameters: dict[str, Any], name: str) -> str | None:
+    value = parameters.get(name)
+    return value if isinstance(value, str) else None
+
+
+def _vector_words(name: str, parts: Sequence[Interval]) -> str:
+    axes = _AXES.get(len(parts), tuple(str(number) for number in range(len(parts))))
+    between = " about " if name in _ROTATIONS else " in "
+    sure = [k for k, part in enumerate(parts) if _not_zero(part)]
+    shown = sure or [max(range(len(parts)), key=lambda k: abs(parts[k].value))]
+    return ", ".join(
+        f"{with_interval(parts[k], unit_of(name, axes[k] if len(parts) == 6 else None))}"
+        f"{between}{axes[k]}"
+        for k in shown
+    )
+
+
+def _not_zero(part: Interval) -> bool:
+    if part.low is None or part.high is None:
+        return part.value != 0.0
+    return part.low > 0.0 or part.high < 0.0
+
+
+def cause_words(effect: str, parameters: dict[str, Any]) -> str:
+    """What an effect does, as a part of a sentence with its numbers."""
+    words = {name: parameter_words(effect, name, parameters) for name in parameters}
+    template = SENTENCES.get(effect)
+    others = ", ".join(f"{name} {text}" for name, text in words.items())
+    if template is None:
+        return f"{title(effect)} ({others})" if others else title(effect)
+    try:
+        return template.format(**words, others=others)
+    except KeyError:  # a parameter wasn't told
+        return f"{title(effect)} ({others})" if others else title(effect)
+
+
+def title(effect: str) -> str:
+    """An effect's name for people."""
+    return TITLES.get(effect, effect.replace("_", " "))

@@ -1,0 +1,1 @@
+"""Diagnosis of measured tables and joints."""

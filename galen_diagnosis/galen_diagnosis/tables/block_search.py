@@ -1,0 +1,208 @@
+"""Which effects explain blocks of readings: none, one, several, or something unknown.
+
+A hypothesis is a set of effects with, beside them, noise alone or something that hangs together
+within a block and nobody knows. Its weight is how well it predicts each block from the others,
+
+    score = eta sum_b elpd_b + ln prior,
+
+and probabilities are the mean of the scores' softmax over Bayesian bootstraps of the blocks:
+pseudo-BMA+ (Y. Yao et al., *Bayesian Analysis* 13(3), 2018, section 3.4).
+Every effect is tried by itself; the best few are joined by a second and a third; and each effect of
+the best set is exchanged for every other, to see what could stand in its place.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from galen_model.arrays import Array
+
+from galen_diagnosis.answer.answer import NONE, UNKNOWN
+from galen_diagnosis.tables.block_evidence import BlockEvidence, Hypothesis
+from galen_diagnosis.tables.block_rows import Columns, Effects
+
+Progress = Callable[[str], None]
+
+_MOST_WAYS = 8
+_HALF = 0.5
+_NEARLY_NATS = 1.0
+_TOLD_APART_NATS = 2.3
+"""Ten to one."""
+
+
+@dataclass(frozen=True)
+class SearchSettings:
+    """Chosen by hand; `measured_check` tells how often the answers are right with them.
+
+    tempering: eta. effect_odds: of an effect being there, beforehand. unknown_odds: of something
+    unknown being there. most: effects at once. joined: best sets that get another.
+    """
+
+    tempering: float = 0.7
+    effect_odds: float = 0.03
+    unknown_odds: float = 0.3
+    most: int = 3
+    joined: int = 3
+    draws: int = 2000
+    seed: int = 0
+
+
+@dataclass(frozen=True)
+class Found:
+    """What the search tried, with probabilities; inclusion: of effects, "none", "unknown".
+
+    best: the most probable hypothesis; equivalent: of its effects, what may stand in their place.
+    """
+
+    hypotheses: tuple[Hypothesis, ...]
+    probability: Array
+    inclusion: dict[str, float]
+    best: Hypothesis
+    equivalent: dict[str, tuple[str, ...]]
+
+
+def search(
+    evidence: BlockEvidence,
+    effects: Effects,
+    settings: SearchSettings | None = None,
+    progress: Progress | None = None,
+) -> Found:
+    """Try hypotheses and weigh them."""
+    work = _Search(evidence, effects, settings or SearchSettings(), progress or (lambda text: None))
+    work.try_sets((), [()])
+    for name, ways in effects.of.items():
+        work.try_sets((name,), [(way,) for way in ways])
+    work.prune()
+    for size in range(2, work.settings.most + 1):
+        for base in work.worth_joining(size - 1):
+            for name in effects.of:
+                if name not in base.effects:
+                    work.join(base.effects, base.ways, name)
+    best = work.weighed().best
+    for place, name in enumerate(best.effects):
+        others = tuple(other for other in best.effects if other != name)
+        ways = tuple(way for k, way in enumerate(best.ways) if k != place)
+        for other in effects.of:
+            if other not in best.effects:
+                work.join(others, ways, other)
+    return work.weighed()
+
+
+class _Search:
+    def __init__(
+        self,
+        evidence: BlockEvidence,
+        effects: Effects,
+        settings: SearchSettings,
+        progress: Progress,
+    ) -> None:
+        self.evidence, self.effects, self.settings = evidence, effects, settings
+        self.progress = progress
+        self.ways = {name: list(ways) for name, ways in effects.of.items()}
+        self.tried: dict[tuple[frozenset[str], bool], Hypothesis] = {}
+
+    def try_sets(self, names: tuple[str, ...], sets: Sequence[tuple[Columns, ...]]) -> None:
+        self.progress(" + ".join(names) or NONE)
+        for floor_only in (True, False):
+            if floor_only and not self.evidence.rows.floor_known:
+                continue
+            key = (frozenset(names), floor_only)
+            if key in self.tried:
+                continue
+            found = self.evidence.hypothesis(names, sets, floor_only)
+            if found is not None:
+                self.tried[key] = found
+        self.evidence.forget()
+
+    def prune(self) -> None:
+        """From now on only such ways of an effect as weren't hopeless by themselves."""
+        self.ways = {}
+        for name, ways in self.effects.of.items():
+            kept = {
+                id(way): way
+                for (names, _), one in self.tried.items()
+                if names == {name}
+                for (way,) in one.kept
+            }
+            self.ways[name] = list(kept.values()) or list(ways)[:_MOST_WAYS]
+
+    def join(self, names: tuple[str, ...], ways: tuple[Columns, ...], name: str) -> None:
+        """Effects in the ways they have, and another in any of its."""
+        self.try_sets((*names, name), [(*ways, way) for way in self.ways[name]])
+
+    def score(self, hypothesis: Hypothesis) -> float:
+        return float(self.settings.tempering * hypothesis.elpd.sum() + self._log_prior(hypothesis))
+
+    def _log_prior(self, hypothesis: Hypothesis) -> float:
+        unknown = 0.0 if hypothesis.floor_only else np.log(self.settings.unknown_odds)
+        return float(len(hypothesis.effects) * np.log(self.settings.effect_odds) + unknown)
+
+    def best_sets(self, size: int) -> list[Hypothesis]:
+        of_size = [one for one in self.tried.values() if len(one.effects) == size]
+        ordered = sorted(of_size, key=self.score, reverse=True)
+        kept: dict[frozenset[str], Hypothesis] = {}
+        for one in ordered:
+            kept.setdefault(frozenset(one.effects), one)
+        return list(kept.values())[: self.settings.joined]
+
+    def worth_joining(self, size: int) -> list[Hypothesis]:
+        """Of the best sets of a size, those that are better than any smaller set, or nearly."""
+        smaller = [self.score(one) for one in self.tried.values() if len(one.effects) < size]
+        return [
+            one for one in self.best_sets(size) if self.score(one) > max(smaller) - _NEARLY_NATS
+        ]
+
+    def weighed(self) -> Found:
+        every = tuple(self.tried.values())
+        elpd = np.stack([one.elpd for one in every])
+        prior = np.array([self._log_prior(one) for one in every])
+        blocks = elpd.shape[1]
+        random = np.random.default_rng(self.settings.seed)
+        weights = random.dirichlet(np.ones(blocks), self.settings.draws) * blocks
+        scores = self.settings.tempering * weights @ elpd.T + prior
+        scores -= scores.max(axis=1, keepdims=True)
+        shares = np.exp(scores)
+        probability = (shares / shares.sum(axis=1, keepdims=True)).mean(axis=0)
+        inclusion = dict.fromkeys((*self.effects.of, NONE, UNKNOWN), 0.0)
+        for one, share in zip(every, probability, strict=True):
+            for name in one.effects or ((NONE if one.floor_only else UNKNOWN),):
+                inclusion[name] += float(share)
+        best = self._best(every, probability, inclusion)
+        return Found(every, probability, inclusion, best, self._equivalent(best))
+
+    def _best(
+        self, every: tuple[Hypothesis, ...], probability: Array, inclusion: dict[str, float]
+    ) -> Hypothesis:
+        """Of effects that are more likely there than not (M. Barbieri, J. Berger, 2004).
+
+        *Annals of Statistics* 32(3): that set predicts best on average. Where no effect is, and
+        neither are none and unknown, the most probable hypothesis.
+        """
+        likely = frozenset(name for name in self.effects.of if inclusion[name] > _HALF)
+        ordered = np.argsort(probability)[::-1]
+        if likely or max(inclusion[NONE], inclusion[UNKNOWN]) > _HALF:
+            for k in ordered:
+                if frozenset(every[k].effects) == likely:
+                    return every[k]
+        return every[ordered[0]]
+
+    def _equivalent(self, best: Hypothesis) -> dict[str, tuple[str, ...]]:
+        """Effects that predict the blocks as well in another's place, but for chance."""
+        found = {}
+        for name in best.effects:
+            others = frozenset(best.effects) - {name}
+            found[name] = tuple(
+                other
+                for other in self.effects.of
+                if other not in best.effects
+                and self._as_good(self.tried.get((others | {other}, best.floor_only)), best)
+            )
+        return found
+
+    def _as_good(self, other: Hypothesis | None, best: Hypothesis) -> bool:
+        if other is None:
+            return False
+        worse = float((best.elpd - other.elpd).sum())
+        return self.settings.tempering * worse < _TOLD_APART_NATS

@@ -1,0 +1,89 @@
+"""`diagnose_joints`: which effect makes a joint's two ends differ, from tables of readings."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from galen_bags.command_line import (
+    EXIT_FAILED,
+    EXIT_INTERRUPTED,
+    EXIT_OK,
+    EXIT_USAGE,
+    run_command,
+)
+from galen_deflection.transmission.fit_joint import (
+    add_column_options,
+    check_column_options,
+    column_map,
+)
+from galen_deflection.transmission.parts import time_blocks, whole_runs
+from galen_deflection.transmission.runs import read_runs
+
+from galen_diagnosis.tables.block_command import (
+    add_output_options,
+    check_outputs,
+    diagnose_rows,
+    give,
+    name_of,
+)
+from galen_diagnosis.tables.joint_rows import prepare_joint
+
+_EPILOG = f"""effects: joint_compliance, backlash, deflection_hysteresis, wrench_delay (the torque's
+stamps are late), and two that the arm's list has not: encoder_delay (the link's stamps are late
+against the motor's), gear_error. Nominal is a rigid gear.
+
+exit codes:
+  {EXIT_OK}    done, whatever the verdict
+  {EXIT_FAILED}    a table can't be used; a line says why
+  {EXIT_USAGE}    wrong arguments
+  {EXIT_INTERRUPTED}  interrupted (Ctrl-C)"""
+
+
+def build_parser() -> argparse.ArgumentParser:
+    """The command's options."""
+    parser = argparse.ArgumentParser(
+        prog="diagnose_joints",
+        description="From readings of the angles at both ends of a joint and of its torque: what"
+        " makes them differ, how sure that is, and how much of it is closed on readings held out.",
+        epilog=_EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument(
+        "files", nargs="+", type=Path, metavar="FILE", help="text tables of one joint, a run each"
+    )
+    add_column_options(parser.add_argument_group("columns"))
+    parser.add_argument(
+        "--blocks",
+        type=int,
+        metavar="N",
+        help="hold out so many blocks of time (default: whole runs where there are four, else 6)",
+    )
+    add_output_options(parser)
+    return parser
+
+
+def main(args: Sequence[str] | None = None) -> int:
+    """Entry point; returns the exit code."""
+    parser = build_parser()
+    arguments = parser.parse_args(args)
+    check_column_options(parser, arguments)
+    if arguments.blocks is not None and arguments.blocks < 4:
+        parser.error("--blocks must be at least 4")
+    return run_command("diagnose_joints", lambda: _diagnose(arguments))
+
+
+def _diagnose(arguments: argparse.Namespace) -> int:
+    check_outputs(arguments)
+    name = name_of(arguments.files[0], arguments.label)
+    runs = read_runs(arguments.files, column_map(arguments))
+    by_run = arguments.blocks is None and len(runs) >= 4
+    parts = whole_runs(runs) if by_run else time_blocks(runs, arguments.blocks or 6)
+    give([diagnose_rows(name, prepare_joint(runs, parts), quiet=arguments.json)], arguments)
+    return EXIT_OK
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,199 @@
+"""Which effects of the contract an orientation table can show, as columns.
+
+Those of geometry, load and sensor come from the simulator's own effects by differences
+(`table_plant`); drift, step, delay and cable, whose shape is open, are written out here:
+
+    drift   any smooth course: the leading eigenvectors of exp(-(t - t')^2 / 2 l^2), six axes each
+    step    0 before, 1 after a moment
+    delay   -dW/dt, with W the weight's reading
+    cable   a constant force F along the base's axes at a point r of the tool: R^T F, r x R^T F
+
+A cable's pull along gravity weighs as mass does, so that its tension here is the level part.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from galen_model.arm.galen import WRENCH_AXES
+from galen_model.arrays import Array
+from galen_model.rotation import skew
+from galen_sim_driver.effects.effect import Effect, Fitted
+from galen_sim_driver.effects.registry import EFFECTS
+
+from galen_diagnosis.tables.block_rows import Columns, Effects
+from galen_diagnosis.tables.table_plant import TablePlant
+
+_HOUR_S = 3600.0
+_STEP = 1e-3
+_DRIFT_LENGTHS = (1.0, 0.25, 0.08)
+"""Over the table's span; what bends faster than this, in s, is no slow wander."""
+_FASTEST_DRIFT_S = 10.0
+_DRIFT_SIZES_N = (0.03, 0.2)
+_LEVER_M = 0.05
+_CABLE_N = 0.3
+_MOST_STEPS = 24
+_SATURATION_SHARES = (0.97, 0.9, 0.75)
+_KEPT = 0.999
+_FEWEST_YAWS = 3
+
+_BY_HOOKS = ("base_inclination", "sensor_mount_rotation", "axis_gain", "loose_tool")
+_OF_THE_LOAD = ("tool_mass_error", "tool_com_error")
+
+
+def table_effects(
+    plant: TablePlant, mean: Callable[[Array], Array], nominal: Columns, known_load: bool
+) -> Effects:
+    """All that can be told.
+
+    mean: from values (n, ...) at the plant's moments to the rows'. known_load: the load is a file's
+    and not fitted, so that it may be wrong.
+    """
+    of: dict[str, Sequence[Columns]] = {}
+    cannot: list[str] = []
+    for name in (*_BY_HOOKS, *(_OF_THE_LOAD if known_load else ())):
+        if name == "base_inclination" and plant.rotation is None:
+            cannot.append("base_inclination: the table has gravity alone, not the rotation")
+            continue
+        of[name] = [_by_hooks(plant, mean, EFFECTS[name]())]
+    of["crosstalk"] = [
+        _by_hooks(plant, mean, EFFECTS["crosstalk"](from_axis=a, to_axis=b), {"from": a, "to": b})  # type: ignore[call-arg]
+        for a in WRENCH_AXES
+        for b in WRENCH_AXES
+        if a != b
+    ]
+    of["sensor_saturation"] = _saturation(plant, mean)
+    if plant.rotation is None:
+        cannot.append("cable_drag: the table has gravity alone, not the rotation")
+    elif _yaws(plant.gravity, plant.rotation) < _FEWEST_YAWS:
+        cannot.append("cable_drag: the sensor hardly turns about gravity, a level pull is a bias")
+    else:
+        of["cable_drag"] = [_cable(plant, mean)]
+    if not known_load:
+        cannot.append("tool_mass_error, tool_com_error: mass and centre are fitted (--tool)")
+    return Effects(nominal, of, tuple(cannot))
+
+
+def in_time(
+    plant: TablePlant, mean: Callable[[Array], Array], by_order: bool = False
+) -> dict[str, Sequence[Columns]]:
+    """Effects that need the order of time; by_order: it is all that is known of it."""
+    at_s = mean(plant.at_s)
+    return {"sensor_drift": drift_columns(at_s, by_order), "bias_step": _steps(at_s)}
+
+
+def delay_columns(plant: TablePlant, mean: Callable[[Array], Array]) -> Columns:
+    """Wrench stamps late against the orientations'."""
+    kind = EFFECTS["wrench_delay"]
+    typical = float(kind.fitted[0].typicals[0])
+    weight = plant.reading()
+    slope = np.gradient(weight, plant.at_s, axis=0)
+    return Columns(mean(-typical * slope)[:, :, None], {"delay_s": lambda w: typical * w[0]})
+
+
+def drift_columns(at_s: Array, by_order: bool = False) -> list[Columns]:
+    """Smooth courses of all six axes, of several lengths and sizes; by_order: times are none."""
+    span = float(at_s[-1] - at_s[0])
+    ways = []
+    for share in _DRIFT_LENGTHS:
+        if share < 1.0 and share * span < _FASTEST_DRIFT_S and not by_order:
+            continue
+        apart = (at_s[:, None] - at_s[None, :]) / (share * span)
+        value, vectors = np.linalg.eigh(np.exp(-0.5 * apart**2))
+        kept = np.cumsum(value[::-1]) < _KEPT * value.sum()
+        count = int(kept.sum()) + 1
+        shapes = vectors[:, ::-1][:, :count] * np.sqrt(np.maximum(value[::-1][:count], 0.0))
+        shapes = shapes - shapes.mean(axis=0)
+        for size_n in _DRIFT_SIZES_N:
+            sizes = size_n * np.repeat([1.0, _LEVER_M], 3)
+            values = np.einsum("nk,cd->ncdk", shapes, np.diag(sizes)).reshape(len(at_s), 6, -1)
+            ends = (shapes[-1] - shapes[0]) / span * _HOUR_S
+
+            def rate(w: Array, ends: Array = ends, sizes: Array = sizes) -> Array:
+                return np.asarray(sizes * (w.reshape(6, -1) @ ends))
+
+            ways.append(Columns(values, {"rate_per_hour": rate}, {"bends_every_s": share * span}))
+    return ways
+
+
+def _steps(at_s: Array) -> list[Columns]:
+    typical = EFFECTS["bias_step"].fitted[0].typicals
+    gaps = np.arange(1, len(at_s))
+    if len(gaps) > _MOST_STEPS:
+        gaps = np.unique(np.linspace(1, len(at_s) - 1, _MOST_STEPS).round().astype(int))
+    ways = []
+    for first in gaps:
+        after = (np.arange(len(at_s)) >= first).astype(float)
+        values = np.einsum("n,cd->ncd", after, np.diag(typical))
+        time_s = float((at_s[first - 1] + at_s[first]) / 2.0)
+        ways.append(Columns(values, {"step": lambda w: typical * w}, {"time_s": time_s}))
+    return ways
+
+
+def _by_hooks(
+    plant: TablePlant,
+    mean: Callable[[Array], Array],
+    effect: Effect,
+    words: dict[str, str] | None = None,
+) -> Columns:
+    """Columns of an effect's fitted parameters, by differences at nothing."""
+    typical = np.concatenate([part.typicals for part in effect.fitted])
+    columns = [
+        plant.change(effect.with_vector(_STEP * size * unit)) / _STEP
+        for size, unit in zip(typical, np.eye(len(typical)), strict=True)
+    ]
+    parameters, at = {}, 0
+    for part in effect.fitted:
+        parameters[part.name] = _numbers(part, at, typical)
+        at += part.size
+    return Columns(mean(np.stack(columns, axis=2)), parameters, words or {})
+
+
+def _numbers(part: Fitted, at: int, typical: Array) -> Callable[[Array], Array]:
+    rows = slice(at, at + part.size)
+    if part.size == 1:
+        return lambda w: typical[at] * w[at]
+    return lambda w: typical[rows] * w[rows]
+
+
+def _saturation(plant: TablePlant, mean: Callable[[Array], Array]) -> list[Columns]:
+    """An axis that clips at some share of the largest reading: on or off, no free size."""
+    largest = np.abs(plant.reading()).max(axis=0)
+    ways = []
+    for axis, name in enumerate(WRENCH_AXES):
+        for share in _SATURATION_SHARES:
+            limit = float(share * largest[axis])
+            effect = EFFECTS["sensor_saturation"](limit=limit, axis=name)  # type: ignore[call-arg]
+            ways.append(
+                Columns(
+                    mean(plant.change(effect))[:, :, None],
+                    {},
+                    {"axis": name, "limit": limit},
+                    allowed=lambda w: 0.5 < w[0] < 1.5,
+                )
+            )
+    return ways
+
+
+def _cable(plant: TablePlant, mean: Callable[[Array], Array]) -> Columns:
+    assert plant.rotation is not None
+    back = np.swapaxes(plant.rotation, 1, 2)
+    count = len(back)
+    values = np.zeros((count, 6, 12))
+    values[:, :3, :3] = _CABLE_N * back
+    # r x R^T F is linear in the nine products r_i F_j
+    for i, cross in enumerate(skew(np.eye(3))):
+        values[:, 3:, 3 + 3 * i : 6 + 3 * i] = _CABLE_N * _LEVER_M * (cross @ back)
+    return Columns(
+        mean(values),
+        {"tension_N": lambda w: np.asarray(_CABLE_N * np.linalg.norm(w[:2]))},
+    )
+
+
+def _yaws(gravity: Array, rotation: Array) -> float:
+    """How much of a level force in the base is no constant in the sensor: rank beside gravity."""
+    level = np.swapaxes(rotation, 1, 2)[:, :, :2].reshape(len(rotation), 6)
+    about = level - level.mean(axis=0)
+    sizes = np.linalg.svd(about, compute_uv=False) / np.sqrt(len(rotation))
+    return float(np.sum(sizes > 0.1))
