@@ -16,7 +16,7 @@ from galen_deflection.collection.node import CollectionNode
 from galen_deflection.node import DeflectionNode
 from galen_diagnosis.monitor.node import GapMonitorNode
 from galen_gravcomp.node import GravcompNode
-from galen_panel.ros_suite import RosSuite
+from galen_panel.ros.suite import RosSuite
 from galen_ros.cdr.layout import WrenchBytes
 from galen_ros.node.testing import Harness, parameters
 from galen_ros.parameters.declare import markdown_table

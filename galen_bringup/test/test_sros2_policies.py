@@ -22,7 +22,7 @@ from galen_deflection.collection.procedure import CollectionProcedure
 from galen_deflection.node import DeflectionNode
 from galen_diagnosis.monitor.node import GapMonitorNode
 from galen_gravcomp.node import GravcompNode
-from galen_panel.ros_suite import RosSuite
+from galen_panel.ros.suite import RosSuite
 from galen_ros.goal.pose_procedure import PoseProcedure
 from galen_ros.node.testing import Harness, parameters
 from galen_sim_driver.node.sim_driver_node import SimDriverNode

@@ -18,7 +18,7 @@ def main() -> None:
 
     options = read_options(own_arguments(sys.argv)[1:])
     # Slower still, and nothing of it is needed for --help.
-    from galen_panel.ros_suite import RosSuite
+    from galen_panel.ros.suite import RosSuite
     from galen_panel.server import serve
 
     try:

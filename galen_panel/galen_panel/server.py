@@ -15,8 +15,8 @@ from galen_model.errors import GalenError
 from galen_panel.access import Access
 from galen_panel.ending import end_by_signals, end_server, ignore_signals
 from galen_panel.options import Options
-from galen_panel.recordings import Recordings
-from galen_panel.suite import Suite
+from galen_panel.recordings.recordings import Recordings
+from galen_panel.state.suite import Suite
 
 RECONNECT_S = 15.0
 # A page whose panel says nothing for the sum of both shows that its connection is lost.
@@ -43,9 +43,9 @@ def serve(suite: Suite, options: Options, on_stop: Callable[[], None]) -> None:
     from nicegui import app, core, ui
     from nicegui.server import Server
 
-    from galen_panel import layout
     from galen_panel.limits import MAX_HEADER_BYTES, LimitedProtocol, Turns
-    from galen_panel.page import Page
+    from galen_panel.page import layout
+    from galen_panel.page.page import Page
 
     recordings = Recordings(options.bags_dir, options.tools_dir, options.output_dir)
     # NiceGUI adds middleware of its own when it starts, around what was added before; one has

@@ -5,8 +5,8 @@ from contextlib import contextmanager
 from dataclasses import replace
 
 import numpy as np
-from galen_panel.history import History
-from galen_panel.state import (
+from galen_panel.state.history import History
+from galen_panel.state.snapshot import (
     Answer,
     Comparison,
     Difference,

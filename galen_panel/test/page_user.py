@@ -9,9 +9,10 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from galen_panel.options import read_options
-from galen_panel.page import Page
-from galen_panel.recordings import Recordings
-from galen_panel.sections import behaviours, compensation, lamp, tools, under_way
+from galen_panel.page import compensation, lamp, tools, under_way
+from galen_panel.page.behaviours import behaviours
+from galen_panel.page.page import Page
+from galen_panel.recordings.recordings import Recordings
 from nicegui import app
 from nicegui.storage import Storage
 from nicegui.testing.user_interaction import UserInteraction

@@ -4,7 +4,7 @@ import asyncio
 import time
 from contextlib import contextmanager
 
-from galen_panel.ros_suite import RosSuite
+from galen_panel.ros.suite import RosSuite
 from galen_ros.node.testing import Harness, parameters
 
 

@@ -3,9 +3,9 @@ import io
 from datetime import datetime
 
 import numpy as np
-from galen_panel.exports import HEADER, between, file_name
-from galen_panel.exports import csv as written
-from galen_panel.history import NS_PER_S, Samples
+from galen_panel.state.exports import HEADER, between, file_name
+from galen_panel.state.exports import csv as written
+from galen_panel.state.history import NS_PER_S, Samples
 
 AT = 1_790_000_000 * NS_PER_S + 123_456_789
 

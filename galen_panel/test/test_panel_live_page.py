@@ -9,8 +9,8 @@ from dataclasses import replace
 
 import numpy as np
 from fake_suite import IN_FORCE, FakeSuite
-from galen_panel.history import NS_PER_S
-from galen_panel.sections import live
+from galen_panel.page.live import live
+from galen_panel.state.history import NS_PER_S
 from page_user import on_page
 
 START_S = 1_000_000.0

@@ -2,8 +2,8 @@ from dataclasses import replace
 
 import pytest
 from fake_suite import IN_FORCE
-from galen_panel.silence import COMPENSATED, DEFLECTION, JOINTS, RAW, Heard, tell
-from galen_panel.state import State
+from galen_panel.messages.silence import COMPENSATED, DEFLECTION, JOINTS, RAW, Heard, tell
+from galen_panel.state.snapshot import State
 
 ALL = frozenset({RAW, COMPENSATED, DEFLECTION, JOINTS})
 

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import pytest
 from fake_suite import ALL, BROKEN, IN_FORCE, POINTER, RETRACTOR, FakeSuite
-from galen_panel.state import (
+from galen_panel.state.snapshot import (
     Answer,
     Asked,
     Behaviour,

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import pytest
 from fake_suite import ALL, COMPENSATING, IN_FORCE, FakeSuite
-from galen_panel.state import Answer, Level
+from galen_panel.state.snapshot import Answer, Level
 from page_user import on_page
 
 

@@ -4,8 +4,8 @@ from dataclasses import replace
 from functools import partial
 
 from fake_suite import ALL, IN_FORCE, POINTER, RETRACTOR, FakeSuite
-from galen_panel.sections.comparison import differs_beside
-from galen_panel.state import CalibrateGoal, Difference, Tool
+from galen_panel.page.comparison import differs_beside
+from galen_panel.state.snapshot import CalibrateGoal, Difference, Tool
 from page_user import on_page
 
 

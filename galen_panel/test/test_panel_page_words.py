@@ -8,13 +8,14 @@ import pytest
 from fake_suite import ALL, IN_FORCE, POINTER, RETRACTOR
 from galen_model.arm.kinematics import gravity_in_sensor
 from galen_model.load.model import Load, gravity_wrench
-from galen_panel.pace import Pace
-from galen_panel.result_words import Fate, Todo
-from galen_panel.running_fit import residuals
-from galen_panel.sections.under_way import count
-from galen_panel.state import Behaviour, Kind, Level, NodeReport, Outcome, Pose, State
-
-from galen_panel import hints, pose_table, result_words, texts
+from galen_panel.messages import hints, texts
+from galen_panel.messages import results as result_words
+from galen_panel.messages.results import Fate, Todo
+from galen_panel.page.under_way import count
+from galen_panel.state import pose_table
+from galen_panel.state.pace import Pace
+from galen_panel.state.running_fit import residuals
+from galen_panel.state.snapshot import Behaviour, Kind, Level, NodeReport, Outcome, Pose, State
 
 NAN = math.nan
 

@@ -6,7 +6,7 @@ import signal
 from pathlib import Path
 
 import pytest
-from galen_panel.report_files import Reports
+from galen_panel.recordings.report_files import Reports
 from panel_processes import PanelWorld
 from selenium.webdriver.common.by import By
 from selenium.webdriver.common.keys import Keys

@@ -4,9 +4,9 @@ import shutil
 from pathlib import Path
 
 import pytest
-from galen_panel.recordings import PAGE_LENGTH, Recordings
-from galen_panel.recordings_index import Details, RecordingKind, find_recordings, look_at
-from galen_panel.recordings_tools import tool_choices
+from galen_panel.recordings.index import Details, RecordingKind, find_recordings, look_at
+from galen_panel.recordings.recordings import PAGE_LENGTH, Recordings
+from galen_panel.recordings.tools import tool_choices
 
 BAGS = Path(__file__).resolve().parents[2] / "bags"
 METADATA = """rosbag2_bagfile_information:
@@ -216,7 +216,7 @@ def test_a_large_archive_is_shown_in_pages_and_only_these_are_read(archive, tmp_
         read.append(recording.name)
         return Details()
 
-    monkeypatch.setattr("galen_panel.recordings.look_at", look)
+    monkeypatch.setattr("galen_panel.recordings.recordings.look_at", look)
     recordings = Recordings(archive, tmp_path, tmp_path / "out")
     first = recordings.page("RUN")
     assert (first.total, first.number, first.pages) == (PAGE_LENGTH + 3, 0, 2)

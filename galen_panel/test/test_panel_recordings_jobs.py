@@ -11,9 +11,9 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
-from galen_panel.bag_worker import NICENESS
-from galen_panel.recordings_jobs import MOST_WAITING, Jobs, Stage, Wanted
-from galen_panel.report_files import EVALUATION, PICTURE, ReportError, Reports
+from galen_panel.recordings.bag_worker import NICENESS
+from galen_panel.recordings.jobs import MOST_WAITING, Jobs, Stage, Wanted
+from galen_panel.recordings.report_files import EVALUATION, PICTURE, ReportError, Reports
 
 PATIENCE_S = 30.0
 WORKER = """
@@ -213,15 +213,15 @@ def test_close_ends_what_runs_and_takes_nothing_more(output):
 
 ENDLESS = """
 import time
-from galen_panel import bag_worker
+from galen_panel.recordings import bag_worker
 bag_worker.evaluate = lambda *_: time.sleep(600)
 bag_worker.main()
 """
 PANEL = f"""
 import sys, time
 from pathlib import Path
-from galen_panel.recordings_jobs import Jobs, Stage, Wanted
-from galen_panel.report_files import Reports
+from galen_panel.recordings.jobs import Jobs, Stage, Wanted
+from galen_panel.recordings.report_files import Reports
 jobs = Jobs(Reports(Path(sys.argv[1])), [sys.executable, "-c", {ENDLESS!r}])
 jobs.submit(Wanted("evaluate", "x", "x", Path("x"), "x", Path("x")))
 while jobs._worker is None:
@@ -257,7 +257,7 @@ def test_the_real_worker_ends_when_the_panel_is_killed(output):
 
 
 FAILING = """
-from galen_panel import bag_worker
+from galen_panel.recordings import bag_worker
 
 def evaluate(*_):
     print("a library's chatter")

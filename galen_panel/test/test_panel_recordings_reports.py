@@ -11,11 +11,11 @@ from pathlib import Path
 import httpx
 import pytest
 from galen_panel.access import Access
-from galen_panel.recordings import REPORTS_PATH, Recordings
-from galen_panel.recordings_jobs import Stage
-from galen_panel.report_files import EVALUATION, PICTURE, Report, ReportError
-from galen_panel.report_view import VERDICTS, view_of
-from galen_panel.state import Level
+from galen_panel.recordings.jobs import Stage
+from galen_panel.recordings.recordings import REPORTS_PATH, Recordings
+from galen_panel.recordings.report_files import EVALUATION, PICTURE, Report, ReportError
+from galen_panel.recordings.report_view import VERDICTS, view_of
+from galen_panel.state.snapshot import Level
 from starlette.applications import Starlette
 
 BAGS = Path(__file__).resolve().parents[2] / "bags"

@@ -3,10 +3,10 @@
 import math
 
 import pytest
-from galen_panel.result_words import told
-from galen_panel.ros_goal_kinds import KINDS, Calibration, Check, Collection, kind_of
-from galen_panel.ros_thread import CallError
-from galen_panel.state import Asked, CalibrateGoal, CheckGoal, CollectGoal, Kind
+from galen_panel.messages.results import told
+from galen_panel.ros.goal_kinds import KINDS, Calibration, Check, Collection, kind_of
+from galen_panel.ros.thread import CallError
+from galen_panel.state.snapshot import Asked, CalibrateGoal, CheckGoal, CollectGoal, Kind
 
 from galen_msgs.action import CalibrateTool, CheckTool, CollectPushes
 

@@ -5,8 +5,9 @@ import math
 import threading
 
 import pytest
-from galen_panel.ros_suite import RosSuite
-from galen_panel.state import Asked, CalibrateGoal, CheckGoal, Kind
+from galen_panel.ros import goals as ros_goals
+from galen_panel.ros.suite import RosSuite
+from galen_panel.state.snapshot import Asked, CalibrateGoal, CheckGoal, Kind
 from galen_ros.goal.commands import ErrorCode
 from galen_ros.goal.commands import State as Phase
 from galen_ros.goal.deferred_action import DeferredActionServer
@@ -17,7 +18,6 @@ from rclpy.node import Node
 from std_srvs.srv import Trigger
 
 from galen_msgs.action import CalibrateTool
-from galen_panel import ros_goals
 
 
 class Server(Node):

@@ -7,7 +7,7 @@ import sys
 import time
 
 import pytest
-from galen_panel.state import CalibrateGoal, CheckGoal, Kind
+from galen_panel.state.snapshot import CalibrateGoal, CheckGoal, Kind
 from panel_ros_world import panel_world
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(400)]

@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 from galen_model.arm.galen import JOINT_NAMES
+from galen_panel.ros import streams as ros_streams
 from galen_ros.cdr.layout import DeflectionBytes, JointStateBytes, WrenchBytes
 from galen_ros.qos import STREAM
 from geometry_msgs.msg import WrenchStamped
@@ -13,7 +14,6 @@ from rclpy.node import Node
 from sensor_msgs.msg import JointState
 
 from galen_msgs.msg import DeflectionStamped
-from galen_panel import ros_streams
 
 PERIOD_NS = 2_000_000
 JOINTS = (0.01, 0.02, 0.408, 0.3, 0.4)

@@ -11,8 +11,9 @@ import numpy as np
 import pytest
 from galen_gravcomp.node import GravcompNode
 from galen_model.files.calibration_file import read_tool, tool_path, write_tool
-from galen_panel.ros_suite import RosSuite
-from galen_panel.state import (
+from galen_panel.ros import tools as ros_tools
+from galen_panel.ros.suite import RosSuite
+from galen_panel.state.snapshot import (
     CalibrateGoal,
     CheckGoal,
     CollectGoal,
@@ -31,7 +32,6 @@ from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool, Trigger
 
 from galen_msgs.srv import SetTool
-from galen_panel import ros_tools
 
 TOOLS = Path(__file__).resolve().parents[2] / "bags" / "tools"
 

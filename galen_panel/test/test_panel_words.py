@@ -13,9 +13,16 @@ from galen_deflection.live.monitor import DeflectorMonitor
 from galen_diagnosis.monitor.gap_stream import GapMonitor
 from galen_diagnosis.monitor.gap_watch import GapNotice
 from galen_gravcomp.monitor import Monitor
-from galen_panel.state import Behaviour, InForce, Kind, Level, NodeReport, Outcome, State
-from galen_panel.words import ROLES, find_advice, others, overall, words_of, words_of_other
-from galen_panel.words_advice import ADVICE, LIFECYCLE, REFUSED
+from galen_panel.messages.advice import ADVICE, LIFECYCLE, REFUSED
+from galen_panel.messages.states import (
+    ROLES,
+    find_advice,
+    others,
+    overall,
+    words_of,
+    words_of_other,
+)
+from galen_panel.state.snapshot import Behaviour, InForce, Kind, Level, NodeReport, Outcome, State
 from galen_ros.goal.commands import State as CalibrationState
 from galen_ros.node.managed_node import Stage
 

@@ -1,0 +1,1 @@
+"""What the panel tells, in words. No ROS, no NiceGUI."""

@@ -1,0 +1,90 @@
+"""Which node offers what, and how to start one that is absent. No ROS, no NiceGUI."""
+
+from __future__ import annotations
+
+import math
+
+from galen_panel.messages import texts
+from galen_panel.messages.programs import CALIBRATION, OFFERED_BY
+from galen_panel.state.snapshot import Behaviour, Kind, State
+
+NAMES = {
+    Kind.CALIBRATE: "Calibration",
+    Kind.CHECK: "Quick check",
+    Kind.COLLECT: "Collection of pushes",
+}
+
+
+def missing(state: State, name: str) -> str:
+    """What to do where a service or action of that name isn't there; empty where it is."""
+    return "" if name in state.available else OFFERED_BY[name].absent
+
+
+def title(behaviour: Behaviour) -> str:
+    """What it is called, such as "Calibration of pointer"."""
+    joined = "with" if behaviour.kind is Kind.COLLECT else "of"
+    name = NAMES[behaviour.kind]
+    return f"{name} {joined} {behaviour.tool}" if behaviour.tool else name
+
+
+def running(state: State) -> Behaviour | None:
+    """The behaviour that is under way, the newest where there are several."""
+    under_way = [behaviour for behaviour in state.behaviours.values() if behaviour.running]
+    return max(under_way, key=lambda behaviour: behaviour.number, default=None)
+
+
+def cannot_start(state: State, kind: Kind) -> str:
+    """Why a behaviour can't be started now and what to do; empty where it can.
+
+    A node refuses a second goal of its own; another node's at the same arm would end both.
+    """
+    other = running(state)
+    if other is not None:
+        return f"{title(other)} is under way. Wait until it has ended, or cancel it."
+    return missing(state, kind.value)
+
+
+def cannot_check(state: State, tool: str) -> str:
+    """Why a quick check has no file to check against; empty where it has one.
+
+    tool: its name; empty: the active one.
+    """
+    if tool:
+        found = next((one for one in state.tools or () if one.name == tool), None)
+        problem = "" if found is None else found.problem
+        return f"Not checked: {problem}. Calibrate {tool} again." if problem else ""
+    if state.in_force is not None and state.in_force.tool:
+        return ""
+    if state.tools is not None and not state.tools:
+        return "Not checked: no tool is calibrated yet. Calibrate the one that is on: New tool."
+    return (
+        "Not checked: no tool is active. Press the one that is on in the list of tools to load its"
+        " file, or choose it in the quick check."
+    )
+
+
+def before_calibration(state: State, *, one_sweep: bool, by_hand: bool) -> list[str]:
+    """What a person must know before the arm moves: how long, and that the area must be clear."""
+    duration_s = (1 if one_sweep else 2) * _sweep_s(state)
+    long = (
+        f"{CALIBRATION.executable} does not tell how long that takes"
+        if math.isnan(duration_s)
+        else f"about {texts.duration(duration_s)}"
+    )
+    sentences = [f"The arm moves: it goes through its poses, {long}."]
+    if by_hand:
+        sentences.append("It waits for the tool to be taken off and put on; that comes on top.")
+    return [
+        *sentences,
+        "Look whether the area around the arm is clear. Keep off the arm and the tool until the"
+        " calibration has ended.",
+    ]
+
+
+def _sweep_s(state: State) -> float:
+    """How long one sweep takes, as the calibration's node tells; NaN where it doesn't."""
+    report = state.report_of(CALIBRATION.node)
+    try:
+        return float("nan" if report is None else report.values.get("sweep_s", "nan"))
+    except ValueError:
+        return math.nan

@@ -1,0 +1,166 @@
+"""What a behaviour's outcome means, and what can be done with it. No ROS, no NiceGUI."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from enum import Enum
+from typing import NamedTuple
+
+import numpy as np
+from galen_calibration_behavior.quick_check.answer import Answer, Cause
+from galen_calibration_behavior.quick_check.text import TARE_COMMAND
+
+from galen_panel.messages import texts
+from galen_panel.state.snapshot import LOST, Kind, Outcome, State
+
+_CANCELED = "CANCELED"
+_DONE = {Kind.CALIBRATE: "Calibrated", Kind.CHECK: "Checked", Kind.COLLECT: "Collected"}
+
+
+class Fate(Enum):
+    """Where the file that a calibration wrote is now."""
+
+    HERE = "here"
+    IN_FORCE = "in force"
+    REPLACED = "replaced"
+
+
+class Todo(Enum):
+    """What a quick check's answer asks for."""
+
+    NOTHING = ""
+    TARE = "Tare"
+    CALIBRATE = "Calibrate again"
+    CHECK = "Check again"
+
+
+class Verdict(NamedTuple):
+    """A quick check's answer for a person; level: positive, warning or negative."""
+
+    title: str
+    level: str
+    todo: Todo
+
+
+_VERDICTS = {
+    Answer.GOOD: Verdict("Good: the file fits", "positive", Todo.NOTHING),
+    Answer.RETARE: Verdict("Tare it", "warning", Todo.TARE),
+    Answer.RECALIBRATE: Verdict("It does not fit: calibrate again", "negative", Todo.CALIBRATE),
+    Answer.UNSURE: Verdict("Can't tell: check again", "warning", Todo.CHECK),
+}
+# Another calibration would not help these.
+_NOT_ON = {
+    Cause.OTHER_TOOL: Verdict("It does not fit: another tool is on", "negative", Todo.CHECK),
+    Cause.NO_TOOL: Verdict("It does not fit: no tool is on", "negative", Todo.CHECK),
+}
+
+
+def ended(kind: Kind, outcome: Outcome) -> tuple[str, str]:
+    """A title for an outcome of any behaviour, and its level."""
+    if not outcome.error:
+        return _DONE[kind], "positive"
+    if outcome.error == _CANCELED:
+        return "Canceled", "warning"
+    if outcome.error == LOST:
+        return "Lost", "negative"
+    return "It failed", "negative"
+
+
+def verdict(outcome: Outcome) -> Verdict:
+    """Of a quick check that came to its end."""
+    values = outcome.values
+    try:
+        answer, cause = Answer(_code(values, "answer")), Cause(_code(values, "cause"))
+    except ValueError:
+        return _VERDICTS[Answer.UNSURE]
+    return _NOT_ON.get(cause) or _VERDICTS[answer]
+
+
+def told(outcome: Outcome) -> str:
+    """Its sentence, without commands for a terminal: the page has buttons."""
+    return texts.sentence(outcome.text.replace(f": {TARE_COMMAND}", ""), outcome.tool)
+
+
+def fate(outcome: Outcome, state: State) -> Fate:
+    """Where a calibration's file is: whoever has kept, discarded or replaced it meanwhile.
+
+    A file is known by mass and centre, which are written with all their digits.
+    """
+    found = next((tool for tool in state.tools or () if tool.name == outcome.tool), None)
+    if found is None or found.problem or not _is(outcome, found.mass_kg, found.com_m):
+        return Fate.REPLACED
+    now = state.in_force
+    if now and now.tool == outcome.tool and _is(outcome, now.mass_kg, now.com_m):
+        return Fate.IN_FORCE
+    return Fate.HERE
+
+
+def load_rows(outcome: Outcome) -> list[list[str]]:
+    """Mass and centre that a calibration found, as texts: name, value."""
+    values = outcome.values
+    com, com_std = _vector(values, "com_m"), _vector(values, "com_std_m")
+    rows = [["mass", texts.mass(_number(values, "mass_kg"), _number(values, "mass_std_kg"))]]
+    for axis, value, std in zip("xyz", com, com_std, strict=True):
+        rows.append([f"centre {axis}", f"{1e3 * value:.2f} ± {1e3 * std:.2f} mm"])
+    return rows
+
+
+def residual(outcome: Outcome) -> str:
+    """What a calibration leaves over of the poses' readings."""
+    force = texts.norm(_vector(outcome.values, "rmse_force_n"))
+    torque = texts.norm(_vector(outcome.values, "rmse_torque_nm"))
+    return f"Residual of the averaged readings: {texts.size(force, torque)}."
+
+
+def collection_sentence(outcome: Outcome) -> str:
+    """How many pushes there are, and whether the tracker's base held."""
+    values = outcome.values
+    text = (
+        f"{_number(values, 'pushes'):.0f} of {_number(values, 'pushes_asked'):.0f} pushes are as"
+        " asked."
+    )
+    if values.get("calibration_holds") is False:
+        text += " The tracker's base moved between begin and end: collect again."
+    return text
+
+
+def left_out(outcome: Outcome) -> list[str]:
+    """Poses or pushes that were not used, with their reasons."""
+    found = outcome.values.get("poses_rejected") or outcome.values.get("left_out") or ()
+    return [str(text) for text in found] if isinstance(found, Sequence) else []
+
+
+def discard_sentences(outcome: Outcome) -> list[str]:
+    """What discarding a calibration does."""
+    if outcome.new:
+        return [
+            f"{outcome.tool} had no file before: it goes off the list of tools.",
+            "The new file is not deleted: it is kept beside the others, under another name.",
+        ]
+    return [
+        f"The calibration of {outcome.tool} before comes back.",
+        "The new one is kept as the one before: going back once more brings it again.",
+    ]
+
+
+def _is(outcome: Outcome, mass_kg: float, com_m: Sequence[float]) -> bool:
+    written = [_number(outcome.values, "mass_kg"), *_vector(outcome.values, "com_m")]
+    return bool(np.allclose(written, [mass_kg, *com_m], rtol=1e-9, atol=1e-12))
+
+
+def _code(values: Mapping[str, object], name: str) -> int:
+    value = values.get(name)
+    return value if isinstance(value, int) else -1
+
+
+def _number(values: Mapping[str, object], name: str) -> float:
+    value = values.get(name)
+    return float(value) if isinstance(value, (int, float)) else math.nan
+
+
+def _vector(values: Mapping[str, object], name: str) -> list[float]:
+    value = values.get(name)
+    if not isinstance(value, (Sequence, np.ndarray)) or len(value) != 3:
+        return [math.nan] * 3
+    return [float(part) for part in value]

@@ -1,0 +1,1 @@
+"""The behaviours: start, follow, outcome."""

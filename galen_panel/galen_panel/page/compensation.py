@@ -1,0 +1,110 @@
+"""The page's header: the tool in force, compensation on or off, and tare."""
+
+from __future__ import annotations
+
+import time
+
+from nicegui import ui
+
+from galen_panel.messages import hints, texts
+from galen_panel.messages.states import compensates
+from galen_panel.page.elements import pick_class, set_prop
+from galen_panel.page.page import Page
+from galen_panel.state.snapshot import InForce, State
+
+_FILE_STATES = {
+    "changed": "Its file has changed since: put it in force again.",
+    "gone": "Its file is gone.",
+}
+_ABSENT = "gravcomp is not running"
+# A gravcomp that falls silent changes nothing in the state; only time tells.
+_PERIOD_S = 1.0
+
+
+def build(page: Page) -> None:
+    """Draw it into the header."""
+    _tool_in_force(page)
+    _enable(page)
+    _tare(page)
+
+
+def _tool_in_force(page: Page) -> None:
+    with ui.column().classes("panel-in-force gap-0").props("role=status data-testid=in-force"):
+        ui.label("Tool in force").classes("panel-quiet")
+        name = ui.label().classes("panel-name")
+        details = ui.label().classes("panel-number")
+
+    def update(state: State) -> None:
+        in_force = state.in_force
+        if in_force is None:
+            name.set_text("unknown")
+            details.set_text(_ABSENT)
+        elif not in_force.tool:
+            name.set_text("no tool")
+            details.set_text("Choose one below.")
+        else:
+            name.set_text(in_force.tool)
+            changed = _FILE_STATES.get(in_force.file_state)
+            details.set_text(changed or texts.mass(in_force.mass_kg))
+
+    page.on_change(update)
+
+
+def _enable(page: Page) -> None:
+    async def switch() -> None:
+        in_force = page.suite.state.in_force
+        if in_force is not None:
+            await page.ask(page.suite.set_enabled(not in_force.enabled), button)
+
+    button = ui.button(on_click=switch, color=None).classes("panel-switch")
+    button.props('unelevated no-caps role=switch data-testid=enable aria-label="Compensation"')
+
+    def update(state: State) -> None:
+        switched_on = state.in_force is not None and state.in_force.enabled
+        text, word = _shown(state)
+        button.set_text(text)
+        button.set_icon("toggle_on" if switched_on else "toggle_off")
+        set_prop(button, "aria-checked", "true" if switched_on else "false")
+        pick_class(button, "panel-switch-", word)
+        page.allow(button, hints.missing(state, "gravcomp/enable"))
+
+    page.on_change(update)
+    ui.timer(_PERIOD_S, lambda: update(page.suite.state))
+
+
+def _shown(state: State) -> tuple[str, str]:
+    """The switch's text and look: what is published, not what is wished."""
+    if state.in_force is None:
+        return "Compensation: unknown", "unknown"
+    if not state.in_force.enabled:
+        return "Compensation off", "off"
+    if compensates(state, time.monotonic()):
+        return "Compensation on", "on"
+    return "No compensation (switched on)", "off"
+
+
+def _tare(page: Page) -> None:
+    async def tare() -> None:
+        await page.ask(page.suite.tare(), button)
+
+    with ui.row().classes("items-center gap-3 no-wrap"):
+        button = ui.button("Tare", on_click=tare, color=None)
+        button.classes("panel-tare").props("unelevated data-testid=tare")
+        with ui.column().classes("gap-0"):
+            ui.label("Nobody touches the tool meanwhile.").classes("panel-quiet")
+            taken = ui.label().classes("panel-number").props("data-testid=tare-value")
+
+    def update(state: State) -> None:
+        taken.set_text(_tare_text(state.in_force))
+        page.allow(button, hints.missing(state, "gravcomp/tare"))
+
+    page.on_change(update)
+
+
+def _tare_text(in_force: InForce | None) -> str:
+    if in_force is None:
+        return _ABSENT
+    if in_force.tare is None:
+        return "Takes nothing off now."
+    force, torque = texts.norm(in_force.tare[:3]), texts.norm(in_force.tare[3:])
+    return f"Takes off {texts.size(force, torque)} now."

@@ -1,0 +1,1 @@
+"""Live plots and the arm in three dimensions."""

@@ -1,0 +1,146 @@
+"""One browser's page: how its parts follow the state, and how they ask for something."""
+
+from __future__ import annotations
+
+import inspect
+import logging
+from collections.abc import Awaitable, Callable, Iterator
+from contextlib import contextmanager
+
+from nicegui import ui
+from nicegui.elements.mixins.disableable_element import DisableableElement
+
+from galen_panel.options import Options
+from galen_panel.recordings.recordings import Recordings
+from galen_panel.state.snapshot import Answer, State
+from galen_panel.state.suite import Suite
+
+LOOK_PERIOD_S = 0.2
+_READING_S_PER_CHARACTER = 0.06
+_ASKED_ALREADY = Answer(False, "That is under way already.")
+_log = logging.getLogger(__name__)
+
+
+class Page:
+    """What each section gets. Made inside a page function of NiceGUI, once a browser.
+
+    client: NiceGUI's name for the browser's page; `with page.client` puts what is drawn on it.
+    """
+
+    def __init__(self, suite: Suite, options: Options, recordings: Recordings) -> None:
+        self.suite = suite
+        self.options = options
+        self.recordings = recordings
+        self.client = ui.context.client
+        self._updates: list[Callable[[State], None]] = []
+        self._seen = -1
+        self._waiting: set[int] = set()
+        self._refused: dict[int, str] = {}
+        ui.timer(LOOK_PERIOD_S, self._look)
+
+    def on_change(self, update: Callable[[State], None]) -> None:
+        """Call it now, and whenever the state is another one.
+
+        It is called some times a second: it sets texts and properties that differ, and makes
+        elements anew only where a list has changed, or the keyboard's focus would be lost.
+        """
+        self._updates.append(update)
+        update(self.suite.state)
+
+    def allow(self, element: DisableableElement, why_not: str = "") -> None:
+        """Enable an element, or disable it with the reason as its title.
+
+        What waits for an answer takes no second click until that has come, nevertheless.
+        """
+        if self._refused.get(element.id) == why_not:
+            return
+        self._refused[element.id] = why_not
+        if why_not:
+            element.props["title"] = why_not
+        else:
+            element.props.pop("title", None)
+        waits = element.id in self._waiting and not isinstance(element, ui.button)
+        element.set_enabled(not why_not and not waits)
+
+    @contextmanager
+    def waiting(self, *elements: DisableableElement) -> Iterator[bool]:
+        """Within it the elements take no input, and buttons turn; False: one waits already.
+
+        Two clicks may be on their way before the browser hears of it. A button isn't disabled: it
+        would lose the keyboard's focus.
+        """
+        if any(element.id in self._waiting for element in elements):
+            yield False
+            return
+        for element in elements:
+            self._waiting.add(element.id)
+            if isinstance(element, ui.button):
+                element.props("loading")
+            else:
+                element.disable()
+        try:
+            yield True
+        finally:
+            for element in elements:
+                self._waiting.discard(element.id)
+                if element.is_deleted:
+                    continue
+                if isinstance(element, ui.button):
+                    element.props(remove="loading")
+                else:
+                    element.set_enabled(not self._refused.get(element.id))
+
+    async def ask(self, work: Awaitable[Answer], *elements: DisableableElement) -> Answer:
+        """Wait for an answer and show it; the elements take no input meanwhile.
+
+        Where one of them waits for an answer already, `work` is not done. A failure of the panel
+        itself is an answer, too.
+        """
+        with self.waiting(*elements) as free:
+            if not free:
+                if inspect.iscoroutine(work):
+                    work.close()
+                return _ASKED_ALREADY
+            try:
+                answer = await work
+            except Exception as error:
+                _log.exception("the panel failed to ask")
+                answer = Answer(False, f"The panel failed ({error!r}). Its terminal says more.")
+        self.tell(answer)
+        return answer
+
+    def tell(self, answer: Answer) -> None:
+        """Show an answer for as long as it takes to read it; an error until it is closed.
+
+        Nothing is shown where the browser has gone meanwhile.
+        """
+        if self.client.is_deleted:
+            return
+        # What asked may be gone from the page by now, such as a removed tool's row.
+        with self.client:
+            ui.notify(
+                answer.text,
+                type="positive" if answer.ok else "negative",
+                timeout=1000 * (3 + _READING_S_PER_CHARACTER * len(answer.text))
+                if answer.ok
+                else 0,
+                close_button="Close",
+                multi_line=True,
+                position="bottom-left",
+            )
+
+    def complain(self, text: str) -> None:
+        """Say what is missing before something can be asked for."""
+        self.tell(Answer(False, text))
+
+    def _look(self) -> None:
+        state = self.suite.state
+        if state.revision == self._seen:
+            return
+        self._seen = state.revision
+        for update in self._updates:
+            try:
+                update(state)
+            except Exception:
+                # One part that fails must not keep the others from what is new.
+                _log.exception("a part of the page failed to follow the state")

@@ -1,0 +1,205 @@
+"""The tools: a button for each one, which puts it in force."""
+
+from __future__ import annotations
+
+from nicegui import ui
+
+from galen_panel.messages import hints, texts
+from galen_panel.page import tool_dialogs
+from galen_panel.page.elements import heading, pick_class, set_prop, set_test_id
+from galen_panel.page.page import Page
+from galen_panel.state.snapshot import InForce, State, Tool
+
+_LISTED = 40
+"""Tools that are drawn at most: a page of 500 would be slow, and nobody reads it."""
+_FILTER_FROM = 8
+
+
+def build(page: Page) -> None:
+    """Draw it."""
+    with ui.element("section").classes("panel-section").props("aria-label=Tools"):
+        _Tools(page)
+
+
+class _Tools:
+    """One browser's list, with what it is filtered by."""
+
+    def __init__(self, page: Page) -> None:
+        self._page = page
+        self._rows: dict[str, _Row] = {}
+        with ui.row().classes("panel-head"):
+            heading("Tools")
+            ui.space()
+            self._new = ui.button("New tool", icon="add", on_click=self._new_tool)
+            self._new.props("outline data-testid=new-tool")
+            self._refresh = ui.button(icon="refresh", on_click=self._list)
+            self._refresh.props('flat round aria-label="Read the list again" data-testid=refresh')
+        self._filter = ui.input(placeholder="Find a tool", on_change=self._draw)
+        self._filter.props('outlined dense clearable aria-label="Find a tool"')
+        self._filter.props("data-testid=tools-filter").classes("w-full")
+        self._note = ui.label().classes("panel-note").props("role=status data-testid=tools-note")
+        self._none = ui.button("No tool", icon="block", on_click=self._put_none, color=None)
+        self._none.props("flat align=left data-testid=no-tool").classes("panel-tool panel-none")
+        self._list_of_rows = ui.column().classes("panel-tools").props("role=list")
+        page.on_change(lambda _state: self._draw())
+
+    async def _new_tool(self) -> None:
+        await tool_dialogs.new_tool(self._page)
+
+    async def _list(self) -> None:
+        await self._page.ask(self._page.suite.list_tools(), self._refresh)
+
+    async def _put_none(self) -> None:
+        await self._page.ask(self._page.suite.put_in_force(""), self._none)
+
+    def _draw(self) -> None:
+        state = self._page.suite.state
+        tools = state.tools or ()
+        self._filter.set_visibility(len(tools) >= _FILTER_FROM or bool(self._filter.value))
+        wanted = (self._filter.value or "").strip().lower()
+        found = [tool for tool in tools if wanted in tool.name.lower()]
+        # The one in force must be seen, however many there are.
+        found.sort(key=lambda tool: not tool.in_force)
+        self._note.set_text(_note(state, len(found)))
+        self._note.set_visibility(bool(self._note.text))
+        none = state.in_force is not None and not state.in_force.tool
+        pick_class(self._none, "panel-tool-", "in-force" if none else "other")
+        set_prop(self._none, "aria-pressed", "true" if none else "false")
+        self._none.set_text("No tool (in force)" if none else "No tool")
+        set_tool = hints.missing(state, "gravcomp/set_tool")
+        self._page.allow(self._none, set_tool)
+        self._page.allow(self._refresh, hints.missing(state, "gravcomp/list_tools"))
+        self._page.allow(self._new, hints.missing(state, "calibrate_tool"))
+        self._place(found[:_LISTED])
+        for tool in found[:_LISTED]:
+            self._rows[tool.name].update(tool, state, set_tool)
+
+    def _place(self, tools: list[Tool]) -> None:
+        """Rows for these tools in this order; those that stay are kept, and their focus with it."""
+        names = [tool.name for tool in tools]
+        if list(self._rows) == names:
+            return
+        for name in set(self._rows) - set(names):
+            self._rows.pop(name).element.delete()
+        rows = {}
+        for index, name in enumerate(names):
+            if name not in self._rows:
+                with self._list_of_rows:
+                    self._rows[name] = _Row(self._page, name)
+            row = rows[name] = self._rows[name]
+            if self._list_of_rows.default_slot.children[index] is not row.element:
+                row.element.move(self._list_of_rows, index)
+        self._rows = rows
+
+
+class _Row:
+    """One tool: what it weighs, the button that puts it in force, and what else can be done."""
+
+    def __init__(self, page: Page, name: str) -> None:
+        self._page = page
+        self._name = name
+        with ui.row().classes("panel-tool-row").props("role=listitem") as self.element:
+            self._button = ui.button(on_click=self._put_in_force, color=None).classes("panel-tool")
+            self._button.props("flat align=left")
+            set_test_id(self._button, f"tool-{name}")
+            with self._button, ui.column().classes("panel-tool-text"):
+                with ui.row().classes("panel-tool-line"):
+                    ui.label(name).classes("panel-tool-name")
+                    self._mark = ui.row().classes("panel-mark")
+                    with self._mark:
+                        ui.icon("check_circle").props("aria-hidden=true")
+                        ui.label("in force")
+                    self._not_active = ui.label("not active yet").classes("text-warning panel-lead")
+                    ui.space()
+                    self._mass = ui.label().classes("panel-number panel-tool-mass")
+                self._centre = ui.label().classes("panel-number")
+                self._residual = ui.label().classes("panel-number")
+                self._made = ui.label().classes("panel-quiet")
+                self._problem = ui.label().classes("text-negative")
+                self._compensated = ui.label().classes("panel-lead")
+            self._revert = ui.button(icon="history", on_click=self._revert_tool)
+            self._revert.props("flat round")
+            set_prop(self._revert, "aria-label", f"Go back to the calibration of {name} before")
+            set_test_id(self._revert, f"tool-{name}-revert")
+            self._remove = ui.button(icon="delete_outline", on_click=self._remove_tool)
+            self._remove.props("flat round")
+            set_prop(self._remove, "aria-label", f"Remove {name}")
+            set_test_id(self._remove, f"tool-{name}-remove")
+
+    def update(self, tool: Tool, state: State, set_tool: str) -> None:
+        """Show it as it is now. set_tool: why none can be put in force, or empty."""
+        compensated = _compensated_instead(tool, state.in_force)
+        active = tool.in_force and not compensated
+        self._mark.set_visibility(active)
+        self._not_active.set_visibility(bool(compensated))
+        self._compensated.set_text(compensated)
+        self._compensated.set_visibility(bool(compensated))
+        pick_class(self._button, "panel-tool-", "in-force" if active else "other")
+        set_prop(self._button, "aria-pressed", "true" if active else "false")
+        self._problem.set_text(f"Can't be used: {tool.problem}")
+        self._problem.set_visibility(bool(tool.problem))
+        for label in (self._mass, self._centre, self._residual, self._made):
+            label.set_visibility(not tool.problem)
+        self._mass.set_text(texts.mass(tool.mass_kg, tool.mass_std_kg))
+        self._centre.set_text(f"Centre {texts.centre(tool.com_m)}")
+        force, torque = texts.norm(tool.rmse_force_n), texts.norm(tool.rmse_torque_nm)
+        self._residual.set_text(f"Residual {texts.size(force, torque)}")
+        self._made.set_text(_made(tool))
+        # Its place stays, so that the buttons of all rows stand below each other.
+        self._revert.classes(
+            add="" if tool.has_previous else "invisible",
+            remove="invisible" if tool.has_previous else "",
+        )
+        self._page.allow(self._button, "Its file can't be used." if tool.problem else set_tool)
+        self._page.allow(self._revert, hints.missing(state, "gravcomp/revert_tool"))
+        in_force = "It is in force: put another one in force first." if tool.in_force else ""
+        missing = hints.missing(state, "gravcomp/remove_tool")
+        self._page.allow(self._remove, missing or in_force)
+
+    async def _put_in_force(self) -> None:
+        await self._page.ask(self._page.suite.put_in_force(self._name), self._button)
+
+    async def _revert_tool(self) -> None:
+        await tool_dialogs.revert_tool(self._page, self._name, self._revert)
+
+    async def _remove_tool(self) -> None:
+        await tool_dialogs.remove_tool(self._page, self._name, self._remove)
+
+
+def _compensated_instead(tool: Tool, loaded: InForce | None) -> str:
+    """What of the active tool is compensated where its file is another one by now; else empty."""
+    if not tool.in_force or loaded is None:
+        return ""
+    if loaded.file_state == "as loaded" and loaded.calibrated_at == tool.calibrated_at:
+        return ""
+    now = f"Compensated now: {texts.mass(loaded.mass_kg)}"
+    if loaded.calibrated_at:
+        now += f", calibrated {texts.date(loaded.calibrated_at)}"
+    return f"{now}." if tool.problem else f"{now}. Press to load this file."
+
+
+def _made(tool: Tool) -> str:
+    parts = [f"Calibrated {texts.date(tool.calibrated_at)}"]
+    if tool.poses_used:
+        parts.append(texts.count(tool.poses_used, "pose"))
+    if tool.parts:
+        parts.append("with " + ", ".join(tool.parts))
+    return " · ".join(parts)
+
+
+def _note(state: State, found: int) -> str:
+    """What is to be said of the list as a whole; empty where it speaks for itself."""
+    missing = hints.missing(state, "gravcomp/list_tools")
+    if missing:
+        return missing if state.tools is None else f"The list may be old: {missing}"
+    if state.tools_problem:
+        return texts.sentence(state.tools_problem)
+    if state.tools is None:
+        return "Reading the list."
+    if not state.tools:
+        return f"There is no tool in {state.tools_dir} yet. New tool calibrates one."
+    if not found:
+        return "No tool's name has that in it."
+    if found > _LISTED:
+        return f"{_LISTED} of {found} tools are shown. Type a part of a name to find the others."
+    return ""

@@ -1,0 +1,1 @@
+"""Recordings at hand, jobs on them, and their reports."""

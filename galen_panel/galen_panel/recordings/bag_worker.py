@@ -1,0 +1,134 @@
+"""`python -m galen_panel.recordings.bag_worker`: one evaluation or diagnosis, for the panel.
+
+A process of its own, so that what a recording does to it (a crash, want of memory) ends this one
+alone. It is told what to do by one line of JSON on standard input, tells how far it is by lines of
+JSON on standard output, and ends when standard input is closed: then the panel is gone.
+
+    {"kind": "evaluate", "recording": PATH, "tool": PATH or null, "output": PATH}
+    {"stage": "reading", "share": 0.4}     share: null where nobody knows
+    {"error": "a sentence"}                the last line, where it failed
+    {"verdict": "fits", "sentence": "..."} the last line, where it is done
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import sys
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, TextIO
+
+from galen_model.errors import GalenError, one_line
+
+from galen_panel.recordings.report_files import DIAGNOSIS_FOLDER, EVALUATION, PICTURE
+
+NICENESS = 10
+"""The arm's loop goes first."""
+_TOLD_EVERY_S = 0.2
+_READ_SHARE = 0.9
+"""Of an evaluation's time; the rest is for the picture."""
+
+OnProgress = Callable[[str, float | None], None]
+
+
+def main() -> int:
+    """Do one job; returns the exit code: 0 done, 1 failed, the last line says why."""
+    os.nice(NICENESS)
+    answers = _own_output()
+    request = json.loads(sys.stdin.readline())
+    threading.Thread(target=_end_with_panel, daemon=True).start()
+    tell = _Told(answers)
+    try:
+        job = {"evaluate": evaluate, "diagnose": diagnose}[request["kind"]]
+        tool = None if request["tool"] is None else Path(request["tool"])
+        result = job(Path(request["recording"]), tool, Path(request["output"]), tell.progress)
+    except GalenError as error:
+        tell.line({"error": str(error)})
+        return 1
+    except MemoryError:
+        tell.line({"error": "there is not enough memory for this recording"})
+        return 1
+    except Exception as error:
+        tell.line({"error": one_line(f"the program failed: {type(error).__name__}: {error}")})
+        return 1
+    tell.line(result)
+    return 0
+
+
+def evaluate(
+    recording: Path, tool: Path | None, output: Path, on_progress: OnProgress
+) -> dict[str, Any]:
+    """As the command `evaluate` does; writes its JSON and its picture."""
+    from galen_gravcomp.evaluate.bag_job import BagJob
+    from galen_gravcomp.evaluate.bag_report import to_dict
+
+    assert tool is not None
+    on_progress("reading", None)
+    job = BagJob(tool=tool, plots=output)
+
+    def counted(done: int, total: int | None) -> None:
+        on_progress("reading", _READ_SHARE * min(1.0, done / total) if total else None)
+
+    result = job.evaluate(recording, counted)
+    content = to_dict(result)
+    (output / EVALUATION).write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
+    for picture in output.glob("*.png"):
+        picture.rename(output / PICTURE)
+    return {"verdict": content["verdict"], "sentence": content["sentence"]}
+
+
+def diagnose(
+    recording: Path, tool: Path | None, output: Path, on_progress: OnProgress
+) -> dict[str, Any]:
+    """As the command `diagnose` does, with its report."""
+    from galen_diagnosis.diagnose import Job
+
+    folders = {recording: output / DIAGNOSIS_FOLDER}
+    job = Job(tool=tool, folders=folders, report=True, overwrite=False)
+    answer = job.diagnose(recording, on_progress).answer
+    return {"verdict": answer.verdict, "sentence": answer.sentence}
+
+
+class _Told:
+    """Lines for the panel; progress not more often than somebody can look."""
+
+    def __init__(self, stream: TextIO) -> None:
+        self._stream = stream
+        self._stage = ""
+        self._told_s = -_TOLD_EVERY_S
+
+    def progress(self, stage: str, share: float | None) -> None:
+        """Tell how far it is: a share of 1, None where nobody knows."""
+        now_s = time.monotonic()
+        if stage == self._stage and now_s - self._told_s < _TOLD_EVERY_S:
+            return
+        self._stage, self._told_s = stage, now_s
+        self.line({"stage": stage, "share": share})
+
+    def line(self, content: dict[str, Any]) -> None:
+        """Tell it."""
+        print(json.dumps(content), file=self._stream, flush=True)
+
+
+def _own_output() -> TextIO:
+    """Standard output for the answers alone: what a library prints goes to standard error."""
+    own = os.fdopen(os.dup(1), "w", encoding="utf-8")
+    os.dup2(2, 1)
+    return own
+
+
+def _end_with_panel() -> None:
+    """Wait for the end of standard input, then end this process and what it started."""
+    while os.read(0, 4096):
+        pass
+    if os.getpgrp() == os.getpid():
+        os.killpg(0, signal.SIGKILL)
+    os._exit(1)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,321 @@
+"""Evaluations and diagnoses, one after the other, each in a process of its own. No ROS.
+
+The queue is the same for every browser. A worker that fails, is killed or has no memory left is a
+job that failed with a sentence; the panel goes on.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+import threading
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from enum import Enum
+from pathlib import Path
+from typing import IO, Any
+
+from galen_model.errors import GalenError, one_line
+
+from galen_panel.recordings.report_files import Reports
+from galen_panel.state.snapshot import Answer
+
+MOST_WAITING = 20
+_MOST_ENDED = 20
+_CLOSE_S = 5.0
+_ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
+"""Numerical libraries would take all cores otherwise, and the arm's loop needs one."""
+
+
+class Stage(Enum):
+    """Where a job is."""
+
+    WAITING = "waiting"
+    RUNNING = "running"
+    DONE = "done"
+    FAILED = "failed"
+    CANCELED = "canceled"
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """What a job is to do. kind: evaluate or diagnose. recording, tool: names for a person."""
+
+    kind: str
+    recording: str
+    recording_id: str
+    path: Path
+    tool: str
+    tool_path: Path | None
+
+
+@dataclass(frozen=True)
+class Job:
+    """One of them. share: what is done of it, 0 to 1, None where nobody knows; report: its id."""
+
+    id: int
+    wanted: Wanted
+    stage: Stage = Stage.WAITING
+    doing: str = ""
+    share: float | None = None
+    text: str = ""
+    report: str = ""
+    canceling: bool = False
+
+    @property
+    def ended(self) -> bool:
+        """Whether it is over."""
+        return self.stage not in (Stage.WAITING, Stage.RUNNING)
+
+
+class Jobs:
+    """The queue and the thread that works it off."""
+
+    def __init__(self, reports: Reports, command: Sequence[str] | None = None) -> None:
+        """`command`: the worker's; a test has its own."""
+        self._reports = reports
+        self._command = list(command or (sys.executable, "-m", "galen_panel.recordings.bag_worker"))
+        self._changed = threading.Condition()
+        self._jobs: list[Job] = []
+        self._next_id = 1
+        self._revision = 0
+        self._closing = False
+        self._worker: subprocess.Popen[bytes] | None = None
+        self._thread: threading.Thread | None = None
+
+    @property
+    def revision(self) -> int:
+        """Rises with every change."""
+        with self._changed:
+            return self._revision
+
+    @property
+    def jobs(self) -> tuple[Job, ...]:
+        """Those that run or wait in their order, then those that ended, the newest first."""
+        with self._changed:
+            open_ = [job for job in self._jobs if not job.ended]
+            ended = [job for job in reversed(self._jobs) if job.ended]
+        return tuple(open_ + ended)
+
+    def get(self, job_id: int) -> Job | None:
+        """The job of an id; None where there is none."""
+        with self._changed:
+            return self._find(job_id)
+
+    def submit(self, wanted: Wanted) -> Answer:
+        """Put it at the queue's end, unless it is there already."""
+        with self._changed:
+            open_ = [job for job in self._jobs if not job.ended]
+            if self._closing:
+                return Answer(False, "The panel is ending.")
+            if any(job.wanted == wanted for job in open_):
+                return Answer(False, f"{wanted.recording} is in the queue already.")
+            if len(open_) > MOST_WAITING:
+                return Answer(False, f"{MOST_WAITING} wait already. Cancel some, or wait.")
+            self._jobs.append(Job(self._next_id, wanted))
+            self._next_id += 1
+            self._announce()
+            if self._thread is None:
+                self._thread = threading.Thread(target=self._run, name="recordings", daemon=True)
+                self._thread.start()
+        if open_:
+            return Answer(True, f"{wanted.recording} is in the queue, {len(open_)} before it.")
+        return Answer(True, f"{wanted.recording}: begun.")
+
+    def cancel(self, job_id: int) -> Answer:
+        """End it, or take it out of the queue."""
+        with self._changed:
+            job = self._find(job_id)
+            if job is None or job.ended:
+                return Answer(False, "That is over already.")
+            if job.stage is Stage.WAITING:
+                self._put(replace(job, stage=Stage.CANCELED, text="Canceled."))
+            else:
+                self._put(replace(job, canceling=True))
+                self._kill()
+        return Answer(True, f"{job.wanted.recording}: canceled.")
+
+    def close(self) -> None:
+        """End what runs, forget what waits."""
+        with self._changed:
+            self._closing = True
+            self._kill()
+            self._changed.notify_all()
+            thread = self._thread
+        if thread is not None:
+            thread.join(_CLOSE_S)
+
+    # Inside; with the lock
+
+    def _find(self, job_id: int) -> Job | None:
+        return next((job for job in self._jobs if job.id == job_id), None)
+
+    def _put(self, job: Job) -> None:
+        self._jobs = [job if one.id == job.id else one for one in self._jobs]
+        ended = [one.id for one in self._jobs if one.ended]
+        old = set(ended[:-_MOST_ENDED])
+        self._jobs = [one for one in self._jobs if one.id not in old]
+        self._announce()
+
+    def _announce(self) -> None:
+        self._revision += 1
+        self._changed.notify_all()
+
+    def _kill(self) -> None:
+        """The worker writes nothing that matters before it is done."""
+        if self._worker is not None:
+            with contextlib.suppress(ProcessLookupError):
+                os.killpg(self._worker.pid, signal.SIGKILL)
+
+    # Inside; the thread
+
+    def _run(self) -> None:
+        while (job := self._wait_for_next()) is not None:
+            try:
+                self._do(job)
+            except (GalenError, OSError) as error:
+                self._end(job.id, Stage.FAILED, f"It failed: {error}.")
+
+    def _wait_for_next(self) -> Job | None:
+        with self._changed:
+            while True:
+                if self._closing:
+                    return None
+                waiting = [job for job in self._jobs if job.stage is Stage.WAITING]
+                if waiting:
+                    job = replace(waiting[0], stage=Stage.RUNNING, doing="starting")
+                    self._put(job)
+                    return job
+                self._changed.wait()
+
+    def _do(self, job: Job) -> None:
+        folder = self._reports.begin()
+        try:
+            with tempfile.TemporaryFile() as complaints:
+                last, code = self._work(job, folder, complaints)
+                said = _last_line(complaints)
+            if code == 0 and "verdict" in last:
+                report = self._reports.finish(
+                    folder,
+                    {
+                        "kind": job.wanted.kind,
+                        "recording": job.wanted.recording,
+                        "recording_id": job.wanted.recording_id,
+                        "tool": job.wanted.tool,
+                        "verdict": str(last["verdict"]),
+                        "sentence": str(last.get("sentence", "")),
+                    },
+                )
+                self._end(job.id, Stage.DONE, report.sentence, report.id)
+                return
+        finally:
+            self._reports.discard(folder)
+        self._fail(job.id, last, code, said)
+
+    def _work(self, job: Job, folder: Path, complaints: IO[bytes]) -> tuple[Mapping[str, Any], int]:
+        """Run the worker; returns its last line and its exit code."""
+        with self._changed:
+            if self._closing:
+                return {}, -signal.SIGKILL
+            worker = self._worker = subprocess.Popen(
+                self._command,
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                stderr=complaints,
+                env={**os.environ, **_ONE_THREAD},
+                start_new_session=True,
+            )
+            if self._canceling(job.id):
+                self._kill()
+        assert worker.stdin is not None and worker.stdout is not None
+        wanted = job.wanted
+        tool = None if wanted.tool_path is None else str(wanted.tool_path.absolute())
+        request = {
+            "kind": wanted.kind,
+            "recording": str(wanted.path.absolute()),
+            "tool": tool,
+            "output": str(folder.absolute()),
+        }
+        last: Mapping[str, Any] = {}
+        watch = threading.Thread(target=self._end_group_with, args=(worker,), daemon=True)
+        watch.start()
+        try:
+            # Its standard input stays open: its end tells the worker that the panel is gone.
+            with contextlib.suppress(BrokenPipeError):
+                worker.stdin.write(json.dumps(request).encode() + b"\n")
+                worker.stdin.flush()
+            for line in worker.stdout:
+                last = _parsed(line)
+                if "stage" in last:
+                    self._progress(job.id, str(last["stage"]), last.get("share"))
+            watch.join()
+        finally:
+            with self._changed:
+                self._kill()
+                code = worker.wait()
+                self._worker = None
+            with contextlib.suppress(BrokenPipeError):
+                worker.stdin.close()
+            worker.stdout.close()
+        return last, code
+
+    def _end_group_with(self, worker: subprocess.Popen[bytes]) -> None:
+        """End what the worker started when it has ended itself; that may hold its output open."""
+        # Its number isn't another process's as long as nobody has waited for it.
+        os.waitid(os.P_PID, worker.pid, os.WEXITED | os.WNOWAIT)
+        with self._changed:
+            if self._worker is worker:
+                self._kill()
+
+    def _canceling(self, job_id: int) -> bool:
+        job = self._find(job_id)
+        return job is not None and job.canceling
+
+    def _progress(self, job_id: int, doing: str, share: object) -> None:
+        with self._changed:
+            job = self._find(job_id)
+            if job is not None:
+                part = float(share) if isinstance(share, int | float) else None
+                self._put(replace(job, doing=doing, share=part))
+
+    def _fail(self, job_id: int, last: Mapping[str, Any], code: int, said: str) -> None:
+        with self._changed:
+            canceled = self._canceling(job_id) or self._closing
+        if canceled:
+            self._end(job_id, Stage.CANCELED, "Canceled.")
+        elif "error" in last:
+            self._end(job_id, Stage.FAILED, f"It failed: {last['error']}")
+        elif code < 0:
+            name = signal.Signals(-code).name
+            hint = " Perhaps there was not enough memory." if code == -signal.SIGKILL else ""
+            self._end(job_id, Stage.FAILED, f"Its process was ended by {name}.{hint}")
+        else:
+            detail = f": {said}" if said else "."
+            self._end(job_id, Stage.FAILED, f"Its process ended with code {code}{detail}")
+
+    def _end(self, job_id: int, stage: Stage, text: str, report: str = "") -> None:
+        with self._changed:
+            job = self._find(job_id)
+            if job is not None:
+                self._put(replace(job, stage=stage, text=text, report=report, share=None))
+
+
+def _parsed(line: bytes) -> Mapping[str, Any]:
+    try:
+        content = json.loads(line)
+    except ValueError:
+        return {}
+    return content if isinstance(content, dict) else {}
+
+
+def _last_line(complaints: IO[bytes]) -> str:
+    """The last line of what the worker said to standard error."""
+    end = complaints.seek(0, os.SEEK_END)
+    complaints.seek(max(0, end - 4096))
+    lines = complaints.read().decode(errors="replace").strip().splitlines()
+    return one_line(lines[-1]) if lines else ""

@@ -1,0 +1,177 @@
+"""Listens to the 500 Hz streams while somebody watches, for as little as can be.
+
+Subscriptions on a node that no executor spins cost nothing when a message comes: it lies in the
+middleware's queue until all that is there is taken at once, some 25 times a second.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from galen_model.arm.galen import JOINT_NAMES
+from galen_ros.cdr.layout import Layout, UnreadableError, stamped_layout
+from galen_ros.cdr.wire import JointWire, WrenchWire
+from galen_ros.joint_names import JointStateError
+from geometry_msgs.msg import WrenchStamped
+from rclpy.context import Context
+from rclpy.node import Node
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rclpy.subscription import Subscription
+from sensor_msgs.msg import JointState
+
+from galen_msgs.msg import DeflectionStamped
+from galen_panel.state.history import History, Series
+
+_POLL_PERIOD_S = 0.04
+_DEPTH = 200
+"""0.4 s at 500 Hz; what a busy panel loses is only missing in its plots."""
+_LINGER_S = 2.0
+"""A page that is loaded again leaves and comes back."""
+_DEFLECTION_DOUBLES = 42
+
+Read = Callable[[bytes], tuple[int, tuple[float, ...]]]
+
+
+class DeflectionWire:
+    """Reads serialised galen_msgs/DeflectionStamped: translation, rotation, covariance, flag."""
+
+    def __init__(self) -> None:
+        self._layout: Layout | None = None
+
+    def read(self, data: bytes) -> tuple[int, tuple[float, ...]]:
+        """Stamp (ns), translation and rotation vector (6,), m and rad; raises UnreadableError."""
+        layout = self._layout
+        if layout is None or not layout.fits(data):
+            layout = self._layout = stamped_layout(data, _DEFLECTION_DOUBLES)
+        values = layout.doubles[0].unpack_from(data, layout.doubles_at[0])
+        return layout.stamp_ns(data), values[:6]
+
+
+def wrench_reader() -> Read:
+    """Reads serialised WrenchStamped: stamp (ns) and wrench (6,); raises UnreadableError."""
+    wire = WrenchWire()
+
+    def read(data: bytes) -> tuple[int, tuple[float, ...]]:
+        raw = wire.read(data)
+        return raw.stamp_ns, raw.wrench
+
+    return read
+
+
+@dataclass
+class _Tap:
+    topic: str
+    message_type: Any
+    read: Read
+    series: Series
+    subscription: Subscription | None = None
+
+
+class Streams:
+    """Fills a history. `watch` may be called in any thread, all else in the ROS thread."""
+
+    def __init__(self, history: History, context: Context) -> None:
+        self._context = context
+        self.unreadable = dict.fromkeys(
+            ("wrench_raw", "wrench_compensated", "deflection", "joint_states"), 0
+        )
+        """How many messages of each topic were left out: bad bytes, other joints, not finite."""
+        self._taps = (
+            _Tap("wrench_raw", WrenchStamped, wrench_reader(), history.raw),
+            _Tap("wrench_compensated", WrenchStamped, wrench_reader(), history.compensated),
+            _Tap("deflection", DeflectionStamped, DeflectionWire().read, history.deflection),
+            _Tap("joint_states", JointState, JointWire(JOINT_NAMES).read, history.joints),
+        )
+        self._watchers = 0
+        self._lock = threading.Lock()
+        self._node: Node | None = None
+        self._listening = False
+        self._watched_s = 0.0
+
+    @contextmanager
+    def watch(self) -> Iterator[None]:
+        """Within it the streams are listened to."""
+        with self._lock:
+            self._watchers += 1
+        try:
+            yield
+        finally:
+            with self._lock:
+                self._watchers -= 1
+
+    @property
+    def listening(self) -> bool:
+        """Whether messages are taken now."""
+        return self._listening
+
+    def tick(self, now_s: float) -> None:
+        """Begin or end to listen, and take what has come."""
+        if self._watchers:
+            self._watched_s = now_s
+            if not self._listening:
+                self._subscribe()
+        elif self._listening and now_s - self._watched_s > _LINGER_S:
+            self._unsubscribe()
+        if self._listening:
+            for tap in self._taps:
+                self._take(tap)
+
+    def close(self) -> None:
+        """Leave ROS."""
+        self._unsubscribe()
+        if self._node is not None:
+            self._node.destroy_node()
+            self._node = None
+
+    def _subscribe(self) -> None:
+        if self._node is None:
+            self._node = Node(
+                "panel_streams", context=self._context, start_parameter_services=False
+            )
+        qos = QoSProfile(depth=_DEPTH, reliability=ReliabilityPolicy.BEST_EFFORT)
+        for tap in self._taps:
+            tap.subscription = self._node.create_subscription(
+                tap.message_type, tap.topic, _never, qos, raw=True
+            )
+        self._listening = True
+
+    def _unsubscribe(self) -> None:
+        for tap in self._taps:
+            if tap.subscription is not None and self._node is not None:
+                self._node.destroy_subscription(tap.subscription)
+            tap.subscription = None
+        self._listening = False
+
+    def _take(self, tap: _Tap) -> None:
+        assert tap.subscription is not None
+        handle, message_type = tap.subscription.handle, tap.subscription.msg_type
+        stamps: list[int] = []
+        rows: list[tuple[float, ...]] = []
+        with handle:
+            # No more than the queue holds: a flood must not keep the thread here.
+            for _ in range(_DEPTH):
+                taken = handle.take_message(message_type, True)
+                if taken is None:
+                    break
+                try:
+                    stamp_ns, row = tap.read(taken[0])
+                except (UnreadableError, JointStateError):
+                    self.unreadable[tap.topic] += 1
+                    continue
+                stamps.append(stamp_ns)
+                rows.append(row)
+        if not stamps:
+            return
+        values = np.array(rows)
+        finite = np.isfinite(values).all(axis=1)
+        self.unreadable[tap.topic] += int(np.count_nonzero(~finite))
+        tap.series.append(np.array(stamps, dtype=np.int64)[finite], values[finite])
+
+
+def _never(_data: bytes) -> None:
+    raise AssertionError("no executor has this node")

@@ -1,0 +1,1 @@
+"""What the panel knows, and its numbers. No ROS, no page."""
