@@ -48,10 +48,10 @@ demo: build ## calibrate two tools on the simulated arm and show the report's ta
 	@$(ENTER) && python -m galen_bringup.demo $(ARGS)
 
 bench: build ## measure: nodes against a bare relay, kernels, start-up, diagnosis, bags (40 min)
-	@$(ENTER) && python -m galen_bringup.bench --output output/bench.json $(ARGS)
+	@$(ENTER) && python -m benchmarks.bench --output output/bench.json $(ARGS)
 
 soak: build ## run the nodes for long: losses, memory, stamps; an hour simulated, 10 min at 1000 Hz
-	@$(ENTER) && python -m galen_bringup.soak $(ARGS)
+	@$(ENTER) && python -m benchmarks.soak $(ARGS)
 
 blind: build ## hide causes in recordings, diagnose them, score that (an hour or more)
 	@$(ENTER) && python -m galen_diagnosis.blind_check $(ARGS)

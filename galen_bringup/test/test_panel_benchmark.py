@@ -7,11 +7,11 @@ import sys
 from pathlib import Path
 
 import pytest
-from galen_bringup.panel_benchmark import browser_lacks, measure, subjects, table
-from galen_gravcomp.node_benchmark import Measurement
 from rich.console import Console
 
-from galen_bringup import panel_benchmark
+from benchmarks import panel as panel_benchmark
+from benchmarks.node import Measurement
+from benchmarks.panel import browser_lacks, measure, subjects, table
 
 BUSY = """
 import subprocess, sys, time

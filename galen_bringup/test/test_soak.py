@@ -4,9 +4,10 @@ import io
 
 import numpy as np
 import pytest
-from galen_bringup.soak import soak
-from galen_bringup.soak_report import print_report, save_plot, slope_per_hour
 from rich.console import Console
+
+from benchmarks.soak import soak
+from benchmarks.soak_report import print_report, save_plot, slope_per_hour
 
 
 @pytest.mark.slow

@@ -2,7 +2,8 @@
 
 import numpy as np
 import pytest
-from galen_bringup.stamp_ledger import Account, StampLedger
+
+from benchmarks.stamp_ledger import Account, StampLedger
 
 MS = 1_000_000
 

@@ -1,8 +1,9 @@
 """The benchmark's own models: files that read, and that do what they are measured for."""
 
 import numpy as np
-from galen_deflection.bench_models import write_bench_models
 from galen_deflection.models.file import read_model
+
+from benchmarks.deflection_models import write_bench_models
 
 
 def test_its_models_read_and_work_and_one_remembers(tmp_path):

@@ -4,9 +4,10 @@ import io
 
 import numpy as np
 import pytest
-from galen_gravcomp.node_benchmark import Measurement, lost_between
-from galen_gravcomp.node_benchmark_table import ratios, spread, table
 from rich.console import Console
+
+from benchmarks.node import Measurement, lost_between
+from benchmarks.node_table import ratios, spread, table
 
 TEN_US = 10_000
 

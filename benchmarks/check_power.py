@@ -1,6 +1,6 @@
 """How often the quick check is right: simulated changes, its answers, and what they could tell.
 
-    python -m galen_calibration_behavior.check_power --checks 200
+    python -m benchmarks.check_power --checks 200
 
 Readings are the simulated sensor's, white noise and quantum, averaged over 0.5 s at 500 Hz. Every
 tenth check has a calibration of its own (two sweeps of the default grid) and a place of its own.
@@ -20,6 +20,13 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
+from galen_calibration_behavior.calibration.parameters import CalibrationParameters
+from galen_calibration_behavior.calibration.sweep import stack
+from galen_calibration_behavior.quick_check.answer import Answer, CheckLimits
+from galen_calibration_behavior.quick_check.causes import load_and_offset
+from galen_calibration_behavior.quick_check.decision import differences, quick_check
+from galen_calibration_behavior.quick_check.parameters import CheckParameters
+from galen_calibration_behavior.quick_check.poses import plan_check
 from galen_model.arm.galen import SENSOR
 from galen_model.arm.kinematics import gravity_in_sensor
 from galen_model.arrays import Array
@@ -34,14 +41,6 @@ from galen_model.rest.pose import PoseRecord, average_pose
 from rich.console import Console
 from rich.table import Table
 from tqdm import tqdm
-
-from galen_calibration_behavior.calibration.parameters import CalibrationParameters
-from galen_calibration_behavior.calibration.sweep import stack
-from galen_calibration_behavior.quick_check.answer import Answer, CheckLimits
-from galen_calibration_behavior.quick_check.causes import load_and_offset
-from galen_calibration_behavior.quick_check.decision import differences, quick_check
-from galen_calibration_behavior.quick_check.parameters import CheckParameters
-from galen_calibration_behavior.quick_check.poses import plan_check
 
 _SAMPLES = 250
 _CHECKS_A_FILE = 10
@@ -268,7 +267,7 @@ def _words(counts: dict[str, int]) -> str:
 def main(arguments: list[str] | None = None) -> None:
     """Print the tables, or JSON."""
     parser = argparse.ArgumentParser(
-        prog="python -m galen_calibration_behavior.check_power",
+        prog="python -m benchmarks.check_power",
         description=__doc__.partition("\n")[0],
         epilog="exit codes: 0 done, 2 wrong arguments, 130 interrupted (Ctrl-C)",
     )

@@ -29,9 +29,8 @@ from typing import Any
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
-from galen_deflection.bench_models import write_bench_models
-from galen_gravcomp.bench_tool import NAME, write_bench_tool
-from galen_gravcomp.node_benchmark import cpu_s
+from galen_bringup.processes import Processes, ros_arguments
+from galen_bringup.suite import ros_world
 from galen_model.arm.galen import HOME, JOINT_NAMES
 from galen_model.files.atomic_file import write_whole
 from galen_ros.cdr.layout import NS_PER_S, STAMP_AT
@@ -44,10 +43,11 @@ from rich.console import Console
 from tqdm import tqdm
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
-from galen_bringup.processes import Processes, ros_arguments
-from galen_bringup.soak_report import print_report, save_plot
-from galen_bringup.stamp_ledger import Account, StampLedger
-from galen_bringup.suite import ros_world
+from benchmarks.bench_tool import NAME, write_bench_tool
+from benchmarks.deflection_models import write_bench_models
+from benchmarks.node import cpu_s
+from benchmarks.soak_report import print_report, save_plot
+from benchmarks.stamp_ledger import Account, StampLedger
 from galen_msgs.msg import DeflectionStamped
 
 _WINDOW_S = 5.0
@@ -195,7 +195,7 @@ class _Sender:
 
     def __enter__(self) -> subprocess.Popen[bytes]:
         """Start it."""
-        module = ["galen_gravcomp.node_benchmark", "sender", "wrench_raw", "--moving"]
+        module = ["benchmarks.node", "sender", "wrench_raw", "--moving"]
         command = [sys.executable, "-m", *module, "--rate", str(self._rate_hz)]
         self._process = subprocess.Popen(command)
         return self._process

@@ -95,7 +95,7 @@ class Measurement:
 
 def relays(wrench_topic: str) -> tuple[Subject, Subject]:
     """The bare relays of a wrench."""
-    module = "galen_gravcomp.node_benchmark"
+    module = "benchmarks.node"
     output = ("relayed", WrenchStamped)
     return (
         Subject("relay", (module, "relay", wrench_topic), output),
@@ -107,7 +107,7 @@ def deflection_relay(wrench_topic: str) -> Subject:
     """The bare relay that takes and gives what a deflection's node does."""
     return Subject(
         "relay_deflection",
-        ("galen_gravcomp.node_benchmark", "relay_deflection", wrench_topic),
+        ("benchmarks.node", "relay_deflection", wrench_topic),
         ("relayed_deflection", DeflectionStamped),
         (("relayed_pose", PoseStamped),),
     )
@@ -262,7 +262,7 @@ def _take(
     cpu_beside: CpuSoFar,
 ) -> _Taken:
     """Run sender and subject, and receive for a while."""
-    sending = ["galen_gravcomp.node_benchmark", "sender", wrench_topic, "--rate", str(rate_hz)]
+    sending = ["benchmarks.node", "sender", wrench_topic, "--rate", str(rate_hz)]
     sending += ["--moving"] * subject.moving
     processes = []
     context = rclpy.Context()

@@ -1,11 +1,11 @@
-"""What `galen_bringup.bench` measures of the compensator's process."""
+"""What `benchmarks.bench` measures of the compensator's process."""
 
 from pathlib import Path
 
 from geometry_msgs.msg import WrenchStamped
 
-from galen_gravcomp.bench_tool import NAME, write_bench_tool
-from galen_gravcomp.node_benchmark import Subject
+from benchmarks.bench_tool import NAME, write_bench_tool
+from benchmarks.node import Subject
 
 VARIANTS = (
     ("gravcomp", (), True),

@@ -16,10 +16,11 @@ from pathlib import Path
 from galen_diagnosis.examples.simulated_recording import make_recording
 from galen_diagnosis.inference.diagnosing import diagnose_recording
 from galen_diagnosis.observation.recording import read_recording
-from galen_gravcomp.bag_benchmark import rosbags_deserialise
-from galen_gravcomp.node_benchmark_table import spread
 from galen_sim_driver.effects.sensor.axis_gain import AxisGain
 from rich.table import Table
+
+from benchmarks.bags import rosbags_deserialise
+from benchmarks.node_table import spread
 
 BASELINE = "rosbags read and deserialise"
 WHOLE = "whole diagnosis"

@@ -1,6 +1,6 @@
 """Measures how fast everything is, each against a baseline in the same run: tables, and JSON.
 
-python -m galen_bringup.bench --output output/bench.json
+python -m benchmarks.bench --output output/bench.json
 """
 
 from __future__ import annotations
@@ -19,21 +19,21 @@ from typing import Any
 
 import numpy as np
 from galen_bags.command_line import check_file
-from galen_deflection.bench_models import write_bench_models
 from galen_model.errors import GalenError
 from galen_model.files.atomic_file import write_whole
 from rich.console import Console
 from rich.table import Table
 
-from galen_bringup import (
-    compute_benchmark,
-    diagnose_benchmark,
-    panel_benchmark,
-    startup_benchmark,
-)
-from galen_deflection import benchmark as deflection_nodes
-from galen_gravcomp import bag_benchmark, node_benchmark, node_benchmark_table
-from galen_gravcomp import benchmark as gravcomp_nodes
+from benchmarks import bags as bag_benchmark
+from benchmarks import compute as compute_benchmark
+from benchmarks import deflection as deflection_nodes
+from benchmarks import diagnosis as diagnose_benchmark
+from benchmarks import gravcomp as gravcomp_nodes
+from benchmarks import node as node_benchmark
+from benchmarks import node_table as node_benchmark_table
+from benchmarks import panel as panel_benchmark
+from benchmarks import startup as startup_benchmark
+from benchmarks.deflection_models import write_bench_models
 
 _EPILOG = """\
 groups:

@@ -1,11 +1,11 @@
-"""The table of what `galen_gravcomp.node_benchmark` measured, and its ratios to the bare relay."""
+"""The table of what `benchmarks.node` measured, and its ratios to the bare relay."""
 
 import statistics
 from collections.abc import Sequence
 
 from rich.table import Table
 
-from galen_gravcomp.node_benchmark import Measurement
+from benchmarks.node import Measurement
 
 
 def ratios(found: Sequence[Measurement], subject: str, rate_hz: float, what: str) -> list[float]:

@@ -1,4 +1,4 @@
-"""What `galen_bringup.bench` measures of the deflection's process.
+"""What `benchmarks.bench` measures of the deflection's process.
 
 The models are the nominal arm's: springs, and springs with two smooth plays at each, as fits to
 arms with friction come out. The arm moves, so that no joint vector comes twice; `stands` is the
@@ -8,9 +8,9 @@ same with one joint vector, of which less has to be calculated.
 from collections.abc import Sequence
 from pathlib import Path
 
-from galen_gravcomp.node_benchmark import Subject
 from geometry_msgs.msg import PoseStamped
 
+from benchmarks.node import Subject
 from galen_msgs.msg import DeflectionStamped
 
 

@@ -29,14 +29,14 @@ import numpy as np
 from galen_bags.arrays.arm_recording import ArmReader
 from galen_bags.formats.bag import open_bag
 from galen_bags.formats.writer import BagWriter
+from galen_gravcomp.evaluate.bag_evaluation import evaluate_bag
 from galen_model.arm.galen import JOINT_NAMES, SENSOR
 from galen_model.files.calibration_file import read_tool, write_tool
 from galen_ros.cdr.layout import JointStateBytes, WrenchBytes
 from rich.table import Table
 from tqdm import tqdm
 
-from galen_gravcomp.bench_tool import bench_tool
-from galen_gravcomp.evaluate.bag_evaluation import evaluate_bag
+from benchmarks.bench_tool import bench_tool
 
 _START_NS = 1_767_225_600_000_000_000
 _BLOCK_S = 60.0
@@ -143,7 +143,7 @@ _BASELINE = "rosbags read and deserialise"
 
 def measure(subject: str, bag: Path, tool: Path, hours: float, messages: int) -> Measurement:
     """Run a subject in a process of its own."""
-    command = [sys.executable, "-m", "galen_gravcomp.bag_benchmark", subject]
+    command = [sys.executable, "-m", "benchmarks.bags", subject]
     done = subprocess.run(
         [*command, str(bag), str(tool)], check=True, capture_output=True, text=True
     )

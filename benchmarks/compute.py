@@ -17,9 +17,7 @@ from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
-from galen_deflection.bench_models import bench_models
 from galen_deflection.models.interface import Stream
-from galen_gravcomp.bench_tool import bench_tool
 from galen_model.arm.galen import SENSOR
 from galen_model.arm.kinematics import gravity_in_sensor
 from galen_model.arm.pinocchio_arm import PinocchioArm
@@ -29,7 +27,9 @@ from galen_model.load.model import gravity_regressor
 from galen_model.load.prediction import Prediction
 from rich.table import Table
 
-from galen_bringup.timing import Timing, time_calls
+from benchmarks.bench_tool import bench_tool
+from benchmarks.deflection_models import bench_models
+from benchmarks.timing import Timing, time_calls
 
 _SAMPLES = 1_000_000
 _UNITS = (("ns", 1e9), ("us", 1e6), ("ms", 1e3), ("s", 1.0))

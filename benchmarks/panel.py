@@ -1,7 +1,7 @@
 """What the operator's panel costs, itself and the loop: nobody has it open, or a browser plots.
 
 `gravcomp` in turn without a panel, beside one that nobody has open, and beside one whose page
-"Live" is open in a headless Chromium, by `galen_gravcomp.node_benchmark`. The browser would run on
+"Live" is open in a headless Chromium, by `benchmarks.node`. The browser would run on
 the operator's computer; here it takes its part of the same cores. So once it draws, and once it
 only takes what the panel sends and says that it was drawn: what is left is what the panel takes
 from a robot's computer when somebody plots on another one.
@@ -24,11 +24,11 @@ from typing import Any
 from urllib.error import URLError
 from urllib.request import urlopen
 
-from galen_gravcomp.node_benchmark import Measurement, Subject, compare, cpu_s, relays
-from galen_gravcomp.node_benchmark_table import ratios, spread
 from rich.table import Table
 
-from galen_gravcomp import benchmark as gravcomp_nodes
+from benchmarks import gravcomp as gravcomp_nodes
+from benchmarks.node import Measurement, Subject, compare, cpu_s, relays
+from benchmarks.node_table import ratios, spread
 
 _TOPIC = "wrench_raw"
 _RATE_HZ = 500.0

@@ -5,14 +5,13 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from galen_model.load.nominal_tools import TOOLS
-
 from galen_deflection.models.file import write_model
 from galen_deflection.models.fitted_range import FittedRange
 from galen_deflection.models.hysteresis_basis import COLUMNS, HysteresisBasis, Operator
 from galen_deflection.models.joint_stiffness import StiffnessBasis
 from galen_deflection.models.linear import Basis, FittedOn, LinearModel
 from galen_deflection.springs.springs import kinds
+from galen_model.load.nominal_tools import TOOLS
 
 _SHARES = (0.2, 0.8)
 _WEIGHT = 0.1  # of each play, over its spring's own compliance

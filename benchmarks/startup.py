@@ -18,13 +18,14 @@ from pathlib import Path
 
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
-from galen_gravcomp.bench_tool import NAME, write_bench_tool
-from galen_gravcomp.node_benchmark import cpu_s
-from galen_gravcomp.node_benchmark_table import spread
 from galen_ros.node.domain import DomainLock
 from galen_ros.node.spin import make_executor
 from rclpy.node import Node
 from rich.table import Table
+
+from benchmarks.bench_tool import NAME, write_bench_tool
+from benchmarks.node import cpu_s
+from benchmarks.node_table import spread
 
 _LONGEST_S = 60.0
 _POLL_S = 0.02
@@ -44,7 +45,7 @@ def subjects(folder: Path) -> dict[str, tuple[str, tuple[str, ...]]]:
     tools = ("-p", f"tools_dir:={folder}")
     ros = ("--ros-args", "--log-level", "error")
     return {
-        "relay": ("relay", ("galen_gravcomp.node_benchmark", "relay", "wrench_raw")),
+        "relay": ("relay", ("benchmarks.node", "relay", "wrench_raw")),
         "gravcomp_node": (
             "gravcomp",
             ("galen_gravcomp.node", *ros, *tools, "-p", f"tool:={NAME}"),
