@@ -7,10 +7,24 @@ import pytest
 NOWHERE = "/proc/galen/new"  # for root, too
 COMMANDS = {
     "galen_bags.convert": ("IN.csv", "-o", NOWHERE),
-    "galen_calibration_behavior.from_bag.cable_from_bag": ("t", "IN", "--dry-run", "--plots", NOWHERE),
+    "galen_calibration_behavior.from_bag.cable_from_bag": (
+        "t",
+        "IN",
+        "--dry-run",
+        "--plots",
+        NOWHERE,
+    ),
     "galen_calibration_behavior.pose_choice.command": ("--plots", NOWHERE),
     "galen_deflection.scoring.compare": ("IN", "--tool", "IN", "--plots", NOWHERE),
-    "galen_deflection.scoring.evaluate": ("IN", "--tool", "IN", "--model", "IN", "--plots", NOWHERE),
+    "galen_deflection.scoring.evaluate": (
+        "IN",
+        "--tool",
+        "IN",
+        "--model",
+        "IN",
+        "--plots",
+        NOWHERE,
+    ),
     "galen_deflection.scoring.train": ("IN", "--tool", "IN", "--kind", "coupled", "-o", NOWHERE),
     "galen_diagnosis.blind_check": ("--short", "--plots", NOWHERE),
     "galen_diagnosis.diagnose": ("IN", "--output", NOWHERE),
@@ -21,13 +35,28 @@ COMMANDS = {
     "galen_diagnosis.tables.diagnose_table --plots": ("IN", "--plots", NOWHERE),
     "galen_diagnosis.examples.command": ("tilt", "--output", NOWHERE),
     "galen_gravcomp.evaluate.drift.command": ("IN", "--plots", NOWHERE),
-    "galen_gravcomp.evaluate.command": ("bags", "--tool", "bags/tools/pointer.json", "--plots", NOWHERE),
+    "galen_gravcomp.evaluate.command": (
+        "bags",
+        "--tool",
+        "bags/tools/pointer.json",
+        "--plots",
+        NOWHERE,
+    ),
     "galen_gravcomp.evaluate.command --write-bags": (
-        "bags", "--tool", "bags/tools/pointer.json", "--write-bags", NOWHERE,
+        "bags",
+        "--tool",
+        "bags/tools/pointer.json",
+        "--write-bags",
+        NOWHERE,
     ),
     "galen_gravcomp.evaluate.command --table": ("--table", "IN", "--plots", NOWHERE),
-    "galen_gravcomp.evaluate.command --write-tool": ("--table", "IN", "--write-tool", f"{NOWHERE}/t.json"),
-}  # fmt: skip
+    "galen_gravcomp.evaluate.command --write-tool": (
+        "--table",
+        "IN",
+        "--write-tool",
+        f"{NOWHERE}/t.json",
+    ),
+}
 
 
 @pytest.mark.parametrize("command", COMMANDS)

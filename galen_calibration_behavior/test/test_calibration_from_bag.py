@@ -240,7 +240,8 @@ def test_it_runs_without_ros(tmp_path):
     """On a machine that has none: an import of rclpy fails there."""
     code = (
         "import sys; sys.modules['rclpy'] = sys.modules['rcl_interfaces'] = None;"
-        "from galen_calibration_behavior.from_bag.calibrate_from_bag import main; main(sys.argv[1:])"
+        "from galen_calibration_behavior.from_bag.calibrate_from_bag import main;"
+        "main(sys.argv[1:])"
     )
     done = subprocess.run(
         [sys.executable, "-c", code, "pointer", POINTER_BAG, "--tools-dir", str(tmp_path)],

@@ -3,9 +3,9 @@
     compensated = C (raw - expected reading of the tool at the joint angles of the raw stamp) - tare
 
 What can stand beside the tool's weight in the expected reading, C, and what else is taken off,
-`galen_gravcomp.corrections.stages` says. Samples are pushed in the order of their arrival, one by one or in
-blocks, which gives the same. Live node and offline evaluation feed the same class. Which angles
-belong to a wrench, and which wrench is refused, is `galen_ros.stream.pairing`'s.
+`galen_gravcomp.corrections.stages` says. Samples are pushed in the order of their arrival, one by
+one or in blocks, which gives the same. Live node and offline evaluation feed the same class. Which
+angles belong to a wrench, and which wrench is refused, is `galen_ros.stream.pairing`'s.
 """
 
 import math

@@ -76,8 +76,8 @@ def test_an_evaluation_says_what_the_command_says(make, tmp_path):
     (report,) = recordings.reports.all()
     assert (report.verdict, report.tool, report.recording) == ("fits", "retractor", "free_motion")
     content = recordings.reports.content(report)
-    command = [sys.executable, "-m", "galen_gravcomp.evaluate.command", BAGS / "free_motion", "--json",
-               "--tool", BAGS / "tools" / "retractor.json"]  # fmt: skip
+    command = [sys.executable, "-m", "galen_gravcomp.evaluate.command", BAGS / "free_motion",
+               "--json", "--tool", BAGS / "tools" / "retractor.json"]  # fmt: skip
     said = subprocess.run(command, capture_output=True, text=True, check=True)
     assert content == json.loads(said.stdout)
 

@@ -1,7 +1,8 @@
 """Serialised messages straight into arrays, thousands at a time.
 
 A publisher's messages are alike but for stamp and numbers. So the first message's layout is worked
-out, all that fit it are read by array operations, and so on with what is left (`galen_ros.cdr.layout`).
+out, all that fit it are read by array operations, and so on with what is left
+(`galen_ros.cdr.layout`).
 """
 
 from __future__ import annotations

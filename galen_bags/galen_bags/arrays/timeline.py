@@ -1,9 +1,9 @@
 """When the samples of several topics were taken, where stamps may jump.
 
-A bag has two clocks (`galen_bags.arrays.stamp_check`). Where a topic's stamps jump against its log times,
-a section ends. Sections whose stamps stand off by more than the limit from most of the topic's are
-put back in their place by their median delay, good for ordering and for knowing what came together;
-what is measured is taken only from where all topics agree (`Timeline.shift_ns`).
+A bag has two clocks (`galen_bags.arrays.stamp_check`). Where a topic's stamps jump against its log
+times, a section ends. Sections whose stamps stand off by more than the limit from most of the
+topic's are put back in their place by their median delay, good for ordering and for knowing what
+came together; what is measured is taken only from where all topics agree (`Timeline.shift_ns`).
 """
 
 from __future__ import annotations

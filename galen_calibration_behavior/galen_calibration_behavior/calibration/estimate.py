@@ -49,7 +49,7 @@ class TipError(GalenError):
 
 @dataclass(frozen=True)
 class MountingRequest:
-    """Which of `galen_model.load.mounting.groups.GROUPS` to estimate, and what is known of the tool."""
+    """Which groups (`galen_model.load.mounting.groups`) to estimate; what is known of the tool."""
 
     groups: tuple[str, ...]
     known: KnownLoad | None = None

@@ -1,9 +1,9 @@
 """Where in a recording the tool came on, as the readings of its still poses tell it.
 
 Bare, the poses read the adapter, with the tool on they read both, each with an offset of its own:
-since offsets are free, the two-sweep model of `galen_model.load.identification` with the border after
-pose k is one load with six offsets for the poses up to k and another for those after it. So each
-border's cost is that of two separate fits: the sum over the poses of how far they are off, in
+since offsets are free, the two-sweep model of `galen_model.load.identification` with the border
+after pose k is one load with six offsets for the poses up to k and another for those after it. So
+each border's cost is that of two separate fits: the sum over the poses of how far they are off, in
 standard deviations over all six channels, at the values that make this sum smallest (iteratively
 reweighted least squares). A pose that was touched adds what it is off, and leads nobody astray.
 """

@@ -1,9 +1,9 @@
 """The still phases of a recording, each averaged and judged as the live sweep does it.
 
-The phases come from the joints alone (`galen_model.rest.joints`). Each is then played to a `PoseRecorder`,
-sample by sample in the order they were received, with the phase's own pose as its target. A live
-sweep's recorder sees the same samples, and where its average lies hangs on their stamps alone. So
-a recording of a live calibration gives the averages that the live one had.
+The phases come from the joints alone (`galen_model.rest.joints`). Each is then played to a
+`PoseRecorder`, sample by sample in the order they were received, with the phase's own pose as its
+target. A live sweep's recorder sees the same samples, and where its average lies hangs on their
+stamps alone. So a recording of a live calibration gives the averages that the live one had.
 """
 
 from __future__ import annotations

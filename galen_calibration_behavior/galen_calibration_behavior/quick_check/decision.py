@@ -4,8 +4,9 @@ With u_k gravity in ft_sensor at pose k, the reading there less the file's expec
 
     r_k = G(u_k) d + b + e_k,
 
-d (4,) what the load's moments (mass, first moment) differ from the file's (`galen_model.load.model`),
-b (6,) an offset, as a sensor zeroed anew or wandered leaves it. Expected without any change:
+d (4,) what the load's moments (mass, first moment) differ from the file's
+(`galen_model.load.model`), b (6,) an offset, as a sensor zeroed anew or wandered leaves it.
+Expected without any change:
 
     Cov e_k = S, the same at all poses: by axis the largest of the file's rmse^2, of the variance of
               the mean by the samples' scatter, and of that by the averages' two halves, which sees
@@ -61,7 +62,8 @@ _GRID_INFLATION = 4.0
 _ANYWHERE = angle_grid(*ANGLE_LIMITS, 13, 13)
 # What no load and no offset explains is the cause, not a remark, where it is so unlikely ...
 _UNEXPLAINED = 1e-3
-# ... and so large a part of the load that would be told besides (as in `galen_gravcomp.evaluate.verdict`).
+# ... and so large a part of the load that would be told besides (as in
+# `galen_gravcomp.evaluate.verdict`).
 _WORTH = 4.0
 
 
@@ -251,7 +253,8 @@ def _file_covariance(tool: ToolFile) -> Array:
     The tool's own covariance bounds that of tool and adapter together, which the readings show:
     two sweeps of the same poses tell the sum twice as well as the tool. One sweep that could not
     take the two apart tells the sum all the same; its own covariance says nothing of it, and that
-    of as many ideal poses (`galen_model.load.excitation`), inflated as by the default grid, stands in.
+    of as many ideal poses (`galen_model.load.excitation`), inflated as by the default grid, stands
+    in.
     """
     whole = np.diag(np.concatenate([np.zeros(4), tool.rmse**2 / tool.poses_used]))
     if tool.unresolved:

@@ -1,9 +1,9 @@
 """The contract's arm: platform on six rods, roll and tilt, each a linear spring.
 
 The tip's compliance depends on where the arm stands, and is linear in the four compliances
-1/k_roll, 1/k_tilt, 1/k_carriage and 1/k_rod (`galen_deflection.springs.springs` has the proof), so that
-they come from linear least squares, none below zero. What the samples do not tell stays near the
-nominal value and is named.
+1/k_roll, 1/k_tilt, 1/k_carriage and 1/k_rod (`galen_deflection.springs.springs` has the proof), so
+that they come from linear least squares, none below zero. What the samples do not tell stays near
+the nominal value and is named.
 """
 
 from __future__ import annotations

@@ -186,8 +186,8 @@ def not_told(information: Array, parameters: Sequence[Parameter]) -> list[int]:
     """The parameters that the samples tell hardly more of than was known before.
 
     In units of what was known, a combination whose standard deviation is above MAX_RELATIVE_STD is
-    not told, and all that have a share in it are named, as `galen_model.load.excitation` does it. What
-    has no prior is left out: of hysteresis, the fit itself takes what the samples want.
+    not told, and all that have a share in it are named, as `galen_model.load.excitation` does it.
+    What has no prior is left out: of hysteresis, the fit itself takes what the samples want.
     """
     asked = np.array([k for k, p in enumerate(parameters) if p.prior_std is not None], dtype=int)
     scale = np.array([parameters[k].prior_std for k in asked], dtype=float)

@@ -1,7 +1,7 @@
 """The springs' Jacobian, and the wrench at the tip, of one pose: what a live stream asks for.
 
-The same mathematics as for many poses (`galen_deflection.springs.springs`), in plain floats: for one pose
-nearly all the time of an array's operation is the call, and there would be fifty of them.
+The same mathematics as for many poses (`galen_deflection.springs.springs`), in plain floats: for
+one pose nearly all the time of an array's operation is the call, and there would be fifty of them.
 
 The platform's matrix A (6, 6) needs no general inverse. The rods a and b of leg i are parallel,
 along n_i, and end at B_a and B_b. Of their lengthening e_a, e_b, the platform's twist (v, w) is

@@ -4,10 +4,10 @@
         + c x torque + sum_i w_i play_i(torque)                                  (it gives)
         + f x direction + sum_j u_j (motor - play_j(motor)),   c, w_i, u_j >= 0  (it loses motion)
 
-The plays of the torque are `galen_deflection.springs.hysteresis`'s: a spring with dry friction. What a play
-of the motor's motion leaves behind, motor - play(motor), is a gap of backlash if one has the weight
-1, and a gap that friction closes bit by bit if there are several (of Maxwell-slip elements, in the
-motion, each gives that). The link's angle is in none of them.
+The plays of the torque are `galen_deflection.springs.hysteresis`'s: a spring with dry friction.
+What a play of the motor's motion leaves behind, motor - play(motor), is a gap of backlash if one
+has the weight 1, and a gap that friction closes bit by bit if there are several (of Maxwell-slip
+elements, in the motion, each gives that). The link's angle is in none of them.
 
 Direction is tanh(v / v0), by default with v0 a twentieth of the fast motion's velocity: at
 standstill nothing of it is left. The velocity is the slope at the end of a parabola through the

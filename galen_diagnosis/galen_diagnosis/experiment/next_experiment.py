@@ -1,8 +1,8 @@
 """The experiment that best separates the causes that are left, and how sure it would make.
 
-Every experiment of `galen_diagnosis.experiment.experiments` is simulated with every hypothesis and judged by
-`galen_diagnosis.experiment.separation`; the one with the least trouble is taken of those that make the answer
-as sure as the best does, but for a hundredth.
+Every experiment of `galen_diagnosis.experiment.experiments` is simulated with every hypothesis and
+judged by `galen_diagnosis.experiment.separation`; the one with the least trouble is taken of those
+that make the answer as sure as the best does, but for a hundredth.
 """
 
 from __future__ import annotations

@@ -1,7 +1,8 @@
 """How well an experiment would tell hypotheses apart, before it is done.
 
 A hypothesis i is some effects with parameters theta_i, known to the covariance C_i. Linearised
-there, what its experiment would show (`galen_diagnosis.experiment.trial.signature`, in units of the noise) is
+there, what its experiment would show (`galen_diagnosis.experiment.trial.signature`, in units of
+the noise) is
 
     y = d_i + S_i dtheta + L a + N b + e,   dtheta ~ N(0, C_i), a ~ N(0, 1), b free, e ~ N(0, 1)
 

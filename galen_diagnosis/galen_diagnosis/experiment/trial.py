@@ -178,8 +178,8 @@ def moment_covariances(tool: ToolFile) -> tuple[Array, Array]:
 def load_columns(trials: Sequence[Trial], tool: ToolFile) -> Array:
     """Columns (n, 8): one standard deviation each of what the file doesn't know of its loads.
 
-    With G(u) of `galen_model.load.model` and C = L L^T the covariance of mass and first moment: G(u) L of
-    the tool, where it is on, and of the adapter.
+    With G(u) of `galen_model.load.model` and C = L L^T the covariance of mass and first moment:
+    G(u) L of the tool, where it is on, and of the adapter.
     """
     factors = [np.linalg.cholesky(known) for known in moment_covariances(tool)]
     blocks = []

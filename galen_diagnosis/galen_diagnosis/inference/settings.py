@@ -1,7 +1,7 @@
 """The few numbers of the evidence that are not physics: calibrated on simulated recordings.
 
-`python -m galen_diagnosis.inference.calibrate` makes `calibration.json`; causes, sessions and unknown kinds
-there are others than those of `blind_check`.
+`python -m galen_diagnosis.inference.calibrate` makes `calibration.json`; causes, sessions and
+unknown kinds there are others than those of `blind_check`.
 """
 
 from __future__ import annotations

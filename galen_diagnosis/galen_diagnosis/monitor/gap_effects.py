@@ -1,7 +1,8 @@
 """Which single effect fits a gap between still stops best, by its linear columns.
 
-With r what is left of the stops' means and S an effect's columns (`galen_diagnosis.experiment.separation`),
-all in units of the noise and with the sensor's zero N projected out,
+With r what is left of the stops' means and S an effect's columns
+(`galen_diagnosis.experiment.separation`), all in units of the noise and with the sensor's zero N
+projected out,
 
     r = S theta + noise,   theta ~ N(0, typical^2),   noise ~ N(0, s^2),
 

@@ -5,9 +5,9 @@ mean output r_k (6,),
 
     r_k = G(u_k) d + b + t_k c + L(u_k) s + noise_k
 
-d: what the load (mass, first moment) differs from the file's (`galen_model.load.model`); b, c: an offset
-and its drift; s: how far the tool sags in its mount, its centre moving by s times the x and y parts
-of gravity's unit vector u^ (the contract's `loose_tool`), times its mass: with g = |u|
+d: what the load (mass, first moment) differs from the file's (`galen_model.load.model`); b, c: an
+offset and its drift; s: how far the tool sags in its mount, its centre moving by s times the x and
+y parts of gravity's unit vector u^ (the contract's `loose_tool`), times its mass: with g = |u|
 
     L(u) s = (0, 0, 0; m (u^_x, u^_y, 0) x u^ g) s.
 
@@ -20,9 +20,9 @@ stop. Any stop may have been touched: its r_k is then a force of newtons in any 
 counted so where that is likelier than what the other stops under that explanation foretell, so a
 hand on most stops proves nothing, and a load that turns with gravity from stop to stop does.
 
-`galen_gravcomp.evaluate.residual_decomposition` takes hours apart by least squares, with the noise from the scatter of many
-phases. Live, two or three stops must do, and their noise is known: by the sensor, the calibration's
-covariance and its RMSE.
+`galen_gravcomp.evaluate.residual_decomposition` takes hours apart by least squares, with the noise
+from the scatter of many phases. Live, two or three stops must do, and their noise is known: by the
+sensor, the calibration's covariance and its RMSE.
 """
 
 from __future__ import annotations

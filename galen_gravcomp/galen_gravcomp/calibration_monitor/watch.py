@@ -1,12 +1,13 @@
 """Does the tool's file still fit? Asked live, while the arm stands and nobody touches the tool.
 
 Still windows (`galen_model.rest.windows`) of what goes out are put together to stops
-(`galen_gravcomp.calibration_monitor.rest_segments`). The last stops are judged together (`galen_gravcomp.calibration_monitor.evidence`),
-the newest few and all that are remembered, since what is wrong may be new. What is likelier than a
-file that fits by `_SURE` is said, if it also leaves more than the limits of
-`galen_gravcomp.evaluate.residual_decomposition`: an error too small to matter is no warning. A hand that never lets go
-leaves something else at each stop, as a cable does; so such errors are said only where what poses
-near each other leave is alike, as no hand's is (`galen_gravcomp.calibration_monitor.pull`).
+(`galen_gravcomp.calibration_monitor.rest_segments`). The last stops are judged together
+(`galen_gravcomp.calibration_monitor.evidence`), the newest few and all that are remembered, since
+what is wrong may be new. What is likelier than a file that fits by `_SURE` is said, if it also
+leaves more than the limits of `galen_gravcomp.evaluate.residual_decomposition`: an error too small
+to matter is no warning. A hand that never lets go leaves something else at each stop, as a cable
+does; so such errors are said only where what poses near each other leave is alike, as no hand's is
+(`galen_gravcomp.calibration_monitor.pull`).
 
 One pose alone can't tell a hand from what is wrong, so that waits for `_LONE_S` of standing without
 a tremble; then it is a load if the force is along gravity, drift if the reading crept there, and

@@ -5,12 +5,12 @@ The residual z (6,) of a still window, with the tool's weight and the tare off, 
     z = b(t) + G(u) d + e(pose) + noise
 
 in one Kalman filter of sixteen states: b, the wander, a random walk of density q; d, what the load
-(mass, first moment) differs from the file's, in which the reading is linear (`galen_model.load.model`);
-e, whatever else the calibration leaves at a pose: another value at another pose, the same at the
-same. With the angle a between gravity's directions u at two stops e is carried over as rho e with
-rho = exp(-a^2 / (2 l^2)), and (1 - rho^2) sigma_e^2 of new variance. So at one place every change
-of z is wander, a change from place to place mostly is not, and what turns with gravity is not even
-on the average over many places.
+(mass, first moment) differs from the file's, in which the reading is linear
+(`galen_model.load.model`); e, whatever else the calibration leaves at a pose: another value at
+another pose, the same at the same. With the angle a between gravity's directions u at two stops e
+is carried over as rho e with rho = exp(-a^2 / (2 l^2)), and (1 - rho^2) sigma_e^2 of new variance.
+So at one place every change of z is wander, a change from place to place mostly is not, and what
+turns with gravity is not even on the average over many places.
 
 Touched: a push begins faster than a sensor wanders. A window is a touch if in any axis
 
@@ -56,8 +56,9 @@ class WanderModel:
     rate_per_s: fastest learning. 0.9 N/h in 60 s is 0.015 N, below the 0.02 N that a push of a
     minute may change at most though every other test failed. walk_per_sqrt_s: density of the
     random walk, 0.05 N in an hour; load_std (4,): kg and kg.m, and pose_std: together the 0.05 N
-    and 2 mN.m up to which a file fits (`galen_gravcomp.evaluate.residual_decomposition.Limits`); start_std: of b, when
-    nothing was tared; floor: see above; longest_std: bound of b's standard deviation.
+    and 2 mN.m up to which a file fits (`galen_gravcomp.evaluate.residual_decomposition.Limits`);
+    start_std: of b, when nothing was tared; floor: see above; longest_std: bound of b's standard
+    deviation.
     """
 
     rate_per_s: Array = field(default_factory=lambda: _axes(0.9, 0.02) / _S_PER_H)

@@ -1,7 +1,7 @@
 """The node's services on the tools' files.
 
-Files are read and written beside the executor (`galen_ros.node.background`), so that a slow disk holds
-up no wrench; answers go out later. Only `~/set_tool` reads its one small file at once.
+Files are read and written beside the executor (`galen_ros.node.background`), so that a slow disk
+holds up no wrench; answers go out later. Only `~/set_tool` reads its one small file at once.
 
 The tool in force can't be removed. It can be renamed: it stays in force under its new name, with
 its tare, and the output doesn't change. It can be reverted: the file is then another one than what

@@ -20,8 +20,8 @@ class Prediction:
         reading = A u + c,   u = Ry(tilt + pi/2)^T Rx(roll)^T d,
 
     with gravity's direction d in base_link, (0, 0, -1) for a level base, and angles that hold the
-    joints' zeros (`galen_model.load.mounting.mounting`). A (6, 3) and c (6,) are read off the tool's own
-    `predict_under`, so that the physics, and a turned sensor's gains, stay in one place.
+    joints' zeros (`galen_model.load.mounting.mounting`). A (6, 3) and c (6,) are read off the
+    tool's own `predict_under`, so that the physics, and a turned sensor's gains, stay in one place.
     """
 
     def __init__(self, tool: ToolFile) -> None:

@@ -1,9 +1,9 @@
 """Which poses tell most about a load: optimal design for the load's identification.
 
 A sweep with one load on it reads y = G(theta) x + c + noise, x = (m, h) the load's moments and c
-six constants (`galen_model.load.identification`). All that the compensation uses is of this kind: with
-x = x_tool + x_adapter and c = o_tool - G_0 x_adapter it expects G(theta) x + c. So its error is
-B(theta) (dx, dc) with B = [G, I], and n poses leave the covariance N^-1 with
+six constants (`galen_model.load.identification`). All that the compensation uses is of this kind:
+with x = x_tool + x_adapter and c = o_tool - G_0 x_adapter it expects G(theta) x + c. So its error
+is B(theta) (dx, dc) with B = [G, I], and n poses leave the covariance N^-1 with
 
     N = sum_i I(theta_i) + P,    I(theta) = B^T Sigma^-1 B,
 
@@ -16,7 +16,8 @@ tool's own covariance is twice that of the sum). Both criteria are linear in N^-
                    the compensation's error, mean over workspace and axes, in units of one averaged
                    reading's ("V-" or "I-optimality")
     load           phi = tr(D N^-1), D diagonal over the four moments: their variance over that of
-                   one ideal reading (`galen_model.load.excitation`), mean of the four ("A-optimality")
+                   one ideal reading (`galen_model.load.excitation`), mean of the four
+                   ("A-optimality")
 
 Fedorov's exchange finds n poses: each is taken out in turn and the best candidate put in, until no
 exchange is better. How good they are is told by a bound that no n of the candidates can beat. phi

@@ -4,11 +4,11 @@ Shapes and frames come from the arm's URDF (`galen_model.arm.urdf`); the delta's
 links there, from `galen_model.arm.delta`.
 
 The predicted deflection is one rigid displacement of the tip. How platform, roll and tilt share it
-is that of the nominal springs (`galen_model.arm.stiffness`): with C = C_p + C_roll + C_tilt the tip's
-nominal compliance, the load that would displace the tip by d is C^-1 d, and each spring's share is
-its own C_k C^-1 d. The shares add up to d whatever model has predicted it, and of all ways to share
-it this one strains the springs least. Beyond the tilt axis, where there are no springs, all moves
-as one.
+is that of the nominal springs (`galen_model.arm.stiffness`): with C = C_p + C_roll + C_tilt the
+tip's nominal compliance, the load that would displace the tip by d is C^-1 d, and each spring's
+share is its own C_k C^-1 d. The shares add up to d whatever model has predicted it, and of all
+ways to share it this one strains the springs least. Beyond the tilt axis, where there are no
+springs, all moves as one.
 """
 
 from __future__ import annotations

@@ -2,8 +2,8 @@
 
 Converting a message to Python costs rclpy more than all of the compensation. Of a publisher's
 serialised messages only stamp and numbers change, and they stay at their places. So the places are
-worked out for the first message (`galen_ros.cdr.layout`), and read directly as long as everything before
-the numbers stays the same. A message that looks different is worked out anew.
+worked out for the first message (`galen_ros.cdr.layout`), and read directly as long as everything
+before the numbers stays the same. A message that looks different is worked out anew.
 """
 
 from collections.abc import Sequence

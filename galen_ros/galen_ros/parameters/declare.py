@@ -1,4 +1,4 @@
-"""Declares on a node the parameters of a frozen dataclass, whose fields are `galen_ros.parameters.param`s.
+"""Declare on a node the parameters of a frozen dataclass (`galen_ros.parameters.param`).
 
 A node writes
 
@@ -6,8 +6,9 @@ A node writes
     class Parameters:
         rate_hz: float = param(500.0, "sample rate in Hz", minimum=1.0, maximum=2000.0)
 
-and calls `declare_parameters(node, Parameters)`. A managed node (`galen_ros.node.managed_node`) calls
-`hold_parameters`: what others take at their start alone, it takes anew whenever it is configured.
+and calls `declare_parameters(node, Parameters)`. A managed node (`galen_ros.node.managed_node`)
+calls `hold_parameters`: what others take at their start alone, it takes anew whenever it is
+configured.
 """
 
 from __future__ import annotations

@@ -4,9 +4,9 @@
     class Parameters:
         rate_hz: float = param(500.0, "sample rate in Hz", minimum=1.0, maximum=2000.0)
 
-A node declares them by `galen_ros.parameters.declare.declare_parameters`, a command takes some of them as
-options by `add_options` and `from_options`, and a README has its table from `markdown_table`, so
-that none of these can differ from the others. No ROS here.
+A node declares them by `galen_ros.parameters.declare.declare_parameters`, a command takes some of
+them as options by `add_options` and `from_options`, and a README has its table from
+`markdown_table`, so that none of these can differ from the others. No ROS here.
 """
 
 from __future__ import annotations

@@ -56,7 +56,8 @@ class Network:
 def lacking(path: Path = FILE) -> str:
     """Why there is no network; empty where there is one."""
     if not path.exists():
-        return f"{path.name}: isn't there; `python -m galen_diagnosis.blind.baselines.train_baseline` makes it"
+        command = "python -m galen_diagnosis.blind.baselines.train_baseline"
+        return f"{path.name}: isn't there; `{command}` makes it"
     try:
         _library()
     except NetworkError as error:

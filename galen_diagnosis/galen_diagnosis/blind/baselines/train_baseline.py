@@ -1,6 +1,7 @@
 """Train the network that stands beside the diagnosis in the blind check.
 
-    python -m galen_diagnosis.blind.baselines.train_baseline [--per-class N] [--seed N] [--output FILE]
+    python -m galen_diagnosis.blind.baselines.train_baseline [--per-class N] [--seed N] [--output
+    FILE]
 
 It learns from recordings of the blind plant, made for it: other seeds than any check's, and unknown
 causes of the kinds for calibration alone. Needs PyTorch (`make networks`); the check doesn't.

@@ -21,7 +21,7 @@ from galen_gravcomp.evaluate.table.cross_validation import Predictor, Score
 
 @dataclass(frozen=True)
 class TableMounting:
-    """What to estimate beside the load: `galen_model.load.mounting.groups.GROUPS`; what is known."""
+    """Groups (`galen_model.load.mounting.groups`) to estimate beside the load; what is known."""
 
     groups: tuple[str, ...]
     known: KnownLoad | None = None
@@ -33,7 +33,7 @@ class TableMounting:
         )
 
     def model(self, known: OrientationTable) -> Predictor:
-        """A model for `galen_gravcomp.evaluate.table.cross_validation`; raises IdentificationError."""
+        """A model for `cross_validation`; raises IdentificationError."""
         found = self.identify(known)
         return lambda asked: found.predict(asked.gravity, asked.rotation)
 

@@ -1,7 +1,7 @@
 """Inertia of all that hangs on the sensor, from a recording of free motion.
 
-With s = g - a, Y the regressor of `galen_model.load.inertia.inertial`, x = (m, h, I) of tool and adapter
-together and r the readings,
+With s = g - a, Y the regressor of `galen_model.load.inertia.inertial`, x = (m, h, I) of tool and
+adapter together and r the readings,
 
     r = Y(s, w, al) x + b - lag d/dt [Y(s, w, al) x] + noise,
 

@@ -43,8 +43,8 @@ class Mounting:
     """Rotation and gains of the sensor, inclination of the base (about x, y), zeros (roll, tilt).
 
     axis_gain (6,) in the order fx fy fz tx ty tz; all others in rad. estimated: the names of
-    `galen_model.load.mounting.groups.GROUPS` that a calibration told; what is not among them is zero
-    by assumption. covariance: (13, 13) in the order of `PARAMETERS`, zero where not estimated.
+    `galen_model.load.mounting.groups.GROUPS` that a calibration told; what is not among them is
+    zero by assumption. covariance: (13, 13) in the order of `PARAMETERS`, zero where not estimated.
     """
 
     sensor_rotvec_rad: Array = field(default_factory=lambda: np.zeros(3))

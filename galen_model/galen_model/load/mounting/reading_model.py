@@ -2,12 +2,12 @@
 
     h_i = M [G(u_i) x_i - G(u_0) x_adapter] + o,   x_i: what hangs on the sensor at pose i
 
-(see `galen_model.load.mounting.mounting` for M and u, `galen_model.load.model` for G and x = (m, h)). The columns of
-the Jacobian: M G(u) by x, 1 by o; by a gain the element's own reading e = M w / (1 + g); by the
-rotation vector diag(1 + g) [e_f^ ; e_t^] J_r, since S(rho + d)^T w = exp(-(J_r d)^) S^T w with the
-right Jacobian J_r of the rotation group (Sola, Deray, Atchuthan, *A micro Lie theory*, 2018,
-eq. 143); by angles M [m 1 ; h^] du, with du/dtilt = u x e_y, du/droll = u x (R^T e_x) and
-du/da = g R^T dd/da.
+(see `galen_model.load.mounting.mounting` for M and u, `galen_model.load.model` for G and x = (m,
+h)). The columns of the Jacobian: M G(u) by x, 1 by o; by a gain the element's own reading e = M w
+/ (1 + g); by the rotation vector diag(1 + g) [e_f^ ; e_t^] J_r, since S(rho + d)^T w = exp(-(J_r
+d)^) S^T w with the right Jacobian J_r of the rotation group (Sola, Deray, Atchuthan, *A micro Lie
+theory*, 2018, eq. 143); by angles M [m 1 ; h^] du, with du/dtilt = u x e_y, du/droll = u x (R^T
+e_x) and du/da = g R^T dd/da.
 """
 
 from collections.abc import Sequence

@@ -23,15 +23,15 @@ Why a softness: a spring with friction that doesn't slide yet is stiffer than on
 whose friction does, and which of the two the nominal stiffness is of, nobody says.
 
 "joints": Dahl's friction beside the springs of carriages, roll, tilt and rods, as
-`galen_sim_driver.plant.joint_hysteresis` derives it, each with the fraction at its own largest load (over
-its deflection with the friction, there). With side -1 what friction takes is added.
+`galen_sim_driver.plant.joint_hysteresis` derives it, each with the fraction at its own largest
+load (over its deflection with the friction, there). With side -1 what friction takes is added.
 
 With `restarts` a move of the arm takes away what loads have left, and largest loads are those of a
 place: joints that move shake their friction out. Without, all of it stays.
 
-Loads that turn by less than 2 % of the largest are noise (`galen_sim_driver.plant.turning`). The largest
-loads are those of the samples. A driver looks at one sample at a time and can't know what comes: it
-takes those of about 10 N at the retractor's tip.
+Loads that turn by less than 2 % of the largest are noise (`galen_sim_driver.plant.turning`). The
+largest loads are those of the samples. A driver looks at one sample at a time and can't know what
+comes: it takes those of about 10 N at the retractor's tip.
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
 """A cable pulls at the tool, more or less with the pose (contract, section 6).
 
-The law is `galen_sim_driver.plant.cable`: a rounded spring from a point on the tool to an anchor, and a
-cord that is bent where it leaves the tool. `tension_n` is the tension when the attachment is at
-`reference_m`. With the attachment's mean position there (`centred`), it is the mean tension over a
-recording but for how the line's length curves: a few percent.
+The law is `galen_sim_driver.plant.cable`: a rounded spring from a point on the tool to an anchor,
+and a cord that is bent where it leaves the tool. `tension_n` is the tension when the attachment is
+at `reference_m`. With the attachment's mean position there (`centred`), it is the mean tension
+over a recording but for how the line's length curves: a few percent.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """Forces of acceleration of tool and adapter, which nominal leaves out (contract, section 6).
 
-Newton and Euler (`galen_model.load.inertia.inertial`) with s = -a, the part without gravity, for tool and
-adapter as two points, each at its own centre p_i with the share of `mass_kg` that it has of the
-weight of both:
+Newton and Euler (`galen_model.load.inertia.inertial`) with s = -a, the part without gravity, for
+tool and adapter as two points, each at its own centre p_i with the share of `mass_kg` that it has
+of the weight of both:
 
     m_i = mass_kg w_i / sum w,   h = sum m_i p_i,   I = sum m_i (p_i.p_i 1 - p_i p_i^T)
 
