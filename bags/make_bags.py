@@ -144,7 +144,7 @@ def _progress(time_s: float) -> tuple[float, float, float]:
     return rise + full + (0.5 - fall), speed, change
 
 
-# --- swings, for forces of motion ---------------------------------------------------------------
+# --- swings, for inertial forces ---------------------------------------------------------------
 
 INERTIA = InertiaConfig(
     on=True,

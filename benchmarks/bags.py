@@ -128,7 +128,7 @@ def read_arrays(bag: Path, _tool: Path) -> int:
 def evaluate(bag: Path, tool: Path) -> int:
     """Evaluate the bag."""
     result = evaluate_bag(bag, read_tool(tool))
-    assert result.compensated == result.wrench_stamps.count, result.refused
+    assert result.compensated == result.wrench_stamps.count, result.rejected
     return result.joint_stamps.count + result.wrench_stamps.count
 
 

@@ -155,8 +155,8 @@ def wrong_values() -> list[ParameterValue]:
 
 
 def told(text: str) -> str:
-    """What a node says of a request that it refuses: one plain line, not a book."""
-    assert text, "refused without a word"
+    """What a node says of a request that it rejects: one plain line, not a book."""
+    assert text, "rejected without a word"
     assert text.isprintable(), f"not one plain line: {text!r:.300}"
     assert len(text) < 1200, f"{len(text)} letters: {text[:200]}"
     return text
@@ -191,7 +191,7 @@ class World:
             STREAM,
         )
         self._clients: dict[str, Any] = {}
-        self.count = self.refused = 0
+        self.count = self.rejected = 0
 
     def add(self, kind: Callable[..., Any], **values: Any) -> Any:
         return self.harness.add(
@@ -205,7 +205,7 @@ class World:
         return self.harness.call(self._clients[name], kind.Request(**request))
 
     def goal(self, name: str, kind: Any, /, **goal: Any) -> Any:
-        """The goal's result; None where it was refused."""
+        """The goal's result; None where it was rejected."""
         if name not in self._clients:
             self._clients[name] = ActionClient(self.person, kind, name)
             self.harness.wait_for(self._clients[name].server_is_ready, 10.0, name)
@@ -233,13 +233,13 @@ class World:
         return Parameter(name=name, value=value)
 
     def set(self, node: Node, name: str, value: ParameterValue) -> str:
-        """Why it was refused, or ""."""
+        """Why it was rejected, or ""."""
         service = f"{node.get_name()}/set_parameters"
         request = {"parameters": [self.parameter(name, value)]}
         (result,) = self.call(service, SetParameters, **request).results
         if result.successful:
             return ""
-        self.refused += 1
+        self.rejected += 1
         return told(result.reason)
 
     def set_and_back(self, node: Node, name: str, value: ParameterValue) -> None:

@@ -79,7 +79,7 @@ def test_much_more_of_it(name: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["tool_file", "model_json"])
-def test_a_file_cut_at_any_byte_is_refused(name: str, tmp_path: Path) -> None:
+def test_a_file_cut_at_any_byte_is_rejected(name: str, tmp_path: Path) -> None:
     """The last byte alone may lack: it is the end of the line."""
     whole = READERS[name].seeds()[0] + b"\n"
     assert check(READERS[name], whole, tmp_path)
@@ -145,7 +145,7 @@ def _types_within(count: int, field: str) -> str:
         ("B x\n" + "=" * 80 + "\nMSG: p/B\nA x\n", "holds itself"),
     ],
 )
-def test_a_ros1_definition_that_explodes_is_refused(definition: str, words: str) -> None:
+def test_a_ros1_definition_that_explodes_is_rejected(definition: str, words: str) -> None:
     """The library makes a program of it, with lines for every element that is not a number."""
     connection = SimpleNamespace(msgdef=SimpleNamespace(data=definition), msgtype="p/msg/A")
     with pytest.raises(TypesysError, match=words):

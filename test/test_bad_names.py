@@ -51,9 +51,9 @@ def test_a_name_is_letters_digits_dashes_and_nothing_else(text: str) -> None:
     if is_name(text):
         assert tool_path("/tools", text) == Path(f"/tools/{text}.json")
         return
-    with pytest.raises(ToolNameError) as refused:
+    with pytest.raises(ToolNameError) as rejected:
         check_tool_name(text)
-    assert str(refused.value).isprintable() and len(str(refused.value)) < 200
+    assert str(rejected.value).isprintable() and len(str(rejected.value)) < 200
 
 
 def tree(folder: Path) -> dict[str, bytes | None]:
@@ -84,7 +84,7 @@ def test_no_request_with_a_strange_name_changes_anything(tmp_path: Path) -> None
 
     @settings(max_examples=150, deadline=None, derandomize=True, database=None)
     @given(NAMES.filter(lambda name: not is_name(name)))
-    def refused(name: str) -> None:
+    def rejected(name: str) -> None:
         for response, call in calls:
             with pytest.raises(ToolNameError) as error:
                 call(name)
@@ -93,7 +93,7 @@ def test_no_request_with_a_strange_name_changes_anything(tmp_path: Path) -> None
             assert str(error.value).encode() and len(str(error.value)) < 200
         assert tree(tmp_path) == before
 
-    refused()
+    rejected()
     with pytest.raises(ToolFileError) as absent:
         store.read("absent")
     assert error_code(GetTool.Response, absent.value, "") == GetTool.Response.NOT_FOUND

@@ -39,7 +39,9 @@ def world(tmp_path_factory: pytest.TempPathFactory) -> Iterator[World]:
         world = World(harness, tmp_path_factory.mktemp("world"))
         before = world.files()
         yield world
-        print(f"\n{world.count} requests, goals, parameters and messages; {world.refused} refused")
+        print(
+            f"\n{world.count} requests, goals, parameters and messages; {world.rejected} rejected"
+        )
         world.compensates()
         assert world.files() == before
 
@@ -72,7 +74,7 @@ def test_goals_end_at_once_with_the_reason(world: World) -> None:
     world.compensates()
 
 
-def test_parameters_are_refused_or_do_no_harm(world: World) -> None:
+def test_parameters_are_rejected_or_do_no_harm(world: World) -> None:
     """Of any type at all, also of one that ROS doesn't know: rclpy alone would end with it."""
     rng = random.Random(3)
     for node in world.nodes:
@@ -129,7 +131,7 @@ def step_with(kind: type, name: str, value: Any) -> bool:
     return True
 
 
-def test_a_cable_of_hardly_any_tension_is_refused() -> None:
+def test_a_cable_of_hardly_any_tension_is_rejected() -> None:
     """Its stiffness over its tension was infinite, and ended the driver."""
     assert not step_with(DriverParameters, "cable_tension_n", 5e-324)
     assert step_with(DriverParameters, "cable_tension_n", 1e-6)
@@ -184,7 +186,7 @@ def test_every_parameter_with_every_value(world: World) -> None:
 @pytest.mark.soak
 @pytest.mark.timeout(1800)
 def test_a_managed_node_configures_with_what_it_took_or_says_why_not(world: World) -> None:
-    """Cleaned up, it takes what it refuses while it works."""
+    """Cleaned up, it takes what it rejects while it works."""
     rng = random.Random(6)
     for node in world.nodes:
         if not isinstance(node, ManagedNode):
@@ -231,7 +233,7 @@ def started(world: World, kind: Callable[..., Any], name: str, value: Any) -> No
             raise
     else:
         return
-    world.refused += 1
+    world.rejected += 1
 
 
 @pytest.mark.soak
@@ -245,7 +247,7 @@ def test_a_node_starts_with_any_parameter_or_says_why_not(tmp_path: Path) -> Non
                 for value in rng.sample(wrong_values()[:-4], 6):
                     started(world, type(node), name, value)
         world.compensates()
-        print(f"\n{world.count} starts and requests; {world.refused} refused")
+        print(f"\n{world.count} starts and requests; {world.rejected} rejected")
 
 
 @pytest.mark.soak

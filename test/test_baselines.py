@@ -191,7 +191,7 @@ COMPENSATIONS = {
         compensate_live,
         "free_motion",
         RETRACTOR,
-        {"seconds": 32, "wander": True},
+        {"seconds": 32, "bias_drift": True},
     ),
 }
 
@@ -317,7 +317,7 @@ def evaluation(bag, tool, options=()):
         "verdict": told["verdict"],
         "received": told["wrenches"]["received"],
         "compensated": told["wrenches"]["compensated"],
-        "rejected": sum(told["wrenches"]["refused"].values()),
+        "rejected": sum(told["wrenches"]["rejected"].values()),
         "rest_s": told["still_s"],
         "rest segments": told["still_phases"],
         "rmse at rest": six(rmse["still"]),

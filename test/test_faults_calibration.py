@@ -129,11 +129,11 @@ def test_a_client_that_is_killed_and_another_at_once(world):
     world.start("calibrate", command)
     world.wait_for(lambda: world.says("SWEEP_BARE", "calibration"), "the sweep", patience_s=300.0)
     world.kill("calibrate")
-    refused = send(world)  # the goal of the one that is gone goes on
-    assert not refused.accepted
+    rejected = send(world)  # the goal of the one that is gone goes on
+    assert not rejected.accepted
     status = world.wait_for(
-        lambda: next((v for v in world.newest("calibration").values if v.key == "refused"), None),
-        "the refusal to be told",
+        lambda: next((v for v in world.newest("calibration").values if v.key == "rejected"), None),
+        "the rejection to be told",
     )
     assert "retractor" in status.value
     world.wait_for(lambda: world.says("ready; ", "calibration"), "its end", patience_s=300.0)

@@ -67,7 +67,7 @@ def test_a_driver_killed_and_back_and_then_a_second_one(world):
     compensates(world)
     # DDS lists the killed one, too; it does not send.
     assert world.listener.wrenches[-1][0] > before
-    assert values(world)["refused_several_publishers"] == "0"
+    assert values(world)["rejected_several_publishers"] == "0"
     start(world, "second", "driver", {"__node": "second_driver"})
     world.wait_for(
         lambda: world.says("/second_driver", level=Level.ERROR), "the second one to be named"
@@ -89,11 +89,11 @@ def test_a_bad_network_loses_what_it_lost_and_spoils_nothing(world):
     assert len(set(stamps)) == len(stamps)
     said = values(world)
     assert int(said["out_of_order_wrench"]) > 0 and int(said["out_of_order_joints"]) > 0
-    assert int(said["refused_duplicate_stamp"]) > 0
-    refused = sum(int(value) for key, value in said.items() if key.startswith("refused_"))
+    assert int(said["rejected_duplicate_stamp"]) > 0
+    rejected = sum(int(value) for key, value in said.items() if key.startswith("rejected_"))
     received, done = int(said["received"]), int(said["compensated"])
-    assert received - done - refused == int(said["waiting"])
-    assert done > 0.9 * (received - int(said["refused_duplicate_stamp"]))
+    assert received - done - rejected == int(said["waiting"])
+    assert done > 0.9 * (received - int(said["rejected_duplicate_stamp"]))
 
 
 def test_a_subscriber_that_hangs_holds_nothing_up(world):

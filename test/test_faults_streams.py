@@ -112,7 +112,7 @@ def joints_flicker(world, driver):
     ],
     ids=lambda value: getattr(value, "__name__", None),
 )
-def test_what_cannot_be_compensated_is_refused_and_named(world, fault, words):
+def test_what_cannot_be_compensated_is_rejected_and_named(world, fault, words):
     driver = world.driver
     world.works(driver)
     first = len(world.listener.wrenches)
@@ -176,7 +176,7 @@ def test_a_saturated_reading_goes_out_and_is_told(world):
     assert clipped in world.check_outputs(first)
 
 
-def test_a_frozen_sensor_is_refused_once_the_arm_turned(world):
+def test_a_frozen_sensor_is_rejected_once_the_arm_turned(world):
     driver = world.driver
     world.works(driver)
     same = [1.0, 2.0, 3.0, 0.1, 0.2, 0.3]
@@ -232,7 +232,7 @@ def repeat(second, stamp):
         second.wrench(stamp, np.ones(6))
 
 
-def test_two_drivers_at_once_are_refused_by_name(world):
+def test_two_drivers_at_once_are_rejected_by_name(world):
     driver = world.driver
     world.works(driver)
     first = len(world.listener.wrenches)
@@ -252,7 +252,7 @@ def test_two_drivers_at_once_are_refused_by_name(world):
     assert set(good[-10:]) <= set(out[while_two - first :])
 
 
-def test_a_second_compensation_is_refused_by_name_downstream(world):
+def test_a_second_compensation_is_rejected_by_name_downstream(world):
     driver = world.driver
     remaps = ["wrench_raw:=wrench_compensated", "joint_states:=unused"]
     words = "wrench_compensated has 2 publishers (/gravcomp, /other_gravcomp): stop all but one"

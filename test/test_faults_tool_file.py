@@ -1,7 +1,7 @@
 """A tool's file that breaks or changes under a gravcomp that runs, or before it starts.
 
-gravcomp is a process of its own. What was loaded stays in force until a good file is asked for;
-every wrench that went out is compared with the contract's weight of the mass in force.
+gravcomp is a process of its own. What was loaded stays active until a good file is asked for;
+every wrench that went out is compared with the contract's weight of the active mass.
 """
 
 import json
@@ -83,7 +83,7 @@ FAULTS = [
 ]
 
 
-def mended(path):
+def fixed(path):
     """The good file in the place of whatever is there."""
     if path.is_dir() and not path.is_symlink():
         path.rmdir()
@@ -128,8 +128,8 @@ def is_ok(world):
 @pytest.mark.parametrize(
     ("fault", "code", "words", "note"), FAULTS, ids=[row[0].__name__ for row in FAULTS]
 )
-def test_what_was_loaded_stays_in_force(world, fault, code, words, note):
-    driver, path = world.driver, mended(world.path)
+def test_what_was_loaded_stays_active(world, fault, code, words, note):
+    driver, path = world.driver, fixed(world.path)
     assert world.ask_for_tool(driver, "retractor").success
     is_ok(world)
     first, begin = len(world.listener.wrenches), world.stamp
@@ -147,7 +147,7 @@ def test_what_was_loaded_stays_in_force(world, fault, code, words, note):
     assert (answer.tool, answer.mass_kg) == ("retractor", MASS_KG), "the old one stays"
     for _ in range(50):
         last = world.step(driver)
-    mended(path)
+    fixed(path)
     answer = world.ask_for_tool(driver, "retractor")
     assert answer.success and answer.error_msg == ""
     is_ok(world)
@@ -158,7 +158,7 @@ def test_what_was_loaded_stays_in_force(world, fault, code, words, note):
 
 @pytest.mark.parametrize("fault", [missing, truncated, other_schema, negative_mass, pipe])
 def test_a_start_with_it_publishes_nothing_until_a_good_file_is_asked_for(world, fault):
-    driver, path = world.driver, mended(world.path)
+    driver, path = world.driver, fixed(world.path)
     world.kill("gravcomp")
     fault(path)
     del world.listener.said["gravcomp"][:]
@@ -173,8 +173,8 @@ def test_a_start_with_it_publishes_nothing_until_a_good_file_is_asked_for(world,
     assert not world.ask_for_tool(driver, "retractor").success
     # While DDS finds the new reader, samples are late by seconds.
     world.wait_for(
-        lambda: int(value(world, "refused_no_tool")) > 100,
-        "wrenches to be refused",
+        lambda: int(value(world, "rejected_no_tool")) > 100,
+        "wrenches to be rejected",
         lambda: world.step(driver),
     )
     last = world.step(driver)
@@ -182,10 +182,10 @@ def test_a_start_with_it_publishes_nothing_until_a_good_file_is_asked_for(world,
     said = len(world.listener.said["gravcomp"])
     # It reports once a second, and has come to all of them by then.
     world.wait_for(lambda: len(world.listener.said["gravcomp"]) > said + 2, "three more reports")
-    assert int(value(world, "received")) == int(value(world, "refused_no_tool")) >= received
+    assert int(value(world, "received")) == int(value(world, "rejected_no_tool")) >= received
     assert world.says("no tool: ", level=Level.ERROR)
     assert len(world.listener.wrenches) == first
-    mended(path)
+    fixed(path)
     assert world.ask_for_tool(driver, "retractor").success
     is_ok(world)
     assert min(world.check_outputs(first)) > last
@@ -193,7 +193,7 @@ def test_a_start_with_it_publishes_nothing_until_a_good_file_is_asked_for(world,
 
 def test_a_swapped_file_is_told_and_taken_when_it_is_asked_for(world):
     driver, heavy_kg = world.driver, MASS_KG + 0.1
-    mended(world.path)
+    fixed(world.path)
     world.ask_for_tool(driver, "retractor")
     is_ok(world)
     first = len(world.listener.wrenches)
@@ -218,7 +218,7 @@ def test_a_swapped_file_is_told_and_taken_when_it_is_asked_for(world):
 def test_files_swapped_and_loaded_under_a_running_stream_lose_nothing(world):
     """While each file is loaded, a wrench is compensated by one of the two, never by a mixture."""
     driver = world.driver
-    mended(world.path)
+    fixed(world.path)
     world.ask_for_tool(driver, "retractor")
     world.works(driver)
     first, begin = len(world.listener.wrenches), world.stamp

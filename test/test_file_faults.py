@@ -15,7 +15,7 @@ from pathlib import Path
 import pytest
 from fuzz.readers import a_tool
 from galen_model.errors import ToolFileError
-from galen_model.files import atomic_file as whole_file
+from galen_model.files import atomic_file as atomic_file
 from galen_model.files.calibration_file import read_tool, tool_path, write_tool
 from galen_model.files.calibration_store import ToolStore
 
@@ -126,7 +126,7 @@ def test_what_killed_writers_left_goes_with_a_later_writing_of_the_same_file(
     write_tool(path, a_tool("pointer"))
     assert names(tmp_path) == sorted(left + others)
     now_s = time.time()
-    monkeypatch.setattr(whole_file.time, "time", lambda: now_s + 660.0)
+    monkeypatch.setattr(atomic_file.time, "time", lambda: now_s + 660.0)
     write_tool(path, a_tool("pointer"))
     assert names(tmp_path) == sorted(others)
 
@@ -159,12 +159,12 @@ def test_an_error_of_the_disk_leaves_the_old_file_and_nothing_else(
 
     real = os.replace
     if call == "link":
-        monkeypatch.setattr(whole_file.os, "link", failing)
+        monkeypatch.setattr(atomic_file.os, "link", failing)
         monkeypatch.setattr(Path, "write_bytes", _half_written(number))
     elif call == "second replace":
-        monkeypatch.setattr(whole_file.os, "replace", second)
+        monkeypatch.setattr(atomic_file.os, "replace", second)
     else:
-        monkeypatch.setattr(whole_file.os, call, failing)
+        monkeypatch.setattr(atomic_file.os, call, failing)
     with pytest.raises(ToolFileError, match="can't be written") as error:
         write_tool(path, a_tool("pointer", 0.07))
     monkeypatch.undo()
@@ -245,7 +245,7 @@ def test_a_folder_that_may_not_be_written_is_named(tmp_path: Path) -> None:
     assert path.read_bytes() == before and names(tmp_path) == ["pointer.json"]
 
 
-def test_a_pipe_in_the_file_s_place_is_refused_and_not_waited_for(tmp_path: Path) -> None:
+def test_a_pipe_in_the_file_s_place_is_rejected_and_not_waited_for(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "pointer.json")
     with pytest.raises(ToolFileError, match="no regular file"):
         read_tool(tmp_path / "pointer.json")

@@ -126,7 +126,7 @@ class _Runs:
 
 
 @pytest.mark.parametrize("name", [name for name in READERS if name != "messages"])
-def test_a_file_with_code_in_it_is_refused_and_not_run(name: str, tmp_path: Path) -> None:
+def test_a_file_with_code_in_it_is_rejected_and_not_run(name: str, tmp_path: Path) -> None:
     witness = tmp_path / "was_run"
     folder = tmp_path / "files"
     folder.mkdir()

@@ -104,12 +104,12 @@ def test_a_sourced_jazzy_is_found_behind_an_overlay(tmp_path):
 
 
 @pytest.mark.parametrize("distro", ["humble", "kilted", "rolling"])
-def test_another_distribution_is_refused_by_name(tmp_path, distro):
+def test_another_distribution_is_rejected_by_name(tmp_path, distro):
     with pytest.raises(SetupError, match=f"'{distro}' is sourced.*'jazzy'"):
         ros.find_ros(sourced(ros_prefix(tmp_path), distro))
 
 
-def test_jazzy_without_rclpy_is_refused(tmp_path):
+def test_jazzy_without_rclpy_is_rejected(tmp_path):
     with pytest.raises(SetupError, match="no prefix in AMENT_PREFIX_PATH has rclpy"):
         ros.find_ros(sourced(tmp_path))
 
@@ -190,7 +190,7 @@ def test_galen_python_wins(tmp_path):
 @pytest.mark.parametrize(
     ("version", "word"), [("3.10", r"is Python 3\.10.*3\.12 or 3\.11"), (None, "not a Python")]
 )
-def test_an_unfit_galen_python_is_refused(tmp_path, version, word):
+def test_an_unfit_galen_python_is_rejected(tmp_path, version, word):
     named = tmp_path / "mine"
     if version:
         fake_python(named, version)
@@ -280,7 +280,7 @@ def test_the_lock_files_hold_what_their_inputs_ask_for():
 
 
 @pytest.mark.parametrize("line", ["numpy", "numpy>=2", "numpy=="])
-def test_a_line_without_an_exact_pin_is_refused(tmp_path, line):
+def test_a_line_without_an_exact_pin_is_rejected(tmp_path, line):
     path = tmp_path / "x.txt"
     path.write_text(f"# comment\n{line}\n")
     with pytest.raises(SetupError, match=r"x\.txt:2"):

@@ -1,4 +1,4 @@
-"""Names of topics, checked before rclpy refuses them in its own words."""
+"""Names of topics, checked before rclpy rejects them in its own words."""
 
 from rclpy.exceptions import InvalidTopicNameException
 from rclpy.validate_topic_name import validate_topic_name

@@ -262,8 +262,8 @@ def read(path: Path, topics: Sequence[str] | None = None) -> tuple[list[Sample],
         return found, bag.problems
 
 
-def read_or_refuse(path: Path) -> tuple[list[Sample], list[str]]:
-    """The same; a bag that is refused has no messages, and the reason as its problem."""
+def read_or_reject(path: Path) -> tuple[list[Sample], list[str]]:
+    """The same; a bag that is rejected has no messages, and the reason as its problem."""
     try:
         return read(path)
     except BagError as error:

@@ -91,7 +91,7 @@ def test_links_that_go_round_end(tmp_path):
     ("name", "reason"),
     [("gone", "is not there"), ("empty", "no bag in it"), ("notes.txt", "is no bag")],
 )
-def test_a_path_without_a_bag_is_refused_by_name(tmp_path, name, reason):
+def test_a_path_without_a_bag_is_rejected_by_name(tmp_path, name, reason):
     make(tmp_path, "a.mcap", "notes.txt")
     (tmp_path / "empty").mkdir()
     with pytest.raises(BagError, match=f"{name}: {reason}"):
@@ -102,12 +102,12 @@ def test_a_folder_that_may_not_be_read_is_named(tmp_path, monkeypatch):
     make(tmp_path, "a.mcap", "secret/b.mcap")
     listing = os.listdir
 
-    def refuse(path):
-        # Root may read everything, so the refusal is played.
+    def reject(path):
+        # Root may read everything, so the rejection is played.
         if str(path).endswith("secret"):
             raise PermissionError(13, "Permission denied", str(path))
         return listing(path)
 
-    monkeypatch.setattr(os, "listdir", refuse)
+    monkeypatch.setattr(os, "listdir", reject)
     with pytest.raises(BagError, match=r"secret: can't be read: Permission denied"):
         find_bags([tmp_path])

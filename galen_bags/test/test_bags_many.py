@@ -27,7 +27,7 @@ NOTHING_SAID = 0.3  # s without an answer are enough to see that there is none
 def work(bag, scale=1):
     if bag.name.startswith("good"):
         return scale * int(bag.suffix[1:])
-    if bag.name == "refused":
+    if bag.name == "rejected":
         raise BagError(f"{bag}: its stamps\njump")
     if bag.name == "bug":
         raise ValueError("not\nnow")
@@ -108,7 +108,7 @@ def where(request):
 
 
 def test_a_bag_that_fails_does_not_stop_the_others(tmp_path, where):
-    bags = make(tmp_path, "good.1", "refused", "good.2", "bug", "exits", "good.3")
+    bags = make(tmp_path, "good.1", "rejected", "good.2", "bug", "exits", "good.3")
     outcomes = run_many(functools.partial(work, scale=10), bags, **where)
     assert [outcome.bag for outcome in outcomes] == bags
     assert [outcome.result for outcome in outcomes] == [10, None, 20, None, None, 30]
@@ -211,7 +211,7 @@ def test_a_scheduler_without_workers_is_not_waited_for(tmp_path):
 
 
 @pytest.mark.parametrize("content", [None, "", "{}", "[]", "\udcff"])
-def test_a_scheduler_file_that_names_none_is_refused(tmp_path, content):
+def test_a_scheduler_file_that_names_none_is_rejected(tmp_path, content):
     file = tmp_path / "scheduler.json"
     if content is not None:
         file.write_bytes(content.encode(errors="surrogateescape"))
@@ -222,12 +222,12 @@ def test_a_scheduler_file_that_names_none_is_refused(tmp_path, content):
 
 
 @pytest.mark.parametrize("address", ["nonsense", "abc://127.0.0.1:1", "tcp://127.0.0.1:x"])
-def test_an_address_that_is_none_is_refused(tmp_path, address):
+def test_an_address_that_is_none_is_rejected(tmp_path, address):
     with pytest.raises(ClusterError, match=f"^{address}: can't be asked as a scheduler: "):
         run_many(work, make(tmp_path, "good.1"), scheduler=address)
 
 
-def test_wrong_calls_are_refused(tmp_path):
+def test_wrong_calls_are_rejected(tmp_path):
     with pytest.raises(ValueError, match="absolute"):
         run_many(work, [Path("good.1")], scheduler="tcp://127.0.0.1:1")
     with pytest.raises(ValueError, match="at least 1"):
@@ -296,7 +296,7 @@ def temporary(tmp_path, monkeypatch):
 
 @pytest.mark.slow
 def test_a_bag_that_ends_its_process_does_not_take_others_along(tmp_path, temporary, capfd):
-    names = ["dies", "good.1", "killed", "good.2", "dies", "refused", "good.3", "good.4"]
+    names = ["dies", "good.1", "killed", "good.2", "dies", "rejected", "good.3", "good.4"]
     # "dies" is there twice: a bag may be given twice.
     outcomes = run_many(work, [tmp_path / name for name in names], workers=2)
     assert [outcome.result for outcome in outcomes] == [None, 1, None, 2, None, None, 3, 4]

@@ -27,7 +27,7 @@ from bags_samples import (
     mcap_of,
     message,
     read,
-    read_or_refuse,
+    read_or_reject,
     record,
     schema,
     statistics,
@@ -50,7 +50,7 @@ def file(tmp_path):
     def write_and_read(data):
         path = tmp_path / "bag.mcap"
         path.write_bytes(data)
-        return read_or_refuse(path)
+        return read_or_reject(path)
 
     return write_and_read
 
@@ -185,7 +185,7 @@ def test_damage_all_over_is_named_a_few_times(file):
 def peak_bytes(path):
     tracemalloc.start()
     try:
-        read_or_refuse(path)
+        read_or_reject(path)
         return tracemalloc.get_traced_memory()[1]
     finally:
         tracemalloc.stop()

@@ -128,7 +128,7 @@ def test_rows_of_a_block():
 def test_bytes_after_the_last_value(extra):
     """Fast CDR, as rclpy uses it, leaves up to 8 bytes after an empty last sequence.
 
-    rosbags takes three of them at most and refuses the message else; every ROS 2 subscriber takes
+    rosbags takes three of them at most and rejects the message else; every ROS 2 subscriber takes
     it, and so do we.
     """
     whole = cdr(joint_state(header(T0), JOINT_NAMES, range(5), range(5, 10)))
@@ -228,6 +228,6 @@ def test_a_block_in_which_every_message_is_another_one():
     assert_same(samples, messages, WRENCH)
 
 
-def test_other_types_are_refused():
+def test_other_types_are_rejected():
     with pytest.raises(BagError, match="std_msgs/msg/String can't be read here"):
         Decoder("std_msgs/msg/String")

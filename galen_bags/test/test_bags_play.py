@@ -327,7 +327,7 @@ def test_the_command_plays_to_the_end(start: Any, path: Path) -> None:
 @pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
 def test_a_signal_ends_it(start: Any, path: Path, number: int, code: int) -> None:
     player = start(str(path), "--loop")
-    # rclpy's own handlers are not used; ours are in force before the node says a word.
+    # rclpy's own handlers are not used; ours are active before the node says a word.
     player.stderr.readline()
     player.send_signal(number)
     out, _ = player.communicate(timeout=20.0)

@@ -25,7 +25,7 @@ from bags_samples import (
     message,
     read,
     read_by_rosbags,
-    read_or_refuse,
+    read_or_reject,
     schema,
     wrench,
     write_ros1,
@@ -178,7 +178,7 @@ def test_two_channels_of_one_topic(tmp_path):
         assert bag.topics["/w"].count == 2
 
 
-def test_a_topic_of_two_types_or_encodings_is_refused_by_name(tmp_path):
+def test_a_topic_of_two_types_or_encodings_is_rejected_by_name(tmp_path):
     path = tmp_path / "mixed.mcap"
     described = [
         schema(1, WRENCH), schema(2, JOINT_STATE),
@@ -285,7 +285,7 @@ def test_hostile_metadata(tmp_path, listed):
     (path / "metadata.yaml").write_text(
         f"rosbag2_bagfile_information:\n  relative_file_paths: {listed}\n"
     )
-    found, problems = read_or_refuse(path)
+    found, problems = read_or_reject(path)
     if found:
         assert found == arm_samples(3) and "metadata.yaml can't be used" in problems[0]
     else:
@@ -394,7 +394,7 @@ def test_sqlite_file_that_is_damaged_anywhere(tmp_path, seed):
         at = rng.randrange(len(data) - 600)
         data[at : at + 600] = rng.randbytes(600)
         file.write_bytes(data if rng.random() < 0.7 else data[:at])
-        found, problems = read_or_refuse(path)
+        found, problems = read_or_reject(path)
         assert len(found) == len(samples) or file.name in problems[0]
 
 
@@ -448,12 +448,12 @@ def test_ros1_bag_that_is_damaged_anywhere(tmp_path, compression):
         for _ in range(rng.randint(1, 20)):
             data[rng.randrange(len(data))] = rng.randrange(256)
         path.write_bytes(data if rng.random() < 0.8 else data[: rng.randrange(len(data))])
-        found, problems = read_or_refuse(path)
+        found, problems = read_or_reject(path)
         assert len(found) == 120 or path.name in problems[0]
         assert not any("\n" in problem for problem in problems)
 
 
-def test_ros1_bag_that_was_cut_off_says_how_to_mend_it(tmp_path):
+def test_ros1_bag_that_was_cut_off_says_how_to_fix_it(tmp_path):
     path = write_ros1(tmp_path / "ros1.bag", ros1_messages())
     path.write_bytes(path.read_bytes()[:-400])
     with pytest.raises(BagError, match="`rosbag reindex`"):

@@ -194,7 +194,7 @@ def test_all_takes_what_there_is_but_hidden_topics(harness: Harness, bag: Growin
     connected(harness, wrenches)
     wrenches.publish(wrench(3))
     harness.wait_for(
-        lambda: any(t.name == "/left/wrench_raw" and t.messages for t in recorder.tallies),
+        lambda: any(t.name == "/left/wrench_raw" and t.messages for t in recorder.counts_by_topic),
         10.0,
         "the message",
     )
@@ -262,15 +262,17 @@ def test_lost_messages_are_counted(harness: Harness, bag: GrowingBagWriter) -> N
     wrenches.publish(wrench(0))
     wait_recorded(harness, recorder, 1)
     harness.call_in_executor(lambda: [wrenches.publish(wrench(k)) for k in range(1, 2501)])
-    (tally,) = recorder.tallies
-    harness.wait_for(lambda: tally.messages + tally.losses.lost == 2501, 10.0, "all accounted for")
-    assert tally.losses.lost > 0
+    (counts,) = recorder.counts_by_topic
+    harness.wait_for(
+        lambda: counts.messages + counts.losses.lost == 2501, 10.0, "all accounted for"
+    )
+    assert counts.losses.lost > 0
     assert recorder.problems() == {
-        "/wrench_raw": f"{tally.losses.lost} of its messages were lost on the way"
+        "/wrench_raw": f"{counts.losses.lost} of its messages were lost on the way"
     }
     found = messages(end(harness, recorder, bag))["/wrench_raw"]
     assert found[-1] == wrench(2500)
-    assert len(found) == tally.messages
+    assert len(found) == counts.messages
 
 
 def test_log_times_are_simulated_time_where_asked(harness: Harness, bag: GrowingBagWriter) -> None:
@@ -491,7 +493,7 @@ def test_limits_end_it(processes: Any, tmp_path: Path, limit: Any, ended_by: str
 @pytest.mark.slow
 @pytest.mark.usefixtures("domain")
 def test_a_full_disk_ends_it_with_one_line(processes: Any, tmp_path: Path) -> None:
-    """A limit on the size of files stands in for the disk: the system refuses the write."""
+    """A limit on the size of files stands in for the disk: the system rejects the write."""
     program = (
         "import resource, sys; from galen_bags.record.command import main;"
         "resource.setrlimit(resource.RLIMIT_FSIZE, (30_000, 30_000));"

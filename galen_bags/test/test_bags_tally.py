@@ -6,7 +6,7 @@ import pytest
 from galen_bags.command_line import split_ros_arguments
 from galen_bags.errors import BagError
 from galen_bags.formats.definitions import find_definition
-from galen_bags.record.topic_counts import LossCounter, TopicTally
+from galen_bags.record.topic_counts import LossCounter, TopicTopicCounts
 from rosbags.typesys import get_types_from_msg
 
 
@@ -36,12 +36,12 @@ def test_gaps_in_sequence_numbers(batches: list[tuple[list[int | None], bool]], 
 
 
 def test_the_rate_is_by_log_times() -> None:
-    tally = TopicTally("/w", "a/msg/B")
-    assert tally.rate_hz is None
+    counts = TopicTopicCounts("/w", "a/msg/B")
+    assert counts.rate_hz is None
     for index in range(11):
-        tally.add(index * 2_000_000, 10)
-    assert tally.rate_hz == pytest.approx(500.0)
-    assert (tally.messages, tally.size_bytes, tally.last_ns) == (11, 110, 20_000_000)
+        counts.add(index * 2_000_000, 10)
+    assert counts.rate_hz == pytest.approx(500.0)
+    assert (counts.messages, counts.size_bytes, counts.last_ns) == (11, 110, 20_000_000)
 
 
 @pytest.mark.parametrize(
@@ -57,15 +57,20 @@ def test_arguments_for_ros_are_apart(text: str, own: str, ros: str) -> None:
 
 
 def test_what_did_not_get_into_the_file_is_taken_back() -> None:
-    tally = TopicTally("/w", "a/msg/B")
-    tally.add(5, 10)
-    tally.take_back()
-    assert (tally.messages, tally.size_bytes, tally.first_ns, tally.last_ns) == (0, 0, None, None)
-    tally.add(6, 10)
-    tally.keep()
-    tally.add(7, 10)
-    tally.take_back()
-    assert (tally.messages, tally.size_bytes, tally.first_ns, tally.last_ns) == (1, 10, 6, 6)
+    counts = TopicTopicCounts("/w", "a/msg/B")
+    counts.add(5, 10)
+    counts.take_back()
+    assert (counts.messages, counts.size_bytes, counts.first_ns, counts.last_ns) == (
+        0,
+        0,
+        None,
+        None,
+    )
+    counts.add(6, 10)
+    counts.keep()
+    counts.add(7, 10)
+    counts.take_back()
+    assert (counts.messages, counts.size_bytes, counts.first_ns, counts.last_ns) == (1, 10, 6, 6)
 
 
 def install(share: Path, type_name: str, text: str) -> None:

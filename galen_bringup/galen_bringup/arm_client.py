@@ -64,7 +64,7 @@ class ArmClient(Node):
         self._trajectory = self.create_publisher(JointTrajectory, "joint_trajectory", 10)
         self.create_subscription(JointState, "joint_states", self._on_joint_state, STREAM)
         self._set_tool = self.create_client(SetTool, "gravcomp/set_tool")
-        self._bias_sensor = self.create_client(Trigger, "bias_sensor")
+        self._zero_ft_sensor = self.create_client(Trigger, "zero_ft_sensor")
         self._set_admittance = self.create_client(SetBool, "sim_driver/set_admittance")
         self._driver_parameters = AsyncParameterClient(self, "sim_driver")
 
@@ -109,7 +109,7 @@ class ArmClient(Node):
     def wait_until_up(self, timeout_s: float = 30.0) -> None:
         """Wait for the streams and services of driver and gravcomp."""
         self.wait_for(lambda: self.position is not None, timeout_s, "joint_states")
-        for client in (self._set_tool, self._bias_sensor, self._set_admittance):
+        for client in (self._set_tool, self._zero_ft_sensor, self._set_admittance):
             self.wait_for(client.service_is_ready, timeout_s, f"the service {client.srv_name}")
         self.wait_for(self._driver_parameters.services_are_ready, timeout_s, "sim_driver")
         self.wait_for(
@@ -146,11 +146,11 @@ class ArmClient(Node):
             raise ArmError(f"gravcomp: {response.error_msg}")
         return response
 
-    def bias_sensor(self) -> None:
+    def zero_ft_sensor(self) -> None:
         """Zero the sensor here; raises ArmError with the driver's reason."""
-        response = self._call(self._bias_sensor, Trigger.Request())
+        response = self._call(self._zero_ft_sensor, Trigger.Request())
         if not response.success:
-            raise ArmError(f"bias_sensor: {response.message}")
+            raise ArmError(f"zero_ft_sensor: {response.message}")
 
     def set_admittance(self, on: bool, source: str) -> None:
         """Switch the driver's admittance mode; `source` is "compensated" or "raw"."""

@@ -1,4 +1,4 @@
-"""How far a hand-guided tool wanders when nobody touches it and the arm turns.
+"""How far a hand-guided tool drifts when nobody touches it and the arm turns.
 
 The arm follows one and the same trajectory three times: with admittance off (that is where the
 tool should be), with admittance on the raw reading, zeroed at home with the tool on as the arm did
@@ -68,7 +68,7 @@ def _run(arm: ArmClient, mode: str) -> tuple[Array, Array]:
     for _ in range(3):
         _go_home(arm)
         if mode == "raw":
-            arm.bias_sensor()
+            arm.zero_ft_sensor()
         time, joints = _follow(arm, None if mode == "off" else mode)
         if len(time) > 1 and np.diff(time).max() < _LARGEST_GAP_S:
             return time, joints

@@ -21,7 +21,7 @@ from galen_ros.goal.commands import (
     Finished,
     ZeroSensor,
 )
-from galen_ros.goal.node import GoalNode, RefusedGoalError, RunningGoal, Words
+from galen_ros.goal.node import GoalNode, RejectedGoalError, RunningGoal, Words
 from galen_ros.node.diagnostics import Status
 from galen_ros.node.spin import run
 from rclpy.action.server import ServerGoalHandle
@@ -83,7 +83,7 @@ class CalibrationNode(GoalNode[CalibrationParameters, _Goal, Finished]):
         )
         self._tools_dir = Path(self._settings.tools_dir).expanduser()
         self._duration = _duration(self._settings)
-        self._bias_client = self.create_client(Trigger, "bias_sensor")
+        self._bias_client = self.create_client(Trigger, "zero_ft_sensor")
         self._attach_client = self.create_client(SetTool, "attach_tool")
         self.create_service(Trigger, "~/confirm", self._on_confirm)
 
@@ -93,11 +93,11 @@ class CalibrationNode(GoalNode[CalibrationParameters, _Goal, Finished]):
         request = handle.request
         for name, count in (("iters_t", request.iters_t), ("iters_r", request.iters_r)):
             if count > MAX_ITERS:
-                raise RefusedGoalError(
+                raise RejectedGoalError(
                     ErrorCode.BAD_INPUT, f"{name} is {count}: at most {MAX_ITERS}, or 0"
                 )
             if count and self._settings.poses != "grid":
-                raise RefusedGoalError(
+                raise RejectedGoalError(
                     ErrorCode.BAD_INPUT,
                     f"{name} is {count}, but the node's poses are {self._settings.poses} ones",
                 )
@@ -120,13 +120,13 @@ class CalibrationNode(GoalNode[CalibrationParameters, _Goal, Finished]):
                 )
             check_writable(path)
         except ToolNameError as error:
-            raise RefusedGoalError(ErrorCode.INVALID_NAME, str(error)) from error
+            raise RejectedGoalError(ErrorCode.INVALID_NAME, str(error)) from error
         except ToolFileError as error:
-            raise RefusedGoalError(ErrorCode.WRITE_FAILED, str(error)) from error
+            raise RejectedGoalError(ErrorCode.WRITE_FAILED, str(error)) from error
         except NotExcitedError as error:
-            raise RefusedGoalError(ErrorCode.NOT_EXCITED, str(error)) from error
+            raise RejectedGoalError(ErrorCode.NOT_EXCITED, str(error)) from error
         except GalenError as error:
-            raise RefusedGoalError(ErrorCode.BAD_INPUT, str(error)) from error
+            raise RejectedGoalError(ErrorCode.BAD_INPUT, str(error)) from error
         procedure = CalibrationProcedure(
             self._settings.settings(),
             Request(

@@ -59,7 +59,7 @@ class FakeArm:
         return self._known[1]
 
     def zero(self):
-        """What bias_sensor does."""
+        """What zero_ft_sensor does."""
         self.bias = self.true_reading() + self.touch(self)
 
     def step(self):

@@ -65,7 +65,7 @@ class Tape:
         return self
 
     def zero(self):
-        """What bias_sensor does, without noise."""
+        """What zero_ft_sensor does, without noise."""
         self.bias = self._true(self.pose[None])[0]
         return self
 

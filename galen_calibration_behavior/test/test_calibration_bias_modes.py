@@ -23,18 +23,18 @@ def recording():
 
 @pytest.mark.slow
 def test_the_file_says_the_bias_at_the_end(recording, monkeypatch, capsys, tmp_path):
-    """How good the load is, over many sweeps, is test_model_wandering_bias.py's."""
+    """How good the load is, over many sweeps, is test_model_drifting_bias.py's."""
     tape, creep = recording
     monkeypatch.setattr(
         "galen_calibration_behavior.from_bag.calibrate_from_bag.read_arm", lambda *_: tape
     )
     file, off = {}, {}
-    for mode in ("constant", "wandering"):
+    for mode in ("constant", "drifting"):
         main(["pointer", "tape", "--json", "--bias", mode, "--tools-dir", str(tmp_path)])
         found = json.loads(capsys.readouterr().out)
         assert (found["bias"] is None) == (mode == "constant")
         file[mode] = read_tool(tmp_path / "pointer.json")
         off[mode] = np.linalg.norm((file[mode].residual_offset - creep[-1])[:3])
-    assert any("wandered" in text for text in found["warnings"])
+    assert any("drifted" in text for text in found["warnings"])
     assert found["bias_mass_growth"] > 1.0
-    assert off["wandering"] < 0.5 * off["constant"]
+    assert off["drifting"] < 0.5 * off["constant"]

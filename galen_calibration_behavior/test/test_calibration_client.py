@@ -181,7 +181,7 @@ def test_a_goal_that_is_not_answered_is_not_left_running():
     assert error.rstrip().endswith("it had begun, and is canceled")
 
 
-def test_a_refusal_s_reason_reaches_the_terminal(world):
+def test_a_rejection_s_reason_reaches_the_terminal(world):
     world.send(iters_t=9, iters_r=9)
     world.wait_for_pose(1)
     with calibrate(world.harness, "retractor") as client:

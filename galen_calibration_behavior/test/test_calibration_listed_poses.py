@@ -26,7 +26,7 @@ def test_listed_poses_are_visited_as_they_are_in_their_order():
     assert parameters.times().stay_s == CalibrationParameters().times().stay_s
 
 
-def test_what_can_not_be_visited_is_refused_by_its_number():
+def test_what_can_not_be_visited_is_rejected_by_its_number():
     for numbers in ((), (0.1, 0.2, 0.3), tuple([0.1, 0.2] * 1001)):
         with pytest.raises(ParameterError, match=f"listed_poses_rad' has {len(numbers)} numbers"):
             CalibrationParameters(poses="listed", listed_poses_rad=numbers).validate()

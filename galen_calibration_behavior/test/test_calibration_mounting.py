@@ -1,4 +1,4 @@
-"""Sensor and mounting in a calibration: written, told, refused."""
+"""Sensor and mounting in a calibration: written, told, rejected."""
 
 import numpy as np
 import pytest
@@ -71,13 +71,13 @@ def test_a_healthy_arm_is_warned_that_it_does_not_pay(tmp_path):
 def test_what_the_poses_can_not_tell_writes_nothing(tmp_path):
     path = tmp_path / "pointer.json"
     request = MountingRequest(("joint_zero", "base_inclination"))
-    with pytest.raises(EstimateError, match=r"roll joint's zero .* apart") as refused:
+    with pytest.raises(EstimateError, match=r"roll joint's zero .* apart") as rejected:
         calibrate(path, "pointer", np.zeros(3), measured(ZERO), [], mounting=request)
-    assert refused.value.code is ErrorCode.NOT_EXCITED
+    assert rejected.value.code is ErrorCode.NOT_EXCITED
     assert not path.exists()
 
 
-def test_the_command_and_the_node_refuse_what_they_can_not_use(capsys):
+def test_the_command_and_the_node_reject_what_they_can_not_use(capsys):
     for arguments in (
         ["--estimate", "gains"],
         ["--known-mass-kg", "0.1"],

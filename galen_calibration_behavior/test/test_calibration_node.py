@@ -31,7 +31,7 @@ TICK_S = 0.005
 
 
 class FakeDriver(Node):
-    """joint_states, wrench_raw, joint_trajectory, bias_sensor and attach_tool around FakeArm."""
+    """joint_states, wrench_raw, joint_trajectory, zero_ft_sensor and attach_tool around FakeArm."""
 
     def __init__(self, context, without=()):
         super().__init__("fake_driver", context=context)
@@ -46,8 +46,8 @@ class FakeDriver(Node):
         self._joint_publisher = self.create_publisher(JointState, "joint_states", STREAM)
         self._wrench_publisher = self.create_publisher(WrenchStamped, "wrench_raw", STREAM)
         self.create_subscription(JointTrajectory, "joint_trajectory", self._on_trajectory, 10)
-        if "bias_sensor" not in without:
-            self.create_service(Trigger, "bias_sensor", self._on_bias)
+        if "zero_ft_sensor" not in without:
+            self.create_service(Trigger, "zero_ft_sensor", self._on_bias)
         if "attach_tool" not in without:
             self.create_service(SetTool, "attach_tool", self._on_attach)
         self.create_timer(TICK_S, self._on_timer)
@@ -254,16 +254,16 @@ def test_after_a_cancel_the_next_goal_is_taken(world):
     assert status == GoalStatus.STATUS_SUCCEEDED, result.error_msg
 
 
-def test_a_second_goal_is_refused_with_the_reason_on_diagnostics(world):
+def test_a_second_goal_is_rejected_with_the_reason_on_diagnostics(world):
     first = world.send()
     world.wait_for_pose(1)
     assert not world.send(tool="retractor").accepted
 
     def reason():
-        return [v.value for s in world.diagnostics for v in s.values if v.key == "refused"]
+        return [v.value for s in world.diagnostics for v in s.values if v.key == "rejected"]
 
     (text, *_) = world.harness.wait_for(reason, 5.0, "the reason on /diagnostics")
-    assert "'retractor' refused: calibrating 'pointer' now" in text
+    assert "'retractor' rejected: calibrating 'pointer' now" in text
     status, _ = world.result(first)
     assert status == GoalStatus.STATUS_SUCCEEDED, "the first goal must not notice"
 
@@ -349,7 +349,7 @@ def test_a_creeping_joint_is_named(tmp_path):
         world.fails(world.send(), ErrorCode.MOTION_TIMEOUT, "roll did not stop")
 
 
-def test_a_name_that_must_not_reach_a_path_is_refused(world):
+def test_a_name_that_must_not_reach_a_path_is_rejected(world):
     for name in ("../x", "", "a b", "x" * 65, "ü", "a/b", "/etc/x"):
         world.fails(world.send(tool=name), ErrorCode.INVALID_NAME, repr(name))
     assert world.driver.moves == 0
@@ -359,12 +359,12 @@ def test_a_name_that_must_not_reach_a_path_is_refused(world):
 @pytest.mark.parametrize(
     ("tilts", "rolls", "name"), [(65535, 65535, "iters_t"), (3, 101, "iters_r")]
 )
-def test_a_sweep_without_end_is_refused(world, tilts, rolls, name):
+def test_a_sweep_without_end_is_rejected(world, tilts, rolls, name):
     handle = world.send(iters_t=tilts, iters_r=rolls)
     world.fails(handle, ErrorCode.BAD_INPUT, name, "100")
 
 
-def test_poses_that_tell_too_little_are_refused_before_the_arm_moves(world):
+def test_poses_that_tell_too_little_are_rejected_before_the_arm_moves(world):
     world.fails(world.send(iters_t=1, iters_r=1), ErrorCode.NOT_EXCITED, "at least 4")
     assert world.driver.moves == 0
 
@@ -377,7 +377,7 @@ def test_a_tools_directory_that_can_not_be_looked_into_is_found_at_once(tmp_path
         assert world.driver.moves == 0
 
 
-def test_a_refusal_is_forgotten_when_another_goal_begins(world):
+def test_a_rejection_is_forgotten_when_another_goal_begins(world):
     first = world.send()
     assert not world.send(tool="retractor").accepted
     world.cancel(first)
@@ -388,7 +388,7 @@ def test_a_refusal_is_forgotten_when_another_goal_begins(world):
         lambda: any("drill" in status.message for status in world.diagnostics), 5.0, "the new goal"
     )
     values = {item.key: item.value for s in world.diagnostics[-1:] for item in s.values}
-    assert "refused" not in values
+    assert "rejected" not in values
     assert values["state"] in [state.name for state in State]
 
 
@@ -401,7 +401,7 @@ def test_without_a_goal_its_state_is_ready_or_that_the_last_one_failed(world):
     world.harness.wait_for(lambda: told() == ["failed"], 10.0, "that it failed")
 
 
-def test_a_tip_that_is_no_number_is_refused(world):
+def test_a_tip_that_is_no_number_is_rejected(world):
     for tip in ([math.nan, 0.0, 0.0], [math.inf] * 3):
         world.fails(world.send(tip_m=tip), ErrorCode.BAD_INPUT, "tip_m")
     assert world.driver.moves == 0
@@ -420,7 +420,7 @@ def test_a_tool_that_the_driver_does_not_know_is_rejected_before_anything_moves(
     assert status == GoalStatus.STATUS_SUCCEEDED, result.error_msg
 
 
-@pytest.mark.parametrize("service", ["bias_sensor", "attach_tool"])
+@pytest.mark.parametrize("service", ["zero_ft_sensor", "attach_tool"])
 def test_a_missing_service_is_named_before_anything_moves(tmp_path, service):
     with Harness() as harness:
         world = make(harness, tmp_path, without=(service,), silent_timeout_s=0.5)
@@ -438,8 +438,10 @@ def test_unknown_joints_are_named(world):
     world.fails(world.send(), ErrorCode.BAD_INPUT, "joint_states", "roll", "tilt")
 
 
-def test_two_drivers_are_refused(world):
-    world.harness.add(lambda context: FakeDriver(context, without=("bias_sensor", "attach_tool")))
+def test_two_drivers_are_rejected(world):
+    world.harness.add(
+        lambda context: FakeDriver(context, without=("zero_ft_sensor", "attach_tool"))
+    )
     handle = world.send(iters_t=10, iters_r=10)
     world.fails(
         handle, ErrorCode.BAD_INPUT, "2 publishers", ": /fake_driver, /fake_driver;", "was killed"
@@ -472,7 +474,7 @@ def test_no_tool_on_is_implausible(world):
     world.fails(handle, ErrorCode.IMPLAUSIBLE, "the tool")
 
 
-def test_confirm_is_refused_when_nobody_was_asked(world):
+def test_confirm_is_rejected_when_nobody_was_asked(world):
     answer = world.harness.call(world.confirm, Trigger.Request())
     assert not answer.success
     assert "no calibration is running" in answer.message

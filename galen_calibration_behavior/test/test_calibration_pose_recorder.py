@@ -285,7 +285,7 @@ def test_pure_noise_is_hardly_ever_rejected():
     assert sum(bool(wrench_fault(p, poses[:56], strict)) for p in poses) > 200, "it does judge"
 
 
-def test_slow_wander_that_all_poses_share_is_not_taken_for_a_touch():
+def test_slow_bias_drift_that_all_poses_share_is_not_taken_for_a_touch():
     records = [
         dataclasses.replace(r, half_difference=np.full(6, 0.05) * (-1) ** k)
         for k, r in enumerate(still_records(6))

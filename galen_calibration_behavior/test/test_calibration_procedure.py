@@ -68,7 +68,7 @@ class World:
         self.procedure = CalibrationProcedure(settings, Request(**request))
         self.commands = []
         self.states = []
-        self.answers = {"bias_sensor": (True, ""), "attach_tool": (True, "")}
+        self.answers = {"zero_ft_sensor": (True, ""), "attach_tool": (True, "")}
         self.dead = set()  # topics or services that say nothing any more
         self.confirms = {State.REMOVE_TOOL, State.ATTACH_TOOL}
         self.wrench_offset_ns = 0
@@ -117,11 +117,11 @@ class World:
                 self.arm.move_to(command.joints, command.duration_s)
             case Stop():
                 self.arm.stop()
-            case ZeroSensor() if "bias_sensor" not in self.dead:
+            case ZeroSensor() if "zero_ft_sensor" not in self.dead:
                 assert not self.arm.moving
-                if self.answers["bias_sensor"][0]:
+                if self.answers["zero_ft_sensor"][0]:
                     self.arm.zero()
-                self.procedure.on_service(*self.answers["bias_sensor"])
+                self.procedure.on_service(*self.answers["zero_ft_sensor"])
             case AttachTool() if "attach_tool" not in self.dead:
                 self.arm.tool = POINTER if command.tool else NO_TOOL
                 self.procedure.on_service(*self.answers["attach_tool"])
@@ -322,7 +322,7 @@ def test_poses_spoilt_by_lost_samples_name_an_overloaded_machine():
     failed(world, ErrorCode.POSES_NOT_STILL, "3 poses in a row", "jumped by +1.7", "overloaded")
 
 
-@pytest.mark.parametrize("service", ["bias_sensor", "attach_tool"])
+@pytest.mark.parametrize("service", ["zero_ft_sensor", "attach_tool"])
 def test_a_service_that_says_no_or_nothing_is_named(service):
     world = World()
     world.answers[service] = (False, "no such thing")
@@ -369,7 +369,7 @@ def test_nobody_confirms(state):
     failed(world.run(), ErrorCode.CONFIRM_TIMEOUT, what)
 
 
-def test_a_confirmation_nobody_asked_for_is_refused():
+def test_a_confirmation_nobody_asked_for_is_rejected():
     world = World(attach_by_service=False)
     assert not world.procedure.confirm()
     world.run(in_state(State.SWEEP_BARE))
@@ -465,7 +465,7 @@ def test_a_jump_of_the_stamps_costs_a_retry_and_gives_a_warning():
     assert len(world.estimate.measurements.tool.roll) == 6
 
 
-def test_stamps_of_two_clocks_are_refused_at_the_start():
+def test_stamps_of_two_clocks_are_rejected_at_the_start():
     world = World()
     world.wrench_offset_ns = 3_000_000_000
     world.run()

@@ -1,4 +1,4 @@
-"""From a recording's still phases to sweeps and loads: what is found, and what is refused."""
+"""From a recording's still phases to sweeps and loads: what is found, and what is rejected."""
 
 import numpy as np
 import pytest
@@ -179,12 +179,12 @@ def test_a_steady_push_is_the_fit_s_to_find():
     ],
     ids=["bare", "tool", "bare twice", "too light"],
 )
-def test_a_recording_in_which_no_tool_came_on_is_refused_and_told_what_it_may_be(tape):
+def test_a_recording_in_which_no_tool_came_on_is_rejected_and_told_what_it_may_be(tape):
     with pytest.raises(RecordingError, match=r"no tool came on.*--one-sweep.*--tool-on-at-s"):
         two_sweeps(tape)
 
 
-def test_a_light_tool_is_found_or_refused_but_never_put_on_at_a_wrong_place():
+def test_a_light_tool_is_found_or_rejected_but_never_put_on_at_a_wrong_place():
     outcomes = []
     for mass in (0.0008, 0.0015, 0.002, 0.003, 0.006):
         tape = Tape(seed=4).calibration(Load(mass, np.array([0.05, 0.0, 0.04])))
@@ -226,7 +226,7 @@ def test_the_border_given_by_hand_is_taken_and_a_wrong_one_is_found_out():
         two_sweeps(tape, tool_on_at_s=0.0)
 
 
-def test_a_third_load_in_one_recording_is_refused():
+def test_a_third_load_in_one_recording_is_rejected():
     tape = Tape().calibration(POINTER)
     tape.tool = RETRACTOR
     with pytest.raises(RecordingError, match="what should be one sweep"):
@@ -278,7 +278,7 @@ def test_a_recording_cut_off_in_the_second_sweep_gives_what_it_holds():
         SORTER.two_sweeps(find_visits(tape.recording(stop=1080), SETTINGS))
 
 
-def test_too_few_good_poses_are_refused_as_live():
+def test_too_few_good_poses_are_rejected_as_live():
     tape = Tape(tool=POINTER).sweep(POSES)
     recording = tape.recording()
     start = recording.wrench_stamp_ns[0]

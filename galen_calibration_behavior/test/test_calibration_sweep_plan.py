@@ -213,7 +213,7 @@ def test_the_procedure_goes_around_boxes():
 
 
 @pytest.mark.slow
-def test_the_command_prints_and_refuses(capsys, tmp_path):
+def test_the_command_prints_and_rejects(capsys, tmp_path):
     main(["--json", "--chosen-poses", "12"])
     found = json.loads(capsys.readouterr().out)
     assert len(found["poses"]) == 12

@@ -107,7 +107,7 @@ def test_late_wrenches_are_waited_for():
     assert np.array_equal([v.outcome.wrench for v in find_visits(late, SETTINGS).visits], on_time)
 
 
-def test_readings_of_another_frame_or_clock_are_refused():
+def test_readings_of_another_frame_or_clock_are_rejected():
     tape = Tape(tool=POINTER).sweep(POSES[:3])
     recording = tape.recording("here/bag")
     with pytest.raises(RecordingError, match=r"here/bag: wrench_raw has frame_id 'tool0'"):

@@ -21,11 +21,11 @@ from rclpy.node import Node
 from test_calibration_node import FakeDriver
 
 from galen_msgs.action import CheckTool
-from galen_msgs.msg import ToolInForce
+from galen_msgs.msg import ActiveTool
 
 
 @pytest.mark.slow
-def test_the_tool_in_force_is_checked_with_its_tare_and_an_unknown_one_is_refused(tmp_path):
+def test_the_active_tool_is_checked_with_its_tare_and_an_unknown_one_is_rejected(tmp_path):
     write_tool(tmp_path / "pointer.json", POINTER_FILE)
     before = (tmp_path / "pointer.json").read_bytes()
     values = parameters(
@@ -64,11 +64,11 @@ def test_the_tool_in_force_is_checked_with_its_tare_and_an_unknown_one_is_refuse
         assert result.poses_used == 4
         assert abs(result.mass_change_kg) < 5 * result.mass_change_std_kg
 
-        publisher = person.create_publisher(ToolInForce, "gravcomp/tool_in_force", LATCHED)
-        in_force = ToolInForce(tool="pointer", tared=True)
-        in_force.tare.force.y = 0.3
-        harness.call_in_executor(lambda: publisher.publish(in_force))
-        harness.wait_for(lambda: node._in_force is not None, 10.0, "the tool in force")
+        publisher = person.create_publisher(ActiveTool, "gravcomp/active_tool", LATCHED)
+        active_tool = ActiveTool(tool="pointer", tared=True)
+        active_tool.tare.force.y = 0.3
+        harness.call_in_executor(lambda: publisher.publish(active_tool))
+        harness.wait_for(lambda: node._active is not None, 10.0, "the active tool")
         _, result = check()
         assert (result.tool, result.answer) == ("pointer", Answer.GOOD), result.text
         assert "tare" in result.warnings[0]
@@ -108,7 +108,7 @@ class Idle:
         )
         assert not handle.accepted
         self.harness.wait_for(
-            lambda: all(word in self.told.get("refused", "") for word in words), 5.0, f"{words}"
+            lambda: all(word in self.told.get("rejected", "") for word in words), 5.0, f"{words}"
         )
 
 
@@ -116,9 +116,9 @@ def test_a_check_without_a_tool_is_rejected_at_once_with_the_remedy(tmp_path):
     with Harness() as harness:
         idle = Idle(harness, tmp_path)
         idle.rejected("no gravcomp_node is running", "name the tool that is on")
-        publisher = idle.person.create_publisher(ToolInForce, "gravcomp/tool_in_force", LATCHED)
-        harness.call_in_executor(lambda: publisher.publish(ToolInForce()))
-        harness.wait_for(lambda: idle.node._in_force is not None, 10.0, "the message")
+        publisher = idle.person.create_publisher(ActiveTool, "gravcomp/active_tool", LATCHED)
+        harness.call_in_executor(lambda: publisher.publish(ActiveTool()))
+        harness.wait_for(lambda: idle.node._active is not None, 10.0, "the message")
         idle.rejected("gravcomp has none", "name the tool that is on")
         harness.call_in_executor(idle.client.destroy)
 

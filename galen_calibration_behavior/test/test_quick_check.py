@@ -224,7 +224,7 @@ def test_poses_are_near_and_tell_the_most_of_those_near(here):
     assert value(poses) < min(scattered)
 
 
-def test_a_reach_that_tells_nothing_is_refused():
+def test_a_reach_that_tells_nothing_is_rejected():
     with pytest.raises(PoseDesignError):
         choose((0.0, 0.0), 1e-7)
 

@@ -12,7 +12,7 @@ from galen_ros.cdr.wire import RawWrench
 from galen_ros.node.spin import run
 from galen_ros.qos import STREAM
 from galen_ros.stream.node import StreamNode
-from galen_ros.stream.results import Refused
+from galen_ros.stream.results import Rejected
 from geometry_msgs.msg import PoseStamped
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.parameter import Parameter
@@ -72,7 +72,7 @@ class DeflectionNode(StreamNode):
 
     def _push_joints(
         self, stamp_ns: int, positions: tuple[float, ...]
-    ) -> list[Deflected | Refused]:
+    ) -> list[Deflected | Rejected]:
         return self._deflector.push_joints(stamp_ns, positions)
 
     def _publish(self, result: Deflected, raw: RawWrench) -> None:
@@ -101,7 +101,7 @@ class DeflectionNode(StreamNode):
             try:
                 self._read = (parameter.value, _model_of(parameter.value))
             except GalenError as error:
-                why = f"model_file is refused, the old one stays: {error}"
+                why = f"model_file is rejected, the old one stays: {error}"
                 self._prediction.on_notice(why, time.monotonic())
                 self.get_logger().error(why)
                 self._announce(always=True)
@@ -112,8 +112,8 @@ class DeflectionNode(StreamNode):
         if self._read is None or self._read[0] != new.model_file:
             return
         (_, model), self._read = self._read, None
-        self._put_in_force(new.model_file, model)
-        text = f"model in force: {new.model_file or 'none'}"
+        self._use(new.model_file, model)
+        text = f"active model: {new.model_file or 'none'}"
         if model is not None:
             text += f" ({model.name}); it has seen no load yet"
         self.get_logger().info(text)
@@ -121,15 +121,15 @@ class DeflectionNode(StreamNode):
 
     def _load_at_start(self, file: str) -> None:
         try:
-            self._put_in_force(file, _model_of(file))
+            self._use(file, _model_of(file))
         except GalenError as error:
             if not self.starts_itself:
                 raise  # whoever configures it hears of it
-            # The node lives on, so that the state is on /diagnostics and the file can be mended.
+            # The node lives on, so that the state is on /diagnostics and the file can be fixed.
             self._deflector.set_model(None, str(error))
             self._prediction.set_model_error(str(error))
 
-    def _put_in_force(self, file: str, model: DeflectionModel | None) -> None:
+    def _use(self, file: str, model: DeflectionModel | None) -> None:
         self._model_file = file
         self._model_written_at = _written_at(file)
         self._prediction.set_model_error("")
@@ -167,7 +167,7 @@ class DeflectionNode(StreamNode):
                 self._follow(GravcompState.of({item.key: item.value for item in status.values}))
 
     def _follow(self, now: GravcompState) -> None:
-        """Forget loads that were read otherwise; refuse a tool that the model is not for."""
+        """Forget loads that were read otherwise; reject a tool that the model is not for."""
         before, self._gravcomp = self._gravcomp, now
         why = "" if before is None else now.change_since(before)
         if why:

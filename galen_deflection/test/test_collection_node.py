@@ -56,7 +56,7 @@ def test_goals_that_make_no_sense_end_at_once_with_the_reason(idle):
     assert idle.left == ["taken"]
 
 
-def test_a_second_goal_is_refused_with_the_reason_on_diagnostics(idle):
+def test_a_second_goal_is_rejected_with_the_reason_on_diagnostics(idle):
     found = []
     idle.client_node.create_subscription(
         DiagnosticArray, "/diagnostics", lambda m: found.extend(m.status), 10
@@ -66,10 +66,10 @@ def test_a_second_goal_is_refused_with_the_reason_on_diagnostics(idle):
     assert not idle.send(name="tuesday").accepted
 
     def reason():
-        return [v.value for s in found for v in s.values if v.key == "refused"]
+        return [v.value for s in found for v in s.values if v.key == "rejected"]
 
     (text, *_) = idle.harness.wait_for(reason, 5.0, "the reason on /diagnostics")
-    assert "'tuesday' refused: collecting 'monday' now" in text
+    assert "'tuesday' rejected: collecting 'monday' now" in text
     idle.cancel(first)
     status, result = idle.result(first)
     assert status == GoalStatus.STATUS_CANCELED

@@ -77,7 +77,7 @@ def test_the_plan_is_every_direction_at_every_level():
         ({"forces": (16.0,)}, PlanError, "N·m at the sensor"),  # by its lever
     ],
 )
-def test_what_can_not_be_done_is_refused_by_name(changes, kind, words):
+def test_what_can_not_be_done_is_rejected_by_name(changes, kind, words):
     with pytest.raises(kind, match=words):
         plan(**changes)
 
@@ -314,6 +314,6 @@ def test_the_default_parameters_are_a_collection_like_the_report_s():
         ({"forces_n": (-3.0,)}, "forces_n"),
     ],
 )
-def test_parameters_that_can_not_be_are_refused(changes, words):
+def test_parameters_that_can_not_be_are_rejected(changes, words):
     with pytest.raises(PlanError, match=words):
         CollectionParameters(**changes).validate()

@@ -456,7 +456,7 @@ def test_a_silent_driver_ends_it_naming_the_topic(topic, state):
     assert world.of(Stop)
 
 
-def test_stamps_of_two_clocks_are_refused():
+def test_stamps_of_two_clocks_are_rejected():
     world = World()
     world.wrench_offset_ns = 3_000_000_000
     ended(world.run(limit_s=5.0), ErrorCode.BAD_INPUT, "+3.000 s", "one clock")
@@ -491,7 +491,7 @@ def test_a_recording_that_does_not_begin_is_said():
     assert not world.of(MoveTo)
 
 
-def test_a_service_that_refuses_or_does_not_answer_ends_it():
+def test_a_service_that_rejects_or_does_not_answer_ends_it():
     world = World(by_service=True)
     world.dead.add("push_tool")
     world.run(lambda w: bool(w.of(Push)))

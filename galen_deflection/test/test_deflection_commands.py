@@ -151,7 +151,7 @@ def test_pictures_that_cant_be_are_told_before_the_bags_are_read(command, tmp_pa
     assert "new: can't be written: No such file" in words_of("/proc/galen/new")
 
 
-def test_two_tools_in_one_call_are_refused(folder, tmp_path, capsys):
+def test_two_tools_in_one_call_are_rejected(folder, tmp_path, capsys):
     for name, tool in (("first", "retractor"), ("second", "hook")):
         (tmp_path / tool).mkdir()
         (tmp_path / tool / name).symlink_to(folder / "bags" / name)
@@ -224,7 +224,7 @@ def test_evaluate_knows_what_physics_with_a_network_was_fitted_to(folder):
     assert not evaluation._same_noise(model, second)
 
 
-def test_a_model_of_another_tip_is_refused(folder, tmp_path, capsys):
+def test_a_model_of_another_tip_is_rejected(folder, tmp_path, capsys):
     tip = np.asarray(TOOL.tip_m) + [0.0, 0.0, 1e-3]
     write_tool(tmp_path / "other.json", replace(TOOL, tip_m=tip))
     model = folder / "coupled.json"

@@ -76,6 +76,6 @@ def test_a_long_gap_ends_at_the_load():
     assert lag([0.0, 1e6], [0.0, 2.0]).output[1] == pytest.approx([2.0] * 3, rel=1e-4)
 
 
-def test_a_time_constant_that_is_none_is_refused():
+def test_a_time_constant_that_is_none_is_rejected():
     with pytest.raises(ValueError, match="time constant"):
         LagOperators(np.array([1.0, 0.0]))

@@ -91,7 +91,7 @@ def test_a_start_under_load_is_less_certain(creeping, model):
     assert unknown[-1] < 0.1 * unknown[0] < 0.1 * steps[0].covariance[1, 1]
 
 
-def test_its_file_gives_it_again_and_a_bad_one_is_refused(creeping, model, tmp_path):
+def test_its_file_gives_it_again_and_a_bad_one_is_rejected(creeping, model, tmp_path):
     path = tmp_path / "creep.json"
     write_model(path, model)
     some = creeping.rows(creeping.position == 1)

@@ -166,7 +166,7 @@ def test_the_spread_bounds_every_past_and_is_gone_once_the_load_has_swept_it():
         )
 
 
-def test_a_negative_threshold_is_refused():
+def test_a_negative_threshold_is_rejected():
     with pytest.raises(ValueError, match=r"negative: -0\.1"):
         PlayOperators(np.array([0.2, -0.1]))
 

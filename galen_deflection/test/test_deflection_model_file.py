@@ -1,4 +1,4 @@
-"""Model files: what is written is read; what was changed, cut or mixed is refused by its name."""
+"""Model files: what is written is read; what was changed, cut or mixed is rejected by its name."""
 
 import hashlib
 import json
@@ -126,7 +126,7 @@ def test_any_change_shows_in_the_checksum(path):
         (b" " * 10_000_001, "larger than 10000000 bytes"),
     ],
 )
-def test_what_is_no_model_is_refused(tmp_path, raw, said):
+def test_what_is_no_model_is_rejected(tmp_path, raw, said):
     path = tmp_path / "arm.json"
     path.write_bytes(raw)
     with pytest.raises(ModelFileError, match=said):

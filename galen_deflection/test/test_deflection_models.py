@@ -250,7 +250,7 @@ def test_an_axis_that_was_never_pushed_is_named_and_predicted_as_unknown():
 
 
 @pytest.mark.parametrize("kind", ALL)
-def test_samples_without_load_are_refused(kind):
+def test_samples_without_load_are_rejected(kind):
     samples = recording(rate_hz=10.0)
     with pytest.raises(FitError, match=f"{kind}: nothing loads the arm"):
         fit(kind, replace(samples, wrench=np.zeros_like(samples.wrench)))
@@ -261,7 +261,7 @@ def test_samples_without_load_are_refused(kind):
 
 
 @pytest.mark.parametrize("kind", ALL)
-def test_what_is_no_measurement_is_refused(kind):
+def test_what_is_no_measurement_is_rejected(kind):
     samples = recording(rate_hz=10.0)
     with pytest.raises(FitError, match=r"hold 8e\+151, which is no measurement"):
         fit(kind, replace(samples, wrench=8e151 * np.ones_like(samples.wrench)))
@@ -271,12 +271,12 @@ def test_what_is_no_measurement_is_refused(kind):
 
 
 @pytest.mark.parametrize("kind", ["joint_stiffness", "joint_hysteresis"])
-def test_a_spring_that_pushes_back_is_refused_by_name(kind):
+def test_a_spring_that_pushes_back_is_rejected_by_name(kind):
     with pytest.raises(NegativeComplianceError, match=r"1/k_tilt comes out as -0\.0006.*rad/\(N"):
         fit(kind, recording(Arm(k_tilt=-1500.0), rate_hz=10.0))
 
 
-def test_rigid_carriages_are_not_refused():
+def test_rigid_carriages_are_not_rejected():
     """Their compliance is zero within its error, and never below."""
     for seed in range(8):
         samples = recording(Arm(k_carriage=1e12), seed, rate_hz=10.0)
@@ -431,6 +431,6 @@ def test_a_fit_looks_at_no_deflection_that_it_may_not_use(kind, pushed):
     np.testing.assert_array_equal(masked.fitted_range.joints_high, alone.fitted_range.joints_high)
 
 
-def test_nothing_to_use_is_refused(pushed):
+def test_nothing_to_use_is_rejected(pushed):
     with pytest.raises(FitError, match="no samples"):
         KINDS["coupled"].fit(pushed, FitSettings(use=np.zeros(len(pushed), dtype=bool)))

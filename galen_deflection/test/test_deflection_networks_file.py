@@ -1,4 +1,4 @@
-"""Networks' files: read as written to the last bit; what was changed, cut or mixed is refused."""
+"""Networks' files: read as written to the last bit; what was changed, cut or mixed is rejected."""
 
 import hashlib
 import json
@@ -164,7 +164,7 @@ def test_a_wrong_field_is_named_with_the_file(path, change, said):
     assert str(error.value).startswith(f"{path}: ")
 
 
-def test_weights_without_a_network_are_refused(models, tmp_path):
+def test_weights_without_a_network_are_rejected(models, tmp_path):
     path = tmp_path / "arm.safetensors"
     write_model(path, models["dropped"])
     content, _ = unpacked(path)
@@ -204,7 +204,7 @@ def test_every_single_changed_byte_of_the_weights_shows(path):
 
 
 @pytest.mark.parametrize("left", [8, 9, 20, 1000, -1, -200])
-def test_a_cut_file_is_refused(path, left):
+def test_a_cut_file_is_rejected(path, left):
     path.write_bytes(path.read_bytes()[:left])
     with pytest.raises(ModelFileError, match=f"^{path}: "):
         read_model(path)
@@ -224,7 +224,7 @@ def test_a_cut_file_is_refused(path, left):
         (b"\x80\x04\x95" + b"\0" * 5 + b"cos\nsystem\n", "not JSON"),  # a pickle's beginning
     ],
 )
-def test_what_is_no_model_is_refused(tmp_path, raw, said):
+def test_what_is_no_model_is_rejected(tmp_path, raw, said):
     path = tmp_path / "arm.safetensors"
     path.write_bytes(raw)
     with pytest.raises(ModelFileError, match=said):

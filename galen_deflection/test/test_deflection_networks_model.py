@@ -316,7 +316,7 @@ def test_progress_and_patience_reach_the_training(torch, pushed):
 
 
 @pytest.mark.parametrize("kind", NETWORKS)
-def test_samples_that_cannot_be_learnt_from_are_refused(kind, pushed):
+def test_samples_that_cannot_be_learnt_from_are_rejected(kind, pushed):
     with pytest.raises(FitError, match="there are no samples"):
         KINDS[kind].fit(pushed, FitSettings(use=np.zeros(len(pushed), dtype=bool)))
     broken = replace(pushed, wrench=np.full_like(pushed.wrench, np.nan))

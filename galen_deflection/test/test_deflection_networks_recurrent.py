@@ -16,7 +16,7 @@ from galen_deflection.springs.hysteresis import PlayOperators  # noqa: E402
 SMALL = RecurrentSettings(hidden=6, dropout=0.0, iterations=60, learning_rate=0.03)
 
 
-def wander(rng, count):
+def bias_drift(rng, count):
     """A load (n,) that goes from one random level to the next."""
     corners = np.arange(0, count + 25, 25)
     return np.interp(np.arange(count), corners, rng.uniform(-1.0, 1.0, len(corners)))
@@ -24,13 +24,13 @@ def wander(rng, count):
 
 def with_backlash(rng, count=300):
     """The output lags behind by 0.4: static fits are half a loop off."""
-    load = wander(rng, count)[:, None]
+    load = bias_drift(rng, count)[:, None]
     return Series(load, PlayOperators(np.array([0.4])).run(load).output, np.ones(count, bool))
 
 
 def smoothed(rng, count=300):
     """A low-pass of three inputs into two outputs of very different size and offset."""
-    load = np.stack([wander(rng, count) for _ in range(3)], axis=1)
+    load = np.stack([bias_drift(rng, count) for _ in range(3)], axis=1)
     mixed = load @ np.array([[1e-3, 50.0], [2e-3, -20.0], [0.0, 10.0]])
     state, out = np.zeros(2), np.empty_like(mixed)
     for k, row in enumerate(mixed):
@@ -206,7 +206,7 @@ def test_a_constant_input_and_output_do_no_harm():
         (lambda s: [s, s._replace(targets=np.full((300, 1), np.inf))], "sequence 1 to train on"),
     ],
 )
-def test_what_cannot_be_learnt_from_is_refused(change, said):
+def test_what_cannot_be_learnt_from_is_rejected(change, said):
     with pytest.raises(TrainingError, match=said):
         train(change(with_backlash(np.random.default_rng(0))), SMALL)
 

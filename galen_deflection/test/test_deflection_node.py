@@ -194,7 +194,7 @@ def test_publishes_what_predict_gives_with_stamps_and_the_tip(harness, folder):
     assert float(values["extrapolated_percent"]) > 0.0 and float(values["deflection_hz"]) >= 0.0
 
 
-REFUSALS = [
+REJECTALS = [
     ("nonfinite_wrench", "not finite", {"wrench": PUSH * np.nan}),
     ("wrong_frame", "frame_id 'tool0', expected 'ft_sensor'", {"frame": "tool0"}),
     ("bad_joints", "lacks delta_x", {"names": ("roll", "tilt", "delta_y", "delta_z")}),
@@ -203,13 +203,13 @@ REFUSALS = [
 ]
 
 
-@pytest.mark.parametrize(("name", "words", "step"), REFUSALS, ids=[r[0] for r in REFUSALS])
-def test_refusals(harness, folder, name, words, step):
+@pytest.mark.parametrize(("name", "words", "step"), REJECTALS, ids=[r[0] for r in REJECTALS])
+def test_rejections(harness, folder, name, words, step):
     bench = Bench(harness, folder / "good.json")
     bench.step()
     bench.outputs(1)
     values = bench.state(name, Level.ERROR, words, feed=lambda: bench.step(**step))
-    assert "nothing is published" in values["message"] and int(values[f"refused_{name}"]) > 0
+    assert "nothing is published" in values["message"] and int(values[f"rejected_{name}"]) > 0
     assert len(bench.arm.deflections) == len(bench.arm.poses) == 1
 
 
@@ -237,7 +237,7 @@ def test_without_a_usable_model_it_is_silent_and_says_why(
     assert bench.arm.deflections
 
 
-def test_another_model_at_run_time_and_a_bad_one_that_is_refused(harness, folder):
+def test_another_model_at_run_time_and_a_bad_one_that_is_rejected(harness, folder):
     bench = Bench(harness, folder / "good.json")
     bench.step()
     bench.outputs(1)

@@ -9,7 +9,7 @@ import pytest
 from deflection_made_model import made_model
 from deflection_synthetic import TIP_M, recording
 from galen_deflection.live.corrected_tip import CorrectedTip
-from galen_deflection.live.deflector import Deflected, Deflector, DeflectorSettings, ModelRefusal
+from galen_deflection.live.deflector import Deflected, Deflector, DeflectorSettings, ModelRejection
 from galen_deflection.live.gravcomp_state import GravcompState
 from galen_deflection.live.monitor import DeflectorMonitor
 from galen_deflection.springs.recent_poses import RecentPoses
@@ -18,7 +18,7 @@ from galen_model.load.nominal_tools import TOOLS
 from galen_model.registration.rigid import Transform
 from galen_model.rotation import quaternion_to_matrix
 from galen_ros.stream.monitor import NOTICE_HOLD_S, Severity
-from galen_ros.stream.results import Refusal, Refused
+from galen_ros.stream.results import Rejected, Rejection
 
 MS = 1_000_000
 START = 100_000 * MS
@@ -50,8 +50,8 @@ class Rig:
         return [r for r in self.results if isinstance(r, Deflected)]
 
     @property
-    def refused(self):
-        return [r for r in self.results if isinstance(r, Refused)]
+    def rejected(self):
+        return [r for r in self.results if isinstance(r, Rejected)]
 
 
 def offline(model, wrenches, joints, segment=None):
@@ -190,19 +190,19 @@ def test_faulty_streams_give_what_predict_gives_between_the_faults(seed):
             fed.append(k)
     assert cuts > 3 and len(fed) > 250 and len(rig.forgotten) == cuts
     same(rig.outputs, offline(MODEL, wrenches[fed], joints[fed], segment))
-    assert len(rig.outputs) + sum(rig.deflector.refusals.values()) == rig.deflector.received
+    assert len(rig.outputs) + sum(rig.deflector.rejections.values()) == rig.deflector.received
 
 
-# --- refusals -----------------------------------------------------------------------------------
+# --- rejections -----------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
     ("step", "reason", "words"),
     [
-        ({"wrench": PUSH * np.nan}, Refusal.NONFINITE_WRENCH, "wrench_compensated holds"),
-        ({"frame": "tool0"}, Refusal.WRONG_FRAME, "frame_id 'tool0', expected 'ft_sensor'"),
-        ({"joints": (np.nan, *HOME[1:])}, Refusal.NONFINITE_JOINTS, "not finite"),
-        ({"joints": (0.5, *HOME[1:])}, ModelRefusal.OUT_OF_REACH, "does not reach"),
+        ({"wrench": PUSH * np.nan}, Rejection.NONFINITE_WRENCH, "wrench_compensated holds"),
+        ({"frame": "tool0"}, Rejection.WRONG_FRAME, "frame_id 'tool0', expected 'ft_sensor'"),
+        ({"joints": (np.nan, *HOME[1:])}, Rejection.NONFINITE_JOINTS, "not finite"),
+        ({"joints": (0.5, *HOME[1:])}, ModelRejection.OUT_OF_REACH, "does not reach"),
     ],
 )
 def test_what_is_not_used_leaves_the_memory_as_it_was(step, reason, words):
@@ -210,9 +210,9 @@ def test_what_is_not_used_leaves_the_memory_as_it_was(step, reason, words):
     for number in range(20):
         rig.step(PUSH * number / 10)
         clean.step(PUSH * number / 10)
-    refused = rig.step(**step)
-    assert isinstance(refused, Refused) and refused.reason is reason and words in refused.detail
-    assert rig.deflector.refusals[reason] == 1
+    rejected = rig.step(**step)
+    assert isinstance(rejected, Rejected) and rejected.reason is reason and words in rejected.detail
+    assert rig.deflector.rejections[reason] == 1
     # after bad joints, those beside are not trusted either
     rig.step(after_ms=10), clean.step(after_ms=12)
     np.testing.assert_array_equal(rig.outputs[-1].predicted.mean, clean.outputs[-1].predicted.mean)
@@ -222,12 +222,12 @@ def test_stale_and_missing_joints():
     rig = Rig()
     for k in range(60):
         rig.results += rig.deflector.push_wrench(START + 2 * MS * k, PUSH, "ft_sensor")
-    assert not rig.outputs and {r.reason for r in rig.refused} == {Refusal.NO_JOINTS}
+    assert not rig.outputs and {r.reason for r in rig.rejected} == {Rejection.NO_JOINTS}
     rig.deflector.push_joints(START + 120 * MS, HOME)
     for k in range(40):
         rig.results += rig.deflector.push_wrench(START + (122 + 2 * k) * MS, PUSH, "ft_sensor")
-    assert not rig.outputs and rig.refused[-1].reason is Refusal.STALE_JOINTS
-    assert "behind wrench_compensated" in rig.refused[-1].detail
+    assert not rig.outputs and rig.rejected[-1].reason is Rejection.STALE_JOINTS
+    assert "behind wrench_compensated" in rig.rejected[-1].detail
 
 
 def test_a_wrench_out_of_order_is_no_load_for_hysteresis():
@@ -236,7 +236,7 @@ def test_a_wrench_out_of_order_is_no_load_for_hysteresis():
         each.step()
         each.step(2 * PUSH)
     rig.results += rig.deflector.push_wrench(rig.stamp - MS, -9 * PUSH, "ft_sensor")
-    assert rig.refused[-1].reason is ModelRefusal.OUT_OF_ORDER
+    assert rig.rejected[-1].reason is ModelRejection.OUT_OF_ORDER
     for each in (rig, clean):
         each.step()
     same(rig.outputs[-1:], offline_last(clean))
@@ -252,7 +252,7 @@ def offline_last(rig):
 def test_without_a_model_nothing_comes_out():
     rig = Rig(None)
     rig.step()
-    assert not rig.outputs and rig.refused[-1].reason is ModelRefusal.NO_MODEL
+    assert not rig.outputs and rig.rejected[-1].reason is ModelRejection.NO_MODEL
     rig.deflector.set_model(MODEL)
     rig.step()
     assert len(rig.outputs) == 1
@@ -262,13 +262,13 @@ def test_a_model_of_another_tip_is_not_used():
     rig = Rig()
     rig.step()
     rig.deflector.set_tool("pointer", TOOLS["pointer"].tip_m)
-    refused = rig.step()
-    assert refused.reason is ModelRefusal.OTHER_TIP
-    assert "'pointer'" in refused.detail and "(0.15, 0, 0.05)" in refused.detail
+    rejected = rig.step()
+    assert rejected.reason is ModelRejection.OTHER_TIP
+    assert "'pointer'" in rejected.detail and "(0.15, 0, 0.05)" in rejected.detail
     rig.deflector.set_tool("retractor", TIP_M + 5e-6)
     assert isinstance(rig.step(), Deflected)
     rig.deflector.set_tool("retractor", TIP_M + [0, 2e-5, 0])
-    assert rig.step().reason is ModelRefusal.OTHER_TIP
+    assert rig.step().reason is ModelRejection.OTHER_TIP
     rig.deflector.set_model(made_model(tip_m=TIP_M + [0, 2e-5, 0]))
     assert isinstance(rig.step(), Deflected)
     rig.deflector.set_tool("unknown", None)
@@ -277,7 +277,7 @@ def test_a_model_of_another_tip_is_not_used():
 
 def test_a_model_that_gives_no_number_is_silent():
     rig = Rig(replace(MODEL, values=MODEL.values * np.nan))
-    assert rig.step().reason is ModelRefusal.NONFINITE
+    assert rig.step().reason is ModelRejection.NONFINITE
     assert not rig.outputs
 
 
@@ -322,7 +322,7 @@ def test_a_gap_longer_than_its_limit_is_forgotten_loads(gap_ms, forgets):
         assert "no usable wrench_compensated for 0." in rig.forgotten[0]
 
 
-def test_refused_wrenches_are_a_gap_as_well():
+def test_rejected_wrenches_are_a_gap_as_well():
     rig = loaded_rig(memory_gap_s=0.02)
     for _ in range(5):
         rig.step(PUSH * np.inf)
@@ -393,7 +393,7 @@ class Watched(Rig):
             if isinstance(result, Deflected):
                 self.monitor.on_output(self.now_s - 1e-3, self.now_s, result.stamp_ns)
             else:
-                self.monitor.on_refused(result, self.now_s)
+                self.monitor.on_rejected(result, self.now_s)
             self.monitor.tick(self.now_s)
         return self.monitor.state(self.now_s)
 
@@ -443,8 +443,8 @@ def test_values_are_measured():
     assert values["deflection_mm"].split()[0] == f"{1e3 * last.mean[0]:.6g}"
     assert (values["predicted"], values["forgotten"]) == (101, 1)
     assert values["last_forgotten"] == "asked for"
-    assert {"refused_other_tip", "refused_stale_joints", "refused_no_model"} <= values.keys()
-    assert "refused_no_tool" not in values
+    assert {"rejected_other_tip", "rejected_stale_joints", "rejected_no_model"} <= values.keys()
+    assert "rejected_no_tool" not in values
 
 
 REPORT = {

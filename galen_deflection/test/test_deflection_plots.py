@@ -54,7 +54,7 @@ def test_true_over_predicted_tells_positions_apart(tmp_path):
     assert {RED, BLUE} <= found
 
 
-def test_a_training_is_drawn_or_refused(tmp_path):
+def test_a_training_is_drawn_or_rejected(tmp_path):
     path = plot_training([3.0, 2.0, 1.5], [3.0, 2.5, 2.6], tmp_path / "training.png", best=1)
     found, _ = colours_in(path)
     assert {RED, BLUE} <= found

@@ -106,7 +106,7 @@ def test_a_cut_between_two_checked_stretches_is_seen_even_where_both_are_unloade
         checked_samples(samples, [Split("some", ~rows, rows), Split("again", ~rows, rows)])
 
 
-def test_too_few_pushes_to_deal_are_refused():
+def test_too_few_pushes_to_deal_are_rejected():
     few = joined([visit(0, [8.0] * 6), visit(1, [8.0, 6.0, -5.0])])
     with pytest.raises(SplitError, match="position 1 has 3 pushes"):
         push_splits(few)

@@ -302,7 +302,7 @@ def test_stamps_that_jump_for_one_sample_cost_that_sample_only(tmp_path):
     recording = tampered(tmp_path, jump)
     clean = read_pushes(write(tmp_path / "clean", SHORT.topics()), TOOL)
     assert len(said(recording, "stamps jump by")) == 6  # there and back
-    # The marker's own, and the one before the joints' bad one. The compensator refuses the bad
+    # The marker's own, and the one before the joints' bad one. The compensator rejects the bad
     # wrench, and its neighbours are near enough.
     lost = (np.setdiff1d(clean.stamp_ns, recording.stamp_ns) - START_NS) * 1e-9
     assert lost == pytest.approx([200 / 60 + 0.0021, 421 / 60 + 0.0021])

@@ -1,4 +1,4 @@
-"""The tracker's registration: truth recovered, what can't be told refused, what's wrong told."""
+"""The tracker's registration: truth recovered, what can't be told rejected, what's wrong told."""
 
 import json
 from pathlib import Path

@@ -278,13 +278,13 @@ def test_names_and_ratios_are_whole_in_a_narrow_terminal():
         (lambda p: p._replace(extrapolated=p.extrapolated[:5]), r"extrapolated.*\(5,\)"),
     ],
 )  # fmt: skip
-def test_bad_predictions_are_refused(change, words):
+def test_bad_predictions_are_rejected(change, words):
     samples, predicted = hysteretic()
     with pytest.raises(ScoreError, match=words):
         score(samples, change(predicted))
 
 
-def test_no_samples_and_no_noise_are_refused():
+def test_no_samples_and_no_noise_are_rejected():
     samples, predicted = hysteretic()
     with pytest.raises(ScoreError, match="no samples"):
         score(samples.rows(slice(0, 0)), predicted)

@@ -101,7 +101,7 @@ def test_unlike_a_play_it_does_not_return_to_where_it_left():
     assert np.all(smooth(load).output[3] > smooth(load).output[1] + 0.01 * R)
 
 
-def test_a_threshold_that_is_none_is_refused():
+def test_a_threshold_that_is_none_is_rejected():
     with pytest.raises(ValueError, match="threshold is zero"):
         SmoothOperators(np.array([0.1, 0.0]))
     with pytest.raises(ValueError, match="negative"):

@@ -115,14 +115,14 @@ def test_a_set_left_out_is_one_repetition():
         (leave_one_set_out, [], "no samples"),
     ],
 )
-def test_too_little_is_refused(splitter, sets, words):
+def test_too_little_is_rejected(splitter, sets, words):
     with pytest.raises(SplitError, match=words):
         splitter(make_samples(sets))
 
 
 @pytest.mark.parametrize("splitter", [report_splits, leave_one_position_out, leave_one_set_out])
 @pytest.mark.parametrize("column", ["position", "set_number"])
-def test_a_segment_in_two_sets_is_refused(splitter, column):
+def test_a_segment_in_two_sets_is_rejected(splitter, column):
     samples = make_samples(EIGHT)
     getattr(samples, column)[1] += 1  # in segment 0
     with pytest.raises(SplitError, match="segment 0 belongs to set"):

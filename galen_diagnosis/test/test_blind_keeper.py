@@ -118,13 +118,13 @@ def test_the_lock_holds_and_is_not_there_without_it(tmp_path):
         "import pathlib, sys\n"
         "for path in sys.argv[1:]:\n"
         "    try: print(pathlib.Path(path).read_text())\n"
-        "    except PermissionError: print('refused')\n"
+        "    except PermissionError: print('rejected')\n"
         "p = pathlib.Path('seen/new'); p.write_text('own'); print(p.read_text())\n"
     )
     asked = [str(secret / "labels.json"), str(tmp_path / "state" / "beside")]
     command = [sys.executable, "-c", program, *asked]
     lock = [sys.executable, "-m", "galen_diagnosis.blind.confine", "--allow", "seen", "--"]
-    for start, expected in ((lock, ["refused", "free", "own"]), ([], ["truth", "free", "own"])):
+    for start, expected in ((lock, ["rejected", "free", "own"]), ([], ["truth", "free", "own"])):
         done = subprocess.run(
             [*start, *command], input=f"{secret}\n", text=True, capture_output=True, cwd=tmp_path,
             check=True,

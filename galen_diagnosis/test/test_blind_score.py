@@ -287,7 +287,7 @@ def test_tables_pictures_and_json_say_the_same(tmp_path):
         ({"ranking": [{"probability": 1.0}]}, "effect"),
     ],
 )
-def test_answers_that_make_no_sense_are_refused(change, names):
+def test_answers_that_make_no_sense_are_rejected(change, names):
     content = {
         "verdict": "identified",
         "causes": [{"effect": "alpha", "parameters": {}, "equivalent": ["beta"]}],
@@ -303,7 +303,7 @@ def test_answers_that_make_no_sense_are_refused(change, names):
         said_from_json("r", {**content, **change})
 
 
-def test_labels_survive_their_file_and_wrong_ones_are_refused():
+def test_labels_survive_their_file_and_wrong_ones_are_rejected():
     truth = label(
         "r", "pair", ("alpha", "beta"), acceptable=(("alpha",), ("beta", "gamma")), d=31.0
     )

@@ -135,7 +135,7 @@ def test_of_many_recordings_the_good_ones_are_diagnosed(recordings, capsys):
     assert [row["verdict"] for row in rows] == ["none", "unknown"]
 
 
-def test_two_recordings_of_one_name_are_refused_before_any_work(recordings, capsys):
+def test_two_recordings_of_one_name_are_rejected_before_any_work(recordings, capsys):
     assert run("a/none", "b/none", "--no-report") == 1
     assert "would be written twice" in capsys.readouterr().err
     assert list(recordings.iterdir()) == []

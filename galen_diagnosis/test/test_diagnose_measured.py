@@ -184,7 +184,7 @@ def test_commands_say_in_a_line_what_is_wrong(tmp_path, capsys):
     assert "a name, not a path" in capsys.readouterr().err
 
 
-def test_a_table_of_too_few_poses_is_refused(tmp_path, capsys):
+def test_a_table_of_too_few_poses_is_rejected(tmp_path, capsys):
     file = tmp_path / "few.csv"
     rows = np.column_stack([np.ones((3, 6)), np.array([[0, 0, -9.8], [0, 9.8, 0], [9.8, 0, 0]])])
     header = "fx,fy,fz,tx,ty,tz,gx,gy,gz"

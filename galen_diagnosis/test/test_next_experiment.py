@@ -181,8 +181,8 @@ def test_a_turn_about_rolls_axis_needs_the_platform_to_move(roll_twins, roll_exp
 
 @pytest.mark.slow
 def test_each_kind_of_experiment_is_worth_most_for_what_it_is_for():
-    wander = effect("sensor_drift", rate_per_hour=(0.3, 0.3, 0.3, 0.006, 0.006, 0.006))
-    left = alternatives((wander,), [(effect("loose_tool"),)])
+    bias_drift = effect("sensor_drift", rate_per_hour=(0.3, 0.3, 0.3, 0.006, 0.006, 0.006))
+    left = alternatives((bias_drift,), [(effect("loose_tool"),)])
     left = [one.in_another_session() for one in left]
     told = judged(left)
     unsure = 1.0 - told["reversed order"].expected_probability
@@ -260,8 +260,8 @@ def test_the_file_is_what_the_nodes_take(tmp_path, roll_experiment):
 
 @pytest.mark.slow
 def test_a_proposed_sweep_can_be_calibrated_with():
-    wander = effect("sensor_drift", rate_per_hour=(0.3, 0.3, 0.3, 0.006, 0.006, 0.006))
-    found = propose(alternatives((wander,), [(effect("loose_tool"),)]), TOOL)
+    bias_drift = effect("sensor_drift", rate_per_hour=(0.3, 0.3, 0.3, 0.006, 0.006, 0.006))
+    found = propose(alternatives((bias_drift,), [(effect("loose_tool"),)]), TOOL)
     assert found.program == "calibration"
     numbers = tuple(found.poses[:, 3:].ravel().tolist())
     parameters = CalibrationParameters(poses="listed", listed_poses_rad=numbers)

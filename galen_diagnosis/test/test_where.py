@@ -55,7 +55,7 @@ def test_family_wise_error_holds_where_blocks_are_noisier_than_others():
     def uneven(rng):
         return np.sqrt(rng.gamma(4.0, 0.25, 60))[BLOCK] * white(rng)  # energies vary by half
 
-    assert false_alarms(uneven, spread=0.0, trials=150) > 0.12  # without it there is what to mend
+    assert false_alarms(uneven, spread=0.0, trials=150) > 0.12  # without it there is what to fix
     assert false_alarms(uneven) <= 0.05 + MONTE_CARLO
 
 

@@ -9,7 +9,7 @@ from typing import Protocol
 import numpy as np
 from galen_model.arrays import Array
 from galen_ros.stream.regular_run import Arrivals
-from galen_ros.stream.results import Compensated, Refused, Result
+from galen_ros.stream.results import Compensated, Rejected, Result
 
 # Samples looked at as arrays at once. What lies behind the first irregular sample was looked at in
 # vain, so after a short stretch the next look is a short one.
@@ -78,14 +78,15 @@ class BlockResult:
 
     In the order in which they came out: index (k,), the wrench's running number by arrival over
     all blocks, from 0; stamp_ns (k,); wrench (k, 6), compensated, N and N.m; angles (k, 2), roll
-    and tilt at the stamp, rad. `refused` in the order of the refusals; its `number` is the index.
+    and tilt at the stamp, rad. `rejected` in the order of the rejections; its `number` is the
+    index.
     """
 
     index: np.ndarray
     stamp_ns: np.ndarray
     wrench: Array
     angles: Array
-    refused: list[Refused]
+    rejected: list[Rejected]
 
 
 @dataclass(frozen=True)
@@ -169,7 +170,7 @@ class _Pushing:
         self._wrench_readable = _all_but(block.bad_wrenches, len(block.wrench_stamp_ns))
         self._parts = [NOTHING]
         self._single: list[Compensated] = []
-        self._refused: list[Refused] = []
+        self._rejected: list[Rejected] = []
 
     def arrivals(self, most: int) -> Arrivals:
         """The next samples, `most` or as many as there are."""
@@ -241,7 +242,7 @@ class _Pushing:
             np.concatenate([part.stamp_ns for part in parts]),
             np.concatenate([part.wrench for part in parts]),
             np.concatenate([part.angles for part in parts]),
-            self._refused,
+            self._rejected,
         )
 
     def _go_on(self, count: int) -> None:
@@ -255,7 +256,7 @@ class _Pushing:
             if isinstance(result, Compensated):
                 self._single.append(result)
             else:
-                self._refused.append(result)
+                self._rejected.append(result)
 
     def _flush(self) -> None:
         """Put the outputs of single samples where those of stretches are."""

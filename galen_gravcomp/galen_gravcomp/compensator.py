@@ -5,7 +5,7 @@
 What can stand beside the tool's weight in the expected reading, C, and what else is taken off,
 `galen_gravcomp.corrections.stages` says. Samples are pushed in the order of their arrival, one by
 one or in blocks, which gives the same. Live node and offline evaluation feed the same class. Which
-angles belong to a wrench, and which wrench is refused, is `galen_ros.stream.pairing`'s.
+angles belong to a wrench, and which wrench is rejected, is `galen_ros.stream.pairing`'s.
 """
 
 import math
@@ -20,20 +20,26 @@ from galen_model.files.calibration_file import ToolFile
 from galen_model.load.prediction import Prediction
 from galen_ros.stream.pairing import PairingSettings, WrenchPairing
 from galen_ros.stream.regular_run import Arrivals
-from galen_ros.stream.results import Compensated, Refusal, Refused, Result
+from galen_ros.stream.results import Compensated, Rejected, Rejection, Result
 
 from galen_gravcomp.block import NOTHING, BlockResult, Outputs, SampleBlock, push_block
 from galen_gravcomp.corrections.cable import CablePull
-from galen_gravcomp.corrections.stages import FitWatch, MotionStage, NoMotion, Stages, WanderStage
+from galen_gravcomp.corrections.stages import (
+    BiasDriftStage,
+    FitWatch,
+    MotionStage,
+    NoMotion,
+    Stages,
+)
 from galen_gravcomp.corrections.tare import TareOutcome, TareRamp, TareSettings, TareWindow
 
 _IMPOSSIBLE = (
-    "forces of motion are not known: they come out beyond the sensor's range; does joint_states (or"
+    "inertial forces are not known: they come out beyond the sensor's range; does joint_states (or"
     " the IMU) jump, or come in another unit?"
 )
 
 
-class TareRefusedError(GalenError):
+class TareRejectedError(GalenError):
     """A tare can't start now; the message says why."""
 
 
@@ -75,7 +81,7 @@ class Compensator(WrenchPairing[Compensated]):
 
     @property
     def settings(self) -> CompensatorSettings:
-        """The limits in force."""
+        """The limits active."""
         return self._settings
 
     @property
@@ -85,18 +91,18 @@ class Compensator(WrenchPairing[Compensated]):
 
     @property
     def tool(self) -> ToolFile | None:
-        """The tool in force."""
+        """The active tool."""
         return self._tool
 
     @property
     def motion(self) -> MotionStage | None:
-        """The stage of the forces of motion."""
+        """The stage of the inertial forces."""
         return self._stages.motion
 
     @property
-    def wander(self) -> WanderStage | None:
-        """The stage of the sensor's slow wander."""
-        return self._stages.wander
+    def bias_drift(self) -> BiasDriftStage | None:
+        """The stage of the sensor's bias drift."""
+        return self._stages.bias_drift
 
     @property
     def fit(self) -> FitWatch | None:
@@ -138,12 +144,12 @@ class Compensator(WrenchPairing[Compensated]):
         return self._ramp.target.copy()
 
     @property
-    def wander_offset(self) -> Array | None:
-        """Offset (6,) that the wander's estimate takes off now, N and N.m; None without one."""
-        wander, now_ns = self._stages.wander, self._newest_wrench_ns
-        if wander is None or not wander.active or now_ns is None:
+    def bias_drift_offset(self) -> Array | None:
+        """Offset (6,) that the bias drift's estimate takes off now, N and N.m; None without one."""
+        bias_drift, now_ns = self._stages.bias_drift, self._newest_wrench_ns
+        if bias_drift is None or not bias_drift.active or now_ns is None:
             return None
-        return wander.offset_at(now_ns)
+        return bias_drift.offset_at(now_ns)
 
     @property
     def taring(self) -> bool:
@@ -156,17 +162,17 @@ class Compensator(WrenchPairing[Compensated]):
         return self._ramp.ramping
 
     def set_enabled(self, enabled: bool) -> list[Result]:
-        """Switch on or off; off refuses what waits, ends a running tare, keeps its offset."""
+        """Switch on or off; off rejects what waits, ends a running tare, keeps its offset."""
         if enabled == self._enabled:
             return []
         self._enabled = enabled
         if enabled:
             return []
         self.cancel_tare("compensation was switched off")
-        return self._refuse_waiting(Refusal.DISABLED, "compensation is switched off")
+        return self._reject_waiting(Rejection.DISABLED, "compensation is switched off")
 
     def set_tool(self, tool: ToolFile | None, why_none: str = "no tool is loaded") -> list[Result]:
-        """Put a tool in force, or none. The tare was measured with the old one, so it is dropped.
+        """Activate a tool, or none. The tare was measured with the old one, so it is dropped.
 
         `why_none` says why there is no tool.
         """
@@ -178,21 +184,21 @@ class Compensator(WrenchPairing[Compensated]):
         results = self._set_cable(tool)
         if self._stages.motion is not None:
             self._stages.motion.set_tool(tool)
-        if self._stages.wander is not None:
-            self._stages.wander.clear("the tool was changed")
+        if self._stages.bias_drift is not None:
+            self._stages.bias_drift.clear("the tool was changed")
         if self._stages.fit is not None:
             self._stages.fit.set_tool(tool)
         if tool is None:
-            results += self._refuse_waiting(Refusal.NO_TOOL, why_none)
+            results += self._reject_waiting(Rejection.NO_TOOL, why_none)
         return results
 
     def rename_tool(self, name: str) -> None:
-        """Call the tool in force by another name; nothing else changes, the tare stays."""
+        """Call the active tool by another name; nothing else changes, the tare stays."""
         assert self._tool is not None
         self._tool = replace(self._tool, tool=name)
 
     def restart(self, why: str) -> list[Result]:
-        """Forget everything that belongs to the driver's life so far: samples, wander and tare.
+        """Forget everything that belongs to the driver's life so far: samples, bias drift and tare.
 
         Tool, switch and counters stay.
         """
@@ -202,8 +208,8 @@ class Compensator(WrenchPairing[Compensated]):
             self._cable.forget()
         if self._stages.motion is not None:
             self._stages.motion.clear()
-        if self._stages.wander is not None:
-            self._stages.wander.clear(why)
+        if self._stages.bias_drift is not None:
+            self._stages.bias_drift.clear(why)
         if self._stages.fit is not None:
             self._stages.fit.clear(why)
         return super().restart(why)
@@ -213,14 +219,14 @@ class Compensator(WrenchPairing[Compensated]):
     def start_tare(self, on_done: Callable[[TareOutcome], None]) -> None:
         """Average the compensated wrench from now on; `on_done` gets the outcome, once.
 
-        Raises TareRefusedError when there is nothing to tare.
+        Raises TareRejectedError when there is nothing to tare.
         """
         if not self._enabled:
-            raise TareRefusedError("not tared: compensation is switched off")
+            raise TareRejectedError("not tared: compensation is switched off")
         if self._tool is None:
-            raise TareRefusedError(f"not tared: {self._no_tool_detail}")
+            raise TareRejectedError(f"not tared: {self._no_tool_detail}")
         if self._window is not None:
-            raise TareRefusedError("not tared: a tare is already running")
+            raise TareRejectedError("not tared: a tare is already running")
         self._window = TareWindow(self._settings.tare, self._newest_wrench_ns, on_done)
 
     def cancel_tare(self, why: str) -> None:
@@ -229,11 +235,11 @@ class Compensator(WrenchPairing[Compensated]):
             window, self._window = self._window, None
             window.finish(TareOutcome(False, f"not tared: {why}"))
 
-    def set_wander(self, enabled: bool) -> None:
-        """Switch the wander's estimate on or off, where there is one."""
-        if self._stages.wander is not None:
+    def set_bias_drift(self, enabled: bool) -> None:
+        """Switch the bias drift's estimate on or off, where there is one."""
+        if self._stages.bias_drift is not None:
             before = self._settled_offset
-            self._stages.wander.set_enabled(enabled)
+            self._stages.bias_drift.set_enabled(enabled)
             self._offset_changed(before)
 
     # Samples
@@ -311,27 +317,27 @@ class Compensator(WrenchPairing[Compensated]):
         # The joints so far were kept without the platform's position, or with one too many.
         self._joints.clear()
         why = "the tool was changed, and the joints are paired anew"
-        return self._refuse_waiting(Refusal.NO_JOINTS, why)
+        return self._reject_waiting(Rejection.NO_JOINTS, why)
 
     @property
     def _settled_offset(self) -> Array:
-        """What tare and wander take off (6,) when no ramp runs."""
-        wander = self._stages.wander
-        return self._ramp.target if wander is None else self._ramp.target + wander.settled
+        """What tare and drift take off (6,) when no ramp runs."""
+        bias_drift = self._stages.bias_drift
+        return self._ramp.target if bias_drift is None else self._ramp.target + bias_drift.settled
 
     def _offset_changed(self, before: Array) -> None:
         if self._stages.fit is not None:
             self._stages.fit.offset_changed(self._settled_offset - before)
 
     def _end_tare(self, window: TareWindow, stamp_ns: int, roll: float, tilt: float) -> None:
-        """Its offset holds what the wander took off: that goes as the tare comes."""
+        """Its offset holds what the bias drift took off: that goes as the tare comes."""
         self._window = None
         outcome = window.evaluate()
         if outcome.offset is not None:
             before = self._settled_offset
             self._ramp.start(stamp_ns, outcome.offset)
-            if self._stages.wander is not None:
-                self._stages.wander.tared(stamp_ns, roll, tilt, outcome.offset)
+            if self._stages.bias_drift is not None:
+                self._stages.bias_drift.tared(stamp_ns, roll, tilt, outcome.offset)
             self._offset_changed(before)
         window.finish(outcome)
 
@@ -346,11 +352,11 @@ class Compensator(WrenchPairing[Compensated]):
         motion = self._stages.motion
         return None if motion is None else motion.late(newest_wrench_ns)
 
-    def _barred(self) -> tuple[Refusal, str] | None:
+    def _barred(self) -> tuple[Rejection, str] | None:
         if not self._enabled:
-            return Refusal.DISABLED, "compensation is switched off"
+            return Rejection.DISABLED, "compensation is switched off"
         if self._prediction is None:
-            return Refusal.NO_TOOL, self._no_tool_detail
+            return Rejection.NO_TOOL, self._no_tool_detail
         return None
 
     def _push_stretch(self, arrivals: Arrivals) -> Outputs:
@@ -370,15 +376,15 @@ class Compensator(WrenchPairing[Compensated]):
 
     @property
     def _one_by_one(self) -> bool:
-        """Whether the samples have to be pushed one by one: a stage has to see each, or refused."""
+        """Whether samples have to be pushed one by one: a stage sees each, or rejected."""
         stages = self._stages
-        wander = stages.wander is not None and stages.wander.active
-        seen = stages.motion is not None or wander or stages.fit is not None
+        bias_drift = stages.bias_drift is not None and stages.bias_drift.active
+        seen = stages.motion is not None or bias_drift or stages.fit is not None
         return seen or self.distrusted
 
     def _make(
         self, stamp_ns: int, raw: Array, joints: tuple[float, ...], tag: object, number: int
-    ) -> Compensated | Refused:
+    ) -> Compensated | Rejected:
         roll, tilt = joints[-2:]
         stages, prediction = self._stages, self._prediction
         assert prediction is not None
@@ -389,18 +395,18 @@ class Compensator(WrenchPairing[Compensated]):
         if stages.motion is not None:
             motion = stages.motion.reading(stamp_ns, roll, tilt)
             if isinstance(motion, NoMotion):
-                return self._refuse(stamp_ns, motion.reason, motion.detail, number)
+                return self._reject(stamp_ns, motion.reason, motion.detail, number)
             # No reading can hold more than the sensor does, and NaN is no less.
             if not (np.abs(motion) <= self._settings.sensor_range).all():
-                return self._refuse(stamp_ns, Refusal.NO_MOTION, _IMPOSSIBLE, number)
+                return self._reject(stamp_ns, Rejection.NO_MOTION, _IMPOSSIBLE, number)
             untared = untared - motion
         compensated: Array = untared - self._ramp.offset_at(stamp_ns)
         # Where a cable's pull is not known, what is left is neither the sensor's nor the load's.
         known = self._cable is None or self._cable.weight == 1.0
-        if stages.wander is not None:
+        if stages.bias_drift is not None:
             if known:
-                stages.wander.push(stamp_ns, roll, tilt, untared)
-            compensated = compensated - stages.wander.offset_at(stamp_ns)
+                stages.bias_drift.push(stamp_ns, roll, tilt, untared)
+            compensated = compensated - stages.bias_drift.offset_at(stamp_ns)
         if self._window is not None and self._window.add(stamp_ns, roll, tilt, untared):
             self._end_tare(self._window, stamp_ns, roll, tilt)
         if stages.fit is not None and known:

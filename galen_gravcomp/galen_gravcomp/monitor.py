@@ -2,7 +2,7 @@
 
 from galen_ros.stream.frozen import FROZEN_S
 from galen_ros.stream.monitor import Severity, State, StreamMonitor, joined
-from galen_ros.stream.results import Refusal
+from galen_ros.stream.results import Rejection
 
 from galen_gravcomp.compensator import Compensator
 
@@ -10,7 +10,7 @@ from galen_gravcomp.compensator import Compensator
 class Monitor(StreamMonitor):
     """Watches one compensator; times as `StreamMonitor` says."""
 
-    said_better = (Refusal.DISABLED, Refusal.NO_TOOL, Refusal.RESTART)
+    said_better = (Rejection.DISABLED, Rejection.NO_TOOL, Rejection.RESTART)
     working = "compensating"
     output = "wrench_compensated"
 
@@ -27,11 +27,11 @@ class Monitor(StreamMonitor):
         self._file_note = ""
 
     def set_tool_error(self, text: str) -> None:
-        """Say why the tool asked for at start is not loaded; empty when one is in force."""
+        """Say why the tool asked for at start is not loaded; empty when one is active."""
         self._tool_error = text
 
     def set_file_note(self, text: str) -> None:
-        """Say what became of the file of the tool in force since; empty while it is as loaded."""
+        """Say what became of the file of the active tool since; empty while it is as loaded."""
         self._file_note = text
 
     def _standing_state(self) -> State | None:
@@ -53,11 +53,11 @@ class Monitor(StreamMonitor):
             return State(Severity.OK, "taring", f"compensating '{tool}', averaging for a tare")
         if compensator.tare_ramping:
             return State(Severity.OK, "tare_ramp", f"compensating '{tool}', applying a tare")
-        fit, wander = compensator.fit, compensator.wander
+        fit, bias_drift = compensator.fit, compensator.bias_drift
         if fit is not None and fit.trouble:
             return self._warning("does_not_fit", f"'{tool}', but {fit.trouble}")
-        if wander is not None and wander.trouble:
-            return self._warning("wander_limit", f"'{tool}', but {wander.trouble}")
+        if bias_drift is not None and bias_drift.trouble:
+            return self._warning("bias_drift_limit", f"'{tool}', but {bias_drift.trouble}")
         if compensator.cable is not None and compensator.cable.where == "outside":
             return self._warning(
                 "cable_outside", f"'{tool}' without its cable's pull: no such pose was seen with it"
@@ -96,11 +96,15 @@ class Monitor(StreamMonitor):
         motion = compensator.motion
         values |= {"motion": "off"} if motion is None else motion.values()
         values |= {"cable": "none"} if compensator.cable is None else compensator.cable.values()
-        values |= {"wander": "off"} if compensator.wander is None else compensator.wander.values()
+        values |= (
+            {"bias_drift": "off"}
+            if compensator.bias_drift is None
+            else compensator.bias_drift.values()
+        )
         values |= {"fit": "off"} if compensator.fit is None else compensator.fit.values()
         values |= self.inputs(now_s, self.output)
         values |= {"received": compensator.received, "compensated": compensator.compensated}
-        return values | self.refused()
+        return values | self.rejected()
 
     def _tare_text(self) -> str:
         if self._compensator.taring:

@@ -15,7 +15,7 @@ from geometry_msgs.msg import WrenchStamped
 from sensor_msgs.msg import Imu
 from std_srvs.srv import SetBool, Trigger
 
-from galen_gravcomp.compensator import Compensator, TareRefusedError
+from galen_gravcomp.compensator import Compensator, TareRejectedError
 from galen_gravcomp.corrections.tare import TareOutcome
 from galen_gravcomp.monitor import Monitor
 from galen_gravcomp.parameters import GravcompParameters
@@ -54,7 +54,7 @@ class GravcompNode(StreamNode):
         self._choose_joints()
         self.create_service(SetBool, "~/enable", self._on_enable)
         self.create_service(SetTool, "~/set_tool", self._on_set_tool)
-        self.create_service(SetBool, "~/set_wander", self._on_set_wander)
+        self.create_service(SetBool, "~/set_bias_drift", self._on_set_bias_drift)
         self._tare_service = DeferredService(self, Trigger, "~/tare", self._on_tare)
 
     def _activate(self) -> None:
@@ -75,7 +75,7 @@ class GravcompNode(StreamNode):
         try:
             reading = self._imu_wire.read(data)
         except UnreadableError as error:
-            # As if it had not come: wrenches are refused when it stays so.
+            # As if it had not come: wrenches are rejected when it stays so.
             self._compensation.on_notice(f"imu can't be used: {error}", time.monotonic())
             return
         results = self._compensator.push_imu(*reading)
@@ -98,11 +98,11 @@ class GravcompNode(StreamNode):
         try:
             stored = self._tools.read(name)
             self._compensator.set_tool(stored.tool)
-            self._tools.in_force.put(stored)
+            self._tools.active_tool.put(stored)
         except (ToolNameError, ToolFileError) as error:
             if not self.starts_itself:
                 raise  # whoever configures it hears of it
-            # The node lives on, so that the state is on /diagnostics and the file can be mended.
+            # The node lives on, so that the state is on /diagnostics and the file can be fixed.
             self._compensator.set_tool(None, str(error))
             self._compensation.set_tool_error(str(error))
 
@@ -120,17 +120,17 @@ class GravcompNode(StreamNode):
             response.success = True
             self._compensation.set_tool_error("")
             self._emit(self._compensator.set_tool(None if stored is None else stored.tool))
-            self._tools.in_force.put(stored)
+            self._tools.active_tool.put(stored)
             self._choose_joints()
-            self.get_logger().info(f"tool in force: {request.tool or 'none'}")
-        self._fill_tool_in_force(response)
-        self._tools.in_force.update()
+            self.get_logger().info(f"active tool: {request.tool or 'none'}")
+        self._fill_active_tool(response)
+        self._tools.active_tool.update()
         if not response.success:
-            self.get_logger().error(f"set_tool refused: {response.error_msg}")
+            self.get_logger().error(f"set_tool rejected: {response.error_msg}")
         self._announce(always=True)
         return response
 
-    def _fill_tool_in_force(self, response: SetTool.Response) -> None:
+    def _fill_active_tool(self, response: SetTool.Response) -> None:
         tool = self._compensator.tool
         if tool is None:
             return
@@ -144,7 +144,7 @@ class GravcompNode(StreamNode):
 
     def _on_enable(self, request: SetBool.Request, response: SetBool.Response) -> Any:
         self._emit(self._compensator.set_enabled(request.data))
-        self._tools.in_force.update()
+        self._tools.active_tool.update()
         response.success = True
         response.message = "compensation is on" if request.data else "compensation is off"
         if request.data and self._compensator.tool is None:
@@ -154,14 +154,14 @@ class GravcompNode(StreamNode):
         self._announce(always=True)
         return response
 
-    def _on_set_wander(self, request: SetBool.Request, response: SetBool.Response) -> Any:
-        self._compensator.set_wander(request.data)
-        self._tools.in_force.update()
+    def _on_set_bias_drift(self, request: SetBool.Request, response: SetBool.Response) -> Any:
+        self._compensator.set_bias_drift(request.data)
+        self._tools.active_tool.update()
         response.success = True
         response.message = (
-            "wander is learned while the arm is still and nobody touches the tool"
+            "bias drift is learned while the arm is still and nobody touches the tool"
             if request.data
-            else "wander is off, what it took off goes"
+            else "bias drift is off, what it took off goes"
         )
         self.get_logger().info(response.message)
         self._announce(always=True)
@@ -172,7 +172,7 @@ class GravcompNode(StreamNode):
     ) -> None:
         def on_done(outcome: TareOutcome) -> None:
             response.success, response.message = outcome.success, outcome.message
-            self._tools.in_force.update()
+            self._tools.active_tool.update()
             respond(response)
             # rclpy's logger wants one severity for each line of code, and raises otherwise.
             if outcome.success:
@@ -182,9 +182,9 @@ class GravcompNode(StreamNode):
 
         try:
             if not self.active:
-                raise TareRefusedError("not tared: the node is inactive")
+                raise TareRejectedError("not tared: the node is inactive")
             self._compensator.start_tare(on_done)
-        except TareRefusedError as error:
+        except TareRejectedError as error:
             on_done(TareOutcome(False, str(error)))
             return
         self._tare_progress = (self._compensator.compensated, time.monotonic())
@@ -193,7 +193,7 @@ class GravcompNode(StreamNode):
     # State
 
     def _watch(self, now_s: float) -> None:
-        self._tools.in_force.watch(now_s)
+        self._tools.active_tool.watch(now_s)
         if not self._compensator.taring:
             return
         count, since_s = self._tare_progress

@@ -8,7 +8,7 @@ from galen_ros.stream.parameters import LoopParameters
 
 from galen_gravcomp.calibration_monitor.watch import GravityFitWatch
 from galen_gravcomp.compensator import CompensatorSettings
-from galen_gravcomp.corrections.bias_drift import Wander, WanderSettings
+from galen_gravcomp.corrections.bias_drift import BiasDrift, BiasDriftSettings
 from galen_gravcomp.corrections.imu_motion import ImuMotion, ImuMount
 from galen_gravcomp.corrections.joint_motion import JointMotion
 from galen_gravcomp.corrections.motion_window import MotionSettings
@@ -38,7 +38,7 @@ class GravcompParameters(LoopParameters):
     )
     motion: str = param(
         "off",
-        "forces of motion of tool and adapter: `off`: they stay in the output; `joints`: from"
+        "inertial forces of tool and adapter: `off`: they stay in the output; `joints`: from"
         " `joint_states`; `imu`: from the topic `imu`",
     )
     motion_window_s: float = param(
@@ -71,19 +71,19 @@ class GravcompParameters(LoopParameters):
     imu_scale: float = param(
         1.0, "the IMU's reading over the true one, of accelerations", minimum=0.5, maximum=2.0
     )
-    wander: bool = param(
+    bias_drift: bool = param(
         False,
-        "whether the sensor's slow wander is learned and taken off from the start, while the arm"
-        " is still and nobody touches the tool; `~/set_wander` switches it",
+        "whether the sensor's bias drift is learned and taken off from the start, while the arm"
+        " is still and nobody touches the tool; `~/set_bias_drift` switches it",
     )
-    wander_max_force_n: float = param(
-        WanderSettings.max_force_n,
+    bias_drift_max_force_n: float = param(
+        BiasDriftSettings.max_force_n,
         "N; the most of it that is taken off along an axis",
         minimum=0.0,
         maximum=5.0,
     )
-    wander_max_torque_nm: float = param(
-        WanderSettings.max_torque_nm, "N.m; the same about an axis", minimum=0.0, maximum=0.5
+    bias_drift_max_torque_nm: float = param(
+        BiasDriftSettings.max_torque_nm, "N.m; the same about an axis", minimum=0.0, maximum=0.5
     )
     fit_watch: bool = param(
         True, "whether to watch, while nobody touches the tool, if its file still fits"
@@ -97,19 +97,21 @@ class GravcompParameters(LoopParameters):
         1.0, "s over which a new tare is applied", minimum=0.01, maximum=60.0
     )
     tare_max_motion_rad: float = param(
-        0.001, "rad; a tare is refused if roll or tilt moved further in its window", minimum=0.0
+        0.001, "rad; a tare is rejected if roll or tilt moved further in its window", minimum=0.0
     )
     tare_max_std_force_n: float = param(
-        0.3, "N; a tare is refused if a force axis had a larger standard deviation", minimum=0.0
+        0.3, "N; a tare is rejected if a force axis had a larger standard deviation", minimum=0.0
     )
     tare_max_std_torque_nm: float = param(
-        0.02, "N.m; a tare is refused if a torque axis had a larger standard deviation", minimum=0.0
+        0.02,
+        "N.m; a tare is rejected if a torque axis had a larger standard deviation",
+        minimum=0.0,
     )
     tare_max_force_n: float = param(
-        5.0, "N; a tare that would take off a larger force is refused", minimum=0.0
+        5.0, "N; a tare that would take off a larger force is rejected", minimum=0.0
     )
     tare_max_torque_nm: float = param(
-        0.5, "N.m; a tare that would take off a larger torque is refused", minimum=0.0
+        0.5, "N.m; a tare that would take off a larger torque is rejected", minimum=0.0
     )
     tare_timeout_s: float = param(
         2.0,
@@ -147,11 +149,11 @@ class GravcompParameters(LoopParameters):
                 )
 
     def motion_settings(self) -> MotionSettings:
-        """Window, delay and lag of the forces of motion."""
+        """Window, delay and lag of the inertial forces."""
         return MotionSettings(self.motion_window_s, self.motion_delay_s, self.motion_lag_s)
 
     def motion_stage(self) -> MotionStage | None:
-        """The stage of the forces of motion, None without."""
+        """The stage of the inertial forces, None without."""
         settings = self.motion_settings()
         if self.motion == "joints":
             return JointMotion(settings)
@@ -168,12 +170,12 @@ class GravcompParameters(LoopParameters):
     def stages(self) -> Stages:
         """What stands beside the tool's weight."""
         limits = Limits(self.fit_limit_force_n, self.fit_limit_torque_nm)
-        wander = WanderSettings(
-            self.wander_max_force_n, self.wander_max_torque_nm, self.tare_ramp_s
+        bias_drift = BiasDriftSettings(
+            self.bias_drift_max_force_n, self.bias_drift_max_torque_nm, self.tare_ramp_s
         )
         return Stages(
             motion=self.motion_stage(),
-            wander=Wander(wander, enabled=self.wander),
+            bias_drift=BiasDrift(bias_drift, enabled=self.bias_drift),
             fit=GravityFitWatch(limits) if self.fit_watch else None,
         )
 

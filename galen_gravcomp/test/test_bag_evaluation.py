@@ -136,7 +136,7 @@ def test_a_push_within_a_pose_ends_the_still_phase(tmp_path, tool):
     assert np.sum(np.abs(result.phases.mean[:, 0]) > 0.5) == 1
 
 
-def test_gaps_jumps_and_duplicates_are_counted_and_the_node_refuses_as_it_does(tmp_path, tool):
+def test_gaps_jumps_and_duplicates_are_counted_and_the_node_rejects_as_it_does(tmp_path, tool):
     recording = Recording(tool)
     recording.kept[400:420] = False
     recording.stamp_ns[900] = recording.stamp_ns[899]
@@ -144,9 +144,9 @@ def test_gaps_jumps_and_duplicates_are_counted_and_the_node_refuses_as_it_does(t
     result = evaluate(tmp_path, recording, tool)
     for stamps in (result.joint_stamps, result.wrench_stamps):
         assert (stamps.gaps, stamps.missing, stamps.jumps, stamps.duplicates) == (1, 20, 1, 1)
-    assert result.refused["duplicate_stamp"] == 1
+    assert result.rejected["duplicate_stamp"] == 1
     assert result.notices["restarts"] == 1
-    assert result.received == result.compensated + sum(result.refused.values()) + result.waiting
+    assert result.received == result.compensated + sum(result.rejected.values()) + result.waiting
     text = "\n".join(findings(result))
     for part in ("gap at 3.990 s", "jump at", "step of +7.0100 s", "duplicate"):
         assert part in text
@@ -195,7 +195,7 @@ def test_limits_are_the_callers(tmp_path, tool):
     assert evaluate_bag(tmp_path / "bag", tool, tight).verdict is Verdict.OFFSET
 
 
-def test_another_frame_is_refused_as_by_the_node(tmp_path, tool):
+def test_another_frame_is_rejected_as_by_the_node(tmp_path, tool):
     path = Recording(tool).write(tmp_path / "bag", frame_id="wrist")
     result = evaluate_bag(path, tool)
     assert (result.compensated, result.verdict) == (0, Verdict.UNKNOWN)
@@ -271,7 +271,7 @@ def test_a_moved_centre_is_told_in_mm(tmp_path, tool):
     assert re.search(r"another load, by [-+]0\.\d ", result.sentence)
 
 
-def test_angles_that_are_off_are_not_called_what_a_tare_mends(tmp_path, tool):
+def test_angles_that_are_off_are_not_called_what_a_tare_fixes(tmp_path, tool):
     """Most of what a wrong zero of tilt leaves is constant, but a tare would not make it fit."""
     recording = Recording(tool, poses=30)
     recording.angles[:, 1] -= 0.06
@@ -401,7 +401,7 @@ def test_a_message_that_cannot_be_read_is_no_stamp_and_no_reading(tmp_path, tool
                 data = data[:20] if spoiled else data
                 spoilt.write(topics[topic], int(block.log_time_ns[row]), data)
     result = evaluate_bag(tmp_path / "spoilt", tool)
-    assert result.refused["unreadable"] == result.received - result.wrench_stamps.count > 0
+    assert result.rejected["unreadable"] == result.received - result.wrench_stamps.count > 0
     assert result.wrench_stamps.unstamped == 0
     assert result.channels.count == result.wrench_stamps.count
     assert not result.channels.not_finite.any()

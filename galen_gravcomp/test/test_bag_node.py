@@ -93,12 +93,12 @@ def test_the_node_and_the_evaluation_give_the_same_wrenches(tmp_path, faulty):
         rtol=0.0,
         atol=1e-12,
     )
-    refused = {reason.value: n for reason, n in node._compensator.refusals.items()}
-    assert refused == result.refused
+    rejected = {reason.value: n for reason, n in node._compensator.rejections.items()}
+    assert rejected == result.rejected
     notices = {notice.value: n for notice, n in node._compensator.notices.items()}
     assert notices == result.notices
     if faulty:
-        assert {"duplicate_stamp", "nonfinite_wrench"} == set(refused)
+        assert {"duplicate_stamp", "nonfinite_wrench"} == set(rejected)
         assert {"restarts", "out_of_order_wrench"} <= set(notices)
 
 

@@ -1,4 +1,4 @@
-"""The compensator's core: what comes out, what is refused and why, tare, restarts."""
+"""The compensator's core: what comes out, what is rejected and why, tare, restarts."""
 
 import itertools
 import math
@@ -8,11 +8,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from galen_gravcomp.compensator import Compensator, CompensatorSettings, TareRefusedError
+from galen_gravcomp.compensator import Compensator, CompensatorSettings, TareRejectedError
 from galen_gravcomp.corrections.tare import TareOutcome, TareRamp, TareSettings
 from galen_model.arrays import Array
 from galen_model.files.calibration_file import LoadEstimate, ToolFile
-from galen_ros.stream.results import Compensated, Notice, Refusal, Refused, Result
+from galen_ros.stream.results import Compensated, Notice, Rejected, Rejection, Result
 
 MS = 1_000_000
 S = 1_000_000_000
@@ -46,13 +46,13 @@ def outputs(results: list[Result]) -> list[Compensated]:
     return [result for result in results if isinstance(result, Compensated)]
 
 
-def reasons(results: list[Result]) -> list[Refusal]:
-    return [result.reason for result in results if isinstance(result, Refused)]
+def reasons(results: list[Result]) -> list[Rejection]:
+    return [result.reason for result in results if isinstance(result, Rejected)]
 
 
 def balanced(compensator: Compensator) -> bool:
     """Every wrench ended in exactly one way."""
-    ended = compensator.compensated + sum(compensator.refusals.values()) + compensator.waiting
+    ended = compensator.compensated + sum(compensator.rejections.values()) + compensator.waiting
     return compensator.received == ended
 
 
@@ -116,7 +116,7 @@ def test_moving_arm_uses_the_angles_of_the_stamp(wrench_offset_ns: int, lag_samp
     for out in got:
         np.testing.assert_allclose(out.wrench, PUSH, atol=1e-12)
     assert compensator.waiting == (0 if wrench_offset_ns == 0 else 1)
-    assert not compensator.refusals and balanced(compensator)
+    assert not compensator.rejections and balanced(compensator)
 
 
 def test_tag_comes_back_also_after_waiting() -> None:
@@ -133,7 +133,7 @@ def test_waits_no_longer_than_max_joint_age() -> None:
     for stamp in stamps:
         assert compensator.push_wrench(stamp, PUSH) == []
     results = compensator.push_wrench(START + 51 * MS, PUSH)
-    assert reasons(results) == [Refusal.STALE_JOINTS] * 51
+    assert reasons(results) == [Rejection.STALE_JOINTS] * 51
     assert [result.stamp_ns for result in results] == [*stamps, START + 51 * MS]
     detail = results[0].detail  # type: ignore[union-attr]
     assert "51 ms behind" in detail and "max_joint_age_s" in detail
@@ -146,21 +146,21 @@ def test_queue_is_bounded() -> None:
     results: list[Result] = []
     for i in range(1, 10):
         results += compensator.push_wrench(START + i, PUSH)
-    assert reasons(results) == [Refusal.QUEUE_FULL] * 4
+    assert reasons(results) == [Rejection.QUEUE_FULL] * 4
     assert compensator.waiting == 5 and balanced(compensator)
 
 
-# Refusals
+# Rejections
 
 
 def test_no_tool() -> None:
     compensator = Compensator()
     compensator.push_joints(START, 0.0, 0.0)
     (result,) = compensator.push_wrench(START, PUSH)
-    assert isinstance(result, Refused) and result.reason is Refusal.NO_TOOL
+    assert isinstance(result, Rejected) and result.reason is Rejection.NO_TOOL
     compensator.set_tool(None, "pointer.json: mass is negative")
     (result,) = compensator.push_wrench(START + MS, PUSH)
-    assert isinstance(result, Refused) and "mass is negative" in result.detail
+    assert isinstance(result, Rejected) and "mass is negative" in result.detail
 
 
 def test_disabled() -> None:
@@ -168,8 +168,8 @@ def test_disabled() -> None:
     assert len(rig.steps(3)) == 3
     assert rig.compensator.push_wrench(rig.stamp, PUSH) == []
     rig.stamp += 2 * MS
-    assert reasons(rig.compensator.set_enabled(False)) == [Refusal.DISABLED]
-    assert reasons(rig.step()) == [Refusal.DISABLED]
+    assert reasons(rig.compensator.set_enabled(False)) == [Rejection.DISABLED]
+    assert reasons(rig.step()) == [Rejection.DISABLED]
     rig.compensator.set_enabled(True)
     assert len(rig.steps(2)) == 2
     assert balanced(rig.compensator)
@@ -183,7 +183,7 @@ def test_nonfinite_wrench(bad: float, axis: int) -> None:
     rig.touch = np.zeros(6)
     rig.touch[axis] = bad
     (result,) = rig.step()
-    assert isinstance(result, Refused) and result.reason is Refusal.NONFINITE_WRENCH
+    assert isinstance(result, Rejected) and result.reason is Rejection.NONFINITE_WRENCH
     assert "not finite" in result.detail
     rig.touch = PUSH
     (out,) = rig.steps(1)
@@ -193,19 +193,19 @@ def test_nonfinite_wrench(bad: float, axis: int) -> None:
 def test_both_infinities_do_not_hide_each_other() -> None:
     rig = Rig(loaded())
     rig.touch = np.array([math.inf, -math.inf, 0, 0, 0, 0])
-    assert reasons(rig.step()) == [Refusal.NONFINITE_WRENCH]
+    assert reasons(rig.step()) == [Rejection.NONFINITE_WRENCH]
 
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf])
-def test_nonfinite_joints_refuse_the_wrenches_beside_them(bad: float) -> None:
+def test_nonfinite_joints_reject_the_wrenches_beside_them(bad: float) -> None:
     compensator = loaded()
     for i in range(10):
         tilt = bad if i == 5 else 0.0
         compensator.push_joints(START + i * 2 * MS, 0.0, tilt)
     got = [compensator.push_wrench(START + i * MS, PUSH) for i in range(1, 19)]
-    refused = [i + 1 for i, results in enumerate(got) if reasons(results)]
-    assert refused == [9, 10, 11]
-    assert compensator.refusals == Counter({Refusal.NONFINITE_JOINTS: 3})
+    rejected = [i + 1 for i, results in enumerate(got) if reasons(results)]
+    assert rejected == [9, 10, 11]
+    assert compensator.rejections == Counter({Rejection.NONFINITE_JOINTS: 3})
     assert compensator.notices[Notice.NONFINITE_JOINTS] == 1
 
 
@@ -213,16 +213,16 @@ def test_wrong_frame() -> None:
     rig = Rig(loaded())
     rig.step()
     (result,) = rig.compensator.push_wrench(rig.stamp, PUSH, "base_link")
-    assert isinstance(result, Refused) and result.reason is Refusal.WRONG_FRAME
+    assert isinstance(result, Rejected) and result.reason is Rejection.WRONG_FRAME
     assert "base_link" in result.detail and "ft_sensor" in result.detail
     (result,) = rig.compensator.push_wrench(rig.stamp, PUSH, "")
-    assert isinstance(result, Refused) and result.reason is Refusal.WRONG_FRAME
+    assert isinstance(result, Rejected) and result.reason is Rejection.WRONG_FRAME
 
 
 def test_frame_of_settings_comes_before_the_tools() -> None:
     compensator = loaded(sensor_frame="left_ft_sensor")
     compensator.push_joints(START, 0.0, 0.0)
-    assert reasons(compensator.push_wrench(START, PUSH, "ft_sensor")) == [Refusal.WRONG_FRAME]
+    assert reasons(compensator.push_wrench(START, PUSH, "ft_sensor")) == [Rejection.WRONG_FRAME]
     assert len(outputs(compensator.push_wrench(START, PUSH, "left_ft_sensor"))) == 1
 
 
@@ -231,7 +231,7 @@ def test_no_joints_at_all() -> None:
     results: list[Result] = []
     for i in range(60):
         results += compensator.push_wrench(START + i * 2 * MS, PUSH)
-    assert set(reasons(results)) == {Refusal.NO_JOINTS} and not outputs(results)
+    assert set(reasons(results)) == {Rejection.NO_JOINTS} and not outputs(results)
     assert len(results) >= 25 and balanced(compensator)
 
 
@@ -239,7 +239,7 @@ def test_wrench_from_before_the_first_joints() -> None:
     compensator = loaded()
     compensator.push_wrench(START, PUSH)
     (result,) = compensator.push_joints(START + 2 * MS, 0.0, 0.0)
-    assert isinstance(result, Refused) and result.reason is Refusal.NO_JOINTS
+    assert isinstance(result, Rejected) and result.reason is Rejection.NO_JOINTS
 
 
 def test_unusable_joint_messages_are_the_reason() -> None:
@@ -248,7 +248,7 @@ def test_unusable_joint_messages_are_the_reason() -> None:
     for i in range(60):
         compensator.push_bad_joints("joint state lacks roll, tilt; it has gripper")
         results += compensator.push_wrench(START + i * 2 * MS, PUSH)
-    assert set(reasons(results)) == {Refusal.BAD_JOINTS}
+    assert set(reasons(results)) == {Rejection.BAD_JOINTS}
     assert "gripper" in results[-1].detail  # type: ignore[union-attr]
     compensator.push_joints(START + 120 * MS, 0.0, 0.0)
     assert len(outputs(compensator.push_wrench(START + 120 * MS, PUSH))) == 1
@@ -259,7 +259,7 @@ def test_gap_in_the_joints_is_not_bridged() -> None:
     compensator.push_joints(START, 0.0, 0.0)
     assert compensator.push_wrench(START + 30 * MS, PUSH) == []
     (result,) = compensator.push_joints(START + 51 * MS, 1.0, 0.0)
-    assert isinstance(result, Refused) and result.reason is Refusal.STALE_JOINTS
+    assert isinstance(result, Rejected) and result.reason is Rejection.STALE_JOINTS
     assert compensator.push_wrench(START + 60 * MS, PUSH) == []
     assert len(outputs(compensator.push_joints(START + 70 * MS, 1.0, 0.0))) == 1
 
@@ -268,21 +268,21 @@ def test_other_clock_is_named() -> None:
     compensator = loaded()
     compensator.push_joints(START, 0.0, 0.0)
     (result,) = compensator.push_wrench(START + 1000 * S, PUSH)
-    assert isinstance(result, Refused) and result.reason is Refusal.STALE_JOINTS
+    assert isinstance(result, Rejected) and result.reason is Rejection.STALE_JOINTS
     assert "different clocks" in result.detail
 
 
 def test_unstamped() -> None:
     compensator = loaded()
     compensator.push_joints(START, 0.0, 0.0)
-    assert reasons(compensator.push_wrench(0, PUSH)) == [Refusal.UNSTAMPED]
+    assert reasons(compensator.push_wrench(0, PUSH)) == [Rejection.UNSTAMPED]
 
 
 def test_duplicate_wrench_is_dropped_and_counted() -> None:
     rig = Rig(loaded())
     rig.step()
     (result,) = rig.compensator.push_wrench(START, PUSH)
-    assert isinstance(result, Refused) and result.reason is Refusal.DUPLICATE
+    assert isinstance(result, Rejected) and result.reason is Rejection.DUPLICATE
     assert balanced(rig.compensator)
 
 
@@ -372,7 +372,7 @@ def test_tare_takes_off_what_is_left_without_a_jump() -> None:
     np.testing.assert_allclose(halfway, LEFT / 2, rtol=0.02)
 
 
-def test_second_tare_starts_from_the_offset_in_force() -> None:
+def test_second_tare_starts_from_the_offset_active() -> None:
     rig = Rig(loaded(tare=TareSettings(window_s=0.1, ramp_s=1.0)))
     rig.touch = LEFT
     series: list[Compensated] = []
@@ -452,7 +452,7 @@ def _torque_too_large(rig: Rig, _: int) -> None:
         (_torque_too_large, ["0.51 N.m", "tare_max_torque_nm"]),
     ],
 )
-def test_tare_is_refused(happens: Callable[[Rig, int], None], words: list[str]) -> None:
+def test_tare_is_rejected(happens: Callable[[Rig, int], None], words: list[str]) -> None:
     rig = Rig(loaded())
     answer = Answer()
     rig.compensator.start_tare(answer)
@@ -481,15 +481,15 @@ def test_tare_needs_enough_samples() -> None:
 
 def test_tare_that_cannot_start() -> None:
     compensator = Compensator()
-    with pytest.raises(TareRefusedError, match="no tool"):
+    with pytest.raises(TareRejectedError, match="no tool"):
         compensator.start_tare(Answer())
     compensator.set_tool(TOOL)
     compensator.set_enabled(False)
-    with pytest.raises(TareRefusedError, match="switched off"):
+    with pytest.raises(TareRejectedError, match="switched off"):
         compensator.start_tare(Answer())
     compensator.set_enabled(True)
     compensator.start_tare(Answer())
-    with pytest.raises(TareRefusedError, match="already running"):
+    with pytest.raises(TareRejectedError, match="already running"):
         compensator.start_tare(Answer())
 
 
@@ -584,7 +584,7 @@ def test_nothing_leaks_across_a_restart(jump_ns: int, first: str) -> None:
             results += push()
     assert len(why) == 1 and "driver restarted" in why[0]
     assert compensator.notices[Notice.RESTART] == 1
-    assert compensator.refusals[Refusal.RESTART] == 1
+    assert compensator.rejections[Rejection.RESTART] == 1
     np.testing.assert_array_equal(compensator.tare_offset, np.zeros(6))
     got = outputs(results)
     assert len(got) >= 28

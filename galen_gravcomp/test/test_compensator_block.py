@@ -10,12 +10,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
-from galen_gravcomp.compensator import Compensator, CompensatorSettings, TareRefusedError
+from galen_gravcomp.compensator import Compensator, CompensatorSettings, TareRejectedError
 from galen_gravcomp.corrections.tare import TareOutcome, TareSettings
 from galen_model.files.calibration_file import LoadEstimate, ToolFile
 from galen_ros.stream import pairing as pairing_module
 from galen_ros.stream.joint_buffer import JointBuffer
-from galen_ros.stream.results import Compensated, Notice, Refusal, Refused, Result
+from galen_ros.stream.results import Compensated, Notice, Rejected, Rejection, Result
 from galen_ros.stream.sample_limits import (
     ANGLE_UNIT_LIMIT_RAD,
     TORQUE_UNIT_FACTOR,
@@ -169,7 +169,7 @@ class Way:
 
     compensator: Compensator
     outputs: list[Compensated] = field(default_factory=list)
-    refused: list[Refused] = field(default_factory=list)
+    rejected: list[Rejected] = field(default_factory=list)
     log: list[str] = field(default_factory=list)
 
     def sort(self, results: list[Result]) -> None:
@@ -177,7 +177,7 @@ class Way:
             if isinstance(result, Compensated):
                 self.outputs.append(result)
             else:
-                self.refused.append(result)
+                self.rejected.append(result)
 
     def on_done(self, outcome: TareOutcome) -> None:
         self.log.append(outcome.message)
@@ -188,7 +188,7 @@ class Way:
         if action == "tare":
             try:
                 compensator.start_tare(self.on_done)
-            except TareRefusedError as error:
+            except TareRejectedError as error:
                 self.log.append(str(error))
         elif action in ("on", "off"):
             self.sort(compensator.set_enabled(action == "on"))
@@ -217,7 +217,7 @@ class Way:
         for number, stamp_ns, wrench, angles in zip(*rows, strict=True):
             pair = (float(angles[0]), float(angles[1]))
             self.outputs.append(Compensated(int(stamp_ns), wrench, None, int(number), pair))
-        self.refused += result.refused
+        self.rejected += result.rejected
 
     def state(self) -> dict[str, Any]:
         """All that later samples can hang on, and the counts."""
@@ -225,7 +225,7 @@ class Way:
         return {
             "received": c.received,
             "compensated": c.compensated,
-            "refusals": dict(c.refusals),
+            "rejections": dict(c.rejections),
             "notices": dict(c.notices),
             "waiting": [(w.stamp_ns, w.raw.tolist(), w.number) for w in c._waiting],
             "newest wrench": c._newest_wrench_ns,
@@ -264,7 +264,7 @@ def make_way(capacity: int = 4096, tool: ToolFile | None = TOOL, **settings: Any
 def assert_same(singly: Way, blocks: Way, samples: Sequence[Sample]) -> None:
     assert [o.number for o in blocks.outputs] == [o.number for o in singly.outputs]
     assert [o.stamp_ns for o in blocks.outputs] == [o.stamp_ns for o in singly.outputs]
-    assert blocks.refused == singly.refused
+    assert blocks.rejected == singly.rejected
     assert blocks.log == singly.log, "restarts and answers to tares"
     assert blocks.state() == singly.state()
     raw = np.reshape([s.values for s in samples if s.is_wrench], (-1, 6))
@@ -324,7 +324,7 @@ class Seen:
     samples: int = 0
     as_arrays: int = 0
     compensated: int = 0
-    refusals: Counter[Refusal] = field(default_factory=Counter)
+    rejections: Counter[Rejection] = field(default_factory=Counter)
     notices: Counter[Notice] = field(default_factory=Counter)
     log: list[str] = field(default_factory=list)
 
@@ -344,7 +344,7 @@ def run_cases(seed: int, count: int) -> Seen:
         seen.samples += len(samples)
         seen.as_arrays += way.compensator.pushed_as_arrays
         seen.compensated += way.compensator.compensated
-        seen.refusals += way.compensator.refusals
+        seen.rejections += way.compensator.rejections
         seen.notices += way.compensator.notices
         seen.log += way.log
     return seen
@@ -362,7 +362,7 @@ def short_looks(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.usefixtures("short_looks")
 def test_random_faults_and_borders(seed: int) -> None:
     seen = run_cases(seed, 20)
-    assert seen.as_arrays > 0.3 * seen.samples and len(seen.refusals) > 5
+    assert seen.as_arrays > 0.3 * seen.samples and len(seen.rejections) > 5
 
 
 @pytest.mark.parametrize("seed", range(100, 104))
@@ -380,9 +380,9 @@ def test_many_random_faults_and_borders(seed: int) -> None:
 @pytest.mark.slow
 def test_the_random_streams_meet_everything() -> None:
     seen = run_cases(1, 300)
-    # Forces of motion are asked for nowhere here, and nobody watches publishers and bits.
-    elsewhere = {Refusal.NO_MOTION, Refusal.SEVERAL_PUBLISHERS, Refusal.FROZEN}
-    assert set(seen.refusals) == set(Refusal) - elsewhere
+    # Inertial forces are asked for nowhere here, and nobody watches publishers and bits.
+    elsewhere = {Rejection.NO_MOTION, Rejection.SEVERAL_PUBLISHERS, Rejection.FROZEN}
+    assert set(seen.rejections) == set(Rejection) - elsewhere
     assert set(seen.notices) == set(Notice)
     assert seen.compensated > 0.1 * seen.samples
     assert sum(line.startswith("tared: ") for line in seen.log) > 5
@@ -416,7 +416,7 @@ def test_a_clean_stream_goes_as_arrays(options: dict[str, int], cuts: int) -> No
     for start, end in zip([0, *borders], [*borders, len(samples)], strict=True):
         blocks.as_block(samples[start:end])
     assert_same(singly, blocks, samples)
-    assert not blocks.refused
+    assert not blocks.rejected
     assert blocks.compensator.pushed_as_arrays == len(samples)
 
 
@@ -447,14 +447,14 @@ def test_joints_behind_by_the_limit_are_not_stale_and_a_nanosecond_more_are() ->
 
 
 @pytest.mark.parametrize("stamp_ns", [-1, 0, 1])
-def test_a_first_wrench_without_a_stamp_is_refused(stamp_ns: int) -> None:
+def test_a_first_wrench_without_a_stamp_is_rejected(stamp_ns: int) -> None:
     joints = [Sample(False, t * MS, (0.1, 0.2)) for t in (-1, 1)]
     samples = [*joints, Sample(True, stamp_ns, (1.0,) * 6)]
     singly, blocks = make_way(), make_way()
     singly.singly(samples)
     blocks.as_block(samples)
     assert_same(singly, blocks, samples)
-    assert len(blocks.refused) == (0 if stamp_ns > 0 else 1)
+    assert len(blocks.rejected) == (0 if stamp_ns > 0 else 1)
 
 
 def test_both_forms_of_a_rule_agree_at_its_limits() -> None:
@@ -481,10 +481,10 @@ def test_both_forms_of_a_rule_agree_at_its_limits() -> None:
 def test_rare_faults_leave_the_rest_to_arrays() -> None:
     rng = np.random.default_rng(4)
     samples = clean_stream(rng, 16 * S, 2 * MS, 2 * MS, wrench_offset_ns=500_000)
-    # A jump of one topic's clock is not rare: all wrenches after it are refused.
+    # A jump of one topic's clock is not rare: all wrenches after it are rejected.
     spoil(rng, samples, 12, [fault for fault in FAULTS if fault is not _jump])
     way = compare(rng, samples, actions=0.0)
-    assert len(way.compensator.refusals) + len(way.compensator.notices) > 5
+    assert len(way.compensator.rejections) + len(way.compensator.notices) > 5
     assert way.compensator.pushed_as_arrays > 0.95 * len(samples)
 
 
@@ -521,7 +521,7 @@ def test_numbers_run_over_all_blocks_and_single_wrenches() -> None:
     assert way.compensator.push_wrench(START + 1, wrench, tag="mine") == []
     way.as_block([])
     way.as_block([Sample(True, START + 2, wrench, frame=1), Sample(True, START + 3, wrench)])
-    assert [(r.number, r.reason) for r in way.refused] == [(2, Refusal.WRONG_FRAME)]
+    assert [(r.number, r.reason) for r in way.rejected] == [(2, Rejection.WRONG_FRAME)]
     (first, second, last) = way.compensator.push_joints(START + 3, 0.0, 0.0)
     assert [first.number, second.number, last.number] == [0, 1, 3]
     assert isinstance(second, Compensated) and second.tag == "mine"
@@ -548,7 +548,7 @@ def test_frames_are_not_checked_when_none_are_given() -> None:
         ({"bad_joints": {2: "torn"}}, "bad_joints has rows [2]; there are 2 joints"),
     ],
 )
-def test_shapes_that_do_not_fit_are_refused_before_anything_is_pushed(
+def test_shapes_that_do_not_fit_are_rejected_before_anything_is_pushed(
     change: dict[str, Any], text: str
 ) -> None:
     way = make_way()

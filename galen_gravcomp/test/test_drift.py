@@ -115,7 +115,7 @@ def test_a_hand_is_left_out_and_a_jump_that_stays_is_told():
     assert np.nanmax(np.abs(series.reading[:4900])) < 0.02
 
 
-def test_cells_in_motion_are_not_the_sensor_s_noise_and_wild_stamps_are_refused():
+def test_cells_in_motion_are_not_the_sensor_s_noise_and_wild_stamps_are_rejected():
     rng = np.random.default_rng(5)
     cells = cells_of(0.002 * rng.standard_normal((600, 6)) * UNITS)
     moving = np.arange(600) % 6 >= 4

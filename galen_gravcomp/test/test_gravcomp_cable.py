@@ -13,7 +13,7 @@ from galen_model.load.cable.drag import CableDrag
 from galen_model.load.cable.form import FORMS, form_matrices
 from galen_model.load.nominal_tools import ADAPTER, TOOLS
 from galen_ros.stream.monitor import Severity
-from galen_ros.stream.results import Compensated, Refusal
+from galen_ros.stream.results import Compensated, Rejection
 
 PERIOD_NS = 2_000_000
 START_NS = 1_000_000_000
@@ -170,8 +170,8 @@ def test_without_a_position_nothing_is_published():
     compensator = Compensator()
     compensator.set_tool(a_tool(a_drag()))
     compensator.push_joints(START_NS, 0.1, 0.2)
-    (refused,) = compensator.push_wrench(START_NS, np.zeros(6))
-    assert refused.reason is Refusal.NONFINITE_JOINTS
+    (rejected,) = compensator.push_wrench(START_NS, np.zeros(6))
+    assert rejected.reason is Rejection.NONFINITE_JOINTS
 
 
 def test_a_tool_with_a_cable_and_one_without_follow_each_other():
@@ -190,8 +190,8 @@ def test_a_tool_with_a_cable_and_one_without_follow_each_other():
     assert np.abs(first.wrench).max() > 0.1
     waits = compensator.push_wrench(START_NS + 3 * PERIOD_NS // 2, np.zeros(6))
     assert waits == []
-    (refused,) = compensator.set_tool(corded)
-    assert refused.reason is Refusal.NO_JOINTS
+    (rejected,) = compensator.set_tool(corded)
+    assert rejected.reason is Rejection.NO_JOINTS
     (second,) = step(2)
     assert np.abs(second.wrench).max() < 1e-3
     assert compensator.set_tool(replace(corded, tool="other")) == []

@@ -211,7 +211,7 @@ def test_a_recording_is_scored_by_stops_and_its_json_is_whole(tmp_path, capsys):
     # two of four stops tell too little: the suite's model says so instead of a number
     blocks = content["scores"]["2 blocks of neighbours"]
     assert blocks["galen"]["rmse"] is None
-    assert "the poses tell nothing about" in blocks["galen"]["refused"][0]
+    assert "the poses tell nothing about" in blocks["galen"]["rejected"][0]
     assert (tmp_path / "p" / "r_residuals.png").stat().st_size > 10_000
 
 
@@ -245,7 +245,7 @@ def test_a_tool_file_is_scored_beside_the_fits(tmp_path, capsys):
     np.testing.assert_allclose(np.array(list(rmse.values())) / noise, 1.0, atol=4 / np.sqrt(80))
 
 
-def test_few_readings_are_refused(tmp_path, capsys):
+def test_few_readings_are_rejected(tmp_path, capsys):
     path = tmp_path / "few.csv"
     path.write_text("fx,fy,fz,tx,ty,tz,roll,tilt\n" + "1,2,3,4,5,6,0,0\n" * 5)
     assert main(["--table", str(path)]) == 1
@@ -344,7 +344,7 @@ def test_a_tool_file_from_a_table_reads_what_the_fit_reads(tmp_path, readings, k
 @pytest.mark.parametrize(
     ("name", "message"), [("gripper", "named <tool>.json"), ("a b.json", "letters, digits")]
 )
-def test_a_tool_file_of_another_name_is_refused_before_anything_is_done(
+def test_a_tool_file_of_another_name_is_rejected_before_anything_is_done(
     tmp_path, name, message, capsys
 ):
     assert main(["--table", str(tmp_path / "no.csv"), "--write-tool", str(tmp_path / name)]) == 1

@@ -1,4 +1,4 @@
-"""How an IMU is mounted, from still poses; and forces of motion by it, on tables."""
+"""How an IMU is mounted, from still poses; and inertial forces by it, on tables."""
 
 import json
 from pathlib import Path
@@ -43,7 +43,7 @@ def test_rotation_scale_and_bias_are_found_to_the_noise():
     assert np.all(rms < 1.6 * limit), rms / limit
 
 
-def test_what_can_be_no_mount_is_refused():
+def test_what_can_be_no_mount_is_rejected():
     gravity, read = still()
     with pytest.raises(IdentificationError, match="too few"):
         fit_imu(gravity[:3], read[:3])

@@ -63,8 +63,8 @@ def test_nothing_is_held_over_from_before_it_was_deactivated(harness: Harness, t
     assert life.go("deactivate") and life.state == "inactive"
     bench.state("inactive", Level.WARN)
     harness.wait_for(lambda: not bench.driver.ready(), 20.0, "the subscriptions to go")
-    refused = bench.call("tare", Trigger, Trigger.Request())
-    assert not refused.success and refused.message == "not tared: the node is inactive"
+    rejected = bench.call("tare", Trigger, Trigger.Request())
+    assert not rejected.success and rejected.message == "not tared: the node is inactive"
     assert "inactive" in bench.call("enable", SetBool, SetBool.Request(data=True)).message
     assert [t.tool for t in bench.call("list_tools", ListTools, ListTools.Request()).tools] == [
         "pointer",
@@ -117,7 +117,7 @@ def test_it_is_configured_anew_with_other_files_and_joints(harness: Harness, too
     bench.expect(stamp, PUSH + POINTER.predict(*STILL) - OTHER.predict(*STILL))
 
 
-def test_a_bad_file_fails_configure_and_can_be_mended(harness: Harness, tools: Path) -> None:
+def test_a_bad_file_fails_configure_and_can_be_fixed(harness: Harness, tools: Path) -> None:
     bench, life = managed(harness, tools)
     assert life.go("deactivate", "cleanup")
     good = (tools / "pointer.json").read_bytes()

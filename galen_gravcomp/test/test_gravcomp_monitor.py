@@ -6,7 +6,7 @@ from galen_gravcomp.compensator import Compensator
 from galen_gravcomp.monitor import Monitor
 from galen_model.files.calibration_file import LoadEstimate, ToolFile
 from galen_ros.stream.monitor import HOLD_S, NOTICE_HOLD_S, Severity
-from galen_ros.stream.results import Compensated, Notice, Refusal, Refused
+from galen_ros.stream.results import Compensated, Notice, Rejected, Rejection
 
 S = 1_000_000_000
 TOOL = ToolFile(
@@ -39,8 +39,8 @@ class Rig:
 
     def tick(self) -> None:
         self.monitor.tick(self.t)
-        for refused in self.monitor.review(self.t):
-            self.monitor.on_refused(refused, self.t)
+        for rejected in self.monitor.review(self.t):
+            self.monitor.on_rejected(rejected, self.t)
 
     def publishers(self, topic: str, listed: int, came: int) -> str:
         why = self.monitor.publishers_changed(topic, listed, came, self.t)
@@ -63,8 +63,8 @@ class Rig:
             if isinstance(result, Compensated):
                 changed |= self.monitor.on_output(self.t - 0.001, self.t, result.stamp_ns)
             else:
-                assert isinstance(result, Refused)
-                changed |= self.monitor.on_refused(result, self.t)
+                assert isinstance(result, Rejected)
+                changed |= self.monitor.on_rejected(result, self.t)
         self.tick()
         return changed
 
@@ -103,7 +103,7 @@ def test_silence(rig: Rig) -> None:
     assert "no wrench_raw for 1.2 s" in rig.message
 
 
-def test_refusal_with_outputs_warns_and_without_is_an_error(rig: Rig) -> None:
+def test_rejection_with_outputs_warns_and_without_is_an_error(rig: Rig) -> None:
     rig.step()
     assert rig.step(BAD)
     assert rig.now == (Severity.WARN, "nonfinite_wrench")
@@ -158,9 +158,9 @@ def test_values(rig: Rig) -> None:
     assert values["wrench_compensated_hz"] == pytest.approx(75.0, rel=0.01)
     assert values["latency_median_ms"] == pytest.approx(1.0, abs=1e-6)
     assert values["latency_p99_ms"] == pytest.approx(1.0, abs=1e-6)
-    assert values["refused_nonfinite_wrench"] == 100
+    assert values["rejected_nonfinite_wrench"] == 100
     assert values["received"] == 400 and values["compensated"] == 300
-    assert "not finite" in str(values["last_refusal"])
+    assert "not finite" in str(values["last_rejection"])
 
 
 def test_an_end_of_the_range_is_told(rig: Rig) -> None:
@@ -172,8 +172,8 @@ def test_an_end_of_the_range_is_told(rig: Rig) -> None:
     assert rig.now == (Severity.OK, "compensating")
 
 
-def test_two_publishers_of_the_wrench_are_refused_by_name(rig: Rig) -> None:
-    """Whose is it? What their wrenches are refused for changes with each; the state must not."""
+def test_two_publishers_of_the_wrench_are_rejected_by_name(rig: Rig) -> None:
+    """Whose is it? What their wrenches are rejected for changes with each; the state must not."""
     rig.publishers("wrench_raw", 1, 1)
     for _ in range(100):
         rig.step()
@@ -190,13 +190,13 @@ def test_two_publishers_of_the_wrench_are_refused_by_name(rig: Rig) -> None:
             " stop all but one of them"
         )
     assert rig.compensator.compensated == before
-    assert rig.compensator.refusals[Refusal.SEVERAL_PUBLISHERS] == 3
+    assert rig.compensator.rejections[Rejection.SEVERAL_PUBLISHERS] == 3
     assert "is gone" in rig.publishers("wrench_raw", 1, 0)
     rig.step()
     assert rig.compensator.compensated == before + 1
 
 
-def test_another_publisher_of_the_output_is_refused_by_name(rig: Rig) -> None:
+def test_another_publisher_of_the_output_is_rejected_by_name(rig: Rig) -> None:
     rig.step()
     rig.monitor.outputs.listed = 2
     rig.monitor.outputs.name(["/gravcomp", "/gravcomp"])
@@ -239,7 +239,7 @@ def test_the_first_samples_of_the_driver_that_came_back_may_be_before_the_event(
         rig.step()
     rig.publishers("wrench_raw", 2, 1)
     rig.step()
-    assert rig.compensator.refusals[Refusal.SEVERAL_PUBLISHERS] == 0
+    assert rig.compensator.rejections[Rejection.SEVERAL_PUBLISHERS] == 0
 
 
 def test_a_publisher_thought_dead_that_speaks_again_is_one_too_many(rig: Rig) -> None:
@@ -280,14 +280,14 @@ def test_another_publisher_of_joints_is_a_warning(rig: Rig) -> None:
     assert rig.now == (Severity.ERROR, "nonfinite_wrench")  # nothing goes out: that is worse
 
 
-def test_a_frozen_wrench_is_refused_while_the_arm_turns(rig: Rig) -> None:
+def test_a_frozen_wrench_is_rejected_while_the_arm_turns(rig: Rig) -> None:
     same = (1.0, 2.0, 3.0, 0.1, 0.2, 0.3)
     for i in range(90):
         rig.step(same, roll=0.01 * i)
     assert rig.now == (Severity.OK, "compensating")
     for i in range(90, 130):
         rig.step(same, roll=0.01 * i)
-    assert rig.compensator.refusals[Refusal.FROZEN] >= 25
+    assert rig.compensator.rejections[Rejection.FROZEN] >= 25
     rig.t += HOLD_S
     rig.step(same, roll=1.4)
     assert rig.now == (Severity.ERROR, "frozen_wrench")
@@ -304,7 +304,7 @@ def test_a_wrench_that_stays_is_fine_where_the_arm_stays_or_nothing_comes(rig: R
     rig.step(roll=0.06)  # a silence while the arm is moved by hand
     rig.wait(5.0)
     rig.step(roll=0.8)
-    assert rig.compensator.refusals[Refusal.FROZEN] == 0
+    assert rig.compensator.rejections[Rejection.FROZEN] == 0
 
 
 def test_a_jump_of_the_joints_costs_its_own_wrenches_and_is_told(rig: Rig) -> None:
@@ -314,7 +314,7 @@ def test_a_jump_of_the_joints_costs_its_own_wrenches_and_is_told(rig: Rig) -> No
     assert rig.compensator.notices[Notice.JOINT_JUMP] == 0
     for i in range(20):
         rig.step(roll=0.2 + (2.5 if i == 10 else 0.0))
-    assert rig.compensator.refusals[Refusal.JUMPING_JOINTS] == 2  # there and back
+    assert rig.compensator.rejections[Rejection.JUMPING_JOINTS] == 2  # there and back
     assert rig.now == (Severity.WARN, "jumping_joints")
     assert "joint_states jumped by 2.50 rad within 10.0 ms" in rig.message
     for _ in range(60):

@@ -1,4 +1,4 @@
-"""Forces of motion: the differentiator, the joints' and the IMU's stage, in the compensator."""
+"""Inertial forces: the differentiator, the joints' and the IMU's stage, in the compensator."""
 
 from dataclasses import replace
 
@@ -14,7 +14,7 @@ from galen_model.arm.galen import SENSOR
 from galen_model.arm.kinematics import gravity_in_sensor
 from galen_model.arm.sensor_motion import sensor_motion
 from galen_model.rotation import rotvec_to_matrix
-from galen_ros.stream.results import Compensated, Refusal
+from galen_ros.stream.results import Compensated, Rejection
 from motion_tape import MS, START_NS, measured, readings, swing, tool_file
 
 SETTINGS = MotionSettings()
@@ -120,7 +120,7 @@ def test_the_lag_between_wrench_and_joints_is_taken_into_account():
     stamps = START_NS + np.round(times * 1e9).astype(np.int64)
     left = {}
     for lag_s in (0.0, 0.004):
-        whole = readings(motion)  # weight and forces of motion are late alike
+        whole = readings(motion)  # weight and inertial forces are late alike
         late = np.vstack([whole[:2], whole[:-2]])
         results = push(compensator(lag_s=lag_s), stamps, motion[0], late)
         out = [r.wrench for r in results if isinstance(r, Compensated)]
@@ -129,11 +129,11 @@ def test_the_lag_between_wrench_and_joints_is_taken_into_account():
     assert np.all(left[0.004] < SENSOR.noise_std)
 
 
-def refusals(results):
+def rejections(results):
     return [r.detail for r in results if not isinstance(r, Compensated)]
 
 
-def test_gaps_bad_values_and_lacking_positions_are_refused_with_their_own_reason():
+def test_gaps_bad_values_and_lacking_positions_are_rejected_with_their_own_reason():
     stamps = START_NS + np.arange(100) * 2 * MS
     q = (0.0, 0.0, 0.4, 0.1, 0.2)
     zeros = np.zeros(6)
@@ -145,9 +145,9 @@ def test_gaps_bad_values_and_lacking_positions_are_refused_with_their_own_reason
             for sample in joint_at(number):
                 results += made.push_joints(stamp, sample[3], sample[4], sample[:3])
             results += made.push_wrench(stamp, zeros)
-        assert set(made.refusals) == {Refusal.NO_MOTION}
+        assert set(made.rejections) == {Rejection.NO_MOTION}
         assert len(results) + made.waiting == len(stamps)
-        return refusals(results)
+        return rejections(results)
 
     gap = run(lambda number: [] if 50 <= number < 60 else [q])
     # Stamps whose window ends more than half the delay after 98 ms, to those where it starts there.
@@ -163,14 +163,14 @@ def test_gaps_bad_values_and_lacking_positions_are_refused_with_their_own_reason
         assert len(wrong) in (FIRST + 31, FIRST + 32) and "or jumps" in wrong[-1], wild
 
 
-def test_forces_of_motion_beyond_the_sensors_range_are_refused():
+def test_inertial_forces_beyond_the_sensors_range_are_rejected():
     made = compensator(ImuMotion(MOUNT))
     for k in range(60):
         stamp = START_NS + k * 2 * MS
         made.push_imu(stamp, (0.0, 0.0, 1e6 if k == 30 else 0.0), (0.0, 0.0, 9.8))
         made.push_joints(stamp, 0.1, 0.2)
     results = [made.push_wrench(START_NS + k * 2 * MS, np.zeros(6))[0] for k in (25, 30)]
-    assert [r.reason for r in results] == [Refusal.NO_MOTION] * 2
+    assert [r.reason for r in results] == [Rejection.NO_MOTION] * 2
     assert all("beyond the sensor's range" in r.detail for r in results)
 
 
@@ -194,19 +194,19 @@ def test_an_imu_whose_stamps_jumped_is_known_again_a_window_later():
             out += made.push_joints(stamp, 0.1, 0.2) + made.push_wrench(stamp, np.zeros(6))
         known = [r.stamp_ns for r in out if isinstance(r, Compensated)]
         assert len([stamp for stamp in known if stamp > START_NS + 150 * MS]) > 30
-        assert set(made.refusals) == {Refusal.NO_MOTION}
+        assert set(made.rejections) == {Rejection.NO_MOTION}
 
 
 def test_after_a_restart_nothing_is_known_until_the_window_is_full_again():
     made = compensator()
     q = np.tile([0.0, 0.0, 0.4, 0.1, 0.2], (80, 1))
     first = START_NS + np.arange(80) * 2 * MS
-    assert len(refusals(push(made, first, q, np.zeros((80, 6))))) == FIRST
+    assert len(rejections(push(made, first, q, np.zeros((80, 6))))) == FIRST
     again = push(made, first - 10_000 * MS, q, np.zeros((80, 6)))
     reasons = [r.reason for r in again if not isinstance(r, Compensated)]
-    assert reasons[:10] == [Refusal.RESTART] * 10  # those that waited
+    assert reasons[:10] == [Rejection.RESTART] * 10  # those that waited
     # The sample that told of the restart is lost to the window.
-    assert reasons[10:] == [Refusal.NO_MOTION] * (FIRST + 1)
+    assert reasons[10:] == [Rejection.NO_MOTION] * (FIRST + 1)
 
 
 MOUNT = ImuMount(
@@ -226,7 +226,7 @@ def imu_readings(motion):
     return w @ back, MOUNT.scale * felt @ back + MOUNT.bias_m_s2
 
 
-def test_an_imu_tells_the_forces_of_motion_in_its_own_axes_and_at_its_own_stamps():
+def test_an_imu_tells_the_inertial_forces_in_its_own_axes_and_at_its_own_stamps():
     times = np.arange(0.0, 1.0, 0.002)
     motion = swing(times)
     stamps = START_NS + np.round(times * 1e9).astype(np.int64)
@@ -254,17 +254,17 @@ def test_an_imu_tells_the_forces_of_motion_in_its_own_axes_and_at_its_own_stamps
     assert np.all(np.abs([r.wrench for r in out]).max(axis=0) < 0.1 * SENSOR.noise_std)
 
 
-def test_an_imu_that_is_silent_or_broken_off_is_refused():
+def test_an_imu_that_is_silent_or_broken_off_is_rejected():
     made = compensator(ImuMotion(MOUNT))
     silent = push(made, START_NS + np.arange(100) * 2 * MS, np.zeros((100, 5)), np.zeros((100, 6)))
-    assert refusals(silent) and "the IMU has sent nothing (topic imu)" in refusals(silent)[0]
+    assert rejections(silent) and "the IMU has sent nothing (topic imu)" in rejections(silent)[0]
     for k in range(100, 160):
         made.push_imu(int(START_NS + k * 2 * MS), (0.0,) * 3, (0.0, 0.0, 9.8))
     late = push(
         made, START_NS + np.arange(100, 260) * 2 * MS, np.zeros((160, 5)), np.zeros((160, 6))
     )
-    assert set(made.refusals) == {Refusal.NO_MOTION}
-    assert "ms behind the wrench (topic imu)" in refusals(late)[-1]
+    assert set(made.rejections) == {Rejection.NO_MOTION}
+    assert "ms behind the wrench (topic imu)" in rejections(late)[-1]
     assert sum(isinstance(r, Compensated) for r in late) == 60 - FIRST - 10
 
 
@@ -291,4 +291,4 @@ def test_a_block_with_positions_is_the_same_as_sample_by_sample():
     )
     np.testing.assert_array_equal(block.wrench, [r.wrench for r in single])
     np.testing.assert_array_equal(block.stamp_ns, [r.stamp_ns for r in single])
-    assert {r.reason for r in block.refused} == {Refusal.NO_MOTION}
+    assert {r.reason for r in block.rejected} == {Rejection.NO_MOTION}

@@ -139,7 +139,7 @@ def test_the_command_shows_the_mounting_beside_the_other_models(tmp_path, capsys
     assert read_tool(file).mounting.estimated == ("sensor_rotation",)
 
 
-def test_a_table_refuses_what_it_can_not_tell(table, capsys):
+def test_a_table_rejects_what_it_can_not_tell(table, capsys):
     assert main(["--table", table, "--estimate", "axis_gain"]) == 1
     assert "the common force gain and the masses" in capsys.readouterr().err
     assert main(["--table", table, "--estimate", "roll_zero"]) == 1

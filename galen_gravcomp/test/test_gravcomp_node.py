@@ -259,7 +259,7 @@ def test_uses_the_angles_of_the_wrenchs_stamp(bench: Bench) -> None:
     bench.expect(middle, PUSH)
 
 
-# Refusals
+# Rejections
 
 
 def _nan_wrench(bench: Bench) -> None:
@@ -311,7 +311,7 @@ def _torn_joints(bench: Bench) -> None:
     bench.stamp += 2 * MS
 
 
-REFUSALS = [
+REJECTALS = [
     (_nan_wrench, "nonfinite_wrench", "not finite"),
     (_infinite_torque, "nonfinite_wrench", "not finite"),
     (_nan_joints, "nonfinite_joints", "not finite"),
@@ -325,21 +325,21 @@ REFUSALS = [
 
 
 @pytest.mark.parametrize(
-    ("feed", "state", "words"), REFUSALS, ids=[feed.__name__[1:] for feed, _, _ in REFUSALS]
+    ("feed", "state", "words"), REJECTALS, ids=[feed.__name__[1:] for feed, _, _ in REJECTALS]
 )
-def test_refusals(bench: Bench, feed: Callable[[Bench], None], state: str, words: str) -> None:
+def test_rejections(bench: Bench, feed: Callable[[Bench], None], state: str, words: str) -> None:
     bench.expect(bench.step(PUSH), PUSH)
     last_good = len(bench.listener.outputs)
 
-    def refused() -> bool:
+    def rejected() -> bool:
         feed(bench)
         newest = bench.listener.reports[-1:] or [None]
         return bool(newest[0]) and words in newest[0].message and newest[0].level == b"\x02"
 
-    bench.harness.wait_for(refused, 8.0, f"an error that says {words!r}")
+    bench.harness.wait_for(rejected, 8.0, f"an error that says {words!r}")
     values = bench.report(lambda _, v: v["state"] == state, f"the state {state}")
     assert "nothing is published" in values["message"]
-    assert int(values[f"refused_{state}"]) > 0
+    assert int(values[f"rejected_{state}"]) > 0
     assert len(bench.listener.outputs) == last_good, "something went out as compensated"
 
     def recovered() -> bool:
@@ -367,7 +367,7 @@ def test_silent_driver(bench: Bench) -> None:
 def test_no_tool_at_start(harness: Harness, tools_dir: Path) -> None:
     bench = Bench(harness, tools_dir, values={"tool": ""})
     bench.step(PUSH)
-    values = bench.report(lambda _, v: int(v["refused_no_tool"]) > 0, "a refusal without a tool")
+    values = bench.report(lambda _, v: int(v["rejected_no_tool"]) > 0, "a rejection without a tool")
     assert values["state"] == "no_tool" and "set_tool" in values["message"]
     assert bench.listener.outputs == []
     assert bench.set_tool("pointer").success
@@ -396,7 +396,7 @@ def test_wrong_parameter_is_named(harness: Harness, tools_dir: Path) -> None:
 # Services
 
 
-def test_set_tool_reads_back_what_is_in_force(bench: Bench) -> None:
+def test_set_tool_reads_back_what_is_active(bench: Bench) -> None:
     answer = bench.set_tool("retractor")
     assert answer.success and answer.error_code == SetTool.Response.NONE and answer.error_msg == ""
     assert (answer.tool, answer.mass_kg) == ("retractor", 0.2)
@@ -436,7 +436,7 @@ def test_set_tool_with_an_empty_name_unloads(bench: Bench) -> None:
     answer = bench.set_tool("")
     assert answer.success and answer.tool == "" and answer.mass_kg == 0.0
     bench.step(PUSH)
-    bench.report(lambda _, v: int(v["refused_no_tool"]) > 0, "a refusal without a tool")
+    bench.report(lambda _, v: int(v["rejected_no_tool"]) > 0, "a rejection without a tool")
     assert len(bench.listener.outputs) == 1
 
 
@@ -445,7 +445,7 @@ def test_enable_off_and_on(bench: Bench) -> None:
     assert bench.call("enable", SetBool, SetBool.Request(data=False)).success
     for _ in range(5):
         bench.step(PUSH)
-    bench.report(lambda _, v: int(v["refused_disabled"]) == 5, "five refusals while off")
+    bench.report(lambda _, v: int(v["rejected_disabled"]) == 5, "five rejections while off")
     assert len(bench.listener.outputs) == 1
     answer = bench.call("enable", SetBool, SetBool.Request(data=True))
     assert answer.success and answer.message == "compensation is on"
@@ -456,7 +456,7 @@ def test_starts_switched_off(harness: Harness, tools_dir: Path) -> None:
     bench = Bench(harness, tools_dir, values={"enabled": False})
     bench.step(PUSH)
     bench.report(
-        lambda _, v: v["state"] == "disabled" and int(v["refused_disabled"]) == 1, "a refusal"
+        lambda _, v: v["state"] == "disabled" and int(v["rejected_disabled"]) == 1, "a rejection"
     )
     assert bench.listener.outputs == []
 
@@ -487,7 +487,7 @@ def test_tare_without_a_jump(bench: Bench) -> None:
     assert np.all(largest <= 1.5 * np.abs(LEFT) * 0.002 / 1.0 + 1e-9)
     values = bench.running()
     assert values["tare_force_n"] == "0.5 -0.4 0.3"
-    # Refused after one that succeeded: another severity in the log, and the node lives on.
+    # Rejected after one that succeeded: another severity in the log, and the node lives on.
     bench.set_tool("")
     answer = bench.call("tare", Trigger, Trigger.Request())
     assert not answer.success and "no tool" in answer.message

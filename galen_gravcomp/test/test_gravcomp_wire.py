@@ -211,7 +211,7 @@ def _short_velocity(message: JointState) -> None:
 
 
 @pytest.mark.parametrize("spoil", [_short_position, _short_velocity])
-def test_lists_that_do_not_fit_are_refused_also_later(spoil: Callable[[JointState], None]) -> None:
+def test_lists_that_do_not_fit_are_rejected_also_later(spoil: Callable[[JointState], None]) -> None:
     reader = JointWire(("roll", "tilt"))
     reader.read(serialize_message(make_joints(ORDERS[0])))
     message = make_joints(ORDERS[0])

@@ -96,7 +96,7 @@ def test_clear_forgets() -> None:
 
 
 @pytest.mark.parametrize(("gap", "capacity"), [(0, 16), (-1, 16), (1, 1)])
-def test_refuses_senseless_sizes(gap: int, capacity: int) -> None:
+def test_rejects_senseless_sizes(gap: int, capacity: int) -> None:
     with pytest.raises(ValueError, match="max_gap_ns"):
         JointBuffer(gap, capacity)
 

@@ -43,7 +43,7 @@ def test_cells_that_agree_by_chance_do_not_make_the_mean_exact():
     np.testing.assert_allclose(phases.std_of_mean, 1.0 / np.sqrt(60), rtol=1e-9)
 
 
-def test_a_wander_from_cell_to_cell_is_in_the_mean_s_error():
+def test_a_bias_drift_from_cell_to_cell_is_in_the_mean_s_error():
     mean = 0.003 * np.random.default_rng(2).choice([-1.0, 1.0], 10)
     phases = find_still_phases(cells(np.zeros(10), scatter=1e-3, mean=mean))
     assert np.all(phases.std_of_mean > 0.0008)

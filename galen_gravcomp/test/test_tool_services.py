@@ -1,4 +1,4 @@
-"""The node's services on tools' files and the topic of what is in force, in one node's life."""
+"""The node's services on tools' files and the topic of what is active, in one node's life."""
 
 import json
 from collections.abc import Callable
@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray
 from galen_gravcomp.node import GravcompNode
-from galen_gravcomp.tools import active as tool_in_force
+from galen_gravcomp.tools import active as active_tool
 from galen_model.arm.kinematics import sensor_pose
 from galen_model.files.calibration_file import LoadEstimate, ToolFile, tool_path, write_tool
 from galen_ros.conversions import fill_stamp, fill_wrench, wrench_to_array
@@ -21,7 +21,7 @@ from rclpy.node import Node
 from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool, Trigger
 
-from galen_msgs.msg import ToolInForce
+from galen_msgs.msg import ActiveTool
 from galen_msgs.srv import (
     CompareTools,
     GetTool,
@@ -62,7 +62,7 @@ class Person(Node):
         self.wrench = self.create_publisher(WrenchStamped, "wrench_raw", STREAM)
         self.outputs: list[np.ndarray] = []
         self.states: list[str] = []
-        self.told: list[ToolInForce] = []
+        self.told: list[ActiveTool] = []
         self.create_subscription(
             WrenchStamped,
             "wrench_compensated",
@@ -70,7 +70,7 @@ class Person(Node):
             STREAM,
         )
         self.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 10)
-        self.create_subscription(ToolInForce, "gravcomp/tool_in_force", self.told.append, LATCHED)
+        self.create_subscription(ActiveTool, "gravcomp/active_tool", self.told.append, LATCHED)
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
         self.states += [status.message for status in message.status if "gravcomp" in status.name]
@@ -97,7 +97,7 @@ class Person(Node):
         self.harness.wait_for(client.service_is_ready, 5.0, service)
         return client.call_async(kind.Request())
 
-    def wait_told(self, accepts: Callable[[ToolInForce], bool], what: str) -> ToolInForce:
+    def wait_told(self, accepts: Callable[[ActiveTool], bool], what: str) -> ActiveTool:
         self.harness.wait_for(lambda: self.told and accepts(self.told[-1]), 5.0, what)
         return self.told[-1]
 
@@ -112,7 +112,7 @@ class Person(Node):
 def test_tools_by_service_in_one_nodes_life(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(tool_in_force, "_FILE_CHECK_S", 0.05)
+    monkeypatch.setattr(active_tool, "_FILE_CHECK_S", 0.05)
     for tool in (POINTER, RETRACTOR, a_tool("drill", 0.06 + 1e-5)):
         write_tool(tool_path(tmp_path, tool.tool), tool)
     write_tool(tmp_path / "cut.json.bak", a_tool("cut", 0.1))
@@ -139,11 +139,11 @@ def test_tools_by_service_in_one_nodes_life(
         assert first.path == str(tmp_path / "pointer.json") and not first.tared
         np.testing.assert_array_equal(np.reshape(first.covariance, (4, 4)), np.eye(4) * 1e-8)
         check_list_get_compare(person, tmp_path)
-        check_refusals(person)
+        check_rejections(person)
         check_tare_and_switch(person)
-        check_rename_in_force(person, tmp_path)
+        check_rename_active(person, tmp_path)
         check_changed_file(person, tmp_path)
-        check_revert_in_force(person, tmp_path)
+        check_revert_active(person, tmp_path)
         gone = person.call("set_tool", SetTool, tool="")
         assert gone.success
         assert person.wait_told(lambda m: m.tool == "", "no tool").file_state == first.FILE_NONE
@@ -161,7 +161,7 @@ def check_list_get_compare(person: Person, folder: Path) -> None:
     rows = {row.tool: row for row in answer.tools}
     assert list(rows) == ["cut", "drill", "pointer", "retractor"]
     assert "not JSON" in rows["cut"].problem and rows["pointer"].problem == ""
-    assert [row.in_force for row in answer.tools] == [False, False, True, False]
+    assert [row.active_tool for row in answer.tools] == [False, False, True, False]
     assert rows["retractor"].mass_kg == 0.2
     assert rows["retractor"].mass_std_kg == pytest.approx(1e-4)
     np.testing.assert_array_equal(rows["retractor"].rmse_force_n, [0.0, 1e-3, 2e-3])
@@ -180,24 +180,28 @@ def check_list_get_compare(person: Person, folder: Path) -> None:
     live = person.call("get_tool", GetTool, **asked)
     rotation, origin = sensor_pose(JOINTS)
     for answer in (given, live):
-        assert answer.success and answer.frame == "base_link" and not answer.in_force
+        assert answer.success and answer.frame == "base_link" and not answer.active_tool
         np.testing.assert_allclose(answer.com_m, rotation @ RETRACTOR.load.com_m + origin)
         np.testing.assert_allclose(answer.tip_m, rotation @ RETRACTOR.tip_m + origin)
         np.testing.assert_array_equal(answer.joints, JOINTS)
     assert json.loads(live.content)["tool"] == "retractor"
-    in_force = person.call("get_tool", GetTool)
-    assert (in_force.tool, in_force.in_force, in_force.frame) == ("pointer", True, "ft_sensor")
-    assert np.isnan(in_force.joints).all()
-    np.testing.assert_array_equal(in_force.com_m, POINTER.load.com_m)
+    active_tool = person.call("get_tool", GetTool)
+    assert (active_tool.tool, active_tool.active_tool, active_tool.frame) == (
+        "pointer",
+        True,
+        "ft_sensor",
+    )
+    assert np.isnan(active_tool.joints).all()
+    np.testing.assert_array_equal(active_tool.com_m, POINTER.load.com_m)
 
     other = person.call("compare_tools", CompareTools, b="retractor")
-    assert other.success and not other.same_load and "'pointer in force'" in other.text
+    assert other.success and not other.same_load and "'active pointer'" in other.text
     assert other.differences[0].text == "differs by 140 g (990 sigma)"
     assert other.worst_force_n == pytest.approx(0.14 * 9.80665)
     assert person.call("compare_tools", CompareTools, a="pointer", b="drill").same_load
 
 
-def check_refusals(person: Person) -> None:
+def check_rejections(person: Person) -> None:
     for service, kind, request, code, words in (
         ("get_tool", GetTool, {"tool": "../x"}, "INVALID_NAME", "letters"),
         ("get_tool", GetTool, {"tool": "cut"}, "INVALID_FILE", "cut.json"),
@@ -207,7 +211,7 @@ def check_refusals(person: Person) -> None:
         ("rename_tool", RenameTool, {"tool": "drill", "new_name": "a/b"}, "INVALID_NAME", "a/b"),
         ("rename_tool", RenameTool, {"tool": "drill", "new_name": "cut"}, "EXISTS", "cut.json"),
         ("rename_tool", RenameTool, {"tool": "cut", "new_name": "x"}, "INVALID_FILE", "cut.json"),
-        ("remove_tool", RemoveTool, {"tool": "pointer"}, "IN_FORCE", "another tool in force"),
+        ("remove_tool", RemoveTool, {"tool": "pointer"}, "IN_FORCE", "another active tool"),
         ("remove_tool", RemoveTool, {"tool": "none"}, "NOT_FOUND", "none.json"),
         ("revert_tool", RevertTool, {"tool": "../x"}, "INVALID_NAME", "letters"),
         ("revert_tool", RevertTool, {"tool": "none"}, "NOT_FOUND", "none.json"),
@@ -236,7 +240,7 @@ def check_tare_and_switch(person: Person) -> None:
     )
 
 
-def check_rename_in_force(person: Person, folder: Path) -> None:
+def check_rename_active(person: Person, folder: Path) -> None:
     """It goes on under the new name: neither the load nor the tare changes, nothing steps."""
     before = person.output()
     answer = person.call("rename_tool", RenameTool, tool="pointer", new_name="probe")
@@ -244,14 +248,14 @@ def check_rename_in_force(person: Person, folder: Path) -> None:
     told = person.wait_told(lambda m: m.tool == "probe", "the new name")
     assert told.tared and told.path == answer.path and told.file_state == told.FILE_AS_LOADED
     np.testing.assert_array_equal(person.output(), before)
-    in_force = person.call("get_tool", GetTool)
-    assert in_force.sha256 == told.sha256 and in_force.content != ""
+    active_tool = person.call("get_tool", GetTool)
+    assert active_tool.sha256 == told.sha256 and active_tool.content != ""
     assert not (folder / "pointer.json").exists()
     assert person.call("remove_tool", RemoveTool, tool="probe").error_code == 4
 
 
 def check_changed_file(person: Person, folder: Path) -> None:
-    """A calibration that nobody put in force is told, until somebody does."""
+    """A calibration that nobody activated is told, until somebody does."""
     path = folder / "probe.json"
     write_tool(path, replace(POINTER, tool="probe", load=replace(POINTER.load, mass_kg=0.061)))
     told = person.wait_told(lambda m: m.file_state == m.FILE_CHANGED, "the change")
@@ -261,7 +265,7 @@ def check_changed_file(person: Person, folder: Path) -> None:
         5.0,
         "the warning",
     )
-    # Renamed, what is in force stays what was loaded, and so does the warning.
+    # Renamed, what is active stays what was loaded, and so does the warning.
     assert person.call("rename_tool", RenameTool, tool="probe", new_name="p2").success
     told = person.wait_told(lambda m: m.tool == "p2", "the new name")
     assert (told.mass_kg, told.file_state) == (0.06, told.FILE_CHANGED)
@@ -275,8 +279,8 @@ def check_changed_file(person: Person, folder: Path) -> None:
     person.wait_told(lambda m: m.file_state == m.FILE_AS_LOADED, "the file back")
 
 
-def check_revert_in_force(person: Person, folder: Path) -> None:
-    """The file is the one before; what is in force doesn't change until it is loaded."""
+def check_revert_active(person: Person, folder: Path) -> None:
+    """The file is the one before; what is active doesn't change until it is loaded."""
     before = person.output()
     compared = person.call("compare_tools", CompareTools, a_previous=True, b="probe")
     assert compared.success and "'probe before' and 'probe'" in compared.text

@@ -1,4 +1,4 @@
-"""The command `tools`: what it prints, what it refuses, exit codes; without a node."""
+"""The command `tools`: what it prints, what it rejects, exit codes; without a node."""
 
 import json
 from dataclasses import dataclass, field, make_dataclass
@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from galen_gravcomp.tools import command as tools_command
 from galen_gravcomp.tools.command import main
-from galen_gravcomp.tools.report import print_in_force, print_tool
+from galen_gravcomp.tools.report import print_active, print_tool
 from galen_model.arm.kinematics import sensor_pose
 from galen_model.files.calibration_file import (
     LoadEstimate,
@@ -153,7 +153,7 @@ def test_the_calibration_before(tools: Command, capsys: pytest.CaptureFixture[st
         assert usage.value.code == 2 and "--previous" in capsys.readouterr().err
 
 
-def test_what_is_refused_is_one_line_and_changes_nothing(tools: Command) -> None:
+def test_what_is_rejected_is_one_line_and_changes_nothing(tools: Command) -> None:
     before = {path.name: path.read_bytes() for path in tools.folder.iterdir()}
     for words, said in (
         (("rename", "pointer", "retractor"), "never overwritten"),
@@ -212,22 +212,22 @@ def test_ages() -> None:
         assert age_text(time, now) == text
 
 
-def test_in_force_tells_a_switch_that_is_off_and_a_file_that_changed() -> None:
+def test_active_tells_a_switch_that_is_off_and_a_file_that_changed() -> None:
     state = {
         "tool": "pointer", "enabled": False, "frame": "ft_sensor", "mass_kg": 0.06,
         "com_m": [0.055, 0.002, 0.045], "covariance": (np.eye(4) * 1e-8).tolist(),
         "tip_m": [0.15, 0.0, 0.05], "adapter": {"mass_kg": 0.1, "com_m": [0.0, 0.0, 0.02]},
         "parts": ["inertia"], "calibrated_at": "2026-01-01T00:00:00Z", "path": "/x/pointer.json",
         "sha256": "0123456789abcdef", "file_state": "changed",
-        "tare": [0.5, 0.0, 0.0, 0.0, 0.0, 0.0], "wander": None,
+        "tare": [0.5, 0.0, 0.0, 0.0, 0.0, 0.0], "bias_drift": None,
     }  # fmt: skip
     console = Console(width=100)
     with console.capture() as captured:
-        print_in_force(state, console)
+        print_active(state, console)
     out = captured.get()
     for words in ("switched off", "has changed since", "500.00", "inertia", "0123456789ab"):
         assert words in out
-    assert "wander" not in out
+    assert "bias_drift" not in out
     with console.capture() as captured:
-        print_in_force({**state, "tool": ""}, console)
-    assert "no tool is in force" in captured.get()
+        print_active({**state, "tool": ""}, console)
+    assert "no tool is active" in captured.get()

@@ -130,7 +130,7 @@ def test_adapter_and_tool_off_is_not_less_than_nothing():
         (1.0, 0.09, Verdict.OFFSET),
     ],
 )
-def test_what_would_not_mend_it_is_not_the_reason(offset, rest, verdict):
+def test_what_would_not_fix_it_is_not_the_reason(offset, rest, verdict):
     tool = tool_file()
     left = alternating(30, rest, 0)
     left[:, 0] += offset

@@ -5,7 +5,7 @@ LONGEST_MESSAGE = 1000
 
 
 class GalenError(Exception):
-    """Base of every error that a user can cause and mend; its message is one line."""
+    """Base of every error that a user can cause and fix; its message is one line."""
 
     def __str__(self) -> str:
         return one_line(super().__str__())

@@ -51,7 +51,7 @@ def test_points_of_the_tool_are_no_nearer_than_the_library_says():
             assert arm.nearest(joints).distance_m <= of_points + 1e-6
 
 
-def test_nothing_slips_through_a_straight_way_and_few_are_refused_in_vain():
+def test_nothing_slips_through_a_straight_way_and_few_are_rejected_in_vain():
     rng = np.random.default_rng(2)
     thin = [0.4, 0.15, 0.0, 1.0, 0.151, 0.6]
     arm = clearance(SIDE, thin)

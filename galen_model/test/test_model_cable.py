@@ -1,4 +1,4 @@
-"""A cable's pull learned from a sweep: form, likelihood, what it says, when it is refused."""
+"""A cable's pull learned from a sweep: form, likelihood, what it says, when it is rejected."""
 
 import json
 from dataclasses import replace
@@ -245,7 +245,7 @@ def test_what_is_no_cable_is_named(error, name):
     assert named(sweep, learn_cable(sweep, WHEN, forms=["point"])) == [name]
 
 
-# --- refusals -----------------------------------------------------------------------------------
+# --- rejections -----------------------------------------------------------------------------------
 
 
 def test_where_there_is_no_cable_none_is_learned():
@@ -268,7 +268,7 @@ def test_where_there_is_no_cable_none_is_learned():
         (grid(4, 4), r"0\.57 rad apart|0\.8 rad apart"),
     ],
 )
-def test_a_sweep_that_is_too_sparse_is_refused(joints, words):
+def test_a_sweep_that_is_too_sparse_is_rejected(joints, words):
     with pytest.raises(SparseSweepError, match=words):
         learn_cable(sweep_of(pull(joints), joints), WHEN)
 
@@ -308,7 +308,7 @@ def test_a_tools_file_keeps_it_and_reads_it_back(learned, tmp_path):
         ({"attachment_m": [9.0, 0.0, 0.0]}, "cable.attachment_m"),
     ],
 )
-def test_a_file_that_was_tampered_with_is_refused(learned, tmp_path, change, words):
+def test_a_file_that_was_tampered_with_is_rejected(learned, tmp_path, change, words):
     path = tmp_path / "pen.json"
     content = a_tool(learned.drag).to_json()
     content["cable"] |= change
@@ -318,7 +318,7 @@ def test_a_file_that_was_tampered_with_is_refused(learned, tmp_path, change, wor
 
 
 @pytest.mark.parametrize("key", ["joints", "wrench", "std"])
-def test_a_pose_that_was_tampered_with_is_refused(learned, key):
+def test_a_pose_that_was_tampered_with_is_rejected(learned, key):
     for row, words in (([1.0], f"cable.poses.{key}"), (["x"] * 6, f"cable.poses.{key}")):
         content = json.loads(json.dumps(learned.drag.to_json()))
         content["poses"][3][key] = row

@@ -1,4 +1,4 @@
-"""Identification: known parameters recovered at the noise's limit, bad input refused by name."""
+"""Identification: known parameters recovered at the noise's limit, bad input rejected by name."""
 
 import re
 
@@ -140,7 +140,7 @@ def test_too_many_outliers_are_an_error():
         identify_two_sweeps(bare, with_tool)
 
 
-def test_poses_that_do_not_turn_are_refused_by_name():
+def test_poses_that_do_not_turn_are_rejected_by_name():
     tool, rng = TOOLS["pointer"].load, np.random.default_rng(8)
     same = (np.full(56, 0.2), np.full(56, 0.1))
     with pytest.raises(NotExcitedError, match=r"the tool's mass.*0.000 rad of roll"):
@@ -159,7 +159,7 @@ def test_gate_names_the_direction_that_two_orientations_leave_open():
         identify_single_load(gravity, reading)
 
 
-def test_mass_that_is_not_positive_is_refused():
+def test_mass_that_is_not_positive_is_rejected():
     rng = np.random.default_rng(9)
     tool = TOOLS["pointer"].load
     bare, with_tool = sweeps(tool, rng)
@@ -271,21 +271,21 @@ def test_a_channel_that_never_changes_is_named(channel, value):
 
 
 @pytest.mark.slow
-def test_a_wander_within_a_sweep_is_told():
+def test_a_bias_drift_within_a_sweep_is_told():
     """Three sigma over a sweep already make the adapter's interval miss; it must not be silent."""
     tool, sigmas = TOOLS["pointer"].load, np.array([0, 0, 3, 0, 0, 0]) * SIGMA
-    wander = np.linspace(0.0, 1.0, 56)[:, None] * sigmas
+    bias_drift = np.linspace(0.0, 1.0, 56)[:, None] * sigmas
     told = {"with": 0, "without": 0, "one": 0, "none": 0}
     for seed in range(40):
         bare, with_tool = sweeps(tool, np.random.default_rng(seed))
         told["none"] += len(identify_two_sweeps(bare, with_tool).warnings)
-        with_tool.wrench[:] += wander
-        pattern = r"fz wandered by \+0\.00\d+ N .* sweep with the tool"
+        with_tool.wrench[:] += bias_drift
+        pattern = r"fz drifted by \+0\.00\d+ N .* sweep with the tool"
         warned = identify_two_sweeps(bare, with_tool).warnings
         told["with"] += any(re.search(pattern, text) for text in warned)
         warned = identify_one_sweep(with_tool).warnings
         told["one"] += any(re.search(pattern, text) for text in warned)
-        bare.wrench[:] -= wander
+        bare.wrench[:] -= bias_drift
         warned = identify_two_sweeps(bare, with_tool).warnings
         told["without"] += any("sweep without the tool" in text for text in warned)
     assert told["none"] == 0

@@ -1,4 +1,4 @@
-"""Inertia from recordings of motion: known ones found, to the noise's limit, or refused."""
+"""Inertia from recordings of motion: known ones found, to the noise's limit, or rejected."""
 
 import numpy as np
 import pytest
@@ -106,7 +106,7 @@ def test_one_recording_tells_inertia_lag_and_offset():
         ([0.0] * 5, ("xx", "yy", "zz"), ()),
     ],
 )
-def test_what_the_motion_does_not_tell_is_refused_and_named(size, missing, told):
+def test_what_the_motion_does_not_tell_is_rejected_and_named(size, missing, told):
     with pytest.raises(NotExcitedError, match="does not tell the inertia's") as error:
         identify(size=np.array(size))
     names = str(error.value).split("'s ")[1].split(":")[0].split(", ")
@@ -120,7 +120,7 @@ def test_another_load_than_the_files_is_noticed():
         identify(moments=MOMENTS * np.array([0.65, 0.6, 0.6, 0.6]))
 
 
-def test_readings_that_hold_the_weight_alone_are_refused():
+def test_readings_that_hold_the_weight_alone_are_rejected():
     stamps, joints, same, wrench = recording(8)
     q, v, a = motion((stamps - stamps[0]) / NS)
     moving = sensor_motion(q, v, a)
@@ -129,7 +129,7 @@ def test_readings_that_hold_the_weight_alone_are_refused():
         identify_inertia(motion_record(stamps, joints, same, wrench), MOMENTS, KNOWN)
 
 
-def test_touched_blocks_are_left_out_and_a_recording_touched_all_over_is_refused():
+def test_touched_blocks_are_left_out_and_a_recording_touched_all_over_is_rejected():
     stamps, joints, same, wrench = recording(5)
     wrench[1000:1250, 2] += 5.0
     fit = identify_inertia(motion_record(stamps, joints, same, wrench), MOMENTS, KNOWN)
@@ -138,7 +138,7 @@ def test_touched_blocks_are_left_out_and_a_recording_touched_all_over_is_refused
     assert np.all(np.abs(error) < 4.0 * fit.inertia.std_kg_m2)
 
 
-def test_a_short_recording_and_one_in_pieces_are_refused():
+def test_a_short_recording_and_one_in_pieces_are_rejected():
     with pytest.raises(IdentificationError, match="too short"):
         identify(duration_s=8.0)
     stamps, joints, same, wrench = recording(6)

@@ -1,4 +1,4 @@
-"""Sensor and mounting: recovered at the noise's limit, told apart or refused by the pair."""
+"""Sensor and mounting: recovered at the noise's limit, told apart or rejected by the pair."""
 
 import json
 from dataclasses import replace
@@ -205,22 +205,22 @@ TWINS = [
 
 
 @pytest.mark.parametrize(("groups", "pair"), TWINS)
-def test_twins_are_refused_by_name(groups, pair):
+def test_twins_are_rejected_by_name(groups, pair):
     rng = np.random.default_rng(5)
-    with pytest.raises(NotToldApartError) as refused:
+    with pytest.raises(NotToldApartError) as rejected:
         identify_two_sweeps_mounted(*sweeps(mounting(only=groups), rng), groups)
-    (named,) = refused.value.pairs
+    (named,) = rejected.value.pairs
     assert set(named) == {f"the {name}" for name in pair}
-    assert all(name in str(refused.value) for name in pair)
+    assert all(name in str(rejected.value) for name in pair)
     with pytest.raises(NotToldApartError) as planned:
         check_planned_mounting(*grid(), groups)
-    assert planned.value.pairs == refused.value.pairs
+    assert planned.value.pairs == rejected.value.pairs
 
 
 def test_all_at_once_names_all_four_pairs():
-    with pytest.raises(NotToldApartError) as refused:
+    with pytest.raises(NotToldApartError) as rejected:
         identify_two_sweeps_mounted(*sweeps(Mounting(), np.random.default_rng(1)), ALL)
-    assert {frozenset(pair) for pair in refused.value.pairs} == {
+    assert {frozenset(pair) for pair in rejected.value.pairs} == {
         frozenset(f"the {name}" for name in pair) for _, pair in TWINS
     }
 
@@ -362,7 +362,7 @@ def test_errors_are_the_bounds_and_the_intervals_hold():
     assert abs(np.mean(distances) - 9.0) < 4.0 * np.sqrt(2 * 9 / count)
 
 
-def test_a_file_holds_the_mounting_and_refuses_a_broken_one(tmp_path):
+def test_a_file_holds_the_mounting_and_rejects_a_broken_one(tmp_path):
     covariance = np.diag(np.arange(13) * 1e-8)
     mounted = replace(mounting(), estimated=("sensor_rotation",), covariance=covariance)
     path = tmp_path / "retractor.json"

@@ -136,7 +136,7 @@ def test_the_bound_holds_for_repeated_poses_and_is_nearly_reached():
     assert finer > 0.998 * bound
 
 
-def test_a_good_start_is_kept_and_few_or_bad_candidates_are_refused():
+def test_a_good_start_is_kept_and_few_or_bad_candidates_are_rejected():
     line = np.column_stack([np.zeros(8), np.linspace(-1.0, 0.9, 8)])
     with pytest.raises(PoseDesignError, match="6 poses out of 8 don't tell all"):
         PoseDesign(np.tile(line[:1], (8, 1))).choose(6)

@@ -1,4 +1,4 @@
-"""Tool files: read back what was written, refuse what is not one, survive a kill."""
+"""Tool files: read back what was written, reject what is not one, survive a kill."""
 
 import json
 import os
@@ -127,7 +127,7 @@ def test_a_missing_field_is_named(tmp_path, field):
 
 
 @pytest.mark.parametrize("text", [b"", b"{", b"[]", b"\xff\xfe", b"[" * 100_000, b"null"])
-def test_what_is_no_json_object_is_refused(tmp_path, text):
+def test_what_is_no_json_object_is_rejected(tmp_path, text):
     path = tmp_path / "pointer.json"
     path.write_bytes(text)
     with pytest.raises(ToolFileError, match=r"pointer\.json"):
@@ -136,7 +136,7 @@ def test_what_is_no_json_object_is_refused(tmp_path, text):
 
 @pytest.mark.parametrize("field", [name for name in make().to_json() if name != "poses_rejected"])
 @pytest.mark.parametrize("depth", [400, 970])
-def test_what_is_nested_too_deep_is_refused(tmp_path, field, depth):
+def test_what_is_nested_too_deep_is_rejected(tmp_path, field, depth):
     content = {**make().to_json(), field: "HERE"}
     path = tmp_path / "pointer.json"
     path.write_text(json.dumps(content).replace('"HERE"', "[" * depth + "]" * depth))
@@ -144,7 +144,7 @@ def test_what_is_nested_too_deep_is_refused(tmp_path, field, depth):
         read_tool(path)
 
 
-def test_a_missing_or_huge_file_is_refused(tmp_path):
+def test_a_missing_or_huge_file_is_rejected(tmp_path):
     with pytest.raises(ToolFileError, match="can't be read"):
         read_tool(tmp_path / "none.json")
     huge = tmp_path / "huge.json"
@@ -185,7 +185,7 @@ while True:
 
 
 @pytest.mark.slow
-def test_a_kill_at_any_moment_leaves_a_whole_file(tmp_path):
+def test_a_kill_at_any_moment_leaves_a_atomic_file(tmp_path):
     path = tool_path(tmp_path, "pointer")
     write_tool(path, make())
     rng = np.random.default_rng(0)

@@ -95,7 +95,7 @@ def test_the_worst_case_is_the_largest_over_the_workspace() -> None:
     assert compare_tools(POINTER, POINTER).worst_force.size == 0.0
 
 
-def test_files_of_two_sensors_are_refused() -> None:
+def test_files_of_two_sensors_are_rejected() -> None:
     with pytest.raises(IncomparableError, match="'ft_sensor' and 'b' in 'other'"):
         compare_tools(POINTER, replace(POINTER, sensor_frame="other"), ("a", "b"))
 

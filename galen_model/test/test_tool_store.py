@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from galen_model.errors import GalenError, ToolFileError, ToolNameError
-from galen_model.files import atomic_file as whole_file
+from galen_model.files import atomic_file as atomic_file
 from galen_model.files import calibration_store as tool_store
 from galen_model.files.calibration_file import (
     LoadEstimate,
@@ -166,8 +166,8 @@ def steps(monkeypatch: pytest.MonkeyPatch, fail_at: int, error: type[BaseExcepti
 
         return call
 
-    monkeypatch.setattr(whole_file.os, "link", failing(os.link))
-    monkeypatch.setattr(whole_file.os, "replace", failing(os.replace))
+    monkeypatch.setattr(atomic_file.os, "link", failing(os.link))
+    monkeypatch.setattr(atomic_file.os, "replace", failing(os.replace))
     monkeypatch.setattr(Path, "unlink", failing(Path.unlink))
 
 
@@ -289,9 +289,9 @@ def swapping(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) ->
         raise PermissionError(1, "Operation not permitted")
 
     if request.param != "in one step":
-        monkeypatch.setattr(whole_file, "_exchange_in_one_step", no_exchange)
+        monkeypatch.setattr(atomic_file, "_exchange_in_one_step", no_exchange)
     if request.param == "without hard links":
-        monkeypatch.setattr(whole_file.os, "link", no_links)
+        monkeypatch.setattr(atomic_file.os, "link", no_links)
 
 
 @pytest.mark.usefixtures("swapping")
@@ -359,7 +359,7 @@ def test_a_revert_cut_short_loses_nothing(
     """On a file system that can't swap names in one step. Killed, the tool is still there whole,
     and every calibration under some name; with an error all is as before, or done."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(whole_file, "_exchange_in_one_step", no_exchange)
+        patch.setattr(atomic_file, "_exchange_in_one_step", no_exchange)
         steps(patch, fail_at, error)
         try:
             store.revert("pointer")
@@ -377,7 +377,7 @@ def test_a_revert_cut_short_loses_nothing(
 def test_a_calibration_written_during_a_revert_is_not_lost(
     store: ToolStore, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """What is in force of both names is swapped, whatever was looked at before."""
+    """What is active of both names is swapped, whatever was looked at before."""
     real = tool_store.exchange
 
     def calibrate_before(path, other, spare):
@@ -395,7 +395,7 @@ def test_a_full_disk_or_a_file_system_for_reading_says_so(
     def read_only(*_args: object) -> None:
         raise OSError(30, "Read-only file system")
 
-    monkeypatch.setattr(whole_file, "_exchange_in_one_step", read_only)
+    monkeypatch.setattr(atomic_file, "_exchange_in_one_step", read_only)
     with pytest.raises(ToolStoreError, match=r"pointer\.json: can't be reverted: Read-only"):
         store.revert("pointer")
     assert masses(store) == BEFORE
@@ -409,9 +409,9 @@ def test_a_broken_file_can_be_removed_and_a_link_never_takes_its_target(
     outside = tmp_path / "outside.json"
     write_tool(outside, a_tool("link"))
     (store.directory / "link.json").symlink_to(outside)
-    for refused in (lambda: store.remove("link"), lambda: store.rename("link", "new")):
+    for rejected in (lambda: store.remove("link"), lambda: store.rename("link", "new")):
         with pytest.raises(ToolFileError, match="leads out of"):
-            refused()
+            rejected()
     assert read_tool(outside).tool == "link"
 
 
@@ -421,7 +421,7 @@ def test_without_hard_links_it_works_as_well(
     def no_links(*_args, **_options):
         raise PermissionError(1, "Operation not permitted")
 
-    monkeypatch.setattr(whole_file.os, "link", no_links)
+    monkeypatch.setattr(atomic_file.os, "link", no_links)
     store.rename("pointer", "probe")
     with pytest.raises(ToolExistsError):
         store.rename("retractor", "probe")

@@ -60,7 +60,7 @@ def new_token() -> str:
 class Access:
     """ASGI application around another: lets through what may talk to the panel.
 
-    It has to be the outermost, or what is around it changes its refusals. token None: none is
+    It has to be the outermost, or what is around it changes its rejections. token None: none is
     needed, and only requests that name this machine's loopback as their host are let through.
     """
 
@@ -75,29 +75,29 @@ class Access:
         if scope["type"] not in ("http", "websocket"):
             await self._app(scope, receive, send)
             return
-        refusal = self._refusal(scope, Headers(scope=scope))
-        if refusal is None:
+        rejection = self._rejection(scope, Headers(scope=scope))
+        if rejection is None:
             await self._app(scope, receive, _with_headers(send))
         elif scope["type"] == "websocket":
             await send({"type": "websocket.close", "code": 1008})
         else:
-            await refusal(scope, receive, _with_headers(send))
+            await rejection(scope, receive, _with_headers(send))
 
-    def _refusal(self, scope: Scope, headers: Headers) -> Response | None:
+    def _rejection(self, scope: Scope, headers: Headers) -> Response | None:
         host = headers.get("host", "")
         if self._token is None and not is_loopback(_part(f"//{host}", "hostname")):
-            return _refused("This panel answers on this machine alone.\n", 403)
+            return _rejected("This panel answers on this machine alone.\n", 403)
         origin = headers.get("origin")
         if origin is not None and _part(origin, "netloc").lower() != host.lower():
-            return _refused(_OTHER_HOST, 403)
+            return _rejected(_OTHER_HOST, 403)
         if _of_another_site(headers) and not _opens_a_tab(scope, headers):
-            return _refused(_OTHER_HOST, 403)
+            return _rejected(_OTHER_HOST, 403)
         if self._token is None or self._same(self._cookie_of(headers)):
             return None
         given = parse_qs(scope.get("query_string", b"").decode("latin-1"))
         if scope["type"] == "http" and self._same(given.pop(_PARAMETER, [""])[0]):
             return self._welcome(scope, urlencode(given, doseq=True))
-        return _refused(_WRONG_TOKEN, 401)
+        return _rejected(_WRONG_TOKEN, 401)
 
     def _welcome(self, scope: Scope, query: str) -> Response:
         """To the same page, with the cookie and without the token in the address."""
@@ -126,7 +126,7 @@ class Access:
         return hmac.compare_digest(given.encode(errors="replace"), self._token.encode())
 
 
-def _refused(text: str, code: int) -> Response:
+def _rejected(text: str, code: int) -> Response:
     return PlainTextResponse(text, code, headers=dict(_NOT_KEPT))
 
 

@@ -49,7 +49,7 @@ def serve(suite: Suite, options: Options, on_stop: Callable[[], None]) -> None:
 
     recordings = Recordings(options.bags_dir, options.tools_dir, options.output_dir)
     # NiceGUI adds middleware of its own when it starts, around what was added before; one has
-    # browsers keep whatever comes from below /_nicegui, a refusal as well, for a year.
+    # browsers keep whatever comes from below /_nicegui, a rejection as well, for a year.
     inner = app.build_middleware_stack
     app.build_middleware_stack = lambda: Access(  # type: ignore[method-assign]
         Turns(inner()), options.token, options.port

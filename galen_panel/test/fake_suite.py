@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 from galen_panel.state.history import History
 from galen_panel.state.snapshot import (
+    Active,
     Answer,
     Comparison,
     Difference,
-    InForce,
     Level,
     NodeReport,
     State,
@@ -26,7 +26,7 @@ RETRACTOR = Tool(
     (3.5e-5, 3.4e-5, 3.6e-5), 56, "2026-11-20T09:12:44+00:00", ("inertia",),
 )  # fmt: skip
 BROKEN = Tool("drill", problem="drill.json: field 'load' is missing")
-IN_FORCE = InForce(
+IN_FORCE = Active(
     "pointer", True, 0.0601, (0.055, 0.002, 0.045), (0.15, 0.0, 0.05),
     "2026-11-21T14:03:11+00:00", "as loaded", None, None,
 )  # fmt: skip
@@ -100,8 +100,8 @@ class FakeSuite:
     async def list_tools(self):
         return await self._called("list_tools")
 
-    async def put_in_force(self, tool):
-        return await self._called("put_in_force", tool)
+    async def activate(self, tool):
+        return await self._called("activate", tool)
 
     async def remove_tool(self, tool):
         return await self._called("remove_tool", tool)

@@ -84,7 +84,7 @@ def start(world):
 def operate(browser, path):
     """In the middle of a calibration."""
     browser.wait(lambda: browser.usable("calibrate"), "the calibration", PATIENCE_S)
-    browser.says("in-force", "retractor", patience_s=PATIENCE_S)
+    browser.says("active", "retractor", patience_s=PATIENCE_S)
     browser.click("calibrate")
     browser.click("dialog-ok")
     browser.wait(lambda: done(browser) >= POSES, "some poses", PATIENCE_S)
@@ -96,7 +96,7 @@ def operate(browser, path):
 
 def live(browser, world, path):
     """While the tool is pushed."""
-    browser.says("in-force", "retractor", patience_s=PATIENCE_S)
+    browser.says("active", "retractor", patience_s=PATIENCE_S)
     browser.click("tab-live")
     browser.find("plot")
     run_hand(world)

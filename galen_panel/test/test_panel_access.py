@@ -167,7 +167,7 @@ def test_without_the_token_nothing_is_told(closed_server):
             status, headers, body = closed_server.ask(path, method=method)
             assert status == 401 and b"nicegui" not in body.lower()
             assert "set-cookie" not in headers and "location" not in headers
-            # Else the browser would still show the refusal when it has the token.
+            # Else the browser would still show the rejection when it has the token.
             assert headers["cache-control"] == "no-store"
     assert closed_server.upgrade() == 403
     assert closed_server.upgrade(Origin=f"http://{closed_server.host}") == 403

@@ -22,17 +22,17 @@ const tried = {};
 const load = (name, element, attribute, address) => new Promise(resolve => {
   element[attribute] = address;
   element.onload = () => { tried[name] = 'loaded'; resolve(); };
-  element.onerror = () => { tried[name] = 'refused'; resolve(); };
+  element.onerror = () => { tried[name] = 'rejected'; resolve(); };
   document.body.append(element);
 });
 const get = (name, options) => fetch('PANEL', options)
   .then(answer => { tried[name] = answer.type == 'opaque' ? 'opaque' : answer.status; })
-  .catch(() => { tried[name] = 'refused'; });
+  .catch(() => { tried[name] = 'rejected'; });
 const socket = new Promise(resolve => {
   const one = new WebSocket('PANEL'.replace('http', 'ws').replace(/\\/[^/]*$/, '')
     + '/_nicegui_ws/socket.io/?EIO=4&transport=websocket');
   one.onopen = () => { tried.socket = 'open'; resolve(); };
-  one.onerror = () => { tried.socket = 'refused'; resolve(); };
+  one.onerror = () => { tried.socket = 'rejected'; resolve(); };
 });
 const framed = new Promise(resolve => {
   const frame = document.createElement('iframe');
@@ -108,7 +108,7 @@ def test_without_the_token_there_is_a_sentence_that_says_what_to_do(chromium, cl
     assert body == "The panel needs its token: open it with the whole link that it printed when" + (
         " it started."
     )
-    # With the link it then works: nothing of the refusals is kept.
+    # With the link it then works: nothing of the rejections is kept.
     chromium.open(closed_link)
     connected(chromium)
 
@@ -136,7 +136,7 @@ def attack(browser, link, name, forget=True):
             lambda: browser.driver.find_element(By.ID, "told").text, "the attack to be over"
         )
         tried = json.loads(told)
-        assert len(tried) == 6 and set(tried.values()) == {"refused"}, tried
+        assert len(tried) == 6 and set(tried.values()) == {"rejected"}, tried
         browser.driver.switch_to.frame(0)
         assert "nicegui" not in browser.driver.page_source.lower()
         browser.driver.switch_to.default_content()

@@ -18,7 +18,7 @@ def test_the_panel_before_the_nodes_and_killed_while_they_work(browser, tmp_path
         browser.open(link)
 
         # nothing is there: each part says what to start
-        browser.says("in-force", "gravcomp is not running", patience_s=PATIENCE_S)
+        browser.says("active", "gravcomp is not running", patience_s=PATIENCE_S)
         for button in ("enable", "tare", "calibrate", "check", "collect"):
             assert not browser.usable(button), button
         assert "ros2 run galen_calibration_behavior calibration_node" in browser.text(
@@ -57,7 +57,7 @@ def test_the_panel_before_the_nodes_and_killed_while_they_work(browser, tmp_path
         browser.wait(lambda: done(browser) >= 3, "poses of the goal that is adopted", PATIENCE_S)
         browser.click("cancel")
         browser.says("outcome", "Canceled", patience_s=PATIENCE_S)
-        browser.forgive("ERR_CONNECTION_REFUSED")
+        browser.forgive("ERR_CONNECTION_REJECTED")
 
 
 def done(browser):

@@ -39,10 +39,10 @@ def page(browser, world):
     return browser
 
 
-def put_in_force(browser, tool):
+def activate(browser, tool):
     browser.click("tab-operate")
     browser.click(f"tool-{tool}")
-    browser.says("in-force", tool, patience_s=PATIENCE_S)
+    browser.says("active", tool, patience_s=PATIENCE_S)
 
 
 def plotted(browser, stream, holds, what):
@@ -59,11 +59,11 @@ def plotted(browser, stream, holds, what):
 
 
 def test_the_right_tool_takes_the_plotted_wrench_to_zero(page):
-    put_in_force(page, "retractor")
+    activate(page, "retractor")
     page.click("tab-live")
     plotted(page, RAW, lambda value: value > 0.4, "the pointer's weight")
     plotted(page, COMPENSATED, lambda value: value > 1.0, "the wrong tool to leave a lot over")
-    put_in_force(page, "pointer")
+    activate(page, "pointer")
     page.click("tab-live")
     plotted(page, COMPENSATED, lambda value: value < NOISE_N, "the weight to be gone")
     plotted(page, RAW, lambda value: value > 0.4, "the raw wrench to be as before")
@@ -100,7 +100,7 @@ def test_what_is_plotted_can_be_paused_zoomed_and_saved(page):
 
 
 def test_a_calibration_is_seen_by_everybody_and_kept(page, second_browser, world):
-    put_in_force(page, "pointer")
+    activate(page, "pointer")
     page.choose("calibrate-tool", "pointer")
     page.click("calibrate")
     page.click("dialog-ok")
@@ -125,8 +125,8 @@ def test_a_calibration_is_seen_by_everybody_and_kept(page, second_browser, world
     assert grams in page.text("outcome")
     page.click("keep")
     for one in (page, second_browser):
-        one.says("fate", "in force", patience_s=PATIENCE_S)
-        one.says("tool-pointer", "in force", patience_s=PATIENCE_S)
+        one.says("fate", "active", patience_s=PATIENCE_S)
+        one.says("tool-pointer", "active", patience_s=PATIENCE_S)
     page.click("tab-live")
     plotted(page, COMPENSATED, lambda value: value < NOISE_N, "the new file to fit")
 
@@ -151,16 +151,16 @@ def test_a_calibration_is_discarded(page, world):
 
 
 def test_a_quick_check_says_that_the_file_fits(page):
-    put_in_force(page, "pointer")
+    activate(page, "pointer")
     page.click("check")
     page.says("outcome", "Good", patience_s=3 * PATIENCE_S)
 
 
 def test_the_keyboard_does_it_all(page):
-    """Put another tool in force, switch, tare; the focus is seen wherever it is."""
-    put_in_force(page, "pointer")
+    """Put another active tool, switch, tare; the focus is seen wherever it is."""
+    activate(page, "pointer")
     page.driver.refresh()
-    page.says("in-force", "pointer", patience_s=PATIENCE_S)
+    page.says("active", "pointer", patience_s=PATIENCE_S)
     page.wait(lambda: page.usable("tool-retractor"), "the tools", PATIENCE_S)
     go_to(page, "tare")
     page.press(Keys.ENTER)
@@ -172,7 +172,7 @@ def test_the_keyboard_does_it_all(page):
     page.says("enable", "on", patience_s=PATIENCE_S)
     go_to(page, "tool-retractor")
     page.press(Keys.ENTER)
-    page.says("in-force", "retractor", patience_s=PATIENCE_S)
+    page.says("active", "retractor", patience_s=PATIENCE_S)
     go_to(page, "tab-operate")  # Tab leads to the one that is shown, arrows to the others
     page.press(Keys.ARROW_RIGHT)
     page.wait(lambda: page.focus() == "tab-live", "the next tab's focus")
@@ -199,7 +199,7 @@ def test_a_calibration_is_canceled(page, world):
 
 
 def test_the_driver_is_lost_and_comes_back(page, world):
-    put_in_force(page, "pointer")
+    activate(page, "pointer")
     page.wait(lambda: level(page) in ("ok", "warn"), "all to be well", PATIENCE_S)
     page.click("tab-live")
     # A calibration that was canceled before has left the tool off: its weight is taken off in vain.

@@ -9,11 +9,11 @@ ALL = frozenset({RAW, COMPENSATED, DEFLECTION, JOINTS})
 
 
 @pytest.mark.parametrize(
-    ("silent", "in_force", "words"),
+    ("silent", "active_tool", "words"),
     [
         (ALL, IN_FORCE, "driver"),
         ({COMPENSATED, DEFLECTION}, replace(IN_FORCE, enabled=False), "compensation is off"),
-        ({COMPENSATED}, replace(IN_FORCE, tool="", enabled=False), "no tool is in force"),
+        ({COMPENSATED}, replace(IN_FORCE, tool="", enabled=False), "no tool is active"),
         ({COMPENSATED}, None, "gravcomp_node is not running"),
         ({COMPENSATED, JOINTS}, IN_FORCE, "no joint_states come"),
         ({COMPENSATED}, IN_FORCE, "Nodes says why"),
@@ -21,12 +21,12 @@ ALL = frozenset({RAW, COMPENSATED, DEFLECTION, JOINTS})
         ({JOINTS}, IN_FORCE, "No joint_states"),
     ],
 )
-def test_it_says_what_is_missing_and_what_to_do(silent, in_force, words):
-    assert words in tell(frozenset(silent), State(in_force=in_force))
+def test_it_says_what_is_missing_and_what_to_do(silent, active_tool, words):
+    assert words in tell(frozenset(silent), State(active_tool=active_tool))
 
 
 def test_nothing_is_said_where_all_come():
-    assert tell(frozenset(), State(in_force=IN_FORCE)) == ""
+    assert tell(frozenset(), State(active_tool=IN_FORCE)) == ""
 
 
 def test_a_stream_is_silent_when_its_stamp_stands_still_whatever_the_clock_says():

@@ -91,7 +91,7 @@ def test_wrong_arguments_are_named(arguments, told, capsys):
 
 
 @pytest.mark.parametrize("token", ["short", "x" * 15, "with spaces " * 2, "ä" * 20, "a;b" * 9])
-def test_a_token_that_is_easily_guessed_or_fits_no_link_is_refused(token, capsys):
+def test_a_token_that_is_easily_guessed_or_fits_no_link_is_rejected(token, capsys):
     with pytest.raises(SystemExit) as ended:
         read_options([], {"GALEN_PANEL_TOKEN": token})
     assert ended.value.code == 2

@@ -104,9 +104,9 @@ def test_what_began_while_the_question_was_open_is_told():
 @pytest.mark.parametrize(
     ("changes", "chosen", "words"),
     [
-        ({"in_force": replace(IN_FORCE, tool="")}, "", "no tool is active"),
-        ({"in_force": None}, "", "no tool is active"),
-        ({"in_force": replace(IN_FORCE, tool=""), "tools": ()}, "", "no tool is calibrated yet"),
+        ({"active_tool": replace(IN_FORCE, tool="")}, "", "no tool is active"),
+        ({"active_tool": None}, "", "no tool is active"),
+        ({"active_tool": replace(IN_FORCE, tool=""), "tools": ()}, "", "no tool is calibrated yet"),
         ({"tools": (POINTER, BROKEN)}, "drill", "field 'load' is missing"),
     ],
 )
@@ -268,10 +268,10 @@ def test_a_calibration_is_shown_beside_the_old_one_and_kept():
         assert "Residual of the averaged readings: 2.4 mN, 0.052 mN·m." in user.text("outcome")
         assert "1 not used" in _headers(user)
         user.click("keep")
-        await user.until(lambda: ("put_in_force", "retractor") in suite.calls)
-        in_force = replace(IN_FORCE, tool="retractor", mass_kg=0.2, com_m=(0.07, -0.01, 0.055))
-        suite.put(in_force=in_force)
-        await user.until(lambda: user.text("fate") == "The new file is in force.")
+        await user.until(lambda: ("activate", "retractor") in suite.calls)
+        active_tool = replace(IN_FORCE, tool="retractor", mass_kg=0.2, com_m=(0.07, -0.01, 0.055))
+        suite.put(active_tool=active_tool)
+        await user.until(lambda: user.text("fate") == "The new file is active.")
         assert not user.get("keep").enabled
 
     on_page(suite, story)

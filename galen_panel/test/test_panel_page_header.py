@@ -1,4 +1,4 @@
-"""The header: the tool in force, compensation, tare, the lamp; and how the page asks."""
+"""The header: the active tool, compensation, tare, the lamp; and how the page asks."""
 
 import asyncio
 import time
@@ -14,15 +14,15 @@ def test_it_shows_what_gravcomp_says():
     suite = FakeSuite()
 
     async def story(user):
-        assert "pointer" in user.text("in-force")
-        assert "60.10 g" in user.text("in-force")
+        assert "pointer" in user.text("active")
+        assert "60.10 g" in user.text("active")
         assert user.text("enable") == "Compensation on"
-        suite.put(in_force=replace(IN_FORCE, tool="", mass_kg=0.0, enabled=False))
-        await user.until(lambda: "no tool" in user.text("in-force"))
+        suite.put(active_tool=replace(IN_FORCE, tool="", mass_kg=0.0, enabled=False))
+        await user.until(lambda: "no tool" in user.text("active"))
         assert user.text("enable") == "Compensation off"
         assert user.get("enable").props["aria-checked"] == "false"
-        suite.put(in_force=replace(IN_FORCE, file_state="changed"))
-        await user.until(lambda: "has changed" in user.text("in-force"))
+        suite.put(active_tool=replace(IN_FORCE, file_state="changed"))
+        await user.until(lambda: "has changed" in user.text("active"))
 
     on_page(suite, story)
 
@@ -34,7 +34,7 @@ def test_the_switch_asks_for_the_other_state_and_waits_for_gravcomp():
         user.click("enable")
         await user.until(lambda: suite.calls == [("set_enabled", False)])
         assert user.text("enable") == "Compensation on", "clicked is not yet switched"
-        suite.put(in_force=replace(IN_FORCE, enabled=False))
+        suite.put(active_tool=replace(IN_FORCE, enabled=False))
         await user.until(lambda: user.text("enable") == "Compensation off")
         user.click("enable")
         await user.until(lambda: suite.calls[-1] == ("set_enabled", True))
@@ -43,7 +43,7 @@ def test_the_switch_asks_for_the_other_state_and_waits_for_gravcomp():
 
 
 @pytest.mark.parametrize(
-    ("in_force", "level", "state"),
+    ("active_tool", "level", "state"),
     [
         (replace(IN_FORCE, tool=""), Level.WARN, "no_tool"),
         (replace(IN_FORCE, tool=""), Level.OK, "compensating"),  # said a moment ago
@@ -51,13 +51,13 @@ def test_the_switch_asks_for_the_other_state_and_waits_for_gravcomp():
         (IN_FORCE, Level.ERROR, "stale_joints"),
     ],
 )
-def test_the_switch_is_on_only_while_something_is_published(in_force, level, state):
+def test_the_switch_is_on_only_while_something_is_published(active_tool, level, state):
     suite = FakeSuite()
 
     async def story(user):
         assert "panel-switch-on" in user.get("enable").classes
         report = replace(COMPENSATING, level=level, values={"state": state})
-        suite.put(in_force=in_force, nodes={"gravcomp": report})
+        suite.put(active_tool=active_tool, nodes={"gravcomp": report})
         await user.until(lambda: user.text("enable") == "No compensation (switched on)")
         assert "panel-switch-on" not in user.get("enable").classes
         user.click("enable")
@@ -83,7 +83,7 @@ def test_tare_says_what_it_takes_off():
         assert user.text("tare-value") == "Takes nothing off now."
         user.click("tare")
         await user.until(lambda: suite.calls == [("tare",)])
-        suite.put(in_force=replace(IN_FORCE, tare=(0.03, 0.0, 0.04, 0.0, 1e-3, 0.0)))
+        suite.put(active_tool=replace(IN_FORCE, tare=(0.03, 0.0, 0.04, 0.0, 1e-3, 0.0)))
         await user.until(lambda: user.text("tare-value") == "Takes off 50 mN, 1.0 mN·m now.")
 
     on_page(suite, story)
@@ -93,14 +93,14 @@ def test_without_gravcomp_all_says_so():
     suite = FakeSuite()
 
     async def story(user):
-        suite.put(in_force=None, available=frozenset(), tools=None)
+        suite.put(active_tool=None, available=frozenset(), tools=None)
         await user.until(lambda: not user.get("enable").enabled)
         assert user.text("enable") == "Compensation: unknown"
-        assert "gravcomp is not running" in user.text("in-force")
+        assert "gravcomp is not running" in user.text("active")
         assert "gravcomp_node" in user.get("tare").props["title"]
         assert not user.get("tare").enabled
         assert "ros2 run galen_gravcomp gravcomp_node" in user.text("tools-note")
-        suite.put(in_force=IN_FORCE, available=ALL)
+        suite.put(active_tool=IN_FORCE, available=ALL)
         await user.until(lambda: user.get("enable").enabled and user.get("tare").enabled)
         assert "title" not in user.get("tare").props
 
@@ -111,7 +111,7 @@ def test_the_lamp_tells_its_level_in_words():
     suite = FakeSuite()
 
     async def story(user):
-        suite.put(in_force=None, available=frozenset(), nodes={})
+        suite.put(active_tool=None, available=frozenset(), nodes={})
         await user.until(lambda: user.get("lamp").props["data-level"] in ("error", "stale"))
         assert len(user.text("lamp")) > 10
 
@@ -140,9 +140,9 @@ def test_two_clicks_ask_once_and_the_state_frees_nothing_that_waits():
         user.click("tare")
         await user.until(lambda: "loading" in button.props)
         assert button.enabled, "disabled, it would lose the keyboard's focus"
-        suite.put(in_force=None, available=frozenset())
+        suite.put(active_tool=None, available=frozenset())
         await user.until(lambda: not button.enabled)
-        suite.put(in_force=IN_FORCE, available=ALL)
+        suite.put(active_tool=IN_FORCE, available=ALL)
         await user.until(lambda: button.enabled)
         assert "loading" in button.props
         user.click("tare")
@@ -189,7 +189,7 @@ def test_a_browser_may_go_while_its_page_waits():
     on_page(suite, story)
 
 
-def test_a_refusal_is_told():
+def test_a_rejection_is_told():
     suite = FakeSuite()
     suite.answer = Answer(False, "the tool was touched: tare again")
 

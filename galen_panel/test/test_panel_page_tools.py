@@ -9,26 +9,26 @@ from galen_panel.state.snapshot import CalibrateGoal, Difference, Tool
 from page_user import on_page
 
 
-def test_a_button_a_tool_puts_it_in_force():
+def test_a_button_a_tool_puts_it_active():
     suite = FakeSuite()
 
     async def story(user):
         text = user.text("tool-pointer")
-        for part in ("60.10 ± 0.03 g", "55.0, 2.0, 45.0 mm", "2026-11-21 14:03 UTC", "in force"):
+        for part in ("60.10 ± 0.03 g", "55.0, 2.0, 45.0 mm", "2026-11-21 14:03 UTC", "active"):
             assert part in text, part
         assert "Residual 3.6 mN" in text
-        assert "in force" not in user.text("tool-retractor")
+        assert "active" not in user.text("tool-retractor")
         assert user.get("tool-pointer").props["aria-pressed"] == "true"
         user.click("tool-retractor")
-        await user.until(lambda: suite.calls == [("put_in_force", "retractor")])
+        await user.until(lambda: suite.calls == [("activate", "retractor")])
         suite.put(
-            tools=(replace(POINTER, in_force=False), replace(RETRACTOR, in_force=True)),
-            in_force=replace(IN_FORCE, tool="retractor", calibrated_at=RETRACTOR.calibrated_at),
+            tools=(replace(POINTER, active_tool=False), replace(RETRACTOR, active_tool=True)),
+            active_tool=replace(IN_FORCE, tool="retractor", calibrated_at=RETRACTOR.calibrated_at),
         )
-        await user.until(lambda: "in force" in user.text("tool-retractor"))
-        assert "in force" not in user.text("tool-pointer")
+        await user.until(lambda: "active" in user.text("tool-retractor"))
+        assert "active" not in user.text("tool-pointer")
         user.click("no-tool")
-        await user.until(lambda: suite.calls[-1] == ("put_in_force", ""))
+        await user.until(lambda: suite.calls[-1] == ("activate", ""))
 
     on_page(suite, story)
 
@@ -41,16 +41,16 @@ def test_a_new_calibration_is_not_taken_for_the_one_that_is_compensated():
         suite.put(tools=(new, RETRACTOR))
         await user.until(lambda: "64.70" in user.text("tool-pointer"))
         text = user.text("tool-pointer")
-        assert "in force" not in text
+        assert "active" not in text
         assert "not active yet" in text
         assert "Compensated now: 60.10 g, calibrated 2026-11-21 14:03 UTC" in text
         assert "Press to load this file" in text
         assert user.get("tool-pointer").props["aria-pressed"] == "false"
         assert not user.get("tool-pointer-remove").enabled
         user.click("tool-pointer")
-        await user.until(lambda: suite.calls == [("put_in_force", "pointer")])
-        suite.put(in_force=replace(IN_FORCE, mass_kg=0.0647, calibrated_at=new.calibrated_at))
-        await user.until(lambda: "in force" in user.text("tool-pointer"))
+        await user.until(lambda: suite.calls == [("activate", "pointer")])
+        suite.put(active_tool=replace(IN_FORCE, mass_kg=0.0647, calibrated_at=new.calibrated_at))
+        await user.until(lambda: "active" in user.text("tool-pointer"))
         assert "Compensated now" not in user.text("tool-pointer")
 
     on_page(suite, story)
@@ -60,9 +60,9 @@ def test_a_file_that_was_changed_otherwise_is_not_active_either():
     suite = FakeSuite()
 
     async def story(user):
-        suite.put(in_force=replace(IN_FORCE, file_state="changed"))
+        suite.put(active_tool=replace(IN_FORCE, file_state="changed"))
         await user.until(lambda: "not active yet" in user.text("tool-pointer"))
-        broken = Tool("pointer", problem="pointer.json: field 'load' is missing", in_force=True)
+        broken = Tool("pointer", problem="pointer.json: field 'load' is missing", active_tool=True)
         suite.put(tools=(broken, RETRACTOR))
         await user.until(lambda: "is missing" in user.text("tool-pointer"))
         text = user.text("tool-pointer")
@@ -86,7 +86,7 @@ def test_removing_is_asked_first():
     suite = FakeSuite()
 
     async def story(user):
-        assert not user.get("tool-pointer-remove").enabled, "it is in force"
+        assert not user.get("tool-pointer-remove").enabled, "it is active"
         user.click("tool-retractor-remove")
         await user.until(lambda: user.all("dialog-ok"))
         user.click("dialog-cancel")
@@ -129,7 +129,7 @@ def test_going_back_shows_first_what_would_change():
     on_page(suite, story)
 
 
-def refused(user, reason):
+def rejected(user, reason):
     return reason in (user.get("new-tool-name").error or "")
 
 
@@ -147,7 +147,7 @@ def test_a_new_tool_is_named_and_calibrated():
         for name, reason in (*wrong, ("pointer", "this name")):
             user.enter("new-tool-name", name)
             user.click("dialog-ok")
-            await user.until(partial(refused, user, reason))
+            await user.until(partial(rejected, user, reason))
         assert suite.calls == []
         user.enter("new-tool-name", "drill_2")
         user.enter("new-tool-tip-x", 150.0)
@@ -188,7 +188,7 @@ def test_five_hundred_tools_are_found_by_name_and_rows_are_kept():
 
     async def story(user):
         assert "of 501" in user.text("tools-note")
-        assert user.all("tool-pointer"), "the one in force is listed, wherever it stands"
+        assert user.all("tool-pointer"), "the active one is listed, wherever it stands"
         assert user.all("tool-tool_000")
         assert not user.all("tool-tool_499")
         user.enter("tools-filter", "499")

@@ -190,7 +190,7 @@ def test_a_grid_of_poses_is_a_table_of_roll_and_tilt():
     assert html.count("panel-pose-odd") == 1
     assert html.count("✗</td>") == 1
     assert "title='it &lt;moved&gt; &#x27;here&#x27;'" in html
-    assert pose_table.refusals(poses) == ["Roll -61.4°, tilt -39.2°: it <moved> 'here'"]
+    assert pose_table.rejections(poses) == ["Roll -61.4°, tilt -39.2°: it <moved> 'here'"]
     assert "56 poses, 1 not used; they agree within" in pose_table.summary(poses, residuals(poses))
 
 
@@ -210,7 +210,7 @@ WRITTEN = Outcome("", "done", "retractor", values=VALUES)
 
 
 def test_a_calibrations_file_is_known_by_what_is_in_it():
-    state = State(tools=(POINTER, RETRACTOR), in_force=IN_FORCE)
+    state = State(tools=(POINTER, RETRACTOR), active_tool=IN_FORCE)
     assert result_words.fate(WRITTEN, state) is Fate.HERE
     other = replace(RETRACTOR, mass_kg=0.2 + 1e-6)
     assert result_words.fate(WRITTEN, replace(state, tools=(other,))) is Fate.REPLACED
@@ -218,9 +218,9 @@ def test_a_calibrations_file_is_known_by_what_is_in_it():
     broken = replace(RETRACTOR, problem="cut off")
     assert result_words.fate(WRITTEN, replace(state, tools=(broken,))) is Fate.REPLACED
     old = replace(IN_FORCE, tool="retractor", mass_kg=0.1999, com_m=RETRACTOR.com_m)
-    assert result_words.fate(WRITTEN, replace(state, in_force=old)) is Fate.HERE
+    assert result_words.fate(WRITTEN, replace(state, active_tool=old)) is Fate.HERE
     new = replace(old, mass_kg=0.2)
-    assert result_words.fate(WRITTEN, replace(state, in_force=new)) is Fate.IN_FORCE
+    assert result_words.fate(WRITTEN, replace(state, active_tool=new)) is Fate.IN_FORCE
 
 
 @pytest.mark.parametrize("values", [{}, {"answer": 99, "cause": 0}, {"answer": None, "cause": 0}])

@@ -84,7 +84,7 @@ def test_an_evaluation_is_begun_seen_in_another_browser_and_read(browser, second
     browser.says("jobs", "done", patience_s=PATIENCE_S)
     second_browser.says("jobs", "done")
     second_browser.click("job-1-report")
-    # The tool in force is the pointer, and the retractor was on the arm.
+    # The active tool is the pointer, and the retractor was on the arm.
     second_browser.says("report-verdict", "Another load")
     sentence = second_browser.text("report-sentence")
     assert "+140.0" in sentence

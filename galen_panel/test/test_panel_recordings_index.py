@@ -137,7 +137,7 @@ def test_links_that_lead_out_are_listed_and_not_used(archive, tmp_path):
     assert found[kept][1].problem == ""
 
 
-def test_a_diagnosis_recordings_links_out_are_refused(archive, tmp_path):
+def test_a_diagnosis_recordings_links_out_are_rejected(archive, tmp_path):
     outside = make_bag(tmp_path / "push")
     folder = make_set(archive / "set", names=("sweep", "motion"), tool=False)
     (folder / "push").symlink_to(outside)
@@ -194,7 +194,7 @@ def test_the_tools_to_choose_from(archive, tmp_path):
     ]  # fmt: skip
 
 
-def test_a_recording_that_broke_since_the_search_is_refused(archive, tmp_path):
+def test_a_recording_that_broke_since_the_search_is_rejected(archive, tmp_path):
     bag = make_bag(archive / "run")
     recordings = Recordings(archive, BAGS / "tools", tmp_path / "out")
     (found,) = recordings.search().recordings

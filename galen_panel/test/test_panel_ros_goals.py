@@ -28,7 +28,7 @@ class Server(Node):
         self.goal = None
         self.canceled = []
         self.confirmed = 0
-        self.refused = ""
+        self.rejected = ""
         self.person = False
         self.values = {}
         self.server = DeferredActionServer(
@@ -46,12 +46,12 @@ class Server(Node):
     def on_goal(self, request):
         if self.goal is None:
             return GoalResponse.ACCEPT
-        self.refused = f"'{request.tool}' refused: calibrating {self.goal.request.tool!r} now"
+        self.rejected = f"'{request.tool}' rejected: calibrating {self.goal.request.tool!r} now"
         self.diagnostics.publish_now()
         return GoalResponse.REJECT
 
     def on_start(self, handle):
-        self.goal, self.refused = handle, ""
+        self.goal, self.rejected = handle, ""
 
     def on_cancel(self, handle):
         self.canceled.append(bytes(handle.goal_id.uuid))
@@ -81,7 +81,7 @@ class Server(Node):
         self.server.finish(handle, result, code is ErrorCode.NONE)
 
     def report(self):
-        values = {"refused": self.refused} if self.refused else {}
+        values = {"rejected": self.rejected} if self.rejected else {}
         if self.goal is None:
             return Status(OK, "ready", values)
         values |= {"tool": self.goal.request.tool, "done": 1, "total": 4}
@@ -191,10 +191,10 @@ def test_a_cancel_stops_the_panel_s_own_goal(goals):
     assert not answer.ok and "nothing is running" in answer.text
 
 
-def test_a_goal_is_refused_with_the_node_s_reason(goals):
+def test_a_goal_is_rejected_with_the_node_s_reason(goals):
     goals.ask(goals.suite.start(CalibrateGoal("pointer")))
     answer = goals.ask(goals.suite.start(CalibrateGoal("retractor")))
-    assert not answer.ok and answer.text == "'retractor' refused: calibrating 'pointer' now"
+    assert not answer.ok and answer.text == "'retractor' rejected: calibrating 'pointer' now"
     # It is the first one that goes on, and not hurt.
     assert goals.behaviour.running and goals.behaviour.tool == "pointer"
     assert goals.behaviour.ours

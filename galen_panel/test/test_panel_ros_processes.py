@@ -92,7 +92,7 @@ def outcome(world, kind):
 
 
 @pytest.mark.soak
-def test_a_tool_is_calibrated_put_in_force_and_checked(world):
+def test_a_tool_is_calibrated_activate_and_checked(world):
     start_driver_and_gravcomp(world)
     start_calibration(world)
     world.processes.start(
@@ -121,9 +121,9 @@ def test_a_tool_is_calibrated_put_in_force_and_checked(world):
     assert ended.values["mass_kg"] == pytest.approx(0.200, abs=0.002)
 
     world.wait_for(lambda state: state.tools, "the new tool in the list")
-    assert world.ask(world.suite.put_in_force("retractor")).ok
-    world.wait_for(lambda state: state.in_force.tool == "retractor", "the tool in force")
-    assert world.state.in_force.tip_m == tip_m
+    assert world.ask(world.suite.activate("retractor")).ok
+    world.wait_for(lambda state: state.active_tool.tool == "retractor", "the active tool")
+    assert world.state.active_tool.tip_m == tip_m
     answer = world.ask(world.suite.start(CheckGoal()))
     assert answer.ok, answer.text
     ended = outcome(world, Kind.CHECK)
@@ -136,7 +136,7 @@ def test_nodes_that_are_killed_are_missed_and_found_again(world):
     start_driver_and_gravcomp(world)
     start_calibration(world)
     world.wait_for(
-        lambda state: {"attach_tool", "calibrate_tool"} <= state.available and state.in_force,
+        lambda state: {"attach_tool", "calibrate_tool"} <= state.available and state.active_tool,
         "the nodes",
         PATIENCE_S,
     )
@@ -146,7 +146,7 @@ def test_nodes_that_are_killed_are_missed_and_found_again(world):
     world.processes.kill("galen_calibration_behavior.node")
     world.processes.kill("galen_gravcomp.node")
     began_s = time.monotonic()
-    world.wait_for(lambda state: state.in_force is None, "that gravcomp is gone")
+    world.wait_for(lambda state: state.active_tool is None, "that gravcomp is gone")
     # DDS itself hears of it some 20 s later.
     assert time.monotonic() - began_s < 10.0
     ended = outcome(world, Kind.CALIBRATE)
@@ -155,7 +155,7 @@ def test_nodes_that_are_killed_are_missed_and_found_again(world):
 
     start_gravcomp(world)
     start_calibration(world)
-    world.wait_for(lambda state: state.in_force, "gravcomp again", PATIENCE_S)
+    world.wait_for(lambda state: state.active_tool, "gravcomp again", PATIENCE_S)
     world.wait_for(
         lambda state: "calibrate_tool" in state.available, "calibration_node again", PATIENCE_S
     )

@@ -59,7 +59,7 @@ def world(monkeypatch):
 @pytest.fixture
 def with_gravcomp(world, tools_dir):
     world.add(GravcompNode, tools_dir=str(tools_dir), tool="retractor")
-    world.wait_for(lambda state: state.in_force and state.tools, "gravcomp and its tools")
+    world.wait_for(lambda state: state.active_tool and state.tools, "gravcomp and its tools")
     return world
 
 
@@ -75,8 +75,8 @@ def calls(suite):
     """Every call of the suite that asks a node for something."""
     return [
         suite.list_tools(),
-        suite.put_in_force("retractor"),
-        suite.put_in_force(""),
+        suite.activate("retractor"),
+        suite.activate(""),
         suite.remove_tool("retractor"),
         suite.revert_tool("retractor"),
         suite.compare("retractor"),
@@ -102,33 +102,33 @@ def test_the_tools_are_listed_with_their_numbers_as_soon_as_gravcomp_is_there(
     assert listed.com_m == tuple(file.load.com_m)
     assert (*listed.rmse_force_n, *listed.rmse_torque_nm) == tuple(file.rmse)
     assert (listed.poses_used, listed.calibrated_at) == (file.poses_used, file.calibrated_at)
-    assert listed.in_force and not listed.has_previous and not listed.problem
-    assert not tool(state, "pointer").in_force and tool(state, "pointer").has_previous
+    assert listed.active_tool and not listed.has_previous and not listed.problem
+    assert not tool(state, "pointer").active_tool and tool(state, "pointer").has_previous
     assert "drill.json" in tool(state, "drill").problem
     assert state.nodes["gravcomp"].level is Level.STALE  # no wrenches come
 
 
-def test_a_tool_is_put_in_force_and_taken_out_again(with_gravcomp):
+def test_a_tool_is_activate_and_taken_out_again(with_gravcomp):
     world = with_gravcomp
-    answer = world.ask(world.suite.put_in_force("pointer"))
+    answer = world.ask(world.suite.activate("pointer"))
     assert answer.ok and "pointer" in answer.text
     world.wait_for(
-        lambda state: state.in_force.tool == "pointer" and tool(state, "pointer").in_force,
-        "the pointer in force",
+        lambda state: state.active_tool.tool == "pointer" and tool(state, "pointer").active_tool,
+        "the active pointer",
     )
-    assert world.state.in_force.mass_kg == 0.060
-    assert not tool(world.state, "retractor").in_force
-    answer = world.ask(world.suite.put_in_force("drill"))
+    assert world.state.active_tool.mass_kg == 0.060
+    assert not tool(world.state, "retractor").active_tool
+    answer = world.ask(world.suite.activate("drill"))
     assert not answer.ok and "drill.json" in answer.text
-    answer = world.ask(world.suite.put_in_force("../pointer"))
+    answer = world.ask(world.suite.activate("../pointer"))
     assert not answer.ok and "name" in answer.text
-    assert world.state.in_force.tool == "pointer"
-    assert world.ask(world.suite.put_in_force("")).ok
-    world.wait_for(lambda state: state.in_force.tool == "", "no tool in force")
-    assert not any(tool.in_force for tool in world.state.tools)
+    assert world.state.active_tool.tool == "pointer"
+    assert world.ask(world.suite.activate("")).ok
+    world.wait_for(lambda state: state.active_tool.tool == "", "no active tool")
+    assert not any(tool.active_tool for tool in world.state.tools)
 
 
-def test_a_tool_is_removed_and_its_file_kept_but_not_the_one_in_force(with_gravcomp, tools_dir):
+def test_a_tool_is_removed_and_its_file_kept_but_not_the_one_active(with_gravcomp, tools_dir):
     world = with_gravcomp
     answer = world.ask(world.suite.remove_tool("pointer"))
     assert answer.ok
@@ -136,7 +136,7 @@ def test_a_tool_is_removed_and_its_file_kept_but_not_the_one_in_force(with_gravc
     kept_as = Path(answer.text.rsplit(" ", 1)[1])
     assert json.loads(kept_as.read_text())["tool"] == "pointer"
     answer = world.ask(world.suite.remove_tool("retractor"))
-    assert not answer.ok and "in force" in answer.text
+    assert not answer.ok and "active" in answer.text
     assert (tools_dir / "retractor.json").is_file()
 
 
@@ -161,14 +161,14 @@ def test_a_calibration_is_compared_with_the_one_before_and_reverted_to_it(with_g
     assert not answer.ok
 
 
-def test_a_tool_in_force_that_is_reverted_is_still_the_one_that_was_loaded(with_gravcomp):
+def test_a_active_tool_that_is_reverted_is_still_the_one_that_was_loaded(with_gravcomp):
     world = with_gravcomp
-    world.ask(world.suite.put_in_force("pointer"))
-    world.wait_for(lambda state: state.in_force.tool == "pointer", "the pointer in force")
+    world.ask(world.suite.activate("pointer"))
+    world.wait_for(lambda state: state.active_tool.tool == "pointer", "the active pointer")
     answer = world.ask(world.suite.revert_tool("pointer"))
-    assert answer.ok and "put pointer in force" in answer.text
-    world.wait_for(lambda state: state.in_force.file_state == "changed", "the file's change")
-    assert world.state.in_force.mass_kg == 0.060
+    assert answer.ok and "activate pointer" in answer.text
+    world.wait_for(lambda state: state.active_tool.file_state == "changed", "the file's change")
+    assert world.state.active_tool.mass_kg == 0.060
 
 
 class StillArm(Node):
@@ -192,49 +192,49 @@ class StillArm(Node):
 
 def test_switch_and_tare_are_seen_whoever_uses_them(with_gravcomp):
     world = with_gravcomp
-    assert world.state.in_force.enabled
+    assert world.state.active_tool.enabled
     assert world.ask(world.suite.set_enabled(False)).ok
-    world.wait_for(lambda state: not state.in_force.enabled, "compensation off")
+    world.wait_for(lambda state: not state.active_tool.enabled, "compensation off")
     somebody = world.harness.add(lambda context: Node("somebody", context=context))
     enable = somebody.create_client(SetBool, "gravcomp/enable")
     assert world.harness.call(enable, SetBool.Request(data=True)).success
-    world.wait_for(lambda state: state.in_force.enabled, "compensation on")
+    world.wait_for(lambda state: state.active_tool.enabled, "compensation on")
 
     world.add(StillArm)
     world.wait_for(
         lambda state: float(state.nodes["gravcomp"].values["wrench_compensated_hz"]) > 100.0,
         "compensated wrenches",
     )
-    assert world.state.in_force.tare is None
+    assert world.state.active_tool.tare is None
     answer = world.ask(world.suite.tare())
     assert answer.ok and "tared" in answer.text
-    tare = world.wait_for(lambda state: state.in_force.tare, "the tare")
+    tare = world.wait_for(lambda state: state.active_tool.tare, "the tare")
     # The sensor reads nothing, so that the tare takes off the whole of the tool's weight.
     assert np.linalg.norm(tare[:3]) == pytest.approx(0.200 * 9.80665, abs=0.01)
 
 
 def test_gravcomp_goes_and_comes_back(world, tools_dir):
     node = world.add(GravcompNode, tools_dir=str(tools_dir), tool="retractor")
-    world.wait_for(lambda state: state.in_force and state.tools, "gravcomp and its tools")
+    world.wait_for(lambda state: state.active_tool and state.tools, "gravcomp and its tools")
     world.harness.remove(node)
-    world.wait_for(lambda state: state.in_force is None, "that gravcomp is gone")
-    assert not any(tool.in_force for tool in world.state.tools)
+    world.wait_for(lambda state: state.active_tool is None, "that gravcomp is gone")
+    assert not any(tool.active_tool for tool in world.state.tools)
     assert not any(name.startswith("gravcomp/") for name in world.state.available)
     answer = world.ask(world.suite.tare())
     assert not answer.ok and "ros2 run galen_gravcomp gravcomp_node" in answer.text
     world.add(GravcompNode, tools_dir=str(tools_dir), tool="pointer")
     world.wait_for(
-        lambda state: state.in_force and state.in_force.tool == "pointer", "gravcomp again"
+        lambda state: state.active_tool and state.active_tool.tool == "pointer", "gravcomp again"
     )
     world.wait_for_service("gravcomp/set_tool", "gravcomp/tare")
-    assert world.ask(world.suite.put_in_force("retractor")).ok
+    assert world.ask(world.suite.activate("retractor")).ok
 
 
 def test_with_nothing_there_every_call_answers_at_once(world):
     for coroutine in calls(world.suite):
         answer, took_s = world.timed(coroutine)
         assert not answer.ok and answer.text and took_s < 0.5, answer
-    assert world.state.tools is None and world.state.in_force is None
+    assert world.state.tools is None and world.state.active_tool is None
     assert world.state.available == frozenset()
 
 
@@ -255,13 +255,13 @@ def test_a_silent_node_holds_up_no_button(world, monkeypatch):
     monkeypatch.setattr(ros_tools, "_FILE_LIMIT_S", 0.3)
     mute = world.add(Mute)
     world.wait_for_service("gravcomp/set_tool")
-    answer, took_s = world.timed(world.suite.put_in_force("retractor"))
+    answer, took_s = world.timed(world.suite.activate("retractor"))
     assert not answer.ok and "gravcomp_node has not answered for 0.3 s" in answer.text
     assert took_s < 2.0
     # Its answer comes after all, and is nobody's.
     world.harness.call_in_executor(mute.unanswered.pop())
     for _ in range(3):
-        answer, _ = world.timed(world.suite.put_in_force(""))
+        answer, _ = world.timed(world.suite.activate(""))
         assert not answer.ok and "has not answered" in answer.text
     assert len(mute.unanswered) == 3
 
@@ -275,7 +275,7 @@ def test_who_waits_when_the_panel_ends_is_told_so(world):
         tare = asyncio.ensure_future(world.suite.tare())
         while not mute.unanswered:
             await asyncio.sleep(0.01)
-        gone = asyncio.ensure_future(world.suite.put_in_force(""))
+        gone = asyncio.ensure_future(world.suite.activate(""))
         await asyncio.sleep(0)
         gone.cancel()  # a page that was closed
         began_s = time.monotonic()
@@ -299,10 +299,10 @@ def test_a_namespace_is_the_panel_s_own(monkeypatch, tools_dir):
                 parameter_overrides=parameters(**values),
             )
         )
-        world.wait_for(lambda state: state.in_force, "the left arm's gravcomp")
+        world.wait_for(lambda state: state.active_tool, "the left arm's gravcomp")
         assert world.state.namespace == "left"
         assert "left/gravcomp" in world.state.nodes
-        assert world.ask(world.suite.put_in_force("")).ok
+        assert world.ask(world.suite.activate("")).ok
 
 
 def test_wrong_arguments_of_ros_are_told():

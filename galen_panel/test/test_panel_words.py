@@ -8,12 +8,12 @@ from pathlib import Path
 import pytest
 from galen_calibration_behavior.quick_check.commands import State as CheckState
 from galen_deflection.collection.commands import State as CollectionState
-from galen_deflection.live.deflector import ModelRefusal
+from galen_deflection.live.deflector import ModelRejection
 from galen_deflection.live.monitor import DeflectorMonitor
 from galen_diagnosis.monitor.gap_stream import GapMonitor
 from galen_diagnosis.monitor.gap_watch import GapNotice
 from galen_gravcomp.monitor import Monitor
-from galen_panel.messages.advice import ADVICE, LIFECYCLE, REFUSED
+from galen_panel.messages.advice import ADVICE, LIFECYCLE, REJECTED
 from galen_panel.messages.states import (
     ROLES,
     find_advice,
@@ -22,7 +22,7 @@ from galen_panel.messages.states import (
     words_of,
     words_of_other,
 )
-from galen_panel.state.snapshot import Behaviour, InForce, Kind, Level, NodeReport, Outcome, State
+from galen_panel.state.snapshot import Active, Behaviour, Kind, Level, NodeReport, Outcome, State
 from galen_ros.goal.commands import State as CalibrationState
 from galen_ros.node.managed_node import Stage
 
@@ -63,8 +63,8 @@ def states_of_streams(role):
         for call in calls(path, "State"):
             level, name = call.args[0], call.args[1]
             text = ast.unparse(name)
-            if text.startswith("ModelRefusal."):
-                found.add((level_of(level), ModelRefusal[text.split(".")[1]].value))
+            if text.startswith("ModelRejection."):
+                found.add((level_of(level), ModelRejection[text.split(".")[1]].value))
             elif isinstance(name, ast.Constant):
                 found.add((level_of(level), name.value))
         for call in calls(path, "_warning"):
@@ -171,7 +171,7 @@ def test_no_words_are_left_that_no_node_can_tell():
             name = key.removesuffix(" warn").removesuffix(" stale")
             assert (role_name, name) in told
     names = {name for _, name in told}
-    assert set(REFUSED) <= names
+    assert set(REJECTED) <= names
 
 
 @pytest.mark.parametrize(
@@ -201,7 +201,7 @@ def test_two_drivers_are_said_with_what_to_do():
     assert "joint_states" in words.doing and not words.stopped
 
 
-def test_some_refused_wrenches_are_less_than_all():
+def test_some_rejected_wrenches_are_less_than_all():
     some = words_of(
         state_of(report("gravcomp", Level.WARN, "stale_joints")), role("gravcomp"), NOW_S
     )
@@ -275,11 +275,11 @@ GOOD = (
     report("gravcomp", Level.OK, "compensating", tool="pointer"),
     report("calibration", Level.OK, "ready"),
 )
-IN_FORCE = InForce("pointer", True, 0.06, (0, 0, 0), (0, 0, 0), "", "as loaded", None, None)
+IN_FORCE = Active("pointer", True, 0.06, (0, 0, 0), (0, 0, 0), "", "as loaded", None, None)
 
 
 def test_the_lamp_is_good_when_all_is():
-    assert overall(state_of(*GOOD, in_force=IN_FORCE), NOW_S) == (
+    assert overall(state_of(*GOOD, active_tool=IN_FORCE), NOW_S) == (
         Level.OK, "Compensates 'pointer'."
     )  # fmt: skip
 
@@ -308,7 +308,7 @@ def calibrating(**changes):
 def test_a_calibration_that_takes_the_tool_off_is_no_warning():
     fits = report("gravcomp", Level.WARN, "does_not_fit", tool="pointer")
     gap = report("gap_monitor", Level.WARN, "gap")
-    state = state_of(GOOD[0], fits, gap, in_force=IN_FORCE, behaviours=calibrating())
+    state = state_of(GOOD[0], fits, gap, active_tool=IN_FORCE, behaviours=calibrating())
     level, text = overall(state, NOW_S)
     assert level is Level.OK
     assert text.startswith("Compensates 'pointer'") and "calibration" in text

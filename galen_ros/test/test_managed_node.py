@@ -182,8 +182,8 @@ def test_a_destroyed_node_leaves_the_graph(harness):
 
 def test_what_is_fixed_stays_while_it_is_configured(harness):
     world = World(harness)
-    refused = world.set(topic="other")
-    assert "'topic' can't be set while the node is active" in refused and "cleanup" in refused
+    rejected = world.set(topic="other")
+    assert "'topic' can't be set while the node is active" in rejected and "cleanup" in rejected
     assert not world.set(gain=1.5) and world.node.gains == [1.5]
     assert world.set(gain=3.0)
     assert world.go("deactivate") and "cleanup" in world.set(topic="other")
@@ -193,7 +193,7 @@ def test_what_is_fixed_stays_while_it_is_configured(harness):
 
 
 @pytest.mark.parametrize("by", ["id", "label"])
-def test_a_transition_that_the_state_does_not_have_is_refused(harness, by):
+def test_a_transition_that_the_state_does_not_have_is_rejected(harness, by):
     """As rclpy has it, one such request by its number ends the process."""
     world = World(harness)
     for label, number in (("activate", 3), ("configure", 1), ("nonsense", 200)):
@@ -203,7 +203,7 @@ def test_a_transition_that_the_state_does_not_have_is_refused(harness, by):
 
 
 @pytest.mark.parametrize("name", ["configure", "activate", "deactivate", "cleanup"])
-def test_a_failed_transition_leaves_it_unconfigured_and_ready_to_be_mended(harness, name):
+def test_a_failed_transition_leaves_it_unconfigured_and_ready_to_be_fixed(harness, name):
     world = World(harness, autostart=False, fails_in=name)
     path = ["configure", "activate", "deactivate", "cleanup"]
     reached = path.index(name)

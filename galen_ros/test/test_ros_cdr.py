@@ -45,7 +45,7 @@ def test_joint_states_byte_for_byte(frame_id):
         fill_stamp(message.header.stamp, stamp_ns)
         data = template.fill(stamp_ns, positions, velocities)
         assert_same_bytes(data, message)
-        # The library rosbags refuses the four bytes that rclpy has at the end.
+        # The library rosbags rejects the four bytes that rclpy has at the end.
         assert ROSBAGS_TYPES.deserialize_cdr(data, "sensor_msgs/msg/JointState").name == list(
             JOINT_NAMES
         )
@@ -119,7 +119,7 @@ def test_what_is_not_cdr_is_unreadable():
         stamped_layout(data.replace(b"ft_sensor", b"ft_\xff\xfe\xfa\xfb\xfc\xfd"), 6)
 
 
-def test_values_of_the_wrong_number_are_refused():
+def test_values_of_the_wrong_number_are_rejected():
     template = JointStateBytes(JOINT_NAMES, "")
     with pytest.raises(Exception, match="pack"):
         template.fill(0, [0.0] * 4, [0.0] * 5)

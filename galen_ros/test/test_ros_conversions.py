@@ -44,7 +44,7 @@ def test_joints_are_found_by_name():
     assert positions.tolist() == [5.0, 6.0]
 
 
-def test_bad_joint_states_are_refused():
+def test_bad_joint_states_are_rejected():
     reader = JointStateReader(("roll", "tilt"))
     with pytest.raises(UnknownJointError, match="lacks tilt; it has roll, wrist"):
         reader.read(JointState(name=["roll", "wrist"], position=[0.0, 0.0]))

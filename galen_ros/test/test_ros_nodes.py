@@ -122,7 +122,7 @@ def test_a_deferred_answer_waits_for_its_event_and_blocks_nothing(harness):
 
 def test_a_deferred_service_may_answer_at_once(harness):
     def on_request(_request, response, respond):
-        response.message = "refused"
+        response.message = "rejected"
         respond(response)
         with pytest.raises(RuntimeError, match="twice"):
             respond(response)
@@ -132,7 +132,7 @@ def test_a_deferred_service_may_answer_at_once(harness):
     client = harness.add(lambda context: Node("probe", context=context)).create_client(
         Trigger, "later"
     )
-    assert harness.call(client, Trigger.Request()).message == "refused"
+    assert harness.call(client, Trigger.Request()).message == "rejected"
 
 
 def test_the_harness_names_what_was_missing_and_passes_errors_on():

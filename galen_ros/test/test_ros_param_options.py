@@ -36,7 +36,7 @@ def test_defaults_and_values_are_the_parameters():
     [("--average-s", "0"), ("--average-s", "nan"), ("--average-s", "long"),
      ("--min-samples", "3"), ("--min-samples", "4.5"), ("--other", "2")],
 )  # fmt: skip
-def test_what_the_node_would_refuse_is_a_usage_error(arguments, capsys):
+def test_what_the_node_would_reject_is_a_usage_error(arguments, capsys):
     with pytest.raises(SystemExit) as end:
         parse(*arguments)
     assert end.value.code == 2

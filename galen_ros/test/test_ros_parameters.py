@@ -1,4 +1,4 @@
-"""Parameters: what is declared, what is refused and how the README's table reads."""
+"""Parameters: what is declared, what is rejected and how the README's table reads."""
 
 from dataclasses import dataclass
 
@@ -16,7 +16,7 @@ class Example:
     tools_dir: str = param("", "where the tools' files are")
     weights: tuple[float, ...] = param([1.0, 2.0], "weights", minimum=0.0)
     names: tuple[str, ...] = param([], "names")
-    strict: bool = param(True, "refuse what is odd")
+    strict: bool = param(True, "reject what is odd")
     gain: float = param(0.5, "gain", minimum=0.0, maximum=1.0, read_only=False)
     gain_limit: float = param(0.9, "largest gain", read_only=False)
 
@@ -99,7 +99,7 @@ def test_changes_at_run_time_are_checked_and_told(harness):
         assert not result.successful
         assert result.reason
     assert len(changes) == 1
-    # gain_limit 0.6 fits the default gain of 0.5, but not the 0.7 that is in force.
+    # gain_limit 0.6 fits the default gain of 0.5, but not the 0.7 that is active.
     assert not set_to("gain_limit", 0.6).successful
     harness.remove(node)
 
@@ -109,6 +109,6 @@ def test_markdown_table():
     assert lines[0] == "| name | type | default | range | meaning |"
     assert lines[2] == "| `rate_hz` | float | 500.0 | 1.0 to 2000.0 | sample rate in Hz |"
     assert lines[5] == "| `weights` | float list | [1.0, 2.0] | at least 0.0 | weights |"
-    assert lines[7] == "| `strict` | bool | true |  | refuse what is odd |"
+    assert lines[7] == "| `strict` | bool | true |  | reject what is odd |"
     assert lines[8] == "| `gain` | float | 0.5 | 0.0 to 1.0 | gain (at run time) |"
     assert len(lines) == 10

@@ -1,4 +1,4 @@
-"""What the simulated driver refuses."""
+"""What the simulated driver rejects."""
 
 from galen_model.errors import GalenError
 
@@ -8,7 +8,7 @@ class ConfigError(GalenError):
 
 
 class TrajectoryError(GalenError):
-    """A trajectory is refused as a whole; the message names the joint and the value."""
+    """A trajectory is rejected as a whole; the message names the joint and the value."""
 
 
 class UnknownToolError(GalenError):

@@ -442,7 +442,7 @@ def test_the_bases_marker_moves_once_and_only_in_the_pushes():
     assert (Replay(still, [effect]).base_marker() == moved).all()
 
 
-def test_a_fraction_that_a_law_cant_leave_is_refused():
+def test_a_fraction_that_a_law_cant_leave_is_rejected():
     DeflectionHysteresis(residual_fraction=0.4, side=1.0, knee=2.0).validate()
     DeflectionHysteresis(residual_fraction=0.38, side=-1.0, knee=2.0).validate()
     with pytest.raises(ConfigError, match=r"stays below 0\.393"):

@@ -1,4 +1,4 @@
-"""Effects beyond the nominal model: forces of acceleration, cable, wander, a tool that sags."""
+"""Effects beyond the nominal model: forces of acceleration, cable, bias drift, a tool that sags."""
 
 from dataclasses import replace
 
@@ -18,11 +18,11 @@ from galen_sim_driver.node.effect_parameters import EffectParameters, effects_of
 from galen_sim_driver.node.parameters import DriverParameters
 from galen_sim_driver.plant.cell import Plant
 from galen_sim_driver.plant.config import (
+    BiasDriftConfig,
     CableConfig,
     InertiaConfig,
     PlantConfig,
     SensorConfig,
-    WanderConfig,
 )
 from galen_sim_driver.plant.geometry import ArmGeometry, sensor_matrix
 from galen_sim_driver.plant.inertial_load import InertialLoad, inertia_about_origin
@@ -53,14 +53,14 @@ def tensor(entries):
 
 def test_none_is_there_by_default_and_any_leaves_the_noise_what_it_is():
     config = DriverParameters().plant_config()
-    assert not (config.inertia.on or config.wander.on or config.cable.on)
+    assert not (config.inertia.on or config.bias_drift.on or config.cable.on)
     assert effects_of(EffectParameters()) == config.effects == ()
-    nominal = make_plant(**{name: getattr(config, name) for name in ("inertia", "wander")})
-    assert nominal._inertial is nominal._effects is nominal._sensor._wander is None
-    # Still, without a tool, only the wander shows, and it draws from a generator of its own.
+    nominal = make_plant(**{name: getattr(config, name) for name in ("inertia", "bias_drift")})
+    assert nominal._inertial is nominal._effects is nominal._sensor._bias_drift is None
+    # Still, without a tool, only the bias drift shows, and it draws from a generator of its own.
     every = {
         "inertia": InertiaConfig(True, ADAPTER_INERTIA),
-        "wander": WanderConfig(per_sqrt_hour=(1e-9,) * 6),
+        "bias_drift": BiasDriftConfig(per_sqrt_hour=(1e-9,) * 6),
         "cable": CableConfig(0.5, bending_nm=0.01),
         "effects": (LooseTool(0.01),),
     }
@@ -222,7 +222,8 @@ def test_the_cable_pulls_at_the_tool_that_is_on_and_every_joint_matters():
         assert np.abs(pull(moved) - at)[:3].max() > 1e-3
 
 
-# --- wander, sagging tool -----------------------------------------------------------------------
+# --- bias drift, sagging tool
+# -----------------------------------------------------------------------
 
 
 def test_drift_is_what_was_asked_for_and_zeroing_takes_it_away_once():
@@ -241,14 +242,14 @@ def test_drift_is_what_was_asked_for_and_zeroing_takes_it_away_once():
 
 def test_the_random_walk_has_the_asked_for_size_and_acts_before_the_quantum():
     asked = np.array([0.3, 0.2, 0.5, 2e-3, 3e-3, 1e-3])
-    change = WanderConfig(per_sqrt_hour=tuple(asked))
-    plant = make_plant(sensor=EXACT, wander=change)
+    change = BiasDriftConfig(per_sqrt_hour=tuple(asked))
+    plant = make_plant(sensor=EXACT, bias_drift=change)
     path = np.array([plant.step().wrench for _ in range(20000)])
     steps = np.diff(path, axis=0)
     # 19999 steps tell a standard deviation to 0.5 %.
     assert steps.std(axis=0) == pytest.approx(asked * np.sqrt(0.002 / 3600.0), rel=0.025)
     assert np.abs(np.corrcoef(steps.T) - np.eye(6)).max() < 0.03
-    rough = make_plant(sensor=SensorConfig(noise=False), wander=change)
+    rough = make_plant(sensor=SensorConfig(noise=False), bias_drift=change)
     quantum = np.array([0.005] * 3 + [1e-4] * 3)
     seen = np.array([rough.step().wrench for _ in range(200)])
     zero = rough._sensor.zero
@@ -274,7 +275,7 @@ def test_the_nodes_parameters_reach_the_plant():
         inertial_load=True,
         adapter_inertia_kg_m2=ADAPTER_INERTIA,
         tool_inertia_kg_m2=(*TOOL_INERTIA, *(0.0,) * 6),
-        sensor_wander_per_sqrt_hour=(0.2,) * 6,
+        sensor_bias_drift_per_sqrt_hour=(0.2,) * 6,
         cable_tension_n=0.3,
         cable_stiffness_n_m=2.0,
         cable_bending_nm=0.01,
@@ -285,7 +286,7 @@ def test_the_nodes_parameters_reach_the_plant():
     config = asked.plant_config()
     tools = {"pointer": TOOL_INERTIA, "retractor": (0.0,) * 6}
     assert config.inertia == InertiaConfig(True, ADAPTER_INERTIA, tools)
-    assert config.wander == WanderConfig((0.2,) * 6)
+    assert config.bias_drift == BiasDriftConfig((0.2,) * 6)
     assert config.cable == CableConfig(0.3, 2.0, 0.01, (1.0, 2.0, 3.0), (0.1, 0.2, 0.3))
 
 
@@ -295,7 +296,7 @@ def test_the_nodes_parameters_reach_the_plant():
         ({"adapter_inertia_kg_m2": (1.0,)}, r"adapter_inertia_kg_m2.*1 numbers.*6"),
         ({"adapter_inertia_kg_m2": (1.0, 1.0, 3.0, 0.0, 0.0, 0.0)}, "adapter.*no body"),
         ({"tool_inertia_kg_m2": (1.0,) * 6}, r"tool_inertia_kg_m2.*6 numbers.*12"),
-        ({"sensor_wander_per_sqrt_hour": (-1.0,) * 6}, "random walk"),
+        ({"sensor_bias_drift_per_sqrt_hour": (-1.0,) * 6}, "random walk"),
         ({"cable_tension_n": -0.1}, "tension"),
         ({"cable_anchor_m": (0.0, 1.0)}, "cable_anchor_m.*2 numbers.*3"),
         ({"cable_anchor_m": (0.0, 1.0, float("inf"))}, "end of the cable"),

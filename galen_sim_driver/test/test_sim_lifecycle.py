@@ -31,10 +31,10 @@ def test_inactive_it_publishes_nothing_and_nothing_moves_the_arm(cell):
     off_ns = cell.sim_now_ns()
     cell.wait(lambda: not cell.driver._plant.moving, "the arm to stand")
     assert cell.driver._plant._motion.positions[0] < 0.09  # far from where it was sent
-    refused = cell.call(cell.bias, Trigger.Request())
-    assert not refused.success and "inactive" in refused.message
-    refused = cell.call(cell.admittance, SetBool.Request(data=True))
-    assert not refused.success and "inactive" in refused.message
+    rejected = cell.call(cell.bias, Trigger.Request())
+    assert not rejected.success and "inactive" in rejected.message
+    rejected = cell.call(cell.admittance, SetBool.Request(data=True))
+    assert not rejected.success and "inactive" in rejected.message
     cell.wait(lambda: cell.value("lifecycle") == "inactive", "its state")
     assert cell.diagnostics[-1].message == cell.driver.inactive_text
     cell.wait(lambda: cell.sim_now_ns() > off_ns + 3 * 10**8, "the world to go on")
@@ -47,7 +47,7 @@ def test_inactive_it_publishes_nothing_and_nothing_moves_the_arm(cell):
     assert abs(newest_ns(cell) - time.time_ns()) < 2 * 10**9
 
 
-def test_it_is_configured_anew_and_a_failure_is_mended(cell, monkeypatch):
+def test_it_is_configured_anew_and_a_failure_is_fixed(cell, monkeypatch):
     assert "'initial_tool' can't be set" in cell.life.set(initial_tool="pointer")
     assert cell.life.go("deactivate", "cleanup")
     cell.wait(lambda: cell.value("lifecycle") == "unconfigured", "its state")

@@ -66,7 +66,7 @@ class Cell:
         subscribe(DiagnosticArray, "/diagnostics", self._on_diagnostics, 10)
         self.trajectory = self.probe.create_publisher(JointTrajectory, "joint_trajectory", 10)
         self.compensated = self.probe.create_publisher(WrenchStamped, "wrench_compensated", STREAM)
-        self.bias = self.probe.create_client(Trigger, "bias_sensor")
+        self.bias = self.probe.create_client(Trigger, "zero_ft_sensor")
         self.attach = self.probe.create_client(SetTool, "attach_tool")
         self.admittance = self.probe.create_client(SetBool, "sim_driver/set_admittance")
         self.hand = self.probe.create_client(Trigger, "sim_driver/run_hand")
@@ -243,7 +243,7 @@ def test_real_time_stamps_are_system_time_without_a_clock(harness):
     [make_executor, lambda context: SingleThreadedExecutor(context=context)],
     ids=["default", "single_threaded"],
 )
-def test_bias_sensor_zeroes_here_and_answers_when_done(make):
+def test_zero_ft_sensor_zeroes_here_and_answers_when_done(make):
     with Harness(make) as harness:
         cell = Cell(harness, speed_factor=2.0, seed=3, initial_tool="retractor")
         before = cell.fresh_wrenches(100).mean(axis=0)
@@ -258,7 +258,7 @@ def test_bias_sensor_zeroes_here_and_answers_when_done(make):
         assert np.all(np.abs(after) < 5 * SIGMA * np.sqrt(1 / 250 + 1 / 500))
 
 
-def test_bias_sensor_is_refused_while_the_arm_moves(harness):
+def test_zero_ft_sensor_is_rejected_while_the_arm_moves(harness):
     cell = Cell(harness, speed_factor=2.0, bias_window_s=3.0)
     cell.send(["roll"], [0.8], 8.0)
     cell.wait(lambda: cell.velocities()[3] > 0.05, "motion")
@@ -318,19 +318,19 @@ def test_a_trajectory_moves_the_arm_and_an_empty_one_stops_it(cell):
     assert np.array_equal(cell.positions(), stopped)
 
 
-def test_a_bad_trajectory_is_refused_and_told(cell):
+def test_a_bad_trajectory_is_rejected_and_told(cell):
     cell.send(["tilt"], [1.3], 1.0)
     cell.wait(
         lambda: any("tilt at 1.3 is outside" in status.message for status in cell.diagnostics),
-        "the refusal on /diagnostics",
+        "the rejection on /diagnostics",
     )
-    assert cell.value("trajectories_refused") == "1"
-    assert cell.value("state") == "trajectory_refused"
+    assert cell.value("trajectories_rejected") == "1"
+    assert cell.value("state") == "trajectory_rejected"
     assert np.allclose(cell.positions(), HOME, atol=1e-9)
     cell.send(["wrist"], [0.1], 1.0)
     cell.wait(
         lambda: any("unknown joint 'wrist'" in status.message for status in cell.diagnostics),
-        "the second refusal",
+        "the second rejection",
     )
     # A good one clears it.
     cell.send(["tilt"], [0.1], 0.5)

@@ -189,7 +189,7 @@ def test_zeroing_without_noise_is_the_contracts_bias():
     assert np.abs(samples[-1].wrench - expected).max() < 1e-12
 
 
-def test_zeroing_is_refused_or_spoilt_by_motion():
+def test_zeroing_is_rejected_or_spoilt_by_motion():
     plant = make_plant()
     plant.command(Trajectory(["roll"], [TrajectoryPoint(1.0, [0.5])]))
     with pytest.raises(ZeroingError, match="moving"):

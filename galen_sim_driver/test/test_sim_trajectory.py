@@ -1,4 +1,4 @@
-"""Trajectories: what is refused, and the polynomials between points."""
+"""Trajectories: what is rejected, and the polynomials between points."""
 
 import numpy as np
 import pytest
@@ -49,14 +49,14 @@ def test_good_trajectories_pass():
         (["roll", "tilt"], [TrajectoryPoint(NAN, [0, 0])], ["nan"]),
     ],
 )
-def test_bad_trajectories_are_refused_with_joint_and_value(names, points, words):
+def test_bad_trajectories_are_rejected_with_joint_and_value(names, points, words):
     with pytest.raises(TrajectoryError) as error:
         check(names, *points)
     for word in words:
         assert word in str(error.value)
 
 
-def test_a_trajectory_of_the_past_is_refused():
+def test_a_trajectory_of_the_past_is_rejected():
     with pytest.raises(TrajectoryError, match=r"1\.000 s in the past"):
         check(["roll", "tilt"], POINT, start_ns=NOW_NS - 2_000_000_000)
 
@@ -138,7 +138,7 @@ def test_a_start_in_the_past_joins_in_the_middle():
 
 
 @pytest.mark.parametrize("kind", ["velocities", "accelerations"])
-def test_rates_that_would_overflow_are_refused(kind):
+def test_rates_that_would_overflow_are_rejected(kind):
     """The sum of 1e308 and 1e308 in a polynomial is infinite, and then the arm's place NaN."""
     rates = {"velocities": [0.0], "accelerations": [0.0], kind: [1e308]}
     with pytest.raises(TrajectoryError, match=f"{kind} of roll hold 1e\\+308"):

@@ -104,7 +104,7 @@ def explain_pip(log: str) -> str:
         return "the disk is full: free some space"
     missing = re.search(r"No matching distribution found for (\S+)", log)
     network = re.search(
-        r"NewConnectionError|ConnectTimeout|ReadTimeout|Connection(?:Reset|Refused)?Error"
+        r"NewConnectionError|ConnectTimeout|ReadTimeout|Connection(?:Reset|Rejected)?Error"
         r"|name resolution|Network is unreachable|ProxyError|SSLError|Max retries",
         log,
     )

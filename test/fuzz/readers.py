@@ -232,14 +232,14 @@ def _comparison_seeds() -> list[bytes]:
 
 
 def use_table(path: Path) -> None:
-    """By every reader of tables; one that refuses leaves the others their turn."""
-    refused: GalenError | None = None
+    """By every reader of tables; one that rejects leaves the others their turn."""
+    rejected: GalenError | None = None
     columns = ColumnMap(motor="gx", link="gy", torque="gz", t="t")
     for read in (read_table, _in_base, read_wrenches, read_orientations, read_rotations):
         try:
             found = read(path)
         except GalenError as error:
-            refused = error
+            rejected = error
             continue
         for part in found if isinstance(found, tuple) else (found,):
             _check_table(part)
@@ -247,9 +247,9 @@ def use_table(path: Path) -> None:
         run = read_run(path, columns)
         assert np.isfinite(run.lag).all() and run.step_s > 0.0
     except GalenError as error:
-        refused = refused or error
-    if refused is not None:
-        raise refused
+        rejected = rejected or error
+    if rejected is not None:
+        raise rejected
 
 
 def _in_base(path: Path) -> object:
@@ -290,36 +290,36 @@ def use_convert(path: Path) -> None:
     """Into a bag, by `convert`; the bag is whole, or there is none."""
     bag = path.with_name("bag")
     options = ["--json", "--time-unit", "ms", "--start-s", "1", "-o", str(bag)]
-    refused: GalenError | None = None
+    rejected: GalenError | None = None
     for files in ([str(path)], ["--wrench", str(path), "--orientations", str(path)]):
         try:
             written = convert(build_parser().parse_args([*files, *options]))
         except GalenError as error:
             assert not bag.exists()
-            refused = error
+            rejected = error
             continue
         arm = read_arm(bag)
         counts = {name: topic["messages"] for name, topic in written["topics"].items()}
         assert counts == {"joint_states": len(arm.joints), "wrench_raw": len(arm.wrenches)}
         assert np.isfinite(arm.joints).all() and np.isfinite(arm.wrenches).all()
         shutil.rmtree(bag)
-    if refused is not None:
-        raise refused
+    if rejected is not None:
+        raise rejected
 
 
 def use_motion(path: Path) -> None:
     """As `score_motion` and `drift` read tables, of wrenches, orientations and accelerations."""
-    refused: GalenError | None = None
+    rejected: GalenError | None = None
     try:
         run = read_motion(path, path, path, 1.0, 9.80665)
         for part in (run.wrench_s, run.wrench, run.imu_s, run.specific, run.gravity_s, run.gravity):
             assert np.isfinite(part).all()
     except GalenError as error:
-        refused = error
+        rejected = error
     series = read_series([path], ArmTopics(), cell_s=10.0)
     assert series.samples > 0 and series.reading.shape[1] == 6
-    if refused is not None:
-        raise refused
+    if rejected is not None:
+        raise rejected
 
 
 def _motion_seeds() -> list[bytes]:
@@ -463,7 +463,7 @@ def _ros1_seeds() -> list[bytes]:
 def use_messages(path: Path) -> None:
     """Bytes as a publisher may send them, to all that read them live and from bags."""
     data = path.read_bytes()
-    refused: GalenError | None = None
+    rejected: GalenError | None = None
     live: dict[str, object] = {}
     for name, read in (
         ("wrench", WrenchWire().read),
@@ -473,7 +473,7 @@ def use_messages(path: Path) -> None:
         try:
             live[name] = read(data)
         except GalenError as error:
-            refused = error
+            rejected = error
     if "wrench" in live:
         raw = live["wrench"]
         written = raw.with_wrench(np.arange(6.0))
@@ -496,8 +496,8 @@ def use_messages(path: Path) -> None:
         elif name in live:
             np.testing.assert_array_equal(samples.values[0], live[name].wrench)
             assert samples.stamp_ns[0] == live[name].stamp_ns
-    if refused is not None:
-        raise refused
+    if rejected is not None:
+        raise rejected
 
 
 def _message_seeds() -> list[bytes]:

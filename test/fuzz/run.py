@@ -91,7 +91,7 @@ def main() -> int:
 
         with tempfile.TemporaryDirectory() as work:
             read = check(READERS[given.target], given.tried.read_bytes(), Path(work))
-        print("read" if read else "refused")
+        print("read" if read else "rejected")
         return 0
     try:
         import atheris  # noqa: F401

@@ -54,7 +54,7 @@ class LibraryFile:
             )
             self._reader.open()
         except (*_DAMAGE, OSError) as error:
-            hint = "; `rosbag reindex` of ROS 1 mends a bag that was cut off" if self._ros1 else ""
+            hint = "; `rosbag reindex` of ROS 1 fixes a bag that was cut off" if self._ros1 else ""
             raise BagError(f"{path}: can't be read: {_reason(error)}{hint}") from error
         if self._ros1:
             _limit_chunks(self._reader)

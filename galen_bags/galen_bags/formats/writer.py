@@ -34,7 +34,7 @@ class BagWriter:
         """`compressed`: zstd on each chunk. Raises BagError if `path` is there already."""
         self.path = Path(path)
         self._compressed = compressed
-        self._refuse_existing()
+        self._reject_existing()
         self._writer: Writer | None = None
         self._temporary: Path | None = None
         self._types = get_typestore(Stores.ROS2_JAZZY)
@@ -66,7 +66,7 @@ class BagWriter:
                 self._writer.abort()
                 return
             self._writer.close()
-            self._refuse_existing()  # one that came meanwhile is not written over
+            self._reject_existing()  # one that came meanwhile is not written over
             os.replace(self._temporary / self.path.name, self.path)
         except (OSError, WriterError) as problem:
             raise BagError(f"{self.path}: can't be written: {problem}") from problem
@@ -122,7 +122,7 @@ class BagWriter:
             writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
         return writer
 
-    def _refuse_existing(self) -> None:
+    def _reject_existing(self) -> None:
         if self.path.exists() or self.path.is_symlink():
             raise BagError(f"{self.path}: is there already, and is not written over")
 

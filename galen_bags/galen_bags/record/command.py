@@ -58,16 +58,16 @@ class Recording:
     def result(self) -> dict[str, Any]:
         """What was recorded, for --json."""
         node = self.node
-        tallies = node.tallies if node else []
-        first_ns = [tally.first_ns for tally in tallies if tally.first_ns is not None]
-        last_ns = [tally.last_ns for tally in tallies if tally.last_ns is not None]
+        counts_by_topic = node.counts_by_topic if node else []
+        first_ns = [counts.first_ns for counts in counts_by_topic if counts.first_ns is not None]
+        last_ns = [counts.last_ns for counts in counts_by_topic if counts.last_ns is not None]
         return {
             "bag": str(self.bag.path),
             "ended_by": self._ended_by,
             "duration_s": (max(last_ns) - min(first_ns)) * 1e-9 if first_ns else 0.0,
             "size_bytes": self.bag.size_bytes,
             "messages": node.messages if node else 0,
-            "topics": [tally.to_dict() for tally in tallies],
+            "topics": [counts.to_dict() for counts in counts_by_topic],
             "problems": node.problems() if node else {},
         }
 
@@ -78,8 +78,8 @@ class Recording:
             f"{result['bag']}: {result['messages']} messages, {result['size_bytes'] / _MB:.2f} MB,"
             f" {result['duration_s']:.1f} s"
         ]
-        if self.node is not None and self.node.tallies:
-            lines.append(topic_table(self.node.tallies))
+        if self.node is not None and self.node.counts_by_topic:
+            lines.append(topic_table(self.node.counts_by_topic))
         lines += [f"  {name}: {problem}" for name, problem in result["problems"].items()]
         return "\n".join(lines)
 
@@ -102,7 +102,7 @@ class Recording:
             self._messages_before, self._looked_s = node.messages, now_s
         self._line.show(
             lambda: (
-                f"recording {elapsed_s:.0f} s: {len(node.tallies)} topics,"
+                f"recording {elapsed_s:.0f} s: {len(node.counts_by_topic)} topics,"
                 f" {node.messages} messages, {self.bag.size_bytes / _MB:.2f} MB,"
                 f" {self._rate_hz:.0f} messages/s"
             )

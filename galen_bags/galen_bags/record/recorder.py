@@ -21,7 +21,7 @@ from galen_bags.errors import BagError
 from galen_bags.formats.growing_bag import GrowingBagWriter
 from galen_bags.formats.message_types import definition_of, message_class
 from galen_bags.qos import request_for, serves, to_bag
-from galen_bags.record.topic_counts import TopicTally
+from galen_bags.record.topic_counts import TopicTopicCounts
 from galen_bags.topic_names import check_topic_name
 
 DEFAULT_TOPICS = (
@@ -64,7 +64,7 @@ class _Topic:
     message_class: Any
     subscription: Subscription
     request: QoSProfile
-    tally: TopicTally
+    counts: TopicTopicCounts
 
 
 def received_ns(info: Mapping[str, int | None]) -> int:
@@ -130,7 +130,7 @@ class RecorderNode(Node):
             else [str(self.resolve_topic_name(check_topic_name(name))) for name in topics]
         )
         self._topics: dict[str, _Topic] = {}
-        self._refused: dict[str, str] = {}
+        self._rejected: dict[str, str] = {}
         self._warned: dict[str, str] = {}
         self._waiting: list[tuple[int, _Topic, bytes]] = []
         self._before_clock = 0
@@ -152,14 +152,14 @@ class RecorderNode(Node):
     # --- state -------------------------------------------------------------------------------
 
     @property
-    def tallies(self) -> list[TopicTally]:
+    def counts_by_topic(self) -> list[TopicTopicCounts]:
         """The recorded topics, by name."""
-        return [self._topics[name].tally for name in sorted(self._topics)]
+        return [self._topics[name].counts for name in sorted(self._topics)]
 
     @property
     def messages(self) -> int:
         """Number of messages written."""
-        return sum(topic.tally.messages for topic in self._topics.values())
+        return sum(topic.counts.messages for topic in self._topics.values())
 
     def problems(self) -> dict[str, str]:
         """What is wrong, by topic: not seen, nothing carried, not recordable, lost messages ..."""
@@ -168,20 +168,20 @@ class RecorderNode(Node):
             if name not in self._topics:
                 found[name] = "no publisher was found"
         for name, topic in self._topics.items():
-            if topic.tally.messages == 0:
+            if topic.counts.messages == 0:
                 found[name] = "it carried nothing"
-            elif topic.tally.losses.lost:
-                found[name] = f"{topic.tally.losses.lost} of its messages were lost on the way"
+            elif topic.counts.losses.lost:
+                found[name] = f"{topic.counts.losses.lost} of its messages were lost on the way"
         if self._before_clock:
             found["/clock"] = f"{self._before_clock} messages came before it, and were left out"
-        return found | self._refused
+        return found | self._rejected
 
     # --- topics come -------------------------------------------------------------------------
 
     def discover(self) -> None:
         """Take up topics that have a publisher by now."""
         for name in self._published() if self._all else self._wanted:
-            if name in self._topics or name in self._refused:
+            if name in self._topics or name in self._rejected:
                 continue
             offers = self.get_publishers_info_by_topic(name)
             if not offers:
@@ -189,13 +189,13 @@ class RecorderNode(Node):
             try:
                 self._take_up(name, offers)
             except BagError as error:
-                self._refused[name] = f"not recorded: {error}"
+                self._rejected[name] = f"not recorded: {error}"
                 self.get_logger().error(f"{name} is not recorded: {error}")
 
     def _say_absent(self) -> None:
         """Say once which topics have no publisher; `_take_up` says when one appears."""
         self._first_look.cancel()
-        absent = [name for name in self._wanted if name not in (*self._topics, *self._refused)]
+        absent = [name for name in self._wanted if name not in (*self._topics, *self._rejected)]
         if self._use_sim_time and not self.count_publishers("/clock"):
             absent.append("/clock, without which nothing is written")
         if absent:
@@ -225,8 +225,8 @@ class RecorderNode(Node):
         subscription = self.create_subscription(
             kind, name, self._on_executor, request, callback_group=self._group, raw=True
         )
-        tally = TopicTally(name, type_name)
-        self._topics[name] = _Topic(handle, offered, kind, subscription, request, tally)
+        counts = TopicTopicCounts(name, type_name)
+        self._topics[name] = _Topic(handle, offered, kind, subscription, request, counts)
         self.get_logger().info(f"recording {name} ({type_name})")
 
     def _add_to_bag(self, name: str, type_name: str, offered: tuple[Any, ...]) -> Any:
@@ -245,8 +245,8 @@ class RecorderNode(Node):
         written = self.messages
         self._bag = bag
         for name, topic in self._topics.items():
-            topic.handle = self._add_to_bag(name, topic.tally.type_name, topic.offered)
-            topic.tally = TopicTally(name, topic.tally.type_name)
+            topic.handle = self._add_to_bag(name, topic.counts.type_name, topic.offered)
+            topic.counts = TopicTopicCounts(name, topic.counts.type_name)
         return written
 
     def _check_hash(self, name: str, digest: str, offers: Sequence[Any]) -> None:
@@ -284,7 +284,7 @@ class RecorderNode(Node):
 
     def _take(self, topic: _Topic) -> None:
         subscription = topic.subscription
-        losses = topic.tally.losses
+        losses = topic.counts.losses
         one_publisher = subscription.get_publisher_count() == 1
         handle = subscription.handle
         with handle:
@@ -301,7 +301,7 @@ class RecorderNode(Node):
         one_publisher = one_publisher and subscription.get_publisher_count() == 1
         lost = losses.end_batch(one_publisher)
         if lost:
-            self.get_logger().warning(f"{topic.tally.name}: {lost} messages were lost on the way")
+            self.get_logger().warning(f"{topic.counts.name}: {lost} messages were lost on the way")
 
     def _write(self, items: Sequence[tuple[int, _Topic, bytes]]) -> None:
         for log_ns, topic, data in items:
@@ -309,12 +309,12 @@ class RecorderNode(Node):
                 self._before_clock += 1
                 continue
             self._bag.write(topic.handle, log_ns, data)
-            topic.tally.add(log_ns, len(data))
+            topic.counts.add(log_ns, len(data))
 
     def _flush(self) -> None:
         self._bag.flush()
         for topic in self._topics.values():
-            topic.tally.keep()
+            topic.counts.keep()
 
     def _write_all(self) -> None:
         """Take what has come and hand all of it to the operating system."""
@@ -336,7 +336,7 @@ class RecorderNode(Node):
         finally:
             if not self._bag.is_open:  # cut back to the last flush
                 for topic in self._topics.values():
-                    topic.tally.take_back()
+                    topic.counts.take_back()
             super().destroy_node()
 
     # --- diagnostics -------------------------------------------------------------------------
@@ -349,11 +349,11 @@ class RecorderNode(Node):
             "bag": self._bag.path,
             "messages": self.messages,
             "size_bytes": self._bag.size_bytes,
-            "lost": sum(topic.tally.losses.lost for topic in self._topics.values()),
+            "lost": sum(topic.counts.losses.lost for topic in self._topics.values()),
             "topics": len(self._topics),
         }
-        for tally in self.tallies:
-            values[f"messages {tally.name}"] = tally.messages
+        for counts in self.counts_by_topic:
+            values[f"messages {counts.name}"] = counts.messages
         if problems:
             text = "; ".join(f"{name}: {problem}" for name, problem in problems.items())
             return Status(WARN, text, values)
@@ -364,7 +364,7 @@ class RecorderNode(Node):
         for name, topic in self._topics.items():
             offers = self.get_publishers_info_by_topic(name)
             trouble = ""
-            if any(offer.topic_type != topic.tally.type_name for offer in offers):
+            if any(offer.topic_type != topic.counts.type_name for offer in offers):
                 trouble = "a publisher has another type; its messages are not recorded"
             elif not all(serves(offer.qos_profile, topic.request) for offer in offers):
                 trouble = "a later publisher is best effort or volatile, and is not recorded"

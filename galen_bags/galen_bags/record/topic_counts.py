@@ -39,7 +39,7 @@ class LossCounter:
 
 
 @dataclass
-class TopicTally:
+class TopicTopicCounts:
     """Counts of one recorded topic; times are log times, ns."""
 
     name: str
@@ -88,15 +88,15 @@ class TopicTally:
         }
 
 
-def topic_table(tallies: list[TopicTally]) -> str:
+def topic_table(counts_by_topic: list[TopicTopicCounts]) -> str:
     """The tallies as lines of text, aligned."""
-    width = max((len(tally.name) for tally in tallies), default=0)
+    width = max((len(counts.name) for counts in counts_by_topic), default=0)
     lines = []
-    for tally in tallies:
-        rate = "" if tally.rate_hz is None else f"{tally.rate_hz:9.1f} Hz"
-        lost = f"  {tally.losses.lost} lost" if tally.losses.lost else ""
+    for counts in counts_by_topic:
+        rate = "" if counts.rate_hz is None else f"{counts.rate_hz:9.1f} Hz"
+        lost = f"  {counts.losses.lost} lost" if counts.losses.lost else ""
         lines.append(
-            f"  {tally.name:<{width}} {tally.messages:>9} messages {rate:12}"
-            f"  {tally.type_name}{lost}"
+            f"  {counts.name:<{width}} {counts.messages:>9} messages {rate:12}"
+            f"  {counts.type_name}{lost}"
         )
     return "\n".join(lines)

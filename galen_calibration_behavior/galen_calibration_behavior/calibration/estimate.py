@@ -18,8 +18,8 @@ from galen_model.errors import (
 from galen_model.files.calibration_file import ToolFile, read_tool, write_tool
 from galen_model.load.bias.choice import BiasMode
 from galen_model.load.bias.identification import (
-    identify_one_sweep_wandering,
-    identify_two_sweeps_wandering,
+    identify_one_sweep_drifting,
+    identify_two_sweeps_drifting,
 )
 from galen_model.load.identification import (
     Identification,
@@ -196,8 +196,8 @@ def _identify(measurements: Measurements) -> Identification:
     mode, bare, tool = measurements.bias_mode, measurements.bare, measurements.tool
     if mode is not BiasMode.CONSTANT:
         if bare is None:
-            return identify_one_sweep_wandering(tool, roll, tilt, measurements.known_bias, mode)
-        return identify_two_sweeps_wandering(bare, tool, roll, tilt, mode)
+            return identify_one_sweep_drifting(tool, roll, tilt, measurements.known_bias, mode)
+        return identify_two_sweeps_drifting(bare, tool, roll, tilt, mode)
     if bare is None:
         return identify_one_sweep(tool, roll, tilt, measurements.known_bias)
     return identify_two_sweeps(bare, tool, roll, tilt)

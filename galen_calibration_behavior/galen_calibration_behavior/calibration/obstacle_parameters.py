@@ -22,7 +22,7 @@ class ObstacleParameters(PoseParameters):
     obstacle_clearance_m: float = param(0.03, "how far it keeps away from them", 0.0, 1.0)
 
     def check_obstacles(self) -> None:
-        """Refuse boxes that are none; raises ObstacleError naming the box."""
+        """Reject boxes that are none; raises ObstacleError naming the box."""
         boxes_from_numbers(self.obstacles)
 
     @property

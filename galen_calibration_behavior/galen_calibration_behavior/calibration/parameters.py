@@ -30,7 +30,7 @@ class CalibrationParameters(SweepParameters):
 
     estimate: tuple[str, ...] = param(
         (),
-        "what to estimate together with the loads, see *Sensor and mounting*; a goal is refused"
+        "what to estimate together with the loads, see *Sensor and mounting*; a goal is rejected"
         " where the poses can't tell it",
     )
 
@@ -39,7 +39,7 @@ class CalibrationParameters(SweepParameters):
     )
 
     def validate(self) -> None:
-        """Refuse a home or a sweep outside the joint limits, and what can't be estimated.
+        """Reject a home or a sweep outside the joint limits, and what can't be estimated.
 
         Raises GridError naming the joint, IdentificationError naming the group, ObstacleError
         naming the box.

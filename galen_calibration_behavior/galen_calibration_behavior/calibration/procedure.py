@@ -228,7 +228,7 @@ class CalibrationProcedure(PoseProcedure[Command, Finished]):
             return
         self._bias_pose = (float(outcome.joints[3]), float(outcome.joints[4]))
         self._waited_s = 0.0
-        self._waiting_for = "bias_sensor"
+        self._waiting_for = "zero_ft_sensor"
         self._commands.append(ZeroSensor())
 
     def _on_zero_checked(self, outcome: PoseRecord | Rejection) -> None:
@@ -248,7 +248,7 @@ class CalibrationProcedure(PoseProcedure[Command, Finished]):
             )
             self.fail(
                 ErrorCode.SERVICE_FAILED,
-                f"bias_sensor answered, but wrench_raw does not read zero: {values}",
+                f"zero_ft_sensor answered, but wrench_raw does not read zero: {values}",
             )
             return
         self._next()

@@ -71,7 +71,7 @@ class SweepParameters(ObstacleParameters):
     )
     wanted_force_std_n: float = param(
         0.0,
-        "a sweep ends as soon as the standard deviation of the compensation's own error in force,"
+        "a sweep ends as soon as the standard deviation of the compensation's own force error,"
         " N, is this small; 0: never",
         0.0,
         10.0,
@@ -82,7 +82,7 @@ class SweepParameters(ObstacleParameters):
     fewest_poses: int = param(12, "but not before so many good poses", 6, 10_000)
 
     def check_sweep(self) -> None:
-        """Refuse a sweep outside the joint limits, poses of no kind, and boxes that are none."""
+        """Reject a sweep outside the joint limits, poses of no kind, and boxes that are none."""
         self.grid_poses(self.itersT, self.itersR)
         if self.poses not in POSES:
             raise ParameterError(

@@ -121,7 +121,7 @@ def parse(arguments: list[str] | None = None) -> argparse.Namespace:
         type=BiasMode,
         choices=list(BiasMode),
         default=BiasMode.CONSTANT,
-        help="the sensor's bias over a sweep: constant; wandering; or whichever of them held-out"
+        help="the sensor's bias over a sweep: constant; drifting; or whichever of them held-out"
         " blocks of poses prefer (default: %(default)s)",
     )
     parser.add_argument("--poses", action="store_true", help="print every pose with its residual")
@@ -147,7 +147,7 @@ def add_mounting_options(group: argparse._ArgumentGroup) -> None:
         "--estimate",
         metavar="GROUPS",
         type=lambda text: tuple(text.split(",")),
-        help="estimate these together with the load, comma-separated; refused where the poses"
+        help="estimate these together with the load, comma-separated; rejected where the poses"
         f" can't tell them apart: {', '.join(GROUPS)}",
     )
     group.add_argument(
@@ -296,10 +296,10 @@ def result_fields(
         "tool": options.tool,
         "file": "" if options.dry_run else str(calibration.path),
     } | {name: plain(value) for name, value in calibration_fields(calibration).items()}
-    wander = calibration.found.wander
+    bias_drift = calibration.found.bias_drift
     return fields | {
-        "bias": None if wander is None else str(wander.choice),
-        "bias_mass_growth": None if wander is None else wander.mass_growth,
+        "bias": None if bias_drift is None else str(bias_drift.choice),
+        "bias_mass_growth": None if bias_drift is None else bias_drift.mass_growth,
         "calibrated_at": calibration.content.calibrated_at,
         "tool_on_s": sweeps.tool_on_s,
         "next_border_worse_sigmas": None if border is None else border.next_worse,

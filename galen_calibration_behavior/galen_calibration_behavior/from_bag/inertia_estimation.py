@@ -22,7 +22,7 @@ _LAG_SIGMAS, _LAG_S = 5.0, 0.0005
 class HeldOut:
     """RMS (6,) of the filtered readings of each half of a recording, by a fit to the other half.
 
-    static: without forces of motion; points: with the inertia of two points at the centres;
+    static: without inertial forces; points: with the inertia of two points at the centres;
     inertia: with the estimated one. N and N.m.
     """
 

@@ -25,7 +25,7 @@ def pose_rows(sweeps: RecordedSweeps, calibration: Calibration) -> list[dict[str
     found = calibration.found
     fit = {"bare": iter(found.used_bare.tolist()), "tool": iter(found.used_tool.tolist())}
     off = {"bare": iter(_off(calibration, "bare")), "tool": iter(_off(calibration, "tool"))}
-    curve = {name: iter(_wander(found, name)) for name in ("bare", "tool")}
+    curve = {name: iter(_bias_drift(found, name)) for name in ("bare", "tool")}
     rows = []
     for pose in sweeps.poses:
         outcome = pose.visit.outcome
@@ -72,19 +72,19 @@ def format_poses(rows: list[dict[str, Any]]) -> str:
     return "\n".join(lines)
 
 
-def _wander(found: Identification, sweep: str) -> Array | list[Array]:
+def _bias_drift(found: Identification, sweep: str) -> Array | list[Array]:
     """How far (n, 6) the bias was from that at the sweep's end, pose by pose; [] if it is constant.
 
     N and N.m.
     """
-    wander = found.wander
-    if wander is None or wander.tool is None:
+    bias_drift = found.bias_drift
+    if bias_drift is None or bias_drift.tool is None:
         return []
     if sweep == "tool":
-        return wander.tool - found.offset
-    if wander.bare is None or found.offset_change is None:
+        return bias_drift.tool - found.offset
+    if bias_drift.bare is None or found.offset_change is None:
         return []
-    return wander.bare - (found.offset - found.offset_change)
+    return bias_drift.bare - (found.offset - found.offset_change)
 
 
 def _off(calibration: Calibration, sweep: str) -> list[str]:

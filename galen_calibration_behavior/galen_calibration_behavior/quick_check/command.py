@@ -48,7 +48,7 @@ exit codes:
   {EXIT_FAILED}    not checked; the reason is printed
   {EXIT_USAGE}    wrong arguments
   {EXIT_RETARE}    re-tare: an offset, which a tare takes off
-  {EXIT_RECALIBRATE}    recalibrate: another load, or something that a tare does not mend
+  {EXIT_RECALIBRATE}    recalibrate: another load, or something that a tare does not fix
   {EXIT_UNSURE}    can't tell: too noisy, or one pose does not agree with the others
   {EXIT_CANCELED}  canceled (Ctrl-C); the arm is stopped where it is"""
 
@@ -79,7 +79,7 @@ def parse(arguments: list[str]) -> argparse.Namespace:
     """Read the command line; exits with code 2 and a message where it is wrong."""
     parser = make_parser("check", "Check at a few poses whether a tool's file still fits.", _EPILOG)
     parser.add_argument(
-        "tool", nargs="?", default="", help="name of the tool; default: that in force in gravcomp"
+        "tool", nargs="?", default="", help="name of the tool; default: that active in gravcomp"
     )
     parser.add_argument("--poses", type=int, default=0, help="number of poses; 0: the node's")
     add_client_options(parser, "check")

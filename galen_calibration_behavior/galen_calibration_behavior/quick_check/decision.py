@@ -5,7 +5,7 @@ With u_k gravity in ft_sensor at pose k, the reading there less the file's expec
     r_k = G(u_k) d + b + e_k,
 
 d (4,) what the load's moments (mass, first moment) differ from the file's
-(`galen_model.load.model`), b (6,) an offset, as a sensor zeroed anew or wandered leaves it.
+(`galen_model.load.model`), b (6,) an offset, as a sensor zeroed anew or drifted leaves it.
 Expected without any change:
 
     Cov e_k = S, the same at all poses: by axis the largest of the file's rmse^2, of the variance of

@@ -10,7 +10,7 @@ import numpy as np
 from galen_model.arrays import Array
 from galen_model.errors import GalenError, ToolFileError, ToolNameError
 from galen_model.files.calibration_store import ToolStore
-from galen_ros.goal.node import GoalNode, RefusedGoalError, RunningGoal, Words
+from galen_ros.goal.node import GoalNode, RejectedGoalError, RunningGoal, Words
 from galen_ros.node.spin import run
 from galen_ros.qos import LATCHED
 from rclpy.action.server import ServerGoalHandle
@@ -21,7 +21,7 @@ from galen_calibration_behavior.quick_check.parameters import MOST_POSES, CheckP
 from galen_calibration_behavior.quick_check.procedure import CheckProcedure, CheckRequest
 from galen_calibration_behavior.quick_check.text import centre_change
 from galen_msgs.action import CheckTool
-from galen_msgs.msg import ToolInForce
+from galen_msgs.msg import ActiveTool
 
 
 class _Goal(RunningGoal[CheckProcedure]):
@@ -50,33 +50,31 @@ class CheckNode(GoalNode[CheckParameters, _Goal, Finished]):
     def __init__(self, **kwargs: Any) -> None:
         super().__init__("check", CheckParameters, CheckTool, "check_tool", **kwargs)
         self._store = ToolStore(Path(self._settings.tools_dir).expanduser())
-        self._in_force: ToolInForce | None = None
-        self.create_subscription(
-            ToolInForce, "gravcomp/tool_in_force", self._on_tool_in_force, LATCHED
-        )
+        self._active: ActiveTool | None = None
+        self.create_subscription(ActiveTool, "gravcomp/active_tool", self._on_active_tool, LATCHED)
 
-    def _on_tool_in_force(self, message: ToolInForce) -> None:
-        self._in_force = message
+    def _on_active_tool(self, message: ActiveTool) -> None:
+        self._active = message
 
     # ---- the action
 
     def _subject(self, request: Any) -> str:
-        if request.tool or self._in_force is None:
+        if request.tool or self._active is None:
             return str(request.tool)
-        return str(self._in_force.tool)
+        return str(self._active.tool)
 
     def _rejection(self, request: Any) -> str:
-        if not self.count_publishers("gravcomp/tool_in_force"):
-            self._in_force = None  # a node that is gone subtracts nothing
+        if not self.count_publishers("gravcomp/active_tool"):
+            self._active = None  # a node that is gone subtracts nothing
         if self._subject(request):
             return ""
-        why = "no gravcomp_node is running" if self._in_force is None else "gravcomp has none"
+        why = "no gravcomp_node is running" if self._active is None else "gravcomp has none"
         return f"the goal names no tool, and {why}: name the tool that is on, as in 'check pointer'"
 
     def _make_goal(self, handle: ServerGoalHandle) -> _Goal:
         name, poses = self._subject(handle.request), handle.request.poses
         if poses and not FEWEST_POSES <= poses <= MOST_POSES:
-            raise RefusedGoalError(
+            raise RejectedGoalError(
                 ErrorCode.BAD_INPUT,
                 f"poses is {poses}: from {FEWEST_POSES} to {MOST_POSES}, or 0",
             )
@@ -88,26 +86,28 @@ class CheckNode(GoalNode[CheckParameters, _Goal, Finished]):
                 if entry.stored is not None and entry.name != name
             }
         except ToolNameError as error:
-            raise RefusedGoalError(ErrorCode.INVALID_NAME, str(error)) from error
+            raise RejectedGoalError(ErrorCode.INVALID_NAME, str(error)) from error
         except ToolFileError as error:
-            raise RefusedGoalError(ErrorCode.TOOL_FILE, str(error)) from error
+            raise RejectedGoalError(ErrorCode.TOOL_FILE, str(error)) from error
         except GalenError as error:
-            raise RefusedGoalError(ErrorCode.BAD_INPUT, str(error)) from error
+            raise RejectedGoalError(ErrorCode.BAD_INPUT, str(error)) from error
         known_offset = self._known_offset(name)
         warnings = []
         if known_offset is not None:
-            warnings.append("what gravcomp's tare, or its estimate of the wander, takes off counts")
+            warnings.append(
+                "what gravcomp's tare, or its estimate of the bias drift, takes off counts"
+            )
         request = CheckRequest(tool, poses or self._settings.poses, others, known_offset)
         procedure = CheckProcedure(self._settings.settings(), request)
         return _Goal(handle, procedure, warnings)
 
     def _known_offset(self, tool: str) -> Array | None:
         """What the compensation takes off beside the file (6,), N and N.m; None for nothing."""
-        now = self._in_force
-        if now is None or now.tool != tool or not (now.tared or now.wander_estimated):
+        now = self._active
+        if now is None or now.tool != tool or not (now.tared or now.bias_drift_estimated):
             return None
         taken_off = np.zeros(6)
-        for on, wrench in ((now.tared, now.tare), (now.wander_estimated, now.wander)):
+        for on, wrench in ((now.tared, now.tare), (now.bias_drift_estimated, now.bias_drift)):
             if on:
                 force, torque = wrench.force, wrench.torque
                 taken_off += [force.x, force.y, force.z, torque.x, torque.y, torque.z]

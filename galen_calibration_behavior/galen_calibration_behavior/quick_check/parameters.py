@@ -33,7 +33,7 @@ class CheckParameters(ObstacleParameters):
     )
 
     def validate(self) -> None:
-        """Refuse boxes that are none; raises ObstacleError naming the box."""
+        """Reject boxes that are none; raises ObstacleError naming the box."""
         self.check_obstacles()
 
     @property

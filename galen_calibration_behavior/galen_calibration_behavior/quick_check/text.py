@@ -40,7 +40,7 @@ def in_words(
         rest = _worst(np.sqrt(np.mean(found.rest**2, axis=0)), limits)
         left = f"{rest} is left that neither another load nor an offset explains"
         if hints:
-            return f"{left}; it is as of {' or '.join(hints)}: mend that, then calibrate again"
+            return f"{left}; it is as of {' or '.join(hints)}: fix that, then calibrate again"
         return (
             f"{left}, nor a loose tool, a joint's zero, a turned sensor or a steady pull alone:"
             " repeat, in case it was touched; else see to the mount and the cables, then calibrate"

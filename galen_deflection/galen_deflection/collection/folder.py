@@ -36,7 +36,7 @@ class CollectionFolder:
     def __init__(self, recordings_dir: Path, name: str) -> None:
         """Only checks; raises ToolNameError and CollectionFolderError."""
         self.final = recordings_dir / check_tool_name(name, "recording's")
-        self._refuse_existing()
+        self._reject_existing()
         self.path = self.final
 
     def make(self, tool: ToolFile) -> None:
@@ -57,7 +57,7 @@ class CollectionFolder:
         try:
             write_whole(self.path / SUMMARY_FILE, text)
             if finished:
-                self._refuse_existing()  # one that came meanwhile is not written over
+                self._reject_existing()  # one that came meanwhile is not written over
                 self.path.rename(self.final)
                 self.path = self.final
         except OSError as error:
@@ -81,6 +81,6 @@ class CollectionFolder:
             return path
         raise CollectionFolderError(f"{self.final}.unfinished: there are too many of them")
 
-    def _refuse_existing(self) -> None:
+    def _reject_existing(self) -> None:
         if os.path.lexists(self.final):
             raise CollectionFolderError(f"{self.final}: is there already, and is not written over")

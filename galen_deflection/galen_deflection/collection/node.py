@@ -14,7 +14,7 @@ from galen_model.errors import GalenError, ToolFileError, ToolNameError
 from galen_model.files.calibration_file import ToolFile, read_tool, tool_path
 from galen_model.rotation import quaternion_to_matrix
 from galen_ros.conversions import stamp_to_ns
-from galen_ros.goal.node import GoalNode, RefusedGoalError, RunningGoal, Words
+from galen_ros.goal.node import GoalNode, RejectedGoalError, RunningGoal, Words
 from galen_ros.node.spin import run
 from galen_ros.qos import STREAM
 from geometry_msgs.msg import PoseStamped
@@ -108,15 +108,15 @@ class CollectionNode(GoalNode[CollectionParameters, _Goal, Finished]):
                 settings.limits,
             )
         except ToolNameError as error:
-            raise RefusedGoalError(ErrorCode.INVALID_NAME, str(error)) from error
+            raise RejectedGoalError(ErrorCode.INVALID_NAME, str(error)) from error
         except CollectionFolderError as error:
-            raise RefusedGoalError(ErrorCode.WRITE_FAILED, str(error)) from error
+            raise RejectedGoalError(ErrorCode.WRITE_FAILED, str(error)) from error
         except ToolFileError as error:
-            raise RefusedGoalError(ErrorCode.TOOL_FILE, str(error)) from error
+            raise RejectedGoalError(ErrorCode.TOOL_FILE, str(error)) from error
         except OutOfReachError as error:
-            raise RefusedGoalError(ErrorCode.OUT_OF_REACH, str(error)) from error
+            raise RejectedGoalError(ErrorCode.OUT_OF_REACH, str(error)) from error
         except PlanError as error:
-            raise RefusedGoalError(ErrorCode.BAD_INPUT, str(error)) from error
+            raise RejectedGoalError(ErrorCode.BAD_INPUT, str(error)) from error
         procedure = CollectionProcedure(
             settings.settings(), plan, np.asarray(tool.tip_m, float), request.push_by_service
         )

@@ -92,7 +92,7 @@ class CollectionParameters(MotionParameters):
     )
 
     def validate(self) -> None:
-        """Refuse positions or levels that can't be; raises PlanError."""
+        """Reject positions or levels that can't be; raises PlanError."""
         make_plan(self.positions, self.forces_n, self.torques_nm, self.sets, _NO_TIP, self.limits)
 
     @property

@@ -17,7 +17,7 @@ class PushLimits:
 
     Along its axis it must be within `level_tolerance` of the level, beside it (force of a force,
     torque of a torque: where exactly a hand takes hold of the tip is its own affair) at most
-    `aside_share`, both for `hold_s` without a break. More than `overload_share` in all is refused.
+    `aside_share`, both for `hold_s` without a break. More than `overload_share` in all is rejected.
     Let go of is what is below `released` (N, N.m), for `rest_s`.
     """
 

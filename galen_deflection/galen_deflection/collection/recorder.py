@@ -57,8 +57,10 @@ class BagRecording:
     @property
     def ready(self) -> bool:
         """Whether every topic has brought a message."""
-        tallies = self._node.tallies
-        return len(tallies) == self._topics and all(tally.messages for tally in tallies)
+        counts_by_topic = self._node.counts_by_topic
+        return len(counts_by_topic) == self._topics and all(
+            counts.messages for counts in counts_by_topic
+        )
 
     @property
     def error(self) -> str:

@@ -1,13 +1,13 @@
 """A model at work on live samples: wrenches and joints go in, deflections come out. No ROS.
 
-Each wrench pushed ends in exactly one way: as a `Deflected`, or as a `Refused` that names the
+Each wrench pushed ends in exactly one way: as a `Deflected`, or as a `Rejected` that names the
 reason. Which joints belong to a wrench is for `galen_ros.stream.pairing` to say, as for the
 compensator.
 
 A model with hysteresis remembers the loads that it was given, in their order. Whatever makes that
 memory doubtful makes it forget: its stream starts anew, and its covariance says how little it knows
 until loads have passed again. That is so after a gap in the wrenches longer than `memory_gap_s`
-(refused ones count as lacking), after a restart of the driver, and when someone who knows more of
+(rejected ones count as lacking), after a restart of the driver, and when someone who knows more of
 the wrench says so by `forget`.
 """
 
@@ -22,7 +22,7 @@ import numpy as np
 from galen_model.arrays import Array
 from galen_model.errors import KinematicsError
 from galen_ros.stream.pairing import PairingSettings, WrenchPairing
-from galen_ros.stream.results import Refused
+from galen_ros.stream.results import Rejected
 
 from galen_deflection.live.corrected_tip import CorrectedTip, TipPose
 from galen_deflection.models.interface import DeflectionModel, Predicted, Stream
@@ -33,8 +33,8 @@ noise is.
 """
 
 
-class ModelRefusal(Enum):
-    """Why a deflection was not predicted, beside `galen_ros.stream.results.Refusal`."""
+class ModelRejection(Enum):
+    """Why a deflection was not predicted, beside `galen_ros.stream.results.Rejection`."""
 
     NO_MODEL = "no_model"
     OTHER_TIP = "other_tip"  # the model was fitted for another tool's tip
@@ -97,7 +97,7 @@ class Deflector(WrenchPairing[Deflected]):
 
     @property
     def model(self) -> DeflectionModel | None:
-        """The model in force."""
+        """The active model."""
         return self._model
 
     @property
@@ -112,8 +112,8 @@ class Deflector(WrenchPairing[Deflected]):
 
     def set_model(
         self, model: DeflectionModel | None, why_none: str = "no model is loaded"
-    ) -> list[Deflected | Refused]:
-        """Put a model in force, or none; it has seen no load yet. `why_none` says why none."""
+    ) -> list[Deflected | Rejected]:
+        """Activate a model, or none; it has seen no load yet. `why_none` says why none."""
         self._model = model
         self._why_none = why_none
         self._stream = None if model is None else model.stream()
@@ -122,7 +122,7 @@ class Deflector(WrenchPairing[Deflected]):
         self.last = None
         return self._compare_tips()
 
-    def set_tool(self, tool: str, tip_m: Array | None) -> list[Deflected | Refused]:
+    def set_tool(self, tool: str, tip_m: Array | None) -> list[Deflected | Rejected]:
         """Say which tool is on, and where its tip (3,) is in ft_sensor; None: not known."""
         self._tool, self._tool_tip_m = tool, tip_m
         return self._compare_tips()
@@ -139,14 +139,16 @@ class Deflector(WrenchPairing[Deflected]):
             self._on_forgotten(why)
         return True
 
-    def restart(self, why: str) -> list[Deflected | Refused]:
+    def restart(self, why: str) -> list[Deflected | Rejected]:
         """Forget all that belongs to the driver's life so far: samples and loads."""
         self.forget(why)
         return super().restart(why)
 
     # Samples
 
-    def push_joints(self, stamp_ns: int, positions: tuple[float, ...]) -> list[Deflected | Refused]:
+    def push_joints(
+        self, stamp_ns: int, positions: tuple[float, ...]
+    ) -> list[Deflected | Rejected]:
         """Take joints (5,), m and rad; returns what became of the wrenches that waited."""
         return self._push_joint_sample(stamp_ns, positions)
 
@@ -154,12 +156,12 @@ class Deflector(WrenchPairing[Deflected]):
 
     def _barred(self) -> tuple[Enum, str] | None:
         if self._model is None:
-            return ModelRefusal.NO_MODEL, self._why_none
+            return ModelRejection.NO_MODEL, self._why_none
         if self._other_tip:
-            return ModelRefusal.OTHER_TIP, self._other_tip
+            return ModelRejection.OTHER_TIP, self._other_tip
         return None
 
-    def _compare_tips(self) -> list[Deflected | Refused]:
+    def _compare_tips(self) -> list[Deflected | Rejected]:
         self._other_tip = ""
         model, tip_m = self._model, self._tool_tip_m
         if model is not None and tip_m is not None and _apart(model.tip_m, tip_m):
@@ -168,15 +170,15 @@ class Deflector(WrenchPairing[Deflected]):
                 f" has its tip at {_point(tip_m)} m: load a model of this tool (model_file)"
             )
         barred = self._barred()
-        return [] if barred is None else self._refuse_waiting(*barred)
+        return [] if barred is None else self._reject_waiting(*barred)
 
     def _make(
         self, stamp_ns: int, raw: Array, joints: tuple[float, ...], tag: object, number: int
-    ) -> Deflected | Refused:
+    ) -> Deflected | Rejected:
         fed_ns = self._fed_ns
         if fed_ns is not None and stamp_ns <= fed_ns:
             detail = f"{self.wrench_topic} is out of order: hysteresis takes loads in their order"
-            return self._refuse(stamp_ns, ModelRefusal.OUT_OF_ORDER, detail, number)
+            return self._reject(stamp_ns, ModelRejection.OUT_OF_ORDER, detail, number)
         if fed_ns is not None and stamp_ns - fed_ns > self._memory_gap_ns:
             self.forget(f"no usable {self.wrench_topic} for {(stamp_ns - fed_ns) * 1e-9:.3f} s")
         assert self._stream is not None and self._corrected is not None
@@ -185,14 +187,14 @@ class Deflector(WrenchPairing[Deflected]):
             predicted = self._stream.step(stamp_ns, at, raw)
         except KinematicsError as error:
             detail = f"joint_states say what the arm can't do: {error}"
-            return self._refuse(stamp_ns, ModelRefusal.OUT_OF_REACH, detail, number)
+            return self._reject(stamp_ns, ModelRejection.OUT_OF_REACH, detail, number)
         self._fed_ns = stamp_ns
         mean = predicted.mean.tolist()
         # As with wrenches, one sum finds what is not finite.
         if not np.isfinite(predicted.covariance.sum() + sum(mean)):
             self.forget("the model gave a value that is not finite")
             detail = "the model gives a value that is not finite"
-            return self._refuse(stamp_ns, ModelRefusal.NONFINITE, detail, number)
+            return self._reject(stamp_ns, ModelRejection.NONFINITE, detail, number)
         self.predicted += 1
         self.extrapolated += predicted.extrapolated
         tip = self._corrected(joints, mean)

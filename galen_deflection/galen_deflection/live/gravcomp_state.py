@@ -12,7 +12,7 @@ _LEVER_FIELDS = 3
 
 
 class GravcompState(NamedTuple):
-    """The tool in force, its tip (3,) in ft_sensor, m, when it was calibrated, and the tare.
+    """The active tool, its tip (3,) in ft_sensor, m, when it was calibrated, and the tare.
 
     `tool` is empty where none is loaded. `tare`: the offset taken off, as text, and whether it
     still comes in.

@@ -8,19 +8,19 @@ import numpy as np
 from galen_model.arrays import Array
 from galen_ros.stream.frozen import FROZEN_S
 from galen_ros.stream.monitor import RATE_WINDOW_S, Severity, State, StreamMonitor, joined
-from galen_ros.stream.results import Refusal
+from galen_ros.stream.results import Rejection
 
-from galen_deflection.live.deflector import Deflector, ModelRefusal
+from galen_deflection.live.deflector import Deflector, ModelRejection
 
 # Of the compensator's reasons those that the deflector never has.
-_NOT_HERE = (Refusal.DISABLED, Refusal.NO_TOOL)
+_NOT_HERE = (Rejection.DISABLED, Rejection.NO_TOOL)
 
 
 class DeflectorMonitor(StreamMonitor):
     """Watches one deflector; times as `StreamMonitor` says."""
 
-    reasons = tuple(r for r in Refusal if r not in _NOT_HERE) + tuple(ModelRefusal)
-    said_better = (Refusal.RESTART, ModelRefusal.NO_MODEL, ModelRefusal.OTHER_TIP)
+    reasons = tuple(r for r in Rejection if r not in _NOT_HERE) + tuple(ModelRejection)
+    said_better = (Rejection.RESTART, ModelRejection.NO_MODEL, ModelRejection.OTHER_TIP)
     working = "predicting"
 
     def __init__(
@@ -37,7 +37,7 @@ class DeflectorMonitor(StreamMonitor):
         self._shares: deque[tuple[float, int, int]] = deque()
 
     def set_model_error(self, text: str) -> None:
-        """Say why the model asked for at start is not loaded; empty when one is in force."""
+        """Say why the model asked for at start is not loaded; empty when one is active."""
         self._model_error = text
 
     def on_forgotten(self, why: str, now_s: float) -> None:
@@ -67,10 +67,10 @@ class DeflectorMonitor(StreamMonitor):
             return State(Severity.ERROR, "bad_model_file", text)
         if self._deflector.model is None:
             text = "no model is loaded: set model_file; nothing is published"
-            return State(Severity.WARN, ModelRefusal.NO_MODEL.value, text)
+            return State(Severity.WARN, ModelRejection.NO_MODEL.value, text)
         if self._deflector.other_tip:
             text = f"nothing is published: {self._deflector.other_tip}"
-            return State(Severity.ERROR, ModelRefusal.OTHER_TIP.value, text)
+            return State(Severity.ERROR, ModelRejection.OTHER_TIP.value, text)
         return None
 
     def _running_state(self) -> State:
@@ -121,7 +121,7 @@ class DeflectorMonitor(StreamMonitor):
             "forgotten": deflector.forgotten,
             "last_forgotten": self._last_forgotten,
         }
-        return values | self.refused()
+        return values | self.rejected()
 
 
 def _size(covariance: Array) -> float:

@@ -17,7 +17,7 @@ class DeflectionParameters(LoopParameters):
     model_file: str = param(
         "",
         "file of the model, as `train` writes it; `~` is expanded; empty: nothing is published."
-        " Setting it again reads it again; a file that can't be used is refused, and the model in"
+        " Setting it again reads it again; a file that can't be used is rejected, and the model in"
         " force stays",
         read_only=False,
     )

@@ -59,14 +59,14 @@ def read_arm_track(
     blocks: list[ArmBlock] = []
     numbers: list[np.ndarray] = []
     compensated: list[Array] = []
-    refusals: dict[Enum, str] = {}
+    rejections: dict[Enum, str] = {}
     unreadable: list[str] = []
     for block in reader.blocks():
         result = push_arm_block(compensator, block)
         numbers.append(result.index)
         compensated.append(result.wrench)
-        for refused in result.refused:
-            refusals.setdefault(refused.reason, refused.detail)
+        for rejected in result.rejected:
+            rejections.setdefault(rejected.reason, rejected.detail)
         unreadable += block.joints.bad.values()
         blocks.append(block)
         done += len(block.is_wrench)
@@ -106,8 +106,8 @@ def read_arm_track(
         problems.append(
             f"{reader.joint_states}: {len(unreadable)} {what} can't be used: {unreadable[0]}"
         )
-    for reason, detail in refusals.items():
-        number = compensator.refusals[reason]
+    for reason, detail in rejections.items():
+        number = compensator.rejections[reason]
         what = "wrench" if number == 1 else "wrenches"
         problems.append(f"{reader.wrench_raw}: {number} {what} not compensated: {detail}")
     if beyond.any():

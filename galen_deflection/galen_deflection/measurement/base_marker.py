@@ -19,7 +19,7 @@ from galen_model.registration.rigid import Transform, mean_pose
 
 _LEAST_SAMPLES = 20
 _FALSE_MOVES_A_RECORDING = 1e-6
-# A smaller move than this part of one sample's noise does no harm; a mean may wander as much.
+# A smaller move than this part of one sample's noise does no harm; a mean may drift as much.
 _LEAST_SHARE_OF_NOISE = 0.25
 _LEAST_NOISE = 1e-6
 _CLIP_SIGMAS = 4.0

@@ -20,7 +20,7 @@ from galen_deflection.measurement.samples import DeflectionSamples
 
 _LEAST_NOISE = 1e-6
 _CLEARLY = 5.0
-_WANDERS = 1.5
+_BIAS_DRIFTS = 1.5
 _MAD_TO_STD = 1.4826
 _FAR_OFF = 6.0 * _MAD_TO_STD
 
@@ -84,10 +84,10 @@ def measure_deflection(
     if all(registration is None for registration in registrations):
         register([], recording.tool.tip_m, settings)
 
-    noise, wander = _noise(deflection, recording)
-    if wander > _WANDERS:
+    noise, bias_drift = _noise(deflection, recording)
+    if bias_drift > _BIAS_DRIFTS:
         problems.append(
-            f"while nobody touches the tool, the tip that the tracker sees scatters {wander:.1f}"
+            f"without contact the tip that the tracker sees scatters {bias_drift:.1f}"
             " times as much as from sample to sample: do its stamps lie off from the joints', or"
             " does it drift? Neither errors nor noise can be relied on then"
         )

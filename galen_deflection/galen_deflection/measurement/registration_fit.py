@@ -30,7 +30,7 @@ class RegistrationSettings:
     tool_marker: in tool_tip, where it is not estimated. A position fails the check when what is
     left over there is more than chance makes it, and longer than `max_residual_m` or turned by more
     than `max_residual_rad`: twice the length of a tracker's noise of 0.03 mm and 0.1 mrad an axis.
-    With infinite limits all is told, and nothing refused.
+    With infinite limits all is told, and nothing rejected.
     joint_quantum (5,): step of the encoders, m and rad, whose rounding stays while the arm stands.
     """
 

@@ -14,7 +14,7 @@ MARGIN = 0.1
 """Share of its span by which a range may be left before that counts: noise, a bit more push."""
 
 SMALLEST_MARGIN = np.array([1.0, 1.0, 1.0, 0.1, 0.1, 0.1])
-"""N and N.m: what a resting hand or the sensor's wander loads the tip with."""
+"""N and N.m: what a resting hand or the sensor's bias drift loads the tip with."""
 
 NEARBY = np.array([0.03, 0.03, 0.03, 0.15, 0.15])
 """m and rad: how far a position may be from one that was fitted on and still count as it.

@@ -44,7 +44,7 @@ FEWEST_FOLDS = 4
 MAX_RELATIVE_STD = 0.5
 """Standard deviation over what was known before, beyond which samples don't tell a parameter."""
 
-_REFUSED_BEYOND = 3.0
+_REJECTED_BEYOND = 3.0
 """Standard deviations below zero."""
 
 
@@ -217,7 +217,7 @@ def finished(
         )
     covariance = _inflation(totals, solution) * solution.covariance
     if basis.bounded:
-        _refuse_negative(totals, solution, parameters)
+        _reject_negative(totals, solution, parameters)
     return LinearModel(
         name=name,
         tip_m=samples.tip_m,
@@ -271,7 +271,7 @@ def _inflation(totals: Sums, solution: Solution) -> float:
     return max(1.0, float(squares) / max(size, 1))
 
 
-def _refuse_negative(totals: Sums, solution: Solution, parameters: Sequence[Parameter]) -> None:
+def _reject_negative(totals: Sums, solution: Solution, parameters: Sequence[Parameter]) -> None:
     """Raise NegativeComplianceError if a compliance would be below zero, were it let."""
     information, right = totals.total()
     for k, parameter in enumerate(parameters):
@@ -284,7 +284,7 @@ def _refuse_negative(totals: Sums, solution: Solution, parameters: Sequence[Para
         values = covariance @ right
         inflation = _inflation(totals, Solution(values, covariance, free, ()))
         std = np.sqrt(inflation * covariance[k, k])
-        if values[k] < -_REFUSED_BEYOND * std:
+        if values[k] < -_REJECTED_BEYOND * std:
             raise NegativeComplianceError(
                 f"{parameter.name} comes out as {values[k]:.3g} +- {std:.2g} {parameter.unit}: no "
                 "spring pushes back; wrench, joints and tracker do not fit together"

@@ -22,7 +22,7 @@ from galen_deflection.networks.paced import PacedNet
 from galen_deflection.networks.recurrent_net import RecurrentNet, Scaling, Weights
 
 LARGEST_HIDDEN = 512
-"""Hidden units; a file that wants more is not one of ours, and would take long to refuse."""
+"""Hidden units; a file that wants more is not one of ours, and would take long to reject."""
 
 _RATES_HZ = (0.1, 10_000.0)
 

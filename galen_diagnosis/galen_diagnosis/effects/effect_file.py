@@ -18,7 +18,7 @@ _HEAD = """\
 def effect_file(diagnosis: Diagnosis) -> str | None:
     """The YAML's text; None where no effect was found. Raises ConfigError.
 
-    The driver has one of each effect, so that two of a kind are refused.
+    The driver has one of each effect, so that two of a kind are rejected.
     """
     if not diagnosis.effects:
         return None

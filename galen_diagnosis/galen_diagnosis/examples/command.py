@@ -1,6 +1,6 @@
 """`python -m galen_diagnosis.examples.command`: the 2019 report's two stories as worked examples.
 
-    drift   figure 12: the reading along z wanders, and compensation is the worse the later it is
+    drift   figure 12: the reading along z drifts, and compensation is the worse the later it is
     tilt    figure 13: the tilt joint's kinematics are wrong, and compensation errs with the tilt
 
 Each is a recording by the simulated arm with the effect on, its diagnosis, and the story's picture.
@@ -62,7 +62,7 @@ class Story:
     title: str
 
 
-def _wander() -> SensorDrift:
+def _bias_drift() -> SensorDrift:
     """Along z by 0.24 N in the recording's five minutes, not evenly; a little along x."""
     knots_s = np.linspace(0.0, 312.0, 7)
     levels = np.zeros((len(knots_s), 6))
@@ -72,7 +72,7 @@ def _wander() -> SensorDrift:
 
 
 STORIES = {
-    "drift": Story(_wander(), 12, "time", "the sensor's z axis wanders (report, figure 12)"),
+    "drift": Story(_bias_drift(), 12, "time", "the sensor's z axis drifts (report, figure 12)"),
     "tilt": Story(
         TiltGain(0.02), 13, "tilt", "the tilt joint's kinematics are wrong (report, figure 13)"
     ),

@@ -254,7 +254,7 @@ class Experiments:
         chosen = choose_units(trial, self._alternatives, self._tool, count)
         poses = candidates[chosen]
         if not _calibrates(poses, self._home):
-            # Half of them for what tells the load: the behaviour refuses a sweep that doesn't.
+            # Half of them for what tells the load: the behaviour rejects a sweep that doesn't.
             chosen = choose_units(trial, self._alternatives, self._tool, count // 2)
             with suppress(PoseDesignError):
                 chosen = self._completed(chosen, count)

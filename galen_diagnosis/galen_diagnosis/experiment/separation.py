@@ -90,8 +90,8 @@ class Alternative:
     def in_another_session(self) -> Alternative:
         """What is left of it when something else is recorded.
 
-        A jump or a shift happened once. A wander goes on, but not as before: its rate is only known
-        to be about as large.
+        A jump or a shift happened once. A bias drift goes on, but not as before: its rate is only
+        known to be about as large.
         """
         effects: list[Effect] = []
         kept: list[int] = []

@@ -95,8 +95,8 @@ def _counted(hypothesis: Hypothesis) -> float:
 def _bent(occam: float) -> float:
     """Occam's factor with what lies beyond _FULL counted less.
 
-    A wander of any shape takes a hundred numbers, because it is one; "unknown" has a few directions
-    whatever it is of, and would be cheaper than the truth.
+    A bias drift of any shape takes a hundred numbers, because it is one; "unknown" has a few
+    directions whatever it is of, and would be cheaper than the truth.
     """
     return occam if occam < _FULL else _FULL + _REST * (occam - _FULL)
 

@@ -17,9 +17,7 @@ class GapMonitorParameters(StreamParameters):
     """Parameters of the node. Times of samples are by their stamps."""
 
     tools_dir: str = param("~/.ros/galen/tools", "directory of the tools' files; `~` is expanded")
-    tool: str = param(
-        "", "tool that is on; empty: the one that `gravcomp_node` says it has in force"
-    )
+    tool: str = param("", "tool that is on; empty: the one that `gravcomp_node` says it has active")
     gravcomp_node: str = param(
         "gravcomp", "name of the compensation's node, whose tool is followed where none is given"
     )

@@ -11,7 +11,7 @@ from galen_model.files.calibration_file import ToolFile
 from galen_model.load.prediction import Prediction
 from galen_ros.stream.monitor import Severity, State, StreamMonitor, joined
 from galen_ros.stream.pairing import PairingSettings, WrenchPairing
-from galen_ros.stream.results import Refusal, Refused
+from galen_ros.stream.results import Rejected, Rejection
 
 from galen_diagnosis.monitor.gap_watch import GapNotice, GapSettings, GapState, GapWatch
 
@@ -49,30 +49,30 @@ class GapPairing(WrenchPairing[Judged]):
         """The settings', else the tool's file's."""
         return self._frame or ("" if self.tool is None else self.tool.sensor_frame)
 
-    def set_tool(self, tool: ToolFile | None) -> list[Judged | Refused]:
+    def set_tool(self, tool: ToolFile | None) -> list[Judged | Rejected]:
         """Watch another tool, or none; what was seen is forgotten."""
         self.tool = tool
         self._prediction = None if tool is None else Prediction(tool)
         self.watch.set_tool(tool)
         if tool is None:
-            return self._refuse_waiting(Refusal.NO_TOOL, "no tool is known")
+            return self._reject_waiting(Rejection.NO_TOOL, "no tool is known")
         return []
 
-    def push_joints(self, stamp_ns: int, joints: tuple[float, ...]) -> list[Judged | Refused]:
+    def push_joints(self, stamp_ns: int, joints: tuple[float, ...]) -> list[Judged | Rejected]:
         """Take joints (5,), m and rad; returns what became of the wrenches that waited."""
         return self._push_joint_sample(stamp_ns, joints)
 
-    def restart(self, why: str) -> list[Judged | Refused]:
+    def restart(self, why: str) -> list[Judged | Rejected]:
         """Forget every sample and what was learned of them."""
         self.watch.clear()
         return super().restart(why)
 
     def _barred(self) -> tuple[Enum, str] | None:
-        return None if self.tool is not None else (Refusal.NO_TOOL, "no tool is known")
+        return None if self.tool is not None else (Rejection.NO_TOOL, "no tool is known")
 
     def _make(
         self, stamp_ns: int, raw: Array, joints: tuple[float, ...], tag: object, number: int
-    ) -> Judged | Refused:
+    ) -> Judged | Rejected:
         assert self._prediction is not None
         residual = self._prediction.wrench(raw - self._prediction.reading(*joints[3:]))
         self.looks += self.watch.push(stamp_ns, joints, residual)
@@ -83,7 +83,7 @@ class GapPairing(WrenchPairing[Judged]):
 class GapMonitor(StreamMonitor):
     """What goes on /diagnostics. `silence_s`: how long an input may be silent by the wall clock."""
 
-    said_better = (Refusal.RESTART, Refusal.NO_TOOL)
+    said_better = (Rejection.RESTART, Rejection.NO_TOOL)
     working = "watching"
     lost = "nothing is judged"
 
@@ -150,7 +150,7 @@ class GapMonitor(StreamMonitor):
             values["effects"] = _shares(self._effects)
         values |= self.inputs(now_s, "judged")
         return (
-            values | {"received": self._gap.received, "judged": self._gap.judged} | self.refused()
+            values | {"received": self._gap.received, "judged": self._gap.judged} | self.rejected()
         )
 
 

@@ -14,13 +14,13 @@ from galen_ros.node.background import Background
 from galen_ros.node.spin import run
 from galen_ros.qos import LATCHED
 from galen_ros.stream.node import StreamNode
-from galen_ros.stream.results import Refused
+from galen_ros.stream.results import Rejected
 
 from galen_diagnosis.monitor.gap_effects import likely_effects
 from galen_diagnosis.monitor.gap_parameters import GapMonitorParameters
 from galen_diagnosis.monitor.gap_stream import GapMonitor, GapPairing, Judged
 from galen_diagnosis.monitor.gap_watch import GapNotice
-from galen_msgs.msg import ToolInForce
+from galen_msgs.msg import ActiveTool
 
 _EFFECTS_EVERY_S = 20.0
 
@@ -45,13 +45,13 @@ class GapMonitorNode(StreamNode):
         self._at_undo(self._background.close)
         self._asked_s = float("-inf")
         self._asking = False
-        self._in_force: tuple[object, ...] = ()
+        self._active: tuple[object, ...] = ()
         if p.tool:
             self._load(p.tool)
         self._begin(self._gap, self._says, p.joint_names, p.best_effort_input)
         if not p.tool:
-            topic = f"{p.gravcomp_node}/tool_in_force"
-            self.create_subscription(ToolInForce, topic, self._on_tool_in_force, LATCHED)
+            topic = f"{p.gravcomp_node}/active_tool"
+            self.create_subscription(ActiveTool, topic, self._on_active_tool, LATCHED)
 
     # Samples
 
@@ -60,7 +60,7 @@ class GapMonitorNode(StreamNode):
         """Wrenches received so far."""
         return self._gap.received
 
-    def _push_joints(self, stamp_ns: int, positions: tuple[float, ...]) -> list[Judged | Refused]:
+    def _push_joints(self, stamp_ns: int, positions: tuple[float, ...]) -> list[Judged | Rejected]:
         return self._gap.push_joints(stamp_ns, positions)
 
     def _publish(self, result: Judged, raw: RawWrench) -> None:
@@ -78,18 +78,18 @@ class GapMonitorNode(StreamNode):
             self._says.set_tool_trouble(f"no tool: {error}")
 
     def _put_on(self, tool: ToolFile | None) -> None:
-        self._says.set_tool_trouble("" if tool is not None else "gravcomp has no tool in force")
+        self._says.set_tool_trouble("" if tool is not None else "gravcomp has no active tool")
         self._says.set_effects([])
         results = self._gap.set_tool(tool)
         if results:
             self._emit(results)
 
-    def _on_tool_in_force(self, message: ToolInForce) -> None:
-        """Follow gravcomp's tool; a tare or the wander's estimate changes nothing here."""
+    def _on_active_tool(self, message: ActiveTool) -> None:
+        """Follow gravcomp's tool; a tare or the bias drift's estimate changes nothing here."""
         now = (message.tool, message.sha256)
-        if now == self._in_force:
+        if now == self._active:
             return
-        self._in_force = now
+        self._active = now
         try:
             self._put_on(self._tool_of(message) if message.tool else None)
         except GalenError as error:
@@ -97,8 +97,8 @@ class GapMonitorNode(StreamNode):
             self._says.set_tool_trouble(f"no tool: {error}")
         self._announce(always=True)
 
-    def _tool_of(self, message: ToolInForce) -> ToolFile:
-        """The file in force, where it is here as well; else what gravcomp tells of it."""
+    def _tool_of(self, message: ActiveTool) -> ToolFile:
+        """The active calibration, where it is here as well; else what gravcomp tells of it."""
         try:
             stored = self._store.read(message.tool)
             if stored.sha256 == message.sha256:
@@ -107,7 +107,7 @@ class GapMonitorNode(StreamNode):
             pass
         if message.parts:
             raise GalenError(
-                f"the file of '{message.tool}' that gravcomp has in force holds"
+                f"the file of '{message.tool}' that gravcomp has active holds"
                 f" {', '.join(message.parts)}, and is not in {self._store.directory}:"
                 " give tools_dir"
             )

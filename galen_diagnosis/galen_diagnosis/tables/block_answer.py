@@ -153,7 +153,8 @@ def _verdict(found: Found, closed: Interval | None) -> Verdict:
 def _in_parts(evidence: BlockEvidence, best: Hypothesis) -> tuple[Array, Array] | None:
     """Before and after where thirds of blocks are held out; None but for effects of time.
 
-    Nobody predicts a wander's course in a stop from other stops; from the rest of the stop one can.
+    Nobody predicts a bias drift's course in a stop from other stops; from the rest of the stop one
+    can.
     """
     if not _OF_TIME & set(best.effects) or len(evidence.rows) <= len(evidence.rows.labels):
         return None

@@ -28,7 +28,7 @@ from galen_diagnosis.tables.table_plant import TablePlant
 _HOUR_S = 3600.0
 _STEP = 1e-3
 _DRIFT_LENGTHS = (1.0, 0.25, 0.08)
-"""Over the table's span; what bends faster than this, in s, is no slow wander."""
+"""Over the table's span; what bends faster than this, in s, is no bias drift."""
 _FASTEST_DRIFT_S = 10.0
 _DRIFT_SIZES_N = (0.03, 0.2)
 _LEVER_M = 0.05

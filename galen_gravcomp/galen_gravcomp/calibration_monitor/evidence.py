@@ -12,11 +12,11 @@ y parts of gravity's unit vector u^ (the contract's `loose_tool`), times its mas
     L(u) s = (0, 0, 0; m (u^_x, u^_y, 0) x u^ g) s.
 
 Every explanation allows all of it by a normal prior, and differs only in how wide: where the file
-fits, d is as uncertain as the calibration's covariance, and b within an allowance for wander; with
-another load d is wide, and so on. `UNKNOWN` allows an error at each stop of its own. The likelihood
-of an explanation is then the density of all r_k with the parameters integrated out (Kass and
-Raftery, *J. Am. Stat. Assoc.* 90, 1995), so that a wide prior costs what it should, also for one
-stop. Any stop may have been touched: its r_k is then a force of newtons in any direction; it is
+fits, d is as uncertain as the calibration's covariance, and b within an allowance for bias drift;
+with another load d is wide, and so on. `UNKNOWN` allows an error at each stop of its own. The
+likelihood of an explanation is then the density of all r_k with the parameters integrated out
+(Kass and Raftery, *J. Am. Stat. Assoc.* 90, 1995), so that a wide prior costs what it should, also
+for one stop. Any stop may have been touched: its r_k is then a force of newtons in any direction; it is
 counted so where that is likelier than what the other stops under that explanation foretell, so a
 hand on most stops proves nothing, and a load that turns with gravity from stop to stop does.
 

@@ -1,6 +1,6 @@
-"""The sensor's slow wander, learned live while the arm is still and nobody touches the tool.
+"""The sensor's bias drift, learned live while the arm is still and nobody touches the tool.
 
-    out = untared - wander - tare
+    out = untared - bias drift - tare
 
 The estimate is `galen_gravcomp.corrections.bias_drift_filter`'s, from the windows of
 `galen_model.rest.windows`; here are its switch, its limits and what is taken off of it. It is
@@ -8,9 +8,9 @@ off unless it is asked for: what is taken off a surgeon's force without being as
 nothing. What comes off never jumps: each new value is gone to along the tare's smoothstep, and so
 is zero when it is switched off.
 
-A tare says anew what zero is: it averages the wrench with the wander still in it, so its offset
-holds what the wander took off, which goes to zero along the same ramp as the tare comes in: their
-sum goes from the old value to the new one as if there were no wander.
+A tare says anew what zero is: it averages the wrench with the bias drift still in it, so its offset
+holds what the bias drift took off, which goes to zero along the same ramp as the tare comes in:
+their sum goes from the old value to the new one as if there were no bias drift.
 
 Beyond `max_force_n` or `max_torque_nm` along an axis it stays where it is, until a tare, another
 tool or a restart of the driver: a sensor that went so far wants a person's look.
@@ -27,18 +27,18 @@ from galen_model.arrays import Array
 from galen_model.rest.windows import StillWindows
 from galen_ros.stream.monitor import joined
 
-from galen_gravcomp.corrections.bias_drift_filter import WanderFilter, WanderModel
+from galen_gravcomp.corrections.bias_drift_filter import BiasDriftFilter, BiasDriftModel
 from galen_gravcomp.corrections.tare import TareRamp
 
 
 @dataclass(frozen=True)
-class WanderSettings:
+class BiasDriftSettings:
     """Limits of what is taken off along an axis, and the ramp, which is the tare's."""
 
     max_force_n: float = 0.5
     max_torque_nm: float = 0.02
     ramp_s: float = 1.0
-    model: WanderModel = field(default_factory=WanderModel)
+    model: BiasDriftModel = field(default_factory=BiasDriftModel)
 
     @property
     def limits(self) -> Array:
@@ -46,7 +46,7 @@ class WanderSettings:
         return np.repeat([self.max_force_n, self.max_torque_nm], 3)
 
 
-class WanderState(Enum):
+class BiasDriftState(Enum):
     """What the estimate does now."""
 
     OFF = "off"
@@ -62,14 +62,14 @@ class WanderState(Enum):
 _HELD_AFTER_NS = 1_500_000_000
 
 
-class Wander:
-    """A `galen_gravcomp.corrections.stages.WanderStage`."""
+class BiasDrift:
+    """A `galen_gravcomp.corrections.stages.BiasDriftStage`."""
 
-    def __init__(self, settings: WanderSettings | None = None, *, enabled: bool = False) -> None:
-        self._settings = settings or WanderSettings()
+    def __init__(self, settings: BiasDriftSettings | None = None, *, enabled: bool = False) -> None:
+        self._settings = settings or BiasDriftSettings()
         self._enabled = enabled
         self._windows = StillWindows()
-        self._filter = WanderFilter(self._settings.model)
+        self._filter = BiasDriftFilter(self._settings.model)
         self._ramp = TareRamp(self._settings.ramp_s)
         self._tare: Array = np.zeros(6)
         self._newest_ns: int | None = None
@@ -90,15 +90,15 @@ class Wander:
         return self._enabled or self._ramp.ramping or bool(self._ramp.target.any())
 
     @property
-    def state(self) -> WanderState:
+    def state(self) -> BiasDriftState:
         """What it does now."""
         if not self._enabled:
-            return WanderState.OFF
+            return BiasDriftState.OFF
         if self._at_limit.any():
-            return WanderState.LIMIT
+            return BiasDriftState.LIMIT
         newest, seen = self._newest_ns, self._window_ns
         if newest is None or seen is None or newest - seen > _HELD_AFTER_NS:
-            return WanderState.HELD
+            return BiasDriftState.HELD
         return self._state
 
     @property
@@ -116,13 +116,13 @@ class Wander:
     @property
     def trouble(self) -> str:
         """What a person should be warned of, empty if nothing."""
-        if self.state is not WanderState.LIMIT:
+        if self.state is not BiasDriftState.LIMIT:
             return ""
         axes = [axis for axis, over in zip(WRENCH_AXES, self._at_limit, strict=True) if over]
         return (
-            f"the sensor wandered as far in {', '.join(axes)} as wander_max_force_n and"
-            " wander_max_torque_nm allow; it is not followed further: tare with nobody at the tool,"
-            " or recalibrate"
+            f"the sensor drifted as far in {', '.join(axes)} as bias_drift_max_force_n and"
+            " bias_drift_max_torque_nm allow; it is not followed further: tare without contact, or"
+            " recalibrate"
         )
 
     def values(self) -> dict[str, object]:
@@ -130,12 +130,12 @@ class Wander:
         ago_s = self.learned_s_ago
         settled, std = self.settled, self._filter.std
         return {
-            "wander": self.state.value,
-            "wander_force_n": joined(settled[:3]),
-            "wander_torque_nm": joined(settled[3:]),
-            "wander_std_force_n": joined(std[:3]),
-            "wander_std_torque_nm": joined(std[3:]),
-            "wander_learned_s_ago": "never" if ago_s is None else ago_s,
+            "bias_drift": self.state.value,
+            "bias_drift_force_n": joined(settled[:3]),
+            "bias_drift_torque_nm": joined(settled[3:]),
+            "bias_drift_std_force_n": joined(std[:3]),
+            "bias_drift_std_torque_nm": joined(std[3:]),
+            "bias_drift_learned_s_ago": "never" if ago_s is None else ago_s,
         }
 
     def set_enabled(self, enabled: bool) -> None:
@@ -152,7 +152,7 @@ class Wander:
     # Samples
 
     def offset_at(self, stamp_ns: int) -> Array:
-        """Offset (6,) in force at a stamp; the caller must not write into it."""
+        """Offset (6,) active at a stamp; the caller must not write into it."""
         # Also while nothing is pushed (a cable whose pull is not known): a ramp begins now.
         self._see_stamp(stamp_ns)
         return self._ramp.offset_at(stamp_ns)
@@ -168,15 +168,15 @@ class Wander:
         self._window_ns = window.end_ns
         if not window.steady:
             self._filter.unsteady()
-            self._state = WanderState.HELD
+            self._state = BiasDriftState.HELD
             return
         free = self._filter.see(
             window.end_ns, *window.angles, window.mean - self._tare, window.std_of_mean
         )
         if not free:
-            self._state = WanderState.TOUCHED
+            self._state = BiasDriftState.TOUCHED
         elif not self._filter.learned:
-            self._state = WanderState.HELD
+            self._state = BiasDriftState.HELD
         else:
             self._learned(stamp_ns, window.end_ns)
 
@@ -205,16 +205,16 @@ class Wander:
             self._newest_ns = stamp_ns
 
     def _begin_state(self) -> None:
-        self._state = WanderState.HELD
+        self._state = BiasDriftState.HELD
         self._at_limit = np.zeros(6, dtype=bool)
         self._window_ns = self._learned_ns = None
 
     def _learned(self, stamp_ns: int, window_ns: int) -> None:
         limits = self._settings.limits
-        self._at_limit |= np.abs(self._filter.wander) >= limits
+        self._at_limit |= np.abs(self._filter.bias_drift) >= limits
         if self._at_limit.any():
             # Frozen as a whole: a sensor that is out along one axis is not to be trusted in others.
             return
-        self._state = WanderState.LEARNING
+        self._state = BiasDriftState.LEARNING
         self._learned_ns = window_ns
-        self._ramp.start(stamp_ns, self._filter.wander)
+        self._ramp.start(stamp_ns, self._filter.bias_drift)

@@ -1,23 +1,23 @@
-"""What of a still, untouched wrench is the sensor's slow wander, and when it must be a touch.
+"""What of a still, untouched wrench is the sensor's bias drift, and when it must be a touch.
 
 The residual z (6,) of a still window, with the tool's weight and the tare off, is taken as
 
     z = b(t) + G(u) d + e(pose) + noise
 
-in one Kalman filter of sixteen states: b, the wander, a random walk of density q; d, what the load
-(mass, first moment) differs from the file's, in which the reading is linear
+in one Kalman filter of sixteen states: b, the bias drift, a random walk of density q; d, what the
+load (mass, first moment) differs from the file's, in which the reading is linear
 (`galen_model.load.model`); e, whatever else the calibration leaves at a pose: another value at
 another pose, the same at the same. With the angle a between gravity's directions u at two stops e
 is carried over as rho e with rho = exp(-a^2 / (2 l^2)), and (1 - rho^2) sigma_e^2 of new variance.
-So at one place every change of z is wander, a change from place to place mostly is not, and what
-turns with gravity is not even on the average over many places.
+So at one place every change of z is bias drift, a change from place to place mostly is not, and
+what turns with gravity is not even on the average over many places.
 
-Touched: a push begins faster than a sensor wanders. A window is a touch if in any axis
+Touched: a push begins faster than a sensor drifts. A window is a touch if in any axis
 
     |z - b - G d - e| > k sqrt(S) + floor,     S: the innovation's variance, which grows with q t,
 
 the floor standing for what the rate limit lets b lag behind. While touched nothing is learned and
-the variance of b grows, up to a bound, so that a sensor that wandered under a long touch is taken
+the variance of b grows, up to a bound, so that a sensor that drifted under a long touch is taken
 up again; then `FEWEST_CALM` windows in a row must pass. b moves by no more than `rate_per_s` times
 the window, whatever happens: a push slower than that, or smaller than what the test lets through,
 is learned, at no more than that rate and never by more than its own size.
@@ -38,7 +38,7 @@ _SIGMAS = 4.0
 _LENGTH_RAD = 0.3
 _SAME_PLACE_RAD = 0.01
 _S_PER_H = 3600.0
-_WANDER, _LOAD, _POSE = slice(0, 6), slice(6, 10), slice(10, 16)
+_BIAS_DRIFT, _LOAD, _POSE = slice(0, 6), slice(6, 10), slice(10, 16)
 
 
 def _axes(force_n: float, torque_nm: float) -> Array:
@@ -50,8 +50,8 @@ def _load_std() -> Array:
 
 
 @dataclass(frozen=True)
-class WanderModel:
-    """How a sensor wanders, by axis (6,), N and N.m, and how well a file fits.
+class BiasDriftModel:
+    """How a sensor drifts, by axis (6,), N and N.m, and how well a file fits.
 
     rate_per_s: fastest learning. 0.9 N/h in 60 s is 0.015 N, below the 0.02 N that a push of a
     minute may change at most though every other test failed. walk_per_sqrt_s: density of the
@@ -70,22 +70,22 @@ class WanderModel:
     longest_std: Array = field(default_factory=lambda: _axes(0.05, 0.0015))
 
 
-class WanderFilter:
+class BiasDriftFilter:
     """The filter; feed it still windows' means in the order of their times."""
 
-    def __init__(self, model: WanderModel | None = None) -> None:
-        self._model = model or WanderModel()
+    def __init__(self, model: BiasDriftModel | None = None) -> None:
+        self._model = model or BiasDriftModel()
         self.begin()
 
     @property
-    def wander(self) -> Array:
-        """The wander b (6,), N and N.m."""
-        return self._state[_WANDER].copy()
+    def bias_drift(self) -> Array:
+        """The bias drift b (6,), N and N.m."""
+        return self._state[_BIAS_DRIFT].copy()
 
     @property
     def std(self) -> Array:
         """Its standard deviation (6,) as the filter has it."""
-        return np.asarray(np.sqrt(np.diag(self._covariance)[_WANDER]))
+        return np.asarray(np.sqrt(np.diag(self._covariance)[_BIAS_DRIFT]))
 
     @property
     def learned(self) -> bool:
@@ -107,7 +107,7 @@ class WanderFilter:
         self._learned = False
         if tared is not None:
             stamp_ns, roll_rad, tilt_rad = tared
-            self._covariance[_WANDER, _WANDER] = 0.0
+            self._covariance[_BIAS_DRIFT, _BIAS_DRIFT] = 0.0
             self._go_to(stamp_ns, roll_rad, tilt_rad)
             # A level of zero, known as well as a tare's window tells it.
             self._learn(np.zeros(6), self._design(), 1e-2 * model.floor**2)
@@ -129,7 +129,7 @@ class WanderFilter:
             step = self._learn(innovation, design, std**2)
             # Time under a touch or in motion gives no right to a larger step.
             most = model.rate_per_s * min(elapsed_s, 1.0)
-            step[_WANDER] = np.clip(step[_WANDER], -most, most)
+            step[_BIAS_DRIFT] = np.clip(step[_BIAS_DRIFT], -most, most)
             self._state = self._state + step
         return free
 
@@ -158,10 +158,10 @@ class WanderFilter:
         if self._time_ns is not None and self._gravity is not None:
             elapsed_s = max((end_ns - self._time_ns) * 1e-9, 0.0)
             covariance = self._covariance
-            own = np.diag(covariance)[_WANDER]
+            own = np.diag(covariance)[_BIAS_DRIFT]
             room = np.maximum(model.longest_std**2 - own, 0.0)
             grown = np.zeros(16)
-            grown[_WANDER] = np.minimum(model.walk_per_sqrt_s**2 * elapsed_s, room)
+            grown[_BIAS_DRIFT] = np.minimum(model.walk_per_sqrt_s**2 * elapsed_s, room)
             # The chord: near zero the arc cosine has no figures left.
             angle = float(np.linalg.norm(gravity - self._gravity)) / -GRAVITY_M_S2[2]
             if angle > _SAME_PLACE_RAD:

@@ -1,4 +1,4 @@
-"""Forces of motion of tool and adapter from an IMU beside them. No ROS.
+"""Inertial forces of tool and adapter from an IMU beside them. No ROS.
 
 An IMU at r in ft_sensor, turned by R into it, reads specific force u = R^T (a_imu - g) + b and
 angular velocity, with g gravity. The sensor's origin accelerates with
@@ -21,7 +21,7 @@ from galen_model.arrays import Array
 from galen_model.files.calibration_file import ToolFile
 from galen_model.load.inertia.inertial import LoadInMotion
 from galen_model.rotation import rotvec_to_matrix
-from galen_ros.stream.results import Refusal
+from galen_ros.stream.results import Rejection
 
 from galen_gravcomp.corrections.joint_motion import inertia_source, load_in_motion
 from galen_gravcomp.corrections.motion_window import MotionSettings, MotionWindow
@@ -94,7 +94,7 @@ class ImuMotion:
         if self.known_until_ns is None:
             what = "has sent nothing"
         return NoMotion(
-            Refusal.NO_MOTION, f"forces of motion are not known: the IMU {what} (topic imu)"
+            Rejection.NO_MOTION, f"inertial forces are not known: the IMU {what} (topic imu)"
         )
 
     def set_tool(self, tool: ToolFile | None) -> None:
@@ -128,7 +128,7 @@ class ImuMotion:
         self._window.push(stamp_ns, (*angular_rad_s, *linear_m_s2))
 
     def reading(self, stamp_ns: int, roll_rad: float, tilt_rad: float) -> Array | NoMotion:
-        """Forces of motion (6,) at a stamp, N and N.m in ft_sensor."""
+        """Inertial forces (6,) at a stamp, N and N.m in ft_sensor."""
         assert self._load is not None
         found = self._window.at(stamp_ns)
         if isinstance(found, NoMotion):

@@ -1,4 +1,4 @@
-"""Forces of motion of tool and adapter from the joints, differentiated twice. No ROS.
+"""Inertial forces of tool and adapter from the joints, differentiated twice. No ROS.
 
     reading = inertial wrench(-a, w, al; mass, first moment, inertia of tool and adapter)
 
@@ -37,7 +37,7 @@ def load_in_motion(tool: ToolFile) -> LoadInMotion:
 
 
 def inertia_source(tool: ToolFile | None) -> str:
-    """Where the inertia of a tool in force comes from, in words."""
+    """Where the inertia of an active tool comes from, in words."""
     if tool is None:
         return "no tool"
     return "of two points at the centres" if tool.inertia is None else "the tool's file"
@@ -48,7 +48,7 @@ def inertia_source(tool: ToolFile | None) -> str:
 _JUMPS = ((0.005, 1.5),) * 3 + ((0.03, 10.0),) * 2
 
 
-_NO_PLATFORM = "forces of motion are not known: joint_states lacks the platform's position"
+_NO_PLATFORM = "inertial forces are not known: joint_states lacks the platform's position"
 
 
 class JointMotion:
@@ -73,7 +73,7 @@ class JointMotion:
         return self._window.known_until_ns
 
     def late(self, newest_wrench_ns: int) -> NoMotion | None:
-        """Joints that come late are the pairing's to refuse."""
+        """Joints that come late are the pairing's to reject."""
         return None
 
     def set_tool(self, tool: ToolFile | None) -> None:
@@ -107,7 +107,7 @@ class JointMotion:
         """An IMU is not asked for."""
 
     def reading(self, stamp_ns: int, roll_rad: float, tilt_rad: float) -> Array | NoMotion:
-        """Forces of motion (6,) at a stamp, N and N.m in ft_sensor."""
+        """Inertial forces (6,) at a stamp, N and N.m in ft_sensor."""
         assert self._load is not None
         found = self._window.at(stamp_ns)
         if isinstance(found, NoMotion):

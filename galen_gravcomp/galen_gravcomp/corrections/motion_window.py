@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from galen_model.arrays import Array
-from galen_ros.stream.results import Refusal
+from galen_ros.stream.results import Rejection
 
 from galen_gravcomp.corrections.local_polynomial import Derivatives, LocalPolynomial
 from galen_gravcomp.corrections.stages import NoMotion
@@ -24,7 +24,7 @@ class MotionSettings:
     moment: filters of sensor and driver differ.
 
     The defaults: with encoder steps of 5e-5 rad and 5 um at 500 Hz, and the arm's fastest free
-    motion (1.5 rad/s, 6 rad/s^2, 0.2 m/s, 1 m/s^2), what the forces of motion of 0.3 kg are then
+    motion (1.5 rad/s, 6 rad/s^2, 0.2 m/s, 1 m/s^2), what the inertial forces of 0.3 kg are then
     wrong by makes the sensor's noise 0.1 to 4.4 % larger, axis by axis. A window of 40 ms read off
     in its middle makes it up to 6.7 % larger; 50 ms 3.4 %, but 5 ms later.
     """
@@ -153,6 +153,6 @@ class MotionWindow:
     def _none(self, what: str) -> NoMotion:
         window_ms = self._settings.window_s * 1e3
         return NoMotion(
-            Refusal.NO_MOTION,
-            f"forces of motion are not known: the window of {window_ms:.0f} ms {what}",
+            Rejection.NO_MOTION,
+            f"inertial forces are not known: the window of {window_ms:.0f} ms {what}",
         )

@@ -1,8 +1,8 @@
 """What a compensator can do beside the tool's weight, stage by stage. No ROS.
 
     expected = weight(roll, tilt) + pull of a cable     as the sensor reads them, in its own axes
-    untared  = C (raw - expected) - forces of motion    C: undoes its gains and rotation
-    out      = untared - slow wander - tare
+    untared  = C (raw - expected) - inertial forces    C: undoes its gains and rotation
+    out      = untared - bias drift - tare
 
 Every stage is optional. A stage sees each sample once, in the order of its arrival, by its stamp.
 """
@@ -19,14 +19,14 @@ from galen_model.files.calibration_file import ToolFile
 
 
 class NoMotion(NamedTuple):
-    """Why the forces of motion at a stamp are not known: a `Refusal` and a sentence."""
+    """Why the inertial forces at a stamp are not known: a `Rejection` and a sentence."""
 
     reason: Enum
     detail: str
 
 
 class MotionStage(Protocol):
-    """Forces of motion of tool and adapter."""
+    """Inertial forces of tool and adapter."""
 
     @property
     def known_until_ns(self) -> int | None:
@@ -63,7 +63,7 @@ class MotionStage(Protocol):
         """Take an IMU's angular velocity and specific force, (3,) each in its axes."""
 
     def reading(self, stamp_ns: int, roll_rad: float, tilt_rad: float) -> Array | NoMotion:
-        """Forces of motion (6,) at a stamp, N and N.m in ft_sensor, beside the weight.
+        """Inertial forces (6,) at a stamp, N and N.m in ft_sensor, beside the weight.
 
         With a lag also what the weight was before, less what it is at the stamp.
         """
@@ -72,8 +72,8 @@ class MotionStage(Protocol):
         """What there is to say of it on /diagnostics; units are in the names."""
 
 
-class WanderStage(Protocol):
-    """Slow wander of the sensor, learned while nobody touches the tool."""
+class BiasDriftStage(Protocol):
+    """bias drift of the sensor, learned while nobody touches the tool."""
 
     @property
     def active(self) -> bool:
@@ -95,7 +95,7 @@ class WanderStage(Protocol):
     def tared(self, stamp_ns: int, roll_rad: float, tilt_rad: float, offset: Array) -> None:
         """From a stamp on a tare takes `offset` (6,) off the untared wrench, along its own ramp.
 
-        What the wander took off is in it, so that goes to zero along a ramp as long.
+        What the bias drift took off is in it, so that goes to zero along a ramp as long.
         """
 
     @property
@@ -140,5 +140,5 @@ class Stages:
     """The stages of one compensator; None: it does without."""
 
     motion: MotionStage | None = None
-    wander: WanderStage | None = None
+    bias_drift: BiasDriftStage | None = None
     fit: FitWatch | None = None

@@ -24,7 +24,7 @@ class TareSettings:
 
 @dataclass(frozen=True)
 class TareOutcome:
-    """Answer to a tare request; `offset` (6,) in N and N.m, sensor frame, or None if refused."""
+    """Answer to a tare request; `offset` (6,) in N and N.m, sensor frame, or None if rejected."""
 
     success: bool
     message: str
@@ -101,7 +101,7 @@ class TareWindow:
                 return TareOutcome(
                     False,
                     f"not tared: a {what} of {value:.3g} {unit} would be taken off, {parameter} is"
-                    f" {limit:g}; is this tool's file in force, and does nobody touch the tool?",
+                    f" {limit:g}; is the right tool active, and is it free of contact?",
                 )
         force = ", ".join(f"{v:.3f}" for v in offset[:3])
         torque = ", ".join(f"{1e3 * v:.1f}" for v in offset[3:])
@@ -118,7 +118,7 @@ class TareWindow:
 
 
 class TareRamp:
-    """The offset in force at a stamp. A new target is approached by a smoothstep in the stamps.
+    """The active offset at a stamp. A new target is approached by a smoothstep in the stamps.
 
     With s = (t - start) / ramp_s in [0, 1] the offset is start + (3 s^2 - 2 s^3) (target - start),
     so that its rate never exceeds 1.5 |target - start| / ramp_s, and is zero at both ends.
@@ -128,7 +128,7 @@ class TareRamp:
 
     def __init__(self, ramp_s: float) -> None:
         self._ramp_ns = ramp_s * 1e9
-        self._start_ns: int | None = None  # None: the target is fully in force
+        self._start_ns: int | None = None  # None: the target is fully active
         self._start: Array = np.zeros(6)
         self._target: Array = np.zeros(6)
 
@@ -149,13 +149,13 @@ class TareRamp:
         self._target = np.zeros(6)
 
     def start(self, stamp_ns: int, target: Array) -> None:
-        """Go from the offset in force at `stamp_ns` to `target` (6,)."""
+        """Go from the active offset at `stamp_ns` to `target` (6,)."""
         self._start = self.offset_at(stamp_ns)
         self._target = np.array(target, dtype=float)
         self._start_ns = stamp_ns
 
     def offset_at(self, stamp_ns: int) -> Array:
-        """Offset (6,) in force at a stamp; the caller must not write into it."""
+        """Offset (6,) active at a stamp; the caller must not write into it."""
         if self._start_ns is None:
             return self._target
         elapsed_ns = stamp_ns - self._start_ns

@@ -59,7 +59,7 @@ class EvaluationSettings:
     still: StillCellSettings = field(default_factory=StillCellSettings)
     limits: Limits = field(default_factory=Limits)
     motion: MotionSettings | None = None
-    """Take forces of motion off as well, from the joints; None: not."""
+    """Take inertial forces off as well, from the joints; None: not."""
 
 
 @dataclass(frozen=True)
@@ -67,9 +67,9 @@ class BagEvaluation:
     """What was found. Wrenches (6,) are N and N.m in the sensor's frame, NaN where there is none.
 
     rmse_still, rmse_moving: of single compensated readings while the arm was still, and not;
-    rmse_phases: of the still phases' means. `refused` and `notices` count by name, with an
-    example of each refusal in words; `problems` are the bag's. motion: the inertia with which
-    forces of motion were taken off, in words; empty where they were not.
+    rmse_phases: of the still phases' means. `rejected` and `notices` count by name, with an
+    example of each rejection in words; `problems` are the bag's. motion: the inertia with which
+    inertial forces were taken off, in words; empty where they were not.
     """
 
     path: Path
@@ -79,8 +79,8 @@ class BagEvaluation:
     received: int
     compensated: int
     waiting: int
-    refused: dict[str, int]
-    refused_example: dict[str, str]
+    rejected: dict[str, int]
+    rejected_example: dict[str, str]
     notices: dict[str, int]
     problems: tuple[str, ...]
     joint_stamps: StampReport
@@ -192,8 +192,8 @@ class _Run:
             slow_s = _READINGS_A_CELL * period_s if np.isfinite(period_s) else 0.0
             self._cells = CellReducer(max(CELL_S, slow_s))
         result = push_arm_block(self._compensator, block)
-        for refused in result.refused:
-            self._examples.setdefault(refused.reason.value, refused.detail)
+        for rejected in result.rejected:
+            self._examples.setdefault(rejected.reason.value, rejected.detail)
         if self._cells is not None:
             self._cells.add(result.stamp_ns, result.wrench, result.angles)
         return result.index, result.wrench
@@ -232,8 +232,8 @@ class _Run:
             received=compensator.received,
             compensated=compensator.compensated,
             waiting=compensator.waiting,
-            refused={reason.value: n for reason, n in compensator.refusals.items()},
-            refused_example=self._examples,
+            rejected={reason.value: n for reason, n in compensator.rejections.items()},
+            rejected_example=self._examples,
             notices={notice.value: n for notice, n in compensator.notices.items()},
             problems=tuple(bag.problems),
             joint_stamps=self._joint_stamps.report(),
@@ -256,7 +256,7 @@ class _Run:
         """Why nothing can be said of the fit, whatever is left over; empty if something can."""
         compensator = self._compensator
         if not compensator.compensated:
-            reasons = compensator.refusals.most_common(1)
+            reasons = compensator.rejections.most_common(1)
             if not reasons:
                 return "no wrench was compensated: nothing can be said of the file's fit"
             why = self._examples[reasons[0][0].value]

@@ -35,7 +35,7 @@ def print_evaluation(result: BagEvaluation, console: Console) -> None:
         soft_wrap=True,
     )
     if result.motion:
-        console.print(f"Forces of motion are taken off, with the inertia: {result.motion}")
+        console.print(f"Inertial forces are taken off, with the inertia: {result.motion}")
     style = _VERDICT_STYLE.get(result.verdict, "bold red")
     console.print(f"[{style}]{result.sentence}[/{style}]", soft_wrap=True)
     console.print(_rmse_table(result))
@@ -53,8 +53,8 @@ def print_evaluation(result: BagEvaluation, console: Console) -> None:
 def findings(result: BagEvaluation) -> list[str]:
     """What is wrong with the recording itself, a sentence each; empty if nothing is."""
     lines = [f"bag: {problem}" for problem in result.problems]
-    for reason, count in result.refused.items():
-        example = result.refused_example.get(reason, "")
+    for reason, count in result.rejected.items():
+        example = result.rejected_example.get(reason, "")
         lines.append(f"not compensated, {reason}: {count} wrenches; {example}")
     lines += [
         f"{name.replace('_', ' ')}: {count}"
@@ -103,7 +103,7 @@ def to_dict(result: BagEvaluation) -> dict[str, Any]:
             "received": result.received,
             "compensated": result.compensated,
             "waiting_at_end": result.waiting,
-            "refused": result.refused,
+            "rejected": result.rejected,
         },
         "notices": result.notices,
         "rmse": {

@@ -201,9 +201,9 @@ def _add_table_options(group: argparse._ArgumentGroup) -> None:
         help="the table is a recording: find its still phases and average this long within them",
     )
     group.add_argument(
-        "--wander",
+        "--bias-drift",
         action="store_true",
-        help="beside the others, a model whose bias may wander, in the order of the readings; its"
+        help="beside the others, a model whose bias may drift, in the order of the readings; its"
         " shape is chosen by blocks, within what is not held out (takes some seconds a block)",
     )
     group.add_argument(
@@ -213,7 +213,7 @@ def _add_table_options(group: argparse._ArgumentGroup) -> None:
         "--estimate",
         metavar="GROUPS",
         type=lambda text: tuple(text.split(",")),
-        help="score a model beside that has these together with the load, comma-separated; refused"
+        help="score a model beside that has these together with the load, comma-separated; rejected"
         " where the orientations can't tell them apart: sensor_rotation, axis_gain, gain_ratio,"
         " base_inclination (not with gx gy gz alone) and their parts",
     )
@@ -253,7 +253,7 @@ def run_table(arguments: argparse.Namespace, console: Console) -> None:
         settings,
         tool,
         _mounting(arguments),
-        arguments.wander,
+        arguments.bias_drift,
     )
     if written_tool is not None:
         write_tool(

@@ -66,7 +66,7 @@ class CompensatedBag:
             self._writer.write(self._out, *entry)
 
     def _compensated(self, numbers: np.ndarray, wrenches: Array) -> deque[tuple[int, bytes]]:
-        """Log time and message of each; what is not among the numbers was refused."""
+        """Log time and message of each; what is not among the numbers was rejected."""
         out: deque[tuple[int, bytes]] = deque()
         by_number = dict(zip(numbers.tolist(), wrenches.tolist(), strict=True))
         last = max(by_number, default=-1)

@@ -5,12 +5,12 @@ With u_k gravity in the sensor's frame in phase k, the mean residual there is fi
     r_k = G(u_k) d + b + c (t_k - t_mean) + rest
 
 d: what the load (mass, first moment) differs from the file's, in which the reading is linear (see
-`galen_model.load.model`); b: an offset, as a sensor zeroed anew or wandered leaves it, which a
+`galen_model.load.model`); b: an offset, as a sensor zeroed anew or drifted leaves it, which a
 tare takes off; c: its drift; robustly, so that a few touched phases don't count
-(`galen_model.load.robust_fit`). Poses that can't tell d from b are refused by the same gate as a
+(`galen_model.load.robust_fit`). Poses that can't tell d from b are rejected by the same gate as a
 calibration's (`galen_model.load.excitation`); then only the offset and the drift are fitted. The
 standard deviations come from the rest's scatter from phase to phase, so a sensor's coloured noise
-is in them, but not a wander over many phases, which offset and drift follow.
+is in them, but not a bias drift over many phases, which offset and drift follow.
 """
 
 from __future__ import annotations

@@ -26,7 +26,7 @@ _SURE = 5.0
 
 
 class Verdict(Enum):
-    """Whether the tool's file still fits the recording, and what would mend it."""
+    """Whether the tool's file still fits the recording, and what would fix it."""
 
     FITS = "fits"
     OFFSET = "offset"
@@ -51,7 +51,7 @@ def judge(
     """The verdict and a sentence for a person, with times from `start_ns` on.
 
     `moving` (6,): RMSE of the cells' means in motion. Without a still phase a small one is a fit
-    as well; a large one may be forces of motion.
+    as well; a large one may be inertial forces.
     """
     if not len(phases):
         return _judge_motion(limits, moving)
@@ -78,7 +78,7 @@ def _judge_motion(limits: Limits, moving: Array) -> tuple[Verdict, str]:
     _, ratio, size = _worst(moving, limits)
     if ratio <= 1.0:
         return Verdict.FITS, f"the file fits in motion, to {size}; {none}"
-    return Verdict.UNKNOWN, f"in motion {size} is left over, which may be forces of motion; {none}"
+    return Verdict.UNKNOWN, f"in motion {size} is left over, which may be inertial forces; {none}"
 
 
 def _judge_still(
@@ -158,7 +158,7 @@ def _in_words(
         text = f"drift of the sensor, here by {rate:+.3g} {unit}"
         if misfit.why_no_load:
             text += " (or another load, which these still phases can't tell from it)"
-    # What mends one part alone is no advice where another is left.
+    # What fixes one part alone is no advice where another is left.
     return text + (besides if unexplained else hint)
 
 

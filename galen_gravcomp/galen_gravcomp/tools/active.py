@@ -1,4 +1,4 @@
-"""Which tool is in force, told on the latched topic `~/tool_in_force` and kept under watch.
+"""Which tool is active, told on the latched topic `~/active_tool` and kept under watch.
 
 The file on disk is looked at from time to time: one that has changed since it was loaded, such as
 by a new calibration, is not what is compensated with.
@@ -17,8 +17,8 @@ from galen_ros.qos import LATCHED
 from rclpy.node import Node
 
 from galen_gravcomp.compensator import Compensator
-from galen_gravcomp.tools.messages import in_force_message
-from galen_msgs.msg import ToolInForce
+from galen_gravcomp.tools.messages import active_message
+from galen_msgs.msg import ActiveTool
 
 _FILE_CHECK_S = 2.0
 _NOTES = {
@@ -28,8 +28,8 @@ _NOTES = {
 }
 
 
-class InForce:
-    """The tool in force, as it was loaded."""
+class Active:
+    """The active tool, as it was loaded."""
 
     def __init__(
         self,
@@ -48,8 +48,8 @@ class InForce:
         self._checking = False
         self._checked_s = time.monotonic()
         self._said: tuple[object, ...] = ()
-        self._said_wander = np.zeros(6)
-        self._publisher = node.create_publisher(ToolInForce, "~/tool_in_force", LATCHED)
+        self._said_bias_drift = np.zeros(6)
+        self._publisher = node.create_publisher(ActiveTool, "~/active_tool", LATCHED)
 
     @property
     def stored(self) -> StoredTool | None:
@@ -62,33 +62,34 @@ class InForce:
         return "" if self._stored is None else self._stored.tool.tool
 
     def put(self, stored: StoredTool | None) -> None:
-        """Say that this one is in force now, read just before."""
+        """Say that this one is active now, read just before."""
         self._stored = stored
         self._set_file_state(FileState.AS_LOADED)
 
     def rename(self, stored: StoredTool) -> None:
-        """Say that the one in force has another name and file; what became of it stays."""
+        """Say that the active one has another name and file; what became of it stays."""
         self._stored = stored
         self._compensator.rename_tool(stored.tool.tool)
         self.update()
 
     def update(self) -> None:
-        """Publish what is in force if it has changed; cheap, to be called often.
+        """Publish what is active if it has changed; cheap, to be called often.
 
-        A wander's estimate never stands still: it is told when it has moved by a sensor's quantum.
+        A bias drift's estimate never stands still: it is told when it has moved by a sensor's
+        quantum.
         """
         compensator = self._compensator
-        wander = compensator.wander_offset
+        bias_drift = compensator.bias_drift_offset
         tare = tuple(compensator.tare_offset)
         stored = self._stored
         loaded = None if stored is None else (stored.path, stored.sha256)
-        says = (loaded, self._file_state, compensator.enabled, tare, wander is None)
-        step = np.zeros(6) if wander is None else wander - self._said_wander
+        says = (loaded, self._file_state, compensator.enabled, tare, bias_drift is None)
+        step = np.zeros(6) if bias_drift is None else bias_drift - self._said_bias_drift
         if says == self._said and not np.any(np.abs(step) > SENSOR.quantum):
             return
         self._said = says
-        self._said_wander = self._said_wander + step
-        message = in_force_message(stored, self._file_state, compensator)
+        self._said_bias_drift = self._said_bias_drift + step
+        message = active_message(stored, self._file_state, compensator)
         message.header.stamp = self._node.get_clock().now().to_msg()
         self._publisher.publish(message)
 

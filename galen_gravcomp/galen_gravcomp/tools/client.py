@@ -1,4 +1,4 @@
-"""Asks a running gravcomp_node what it has in force: the latched topic, heard once."""
+"""Asks a running gravcomp_node what it has active: the latched topic, heard once."""
 
 from __future__ import annotations
 
@@ -14,29 +14,29 @@ from galen_ros.qos import LATCHED
 from geometry_msgs.msg import Wrench
 from rclpy.node import Node
 
-from galen_msgs.msg import ToolInForce
+from galen_msgs.msg import ActiveTool
 
 _FILE_STATES = {
-    ToolInForce.FILE_NONE: "none",
-    ToolInForce.FILE_AS_LOADED: "as loaded",
-    ToolInForce.FILE_CHANGED: "changed",
-    ToolInForce.FILE_GONE: "gone",
+    ActiveTool.FILE_NONE: "none",
+    ActiveTool.FILE_AS_LOADED: "as loaded",
+    ActiveTool.FILE_CHANGED: "changed",
+    ActiveTool.FILE_GONE: "gone",
 }
 
 
 class NoAnswerError(GalenError):
-    """No node says what it has in force."""
+    """No node says what it has active."""
 
 
 def read(node_name: str, timeout_s: float, ros_args: Sequence[str] = ()) -> dict[str, Any]:
-    """What the node has in force: plain numbers, lists and texts, SI. Raises NoAnswerError."""
+    """What the node has active: plain numbers, lists and texts, SI. Raises NoAnswerError."""
     # Ctrl-C ends the wait as any other command's.
     init_ros(list(ros_args))
     try:
         node = Node("tools")
-        received: list[ToolInForce] = []
-        topic = f"{node_name}/tool_in_force"
-        node.create_subscription(ToolInForce, topic, received.append, LATCHED)
+        received: list[ActiveTool] = []
+        topic = f"{node_name}/active_tool"
+        node.create_subscription(ActiveTool, topic, received.append, LATCHED)
         deadline = time.monotonic() + timeout_s
         while not received:
             if time.monotonic() > deadline:
@@ -51,8 +51,8 @@ def read(node_name: str, timeout_s: float, ros_args: Sequence[str] = ()) -> dict
         rclpy.try_shutdown()
 
 
-def to_dict(message: ToolInForce) -> dict[str, Any]:
-    """The message as plain numbers, lists and texts; tare and wander None where there is none."""
+def to_dict(message: ActiveTool) -> dict[str, Any]:
+    """The message as plain numbers, lists and texts; tare and drift None where there is none."""
     return {
         "tool": message.tool,
         "enabled": message.enabled,
@@ -71,7 +71,7 @@ def to_dict(message: ToolInForce) -> dict[str, Any]:
         "sha256": message.sha256,
         "file_state": _FILE_STATES.get(message.file_state, "unknown"),
         "tare": _wrench(message.tare) if message.tared else None,
-        "wander": _wrench(message.wander) if message.wander_estimated else None,
+        "bias_drift": _wrench(message.bias_drift) if message.bias_drift_estimated else None,
     }
 
 

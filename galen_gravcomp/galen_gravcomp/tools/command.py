@@ -1,4 +1,4 @@
-"""`tools`: looks after a directory's tools' files; says what a node has in force."""
+"""`tools`: looks after a directory's tools' files; says what a node has active."""
 
 from __future__ import annotations
 
@@ -29,15 +29,15 @@ from galen_gravcomp.parameters import GravcompParameters
 from galen_gravcomp.tools.report import (
     comparison_to_dict,
     list_to_dict,
+    print_active,
     print_comparison,
-    print_in_force,
     print_list,
     print_tool,
     tool_to_dict,
 )
 
 _EPILOG = f"""A running gravcomp_node keeps what it has loaded, whatever happens to the files; its
-services do the same as these commands and know what is in force.
+services do the same as these commands and know what is active.
 
 exit codes:
   {EXIT_OK}    done; `list`: also where some files can't be used
@@ -106,11 +106,11 @@ def build_parser() -> argparse.ArgumentParser:
     remove.add_argument("--yes", action="store_true", help="don't ask")
     restore = _add(commands, "restore", "bring back the tool removed last under a name", files)
     restore.add_argument("tool", metavar="NAME")
-    in_force = _add(commands, "in-force", "what a running gravcomp_node has in force", common)
-    in_force.add_argument(
+    active_tool = _add(commands, "active", "what a running gravcomp_node has active", common)
+    active_tool.add_argument(
         "--node", default="gravcomp", help="the node's name (default: %(default)s)"
     )
-    in_force.add_argument(
+    active_tool.add_argument(
         "--timeout-s",
         type=positive,
         default=5.0,
@@ -203,14 +203,14 @@ def _restore(arguments: argparse.Namespace, store: ToolStore, console: Console) 
     _tell(arguments, console, {"path": str(path)}, f"'{arguments.tool}' is back: {path}")
 
 
-def _in_force(arguments: argparse.Namespace, ros_args: Sequence[str], console: Console) -> None:
+def _active(arguments: argparse.Namespace, ros_args: Sequence[str], console: Console) -> None:
     from galen_gravcomp.tools.client import read  # needs ROS, the other commands don't
 
     state = read(arguments.node, arguments.timeout_s, ros_args)
     if arguments.json:
         _print_json(state)
     else:
-        print_in_force(state, console)
+        print_active(state, console)
 
 
 _COMMANDS = {
@@ -248,8 +248,8 @@ def main(args: Sequence[str] | None = None) -> int:
     console = Console(width=None if sys.stdout.isatty() else 120)
 
     def work() -> int:
-        if arguments.command == "in-force":
-            _in_force(arguments, words[at:], console)
+        if arguments.command == "active":
+            _active(arguments, words[at:], console)
         else:
             _COMMANDS[arguments.command](arguments, ToolStore(arguments.tools_dir), console)
         return EXIT_OK

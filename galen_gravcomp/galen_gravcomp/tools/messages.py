@@ -13,23 +13,23 @@ from galen_model.load.frames import FrameError, FrameNeedsJointsError
 from geometry_msgs.msg import Wrench
 
 from galen_gravcomp.compensator import Compensator
-from galen_msgs.msg import ToolDifference, ToolInForce, ToolSummary
+from galen_msgs.msg import ActiveTool, ToolDifference, ToolSummary
 
 
-class InForceError(GalenError):
-    """The tool is in force, and can't be removed."""
+class ActiveError(GalenError):
+    """The tool is active, and can't be removed."""
 
 
-class NothingInForceError(GalenError):
-    """There is no tool in force."""
+class NothingActiveError(GalenError):
+    """There is no active tool."""
 
 
 _MOST_POSES = 65535
 """A uint16 of the message; the file may say any number."""
 _FILE_STATES = {
-    FileState.AS_LOADED: ToolInForce.FILE_AS_LOADED,
-    FileState.CHANGED: ToolInForce.FILE_CHANGED,
-    FileState.GONE: ToolInForce.FILE_GONE,
+    FileState.AS_LOADED: ActiveTool.FILE_AS_LOADED,
+    FileState.CHANGED: ActiveTool.FILE_CHANGED,
+    FileState.GONE: ActiveTool.FILE_GONE,
 }
 _CODES: dict[type[GalenError], str] = {
     ToolNameError: "INVALID_NAME",
@@ -37,8 +37,8 @@ _CODES: dict[type[GalenError], str] = {
     FrameError: "INVALID_FRAME",
     FrameNeedsJointsError: "NEEDS_JOINTS",
     IncomparableError: "INCOMPARABLE",
-    InForceError: "IN_FORCE",
-    NothingInForceError: "NOT_FOUND",
+    ActiveError: "IN_FORCE",
+    NothingActiveError: "NOT_FOUND",
 }
 
 
@@ -51,17 +51,17 @@ def error_code(response: Any, error: GalenError, otherwise: str) -> int:
     return int(getattr(response, name))
 
 
-def in_force_message(
+def active_message(
     stored: StoredTool | None, state: FileState, compensator: Compensator
-) -> ToolInForce:
-    """What is in force; `stored`: the tool as it was loaded, `state`: its file since."""
-    offset, wander = compensator.tare_offset, compensator.wander_offset
-    message = ToolInForce(enabled=compensator.enabled)
+) -> ActiveTool:
+    """What is active; `stored`: the tool as it was loaded, `state`: its file since."""
+    offset, bias_drift = compensator.tare_offset, compensator.bias_drift_offset
+    message = ActiveTool(enabled=compensator.enabled)
     message.header.frame_id = compensator.sensor_frame
     message.tared = bool(offset.any())
     message.tare = _wrench(offset)
-    message.wander_estimated = wander is not None
-    message.wander = _wrench(np.zeros(6) if wander is None else wander)
+    message.bias_drift_estimated = bias_drift is not None
+    message.bias_drift = _wrench(np.zeros(6) if bias_drift is None else bias_drift)
     if stored is None:
         return message
     tool = stored.tool
@@ -101,9 +101,9 @@ def fill_comparison(response: Any, comparison: Comparison) -> None:
     response.worst_torque_at = comparison.worst_torque.at_rad
 
 
-def summary(entry: Entry, in_force: bool, has_previous: bool) -> ToolSummary:
+def summary(entry: Entry, active_tool: bool, has_previous: bool) -> ToolSummary:
     """A row of the list."""
-    row = ToolSummary(tool=entry.name, problem=entry.problem, in_force=in_force)
+    row = ToolSummary(tool=entry.name, problem=entry.problem, active_tool=active_tool)
     row.has_previous = has_previous
     row.rmse_force_n = row.rmse_torque_nm = np.full(3, np.nan)
     if entry.stored is not None:

@@ -219,16 +219,16 @@ def print_comparison(comparison: Comparison, console: Console) -> None:
         )
 
 
-# What is in force
+# What is active
 
 
-def print_in_force(state: Mapping[str, Any], console: Console) -> None:
-    """What a node has in force, as `in_force_client.read` gives it."""
+def print_active(state: Mapping[str, Any], console: Console) -> None:
+    """What a node has active, as `active_tool_client.read` gives it."""
     if not state["tool"]:
-        console.print("[yellow]no tool is in force: nothing is compensated[/yellow]")
+        console.print("[yellow]no tool is active: nothing is compensated[/yellow]")
         return
     switch = "" if state["enabled"] else ", but [yellow]compensation is switched off[/yellow]"
-    console.print(f"[bold]{state['tool']}[/bold] is in force{switch}")
+    console.print(f"[bold]{state['tool']}[/bold] is active{switch}")
     load = LoadEstimate(state["mass_kg"], np.array(state["com_m"]), np.array(state["covariance"]))
     adapter = state["adapter"]
     table = Table("", "mass, g", f"centre in {state['frame']}, mm")
@@ -239,7 +239,7 @@ def print_in_force(state: Mapping[str, Any], console: Console) -> None:
     table.add_row("tip", "", _millimetres(np.array(state["tip_m"])))
     console.print(table)
     wrenches = Table("taken off, mN and mN.m", *WRENCH_AXES)
-    for name in ("tare", "wander"):
+    for name in ("tare", "bias_drift"):
         if state[name] is not None:
             wrenches.add_row(name, *(f"{1e3 * value:.2f}" for value in state[name]))
     if wrenches.row_count:
@@ -251,7 +251,7 @@ def print_in_force(state: Mapping[str, Any], console: Console) -> None:
     ):
         console.print(escape(text), highlight=False, soft_wrap=True)
     if state["file_state"] != "as loaded":
-        text = "the file has changed since it was loaded: what is in force is the older content"
+        text = "the file has changed since it was loaded: what is active is the older content"
         if state["file_state"] == "gone":
             text = "the file is gone since it was loaded"
         console.print(f"[yellow]{text}[/yellow]", soft_wrap=True)

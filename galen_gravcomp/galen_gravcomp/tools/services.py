@@ -3,7 +3,7 @@
 Files are read and written beside the executor (`galen_ros.node.background`), so that a slow disk
 holds up no wrench; answers go out later. Only `~/set_tool` reads its one small file at once.
 
-The tool in force can't be removed. It can be renamed: it stays in force under its new name, with
+The active tool can't be removed. It can be renamed: it stays active under its new name, with
 its tare, and the output doesn't change. It can be reverted: the file is then another one than what
 was loaded, and the output doesn't change either.
 """
@@ -40,10 +40,10 @@ from galen_ros.node.deferred_service import DeferredService, Respond
 from rclpy.node import Node
 
 from galen_gravcomp.compensator import Compensator
-from galen_gravcomp.tools.active import InForce
+from galen_gravcomp.tools.active import Active
 from galen_gravcomp.tools.messages import (
-    InForceError,
-    NothingInForceError,
+    ActiveError,
+    NothingActiveError,
     error_code,
     fill_comparison,
     summary,
@@ -88,13 +88,13 @@ class ToolServices:
         joints: LiveJoints,
         on_note: Callable[[str], None],
     ) -> None:
-        """`on_note(text)`: what became of the file in force since; empty while it is as loaded."""
+        """`on_note(text)`: what became of the active file since; empty while as loaded."""
         self._node = node
         self._store = ToolStore(tools_dir)
         self._joints = joints
         self._changing: list[set[str]] = []
         self._background = Background(node)
-        self.in_force = InForce(node, compensator, self._background, on_note)
+        self.active_tool = Active(node, compensator, self._background, on_note)
         self._services = [
             DeferredService(node, ListTools, "~/list_tools", self._on_list),
             DeferredService(node, GetTool, "~/get_tool", self._on_get),
@@ -105,7 +105,7 @@ class ToolServices:
         ]
 
     def read(self, name: str) -> StoredTool:
-        """Read a tool that is to be put in force; raises ToolNameError or ToolFileError."""
+        """Read a tool that is to be activated; raises ToolNameError or ToolFileError."""
         if self._changes({name}):
             raise ToolFileError(f"tool '{name}' is being changed: ask again")
         return self._store.read(name)
@@ -150,13 +150,13 @@ class ToolServices:
         self._background.submit(guarded, done, dropped)
 
     def _on_list(self, _request: Any, response: Any, respond: Respond) -> None:
-        in_force = self.in_force.name
+        active_tool = self.active_tool.name
 
         def job() -> tuple[list[ToolSummary], int]:
             names = self._store.names()
             rows = []
             for entry in self._store.entries(names[:MAX_LISTED]):
-                rows.append(summary(entry, entry.name == in_force, self._reverts(entry.name)))
+                rows.append(summary(entry, entry.name == active_tool, self._reverts(entry.name)))
                 time.sleep(0)  # the executor's thread may go on between two files
             return rows, len(names) - len(rows)
 
@@ -167,10 +167,10 @@ class ToolServices:
         self._answer(response, respond, job, fill, "UNREADABLE")
 
     def _on_get(self, request: Any, response: Any, respond: Respond) -> None:
-        live, in_force = self._joints.read(), self.in_force.stored
+        live, active_tool = self._joints.read(), self.active_tool.stored
 
         def job() -> StoredTool:
-            stored = self._named(request.tool, in_force)
+            stored = self._named(request.tool, active_tool)
             own = ("", stored.tool.sensor_frame)
             frame = SENSOR_FRAME if request.frame in own else request.frame
             given = joint_vector(list(request.joints))
@@ -188,7 +188,7 @@ class ToolServices:
 
         def fill(stored: StoredTool) -> None:
             response.tool = stored.tool.tool
-            response.in_force = in_force is not None and stored.sha256 == in_force.sha256
+            response.active_tool = active_tool is not None and stored.sha256 == active_tool.sha256
             response.parts = list(stored.tool.parts)
             response.calibrated_at = stored.tool.calibrated_at
             response.path = str(stored.path)
@@ -198,11 +198,11 @@ class ToolServices:
         self._answer(response, respond, job, fill)
 
     def _on_compare(self, request: Any, response: Any, respond: Respond) -> None:
-        in_force = self.in_force.stored
+        active_tool = self.active_tool.stored
 
         def job() -> Comparison:
-            a, name_a = self._compared(request.a, request.a_previous, in_force)
-            b, name_b = self._compared(request.b, request.b_previous, in_force)
+            a, name_a = self._compared(request.a, request.a_previous, active_tool)
+            b, name_b = self._compared(request.b, request.b_previous, active_tool)
             return compare_tools(a.tool, b.tool, (name_a, name_b))
 
         self._answer(
@@ -210,7 +210,7 @@ class ToolServices:
         )
 
     def _on_rename(self, request: Any, response: Any, respond: Respond) -> None:
-        loaded = self.in_force.stored if request.tool == self.in_force.name else None
+        loaded = self.active_tool.stored if request.tool == self.active_tool.name else None
         changing = {request.tool, request.new_name}
 
         def job() -> tuple[StoredTool, bool]:
@@ -220,11 +220,11 @@ class ToolServices:
         def fill(result: tuple[StoredTool, bool]) -> None:
             stored, as_loaded = result
             response.path = str(stored.path)
-            if loaded is not None and loaded is self.in_force.stored:
-                # What is in force is what was loaded, also where the file has changed since.
+            if loaded is not None and loaded is self.active_tool.stored:
+                # What is active is what was loaded, also where the file has changed since.
                 tool = replace(loaded.tool, tool=stored.tool.tool)
                 changed = replace(loaded, path=stored.path, tool=tool)
-                self.in_force.rename(stored if as_loaded else changed)
+                self.active_tool.rename(stored if as_loaded else changed)
             self._node.get_logger().info(
                 f"tool '{request.tool}' is now '{request.new_name}'; a launch file's parameter"
                 " 'tool' that names it must be changed, too"
@@ -233,12 +233,12 @@ class ToolServices:
         self._change(changing, response, respond, job, fill)
 
     def _on_remove(self, request: Any, response: Any, respond: Respond) -> None:
-        in_force = request.tool == self.in_force.name
+        active_tool = request.tool == self.active_tool.name
 
         def job() -> str:
-            if in_force:
-                raise InForceError(
-                    f"'{request.tool}' is in force: put another tool in force first, or none"
+            if active_tool:
+                raise ActiveError(
+                    f"'{request.tool}' is active: put another active tool first, or none"
                 )
             return str(self._store.remove(request.tool))
 
@@ -253,7 +253,7 @@ class ToolServices:
             response.path = str(stored.path)
             self._node.get_logger().info(
                 f"tool '{request.tool}' is as calibrated {stored.tool.calibrated_at} again;"
-                " what is in force stays until ~/set_tool is called"
+                " what is active stays until ~/set_tool is called"
             )
 
         self._change(
@@ -268,7 +268,7 @@ class ToolServices:
         job: Callable[[], Any],
         fill: Callable[[Any], None],
     ) -> None:
-        """As `_answer`; until the answer none of the names can be put in force or changed."""
+        """As `_answer`; until the answer none of the names can be activated or changed."""
         if self._changes(names):
             response.success, response.error_code = False, response.UNWRITABLE
             response.error_msg = f"{' or '.join(sorted(names))}: is being changed: ask again"
@@ -292,19 +292,19 @@ class ToolServices:
             return False
 
     def _compared(
-        self, name: str, previous: bool, in_force: StoredTool | None
+        self, name: str, previous: bool, active_tool: StoredTool | None
     ) -> tuple[StoredTool, str]:
         """A tool, or the calibration before it, and what to call it; may read a file."""
         if previous:
-            tool = name or self._named(name, in_force).tool.tool
+            tool = name or self._named(name, active_tool).tool.tool
             return self._store.previous(tool), before_name(tool)
-        stored = self._named(name, in_force)
-        return stored, name or f"{stored.tool.tool} in force"
+        stored = self._named(name, active_tool)
+        return stored, name or f"{stored.tool.tool} active"
 
-    def _named(self, name: str, in_force: StoredTool | None) -> StoredTool:
-        """A tool by its name; empty: the one in force, as it was loaded."""
+    def _named(self, name: str, active_tool: StoredTool | None) -> StoredTool:
+        """A tool by its name; empty: the active one, as it was loaded."""
         if name:
             return self._store.read(name)
-        if in_force is None:
-            raise NothingInForceError("no tool is in force: give a tool's name")
-        return in_force
+        if active_tool is None:
+            raise NothingActiveError("no tool is active: give a tool's name")
+        return active_tool

@@ -3,7 +3,7 @@
 A tool's name is the only way in: it is checked, and what it names must be a file within the
 directory, so that neither a name nor a link leads out of it. Nothing is ever overwritten: a file
 gets its new name by a hard link, which fails where the name is taken, and loses its old one after.
-Reverting swaps two names (`whole_file.exchange`). So at every moment, also after a crash, each
+Reverting swaps two names (`atomic_file.exchange`). So at every moment, also after a crash, each
 calibration is there under at least one name.
 
     <tool>.json            the tool's file

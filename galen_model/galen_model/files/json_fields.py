@@ -39,7 +39,7 @@ def read_json(path: Path, max_bytes: int, what: str) -> Any:
 def read_limited(path: Path, max_bytes: int, what: str) -> bytes:
     """A file's bytes; raises OSError, and FieldError, without reading on, if there are more.
 
-    What is no file is refused: a pipe or a terminal would keep a node waiting for ever.
+    What is no file is rejected: a pipe or a terminal would keep a node waiting for ever.
     """
     handle = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
     try:

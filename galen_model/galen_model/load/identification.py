@@ -7,7 +7,7 @@ G(theta) the gravity regressor and G_0 the one at the pose where the sensor was 
     sweep with the tool:      y_i = G(theta_i) x_t + (G(theta_i) - G_0) x_b + o_tool
 
 x_t belongs to the tool, x_b to the adapter ("bias load"). The offsets o hold what the zeroing left
-and how far the sensor had wandered when each sweep was made; they are free and apart, so that a
+and how far the sensor had drifted when each sweep was made; they are free and apart, so that a
 slow drift between the two sweeps reaches neither mass nor centre. After two sweeps everything is
 told. With one sweep the offset has to be taken as the zeroing's own noise, and even then only the
 sum of tool and adapter is known for the part of h along gravity at the zeroing pose, because the
@@ -27,7 +27,7 @@ from galen_model.arm.kinematics import gravity_in_sensor
 from galen_model.arrays import Array
 from galen_model.errors import IdentificationError, ImplausibleLoadError, NotExcitedError
 from galen_model.files.calibration_file import LoadEstimate
-from galen_model.load.bias.choice import Wander
+from galen_model.load.bias.choice import BiasDrift
 from galen_model.load.excitation import LOAD_PARAMETERS, check_excitation
 from galen_model.load.model import gravity_regressor
 from galen_model.load.robust_fit import RobustFit, fit_robust, fit_with_known_prior
@@ -36,8 +36,8 @@ MIN_POSES = 4
 """Fewer still poses than this leave no residual worth the name."""
 
 _MAX_REJECTED_FRACTION = 1 / 3
-_MIN_POSES_FOR_WANDER = 12
-_WANDER_SIGMAS = 4.0  # by chance in one calibration of a thousand, over its twelve channels
+_MIN_POSES_FOR_BIAS_DRIFT = 12
+_BIAS_DRIFT_SIGMAS = 4.0  # by chance in one calibration of a thousand, over its twelve channels
 _UNOBSERVED_MOMENT_STD_KGM = 0.01  # 100 g at 100 mm: wider than any adapter's first moment
 
 
@@ -47,7 +47,7 @@ class StillPoses:
 
     roll, tilt: (n,) rad; wrench: (n, 6) N and N.m in ft_sensor; std_of_mean: (n, 6), the averaged
     reading's standard deviation as the scatter within each pose tells it, or None; time_s: (n,)
-    when each was taken, s from anywhere, or None. A bias that wanders needs it.
+    when each was taken, s from anywhere, or None. A bias that drifts needs it.
     """
 
     roll: Array
@@ -101,8 +101,9 @@ class Identification:
     of the sweep with the tool on, and its standard deviation; offset_change: (6,) that offset less
     the one of the sweep without the tool, with its standard deviation (None after one sweep).
     rmse: (6,) residual of the used readings of the sweep with the tool; sigma: (6,) noise of one
-    averaged reading as the residuals tell it. used_*: masks of the poses used. wander: None unless
-    a bias that wanders was asked for; where it does, each offset is that at its sweep's last pose.
+    averaged reading as the residuals tell it. used_*: masks of the poses used. bias_drift: None
+    unless a bias that drifts was asked for; where it does, each offset is that at its sweep's last
+    pose.
     """
 
     load: LoadEstimate
@@ -118,7 +119,7 @@ class Identification:
     outliers: tuple[Outlier, ...]
     warnings: tuple[str, ...]
     unresolved: tuple[str, ...] = ()
-    wander: Wander | None = None
+    bias_drift: BiasDrift | None = None
 
 
 def identify_two_sweeps(
@@ -159,8 +160,8 @@ def two_sweeps_result(fit: RobustFit, bare: StillPoses, tool: StillPoses) -> Ide
     warnings = [
         *_noise_warnings(fit, _joined_std(bare, tool)),
         *_drift_warnings(change, change_std, fit.sigma),
-        *_wander_warnings(fit, slice(0, len(bare)), "sweep without the tool"),
-        *_wander_warnings(fit, slice(len(bare), None), "sweep with the tool"),
+        *_bias_drift_warnings(fit, slice(0, len(bare)), "sweep without the tool"),
+        *_bias_drift_warnings(fit, slice(len(bare), None), "sweep with the tool"),
     ]
     return Identification(
         load=load_estimate(fit, slice(0, 4), "the tool"),
@@ -251,7 +252,7 @@ def one_sweep_result(
         outliers=_outliers(fit, np.arange(len(tool)), "tool"),
         warnings=(
             *_noise_warnings(fit, tool.std_of_mean),
-            *_wander_warnings(fit, slice(None), "sweep with the tool"),
+            *_bias_drift_warnings(fit, slice(None), "sweep with the tool"),
             *unresolved,
         ),
         unresolved=unresolved,
@@ -478,7 +479,7 @@ def _drift_warnings(change: Array, std: Array, sigma: Array) -> list[str]:
     ]
 
 
-def _wander_warnings(fit: RobustFit, sweep: slice, name: str) -> list[str]:
+def _bias_drift_warnings(fit: RobustFit, sweep: slice, name: str) -> list[str]:
     """Tell when a sweep's residual goes up or down over its poses, taken as in visiting order.
 
     Where the order goes with roll or tilt, a drift looks in part like a load, and the parameters
@@ -488,14 +489,14 @@ def _wander_warnings(fit: RobustFit, sweep: slice, name: str) -> list[str]:
     used, residuals = fit.used[sweep], fit.residuals[sweep]
     order = np.linspace(0.0, 1.0, len(used))[used]
     order = order - order.mean()
-    if len(order) < _MIN_POSES_FOR_WANDER:
+    if len(order) < _MIN_POSES_FOR_BIAS_DRIFT:
         return []
-    wander = order @ residuals[used] / (order @ order)
-    limit = _WANDER_SIGMAS * fit.sigma / np.sqrt(order @ order)
+    bias_drift = order @ residuals[used] / (order @ order)
+    limit = _BIAS_DRIFT_SIGMAS * fit.sigma / np.sqrt(order @ order)
     return [
-        f"the residual of {axis} wandered by {value:+.4g} {'N' if index < 3 else 'N.m'} over the "
+        f"the residual of {axis} drifted by {value:+.4g} {'N' if index < 3 else 'N.m'} over the "
         f"{name}: the sensor drifts, or the model misses something that goes with the pose; the "
         "stated standard deviations don't hold that"
-        for index, (axis, value) in enumerate(zip(WRENCH_AXES, wander, strict=True))
+        for index, (axis, value) in enumerate(zip(WRENCH_AXES, bias_drift, strict=True))
         if abs(value) > limit[index]
     ]

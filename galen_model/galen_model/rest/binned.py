@@ -165,7 +165,7 @@ def _summary(phases: list[Cells], arm_still: np.ndarray) -> StillPhases:
         between *= inflation * (len(cells) - 1) / np.maximum(len(cells) - inflation, 1.0)
         within = cells.squares.sum(axis=0)
         squares, freedom = squares + within, freedom + total - len(cells)
-        # White noise gives the second; a filtered or wandering sensor more, and then the first.
+        # White noise gives the second; a filtered or drifting sensor more, and then the first.
         white = within / max(total - len(cells), 1) / total
         rows.append(
             (

@@ -83,7 +83,7 @@ def wrench_fault(
     `sweep` holds the records to compare with, `record` among them: their medians forgive up to
     half of them being touched. The noise of the halves' difference is the larger of
     2 std / sqrt(n), true for white noise, and of what the sweep's own differences show, true for
-    a filtered or wandering sensor. The limit of the scatter is never so low that the std of few
+    a filtered or drifting sensor. The limit of the scatter is never so low that the std of few
     samples, whose own relative error is 1 / sqrt(2 (n - 1)), would cross it by chance.
     """
     std = np.median([r.wrench_std for r in sweep], axis=0)

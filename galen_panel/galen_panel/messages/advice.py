@@ -1,6 +1,6 @@
 """The words for each state that a node can tell: what it means, and what to do. No ROS.
 
-`{tool}` is the tool in force, `{node}` the node's name. A state that means different things at
+`{tool}` is the active tool, `{node}` the node's name. A state that means different things at
 different levels has the level after its name, as in `waiting stale`. A test goes through all
 states that the nodes' code can tell.
 """
@@ -54,7 +54,7 @@ LIFECYCLE = {
     "finalized": Advice("Shut down for good.", "End its process and start it again.", True),
 }
 
-REFUSED = {
+REJECTED = {
     "wrong_frame": Advice(
         "the wrench is in another frame than the tool's file",
         "Set the driver's frame_id to the one that the message names, or calibrate the tool with"
@@ -106,7 +106,7 @@ REFUSED = {
         " by the same clock.",
     ),
     "no_motion": Advice(
-        "the forces of motion are not known",
+        "the inertial forces are not known",
         "Look at the IMU or the joints' rate, or switch it off: start gravcomp with motion:=off.",
     ),
     "out_of_order": Advice(
@@ -164,7 +164,7 @@ _GOAL_IDLE = {
     ),
     "failed": Advice(
         "Ready, but the last run failed.",
-        "Read in its message why, mend it, and start again.",
+        "Read in its message why, fix it, and start again.",
     ),
 }
 _KEEP_OFF = "Keep off the arm and the tool."
@@ -211,8 +211,8 @@ ADVICE: dict[str, dict[str, Advice]] = {
             "Look whether the right tool is on and fastened; run the quick check, tare or calibrate"
             " again.",
         ),
-        "wander_limit": Advice(
-            "Compensates '{tool}', but the sensor's zero has wandered too far.",
+        "bias_drift_limit": Advice(
+            "Compensates '{tool}', but the sensor's zero has drifted too far.",
             "Tare with nobody at the tool, or calibrate again.",
         ),
         "cable_outside": Advice(
@@ -279,10 +279,10 @@ ADVICE: dict[str, dict[str, Advice]] = {
     },
     "sim_driver": {
         "running": Advice("Runs."),
-        "trajectory_refused": Advice(
-            "It refused a motion.",
+        "trajectory_rejected": Advice(
+            "It rejected a motion.",
             "The message says why: mostly a pose out of the arm's limits, or too fast. Send it"
-            " again, mended.",
+            " again, fixed.",
         ),
         "wrench_ignored": Advice(
             "It does not follow the hand: the wrench is not usable.",

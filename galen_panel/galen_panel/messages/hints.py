@@ -36,7 +36,7 @@ def running(state: State) -> Behaviour | None:
 def cannot_start(state: State, kind: Kind) -> str:
     """Why a behaviour can't be started now and what to do; empty where it can.
 
-    A node refuses a second goal of its own; another node's at the same arm would end both.
+    A node rejects a second goal of its own; another node's at the same arm would end both.
     """
     other = running(state)
     if other is not None:
@@ -53,7 +53,7 @@ def cannot_check(state: State, tool: str) -> str:
         found = next((one for one in state.tools or () if one.name == tool), None)
         problem = "" if found is None else found.problem
         return f"Not checked: {problem}. Calibrate {tool} again." if problem else ""
-    if state.in_force is not None and state.in_force.tool:
+    if state.active_tool is not None and state.active_tool.tool:
         return ""
     if state.tools is not None and not state.tools:
         return "Not checked: no tool is calibrated yet. Calibrate the one that is on: New tool."

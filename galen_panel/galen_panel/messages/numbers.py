@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 _RATE = "_hz"
-_REFUSED = "refused_"
+_REJECTED = "rejected_"
 _PLAIN = {
     "latency_median_ms": ("latency, half of them", "ms"),
     "latency_p99_ms": ("latency, 99 % of them", "ms"),
@@ -17,7 +17,7 @@ _PLAIN = {
 }
 _COUNTS = {
     "late": "came late",
-    "trajectories_refused": "refused motions",
+    "trajectories_rejected": "rejected motions",
     "restarts": "restarts of the driver",
 }
 _TEXTS = {"tool": "tool", "tare": "tare", "fit": "fit", "effects": "effects", "model": "model"}
@@ -25,7 +25,7 @@ _SAYS_NOTHING = ("", "none", "off", "not_judged")
 
 
 def numbers_of(values: Mapping[str, str]) -> tuple[tuple[str, str], ...]:
-    """Label and text of what matters: rates, latency, what was refused at all, progress."""
+    """Label and text of what matters: rates, latency, what was rejected at all, progress."""
     found = [(label, text) for key, label in _TEXTS.items()
              if (text := values.get(key, "")) not in _SAYS_NOTHING]  # fmt: skip
     if values.get("total", "0") != "0":
@@ -41,8 +41,8 @@ def numbers_of(values: Mapping[str, str]) -> tuple[tuple[str, str], ...]:
             found.append((label, f"{number:.3g} {unit}".rstrip()))
         elif number > 0.0 and key in _COUNTS:
             found.append((_COUNTS[key], f"{number:.0f}"))
-        elif number > 0.0 and key.startswith(_REFUSED):
-            reason = key.removeprefix(_REFUSED).replace("_", " ")
+        elif number > 0.0 and key.startswith(_REJECTED):
+            reason = key.removeprefix(_REJECTED).replace("_", " ")
             found.append((f"left out, {reason}", f"{number:.0f}"))
     return tuple(found)
 

@@ -22,7 +22,7 @@ class Fate(Enum):
     """Where the file that a calibration wrote is now."""
 
     HERE = "here"
-    IN_FORCE = "in force"
+    IN_FORCE = "active"
     REPLACED = "replaced"
 
 
@@ -90,7 +90,7 @@ def fate(outcome: Outcome, state: State) -> Fate:
     found = next((tool for tool in state.tools or () if tool.name == outcome.tool), None)
     if found is None or found.problem or not _is(outcome, found.mass_kg, found.com_m):
         return Fate.REPLACED
-    now = state.in_force
+    now = state.active_tool
     if now and now.tool == outcome.tool and _is(outcome, now.mass_kg, now.com_m):
         return Fate.IN_FORCE
     return Fate.HERE

@@ -50,7 +50,7 @@ def tell(silent: frozenset[str], state: State) -> str:
         return f"No wrench_compensated: {_why_not_compensated(silent, state)}"
     if DEFLECTION in silent:
         return (
-            "No deflection: its node is not running or has refused its model (see Nodes). "
+            "No deflection: its node is not running or has rejected its model (see Nodes). "
             f"Start it: {programs.DEFLECTION.start}"
         )
     if JOINTS in silent:
@@ -59,11 +59,11 @@ def tell(silent: frozenset[str], state: State) -> str:
 
 
 def _why_not_compensated(silent: frozenset[str], state: State) -> str:
-    if state.in_force is None:
+    if state.active_tool is None:
         return f"gravcomp_node is not running. Start it: {programs.GRAVCOMP.start}"
-    if not state.in_force.tool:
-        return "no tool is in force. Choose one under Operate."
-    if not state.in_force.enabled:
+    if not state.active_tool.tool:
+        return "no tool is active. Choose one under Operate."
+    if not state.active_tool.enabled:
         return "compensation is off. The switch above turns it on."
     if JOINTS in silent:
         return "no joint_states come, and without them nothing can be compensated."

@@ -14,7 +14,7 @@ from galen_panel.messages.advice import (
     LIFECYCLE,
     NO_CLOCK,
     OUTPUT,
-    REFUSED,
+    REJECTED,
     WHILE_CALIBRATING,
     Advice,
 )
@@ -28,7 +28,7 @@ from galen_panel.messages.programs import (
     GRAVCOMP,
     Program,
 )
-from galen_panel.state.snapshot import InForce, Kind, Level, NodeReport, State
+from galen_panel.state.snapshot import Active, Kind, Level, NodeReport, State
 
 SILENT_S = 3.0
 """A node that lives tells its state once a second."""
@@ -120,7 +120,7 @@ def words_of(state: State, role: Role, now_s: float) -> Words:
         return _absent(state, role, report, now_s)
     calibration = state.behaviours.get(Kind.CALIBRATE)
     calibrating = calibration is not None and calibration.running
-    words = _present(role, report, state.in_force, calibrating)
+    words = _present(role, report, state.active_tool, calibrating)
     if "clock" in report.values:
         return replace(words, doing=NO_CLOCK.doing, todo=NO_CLOCK.todo)
     return words
@@ -137,8 +137,8 @@ def words_of_other(report: NodeReport, now_s: float) -> Words:
 
 def compensates(state: State, now_s: float) -> bool:
     """Whether compensated wrenches go out; switched on is not enough. now_s: as in `words_of`."""
-    in_force = state.in_force
-    wanted = in_force is not None and in_force.enabled and bool(in_force.tool)
+    active_tool = state.active_tool
+    wanted = active_tool is not None and active_tool.enabled and bool(active_tool.tool)
     return wanted and not words_of(state, _COMPENSATION, now_s).stopped
 
 
@@ -200,11 +200,13 @@ def _other_drivers(state: State, now_s: float) -> str:
     return report.values.get("wrench_raw_publisher_nodes", "")
 
 
-def _present(role: Role, report: NodeReport, in_force: InForce | None, calibrating: bool) -> Words:
+def _present(
+    role: Role, report: NodeReport, active_tool: Active | None, calibrating: bool
+) -> Words:
     lifecycle = report.values.get("lifecycle", "")
     name = report.values.get("state", "")
     if name not in ("", "inactive") or lifecycle in ("", "active"):
-        return _by_state(role, report, name, in_force, calibrating)
+        return _by_state(role, report, name, active_tool, calibrating)
     failed = report.level is Level.ERROR
     advice = LIFECYCLE.get(f"{lifecycle} failed" if failed else lifecycle)
     if advice is None:
@@ -215,14 +217,14 @@ def _present(role: Role, report: NodeReport, in_force: InForce | None, calibrati
 
 
 def _by_state(
-    role: Role, report: NodeReport, name: str, in_force: InForce | None, calibrating: bool
+    role: Role, report: NodeReport, name: str, active_tool: Active | None, calibrating: bool
 ) -> Words:
     level, advice = report.level, find_advice(role.name, name, report.level)
     if calibrating and name in (expected := WHILE_CALIBRATING.get(role.name, {})):
         level, advice = Level.OK, expected[name]
     if advice is None:
         return _own_words(report)
-    tool = report.values.get("tool", "") or ("" if in_force is None else in_force.tool)
+    tool = report.values.get("tool", "") or ("" if active_tool is None else active_tool.tool)
     given = {"tool": tool or "the tool", "node": report.name}
     return Words(
         level, advice.doing.format(**given), advice.todo.format(**given), report.message,
@@ -236,13 +238,13 @@ def find_advice(role: str, state: str, level: Level) -> Advice | None:
     advice = known.get(f"{state} {level.name.lower()}", known.get(state))
     if advice is not None or role not in OUTPUT:
         return advice
-    refused = REFUSED.get(state)
-    if refused is None:
+    rejected = REJECTED.get(state)
+    if rejected is None:
         return None
     if level is Level.WARN:
-        return Advice(f"{OUTPUT[role].works}, but some wrenches are left out: {refused.doing}.",
-                      refused.todo)  # fmt: skip
-    return Advice(f"{OUTPUT[role].lost}: {refused.doing}.", refused.todo, True)
+        return Advice(f"{OUTPUT[role].works}, but some wrenches are left out: {rejected.doing}.",
+                      rejected.todo)  # fmt: skip
+    return Advice(f"{OUTPUT[role].lost}: {rejected.doing}.", rejected.todo, True)
 
 
 def _own_words(report: NodeReport) -> Words:

@@ -1,4 +1,4 @@
-"""The page's header: the tool in force, compensation on or off, and tare."""
+"""The page's header: the active tool, compensation on or off, and tare."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ from galen_panel.messages import hints, texts
 from galen_panel.messages.states import compensates
 from galen_panel.page.elements import pick_class, set_prop
 from galen_panel.page.page import Page
-from galen_panel.state.snapshot import InForce, State
+from galen_panel.state.snapshot import Active, State
 
 _FILE_STATES = {
-    "changed": "Its file has changed since: put it in force again.",
+    "changed": "Its file has changed since: activate it again.",
     "gone": "Its file is gone.",
 }
 _ABSENT = "gravcomp is not running"
@@ -23,44 +23,44 @@ _PERIOD_S = 1.0
 
 def build(page: Page) -> None:
     """Draw it into the header."""
-    _tool_in_force(page)
+    _active_tool(page)
     _enable(page)
     _tare(page)
 
 
-def _tool_in_force(page: Page) -> None:
-    with ui.column().classes("panel-in-force gap-0").props("role=status data-testid=in-force"):
-        ui.label("Tool in force").classes("panel-quiet")
+def _active_tool(page: Page) -> None:
+    with ui.column().classes("panel-active gap-0").props("role=status data-testid=active"):
+        ui.label("Active tool").classes("panel-quiet")
         name = ui.label().classes("panel-name")
         details = ui.label().classes("panel-number")
 
     def update(state: State) -> None:
-        in_force = state.in_force
-        if in_force is None:
+        active_tool = state.active_tool
+        if active_tool is None:
             name.set_text("unknown")
             details.set_text(_ABSENT)
-        elif not in_force.tool:
+        elif not active_tool.tool:
             name.set_text("no tool")
             details.set_text("Choose one below.")
         else:
-            name.set_text(in_force.tool)
-            changed = _FILE_STATES.get(in_force.file_state)
-            details.set_text(changed or texts.mass(in_force.mass_kg))
+            name.set_text(active_tool.tool)
+            changed = _FILE_STATES.get(active_tool.file_state)
+            details.set_text(changed or texts.mass(active_tool.mass_kg))
 
     page.on_change(update)
 
 
 def _enable(page: Page) -> None:
     async def switch() -> None:
-        in_force = page.suite.state.in_force
-        if in_force is not None:
-            await page.ask(page.suite.set_enabled(not in_force.enabled), button)
+        active_tool = page.suite.state.active_tool
+        if active_tool is not None:
+            await page.ask(page.suite.set_enabled(not active_tool.enabled), button)
 
     button = ui.button(on_click=switch, color=None).classes("panel-switch")
     button.props('unelevated no-caps role=switch data-testid=enable aria-label="Compensation"')
 
     def update(state: State) -> None:
-        switched_on = state.in_force is not None and state.in_force.enabled
+        switched_on = state.active_tool is not None and state.active_tool.enabled
         text, word = _shown(state)
         button.set_text(text)
         button.set_icon("toggle_on" if switched_on else "toggle_off")
@@ -74,9 +74,9 @@ def _enable(page: Page) -> None:
 
 def _shown(state: State) -> tuple[str, str]:
     """The switch's text and look: what is published, not what is wished."""
-    if state.in_force is None:
+    if state.active_tool is None:
         return "Compensation: unknown", "unknown"
-    if not state.in_force.enabled:
+    if not state.active_tool.enabled:
         return "Compensation off", "off"
     if compensates(state, time.monotonic()):
         return "Compensation on", "on"
@@ -95,16 +95,16 @@ def _tare(page: Page) -> None:
             taken = ui.label().classes("panel-number").props("data-testid=tare-value")
 
     def update(state: State) -> None:
-        taken.set_text(_tare_text(state.in_force))
+        taken.set_text(_tare_text(state.active_tool))
         page.allow(button, hints.missing(state, "gravcomp/tare"))
 
     page.on_change(update)
 
 
-def _tare_text(in_force: InForce | None) -> str:
-    if in_force is None:
+def _tare_text(active_tool: Active | None) -> str:
+    if active_tool is None:
         return _ABSENT
-    if in_force.tare is None:
+    if active_tool.tare is None:
         return "Takes nothing off now."
-    force, torque = texts.norm(in_force.tare[:3]), texts.norm(in_force.tare[3:])
+    force, torque = texts.norm(active_tool.tare[:3]), texts.norm(active_tool.tare[3:])
     return f"Takes off {texts.size(force, torque)} now."

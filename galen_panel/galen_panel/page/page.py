@@ -35,7 +35,7 @@ class Page:
         self._updates: list[Callable[[State], None]] = []
         self._seen = -1
         self._waiting: set[int] = set()
-        self._refused: dict[int, str] = {}
+        self._rejected: dict[int, str] = {}
         ui.timer(LOOK_PERIOD_S, self._look)
 
     def on_change(self, update: Callable[[State], None]) -> None:
@@ -52,9 +52,9 @@ class Page:
 
         What waits for an answer takes no second click until that has come, nevertheless.
         """
-        if self._refused.get(element.id) == why_not:
+        if self._rejected.get(element.id) == why_not:
             return
-        self._refused[element.id] = why_not
+        self._rejected[element.id] = why_not
         if why_not:
             element.props["title"] = why_not
         else:
@@ -88,7 +88,7 @@ class Page:
                 if isinstance(element, ui.button):
                     element.props(remove="loading")
                 else:
-                    element.set_enabled(not self._refused.get(element.id))
+                    element.set_enabled(not self._rejected.get(element.id))
 
     async def ask(self, work: Awaitable[Answer], *elements: DisableableElement) -> Answer:
         """Wait for an answer and show it; the elements take no input meanwhile.

@@ -22,7 +22,7 @@ async def remove_tool(page: Page, name: str, button: ui.button) -> None:
         [
             "It goes off the list of tools. Its file is not deleted: it is kept beside the others,"
             " under another name.",
-            "The tool in force can't be removed.",
+            "The active tool can't be removed.",
         ],
         "Remove it",
         "delete_outline",
@@ -42,7 +42,7 @@ async def revert_tool(page: Page, name: str, button: ui.button) -> None:
         return
     with dialog(page, f"Go back to the calibration of {name} before?") as shown:
         ui.label("The present calibration is kept: going back once more brings it again.")
-        ui.label("If the tool is in force, put it in force again afterwards.")
+        ui.label("If the tool is active, activate it again afterwards.")
         comparison.draw(found, "before", "now")
         buttons(shown, "Go back", "history").on_click(lambda: shown.submit(True))
         sure = bool(await shown)

@@ -1,4 +1,4 @@
-"""The tools: a button for each one, which puts it in force."""
+"""The tools: a button for each one, which activates it."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from galen_panel.messages import hints, texts
 from galen_panel.page import tool_dialogs
 from galen_panel.page.elements import heading, pick_class, set_prop, set_test_id
 from galen_panel.page.page import Page
-from galen_panel.state.snapshot import InForce, State, Tool
+from galen_panel.state.snapshot import Active, State, Tool
 
 _LISTED = 40
 """Tools that are drawn at most: a page of 500 would be slow, and nobody reads it."""
@@ -50,7 +50,7 @@ class _Tools:
         await self._page.ask(self._page.suite.list_tools(), self._refresh)
 
     async def _put_none(self) -> None:
-        await self._page.ask(self._page.suite.put_in_force(""), self._none)
+        await self._page.ask(self._page.suite.activate(""), self._none)
 
     def _draw(self) -> None:
         state = self._page.suite.state
@@ -58,14 +58,14 @@ class _Tools:
         self._filter.set_visibility(len(tools) >= _FILTER_FROM or bool(self._filter.value))
         wanted = (self._filter.value or "").strip().lower()
         found = [tool for tool in tools if wanted in tool.name.lower()]
-        # The one in force must be seen, however many there are.
-        found.sort(key=lambda tool: not tool.in_force)
+        # The active one must be seen, however many there are.
+        found.sort(key=lambda tool: not tool.active_tool)
         self._note.set_text(_note(state, len(found)))
         self._note.set_visibility(bool(self._note.text))
-        none = state.in_force is not None and not state.in_force.tool
-        pick_class(self._none, "panel-tool-", "in-force" if none else "other")
+        none = state.active_tool is not None and not state.active_tool.tool
+        pick_class(self._none, "panel-tool-", "active" if none else "other")
         set_prop(self._none, "aria-pressed", "true" if none else "false")
-        self._none.set_text("No tool (in force)" if none else "No tool")
+        self._none.set_text("No tool (active)" if none else "No tool")
         set_tool = hints.missing(state, "gravcomp/set_tool")
         self._page.allow(self._none, set_tool)
         self._page.allow(self._refresh, hints.missing(state, "gravcomp/list_tools"))
@@ -93,13 +93,13 @@ class _Tools:
 
 
 class _Row:
-    """One tool: what it weighs, the button that puts it in force, and what else can be done."""
+    """One tool: what it weighs, the button that activates it, and what else can be done."""
 
     def __init__(self, page: Page, name: str) -> None:
         self._page = page
         self._name = name
         with ui.row().classes("panel-tool-row").props("role=listitem") as self.element:
-            self._button = ui.button(on_click=self._put_in_force, color=None).classes("panel-tool")
+            self._button = ui.button(on_click=self._activate, color=None).classes("panel-tool")
             self._button.props("flat align=left")
             set_test_id(self._button, f"tool-{name}")
             with self._button, ui.column().classes("panel-tool-text"):
@@ -108,7 +108,7 @@ class _Row:
                     self._mark = ui.row().classes("panel-mark")
                     with self._mark:
                         ui.icon("check_circle").props("aria-hidden=true")
-                        ui.label("in force")
+                        ui.label("active")
                     self._not_active = ui.label("not active yet").classes("text-warning panel-lead")
                     ui.space()
                     self._mass = ui.label().classes("panel-number panel-tool-mass")
@@ -127,14 +127,14 @@ class _Row:
             set_test_id(self._remove, f"tool-{name}-remove")
 
     def update(self, tool: Tool, state: State, set_tool: str) -> None:
-        """Show it as it is now. set_tool: why none can be put in force, or empty."""
-        compensated = _compensated_instead(tool, state.in_force)
-        active = tool.in_force and not compensated
+        """Show it as it is now. set_tool: why none can be activated, or empty."""
+        compensated = _compensated_instead(tool, state.active_tool)
+        active = tool.active_tool and not compensated
         self._mark.set_visibility(active)
         self._not_active.set_visibility(bool(compensated))
         self._compensated.set_text(compensated)
         self._compensated.set_visibility(bool(compensated))
-        pick_class(self._button, "panel-tool-", "in-force" if active else "other")
+        pick_class(self._button, "panel-tool-", "active" if active else "other")
         set_prop(self._button, "aria-pressed", "true" if active else "false")
         self._problem.set_text(f"Can't be used: {tool.problem}")
         self._problem.set_visibility(bool(tool.problem))
@@ -152,12 +152,12 @@ class _Row:
         )
         self._page.allow(self._button, "Its file can't be used." if tool.problem else set_tool)
         self._page.allow(self._revert, hints.missing(state, "gravcomp/revert_tool"))
-        in_force = "It is in force: put another one in force first." if tool.in_force else ""
+        active_tool = "It is active: put another active one first." if tool.active_tool else ""
         missing = hints.missing(state, "gravcomp/remove_tool")
-        self._page.allow(self._remove, missing or in_force)
+        self._page.allow(self._remove, missing or active_tool)
 
-    async def _put_in_force(self) -> None:
-        await self._page.ask(self._page.suite.put_in_force(self._name), self._button)
+    async def _activate(self) -> None:
+        await self._page.ask(self._page.suite.activate(self._name), self._button)
 
     async def _revert_tool(self) -> None:
         await tool_dialogs.revert_tool(self._page, self._name, self._revert)
@@ -166,9 +166,9 @@ class _Row:
         await tool_dialogs.remove_tool(self._page, self._name, self._remove)
 
 
-def _compensated_instead(tool: Tool, loaded: InForce | None) -> str:
+def _compensated_instead(tool: Tool, loaded: Active | None) -> str:
     """What of the active tool is compensated where its file is another one by now; else empty."""
-    if not tool.in_force or loaded is None:
+    if not tool.active_tool or loaded is None:
         return ""
     if loaded.file_state == "as loaded" and loaded.calibrated_at == tool.calibrated_at:
         return ""

@@ -67,8 +67,8 @@ class GoalKind(ABC):
         """That it has begun, for a person."""
 
     @abstractmethod
-    def tool(self, goal: Any, in_force: str) -> str:
-        """The tool's name; `in_force`: that of the tool in force."""
+    def tool(self, goal: Any, active_tool: str) -> str:
+        """The tool's name; `active_tool`: that of the active tool."""
 
     @abstractmethod
     def _file(self, result: Any) -> str:
@@ -153,7 +153,7 @@ class Calibration(GoalKind):
         """See GoalKind."""
         return f"the calibration of {goal.tool} has begun"
 
-    def tool(self, goal: CalibrateGoal, in_force: str) -> str:
+    def tool(self, goal: CalibrateGoal, active_tool: str) -> str:
         """See GoalKind."""
         return goal.tool
 
@@ -210,11 +210,11 @@ class Check(GoalKind):
 
     def begun(self, goal: CheckGoal) -> str:
         """See GoalKind."""
-        return f"the check of {goal.tool or 'the tool in force'} has begun"
+        return f"the check of {goal.tool or 'the active tool'} has begun"
 
-    def tool(self, goal: CheckGoal, in_force: str) -> str:
+    def tool(self, goal: CheckGoal, active_tool: str) -> str:
         """See GoalKind."""
-        return goal.tool or in_force
+        return goal.tool or active_tool
 
     def _pose(self, feedback: Any) -> Pose | None:
         if not math.isfinite(feedback.roll):
@@ -254,7 +254,7 @@ class Collection(GoalKind):
         """See GoalKind."""
         return f"the collection of {goal.name} has begun"
 
-    def tool(self, goal: CollectGoal, in_force: str) -> str:
+    def tool(self, goal: CollectGoal, active_tool: str) -> str:
         """See GoalKind."""
         return goal.tool
 

@@ -46,7 +46,7 @@ Only discovery counts, which takes some 20 s where a process was killed: a node 
 may be well, on a machine that is too busy.
 """
 _ASK_AGAIN_S = 2.0
-_REFUSAL_PATIENCE_S = 2.5
+_REJECTAL_PATIENCE_S = 2.5
 _LOOK_PERIOD_S = 0.5
 _ACTIVE = (GoalStatus.STATUS_ACCEPTED, GoalStatus.STATUS_EXECUTING, GoalStatus.STATUS_CANCELING)
 
@@ -70,8 +70,8 @@ class _Followed:
 
 
 @dataclass(frozen=True)
-class _Refusal:
-    """A goal was refused; why is on /diagnostics, in a moment."""
+class _Rejection:
+    """A goal was rejected; why is on /diagnostics, in a moment."""
 
     reply: Reply[Answer]
     sent_s: float
@@ -105,7 +105,7 @@ class GoalFollower:
         self._ours: dict[bytes, Goal] = {}
         # Their last word on the topics may come after their result.
         self._ended: deque[bytes] = deque(maxlen=100)
-        self._refusals: list[_Refusal] = []
+        self._rejections: list[_Rejection] = []
         self._next_look_s = 0.0
         self._impl = impl = kind.client.action_type.Impl
         action = f"{kind.client.action_name}/_action"
@@ -151,9 +151,9 @@ class GoalFollower:
             else:
                 self._ours.pop(goal_id, None)
                 now_s = time.monotonic()
-                refusal = _Refusal(reply, sent_s, now_s + _REFUSAL_PATIENCE_S)
-                self._refusals.append(refusal)
-                self._tell_refusals(now_s)
+                rejection = _Rejection(reply, sent_s, now_s + _REJECTAL_PATIENCE_S)
+                self._rejections.append(rejection)
+                self._tell_rejections(now_s)
 
         message = self._impl.SendGoalService.Request(goal_id=UUID(uuid=list(goal_id)), goal=request)
         self._calls.send(self._send, message, kind.program, _SEND_LIMIT_S, done)
@@ -195,19 +195,19 @@ class GoalFollower:
         request.goal_info.goal_id.uuid = list(goal_id)
         self._calls.send(self._cancel, request, self._kind.program, _CANCEL_LIMIT_S, done)
 
-    def _tell_refusals(self, now_s: float) -> None:
-        """An action's refusal carries no text; the node says it on /diagnostics."""
+    def _tell_rejections(self, now_s: float) -> None:
+        """An action's rejection carries no text; the node says it on /diagnostics."""
         report = self._report
-        for refusal in list(self._refusals):
-            said = report is not None and report.heard_s >= refusal.sent_s
-            if report is not None and said and "refused" in report.values:
-                text = report.values["refused"]
-            elif now_s > refusal.deadline_s:
-                text = f"{self._kind.program.executable} refused it; see its log"
+        for rejection in list(self._rejections):
+            said = report is not None and report.heard_s >= rejection.sent_s
+            if report is not None and said and "rejected" in report.values:
+                text = report.values["rejected"]
+            elif now_s > rejection.deadline_s:
+                text = f"{self._kind.program.executable} rejected it; see its log"
             else:
                 continue
-            self._refusals.remove(refusal)
-            refusal.reply.give(Answer(False, text))
+            self._rejections.remove(rejection)
+            rejection.reply.give(Answer(False, text))
 
     # ---- the goal under way
 
@@ -229,10 +229,10 @@ class GoalFollower:
         if lost is not None:
             lost.stop_asking()
         goal = self._ours.pop(goal_id, None)
-        in_force = self._board.state.in_force
+        active_tool = self._board.state.active_tool
         tool = ""
         if goal is not None:
-            tool = self._kind.tool(goal, "" if in_force is None else in_force.tool)
+            tool = self._kind.tool(goal, "" if active_tool is None else active_tool.tool)
         self._followed = followed = _Followed(
             goal_id,
             goal,
@@ -300,7 +300,7 @@ class GoalFollower:
         if now_s < self._next_look_s:
             return
         self._next_look_s = now_s + _LOOK_PERIOD_S
-        self._tell_refusals(now_s)
+        self._tell_rejections(now_s)
         followed = self._followed
         if followed is None:
             return
@@ -377,7 +377,7 @@ class GoalFollower:
         """Take what any node says; it is on the board already."""
         if report.name != self._board.state.full_name(self._kind.program.node):
             return
-        self._tell_refusals(report.heard_s)
+        self._tell_rejections(report.heard_s)
         if self._followed is not None:
             self._take_report(self._followed, report)
 

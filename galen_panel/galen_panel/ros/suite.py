@@ -108,9 +108,9 @@ class RosSuite(AbstractContextManager["RosSuite"]):
         """See Suite."""
         return await _answer(self._tools.list_tools())
 
-    async def put_in_force(self, tool: str) -> Answer:
+    async def activate(self, tool: str) -> Answer:
         """See Suite."""
-        return await _answer(self._tools.put_in_force(tool))
+        return await _answer(self._tools.activate(tool))
 
     async def remove_tool(self, tool: str) -> Answer:
         """See Suite."""

@@ -1,4 +1,4 @@
-"""gravcomp's services on the tools' files, what it has in force, its switch and its tare."""
+"""gravcomp's services on the tools' files, what it has active, its switch and its tare."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from galen_ros.qos import LATCHED
 from rclpy.node import Node
 from std_srvs.srv import SetBool, Trigger
 
-from galen_msgs.msg import ToolInForce
+from galen_msgs.msg import ActiveTool
 from galen_msgs.srv import CompareTools, ListTools, RemoveTool, RevertTool, SetTool
 from galen_panel.messages.programs import GRAVCOMP
 from galen_panel.ros.calls import Calls
 from galen_panel.ros.presence import Presence
 from galen_panel.ros.thread import CallError
 from galen_panel.state.board import Board
-from galen_panel.state.snapshot import Answer, Comparison, Difference, InForce, State, Tool
+from galen_panel.state.snapshot import Active, Answer, Comparison, Difference, State, Tool
 
 _LIST_PERIOD_S = 10.0
 _FILE_LIMIT_S, _SWITCH_LIMIT_S = 5.0, 3.0
@@ -47,14 +47,12 @@ class Tools:
         }
         for name, client in self._clients.items():
             presence.add(f"gravcomp/{name}", client)
-        self._in_force: InForce | None = None
+        self._active: Active | None = None
         self._there = False
         self._listing = False
         self._list_again = False
         self._next_list_s = 0.0
-        node.create_subscription(
-            ToolInForce, "gravcomp/tool_in_force", self._on_tool_in_force, LATCHED
-        )
+        node.create_subscription(ActiveTool, "gravcomp/active_tool", self._on_active_tool, LATCHED)
 
     # In the ROS thread
 
@@ -64,9 +62,9 @@ class Tools:
         if there != self._there:
             self._there = there
             if not there:
-                self._in_force = None
+                self._active = None
             self._next_list_s = now_s
-            self._show_in_force()
+            self._show_active()
         if now_s >= self._next_list_s and "gravcomp/list_tools" in self._board.state.available:
             self._next_list_s = now_s + _LIST_PERIOD_S
             self.refresh()
@@ -95,19 +93,19 @@ class Tools:
             self._list_again = False
             self.refresh()
 
-    def _on_tool_in_force(self, message: ToolInForce) -> None:
-        before, self._in_force = self._in_force, _in_force(message)
-        self._show_in_force()
-        # A wander's estimate changes all the time, the files don't.
-        if before is None or _of_file(before) != _of_file(self._in_force):
+    def _on_active_tool(self, message: ActiveTool) -> None:
+        before, self._active = self._active, _active(message)
+        self._show_active()
+        # A bias drift's estimate changes all the time, the files don't.
+        if before is None or _of_file(before) != _of_file(self._active):
             self._next_list_s = 0.0
 
-    def _show_in_force(self) -> None:
-        in_force = self._in_force if self._there else None
+    def _show_active(self) -> None:
+        active_tool = self._active if self._there else None
 
         def changes(state: State) -> dict[str, Any]:
-            tools = None if state.tools is None else _marked(state.tools, in_force)
-            return {"in_force": in_force, "tools": tools}
+            tools = None if state.tools is None else _marked(state.tools, active_tool)
+            return {"active_tool": active_tool, "tools": tools}
 
         self._board.change(changes)
 
@@ -121,7 +119,7 @@ class Tools:
         tools = tuple(map(_tool, response.tools))
         self._board.change(
             lambda state: {
-                "tools": _marked(tools, state.in_force),
+                "tools": _marked(tools, state.active_tool),
                 "tools_dir": response.tools_dir,
                 "tools_problem": left_out,
             }
@@ -138,13 +136,13 @@ class Tools:
         count = len(response.tools)
         return Answer(True, f"{count} tool{'' if count == 1 else 's'} in {response.tools_dir}")
 
-    async def put_in_force(self, tool: str) -> Answer:
+    async def activate(self, tool: str) -> Answer:
         """An empty name is no tool."""
         request = SetTool.Request(tool=check_tool_name(tool) if tool else "")
         response = await self._ask("set_tool", request, _FILE_LIMIT_S)
         if not response.success:
             return Answer(False, response.error_msg)
-        return Answer(True, f"{response.tool} is in force" if tool else "no tool is in force")
+        return Answer(True, f"{response.tool} is active" if tool else "no tool is active")
 
     async def remove_tool(self, tool: str) -> Answer:
         """The file is kept beside."""
@@ -162,9 +160,9 @@ class Tools:
         if not response.success:
             return Answer(False, response.error_msg)
         await self._list_quietly()
-        in_force = self._board.state.in_force
-        again = in_force is not None and in_force.tool == tool
-        load = f"; put {tool} in force to load it" if again else ""
+        active_tool = self._board.state.active_tool
+        again = active_tool is not None and active_tool.tool == tool
+        load = f"; put {tool} active to load it" if again else ""
         return Answer(True, f"{tool} has its calibration before the last one again{load}")
 
     async def compare(self, tool: str, with_tool: str = "") -> Comparison | Answer:
@@ -198,13 +196,13 @@ class Tools:
         return await self._calls.ask(self._clients[name], request, GRAVCOMP, timeout_s)
 
 
-def _marked(tools: Iterable[Tool], in_force: InForce | None) -> tuple[Tool, ...]:
-    name = "" if in_force is None else in_force.tool
-    return tuple(replace(tool, in_force=bool(name) and tool.name == name) for tool in tools)
+def _marked(tools: Iterable[Tool], active_tool: Active | None) -> tuple[Tool, ...]:
+    name = "" if active_tool is None else active_tool.tool
+    return tuple(replace(tool, active_tool=bool(name) and tool.name == name) for tool in tools)
 
 
-def _of_file(in_force: InForce) -> tuple[str, str, str]:
-    return in_force.tool, in_force.calibrated_at, in_force.file_state
+def _of_file(active_tool: Active) -> tuple[str, str, str]:
+    return active_tool.tool, active_tool.calibrated_at, active_tool.file_state
 
 
 def _floats(values: Iterable[float]) -> tuple[float, ...]:
@@ -227,10 +225,10 @@ def _tool(row: Any) -> Tool:
     )
 
 
-def _in_force(message: ToolInForce) -> InForce:
+def _active(message: ActiveTool) -> Active:
     content = to_dict(message)
-    tare, wander = content["tare"], content["wander"]
-    return InForce(
+    tare, bias_drift = content["tare"], content["bias_drift"]
+    return Active(
         tool=content["tool"],
         enabled=content["enabled"],
         mass_kg=content["mass_kg"],
@@ -239,7 +237,7 @@ def _in_force(message: ToolInForce) -> InForce:
         calibrated_at=content["calibrated_at"],
         file_state=content["file_state"],
         tare=None if tare is None else _floats(tare),
-        wander=None if wander is None else _floats(wander),
+        bias_drift=None if bias_drift is None else _floats(bias_drift),
     )
 
 

@@ -25,10 +25,10 @@ def sweep_title(sweep: str) -> str:
 
 def summary(poses: Sequence[Pose], residuals: Residuals) -> str:
     """A sweep in a sentence, such as "12 poses, 1 not used, they agree within 3.1 mN, ..."."""
-    refused = sum(not pose.accepted for pose in poses)
+    rejected = sum(not pose.accepted for pose in poses)
     text = texts.count(len(poses), "pose")
-    if refused:
-        text += f", {refused} not used"
+    if rejected:
+        text += f", {rejected} not used"
     if residuals:
         force = median(value[0] for value in residuals.values())
         torque = median(value[1] for value in residuals.values())
@@ -36,7 +36,7 @@ def summary(poses: Sequence[Pose], residuals: Residuals) -> str:
     return text + "."
 
 
-def refusals(poses: Sequence[Pose]) -> list[str]:
+def rejections(poses: Sequence[Pose]) -> list[str]:
     """Why poses are not used, a line each."""
     return [
         f"Roll {texts.degrees(pose.roll_rad)}, tilt {texts.degrees(pose.tilt_rad)}: {pose.text}"
@@ -89,7 +89,7 @@ def _list(poses: Sequence[Pose], residuals: Residuals, odd: frozenset[int]) -> s
 
 def _cell(pose: Pose, residuals: Residuals, odd: frozenset[int]) -> str:
     if not pose.accepted:
-        return f"<td class='panel-pose-refused' title='{escape(pose.text, quote=True)}'>✗</td>"
+        return f"<td class='panel-pose-rejected' title='{escape(pose.text, quote=True)}'>✗</td>"
     residual = residuals.get(pose.number)
     if residual is None:
         return "<td class='panel-pose-used'>✓</td>"

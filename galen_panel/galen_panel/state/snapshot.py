@@ -55,13 +55,13 @@ class Tool:
     poses_used: int = 0
     calibrated_at: str = ""
     parts: tuple[str, ...] = ()
-    in_force: bool = False
+    active_tool: bool = False
     has_previous: bool = False
     problem: str = ""
 
 
 @dataclass(frozen=True)
-class InForce:
+class Active:
     """What gravcomp subtracts now. `file_state`: none, as loaded, changed, gone."""
 
     tool: str
@@ -73,7 +73,7 @@ class InForce:
     file_state: str
     tare: Vector | None
     """(6,) N, N.m; None: no tare."""
-    wander: Vector | None
+    bias_drift: Vector | None
 
 
 @dataclass(frozen=True)
@@ -161,7 +161,7 @@ class State:
     tools: tuple[Tool, ...] | None = None
     tools_dir: str = ""
     tools_problem: str = ""
-    in_force: InForce | None = None
+    active_tool: Active | None = None
     nodes: Mapping[str, NodeReport] = field(default_factory=dict)
     behaviours: Mapping[Kind, Behaviour] = field(default_factory=dict)
     available: frozenset[str] = frozenset()
@@ -219,7 +219,7 @@ class CalibrateGoal:
 
 @dataclass(frozen=True)
 class CheckGoal:
-    """As in CheckTool; tool "": the one in force."""
+    """As in CheckTool; tool "": the active one."""
 
     tool: str = ""
 

@@ -1,7 +1,7 @@
 """What the page asks of the suite. `galen_panel.ros.suite` answers over ROS; tests have their own.
 
 Every call is made in the server's event loop and answers, whatever happens: a node that is absent,
-silent or refuses is an `Answer` that says so and what to do, never an exception.
+silent or rejects is an `Answer` that says so and what to do, never an exception.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ class Suite(Protocol):
     async def list_tools(self) -> Answer:
         """Ask anew for the tools; they are then in `state`."""
 
-    async def put_in_force(self, tool: str) -> Answer:
+    async def activate(self, tool: str) -> Answer:
         """Have gravcomp load a tool's file; "" for none."""
 
     async def remove_tool(self, tool: str) -> Answer:
@@ -49,7 +49,7 @@ class Suite(Protocol):
         """Take off what is left."""
 
     async def start(self, goal: Goal) -> Answer:
-        """Send a goal; answers when it is accepted or refused."""
+        """Send a goal; answers when it is accepted or rejected."""
 
     async def confirm(self) -> Answer:
         """Tell a calibration that the person has done what it asked."""

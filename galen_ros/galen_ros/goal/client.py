@@ -95,7 +95,7 @@ class GoalClient:
         self._executor.add_node(self.node)
         self._action = ActionClient(self.node, self.action_type, self.action_name)
         self.node.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 10)
-        self._refused = ""
+        self._rejected = ""
         self._interrupts = 0
 
     def make_goal(self) -> Any:
@@ -122,7 +122,7 @@ class GoalClient:
             f" {self.options.timeout_s:g} s: start {self.server} (and the driver) first, with the"
             " same ROS_DOMAIN_ID",
         )
-        self._refused = ""  # an earlier goal's, heard while the server was looked for
+        self._rejected = ""  # an earlier goal's, heard while the server was looked for
         goal_id = UUID(uuid=list(uuid.uuid4().bytes))
         sending = self._action.send_goal_async(
             self.make_goal(),
@@ -140,7 +140,7 @@ class GoalClient:
             raise ClientError(f"{error}; {self._take_back(goal_id)}", error.exit_code) from None
         handle = sending.result()
         if not handle.accepted:
-            self._fail_refused()
+            self._fail_rejected()
         result = handle.get_result_async()
         canceling_since: float | None = None
         lost_since: float | None = None
@@ -203,19 +203,19 @@ class GoalClient:
                 raise ClientError(message)
             self._executor.spin_once(timeout_sec=0.05)
 
-    def _fail_refused(self) -> NoReturn:
-        """An action's refusal carries no text; the node says it on /diagnostics, once a second."""
+    def _fail_rejected(self) -> NoReturn:
+        """An action's rejection carries no text; /diagnostics has it, once a second."""
         deadline = time.monotonic() + 2.5
-        while not self._refused and time.monotonic() < deadline:
+        while not self._rejected and time.monotonic() < deadline:
             self._executor.spin_once(timeout_sec=0.05)
-        raise ClientError(self._refused or f"{self.server} refused the goal; see its log")
+        raise ClientError(self._rejected or f"{self.server} rejected the goal; see its log")
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
         for status in message.status:
             if status.name.rsplit("/", 1)[-1] == self.options.node.rsplit("/", 1)[-1]:
                 for item in status.values:
-                    if item.key == "refused":
-                        self._refused = item.value
+                    if item.key == "rejected":
+                        self._rejected = item.value
 
 
 def make_parser(name: str, description: str, epilog: str) -> argparse.ArgumentParser:

@@ -64,7 +64,7 @@ class End:
 
 @dataclass(frozen=True)
 class ZeroSensor:
-    """Call `bias_sensor`; answer with `on_service`."""
+    """Call `zero_ft_sensor`; answer with `on_service`."""
 
 
 @dataclass(frozen=True)
@@ -96,7 +96,7 @@ class Measurements:
 
     `known_bias`: the adapter of an earlier calibration; with one sweep it tells adapter and tool
     apart. `notes`: how it went, where nothing is wrong. `bias_mode`: whether the sensor's bias may
-    wander over a sweep; then the poses need times.
+    bias drift over a sweep; then the poses need times.
     """
 
     bare: StillPoses | None

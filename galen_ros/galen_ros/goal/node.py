@@ -37,7 +37,7 @@ _TICKS_PER_GRAPH_CHECK = 10
 _LONGEST_NAME = 80
 
 
-class RefusedGoalError(Exception):
+class RejectedGoalError(Exception):
     """A goal that can't be begun."""
 
     def __init__(self, code: IntEnum, message: str) -> None:
@@ -98,7 +98,7 @@ class GoalNode(Node, ABC, Generic[SettingsT, GoalT, EndT]):
         self._settings = declare_parameters(self, parameters)
         self._goal: GoalT | None = None
         self._over: list[GoalT] = []
-        self._refused = ""
+        self._rejected = ""
         self._last = self.words.nothing_yet
         self._last_failed = False
 
@@ -135,7 +135,7 @@ class GoalNode(Node, ABC, Generic[SettingsT, GoalT, EndT]):
 
     @abstractmethod
     def _make_goal(self, handle: ServerGoalHandle) -> GoalT:
-        """Return the goal to run; raises RefusedGoalError."""
+        """Return the goal to run; raises RejectedGoalError."""
 
     @abstractmethod
     def _introduce(self, goal: GoalT) -> str:
@@ -200,8 +200,10 @@ class GoalNode(Node, ABC, Generic[SettingsT, GoalT, EndT]):
         why = self._other_server or self._busy_text() or self._rejection(request)
         if not why:
             return GoalResponse.ACCEPT
-        self._refused = f"{self._named(request)} refused: {why}" if self._subject(request) else why
-        self.get_logger().warning(self._refused)
+        self._rejected = (
+            f"{self._named(request)} rejected: {why}" if self._subject(request) else why
+        )
+        self.get_logger().warning(self._rejected)
         self._diagnostics.publish_now()
         return GoalResponse.REJECT
 
@@ -229,7 +231,7 @@ class GoalNode(Node, ABC, Generic[SettingsT, GoalT, EndT]):
         """Begin; a goal that makes no sense ends at once, for a result can say why."""
         try:
             goal = self._make_goal(handle)
-        except RefusedGoalError as error:
+        except RejectedGoalError as error:
             self._conclude(handle, self._make_end(error.code, str(error), None), None)
             return
         except Exception as error:
@@ -237,7 +239,7 @@ class GoalNode(Node, ABC, Generic[SettingsT, GoalT, EndT]):
             self._conclude(handle, self._internal(error, None), None)
             return
         self._goal = goal
-        self._refused = ""
+        self._rejected = ""
         goal.subscriptions = self._subscribe(goal)
         heard = [subscription.topic_name for subscription in goal.subscriptions]
         goal.publishers = PublisherWatch(self, [*heard, *self._also_watched()])
@@ -277,7 +279,7 @@ class GoalNode(Node, ABC, Generic[SettingsT, GoalT, EndT]):
         return str(getattr(request, self.words.subject))
 
     def _named(self, request: Any) -> str:
-        """The subject in quotes, for a log; a goal that is refused may name it by a megabyte."""
+        """The subject in quotes, for a log; a goal that is rejected may name it by a megabyte."""
         return one_line(repr(self._subject(request)), _LONGEST_NAME)
 
     # ---- inputs
@@ -425,8 +427,8 @@ class GoalNode(Node, ABC, Generic[SettingsT, GoalT, EndT]):
 
     def _report_status(self) -> Status:
         values = self._folders() | {"last": self._last}
-        if self._refused:
-            values["refused"] = self._refused
+        if self._rejected:
+            values["rejected"] = self._rejected
         goal = self._goal
         self._look_for_servers()
         if self._other_server:

@@ -6,8 +6,8 @@ subscriptions, services, clients, timers) is destroyed here, after what they ask
 `_at_undo`. So a node that is configured again starts from nothing, with the parameters of then.
 
 An exception in a transition is logged and becomes the error state; what was made is destroyed, the
-node is unconfigured again and says on /diagnostics what happened, so that it can be mended and
-configured. Only at a start by itself (`autostart`) it is raised: nobody is there to mend it, and
+node is unconfigured again and says on /diagnostics what happened, so that it can be fixed and
+configured. Only at a start by itself (`autostart`) it is raised: nobody is there to fix it, and
 the process ends with the reason, as one that is not managed does.
 """
 
@@ -81,7 +81,7 @@ class ManagedNode(LifecycleNode):
         self._undo = self._undo_configure
         self._autostarts = declare_parameters(self, LifecycleParameters).autostart
         self._starting = False
-        self._refuse_what_cannot_be()
+        self._reject_what_cannot_be()
         self._diagnostics = DiagnosticsPublisher(self, self.hardware_id, self._full_report)
 
     # What a subclass does
@@ -168,7 +168,7 @@ class ManagedNode(LifecycleNode):
         return self._transition("shutdown", Stage.FINALIZED, lambda: self._go_down(Stage.FINALIZED))
 
     def on_error(self, _state: Any) -> TransitionCallbackReturn:
-        """Be unconfigured again, so that the reason can be mended; finalized if that fails."""
+        """Be unconfigured again, so that the reason can be fixed; finalized if that fails."""
         result = _SUCCESS
         try:
             self._go_down(Stage.UNCONFIGURED)
@@ -228,7 +228,7 @@ class ManagedNode(LifecycleNode):
         )
         return [(entity, destroy) for entities, destroy in kinds for entity in entities]
 
-    def _refuse_what_cannot_be(self) -> None:
+    def _reject_what_cannot_be(self) -> None:
         """Answer a transition that the state doesn't have by "no".
 
         rclpy (7.1.6) raises it out of the executor: one wrong request would end the process.
@@ -242,7 +242,7 @@ class ManagedNode(LifecycleNode):
             except RuntimeError as error:
                 wanted = request.transition.label or request.transition.id
                 self.get_logger().warning(
-                    f"transition '{wanted}' is refused: the node is {self._stage.value} ({error})"
+                    f"transition '{wanted}' is rejected: the node is {self._stage.value} ({error})"
                 )
                 response.success = False
                 return response

@@ -188,7 +188,7 @@ class Lifecycle:
         return str(self._harness.call(self._get, GetState.Request()).current_state.label)
 
     def set(self, **values: Any) -> str:
-        """Set parameters one by one, as `ros2 param set` does; returns the first refusal, or ""."""
+        """Set parameters one by one, as `ros2 param set` does; return the first error, or ""."""
         for parameter in parameters(**values):
             request = SetParameters.Request(parameters=[parameter.to_parameter_msg()])
             (result,) = self._harness.call(self._set, request).results

@@ -55,11 +55,11 @@ _INT64_MAX = 2**63 - 1
 
 
 def declare_parameters(node: Node, cls: type[T], on_change: Callable[[T], None] | None = None) -> T:
-    """Declare every `param` field of `cls` on `node`; return an instance with the values in force.
+    """Declare every `param` field of `cls` on `node`; return an instance with the active values.
 
     An integer is accepted where a float is asked. The instance's `validate()` is called if it has
     one; it raises a GalenError (or ValueError) when values don't fit together. A value that can't
-    be used raises `ParameterError` at start-up, and is refused when set at run time.
+    be used raises `ParameterError` at start-up, and is rejected when set at run time.
     `on_change(new_instance)` is called after every accepted change of a `read_only=False` field.
     """
     fields = param_fields(cls)
@@ -87,7 +87,7 @@ def hold_parameters(
 
 
 class Held(Generic[T]):
-    """The parameters of a node, checked when they are set; `now` has those in force."""
+    """The parameters of a node, checked when they are set; `now` has those active."""
 
     def __init__(
         self,
@@ -142,7 +142,7 @@ class Held(Generic[T]):
 def _declare_all(
     node: Node, cls: type[T], fields: dict[str, tuple[Any, Any, Meaning]], fixed: bool = True
 ) -> T:
-    """Declare the fields, return what is in force; `fixed`: rclpy keeps the read-only ones."""
+    """Declare the fields, return what is active; `fixed`: rclpy keeps the read-only ones."""
     guard_parameter_services(node)
     values = {}
     for name, (hint, default, meaning) in fields.items():
@@ -161,7 +161,7 @@ def _declare(
         name=name,
         description=meaning.description,
         read_only=read_only,
-        # With a static type rclpy would refuse 5 for 5.0; `_checked` holds the type instead.
+        # With a static type rclpy would reject 5 for 5.0; `_checked` holds the type instead.
         dynamic_typing=True,
     )
     if meaning.minimum is not None or meaning.maximum is not None:

@@ -18,7 +18,7 @@ _GUARDED = "galen_guarded"
 
 
 def guard_parameter_services(node: Node) -> None:
-    """Have requests that rclpy can't read refused; may be called more than once."""
+    """Have requests that rclpy can't read rejected; may be called more than once."""
     for service in node.services:
         if hasattr(service.callback, _GUARDED):
             continue
@@ -38,26 +38,26 @@ def _guarded(inner: Any, answer: Any) -> Any:
 
 def _one_by_one(inner: Any, request: Any, response: Any) -> Any:
     for message in request.parameters:
-        refused = _refusal(message)
-        if refused is None:
+        rejected = _rejection(message)
+        if rejected is None:
             one = SetParameters.Request(parameters=[message])
             (result,) = inner(one, SetParameters.Response()).results
         else:
-            result = refused
+            result = rejected
         response.results.append(result)
     return response
 
 
 def _all_or_none(inner: Any, request: Any, response: Any) -> Any:
     for message in request.parameters:
-        refused = _refusal(message)
-        if refused is not None:
-            response.result = refused
+        rejected = _rejection(message)
+        if rejected is not None:
+            response.result = rejected
             return response
     return inner(request, response)
 
 
-def _refusal(message: Any) -> SetParametersResult | None:
+def _rejection(message: Any) -> SetParametersResult | None:
     """None where rclpy can read it."""
     try:
         Parameter.from_parameter_msg(message)

@@ -29,7 +29,7 @@ class NoJoints(Enum):
 class Interpolated(NamedTuple):
     """`JointBuffer.joints_at` at many stamps at once.
 
-    joints (n, k); good (n,): whether they are what `joints_at` gives (else it refuses, or they
+    joints (n, k); good (n,): whether they are what `joints_at` gives (else it rejects, or they
     aren't finite); oldest (n,): the oldest sample that they hang on.
     """
 

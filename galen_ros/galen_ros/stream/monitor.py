@@ -1,7 +1,7 @@
 """What a node that turns wrenches into something can say of its health. No ROS.
 
-Refusals come and go with single samples; a state must not flap at 500 Hz. So a refusal stays the
-state for `HOLD_S` after the last one. Times here are wall times (s, monotonic): they only say
+Rejections come and go with single samples; a state must not flap at 500 Hz. So a rejection stays
+the state for `HOLD_S` after the last one. Times here are wall times (s, monotonic): they only say
 whether something arrives at all, never what is done with a sample.
 """
 
@@ -19,7 +19,7 @@ from galen_ros.stream.frozen import FROZEN_S, FrozenWatch
 from galen_ros.stream.lateness import LateWatch
 from galen_ros.stream.pairing import WrenchPairing
 from galen_ros.stream.publishers import Publishers
-from galen_ros.stream.results import Notice, Refusal, Refused
+from galen_ros.stream.results import Notice, Rejected, Rejection
 
 HOLD_S = 0.5
 NOTICE_HOLD_S = 5.0
@@ -58,24 +58,24 @@ class _Counts(NamedTuple):
 
 
 @dataclass
-class _LastRefusal:
-    refused: Refused
+class _LastRejection:
+    rejected: Rejected
     now_s: float
 
 
 class StreamMonitor(ABC):
     """Watches one `WrenchPairing`; what comes out of it is the subclass's to name."""
 
-    reasons: ClassVar[tuple[Enum, ...]] = tuple(Refusal)
-    """Refusals that are counted on /diagnostics."""
-    said_better: ClassVar[tuple[Enum, ...]] = (Refusal.RESTART,)
-    """Refusals that the state itself, or the restart's own text, says better."""
+    reasons: ClassVar[tuple[Enum, ...]] = tuple(Rejection)
+    """Rejections that are counted on /diagnostics."""
+    said_better: ClassVar[tuple[Enum, ...]] = (Rejection.RESTART,)
+    """Rejections that the state itself, or the restart's own text, says better."""
     working: ClassVar[str]
     """The state's name when all is well."""
     output: ClassVar[str] = ""
     """The topic that no other node may publish on; empty: others may."""
     lost: ClassVar[str] = "nothing is published"
-    """What is so when all wrenches are refused."""
+    """What is so when all wrenches are rejected."""
 
     def __init__(
         self,
@@ -96,7 +96,7 @@ class StreamMonitor(ABC):
         self._joints_s: float | None = None
         self._wrench_s: float | None = None
         self._output_s: float | None = None
-        self._last: _LastRefusal | None = None
+        self._last: _LastRejection | None = None
         self._restart: tuple[str, float] | None = None
         self._notices_seen: Mapping[Notice, int] = {}
         self._notice: tuple[str, float] | None = None
@@ -145,12 +145,14 @@ class StreamMonitor(ABC):
         self._lateness.push(arrival_s, stamp_ns)
         return first
 
-    def on_refused(self, refused: Refused, now_s: float) -> bool:
-        """Note a refusal. True when it may have changed the state."""
+    def on_rejected(self, rejected: Rejected, now_s: float) -> bool:
+        """Note a rejection. True when it may have changed the state."""
         last = self._last
-        self._last = _LastRefusal(refused, now_s)
+        self._last = _LastRejection(rejected, now_s)
         return (
-            last is None or last.refused.reason is not refused.reason or now_s - last.now_s > HOLD_S
+            last is None
+            or last.rejected.reason is not rejected.reason
+            or now_s - last.now_s > HOLD_S
         )
 
     def on_restart(self, why: str, now_s: float) -> None:
@@ -171,10 +173,10 @@ class StreamMonitor(ABC):
             self._lateness.forget()
         return why
 
-    def review(self, now_s: float) -> Sequence[Refused]:
+    def review(self, now_s: float) -> Sequence[Rejected]:
         """Judge what no single sample shows; call it after `tick`, and when publishers changed.
 
-        Returns what is refused for it of the wrenches that waited.
+        Returns what is rejected for it of the wrenches that waited.
         """
         pairing = self._pairing
         topic = pairing.wrench_topic
@@ -184,9 +186,9 @@ class StreamMonitor(ABC):
         )
         if several:
             detail = f"{several}: stop all but one of them"
-            return pairing.distrust(Refusal.SEVERAL_PUBLISHERS, detail)
+            return pairing.distrust(Rejection.SEVERAL_PUBLISHERS, detail)
         if frozen:
-            return pairing.distrust(Refusal.FROZEN, f"{topic} {frozen}")
+            return pairing.distrust(Rejection.FROZEN, f"{topic} {frozen}")
         pairing.trust()
         return []
 
@@ -203,7 +205,7 @@ class StreamMonitor(ABC):
         self._notices_seen = dict(pairing.notices)
         self._lateness.tick(now_s)
         irregular = (
-            pairing.refusals[Refusal.DUPLICATE]
+            pairing.rejections[Rejection.DUPLICATE]
             + pairing.notices[Notice.OUT_OF_ORDER_WRENCH]
             + pairing.notices[Notice.RESTART]
         )
@@ -217,7 +219,7 @@ class StreamMonitor(ABC):
             self._standing_state()
             or self._silence_state(now_s)
             or self._several_state(now_s)
-            or self._refusal_state(now_s)
+            or self._rejection_state(now_s)
             or self._waiting_state()
             or self._late_state(now_s)
             or self._noticed_state(now_s)
@@ -246,7 +248,7 @@ class StreamMonitor(ABC):
         }
 
     def _silence_state(self, now_s: float) -> State | None:
-        # Wrenches without joints are refused one by one: that says more than the joints' silence.
+        # Wrenches without joints are rejected one by one: that says more than the joints' silence.
         if self._wrench_s is not None and now_s - self._wrench_s <= self._silence_s:
             return None
         silent = []
@@ -270,23 +272,23 @@ class StreamMonitor(ABC):
             return State(Severity.ERROR, "several_publishers", text)
         # Joints may come from several, as long as only one of them has roll and tilt.
         if self._output_s is None or now_s - self._output_s > HOLD_S:
-            return None  # the refusal says why nothing goes out
+            return None  # the rejection says why nothing goes out
         rest = (
-            self._refusal_state(now_s) or self._noticed_state(now_s) or self._running_state()
+            self._rejection_state(now_s) or self._noticed_state(now_s) or self._running_state()
         ).message
         text = f"{text}: only one of them may have this arm's joints; {rest}"
         return State(Severity.WARN, "several_publishers", text)
 
-    def _refusal_state(self, now_s: float) -> State | None:
+    def _rejection_state(self, now_s: float) -> State | None:
         last = self._last
         if last is None or now_s - last.now_s > HOLD_S:
             return None
-        reason, detail = last.refused.reason, last.refused.detail
+        reason, detail = last.rejected.reason, last.rejected.detail
         if reason in self.said_better:
             return None
         if self._output_s is None or now_s - self._output_s > HOLD_S:
             return State(Severity.ERROR, reason.value, f"{self.lost}: {detail}")
-        return State(Severity.WARN, reason.value, f"some wrenches are refused: {detail}")
+        return State(Severity.WARN, reason.value, f"some wrenches are rejected: {detail}")
 
     def _waiting_state(self) -> State | None:
         if self._output_s is None:
@@ -323,13 +325,15 @@ class StreamMonitor(ABC):
         values |= {"late": late.count, "late_worst_s": late.worst_s} if late.on else {"late": "off"}
         return values
 
-    def refused(self) -> dict[str, object]:
-        """Counts of refusals and notices, and the last ones, for /diagnostics."""
+    def rejected(self) -> dict[str, object]:
+        """Counts of rejections and notices, and the last ones, for /diagnostics."""
         pairing = self._pairing
         values: dict[str, object] = {"waiting": pairing.waiting}
-        values |= {f"refused_{reason.value}": pairing.refusals[reason] for reason in self.reasons}
+        values |= {
+            f"rejected_{reason.value}": pairing.rejections[reason] for reason in self.reasons
+        }
         values |= {notice.value: pairing.notices[notice] for notice in Notice}
-        values["last_refusal"] = "" if self._last is None else self._last.refused.detail
+        values["last_rejection"] = "" if self._last is None else self._last.rejected.detail
         values["last_restart"] = "" if self._restart is None else self._restart[0]
         watched = {**self.publishers, self.output: self.outputs}
         for topic, publishers in watched.items():

@@ -22,7 +22,7 @@ from galen_ros.qos import STREAM
 from galen_ros.stream.monitor import Severity, State, StreamMonitor
 from galen_ros.stream.pairing import WrenchPairing
 from galen_ros.stream.publishers import Publishers
-from galen_ros.stream.results import Refused
+from galen_ros.stream.results import Rejected
 
 WATCH_PERIOD_S = 0.2
 # Not more often than this are changes of state published and logged.
@@ -152,11 +152,11 @@ class StreamNode(ManagedNode):
             self._emit(results)
 
     def _emit(self, results: Sequence[Any]) -> None:
-        """Publish what was made, and take note of what was refused."""
+        """Publish what was made, and take note of what was rejected."""
         changed = False
         for result in results:
-            if isinstance(result, Refused):
-                changed |= self._monitor.on_refused(result, time.monotonic())
+            if isinstance(result, Rejected):
+                changed |= self._monitor.on_rejected(result, time.monotonic())
             else:
                 arrival_s, raw = cast(tuple[float, RawWrench], result.tag)
                 self._publish(result, raw)

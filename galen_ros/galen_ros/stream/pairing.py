@@ -2,7 +2,7 @@
 
 What is to be made of a wrench with the joints at its stamp, a subclass says: the compensator takes
 the tool's weight off, the deflection's node predicts how far the arm bends. Which samples are
-taken, which wait, which are refused and why, is the same for both, and here.
+taken, which wait, which are rejected and why, is the same for both, and here.
 
 Samples are pushed in the order of their arrival; every decision is made on stamps.
 """
@@ -22,7 +22,7 @@ from galen_model.arrays import Array
 
 from galen_ros.stream.joint_buffer import JointBuffer, JointPush, NoJoints
 from galen_ros.stream.regular_run import Arrivals, Reported, regular_stretch
-from galen_ros.stream.results import Notice, Refusal, Refused
+from galen_ros.stream.results import Notice, Rejected, Rejection
 from galen_ros.stream.sample_limits import (
     SampleLimits,
     angle_unit_notice,
@@ -80,7 +80,7 @@ class Paired(NamedTuple):
 class WrenchPairing(ABC, Generic[Made]):
     """One sensor's wrenches and the joints at their stamps.
 
-    Each wrench pushed ends in exactly one way: as what `_make` returns, or as a `Refused` that
+    Each wrench pushed ends in exactly one way: as what `_make` returns, or as a `Rejected` that
     names the reason. Not thread-safe: push everything from one thread.
     """
 
@@ -109,7 +109,7 @@ class WrenchPairing(ABC, Generic[Made]):
         self.newest_wrench: Sequence[float] | Array | None = None
         """The last wrench (6,) that came by itself, N and N.m, whatever became of it."""
         self.received = 0
-        self.refusals: Counter[Enum] = Counter()
+        self.rejections: Counter[Enum] = Counter()
         self.notices: Counter[Notice] = Counter()
 
     # What a subclass says
@@ -126,7 +126,7 @@ class WrenchPairing(ABC, Generic[Made]):
     @abstractmethod
     def _make(
         self, stamp_ns: int, raw: Array, joints: tuple[float, ...], tag: object, number: int
-    ) -> Made | Refused:
+    ) -> Made | Rejected:
         """What becomes of a finite wrench (6,) with finite joints at its stamp."""
 
     def _known_until_ns(self) -> int | None:
@@ -151,21 +151,21 @@ class WrenchPairing(ABC, Generic[Made]):
 
     @property
     def distrusted(self) -> bool:
-        """Whether every wrench is refused by `distrust`."""
+        """Whether every wrench is rejected by `distrust`."""
         return self._distrust is not None
 
-    def distrust(self, reason: Enum, detail: str) -> list[Made | Refused]:
-        """Refuse every wrench until `trust`, for a reason that no single sample shows."""
+    def distrust(self, reason: Enum, detail: str) -> list[Made | Rejected]:
+        """Reject every wrench until `trust`, for a reason that no single sample shows."""
         self._distrust = (reason, detail)
-        return self._refuse_waiting(reason, detail)
+        return self._reject_waiting(reason, detail)
 
     def trust(self) -> None:
         """Take wrenches again."""
         self._distrust = None
 
-    def restart(self, why: str) -> list[Made | Refused]:
+    def restart(self, why: str) -> list[Made | Rejected]:
         """Forget every sample: it belongs to the driver's life so far. Counters stay."""
-        results = self._refuse_waiting(Refusal.RESTART, why)
+        results = self._reject_waiting(Rejection.RESTART, why)
         self._joints.clear()
         self._reported = None
         self._jump = None
@@ -189,7 +189,7 @@ class WrenchPairing(ABC, Generic[Made]):
         wrench: Sequence[float] | Array,
         frame_id: str | None = None,
         tag: object = None,
-    ) -> list[Made | Refused]:
+    ) -> list[Made | Rejected]:
         """Take a wrench (6,), N and N.m; returns what became of it and of those that waited.
 
         The list is empty while the wrench waits for joint samples. `frame_id` None is not checked;
@@ -203,23 +203,23 @@ class WrenchPairing(ABC, Generic[Made]):
             detail = (
                 f"{self.wrench_topic} has frame_id '{frame_id}', expected '{self.sensor_frame}'"
             )
-            return [self._refuse(stamp_ns, Refusal.WRONG_FRAME, detail, number)]
+            return [self._reject(stamp_ns, Rejection.WRONG_FRAME, detail, number)]
         if stamp_ns <= 0:
             detail = f"{self.wrench_topic} has no stamp (zero): the driver does not stamp its"
-            return [self._refuse(stamp_ns, Refusal.UNSTAMPED, f"{detail} samples", number)]
+            return [self._reject(stamp_ns, Rejection.UNSTAMPED, f"{detail} samples", number)]
         if stamp_ns == self._newest_wrench_ns:
             detail = f"{self.wrench_topic} repeats a stamp; only the first wrench of a stamp is"
-            return [self._refuse(stamp_ns, Refusal.DUPLICATE, f"{detail} used", number)]
+            return [self._reject(stamp_ns, Rejection.DUPLICATE, f"{detail} used", number)]
         results = self._follow_wrench_stamps(stamp_ns)
         if barred is not None:
-            results.append(self._refuse(stamp_ns, *barred, number))
+            results.append(self._reject(stamp_ns, *barred, number))
             return results
         values = tuple(map(float, wrench))
         # One sum finds a NaN or an infinity among the six; it overflows only beyond any wrench.
         if not math.isfinite(sum(values)):
             shown = ", ".join(f"{value:g}" for value in values)
             detail = f"{self.wrench_topic} holds a value that is not finite: ({shown})"
-            results.append(self._refuse(stamp_ns, Refusal.NONFINITE_WRENCH, detail, number))
+            results.append(self._reject(stamp_ns, Rejection.NONFINITE_WRENCH, detail, number))
             return results
         beyond_range, other_unit = self._limits.range_notices(values)
         if beyond_range:
@@ -235,14 +235,14 @@ class WrenchPairing(ABC, Generic[Made]):
         results.extend(self._drop_hopeless())
         return results
 
-    def push_bad_wrench(self, detail: str) -> list[Made | Refused]:
-        """Refuse a wrench message that can't be read, and so has no stamp; `detail` says why."""
+    def push_bad_wrench(self, detail: str) -> list[Made | Rejected]:
+        """Reject a wrench message that can't be read, and so has no stamp; `detail` says why."""
         self.received += 1
-        return [self._refuse(0, Refusal.UNREADABLE, detail, self.received - 1)]
+        return [self._reject(0, Rejection.UNREADABLE, detail, self.received - 1)]
 
-    def _push_joint_sample(self, stamp_ns: int, joints: tuple[float, ...]) -> list[Made | Refused]:
+    def _push_joint_sample(self, stamp_ns: int, joints: tuple[float, ...]) -> list[Made | Rejected]:
         """Take joints, roll and tilt last; returns what became of wrenches that waited for them."""
-        results: list[Made | Refused] = []
+        results: list[Made | Rejected] = []
         newest = self._joints.newest_ns
         if newest is not None:
             restarted = self._limits.restarted("joint_states", stamp_ns, newest)
@@ -284,16 +284,16 @@ class WrenchPairing(ABC, Generic[Made]):
         self._jump = (stamp_ns, detail)
         return True
 
-    def _release(self) -> list[Made | Refused]:
+    def _release(self) -> list[Made | Rejected]:
         """What becomes of the wrenches that have waited long enough."""
         until = self._known_until_ns()
-        results: list[Made | Refused] = []
+        results: list[Made | Rejected] = []
         while until is not None and self._waiting and self._waiting[0].stamp_ns <= until:
             results.append(self._pair(*self._waiting.popleft()))
         return results
 
     def _pair_stretch(self, arrivals: Arrivals) -> Paired:
-        """Take the regular samples at the start of `arrivals` as arrays; nothing is refused."""
+        """Take the regular samples at the start of `arrivals` as arrays; nothing is rejected."""
         waiting = self._waiting
         waiting_ns = np.array([one.stamp_ns for one in waiting], dtype=np.int64)
         stretch = regular_stretch(
@@ -336,10 +336,10 @@ class WrenchPairing(ABC, Generic[Made]):
         if count:
             self.notices[notice] += count
 
-    def _follow_wrench_stamps(self, stamp_ns: int) -> list[Made | Refused]:
+    def _follow_wrench_stamps(self, stamp_ns: int) -> list[Made | Rejected]:
         """Compare with the newest stamp: restart, out of order."""
         newest = self._newest_wrench_ns
-        results: list[Made | Refused] = []
+        results: list[Made | Rejected] = []
         if newest is not None:
             restarted = self._limits.restarted(self.wrench_topic, stamp_ns, newest)
             if restarted:
@@ -350,16 +350,16 @@ class WrenchPairing(ABC, Generic[Made]):
         self._newest_wrench_ns = stamp_ns
         return results
 
-    def _drop_hopeless(self) -> list[Made | Refused]:
-        """Refuse what waits once the joints have fallen too far behind, or too many wait."""
+    def _drop_hopeless(self) -> list[Made | Rejected]:
+        """Reject what waits once the joints have fallen too far behind, or too many wait."""
         newest_wrench = self._newest_wrench_ns
         newest_joints = self._joints.newest_ns
         assert newest_wrench is not None and self._waiting
         if newest_joints is None:
             # The first joint sample may still be on its way, but no longer than this.
             if newest_wrench - self._waiting[0].stamp_ns > self._limits.max_age_ns:
-                return self._refuse_waiting(
-                    *self._joint_reason(Refusal.NO_JOINTS, "no joint_states were received")
+                return self._reject_waiting(
+                    *self._joint_reason(Rejection.NO_JOINTS, "no joint_states were received")
                 )
         elif newest_wrench - newest_joints > self._limits.max_age_ns:
             behind_ms = (newest_wrench - newest_joints) * 1e-6
@@ -368,19 +368,19 @@ class WrenchPairing(ABC, Generic[Made]):
                 f" max_joint_age_s is {self._max_joint_age_s:g}"
                 f"{self._clock_hint(newest_wrench - newest_joints)}"
             )
-            return self._refuse_waiting(*self._joint_reason(Refusal.STALE_JOINTS, detail))
+            return self._reject_waiting(*self._joint_reason(Rejection.STALE_JOINTS, detail))
         elif late := self._late(newest_wrench):
-            return self._refuse_waiting(*late)
+            return self._reject_waiting(*late)
         if len(self._waiting) > self._limits.max_waiting:
             oldest = self._waiting.popleft()
             detail = f"more than {self._limits.max_waiting} wrenches wait for joint_states"
-            return [self._refuse(oldest.stamp_ns, Refusal.QUEUE_FULL, detail, oldest.number)]
+            return [self._reject(oldest.stamp_ns, Rejection.QUEUE_FULL, detail, oldest.number)]
         return []
 
-    def _joint_reason(self, reason: Refusal, detail: str) -> tuple[Refusal, str]:
+    def _joint_reason(self, reason: Rejection, detail: str) -> tuple[Rejection, str]:
         """The deeper reason, when joint messages do come but can't be used."""
         if self._joint_trouble is not None:
-            return Refusal.BAD_JOINTS, self._joint_trouble
+            return Rejection.BAD_JOINTS, self._joint_trouble
         return reason, detail
 
     def _clock_hint(self, difference_ns: int) -> str:
@@ -388,7 +388,7 @@ class WrenchPairing(ABC, Generic[Made]):
             return ""
         return f"; do joint_states and {self.wrench_topic} get their stamps from different clocks?"
 
-    def _pair(self, stamp_ns: int, raw: Array, tag: object, number: int) -> Made | Refused:
+    def _pair(self, stamp_ns: int, raw: Array, tag: object, number: int) -> Made | Rejected:
         """Use a wrench whose joints are in the buffer."""
         joints = self._joints.joints_at(stamp_ns)
         if isinstance(joints, NoJoints):
@@ -397,27 +397,27 @@ class WrenchPairing(ABC, Generic[Made]):
                     "joint_states are stale: two samples more than"
                     f" {self._max_joint_age_s:g} s apart around a wrench"
                 )
-                reason = self._joint_reason(Refusal.STALE_JOINTS, detail)
-                return self._refuse(stamp_ns, *reason, number)
+                reason = self._joint_reason(Rejection.STALE_JOINTS, detail)
+                return self._reject(stamp_ns, *reason, number)
             newest = self._joints.newest_ns
             hint = "" if newest is None else self._clock_hint(newest - stamp_ns)
             detail = f"no joint angles: {joints.value}{hint}"
-            return self._refuse(stamp_ns, *self._joint_reason(Refusal.NO_JOINTS, detail), number)
+            return self._reject(stamp_ns, *self._joint_reason(Rejection.NO_JOINTS, detail), number)
         if math.isnan(joints[0]):
             jump = self._jump
             if jump is not None and abs(stamp_ns - jump[0]) <= self._limits.max_age_ns:
-                return self._refuse(stamp_ns, Refusal.JUMPING_JOINTS, jump[1], number)
+                return self._reject(stamp_ns, Rejection.JUMPING_JOINTS, jump[1], number)
             detail = "joint_states hold an angle that is not finite"
-            return self._refuse(stamp_ns, Refusal.NONFINITE_JOINTS, detail, number)
+            return self._reject(stamp_ns, Rejection.NONFINITE_JOINTS, detail, number)
         return self._make(stamp_ns, raw, joints, tag, number)
 
-    def _refuse(self, stamp_ns: int, reason: Enum, detail: str, number: int) -> Refused:
-        self.refusals[reason] += 1
-        return Refused(stamp_ns, reason, detail, number)
+    def _reject(self, stamp_ns: int, reason: Enum, detail: str, number: int) -> Rejected:
+        self.rejections[reason] += 1
+        return Rejected(stamp_ns, reason, detail, number)
 
-    def _refuse_waiting(self, reason: Enum, detail: str) -> list[Made | Refused]:
-        results: list[Made | Refused] = [
-            self._refuse(waiting.stamp_ns, reason, detail, waiting.number)
+    def _reject_waiting(self, reason: Enum, detail: str) -> list[Made | Rejected]:
+        results: list[Made | Rejected] = [
+            self._reject(waiting.stamp_ns, reason, detail, waiting.number)
             for waiting in self._waiting
         ]
         self._waiting.clear()

@@ -42,7 +42,7 @@ class LoopParameters(StreamParameters):
     frozen_s: float = param(
         FROZEN_S,
         "s of wall time that a wrench may stay the same to the last bit while roll or tilt turns;"
-        " then it is refused: the sensor hangs; 0: for ever",
+        " then it is rejected: the sensor hangs; 0: for ever",
         minimum=0.0,
         maximum=60.0,
     )

@@ -1,8 +1,8 @@
 """How far samples in the order of their arrival are regular, and what becomes of them, as arrays.
 
-Regular is what `Compensator` compensates without a refusal, a restart or a dropped sample. Nothing
-is changed here: the compensator takes over what was found, and pushes the sample at which it ended
-by itself. The rules are those of `SampleLimits` and `JointBuffer`.
+Regular is what `Compensator` compensates without a rejection, a restart or a dropped sample.
+Nothing is changed here: the compensator takes over what was found, and pushes the sample at which
+it ended by itself. The rules are those of `SampleLimits` and `JointBuffer`.
 """
 
 from __future__ import annotations
@@ -122,11 +122,11 @@ def regular_stretch(
     # The newest sample then; the buffer may have dropped what lies its capacity behind it.
     seen = np.concatenate((np.zeros(waited, dtype=int), seen))[: len(after)]
     newest = np.maximum(after, seen - 1)
-    refused = ~found.good | (newest - found.oldest >= joints.capacity)
+    rejected = ~found.good | (newest - found.oldest >= joints.capacity)
 
     end = min(
         _first(dropped, wrench_at, len(arrivals.is_wrench)),
-        _first(refused, out_at, len(arrivals.is_wrench)),
+        _first(rejected, out_at, len(arrivals.is_wrench)),
     )
     out = np.searchsorted(out_at, end, side="left")
     return Stretch(arrivals.first(end), found.joints[:out])

@@ -6,7 +6,7 @@ from typing import NamedTuple
 from galen_model.arrays import Array
 
 
-class Refusal(Enum):
+class Rejection(Enum):
     """Why a wrench was not used."""
 
     DISABLED = "disabled"
@@ -24,12 +24,12 @@ class Refusal(Enum):
     NONFINITE_JOINTS = "nonfinite_joints"
     JUMPING_JOINTS = "jumping_joints"  # faster than any arm turns
     QUEUE_FULL = "queue_full"
-    NO_MOTION = "no_motion"  # forces of motion are asked for and not known at the stamp
+    NO_MOTION = "no_motion"  # inertial forces are asked for and not known at the stamp
     RESTART = "restart"  # was waiting for joints when the driver restarted
 
 
 class Notice(Enum):
-    """What was noticed without a refusal of the wrench."""
+    """What was noticed without a rejection of the wrench."""
 
     OUT_OF_ORDER_WRENCH = "out_of_order_wrench"
     OUT_OF_ORDER_JOINTS = "out_of_order_joints"
@@ -53,10 +53,10 @@ class Compensated(NamedTuple):
     angles: tuple[float, float]  # roll and tilt at the stamp, rad
 
 
-class Refused(NamedTuple):
+class Rejected(NamedTuple):
     """A wrench that was not used, and why; `detail` is a sentence for a person.
 
-    reason: a `Refusal`, or another enumeration's where another node adds reasons of its own.
+    reason: a `Rejection`, or another enumeration's where another node adds reasons of its own.
     """
 
     stamp_ns: int
@@ -65,4 +65,4 @@ class Refused(NamedTuple):
     number: int  # as above
 
 
-Result = Compensated | Refused
+Result = Compensated | Rejected

@@ -20,6 +20,7 @@ from galen_ros.parameters.declare import ParameterError, param
 
 from galen_sim_driver.plant.config import (
     AdmittanceConfig,
+    BiasDriftConfig,
     CableConfig,
     HandPush,
     HysteresisConfig,
@@ -31,7 +32,6 @@ from galen_sim_driver.plant.config import (
     SixNumbers,
     TrackerConfig,
     Vector3,
-    WanderConfig,
 )
 
 _NUMBERS_A_PUSH = 8
@@ -107,7 +107,7 @@ class DriverParameters:
         SENSOR.range.tolist(), "range (+-) of each axis, N and Nm", minimum=1e-3
     )
     bias_window_s: float = param(
-        0.5, "how long `bias_sensor` averages, s of simulated time", minimum=0.002, maximum=60.0
+        0.5, "how long `zero_ft_sensor` averages, s of simulated time", minimum=0.002, maximum=60.0
     )
 
     tracker_rate_hz: float = param(100.0, "rate of both tracker topics", minimum=1.0, maximum=500.0)
@@ -189,8 +189,8 @@ class DriverParameters:
     tool_inertia_kg_m2: tuple[float, ...] = param(
         [0.0] * 6 * len(TOOLS), "the same of each tool, six numbers a tool, kg m^2"
     )
-    sensor_wander_per_sqrt_hour: tuple[float, ...] = param(
-        _DEFAULT.wander.per_sqrt_hour,
+    sensor_bias_drift_per_sqrt_hour: tuple[float, ...] = param(
+        _DEFAULT.bias_drift.per_sqrt_hour,
         "random walk of each axis: its sigma after one hour, N and Nm",
         minimum=0.0,
     )
@@ -240,7 +240,7 @@ class DriverParameters:
             "sensor_quantum",
             "sensor_range",
             "adapter_inertia_kg_m2",
-            "sensor_wander_per_sqrt_hour",
+            "sensor_bias_drift_per_sqrt_hour",
         ):
             self._require_length(name, 6)
         self._require_length("start_joints", 5)
@@ -333,7 +333,7 @@ class DriverParameters:
             inertia=InertiaConfig(
                 self.inertial_load, _six(self.adapter_inertia_kg_m2), self._tool_inertias()
             ),
-            wander=WanderConfig(_six(self.sensor_wander_per_sqrt_hour)),
+            bias_drift=BiasDriftConfig(_six(self.sensor_bias_drift_per_sqrt_hour)),
             cable=CableConfig(
                 self.cable_tension_n,
                 self.cable_stiffness_n_m,

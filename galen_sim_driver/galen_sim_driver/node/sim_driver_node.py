@@ -88,8 +88,8 @@ class SimDriverNode(ManagedNode):
         self._config = config
         self._plant = Plant(config, np.random.default_rng(self._settings.seed))
         self._plant.attach_tool(self._settings.initial_tool)
-        self._refused_count = 0
-        self._refusal = ""
+        self._rejected_count = 0
+        self._rejection = ""
         self._ignored_wrench = ""
         self._pending_zeroing: _PendingZeroing | None = None
 
@@ -110,7 +110,7 @@ class SimDriverNode(ManagedNode):
         self._publish_description()
 
         self._at_undo(self._give_up_zeroing)
-        DeferredService(self, Trigger, "bias_sensor", self._on_bias_sensor)
+        DeferredService(self, Trigger, "zero_ft_sensor", self._on_zero_ft_sensor)
         self.create_service(SetTool, "attach_tool", self._on_attach_tool)
         self.create_service(PushTool, "push_tool", self._on_push_tool)
         self.create_service(SetBool, "~/set_admittance", self._on_set_admittance)
@@ -189,13 +189,13 @@ class SimDriverNode(ManagedNode):
         try:
             self._plant.command(trajectory_from_message(message))
         except TrajectoryError as error:
-            self._refused_count += 1
-            self._refusal = str(error)
-            self.get_logger().error(f"joint_trajectory refused: {error}")
+            self._rejected_count += 1
+            self._rejection = str(error)
+            self.get_logger().error(f"joint_trajectory rejected: {error}")
             self._diagnostics.publish_now()
             return
-        if self._refusal:
-            self._refusal = ""
+        if self._rejection:
+            self._rejection = ""
             self._diagnostics.publish_now()
 
     def _on_wrench_compensated(self, message: WrenchStamped) -> None:
@@ -219,7 +219,7 @@ class SimDriverNode(ManagedNode):
 
     # --- services ---------------------------------------------------------------------------
 
-    def _on_bias_sensor(self, _: Any, response: Any, respond: Respond) -> None:
+    def _on_zero_ft_sensor(self, _: Any, response: Any, respond: Respond) -> None:
         try:
             if not self.active:
                 raise ZeroingError(_INACTIVE)
@@ -311,8 +311,8 @@ class SimDriverNode(ManagedNode):
         asked = self._settings.speed_factor
         if not self.active:
             return WARN, "inactive", self.inactive_text
-        if self._refusal:
-            return ERROR, "trajectory_refused", f"trajectory refused: {self._refusal}"
+        if self._rejection:
+            return ERROR, "trajectory_rejected", f"trajectory rejected: {self._rejection}"
         if self._ignored_wrench and self._plant.admittance_on:
             return ERROR, "wrench_ignored", self._ignored_wrench
         if self.count_publishers("joint_states") > 1:
@@ -349,7 +349,7 @@ class SimDriverNode(ManagedNode):
                 "effects": ", ".join(effect.name for effect in self._config.effects) or "none",
                 "zeroed_at_roll_rad": roll,
                 "zeroed_at_tilt_rad": tilt,
-                "trajectories_refused": self._refused_count,
+                "trajectories_rejected": self._rejected_count,
             },
         )
 

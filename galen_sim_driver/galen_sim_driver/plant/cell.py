@@ -38,7 +38,7 @@ from galen_sim_driver.plant.hand import Hand
 from galen_sim_driver.plant.inertial_load import InertialLoad, inertia_about_origin
 from galen_sim_driver.plant.joint_hysteresis import JointHysteresis
 from galen_sim_driver.plant.motion import LimitedMotion
-from galen_sim_driver.plant.random_walk import SensorWander
+from galen_sim_driver.plant.random_walk import SensorBiasDrift
 from galen_sim_driver.plant.sensor import ForceTorqueSensor, Zeroing
 from galen_sim_driver.plant.tracker import Tracker, TrackerSample
 from galen_sim_driver.plant.trajectory import JointState, Reference, Trajectory, check_trajectory
@@ -103,12 +103,12 @@ class Plant:
         else:
             zero = self._effects.zero
         # Spawned after the others, which so draw the same with and without it.
-        wander = (
-            SensorWander(config.wander, self._period_s, rng.spawn(1)[0])
-            if config.wander.on
+        bias_drift = (
+            SensorBiasDrift(config.bias_drift, self._period_s, rng.spawn(1)[0])
+            if config.bias_drift.on
             else None
         )
-        self._sensor = ForceTorqueSensor(config.sensor, zero, sensor_rng, wander)
+        self._sensor = ForceTorqueSensor(config.sensor, zero, sensor_rng, bias_drift)
         self._zero_pose = (float(HOME[3]), float(HOME[4]))
         self._zeroing: Zeroing | None = None
         self._tracker = Tracker(config.tracker, tracker_rng)

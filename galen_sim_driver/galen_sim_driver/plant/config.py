@@ -194,7 +194,7 @@ class InertiaConfig:
 
 
 @dataclass(frozen=True)
-class WanderConfig:
+class BiasDriftConfig:
     """The sensor's random walk, fx fy fz in N, tx ty tz in N.m; none in the nominal arm."""
 
     per_sqrt_hour: SixNumbers = ZERO6
@@ -343,7 +343,7 @@ class PlantConfig:
     admittance: AdmittanceConfig = AdmittanceConfig()
     hysteresis: HysteresisConfig = HysteresisConfig()
     inertia: InertiaConfig = field(default_factory=InertiaConfig)
-    wander: WanderConfig = WanderConfig()
+    bias_drift: BiasDriftConfig = BiasDriftConfig()
     cable: CableConfig = CableConfig()
     effects: tuple[Effect, ...] = ()
     """Of `effects/`, beside those above."""
@@ -365,7 +365,7 @@ class PlantConfig:
         self.admittance.validate()
         self.hysteresis.validate()
         self.inertia.validate()
-        self.wander.validate()
+        self.bias_drift.validate()
         self.cable.validate()
         for effect in self.effects:
             effect.validate()

@@ -10,17 +10,17 @@ from __future__ import annotations
 
 import numpy as np
 
-from galen_sim_driver.plant.config import WanderConfig
+from galen_sim_driver.plant.config import BiasDriftConfig
 
 _BLOCK = 2048
 _HOUR_S = 3600.0
 
 
-class SensorWander:
-    """What wander adds to the reading, sample by sample."""
+class SensorBiasDrift:
+    """What bias drift adds to the reading, sample by sample."""
 
-    def __init__(self, config: WanderConfig, period_s: float, rng: np.random.Generator) -> None:
-        """Start at none; `rng` is this wander's own."""
+    def __init__(self, config: BiasDriftConfig, period_s: float, rng: np.random.Generator) -> None:
+        """Start at none; `rng` is this bias drift's own."""
         self._rng = rng
         self._step = np.array(config.per_sqrt_hour) * np.sqrt(period_s / _HOUR_S)
         self._at = np.zeros(6)
@@ -28,7 +28,7 @@ class SensorWander:
         self._next = 0
 
     def next(self) -> list[float]:
-        """The wander (6,) of the next sample, N and N.m."""
+        """The bias drift (6,) of the next sample, N and N.m."""
         if self._next == len(self._block):
             steps = self._rng.standard_normal((_BLOCK, 6)) * self._step
             path = self._at + np.cumsum(steps, axis=0)

@@ -1,7 +1,7 @@
-"""The force/torque sensor: wander, noise, quantum, range, and the zero that is subtracted.
+"""The force/torque sensor: bias drift, noise, quantum, range, and the zero that is subtracted.
 
-The element sees the whole load, so wander, noise, quantum and range act on what is not zeroed yet;
-the zero is a number that is subtracted afterwards.
+The element sees the whole load, so bias drift, noise, quantum and range act on what is not zeroed
+yet; the zero is a number that is subtracted afterwards.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ import numpy as np
 
 from galen_sim_driver.errors import ZeroingError
 from galen_sim_driver.plant.config import SensorConfig
-from galen_sim_driver.plant.random_walk import SensorWander
+from galen_sim_driver.plant.random_walk import SensorBiasDrift
 
 _BLOCK = 2048
 
@@ -48,9 +48,9 @@ class ForceTorqueSensor:
         config: SensorConfig,
         zero: Sequence[float],
         rng: np.random.Generator,
-        wander: SensorWander | None = None,
+        bias_drift: SensorBiasDrift | None = None,
     ) -> None:
-        self._wander = wander
+        self._bias_drift = bias_drift
         self._rng = rng
         self._noise = config.noise
         self._std = config.parameters.noise_std
@@ -86,8 +86,8 @@ class ForceTorqueSensor:
     ) -> list[float]:
         """Return the reading of a true wrench; `after_noise` changes it before the quantum."""
         raw = wrench
-        if self._wander is not None:
-            raw = [a + b for a, b in zip(raw, self._wander.next(), strict=True)]
+        if self._bias_drift is not None:
+            raw = [a + b for a, b in zip(raw, self._bias_drift.next(), strict=True)]
         if self._noise:
             if self._next == len(self._block):
                 # One draw for many samples: a call into numpy costs more than the numbers.

@@ -6,6 +6,7 @@ from itertools import combinations
 
 from galen_diagnosis.blind.plant.cause import Cause
 from galen_diagnosis.blind.plant.causes.backlash import Backlash
+from galen_diagnosis.blind.plant.causes.bias_drift import BiasStep, SensorDrift
 from galen_diagnosis.blind.plant.causes.joint import (
     BaseInclination,
     RollZeroOffset,
@@ -29,7 +30,6 @@ from galen_diagnosis.blind.plant.causes.sensor import (
 from galen_diagnosis.blind.plant.causes.springs import DeflectionHysteresis, JointCompliance
 from galen_diagnosis.blind.plant.causes.stamps import TrackerDelay, WrenchDelay
 from galen_diagnosis.blind.plant.causes.tracking import BaseShift, TrackerScale
-from galen_diagnosis.blind.plant.causes.wander import BiasStep, SensorDrift
 
 CAUSES: dict[str, type[Cause]] = {
     cause.name: cause

@@ -1,4 +1,4 @@
-"""`drift`: how a sensor that nobody touches wanders, and whether that can be predicted."""
+"""`drift`: how a sensor that nobody touches drifts, and whether that can be predicted."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def build_parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="drift",
         description="A long recording in which nobody touches the tool, and normally nothing"
-        " moves: its course, Allan deviation, how long a tare holds, and whether the wander can be"
+        " moves: its course, Allan deviation, how long a tare holds, and whether the drift can be"
         " predicted, on hours that no fit has seen.",
         epilog=_EPILOG,
         formatter_class=argparse.RawDescriptionHelpFormatter,

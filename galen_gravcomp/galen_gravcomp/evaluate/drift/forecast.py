@@ -1,4 +1,4 @@
-"""Is the wander predictable? Forecasts made only from the past, scored on blocks they did not see.
+"""Forecast the bias drift from the past alone, scored on blocks that were not seen.
 
 The series of cells is cut in two. On the first part forecasts are fitted (to its first two thirds)
 and chosen (on its last third); on the second part those chosen are scored, once. Two kinds compete:
@@ -11,10 +11,10 @@ tell a change: `trend`, the newest level and a line through a window of the past
     fitted to all of the past, from the newest level on; `day`, the same with waves of a day and
     half a day.
 
-The wander counts as predictable at a horizon if the chosen teller beats the chosen keeper by a
+The bias drift counts as predictable at a horizon if the chosen teller beats the chosen keeper by a
 skill, 1 - MSE / MSE, of 0.1 or more whose 99 % interval is above zero; the interval is a moving
 block bootstrap's (Künsch, *Ann. Stat.* 17, 1989) with blocks of the horizon's length or more.
-White noise is no wander: a longer mean beats the newest cell there, and nothing tells a change.
+White noise is no bias_drift: a longer mean beats the newest cell there, and nothing tells a change.
 """
 
 from __future__ import annotations

@@ -98,7 +98,7 @@ def _sentence(
     else:
         hold = f"re-tare every {duration_text(holds_s)} to stay within {limit:g} {unit} (1 sigma)"
     if not scores:
-        return f"{name}: too short to say whether the wander can be predicted; {hold}."
+        return f"{name}: too short to say whether the bias drift can be predicted; {hold}."
     told = [score for score in scores if score.predictable]
     if told:
         best = max(told, key=lambda score: score.skill)
@@ -114,7 +114,7 @@ def _sentence(
             f" {len(told)} of {len(scores)} horizons it beats keeping a value); else {hold}."
         )
     if _only_noise(change):
-        return f"{name}: white noise, nothing wanders: average longer; {hold}."
+        return f"{name}: white noise, nothing drifts: average longer; {hold}."
     return (
         f"{name}: not predictable; no forecast up to {duration_text(scores[-1].horizon_s)} beats"
         f" keeping the value of the last moments; {hold}."

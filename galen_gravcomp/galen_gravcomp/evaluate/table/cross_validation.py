@@ -11,7 +11,7 @@ import numpy as np
 from galen_bags.arrays.orientation_table import OrientationTable
 from galen_model.arrays import Array
 from galen_model.errors import GalenError, IdentificationError
-from galen_model.load.bias.single_load import WanderingLoad, identify_wandering_load
+from galen_model.load.bias.single_load import DriftingLoad, identify_drifting_load
 from galen_model.load.identification import identify_single_load, plain_least_squares
 from galen_model.load.model import gravity_regressor
 
@@ -34,7 +34,7 @@ def plain_model(known: OrientationTable) -> Predictor:
     return lambda asked: gravity_regressor(asked.gravity) @ moments + offset
 
 
-def identify_wandering(known: OrientationTable) -> WanderingLoad:
+def identify_drifting(known: OrientationTable) -> DriftingLoad:
     """The load with a bias chosen by blocks (`bias_choice`), the table's own where it has them.
 
     The table has times. Raises IdentificationError.
@@ -43,15 +43,15 @@ def identify_wandering(known: OrientationTable) -> WanderingLoad:
     groups = None
     if known.block is not None:
         groups = np.unique(known.block, return_inverse=True)[1]
-    return identify_wandering_load(known.gravity, known.wrench, known.time, groups)
+    return identify_drifting_load(known.gravity, known.wrench, known.time, groups)
 
 
-def wandering_model(known: OrientationTable) -> Predictor:
-    """With a bias that may wander, as blocks of the known readings choose.
+def drifting_model(known: OrientationTable) -> Predictor:
+    """With a bias that may drift, as blocks of the known readings choose.
 
     A held-out block between known readings is bridged by the curve, one at an end extrapolated.
     """
-    found = identify_wandering(known)
+    found = identify_drifting(known)
 
     def predict(asked: OrientationTable) -> Array:
         assert asked.time is not None
@@ -61,7 +61,7 @@ def wandering_model(known: OrientationTable) -> Predictor:
 
 
 MODELS: dict[str, Model] = {"plain least squares": plain_model, "galen": robust_model}
-BLOCK_MODELS: dict[str, Model] = {"galen, wandering bias": wandering_model}
+BLOCK_MODELS: dict[str, Model] = {"galen, drifting bias": drifting_model}
 """Those for blocks alone: a single reading lies between two neighbours that tell any curve."""
 
 
@@ -71,7 +71,7 @@ class Score:
 
     residuals: Array
     groups: int
-    refused: tuple[str, ...]
+    rejected: tuple[str, ...]
 
     @property
     def rmse(self) -> Array:
@@ -89,10 +89,10 @@ def contiguous_blocks(count: int, blocks: int) -> np.ndarray:
 
 
 def cross_validate(table: OrientationTable, groups: np.ndarray, model: Model) -> Score:
-    """Hold out each of `groups` (n,) in turn; a model may refuse to do without one: see `Score`."""
+    """Hold out each of `groups` (n,) in turn; a model may reject to do without one: see `Score`."""
     table = table.timed()
     residuals = np.full(table.wrench.shape, np.nan)
-    refused = []
+    rejected = []
     labels = list(dict.fromkeys(groups.tolist()))
     for label in labels:
         held = groups == label
@@ -100,8 +100,8 @@ def cross_validate(table: OrientationTable, groups: np.ndarray, model: Model) ->
             block = None if table.block is None else table.block[~held]
             predict = model(table.take(~held, block))
         except IdentificationError as error:
-            refused.append(f"without {label}: {error}")
+            rejected.append(f"without {label}: {error}")
             continue
         residuals[held] = table.wrench[held] - predict(table.take(held, None))
     scored = np.isfinite(residuals[:, 0])
-    return Score(residuals[scored], len(labels), tuple(refused))
+    return Score(residuals[scored], len(labels), tuple(rejected))

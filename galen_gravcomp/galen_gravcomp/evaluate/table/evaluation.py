@@ -8,7 +8,7 @@ from galen_bags.arrays.orientation_table import OrientationTable
 from galen_model.arrays import Array
 from galen_model.errors import GalenError, IdentificationError
 from galen_model.files.calibration_file import ToolFile
-from galen_model.load.bias.single_load import WanderingLoad
+from galen_model.load.bias.single_load import DriftingLoad
 from galen_model.load.identification import SingleLoad, identify_single_load
 from galen_model.load.mounting.held_out import MOUNTED, Worth
 from galen_model.load.mounting.identification import MountedLoad
@@ -21,7 +21,7 @@ from galen_gravcomp.evaluate.table.cross_validation import (
     Score,
     contiguous_blocks,
     cross_validate,
-    identify_wandering,
+    identify_drifting,
 )
 from galen_gravcomp.evaluate.table.mounting import TableMounting, table_prediction, table_worth
 
@@ -44,7 +44,7 @@ class Evaluation:
     notes: list[str] = field(default_factory=list)
     mounted: MountedLoad | None = None
     worth: Worth | None = None
-    wandering: WanderingLoad | None = None
+    drifting: DriftingLoad | None = None
 
 
 def average_still(
@@ -102,12 +102,12 @@ def evaluate_table(
     settings: StillSettings | None = None,
     tool: ToolFile | None = None,
     mounting: TableMounting | None = None,
-    wander: bool = False,
+    bias_drift: bool = False,
 ) -> Evaluation:
     """Fit and score every model on a table; raises GalenError naming what stands in the way.
 
-    mounting: what to estimate beside the load, in a model of its own. wander: also a model whose
-    bias may wander, where blocks are held out.
+    mounting: what to estimate beside the load, in a model of its own. bias_drift: also a model
+    whose bias may drift, where blocks are held out.
     """
     source_rows, phases, scatter = len(table), None, None
     notes = []
@@ -150,16 +150,18 @@ def evaluate_table(
     scores = {
         split: {
             name: cross_validate(table, groups, model)
-            for name, model in (models | (_block_models(table, groups) if wander else {})).items()
+            for name, model in (
+                models | (_block_models(table, groups) if bias_drift else {})
+            ).items()
         }
         for split, groups in splits.items()
     }
     fit = identify_single_load(table.gravity, table.wrench)
-    wandering = None
+    drifting = None
     try:
-        wandering = identify_wandering(table.timed()) if wander else None
+        drifting = identify_drifting(table.timed()) if bias_drift else None
     except IdentificationError as error:
-        notes.append(f"with a bias that wanders: {error}")
+        notes.append(f"with a bias that drifts: {error}")
     if phases is not None and phases > 2:
         # averages within a phase share its error, so the residuals' own covariance is too small
         load = replace(fit.load, covariance=_jackknife(table, _mass_and_centre))
@@ -186,7 +188,7 @@ def evaluate_table(
         notes,
         mounted,
         worth,
-        wandering,
+        drifting,
     )
 
 

@@ -1,4 +1,4 @@
-"""An IMU's forces of motion on tables: wrench, IMU and orientation, each at its own rate.
+"""An IMU's inertial forces on tables: wrench, IMU and orientation, each at its own rate.
 
 The load comes from still poses, which also tell how the IMU is mounted (`imu_fit`). In motion the
 IMU reads what the load feels, s = g - a = -R (u - b) / k, so

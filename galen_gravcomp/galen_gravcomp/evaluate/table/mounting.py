@@ -41,7 +41,7 @@ class TableMounting:
 def table_worth(scores: dict[str, Score], groups: np.ndarray, sigma: Array) -> Worth | None:
     """Whether the mounting pays on the held-out `groups` (n,); None where a group has no score."""
     chosen = {name: scores[name] for name in (PLAIN, GALEN, MOUNTED)}
-    if any(score.refused for score in chosen.values()):
+    if any(score.rejected for score in chosen.values()):
         return None
     labels = list(dict.fromkeys(groups.tolist()))
     return compare(

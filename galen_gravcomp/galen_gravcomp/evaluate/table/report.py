@@ -29,7 +29,7 @@ def to_json(result: Evaluation) -> dict[str, Any]:
             "weight_N": load.mass_kg * 9.80665,
         },
         "offset": result.fit.offset.tolist(),
-        "wandering_bias": _wandering(result),
+        "drifting_bias": _drifting(result),
         "left_out": (np.flatnonzero(~result.fit.used) + 1).tolist(),
         "scatter_within_phases": None if result.scatter is None else result.scatter.tolist(),
         "scores": {
@@ -37,7 +37,7 @@ def to_json(result: Evaluation) -> dict[str, Any]:
                 name: {
                     "rmse": _by_axis(score.rmse),
                     "groups": score.groups,
-                    "refused": list(score.refused),
+                    "rejected": list(score.rejected),
                 }
                 for name, score in models.items()
             }
@@ -61,9 +61,9 @@ def to_json(result: Evaluation) -> dict[str, Any]:
     return content
 
 
-def _wandering(result: Evaluation) -> dict[str, Any] | None:
-    """What a bias that may wander makes of the load; None where it can't be told."""
-    found = result.wandering
+def _drifting(result: Evaluation) -> dict[str, Any] | None:
+    """What a bias that may drift makes of the load; None where it can't be told."""
+    found = result.drifting
     if found is None or found.choice is None:
         return None
     return {
@@ -106,12 +106,12 @@ def print_report(result: Evaluation, console: Console) -> None:
         for name, value, deviation, unit in result.mounted.mounting.rows:
             found.add_row(f"{name} ({unit})", f"{value:.3f}", f"{deviation:.3f}")
     console.print(found)
-    if result.wandering is not None:
-        wandering = result.wandering.load
+    if result.drifting is not None:
+        drifting = result.drifting.load
         console.print(
-            f"bias over the readings, chosen by held-out blocks: {result.wandering.choice}; with it"
-            f" {wandering.mass_kg * 1e3:.2f} ± {wandering.mass_std_kg * 1e3:.2f} g, the weight"
-            f" {(wandering.mass_kg / load.mass_kg - 1.0) * 100.0:+.2f} %"
+            f"bias over the readings, chosen by held-out blocks: {result.drifting.choice}; with it"
+            f" {drifting.mass_kg * 1e3:.2f} ± {drifting.mass_std_kg * 1e3:.2f} g, the weight"
+            f" {(drifting.mass_kg / load.mass_kg - 1.0) * 100.0:+.2f} %"
         )
     scores = Table(
         title="Root mean square of what is left over on readings that the fit has not seen",
@@ -133,10 +133,10 @@ def print_report(result: Evaluation, console: Console) -> None:
     console.print(scores)
     for split, models in result.scores.items():
         for name, score in models.items():
-            if score.refused:
+            if score.rejected:
                 console.print(
-                    f"[yellow]{split}, {name}: {len(score.refused)} of {score.groups} could not be "
-                    f"scored; {score.refused[0]}[/yellow]"
+                    f"[yellow]{split}, {name}: {len(score.rejected)} of {score.groups} could not be"
+                    f" scored; {score.rejected[0]}[/yellow]"
                 )
     if result.worth is not None:
         colour = "green" if result.worth.pays else "yellow"

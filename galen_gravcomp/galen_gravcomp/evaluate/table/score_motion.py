@@ -1,4 +1,4 @@
-"""`score_motion`: forces of motion by an IMU, on tables of a sensor's own."""
+"""`score_motion`: inertial forces by an IMU, on tables of a sensor's own."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def build_parser() -> argparse.ArgumentParser:
     """The command's options."""
     parser = argparse.ArgumentParser(
         prog="score_motion",
-        description="Calibrate load and IMU on still poses, take weight and forces of motion off a"
+        description="Calibrate load and IMU on still poses, take weight and inertial forces off a"
         " run by the IMU, and say what is left beside the weight alone. Columns are named in the"
         " first lines.",
         epilog=_EPILOG,

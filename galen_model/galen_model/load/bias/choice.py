@@ -1,4 +1,4 @@
-"""How a sweep's bias goes, constant, straight or wandering, chosen by held-out blocks of poses.
+"""How a sweep's bias goes, constant, straight or drifting, chosen by held-out blocks of poses.
 
 Blocks of poses that follow each other in time are held out in turn. Each candidate is fitted to
 the rest, and says with which density it expects each held-out reading: a block inside a sweep is
@@ -43,7 +43,7 @@ class BiasMode(StrEnum):
     """What a calibration takes the sensor's bias for."""
 
     CONSTANT = "constant"
-    WANDERING = "wandering"
+    BIAS_DRIFTING = "drifting"
     AUTO = "auto"
 
 
@@ -51,7 +51,7 @@ BLOCKS = 8
 _FEWEST_BLOCKS = 3
 _FEWEST_POSES = 12  # as for outliers: too few to say what is noise and what is not
 _CLEAR = 2.0
-# What outliers are found with, before anything is chosen: follows most wanders, but no single pose.
+# What outliers are found with, before anything is chosen: follows most drifts, but no single pose.
 _FIRST_GUESS = BiasShape(Shape.WALK, 10.0)
 
 
@@ -71,7 +71,7 @@ class Choice:
 
     @property
     def constant(self) -> bool:
-        """Whether nothing wanders."""
+        """Whether nothing drifts."""
         return all(shape.shape is Shape.CONSTANT for shape in self.shapes)
 
     def __str__(self) -> str:
@@ -80,12 +80,12 @@ class Choice:
 
 
 @dataclass(frozen=True)
-class Wander:
+class BiasDrift:
     """How the bias went over a calibration.
 
     choice: the shapes, and by how much held-out blocks prefer them to a constant bias. bare (m, 6)
     or None, tool (n, 6): the bias at each pose, N and N.m; None where it was found constant.
-    mass_growth: how many times larger the wander makes the mass's standard deviation than a
+    mass_growth: how many times larger the bias drift makes the mass's standard deviation than a
     constant bias with the same noise would.
     """
 
@@ -114,7 +114,7 @@ def time_blocks(time_s: Array, segment: np.ndarray, blocks: int) -> np.ndarray:
 def choose_by_mode(
     sweeps: Sweeps, mode: BiasMode, groups: np.ndarray | None = None
 ) -> Choice | None:
-    """Choose among all candidates (auto), or among those that wander; None for a constant bias."""
+    """Choose among all candidates (auto), or among those that drift; None for a constant bias."""
     if mode is BiasMode.CONSTANT:
         return None
     tried = CANDIDATES if mode is BiasMode.AUTO else CANDIDATES[2:]

@@ -1,4 +1,4 @@
-"""How a sensor's bias may go over a sweep: constant, straight, or wandering; as curves on knots.
+"""How a sensor's bias may go over a sweep: constant, straight, or drifting; as curves on knots.
 
 A curve is b(t) = B(t) beta, linear between knots, with the prior beta ~ N(0, (sigma^2) Q^-1), where
 sigma is one averaged reading's noise and Q is singular where nothing is known beforehand:
@@ -40,7 +40,7 @@ class Shape(StrEnum):
 
 @dataclass(frozen=True)
 class BiasShape:
-    """A kind of curve, and for a wandering one its roughness in sigma (see above)."""
+    """A kind of curve, and for a drifting one its roughness in sigma (see above)."""
 
     shape: Shape = Shape.CONSTANT
     roughness: float = 0.0

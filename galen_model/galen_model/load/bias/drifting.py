@@ -1,4 +1,4 @@
-"""Least squares of a load whose sensor's bias wanders while the poses are visited.
+"""Least squares of a load whose sensor's bias drifts while the poses are visited.
 
     y_ik = X_ik x + b_k(t_i) + e_ik,    e_ik ~ N(0, sigma_k^2),   b_k = B beta_k (`bias_curve`)
 
@@ -10,13 +10,13 @@ covariance V_k = sigma_k^2 (I + B Q^-1 B'), in the form that needs no inverse of
     N_k = X_k'X_k - X_k'B M^-1 B'X_k,   C = (sum N_k / sigma_k^2)^-1,   x = C sum (...) / sigma_k^2
     beta_k = M^-1 B'(y_k - X_k x)
 
-so that C, the covariance of x, holds what the wander costs. sigma_k^2 is the restricted maximum
+so that C, the covariance of x, holds what the bias drift costs. sigma_k^2 is the restricted maximum
 likelihood's (Harville, *J. Am. Stat. Assoc.* 72, 1977): (r'r + beta'Q beta) over the freedom left,
 drawn towards its kind's mean, and the covariance widened for its own error, as `robust_fit` does.
 
 A pose is an outlier by its studentised residuals, r / (sigma sqrt(1 - h)) with h its leverage on
 its own fitted value, because a curve bends towards what it is to be compared with. A hand that
-stays over several poses looks like a wander, and no fit of this kind tells them apart.
+stays over several poses looks like a bias drift, and no fit of this kind tells them apart.
 """
 
 from __future__ import annotations
@@ -69,12 +69,12 @@ class Sweeps:
 
 
 @dataclass(frozen=True)
-class WanderFit:
+class BiasDriftFit:
     """What was found.
 
     fit: values (p + 6 segments,) are x, then each sweep's six biases at its last reading.
     bias (n, 6): the curves at the readings' times, N and N.m. shapes: of force and torque.
-    growth (p,): how many times larger the wander makes the standard deviations of x.
+    growth (p,): how many times larger the bias drift makes the standard deviations of x.
     bases, curves: of force and torque; of the six channels.
     """
 
@@ -186,7 +186,7 @@ def _forms(rows: Array, matrix: Array) -> Array:
     return np.asarray(np.sum((rows @ matrix) * rows, axis=1))
 
 
-def fit_wandering(sweeps: Sweeps, shapes: Shapes) -> WanderFit:
+def fit_drifting(sweeps: Sweeps, shapes: Shapes) -> BiasDriftFit:
     """Fit robustly; raises IdentificationError when the poses leave no freedom."""
     count = len(sweeps)
     used = np.ones(count, dtype=bool)
@@ -195,7 +195,7 @@ def fit_wandering(sweeps: Sweeps, shapes: Shapes) -> WanderFit:
     return finish(sweeps, shapes, used)
 
 
-def finish(sweeps: Sweeps, shapes: Shapes, used: np.ndarray) -> WanderFit:
+def finish(sweeps: Sweeps, shapes: Shapes, used: np.ndarray) -> BiasDriftFit:
     """Weighted least squares of the poses `used` (n,)."""
     problem = Problem(sweeps, shapes, used.astype(float))
     values, covariance, sigma, freedom = settle(problem)
@@ -210,7 +210,7 @@ def finish(sweeps: Sweeps, shapes: Shapes, used: np.ndarray) -> WanderFit:
     constant = Problem(sweeps, (BiasShape(), BiasShape()), problem.weights).solve(sigma)[1]
     growth = np.sqrt(np.diag(covariance) / np.diag(constant))
     curves = problem.curves(values)
-    return WanderFit(fit, bias, shapes, growth, problem.bases, curves)
+    return BiasDriftFit(fit, bias, shapes, growth, problem.bases, curves)
 
 
 def settle(problem: Problem, tolerance: float = 1e-9) -> tuple[Array, Array, Array, Array]:

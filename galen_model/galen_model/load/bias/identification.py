@@ -1,9 +1,9 @@
-"""Tool and adapter as `identification`, with a sensor whose bias wanders over the sweeps.
+"""Tool and adapter as `identification`, with a sensor whose bias drifts over the sweeps.
 
 Each sweep has six curves of its own (the sensor may have been zeroed in between), of a shape that
-held-out blocks choose (`bias_choice`); the fit is `wandering_bias`. What comes out is an
+held-out blocks choose (`bias_choice`); the fit is `drifting_bias`. What comes out is an
 `Identification` whose offsets are the biases at the end of each sweep, because they are what holds
-for the first readings that the calibration is used on, and whose covariances hold the wander.
+for the first readings that the calibration is used on, and whose covariances hold the bias drift.
 Where a constant bias is chosen, it is that of `identification`, to the last digit.
 """
 
@@ -17,8 +17,8 @@ from galen_model.arm.galen import WRENCH_AXES
 from galen_model.arm.kinematics import gravity_in_sensor
 from galen_model.errors import IdentificationError
 from galen_model.files.calibration_file import LoadEstimate
-from galen_model.load.bias.choice import BiasMode, Wander, choose_by_mode
-from galen_model.load.bias.drifting import Sweeps, fit_wandering
+from galen_model.load.bias.choice import BiasDrift, BiasMode, choose_by_mode
+from galen_model.load.bias.drifting import Sweeps, fit_drifting
 from galen_model.load.bias.single_load import check_told
 from galen_model.load.excitation import LOAD_PARAMETERS, check_excitation
 from galen_model.load.identification import (
@@ -39,7 +39,7 @@ from galen_model.load.model import gravity_regressor
 _TELLING_GROWTH = 3.0
 
 
-def identify_two_sweeps_wandering(
+def identify_two_sweeps_drifting(
     bare: StillPoses,
     tool: StillPoses,
     bias_roll_rad: float = 0.0,
@@ -48,7 +48,7 @@ def identify_two_sweeps_wandering(
 ) -> Identification:
     """As `identify_two_sweeps`; the poses need times. Raises as it does.
 
-    NotExcitedError also where the order of the poses makes a wander look like a load.
+    NotExcitedError also where the order of the poses makes a bias drift look like a load.
     """
     named = {"without the tool": bare, "with the tool": tool}
     for name, poses in named.items():
@@ -68,17 +68,19 @@ def identify_two_sweeps_wandering(
     choice = choose_by_mode(sweeps, mode)
     if choice is None or choice.constant:
         found = identify_two_sweeps(bare, tool, bias_roll_rad, bias_tilt_rad)
-        return replace(found, wander=None if choice is None else Wander(choice, None, None, 1.0))
-    fitted = fit_wandering(sweeps, choice.shapes)
+        return replace(
+            found, bias_drift=None if choice is None else BiasDrift(choice, None, None, 1.0)
+        )
+    fitted = fit_drifting(sweeps, choice.shapes)
     check_rejections(fitted.fit)
     result = two_sweeps_result(fitted.fit, bare, tool)
     check_told(result.load, fitted, "the tool")
     check_told(result.bias, fitted, "the adapter")
     curves = fitted.bias[: len(bare)], fitted.bias[len(bare) :]
-    return _with_wander(result, Wander(choice, *curves, float(fitted.growth[0])))
+    return _with_bias_drift(result, BiasDrift(choice, *curves, float(fitted.growth[0])))
 
 
-def identify_one_sweep_wandering(
+def identify_one_sweep_drifting(
     tool: StillPoses,
     bias_roll_rad: float = 0.0,
     bias_tilt_rad: float = 0.0,
@@ -110,33 +112,37 @@ def identify_one_sweep_wandering(
     choice = choose_by_mode(sweeps, mode)
     if choice is None or choice.constant:
         found = identify_one_sweep(tool, bias_roll_rad, bias_tilt_rad, known_bias)
-        return replace(found, wander=None if choice is None else Wander(choice, None, None, 1.0))
-    fitted = fit_wandering(sweeps, choice.shapes)
+        return replace(
+            found, bias_drift=None if choice is None else BiasDrift(choice, None, None, 1.0)
+        )
+    fitted = fit_drifting(sweeps, choice.shapes)
     check_rejections(fitted.fit)
-    wander = Wander(choice, None, fitted.bias, float(fitted.growth[0]))
-    return _with_wander(one_sweep_result(fitted.fit, tool, gravity_zero, known_bias), wander)
+    bias_drift = BiasDrift(choice, None, fitted.bias, float(fitted.growth[0]))
+    return _with_bias_drift(
+        one_sweep_result(fitted.fit, tool, gravity_zero, known_bias), bias_drift
+    )
 
 
 def _times(*sweeps: StillPoses) -> np.ndarray:
     times = [sweep.time_s for sweep in sweeps if sweep.time_s is not None]
     if len(times) != len(sweeps):
-        raise IdentificationError("the still poses have no times, which a wandering bias needs")
+        raise IdentificationError("the still poses have no times, which a drifting bias needs")
     return np.concatenate(times)
 
 
-def _with_wander(found: Identification, wander: Wander) -> Identification:
+def _with_bias_drift(found: Identification, bias_drift: BiasDrift) -> Identification:
     """Add what the bias did, and tell what that costs."""
-    parts = [part for part in (wander.bare, wander.tool) if part is not None]
+    parts = [part for part in (bias_drift.bare, bias_drift.tool) if part is not None]
     span = np.max([np.ptp(part, axis=0) for part in parts], axis=0)
     force, torque = int(np.argmax(span[:3])), 3 + int(np.argmax(span[3:]))
     text = (
-        f"the sensor's bias wandered ({wander.choice}), by up to {span[force]:.3f} N "
+        f"the sensor's bias drifted ({bias_drift.choice}), by up to {span[force]:.3f} N "
         f"({WRENCH_AXES[force]}) and {span[torque] * 1e3:.2f} mN.m ({WRENCH_AXES[torque]}) over a "
         "sweep; the offset written is that at the end"
     )
-    if wander.mass_growth > _TELLING_GROWTH:
+    if bias_drift.mass_growth > _TELLING_GROWTH:
         text += (
             ". In the order of these poses that looks like a load: the mass's standard deviation "
-            f"is {wander.mass_growth:.1f} times what it would be without; visit them in another"
+            f"is {bias_drift.mass_growth:.1f} times what it would be without; visit them in another"
         )
-    return replace(found, wander=wander, warnings=(text, *found.warnings))
+    return replace(found, bias_drift=bias_drift, warnings=(text, *found.warnings))

@@ -1,4 +1,4 @@
-"""One load from orientations and times alone, with a bias that may wander meanwhile."""
+"""One load from orientations and times alone, with a bias that may drift meanwhile."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from galen_model.errors import IdentificationError, NotExcitedError
 from galen_model.files.calibration_file import LoadEstimate
 from galen_model.load.bias.choice import BiasMode, Choice, choose_by_mode
 from galen_model.load.bias.curve import BiasShape
-from galen_model.load.bias.drifting import Sweeps, WanderFit, fit_wandering
+from galen_model.load.bias.drifting import BiasDriftFit, Sweeps, fit_drifting
 from galen_model.load.excitation import LOAD_PARAMETERS, check_excitation
 from galen_model.load.identification import MIN_POSES, load_estimate
 from galen_model.load.model import gravity_regressor
@@ -22,7 +22,7 @@ MOST_COM_STD_M = 0.02
 
 
 @dataclass(frozen=True)
-class WanderingLoad:
+class DriftingLoad:
     """A load, and the six curves of its sensor's bias.
 
     choice: of the shapes (None: constant was asked for); found: fit and curves; bias_end (6,): the
@@ -31,7 +31,7 @@ class WanderingLoad:
 
     load: LoadEstimate
     choice: Choice | None
-    found: WanderFit
+    found: BiasDriftFit
 
     @property
     def bias_end(self) -> Array:
@@ -44,13 +44,13 @@ class WanderingLoad:
         return gravity_regressor(gravity_sensor) @ self.load.load.moments + bias
 
 
-def identify_wandering_load(
+def identify_drifting_load(
     gravity_sensor: ArrayLike,
     wrench: ArrayLike,
     time_s: Array,
     groups: np.ndarray | None = None,
     bias: BiasMode = BiasMode.AUTO,
-) -> WanderingLoad:
+) -> DriftingLoad:
     """Mass, centre and six curves from gravity (n, 3), readings (n, 6) and their times (n,), s.
 
     groups (n,): blocks that the choice holds out, from 0 on; None: runs of neighbours.
@@ -65,18 +65,18 @@ def identify_wandering_load(
     sweeps = Sweeps(rows, reading, np.asarray(time_s, dtype=float), np.zeros(len(rows), dtype=int))
     choice = choose_by_mode(sweeps, bias, groups)
     shapes = (BiasShape(), BiasShape()) if choice is None else choice.shapes
-    found = fit_wandering(sweeps, shapes)
+    found = fit_drifting(sweeps, shapes)
     load = load_estimate(found.fit, slice(0, 4), "the load")
     check_told(load, found, "the load")
-    return WanderingLoad(load, choice, found)
+    return DriftingLoad(load, choice, found)
 
 
-def check_told(load: LoadEstimate, found: WanderFit, name: str) -> None:
-    """Raise NotExcitedError where wander and load look so alike that the centre is not known."""
+def check_told(load: LoadEstimate, found: BiasDriftFit, name: str) -> None:
+    """Raise NotExcitedError where drift and load look so alike that the centre is not known."""
     worst = float(load.com_std_m.max())
     if worst > MOST_COM_STD_M:
         raise NotExcitedError(
-            f"a wandering bias and {name} look alike in the order in which the poses were visited: "
+            f"a drifting bias and {name} look alike in the order in which the poses were visited: "
             f"the standard deviation of its centre would be {worst * 1e3:.0f} mm, and the mass's "
             f"{found.growth[0]:.0f} times that under a constant bias; visit them in another order"
         )

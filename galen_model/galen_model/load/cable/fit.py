@@ -8,7 +8,7 @@ With K the covariance of all readings y of a sweep (6 n), W = K^-1 y y^T K^-1 - 
 lengths, amplitudes and scatter and on the attachment, which keep a number where the sweep doesn't
 tell it.
 The scatter is what poses have beside smoothness and the averages' own noise (a cord that slips, a
-sensor that wanders), in units of the sensor's noise.
+sensor that drifts), in units of the sensor's noise.
 """
 
 from __future__ import annotations

@@ -5,7 +5,7 @@ six offsets) to the poses that `cable_learning` fits a cable to, and scored on t
 out; one that isn't clearly worse there than the cable can't be told from it by this sweep:
 
     a joint's zero, a turned sensor, an inclined base     `mounting_model`, by Gauss-Newton
-    a drift of the sensor                                 `wandering_bias`: straight, or a walk
+    a drift of the sensor                                 `drifting_bias`: straight, or a walk
     a loose tool                                          tau = s (a x u)
 
 with u gravity in ft_sensor, a the x and y parts of u / |u| and s mass times shift: a tool with play

@@ -131,7 +131,7 @@ def identify_inertia(record: MotionRecord, moments: Array, covariance: Array) ->
         if touched > _MOST_TOUCHED * count:
             raise IdentificationError(
                 f"{touched} of {count} blocks of {BLOCK_S:g} s disagree with the rest: was the"
-                " tool touched, is it another one, or are forces of motion not in the wrench?"
+                " tool touched, is it another one, or are inertial forces not in the wrench?"
             )
         fitted = _fit(record, block, prior, known)
     touched = count - len(np.unique(block))
@@ -282,7 +282,7 @@ def _check_there(record: MotionRecord, fitted: _Fitted) -> None:
     weight, *_ = np.linalg.lstsq(scaled, right, rcond=None)
     if np.sum((right - scaled @ weight) ** 2) < np.sum((fitted.residuals / fitted.sigma) ** 2):
         raise IdentificationError(
-            "weight alone explains the readings better than weight and forces of motion: were they"
+            "weight alone explains the readings better than weight and inertial forces: were they"
             " taken off already?"
         )
 

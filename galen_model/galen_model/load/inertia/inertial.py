@@ -33,7 +33,7 @@ def inertial_regressor(
 ) -> Array:
     """Y (..., 6, 10) with the wrench Y (m, h, I), N and N.m in ft_sensor.
 
-    All (..., 3) in ft_sensor: s = g - a, m/s^2 (-a alone for the forces of motion without the
+    All (..., 3) in ft_sensor: s = g - a, m/s^2 (-a alone for the inertial forces without the
     weight), angular velocity, angular acceleration.
     """
     specific, omega, alpha = np.broadcast_arrays(

@@ -81,7 +81,7 @@ class Calibrated:
 class Worth:
     """Held-out residuals of the readings with the tool.
 
-    rmse: (6,) by model, N and N.m, NaN where the model refused some block; gain: by how much the
+    rmse: (6,) by model, N and N.m, NaN where the model rejected some block; gain: by how much the
     mounting lowers the mean squared residual in units of the noise, and its standard deviation
     over the blocks; by_kind: the same (2, 2) of forces and of torques, gain and deviation;
     against: the model compared with.
@@ -146,7 +146,7 @@ def worth(measured: Calibrated, all_poses: MountedIdentification, blocks: int = 
 
 
 def compare(parts: Mapping[str, Sequence[Array]], sigma: Array) -> Worth:
-    """Of held-out residuals (k, 6) by model and block, NaN where one refused; sigma (6,) noise.
+    """Of held-out residuals (k, 6) by model and block, NaN where one rejected; sigma (6,) noise.
 
     The models are `PLAIN`, `GALEN` and `MOUNTED`; two blocks at least, empty ones don't count.
     """

@@ -15,7 +15,7 @@ from galen_panel.page.page import Page
 from galen_panel.state.snapshot import CalibrateGoal, CheckGoal, CollectGoal, Goal, Kind, State
 
 _IN_FORCE = ""
-_IN_FORCE_TEXT = "the one in force"
+_IN_FORCE_TEXT = "the active one"
 
 
 def build(page: Page) -> None:
@@ -191,13 +191,13 @@ def _tool_select(label: str, name: str) -> ui.select:
 
 
 def _set_tools(chosen: ui.select, state: State, none: str | None) -> None:
-    """Offer the tools; at first the one in force. none: the text of an entry for no name."""
+    """Offer the tools; at first the active one. none: the text of an entry for no name."""
     options = {} if none is None else {_IN_FORCE: none}
     options |= {tool.name: tool.name for tool in state.tools or ()}
     value = chosen.value
     if value not in options:
-        in_force = state.in_force.tool if state.in_force else ""
-        value = _IN_FORCE if none is not None else in_force if in_force in options else None
+        active_tool = state.active_tool.tool if state.active_tool else ""
+        value = _IN_FORCE if none is not None else active_tool if active_tool in options else None
     if options != chosen.options:
         chosen.set_options(options, value=value)
     elif value != chosen.value:

@@ -14,7 +14,7 @@ from galen_panel.state.snapshot import Answer, Outcome, State
 
 _FATES = {
     Fate.HERE: "The new file is written. Keep it to compensate with it now, or discard it.",
-    Fate.IN_FORCE: "The new file is in force.",
+    Fate.IN_FORCE: "The new file is active.",
     Fate.REPLACED: "The tool's file is another one by now: this one was discarded or replaced.",
 }
 _GONE = "This calibration's file is no longer the tool's."
@@ -71,7 +71,7 @@ class CalibrationFile:
                 comparison.draw(found, "before", "new")
 
     async def _on_keep(self) -> None:
-        await self._page.ask(self._page.suite.put_in_force(self._outcome.tool), self._keep)
+        await self._page.ask(self._page.suite.activate(self._outcome.tool), self._keep)
 
     async def _on_discard(self) -> None:
         outcome = self._outcome

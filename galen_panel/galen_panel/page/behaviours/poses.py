@@ -22,7 +22,7 @@ class PosesView:
         self._title = ui.label().classes("panel-number").props("data-testid=poses-summary")
         with ui.element("div").classes("panel-scroll"):
             self._table = ui.html("", sanitize=False).props("data-testid=poses")
-        self._refused = ui.label().classes("panel-lines")
+        self._rejected = ui.label().classes("panel-lines")
         # A quick check's few poses are for its own fit; what they leave over says nothing here.
         self._fits = behaviour.kind is Kind.CALIBRATE
 
@@ -39,10 +39,10 @@ class PosesView:
         self._title.set_text(lines[-1] if lines else "")
         left = residuals(newest) if self._fits else {}
         self._table.set_content(pose_table.table(newest, left))
-        refused = pose_table.refusals(behaviour.poses)
-        more = [f"and {len(refused) - _REASONS} before"] if len(refused) > _REASONS else []
-        self._refused.set_text("\n".join(["Not used:", *refused[-_REASONS:], *more]))
-        self._refused.set_visibility(bool(refused))
+        rejected = pose_table.rejections(behaviour.poses)
+        more = [f"and {len(rejected) - _REASONS} before"] if len(rejected) > _REASONS else []
+        self._rejected.set_text("\n".join(["Not used:", *rejected[-_REASONS:], *more]))
+        self._rejected.set_visibility(bool(rejected))
 
 
 def _sentence(name: str, poses: list[Pose], fits: bool) -> str:

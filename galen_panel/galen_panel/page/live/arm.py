@@ -15,7 +15,7 @@ from galen_panel.page.live.arm_object import ArmObject
 from galen_panel.page.page import Page
 from galen_panel.state.arm_view_drawing import Drawing, Placement
 from galen_panel.state.history import NS_PER_S, Series
-from galen_panel.state.snapshot import InForce
+from galen_panel.state.snapshot import Active
 
 FACTOR_MAX = 500
 FACTOR = 100
@@ -52,7 +52,7 @@ class Arm:
 
     async def update(self) -> None:
         """Bring the arm's pose to the browser, and wait until it is there."""
-        self._choose_drawing(self._page.suite.state.in_force)
+        self._choose_drawing(self._page.suite.state.active_tool)
         joints, deflection, wrench = self._newest()
         if time.monotonic() - self._numbers_at_s >= _NUMBERS_PERIOD_S:
             self._numbers_at_s = time.monotonic()
@@ -126,10 +126,12 @@ class Arm:
     def _tell_factor(self) -> None:
         self._told_factor.set_text(f"Bend × {self._factor:.0f}")
 
-    def _choose_drawing(self, in_force: InForce | None) -> None:
+    def _choose_drawing(self, active_tool: Active | None) -> None:
         """Another tool is another drawing."""
-        has_tool = in_force is not None and bool(in_force.tool)
-        tool = (in_force.tip_m, in_force.com_m) if in_force is not None and has_tool else None
+        has_tool = active_tool is not None and bool(active_tool.tool)
+        tool = (
+            (active_tool.tip_m, active_tool.com_m) if active_tool is not None and has_tool else None
+        )
         if self._object is not None and tool == self._tool:
             return
         self._tool = tool

@@ -88,11 +88,11 @@ class Picked:
             await self._page.ask(work, button)
 
     def _favourite(self, recording: Recording, choices: dict[str, str]) -> str | None:
-        """The tool's file beside the recording, else the tool in force, else the first."""
-        in_force = self._page.suite.state.in_force
+        """The tool's file beside the recording, else the active tool, else the first."""
+        active_tool = self._page.suite.state.active_tool
         wanted = ["beside"]
-        if in_force is not None:
-            wanted += [f"tools:{in_force.tool}", f"bags:{in_force.tool}"]
+        if active_tool is not None:
+            wanted += [f"tools:{active_tool.tool}", f"bags:{active_tool.tool}"]
         return next((one for one in (*wanted, *choices) if one in choices), None)
 
     def _look(self) -> None:

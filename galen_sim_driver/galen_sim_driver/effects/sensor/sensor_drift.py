@@ -1,7 +1,7 @@
-"""The reading wanders slowly (contract, section 6).
+"""The reading drifts slowly (contract, section 6).
 
     b(t) = rate t                                     with t the time of the recording, or
-    b(t) = piecewise linear through levels at knots   for a wander of any shape;
+    b(t) = piecewise linear through levels at knots   for a bias drift of any shape;
 
 the rate is then the mean one, (last level - first level) over the time between them.
 """

@@ -1,4 +1,4 @@
-"""A bias that wanders: chosen by held-out blocks, with covariances that hold what it costs."""
+"""A bias that drifts: chosen by held-out blocks, with covariances that hold what it costs."""
 
 import numpy as np
 import pytest
@@ -8,10 +8,10 @@ from galen_model.load.bias.choice import CANDIDATES, BiasMode, choose_shapes
 from galen_model.load.bias.curve import BiasBasis, BiasShape, Shape
 from galen_model.load.bias.drifting import Sweeps, finish
 from galen_model.load.bias.identification import (
-    identify_one_sweep_wandering,
-    identify_two_sweeps_wandering,
+    identify_one_sweep_drifting,
+    identify_two_sweeps_drifting,
 )
-from galen_model.load.bias.single_load import identify_wandering_load
+from galen_model.load.bias.single_load import identify_drifting_load
 from galen_model.load.identification import StillPoses, identify_single_load, identify_two_sweeps
 from galen_model.load.model import Load, gravity_regressor, gravity_wrench, nominal_reading
 from galen_model.load.nominal_tools import ADAPTER, TOOLS
@@ -34,7 +34,7 @@ GRAVITY = gravity_in_sensor(ROLL, TILT)
 TIME_S = PERIOD_S * np.arange(56)
 
 
-def wander(rng, over_sigma):
+def bias_drift(rng, over_sigma):
     """Random walks (56, 6) that get `over_sigma` of the noise far in a sweep."""
     return np.cumsum(rng.standard_normal((56, 6)), axis=0) * SIGMA * over_sigma / np.sqrt(56)
 
@@ -42,7 +42,7 @@ def wander(rng, over_sigma):
 def reading(rng, over_sigma):
     return (
         gravity_wrench(GRAVITY, TOOL)
-        + wander(rng, over_sigma)
+        + bias_drift(rng, over_sigma)
         + SIGMA * rng.standard_normal((56, 6))
     )
 
@@ -91,7 +91,7 @@ def test_penalties_are_the_priors():
 
 
 @pytest.mark.slow
-def test_mass_under_wander_is_better_and_its_interval_true():
+def test_mass_under_bias_drift_is_better_and_its_interval_true():
     """20 sweeps: the four moments scatter as the covariance says, which is the Cramer-Rao bound
     given the shape, and the mass by less than 0.8 of what it does with a constant bias.
     """
@@ -111,7 +111,7 @@ def test_mass_under_wander_is_better_and_its_interval_true():
 
 
 @pytest.mark.slow
-def test_a_wander_is_chosen_where_there_is_one_and_not_where_there_is_none():
+def test_a_bias_drift_is_chosen_where_there_is_one_and_not_where_there_is_none():
     rng = np.random.default_rng(2)
     none = choose_shapes(sweeps(reading(rng, 0.0)))
     assert none.constant
@@ -124,46 +124,46 @@ def test_a_wander_is_chosen_where_there_is_one_and_not_where_there_is_none():
 
 
 @pytest.mark.slow
-def test_two_sweeps_with_a_wander_and_a_touched_pose():
+def test_two_sweeps_with_a_bias_drift_and_a_touched_pose():
     rng = np.random.default_rng(3)
-    bare = nominal_reading(ROLL, TILT, Load(0.0), ADAPTER) + wander(rng, 50.0)
-    with_tool = nominal_reading(ROLL, TILT, TOOL, ADAPTER) + wander(rng, 50.0) + 0.3
+    bare = nominal_reading(ROLL, TILT, Load(0.0), ADAPTER) + bias_drift(rng, 50.0)
+    with_tool = nominal_reading(ROLL, TILT, TOOL, ADAPTER) + bias_drift(rng, 50.0) + 0.3
     noise = SIGMA * rng.standard_normal((2, 56, 6))
     with_tool[20] += [0.5, -0.5, 0.5, 0.0, 0.0, 0.0]
     both = (
         StillPoses(ROLL, TILT, bare + noise[0], None, TIME_S),
         StillPoses(ROLL, TILT, with_tool + noise[1], None, TIME_S + 500.0),
     )
-    found = identify_two_sweeps_wandering(*both)
-    assert found.wander is not None
-    assert found.wander.tool is not None
+    found = identify_two_sweeps_drifting(*both)
+    assert found.bias_drift is not None
+    assert found.bias_drift.tool is not None
     assert [(o.sweep, o.pose) for o in found.outliers] == [("tool", 20)]
     np.testing.assert_array_less(np.abs(found.load.com_m - TOOL.com_m) / found.load.com_std_m, 3.5)
     assert abs(found.load.mass_kg - TOOL.mass_kg) < 3.5 * found.load.mass_std_kg
     # what holds at the end is what is written
     last = with_tool[-1] - nominal_reading(ROLL[-1], TILT[-1], TOOL, ADAPTER)
     np.testing.assert_allclose(found.offset[:3], last[:3], atol=0.01)
-    assert "wandered" in found.warnings[0]
-    steady = identify_two_sweeps_wandering(*both, mode=BiasMode.CONSTANT)
+    assert "drifted" in found.warnings[0]
+    steady = identify_two_sweeps_drifting(*both, mode=BiasMode.CONSTANT)
     assert steady.load.mass_kg == identify_two_sweeps(*both).load.mass_kg
     untimed = StillPoses(ROLL, TILT, both[1].wrench)
     with pytest.raises(IdentificationError, match="no times"):
-        identify_two_sweeps_wandering(both[0], untimed)
+        identify_two_sweeps_drifting(both[0], untimed)
 
 
 def test_one_sweep_with_a_known_adapter():
     rng = np.random.default_rng(4)
-    tool = nominal_reading(ROLL, TILT, TOOL, ADAPTER) + wander(rng, 50.0)
+    tool = nominal_reading(ROLL, TILT, TOOL, ADAPTER) + bias_drift(rng, 50.0)
     tool += SIGMA * rng.standard_normal((56, 6))
     poses = StillPoses(ROLL, TILT, tool, None, TIME_S)
-    found = identify_one_sweep_wandering(poses, mode=BiasMode.WANDERING)
-    assert found.wander is not None
+    found = identify_one_sweep_drifting(poses, mode=BiasMode.BIAS_DRIFTING)
+    assert found.bias_drift is not None
     assert found.unresolved
     total = found.load.mass_kg + found.bias.mass_kg
     assert total == pytest.approx(TOOL.mass_kg + ADAPTER.mass_kg, abs=2e-3)
 
 
-def test_poses_in_an_order_that_goes_with_time_are_told_or_refused():
+def test_poses_in_an_order_that_goes_with_time_are_told_or_rejected():
     """Tilt alone, slowly from one end to the other: a straight drift is a load."""
     tilt = np.linspace(-0.15, 0.15, 40)
     gravity = gravity_in_sensor(np.zeros(40), tilt)
@@ -171,7 +171,7 @@ def test_poses_in_an_order_that_goes_with_time_are_told_or_refused():
     rng = np.random.default_rng(5)
     readings = gravity_wrench(gravity, TOOL) + 0.05 * rng.standard_normal((40, 6))
     with pytest.raises((NotExcitedError, IdentificationError)):
-        identify_wandering_load(gravity, readings, time, bias=BiasMode.WANDERING)
+        identify_drifting_load(gravity, readings, time, bias=BiasMode.BIAS_DRIFTING)
     # a grid's order goes with the tilt; that costs more than any order by chance
     data = sweeps(reading(rng, 0.0))
     order = rng.permutation(56)

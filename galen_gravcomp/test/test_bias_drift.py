@@ -1,10 +1,10 @@
-"""The sensor's slow wander: what is learned of it, and what never may be."""
+"""The sensor's bias drift: what is learned of it, and what never may be."""
 
 import numpy as np
 import pytest
 from galen_gravcomp.compensator import Compensator, CompensatorSettings
-from galen_gravcomp.corrections.bias_drift import Wander, WanderSettings, WanderState
-from galen_gravcomp.corrections.bias_drift_filter import WanderModel
+from galen_gravcomp.corrections.bias_drift import BiasDrift, BiasDriftSettings, BiasDriftState
+from galen_gravcomp.corrections.bias_drift_filter import BiasDriftModel
 from galen_gravcomp.corrections.stages import Stages
 from galen_gravcomp.corrections.tare import TareSettings
 from untouched_arm import UntouchedArm, push, tool_file
@@ -16,16 +16,16 @@ SLOW_RISES = [(0.0, 0.0), (0.0, 0.03), (1.0, 0.0), (60.0, 0.0)]
 
 
 class Watched:
-    """A wander with all that it took off."""
+    """A bias drift with all that it took off."""
 
     def __init__(self, **arm):
-        self.wander = Wander(enabled=True)
+        self.bias_drift = BiasDrift(enabled=True)
         self.taken = [np.zeros(6)]
         self.arm = UntouchedArm(self._take, **arm)
 
     def _take(self, stamp_ns, roll, tilt, wrench):
-        self.wander.push(stamp_ns, roll, tilt, wrench)
-        self.taken.append(self.wander.offset_at(stamp_ns))
+        self.bias_drift.push(stamp_ns, roll, tilt, wrench)
+        self.taken.append(self.bias_drift.offset_at(stamp_ns))
 
     def change(self):
         """The largest change (6,) of what was taken off since the last call."""
@@ -41,9 +41,9 @@ def test_drift_is_followed_without_a_jump():
     arm.drift_per_h = np.array([0.3, -0.2, 0.1, 0.003, -0.002, 0.001])
     arm.hold(400.0)
     truth = arm.drift_per_h * arm.time_s / 3600.0
-    assert watched.wander.state is WanderState.LEARNING
+    assert watched.bias_drift.state is BiasDriftState.LEARNING
     # Best possible: the noise of 30 s of samples; what is left is the lag of half a minute.
-    error = np.abs(watched.wander.settled - truth)
+    error = np.abs(watched.bias_drift.settled - truth)
     assert np.all(error < 0.15 * np.abs(truth) + np.repeat([0.002, 5e-5], 3))
     steps = np.abs(np.diff(watched.taken, axis=0)).max(axis=0)
     assert np.all(steps <= np.repeat([2e-5, 5e-7], 3))
@@ -56,15 +56,15 @@ def test_drift_is_followed_without_a_jump():
 def test_a_steady_push_of_a_minute_is_not_learned(rise_s, tremor):
     watched = Watched()
     watched.arm.hold(12.0)
-    assert watched.wander.state is WanderState.LEARNING
+    assert watched.bias_drift.state is BiasDriftState.LEARNING
     watched.change()
     rise = max(rise_s, 1e-9)
     watched.arm.hold(rise_s + 60.0, lambda t: push(FORCE_5N) * min(t / rise, 1.0), tremor)
-    assert watched.wander.state in (WanderState.TOUCHED, WanderState.HELD)
+    assert watched.bias_drift.state in (BiasDriftState.TOUCHED, BiasDriftState.HELD)
     watched.arm.hold(5.0)
     change = watched.change()
     assert np.all(change < np.repeat([0.004, 1e-4], 3))  # asked for: 0.02 N
-    assert watched.wander.state is WanderState.LEARNING
+    assert watched.bias_drift.state is BiasDriftState.LEARNING
 
 
 @pytest.mark.parametrize(
@@ -81,7 +81,7 @@ def test_a_steady_push_of_a_minute_is_not_learned(rise_s, tremor):
 def test_a_push_is_not_learned_as_a_whole_however_it_begins(force_n, begins):
     watched = Watched()
     extra = push(force_n * FORCE_5N / 5.0)
-    arm, wander = watched.arm, watched.wander
+    arm, bias_drift = watched.arm, watched.bias_drift
     if begins != "at the start":
         arm.hold(8.0)
     if begins == "in motion":
@@ -89,7 +89,7 @@ def test_a_push_is_not_learned_as_a_whole_however_it_begins(force_n, begins):
     watched.change()
     if begins == "in a tare":  # half of it with the hand on, so it holds half the push
         arm.hold(0.5, extra)
-        wander.tared(wander._newest_ns, 0.0, 0.0, extra / 2.0)
+        bias_drift.tared(bias_drift._newest_ns, 0.0, 0.0, extra / 2.0)
     arm.hold(60.0, extra)
     arm.hold(4.0)
     # The rate's limit alone would allow 0.015 N in this minute.
@@ -97,28 +97,28 @@ def test_a_push_is_not_learned_as_a_whole_however_it_begins(force_n, begins):
 
 
 def test_switching_off_ramps_also_after_a_pause_of_what_it_is_fed():
-    """As where a cable's pull is not known: samples go out, the wander sees none."""
-    wander = Wander(enabled=True)
-    wander._newest_ns = 1_000_000_000
-    wander._ramp.start(0, np.full(6, 0.1))
+    """As where a cable's pull is not known: samples go out, the bias drift sees none."""
+    bias_drift = BiasDrift(enabled=True)
+    bias_drift._newest_ns = 1_000_000_000
+    bias_drift._ramp.start(0, np.full(6, 0.1))
     period_ns = 10_000_000
     stamps_ns = range(2_000_000_000, 9_000_000_000, period_ns)
     taken = []
     for stamp_ns in stamps_ns:
         if stamp_ns == 5_000_000_000:
-            wander.set_enabled(False)
-        taken.append(wander.offset_at(stamp_ns))
+            bias_drift.set_enabled(False)
+        taken.append(bias_drift.offset_at(stamp_ns))
     steps = np.abs(np.diff(taken, axis=0))
     assert steps.max() <= 1.01 * 1.5 * 0.1 * period_ns * 1e-9
     assert not taken[-1].any()
 
 
 def test_no_gate_at_all_keeps_the_rate():
-    model_rate = WanderSettings().model.rate_per_s
+    model_rate = BiasDriftSettings().model.rate_per_s
     assert np.all(model_rate[:3] * 60.0 < 0.02)
     watched = Watched(rate_hz=20.0)
     watched.arm.hold(8.0)
-    watched.wander._filter._model = WanderModel(floor=np.full(6, np.inf))
+    watched.bias_drift._filter._model = BiasDriftModel(floor=np.full(6, np.inf))
     watched.change()
     watched.arm.hold(60.0, push(FORCE_5N))
     change = watched.change()[:3]
@@ -127,12 +127,12 @@ def test_no_gate_at_all_keeps_the_rate():
 
 
 @pytest.mark.slow
-def test_an_error_of_the_calibration_is_no_wander_while_the_arm_goes_around():
+def test_an_error_of_the_calibration_is_no_bias_drift_while_the_arm_goes_around():
     watched = Watched()
     watched.arm.on = type(watched.arm.on)(0.205, watched.arm.on.com_m + [0.001, 0.0, -0.001])
     watched.arm.visit(50, hold_s=2.5)
     assert np.all(watched.change() < np.repeat([0.012, 3e-4], 3))
-    assert watched.wander.state in (WanderState.LEARNING, WanderState.HELD)
+    assert watched.bias_drift.state in (BiasDriftState.LEARNING, BiasDriftState.HELD)
 
 
 @pytest.mark.parametrize(
@@ -147,7 +147,7 @@ def test_an_error_of_the_calibration_is_no_wander_while_the_arm_goes_around():
 def test_other_rates_and_noises(rate_hz, noise):
     watched = Watched(rate_hz=rate_hz, noise=noise)
     watched.arm.hold(40.0)
-    assert watched.wander.state is WanderState.LEARNING
+    assert watched.bias_drift.state is BiasDriftState.LEARNING
     watched.change()
     watched.arm.hold(60.0, push(FORCE_5N))
     assert np.all(watched.change() < np.repeat([0.004, 1e-4], 3))
@@ -155,44 +155,44 @@ def test_other_rates_and_noises(rate_hz, noise):
 
 def test_limit_freezes_warns_and_a_tare_begins_anew():
     watched = Watched(rate_hz=20.0)
-    watched.wander = wander = Wander(WanderSettings(max_force_n=0.01), enabled=True)
+    watched.bias_drift = bias_drift = BiasDrift(BiasDriftSettings(max_force_n=0.01), enabled=True)
     watched.arm.drift_per_h = np.array([0.6, 0.0, 0.0, 0.0, 0.0, 0.0])
     watched.arm.hold(150.0)
-    assert wander.state is WanderState.LIMIT
-    assert "fx" in wander.trouble and "tare" in wander.trouble
-    assert 0.009 < wander.settled[0] <= 0.01
-    assert wander.values()["wander"] == "limit"
+    assert bias_drift.state is BiasDriftState.LIMIT
+    assert "fx" in bias_drift.trouble and "tare" in bias_drift.trouble
+    assert 0.009 < bias_drift.settled[0] <= 0.01
+    assert bias_drift.values()["bias_drift"] == "limit"
     watched.change()
     watched.arm.hold(20.0)
     assert not watched.change().any()
-    stamp_ns = wander._newest_ns
-    wander.tared(stamp_ns, 0.0, 0.0, watched.arm.left(watched.arm.pose))
-    assert wander.trouble == ""
-    assert np.allclose(wander.offset_at(stamp_ns + 2_000_000_000), 0.0)
+    stamp_ns = bias_drift._newest_ns
+    bias_drift.tared(stamp_ns, 0.0, 0.0, watched.arm.left(watched.arm.pose))
+    assert bias_drift.trouble == ""
+    assert np.allclose(bias_drift.offset_at(stamp_ns + 2_000_000_000), 0.0)
     watched.arm.hold(10.0)
-    assert wander.state is WanderState.LEARNING
+    assert bias_drift.state is BiasDriftState.LEARNING
 
 
 def test_switching_off_ramps_and_clearing_forgets():
     watched = Watched()
     watched.arm.drift_per_h = np.array([0.6, 0.0, 0.0, 0.0, 0.0, 0.0])
     watched.arm.hold(100.0)
-    taken = watched.wander.settled.copy()
+    taken = watched.bias_drift.settled.copy()
     assert taken[0] > 0.01
-    watched.wander.set_enabled(False)
+    watched.bias_drift.set_enabled(False)
     watched.change()
     watched.arm.hold(2.0)
     steps = np.abs(np.diff(watched.taken, axis=0))[:, 0]
     assert steps.max() <= 1.01 * 1.5 * taken[0] * watched.arm.period_s
     assert not watched.taken[-1].any()
-    assert not watched.wander.active
-    assert watched.wander.state is WanderState.OFF
+    assert not watched.bias_drift.active
+    assert watched.bias_drift.state is BiasDriftState.OFF
 
 
 @pytest.mark.slow
 def test_a_tare_does_not_count_twice_and_nothing_jumps():
     settings = CompensatorSettings(tare=TareSettings(window_s=0.5, ramp_s=1.0))
-    compensator = Compensator(settings, stages=Stages(wander=Wander(enabled=True)))
+    compensator = Compensator(settings, stages=Stages(bias_drift=BiasDrift(enabled=True)))
     tool = tool_file()
     compensator.set_tool(tool)
     out, outcomes = [], []
@@ -205,8 +205,8 @@ def test_a_tare_does_not_count_twice_and_nothing_jumps():
     arm = UntouchedArm(take, tool, noise=0.0)
     arm.drift_per_h = np.array([0.5, -0.5, 0.3, 0.004, 0.0, 0.0])
     arm.hold(90.0)
-    wander = compensator.wander.settled.copy()
-    assert np.abs(wander[:3]).min() > 0.003
+    bias_drift = compensator.bias_drift.settled.copy()
+    assert np.abs(bias_drift[:3]).min() > 0.003
     arm.offset = np.array([0.0, 0.0, 0.2, 0.0, 0.0, 0.0])  # zeroed elsewhere: what a tare is for
     compensator.start_tare(outcomes.append)
     out.clear()
@@ -217,7 +217,7 @@ def test_a_tare_does_not_count_twice_and_nothing_jumps():
     truth = arm.left(arm.pose) + arm.drift_per_h * arm.time_s / 3600.0
     assert np.allclose(compensator.tare_offset, truth, atol=4e-3)
     assert np.all(np.abs(out[-1]) < np.repeat([0.006, 2e-4], 3))
-    assert not compensator.wander.settled.any()
+    assert not compensator.bias_drift.settled.any()
     # A smoothstep's steepest, and the quantum.
     steps = np.abs(np.diff(out, axis=0))[:, 2]
     assert steps.max() <= 1.5 * before_n * arm.period_s + 0.0051

@@ -23,9 +23,9 @@ _HOUR_S = 3600.0
 
 @dataclass(frozen=True)
 class SensorDrift(Cause):
-    """size times noise times way_k w_k(t), after warming up, wandering, or both.
+    """size times noise times way_k w_k(t), after warming up, drifting, or both.
 
-    Warming up: 1 - exp(-t / tau). Wandering: an Ornstein-Uhlenbeck process of time constant tau
+    Warming up: 1 - exp(-t / tau). Drifting: an Ornstein-Uhlenbeck process of time constant tau
     (a random walk for a long one), drawn every 4 s, smooth between.
     """
 
@@ -36,8 +36,8 @@ class SensorDrift(Cause):
 
     way: tuple[float, ...] = (1.0,) * 6
     warmup_s: float = 300.0
-    wander_s: float = 300.0
-    wandering: float = 0.0
+    bias_drift_s: float = 300.0
+    drifting: float = 0.0
     seed: int = 0
     duration_s: float = 300.0
     cosine: int = 0
@@ -46,10 +46,10 @@ class SensorDrift(Cause):
     def draw(cls, rng: np.random.Generator, session: Session) -> Self:
         """One of three kinds, on a few axes more than on others."""
         way = any_direction(rng, 6)
-        wandering = float(rng.choice([0.0, 0.5, 1.0]))
+        drifting = float(rng.choice([0.0, 0.5, 1.0]))
         return cls(
             cls.typical, tuple(size_of(way)), rng.uniform(60.0, 900.0), rng.uniform(60.0, 2000.0),
-            wandering, int(rng.integers(2**31)), session.duration_s,
+            drifting, int(rng.integers(2**31)), session.duration_s,
         )  # fmt: skip
 
     @classmethod
@@ -68,14 +68,12 @@ class SensorDrift(Cause):
             return PchipInterpolator(at_s, np.tile(wave[:, None], (1, 6)))
         warm = 1.0 - np.exp(-at_s / self.warmup_s)
         warm = warm / np.max(warm)
-        keep = np.exp(-_KNOT_S / self.wander_s)
+        keep = np.exp(-_KNOT_S / self.bias_drift_s)
         walk = np.zeros((len(at_s), 6))
         for k in range(1, len(at_s)):
             walk[k] = keep * walk[k - 1] + np.sqrt(1.0 - keep**2) * rng.standard_normal(6)
         walk = walk / max(float(np.std(walk)), 1e-12)
-        return PchipInterpolator(
-            at_s, (1.0 - self.wandering) * warm[:, None] + self.wandering * walk
-        )
+        return PchipInterpolator(at_s, (1.0 - self.drifting) * warm[:, None] + self.drifting * walk)
 
     def show(self, at: Moment, reading: Array) -> Array:
         """What has come by then."""
