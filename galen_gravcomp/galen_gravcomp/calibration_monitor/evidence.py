@@ -16,9 +16,9 @@ fits, d is as uncertain as the calibration's covariance, and b within an allowan
 with another load d is wide, and so on. `UNKNOWN` allows an error at each stop of its own. The
 likelihood of an explanation is then the density of all r_k with the parameters integrated out
 (Kass and Raftery, *J. Am. Stat. Assoc.* 90, 1995), so that a wide prior costs what it should, also
-for one stop. Any stop may have been touched: its r_k is then a force of newtons in any direction; it is
-counted so where that is likelier than what the other stops under that explanation foretell, so a
-hand on most stops proves nothing, and a load that turns with gravity from stop to stop does.
+for one stop. Any stop may have been touched: its r_k is then a force of newtons in any direction,
+counted so where that is likelier than what the other stops under that explanation foretell, so
+a hand on most stops proves nothing, and a load that turns with gravity from stop to stop does.
 
 `galen_gravcomp.evaluate.residual_decomposition` takes hours apart by least squares, with the noise
 from the scatter of many phases. Live, two or three stops must do, and their noise is known: by the
