@@ -23,7 +23,6 @@ setup(
             "diagnose_table = galen_ros.executable:galen_diagnosis.tables.diagnose_table.main",
             "diagnose_joints = galen_ros.executable:galen_diagnosis.tables.diagnose_joints.main",
             "blind_check = galen_ros.executable:galen_diagnosis.blind_check.main",
-            "gap_monitor = galen_ros.executable:galen_diagnosis.monitor.node.main",
         ]
     },
 )

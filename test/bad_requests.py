@@ -17,7 +17,6 @@ from galen_calibration_behavior.node import CalibrationNode
 from galen_calibration_behavior.quick_check.node import CheckNode
 from galen_deflection.collection.node import CollectionNode
 from galen_deflection.node import DeflectionNode
-from galen_diagnosis.monitor.node import GapMonitorNode
 from galen_gravcomp.node import GravcompNode
 from galen_model.arm.galen import HOME
 from galen_model.files.calibration_file import tool_path, write_tool
@@ -180,7 +179,6 @@ class World:
             self.add(CheckNode, **tools),
             self.add(CollectionNode, recordings_dir=str(self.recordings), **tools),
             self.add(DeflectionNode),
-            self.add(GapMonitorNode, tool="pointer", **tools),
         ]
         self.person = harness.add(lambda context: Node("person", context=context))
         self.wrenches: list[np.ndarray] = []

@@ -47,7 +47,6 @@ ROS_MODULES = {
     "galen_deflection.collection.command",
     "galen_deflection.collection.node",
     "galen_deflection.collection.recorder",
-    "galen_diagnosis.monitor.node",
     "benchmarks.gravcomp",
     "galen_gravcomp.tools.client",
     "galen_gravcomp.node",

@@ -14,7 +14,6 @@ from galen_calibration_behavior.node import CalibrationNode
 from galen_calibration_behavior.quick_check.node import CheckNode
 from galen_deflection.collection.node import CollectionNode
 from galen_deflection.node import DeflectionNode
-from galen_diagnosis.monitor.node import GapMonitorNode
 from galen_gravcomp.node import GravcompNode
 from galen_panel.ros.suite import RosSuite
 from galen_ros.cdr.layout import WrenchBytes
@@ -29,7 +28,6 @@ MARKED = re.compile(r"<!-- parameters: ([\w.]+) -->\n(.*?)\n<!-- end -->", re.DO
 NODES = {
     "galen_calibration_behavior": (CalibrationNode, CheckNode),
     "galen_deflection": (CollectionNode, DeflectionNode),
-    "galen_diagnosis": (GapMonitorNode,),
     "galen_gravcomp": (GravcompNode,),
     "galen_sim_driver": (SimDriverNode,),
 }

@@ -20,7 +20,6 @@ from galen_deflection.collection.command import CollectClient
 from galen_deflection.collection.node import CollectionNode
 from galen_deflection.collection.procedure import CollectionProcedure
 from galen_deflection.node import DeflectionNode
-from galen_diagnosis.monitor.node import GapMonitorNode
 from galen_gravcomp.node import GravcompNode
 from galen_panel.ros.suite import RosSuite
 from galen_ros.goal.pose_procedure import PoseProcedure
@@ -44,7 +43,6 @@ NODES = {
     CalibrationNode: {},
     CheckNode: {},
     CollectionNode: {},
-    GapMonitorNode: {},
 }
 PROCEDURES = {
     CalibrationNode: PoseProcedure,

@@ -10,8 +10,6 @@ from galen_calibration_behavior.quick_check.commands import State as CheckState
 from galen_deflection.collection.commands import State as CollectionState
 from galen_deflection.live.deflector import ModelRejection
 from galen_deflection.live.monitor import DeflectorMonitor
-from galen_diagnosis.monitor.gap_stream import GapMonitor
-from galen_diagnosis.monitor.gap_watch import GapNotice
 from galen_gravcomp.monitor import Monitor
 from galen_panel.messages.advice import ADVICE, LIFECYCLE, REJECTED
 from galen_panel.messages.states import (
@@ -32,14 +30,12 @@ STREAM = ("galen_ros/galen_ros/stream/monitor.py",)
 SOURCES = {
     "gravcomp": (*STREAM, "galen_gravcomp/galen_gravcomp/monitor.py"),
     "deflection": (*STREAM, "galen_deflection/galen_deflection/live/monitor.py"),
-    "gap_monitor": (*STREAM, "galen_diagnosis/galen_diagnosis/monitor/gap_stream.py"),
 }
-MONITORS = {"gravcomp": Monitor, "deflection": DeflectorMonitor, "gap_monitor": GapMonitor}
+MONITORS = {"gravcomp": Monitor, "deflection": DeflectorMonitor}
 ENUMERATED = {
     "calibration": [state.name for state in CalibrationState],
     "check": [state.name for state in CheckState],
     "collection": [state.name for state in CollectionState],
-    "gap_monitor": [notice.value for notice in GapNotice],
     "deflection": [],
     "gravcomp": [],
     "sim_driver": [],
@@ -71,8 +67,7 @@ def states_of_streams(role):
             if isinstance(call.args[0], ast.Constant):
                 found.add((Level.WARN, call.args[0].value))
     monitor = MONITORS[role]
-    if role != "gap_monitor":  # it says by its notices what goes on
-        found.add((Level.OK, monitor.working))
+    found.add((Level.OK, monitor.working))
     found.add((Level.WARN, monitor.working))
     for reason in monitor.reasons:
         if reason not in monitor.said_better:
@@ -110,9 +105,6 @@ def all_states():
     for role in SOURCES:
         for level, name in states_of_streams(role):
             yield role, level, name
-    for notice in GapNotice:
-        level = Level.WARN if notice is GapNotice.GAP else Level.OK
-        yield "gap_monitor", level, notice.value
     for role in ("calibration", "check", "collection"):
         for level, name in states_of_goals(role):
             yield role, level, name
@@ -143,7 +135,7 @@ def test_the_list_of_states_is_that_of_the_code():
     names = {(role, name) for role, _, name in ALL}
     assert {("gravcomp", "frozen_wrench"), ("gravcomp", "file_changed"), ("gravcomp", "late"),
             ("deflection", "out_of_reach"), ("deflection", "predicting"),
-            ("gap_monitor", "gap"), ("sim_driver", "slow"), ("sim_driver", "running"),
+            ("sim_driver", "slow"), ("sim_driver", "running"),
             ("calibration", "ATTACH_TOOL"), ("collection", "HOLD"), ("check", "failed"),
             ("gravcomp", "incompatible_qos"), ("gravcomp", "cable_outside")} <= names  # fmt: skip
     assert len(ALL) > 90
@@ -307,12 +299,10 @@ def calibrating(**changes):
 
 def test_a_calibration_that_takes_the_tool_off_is_no_warning():
     fits = report("gravcomp", Level.WARN, "does_not_fit", tool="pointer")
-    gap = report("gap_monitor", Level.WARN, "gap")
-    state = state_of(GOOD[0], fits, gap, active_tool=IN_FORCE, behaviours=calibrating())
+    state = state_of(GOOD[0], fits, active_tool=IN_FORCE, behaviours=calibrating())
     level, text = overall(state, NOW_S)
     assert level is Level.OK
     assert text.startswith("Compensates 'pointer'") and "calibration" in text
-    assert words_of(state, role("gap_monitor"), NOW_S).level is Level.OK
     assert not words_of(state, role("gravcomp"), NOW_S).todo
     # When it has ended, a tool that is still off is a warning again.
     ended = replace(state, behaviours=calibrating(outcome=Outcome("CANCELED", "canceled")))

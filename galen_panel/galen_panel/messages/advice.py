@@ -28,7 +28,6 @@ class Output(NamedTuple):
 OUTPUT = {
     "gravcomp": Output("It compensates", "No compensation"),
     "deflection": Output("It predicts", "No prediction"),
-    "gap_monitor": Output("It watches", "It can't watch"),
 }
 
 NO_CLOCK = Advice(
@@ -173,7 +172,6 @@ WHILE_CALIBRATING = {
     "gravcomp": {
         "does_not_fit": Advice("Compensates '{tool}'; its fit is not judged during a calibration.")
     },
-    "gap_monitor": {"gap": Advice("Watches; the gap is not judged during a calibration.")},
 }
 """Warnings that are expected while a calibration runs, and what is said in their place."""
 
@@ -255,26 +253,6 @@ ADVICE: dict[str, dict[str, Advice]] = {
         "start_unknown": Advice(
             "Predicts, but does not know the loads before its start.",
             "Push the arm once to both sides: then it does.",
-        ),
-    },
-    "gap_monitor": _STREAM
-    | {
-        "no_tool": Advice(
-            "It can't watch: it knows no tool.", "Choose the tool in the compensation.", True
-        ),
-        "watching warn": Advice("Watches, but noticed something.", _NOTICED),
-        "learning": Advice(
-            "Learns the sensor's noise.", "Let the arm rest for some seconds, with nobody at it."
-        ),
-        "waiting stale": _WAITING,
-        "waiting": Advice(
-            "Too few stops to say anything.",
-            "Move the arm to some poses and let it rest there, with nobody at it.",
-        ),
-        "no_gap": Advice("No gap: the arm reads as the model does."),
-        "gap": Advice(
-            "Gap: the arm does not read as the model does.",
-            "Record a diagnosis recording and diagnose it, see Recordings.",
         ),
     },
     "sim_driver": {

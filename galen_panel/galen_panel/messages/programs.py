@@ -30,7 +30,6 @@ CALIBRATION = Program("calibration", "galen_calibration_behavior", "calibration_
 CHECK = Program("check", "galen_calibration_behavior", "check_node")
 COLLECTION = Program("collection", "galen_deflection", "collection_node")
 DEFLECTION = Program("deflection", "galen_deflection", "deflection_node")
-GAP_MONITOR = Program("gap_monitor", "galen_diagnosis", "gap_monitor")
 
 OFFERED_BY = {
     "gravcomp/set_tool": GRAVCOMP,

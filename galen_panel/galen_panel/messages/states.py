@@ -24,7 +24,6 @@ from galen_panel.messages.programs import (
     COLLECTION,
     DEFLECTION,
     DRIVER,
-    GAP_MONITOR,
     GRAVCOMP,
     Program,
 )
@@ -82,11 +81,6 @@ ROLES = (
         "Collection of pushes",
         "Records pushes, to learn the deflection from.",
         "collect_pushes",
-    ),
-    Role(
-        GAP_MONITOR,
-        "Gap monitor",
-        "Watches whether the arm at rest reads as the model does.",
     ),
 )
 

@@ -1,1 +1,0 @@
-"""The gap monitor of a running arm."""
