@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -13,37 +12,39 @@ import numpy as np
 from galen_model.arm.galen import SENSOR_FRAME
 from galen_model.errors import GalenError
 from galen_ros.cdr.layout import NS_PER_S
+from galen_ros.command import (
+    EXIT_OK,
+    add_json,
+    check_parent,
+    make_parser,
+    positive,
+    print_json,
+    run_command,
+)
 
 from galen_bags.arrays.measured import UNITS_NS, Measured, Written, stamps_ns, write_measured
 from galen_bags.arrays.orientation_table import read_orientations, read_table, read_wrenches
 from galen_bags.arrays.text_table import TableError
-from galen_bags.command_line import EXIT_FAILED, EXIT_OK, EXIT_USAGE, check_parent, positive
 
-_EPILOG = f"""columns, named in a file's first line or by --columns:
+_NOTES = """columns, named in a file's first line or by --columns:
   fx fy fz tx ty tz                 wrench, N and N.m; a push reads positive in its direction
   gx gy gz | r11 ... r33 | qx qy qz qw | roll tilt
                                     gravity in the sensor's frame (m/s^2 or g); R_base_sensor;
                                     the sensor in the base; the Galen's joints (rad)
   t                                 time, in --time-unit
-Others are skipped.
-
-exit codes:
-  {EXIT_OK}    the bag is written
-  {EXIT_FAILED}    a file can't be read, or the bag not written; one line says why, no bag is left
-  {EXIT_USAGE}    wrong arguments
-  130  interrupted
-"""
+Others are skipped."""
 
 
 def build_parser() -> argparse.ArgumentParser:
     """The command's options."""
-    parser = argparse.ArgumentParser(
-        prog="convert",
-        description="Make a bag with wrench_raw and joint_states of measured wrenches and "
+    parser = make_parser(
+        "convert",
+        "Make a bag with wrench_raw and joint_states of measured wrenches and "
         "orientations in text files. Roll and tilt in it are those that turn gravity as the "
         "orientations do; the other joints stand at home.",
-        epilog=_EPILOG,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
+        notes=_NOTES,
+        ok="the bag is written",
+        failed="a file can't be read, or the bag not written; no bag is left",
     )
     parser.add_argument("table", nargs="?", help="text table of wrenches with orientations")
     parser.add_argument("--wrench", metavar="FILE", help="instead: a table of wrenches with t, and")
@@ -89,7 +90,7 @@ def build_parser() -> argparse.ArgumentParser:
         metavar="NAME",
         help="frame_id of the wrenches (default: %(default)s)",
     )
-    parser.add_argument("--json", action="store_true", help="print one JSON object (SI units)")
+    add_json(parser)
     return parser
 
 
@@ -186,19 +187,13 @@ def main(args: Sequence[str] | None = None) -> int:
         parser.error("give a table, or --wrench and --orientations")
     if any(two) and (arguments.wrench_frame != "sensor" or arguments.rate_hz is not None):
         parser.error("--wrench-frame base and --rate-hz are for a table that has both")
-    try:
+
+    def work() -> int:
         summary = convert(arguments)
-    except GalenError as error:
-        print(f"convert: {error}", file=sys.stderr)
-        return EXIT_FAILED
-    except KeyboardInterrupt:
-        print("convert: interrupted; no bag is written", file=sys.stderr)
-        return 130
-    if arguments.json:
-        print(json.dumps(summary, indent=2))
-    else:
-        _print(summary)
-    return EXIT_OK
+        print_json(summary) if arguments.json else _print(summary)
+        return EXIT_OK
+
+    return run_command("convert", work, "; no bag is written")
 
 
 if __name__ == "__main__":

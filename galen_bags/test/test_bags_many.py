@@ -16,7 +16,8 @@ from pathlib import Path
 import psutil
 import pytest
 from galen_bags.errors import BagError, ClusterError
-from galen_bags.many.run import add_many_options, run_many
+from galen_bags.many.run import run_many
+from galen_ros.command import add_workers
 
 WAIT_S = 30.0
 NOTHING_SAID = 0.3  # s without an answer are enough to see that there is none
@@ -248,7 +249,7 @@ def test_one_bag_is_worked_on_here_without_dask(tmp_path):
 
 def test_options_of_commands(capsys):
     parser = argparse.ArgumentParser()
-    add_many_options(parser.add_argument_group("bags"))
+    add_workers(parser.add_argument_group("bags"))
     assert vars(parser.parse_args([])) == {"scheduler": None, "workers": None}
     assert parser.parse_args(["--workers", "3"]).workers == 3
     assert parser.parse_args(["--scheduler", "tcp://a:1"]).scheduler == "tcp://a:1"
@@ -336,6 +337,7 @@ SCRIPT = """
 import sys, time
 from pathlib import Path
 from galen_bags.many.run import run_many
+from galen_ros.command import add_workers
 
 def work(bag):
     bag.touch()

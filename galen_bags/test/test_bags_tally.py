@@ -3,10 +3,10 @@
 from pathlib import Path
 
 import pytest
-from galen_bags.command_line import split_ros_arguments
 from galen_bags.errors import BagError
 from galen_bags.formats.definitions import find_definition
 from galen_bags.record.topic_counts import LossCounter, TopicTopicCounts
+from galen_ros.command import split_ros_arguments
 from rosbags.typesys import get_types_from_msg
 
 

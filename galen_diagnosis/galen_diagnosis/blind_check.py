@@ -16,18 +16,18 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from galen_bags.command_line import (
+from galen_model.errors import GalenError
+from galen_model.files.atomic_file import write_whole
+from galen_ros.command import (
     EXIT_FAILED,
     EXIT_INTERRUPTED,
     EXIT_OK,
     EXIT_USAGE,
+    add_workers,
     check_folder,
     not_negative,
     run_command,
 )
-from galen_bags.many.run import add_many_options
-from galen_model.errors import GalenError
-from galen_model.files.atomic_file import write_whole
 from galen_sim_driver.effects.registry import CONTRACT_ORDER
 from rich.console import Console
 
@@ -114,7 +114,7 @@ def build_parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--readme", action="store_true", help="print the tables as Markdown, for a README"
     )
-    add_many_options(parser)
+    add_workers(parser)
     return parser
 
 

@@ -12,15 +12,16 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from galen_bags.command_line import (
+from galen_bags.many.run import run_many
+from galen_ros.command import (
     EXIT_FAILED,
     EXIT_INTERRUPTED,
     EXIT_OK,
     EXIT_USAGE,
+    add_workers,
     check_file,
     run_command,
 )
-from galen_bags.many.run import add_many_options, run_many
 from rich.console import Console
 from tqdm import tqdm
 
@@ -125,7 +126,7 @@ def build_parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--fail-on-gap", action="store_true", help=f"exit with {EXIT_GAP} where there is a gap"
     )
-    add_many_options(parser)
+    add_workers(parser)
     return parser
 
 

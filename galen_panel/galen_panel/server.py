@@ -9,8 +9,8 @@ import ssl
 from collections.abc import Callable
 from contextlib import closing
 
-from galen_bags.command_line import check_folder
 from galen_model.errors import GalenError
+from galen_ros.command import check_folder
 
 from galen_panel.access import Access
 from galen_panel.ending import end_by_signals, end_server, ignore_signals

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import contextlib
 import socket
 import time
@@ -86,30 +85,6 @@ def run_many(
                 bar.set_postfix(failed=failed, refresh=False)
             bar.update()
     return [outcomes[number] for number in range(len(bags))]
-
-
-def add_many_options(parser: argparse.ArgumentParser | argparse._ArgumentGroup) -> None:
-    """Give a command the options `--scheduler ADDRESS` and `--workers N` (None: not given)."""
-    group = parser.add_mutually_exclusive_group()
-    group.add_argument(
-        "--workers", type=_count, metavar="N", help="local processes (default: one a processor)"
-    )
-    group.add_argument(
-        "--scheduler",
-        metavar="ADDRESS",
-        help="address (tcp://host:port) or file of a Dask scheduler whose workers see the same"
-        " paths; only one that you trust",
-    )
-
-
-def _count(text: str) -> int:
-    try:
-        value = int(text)
-    except ValueError:
-        raise argparse.ArgumentTypeError(f"{text!r} is no whole number") from None
-    if value < 1:
-        raise argparse.ArgumentTypeError(f"{text} is below 1")
-    return value
 
 
 def _outcomes(

@@ -10,31 +10,25 @@ from pathlib import Path
 from typing import Any
 
 from galen_model.errors import GalenError
-from galen_ros.node.spin import run_until
-
-from galen_bags.command_line import (
+from galen_ros.command import (
     EXIT_FAILED,
     EXIT_OK,
     EXIT_SIGNAL,
-    EXIT_USAGE,
-    LiveLine,
+    ProgressLine,
+    add_json,
+    make_parser,
     not_negative,
     positive,
     split_ros_arguments,
 )
+from galen_ros.node.spin import run_until
+
 from galen_bags.errors import BagError
 from galen_bags.formats.bag import Bag, open_bag
 from galen_bags.play.player import PlayerNode, PlayOptions
 from galen_bags.topic_names import check_topic_name
 
-_EPILOG = f"""exit codes:
-  {EXIT_OK}    played to the end, and all who listen have got it
-  {EXIT_FAILED}    the bag can't be read, or has no such topic
-  {EXIT_USAGE}    wrong arguments
-  {EXIT_SIGNAL + 2}  Ctrl-C ({EXIT_SIGNAL + 15}: SIGTERM)
-
-Pause: ros2 service call /player/pause std_srvs/srv/SetBool "{{data: true}}"
-"""
+_NOTES = 'Pause: ros2 service call /player/pause std_srvs/srv/SetBool "{data: true}"'
 
 
 class Replay:
@@ -44,7 +38,7 @@ class Replay:
         self._options = options
         self._ros_arguments = list(ros)
         self._bag = bag
-        self._line: LiveLine | None = None
+        self._line = ProgressLine()
         self.node: PlayerNode | None = None
 
     def run(self) -> int | None:
@@ -54,8 +48,7 @@ class Replay:
         try:
             return run_until(self._make_node, self._done, arguments)
         finally:
-            if self._line is not None:
-                self._line.close()
+            self._line.close()
 
     def result(self, signal_number: int | None) -> dict[str, Any]:
         """What was played, for --json."""
@@ -109,10 +102,8 @@ class Replay:
         return self.node
 
     def _done(self, node: PlayerNode) -> bool:
-        if self._line is None and node.state != "waiting":
-            self._line = LiveLine(node.length_s)
-        if self._line is not None:
-            self._line.show(lambda: self._progress(node), node.position_s)
+        if node.state != "waiting":
+            self._line.show(lambda: self._progress(node), node.position_s, node.length_s)
         return node.done
 
     def _progress(self, node: PlayerNode) -> str:
@@ -123,11 +114,13 @@ class Replay:
 
 def parse(arguments: Sequence[str]) -> argparse.Namespace:
     """Read the command line; exits with code 2 and a message where it is wrong."""
-    parser = argparse.ArgumentParser(
-        prog="play",
-        description="Publish a bag's messages with its own timing, and its time on /clock.",
-        epilog=_EPILOG,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
+    parser = make_parser(
+        "play",
+        "Publish a bag's messages with its own timing, and its time on /clock.",
+        notes=_NOTES,
+        ok="played to the end, and all subscribers have acknowledged it",
+        failed="the bag can't be read, or has no such topic",
+        codes={EXIT_SIGNAL + 15: "ended by SIGTERM"},
     )
     parser.add_argument("bag", type=Path, help="rosbag2 directory, .mcap, .db3 or ROS 1 .bag")
     parser.add_argument("-r", "--rate", type=positive, default=1.0, help="times as fast")
@@ -170,7 +163,7 @@ def parse(arguments: Sequence[str]) -> argparse.Namespace:
         default="bag",
         help="stamps in headers: as they are (default), or each message's log time",
     )
-    parser.add_argument("--json", action="store_true", help="print the result as one JSON object")
+    add_json(parser)
     options = parser.parse_args(arguments)
     for rule in options.remap or []:
         old, separator, new = rule.partition(":=")

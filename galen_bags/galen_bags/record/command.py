@@ -12,11 +12,18 @@ from pathlib import Path
 from typing import Any
 
 from galen_model.errors import GalenError
+from galen_ros.command import (
+    EXIT_FAILED,
+    EXIT_OK,
+    ProgressLine,
+    add_json,
+    make_parser,
+    positive,
+)
 from galen_ros.node.spin import own_arguments, run_until
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.parameter import Parameter
 
-from galen_bags.command_line import EXIT_FAILED, EXIT_OK, EXIT_USAGE, LiveLine, positive
 from galen_bags.errors import BagError
 from galen_bags.formats.growing_bag import GrowingBagWriter
 from galen_bags.record.recorder import DEFAULT_TOPICS, RecorderNode
@@ -24,13 +31,9 @@ from galen_bags.record.topic_counts import topic_table
 from galen_bags.topic_names import check_topic_name
 
 _MB = 1_000_000
-_EPILOG = f"""exit codes:
-  {EXIT_OK}    recorded, until a limit or a signal (Ctrl-C, SIGTERM); the bag is whole
-  {EXIT_FAILED}    can't write; what is in the bag until then can be read
-  {EXIT_USAGE}    wrong arguments
-
-Names of topics are relative to the namespace and can be remapped: --ros-args -r __ns:=/left
-"""
+_NOTES = (
+    "Names of topics are relative to the namespace and can be remapped: --ros-args -r __ns:=/left"
+)
 
 
 class Recording:
@@ -39,7 +42,7 @@ class Recording:
     def __init__(self, options: argparse.Namespace) -> None:
         self._options = options
         self.node: RecorderNode | None = None
-        self._line = LiveLine()
+        self._line = ProgressLine()
         self._first_s: float | None = None
         self._ended_by = "signal"
         self._messages_before = 0
@@ -118,11 +121,13 @@ class Recording:
 
 def parse(arguments: Sequence[str]) -> argparse.Namespace:
     """Read the command line; exits with code 2 and a message where it is wrong."""
-    parser = argparse.ArgumentParser(
-        prog="record",
-        description="Record topics to a rosbag2 directory (MCAP), until Ctrl-C or a limit.",
-        epilog=_EPILOG,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
+    parser = make_parser(
+        "record",
+        "Record topics to a rosbag2 directory (MCAP), until Ctrl-C or a limit.",
+        notes=_NOTES,
+        ok="recorded, until a limit or a signal (Ctrl-C, SIGTERM); the bag is whole",
+        failed="can't write; what is in the bag until then can be read",
+        interrupted="interrupted (Ctrl-C) before the recording began",
     )
     parser.add_argument(
         "names",
@@ -159,7 +164,7 @@ def parse(arguments: Sequence[str]) -> argparse.Namespace:
         action="store_true",
         help="log times from /clock; nothing is written before it comes",
     )
-    parser.add_argument("--json", action="store_true", help="print the result as one JSON object")
+    add_json(parser)
     options = parser.parse_args(arguments)
     options.topics = list(dict.fromkeys(options.names + options.topics))
     if options.all and options.topics:

@@ -13,11 +13,11 @@ from typing import Any, TypeVar
 
 import numpy as np
 from galen_bags.arrays.arm_recording import read_arm
-from galen_bags.command_line import check_folder
 from galen_model.arm.galen import WRENCH_AXES
 from galen_model.errors import GalenError
 from galen_model.files.calibration_file import read_tool, tool_path, write_tool
 from galen_model.load.cable.learning import HeldOut
+from galen_ros.command import check_folder
 from galen_ros.parameters.param import from_options
 from rich.console import Console
 from rich.table import Table

@@ -16,12 +16,12 @@ from typing import Any
 
 import numpy as np
 from galen_bags.arrays.arm_recording import read_arm
-from galen_bags.command_line import positive
 from galen_model.errors import IdentificationError
 from galen_model.files.calibration_file import LoadEstimate, read_tool, tool_path
 from galen_model.load.bias.choice import BiasMode
 from galen_model.load.mounting.groups import GROUPS, entities
 from galen_model.load.mounting.identification import KnownLoad
+from galen_ros.command import positive
 from galen_ros.goal.commands import ErrorCode
 from galen_ros.parameters.param import from_options
 from tqdm import tqdm

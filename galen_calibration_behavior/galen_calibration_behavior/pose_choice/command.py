@@ -12,12 +12,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from galen_bags.command_line import check_folder
 from galen_model.arm.clearance import ObstacleError
 from galen_model.arrays import Array
 from galen_model.errors import GalenError
 from galen_model.poses.design import GOALS, PoseDesign
 from galen_model.poses.plan import left_out, make_router, plan_grid
+from galen_ros.command import check_folder
 from galen_ros.parameters.param import add_options, from_options
 from tqdm import tqdm
 

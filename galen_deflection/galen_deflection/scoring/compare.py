@@ -11,7 +11,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from galen_bags.command_line import (
+from galen_model.errors import GalenError
+from galen_ros.command import (
     EXIT_FAILED,
     EXIT_INTERRUPTED,
     EXIT_OK,
@@ -19,7 +20,6 @@ from galen_bags.command_line import (
     check_folder,
     run_command,
 )
-from galen_model.errors import GalenError
 from rich.console import Console
 
 from galen_deflection.models.fit_settings import FitSettings

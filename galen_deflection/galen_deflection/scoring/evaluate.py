@@ -10,17 +10,18 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from galen_bags.command_line import (
+from galen_bags.formats.find import find_bags
+from galen_bags.many.run import run_many
+from galen_gravcomp.evaluate.bag_job import distinct_names
+from galen_ros.command import (
     EXIT_FAILED,
     EXIT_INTERRUPTED,
     EXIT_OK,
     EXIT_USAGE,
+    add_workers,
     check_folder,
     run_command,
 )
-from galen_bags.formats.find import find_bags
-from galen_bags.many.run import add_many_options, run_many
-from galen_gravcomp.evaluate.bag_job import distinct_names
 from rich.console import Console
 
 from galen_deflection.models.file import read_model
@@ -63,7 +64,7 @@ def build_parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--plots", metavar="DIR", type=Path, help="write pictures here")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
-    add_many_options(parser)
+    add_workers(parser)
     return parser
 
 

@@ -11,7 +11,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from galen_bags.command_line import (
+from galen_model.errors import GalenError
+from galen_ros.command import (
     EXIT_FAILED,
     EXIT_INTERRUPTED,
     EXIT_OK,
@@ -20,7 +21,6 @@ from galen_bags.command_line import (
     check_folder,
     run_command,
 )
-from galen_model.errors import GalenError
 
 from galen_deflection.measurement.recordings import Recording, join_recordings
 from galen_deflection.measurement.samples import DeflectionSamples

@@ -9,7 +9,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from galen_bags.command_line import (
+from galen_ros.command import (
     EXIT_FAILED,
     EXIT_INTERRUPTED,
     EXIT_OK,
@@ -46,8 +46,7 @@ _EPILOG = f"""models, each checked on what it was not fitted to:
   lost motion              a spring, and plays of the motor's motion (backlash)
   both plays
   ours                     of these, what hold-outs among the fitted readings choose
-  LSTM, LSTM direct, ours + residual
-                           with --networks
+  LSTM, LSTM direct        with --networks
 
 exit codes:
   {EXIT_OK}    done

@@ -29,10 +29,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from galen_bags.command_line import EXIT_FAILED, EXIT_INTERRUPTED, EXIT_OK
 from galen_model.errors import GalenError
 from galen_model.files.atomic_file import write_whole
 from galen_model.files.json_fields import FieldError, get, mapping, read_json
+from galen_ros.command import EXIT_FAILED, EXIT_INTERRUPTED, EXIT_OK
 
 from galen_diagnosis.blind import confine
 from galen_diagnosis.blind.diagnosing import ANSWER, BESIDE

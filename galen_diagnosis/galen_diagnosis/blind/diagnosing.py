@@ -17,9 +17,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from galen_bags.command_line import EXIT_FAILED, EXIT_OK, run_command
-from galen_bags.many.run import add_many_options, run_many
+from galen_bags.many.run import run_many
 from galen_model.files.atomic_file import write_whole
+from galen_ros.command import EXIT_FAILED, EXIT_OK, add_workers, run_command
 
 ANSWER, BESIDE, FAILED = "diagnosis.json", "beside.json", "failed.txt"
 
@@ -77,7 +77,7 @@ def main(args: Sequence[str] | None = None, diagnose: Any = diagnosed) -> int:
     parser = argparse.ArgumentParser(prog="blind_check: diagnosing")
     parser.add_argument("recordings", type=Path)
     parser.add_argument("answers", type=Path)
-    add_many_options(parser)
+    add_workers(parser)
     given = parser.parse_args(args)
     os.environ["OMP_NUM_THREADS"] = "1"
 

@@ -9,8 +9,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from galen_bags.command_line import EXIT_FAILED, EXIT_OK, EXIT_USAGE, check_file, run_command
 from galen_model.files.atomic_file import write_whole
+from galen_ros.command import EXIT_FAILED, EXIT_OK, EXIT_USAGE, check_file, run_command
 
 from galen_diagnosis.blind.plant.case import KINDS, STRENGTHS, Case, generate
 from galen_diagnosis.blind.plant.listed import EFFECTS

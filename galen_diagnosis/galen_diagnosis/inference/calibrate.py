@@ -22,8 +22,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from galen_bags.command_line import EXIT_OK, run_command
 from galen_model.files.atomic_file import write_whole
+from galen_ros.command import EXIT_OK, run_command
 from scipy.optimize import minimize
 from tqdm import tqdm
 

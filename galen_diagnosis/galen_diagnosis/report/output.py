@@ -9,8 +9,8 @@ import tempfile
 from dataclasses import replace
 from pathlib import Path
 
-from galen_bags.command_line import check_parent
 from galen_model.files.atomic_file import sync_directory
+from galen_ros.command import check_parent
 from galen_sim_driver.errors import ConfigError
 
 from galen_diagnosis.answer.localization import where

@@ -7,10 +7,10 @@ import json
 import sys
 from pathlib import Path
 
-from galen_bags.command_line import check_folder
 from galen_deflection.scoring.options import console, progress, written
 from galen_model.errors import GalenError
 from galen_model.files.atomic_file import write_whole
+from galen_ros.command import check_folder
 
 from galen_diagnosis.tables.block_answer import BlockDiagnosis, conclude
 from galen_diagnosis.tables.block_evidence import BlockEvidence

@@ -7,13 +7,6 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from galen_bags.command_line import (
-    EXIT_FAILED,
-    EXIT_INTERRUPTED,
-    EXIT_OK,
-    EXIT_USAGE,
-    run_command,
-)
 from galen_deflection.transmission.fit_joint import (
     add_column_options,
     check_column_options,
@@ -21,6 +14,13 @@ from galen_deflection.transmission.fit_joint import (
 )
 from galen_deflection.transmission.parts import time_blocks, whole_runs
 from galen_deflection.transmission.runs import read_runs
+from galen_ros.command import (
+    EXIT_FAILED,
+    EXIT_INTERRUPTED,
+    EXIT_OK,
+    EXIT_USAGE,
+    run_command,
+)
 
 from galen_diagnosis.tables.block_command import (
     add_output_options,

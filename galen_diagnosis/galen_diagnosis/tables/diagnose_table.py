@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
+from galen_bags.arrays.motion_table import read_motion, read_specific
 from galen_bags.arrays.orientation_table import (
     ORIENTATIONS,
     OrientationTable,
@@ -15,7 +16,11 @@ from galen_bags.arrays.orientation_table import (
     read_table,
 )
 from galen_bags.arrays.text_table import read_text_table
-from galen_bags.command_line import (
+from galen_model.arm.galen import GRAVITY_M_S2, WRENCH_AXES
+from galen_model.arrays import Array
+from galen_model.files.calibration_file import read_tool
+from galen_model.rest.orientations import StillSettings
+from galen_ros.command import (
     EXIT_FAILED,
     EXIT_INTERRUPTED,
     EXIT_OK,
@@ -23,11 +28,6 @@ from galen_bags.command_line import (
     positive,
     run_command,
 )
-from galen_gravcomp.evaluate.table.score_motion import read_motion, read_specific
-from galen_model.arm.galen import GRAVITY_M_S2, WRENCH_AXES
-from galen_model.arrays import Array
-from galen_model.files.calibration_file import read_tool
-from galen_model.rest.orientations import StillSettings
 
 from galen_diagnosis.tables.block_answer import BlockDiagnosis
 from galen_diagnosis.tables.block_command import (

@@ -19,10 +19,10 @@ from dataclasses import replace
 
 import numpy as np
 from galen_bags.arrays.orientation_table import OrientationTable, read_table
-from galen_bags.command_line import EXIT_OK, run_command
 from galen_model.arm.galen import WRENCH_AXES
 from galen_model.arrays import Array
 from galen_model.load.model import Load
+from galen_ros.command import EXIT_OK, run_command
 from galen_sim_driver.effects.effect import Effect
 from galen_sim_driver.effects.registry import effect_from
 from scipy.signal import lfilter

@@ -12,19 +12,8 @@ from typing import Any
 
 from galen_bags.arrays.arm_recording import ArmTopics
 from galen_bags.arrays.orientation_table import read_table
-from galen_bags.command_line import (
-    EXIT_FAILED,
-    EXIT_INTERRUPTED,
-    EXIT_OK,
-    EXIT_USAGE,
-    check_file,
-    check_folder,
-    not_negative,
-    positive,
-    run_command,
-)
 from galen_bags.formats.find import find_bags
-from galen_bags.many.run import add_many_options, run_many
+from galen_bags.many.run import run_many
 from galen_model.arm.galen import JOINT_NAMES, WRENCH_AXES
 from galen_model.errors import GalenError, IdentificationError, ToolFileError
 from galen_model.files.calibration_file import read_tool, tool_path, write_tool
@@ -32,6 +21,18 @@ from galen_model.load.mounting.groups import entities
 from galen_model.load.mounting.identification import KnownLoad
 from galen_model.rest.binned import StillCellSettings
 from galen_model.rest.orientations import StillSettings
+from galen_ros.command import (
+    EXIT_FAILED,
+    EXIT_INTERRUPTED,
+    EXIT_OK,
+    EXIT_USAGE,
+    add_workers,
+    check_file,
+    check_folder,
+    not_negative,
+    positive,
+    run_command,
+)
 from galen_ros.parameters.param import add_options, from_options
 from rich.console import Console
 from tqdm import tqdm
@@ -102,7 +103,7 @@ def build_parser() -> argparse.ArgumentParser:
         f" {StillCellSettings.min_duration_s} for bags, {StillSettings.min_duration_s} for tables)",
     )
     _add_bag_options(parser.add_argument_group("bags"))
-    add_many_options(parser)
+    add_workers(parser)
     _add_table_options(parser.add_argument_group("tables"))
     return parser
 

@@ -10,7 +10,12 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from galen_bags.command_line import (
+from galen_model.arm.galen import JOINT_NAMES, SENSOR_FRAME
+from galen_model.errors import GalenError
+from galen_model.files.calibration_store import ToolStore, ToolStoreError
+from galen_model.files.comparison import before_name, compare_tools
+from galen_model.load.frames import FRAMES, joint_vector, needed_joints, sensor_in_frame
+from galen_ros.command import (
     EXIT_FAILED,
     EXIT_INTERRUPTED,
     EXIT_OK,
@@ -18,11 +23,6 @@ from galen_bags.command_line import (
     positive,
     run_command,
 )
-from galen_model.arm.galen import JOINT_NAMES, SENSOR_FRAME
-from galen_model.errors import GalenError
-from galen_model.files.calibration_store import ToolStore, ToolStoreError
-from galen_model.files.comparison import before_name, compare_tools
-from galen_model.load.frames import FRAMES, joint_vector, needed_joints, sensor_in_frame
 from rich.console import Console
 
 from galen_gravcomp.parameters import GravcompParameters

@@ -19,16 +19,17 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from galen_bags.command_line import (
+from galen_bags.many.run import run_many
+from galen_model.arrays import Array
+from galen_model.errors import GalenError
+from galen_ros.command import (
     EXIT_FAILED,
     EXIT_INTERRUPTED,
     EXIT_OK,
     EXIT_USAGE,
+    add_workers,
     run_command,
 )
-from galen_bags.many.run import add_many_options, run_many
-from galen_model.arrays import Array
-from galen_model.errors import GalenError
 from galen_sim_driver.effects.registry import CONTRACT_ORDER
 from tqdm import tqdm
 
@@ -102,7 +103,7 @@ def build_parser() -> argparse.ArgumentParser:
         "--work", type=Path, metavar="DIR", help="keep the recordings' features here"
     )
     parser.add_argument("--json", action="store_true", help="print one JSON object")
-    add_many_options(parser)
+    add_workers(parser)
     return parser
 
 

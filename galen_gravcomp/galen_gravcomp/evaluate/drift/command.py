@@ -9,7 +9,11 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from galen_bags.arrays.arm_recording import ArmTopics
-from galen_bags.command_line import (
+from galen_bags.formats.find import find_bags
+from galen_model.arm.galen import JOINT_NAMES
+from galen_model.errors import GalenError
+from galen_model.files.calibration_file import read_tool
+from galen_ros.command import (
     EXIT_FAILED,
     EXIT_INTERRUPTED,
     EXIT_OK,
@@ -18,10 +22,6 @@ from galen_bags.command_line import (
     positive,
     run_command,
 )
-from galen_bags.formats.find import find_bags
-from galen_model.arm.galen import JOINT_NAMES
-from galen_model.errors import GalenError
-from galen_model.files.calibration_file import read_tool
 from rich.console import Console
 from tqdm import tqdm
 

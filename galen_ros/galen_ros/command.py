@@ -1,0 +1,328 @@
+"""The command layer: parser, shared options, output places, progress, exit codes. No rclpy."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import shutil
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from galen_model.errors import GalenError
+from tqdm import tqdm
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+EXIT_OK, EXIT_FAILED, EXIT_USAGE, EXIT_INTERRUPTED = 0, 1, 2, 130
+# A process that a signal ended has this much more than the signal's number.
+EXIT_SIGNAL = 128
+_SHOW_PERIOD_S = 0.2
+_BAG_FORMATS = "rosbag2 directory, .mcap, .db3 or ROS 1 .bag"
+
+_Options = argparse.ArgumentParser | argparse._ArgumentGroup
+
+
+# Parser and options
+
+
+def make_parser(
+    name: str,
+    description: str,
+    *,
+    notes: str = "",
+    ok: str = "done",
+    failed: str = "failed; one line gives the reason",
+    interrupted: str = "interrupted (Ctrl-C)",
+    codes: Mapping[int, str] | None = None,
+    usage: str | None = None,
+) -> argparse.ArgumentParser:
+    """Make a command's parser; its help ends with the exit codes.
+
+    Args:
+        name: the command's name.
+        description: one sentence on what the command does.
+        notes: printed before the exit codes, as written.
+        ok: meaning of exit code 0.
+        failed: meaning of exit code 1.
+        interrupted: meaning of exit code 130.
+        codes: meanings of the command's own exit codes.
+        usage: instead of argparse's.
+
+    """
+    meanings = {EXIT_OK: ok, EXIT_FAILED: failed, EXIT_USAGE: "wrong arguments"}
+    meanings |= {**(codes or {}), EXIT_INTERRUPTED: interrupted}
+    lines = [f"  {code:<4d} {text}" for code, text in sorted(meanings.items())]
+    return argparse.ArgumentParser(
+        prog=name,
+        usage=usage,
+        description=description,
+        epilog="\n".join([*([notes.rstrip(), ""] if notes else []), "exit codes:", *lines]),
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+
+
+def add_bags(options: _Options, what: str = "recording", nargs: str = "+") -> None:
+    """Add the positional argument `bags`: bags, or folders that are searched for them."""
+    options.add_argument(
+        "bags",
+        nargs=nargs,
+        type=Path,
+        metavar="BAG",
+        help=f"{what}: {_BAG_FORMATS}, or a folder that is searched for them",
+    )
+
+
+def add_tool_file(options: _Options, what: str = "the tool's calibration file") -> Any:
+    """Add `--tool`; returns the option."""
+    return options.add_argument("--tool", type=Path, metavar="FILE", help=what)
+
+
+def add_json(options: _Options, what: str = "print the result as one JSON object") -> None:
+    """Add `--json`."""
+    options.add_argument("--json", action="store_true", help=what)
+
+
+def add_plots(options: _Options) -> None:
+    """Add `--plots DIR`; `check_folder` checks it before the work."""
+    options.add_argument("--plots", type=Path, metavar="DIR", help="write pictures to DIR")
+
+
+def add_topic(options: _Options, option: str, default: str, what: str) -> None:
+    """Add the name of a topic in a recording."""
+    options.add_argument(
+        option,
+        default=default,
+        metavar="TOPIC",
+        help=f"topic of {what} (default: %(default)s, in any one namespace)",
+    )
+
+
+def add_workers(options: _Options) -> None:
+    """Add `--workers N` and `--scheduler ADDRESS`, for galen_bags.many (None: not given)."""
+    group = options.add_mutually_exclusive_group()
+    group.add_argument(
+        "--workers", type=whole(1), metavar="N", help="local processes (default: one a processor)"
+    )
+    group.add_argument(
+        "--scheduler",
+        metavar="ADDRESS",
+        help="address (tcp://host:port) or file of a Dask scheduler whose workers see the same"
+        " paths; only one that you trust",
+    )
+
+
+def split_ros_arguments(arguments: Sequence[str]) -> tuple[list[str], list[str]]:
+    """Split a command's own arguments from those between each `--ros-args` and `--`, or the end.
+
+    rclpy's `remove_ros_args` also drops what only looks like a ROS argument, such as OLD:=NEW.
+    """
+    own: list[str] = []
+    ros: list[str] = []
+    to_ros = False
+    for argument in arguments:
+        to_ros = to_ros or argument == "--ros-args"
+        (ros if to_ros else own).append(argument)
+        to_ros = to_ros and argument != "--"
+    return own, ros
+
+
+def positive(text: str) -> float:
+    """Read a finite number above zero, for argparse."""
+    value = _finite(text)
+    if value <= 0.0:
+        raise argparse.ArgumentTypeError(f"{text} is not above 0")
+    return value
+
+
+def not_negative(text: str) -> float:
+    """Read a finite number, zero or above, for argparse."""
+    value = _finite(text)
+    if value < 0.0:
+        raise argparse.ArgumentTypeError(f"{text} is below 0")
+    return value
+
+
+def whole(least: int) -> Callable[[str], int]:
+    """Make a reader of whole numbers of at least `least`, for argparse."""
+
+    def read(text: str) -> int:
+        try:
+            value = int(text)
+        except ValueError:
+            raise argparse.ArgumentTypeError(f"{text!r} is no whole number") from None
+        if value < least:
+            raise argparse.ArgumentTypeError(f"{text} is below {least}")
+        return value
+
+    return read
+
+
+def _finite(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text!r} is no number") from None
+    if not math.isfinite(value):
+        raise argparse.ArgumentTypeError(f"{text} is not finite")
+    return value
+
+
+# Output places
+
+
+def check_folder(folder: Path | None) -> None:
+    """Raise GalenError before the work if no file can be written into the folder.
+
+    The folder, and those above it, need not exist yet.
+    """
+    if folder is not None:
+        _check_writable(folder, folder)
+
+
+def check_parent(path: Path) -> None:
+    """Raise GalenError before the work if nothing of this name can be made."""
+    _check_writable(path.parent, path)
+
+
+def check_file(path: Path | None) -> None:
+    """Raise GalenError before the work if the file can't be written."""
+    if path is None:
+        return
+    with writing(path):
+        is_folder = path.is_dir()
+    if is_folder:
+        raise GalenError(f"{path}: is a directory; name the file")
+    check_parent(path)
+
+
+@contextmanager
+def writing(path: Path) -> Iterator[None]:
+    """Raise GalenError that names the file or folder where writing it fails."""
+    try:
+        yield
+    except OSError as error:
+        raise GalenError(f"{path}: can't be written: {error.strerror or error}") from error
+
+
+def _check_writable(folder: Path, named: Path) -> None:
+    """Write into the folder, or the nearest existing one above; nothing is left behind."""
+    with writing(named):
+        existing = next((path for path in (folder, *folder.parents) if path.exists()), Path())
+        if not existing.is_dir():
+            raise GalenError(f"{named}: can't be written: {existing}: is no directory")
+        # Permissions alone don't decide it: root has them all, and a disk may be read-only.
+        Path(tempfile.mkdtemp(dir=existing, prefix=".galen_")).rmdir()
+
+
+# Terminal
+
+
+def terminal(width: int = 120) -> Console:
+    """Return a console on standard output, `width` columns wide where that is no terminal."""
+    from rich.console import Console  # slow to import, and `--json` needs none
+
+    return Console(width=None if sys.stdout.isatty() else width, highlight=False)
+
+
+def print_json(content: object) -> None:
+    """Print JSON to standard output."""
+    print(json.dumps(content, indent=2))
+
+
+def progress(
+    total: int | None = None, unit: str = "it", text: str = "", *, quiet: bool = False
+) -> tqdm:
+    """Return a progress bar on standard error; it draws nothing where that is no terminal."""
+    return tqdm(
+        total=total,
+        unit=unit,
+        unit_scale=total is None,
+        desc=text or None,
+        file=sys.stderr,
+        disable=quiet or not sys.stderr.isatty(),
+        leave=False,
+        **_size(),
+    )
+
+
+class ProgressLine:
+    """One line on standard error that is written over; nothing where that is no terminal.
+
+    With a total it is a bar: of counts with `unit`, else of a share.
+    """
+
+    def __init__(self, unit: str = "", *, quiet: bool = False) -> None:
+        self.active = sys.stderr.isatty() and not quiet
+        self._unit = unit
+        self._bar: tqdm | None = None
+        self._shown_s = -math.inf
+
+    def __enter__(self) -> ProgressLine:
+        """Return itself."""
+        return self
+
+    def __exit__(self, *_error: object) -> None:
+        """Leave the line as it is."""
+        self.close()
+
+    def show(
+        self, text: str | Callable[[], str], done: float = 0.0, total: float | None = None
+    ) -> None:
+        """Write the line again, at most five times a second; never a smaller part done."""
+        now_s = time.monotonic()
+        finished = total is not None and done >= total
+        if not self.active or (now_s - self._shown_s < _SHOW_PERIOD_S and not finished):
+            return
+        self._shown_s = now_s
+        if self._bar is None:
+            self._bar = self._make(total)
+        self._bar.set_description_str(text if isinstance(text, str) else text(), refresh=False)
+        if total is not None:
+            self._bar.n = max(self._bar.n, min(done, total))
+        self._bar.refresh()
+
+    def line(self, text: str) -> None:
+        """Print a line above, also where there is no terminal."""
+        tqdm.write(text, file=sys.stderr)
+        sys.stderr.flush()
+
+    def close(self) -> None:
+        """Leave the line as it is."""
+        if self._bar is not None:
+            self._bar.close()
+            self._bar = None
+
+    def _make(self, total: float | None) -> tqdm:
+        form = "{percentage:3.0f}% |{bar}| {desc}"
+        if total is None:
+            form = "{desc}"
+        elif self._unit:
+            form = "{desc}: {percentage:3.0f}% |{bar}| {n_fmt}/{total_fmt} {unit}"
+        return tqdm(total=total, unit=self._unit, bar_format=form, file=sys.stderr, **_size())
+
+
+def _size() -> dict[str, int]:
+    """Sizes for tqdm, which shows nothing on a terminal that reports 0 rows."""
+    return {"ncols": min(shutil.get_terminal_size().columns, 100), "nrows": 24}
+
+
+# End
+
+
+def run_command(name: str, work: Callable[[], int], if_interrupted: str = "") -> int:
+    """Do a command's work; returns the exit code, and prints one line for what failed."""
+    try:
+        return work()
+    except GalenError as error:
+        print(f"{name}: {error}", file=sys.stderr)
+        return EXIT_FAILED
+    except KeyboardInterrupt:
+        print(f"{name}: interrupted{if_interrupted}", file=sys.stderr)
+        return EXIT_INTERRUPTED
