@@ -3,13 +3,14 @@
 from dataclasses import dataclass
 
 import numpy as np
+from galen_model.load.inertia.imu_mount import ImuMount
 from galen_ros.parameters.param import param
 from galen_ros.stream.parameters import LoopParameters
 
 from galen_gravcomp.calibration_monitor.watch import GravityFitWatch
 from galen_gravcomp.compensator import CompensatorSettings
 from galen_gravcomp.corrections.bias_drift import BiasDrift, BiasDriftSettings
-from galen_gravcomp.corrections.imu_motion import ImuMotion, ImuMount
+from galen_gravcomp.corrections.imu_motion import ImuMotion
 from galen_gravcomp.corrections.joint_motion import JointMotion
 from galen_gravcomp.corrections.motion_window import MotionSettings
 from galen_gravcomp.corrections.stages import MotionStage, Stages

@@ -5,9 +5,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from galen_gravcomp.evaluate.table.imu_fit import fit_imu
 from galen_gravcomp.evaluate.table.score_motion import EXIT_FAILED, main
 from galen_model.errors import IdentificationError, NotExcitedError
+from galen_model.load.inertia.imu_mount import fit_imu
 from galen_model.rotation import rot_x, rot_y, rotvec_to_matrix
 
 G = 9.80665

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from galen_gravcomp.compensator import Compensator
-from galen_gravcomp.corrections.imu_motion import ImuMotion, ImuMount
+from galen_gravcomp.corrections.imu_motion import ImuMotion
 from galen_gravcomp.corrections.joint_motion import JointMotion
 from galen_gravcomp.corrections.local_polynomial import LocalPolynomial
 from galen_gravcomp.corrections.motion_window import MotionSettings
@@ -13,6 +13,7 @@ from galen_gravcomp.corrections.stages import Stages
 from galen_model.arm.galen import SENSOR
 from galen_model.arm.kinematics import gravity_in_sensor
 from galen_model.arm.sensor_motion import sensor_motion
+from galen_model.load.inertia.imu_mount import ImuMount
 from galen_model.rotation import rotvec_to_matrix
 from galen_ros.stream.results import Compensated, Rejection
 from motion_tape import MS, START_NS, measured, readings, swing, tool_file

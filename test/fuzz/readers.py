@@ -42,6 +42,7 @@ from bags_samples import (  # noqa: E402  after the paths
 from deflection_made_model import made_model  # noqa: E402
 from galen_bags.arrays.arm_recording import ArmTopics, read_arm  # noqa: E402
 from galen_bags.arrays.messages import Decoder  # noqa: E402
+from galen_bags.arrays.motion_table import read_motion  # noqa: E402
 from galen_bags.arrays.orientation_table import (  # noqa: E402
     read_orientations,
     read_rotations,
@@ -60,7 +61,6 @@ from galen_diagnosis.blind.blind_protocol import Places, answered  # noqa: E402
 from galen_diagnosis.inference import settings  # noqa: E402
 from galen_diagnosis.inference.settings import load_settings  # noqa: E402
 from galen_gravcomp.evaluate.drift.series import read_series  # noqa: E402
-from galen_gravcomp.evaluate.table.score_motion import read_motion  # noqa: E402
 from galen_model.arm.galen import JOINT_NAMES  # noqa: E402
 from galen_model.errors import GalenError  # noqa: E402
 from galen_model.files.calibration_file import LoadEstimate, ToolFile, read_tool, write_tool  # noqa: E402

@@ -24,6 +24,8 @@ import numpy as np
 from galen_model.arm.galen import GRAVITY_M_S2, WRENCH_AXES
 from galen_model.arm.kinematics import sensor_rotation
 from galen_model.arrays import Array
+from galen_model.errors import GalenError
+from galen_model.rest.orientations import StillSettings, still_phases
 from galen_model.rotation import quaternion_to_matrix
 
 from galen_bags.arrays.text_table import TableError, TextTable, read_text_table
@@ -143,6 +145,54 @@ def read_rotations(
     Raises TableError naming the file and what is wrong in it.
     """
     return _orientation(read_text_table(path, _KNOWN, columns))[1]
+
+
+def average_still(
+    table: OrientationTable, window_s: float, settings: StillSettings
+) -> tuple[OrientationTable, Array]:
+    """Averages of `window_s` within each still phase of a recording, and their scatter (6,).
+
+    Each phase becomes a block of its own. Raises GalenError when the table has no increasing time
+    or no still phase.
+    """
+    if table.time is None:
+        raise GalenError(f"{table.path}: finding still phases needs a column t (s)")
+    steps = np.diff(table.time)
+    if np.any(steps <= 0.0):
+        row = int(np.argmax(steps <= 0.0)) + 1
+        raise GalenError(
+            f"{table.path}: time does not increase at reading {row + 1} "
+            f"({table.time[row - 1]:.6f} s, then {table.time[row]:.6f} s)"
+        )
+    means: list[tuple[Array, Array, float, str]] = []
+    rotations = []
+    variances = []
+    for number, phase in enumerate(still_phases(table.time, table.gravity, settings)):
+        time = table.time[phase]
+        window = np.floor((time - time[0]) / window_s).astype(int)
+        whole = [w for w in np.unique(window) if time[window == w][-1] - time[0] >= w * window_s]
+        in_phase = []
+        for index in whole:
+            rows = np.arange(phase.start, phase.stop)[window == index]
+            wrench = table.wrench[rows].mean(axis=0)
+            in_phase.append(wrench)
+            means.append(
+                (table.gravity[rows].mean(axis=0), wrench, float(table.time[rows].mean()),
+                 f"still phase {number + 1}")
+            )  # fmt: skip
+            if table.rotation is not None:  # still: as good as equal, like gravity
+                rotations.append(table.rotation[rows].mean(axis=0))
+        if len(in_phase) > 1:
+            variances.append(np.var(in_phase, axis=0, ddof=1))
+    if not means:
+        raise GalenError(f"{table.path}: no still phase of {settings.min_duration_s} s in it")
+    gravity, wrench, time_of, label = zip(*means, strict=True)
+    averaged = OrientationTable(
+        table.path, np.array(gravity), np.array(wrench), np.array(time_of), np.array(label),
+        table.orientation, np.array(rotations) if rotations else None,
+    )  # fmt: skip
+    scatter = np.sqrt(np.mean(variances, axis=0)) if variances else np.full(6, np.nan)
+    return averaged, scatter
 
 
 def _wrench(text: TextTable) -> Array:

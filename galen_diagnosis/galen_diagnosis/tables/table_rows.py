@@ -11,8 +11,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from galen_bags.arrays.orientation_table import OrientationTable
-from galen_gravcomp.evaluate.table.evaluation import average_still
+from galen_bags.arrays.orientation_table import OrientationTable, average_still
 from galen_model.arm.galen import WRENCH_AXES
 from galen_model.arrays import Array
 from galen_model.files.calibration_file import ToolFile

@@ -2,7 +2,7 @@
 
 The load comes from a table of still poses, with its covariance; constants are the run's own. Rows
 are means over short windows, blocks are stretches of time. An IMU that still poses have mounted
-(`galen_gravcomp.evaluate.table.imu_fit`) tells the acceleration of the sensor's origin,
+(`galen_model.load.inertia.imu_mount`) tells the acceleration of the sensor's origin,
 
     a = g - felt - al x r - w x (w x r),
 
@@ -16,13 +16,13 @@ from collections.abc import Callable, Sequence
 from itertools import pairwise
 
 import numpy as np
+from galen_bags.arrays.motion_table import MotionTable, moving
 from galen_bags.arrays.orientation_table import OrientationTable
-from galen_gravcomp.evaluate.table.imu_fit import fit_imu
-from galen_gravcomp.evaluate.table.motion_table import MotionTable, moving
 from galen_model.arm.galen import WRENCH_AXES
 from galen_model.arm.sensor_motion import SensorMotion
 from galen_model.arrays import Array
 from galen_model.load.identification import identify_single_load
+from galen_model.load.inertia.imu_mount import fit_imu
 from galen_model.load.model import Load
 from galen_model.rotation import rotvec_to_matrix
 from galen_sim_driver.effects.registry import EFFECTS

@@ -7,18 +7,18 @@ angular velocity, with g gravity. The sensor's origin accelerates with
 
 al from the gyroscope by a local polynomial, g from roll and tilt. Unlike joints it feels what the
 arm does between its encoders and the tool, and at once; but where R or b are wrong by e, it adds
-m e also at rest. `galen_gravcomp.evaluate.table.imu_fit` finds R, scale and b from still poses.
+m e also at rest. `galen_model.load.inertia.imu_mount` finds R, scale and b from still poses.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
 
 import numpy as np
 from galen_model.arm.kinematics import gravity_in_sensor
 from galen_model.arrays import Array
 from galen_model.files.calibration_file import ToolFile
+from galen_model.load.inertia.imu_mount import ImuMount
 from galen_model.load.inertia.inertial import LoadInMotion
 from galen_model.rotation import rotvec_to_matrix
 from galen_ros.stream.results import Rejection
@@ -26,21 +26,6 @@ from galen_ros.stream.results import Rejection
 from galen_gravcomp.corrections.joint_motion import inertia_source, load_in_motion
 from galen_gravcomp.corrections.motion_window import MotionSettings, MotionWindow
 from galen_gravcomp.corrections.stages import NoMotion
-
-
-@dataclass(frozen=True)
-class ImuMount:
-    """How an IMU sits on the sensor, and what it reads wrongly.
-
-    rotvec_rad (3,): rotation from its axes to ft_sensor; lever_m (3,): where it is in ft_sensor;
-    bias_m_s2 (3,): what it reads too much, in its axes; scale: reading over true.
-    """
-
-    rotvec_rad: Array = field(default_factory=lambda: np.zeros(3))
-    lever_m: Array = field(default_factory=lambda: np.zeros(3))
-    bias_m_s2: Array = field(default_factory=lambda: np.zeros(3))
-    scale: float = 1.0
-
 
 # As with joint_states: a longer step of the stamps is no gap, and this far apart are two clocks.
 _RESTART_NS = 1_000_000_000

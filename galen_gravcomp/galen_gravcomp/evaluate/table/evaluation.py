@@ -4,7 +4,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from galen_bags.arrays.orientation_table import OrientationTable
+from galen_bags.arrays.orientation_table import OrientationTable, average_still
 from galen_model.arrays import Array
 from galen_model.errors import GalenError, IdentificationError
 from galen_model.files.calibration_file import ToolFile
@@ -12,7 +12,7 @@ from galen_model.load.bias.single_load import DriftingLoad
 from galen_model.load.identification import SingleLoad, identify_single_load
 from galen_model.load.mounting.held_out import MOUNTED, Worth
 from galen_model.load.mounting.identification import MountedLoad
-from galen_model.rest.orientations import StillSettings, still_phases
+from galen_model.rest.orientations import StillSettings
 
 from galen_gravcomp.evaluate.table.cross_validation import (
     BLOCK_MODELS,
@@ -45,54 +45,6 @@ class Evaluation:
     mounted: MountedLoad | None = None
     worth: Worth | None = None
     drifting: DriftingLoad | None = None
-
-
-def average_still(
-    table: OrientationTable, window_s: float, settings: StillSettings
-) -> tuple[OrientationTable, Array]:
-    """Averages of `window_s` within each still phase of a recording, and their scatter (6,).
-
-    Each phase becomes a block of its own. Raises GalenError when the table has no increasing time
-    or no still phase.
-    """
-    if table.time is None:
-        raise GalenError(f"{table.path}: finding still phases needs a column t (s)")
-    steps = np.diff(table.time)
-    if np.any(steps <= 0.0):
-        row = int(np.argmax(steps <= 0.0)) + 1
-        raise GalenError(
-            f"{table.path}: time does not increase at reading {row + 1} "
-            f"({table.time[row - 1]:.6f} s, then {table.time[row]:.6f} s)"
-        )
-    means: list[tuple[Array, Array, float, str]] = []
-    rotations = []
-    variances = []
-    for number, phase in enumerate(still_phases(table.time, table.gravity, settings)):
-        time = table.time[phase]
-        window = np.floor((time - time[0]) / window_s).astype(int)
-        whole = [w for w in np.unique(window) if time[window == w][-1] - time[0] >= w * window_s]
-        in_phase = []
-        for index in whole:
-            rows = np.arange(phase.start, phase.stop)[window == index]
-            wrench = table.wrench[rows].mean(axis=0)
-            in_phase.append(wrench)
-            means.append(
-                (table.gravity[rows].mean(axis=0), wrench, float(table.time[rows].mean()),
-                 f"still phase {number + 1}")
-            )  # fmt: skip
-            if table.rotation is not None:  # still: as good as equal, like gravity
-                rotations.append(table.rotation[rows].mean(axis=0))
-        if len(in_phase) > 1:
-            variances.append(np.var(in_phase, axis=0, ddof=1))
-    if not means:
-        raise GalenError(f"{table.path}: no still phase of {settings.min_duration_s} s in it")
-    gravity, wrench, time_of, label = zip(*means, strict=True)
-    averaged = OrientationTable(
-        table.path, np.array(gravity), np.array(wrench), np.array(time_of), np.array(label),
-        table.orientation, np.array(rotations) if rotations else None,
-    )  # fmt: skip
-    scatter = np.sqrt(np.mean(variances, axis=0)) if variances else np.full(6, np.nan)
-    return averaged, scatter
 
 
 def evaluate_table(

@@ -17,23 +17,20 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from galen_bags.arrays.motion_table import MotionTable, moving
 from galen_bags.arrays.text_table import TableError
 from galen_model.arrays import Array
 from galen_model.load.identification import plain_least_squares
+from galen_model.load.inertia.imu_mount import ImuFit, fit_imu
 from galen_model.load.model import gravity_regressor
 from galen_model.rotation import rotvec_to_matrix
 from scipy.interpolate import CubicSpline
 from scipy.signal import butter, sosfiltfilt
 
-from galen_gravcomp.evaluate.table.imu_fit import ImuFit, fit_imu
-
 _LAGS_S = np.arange(-0.02, 0.0201, 0.0005)
 _TAPS_S = np.arange(-0.02, 0.0301, 0.002)
 _BLOCKS = 6
 _EDGE_S = 0.05
-_REST_RAD_S = 0.01
-_REST_S = 0.1
-_SETTLED_S = 0.25
 _FEWEST_REST = 20
 _RIDGE = 1e-5
 
@@ -45,18 +42,6 @@ class StillTable:
     gravity: Array
     wrench: Array
     specific: Array
-
-
-@dataclass(frozen=True)
-class MotionTable:
-    """One run: times (s, one clock more or less) and values of wrench, IMU and gravity."""
-
-    wrench_s: Array
-    wrench: Array
-    imu_s: Array
-    specific: Array
-    gravity_s: Array
-    gravity: Array
 
 
 @dataclass(frozen=True)
@@ -118,21 +103,6 @@ def score_motion(still: StillTable, run: MotionTable, bands_hz: tuple[float, ...
         bands[band_hz][REST] = np.std(low[WEIGHT][~in_motion], axis=0)
     rest_s = float(np.count_nonzero(~in_motion) / rate_hz)
     return MotionScore(imu, (float(lags[0]), float(lags[1])), rest_s, bands)
-
-
-def moving(time_s: Array, gravity: CubicSpline) -> np.ndarray:
-    """Whether gravity turns, or has or will within a quarter of a second, at each moment."""
-    around = [gravity(time_s + shift) for shift in (-_REST_S / 2.0, _REST_S / 2.0)]
-    change = np.linalg.norm(around[1] - around[0], axis=1) / 9.8
-    turning = time_s[change > _REST_RAD_S * _REST_S]
-    if not len(turning):
-        return np.zeros(len(time_s), dtype=bool)
-    after = np.clip(np.searchsorted(turning, time_s), 1, max(len(turning) - 1, 1))
-    last = len(turning) - 1
-    nearest = np.minimum(
-        np.abs(turning[np.minimum(after, last)] - time_s), np.abs(turning[after - 1] - time_s)
-    )
-    return np.asarray(nearest < _SETTLED_S)
 
 
 def _best_lag(left: Callable[[float], Array], rows: np.ndarray, moments: Array) -> float:

@@ -9,9 +9,10 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from galen_bags.arrays.orientation_table import read_orientations, read_table, read_wrenches
-from galen_bags.arrays.text_table import TableError, read_text_table
-from galen_bags.command_line import (
+from galen_bags.arrays.motion_table import read_motion, read_specific
+from galen_bags.arrays.orientation_table import read_table
+from galen_model.arm.galen import GRAVITY_M_S2, WRENCH_AXES
+from galen_ros.command import (
     EXIT_FAILED,
     EXIT_INTERRUPTED,
     EXIT_OK,
@@ -19,19 +20,15 @@ from galen_bags.command_line import (
     positive,
     run_command,
 )
-from galen_model.arm.galen import GRAVITY_M_S2, WRENCH_AXES
-from galen_model.arrays import Array
 from rich.console import Console
 from rich.table import Table
 
 from galen_gravcomp.evaluate.table.motion_table import (
     MotionScore,
-    MotionTable,
     StillTable,
     score_motion,
 )
 
-_IMU = ("ax", "ay", "az")
 _EPILOG = f"""exit codes:
   {EXIT_OK}    done
   {EXIT_FAILED}    a table can't be used; a line says why
@@ -96,50 +93,6 @@ def run(arguments: argparse.Namespace) -> MotionScore:
         arguments.imu_unit_m_s2,
     )
     return score_motion(still, motion, tuple(arguments.bands_hz))
-
-
-def read_motion(
-    wrench_file: Path,
-    imu_file: Path | None,
-    orientations_file: Path,
-    time_unit_s: float,
-    imu_unit_m_s2: float,
-) -> MotionTable:
-    """A run's tables; without an IMU its arrays are empty. Raises TableError."""
-    wrench_t, wrench = read_wrenches(wrench_file)
-    gravity_t, gravity = read_orientations(orientations_file)
-    imu_t, specific = np.zeros(0), np.zeros((0, 3))
-    if imu_file is not None:
-        imu_t = read_text_table(imu_file, {"t", *_IMU}).require("t")
-        specific = read_specific(imu_file, imu_unit_m_s2)
-        _check_times(imu_file, imu_t)
-    _check_times(wrench_file, wrench_t)
-    _check_times(orientations_file, gravity_t)
-    start = wrench_t[0]
-    return MotionTable(
-        (wrench_t - start) * time_unit_s,
-        wrench,
-        (imu_t - start) * time_unit_s,
-        specific,
-        (gravity_t - start) * time_unit_s,
-        gravity,
-    )
-
-
-def _check_times(path: Path, times: Array) -> None:
-    late = np.flatnonzero(np.diff(times) <= 0.0)
-    if len(late):
-        row = int(late[0]) + 1
-        raise TableError(
-            f"{path}: reading {row + 1} has t = {times[row]:.15g} after {times[row - 1]:.15g};"
-            " a run's times increase"
-        )
-
-
-def read_specific(path: Path, unit_m_s2: float) -> Array:
-    """Specific force (n, 3), m/s^2, of a table of ax ay az; raises TableError."""
-    text = read_text_table(path, set(_IMU))
-    return unit_m_s2 * np.column_stack([text.require(name) for name in _IMU])
 
 
 def to_json(score: MotionScore) -> dict[str, object]:

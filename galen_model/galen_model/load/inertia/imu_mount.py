@@ -7,19 +7,32 @@ Analysis and Machine Intelligence* 13(4), 1991), then b. Its lever arm shows in 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
+
 from galen_model.arrays import Array
 from galen_model.errors import IdentificationError, NotExcitedError
 from galen_model.rotation import matrix_to_rotvec
-
-from galen_gravcomp.corrections.imu_motion import ImuMount
 
 _FEWEST = 4
 # Singular values of unit gravity about its mean: the third axis is told by those it spans.
 _LEAST_SPREAD = 0.05
 _LARGEST_RESIDUAL_M_S2 = 1.0
+
+
+@dataclass(frozen=True)
+class ImuMount:
+    """How an IMU sits on the sensor, and what it reads wrongly.
+
+    rotvec_rad (3,): rotation from its axes to ft_sensor; lever_m (3,): where it is in ft_sensor;
+    bias_m_s2 (3,): what it reads too much, in its axes; scale: reading over true.
+    """
+
+    rotvec_rad: Array = field(default_factory=lambda: np.zeros(3))
+    lever_m: Array = field(default_factory=lambda: np.zeros(3))
+    bias_m_s2: Array = field(default_factory=lambda: np.zeros(3))
+    scale: float = 1.0
 
 
 @dataclass(frozen=True)
