@@ -4,18 +4,15 @@ import json
 import subprocess
 import sys
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
-from galen_bags.command_line import EXIT_FAILED, EXIT_INTERRUPTED, EXIT_OK
 from galen_deflection.errors import FitError
-from galen_deflection.measurement.recordings import ReadSettings, read_recording
 from galen_deflection.models.file import read_model
 from galen_deflection.models.registry import KINDS
-from galen_deflection.networks.residual_model import ResidualModel
-from galen_deflection.scoring import compare, evaluate, evaluation, train
+from galen_deflection.scoring import compare, evaluate, train
 from galen_model.files.calibration_file import write_tool
+from galen_ros.command import EXIT_FAILED, EXIT_INTERRUPTED, EXIT_OK
 from push_bag import POSITIONS, ROOT, TOOL, Scene, write
 
 PUSHES = ((8.0, 0.0, 0.0), (0.0, -8.0, 0.0), (0.0, 0.0, 8.0), (-5.0, 4.0, 0.0), (0.0, 6.0, -5.0))
@@ -214,16 +211,6 @@ def test_evaluate_draws(folder, tmp_path, capsys):
     assert {path.rsplit("/", 1)[1] for path in said["plots"]} == names
 
 
-def test_evaluate_knows_what_physics_with_a_network_was_fitted_to(folder):
-    model = ResidualModel(read_model(folder / "coupled.json"), None, None, ())
-    settings = ReadSettings(Path(TOOL_FILE))
-    first, second = (
-        read_recording(folder / "bags" / name, settings) for name in ("first", "second")
-    )
-    assert evaluation._same_noise(model, first)
-    assert not evaluation._same_noise(model, second)
-
-
 def test_a_model_of_another_tip_is_rejected(folder, tmp_path, capsys):
     tip = np.asarray(TOOL.tip_m) + [0.0, 0.0, 1e-3]
     write_tool(tmp_path / "other.json", replace(TOOL, tip_m=tip))
@@ -383,7 +370,7 @@ for name in sys.argv[1:]:
     text = io.StringIO()
     try:
         with contextlib.redirect_stdout(text):
-            importlib.import_module("galen_deflection." + name).main(["--help"])
+            importlib.import_module("galen_deflection.scoring." + name).main(["--help"])
     except SystemExit as end:
         assert end.code == 0
     assert "exit codes:" in text.getvalue()

@@ -259,11 +259,10 @@ def test_the_first_that_is_as_good_as_the_best_is_taken():
 
 
 @pytest.mark.filterwarnings("error")
-@pytest.mark.parametrize("creep", [False, True])
-def test_one_stretch_of_load_tells_no_hysteresis(creep):
+def test_one_stretch_of_load_tells_no_hysteresis():
     short = recording(RUBBING, rate_hz=25.0).rows(slice(70, 160))
     assert len(blocks(short)) == 1  # there is nothing to hold out
-    basis = fit(short, FitSettings(creep=creep)).basis
+    basis = fit(short).basis
     assert isinstance(basis, HysteresisBasis)
     assert basis.operators == ()
 

@@ -8,15 +8,14 @@ import numpy as np
 import pytest
 from deflection_synthetic import POSITIONS, recording
 from galen_deflection.errors import ModelFileError
-from galen_deflection.models import independent, joint_hysteresis
+from galen_deflection.models import independent
 from galen_deflection.models.file import read_model, write_model
 from galen_deflection.models.fitted_range import FittedRange
 from galen_deflection.models.linear import FittedOn
-from galen_deflection.networks import network_model, residual_model
+from galen_deflection.networks import network_model
 from galen_deflection.networks.network import Network
 from galen_deflection.networks.network_model import NetworkModel
 from galen_deflection.networks.recurrent_net import RecurrentNet, Scaling, Weights
-from galen_deflection.networks.residual_model import ResidualModel
 from galen_deflection.networks.tensor_file import digest
 from galen_deflection.networks.training_curve import TrainingCurve
 
@@ -33,22 +32,17 @@ def samples():
     return recording(rate_hz=10.0, positions=POSITIONS[:3])
 
 
-@pytest.fixture(scope="module")
-def physics(samples):
-    return joint_hysteresis.fit(samples)
-
-
 def network(inputs, noise):
     rng = np.random.default_rng(1)
     shapes = Weights.shapes(len(inputs), HIDDEN, 6)
     weights = {name: rng.normal(size=shape).astype(np.float32) for name, shape in shapes.items()}
     scaling = Scaling(rng.normal(size=len(inputs)), rng.uniform(0.1, 1.0, len(inputs)))
     net = RecurrentNet(Weights(**weights), scaling, Scaling(rng.normal(size=6) * noise, noise))
-    return Network(net, 0.04, inputs, residual_model.OUTPUTS)
+    return Network(net, 0.04, inputs, network_model.OUTPUTS)
 
 
 @pytest.fixture(scope="module")
-def models(samples, physics):
+def models(samples):
     lstm = NetworkModel(
         name="lstm",
         tip_m=samples.tip_m,
@@ -59,13 +53,7 @@ def models(samples, physics):
         fitted_on=FittedOn.of(samples),
         training=CURVE,
     )
-    added = network(residual_model.INPUTS, samples.noise)
-    return {
-        "lstm": lstm,
-        "lstm_direct": replace(lstm, name="lstm_direct"),
-        "hysteresis_residual": ResidualModel(physics, added, CURVE, ("with a network",)),
-        "dropped": ResidualModel(physics, None, None, ("no network",)),
-    }
+    return {"lstm": lstm, "lstm_direct": replace(lstm, name="lstm_direct")}
 
 
 @pytest.fixture
@@ -75,7 +63,7 @@ def path(tmp_path, models):
     return path
 
 
-@pytest.mark.parametrize("name", ["lstm", "lstm_direct", "hysteresis_residual", "dropped"])
+@pytest.mark.parametrize("name", ["lstm", "lstm_direct"])
 def test_a_network_that_was_read_predicts_the_same_to_the_last_bit(name, models, samples, tmp_path):
     path = tmp_path / "arm.json"  # the name does not matter
     model = models[name]
@@ -162,15 +150,6 @@ def test_a_wrong_field_is_named_with_the_file(path, change, said):
     with pytest.raises(ModelFileError, match=said) as error:
         read_model(path)
     assert str(error.value).startswith(f"{path}: ")
-
-
-def test_weights_without_a_network_are_rejected(models, tmp_path):
-    path = tmp_path / "arm.safetensors"
-    write_model(path, models["dropped"])
-    content, _ = unpacked(path)
-    pack(path, content, {"w_in": np.zeros(3, np.float32)})
-    with pytest.raises(ModelFileError, match="the tensors are w_in; expected none"):
-        read_model(path)
 
 
 def test_the_description_alone_is_no_network(path, tmp_path):

@@ -8,20 +8,16 @@ import numpy as np
 import pytest
 from deflection_synthetic import POSITIONS, Arm, recording
 from galen_deflection.errors import FitError
-from galen_deflection.models import joint_hysteresis
 from galen_deflection.models.fit_settings import FitSettings
 from galen_deflection.models.interface import PredictedSamples
 from galen_deflection.models.linear import segments
 from galen_deflection.models.registry import KINDS
-from galen_deflection.networks import lstm, residual
+from galen_deflection.networks import lstm
 from galen_deflection.networks.hold_out import hold_out
-from galen_deflection.networks.network import Network
 from galen_deflection.networks.paced import PacedNet
 from galen_deflection.networks.recurrent_net import RecurrentNet, Scaling, Weights
-from galen_deflection.networks.residual_model import INPUTS, ResidualModel
 from galen_deflection.networks.sequences import interpolated, sequences
 
-NETWORKS = [kind for kind, what in KINDS.items() if what.is_network]
 LSTMS = ["lstm", "lstm_direct"]
 FEW = {"axes": (0, 1, 4), "forces_n": (8.0,), "torques_nm": (0.8,), "untouched_s": 0.5}
 
@@ -39,17 +35,6 @@ def pushed():
 @pytest.fixture(scope="module")
 def lstms(torch, pushed):
     return {kind: KINDS[kind].fit(pushed, FitSettings(iterations=12)) for kind in LSTMS}
-
-
-@pytest.fixture(scope="module")
-def crooked():
-    """What no model made of springs can be: much stiffer under a larger load."""
-    samples = recording(
-        rate_hz=25.0, axes=(0, 1, 2), forces_n=(4.0, 10.0), untouched_s=0.5, noise=np.zeros(6)
-    )
-    bent = samples.deflection / np.sqrt(1.0 + (samples.deflection / (5.0 * samples.noise)) ** 2)
-    rng = np.random.default_rng(0)
-    return replace(samples, deflection=bent + rng.normal(size=bent.shape) * samples.noise)
 
 
 def error_over_noise(model, samples):
@@ -248,23 +233,6 @@ def test_a_stream_is_the_prediction(kind, lstms, pushed):
     check_stream(lstms[kind], rate_changed(pushed.rows(pushed.segment == 1), 60.0))
 
 
-def test_a_stream_with_a_residual_is_the_prediction(pushed):
-    rng = np.random.default_rng(0)
-    shapes = Weights.shapes(len(INPUTS), 3, 6)
-    weights = {name: rng.normal(size=shape).astype("f4") for name, shape in shapes.items()}
-    net = RecurrentNet(
-        Weights(**weights),
-        Scaling(np.zeros(len(INPUTS)), np.repeat([1.0, 1e-4], 6)),
-        Scaling(np.zeros(6), pushed.noise),
-    )
-    physics = joint_hysteresis.fit(pushed)
-    model = ResidualModel(physics, Network(net, 0.04, INPUTS, residual.OUTPUTS), None, ())
-    samples = rate_changed(pushed.rows(pushed.segment == 1), 60.0)
-    check_stream(model, samples)
-    added = model.predict(samples).mean - physics.predict(samples).mean
-    assert np.abs(added / pushed.noise).max() > 0.5
-
-
 def check_stream(model, samples):
     predicted = model.predict(samples)
     stream = model.stream()
@@ -315,76 +283,10 @@ def test_progress_and_patience_reach_the_training(torch, pushed):
     assert len(told) == len(model.training.training_loss) + model.training.best + 1
 
 
-@pytest.mark.parametrize("kind", NETWORKS)
+@pytest.mark.parametrize("kind", LSTMS)
 def test_samples_that_cannot_be_learnt_from_are_rejected(kind, pushed):
     with pytest.raises(FitError, match="there are no samples"):
         KINDS[kind].fit(pushed, FitSettings(use=np.zeros(len(pushed), dtype=bool)))
     broken = replace(pushed, wrench=np.full_like(pushed.wrench, np.nan))
     with pytest.raises(FitError, match="aren't finite"):
         KINDS[kind].fit(broken, None)
-
-
-# hysteresis with a residual
-
-
-@pytest.mark.slow
-def test_a_residual_that_helps_elsewhere_is_kept(torch, crooked):
-    away = FitSettings(iterations=40, use=crooked.position != 1)
-    model, physics = residual.fit(crooked, away), joint_hysteresis.fit(crooked, away)
-    assert model.network is not None
-    assert "with a network: on positions left out it takes" in model.notes[-1]
-    assert len(model.training.check_loss) == 40
-    for rows in (crooked.position != 1, crooked.position == 1):
-        some = crooked.rows(rows)
-        assert error_over_noise(model, some) < 0.97 * error_over_noise(physics, some)
-
-
-@pytest.mark.slow
-def test_without_anything_left_there_is_no_network_and_the_physics_alone(torch):
-    samples = recording(sets=1, rate_hz=25.0, **FEW)
-    model = residual.fit(samples, FitSettings(iterations=10))
-    assert model.network is None
-    assert "no network: on positions left out it takes" in model.notes[-1]
-    assert len(model.training.check_loss) == 10
-    check_physics(model, joint_hysteresis.fit(samples), samples)
-
-
-def test_two_positions_are_too_few_and_need_no_torch():
-    samples = recording(sets=1, rate_hz=25.0, positions=POSITIONS[:2], **FEW)
-    model = residual.fit(samples)
-    assert model.training is None
-    assert model.notes[-1].endswith("takes 3 positions to tell, and these samples have 2")
-    check_physics(model, joint_hysteresis.fit(samples), samples)
-
-
-def check_physics(model, physics, samples):
-    assert model.name == "hysteresis_residual"
-    ours, theirs = model.predict(samples), physics.predict(samples)
-    np.testing.assert_array_equal(ours.mean, theirs.mean)
-    np.testing.assert_array_equal(ours.covariance, theirs.covariance)
-    np.testing.assert_array_equal(ours.extrapolated, theirs.extrapolated)
-    stream, other = model.stream(), physics.stream()
-    for k in range(30):
-        step = stream.step(int(samples.stamp_ns[k]), samples.joints[k], samples.wrench[k])
-        alike = other.step(int(samples.stamp_ns[k]), samples.joints[k], samples.wrench[k])
-        np.testing.assert_array_equal(step.mean, alike.mean)
-
-
-@pytest.mark.slow
-def test_a_residual_that_only_fits_what_it_saw_is_dropped(torch, pushed):
-    """What is left differs from position to position, and nothing tells how: nothing to learn."""
-    springs = recording(sets=1, rate_hz=25.0, **FEW)
-    sign = np.array([1.0, -1.0, 1.0, -1.0])[springs.position][:, None]
-    load = np.linalg.norm(springs.wrench[:, :3], axis=1, keepdims=True)
-    odd = replace(springs, deflection=springs.deflection + 0.5 * sign * load * springs.noise)
-    model = residual.fit(odd, FitSettings(iterations=30))
-    assert model.network is None
-    assert error_over_noise(model, odd) > 1.5
-
-
-def test_where_a_position_cannot_be_done_without_it_is_said(torch, crooked):
-    only = crooked.wrench * (crooked.position == 0)[:, None]
-    still = replace(crooked, wrench=only, deflection=crooked.deflection * (only.any(1)[:, None]))
-    model = residual.fit(still, FitSettings(iterations=2))
-    assert model.network is None
-    assert model.notes[-1].startswith("no network: without position 0, the samples tell none")

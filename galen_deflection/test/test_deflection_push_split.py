@@ -142,7 +142,7 @@ def test_what_is_checked_has_no_say_in_the_fit(samples, kind, name):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("kind", ["lstm", "lstm_direct", "hysteresis_residual"])
+@pytest.mark.parametrize("kind", ["lstm", "lstm_direct"])
 def test_what_is_checked_has_no_say_in_a_networks_fit(samples, kind):
     pytest.importorskip("torch", reason="networks need PyTorch: `make networks` installs it")
     assert KINDS[kind].is_network

@@ -254,7 +254,7 @@ def test_the_tables_hold_the_numbers():
 
 def test_names_and_ratios_are_whole_in_a_narrow_terminal():
     result = score(*hysteretic())
-    names = ["joint_stiffness", "joint_hysteresis", "hysteresis_residual"]
+    names = ["joint_stiffness", "joint_hysteresis"]
     rows = [{"name": "bag", "models": dict.fromkeys(names, result.to_dict()), "problems": []}]
     more = {heading: dict.fromkeys(names, "12.3") for heading in ("a fit, CPU", "LSTM's /\nits")}
     comparison = comparison_table(dict.fromkeys(names, result), more=more, width=100)

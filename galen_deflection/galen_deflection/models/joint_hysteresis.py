@@ -19,9 +19,6 @@ That is what dry friction does. Other forms are tried as well:
   joint does that, since it would give out more work than it takes; a wrench that is measured with
   hysteresis looks so.
 
-Creep is an option (`FitSettings.creep`): Kelvin-Voigt elements at the springs
-(`galen_deflection.springs.creep`), kept by the same rule.
-
 Of no hysteresis at all and these forms, the first is taken that is within two standard errors of
 the best, or within 1 % of its mean square: folds are few, and a memory that the arm does not have
 is worse than one of a tenth of the noise that is missed. Then, of its grids, the coarsest within
@@ -38,7 +35,6 @@ import numpy as np
 from galen_model.arrays import Array
 
 from galen_deflection.measurement.samples import DeflectionSamples
-from galen_deflection.models.creep_basis import CreepBasis, Lag, lags_from_json
 from galen_deflection.models.fit_settings import FitSettings
 from galen_deflection.models.hysteresis_basis import (
     COLUMNS,
@@ -75,9 +71,6 @@ GRIDS: dict[Shape, tuple[tuple[float, ...], ...]] = {
 }
 """What is tried after no hysteresis at all; each a part of GRID or SMOOTH_GRID."""
 
-CREEP_TIMES_S = (0.5, 2.0, 8.0, 32.0)
-"""What is tried: from a push's rise to some pushes on end, each four times the last."""
-
 DISPLACEMENTS = ("roll", "tilt", PLATFORM)
 """The three displacements that add up at the tip: contract, section 2."""
 
@@ -98,7 +91,6 @@ _STANDARD_ERRORS = 2.0
 _WORTH_IT = 0.01
 
 OF_PLATFORM = "hysteresis of the platform as a whole fits better than that of its parts"
-NO_CREEP = "creep does not make held-out samples come out clearly better: it was left out"
 LEADS = "the deflection leads the load, as if joints gave out work: is the wrench hysteretic?"
 
 
@@ -111,20 +103,16 @@ def fit(samples: DeflectionSamples, settings: FitSettings | None = None) -> Line
     found = solve(*chosen.totals.total(), chosen.basis.parameters, bounded=True)
     wanted = np.flatnonzero(found.free[len(COMPLIANCES) :]).tolist()
     used = _Candidate.of(grid, totals, [chosen.operators[k] for k in wanted], chosen.shape)
-    none = _Candidate.of(grid, totals, [], "play")
-    basis, totals, notes = _with_creep(used, none, samples, settings)
-    model = finished(KIND, basis, samples, totals, only_nearby=False)
-    operators = basis.springs.operators if isinstance(basis, CreepBasis) else basis.operators
-    notes += [OF_PLATFORM] * any(operator.place == PLATFORM for operator in operators)
+    model = finished(KIND, used.basis, samples, used.totals, only_nearby=False)
+    operators = used.basis.operators
+    notes = [OF_PLATFORM] * any(operator.place == PLATFORM for operator in operators)
     notes += [LEADS] * any(operator.shape in STOPS.values() for operator in operators)
     return replace(model, notes=tuple(notes))
 
 
 def from_json(content: Mapping[str, Any]) -> LinearModel:
     """From a file's content; raises FieldError."""
-    springs = HysteresisBasis.from_json(content, tip_from_json(content))
-    lags = lags_from_json(content)
-    return linear_from_json(content, CreepBasis(springs, lags) if lags else springs)
+    return linear_from_json(content, HysteresisBasis.from_json(content, tip_from_json(content)))
 
 
 def _whole_grid(samples: DeflectionSamples, settings: FitSettings) -> HysteresisBasis:
@@ -181,31 +169,6 @@ class _Candidate(NamedTuple):
     def held_out_cost(self) -> Array:
         """As `least_squares.held_out_cost`."""
         return held_out_cost(self.totals, self.basis)
-
-
-def _with_creep(
-    chosen: _Candidate, none: _Candidate, samples: DeflectionSamples, settings: FitSettings
-) -> tuple[HysteresisBasis | CreepBasis, Sums, list[str]]:
-    """The basis with creep, if that is asked for and held-out folds want it; and what was found.
-
-    With creep, `none` of the hysteresis may be as good as the one `chosen` without.
-    """
-    if not settings.creep:
-        return chosen.basis, chosen.totals, []
-    lags = tuple(Lag(kind.name, time_s) for kind in kinds() for time_s in CREEP_TIMES_S)
-    creeping = [CreepBasis(candidate.basis, lags) for candidate in (none, chosen)]
-    summed = [sums(basis, samples, settings) for basis in creeping]
-    costs = [held_out_cost(*pair) for pair in zip(summed, creeping, strict=True)]
-    best = _first_good(np.array([chosen.held_out_cost(), *costs]), _WORTH_IT)
-    if best == 0:
-        return chosen.basis, chosen.totals, [NO_CREEP]
-    basis, totals = creeping[best - 1], summed[best - 1]
-    given = len(basis.springs.parameters)
-    values = solve(*totals.total(), basis.parameters, bounded=True).values
-    wanted = [k for k in range(len(lags)) if values[given + k] > 0.0]
-    kept = np.eye(given + len(lags))[:, [*range(given), *(given + k for k in wanted)]]
-    used = CreepBasis(basis.springs, tuple(lags[k] for k in wanted))
-    return used, totals.combined(kept), []
 
 
 def _chosen(grid: HysteresisBasis, totals: Sums) -> _Candidate:

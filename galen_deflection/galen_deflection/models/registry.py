@@ -15,7 +15,7 @@ from galen_deflection.measurement.samples import DeflectionSamples
 from galen_deflection.models import coupled, independent, joint_hysteresis, joint_stiffness
 from galen_deflection.models.fit_settings import FitSettings
 from galen_deflection.models.interface import DeflectionModel
-from galen_deflection.networks import lstm, network_model, residual, residual_model
+from galen_deflection.networks import lstm, network_model
 
 
 class ModelKind(NamedTuple):
@@ -81,11 +81,6 @@ KINDS: dict[str, ModelKind] = {
         "the variant its authors suggest: no fully connected layer",
         lstm.fit_direct,
         from_tensors=network_model.from_tensors,
-    ),
-    residual_model.KIND: ModelKind(
-        "hysteresis of the joints and a small network for what that leaves, if it helps",
-        residual.fit,
-        from_tensors=residual_model.from_tensors,
     ),
 }
 """Kinds in the order in which they are listed."""

@@ -127,6 +127,4 @@ def _check_tip(path: Path, model: DeflectionModel, bag: Path, tool: ToolFile) ->
 
 def _same_noise(model: DeflectionModel, recording: Recording) -> bool:
     """Whether the model was fitted to just this: no other recording has the same sixteen digits."""
-    # of physics with a network beside it, the physics has it
-    noise = getattr(getattr(model, "physics", model), "noise", None)
-    return noise is not None and np.allclose(noise, recording.samples.noise, rtol=1e-12, atol=0.0)
+    return np.allclose(model.noise, recording.samples.noise, rtol=1e-12, atol=0.0)

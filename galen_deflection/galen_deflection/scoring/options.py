@@ -90,12 +90,6 @@ def add_fit(parser: argparse.ArgumentParser) -> None:
         metavar="N",
         help="stop a training that has not become better for so many iterations (default: never)",
     )
-    group.add_argument(
-        "--creep",
-        action="store_true",
-        help="let joint_hysteresis try whether the springs creep (keeps it if held-out samples"
-        " come out clearly better)",
-    )
 
 
 def read_settings(arguments: argparse.Namespace) -> ReadSettings:
@@ -117,7 +111,6 @@ def fit_settings(arguments: argparse.Namespace) -> FitSettings:
         seed=arguments.seed,
         iterations=arguments.iterations,
         patience=arguments.patience,
-        creep=arguments.creep,
     )
 
 

@@ -1,1 +1,1 @@
-"""The arm as springs: compliance, hysteresis, creep."""
+"""The arm as springs: compliance and hysteresis."""

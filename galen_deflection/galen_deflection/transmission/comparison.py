@@ -13,15 +13,18 @@ from dataclasses import dataclass
 import numpy as np
 from galen_model.arrays import Array
 
+from galen_deflection.networks.recurrent import RecurrentSettings, Series, train
 from galen_deflection.transmission import joint_forms
 from galen_deflection.transmission.joint_fit import CellSums, fit_terms
-from galen_deflection.transmission.joint_forms import FORMS, Chosen
+from galen_deflection.transmission.joint_forms import FORMS
 from galen_deflection.transmission.parts import Parts
 from galen_deflection.transmission.runs import Noise, Run, noise_of
-from galen_deflection.transmission.terms import Scales, design
+from galen_deflection.transmission.terms import Scales, design, velocity
 
 OURS = "ours"
-RESIDUAL = "ours + residual"
+NETWORKS = ("LSTM", "LSTM direct")
+"""The report's network; the variant that its authors suggest: no fully connected layer."""
+
 _CONFIDENCE = 0.95
 _DRAWS = 2000
 
@@ -65,9 +68,9 @@ class JointScore:
 class Comparison:
     """What came of it; scores by model, in the order of the table.
 
-    lag_std: of all readings, rad. chosen: by part, the form that was `ours`. kept: by part, whether
-    the residual was; None without networks. against: the better of the report's networks, and the
-    RMSE of ours over that network's, with its 95 % interval; None without networks.
+    lag_std: of all readings, rad. chosen: by part, the form that was `ours`. against: the better of
+    the report's networks, and the RMSE of ours over that network's, with its 95 % interval; None
+    without networks.
     """
 
     runs: list[Run]
@@ -78,7 +81,6 @@ class Comparison:
     predictions: Predictions
     scores: dict[str, JointScore]
     chosen: tuple[str, ...]
-    kept: tuple[bool, ...] | None
     against: tuple[str, float, tuple[float, float]] | None
 
 
@@ -114,7 +116,6 @@ def compare(
             for name, square in sorted(squares.items(), key=lambda item: _place(item[0]))
         },
         chosen=tuple(bench.chosen),
-        kept=tuple(bench.kept) if settings.networks else None,
         against=_against(squares, count, draws) if settings.networks else None,
     )
 
@@ -135,7 +136,6 @@ class _Bench:
         self.predictions: Predictions = {}
         self.seconds: dict[str, float] = {}
         self.chosen: list[str] = []
-        self.kept: list[bool] = []
 
     def check(self, part: int) -> None:
         """Predict one part by models that are fitted to those that stand apart from it."""
@@ -161,64 +161,33 @@ class _Bench:
         self._spent(OURS, started)
         self._step(f"{parts.names[part]}: physics")
         if settings.networks:
-            self._networks(part, trained_on, best, sums, designs)
+            self._train_networks(part, trained_on)
 
-    def _networks(
-        self,
-        part: int,
-        trained_on: list[int],
-        best: Chosen,
-        sums: CellSums,
-        designs: Sequence[Array],
-    ) -> None:
-        from galen_deflection.transmission import joint_networks as networks
-
-        runs, parts = self._runs, self._parts
-        own = networks.NetworkSettings(self._settings.iterations, self._settings.seed)
-        inputs = [networks.inputs_of(run, self._settings.window_s) for run in runs]
-        used = parts.rows(trained_on)
-        for name in networks.NETWORKS:
+    def _train_networks(self, part: int, trained_on: list[int]) -> None:
+        """Train on torque, motor's angle and its velocity, from a run's first reading on."""
+        runs, window_s = self._runs, self._settings.window_s
+        inputs = [
+            np.stack([run.torque, run.motor, velocity(run, window_s)], axis=1) for run in runs
+        ]
+        series = [
+            Series(x, run.lag[:, None], some)
+            for x, run, some in zip(inputs, runs, self._parts.rows(trained_on), strict=True)
+            if some.any()
+        ]
+        for name in NETWORKS:
             started = time.monotonic()
-            lags = networks.predicted(
-                inputs,
-                [run.lag for run in runs],
-                used,
-                own.of(name),
-                lambda: self._step(f"{parts.names[part]}: {name}"),  # noqa: B023
+            what = f"{self._parts.names[part]}: {name}"
+            net, _ = train(
+                series,
+                RecurrentSettings(
+                    iterations=self._settings.iterations,
+                    seed=self._settings.seed,
+                    direct=name == "LSTM direct",
+                ),
+                on_progress=lambda done, total: self._step(what),  # noqa: B023
             )
             self._spent(name, started)
-            self._keep(name, part, lags)
-        started = time.monotonic()
-        physics = [x @ fit_terms(sums, sums.of_parts(trained_on), best.terms) for x in designs]
-        seen = self._held_out(physics, trained_on, best, sums, designs)
-        found = networks.residual(
-            [np.column_stack([x, lag]) for x, lag in zip(inputs, seen, strict=True)],
-            [run.lag - lag for run, lag in zip(runs, seen, strict=True)],
-            parts,
-            trained_on,
-            own.residual,
-            lambda: self._step(f"{parts.names[part]}: residual"),
-        )
-        self._spent(RESIDUAL, started)
-        self.kept.append(found.kept)
-        self._keep(RESIDUAL, part, [a + b for a, b in zip(physics, found.added, strict=True)])
-
-    def _held_out(
-        self,
-        physics: Sequence[Array],
-        trained_on: list[int],
-        best: Chosen,
-        sums: CellSums,
-        designs: Sequence[Array],
-    ) -> list[Array]:
-        """Physics, in each part that is trained on by a fit to the others: as it is when new."""
-        lags = [lag.copy() for lag in physics]
-        for part in trained_on:
-            others = sums.of_parts([k for k in trained_on if k != part])
-            weights = fit_terms(sums, others, best.terms)
-            for lag, x, some in zip(lags, designs, self._parts.rows([part]), strict=True):
-                lag[some] = x[some] @ weights
-        return lags
+            self._keep(name, part, [net.predict(x)[:, 0] for x in inputs])
 
     def _keep(self, name: str, part: int, lags: Sequence[Array]) -> None:
         rows = self._parts.rows([part])
@@ -237,17 +206,13 @@ class _Bench:
 
 def _place(name: str) -> int:
     """In the table: the forms, then what hold-outs choose of them, then networks."""
-    order = [*(form.name for form in FORMS), OURS, RESIDUAL]
+    order = [*(form.name for form in FORMS), OURS]
     return order.index(name) if name in order else len(order)
 
 
 def _steps(parts: Parts, settings: JointSettings) -> int:
-    """At most so many: a residual that is not kept is not trained once more."""
     count = len(parts.names)
-    if not settings.networks:
-        return count
-    trainings = int(parts.apart.sum()) + count
-    return count + 2 * count * settings.iterations + trainings * max(1, settings.iterations // 2)
+    return count + (len(NETWORKS) * count * settings.iterations if settings.networks else 0)
 
 
 def _squares(runs: Sequence[Run], parts: Parts, lags: Sequence[Array]) -> Array:
@@ -274,8 +239,6 @@ def _score(
 def _against(
     squares: Mapping[str, Array], count: Array, draws: np.ndarray
 ) -> tuple[str, float, tuple[float, float]]:
-    from galen_deflection.transmission.joint_networks import NETWORKS
-
     name = min(NETWORKS, key=lambda other: float(squares[other].sum()))
     mine, other = squares[OURS], squares[name]
     drawn = np.sqrt(mine[draws].sum(axis=1) / other[draws].sum(axis=1))

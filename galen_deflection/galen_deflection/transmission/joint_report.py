@@ -70,9 +70,6 @@ def to_dict(comparison: Comparison, parameters: JointParameters, label: str) -> 
             for name, score in comparison.scores.items()
         },
         "ours_by_part": dict(zip(parts.names, comparison.chosen, strict=True)),
-        "residual_kept": None
-        if comparison.kept is None
-        else dict(zip(parts.names, comparison.kept, strict=True)),
         "ours_over_network": None
         if comparison.against is None
         else {
@@ -149,10 +146,6 @@ def _score_table(comparison: Comparison, label: str, unit: str) -> Table:
         f"terms in all but the constant: {', '.join(comparison.settings.common) or 'none'}",
         f"ours: {_counted(comparison.chosen)}",
     ]
-    if comparison.kept is not None:
-        lines.append(
-            f"the residual was kept for {sum(comparison.kept)} of {len(comparison.kept)} parts"
-        )
     if comparison.against is not None:
         network, ratio, (low, high) = comparison.against
         lines.append(
