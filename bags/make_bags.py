@@ -10,7 +10,6 @@ With `--deflection-sets DIR` other, larger ones are made instead, and not kept h
 from __future__ import annotations
 
 import argparse
-import json
 import math
 import re
 import sys
@@ -33,7 +32,8 @@ from galen_calibration_behavior.calibration.estimate import calibrate
 from galen_calibration_behavior.calibration.parameters import CalibrationParameters
 from galen_calibration_behavior.calibration.procedure import Request
 from galen_model.arm.galen import HOME, JOINT_NAMES
-from galen_model.errors import GalenError
+from galen_model.errors import CalibrationFileError, GalenError
+from galen_model.files.calibration_file import read_calibration
 from galen_model.load.nominal_tools import TOOLS
 from galen_sim_driver.plant.cell import Plant
 from galen_sim_driver.plant.config import (
@@ -333,10 +333,10 @@ def differences(recipe: Recipe, made: Path, kept: Path) -> list[str]:
         found.append(str(error))
     if recipe.tool_file is not None:
         try:
-            old = json.loads((kept / recipe.tool_file).read_text(encoding="utf-8"))
-        except (OSError, ValueError) as error:
-            return [*found, f"{kept / recipe.tool_file}: can't be read: {error}"]
-        new = json.loads((made / recipe.tool_file).read_text(encoding="utf-8"))
+            old = read_calibration(kept / recipe.tool_file).to_json()
+        except CalibrationFileError as error:
+            return [*found, str(error)]
+        new = read_calibration(made / recipe.tool_file).to_json()
         if not _same(new, old):
             found.append(f"{kept / recipe.tool_file}: made again, it holds other values")
     return found

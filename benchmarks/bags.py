@@ -31,7 +31,7 @@ from galen_bags.formats.bag import open_bag
 from galen_bags.formats.writer import BagWriter
 from galen_gravcomp.evaluate.bag_evaluation import evaluate_bag
 from galen_model.arm.galen import JOINT_NAMES, SENSOR
-from galen_model.files.calibration_file import read_tool, write_tool
+from galen_model.files.calibration_file import read_calibration, write_calibration
 from galen_ros.cdr.layout import JointStateBytes, WrenchBytes
 from rich.table import Table
 from tqdm import tqdm
@@ -127,7 +127,7 @@ def read_arrays(bag: Path, _tool: Path) -> int:
 
 def evaluate(bag: Path, tool: Path) -> int:
     """Evaluate the bag."""
-    result = evaluate_bag(bag, read_tool(tool))
+    result = evaluate_bag(bag, read_calibration(tool))
     assert result.compensated == result.wrench_stamps.count, result.rejected
     return result.joint_stamps.count + result.wrench_stamps.count
 
@@ -196,7 +196,7 @@ def compare(
     for length in hours:
         with tempfile.TemporaryDirectory(prefix="galen_bench_") as directory:
             bag, tool = Path(directory, "bag"), Path(directory, "bench.json")
-            write_tool(tool, bench_tool())
+            write_calibration(tool, bench_tool())
             progress(f"writing a bag of {length:g} h")
             messages = generate(bag, length, rate_hz, quiet=not sys.stderr.isatty())
             for name in SUBJECTS:

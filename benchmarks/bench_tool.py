@@ -4,23 +4,28 @@ from pathlib import Path
 
 import numpy as np
 from galen_model.arm.galen import SENSOR
-from galen_model.files.calibration_file import LoadEstimate, ToolFile, tool_path, write_tool
+from galen_model.files.calibration_file import (
+    CalibrationFile,
+    LoadEstimate,
+    calibration_path,
+    write_calibration,
+)
 from galen_model.load.model import Load
 from galen_model.load.nominal_tools import ADAPTER, TOOLS
 
 NAME = "retractor"
 
 
-def bench_tool() -> ToolFile:
+def bench_tool() -> CalibrationFile:
     """Its file's content, without any error of a calibration."""
 
     def estimate(load: Load) -> LoadEstimate:
         return LoadEstimate(load.mass_kg, load.com_m, np.eye(4) * 1e-8)
 
-    return ToolFile(
+    return CalibrationFile(
         tool=NAME,
         load=estimate(TOOLS[NAME].load),
-        bias=estimate(ADAPTER),
+        adapter=estimate(ADAPTER),
         tip_m=TOOLS[NAME].tip_m,
         rmse=SENSOR.noise_std.copy(),
         poses_used=56,
@@ -30,4 +35,4 @@ def bench_tool() -> ToolFile:
 
 def write_bench_tool(tools_dir: Path) -> None:
     """Write it into a folder of tools."""
-    write_tool(tool_path(tools_dir, NAME), bench_tool())
+    write_calibration(calibration_path(tools_dir, NAME), bench_tool())

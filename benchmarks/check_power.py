@@ -30,7 +30,7 @@ from galen_calibration_behavior.quick_check.poses import plan_check
 from galen_model.arm.galen import SENSOR
 from galen_model.arm.kinematics import gravity_in_sensor
 from galen_model.arrays import Array
-from galen_model.files.calibration_file import ToolFile
+from galen_model.files.calibration_file import CalibrationFile
 from galen_model.load.identification import StillPoses, identify_two_sweeps
 from galen_model.load.model import Load, gravity_wrench, nominal_reading
 from galen_model.load.nominal_tools import ADAPTER, TOOLS
@@ -145,17 +145,17 @@ class Bench:
             here, parameters.reach_rad, parameters.poses, times, Surroundings(), np.zeros(3)
         ).poses
 
-    def file(self, name: str, load: Load) -> ToolFile:
+    def file(self, name: str, load: Load) -> CalibrationFile:
         """A file as `calibrate` writes it, from two sweeps of its own."""
         settings = CalibrationParameters()
         poses = settings.grid_poses(settings.itersT, settings.itersR)
         found = identify_two_sweeps(
             self._sweep(poses, Load(0.0)), self._sweep(poses, load), 0.0, 0.0
         )
-        return ToolFile(
+        return CalibrationFile(
             tool=name,
             load=found.load,
-            bias=found.bias,
+            adapter=found.adapter,
             tip_m=np.array([0.15, 0.0, 0.05]),
             rmse=found.rmse,
             poses_used=len(poses),
@@ -185,7 +185,7 @@ class Bench:
         return average_pose(np.array([[*_PLATFORM, *pose]] * 2), wrench)
 
 
-def plain_answer(records: Sequence[PoseRecord], tool: ToolFile) -> Answer:
+def plain_answer(records: Sequence[PoseRecord], tool: CalibrationFile) -> Answer:
     """What a ten-parameter least squares says by itself."""
     roll, tilt, wrench, _ = stack(list(records))
     rows = load_and_offset(np.column_stack([roll, tilt]), tool).reshape(-1, 10)

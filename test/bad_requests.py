@@ -19,7 +19,7 @@ from galen_deflection.collection.node import CollectionNode
 from galen_deflection.node import DeflectionNode
 from galen_gravcomp.node import GravcompNode
 from galen_model.arm.galen import HOME
-from galen_model.files.calibration_file import tool_path, write_tool
+from galen_model.files.calibration_file import calibration_path, write_calibration
 from galen_ros.conversions import wrench_to_array
 from galen_ros.node.testing import Harness, parameters
 from galen_ros.qos import STREAM
@@ -70,7 +70,7 @@ SERVICES: dict[str, tuple[type, dict[str, Any], Bad]] = {
             "joints": [[x] * 5 for x in NOT_FINITE] + [[0.0], [0.0] * 7, [0.0] * 100_000],
         },
     ),
-    "gravcomp/compare_tools": (
+    "gravcomp/compare_calibrations": (
         CompareTools,
         {"a": "pointer", "b": "retractor"},
         {"a": NAMES, "b": NAMES, "a_previous": [True], "b_previous": [True]},
@@ -168,7 +168,7 @@ class World:
         self.harness, self.folder = harness, folder
         self.tools, self.recordings = folder / "tools", folder / "recordings"
         for name, mass_kg in (("pointer", 0.06), ("retractor", 0.2)):
-            write_tool(tool_path(self.tools, name), a_tool(name, mass_kg))
+            write_calibration(calibration_path(self.tools, name), a_tool(name, mass_kg))
         tools = {"tools_dir": str(self.tools)}
         self.gravcomp = self.add(GravcompNode, tool="pointer", **tools)
         self.driver = self.add(SimDriverNode, initial_tool="pointer", speed_factor=0.2)

@@ -25,7 +25,12 @@ from galen_deflection.models.file import write_model
 from galen_deflection.models.fitted_range import FittedRange
 from galen_deflection.models.joint_stiffness import COMPLIANCES, StiffnessBasis
 from galen_deflection.models.linear import FittedOn, LinearModel
-from galen_model.files.calibration_file import LoadEstimate, ToolFile, tool_path, write_tool
+from galen_model.files.calibration_file import (
+    CalibrationFile,
+    LoadEstimate,
+    calibration_path,
+    write_calibration,
+)
 from galen_ros.conversions import stamp_to_ns, wrench_to_array
 from galen_ros.node.testing import Harness
 from galen_ros.qos import STREAM
@@ -42,17 +47,17 @@ PATIENCE_S = 100.0
 def write_tool_file(folder, mass_kg=MASS_KG):
     """Write the retractor's file; returns its path."""
     tight = np.eye(4) * 1e-10
-    tool = ToolFile(
+    tool = CalibrationFile(
         tool="retractor",
         load=LoadEstimate(mass_kg, COM_M, tight),
-        bias=LoadEstimate(ADAPTER_KG, ADAPTER_COM_M, tight),
+        adapter=LoadEstimate(ADAPTER_KG, ADAPTER_COM_M, tight),
         tip_m=TIP_M,
         rmse=np.zeros(6),
         poses_used=56,
         calibrated_at="2026-01-01T00:00:00+00:00",
     )
-    path = tool_path(folder, "retractor")
-    write_tool(path, tool)
+    path = calibration_path(folder, "retractor")
+    write_calibration(path, tool)
     return path
 
 

@@ -2,9 +2,9 @@
 
 Every place where a name makes a path is here, or where its row says:
 
-    tool of ~/set_tool, ~/get_tool, ~/compare_tools, ~/rename_tool, ~/remove_tool, ~/revert_tool,
-      check_tool, gap_node, `tools`        ToolStore: check_tool_name, no link out    here
-    tool of calibrate_tool, `calibrate*`   tool_path                                  here
+    tool of ~/set_tool, ~/get_tool, ~/compare_calibrations, ~/rename_tool, ~/remove_tool, ~/revert_tool,
+      check_tool, gap_node, `tools`        CalibrationStore: check_tool_name, no link out    here
+    tool of calibrate_tool, `calibrate*`   calibration_path                                  here
     tool in a tool's file                  check_tool_name                            test_bad_input
     tool of the driver's attach_tool       check_tool_name                            test_sim_node
     name of a collection                   CollectionFolder: check_tool_name          here
@@ -26,9 +26,9 @@ from galen_bags.errors import BagError
 from galen_bags.formats.bag import open_bag
 from galen_deflection.collection.folder import CollectionFolder
 from galen_gravcomp.tools.messages import error_code
-from galen_model.errors import GalenError, ToolFileError, ToolNameError
-from galen_model.files.calibration_file import check_tool_name, tool_path, write_tool
-from galen_model.files.calibration_store import ToolStore
+from galen_model.errors import CalibrationFileError, GalenError, ToolNameError
+from galen_model.files.calibration_file import calibration_path, check_tool_name, write_calibration
+from galen_model.files.calibration_store import CalibrationStore
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
@@ -49,7 +49,7 @@ def is_name(text: str) -> bool:
 @example("x" * 64)
 def test_a_name_is_letters_digits_dashes_and_nothing_else(text: str) -> None:
     if is_name(text):
-        assert tool_path("/tools", text) == Path(f"/tools/{text}.json")
+        assert calibration_path("/tools", text) == Path(f"/tools/{text}.json")
         return
     with pytest.raises(ToolNameError) as rejected:
         check_tool_name(text)
@@ -65,8 +65,8 @@ def tree(folder: Path) -> dict[str, bytes | None]:
 
 def test_no_request_with_a_strange_name_changes_anything(tmp_path: Path) -> None:
     """As the services call it; what is beside the tools is looked at as well."""
-    store = ToolStore(tmp_path / "robot" / "tools")
-    write_tool(tool_path(store.directory, "pointer"), a_tool("pointer"))
+    store = CalibrationStore(tmp_path / "robot" / "tools")
+    write_calibration(calibration_path(store.directory, "pointer"), a_tool("pointer"))
     (tmp_path / "robot" / "x.json").write_bytes((store.directory / "pointer.json").read_bytes())
     (tmp_path / "x.json").write_text("outside")
     before = tree(tmp_path)
@@ -76,7 +76,7 @@ def test_no_request_with_a_strange_name_changes_anything(tmp_path: Path) -> None
         (RemoveTool.Response, store.remove),
         (RenameTool.Response, lambda name: store.rename(name, "new")),
         (RenameTool.Response, lambda name: store.rename("pointer", name)),
-        (SetTool.Response, lambda name: tool_path(store.directory, name)),
+        (SetTool.Response, lambda name: calibration_path(store.directory, name)),
         (SetTool.Response, lambda name: CollectionFolder(tmp_path / "recordings", name)),
         (RemoveTool.Response, store.restore),
         (RevertTool.Response, store.revert),
@@ -94,7 +94,7 @@ def test_no_request_with_a_strange_name_changes_anything(tmp_path: Path) -> None
         assert tree(tmp_path) == before
 
     rejected()
-    with pytest.raises(ToolFileError) as absent:
+    with pytest.raises(CalibrationFileError) as absent:
         store.read("absent")
     assert error_code(GetTool.Response, absent.value, "") == GetTool.Response.NOT_FOUND
 
@@ -118,8 +118,8 @@ def test_a_model_s_kind_is_no_path_and_no_module(kind: str, tmp_path: Path) -> N
 
 
 def test_a_link_leads_no_service_out_of_the_directory(tmp_path: Path) -> None:
-    store = ToolStore(tmp_path / "tools")
-    write_tool(tool_path(store.directory, "pointer"), a_tool("pointer"))
+    store = CalibrationStore(tmp_path / "tools")
+    write_calibration(calibration_path(store.directory, "pointer"), a_tool("pointer"))
     outside = tmp_path / "secret.json"
     outside.write_text(json.dumps(a_tool("secret").to_json()))
     (store.directory / "secret.json").symlink_to(outside)

@@ -142,11 +142,11 @@ def compensate_live(bag, tool, seconds, tare_at_s=None, **parameters):
     """Stamps (n,) ns and wrenches (n, 6) as the node makes them, sample by sample."""
     from galen_gravcomp.compensator import Compensator
     from galen_gravcomp.parameters import GravcompParameters
-    from galen_model.files.calibration_file import read_tool
+    from galen_model.files.calibration_file import read_calibration
 
     settings = GravcompParameters(**parameters)
     compensator = Compensator(settings.settings(), stages=settings.stages())
-    compensator.set_tool(read_tool(tool))
+    compensator.set_tool(read_calibration(tool))
     tared = []
     out = []
     first_ns = None

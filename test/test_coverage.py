@@ -67,13 +67,13 @@ def test_intervals_hold_the_truth_in_95_of_100_and_unseen_poses_are_compensated(
     for _ in range(CALIBRATIONS):
         found, left_by_zeroing = calibration(tool, roll, tilt, rng)
         value = np.concatenate(
-            [[found.load.mass_kg], found.load.com_m, [found.bias.mass_kg], found.bias.com_m]
+            [[found.load.mass_kg], found.load.com_m, [found.adapter.mass_kg], found.adapter.com_m]
         )
         std = np.sqrt(
-            np.concatenate([np.diag(found.load.covariance), np.diag(found.bias.covariance)])
+            np.concatenate([np.diag(found.load.covariance), np.diag(found.adapter.covariance)])
         )
         inside.append(np.abs(value - truth) < 1.96 * std)
-        predicted = nominal_reading(*unseen, found.load.load, found.bias.load) + found.offset
+        predicted = nominal_reading(*unseen, found.load.load, found.adapter.load) + found.offset
         errors.append(np.mean((predicted - exact - left_by_zeroing) ** 2, axis=0))
     coverage = np.mean(inside, axis=0)
     # 200 calibrations tell a coverage to 1.5 % a parameter

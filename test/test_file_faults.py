@@ -14,20 +14,20 @@ from pathlib import Path
 
 import pytest
 from fuzz.readers import a_tool
-from galen_model.errors import ToolFileError
+from galen_model.errors import CalibrationFileError
 from galen_model.files import atomic_file as atomic_file
-from galen_model.files.calibration_file import read_tool, tool_path, write_tool
-from galen_model.files.calibration_store import ToolStore
+from galen_model.files.calibration_file import calibration_path, read_calibration, write_calibration
+from galen_model.files.calibration_store import CalibrationStore
 
 NURSERY = """
 import json, mmap, os, random, signal, struct, sys, time
 from dataclasses import replace
 from pathlib import Path
-from galen_model.files.calibration_file import read_tool, write_tool
+from galen_model.files.calibration_file import read_calibration, write_calibration
 
 path, kills, seed = Path(sys.argv[1]), int(sys.argv[2]), int(sys.argv[3])
 rng = random.Random(seed)
-first = read_tool(path)
+first = read_calibration(path)
 
 def tool(number):
     return replace(first, poses_used=number, poses_rejected=(f"{number} " * 60,) * 20)
@@ -41,10 +41,10 @@ def write_on(number):
     while True:
         number += 1
         struct.pack_into("q", shared, 0, number)
-        write_tool(path, tool(number))
+        write_calibration(path, tool(number))
         struct.pack_into("q", shared, 8, number)
 
-write_tool(path, tool(1))
+write_calibration(path, tool(1))
 number, counts, seconds = 1, {"old": 0, "new": 0, "between": 0, "other": 0, "backup": 0}, 0.01
 for _ in range(kills):
     shared[:] = struct.pack("qq", number, number)
@@ -77,8 +77,8 @@ print(json.dumps(counts))
 
 def killed(folder: Path, kills: int, seed: int) -> dict:
     """Kill a writer that often; how often its file was the old one, the new one, or another."""
-    path = tool_path(folder, "pointer")
-    write_tool(path, a_tool("pointer"))
+    path = calibration_path(folder, "pointer")
+    write_calibration(path, a_tool("pointer"))
     done = subprocess.run(
         [sys.executable, "-c", NURSERY, str(path), str(kills), str(seed)],
         stdout=subprocess.PIPE,
@@ -97,7 +97,9 @@ def check_kills(counts: dict, kills: int) -> None:
 
 def test_thirty_kills_leave_the_old_file_or_the_new_one(tmp_path: Path) -> None:
     check_kills(killed(tmp_path, 30, seed=1), 30)
-    assert ToolStore(tmp_path).names() == ["pointer"]  # what is left of a killed writer is hidden
+    assert CalibrationStore(tmp_path).names() == [
+        "pointer"
+    ]  # what is left of a killed writer is hidden
 
 
 @pytest.mark.soak
@@ -113,8 +115,8 @@ def test_what_killed_writers_left_goes_with_a_later_writing_of_the_same_file(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Not while it is young: it may be another writer's at work."""
-    path = tool_path(tmp_path, "pointer")
-    write_tool(path, a_tool("pointer"))
+    path = calibration_path(tmp_path, "pointer")
+    write_calibration(path, a_tool("pointer"))
     left = [".pointer.json.unfinished.ab_12cd9", ".pointer.json.unfinished.bak77"]
     others = [
         ".pointer.json.original", ".pointer.json.aside.5", ".pointer.jsonx.unfinished.abcdefgh",
@@ -123,11 +125,11 @@ def test_what_killed_writers_left_goes_with_a_later_writing_of_the_same_file(
     for name in {*left, *others[:4]}:
         (tmp_path / name).write_text("half of a file")
     os.utime(tmp_path / left[0], (0.0, 0.0))  # what it says of itself doesn't matter
-    write_tool(path, a_tool("pointer"))
+    write_calibration(path, a_tool("pointer"))
     assert names(tmp_path) == sorted(left + others)
     now_s = time.time()
     monkeypatch.setattr(atomic_file.time, "time", lambda: now_s + 660.0)
-    write_tool(path, a_tool("pointer"))
+    write_calibration(path, a_tool("pointer"))
     assert names(tmp_path) == sorted(others)
 
 
@@ -144,9 +146,9 @@ def test_an_error_of_the_disk_leaves_the_old_file_and_nothing_else(
     number: int, call: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """At each step; without hard links the backup is a copy, which fails as well."""
-    path = tool_path(tmp_path, "pointer")
+    path = calibration_path(tmp_path, "pointer")
     for mass_kg in (0.05, 0.06):
-        write_tool(path, a_tool("pointer", mass_kg))
+        write_calibration(path, a_tool("pointer", mass_kg))
     before = {name: (tmp_path / name).read_bytes() for name in names(tmp_path)}
     calls = Counter[str]()
 
@@ -165,15 +167,15 @@ def test_an_error_of_the_disk_leaves_the_old_file_and_nothing_else(
         monkeypatch.setattr(atomic_file.os, "replace", second)
     else:
         monkeypatch.setattr(atomic_file.os, call, failing)
-    with pytest.raises(ToolFileError, match="can't be written") as error:
-        write_tool(path, a_tool("pointer", 0.07))
+    with pytest.raises(CalibrationFileError, match="can't be written") as error:
+        write_calibration(path, a_tool("pointer", 0.07))
     monkeypatch.undo()
     assert str(path) in str(error.value) and os.strerror(number) in str(error.value)
     assert names(tmp_path) == sorted(before)
     assert path.read_bytes() == before["pointer.json"]
-    assert read_tool(path.with_name("pointer.json.bak")).load.mass_kg in (0.05, 0.06)
-    write_tool(path, a_tool("pointer", 0.07))
-    assert read_tool(path).load.mass_kg == 0.07
+    assert read_calibration(path.with_name("pointer.json.bak")).load.mass_kg in (0.05, 0.06)
+    write_calibration(path, a_tool("pointer", 0.07))
+    assert read_calibration(path).load.mass_kg == 0.07
 
 
 def _half_written(number: int):
@@ -188,12 +190,12 @@ def _half_written(number: int):
 IN_A_PROCESS = """
 import os, resource, signal, sys
 from pathlib import Path
-from galen_model.errors import ToolFileError
-from galen_model.files.calibration_file import read_tool, write_tool
+from galen_model.errors import CalibrationFileError
+from galen_model.files.calibration_file import read_calibration, write_calibration
 from dataclasses import replace
 
 path = Path(sys.argv[1])
-tool = read_tool(path)
+tool = read_calibration(path)
 new = replace(tool, poses_used=57)
 if sys.argv[2] == "full":
     signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
@@ -201,8 +203,8 @@ if sys.argv[2] == "full":
 elif os.geteuid() == 0:
     os.setgroups([]); os.setgid(65534); os.setuid(65534)
 try:
-    write_tool(path, new)
-except ToolFileError as error:
+    write_calibration(path, new)
+except CalibrationFileError as error:
     print(error)
 """
 
@@ -220,8 +222,8 @@ def written_in_a_process(path: Path, how: str) -> str:
 
 def test_a_file_that_may_not_grow_stays_the_old_one(tmp_path: Path) -> None:
     """The kernel itself ends the writing after 300 bytes, as on a full disk."""
-    path = tool_path(tmp_path, "pointer")
-    write_tool(path, a_tool("pointer"))
+    path = calibration_path(tmp_path, "pointer")
+    write_calibration(path, a_tool("pointer"))
     before = path.read_bytes()
     told = written_in_a_process(path, "full")
     assert told == f"{path}: can't be written: File too large\n"
@@ -233,8 +235,8 @@ def test_a_folder_that_may_not_be_written_is_named(tmp_path: Path) -> None:
     for folder in (tmp_path, *list(tmp_path.parents)[:2]):
         if folder.owner() == "root" or folder.stat().st_uid == os.geteuid():
             folder.chmod(0o755)
-    path = tool_path(tmp_path, "pointer")
-    write_tool(path, a_tool("pointer"))
+    path = calibration_path(tmp_path, "pointer")
+    write_calibration(path, a_tool("pointer"))
     before = path.read_bytes()
     tmp_path.chmod(0o555)
     try:
@@ -247,13 +249,13 @@ def test_a_folder_that_may_not_be_written_is_named(tmp_path: Path) -> None:
 
 def test_a_pipe_in_the_file_s_place_is_rejected_and_not_waited_for(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "pointer.json")
-    with pytest.raises(ToolFileError, match="no regular file"):
-        read_tool(tmp_path / "pointer.json")
+    with pytest.raises(CalibrationFileError, match="no regular file"):
+        read_calibration(tmp_path / "pointer.json")
     (tmp_path / "folder.json").mkdir()
-    with pytest.raises(ToolFileError, match="no regular file"):
-        read_tool(tmp_path / "folder.json")
-    with pytest.raises(ToolFileError, match="no regular file"):
-        read_tool("/dev/zero")
+    with pytest.raises(CalibrationFileError, match="no regular file"):
+        read_calibration(tmp_path / "folder.json")
+    with pytest.raises(CalibrationFileError, match="no regular file"):
+        read_calibration("/dev/zero")
 
 
 # --- links ----------------------------------------------------------------------------------------
@@ -263,39 +265,39 @@ def test_a_link_in_the_file_s_place_is_replaced_and_leads_no_write_out(tmp_path:
     """What it led to stays as it was, and `.bak` leads there."""
     tools, elsewhere = tmp_path / "tools", tmp_path / "elsewhere"
     elsewhere.mkdir()
-    write_tool(elsewhere / "mine.json", a_tool("pointer", 0.05))
+    write_calibration(elsewhere / "mine.json", a_tool("pointer", 0.05))
     before = (elsewhere / "mine.json").read_bytes()
     tools.mkdir()
-    path = tool_path(tools, "pointer")
+    path = calibration_path(tools, "pointer")
     path.symlink_to(elsewhere / "mine.json")
-    write_tool(path, a_tool("pointer", 0.07))
-    assert not path.is_symlink() and read_tool(path).load.mass_kg == 0.07
+    write_calibration(path, a_tool("pointer", 0.07))
+    assert not path.is_symlink() and read_calibration(path).load.mass_kg == 0.07
     assert names(elsewhere) == ["mine.json"]
     assert (elsewhere / "mine.json").read_bytes() == before
     backup = path.with_name("pointer.json.bak")
     assert backup.resolve() == elsewhere / "mine.json"
-    write_tool(path, a_tool("pointer", 0.08))  # and the backup is replaced, not followed
-    assert read_tool(backup).load.mass_kg == 0.07 and not backup.is_symlink()
+    write_calibration(path, a_tool("pointer", 0.08))  # and the backup is replaced, not followed
+    assert read_calibration(backup).load.mass_kg == 0.07 and not backup.is_symlink()
     assert (elsewhere / "mine.json").read_bytes() == before
 
 
 @pytest.mark.parametrize("to", ["nowhere", "pointer.json"])
 def test_a_link_that_leads_nowhere_is_replaced(to: str, tmp_path: Path) -> None:
-    path = tool_path(tmp_path, "pointer")
+    path = calibration_path(tmp_path, "pointer")
     path.symlink_to(to)
-    with pytest.raises(ToolFileError, match="can't be read"):
-        read_tool(path)
-    write_tool(path, a_tool("pointer"))
+    with pytest.raises(CalibrationFileError, match="can't be read"):
+        read_calibration(path)
+    write_calibration(path, a_tool("pointer"))
     assert names(tmp_path) == ["pointer.json"] and not path.is_symlink()
 
 
 def test_a_directory_that_is_a_link_is_followed(tmp_path: Path) -> None:
     (tmp_path / "real").mkdir()
     (tmp_path / "tools").symlink_to("real")
-    write_tool(tool_path(tmp_path / "tools", "pointer"), a_tool("pointer"))
+    write_calibration(calibration_path(tmp_path / "tools", "pointer"), a_tool("pointer"))
     assert names(tmp_path / "real") == ["pointer.json"] and (tmp_path / "tools").is_symlink()
-    store = ToolStore(tmp_path / "tools")
+    store = CalibrationStore(tmp_path / "tools")
     assert store.read("pointer").tool.tool == "pointer"
     changed = replace(a_tool("pointer"), poses_used=1)
-    write_tool(tmp_path / "real" / "pointer.json", changed)
+    write_calibration(tmp_path / "real" / "pointer.json", changed)
     assert store.read("pointer").tool.poses_used == 1

@@ -9,7 +9,7 @@ from galen_bringup.demo import main as demo
 from galen_bringup.processes import Processes
 from galen_bringup.suite import AVERAGE_S, calibrate, connected_arm, ros_world, start_suite
 from galen_bringup.verification import random_poses, visit
-from galen_model.files.calibration_file import read_tool
+from galen_model.files.calibration_file import read_calibration
 from galen_model.load.nominal_tools import ADAPTER, TOOLS
 from rich.console import Console
 from rich.progress import Progress
@@ -26,12 +26,12 @@ def test_a_tool_is_calibrated_through_the_action_and_its_weight_compensated(tmp_
             poses = random_poses(12, np.random.default_rng(1))
             readings = visit(arm, poses, AVERAGE_S, progress, "poses")
 
-    file = read_tool(tmp_path / "tools" / "retractor.json")
+    file = read_calibration(tmp_path / "tools" / "retractor.json")
     assert result["file"] == str(tmp_path / "tools" / "retractor.json")
     assert result["mass_kg"] == answer.mass_kg == file.load.mass_kg
     assert file.poses_used + len(file.poses_rejected) >= 20
     np.testing.assert_allclose(file.tip_m, tool.tip_m)
-    for estimate, truth in ((file.load, tool.load), (file.bias, ADAPTER)):
+    for estimate, truth in ((file.load, tool.load), (file.adapter, ADAPTER)):
         error = np.concatenate(
             [[estimate.mass_kg - truth.mass_kg], estimate.com_m - np.asarray(truth.com_m)]
         )

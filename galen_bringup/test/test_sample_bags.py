@@ -14,7 +14,7 @@ from galen_calibration_behavior.from_bag.cable_from_bag import main as cable_fro
 from galen_calibration_behavior.from_bag.calibrate_from_bag import main as calibrate_from_bag
 from galen_calibration_behavior.from_bag.inertia_from_bag import main as inertia_from_bag
 from galen_model.arm.galen import SENSOR
-from galen_model.files.calibration_file import read_tool
+from galen_model.files.calibration_file import read_calibration
 from galen_model.load.inertia.inertial import point_mass_inertia
 from galen_model.load.nominal_tools import ADAPTER, TOOLS
 
@@ -45,8 +45,8 @@ def test_they_stay_small():
 
 @pytest.mark.parametrize("name", sorted(TOOLS))
 def test_the_tools_files_hold_the_true_loads(name):
-    tool = read_tool(BAGS / "tools" / f"{name}.json")
-    for found, true in ((tool.load, TOOLS[name].load), (tool.bias, ADAPTER)):
+    tool = read_calibration(BAGS / "tools" / f"{name}.json")
+    for found, true in ((tool.load, TOOLS[name].load), (tool.adapter, ADAPTER)):
         off = np.array([found.mass_kg - true.mass_kg, *(found.com_m - true.com_m)])
         sigmas = np.sqrt(off @ np.linalg.solve(found.covariance, off))
         assert sigmas < 4.5  # of four parameters: by chance in one file of two thousand
@@ -62,9 +62,9 @@ def test_the_recording_gives_the_file_that_the_calibration_itself_gave(name, tmp
     bag = str(BAGS / f"{name}_calibration")
     calibrate_from_bag([name, bag, "--tools-dir", str(tmp_path), "--json"])
     file = f"{name}.json"
-    live, recorded = read_tool(BAGS / "tools" / file), read_tool(tmp_path / file)
+    live, recorded = read_calibration(BAGS / "tools" / file), read_calibration(tmp_path / file)
     # the same samples in the same averages, so the same numbers
-    for found, expected in ((recorded.load, live.load), (recorded.bias, live.bias)):
+    for found, expected in ((recorded.load, live.load), (recorded.adapter, live.adapter)):
         assert found.mass_kg == pytest.approx(expected.mass_kg, rel=1e-9)
         assert found.com_m == pytest.approx(expected.com_m, abs=1e-9)
     assert recorded.residual_offset == pytest.approx(live.residual_offset, abs=1e-9)
@@ -72,7 +72,7 @@ def test_the_recording_gives_the_file_that_the_calibration_itself_gave(name, tmp
 
 def test_nobody_touches_the_tool_in_free_motion():
     recording = read_arm(BAGS / "free_motion")
-    tool = read_tool(BAGS / "tools" / "retractor.json")
+    tool = read_calibration(BAGS / "tools" / "retractor.json")
     left = recording.wrenches - tool.predict(*recording.joints[:, 3:].T)
     assert np.sqrt(np.mean(left**2, axis=0)) == pytest.approx(SENSOR.noise_std, rel=0.05)
     moving = np.abs(recording.joint_velocities).max(axis=1) > 0.01
@@ -106,7 +106,7 @@ def test_the_cable_is_found_in_its_sweep(capsys):
 
 def test_pushes_are_pushes_with_untouched_stretches_between():
     recording = read_arm(BAGS / "pushes")
-    tool = read_tool(BAGS / "tools" / "retractor.json")
+    tool = read_calibration(BAGS / "tools" / "retractor.json")
     left = recording.wrenches - tool.predict(*recording.joints[:, 3:].T)
     force = np.linalg.norm(left[:, :3], axis=1)
     assert force.max() == pytest.approx(10.0, abs=0.2)

@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 from galen_model.arrays import Array
-from galen_model.errors import GalenError, NotExcitedError, ToolFileError, ToolNameError
-from galen_model.files.calibration_file import tool_path
+from galen_model.errors import CalibrationFileError, GalenError, NotExcitedError, ToolNameError
+from galen_model.files.calibration_file import calibration_path
 from galen_model.load.mounting.identification import check_planned_mounting
 from galen_ros.goal.arm_link import DriversTools
 from galen_ros.goal.commands import (
@@ -102,7 +102,7 @@ class CalibrationNode(GoalNode[CalibrationParameters, _Goal, Finished]):
                     f"{name} is {count}, but the node's poses are {self._settings.poses} ones",
                 )
         try:
-            path = tool_path(self._tools_dir, request.tool)
+            path = calibration_path(self._tools_dir, request.tool)
             tip_m, warnings = choose_tip(np.array(request.tip_m, float), path)
             if warnings and self._settings.obstacles:
                 raise TipError(f"{warnings[0]}, so that nobody knows what the tool would hit")
@@ -115,13 +115,13 @@ class CalibrationNode(GoalNode[CalibrationParameters, _Goal, Finished]):
                     plan.poses[:, 1],
                     self._settings.estimate,
                     one_sweep=request.one_sweep,
-                    bias_roll_rad=self._settings.Rhome,
-                    bias_tilt_rad=self._settings.Thome,
+                    zero_roll_rad=self._settings.Rhome,
+                    zero_tilt_rad=self._settings.Thome,
                 )
             check_writable(path)
         except ToolNameError as error:
             raise RejectedGoalError(ErrorCode.INVALID_NAME, str(error)) from error
-        except ToolFileError as error:
+        except CalibrationFileError as error:
             raise RejectedGoalError(ErrorCode.WRITE_FAILED, str(error)) from error
         except NotExcitedError as error:
             raise RejectedGoalError(ErrorCode.NOT_EXCITED, str(error)) from error

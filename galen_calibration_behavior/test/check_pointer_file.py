@@ -2,13 +2,13 @@
 
 import numpy as np
 from calibration_fake_arm import ADAPTER, POINTER
-from galen_model.files.calibration_file import LoadEstimate, ToolFile
+from galen_model.files.calibration_file import CalibrationFile, LoadEstimate
 
 _STD = np.diag(np.full(4, 3e-5) ** 2)
-POINTER_FILE = ToolFile(
+POINTER_FILE = CalibrationFile(
     tool="pointer",
     load=LoadEstimate(POINTER.mass_kg, POINTER.com_m, _STD),
-    bias=LoadEstimate(ADAPTER.mass_kg, ADAPTER.com_m, _STD),
+    adapter=LoadEstimate(ADAPTER.mass_kg, ADAPTER.com_m, _STD),
     tip_m=np.array([0.15, 0.0, 0.05]),
     rmse=np.array([3e-3, 3e-3, 4e-3, 6e-5, 6e-5, 6e-5]),
     poses_used=56,

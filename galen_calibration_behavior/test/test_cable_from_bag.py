@@ -9,7 +9,12 @@ from calibration_tape import RETRACTOR, Tape, grid
 from galen_calibration_behavior.from_bag import cable_estimation, cable_from_bag
 from galen_model.arm.galen import HOME
 from galen_model.arm.kinematics import gravity_in_sensor, sensor_pose
-from galen_model.files.calibration_file import LoadEstimate, ToolFile, read_tool, write_tool
+from galen_model.files.calibration_file import (
+    CalibrationFile,
+    LoadEstimate,
+    read_calibration,
+    write_calibration,
+)
 from galen_model.load.model import Load, gravity_wrench
 from galen_model.load.nominal_tools import ADAPTER, TOOLS
 
@@ -31,8 +36,10 @@ def place(tmp_path, monkeypatch):
     """A tools' directory with a calibrated retractor, and recordings by name."""
     load = LoadEstimate(RETRACTOR.mass_kg, RETRACTOR.com_m, 1e-10 * np.eye(4))
     bias = LoadEstimate(ADAPTER.mass_kg, ADAPTER.com_m, 1e-10 * np.eye(4))
-    tool = ToolFile("retractor", load, bias, AT, np.zeros(6), 56, "2023-11-01T03:04:05+00:00")
-    write_tool(tmp_path / "retractor.json", tool)
+    tool = CalibrationFile(
+        "retractor", load, bias, AT, np.zeros(6), 56, "2023-11-01T03:04:05+00:00"
+    )
+    write_calibration(tmp_path / "retractor.json", tool)
     tapes = {}
     monkeypatch.setattr(cable_from_bag, "read_arm", lambda bag, _topics: tapes[str(bag)])
 
@@ -65,7 +72,7 @@ def test_it_learns_the_pull_and_keeps_the_rest_of_the_file(place, capsys, one_fo
     before = json.loads((folder / "retractor.json").read_text())
     run("retractor", "corded", "--tools-dir", folder, "--json")
     fields = json.loads(capsys.readouterr().out)
-    tool = read_tool(folder / "retractor.json")
+    tool = read_calibration(folder / "retractor.json")
     after = json.loads((folder / "retractor.json").read_text())
     assert {key: after[key] for key in before} == before
     rng = np.random.default_rng(2)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from calibration_tape import POINTER, Tape, grid
 from galen_calibration_behavior.from_bag.calibrate_from_bag import main
-from galen_model.files.calibration_file import read_tool
+from galen_model.files.calibration_file import read_calibration
 
 UNITS = np.array([1.0, 1.0, 1.0, 0.02, 0.02, 0.02])
 
@@ -33,7 +33,7 @@ def test_the_file_says_the_bias_at_the_end(recording, monkeypatch, capsys, tmp_p
         main(["pointer", "tape", "--json", "--bias", mode, "--tools-dir", str(tmp_path)])
         found = json.loads(capsys.readouterr().out)
         assert (found["bias"] is None) == (mode == "constant")
-        file[mode] = read_tool(tmp_path / "pointer.json")
+        file[mode] = read_calibration(tmp_path / "pointer.json")
         off[mode] = np.linalg.norm((file[mode].residual_offset - creep[-1])[:3])
     assert any("drifted" in text for text in found["warnings"])
     assert found["bias_mass_growth"] > 1.0

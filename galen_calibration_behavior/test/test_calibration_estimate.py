@@ -14,8 +14,8 @@ from galen_calibration_behavior.calibration.estimate import (
     choose_tip,
     estimate,
 )
-from galen_model.errors import ToolFileError
-from galen_model.files.calibration_file import read_tool, write_tool
+from galen_model.errors import CalibrationFileError
+from galen_model.files.calibration_file import read_calibration, write_calibration
 from galen_model.load.identification import StillPoses
 from galen_model.load.inertia.estimate import InertiaEstimate
 from galen_model.load.model import nominal_reading
@@ -37,7 +37,7 @@ def still(tool, poses=POSES, seed=2, noise=2e-3):
 def measurements(bare, tool, **changes):
     count = len(tool.roll)
     values = {
-        "bare": bare, "tool": tool, "bias_roll": 0.0, "bias_tilt": 0.0,
+        "bare": bare, "tool": tool, "zero_roll": 0.0, "zero_tilt": 0.0,
         "bare_indices": list(range(count)), "tool_indices": list(range(count)),
         "rejected": [], "warnings": [],
     } | changes  # fmt: skip
@@ -47,7 +47,7 @@ def measurements(bare, tool, **changes):
 def test_two_sweeps_recover_the_load_and_write_it(tmp_path):
     path = tmp_path / "pointer.json"
     done = calibrate(path, "pointer", TIP, measurements(still(NO_TOOL, seed=1), still(POINTER)), [])
-    read = read_tool(path)
+    read = read_calibration(path)
     assert abs(read.load.mass_kg - 0.060) < 5 * read.load.mass_std_kg
     assert np.all(np.abs(read.load.com_m - POINTER.com_m) < 5 * read.load.com_std_m)
     assert read.tip_m == pytest.approx(TIP)
@@ -63,7 +63,7 @@ def test_parts_of_the_old_file_that_go_are_named(tmp_path):
         "old file" in said for said in calibrate(path, "pointer", TIP, sweeps, []).warnings
     )
     inertia = InertiaEstimate(np.array([1e-3, 2e-3, 2e-3, 0, 0, 0]), np.eye(6) * 1e-12)
-    write_tool(path, replace(read_tool(path), inertia=inertia))
+    write_calibration(path, replace(read_calibration(path), inertia=inertia))
     (said,) = (s for s in estimate(path, "pointer", TIP, sweeps, []).warnings if "old file" in s)
     assert "inertia (inertia_from_bag)" in said
     assert "cable" not in said
@@ -75,7 +75,7 @@ def test_one_sweep_says_what_it_cannot_know(tmp_path):
     )
     assert done.warnings[0] == "before"
     assert any("only their sum" in text for text in done.warnings)
-    assert read_tool(done.path).unresolved
+    assert read_calibration(done.path).unresolved
 
 
 def test_an_adapter_known_from_before_tells_one_sweep_s_loads_apart(tmp_path):
@@ -83,7 +83,7 @@ def test_an_adapter_known_from_before_tells_one_sweep_s_loads_apart(tmp_path):
     before = calibrate(
         path, "pointer", TIP, measurements(still(NO_TOOL, seed=1), still(POINTER)), []
     )
-    known = measurements(None, still(POINTER, seed=5), known_bias=before.content.bias)
+    known = measurements(None, still(POINTER, seed=5), known_adapter=before.content.adapter)
     done = calibrate(path, "pointer", TIP, known, [])
     assert not done.content.unresolved
     error = np.abs(done.content.load.com_m - POINTER.com_m)
@@ -99,10 +99,10 @@ def test_the_time_is_the_measurement_s_where_it_is_given(tmp_path):
     assert done.content.calibrated_at == "2019-05-02T14:00:07+02:00"
     assert not path.exists()
     calibrate(path, "pointer", TIP, both, [], calibrated_at=moment)
-    assert read_tool(path).calibrated_at == done.content.calibrated_at
+    assert read_calibration(path).calibrated_at == done.content.calibrated_at
     began = datetime.now(UTC) - timedelta(seconds=1)
     calibrate(path, "pointer", TIP, both, [])
-    assert datetime.fromisoformat(read_tool(path).calibrated_at) > began
+    assert datetime.fromisoformat(read_calibration(path).calibrated_at) > began
 
 
 def test_an_outlier_is_named_by_its_place_in_the_sweep(tmp_path):
@@ -151,7 +151,7 @@ def test_what_can_not_be_estimated_leaves_the_old_file(tmp_path, bare, tool, cod
 
 def test_a_directory_that_is_a_file_is_found_before_anything_moves(tmp_path):
     (tmp_path / "tools").write_text("")
-    with pytest.raises(ToolFileError, match="tools"):
+    with pytest.raises(CalibrationFileError, match="tools"):
         check_writable(tmp_path / "tools" / "pointer.json")
 
 

@@ -11,7 +11,7 @@ import pytest
 from galen_calibration_behavior.from_bag.calibrate_from_bag import main, measured_at, parse
 from galen_calibration_behavior.from_bag.options import EXIT_CANCELED, EXIT_FAILED, EXIT_USAGE
 from galen_calibration_behavior.from_bag.visits import Visit
-from galen_model.files.calibration_file import read_tool
+from galen_model.files.calibration_file import read_calibration
 from galen_model.load.nominal_tools import ADAPTER, TOOLS
 
 BAGS = Path(__file__).resolve().parents[2] / "bags"
@@ -48,22 +48,22 @@ def calibrated(tmp_path_factory):
 
 @pytest.mark.parametrize("tool", sorted(TOOLS))
 def test_a_sample_recording_gives_the_loads_that_made_it(calibrated, tool):
-    file = read_tool(calibrated / f"{tool}.json")
+    file = read_calibration(calibrated / f"{tool}.json")
     assert error_squared(file.load, TOOLS[tool].load) < CHI2_4
-    assert error_squared(file.bias, ADAPTER) < CHI2_4
+    assert error_squared(file.adapter, ADAPTER) < CHI2_4
     assert file.poses_used == 56
     assert file.poses_rejected == ()
-    assert file.bias_roll_rad == file.bias_tilt_rad == 0.0
+    assert file.zero_pose_rad == (0.0, 0.0)
 
 
 @pytest.mark.parametrize("tool", sorted(TOOLS))
 def test_it_gives_the_file_that_the_live_calibration_wrote(calibrated, tool):
     """The recording ran beside a live calibration; offline has the same averages."""
     live, offline = (
-        read_tool(BAGS / "tools" / f"{tool}.json"),
-        read_tool(calibrated / f"{tool}.json"),
+        read_calibration(BAGS / "tools" / f"{tool}.json"),
+        read_calibration(calibrated / f"{tool}.json"),
     )
-    for name in ("load", "bias"):
+    for name in ("load", "adapter"):
         a, b = getattr(live, name), getattr(offline, name)
         assert b.mass_kg == pytest.approx(a.mass_kg, rel=1e-6)
         assert b.com_m == pytest.approx(a.com_m, rel=1e-6, abs=1e-9)
@@ -73,7 +73,9 @@ def test_it_gives_the_file_that_the_live_calibration_wrote(calibrated, tool):
 
 
 def test_the_file_s_time_is_the_recording_s(calibrated):
-    assert read_tool(calibrated / "pointer.json").calibrated_at.startswith("2026-03-02T09:03:1")
+    assert read_calibration(calibrated / "pointer.json").calibrated_at.startswith(
+        "2026-03-02T09:03:1"
+    )
 
 
 def test_a_dry_run_writes_nothing_and_json_is_one_object(capsys, tmp_path):
@@ -250,7 +252,7 @@ def test_it_runs_without_ros(tmp_path):
         check=False,
     )
     assert done.returncode == 0, done.stderr
-    assert read_tool(tmp_path / "pointer.json").poses_used == 56
+    assert read_calibration(tmp_path / "pointer.json").poses_used == 56
 
 
 def visit(window_end_ns, log_ns):
@@ -291,6 +293,6 @@ def test_a_lab_s_recording_gives_the_mass_where_nothing_but_the_mass_is_wrong(
     assert result["poses_used"] >= 40
     told = effects(recording)
     if set(told) <= {"tool_mass_error", "wrench_delay", "deflection_hysteresis"}:
-        expected = read_tool(believed).load.mass_kg
+        expected = read_calibration(believed).load.mass_kg
         expected += told.get("tool_mass_error", {"delta_kg": 0.0})["delta_kg"]
         assert result["mass_kg"] == pytest.approx(expected, abs=4.0 * result["mass_std_kg"])

@@ -10,7 +10,12 @@ from galen_calibration_behavior.from_bag.options import EXIT_FAILED, EXIT_USAGE
 from galen_model.arm.galen import ENCODER_QUANTUM, HOME, JOINT_NAMES, SENSOR
 from galen_model.arm.kinematics import gravity_in_sensor
 from galen_model.arm.sensor_motion import sensor_motion
-from galen_model.files.calibration_file import LoadEstimate, ToolFile, read_tool, write_tool
+from galen_model.files.calibration_file import (
+    CalibrationFile,
+    LoadEstimate,
+    read_calibration,
+    write_calibration,
+)
 from galen_model.load.inertia.inertial import inertial_wrench, point_mass_inertia
 from galen_model.load.nominal_tools import ADAPTER, TOOLS
 from galen_ros.cdr.layout import JointStateBytes, WrenchBytes
@@ -46,17 +51,17 @@ def tools(tmp_path):
     def estimate(load):
         return LoadEstimate(load.mass_kg, load.com_m, np.diag([1e-5, 2e-5, 2e-5, 2e-5]) ** 2)
 
-    tool = ToolFile(
+    tool = CalibrationFile(
         tool="retractor",
         load=estimate(LOAD),
-        bias=estimate(ADAPTER),
+        adapter=estimate(ADAPTER),
         tip_m=np.array([0.18, 0.01, 0.05]),
         rmse=np.full(6, 1e-3),
         poses_used=56,
         calibrated_at="2026-09-21T12:00:00+00:00",
         residual_offset=np.arange(6) * 1e-3,
     )
-    write_tool(tmp_path / "retractor.json", tool)
+    write_calibration(tmp_path / "retractor.json", tool)
     return tmp_path
 
 
@@ -83,7 +88,7 @@ def test_the_file_gets_the_inertia_and_keeps_the_rest(tools, capsys):
     assert all(left["points"][a] < 0.5 * left["static"][a] for a in ("fx", "fy", "ty"))
     code, out, _ = run(capsys, *args)
     assert code == 0 and "one standard deviation" in out and "written" in out
-    estimate = read_tool(tools / "retractor.json").inertia
+    estimate = read_calibration(tools / "retractor.json").inertia
     error = estimate.about_sensor_kg_m2 - INERTIA
     assert np.all(np.abs(error) < 4.5 * estimate.std_kg_m2)
     after = json.loads((tools / "retractor.json").read_text())

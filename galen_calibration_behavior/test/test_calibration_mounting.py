@@ -12,7 +12,7 @@ from galen_calibration_behavior.calibration.mounting_text import format_mounting
 from galen_calibration_behavior.calibration.parameters import CalibrationParameters
 from galen_calibration_behavior.from_bag.calibrate_from_bag import main
 from galen_model.errors import IdentificationError
-from galen_model.files.calibration_file import read_tool
+from galen_model.files.calibration_file import read_calibration
 from galen_model.load.identification import StillPoses
 from galen_model.load.model import nominal_reading
 from galen_ros.goal.commands import ErrorCode, Measurements
@@ -41,7 +41,7 @@ def test_joint_zeros_are_written_and_told(tmp_path):
     done = calibrate(
         path, "pointer", np.zeros(3), measured(ZERO), [], mounting=MountingRequest(("joint_zero",))
     )
-    mounting = read_tool(path).mounting
+    mounting = read_calibration(path).mounting
     error = mounting.joint_zero_rad - ZERO
     assert np.all(np.abs(error) < 4.0 * mounting.std[11:])
     assert done.worth is not None

@@ -11,7 +11,7 @@ from calibration_fake_arm import NO_TOOL, POINTER, FakeArm
 from diagnostic_msgs.msg import DiagnosticArray
 from galen_calibration_behavior.node import CalibrationNode
 from galen_model.arm.galen import JOINT_NAMES
-from galen_model.files.calibration_file import read_tool
+from galen_model.files.calibration_file import read_calibration
 from galen_ros.conversions import fill_stamp, fill_wrench
 from galen_ros.goal.commands import ErrorCode, State
 from galen_ros.node.testing import Harness, parameters
@@ -189,7 +189,7 @@ def test_a_calibration_recovers_the_tool_and_writes_its_file(world):
     assert np.all(result.rmse_force_n < 0.02)
     left_out = [text for text in result.poses_rejected if text.startswith("tool/")]
     assert result.poses_used + len(left_out) == 9
-    file = read_tool(result.file)
+    file = read_calibration(result.file)
     assert world.files == ["pointer.json"]
     assert file.load.mass_kg == result.mass_kg
     assert file.tip_m == pytest.approx([0.15, 0.0, 0.05])

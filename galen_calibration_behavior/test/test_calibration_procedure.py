@@ -171,7 +171,7 @@ def test_the_way_through(by_service, one_sweep):
     assert (found.bare is None) == one_sweep
     assert found.tool.roll == pytest.approx(POSES[:, 0], abs=1e-6)
     assert found.tool.tilt == pytest.approx(POSES[:, 1], abs=1e-6)
-    assert (found.bias_roll, found.bias_tilt) == pytest.approx((0.0, 0.0), abs=1e-9)
+    assert (found.zero_roll, found.zero_tilt) == pytest.approx((0.0, 0.0), abs=1e-9)
     last_move = world.of(MoveTo)[-1]
     assert last_move.joints == pytest.approx(HOME)
 
@@ -505,7 +505,7 @@ def test_zeroing_is_tried_again_when_someone_still_holds_the_arm():
     world.arm.creep[4] = 0.0
     world.run()
     assert world.end.error_code == ErrorCode.NONE
-    assert world.estimate.measurements.bias_tilt == pytest.approx(0.0, abs=2e-3)
+    assert world.estimate.measurements.zero_tilt == pytest.approx(0.0, abs=2e-3)
 
 
 def test_the_first_error_stays():

@@ -52,7 +52,7 @@ def test_both_loads_come_out_as_well_as_they_say_and_the_border_where_the_tool_c
     assert counts(sweeps) == (len(POSES), len(POSES))
     content = found(sweeps).content
     assert error_squared(content.load, tool) < CHI2_4
-    assert error_squared(content.bias, ADAPTER) < CHI2_4
+    assert error_squared(content.adapter, ADAPTER) < CHI2_4
     tool_on_s = 3.0 + len(POSES) * 1.5 + 0.5 + 1.5
     assert sweeps.tool_on_s[0] < tool_on_s < sweeps.tool_on_s[1]
     assert sweeps.border.next_worse > 200.0
@@ -72,7 +72,7 @@ def test_the_errors_have_the_size_of_the_stated_covariance(tool, whole_phases):
         sweeps = SORTER.two_sweeps(visits(tape, whole_phases=whole_phases))
         assert counts(sweeps) == (56, 56)
         content = found(sweeps).content
-        squares.append([error_squared(content.load, tool), error_squared(content.bias, ADAPTER)])
+        squares.append([error_squared(content.load, tool), error_squared(content.adapter, ADAPTER)])
     # The mean of 8 chi-squares with 4 degrees of freedom: 4 +- 1.
     assert np.all(np.mean(squares, axis=0) < 8.5)
     assert np.all(np.mean(squares, axis=0) > 1.2)
@@ -252,7 +252,7 @@ def test_two_recordings_of_a_sweep_each():
 
 
 def test_one_sweep_alone_and_with_an_adapter_known_from_before():
-    known = found(two_sweeps(Tape(1).calibration(POINTER))).content.bias
+    known = found(two_sweeps(Tape(1).calibration(POINTER))).content.adapter
     tape = Tape(2).stay(1.0).zero()
     tape.tool = RETRACTOR
     recording = visits(tape.stay(1.0).sweep(POSES))

@@ -13,7 +13,7 @@ from galen_calibration_behavior.quick_check.answer import Answer, Cause
 from galen_calibration_behavior.quick_check.command import format_result, parse, result_fields
 from galen_calibration_behavior.quick_check.commands import ErrorCode
 from galen_calibration_behavior.quick_check.node import CheckNode
-from galen_model.files.calibration_file import write_tool
+from galen_model.files.calibration_file import write_calibration
 from galen_ros.node.testing import Harness, parameters
 from galen_ros.qos import LATCHED
 from rclpy.action import ActionClient
@@ -26,7 +26,7 @@ from galen_msgs.msg import ActiveTool
 
 @pytest.mark.slow
 def test_the_active_tool_is_checked_with_its_tare_and_an_unknown_one_is_rejected(tmp_path):
-    write_tool(tmp_path / "pointer.json", POINTER_FILE)
+    write_calibration(tmp_path / "pointer.json", POINTER_FILE)
     before = (tmp_path / "pointer.json").read_bytes()
     values = parameters(
         tools_dir=str(tmp_path), settle_s=0.1, average_s=0.3, max_angle_velocity_rad_s=4.0,
@@ -124,7 +124,7 @@ def test_a_check_without_a_tool_is_rejected_at_once_with_the_remedy(tmp_path):
 
 
 def test_a_second_server_is_an_error_of_both_and_takes_no_goal(tmp_path):
-    write_tool(tmp_path / "pointer.json", POINTER_FILE)
+    write_calibration(tmp_path / "pointer.json", POINTER_FILE)
     with Harness() as harness:
         idle = Idle(harness, tmp_path)
         second = idle.another()

@@ -5,11 +5,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from benchmarks.check_power import CASES as CHECK_CASES
+from benchmarks.check_power import heavier, loose, main, tilt_zero, touched
 from galen_calibration_behavior.quick_check.answer import Answer, Cause, CheckLimits
 from galen_calibration_behavior.quick_check.decision import differences, quick_check
 from galen_calibration_behavior.quick_check.poses import plan_check
 from galen_model.arm.kinematics import gravity_in_sensor
-from galen_model.files.calibration_file import LoadEstimate, ToolFile
+from galen_model.files.calibration_file import CalibrationFile, LoadEstimate
 from galen_model.load.cable.drag import CableDrag
 from galen_model.load.model import Load, gravity_wrench, nominal_reading
 from galen_model.load.nominal_tools import ADAPTER, TOOLS
@@ -17,9 +19,6 @@ from galen_model.poses.design import ANGLE_LIMITS, PoseDesign, PoseDesignError
 from galen_model.poses.order import SweepTimes
 from galen_model.poses.plan import Surroundings
 from galen_model.rest.pose import PoseRecord
-
-from benchmarks.check_power import CASES as CHECK_CASES
-from benchmarks.check_power import heavier, loose, main, tilt_zero, touched
 
 POINTER, RETRACTOR = TOOLS["pointer"].load, TOOLS["retractor"].load
 SIGMA = np.array([1.3e-3, 1.3e-3, 1.9e-3, 2.6e-5, 2.6e-5, 2.6e-5])  # of a mean of 250 samples
@@ -40,10 +39,10 @@ def file_of(load, name="pointer", std=LOAD_STD, **changes):
     estimate = LoadEstimate(load.mass_kg, np.asarray(load.com_m, float), np.diag(std**2))
     adapter = LoadEstimate(ADAPTER.mass_kg, ADAPTER.com_m, np.diag(std**2))
     values = {
-        "tool": name, "load": estimate, "bias": adapter, "tip_m": np.array([0.15, 0.0, 0.05]),
+        "tool": name, "load": estimate, "adapter": adapter, "tip_m": np.array([0.15, 0.0, 0.05]),
         "rmse": SIGMA, "poses_used": 56, "calibrated_at": "2026-01-01T00:00:00+00:00",
     } | changes  # fmt: skip
-    return ToolFile(**values)
+    return CalibrationFile(**values)
 
 
 def records(load, random, *, offset=0.0, extra=None, sigma=SIGMA, poses=POSES, nothing=False):

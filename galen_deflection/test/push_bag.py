@@ -10,7 +10,7 @@ from galen_bags.formats.writer import BagWriter
 from galen_model.arm.galen import JOINT_NAMES, SENSOR
 from galen_model.arm.kinematics import sensor_pose, tip_pose
 from galen_model.arm.stiffness import tip_compliance
-from galen_model.files.calibration_file import read_tool
+from galen_model.files.calibration_file import read_calibration
 from galen_model.load.prediction import Prediction
 from galen_model.registration.rigid import IDENTITY, Transform
 from galen_model.rotation import matrix_to_quaternion, rotvec_to_matrix
@@ -18,7 +18,7 @@ from galen_model.wrench import move_wrench
 from galen_ros.cdr.layout import JointStateBytes, PoseBytes, WrenchBytes
 
 ROOT = Path(__file__).resolve().parents[2]
-TOOL = read_tool(ROOT / "bags" / "tools" / "retractor.json")
+TOOL = read_calibration(ROOT / "bags" / "tools" / "retractor.json")
 POSITIONS = np.array(
     [
         [0.00, 0.00, 0.408, 0.0, 0.0],

@@ -21,7 +21,7 @@ from galen_deflection.measurement.pushes import find_pushes, tip_wrench
 from galen_deflection.models.registry import KINDS
 from galen_deflection.scoring.splits import report_splits, sets_of
 from galen_deflection.springs.springs import kinds
-from galen_model.files.calibration_file import read_tool
+from galen_model.files.calibration_file import read_calibration
 from galen_ros.goal.client import EXIT_USAGE
 from galen_ros.node.testing import Harness
 
@@ -194,7 +194,7 @@ def test_from_the_simulated_arm_to_the_compliances_of_its_joints(tmp_path):
             messages += sum(info.count for info in bag.topics.values())
     assert messages == result.messages == content["messages"]
 
-    recording = read_pushes(folder / "push", read_tool(folder / "tool.json"))
+    recording = read_pushes(folder / "push", read_calibration(folder / "tool.json"))
     assert not any("not untouched at first" in problem for problem in recording.problems)
     measured = measure_deflection(recording)
     samples = measured.samples

@@ -23,7 +23,7 @@ from galen_deflection.collection.untouched import MarkerPoses
 from galen_deflection.springs.springs import TipWrench
 from galen_model.arm.galen import HOME
 from galen_model.errors import ToolNameError
-from galen_model.files.calibration_file import read_tool
+from galen_model.files.calibration_file import read_calibration
 from push_bag import TOOL
 
 LIMITS = LoadLimits(20.0, 2.9)
@@ -231,7 +231,7 @@ def test_a_finished_folder_gets_its_name_at_the_end(tmp_path):
     assert folder.close({"a": 1}, finished=True) == tmp_path / "new" / "monday"
     assert sorted(p.name for p in folder.path.iterdir()) == ["collection.json", "tool.json"]
     assert json.loads((folder.path / "collection.json").read_text()) == {"a": 1}
-    assert read_tool(folder.path / "tool.json").tip_m == pytest.approx(TOOL.tip_m)
+    assert read_calibration(folder.path / "tool.json").tip_m == pytest.approx(TOOL.tip_m)
 
 
 def test_unfinished_ones_never_meet(tmp_path):

@@ -11,7 +11,7 @@ from galen_deflection.errors import FitError
 from galen_deflection.models.file import read_model
 from galen_deflection.models.registry import KINDS
 from galen_deflection.scoring import compare, evaluate, train
-from galen_model.files.calibration_file import write_tool
+from galen_model.files.calibration_file import write_calibration
 from galen_ros.command import EXIT_FAILED, EXIT_INTERRUPTED, EXIT_OK
 from push_bag import POSITIONS, ROOT, TOOL, Scene, write
 
@@ -152,7 +152,7 @@ def test_two_tools_in_one_call_are_rejected(folder, tmp_path, capsys):
     for name, tool in (("first", "retractor"), ("second", "hook")):
         (tmp_path / tool).mkdir()
         (tmp_path / tool / name).symlink_to(folder / "bags" / name)
-        write_tool(tmp_path / tool / "tool.json", replace(TOOL, tool=tool))
+        write_calibration(tmp_path / tool / "tool.json", replace(TOOL, tool=tool))
     code, _, err = call(
         "train", capsys, tmp_path / "retractor" / "first", tmp_path / "hook" / "second",
         "--tool-beside", "tool.json", "--kind", "coupled", "-o", tmp_path / "m.json",
@@ -213,7 +213,7 @@ def test_evaluate_draws(folder, tmp_path, capsys):
 
 def test_a_model_of_another_tip_is_rejected(folder, tmp_path, capsys):
     tip = np.asarray(TOOL.tip_m) + [0.0, 0.0, 1e-3]
-    write_tool(tmp_path / "other.json", replace(TOOL, tip_m=tip))
+    write_calibration(tmp_path / "other.json", replace(TOOL, tip_m=tip))
     model = folder / "coupled.json"
     code, _, err = call(
         "evaluate", capsys, folder / "bags" / "first", "--tool", tmp_path / "other.json",

@@ -13,8 +13,13 @@ from deflection_synthetic import Arm, recording
 from galen_deflection.errors import ModelFileError
 from galen_deflection.models.file import read_model, write_model
 from galen_deflection.models.registry import KINDS
-from galen_model.errors import ToolFileError
-from galen_model.files.calibration_file import LoadEstimate, ToolFile, read_tool, write_tool
+from galen_model.errors import CalibrationFileError
+from galen_model.files.calibration_file import (
+    CalibrationFile,
+    LoadEstimate,
+    read_calibration,
+    write_calibration,
+)
 
 ALL = [kind for kind, what in KINDS.items() if not what.is_network]
 
@@ -185,15 +190,18 @@ def test_a_process_that_ends_in_the_writing_leaves_the_old_file(path):
 def test_a_calibration_file_and_a_model_are_not_taken_for_each_other(path, tmp_path):
     model, tool = path, tmp_path / "pointer.json"
     load = LoadEstimate(0.06, np.zeros(3), np.eye(4) * 1e-8)
-    write_tool(
-        tool, ToolFile("pointer", load, load, np.zeros(3), np.zeros(6), 56, "2026-01-01T00:00:00Z")
+    write_calibration(
+        tool,
+        CalibrationFile(
+            "pointer", load, load, np.zeros(3), np.zeros(6), 56, "2026-01-01T00:00:00Z"
+        ),
     )
     calibration, deflection = (
         "a tool's calibration file (`calibrate` writes it)",
         "a deflection model (`train` writes it)",
     )
-    with pytest.raises(ToolFileError) as wrong:
-        read_tool(model)
+    with pytest.raises(CalibrationFileError) as wrong:
+        read_calibration(model)
     assert str(wrong.value) == f"{model}: it is {deflection}; {calibration} is needed here"
     with pytest.raises(ModelFileError) as wrong:
         read_model(tool)

@@ -11,7 +11,12 @@ from galen_deflection.models.file import write_model
 from galen_deflection.node import DeflectionNode
 from galen_gravcomp.node import GravcompNode
 from galen_model.arm.kinematics import tip_pose
-from galen_model.files.calibration_file import LoadEstimate, ToolFile, tool_path, write_tool
+from galen_model.files.calibration_file import (
+    CalibrationFile,
+    LoadEstimate,
+    calibration_path,
+    write_calibration,
+)
 from galen_model.load.nominal_tools import TOOLS
 from galen_model.registration.rigid import Transform
 from galen_model.rotation import quaternion_to_matrix
@@ -322,10 +327,10 @@ def test_with_gravcomp_itself(harness, folder):
     load = LoadEstimate(0.1, np.array([0.0, 0.0, 0.02]), np.eye(4) * 1e-8)
     for name in ("pointer", "retractor"):
         tip_m = TOOLS[name].tip_m
-        tool = ToolFile(
+        tool = CalibrationFile(
             name, load, load, tip_m, np.zeros(6), 56, calibrated_at="2026-01-01T00:00:00Z"
         )
-        write_tool(tool_path(folder / "tools", name), tool)
+        write_calibration(calibration_path(folder / "tools", name), tool)
     harness.add(
         lambda context: GravcompNode(
             context=context,

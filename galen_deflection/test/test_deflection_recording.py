@@ -18,7 +18,7 @@ from galen_deflection.measurement.measured_deflection import measure_deflection
 from galen_deflection.measurement.push_recording import read_pushes
 from galen_deflection.measurement.registration_fit import RegistrationSettings
 from galen_model.arm.galen import SENSOR
-from galen_model.files.calibration_file import read_tool
+from galen_model.files.calibration_file import read_calibration
 from galen_model.registration.rigid import Transform, mean_pose
 from galen_model.rotation import matrix_to_quaternion, quaternion_to_matrix, rotvec_to_matrix
 from push_bag import (
@@ -145,7 +145,7 @@ def test_an_arm_that_others_wrote(number):
     folder = SHARED / f"recording_{number}"
     if not folder.is_dir():
         pytest.skip("the shared recordings are not here")
-    recording = read_pushes(folder / "push", read_tool(folder / "tool.json"))
+    recording = read_pushes(folder / "push", read_calibration(folder / "tool.json"))
     measured = measure_deflection(recording)
     assert len(recording.positions) == 4
     ratio = _over_nominal(measured, measured.untouched)

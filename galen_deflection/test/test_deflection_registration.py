@@ -13,7 +13,7 @@ from galen_deflection.measurement.registration_fit import RegistrationFit, Regis
 from galen_deflection.measurement.rest_poses import RestPose, rest_poses
 from galen_model.arm.galen import ENCODER_QUANTUM
 from galen_model.arm.kinematics import tip_pose
-from galen_model.files.calibration_file import read_tool
+from galen_model.files.calibration_file import read_calibration
 from galen_model.registration.hand_eye import solve_base, solve_base_and_offset, turns
 from galen_model.registration.rigid import IDENTITY, Transform
 from galen_model.rotation import rot_y, rotvec_to_matrix
@@ -335,7 +335,7 @@ def test_an_arm_that_others_wrote_with_another_zero_of_its_tilt():
     folder = SHARED / "recording_601"
     if not folder.is_dir():
         pytest.skip("the shared recordings are not here")
-    tool = read_tool(folder / "tool.json")
+    tool = read_calibration(folder / "tool.json")
     recording = read_pushes(folder / "push", tool)
     with pytest.raises(RegistrationError, match="does not hold"):
         measure_deflection(recording)

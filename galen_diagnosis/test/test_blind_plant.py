@@ -29,7 +29,7 @@ from galen_model.arm.galen import ENCODER_QUANTUM, SENSOR
 from galen_model.arm.kinematics import tip_pose
 from galen_model.arm.pinocchio_arm import PinocchioArm
 from galen_model.arm.stiffness import deflection, tip_compliance
-from galen_model.files.calibration_file import read_tool
+from galen_model.files.calibration_file import read_calibration
 from galen_model.load.model import Load, nominal_reading
 from galen_model.load.nominal_tools import ADAPTER, ToolGeometry
 from galen_model.rotation import rotvec_to_matrix
@@ -441,7 +441,7 @@ def test_a_healthy_recording_is_noise_about_the_nominal_arm(tmp_path):
     assert truth.effects == []
     assert truth.expected_verdict == "none"
     session = draw_session(3)
-    tool = read_tool(tmp_path / "r" / "tool.json")
+    tool = read_calibration(tmp_path / "r" / "tool.json")
     assert 1e-5 < tool.load.mass_std_kg < 1e-4
     arm_of_seed = Machine(session, (), draw_tolerance(3))
     for bag in BAGS:

@@ -28,7 +28,7 @@ from galen_diagnosis.experiment.trial import (
     still_trial,
 )
 from galen_model.arm.galen import HOME
-from galen_model.files.calibration_file import LoadEstimate, ToolFile
+from galen_model.files.calibration_file import CalibrationFile, LoadEstimate
 from galen_model.load.nominal_tools import ADAPTER, TOOLS
 from galen_model.poses.design import angle_grid
 from galen_sim_driver.effects.registry import EFFECTS
@@ -42,7 +42,7 @@ GRID = angle_grid((-1.5, -1.0), (1.5, 0.9), 8, 7)
 
 def tool_file(com_std_m=2e-4):
     load, covariance = TOOLS["pointer"].load, np.diag([1e-4, *[com_std_m] * 3]) ** 2
-    return ToolFile(
+    return CalibrationFile(
         "pointer",
         LoadEstimate(load.mass_kg, load.com_m, covariance),
         LoadEstimate(ADAPTER.mass_kg, ADAPTER.com_m, covariance),

@@ -38,7 +38,7 @@ def scene(recording: Recording, name: str) -> Scene:
         touched=np.full(len(bag.wrench_s), name == "push"),
         tracker_s=np.zeros(0) if bag.tool_marker is None else bag.tool_marker.at_s,
         tool=replace(TOOLS[tool.tool], load=tool.load.load, tip_m=tool.tip_m),
-        adapter=tool.bias.load,
+        adapter=tool.adapter.load,
     )
 
 

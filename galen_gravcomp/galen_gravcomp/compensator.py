@@ -16,7 +16,7 @@ from enum import Enum
 import numpy as np
 from galen_model.arrays import Array
 from galen_model.errors import GalenError
-from galen_model.files.calibration_file import ToolFile
+from galen_model.files.calibration_file import CalibrationFile
 from galen_model.load.prediction import Prediction
 from galen_ros.stream.pairing import PairingSettings, WrenchPairing
 from galen_ros.stream.regular_run import Arrivals
@@ -67,7 +67,7 @@ class Compensator(WrenchPairing[Compensated]):
         self._settings = settings or CompensatorSettings()
         super().__init__(self._settings, on_restart)
         self._enabled = True
-        self._tool: ToolFile | None = None
+        self._tool: CalibrationFile | None = None
         self._prediction: Prediction | None = None
         self._cable: CablePull | None = None
         self._no_tool_detail = "no tool is loaded"
@@ -90,7 +90,7 @@ class Compensator(WrenchPairing[Compensated]):
         return self._enabled
 
     @property
-    def tool(self) -> ToolFile | None:
+    def tool(self) -> CalibrationFile | None:
         """The active tool."""
         return self._tool
 
@@ -171,7 +171,9 @@ class Compensator(WrenchPairing[Compensated]):
         self.cancel_tare("compensation was switched off")
         return self._reject_waiting(Rejection.DISABLED, "compensation is switched off")
 
-    def set_tool(self, tool: ToolFile | None, why_none: str = "no tool is loaded") -> list[Result]:
+    def set_tool(
+        self, tool: CalibrationFile | None, why_none: str = "no tool is loaded"
+    ) -> list[Result]:
         """Activate a tool, or none. The tare was measured with the old one, so it is dropped.
 
         `why_none` says why there is no tool.
@@ -307,7 +309,7 @@ class Compensator(WrenchPairing[Compensated]):
 
     # Inside
 
-    def _set_cable(self, tool: ToolFile | None) -> list[Result]:
+    def _set_cable(self, tool: CalibrationFile | None) -> list[Result]:
         """Take the cable of another tool, or none."""
         before = self.pairs_positions
         drag = None if tool is None else tool.cable

@@ -3,7 +3,7 @@
 import time
 from typing import Any
 
-from galen_model.errors import ToolFileError, ToolNameError
+from galen_model.errors import CalibrationFileError, ToolNameError
 from galen_ros.cdr.layout import UnreadableError
 from galen_ros.cdr.wire import ImuWire, RawWrench
 from galen_ros.node.deferred_service import DeferredService, Respond
@@ -99,7 +99,7 @@ class GravcompNode(StreamNode):
             stored = self._tools.read(name)
             self._compensator.set_tool(stored.tool)
             self._tools.active_tool.put(stored)
-        except (ToolNameError, ToolFileError) as error:
+        except (ToolNameError, CalibrationFileError) as error:
             if not self.starts_itself:
                 raise  # whoever configures it hears of it
             # The node lives on, so that the state is on /diagnostics and the file can be fixed.
@@ -112,7 +112,7 @@ class GravcompNode(StreamNode):
             stored = self._tools.read(request.tool) if request.tool else None
         except ToolNameError as error:
             response.error_code, response.error_msg = response.INVALID_NAME, str(error)
-        except ToolFileError as error:
+        except CalibrationFileError as error:
             missing = isinstance(error.__cause__, FileNotFoundError)
             response.error_code = response.NOT_FOUND if missing else response.INVALID_FILE
             response.error_msg = str(error)

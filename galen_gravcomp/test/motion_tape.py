@@ -4,7 +4,7 @@ import numpy as np
 import pinocchio
 from galen_model.arm.galen import ENCODER_QUANTUM, HOME, SENSOR
 from galen_model.arm.pinocchio_arm import PinocchioArm
-from galen_model.files.calibration_file import LoadEstimate, ToolFile
+from galen_model.files.calibration_file import CalibrationFile, LoadEstimate
 from galen_model.load.inertia.estimate import InertiaEstimate
 from galen_model.load.inertia.inertial import inertia_matrix, point_mass_inertia
 from galen_model.load.model import Load, gravity_wrench
@@ -67,10 +67,10 @@ def measured(motion, rng):
 
 def tool_file(with_inertia=True):
     tight = np.eye(4) * 1e-12
-    return ToolFile(
+    return CalibrationFile(
         tool="retractor",
         load=LoadEstimate(TOOL.mass_kg, TOOL.com_m, tight),
-        bias=LoadEstimate(ADAPTER.mass_kg, ADAPTER.com_m, tight),
+        adapter=LoadEstimate(ADAPTER.mass_kg, ADAPTER.com_m, tight),
         tip_m=np.zeros(3),
         rmse=np.zeros(6),
         poses_used=56,

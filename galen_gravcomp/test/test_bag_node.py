@@ -8,7 +8,7 @@ from galen_bags.formats.bag import open_bag
 from galen_gravcomp.evaluate.bag_evaluation import evaluate_bag
 from galen_gravcomp.evaluate.bag_job import BagJob
 from galen_gravcomp.node import GravcompNode
-from galen_model.files.calibration_file import write_tool
+from galen_model.files.calibration_file import write_calibration
 from galen_ros.conversions import stamp_to_ns, wrench_to_array
 from galen_ros.node.testing import Harness, parameters
 from galen_ros.qos import STREAM
@@ -41,7 +41,7 @@ def wait_until_seen(node, sent):
 @pytest.mark.parametrize("faulty", [False, True])
 def test_the_node_and_the_evaluation_give_the_same_wrenches(tmp_path, faulty):
     tool = tool_file()
-    write_tool(tmp_path / "retractor.json", tool)
+    write_calibration(tmp_path / "retractor.json", tool)
     recording = faulty_recording(tool) if faulty else Recording(tool, poses=5, hold_s=0.6)
     path = recording.write(tmp_path / "bag")
     offline: list[tuple[int, np.ndarray]] = []
@@ -104,7 +104,7 @@ def test_the_node_and_the_evaluation_give_the_same_wrenches(tmp_path, faulty):
 
 def test_the_compensated_bag_holds_what_came_out_beside_all_that_was_there(tmp_path):
     tool = tool_file()
-    write_tool(tmp_path / "retractor.json", tool)
+    write_calibration(tmp_path / "retractor.json", tool)
     recording = faulty_recording(tool)
     path = recording.write(tmp_path / "bag", namespace="left/")
     job = BagJob(tool=tmp_path / "retractor.json", bags_out=tmp_path / "out", names={path: "bag"})

@@ -7,7 +7,7 @@ from galen_bags.formats.bag import open_bag
 from galen_bags.formats.writer import BagWriter
 from galen_gravcomp.evaluate.bag_job import BagJob
 from galen_model.arm.galen import JOINT_NAMES
-from galen_model.files.calibration_file import write_tool
+from galen_model.files.calibration_file import write_calibration
 from galen_ros.cdr.layout import JointStateBytes, WrenchBytes
 from gravcomp_bags import START_NS, tool_file
 
@@ -46,7 +46,7 @@ def written(tmp_path: Path, monkeypatch, *, joints_late: bool = False, old_resul
         write(self, topic, log_time_ns, data)
 
     monkeypatch.setattr(BagWriter, "write", record)
-    write_tool(tmp_path / "retractor.json", tool_file())
+    write_calibration(tmp_path / "retractor.json", tool_file())
     path = tmp_path / "bag"
     job = BagJob(tool=tmp_path / "retractor.json", bags_out=tmp_path / "out", names={path: "bag"})
     return job.evaluate(path), out

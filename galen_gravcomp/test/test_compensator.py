@@ -11,7 +11,7 @@ import pytest
 from galen_gravcomp.compensator import Compensator, CompensatorSettings, TareRejectedError
 from galen_gravcomp.corrections.tare import TareOutcome, TareRamp, TareSettings
 from galen_model.arrays import Array
-from galen_model.files.calibration_file import LoadEstimate, ToolFile
+from galen_model.files.calibration_file import CalibrationFile, LoadEstimate
 from galen_ros.stream.results import Compensated, Notice, Rejected, Rejection, Result
 
 MS = 1_000_000
@@ -19,11 +19,11 @@ S = 1_000_000_000
 START = 100 * S
 
 
-def make_tool(name: str = "pointer", mass_kg: float = 0.06) -> ToolFile:
-    return ToolFile(
+def make_tool(name: str = "pointer", mass_kg: float = 0.06) -> CalibrationFile:
+    return CalibrationFile(
         tool=name,
         load=LoadEstimate(mass_kg, np.array([0.055, 0.002, 0.045]), np.eye(4) * 1e-8),
-        bias=LoadEstimate(0.1, np.array([0.0, 0.0, 0.02]), np.eye(4) * 1e-8),
+        adapter=LoadEstimate(0.1, np.array([0.0, 0.0, 0.02]), np.eye(4) * 1e-8),
         tip_m=np.array([0.15, 0.0, 0.05]),
         rmse=np.zeros(6),
         poses_used=56,

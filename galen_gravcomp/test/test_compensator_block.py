@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from galen_gravcomp.compensator import Compensator, CompensatorSettings, TareRejectedError
 from galen_gravcomp.corrections.tare import TareOutcome, TareSettings
-from galen_model.files.calibration_file import LoadEstimate, ToolFile
+from galen_model.files.calibration_file import CalibrationFile, LoadEstimate
 from galen_ros.stream import pairing as pairing_module
 from galen_ros.stream.joint_buffer import JointBuffer
 from galen_ros.stream.results import Compensated, Notice, Rejected, Rejection, Result
@@ -33,11 +33,11 @@ START = 1_700_000_000 * S
 FRAMES = ("ft_sensor", "other_frame")
 
 
-def make_tool(mass_kg: float) -> ToolFile:
-    return ToolFile(
+def make_tool(mass_kg: float) -> CalibrationFile:
+    return CalibrationFile(
         tool="pointer",
         load=LoadEstimate(mass_kg, np.array([0.055, 0.002, 0.045]), np.eye(4) * 1e-8),
-        bias=LoadEstimate(0.1, np.array([0.0, 0.0, 0.02]), np.eye(4) * 1e-8),
+        adapter=LoadEstimate(0.1, np.array([0.0, 0.0, 0.02]), np.eye(4) * 1e-8),
         tip_m=np.zeros(3),
         rmse=np.zeros(6),
         poses_used=56,
@@ -251,7 +251,7 @@ def block_of(samples: Sequence[Sample]) -> dict[str, Any]:
     }
 
 
-def make_way(capacity: int = 4096, tool: ToolFile | None = TOOL, **settings: Any) -> Way:
+def make_way(capacity: int = 4096, tool: CalibrationFile | None = TOOL, **settings: Any) -> Way:
     """With a ring of joint samples small enough to matter."""
     tare = TareSettings(0.02, 0.03, 9.0, 99.0, 99.0, 99.0, 99.0)
     way = Way(Compensator(CompensatorSettings(tare=tare, **settings)))

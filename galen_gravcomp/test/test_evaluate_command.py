@@ -6,7 +6,7 @@ import re
 import pytest
 from galen_gravcomp.evaluate.bag_job import distinct_names
 from galen_gravcomp.evaluate.command import main
-from galen_model.files.calibration_file import write_tool
+from galen_model.files.calibration_file import write_calibration
 from gravcomp_bags import Recording, tool_file
 
 
@@ -17,11 +17,11 @@ def archive(tmp_path_factory):
     for name, mass_kg in (("monday", 0.2), ("tuesday", 0.2), ("friday", 0.23)):
         recording = Recording(tool_file(mass_kg), poses=8, hold_s=1.0)
         recording.write(folder / name / "sweep")
-        write_tool(folder / name / "retractor.json", tool_file())
+        write_calibration(folder / name / "retractor.json", tool_file())
     broken = folder / "wednesday"
     broken.mkdir()
     (broken / "broken.mcap").write_bytes(b"\x89MCAP0\r\nno")
-    write_tool(broken / "retractor.json", tool_file())
+    write_calibration(broken / "retractor.json", tool_file())
     return folder
 
 

@@ -8,7 +8,7 @@ from galen_gravcomp.compensator import Compensator
 from galen_gravcomp.corrections.cable import CablePull
 from galen_gravcomp.monitor import Monitor
 from galen_model.arm.galen import HOME, SENSOR
-from galen_model.files.calibration_file import LoadEstimate, ToolFile
+from galen_model.files.calibration_file import CalibrationFile, LoadEstimate
 from galen_model.load.cable.drag import CableDrag
 from galen_model.load.cable.form import FORMS, form_matrices
 from galen_model.load.nominal_tools import ADAPTER, TOOLS
@@ -38,7 +38,7 @@ def a_tool(cable=None):
     tool, adapter = TOOLS["retractor"].load, ADAPTER
     load = LoadEstimate(tool.mass_kg, tool.com_m, 1e-8 * np.eye(4))
     bias = LoadEstimate(adapter.mass_kg, adapter.com_m, 1e-8 * np.eye(4))
-    return ToolFile("retractor", load, bias, AT, np.zeros(6), 56, "x", cable=cable)
+    return CalibrationFile("retractor", load, bias, AT, np.zeros(6), 56, "x", cable=cable)
 
 
 def motion(count=1500):

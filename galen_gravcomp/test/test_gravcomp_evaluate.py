@@ -12,7 +12,12 @@ from galen_gravcomp.evaluate.table.cross_validation import MODELS, contiguous_bl
 from galen_gravcomp.evaluate.table.evaluation import evaluate_table
 from galen_model.arm.galen import GRAVITY_M_S2
 from galen_model.arm.kinematics import sensor_rotation
-from galen_model.files.calibration_file import LoadEstimate, ToolFile, read_tool, write_tool
+from galen_model.files.calibration_file import (
+    CalibrationFile,
+    LoadEstimate,
+    read_calibration,
+    write_calibration,
+)
 from galen_model.load.model import Load, gravity_wrench
 from galen_model.load.nominal_tools import ADAPTER, TOOLS
 from galen_model.rest.orientations import StillSettings, still_phases
@@ -228,14 +233,14 @@ def test_time_that_runs_backward_is_named(tmp_path, capsys):
 def test_a_tool_file_is_scored_beside_the_fits(tmp_path, capsys):
     rng = np.random.default_rng(6)
     geometry = TOOLS["pointer"]
-    tool = ToolFile(
+    tool = CalibrationFile(
         tool="pointer",
         load=LoadEstimate(geometry.load.mass_kg, geometry.load.com_m, np.eye(4) * 1e-9),
-        bias=LoadEstimate(ADAPTER.mass_kg, ADAPTER.com_m, np.eye(4) * 1e-9),
+        adapter=LoadEstimate(ADAPTER.mass_kg, ADAPTER.com_m, np.eye(4) * 1e-9),
         tip_m=geometry.tip_m, rmse=np.full(6, 1e-3), poses_used=56,
         calibrated_at="2026-11-21T12:00:00+00:00",
     )  # fmt: skip
-    write_tool(tmp_path / "pointer.json", tool)
+    write_calibration(tmp_path / "pointer.json", tool)
     joints = np.column_stack([rng.uniform(-1.5, 1.5, 40), rng.uniform(-1.0, 0.9, 40)])
     noise = NOISE * 0.1
     wrench = tool.predict(joints[:, 0], joints[:, 1]) + noise * rng.standard_normal((40, 6))
@@ -329,11 +334,11 @@ def test_a_tool_file_from_a_table_reads_what_the_fit_reads(tmp_path, readings, k
     table = write(tmp_path / "t.csv", names + WRENCH, np.hstack([columns, wrench]), ",")
     path = tmp_path / "tools" / "gripper.json"
     assert main(["--table", str(table), "--write-tool", str(path), "--json"]) == 0
-    tool = read_tool(path)
+    tool = read_calibration(path)
     fit = evaluate_table(read_table(table)).fit
     under = gravity * (local if kind == "gravity" else 1.0)
     assert tool.predict(roll, tilt) == pytest.approx(fit.predict(under), rel=1e-12, abs=1e-12)
-    assert tool.bias.mass_kg == 0.0
+    assert tool.adapter.mass_kg == 0.0
     assert "adapter" in tool.unresolved[0]
     assert (tool.tool, tool.poses_used) == ("gripper", 29)
     assert tool.poses_rejected == ("reading 4: off the common load",)

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 from galen_gravcomp.node import GravcompNode
-from galen_model.files.calibration_file import tool_path, write_tool
+from galen_model.files.calibration_file import calibration_path, write_calibration
 from galen_ros.node.diagnostics import Level
 from galen_ros.node.testing import Harness, Lifecycle, parameters
 from std_srvs.srv import SetBool, Trigger
@@ -27,7 +27,7 @@ def harness() -> Iterator[Harness]:
 @pytest.fixture
 def tools(tmp_path: Path) -> Path:
     for tool in (POINTER, RETRACTOR):
-        write_tool(tool_path(tmp_path, tool.tool), tool)
+        write_calibration(calibration_path(tmp_path, tool.tool), tool)
     return tmp_path
 
 
@@ -99,7 +99,7 @@ def test_it_is_configured_anew_with_other_files_and_joints(harness: Harness, too
     bench.running()
     other = tools / "other"
     other.mkdir()
-    write_tool(tool_path(other, "pointer"), OTHER)
+    write_calibration(calibration_path(other, "pointer"), OTHER)
     assert "'tools_dir' can't be set while the node is active" in life.set(tools_dir=str(other))
     assert life.go("deactivate", "cleanup")
     said = bench.report(lambda s, v: v.get("lifecycle") == "unconfigured", "unconfigured")

@@ -10,7 +10,7 @@ from galen_bags.formats.bag import open_bag
 from galen_gravcomp.compensator import Compensated, Compensator
 from galen_gravcomp.evaluate.command import main as evaluate
 from galen_gravcomp.node import GravcompNode
-from galen_model.files.calibration_file import read_tool
+from galen_model.files.calibration_file import read_calibration
 from galen_ros.conversions import stamp_to_ns, wrench_to_array
 from galen_ros.node.testing import Harness, parameters
 from galen_ros.qos import STREAM
@@ -45,7 +45,7 @@ def offline(bag, file):
     are after each message.
     """
     compensator = Compensator()
-    compensator.set_tool(read_tool(file))
+    compensator.set_tool(read_calibration(file))
     recording = read_arm(bag)
     samples = [
         *((log, 0, k) for k, log in enumerate(recording.joint_log_ns.tolist())),

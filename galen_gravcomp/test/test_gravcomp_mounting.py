@@ -16,7 +16,7 @@ from galen_gravcomp.evaluate.table.cross_validation import (
 )
 from galen_gravcomp.evaluate.table.mounting import TableMounting, table_prediction, table_worth
 from galen_model.errors import GalenError
-from galen_model.files.calibration_file import LoadEstimate, ToolFile, read_tool
+from galen_model.files.calibration_file import CalibrationFile, LoadEstimate, read_calibration
 from galen_model.load.mounting.held_out import GALEN, MOUNTED, PLAIN
 from galen_model.load.mounting.mounting import Mounting
 from galen_model.load.prediction import Prediction
@@ -30,10 +30,10 @@ TURNED = Mounting(
     joint_zero_rad=np.array([0.03, 0.06]),
 )
 NONE = np.zeros((4, 4))
-TOOL = ToolFile(
+TOOL = CalibrationFile(
     tool="pointer",
     load=LoadEstimate(0.2, np.array([0.07, -0.01, 0.055]), NONE),
-    bias=LoadEstimate(0.1, np.array([0.0, 0.0, 0.02]), NONE),
+    adapter=LoadEstimate(0.1, np.array([0.0, 0.0, 0.02]), NONE),
     tip_m=np.zeros(3),
     rmse=np.zeros(6),
     poses_used=56,
@@ -136,7 +136,7 @@ def test_the_command_shows_the_mounting_beside_the_other_models(tmp_path, capsys
     arguments = ["--table", str(path), "--estimate", "sensor_rotation"]
     assert main([*arguments, "--write-tool", str(file)]) == 0
     assert "the mounting's parameters pay" in " ".join(capsys.readouterr().out.split())
-    assert read_tool(file).mounting.estimated == ("sensor_rotation",)
+    assert read_calibration(file).mounting.estimated == ("sensor_rotation",)
 
 
 def test_a_table_rejects_what_it_can_not_tell(table, capsys):

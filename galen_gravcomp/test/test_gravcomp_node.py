@@ -10,7 +10,12 @@ import pytest
 from diagnostic_msgs.msg import DiagnosticArray
 from galen_gravcomp.node import GravcompNode
 from galen_model.arrays import Array
-from galen_model.files.calibration_file import LoadEstimate, ToolFile, tool_path, write_tool
+from galen_model.files.calibration_file import (
+    CalibrationFile,
+    LoadEstimate,
+    calibration_path,
+    write_calibration,
+)
 from galen_ros.conversions import fill_stamp, fill_wrench, stamp_to_ns, wrench_to_array
 from galen_ros.node.diagnostics import Level
 from galen_ros.node.testing import Harness, parameters
@@ -32,11 +37,11 @@ STILL = (0.2, -0.1)
 TORN = b"\x00\x01\x00\x00\x01\x00"  # ends inside its stamp
 
 
-def make_tool(name: str, mass_kg: float) -> ToolFile:
-    return ToolFile(
+def make_tool(name: str, mass_kg: float) -> CalibrationFile:
+    return CalibrationFile(
         tool=name,
         load=LoadEstimate(mass_kg, np.array([0.055, 0.002, 0.045]), np.eye(4) * 1e-8),
-        bias=LoadEstimate(0.1, np.array([0.0, 0.0, 0.02]), np.eye(4) * 1e-8),
+        adapter=LoadEstimate(0.1, np.array([0.0, 0.0, 0.02]), np.eye(4) * 1e-8),
         tip_m=np.array([0.15, 0.0, 0.05]),
         rmse=np.zeros(6),
         poses_used=56,
@@ -51,7 +56,7 @@ RETRACTOR = make_tool("retractor", 0.2)
 @pytest.fixture
 def tools_dir(tmp_path: Path) -> Path:
     for tool in (POINTER, RETRACTOR):
-        write_tool(tool_path(tmp_path, tool.tool), tool)
+        write_calibration(calibration_path(tmp_path, tool.tool), tool)
     (tmp_path / "broken.json").write_text('{"schema_version": 1')
     (tmp_path / "renamed.json").write_bytes((tmp_path / "pointer.json").read_bytes())
     return tmp_path

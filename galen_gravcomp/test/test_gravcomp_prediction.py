@@ -1,24 +1,23 @@
 """The fast prediction is the tool file's own."""
 
 import numpy as np
-from galen_model.files.calibration_file import LoadEstimate, ToolFile
+from galen_model.files.calibration_file import CalibrationFile, LoadEstimate, zeroed_at
 from galen_model.load.prediction import Prediction
 
 
 def test_equals_the_tool_file_at_every_pose() -> None:
     rng = np.random.default_rng(7)
     for _ in range(5):
-        tool = ToolFile(
+        tool = CalibrationFile(
             tool="any",
             load=LoadEstimate(rng.uniform(0.05, 2.0), rng.normal(0, 0.1, 3), np.eye(4)),
-            bias=LoadEstimate(rng.uniform(0.05, 2.0), rng.normal(0, 0.1, 3), np.eye(4)),
+            adapter=LoadEstimate(rng.uniform(0.05, 2.0), rng.normal(0, 0.1, 3), np.eye(4)),
             tip_m=np.zeros(3),
             rmse=np.zeros(6),
             poses_used=56,
             calibrated_at="2026-01-01T00:00:00+00:00",
             residual_offset=rng.normal(0, 0.1, 6),
-            bias_roll_rad=rng.uniform(-1, 1),
-            bias_tilt_rad=rng.uniform(-1, 1),
+            zeroing=zeroed_at(*rng.uniform(-1, 1, 2)),
             gravity_m_s2=np.array([0.0, 0.0, -9.81]),
         )
         prediction = Prediction(tool)
@@ -34,10 +33,10 @@ def test_equals_the_tool_file_at_every_pose() -> None:
 def test_readings_are_those_of_single_poses() -> None:
     rng = np.random.default_rng(8)
     load = LoadEstimate(0.3, rng.normal(0, 0.1, 3), np.eye(4))
-    tool = ToolFile(
+    tool = CalibrationFile(
         tool="any",
         load=load,
-        bias=load,
+        adapter=load,
         tip_m=np.zeros(3),
         rmse=np.zeros(6),
         poses_used=56,

@@ -12,7 +12,12 @@ from diagnostic_msgs.msg import DiagnosticArray
 from galen_gravcomp.node import GravcompNode
 from galen_gravcomp.tools import active as active_tool
 from galen_model.arm.kinematics import sensor_pose
-from galen_model.files.calibration_file import LoadEstimate, ToolFile, tool_path, write_tool
+from galen_model.files.calibration_file import (
+    CalibrationFile,
+    LoadEstimate,
+    calibration_path,
+    write_calibration,
+)
 from galen_ros.conversions import fill_stamp, fill_wrench, wrench_to_array
 from galen_ros.node.testing import Harness, parameters
 from galen_ros.qos import LATCHED, STREAM
@@ -36,11 +41,11 @@ JOINTS = np.array([0.02, -0.01, 0.45, 0.2, -0.1])
 LEFT = np.array([0.5, -0.4, 0.3, 0.01, -0.02, 0.03])
 
 
-def a_tool(name: str, mass_kg: float) -> ToolFile:
-    return ToolFile(
+def a_tool(name: str, mass_kg: float) -> CalibrationFile:
+    return CalibrationFile(
         tool=name,
         load=LoadEstimate(mass_kg, np.array([0.055, 0.002, 0.045]), np.eye(4) * 1e-8),
-        bias=LoadEstimate(0.1, np.array([0.0, 0.0, 0.02]), np.eye(4) * 1e-8),
+        adapter=LoadEstimate(0.1, np.array([0.0, 0.0, 0.02]), np.eye(4) * 1e-8),
         tip_m=np.array([0.15, 0.0, 0.05]),
         rmse=np.arange(6) * 1e-3,
         poses_used=56,
@@ -114,8 +119,8 @@ def test_tools_by_service_in_one_nodes_life(
 ) -> None:
     monkeypatch.setattr(active_tool, "_FILE_CHECK_S", 0.05)
     for tool in (POINTER, RETRACTOR, a_tool("drill", 0.06 + 1e-5)):
-        write_tool(tool_path(tmp_path, tool.tool), tool)
-    write_tool(tmp_path / "cut.json.bak", a_tool("cut", 0.1))
+        write_calibration(calibration_path(tmp_path, tool.tool), tool)
+    write_calibration(tmp_path / "cut.json.bak", a_tool("cut", 0.1))
     (tmp_path / "cut.json").write_text("{")
     values = {"tools_dir": str(tmp_path), "tool": "pointer", "tare_window_s": 0.05, "late_s": 0.0}
     with Harness() as harness:
@@ -194,11 +199,11 @@ def check_list_get_compare(person: Person, folder: Path) -> None:
     assert np.isnan(active_tool.joints).all()
     np.testing.assert_array_equal(active_tool.com_m, POINTER.load.com_m)
 
-    other = person.call("compare_tools", CompareTools, b="retractor")
+    other = person.call("compare_calibrations", CompareTools, b="retractor")
     assert other.success and not other.same_load and "'active pointer'" in other.text
     assert other.differences[0].text == "differs by 140 g (990 sigma)"
     assert other.worst_force_n == pytest.approx(0.14 * 9.80665)
-    assert person.call("compare_tools", CompareTools, a="pointer", b="drill").same_load
+    assert person.call("compare_calibrations", CompareTools, a="pointer", b="drill").same_load
 
 
 def check_rejections(person: Person) -> None:
@@ -207,7 +212,7 @@ def check_rejections(person: Person) -> None:
         ("get_tool", GetTool, {"tool": "cut"}, "INVALID_FILE", "cut.json"),
         ("get_tool", GetTool, {"tool": "none"}, "NOT_FOUND", "none.json"),
         ("get_tool", GetTool, {"frame": "tool0"}, "INVALID_FRAME", "tool0"),
-        ("compare_tools", CompareTools, {"a": "none"}, "NOT_FOUND", "none.json"),
+        ("compare_calibrations", CompareTools, {"a": "none"}, "NOT_FOUND", "none.json"),
         ("rename_tool", RenameTool, {"tool": "drill", "new_name": "a/b"}, "INVALID_NAME", "a/b"),
         ("rename_tool", RenameTool, {"tool": "drill", "new_name": "cut"}, "EXISTS", "cut.json"),
         ("rename_tool", RenameTool, {"tool": "cut", "new_name": "x"}, "INVALID_FILE", "cut.json"),
@@ -216,7 +221,13 @@ def check_rejections(person: Person) -> None:
         ("revert_tool", RevertTool, {"tool": "../x"}, "INVALID_NAME", "letters"),
         ("revert_tool", RevertTool, {"tool": "none"}, "NOT_FOUND", "none.json"),
         ("revert_tool", RevertTool, {"tool": "drill"}, "NOT_FOUND", "no calibration of 'drill'"),
-        ("compare_tools", CompareTools, {"a_previous": True}, "NOT_FOUND", "pointer.json.bak"),
+        (
+            "compare_calibrations",
+            CompareTools,
+            {"a_previous": True},
+            "NOT_FOUND",
+            "pointer.json.bak",
+        ),
     ):
         answer = person.call(service, kind, **request)
         assert not answer.success
@@ -257,7 +268,9 @@ def check_rename_active(person: Person, folder: Path) -> None:
 def check_changed_file(person: Person, folder: Path) -> None:
     """A calibration that nobody activated is told, until somebody does."""
     path = folder / "probe.json"
-    write_tool(path, replace(POINTER, tool="probe", load=replace(POINTER.load, mass_kg=0.061)))
+    write_calibration(
+        path, replace(POINTER, tool="probe", load=replace(POINTER.load, mass_kg=0.061))
+    )
     told = person.wait_told(lambda m: m.file_state == m.FILE_CHANGED, "the change")
     assert told.mass_kg == 0.06
     person.harness.wait_for(
@@ -282,7 +295,7 @@ def check_changed_file(person: Person, folder: Path) -> None:
 def check_revert_active(person: Person, folder: Path) -> None:
     """The file is the one before; what is active doesn't change until it is loaded."""
     before = person.output()
-    compared = person.call("compare_tools", CompareTools, a_previous=True, b="probe")
+    compared = person.call("compare_calibrations", CompareTools, a_previous=True, b="probe")
     assert compared.success and "'probe before' and 'probe'" in compared.text
     assert compared.differences[0].difference == pytest.approx(1e-3)
     answer = person.call("revert_tool", RevertTool, tool="probe")
@@ -290,7 +303,9 @@ def check_revert_active(person: Person, folder: Path) -> None:
     told = person.wait_told(lambda m: m.file_state == m.FILE_CHANGED, "the change")
     assert (told.tool, told.mass_kg) == ("probe", 0.061)
     np.testing.assert_array_equal(person.output(), before)
-    compared = person.call("compare_tools", CompareTools, a="probe", b="probe", b_previous=True)
+    compared = person.call(
+        "compare_calibrations", CompareTools, a="probe", b="probe", b_previous=True
+    )
     assert compared.differences[0].difference == pytest.approx(1e-3)
     (folder / "probe.json.bak").rename(folder / "elsewhere")
     (folder / "probe.json.bak").write_text("{")

@@ -13,22 +13,22 @@ from galen_gravcomp.tools.command import main
 from galen_gravcomp.tools.report import print_active, print_tool
 from galen_model.arm.kinematics import sensor_pose
 from galen_model.files.calibration_file import (
+    CalibrationFile,
     LoadEstimate,
-    ToolFile,
     age_text,
-    tool_path,
-    write_tool,
+    calibration_path,
+    write_calibration,
 )
-from galen_model.files.calibration_store import StoredTool
+from galen_model.files.calibration_store import StoredCalibration
 from galen_model.load.frames import sensor_in_frame
 from rich.console import Console
 
 
-def a_tool(name: str, mass_kg: float) -> ToolFile:
-    return ToolFile(
+def a_tool(name: str, mass_kg: float) -> CalibrationFile:
+    return CalibrationFile(
         tool=name,
         load=LoadEstimate(mass_kg, np.array([0.055, 0.002, 0.045]), np.diag([1, 4, 4, 4]) * 1e-8),
-        bias=LoadEstimate(0.1, np.array([0.0, 0.0, 0.02]), np.eye(4) * 1e-8),
+        adapter=LoadEstimate(0.1, np.array([0.0, 0.0, 0.02]), np.eye(4) * 1e-8),
         tip_m=np.array([0.15, 0.0, 0.05]),
         rmse=np.zeros(6),
         poses_used=56,
@@ -40,7 +40,7 @@ def a_tool(name: str, mass_kg: float) -> ToolFile:
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
     for tool in (a_tool("pointer", 0.06), a_tool("retractor", 0.2)):
-        write_tool(tool_path(tmp_path, tool.tool), tool)
+        write_calibration(calibration_path(tmp_path, tool.tool), tool)
     (tmp_path / "cut.json").write_text("{")
     return tmp_path
 
@@ -110,14 +110,16 @@ def test_optional_parts_are_shown_whatever_they_hold(folder: Path) -> None:
             return {"gain": [1.0, 2.5], "covariance": [[1.0]], "nested": {"x": 0.1}}
 
     kind = make_dataclass(
-        "WithPart", [("of_later", Any, field(default=None))], bases=(ToolFile,), frozen=True
+        "WithPart", [("of_later", Any, field(default=None))], bases=(CalibrationFile,), frozen=True
     )
     tool = kind(**{**vars(a_tool("pointer", 0.06)), "of_later": Part()})
     assert tool.parts[-1:] == ("of_later",)
     console = Console(width=100)
     place = sensor_in_frame("ft_sensor", tool.tip_m)
     with console.capture() as captured:
-        print_tool(StoredTool(folder / "x", tool, "", ""), place, np.full(5, np.nan), console)
+        print_tool(
+            StoredCalibration(folder / "x", tool, "", ""), place, np.full(5, np.nan), console
+        )
     out = captured.get()
     assert "of_later" in out and "1 2.5" in out and "x: 0.1" in out and "given" in out
 
@@ -134,7 +136,7 @@ def test_compare(tools: Command) -> None:
 
 
 def test_the_calibration_before(tools: Command, capsys: pytest.CaptureFixture[str]) -> None:
-    write_tool(tool_path(tools.folder, "pointer"), a_tool("pointer", 0.061))
+    write_calibration(calibration_path(tools.folder, "pointer"), a_tool("pointer", 0.061))
     found = tools.json("compare", "pointer", "--previous")
     assert (found["a"], found["b"]) == ("pointer before", "pointer")
     assert found["differences"][0]["difference"] == pytest.approx(1e-3)

@@ -3,7 +3,7 @@
 import numpy as np
 from galen_model.arm.galen import SENSOR
 from galen_model.arm.kinematics import gravity_in_sensor
-from galen_model.files.calibration_file import LoadEstimate, ToolFile
+from galen_model.files.calibration_file import CalibrationFile, LoadEstimate
 from galen_model.load.model import Load, gravity_wrench
 
 POINTER = Load(0.06, np.array([0.055, 0.002, 0.045]))
@@ -15,10 +15,10 @@ START_NS = 1_700_000_000_000_000_000
 
 def tool_file(load=RETRACTOR, name="retractor"):
     tight = np.diag([2e-4, 1e-4, 1e-4, 1e-4]) ** 2
-    return ToolFile(
+    return CalibrationFile(
         tool=name,
         load=LoadEstimate(load.mass_kg, load.com_m, tight),
-        bias=LoadEstimate(0.1, np.array([0.0, 0.0, 0.02]), tight),
+        adapter=LoadEstimate(0.1, np.array([0.0, 0.0, 0.02]), tight),
         tip_m=LEVER,
         rmse=np.array([0.004, 0.004, 0.005, 1e-4, 1e-4, 1e-4]),
         poses_used=56,

@@ -27,7 +27,7 @@ class ToolNameError(GalenError):
     """A tool's name holds something that must not reach a path."""
 
 
-class ToolFileError(GalenError):
+class CalibrationFileError(GalenError):
     """A tool's file is missing, unreadable or does not say what it must."""
 
 

@@ -7,8 +7,13 @@ import numpy as np
 import pytest
 from galen_model.arm.galen import HOME, SENSOR
 from galen_model.arm.kinematics import gravity_in_sensor, sensor_pose
-from galen_model.errors import ToolFileError
-from galen_model.files.calibration_file import LoadEstimate, ToolFile, read_tool, write_tool
+from galen_model.errors import CalibrationFileError
+from galen_model.files.calibration_file import (
+    CalibrationFile,
+    LoadEstimate,
+    read_calibration,
+    write_calibration,
+)
 from galen_model.load.cable.drag import CableDrag, smooth_kernel
 from galen_model.load.cable.fit import CableSweep, _Likelihood, fit_cable, spacing_rad
 from galen_model.load.cable.form import FORMS, attachment_derivatives, form_matrices
@@ -278,17 +283,17 @@ def test_a_sweep_that_is_too_sparse_is_rejected(joints, words):
 
 def a_tool(drag):
     load = LoadEstimate(0.1, np.array([0.01, 0.0, 0.02]), 1e-8 * np.eye(4))
-    return ToolFile("pen", load, load, AT, np.zeros(6), 56, WHEN, cable=drag)
+    return CalibrationFile("pen", load, load, AT, np.zeros(6), 56, WHEN, cable=drag)
 
 
 def test_a_tools_file_keeps_it_and_reads_it_back(learned, tmp_path):
     path, at = tmp_path / "pen.json", between(6)
-    write_tool(path, a_tool(learned.drag))
+    write_calibration(path, a_tool(learned.drag))
     assert path.stat().st_size < 60_000
-    drag = read_tool(path).cable
+    drag = read_calibration(path).cable
     assert np.array_equal(drag.posterior.readings(at), learned.drag.posterior.readings(at))
     assert drag.inflation == learned.drag.inflation
-    write_tool(path, replace(read_tool(path), cable=None))
+    write_calibration(path, replace(read_calibration(path), cable=None))
     assert "cable" not in json.loads(path.read_text())
 
 
@@ -313,8 +318,8 @@ def test_a_file_that_was_tampered_with_is_rejected(learned, tmp_path, change, wo
     content = a_tool(learned.drag).to_json()
     content["cable"] |= change
     path.write_text(json.dumps(content))
-    with pytest.raises(ToolFileError, match=words):
-        read_tool(path)
+    with pytest.raises(CalibrationFileError, match=words):
+        read_calibration(path)
 
 
 @pytest.mark.parametrize("key", ["joints", "wrench", "std"])

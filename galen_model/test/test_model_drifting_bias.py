@@ -159,7 +159,7 @@ def test_one_sweep_with_a_known_adapter():
     found = identify_one_sweep_drifting(poses, mode=BiasMode.BIAS_DRIFTING)
     assert found.bias_drift is not None
     assert found.unresolved
-    total = found.load.mass_kg + found.bias.mass_kg
+    total = found.load.mass_kg + found.adapter.mass_kg
     assert total == pytest.approx(TOOL.mass_kg + ADAPTER.mass_kg, abs=2e-3)
 
 

@@ -43,12 +43,14 @@ def truth(tool):
 
 def estimate(found):
     return np.concatenate(
-        [[found.load.mass_kg], found.load.com_m, [found.bias.mass_kg], found.bias.com_m]
+        [[found.load.mass_kg], found.load.com_m, [found.adapter.mass_kg], found.adapter.com_m]
     )
 
 
 def stated_std(found):
-    return np.sqrt(np.concatenate([np.diag(found.load.covariance), np.diag(found.bias.covariance)]))
+    return np.sqrt(
+        np.concatenate([np.diag(found.load.covariance), np.diag(found.adapter.covariance)])
+    )
 
 
 @pytest.mark.parametrize("name", ["pointer", "retractor"])
@@ -182,10 +184,10 @@ def test_one_sweep_compensates_fully_and_says_what_it_can_not_know():
     # predictions at poses of its own, not at the sweep's
     roll, tilt = rng.uniform(-1.5, 1.5, 200), rng.uniform(-1.0, 0.9, 200)
     expected = nominal_reading(roll, tilt, tool, ADAPTER)
-    predicted = nominal_reading(roll, tilt, found.load.load, found.bias.load) + found.offset
+    predicted = nominal_reading(roll, tilt, found.load.load, found.adapter.load) + found.offset
     assert np.all(np.sqrt(np.mean((predicted - expected) ** 2, axis=0)) < 2.5 * SIGMA)
     total = tool.moments[1] + ADAPTER.moments[1]  # gravity at home is along the sensor's x
-    both = found.load.load.moments[1] + found.bias.load.moments[1]
+    both = found.load.load.moments[1] + found.adapter.load.moments[1]
     assert both == pytest.approx(total, abs=1e-4)
     assert "only their sum" in found.unresolved[0]
     # what isn't known is stated as wide, what is known as narrow
@@ -197,7 +199,7 @@ def test_one_sweep_with_a_known_adapter_knows_everything():
     tool, rng = TOOLS["retractor"].load, np.random.default_rng(12)
     bare, with_tool = sweeps(tool, rng)
     earlier = identify_two_sweeps(bare, with_tool)
-    found = identify_one_sweep(with_tool, known_bias=earlier.bias)
+    found = identify_one_sweep(with_tool, known_adapter=earlier.adapter)
     assert found.unresolved == ()
     assert np.all(np.abs(estimate(found) - truth(tool)) < 5 * stated_std(found))
     assert found.load.com_std_m[0] < 1e-3

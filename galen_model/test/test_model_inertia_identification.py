@@ -6,7 +6,7 @@ from galen_model.arm.galen import ENCODER_QUANTUM, HOME, SENSOR
 from galen_model.arm.kinematics import gravity_in_sensor
 from galen_model.arm.sensor_motion import sensor_motion
 from galen_model.errors import IdentificationError, NotExcitedError
-from galen_model.files.calibration_file import LoadEstimate, ToolFile
+from galen_model.files.calibration_file import CalibrationFile, LoadEstimate
 from galen_model.load.inertia.identification import identify_inertia, total_moments
 from galen_model.load.inertia.inertial import (
     inertial_regressor,
@@ -149,10 +149,10 @@ def test_a_short_recording_and_one_in_pieces_are_rejected():
 
 def test_the_files_moments_are_the_sum_of_both_loads_with_their_covariances():
     covariance = np.diag([1e-4, 1e-5, 2e-5, 3e-5]) ** 2
-    tool = ToolFile(
+    tool = CalibrationFile(
         tool="a",
         load=LoadEstimate(TOOL.mass_kg, TOOL.com_m, covariance),
-        bias=LoadEstimate(ADAPTER.mass_kg, ADAPTER.com_m, covariance),
+        adapter=LoadEstimate(ADAPTER.mass_kg, ADAPTER.com_m, covariance),
         tip_m=np.zeros(3),
         rmse=np.zeros(6),
         poses_used=56,

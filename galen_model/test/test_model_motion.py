@@ -9,8 +9,13 @@ from galen_model.arm.galen import HOME, LIMITS
 from galen_model.arm.kinematics import sensor_pose
 from galen_model.arm.pinocchio_arm import PinocchioArm
 from galen_model.arm.sensor_motion import MotionOfSensor, sensor_motion
-from galen_model.errors import ToolFileError
-from galen_model.files.calibration_file import LoadEstimate, ToolFile, read_tool, write_tool
+from galen_model.errors import CalibrationFileError
+from galen_model.files.calibration_file import (
+    CalibrationFile,
+    LoadEstimate,
+    read_calibration,
+    write_calibration,
+)
 from galen_model.load.inertia.estimate import InertiaEstimate
 from galen_model.load.inertia.inertial import (
     LoadInMotion,
@@ -123,10 +128,10 @@ def test_every_column_of_the_regressor_has_its_own_effect():
 
 def tool_with(inertia):
     load = LoadEstimate(0.06, np.array([0.05, 0.0, 0.04]), np.eye(4) * 1e-9)
-    return ToolFile(
+    return CalibrationFile(
         tool="a",
         load=load,
-        bias=load,
+        adapter=load,
         tip_m=np.zeros(3),
         rmse=np.zeros(6),
         poses_used=56,
@@ -137,8 +142,8 @@ def tool_with(inertia):
 
 def test_a_tools_file_holds_the_inertia_or_no_key_for_it(tmp_path):
     estimate = InertiaEstimate(INERTIA, np.diag(np.full(6, 1e-10)))
-    write_tool(tmp_path / "a.json", tool_with(estimate))
-    again = read_tool(tmp_path / "a.json").inertia
+    write_calibration(tmp_path / "a.json", tool_with(estimate))
+    again = read_calibration(tmp_path / "a.json").inertia
     assert again is not None
     np.testing.assert_array_equal(again.about_sensor_kg_m2, INERTIA)
     np.testing.assert_allclose(again.std_kg_m2, 1e-5)
@@ -167,6 +172,6 @@ def test_a_wrong_inertia_is_named_with_the_file(tmp_path, change, message):
     content["inertia"] |= change
     path = tmp_path / "a.json"
     path.write_text(json.dumps(content))
-    with pytest.raises(ToolFileError, match=message) as error:
-        read_tool(path)
+    with pytest.raises(CalibrationFileError, match=message) as error:
+        read_calibration(path)
     assert str(path) in str(error.value)

@@ -7,7 +7,12 @@ import numpy as np
 import pytest
 from galen_model.arm.pinocchio_arm import PinocchioArm
 from galen_model.errors import IdentificationError, NotToldApartError
-from galen_model.files.calibration_file import LoadEstimate, ToolFile, read_tool, write_tool
+from galen_model.files.calibration_file import (
+    CalibrationFile,
+    LoadEstimate,
+    read_calibration,
+    write_calibration,
+)
 from galen_model.files.json_fields import FieldError
 from galen_model.load.identification import StillPoses, identify_two_sweeps
 from galen_model.load.model import Load
@@ -91,7 +96,7 @@ def sweeps(mounted, rng=None, noise=SIGMA, poses=None, tool=RETRACTOR):
 
 def tool_file(mounted, load=RETRACTOR):
     none = np.zeros((4, 4))
-    return ToolFile(
+    return CalibrationFile(
         "retractor",
         LoadEstimate(load.mass_kg, np.asarray(load.com_m), none),
         LoadEstimate(ADAPTER.mass_kg, np.asarray(ADAPTER.com_m), none),
@@ -366,14 +371,14 @@ def test_a_file_holds_the_mounting_and_rejects_a_broken_one(tmp_path):
     covariance = np.diag(np.arange(13) * 1e-8)
     mounted = replace(mounting(), estimated=("sensor_rotation",), covariance=covariance)
     path = tmp_path / "retractor.json"
-    write_tool(path, tool_file(mounted))
-    back = read_tool(path)
+    write_calibration(path, tool_file(mounted))
+    back = read_calibration(path)
     assert back.mounting is not None
     np.testing.assert_array_equal(back.mounting.vector, mounted.vector)
     np.testing.assert_array_equal(back.mounting.covariance, covariance)
     assert back.mounting.estimated == ("sensor_rotation",)
     np.testing.assert_array_equal(back.predict(0.3, -0.2), tool_file(mounted).predict(0.3, -0.2))
-    write_tool(path, tool_file(None))
+    write_calibration(path, tool_file(None))
     assert "mounting" not in json.loads(path.read_text())
     good = mounted.to_json()
     for change, named in (

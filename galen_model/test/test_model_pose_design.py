@@ -81,7 +81,7 @@ def test_the_criterion_is_what_one_sweep_leaves():
     information[8:, 8:] += np.diag(1.0 / SIGMA**2)
     matrix = both_loads(14)
     both = matrix @ np.linalg.inv(information) @ matrix.T
-    value = PoseDesign(poses, one_sweep_bias=BIAS).value(poses)
+    value = PoseDesign(poses, one_sweep_zero=BIAS).value(poses)
     np.testing.assert_allclose(value, workspace_error(both), rtol=1e-5)
     assert value < PoseDesign(poses).value(poses)  # the zeroing tells something
 
@@ -107,7 +107,7 @@ def test_exchange_finds_the_best_of_all_subsets(goal, bias):
     rng = np.random.default_rng(4)
     for count in (4, 5):
         candidates = random_poses(rng, 8)
-        design = PoseDesign(candidates, goal=goal, one_sweep_bias=bias)
+        design = PoseDesign(candidates, goal=goal, one_sweep_zero=bias)
         best = min(
             design.value(candidates[list(subset)])
             for subset in itertools.combinations(range(8), count)

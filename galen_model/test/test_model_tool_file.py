@@ -9,14 +9,14 @@ import time
 
 import numpy as np
 import pytest
-from galen_model.errors import ToolFileError, ToolNameError
+from galen_model.errors import CalibrationFileError, ToolNameError
 from galen_model.files.calibration_file import (
+    CalibrationFile,
     LoadEstimate,
-    ToolFile,
+    calibration_path,
     check_tool_name,
-    read_tool,
-    tool_path,
-    write_tool,
+    read_calibration,
+    write_calibration,
 )
 from galen_model.load.model import nominal_reading
 from galen_model.load.nominal_tools import ADAPTER, TOOLS
@@ -27,21 +27,29 @@ def make(name="pointer", mass=0.06, **changes):
     fields = {
         "tool": name,
         "load": LoadEstimate(mass, tool.load.com_m, np.diag([1e-8, 1e-9, 1e-9, 1e-9])),
-        "bias": LoadEstimate(0.1, ADAPTER.com_m, np.diag([1e-8, 1e-9, 1e-9, 1e-9])),
+        "adapter": LoadEstimate(0.1, ADAPTER.com_m, np.diag([1e-8, 1e-9, 1e-9, 1e-9])),
         "tip_m": tool.tip_m,
         "rmse": np.full(6, 1e-3),
         "poses_used": 56,
         "calibrated_at": "2026-11-21T12:00:00+00:00",
         **changes,
     }
-    return ToolFile(**fields)
+    return CalibrationFile(**fields)
+
+
+def zeroing(joints, gravity=(0, 0, -9.80665)):
+    return {"zeroing": {"joints": joints, "gravity_in_sensor_m_s2": gravity}}
+
+
+def other_arm(name, *joints):
+    return {"arm": {"name": name, "joints": joints, "urdf_sha256": "0"}}
 
 
 def test_what_is_written_is_read_back(tmp_path):
-    path = tool_path(tmp_path, "pointer")
+    path = calibration_path(tmp_path, "pointer")
     tool = make(residual_offset=np.arange(6) * 0.01, poses_rejected=("with the tool, pose 3: x",))
-    write_tool(path, tool)
-    again = read_tool(path)
+    write_calibration(path, tool)
+    again = read_calibration(path)
     assert again.to_json() == tool.to_json()
     assert "unresolved" not in json.loads(path.read_text())
     roll, tilt = np.array([0.3, -1.0]), np.array([0.1, 0.7])
@@ -50,12 +58,12 @@ def test_what_is_written_is_read_back(tmp_path):
 
 
 def test_the_old_file_is_kept_as_bak(tmp_path):
-    path = tool_path(tmp_path, "pointer")
-    write_tool(path, make(mass=0.06))
+    path = calibration_path(tmp_path, "pointer")
+    write_calibration(path, make(mass=0.06))
     assert not path.with_name("pointer.json.bak").exists()
-    write_tool(path, make(mass=0.07))
-    assert read_tool(path).load.mass_kg == 0.07
-    assert read_tool(path.with_name("pointer.json.bak")).load.mass_kg == 0.06
+    write_calibration(path, make(mass=0.07))
+    assert read_calibration(path).load.mass_kg == 0.07
+    assert read_calibration(path.with_name("pointer.json.bak")).load.mass_kg == 0.06
     assert sorted(p.name for p in tmp_path.iterdir()) == ["pointer.json", "pointer.json.bak"]
 
 
@@ -66,20 +74,20 @@ def test_names_that_must_not_reach_a_path(name, tmp_path):
     with pytest.raises(ToolNameError, match="letters, digits"):
         check_tool_name(name)
     with pytest.raises(ToolNameError):
-        tool_path(tmp_path, name)
+        calibration_path(tmp_path, name)
 
 
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"schema_version": 2}, "schema_version is 2"),
+        ({"schema_version": 3}, "schema_version is 3"),
         (
             {"load": {"mass_kg": 0.0, "com_m": [0, 0, 0], "covariance": np.eye(4).tolist()}},
             "load.mass_kg",
         ),
         (
-            {"bias": {"mass_kg": -1e-9, "com_m": [0, 0, 0], "covariance": np.eye(4).tolist()}},
-            "bias.mass_kg",
+            {"adapter": {"mass_kg": -1e-9, "com_m": [0, 0, 0], "covariance": np.eye(4).tolist()}},
+            "adapter.mass_kg",
         ),
         (
             {"load": {"mass_kg": 1, "com_m": [0, 0], "covariance": np.eye(4).tolist()}},
@@ -94,9 +102,16 @@ def test_names_that_must_not_reach_a_path(name, tmp_path):
         ({"calibrated_at": "yesterday"}, "RFC 3339"),
         ({"calibrated_at": "2026-01-01T00:00:00"}, "time zone"),
         ({"tool": "../x"}, "letters, digits"),
-        ({"bias_pose_rad": {"roll": float("nan"), "tilt": 0}}, "bias_pose_rad.roll"),
+        (zeroing({"roll": float("nan")}), "zeroing.joints.roll"),
         ({"sensor_frame": ""}, "sensor_frame"),
-        ({"bias_pose_rad": {"roll": 10**400, "tilt": 0}}, "bias_pose_rad.roll"),
+        (zeroing({"roll": 10**400}), "zeroing.joints.roll"),
+        (zeroing({"pan": 0.0}), "zeroing.joints holds 'pan'; joints are delta_x"),
+        (
+            zeroing({}, gravity=(0, 0, -9.0)),
+            "gravity_in_sensor_m_s2 is 9 m/s.2 long; expected 9.80665",
+        ),
+        ({"zeroing": []}, "zeroing is not an object"),
+        (other_arm("ur5e", "pan"), "the arm 'ur5e' with the joints pan; this arm is 'galen'"),
         ({"tip_m": [10**400, 0, 0]}, "tip_m"),
         ({"tip_m": ["0.1", "0", "0"]}, "tip_m does not hold numbers"),
         ({"tip_m": [True, 0, 0]}, "tip_m does not hold numbers"),
@@ -111,8 +126,8 @@ def test_names_that_must_not_reach_a_path(name, tmp_path):
 def test_a_wrong_field_is_named_with_the_file(tmp_path, change, message):
     path = tmp_path / "pointer.json"
     path.write_text(json.dumps({**make().to_json(), **change}))
-    with pytest.raises(ToolFileError, match=message) as error:
-        read_tool(path)
+    with pytest.raises(CalibrationFileError, match=message) as error:
+        read_calibration(path)
     assert str(path) in str(error.value)
 
 
@@ -122,16 +137,16 @@ def test_a_missing_field_is_named(tmp_path, field):
     del content[field]
     path = tmp_path / "pointer.json"
     path.write_text(json.dumps(content))
-    with pytest.raises(ToolFileError, match=f"{field} is missing"):
-        read_tool(path)
+    with pytest.raises(CalibrationFileError, match=f"{field} is missing"):
+        read_calibration(path)
 
 
 @pytest.mark.parametrize("text", [b"", b"{", b"[]", b"\xff\xfe", b"[" * 100_000, b"null"])
 def test_what_is_no_json_object_is_rejected(tmp_path, text):
     path = tmp_path / "pointer.json"
     path.write_bytes(text)
-    with pytest.raises(ToolFileError, match=r"pointer\.json"):
-        read_tool(path)
+    with pytest.raises(CalibrationFileError, match=r"pointer\.json"):
+        read_calibration(path)
 
 
 @pytest.mark.parametrize("field", [name for name in make().to_json() if name != "poses_rejected"])
@@ -140,54 +155,54 @@ def test_what_is_nested_too_deep_is_rejected(tmp_path, field, depth):
     content = {**make().to_json(), field: "HERE"}
     path = tmp_path / "pointer.json"
     path.write_text(json.dumps(content).replace('"HERE"', "[" * depth + "]" * depth))
-    with pytest.raises(ToolFileError, match=r"pointer\.json"):
-        read_tool(path)
+    with pytest.raises(CalibrationFileError, match=r"pointer\.json"):
+        read_calibration(path)
 
 
 def test_a_missing_or_huge_file_is_rejected(tmp_path):
-    with pytest.raises(ToolFileError, match="can't be read"):
-        read_tool(tmp_path / "none.json")
+    with pytest.raises(CalibrationFileError, match="can't be read"):
+        read_calibration(tmp_path / "none.json")
     huge = tmp_path / "huge.json"
     huge.write_bytes(b" " * 1_000_001)
-    with pytest.raises(ToolFileError, match="larger than"):
-        read_tool(huge)
+    with pytest.raises(CalibrationFileError, match="larger than"):
+        read_calibration(huge)
 
 
 def test_what_can_not_be_read_is_not_written(tmp_path):
-    path = tool_path(tmp_path, "pointer")
-    write_tool(path, make())
+    path = calibration_path(tmp_path, "pointer")
+    write_calibration(path, make())
     before = path.read_bytes()
-    with pytest.raises(ToolFileError, match="not written"):
-        write_tool(path, make(mass=float("nan")))
-    with pytest.raises(ToolFileError, match="not written"):
-        write_tool(path, make(mass=-1.0))
+    with pytest.raises(CalibrationFileError, match="not written"):
+        write_calibration(path, make(mass=float("nan")))
+    with pytest.raises(CalibrationFileError, match="not written"):
+        write_calibration(path, make(mass=-1.0))
     assert path.read_bytes() == before
     assert [p.name for p in tmp_path.iterdir()] == ["pointer.json"]
 
 
 def test_a_directory_that_can_not_be_made_is_named(tmp_path):
     (tmp_path / "file").write_text("")
-    with pytest.raises(ToolFileError, match="can't be written"):
-        write_tool(tmp_path / "file" / "pointer.json", make())
+    with pytest.raises(CalibrationFileError, match="can't be written"):
+        write_calibration(tmp_path / "file" / "pointer.json", make())
 
 
 WRITER = """
 import sys, dataclasses
-from galen_model.files.calibration_file import read_tool, write_tool
+from galen_model.files.calibration_file import read_calibration, write_calibration
 path = sys.argv[1]
-tool = read_tool(path)
+tool = read_calibration(path)
 print("ready", flush=True)
 count = 0
 while True:
     count += 1
-    write_tool(path, dataclasses.replace(tool, poses_used=count, poses_rejected=("x" * 200,) * 50))
+    write_calibration(path, dataclasses.replace(tool, poses_used=count, poses_rejected=("x" * 200,) * 50))
 """
 
 
 @pytest.mark.slow
 def test_a_kill_at_any_moment_leaves_a_atomic_file(tmp_path):
-    path = tool_path(tmp_path, "pointer")
-    write_tool(path, make())
+    path = calibration_path(tmp_path, "pointer")
+    write_calibration(path, make())
     rng = np.random.default_rng(0)
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
     written = set()
@@ -202,18 +217,18 @@ def test_a_kill_at_any_moment_leaves_a_atomic_file(tmp_path):
         process.send_signal(signal.SIGKILL)
         process.wait()
         process.stdout.close()
-        written.add(read_tool(path).poses_used)
+        written.add(read_calibration(path).poses_used)
         backup = path.with_name("pointer.json.bak")
         if backup.exists():
-            read_tool(backup)
+            read_calibration(backup)
     assert len(written) > 1  # it did write in between
 
 
 def test_a_file_that_is_not_there_is_told_from_a_bad_one(tmp_path):
-    with pytest.raises(ToolFileError, match="can't be read: No such file") as stop:
-        read_tool(tmp_path / "absent.json")
+    with pytest.raises(CalibrationFileError, match="can't be read: No such file") as stop:
+        read_calibration(tmp_path / "absent.json")
     assert isinstance(stop.value.__cause__, FileNotFoundError)
     (tmp_path / "bad.json").write_text("{")
-    with pytest.raises(ToolFileError, match="not JSON") as stop:
-        read_tool(tmp_path / "bad.json")
+    with pytest.raises(CalibrationFileError, match="not JSON") as stop:
+        read_calibration(tmp_path / "bad.json")
     assert not isinstance(stop.value.__cause__, OSError)

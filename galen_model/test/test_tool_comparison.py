@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from galen_model.arm.galen import LIMITS
-from galen_model.files.calibration_file import LoadEstimate, ToolFile
+from galen_model.files.calibration_file import CalibrationFile, LoadEstimate
 from galen_model.files.comparison import (
     IncomparableError,
-    compare_tools,
+    compare_calibrations,
     same_load,
     three_digits,
 )
@@ -16,10 +16,10 @@ from galen_model.files.comparison import (
 COVARIANCE = np.diag([0.03e-3, 0.2e-3, 0.3e-3, 0.1e-3]) ** 2
 COVARIANCE[0, 1] = COVARIANCE[1, 0] = -0.6 * 0.03e-3 * 0.2e-3
 CENTRE = np.array([0.055, 0.002, 0.045])
-POINTER = ToolFile(
+POINTER = CalibrationFile(
     tool="pointer",
     load=LoadEstimate(0.06, CENTRE, COVARIANCE),
-    bias=LoadEstimate(0.1, np.array([0.0, 0.0, 0.02]), COVARIANCE),
+    adapter=LoadEstimate(0.1, np.array([0.0, 0.0, 0.02]), COVARIANCE),
     tip_m=np.array([0.15, 0.0, 0.05]),
     rmse=np.zeros(6),
     poses_used=56,
@@ -27,7 +27,7 @@ POINTER = ToolFile(
 )
 
 
-def with_load(mass_kg: float, com_m: np.ndarray, **fields) -> ToolFile:
+def with_load(mass_kg: float, com_m: np.ndarray, **fields) -> CalibrationFile:
     return replace(POINTER, load=LoadEstimate(mass_kg, com_m, COVARIANCE), **fields)
 
 
@@ -44,7 +44,8 @@ def test_two_calibrations_of_one_load_are_called_another_in_one_of_twenty() -> N
 
 def test_a_difference_is_told_in_its_standard_deviations() -> None:
     found = {
-        row.quantity: row for row in compare_tools(POINTER, with_load(0.0631, CENTRE)).differences
+        row.quantity: row
+        for row in compare_calibrations(POINTER, with_load(0.0631, CENTRE)).differences
     }
     mass = found["mass"]
     assert mass.value == pytest.approx(3.1e-3)
@@ -54,7 +55,7 @@ def test_a_difference_is_told_in_its_standard_deviations() -> None:
     # The file says nothing of the offset's and the tip's uncertainty.
     moved = replace(POINTER, tip_m=POINTER.tip_m + [0.0, 0.002, 0.0])
     moved = replace(moved, residual_offset=np.array([0, 0, 0.5, 0, 1e-4, 0]))
-    found = {row.quantity: row for row in compare_tools(POINTER, moved).differences}
+    found = {row.quantity: row for row in compare_calibrations(POINTER, moved).differences}
     assert found["tip_y"].text == "differs by 2.00 mm" and found["tip_x"].text == "the same"
     assert found["offset_fz"].text == "differs by 500 mN"
     assert found["offset_ty"].text == "differs by 0.100 mN.m"
@@ -66,7 +67,7 @@ def test_a_correlation_tells_what_single_numbers_can_not() -> None:
     against each other."""
     shift = 1.9 * np.sqrt(2 * np.diag(COVARIANCE))
     other = with_load(0.06 + shift[0], CENTRE + [shift[1], 0, 0])
-    comparison = compare_tools(POINTER, other)
+    comparison = compare_calibrations(POINTER, other)
     assert {d.text for d in comparison.differences[:4]} == {"the same within 2 sigma"}
     assert not comparison.same_load and "another load;" in comparison.text
 
@@ -75,7 +76,7 @@ def test_without_uncertainty_only_the_same_numbers_are_the_same() -> None:
     exact = LoadEstimate(0.06, CENTRE, np.zeros((4, 4)))
     assert same_load(exact, exact)
     assert not same_load(exact, replace(exact, mass_kg=0.06 + 1e-9))
-    row = compare_tools(
+    row = compare_calibrations(
         replace(POINTER, load=exact), replace(POINTER, load=replace(exact, mass_kg=0.061))
     ).differences[0]
     assert row.sigmas == np.inf and row.text == "differs by 1.00 g (inf sigma)"
@@ -83,7 +84,7 @@ def test_without_uncertainty_only_the_same_numbers_are_the_same() -> None:
 
 def test_the_worst_case_is_the_largest_over_the_workspace() -> None:
     other = with_load(0.2, np.array([0.07, -0.01, 0.055]), residual_offset=np.full(6, 0.01))
-    comparison = compare_tools(POINTER, other)
+    comparison = compare_calibrations(POINTER, other)
     rng = np.random.default_rng(5)
     roll, tilt = rng.uniform(LIMITS.lower[3:], LIMITS.upper[3:], (20000, 2)).T
     difference = other.predict(roll, tilt) - POINTER.predict(roll, tilt)
@@ -92,12 +93,12 @@ def test_the_worst_case_is_the_largest_over_the_workspace() -> None:
         assert drawn * (1 - 1e-3) < worst.size < drawn * (1 + 1e-3)
         there = other.predict(*worst.at_rad) - POINTER.predict(*worst.at_rad)
         assert np.linalg.norm(there[part]) == pytest.approx(worst.size)
-    assert compare_tools(POINTER, POINTER).worst_force.size == 0.0
+    assert compare_calibrations(POINTER, POINTER).worst_force.size == 0.0
 
 
 def test_files_of_two_sensors_are_rejected() -> None:
     with pytest.raises(IncomparableError, match="'ft_sensor' and 'b' in 'other'"):
-        compare_tools(POINTER, replace(POINTER, sensor_frame="other"), ("a", "b"))
+        compare_calibrations(POINTER, replace(POINTER, sensor_frame="other"), ("a", "b"))
 
 
 @pytest.mark.parametrize(

@@ -7,29 +7,29 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from galen_model.errors import GalenError, ToolFileError, ToolNameError
+from galen_model.errors import CalibrationFileError, GalenError, ToolNameError
 from galen_model.files import atomic_file as atomic_file
 from galen_model.files import calibration_store as tool_store
 from galen_model.files.calibration_file import (
+    CalibrationFile,
     LoadEstimate,
-    ToolFile,
-    read_tool,
-    tool_path,
-    write_tool,
+    calibration_path,
+    read_calibration,
+    write_calibration,
 )
 from galen_model.files.calibration_store import (
+    CalibrationStore,
+    CalibrationStoreError,
     FileState,
     ToolExistsError,
-    ToolStore,
-    ToolStoreError,
 )
 
 
-def a_tool(name: str, mass_kg: float = 0.06) -> ToolFile:
-    return ToolFile(
+def a_tool(name: str, mass_kg: float = 0.06) -> CalibrationFile:
+    return CalibrationFile(
         tool=name,
         load=LoadEstimate(mass_kg, np.array([0.055, 0.002, 0.045]), np.eye(4) * 1e-8),
-        bias=LoadEstimate(0.1, np.array([0.0, 0.0, 0.02]), np.eye(4) * 1e-8),
+        adapter=LoadEstimate(0.1, np.array([0.0, 0.0, 0.02]), np.eye(4) * 1e-8),
         tip_m=np.array([0.15, 0.0, 0.05]),
         rmse=np.zeros(6),
         poses_used=56,
@@ -38,33 +38,33 @@ def a_tool(name: str, mass_kg: float = 0.06) -> ToolFile:
 
 
 @pytest.fixture
-def store(tmp_path: Path) -> ToolStore:
+def store(tmp_path: Path) -> CalibrationStore:
     """A pointer with a calibration before it, and a retractor."""
-    store = ToolStore(tmp_path / "tools")
+    store = CalibrationStore(tmp_path / "tools")
     for tool in (a_tool("pointer", 0.05), a_tool("pointer"), a_tool("retractor", 0.2)):
-        write_tool(tool_path(store.directory, tool.tool), tool)
+        write_calibration(calibration_path(store.directory, tool.tool), tool)
     return store
 
 
-def masses(store: ToolStore) -> dict[str, float]:
+def masses(store: CalibrationStore) -> dict[str, float]:
     """Every usable calibration in the directory, whatever it is called."""
     found = {}
     for path in store.directory.iterdir():
         try:
-            found[path.name] = read_tool(path).load.mass_kg
+            found[path.name] = read_calibration(path).load.mass_kg
         except GalenError:
             continue
     return found
 
 
-def files(store: ToolStore) -> dict[str, bytes]:
+def files(store: CalibrationStore) -> dict[str, bytes]:
     return {path.name: path.read_bytes() for path in store.directory.iterdir()}
 
 
 BEFORE = {"pointer.json": 0.06, "pointer.json.bak": 0.05, "retractor.json": 0.2}
 
 
-def test_broken_files_are_listed_by_name(store: ToolStore, tmp_path: Path) -> None:
+def test_broken_files_are_listed_by_name(store: CalibrationStore, tmp_path: Path) -> None:
     folder = store.directory
     (folder / "cut.json").write_text('{"schema_version": 1')
     (folder / "my tool.json").write_bytes((folder / "pointer.json").read_bytes())
@@ -88,23 +88,23 @@ def test_broken_files_are_listed_by_name(store: ToolStore, tmp_path: Path) -> No
     assert set(problems) == set(words)
     for name, word in words.items():
         assert word in problems[name] and name in problems[name]
-    assert list(ToolStore(tmp_path / "none").entries()) == []
+    assert list(CalibrationStore(tmp_path / "none").entries()) == []
 
 
 def test_a_link_within_the_directory_and_a_linked_directory_are_read(
-    store: ToolStore, tmp_path: Path
+    store: CalibrationStore, tmp_path: Path
 ) -> None:
     """Configuration systems keep the files in a folder beside and link to them."""
     data = store.directory / "..data"
     data.mkdir()
-    write_tool(data / "drill.json", a_tool("drill"))
+    write_calibration(data / "drill.json", a_tool("drill"))
     (store.directory / "drill.json").symlink_to("..data/drill.json")
     (tmp_path / "linked").symlink_to(store.directory)
-    assert ToolStore(tmp_path / "linked").read("drill").tool.tool == "drill"
+    assert CalibrationStore(tmp_path / "linked").read("drill").tool.tool == "drill"
 
 
 @pytest.mark.parametrize("name", ["../outside", "a/b", "", ".", "pointer.json", "a\0", "ä"])
-def test_names_are_checked_everywhere(store: ToolStore, name: str) -> None:
+def test_names_are_checked_everywhere(store: CalibrationStore, name: str) -> None:
     before = files(store)
     for call in (
         lambda: store.read(name),
@@ -120,7 +120,7 @@ def test_names_are_checked_everywhere(store: ToolStore, name: str) -> None:
     assert files(store) == before
 
 
-def test_rename_takes_the_name_inside_and_the_backup_along(store: ToolStore) -> None:
+def test_rename_takes_the_name_inside_and_the_backup_along(store: CalibrationStore) -> None:
     content = json.loads((store.directory / "pointer.json").read_text())
     content["of_a_later_version"] = {"x": 1}
     (store.directory / "pointer.json").write_text(json.dumps(content))
@@ -128,13 +128,13 @@ def test_rename_takes_the_name_inside_and_the_backup_along(store: ToolStore) -> 
     assert renamed.tool.tool == "probe" and renamed.sha256 == store.read("probe").sha256
     assert masses(store) == {"probe.json": 0.06, "probe.json.bak": 0.05, "retractor.json": 0.2}
     assert json.loads(renamed.content) == content | {"tool": "probe"}
-    assert read_tool(store.directory / "probe.json.bak").tool == "probe"
-    with pytest.raises(ToolFileError) as missing:
+    assert read_calibration(store.directory / "probe.json.bak").tool == "probe"
+    with pytest.raises(CalibrationFileError) as missing:
         store.rename("pointer", "again")
     assert isinstance(missing.value.__cause__, FileNotFoundError)
 
 
-def test_rename_never_overwrites(store: ToolStore) -> None:
+def test_rename_never_overwrites(store: CalibrationStore) -> None:
     before = files(store)
     for taken in ("retractor", "pointer"):
         with pytest.raises(ToolExistsError, match=taken):
@@ -148,7 +148,7 @@ def test_rename_never_overwrites(store: ToolStore) -> None:
     (store.directory / "probe.json.bak").write_text("an old one")
     store.rename("pointer", "probe")
     assert (store.directory / "probe.json.bak.removed").read_text() == "an old one"
-    assert read_tool(store.directory / "probe.json.bak").load.mass_kg == 0.05
+    assert read_calibration(store.directory / "probe.json.bak").load.mass_kg == 0.05
 
 
 def steps(monkeypatch: pytest.MonkeyPatch, fail_at: int, error: type[BaseException]) -> None:
@@ -174,7 +174,7 @@ def steps(monkeypatch: pytest.MonkeyPatch, fail_at: int, error: type[BaseExcepti
 @pytest.mark.parametrize("fail_at", range(1, 8))
 @pytest.mark.parametrize("error", [OSError, KeyboardInterrupt])
 def test_a_rename_cut_short_loses_nothing(
-    store: ToolStore, fail_at: int, error: type[BaseException]
+    store: CalibrationStore, fail_at: int, error: type[BaseException]
 ) -> None:
     """With an error all is as before, or renamed; killed, every calibration is still there, the
     list shows the tool under one name at least, and asking again ends it."""
@@ -184,7 +184,7 @@ def test_a_rename_cut_short_loses_nothing(
         try:
             store.rename("pointer", "probe")
             done = True
-        except (ToolStoreError, KeyboardInterrupt):
+        except (CalibrationStoreError, KeyboardInterrupt):
             done = False
     after = masses(store)
     names = [entry.name for entry in store.entries() if entry.stored]
@@ -200,24 +200,24 @@ def test_a_rename_cut_short_loses_nothing(
 
 
 def test_a_calibration_written_during_a_rename_is_not_lost(
-    store: ToolStore, monkeypatch: pytest.MonkeyPatch
+    store: CalibrationStore, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     real = tool_store.write_new
 
     def calibrate_meanwhile(path, content):
         real(path, content)
         if path.name == "probe.json":
-            write_tool(store.directory / "pointer.json", a_tool("pointer", 0.07))
+            write_calibration(store.directory / "pointer.json", a_tool("pointer", 0.07))
 
     monkeypatch.setattr(tool_store, "write_new", calibrate_meanwhile)
-    with pytest.raises(ToolStoreError, match="is being written; ask again"):
+    with pytest.raises(CalibrationStoreError, match="is being written; ask again"):
         store.rename("pointer", "probe")
     assert masses(store) == BEFORE | {"pointer.json": 0.07, "pointer.json.bak": 0.06}
 
 
 @pytest.mark.parametrize("change", ["rename", "remove"])
 def test_a_calibration_written_at_the_last_moment_is_not_lost(
-    store: ToolStore, monkeypatch: pytest.MonkeyPatch, change: str
+    store: CalibrationStore, monkeypatch: pytest.MonkeyPatch, change: str
 ) -> None:
     """Between the last look at the old file and its removal."""
     real = Path.rename
@@ -225,17 +225,17 @@ def test_a_calibration_written_at_the_last_moment_is_not_lost(
     def calibrate_before(path, target):
         if path.name == "retractor.json" and ".aside." in Path(target).name:
             monkeypatch.undo()
-            write_tool(store.directory / "retractor.json", a_tool("retractor", 0.3))
+            write_calibration(store.directory / "retractor.json", a_tool("retractor", 0.3))
         return real(path, target)
 
     monkeypatch.setattr(Path, "rename", calibrate_before)
-    with pytest.raises(ToolStoreError, match="is being written; ask again"):
+    with pytest.raises(CalibrationStoreError, match="is being written; ask again"):
         store.rename("retractor", "hook") if change == "rename" else store.remove("retractor")
     assert store.read("retractor").tool.load.mass_kg == 0.3
     assert not list(store.directory.glob(".*"))
 
 
-def test_odd_names_and_texts_can_be_told_in_messages(store: ToolStore) -> None:
+def test_odd_names_and_texts_can_be_told_in_messages(store: CalibrationStore) -> None:
     """A byte or half a surrogate pair that is no UTF-8 would end a node that sends it."""
     (store.directory / os.fsdecode(b"\xff.json")).touch()
     assert "\\xff" in store.names()
@@ -243,19 +243,19 @@ def test_odd_names_and_texts_can_be_told_in_messages(store: ToolStore) -> None:
     for name, odd in (("note", {"note": "\ud800"}), ("frame", {"sensor_frame": "\ud800"})):
         text = json.dumps(content | {"tool": name} | odd, ensure_ascii=False)
         (store.directory / f"{name}.json").write_bytes(text.encode("utf-8", "surrogatepass"))
-    with pytest.raises(ToolFileError, match="sensor_frame"):
+    with pytest.raises(CalibrationFileError, match="sensor_frame"):
         store.read("frame")
     assert store.read("note").content.encode()
     for entry in store.entries():
         assert (entry.name + entry.problem).encode()
 
 
-def test_removed_tools_come_back_with_their_backup(store: ToolStore) -> None:
+def test_removed_tools_come_back_with_their_backup(store: CalibrationStore) -> None:
     kept = store.remove("pointer")
     assert kept.name == "pointer.json.removed"
     assert store.names() == ["retractor"] and store.removed() == ["pointer"]
     # Removed again under the same name: both are kept, and the last one comes back.
-    write_tool(store.directory / "pointer.json", a_tool("pointer", 0.07))
+    write_calibration(store.directory / "pointer.json", a_tool("pointer", 0.07))
     with pytest.raises(ToolExistsError, match="is there"):
         store.restore("pointer")
     assert store.remove("pointer").name == "pointer.json.removed.2"
@@ -270,7 +270,7 @@ def test_removed_tools_come_back_with_their_backup(store: ToolStore) -> None:
     (store.directory / "pointer.json.removed.2").unlink()
     store.restore("pointer")
     assert masses(store) == BEFORE
-    with pytest.raises(ToolFileError, match="no removed tool"):
+    with pytest.raises(CalibrationFileError, match="no removed tool"):
         store.restore("drill")
 
 
@@ -295,7 +295,7 @@ def swapping(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) ->
 
 
 @pytest.mark.usefixtures("swapping")
-def test_reverting_twice_changes_nothing(store: ToolStore) -> None:
+def test_reverting_twice_changes_nothing(store: CalibrationStore) -> None:
     before = files(store)
     assert store.has_previous("pointer") and store.previous("pointer").tool.load.mass_kg == 0.05
     reverted = store.revert("pointer")
@@ -308,20 +308,22 @@ def test_reverting_twice_changes_nothing(store: ToolStore) -> None:
     assert store.revert("probe").tool.load.mass_kg == 0.05
 
 
-def test_what_can_not_be_reverted_stays(store: ToolStore, tmp_path: Path) -> None:
+def test_what_can_not_be_reverted_stays(store: CalibrationStore, tmp_path: Path) -> None:
     for missing in ("retractor", "drill"):
-        with pytest.raises(ToolFileError) as absent:
+        with pytest.raises(CalibrationFileError) as absent:
             store.revert(missing)
         assert isinstance(absent.value.__cause__, FileNotFoundError)
         assert not store.has_previous(missing)
-    with pytest.raises(ToolFileError, match="no calibration of 'retractor' before its present"):
+    with pytest.raises(
+        CalibrationFileError, match="no calibration of 'retractor' before its present"
+    ):
         store.revert("retractor")
     outside = tmp_path / "outside.json"
-    write_tool(outside, a_tool("pointer", 0.04))
+    write_calibration(outside, a_tool("pointer", 0.04))
     content, backup = outside.read_bytes(), store.directory / "pointer.json.bak"
     for make, words in (
         (lambda: backup.write_text("{"), "not JSON"),
-        (lambda: write_tool(backup, a_tool("retractor")), "holds the tool 'retractor'"),
+        (lambda: write_calibration(backup, a_tool("retractor")), "holds the tool 'retractor'"),
         (lambda: backup.symlink_to(outside), "leads out of"),
         (lambda: backup.symlink_to(backup), "out of|levels of symbolic links"),
         (backup.mkdir, "regular file"),
@@ -329,7 +331,7 @@ def test_what_can_not_be_reverted_stays(store: ToolStore, tmp_path: Path) -> Non
         backup.unlink()
         make()
         present = (store.directory / "pointer.json").read_bytes()
-        with pytest.raises(ToolFileError, match=words):
+        with pytest.raises(CalibrationFileError, match=words):
             store.revert("pointer")
         assert not store.has_previous("pointer")
         assert (store.directory / "pointer.json").read_bytes() == present
@@ -337,24 +339,26 @@ def test_what_can_not_be_reverted_stays(store: ToolStore, tmp_path: Path) -> Non
 
 
 @pytest.mark.usefixtures("swapping")
-def test_a_broken_file_is_reverted_and_links_within_swap_their_names(store: ToolStore) -> None:
+def test_a_broken_file_is_reverted_and_links_within_swap_their_names(
+    store: CalibrationStore,
+) -> None:
     pointer = store.directory / "pointer.json"
     pointer.write_text("{")
     assert store.revert("pointer").tool.load.mass_kg == 0.05
     assert pointer.with_name("pointer.json.bak").read_text() == "{"
     data = store.directory / "..data"
     data.mkdir()
-    write_tool(data / "retractor.json", a_tool("retractor", 0.19))
+    write_calibration(data / "retractor.json", a_tool("retractor", 0.19))
     (store.directory / "retractor.json.bak").symlink_to("..data/retractor.json")
     assert store.revert("retractor").tool.load.mass_kg == 0.19
     assert store.previous("retractor").tool.load.mass_kg == 0.2
-    assert read_tool(data / "retractor.json").load.mass_kg == 0.19
+    assert read_calibration(data / "retractor.json").load.mass_kg == 0.19
 
 
 @pytest.mark.parametrize("fail_at", range(1, 6))
 @pytest.mark.parametrize("error", [OSError, KeyboardInterrupt])
 def test_a_revert_cut_short_loses_nothing(
-    store: ToolStore, fail_at: int, error: type[BaseException]
+    store: CalibrationStore, fail_at: int, error: type[BaseException]
 ) -> None:
     """On a file system that can't swap names in one step. Killed, the tool is still there whole,
     and every calibration under some name; with an error all is as before, or done."""
@@ -364,7 +368,7 @@ def test_a_revert_cut_short_loses_nothing(
         try:
             store.revert("pointer")
             done = True
-        except (ToolStoreError, KeyboardInterrupt):
+        except (CalibrationStoreError, KeyboardInterrupt):
             done = False
     after = masses(store)
     assert {0.05, 0.06, 0.2} == set(after.values())
@@ -375,13 +379,13 @@ def test_a_revert_cut_short_loses_nothing(
 
 
 def test_a_calibration_written_during_a_revert_is_not_lost(
-    store: ToolStore, monkeypatch: pytest.MonkeyPatch
+    store: CalibrationStore, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """What is active of both names is swapped, whatever was looked at before."""
     real = tool_store.exchange
 
     def calibrate_before(path, other, spare):
-        write_tool(path, a_tool("pointer", 0.07))
+        write_calibration(path, a_tool("pointer", 0.07))
         real(path, other, spare)
 
     monkeypatch.setattr(tool_store, "exchange", calibrate_before)
@@ -390,33 +394,33 @@ def test_a_calibration_written_during_a_revert_is_not_lost(
 
 
 def test_a_full_disk_or_a_file_system_for_reading_says_so(
-    store: ToolStore, monkeypatch: pytest.MonkeyPatch
+    store: CalibrationStore, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def read_only(*_args: object) -> None:
         raise OSError(30, "Read-only file system")
 
     monkeypatch.setattr(atomic_file, "_exchange_in_one_step", read_only)
-    with pytest.raises(ToolStoreError, match=r"pointer\.json: can't be reverted: Read-only"):
+    with pytest.raises(CalibrationStoreError, match=r"pointer\.json: can't be reverted: Read-only"):
         store.revert("pointer")
     assert masses(store) == BEFORE
 
 
 def test_a_broken_file_can_be_removed_and_a_link_never_takes_its_target(
-    store: ToolStore, tmp_path: Path
+    store: CalibrationStore, tmp_path: Path
 ) -> None:
     (store.directory / "cut.json").write_text("{")
     assert store.remove("cut").read_text() == "{"
     outside = tmp_path / "outside.json"
-    write_tool(outside, a_tool("link"))
+    write_calibration(outside, a_tool("link"))
     (store.directory / "link.json").symlink_to(outside)
     for rejected in (lambda: store.remove("link"), lambda: store.rename("link", "new")):
-        with pytest.raises(ToolFileError, match="leads out of"):
+        with pytest.raises(CalibrationFileError, match="leads out of"):
             rejected()
-    assert read_tool(outside).tool == "link"
+    assert read_calibration(outside).tool == "link"
 
 
 def test_without_hard_links_it_works_as_well(
-    store: ToolStore, monkeypatch: pytest.MonkeyPatch
+    store: CalibrationStore, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def no_links(*_args, **_options):
         raise PermissionError(1, "Operation not permitted")
@@ -430,11 +434,11 @@ def test_without_hard_links_it_works_as_well(
     assert masses(store) == {"probe.json": 0.06, "probe.json.bak": 0.05, "retractor.json": 0.2}
 
 
-def test_what_became_of_a_file_since_it_was_read(store: ToolStore) -> None:
+def test_what_became_of_a_file_since_it_was_read(store: CalibrationStore) -> None:
     stored = store.read("pointer")
     os.utime(stored.path)  # touched, but not changed
     assert stored.file_state() is FileState.AS_LOADED
-    write_tool(stored.path, replace(stored.tool, load=a_tool("pointer", 0.07).load))
+    write_calibration(stored.path, replace(stored.tool, load=a_tool("pointer", 0.07).load))
     assert stored.file_state() is FileState.CHANGED
     stored.path.unlink()
     assert stored.file_state() is FileState.GONE

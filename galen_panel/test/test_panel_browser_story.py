@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from browser_plots import COMPENSATED, RAW, force_rms, rows
-from galen_model.files.calibration_file import read_tool, tool_path
+from galen_model.files.calibration_file import calibration_path, read_calibration
 from galen_model.load.nominal_tools import TOOLS
 from panel_processes import PanelWorld
 from panel_tools import write_perfect_tool
@@ -118,7 +118,7 @@ def test_a_calibration_is_seen_by_everybody_and_kept(page, second_browser, world
         one.says("outcome", "Calibrated", "pointer", patience_s=3 * PATIENCE_S)
         one.says("beside", "before", "new", "difference")
         one.wait(lambda one=one: one.usable("keep"), "keep", PATIENCE_S)
-    file = read_tool(tool_path(world.tools_dir, "pointer"))
+    file = read_calibration(calibration_path(world.tools_dir, "pointer"))
     assert file.poses_used == 12
     assert file.load.mass_kg == pytest.approx(TOOLS["pointer"].load.mass_kg, abs=5e-4)
     grams = f"{1e3 * file.load.mass_kg:.2f}"
@@ -133,18 +133,18 @@ def test_a_calibration_is_seen_by_everybody_and_kept(page, second_browser, world
 
 def test_a_calibration_is_discarded(page, world):
     """The one before comes back: that of the story's begin, or of the calibration kept."""
-    before = tool_path(world.tools_dir, "pointer").read_bytes()
+    before = calibration_path(world.tools_dir, "pointer").read_bytes()
     page.click("tab-operate")
     page.choose("calibrate-tool", "pointer")
     page.click("calibrate")
     page.click("dialog-ok")
     page.find("progress", PATIENCE_S)
     page.wait(lambda: page.usable("discard"), "the end", 3 * PATIENCE_S)
-    assert tool_path(world.tools_dir, "pointer").read_bytes() != before
+    assert calibration_path(world.tools_dir, "pointer").read_bytes() != before
     page.click("discard")
     page.click("dialog-ok")
     page.wait(
-        lambda: tool_path(world.tools_dir, "pointer").read_bytes() == before,
+        lambda: calibration_path(world.tools_dir, "pointer").read_bytes() == before,
         "the file before",
         PATIENCE_S,
     )
@@ -184,7 +184,7 @@ def test_the_keyboard_does_it_all(page):
 
 
 def test_a_calibration_is_canceled(page, world):
-    before = tool_path(world.tools_dir, "pointer").read_bytes()
+    before = calibration_path(world.tools_dir, "pointer").read_bytes()
     page.choose("calibrate-tool", "pointer")
     page.click("calibrate")
     page.click("dialog-ok")
@@ -194,7 +194,7 @@ def test_a_calibration_is_canceled(page, world):
     page.click("tab-operate")
     page.says("outcome", "Canceled", patience_s=PATIENCE_S)
     assert not page.all("progress")
-    assert tool_path(world.tools_dir, "pointer").read_bytes() == before
+    assert calibration_path(world.tools_dir, "pointer").read_bytes() == before
     page.wait(lambda: page.usable("calibrate"), "another one to be possible", PATIENCE_S)
 
 

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from galen_gravcomp.node import GravcompNode
-from galen_model.files.calibration_file import read_tool, tool_path, write_tool
+from galen_model.files.calibration_file import calibration_path, read_calibration, write_calibration
 from galen_panel.ros import tools as ros_tools
 from galen_panel.ros.suite import RosSuite
 from galen_panel.state.snapshot import (
@@ -42,10 +42,10 @@ def tools_dir(tmp_path):
     folder = tmp_path / "tools"
     folder.mkdir()
     shutil.copy(TOOLS / "retractor.json", folder)
-    pointer = read_tool(TOOLS / "retractor.json")
+    pointer = read_calibration(TOOLS / "retractor.json")
     for mass_kg in (0.050, 0.060):
         load = replace(pointer.load, mass_kg=mass_kg)
-        write_tool(folder / "pointer.json", replace(pointer, tool="pointer", load=load))
+        write_calibration(folder / "pointer.json", replace(pointer, tool="pointer", load=load))
     (folder / "drill.json").write_text("{}")
     return folder
 
@@ -96,7 +96,7 @@ def test_the_tools_are_listed_with_their_numbers_as_soon_as_gravcomp_is_there(
     state = with_gravcomp.state
     assert names(state) == ["drill", "pointer", "retractor"]
     assert state.tools_dir == str(tools_dir)
-    file = read_tool(tools_dir / "retractor.json")
+    file = read_calibration(tools_dir / "retractor.json")
     listed = tool(state, "retractor")
     assert listed.mass_kg == file.load.mass_kg
     assert listed.com_m == tuple(file.load.com_m)
@@ -156,7 +156,7 @@ def test_a_calibration_is_compared_with_the_one_before_and_reverted_to_it(with_g
     answer = world.ask(world.suite.revert_tool("pointer"))
     assert answer.ok
     assert tool(world.state, "pointer").mass_kg == 0.050
-    assert read_tool(tool_path(tools_dir, "pointer")).load.mass_kg == 0.050
+    assert read_calibration(calibration_path(tools_dir, "pointer")).load.mass_kg == 0.050
     answer = world.ask(world.suite.revert_tool("retractor"))
     assert not answer.ok
 

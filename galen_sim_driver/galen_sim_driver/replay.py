@@ -43,7 +43,7 @@ class Scene:
 
     joint_s (nj,), joints (nj, 5) as reported, m and rad; wrench_s (nw,), reading (nw, 6), N and
     N.m in ft_sensor; touched (nw,): where a hand may be at the tool; tracker_s (nt,), empty without
-    a tracker. start_s: the bag's first stamp since the recording's. tool, adapter, bias_pose_rad
+    a tracker. start_s: the bag's first stamp since the recording's. tool, adapter, zero_pose_rad
     (roll, tilt): as the tool's file says.
     """
 
@@ -57,7 +57,7 @@ class Scene:
     tracker_s: Array
     tool: ToolGeometry
     adapter: Load
-    bias_pose_rad: tuple[float, float] = (0.0, 0.0)
+    zero_pose_rad: tuple[float, float] = (0.0, 0.0)
     arm: ArmParameters = GALEN
 
     def instants(self, at_s: Array) -> Instants:
@@ -118,7 +118,7 @@ class Replay:
             more = effect.fresh().wrench(when, posture)
             if more is not None:
                 total = total + more
-        zero = np.array([[*self._home(), *scene.bias_pose_rad]])
+        zero = np.array([[*self._home(), *scene.zero_pose_rad]])
         at_zero = self._posture(scene.instants(np.zeros(1)), zero, False)
         return when, total - self._weight(at_zero, with_tool=False)
 

@@ -66,7 +66,7 @@ def scene(bag="motion", **changes):
         tracker_s=np.arange(0.5, 3.5, 1 / 60),
         tool=TOOL,
         adapter=ADAPTER,
-        bias_pose_rad=BIAS,
+        zero_pose_rad=BIAS,
     )
     return replace(first, **changes)
 

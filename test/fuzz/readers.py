@@ -63,9 +63,14 @@ from galen_diagnosis.inference.settings import load_settings  # noqa: E402
 from galen_gravcomp.evaluate.drift.series import read_series  # noqa: E402
 from galen_model.arm.galen import JOINT_NAMES  # noqa: E402
 from galen_model.errors import GalenError  # noqa: E402
-from galen_model.files.calibration_file import LoadEstimate, ToolFile, read_tool, write_tool  # noqa: E402
-from galen_model.files.calibration_store import ToolStore  # noqa: E402
-from galen_model.files.comparison import compare_tools  # noqa: E402
+from galen_model.files.calibration_file import (  # noqa: E402
+    CalibrationFile,
+    LoadEstimate,
+    read_calibration,
+    write_calibration,
+)
+from galen_model.files.calibration_store import CalibrationStore  # noqa: E402
+from galen_model.files.comparison import compare_calibrations  # noqa: E402
 from galen_ros.cdr.wire import ImuWire, JointWire, WrenchWire  # noqa: E402
 
 LONGEST_MESSAGE = 2000
@@ -108,12 +113,12 @@ def check(reader: Reader, data: bytes, folder: Path) -> bool:
 # --- tools' files ---------------------------------------------------------------------------------
 
 
-def a_tool(name: str = "file", mass_kg: float = 0.06) -> ToolFile:
+def a_tool(name: str = "file", mass_kg: float = 0.06) -> CalibrationFile:
     """A tool's file that is right."""
-    return ToolFile(
+    return CalibrationFile(
         tool=name,
         load=LoadEstimate(mass_kg, np.array([0.055, 0.002, 0.045]), np.eye(4) * 1e-8),
-        bias=LoadEstimate(0.1, np.array([0.0, 0.0, 0.02]), np.eye(4) * 1e-8),
+        adapter=LoadEstimate(0.1, np.array([0.0, 0.0, 0.02]), np.eye(4) * 1e-8),
         tip_m=np.array([0.15, 0.0, 0.05]),
         rmse=np.full(6, 1e-3),
         poses_used=56,
@@ -142,17 +147,21 @@ def _tool_contents() -> list[dict]:
 
 def use_tool(path: Path) -> None:
     """Read, predict, compare, write, read again."""
-    store = ToolStore(path.parent)
+    store = CalibrationStore(path.parent)
     entry = next(store.entries([path.stem]))
-    tool = read_tool(path)  # its error ends it
+    tool = read_calibration(path)  # its error ends it
     if tool.tool == path.stem:
         assert entry.stored is not None and entry.stored.tool.to_json() == tool.to_json()
-    assert tool.load.mass_kg > 0.0 and tool.bias.mass_kg >= 0.0
+    assert tool.load.mass_kg > 0.0 and tool.adapter.mass_kg >= 0.0
     assert np.isfinite(tool.predict(POSES[:, 0], POSES[:, 1])).all()
-    assert compare_tools(tool, a_tool("other")).text if tool.sensor_frame == "ft_sensor" else True
+    assert (
+        compare_calibrations(tool, a_tool("other")).text
+        if tool.sensor_frame == "ft_sensor"
+        else True
+    )
     again = path.with_name("again.json")
-    write_tool(again, tool)
-    assert read_tool(again).to_json() == tool.to_json()
+    write_calibration(again, tool)
+    assert read_calibration(again).to_json() == tool.to_json()
     again.with_name("again.json.bak").unlink(missing_ok=True)
     again.unlink()
 

@@ -10,12 +10,17 @@ from pathlib import Path
 import numpy as np
 from galen_model.arrays import Array
 from galen_model.errors import (
+    CalibrationFileError,
     GalenError,
     IdentificationError,
     NotExcitedError,
-    ToolFileError,
 )
-from galen_model.files.calibration_file import ToolFile, read_tool, write_tool
+from galen_model.files.calibration_file import (
+    CalibrationFile,
+    read_calibration,
+    write_calibration,
+    zeroed_at,
+)
 from galen_model.load.bias.choice import BiasMode
 from galen_model.load.bias.identification import (
     identify_one_sweep_drifting,
@@ -63,7 +68,7 @@ class Calibration:
     """
 
     path: Path
-    content: ToolFile
+    content: CalibrationFile
     warnings: list[str]
     found: Identification
     worth: Worth | None = None
@@ -71,13 +76,13 @@ class Calibration:
 
 
 def check_writable(path: Path) -> None:
-    """Find out before the arm moves whether `path` can be written; raises ToolFileError."""
+    """Find out before the arm moves whether `path` can be written; raises CalibrationFileError."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise ToolFileError(f"{path.parent}: can't be made: {error.strerror}") from error
+        raise CalibrationFileError(f"{path.parent}: can't be made: {error.strerror}") from error
     if not os.access(path.parent, os.W_OK | os.X_OK):
-        raise ToolFileError(f"{path.parent}: can't be written to")
+        raise CalibrationFileError(f"{path.parent}: can't be written to")
 
 
 def choose_tip(tip_m: Array, path: Path) -> tuple[Array, list[str]]:
@@ -98,8 +103,8 @@ def choose_tip(tip_m: Array, path: Path) -> tuple[Array, list[str]]:
     if not os.path.exists(path):  # noqa: PTH110 - Path.exists raises where this says no
         return nowhere, ["the tool's tip is not known: (0, 0, 0) in ft_sensor is written"]
     try:
-        return read_tool(path).tip_m, []
-    except ToolFileError as error:
+        return read_calibration(path).tip_m, []
+    except CalibrationFileError as error:
         return nowhere, [f"the old file's tip can't be kept, (0, 0, 0) is written: {error}"]
 
 
@@ -123,8 +128,8 @@ def calibrate(
         path, tool, tip_m, measurements, warnings, calibrated_at=calibrated_at, mounting=mounting
     )
     try:
-        write_tool(path, done.content)
-    except ToolFileError as error:
+        write_calibration(path, done.content)
+    except CalibrationFileError as error:
         raise EstimateError(ErrorCode.WRITE_FAILED, str(error)) from error
     return done
 
@@ -153,17 +158,16 @@ def estimate(
         raise EstimateError(ErrorCode.NOT_EXCITED, str(error)) from error
     except IdentificationError as error:
         raise EstimateError(ErrorCode.IMPLAUSIBLE, str(error)) from error
-    content = ToolFile(
+    content = CalibrationFile(
         tool=tool,
         load=found.load,
-        bias=found.bias,
+        adapter=found.adapter,
         tip_m=tip_m,
         rmse=found.rmse,
         poses_used=int(np.sum(found.used_tool)),
         calibrated_at=(calibrated_at or datetime.now(UTC)).isoformat(timespec="seconds"),
         residual_offset=found.offset,
-        bias_roll_rad=measurements.bias_roll,
-        bias_tilt_rad=measurements.bias_tilt,
+        zeroing=zeroed_at(measurements.zero_roll, measurements.zero_tilt),
         poses_rejected=(*measurements.rejected, *_outliers(found, measurements)),
         unresolved=found.unresolved,
         mounting=mounted,
@@ -178,11 +182,11 @@ def estimate(
 _FOUND_BY = {"inertia": "inertia_from_bag", "cable": "cable_from_bag", "mounting": "--estimate"}
 
 
-def _dropped(path: Path, content: ToolFile) -> list[str]:
+def _dropped(path: Path, content: CalibrationFile) -> list[str]:
     """Say which parts of the old file the new one does not have: they belong to the old load."""
     try:
-        old = read_tool(path)
-    except ToolFileError:
+        old = read_calibration(path)
+    except CalibrationFileError:
         return []
     lost = [part for part in old.parts if part not in content.parts]
     if not lost:
@@ -192,14 +196,14 @@ def _dropped(path: Path, content: ToolFile) -> list[str]:
 
 
 def _identify(measurements: Measurements) -> Identification:
-    roll, tilt = measurements.bias_roll, measurements.bias_tilt
+    roll, tilt = measurements.zero_roll, measurements.zero_tilt
     mode, bare, tool = measurements.bias_mode, measurements.bare, measurements.tool
     if mode is not BiasMode.CONSTANT:
         if bare is None:
-            return identify_one_sweep_drifting(tool, roll, tilt, measurements.known_bias, mode)
+            return identify_one_sweep_drifting(tool, roll, tilt, measurements.known_adapter, mode)
         return identify_two_sweeps_drifting(bare, tool, roll, tilt, mode)
     if bare is None:
-        return identify_one_sweep(tool, roll, tilt, measurements.known_bias)
+        return identify_one_sweep(tool, roll, tilt, measurements.known_adapter)
     return identify_two_sweeps(bare, tool, roll, tilt)
 
 
@@ -208,10 +212,10 @@ def _with_mounting(measurements: Measurements, request: MountingRequest) -> Cali
         measurements.bare,
         measurements.tool,
         request.groups,
-        measurements.bias_roll,
-        measurements.bias_tilt,
+        measurements.zero_roll,
+        measurements.zero_tilt,
         request.known,
-        measurements.known_bias,
+        measurements.known_adapter,
     )
 
 

@@ -347,8 +347,8 @@ class CalibrationProcedure(PoseProcedure[Command, Finished]):
                 Measurements(
                     bare=None if self._bare is None else _still_poses(self._bare),
                     tool=_still_poses(self._tool),
-                    bias_roll=self._bias_pose[0],
-                    bias_tilt=self._bias_pose[1],
+                    zero_roll=self._bias_pose[0],
+                    zero_tilt=self._bias_pose[1],
                     bare_indices=[] if self._bare is None else self._bare.indices,
                     tool_indices=self._tool.indices,
                     rejected=self._rejections(),

@@ -160,8 +160,8 @@ class SweepParameters(ObstacleParameters):
             poses[:, 0],
             poses[:, 1],
             one_sweep=one_sweep,
-            bias_roll_rad=self.Rhome,
-            bias_tilt_rad=self.Thome,
+            zero_roll_rad=self.Rhome,
+            zero_tilt_rad=self.Thome,
         )
         plan = plan_listed if listed else plan_grid
         return plan(poses, self.range, self.surroundings, tip_m)

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from galen_bags.arrays.arm_recording import ArmRecording
-from galen_model.files.calibration_file import ToolFile
+from galen_model.files.calibration_file import CalibrationFile
 from galen_model.load.cable.drag import MAX_POSES, SUPPORT_M
 from galen_model.load.cable.fit import CableSweep, spread_out
 from galen_model.load.cable.learning import HeldOut, LearnedCable, learn_cable
@@ -31,7 +31,7 @@ class CableResult:
     others: how well what is no cable explains the same poses held out, by name.
     """
 
-    tool: ToolFile
+    tool: CalibrationFile
     learned: LearnedCable
     sweep: CableSweep
     others: dict[str, HeldOut]
@@ -39,7 +39,7 @@ class CableResult:
 
 
 def estimate_cable(
-    tool: ToolFile,
+    tool: CalibrationFile,
     recording: ArmRecording,
     settings: ProcedureSettings,
     *,
@@ -58,7 +58,7 @@ def estimate_cable(
             " all five joints"
         )
     visits = find_visits(recording, settings, whole_phases=whole_phases, progress=phase_progress)
-    sorter = SweepSorter(settings, BiasPose(tool.bias_roll_rad, tool.bias_tilt_rad))
+    sorter = SweepSorter(settings, BiasPose(*tool.zero_pose_rad))
     poses, warnings = sorter.still_poses(visits)
     warnings += [f"pose {p.number} at {p.time_s:.1f} s: {p.fault}" for p in poses if p.fault]
     used = [pose for pose in poses if isinstance(pose.visit.outcome, PoseRecord) and not pose.fault]

@@ -15,7 +15,7 @@ import numpy as np
 from galen_bags.arrays.arm_recording import read_arm
 from galen_model.arm.galen import WRENCH_AXES
 from galen_model.errors import GalenError
-from galen_model.files.calibration_file import read_tool, tool_path, write_tool
+from galen_model.files.calibration_file import calibration_path, read_calibration, write_calibration
 from galen_model.load.cable.learning import HeldOut
 from galen_ros.command import check_folder
 from galen_ros.parameters.param import from_options
@@ -78,12 +78,12 @@ def parse(arguments: list[str] | None = None) -> argparse.Namespace:
 
 def remove(options: argparse.Namespace) -> dict[str, Any]:
     """Take the cable out of the tool's file; raises GalenError where there is none."""
-    path = tool_path(options.tools_dir, options.tool)
-    tool = read_tool(path)
+    path = calibration_path(options.tools_dir, options.tool)
+    tool = read_calibration(path)
     if tool.cable is None:
         raise GalenError(f"{path}: holds no cable")
     if not options.dry_run:
-        write_tool(path, replace(tool, cable=None))
+        write_calibration(path, replace(tool, cable=None))
     done = not options.dry_run
     return {"tool": options.tool, "file": str(path) if done else "", "removed": done}
 
@@ -91,8 +91,8 @@ def remove(options: argparse.Namespace) -> dict[str, Any]:
 def run(options: argparse.Namespace) -> CableResult:
     """Learn as the options say; writes the file, but for `dry_run`. Raises GalenError."""
     check_folder(None if options.plots is None else Path(options.plots))
-    path = tool_path(options.tools_dir, options.tool)
-    tool = read_tool(path)
+    path = calibration_path(options.tools_dir, options.tool)
+    tool = read_calibration(path)
     if not options.dry_run:
         check_writable(path)
     recording = read_arm(options.bag, arm_topics(options))
@@ -118,7 +118,7 @@ def run(options: argparse.Namespace) -> CableResult:
         except OSError as error:
             raise GalenError(f"{options.plots}: can't be written: {error.strerror}") from error
     if not options.dry_run:
-        write_tool(path, result.tool)
+        write_calibration(path, result.tool)
     return result
 
 
@@ -143,7 +143,7 @@ def result_fields(options: argparse.Namespace, result: CableResult) -> dict[str,
     learned, drag = result.learned, result.learned.drag
     return {
         "tool": options.tool,
-        "file": "" if options.dry_run else str(tool_path(options.tools_dir, options.tool)),
+        "file": "" if options.dry_run else str(calibration_path(options.tools_dir, options.tool)),
         "form": drag.form,
         "poses": len(result.sweep),
         "blocks": int(learned.block.max()) + 1,
@@ -198,7 +198,7 @@ def print_result(options: argparse.Namespace, result: CableResult, console: Cons
     for warning in result.warnings:
         console.print(f"[yellow]{warning}[/yellow]", soft_wrap=True, highlight=False)
     written = "not written (--dry-run)" if options.dry_run else "written"
-    console.print(f"{tool_path(options.tools_dir, options.tool)}: {written}", soft_wrap=True)
+    console.print(f"{calibration_path(options.tools_dir, options.tool)}: {written}", soft_wrap=True)
 
 
 def main(arguments: list[str] | None = None) -> None:
@@ -208,7 +208,7 @@ def main(arguments: list[str] | None = None) -> None:
         if options.remove:
             fields = remove(options)
             written = "not written (--dry-run)" if options.dry_run else "the cable is removed"
-            path = tool_path(options.tools_dir, options.tool)
+            path = calibration_path(options.tools_dir, options.tool)
             print(json.dumps(fields) if options.json else f"{path}: {written}")
             return
         result = run(options)

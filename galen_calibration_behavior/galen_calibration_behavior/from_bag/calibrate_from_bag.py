@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from galen_bags.arrays.arm_recording import read_arm
 from galen_model.errors import IdentificationError
-from galen_model.files.calibration_file import LoadEstimate, read_tool, tool_path
+from galen_model.files.calibration_file import LoadEstimate, calibration_path, read_calibration
 from galen_model.load.bias.choice import BiasMode
 from galen_model.load.mounting.groups import GROUPS, entities
 from galen_model.load.mounting.identification import KnownLoad
@@ -251,12 +251,12 @@ def _progress(name: str, phases: list[slice]) -> Iterable[slice]:
 def _known_adapter(path: str | None) -> LoadEstimate | None:
     if path is None:
         return None
-    tool = read_tool(path)
+    tool = read_calibration(path)
     if tool.unresolved:
         raise RecordingError(
             f"{path}: its adapter is itself not told apart from its tool: it came from one sweep"
         )
-    return tool.bias
+    return tool.adapter
 
 
 def measured_at(last: Visit) -> datetime:
@@ -266,7 +266,7 @@ def measured_at(last: Visit) -> datetime:
 
 def run(options: argparse.Namespace) -> tuple[RecordedSweeps, Calibration]:
     """Calibrate as the options say; writes the file, but for `dry_run`. Raises GalenError."""
-    path = tool_path(options.tools_dir, options.tool)
+    path = calibration_path(options.tools_dir, options.tool)
     if not options.dry_run:
         check_writable(path)
     tip, warnings = choose_tip(np.array(options.tip or [math.nan] * 3), path)

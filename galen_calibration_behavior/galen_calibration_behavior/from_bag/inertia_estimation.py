@@ -9,7 +9,7 @@ from galen_bags.arrays.arm_recording import ArmRecording
 from galen_model.arm.galen import GRAVITY_M_S2
 from galen_model.arrays import Array
 from galen_model.errors import IdentificationError
-from galen_model.files.calibration_file import ToolFile
+from galen_model.files.calibration_file import CalibrationFile
 from galen_model.load.inertia.identification import InertiaFit, identify_inertia, total_moments
 from galen_model.load.inertia.inertial import inertial_regressor, point_mass_inertia
 from galen_model.load.inertia.motion_record import MotionRecord, motion_record
@@ -35,13 +35,13 @@ class HeldOut:
 class InertiaResult:
     """The tool with its inertia, the fit, the scores; warnings are sentences for a person."""
 
-    tool: ToolFile
+    tool: CalibrationFile
     fit: InertiaFit
     held_out: HeldOut | None
     warnings: tuple[str, ...]
 
 
-def estimate_inertia(tool: ToolFile, recording: ArmRecording) -> InertiaResult:
+def estimate_inertia(tool: CalibrationFile, recording: ArmRecording) -> InertiaResult:
     """Estimate the inertia of tool and adapter.
 
     Raises IdentificationError, and NotExcitedError where the motion doesn't tell it.
@@ -85,12 +85,12 @@ def estimate_inertia(tool: ToolFile, recording: ArmRecording) -> InertiaResult:
 
 
 def _held_out(
-    record: MotionRecord, tool: ToolFile, moments: Array, covariance: Array
+    record: MotionRecord, tool: CalibrationFile, moments: Array, covariance: Array
 ) -> HeldOut | None:
     """Halves in turn; None where one half alone doesn't tell the inertia."""
     middle_s = (record.time_s[0] + record.time_s[-1]) / 2.0
     first = record.time_s < middle_s
-    points = point_mass_inertia(tool.load.load, tool.bias.load)
+    points = point_mass_inertia(tool.load.load, tool.adapter.load)
     left: dict[str, list[Array]] = {"static": [], "points": [], "inertia": []}
     try:
         for known in (first, ~first):

@@ -11,7 +11,7 @@ import numpy as np
 from galen_bags.arrays.arm_recording import read_arm
 from galen_model.arm.galen import WRENCH_AXES
 from galen_model.errors import GalenError
-from galen_model.files.calibration_file import read_tool, tool_path, write_tool
+from galen_model.files.calibration_file import calibration_path, read_calibration, write_calibration
 from galen_model.load.inertia.inertial import INERTIA_NAMES, point_mass_inertia
 from rich.console import Console
 from rich.table import Table
@@ -59,8 +59,8 @@ def parse(arguments: list[str] | None = None) -> argparse.Namespace:
 
 def run(options: argparse.Namespace) -> InertiaResult:
     """Estimate as the options say; writes the file, but for `dry_run`. Raises GalenError."""
-    path = tool_path(options.tools_dir, options.tool)
-    tool = read_tool(path)
+    path = calibration_path(options.tools_dir, options.tool)
+    tool = read_calibration(path)
     if not options.dry_run:
         check_writable(path)
     recording = read_arm(options.bag, arm_topics(options))
@@ -76,7 +76,7 @@ def run(options: argparse.Namespace) -> InertiaResult:
     except GalenError as error:
         raise GalenError(f"{options.bag}: {error}") from error
     if not options.dry_run:
-        write_tool(path, result.tool)
+        write_calibration(path, result.tool)
     return result
 
 
@@ -91,7 +91,7 @@ def result_fields(options: argparse.Namespace, result: InertiaResult) -> dict[st
         }
     return {
         "tool": options.tool,
-        "file": "" if options.dry_run else str(tool_path(options.tools_dir, options.tool)),
+        "file": "" if options.dry_run else str(calibration_path(options.tools_dir, options.tool)),
         "inertia": fit.inertia.to_json(),
         "std_kg_m2": fit.inertia.std_kg_m2.tolist(),
         "point_masses_kg_m2": _points(result).tolist(),
@@ -107,7 +107,7 @@ def result_fields(options: argparse.Namespace, result: InertiaResult) -> dict[st
 
 
 def _points(result: InertiaResult) -> np.ndarray:
-    return point_mass_inertia(result.tool.load.load, result.tool.bias.load)
+    return point_mass_inertia(result.tool.load.load, result.tool.adapter.load)
 
 
 def print_result(options: argparse.Namespace, result: InertiaResult, console: Console) -> None:
@@ -141,7 +141,7 @@ def print_result(options: argparse.Namespace, result: InertiaResult, console: Co
     for warning in result.warnings:
         console.print(f"[yellow]{warning}[/yellow]", soft_wrap=True, highlight=False)
     written = "not written (--dry-run)" if options.dry_run else "written"
-    console.print(f"{tool_path(options.tools_dir, options.tool)}: {written}", soft_wrap=True)
+    console.print(f"{calibration_path(options.tools_dir, options.tool)}: {written}", soft_wrap=True)
 
 
 def main(arguments: list[str] | None = None) -> None:

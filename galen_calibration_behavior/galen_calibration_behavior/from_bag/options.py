@@ -10,8 +10,8 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from galen_bags.arrays.arm_recording import ArmTopics
-from galen_model.errors import GalenError, ToolFileError, ToolNameError
-from galen_model.files.calibration_file import age_text, check_tool_name, read_tool
+from galen_model.errors import CalibrationFileError, GalenError, ToolNameError
+from galen_model.files.calibration_file import age_text, check_tool_name, read_calibration
 from galen_ros.parameters.param import add_options
 
 from galen_calibration_behavior.calibration.estimate import EstimateError
@@ -57,8 +57,8 @@ def check_not_newer(options: argparse.Namespace, path: Path, recorded: datetime)
     if options.dry_run or options.replace_newer:
         return
     try:
-        held = read_tool(path).calibrated_at
-    except ToolFileError:
+        held = read_calibration(path).calibrated_at
+    except CalibrationFileError:
         return
     ended = recorded.isoformat(timespec="seconds")  # as precise as the file's
     if datetime.fromisoformat(ended) < datetime.fromisoformat(held):

@@ -109,12 +109,12 @@ class SweepSorter:
         return self._put_together(parts[0], parts[1], warnings)
 
     def one_sweep(
-        self, recording: Visits, known_bias: LoadEstimate | None = None
+        self, recording: Visits, known_adapter: LoadEstimate | None = None
     ) -> RecordedSweeps:
         """A recording of the tool's sweep alone; raises RecordingError."""
         visits, lost = self._home.after_zeroing(recording)
         poses = self._one_load_sweep("tool", recording, visits)
-        return self._put_together([], poses, [*recording.warnings, *lost], known_bias)
+        return self._put_together([], poses, [*recording.warnings, *lost], known_adapter)
 
     def still_poses(self, recording: Visits) -> tuple[list[RecordedPose], list[str]]:
         """The poses of a sweep of one tool, and warnings; raises RecordingError.
@@ -231,19 +231,19 @@ class SweepSorter:
         bare: list[RecordedPose],
         tool: list[RecordedPose],
         warnings: list[str],
-        known_bias: LoadEstimate | None = None,
+        known_adapter: LoadEstimate | None = None,
     ) -> RecordedSweeps:
         good_bare, good_tool = ([p for p in poses if not p.fault] for poses in (bare, tool))
         measurements = Measurements(
             bare=_still_poses(good_bare) if bare else None,
             tool=_still_poses(good_tool),
-            bias_roll=self._bias_pose.roll,
-            bias_tilt=self._bias_pose.tilt,
+            zero_roll=self._bias_pose.roll,
+            zero_tilt=self._bias_pose.tilt,
             bare_indices=[pose.number for pose in good_bare],
             tool_indices=[pose.number for pose in good_tool],
             rejected=[*_left_out(bare), *_left_out(tool)],
             warnings=warnings,
-            known_bias=known_bias,
+            known_adapter=known_adapter,
         )
         return RecordedSweeps(measurements, [*bare, *tool])
 

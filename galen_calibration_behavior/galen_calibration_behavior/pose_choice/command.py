@@ -115,9 +115,9 @@ def choose(options: argparse.Namespace) -> dict[str, Any]:
     faults = [""] * len(candidates) if router is None else router.lattice_faults
     free = np.array([not fault for fault in faults])
     bias = (parameters.Rhome, parameters.Thome) if options.one_sweep else None
-    design = PoseDesign(candidates[free], goal=options.goal, one_sweep_bias=bias)
+    design = PoseDesign(candidates[free], goal=options.goal, one_sweep_zero=bias)
     # The grid may go where boxes are: it is held against the best without any.
-    unhindered = PoseDesign(candidates, goal=options.goal, one_sweep_bias=bias)
+    unhindered = PoseDesign(candidates, goal=options.goal, one_sweep_zero=bias)
     grid_parameters = replace(parameters, poses="grid")
     try:
         plan_grid(grid, where, around, tip)

@@ -20,7 +20,7 @@ import numpy as np
 from galen_model.arm.kinematics import sensor_rotation
 from galen_model.arrays import Array
 from galen_model.distributions import chi2_sf
-from galen_model.files.calibration_file import ToolFile
+from galen_model.files.calibration_file import CalibrationFile
 from galen_model.load.model import gravity_regressor, gravity_wrench
 from galen_model.rotation import skew
 
@@ -40,7 +40,12 @@ class Explanation:
 
 
 def explain_rest(
-    angles: Array, residual: Array, sigma: Array, tool: ToolFile, anywhere: Array, p_noise: float
+    angles: Array,
+    residual: Array,
+    sigma: Array,
+    tool: CalibrationFile,
+    anywhere: Array,
+    p_noise: float,
 ) -> tuple[Explanation, ...]:
     """The causes that leave only noise of the residual (n, 6) at angles (n, 2), the best first.
 
@@ -69,27 +74,27 @@ def explain_rest(
     return tuple(explanation for _, explanation in sorted(found, key=lambda one: -one[0]))
 
 
-def load_and_offset(angles: Array, tool: ToolFile) -> Array:
+def load_and_offset(angles: Array, tool: CalibrationFile) -> Array:
     """X = [G, I] (n, 6, 10) at roll and tilt (n, 2), rad."""
     regressor = gravity_regressor(tool.gravity_in_sensor(angles[:, 0], angles[:, 1]))
     return np.concatenate([regressor, np.broadcast_to(np.eye(6), (len(angles), 6, 6))], axis=2)
 
 
-def zero_lost(offset: Array, tool: ToolFile, limit: Array) -> str:
+def zero_lost(offset: Array, tool: CalibrationFile, limit: Array) -> str:
     """How the sensor's zero went, if an offset (6,) is just as that would leave it; else empty.
 
-    What the zeroing took for nothing is Z = W(theta_bias; adapter) - offset: none if there was no
+    What the zeroing took for nothing is Z = W(zeroing; adapter) - offset: none if there was no
     zeroing, the adapter's wrench under another direction of gravity if it was elsewhere, that of
     tool and adapter if the tool was on. `limit` (6,): how near.
     """
     if np.all(np.abs(offset) <= 2.0 * limit):
         return ""
-    at_bias = tool.gravity_in_sensor(tool.bias_roll_rad, tool.bias_tilt_rad)
-    zero = gravity_wrench(at_bias, tool.bias.load) - tool.residual_offset - offset
+    at_zero = tool.gravity_at_zeroing
+    zero = gravity_wrench(at_zero, tool.adapter.load) - tool.residual_offset - offset
     if np.all(np.abs(zero) <= limit):
         return "it was not zeroed since it was switched on"
-    adapter, own = tool.bias.load.moments, tool.load.load.moments
-    gravity = zero[:3] / np.linalg.norm(zero[:3]) * np.linalg.norm(at_bias)
+    adapter, own = tool.adapter.load.moments, tool.load.load.moments
+    gravity = zero[:3] / np.linalg.norm(zero[:3]) * np.linalg.norm(tool.gravity_m_s2)
     for moments, how in (
         (adapter + own, "it was zeroed with the tool on"),
         (adapter, "it was zeroed in another pose than the file's"),
@@ -99,7 +104,7 @@ def zero_lost(offset: Array, tool: ToolFile, limit: Array) -> str:
     return ""
 
 
-def _causes(angles: Array, tool: ToolFile) -> dict[str, Array]:
+def _causes(angles: Array, tool: CalibrationFile) -> dict[str, Array]:
     """J (n, 6, x) of each cause, by its name."""
     roll, tilt = angles[:, 0], angles[:, 1]
     gravity = tool.gravity_in_sensor(roll, tilt)
@@ -109,7 +114,7 @@ def _causes(angles: Array, tool: ToolFile) -> dict[str, Array]:
     loose = np.zeros((count, 6, 1))
     loose[:, 3:, 0] = tool.load.mass_kg * np.cross(aside, gravity)
 
-    loads = gravity_wrench(gravity, tool.load.load) + gravity_wrench(gravity, tool.bias.load)
+    loads = gravity_wrench(gravity, tool.load.load) + gravity_wrench(gravity, tool.adapter.load)
     turned = np.concatenate([skew(loads[:, :3]), skew(loads[:, 3:])], axis=1)
 
     zeros = []

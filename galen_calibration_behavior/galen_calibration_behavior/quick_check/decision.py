@@ -34,7 +34,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from galen_model.arrays import Array
 from galen_model.distributions import chi2_isf, chi2_sf, noncentral_chi2_sf, normal_ppf
-from galen_model.files.calibration_file import ToolFile
+from galen_model.files.calibration_file import CalibrationFile
 from galen_model.load.mounting.mounting import Mounting
 from galen_model.poses.design import ANGLE_LIMITS, angle_grid
 from galen_model.rest.pose import PoseRecord
@@ -69,10 +69,10 @@ _WORTH = 4.0
 
 def quick_check(
     records: Sequence[PoseRecord],
-    tool: ToolFile,
+    tool: CalibrationFile,
     limits: CheckLimits,
     *,
-    others: Mapping[str, ToolFile] | None = None,
+    others: Mapping[str, CalibrationFile] | None = None,
     known_offset: Array | None = None,
 ) -> QuickCheck:
     """Decide from records of at least FEWEST_POSES poses.
@@ -110,7 +110,7 @@ def quick_check(
 
 
 def differences(
-    records: Sequence[PoseRecord], tool: ToolFile, limits: CheckLimits, known_offset: Array
+    records: Sequence[PoseRecord], tool: CalibrationFile, limits: CheckLimits, known_offset: Array
 ) -> Differences:
     """Estimate what the readings differ by, with the tests of the module's text."""
     angles, residual, sigma = _readings(records, tool, known_offset)
@@ -151,7 +151,7 @@ def differences(
     )
 
 
-def smallest_mass_kg(load_information: Array, tool: ToolFile, false_alarm: float) -> float:
+def smallest_mass_kg(load_information: Array, tool: CalibrationFile, false_alarm: float) -> float:
     """Least mass that, put on at the tool's own centre, is told from noise with 95 %.
 
     By the test's noncentrality m^2 (1, p)^T (Cov d)^-1 (1, p), `load_information` (4, 4) being
@@ -193,7 +193,10 @@ def _decide(
 
 
 def _which_load(
-    found: Differences, tool: ToolFile, limits: CheckLimits, others: Mapping[str, ToolFile]
+    found: Differences,
+    tool: CalibrationFile,
+    limits: CheckLimits,
+    others: Mapping[str, CalibrationFile],
 ) -> tuple[Cause, tuple[str, ...]]:
     """Another tool whose file fits within the limits, or no tool at all."""
     everywhere = load_and_offset(_ANYWHERE, tool)[:, :, :4]
@@ -211,7 +214,7 @@ def _which_load(
 
 
 def _one_that_stands_out(
-    records: Sequence[PoseRecord], tool: ToolFile, limits: CheckLimits, known_offset: Array
+    records: Sequence[PoseRecord], tool: CalibrationFile, limits: CheckLimits, known_offset: Array
 ) -> str | None:
     """The pose without which the rest is noise, in words: it was touched, more likely than not."""
     if len(records) <= FEWEST_POSES:
@@ -228,7 +231,7 @@ def _one_that_stands_out(
 
 
 def _readings(
-    records: Sequence[PoseRecord], tool: ToolFile, known_offset: Array
+    records: Sequence[PoseRecord], tool: CalibrationFile, known_offset: Array
 ) -> tuple[Array, Array, Array]:
     """Roll and tilt (n, 2), rad, residual (n, 6) in ft_sensor, a mean's noise sigma (6,)."""
     roll, tilt, wrench, std_of_mean = stack(list(records))
@@ -247,7 +250,7 @@ def _readings(
     return np.column_stack([roll, tilt]), residual, sigma
 
 
-def _file_covariance(tool: ToolFile) -> Array:
+def _file_covariance(tool: CalibrationFile) -> Array:
     """Of the load's moments and the offset (10, 10), as the calibration knows them.
 
     The tool's own covariance bounds that of tool and adapter together, which the readings show:
@@ -270,7 +273,7 @@ def _file_covariance(tool: ToolFile) -> Array:
     return whole
 
 
-def _load_information(records: Sequence[PoseRecord], tool: ToolFile, sigma: Array) -> Array:
+def _load_information(records: Sequence[PoseRecord], tool: CalibrationFile, sigma: Array) -> Array:
     roll, tilt, _, _ = stack(list(records))
     regressor = load_and_offset(np.column_stack([roll, tilt]), tool)[:, :, :4]
     free = (regressor - regressor.mean(axis=0)) / sigma[:, None]

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 from galen_model.arrays import Array
-from galen_model.errors import GalenError, ToolFileError, ToolNameError
-from galen_model.files.calibration_store import ToolStore
+from galen_model.errors import CalibrationFileError, GalenError, ToolNameError
+from galen_model.files.calibration_store import CalibrationStore
 from galen_ros.goal.node import GoalNode, RejectedGoalError, RunningGoal, Words
 from galen_ros.node.spin import run
 from galen_ros.qos import LATCHED
@@ -49,7 +49,7 @@ class CheckNode(GoalNode[CheckParameters, _Goal, Finished]):
 
     def __init__(self, **kwargs: Any) -> None:
         super().__init__("check", CheckParameters, CheckTool, "check_tool", **kwargs)
-        self._store = ToolStore(Path(self._settings.tools_dir).expanduser())
+        self._store = CalibrationStore(Path(self._settings.tools_dir).expanduser())
         self._active: ActiveTool | None = None
         self.create_subscription(ActiveTool, "gravcomp/active_tool", self._on_active_tool, LATCHED)
 
@@ -87,7 +87,7 @@ class CheckNode(GoalNode[CheckParameters, _Goal, Finished]):
             }
         except ToolNameError as error:
             raise RejectedGoalError(ErrorCode.INVALID_NAME, str(error)) from error
-        except ToolFileError as error:
+        except CalibrationFileError as error:
             raise RejectedGoalError(ErrorCode.TOOL_FILE, str(error)) from error
         except GalenError as error:
             raise RejectedGoalError(ErrorCode.BAD_INPUT, str(error)) from error

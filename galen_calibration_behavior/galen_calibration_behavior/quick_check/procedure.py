@@ -15,7 +15,7 @@ import numpy as np
 from galen_model.arm.galen import LIMITS
 from galen_model.arrays import Array
 from galen_model.errors import GalenError
-from galen_model.files.calibration_file import ToolFile
+from galen_model.files.calibration_file import CalibrationFile
 from galen_model.poses.order import SweepTimes
 from galen_model.poses.plan import Surroundings
 from galen_model.rest.pose import PoseRecord
@@ -53,9 +53,9 @@ class CheckRequest:
     and N.m, None where that isn't known.
     """
 
-    tool: ToolFile
+    tool: CalibrationFile
     poses: int
-    others: Mapping[str, ToolFile]
+    others: Mapping[str, CalibrationFile]
     known_offset: Array | None
 
 
@@ -74,7 +74,7 @@ class CheckProcedure(PoseProcedure[Command, Finished]):
         self._check: QuickCheck | None = None
 
     @property
-    def tool(self) -> ToolFile:
+    def tool(self) -> CalibrationFile:
         """The tool's file that is checked."""
         return self._request.tool
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from galen_model.arm.galen import WRENCH_AXES
 from galen_model.arrays import Array
-from galen_model.files.calibration_file import ToolFile
+from galen_model.files.calibration_file import CalibrationFile
 
 from galen_calibration_behavior.quick_check.answer import Cause, CheckLimits, Differences
 
@@ -15,7 +15,7 @@ TARE_COMMAND = "ros2 service call /gravcomp/tare std_srvs/srv/Trigger"
 def in_words(
     cause: Cause,
     found: Differences,
-    tool: ToolFile,
+    tool: CalibrationFile,
     limits: CheckLimits,
     hints: tuple[str, ...],
     poses: int,
@@ -54,7 +54,7 @@ def in_words(
     return f"{_load(cause, found, tool, hints)}; {_offset_beside(found, limits)}"
 
 
-def _load(cause: Cause, found: Differences, tool: ToolFile, hints: tuple[str, ...]) -> str:
+def _load(cause: Cause, found: Differences, tool: CalibrationFile, hints: tuple[str, ...]) -> str:
     std = float(np.sqrt(found.moments_covariance[0, 0]))
     change = f"{1e3 * found.moments[0]:+.1f} +- {1e3 * std:.1f} g"
     if cause is Cause.NO_TOOL:
@@ -72,7 +72,7 @@ def _load(cause: Cause, found: Differences, tool: ToolFile, hints: tuple[str, ..
     return f"{text}: calibrate again"
 
 
-def centre_change(found: Differences, tool: ToolFile) -> tuple[Array, Array] | None:
+def centre_change(found: Differences, tool: CalibrationFile) -> tuple[Array, Array] | None:
     """By how much the tool's centre moved, m, and its std, (3,) each; None without a mass.
 
     p = h / m, so that dp = (dh - p dm) / m for its covariance.

@@ -20,7 +20,7 @@ from typing import Any
 
 from galen_model.errors import GalenError
 from galen_model.files.atomic_file import write_whole
-from galen_model.files.calibration_file import ToolFile, check_tool_name, write_tool
+from galen_model.files.calibration_file import CalibrationFile, check_tool_name, write_calibration
 
 TOOL_FILE, SUMMARY_FILE = "tool.json", "collection.json"
 _MOST_UNFINISHED = 1000
@@ -39,14 +39,14 @@ class CollectionFolder:
         self._reject_existing()
         self.path = self.final
 
-    def make(self, tool: ToolFile) -> None:
+    def make(self, tool: CalibrationFile) -> None:
         """Make the unfinished folder with the tool's file in it; raises a GalenError."""
         try:
             self.final.parent.mkdir(parents=True, exist_ok=True)
             self.path = self._make_unfinished()
         except OSError as error:
             raise CollectionFolderError(f"{self.final}: can't be made: {error}") from error
-        write_tool(self.path / TOOL_FILE, tool)
+        write_calibration(self.path / TOOL_FILE, tool)
 
     def close(self, summary: Mapping[str, Any], *, finished: bool) -> Path:
         """Write the summary and return where it all is, under its own name if it is finished.

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 from galen_bags.errors import BagError
 from galen_model.arrays import Array
-from galen_model.errors import GalenError, ToolFileError, ToolNameError
-from galen_model.files.calibration_file import ToolFile, read_tool, tool_path
+from galen_model.errors import CalibrationFileError, GalenError, ToolNameError
+from galen_model.files.calibration_file import CalibrationFile, calibration_path, read_calibration
 from galen_model.rotation import quaternion_to_matrix
 from galen_ros.conversions import stamp_to_ns
 from galen_ros.goal.node import GoalNode, RejectedGoalError, RunningGoal, Words
@@ -55,7 +55,7 @@ class _Goal(RunningGoal[CollectionProcedure]):
         handle: ServerGoalHandle,
         procedure: CollectionProcedure,
         plan: CollectionPlan,
-        tool: ToolFile,
+        tool: CalibrationFile,
         folder: CollectionFolder,
     ) -> None:
         super().__init__(handle, procedure)
@@ -95,10 +95,12 @@ class CollectionNode(GoalNode[CollectionParameters, _Goal, Finished]):
         request, settings = handle.request, self._settings
         try:
             folder = CollectionFolder(settings.folder("recordings_dir"), request.name)
-            path = tool_path(settings.folder("tools_dir"), request.tool)
-            tool = read_tool(path)
+            path = calibration_path(settings.folder("tools_dir"), request.tool)
+            tool = read_calibration(path)
             if tool.tool != request.tool:
-                raise ToolFileError(f"{path}: holds the tool '{tool.tool}', not '{request.tool}'")
+                raise CalibrationFileError(
+                    f"{path}: holds the tool '{tool.tool}', not '{request.tool}'"
+                )
             plan = make_plan(
                 request.positions or settings.positions,
                 request.forces_n or settings.forces_n,
@@ -111,7 +113,7 @@ class CollectionNode(GoalNode[CollectionParameters, _Goal, Finished]):
             raise RejectedGoalError(ErrorCode.INVALID_NAME, str(error)) from error
         except CollectionFolderError as error:
             raise RejectedGoalError(ErrorCode.WRITE_FAILED, str(error)) from error
-        except ToolFileError as error:
+        except CalibrationFileError as error:
             raise RejectedGoalError(ErrorCode.TOOL_FILE, str(error)) from error
         except OutOfReachError as error:
             raise RejectedGoalError(ErrorCode.OUT_OF_REACH, str(error)) from error

@@ -14,7 +14,7 @@ from galen_gravcomp.arm_block import push_arm_block
 from galen_gravcomp.compensator import Compensator, CompensatorSettings
 from galen_model.arm.galen import JOINT_NAMES, SENSOR
 from galen_model.arrays import Array
-from galen_model.files.calibration_file import ToolFile
+from galen_model.files.calibration_file import CalibrationFile
 
 from galen_deflection.errors import PushRecordingError
 
@@ -40,7 +40,7 @@ class ArmTrack:
 
 def read_arm_track(
     bag: Bag,
-    tool: ToolFile,
+    tool: CalibrationFile,
     topics: ArmTopics,
     settings: CompensatorSettings,
     *,

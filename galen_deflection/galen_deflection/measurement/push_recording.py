@@ -20,7 +20,7 @@ from galen_bags.arrays.timeline import Timeline, interpolated
 from galen_bags.formats.bag import open_bag
 from galen_gravcomp.compensator import CompensatorSettings
 from galen_model.arrays import Array
-from galen_model.files.calibration_file import ToolFile
+from galen_model.files.calibration_file import CalibrationFile
 from galen_model.registration.rigid import Transform
 
 from galen_deflection.errors import PushRecordingError
@@ -80,7 +80,7 @@ class PushRecording:
     """
 
     path: Path
-    tool: ToolFile
+    tool: CalibrationFile
     stamp_ns: np.ndarray
     segment: np.ndarray
     position: np.ndarray
@@ -106,7 +106,7 @@ class PushRecording:
 
 def read_pushes(
     path: str | os.PathLike[str],
-    tool: ToolFile,
+    tool: CalibrationFile,
     settings: PushSettings | None = None,
     on_progress: Callable[[int, int | None], None] | None = None,
 ) -> PushRecording:
@@ -133,7 +133,7 @@ def read_pushes(
 
 def _assembled(
     path: Path,
-    tool: ToolFile,
+    tool: CalibrationFile,
     settings: PushSettings,
     arm: ArmTrack,
     tool_raw: RawTrack,

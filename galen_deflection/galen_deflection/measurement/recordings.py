@@ -10,7 +10,7 @@ import numpy as np
 from galen_gravcomp.evaluate.bag_job import BagJob
 from galen_model.arrays import Array
 from galen_model.errors import GalenError
-from galen_model.files.calibration_file import ToolFile
+from galen_model.files.calibration_file import CalibrationFile
 
 from galen_deflection.errors import PushRecordingError
 from galen_deflection.measurement.arm_positions import PositionSettings
@@ -40,13 +40,13 @@ class Recording:
     """One bag's samples; positions (p, 5): joints of the positions by their numbers, m and rad."""
 
     path: Path
-    tool: ToolFile
+    tool: CalibrationFile
     samples: DeflectionSamples
     positions: Array
     problems: tuple[str, ...]
 
 
-def find_tool(path: Path, settings: ReadSettings) -> ToolFile:
+def find_tool(path: Path, settings: ReadSettings) -> CalibrationFile:
     """The tool that a bag was recorded with; raises GalenError that names the file."""
     return BagJob(settings.tool, settings.tool_beside).find_tool(path)
 

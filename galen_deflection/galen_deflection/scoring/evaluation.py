@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from galen_model.files.calibration_file import ToolFile
+from galen_model.files.calibration_file import CalibrationFile
 
 from galen_deflection.errors import ModelFileError
 from galen_deflection.measurement.recordings import (
@@ -115,7 +115,7 @@ def to_dict(result: Evaluation) -> dict[str, Any]:
     }
 
 
-def _check_tip(path: Path, model: DeflectionModel, bag: Path, tool: ToolFile) -> None:
+def _check_tip(path: Path, model: DeflectionModel, bag: Path, tool: CalibrationFile) -> None:
     """Raise ModelFileError for another tip than the model's."""
     tip, own = np.asarray(tool.tip_m, dtype=float), np.asarray(model.tip_m)
     if not np.allclose(own, tip, atol=1e-9):

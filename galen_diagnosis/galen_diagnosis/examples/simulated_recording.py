@@ -25,7 +25,7 @@ from galen_bags.arrays.messages import JOINT_STATE_TYPE, POSE_TYPE, WRENCH_TYPE
 from galen_bags.formats.writer import BagWriter
 from galen_model.arm.galen import BASE_FRAME, HOME, JOINT_NAMES, SENSOR, SENSOR_FRAME, TRACKER_FRAME
 from galen_model.arrays import Array
-from galen_model.files.calibration_file import LoadEstimate, ToolFile, write_tool
+from galen_model.files.calibration_file import CalibrationFile, LoadEstimate, write_calibration
 from galen_model.load.model import Load
 from galen_ros.cdr.layout import JointStateBytes, PoseBytes, WrenchBytes
 from galen_sim_driver.effects.effect import BAG_ORDER, Effect
@@ -152,7 +152,7 @@ class _Session:
 
     def record(self, bags: Sequence[str], progress: Callable[[str], None]) -> None:
         """Go through all bags and write those asked for."""
-        write_tool(self._directory / "tool.json", self._tool_file)
+        write_calibration(self._directory / "tool.json", self._tool_file)
         parts = {"sweep": self._sweep, "motion": self._free, "push": self._push}
         last = max(map(BAG_ORDER.index, bags), default=-1)
         for name in BAG_ORDER[: last + 1]:
@@ -337,17 +337,17 @@ def _in_plants_time(effect: Effect, starts: dict[str, float]) -> Effect:
     return effect
 
 
-def _believed(tool: str, load: Load, adapter: Load, tip_m: Array) -> ToolFile:
+def _believed(tool: str, load: Load, adapter: Load, tip_m: Array) -> CalibrationFile:
     """tool.json as a calibration some time before would have left it, without its error."""
 
     def estimate(of: Load) -> LoadEstimate:
         covariance = np.diag([1e-8, 1e-10, 1e-10, 1e-10])
         return LoadEstimate(of.mass_kg, np.asarray(of.com_m, dtype=float), covariance)
 
-    return ToolFile(
+    return CalibrationFile(
         tool=tool,
         load=estimate(load),
-        bias=estimate(adapter),
+        adapter=estimate(adapter),
         tip_m=np.asarray(tip_m, dtype=float),
         rmse=SENSOR.noise_std.copy(),
         poses_used=56,

@@ -18,7 +18,7 @@ from galen_model.arm.clearance import ArmClearance
 from galen_model.arm.galen import HOME
 from galen_model.arrays import Array
 from galen_model.errors import NotExcitedError
-from galen_model.files.calibration_file import ToolFile
+from galen_model.files.calibration_file import CalibrationFile
 from galen_model.load.identification import check_planned_poses
 from galen_model.poses.design import PoseDesign, PoseDesignError
 from galen_model.poses.order import SweepTimes, order_poses
@@ -94,7 +94,9 @@ class Proposal:
 class Experiments:
     """Makes the experiments for some alternatives with one tool."""
 
-    def __init__(self, alternatives: Sequence[Alternative], tool: ToolFile, budget: Budget) -> None:
+    def __init__(
+        self, alternatives: Sequence[Alternative], tool: CalibrationFile, budget: Budget
+    ) -> None:
         """Raise DiagnosisError where no pose is free, ObstacleError where home isn't."""
         self._alternatives = alternatives
         self._tool = tool
@@ -271,7 +273,7 @@ class Experiments:
 
 def _calibrates(poses: Array, home: Array) -> bool:
     try:
-        check_planned_poses(poses[:, 0], poses[:, 1], bias_roll_rad=home[3], bias_tilt_rad=home[4])
+        check_planned_poses(poses[:, 0], poses[:, 1], zero_roll_rad=home[3], zero_tilt_rad=home[4])
     except NotExcitedError:
         return False
     return True

@@ -17,7 +17,7 @@ import numpy as np
 import yaml
 from galen_model.arrays import Array
 from galen_model.files.atomic_file import write_whole
-from galen_model.files.calibration_file import ToolFile
+from galen_model.files.calibration_file import CalibrationFile
 
 from galen_diagnosis.errors import DiagnosisError
 from galen_diagnosis.experiment.experiments import LEVELS_N, Budget, Experiments, Program, Proposal
@@ -69,7 +69,7 @@ class Experiment:
 
 
 def propose(
-    alternatives: Sequence[Alternative], tool: ToolFile, budget: Budget | None = None
+    alternatives: Sequence[Alternative], tool: CalibrationFile, budget: Budget | None = None
 ) -> Experiment | None:
     """The next experiment for two or more hypotheses that are left; None where none would help.
 

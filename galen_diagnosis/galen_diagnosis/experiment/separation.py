@@ -27,7 +27,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from galen_model.arrays import Array
-from galen_model.files.calibration_file import ToolFile
+from galen_model.files.calibration_file import CalibrationFile
 from galen_sim_driver.effects.effect import Effect
 from galen_sim_driver.effects.sensor.sensor_drift import SensorDrift
 
@@ -141,7 +141,7 @@ def linearise(trials: Sequence[Trial], alternative: Alternative) -> Linear:
 
 
 def fitted_covariance(
-    trials: Sequence[Trial], effects: tuple[Effect, ...], tool: ToolFile
+    trials: Sequence[Trial], effects: tuple[Effect, ...], tool: CalibrationFile
 ) -> Array:
     """Covariance (k, k) that a fit to these trials would have, with priors of typical sizes.
 
@@ -192,7 +192,7 @@ class Separation:
 
 
 def separate(
-    trials: Sequence[Trial], alternatives: Sequence[Alternative], tool: ToolFile
+    trials: Sequence[Trial], alternatives: Sequence[Alternative], tool: CalibrationFile
 ) -> Separation:
     """What the trials together would tell."""
     linear = [linearise(trials, alternative) for alternative in alternatives]
@@ -245,7 +245,7 @@ def _expected(means: Sequence[Array], covariances: Sequence[Array], prior: Array
 
 
 def choose_units(
-    trial: Trial, alternatives: Sequence[Alternative], tool: ToolFile, count: int
+    trial: Trial, alternatives: Sequence[Alternative], tool: CalibrationFile, count: int
 ) -> list[int]:
     """The units (poses, positions) of a trial that together make the smallest D_ij largest.
 

@@ -22,7 +22,7 @@ from galen_model.arm.galen import (
 )
 from galen_model.arm.kinematics import gravity_in_sensor, sensor_pose
 from galen_model.arrays import Array
-from galen_model.files.calibration_file import ToolFile
+from galen_model.files.calibration_file import CalibrationFile
 from galen_model.load.model import Load, gravity_regressor
 from galen_model.load.nominal_tools import ToolGeometry
 from galen_model.rotation import matrix_to_rotvec, skew
@@ -160,22 +160,22 @@ def _free(trial: Trial) -> Array:
     return free
 
 
-def moment_covariances(tool: ToolFile) -> tuple[Array, Array]:
+def moment_covariances(tool: CalibrationFile) -> tuple[Array, Array]:
     """Covariances (4, 4) of mass and first moment, of the tool and of the adapter.
 
     One sweep doesn't tell the two apart, and each alone is then known to nearly nothing; but their
     sum, which is what the sensor feels, is known well: such a file counts as exact.
     """
-    parts = (tool.load, tool.bias)
+    parts = (tool.load, tool.adapter)
     if tool.unresolved:
         parts = (
             replace(tool.load, covariance=np.zeros((4, 4))),
-            replace(tool.bias, covariance=np.zeros((4, 4))),
+            replace(tool.adapter, covariance=np.zeros((4, 4))),
         )
     return moment_covariance(parts[0]), moment_covariance(parts[1])
 
 
-def load_columns(trials: Sequence[Trial], tool: ToolFile) -> Array:
+def load_columns(trials: Sequence[Trial], tool: CalibrationFile) -> Array:
     """Columns (n, 8): one standard deviation each of what the file doesn't know of its loads.
 
     With G(u) of `galen_model.load.model` and C = L L^T the covariance of mass and first moment:
@@ -198,7 +198,7 @@ def still_trial(
     poses: Array,
     at_s: Array,
     average_s: float,
-    tool: ToolFile,
+    tool: CalibrationFile,
     instruments: Instruments,
     home: Array,
     *,
@@ -226,8 +226,8 @@ def still_trial(
         touched=np.zeros(count, dtype=bool),
         tracker_s=middle if tracker else np.zeros(0),
         tool=_geometry(tool, tool_on),
-        adapter=tool.bias.load,
-        bias_pose_rad=(tool.bias_roll_rad, tool.bias_tilt_rad),
+        adapter=tool.adapter.load,
+        zero_pose_rad=tool.zero_pose_rad,
     )
     return Trial(
         scene=scene,
@@ -247,7 +247,7 @@ _MOTION_SIZE = np.array([0.03, 0.03, 0.03, 0.7, 0.5])
 
 
 def motion_trial(
-    speed: float, length_s: float, tool: ToolFile, instruments: Instruments, home: Array
+    speed: float, length_s: float, tool: CalibrationFile, instruments: Instruments, home: Array
 ) -> Trial:
     """All joints swing about home (5,), `speed` times as fast as 0.2 Hz; one unit."""
     at_s = np.arange(0.0, length_s, _MOTION_STEP_S)
@@ -264,8 +264,8 @@ def motion_trial(
         touched=np.zeros(count, dtype=bool),
         tracker_s=np.zeros(0),
         tool=_geometry(tool, True),
-        adapter=tool.bias.load,
-        bias_pose_rad=(tool.bias_roll_rad, tool.bias_tilt_rad),
+        adapter=tool.adapter.load,
+        zero_pose_rad=tool.zero_pose_rad,
     )
     return Trial(
         scene=scene,
@@ -283,7 +283,7 @@ _PUSH_COURSE = np.array([0.0, 0.25, 0.5, 0.75, 1.0, 1.0, 0.75, 0.5, 0.25, 0.0])
 
 
 def push_trial(
-    places: Array, levels_n: Sequence[float], tool: ToolFile, instruments: Instruments
+    places: Array, levels_n: Sequence[float], tool: CalibrationFile, instruments: Instruments
 ) -> Trial:
     """At each of places (n, 5), m and rad: a rest, then pushes to both sides along each axis.
 
@@ -310,8 +310,8 @@ def push_trial(
         touched=np.any(pushed != 0.0, axis=1),
         tracker_s=at_s,
         tool=_geometry(tool, True),
-        adapter=tool.bias.load,
-        bias_pose_rad=(tool.bias_roll_rad, tool.bias_tilt_rad),
+        adapter=tool.adapter.load,
+        zero_pose_rad=tool.zero_pose_rad,
     )
     return Trial(
         scene=scene,
@@ -323,6 +323,6 @@ def push_trial(
     )
 
 
-def _geometry(tool: ToolFile, tool_on: bool) -> ToolGeometry:
+def _geometry(tool: CalibrationFile, tool_on: bool) -> ToolGeometry:
     load = tool.load.load if tool_on else Load(0.0, np.zeros(3))
     return ToolGeometry(load, np.asarray(tool.tip_m, dtype=float))

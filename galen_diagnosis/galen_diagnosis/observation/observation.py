@@ -256,8 +256,8 @@ class Observation:
             touched=np.zeros(len(bag.wrench_s), dtype=bool),
             tracker_s=bag.tool_marker.at_s if bag.tool_marker is not None else np.zeros(0),
             tool=self._tool,
-            adapter=tool.bias.load,
-            bias_pose_rad=(tool.bias_roll_rad, tool.bias_tilt_rad),
+            adapter=tool.adapter.load,
+            zero_pose_rad=tool.zero_pose_rad,
         )
         of = phases(bag.wrench_s, bag.joint_s, bag.joints)
         residual = scene.reading - Replay(scene).reading()

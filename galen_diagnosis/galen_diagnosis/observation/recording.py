@@ -19,7 +19,7 @@ from galen_bags.formats.bag import open_bag
 from galen_bags.formats.find import is_bag
 from galen_model.arm.galen import WRENCH_AXES
 from galen_model.arrays import Array
-from galen_model.files.calibration_file import ToolFile, read_tool
+from galen_model.files.calibration_file import CalibrationFile, read_calibration
 
 from galen_diagnosis.errors import DiagnosisError
 from galen_diagnosis.observation.rows import BAGS
@@ -66,7 +66,7 @@ class Recording:
     """What there is: bags by name, in the contract's order; `missing` names those that aren't."""
 
     name: str
-    tool: ToolFile
+    tool: CalibrationFile
     bags: dict[str, BagData]
     missing: tuple[str, ...]
     problems: tuple[str, ...]
@@ -78,7 +78,7 @@ def read_recording(
     topics: ArmTopics | None = None,
     progress: Callable[[str], None] | None = None,
 ) -> Recording:
-    """Read a recording's directory; raises DiagnosisError, BagError or ToolFileError.
+    """Read a recording's directory; raises DiagnosisError, BagError or CalibrationFileError.
 
     tool: the tool's file, where it isn't the directory's own tool.json. Missing bags are named in
     `missing`; without any there is nothing to diagnose.
@@ -86,7 +86,7 @@ def read_recording(
     path = Path(path)
     if not any((path / name).exists() for name in BAGS):
         raise DiagnosisError(_no_recording(path))
-    tool_file = read_tool(path / "tool.json" if tool is None else tool)
+    tool_file = read_calibration(path / "tool.json" if tool is None else tool)
     arms: dict[str, ArmRecording] = {}
     problems: list[str] = []
     for name in BAGS:
@@ -130,7 +130,7 @@ def _no_recording(path: Path) -> str:
     return f"{path}: holds none of the bags {', '.join(BAGS)}; a recording is {wanted}"
 
 
-def _check_frames(path: Path, arm: ArmRecording, tool: ToolFile) -> None:
+def _check_frames(path: Path, arm: ArmRecording, tool: CalibrationFile) -> None:
     other = [frame for frame in arm.frame_ids if frame and frame != tool.sensor_frame]
     if other:
         raise DiagnosisError(

@@ -18,7 +18,7 @@ from galen_bags.arrays.orientation_table import (
 from galen_bags.arrays.text_table import read_text_table
 from galen_model.arm.galen import GRAVITY_M_S2, WRENCH_AXES
 from galen_model.arrays import Array
-from galen_model.files.calibration_file import read_tool
+from galen_model.files.calibration_file import read_calibration
 from galen_model.rest.orientations import StillSettings
 from galen_ros.command import (
     EXIT_FAILED,
@@ -157,7 +157,7 @@ def _one(path: Path, arguments: argparse.Namespace) -> BlockDiagnosis:
     prepared = prepare_table(
         table,
         noise=None if arguments.noise is None else _noise(arguments.noise),
-        tool=None if arguments.tool is None else read_tool(arguments.tool),
+        tool=None if arguments.tool is None else read_calibration(arguments.tool),
         window_s=arguments.average_s or _STOP_WINDOW_S,
         settings=StillSettings(max_rate_rad_s=arguments.still_rate_rad_s),
     )

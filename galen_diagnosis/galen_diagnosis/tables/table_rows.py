@@ -14,7 +14,7 @@ import numpy as np
 from galen_bags.arrays.orientation_table import OrientationTable, average_still
 from galen_model.arm.galen import WRENCH_AXES
 from galen_model.arrays import Array
-from galen_model.files.calibration_file import ToolFile
+from galen_model.files.calibration_file import CalibrationFile
 from galen_model.load.identification import plain_least_squares
 from galen_model.load.model import Load, gravity_regressor
 from galen_model.rest.orientations import StillSettings, still_phases
@@ -56,7 +56,7 @@ class Floor:
 def prepare_table(
     table: OrientationTable,
     noise: Array | None = None,
-    tool: ToolFile | None = None,
+    tool: CalibrationFile | None = None,
     window_s: float = 1.0,
     settings: StillSettings | None = None,
 ) -> Prepared:
@@ -121,7 +121,7 @@ def load_columns(
     return Columns(mean(values * (_WIDE if prior is None else prior)), {})
 
 
-def _nominal(table: OrientationTable, tool: ToolFile | None) -> tuple[TablePlant, Columns]:
+def _nominal(table: OrientationTable, tool: CalibrationFile | None) -> tuple[TablePlant, Columns]:
     assert table.time is not None
     at_s = table.time - table.time[0]
     if tool is None:
@@ -134,7 +134,7 @@ def _nominal(table: OrientationTable, tool: ToolFile | None) -> tuple[TablePlant
         load = Load(float(moments[0]), moments[1:] / moments[0])
         columns = load_columns(table.gravity, lambda values: values)
     else:
-        loads = [Load(of.mass_kg, np.asarray(of.com_m)) for of in (tool.load, tool.bias)]
+        loads = [Load(of.mass_kg, np.asarray(of.com_m)) for of in (tool.load, tool.adapter)]
         total = loads[0].moments + loads[1].moments
         load = Load(float(total[0]), total[1:] / total[0])
         weight = TablePlant(table.gravity, table.rotation, at_s, load, np.zeros(6)).reading()

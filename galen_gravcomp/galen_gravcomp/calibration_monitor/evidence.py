@@ -35,7 +35,7 @@ import numpy as np
 from galen_model.arm.galen import GRAVITY_M_S2
 from galen_model.arm.kinematics import gravity_in_sensor
 from galen_model.arrays import Array
-from galen_model.files.calibration_file import LoadEstimate, ToolFile
+from galen_model.files.calibration_file import CalibrationFile, LoadEstimate
 from galen_model.load.model import gravity_regressor
 
 _LOAD, _OFFSET, _DRIFT, _SAG = slice(0, 4), slice(4, 10), slice(10, 16), 16
@@ -127,12 +127,12 @@ class Judgement:
 class FitEvidence:
     """Judges stops of one tool's file."""
 
-    def __init__(self, tool: ToolFile) -> None:
+    def __init__(self, tool: CalibrationFile) -> None:
         self._tool = tool
         self._scale = float(tool.gravity_m_s2[2] / GRAVITY_M_S2[2])
-        self._mass_kg = float(tool.load.mass_kg + tool.bias.mass_kg)
+        self._mass_kg = float(tool.load.mass_kg + tool.adapter.mass_kg)
         self._sag_mass_kg = float(tool.load.mass_kg)
-        known = moment_covariance(tool.load) + moment_covariance(tool.bias)
+        known = moment_covariance(tool.load) + moment_covariance(tool.adapter)
         sag = 1.0 / _WRONG_SHIFT_M**2
         tight = 1.0 / _ALLOWED_SHIFT_M**2
         wrong_load = 1.0 / np.array([_WRONG_MASS_KG, *[_WRONG_MOMENT_KGM] * 3]) ** 2

@@ -26,7 +26,7 @@ from itertools import islice
 import numpy as np
 from galen_model.arrays import Array
 from galen_model.distributions import chi2_ppf
-from galen_model.files.calibration_file import ToolFile
+from galen_model.files.calibration_file import CalibrationFile
 from galen_model.rest.windows import StillWindows
 
 from galen_gravcomp.calibration_monitor import words
@@ -57,7 +57,7 @@ class GravityFitWatch:
         self._limits = limits or Limits()
         self._windows = StillWindows()
         self._evidence: FitEvidence | None = None
-        self._tool: ToolFile | None = None
+        self._tool: CalibrationFile | None = None
         self._work: Iterator[None]
         self._forget()
 
@@ -83,7 +83,7 @@ class GravityFitWatch:
 
     # Samples
 
-    def set_tool(self, tool: ToolFile | None) -> None:
+    def set_tool(self, tool: CalibrationFile | None) -> None:
         """Watch another tool; what was seen is forgotten."""
         self._tool = tool
         self._evidence = None if tool is None else FitEvidence(tool)

@@ -8,7 +8,7 @@ from enum import Enum
 import numpy as np
 from galen_model.arm.galen import WRENCH_AXES
 from galen_model.arrays import Array
-from galen_model.files.calibration_file import ToolFile
+from galen_model.files.calibration_file import CalibrationFile
 
 from galen_gravcomp.calibration_monitor.evidence import Explanation, Judgement
 from galen_gravcomp.evaluate.residual_decomposition import Limits
@@ -47,7 +47,7 @@ class FitState:
     log_odds: float = 0.0
 
 
-def misfit(judgement: Judgement, tool: ToolFile, limits: Limits, pulled: bool) -> FitState:
+def misfit(judgement: Judgement, tool: CalibrationFile, limits: Limits, pulled: bool) -> FitState:
     """What a judgement says; pulled: a cable's pull may look like that, too."""
     what = judgement.explanation
     size = _worst(judgement.beyond, limits)
@@ -90,7 +90,7 @@ def contact(mean: Array, lasts_s: float, log_odds: float) -> FitState:
     return FitState(FitNotice.DOES_NOT_FIT, Misfit.CONTACT, sentence, 1, log_odds)
 
 
-def _load(judgement: Judgement, tool: ToolFile) -> tuple[Misfit, str]:
+def _load(judgement: Judgement, tool: CalibrationFile) -> tuple[Misfit, str]:
     more = float(judgement.load[0])
     mass = float(tool.load.mass_kg) + more
     text = f"{1e3 * more:+.0f} +- {1e3 * judgement.load_std[0]:.0f} g"

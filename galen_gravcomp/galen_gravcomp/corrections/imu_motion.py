@@ -17,7 +17,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from galen_model.arm.kinematics import gravity_in_sensor
 from galen_model.arrays import Array
-from galen_model.files.calibration_file import ToolFile
+from galen_model.files.calibration_file import CalibrationFile
 from galen_model.load.inertia.imu_mount import ImuMount
 from galen_model.load.inertia.inertial import LoadInMotion
 from galen_model.rotation import rotvec_to_matrix
@@ -82,7 +82,7 @@ class ImuMotion:
             Rejection.NO_MOTION, f"inertial forces are not known: the IMU {what} (topic imu)"
         )
 
-    def set_tool(self, tool: ToolFile | None) -> None:
+    def set_tool(self, tool: CalibrationFile | None) -> None:
         """Take another tool's loads; the samples stay."""
         self._load = None if tool is None else load_in_motion(tool)
         self._source = inertia_source(tool)

@@ -20,23 +20,23 @@ import numpy as np
 from galen_model.arm.kinematics import gravity_in_sensor
 from galen_model.arm.sensor_motion import MotionOfSensor
 from galen_model.arrays import Array
-from galen_model.files.calibration_file import ToolFile
+from galen_model.files.calibration_file import CalibrationFile
 from galen_model.load.inertia.inertial import LoadInMotion, point_mass_inertia
 
 from galen_gravcomp.corrections.motion_window import MotionSettings, MotionWindow
 from galen_gravcomp.corrections.stages import NoMotion
 
 
-def load_in_motion(tool: ToolFile) -> LoadInMotion:
+def load_in_motion(tool: CalibrationFile) -> LoadInMotion:
     """All that hangs on the sensor, tool and adapter, as a tool's file knows it."""
-    loads = (tool.load.load, tool.bias.load)
+    loads = (tool.load.load, tool.adapter.load)
     inertia = (
         point_mass_inertia(*loads) if tool.inertia is None else tool.inertia.about_sensor_kg_m2
     )
     return LoadInMotion(loads[0].moments + loads[1].moments, inertia)
 
 
-def inertia_source(tool: ToolFile | None) -> str:
+def inertia_source(tool: CalibrationFile | None) -> str:
     """Where the inertia of an active tool comes from, in words."""
     if tool is None:
         return "no tool"
@@ -76,7 +76,7 @@ class JointMotion:
         """Joints that come late are the pairing's to reject."""
         return None
 
-    def set_tool(self, tool: ToolFile | None) -> None:
+    def set_tool(self, tool: CalibrationFile | None) -> None:
         """Take another tool's loads; the samples stay."""
         self._load = None if tool is None else load_in_motion(tool)
         self._source = inertia_source(tool)

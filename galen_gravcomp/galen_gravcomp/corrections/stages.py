@@ -15,7 +15,7 @@ from enum import Enum
 from typing import NamedTuple, Protocol
 
 from galen_model.arrays import Array
-from galen_model.files.calibration_file import ToolFile
+from galen_model.files.calibration_file import CalibrationFile
 
 
 class NoMotion(NamedTuple):
@@ -46,7 +46,7 @@ class MotionStage(Protocol):
     def needs_imu(self) -> bool:
         """Whether `push_imu` must be called."""
 
-    def set_tool(self, tool: ToolFile | None) -> None:
+    def set_tool(self, tool: CalibrationFile | None) -> None:
         """Take the loads of another tool."""
 
     def clear(self) -> None:
@@ -112,7 +112,7 @@ class BiasDriftStage(Protocol):
 class FitWatch(Protocol):
     """Watches whether the tool's file still fits, while nobody touches the tool."""
 
-    def set_tool(self, tool: ToolFile | None) -> None:
+    def set_tool(self, tool: CalibrationFile | None) -> None:
         """Watch another tool; what was seen is forgotten."""
 
     def push(self, stamp_ns: int, roll_rad: float, tilt_rad: float, output: Array) -> None:

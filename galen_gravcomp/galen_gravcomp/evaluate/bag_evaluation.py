@@ -17,7 +17,7 @@ from galen_bags.arrays.arm_recording import ArmBlock, ArmReader, ArmTopics
 from galen_bags.arrays.stamp_check import StampCheck, StampReport
 from galen_bags.formats.bag import Bag, open_bag
 from galen_model.arrays import Array
-from galen_model.files.calibration_file import ToolFile
+from galen_model.files.calibration_file import CalibrationFile
 from galen_model.rest.binned import StillCellSettings, StillPhases, find_still_phases
 from galen_model.rest.time_bins import CELL_S, CellReducer, Cells
 from galen_ros.stream.results import Notice
@@ -73,7 +73,7 @@ class BagEvaluation:
     """
 
     path: Path
-    tool: ToolFile
+    tool: CalibrationFile
     topics: tuple[str, str]
     duration_s: float
     received: int
@@ -117,7 +117,7 @@ class BagEvaluation:
 
 def evaluate_bag(
     path: str | os.PathLike[str],
-    tool: ToolFile,
+    tool: CalibrationFile,
     settings: EvaluationSettings | None = None,
     on_progress: Callable[[int, int | None], None] | None = None,
     on_block: OnBlock | None = None,
@@ -132,7 +132,7 @@ def evaluate_bag(
 
 def evaluate_open_bag(
     bag: Bag,
-    tool: ToolFile,
+    tool: CalibrationFile,
     settings: EvaluationSettings | None = None,
     on_progress: Callable[[int, int | None], None] | None = None,
     on_block: OnBlock | None = None,
@@ -161,7 +161,7 @@ def evaluate_open_bag(
 class _Run:
     """A bag's way through compensator and checks."""
 
-    def __init__(self, tool: ToolFile, settings: EvaluationSettings) -> None:
+    def __init__(self, tool: CalibrationFile, settings: EvaluationSettings) -> None:
         self._tool = tool
         self._settings = settings
         motion = None if settings.motion is None else JointMotion(settings.motion)

@@ -13,7 +13,7 @@ from galen_bags.arrays.arm_recording import ArmReader
 from galen_bags.formats.bag import open_bag
 from galen_bags.formats.writer import BagWriter
 from galen_model.errors import GalenError
-from galen_model.files.calibration_file import ToolFile, read_tool
+from galen_model.files.calibration_file import CalibrationFile, read_calibration
 
 from galen_gravcomp.evaluate.bag_evaluation import (
     BagEvaluation,
@@ -68,14 +68,14 @@ class BagJob:
                 raise GalenError(f"{self.plots}: can't be written: {error.strerror}") from error
         return result
 
-    def find_tool(self, bag: Path) -> ToolFile:
+    def find_tool(self, bag: Path) -> CalibrationFile:
         """The tool's file for this bag; raises GalenError."""
         if not self.tool_beside:
-            return read_tool(self.tool)
+            return read_calibration(self.tool)
         folder = bag if bag.is_dir() else bag.parent
         for place in (folder, folder.parent):
             if (place / self.tool.name).is_file():
-                return read_tool(place / self.tool.name)
+                return read_calibration(place / self.tool.name)
         raise GalenError(f"{bag}: neither in it nor beside it is a tool's file {self.tool.name}")
 
 

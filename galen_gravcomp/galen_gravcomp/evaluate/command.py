@@ -15,8 +15,8 @@ from galen_bags.arrays.orientation_table import read_table
 from galen_bags.formats.find import find_bags
 from galen_bags.many.run import run_many
 from galen_model.arm.galen import JOINT_NAMES, WRENCH_AXES
-from galen_model.errors import GalenError, IdentificationError, ToolFileError
-from galen_model.files.calibration_file import read_tool, tool_path, write_tool
+from galen_model.errors import CalibrationFileError, GalenError, IdentificationError
+from galen_model.files.calibration_file import calibration_path, read_calibration, write_calibration
 from galen_model.load.mounting.groups import entities
 from galen_model.load.mounting.identification import KnownLoad
 from galen_model.rest.binned import StillCellSettings
@@ -239,10 +239,10 @@ def run_table(arguments: argparse.Namespace, console: Console) -> None:
     """Evaluate a table; raises GalenError."""
     columns = arguments.columns.split(",") if arguments.columns else None
     check_folder(arguments.plots)
-    written_tool = _written_tool(arguments.write_tool)
+    written_tool = _written_tool(arguments.write_calibration)
     check_file(written_tool)
     table = read_table(arguments.table, columns, arguments.wrench_frame)
-    tool = read_tool(arguments.tool) if arguments.tool else None
+    tool = read_calibration(arguments.tool) if arguments.tool else None
     settings = StillSettings(
         arguments.still_rate_rad_s,
         min_duration_s=arguments.still_min_s or StillSettings.min_duration_s,
@@ -257,7 +257,7 @@ def run_table(arguments: argparse.Namespace, console: Console) -> None:
         arguments.bias_drift,
     )
     if written_tool is not None:
-        write_tool(
+        write_calibration(
             written_tool,
             tool_from_table(written_tool.stem, result.table, result.fit, result.mounted),
         )
@@ -293,8 +293,8 @@ def _written_tool(file: str | None) -> Path | None:
         return None
     path = Path(file)
     if path.suffix != ".json":
-        raise ToolFileError(f"{path}: a tool's file is named <tool>.json")
-    return tool_path(path.parent, path.stem)
+        raise CalibrationFileError(f"{path}: a tool's file is named <tool>.json")
+    return calibration_path(path.parent, path.stem)
 
 
 def run_bags(arguments: argparse.Namespace, console: Console) -> int:
@@ -312,7 +312,7 @@ def run_bags(arguments: argparse.Namespace, console: Console) -> int:
         names=distinct_names(bags),
     )
     if not job.tool_beside:
-        read_tool(job.tool)  # a wrong file is said once, and not for each bag
+        read_calibration(job.tool)  # a wrong file is said once, and not for each bag
     for folder in (job.plots, job.bags_out):
         check_folder(folder)
     if len(bags) == 1 and not arguments.scheduler:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from galen_model.arrays import Array
-from galen_model.files.calibration_file import ToolFile
+from galen_model.files.calibration_file import CalibrationFile
 from galen_model.load.model import gravity_regressor
 from galen_model.rest.binned import StillPhases
 
@@ -31,7 +31,7 @@ class LoadChange:
     offset_step: Array
 
 
-def find_change(phases: StillPhases, tool: ToolFile, limits: Limits) -> LoadChange | None:
+def find_change(phases: StillPhases, tool: CalibrationFile, limits: Limits) -> LoadChange | None:
     """Where the recording falls in two, as one in which a tool was put on or the sensor zeroed.
 
     Each border between two phases is tried, with a load and an offset of its own on either side

@@ -23,7 +23,7 @@ from galen_model.arm.kinematics import gravity_in_sensor
 from galen_model.arrays import Array
 from galen_model.distributions import chi2_sf
 from galen_model.errors import IdentificationError, NotExcitedError
-from galen_model.files.calibration_file import ToolFile
+from galen_model.files.calibration_file import CalibrationFile
 from galen_model.load.excitation import LOAD_PARAMETERS, check_excitation
 from galen_model.load.model import gravity_regressor
 from galen_model.load.robust_fit import RobustFit, fit_robust
@@ -77,7 +77,9 @@ class Misfit:
     significant: frozenset[str]
 
 
-def take_apart(phases: StillPhases, tool: ToolFile, *, stamps_jump: bool = False) -> Misfit | None:
+def take_apart(
+    phases: StillPhases, tool: CalibrationFile, *, stamps_jump: bool = False
+) -> Misfit | None:
     """Take the phases' residuals apart; None when there are too few phases to say anything.
 
     `stamps_jump`: their times are not to be relied on, so that drift can't be told.
@@ -116,7 +118,7 @@ def take_apart(phases: StillPhases, tool: ToolFile, *, stamps_jump: bool = False
     return _misfit(fit, blocks, phases, why_no_load, why_no_drift)
 
 
-def phase_gravity(phases: StillPhases, tool: ToolFile) -> Array:
+def phase_gravity(phases: StillPhases, tool: CalibrationFile) -> Array:
     """Gravity (n, 3) in the sensor's frame, m/s^2, as large as the tool's file has it."""
     gravity = gravity_in_sensor(phases.angles[:, 0], phases.angles[:, 1])
     return np.asarray(gravity * (tool.gravity_m_s2[2] / GRAVITY_M_S2[2]))

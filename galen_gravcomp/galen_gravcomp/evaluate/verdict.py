@@ -7,7 +7,7 @@ from enum import Enum
 import numpy as np
 from galen_model.arm.galen import WRENCH_AXES
 from galen_model.arrays import Array
-from galen_model.files.calibration_file import ToolFile
+from galen_model.files.calibration_file import CalibrationFile
 from galen_model.rest.binned import StillPhases
 
 from galen_gravcomp.evaluate.load_change import LoadChange
@@ -41,7 +41,7 @@ def judge(
     phases: StillPhases,
     misfit: Misfit | None,
     change: LoadChange | None,
-    tool: ToolFile,
+    tool: CalibrationFile,
     limits: Limits,
     *,
     moving: Array,
@@ -82,7 +82,7 @@ def _judge_motion(limits: Limits, moving: Array) -> tuple[Verdict, str]:
 
 
 def _judge_still(
-    phases: StillPhases, misfit: Misfit | None, tool: ToolFile, limits: Limits
+    phases: StillPhases, misfit: Misfit | None, tool: CalibrationFile, limits: Limits
 ) -> tuple[Verdict, str]:
     if misfit is None:
         _, ratio, size = _worst(_rms(phases.mean), limits)
@@ -133,7 +133,12 @@ def _reason(misfit: Misfit, axis: int, total: float, ratio: float, limits: Limit
 
 
 def _in_words(
-    verdict: Verdict, misfit: Misfit, axis: int, tool: ToolFile, unexplained: str, limits: Limits
+    verdict: Verdict,
+    misfit: Misfit,
+    axis: int,
+    tool: CalibrationFile,
+    unexplained: str,
+    limits: Limits,
 ) -> str:
     others = "a cable, a loose tool, wrong angles, a hand?"
     if verdict is Verdict.UNEXPLAINED:
@@ -162,12 +167,12 @@ def _in_words(
     return text + (besides if unexplained else hint)
 
 
-def _load_in_words(misfit: Misfit, tool: ToolFile) -> tuple[str, str]:
+def _load_in_words(misfit: Misfit, tool: CalibrationFile) -> tuple[str, str]:
     """The other load, and what to do about it."""
     mass = tool.load.mass_kg + misfit.mass_kg
     sure = _SURE * misfit.mass_std_kg
     text = f"as of another load, by {1e3 * misfit.mass_kg:+.1f} +- {1e3 * misfit.mass_std_kg:.1f} g"
-    if mass + tool.bias.mass_kg < -sure:
+    if mass + tool.adapter.mass_kg < -sure:
         return text, ", less than nothing (are the signs or axes of the readings others?)"
     if mass < max(sure, _NO_LOAD * tool.load.mass_kg):
         return text, " (no tool on it?)"

@@ -11,7 +11,7 @@ from collections.abc import Callable
 
 import numpy as np
 from galen_model.arm.galen import SENSOR
-from galen_model.files.calibration_store import FileState, StoredTool
+from galen_model.files.calibration_store import FileState, StoredCalibration
 from galen_ros.node.background import Background
 from galen_ros.qos import LATCHED
 from rclpy.node import Node
@@ -43,7 +43,7 @@ class Active:
         self._compensator = compensator
         self._background = background
         self._on_note = on_note
-        self._stored: StoredTool | None = None
+        self._stored: StoredCalibration | None = None
         self._file_state = FileState.AS_LOADED
         self._checking = False
         self._checked_s = time.monotonic()
@@ -52,7 +52,7 @@ class Active:
         self._publisher = node.create_publisher(ActiveTool, "~/active_tool", LATCHED)
 
     @property
-    def stored(self) -> StoredTool | None:
+    def stored(self) -> StoredCalibration | None:
         """The tool; None where there is none."""
         return self._stored
 
@@ -61,12 +61,12 @@ class Active:
         """The tool's name; empty where there is none."""
         return "" if self._stored is None else self._stored.tool.tool
 
-    def put(self, stored: StoredTool | None) -> None:
+    def put(self, stored: StoredCalibration | None) -> None:
         """Say that this one is active now, read just before."""
         self._stored = stored
         self._set_file_state(FileState.AS_LOADED)
 
-    def rename(self, stored: StoredTool) -> None:
+    def rename(self, stored: StoredCalibration) -> None:
         """Say that the active one has another name and file; what became of it stays."""
         self._stored = stored
         self._compensator.rename_tool(stored.tool.tool)
@@ -103,7 +103,7 @@ class Active:
             )
         self.update()
 
-    def _on_file_state(self, loaded: StoredTool, state: FileState) -> None:
+    def _on_file_state(self, loaded: StoredCalibration, state: FileState) -> None:
         self._checking = False
         if loaded is self._stored and state is not self._file_state:
             self._set_file_state(state)

@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 from galen_model.arm.galen import JOINT_NAMES, SENSOR_FRAME
 from galen_model.errors import GalenError
-from galen_model.files.calibration_store import ToolStore, ToolStoreError
-from galen_model.files.comparison import before_name, compare_tools
+from galen_model.files.calibration_store import CalibrationStore, CalibrationStoreError
+from galen_model.files.comparison import before_name, compare_calibrations
 from galen_model.load.frames import FRAMES, joint_vector, needed_joints, sensor_in_frame
 from galen_ros.command import (
     EXIT_FAILED,
@@ -131,9 +131,9 @@ def _joints(text: str) -> np.ndarray:
         raise argparse.ArgumentTypeError(str(error)) from error
 
 
-def _list(arguments: argparse.Namespace, store: ToolStore, console: Console) -> None:
+def _list(arguments: argparse.Namespace, store: CalibrationStore, console: Console) -> None:
     if not store.directory.is_dir():
-        raise ToolStoreError(
+        raise CalibrationStoreError(
             f"{store.directory}: no such directory; --tools-dir names another one, and the first"
             " calibration makes it"
         )
@@ -144,7 +144,7 @@ def _list(arguments: argparse.Namespace, store: ToolStore, console: Console) -> 
         print_list(str(store.directory), entries, removed, console)
 
 
-def _show(arguments: argparse.Namespace, store: ToolStore, console: Console) -> None:
+def _show(arguments: argparse.Namespace, store: CalibrationStore, console: Console) -> None:
     stored = store.read(arguments.tool)
     needed = [name in needed_joints(arguments.frame) for name in JOINT_NAMES]
     joints = np.where(needed, arguments.joints, math.nan)
@@ -155,32 +155,34 @@ def _show(arguments: argparse.Namespace, store: ToolStore, console: Console) -> 
         print_tool(stored, place, joints, console)
 
 
-def _compare(arguments: argparse.Namespace, store: ToolStore, console: Console) -> None:
+def _compare(arguments: argparse.Namespace, store: CalibrationStore, console: Console) -> None:
     if arguments.previous:
         before, present = store.previous(arguments.a), store.read(arguments.a)
         names = (before_name(arguments.a), arguments.a)
-        comparison = compare_tools(before.tool, present.tool, names)
+        comparison = compare_calibrations(before.tool, present.tool, names)
     else:
-        comparison = compare_tools(store.read(arguments.a).tool, store.read(arguments.b).tool)
+        comparison = compare_calibrations(
+            store.read(arguments.a).tool, store.read(arguments.b).tool
+        )
     if arguments.json:
         _print_json(comparison_to_dict(comparison))
     else:
         print_comparison(comparison, console)
 
 
-def _rename(arguments: argparse.Namespace, store: ToolStore, console: Console) -> None:
+def _rename(arguments: argparse.Namespace, store: CalibrationStore, console: Console) -> None:
     path = store.rename(arguments.tool, arguments.new_name).path
     _tell(arguments, console, {"path": str(path)}, f"'{arguments.tool}' is now {path}")
 
 
-def _revert(arguments: argparse.Namespace, store: ToolStore, console: Console) -> None:
+def _revert(arguments: argparse.Namespace, store: CalibrationStore, console: Console) -> None:
     stored = store.revert(arguments.tool)
     told = {"path": str(stored.path), "calibrated_at": stored.tool.calibrated_at}
     text = f"'{arguments.tool}' is as calibrated {stored.tool.calibrated_at} again: {stored.path}"
     _tell(arguments, console, told, text)
 
 
-def _remove(arguments: argparse.Namespace, store: ToolStore, console: Console) -> None:
+def _remove(arguments: argparse.Namespace, store: CalibrationStore, console: Console) -> None:
     if not arguments.yes and not _agreed(arguments.tool, store):
         raise GalenError(f"'{arguments.tool}' is not removed")
     kept = store.remove(arguments.tool)
@@ -188,7 +190,7 @@ def _remove(arguments: argparse.Namespace, store: ToolStore, console: Console) -
     _tell(arguments, console, {"kept_as": str(kept)}, text)
 
 
-def _agreed(name: str, store: ToolStore) -> bool:
+def _agreed(name: str, store: CalibrationStore) -> bool:
     try:
         tool = store.read(name).tool
         what = f"{1e3 * tool.load.mass_kg:.1f} g, calibrated {tool.calibrated_at}"
@@ -198,7 +200,7 @@ def _agreed(name: str, store: ToolStore) -> bool:
     return sys.stdin.readline().strip().lower() in ("y", "yes")
 
 
-def _restore(arguments: argparse.Namespace, store: ToolStore, console: Console) -> None:
+def _restore(arguments: argparse.Namespace, store: CalibrationStore, console: Console) -> None:
     path = store.restore(arguments.tool)
     _tell(arguments, console, {"path": str(path)}, f"'{arguments.tool}' is back: {path}")
 
@@ -251,7 +253,7 @@ def main(args: Sequence[str] | None = None) -> int:
         if arguments.command == "active":
             _active(arguments, words[at:], console)
         else:
-            _COMMANDS[arguments.command](arguments, ToolStore(arguments.tools_dir), console)
+            _COMMANDS[arguments.command](arguments, CalibrationStore(arguments.tools_dir), console)
         return EXIT_OK
 
     return run_command("tools", work)

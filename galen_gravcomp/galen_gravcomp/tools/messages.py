@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 from galen_model.arrays import Array
-from galen_model.errors import GalenError, ToolFileError, ToolNameError
-from galen_model.files.calibration_store import Entry, FileState, StoredTool, ToolExistsError
+from galen_model.errors import CalibrationFileError, GalenError, ToolNameError
+from galen_model.files.calibration_store import Entry, FileState, StoredCalibration, ToolExistsError
 from galen_model.files.comparison import Comparison, IncomparableError
 from galen_model.load.frames import FrameError, FrameNeedsJointsError
 from geometry_msgs.msg import Wrench
@@ -45,14 +45,14 @@ _CODES: dict[type[GalenError], str] = {
 def error_code(response: Any, error: GalenError, otherwise: str) -> int:
     """The code of an error in an answer; `otherwise`: the name of that of any other error."""
     name = _CODES.get(type(error), otherwise)
-    if isinstance(error, ToolFileError):
+    if isinstance(error, CalibrationFileError):
         missing = isinstance(error.__cause__, FileNotFoundError)
         name = "NOT_FOUND" if missing else "INVALID_FILE"
     return int(getattr(response, name))
 
 
 def active_message(
-    stored: StoredTool | None, state: FileState, compensator: Compensator
+    stored: StoredCalibration | None, state: FileState, compensator: Compensator
 ) -> ActiveTool:
     """What is active; `stored`: the tool as it was loaded, `state`: its file since."""
     offset, bias_drift = compensator.tare_offset, compensator.bias_drift_offset
@@ -70,8 +70,8 @@ def active_message(
     message.com_m = np.asarray(tool.load.com_m, dtype=float)
     message.covariance = np.asarray(tool.load.covariance, dtype=float).ravel()
     message.tip_m = np.asarray(tool.tip_m, dtype=float)
-    message.adapter_mass_kg = float(tool.bias.mass_kg)
-    message.adapter_com_m = np.asarray(tool.bias.com_m, dtype=float)
+    message.adapter_mass_kg = float(tool.adapter.mass_kg)
+    message.adapter_com_m = np.asarray(tool.adapter.com_m, dtype=float)
     message.parts = list(tool.parts)
     message.calibrated_at = tool.calibrated_at
     message.path = str(stored.path)
@@ -81,7 +81,7 @@ def active_message(
 
 
 def fill_comparison(response: Any, comparison: Comparison) -> None:
-    """Write a comparison into the answer of `~/compare_tools`."""
+    """Write a comparison into the answer of `~/compare_calibrations`."""
     response.same_load, response.text = comparison.same_load, comparison.text
     response.differences = [
         ToolDifference(

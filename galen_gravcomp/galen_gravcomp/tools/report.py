@@ -10,7 +10,7 @@ import numpy as np
 from galen_model.arm.galen import JOINT_NAMES, WRENCH_AXES
 from galen_model.arrays import Array
 from galen_model.files.calibration_file import LoadEstimate, age_text
-from galen_model.files.calibration_store import Entry, StoredTool
+from galen_model.files.calibration_store import Entry, StoredCalibration
 from galen_model.files.comparison import Comparison, three_digits
 from galen_model.load.frames import SensorInFrame
 from rich.console import Console
@@ -76,7 +76,7 @@ def print_list(
 # One tool
 
 
-def tool_to_dict(stored: StoredTool, place: SensorInFrame, joints: Array) -> dict[str, Any]:
+def tool_to_dict(stored: StoredCalibration, place: SensorInFrame, joints: Array) -> dict[str, Any]:
     """One tool; mass, centres, tip and covariances in the frame of `place`."""
     tool = stored.tool
     return {
@@ -86,7 +86,7 @@ def tool_to_dict(stored: StoredTool, place: SensorInFrame, joints: Array) -> dic
         "frame": place.frame,
         "joints": [None if math.isnan(value) else float(value) for value in joints],
         "load": _load_dict(place.load(tool.load)),
-        "adapter": _load_dict(place.load(tool.bias)),
+        "adapter": _load_dict(place.load(tool.adapter)),
         "tip_m": _list(place.point(tool.tip_m)),
         "residual_offset": _list(tool.residual_offset),
         "rmse": _list(tool.rmse),
@@ -98,7 +98,9 @@ def tool_to_dict(stored: StoredTool, place: SensorInFrame, joints: Array) -> dic
     }
 
 
-def print_tool(stored: StoredTool, place: SensorInFrame, joints: Array, console: Console) -> None:
+def print_tool(
+    stored: StoredCalibration, place: SensorInFrame, joints: Array, console: Console
+) -> None:
     """One tool, its optional parts, and what its calibration could not tell."""
     tool = stored.tool
     console.print(f"[bold]{tool.tool}[/bold]: {escape(str(stored.path))}", soft_wrap=True)
@@ -109,7 +111,7 @@ def print_tool(stored: StoredTool, place: SensorInFrame, joints: Array, console:
     ]
     at = f" at {', '.join(known)}" if known else ""
     table = Table("", "mass, g", f"centre in {place.frame}{at}, mm", "standard deviation, mm")
-    for name, load in (("tool", tool.load), ("adapter", tool.bias)):
+    for name, load in (("tool", tool.load), ("adapter", tool.adapter)):
         moved = place.load(load)
         table.add_row(name, _mass(load), _millimetres(moved.com_m), _millimetres(moved.com_std_m))
     table.add_row("tip", "", _millimetres(place.point(tool.tip_m)), "")

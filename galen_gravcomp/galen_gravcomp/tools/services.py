@@ -19,14 +19,14 @@ from typing import Any
 import numpy as np
 from galen_model.arm.galen import JOINT_NAMES, SENSOR_FRAME
 from galen_model.arrays import Array
-from galen_model.errors import GalenError, ToolFileError, ToolNameError
+from galen_model.errors import CalibrationFileError, GalenError, ToolNameError
 from galen_model.files.calibration_store import (
+    CalibrationStore,
+    CalibrationStoreError,
     FileState,
-    StoredTool,
-    ToolStore,
-    ToolStoreError,
+    StoredCalibration,
 )
-from galen_model.files.comparison import Comparison, before_name, compare_tools
+from galen_model.files.comparison import Comparison, before_name, compare_calibrations
 from galen_model.load.frames import (
     joint_vector,
     needed_joints,
@@ -90,7 +90,7 @@ class ToolServices:
     ) -> None:
         """`on_note(text)`: what became of the active file since; empty while as loaded."""
         self._node = node
-        self._store = ToolStore(tools_dir)
+        self._store = CalibrationStore(tools_dir)
         self._joints = joints
         self._changing: list[set[str]] = []
         self._background = Background(node)
@@ -98,16 +98,16 @@ class ToolServices:
         self._services = [
             DeferredService(node, ListTools, "~/list_tools", self._on_list),
             DeferredService(node, GetTool, "~/get_tool", self._on_get),
-            DeferredService(node, CompareTools, "~/compare_tools", self._on_compare),
+            DeferredService(node, CompareTools, "~/compare_calibrations", self._on_compare),
             DeferredService(node, RenameTool, "~/rename_tool", self._on_rename),
             DeferredService(node, RemoveTool, "~/remove_tool", self._on_remove),
             DeferredService(node, RevertTool, "~/revert_tool", self._on_revert),
         ]
 
-    def read(self, name: str) -> StoredTool:
-        """Read a tool that is to be activated; raises ToolNameError or ToolFileError."""
+    def read(self, name: str) -> StoredCalibration:
+        """Read a tool that is to be activated; raises ToolNameError or CalibrationFileError."""
         if self._changes({name}):
-            raise ToolFileError(f"tool '{name}' is being changed: ask again")
+            raise CalibrationFileError(f"tool '{name}' is being changed: ask again")
         return self._store.read(name)
 
     def close(self) -> None:
@@ -126,7 +126,7 @@ class ToolServices:
     ) -> None:
         """Run `job` beside the executor, then `fill(its result)` the response, and send it.
 
-        A GalenError of the job is the answer; `otherwise`: the code of a ToolStoreError.
+        A GalenError of the job is the answer; `otherwise`: the code of a CalibrationStoreError.
         """
 
         def guarded() -> Any:
@@ -145,7 +145,7 @@ class ToolServices:
             respond(response)
 
         def dropped() -> None:
-            done(ToolStoreError("not done: the node was shut down or cleaned up meanwhile"))
+            done(CalibrationStoreError("not done: the node was shut down or cleaned up meanwhile"))
 
         self._background.submit(guarded, done, dropped)
 
@@ -169,7 +169,7 @@ class ToolServices:
     def _on_get(self, request: Any, response: Any, respond: Respond) -> None:
         live, active_tool = self._joints.read(), self.active_tool.stored
 
-        def job() -> StoredTool:
+        def job() -> StoredCalibration:
             stored = self._named(request.tool, active_tool)
             own = ("", stored.tool.sensor_frame)
             frame = SENSOR_FRAME if request.frame in own else request.frame
@@ -186,7 +186,7 @@ class ToolServices:
             response.tip_m = place.point(stored.tool.tip_m)
             return stored
 
-        def fill(stored: StoredTool) -> None:
+        def fill(stored: StoredCalibration) -> None:
             response.tool = stored.tool.tool
             response.active_tool = active_tool is not None and stored.sha256 == active_tool.sha256
             response.parts = list(stored.tool.parts)
@@ -203,7 +203,7 @@ class ToolServices:
         def job() -> Comparison:
             a, name_a = self._compared(request.a, request.a_previous, active_tool)
             b, name_b = self._compared(request.b, request.b_previous, active_tool)
-            return compare_tools(a.tool, b.tool, (name_a, name_b))
+            return compare_calibrations(a.tool, b.tool, (name_a, name_b))
 
         self._answer(
             response, respond, job, lambda comparison: fill_comparison(response, comparison)
@@ -213,11 +213,11 @@ class ToolServices:
         loaded = self.active_tool.stored if request.tool == self.active_tool.name else None
         changing = {request.tool, request.new_name}
 
-        def job() -> tuple[StoredTool, bool]:
+        def job() -> tuple[StoredCalibration, bool]:
             as_loaded = loaded is not None and loaded.file_state() is FileState.AS_LOADED
             return self._store.rename(request.tool, request.new_name), as_loaded
 
-        def fill(result: tuple[StoredTool, bool]) -> None:
+        def fill(result: tuple[StoredCalibration, bool]) -> None:
             stored, as_loaded = result
             response.path = str(stored.path)
             if loaded is not None and loaded is self.active_tool.stored:
@@ -249,7 +249,7 @@ class ToolServices:
         self._change({request.tool}, response, respond, job, fill)
 
     def _on_revert(self, request: Any, response: Any, respond: Respond) -> None:
-        def fill(stored: StoredTool) -> None:
+        def fill(stored: StoredCalibration) -> None:
             response.path = str(stored.path)
             self._node.get_logger().info(
                 f"tool '{request.tool}' is as calibrated {stored.tool.calibrated_at} again;"
@@ -292,8 +292,8 @@ class ToolServices:
             return False
 
     def _compared(
-        self, name: str, previous: bool, active_tool: StoredTool | None
-    ) -> tuple[StoredTool, str]:
+        self, name: str, previous: bool, active_tool: StoredCalibration | None
+    ) -> tuple[StoredCalibration, str]:
         """A tool, or the calibration before it, and what to call it; may read a file."""
         if previous:
             tool = name or self._named(name, active_tool).tool.tool
@@ -301,7 +301,7 @@ class ToolServices:
         stored = self._named(name, active_tool)
         return stored, name or f"{stored.tool.tool} active"
 
-    def _named(self, name: str, active_tool: StoredTool | None) -> StoredTool:
+    def _named(self, name: str, active_tool: StoredCalibration | None) -> StoredCalibration:
         """A tool by its name; empty: the active one, as it was loaded."""
         if name:
             return self._store.read(name)

@@ -1,23 +1,28 @@
-"""A tool's file `<tools_dir>/<tool>.json`: read with checks, written whole or not at all.
+"""Calibration file `<tools_dir>/<tool>.json`: read with checks, written whole or not at all.
 
-The old file is kept as `<tool>.json.bak`; how it is written, `galen_model.files.atomic_file` says.
+The old file is kept as `<tool>.json.bak`, see `galen_model.files.atomic_file`. Files of schema 1
+(`bias` for the adapter, `bias_pose_rad` for the zeroing, always the Galen's) are read as well.
 """
 
+import hashlib
 import json
 import os
 import re
+from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from datetime import UTC, datetime
+from functools import cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from galen_model.arm.galen import GRAVITY_M_S2, SENSOR_FRAME
+from galen_model.arm.galen import GRAVITY_M_S2, JOINT_NAMES, SENSOR_FRAME
 from galen_model.arm.kinematics import gravity_in_sensor
+from galen_model.arm.urdf import galen_urdf
 from galen_model.arrays import Array
-from galen_model.errors import ToolFileError, ToolNameError
+from galen_model.errors import CalibrationFileError, ToolNameError
 from galen_model.files.atomic_file import write_whole
 from galen_model.files.json_fields import (
     CALIBRATION_FILE,
@@ -28,6 +33,7 @@ from galen_model.files.json_fields import (
     count,
     covariance,
     get,
+    items,
     mapping,
     number,
     numbers,
@@ -41,7 +47,8 @@ from galen_model.load.inertia.estimate import InertiaEstimate
 from galen_model.load.model import Load, gravity_wrench
 from galen_model.load.mounting.mounting import Mounting
 
-SCHEMA_VERSION = 1
+SCHEMA_VERSION = 2
+GRAVITY_TOLERANCE_M_S2 = 1e-3
 _NAME = re.compile(r"[A-Za-z0-9_-]{1,64}")
 MAX_FILE_BYTES = 1_000_000
 _AGES = ((86400.0, "day"), (3600.0, "hour"), (60.0, "minute"))
@@ -72,22 +79,53 @@ class LoadEstimate:
 
 
 @dataclass(frozen=True)
-class ToolFile:
+class ArmIdentity:
+    """The arm of a calibration: its name, joints from base to sensor, SHA-256 of the URDF."""
+
+    name: str
+    joints: tuple[str, ...]
+    urdf_sha256: str
+
+
+@cache
+def galen_identity() -> ArmIdentity:
+    """Return the identity of the Galen."""
+    return ArmIdentity("galen", JOINT_NAMES, hashlib.sha256(galen_urdf().encode()).hexdigest())
+
+
+@dataclass(frozen=True)
+class Zeroing:
+    """Pose of the last zeroing: joints by name (m, rad), gravity (3,) in ft_sensor, m/s^2."""
+
+    joints: Mapping[str, float]
+    gravity_in_sensor_m_s2: Array
+
+
+def zeroed_at(roll_rad: float, tilt_rad: float) -> Zeroing:
+    """Return the zeroing of the Galen at roll and tilt, under standard gravity."""
+    return Zeroing(
+        {"roll": float(roll_rad), "tilt": float(tilt_rad)}, gravity_in_sensor(roll_rad, tilt_rad)
+    )
+
+
+@dataclass(frozen=True)
+class CalibrationFile:
     """What a calibration found. Offsets, rmse: (6,), N and N.m in ft_sensor; tip_m: (3,)."""
 
     tool: str
     load: LoadEstimate
-    bias: LoadEstimate
+    adapter: LoadEstimate
     tip_m: Array
     rmse: Array
     poses_used: int
     calibrated_at: str
     residual_offset: Array = field(default_factory=lambda: np.zeros(6))
-    bias_roll_rad: float = 0.0
-    bias_tilt_rad: float = 0.0
+    zeroing: Zeroing | None = field(default_factory=lambda: zeroed_at(0.0, 0.0))
+    """Where the sensor was zeroed with the adapter alone; None: not with the adapter, or unknown."""
     poses_rejected: tuple[str, ...] = ()
     sensor_frame: str = SENSOR_FRAME
     gravity_m_s2: Array = field(default_factory=lambda: GRAVITY_M_S2.copy())
+    arm: ArmIdentity = field(default_factory=galen_identity)
     unresolved: tuple[str, ...] = ()
     """What the calibration could not tell (one sweep); empty after two sweeps."""
     inertia: InertiaEstimate | None = None
@@ -99,7 +137,7 @@ class ToolFile:
     def predict(self, roll_rad: ArrayLike, tilt_rad: ArrayLike) -> Array:
         """Reading (..., 6) expected at roll and tilt (...) without touch, N and N.m.
 
-        reading = M (W(theta; tool) + W(theta; adapter) - W(theta_bias; adapter)) + residual offset
+        reading = M (W(theta; tool) + W(theta; adapter) - W(zeroing; adapter)) + residual offset
 
         in the sensor's own axes: with a `mounting`, theta and M are its; without, M is one and the
         axes are ft_sensor's.
@@ -114,15 +152,41 @@ class ToolFile:
 
     def predict_under(self, gravity_sensor: ArrayLike) -> Array:
         """As `predict`, from the true gravity (..., 3) in ft_sensor, m/s^2."""
-        at_bias = self.gravity_in_sensor(self.bias_roll_rad, self.bias_tilt_rad)
         wrench = (
             gravity_wrench(gravity_sensor, self.load.load)
-            + gravity_wrench(gravity_sensor, self.bias.load)
-            - gravity_wrench(at_bias, self.bias.load)
+            + gravity_wrench(gravity_sensor, self.adapter.load)
+            - gravity_wrench(self.gravity_at_zeroing, self.adapter.load)
         )
         if self.mounting is not None:
             wrench = wrench @ self.mounting.reading_from_wrench.T
         return wrench + self.residual_offset
+
+    @property
+    def zero_pose_rad(self) -> tuple[float, float]:
+        """Roll and tilt of the zeroing; home where the file does not hold them."""
+        joints = {} if self.zeroing is None else self.zeroing.joints
+        return joints.get("roll", 0.0), joints.get("tilt", 0.0)
+
+    @property
+    def gravity_at_zeroing(self) -> Array:
+        """Gravity (3,) in ft_sensor at the zeroing, m/s^2, mounted; zero without a zeroing."""
+        if self.zeroing is None:
+            return np.zeros(3)
+        if self.mounting is None:
+            return self.zeroing.gravity_in_sensor_m_s2
+        return self.gravity_in_sensor(*self.zero_pose_rad)
+
+    @property
+    def arm_warning(self) -> str:
+        """A sentence where the file was made on another URDF of this arm, else empty."""
+        here = galen_identity()
+        if self.arm.urdf_sha256 == here.urdf_sha256:
+            return ""
+        return (
+            f"the calibration of '{self.tool}' was made with another URDF of the arm"
+            f" '{here.name}' ({self.arm.urdf_sha256[:12]}, here {here.urdf_sha256[:12]}):"
+            " calibrate again if the geometry differs"
+        )
 
     @property
     def parts(self) -> tuple[str, ...]:
@@ -144,10 +208,20 @@ class ToolFile:
             "schema_version": SCHEMA_VERSION,
             "tool": self.tool,
             "sensor_frame": self.sensor_frame,
+            "arm": {
+                "name": self.arm.name,
+                "joints": list(self.arm.joints),
+                "urdf_sha256": self.arm.urdf_sha256,
+            },
             "gravity_m_s2": numbers(self.gravity_m_s2),
-            "bias_pose_rad": {"roll": self.bias_roll_rad, "tilt": self.bias_tilt_rad},
+            "zeroing": None
+            if self.zeroing is None
+            else {
+                "joints": {name: float(value) for name, value in self.zeroing.joints.items()},
+                "gravity_in_sensor_m_s2": numbers(self.zeroing.gravity_in_sensor_m_s2),
+            },
             "load": _load_to_json(self.load),
-            "bias": _load_to_json(self.bias),
+            "adapter": _load_to_json(self.adapter),
             "residual_offset": _wrench_to_json(self.residual_offset),
             "tip_m": numbers(self.tip_m),
             "rmse": _wrench_to_json(self.rmse),
@@ -179,37 +253,37 @@ def check_tool_name(name: str, what: str = "tool") -> str:
     return name
 
 
-def tool_path(tools_dir: str | os.PathLike[str], tool: str) -> Path:
-    """Path of a tool's file; raises ToolNameError for a name that is not allowed."""
+def calibration_path(tools_dir: str | os.PathLike[str], tool: str) -> Path:
+    """Path of a calibration file; raises ToolNameError for a name that is not allowed."""
     return Path(tools_dir).expanduser() / f"{check_tool_name(tool)}.json"
 
 
-def read_tool(path: str | os.PathLike[str]) -> ToolFile:
-    """Read and check a tool's file. Raises ToolFileError that names the file and the field.
+def read_calibration(path: str | os.PathLike[str]) -> CalibrationFile:
+    """Read and check a calibration file. Raises CalibrationFileError that names the file and the field.
 
     Where the file itself can't be read, the error's cause is the OSError.
     """
     path = Path(path)
     try:
-        return parse_tool(path, read_limited(path, MAX_FILE_BYTES, "a tool's file"))
+        return parse_calibration(path, read_limited(path, MAX_FILE_BYTES, "a calibration file"))
     except OSError as error:
-        raise ToolFileError(f"{path}: can't be read: {error.strerror}") from error
+        raise CalibrationFileError(f"{path}: can't be read: {error.strerror}") from error
     except FieldError as error:
-        raise ToolFileError(f"{path}: {error}") from error
+        raise CalibrationFileError(f"{path}: {error}") from error
 
 
-def parse_tool(path: str | os.PathLike[str], raw: bytes) -> ToolFile:
-    """Check the bytes of a tool's file; `path` is for the ToolFileError that it raises."""
+def parse_calibration(path: str | os.PathLike[str], raw: bytes) -> CalibrationFile:
+    """Check the bytes of a calibration file; `path` is for the CalibrationFileError that it raises."""
     try:
         return _from_json(parse_json(raw))
     except (FieldError, ToolNameError, RecursionError) as error:
-        raise ToolFileError(f"{path}: {error}") from error
+        raise CalibrationFileError(f"{path}: {error}") from error
 
 
-def write_tool(path: str | os.PathLike[str], tool: ToolFile) -> None:
-    """Write a tool's file whole or not at all; the old one is kept as `.bak`.
+def write_calibration(path: str | os.PathLike[str], tool: CalibrationFile) -> None:
+    """Write a calibration file whole or not at all; the old one is kept as `.bak`.
 
-    Raises ToolFileError, naming the file; the old file is then untouched.
+    Raises CalibrationFileError, naming the file; the old file is then untouched.
     """
     path = Path(path)
     try:
@@ -217,11 +291,11 @@ def write_tool(path: str | os.PathLike[str], tool: ToolFile) -> None:
         _from_json(json.loads(json.dumps(content)))  # what can't be read must not be written
         content_text = json.dumps(content, indent=2, allow_nan=False) + "\n"
     except (ValueError, FieldError, ToolNameError) as error:
-        raise ToolFileError(f"{path}: not written: {error}") from error
+        raise CalibrationFileError(f"{path}: not written: {error}") from error
     try:
         write_whole(path, content_text)
     except OSError as error:
-        raise ToolFileError(f"{path}: can't be written: {error.strerror}") from error
+        raise CalibrationFileError(f"{path}: can't be written: {error.strerror}") from error
 
 
 def age_text(calibrated_at: str, now: datetime | None = None) -> str:
@@ -249,34 +323,101 @@ def _wrench_to_json(wrench: Array) -> dict[str, Any]:
     return {"force_N": numbers(wrench[:3]), "torque_Nm": numbers(wrench[3:])}
 
 
-def _from_json(content: Any) -> ToolFile:
+def _from_json(content: Any) -> CalibrationFile:
     whole = mapping(content, "the file")
     check_kind(whole, CALIBRATION_FILE)
+    if whole.get("schema_version") == 1:
+        whole = _from_schema_1(whole)
     check_version(whole, SCHEMA_VERSION)
-    pose = mapping(get(whole, "bias_pose_rad"), "bias_pose_rad")
+    arm = _arm(get(whole, "arm"))
     gravity = array(get(whole, "gravity_m_s2"), "gravity_m_s2", (3,))
     if gravity[0] != 0.0 or gravity[1] != 0.0 or not 9.7 < -gravity[2] < 9.9:
         raise FieldError(f"gravity_m_s2 is {gravity.tolist()}; expected (0, 0, about -9.8)")
-    return ToolFile(
+    file = CalibrationFile(
         tool=check_tool_name(text(get(whole, "tool"), "tool")),
         load=_load(get(whole, "load"), "load"),
-        bias=_load(get(whole, "bias"), "bias", none_allowed=True),
+        adapter=_load(get(whole, "adapter"), "adapter", none_allowed=True),
         tip_m=array(get(whole, "tip_m"), "tip_m", (3,)),
         rmse=_wrench(get(whole, "rmse"), "rmse"),
         poses_used=count(get(whole, "poses_used"), "poses_used"),
         calibrated_at=_time(get(whole, "calibrated_at")),
         residual_offset=_wrench(get(whole, "residual_offset"), "residual_offset"),
-        bias_roll_rad=number(get(pose, "roll"), "bias_pose_rad.roll"),
-        bias_tilt_rad=number(get(pose, "tilt"), "bias_pose_rad.tilt"),
+        zeroing=_zeroing(get(whole, "zeroing"), arm, float(np.linalg.norm(gravity))),
         poses_rejected=texts(get(whole, "poses_rejected"), "poses_rejected"),
         sensor_frame=text(get(whole, "sensor_frame"), "sensor_frame"),
         gravity_m_s2=gravity,
+        arm=arm,
         unresolved=texts(whole.get("unresolved", []), "unresolved"),
         inertia=InertiaEstimate.from_json(whole["inertia"], "inertia")
         if "inertia" in whole
         else None,
         mounting=Mounting.from_json(whole["mounting"], "mounting") if "mounting" in whole else None,
         cable=CableDrag.from_json(whole["cable"], "cable") if "cable" in whole else None,
+    )
+    if file.mounting is not None and file.zeroing is not None:
+        lacking = {"roll", "tilt"} - file.zeroing.joints.keys()
+        if lacking:
+            raise FieldError(
+                f"zeroing.joints lacks {', '.join(sorted(lacking))}: mounting needs it"
+            )
+    return file
+
+
+def _from_schema_1(whole: Mapping[str, Any]) -> Mapping[str, Any]:
+    """Rewrite the content of schema 1; raises FieldError with the names of its own keys."""
+    pose = mapping(get(whole, "bias_pose_rad"), "bias_pose_rad")
+    roll, tilt = (number(get(pose, name), f"bias_pose_rad.{name}") for name in ("roll", "tilt"))
+    gravity = array(get(whole, "gravity_m_s2"), "gravity_m_s2", (3,))
+    _load(get(whole, "bias"), "bias", none_allowed=True)
+    galen = galen_identity()
+    at_zero = gravity_in_sensor(roll, tilt) * float(gravity[2] / GRAVITY_M_S2[2])
+    kept = {key: value for key, value in whole.items() if key not in ("bias", "bias_pose_rad")}
+    return {
+        **kept,
+        "schema_version": SCHEMA_VERSION,
+        "arm": {
+            "name": galen.name, "joints": list(galen.joints), "urdf_sha256": galen.urdf_sha256,
+        },
+        "zeroing": {
+            "joints": {"roll": roll, "tilt": tilt}, "gravity_in_sensor_m_s2": at_zero.tolist(),
+        },
+        "adapter": whole["bias"],
+    }  # fmt: skip
+
+
+def _arm(value: Any) -> ArmIdentity:
+    """Read `arm`; another arm than this one is rejected with both names."""
+    whole, here = mapping(value, "arm"), galen_identity()
+    joints = tuple(text(name, "arm.joints") for name in items(get(whole, "joints"), "arm.joints"))
+    name = text(get(whole, "name"), "arm.name")
+    if joints != here.joints:
+        raise FieldError(
+            f"made on the arm '{name}' with the joints {', '.join(joints) or 'none'}; this arm is"
+            f" '{here.name}' with {', '.join(here.joints)}: calibrate the tool on it"
+        )
+    return ArmIdentity(name, joints, text(get(whole, "urdf_sha256"), "arm.urdf_sha256"))
+
+
+def _zeroing(value: Any, arm: ArmIdentity, gravity_m_s2: float) -> Zeroing | None:
+    if value is None:
+        return None
+    whole = mapping(value, "zeroing")
+    joints = mapping(get(whole, "joints"), "zeroing.joints")
+    unknown = sorted(set(joints) - set(arm.joints))
+    if unknown:
+        raise FieldError(
+            f"zeroing.joints holds {unknown[0]!r:.40}; joints are {', '.join(arm.joints)}"
+        )
+    name = "zeroing.gravity_in_sensor_m_s2"
+    gravity = array(get(whole, "gravity_in_sensor_m_s2"), name, (3,))
+    size = float(np.linalg.norm(gravity))
+    if not abs(size - gravity_m_s2) <= GRAVITY_TOLERANCE_M_S2:
+        raise FieldError(
+            f"{name} is {size:g} m/s^2 long; expected {gravity_m_s2:g} as gravity_m_s2"
+        )
+    return Zeroing(
+        {joint: number(angle, f"zeroing.joints.{joint}") for joint, angle in joints.items()},
+        gravity,
     )
 
 

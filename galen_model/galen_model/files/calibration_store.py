@@ -24,7 +24,7 @@ from dataclasses import dataclass, replace
 from enum import Enum
 from pathlib import Path
 
-from galen_model.errors import GalenError, ToolFileError, ToolNameError
+from galen_model.errors import CalibrationFileError, GalenError, ToolNameError
 from galen_model.files.atomic_file import (
     exchange,
     rename_to_free,
@@ -34,10 +34,10 @@ from galen_model.files.atomic_file import (
 )
 from galen_model.files.calibration_file import (
     MAX_FILE_BYTES,
-    ToolFile,
+    CalibrationFile,
+    calibration_path,
     check_tool_name,
-    parse_tool,
-    tool_path,
+    parse_calibration,
 )
 from galen_model.files.json_fields import FieldError, read_limited
 
@@ -51,7 +51,7 @@ class ToolExistsError(GalenError):
     """The name is taken by another tool."""
 
 
-class ToolStoreError(GalenError):
+class CalibrationStoreError(GalenError):
     """The directory of the tools' files can't be read or written."""
 
 
@@ -64,11 +64,11 @@ class FileState(Enum):
 
 
 @dataclass(frozen=True)
-class StoredTool:
+class StoredCalibration:
     """A tool as it was read: its file, the content and the SHA-256 of the bytes."""
 
     path: Path
-    tool: ToolFile
+    tool: CalibrationFile
     sha256: str
     content: str
 
@@ -81,7 +81,7 @@ class StoredTool:
         """What became of the file since; a file with the same content is as loaded."""
         try:
             same = _digest(_read(self.path)) == self.sha256
-        except ToolFileError:
+        except CalibrationFileError:
             return FileState.GONE
         return FileState.AS_LOADED if same else FileState.CHANGED
 
@@ -91,29 +91,29 @@ class Entry:
     """A row of the list: a tool, or why the file of this name can't be used."""
 
     name: str
-    stored: StoredTool | None
+    stored: StoredCalibration | None
     problem: str = ""
 
 
-class ToolStore:
+class CalibrationStore:
     """One directory of tools' files; it need not exist, and then has no tools."""
 
     def __init__(self, tools_dir: str | os.PathLike[str]) -> None:
         self.directory = Path(tools_dir).expanduser()
 
-    def read(self, name: str) -> StoredTool:
+    def read(self, name: str) -> StoredCalibration:
         """Read and check a tool's file, and that it holds the tool of this name.
 
-        Raises ToolNameError, or ToolFileError that names the file; where there is none, its cause
+        Raises ToolNameError, or CalibrationFileError that names the file; where there is none, its cause
         is a FileNotFoundError.
         """
         return _stored(self._checked(name), name)
 
-    def previous(self, name: str) -> StoredTool:
+    def previous(self, name: str) -> StoredCalibration:
         """Read and check the calibration before a tool's present one, as `read` does."""
-        backup = self._within(_backup(tool_path(self.directory, name)))
+        backup = self._within(_backup(calibration_path(self.directory, name)))
         if not os.path.lexists(backup):
-            raise ToolFileError(
+            raise CalibrationFileError(
                 f"{backup}: no calibration of '{name}' before its present one is kept"
             ) from FileNotFoundError()
         return _stored(backup, name)
@@ -122,12 +122,12 @@ class ToolStore:
         """Whether `revert` would bring a calibration back. Raises ToolNameError."""
         try:
             self.previous(name)
-        except ToolFileError:
+        except CalibrationFileError:
             return False
         return True
 
     def names(self) -> list[str]:
-        """What is listed, sorted: files named *.json without it. Raises ToolStoreError."""
+        """What is listed, sorted: files named *.json without it. Raises CalibrationStoreError."""
         return sorted(
             name.removesuffix(_SUFFIX)
             for name in self._files()
@@ -139,17 +139,17 @@ class ToolStore:
         for name in self.names() if names is None else names:
             try:
                 yield Entry(name, self.read(name))
-            except (ToolNameError, ToolFileError) as error:
+            except (ToolNameError, CalibrationFileError) as error:
                 yield Entry(name, None, str(error))
 
-    def rename(self, name: str, new_name: str) -> StoredTool:
+    def rename(self, name: str, new_name: str) -> StoredCalibration:
         """Give a tool another name, in its file and inside; its backup goes with it.
 
-        Raises ToolNameError, ToolFileError, ToolExistsError or ToolStoreError; the tool then has
+        Raises ToolNameError, CalibrationFileError, ToolExistsError or CalibrationStoreError; the tool then has
         its old name. A rename that a crash cut short is finished by asking for it again.
         """
         old = self.read(name)
-        new_path = tool_path(self.directory, new_name)
+        new_path = calibration_path(self.directory, new_name)
         if new_name == name:
             raise ToolExistsError(f"{new_path}: the tool is named '{name}' already")
         self._check_free(old, new_path)
@@ -171,17 +171,19 @@ class ToolStore:
                 path.unlink(missing_ok=True)
             if isinstance(error, FileExistsError):
                 raise ToolExistsError(f"{new_path}: is there already") from error
-            raise ToolStoreError(f"{old.path}: can't be renamed: {error.strerror}") from error
+            raise CalibrationStoreError(
+                f"{old.path}: can't be renamed: {error.strerror}"
+            ) from error
         with suppress(OSError):  # the tool has its new name; what is left is a copy
             backup.unlink(missing_ok=True)
             sync_directory(self.directory)
         return self.read(new_name)
 
-    def revert(self, name: str) -> StoredTool:
+    def revert(self, name: str) -> StoredCalibration:
         """Swap a tool's file and the calibration before it; doing it twice changes nothing.
 
-        A broken file is kept as the other one. Raises ToolNameError, ToolFileError where there is
-        no file or no usable calibration before it, or ToolStoreError; nothing is then changed.
+        A broken file is kept as the other one. Raises ToolNameError, CalibrationFileError where there is
+        no file or no usable calibration before it, or CalibrationStoreError; nothing is then changed.
         """
         path = self._regular(name)
         self.previous(name)
@@ -189,14 +191,14 @@ class ToolStore:
         try:
             exchange(path, backup, _removed(backup, _free_number(path)))
         except OSError as error:
-            raise ToolStoreError(f"{path}: can't be reverted: {error.strerror}") from error
+            raise CalibrationStoreError(f"{path}: can't be reverted: {error.strerror}") from error
         return self.read(name)
 
     def remove(self, name: str) -> Path:
         """Take a tool off the list; returns where its file is kept, so that it can come back.
 
-        A broken file can be removed as well. Raises ToolNameError, ToolFileError where there is no
-        file, or ToolStoreError.
+        A broken file can be removed as well. Raises ToolNameError, CalibrationFileError where there is no
+        file, or CalibrationStoreError.
         """
         path = self._regular(name)
         try:
@@ -205,11 +207,11 @@ class ToolStore:
             kept = _removed(path, _set_aside(path, files))
             sync_directory(self.directory)
         except OSError as error:
-            raise ToolStoreError(f"{path}: can't be removed: {error.strerror}") from error
+            raise CalibrationStoreError(f"{path}: can't be removed: {error.strerror}") from error
         return kept
 
     def removed(self) -> list[str]:
-        """Names of removed tools that can be brought back, sorted. Raises ToolStoreError."""
+        """Names of removed tools that can be brought back, sorted. Raises CalibrationStoreError."""
         found = {match.group(1) for match in map(_REMOVED_NAME.fullmatch, self._files()) if match}
         gone = (name for name in found if not os.path.lexists(self.directory / name))
         return sorted(name.removesuffix(_SUFFIX) for name in gone)
@@ -217,15 +219,15 @@ class ToolStore:
     def restore(self, name: str) -> Path:
         """Bring back the tool removed last under this name, and its backup; returns its path.
 
-        Raises ToolNameError, ToolExistsError, ToolFileError where none is kept, or ToolStoreError.
+        Raises ToolNameError, ToolExistsError, CalibrationFileError where none is kept, or CalibrationStoreError.
         """
-        path = tool_path(self.directory, name)
+        path = calibration_path(self.directory, name)
         if os.path.lexists(path):
             raise ToolExistsError(f"{path}: is there; nothing is to be brought back")
         matches = filter(None, map(_REMOVED_NAME.fullmatch, self._files()))
         numbers = [int(found.group(2) or 1) for found in matches if found.group(1) == path.name]
         if not numbers:
-            raise ToolFileError(f"{path}{_REMOVED}: no removed tool of this name is kept")
+            raise CalibrationFileError(f"{path}{_REMOVED}: no removed tool of this name is kept")
         number = max(numbers)
         backup = _backup(path)
         kept_backup = _removed(backup, number)
@@ -237,7 +239,9 @@ class ToolStore:
         except FileExistsError as error:
             raise ToolExistsError(f"{path}: is there already") from error
         except OSError as error:
-            raise ToolStoreError(f"{path}: can't be brought back: {error.strerror}") from error
+            raise CalibrationStoreError(
+                f"{path}: can't be brought back: {error.strerror}"
+            ) from error
         return path
 
     # Inside
@@ -252,52 +256,54 @@ class ToolStore:
         except FileNotFoundError:
             return []
         except OSError as error:
-            raise ToolStoreError(f"{self.directory}: can't be read: {error.strerror}") from error
+            raise CalibrationStoreError(
+                f"{self.directory}: can't be read: {error.strerror}"
+            ) from error
 
     def _checked(self, name: str) -> Path:
-        """Path of a name; raises ToolFileError where it is a link out of the directory."""
-        return self._within(tool_path(self.directory, name))
+        """Path of a name; raises CalibrationFileError where it is a link out of the directory."""
+        return self._within(calibration_path(self.directory, name))
 
     def _within(self, path: Path) -> Path:
         try:
             within = path.resolve().is_relative_to(self.directory.resolve())
         except OSError as error:
-            raise ToolFileError(f"{path}: can't be read: {error.strerror}") from error
+            raise CalibrationFileError(f"{path}: can't be read: {error.strerror}") from error
         except RuntimeError:  # links in a circle, up to Python 3.12
             within = False
         if not within:
-            raise ToolFileError(f"{path}: is a link that leads out of {self.directory}")
+            raise CalibrationFileError(f"{path}: is a link that leads out of {self.directory}")
         return path
 
     def _regular(self, name: str) -> Path:
-        """Path of a tool's file, broken or not; raises ToolNameError or ToolFileError."""
+        """Path of a tool's file, broken or not; raises ToolNameError or CalibrationFileError."""
         path = self._checked(name)
         try:
             mode = path.stat().st_mode
         except OSError as error:
-            raise ToolFileError(f"{path}: can't be read: {error.strerror}") from error
+            raise CalibrationFileError(f"{path}: can't be read: {error.strerror}") from error
         if not stat.S_ISREG(mode):
-            raise ToolFileError(f"{path}: is no regular file")
+            raise CalibrationFileError(f"{path}: is no regular file")
         return path
 
-    def _check_free(self, old: StoredTool, new_path: Path) -> None:
+    def _check_free(self, old: StoredCalibration, new_path: Path) -> None:
         """Raise ToolExistsError unless the new name is free, or left there by a cut-off rename."""
         if not os.path.lexists(new_path):
             return
         try:
             there = _read(new_path)
-        except ToolFileError:
+        except CalibrationFileError:
             there = b""
         if there != _named(old.content, new_path.name.removesuffix(_SUFFIX)).encode():
             raise ToolExistsError(f"{new_path}: is there already; a tool is never overwritten")
 
 
-def _stored(path: Path, name: str) -> StoredTool:
+def _stored(path: Path, name: str) -> StoredCalibration:
     raw = _read(path)
-    tool = parse_tool(path, raw)
+    tool = parse_calibration(path, raw)
     if tool.tool != name:
-        raise ToolFileError(f"{path}: holds the tool '{tool.tool}', not '{name}'")
-    return StoredTool(path, tool, _digest(raw), _text(raw))
+        raise CalibrationFileError(f"{path}: holds the tool '{tool.tool}', not '{name}'")
+    return StoredCalibration(path, tool, _digest(raw), _text(raw))
 
 
 def _named(content: str, name: str) -> str:
@@ -315,8 +321,8 @@ def _named_backup(backup: Path, name: str) -> bytes | str:
     """The backup, too, has the tool's name inside; one that is no tool's file stays as it is."""
     raw = _read(backup)
     try:
-        parse_tool(backup, raw)
-    except ToolFileError:
+        parse_calibration(backup, raw)
+    except CalibrationFileError:
         return raw
     return _named(_text(raw), name)
 
@@ -342,13 +348,13 @@ def _removed(path: Path, number: int) -> Path:
 
 
 def _read(path: Path) -> bytes:
-    """The bytes of a tool's file; raises ToolFileError."""
+    """The bytes of a tool's file; raises CalibrationFileError."""
     try:
         return read_limited(path, MAX_FILE_BYTES, "a tool's file")
     except OSError as error:
-        raise ToolFileError(f"{path}: can't be read: {error.strerror}") from error
+        raise CalibrationFileError(f"{path}: can't be read: {error.strerror}") from error
     except FieldError as error:
-        raise ToolFileError(f"{path}: {error}") from error
+        raise CalibrationFileError(f"{path}: {error}") from error
 
 
 def _text(raw: bytes) -> str:

@@ -18,7 +18,7 @@ from galen_model.arm.galen import LIMITS, WRENCH_AXES
 from galen_model.arrays import Array
 from galen_model.distributions import chi2_ppf
 from galen_model.errors import GalenError
-from galen_model.files.calibration_file import LoadEstimate, ToolFile
+from galen_model.files.calibration_file import CalibrationFile, LoadEstimate
 
 _CONFIDENCE = 0.95
 _SAME_SIGMAS = 2.0
@@ -119,7 +119,9 @@ def before_name(tool: str) -> str:
     return f"{tool} before"
 
 
-def compare_tools(a: ToolFile, b: ToolFile, names: tuple[str, str] | None = None) -> Comparison:
+def compare_calibrations(
+    a: CalibrationFile, b: CalibrationFile, names: tuple[str, str] | None = None
+) -> Comparison:
     """Compare two files; `names`: as they are called here. Raises IncomparableError."""
     name_a, name_b = names or (a.tool, b.tool)
     if a.sensor_frame != b.sensor_frame:
@@ -129,7 +131,7 @@ def compare_tools(a: ToolFile, b: ToolFile, names: tuple[str, str] | None = None
         )
     differences = [
         *_load_differences("", a.load, b.load),
-        *_load_differences("adapter_", a.bias, b.bias),
+        *_load_differences("adapter_", a.adapter, b.adapter),
     ]
     for axis, of_a, of_b in zip(WRENCH_AXES, a.residual_offset, b.residual_offset, strict=True):
         unit = "N" if axis.startswith("f") else "N.m"
@@ -172,7 +174,7 @@ def _load_differences(prefix: str, a: LoadEstimate, b: LoadEstimate) -> list[Dif
     return rows
 
 
-def _worst(a: ToolFile, b: ToolFile) -> tuple[WorstCase, WorstCase]:
+def _worst(a: CalibrationFile, b: CalibrationFile) -> tuple[WorstCase, WorstCase]:
     """Over all rolls and tilts within the arm's limits, of weight and offsets."""
     roll, tilt = np.meshgrid(
         *(np.linspace(LIMITS.lower[3 + i], LIMITS.upper[3 + i], _GRID[i]) for i in range(2)),

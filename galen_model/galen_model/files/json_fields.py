@@ -17,8 +17,11 @@ LARGEST = 1e6
 
 CALIBRATION_FILE = "a tool's calibration file (`calibrate` writes it)"
 DEFLECTION_MODEL = "a deflection model (`train` writes it)"
-_MARKS = {CALIBRATION_FILE: {"bias_pose_rad"}, DEFLECTION_MODEL: {"kind", "sha256"}}
-"""Fields that no other file of the suite has."""
+_MARKS = {
+    CALIBRATION_FILE: ({"zeroing"}, {"bias_pose_rad"}),
+    DEFLECTION_MODEL: ({"kind", "sha256"},),
+}
+"""Sets of fields that no other file of the suite has."""
 
 _ROUNDING = 1e-6
 """By which a correlation may be off that went through an inverse."""
@@ -71,11 +74,9 @@ def check_version(content: Mapping[str, Any], version: int) -> None:
 
 def check_kind(content: Mapping[str, Any], wanted: str) -> None:
     """Raise FieldError where it is the suite's other file, and not `wanted`."""
-    if _MARKS[wanted] <= content.keys():
-        return
-    for other, marks in _MARKS.items():
-        if marks <= content.keys():
-            raise FieldError(f"it is {other}; {wanted} is needed here")
+    kinds = [kind for kind, marks in _MARKS.items() if any(m <= content.keys() for m in marks)]
+    if kinds and wanted not in kinds:
+        raise FieldError(f"it is {kinds[0]}; {wanted} is needed here")
 
 
 def numbers(values: ArrayLike) -> list[float]:

@@ -97,7 +97,7 @@ class Outlier:
 class Identification:
     """What a calibration found.
 
-    load, bias: tool and adapter with covariance (4, 4) of (kg, m, m, m). offset: (6,) constant part
+    load, adapter: tool and adapter with covariance (4, 4) of (kg, m, m, m). offset: (6,) constant part
     of the sweep with the tool on, and its standard deviation; offset_change: (6,) that offset less
     the one of the sweep without the tool, with its standard deviation (None after one sweep).
     rmse: (6,) residual of the used readings of the sweep with the tool; sigma: (6,) noise of one
@@ -107,7 +107,7 @@ class Identification:
     """
 
     load: LoadEstimate
-    bias: LoadEstimate
+    adapter: LoadEstimate
     offset: Array
     offset_std: Array
     offset_change: Array | None
@@ -123,7 +123,7 @@ class Identification:
 
 
 def identify_two_sweeps(
-    bare: StillPoses, tool: StillPoses, bias_roll_rad: float = 0.0, bias_tilt_rad: float = 0.0
+    bare: StillPoses, tool: StillPoses, zero_roll_rad: float = 0.0, zero_tilt_rad: float = 0.0
 ) -> Identification:
     """Tool and adapter from a sweep without the tool and one with it.
 
@@ -132,7 +132,7 @@ def identify_two_sweeps(
     """
     check_count(bare, "sweep without the tool")
     check_count(tool, "sweep with the tool")
-    zero = gravity_regressor(gravity_in_sensor(bias_roll_rad, bias_tilt_rad))
+    zero = gravity_regressor(gravity_in_sensor(zero_roll_rad, zero_tilt_rad))
     bare_rows = gravity_regressor(bare.gravity) - zero
     tool_rows = gravity_regressor(tool.gravity)
     design = two_sweeps_design(bare_rows, tool_rows, zero)
@@ -165,7 +165,7 @@ def two_sweeps_result(fit: RobustFit, bare: StillPoses, tool: StillPoses) -> Ide
     ]
     return Identification(
         load=load_estimate(fit, slice(0, 4), "the tool"),
-        bias=load_estimate(fit, slice(4, 8), "the adapter"),
+        adapter=load_estimate(fit, slice(4, 8), "the adapter"),
         offset=fit.values[14:20],
         offset_std=np.sqrt(np.diag(fit.covariance)[14:20]),
         offset_change=change,
@@ -184,14 +184,14 @@ def two_sweeps_result(fit: RobustFit, bare: StillPoses, tool: StillPoses) -> Ide
 
 def identify_one_sweep(
     tool: StillPoses,
-    bias_roll_rad: float = 0.0,
-    bias_tilt_rad: float = 0.0,
-    known_bias: LoadEstimate | None = None,
+    zero_roll_rad: float = 0.0,
+    zero_tilt_rad: float = 0.0,
+    known_adapter: LoadEstimate | None = None,
 ) -> Identification:
     """Tool and adapter from one sweep with the tool on, after zeroing without it.
 
     The compensation is fully determined; the split between tool and adapter is not. With
-    `known_bias` (the adapter of an earlier calibration) it is. Otherwise `unresolved` says what
+    `known_adapter` (the adapter of an earlier calibration) it is. Otherwise `unresolved` says what
     is not known, the adapter's first moment along gravity at the zeroing pose is put to zero,
     and the covariances hold how wide that leaves both.
 
@@ -201,7 +201,7 @@ def identify_one_sweep(
     Raises as `identify_two_sweeps` does.
     """
     check_count(tool, "sweep with the tool")
-    gravity_zero = gravity_in_sensor(bias_roll_rad, bias_tilt_rad)
+    gravity_zero = gravity_in_sensor(zero_roll_rad, zero_tilt_rad)
     rows = gravity_regressor(tool.gravity)
     design = np.zeros((len(tool), 6, 14))
     design[:, :, :4] = rows
@@ -212,24 +212,24 @@ def identify_one_sweep(
     check_excitation(sum_design, LOAD_PARAMETERS[:4], {"with the tool": tool})
     check_channels(rows, tool, "sweep with the tool")
 
-    prior_rows, prior_values, prior_std = one_sweep_prior(gravity_zero, known_bias)
+    prior_rows, prior_values, prior_std = one_sweep_prior(gravity_zero, known_adapter)
     fit = fit_with_known_prior(
         design, tool.wrench, prior_rows, prior_values, prior_std, offset_columns=slice(8, 14)
     )
     check_rejections(fit)
     check_excitation(sum_design[fit.used], LOAD_PARAMETERS[:4], {"with the tool": tool})
-    return one_sweep_result(fit, tool, gravity_zero, known_bias)
+    return one_sweep_result(fit, tool, gravity_zero, known_adapter)
 
 
 def one_sweep_result(
-    fit: RobustFit, tool: StillPoses, gravity_zero: Array, known_bias: LoadEstimate | None
+    fit: RobustFit, tool: StillPoses, gravity_zero: Array, known_adapter: LoadEstimate | None
 ) -> Identification:
     """What a fit to one sweep found; its values: see `identify_one_sweep`, any others last.
 
     gravity_zero: (3,) in ft_sensor where the sensor was zeroed, m/s^2. Raises ImplausibleLoadError.
     """
     unresolved: tuple[str, ...] = ()
-    if known_bias is None:
+    if known_adapter is None:
         along = gravity_zero / np.linalg.norm(gravity_zero)
         total = along @ (fit.values[1:4] + fit.values[5:8])
         unresolved = (
@@ -240,7 +240,7 @@ def one_sweep_result(
         )
     return Identification(
         load=load_estimate(fit, slice(0, 4), "the tool"),
-        bias=load_estimate(fit, slice(4, 8), "the adapter"),
+        adapter=load_estimate(fit, slice(4, 8), "the adapter"),
         offset=fit.values[8:14],
         offset_std=np.sqrt(np.diag(fit.covariance)[8:14]),
         offset_change=None,
@@ -264,8 +264,8 @@ def check_planned_poses(
     tilt: Array,
     *,
     one_sweep: bool = False,
-    bias_roll_rad: float = 0.0,
-    bias_tilt_rad: float = 0.0,
+    zero_roll_rad: float = 0.0,
+    zero_tilt_rad: float = 0.0,
 ) -> None:
     """Raise NotExcitedError, before the arm moves, for poses (n,), rad, that tell too little."""
     planned = StillPoses(roll, tilt, np.zeros((len(roll), 6)))
@@ -274,7 +274,7 @@ def check_planned_poses(
     if one_sweep:
         check_excitation(single_load_design(planned.gravity), LOAD_PARAMETERS[:4])
         return
-    zero = gravity_regressor(gravity_in_sensor(bias_roll_rad, bias_tilt_rad))
+    zero = gravity_regressor(gravity_in_sensor(zero_roll_rad, zero_tilt_rad))
     poses = {"in each sweep": planned}
     check_excitation(two_sweeps_design(rows - zero, rows, zero), LOAD_PARAMETERS, poses)
 
@@ -292,22 +292,22 @@ def two_sweeps_design(bare_rows: Array, tool_rows: Array, zero: Array) -> Array:
 
 
 def one_sweep_prior(
-    gravity_zero: Array, known_bias: LoadEstimate | None
+    gravity_zero: Array, known_adapter: LoadEstimate | None
 ) -> tuple[Array, Array, Array]:
     """Rows (k, 14), values (k,) and standard deviations (k,) of what is known beforehand.
 
     gravity_zero: (3,) in ft_sensor where the sensor was zeroed, m/s^2.
     """
-    if known_bias is None:
+    if known_adapter is None:
         row = np.zeros((1, 14))
         row[0, 5:8] = gravity_zero / np.linalg.norm(gravity_zero)
         return row, np.zeros(1), np.array([_UNOBSERVED_MOMENT_STD_KGM])
     # (m, h) of the known adapter, its covariance taken from (m, p) and decorrelated into rows.
-    moments = known_bias.load.moments
+    moments = known_adapter.load.moments
     jacobian = np.eye(4)
-    jacobian[1:, 0] = known_bias.com_m
-    jacobian[1:, 1:] *= known_bias.mass_kg
-    covariance = jacobian @ known_bias.covariance @ jacobian.T
+    jacobian[1:, 0] = known_adapter.com_m
+    jacobian[1:, 1:] *= known_adapter.mass_kg
+    covariance = jacobian @ known_adapter.covariance @ jacobian.T
     variances, vectors = np.linalg.eigh(covariance)
     rows = np.zeros((4, 14))
     rows[:, 4:8] = vectors.T

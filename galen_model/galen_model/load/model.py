@@ -56,13 +56,13 @@ def nominal_reading(
     tilt_rad: ArrayLike,
     tool: Load,
     adapter: Load,
-    bias_roll_rad: float = 0.0,
-    bias_tilt_rad: float = 0.0,
+    zero_roll_rad: float = 0.0,
+    zero_tilt_rad: float = 0.0,
 ) -> Array:
     """Reading (..., 6) without touch and noise, N and N.m in ft_sensor.
 
-    The sensor was zeroed at (bias_roll_rad, bias_tilt_rad) with the adapter on and no tool.
+    The sensor was zeroed at (zero_roll_rad, zero_tilt_rad) with the adapter on and no tool.
     """
     gravity = gravity_in_sensor(roll_rad, tilt_rad)
-    at_bias = gravity_wrench(gravity_in_sensor(bias_roll_rad, bias_tilt_rad), adapter)
+    at_bias = gravity_wrench(gravity_in_sensor(zero_roll_rad, zero_tilt_rad), adapter)
     return gravity_wrench(gravity, tool) + gravity_wrench(gravity, adapter) - at_bias

@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from galen_model.arrays import Array
-from galen_model.files.calibration_file import ToolFile
+from galen_model.files.calibration_file import CalibrationFile
 from galen_model.load.mounting.mounting import Mounting
 
 _BLOCK = 4096
@@ -13,7 +13,7 @@ _BLOCK = 4096
 
 
 class Prediction:
-    """`ToolFile.predict`, for single poses some ten times as fast.
+    """`CalibrationFile.predict`, for single poses some ten times as fast.
 
     Every term of the model is linear in gravity's direction in the sensor's frame or constant,
 
@@ -24,7 +24,7 @@ class Prediction:
     tool's own `predict_under`, so that the physics, and a turned sensor's gains, stay in one place.
     """
 
-    def __init__(self, tool: ToolFile) -> None:
+    def __init__(self, tool: CalibrationFile) -> None:
         gravity = abs(tool.gravity_m_s2[2])
         self._constant: Array = tool.predict_under(np.zeros(3))
         self._by_direction: Array = (

@@ -97,7 +97,7 @@ def compensation_std(poses: Array, sigma: Array) -> Array:
 class PoseDesign:
     """Chooses from candidates (k, 2), roll and tilt in rad, each at most once.
 
-    `goal` is one of GOALS; sigma (6,), N and N.m: the noise, up to a factor. `one_sweep_bias`
+    `goal` is one of GOALS; sigma (6,), N and N.m: the noise, up to a factor. `one_sweep_zero`
     (roll, tilt) of the zeroing says that there is the tool's sweep alone.
     """
 
@@ -107,7 +107,7 @@ class PoseDesign:
         *,
         goal: str = "compensation",
         sigma: Array | None = None,
-        one_sweep_bias: tuple[float, float] | None = None,
+        one_sweep_zero: tuple[float, float] | None = None,
     ) -> None:
         """Raise PoseDesignError for a goal that is none."""
         self.candidates = np.asarray(candidates, dtype=float).reshape(-1, 2)
@@ -120,8 +120,8 @@ class PoseDesign:
         )
         self._each = self.information(self.candidates)
         self._known = np.zeros((_PARAMETERS, _PARAMETERS))
-        if one_sweep_bias is not None:
-            self._known[4:, 4:] = _zeroing_information(one_sweep_bias, self._sigma)
+        if one_sweep_zero is not None:
+            self._known[4:, 4:] = _zeroing_information(one_sweep_zero, self._sigma)
             self._known *= np.outer(self._scale, self._scale)
         if goal == "compensation":
             rows = workspace_rows() * self._scale

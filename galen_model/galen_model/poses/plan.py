@@ -111,15 +111,15 @@ def plan_chosen(
     faults = [""] * len(candidates) if router is None else router.lattice_faults
     free = candidates[[not fault for fault in faults]]
     bias = float(where.home[3]), float(where.home[4])
-    design = PoseDesign(free, goal=goal, one_sweep_bias=bias if one_sweep else None)
+    design = PoseDesign(free, goal=goal, one_sweep_zero=bias if one_sweep else None)
     try:
         poses = free[design.choose(count)]
         check_planned_poses(
             poses[:, 0],
             poses[:, 1],
             one_sweep=one_sweep,
-            bias_roll_rad=bias[0],
-            bias_tilt_rad=bias[1],
+            zero_roll_rad=bias[0],
+            zero_tilt_rad=bias[1],
         )
     except (PoseDesignError, NotExcitedError) as error:
         if len(free) == len(candidates):

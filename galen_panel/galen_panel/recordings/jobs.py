@@ -51,7 +51,7 @@ class Wanted:
     recording_id: str
     path: Path
     tool: str
-    tool_path: Path | None
+    calibration_path: Path | None
 
 
 @dataclass(frozen=True)
@@ -234,7 +234,7 @@ class Jobs:
                 self._kill()
         assert worker.stdin is not None and worker.stdout is not None
         wanted = job.wanted
-        tool = None if wanted.tool_path is None else str(wanted.tool_path.absolute())
+        tool = None if wanted.calibration_path is None else str(wanted.calibration_path.absolute())
         request = {
             "kind": wanted.kind,
             "recording": str(wanted.path.absolute()),

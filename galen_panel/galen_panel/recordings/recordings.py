@@ -130,7 +130,7 @@ class Recordings:
                 recording_id=recording.id,
                 path=recording.path,
                 tool=tool.label,
-                tool_path=None if own else tool.path,
+                calibration_path=None if own else tool.path,
             )
         )
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from galen_model.errors import GalenError
-from galen_model.files.calibration_store import ToolStore
+from galen_model.files.calibration_store import CalibrationStore
 
 from galen_panel.recordings.index import TOOL_BESIDE, Recording, leads_out
 
@@ -33,7 +33,10 @@ def tool_choices(recording: Recording, bags_dir: Path, tools_dir: Path) -> list[
         if beside.is_file() and not leads_out(beside, root):
             choices.append(ToolChoice(BESIDE, f"{TOOL_BESIDE} beside the recording", beside))
             break
-    stores = {"tools": ToolStore(tools_dir), "bags": ToolStore(bags_dir / _TOOLS_OF_BAGS)}
+    stores = {
+        "tools": CalibrationStore(tools_dir),
+        "bags": CalibrationStore(bags_dir / _TOOLS_OF_BAGS),
+    }
     if stores["tools"].directory.resolve() == stores["bags"].directory.resolve():
         del stores["bags"]
     for key, store in stores.items():

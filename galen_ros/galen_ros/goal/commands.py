@@ -94,20 +94,20 @@ class Feedback:
 class Measurements:
     """All that the estimate needs; the bias pose (rad) is where the sensor was zeroed.
 
-    `known_bias`: the adapter of an earlier calibration; with one sweep it tells adapter and tool
+    `known_adapter`: the adapter of an earlier calibration; with one sweep it tells adapter and tool
     apart. `notes`: how it went, where nothing is wrong. `bias_mode`: whether the sensor's bias may
     bias drift over a sweep; then the poses need times.
     """
 
     bare: StillPoses | None
     tool: StillPoses
-    bias_roll: float
-    bias_tilt: float
+    zero_roll: float
+    zero_tilt: float
     bare_indices: list[int]
     tool_indices: list[int]
     rejected: list[str]
     warnings: list[str]
-    known_bias: LoadEstimate | None = None
+    known_adapter: LoadEstimate | None = None
     notes: list[str] = field(default_factory=list)
     bias_mode: BiasMode = BiasMode.CONSTANT
 

@@ -12,7 +12,7 @@ from galen_bags.arrays.arm_recording import ArmTopics
 from galen_bags.formats.find import find_bags
 from galen_model.arm.galen import JOINT_NAMES
 from galen_model.errors import GalenError
-from galen_model.files.calibration_file import read_tool
+from galen_model.files.calibration_file import read_calibration
 from galen_ros.command import (
     EXIT_FAILED,
     EXIT_INTERRUPTED,
@@ -107,7 +107,7 @@ def build_parser() -> argparse.ArgumentParser:
 def run(arguments: argparse.Namespace, console: Console) -> None:
     """Judge the recordings; raises GalenError."""
     check_folder(arguments.plots)
-    tool = None if arguments.tool is None else read_tool(arguments.tool)
+    tool = None if arguments.tool is None else read_calibration(arguments.tool)
     paths: list[Path] = []
     for given in arguments.recordings:
         paths += [given] if given.suffix in TEXT_SUFFIXES else find_bags([given])

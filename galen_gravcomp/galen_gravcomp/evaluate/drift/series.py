@@ -28,7 +28,7 @@ from galen_bags.formats.bag import Bag, open_bag
 from galen_model.arm.galen import WRENCH_AXES
 from galen_model.arrays import Array
 from galen_model.errors import GalenError
-from galen_model.files.calibration_file import ToolFile
+from galen_model.files.calibration_file import CalibrationFile
 from galen_model.rest.time_bins import CellReducer, Cells
 from scipy.ndimage import median_filter
 
@@ -85,7 +85,7 @@ class DriftSeries:
 def read_series(
     paths: Sequence[Path],
     topics: ArmTopics,
-    tool: ToolFile | None = None,
+    tool: CalibrationFile | None = None,
     columns: Sequence[str] | None = None,
     rate_hz: float | None = None,
     cell_s: float = CELL_S,
@@ -158,7 +158,7 @@ def _read_bag(
             on_progress(done, total)
 
 
-def series_of(name: str, cells: Cells, joints: Cells, tool: ToolFile | None) -> DriftSeries:
+def series_of(name: str, cells: Cells, joints: Cells, tool: CalibrationFile | None) -> DriftSeries:
     """The series of cells and, where there are any, of the joints' cells."""
     notes = []
     cell_ns = round(cells.cell_s * 1e9)

@@ -7,7 +7,7 @@ from datetime import UTC, datetime
 import numpy as np
 from galen_bags.arrays.orientation_table import OrientationTable
 from galen_model.arm.galen import GRAVITY_M_S2
-from galen_model.files.calibration_file import LoadEstimate, ToolFile
+from galen_model.files.calibration_file import CalibrationFile, LoadEstimate
 from galen_model.load.identification import SingleLoad
 from galen_model.load.mounting.identification import MountedLoad
 
@@ -22,7 +22,7 @@ _UNRESOLVED = (
 
 def tool_from_table(
     name: str, table: OrientationTable, fit: SingleLoad, mounted: MountedLoad | None = None
-) -> ToolFile:
+) -> CalibrationFile:
     """The tool's file of one load and six constants found by `identify_single_load` on `table`.
 
     Its reading under any gravity is `fit.predict`'s or, where `mounted` is given, whose load then
@@ -36,10 +36,10 @@ def tool_from_table(
     gravity = GRAVITY_M_S2.copy()
     if table.orientation == "gravity":
         gravity[2] = -np.mean(np.linalg.norm(table.gravity, axis=1))
-    return ToolFile(
+    return CalibrationFile(
         tool=name,
         load=fit.load,
-        bias=LoadEstimate(0.0, np.zeros(3), np.zeros((4, 4))),
+        adapter=LoadEstimate(0.0, np.zeros(3), np.zeros((4, 4))),
         tip_m=np.zeros(3),
         rmse=np.sqrt(np.mean(residuals**2, axis=0)),
         poses_used=int(np.sum(fit.used)),
@@ -48,6 +48,7 @@ def tool_from_table(
         poses_rejected=tuple(
             f"reading {row + 1}: off the common load" for row in np.flatnonzero(~fit.used)
         ),
+        zeroing=None,
         gravity_m_s2=gravity,
         unresolved=_UNRESOLVED,
         mounting=None if mounted is None else mounted.mounting,

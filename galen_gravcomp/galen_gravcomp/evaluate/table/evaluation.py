@@ -7,7 +7,7 @@ import numpy as np
 from galen_bags.arrays.orientation_table import OrientationTable, average_still
 from galen_model.arrays import Array
 from galen_model.errors import GalenError, IdentificationError
-from galen_model.files.calibration_file import ToolFile
+from galen_model.files.calibration_file import CalibrationFile
 from galen_model.load.bias.single_load import DriftingLoad
 from galen_model.load.identification import SingleLoad, identify_single_load
 from galen_model.load.mounting.held_out import MOUNTED, Worth
@@ -39,7 +39,7 @@ class Evaluation:
     fit: SingleLoad
     scores: dict[str, dict[str, Score]]
     scatter: Array | None
-    tool: ToolFile | None = None
+    tool: CalibrationFile | None = None
     tool_residuals: Array | None = None
     notes: list[str] = field(default_factory=list)
     mounted: MountedLoad | None = None
@@ -52,7 +52,7 @@ def evaluate_table(
     blocks: int | None = None,
     average_window_s: float | None = None,
     settings: StillSettings | None = None,
-    tool: ToolFile | None = None,
+    tool: CalibrationFile | None = None,
     mounting: TableMounting | None = None,
     bias_drift: bool = False,
 ) -> Evaluation:

@@ -8,7 +8,7 @@ import numpy as np
 from galen_bags.arrays.orientation_table import OrientationTable
 from galen_model.arrays import Array
 from galen_model.errors import GalenError
-from galen_model.files.calibration_file import ToolFile
+from galen_model.files.calibration_file import CalibrationFile
 from galen_model.load.mounting.held_out import GALEN, MOUNTED, PLAIN, Worth, compare
 from galen_model.load.mounting.identification import (
     KnownLoad,
@@ -50,7 +50,7 @@ def table_worth(scores: dict[str, Score], groups: np.ndarray, sigma: Array) -> W
     )
 
 
-def table_prediction(tool: ToolFile, table: OrientationTable) -> Array:
+def table_prediction(tool: CalibrationFile, table: OrientationTable) -> Array:
     """Reading (n, 6) that a tool's file expects at a table's orientations, its mounting included.
 
     Raises GalenError where the file's mounting needs what the table doesn't tell.

@@ -42,8 +42,8 @@ _TELLING_GROWTH = 3.0
 def identify_two_sweeps_drifting(
     bare: StillPoses,
     tool: StillPoses,
-    bias_roll_rad: float = 0.0,
-    bias_tilt_rad: float = 0.0,
+    zero_roll_rad: float = 0.0,
+    zero_tilt_rad: float = 0.0,
     mode: BiasMode = BiasMode.AUTO,
 ) -> Identification:
     """As `identify_two_sweeps`; the poses need times. Raises as it does.
@@ -53,7 +53,7 @@ def identify_two_sweeps_drifting(
     named = {"without the tool": bare, "with the tool": tool}
     for name, poses in named.items():
         check_count(poses, f"sweep {name}")
-    zero = gravity_regressor(gravity_in_sensor(bias_roll_rad, bias_tilt_rad))
+    zero = gravity_regressor(gravity_in_sensor(zero_roll_rad, zero_tilt_rad))
     bare_rows, tool_rows = gravity_regressor(bare.gravity) - zero, gravity_regressor(tool.gravity)
     design = two_sweeps_design(bare_rows, tool_rows, zero)
     check_excitation(design, LOAD_PARAMETERS, named)
@@ -67,7 +67,7 @@ def identify_two_sweeps_drifting(
     )
     choice = choose_by_mode(sweeps, mode)
     if choice is None or choice.constant:
-        found = identify_two_sweeps(bare, tool, bias_roll_rad, bias_tilt_rad)
+        found = identify_two_sweeps(bare, tool, zero_roll_rad, zero_tilt_rad)
         return replace(
             found, bias_drift=None if choice is None else BiasDrift(choice, None, None, 1.0)
         )
@@ -75,16 +75,16 @@ def identify_two_sweeps_drifting(
     check_rejections(fitted.fit)
     result = two_sweeps_result(fitted.fit, bare, tool)
     check_told(result.load, fitted, "the tool")
-    check_told(result.bias, fitted, "the adapter")
+    check_told(result.adapter, fitted, "the adapter")
     curves = fitted.bias[: len(bare)], fitted.bias[len(bare) :]
     return _with_bias_drift(result, BiasDrift(choice, *curves, float(fitted.growth[0])))
 
 
 def identify_one_sweep_drifting(
     tool: StillPoses,
-    bias_roll_rad: float = 0.0,
-    bias_tilt_rad: float = 0.0,
-    known_bias: LoadEstimate | None = None,
+    zero_roll_rad: float = 0.0,
+    zero_tilt_rad: float = 0.0,
+    known_adapter: LoadEstimate | None = None,
     mode: BiasMode = BiasMode.AUTO,
 ) -> Identification:
     """As `identify_one_sweep`; the poses need times, and the zeroing holds for the first of them.
@@ -92,13 +92,13 @@ def identify_one_sweep_drifting(
     Raises as it does.
     """
     check_count(tool, "sweep with the tool")
-    gravity_zero = gravity_in_sensor(bias_roll_rad, bias_tilt_rad)
+    gravity_zero = gravity_in_sensor(zero_roll_rad, zero_tilt_rad)
     rows = gravity_regressor(tool.gravity)
     offsets = np.broadcast_to(np.eye(6), (len(rows), 6, 6))
     sum_design = np.concatenate([rows, offsets], axis=2)
     check_excitation(sum_design, LOAD_PARAMETERS[:4], {"with the tool": tool})
     check_channels(rows, tool, "sweep with the tool")
-    prior_rows, prior_values, prior_std = one_sweep_prior(gravity_zero, known_bias)
+    prior_rows, prior_values, prior_std = one_sweep_prior(gravity_zero, known_adapter)
     weighted = prior_rows[:, :8] / prior_std[:, None] ** 2
     sweeps = Sweeps(
         np.concatenate([rows, rows - gravity_regressor(gravity_zero)], axis=2),
@@ -111,7 +111,7 @@ def identify_one_sweep_drifting(
     )
     choice = choose_by_mode(sweeps, mode)
     if choice is None or choice.constant:
-        found = identify_one_sweep(tool, bias_roll_rad, bias_tilt_rad, known_bias)
+        found = identify_one_sweep(tool, zero_roll_rad, zero_tilt_rad, known_adapter)
         return replace(
             found, bias_drift=None if choice is None else BiasDrift(choice, None, None, 1.0)
         )
@@ -119,7 +119,7 @@ def identify_one_sweep_drifting(
     check_rejections(fitted.fit)
     bias_drift = BiasDrift(choice, None, fitted.bias, float(fitted.growth[0]))
     return _with_bias_drift(
-        one_sweep_result(fitted.fit, tool, gravity_zero, known_bias), bias_drift
+        one_sweep_result(fitted.fit, tool, gravity_zero, known_adapter), bias_drift
     )
 
 

@@ -21,7 +21,7 @@ import numpy as np
 from galen_model.arm.kinematics import gravity_in_sensor
 from galen_model.arrays import Array
 from galen_model.errors import IdentificationError
-from galen_model.files.calibration_file import ToolFile
+from galen_model.files.calibration_file import CalibrationFile
 from galen_model.load.bias.curve import BiasShape, Shape
 from galen_model.load.bias.drifting import Problem, Sweeps
 from galen_model.load.cable.fit import CableSweep
@@ -52,7 +52,7 @@ _STEPS = 6
 _LOAD_LEAVES = 0.06
 
 
-def check_same_tool(tool: ToolFile, sweep: CableSweep) -> list[str]:
+def check_same_tool(tool: CalibrationFile, sweep: CableSweep) -> list[str]:
     """Compare the load that the sweep's wrenches show with the file's; return warnings.
 
     Raises IdentificationError where another load explains nearly all of them.
@@ -65,7 +65,7 @@ def check_same_tool(tool: ToolFile, sweep: CableSweep) -> list[str]:
         axis=2,
     )
     found = least_squares(columns, sweep.wrench, sweep.std_of_mean)
-    mass = tool.load.mass_kg + tool.bias.mass_kg
+    mass = tool.load.mass_kg + tool.adapter.mass_kg
     if abs(found[0]) <= OTHER_MASS * mass:
         return []
     file = scored(sweep, np.zeros_like(sweep.wrench))
@@ -83,7 +83,7 @@ def check_same_tool(tool: ToolFile, sweep: CableSweep) -> list[str]:
     return [f"{text}: if that is not the cable, another tool is on"]
 
 
-def rivals(tool: ToolFile, sweep: CableSweep, learned: LearnedCable) -> dict[str, HeldOut]:
+def rivals(tool: CalibrationFile, sweep: CableSweep, learned: LearnedCable) -> dict[str, HeldOut]:
     """How well each other explanation predicts the blocks held out that the cable was scored on.
 
     tool: the file whose predictions the sweep's wrenches are beyond.
@@ -112,7 +112,7 @@ def doubts(sweep: CableSweep, learned: LearnedCable, others: dict[str, HeldOut])
     ]
 
 
-def _mounting(tool: ToolFile, sweep: CableSweep, block: np.ndarray, group: str) -> Array:
+def _mounting(tool: CalibrationFile, sweep: CableSweep, block: np.ndarray, group: str) -> Array:
     # The file's own mounting aside: what comes on top of it is small, and looks the same there.
     bare = replace(tool, mounting=None)
     roll, tilt = sweep.joints[:, 3], sweep.joints[:, 4]
@@ -125,7 +125,7 @@ def _mounting(tool: ToolFile, sweep: CableSweep, block: np.ndarray, group: str) 
         10,
     )
     start = np.zeros(10 + len(asked))
-    start[:4] = tool.load.load.moments + tool.bias.load.moments
+    start[:4] = tool.load.load.moments + tool.adapter.load.moments
     predicted = np.zeros_like(sweep.wrench)
     for part in np.unique(block):
         out = block == part

@@ -28,7 +28,7 @@ import numpy as np
 from galen_model.arrays import Array
 from galen_model.distributions import chi2_sf
 from galen_model.errors import IdentificationError, NotExcitedError
-from galen_model.files.calibration_file import LoadEstimate, ToolFile
+from galen_model.files.calibration_file import CalibrationFile, LoadEstimate
 from galen_model.load.inertia.estimate import InertiaEstimate
 from galen_model.load.inertia.inertial import INERTIA_NAMES, inertial_regressor
 from galen_model.load.inertia.motion_record import MotionRecord
@@ -83,13 +83,13 @@ def _is_other(file_distance: float) -> bool:
     return bool(chi2_sf(file_distance, 4) < 1e-3)
 
 
-def total_moments(tool: ToolFile) -> tuple[Array, Array]:
+def total_moments(tool: CalibrationFile) -> tuple[Array, Array]:
     """(m, h) (4,) of tool and adapter, and their covariance (4, 4), kg and kg m.
 
     h = m p: its covariance is that of (m, p), taken by the Jacobian [[1, 0], [p, m 1]].
     """
     total, covariance = np.zeros(4), np.zeros((4, 4))
-    for part in (tool.load, tool.bias):
+    for part in (tool.load, tool.adapter):
         total += part.load.moments
         jacobian = _moments_jacobian(part)
         covariance += jacobian @ part.covariance @ jacobian.T

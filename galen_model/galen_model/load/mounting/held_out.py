@@ -47,28 +47,28 @@ class Calibrated:
     bare: StillPoses | None
     tool: StillPoses
     groups: Sequence[str]
-    bias_roll_rad: float = 0.0
-    bias_tilt_rad: float = 0.0
+    zero_roll_rad: float = 0.0
+    zero_tilt_rad: float = 0.0
     known: KnownLoad | None = None
-    known_bias: LoadEstimate | None = None
+    known_adapter: LoadEstimate | None = None
 
     def identify(self) -> MountedIdentification:
         """From all poses, or those `without` leaves; raises IdentificationError."""
-        zero = (self.bias_roll_rad, self.bias_tilt_rad)
+        zero = (self.zero_roll_rad, self.zero_tilt_rad)
         if self.bare is not None:
             return identify_two_sweeps_mounted(
                 self.bare, self.tool, self.groups, *zero, known=self.known
             )
         if self.known is not None:
             raise IdentificationError("a known mass of the tool needs two sweeps")
-        return identify_one_sweep_mounted(self.tool, self.groups, *zero, self.known_bias)
+        return identify_one_sweep_mounted(self.tool, self.groups, *zero, self.known_adapter)
 
     def identify_unmounted(self) -> Identification:
         """The same without a mounting; raises IdentificationError."""
-        zero = (self.bias_roll_rad, self.bias_tilt_rad)
+        zero = (self.zero_roll_rad, self.zero_tilt_rad)
         if self.bare is not None:
             return identify_two_sweeps(self.bare, self.tool, *zero)
-        return identify_one_sweep(self.tool, *zero, self.known_bias)
+        return identify_one_sweep(self.tool, *zero, self.known_adapter)
 
     def without(self, block: int, blocks: int) -> "Calibrated":
         """The same without a block of each sweep."""
@@ -176,7 +176,7 @@ def compare(parts: Mapping[str, Sequence[Array]], sigma: Array) -> Worth:
 
 def _models(rest: Calibrated, mounted: MountedIdentification) -> list[_Predict | None]:
     moments, offset = plain_least_squares(rest.tool.gravity, rest.tool.wrench)
-    zero = np.array([rest.bias_roll_rad, rest.bias_tilt_rad])
+    zero = np.array([rest.zero_roll_rad, rest.zero_tilt_rad])
     try:
         unmounted = rest.identify_unmounted()
     except IdentificationError:  # far off, readings fit no load at all without a mounting
@@ -195,8 +195,8 @@ def _predictor(found: Identification, mounting: Mounting, zero: Array) -> _Predi
         gravity = mounting.gravity_in_sensor(poses.roll, poses.tilt)
         wrench = (
             gravity_wrench(gravity, found.load.load)
-            + gravity_wrench(gravity, found.bias.load)
-            - gravity_wrench(mounting.gravity_in_sensor(*zero), found.bias.load)
+            + gravity_wrench(gravity, found.adapter.load)
+            - gravity_wrench(mounting.gravity_in_sensor(*zero), found.adapter.load)
         )
         return np.asarray(wrench @ mounting.reading_from_wrench.T + found.offset)
 

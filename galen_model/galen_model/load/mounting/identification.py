@@ -120,8 +120,8 @@ def identify_two_sweeps_mounted(
     bare: StillPoses,
     tool: StillPoses,
     groups: Sequence[str],
-    bias_roll_rad: float = 0.0,
-    bias_tilt_rad: float = 0.0,
+    zero_roll_rad: float = 0.0,
+    zero_tilt_rad: float = 0.0,
     known: KnownLoad | None = None,
 ) -> MountedIdentification:
     """As `identify_two_sweeps`, with the mounting's `groups`. known: of the tool.
@@ -134,7 +134,7 @@ def identify_two_sweeps_mounted(
     problem = _two_sweeps_problem(
         JointPoses(bare.roll, bare.tilt),
         JointPoses(tool.roll, tool.tilt),
-        JointPoses(np.array([bias_roll_rad]), np.array([bias_tilt_rad])),
+        JointPoses(np.array([zero_roll_rad]), np.array([zero_tilt_rad])),
         asked,
         known,
     )
@@ -152,9 +152,9 @@ def identify_two_sweeps_mounted(
 def identify_one_sweep_mounted(
     tool: StillPoses,
     groups: Sequence[str],
-    bias_roll_rad: float = 0.0,
-    bias_tilt_rad: float = 0.0,
-    known_bias: LoadEstimate | None = None,
+    zero_roll_rad: float = 0.0,
+    zero_tilt_rad: float = 0.0,
+    known_adapter: LoadEstimate | None = None,
 ) -> MountedIdentification:
     """As `identify_one_sweep`, with the mounting's `groups`; raises as the two sweeps' does.
 
@@ -164,7 +164,7 @@ def identify_one_sweep_mounted(
     check_count(tool, "sweep with the tool")
     asked = entities(groups)
     poses = JointPoses(tool.roll, tool.tilt)
-    zero = JointPoses(np.array([bias_roll_rad]), np.array([bias_tilt_rad]))
+    zero = JointPoses(np.array([zero_roll_rad]), np.array([zero_tilt_rad]))
     together = _single_problem(poses, asked, None)
     start, design, sigma = together.start(tool.wrench)
     check_excitation(design, LOAD_PARAMETERS[:4], {"with the tool": tool})
@@ -172,7 +172,7 @@ def identify_one_sweep_mounted(
     together.check(start, sigma, None)
 
     gravity_zero = zero.gravity(Mounting())[0][0]
-    rows, values, std = one_sweep_prior(gravity_zero, known_bias)
+    rows, values, std = one_sweep_prior(gravity_zero, known_adapter)
     problem = _Problem(
         ReadingModel([Sweep(poses, slice(0, 4), slice(4, 8), slice(8, 14))], zero, asked, 14),
         (np.hstack([rows, np.zeros((len(rows), len(asked)))]), values, std),
@@ -188,7 +188,7 @@ def identify_one_sweep_mounted(
     together.check(sum_values, fit.sigma, MAX_STD, fit.used)
     mounting = problem.mounting(fit, tuple(groups))
     gravity_zero = zero.gravity(mounting)[0][0]
-    return MountedIdentification(one_sweep_result(fit, tool, gravity_zero, known_bias), mounting)
+    return MountedIdentification(one_sweep_result(fit, tool, gravity_zero, known_adapter), mounting)
 
 
 def identify_single_load_mounted(
@@ -223,8 +223,8 @@ def check_planned_mounting(
     groups: Sequence[str],
     *,
     one_sweep: bool = False,
-    bias_roll_rad: float = 0.0,
-    bias_tilt_rad: float = 0.0,
+    zero_roll_rad: float = 0.0,
+    zero_tilt_rad: float = 0.0,
 ) -> None:
     """Raise, before the arm moves, for poses (n,), rad, that can't tell `groups` apart.
 
@@ -232,7 +232,7 @@ def check_planned_mounting(
     """
     asked = entities(groups)
     planned = JointPoses(np.asarray(roll, dtype=float), np.asarray(tilt, dtype=float))
-    zero = JointPoses(np.array([bias_roll_rad]), np.array([bias_tilt_rad]))
+    zero = JointPoses(np.array([zero_roll_rad]), np.array([zero_tilt_rad]))
     load, noise = 0.1 * np.array([1.0, 0.05, 0.03, 0.05]), np.array([1.0] * 3 + [0.02] * 3)
     if one_sweep:
         problem = _single_problem(planned, asked, None)

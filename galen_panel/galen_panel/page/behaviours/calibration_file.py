@@ -20,7 +20,7 @@ _FATES = {
 _GONE = "This calibration's file is no longer the tool's."
 
 
-class CalibrationFile:
+class FileNotice:
     """Of one calibration that came to its end."""
 
     def __init__(self, page: Page, outcome: Outcome) -> None:

@@ -7,7 +7,7 @@ from nicegui import ui
 from galen_panel.messages import results as result_words
 from galen_panel.messages import texts
 from galen_panel.messages.results import Todo
-from galen_panel.page.behaviours.calibration_file import CalibrationFile
+from galen_panel.page.behaviours.calibration_file import FileNotice
 from galen_panel.page.behaviours.calibration_options import start_calibration
 from galen_panel.page.elements import pick_class, table
 from galen_panel.page.page import Page
@@ -22,7 +22,7 @@ class OutcomeView:
     def __init__(self, page: Page, kind: Kind, outcome: Outcome) -> None:
         self._page = page
         self._outcome = outcome
-        self._file: CalibrationFile | None = None
+        self._file: FileNotice | None = None
         title, level = result_words.ended(kind, outcome)
         todo = Todo.NOTHING
         if kind is Kind.CHECK and not outcome.error:
@@ -44,7 +44,7 @@ class OutcomeView:
                 if outcome.new:
                     table([], result_words.load_rows(outcome))
                 ui.label(result_words.residual(outcome)).classes("panel-number")
-                self._file = CalibrationFile(page, outcome)
+                self._file = FileNotice(page, outcome)
             elif kind is Kind.COLLECT and not outcome.error:
                 ui.label(result_words.collection_sentence(outcome))
             if kind is Kind.COLLECT and outcome.file:
