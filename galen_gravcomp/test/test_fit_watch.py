@@ -257,7 +257,7 @@ def test_evidence_is_the_density_of_the_stops():
     density = {}
     for k in (0, 1):
         rows = evidence.design(stops).reshape(18, -1)
-        covariance = rows @ np.linalg.inv(evidence._precision[k]) @ rows.T
+        covariance = rows @ np.linalg.inv(evidence._prior.precision[k]) @ rows.T
         covariance += np.diag(evidence.variance(stops).ravel())
         density[k] = multivariate_normal(np.zeros(18), covariance).logpdf(mean.ravel())
     odds = density[1] + np.log(0.04) - density[0] - np.log(0.9)

@@ -14,7 +14,6 @@ from dataclasses import dataclass, field, replace
 from typing import ClassVar
 
 import numpy as np
-from galen_gravcomp.calibration_monitor.evidence import moment_covariance
 from galen_model.arm.galen import (
     SENSOR,
     TRACKER_POSITION_NOISE_M,
@@ -22,6 +21,7 @@ from galen_model.arm.galen import (
 )
 from galen_model.arm.kinematics import gravity_in_sensor, sensor_pose
 from galen_model.arrays import Array
+from galen_model.evidence.columns import moment_covariance
 from galen_model.files.calibration_file import CalibrationFile
 from galen_model.load.model import Load, gravity_regressor
 from galen_model.load.nominal_tools import ToolGeometry

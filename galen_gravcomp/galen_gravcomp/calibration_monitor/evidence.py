@@ -35,13 +35,21 @@ import numpy as np
 from galen_model.arm.galen import GRAVITY_M_S2
 from galen_model.arm.kinematics import gravity_in_sensor
 from galen_model.arrays import Array
-from galen_model.files.calibration_file import CalibrationFile, LoadEstimate
-from galen_model.load.model import gravity_regressor
+from galen_model.evidence import columns
+from galen_model.evidence.linear import (
+    LOG_2PI,
+    Information,
+    Prior,
+    distance,
+    log_density,
+    log_evidence,
+    posterior,
+)
+from galen_model.files.calibration_file import CalibrationFile
 
 _LOAD, _OFFSET, _DRIFT, _SAG = slice(0, 4), slice(4, 10), slice(10, 16), 16
 _COUNT = 17
 _LOOKS = 5
-_LOG_2PI = float(np.log(2.0 * np.pi))
 
 
 class Explanation(Enum):
@@ -132,7 +140,7 @@ class FitEvidence:
         self._scale = float(tool.gravity_m_s2[2] / GRAVITY_M_S2[2])
         self._mass_kg = float(tool.load.mass_kg + tool.adapter.mass_kg)
         self._sag_mass_kg = float(tool.load.mass_kg)
-        known = moment_covariance(tool.load) + moment_covariance(tool.adapter)
+        known = columns.moment_covariance(tool.load) + columns.moment_covariance(tool.adapter)
         sag = 1.0 / _WRONG_SHIFT_M**2
         tight = 1.0 / _ALLOWED_SHIFT_M**2
         wrong_load = 1.0 / np.array([_WRONG_MASS_KG, *[_WRONG_MOMENT_KGM] * 3]) ** 2
@@ -146,22 +154,20 @@ class FitEvidence:
             precision[k, _OFFSET, _OFFSET] = np.diag(1.0 / offset**2)
             precision[k, _DRIFT, _DRIFT] = np.diag(1.0 / drift**2)
             precision[k, _SAG, _SAG] = sag if what is Explanation.LOOSE else tight
-        self._precision = precision
-        self._prior_covariance = np.linalg.inv(precision)
-        self._log_det_prior = np.linalg.slogdet(precision)[1]
+        self._prior = Prior.of_precision(precision)
 
     def design(self, stops: Stops) -> Array:
         """Phi (n, 6, 17) of the parameters, see above."""
         gravity = gravity_in_sensor(stops.angles[:, 0], stops.angles[:, 1]) * self._scale
-        design = np.zeros((len(stops), 6, _COUNT))
-        design[..., _LOAD] = gravity_regressor(gravity)
-        design[..., _OFFSET] = np.eye(6)
         hours = (stops.end_ns - int(stops.end_ns[-1])) / 3.6e12
-        design[..., _DRIFT] = hours[:, None, None] * np.eye(6)
-        unit = gravity / np.linalg.norm(gravity, axis=1, keepdims=True)
-        centre = unit * np.array([1.0, 1.0, 0.0])
-        design[:, 3:, _SAG] = np.cross(centre, gravity) * self._sag_mass_kg
-        return design
+        return np.concatenate(
+            [
+                columns.load_and_offset(gravity),
+                columns.drift(hours),
+                columns.loose_tool(gravity, self._sag_mass_kg),
+            ],
+            axis=2,
+        )
 
     def variance(self, stops: Stops) -> Array:
         """Of the noise at each stop (n, 6): sensor, the calibration's RMSE, a floor."""
@@ -169,7 +175,8 @@ class FitEvidence:
 
     def fit_of_each(self, stops: Stops) -> tuple[Array, Array]:
         """Of each stop on its own, with a file that fits: chi-square (n,) of 6, and log density."""
-        return self._log_density(stops, np.zeros(_COUNT), self._prior_covariance[0], 0)
+        known = np.linalg.inv(self._prior.precision[0])
+        return self._log_density(stops, np.zeros(_COUNT), known, 0)
 
     def log_contradiction(self, stops: Stops, judgement: Judgement) -> Array:
         """Log odds (n,) by which each stop is likelier with a file that fits than as foretold.
@@ -191,9 +198,7 @@ class FitEvidence:
         spread = design @ covariance @ np.swapaxes(design, 1, 2)
         spread[:, range(6), range(6)] += self._noise(k, self.variance(stops))
         rest = stops.mean - design @ values
-        square = np.sum(rest * np.linalg.solve(spread, rest[..., None])[..., 0], axis=1)
-        log_density = -0.5 * (square + np.linalg.slogdet(spread)[1] + 6.0 * _LOG_2PI)
-        return np.asarray(square), np.asarray(log_density)
+        return distance(rest, spread), log_density(rest, spread)
 
     def _noise(self, k: int, variance: Array) -> Array:
         unknown = EXPLANATIONS[k] is Explanation.UNKNOWN
@@ -201,13 +206,10 @@ class FitEvidence:
 
     def log_density_of(self, explanation: Explanation, stops: Stops) -> float:
         """Log density of all means together under an explanation, none of them touched."""
-        k, size = EXPLANATIONS.index(explanation), 6 * len(stops)
-        rows = self.design(stops).reshape(size, _COUNT)
-        covariance = rows @ self._prior_covariance[k] @ rows.T
-        covariance[range(size), range(size)] += self._noise(k, self.variance(stops)).ravel()
-        means = stops.mean.ravel()
-        square = means @ np.linalg.solve(covariance, means)
-        return float(-0.5 * (square + np.linalg.slogdet(covariance)[1] + size * _LOG_2PI))
+        k = EXPLANATIONS.index(explanation)
+        own = self._noise(k, self.variance(stops))[None]
+        information = _information(self.design(stops), own, stops.mean).total()
+        return float(log_evidence(information, self._prior)[k])
 
     def judge(self, stops: Stops) -> Generator[None, None, Judgement]:
         """The likeliest explanation of all the stops together; yields between pieces of work."""
@@ -215,28 +217,18 @@ class FitEvidence:
         kinds, count = len(EXPLANATIONS), len(stops)
         own = np.array([self._noise(k, variance) for k in range(kinds)])
         touched_value = _log_touched(stops, variance)
-        weighted = design[None] / own[..., None]
-        matrices = np.swapaxes(weighted, -1, -2) @ design
-        rights = np.einsum("hnip,ni->hnp", weighted, stops.mean)
-        log_noise = np.sum(np.log(own) + _LOG_2PI, axis=2)
-        squares = np.sum(stops.mean**2 / own, axis=2)
+        of_each = _information(design, own, stops.mean)
         free = np.ones((kinds, count), dtype=bool)
         best, best_free = np.full(kinds, -np.inf), free.copy()
         yield
         for _ in range(_LOOKS):
-            information = self._precision + np.einsum("hn,hnpq->hpq", free, matrices)
-            right = np.einsum("hn,hnp->hp", free, rights)
-            covariance = np.linalg.inv(information)
-            value = np.einsum("hpq,hq->hp", covariance, right)
-            evidence = 0.5 * (
-                self._log_det_prior
-                - np.linalg.slogdet(information)[1]
-                + np.einsum("hp,hp->h", right, value)
-                - np.sum(free * (squares + log_noise), axis=1)
-            ) + np.sum(~free * touched_value, axis=1)
+            information = _counted(of_each, free)
+            values, covariance = posterior(information, self._prior)
+            evidence = log_evidence(information, self._prior)
+            evidence = evidence + np.sum(~free * touched_value, axis=1)
             better = evidence > best
             best[better], best_free[better] = evidence[better], free[better]
-            foretold = _foretold(design, own, stops.mean, covariance, value)
+            foretold = _foretold(design, own, stops.mean, covariance, values)
             # The stops that a touch explains best, of those that still count: what one touched stop
             # does to the fit makes others look touched, which a second look clears up.
             gain = np.where(free, touched_value[None] - foretold, 0.0)
@@ -248,23 +240,11 @@ class FitEvidence:
         evidence = best + np.log(_PRIOR)
         k = int(np.argmax(evidence))
         log_odds = float(evidence[k] - evidence[0])
-        return self._judgement(k, log_odds, best_free[k], design, own, stops)
-
-    def _judgement(
-        self,
-        k: int,
-        log_odds: float,
-        free: np.ndarray,
-        design: Array,
-        own: Array,
-        stops: Stops,
-    ) -> Judgement:
-        rows, noise = design[free], own[k][free]
-        information = self._precision[k] + np.einsum("nip,niq->pq", rows / noise[..., None], rows)
-        covariance = np.linalg.inv(information)
-        value = covariance @ np.einsum("nip,ni->p", rows / noise[..., None], stops.mean[free])
+        found = posterior(_counted(of_each, best_free), self._prior)
+        value, covariance, free = found.values[k], found.covariance[k], best_free[k]
         std = np.sqrt(np.diag(covariance))
-        explained = stops.mean[free] if EXPLANATIONS[k] is Explanation.UNKNOWN else rows @ value
+        unknown = EXPLANATIONS[k] is Explanation.UNKNOWN
+        explained = stops.mean[free] if unknown else design[free] @ value
         beyond = np.zeros(6) if not free.any() else np.sqrt(np.mean(explained**2, axis=0))
         return Judgement(
             EXPLANATIONS[k],
@@ -282,20 +262,29 @@ class FitEvidence:
         )
 
 
-def moment_covariance(estimate: LoadEstimate) -> Array:
-    """Covariance (4, 4) of (m, h) from that of (m, p), h = m p; with a floor of 0.1 g."""
-    change = np.zeros((4, 4))
-    change[0, 0] = 1.0
-    change[1:, 0] = estimate.com_m
-    change[1:, 1:] = estimate.mass_kg * np.eye(3)
-    floor = np.diag([1e-4, 1e-5, 1e-5, 1e-5]) ** 2
-    return np.asarray(change @ estimate.covariance @ change.T + floor)
+def _information(design: Array, own: Array, mean: Array) -> Information:
+    """Of each stop (n), under each of h noises own (h, n, 6)."""
+    weighted = np.swapaxes(design[None] / own[..., None], -1, -2)
+    return Information(
+        weighted @ design,
+        (weighted @ mean[..., None])[..., 0],
+        np.sum(mean**2 / own + np.log(own) + LOG_2PI, axis=2),
+    )
+
+
+def _counted(of_each: Information, free: np.ndarray) -> Information:
+    """Of the stops that count, free (h, n), together."""
+    return Information(
+        np.einsum("hn,hnpq->hpq", free, of_each.matrix),
+        np.einsum("hn,hnp->hp", free, of_each.right),
+        np.sum(free * of_each.rest, axis=1),
+    )
 
 
 def _log_touched(stops: Stops, variance: Array) -> Array:
     """Log density (n,) of stops that are touched, against untouched ones by prior odds."""
     spread = variance + _TOUCH**2
-    density = -0.5 * np.sum(stops.mean**2 / spread + np.log(spread) + _LOG_2PI, axis=1)
+    density = -0.5 * np.sum(stops.mean**2 / spread + np.log(spread) + LOG_2PI, axis=1)
     return np.asarray(density + np.log(_TOUCHED_SHARE / (1.0 - _TOUCHED_SHARE)))
 
 
@@ -314,4 +303,4 @@ def _foretold(design: Array, own: Array, mean: Array, covariance: Array, value: 
     square = np.sum(residual * solved, axis=-1)
     log_det = np.linalg.slogdet(spread)[1]
     log_noise = np.sum(np.log(own), axis=2)
-    return np.asarray(-0.5 * (square + 2.0 * log_noise - log_det + 6.0 * _LOG_2PI))
+    return np.asarray(-0.5 * (square + 2.0 * log_noise - log_det + 6.0 * LOG_2PI))
