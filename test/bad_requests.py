@@ -70,7 +70,7 @@ SERVICES: dict[str, tuple[type, dict[str, Any], Bad]] = {
             "joints": [[x] * 5 for x in NOT_FINITE] + [[0.0], [0.0] * 7, [0.0] * 100_000],
         },
     ),
-    "gravcomp/compare_calibrations": (
+    "gravcomp/compare_tools": (
         CompareTools,
         {"a": "pointer", "b": "retractor"},
         {"a": NAMES, "b": NAMES, "a_previous": [True], "b_previous": [True]},

@@ -2,8 +2,8 @@
 
 Every place where a name makes a path is here, or where its row says:
 
-    tool of ~/set_tool, ~/get_tool, ~/compare_calibrations, ~/rename_tool, ~/remove_tool, ~/revert_tool,
-      check_tool, gap_node, `tools`        CalibrationStore: check_tool_name, no link out    here
+    tool of ~/set_tool, ~/get_tool, ~/compare_tools, ~/rename_tool, ~/remove_tool, ~/revert_tool,
+      check_tool, `tools`                  CalibrationStore: check_tool_name, no link  here
     tool of calibrate_tool, `calibrate*`   calibration_path                                  here
     tool in a tool's file                  check_tool_name                            test_bad_input
     tool of the driver's attach_tool       check_tool_name                            test_sim_node

@@ -199,11 +199,11 @@ def check_list_get_compare(person: Person, folder: Path) -> None:
     assert np.isnan(active_tool.joints).all()
     np.testing.assert_array_equal(active_tool.com_m, POINTER.load.com_m)
 
-    other = person.call("compare_calibrations", CompareTools, b="retractor")
+    other = person.call("compare_tools", CompareTools, b="retractor")
     assert other.success and not other.same_load and "'active pointer'" in other.text
     assert other.differences[0].text == "differs by 140 g (990 sigma)"
     assert other.worst_force_n == pytest.approx(0.14 * 9.80665)
-    assert person.call("compare_calibrations", CompareTools, a="pointer", b="drill").same_load
+    assert person.call("compare_tools", CompareTools, a="pointer", b="drill").same_load
 
 
 def check_rejections(person: Person) -> None:
@@ -212,7 +212,7 @@ def check_rejections(person: Person) -> None:
         ("get_tool", GetTool, {"tool": "cut"}, "INVALID_FILE", "cut.json"),
         ("get_tool", GetTool, {"tool": "none"}, "NOT_FOUND", "none.json"),
         ("get_tool", GetTool, {"frame": "tool0"}, "INVALID_FRAME", "tool0"),
-        ("compare_calibrations", CompareTools, {"a": "none"}, "NOT_FOUND", "none.json"),
+        ("compare_tools", CompareTools, {"a": "none"}, "NOT_FOUND", "none.json"),
         ("rename_tool", RenameTool, {"tool": "drill", "new_name": "a/b"}, "INVALID_NAME", "a/b"),
         ("rename_tool", RenameTool, {"tool": "drill", "new_name": "cut"}, "EXISTS", "cut.json"),
         ("rename_tool", RenameTool, {"tool": "cut", "new_name": "x"}, "INVALID_FILE", "cut.json"),
@@ -222,7 +222,7 @@ def check_rejections(person: Person) -> None:
         ("revert_tool", RevertTool, {"tool": "none"}, "NOT_FOUND", "none.json"),
         ("revert_tool", RevertTool, {"tool": "drill"}, "NOT_FOUND", "no calibration of 'drill'"),
         (
-            "compare_calibrations",
+            "compare_tools",
             CompareTools,
             {"a_previous": True},
             "NOT_FOUND",
@@ -295,7 +295,7 @@ def check_changed_file(person: Person, folder: Path) -> None:
 def check_revert_active(person: Person, folder: Path) -> None:
     """The file is the one before; what is active doesn't change until it is loaded."""
     before = person.output()
-    compared = person.call("compare_calibrations", CompareTools, a_previous=True, b="probe")
+    compared = person.call("compare_tools", CompareTools, a_previous=True, b="probe")
     assert compared.success and "'probe before' and 'probe'" in compared.text
     assert compared.differences[0].difference == pytest.approx(1e-3)
     answer = person.call("revert_tool", RevertTool, tool="probe")
@@ -303,9 +303,7 @@ def check_revert_active(person: Person, folder: Path) -> None:
     told = person.wait_told(lambda m: m.file_state == m.FILE_CHANGED, "the change")
     assert (told.tool, told.mass_kg) == ("probe", 0.061)
     np.testing.assert_array_equal(person.output(), before)
-    compared = person.call(
-        "compare_calibrations", CompareTools, a="probe", b="probe", b_previous=True
-    )
+    compared = person.call("compare_tools", CompareTools, a="probe", b="probe", b_previous=True)
     assert compared.differences[0].difference == pytest.approx(1e-3)
     (folder / "probe.json.bak").rename(folder / "elsewhere")
     (folder / "probe.json.bak").write_text("{")

@@ -39,7 +39,7 @@ CALIBRATION_READY = NodeReport(
 )
 ALL = frozenset(
     {
-        "gravcomp/set_tool", "gravcomp/list_tools", "gravcomp/compare_calibrations",
+        "gravcomp/set_tool", "gravcomp/list_tools", "gravcomp/compare_tools",
         "gravcomp/remove_tool", "gravcomp/revert_tool", "gravcomp/enable", "gravcomp/tare",
         "calibration/confirm", "calibrate_tool", "check_tool", "collect_pushes", "attach_tool",
     }

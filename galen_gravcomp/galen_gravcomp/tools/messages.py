@@ -81,7 +81,7 @@ def active_message(
 
 
 def fill_comparison(response: Any, comparison: Comparison) -> None:
-    """Write a comparison into the answer of `~/compare_calibrations`."""
+    """Write a comparison into the answer of `~/compare_tools`."""
     response.same_load, response.text = comparison.same_load, comparison.text
     response.differences = [
         ToolDifference(

@@ -98,7 +98,7 @@ class ToolServices:
         self._services = [
             DeferredService(node, ListTools, "~/list_tools", self._on_list),
             DeferredService(node, GetTool, "~/get_tool", self._on_get),
-            DeferredService(node, CompareTools, "~/compare_calibrations", self._on_compare),
+            DeferredService(node, CompareTools, "~/compare_tools", self._on_compare),
             DeferredService(node, RenameTool, "~/rename_tool", self._on_rename),
             DeferredService(node, RemoveTool, "~/remove_tool", self._on_remove),
             DeferredService(node, RevertTool, "~/revert_tool", self._on_revert),

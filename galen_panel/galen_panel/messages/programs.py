@@ -34,7 +34,7 @@ DEFLECTION = Program("deflection", "galen_deflection", "deflection_node")
 OFFERED_BY = {
     "gravcomp/set_tool": GRAVCOMP,
     "gravcomp/list_tools": GRAVCOMP,
-    "gravcomp/compare_calibrations": GRAVCOMP,
+    "gravcomp/compare_tools": GRAVCOMP,
     "gravcomp/remove_tool": GRAVCOMP,
     "gravcomp/revert_tool": GRAVCOMP,
     "gravcomp/enable": GRAVCOMP,

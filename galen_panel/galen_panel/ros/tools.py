@@ -38,7 +38,7 @@ class Tools:
             for name, kind in (
                 ("set_tool", SetTool),
                 ("list_tools", ListTools),
-                ("compare_calibrations", CompareTools),
+                ("compare_tools", CompareTools),
                 ("remove_tool", RemoveTool),
                 ("revert_tool", RevertTool),
                 ("enable", SetBool),
@@ -172,7 +172,7 @@ class Tools:
             a_previous=not with_tool,
             b=check_tool_name(tool),
         )
-        response = await self._ask("compare_calibrations", request, _FILE_LIMIT_S)
+        response = await self._ask("compare_tools", request, _FILE_LIMIT_S)
         return _comparison(response) if response.success else Answer(False, response.error_msg)
 
     async def set_enabled(self, enabled: bool) -> Answer:
