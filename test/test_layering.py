@@ -35,6 +35,7 @@ ROS = {
     "galen_ros.node",
     "galen_ros.parameters",
     "galen_ros.qos",
+    "galen_ros.rclpy_workarounds",
     "galen_ros.stream",
     "galen_sim_driver.node",
 }
@@ -57,8 +58,6 @@ MAY_IMPORT = {
 LEFT_OVER = {
     ("galen_deflection", "galen_calibration_behavior"): 1,
     ("galen_deflection", "galen_gravcomp"): 4,
-    ("galen_diagnosis", "galen_deflection"): 3,
-    ("galen_diagnosis", "galen_gravcomp"): 1,
 }
 
 

@@ -6,9 +6,9 @@ from typing import Any
 from galen_model.errors import CalibrationFileError, ToolNameError
 from galen_ros.cdr.layout import UnreadableError
 from galen_ros.cdr.wire import ImuWire, RawWrench
-from galen_ros.node.deferred_service import DeferredService, Respond
 from galen_ros.node.spin import run
 from galen_ros.qos import STREAM
+from galen_ros.rclpy_workarounds import DeferredService, Respond
 from galen_ros.stream.node import StreamNode, input_qos
 from galen_ros.stream.results import Compensated, Result
 from geometry_msgs.msg import WrenchStamped

@@ -10,8 +10,8 @@ from galen_panel.ros.suite import RosSuite
 from galen_panel.state.snapshot import Asked, CalibrateGoal, CheckGoal, Kind
 from galen_ros.goal.commands import ErrorCode
 from galen_ros.goal.commands import State as Phase
-from galen_ros.goal.deferred_action import DeferredActionServer
 from galen_ros.node.diagnostics import OK, DiagnosticsPublisher, Status
+from galen_ros.rclpy_workarounds import DeferredActionServer
 from panel_ros_world import World, panel_world
 from rclpy.action import ActionClient, CancelResponse, GoalResponse
 from rclpy.node import Node

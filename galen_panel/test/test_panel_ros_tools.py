@@ -21,10 +21,10 @@ from galen_panel.state.snapshot import (
     Kind,
     Level,
 )
-from galen_ros.node.deferred_service import DeferredService
 from galen_ros.node.spin import StartError
 from galen_ros.node.testing import parameters
 from galen_ros.qos import STREAM
+from galen_ros.rclpy_workarounds import DeferredService
 from geometry_msgs.msg import WrenchStamped
 from panel_ros_world import panel_world
 from rclpy.node import Node

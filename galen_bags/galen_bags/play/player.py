@@ -10,7 +10,7 @@ from typing import Any
 
 from galen_ros.conversions import fill_stamp
 from galen_ros.node.diagnostics import OK, WARN, DiagnosticsPublisher, Status
-from galen_ros.parameters.services import guard_parameter_services
+from galen_ros.rclpy_workarounds import guard_parameter_services
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.duration import Duration

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from galen_ros.node.diagnostics import OK, WARN, DiagnosticsPublisher, Status
-from galen_ros.parameters.services import guard_parameter_services
+from galen_ros.rclpy_workarounds import guard_parameter_services
 from rclpy.callback_groups import CallbackGroup
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType

@@ -12,8 +12,8 @@ from collections.abc import Callable
 import numpy as np
 from galen_model.arm.galen import SENSOR
 from galen_model.files.calibration_store import FileState, StoredCalibration
-from galen_ros.node.background import Background
 from galen_ros.qos import LATCHED
+from galen_ros.rclpy_workarounds import Background
 from rclpy.node import Node
 
 from galen_gravcomp.compensator import Compensator

@@ -1,6 +1,6 @@
 """The node's services on the tools' files.
 
-Files are read and written beside the executor (`galen_ros.node.background`), so that a slow disk
+Files are read and written beside the executor (`galen_ros.rclpy_workarounds`), so that a slow disk
 holds up no wrench; answers go out later. Only `~/set_tool` reads its one small file at once.
 
 The active tool can't be removed. It can be renamed: it stays active under its new name, with
@@ -35,8 +35,7 @@ from galen_model.load.frames import (
 from galen_ros.cdr.layout import UnreadableError
 from galen_ros.cdr.wire import JointWire
 from galen_ros.joint_names import JointStateError
-from galen_ros.node.background import Background
-from galen_ros.node.deferred_service import DeferredService, Respond
+from galen_ros.rclpy_workarounds import Background, DeferredService, Respond
 from rclpy.node import Node
 
 from galen_gravcomp.compensator import Compensator

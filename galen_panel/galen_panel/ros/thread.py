@@ -18,7 +18,7 @@ from typing import Any, Generic, TypeVar
 
 from galen_model.errors import GalenError
 from galen_ros.node.spin import StartError, init_ros, make_executor
-from galen_ros.parameters.services import guard_parameter_services
+from galen_ros.rclpy_workarounds import guard_parameter_services
 from rclpy.context import Context
 from rclpy.exceptions import ParameterException
 from rclpy.executors import Executor

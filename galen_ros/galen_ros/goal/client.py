@@ -8,11 +8,13 @@ import signal
 import sys
 import time
 import uuid
+from array import array
 from collections.abc import Callable
 from enum import IntEnum
 from types import FrameType
 from typing import Any, ClassVar, NoReturn
 
+import numpy as np
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from galen_model.errors import GalenError, ToolNameError
@@ -25,7 +27,7 @@ from tqdm import tqdm
 from unique_identifier_msgs.msg import UUID
 
 from galen_ros.node.spin import init_ros
-from galen_ros.parameters.services import guard_parameter_services
+from galen_ros.rclpy_workarounds import guard_parameter_services
 
 EXIT_OK, EXIT_FAILED, EXIT_USAGE, EXIT_CANCELED = 0, 1, 2, 130
 _SERVER_LOST_S = 1.5
@@ -257,6 +259,18 @@ def read_options(
     except ToolNameError as error:
         parser.error(str(error))
     return options
+
+
+def result_to_dict(result: Any) -> dict[str, Any]:
+    """Return an action's result as plain numbers, texts and lists, SI units."""
+    return {name: plain(getattr(result, name)) for name in result.get_fields_and_field_types()}
+
+
+def plain(value: Any) -> Any:
+    """Return a field's value as JSON takes it."""
+    if isinstance(value, np.ndarray):
+        return value.tolist()
+    return list(value) if isinstance(value, array) else value
 
 
 def report_error(name: str, code: IntEnum, message: str) -> int:

@@ -26,6 +26,7 @@ from rclpy.lifecycle import LifecycleNode, TransitionCallbackReturn
 
 from galen_ros.node.diagnostics import ERROR, WARN, DiagnosticsPublisher, Status
 from galen_ros.parameters.declare import Held, declare_parameters, hold_parameters, param
+from galen_ros.rclpy_workarounds import destroy_all, guard_transitions, leave_graph
 
 T = TypeVar("T")
 
@@ -81,7 +82,7 @@ class ManagedNode(LifecycleNode):
         self._undo = self._undo_configure
         self._autostarts = declare_parameters(self, LifecycleParameters).autostart
         self._starting = False
-        self._reject_what_cannot_be()
+        guard_transitions(self, lambda: self._stage.value)
         self._diagnostics = DiagnosticsPublisher(self, self.hardware_id, self._full_report)
 
     # What a subclass does
@@ -203,7 +204,7 @@ class ManagedNode(LifecycleNode):
         before = {id(entity) for entity, _ in self._entities()}
         made: list[tuple[Any, Callable[[Any], object]]] = []
         # The first in, so the last out: what is called before may still answer by these services.
-        undo.callback(_end_all, made)
+        undo.callback(destroy_all, made)
         try:
             work()
         finally:
@@ -227,27 +228,6 @@ class ManagedNode(LifecycleNode):
             (self.publishers, self.destroy_publisher),
         )
         return [(entity, destroy) for entities, destroy in kinds for entity in entities]
-
-    def _reject_what_cannot_be(self) -> None:
-        """Answer a transition that the state doesn't have by "no".
-
-        rclpy (7.1.6) raises it out of the executor: one wrong request would end the process.
-        """
-        (service,) = (s for s in self.services if s.srv_name.endswith("/change_state"))
-        change_state = service.callback
-
-        def callback(request: Any, response: Any) -> Any:
-            try:
-                return change_state(request, response)
-            except RuntimeError as error:
-                wanted = request.transition.label or request.transition.id
-                self.get_logger().warning(
-                    f"transition '{wanted}' is rejected: the node is {self._stage.value} ({error})"
-                )
-                response.success = False
-                return response
-
-        service.callback = callback
 
     # State
 
@@ -282,23 +262,7 @@ class ManagedNode(LifecycleNode):
             self._go_down(Stage.FINALIZED)
         finally:
             super().destroy_node()
-            # rclpy (7.1.6) leaves it, and with it the node's services, on the graph.
-            self._state_machine.destroy_when_not_in_use()
-
-
-def _end_all(made: list[tuple[Any, Callable[[Any], object]]]) -> None:
-    """Destroy these. What the executor still holds of them, and calls later (7.1.6), is lost."""
-    for entity, destroy in made:
-        for one in (entity, *getattr(entity, "event_handlers", ())):
-            if hasattr(one, "callback"):
-                one.callback = _ignore
-        if hasattr(entity, "send_response"):
-            entity.send_response = _ignore
-        destroy(entity)
-
-
-def _ignore(*_: Any) -> None:
-    pass
+            leave_graph(self)
 
 
 def _sentence(error: Exception) -> str:

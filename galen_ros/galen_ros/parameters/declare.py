@@ -38,7 +38,7 @@ from galen_ros.parameters.param import (
     param_fields,
     wanted,
 )
-from galen_ros.parameters.services import guard_parameter_services
+from galen_ros.rclpy_workarounds import guard_parameter_services
 
 __all__ = [
     "Held",

@@ -14,11 +14,11 @@ from galen_model.errors import ToolNameError
 from galen_model.files.calibration_file import check_tool_name
 from galen_ros.cdr.layout import JointStateBytes, WrenchBytes
 from galen_ros.conversions import fill_stamp, stamp_to_ns, wrench_to_array
-from galen_ros.node.deferred_service import DeferredService, Respond
 from galen_ros.node.diagnostics import ERROR, OK, WARN, Level, Status
 from galen_ros.node.managed_node import ManagedNode
 from galen_ros.node.spin import run
 from galen_ros.qos import LATCHED, STREAM
+from galen_ros.rclpy_workarounds import DeferredService, Respond
 from geometry_msgs.msg import PoseStamped, WrenchStamped
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
@@ -346,7 +346,7 @@ class SimDriverNode(ManagedNode):
                 "admittance": self._plant.admittance_on,
                 "admittance_source": self._settings.admittance_source,
                 "hand": self._plant.hand_active,
-                "effects": ", ".join(effect.name for effect in self._config.effects) or "none",
+                "effects": ", ".join(effect.identity for effect in self._config.effects) or "none",
                 "zeroed_at_roll_rad": roll,
                 "zeroed_at_tilt_rad": tilt,
                 "trajectories_rejected": self._rejected_count,

@@ -1,10 +1,11 @@
-"""Jobs beside the executor: the node goes on meanwhile, and gets the results in order."""
+"""Workarounds for rclpy: the version that they are for, jobs beside the executor."""
 
 import threading
+from importlib import metadata
 
 import pytest
-from galen_ros.node.background import Background
 from galen_ros.node.testing import Harness
+from galen_ros.rclpy_workarounds import RCLPY_VERSION, Background
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 
@@ -40,3 +41,11 @@ def test_the_executor_goes_on_and_gets_the_results_in_order(make) -> None:
         with pytest.raises(ZeroDivisionError):
             harness.wait_for(lambda: len(results) > 4, 5.0, "an error")
         background.close()
+
+
+def test_rclpy_is_the_version_that_the_workarounds_are_for():
+    try:
+        found = metadata.version("ros-rclpy")
+    except metadata.PackageNotFoundError:
+        pytest.skip("rclpy is of an installed ROS 2, whose version the machine decides")
+    assert found == RCLPY_VERSION, "see the docstring of galen_ros/rclpy_workarounds.py"
