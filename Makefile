@@ -48,7 +48,7 @@ demo: build ## calibrate two tools on the simulated arm and show the report's ta
 	@$(ENTER) && python -m galen_bringup.demo $(ARGS)
 
 bench: build ## measure: nodes against a bare relay, kernels, start-up, diagnosis, bags (40 min)
-	@$(ENTER) && python -m benchmarks.bench --output output/bench.json $(ARGS)
+	@$(ENTER) && python -m benchmarks.speed --output output/bench.json $(ARGS)
 
 soak: build ## run the nodes for long: losses, memory, stamps; an hour simulated, 10 min at 1000 Hz
 	@$(ENTER) && python -m benchmarks.soak $(ARGS)

@@ -12,7 +12,7 @@ from rich.console import Console
 from rich.table import Table
 
 if TYPE_CHECKING:
-    from benchmarks.soak import Soaked
+    from benchmarks.soak.__main__ import Soaked
 
 _WARM_UP_SHARE = 0.1
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from benchmarks.stamp_ledger import Account, StampLedger
+from benchmarks.soak.ledger import Account, StampLedger
 
 MS = 1_000_000
 

@@ -1,6 +1,6 @@
 """Measures how fast everything is, each against a baseline in the same run: tables, and JSON.
 
-python -m benchmarks.bench --output output/bench.json
+python -m benchmarks.speed --output output/bench.json
 """
 
 from __future__ import annotations
@@ -10,30 +10,20 @@ import json
 import os
 import platform
 import sys
-import tempfile
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Callable, Iterable
+from dataclasses import asdict
 from datetime import UTC, datetime
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import numpy as np
-from galen_bags.command_line import check_file
 from galen_model.errors import GalenError
 from galen_model.files.atomic_file import write_whole
+from galen_ros.command import check_file
 from rich.console import Console
-from rich.table import Table
 
-from benchmarks import bags as bag_benchmark
-from benchmarks import compute as compute_benchmark
-from benchmarks import deflection as deflection_nodes
-from benchmarks import diagnosis as diagnose_benchmark
-from benchmarks import gravcomp as gravcomp_nodes
-from benchmarks import node as node_benchmark
-from benchmarks import node_table as node_benchmark_table
-from benchmarks import panel as panel_benchmark
-from benchmarks import startup as startup_benchmark
-from benchmarks.deflection_models import write_bench_models
+from benchmarks.speed import bags, computing, diagnosis, nodes, panel, startup
 
 _EPILOG = """\
 groups:
@@ -48,66 +38,15 @@ Least/median/largest of the rounds where a cell has three numbers. Nothing else 
 meanwhile: the load average before each group is in the JSON. Ends with 0; 1: a subject failed."""
 
 
-@dataclass(frozen=True)
-class Group:
-    """One group of measurements: `measure(options, progress)` gives dataclasses, for `table`."""
-
-    title: str
-    measure: Callable[[argparse.Namespace, Callable[[str], None]], Sequence[Any]]
-    table: Callable[[Any], Table]
-
-
-def measure_nodes(
-    options: argparse.Namespace, progress: Callable[[str], None]
-) -> list[node_benchmark.Measurement]:
-    """The nodes of the loop, beside the relays."""
-    topic = "wrench_raw"
-    with tempfile.TemporaryDirectory(prefix="galen_bench_") as directory:
-        folder = Path(directory)
-        subjects = [
-            *node_benchmark.relays(topic),
-            *gravcomp_nodes.subjects(folder),
-            node_benchmark.deflection_relay(topic),
-            *deflection_nodes.subjects(write_bench_models(folder), topic),
-        ]
-        if options.subjects:
-            wanted = ("relay", *options.subjects)
-            subjects = [one for one in subjects if one.name in wanted]
-        return node_benchmark.compare(
-            subjects, topic, options.rates, options.seconds, options.rounds, progress
-        )
-
-
-GROUPS = {
-    "nodes": Group("nodes beside bare relays", measure_nodes, node_benchmark_table.table),
-    "panel": Group(
-        "gravcomp at 500 Hz beside the panel",
-        lambda options, progress: panel_benchmark.measure(
-            options.seconds, options.rounds, progress
-        ),
-        panel_benchmark.table,
-    ),
-    "compute": Group(
-        "computing",
-        lambda options, progress: compute_benchmark.compare(3 * options.rounds, progress),
-        compute_benchmark.table,
-    ),
-    "startup": Group(
-        "start of a node's process",
-        lambda options, progress: startup_benchmark.compare(options.rounds, progress),
-        startup_benchmark.table,
-    ),
-    "diagnose": Group(
-        "diagnosis of one recording",
-        lambda options, progress: diagnose_benchmark.compare(options.rounds, progress),
-        diagnose_benchmark.table,
-    ),
-    "bags": Group(
-        "evaluate beside reading alone",
-        lambda options, progress: bag_benchmark.compare(options.hours, 500.0, progress),
-        bag_benchmark.table,
-    ),
+GROUPS: dict[str, ModuleType] = {
+    "nodes": nodes,
+    "panel": panel,
+    "compute": computing,
+    "startup": startup,
+    "diagnose": diagnosis,
+    "bags": bags,
 }
+"""Each module has a `TITLE`, `measure(options, progress)` and a `table` of what that gives."""
 
 
 def machine() -> dict[str, Any]:
@@ -161,7 +100,7 @@ def run(
         found = group.measure(options, progress)
         out[name] = {"load_before": load, "measured": [asdict(one) for one in found]}
         progress("")
-        console.rule(f"[bold]{group.title}", align="left")
+        console.rule(f"[bold]{group.TITLE}", align="left")
         console.print(group.table(found))
     return out
 

@@ -12,9 +12,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import argparse
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
+from itertools import count
 
 import numpy as np
 from galen_deflection.models.interface import Stream
@@ -27,30 +30,31 @@ from galen_model.load.model import gravity_regressor
 from galen_model.load.prediction import Prediction
 from rich.table import Table
 
-from benchmarks.bench_tool import bench_tool
-from benchmarks.deflection_models import bench_models
-from benchmarks.timing import Timing, time_calls
+from benchmarks.nominal import bench_models, bench_tool
+
+TITLE = "computing"
 
 _SAMPLES = 1_000_000
+_PERIOD_NS = 2_000_000
+_LEAST_S = 0.05
 _UNITS = (("ns", 1e9), ("us", 1e6), ("ms", 1e3), ("s", 1.0))
 _GRAVITY = np.array([0.0, 0.0, -9.81])
 
 
+Spread = tuple[float, float, float]
+"""Least, median and largest of the rounds."""
+
+
 @dataclass(frozen=True)
 class Compared:
-    """A subject beside its baseline: s a piece; ratio of the medians."""
+    """A subject beside its baseline, s a piece."""
 
     group: str
     subject: str
     baseline: str
     piece: str
-    time: Timing
-    baseline_time: Timing
-
-    @property
-    def ratio(self) -> float:
-        """Median over the baseline's."""
-        return self.time.median_s / self.baseline_time.median_s
+    time_s: Spread
+    baseline_s: Spread
 
 
 def peer_wrench(rotation: Array, mass_kg: float, com_m: Array, reading: Array) -> Array:
@@ -111,8 +115,7 @@ def arrays(rounds: int, samples: int = _SAMPLES) -> list[Compared]:
         # 8 doubles in, 6 out a sample; a copy of 7 reads 7 and writes 7.
         np.copyto(to_here, from_here)
 
-    times = time_calls({"ours": ours, "peer": by_peer, "copy": copied}, rounds)
-    each = {name: one.each(samples) for name, one in times.items()}
+    each = time_calls({"ours": ours, "peer": by_peer, "copy": copied}, rounds, pieces=samples)
     return [
         Compared("compensation, arrays", "kernel", name, "sample", each["ours"], each[key])
         for key, name in (("peer", "the peers' formula on arrays"), ("copy", "memory"))
@@ -149,27 +152,23 @@ def hysteresis(rounds: int) -> list[Compared]:
     random = np.random.default_rng(2)
     joints = np.array([0.0, 0.0, 0.408, 0.3, -0.2]) + 1e-4 * random.normal(size=(256, 5))
     wrench = 3.0 * np.sin(0.05 * np.arange(256))[:, None] * np.array([1, 0.3, 0.5, 0, 0, 0.01])
-    calls: dict[str, Callable[[], object]] = {}
-    for model in bench_models():
-        calls[model.name] = _Steps(model.stream(), joints, wrench)
-    times = {name: one.each(256) for name, one in time_calls(calls, rounds).items()}
+    calls: dict[str, Callable[[], object]] = {
+        model.name: partial(_step, model.stream(), list(zip(joints, wrench, strict=True)), count(1))
+        for model in bench_models()
+    }
+    times = time_calls(calls, rounds, pieces=256)
     springs, plays = times
     return [
         Compared("deflection, one sample", plays, springs, "sample", times[plays], times[springs])
     ]
 
 
-class _Steps:
-    """Streams all samples through a model, at 500 Hz by their stamps, again and again."""
-
-    def __init__(self, stream: Stream, joints: Array, wrench: Array) -> None:
-        self._stream, self._samples = stream, list(zip(joints, wrench, strict=True))
-        self._now_ns = 0
-
-    def __call__(self) -> None:
-        for joints, wrench in self._samples:
-            self._now_ns += 2_000_000
-            self._stream.step(self._now_ns, joints, wrench)
+def _step(stream: Stream, samples: list[tuple[Array, Array]], turns: Iterator[int]) -> None:
+    """Stream all samples through a model, at 500 Hz by their stamps, turn after turn."""
+    now_ns = next(turns) * len(samples) * _PERIOD_NS
+    for joints, wrench in samples:
+        now_ns += _PERIOD_NS
+        stream.step(now_ns, joints, wrench)
 
 
 def _sweeps(poses: int) -> tuple[StillPoses, StillPoses]:
@@ -200,31 +199,64 @@ def _with_offset(sweep: StillPoses, number: int) -> Array:
     return rows.reshape(n * axes, -1)
 
 
+def time_calls(
+    subjects: Mapping[str, Callable[[], object]], rounds: int, pieces: int = 1
+) -> dict[str, Spread]:
+    """Time each subject, s for one of the pieces that a call works on.
+
+    Subjects take turns, so that what else the machine does meets all of them. A round calls a
+    subject so often that it takes at least 0.05 s.
+    """
+    often = {name: _often(call) for name, call in subjects.items()}
+    seconds: dict[str, list[float]] = {name: [] for name in subjects}
+    for _ in range(rounds):
+        for name, call in subjects.items():
+            started = time.perf_counter()
+            for _ in range(often[name]):
+                call()
+            seconds[name].append((time.perf_counter() - started) / often[name] / pieces)
+    return {name: (min(each), float(np.median(each)), max(each)) for name, each in seconds.items()}
+
+
+def _often(call: Callable[[], object]) -> int:
+    """Count how many calls take that long; the first one, which fills caches, doesn't count."""
+    call()
+    number = 1
+    while True:
+        started = time.perf_counter()
+        for _ in range(number):
+            call()
+        taken = time.perf_counter() - started
+        if taken >= _LEAST_S:
+            return number
+        number = max(number + 1, int(1.2 * number * _LEAST_S / max(taken, 1e-9)))
+
+
 PARTS: tuple[Callable[[int], list[Compared]], ...] = (one_sample, arrays, regression, hysteresis)
 
 
-def compare(rounds: int, progress: Callable[[str], None]) -> list[Compared]:
+def measure(options: argparse.Namespace, progress: Callable[[str], None]) -> list[Compared]:
     """Time all of it; progress(what) is called before each part."""
     out = []
     for part in PARTS:
         progress(part.__name__.replace("_", " "))
-        out += part(rounds)
+        out += part(3 * options.rounds)
     return out
 
 
 def table(found: Sequence[Compared]) -> Table:
-    """A row a comparison: least/median/largest of the rounds, and the ratio of the medians."""
+    """Make a row a comparison: least/median/largest, and the ratio of the medians."""
     out = Table("what", "subject", "time", "baseline", "its time", "ratio", box=None,
                 header_style="bold")  # fmt: skip
     for one in found:
-        ours, base = (_words(each, one.piece) for each in (one.time, one.baseline_time))
-        out.add_row(one.group, one.subject, ours, one.baseline, base, f"{one.ratio:.2f}")
+        ours, base = (_words(each, one.piece) for each in (one.time_s, one.baseline_s))
+        ratio = one.time_s[1] / one.baseline_s[1]
+        out.add_row(one.group, one.subject, ours, one.baseline, base, f"{ratio:.2f}")
     return out
 
 
-def _words(time: Timing, piece: str) -> str:
+def _words(spread_s: Spread, piece: str) -> str:
     unit, scale = next(
-        ((unit, scale) for unit, scale in _UNITS if time.median_s * scale < 1000.0), _UNITS[-1]
+        ((unit, scale) for unit, scale in _UNITS if spread_s[1] * scale < 1000.0), _UNITS[-1]
     )
-    values = (time.least_s, time.median_s, time.largest_s)
-    return "/".join(f"{value * scale:.3g}" for value in values) + f" {unit} a {piece}"
+    return "/".join(f"{value * scale:.3g}" for value in spread_s) + f" {unit} a {piece}"

@@ -21,8 +21,8 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterable, Sequence
-from contextlib import ExitStack
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, contextmanager
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
@@ -43,13 +43,13 @@ from rich.console import Console
 from tqdm import tqdm
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
-from benchmarks.bench_tool import NAME, write_bench_tool
-from benchmarks.deflection_models import write_bench_models
-from benchmarks.node import cpu_s
-from benchmarks.soak_report import print_report, save_plot
-from benchmarks.stamp_ledger import Account, StampLedger
+from benchmarks.nominal import NAME, write_bench_models, write_bench_tool
+from benchmarks.soak.ledger import Account, StampLedger
+from benchmarks.soak.report import print_report, save_plot
+from benchmarks.speed.nodes import cpu_s
 from galen_msgs.msg import DeflectionStamped
 
+KINDS = ("simulated", "real")
 _WINDOW_S = 5.0
 _MOVE_EVERY_S = 4.0
 _START_TIMEOUT_S = 60.0
@@ -177,7 +177,7 @@ def soak(kind: str, seconds: float, speed: float, rate_hz: float, folder: Path) 
             pids["deflection"] = processes.start(
                 "galen_deflection", "deflection_node", ros_arguments({"model_file": springs})
             )
-            pids["sender"] = stack.enter_context(_Sender(rate_hz)).pid
+            pids["sender"] = stack.enter_context(_sender(rate_hz))
         executor = make_executor()
         listener = Listener(with_deflection=not simulated)
         executor.add_node(listener)
@@ -187,23 +187,16 @@ def soak(kind: str, seconds: float, speed: float, rate_hz: float, folder: Path) 
         return _watch(kind, seconds, listener, executor, processes, pids)
 
 
-class _Sender:
-    """The benchmark's sender as a process."""
-
-    def __init__(self, rate_hz: float) -> None:
-        self._rate_hz = rate_hz
-
-    def __enter__(self) -> subprocess.Popen[bytes]:
-        """Start it."""
-        module = ["benchmarks.node", "sender", "wrench_raw", "--moving"]
-        command = [sys.executable, "-m", *module, "--rate", str(self._rate_hz)]
-        self._process = subprocess.Popen(command)
-        return self._process
-
-    def __exit__(self, *_: object) -> None:
-        """End it."""
-        self._process.terminate()
-        self._process.wait(timeout=10.0)
+@contextmanager
+def _sender(rate_hz: float) -> Iterator[int]:
+    """Run the benchmark's sender; gives its process id."""
+    arguments = ["benchmarks.speed.relays", "sender", "wrench_raw", str(rate_hz), "moving"]
+    process = subprocess.Popen([sys.executable, "-m", *arguments])
+    try:
+        yield process.pid
+    finally:
+        process.terminate()
+        process.wait(timeout=10.0)
 
 
 def _watch(
@@ -276,8 +269,7 @@ def build_parser() -> argparse.ArgumentParser:
         description=(__doc__ or "").partition("\n")[0],
         epilog="Ends with 1 where a wrench was lost, doubled, made up or out of order.",
     )
-    kinds = ("simulated", "real")
-    parser.add_argument("--only", nargs="+", choices=kinds, default=list(kinds), help="which")
+    parser.add_argument("--only", nargs="+", choices=KINDS, default=list(KINDS), help="which")
     parser.add_argument("--hours", type=float, default=1.0, help="of simulated time (1)")
     parser.add_argument("--speed", type=float, default=4.0, help="simulated over wall time (4)")
     parser.add_argument("--minutes", type=float, default=10.0, help="of real time (10)")
@@ -294,7 +286,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = build_parser().parse_args(arguments)
     os.environ.setdefault("OMP_NUM_THREADS", "1")
     found = []
-    for kind in _each(options.only):
+    for kind in (kind for kind in KINDS if kind in options.only):
         simulated = kind == "simulated"
         seconds = 3600.0 * options.hours / options.speed if simulated else 60.0 * options.minutes
         with tempfile.TemporaryDirectory(prefix="galen_soak_") as folder:
@@ -309,10 +301,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
         for one in found:
             print_report(one, console)
     return 0 if all(one.whole for one in found) else 1
-
-
-def _each(kinds: Iterable[str]) -> list[str]:
-    return [kind for kind in ("simulated", "real") if kind in set(kinds)]
 
 
 if __name__ == "__main__":

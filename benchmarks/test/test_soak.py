@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from benchmarks.soak import soak
-from benchmarks.soak_report import print_report, save_plot, slope_per_hour
+from benchmarks.soak.__main__ import soak
+from benchmarks.soak.report import print_report, save_plot, slope_per_hour
 
 
 @pytest.mark.slow

@@ -1,14 +1,15 @@
-"""What the operator's panel costs, itself and the loop: nobody has it open, or a browser plots.
+"""What the operator's panel costs, itself and the loop: closed, or plotting in a browser.
 
-`gravcomp` in turn without a panel, beside one that nobody has open, and beside one whose page
-"Live" is open in a headless Chromium, by `benchmarks.node`. The browser would run on
-the operator's computer; here it takes its part of the same cores. So once it draws, and once it
-only takes what the panel sends and says that it was drawn: what is left is what the panel takes
-from a robot's computer when somebody plots on another one.
+`gravcomp` in turn without a panel, beside one without a page, and beside one whose page "Live" is
+open in a headless Chromium, by `benchmarks.speed.nodes`. The browser would run on the operator's
+computer; here it takes its part of the same cores. So once it draws, and once it only takes what
+the panel sends and answers that it was drawn: the rest is what the panel takes from a robot's
+computer when a page on another one plots.
 """
 
 from __future__ import annotations
 
+import argparse
 import os
 import shutil
 import socket
@@ -26,11 +27,18 @@ from urllib.request import urlopen
 
 from rich.table import Table
 
-from benchmarks import gravcomp as gravcomp_nodes
-from benchmarks.node import Measurement, Subject, compare, cpu_s, relays
-from benchmarks.node_table import ratios, spread
+from benchmarks.speed.nodes import (
+    Measurement,
+    Subject,
+    compare,
+    cpu_s,
+    gravcomp_nodes,
+    ratios,
+    relays,
+    spread,
+)
 
-_TOPIC = "wrench_raw"
+TITLE = "gravcomp at 500 Hz beside the panel"
 _RATE_HZ = 500.0
 _START_TIMEOUT_S = 60.0
 _WARM_UP_S = 5.0
@@ -55,7 +63,7 @@ _PANEL, _BROWSER = "panel", "browser"
 
 
 def browser_lacks() -> str:
-    """Why no page can be opened here; empty where one can."""
+    """Return why no page can be opened here; empty where one can."""
     try:
         import selenium  # noqa: F401
     except ImportError:
@@ -65,8 +73,8 @@ def browser_lacks() -> str:
 
 
 def subjects(folder: Path) -> list[Subject]:
-    """A bare relay, and gravcomp with more and more beside it; writes its tool into `folder`."""
-    node = gravcomp_nodes.subjects(folder)[0]
+    """Return a bare relay, and gravcomp with more and more beside it; writes into `folder`."""
+    node = gravcomp_nodes(folder)[0]
 
     def beside(what: str, drawn: bool | None) -> Subject:
         return replace(
@@ -76,26 +84,24 @@ def subjects(folder: Path) -> list[Subject]:
             beside=lambda environment: _panel(folder, environment, drawn),
         )
 
-    out = [relays(_TOPIC)[0], node, beside("panel that nobody has open", None)]
+    out = [relays()[0], node, beside("panel without a page", None)]
     if not browser_lacks():
         out += [beside("page that plots", True), beside("page that plots, not drawn here", False)]
     return out
 
 
-def measure(
-    seconds: float, rounds: int, progress: Callable[[str], None] = lambda what: None
-) -> list[Measurement]:
-    """All subjects in turn; progress(what) is called before each."""
+def measure(options: argparse.Namespace, progress: Callable[[str], None]) -> list[Measurement]:
+    """Measure all subjects in turn; progress(what) is called before each."""
     lacks = browser_lacks()
     if lacks:
         progress(f"no page is opened: {lacks}")
     with tempfile.TemporaryDirectory(prefix="galen_bench_") as directory:
         found = subjects(Path(directory))
-        return compare(found, _TOPIC, [_RATE_HZ], seconds, rounds, progress)
+        return compare(found, [_RATE_HZ], options.seconds, options.rounds, progress)
 
 
 def table(found: Sequence[Measurement]) -> Table:
-    """A row a subject: least/median/largest of the rounds; CPU in % of a core."""
+    """Make a row a subject: least/median/largest of the rounds; CPU in % of a core."""
     out = Table(
         "subject", "lost", "CPU %", "x relay", "p50 ms", "p99 ms", "x relay", "panel's CPU %",
         "browser's CPU %", box=None, header_style="bold",
@@ -124,7 +130,7 @@ def table(found: Sequence[Measurement]) -> Table:
 def _panel(
     folder: Path, environment: Mapping[str, str], drawn: bool | None
 ) -> Iterator[Callable[[], dict[str, float]]]:
-    """A panel, and a browser on its page; gives their CPU time so far, s.
+    """Run a panel, and a browser on its page; gives their CPU time so far, s.
 
     drawn: whether the browser draws what it is sent; None for no browser.
     """

@@ -1,4 +1,4 @@
-"""Time and memory of `evaluate` against only reading the same bag with the library rosbags.
+"""Time and memory of `evaluate` on bags, beside only reading them with the library rosbags.
 
     make bench ARGS="--only bags --hours 0.25 0.5 1"
 
@@ -21,7 +21,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -36,15 +36,17 @@ from galen_ros.cdr.layout import JointStateBytes, WrenchBytes
 from rich.table import Table
 from tqdm import tqdm
 
-from benchmarks.bench_tool import bench_tool
+from benchmarks.nominal import bench_tool
 
+TITLE = "evaluate beside reading alone"
+_RATE_HZ = 500.0
 _START_NS = 1_767_225_600_000_000_000
 _BLOCK_S = 60.0
 _HOLD_S, _MOVE_S = 4.0, 2.0
 
 
 @dataclass(frozen=True)
-class Measurement:
+class Read:
     """One subject on one bag."""
 
     subject: str
@@ -55,12 +57,12 @@ class Measurement:
     peak_mb: float
 
 
-def generate(path: Path, hours: float, rate_hz: float, *, quiet: bool) -> int:
+def generate(path: Path, hours: float, *, quiet: bool) -> int:
     """Write a recording: a pose is held for 4 s, then 2 s of motion; returns the messages."""
     rng = np.random.default_rng(1)
     tool = bench_tool()
-    period_ns = round(1e9 / rate_hz)
-    total = round(hours * 3600.0 * rate_hz)
+    period_ns = round(1e9 / _RATE_HZ)
+    total = round(hours * 3600.0 * _RATE_HZ)
     joint_bytes, wrench_bytes = JointStateBytes(JOINT_NAMES), WrenchBytes("ft_sensor")
     goals = rng.uniform([-1.3, -0.9], [1.3, 0.9], size=(round(hours * 3600 / 6) + 2, 2))
     with (
@@ -69,10 +71,10 @@ def generate(path: Path, hours: float, rate_hz: float, *, quiet: bool) -> int:
     ):
         joints = bag.add_topic("joint_states", "sensor_msgs/msg/JointState")
         wrenches = bag.add_topic("wrench_raw", "geometry_msgs/msg/WrenchStamped")
-        block = round(_BLOCK_S * rate_hz)
+        block = round(_BLOCK_S * _RATE_HZ)
         for first in range(0, total, block):
             number = np.arange(first, min(first + block, total))
-            angles = _angles(number / rate_hz, goals)
+            angles = _angles(number / _RATE_HZ, goals)
             noise = SENSOR.noise_std * rng.normal(size=(len(number), 6))
             wrench = tool.predict(angles[:, 0], angles[:, 1]) + noise
             wrench = np.round(wrench / SENSOR.quantum) * SENSOR.quantum
@@ -141,9 +143,9 @@ SUBJECTS: dict[str, Callable[[Path, Path], int]] = {
 _BASELINE = "rosbags read and deserialise"
 
 
-def measure(subject: str, bag: Path, tool: Path, hours: float, messages: int) -> Measurement:
+def _measure_once(subject: str, bag: Path, tool: Path, hours: float, messages: int) -> Read:
     """Run a subject in a process of its own."""
-    command = [sys.executable, "-m", "benchmarks.bags", subject]
+    command = [sys.executable, "-m", "benchmarks.speed.bags", subject]
     done = subprocess.run(
         [*command, str(bag), str(tool)], check=True, capture_output=True, text=True
     )
@@ -151,9 +153,7 @@ def measure(subject: str, bag: Path, tool: Path, hours: float, messages: int) ->
     if found["messages"] != messages:
         raise RuntimeError(f"{subject} saw {found['messages']} of {messages} messages")
     seconds = found["seconds"]
-    return Measurement(
-        subject, hours, messages, seconds, 1e6 * seconds / messages, found["peak_mb"]
-    )
+    return Read(subject, hours, messages, seconds, 1e6 * seconds / messages, found["peak_mb"])
 
 
 def run_subject(subject: str, bag: Path, tool: Path) -> None:
@@ -171,7 +171,7 @@ def _peak_mb() -> float:
     return int(peak) * 1024 / 1e6
 
 
-def table(measurements: list[Measurement]) -> Table:
+def table(measurements: list[Read]) -> Table:
     """Each subject at each length, and its time over the baseline's."""
     out = Table("subject", box=None, header_style="bold")
     for name in ("hours", "messages", "s", "us a message", "of the baseline", "peak MB"):
@@ -188,31 +188,25 @@ def table(measurements: list[Measurement]) -> Table:
     return out
 
 
-def compare(
-    hours: Sequence[float], rate_hz: float, progress: Callable[[str], None]
-) -> list[Measurement]:
+def measure(options: argparse.Namespace, progress: Callable[[str], None]) -> list[Read]:
     """Measure every subject on bags of these lengths; progress(what) is called before each."""
-    out: list[Measurement] = []
-    for length in hours:
+    out: list[Read] = []
+    for length in options.hours:
         with tempfile.TemporaryDirectory(prefix="galen_bench_") as directory:
             bag, tool = Path(directory, "bag"), Path(directory, "bench.json")
             write_calibration(tool, bench_tool())
             progress(f"writing a bag of {length:g} h")
-            messages = generate(bag, length, rate_hz, quiet=not sys.stderr.isatty())
+            messages = generate(bag, length, quiet=not sys.stderr.isatty())
             for name in SUBJECTS:
                 progress(f"{name}, {length:g} h")
-                out.append(measure(name, bag, tool, length, messages))
+                out.append(_measure_once(name, bag, tool, length, messages))
     return out
 
 
 def main() -> None:
     """Run one subject: `compare` calls it."""
-    parser = argparse.ArgumentParser(description="a process that a benchmark of bags needs")
-    parser.add_argument("subject", choices=SUBJECTS)
-    parser.add_argument("bag", type=Path)
-    parser.add_argument("tool", type=Path)
-    options = parser.parse_args()
-    run_subject(options.subject, options.bag, options.tool)
+    subject, bag, tool = sys.argv[1:]
+    run_subject(subject, Path(bag), Path(tool))
 
 
 if __name__ == "__main__":

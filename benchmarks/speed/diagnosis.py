@@ -6,6 +6,7 @@ is rosbags reading and deserialising every message of it.
 
 from __future__ import annotations
 
+import argparse
 import statistics
 import tempfile
 import time
@@ -19,9 +20,10 @@ from galen_diagnosis.observation.recording import read_recording
 from galen_sim_driver.effects.sensor.axis_gain import AxisGain
 from rich.table import Table
 
-from benchmarks.bags import rosbags_deserialise
-from benchmarks.node_table import spread
+from benchmarks.speed.bags import rosbags_deserialise
+from benchmarks.speed.nodes import spread
 
+TITLE = "diagnosis of one recording"
 BASELINE = "rosbags read and deserialise"
 WHOLE = "whole diagnosis"
 _EFFECT = AxisGain(gain=(0.05, 0.0, 0.0, 0.0, 0.0, 0.0))
@@ -35,7 +37,7 @@ class Part:
     seconds: float
 
 
-def compare(rounds: int, progress: Callable[[str], None]) -> list[Part]:
+def measure(options: argparse.Namespace, progress: Callable[[str], None]) -> list[Part]:
     """Diagnose the recording so often; progress(what) is called before each."""
     found: list[Part] = []
     with tempfile.TemporaryDirectory(prefix="galen_bench_") as directory:
@@ -43,8 +45,8 @@ def compare(rounds: int, progress: Callable[[str], None]) -> list[Part]:
         progress("simulating a recording")
         make_recording(recording, [_EFFECT], seed=1)
         bags = [metadata.parent for metadata in sorted(recording.glob("*/metadata.yaml"))]
-        for number in range(rounds):
-            progress(f"diagnosis {number + 1} of {rounds}")
+        for number in range(options.rounds):
+            progress(f"diagnosis {number + 1} of {options.rounds}")
             found.append(Part(BASELINE, _timed(lambda: [rosbags_deserialise(b, b) for b in bags])))
             began_s = time.perf_counter()
             read = read_recording(recording, None)

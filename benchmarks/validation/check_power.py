@@ -1,6 +1,6 @@
 """How often the quick check is right: simulated changes, its answers, and what they could tell.
 
-    python -m benchmarks.check_power --checks 200
+    python -m benchmarks.validation.check_power --checks 200
 
 Readings are the simulated sensor's, white noise and quantum, averaged over 0.5 s at 500 Hz. Every
 tenth check has a calibration of its own (two sweeps of the default grid) and a place of its own.
@@ -267,7 +267,7 @@ def _words(counts: dict[str, int]) -> str:
 def main(arguments: list[str] | None = None) -> None:
     """Print the tables, or JSON."""
     parser = argparse.ArgumentParser(
-        prog="python -m benchmarks.check_power",
+        prog="python -m benchmarks.validation.check_power",
         description=__doc__.partition("\n")[0],
         epilog="exit codes: 0 done, 2 wrong arguments, 130 interrupted (Ctrl-C)",
     )

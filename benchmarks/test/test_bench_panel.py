@@ -4,14 +4,15 @@ import io
 import os
 import subprocess
 import sys
+from argparse import Namespace
 from pathlib import Path
 
 import pytest
 from rich.console import Console
 
-from benchmarks import panel as panel_benchmark
-from benchmarks.node import Measurement
-from benchmarks.panel import browser_lacks, measure, subjects, table
+from benchmarks.speed import panel as panel_benchmark
+from benchmarks.speed.nodes import Measurement
+from benchmarks.speed.panel import browser_lacks, measure, subjects, table
 
 BUSY = """
 import subprocess, sys, time
@@ -46,7 +47,7 @@ def test_without_a_browser_no_page_is_opened(tmp_path, monkeypatch):
     monkeypatch.setattr(panel_benchmark.shutil, "which", lambda _name: None)
     assert browser_lacks() == "chromium and chromedriver not found: make browser"
     assert [one.name for one in subjects(tmp_path)] == [
-        "relay", "gravcomp", "gravcomp, panel that nobody has open",
+        "relay", "gravcomp", "gravcomp, panel without a page",
     ]  # fmt: skip
 
 
@@ -78,10 +79,11 @@ def test_it_measures_and_leaves_nothing_behind(monkeypatch):
     # NiceGUI would serve a test of its own kind.
     monkeypatch.delenv("PYTEST_CURRENT_TEST")
     before = children(os.getpid())
-    found = {one.subject: one for one in measure(1.0, 1)}
+    options = Namespace(seconds=1.0, rounds=1)
+    found = {one.subject: one for one in measure(options, print)}
     assert set(children(os.getpid())) <= set(before)
     assert set(found["gravcomp"].beside_percent) == set()
-    assert set(found["gravcomp, panel that nobody has open"].beside_percent) == {"panel"}
+    assert set(found["gravcomp, panel without a page"].beside_percent) == {"panel"}
     if not browser_lacks():
         for page in ("page that plots", "page that plots, not drawn here"):
             beside = found[f"gravcomp, {page}"].beside_percent

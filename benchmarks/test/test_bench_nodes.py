@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from benchmarks.node import Measurement, lost_between
-from benchmarks.node_table import ratios, spread, table
+from benchmarks.speed.nodes import Measurement, lost_between, ratios, spread, table
 
 TEN_US = 10_000
 

@@ -6,6 +6,7 @@ name). CPU is user and system time of the process until then.
 
 from __future__ import annotations
 
+import argparse
 import os
 import statistics
 import subprocess
@@ -23,10 +24,10 @@ from galen_ros.node.spin import make_executor
 from rclpy.node import Node
 from rich.table import Table
 
-from benchmarks.bench_tool import NAME, write_bench_tool
-from benchmarks.node import cpu_s
-from benchmarks.node_table import spread
+from benchmarks.nominal import NAME, write_bench_tool
+from benchmarks.speed.nodes import cpu_s, spread
 
+TITLE = "start of a node's process"
 _LONGEST_S = 60.0
 _POLL_S = 0.02
 
@@ -45,7 +46,7 @@ def subjects(folder: Path) -> dict[str, tuple[str, tuple[str, ...]]]:
     tools = ("-p", f"tools_dir:={folder}")
     ros = ("--ros-args", "--log-level", "error")
     return {
-        "relay": ("relay", ("benchmarks.node", "relay", "wrench_raw")),
+        "relay": ("relay", ("benchmarks.speed.relays", "relay", "wrench_raw")),
         "gravcomp_node": (
             "gravcomp",
             ("galen_gravcomp.node", *ros, *tools, "-p", f"tool:={NAME}"),
@@ -55,7 +56,6 @@ def subjects(folder: Path) -> dict[str, tuple[str, tuple[str, ...]]]:
         "calibration_node": ("calibration", ("galen_calibration_behavior.node", *ros, *tools)),
         "check_node": ("check", ("galen_calibration_behavior.quick_check.node", *ros, *tools)),
         "collection_node": ("collection", ("galen_deflection.collection.node", *ros, *tools)),
-        "gap_monitor": ("gap_monitor", ("galen_diagnosis.monitor.node", *ros, *tools)),
     }
 
 
@@ -108,13 +108,13 @@ def start(subject: str, name: str, arguments: Sequence[str]) -> Started:
         lock.release()
 
 
-def compare(rounds: int, progress: Callable[[str], None]) -> list[Started]:
+def measure(options: argparse.Namespace, progress: Callable[[str], None]) -> list[Started]:
     """Start every node so often, in turns; progress(what) is called before each."""
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     found: list[Started] = []
     with tempfile.TemporaryDirectory() as folder:
         write_bench_tool(Path(folder))
-        for _ in range(rounds):
+        for _ in range(options.rounds):
             for subject, (name, arguments) in subjects(Path(folder)).items():
                 progress(f"start of {subject}")
                 found.append(start(subject, name, arguments))

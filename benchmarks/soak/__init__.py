@@ -1,0 +1,1 @@
+"""Long runs that compare every stamp and watch memory."""

@@ -1,0 +1,1 @@
+"""Speed of nodes, kernels, start-up and recordings, each beside a baseline."""

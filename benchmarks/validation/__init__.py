@@ -1,0 +1,1 @@
+"""Long scores of the suite's own statements."""
