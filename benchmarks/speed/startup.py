@@ -54,7 +54,6 @@ def subjects(folder: Path) -> dict[str, tuple[str, tuple[str, ...]]]:
         "deflection_node": ("deflection", ("galen_deflection.node", *ros)),
         "sim_driver_node": ("sim_driver", ("galen_sim_driver.node.sim_driver_node", *ros)),
         "calibration_node": ("calibration", ("galen_calibration_behavior.node", *ros, *tools)),
-        "check_node": ("check", ("galen_calibration_behavior.quick_check.node", *ros, *tools)),
         "collection_node": ("collection", ("galen_deflection.collection.node", *ros, *tools)),
     }
 
