@@ -6,7 +6,7 @@ Springs with Dahl's friction under a torque, and lost motion that friction takes
 
 import numpy as np
 from deflection_synthetic import dahl
-from galen_deflection.transmission.runs import Run
+from galen_model.transmission.joint_run import JointRun
 
 RATE_HZ = 100.0
 STIFFNESS = 5e3  # N.m/rad
@@ -49,7 +49,7 @@ def dahl_run(name, seed, seconds=20.0, noise=NOISE_RAD, delay_s=0.0):
     torque = load(time_s, seed)
     lag = dahl(torque, STIFFNESS, FRICTION_NM, steps=2)
     link = np.interp(time_s - delay_s, time_s, motor - lag)
-    return Run(name, time_s, motor, link + noise * white(len(time_s), seed), torque)
+    return JointRun(name, time_s, motor, link + noise * white(len(time_s), seed), torque)
 
 
 def lost_run(name, seed, seconds=20.0):
@@ -57,7 +57,7 @@ def lost_run(name, seed, seconds=20.0):
     time_s, motor = motion(seconds, seed)
     torque = load(time_s, seed)
     lag = torque / STIFFNESS + taken_up(motor, LOST_RAD, 3e-3)
-    return Run(name, time_s, motor, motor - lag + NOISE_RAD * white(len(time_s), seed), torque)
+    return JointRun(name, time_s, motor, motor - lag + NOISE_RAD * white(len(time_s), seed), torque)
 
 
 def spring_run(name, seed, noise, seconds=20.0):
@@ -65,7 +65,7 @@ def spring_run(name, seed, noise, seconds=20.0):
     time_s, motor = motion(seconds, seed)
     torque = load(time_s, seed)
     link = motor - torque / STIFFNESS + noise * white(len(time_s), seed)
-    return Run(name, time_s, motor, link, torque)
+    return JointRun(name, time_s, motor, link, torque)
 
 
 def white(count, seed):

@@ -13,49 +13,30 @@ from galen_deflection.collection.commands import (
     Record,
     State,
 )
-from galen_deflection.collection.plan import LoadLimits, make_plan
-from galen_deflection.collection.procedure import CollectionProcedure, CollectionSettings
-from galen_deflection.collection.push import PushLimits
-from galen_deflection.collection.untouched import UntouchedSettings
-from galen_ros.goal.arrival import ArrivalSettings
+from galen_deflection.collection.parameters import CollectionParameters
+from galen_deflection.collection.plan import make_plan
+from galen_deflection.collection.procedure import CollectionProcedure
 from galen_ros.goal.commands import MoveTo, Stop
 
-SETTINGS = CollectionSettings(
-    arrival=ArrivalSettings(
-        position_tolerance=np.array([5e-4] * 3 + [3e-3] * 2),
-        velocity_tolerance=np.array([5e-4] * 3 + [2e-3] * 2),
-        velocity_window_s=0.1,
-        settle_s=0.1,
-        max_stamp_step_s=0.05,
-    ),
-    max_velocity=np.array([0.5] * 3 + [5.0] * 2),
-    max_acceleration=np.array([5.0] * 3 + [50.0] * 2),
+SETTINGS = CollectionParameters(
+    settle_s=0.1,
+    max_delta_velocity_m_s=0.5,
+    max_angle_velocity_rad_s=5.0,
+    max_delta_acceleration_m_s2=5.0,
+    max_angle_acceleration_rad_s2=50.0,
     motion_timeout_s=2.0,
-    untouched=UntouchedSettings(
-        duration_s=1.0, tolerance=np.array([0.2] * 3 + [0.02] * 3), max_gap_s=0.2
-    ),
+    untouched_s=1.0,
     untouched_timeout_s=4.0,
-    push=PushLimits(
-        level_tolerance=0.15,
-        aside_share=0.3,
-        overload_share=1.5,
-        released=(0.15, 0.02),
-        hold_s=0.3,
-        rest_s=0.2,
-        release_timeout_s=1.0,
-    ),
+    overload_share=1.5,
+    hold_s=0.3,
+    rest_s=0.2,
+    release_timeout_s=1.0,
     push_timeout_s=1.2,
     push_rise_s=0.2,
     push_fall_s=0.2,
-    push_retries=1,
     max_left_out_in_a_row=3,
-    limits=LoadLimits(force_n=20.0, torque_nm=4.0),
-    max_stamp_offset_s=0.2,
-    shift_tolerance_m=1e-4,
-    shift_tolerance_rad=3e-4,
-    silent_timeout_s=2.0,
+    max_torque_nm=4.0,
     service_timeout_s=5.0,
-    stop_timeout_s=3.0,
 )
 POSITIONS = [[0.0, 0.0, 0.408, 0.0, 0.0], [0.02, -0.02, 0.42, 0.3, -0.2]]
 

@@ -18,9 +18,9 @@ from galen_deflection.models.hysteresis_basis import (
 from galen_deflection.models.joint_hysteresis import LEADS, OF_PLATFORM, fit
 from galen_deflection.models.least_squares import blocks
 from galen_deflection.models.linear import LinearModel
-from galen_deflection.springs.hysteresis import PlayOperators
 from galen_model.arm.kinematics import sensor_pose, tip_pose
 from galen_model.arm.stiffness import platform_stiffness
+from galen_model.transmission.play import PlayOperators
 from galen_model.wrench import move_twist, move_wrench
 
 THRESHOLDS = np.array([0.0, 0.1, 0.35, 0.8])

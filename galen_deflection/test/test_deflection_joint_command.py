@@ -8,11 +8,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from galen_bags.arrays.joint_table import JointColumns, read_joint_run, read_joint_runs
 from galen_bags.arrays.text_table import TableError
 from galen_deflection.transmission.comparison import JointSettings, compare
 from galen_deflection.transmission.fit_joint import main
-from galen_deflection.transmission.parts import whole_runs
-from galen_deflection.transmission.runs import ColumnMap, read_run, read_runs
+from galen_model.transmission.parts import whole_runs
 from joint_synthetic import RATE_HZ, STIFFNESS, lost_run, spring_run, write_csv
 
 REAL = Path(__file__).resolve().parents[3] / "shared" / "data" / "real"
@@ -38,13 +38,13 @@ def test_columns_gears_and_senses(tmp_path):
     run = spring_run("geared", 1, 1e-5, seconds=2.0)
     shaft = replace(run, motor=100.0 * run.motor, link=-run.link, torque=run.torque / -100.0)
     file = write_csv(tmp_path / "geared.csv", shaft, "ms,q_m,q_l,tau")
-    columns = ColumnMap("ms", "q_m", "q_l", "tau", 1e-3, None, True, 100.0, -100.0)
-    read = read_run(file, columns)
+    columns = JointColumns("ms", "q_m", "q_l", "tau", 1e-3, None, True, 100.0, -100.0)
+    read = read_joint_run(file, columns)
     assert read.name == "geared"
     assert read.lag == pytest.approx(run.lag, abs=1e-8)
     assert read.torque == pytest.approx(run.torque)
     assert read.time_s == pytest.approx(1e-3 * run.time_s)
-    by_rate = read_run(file, replace(columns, t=None, rate_hz=RATE_HZ))
+    by_rate = read_joint_run(file, replace(columns, t=None, rate_hz=RATE_HZ))
     assert by_rate.time_s == pytest.approx(run.time_s)
 
 
@@ -52,38 +52,40 @@ def test_stamps_that_cannot_be_are_told_with_their_line(table, tmp_path):
     text = table.read_text()
     edited(table, 12, text.splitlines()[10])
     with pytest.raises(TableError, match=r"run.csv: line 12: the time 0.09 in column 't' does not"):
-        read_run(table, ColumnMap())
+        read_joint_run(table, JointColumns())
     table.write_text("\n".join(text.splitlines()[:40] + text.splitlines()[60:]) + "\n")
     with pytest.raises(TableError, match=r"run.csv: line 41: 0.21 after the reading before it"):
-        read_run(table, ColumnMap())
+        read_joint_run(table, JointColumns())
     fast = spring_run("fast", 1, 1e-5, seconds=2.0)
     file = write_csv(tmp_path / "fast.csv", replace(fast, time_s=1e-3 * fast.time_s))
     with pytest.raises(TableError, match=r"fast.csv: column 't' steps by 1e-05; .* --time-scale"):
-        read_run(file, ColumnMap())
-    assert read_run(file, ColumnMap(time_scale_s=1e3)).step_s == pytest.approx(1.0 / RATE_HZ)
+        read_joint_run(file, JointColumns())
+    assert read_joint_run(file, JointColumns(time_scale_s=1e3)).step_s == pytest.approx(
+        1.0 / RATE_HZ
+    )
 
 
 def test_columns_that_do_not_do_are_told(table):
     with pytest.raises(TableError, match=r"run.csv: no column 'tau'; there are t, motor"):
-        read_run(table, ColumnMap(torque="tau"))
+        read_joint_run(table, JointColumns(torque="tau"))
     with pytest.raises(TableError, match="two runs have the name run"):
-        read_runs([table, table], ColumnMap())
+        read_joint_runs([table, table], JointColumns())
     with pytest.raises(TableError, match="'motor' and 'motor' are the same but for an offset"):
-        read_run(table, ColumnMap(link="motor"))
+        read_joint_run(table, JointColumns(link="motor"))
     text = table.read_text()
     edited(table, 20, "0.18,0.1,0.1,1e200")
     with pytest.raises(TableError, match="column 'torque': '1e200' is not a finite number"):
-        read_run(table, ColumnMap())
+        read_joint_run(table, JointColumns())
     edited(table, 20, "0.18,0.1,nan,3")
     with pytest.raises(TableError, match=r"line 20, column 'link': 'nan' is not a finite number"):
-        read_run(table, ColumnMap())
+        read_joint_run(table, JointColumns())
     table.write_text("\n".join(text.splitlines()[:30]) + "\n")
     with pytest.raises(TableError, match=r"run.csv: 29 readings"):
-        read_run(table, ColumnMap())
+        read_joint_run(table, JointColumns())
     still = "".join(f"{k / 100},{k},1.5,2\n" for k in range(60))
     table.write_text("t,motor,link,torque\n" + still)
     with pytest.raises(TableError, match=r"column 'link' never changes"):
-        read_run(table, ColumnMap())
+        read_joint_run(table, JointColumns())
 
 
 # --- the command ----------------------------------------------------------------------------------

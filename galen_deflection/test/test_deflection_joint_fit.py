@@ -9,9 +9,9 @@ from galen_deflection.transmission.comparison import OURS, JointSettings, compar
 from galen_deflection.transmission.joint_fit import CellSums, fit_terms
 from galen_deflection.transmission.joint_parameters import estimate
 from galen_deflection.transmission.joint_report import notes
-from galen_deflection.transmission.parts import PartsError, time_blocks, whole_runs
-from galen_deflection.transmission.runs import Run, encoder_step, noise_of, swapped
-from galen_deflection.transmission.terms import TERMS, Scales, design, velocity
+from galen_model.transmission.joint_run import JointRun, encoder_step, noise_of, swapped
+from galen_model.transmission.parts import PartsError, time_blocks, whole_runs
+from galen_model.transmission.terms import TERMS, Scales, design, velocity
 from joint_synthetic import (
     LOST_RAD,
     NOISE_RAD,
@@ -118,14 +118,14 @@ def test_terms_look_neither_ahead_nor_at_the_link():
 
 def test_velocity_is_that_of_now_even_in_acceleration():
     time_s = np.arange(300) / 100.0
-    run = Run("run", time_s, 0.5 * time_s**2, time_s, time_s)
+    run = JointRun("run", time_s, 0.5 * time_s**2, time_s, time_s)
     assert velocity(run, 0.1)[50:] == pytest.approx(time_s[50:], abs=1e-9)
     assert velocity(run, 0.1)[0] == 0.0
 
 
 def test_the_direction_fades_where_it_is_told_to():
     time_s = np.arange(300) / 100.0
-    run = Run("run", time_s, 0.02 * time_s, time_s, time_s)
+    run = JointRun("run", time_s, 0.02 * time_s, time_s, time_s)
     for given, expected in ((0.02, np.tanh(1.0)), (None, 1.0)):
         scales = Scales.of([run], [np.full(300, True)], 0.1, given)
         direction = design(run, scales)[50:, TERMS.index("direction")]
@@ -157,7 +157,7 @@ def test_swapped_ends_are_told():
     for k, angle in enumerate(motor):
         at = min(max(at, angle - 0.02), angle + 0.02)
         link[k] = at
-    run = Run("run", time_s, motor, link, np.sin(time_s))
+    run = JointRun("run", time_s, motor, link, np.sin(time_s))
     assert not swapped([run])
     assert swapped([replace(run, motor=link, link=motor)])
     assert not swapped([spring_run("run", 1, 1e-4)])
@@ -168,7 +168,7 @@ def test_encoders_steps_and_noise():
     step = 2.0 * np.pi / 4000.0
     assert encoder_step(np.round(motor / step) * step) == pytest.approx(step, rel=1e-6)
     assert encoder_step(motor) == 0.0
-    stepped = Run("run", time_s, motor, np.round(motor / step) * step, time_s)
+    stepped = JointRun("run", time_s, motor, np.round(motor / step) * step, time_s)
     noise = noise_of([stepped])
     assert noise.motor_step == 0.0
     assert noise.floor == pytest.approx(step / np.sqrt(12.0), rel=0.3)

@@ -11,7 +11,7 @@ from galen_deflection.networks.recurrent import (  # noqa: E402
     TrainingError,
     train,
 )
-from galen_deflection.springs.hysteresis import PlayOperators  # noqa: E402
+from galen_model.transmission.play import PlayOperators  # noqa: E402
 
 SMALL = RecurrentSettings(hidden=6, dropout=0.0, iterations=60, learning_rate=0.03)
 

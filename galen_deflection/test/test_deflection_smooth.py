@@ -8,7 +8,7 @@ from deflection_synthetic import NOISE, TIP_M, Arm, dahl, recording
 from galen_deflection.models.hysteresis_basis import COLUMNS, HysteresisBasis, Operator
 from galen_deflection.models.joint_hysteresis import fit
 from galen_deflection.scoring.score import score
-from galen_deflection.springs.hysteresis import PlayOperators, SmoothOperators
+from galen_model.transmission.play import PlayOperators, SmoothOperators
 from scipy.integrate import solve_ivp
 
 R = np.array([0.1, 0.4, 1.5])

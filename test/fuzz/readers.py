@@ -41,6 +41,7 @@ from bags_samples import (  # noqa: E402  after the paths
 )
 from deflection_made_model import made_model  # noqa: E402
 from galen_bags.arrays.arm_recording import ArmTopics, read_arm  # noqa: E402
+from galen_bags.arrays.joint_table import JointColumns, read_joint_run  # noqa: E402
 from galen_bags.arrays.messages import Decoder  # noqa: E402
 from galen_bags.arrays.motion_table import read_motion  # noqa: E402
 from galen_bags.arrays.orientation_table import (  # noqa: E402
@@ -56,7 +57,6 @@ from galen_bags.formats.metadata import read_metadata  # noqa: E402
 from galen_bags.formats.raw_block import pack  # noqa: E402
 from galen_deflection.models.file import read_model, write_model  # noqa: E402
 from galen_deflection.transmission.joint_report import read_listed  # noqa: E402
-from galen_deflection.transmission.runs import ColumnMap, read_run  # noqa: E402
 from galen_diagnosis.blind.blind_protocol import Places, answered  # noqa: E402
 from galen_diagnosis.inference import settings  # noqa: E402
 from galen_diagnosis.inference.settings import load_settings  # noqa: E402
@@ -243,7 +243,7 @@ def _comparison_seeds() -> list[bytes]:
 def use_table(path: Path) -> None:
     """By every reader of tables; one that rejects leaves the others their turn."""
     rejected: GalenError | None = None
-    columns = ColumnMap(motor="gx", link="gy", torque="gz", t="t")
+    columns = JointColumns(motor="gx", link="gy", torque="gz", t="t")
     for read in (read_table, _in_base, read_wrenches, read_orientations, read_rotations):
         try:
             found = read(path)
@@ -253,7 +253,7 @@ def use_table(path: Path) -> None:
         for part in found if isinstance(found, tuple) else (found,):
             _check_table(part)
     try:
-        run = read_run(path, columns)
+        run = read_joint_run(path, columns)
         assert np.isfinite(run.lag).all() and run.step_s > 0.0
     except GalenError as error:
         rejected = rejected or error

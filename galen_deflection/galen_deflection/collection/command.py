@@ -9,7 +9,6 @@ import sys
 from typing import Any
 
 import numpy as np
-from galen_calibration_behavior.calibration.result_text import result_to_dict
 from galen_ros.goal.client import (
     EXIT_CANCELED,
     EXIT_FAILED,
@@ -20,6 +19,7 @@ from galen_ros.goal.client import (
     make_parser,
     read_options,
     report_error,
+    result_to_dict,
     run_client,
 )
 from galen_ros.node.spin import own_arguments

@@ -1,4 +1,4 @@
-"""The action server `collect_pushes`: runs the collection on the arm's topics and records it."""
+"""`collection_node`: runs the action `collect_pushes` on the arm's topics and records it."""
 
 from __future__ import annotations
 
@@ -14,7 +14,9 @@ from galen_model.errors import CalibrationFileError, GalenError, ToolNameError
 from galen_model.files.calibration_file import CalibrationFile, calibration_path, read_calibration
 from galen_model.rotation import quaternion_to_matrix
 from galen_ros.conversions import stamp_to_ns
-from galen_ros.goal.node import GoalNode, RejectedGoalError, RunningGoal, Words
+from galen_ros.goal.action import ArmAction, RejectedGoalError, RunningGoal
+from galen_ros.goal.commands import End
+from galen_ros.goal.node import GoalNode, named
 from galen_ros.node.spin import run
 from galen_ros.qos import STREAM
 from geometry_msgs.msg import PoseStamped
@@ -47,18 +49,19 @@ _RECORDED = ("joint_states", "wrench_raw", "tracker/tool_pose", "tracker/base_po
 _NORM_TOLERANCE = 1e-3
 
 
-class _Goal(RunningGoal[CollectionProcedure]):
+class _Goal(RunningGoal):
     """One running collection; `directory`: where it was put, once that is done."""
 
     def __init__(
         self,
+        action: ArmAction,
         handle: ServerGoalHandle,
         procedure: CollectionProcedure,
         plan: CollectionPlan,
         tool: CalibrationFile,
         folder: CollectionFolder,
     ) -> None:
-        super().__init__(handle, procedure)
+        super().__init__(action, handle, procedure)
         self.plan = plan
         self.tool = tool
         self.folder = folder
@@ -70,29 +73,26 @@ class _Goal(RunningGoal[CollectionProcedure]):
         self.frames: dict[str, str] = {}
 
 
-class CollectionNode(GoalNode[CollectionParameters, _Goal, Finished]):
+class CollectAction(ArmAction):
     """Declares, converts, calls and records; what happens when is in CollectionProcedure."""
 
+    action_type = CollectPushes
+    name = "collect_pushes"
     codes = ErrorCode
-    words = Words(
-        subject="name",
-        doing="collecting",
-        nothing_yet="no collection yet",
-        unit="pushes",
-        restarted="it was restarted",
-        shutting_down="shutting down: stopping the arm",
-    )
+    subject = "name"
+    doing = "collecting"
+    unit = "pushes"
+    restarted = "it was restarted"
 
-    def __init__(self, **kwargs: Any) -> None:
-        super().__init__(
-            "collection", CollectionParameters, CollectPushes, "collect_pushes", **kwargs
-        )
-        self._push_client = self.create_client(PushTool, "push_tool")
+    def __init__(self, node: GoalNode) -> None:
+        super().__init__(node)
+        self._push_client = node.create_client(PushTool, "push_tool")
 
     # ---- the action
 
-    def _make_goal(self, handle: ServerGoalHandle) -> _Goal:
-        request, settings = handle.request, self._settings
+    def make_goal(self, handle: ServerGoalHandle) -> _Goal:
+        """Return the goal to run; raises RejectedGoalError."""
+        request, settings = handle.request, self.node.settings
         try:
             folder = CollectionFolder(settings.folder("recordings_dir"), request.name)
             path = calibration_path(settings.folder("tools_dir"), request.tool)
@@ -120,22 +120,27 @@ class CollectionNode(GoalNode[CollectionParameters, _Goal, Finished]):
         except PlanError as error:
             raise RejectedGoalError(ErrorCode.BAD_INPUT, str(error)) from error
         procedure = CollectionProcedure(
-            settings.settings(), plan, np.asarray(tool.tip_m, float), request.push_by_service
+            settings, plan, np.asarray(tool.tip_m, float), request.push_by_service
         )
-        return _Goal(handle, procedure, plan, tool, folder)
+        return _Goal(self, handle, procedure, plan, tool, folder)
 
-    def _introduce(self, goal: _Goal) -> str:
+    def introduce(self, goal: _Goal) -> str:
+        """Describe in the log what begins."""
         return f"{goal.plan.total} pushes, {goal.folder.final}"
 
-    def _make_end(self, code: IntEnum, message: str, goal: _Goal | None) -> Finished:
+    def make_end(self, code: IntEnum, message: str, goal: _Goal | None) -> End:
+        """Return an end that the procedure doesn't know of."""
         if goal is None:
             return Finished(ErrorCode(code), message)
         return Finished(ErrorCode(code), message, goal.procedure.collected)
 
-    def _make_result(
+    def make_result(
         self, handle: ServerGoalHandle, end: Finished, goal: _Goal | None
     ) -> tuple[CollectPushes.Result, str]:
+        """Return the action's result, and a sentence for /diagnostics."""
         collected = end.collected
+        for warning in collected.warnings:
+            self.node.get_logger().warning(warning)
         result = CollectPushes.Result(
             error_code=int(end.error_code),
             error_msg=end.error_msg,
@@ -148,7 +153,7 @@ class CollectionNode(GoalNode[CollectionParameters, _Goal, Finished]):
             messages=goal.messages if goal else 0,
             warnings=list(collected.warnings),
         )
-        name = self._named(handle.request)
+        name = named(handle.request.name)
         last = f"{name} not collected: {end.error_code.name}: {end.error_msg}"
         if end.error_code == ErrorCode.NONE:
             last = (
@@ -157,48 +162,47 @@ class CollectionNode(GoalNode[CollectionParameters, _Goal, Finished]):
             )
         return result, last
 
-    def _conclude(self, handle: ServerGoalHandle, end: Finished, goal: _Goal | None) -> None:
-        super()._conclude(handle, end, goal)
-        for warning in end.collected.warnings:
-            self.get_logger().warning(warning)
-
     # ---- inputs
 
-    def _subscribe(self, goal: _Goal) -> list[Subscription]:
-        subscribe = self.create_subscription
+    def subscribe(self, goal: _Goal) -> list[Subscription]:
+        """Subscribe to the tracker, too."""
+        subscribe = self.node.create_subscription
         return [
-            *super()._subscribe(goal),
+            *super().subscribe(goal),
             subscribe(PoseStamped, "tracker/tool_pose", self._on_tool_pose, STREAM),
             subscribe(PoseStamped, "tracker/base_pose", self._on_base_pose, STREAM),
         ]
 
-    def _also_watched(self) -> list[str]:
-        return [self.resolve_topic_name("wrench_raw")]
+    def also_watched(self) -> list[str]:
+        """Name the raw wrench, which is only recorded."""
+        return [self.node.resolve_topic_name("wrench_raw")]
 
-    def _needed_clients(self, goal: _Goal) -> list[Client]:
+    def needed_clients(self, goal: _Goal) -> list[Client]:
+        """Return that of `push_tool`, where it pushes."""
         return [self._push_client] if goal.handle.request.push_by_service else []
 
-    def _silent_text(self, topics: list[str]) -> str:
+    def silent_text(self, topics: list[str]) -> str:
+        """Return what is wrong where topics have no publisher."""
         return (
-            f"nobody publishes {', '.join(topics)}: are the driver, the compensation"
+            f"no publisher on {', '.join(topics)}: are the driver, the compensation"
             " (wrench_compensated) and the tracker running?"
         )
 
     def _on_tool_pose(self, message: PoseStamped) -> None:
-        if self._goal is not None:
-            self._on_pose("tool_pose", message, self._goal.procedure.on_tool_marker)
+        if self.node.goal is not None:
+            self._on_pose("tool_pose", message, self.node.goal.procedure.on_tool_marker)
 
     def _on_base_pose(self, message: PoseStamped) -> None:
-        if self._goal is not None:
-            self._on_pose("base_pose", message, self._goal.procedure.on_base_marker)
+        if self.node.goal is not None:
+            self._on_pose("base_pose", message, self.node.goal.procedure.on_base_marker)
 
     def _on_pose(self, name: str, message: PoseStamped, event: Callable[..., None]) -> None:
-        goal = self._goal
-        assert goal is not None
+        goal = self.node.goal
+        assert isinstance(goal, _Goal)
         goal.frames[name] = message.header.frame_id
         if len(set(goal.frames.values())) > 1:
             frames = " and ".join(f"tracker/{key} {goal.frames[key]!r}" for key in goal.frames)
-            self._feed(
+            self.node.feed(
                 goal.procedure.fail, ErrorCode.BAD_INPUT, f"both must be in one frame: {frames}"
             )
             return
@@ -208,9 +212,10 @@ class CollectionNode(GoalNode[CollectionParameters, _Goal, Finished]):
         if abs(float(np.linalg.norm(quaternion)) - 1.0) < _NORM_TOLERANCE:
             rotation: Array = quaternion_to_matrix(quaternion)
             translation = np.array([position.x, position.y, position.z])
-            self._feed(event, stamp_to_ns(message.header.stamp), rotation, translation)
+            self.node.feed(event, stamp_to_ns(message.header.stamp), rotation, translation)
 
-    def _look_after(self, goal: _Goal) -> None:
+    def look_after(self, goal: _Goal) -> None:
+        """Look whether the recording goes on."""
         if goal.recording is None:
             return
         if goal.recording.error:
@@ -220,7 +225,8 @@ class CollectionNode(GoalNode[CollectionParameters, _Goal, Finished]):
 
     # ---- commands
 
-    def _obey(self, goal: _Goal, command: Any) -> None:
+    def obey(self, goal: _Goal, command: Any) -> None:
+        """Give feedback, push, record."""
         match command:
             case Feedback():
                 self._publish_feedback(goal, command)
@@ -228,13 +234,11 @@ class CollectionNode(GoalNode[CollectionParameters, _Goal, Finished]):
                 self._push(goal, command)
             case Record():
                 self._record(goal, command.bag)
-            case _:
-                super()._obey(goal, command)
 
     def _push(self, goal: _Goal, push: Push) -> None:
         def on_answer(answer: Any) -> None:
             busy = answer.error_code == PushTool.Response.BUSY
-            self._feed(goal.procedure.on_service, answer.success, answer.error_msg, busy)
+            self.node.feed(goal.procedure.on_service, answer.success, answer.error_msg, busy)
 
         request = PushTool.Request(
             force_n=push.wrench[:3],
@@ -243,7 +247,7 @@ class CollectionNode(GoalNode[CollectionParameters, _Goal, Finished]):
             hold_s=push.hold_s,
             fall_s=push.fall_s,
         )
-        self._call(goal, self._push_client, request, on_answer)
+        self.node.call(goal, self._push_client, request, on_answer)
 
     def _record(self, goal: _Goal, bag: str) -> None:
         try:
@@ -252,8 +256,8 @@ class CollectionNode(GoalNode[CollectionParameters, _Goal, Finished]):
                 goal.folder_made = True
             path = goal.folder.path / bag
             if goal.recording is None:
-                topics = [self.resolve_topic_name(name) for name in _RECORDED]
-                goal.recording = BagRecording(self, path, topics)
+                topics = [self.node.resolve_topic_name(name) for name in _RECORDED]
+                goal.recording = BagRecording(self.node, path, topics)
             else:
                 goal.problems += goal.recording.change(path)
         except GalenError as error:
@@ -269,7 +273,7 @@ class CollectionNode(GoalNode[CollectionParameters, _Goal, Finished]):
 
     # ---- the end
 
-    def _put_away(self, goal: _Goal, end: Finished) -> Finished:
+    def put_away(self, goal: _Goal, end: Finished) -> Finished:
         """Close the bag and the folder; returns the end that it came to."""
         if not goal.folder_made:
             return end
@@ -320,15 +324,12 @@ class CollectionNode(GoalNode[CollectionParameters, _Goal, Finished]):
                 message=feedback.message,
             )
         )
-        self.get_logger().debug(feedback.message)
+        self.node.get_logger().debug(feedback.message)
 
     # ---- diagnostics
 
-    def _folders(self) -> dict[str, object]:
-        names = ("recordings_dir", "tools_dir")
-        return {name: self._settings.folder(name) for name in names}
-
-    def _status_values(self, goal: _Goal) -> dict[str, object]:
+    def status_values(self, goal: _Goal) -> dict[str, object]:
+        """Return what is recorded, and where."""
         recorded = goal.recording.messages if goal.recording else goal.messages
         return {
             "tool": goal.tool.tool,
@@ -342,6 +343,15 @@ def _worse(end: Finished, what: str) -> Finished:
     if end.error_code == ErrorCode.NONE:
         return replace(end, error_code=ErrorCode.WRITE_FAILED, error_msg=what)
     return replace(end, error_msg=f"{end.error_msg}; {what}")
+
+
+class CollectionNode(GoalNode):
+    """The action server `collect_pushes`."""
+
+    def __init__(self, **kwargs: Any) -> None:
+        super().__init__("collection", CollectionParameters, (CollectAction,), **kwargs)
+        for name in ("recordings_dir", "tools_dir"):
+            self.status_values[name] = self.settings.folder(name)
 
 
 def main() -> None:

@@ -10,7 +10,6 @@ from galen_ros.goal.parameters import MotionParameters
 from galen_ros.parameters.param import param
 
 from galen_deflection.collection.plan import MOST_SETS, LoadLimits, make_plan
-from galen_deflection.collection.procedure import CollectionSettings
 from galen_deflection.collection.push import PushLimits
 from galen_deflection.collection.untouched import UntouchedSettings
 
@@ -87,9 +86,6 @@ class CollectionParameters(MotionParameters):
         0.0001, "largest way of the tip between the calibration sets, m", 1e-6, 0.1
     )
     shift_tolerance_rad: float = param(0.0003, "and its largest turn, rad", 1e-6, 0.5)
-    max_stamp_offset_s: float = param(
-        0.2, "largest difference between the stamps of joints and wrenches", 0.001, 10.0
-    )
 
     def validate(self) -> None:
         """Reject positions or levels that can't be; raises PlanError."""
@@ -104,33 +100,26 @@ class CollectionParameters(MotionParameters):
         """One of the two directories, by its parameter's name."""
         return Path(getattr(self, name)).expanduser()
 
-    def settings(self) -> CollectionSettings:
-        """The procedure's settings."""
-        return CollectionSettings(
-            **vars(self.goal_settings(self.max_stamp_offset_s)),
-            untouched=UntouchedSettings(
-                duration_s=self.untouched_s,
-                tolerance=np.array([self.untouched_force_n] * 3 + [self.untouched_torque_nm] * 3),
-                max_gap_s=self.max_marker_gap_s,
-            ),
-            untouched_timeout_s=self.untouched_timeout_s,
-            push=PushLimits(
-                level_tolerance=self.level_tolerance,
-                aside_share=self.aside_share,
-                overload_share=self.overload_share,
-                released=(self.released_n, self.released_nm),
-                hold_s=self.hold_s,
-                rest_s=self.rest_s,
-                release_timeout_s=self.release_timeout_s,
-            ),
-            push_timeout_s=self.push_timeout_s,
-            push_rise_s=self.push_rise_s,
-            push_fall_s=self.push_fall_s,
-            push_retries=self.push_retries,
-            max_left_out_in_a_row=self.max_left_out_in_a_row,
-            limits=self.limits,
-            shift_tolerance_m=self.shift_tolerance_m,
-            shift_tolerance_rad=self.shift_tolerance_rad,
+    @property
+    def untouched(self) -> UntouchedSettings:
+        """When the tool counts as left alone."""
+        return UntouchedSettings(
+            duration_s=self.untouched_s,
+            tolerance=np.array([self.untouched_force_n] * 3 + [self.untouched_torque_nm] * 3),
+            max_gap_s=self.max_marker_gap_s,
+        )
+
+    @property
+    def push(self) -> PushLimits:
+        """What a push must be like."""
+        return PushLimits(
+            level_tolerance=self.level_tolerance,
+            aside_share=self.aside_share,
+            overload_share=self.overload_share,
+            released=(self.released_n, self.released_nm),
+            hold_s=self.hold_s,
+            rest_s=self.rest_s,
+            release_timeout_s=self.release_timeout_s,
         )
 
 

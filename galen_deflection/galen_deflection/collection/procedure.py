@@ -22,7 +22,7 @@ from functools import partial
 import numpy as np
 from galen_model.arm.galen import JOINT_NAMES, JOINT_UNITS
 from galen_model.arrays import Array
-from galen_ros.goal.procedure import JOINTS, GoalProcedure, GoalSettings
+from galen_ros.goal.procedure import JOINTS, GoalProcedure
 from galen_ros.goal.stamps import NS, StampClock
 
 from galen_deflection.collection.commands import (
@@ -36,6 +36,7 @@ from galen_deflection.collection.commands import (
     Record,
     State,
 )
+from galen_deflection.collection.parameters import CollectionParameters
 from galen_deflection.collection.plan import CollectionPlan, LoadLimits, ToTip, WantedPush, to_tip
 from galen_deflection.collection.push import PushLimits, PushWatch
 from galen_deflection.collection.shift import collection_shift, shift_sentence
@@ -56,33 +57,16 @@ _MARKER_PATIENCE_S = 0.5
 _WRENCH = "wrench_compensated"
 
 
-@dataclass(frozen=True)
-class CollectionSettings(GoalSettings):
-    """Everything that the node's parameters decide; times in s."""
-
-    untouched: UntouchedSettings
-    untouched_timeout_s: float
-    push: PushLimits
-    push_timeout_s: float
-    push_rise_s: float
-    push_fall_s: float
-    push_retries: int
-    max_left_out_in_a_row: int
-    limits: LoadLimits
-    shift_tolerance_m: float
-    shift_tolerance_rad: float
-
-
 class CollectionProcedure(GoalProcedure[Command, Finished]):
     """One collection. Call `start`, feed samples and events, and do what `take_commands` gives."""
 
     codes = ErrorCode
     wrench_topic = _WRENCH
-    _settings: CollectionSettings
+    _settings: CollectionParameters
     _state: State
 
     def __init__(
-        self, settings: CollectionSettings, plan: CollectionPlan, tip_m: Array, by_service: bool
+        self, settings: CollectionParameters, plan: CollectionPlan, tip_m: Array, by_service: bool
     ) -> None:
         """`tip_m` (3,) in ft_sensor; `by_service`: `push_tool` pushes, not a person."""
         super().__init__(settings, State.CALIBRATION)

@@ -10,10 +10,10 @@ import numpy as np
 from galen_model.arrays import Array
 from galen_model.files.json_fields import FieldError, array, get, items, mapping, numbers, text
 from galen_model.rotation import skew
+from galen_model.transmission.play import Operators, PlayOperators, SmoothOperators
 
 from galen_deflection.models.joint_stiffness import COMPLIANCES, StiffnessRun, elastic
 from galen_deflection.models.linear import Parameter, Rows, Start
-from galen_deflection.springs.hysteresis import Operators, PlayOperators, SmoothOperators
 from galen_deflection.springs.springs import SPRINGS, kinds
 
 Shape = Literal["play", "stop", "smooth_play", "smooth_stop"]
@@ -38,7 +38,7 @@ class Operator(NamedTuple):
     """A play, or a stop, at each spring of a kind, or each of the platform's axes; one weight.
 
     A stop is what is left of the load beside a play, with corners or smooth
-    (`galen_deflection.springs.hysteresis`).
+    (`galen_model.transmission.play`).
 
     thresholds: one for each of them; N.m, N, or at the platform m and rad.
     """

@@ -4,7 +4,7 @@ Each of these springs gives by
 
     d = c l + sum_i w_i play_i(l),   c, w_i >= 0,
 
-with play operators of its load l (`galen_deflection.springs.hysteresis`). This is linear in c and
+with play operators of its load l (`galen_model.transmission.play`). This is linear in c and
 w for given thresholds, so that non-negative least squares finds them; thresholds lie on a grid of
 shares of the largest load of each kind of spring. How fine a grid is worth it, folds that a fit
 has not seen tell.

@@ -12,14 +12,14 @@ from dataclasses import dataclass
 
 import numpy as np
 from galen_model.arrays import Array
+from galen_model.transmission.joint_run import JointRun, LagNoise, noise_of
+from galen_model.transmission.parts import Parts
+from galen_model.transmission.terms import Scales, design, velocity
 
 from galen_deflection.networks.recurrent import RecurrentSettings, Series, train
 from galen_deflection.transmission import joint_forms
 from galen_deflection.transmission.joint_fit import CellSums, fit_terms
 from galen_deflection.transmission.joint_forms import FORMS
-from galen_deflection.transmission.parts import Parts
-from galen_deflection.transmission.runs import Noise, Run, noise_of
-from galen_deflection.transmission.terms import Scales, design, velocity
 
 OURS = "ours"
 NETWORKS = ("LSTM", "LSTM direct")
@@ -73,10 +73,10 @@ class Comparison:
     without networks.
     """
 
-    runs: list[Run]
+    runs: list[JointRun]
     parts: Parts
     settings: JointSettings
-    noise: Noise
+    noise: LagNoise
     lag_std: float
     predictions: Predictions
     scores: dict[str, JointScore]
@@ -85,7 +85,7 @@ class Comparison:
 
 
 def compare(
-    runs: list[Run],
+    runs: list[JointRun],
     parts: Parts,
     settings: JointSettings | None = None,
     on_progress: Callable[[int, int, str], None] | None = None,
@@ -125,7 +125,7 @@ class _Bench:
 
     def __init__(
         self,
-        runs: list[Run],
+        runs: list[JointRun],
         parts: Parts,
         settings: JointSettings,
         on_progress: Callable[[int, int, str], None] | None,
@@ -215,7 +215,7 @@ def _steps(parts: Parts, settings: JointSettings) -> int:
     return count + (len(NETWORKS) * count * settings.iterations if settings.networks else 0)
 
 
-def _squares(runs: Sequence[Run], parts: Parts, lags: Sequence[Array]) -> Array:
+def _squares(runs: Sequence[JointRun], parts: Parts, lags: Sequence[Array]) -> Array:
     """Sums of squared errors (p,) of the parts, rad^2."""
     return np.array(
         [

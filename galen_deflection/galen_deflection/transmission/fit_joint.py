@@ -4,11 +4,18 @@ from __future__ import annotations
 
 import argparse
 import json
-import math
 import sys
 from collections.abc import Sequence
 from pathlib import Path
 
+from galen_bags.arrays.joint_table import (
+    add_column_options,
+    check_column_options,
+    column_map,
+    read_joint_runs,
+)
+from galen_model.transmission.parts import time_blocks, whole_runs
+from galen_model.transmission.terms import COMMON
 from galen_ros.command import (
     EXIT_FAILED,
     EXIT_INTERRUPTED,
@@ -34,9 +41,6 @@ from galen_deflection.transmission.joint_report import (
     to_dict,
     to_rows,
 )
-from galen_deflection.transmission.parts import time_blocks, whole_runs
-from galen_deflection.transmission.runs import COLUMNS, ColumnMap, read_runs
-from galen_deflection.transmission.terms import COMMON
 
 _EPILOG = f"""models, each checked on what it was not fitted to:
   constant, common terms   baselines: no give
@@ -82,45 +86,6 @@ def build_parser() -> argparse.ArgumentParser:
     add_column_options(parser.add_argument_group("columns"))
     _add_model_options(parser.add_argument_group("models and hold-outs"))
     return parser
-
-
-def add_column_options(group: argparse._ArgumentGroup) -> None:
-    """Which columns of a file are which, and what takes them to the joint."""
-    group.add_argument(
-        "--columns",
-        type=_columns,
-        default={},
-        metavar="MAP",
-        help="names of the columns: t (time), motor, link (angles, rad), torque (N.m), as in"
-        " motor=q_motor_rad,torque=tau (default: those four names)",
-    )
-    group.add_argument(
-        "--time-scale",
-        type=positive,
-        metavar="S",
-        help="seconds a unit of the column t (default: 1, where that can be)",
-    )
-    group.add_argument(
-        "--rate-hz", type=positive, metavar="HZ", help="readings a second, without a column t"
-    )
-    group.add_argument(
-        "--opposite", action="store_true", help="motor and link turn in opposite senses"
-    )
-    group.add_argument(
-        "--angle-gear",
-        type=_not_zero,
-        default=1.0,
-        metavar="G",
-        help="the motor's angle is of its shaft: divide it by G (default: %(default)s)",
-    )
-    group.add_argument(
-        "--torque-gear",
-        type=_not_zero,
-        default=1.0,
-        metavar="G",
-        help="the torque is of the motor's shaft: multiply it by G; a negative G turns it round"
-        " (default: %(default)s)",
-    )
 
 
 def _add_model_options(group: argparse._ArgumentGroup) -> None:
@@ -202,7 +167,7 @@ def _table(arguments: argparse.Namespace) -> int:
 
 def _fit(arguments: argparse.Namespace) -> int:
     check_folder(arguments.plots)
-    runs = read_runs(arguments.files, column_map(arguments))
+    runs = read_joint_runs(arguments.files, column_map(arguments))
     held = arguments.hold_out or ("run" if len(runs) >= 3 or arguments.unlike else "block")
     parts = (
         whole_runs(runs, arguments.unlike) if held == "run" else time_blocks(runs, arguments.blocks)
@@ -246,54 +211,12 @@ def _picture(comparison: Comparison, label: str, arguments: argparse.Namespace) 
     return written(lambda: [plot_joint(comparison, label, arguments.unit, place)], place)
 
 
-def check_column_options(parser: argparse.ArgumentParser, arguments: argparse.Namespace) -> None:
-    """End the command where the options of `add_column_options` don't go together."""
-    if arguments.rate_hz is not None and (arguments.time_scale or "t" in arguments.columns):
-        parser.error("--rate-hz is for tables without a column t")
-
-
-def column_map(arguments: argparse.Namespace) -> ColumnMap:
-    """From the options of `add_column_options`."""
-    return ColumnMap(
-        **{"t": None if arguments.rate_hz else "t", **arguments.columns},
-        time_scale_s=arguments.time_scale,
-        rate_hz=arguments.rate_hz,
-        opposite=arguments.opposite,
-        angle_gear=arguments.angle_gear,
-        torque_gear=arguments.torque_gear,
-    )
-
-
-def _columns(text: str) -> dict[str, str]:
-    found: dict[str, str] = {}
-    for item in text.split(","):
-        name, equals, column = (part.strip() for part in item.partition("="))
-        if not equals or not column or name not in COLUMNS:
-            raise argparse.ArgumentTypeError(
-                f"{item!r}: expected {', '.join(f'{known}=NAME' for known in COLUMNS)}"
-            )
-        if name in found:
-            raise argparse.ArgumentTypeError(f"{name} is given twice")
-        found[name] = column
-    return found
-
-
 def _terms(text: str) -> tuple[str, ...]:
     names = tuple(name.strip() for name in text.split(",") if name.strip())
     for name in names:
         if name not in COMMON:
             raise argparse.ArgumentTypeError(f"{name!r}: expected {' or '.join(COMMON)}")
     return tuple(name for name in COMMON if name in names)
-
-
-def _not_zero(text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        raise argparse.ArgumentTypeError(f"{text!r} is no number") from None
-    if not math.isfinite(value) or value == 0.0:
-        raise argparse.ArgumentTypeError(f"{text} is zero or not finite")
-    return value
 
 
 if __name__ == "__main__":

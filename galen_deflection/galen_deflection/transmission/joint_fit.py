@@ -16,12 +16,12 @@ from itertools import pairwise
 
 import numpy as np
 from galen_model.arrays import Array
+from galen_model.transmission.joint_run import JointRun
+from galen_model.transmission.parts import Parts
+from galen_model.transmission.terms import FREE, TERMS
 from scipy.optimize import nnls
 
 from galen_deflection.errors import FitError
-from galen_deflection.transmission.parts import Parts
-from galen_deflection.transmission.runs import Run
-from galen_deflection.transmission.terms import FREE, TERMS
 
 CELLS = 8
 """In a run, or in a block's share of it a quarter of that."""
@@ -43,7 +43,7 @@ class CellSums:
     run: np.ndarray
 
     @classmethod
-    def of(cls, runs: Sequence[Run], parts: Parts, designs: Sequence[Array]) -> CellSums:
+    def of(cls, runs: Sequence[JointRun], parts: Parts, designs: Sequence[Array]) -> CellSums:
         """Of all runs, from their terms (n, p)."""
         rows = []
         for number, (run, label, terms) in enumerate(zip(runs, parts.label, designs, strict=True)):

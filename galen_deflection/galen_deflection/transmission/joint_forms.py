@@ -13,9 +13,9 @@ from typing import NamedTuple
 
 import numpy as np
 from galen_model.arrays import Array
+from galen_model.transmission.terms import MOTION_PLAYS, TORQUE_PLAYS
 
 from galen_deflection.transmission.joint_fit import CellSums, fit_terms
-from galen_deflection.transmission.terms import MOTION_PLAYS, TORQUE_PLAYS
 
 _WORTH_IT = 0.01
 

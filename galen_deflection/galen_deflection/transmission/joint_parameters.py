@@ -7,12 +7,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from galen_model.arrays import Array
+from galen_model.transmission.terms import MOTION_PLAYS, TERMS, TORQUE_PLAYS, Scales, design
 
 from galen_deflection.transmission.comparison import Comparison
 from galen_deflection.transmission.joint_fit import CellSums, bootstrap, fit_terms
 from galen_deflection.transmission.joint_forms import FORMS, choose
 from galen_deflection.transmission.joint_forms import ours as chosen_form
-from galen_deflection.transmission.terms import MOTION_PLAYS, TERMS, TORQUE_PLAYS, Scales, design
 
 UNITS = {
     "compliance_first": "rad/(N.m)",

@@ -16,13 +16,13 @@ from galen_model.files.json_fields import (
     read_json,
     text,
 )
+from galen_model.transmission.joint_run import swapped
 from rich.console import Console
 from rich.table import Table
 
 from galen_deflection.transmission import joint_parameters
 from galen_deflection.transmission.comparison import Comparison
 from galen_deflection.transmission.joint_parameters import MEANINGS, UNITS, JointParameters
-from galen_deflection.transmission.runs import swapped
 
 SCHEMA_VERSION = 1
 LAG_UNITS = {"mrad": 1e3, "mdeg": 57295.77951308232}

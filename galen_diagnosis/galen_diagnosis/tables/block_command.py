@@ -7,16 +7,17 @@ import json
 import sys
 from pathlib import Path
 
-from galen_deflection.scoring.options import console, progress, written
 from galen_model.errors import GalenError
+from galen_model.evidence.held_out import BlockEvidence
+from galen_model.evidence.search import SearchSettings, search
 from galen_model.files.atomic_file import write_whole
-from galen_ros.command import check_folder
+from galen_ros.command import check_folder, progress, terminal, writing
 
 from galen_diagnosis.tables.block_answer import BlockDiagnosis, conclude
-from galen_diagnosis.tables.block_evidence import BlockEvidence
 from galen_diagnosis.tables.block_report import plot_diagnosis, print_diagnosis
-from galen_diagnosis.tables.block_search import SearchSettings, search
 from galen_diagnosis.tables.table_rows import Prepared
+
+_TABLE_WIDTH = 170
 
 
 def add_output_options(parser: argparse.ArgumentParser) -> None:
@@ -43,7 +44,7 @@ def diagnose_rows(
 ) -> BlockDiagnosis:
     """Search, and conclude from it."""
     evidence = BlockEvidence(prepared.rows, prepared.effects.nominal)
-    with progress(0, "hypothesis", quiet) as bar:
+    with progress(0, "hypothesis", quiet=quiet) as bar:
 
         def show(text: str) -> None:
             bar.set_description(f"{name}: {text}", refresh=False)
@@ -59,14 +60,15 @@ def give(found: list[BlockDiagnosis], arguments: argparse.Namespace) -> None:
     pictures: list[Path] = []
     if arguments.plots is not None:
         folder: Path = arguments.plots
-        pictures = written(lambda: [plot_diagnosis(one, folder) for one in found], folder)
+        with writing(folder):
+            pictures = [plot_diagnosis(one, folder) for one in found]
     if arguments.output is not None:
         for one, answer in zip(found, answers, strict=True):
             _write(arguments.output, one.answer.recording, answer)
     if arguments.json:
         print(json.dumps(answers[0] if len(answers) == 1 else answers, indent=2))
         return
-    to = console()
+    to = terminal(_TABLE_WIDTH)
     for one in found:
         print_diagnosis(one, to)
     for picture in pictures:

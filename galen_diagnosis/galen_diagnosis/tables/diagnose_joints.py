@@ -7,13 +7,13 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from galen_deflection.transmission.fit_joint import (
+from galen_bags.arrays.joint_table import (
     add_column_options,
     check_column_options,
     column_map,
+    read_joint_runs,
 )
-from galen_deflection.transmission.parts import time_blocks, whole_runs
-from galen_deflection.transmission.runs import read_runs
+from galen_model.transmission.parts import time_blocks, whole_runs
 from galen_ros.command import (
     EXIT_FAILED,
     EXIT_INTERRUPTED,
@@ -78,7 +78,7 @@ def main(args: Sequence[str] | None = None) -> int:
 def _diagnose(arguments: argparse.Namespace) -> int:
     check_outputs(arguments)
     name = name_of(arguments.files[0], arguments.label)
-    runs = read_runs(arguments.files, column_map(arguments))
+    runs = read_joint_runs(arguments.files, column_map(arguments))
     by_run = arguments.blocks is None and len(runs) >= 4
     parts = whole_runs(runs) if by_run else time_blocks(runs, arguments.blocks or 6)
     give([diagnose_rows(name, prepare_joint(runs, parts), quiet=arguments.json)], arguments)

@@ -11,7 +11,7 @@ zeros. Beside that, with T the torque, q the motor's angle and v its velocity:
     encoder_delay           v delay: the link's stamps are late against the motor's
     gear_error              gain q
 
-Plays, velocity and direction are `galen_deflection.transmission.terms`'. The last two names are not
+Plays, velocity and direction are `galen_model.transmission.terms`'. The last two names are not
 the contract's: an arm without encoders at both ends has neither. `residual_fraction` is the loop's
 half width over half the range of the lag, since a joint's run has no zero load after the largest.
 """
@@ -22,18 +22,13 @@ from collections.abc import Callable, Sequence
 from itertools import pairwise
 
 import numpy as np
-from galen_deflection.springs.hysteresis import PlayOperators
-from galen_deflection.transmission.parts import Parts
-from galen_deflection.transmission.runs import Run, noise_of
-from galen_deflection.transmission.terms import (
-    TERMS,
-    TORQUE_PLAYS,
-    Scales,
-    design,
-)
 from galen_model.arrays import Array
+from galen_model.evidence.blocks import BlockRows, Columns, Effects
+from galen_model.transmission.joint_run import JointRun, noise_of
+from galen_model.transmission.parts import Parts
+from galen_model.transmission.play import PlayOperators
+from galen_model.transmission.terms import TERMS, TORQUE_PLAYS, Scales, design
 
-from galen_diagnosis.tables.block_rows import BlockRows, Columns, Effects
 from galen_diagnosis.tables.table_rows import Prepared
 
 CHANNELS = ("lag",)
@@ -49,7 +44,7 @@ _SOFTEST = 1e-6
 """Where an interval's end would be less than rigid."""
 
 
-def prepare_joint(runs: Sequence[Run], parts: Parts) -> Prepared:
+def prepare_joint(runs: Sequence[JointRun], parts: Parts) -> Prepared:
     """Rows and effects of a joint's runs; a part is a block."""
     every = [np.ones(len(run), dtype=bool) for run in runs]
     scales = Scales.of(runs, every, _VELOCITY_WINDOW_S)
@@ -95,7 +90,7 @@ def prepare_joint(runs: Sequence[Run], parts: Parts) -> Prepared:
     return Prepared(rows, effects, words)
 
 
-def _windows(runs: Sequence[Run], label: np.ndarray) -> tuple[np.ndarray, int]:
+def _windows(runs: Sequence[JointRun], label: np.ndarray) -> tuple[np.ndarray, int]:
     """Of each reading its window, which stays within a run and a part; readings in one."""
     total = sum(len(run) for run in runs)
     size = max(1, -(-total // _MOST_ROWS))
@@ -150,7 +145,7 @@ def _one(
     return Columns(values[:, None, None], parameters, allowed=allowed)
 
 
-def _lost(run: Run, thresholds: Array) -> Array:
+def _lost(run: JointRun, thresholds: Array) -> Array:
     """What each play of the motion leaves behind (n, p), rad; from amid the gap."""
     motion = np.repeat((run.motor - run.motor[0])[:, None], len(thresholds), axis=1)
     return np.asarray(motion - PlayOperators(thresholds).run(motion).output)

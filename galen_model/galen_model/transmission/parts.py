@@ -12,9 +12,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from galen_model.errors import GalenError
 
-from galen_deflection.transmission.runs import Run
+from galen_model.errors import GalenError
+from galen_model.transmission.joint_run import JointRun
 
 Used = list[np.ndarray]
 """Of each run, which readings (n,) bool."""
@@ -46,7 +46,7 @@ class Parts:
         return np.flatnonzero(self.apart[part]).tolist()
 
 
-def whole_runs(runs: Sequence[Run], unlike: str | None = None) -> Parts:
+def whole_runs(runs: Sequence[JointRun], unlike: str | None = None) -> Parts:
     """Each run is a part.
 
     `unlike`: a pattern for the runs' names; where all its groups differ, and only there, one run
@@ -68,7 +68,7 @@ def whole_runs(runs: Sequence[Run], unlike: str | None = None) -> Parts:
     return Parts(tuple(run.name for run in runs), label, apart, whole_runs=True)
 
 
-def time_blocks(runs: Sequence[Run], count: int) -> Parts:
+def time_blocks(runs: Sequence[JointRun], count: int) -> Parts:
     """Each run is cut into `count` equal blocks of time, the same of all runs are a part."""
     if count < 3:
         raise PartsError(f"{count} blocks: at least three are needed")

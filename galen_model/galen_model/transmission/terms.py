@@ -1,10 +1,10 @@
 """What a lag is made of: columns of a joint's torque and of its motor's motion up to now.
 
-    lag = offset + gear error x motor + delay x velocity                         (nothing gives)
-        + c x torque + sum_i w_i play_i(torque)                                  (it gives)
+    lag = offset + gear error x motor + delay x velocity                         (rigid)
+        + c x torque + sum_i w_i play_i(torque)                                  (it deflects)
         + f x direction + sum_j u_j (motor - play_j(motor)),   c, w_i, u_j >= 0  (it loses motion)
 
-The plays of the torque are `galen_deflection.springs.hysteresis`'s: a spring with dry friction.
+The plays of the torque are `galen_model.transmission.play`'s: a spring with dry friction.
 What a play of the motor's motion leaves behind, motor - play(motor), is a gap of backlash if one
 has the weight 1, and a gap that friction closes bit by bit if there are several (of Maxwell-slip
 elements, in the motion, each gives that). The link's angle is in none of them.
@@ -21,11 +21,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from galen_model.arrays import Array
 from scipy.signal import lfilter
 
-from galen_deflection.springs.hysteresis import PlayOperators
-from galen_deflection.transmission.runs import Run
+from galen_model.arrays import Array
+from galen_model.transmission.joint_run import JointRun
+from galen_model.transmission.play import PlayOperators
 
 FREE = ("offset", "gear", "delay", "direction")
 """Terms of any sign; all others are none below zero."""
@@ -54,7 +54,7 @@ class Scales:
     @classmethod
     def of(
         cls,
-        runs: Sequence[Run],
+        runs: Sequence[JointRun],
         used: Sequence[np.ndarray],
         window_s: float,
         direction_rad_s: float | None = None,
@@ -93,7 +93,7 @@ TERMS = (*FREE, "spring", *TORQUE_PLAYS, *MOTION_PLAYS)
 """Names of all terms, in the order of `design`'s columns."""
 
 
-def design(run: Run, scales: Scales) -> Array:
+def design(run: JointRun, scales: Scales) -> Array:
     """All terms (n, len(TERMS)) of a run, from a start that is unloaded and amid the gap.
 
     A lag in rad is what their weights give: the offset's, rad; gear's, direction's and plays' of
@@ -117,7 +117,7 @@ def design(run: Run, scales: Scales) -> Array:
     )
 
 
-def velocity(run: Run, window_s: float) -> Array:
+def velocity(run: JointRun, window_s: float) -> Array:
     """The motor's velocity (n,), rad/s, from readings up to each and none after it."""
     count = max(4, round(window_s / run.step_s) + 1)
     back = -run.step_s * np.arange(count)  # newest first

@@ -38,6 +38,7 @@ from abc import ABC, abstractmethod
 from typing import NamedTuple
 
 import numpy as np
+
 from galen_model.arrays import Array
 
 

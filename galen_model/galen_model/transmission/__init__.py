@@ -1,0 +1,1 @@
+"""One joint or transmission: readings of both ends, terms of its lag, plays."""
