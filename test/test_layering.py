@@ -13,15 +13,13 @@ PACKAGES = sorted(path.parent.name for path in ROOT.glob("galen_*/setup.py"))
 # These modules, and all modules of these rooms, may need rclpy or messages. All others are pure:
 # they work, and are tested, without ROS. A new node or client is added on purpose.
 ROS = {
-    "galen_bags.formats.message_types",
     "galen_bags.play",
-    "galen_bags.qos",
     "galen_bags.record",
-    "galen_bags.topic_names",
+    "galen_bags.topics",
     "galen_bringup",
     "galen_calibration_behavior.calibrate",
     "galen_calibration_behavior.node",
-    "galen_calibration_behavior.quick_check.command",
+    "galen_calibration_behavior.check",
     "galen_calibration_behavior.quick_check.node",
     "galen_deflection.collection.command",
     "galen_deflection.collection.node",

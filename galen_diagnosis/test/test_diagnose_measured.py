@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 from galen_bags.arrays.orientation_table import OrientationTable
 from galen_diagnosis.tables import diagnose_joints, diagnose_table
-from galen_diagnosis.tables.block_evidence import BlockEvidence
-from galen_diagnosis.tables.block_rows import BlockRows, Columns
 from galen_diagnosis.tables.measured_check import diagnose_case, is_right
 from galen_diagnosis.tables.table_effects import drift_columns
 from galen_diagnosis.tables.table_plant import TablePlant
 from galen_model.arm.galen import GRAVITY_M_S2
+from galen_model.evidence.blocks import BlockRows, Columns
+from galen_model.evidence.held_out import BlockEvidence
 from galen_model.load.model import Load, gravity_wrench
 from galen_model.rotation import rotvec_to_matrix
 from galen_sim_driver.effects.registry import EFFECTS

@@ -1,15 +1,8 @@
 """What may be behind readings that no other load and no offset explains, or behind an offset.
 
-Each cause moves the reading W = (f, tau) of tool and adapter at pose k, to first order, by J_k x
-with a few unknowns x:
-
-    a loose tool        tau = s m (a x u), a the x and y parts of u / |u|, s the shift    (1)
-    joints' zeros       dW/droll, dW/dtilt                                                (2)
-    a turned sensor     -phi x f, -phi x tau, phi its rotation vector                     (3)
-    a constant pull     R^T F at the tool's tip, F in base_link, as of a cable            (3)
-
-A cause explains the rest if, fitted beside load and offset, it leaves only noise; what all three
-then make of a compensation, anywhere in the arm's range, tells whether it matters.
+A cause (`galen_model.evidence.columns`) explains the rest if, fitted beside load and offset, it
+leaves only noise; what all three then make of a compensation, anywhere in the arm's range, decides
+whether it matters.
 """
 
 from __future__ import annotations
@@ -17,14 +10,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from galen_model.arm.kinematics import sensor_rotation
 from galen_model.arrays import Array
 from galen_model.distributions import chi2_sf
+from galen_model.evidence import columns
 from galen_model.files.calibration_file import CalibrationFile
 from galen_model.load.model import gravity_regressor, gravity_wrench
-from galen_model.rotation import skew
-
-_STEP_RAD = 1e-4
 
 
 @dataclass(frozen=True)
@@ -75,9 +65,8 @@ def explain_rest(
 
 
 def load_and_offset(angles: Array, tool: CalibrationFile) -> Array:
-    """X = [G, I] (n, 6, 10) at roll and tilt (n, 2), rad."""
-    regressor = gravity_regressor(tool.gravity_in_sensor(angles[:, 0], angles[:, 1]))
-    return np.concatenate([regressor, np.broadcast_to(np.eye(6), (len(angles), 6, 6))], axis=2)
+    """[G, I] (n, 6, 10) at roll and tilt (n, 2), rad."""
+    return columns.load_and_offset(tool.gravity_in_sensor(angles[:, 0], angles[:, 1]))
 
 
 def zero_lost(offset: Array, tool: CalibrationFile, limit: Array) -> str:
@@ -105,29 +94,11 @@ def zero_lost(offset: Array, tool: CalibrationFile, limit: Array) -> str:
 
 
 def _causes(angles: Array, tool: CalibrationFile) -> dict[str, Array]:
-    """J (n, 6, x) of each cause, by its name."""
-    roll, tilt = angles[:, 0], angles[:, 1]
-    gravity = tool.gravity_in_sensor(roll, tilt)
-    count = len(gravity)
-    aside = gravity / np.linalg.norm(gravity, axis=1, keepdims=True)
-    aside[:, 2] = 0.0
-    loose = np.zeros((count, 6, 1))
-    loose[:, 3:, 0] = tool.load.mass_kg * np.cross(aside, gravity)
-
-    loads = gravity_wrench(gravity, tool.load.load) + gravity_wrench(gravity, tool.adapter.load)
-    turned = np.concatenate([skew(loads[:, :3]), skew(loads[:, 3:])], axis=1)
-
-    zeros = []
-    for roll_step, tilt_step in ((_STEP_RAD, 0.0), (0.0, _STEP_RAD)):
-        ahead = tool.predict(roll + roll_step, tilt + tilt_step)
-        behind = tool.predict(roll - roll_step, tilt - tilt_step)
-        zeros.append((ahead - behind) / (2.0 * _STEP_RAD))
-
-    to_sensor = np.swapaxes(sensor_rotation(roll, tilt), 1, 2)
-    pull = np.concatenate([to_sensor, skew(tool.tip_m) @ to_sensor], axis=1)
+    """Columns (n, 6, k) of each cause, by its name."""
+    gravity = tool.gravity_in_sensor(angles[:, 0], angles[:, 1])
     return {
-        "a loose tool": loose,
-        "a joint's zero that has moved": np.stack(zeros, axis=2),
-        "a sensor that has turned in its mount": turned,
-        "a cable that pulls": pull,
+        "a loose tool": columns.loose_tool(gravity, tool.load.mass_kg),
+        "a joint's zero that has moved": columns.joint_zeros(angles, tool),
+        "a sensor that has turned in its mount": columns.turned_sensor(gravity, tool),
+        "a cable that pulls": columns.constant_pull(angles, tool),
     }

@@ -34,6 +34,8 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from galen_model.arrays import Array
 from galen_model.distributions import chi2_isf, chi2_sf, noncentral_chi2_sf, normal_ppf
+from galen_model.evidence.columns import moment_covariance
+from galen_model.evidence.linear import chance
 from galen_model.files.calibration_file import CalibrationFile
 from galen_model.load.mounting.mounting import Mounting
 from galen_model.poses.design import ANGLE_LIMITS, angle_grid
@@ -124,7 +126,7 @@ def differences(
     by_file = _file_covariance(tool)
     covariance = fit_covariance[:4, :4] + by_file[:4, :4]
     moments = values[:4]
-    load_p = _p_value(moments, covariance)
+    load_p = chance(moments, covariance)
 
     mean_rows = rows[:, :, :4].mean(axis=0)
     alone = residual.mean(axis=0)
@@ -144,7 +146,7 @@ def differences(
         sigma=sigma,
         rest_p=float(chi2_sf(np.sum((rest / sigma) ** 2), 6 * count - 10)),
         load_p=load_p,
-        offset_p=_p_value(alone, alone_covariance),
+        offset_p=chance(alone, alone_covariance),
         load_effect=np.max(np.abs(everywhere[:, :, :4] @ moments), axis=0),
         effect=np.max(np.abs(everywhere @ values), axis=0) if told else np.abs(alone),
         effect_std=np.sqrt(np.max(variance, axis=0)),
@@ -266,10 +268,7 @@ def _file_covariance(tool: CalibrationFile) -> Array:
         ideal = np.array([force, *[np.sqrt(1.5) * torque] * 3]) / gravity
         whole[:4, :4] = np.diag(_GRID_INFLATION**2 * ideal**2 / tool.poses_used)
         return whole
-    jacobian = np.eye(4) * tool.load.mass_kg
-    jacobian[0, 0] = 1.0
-    jacobian[1:, 0] = tool.load.com_m
-    whole[:4, :4] = jacobian @ tool.load.covariance @ jacobian.T
+    whole[:4, :4] = moment_covariance(tool.load, np.zeros(4))
     return whole
 
 
@@ -280,7 +279,3 @@ def _load_information(records: Sequence[PoseRecord], tool: CalibrationFile, sigm
     rows = free.reshape(-1, 4)
     covariance = np.linalg.inv(rows.T @ rows) + _file_covariance(tool)[:4, :4]
     return np.asarray(np.linalg.inv(covariance))
-
-
-def _p_value(values: Array, covariance: Array) -> float:
-    return float(chi2_sf(values @ np.linalg.solve(covariance, values), len(values)))

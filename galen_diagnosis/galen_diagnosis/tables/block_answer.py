@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 from galen_model.arrays import Array
+from galen_model.evidence.blocks import BlockRows, Effects
+from galen_model.evidence.held_out import BlockEvidence, BlockHypothesis
+from galen_model.evidence.search import SearchResult
 
 from galen_diagnosis.answer.answer import NONE, UNKNOWN, Answer, Cause, Interval, Verdict
-from galen_diagnosis.tables.block_evidence import BlockEvidence, Hypothesis
-from galen_diagnosis.tables.block_rows import BlockRows, Effects
-from galen_diagnosis.tables.block_search import Found
 
 SURE = 0.9
 """Probability from which an effect counts as found."""
@@ -34,14 +34,14 @@ class BlockDiagnosis:
     rows: BlockRows
     before: Array
     after: Array
-    found: Found
+    found: SearchResult
     words: tuple[str, ...]
 
 
 def conclude(
     name: str,
     evidence: BlockEvidence,
-    found: Found,
+    found: SearchResult,
     effects: Effects,
     words: Sequence[str] = (),
     seed: int = 0,
@@ -139,7 +139,7 @@ def closed_fraction(
     return Interval(float(fraction(sums.sum(axis=0))), float(low), float(high))
 
 
-def _verdict(found: Found, closed: Interval | None) -> Verdict:
+def _verdict(found: SearchResult, closed: Interval | None) -> Verdict:
     best = found.best
     if not best.effects:
         return "none" if best.floor_only else "unknown"
@@ -150,7 +150,7 @@ def _verdict(found: Found, closed: Interval | None) -> Verdict:
     return "ambiguous"
 
 
-def _in_parts(evidence: BlockEvidence, best: Hypothesis) -> tuple[Array, Array] | None:
+def _in_parts(evidence: BlockEvidence, best: BlockHypothesis) -> tuple[Array, Array] | None:
     """Before and after where thirds of blocks are held out; None but for effects of time.
 
     Nobody predicts a bias drift's course in a stop from other stops; from the rest of the stop one
@@ -177,7 +177,7 @@ def _hidden(evidence: BlockEvidence, effects: Effects) -> list[str]:
     ]
 
 
-def _rest(found: Found) -> float:
+def _rest(found: SearchResult) -> float:
     """Probability that something is left that nobody knows."""
     return float(
         sum(
@@ -190,7 +190,7 @@ def _rest(found: Found) -> float:
 
 def _alone(
     evidence: BlockEvidence,
-    found: Found,
+    found: SearchResult,
     effect: str,
     floor: float,
     seed: int,
@@ -209,7 +209,7 @@ def _alone(
 
 
 def _parameters(
-    evidence: BlockEvidence, best: Hypothesis, seed: int
+    evidence: BlockEvidence, best: BlockHypothesis, seed: int
 ) -> list[tuple[str, dict[str, Any], dict[str, Any]]]:
     """Of each effect: its numbers with intervals, and those that the contract doesn't name.
 
@@ -221,9 +221,9 @@ def _parameters(
     result = []
     for place, (effect, way) in enumerate(zip(best.effects, best.ways, strict=True)):
         part = slice(at, at + way.size)
-        mean, covariance = best.fit.weights[part], best.fit.covariance[part, part]
+        mean, covariance = best.fit.values[part], best.fit.covariance[part, part]
         drawn = random.multivariate_normal(mean, covariance, _DRAWS, method="eigh")
-        folds = [fit.weights[part] for ways, fit in best.folds if ways[place] is way]
+        folds = [fit.values[part] for ways, fit in best.folds if ways[place] is way]
         told: dict[str, Any] = dict(way.words)
         extra: dict[str, Any] = {}
         for name, number in way.parameters.items():
@@ -296,7 +296,7 @@ def _where(rows: BlockRows, before: Array, floor: float) -> dict[str, Any]:
 
 def _sentence(
     verdict: Verdict,
-    found: Found,
+    found: SearchResult,
     closed: Interval | None,
     whole: Interval | None,
     remains: bool,

@@ -21,6 +21,7 @@ import numpy as np
 from galen_bags.arrays.orientation_table import OrientationTable, read_table
 from galen_model.arm.galen import WRENCH_AXES
 from galen_model.arrays import Array
+from galen_model.evidence.search import SearchSettings
 from galen_model.load.model import Load
 from galen_ros.command import EXIT_OK, run_command
 from galen_sim_driver.effects.effect import Effect
@@ -31,7 +32,6 @@ from tqdm import tqdm
 from galen_diagnosis.answer.answer import NONE, UNKNOWN
 from galen_diagnosis.tables.block_answer import BlockDiagnosis
 from galen_diagnosis.tables.block_command import diagnose_rows
-from galen_diagnosis.tables.block_search import SearchSettings
 from galen_diagnosis.tables.table_plant import TablePlant
 from galen_diagnosis.tables.table_rows import prepare_table
 

@@ -18,11 +18,11 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from galen_model.arm.galen import WRENCH_AXES
 from galen_model.arrays import Array
+from galen_model.evidence.blocks import Columns, Effects
 from galen_model.rotation import skew
 from galen_sim_driver.effects.effect import Effect, Fitted
 from galen_sim_driver.effects.registry import EFFECTS
 
-from galen_diagnosis.tables.block_rows import Columns, Effects
 from galen_diagnosis.tables.table_plant import TablePlant
 
 _HOUR_S = 3600.0

@@ -14,6 +14,7 @@ import numpy as np
 from galen_bags.arrays.orientation_table import OrientationTable, average_still
 from galen_model.arm.galen import WRENCH_AXES
 from galen_model.arrays import Array
+from galen_model.evidence.blocks import BlockRows, Columns, Effects
 from galen_model.files.calibration_file import CalibrationFile
 from galen_model.load.identification import plain_least_squares
 from galen_model.load.model import Load, gravity_regressor
@@ -21,7 +22,6 @@ from galen_model.rest.orientations import StillSettings, still_phases
 
 from galen_diagnosis.errors import DiagnosisError
 from galen_diagnosis.observation.noise import ChannelNoise, channel_noise
-from galen_diagnosis.tables.block_rows import BlockRows, Columns, Effects
 from galen_diagnosis.tables.table_effects import in_time, table_effects
 from galen_diagnosis.tables.table_plant import TablePlant
 

@@ -21,6 +21,7 @@ from galen_bags.arrays.orientation_table import OrientationTable
 from galen_model.arm.galen import WRENCH_AXES
 from galen_model.arm.sensor_motion import SensorMotion
 from galen_model.arrays import Array
+from galen_model.evidence.blocks import BlockRows, Columns, Effects
 from galen_model.load.identification import identify_single_load
 from galen_model.load.inertia.imu_mount import fit_imu
 from galen_model.load.model import Load
@@ -30,7 +31,6 @@ from scipy.interpolate import CubicSpline
 from scipy.signal import savgol_filter
 
 from galen_diagnosis.errors import DiagnosisError
-from galen_diagnosis.tables.block_rows import BlockRows, Columns, Effects
 from galen_diagnosis.tables.table_effects import delay_columns, in_time, table_effects
 from galen_diagnosis.tables.table_plant import TablePlant
 from galen_diagnosis.tables.table_rows import UNITS, Prepared, floor_of_windows, load_columns

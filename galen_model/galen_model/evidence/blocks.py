@@ -1,4 +1,4 @@
-"""Readings cut into blocks, and what could explain them, for the diagnosis of measured tables.
+"""Readings cut into blocks, and the columns that could explain them.
 
 A reading has C channels. What may be in it is linear: columns, each of one or more channels, scaled
 so that one unit is what is usual (the prior's standard deviation). A block (a stop, a stretch of
@@ -12,6 +12,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
+
 from galen_model.arrays import Array
 
 

@@ -17,12 +17,12 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+
 from galen_model.arrays import Array
+from galen_model.evidence.blocks import Columns, Effects
+from galen_model.evidence.held_out import BlockEvidence, BlockHypothesis
 
-from galen_diagnosis.answer.answer import NONE, UNKNOWN
-from galen_diagnosis.tables.block_evidence import BlockEvidence, Hypothesis
-from galen_diagnosis.tables.block_rows import Columns, Effects
-
+NONE, UNKNOWN = "none", "unknown"
 Progress = Callable[[str], None]
 
 _MOST_WAYS = 8
@@ -50,16 +50,16 @@ class SearchSettings:
 
 
 @dataclass(frozen=True)
-class Found:
+class SearchResult:
     """What the search tried, with probabilities; inclusion: of effects, "none", "unknown".
 
     best: the most probable hypothesis; equivalent: of its effects, what may stand in their place.
     """
 
-    hypotheses: tuple[Hypothesis, ...]
+    hypotheses: tuple[BlockHypothesis, ...]
     probability: Array
     inclusion: dict[str, float]
-    best: Hypothesis
+    best: BlockHypothesis
     equivalent: dict[str, tuple[str, ...]]
 
 
@@ -68,7 +68,7 @@ def search(
     effects: Effects,
     settings: SearchSettings | None = None,
     progress: Progress | None = None,
-) -> Found:
+) -> SearchResult:
     """Try hypotheses and weigh them."""
     work = _Search(evidence, effects, settings or SearchSettings(), progress or (lambda text: None))
     work.try_sets((), [()])
@@ -101,7 +101,7 @@ class _Search:
         self.evidence, self.effects, self.settings = evidence, effects, settings
         self.progress = progress
         self.ways = {name: list(ways) for name, ways in effects.of.items()}
-        self.tried: dict[tuple[frozenset[str], bool], Hypothesis] = {}
+        self.tried: dict[tuple[frozenset[str], bool], BlockHypothesis] = {}
 
     def try_sets(self, names: tuple[str, ...], sets: Sequence[tuple[Columns, ...]]) -> None:
         self.progress(" + ".join(names) or NONE)
@@ -132,29 +132,29 @@ class _Search:
         """Effects in the ways they have, and another in any of its."""
         self.try_sets((*names, name), [(*ways, way) for way in self.ways[name]])
 
-    def score(self, hypothesis: Hypothesis) -> float:
+    def score(self, hypothesis: BlockHypothesis) -> float:
         return float(self.settings.tempering * hypothesis.elpd.sum() + self._log_prior(hypothesis))
 
-    def _log_prior(self, hypothesis: Hypothesis) -> float:
+    def _log_prior(self, hypothesis: BlockHypothesis) -> float:
         unknown = 0.0 if hypothesis.floor_only else np.log(self.settings.unknown_odds)
         return float(len(hypothesis.effects) * np.log(self.settings.effect_odds) + unknown)
 
-    def best_sets(self, size: int) -> list[Hypothesis]:
+    def best_sets(self, size: int) -> list[BlockHypothesis]:
         of_size = [one for one in self.tried.values() if len(one.effects) == size]
         ordered = sorted(of_size, key=self.score, reverse=True)
-        kept: dict[frozenset[str], Hypothesis] = {}
+        kept: dict[frozenset[str], BlockHypothesis] = {}
         for one in ordered:
             kept.setdefault(frozenset(one.effects), one)
         return list(kept.values())[: self.settings.joined]
 
-    def worth_joining(self, size: int) -> list[Hypothesis]:
+    def worth_joining(self, size: int) -> list[BlockHypothesis]:
         """Of the best sets of a size, those that are better than any smaller set, or nearly."""
         smaller = [self.score(one) for one in self.tried.values() if len(one.effects) < size]
         return [
             one for one in self.best_sets(size) if self.score(one) > max(smaller) - _NEARLY_NATS
         ]
 
-    def weighed(self) -> Found:
+    def weighed(self) -> SearchResult:
         every = tuple(self.tried.values())
         elpd = np.stack([one.elpd for one in every])
         prior = np.array([self._log_prior(one) for one in every])
@@ -170,11 +170,11 @@ class _Search:
             for name in one.effects or ((NONE if one.floor_only else UNKNOWN),):
                 inclusion[name] += float(share)
         best = self._best(every, probability, inclusion)
-        return Found(every, probability, inclusion, best, self._equivalent(best))
+        return SearchResult(every, probability, inclusion, best, self._equivalent(best))
 
     def _best(
-        self, every: tuple[Hypothesis, ...], probability: Array, inclusion: dict[str, float]
-    ) -> Hypothesis:
+        self, every: tuple[BlockHypothesis, ...], probability: Array, inclusion: dict[str, float]
+    ) -> BlockHypothesis:
         """Of effects that are more likely there than not (M. Barbieri, J. Berger, 2004).
 
         *Annals of Statistics* 32(3): that set predicts best on average. Where no effect is, and
@@ -188,7 +188,7 @@ class _Search:
                     return every[k]
         return every[ordered[0]]
 
-    def _equivalent(self, best: Hypothesis) -> dict[str, tuple[str, ...]]:
+    def _equivalent(self, best: BlockHypothesis) -> dict[str, tuple[str, ...]]:
         """Effects that predict the blocks as well in another's place, but for chance."""
         found = {}
         for name in best.effects:
@@ -201,7 +201,7 @@ class _Search:
             )
         return found
 
-    def _as_good(self, other: Hypothesis | None, best: Hypothesis) -> bool:
+    def _as_good(self, other: BlockHypothesis | None, best: BlockHypothesis) -> bool:
         if other is None:
             return False
         worse = float((best.elpd - other.elpd).sum())
