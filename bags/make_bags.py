@@ -23,14 +23,13 @@ from typing import Any
 
 import numpy as np
 from galen_bags.errors import BagError
-from galen_bags.formats.bag import open_bag
-from galen_bags.formats.checksum import content_sha256
+from galen_bags.formats.bag import content_sha256, open_bag
 from galen_bags.formats.writer import BagWriter
 from galen_bringup.cell_bag import CellBag
 from galen_bringup.offline_cell import OfflineCell
 from galen_calibration_behavior.calibration.estimate import calibrate
-from galen_calibration_behavior.calibration.parameters import CalibrationParameters
-from galen_calibration_behavior.calibration.procedure import Request
+from galen_calibration_behavior.calibration.procedure import CalibrationRequest
+from galen_calibration_behavior.parameters import CalibrationParameters
 from galen_model.arm.galen import HOME, JOINT_NAMES
 from galen_model.errors import CalibrationFileError, GalenError
 from galen_model.files.calibration_file import read_calibration
@@ -81,8 +80,8 @@ def _calibrate(cell: OfflineCell, recipe: Recipe, folder: Path) -> None:
     """The calibration behaviour's whole procedure, with its node's own parameters."""
     parameters = CalibrationParameters()
     measurements = cell.calibrate(
-        parameters.settings(),
-        Request(
+        parameters,
+        CalibrationRequest(
             tool=recipe.tool,
             one_sweep=False,
             attach_by_service=True,

@@ -6,8 +6,7 @@ from pathlib import Path
 
 import pytest
 from galen_bags.formats.bag import open_bag
-from galen_bags.formats.growing_bag import GrowingBagWriter
-from galen_bags.formats.writer import BagWriter
+from galen_bags.formats.writer import BagWriter, GrowingBagWriter
 from galen_bags.play.player import PlayerNode, PlayOptions
 from galen_bags.record.recorder import RecorderNode
 from galen_calibration_behavior.node import CalibrationNode

@@ -5,7 +5,7 @@ import struct
 
 import pytest
 from galen_bags.errors import BagError
-from galen_bags.formats.checksum import content_sha256
+from galen_bags.formats.bag import content_sha256
 from galen_bags.formats.writer import BagWriter
 from galen_ros.cdr.layout import WrenchBytes
 

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 from galen_bags.errors import BagError
 from galen_bags.formats.bag import open_bag
-from galen_bags.formats.growing_bag import GrowingBagWriter
+from galen_bags.formats.writer import GrowingBagWriter
 from galen_ros.cdr.layout import WrenchBytes
 from rosbags.rosbag2 import Reader
 

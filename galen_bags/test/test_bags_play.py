@@ -13,12 +13,10 @@ from typing import Any
 import pytest
 from galen_bags.errors import BagError
 from galen_bags.formats.bag import Bag, open_bag
-from galen_bags.formats.growing_bag import GrowingBagWriter
-from galen_bags.formats.message_types import definition_of
-from galen_bags.formats.writer import BagWriter
+from galen_bags.formats.writer import BagWriter, GrowingBagWriter
 from galen_bags.play.player import PlayerNode, PlayOptions
-from galen_bags.qos import to_bag
 from galen_bags.record.recorder import RecorderNode
+from galen_bags.topics import definition_of, to_bag
 from galen_ros.cdr.layout import WrenchBytes
 from galen_ros.node.domain import DomainLock
 from galen_ros.node.testing import Harness

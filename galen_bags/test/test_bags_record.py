@@ -15,7 +15,7 @@ import pytest
 from diagnostic_msgs.msg import DiagnosticArray
 from galen_bags.errors import BagError
 from galen_bags.formats.bag import open_bag
-from galen_bags.formats.growing_bag import GrowingBagWriter
+from galen_bags.formats.writer import GrowingBagWriter
 from galen_bags.record.command import parse
 from galen_bags.record.recorder import DEFAULT_TOPICS, RecorderNode, SimulatedTimes, received_ns
 from galen_ros.cdr.layout import JointStateBytes, WrenchBytes

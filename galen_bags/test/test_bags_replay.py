@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from galen_bags.errors import BagError
 from galen_bags.formats.raw_block import Messages, pack
-from galen_bags.play.timing import Ahead, Playlist, Settling, Timeline, window, with_stamp
+from galen_bags.play.timing import Ahead, BagClock, Playlist, Settling, window, with_stamp
 from galen_ros.cdr.layout import WrenchBytes
 
 S = 1_000_000_000
@@ -26,7 +26,7 @@ def times(blocks: Iterator[Messages]) -> list[int]:
 
 @pytest.mark.parametrize("rate", [0.25, 1.0, 8.0])
 def test_bag_time_runs_at_the_rate(rate: float) -> None:
-    timeline = Timeline(rate)
+    timeline = BagClock(rate)
     timeline.start(5 * S, 100.0)
     assert timeline.advance(100.0) == 5 * S
     for step in range(1, 101):
@@ -36,7 +36,7 @@ def test_bag_time_runs_at_the_rate(rate: float) -> None:
 
 
 def test_a_stall_is_not_caught_up_but_said() -> None:
-    timeline = Timeline(2.0, max_step_s=0.1)
+    timeline = BagClock(2.0, max_step_s=0.1)
     timeline.start(0, 10.0)
     assert timeline.advance(10.1) == pytest.approx(200 * MS, abs=2)
     assert timeline.advance(13.1) == pytest.approx(400 * MS, abs=2)  # 0.1 s of the 3 s
@@ -45,7 +45,7 @@ def test_a_stall_is_not_caught_up_but_said() -> None:
 
 
 def test_a_pause_stops_bag_time() -> None:
-    timeline = Timeline(1.0)
+    timeline = BagClock(1.0)
     timeline.start(0, 10.0)
     timeline.advance(10.05)
     timeline.pause(True, 10.1)
@@ -58,7 +58,7 @@ def test_a_pause_stops_bag_time() -> None:
 
 
 def test_a_start_while_paused_waits() -> None:
-    timeline = Timeline(1.0)
+    timeline = BagClock(1.0)
     timeline.pause(True, 0.0)
     timeline.start(7 * S, 50.0)
     assert timeline.advance(51.0) == 7 * S
@@ -67,7 +67,7 @@ def test_a_start_while_paused_waits() -> None:
 
 
 def test_hold_goes_on_from_what_was_not_published() -> None:
-    timeline = Timeline(2.0)
+    timeline = BagClock(2.0)
     timeline.start(0, 0.0)
     assert timeline.advance(0.05) == pytest.approx(100 * MS, abs=2)
     timeline.hold(40 * MS, 0.05)

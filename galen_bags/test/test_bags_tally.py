@@ -4,8 +4,8 @@ from pathlib import Path
 
 import pytest
 from galen_bags.errors import BagError
-from galen_bags.formats.definitions import find_definition
-from galen_bags.record.topic_counts import LossCounter, TopicTopicCounts
+from galen_bags.record.topic_counts import LossCounter, TopicCounts
+from galen_bags.topics import find_definition
 from galen_ros.command import split_ros_arguments
 from rosbags.typesys import get_types_from_msg
 
@@ -36,7 +36,7 @@ def test_gaps_in_sequence_numbers(batches: list[tuple[list[int | None], bool]], 
 
 
 def test_the_rate_is_by_log_times() -> None:
-    counts = TopicTopicCounts("/w", "a/msg/B")
+    counts = TopicCounts("/w", "a/msg/B")
     assert counts.rate_hz is None
     for index in range(11):
         counts.add(index * 2_000_000, 10)
@@ -57,7 +57,7 @@ def test_arguments_for_ros_are_apart(text: str, own: str, ros: str) -> None:
 
 
 def test_what_did_not_get_into_the_file_is_taken_back() -> None:
-    counts = TopicTopicCounts("/w", "a/msg/B")
+    counts = TopicCounts("/w", "a/msg/B")
     counts.add(5, 10)
     counts.take_back()
     assert (counts.messages, counts.size_bytes, counts.first_ns, counts.last_ns) == (

@@ -9,11 +9,11 @@ from xml.etree import ElementTree
 
 import pytest
 import rclpy
-from galen_bags.formats.growing_bag import GrowingBagWriter
+from galen_bags.formats.writer import GrowingBagWriter
 from galen_bags.record.recorder import RecorderNode
 from galen_calibration_behavior.calibrate import CalibrateClient
+from galen_calibration_behavior.check import CheckClient
 from galen_calibration_behavior.node import CalibrationNode
-from galen_calibration_behavior.quick_check.command import CheckClient
 from galen_calibration_behavior.quick_check.node import CheckNode
 from galen_deflection.collection import node as collection_node
 from galen_deflection.collection.command import CollectClient

@@ -7,33 +7,36 @@ rosbags, message by message.
 from __future__ import annotations
 
 import contextlib
+import hashlib
 import os
-import re
+import struct
 import sys
 import tempfile
 from collections.abc import Iterable, Iterator, Sequence
-from pathlib import Path, PurePath
+from pathlib import Path
 from types import TracebackType
 
 import numpy as np
-import yaml
 
-from galen_bags.arrays.problems import Problems
 from galen_bags.errors import BagError
 from galen_bags.formats.library_file import LibraryFile
 from galen_bags.formats.mcap_file import McapFile
 from galen_bags.formats.mcap_records import LARGEST_BYTES
-from galen_bags.formats.metadata import MOST_BYTES, events
-from galen_bags.formats.raw_block import Messages, TopicInfo, packed
+from galen_bags.formats.metadata import (
+    STORAGES,
+    ZSTD_ENDING,
+    listed_files,
+    storage_files,
+    storage_of,
+)
+from galen_bags.formats.raw_block import Messages, Problems, TopicInfo, packed
 
 if sys.version_info >= (3, 14):
     from compression import zstd
 else:
     from backports import zstd
 
-STORAGES = (".mcap", ".db3")
 _KINDS = (*STORAGES, ".bag")
-_ZSTD = ".zstd"
 # No serialised message starts so: CDR's first byte is zero.
 _ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 # Recordings don't shrink to less; what grows by more is meant to fill the disk.
@@ -123,9 +126,9 @@ class Bag:
                 self._problems.add(str(error))
 
     def _open(self, path: Path) -> McapFile | LibraryFile:
-        if _storage(path) not in _KINDS:
+        if storage_of(path) not in _KINDS:
             raise BagError(f"{path}: is no bag (.mcap, .db3, .bag or a directory of them)")
-        if path.suffix == _ZSTD:
+        if path.suffix == ZSTD_ENDING:
             unpacked = self._decompressed(path)
             try:
                 return self._open(unpacked)
@@ -198,7 +201,7 @@ def open_bag(path: str | os.PathLike[str]) -> Bag:
     path = Path(path)
     try:
         if path.is_dir():
-            listed, problems = _listed_files(path)
+            listed, problems = listed_files(path)
             if listed is None:
                 listed = storage_files(path)
         elif path.is_file():
@@ -218,64 +221,33 @@ def open_bag(path: str | os.PathLike[str]) -> Bag:
     return Bag(path, there, problems)
 
 
+def content_sha256(path: str | os.PathLike[str]) -> str:
+    """SHA-256, in hexadecimal, over every message of a bag in order of log time.
+
+    Of each message: topic name and type, each ended by a zero byte, log time (int64, ns), length
+    of the payload (uint64), both little-endian, the payload itself. Messages of one log time are
+    taken in the bag's order. Raises BagError, also for a bag that can't be read to its end.
+    """
+    digest = hashlib.sha256()
+    with open_bag(path) as bag:
+        names = sorted(bag.topics)
+        heads = [f"{name}\0{bag.topics[name].type_name}\0".encode() for name in names]
+        for block in bag.blocks(names):
+            for index, topic in enumerate(block.topic.tolist()):
+                data = block.message(index)
+                digest.update(heads[topic])
+                digest.update(struct.pack("<qQ", int(block.log_time_ns[index]), len(data)))
+                digest.update(data)
+        if bag.problems:
+            raise BagError(f"{Path(path)}: {bag.problems[0]}")
+    return digest.hexdigest()
+
+
 def listing(names: Iterable[str]) -> str:
     """Names for a sentence: "/a, /b", the first of many, or "none"."""
     there = sorted(names)
     more = [f"{len(there) - _MOST_NAMED} more"] if len(there) > _MOST_NAMED else []
     return ", ".join([*there[:_MOST_NAMED], *more]) or "none"
-
-
-def storage_files(directory: Path) -> list[Path]:
-    """A rosbag2 directory's files, in the order of the numbers in their names."""
-    found = [
-        file
-        for file in directory.iterdir()
-        if file.is_file() and _storage(file) in STORAGES and not file.name.startswith(".")
-    ]
-    return sorted(found, key=lambda file: [int(n) for n in re.findall(r"\d+", file.name)] or [0])
-
-
-def _storage(path: Path) -> str:
-    return Path(path.stem).suffix if path.suffix == _ZSTD else path.suffix
-
-
-def _listed_files(directory: Path) -> tuple[list[Path] | None, list[str]]:
-    """The files that metadata.yaml lists (None: it does not say), and what is wrong with it."""
-    metadata = directory / "metadata.yaml"
-    if not metadata.exists():
-        return None, [f"{directory.name} has no metadata.yaml: its recording was cut off"]
-    try:
-        if not metadata.is_file():
-            raise ValueError("it is no file")
-        # Only names: a path in it must not lead out of the directory.
-        names = dict.fromkeys(PurePath(text).name for text in _listed_paths(metadata))
-        if not names:
-            raise ValueError("it lists no files")
-    except (OSError, ValueError, yaml.YAMLError) as error:
-        reason = " ".join(str(error).split())
-        return None, [f"{directory.name}/metadata.yaml can't be used: {reason}"]
-    listed = [directory / name for name in names]
-    return listed, [
-        f"{file.name} is not read: metadata.yaml does not list it"
-        for file in storage_files(directory)
-        if file not in listed
-    ]
-
-
-def _listed_paths(metadata: Path) -> list[str]:
-    """The texts in the list of files; the rest of the file is not taken apart."""
-    with metadata.open(encoding="utf-8") as file:
-        found = events(file.read(MOST_BYTES))
-        for event in found:
-            if isinstance(event, yaml.ScalarEvent) and event.value == "relative_file_paths":
-                break
-        paths: list[str] = []
-        if isinstance(next(found, None), yaml.SequenceStartEvent):
-            for event in found:
-                if not isinstance(event, yaml.ScalarEvent):
-                    break
-                paths.append(event.value)
-        return paths
 
 
 def _decompress(data: bytes) -> bytes:

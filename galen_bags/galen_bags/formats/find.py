@@ -8,7 +8,7 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 from galen_bags.errors import BagError
-from galen_bags.formats.bag import STORAGES, storage_files
+from galen_bags.formats.metadata import STORAGES, storage_files
 
 _FILES = (*STORAGES, *(f"{storage}.zstd" for storage in STORAGES), ".bag")
 _METADATA = "metadata.yaml"

@@ -20,10 +20,9 @@ from rosbags.rosbag2 import ReaderError as Rosbag2Error
 from rosbags.serde import SerdeError
 from rosbags.typesys import Stores, TypesysError, get_types_from_msg, get_typestore
 
-from galen_bags.arrays.problems import Problems
 from galen_bags.errors import BagError
 from galen_bags.formats.mcap_records import LARGEST_BYTES
-from galen_bags.formats.raw_block import Messages, TopicInfo, packed
+from galen_bags.formats.raw_block import Messages, Problems, TopicInfo, packed
 
 # What the library raises on a damaged file. The built-in ones come from its parsing of bytes; a
 # RuntimeError is also one for recursion, in a type's definition, a SyntaxError one for lists within

@@ -21,7 +21,6 @@ from typing import BinaryIO
 
 import numpy as np
 
-from galen_bags.arrays.problems import Problems
 from galen_bags.errors import BagError
 from galen_bags.formats.mcap_records import (
     CHANNEL,
@@ -43,7 +42,7 @@ from galen_bags.formats.mcap_records import (
     unpack_chunk,
     walk,
 )
-from galen_bags.formats.raw_block import Messages, TopicInfo
+from galen_bags.formats.raw_block import Messages, Problems, TopicInfo
 from galen_bags.formats.time_order import MOST_HELD_BYTES, TimeOrder
 
 _WINDOW_BYTES = 1 << 16

@@ -1,10 +1,10 @@
-"""What a rosbag2 directory's metadata.yaml says about times and quality of service."""
+"""What a rosbag2 directory holds: its files, and what its metadata.yaml states."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import re
 from dataclasses import dataclass, field
-from pathlib import Path
+from pathlib import Path, PurePath
 from typing import Any
 
 import yaml
@@ -13,8 +13,10 @@ from rosbags.interfaces import Qos
 from rosbags.rosbag2 import ReaderError
 from rosbags.rosbag2.metadata import parse_qos
 
+STORAGES = (".mcap", ".db3")
+ZSTD_ENDING = ".zstd"
 # A topic's entry has some hundred bytes, and a file's as well.
-MOST_BYTES = 1 << 20
+_MOST_BYTES = 1 << 20
 # rosbag2 writes half as many levels.
 _DEEPEST = 20
 
@@ -35,7 +37,7 @@ def read_metadata(path: Path) -> BagMetadata:
     That is no error here: `open_bag` reports it, and reads the messages all the same.
     """
     try:
-        raw = read_limited(path / "metadata.yaml", MOST_BYTES, "a bag's metadata")
+        raw = read_limited(path / "metadata.yaml", _MOST_BYTES, "a bag's metadata")
         content = yaml.load(raw.decode(), Loader=_Loader)
         known = content["rosbag2_bagfile_information"]
         qos, counts = {}, {}
@@ -55,10 +57,58 @@ def read_metadata(path: Path) -> BagMetadata:
         return BagMetadata()
 
 
-def events(text: str) -> Iterator[yaml.Event]:
-    """YAML's events of a metadata.yaml, one by one; raises yaml.YAMLError."""
-    found: Iterator[yaml.Event] = yaml.parse(text, Loader=_Loader)
-    return found
+def storage_files(directory: Path) -> list[Path]:
+    """A rosbag2 directory's files, in the order of the numbers in their names."""
+    found = [
+        file
+        for file in directory.iterdir()
+        if file.is_file() and storage_of(file) in STORAGES and not file.name.startswith(".")
+    ]
+    return sorted(found, key=lambda file: [int(n) for n in re.findall(r"\d+", file.name)] or [0])
+
+
+def storage_of(path: Path) -> str:
+    """Return the ending that says the storage, without that of a compression."""
+    return Path(path.stem).suffix if path.suffix == ZSTD_ENDING else path.suffix
+
+
+def listed_files(directory: Path) -> tuple[list[Path] | None, list[str]]:
+    """The files that metadata.yaml lists (None: it does not say), and what is wrong with it."""
+    metadata = directory / "metadata.yaml"
+    if not metadata.exists():
+        return None, [f"{directory.name} has no metadata.yaml: its recording was cut off"]
+    try:
+        if not metadata.is_file():
+            raise ValueError("it is no file")
+        # Only names: a path in it must not lead out of the directory.
+        names = dict.fromkeys(PurePath(text).name for text in _listed_paths(metadata))
+        if not names:
+            raise ValueError("it lists no files")
+    except (OSError, ValueError, yaml.YAMLError) as error:
+        reason = " ".join(str(error).split())
+        return None, [f"{directory.name}/metadata.yaml can't be used: {reason}"]
+    listed = [directory / name for name in names]
+    return listed, [
+        f"{file.name} is not read: metadata.yaml does not list it"
+        for file in storage_files(directory)
+        if file not in listed
+    ]
+
+
+def _listed_paths(metadata: Path) -> list[str]:
+    """The texts in the list of files; the rest of the file is not taken apart."""
+    with metadata.open(encoding="utf-8") as file:
+        found = iter(yaml.parse(file.read(_MOST_BYTES), Loader=_Loader))
+        for event in found:
+            if isinstance(event, yaml.ScalarEvent) and event.value == "relative_file_paths":
+                break
+        paths: list[str] = []
+        if isinstance(next(found, None), yaml.SequenceStartEvent):
+            for event in found:
+                if not isinstance(event, yaml.ScalarEvent):
+                    break
+                paths.append(event.value)
+        return paths
 
 
 class _Loader(yaml.SafeLoader):

@@ -1,4 +1,4 @@
-"""Serialised messages by the thousand: one buffer, and arrays that say where each message is."""
+"""What all formats give: topics, blocks of serialised messages, problems found in a file."""
 
 from __future__ import annotations
 
@@ -6,10 +6,12 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from galen_model.errors import one_line
 
 # A block of a joint state's or a wrench's messages is about 2 MB; larger ones make it shorter.
 BLOCK_MESSAGES = 1 << 14
 _PACK_BYTES = 1 << 23
+_MOST_PROBLEMS = 20
 
 
 @dataclass(frozen=True)
@@ -106,3 +108,28 @@ def packed(messages: Iterable[tuple[int, int, bytes]]) -> Iterator[Messages]:
             batch, held = [], 0
     if batch:
         yield pack(*zip(*batch, strict=True))
+
+
+class Problems:
+    """Sentences, each once; a bag that is damaged all over doesn't fill the memory with them."""
+
+    def __init__(self) -> None:
+        """Start without any."""
+        self._texts: list[str] = []
+        self._more = False
+
+    def add(self, text: str) -> None:
+        """Note a problem. Reading a bag again finds the same ones again."""
+        text = one_line(" ".join(text.split()))
+        if text in self._texts:
+            return
+        if len(self._texts) < _MOST_PROBLEMS:
+            self._texts.append(text)
+        else:
+            self._more = True
+
+    def __iter__(self) -> Iterator[str]:
+        """The sentences, in the order in which they were found."""
+        yield from self._texts
+        if self._more:
+            yield f"there are more than these {_MOST_PROBLEMS} problems"

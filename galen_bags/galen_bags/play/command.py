@@ -26,7 +26,7 @@ from galen_ros.node.spin import run_until
 from galen_bags.errors import BagError
 from galen_bags.formats.bag import Bag, open_bag
 from galen_bags.play.player import PlayerNode, PlayOptions
-from galen_bags.topic_names import check_topic_name
+from galen_bags.topics import check_topic_name
 
 _NOTES = 'Pause: ros2 service call /player/pause std_srvs/srv/SetBool "{data: true}"'
 

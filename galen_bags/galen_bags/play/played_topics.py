@@ -11,7 +11,7 @@ from rclpy.qos import QoSProfile
 
 from galen_bags.errors import BagError
 from galen_bags.formats.bag import Bag
-from galen_bags.formats.message_types import message_class
+from galen_bags.topics import message_class
 
 CLOCK = "/clock"
 

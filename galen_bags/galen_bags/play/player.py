@@ -23,8 +23,8 @@ from galen_bags.formats.bag import Bag
 from galen_bags.formats.metadata import read_metadata
 from galen_bags.formats.raw_block import Messages
 from galen_bags.play.played_topics import CLOCK, make_topics, selected_topics
-from galen_bags.play.timing import Ahead, Playlist, Settling, Timeline, window, with_stamp
-from galen_bags.qos import offer_again
+from galen_bags.play.timing import Ahead, BagClock, Playlist, Settling, window, with_stamp
+from galen_bags.topics import offer_again
 
 _TICK_S = 0.001
 # More at once could overflow the queues of receivers (2000).
@@ -72,7 +72,7 @@ class PlayerNode(Node):
         self._topics, self.left_out = make_topics(self, bag, offers, bool(options.clock_hz))
         for name, reason in self.left_out.items():
             self.get_logger().warning(f"{name} is not played: {reason}")
-        self._timeline = Timeline(options.rate)
+        self._timeline = BagClock(options.rate)
         self._timeline.pause(options.start_paused, 0.0)
         self._settling = Settling(_QUIET_S)
         self._began_s = time.monotonic()

@@ -19,7 +19,7 @@ from galen_bags.formats.raw_block import Messages
 _BLOCKS_AHEAD = 4
 
 
-class Timeline:
+class BagClock:
     """Bag time as a function of the steady clock: runs at `rate`, can be paused and held.
 
     A stall of more than `max_step_s` is not caught up: the messages that would be due at once would

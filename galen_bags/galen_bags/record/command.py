@@ -25,10 +25,10 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.parameter import Parameter
 
 from galen_bags.errors import BagError
-from galen_bags.formats.growing_bag import GrowingBagWriter
+from galen_bags.formats.writer import GrowingBagWriter
 from galen_bags.record.recorder import DEFAULT_TOPICS, RecorderNode
 from galen_bags.record.topic_counts import topic_table
-from galen_bags.topic_names import check_topic_name
+from galen_bags.topics import check_topic_name
 
 _MB = 1_000_000
 _NOTES = (

@@ -18,11 +18,16 @@ from rclpy.subscription import Subscription
 from rclpy.topic_or_service_is_hidden import topic_or_service_is_hidden
 
 from galen_bags.errors import BagError
-from galen_bags.formats.growing_bag import GrowingBagWriter
-from galen_bags.formats.message_types import definition_of, message_class
-from galen_bags.qos import request_for, serves, to_bag
-from galen_bags.record.topic_counts import TopicTopicCounts
-from galen_bags.topic_names import check_topic_name
+from galen_bags.formats.writer import GrowingBagWriter
+from galen_bags.record.topic_counts import TopicCounts
+from galen_bags.topics import (
+    check_topic_name,
+    definition_of,
+    message_class,
+    request_for,
+    serves,
+    to_bag,
+)
 
 DEFAULT_TOPICS = (
     "joint_states",
@@ -64,7 +69,7 @@ class _Topic:
     message_class: Any
     subscription: Subscription
     request: QoSProfile
-    counts: TopicTopicCounts
+    counts: TopicCounts
 
 
 def received_ns(info: Mapping[str, int | None]) -> int:
@@ -152,7 +157,7 @@ class RecorderNode(Node):
     # --- state -------------------------------------------------------------------------------
 
     @property
-    def counts_by_topic(self) -> list[TopicTopicCounts]:
+    def counts_by_topic(self) -> list[TopicCounts]:
         """The recorded topics, by name."""
         return [self._topics[name].counts for name in sorted(self._topics)]
 
@@ -225,7 +230,7 @@ class RecorderNode(Node):
         subscription = self.create_subscription(
             kind, name, self._on_executor, request, callback_group=self._group, raw=True
         )
-        counts = TopicTopicCounts(name, type_name)
+        counts = TopicCounts(name, type_name)
         self._topics[name] = _Topic(handle, offered, kind, subscription, request, counts)
         self.get_logger().info(f"recording {name} ({type_name})")
 
@@ -246,7 +251,7 @@ class RecorderNode(Node):
         self._bag = bag
         for name, topic in self._topics.items():
             topic.handle = self._add_to_bag(name, topic.counts.type_name, topic.offered)
-            topic.counts = TopicTopicCounts(name, topic.counts.type_name)
+            topic.counts = TopicCounts(name, topic.counts.type_name)
         return written
 
     def _check_hash(self, name: str, digest: str, offers: Sequence[Any]) -> None:

@@ -39,7 +39,7 @@ class LossCounter:
 
 
 @dataclass
-class TopicTopicCounts:
+class TopicCounts:
     """Counts of one recorded topic; times are log times, ns."""
 
     name: str
@@ -88,7 +88,7 @@ class TopicTopicCounts:
         }
 
 
-def topic_table(counts_by_topic: list[TopicTopicCounts]) -> str:
+def topic_table(counts_by_topic: list[TopicCounts]) -> str:
     """The tallies as lines of text, aligned."""
     width = max((len(counts.name) for counts in counts_by_topic), default=0)
     lines = []

@@ -13,7 +13,7 @@ from pathlib import Path
 from queue import Empty, SimpleQueue
 
 from galen_bags.errors import BagError
-from galen_bags.formats.growing_bag import GrowingBagWriter
+from galen_bags.formats.writer import GrowingBagWriter
 from galen_bags.record.recorder import RecorderNode
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
