@@ -21,8 +21,6 @@ setup(
         "console_scripts": [
             "gravcomp_node = galen_ros.executable:galen_gravcomp.node.main",
             "evaluate = galen_ros.executable:galen_gravcomp.evaluate.command.main",
-            "score_motion = galen_ros.executable:galen_gravcomp.evaluate.table.score_motion.main",
-            "drift = galen_ros.executable:galen_gravcomp.evaluate.drift.command.main",
             "tools = galen_ros.executable:galen_gravcomp.tools.command.main",
         ]
     },

@@ -325,7 +325,7 @@ def evaluation(bag, tool, options=()):
         "rmse of rest segments": six(rmse["still_phases"]),
         "noise": six(rmse["noise"]),
     }
-    parts = told["misfit"]
+    parts = told["residual_decomposition"]
     if parts is not None:
         for name in ("load", "offset", "drift", "rest"):
             if parts[name] is not None:
@@ -346,7 +346,7 @@ EVALUATIONS = {
 
 
 def table(name, tmp_path):
-    """`evaluate --table` on one of the measured tables, as the README has them."""
+    """`evaluate` on one of the measured tables, as the README has them."""
     if name == "kuka_ati_gamma":
         options = (measured("kuka_ati_gamma/0-calibration_fts-accel.csv"),)
     elif name == "axia80, 7 poses":
@@ -364,7 +364,7 @@ def table(name, tmp_path):
             measured("axia80/GP2025-07-22-22-06-02.txt"), "--average-s", "1",
             "--columns=t,fx,fy,fz,tx,ty,tz,qx,qy,qz,qw",
         )  # fmt: skip
-    told = json.loads(run("evaluate", "--table", *options, "--json"))
+    told = json.loads(run("evaluate", *options, "--json"))
     return {
         "readings": told["readings"],
         "mass_kg": told["load"]["mass_kg"],

@@ -34,7 +34,7 @@ COMMANDS = {
     "galen_diagnosis.tables.diagnose_table": ("IN", "--output", NOWHERE),
     "galen_diagnosis.tables.diagnose_table --plots": ("IN", "--plots", NOWHERE),
     "galen_diagnosis.examples.command": ("tilt", "--output", NOWHERE),
-    "galen_gravcomp.evaluate.drift.command": ("IN", "--plots", NOWHERE),
+    "galen_gravcomp.evaluate.command --drift": ("IN", "--drift", "--plots", NOWHERE),
     "galen_gravcomp.evaluate.command": (
         "bags",
         "--tool",
@@ -49,10 +49,9 @@ COMMANDS = {
         "--write-bags",
         NOWHERE,
     ),
-    "galen_gravcomp.evaluate.command --table": ("--table", "IN", "--plots", NOWHERE),
+    "galen_gravcomp.evaluate.command table": ("IN.csv", "--plots", NOWHERE),
     "galen_gravcomp.evaluate.command --write-tool": (
-        "--table",
-        "IN",
+        "IN.csv",
         "--write-tool",
         f"{NOWHERE}/t.json",
     ),

@@ -6,8 +6,8 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from galen_gravcomp.evaluate.command import main
 from galen_gravcomp.evaluate.drift.allan import allan_deviation
-from galen_gravcomp.evaluate.drift.command import main
 from galen_gravcomp.evaluate.drift.forecast import score_forecasts
 from galen_gravcomp.evaluate.drift.result import judge_drift
 from galen_gravcomp.evaluate.drift.series import series_of
@@ -146,14 +146,14 @@ def test_the_command_on_a_table(tmp_path, capsys):
     table = tmp_path / "still.csv"
     rows = [",".join(map(str, row)) for row in 0.01 * rng.standard_normal((2000, 6)) * UNITS]
     table.write_text("\n".join(["fx,fy,fz,tx,ty,tz", *rows]))
-    assert main([str(table), "--rate-hz", "10", "--json"]) == 0
+    assert main([str(table), "--drift", "--rate-hz", "10", "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
     assert found["samples"] == 2000
     assert found["axes"]["fx"]["white_per_sqrt_hz"] == pytest.approx(0.01 / np.sqrt(10), rel=0.2)
-    assert main([str(table)]) == 1
+    assert main([str(table), "--drift"]) == 1
     assert "--rate-hz" in capsys.readouterr().err
-    assert main([str(tmp_path / "nothing")]) == 1
+    assert main([str(tmp_path / "nothing"), "--drift"]) == 1
     for wrong in (("--cell-s", "1e-10"), ("--joint-names", "a,b")):
         with pytest.raises(SystemExit) as ended:
-            main([str(table), *wrong])
+            main([str(table), "--drift", *wrong])
         assert ended.value.code == 2

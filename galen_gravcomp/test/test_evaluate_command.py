@@ -36,7 +36,7 @@ def test_one_bag_gives_a_report_a_picture_and_a_bag(archive, tmp_path, capsys):
     told = re.search(r"as of another load, by \+([\d.]+) \+-", out.replace("\n", " "))
     assert float(told.group(1)) == pytest.approx(30.0, abs=1.0)
     assert re.search(r"load less the file's: \+(29\.\d|30\.\d)\d \+- 0\.\d+ g", out)
-    for part in ("still phases' means", "another load", "Worst still phases", "Time stamps"):
+    for part in ("rest segments' means", "another load", "Worst rest segments", "Time stamps"):
         assert part in out
     picture = tmp_path / "plots" / "sweep_evaluation.png"
     assert picture.read_bytes().startswith(b"\x89PNG")
@@ -138,7 +138,7 @@ def test_what_cannot_be_done_is_one_line_and_exit_code_1(
     [
         [],
         ["bag"],
-        ["bag", "--table", "t.csv", "--tool", "x"],
+        ["bag", "t.csv", "--tool", "x"],
         ["bag", "--tool", "x", "--tool-beside", "y"],
         ["bag", "--tool", "x", "--max-joint-age-s", "100"],
         ["bag", "--tool", "x", "--limit-force-n", "0"],

@@ -114,7 +114,7 @@ def test_gravity_in_g_is_scaled(tmp_path, readings):
 def test_a_bad_table_is_named(tmp_path, text, message, capsys):
     path = tmp_path / "bad.csv"
     path.write_text(text)
-    assert main(["--table", str(path)]) == 1
+    assert main([str(path)]) == 1
     error = capsys.readouterr().err
     assert "bad.csv" in error
     assert message in error
@@ -122,7 +122,7 @@ def test_a_bad_table_is_named(tmp_path, text, message, capsys):
 
 
 def test_a_missing_file_is_named(capsys):
-    assert main(["--table", "/nowhere/t.csv"]) == 1
+    assert main(["/nowhere/t.csv"]) == 1
     assert "/nowhere/t.csv" in capsys.readouterr().err
 
 
@@ -203,9 +203,7 @@ def test_a_recording_is_scored_by_stops_and_its_json_is_whole(tmp_path, capsys):
     path = write(
         tmp_path / "r.csv", ["t", "roll", "tilt", *WRENCH], np.column_stack([time, joints, wrench])
     )
-    code = main(
-        ["--table", str(path), "--average-s", "1", "--json", "--plots", str(tmp_path / "p")]
-    )
+    code = main([str(path), "--average-s", "1", "--json", "--plots", str(tmp_path / "p")])
     assert code == 0
     content = json.loads(capsys.readouterr().out)
     assert content["still_phases"] == 4
@@ -226,7 +224,7 @@ def test_time_that_runs_backward_is_named(tmp_path, capsys):
     path = write(
         tmp_path / "r.csv", ["t", "roll", "tilt", *WRENCH], np.column_stack([time, joints, wrench])
     )
-    assert main(["--table", str(path), "--average-s", "1"]) == 1
+    assert main([str(path), "--average-s", "1"]) == 1
     assert "time does not increase at reading 101" in capsys.readouterr().err
 
 
@@ -245,7 +243,7 @@ def test_a_tool_file_is_scored_beside_the_fits(tmp_path, capsys):
     noise = NOISE * 0.1
     wrench = tool.predict(joints[:, 0], joints[:, 1]) + noise * rng.standard_normal((40, 6))
     path = write(tmp_path / "t.csv", ["roll", "tilt", *WRENCH], np.hstack([joints, wrench]))
-    assert main(["--table", str(path), "--tool", str(tmp_path / "pointer.json"), "--json"]) == 0
+    assert main([str(path), "--tool", str(tmp_path / "pointer.json"), "--json"]) == 0
     rmse = json.loads(capsys.readouterr().out)["tool"]["rmse"]
     np.testing.assert_allclose(np.array(list(rmse.values())) / noise, 1.0, atol=4 / np.sqrt(80))
 
@@ -253,7 +251,7 @@ def test_a_tool_file_is_scored_beside_the_fits(tmp_path, capsys):
 def test_few_readings_are_rejected(tmp_path, capsys):
     path = tmp_path / "few.csv"
     path.write_text("fx,fy,fz,tx,ty,tz,roll,tilt\n" + "1,2,3,4,5,6,0,0\n" * 5)
-    assert main(["--table", str(path)]) == 1
+    assert main([str(path)]) == 1
     assert "the poses tell nothing about" in capsys.readouterr().err
 
 
@@ -261,7 +259,7 @@ def test_few_readings_are_rejected(tmp_path, capsys):
 def test_a_table_too_short_to_split_is_said(tmp_path, capsys, count):
     path = tmp_path / "short.csv"
     path.write_text("fx,fy,fz,tx,ty,tz,roll,tilt\n" + "1,2,3,4,5,6,0,0\n" * count)
-    assert main(["--table", str(path)]) == 1
+    assert main([str(path)]) == 1
     assert capsys.readouterr().err == (
         f"evaluate: {path}: {count} readings; at least 4 are needed to hold some out\n"
     )
@@ -279,7 +277,7 @@ def test_plots_that_can_not_be_written_are_said(tmp_path, readings, capsys):
     path = tmp_path / "t.csv"
     gravity, wrench = readings[3:]
     write(path, [*WRENCH, "gx", "gy", "gz"], np.hstack([wrench, gravity]))
-    assert main(["--table", str(path), "--plots", str(path / "plots")]) == 1
+    assert main([str(path), "--plots", str(path / "plots")]) == 1
     error = capsys.readouterr().err
     assert str(path / "plots") in error and len(error.strip().splitlines()) == 1
 
@@ -287,7 +285,7 @@ def test_plots_that_can_not_be_written_are_said(tmp_path, readings, capsys):
 def test_a_decimal_comma_is_named(tmp_path, capsys):
     path = tmp_path / "comma.csv"
     path.write_text("fx;fy;fz;tx;ty;tz;roll;tilt\n" + "1,5;2,5;3;4;5;6;0,1;0\n")
-    assert main(["--table", str(path)]) == 1
+    assert main([str(path)]) == 1
     error = capsys.readouterr().err
     assert "line 2, column 'fx': '1,5' is not a finite number" in error
 
@@ -333,7 +331,7 @@ def test_a_tool_file_from_a_table_reads_what_the_fit_reads(tmp_path, readings, k
     wrench[3, 0] += 5.0
     table = write(tmp_path / "t.csv", names + WRENCH, np.hstack([columns, wrench]), ",")
     path = tmp_path / "tools" / "gripper.json"
-    assert main(["--table", str(table), "--write-tool", str(path), "--json"]) == 0
+    assert main([str(table), "--write-tool", str(path), "--json"]) == 0
     tool = read_calibration(path)
     fit = evaluate_table(read_table(table)).fit
     under = gravity * (local if kind == "gravity" else 1.0)
@@ -352,6 +350,6 @@ def test_a_tool_file_from_a_table_reads_what_the_fit_reads(tmp_path, readings, k
 def test_a_tool_file_of_another_name_is_rejected_before_anything_is_done(
     tmp_path, name, message, capsys
 ):
-    assert main(["--table", str(tmp_path / "no.csv"), "--write-tool", str(tmp_path / name)]) == 1
+    assert main([str(tmp_path / "no.csv"), "--write-tool", str(tmp_path / name)]) == 1
     assert message in capsys.readouterr().err
     assert not list(tmp_path.iterdir())

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from galen_gravcomp.evaluate.table.score_motion import EXIT_FAILED, main
+from galen_gravcomp.evaluate.command import main
 from galen_model.errors import IdentificationError, NotExcitedError
 from galen_model.load.inertia.imu_mount import fit_imu
 from galen_model.rotation import rot_x, rot_y, rotvec_to_matrix
@@ -99,9 +99,7 @@ def tables(folder, late_s=0.004):
     t = 100.0 + np.arange(0.0, 6.0, 1 / 100)
     o = np.column_stack([1e3 * t, gravity(t - 100)])
     orientation_file = write(folder / "o.csv", ["t", *names[6:9]], o)
-    files = (still_file, wrench_file, imu_file, orientation_file)
-    options = ("--still", "--wrench", "--imu", "--orientations")
-    return [part for pair in zip(options, files, strict=True) for part in pair]
+    return [still_file, "--run", wrench_file, imu_file, orientation_file]
 
 
 def test_a_run_of_tables_is_scored_by_halves(tmp_path, capsys):
@@ -118,22 +116,21 @@ def test_a_run_of_tables_is_scored_by_halves(tmp_path, capsys):
     assert main(args) == 0 and "with the IMU" in capsys.readouterr().out
     lines = (tmp_path / "o.csv").read_text().split("\n")
     (tmp_path / "o.csv").write_text("\n".join([*lines[:5], *lines[4:]]))
-    assert main(args) == EXIT_FAILED
+    assert main(args) == 1
     error = capsys.readouterr().err
     assert "o.csv: reading 5 has t = " in error and error.count("\n") == 1
     (tmp_path / "i.csv").write_text("t,ax,ay\n1,2,3\n")
-    assert main(args) == EXIT_FAILED
+    assert main(args) == 1
     error = capsys.readouterr().err
     assert "i.csv: no column 'az'" in error and error.count("\n") == 1
 
 
 @pytest.mark.skipif(not MEASURED.exists(), reason="the measured set is not here")
 def test_the_measured_run_with_its_imu(capsys):
-    names = {
-        "still": "0-calibration_fts-accel", "wrench": "1-baseline_wrench",
-        "imu": "1-baseline_accel", "orientations": "1-baseline_orientations",
-    }  # fmt: skip
-    args = [part for key, n in names.items() for part in (f"--{key}", str(MEASURED / f"{n}.csv"))]
+    parts = ("wrench", "accel", "orientations")
+    names = ("0-calibration_fts-accel", *(f"1-baseline_{part}" for part in parts))
+    still, *run = (str(MEASURED / f"{name}.csv") for name in names)
+    args = [still, "--run", *run]
     units = ["--time-unit-s", "1e-6", "--imu-unit-m-s2", "9.80665", "--json"]
     assert main([*args, *units]) == 0
     found = json.loads(capsys.readouterr().out)

@@ -36,7 +36,7 @@ def baseline(tmp_path_factory):
     ]  # fmt: skip
     assert convert([*files, "--time-unit", "us", "-o", str(bag)]) == 0
     table = KUKA / "0-calibration_fts-accel.csv"
-    assert evaluate(["--table", str(table), "--write-tool", str(file), "--json"]) == 0
+    assert evaluate([str(table), "--write-tool", str(file), "--json"]) == 0
     return bag, file
 
 

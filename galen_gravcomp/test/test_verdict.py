@@ -2,8 +2,7 @@
 
 import numpy as np
 import pytest
-from galen_gravcomp.evaluate.load_change import find_change
-from galen_gravcomp.evaluate.residual_decomposition import Limits, take_apart
+from galen_gravcomp.evaluate.residual_decomposition import Limits, decompose, find_change
 from galen_gravcomp.evaluate.verdict import Verdict, judge
 from galen_model.arm.galen import SENSOR
 from galen_model.rest.binned import StillPhases
@@ -35,8 +34,8 @@ def phases(true, tool, count=20, *, seed=1, noise=1.0, angles=None, every_s=5.0,
 
 def told(found, tool):
     change = find_change(found, tool, LIMITS)
-    misfit = None if change else take_apart(found, tool)
-    return judge(found, misfit, change, tool, LIMITS, moving=NOWHERE, start_ns=START_NS)
+    parts = None if change else decompose(found, tool)
+    return judge(found, parts, change, tool, LIMITS, moving=NOWHERE, start_ns=START_NS)
 
 
 def alternating(count, size, axis):
@@ -51,29 +50,29 @@ def test_stronger_gravity_in_the_file_makes_a_smaller_mass_of_the_same_weight():
     object.__setattr__(stronger, "gravity_m_s2", np.array([0.0, 0.0, -1.2 * 9.80665]))
     heavier = tool_file(mass_kg=0.3)
     object.__setattr__(heavier, "gravity_m_s2", stronger.gravity_m_s2)
-    misfit = take_apart(phases(heavier, stronger), stronger)
-    assert misfit.mass_kg == pytest.approx(0.1, abs=1e-3)
+    parts = decompose(phases(heavier, stronger), stronger)
+    assert parts.mass_kg == pytest.approx(0.1, abs=1e-3)
 
 
 def test_phases_that_stand_out_are_not_in_the_rest():
     tool = tool_file()
     left = np.zeros((20, 6))
     left[4, 1] = 3.0
-    misfit = take_apart(phases(tool, tool, left=left), tool)
-    assert np.flatnonzero(~misfit.used).tolist() == [4]
-    assert misfit.rest[1] < 0.01
-    assert misfit.offset[1] < 0.01
+    parts = decompose(phases(tool, tool, left=left), tool)
+    assert np.flatnonzero(~parts.used).tolist() == [4]
+    assert parts.rest[1] < 0.01
+    assert parts.offset[1] < 0.01
 
 
 @pytest.mark.parametrize(
     ("count", "every_s", "why"),
-    [(7, 20.0, "7 still phases are too few"), (8, 20.0, ""), (20, 1.2, "the still phases span")],
+    [(7, 20.0, "7 rest segments are too few"), (8, 20.0, ""), (20, 1.2, "the rest segments span")],
 )
 def test_drift_takes_eight_phases_and_half_a_minute(count, every_s, why):
     tool = tool_file()
-    misfit = take_apart(phases(tool, tool, count, every_s=every_s), tool)
-    assert (misfit.why_no_drift == why) if not why else misfit.why_no_drift.startswith(why)
-    assert (misfit.rate_per_hour is None) == bool(why)
+    parts = decompose(phases(tool, tool, count, every_s=every_s), tool)
+    assert (parts.why_no_drift == why) if not why else parts.why_no_drift.startswith(why)
+    assert (parts.rate_per_hour is None) == bool(why)
 
 
 def test_poses_that_only_touched_phases_spread_tell_no_load():
@@ -82,12 +81,12 @@ def test_poses_that_only_touched_phases_spread_tell_no_load():
     angles[[3, 9, 15]] = [[1.2, 0.5], [-1.2, -0.5], [0.2, 0.9]]
     left = np.zeros((20, 6))
     left[[3, 9, 15], :3] = [[3.0, 2.0, 0.0], [-2.0, 0.0, 4.0], [1.0, -3.0, 0.0]]
-    misfit = take_apart(phases(tool, tool, angles=angles, left=left), tool)
-    assert misfit.load is None
-    assert misfit.why_no_load
+    parts = decompose(phases(tool, tool, angles=angles, left=left), tool)
+    assert parts.load is None
+    assert parts.why_no_load
 
 
-def test_a_half_explained_misfit_is_no_change_of_load():
+def test_a_half_explained_parts_is_no_change_of_load():
     """With something else left besides the step, two parts are not five times better than one."""
     tool = tool_file()
     left = alternating(20, 0.05, 1)
@@ -138,7 +137,7 @@ def test_what_would_not_fix_it_is_not_the_reason(offset, rest, verdict):
     assert found is verdict
     besides = rest > 0.025 and verdict is Verdict.OFFSET
     assert ("besides, 0.0" in sentence) == besides
-    assert ("which a tare takes off" in sentence) == (verdict is Verdict.OFFSET and not besides)
+    assert ("which a tare subtracts" in sentence) == (verdict is Verdict.OFFSET and not besides)
 
 
 def test_a_phase_that_is_out_by_nothing_that_matters_is_not_worth_a_word():
@@ -146,10 +145,10 @@ def test_a_phase_that_is_out_by_nothing_that_matters_is_not_worth_a_word():
     left = np.zeros((20, 6))
     left[4, 0] = 0.02
     found = phases(tool, tool, noise=0.2, left=left)
-    assert not take_apart(found, tool).used[4]
-    assert "out" not in told(found, tool)[1]
+    assert not decompose(found, tool).used[4]
+    assert "outlier" not in told(found, tool)[1]
     left[4, 0] = 0.2
-    assert "1 of 20 still phases stands out" in told(phases(tool, tool, left=left), tool)[1]
+    assert "1 of 20 rest segments: an outlier" in told(phases(tool, tool, left=left), tool)[1]
 
 
 def test_a_torque_s_drift_is_in_mnm_an_hour():

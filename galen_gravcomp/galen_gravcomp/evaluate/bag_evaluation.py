@@ -1,4 +1,4 @@
-"""One recording through the compensator that the node runs, and what is left over.
+"""One recording through the compensator that the node runs, and its residual.
 
 The bag's samples go through `Compensator` in the order in which they were received, as they would
 through the node. What comes out is reduced to cells on the way (`cells`), so that memory is needed
@@ -28,8 +28,14 @@ from galen_gravcomp.corrections.joint_motion import JointMotion, inertia_source
 from galen_gravcomp.corrections.motion_window import MotionSettings
 from galen_gravcomp.corrections.stages import Stages
 from galen_gravcomp.evaluate.channel_check import ChannelCheck, ChannelReport
-from galen_gravcomp.evaluate.load_change import LoadChange, find_change
-from galen_gravcomp.evaluate.residual_decomposition import Limits, Misfit, take_apart
+from galen_gravcomp.evaluate.residual_decomposition import (
+    Limits,
+    LoadChange,
+    ResidualParts,
+    decompose,
+    find_change,
+    rms,
+)
 from galen_gravcomp.evaluate.verdict import Verdict, judge
 
 # Slower sensors get longer cells, so that a cell holds a few readings.
@@ -59,7 +65,7 @@ class EvaluationSettings:
     still: StillCellSettings = field(default_factory=StillCellSettings)
     limits: Limits = field(default_factory=Limits)
     motion: MotionSettings | None = None
-    """Take inertial forces off as well, from the joints; None: not."""
+    """Subtract inertial forces as well, from the joints; None: not."""
 
 
 @dataclass(frozen=True)
@@ -69,7 +75,7 @@ class BagEvaluation:
     rmse_still, rmse_moving: of single compensated readings while the arm was still, and not;
     rmse_phases: of the still phases' means. `rejected` and `notices` count by name, with an
     example of each rejection in words; `problems` are the bag's. motion: the inertia with which
-    inertial forces were taken off, in words; empty where they were not.
+    inertial forces were subtracted, in words; empty where they were not.
     """
 
     path: Path
@@ -91,7 +97,7 @@ class BagEvaluation:
     rmse_still: Array
     rmse_moving: Array
     rmse_phases: Array
-    misfit: Misfit | None
+    parts: ResidualParts | None
     change: LoadChange | None
     limits: Limits
     verdict: Verdict
@@ -110,7 +116,7 @@ class BagEvaluation:
 
     @property
     def worst_phases(self) -> np.ndarray:
-        """Phases by what is left over in them, in units of the limits, worst first."""
+        """Rest segments by their residual in units of the limits, worst first."""
         over = np.max(np.abs(self.phases.mean) / self.limits.axes, axis=1)
         return np.argsort(-over)
 
@@ -208,15 +214,15 @@ class _Run:
         )
         limits = self._settings.limits
         change = find_change(phases, self._tool, limits)
-        # One load for both sides of a change would be nobody's.
-        misfit = take_apart(phases, self._tool, stamps_jump=stamps_jump) if change is None else None
+        # One load for both sides of a change fits neither.
+        parts = decompose(phases, self._tool, stamps_jump=stamps_jump) if change is None else None
         verdict, sentence = judge(
             phases,
-            misfit,
+            parts,
             change,
             self._tool,
             limits,
-            moving=_rms(cells.mean[~phases.arm_still]),
+            moving=rms(cells.mean[~phases.arm_still]),
             start_ns=int(cells.start_ns[0]) if len(cells) else 0,
             stamps_jump=stamps_jump,
         )
@@ -243,8 +249,8 @@ class _Run:
             phases=phases,
             rmse_still=_rmse(cells, phases.arm_still),
             rmse_moving=_rmse(cells, ~phases.arm_still),
-            rmse_phases=_rms(phases.mean),
-            misfit=misfit,
+            rmse_phases=rms(phases.mean),
+            parts=parts,
             change=change,
             limits=limits,
             verdict=verdict,
@@ -258,15 +264,15 @@ class _Run:
         if not compensator.compensated:
             reasons = compensator.rejections.most_common(1)
             if not reasons:
-                return "no wrench was compensated: nothing can be said of the file's fit"
+                return "no wrench was compensated: the file's fit is unknown"
             why = self._examples[reasons[0][0].value]
-            return f"no wrench was compensated, so nothing can be said of the file's fit: {why}"
+            return f"no wrench was compensated, so the file's fit is unknown: {why}"
         for notice, what in _UNITS.items():
             count = compensator.notices[notice]
             if count > _SUSPECT_SHARE * compensator.received:
                 return (
                     f"{what} in {count} of {compensator.received} wrenches:"
-                    " nothing can be said of the file's fit"
+                    " the file's fit is unknown"
                 )
         return ""
 
@@ -277,8 +283,3 @@ def _rmse(cells: Cells, which: np.ndarray) -> Array:
     if not count:
         return np.full(6, np.nan)
     return np.asarray(np.sqrt(cells.sum_of_squares[which].sum(axis=0) / count))
-
-
-def _rms(values: Array) -> Array:
-    """Root mean square (6,) of rows (n, 6); NaN if there are none."""
-    return np.asarray(np.sqrt(np.mean(values**2, axis=0))) if len(values) else np.full(6, np.nan)

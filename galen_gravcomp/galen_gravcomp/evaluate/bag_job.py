@@ -60,7 +60,7 @@ class BagJob:
                 on_block = CompensatedBag(writer, reader).add
             result = evaluate_open_bag(bag, tool, self.settings, on_progress, on_block)
         if self.plots is not None:
-            from galen_gravcomp.evaluate.bag_plots import plot_evaluation  # slow to import
+            from galen_gravcomp.evaluate.plots import plot_evaluation  # slow to import
 
             try:
                 plot_evaluation(result, self.plots, name)

@@ -9,45 +9,48 @@ from typing import Any
 import numpy as np
 from galen_bags.arrays.stamp_check import StampReport
 from galen_model.arm.galen import WRENCH_AXES
-from galen_model.arrays import Array
 from galen_ros.stream.results import Notice
 from rich.console import Console
 from rich.table import Table
 
 from galen_gravcomp.evaluate.bag_evaluation import BagEvaluation
 from galen_gravcomp.evaluate.channel_check import describe_run
-from galen_gravcomp.evaluate.residual_decomposition import Misfit
+from galen_gravcomp.evaluate.report import (
+    UNITS,
+    Report,
+    axes_table,
+    axis_cells,
+    by_axis,
+    number_or_none,
+    table,
+)
+from galen_gravcomp.evaluate.residual_decomposition import ResidualParts
 from galen_gravcomp.evaluate.verdict import Verdict
 
-_UNITS = ("mN", "mN", "mN", "mN.m", "mN.m", "mN.m")
 _WORST = 5
 _EVENTS = 5
 _RUNS = ("frozen", "stuck", "saturated")
 _VERDICT_STYLE = {Verdict.FITS: "bold green", Verdict.UNKNOWN: "bold yellow"}
 
 
-def print_evaluation(result: BagEvaluation, console: Console) -> None:
-    """Tables for a person."""
+def report(result: BagEvaluation) -> Report:
+    """Make the report of one bag; its picture is written by the job."""
     tool = result.tool
-    console.print(
-        f"[bold]{result.path}[/bold]: {result.duration_s:.1f} s, tool {tool.tool}"
-        f" ({1e3 * tool.load.mass_kg:.1f} g, calibrated {tool.calibrated_at})",
-        soft_wrap=True,
-    )
-    if result.motion:
-        console.print(f"Inertial forces are taken off, with the inertia: {result.motion}")
     style = _VERDICT_STYLE.get(result.verdict, "bold red")
-    console.print(f"[{style}]{result.sentence}[/{style}]", soft_wrap=True)
-    console.print(_rmse_table(result))
-    if result.misfit is not None:
-        console.print(_parts_table(result.misfit))
-        for line in _misfit_lines(result.misfit):
-            console.print(line, soft_wrap=True)
+    shown: list[str | Table] = [
+        f"[bold]{result.path}[/bold]: {result.duration_s:.1f} s, tool {tool.tool}"
+        f" ({1e3 * tool.load.mass_kg:.1f} g, calibrated {tool.calibrated_at})"
+    ]
+    if result.motion:
+        shown.append(f"Inertial forces are subtracted, with the inertia: {result.motion}")
+    shown += [f"[{style}]{result.sentence}[/{style}]", _rmse_table(result)]
+    if result.parts is not None:
+        shown += [_parts_table(result.parts), *_parts_lines(result.parts)]
     if len(result.phases):
-        console.print(_worst_table(result))
-    console.print(_stamps_table(result))
-    for line in findings(result):
-        console.print(f"[yellow]{line}[/yellow]", soft_wrap=True, highlight=False)
+        shown.append(_worst_table(result))
+    shown.append(_stamps_table(result))
+    shown += [f"[yellow]{line}[/yellow]" for line in findings(result)]
+    return Report(to_dict(result), shown)
 
 
 def findings(result: BagEvaluation) -> list[str]:
@@ -90,7 +93,7 @@ def findings(result: BagEvaluation) -> list[str]:
 
 def to_dict(result: BagEvaluation) -> dict[str, Any]:
     """The evaluation as plain numbers, texts and lists; SI units, None where unknown."""
-    misfit, phases = result.misfit, result.phases
+    parts, phases = result.parts, result.phases
     return {
         "bag": str(result.path),
         "tool": result.tool.tool,
@@ -107,21 +110,21 @@ def to_dict(result: BagEvaluation) -> dict[str, Any]:
         },
         "notices": result.notices,
         "rmse": {
-            "still": _by_axis(result.rmse_still),
-            "still_phases": _by_axis(result.rmse_phases),
-            "moving": _by_axis(result.rmse_moving),
-            "noise": _by_axis(phases.noise),
-            "limit": _by_axis(result.limits.axes),
+            "still": by_axis(result.rmse_still),
+            "still_phases": by_axis(result.rmse_phases),
+            "moving": by_axis(result.rmse_moving),
+            "noise": by_axis(phases.noise),
+            "limit": by_axis(result.limits.axes),
         },
         "still_s": result.still_s,
         "still_phases": len(phases),
-        "misfit": None if misfit is None else _misfit_dict(misfit),
+        "residual_decomposition": None if parts is None else _parts_dict(parts),
         "load_change": None
         if result.change is None
         else {
             "time_s": (result.change.time_ns - result.start_ns) * 1e-9,
             "mass_kg": None if result.change.mass_kg is None else list(result.change.mass_kg),
-            "offset_step": _by_axis(result.change.offset_step),
+            "offset_step": by_axis(result.change.offset_step),
         },
         "worst_poses": [_phase_dict(result, int(k)) for k in result.worst_phases[:_WORST]],
         "stamps": {
@@ -129,8 +132,8 @@ def to_dict(result: BagEvaluation) -> dict[str, Any]:
             "wrench_raw": _stamps_dict(result.wrench_stamps),
         },
         "channels": {
-            "beyond_range": _by_axis(result.channels.beyond_range),
-            "not_finite": _by_axis(result.channels.not_finite),
+            "beyond_range": by_axis(result.channels.beyond_range),
+            "not_finite": by_axis(result.channels.not_finite),
             "held": result.channels.held,
             **{kind: _runs(result, kind) for kind in _RUNS},
         },
@@ -145,32 +148,32 @@ def print_overview(rows: list[dict[str, Any]], console: Console) -> None:
     """
     names, folder = _short_names([row["bag"] for row in rows])
     where = f" (bags in {folder})" if folder else ""
-    table = Table(title=f"Does the file still fit?{where}", title_justify="left")
-    table.add_column("bag", overflow="fold")
-    for name in ("length, s", "out, %", "still N", "still mN.m", "moving N", "drift N/h"):
-        table.add_column(name, justify="right")
-    table.add_column("verdict")
-    table.add_column("findings", justify="right")
+    made = Table(title=f"Does the file still fit?{where}", title_justify="left")
+    made.add_column("bag", overflow="fold")
+    for name in ("length, s", "out, %", "rest N", "rest mN.m", "moving N", "drift N/h"):
+        made.add_column(name, justify="right")
+    made.add_column("verdict")
+    made.add_column("findings", justify="right")
     for name, row in zip(names, rows, strict=True):
         if "error" in row:
-            table.add_row(name, *("-",) * 6, "[bold red]broken[/bold red]", "-")
+            made.add_row(name, *("-",) * 6, "[bold red]broken[/bold red]", "-")
             continue
         verdict = Verdict(row["verdict"])
         style = _VERDICT_STYLE.get(verdict, "bold red")
         received = row["wrenches"]["received"]
         out = 100.0 * row["wrenches"]["compensated"] / received if received else 0.0
-        table.add_row(
+        made.add_row(
             name,
             f"{row['duration_s']:.1f}",
             f"{out:.1f}",
             _largest(row["rmse"]["still_phases"], WRENCH_AXES[:3], 1.0, 4),
             _largest(row["rmse"]["still_phases"], WRENCH_AXES[3:], 1e3, 2),
             _largest(row["rmse"]["moving"], WRENCH_AXES[:3], 1.0, 3),
-            _drift(row["misfit"]),
+            _drift(row["residual_decomposition"]),
             f"[{style}]{verdict.value}[/{style}]",
             str(len(row["findings"])),
         )
-    console.print(table)
+    console.print(made)
     for name, row in zip(names, rows, strict=True):
         if "error" in row:
             console.print(f"[red]{row['error']}[/red]", soft_wrap=True, highlight=False)
@@ -188,105 +191,92 @@ def _short_names(bags: list[str]) -> tuple[list[str], str]:
     return [os.path.relpath(bag, folder) for bag in bags] if folder else bags, folder
 
 
-def _drift(misfit: dict[str, Any] | None) -> str:
+def _drift(parts: dict[str, Any] | None) -> str:
     """The largest rate, N/h, if it is more than noise: a short recording's is a large number."""
-    if misfit is None or "drift" not in misfit["significant"]:
+    if parts is None or "drift" not in parts["significant"]:
         return "-"
-    return _largest(misfit["rate_per_hour"], WRENCH_AXES[:3], 1.0, 3)
+    return _largest(parts["rate_per_hour"], WRENCH_AXES[:3], 1.0, 3)
 
 
 def _rmse_table(result: BagEvaluation) -> Table:
-    table = Table(
-        title=f"Left over of {result.compensated} compensated wrenches, root mean square;"
-        f" {len(result.phases)} still phases of {result.still_s:.1f} s in all",
-        title_justify="left",
+    made = axes_table(
+        f"Residual of {result.compensated} compensated wrenches, root mean square;"
+        f" {len(result.phases)} rest segments of {result.still_s:.1f} s in all"
     )
-    table.add_column("")
-    for axis, unit in zip(WRENCH_AXES, _UNITS, strict=True):
-        table.add_column(f"{axis} ({unit})", justify="right")
     for name, values in (
-        ("still phases' means", result.rmse_phases),
+        ("rest segments' means", result.rmse_phases),
         ("limit of a fit", result.limits.axes),
-        ("arm still, one reading", result.rmse_still),
+        ("arm at rest, one reading", result.rmse_still),
         ("arm moving, one reading", result.rmse_moving),
         ("noise of one reading", result.phases.noise),
     ):
-        table.add_row(name, *_cells(values))
-    return table
+        made.add_row(name, *axis_cells(values))
+    return made
 
 
-def _parts_table(misfit: Misfit) -> Table:
-    table = Table(
-        title="What the still phases' left over is made of, root mean square", title_justify="left"
-    )
-    table.add_column("")
-    for axis, unit in zip(WRENCH_AXES, _UNITS, strict=True):
-        table.add_column(f"{axis} ({unit})", justify="right")
+def _parts_table(parts: ResidualParts) -> Table:
+    made = axes_table("Parts of the rest segments' residual, root mean square")
     for name, values in (
-        ("another load", misfit.load),
-        ("an offset", misfit.offset),
-        ("drift", misfit.drift),
-        ("the rest", misfit.rest),
+        ("another load", parts.load),
+        ("an offset", parts.offset),
+        ("drift", parts.drift),
+        ("unexplained", parts.rest),
     ):
         if values is not None:
-            table.add_row(name, *_cells(values))
-    if misfit.rate_per_hour is not None and misfit.rate_std is not None:
-        rates = misfit.rate_per_hour * 1e3
-        stds = misfit.rate_std * 1e3
-        table.add_section()
-        table.add_row("drift, per hour", *(f"{value:.4g}" for value in rates))
-        table.add_row("+-", *(f"{value:.2g}" for value in stds))
-    return table
+            made.add_row(name, *axis_cells(values))
+    if parts.rate_per_hour is not None and parts.rate_std is not None:
+        made.add_section()
+        made.add_row("drift, per hour", *(f"{1e3 * value:.4g}" for value in parts.rate_per_hour))
+        made.add_row("+-", *(f"{1e3 * value:.2g}" for value in parts.rate_std))
+    return made
 
 
-def _misfit_lines(misfit: Misfit) -> Iterator[str]:
-    if misfit.load is not None:
-        moment = ", ".join(f"{1e3 * value:+.2f}" for value in misfit.moment_kgm)
+def _parts_lines(parts: ResidualParts) -> Iterator[str]:
+    if parts.load is not None:
+        moment = ", ".join(f"{1e3 * value:+.2f}" for value in parts.moment_kgm)
         yield (
-            f"load less the file's: {1e3 * misfit.mass_kg:+.2f} +- {1e3 * misfit.mass_std_kg:.2f} g"
+            f"load less the file's: {1e3 * parts.mass_kg:+.2f} +- {1e3 * parts.mass_std_kg:.2f} g"
             f", first moment ({moment}) g.m"
         )
-    elif misfit.why_no_load:
-        yield f"another load: can't be told; {misfit.why_no_load}"
-    if misfit.why_no_drift:
-        yield f"drift: can't be told; {misfit.why_no_drift}"
+    elif parts.why_no_load:
+        yield f"another load: not identifiable; {parts.why_no_load}"
+    if parts.why_no_drift:
+        yield f"drift: not identifiable; {parts.why_no_drift}"
 
 
 def _worst_table(result: BagEvaluation) -> Table:
-    table = Table(title="Worst still phases", title_justify="left")
-    for name in ("at (s)", "for (s)", "roll (rad)", "tilt (rad)"):
-        table.add_column(name, justify="right")
-    for axis, unit in zip(WRENCH_AXES, _UNITS, strict=True):
-        table.add_column(f"{axis} ({unit})", justify="right")
-    table.add_column("")
+    made = table(
+        "Worst rest segments",
+        ("at (s)", "for (s)", "roll (rad)", "tilt (rad)")
+        + tuple(f"{axis} ({unit})" for axis, unit in zip(WRENCH_AXES, UNITS, strict=True))
+        + ("",),
+    )
     for k in result.worst_phases[:_WORST]:
         phase = _phase_dict(result, int(k))
-        table.add_row(
+        made.add_row(
             f"{phase['time_s']:.1f}",
             f"{phase['duration_s']:.1f}",
             f"{phase['roll_rad']:.3f}",
             f"{phase['tilt_rad']:.3f}",
-            *_cells(result.phases.mean[k]),
-            "" if phase["agrees"] else "stands out",
+            *axis_cells(result.phases.mean[k]),
+            "" if phase["agrees"] else "outlier",
         )
-    return table
+    return made
 
 
 def _stamps_table(result: BagEvaluation) -> Table:
-    table = Table(
-        title="Time stamps; delay: log time less stamp, least/mean/largest", title_justify="left"
-    )
-    table.add_column("topic")
-    for name in (
-        "messages", "rate (Hz)", "gaps", "missing", "jumps", "duplicates", "out of order",
-        "delay (ms)",
-    ):  # fmt: skip
-        table.add_column(name, justify="right")
+    made = table(
+        "Time stamps; delay: log time less stamp, least/mean/largest",
+        (
+            "topic", "messages", "rate (Hz)", "gaps", "missing", "jumps", "duplicates",
+            "out of order", "delay (ms)",
+        ),
+    )  # fmt: skip
     for topic, stamps in zip(
         result.topics, (result.joint_stamps, result.wrench_stamps), strict=True
     ):
         low, mean, high = (1e3 * value for value in stamps.delay_s)
-        table.add_row(
+        made.add_row(
             topic,
             str(stamps.count),
             f"{stamps.rate_hz:.1f}",
@@ -296,7 +286,7 @@ def _stamps_table(result: BagEvaluation) -> Table:
             ),
             f"{low:.2f}/{mean:.2f}/{high:.2f}",
         )
-    return table
+    return made
 
 
 def _stamp_lines(topic: str, stamps: StampReport) -> list[str]:
@@ -314,24 +304,24 @@ def _stamp_lines(topic: str, stamps: StampReport) -> list[str]:
     return lines
 
 
-def _misfit_dict(misfit: Misfit) -> dict[str, Any]:
+def _parts_dict(parts: ResidualParts) -> dict[str, Any]:
     return {
-        "load": _by_axis(misfit.load),
-        "offset": _by_axis(misfit.offset),
-        "drift": _by_axis(misfit.drift),
-        "rest": _by_axis(misfit.rest),
-        "offset_value": _by_axis(misfit.offset_value),
-        "offset_std": _by_axis(misfit.offset_std),
-        "rate_per_hour": _by_axis(misfit.rate_per_hour),
-        "rate_std": _by_axis(misfit.rate_std),
-        "mass_kg": _number(misfit.mass_kg),
-        "mass_std_kg": _number(misfit.mass_std_kg),
-        "moment_kgm": [_number(value) for value in misfit.moment_kgm],
-        "moment_std_kgm": [_number(value) for value in misfit.moment_std_kgm],
-        "phases_that_stand_out": int(np.count_nonzero(~misfit.used)),
-        "why_no_load": misfit.why_no_load,
-        "why_no_drift": misfit.why_no_drift,
-        "significant": sorted(misfit.significant),
+        "load": by_axis(parts.load),
+        "offset": by_axis(parts.offset),
+        "drift": by_axis(parts.drift),
+        "rest": by_axis(parts.rest),
+        "offset_value": by_axis(parts.offset_value),
+        "offset_std": by_axis(parts.offset_std),
+        "rate_per_hour": by_axis(parts.rate_per_hour),
+        "rate_std": by_axis(parts.rate_std),
+        "mass_kg": number_or_none(parts.mass_kg),
+        "mass_std_kg": number_or_none(parts.mass_std_kg),
+        "moment_kgm": [number_or_none(value) for value in parts.moment_kgm],
+        "moment_std_kgm": [number_or_none(value) for value in parts.moment_std_kgm],
+        "outliers": int(np.count_nonzero(~parts.used)),
+        "why_no_load": parts.why_no_load,
+        "why_no_drift": parts.why_no_drift,
+        "significant": sorted(parts.significant),
     }
 
 
@@ -342,8 +332,8 @@ def _phase_dict(result: BagEvaluation, k: int) -> dict[str, Any]:
         "duration_s": int(phases.end_ns[k] - phases.start_ns[k]) * 1e-9,
         "roll_rad": float(phases.angles[k, 0]),
         "tilt_rad": float(phases.angles[k, 1]),
-        "left_over": _by_axis(phases.mean[k]),
-        "agrees": bool(result.misfit is None or result.misfit.used[k]),
+        "residual": by_axis(phases.mean[k]),
+        "agrees": bool(result.parts is None or result.parts.used[k]),
     }
 
 
@@ -351,8 +341,8 @@ def _stamps_dict(stamps: StampReport) -> dict[str, Any]:
     low, mean, high = stamps.delay_s
     return {
         "messages": stamps.count,
-        "rate_hz": _number(stamps.rate_hz),
-        "period_s": _number(stamps.period_s),
+        "rate_hz": number_or_none(stamps.rate_hz),
+        "period_s": number_or_none(stamps.period_s),
         "longest_step_s": stamps.longest_step_s,
         "gaps": stamps.gaps,
         "missing": stamps.missing,
@@ -360,7 +350,11 @@ def _stamps_dict(stamps: StampReport) -> dict[str, Any]:
         "duplicates": stamps.duplicates,
         "out_of_order": stamps.out_of_order,
         "unstamped": stamps.unstamped,
-        "delay_s": {"min": _number(low), "mean": _number(mean), "max": _number(high)},
+        "delay_s": {
+            "min": number_or_none(low),
+            "mean": number_or_none(mean),
+            "max": number_or_none(high),
+        },
         "events": [
             {"kind": event.kind, "time_s": event.time_s, "step_s": event.size_s}
             for event in stamps.events
@@ -379,21 +373,6 @@ def _runs(result: BagEvaluation, kind: str) -> list[dict[str, Any]]:
         }
         for run in getattr(result.channels, kind)
     ]
-
-
-def _by_axis(values: Array | None) -> dict[str, Any] | None:
-    """By axis; None when there is nothing to say."""
-    if values is None or not np.all(np.isfinite(values)):
-        return None
-    return dict(zip(WRENCH_AXES, np.asarray(values).tolist(), strict=True))
-
-
-def _number(value: float) -> float | None:
-    return float(value) if np.isfinite(value) else None
-
-
-def _cells(values: Array) -> list[str]:
-    return [f"{1e3 * value:.2f}" if np.isfinite(value) else "-" for value in values]
 
 
 def _largest(values: dict[str, float] | None, axes: Any, factor: float, digits: int) -> str:

@@ -1,14 +1,14 @@
-"""What is left over in the still phases, taken apart: load, offset, drift, the rest.
+"""Decompose the residual of the rest segments: load, offset, drift, unexplained; find changes.
 
-With u_k gravity in the sensor's frame in phase k, the mean residual there is fitted by
+With u_k gravity in the sensor's frame in rest segment k, the mean residual there is fitted by
 
     r_k = G(u_k) d + b + c (t_k - t_mean) + rest
 
 d: what the load (mass, first moment) differs from the file's, in which the reading is linear (see
 `galen_model.load.model`); b: an offset, as a sensor zeroed anew or drifted leaves it, which a
-tare takes off; c: its drift; robustly, so that a few touched phases don't count
-(`galen_model.load.robust_fit`). Poses that can't tell d from b are rejected by the same gate as a
-calibration's (`galen_model.load.excitation`); then only the offset and the drift are fitted. The
+tare subtracts; c: its drift; robustly, so that a few segments with contact don't count
+(`galen_model.load.robust_fit`). Poses that don't distinguish d from b are rejected by the gate of
+a calibration (`galen_model.load.excitation`); then only the offset and the drift are fitted. The
 standard deviations come from the rest's scatter from phase to phase, so a sensor's coloured noise
 is in them, but not a bias drift over many phases, which offset and drift follow.
 """
@@ -34,6 +34,8 @@ _FEWEST_PHASES = 4
 _FEWEST_FOR_DRIFT = 8
 _SHORTEST_DRIFT_S = 30.0
 _SIGNIFICANT = 1e-3
+_FEWEST_A_SIDE = 6
+_CHANGE = 5.0
 
 
 @dataclass(frozen=True)
@@ -50,8 +52,8 @@ class Limits:
 
 
 @dataclass(frozen=True)
-class Misfit:
-    """What the residual is made of, by root mean square over the phases, (6,) N and N.m each.
+class ResidualParts:
+    """Parts of the residual, root mean square over the rest segments, (6,) N and N.m each.
 
     load, offset, drift: the parts; rest: what none of them explains; rate_per_hour and
     rate_std (6,): N/h and N.m/h, None where drift was not asked for. mass_kg, mass_std_kg and
@@ -77,12 +79,12 @@ class Misfit:
     significant: frozenset[str]
 
 
-def take_apart(
+def decompose(
     phases: StillPhases, tool: CalibrationFile, *, stamps_jump: bool = False
-) -> Misfit | None:
-    """Take the phases' residuals apart; None when there are too few phases to say anything.
+) -> ResidualParts | None:
+    """Decompose the segments' residuals; None where they are too few.
 
-    `stamps_jump`: their times are not to be relied on, so that drift can't be told.
+    `stamps_jump`: their times are not reliable, and drift is not identifiable.
     """
     if len(phases) < _FEWEST_PHASES:
         return None
@@ -94,9 +96,9 @@ def take_apart(
     if stamps_jump:
         why_no_drift = "the time stamps jump"
     elif len(phases) < _FEWEST_FOR_DRIFT:
-        why_no_drift = f"{len(phases)} still phases are too few"
+        why_no_drift = f"{len(phases)} rest segments are too few"
     elif np.ptp(time_h) * 3600.0 < _SHORTEST_DRIFT_S:
-        why_no_drift = f"the still phases span less than {_SHORTEST_DRIFT_S:.0f} s"
+        why_no_drift = f"the rest segments span less than {_SHORTEST_DRIFT_S:.0f} s"
     else:
         blocks["drift"] = centred_h[:, None, None] * np.eye(6)
     why_no_load = ""
@@ -109,13 +111,13 @@ def take_apart(
     except NotExcitedError as error:
         why_no_load = str(error)
     except IdentificationError as error:
-        why_no_load = f"the phases agree on nothing: {error}"
+        why_no_load = f"the rest segments agree on nothing: {error}"
     if why_no_load:
         try:
             fit = fit_robust(np.concatenate(list(blocks.values()), axis=2), phases.mean)
         except IdentificationError:
             return None
-    return _misfit(fit, blocks, phases, why_no_load, why_no_drift)
+    return _parts(fit, blocks, phases, why_no_load, why_no_drift)
 
 
 def phase_gravity(phases: StillPhases, tool: CalibrationFile) -> Array:
@@ -124,13 +126,13 @@ def phase_gravity(phases: StillPhases, tool: CalibrationFile) -> Array:
     return np.asarray(gravity * (tool.gravity_m_s2[2] / GRAVITY_M_S2[2]))
 
 
-def _misfit(
+def _parts(
     fit: RobustFit,
     blocks: dict[str, Array],
     phases: StillPhases,
     why_no_load: str,
     why_no_drift: str,
-) -> Misfit:
+) -> ResidualParts:
     parts, values, stds, significant = {}, {}, {}, set()
     at = 0
     for name, design in blocks.items():
@@ -139,17 +141,17 @@ def _misfit(
         values[name] = fit.values[columns]
         covariance = fit.covariance[columns, columns]
         stds[name] = np.sqrt(np.diag(covariance))
-        parts[name] = _rms(design[fit.used] @ values[name])
+        parts[name] = rms(design[fit.used] @ values[name])
         distance = values[name] @ np.linalg.pinv(covariance, hermitian=True) @ values[name]
         if chi2_sf(distance, design.shape[2]) < _SIGNIFICANT:
             significant.add(name)
     load = values.get("load", np.full(4, np.nan))
     load_std = stds.get("load", np.full(4, np.nan))
-    return Misfit(
+    return ResidualParts(
         load=parts.get("load"),
         offset=parts["offset"],
         drift=parts.get("drift"),
-        rest=_rms(fit.residuals[fit.used]),
+        rest=rms(fit.residuals[fit.used]),
         offset_value=values["offset"],
         offset_std=stds["offset"],
         rate_per_hour=values.get("drift"),
@@ -165,5 +167,74 @@ def _misfit(
     )
 
 
-def _rms(values: Array) -> Array:
-    return np.asarray(np.sqrt(np.mean(values**2, axis=0)))
+@dataclass(frozen=True)
+class LoadChange:
+    """A change between two rest segments: `time_ns` is between them.
+
+    first_after: the first phase after it. mass_kg: what the mass differs from the file's, before
+    and after; None where one load explains both sides and only the reading's offset changed, by
+    offset_step (6,), N and N.m.
+    """
+
+    time_ns: int
+    first_after: int
+    mass_kg: tuple[float, float] | None
+    offset_step: Array
+
+
+def find_change(phases: StillPhases, tool: CalibrationFile, limits: Limits) -> LoadChange | None:
+    """Find where the recording falls in two: a tool was put on, or the sensor zeroed.
+
+    Each border between two phases is tried, with a load and an offset of its own on either side
+    (least squares, the channels weighted by their limits). The best one counts if the root mean
+    square left is then less than a fifth of what one load and offset leave, and that is beyond
+    the limits. If offsets of its own with one load for both sides do as well, it is the offset
+    that changed.
+    """
+    if len(phases) < 2 * _FEWEST_A_SIDE:
+        return None
+    loads = gravity_regressor(phase_gravity(phases, tool)) / limits.axes[None, :, None]
+    offsets = np.broadcast_to(np.diag(1.0 / limits.axes), (len(phases), 6, 6))
+    values = phases.mean / limits.axes
+    # kg and kg.m beside N and N.m: balance
+    scale = np.array([10.0] + [100.0] * 3 + [1.0] * 6)
+    rows = np.concatenate([loads, offsets], axis=2) / scale
+    matrices = np.cumsum(np.einsum("nkp,nkq->npq", rows, rows), axis=0)
+    rights = np.cumsum(np.einsum("nkp,nk->np", rows, values), axis=0)
+    squares = np.cumsum(np.sum(values**2, axis=1))
+
+    def cost(matrix: Array, right: Array, square: float) -> tuple[float, Array]:
+        # The pseudo-inverse: a side's poses need not tell all of its load.
+        solution = np.linalg.pinv(matrix, rcond=1e-9, hermitian=True) @ right
+        return max(float(square - right @ solution), 0.0), solution / scale
+
+    whole, _ = cost(matrices[-1], rights[-1], float(squares[-1]))
+    if whole <= len(phases):
+        return None
+    best: tuple[float, int, Array, Array] | None = None
+    for k in range(_FEWEST_A_SIDE, len(phases) - _FEWEST_A_SIDE + 1):
+        before, first = cost(matrices[k - 1], rights[k - 1], float(squares[k - 1]))
+        after, second = cost(
+            matrices[-1] - matrices[k - 1],
+            rights[-1] - rights[k - 1],
+            float(squares[-1] - squares[k - 1]),
+        )
+        if best is None or before + after < best[0]:
+            best = (before + after, k, first, second)
+    assert best is not None
+    least, k, first, second = best
+    if least * _CHANGE**2 > whole:
+        return None
+    time_ns = (int(phases.end_ns[k - 1]) + int(phases.start_ns[k])) // 2
+    later = np.arange(len(phases)) >= k
+    stepped = np.concatenate([rows, later[:, None, None] * offsets], axis=2).reshape(-1, 16)
+    solution = np.linalg.lstsq(stepped, values.ravel(), rcond=1e-9)[0]
+    left = float(np.sum((values.ravel() - stepped @ solution) ** 2))
+    if left * _CHANGE**2 <= whole:
+        return LoadChange(time_ns, k, None, solution[-6:])
+    return LoadChange(time_ns, k, (float(first[0]), float(second[0])), second[4:] - first[4:])
+
+
+def rms(values: Array) -> Array:
+    """Root mean square (6,) of rows (n, 6); NaN where there are none."""
+    return np.asarray(np.sqrt(np.mean(values**2, axis=0))) if len(values) else np.full(6, np.nan)

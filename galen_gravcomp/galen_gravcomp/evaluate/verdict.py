@@ -1,4 +1,4 @@
-"""Does the tool's file still fit? A word for a program, and a sentence for a person."""
+"""Judge whether the calibration file still fits: a word, and a sentence."""
 
 from __future__ import annotations
 
@@ -10,8 +10,13 @@ from galen_model.arrays import Array
 from galen_model.files.calibration_file import CalibrationFile
 from galen_model.rest.binned import StillPhases
 
-from galen_gravcomp.evaluate.load_change import LoadChange
-from galen_gravcomp.evaluate.residual_decomposition import Limits, Misfit, take_apart
+from galen_gravcomp.evaluate.residual_decomposition import (
+    Limits,
+    LoadChange,
+    ResidualParts,
+    decompose,
+    rms,
+)
 
 # The parts are the reason if leaving them out makes the residual so many times smaller ...
 _WORTH = 2.0
@@ -39,7 +44,7 @@ class Verdict(Enum):
 
 def judge(
     phases: StillPhases,
-    misfit: Misfit | None,
+    parts: ResidualParts | None,
     change: LoadChange | None,
     tool: CalibrationFile,
     limits: Limits,
@@ -48,7 +53,7 @@ def judge(
     start_ns: int,
     stamps_jump: bool = False,
 ) -> tuple[Verdict, str]:
-    """The verdict and a sentence for a person, with times from `start_ns` on.
+    """Return the verdict and a sentence, with times from `start_ns` on.
 
     `moving` (6,): RMSE of the cells' means in motion. Without a still phase a small one is a fit
     as well; a large one may be inertial forces.
@@ -56,10 +61,10 @@ def judge(
     if not len(phases):
         return _judge_motion(limits, moving)
     if change is not None:
-        parts = (slice(change.first_after), slice(change.first_after, None))
+        sides = (slice(change.first_after), slice(change.first_after, None))
         before, after = (
-            _judge_still(part, take_apart(part, tool, stamps_jump=stamps_jump), tool, limits)[1]
-            for part in (phases.part(rows) for rows in parts)
+            _judge_still(side, decompose(side, tool, stamps_jump=stamps_jump), tool, limits)[1]
+            for side in (phases.part(rows) for rows in sides)
         )
         time_s = (change.time_ns - start_ns) * 1e-9
         what = "the load changes"
@@ -68,117 +73,120 @@ def judge(
             sign = "-" if change.offset_step[axis] < 0.0 else "+"
             what = f"the reading's offset jumps by {sign}{size}"
         return Verdict.CHANGED, f"{what} at {time_s:.1f} s. Before: {before}. After: {after}"
-    return _judge_still(phases, misfit, tool, limits)
+    return _judge_still(phases, parts, tool, limits)
 
 
 def _judge_motion(limits: Limits, moving: Array) -> tuple[Verdict, str]:
-    none = "no still phase in it (--still-rate-rad-s)"
+    none = "no rest segment in it"
     if not np.all(np.isfinite(moving)):
         return Verdict.UNKNOWN, f"{none}: nothing can be said of the file's fit"
     _, ratio, size = _worst(moving, limits)
     if ratio <= 1.0:
         return Verdict.FITS, f"the file fits in motion, to {size}; {none}"
-    return Verdict.UNKNOWN, f"in motion {size} is left over, which may be inertial forces; {none}"
+    return (
+        Verdict.UNKNOWN,
+        f"the residual in motion is {size}, which may be inertial forces; {none}",
+    )
 
 
 def _judge_still(
-    phases: StillPhases, misfit: Misfit | None, tool: CalibrationFile, limits: Limits
+    phases: StillPhases, parts: ResidualParts | None, tool: CalibrationFile, limits: Limits
 ) -> tuple[Verdict, str]:
-    if misfit is None:
-        _, ratio, size = _worst(_rms(phases.mean), limits)
+    if parts is None:
+        _, ratio, size = _worst(rms(phases.mean), limits)
         plural = "" if len(phases) == 1 else "s"
-        few = f"only {len(phases)} still phase{plural}, too few to take it apart"
+        few = f"only {len(phases)} rest segment{plural}, too few to decompose it"
         if ratio <= 1.0:
             return Verdict.FITS, f"the file fits, to {size}; {few}"
-        return Verdict.UNKNOWN, f"{size} is left over; {few}"
-    total = _rms(phases.mean[misfit.used])
+        return Verdict.UNKNOWN, f"the residual is {size}; {few}"
+    total = rms(phases.mean[parts.used])
     worst, ratio, size = _worst(total, limits)
     notes = ""
     # One that is out by its noise alone, but by nothing that matters, is not worth a word.
     size_of_each = np.max(np.abs(phases.mean) / limits.axes, axis=1)
-    outside = int(np.count_nonzero(~misfit.used & (size_of_each > _WORTH_SAYING)))
+    outside = int(np.count_nonzero(~parts.used & (size_of_each > _WORTH_SAYING)))
     if outside:
-        verb = "stands" if outside == 1 else "stand"
-        notes = f"; {outside} of {len(phases)} still phases {verb} out (a hand? see the worst)"
-    unexplained = _unexplained(phases, misfit, limits)
-    verdict = _reason(misfit, worst, float(total[worst]), ratio, limits)
-    why = _in_words(verdict, misfit, worst, tool, unexplained, limits)
+        plural = "an outlier" if outside == 1 else "outliers"
+        notes = f"; {outside} of {len(phases)} rest segments: {plural} (contact? see the worst)"
+    unexplained = _unexplained(phases, parts, limits)
+    verdict = _reason(parts, worst, float(total[worst]), ratio, limits)
+    why = _in_words(verdict, parts, worst, tool, unexplained, limits)
     if ratio <= 1.0:
         if verdict is not Verdict.UNEXPLAINED and ratio > _WORTH_SAYING:
             notes = f", most of it {why}{notes}"
         return Verdict.FITS, f"the file fits, to {size}{notes}"
-    return verdict, f"{size} is left over: {why}{notes}"
+    return verdict, f"the residual is {size}: {why}{notes}"
 
 
-def _reason(misfit: Misfit, axis: int, total: float, ratio: float, limits: Limits) -> Verdict:
+def _reason(parts: ResidualParts, axis: int, total: float, ratio: float, limits: Limits) -> Verdict:
     """The largest part in `axis`, if the parts together explain enough of `total` there."""
-    parts = {
-        Verdict.OFFSET: misfit.offset,
-        Verdict.DRIFT: misfit.drift,
-        Verdict.LOAD: misfit.load,
+    by_verdict = {
+        Verdict.OFFSET: parts.offset,
+        Verdict.DRIFT: parts.drift,
+        Verdict.LOAD: parts.load,
     }
     sizes = {
         verdict: float(part[axis])
-        for verdict, part in parts.items()
-        if part is not None and verdict.value in misfit.significant
+        for verdict, part in by_verdict.items()
+        if part is not None and verdict.value in parts.significant
     }
-    rest = _worst(misfit.rest, limits)[1]
+    rest = _worst(parts.rest, limits)[1]
     beyond = rest > 1.0 and rest * _WORTH_BEYOND > ratio
     # A drift that began at zero has a mean 1.7 times as large as what it scatters by.
     if 2.0 * sizes.get(Verdict.DRIFT, 0.0) > sizes.get(Verdict.OFFSET, 0.0):
         sizes.pop(Verdict.OFFSET, None)
-    if not sizes or misfit.rest[axis] * _WORTH > total or beyond:
+    if not sizes or parts.rest[axis] * _WORTH > total or beyond:
         return Verdict.UNEXPLAINED
     return max(sizes, key=lambda verdict: sizes[verdict])
 
 
 def _in_words(
     verdict: Verdict,
-    misfit: Misfit,
+    parts: ResidualParts,
     axis: int,
     tool: CalibrationFile,
     unexplained: str,
     limits: Limits,
 ) -> str:
-    others = "a cable, a loose tool, wrong angles, a hand?"
+    others = "a cable, a loose tool, wrong angles, contact?"
     if verdict is Verdict.UNEXPLAINED:
-        rest = _worst(misfit.rest, limits)[2]
-        return f"whatever load, offset and drift are taken off, {rest} stays ({others})"
-    besides = f"; besides, {unexplained} is left that this does not explain ({others})"
+        rest = _worst(parts.rest, limits)[2]
+        return f"load, offset and drift leave {rest} unexplained ({others})"
+    besides = f"; besides, {unexplained} stays unexplained ({others})"
     hint = ""
     if verdict is Verdict.LOAD:
-        text, hint = _load_in_words(misfit, tool)
+        text, hint = _load_in_words(parts, tool)
     elif verdict is Verdict.OFFSET:
         text = "a constant offset"
-        if not misfit.why_no_load and not misfit.why_no_drift:
-            hint = ", which a tare takes off"
-        may_be = ["another load"] * bool(misfit.why_no_load)
-        may_be += ["drift"] * bool(misfit.why_no_drift)
+        if not parts.why_no_load and not parts.why_no_drift:
+            hint = ", which a tare subtracts"
+        may_be = ["another load"] * bool(parts.why_no_load)
+        may_be += ["drift"] * bool(parts.why_no_drift)
         if may_be:
-            text += f" (or {' or '.join(may_be)}, which these still phases can't tell from it)"
+            text += f" (or {' or '.join(may_be)}, not distinguishable by these rest segments)"
     else:
-        assert misfit.rate_per_hour is not None
+        assert parts.rate_per_hour is not None
         unit = "N/h" if axis < 3 else "mN.m/h"
-        rate = misfit.rate_per_hour[axis] * (1.0 if axis < 3 else 1e3)
+        rate = parts.rate_per_hour[axis] * (1.0 if axis < 3 else 1e3)
         text = f"drift of the sensor, here by {rate:+.3g} {unit}"
-        if misfit.why_no_load:
-            text += " (or another load, which these still phases can't tell from it)"
+        if parts.why_no_load:
+            text += " (or another load, not distinguishable by these rest segments)"
     # What fixes one part alone is no advice where another is left.
     return text + (besides if unexplained else hint)
 
 
-def _load_in_words(misfit: Misfit, tool: CalibrationFile) -> tuple[str, str]:
+def _load_in_words(parts: ResidualParts, tool: CalibrationFile) -> tuple[str, str]:
     """The other load, and what to do about it."""
-    mass = tool.load.mass_kg + misfit.mass_kg
-    sure = _SURE * misfit.mass_std_kg
-    text = f"as of another load, by {1e3 * misfit.mass_kg:+.1f} +- {1e3 * misfit.mass_std_kg:.1f} g"
+    mass = tool.load.mass_kg + parts.mass_kg
+    sure = _SURE * parts.mass_std_kg
+    text = f"as of another load, by {1e3 * parts.mass_kg:+.1f} +- {1e3 * parts.mass_std_kg:.1f} g"
     if mass + tool.adapter.mass_kg < -sure:
         return text, ", less than nothing (are the signs or axes of the readings others?)"
     if mass < max(sure, _NO_LOAD * tool.load.mass_kg):
         return text, " (no tool on it?)"
-    moved = (tool.load.mass_kg * tool.load.com_m + misfit.moment_kgm) / mass - tool.load.com_m
+    moved = (tool.load.mass_kg * tool.load.com_m + parts.moment_kgm) / mass - tool.load.com_m
     # h / m: what the mass is not known by moves the centre as well.
-    std = np.max(np.hypot(misfit.moment_std_kgm, tool.load.com_m * misfit.mass_std_kg)) / mass
+    std = np.max(np.hypot(parts.moment_std_kgm, tool.load.com_m * parts.mass_std_kg)) / mass
     centre = ", ".join(f"{1e3 * value:+.1f}" for value in moved)
     return (
         f"{text}, its centre by ({centre}) +- {1e3 * std:.1f} mm",
@@ -186,10 +194,10 @@ def _load_in_words(misfit: Misfit, tool: CalibrationFile) -> tuple[str, str]:
     )
 
 
-def _unexplained(phases: StillPhases, misfit: Misfit, limits: Limits) -> str:
+def _unexplained(phases: StillPhases, parts: ResidualParts, limits: Limits) -> str:
     """The rest in words where it is well above the noise and near a limit, else empty."""
     noise = np.sqrt(np.mean(phases.std_of_mean**2, axis=0))
-    rest = np.where(misfit.rest > _ABOVE_NOISE * noise, misfit.rest, 0.0)
+    rest = np.where(parts.rest > _ABOVE_NOISE * noise, parts.rest, 0.0)
     _, ratio, size = _worst(rest, limits)
     return size if ratio > _WORTH_SAYING else ""
 
@@ -200,7 +208,3 @@ def _worst(values: Array, limits: Limits) -> tuple[int, float, str]:
     axis = int(np.argmax(over))
     value = f"{values[axis]:.3f} N" if axis < 3 else f"{1e3 * values[axis]:.2f} mN.m"
     return axis, float(over[axis]), f"{value} in {WRENCH_AXES[axis]}"
-
-
-def _rms(values: Array) -> Array:
-    return np.asarray(np.sqrt(np.mean(values**2, axis=0)))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -110,7 +110,7 @@ def _evaluation(content: Mapping[str, Any]) -> tuple[list[tuple[str, list[str]]]
             [[name, *_cells(rmse[key])] for name, key in names],
         )
     ]
-    misfit = content["misfit"]
+    misfit = content["residual_decomposition"]
     reasons = []
     if misfit is not None:
         tables.append(_made_of(misfit))
@@ -150,7 +150,7 @@ def _worst(poses: Sequence[Mapping[str, Any]]) -> Table:
             f"{pose['duration_s']:.1f} s",
             texts.degrees(pose["roll_rad"]),
             texts.degrees(pose["tilt_rad"]),
-            *_cells(pose["left_over"]),
+            *_cells(pose["residual"]),
             "" if pose["agrees"] else "stands out",
         ]
         for pose in poses
@@ -197,7 +197,7 @@ def _diagnosis(content: Mapping[str, Any]) -> tuple[list[tuple[str, list[str]]],
         headers = ["cause", "probability", "how much (95 % interval)", "gap closed", "or else"]
         tables.append(Table("Causes", headers, [_cause(one) for one in content["causes"]]))
     ranking = [
-        [title(one["effect"]), f"{one['probability']:.1%}"]
+        [title(_label(one)), f"{one['probability']:.1%}"]
         for one in content["ranking"][:_RANKED]
         if one["probability"] >= _WORTH_NAMING
     ]
@@ -220,17 +220,29 @@ def _cause(cause: Mapping[str, Any]) -> Row:
     ]
     closed = cause["gap_closed"]
     return [
-        title(cause["effect"]),
+        title(_label(cause)),
         f"{cause['probability']:.1%}",
         "; ".join(words),
         _share(closed) if closed else texts.NOTHING,
-        ", ".join(title(name) for name in cause["equivalent"]) or texts.NOTHING,
+        ", ".join(title(name) for name in _equivalent(cause)) or texts.NOTHING,
     ]
+
+
+def _label(entry: Mapping[str, Any]) -> str:
+    return f"{entry['effect']}:{entry['joint']}" if entry.get("joint") else str(entry["effect"])
+
+
+def _equivalent(cause: Mapping[str, Any]) -> Iterator[str]:
+    joints = cause.get("equivalent_joints", {})
+    for effect in cause["equivalent"]:
+        yield from [f"{effect}:{joint}" for joint in joints.get(effect, ())] or [effect]
 
 
 def _parameter(value: Any) -> Any:
     """As `galen_diagnosis.answer.answer` had it before it became JSON."""
-    if not isinstance(value, Mapping) or "value" not in value:
+    if isinstance(value, Mapping) and "value" not in value:
+        return {name: _parameter(part) for name, part in value.items()}
+    if not isinstance(value, Mapping):
         return value
     number, limits = value["value"], value["ci95"]
     if isinstance(number, list):

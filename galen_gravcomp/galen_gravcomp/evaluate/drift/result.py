@@ -1,16 +1,20 @@
-"""A long untouched recording judged: Allan deviation, forecasts, how long a tare holds; words."""
+"""Judge a long recording without contact: Allan deviation, forecasts, how long a tare holds."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 from galen_model.arm.galen import WRENCH_AXES
 from galen_model.arrays import Array
+from rich.table import Table
 
 from galen_gravcomp.evaluate.drift.allan import Allan, allan_deviation
 from galen_gravcomp.evaluate.drift.forecast import HorizonScore, cell_for, score_forecasts
 from galen_gravcomp.evaluate.drift.series import DriftSeries
+from galen_gravcomp.evaluate.report import Report, table
 from galen_gravcomp.evaluate.residual_decomposition import Limits
 
 GROUPS = {"force": slice(0, 3), "torque": slice(3, 6)}
@@ -135,7 +139,81 @@ def duration_text(seconds: float) -> str:
     return f"{seconds / 3600.0:.3g} h"
 
 
-def to_json(result: DriftResult) -> dict[str, object]:
+def report(result: DriftResult, name: str) -> Report:
+    """Make the report: the answer, then its reasons; forces in N, torques in mN.m."""
+
+    def plot(directory: Path) -> Path:
+        from galen_gravcomp.evaluate.plots import plot_drift  # slow to import
+
+        return plot_drift(result, directory, name)
+
+    return Report(_content(result), _shown(result), plot)
+
+
+def _shown(result: DriftResult) -> list[str | Table]:
+    series = result.series
+    shown: list[str | Table] = [f"[bold]{sentence}[/bold]" for sentence in result.sentence.values()]
+    shown.append(f"{duration_text(series.duration_s)}, {series.samples} readings")
+    if series.touched_s:
+        total = sum(end - begin for begin, end in series.touched_s)
+        first = ", ".join(f"{begin:.0f}-{end:.0f} s" for begin, end in series.touched_s[:3])
+        more = ", ..." if len(series.touched_s) > 3 else ""
+        shown.append(
+            f"[yellow]left out for contact: {len(series.touched_s)} spans, {total:.0f} s in all"
+            f" ({first}{more})[/yellow]"
+        )
+    for at, change in series.steps:
+        shown.append(
+            f"[yellow]the level jumps at {at:.0f} s and stays: force"
+            f" {', '.join(f'{v:+.3f}' for v in change[:3])} N[/yellow]"
+        )
+    shown += [f"[yellow]{note}[/yellow]" for note in series.notes]
+    shown += [_noise_table(result), _forecast_table(result)]
+    shown.append(
+        "zero: the value just after zeroing; last: the newest bin of"
+        f" {result.forecast_cell_s:g} s; skill: of the better of trend, line, ar, day over that of"
+        " zero, last, level, both chosen on the first half"
+    )
+    return shown
+
+
+def _noise_table(result: DriftResult) -> Table:
+    heads = ("", "one reading", "white, /sqrt(Hz)", "instability", "walk, /sqrt(h)", "line, /h")
+    made = table("Noise and drift of the reading", heads)
+    for index, (axis, allan) in enumerate(zip(WRENCH_AXES, result.allan, strict=True)):
+        factor, unit = (1.0, "N") if index < 3 else (1e3, "mN.m")
+        values = (
+            result.series.noise[index],
+            allan.white,
+            allan.instability,
+            allan.walk * 60.0,
+            result.rate_per_hour[index],
+        )
+        made.add_row(f"{axis} ({unit})", *(f"{value * factor:.4f}" for value in values))
+    return made
+
+
+def _forecast_table(result: DriftResult) -> Table:
+    names = ("zero", "last", "level", "trend", "line", "ar", "day")
+    made = table(
+        "Forecasts on the second half: root mean square error (of three axes)",
+        ("ahead", *names, "skill (99 %)"),
+    )
+    for group, (factor, unit) in _UNIT.items():
+        if result.scores[group]:
+            made.add_row(f"[bold]{group} ({unit})[/bold]")
+        for score in result.scores[group]:
+            values = [
+                f"{score.rmse[name] * factor:.4f}" if name in score.rmse else "-" for name in names
+            ]
+            skill = f"{score.skill:+.2f} ({score.interval[0]:+.2f} ... {score.interval[1]:+.2f})"
+            if score.predictable:
+                skill = f"[green]{skill}[/green]"
+            made.add_row(duration_text(score.horizon_s), *values, skill)
+    return made
+
+
+def _content(result: DriftResult) -> dict[str, Any]:
     """Everything but the samples; SI units, axes by name."""
     series = result.series
     axes: dict[str, object] = {}

@@ -14,6 +14,12 @@ from galen_model.errors import GalenError, IdentificationError
 from galen_model.load.bias.single_load import DriftingLoad, identify_drifting_load
 from galen_model.load.identification import identify_single_load, plain_least_squares
 from galen_model.load.model import gravity_regressor
+from galen_model.load.mounting.held_out import GALEN, MOUNTED, PLAIN, Worth, compare
+from galen_model.load.mounting.identification import (
+    KnownLoad,
+    MountedLoad,
+    identify_single_load_mounted,
+)
 
 Predictor = Callable[[OrientationTable], Array]
 """From readings, whose wrench it must not look at, to what they should be (n, 6)."""
@@ -105,3 +111,34 @@ def cross_validate(table: OrientationTable, groups: np.ndarray, model: Model) ->
         residuals[held] = table.wrench[held] - predict(table.take(held, None))
     scored = np.isfinite(residuals[:, 0])
     return Score(residuals[scored], len(labels), tuple(rejected))
+
+
+@dataclass(frozen=True)
+class TableMounting:
+    """Groups (`galen_model.load.mounting.groups`) to estimate beside the load; what is known."""
+
+    groups: tuple[str, ...]
+    known: KnownLoad | None = None
+
+    def identify(self, table: OrientationTable) -> MountedLoad:
+        """From all of a table's readings; raises IdentificationError."""
+        return identify_single_load_mounted(
+            table.gravity, table.wrench, self.groups, table.rotation, self.known
+        )
+
+    def model(self, known: OrientationTable) -> Predictor:
+        """A model for `cross_validation`; raises IdentificationError."""
+        found = self.identify(known)
+        return lambda asked: found.predict(asked.gravity, asked.rotation)
+
+
+def table_worth(scores: dict[str, Score], groups: np.ndarray, sigma: Array) -> Worth | None:
+    """Whether the mounting pays on the held-out `groups` (n,); None where a group has no score."""
+    chosen = {name: scores[name] for name in (PLAIN, GALEN, MOUNTED)}
+    if any(score.rejected for score in chosen.values()):
+        return None
+    labels = list(dict.fromkeys(groups.tolist()))
+    return compare(
+        {name: [of.residuals[groups == label] for label in labels] for name, of in chosen.items()},
+        sigma,
+    )

@@ -19,18 +19,19 @@ from galen_gravcomp.evaluate.table.cross_validation import (
     MODELS,
     Model,
     Score,
+    TableMounting,
     contiguous_blocks,
     cross_validate,
     identify_drifting,
+    table_worth,
 )
-from galen_gravcomp.evaluate.table.mounting import TableMounting, table_prediction, table_worth
 
 _FEWEST_READINGS = 4
 _MOST_LEFT_OUT_ONE_BY_ONE = 200  # each takes a fit of all others
 
 
 @dataclass(frozen=True)
-class Evaluation:
+class TableEvaluation:
     """What was found; scores by split, then by model."""
 
     table: OrientationTable
@@ -55,7 +56,7 @@ def evaluate_table(
     tool: CalibrationFile | None = None,
     mounting: TableMounting | None = None,
     bias_drift: bool = False,
-) -> Evaluation:
+) -> TableEvaluation:
     """Fit and score every model on a table; raises GalenError naming what stands in the way.
 
     mounting: what to estimate beside the load, in a model of its own. bias_drift: also a model
@@ -128,7 +129,7 @@ def evaluate_table(
         rows = ", ".join(str(row + 1) for row in np.flatnonzero(~fit.used))
         notes.append(f"the fit on all readings left out reading {rows}: off the common load")
     residuals = None if tool is None else table.wrench - table_prediction(tool, table)
-    return Evaluation(
+    return TableEvaluation(
         table,
         source_rows,
         phases,
@@ -184,3 +185,23 @@ def _jackknife(table: OrientationTable, estimate: Callable[[OrientationTable], A
         values.append(estimate(table.take(table.block != label, None)))
     spread = np.array(values) - np.mean(values, axis=0)
     return np.asarray((len(labels) - 1) / len(labels) * spread.T @ spread)
+
+
+def table_prediction(tool: CalibrationFile, table: OrientationTable) -> Array:
+    """Reading (n, 6) that a tool's file expects at a table's orientations, its mounting included.
+
+    Raises GalenError where the file's mounting needs what the table doesn't tell.
+    """
+    mounting = tool.mounting
+    if mounting is None:
+        return tool.predict_under(table.gravity)
+    if np.any(mounting.joint_zero_rad):
+        raise GalenError(f"{table.path}: {tool.tool} holds zeros of joints; a table has none")
+    if not np.any(mounting.base_inclination_rad):
+        return tool.predict_under(table.gravity)
+    if table.rotation is None:
+        raise GalenError(
+            f"{table.path}: {tool.tool} holds an inclination of the base, which needs qx..qw,"
+            " r11..r33 or roll, tilt"
+        )
+    return tool.predict_under(mounting.turned_gravity(table.gravity, table.rotation))

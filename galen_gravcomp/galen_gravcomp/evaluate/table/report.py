@@ -1,21 +1,19 @@
-"""A table's evaluation for a person, and for a program."""
+"""Report of a table's evaluation."""
 
+from __future__ import annotations
+
+from pathlib import Path
 from typing import Any
 
 import numpy as np
-from galen_model.arm.galen import WRENCH_AXES
-from galen_model.arrays import Array
-from rich.console import Console
 from rich.table import Table
 
-from galen_gravcomp.evaluate.table.evaluation import Evaluation
+from galen_gravcomp.evaluate.report import Report, axes_table, axis_cells, by_axis, table
+from galen_gravcomp.evaluate.residual_decomposition import rms
+from galen_gravcomp.evaluate.table.evaluation import TableEvaluation
 
-_SHOWN = np.array([1e3] * 6)  # N and N.m are printed as mN and mN.m
-_UNITS = ("mN", "mN", "mN", "mN.m", "mN.m", "mN.m")
 
-
-def to_json(result: Evaluation) -> dict[str, Any]:
-    """The evaluation for a program; SI units."""
+def _content(result: TableEvaluation) -> dict[str, Any]:
     load = result.fit.load
     content: dict[str, Any] = {
         "table": result.table.path,
@@ -35,7 +33,7 @@ def to_json(result: Evaluation) -> dict[str, Any]:
         "scores": {
             split: {
                 name: {
-                    "rmse": _by_axis(score.rmse),
+                    "rmse": by_axis(score.rmse),
                     "groups": score.groups,
                     "rejected": list(score.rejected),
                 }
@@ -53,16 +51,15 @@ def to_json(result: Evaluation) -> dict[str, Any]:
             "gain_std": None if result.worth is None else result.worth.gain_std,
         }
     if result.tool is not None and result.tool_residuals is not None:
-        rmse = np.sqrt(np.mean(result.tool_residuals**2, axis=0))
         content["tool"] = {
             "name": result.tool.tool,
-            "rmse": _by_axis(rmse),
+            "rmse": by_axis(rms(result.tool_residuals)),
         }
     return content
 
 
-def _drifting(result: Evaluation) -> dict[str, Any] | None:
-    """What a bias that may drift makes of the load; None where it can't be told."""
+def _drifting(result: TableEvaluation) -> dict[str, Any] | None:
+    """The load with an offset that may drift; None where that is not identifiable."""
     found = result.drifting
     if found is None or found.choice is None:
         return None
@@ -76,74 +73,76 @@ def _drifting(result: Evaluation) -> dict[str, Any] | None:
     }
 
 
-def _by_axis(rmse: Array) -> dict[str, float] | None:
-    """By axis; None when there is nothing to score."""
-    if not np.all(np.isfinite(rmse)):
-        return None
-    return dict(zip(WRENCH_AXES, rmse.tolist(), strict=True))
+def report(result: TableEvaluation) -> Report:
+    """Make the report of a table."""
+
+    def plot(directory: Path) -> Path:
+        from galen_gravcomp.evaluate.plots import plot_scores  # slow to import
+
+        return plot_scores(result, directory)
+
+    return Report(_content(result), _shown(result), plot)
 
 
-def print_report(result: Evaluation, console: Console) -> None:
-    """Tables for a person."""
+def _shown(result: TableEvaluation) -> list[str | Table]:
     load = result.fit.load
     source = f"{result.source_rows} rows"
     if result.phases is not None:
-        source += f", {len(result.table)} averages in {result.phases} still phases"
-    console.print(
-        f"[bold]{result.table.path}[/bold]: {source}; orientation from {result.table.orientation}"
-    )
-    found = Table(title="Load, from all readings", title_justify="left")
-    for name in ("", "value", "standard deviation"):
-        found.add_column(name, justify="right" if name else "left")
-    found.add_row("mass (g)", f"{load.mass_kg * 1e3:.2f}", f"{load.mass_std_kg * 1e3:.2f}")
-    for axis, com, std in zip("xyz", load.com_m, load.com_std_m, strict=True):
-        found.add_row(f"centre {axis} (mm)", f"{com * 1e3:.2f}", f"{std * 1e3:.2f}")
-    if result.mounted is not None:
-        found.add_section()
-        mounted = result.mounted.single.load
-        mass, std = mounted.mass_kg * 1e3, mounted.mass_std_kg * 1e3
-        found.add_row("with sensor and mounting: mass (g)", f"{mass:.2f}", f"{std:.2f}")
-        for name, value, deviation, unit in result.mounted.mounting.rows:
-            found.add_row(f"{name} ({unit})", f"{value:.3f}", f"{deviation:.3f}")
-    console.print(found)
+        source += f", {len(result.table)} averages in {result.phases} rest segments"
+    shown: list[str | Table] = [
+        f"[bold]{result.table.path}[/bold]: {source}; orientation from {result.table.orientation}",
+        _load_table(result),
+    ]
     if result.drifting is not None:
         drifting = result.drifting.load
-        console.print(
-            f"bias over the readings, chosen by held-out blocks: {result.drifting.choice}; with it"
-            f" {drifting.mass_kg * 1e3:.2f} ± {drifting.mass_std_kg * 1e3:.2f} g, the weight"
+        shown.append(
+            f"offset over the readings, chosen by held-out blocks: {result.drifting.choice};"
+            f" with it {drifting.mass_kg * 1e3:.2f} ± {drifting.mass_std_kg * 1e3:.2f} g, weight"
             f" {(drifting.mass_kg / load.mass_kg - 1.0) * 100.0:+.2f} %"
         )
-    scores = Table(
-        title="Root mean square of what is left over on readings that the fit has not seen",
-        title_justify="left",
-    )
-    scores.add_column("held out, model", no_wrap=True)
-    for axis, unit in zip(WRENCH_AXES, _UNITS, strict=True):
-        scores.add_column(f"{axis} ({unit})", justify="right")
-    for split, models in result.scores.items():
-        scores.add_row(f"[bold]{split}[/bold]")
-        for name, score in models.items():
-            scores.add_row(f"  {name}", *_cells(score.rmse))
-        scores.add_section()
-    if result.tool is not None and result.tool_residuals is not None:
-        rmse = np.sqrt(np.mean(result.tool_residuals**2, axis=0))
-        scores.add_row(f"tool file {result.tool.tool}, no fit", *_cells(rmse))
-    if result.scatter is not None:
-        scores.add_row("scatter within still phases", *_cells(result.scatter))
-    console.print(scores)
+    shown.append(_score_table(result))
     for split, models in result.scores.items():
         for name, score in models.items():
             if score.rejected:
-                console.print(
+                shown.append(
                     f"[yellow]{split}, {name}: {len(score.rejected)} of {score.groups} could not be"
                     f" scored; {score.rejected[0]}[/yellow]"
                 )
     if result.worth is not None:
         colour = "green" if result.worth.pays else "yellow"
-        console.print(f"[{colour}]{result.worth.sentence}[/{colour}]")
-    for note in result.notes:
-        console.print(f"[yellow]{note}[/yellow]")
+        shown.append(f"[{colour}]{result.worth.sentence}[/{colour}]")
+    return [*shown, *(f"[yellow]{note}[/yellow]" for note in result.notes)]
 
 
-def _cells(rmse: Array) -> list[str]:
-    return [f"{value:.2f}" if np.isfinite(value) else "-" for value in rmse * _SHOWN]
+def _load_table(result: TableEvaluation) -> Table:
+    load = result.fit.load
+    made = table("Load, from all readings", ("", "value", "standard deviation"))
+    made.add_row("mass (g)", f"{load.mass_kg * 1e3:.2f}", f"{load.mass_std_kg * 1e3:.2f}")
+    for axis, com, std in zip("xyz", load.com_m, load.com_std_m, strict=True):
+        made.add_row(f"centre {axis} (mm)", f"{com * 1e3:.2f}", f"{std * 1e3:.2f}")
+    if result.mounted is not None:
+        made.add_section()
+        mounted = result.mounted.single.load
+        mass, std = mounted.mass_kg * 1e3, mounted.mass_std_kg * 1e3
+        made.add_row("with sensor and mounting: mass (g)", f"{mass:.2f}", f"{std:.2f}")
+        for name, value, deviation, unit in result.mounted.mounting.rows:
+            made.add_row(f"{name} ({unit})", f"{value:.3f}", f"{deviation:.3f}")
+    return made
+
+
+def _score_table(result: TableEvaluation) -> Table:
+    made = axes_table(
+        "Residual on readings that the fit has not seen, root mean square", "held out, model"
+    )
+    for split, models in result.scores.items():
+        made.add_row(f"[bold]{split}[/bold]")
+        for name, score in models.items():
+            made.add_row(f"  {name}", *axis_cells(score.rmse))
+        made.add_section()
+    if result.tool is not None and result.tool_residuals is not None:
+        made.add_row(
+            f"tool file {result.tool.tool}, no fit", *axis_cells(rms(result.tool_residuals))
+        )
+    if result.scatter is not None:
+        made.add_row("scatter within rest segments", *axis_cells(result.scatter))
+    return made

@@ -15,17 +15,23 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from galen_bags.arrays.motion_table import MotionTable, moving
+from galen_bags.arrays.orientation_table import OrientationTable
 from galen_bags.arrays.text_table import TableError
 from galen_model.arrays import Array
 from galen_model.load.identification import plain_least_squares
 from galen_model.load.inertia.imu_mount import ImuFit, fit_imu
 from galen_model.load.model import gravity_regressor
 from galen_model.rotation import rotvec_to_matrix
+from rich.table import Table
 from scipy.interpolate import CubicSpline
 from scipy.signal import butter, sosfiltfilt
+
+from galen_gravcomp.evaluate.report import Report, axes_table, axis_cells, by_axis
+from galen_gravcomp.evaluate.residual_decomposition import rms
 
 _LAGS_S = np.arange(-0.02, 0.0201, 0.0005)
 _TAPS_S = np.arange(-0.02, 0.0301, 0.002)
@@ -33,15 +39,8 @@ _BLOCKS = 6
 _EDGE_S = 0.05
 _FEWEST_REST = 20
 _RIDGE = 1e-5
-
-
-@dataclass(frozen=True)
-class StillTable:
-    """Still poses: gravity (n, 3) in ft_sensor, wrench (n, 6), specific force (n, 3), SI."""
-
-    gravity: Array
-    wrench: Array
-    specific: Array
+# Below the sensor's usual filter, and below what an admittance controller follows.
+_BANDS_HZ = (45.0, 10.0)
 
 
 @dataclass(frozen=True)
@@ -60,9 +59,13 @@ class MotionScore:
 WEIGHT, WITH_IMU, FILTER, REST = "weight only", "with the IMU", "any filter of the IMU", "at rest"
 
 
-def score_motion(still: StillTable, run: MotionTable, bands_hz: tuple[float, ...]) -> MotionScore:
-    """Calibrate on the still poses, score on the run. Raises TableError, IdentificationError."""
-    imu = fit_imu(still.gravity, still.specific)
+def score_motion(still: OrientationTable, specific: Array, run: MotionTable) -> MotionScore:
+    """Calibrate on still poses, score on the run.
+
+    specific (n, 3): the IMU's readings in the still poses, m/s^2. Raises TableError,
+    IdentificationError.
+    """
+    imu = fit_imu(still.gravity, specific)
     moments, offset = plain_least_squares(still.gravity, still.wrench)
     mount = imu.mount
     back = rotvec_to_matrix(mount.rotvec_rad)
@@ -95,11 +98,11 @@ def score_motion(still: StillTable, run: MotionTable, bands_hz: tuple[float, ...
     }
     rate_hz = 1.0 / float(np.median(np.diff(time_s)))
     bands = {}
-    for band_hz in (float("inf"), *bands_hz):
+    for band_hz in (float("inf"), *_BANDS_HZ):
         if band_hz >= rate_hz / 2.0 and np.isfinite(band_hz):
             raise TableError(f"a band of {band_hz:g} Hz: readings come at {rate_hz:.0f} Hz")
         low = {name: _low_pass(part, band_hz, rate_hz) for name, part in residuals.items()}
-        bands[band_hz] = {name: _rms(part[in_motion]) for name, part in low.items()}
+        bands[band_hz] = {name: rms(part[in_motion]) for name, part in low.items()}
         bands[band_hz][REST] = np.std(low[WEIGHT][~in_motion], axis=0)
     rest_s = float(np.count_nonzero(~in_motion) / rate_hz)
     return MotionScore(imu, (float(lags[0]), float(lags[1])), rest_s, bands)
@@ -143,5 +146,45 @@ def _low_pass(values: Array, band_hz: float, rate_hz: float) -> Array:
     return np.asarray(sosfiltfilt(sections, values, axis=0))
 
 
-def _rms(values: Array) -> Array:
-    return np.asarray(np.sqrt(np.mean(values**2, axis=0)))
+def report(score: MotionScore) -> Report:
+    """Make the report of a run with an IMU."""
+    mount = score.imu.mount
+    shown: list[str | Table] = [
+        f"{name}: {' '.join(f'{value:.4f}' for value in values)}"
+        for name, values in (
+            ("imu_rotvec_rad", mount.rotvec_rad),
+            ("imu_bias_m_s2", mount.bias_m_s2),
+            ("residual of the still poses, m/s^2", score.imu.std_m_s2),
+        )
+    ]
+    first, second = (1e3 * lag for lag in score.lag_s)
+    shown.append(
+        f"imu_scale: {mount.scale:.5f}; the IMU's stamps are {first:.2f} ms (first half), "
+        f"{second:.2f} ms (second half) late; each is used on the other"
+    )
+    made = axes_table("Residual in motion, root mean square, tared at rest", "band, model")
+    for band, models in score.bands.items():
+        made.add_row("[bold]all[/bold]" if np.isinf(band) else f"[bold]< {band:g} Hz[/bold]")
+        for name, values in models.items():
+            made.add_row(f"  {name}", *axis_cells(values, 1))
+    return Report(_content(score), [*shown, made])
+
+
+def _content(score: MotionScore) -> dict[str, Any]:
+    mount = score.imu.mount
+    return {
+        "imu": {
+            "rotvec_rad": mount.rotvec_rad.tolist(),
+            "bias_m_s2": mount.bias_m_s2.tolist(),
+            "scale": mount.scale,
+            "std_m_s2": score.imu.std_m_s2.tolist(),
+        },
+        "lag_of_halves_s": list(score.lag_s),
+        "rest_s": score.rest_s,
+        "rms": {
+            "all" if np.isinf(band) else f"below_{band:g}_hz": {
+                name: by_axis(values) for name, values in models.items()
+            }
+            for band, models in score.bands.items()
+        },
+    }

@@ -1,0 +1,195 @@
+"""Pictures of evaluations: a bag, a table, a long recording without contact."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from textwrap import fill
+
+import matplotlib
+
+matplotlib.use("Agg")  # a lab's machine over ssh has no display
+import matplotlib.pyplot as plt
+import numpy as np
+from galen_model.arm.galen import WRENCH_AXES
+from galen_model.arrays import Array
+from galen_model.files.figure_file import save_figure
+from matplotlib.axes import Axes
+
+from galen_gravcomp.evaluate.bag_evaluation import BagEvaluation
+from galen_gravcomp.evaluate.drift.result import GROUPS, DriftResult
+from galen_gravcomp.evaluate.table.evaluation import TableEvaluation
+
+_COLOURS = ("#1f6f8b", "#c44e52", "#55a868")
+_MODEL_COLOURS = ("#c44e52", "#1f6f8b", "#55a868", "#8172b3", "#dd8452", "#8c8c8c")
+_PART_COLOURS = {"load": "#c44e52", "offset": "#dd8452", "drift": "#8172b3", "rest": "#8c8c8c"}
+_MOST_POINTS = 3000
+_SLOW_PART = 1 / 20
+
+
+def plot_evaluation(result: BagEvaluation, directory: Path, name: str) -> Path:
+    """Write `<name>_evaluation.png` into `directory`; returns its path."""
+    figure = plt.figure(figsize=(12, 10))
+    grid = figure.add_gridspec(3, 3, height_ratios=(1.0, 1.0, 1.15))
+    force = figure.add_subplot(grid[0, :])
+    torque = figure.add_subplot(grid[1, :], sharex=force)
+    _course(force, result, slice(0, 3), 1.0, "N")
+    _course(torque, result, slice(3, 6), 1e3, "mN.m")
+    torque.set_xlabel("time, s (shaded: rest segments)")
+    _poses(figure.add_subplot(grid[2, 0]), result, slice(0, 3), 1.0, "force, N")
+    _poses(figure.add_subplot(grid[2, 1]), result, slice(3, 6), 1e3, "torque, mN.m")
+    _parts(figure.add_subplot(grid[2, 2]), result)
+    figure.suptitle(f"{name}, {result.tool.tool}: {fill(result.sentence, 90)}")
+    figure.tight_layout()
+    return save_figure(figure, directory / f"{name}_evaluation.png")
+
+
+def _course(axes: Axes, result: BagEvaluation, which: slice, factor: float, unit: str) -> None:
+    """Plot the compensated wrench over time: means, and the band of single readings."""
+    cells = result.cells
+    axes.axhline(0.0, color="black", lw=0.6)
+    axes.set_ylabel(f"residual, {unit}")
+    if not len(cells):
+        return
+    time = (cells.start_ns - cells.start_ns[0]) * 1e-9
+    group = max(1, len(cells) // _MOST_POINTS)
+    starts = np.arange(0, len(cells), group)
+    # A line over a gap would show what was not measured.
+    broken = np.concatenate([[False], np.diff(time[starts]) > 3.0 * group * cells.cell_s])
+    weight = cells.count[:, None]
+    total = np.add.reduceat(weight, starts, axis=0)
+    mean = np.add.reduceat(weight * cells.mean, starts, axis=0) / total
+    mean_square = np.add.reduceat(cells.sum_of_squares, starts, axis=0) / total
+    spread = np.sqrt(np.maximum(mean_square - mean**2, 0.0))
+    for colour, axis in zip(_COLOURS, range(6)[which], strict=True):
+        value, width = factor * mean[:, axis], factor * spread[:, axis]
+        value = np.where(broken, np.nan, value)
+        axes.plot(time[starts], value, color=colour, lw=1.0, label=WRENCH_AXES[axis])
+        axes.fill_between(
+            time[starts], value - width, value + width, color=colour, alpha=0.15, lw=0
+        )
+    limit = factor * result.limits.axes[which.start]
+    for sign in (-1.0, 1.0):
+        axes.axhline(sign * limit, color="grey", lw=0.8, ls="--")
+    for start, end in zip(result.phases.start_ns, result.phases.end_ns, strict=True):
+        axes.axvspan(
+            (start - cells.start_ns[0]) * 1e-9, (end - cells.start_ns[0]) * 1e-9,
+            color="black", alpha=0.06, lw=0,
+        )  # fmt: skip
+    if result.change is not None:
+        time_s = (result.change.time_ns - cells.start_ns[0]) * 1e-9
+        axes.axvline(time_s, color="black", lw=1.2, ls=":")
+    axes.margins(x=0.0)
+    # Above the axes: a push would go through it.
+    axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncol=3, frameon=False)
+
+
+def _poses(axes: Axes, result: BagEvaluation, which: slice, factor: float, label: str) -> None:
+    """Plot the residual over roll and tilt."""
+    axes.set_xlabel("roll, rad")
+    axes.set_ylabel("tilt, rad")
+    axes.set_title(f"rest segments: {label}", fontsize=10)
+    if not len(result.phases):
+        axes.text(0.5, 0.5, "no rest segment", ha="center", transform=axes.transAxes)
+        return
+    size: Array = factor * np.linalg.norm(result.phases.mean[:, which], axis=1)
+    order = np.argsort(size)  # so that the largest lies on top
+    size, angles = size[order], result.phases.angles[order]
+    top = max(float(size.max()), factor * float(result.limits.axes[which.start]))
+    points = axes.scatter(
+        angles[:, 0], angles[:, 1], c=size, cmap="viridis", vmin=0.0, vmax=top, s=40,
+        edgecolors="black", linewidths=0.4,
+    )  # fmt: skip
+    axes.figure.colorbar(points, ax=axes)
+
+
+def _parts(axes: Axes, result: BagEvaluation) -> None:
+    """Plot each part's root mean square, in units of the limit of a fit."""
+    axes.set_title("parts (1: the limit of a fit)", fontsize=10)
+    found = result.parts
+    if found is None:
+        why = "too few rest segments" if result.change is None else "see the parts on their own"
+        axes.text(0.5, 0.5, why, ha="center", transform=axes.transAxes)
+        return
+    parts = {
+        name: part
+        for name in _PART_COLOURS
+        if (part := getattr(found, name)) is not None
+    }  # fmt: skip
+    width = 0.8 / len(parts)
+    for k, (name, part) in enumerate(parts.items()):
+        axes.bar(
+            np.arange(6) + (k - (len(parts) - 1) / 2) * width, part / result.limits.axes, width,
+            color=_PART_COLOURS[name], label=name,
+        )  # fmt: skip
+    axes.axhline(1.0, color="grey", lw=0.8, ls="--")
+    axes.set_xticks(range(6), WRENCH_AXES)
+    axes.legend(frameon=False, fontsize=8)
+
+
+def plot_scores(result: TableEvaluation, directory: Path) -> Path:
+    """Write `<table's name>_residuals.png` into `directory`; returns its path."""
+    split, models = next(iter(result.scores.items()))
+    figure, axes = plt.subplots(2, 3, figsize=(12, 6), sharex=True)
+    for index, axis in enumerate(axes.flat):
+        for colour, (name, score) in zip(_MODEL_COLOURS, models.items(), strict=False):
+            values = score.residuals[:, index] * 1e3
+            axis.plot(values, "o-", color=colour, ms=3, lw=0.8, label=name)
+        unit = "mN" if index < 3 else "mN.m"
+        rms = ", ".join(f"{score.rmse[index] * 1e3:.1f}" for score in models.values())
+        axis.axhline(0.0, color="black", lw=0.6)
+        axis.set_title(f"{WRENCH_AXES[index]}: RMS {rms} {unit}", fontsize=10)
+        axis.set_ylabel(unit)
+        if index >= 3:
+            axis.set_xlabel("reading")
+    figure.suptitle(f"{Path(result.table.path).name}: residual on held-out readings ({split})")
+    handles, names = axes.flat[0].get_legend_handles_labels()
+    figure.legend(handles, names, loc="lower center", ncol=len(names), frameon=False)
+    figure.tight_layout(rect=(0.0, 0.04, 1.0, 1.0))
+    return save_figure(figure, directory / f"{Path(result.table.path).stem}_residuals.png")
+
+
+def plot_drift(result: DriftResult, directory: Path, name: str) -> Path:
+    """Write `<name>_drift.png` into `directory`; returns its path."""
+    figure, grid = plt.subplots(2, 3, figsize=(14, 8), width_ratios=(1.6, 1.0, 1.0))
+    series = result.series
+    cell_s = max(1, len(series.reading) // 2000) * series.cell_s
+    shown = series.every(cell_s)
+    slow_s = max(cell_s, series.duration_s * _SLOW_PART)
+    slow = series.every(slow_s)
+    hours = series.duration_s > 7200.0
+    unit_s = 3600.0 if hours else 60.0
+    for row, (group, axes) in enumerate(GROUPS.items()):
+        factor, unit = (1.0, "N") if group == "force" else (1e3, "mN.m")
+        course, allan, hold = grid[row]
+        start = np.nanmean(slow[:1, axes], axis=0)
+        for colour, axis in zip(_COLOURS, range(6)[axes], strict=True):
+            zero = start[axis - axes.start]
+            time = (np.arange(len(shown)) + 0.5) * cell_s / unit_s
+            course.plot(time, (shown[:, axis] - zero) * factor, color=colour, lw=0.5, alpha=0.5)
+            time = (np.arange(len(slow)) + 0.5) * slow_s / unit_s
+            course.plot(
+                time, (slow[:, axis] - zero) * factor, color=colour, lw=1.8, label=WRENCH_AXES[axis]
+            )
+            one = result.allan[axis]
+            allan.loglog(one.tau_s, one.deviation * factor, color=colour, lw=1.4)
+            allan.fill_between(
+                one.tau_s, one.low * factor, one.high * factor, color=colour, alpha=0.2, lw=0
+            )
+            allan.loglog(one.tau_s, one.fitted(one.tau_s) * factor, color=colour, lw=0.8, ls=":")
+            hold.loglog(result.delay_s, result.change[:, axis] * factor, color=colour, lw=1.4)
+        for begin, end in series.touched_s:
+            course.axvspan(begin / unit_s, end / unit_s, color="black", alpha=0.12, lw=0)
+        course.axhline(0.0, color="black", lw=0.6)
+        course.set_xlabel("time, h" if hours else "time, min")
+        course.set_ylabel(f"change of {group}, {unit}")
+        course.legend(loc="upper left", ncol=3, frameon=False)
+        allan.set_xlabel("averaging time, s (dotted: fitted)")
+        allan.set_ylabel(f"Allan deviation, {unit}")
+        limit = result.limits.axes[axes.start] * factor
+        hold.axhline(limit, color="grey", lw=0.8, ls="--")
+        hold.set_xlabel("time since tare, s (dashed: the limit)")
+        hold.set_ylabel(f"rms change, {unit}")
+    title = "\n".join(fill(sentence, 150) for sentence in result.sentence.values())
+    figure.suptitle(title, fontsize=9)
+    figure.tight_layout()
+    return save_figure(figure, directory / f"{name}_drift.png")

@@ -1,0 +1,65 @@
+"""The one form of a result: plain numbers for JSON, lines and tables for a terminal."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from galen_model.arm.galen import WRENCH_AXES
+from galen_model.arrays import Array
+from rich.console import Console
+from rich.table import Table
+
+UNITS = ("mN", "mN", "mN", "mN.m", "mN.m", "mN.m")
+
+
+@dataclass(frozen=True)
+class Report:
+    """An evaluation's result.
+
+    content: plain numbers, texts and lists, SI units, None where unknown; shown: lines (with
+    markup) and tables; plot: writes the picture into a directory and returns its path.
+    """
+
+    content: dict[str, Any]
+    shown: list[str | Table]
+    plot: Callable[[Path], Path] | None = None
+
+    def print(self, console: Console) -> None:
+        """Print lines and tables to a terminal."""
+        for item in self.shown:
+            console.print(item, soft_wrap=isinstance(item, str), highlight=False)
+
+
+def table(title: str, names: Iterable[str]) -> Table:
+    """Make a table; its first column is aligned left, the others right."""
+    made = Table(title=title, title_justify="left")
+    for number, name in enumerate(names):
+        made.add_column(name, justify="right" if number else "left", no_wrap=not number)
+    return made
+
+
+def axes_table(title: str, first: str = "") -> Table:
+    """Make a table with a column for each wrench axis, mN and mN.m; see `axis_cells`."""
+    heads = (f"{axis} ({unit})" for axis, unit in zip(WRENCH_AXES, UNITS, strict=True))
+    return table(title, (first, *heads))
+
+
+def axis_cells(values: Array, digits: int = 2) -> list[str]:
+    """Format six values (N, N.m) as mN and mN.m; a dash where one is not finite."""
+    return [f"{1e3 * value:.{digits}f}" if np.isfinite(value) else "-" for value in values]
+
+
+def by_axis(values: Array | None) -> dict[str, Any] | None:
+    """Name six values by axis; None where they are not all finite."""
+    if values is None or not np.all(np.isfinite(values)):
+        return None
+    return dict(zip(WRENCH_AXES, np.asarray(values).tolist(), strict=True))
+
+
+def number_or_none(value: float) -> float | None:
+    """Return a finite number, None for any other."""
+    return float(value) if np.isfinite(value) else None
