@@ -15,7 +15,7 @@ setup(
     package_data={"": ["py.typed"]},
     maintainer="The Galen suite's authors",
     maintainer_email="galen@example.org",
-    description="Kinematics, wrench algebra, load model and tool files, free of ROS.",
+    description="Kinematics, wrench algebra, load model and calibration files, free of ROS.",
     license="Apache-2.0",
     entry_points={"console_scripts": []},
 )

@@ -28,7 +28,7 @@ class ToolNameError(GalenError):
 
 
 class CalibrationFileError(GalenError):
-    """A tool's file is missing, unreadable or does not say what it must."""
+    """A calibration file is missing, unreadable or does not say what it must."""
 
 
 class KinematicsError(GalenError):

@@ -1,4 +1,4 @@
-"""Tool files: read back what was written, reject what is not one, survive a kill."""
+"""Calibration files: read back what was written, reject what is not one, survive a kill."""
 
 import json
 import os
@@ -195,7 +195,8 @@ print("ready", flush=True)
 count = 0
 while True:
     count += 1
-    write_calibration(path, dataclasses.replace(tool, poses_used=count, poses_rejected=("x" * 200,) * 50))
+    changed = dataclasses.replace(tool, poses_used=count, poses_rejected=("x" * 200,) * 50)
+    write_calibration(path, changed)
 """
 
 

@@ -1,4 +1,4 @@
-"""Two tools' files compared: by drawn estimates, by hand, over the whole workspace."""
+"""Two calibration files compared: by drawn estimates, by hand, over the whole workspace."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""The tools' files of a directory: nothing lost, nothing overwritten, no way out of it."""
+"""The calibration files of a directory: nothing lost, nothing overwritten, no way out of it."""
 
 import json
 import os

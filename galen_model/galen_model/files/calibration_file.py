@@ -121,7 +121,7 @@ class CalibrationFile:
     calibrated_at: str
     residual_offset: Array = field(default_factory=lambda: np.zeros(6))
     zeroing: Zeroing | None = field(default_factory=lambda: zeroed_at(0.0, 0.0))
-    """Where the sensor was zeroed with the adapter alone; None: not with the adapter, or unknown."""
+    """Where the sensor was zeroed with the adapter alone; None: not so, or not known."""
     poses_rejected: tuple[str, ...] = ()
     sensor_frame: str = SENSOR_FRAME
     gravity_m_s2: Array = field(default_factory=lambda: GRAVITY_M_S2.copy())
@@ -259,9 +259,10 @@ def calibration_path(tools_dir: str | os.PathLike[str], tool: str) -> Path:
 
 
 def read_calibration(path: str | os.PathLike[str]) -> CalibrationFile:
-    """Read and check a calibration file. Raises CalibrationFileError that names the file and the field.
+    """Read and check a calibration file.
 
-    Where the file itself can't be read, the error's cause is the OSError.
+    Raises CalibrationFileError that names the file and the field; where the file itself can't be
+    read, its cause is the OSError.
     """
     path = Path(path)
     try:
@@ -273,7 +274,7 @@ def read_calibration(path: str | os.PathLike[str]) -> CalibrationFile:
 
 
 def parse_calibration(path: str | os.PathLike[str], raw: bytes) -> CalibrationFile:
-    """Check the bytes of a calibration file; `path` is for the CalibrationFileError that it raises."""
+    """Check the bytes of a calibration file; `path` is for the error that it raises."""
     try:
         return _from_json(parse_json(raw))
     except (FieldError, ToolNameError, RecursionError) as error:

@@ -1,4 +1,4 @@
-"""The tools' files of one directory: listed, read, renamed, reverted, removed and brought back.
+"""Calibration files of one directory: listed, read, renamed, reverted, removed, restored.
 
 A tool's name is the only way in: it is checked, and what it names must be a file within the
 directory, so that neither a name nor a link leads out of it. Nothing is ever overwritten: a file
@@ -6,7 +6,7 @@ gets its new name by a hard link, which fails where the name is taken, and loses
 Reverting swaps two names (`atomic_file.exchange`). So at every moment, also after a crash, each
 calibration is there under at least one name.
 
-    <tool>.json            the tool's file
+    <tool>.json            the calibration file
     <tool>.json.bak        the calibration before it (`galen_model.files.atomic_file`)
     <tool>.json.removed    a tool that was removed; .removed.2 and so on where that is taken
     <tool>.json.bak.removed, without the above: left by a revert that a crash cut short, on a file
@@ -52,7 +52,7 @@ class ToolExistsError(GalenError):
 
 
 class CalibrationStoreError(GalenError):
-    """The directory of the tools' files can't be read or written."""
+    """The directory of the calibration files can't be read or written."""
 
 
 class FileState(Enum):
@@ -96,16 +96,16 @@ class Entry:
 
 
 class CalibrationStore:
-    """One directory of tools' files; it need not exist, and then has no tools."""
+    """One directory of calibration files; it need not exist, and then has no tools."""
 
     def __init__(self, tools_dir: str | os.PathLike[str]) -> None:
         self.directory = Path(tools_dir).expanduser()
 
     def read(self, name: str) -> StoredCalibration:
-        """Read and check a tool's file, and that it holds the tool of this name.
+        """Read and check a calibration file, and that it holds the tool of this name.
 
-        Raises ToolNameError, or CalibrationFileError that names the file; where there is none, its cause
-        is a FileNotFoundError.
+        Raises ToolNameError, or CalibrationFileError that names the file; where there is none, its
+        cause is a FileNotFoundError.
         """
         return _stored(self._checked(name), name)
 
@@ -145,8 +145,9 @@ class CalibrationStore:
     def rename(self, name: str, new_name: str) -> StoredCalibration:
         """Give a tool another name, in its file and inside; its backup goes with it.
 
-        Raises ToolNameError, CalibrationFileError, ToolExistsError or CalibrationStoreError; the tool then has
-        its old name. A rename that a crash cut short is finished by asking for it again.
+        Raises ToolNameError, CalibrationFileError, ToolExistsError or CalibrationStoreError; the
+        tool then has its old name. A rename that a crash cut short is finished by
+        asking for it again.
         """
         old = self.read(name)
         new_path = calibration_path(self.directory, new_name)
@@ -180,10 +181,11 @@ class CalibrationStore:
         return self.read(new_name)
 
     def revert(self, name: str) -> StoredCalibration:
-        """Swap a tool's file and the calibration before it; doing it twice changes nothing.
+        """Swap a calibration file and the calibration before it; doing it twice changes nothing.
 
-        A broken file is kept as the other one. Raises ToolNameError, CalibrationFileError where there is
-        no file or no usable calibration before it, or CalibrationStoreError; nothing is then changed.
+        A broken file is kept as the other one. Raises ToolNameError, CalibrationFileError where
+        there is no file or no usable calibration before it, or CalibrationStoreError; nothing is
+        then changed.
         """
         path = self._regular(name)
         self.previous(name)
@@ -197,8 +199,8 @@ class CalibrationStore:
     def remove(self, name: str) -> Path:
         """Take a tool off the list; returns where its file is kept, so that it can come back.
 
-        A broken file can be removed as well. Raises ToolNameError, CalibrationFileError where there is no
-        file, or CalibrationStoreError.
+        A broken file can be removed as well. Raises ToolNameError, CalibrationFileError where
+        there is no file, or CalibrationStoreError.
         """
         path = self._regular(name)
         try:
@@ -219,7 +221,8 @@ class CalibrationStore:
     def restore(self, name: str) -> Path:
         """Bring back the tool removed last under this name, and its backup; returns its path.
 
-        Raises ToolNameError, ToolExistsError, CalibrationFileError where none is kept, or CalibrationStoreError.
+        Raises ToolNameError, ToolExistsError, CalibrationFileError where none is kept, or
+        CalibrationStoreError.
         """
         path = calibration_path(self.directory, name)
         if os.path.lexists(path):
@@ -276,7 +279,7 @@ class CalibrationStore:
         return path
 
     def _regular(self, name: str) -> Path:
-        """Path of a tool's file, broken or not; raises ToolNameError or CalibrationFileError."""
+        """Path of a file, broken or not; raises ToolNameError or CalibrationFileError."""
         path = self._checked(name)
         try:
             mode = path.stat().st_mode
@@ -318,7 +321,7 @@ def _backup(path: Path) -> Path:
 
 
 def _named_backup(backup: Path, name: str) -> bytes | str:
-    """The backup, too, has the tool's name inside; one that is no tool's file stays as it is."""
+    """The backup, too, has the tool's name inside; one that can't be read stays as it is."""
     raw = _read(backup)
     try:
         parse_calibration(backup, raw)
@@ -336,7 +339,7 @@ def _set_aside(path: Path, files: tuple[Path, ...]) -> int:
 
 
 def _free_number(path: Path) -> int:
-    """The first under which neither a tool's file nor its backup was removed."""
+    """The first under which neither a calibration file nor its backup was removed."""
     number = 1
     while any(os.path.lexists(_removed(file, number)) for file in (path, _backup(path))):
         number += 1
@@ -348,9 +351,9 @@ def _removed(path: Path, number: int) -> Path:
 
 
 def _read(path: Path) -> bytes:
-    """The bytes of a tool's file; raises CalibrationFileError."""
+    """The bytes of a calibration file; raises CalibrationFileError."""
     try:
-        return read_limited(path, MAX_FILE_BYTES, "a tool's file")
+        return read_limited(path, MAX_FILE_BYTES, "a calibration file")
     except OSError as error:
         raise CalibrationFileError(f"{path}: can't be read: {error.strerror}") from error
     except FieldError as error:

@@ -1,4 +1,4 @@
-"""Two tools' files side by side: what differs, and whether that is more than they can tell.
+"""Two calibration files side by side: what differs, and whether that is more than they can tell.
 
 A difference d of two estimates has the covariance C_a + C_b, as two calibrations don't share their
 noise; it is told in its own standard deviations. Mass and centre together are the same load if

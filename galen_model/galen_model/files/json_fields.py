@@ -32,7 +32,7 @@ class FieldError(ValueError):
 
 
 def read_json(path: Path, max_bytes: int, what: str) -> Any:
-    """The content of a JSON file, `what` it should be ("a tool's file").
+    """The content of a JSON file, `what` it should be ("a calibration file").
 
     Raises OSError, and FieldError without the file's name.
     """

@@ -97,9 +97,9 @@ class Outlier:
 class Identification:
     """What a calibration found.
 
-    load, adapter: tool and adapter with covariance (4, 4) of (kg, m, m, m). offset: (6,) constant part
-    of the sweep with the tool on, and its standard deviation; offset_change: (6,) that offset less
-    the one of the sweep without the tool, with its standard deviation (None after one sweep).
+    load, adapter: tool and adapter with covariance (4, 4) of (kg, m, m, m). offset: (6,) constant
+    part of the sweep with the tool on, and its standard deviation; offset_change: (6,) that offset
+    less the one of the sweep without the tool, with its standard deviation (None after one sweep).
     rmse: (6,) residual of the used readings of the sweep with the tool; sigma: (6,) noise of one
     averaged reading as the residuals tell it. used_*: masks of the poses used. bias_drift: None
     unless a bias that drifts was asked for; where it does, each offset is that at its sweep's last

@@ -1,6 +1,6 @@
 """The pull of a cable at the tool, as a sweep with the cable on shows it.
 
-What a reading holds beyond the tool's file, y (6,), is a Gaussian process over the joints q
+What a reading holds beyond the calibration file, y (6,), is a Gaussian process over the joints q
 (Rasmussen & Williams, Gaussian Processes for Machine Learning, 2006, eqs. 2.25, 2.26):
 
     y = B(q) g(q) + noise,   cov(g_l(q), g_l(q')) = a^2 exp(-|q - q'|^2 / 2) + c^2
@@ -8,7 +8,7 @@ What a reading holds beyond the tool's file, y (6,), is a Gaussian process over 
 with distances in units of the lengths over which the pull changes, a the size of its changes and c
 a broad prior for what is the same at all poses; B is `cable_form`'s. The pull at q is the mean
 given the sweep's poses; the covariance says how well that is known. It needs no parameters but the
-sweep and the few numbers that `cable_fit` found, so a tool's file holds the sweep itself.
+sweep and the few numbers that `cable_fit` found, so a calibration file holds the sweep itself.
 
 Off where nobody looked: s(q), the share of the sweep's information that is missing at q, is the
 same process' variance over its prior's, but for lengths that come from the sweep's spacing and not
@@ -59,9 +59,9 @@ _LARGEST_N = 20.0
 class CableDrag:
     """What was learned: the sweep and how smooth the pull is. SI, wrenches along ft_sensor.
 
-    joints (n, 5), wrench (n, 6) beyond the tool's file, std (n, 6) of it. length_rad (2,), over
-    roll and tilt, length_m over the platform's position. amplitude (2,): a of forces (N) and of
-    torques (N.m). attachment_m (3,): r. inflation: the covariance's standard deviations are this
+    joints (n, 5), wrench (n, 6) beyond the calibration file, std (n, 6) of it. length_rad (2,),
+    over roll and tilt, length_m over the platform's position. amplitude (2,): a of forces (N) and
+    of torques (N.m). attachment_m (3,): r. inflation: the covariance's standard deviations are this
     much larger than the process says, as held-out poses asked for. held_out_rmse (6,): theirs.
     """
 

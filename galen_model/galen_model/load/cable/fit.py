@@ -36,7 +36,7 @@ _SPACINGS = 1.5
 
 @dataclass(frozen=True)
 class CableSweep:
-    """Still poses with the cable on: joints (n, 5), wrench (n, 6) beyond the tool's file, N, N.m.
+    """Still poses with the cable on: joints (n, 5), wrench (n, 6) beyond the file, N, N.m.
 
     std_of_mean (n, 6) of the wrench; noise (6,), the sensor's, of one reading; time_s (n,).
     """

@@ -1,7 +1,7 @@
 """A cable's pull out of a sweep: which form, how well on poses held out, or why there is none.
 
 The poses are cut into blocks of neighbours in roll and tilt, and every block is predicted from the
-others, lengths and all learned without it. Beside it stand the tool's file as it is, and the plain
+others, lengths and all learned without it. Beside it: the calibration file as it is, and plain
 least squares with ten parameters (mass, first moment, six offsets) on the same poses, which is what
 a calibration with the cable on would make of it. A cable is believed where it beats both, block by
 block.
@@ -107,9 +107,9 @@ def learn_cable(
     over_noise = float(np.max(file.rmse / sweep.noise))
     if file.chi < _NOISE or over_noise < 1.0:
         raise NoCableError(
-            f"no pull beyond the noise: the tool's file leaves {_newtons(file)}, {file.chi:.1f}"
-            f" times the noise of the averages and, in the worst axis, {over_noise:.2g} times that"
-            " of one reading"
+            f"no pull beyond the noise: the calibration file leaves {_newtons(file)},"
+            f" {file.chi:.1f} times the noise of the averages and, in the worst axis,"
+            f" {over_noise:.2g} times that of one reading"
         )
     whole: dict[str, CableFit] = {}
     predicted = {form: np.zeros_like(sweep.wrench) for form in forms}
@@ -162,8 +162,8 @@ def _check_worth(
 ) -> None:
     if not clearly_better(sweep, block, best, file):
         raise NoCableError(
-            f"the tool's file leaves {_newtons(file)}, but what it leaves at some poses does not"
-            f" tell of the others ({_newtons(best)} on poses held out): no cable's pull that"
+            f"the calibration file leaves {_newtons(file)}, but what it leaves at some poses does"
+            f" not tell of the others ({_newtons(best)} on poses held out): no cable's pull that"
             " repeats, or a sweep too sparse for it"
         )
     if not clearly_better(sweep, block, best, least_squares):

@@ -1,4 +1,4 @@
-"""What else, instead of a cable, may stand behind what a sweep reads beyond a tool's file.
+"""What else, instead of a cable, may stand behind what a sweep reads beyond a calibration file.
 
 Smooth in the pose are many errors. Each is fitted beside a load and offsets (mass, first moment,
 six offsets) to the poses that `cable_learning` fits a cable to, and scored on the same blocks held

@@ -1,4 +1,4 @@
-"""The inertia of tool and adapter together, as a tool's file may hold it under `inertia`.
+"""The inertia of tool and adapter together, as a calibration file may hold it under `inertia`.
 
 Tool and adapter move as one, so no motion tells their inertias apart; only the sum is asked for.
 """

@@ -6,9 +6,9 @@ adapter together and r the readings,
     r = Y(s, w, al) x + b - lag d/dt [Y(s, w, al) x] + noise,
 
 linear in x and the offset b (the sensor's zero takes up the adapter's weight there), and, at the x
-found before, in the lag of the wrench's stamps. The tool's file knows (m, h) far better than motion
-does: it enters with its covariance. Beside it the same is fitted without the file, and the two
-(m, h) are compared.
+found before, in the lag of the wrench's stamps. The calibration file knows (m, h) far better than
+motion does: it enters with its covariance. Beside it the same is fitted without the
+file, and the two (m, h) are compared.
 
 Residuals of neighbouring samples belong together (vibration, differentiated encoder steps), so the
 covariance is taken from blocks of time, not from samples (Liang, Zeger, *Biometrika* 73, 1986):
@@ -105,7 +105,7 @@ def _moments_jacobian(part: LoadEstimate) -> Array:
 
 
 def identify_inertia(record: MotionRecord, moments: Array, covariance: Array) -> InertiaFit:
-    """The inertia, given (m, h) (4,) and their covariance (4, 4) from the tool's file.
+    """The inertia, given (m, h) (4,) and their covariance (4, 4) from the calibration file.
 
     Raises IdentificationError for a recording that is too short or touched all over, and
     NotExcitedError, naming the components, where the motion doesn't tell them.

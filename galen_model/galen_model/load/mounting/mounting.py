@@ -132,7 +132,7 @@ class Mounting:
         return turned / (1.0 + self.axis_gain)[None, :]
 
     def to_json(self) -> dict[str, Any]:
-        """As the tool's file holds it."""
+        """As the calibration file holds it."""
         about_x, about_y = numbers(self.base_inclination_rad)
         roll, tilt = numbers(self.joint_zero_rad)
         return {
