@@ -55,7 +55,6 @@ MAY_IMPORT = {
 # Imports of one capability by another that are left, and in how many modules. Only ever fewer.
 LEFT_OVER = {
     ("galen_deflection", "galen_calibration_behavior"): 1,
-    ("galen_deflection", "galen_gravcomp"): 4,
 }
 
 

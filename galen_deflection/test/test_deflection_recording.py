@@ -1,11 +1,14 @@
 """Recordings of pushes: what is measured, and everything wrong with a recording found and cut."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from galen_bags.arrays.arm_recording import ArmTopics, read_arm
 from galen_bags.arrays.marker_tracks import RawTrack, marker_track
 from galen_bags.errors import BagError
+from galen_bags.formats.bag import open_bag
 from galen_deflection.errors import PushRecordingError, RegistrationError
 from galen_deflection.measurement.arm_positions import (
     UnloadedSettings,
@@ -13,10 +16,12 @@ from galen_deflection.measurement.arm_positions import (
     noise_of_mean,
     wrench_noise,
 )
+from galen_deflection.measurement.arm_track import read_arm_track
 from galen_deflection.measurement.base_marker import base_stands
 from galen_deflection.measurement.measured_deflection import measure_deflection
 from galen_deflection.measurement.push_recording import read_pushes
 from galen_deflection.measurement.registration_fit import RegistrationSettings
+from galen_gravcomp.compensator import Compensator
 from galen_model.arm.galen import SENSOR
 from galen_model.files.calibration_file import read_calibration
 from galen_model.registration.rigid import Transform, mean_pose
@@ -87,6 +92,34 @@ def test_the_wrench_is_the_applied_one_at_the_markers_stamps(sound):
     assert np.all(np.sqrt(np.mean(off**2, axis=0)) < 1.1 * SENSOR.noise_std)
     assert np.all(np.abs(off.mean(axis=0)) < 0.2 * SENSOR.noise_std)
     assert recording.joints == pytest.approx(scene.joints_at(seconds(recording)), abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("bag", "tool"),
+    [
+        ("pushes", ROOT / "bags" / "tools" / "retractor.json"),
+        ("cable_sweep", ROOT / "test" / "baselines" / "pointer_with_cable.json"),
+    ],
+)
+def test_wrenches_are_those_of_the_compensator(bag, tool):
+    path, tool, count = ROOT / "bags" / bag, read_calibration(tool), 3000
+    with open_bag(path) as opened:
+        track = read_arm_track(opened, tool, ArmTopics(), jump_s=0.03)
+    arm = read_arm(path)
+    compensator = Compensator()
+    compensator.set_tool(tool)
+    made = []
+    last_ns = arm.wrench_stamp_ns[count]
+    for stamp_ns, joints in zip(arm.joint_stamp_ns, arm.joints, strict=True):
+        if stamp_ns <= last_ns:
+            made += compensator.push_joints(int(stamp_ns), joints[3], joints[4], tuple(joints[:3]))
+    for k in range(count):
+        made += compensator.push_wrench(int(arm.wrench_stamp_ns[k]), arm.wrenches[k])
+    made = [one for one in made if hasattr(one, "wrench")]
+    assert len(made) > 0.9 * count
+    same = np.isin(track.wrench_line.stamp_ns, [one.stamp_ns for one in made])
+    expected = np.array([one.wrench for one in made])
+    np.testing.assert_allclose(track.wrenches[same], expected, rtol=0.0, atol=1e-12)
 
 
 def test_positions_and_phases_are_found(sound):
@@ -352,6 +385,20 @@ def test_wrenches_beyond_the_sensors_range_are_left_out(tmp_path):
     (sentence,) = recording.problems
     assert "1 wrench left out, beyond the sensor's range: 1, -130, 0, 0, 0, 0" in sentence
     assert np.max(np.abs(recording.wrench[:, :3])) < 9.0
+
+
+def test_wrenches_that_cannot_be_compensated_are_named(tmp_path):
+    def spoil(topics):
+        topics[WRENCH].values[240] = np.nan
+        rows = np.flatnonzero((topics[JOINTS].seconds() > 1.0) & (topics[JOINTS].seconds() < 1.02))
+        topics[JOINTS].values[rows[0], 3] += 4.0
+
+    recording = tampered(tmp_path, spoil)
+    assert said(recording, "1 wrench not compensated: a value is not finite")
+    assert said(recording, "not compensated: no joint angles within 0.05 s")
+    other = replace(TOOL, sensor_frame="other")
+    with pytest.raises(PushRecordingError, match=r"no wrench could be.*frame_id is not 'other'"):
+        read_pushes(tmp_path / "bag", other)
 
 
 def test_nothing_is_interpolated_over_a_gap_in_the_wrench(tmp_path):

@@ -183,8 +183,8 @@ def read_arm(path: str | os.PathLike[str], topics: ArmTopics | None = None) -> A
         blocks = list(reader.blocks())
         problems = bag.problems
         names = (reader.joint_states, reader.wrench_raw)
-    joints = _joined([block.joints for block in blocks], 2 * len(JOINT_NAMES))
-    wrenches = _joined([block.wrenches for block in blocks], 6)
+    joints = join_samples([block.joints for block in blocks], 2 * len(JOINT_NAMES))
+    wrenches = join_samples([block.wrenches for block in blocks], 6)
     kept: list[np.ndarray | slice] = []
     for name, samples in zip(names, (joints, wrenches), strict=True):
         good = np.setdiff1d(np.arange(len(samples)), list(samples.bad))
@@ -214,7 +214,7 @@ def read_arm(path: str | os.PathLike[str], topics: ArmTopics | None = None) -> A
     )
 
 
-def _joined(parts: list[Samples], width: int) -> Samples:
+def join_samples(parts: list[Samples], width: int) -> Samples:
     """Samples of all blocks, one after the other; a decoder's frame ids only grow."""
     if not parts:
         none = np.zeros(0, dtype=np.int64)

@@ -15,7 +15,6 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from enum import IntEnum
 from functools import partial
 
@@ -37,10 +36,10 @@ from galen_deflection.collection.commands import (
     State,
 )
 from galen_deflection.collection.parameters import CollectionParameters
-from galen_deflection.collection.plan import CollectionPlan, LoadLimits, ToTip, WantedPush, to_tip
-from galen_deflection.collection.push import PushLimits, PushWatch
+from galen_deflection.collection.plan import CollectionPlan, ToTip, WantedPush, to_tip
+from galen_deflection.collection.push import PushWatch
 from galen_deflection.collection.shift import collection_shift, shift_sentence
-from galen_deflection.collection.untouched import Untouched, UntouchedSettings, UntouchedWatch
+from galen_deflection.collection.untouched import Untouched, UntouchedWatch
 
 CALIBRATION_BAGS = ("calibration_1", "calibration_2")
 PUSH_BAG = "push"

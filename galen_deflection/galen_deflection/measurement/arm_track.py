@@ -1,24 +1,29 @@
-"""The arm's joints and compensated wrenches out of a bag, each on its topic's line of time."""
+"""Read the arm's joints and compensated wrenches from a bag, each on its line of time."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from enum import Enum
 
 import numpy as np
-from galen_bags.arrays.arm_recording import ArmBlock, ArmReader, ArmTopics
-from galen_bags.arrays.timeline import Timeline, lay_out, stamp_sentences
+from galen_bags.arrays.arm_recording import ArmReader, ArmTopics, join_samples
+from galen_bags.arrays.messages import Samples
+from galen_bags.arrays.timeline import Timeline, interpolated, lay_out, stamp_sentences
 from galen_bags.formats.bag import Bag
-from galen_gravcomp.arm_block import push_arm_block
-from galen_gravcomp.compensator import Compensator, CompensatorSettings
 from galen_model.arm.galen import JOINT_NAMES, SENSOR
 from galen_model.arrays import Array
 from galen_model.files.calibration_file import CalibrationFile
+from galen_model.load.prediction import Prediction
+from galen_ros.stream.sample_limits import joint_jumps
 
 from galen_deflection.errors import PushRecordingError
 
 _JOINTS = len(JOINT_NAMES)
+_ANGLES = slice(3, 5)
+# The live node's `max_joint_age_s`: joints are not interpolated over more.
+_MAX_JOINT_GAP_S = 0.05
+# Poses at which a cable's pull is computed at once.
+_CABLE_ROWS = 2048
 
 
 @dataclass(frozen=True)
@@ -42,85 +47,55 @@ def read_arm_track(
     bag: Bag,
     tool: CalibrationFile,
     topics: ArmTopics,
-    settings: CompensatorSettings,
     *,
     jump_s: float,
     on_progress: Callable[[int, int | None], None] | None = None,
 ) -> ArmTrack:
-    """Send a bag's samples through the live node's compensator, in the order received.
+    """Compensate a bag's wrenches as the live node does, at the joints of their stamps.
 
-    Readings beyond the sensor's range are none, and left out. Raises BagError, and
-    PushRecordingError where a joint lacks or no wrench comes out.
+    Readings beyond the sensor's range are left out. Raises BagError, and PushRecordingError where
+    a joint lacks or no wrench can be compensated.
     """
     reader = ArmReader(bag, topics)
-    compensator = Compensator(settings)
-    compensator.set_tool(tool)
     total, done = reader.message_count, 0
-    blocks: list[ArmBlock] = []
-    numbers: list[np.ndarray] = []
-    compensated: list[Array] = []
-    rejections: dict[Enum, str] = {}
-    unreadable: list[str] = []
+    blocks = []
     for block in reader.blocks():
-        result = push_arm_block(compensator, block)
-        numbers.append(result.index)
-        compensated.append(result.wrench)
-        for rejected in result.rejected:
-            rejections.setdefault(rejected.reason, rejected.detail)
-        unreadable += block.joints.bad.values()
         blocks.append(block)
         done += len(block.is_wrench)
         if on_progress is not None:
             on_progress(done, total)
     if not blocks:
         raise PushRecordingError(f"{bag.path}: it holds no message of the arm")
-
-    joint_stamps = np.concatenate([block.joints.stamp_ns for block in blocks])
-    joint_log = np.concatenate([block.joint_log_ns for block in blocks])
-    joint_line = lay_out(joint_stamps, joint_log, jump_s)
-    positions = np.concatenate([block.joints.values[:, :_JOINTS] for block in blocks])
-    positions = positions[joint_line.row]
+    joints = join_samples([block.joints for block in blocks], 2 * _JOINTS)
+    readings = join_samples([block.wrenches for block in blocks], 6)
+    joint_line = lay_out(
+        joints.stamp_ns, np.concatenate([block.joint_log_ns for block in blocks]), jump_s
+    )
+    wrench_line = lay_out(
+        readings.stamp_ns, np.concatenate([block.wrench_log_ns for block in blocks]), jump_s
+    )
+    positions = joints.values[joint_line.row, :_JOINTS]
     lacking = [
         name for name, k in zip(JOINT_NAMES, positions.T, strict=True) if not np.isfinite(k).any()
     ]
     if lacking:
         raise PushRecordingError(f"{bag.path}: {reader.joint_states} lacks {', '.join(lacking)}")
-
-    wrench_stamps = np.concatenate([block.wrenches.stamp_ns for block in blocks])
-    wrench_log = np.concatenate([block.wrench_log_ns for block in blocks])
-    wrench_line = lay_out(wrench_stamps, wrench_log, jump_s)
-    wrench = np.full((len(wrench_stamps), 6), np.nan)
-    wrench[np.concatenate(numbers)] = np.concatenate(compensated)
-    readings = np.concatenate([block.wrenches.values for block in blocks])
-    with np.errstate(invalid="ignore"):
-        beyond = np.any(np.abs(readings) > SENSOR.range, axis=1) & np.isfinite(wrench).all(axis=1)
-    wrench[beyond] = np.nan
-    wrench = wrench[wrench_line.row]
+    wrench, rejected = _compensated(tool, joint_line, positions, wrench_line, readings)
 
     firsts = [int(line.time_ns[0]) for line in (joint_line, wrench_line) if len(line)]
     start_ns = min(firsts, default=0)
     problems = stamp_sentences(reader.joint_states, joint_line, start_ns)
     problems += stamp_sentences(reader.wrench_raw, wrench_line, start_ns)
-    if unreadable:
-        what = "message" if len(unreadable) == 1 else "messages"
-        problems.append(
-            f"{reader.joint_states}: {len(unreadable)} {what} can't be used: {unreadable[0]}"
-        )
-    for reason, detail in rejections.items():
-        number = compensator.rejections[reason]
-        what = "wrench" if number == 1 else "wrenches"
-        problems.append(f"{reader.wrench_raw}: {number} {what} not compensated: {detail}")
-    if beyond.any():
-        what = "wrench" if beyond.sum() == 1 else "wrenches"
-        problems.append(
-            f"{reader.wrench_raw}: {int(beyond.sum())} {what} left out, beyond the sensor's range:"
-            f" {', '.join(f'{value:.4g}' for value in readings[beyond][0])}"
-        )
-    if not compensator.compensated:
+    for topic, samples in ((reader.joint_states, joints), (reader.wrench_raw, readings)):
+        if samples.bad:
+            what = _count(len(samples.bad), "message", "messages")
+            problems.append(f"{topic}: {what} can't be used: {next(iter(samples.bad.values()))}")
+    problems += [f"{reader.wrench_raw}: {sentence}" for sentence in rejected]
+    good = np.isfinite(wrench).all(axis=1)
+    if not good.any():
         raise PushRecordingError(
             f"{bag.path}: no wrench could be compensated" + "".join(f"; {p}" for p in problems)
         )
-    good = np.isfinite(wrench).all(axis=1)
     return ArmTrack(
         joint_line,
         positions,
@@ -131,3 +106,65 @@ def read_arm_track(
         reader.wrench_raw,
         tuple(problems),
     )
+
+
+def _compensated(
+    tool: CalibrationFile,
+    joint_line: Timeline,
+    joints: Array,
+    wrench_line: Timeline,
+    readings: Samples,
+) -> tuple[Array, list[str]]:
+    """Wrenches (n, 6) on their line, NaN where there is none, and the reasons as sentences."""
+    raw = readings.values[wrench_line.row]
+    cable = tool.cable
+    needed = joints[:, _ANGLES] if cable is None else joints
+    jumped = np.zeros(len(joints), dtype=bool)
+    steps = np.abs(np.diff(joints[:, _ANGLES], axis=0))
+    jumped[1:] = joint_jumps(np.diff(joint_line.time_ns), np.nan_to_num(steps))
+    needed = np.where(jumped[:, None], np.nan, needed)
+    at, known, shift = interpolated(joint_line, needed, wrench_line.time_ns, _MAX_JOINT_GAP_S)
+    known &= shift == wrench_line.shift_ns
+    finite = np.isfinite(raw).all(axis=1)
+    expected = np.array([name == tool.sensor_frame for name in readings.frame_ids], dtype=bool)
+    framed = expected[readings.frame[wrench_line.row]]
+    beyond = np.any(np.abs(raw) > SENSOR.range, axis=1)
+    readable = np.ones(len(readings), dtype=bool)
+    readable[list(readings.bad)] = False
+    readable = readable[wrench_line.row]
+
+    sentences = []
+    for rows, why in (
+        (readable & ~framed, f"frame_id is not {tool.sensor_frame!r}, the tool's sensor_frame"),
+        (readable & framed & ~finite, "a value is not finite"),
+        (
+            readable & framed & finite & ~known,
+            f"no joint angles within {_MAX_JOINT_GAP_S:g} s on both sides of the stamp",
+        ),
+    ):
+        if rows.any():
+            what = _count(int(rows.sum()), "wrench", "wrenches")
+            sentences.append(f"{what} not compensated: {why}")
+    used = readable & framed & finite & known
+    if (used & beyond).any():
+        what = _count(int((used & beyond).sum()), "wrench", "wrenches")
+        first = ", ".join(f"{value:.4g}" for value in raw[used & beyond][0])
+        sentences.append(f"{what} left out, beyond the sensor's range: {first}")
+    used &= ~beyond
+
+    wrench = np.full(raw.shape, np.nan)
+    reading, at = raw[used], at[used]
+    if cable is not None and len(at):
+        reading = reading - np.concatenate(
+            [
+                cable.posterior.readings(at[first : first + _CABLE_ROWS])
+                for first in range(0, len(at), _CABLE_ROWS)
+            ]
+        )
+    roll, tilt = at[:, -2], at[:, -1]
+    wrench[used] = Prediction(tool).compensate(reading, roll, tilt)
+    return wrench, sentences
+
+
+def _count(number: int, one: str, several: str) -> str:
+    return f"{number} {one if number == 1 else several}"

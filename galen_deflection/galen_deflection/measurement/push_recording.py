@@ -1,9 +1,9 @@
-"""A recording of pushes out of a bag: load and marker, at the tool marker's stamps.
+"""Read a recording of pushes: load and marker, at the tool marker's stamps.
 
-The wrench is the one that the live node would publish: the raw wrenches go through its own
-`Compensator`. Joints and wrench are interpolated at the stamps of the tool's marker; the base's
-marker is a mean (`base_marker`). Where stamps jump, samples lack, a marker is lost, the base moved
-or the arm went elsewhere, a new segment begins; everything found is told as a sentence.
+The wrench is compensated as by the live node. Joints and wrench are interpolated at the stamps of
+the tool's marker; the base's marker is a mean (`base_marker`). Where stamps jump, samples lack, a
+marker is lost, the base moved or the arm went elsewhere, a new segment begins; every finding is a
+sentence in `problems`.
 """
 
 from __future__ import annotations
@@ -18,7 +18,6 @@ from galen_bags.arrays.arm_recording import ArmTopics
 from galen_bags.arrays.marker_tracks import MarkerTrack, RawTrack, marker_track, read_poses
 from galen_bags.arrays.timeline import Timeline, interpolated
 from galen_bags.formats.bag import open_bag
-from galen_gravcomp.compensator import CompensatorSettings
 from galen_model.arrays import Array
 from galen_model.files.calibration_file import CalibrationFile
 from galen_model.registration.rigid import Transform
@@ -62,7 +61,6 @@ class PushSettings:
     topics: PushTopics = field(default_factory=PushTopics)
     max_gap_s: float = 0.1
     jump_s: float = 0.03
-    compensator: CompensatorSettings = field(default_factory=CompensatorSettings)
     positions: PositionSettings = field(default_factory=PositionSettings)
     unloaded: UnloadedSettings = field(default_factory=UnloadedSettings)
 
@@ -121,7 +119,6 @@ def read_pushes(
             bag,
             tool,
             settings.topics.arm,
-            settings.compensator,
             jump_s=settings.jump_s,
             on_progress=on_progress,
         )

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
-from galen_gravcomp.evaluate.bag_job import BagJob
+from galen_bags.many.inputs import calibration_of_bag
 from galen_model.arrays import Array
 from galen_model.errors import GalenError
 from galen_model.files.calibration_file import CalibrationFile
@@ -48,7 +48,7 @@ class Recording:
 
 def find_tool(path: Path, settings: ReadSettings) -> CalibrationFile:
     """The tool that a bag was recorded with; raises GalenError that names the file."""
-    return BagJob(settings.tool, settings.tool_beside).find_tool(path)
+    return calibration_of_bag(path, settings.tool, beside=settings.tool_beside)
 
 
 def read_recording(

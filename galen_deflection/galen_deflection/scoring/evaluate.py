@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import Any
 
 from galen_bags.formats.find import find_bags
+from galen_bags.many.inputs import distinct_names
 from galen_bags.many.run import run_many
-from galen_gravcomp.evaluate.bag_job import distinct_names
 from galen_ros.command import (
     EXIT_FAILED,
     EXIT_INTERRUPTED,

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -12,8 +11,8 @@ from typing import Any
 from galen_bags.arrays.arm_recording import ArmReader
 from galen_bags.formats.bag import open_bag
 from galen_bags.formats.writer import BagWriter
+from galen_bags.many.inputs import calibration_of_bag
 from galen_model.errors import GalenError
-from galen_model.files.calibration_file import CalibrationFile, read_calibration
 
 from galen_gravcomp.evaluate.bag_evaluation import (
     BagEvaluation,
@@ -48,7 +47,7 @@ class BagJob:
         self, path: Path, on_progress: Callable[[int, int | None], None] | None = None
     ) -> BagEvaluation:
         """Do it; raises GalenError, naming the bag or the tool's file."""
-        tool = self.find_tool(path)
+        tool = calibration_of_bag(path, self.tool, beside=self.tool_beside)
         name = self.names.get(path, path.stem)
         with ExitStack() as stack:
             bag = stack.enter_context(open_bag(path))
@@ -67,28 +66,3 @@ class BagJob:
             except OSError as error:
                 raise GalenError(f"{self.plots}: can't be written: {error.strerror}") from error
         return result
-
-    def find_tool(self, bag: Path) -> CalibrationFile:
-        """The tool's file for this bag; raises GalenError."""
-        if not self.tool_beside:
-            return read_calibration(self.tool)
-        folder = bag if bag.is_dir() else bag.parent
-        for place in (folder, folder.parent):
-            if (place / self.tool.name).is_file():
-                return read_calibration(place / self.tool.name)
-        raise GalenError(f"{bag}: neither in it nor beside it is a tool's file {self.tool.name}")
-
-
-def distinct_names(paths: Sequence[Path]) -> dict[Path, str]:
-    """A name for each path: its own, with folders before it as far as they differ."""
-    resolved = {path: Path(os.path.abspath(path)) for path in paths}  # noqa: PTH100 - keeps links
-    depth = 1
-    while True:
-        names = {
-            path: "_".join((*whole.parent.parts, whole.stem)[-depth:])
-            for path, whole in resolved.items()
-        }
-        longest = max((len(whole.parts) for whole in resolved.values()), default=1)
-        if len(set(names.values())) == len(names) or depth > longest:
-            return names
-        depth += 1

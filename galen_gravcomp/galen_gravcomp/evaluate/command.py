@@ -12,6 +12,7 @@ from galen_bags.arrays.arm_recording import ArmTopics
 from galen_bags.arrays.motion_table import read_motion, read_specific
 from galen_bags.arrays.orientation_table import read_table
 from galen_bags.formats.find import find_bags
+from galen_bags.many.inputs import distinct_names
 from galen_bags.many.run import run_many
 from galen_model.arm.galen import GRAVITY_M_S2, JOINT_NAMES
 from galen_model.errors import CalibrationFileError, IdentificationError
@@ -39,7 +40,7 @@ from galen_ros.command import (
 from galen_ros.parameters.param import add_options, from_options
 
 from galen_gravcomp.evaluate.bag_evaluation import EvaluationSettings
-from galen_gravcomp.evaluate.bag_job import BagJob, distinct_names
+from galen_gravcomp.evaluate.bag_job import BagJob
 from galen_gravcomp.evaluate.bag_report import print_overview
 from galen_gravcomp.evaluate.bag_report import report as bag_report
 from galen_gravcomp.evaluate.drift.result import judge_drift
