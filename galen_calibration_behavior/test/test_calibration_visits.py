@@ -11,7 +11,7 @@ from galen_model.arm.galen import HOME
 from galen_model.arm.kinematics import gravity_in_sensor
 from galen_model.load.model import gravity_wrench
 from galen_model.load.nominal_tools import ADAPTER
-from galen_model.rest.joints import StillSettings
+from galen_model.rest.segments import JointRest
 from galen_model.rest.pose import PoseRecord
 from galen_ros.goal.pose_recorder import Rejection
 
@@ -145,6 +145,6 @@ def test_levels_tell_the_reading_before_and_after_what_happened_in_a_phase():
 
 def test_what_counts_as_still_is_what_counts_as_stopped_in_a_live_sweep():
     """`galen_bags` can't ask this package for its defaults."""
-    still, arrival = StillSettings(), SETTINGS.arrival
+    still, arrival = JointRest(), SETTINGS.arrival
     assert np.array_equal(still.max_speed, arrival.velocity_tolerance)
     assert still.window_s == arrival.velocity_window_s

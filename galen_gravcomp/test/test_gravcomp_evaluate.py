@@ -20,7 +20,7 @@ from galen_model.files.calibration_file import (
 )
 from galen_model.load.model import Load, gravity_wrench
 from galen_model.load.nominal_tools import ADAPTER, TOOLS
-from galen_model.rest.orientations import StillSettings, still_phases
+from galen_model.rest.segments import DirectionRest, rest_by_direction
 from galen_model.rotation import matrix_to_quaternion
 
 LOAD = Load(0.9, np.array([0.002, -0.001, 0.044]))
@@ -191,7 +191,7 @@ def recording(noise, rng):
 
 def test_still_phases_of_a_recording_are_its_stops():
     time, _, gravity, _ = recording(NOISE, np.random.default_rng(3))
-    phases = still_phases(time, gravity, StillSettings())
+    phases = rest_by_direction(time, gravity, DirectionRest())
     assert len(phases) == 4
     for number, phase in enumerate(phases):
         assert time[phase][0] == pytest.approx(9 * number + 0.5, abs=0.1)

@@ -25,7 +25,7 @@ from galen_model.arm.galen import GRAVITY_M_S2, WRENCH_AXES
 from galen_model.arm.kinematics import sensor_rotation
 from galen_model.arrays import Array
 from galen_model.errors import GalenError
-from galen_model.rest.orientations import StillSettings, still_phases
+from galen_model.rest.segments import DirectionRest, rest_by_direction
 from galen_model.rotation import quaternion_to_matrix
 
 from galen_bags.arrays.text_table import TableError, TextTable, read_text_table
@@ -148,7 +148,7 @@ def read_rotations(
 
 
 def average_still(
-    table: OrientationTable, window_s: float, settings: StillSettings
+    table: OrientationTable, window_s: float, settings: DirectionRest
 ) -> tuple[OrientationTable, Array]:
     """Averages of `window_s` within each still phase of a recording, and their scatter (6,).
 
@@ -167,7 +167,7 @@ def average_still(
     means: list[tuple[Array, Array, float, str]] = []
     rotations = []
     variances = []
-    for number, phase in enumerate(still_phases(table.time, table.gravity, settings)):
+    for number, phase in enumerate(rest_by_direction(table.time, table.gravity, settings)):
         time = table.time[phase]
         window = np.floor((time - time[0]) / window_s).astype(int)
         whole = [w for w in np.unique(window) if time[window == w][-1] - time[0] >= w * window_s]

@@ -1,6 +1,6 @@
 """The still phases of a recording, each averaged and judged as the live sweep does it.
 
-The phases come from the joints alone (`galen_model.rest.joints`). Each is then played to a
+The phases come from the joints alone (`galen_model.rest.segments`). Each is then played to a
 `PoseRecorder`, sample by sample in the order they were received, with the phase's own pose as its
 target. A live sweep's recorder sees the same samples, and where its average lies hangs on their
 stamps alone. So a recording of a live calibration gives the averages that the live one had.
@@ -18,7 +18,7 @@ from galen_bags.arrays.arm_recording import ArmRecording
 from galen_model.arm.galen import JOINT_NAMES, SENSOR, SENSOR_FRAME
 from galen_model.arrays import Array
 from galen_model.errors import GalenError
-from galen_model.rest.joints import StillSettings, still_rows
+from galen_model.rest.segments import JointRest, rest_by_joints
 from galen_model.rest.pose import PoseRecord
 from galen_ros.goal.pose_recorder import PoseRecorder, Rejection
 from galen_ros.goal.stamps import NS, StampClock, StampsError
@@ -99,13 +99,13 @@ def find_visits(
     warnings = [*recording.problems, *_stamp_warnings(recording, settings)]
     recording, unknown = _stand_in_for_missing_joints(recording, settings.home)
     warnings += unknown
-    still = StillSettings(
+    still = JointRest(
         max_speed=settings.arrival.velocity_tolerance,
         window_s=settings.arrival.velocity_window_s,
         min_duration_s=0.0,
         max_stamp_step_s=settings.arrival.max_stamp_step_s,
     )
-    phases = still_rows(recording.joint_stamp_ns, recording.joints, still)
+    phases = rest_by_joints(recording.joint_stamp_ns, recording.joints, still)
     player = _Player(recording, settings, whole_phases)
     visits, before = [], 0
     for number, rows in enumerate(progress(phases)):

@@ -8,7 +8,7 @@ import numpy as np
 from galen_bags.arrays.timeline import Timeline
 from galen_model.arm.galen import SENSOR
 from galen_model.arrays import Array
-from galen_model.rest.joints import StillSettings, still_rows
+from galen_model.rest.segments import JointRest, rest_by_joints
 
 _NS = 1e9
 _MAD_TO_STD = 1.4826
@@ -22,7 +22,7 @@ class PositionSettings:
     tolerance (5,): joints this near, m and rad, are the same position.
     """
 
-    still: StillSettings = field(default_factory=StillSettings)
+    still: JointRest = field(default_factory=JointRest)
     tolerance: Array = field(default_factory=lambda: np.array([2e-3] * 3 + [1e-2] * 2))
 
 
@@ -48,7 +48,7 @@ def find_stays(
     positions: list[Array] = []
     visits: list[int] = []
     stays: list[Stay] = []
-    for rows in still_rows(line.time_ns, joints, settings.still):
+    for rows in rest_by_joints(line.time_ns, joints, settings.still):
         here = np.nanmedian(joints[rows], axis=0)
         near = [
             k for k, p in enumerate(positions) if np.all(np.abs(p - here) <= settings.tolerance)

@@ -19,7 +19,7 @@ from galen_bags.arrays.text_table import read_text_table
 from galen_model.arm.galen import GRAVITY_M_S2, WRENCH_AXES
 from galen_model.arrays import Array
 from galen_model.files.calibration_file import read_calibration
-from galen_model.rest.orientations import StillSettings
+from galen_model.rest.segments import DirectionRest
 from galen_ros.command import (
     EXIT_FAILED,
     EXIT_INTERRUPTED,
@@ -93,7 +93,7 @@ def build_parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--still-rate-rad-s",
         type=positive,
-        default=StillSettings.max_rate_rad_s,
+        default=DirectionRest.max_rate_rad_s,
         metavar="RATE",
         help="slower than this counts as still (default: %(default)s)",
     )
@@ -159,7 +159,7 @@ def _one(path: Path, arguments: argparse.Namespace) -> BlockDiagnosis:
         noise=None if arguments.noise is None else _noise(arguments.noise),
         tool=None if arguments.tool is None else read_calibration(arguments.tool),
         window_s=arguments.average_s or _STOP_WINDOW_S,
-        settings=StillSettings(max_rate_rad_s=arguments.still_rate_rad_s),
+        settings=DirectionRest(max_rate_rad_s=arguments.still_rate_rad_s),
     )
     return diagnose_rows(name_of(path, arguments.label), prepared, quiet=arguments.json)
 

@@ -18,7 +18,7 @@ from galen_model.evidence.blocks import BlockRows, Columns, Effects
 from galen_model.files.calibration_file import CalibrationFile
 from galen_model.load.identification import plain_least_squares
 from galen_model.load.model import Load, gravity_regressor
-from galen_model.rest.orientations import StillSettings, still_phases
+from galen_model.rest.segments import DirectionRest, rest_by_direction
 
 from galen_diagnosis.errors import DiagnosisError
 from galen_diagnosis.observation.noise import ChannelNoise, channel_noise
@@ -58,14 +58,14 @@ def prepare_table(
     noise: Array | None = None,
     tool: CalibrationFile | None = None,
     window_s: float = 1.0,
-    settings: StillSettings | None = None,
+    settings: DirectionRest | None = None,
 ) -> Prepared:
     """Rows and effects of a table; noise (n, 6): readings of the same sensor, still and untouched.
 
     Raises GalenError where the table can't be used.
     """
     if table.time is not None and table.block is None:
-        still = settings or StillSettings()
+        still = settings or DirectionRest()
         floor: Floor | None = _floor_in_stops(table, window_s, still)
         averaged, _ = average_still(table, window_s, still)
         words = [f"{len(averaged)} averages of {window_s:g} s in stops"]
@@ -162,9 +162,9 @@ def _blocks(table: OrientationTable) -> tuple[np.ndarray, tuple[str, ...]]:
     return np.arange(len(unit)), tuple(f"reading {k + 1}" for k in range(len(unit)))
 
 
-def _floor_in_stops(table: OrientationTable, window_s: float, settings: StillSettings) -> Floor:
+def _floor_in_stops(table: OrientationTable, window_s: float, settings: DirectionRest) -> Floor:
     assert table.time is not None
-    phases = still_phases(table.time, table.gravity, settings)
+    phases = rest_by_direction(table.time, table.gravity, settings)
     stretches = [(table.time[phase], table.wrench[phase]) for phase in phases]
     if not stretches:
         raise DiagnosisError(f"{table.path}: no still phase of {settings.min_duration_s:g} s in it")

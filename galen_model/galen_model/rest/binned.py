@@ -18,6 +18,7 @@ import numpy as np
 
 from galen_model.arm.galen import ENCODER_QUANTUM, SENSOR
 from galen_model.arrays import Array
+from galen_model.rest.rule import allowed_travel, runs
 from galen_model.rest.time_bins import Cells
 
 _MAD_TO_STD = 1.4826
@@ -76,8 +77,8 @@ def find_still_phases(cells: Cells, settings: StillCellSettings | None = None) -
     steady = joined & _steady(cells, joined, settings)
     phases = []
     # A run of cells, each joined to the next; cut at its rims.
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], steady.astype(int), [0]])))
-    for start, stop in zip(edges[::2], edges[1::2] + 1, strict=True):
+    for start, last_joint in runs(steady):
+        stop = last_joint + 1
         rim_ns = settings.rim_s * 1e9
         first, last = cells.start_ns[start] + rim_ns, cells.end_ns[stop - 1] - rim_ns
         rows = np.arange(start, stop)
@@ -110,7 +111,8 @@ def _pieces(cells: Cells, rows: np.ndarray, settings: StillCellSettings) -> Iter
 
 def _arm_still(cells: Cells, settings: StillCellSettings) -> tuple[np.ndarray, np.ndarray]:
     """Cells (n,) in which the arm is at rest, and whether (n - 1,) each goes on in the next."""
-    band = settings.max_rate_rad_s * cells.cell_s + 2.0 * ENCODER_QUANTUM[3:]
+    quantum = ENCODER_QUANTUM[3:]
+    band = allowed_travel(settings.max_rate_rad_s, cells.cell_s, quantum, steps=2.0)
     still = np.all(cells.spans <= band, axis=1)
     near = np.all(np.abs(np.diff(cells.angles, axis=0)) <= band, axis=1)
     gap = cells.start_ns[1:] - cells.end_ns[:-1]

@@ -26,11 +26,13 @@ import numpy as np
 from galen_model.arm.galen import ENCODER_QUANTUM, SENSOR
 from galen_model.arrays import Array
 from galen_model.distributions import chi2_ppf
+from galen_model.rest.rule import allowed_travel
 
 WINDOW_S = 0.5
 _RIM_S = 0.3
 _GAP_S = 0.25
-_BAND_RAD = 5e-4 + 2.0 * float(ENCODER_QUANTUM[3:].max())
+_MAX_RATE_RAD_S = 1e-3
+_BAND_RAD = float(allowed_travel(_MAX_RATE_RAD_S, WINDOW_S, ENCODER_QUANTUM[3:].max(), steps=2.0))
 _CELLS = 5
 _FEWEST_SAMPLES = 4 * _CELLS
 _REMEMBERED = 200

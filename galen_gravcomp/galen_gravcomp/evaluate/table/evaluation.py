@@ -12,7 +12,7 @@ from galen_model.load.bias.single_load import DriftingLoad
 from galen_model.load.identification import SingleLoad, identify_single_load
 from galen_model.load.mounting.held_out import MOUNTED, Worth
 from galen_model.load.mounting.identification import MountedLoad
-from galen_model.rest.orientations import StillSettings
+from galen_model.rest.segments import DirectionRest
 
 from galen_gravcomp.evaluate.table.cross_validation import (
     BLOCK_MODELS,
@@ -52,7 +52,7 @@ def evaluate_table(
     table: OrientationTable,
     blocks: int | None = None,
     average_window_s: float | None = None,
-    settings: StillSettings | None = None,
+    settings: DirectionRest | None = None,
     tool: CalibrationFile | None = None,
     mounting: TableMounting | None = None,
     bias_drift: bool = False,
@@ -65,7 +65,7 @@ def evaluate_table(
     source_rows, phases, scatter = len(table), None, None
     notes = []
     if average_window_s is not None:
-        table, scatter = average_still(table, average_window_s, settings or StillSettings())
+        table, scatter = average_still(table, average_window_s, settings or DirectionRest())
         assert table.block is not None
         phases = len(np.unique(table.block))
     if len(table) < _FEWEST_READINGS:

@@ -1,0 +1,101 @@
+"""Find the rest segments of a recording, by its joints or by gravity's direction.
+
+By joints: a joint's range is taken over blocks of half a window, and the arm is at rest where, over
+each two blocks that follow one another, no joint goes further than `rule.allowed_travel`. Blocks
+lie on multiples of half a window of the stamps, so that segments don't depend on where a recording
+begins, and one read in parts has the same blocks as one read as a whole.
+
+By gravity's direction in the sensor, of a table that has no joints: the arm is at rest while that
+turns slower than a limit, but for a rim at both ends, where the arm still rings.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from galen_model.arm.galen import ENCODER_QUANTUM
+from galen_model.arrays import Array
+from galen_model.rest.rule import allowed_travel, runs
+
+_NS = 1_000_000_000
+
+
+def _default_speeds() -> Array:
+    return np.array([5e-4] * 3 + [2e-3] * 2)
+
+
+@dataclass(frozen=True)
+class JointRest:
+    """When the arm is at rest. Joints in the joint vector's order, m and rad.
+
+    max_speed (5,): m/s and rad/s, over `window_s`; a segment shorter than `min_duration_s` is none;
+    a step of the stamps backward or longer than `max_stamp_step_s` ends a segment.
+    """
+
+    max_speed: Array = field(default_factory=_default_speeds)
+    quantum: Array = field(default_factory=lambda: ENCODER_QUANTUM)
+    window_s: float = 0.1
+    min_duration_s: float = 0.5
+    max_stamp_step_s: float = 0.25
+
+
+@dataclass(frozen=True)
+class DirectionRest:
+    """When gravity's direction is at rest; `rim_s` is cut off at both ends."""
+
+    max_rate_rad_s: float = 0.01
+    rim_s: float = 0.5
+    min_duration_s: float = 2.0
+
+
+def rest_by_joints(
+    stamp_ns: np.ndarray, joints: Array, settings: JointRest | None = None
+) -> list[slice]:
+    """Return the rows of each rest segment, in order.
+
+    stamp_ns (n,) in the order received; joints (n, 5), m and rad. A row that is not finite counts
+    as motion; a joint of which no row is finite does not count. Inside a segment the stamps never
+    go back, and where they repeat, the rows belong to it all the same.
+    """
+    settings = settings or JointRest()
+    known = np.isfinite(joints).any(axis=0) if len(joints) else np.zeros(5, dtype=bool)
+    if len(stamp_ns) < 2 or not known.any():
+        return []
+    block_ns = max(1, round(settings.window_s * _NS / 2))
+    step_ns = np.diff(stamp_ns)
+    jumps = (step_ns < 0) | (step_ns > round(settings.max_stamp_step_s * _NS))
+    starts = np.flatnonzero(np.concatenate([[True], jumps | (np.diff(stamp_ns // block_ns) != 0)]))
+    joined = ~jumps[starts[1:] - 1]  # whether a block goes on from the one before it
+    low = np.minimum.reduceat(joints[:, known], starts, axis=0)
+    high = np.maximum.reduceat(joints[:, known], starts, axis=0)
+    span = np.maximum(high[1:], high[:-1]) - np.minimum(low[1:], low[:-1])
+    allowed = allowed_travel(settings.max_speed, settings.window_s, settings.quantum)
+    at_rest = joined & np.all(span <= allowed[known], axis=1)  # of a block and its next one
+
+    ends = np.concatenate([starts[1:], [len(stamp_ns)]])
+    least_ns = round(settings.min_duration_s * _NS)
+    segments = [slice(int(starts[first]), int(ends[last])) for first, last in runs(at_rest)]
+    return [s for s in segments if stamp_ns[s.stop - 1] - stamp_ns[s.start] >= least_ns]
+
+
+def rest_by_direction(
+    time: Array, gravity_sensor: Array, settings: DirectionRest | None = None
+) -> list[slice]:
+    """Return the rows of each rest segment; time (n,) s increasing, gravity (n, 3)."""
+    settings = settings or DirectionRest()
+    if len(time) < 2:
+        return []
+    direction = gravity_sensor / np.linalg.norm(gravity_sensor, axis=1, keepdims=True)
+    # A chord is shorter than the arc, by nothing that matters at such angles.
+    rate = np.linalg.norm(np.diff(direction, axis=0), axis=1) / np.diff(time)
+    segments = []
+    for start, stop in runs(np.concatenate([[True], rate <= settings.max_rate_rad_s])):
+        inside = (time[start:stop] >= time[start] + settings.rim_s) & (
+            time[start:stop] <= time[stop - 1] - settings.rim_s
+        )
+        rows = start + np.flatnonzero(inside)
+        if len(rows) and time[rows[-1]] - time[rows[0]] >= settings.min_duration_s:
+            segments.append(slice(int(rows[0]), int(rows[-1]) + 1))
+    return segments
