@@ -8,7 +8,8 @@ SETUP = $(STARTER) scripts/setup_env.py
 ENTER = source scripts/env.sh
 # Test files side by side; every test has a ROS domain of its own. With 0 they go one by one.
 TEST_WORKERS ?= 2
-PYTEST = python -m pytest --numprocesses $(TEST_WORKERS) --dist loadfile --no-loadscope-reorder
+# They start hundreds of processes: byte code is kept, whatever this shell has set.
+PYTEST = env -u PYTHONDONTWRITEBYTECODE python -m pytest --numprocesses $(TEST_WORKERS) --dist loadfile --no-loadscope-reorder
 # Given on the command line, as in `make GALEN_PYTHON=/usr/bin/python3.12 build`.
 ifdef GALEN_PYTHON
 export GALEN_PYTHON
@@ -37,7 +38,7 @@ test-slow: build ## run the slow tests
 	@$(ENTER) && $(PYTEST) -m "slow and not soak" --durations 12 $(ARGS)
 
 test-soak: build ## run the long tests: a thousand kills, more made-up input (many minutes)
-	@$(ENTER) && python -m pytest -m soak $(ARGS)
+	@$(ENTER) && env -u PYTHONDONTWRITEBYTECODE python -m pytest -m soak $(ARGS)
 
 lint: setup ## check style, format and types
 	@.venv/bin/ruff check .
