@@ -63,7 +63,13 @@ class DeflectionNode(StreamNode):
         if p.publish_tip_pose:
             self._tip_poses = self.create_publisher(PoseStamped, "tip_pose_corrected", STREAM)
         self._load_at_start(p.model_file)
-        self._begin(self._deflector, self._prediction, p.joint_names, p.best_effort_input)
+        self._begin(
+            self._deflector.pairing,
+            self._deflector.push_wrench,
+            self._prediction,
+            p.joint_names,
+            p.best_effort_input,
+        )
         self.create_service(Trigger, "~/reset", self._on_reset)
         if self._gravcomp_name:
             self.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 10)

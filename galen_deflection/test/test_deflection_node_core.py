@@ -12,7 +12,7 @@ from galen_deflection.live.corrected_tip import CorrectedTip
 from galen_deflection.live.deflector import Deflected, Deflector, DeflectorSettings, ModelRejection
 from galen_deflection.live.gravcomp_state import GravcompState
 from galen_deflection.live.monitor import DeflectorMonitor
-from galen_deflection.springs.recent_poses import RecentPoses
+from galen_deflection.springs.springs import Springs
 from galen_model.arm.kinematics import tip_pose
 from galen_model.load.nominal_tools import TOOLS
 from galen_model.registration.rigid import Transform
@@ -129,25 +129,12 @@ def test_the_corrected_tip_is_the_tip_displaced(size):
 
 
 def test_only_equal_joints_get_what_was_calculated_before():
-    seen = []
-
-    def calculate(joints):
-        seen.append(joints.copy())
-        return joints.sum()
-
-    recent = RecentPoses(calculate)
-    here = np.array([HOME])
-    for _ in range(3):
-        assert recent(here) == here.sum()
-    assert len(seen) == 1
-    near = np.nextafter(here, 1.0)
-    assert recent(near) == near.sum() and len(seen) == 2
-    recent(np.repeat(here, 2, axis=0))
-    assert len(seen) == 3, "many at once are calculated"
-    for k in range(200):
-        recent(here + k)
-    assert len(recent._kept) <= 64
-    assert recent(here) == here.sum()
+    springs, here = Springs(TIP_M), np.array([HOME])
+    kept = springs.geometry(here)
+    assert springs.geometry(here.copy()) is kept
+    near = springs.geometry(np.nextafter(here, 1.0))
+    assert near is not kept
+    assert not np.array_equal(near.jacobian, kept.jacobian)
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -190,7 +177,10 @@ def test_faulty_streams_give_what_predict_gives_between_the_faults(seed):
             fed.append(k)
     assert cuts > 3 and len(fed) > 250 and len(rig.forgotten) == cuts
     same(rig.outputs, offline(MODEL, wrenches[fed], joints[fed], segment))
-    assert len(rig.outputs) + sum(rig.deflector.rejections.values()) == rig.deflector.received
+    assert (
+        len(rig.outputs) + sum(rig.deflector.pairing.rejections.values())
+        == rig.deflector.pairing.received
+    )
 
 
 # --- rejections -----------------------------------------------------------------------------------
@@ -212,7 +202,7 @@ def test_what_is_not_used_leaves_the_memory_as_it_was(step, reason, words):
         clean.step(PUSH * number / 10)
     rejected = rig.step(**step)
     assert isinstance(rejected, Rejected) and rejected.reason is reason and words in rejected.detail
-    assert rig.deflector.rejections[reason] == 1
+    assert rig.deflector.pairing.rejections[reason] == 1
     # after bad joints, those beside are not trusted either
     rig.step(after_ms=10), clean.step(after_ms=12)
     np.testing.assert_array_equal(rig.outputs[-1].predicted.mean, clean.outputs[-1].predicted.mean)

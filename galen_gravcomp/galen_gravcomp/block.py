@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Protocol
+from typing import TYPE_CHECKING
 
 import numpy as np
 from galen_model.arrays import Array
 from galen_ros.stream.regular_run import Arrivals
 from galen_ros.stream.results import Compensated, Rejected, Result
+
+if TYPE_CHECKING:
+    from galen_gravcomp.compensator import Compensator
 
 # Samples looked at as arrays at once. What lies behind the first irregular sample was looked at in
 # vain, so after a short stretch the next look is a short one.
@@ -105,40 +108,8 @@ NOTHING = Outputs(
 )
 
 
-class Sink(Protocol):
-    """Where samples go one by one: a `Compensator`."""
-
-    @property
-    def sensor_frame(self) -> str:
-        """The frame that a wrench must have."""
-
-    @property
-    def pairs_positions(self) -> bool:
-        """Whether each wrench is paired with the platform's position as well."""
-
-    def push_joints(
-        self,
-        stamp_ns: int,
-        roll_rad: float,
-        tilt_rad: float,
-        position_m: tuple[float, ...] | None = None,
-    ) -> list[Result]:
-        """As `Compensator.push_joints`."""
-
-    def push_bad_joints(self, detail: str) -> None:
-        """As `Compensator.push_bad_joints`."""
-
-    def push_wrench(
-        self, stamp_ns: int, wrench: Sequence[float], frame_id: str | None
-    ) -> list[Result]:
-        """As `Compensator.push_wrench`."""
-
-    def push_bad_wrench(self, detail: str) -> list[Result]:
-        """As `Compensator.push_bad_wrench`."""
-
-
 def push_block(
-    block: SampleBlock, sink: Sink, push_stretch: Callable[[Arrivals], Outputs]
+    block: SampleBlock, sink: Compensator, push_stretch: Callable[[Arrivals], Outputs]
 ) -> BlockResult:
     """Push a block. `push_stretch` pushes the regular samples at the start of what it is given."""
     pushing = _Pushing(block, sink)
@@ -159,7 +130,7 @@ def push_block(
 class _Pushing:
     """A block on its way: how far it is, and what came out."""
 
-    def __init__(self, block: SampleBlock, sink: Sink) -> None:
+    def __init__(self, block: SampleBlock, sink: Compensator) -> None:
         self._block = block
         self._sink = sink
         self.at = 0
@@ -181,7 +152,7 @@ class _Pushing:
         wrenches = slice(self._wrench_row, self._wrench_row + w)
         usable = self._wrench_readable[wrenches]
         if block.frame is not None:
-            expected = self._sink.sensor_frame
+            expected = self._sink.pairing.sensor_frame
             right = np.array([frame_id == expected for frame_id in block.frame_ids], dtype=bool)
             usable = usable & right[block.frame[wrenches]]
         return Arrivals(
@@ -218,7 +189,7 @@ class _Pushing:
                     )
                     self._sort(sink.push_joints(stamp_ns, roll, tilt, platform))
                 else:
-                    sink.push_bad_joints(block.bad_joints[joint_row])
+                    sink.pairing.push_bad_joints(block.bad_joints[joint_row])
                 joint_row += 1
                 continue
             if self._wrench_readable[wrench_row]:
@@ -229,7 +200,7 @@ class _Pushing:
                 wrench = block.wrenches[wrench_row].tolist()
                 self._sort(sink.push_wrench(stamp_ns, wrench, frame_id))
             else:
-                self._sort(sink.push_bad_wrench(block.bad_wrenches[wrench_row]))
+                self._sort(sink.pairing.push_bad_wrench(block.bad_wrenches[wrench_row]))
             wrench_row += 1
         self._go_on(len(kinds))
 
@@ -274,7 +245,7 @@ class _Pushing:
         self._single = []
 
 
-def _paired_joints(block: SampleBlock, sink: Sink) -> Array:
+def _paired_joints(block: SampleBlock, sink: Compensator) -> Array:
     """What wrenches are paired with (j, 2), or (j, 5) with the platform's position first."""
     if not sink.pairs_positions:
         return block.angles

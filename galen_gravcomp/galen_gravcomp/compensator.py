@@ -11,14 +11,13 @@ angles belong to a wrench, and which wrench is rejected, is `galen_ros.stream.pa
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from enum import Enum
 
 import numpy as np
 from galen_model.arrays import Array
 from galen_model.errors import GalenError
 from galen_model.files.calibration_file import CalibrationFile
 from galen_model.load.prediction import Prediction
-from galen_ros.stream.pairing import PairingSettings, WrenchPairing
+from galen_ros.stream.pairing import PairedWrench, PairingSettings, WrenchPairing
 from galen_ros.stream.regular_run import Arrivals
 from galen_ros.stream.results import Compensated, Rejected, Rejection, Result
 
@@ -50,8 +49,11 @@ class CompensatorSettings(PairingSettings):
     tare: TareSettings = field(default_factory=TareSettings)
 
 
-class Compensator(WrenchPairing[Compensated]):
-    """Streaming compensation of one sensor's wrench by one tool's file.
+class Compensator:
+    """Streaming compensation of one sensor's wrench by one calibration file.
+
+    Each wrench pushed ends as a `Compensated` or as a `Rejected`. `pairing` decides which samples
+    are taken, and counts.
 
     Not thread-safe: push everything from one thread.
     """
@@ -65,7 +67,10 @@ class Compensator(WrenchPairing[Compensated]):
         """`on_restart(why)` is called after everything was cleared because the driver restarted."""
         self._stages = stages or Stages()
         self._settings = settings or CompensatorSettings()
-        super().__init__(self._settings, on_restart)
+        self._on_restart = on_restart
+        self.pairing = WrenchPairing(
+            self._settings, self._forget_driver, awaited=self._stages.motion
+        )
         self._enabled = True
         self._tool: CalibrationFile | None = None
         self._prediction: Prediction | None = None
@@ -73,6 +78,7 @@ class Compensator(WrenchPairing[Compensated]):
         self._no_tool_detail = "no tool is loaded"
         self._ramp = TareRamp(self._settings.tare.ramp_s)
         self._window: TareWindow | None = None
+        self._update_bar()
         self.compensated = 0
         self.pushed_as_arrays = 0
         """Samples of both topics that `push_block` did not have to push one by one."""
@@ -132,13 +138,6 @@ class Compensator(WrenchPairing[Compensated]):
         return motion is not None and motion.needs_imu
 
     @property
-    def sensor_frame(self) -> str:
-        """The frame_id that a wrench must have; empty while neither tool nor settings name one."""
-        if self._settings.sensor_frame or self._tool is None:
-            return self._settings.sensor_frame
-        return self._tool.sensor_frame
-
-    @property
     def tare_offset(self) -> Array:
         """Offset (6,) that the tare takes off when its ramp has ended, N and N.m."""
         return self._ramp.target.copy()
@@ -146,7 +145,7 @@ class Compensator(WrenchPairing[Compensated]):
     @property
     def bias_drift_offset(self) -> Array | None:
         """Offset (6,) that the bias drift's estimate takes off now, N and N.m; None without one."""
-        bias_drift, now_ns = self._stages.bias_drift, self._newest_wrench_ns
+        bias_drift, now_ns = self._stages.bias_drift, self.pairing.newest_wrench_ns
         if bias_drift is None or not bias_drift.active or now_ns is None:
             return None
         return bias_drift.offset_at(now_ns)
@@ -166,10 +165,9 @@ class Compensator(WrenchPairing[Compensated]):
         if enabled == self._enabled:
             return []
         self._enabled = enabled
-        if enabled:
-            return []
-        self.cancel_tare("compensation was switched off")
-        return self._reject_waiting(Rejection.DISABLED, "compensation is switched off")
+        if not enabled:
+            self.cancel_tare("compensation was switched off")
+        return self._update_bar()
 
     def set_tool(
         self, tool: CalibrationFile | None, why_none: str = "no tool is loaded"
@@ -183,6 +181,8 @@ class Compensator(WrenchPairing[Compensated]):
         self._tool = tool
         self._prediction = None if tool is None else Prediction(tool)
         self._no_tool_detail = why_none
+        own_frame = "" if tool is None else tool.sensor_frame
+        self.pairing.sensor_frame = self._settings.sensor_frame or own_frame
         results = self._set_cable(tool)
         if self._stages.motion is not None:
             self._stages.motion.set_tool(tool)
@@ -190,31 +190,12 @@ class Compensator(WrenchPairing[Compensated]):
             self._stages.bias_drift.clear("the tool was changed")
         if self._stages.fit is not None:
             self._stages.fit.set_tool(tool)
-        if tool is None:
-            results += self._reject_waiting(Rejection.NO_TOOL, why_none)
-        return results
+        return results + self._update_bar()
 
     def rename_tool(self, name: str) -> None:
         """Call the active tool by another name; nothing else changes, the tare stays."""
         assert self._tool is not None
         self._tool = replace(self._tool, tool=name)
-
-    def restart(self, why: str) -> list[Result]:
-        """Forget everything that belongs to the driver's life so far: samples, bias drift and tare.
-
-        Tool, switch and counters stay.
-        """
-        self.cancel_tare(why)
-        self._ramp.reset()
-        if self._cable is not None:
-            self._cable.forget()
-        if self._stages.motion is not None:
-            self._stages.motion.clear()
-        if self._stages.bias_drift is not None:
-            self._stages.bias_drift.clear(why)
-        if self._stages.fit is not None:
-            self._stages.fit.clear(why)
-        return super().restart(why)
 
     # Tare
 
@@ -229,7 +210,7 @@ class Compensator(WrenchPairing[Compensated]):
             raise TareRejectedError(f"not tared: {self._no_tool_detail}")
         if self._window is not None:
             raise TareRejectedError("not tared: a tare is already running")
-        self._window = TareWindow(self._settings.tare, self._newest_wrench_ns, on_done)
+        self._window = TareWindow(self._settings.tare, self.pairing.newest_wrench_ns, on_done)
 
     def cancel_tare(self, why: str) -> None:
         """End a running tare without an effect."""
@@ -260,9 +241,19 @@ class Compensator(WrenchPairing[Compensated]):
         if self._stages.motion is not None:
             self._stages.motion.push_joints(stamp_ns, roll_rad, tilt_rad, position_m)
         if self._cable is None:
-            return self._push_joint_sample(stamp_ns, (roll_rad, tilt_rad))
+            return self._made(self.pairing.push_joints(stamp_ns, (roll_rad, tilt_rad)))
         platform = (math.nan,) * 3 if position_m is None else position_m
-        return self._push_joint_sample(stamp_ns, (*platform, roll_rad, tilt_rad))
+        return self._made(self.pairing.push_joints(stamp_ns, (*platform, roll_rad, tilt_rad)))
+
+    def push_wrench(
+        self,
+        stamp_ns: int,
+        wrench: Sequence[float] | Array,
+        frame_id: str | None = None,
+        tag: object = None,
+    ) -> list[Result]:
+        """Take a wrench as `WrenchPairing.push_wrench`; returns what became of those answered."""
+        return self._made(self.pairing.push_wrench(stamp_ns, wrench, frame_id, tag))
 
     def push_block(
         self,
@@ -296,7 +287,7 @@ class Compensator(WrenchPairing[Compensated]):
             bad_wrenches or {},
             positions,
         )
-        return push_block(block, self, self._push_stretch)
+        return push_block(block, self, self._push_run)
 
     def push_imu(
         self, stamp_ns: int, angular_rad_s: Sequence[float], linear_m_s2: Sequence[float]
@@ -305,9 +296,39 @@ class Compensator(WrenchPairing[Compensated]):
         motion = self._stages.motion
         if motion is not None:
             motion.push_imu(stamp_ns, angular_rad_s, linear_m_s2)
-        return self._release()
+        return self._made(self.pairing.release())
 
     # Inside
+
+    def _made(self, results: list[PairedWrench | Rejected]) -> list[Result]:
+        return [self._compensate(one) if isinstance(one, PairedWrench) else one for one in results]
+
+    def _update_bar(self) -> list[Result]:
+        """Have all wrenches rejected while it is off or without a tool."""
+        if not self._enabled:
+            return self._made(self.pairing.bar(Rejection.DISABLED, "compensation is switched off"))
+        if self._tool is None:
+            return self._made(self.pairing.bar(Rejection.NO_TOOL, self._no_tool_detail))
+        self.pairing.unbar()
+        return []
+
+    def _forget_driver(self, why: str) -> None:
+        """Forget everything that belongs to the driver's life so far: bias drift and tare, too.
+
+        Tool, switch and counters stay.
+        """
+        self.cancel_tare(why)
+        self._ramp.reset()
+        if self._cable is not None:
+            self._cable.forget()
+        if self._stages.motion is not None:
+            self._stages.motion.clear()
+        if self._stages.bias_drift is not None:
+            self._stages.bias_drift.clear(why)
+        if self._stages.fit is not None:
+            self._stages.fit.clear(why)
+        if self._on_restart is not None:
+            self._on_restart(why)
 
     def _set_cable(self, tool: CalibrationFile | None) -> list[Result]:
         """Take the cable of another tool, or none."""
@@ -317,9 +338,9 @@ class Compensator(WrenchPairing[Compensated]):
         if self.pairs_positions == before:
             return []
         # The joints so far were kept without the platform's position, or with one too many.
-        self._joints.clear()
-        why = "the tool was changed, and the joints are paired anew"
-        return self._reject_waiting(Rejection.NO_JOINTS, why)
+        return self._made(
+            self.pairing.forget_joints("the tool was changed, and the joints are paired anew")
+        )
 
     @property
     def _settled_offset(self) -> Array:
@@ -343,31 +364,13 @@ class Compensator(WrenchPairing[Compensated]):
             self._offset_changed(before)
         window.finish(outcome)
 
-    def _known_until_ns(self) -> int | None:
-        joints_ns, motion = self._joints.newest_ns, self._stages.motion
-        if motion is None or joints_ns is None:
-            return joints_ns
-        motion_ns = motion.known_until_ns
-        return None if motion_ns is None else min(joints_ns, motion_ns)
-
-    def _late(self, newest_wrench_ns: int) -> tuple[Enum, str] | None:
-        motion = self._stages.motion
-        return None if motion is None else motion.late(newest_wrench_ns)
-
-    def _barred(self) -> tuple[Rejection, str] | None:
-        if not self._enabled:
-            return Rejection.DISABLED, "compensation is switched off"
-        if self._prediction is None:
-            return Rejection.NO_TOOL, self._no_tool_detail
-        return None
-
-    def _push_stretch(self, arrivals: Arrivals) -> Outputs:
+    def _push_run(self, arrivals: Arrivals) -> Outputs:
         """Push the regular samples at the start of `arrivals`, none while there is a tare to do."""
         prediction = self._prediction
         taring = self._window is not None or self._ramp.ramping
         if not self._enabled or prediction is None or taring or self._one_by_one:
             return NOTHING
-        paired = self._pair_stretch(arrivals)
+        paired = self.pairing.push_run(arrivals)
         self.compensated += len(paired.number)
         self.pushed_as_arrays += paired.taken
         angles = paired.joints[:, -2:]
@@ -382,11 +385,10 @@ class Compensator(WrenchPairing[Compensated]):
         stages = self._stages
         bias_drift = stages.bias_drift is not None and stages.bias_drift.active
         seen = stages.motion is not None or bias_drift or stages.fit is not None
-        return seen or self.distrusted
+        return seen or self.pairing.distrusted
 
-    def _make(
-        self, stamp_ns: int, raw: Array, joints: tuple[float, ...], tag: object, number: int
-    ) -> Compensated | Rejected:
+    def _compensate(self, paired: PairedWrench) -> Result:
+        stamp_ns, raw, joints, tag, number = paired
         roll, tilt = joints[-2:]
         stages, prediction = self._stages, self._prediction
         assert prediction is not None
@@ -397,10 +399,10 @@ class Compensator(WrenchPairing[Compensated]):
         if stages.motion is not None:
             motion = stages.motion.reading(stamp_ns, roll, tilt)
             if isinstance(motion, NoMotion):
-                return self._reject(stamp_ns, motion.reason, motion.detail, number)
+                return self.pairing.reject(stamp_ns, motion.reason, motion.detail, number)
             # No reading can hold more than the sensor does, and NaN is no less.
             if not (np.abs(motion) <= self._settings.sensor_range).all():
-                return self._reject(stamp_ns, Rejection.NO_MOTION, _IMPOSSIBLE, number)
+                return self.pairing.reject(stamp_ns, Rejection.NO_MOTION, _IMPOSSIBLE, number)
             untared = untared - motion
         compensated: Array = untared - self._ramp.offset_at(stamp_ns)
         # Where a cable's pull is not known, what is left is neither the sensor's nor the load's.

@@ -21,7 +21,7 @@ class Monitor(StreamMonitor):
         frozen_s: float = FROZEN_S,
         late_s: float = 0.0,
     ) -> None:
-        super().__init__(compensator, silence_s, frozen_s, late_s)
+        super().__init__(compensator.pairing, silence_s, frozen_s, late_s)
         self._compensator = compensator
         self._tool_error = ""
         self._file_note = ""
@@ -88,7 +88,7 @@ class Monitor(StreamMonitor):
                 "calibrated_at": tool.calibrated_at,
             }
         values |= {
-            "sensor_frame": compensator.sensor_frame,
+            "sensor_frame": compensator.pairing.sensor_frame,
             "tare": self._tare_text(),
             "tare_force_n": joined(offset[:3]),
             "tare_torque_nm": joined(offset[3:]),
@@ -103,7 +103,10 @@ class Monitor(StreamMonitor):
         )
         values |= {"fit": "off"} if compensator.fit is None else compensator.fit.values()
         values |= self.inputs(now_s, self.output)
-        values |= {"received": compensator.received, "compensated": compensator.compensated}
+        values |= {
+            "received": compensator.pairing.received,
+            "compensated": compensator.compensated,
+        }
         return values | self.rejected()
 
     def _tare_text(self) -> str:

@@ -50,7 +50,13 @@ class GravcompNode(StreamNode):
         self._at_undo(self._tools.close)
         if p.tool:
             self._load_at_start(p.tool)
-        self._begin(self._compensator, self._compensation, p.joint_names, p.best_effort_input)
+        self._begin(
+            self._compensator.pairing,
+            self._compensator.push_wrench,
+            self._compensation,
+            p.joint_names,
+            p.best_effort_input,
+        )
         self._choose_joints()
         self.create_service(SetBool, "~/enable", self._on_enable)
         self.create_service(SetTool, "~/set_tool", self._on_set_tool)

@@ -33,7 +33,7 @@ def faulty_recording(tool):
 def wait_until_seen(node, sent):
     """One message after the other, since two topics have no order between them."""
     deadline = time.monotonic() + 10.0
-    while node._monitor._joints_seen + node._compensator.received < sent:
+    while node._monitor._joints_seen + node._compensator.pairing.received < sent:
         assert time.monotonic() < deadline, f"the node did not see message {sent}"
         time.sleep(0.0)
 
@@ -84,7 +84,7 @@ def test_the_node_and_the_evaluation_give_the_same_wrenches(tmp_path, faulty):
                     sent += 1
                     wait_until_seen(node, sent)
         harness.wait_for(lambda: len(live) >= len(offline), 10.0, "the last wrench")
-        answered = node._compensator.received
+        answered = node._compensator.pairing.received
     assert answered == result.received
     assert [stamp for stamp, _ in live] == [stamp for stamp, _ in offline]
     np.testing.assert_allclose(
@@ -93,9 +93,9 @@ def test_the_node_and_the_evaluation_give_the_same_wrenches(tmp_path, faulty):
         rtol=0.0,
         atol=1e-12,
     )
-    rejected = {reason.value: n for reason, n in node._compensator.rejections.items()}
+    rejected = {reason.value: n for reason, n in node._compensator.pairing.rejections.items()}
     assert rejected == result.rejected
-    notices = {notice.value: n for notice, n in node._compensator.notices.items()}
+    notices = {notice.value: n for notice, n in node._compensator.pairing.notices.items()}
     assert notices == result.notices
     if faulty:
         assert {"duplicate_stamp", "nonfinite_wrench"} == set(rejected)

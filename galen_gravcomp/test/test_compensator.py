@@ -52,8 +52,12 @@ def reasons(results: list[Result]) -> list[Rejection]:
 
 def balanced(compensator: Compensator) -> bool:
     """Every wrench ended in exactly one way."""
-    ended = compensator.compensated + sum(compensator.rejections.values()) + compensator.waiting
-    return compensator.received == ended
+    ended = (
+        compensator.compensated
+        + sum(compensator.pairing.rejections.values())
+        + compensator.pairing.waiting
+    )
+    return compensator.pairing.received == ended
 
 
 class Rig:
@@ -115,8 +119,8 @@ def test_moving_arm_uses_the_angles_of_the_stamp(wrench_offset_ns: int, lag_samp
     ]
     for out in got:
         np.testing.assert_allclose(out.wrench, PUSH, atol=1e-12)
-    assert compensator.waiting == (0 if wrench_offset_ns == 0 else 1)
-    assert not compensator.rejections and balanced(compensator)
+    assert compensator.pairing.waiting == (0 if wrench_offset_ns == 0 else 1)
+    assert not compensator.pairing.rejections and balanced(compensator)
 
 
 def test_tag_comes_back_also_after_waiting() -> None:
@@ -137,7 +141,7 @@ def test_waits_no_longer_than_max_joint_age() -> None:
     assert [result.stamp_ns for result in results] == [*stamps, START + 51 * MS]
     detail = results[0].detail  # type: ignore[union-attr]
     assert "51 ms behind" in detail and "max_joint_age_s" in detail
-    assert compensator.waiting == 0 and balanced(compensator)
+    assert compensator.pairing.waiting == 0 and balanced(compensator)
 
 
 def test_queue_is_bounded() -> None:
@@ -147,7 +151,7 @@ def test_queue_is_bounded() -> None:
     for i in range(1, 10):
         results += compensator.push_wrench(START + i, PUSH)
     assert reasons(results) == [Rejection.QUEUE_FULL] * 4
-    assert compensator.waiting == 5 and balanced(compensator)
+    assert compensator.pairing.waiting == 5 and balanced(compensator)
 
 
 # Rejections
@@ -205,8 +209,8 @@ def test_nonfinite_joints_reject_the_wrenches_beside_them(bad: float) -> None:
     got = [compensator.push_wrench(START + i * MS, PUSH) for i in range(1, 19)]
     rejected = [i + 1 for i, results in enumerate(got) if reasons(results)]
     assert rejected == [9, 10, 11]
-    assert compensator.rejections == Counter({Rejection.NONFINITE_JOINTS: 3})
-    assert compensator.notices[Notice.NONFINITE_JOINTS] == 1
+    assert compensator.pairing.rejections == Counter({Rejection.NONFINITE_JOINTS: 3})
+    assert compensator.pairing.notices[Notice.NONFINITE_JOINTS] == 1
 
 
 def test_wrong_frame() -> None:
@@ -246,7 +250,7 @@ def test_unusable_joint_messages_are_the_reason() -> None:
     compensator = loaded()
     results: list[Result] = []
     for i in range(60):
-        compensator.push_bad_joints("joint state lacks roll, tilt; it has gripper")
+        compensator.pairing.push_bad_joints("joint state lacks roll, tilt; it has gripper")
         results += compensator.push_wrench(START + i * 2 * MS, PUSH)
     assert set(reasons(results)) == {Rejection.BAD_JOINTS}
     assert "gripper" in results[-1].detail  # type: ignore[union-attr]
@@ -296,15 +300,15 @@ def test_out_of_order_wrench_is_compensated_with_its_own_angles() -> None:
     (out,) = outputs(compensator.push_wrench(late, TOOL.predict(*ramp(late)) + PUSH))
     assert out.stamp_ns == late
     np.testing.assert_allclose(out.wrench, PUSH, atol=1e-12)
-    assert compensator.notices[Notice.OUT_OF_ORDER_WRENCH] == 1
+    assert compensator.pairing.notices[Notice.OUT_OF_ORDER_WRENCH] == 1
 
 
 def test_out_of_order_and_duplicate_joints_are_noticed() -> None:
     compensator = loaded()
     for stamp in (START, START + 4 * MS, START + 2 * MS, START + 4 * MS):
         compensator.push_joints(stamp, *ramp(stamp))
-    assert compensator.notices[Notice.OUT_OF_ORDER_JOINTS] == 1
-    assert compensator.notices[Notice.DUPLICATE_JOINTS] == 1
+    assert compensator.pairing.notices[Notice.OUT_OF_ORDER_JOINTS] == 1
+    assert compensator.pairing.notices[Notice.DUPLICATE_JOINTS] == 1
     late = START + 3 * MS
     (out,) = outputs(compensator.push_wrench(late, TOOL.predict(*ramp(late))))
     np.testing.assert_allclose(out.wrench, np.zeros(6), atol=1e-12)
@@ -314,13 +318,13 @@ def test_suspicious_units_are_noticed_but_pass() -> None:
     rig = Rig(loaded())
     rig.touch = np.array([0, 0, 0, 0, 0, 3.5])
     assert len(rig.steps(1)) == 1
-    assert rig.compensator.notices == Counter({Notice.BEYOND_RANGE: 1})
+    assert rig.compensator.pairing.notices == Counter({Notice.BEYOND_RANGE: 1})
     rig.touch = np.array([0, 0, 0, 0, -100.0, 0])
     assert len(rig.steps(1)) == 1
-    assert rig.compensator.notices[Notice.TORQUE_UNIT] == 1
+    assert rig.compensator.pairing.notices[Notice.TORQUE_UNIT] == 1
     rig.roll = 45.0
     rig.steps(1)
-    assert rig.compensator.notices[Notice.ANGLE_UNIT] == 1
+    assert rig.compensator.pairing.notices[Notice.ANGLE_UNIT] == 1
 
 
 # Tare
@@ -502,7 +506,7 @@ def _change_tool(compensator: Compensator) -> None:
 
 
 def _restart(compensator: Compensator) -> None:
-    compensator.restart("driver restarted: test")
+    compensator.pairing.restart("driver restarted: test")
 
 
 @pytest.mark.parametrize(
@@ -583,8 +587,8 @@ def test_nothing_leaks_across_a_restart(jump_ns: int, first: str) -> None:
         for push in feed if first == "joints" else reversed(feed):
             results += push()
     assert len(why) == 1 and "driver restarted" in why[0]
-    assert compensator.notices[Notice.RESTART] == 1
-    assert compensator.rejections[Rejection.RESTART] == 1
+    assert compensator.pairing.notices[Notice.RESTART] == 1
+    assert compensator.pairing.rejections[Rejection.RESTART] == 1
     np.testing.assert_array_equal(compensator.tare_offset, np.zeros(6))
     got = outputs(results)
     assert len(got) >= 28
@@ -600,12 +604,12 @@ def test_short_pause_is_no_restart() -> None:
     assert tare(rig).success
     rig.stamp += 900 * MS
     rig.steps(10)
-    assert rig.compensator.notices[Notice.RESTART] == 0
+    assert rig.compensator.pairing.notices[Notice.RESTART] == 0
     np.testing.assert_allclose(rig.compensator.tare_offset, LEFT, atol=1e-12)
 
 
 def test_restart_keeps_tool_and_switch() -> None:
     rig = Rig(loaded())
     rig.compensator.set_enabled(False)
-    rig.compensator.restart("driver restarted: test")
+    rig.compensator.pairing.restart("driver restarted: test")
     assert rig.compensator.tool is TOOL and not rig.compensator.enabled

@@ -193,7 +193,7 @@ class Way:
         elif action in ("on", "off"):
             self.sort(compensator.set_enabled(action == "on"))
         elif action == "restart":
-            self.sort(compensator.restart("a publisher is new"))
+            self.sort(compensator.pairing.restart("a publisher is new"))
         else:
             tools = {"tool": TOOL, "other tool": OTHER_TOOL, "no tool": None}
             self.sort(compensator.set_tool(tools[action]))
@@ -202,12 +202,12 @@ class Way:
         compensator = self.compensator
         for sample in samples:
             if sample.is_wrench and sample.bad:
-                self.sort(compensator.push_bad_wrench(sample.bad))
+                self.sort(compensator.pairing.push_bad_wrench(sample.bad))
             elif sample.is_wrench:
                 frame_id = FRAMES[sample.frame]
                 self.sort(compensator.push_wrench(sample.stamp_ns, sample.values, frame_id))
             elif sample.bad:
-                compensator.push_bad_joints(sample.bad)
+                compensator.pairing.push_bad_joints(sample.bad)
             else:
                 self.sort(compensator.push_joints(sample.stamp_ns, *sample.values))
 
@@ -223,14 +223,14 @@ class Way:
         """All that later samples can hang on, and the counts."""
         c = self.compensator
         return {
-            "received": c.received,
+            "received": c.pairing.received,
             "compensated": c.compensated,
-            "rejections": dict(c.rejections),
-            "notices": dict(c.notices),
-            "waiting": [(w.stamp_ns, w.raw.tolist(), w.number) for w in c._waiting],
-            "newest wrench": c._newest_wrench_ns,
-            "joint trouble": c._joint_trouble,
-            "joint stamps": c._joints._stamps,
+            "rejections": dict(c.pairing.rejections),
+            "notices": dict(c.pairing.notices),
+            "waiting": [(w.stamp_ns, w.raw.tolist(), w.number) for w in c.pairing._waiting],
+            "newest wrench": c.pairing._newest_wrench_ns,
+            "joint trouble": c.pairing._joint_trouble,
+            "joint stamps": c.pairing._joints._stamps,
             "taring": (c.taring, c.tare_ramping),
         }
 
@@ -256,7 +256,7 @@ def make_way(capacity: int = 4096, tool: CalibrationFile | None = TOOL, **settin
     tare = TareSettings(0.02, 0.03, 9.0, 99.0, 99.0, 99.0, 99.0)
     way = Way(Compensator(CompensatorSettings(tare=tare, **settings)))
     way.compensator._on_restart = way.log.append
-    way.compensator._joints = JointBuffer(50 * MS, capacity)
+    way.compensator.pairing._joints = JointBuffer(50 * MS, capacity)
     way.compensator.set_tool(tool)
     return way
 
@@ -275,7 +275,7 @@ def assert_same(singly: Way, blocks: Way, samples: Sequence[Sample]) -> None:
     assert np.all(np.abs(got - expected) <= 1e-12 * size[:, None])
     angles = [np.reshape([o.angles for o in way.outputs], (-1, 2)) for way in (blocks, singly)]
     np.testing.assert_allclose(*angles, rtol=1e-12, atol=1e-14)
-    kept = [way.compensator._joints._positions for way in (blocks, singly)]
+    kept = [way.compensator.pairing._joints._positions for way in (blocks, singly)]
     np.testing.assert_array_equal(*kept)
     np.testing.assert_allclose(
         blocks.compensator.tare_offset, singly.compensator.tare_offset, rtol=1e-12, atol=1e-12
@@ -344,8 +344,8 @@ def run_cases(seed: int, count: int) -> Seen:
         seen.samples += len(samples)
         seen.as_arrays += way.compensator.pushed_as_arrays
         seen.compensated += way.compensator.compensated
-        seen.rejections += way.compensator.rejections
-        seen.notices += way.compensator.notices
+        seen.rejections += way.compensator.pairing.rejections
+        seen.notices += way.compensator.pairing.notices
         seen.log += way.log
     return seen
 
@@ -484,7 +484,7 @@ def test_rare_faults_leave_the_rest_to_arrays() -> None:
     # A jump of one topic's clock is not rare: all wrenches after it are rejected.
     spoil(rng, samples, 12, [fault for fault in FAULTS if fault is not _jump])
     way = compare(rng, samples, actions=0.0)
-    assert len(way.compensator.rejections) + len(way.compensator.notices) > 5
+    assert len(way.compensator.pairing.rejections) + len(way.compensator.pairing.notices) > 5
     assert way.compensator.pushed_as_arrays > 0.95 * len(samples)
 
 
@@ -555,4 +555,6 @@ def test_shapes_that_do_not_fit_are_rejected_before_anything_is_pushed(
     samples = clean_stream(np.random.default_rng(6), 4 * MS, 2 * MS, 2 * MS)
     with pytest.raises(ValueError, match=re.escape(text)):
         way.compensator.push_block(**{**block_of(samples), **change})
-    assert way.compensator.received == 0 and way.compensator._joints.newest_ns is None
+    assert (
+        way.compensator.pairing.received == 0 and way.compensator.pairing._joints.newest_ns is None
+    )

@@ -45,7 +45,7 @@ class Rig:
     def publishers(self, topic: str, listed: int, came: int) -> str:
         why = self.monitor.publishers_changed(topic, listed, came, self.t)
         if why:
-            self.compensator.restart(why)
+            self.compensator.pairing.restart(why)
         self.monitor.review(self.t)
         return why
 
@@ -131,7 +131,7 @@ def test_disabled(rig: Rig) -> None:
 
 def test_restart_is_told_for_a_while(rig: Rig) -> None:
     rig.step()
-    rig.compensator.restart("driver restarted: test")
+    rig.compensator.pairing.restart("driver restarted: test")
     assert rig.now == (Severity.STALE, "waiting")
     rig.step()
     assert rig.now == (Severity.WARN, "compensating") and "driver restarted" in rig.message
@@ -190,7 +190,7 @@ def test_two_publishers_of_the_wrench_are_rejected_by_name(rig: Rig) -> None:
             " stop all but one of them"
         )
     assert rig.compensator.compensated == before
-    assert rig.compensator.rejections[Rejection.SEVERAL_PUBLISHERS] == 3
+    assert rig.compensator.pairing.rejections[Rejection.SEVERAL_PUBLISHERS] == 3
     assert "is gone" in rig.publishers("wrench_raw", 1, 0)
     rig.step()
     assert rig.compensator.compensated == before + 1
@@ -239,7 +239,7 @@ def test_the_first_samples_of_the_driver_that_came_back_may_be_before_the_event(
         rig.step()
     rig.publishers("wrench_raw", 2, 1)
     rig.step()
-    assert rig.compensator.rejections[Rejection.SEVERAL_PUBLISHERS] == 0
+    assert rig.compensator.pairing.rejections[Rejection.SEVERAL_PUBLISHERS] == 0
 
 
 def test_a_publisher_thought_dead_that_speaks_again_is_one_too_many(rig: Rig) -> None:
@@ -287,7 +287,7 @@ def test_a_frozen_wrench_is_rejected_while_the_arm_turns(rig: Rig) -> None:
     assert rig.now == (Severity.OK, "compensating")
     for i in range(90, 130):
         rig.step(same, roll=0.01 * i)
-    assert rig.compensator.rejections[Rejection.FROZEN] >= 25
+    assert rig.compensator.pairing.rejections[Rejection.FROZEN] >= 25
     rig.t += HOLD_S
     rig.step(same, roll=1.4)
     assert rig.now == (Severity.ERROR, "frozen_wrench")
@@ -304,17 +304,17 @@ def test_a_wrench_that_stays_is_fine_where_the_arm_stays_or_nothing_comes(rig: R
     rig.step(roll=0.06)  # a silence while the arm is moved by hand
     rig.wait(5.0)
     rig.step(roll=0.8)
-    assert rig.compensator.rejections[Rejection.FROZEN] == 0
+    assert rig.compensator.pairing.rejections[Rejection.FROZEN] == 0
 
 
 def test_a_jump_of_the_joints_costs_its_own_wrenches_and_is_told(rig: Rig) -> None:
     for i in range(20):
         rig.step(roll=0.8 if i == 10 else 0.01 * i)
     # 10 ms a sample: 80 rad/s is fast, but no jump by the limit of 200
-    assert rig.compensator.notices[Notice.JOINT_JUMP] == 0
+    assert rig.compensator.pairing.notices[Notice.JOINT_JUMP] == 0
     for i in range(20):
         rig.step(roll=0.2 + (2.5 if i == 10 else 0.0))
-    assert rig.compensator.rejections[Rejection.JUMPING_JOINTS] == 2  # there and back
+    assert rig.compensator.pairing.rejections[Rejection.JUMPING_JOINTS] == 2  # there and back
     assert rig.now == (Severity.WARN, "jumping_joints")
     assert "joint_states jumped by 2.50 rad within 10.0 ms" in rig.message
     for _ in range(60):

@@ -112,7 +112,7 @@ def test_a_wrench_waits_for_the_delay_and_not_longer():
             out_at[result.stamp_ns] = int(stamp) - result.stamp_ns
         made.push_wrench(int(stamp), np.zeros(6))
     assert set(out_at.values()) == {20 * MS}
-    assert made.waiting == 10
+    assert made.pairing.waiting == 10
 
 
 def test_the_lag_between_wrench_and_joints_is_taken_into_account():
@@ -146,8 +146,8 @@ def test_gaps_bad_values_and_lacking_positions_are_rejected_with_their_own_reaso
             for sample in joint_at(number):
                 results += made.push_joints(stamp, sample[3], sample[4], sample[:3])
             results += made.push_wrench(stamp, zeros)
-        assert set(made.rejections) == {Rejection.NO_MOTION}
-        assert len(results) + made.waiting == len(stamps)
+        assert set(made.pairing.rejections) == {Rejection.NO_MOTION}
+        assert len(results) + made.pairing.waiting == len(stamps)
         return rejections(results)
 
     gap = run(lambda number: [] if 50 <= number < 60 else [q])
@@ -195,7 +195,7 @@ def test_an_imu_whose_stamps_jumped_is_known_again_a_window_later():
             out += made.push_joints(stamp, 0.1, 0.2) + made.push_wrench(stamp, np.zeros(6))
         known = [r.stamp_ns for r in out if isinstance(r, Compensated)]
         assert len([stamp for stamp in known if stamp > START_NS + 150 * MS]) > 30
-        assert set(made.rejections) == {Rejection.NO_MOTION}
+        assert set(made.pairing.rejections) == {Rejection.NO_MOTION}
 
 
 def test_after_a_restart_nothing_is_known_until_the_window_is_full_again():
@@ -248,7 +248,7 @@ def test_an_imu_tells_the_inertial_forces_in_its_own_axes_and_at_its_own_stamps(
         else:
             new = made.push_joints(int(stamp), *motion[0][k, 3:])
             results += new + made.push_wrench(int(stamp), wrenches[k])
-        waited.append(made.waiting)
+        waited.append(made.pairing.waiting)
     out = [r for r in results if isinstance(r, Compensated)]
     assert len(out) > 450 and max(waited) < 16
     # What the polynomial's bias leaves, far below the noise.
@@ -264,7 +264,7 @@ def test_an_imu_that_is_silent_or_broken_off_is_rejected():
     late = push(
         made, START_NS + np.arange(100, 260) * 2 * MS, np.zeros((160, 5)), np.zeros((160, 6))
     )
-    assert set(made.rejections) == {Rejection.NO_MOTION}
+    assert set(made.pairing.rejections) == {Rejection.NO_MOTION}
     assert "ms behind the wrench (topic imu)" in rejections(late)[-1]
     assert sum(isinstance(r, Compensated) for r in late) == 60 - FIRST - 10
 

@@ -594,7 +594,7 @@ def test_two_compensators_on_one_topic_are_both_silent(bench: Bench, tools_dir: 
         )
     made = len(bench.listener.outputs)
     bench.harness.wait_for(
-        lambda: bench.step(LEFT) > 0 and other._compensator.received > 100, 10.0, "wrenches"
+        lambda: bench.step(LEFT) > 0 and other._compensator.pairing.received > 100, 10.0, "wrenches"
     )
     assert len(bench.listener.outputs) == made
     bench.harness.remove(other)

@@ -13,7 +13,7 @@ the wrench says so by `forget`.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from enum import Enum
 from typing import NamedTuple
@@ -21,7 +21,7 @@ from typing import NamedTuple
 import numpy as np
 from galen_model.arrays import Array
 from galen_model.errors import KinematicsError
-from galen_ros.stream.pairing import PairingSettings, WrenchPairing
+from galen_ros.stream.pairing import PairedWrench, PairingSettings, WrenchPairing
 from galen_ros.stream.results import Rejected
 
 from galen_deflection.live.corrected_tip import CorrectedTip, TipPose
@@ -62,10 +62,11 @@ class Deflected(NamedTuple):
     joints: tuple[float, ...]  # at the stamp, m and rad
 
 
-class Deflector(WrenchPairing[Deflected]):
-    """Streams one sensor's compensated wrenches through one model."""
+class Deflector:
+    """Streams one sensor's compensated wrenches through one model.
 
-    wrench_topic = "wrench_compensated"
+    `pairing` decides which samples are taken, and counts.
+    """
 
     def __init__(
         self,
@@ -75,8 +76,10 @@ class Deflector(WrenchPairing[Deflected]):
     ) -> None:
         """`on_forgotten(why)` is called after the memory of a model at work was dropped."""
         settings = settings or DeflectorSettings()
-        super().__init__(settings, on_restart)
-        self._sensor_frame = settings.sensor_frame
+        self._on_restart = on_restart
+        self.pairing = WrenchPairing(
+            settings, self._forget_driver, wrench_topic="wrench_compensated"
+        )
         self._memory_gap_ns = round(settings.memory_gap_s * 1e9)
         self._on_forgotten = on_forgotten
         self._model: DeflectionModel | None = None
@@ -92,6 +95,7 @@ class Deflector(WrenchPairing[Deflected]):
         self.predicted = 0
         self.extrapolated = 0
         self.forgotten = 0
+        self._compare_tips()
 
     # State
 
@@ -99,11 +103,6 @@ class Deflector(WrenchPairing[Deflected]):
     def model(self) -> DeflectionModel | None:
         """The active model."""
         return self._model
-
-    @property
-    def sensor_frame(self) -> str:
-        """The frame_id that a wrench must have."""
-        return self._sensor_frame
 
     @property
     def other_tip(self) -> str:
@@ -139,27 +138,34 @@ class Deflector(WrenchPairing[Deflected]):
             self._on_forgotten(why)
         return True
 
-    def restart(self, why: str) -> list[Deflected | Rejected]:
-        """Forget all that belongs to the driver's life so far: samples and loads."""
-        self.forget(why)
-        return super().restart(why)
-
     # Samples
 
     def push_joints(
         self, stamp_ns: int, positions: tuple[float, ...]
     ) -> list[Deflected | Rejected]:
         """Take joints (5,), m and rad; returns what became of the wrenches that waited."""
-        return self._push_joint_sample(stamp_ns, positions)
+        return self._made(self.pairing.push_joints(stamp_ns, positions))
+
+    def push_wrench(
+        self,
+        stamp_ns: int,
+        wrench: Sequence[float] | Array,
+        frame_id: str | None = None,
+        tag: object = None,
+    ) -> list[Deflected | Rejected]:
+        """Take a wrench as `WrenchPairing.push_wrench`; returns what became of those answered."""
+        return self._made(self.pairing.push_wrench(stamp_ns, wrench, frame_id, tag))
 
     # Inside
 
-    def _barred(self) -> tuple[Enum, str] | None:
-        if self._model is None:
-            return ModelRejection.NO_MODEL, self._why_none
-        if self._other_tip:
-            return ModelRejection.OTHER_TIP, self._other_tip
-        return None
+    def _made(self, results: list[PairedWrench | Rejected]) -> list[Deflected | Rejected]:
+        return [self._deflect(one) if isinstance(one, PairedWrench) else one for one in results]
+
+    def _forget_driver(self, why: str) -> None:
+        """Forget the loads that belong to the driver's life so far."""
+        self.forget(why)
+        if self._on_restart is not None:
+            self._on_restart(why)
 
     def _compare_tips(self) -> list[Deflected | Rejected]:
         self._other_tip = ""
@@ -169,32 +175,36 @@ class Deflector(WrenchPairing[Deflected]):
                 f"the model is for a tip at {_point(model.tip_m)} m, the tool '{self._tool}'"
                 f" has its tip at {_point(tip_m)} m: load a model of this tool (model_file)"
             )
-        barred = self._barred()
-        return [] if barred is None else self._reject_waiting(*barred)
+        if model is None:
+            return self._made(self.pairing.bar(ModelRejection.NO_MODEL, self._why_none))
+        if self._other_tip:
+            return self._made(self.pairing.bar(ModelRejection.OTHER_TIP, self._other_tip))
+        self.pairing.unbar()
+        return []
 
-    def _make(
-        self, stamp_ns: int, raw: Array, joints: tuple[float, ...], tag: object, number: int
-    ) -> Deflected | Rejected:
+    def _deflect(self, paired: PairedWrench) -> Deflected | Rejected:
+        stamp_ns, raw, joints, tag, number = paired
+        topic = self.pairing.wrench_topic
         fed_ns = self._fed_ns
         if fed_ns is not None and stamp_ns <= fed_ns:
-            detail = f"{self.wrench_topic} is out of order: hysteresis takes loads in their order"
-            return self._reject(stamp_ns, ModelRejection.OUT_OF_ORDER, detail, number)
+            detail = f"{topic} is out of order: hysteresis takes loads in their order"
+            return self.pairing.reject(stamp_ns, ModelRejection.OUT_OF_ORDER, detail, number)
         if fed_ns is not None and stamp_ns - fed_ns > self._memory_gap_ns:
-            self.forget(f"no usable {self.wrench_topic} for {(stamp_ns - fed_ns) * 1e-9:.3f} s")
+            self.forget(f"no usable {topic} for {(stamp_ns - fed_ns) * 1e-9:.3f} s")
         assert self._stream is not None and self._corrected is not None
         at = np.array(joints)
         try:
             predicted = self._stream.step(stamp_ns, at, raw)
         except KinematicsError as error:
             detail = f"joint_states say what the arm can't do: {error}"
-            return self._reject(stamp_ns, ModelRejection.OUT_OF_REACH, detail, number)
+            return self.pairing.reject(stamp_ns, ModelRejection.OUT_OF_REACH, detail, number)
         self._fed_ns = stamp_ns
         mean = predicted.mean.tolist()
         # As with wrenches, one sum finds what is not finite.
         if not np.isfinite(predicted.covariance.sum() + sum(mean)):
             self.forget("the model gave a value that is not finite")
             detail = "the model gives a value that is not finite"
-            return self._reject(stamp_ns, ModelRejection.NONFINITE, detail, number)
+            return self.pairing.reject(stamp_ns, ModelRejection.NONFINITE, detail, number)
         self.predicted += 1
         self.extrapolated += predicted.extrapolated
         tip = self._corrected(joints, mean)

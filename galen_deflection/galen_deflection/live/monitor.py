@@ -30,7 +30,7 @@ class DeflectorMonitor(StreamMonitor):
         frozen_s: float = FROZEN_S,
         late_s: float = 0.0,
     ) -> None:
-        super().__init__(deflector, silence_s, frozen_s, late_s)
+        super().__init__(deflector.pairing, silence_s, frozen_s, late_s)
         self._deflector = deflector
         self._model_error = ""
         self._last_forgotten = ""
@@ -99,7 +99,7 @@ class DeflectorMonitor(StreamMonitor):
         values: dict[str, object] = {"model": "" if model is None else model.name}
         if model is not None:
             values["model_tip_m"] = joined(np.asarray(model.tip_m))
-        values["sensor_frame"] = deflector.sensor_frame
+        values["sensor_frame"] = deflector.pairing.sensor_frame
         if last is not None:
             covariance = last.predicted.covariance
             values |= {
@@ -114,7 +114,7 @@ class DeflectorMonitor(StreamMonitor):
                 values["std_of_unknown_start_mrad"] = 1e3 * _size(start[3:, 3:])
         values |= self.inputs(now_s, "deflection")
         values |= {
-            "received": deflector.received,
+            "received": deflector.pairing.received,
             "predicted": deflector.predicted,
             "extrapolated": deflector.extrapolated,
             "extrapolated_percent": 100.0 * self.extrapolated_share,

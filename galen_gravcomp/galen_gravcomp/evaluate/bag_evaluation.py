@@ -235,12 +235,12 @@ class _Run:
             tool=self._tool,
             topics=topics,
             duration_s=(last - first) * 1e-9,
-            received=compensator.received,
+            received=compensator.pairing.received,
             compensated=compensator.compensated,
-            waiting=compensator.waiting,
-            rejected={reason.value: n for reason, n in compensator.rejections.items()},
+            waiting=compensator.pairing.waiting,
+            rejected={reason.value: n for reason, n in compensator.pairing.rejections.items()},
             rejected_example=self._examples,
-            notices={notice.value: n for notice, n in compensator.notices.items()},
+            notices={notice.value: n for notice, n in compensator.pairing.notices.items()},
             problems=tuple(bag.problems),
             joint_stamps=self._joint_stamps.report(),
             wrench_stamps=wrench_stamps,
@@ -262,16 +262,16 @@ class _Run:
         """Why nothing can be said of the fit, whatever is left over; empty if something can."""
         compensator = self._compensator
         if not compensator.compensated:
-            reasons = compensator.rejections.most_common(1)
+            reasons = compensator.pairing.rejections.most_common(1)
             if not reasons:
                 return "no wrench was compensated: the file's fit is unknown"
             why = self._examples[reasons[0][0].value]
             return f"no wrench was compensated, so the file's fit is unknown: {why}"
         for notice, what in _UNITS.items():
-            count = compensator.notices[notice]
-            if count > _SUSPECT_SHARE * compensator.received:
+            count = compensator.pairing.notices[notice]
+            if count > _SUSPECT_SHARE * compensator.pairing.received:
                 return (
-                    f"{what} in {count} of {compensator.received} wrenches:"
+                    f"{what} in {count} of {compensator.pairing.received} wrenches:"
                     " the file's fit is unknown"
                 )
         return ""

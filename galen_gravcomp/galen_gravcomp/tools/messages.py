@@ -57,7 +57,7 @@ def active_message(
     """What is active; `stored`: the tool as it was loaded, `state`: its file since."""
     offset, bias_drift = compensator.tare_offset, compensator.bias_drift_offset
     message = ActiveTool(enabled=compensator.enabled)
-    message.header.frame_id = compensator.sensor_frame
+    message.header.frame_id = compensator.pairing.sensor_frame
     message.tared = bool(offset.any())
     message.tare = _wrench(offset)
     message.bias_drift_estimated = bias_drift is not None

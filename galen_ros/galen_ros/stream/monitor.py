@@ -11,7 +11,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum
 from itertools import pairwise
-from typing import Any, ClassVar, NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 
@@ -79,7 +79,7 @@ class StreamMonitor(ABC):
 
     def __init__(
         self,
-        pairing: WrenchPairing[Any],
+        pairing: WrenchPairing,
         silence_s: float,
         frozen_s: float = FROZEN_S,
         late_s: float = 0.0,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from abc import abstractmethod
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, ClassVar, cast
 
 from geometry_msgs.msg import WrenchStamped
@@ -24,6 +24,8 @@ from galen_ros.stream.pairing import WrenchPairing
 from galen_ros.stream.publishers import Publishers
 from galen_ros.stream.results import Rejected
 
+PushWrench = Callable[[int, Sequence[float], str, object], list[Any]]
+
 WATCH_PERIOD_S = 0.2
 # Not more often than this are changes of state published and logged.
 MIN_ANNOUNCE_S = 0.05
@@ -37,7 +39,7 @@ def input_qos(best_effort: bool) -> QoSProfile:
 
 
 class StreamNode(ManagedNode):
-    """Feeds a `WrenchPairing` from its topics, publishes what comes out, and says how it is."""
+    """Feed a `WrenchPairing` from its topics, publish results and state."""
 
     cleared_on_restart: ClassVar[str]
     """As the log says it."""
@@ -52,16 +54,19 @@ class StreamNode(ManagedNode):
 
     def _begin(
         self,
-        pairing: WrenchPairing[Any],
+        pairing: WrenchPairing,
+        push_wrench: PushWrench,
         monitor: StreamMonitor,
         joint_names: Sequence[str],
         best_effort: bool,
     ) -> None:
         """To be called in `_configure`: watch these; the inputs are subscribed to when active.
 
+        `push_wrench`: as `WrenchPairing.push_wrench`, with what is made of the wrenches;
         `joint_names` in the order in which `_push_joints` takes them.
         """
         self._pairing = pairing
+        self._push_wrench = push_wrench
         self._monitor = monitor
         if self.get_parameter("use_sim_time").value:
             monitor.stamps_are_simulated()
@@ -98,7 +103,7 @@ class StreamNode(ManagedNode):
 
     @abstractmethod
     def _push_joints(self, stamp_ns: int, positions: tuple[float, ...]) -> list[Any]:
-        """Push them into the pairing; returns its results."""
+        """Push them into the pairing; return what was made of the wrenches."""
 
     @abstractmethod
     def _publish(self, result: Any, raw: RawWrench) -> None:
@@ -145,9 +150,7 @@ class StreamNode(ManagedNode):
             detail = f"{self._pairing.wrench_topic} can't be used: {error}"
             self._emit(self._pairing.push_bad_wrench(detail))
             return
-        results = self._pairing.push_wrench(
-            raw.stamp_ns, raw.wrench, raw.frame_id, tag=(arrival_s, raw)
-        )
+        results = self._push_wrench(raw.stamp_ns, raw.wrench, raw.frame_id, (arrival_s, raw))
         if results:
             self._emit(results)
 

@@ -1,8 +1,8 @@
 """Wrenches and joints that come as two streams, paired by their stamps. No ROS.
 
-What is to be made of a wrench with the joints at its stamp, a subclass says: the compensator takes
-the tool's weight off, the deflection's node predicts how far the arm bends. Which samples are
-taken, which wait, which are rejected and why, is the same for both, and here.
+What comes out is a `PairedWrench` or a `Rejected`. The compensator and the deflection's node make
+something of the first; which samples are taken, which wait, which are rejected and why, is the
+same for both, and here.
 
 Samples are pushed in the order of their arrival; every decision is made on stamps.
 """
@@ -10,12 +10,11 @@ Samples are pushed in the order of their arrival; every decision is made on stam
 from __future__ import annotations
 
 import math
-from abc import ABC, abstractmethod
 from collections import Counter, deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from enum import Enum
-from typing import Generic, NamedTuple, TypeVar
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from galen_model.arrays import Array
@@ -29,8 +28,6 @@ from galen_ros.stream.sample_limits import (
     count_angle_unit_notices,
     joint_jump,
 )
-
-Made = TypeVar("Made")
 
 
 def _sensor_range() -> Array:
@@ -64,7 +61,23 @@ class Waiting(NamedTuple):
     number: int
 
 
-class Paired(NamedTuple):
+class PairedWrench(NamedTuple):
+    """A finite wrench (6,), N and N.m, with finite joints at its stamp, m and rad.
+
+    tag: as it was pushed; number: of the wrench in the order of arrival, from 0.
+    """
+
+    stamp_ns: int
+    wrench: Array
+    joints: tuple[float, ...]
+    tag: object
+    number: int
+
+
+Result = PairedWrench | Rejected
+
+
+class PairedRun(NamedTuple):
     """Regular wrenches with the joints at their stamps: (k,), (k,), (k, 6), (k, joints).
 
     taken: how many arrivals they and those that began to wait were.
@@ -77,21 +90,43 @@ class Paired(NamedTuple):
     joints: Array
 
 
-class WrenchPairing(ABC, Generic[Made]):
+class Awaited(Protocol):
+    """What a wrench waits for besides the joints."""
+
+    @property
+    def known_until_ns(self) -> int | None:
+        """The newest stamp that need not wait; None: none yet."""
+
+    def late(self, newest_wrench_ns: int) -> tuple[Enum, str] | None:
+        """Why what waits must not wait any longer; None: it may."""
+
+
+class WrenchPairing:
     """One sensor's wrenches and the joints at their stamps.
 
-    Each wrench pushed ends in exactly one way: as what `_make` returns, or as a `Rejected` that
-    names the reason. Not thread-safe: push everything from one thread.
+    Each wrench pushed ends in exactly one way: as a `PairedWrench`, or as a `Rejected` that names
+    the reason. Not thread-safe: push everything from one thread.
     """
 
-    wrench_topic = "wrench_raw"
-    """As it is called in sentences."""
-
     def __init__(
-        self, settings: PairingSettings, on_restart: Callable[[str], None] | None = None
+        self,
+        settings: PairingSettings,
+        on_restart: Callable[[str], None] | None = None,
+        *,
+        wrench_topic: str = "wrench_raw",
+        awaited: Awaited | None = None,
     ) -> None:
-        """`on_restart(why)` is called after everything was cleared because the driver restarted."""
+        """Pair a topic's wrenches.
+
+        `on_restart(why)` is called after everything was cleared because the driver restarted;
+        wrench_topic: as it is called in sentences.
+        """
         self._on_restart = on_restart
+        self._awaited = awaited
+        self.wrench_topic = wrench_topic
+        self.sensor_frame = settings.sensor_frame
+        """The frame_id that a wrench must have."""
+        self._barred: tuple[Enum, str] | None = None
         self._max_joint_age_s = settings.max_joint_age_s
         self._limits = SampleLimits(
             max_age_ns=round(settings.max_joint_age_s * 1e9),
@@ -112,30 +147,6 @@ class WrenchPairing(ABC, Generic[Made]):
         self.rejections: Counter[Enum] = Counter()
         self.notices: Counter[Notice] = Counter()
 
-    # What a subclass says
-
-    @property
-    @abstractmethod
-    def sensor_frame(self) -> str:
-        """The frame_id that a wrench must have."""
-
-    @abstractmethod
-    def _barred(self) -> tuple[Enum, str] | None:
-        """Why no wrench at all can be used now, as reason and sentence; None if they can."""
-
-    @abstractmethod
-    def _make(
-        self, stamp_ns: int, raw: Array, joints: tuple[float, ...], tag: object, number: int
-    ) -> Made | Rejected:
-        """What becomes of a finite wrench (6,) with finite joints at its stamp."""
-
-    def _known_until_ns(self) -> int | None:
-        """The newest stamp that need not wait: the newest joints', or earlier; None: none yet."""
-        return self._joints.newest_ns
-
-    def _late(self, newest_wrench_ns: int) -> tuple[Enum, str] | None:
-        """Why what waits for something else than joints must not wait any longer."""
-
     # State
 
     @property
@@ -149,23 +160,32 @@ class WrenchPairing(ABC, Generic[Made]):
         reported = self._reported
         return None if reported is None else (reported.roll_rad, reported.tilt_rad)
 
+    def bar(self, reason: Enum, detail: str) -> list[Result]:
+        """Reject every wrench until `unbar`, those that wait, too."""
+        self._barred = (reason, detail)
+        return self.reject_waiting(reason, detail)
+
+    def unbar(self) -> None:
+        """Take wrenches again."""
+        self._barred = None
+
     @property
     def distrusted(self) -> bool:
         """Whether every wrench is rejected by `distrust`."""
         return self._distrust is not None
 
-    def distrust(self, reason: Enum, detail: str) -> list[Made | Rejected]:
+    def distrust(self, reason: Enum, detail: str) -> list[Result]:
         """Reject every wrench until `trust`, for a reason that no single sample shows."""
         self._distrust = (reason, detail)
-        return self._reject_waiting(reason, detail)
+        return self.reject_waiting(reason, detail)
 
     def trust(self) -> None:
         """Take wrenches again."""
         self._distrust = None
 
-    def restart(self, why: str) -> list[Made | Rejected]:
+    def restart(self, why: str) -> list[Result]:
         """Forget every sample: it belongs to the driver's life so far. Counters stay."""
-        results = self._reject_waiting(Rejection.RESTART, why)
+        results = self.reject_waiting(Rejection.RESTART, why)
         self._joints.clear()
         self._reported = None
         self._jump = None
@@ -189,37 +209,37 @@ class WrenchPairing(ABC, Generic[Made]):
         wrench: Sequence[float] | Array,
         frame_id: str | None = None,
         tag: object = None,
-    ) -> list[Made | Rejected]:
+    ) -> list[Result]:
         """Take a wrench (6,), N and N.m; returns what became of it and of those that waited.
 
         The list is empty while the wrench waits for joint samples. `frame_id` None is not checked;
-        `tag` comes back with what is made of the wrench.
+        `tag` comes back with the paired wrench.
         """
         number = self.received
         self.received += 1
         self.newest_wrench = wrench
-        barred = self._barred() or self._distrust
+        barred = self._barred or self._distrust
         if frame_id is not None and barred is None and frame_id != self.sensor_frame:
             detail = (
                 f"{self.wrench_topic} has frame_id '{frame_id}', expected '{self.sensor_frame}'"
             )
-            return [self._reject(stamp_ns, Rejection.WRONG_FRAME, detail, number)]
+            return [self.reject(stamp_ns, Rejection.WRONG_FRAME, detail, number)]
         if stamp_ns <= 0:
             detail = f"{self.wrench_topic} has no stamp (zero): the driver does not stamp its"
-            return [self._reject(stamp_ns, Rejection.UNSTAMPED, f"{detail} samples", number)]
+            return [self.reject(stamp_ns, Rejection.UNSTAMPED, f"{detail} samples", number)]
         if stamp_ns == self._newest_wrench_ns:
             detail = f"{self.wrench_topic} repeats a stamp; only the first wrench of a stamp is"
-            return [self._reject(stamp_ns, Rejection.DUPLICATE, f"{detail} used", number)]
+            return [self.reject(stamp_ns, Rejection.DUPLICATE, f"{detail} used", number)]
         results = self._follow_wrench_stamps(stamp_ns)
         if barred is not None:
-            results.append(self._reject(stamp_ns, *barred, number))
+            results.append(self.reject(stamp_ns, *barred, number))
             return results
         values = tuple(map(float, wrench))
         # One sum finds a NaN or an infinity among the six; it overflows only beyond any wrench.
         if not math.isfinite(sum(values)):
             shown = ", ".join(f"{value:g}" for value in values)
             detail = f"{self.wrench_topic} holds a value that is not finite: ({shown})"
-            results.append(self._reject(stamp_ns, Rejection.NONFINITE_WRENCH, detail, number))
+            results.append(self.reject(stamp_ns, Rejection.NONFINITE_WRENCH, detail, number))
             return results
         beyond_range, other_unit = self._limits.range_notices(values)
         if beyond_range:
@@ -235,14 +255,14 @@ class WrenchPairing(ABC, Generic[Made]):
         results.extend(self._drop_hopeless())
         return results
 
-    def push_bad_wrench(self, detail: str) -> list[Made | Rejected]:
+    def push_bad_wrench(self, detail: str) -> list[Result]:
         """Reject a wrench message that can't be read, and so has no stamp; `detail` says why."""
         self.received += 1
-        return [self._reject(0, Rejection.UNREADABLE, detail, self.received - 1)]
+        return [self.reject(0, Rejection.UNREADABLE, detail, self.received - 1)]
 
-    def _push_joint_sample(self, stamp_ns: int, joints: tuple[float, ...]) -> list[Made | Rejected]:
+    def push_joints(self, stamp_ns: int, joints: tuple[float, ...]) -> list[Result]:
         """Take joints, roll and tilt last; returns what became of wrenches that waited for them."""
-        results: list[Made | Rejected] = []
+        results: list[Result] = []
         newest = self._joints.newest_ns
         if newest is not None:
             restarted = self._limits.restarted("joint_states", stamp_ns, newest)
@@ -265,7 +285,7 @@ class WrenchPairing(ABC, Generic[Made]):
             duplicate = pushed is JointPush.DUPLICATE
             self.notices[Notice.DUPLICATE_JOINTS if duplicate else Notice.OUT_OF_ORDER_JOINTS] += 1
             return results
-        results.extend(self._release())
+        results.extend(self.release())
         return results
 
     def _jumped(self, stamp_ns: int, roll_rad: float, tilt_rad: float) -> bool:
@@ -284,15 +304,15 @@ class WrenchPairing(ABC, Generic[Made]):
         self._jump = (stamp_ns, detail)
         return True
 
-    def _release(self) -> list[Made | Rejected]:
+    def release(self) -> list[Result]:
         """What becomes of the wrenches that have waited long enough."""
         until = self._known_until_ns()
-        results: list[Made | Rejected] = []
+        results: list[Result] = []
         while until is not None and self._waiting and self._waiting[0].stamp_ns <= until:
             results.append(self._pair(*self._waiting.popleft()))
         return results
 
-    def _pair_stretch(self, arrivals: Arrivals) -> Paired:
+    def push_run(self, arrivals: Arrivals) -> PairedRun:
         """Take the regular samples at the start of `arrivals` as arrays; nothing is rejected."""
         waiting = self._waiting
         waiting_ns = np.array([one.stamp_ns for one in waiting], dtype=np.int64)
@@ -328,18 +348,36 @@ class WrenchPairing(ABC, Generic[Made]):
         self._note(Notice.BEYOND_RANGE, beyond_range)
         self._note(Notice.TORQUE_UNIT, other_unit)
         self._note(Notice.ANGLE_UNIT, count_angle_unit_notices(arrivals.angles[:, -2:]))
-        return Paired(len(arrivals.is_wrench), number[:out], stamp_ns[:out], raw[:out], angles)
+        return PairedRun(len(arrivals.is_wrench), number[:out], stamp_ns[:out], raw[:out], angles)
+
+    def forget_joints(self, detail: str) -> list[Result]:
+        """Forget the joint samples, as of another joint vector; reject what waits for them."""
+        self._joints.clear()
+        return self.reject_waiting(Rejection.NO_JOINTS, detail)
+
+    @property
+    def newest_wrench_ns(self) -> int | None:
+        """The newest wrench's stamp."""
+        return self._newest_wrench_ns
 
     # Inside
+
+    def _known_until_ns(self) -> int | None:
+        """The newest stamp that need not wait: the newest joints', or earlier; None: none yet."""
+        joints_ns, awaited = self._joints.newest_ns, self._awaited
+        if awaited is None or joints_ns is None:
+            return joints_ns
+        awaited_ns = awaited.known_until_ns
+        return None if awaited_ns is None else min(joints_ns, awaited_ns)
 
     def _note(self, notice: Notice, count: int) -> None:
         if count:
             self.notices[notice] += count
 
-    def _follow_wrench_stamps(self, stamp_ns: int) -> list[Made | Rejected]:
+    def _follow_wrench_stamps(self, stamp_ns: int) -> list[Result]:
         """Compare with the newest stamp: restart, out of order."""
         newest = self._newest_wrench_ns
-        results: list[Made | Rejected] = []
+        results: list[Result] = []
         if newest is not None:
             restarted = self._limits.restarted(self.wrench_topic, stamp_ns, newest)
             if restarted:
@@ -350,7 +388,7 @@ class WrenchPairing(ABC, Generic[Made]):
         self._newest_wrench_ns = stamp_ns
         return results
 
-    def _drop_hopeless(self) -> list[Made | Rejected]:
+    def _drop_hopeless(self) -> list[Result]:
         """Reject what waits once the joints have fallen too far behind, or too many wait."""
         newest_wrench = self._newest_wrench_ns
         newest_joints = self._joints.newest_ns
@@ -358,7 +396,7 @@ class WrenchPairing(ABC, Generic[Made]):
         if newest_joints is None:
             # The first joint sample may still be on its way, but no longer than this.
             if newest_wrench - self._waiting[0].stamp_ns > self._limits.max_age_ns:
-                return self._reject_waiting(
+                return self.reject_waiting(
                     *self._joint_reason(Rejection.NO_JOINTS, "no joint_states were received")
                 )
         elif newest_wrench - newest_joints > self._limits.max_age_ns:
@@ -368,13 +406,13 @@ class WrenchPairing(ABC, Generic[Made]):
                 f" max_joint_age_s is {self._max_joint_age_s:g}"
                 f"{self._clock_hint(newest_wrench - newest_joints)}"
             )
-            return self._reject_waiting(*self._joint_reason(Rejection.STALE_JOINTS, detail))
-        elif late := self._late(newest_wrench):
-            return self._reject_waiting(*late)
+            return self.reject_waiting(*self._joint_reason(Rejection.STALE_JOINTS, detail))
+        elif self._awaited is not None and (late := self._awaited.late(newest_wrench)):
+            return self.reject_waiting(*late)
         if len(self._waiting) > self._limits.max_waiting:
             oldest = self._waiting.popleft()
             detail = f"more than {self._limits.max_waiting} wrenches wait for joint_states"
-            return [self._reject(oldest.stamp_ns, Rejection.QUEUE_FULL, detail, oldest.number)]
+            return [self.reject(oldest.stamp_ns, Rejection.QUEUE_FULL, detail, oldest.number)]
         return []
 
     def _joint_reason(self, reason: Rejection, detail: str) -> tuple[Rejection, str]:
@@ -388,7 +426,7 @@ class WrenchPairing(ABC, Generic[Made]):
             return ""
         return f"; do joint_states and {self.wrench_topic} get their stamps from different clocks?"
 
-    def _pair(self, stamp_ns: int, raw: Array, tag: object, number: int) -> Made | Rejected:
+    def _pair(self, stamp_ns: int, raw: Array, tag: object, number: int) -> Result:
         """Use a wrench whose joints are in the buffer."""
         joints = self._joints.joints_at(stamp_ns)
         if isinstance(joints, NoJoints):
@@ -398,26 +436,28 @@ class WrenchPairing(ABC, Generic[Made]):
                     f" {self._max_joint_age_s:g} s apart around a wrench"
                 )
                 reason = self._joint_reason(Rejection.STALE_JOINTS, detail)
-                return self._reject(stamp_ns, *reason, number)
+                return self.reject(stamp_ns, *reason, number)
             newest = self._joints.newest_ns
             hint = "" if newest is None else self._clock_hint(newest - stamp_ns)
             detail = f"no joint angles: {joints.value}{hint}"
-            return self._reject(stamp_ns, *self._joint_reason(Rejection.NO_JOINTS, detail), number)
+            return self.reject(stamp_ns, *self._joint_reason(Rejection.NO_JOINTS, detail), number)
         if math.isnan(joints[0]):
             jump = self._jump
             if jump is not None and abs(stamp_ns - jump[0]) <= self._limits.max_age_ns:
-                return self._reject(stamp_ns, Rejection.JUMPING_JOINTS, jump[1], number)
+                return self.reject(stamp_ns, Rejection.JUMPING_JOINTS, jump[1], number)
             detail = "joint_states hold an angle that is not finite"
-            return self._reject(stamp_ns, Rejection.NONFINITE_JOINTS, detail, number)
-        return self._make(stamp_ns, raw, joints, tag, number)
+            return self.reject(stamp_ns, Rejection.NONFINITE_JOINTS, detail, number)
+        return PairedWrench(stamp_ns, raw, joints, tag, number)
 
-    def _reject(self, stamp_ns: int, reason: Enum, detail: str, number: int) -> Rejected:
+    def reject(self, stamp_ns: int, reason: Enum, detail: str, number: int) -> Rejected:
+        """Count the rejection of one wrench."""
         self.rejections[reason] += 1
         return Rejected(stamp_ns, reason, detail, number)
 
-    def _reject_waiting(self, reason: Enum, detail: str) -> list[Made | Rejected]:
-        results: list[Made | Rejected] = [
-            self._reject(waiting.stamp_ns, reason, detail, waiting.number)
+    def reject_waiting(self, reason: Enum, detail: str) -> list[Result]:
+        """Reject the wrenches that wait."""
+        results: list[Result] = [
+            self.reject(waiting.stamp_ns, reason, detail, waiting.number)
             for waiting in self._waiting
         ]
         self._waiting.clear()
