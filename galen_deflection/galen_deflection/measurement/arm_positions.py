@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from galen_bags.arrays.timeline import Timeline
 from galen_model.arm.galen import SENSOR
-from galen_model.arrays import Array
+from galen_model.arrays import Array, runs
 from galen_model.rest.segments import JointRest, rest_by_joints
 
 _NS = 1e9
@@ -166,10 +166,9 @@ def load_phases(
     limit = np.maximum(limit, settings.zero_load_share * np.repeat(largest, 3))
     free = np.all(np.abs(load) <= limit, axis=1)
     free[:stop] = False
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], free.astype(np.int8), [0]])))
     stretches = [
         (int(time_ns[a]) + margin_ns // 2, int(time_ns[b - 1]) - margin_ns // 2)
-        for a, b in zip(edges[::2], edges[1::2], strict=True)
+        for a, b in runs(free)
     ]
     return LoadPhases(
         (int(time_ns[0]), end_ns),

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from galen_model.arrays import Array
+from galen_model.arrays import Array, runs
 
 from galen_deflection.measurement.samples import DeflectionSamples
 from galen_deflection.springs.springs import TipWrench
@@ -90,12 +90,12 @@ def _in_segment(stamp_ns: np.ndarray, size: Array, first: int, limits: PushLimit
     margin_ns = round(limits.margin_s * _NS_PER_S)
     loaded = size > 1.0
     for flag, shortest_s in ((False, limits.min_rest_s), (True, limits.min_push_s)):
-        for start, stop in _runs(loaded == flag):
+        for start, stop in runs(loaded == flag):
             inside = start > 0 and stop < len(loaded)
             if inside and stamp_ns[stop] - stamp_ns[start] < shortest_s * _NS_PER_S:
                 loaded[start:stop] = not flag
     pushes = []
-    for start, stop in _runs(loaded):
+    for start, stop in runs(loaded):
         if start == 0 or stop == len(loaded):
             continue
         until = stop + int(np.argmax(np.append(loaded[stop:], True)))
@@ -107,8 +107,3 @@ def _in_segment(stamp_ns: np.ndarray, size: Array, first: int, limits: PushLimit
         peak = first + start + int(np.argmax(size[start:stop]))
         pushes.append(Push(slice(first + start - 1, first + stop + 1), rest, peak))
     return pushes
-
-
-def _runs(mask: np.ndarray) -> list[tuple[int, int]]:
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], mask.astype(np.int8), [0]])))
-    return [(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True)]

@@ -17,8 +17,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from galen_model.arm.galen import ENCODER_QUANTUM, SENSOR
-from galen_model.arrays import Array
-from galen_model.rest.rule import allowed_travel, runs
+from galen_model.arrays import Array, runs
+from galen_model.rest.rule import allowed_travel
 from galen_model.rest.time_bins import Cells
 
 _MAD_TO_STD = 1.4826

@@ -18,8 +18,6 @@ from __future__ import annotations
 
 from typing import Any
 
-import numpy as np
-
 
 def allowed_travel(max_speed: Any, window_s: float, quantum: Any, steps: float = 1.0) -> Any:
     """Return how far a joint at rest may go in a window, m or rad.
@@ -27,9 +25,3 @@ def allowed_travel(max_speed: Any, window_s: float, quantum: Any, steps: float =
     A range over many samples holds a step of the encoder at both of its ends: steps = 2.
     """
     return max_speed * window_s + steps * quantum
-
-
-def runs(mask: np.ndarray) -> list[tuple[int, int]]:
-    """Return first and one past the last row of each run of True in a mask (n,)."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], mask.astype(np.int8), [0]])))
-    return list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))

@@ -16,8 +16,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from galen_model.arm.galen import ENCODER_QUANTUM
-from galen_model.arrays import Array
-from galen_model.rest.rule import allowed_travel, runs
+from galen_model.arrays import Array, runs
+from galen_model.rest.rule import allowed_travel
 
 _NS = 1_000_000_000
 
