@@ -1,6 +1,7 @@
 from setuptools import find_packages, setup
 
 package_name = "galen_calibration_behavior"
+run = f"galen_ros.executable:{package_name}"
 
 setup(
     name=package_name,
@@ -18,14 +19,13 @@ setup(
     license="Apache-2.0",
     entry_points={
         "console_scripts": [
-            f"calibration_node = galen_ros.executable:{package_name}.node.main",
-            f"calibrate = galen_ros.executable:{package_name}.calibrate.main",
-            f"check_node = galen_ros.executable:{package_name}.check_node.main",
-            f"check = galen_ros.executable:{package_name}.check.main",
-            f"calibrate_from_bag = galen_ros.executable:{package_name}.calibrate_from_bag.main",
-            f"inertia_from_bag = galen_ros.executable:{package_name}.inertia_from_bag.main",
-            f"cable_from_bag = galen_ros.executable:{package_name}.cable_from_bag.main",
-            f"choose_poses = galen_ros.executable:{package_name}.choose_poses.main",
+            f"calibration_node = {run}.node.main",
+            f"calibrate = {run}.calibrate.main",
+            f"check = {run}.check.main",
+            f"calibrate_from_bag = {run}.from_bag.calibrate_from_bag.main",
+            f"inertia_from_bag = {run}.from_bag.inertia_from_bag.main",
+            f"cable_from_bag = {run}.from_bag.cable_from_bag.main",
+            f"choose_poses = {run}.pose_choice.command.main",
         ]
     },
 )

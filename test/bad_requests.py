@@ -14,7 +14,6 @@ from typing import Any
 import numpy as np
 from fuzz.readers import a_tool
 from galen_calibration_behavior.node import CalibrationNode
-from galen_calibration_behavior.quick_check.node import CheckNode
 from galen_deflection.collection.node import CollectionNode
 from galen_deflection.node import DeflectionNode
 from galen_gravcomp.node import GravcompNode
@@ -176,7 +175,6 @@ class World:
             self.gravcomp,
             self.driver,
             self.add(CalibrationNode, **tools),
-            self.add(CheckNode, **tools),
             self.add(CollectionNode, recordings_dir=str(self.recordings), **tools),
             self.add(DeflectionNode),
         ]

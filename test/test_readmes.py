@@ -10,7 +10,6 @@ from galen_bags.formats.writer import BagWriter, GrowingBagWriter
 from galen_bags.play.player import PlayerNode, PlayOptions
 from galen_bags.record.recorder import RecorderNode
 from galen_calibration_behavior.node import CalibrationNode
-from galen_calibration_behavior.quick_check.node import CheckNode
 from galen_deflection.collection.node import CollectionNode
 from galen_deflection.node import DeflectionNode
 from galen_gravcomp.node import GravcompNode
@@ -25,7 +24,7 @@ ROOT = Path(__file__).resolve().parent.parent
 PACKAGES = sorted(path.parent.name for path in ROOT.glob("*/package.xml"))
 MARKED = re.compile(r"<!-- parameters: ([\w.]+) -->\n(.*?)\n<!-- end -->", re.DOTALL)
 NODES = {
-    "galen_calibration_behavior": (CalibrationNode, CheckNode),
+    "galen_calibration_behavior": (CalibrationNode,),
     "galen_deflection": (CollectionNode, DeflectionNode),
     "galen_gravcomp": (GravcompNode,),
     "galen_sim_driver": (SimDriverNode,),

@@ -20,12 +20,11 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from galen_calibration_behavior.calibration.parameters import CalibrationParameters
 from galen_calibration_behavior.calibration.sweep import stack
+from galen_calibration_behavior.parameters import CalibrationParameters
 from galen_calibration_behavior.quick_check.answer import Answer, CheckLimits
 from galen_calibration_behavior.quick_check.causes import load_and_offset
 from galen_calibration_behavior.quick_check.decision import differences, quick_check
-from galen_calibration_behavior.quick_check.parameters import CheckParameters
 from galen_calibration_behavior.quick_check.poses import plan_check
 from galen_model.arm.galen import SENSOR
 from galen_model.arm.kinematics import gravity_in_sensor
@@ -136,7 +135,7 @@ class Bench:
     def __init__(self, random: np.random.Generator, believed: Load) -> None:
         self._random = random
         self.tool = self.file("tool", believed)
-        parameters = CheckParameters()
+        parameters = CalibrationParameters()
         times = SweepTimes(
             np.zeros(2), parameters.max_velocity[3:], parameters.max_acceleration[3:], 0.9
         )

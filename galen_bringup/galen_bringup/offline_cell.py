@@ -10,22 +10,21 @@ from collections.abc import Callable, Sequence
 
 from galen_calibration_behavior.calibration.procedure import (
     CalibrationProcedure,
-    ProcedureSettings,
-    Request,
+    CalibrationRequest,
 )
-from galen_model.arm.galen import JOINT_NAMES
-from galen_model.errors import GalenError
-from galen_ros.goal.commands import (
+from galen_calibration_behavior.commands import (
     AttachTool,
     Command,
     Estimate,
-    Feedback,
-    Finished,
     Measurements,
-    MoveTo,
-    Stop,
+    PoseFeedback,
+    PosesEnd,
     ZeroSensor,
 )
+from galen_calibration_behavior.parameters import CalibrationParameters
+from galen_model.arm.galen import JOINT_NAMES
+from galen_model.errors import GalenError
+from galen_ros.goal.commands import MoveTo, Stop
 from galen_sim_driver.errors import UnknownToolError, ZeroingError
 from galen_sim_driver.plant.cell import Plant, Sample
 from galen_sim_driver.plant.sensor import Zeroing
@@ -74,11 +73,11 @@ class OfflineCell:
 
     def calibrate(
         self,
-        settings: ProcedureSettings,
-        request: Request,
+        settings: CalibrationParameters,
+        request: CalibrationRequest,
         *,
         zero_window_s: float = 0.5,
-        on_feedback: Callable[[Feedback, int], object] = lambda feedback, stamp_ns: None,
+        on_feedback: Callable[[PoseFeedback, int], object] = lambda feedback, stamp_ns: None,
     ) -> Measurements:
         """Run a whole calibration and return what it would estimate from.
 
@@ -104,16 +103,16 @@ class _Calibration:
         self._zeroing: Zeroing | None = None
         self._measurements: Measurements | None = None
 
-    def finish(self, on_feedback: Callable[[Feedback, int], object]) -> Measurements:
+    def finish(self, on_feedback: Callable[[PoseFeedback, int], object]) -> Measurements:
         procedure, plant = self._procedure, self._cell.plant
         procedure.start()
         next_tick_ns = plant.now_ns
         while True:
             while commands := procedure.take_commands():
                 for command in commands:
-                    if isinstance(command, Feedback):
+                    if isinstance(command, PoseFeedback):
                         on_feedback(command, plant.now_ns)
-                    elif isinstance(command, Finished) and self._measurements is None:
+                    elif isinstance(command, PosesEnd) and self._measurements is None:
                         raise OfflineCalibrationError(
                             f"{command.error_code.name}: {command.error_msg}"
                         )

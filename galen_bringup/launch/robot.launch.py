@@ -129,14 +129,6 @@ def generate_launch_description() -> LaunchDescription:
                 **common,
             ),
             Node(
-                package="galen_calibration_behavior",
-                executable="check_node",
-                name="check",
-                ros_arguments=_enclave("check"),
-                parameters=[config, overrides],
-                **common,
-            ),
-            Node(
                 package="galen_deflection",
                 executable="deflection_node",
                 name="deflection",

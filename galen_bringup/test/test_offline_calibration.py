@@ -9,11 +9,11 @@ from galen_bags.formats.writer import BagWriter
 from galen_bringup.cell_bag import CellBag
 from galen_bringup.offline_cell import OfflineCell
 from galen_calibration_behavior.calibration.estimate import estimate
-from galen_calibration_behavior.calibration.parameters import CalibrationParameters
-from galen_calibration_behavior.calibration.procedure import Request
+from galen_calibration_behavior.calibration.procedure import CalibrationRequest
 from galen_calibration_behavior.from_bag.home_stays import BiasPose
 from galen_calibration_behavior.from_bag.recorded_sweeps import SweepSorter
 from galen_calibration_behavior.from_bag.visits import find_visits
+from galen_calibration_behavior.parameters import CalibrationParameters
 from galen_sim_driver.plant.cell import Plant
 from galen_sim_driver.plant.config import HandPush, PlantConfig
 
@@ -54,12 +54,12 @@ def calibrate_and_record(folder, grid, *, rate_hz=100.0, seed=1, start=None, tou
         cell = OfflineCell(plant, [*listeners, CellBag(bag)])
         cell.run(2.0)
         poses = dataclasses.replace(PARAMETERS, **grid).grid_poses(grid["itersT"], grid["itersR"])
-        live = cell.calibrate(PARAMETERS.settings(), Request("retractor", False, True, poses))
+        live = cell.calibrate(PARAMETERS, CalibrationRequest("retractor", False, True, poses))
     return live, read_arm(folder / "bag")
 
 
 def offline(recording):
-    settings = PARAMETERS.settings()
+    settings = PARAMETERS
     sweeps = SweepSorter(settings, BiasPose(PARAMETERS.Rhome, PARAMETERS.Thome))
     return sweeps.two_sweeps(find_visits(recording, settings)).measurements
 

@@ -8,13 +8,13 @@ from galen_bags.formats.bag import open_bag
 from galen_bags.formats.writer import BagWriter
 from galen_bringup.cell_bag import CellBag
 from galen_bringup.offline_cell import OfflineCalibrationError, OfflineCell
-from galen_calibration_behavior.calibration.parameters import CalibrationParameters
-from galen_calibration_behavior.calibration.procedure import Request
+from galen_calibration_behavior.calibration.procedure import CalibrationRequest
+from galen_calibration_behavior.commands import CalibrationState
+from galen_calibration_behavior.parameters import CalibrationParameters
 from galen_model.arm.galen import HOME
 from galen_model.load.identification import identify_two_sweeps
 from galen_model.load.model import Load, nominal_reading
 from galen_model.load.nominal_tools import ADAPTER, TOOLS
-from galen_ros.goal.commands import State
 from galen_sim_driver.plant.cell import Plant
 from galen_sim_driver.plant.config import HandPush, PlantConfig
 
@@ -28,12 +28,12 @@ def cell(*listeners, **config):
 
 
 def calibrate(offline, **changes):
-    settings = dataclasses.replace(PARAMETERS.settings(), **changes.pop("settings", {}))
+    settings = dataclasses.replace(PARAMETERS, **changes.pop("settings", {}))
     values = {"tool": "pointer", "one_sweep": False, "attach_by_service": True, "poses": POSES}
     states = []
     found = offline.calibrate(
         settings,
-        Request(**values | changes),
+        CalibrationRequest(**values | changes),
         on_feedback=lambda feedback, stamp_ns: states.append((feedback.state, stamp_ns)),
     )
     return found, states
@@ -48,7 +48,7 @@ def test_a_calibration_finds_the_plants_loads_and_tells_its_states():
     load = identify_two_sweeps(found.bare, found.tool, found.zero_roll, found.zero_tilt).load
     assert load.mass_kg == pytest.approx(0.060, abs=5 * load.mass_std_kg)
     order = list(dict.fromkeys(state for state, _ in states))
-    assert order == list(State)
+    assert order == list(CalibrationState)
     stamps = [stamp for _, stamp in states]
     assert stamps == sorted(stamps)
     assert stamps[-1] == offline.plant.now_ns

@@ -14,7 +14,6 @@ from galen_bags.record.recorder import RecorderNode
 from galen_calibration_behavior.calibrate import CalibrateClient
 from galen_calibration_behavior.check import CheckClient
 from galen_calibration_behavior.node import CalibrationNode
-from galen_calibration_behavior.quick_check.node import CheckNode
 from galen_deflection.collection import node as collection_node
 from galen_deflection.collection.command import CollectClient
 from galen_deflection.collection.node import CollectionNode
@@ -41,12 +40,10 @@ NODES = {
     GravcompNode: {"motion": "imu"},
     DeflectionNode: {},
     CalibrationNode: {},
-    CheckNode: {},
     CollectionNode: {},
 }
 PROCEDURES = {
     CalibrationNode: PoseProcedure,
-    CheckNode: PoseProcedure,
     CollectionNode: CollectionProcedure,
 }
 
@@ -149,7 +146,8 @@ def test_a_node_may_do_what_it_does_and_no_more(kind, tmp_path):
         if kind in PROCEDURES:  # as while it works on a goal
             topic = PROCEDURES[kind].wrench_topic
             goal = SimpleNamespace(procedure=SimpleNamespace(wrench_topic=topic))
-            harness.call_in_executor(lambda: node._subscribe(goal))
+            action = next(iter(node._servers))
+            harness.call_in_executor(lambda: action.subscribe(goal))
             harness.call_in_executor(lambda: node._arm.hear_others(lambda text: None))
         assert_allowed(harness, node, allowed_to(node.get_name()))
 
@@ -226,4 +224,4 @@ def test_only_who_moves_the_arm_may():
         for node, rules in nodes.items()
         if "/joint_trajectory" in rules["publish"]
     }
-    assert movers == {"calibration", "check", "collection"}
+    assert movers == {"calibration", "collection"}

@@ -20,14 +20,18 @@ from galen_ros.goal.client import (
     make_parser,
     read_options,
     report_error,
+    result_to_dict,
     run_client,
 )
-from galen_ros.goal.commands import ErrorCode, State
 from galen_ros.node.spin import own_arguments
 from std_srvs.srv import Trigger
 
-from galen_calibration_behavior.calibration.phase_text import CALIBRATION_PHASES
-from galen_calibration_behavior.calibration.result_text import format_result, result_to_dict
+from galen_calibration_behavior.calibration.result_text import format_result
+from galen_calibration_behavior.commands import (
+    CALIBRATION_PHASES,
+    CalibrationCode,
+    CalibrationState,
+)
 from galen_msgs.action import CalibrateTool
 
 _EPILOG = f"""From recorded sweeps, without an arm: calibrate_from_bag.
@@ -71,7 +75,7 @@ class CalibrateClient(GoalClient):
     def on_feedback(self, feedback: Any) -> None:
         """Show it, and ask a person where the node waits for one."""
         self._show(feedback)
-        asks = feedback.state in (State.REMOVE_TOOL, State.ATTACH_TOOL)
+        asks = feedback.state in (CalibrationState.REMOVE_TOOL, CalibrationState.ATTACH_TOOL)
         if self.options.by_hand and asks and self._asked != feedback.state:
             if sys.stdin.isatty():
                 # An Enter from before the question must not answer it: the arm would move.
@@ -101,7 +105,7 @@ class CalibrateClient(GoalClient):
 
     def _show(self, feedback: Any) -> None:
         """The bar, or without a terminal a line for each state; and each bad pose."""
-        state = State(feedback.state)
+        state = CalibrationState(feedback.state)
         self.bar.show(feedback.done, feedback.total, CALIBRATION_PHASES[state])
         if not self.bar.fancy and state != self._state:
             self.bar.say(f"[{feedback.done}/{feedback.total}] {feedback.message}")
@@ -163,9 +167,9 @@ def main() -> None:
 def _print_result(result: Any, as_json: bool) -> int:
     if as_json:
         print(json.dumps(result_to_dict(result)))
-    elif result.error_code == ErrorCode.NONE:
+    elif result.error_code == CalibrationCode.NONE:
         print(format_result(result))
-    exit_code = report_error("calibrate", ErrorCode(result.error_code), result.error_msg)
+    exit_code = report_error("calibrate", CalibrationCode(result.error_code), result.error_msg)
     if exit_code != EXIT_OK and not as_json:
         for text in result.poses_rejected:
             print(f"  rejected {text}", file=sys.stderr)

@@ -14,12 +14,12 @@ from galen_calibration_behavior.calibration.estimate import (
     choose_tip,
     estimate,
 )
+from galen_calibration_behavior.commands import CalibrationCode, Measurements
 from galen_model.errors import CalibrationFileError
 from galen_model.files.calibration_file import read_calibration, write_calibration
 from galen_model.load.identification import StillPoses
-from galen_model.load.inertia.estimate import InertiaEstimate
+from galen_model.load.inertia.inertial import InertiaEstimate
 from galen_model.load.model import nominal_reading
-from galen_ros.goal.commands import ErrorCode, Measurements
 
 NAN = np.full(3, math.nan)
 TIP = np.array([0.15, 0.0, 0.05])
@@ -129,12 +129,12 @@ def test_an_outlier_is_named_by_its_place_in_the_sweep(tmp_path):
 @pytest.mark.parametrize(
     ("bare", "tool", "code"),
     [
-        (still(NO_TOOL, seed=1), still(NO_TOOL), ErrorCode.IMPLAUSIBLE),
-        (still(NO_TOOL, seed=1), still(POINTER, POSES[:3]), ErrorCode.NOT_EXCITED),
+        (still(NO_TOOL, seed=1), still(NO_TOOL), CalibrationCode.IMPLAUSIBLE),
+        (still(NO_TOOL, seed=1), still(POINTER, POSES[:3]), CalibrationCode.NOT_EXCITED),
         (
             still(NO_TOOL, seed=1),
             still(POINTER, np.tile([[0.3, 0.2]], (20, 1))),
-            ErrorCode.NOT_EXCITED,
+            CalibrationCode.NOT_EXCITED,
         ),
     ],
 )

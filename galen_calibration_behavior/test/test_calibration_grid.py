@@ -1,6 +1,6 @@
 import numpy as np
 import pytest
-from galen_model.poses.grid import GridError, SweepGrid
+from galen_model.poses.plan import GridError, SweepGrid
 
 LOWER, UPPER = (-1.57, -1.04), (1.57, 0.96)
 

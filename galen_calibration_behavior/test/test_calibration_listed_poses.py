@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
-from galen_calibration_behavior.calibration.parameters import CalibrationParameters
+from galen_calibration_behavior.parameters import CalibrationParameters
 from galen_model.arm.clearance import ObstacleError
 from galen_model.errors import NotExcitedError
-from galen_model.poses.grid import GridError
+from galen_model.poses.plan import GridError
 from galen_ros.parameters.param import ParameterError
 
 TIP = np.array([0.15, 0.0, 0.05])
@@ -22,7 +22,7 @@ def test_listed_poses_are_visited_as_they_are_in_their_order():
     parameters.validate()
     assert parameters.plan(TIP).poses.tolist() == POSES
     # each averaged as a grid's pose is, not for as long as a chosen one
-    assert parameters.settings().average_s == parameters.average_s
+    assert parameters.of_sweep().average_s == parameters.average_s
     assert parameters.times().stay_s == CalibrationParameters().times().stay_s
 
 

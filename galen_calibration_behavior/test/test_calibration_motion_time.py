@@ -1,6 +1,6 @@
 import numpy as np
 import pytest
-from galen_model.poses.motion_time import quintic_duration_s
+from galen_model.poses.order import quintic_duration_s
 
 TIME = np.linspace(0.0, 1.0, 20001)
 

@@ -9,13 +9,13 @@ from galen_calibration_behavior.calibration.estimate import (
     calibrate,
 )
 from galen_calibration_behavior.calibration.mounting_text import format_mounting, mounting_fields
-from galen_calibration_behavior.calibration.parameters import CalibrationParameters
+from galen_calibration_behavior.commands import CalibrationCode, Measurements
 from galen_calibration_behavior.from_bag.calibrate_from_bag import main
+from galen_calibration_behavior.parameters import CalibrationParameters
 from galen_model.errors import IdentificationError
 from galen_model.files.calibration_file import read_calibration
 from galen_model.load.identification import StillPoses
 from galen_model.load.model import nominal_reading
-from galen_ros.goal.commands import ErrorCode, Measurements
 
 ZERO = np.array([0.008, -0.006])
 POSES = np.array([[r, t] for r in np.linspace(-1.5, 1.5, 5) for t in np.linspace(-1.0, 0.9, 4)])
@@ -73,7 +73,7 @@ def test_what_the_poses_can_not_tell_writes_nothing(tmp_path):
     request = MountingRequest(("joint_zero", "base_inclination"))
     with pytest.raises(EstimateError, match=r"roll joint's zero .* apart") as rejected:
         calibrate(path, "pointer", np.zeros(3), measured(ZERO), [], mounting=request)
-    assert rejected.value.code is ErrorCode.NOT_EXCITED
+    assert rejected.value.code is CalibrationCode.NOT_EXCITED
     assert not path.exists()
 
 

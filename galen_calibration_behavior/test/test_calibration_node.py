@@ -9,11 +9,12 @@ from action_msgs.msg import GoalStatus
 from builtin_interfaces.msg import Duration
 from calibration_fake_arm import NO_TOOL, POINTER, FakeArm
 from diagnostic_msgs.msg import DiagnosticArray
+from galen_calibration_behavior.commands import CalibrationCode as ErrorCode
+from galen_calibration_behavior.commands import CalibrationState as State
 from galen_calibration_behavior.node import CalibrationNode
 from galen_model.arm.galen import JOINT_NAMES
 from galen_model.files.calibration_file import read_calibration
 from galen_ros.conversions import fill_stamp, fill_wrench
-from galen_ros.goal.commands import ErrorCode, State
 from galen_ros.node.testing import Harness, parameters
 from galen_ros.qos import STREAM
 from geometry_msgs.msg import WrenchStamped
@@ -314,7 +315,11 @@ def test_no_driver_at_all_is_said(tmp_path):
     with Harness() as harness:
         world = make(harness, tmp_path, without=("driver",), silent_timeout_s=0.5)
         world.fails(
-            world.send(), ErrorCode.DRIVER_SILENT, "/joint_states", "/wrench_raw", "driver running"
+            world.send(),
+            ErrorCode.DRIVER_SILENT,
+            "/joint_states",
+            "/wrench_raw",
+            "driver running",
         )
 
 
@@ -444,7 +449,11 @@ def test_two_drivers_are_rejected(world):
     )
     handle = world.send(iters_t=10, iters_r=10)
     world.fails(
-        handle, ErrorCode.BAD_INPUT, "2 publishers", ": /fake_driver, /fake_driver;", "was killed"
+        handle,
+        ErrorCode.BAD_INPUT,
+        "2 publishers",
+        ": /fake_driver, /fake_driver;",
+        "was killed",
     )
 
 

@@ -7,52 +7,32 @@ import pytest
 from calibration_fake_arm import NO_TOOL, POINTER, FakeArm
 from galen_calibration_behavior.calibration.procedure import (
     CalibrationProcedure,
-    ProcedureSettings,
-    Request,
+    CalibrationRequest,
 )
-from galen_model.arm.galen import HOME
-from galen_model.rest.pose import StillnessSettings
-from galen_ros.goal.arrival import ArrivalSettings
-from galen_ros.goal.commands import (
+from galen_calibration_behavior.commands import (
     AttachTool,
-    ErrorCode,
     Estimate,
-    Feedback,
-    Finished,
-    MoveTo,
-    State,
-    Stop,
+    PoseFeedback,
+    PosesEnd,
     ZeroSensor,
 )
+from galen_calibration_behavior.commands import CalibrationCode as ErrorCode
+from galen_calibration_behavior.commands import CalibrationState as State
+from galen_calibration_behavior.parameters import CalibrationParameters
+from galen_model.arm.galen import HOME
+from galen_ros.goal.commands import MoveTo, Stop
 
-SETTINGS = ProcedureSettings(
-    home=HOME,
-    arrival=ArrivalSettings(
-        position_tolerance=np.array([5e-4] * 3 + [3e-3] * 2),
-        velocity_tolerance=np.array([5e-4] * 3 + [2e-3] * 2),
-        velocity_window_s=0.1,
-        settle_s=0.1,
-        max_stamp_step_s=0.05,
-    ),
-    stillness=StillnessSettings(
-        joint_motion=np.array([1e-4] * 3 + [5e-4] * 2),
-        scatter_ratio=1.5,
-        trend_sigmas=6.0,
-        min_samples=20,
-    ),
+SETTINGS = CalibrationParameters(
+    settle_s=0.1,
     average_s=0.3,
-    max_velocity=np.array([0.2] * 3 + [2.0] * 2),
-    max_acceleration=np.array([2.0] * 3 + [20.0] * 2),
+    max_delta_velocity_m_s=0.2,
+    max_angle_velocity_rad_s=2.0,
+    max_delta_acceleration_m_s2=2.0,
+    max_angle_acceleration_rad_s2=20.0,
     motion_timeout_s=2.0,
-    pose_retries=1,
     max_rejected_in_a_row=3,
-    min_pose_fraction=0.5,
-    zero_tolerance=np.array([0.1] * 3 + [0.005] * 3),
-    max_stamp_offset_s=0.2,
-    silent_timeout_s=2.0,
     service_timeout_s=5.0,
     confirm_timeout_s=20.0,
-    stop_timeout_s=3.0,
 )
 POSES = np.array([[r, t] for r in (-1.0, 0.0, 1.0) for t in (-0.6, 0.6)])
 
@@ -65,7 +45,7 @@ class World:
             "tool": "pointer", "one_sweep": False, "attach_by_service": True, "poses": POSES
         } | request  # fmt: skip
         self.arm = arm or FakeArm(seed)
-        self.procedure = CalibrationProcedure(settings, Request(**request))
+        self.procedure = CalibrationProcedure(settings, CalibrationRequest(**request))
         self.commands = []
         self.states = []
         self.answers = {"zero_ft_sensor": (True, ""), "attach_tool": (True, "")}
@@ -77,7 +57,7 @@ class World:
 
     @property
     def end(self):
-        return next((c for c in self.commands if isinstance(c, Finished)), None)
+        return next((c for c in self.commands if isinstance(c, PosesEnd)), None)
 
     @property
     def estimate(self):
@@ -110,7 +90,7 @@ class World:
 
     def _obey_one(self, command):
         match command:
-            case Feedback():
+            case PoseFeedback():
                 if not self.states or self.states[-1] != command.state:
                     self.states.append(command.state)
             case MoveTo():
@@ -195,10 +175,10 @@ def test_the_sensor_is_zeroed_at_home_without_the_tool_and_before_any_pose():
 
 def test_feedback_counts_every_pose_once():
     world = World().run()
-    poses = [f for f in world.of(Feedback) if np.isfinite(f.roll)]
+    poses = [f for f in world.of(PoseFeedback) if np.isfinite(f.roll)]
     assert [f.done for f in poses] == list(range(1, 13))
     assert [f.pose for f in poses] == [*range(1, 7), *range(1, 7)]
-    assert {f.total for f in world.of(Feedback)} == {12}
+    assert {f.total for f in world.of(PoseFeedback)} == {12}
     assert all(f.accepted and np.all(np.isfinite(f.wrench)) for f in poses)
 
 
@@ -212,7 +192,11 @@ def test_cancel_in_every_state_stops_the_arm_and_waits_for_it(state):
     world.run()
     failed(world, ErrorCode.CANCELED, state.name)
     assert not world.arm.moving
-    off = state in (State.ZERO, State.SWEEP_BARE, State.ATTACH_TOOL)
+    off = state in (
+        State.ZERO,
+        State.SWEEP_BARE,
+        State.ATTACH_TOOL,
+    )
     assert world.end.error_msg.endswith("the tool is still off: put it on again") == off
 
 
@@ -397,8 +381,8 @@ def test_a_touched_pose_is_tried_again_at_the_end_of_the_sweep():
     world.arm.touch = touch_pose(4, times=1)
     world.run()
     assert world.end.error_code == ErrorCode.NONE
-    assert world.end.rejected == []
-    rejected = [f for f in world.of(Feedback) if np.isfinite(f.roll) and not f.accepted]
+    assert world.end.rejected == ()
+    rejected = [f for f in world.of(PoseFeedback) if np.isfinite(f.roll) and not f.accepted]
     assert [f.message.split(":")[0] for f in rejected] == ["tool/4"]
     assert "tried again" in rejected[0].message
     assert len(world.estimate.measurements.tool.roll) == 6
@@ -458,7 +442,7 @@ def test_a_jump_of_the_stamps_costs_a_retry_and_gives_a_warning():
     world.arm.skip_ns = 5_000_000_000
     world.run()
     assert world.end.error_code == ErrorCode.NONE
-    rejected = [f for f in world.of(Feedback) if np.isfinite(f.roll) and not f.accepted]
+    rejected = [f for f in world.of(PoseFeedback) if np.isfinite(f.roll) and not f.accepted]
     assert len(rejected) == 1
     assert "jumped by +5.010 s" in rejected[0].message
     assert "time stamps jumped" in world.end.warnings[0]
@@ -488,8 +472,7 @@ def test_a_wrench_that_reports_no_number_while_zeroing_is_bad_input():
 
 
 def test_a_long_settling_does_not_keep_a_cancel_from_seeing_the_arm_stop():
-    arrival = dataclasses.replace(SETTINGS.arrival, settle_s=10.0)
-    world = World(dataclasses.replace(SETTINGS, arrival=arrival))
+    world = World(dataclasses.replace(SETTINGS, settle_s=10.0))
     world.run(lambda w: w.of(MoveTo))
     world.procedure.cancel()
     world.run()

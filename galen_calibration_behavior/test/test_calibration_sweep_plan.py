@@ -6,13 +6,13 @@ import json
 import numpy as np
 import pytest
 from calibration_fake_arm import FakeArm
-from galen_calibration_behavior.calibration.parameters import CalibrationParameters
 from galen_calibration_behavior.calibration.precision import (
     Precision,
-    WantedPrecision,
     averaged_noise,
     sweep_precision,
 )
+from galen_calibration_behavior.commands import CalibrationCode, PoseFeedback
+from galen_calibration_behavior.parameters import CalibrationParameters
 from galen_calibration_behavior.pose_choice.command import format_choice, main
 from galen_calibration_behavior.pose_choice.plots import plot_curve, plot_poses
 from galen_calibration_behavior.pose_choice.report import efficiency_curve, equal_count, promise
@@ -25,9 +25,8 @@ from galen_model.poses.design import PoseDesign, compensation_std
 from galen_model.poses.order import drift_share, order_poses
 from galen_model.poses.plan import make_router
 from galen_model.rest.pose import PoseRecord
-from galen_ros.goal.commands import ErrorCode, Feedback
 from galen_ros.parameters.param import ParameterError
-from test_calibration_procedure import World
+from test_calibration_procedure import SETTINGS, World
 
 GRID = CalibrationParameters()
 CHOSEN = dataclasses.replace(GRID, poses="chosen")
@@ -112,11 +111,9 @@ def test_the_larger_of_scatter_and_residuals_counts(plan):
     loud = sweep_precision(records(plan.poses, 4.0 * SCATTER, rng))
     assert 3.0 < loud.force_std_n / quiet.force_std_n < 7.0
     assert 3.0 < loud.torque_std_nm / quiet.torque_std_nm < 7.0
-    assert not sweep_precision(records(plan.poses[:2], SCATTER, rng)).reaches(
-        WantedPrecision(force_std_n=1.0)
-    )
-    assert Precision(2.0, 0.5).reaches(WantedPrecision(torque_std_nm=1.0))
-    assert not Precision(2.0, 0.5).reaches(WantedPrecision(1.0, 1.0))
+    assert not sweep_precision(records(plan.poses[:2], SCATTER, rng)).reaches(1.0, 0.0)
+    assert Precision(2.0, 0.5).reaches(0.0, 1.0)
+    assert not Precision(2.0, 0.5).reaches(1.0, 1.0)
 
 
 @pytest.mark.slow
@@ -150,21 +147,21 @@ def test_sweeps_that_stop_are_as_precise_as_they_say(ratio):
 
 def test_a_sweep_ends_when_it_is_precise_and_all_counts_are_right():
     poses = dataclasses.replace(CHOSEN, chosen_poses=10).plan(TIP).poses
-    wanted = WantedPrecision(force_std_n=0.01, fewest_poses=6)
-    world = World(poses=poses, wanted=wanted).run()
-    assert world.end.error_code == ErrorCode.NONE
+    wanted = dataclasses.replace(SETTINGS, wanted_force_std_n=0.01, fewest_poses=6)
+    world = World(wanted, poses=poses).run()
+    assert world.end.error_code == CalibrationCode.NONE
     measured = world.estimate.measurements
     visited = len(measured.bare), len(measured.tool)
     assert all(6 <= count < 10 for count in visited)
     assert measured.notes[0].startswith(f"bare sweep: {visited[0]} of 10 poses visited")
-    told = world.of(Feedback)
+    told = world.of(PoseFeedback)
     assert (told[-1].done, told[-1].total) == (sum(visited), sum(visited))
     assert all(f.done <= f.total and f.pose <= f.poses for f in told)
     ends = [f for f in told if "poses visited" in f.message]
     assert [(f.pose, f.poses) for f in ends] == [(n, n) for n in visited]
     # what no number of poses reaches is said
-    never = dataclasses.replace(wanted, force_std_n=1e-6)
-    short = World(poses=poses[:7], wanted=never, one_sweep=True).run()
+    never = dataclasses.replace(wanted, wanted_force_std_n=1e-6)
+    short = World(never, poses=poses[:7], one_sweep=True).run()
     assert len(short.estimate.measurements.tool) == 7
     assert "tool sweep: 7 of 7 poses visited" in short.end.warnings[-1]
     assert "more than was wanted" in short.end.warnings[-1]
@@ -178,10 +175,11 @@ def test_a_stopped_sweep_leaves_out_what_was_to_be_tried_again():
         [2.0 * np.sin(arm.stamp_ns * 3e-8) if np.allclose(arm.joints[3:], poses[2]) else 0.0]
         + [0.0] * 5
     )
-    world = World(poses=poses, arm=arm, wanted=WantedPrecision(0.01, 0.0, 6)).run()
-    assert world.end.error_code == ErrorCode.NONE
+    wanted = dataclasses.replace(SETTINGS, wanted_force_std_n=0.01, fewest_poses=6)
+    world = World(wanted, poses=poses, arm=arm).run()
+    assert world.end.error_code == CalibrationCode.NONE
     assert [text[:6] for text in world.end.rejected] == ["bare/2", "tool/2"]
-    told = world.of(Feedback)[-1]
+    told = world.of(PoseFeedback)[-1]
     assert told.done == told.total < 28
 
 
@@ -207,7 +205,7 @@ def test_the_procedure_goes_around_boxes():
     world.run(until=lambda w: w.estimate is not None)
     assert 0.02 <= nearest < 0.05
     lost = World(poses=poses, router=router, arm=FakeArm(start=[0.0, 0.1, 0.408, 0.9, 0.0])).run()
-    assert lost.end.error_code == ErrorCode.BAD_INPUT
+    assert lost.end.error_code == CalibrationCode.BAD_INPUT
     assert "no way to roll 0.000, tilt 0.000" in lost.end.error_msg
     assert "box 1" in lost.end.error_msg
 

@@ -5,17 +5,17 @@ import dataclasses
 import numpy as np
 import pytest
 from calibration_tape import NO_TOOL, NS, POINTER, Tape, grid
-from galen_calibration_behavior.calibration.parameters import CalibrationParameters
 from galen_calibration_behavior.from_bag.visits import RecordingError, find_visits
+from galen_calibration_behavior.parameters import CalibrationParameters
 from galen_model.arm.galen import HOME
 from galen_model.arm.kinematics import gravity_in_sensor
 from galen_model.load.model import gravity_wrench
 from galen_model.load.nominal_tools import ADAPTER
-from galen_model.rest.segments import JointRest
 from galen_model.rest.pose import PoseRecord
+from galen_model.rest.segments import JointRest
 from galen_ros.goal.pose_recorder import Rejection
 
-SETTINGS = CalibrationParameters().settings()
+SETTINGS = CalibrationParameters()
 POSES = grid()
 
 
@@ -120,7 +120,7 @@ def test_readings_of_another_frame_or_clock_are_rejected():
 def test_a_topic_slower_than_the_stamps_may_step_is_named_with_the_parameter():
     with pytest.raises(RecordingError, match=r"joint_states jumped by \+0\.100 s.*max_stamp_step"):
         visits_of(Tape(tool=POINTER, rate_hz=10.0).sweep(POSES, still_s=4.0))
-    slow = CalibrationParameters(max_stamp_step_s=0.2, average_s=2.0).settings()
+    slow = CalibrationParameters(max_stamp_step_s=0.2, average_s=2.0)
     tape = Tape(tool=POINTER, rate_hz=10.0).sweep(POSES, still_s=4.0)
     assert len(find_visits(tape.recording(), slow).visits) == len(POSES)
 

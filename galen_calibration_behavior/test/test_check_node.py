@@ -1,4 +1,4 @@
-"""check_node and its client's words with real rclpy, against the calibration tests' driver."""
+"""The check of calibration_node and its client's words with real rclpy, against a fake driver."""
 
 import json
 import math
@@ -9,10 +9,10 @@ from action_msgs.msg import GoalStatus
 from calibration_fake_arm import NO_TOOL, POINTER
 from check_pointer_file import POINTER_FILE
 from diagnostic_msgs.msg import DiagnosticArray
+from galen_calibration_behavior.check import format_result, parse, result_fields
+from galen_calibration_behavior.commands import CheckCode as ErrorCode
+from galen_calibration_behavior.node import CalibrationNode
 from galen_calibration_behavior.quick_check.answer import Answer, Cause
-from galen_calibration_behavior.quick_check.command import format_result, parse, result_fields
-from galen_calibration_behavior.quick_check.commands import ErrorCode
-from galen_calibration_behavior.quick_check.node import CheckNode
 from galen_model.files.calibration_file import write_calibration
 from galen_ros.node.testing import Harness, parameters
 from galen_ros.qos import LATCHED
@@ -22,6 +22,10 @@ from test_calibration_node import FakeDriver
 
 from galen_msgs.action import CheckTool
 from galen_msgs.msg import ActiveTool
+
+
+def check_action(node):
+    return next(action for action in node._servers if action.name == "check_tool")
 
 
 @pytest.mark.slow
@@ -39,7 +43,9 @@ def test_the_active_tool_is_checked_with_its_tare_and_an_unknown_one_is_rejected
         driver.arm.tool = POINTER
         push = np.array([0.0, 0.3, 0.0, 0.0, 0.0, 0.0])
         driver.arm.touch = lambda _arm: push
-        node = harness.add(lambda context: CheckNode(context=context, parameter_overrides=values))
+        node = harness.add(
+            lambda context: CalibrationNode(context=context, parameter_overrides=values)
+        )
         person = harness.add(lambda context: Node("person", context=context))
         client = ActionClient(person, CheckTool, "check_tool")
         harness.wait_for(client.server_is_ready, 10.0, "the action server")
@@ -68,7 +74,7 @@ def test_the_active_tool_is_checked_with_its_tare_and_an_unknown_one_is_rejected
         active_tool = ActiveTool(tool="pointer", tared=True)
         active_tool.tare.force.y = 0.3
         harness.call_in_executor(lambda: publisher.publish(active_tool))
-        harness.wait_for(lambda: node._active is not None, 10.0, "the active tool")
+        harness.wait_for(lambda: check_action(node)._active is not None, 10.0, "the active tool")
         _, result = check()
         assert (result.tool, result.answer) == ("pointer", Answer.GOOD), result.text
         assert "tare" in result.warnings[0]
@@ -78,7 +84,7 @@ def test_the_active_tool_is_checked_with_its_tare_and_an_unknown_one_is_rejected
 
 
 class Idle:
-    """check_node without a driver, a client, and what /diagnostics says of its goals."""
+    """calibration_node without a driver, a client, and what /diagnostics says of its goals."""
 
     def __init__(self, harness, tools_dir):
         self.harness = harness
@@ -92,7 +98,7 @@ class Idle:
 
     def another(self):
         return self.harness.add(
-            lambda context: CheckNode(context=context, parameter_overrides=self.values)
+            lambda context: CalibrationNode(context=context, parameter_overrides=self.values)
         )
 
     def hear(self, message):
@@ -118,7 +124,7 @@ def test_a_check_without_a_tool_is_rejected_at_once_with_the_remedy(tmp_path):
         idle.rejected("no gravcomp_node is running", "name the tool that is on")
         publisher = idle.person.create_publisher(ActiveTool, "gravcomp/active_tool", LATCHED)
         harness.call_in_executor(lambda: publisher.publish(ActiveTool()))
-        harness.wait_for(lambda: idle.node._active is not None, 10.0, "the message")
+        harness.wait_for(lambda: check_action(idle.node)._active is not None, 10.0, "the message")
         idle.rejected("gravcomp has none", "name the tool that is on")
         harness.call_in_executor(idle.client.destroy)
 
@@ -130,8 +136,10 @@ def test_a_second_server_is_an_error_of_both_and_takes_no_goal(tmp_path):
         second = idle.another()
         for node in (idle.node, second):
             harness.wait_for(lambda node=node: node._other_server, 10.0, "it to see the other")
-        assert "/check_tool/_action/status: /check, /check" in second._other_server
-        idle.rejected("more than one server", "/check, /check", "end one of them", tool="pointer")
+        assert "/_action/status: /calibration, /calibration" in second._other_server
+        idle.rejected(
+            "more than one server", "/calibration, /calibration", "end one of them", tool="pointer"
+        )
         assert idle.told["state"] == "several_servers"
         harness.remove(second)
         harness.wait_for(lambda: idle.told.get("state") == "ready", 30.0, "it to be alone")

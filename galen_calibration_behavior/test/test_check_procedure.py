@@ -7,21 +7,20 @@ import numpy as np
 import pytest
 from calibration_fake_arm import NO_TOOL, POINTER, FakeArm
 from check_pointer_file import POINTER_FILE
+from galen_calibration_behavior.commands import CheckCode, CheckState, PoseFeedback, PosesEnd
+from galen_calibration_behavior.parameters import CalibrationParameters
 from galen_calibration_behavior.quick_check.answer import Answer, Cause
-from galen_calibration_behavior.quick_check.commands import ErrorCode, Feedback, Finished, State
-from galen_calibration_behavior.quick_check.parameters import CheckParameters
 from galen_calibration_behavior.quick_check.procedure import CheckProcedure, CheckRequest
 from galen_model.arm.clearance import ArmClearance, boxes_from_numbers
 from galen_model.arm.galen import LIMITS
-from galen_model.poses.plan import Surroundings
 from galen_ros.goal.commands import MoveTo, Stop
 
 BOX = (0.721, -0.003, 0.304, 0.768, 0.111, 0.352)
 START = np.array([0.02, -0.01, 0.41, 0.3, -0.2])
-SLOW = CheckParameters().settings()
-FAST = CheckParameters(
+SLOW = CalibrationParameters()
+FAST = CalibrationParameters(
     settle_s=0.1, average_s=0.3, max_angle_velocity_rad_s=4.0, max_angle_acceleration_rad_s2=40.0
-).settings()
+)
 
 
 class Course:
@@ -50,8 +49,8 @@ class Course:
                     self.arm.move_to(command.joints, command.duration_s)
                 elif isinstance(command, Stop):
                     self.arm.stop()
-            if self.of(Finished) or until(self):
-                return self.of(Finished)[0] if self.of(Finished) else None
+            if self.of(PosesEnd) or until(self):
+                return self.of(PosesEnd)[0] if self.of(PosesEnd) else None
             stamp, position, velocity, wrench = self.arm.step()
             self.watch(self.arm)
             self.procedure.on_joints(stamp, position, velocity)
@@ -65,11 +64,11 @@ class Course:
 def test_a_good_file_is_called_good_and_the_arm_is_where_it_was():
     course = Course(SLOW)
     end = course.run()
-    assert (end.error_code, end.check.answer) == (ErrorCode.NONE, Answer.GOOD), end
+    assert (end.error_code, end.check.answer) == (CheckCode.NONE, Answer.GOOD), end
     assert course.arm.joints == pytest.approx(START, abs=1e-9)
     assert course.seconds < 20.0
-    assert [f.done for f in course.of(Feedback) if np.isfinite(f.roll)] == [1, 2, 3, 4, 5]
-    assert course.of(Feedback)[-1].state == State.RETURN
+    assert [f.done for f in course.of(PoseFeedback) if np.isfinite(f.roll)] == [1, 2, 3, 4, 5]
+    assert course.of(PoseFeedback)[-1].state == CheckState.RETURN
     moves = np.array([move.joints for move in course.of(MoveTo)])
     assert np.all(moves[:, :3] == START[:3])
     assert course.of(Stop) == []
@@ -97,7 +96,7 @@ def test_an_arm_that_creeps_gives_no_answer_and_stays():
     course = Course()
     course.arm.creep = np.array([0, 0, 0, 0, 0.0019])
     end = course.run()
-    assert end.error_code == ErrorCode.POSES_NOT_STILL
+    assert end.error_code == CheckCode.POSES_NOT_STILL
     assert end.check is None
     assert "tilt moved by" in end.error_msg
     assert course.of(Stop)
@@ -105,7 +104,7 @@ def test_an_arm_that_creeps_gives_no_answer_and_stays():
 
 @pytest.mark.slow
 def test_it_goes_around_a_box():
-    settings = replace(FAST, surroundings=Surroundings(boxes_from_numbers(BOX), 0.02))
+    settings = replace(FAST, obstacles=BOX, obstacle_clearance_m=0.02)
     straight, around = Course(), Course(settings)
     clearance = ArmClearance(boxes_from_numbers(BOX), 0.02, POINTER_FILE.tip_m)
     nearest = {}
@@ -132,10 +131,10 @@ def test_it_goes_around_a_box():
     ],
 )
 def test_an_arm_that_may_hit_something_does_not_move(tip, box, words):
-    settings = replace(FAST, surroundings=Surroundings(boxes_from_numbers(box), 0.02))
+    settings = replace(FAST, obstacles=box, obstacle_clearance_m=0.02)
     course = Course(settings, file=replace(POINTER_FILE, tip_m=tip))
     end = course.run()
-    assert end.error_code == ErrorCode.BAD_INPUT
+    assert end.error_code == CheckCode.BAD_INPUT
     assert re.search(words, end.error_msg)
     assert course.of(MoveTo) == []
 
@@ -152,6 +151,6 @@ def test_a_cancel_stops_the_arm():
     course.run(lambda c: c.procedure.progress[0] == 2)
     course.procedure.cancel()
     end = course.run()
-    assert (end.error_code, end.check) == (ErrorCode.CANCELED, None)
+    assert (end.error_code, end.check) == (CheckCode.CANCELED, None)
     assert len(course.of(Stop)) == 1
     assert not np.allclose(course.arm.joints, START, atol=0.01)

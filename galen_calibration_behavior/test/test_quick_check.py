@@ -5,8 +5,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from benchmarks.check_power import CASES as CHECK_CASES
-from benchmarks.check_power import heavier, loose, main, tilt_zero, touched
 from galen_calibration_behavior.quick_check.answer import Answer, Cause, CheckLimits
 from galen_calibration_behavior.quick_check.decision import differences, quick_check
 from galen_calibration_behavior.quick_check.poses import plan_check
@@ -19,6 +17,9 @@ from galen_model.poses.design import ANGLE_LIMITS, PoseDesign, PoseDesignError
 from galen_model.poses.order import SweepTimes
 from galen_model.poses.plan import Surroundings
 from galen_model.rest.pose import PoseRecord
+
+from benchmarks.validation.check_power import CASES as CHECK_CASES
+from benchmarks.validation.check_power import heavier, loose, main, tilt_zero, touched
 
 POINTER, RETRACTOR = TOOLS["pointer"].load, TOOLS["retractor"].load
 SIGMA = np.array([1.3e-3, 1.3e-3, 1.9e-3, 2.6e-5, 2.6e-5, 2.6e-5])  # of a mean of 250 samples
@@ -231,7 +232,7 @@ def test_a_reach_that_tells_nothing_is_rejected():
 @pytest.mark.slow
 def test_the_table_of_the_readme_is_made_by_a_command(capsys, monkeypatch):
     wanted = [case for case in CHECK_CASES if case.name in ("mass +2 g", "loose by 6 mm")]
-    monkeypatch.setattr("benchmarks.check_power.CASES", wanted)
+    monkeypatch.setattr("benchmarks.validation.check_power.CASES", wanted)
     main(["--checks", "1", "--json"])
     found = json.loads(capsys.readouterr().out)
     assert [row["answers"] for row in found["cases"]] == [{"GOOD": 1}, {"RECALIBRATE": 1}]

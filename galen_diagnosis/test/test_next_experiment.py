@@ -6,7 +6,7 @@ from itertools import combinations
 import numpy as np
 import pytest
 import yaml
-from galen_calibration_behavior.calibration.parameters import CalibrationParameters
+from galen_calibration_behavior.parameters import CalibrationParameters
 from galen_deflection.collection.parameters import CollectionParameters
 from galen_diagnosis.errors import DiagnosisError
 from galen_diagnosis.experiment.experiments import Budget, Experiments
@@ -99,7 +99,8 @@ def judged(left, tool=TOOL):
 @pytest.fixture(scope="module")
 def roll_twins():
     return alternatives(
-        (effect("roll_zero_offset", offset_rad=0.012),), [(effect("base_inclination"),)]
+        (effect("joint_zero_offset", joint="roll", offset_rad=0.012),),
+        [(effect("base_inclination"),)],
     )
 
 
@@ -115,7 +116,7 @@ def test_the_distance_is_what_a_fit_on_the_simulator_leaves():
     for truth, other in (
         ((effect("axis_gain", gain=(0.04, 0.0, 0.0, 0.0, 0.0, 0.0)),), "tool_mass_error"),
         ((effect("loose_tool", shift_m=0.004),), "tool_com_error"),
-        ((effect("tilt_zero_offset", offset_rad=0.03),), "sensor_mount_rotation"),
+        ((effect("joint_zero_offset", joint="tilt", offset_rad=0.03),), "sensor_mount_rotation"),
     ):
         trials = [sweep(), push_trial(np.array([HOME]), (5.0,), TOOL, INSTRUMENTS)]
         found, left = refitted(trials, truth, (effect(other),), TOOL)
@@ -151,7 +152,9 @@ def test_twins_on_wrenches_are_told_apart_by_the_tracker_alone(roll_twins):
     tracked = {"tracker at rest", "pushes"}
     vague = tool_file(0.02)  # the centre of a tool that doesn't turn with the sensor tells a little
     tilt_twins = alternatives(
-        (effect("tilt_zero_offset", offset_rad=0.012),), [(effect("sensor_mount_rotation"),)], vague
+        (effect("joint_zero_offset", joint="tilt", offset_rad=0.012),),
+        [(effect("sensor_mount_rotation"),)],
+        vague,
     )
     for left, tool in ((roll_twins, TOOL), (tilt_twins, vague)):
         told = judged(left, tool)
@@ -174,7 +177,7 @@ def test_a_turn_about_rolls_axis_needs_the_platform_to_move(roll_twins, roll_exp
     assert separate([sweep()], roll_twins, TOOL).smallest < 0.5
     assert at_home.smallest < 3.3 < 30.0 < elsewhere.smallest
     assert roll_experiment.kind == "pushes"
-    assert set(roll_experiment.separates) == {"roll_zero_offset", "base_inclination"}
+    assert set(roll_experiment.separates) == {"joint_zero_offset:roll", "base_inclination"}
     assert roll_experiment.before == pytest.approx(0.5)
     assert roll_experiment.expected_probability > 0.99
 
@@ -250,7 +253,7 @@ def test_the_file_is_what_the_nodes_take(tmp_path, roll_experiment):
     parameters.validate()
     plan = parameters.plan(np.asarray(TOOL.tip_m), one_sweep=True)
     assert np.abs(plan.poses - GRID).max() < 1e-5
-    assert parameters.home == tuple(HOME)
+    assert tuple(parameters.home) == tuple(HOME)
     assert found.to_json()["poses"] == 56
 
     write_sweep(roll_experiment, tmp_path / "pushes.yaml")

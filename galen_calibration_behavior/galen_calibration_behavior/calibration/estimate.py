@@ -34,7 +34,8 @@ from galen_model.load.identification import (
 from galen_model.load.mounting.held_out import Calibrated, Worth, worth
 from galen_model.load.mounting.identification import KnownLoad
 from galen_model.load.mounting.mounting import Mounting
-from galen_ros.goal.commands import ErrorCode, Measurements
+
+from galen_calibration_behavior.commands import CalibrationCode, Measurements
 
 LONGEST_TOOL_M = 10.0
 """A slip of the unit or a made-up number is found before the arm moves, not after the sweep."""
@@ -43,7 +44,7 @@ LONGEST_TOOL_M = 10.0
 class EstimateError(GalenError):
     """The measurements give no file; `code` says which error of the action it is."""
 
-    def __init__(self, code: ErrorCode, message: str) -> None:
+    def __init__(self, code: CalibrationCode, message: str) -> None:
         super().__init__(message)
         self.code = code
 
@@ -54,7 +55,7 @@ class TipError(GalenError):
 
 @dataclass(frozen=True)
 class MountingRequest:
-    """Which groups (`galen_model.load.mounting.groups`) to estimate; what is known of the tool."""
+    """Which groups (`galen_model.load.mounting.mounting`) to estimate; what is known of the tool."""
 
     groups: tuple[str, ...]
     known: KnownLoad | None = None
@@ -130,7 +131,7 @@ def calibrate(
     try:
         write_calibration(path, done.content)
     except CalibrationFileError as error:
-        raise EstimateError(ErrorCode.WRITE_FAILED, str(error)) from error
+        raise EstimateError(CalibrationCode.WRITE_FAILED, str(error)) from error
     return done
 
 
@@ -155,9 +156,9 @@ def estimate(
             both = measured.identify()
             found, mounted, gain = both.found, both.mounting, worth(measured, both)
     except NotExcitedError as error:
-        raise EstimateError(ErrorCode.NOT_EXCITED, str(error)) from error
+        raise EstimateError(CalibrationCode.NOT_EXCITED, str(error)) from error
     except IdentificationError as error:
-        raise EstimateError(ErrorCode.IMPLAUSIBLE, str(error)) from error
+        raise EstimateError(CalibrationCode.IMPLAUSIBLE, str(error)) from error
     content = CalibrationFile(
         tool=tool,
         load=found.load,

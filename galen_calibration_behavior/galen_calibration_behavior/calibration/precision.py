@@ -35,30 +35,16 @@ _FORCE_PARAMETERS, _TORQUE_PARAMETERS = 4, 6
 
 
 @dataclass(frozen=True)
-class WantedPrecision:
-    """Standard deviations of the compensation's error at which a sweep may end; 0 for no matter."""
-
-    force_std_n: float = 0.0
-    torque_std_nm: float = 0.0
-    fewest_poses: int = 12
-
-    @property
-    def any(self) -> bool:
-        """Whether anything is wanted."""
-        return self.force_std_n > 0.0 or self.torque_std_nm > 0.0
-
-
-@dataclass(frozen=True)
 class Precision:
     """Std of the compensation's error, root mean square over workspace and the three axes."""
 
     force_std_n: float
     torque_std_nm: float
 
-    def reaches(self, wanted: WantedPrecision) -> bool:
-        """Whether it is as small as wanted."""
-        return (wanted.force_std_n <= 0.0 or self.force_std_n <= wanted.force_std_n) and (
-            wanted.torque_std_nm <= 0.0 or self.torque_std_nm <= wanted.torque_std_nm
+    def reaches(self, force_std_n: float, torque_std_nm: float) -> bool:
+        """Whether it is as small as these, of which 0 asks for nothing."""
+        return (force_std_n <= 0.0 or self.force_std_n <= force_std_n) and (
+            torque_std_nm <= 0.0 or self.torque_std_nm <= torque_std_nm
         )
 
     def __str__(self) -> str:

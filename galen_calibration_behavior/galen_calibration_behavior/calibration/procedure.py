@@ -14,7 +14,7 @@ are as in `goal_procedure`; waiting for a person goes by the wall clock, too.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from enum import IntEnum
 
 import numpy as np
@@ -23,66 +23,54 @@ from galen_model.arm.routes import Router
 from galen_model.arrays import Array
 from galen_model.load.identification import StillPoses
 from galen_model.rest.pose import PoseRecord
-from galen_ros.goal.commands import (
-    AttachTool,
-    Command,
-    ErrorCode,
-    Estimate,
-    Feedback,
-    Finished,
-    Measurements,
-    State,
-    ZeroSensor,
-)
-from galen_ros.goal.pose_procedure import PoseProcedure, PoseSettings
+from galen_ros.goal.pose_procedure import PoseProcedure
 from galen_ros.goal.pose_recorder import Rejection
 
-from galen_calibration_behavior.calibration.precision import WantedPrecision, sweep_precision
+from galen_calibration_behavior.calibration.precision import sweep_precision
 from galen_calibration_behavior.calibration.sweep import Sweep, Verdict, stack
+from galen_calibration_behavior.commands import (
+    AttachTool,
+    CalibrationCode,
+    CalibrationState,
+    Command,
+    Estimate,
+    Measurements,
+    PoseFeedback,
+    PosesEnd,
+    ZeroSensor,
+)
+from galen_calibration_behavior.parameters import CalibrationParameters
 
 # A topic's queue holds no more than this of stamps: 2000 samples at 500 Hz.
 _DEEPEST_QUEUE_S = 4.0
 
 _TWO_SWEEPS = (
-    State.HOME,
-    State.REMOVE_TOOL,
-    State.ZERO,
-    State.SWEEP_BARE,
-    State.HOME,
-    State.ATTACH_TOOL,
-    State.SWEEP_TOOL,
-    State.HOME,
-    State.ESTIMATE,
+    CalibrationState.HOME,
+    CalibrationState.REMOVE_TOOL,
+    CalibrationState.ZERO,
+    CalibrationState.SWEEP_BARE,
+    CalibrationState.HOME,
+    CalibrationState.ATTACH_TOOL,
+    CalibrationState.SWEEP_TOOL,
+    CalibrationState.HOME,
+    CalibrationState.ESTIMATE,
 )
 _ONE_SWEEP = (
-    State.HOME,
-    State.REMOVE_TOOL,
-    State.ZERO,
-    State.ATTACH_TOOL,
-    State.SWEEP_TOOL,
-    State.HOME,
-    State.ESTIMATE,
+    CalibrationState.HOME,
+    CalibrationState.REMOVE_TOOL,
+    CalibrationState.ZERO,
+    CalibrationState.ATTACH_TOOL,
+    CalibrationState.SWEEP_TOOL,
+    CalibrationState.HOME,
+    CalibrationState.ESTIMATE,
 )
 
 
 @dataclass(frozen=True)
-class ProcedureSettings(PoseSettings):
-    """Everything that the node's parameters decide."""
-
-    home: Array  # (5,) m and rad
-    pose_retries: int
-    max_rejected_in_a_row: int
-    min_pose_fraction: float
-    zero_tolerance: Array  # (6,) largest reading just after zeroing, N and N.m
-    confirm_timeout_s: float
-
-
-@dataclass(frozen=True)
-class Request:
+class CalibrationRequest:
     """What one goal asks for; `poses` (n, 2) are roll and tilt in rad.
 
-    `router` knows the ways around boxes, None: all are free. A sweep ends as soon as it is as
-    precise as `wanted`.
+    `router` knows the ways around boxes, None: all are free.
     """
 
     tool: str
@@ -90,18 +78,17 @@ class Request:
     attach_by_service: bool
     poses: Array
     router: Router | None = None
-    wanted: WantedPrecision = field(default_factory=WantedPrecision)
 
 
-class CalibrationProcedure(PoseProcedure[Command, Finished]):
+class CalibrationProcedure(PoseProcedure[Command, PosesEnd]):
     """One calibration. Call `start`, feed samples and events, and do what `take_commands` gives."""
 
-    codes = ErrorCode
-    _settings: ProcedureSettings
-    _state: State
+    codes = CalibrationCode
+    _settings: CalibrationParameters
+    _state: CalibrationState
 
-    def __init__(self, settings: ProcedureSettings, request: Request) -> None:
-        super().__init__(settings, State.HOME)
+    def __init__(self, settings: CalibrationParameters, request: CalibrationRequest) -> None:
+        super().__init__(settings, CalibrationState.HOME)
         self._request = request
         self._router = request.router
         self._plan = iter(_ONE_SWEEP if request.one_sweep else _TWO_SWEEPS)
@@ -118,6 +105,8 @@ class CalibrationProcedure(PoseProcedure[Command, Finished]):
         self._zero_checks_left = 0
         self._bias_pose = (float("nan"), float("nan"))
         self._tool_off = False
+        wanted = settings.wanted_force_std_n, settings.wanted_torque_std_nm
+        self._wanted = wanted if max(wanted) > 0.0 else ()
 
     @property
     def waiting_for_person(self) -> bool:
@@ -138,8 +127,8 @@ class CalibrationProcedure(PoseProcedure[Command, Finished]):
         if not name or self.ending:
             return
         if not success:
-            self.fail(ErrorCode.SERVICE_FAILED, f"{name} failed: {message}")
-        elif self._state == State.ZERO:
+            self.fail(CalibrationCode.SERVICE_FAILED, f"{name} failed: {message}")
+        elif self._state == CalibrationState.ZERO:
             one_check_s = self._settings.arrival.settle_s + self._settings.average_s
             self._zero_checks_left = math.ceil(_DEEPEST_QUEUE_S / one_check_s)
             self._record(self._settings.home, 0.0, self._on_zero_checked)
@@ -162,17 +151,19 @@ class CalibrationProcedure(PoseProcedure[Command, Finished]):
     def _check_patience(self) -> None:
         super()._check_patience()
         if self._waiting_for_person and self._waited_s > self._settings.confirm_timeout_s:
-            what = "taken off" if self._state == State.REMOVE_TOOL else "put on"
+            what = "taken off" if self._state == CalibrationState.REMOVE_TOOL else "put on"
             self.fail(
-                ErrorCode.CONFIRM_TIMEOUT,
+                CalibrationCode.CONFIRM_TIMEOUT,
                 f"nobody confirmed in {self._settings.confirm_timeout_s:g} s that the tool was"
                 f" {what}",
             )
 
-    def _make_end(self, code: IntEnum, message: str) -> Finished:
-        if code != ErrorCode.NONE and self._tool_off:
+    def _make_end(self, code: IntEnum, message: str) -> PosesEnd:
+        if code != CalibrationCode.NONE and self._tool_off:
             message += "; the tool is still off: put it on again"
-        return Finished(ErrorCode(code), message, self._rejections(), self._warnings())
+        return PosesEnd(
+            CalibrationCode(code), message, tuple(self._rejections()), tuple(self._warnings())
+        )
 
     def _drop_watches(self) -> None:
         super()._drop_watches()
@@ -187,15 +178,15 @@ class CalibrationProcedure(PoseProcedure[Command, Finished]):
         self._state = next(self._plan)
         self._waited_s = 0.0
         enter = {
-            State.HOME: self._enter_home,
-            State.REMOVE_TOOL: lambda: self._change_tool("", "take the tool off"),
-            State.ZERO: self._enter_zero,
-            State.SWEEP_BARE: lambda: self._enter_sweep("bare"),
-            State.ATTACH_TOOL: lambda: self._change_tool(
+            CalibrationState.HOME: self._enter_home,
+            CalibrationState.REMOVE_TOOL: lambda: self._change_tool("", "take the tool off"),
+            CalibrationState.ZERO: self._enter_zero,
+            CalibrationState.SWEEP_BARE: lambda: self._enter_sweep("bare"),
+            CalibrationState.ATTACH_TOOL: lambda: self._change_tool(
                 self._request.tool, f"put {self._request.tool} on"
             ),
-            State.SWEEP_TOOL: lambda: self._enter_sweep("tool"),
-            State.ESTIMATE: self._enter_estimate,
+            CalibrationState.SWEEP_TOOL: lambda: self._enter_sweep("tool"),
+            CalibrationState.ESTIMATE: self._enter_estimate,
         }
         enter[self._state]()
 
@@ -213,7 +204,7 @@ class CalibrationProcedure(PoseProcedure[Command, Finished]):
             self._report(f"please {what}, let go, then confirm")
 
     def _tool_is_changed(self) -> None:
-        self._tool_off = self._state == State.REMOVE_TOOL
+        self._tool_off = self._state == CalibrationState.REMOVE_TOOL
         self._next()
 
     def _enter_zero(self) -> None:
@@ -247,7 +238,7 @@ class CalibrationProcedure(PoseProcedure[Command, Finished]):
                 for k in np.flatnonzero(off)
             )
             self.fail(
-                ErrorCode.SERVICE_FAILED,
+                CalibrationCode.SERVICE_FAILED,
                 f"zero_ft_sensor answered, but wrench_raw does not read zero: {values}",
             )
             return
@@ -256,7 +247,9 @@ class CalibrationProcedure(PoseProcedure[Command, Finished]):
     def _zero_again(self, rejection: Rejection) -> None:
         if self._zero_attempts > self._settings.pose_retries:
             self.fail(
-                ErrorCode.BAD_INPUT if rejection.not_finite else ErrorCode.POSES_NOT_STILL,
+                CalibrationCode.BAD_INPUT
+                if rejection.not_finite
+                else CalibrationCode.POSES_NOT_STILL,
                 f"the sensor can't be zeroed at home: {rejection.reason}",
             )
         else:
@@ -292,7 +285,7 @@ class CalibrationProcedure(PoseProcedure[Command, Finished]):
             reason = outcome.reason if isinstance(outcome, Rejection) else "the wrench is not still"
             not_finite = isinstance(outcome, Rejection) and outcome.not_finite
             self.fail(
-                ErrorCode.BAD_INPUT if not_finite else ErrorCode.POSES_NOT_STILL,
+                CalibrationCode.BAD_INPUT if not_finite else CalibrationCode.POSES_NOT_STILL,
                 f"{self._sweep.rejected_in_a_row} poses in a row can't be used; the last: {reason}",
             )
             return
@@ -301,10 +294,10 @@ class CalibrationProcedure(PoseProcedure[Command, Finished]):
 
     def _stop_when_precise(self, sweep: Sweep) -> None:
         """End the sweep where its poses so far make the compensation as precise as is wanted."""
-        wanted = self._request.wanted
-        if not wanted.any or sweep.current is None or len(sweep.sound) < wanted.fewest_poses:
+        enough = self._settings.fewest_poses
+        if not self._wanted or sweep.current is None or len(sweep.sound) < enough:
             return
-        if sweep_precision(sweep.sound).reaches(wanted):
+        if sweep_precision(sweep.sound).reaches(*self._wanted):
             verdicts = sweep.stop()
             self._skipped += len(sweep.poses) - sweep.count
             for verdict in verdicts:
@@ -312,14 +305,14 @@ class CalibrationProcedure(PoseProcedure[Command, Finished]):
 
     def _note_precision(self, sweep: Sweep) -> None:
         """Say after how many poses it ended, and how precise it is; a wish not come true warns."""
-        if not self._request.wanted.any:
+        if not self._wanted:
             return
         precision = sweep_precision(sweep.records)
         text = (
             f"{sweep.name} sweep: {sweep.count} of {len(sweep.poses)} poses visited; the"
             f" compensation's own error has a standard deviation of {precision}"
         )
-        if precision.reaches(self._request.wanted):
+        if precision.reaches(*self._wanted):
             self._notes.append(text)
         else:
             self._missed.append(f"{text}, more than was wanted")
@@ -330,7 +323,7 @@ class CalibrationProcedure(PoseProcedure[Command, Finished]):
         if good < self._settings.min_pose_fraction * count:
             reason = sweep.rejections[-1]
             self.fail(
-                ErrorCode.BAD_INPUT if sweep.not_finite else ErrorCode.POSES_NOT_STILL,
+                CalibrationCode.BAD_INPUT if sweep.not_finite else CalibrationCode.POSES_NOT_STILL,
                 f"only {good} of {count} poses of the {sweep.name} sweep can be used; {reason}",
             )
             return
@@ -367,7 +360,7 @@ class CalibrationProcedure(PoseProcedure[Command, Finished]):
         done, total = self.progress
         sweep = self._sweep
         self._commands.append(
-            Feedback(
+            PoseFeedback(
                 self._state,
                 message,
                 pose=sweep.finished_poses if sweep else 0,
@@ -388,7 +381,7 @@ class CalibrationProcedure(PoseProcedure[Command, Finished]):
         if verdict.message:
             message = f"{sweep.name}/{verdict.index}: {verdict.message}"
         self._commands.append(
-            Feedback(
+            PoseFeedback(
                 self._state,
                 message,
                 pose=self._sweep.finished_poses,

@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-from array import array
 from typing import Any
-
-import numpy as np
 
 from galen_calibration_behavior.calibration.estimate import Calibration
 
 
 def calibration_fields(calibration: Calibration) -> dict[str, Any]:
-    """A calibration's part of a CalibrateTool.Result by the names of its fields, as numpy has it.
+    """A calibration's part of a CalibrateTool.Result by the names of its fields, as JSON has it.
 
     All but `tool`, `file` and the error; SI units.
     """
@@ -19,31 +16,19 @@ def calibration_fields(calibration: Calibration) -> dict[str, Any]:
     return {
         "mass_kg": file.load.mass_kg,
         "mass_std_kg": file.load.mass_std_kg,
-        "com_m": file.load.com_m,
-        "com_std_m": file.load.com_std_m,
+        "com_m": file.load.com_m.tolist(),
+        "com_std_m": file.load.com_std_m.tolist(),
         "bias_mass_kg": file.adapter.mass_kg,
         "bias_mass_std_kg": file.adapter.mass_std_kg,
-        "bias_com_m": file.adapter.com_m,
-        "bias_com_std_m": file.adapter.com_std_m,
-        "rmse_force_n": file.rmse[:3],
-        "rmse_torque_nm": file.rmse[3:],
+        "bias_com_m": file.adapter.com_m.tolist(),
+        "bias_com_std_m": file.adapter.com_std_m.tolist(),
+        "rmse_force_n": file.rmse[:3].tolist(),
+        "rmse_torque_nm": file.rmse[3:].tolist(),
         "poses_used": file.poses_used,
         "poses_rejected": list(file.poses_rejected),
         "warnings": list(calibration.warnings),
         "notes": list(calibration.notes),
     }
-
-
-def plain(value: Any) -> Any:
-    """A field's value as JSON takes it."""
-    if isinstance(value, np.ndarray):
-        return value.tolist()
-    return list(value) if isinstance(value, array) else value
-
-
-def result_to_dict(result: Any) -> dict[str, Any]:
-    """Return a CalibrateTool.Result as plain numbers, texts and lists, SI units."""
-    return {name: plain(getattr(result, name)) for name in result.get_fields_and_field_types()}
 
 
 def format_result(result: Any) -> str:

@@ -14,11 +14,11 @@ from galen_model.load.cable.learning import HeldOut, LearnedCable, learn_cable
 from galen_model.load.cable.rivals import check_same_tool, doubts, rivals
 from galen_model.rest.pose import PoseRecord
 
-from galen_calibration_behavior.calibration.procedure import ProcedureSettings
 from galen_calibration_behavior.from_bag.calibrate_from_bag import measured_at
 from galen_calibration_behavior.from_bag.home_stays import BiasPose
 from galen_calibration_behavior.from_bag.recorded_sweeps import SweepSorter
 from galen_calibration_behavior.from_bag.visits import RecordingError, find_visits
+from galen_calibration_behavior.parameters import CalibrationParameters
 
 # Poses of one sweep at one place stand nearer to each other than this.
 _PLACE_M = 0.01
@@ -41,7 +41,7 @@ class CableResult:
 def estimate_cable(
     tool: CalibrationFile,
     recording: ArmRecording,
-    settings: ProcedureSettings,
+    settings: CalibrationParameters,
     *,
     whole_phases: bool = False,
     phase_progress: Callable[[list[slice]], Iterable[slice]] = iter,

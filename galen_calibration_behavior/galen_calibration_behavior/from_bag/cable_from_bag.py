@@ -24,7 +24,6 @@ from rich.table import Table
 from tqdm import tqdm
 
 from galen_calibration_behavior.calibration.estimate import check_writable
-from galen_calibration_behavior.calibration.parameters import CalibrationParameters
 from galen_calibration_behavior.from_bag.cable_estimation import CableResult, estimate_cable
 from galen_calibration_behavior.from_bag.options import (
     EXIT_CANCELED,
@@ -41,6 +40,7 @@ from galen_calibration_behavior.from_bag.options import (
     reported,
     sample_time,
 )
+from galen_calibration_behavior.parameters import CalibrationParameters
 
 _EPILOG = f"""exit codes:
   {EXIT_OK}    learned (or, with --remove, removed); the file is written, but for --dry-run
@@ -102,7 +102,7 @@ def run(options: argparse.Namespace) -> CableResult:
         result = estimate_cable(
             tool,
             recording,
-            from_options(options, CalibrationParameters, POSE_PARAMETERS).settings(),
+            from_options(options, CalibrationParameters, POSE_PARAMETERS),
             whole_phases=options.whole_phases,
             phase_progress=functools.partial(_progress, "averaging", "phase"),
             fit_progress=functools.partial(_progress, "learning", "fit"),

@@ -19,10 +19,9 @@ from galen_bags.arrays.arm_recording import read_arm
 from galen_model.errors import IdentificationError
 from galen_model.files.calibration_file import LoadEstimate, calibration_path, read_calibration
 from galen_model.load.bias.choice import BiasMode
-from galen_model.load.mounting.groups import GROUPS, entities
 from galen_model.load.mounting.identification import KnownLoad
+from galen_model.load.mounting.mounting import GROUPS, entities
 from galen_ros.command import positive
-from galen_ros.goal.commands import ErrorCode
 from galen_ros.parameters.param import from_options
 from tqdm import tqdm
 
@@ -35,12 +34,11 @@ from galen_calibration_behavior.calibration.estimate import (
     estimate,
 )
 from galen_calibration_behavior.calibration.mounting_text import format_mounting, mounting_fields
-from galen_calibration_behavior.calibration.parameters import CalibrationParameters
 from galen_calibration_behavior.calibration.result_text import (
     calibration_fields,
     format_result,
-    plain,
 )
+from galen_calibration_behavior.commands import CalibrationCode
 from galen_calibration_behavior.from_bag.home_stays import BiasPose
 from galen_calibration_behavior.from_bag.options import (
     EXIT_CANCELED,
@@ -60,6 +58,7 @@ from galen_calibration_behavior.from_bag.options import (
 from galen_calibration_behavior.from_bag.pose_table import format_poses, pose_rows
 from galen_calibration_behavior.from_bag.recorded_sweeps import RecordedSweeps, SweepSorter
 from galen_calibration_behavior.from_bag.visits import RecordingError, Visit, Visits, find_visits
+from galen_calibration_behavior.parameters import CalibrationParameters
 
 _EPILOG = f"""exit codes:
   {EXIT_OK}    calibrated; the file is written, but for --dry-run
@@ -225,7 +224,7 @@ def _check_combination(parser: argparse.ArgumentParser, options: argparse.Namesp
 
 def find_sweeps(options: argparse.Namespace) -> RecordedSweeps:
     """Read the recordings and sort their still poses into sweeps; raises GalenError."""
-    settings = from_options(options, CalibrationParameters, POSE_PARAMETERS).settings()
+    settings = from_options(options, CalibrationParameters, POSE_PARAMETERS)
 
     def visits(bag: str) -> Visits:
         return find_visits(
@@ -291,11 +290,11 @@ def result_fields(
     """The fields of a live calibration's result, and what only a recording has; for JSON."""
     border = sweeps.border
     fields = {
-        "error_code": int(ErrorCode.NONE),
+        "error_code": int(CalibrationCode.NONE),
         "error_msg": "",
         "tool": options.tool,
         "file": "" if options.dry_run else str(calibration.path),
-    } | {name: plain(value) for name, value in calibration_fields(calibration).items()}
+    } | calibration_fields(calibration)
     bias_drift = calibration.found.bias_drift
     return fields | {
         "bias": None if bias_drift is None else str(bias_drift.choice),

@@ -14,8 +14,8 @@ from itertools import groupby
 import numpy as np
 from galen_model.load.identification import MIN_POSES
 
-from galen_calibration_behavior.calibration.procedure import ProcedureSettings
 from galen_calibration_behavior.from_bag.visits import Visit, Visits
+from galen_calibration_behavior.parameters import CalibrationParameters
 
 
 @dataclass(frozen=True)
@@ -29,7 +29,7 @@ class BiasPose:
 class HomeStays:
     """Tells the visits at home from the others."""
 
-    def __init__(self, settings: ProcedureSettings, bias_pose: BiasPose) -> None:
+    def __init__(self, settings: CalibrationParameters, bias_pose: BiasPose) -> None:
         """`bias_pose` is home."""
         self._settings = settings
         self._bias_pose = bias_pose

@@ -15,7 +15,7 @@ from galen_model.files.calibration_file import age_text, check_tool_name, read_c
 from galen_ros.parameters.param import add_options
 
 from galen_calibration_behavior.calibration.estimate import EstimateError
-from galen_calibration_behavior.calibration.parameters import CalibrationParameters
+from galen_calibration_behavior.parameters import CalibrationParameters
 
 EXIT_OK, EXIT_FAILED, EXIT_USAGE, EXIT_CANCELED = 0, 1, 2, 130
 

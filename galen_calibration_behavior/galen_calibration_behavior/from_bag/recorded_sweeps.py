@@ -15,15 +15,15 @@ from galen_model.arrays import Array
 from galen_model.files.calibration_file import LoadEstimate
 from galen_model.load.identification import MIN_POSES, StillPoses
 from galen_model.rest.pose import PoseRecord, wrench_fault
-from galen_ros.goal.commands import Measurements
 from galen_ros.goal.pose_recorder import Rejection
 from galen_ros.goal.stamps import NS
 
-from galen_calibration_behavior.calibration.procedure import ProcedureSettings
 from galen_calibration_behavior.calibration.sweep import stack
+from galen_calibration_behavior.commands import Measurements
 from galen_calibration_behavior.from_bag.home_stays import BiasPose, HomeStays
 from galen_calibration_behavior.from_bag.tool_border import Border, BorderError, find_border
 from galen_calibration_behavior.from_bag.visits import RecordingError, Visit, Visits
+from galen_calibration_behavior.parameters import CalibrationParameters
 
 _AT_HAND = "say --tool-on-at-s SECONDS, from the recording's first joint state"
 
@@ -62,7 +62,7 @@ class RecordedSweeps:
 class SweepSorter:
     """Sorts the visits of recordings into sweeps."""
 
-    def __init__(self, settings: ProcedureSettings, bias_pose: BiasPose) -> None:
+    def __init__(self, settings: CalibrationParameters, bias_pose: BiasPose) -> None:
         """`bias_pose` is what the phases at home are told by."""
         self._settings = settings
         self._bias_pose = bias_pose

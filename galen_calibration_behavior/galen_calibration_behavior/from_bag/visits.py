@@ -18,12 +18,12 @@ from galen_bags.arrays.arm_recording import ArmRecording
 from galen_model.arm.galen import JOINT_NAMES, SENSOR, SENSOR_FRAME
 from galen_model.arrays import Array
 from galen_model.errors import GalenError
-from galen_model.rest.segments import JointRest, rest_by_joints
 from galen_model.rest.pose import PoseRecord
+from galen_model.rest.segments import JointRest, rest_by_joints
 from galen_ros.goal.pose_recorder import PoseRecorder, Rejection
 from galen_ros.goal.stamps import NS, StampClock, StampsError
 
-from galen_calibration_behavior.calibration.procedure import ProcedureSettings
+from galen_calibration_behavior.parameters import CalibrationParameters
 
 # The recorder hears the samples from this long before a phase, for a stop is told by a window that
 # reaches back into the motion, and until this long after it, for wrenches received late.
@@ -84,7 +84,7 @@ class Visits:
 
 def find_visits(
     recording: ArmRecording,
-    settings: ProcedureSettings,
+    settings: CalibrationParameters,
     *,
     whole_phases: bool = False,
     progress: Callable[[list[slice]], Iterable[slice]] = iter,
@@ -128,7 +128,7 @@ class _Player:
     """Plays a recording's phases to recorders."""
 
     def __init__(
-        self, recording: ArmRecording, settings: ProcedureSettings, whole_phases: bool
+        self, recording: ArmRecording, settings: CalibrationParameters, whole_phases: bool
     ) -> None:
         self._recording = recording
         self._settings = settings
@@ -246,7 +246,7 @@ def _check_frames(recording: ArmRecording) -> None:
         )
 
 
-def _stamp_warnings(recording: ArmRecording, settings: ProcedureSettings) -> list[str]:
+def _stamp_warnings(recording: ArmRecording, settings: CalibrationParameters) -> list[str]:
     warnings = []
     for topic, stamps in (
         ("joint_states", recording.joint_stamp_ns),

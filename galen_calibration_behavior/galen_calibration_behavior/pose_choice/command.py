@@ -21,7 +21,7 @@ from galen_ros.command import check_folder
 from galen_ros.parameters.param import add_options, from_options
 from tqdm import tqdm
 
-from galen_calibration_behavior.calibration.parameters import CalibrationParameters
+from galen_calibration_behavior.parameters import CalibrationParameters
 from galen_calibration_behavior.pose_choice.report import (
     Promise,
     efficiency_curve,

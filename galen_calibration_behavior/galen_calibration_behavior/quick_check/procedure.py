@@ -17,32 +17,22 @@ from galen_model.arrays import Array
 from galen_model.errors import GalenError
 from galen_model.files.calibration_file import CalibrationFile
 from galen_model.poses.order import SweepTimes
-from galen_model.poses.plan import Surroundings
 from galen_model.rest.pose import PoseRecord
-from galen_ros.goal.pose_procedure import PoseProcedure, PoseSettings
+from galen_ros.goal.pose_procedure import PoseProcedure
 from galen_ros.goal.pose_recorder import Rejection
 
 from galen_calibration_behavior.calibration.sweep import Sweep, Verdict
-from galen_calibration_behavior.quick_check.answer import CheckLimits, QuickCheck
-from galen_calibration_behavior.quick_check.commands import (
+from galen_calibration_behavior.commands import (
+    CheckCode,
+    CheckState,
     Command,
-    ErrorCode,
-    Feedback,
-    Finished,
-    State,
+    PoseFeedback,
+    PosesEnd,
 )
+from galen_calibration_behavior.parameters import CalibrationParameters
+from galen_calibration_behavior.quick_check.answer import QuickCheck
 from galen_calibration_behavior.quick_check.decision import FEWEST_POSES, quick_check
 from galen_calibration_behavior.quick_check.poses import plan_check
-
-
-@dataclass(frozen=True)
-class CheckSettings(PoseSettings):
-    """Everything that the node's parameters decide."""
-
-    reach_rad: float
-    pose_retries: int
-    limits: CheckLimits
-    surroundings: Surroundings
 
 
 @dataclass(frozen=True)
@@ -59,15 +49,15 @@ class CheckRequest:
     known_offset: Array | None
 
 
-class CheckProcedure(PoseProcedure[Command, Finished]):
+class CheckProcedure(PoseProcedure[Command, PosesEnd]):
     """One check. Call `start`, feed samples and events, and do what `take_commands` gives."""
 
-    codes = ErrorCode
-    _settings: CheckSettings
-    _state: State
+    codes = CheckCode
+    _settings: CalibrationParameters
+    _state: CheckState
 
-    def __init__(self, settings: CheckSettings, request: CheckRequest) -> None:
-        super().__init__(settings, State.MEASURE)
+    def __init__(self, settings: CalibrationParameters, request: CheckRequest) -> None:
+        super().__init__(settings, CheckState.MEASURE)
         self._request = request
         self._before = np.zeros(5)
         self._sweep: Sweep | None = None
@@ -86,7 +76,7 @@ class CheckProcedure(PoseProcedure[Command, Finished]):
     def _begin(self) -> None:
         assert self._joints is not None
         if not np.all(np.isfinite(self._joints)):
-            self.fail(ErrorCode.BAD_INPUT, "joint_states holds values that are not finite")
+            self.fail(CheckCode.BAD_INPUT, "joint_states holds values that are not finite")
             return
         settings = self._settings
         # An arm that stands at a limit may read a little beyond it, where none may be sent.
@@ -100,14 +90,14 @@ class CheckProcedure(PoseProcedure[Command, Finished]):
         try:
             plan = plan_check(
                 self._before,
-                settings.reach_rad,
+                settings.check_reach_rad,
                 self._request.poses,
                 times,
                 settings.surroundings,
                 self.tool.tip_m,
             )
         except GalenError as error:
-            self.fail(ErrorCode.BAD_INPUT, str(error))
+            self.fail(CheckCode.BAD_INPUT, str(error))
             return
         self._router = plan.router
         self._sweep = Sweep("check", plan.poses, settings.stillness, settings.pose_retries)
@@ -132,7 +122,7 @@ class CheckProcedure(PoseProcedure[Command, Finished]):
     def _judge(self, sweep: Sweep) -> None:
         if len(sweep.records) < FEWEST_POSES:
             self.fail(
-                ErrorCode.BAD_INPUT if sweep.not_finite else ErrorCode.POSES_NOT_STILL,
+                CheckCode.BAD_INPUT if sweep.not_finite else CheckCode.POSES_NOT_STILL,
                 f"only {len(sweep.records)} of {len(sweep.poses)} poses can be used, and"
                 f" {FEWEST_POSES} are needed; {sweep.rejections[-1]}",
             )
@@ -141,19 +131,19 @@ class CheckProcedure(PoseProcedure[Command, Finished]):
         self._check = quick_check(
             sweep.records,
             request.tool,
-            self._settings.limits,
+            self._settings.check_limits,
             others=request.others,
             known_offset=request.known_offset,
         )
-        self._state = State.RETURN
+        self._state = CheckState.RETURN
         self._report("going back to where it was")
         self._go_to(self._before, self._succeed)
 
-    def _make_end(self, code: IntEnum, message: str) -> Finished:
-        return Finished(
-            ErrorCode(code),
+    def _make_end(self, code: IntEnum, message: str) -> PosesEnd:
+        return PosesEnd(
+            CheckCode(code),
             message,
-            check=self._check if code == ErrorCode.NONE else None,
+            check=self._check if code == CheckCode.NONE else None,
             rejected=tuple(self._sweep.rejections) if self._sweep else (),
             warnings=tuple(self._warnings()),
         )
@@ -161,15 +151,18 @@ class CheckProcedure(PoseProcedure[Command, Finished]):
     # ---- reports
 
     def _report(self, message: str) -> None:
-        self._commands.append(Feedback(self._state, message, *self.progress))
+        done, total = self.progress
+        self._commands.append(PoseFeedback(self._state, message, done=done, total=total))
 
     def _report_pose(self, verdict: Verdict) -> None:
+        done, total = self.progress
         where = f"pose {verdict.index + 1}"
         self._commands.append(
-            Feedback(
+            PoseFeedback(
                 self._state,
                 f"{where}: {verdict.message}" if verdict.message else f"{where} recorded",
-                *self.progress,
+                done=done,
+                total=total,
                 roll=verdict.roll,
                 tilt=verdict.tilt,
                 accepted=verdict.accepted,

@@ -1,16 +1,15 @@
-"""What the nodes share that run a goal on the arm: one goal at a time, its inputs and its end."""
+"""A node that runs goals on the arm: one at a time over all its actions, its inputs and its end."""
 
 from __future__ import annotations
 
 import time
 import traceback
-from abc import ABC, abstractmethod
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
 from enum import IntEnum
-from typing import Any, ClassVar, Generic, TypeVar
+from functools import partial
+from typing import Any
 
-from galen_model.arm.galen import JOINT_NAMES, SENSOR_FRAME
+from galen_model.arm.galen import SENSOR_FRAME
 from galen_model.errors import GalenError, one_line
 from geometry_msgs.msg import WrenchStamped
 from rclpy.action import CancelResponse, GoalResponse
@@ -18,18 +17,16 @@ from rclpy.action.server import ServerGoalHandle
 from rclpy.client import Client
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
-from rclpy.subscription import Subscription
 from sensor_msgs.msg import JointState
 
-from galen_ros.conversions import JointStateReader, stamp_to_ns, wrench_to_array
+from galen_ros.conversions import stamp_to_ns, wrench_to_array
+from galen_ros.goal.action import ArmAction, RejectedGoalError, RunningGoal
 from galen_ros.goal.arm_link import DISCOVERY_S, ArmPublisher, PublisherWatch
 from galen_ros.goal.commands import End, MoveTo, Stop
-from galen_ros.goal.deferred_action import DeferredActionServer
 from galen_ros.goal.parameters import MotionParameters
-from galen_ros.goal.procedure import GoalProcedure
 from galen_ros.node.diagnostics import ERROR, OK, WARN, DiagnosticsPublisher, Status
 from galen_ros.parameters.declare import declare_parameters
-from galen_ros.qos import STREAM
+from galen_ros.rclpy_workarounds import DeferredActionServer
 
 _TICK_S = 0.1
 # The publishers of the topics are looked up this often.
@@ -37,172 +34,76 @@ _TICKS_PER_GRAPH_CHECK = 10
 _LONGEST_NAME = 80
 
 
-class RejectedGoalError(Exception):
-    """A goal that can't be begun."""
-
-    def __init__(self, code: IntEnum, message: str) -> None:
-        super().__init__(message)
-        self.code = code
-
-
-ProcedureT = TypeVar("ProcedureT", bound=GoalProcedure[Any, Any])
-
-
-class RunningGoal(Generic[ProcedureT]):
-    """One running goal and what belongs to it alone."""
-
-    def __init__(self, handle: ServerGoalHandle, procedure: ProcedureT) -> None:
-        self.handle = handle
-        self.procedure = procedure
-        self.reader = JointStateReader(JOINT_NAMES)
-        self.subscriptions: list[Subscription] = []
-        self.publishers: PublisherWatch | None = None
-        self.preflight_s: float | None = 0.0
-        self.ticks = 0
-
-
-@dataclass(frozen=True)
-class Words:
-    """How a node speaks of its goals."""
-
-    subject: str
-    """The field of the action's goal that names what it is about."""
-    doing: str
-    nothing_yet: str
-    unit: str
-    restarted: str
-    shutting_down: str
-
-
-SettingsT = TypeVar("SettingsT", bound=MotionParameters)
-GoalT = TypeVar("GoalT", bound=RunningGoal[Any])
-EndT = TypeVar("EndT", bound=End)
-
-
-class GoalNode(Node, ABC, Generic[SettingsT, GoalT, EndT]):
+class GoalNode(Node):
     """Declares, converts and calls; what happens when is in the goal's procedure."""
-
-    codes: ClassVar[type[IntEnum]]
-    """The action's error codes, as the procedure's."""
-    words: ClassVar[Words]
 
     def __init__(
         self,
         name: str,
-        parameters: type[SettingsT],
-        action_type: Any,
-        action_name: str,
+        parameters: type[MotionParameters],
+        actions: Sequence[type[ArmAction]],
         **kwargs: Any,
     ) -> None:
         super().__init__(name, **kwargs)
-        self._settings = declare_parameters(self, parameters)
-        self._goal: GoalT | None = None
-        self._over: list[GoalT] = []
+        self.settings: Any = declare_parameters(self, parameters)
+        self.status_values: dict[str, object] = {}
+        """What /diagnostics has beside the state; such as the folders that it works in."""
+        self._goal: RunningGoal | None = None
+        self._over: list[RunningGoal] = []
         self._rejected = ""
-        self._last = self.words.nothing_yet
+        self._last = "no goal yet"
         self._last_failed = False
 
         self._arm = ArmPublisher(self)
-        self._server = DeferredActionServer(
-            self,
-            action_type,
-            action_name,
-            on_goal=self._on_goal,
-            on_start=self._on_start,
-            on_cancel=self._on_cancel,
-        )
-        # Each server of an action publishes this.
-        status = f"{self.resolve_service_name(action_name)}/_action/status"
-        self._servers = PublisherWatch(self, [status])
+        self._servers = {}
+        status = []
+        for kind in actions:
+            action = kind(self)
+            self._servers[action] = DeferredActionServer(
+                self,
+                action.action_type,
+                action.name,
+                on_goal=partial(self._on_goal, action),
+                on_start=partial(self._on_start, action),
+                on_cancel=self._on_cancel,
+            )
+            # Each server of an action publishes this.
+            status.append(f"{self.resolve_service_name(action.name)}/_action/status")
+        self._status_topics = PublisherWatch(self, status)
         self._other_server = ""
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(_TICK_S, self._on_tick, clock=self._steady)
         self._diagnostics = DiagnosticsPublisher(self, "galen", self._report_status)
 
+    @property
+    def goal(self) -> RunningGoal | None:
+        """The goal that runs."""
+        return self._goal
+
     def destroy_node(self) -> None:
-        """Stop the arm if it is at work, then go."""
+        """Stop the arm if a goal runs, then go."""
         goal, self._goal = self._goal, None
         if goal is not None:
-            self.get_logger().warning(self.words.shutting_down)
+            self.get_logger().warning("shutting down: stopping the arm")
             self._arm.stop_and_wait()
-            canceled = self._make_end(self.codes["CANCELED"], "the node was shut down", goal)
-            self._put_away(goal, canceled)
+            action = goal.action
+            canceled = action.make_end(action.codes["CANCELED"], "the node was shut down", goal)
+            action.put_away(goal, canceled)
             goal.handle.abort()
-        self._server.destroy()
+        for server in self._servers.values():
+            server.destroy()
         super().destroy_node()
-
-    # ---- what a subclass says
-
-    @abstractmethod
-    def _make_goal(self, handle: ServerGoalHandle) -> GoalT:
-        """Return the goal to run; raises RejectedGoalError."""
-
-    @abstractmethod
-    def _introduce(self, goal: GoalT) -> str:
-        """Say in the log what begins."""
-
-    @abstractmethod
-    def _make_end(self, code: IntEnum, message: str, goal: GoalT | None) -> EndT:
-        """Return an end that the procedure doesn't know of; `goal` is None where there was none."""
-
-    @abstractmethod
-    def _make_result(
-        self, handle: ServerGoalHandle, end: EndT, goal: GoalT | None
-    ) -> tuple[Any, str]:
-        """Return the action's result, and a sentence for /diagnostics."""
-
-    @abstractmethod
-    def _folders(self) -> dict[str, object]:
-        """Name the folders that it works in."""
-
-    def _rejection(self, request: Any) -> str:
-        """Say why this goal can't even begin; empty where it can."""
-        return ""
-
-    def _subscribe(self, goal: GoalT) -> list[Subscription]:
-        topic = goal.procedure.wrench_topic
-        return [
-            self.create_subscription(JointState, "joint_states", self._on_joint_state, STREAM),
-            self.create_subscription(WrenchStamped, topic, self._on_wrench, STREAM),
-        ]
-
-    def _also_watched(self) -> list[str]:
-        """Name topics that it doesn't hear, and whose publishers matter all the same."""
-        return []
-
-    def _needed_clients(self, goal: GoalT) -> list[Client]:
-        """Return the clients of the services that the goal can't do without."""
-        return []
-
-    def _silent_text(self, topics: list[str]) -> str:
-        return f"nobody publishes {' and '.join(topics)}: is the driver running?"
-
-    def _look_after(self, goal: GoalT) -> None:
-        """Do what is to be done ten times a second."""
-
-    def _put_away(self, goal: GoalT, end: EndT) -> EndT:
-        """Close what the goal has open; returns the end that it came to."""
-        return end
-
-    def _status_values(self, goal: GoalT) -> dict[str, object]:
-        """Return more values for /diagnostics."""
-        return {}
-
-    def _status_remark(self, goal: GoalT) -> str:
-        """Return what /diagnostics says after the progress."""
-        return ""
 
     # ---- the action
 
-    def _on_goal(self, request: Any) -> GoalResponse:
+    def _on_goal(self, action: ArmAction, request: Any) -> GoalResponse:
         """Reject a second goal; an action's rejection carries no text, so /diagnostics does."""
         self._look_for_servers()
-        why = self._other_server or self._busy_text() or self._rejection(request)
+        why = self._other_server or self._busy_text() or action.rejection(request)
         if not why:
             return GoalResponse.ACCEPT
-        self._rejected = (
-            f"{self._named(request)} rejected: {why}" if self._subject(request) else why
-        )
+        subject = action.subject_of(request)
+        self._rejected = f"{named(subject)} rejected: {why}" if subject else why
         self.get_logger().warning(self._rejected)
         self._diagnostics.publish_now()
         return GoalResponse.REJECT
@@ -210,41 +111,42 @@ class GoalNode(Node, ABC, Generic[SettingsT, GoalT, EndT]):
     def _busy_text(self) -> str:
         if self._goal is None:
             return ""
-        words = self.words
+        action = self._goal.action
         done, total = self._goal.procedure.progress
-        now = self._subject(self._goal.handle.request)
+        now = action.subject_of(self._goal.handle.request)
         return (
-            f"{words.doing} {now!r} now,"
-            f" {done} of {total} {words.unit} done; cancel that first, or wait"
+            f"{action.doing} {now!r} now,"
+            f" {done} of {total} {action.unit} done; cancel that first, or wait"
         )
 
     def _look_for_servers(self) -> None:
         """Two servers of one action both take each goal: an error, from whichever starts second."""
-        several = self._servers.several()
+        several = self._status_topics.several()
         if several:
             several = f"this action has more than one server: {several}; end one of them"
         if several and not self._other_server:
             self.get_logger().error(several)
         self._other_server = several
 
-    def _on_start(self, handle: ServerGoalHandle) -> None:
+    def _on_start(self, action: ArmAction, handle: ServerGoalHandle) -> None:
         """Begin; a goal that makes no sense ends at once, for a result can say why."""
         try:
-            goal = self._make_goal(handle)
+            goal = action.make_goal(handle)
         except RejectedGoalError as error:
-            self._conclude(handle, self._make_end(error.code, str(error), None), None)
+            end = action.make_end(error.code, str(error), None)
+            self._conclude(action, handle, end, None)
             return
         except Exception as error:
             self.get_logger().error(traceback.format_exc())
-            self._conclude(handle, self._internal(error, None), None)
+            self._conclude(action, handle, _internal(action, error, None), None)
             return
         self._goal = goal
         self._rejected = ""
-        goal.subscriptions = self._subscribe(goal)
+        goal.subscriptions = action.subscribe(goal)
         heard = [subscription.topic_name for subscription in goal.subscriptions]
-        goal.publishers = PublisherWatch(self, [*heard, *self._also_watched()])
-        name = self._subject(handle.request)
-        self.get_logger().info(f"{self.words.doing} {name!r}: {self._introduce(goal)}")
+        goal.publishers = PublisherWatch(self, [*heard, *action.also_watched()])
+        name = action.subject_of(handle.request)
+        self.get_logger().info(f"{action.doing} {name!r}: {action.introduce(goal)}")
         self._diagnostics.publish_now()
 
     def _on_cancel(self, handle: ServerGoalHandle) -> CancelResponse:
@@ -252,62 +154,57 @@ class GoalNode(Node, ABC, Generic[SettingsT, GoalT, EndT]):
         if goal is None or goal.handle.goal_id != handle.goal_id:
             return CancelResponse.REJECT
         self.get_logger().info("canceled: stopping the arm")
-        self._feed(goal.procedure.cancel)
+        self.feed(goal.procedure.cancel)
         return CancelResponse.ACCEPT
 
-    def _end(self, goal: GoalT, end: EndT) -> None:
+    def _end(self, goal: RunningGoal, end: End) -> None:
         self._goal = None
         # Not here: this may run inside one of the subscriptions' own callbacks.
         self._over.append(goal)
-        self._conclude(goal.handle, self._put_away(goal, end), goal)
+        self._conclude(goal.action, goal.handle, goal.action.put_away(goal, end), goal)
 
-    def _conclude(self, handle: ServerGoalHandle, end: EndT, goal: GoalT | None) -> None:
-        """Give the goal its result and say it on /diagnostics and in the log."""
-        result, self._last = self._make_result(handle, end, goal)
-        self._server.finish(handle, result, success=end.error_code == self.codes["NONE"])
-        self._last_failed = end.error_code not in (self.codes["NONE"], self.codes["CANCELED"])
+    def _conclude(
+        self, action: ArmAction, handle: ServerGoalHandle, end: End, goal: RunningGoal | None
+    ) -> None:
+        """Give the goal its result; report it on /diagnostics and in the log."""
+        codes = action.codes
+        result, self._last = action.make_result(handle, end, goal)
+        self._servers[action].finish(handle, result, success=end.error_code == codes["NONE"])
+        self._last_failed = end.error_code not in (codes["NONE"], codes["CANCELED"])
         if self._last_failed:
             self.get_logger().error(self._last)
         else:
             self.get_logger().info(self._last)
         self._diagnostics.publish_now()
 
-    def _internal(self, error: Exception, goal: GoalT | None) -> EndT:
-        return self._make_end(self.codes["INTERNAL"], f"{type(error).__name__}: {error}", goal)
-
-    def _subject(self, request: Any) -> str:
-        return str(getattr(request, self.words.subject))
-
-    def _named(self, request: Any) -> str:
-        """The subject in quotes, for a log; a goal that is rejected may name it by a megabyte."""
-        return one_line(repr(self._subject(request)), _LONGEST_NAME)
-
     # ---- inputs
 
-    def _on_joint_state(self, message: JointState) -> None:
+    def on_joint_state(self, message: JointState) -> None:
+        """Hand a joint state to the goal."""
         goal = self._goal
         if goal is None:
             return
         try:
             position, velocity = goal.reader.read(message)
         except GalenError as error:
-            self._feed(goal.procedure.fail, self.codes["BAD_INPUT"], f"joint_states: {error}")
+            self._fail(goal, "BAD_INPUT", f"joint_states: {error}")
             return
-        self._feed(goal.procedure.on_joints, stamp_to_ns(message.header.stamp), position, velocity)
+        self.feed(goal.procedure.on_joints, stamp_to_ns(message.header.stamp), position, velocity)
 
-    def _on_wrench(self, message: WrenchStamped) -> None:
+    def on_wrench(self, message: WrenchStamped) -> None:
+        """Hand a wrench to the goal."""
         goal = self._goal
         if goal is None:
             return
         if message.header.frame_id != SENSOR_FRAME:
-            self._feed(
-                goal.procedure.fail,
-                self.codes["BAD_INPUT"],
+            self._fail(
+                goal,
+                "BAD_INPUT",
                 f"{goal.procedure.wrench_topic} has frame_id {message.header.frame_id!r}, not"
                 f" {SENSOR_FRAME!r}",
             )
             return
-        self._feed(
+        self.feed(
             goal.procedure.on_wrench, stamp_to_ns(message.header.stamp), wrench_to_array(message)
         )
 
@@ -315,9 +212,7 @@ class GoalNode(Node, ABC, Generic[SettingsT, GoalT, EndT]):
         """End: two that command one arm are a danger, and no pose is where it was sent."""
         if self._goal is not None:
             self._look_for_servers()
-            self._feed(
-                self._goal.procedure.fail, self.codes["BAD_INPUT"], self._other_server or text
-            )
+            self._fail(self._goal, "BAD_INPUT", self._other_server or text)
 
     def _on_tick(self) -> None:
         for over in self._over:
@@ -328,20 +223,20 @@ class GoalNode(Node, ABC, Generic[SettingsT, GoalT, EndT]):
         if goal is None:
             return
         if goal.ticks % _TICKS_PER_GRAPH_CHECK == 0 or goal.preflight_s is not None:
-            self._feed(self._check_publishers, goal)
+            self.feed(self._check_publishers, goal)
         goal.ticks += 1
         if self._goal is goal and goal.preflight_s is not None:
-            self._feed(self._check_driver, goal)
+            self.feed(self._check_driver, goal)
         if self._goal is goal:
-            self._feed(self._look_after, goal)
+            self.feed(goal.action.look_after, goal)
         if self._goal is goal:
-            self._feed(goal.procedure.on_wall, time.monotonic())
+            self.feed(goal.procedure.on_wall, time.monotonic())
 
     # ---- the driver
 
-    def _check_driver(self, goal: GoalT) -> None:
+    def _check_driver(self, goal: RunningGoal) -> None:
         """Start the procedure once everything it needs is there, or say what is missing."""
-        missing = self._find_missing(goal)
+        missing = self._find_missing(goal) or goal.action.find_missing(goal)
         if goal.procedure.ending:
             return
         if missing is None:
@@ -352,41 +247,40 @@ class GoalNode(Node, ABC, Generic[SettingsT, GoalT, EndT]):
             return
         assert goal.preflight_s is not None
         goal.preflight_s += _TICK_S
-        if goal.preflight_s > max(self._settings.silent_timeout_s, DISCOVERY_S):
+        if goal.preflight_s > max(self.settings.silent_timeout_s, DISCOVERY_S):
             goal.procedure.fail(*missing)
 
-    def _find_missing(self, goal: GoalT) -> tuple[IntEnum, str] | None:
+    def _find_missing(self, goal: RunningGoal) -> tuple[IntEnum, str] | None:
         assert goal.publishers is not None
+        action, codes = goal.action, goal.action.codes
         silent = goal.publishers.silent()
         if silent:
-            return self.codes["DRIVER_SILENT"], self._silent_text(silent)
+            return codes["DRIVER_SILENT"], action.silent_text(silent)
         absent = [
             self.resolve_service_name(client.srv_name)
-            for client in self._needed_clients(goal)
+            for client in action.needed_clients(goal)
             if not client.service_is_ready()
         ]
         if absent:
-            return (
-                self.codes["SERVICE_FAILED"],
-                f"nobody offers the service {' and '.join(absent)}",
-            )
+            return codes["SERVICE_FAILED"], f"no server of the service {' and '.join(absent)}"
         if not self._arm.has_listener:
             return (
-                self.codes["DRIVER_SILENT"],
-                f"nobody listens on {self._arm.topic_name}: is the driver running?",
+                codes["DRIVER_SILENT"],
+                f"no subscriber on {self._arm.topic_name}: is the driver running?",
             )
         return None
 
-    def _check_publishers(self, goal: GoalT) -> None:
+    def _check_publishers(self, goal: RunningGoal) -> None:
         """End when a topic has two publishers, or another than before."""
         assert goal.publishers is not None
         if several := goal.publishers.several():
-            goal.procedure.fail(self.codes["BAD_INPUT"], several)
+            goal.procedure.fail(goal.action.codes["BAD_INPUT"], several)
         elif changed := goal.publishers.changed():
-            goal.procedure.fail(self.codes["DRIVER_SILENT"], f"{changed}: {self.words.restarted}")
+            action = goal.action
+            goal.procedure.fail(action.codes["DRIVER_SILENT"], f"{changed}: {action.restarted}")
 
-    def _call(
-        self, goal: GoalT, client: Client, request: Any, answered: Callable[[Any], None]
+    def call(
+        self, goal: RunningGoal, client: Client, request: Any, answered: Callable[[Any], None]
     ) -> None:
         """Call a service; its answer comes back while the goal runs, or not at all."""
 
@@ -398,7 +292,10 @@ class GoalNode(Node, ABC, Generic[SettingsT, GoalT, EndT]):
 
     # ---- commands
 
-    def _feed(self, event: Callable[..., object], *args: object) -> None:
+    def _fail(self, goal: RunningGoal, code: str, message: str) -> None:
+        self.feed(goal.procedure.fail, goal.action.codes[code], message)
+
+    def feed(self, event: Callable[..., object], *args: object) -> None:
         """Hand an event to the procedure and do what it then asks for; a bug ends only the goal."""
         goal = self._goal
         try:
@@ -411,22 +308,24 @@ class GoalNode(Node, ABC, Generic[SettingsT, GoalT, EndT]):
             if goal is None or self._goal is not goal:
                 return
             self._arm.stop()
-            self._end(goal, self._internal(error, goal))
+            self._end(goal, _internal(goal.action, error, goal))
 
-    def _obey(self, goal: GoalT, command: Any) -> None:
-        """Do what each procedure asks for; a subclass does the rest."""
+    def _obey(self, goal: RunningGoal, command: Any) -> None:
+        """Do what each procedure asks for; the action does the rest."""
         match command:
             case MoveTo():
                 self._arm.move(command)
             case Stop():
                 self._arm.stop()
             case End():
-                self._end(goal, command)  # type: ignore[arg-type]
+                self._end(goal, command)
+            case _:
+                goal.action.obey(goal, command)
 
     # ---- diagnostics
 
     def _report_status(self) -> Status:
-        values = self._folders() | {"last": self._last}
+        values = self.status_values | {"last": self._last}
         if self._rejected:
             values["rejected"] = self._rejected
         goal = self._goal
@@ -437,14 +336,23 @@ class GoalNode(Node, ABC, Generic[SettingsT, GoalT, EndT]):
         if goal is None:
             level, state = (WARN, "failed") if self._last_failed else (OK, "ready")
             return Status(level, f"ready; {self._last}", {"state": state} | values)
-        words = self.words
+        action = goal.action
         done, total = goal.procedure.progress
-        name, state = self._subject(goal.handle.request), goal.procedure.state.name
-        values |= {words.subject: name, "state": state, "done": done, "total": total}
-        values |= self._status_values(goal)
+        name, state = action.subject_of(goal.handle.request), goal.procedure.state.name
+        values |= {action.subject: name, "state": state, "done": done, "total": total}
+        values |= action.status_values(goal)
         return Status(
             OK,
-            f"{words.doing} {name}: {state}, {done} of {total} {words.unit}"
-            f"{self._status_remark(goal)}",
+            f"{action.doing} {name}: {state}, {done} of {total} {action.unit}"
+            f"{action.status_remark(goal)}",
             values,
         )
+
+
+def _internal(action: ArmAction, error: Exception, goal: RunningGoal | None) -> End:
+    return action.make_end(action.codes["INTERNAL"], f"{type(error).__name__}: {error}", goal)
+
+
+def named(subject: str) -> str:
+    """Return it in quotes, for a log; a goal that is rejected may name it by a megabyte."""
+    return one_line(repr(subject), _LONGEST_NAME)

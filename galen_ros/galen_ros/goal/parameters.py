@@ -1,4 +1,4 @@
-"""Parameters of nodes that move the arm from one standstill to another."""
+"""Settings of nodes that move the arm from rest to rest; each is a parameter of the node."""
 
 from __future__ import annotations
 
@@ -9,8 +9,6 @@ from galen_model.arrays import Array
 from galen_model.rest.pose import StillnessSettings
 
 from galen_ros.goal.arrival import ArrivalSettings
-from galen_ros.goal.pose_procedure import PoseSettings
-from galen_ros.goal.procedure import GoalSettings
 from galen_ros.parameters.param import param
 
 
@@ -55,7 +53,11 @@ class MotionParameters:
     stop_timeout_s: float = param(
         3.0, "after a cancel, wait this long to see the arm stop, by the wall clock", 0.1, 60.0
     )
+    max_stamp_offset_s: float = param(
+        0.2, "largest difference between the stamps of joints and wrenches", 0.001, 10.0
+    )
 
+    @property
     def arrival(self) -> ArrivalSettings:
         """When the arm has arrived, each joint with its own unit's number."""
         return ArrivalSettings(
@@ -64,19 +66,6 @@ class MotionParameters:
             velocity_window_s=self.velocity_window_s,
             settle_s=self.settle_s,
             max_stamp_step_s=self.max_stamp_step_s,
-        )
-
-    def goal_settings(self, max_stamp_offset_s: float) -> GoalSettings:
-        """What each procedure is told of the arm and the driver."""
-        return GoalSettings(
-            arrival=self.arrival(),
-            max_velocity=self.max_velocity,
-            max_acceleration=self.max_acceleration,
-            motion_timeout_s=self.motion_timeout_s,
-            max_stamp_offset_s=max_stamp_offset_s,
-            silent_timeout_s=self.silent_timeout_s,
-            service_timeout_s=self.service_timeout_s,
-            stop_timeout_s=self.stop_timeout_s,
         )
 
     @property
@@ -115,21 +104,15 @@ class PoseParameters(MotionParameters):
         2.0,
     )
     min_samples: int = param(20, "fewest wrenches in an average", 4, 1_000_000)
-    max_stamp_offset_s: float = param(
-        0.2, "largest difference between the stamps of joint_states and wrench_raw", 0.001, 10.0
-    )
 
-    def pose_settings(self) -> PoseSettings:
-        """What procedures that measure at poses are told, each joint with its own unit's number."""
-        return PoseSettings(
-            **vars(self.goal_settings(self.max_stamp_offset_s)),
-            stillness=StillnessSettings(
-                joint_motion=by_joint(self.joint_motion_m, self.joint_motion_rad),
-                scatter_ratio=self.max_scatter_ratio,
-                trend_sigmas=self.max_trend_sigmas,
-                min_samples=self.min_samples,
-            ),
-            average_s=self.average_s,
+    @property
+    def stillness(self) -> StillnessSettings:
+        """When a pose was still, each joint with its own unit's number."""
+        return StillnessSettings(
+            joint_motion=by_joint(self.joint_motion_m, self.joint_motion_rad),
+            scatter_ratio=self.max_scatter_ratio,
+            trend_sigmas=self.max_trend_sigmas,
+            min_samples=self.min_samples,
         )
 
 

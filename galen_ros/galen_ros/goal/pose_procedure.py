@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from enum import IntEnum
 from typing import ClassVar
 
@@ -11,27 +10,15 @@ import numpy as np
 from galen_model.arm.clearance import ObstacleError
 from galen_model.arm.routes import Router
 from galen_model.arrays import Array
-from galen_model.rest.pose import PoseRecord, StillnessSettings
+from galen_model.rest.pose import PoseRecord
 
+from galen_ros.goal.parameters import PoseParameters
 from galen_ros.goal.pose_recorder import PoseRecorder, Rejection
-from galen_ros.goal.procedure import (
-    CommandT,
-    EndT,
-    GoalProcedure,
-    GoalSettings,
-)
+from galen_ros.goal.procedure import CommandT, EndT, GoalProcedure
 from galen_ros.goal.stamps import StampClock
 
 # Errors that lost samples may be the cause of.
 _OF_LOST_SAMPLES = ("MOTION_TIMEOUT", "POSES_NOT_STILL")
-
-
-@dataclass(frozen=True)
-class PoseSettings(GoalSettings):
-    """How a pose is averaged, and judged."""
-
-    stillness: StillnessSettings
-    average_s: float
 
 
 class PoseProcedure(GoalProcedure[CommandT, EndT]):
@@ -41,9 +28,9 @@ class PoseProcedure(GoalProcedure[CommandT, EndT]):
     """
 
     wrench_topic: ClassVar[str] = "wrench_raw"
-    _settings: PoseSettings
+    _settings: PoseParameters
 
-    def __init__(self, settings: PoseSettings, state: IntEnum) -> None:
+    def __init__(self, settings: PoseParameters, state: IntEnum) -> None:
         """`state` is the first one."""
         super().__init__(settings, state)
         self._router: Router | None = None

@@ -9,21 +9,18 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from enum import IntEnum
 from typing import ClassVar, Generic, TypeVar
 
 import numpy as np
 from galen_model.arm.galen import JOINT_NAMES
 from galen_model.arrays import Array
-from galen_model.poses.motion_time import quintic_duration_s
+from galen_model.poses.order import quintic_duration_s
 
-from galen_ros.goal.arrival import (
-    ArrivalMonitor,
-    ArrivalSettings,
-    MotionTimeoutError,
-)
+from galen_ros.goal.arrival import ArrivalMonitor, MotionTimeoutError
 from galen_ros.goal.commands import End, MoveTo, Stop
+from galen_ros.goal.parameters import MotionParameters
 from galen_ros.goal.silence import Silence, WallClock
 from galen_ros.goal.stamps import NS, StampClock, StampsError
 
@@ -31,20 +28,6 @@ JOINTS = "joint_states"
 
 CommandT = TypeVar("CommandT")
 EndT = TypeVar("EndT", bound=End)
-
-
-@dataclass(frozen=True)
-class GoalSettings:
-    """What each procedure is told of the arm and the driver; times in s."""
-
-    arrival: ArrivalSettings
-    max_velocity: Array  # (5,)
-    max_acceleration: Array  # (5,)
-    motion_timeout_s: float  # beyond the move's own duration
-    max_stamp_offset_s: float
-    silent_timeout_s: float
-    service_timeout_s: float
-    stop_timeout_s: float
 
 
 class GoalProcedure(ABC, Generic[CommandT, EndT]):
@@ -58,7 +41,7 @@ class GoalProcedure(ABC, Generic[CommandT, EndT]):
     """The action's error codes, by the names that all actions here have in common."""
     wrench_topic: ClassVar[str]
 
-    def __init__(self, settings: GoalSettings, state: IntEnum) -> None:
+    def __init__(self, settings: MotionParameters, state: IntEnum) -> None:
         """`state` is the first one."""
         self._settings = settings
         self._state = state

@@ -1,4 +1,4 @@
-"""`check`: has check_node find out whether a tool's file still fits, and says what to do."""
+"""`check`: has calibration_node find out whether a tool's file still fits, and says what to do."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ from galen_ros.goal.client import (
     make_parser,
     read_options,
     report_error,
+    result_to_dict,
     run_client,
 )
 from galen_ros.node.spin import own_arguments
 
-from galen_calibration_behavior.calibration.result_text import result_to_dict
+from galen_calibration_behavior.commands import CheckCode
 from galen_calibration_behavior.quick_check.answer import Answer, Cause
-from galen_calibration_behavior.quick_check.commands import ErrorCode
 from galen_msgs.action import CheckTool
 
 EXIT_RETARE, EXIT_RECALIBRATE, EXIT_UNSURE = 3, 4, 5
@@ -59,7 +59,7 @@ class CheckClient(GoalClient):
     action_type = CheckTool
     action_name = "check_tool"
     node_name = "check_client"
-    server = "check_node"
+    server = "calibration_node"
     lost = "nothing is known of the tool"
     unit = "pose"
 
@@ -82,7 +82,7 @@ def parse(arguments: list[str]) -> argparse.Namespace:
         "tool", nargs="?", default="", help="name of the tool; default: that active in gravcomp"
     )
     parser.add_argument("--poses", type=int, default=0, help="number of poses; 0: the node's")
-    add_client_options(parser, "check")
+    add_client_options(parser, "calibration")
     options = read_options(parser, arguments, tool="tool")
     if not 0 <= options.poses <= 100:
         parser.error(f"--poses is {options.poses}, not in 0 ... 100")
@@ -98,7 +98,7 @@ def main() -> None:
 def result_fields(result: Any) -> dict[str, Any]:
     """A CheckTool.Result for JSON: answer and cause as words, no NaN."""
     content = result_to_dict(result)
-    if result.error_code == ErrorCode.NONE:
+    if result.error_code == CheckCode.NONE:
         content |= {"answer": Answer(result.answer).name, "cause": Cause(result.cause).name}
     else:
         content |= {"answer": None, "cause": None}
@@ -140,13 +140,13 @@ def _row(name: str, values: Any) -> str:
 
 
 def _print_result(result: Any, as_json: bool) -> int:
-    code = ErrorCode(result.error_code)
+    code = CheckCode(result.error_code)
     if as_json:
         print(json.dumps(result_fields(result)))
-    elif code == ErrorCode.NONE:
+    elif code == CheckCode.NONE:
         print(format_result(result))
     exit_code = report_error("check", code, result.error_msg)
-    if code == ErrorCode.NONE:
+    if code == CheckCode.NONE:
         return _EXITS[Answer(result.answer)]
     if not as_json:
         for text in result.poses_rejected:

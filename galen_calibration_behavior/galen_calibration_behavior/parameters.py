@@ -1,38 +1,52 @@
-"""Parameters that say which poses a sweep visits, when it is enough, and what stands around."""
+"""The calibration node's settings, each a parameter: sweep and home under the report's names."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
 import numpy as np
+from galen_model.arm.clearance import boxes_from_numbers
 from galen_model.arm.galen import LIMITS
 from galen_model.arrays import Array
 from galen_model.load.identification import check_planned_poses
+from galen_model.load.mounting.mounting import entities
 from galen_model.poses.design import GOALS
-from galen_model.poses.grid import GridError, SweepGrid
 from galen_model.poses.order import SweepTimes
 from galen_model.poses.plan import (
+    GridError,
+    Surroundings,
+    SweepGrid,
     SweepPlan,
     SweepRange,
     plan_chosen,
     plan_grid,
     plan_listed,
 )
-from galen_ros.goal.pose_procedure import PoseSettings
+from galen_ros.goal.parameters import PoseParameters
 from galen_ros.parameters.param import ParameterError, param
 
-from galen_calibration_behavior.calibration.obstacle_parameters import ObstacleParameters
-from galen_calibration_behavior.calibration.precision import WantedPrecision
+from galen_calibration_behavior.quick_check.answer import CheckLimits
+from galen_calibration_behavior.quick_check.decision import FEWEST_POSES
 
 MAX_ITERS = 100  # so that the feedback's counts of poses, uint16, hold two sweeps
 MAX_CHOSEN = 60  # more take long to choose and to order, and are no better than a grid
 MAX_LISTED = 1000
+MOST_CHECK_POSES = 12
 POSES = ("grid", "chosen", "listed")
 
 
 @dataclass(frozen=True)
-class SweepParameters(ObstacleParameters):
-    """Which poses, around which obstacles, and how precise."""
+class CalibrationParameters(PoseParameters):
+    """Settings of calibration_node, for both of its actions and for recorded sweeps."""
+
+    tools_dir: str = param("~/.ros/galen/tools", "directory of the tools' files; `~` is expanded")
+
+    obstacles: tuple[float, ...] = param(
+        (),
+        "boxes that the arm keeps away from, six numbers each: smallest x, y, z, largest x, y, z,"
+        " in `base_link`, m",
+    )
+    obstacle_clearance_m: float = param(0.03, "how far it keeps away from them", 0.0, 1.0)
 
     tstart: float = param(-1.0, "first tilt of the sweep, rad")
     tend: float = param(0.9, "last tilt of the sweep, rad")
@@ -81,26 +95,80 @@ class SweepParameters(ObstacleParameters):
     )
     fewest_poses: int = param(12, "but not before so many good poses", 6, 10_000)
 
-    def check_sweep(self) -> None:
-        """Reject a sweep outside the joint limits, poses of no kind, and boxes that are none."""
+    pose_retries: int = param(1, "how often a rejected pose is tried again", 0, 10)
+    max_rejected_in_a_row: int = param(8, "so many rejected poses in a row end it", 1, 10_000)
+    min_pose_fraction: float = param(0.5, "fewest good poses, as a part of the sweep", 0.05, 1.0)
+    zero_tolerance_n: float = param(0.1, "largest force read just after zeroing, N", 1e-4, 100.0)
+    zero_tolerance_nm: float = param(
+        0.005, "largest torque read just after zeroing, N·m", 1e-6, 10.0
+    )
+    estimate: tuple[str, ...] = param(
+        (),
+        "what to estimate together with the loads, see *Sensor and mounting*; a goal is rejected"
+        " where the poses can't tell it",
+    )
+    confirm_timeout_s: float = param(
+        600.0, "a person has this long to put the tool on or take it off", 1.0, 86_400.0
+    )
+
+    check_poses: int = param(6, "number of a check's poses", FEWEST_POSES, MOST_CHECK_POSES)
+    check_reach_rad: float = param(
+        0.5, "a check's poses lie within this of where roll and tilt are, rad", 0.1, 1.5
+    )
+    check_limit_force_n: float = param(
+        0.05, "a file is good that leaves no more than this anywhere, N", 1e-4, 100.0
+    )
+    check_limit_torque_nm: float = param(0.002, "likewise, N·m", 1e-6, 10.0)
+    check_false_alarm: float = param(
+        0.05, "how often chance alone may look like a change, before the limits", 1e-6, 0.5
+    )
+
+    def validate(self) -> None:
+        """Reject a home or a sweep outside the joint limits, and what can't be estimated.
+
+        Raises GridError naming the joint, IdentificationError naming the group, ObstacleError
+        naming the box, ParameterError naming the parameter.
+        """
+        for name, value, low, high in zip(
+            ("Xhome", "Yhome", "Zhome", "Rhome", "Thome"),
+            self.home.tolist(),
+            LIMITS.lower,
+            LIMITS.upper,
+            strict=True,
+        ):
+            if not low <= value <= high:
+                raise GridError(f"{name} = {value:g} is outside its limits, {low:g} ... {high:g}")
+        entities(self.estimate)
         self.grid_poses(self.itersT, self.itersR)
-        if self.poses not in POSES:
-            raise ParameterError(
-                f"parameter 'poses' is {self.poses!r}, but must be {' or '.join(map(repr, POSES))}"
-            )
+        for name, allowed in (("poses", POSES), ("chosen_for", GOALS)):
+            if (given := getattr(self, name)) not in allowed:
+                names = " or ".join(map(repr, allowed))
+                raise ParameterError(f"parameter '{name}' is {given!r}, but must be {names}")
         if self.poses == "listed":
             self.listed_poses()
-        if self.chosen_for not in GOALS:
-            raise ParameterError(
-                f"parameter 'chosen_for' is {self.chosen_for!r}, but must be"
-                f" {' or '.join(map(repr, GOALS))}"
-            )
-        self.check_obstacles()
+        boxes_from_numbers(self.obstacles)
 
     @property
-    def home(self) -> tuple[float, float, float, float, float]:
-        """Home in the joint vector's order, m and rad."""
-        return (self.Xhome, self.Yhome, self.Zhome, self.Rhome, self.Thome)
+    def surroundings(self) -> Surroundings:
+        """The obstacles."""
+        return Surroundings(boxes_from_numbers(self.obstacles), self.obstacle_clearance_m)
+
+    @property
+    def home(self) -> Array:
+        """Home (5,) in the joint vector's order, m and rad."""
+        return np.array([self.Xhome, self.Yhome, self.Zhome, self.Rhome, self.Thome])
+
+    @property
+    def zero_tolerance(self) -> Array:
+        """Largest reading (6,) just after zeroing, N and N.m."""
+        return np.array([self.zero_tolerance_n] * 3 + [self.zero_tolerance_nm] * 3)
+
+    @property
+    def check_limits(self) -> CheckLimits:
+        """What a check judges a file by."""
+        return CheckLimits(
+            self.check_limit_force_n, self.check_limit_torque_nm, self.check_false_alarm
+        )
 
     @property
     def chosen(self) -> bool:
@@ -170,24 +238,14 @@ class SweepParameters(ObstacleParameters):
     def range(self) -> SweepRange:
         """Where the sweep may go: no further than its grid does."""
         return SweepRange(
-            home=np.array(self.home),
+            home=self.home,
             lower=(min(self.rstart, self.rend), min(self.tstart, self.tend)),
             upper=(max(self.rstart, self.rend), max(self.tstart, self.tend)),
         )
 
-    @property
-    def wanted(self) -> WantedPrecision:
-        """When a sweep may end before its last pose."""
-        return WantedPrecision(
-            self.wanted_force_std_n, self.wanted_torque_std_nm, self.fewest_poses
-        )
-
-    def sweep_pose_settings(self) -> PoseSettings:
-        """As `pose_settings`, with the average's length that belongs to the poses."""
-        settings = self.pose_settings()
-        if not self.chosen:
-            return settings
-        return replace(settings, average_s=self.chosen_average_s)
+    def of_sweep(self) -> CalibrationParameters:
+        """The same with the average's length that belongs to the poses."""
+        return replace(self, average_s=self.chosen_average_s) if self.chosen else self
 
     def sweep_s(self) -> float:
         """Return how long one sweep takes, s of stamps; ways around obstacles are not counted.
@@ -199,10 +257,9 @@ class SweepParameters(ObstacleParameters):
 
     def times(self) -> SweepTimes:
         """Return how long a sweep's moves and stays take."""
-        average_s = self.chosen_average_s if self.chosen else self.average_s
         return SweepTimes(
-            np.array(self.home[3:]),
+            self.home[3:],
             self.max_velocity[3:],
             self.max_acceleration[3:],
-            self.velocity_window_s + self.settle_s + average_s,
+            self.velocity_window_s + self.settle_s + self.of_sweep().average_s,
         )

@@ -1,4 +1,4 @@
-"""The action server `check_tool`: runs the quick check on the arm's topics."""
+"""The action `check_tool`: the quick check on the arm's topics."""
 
 from __future__ import annotations
 
@@ -10,73 +10,79 @@ import numpy as np
 from galen_model.arrays import Array
 from galen_model.errors import CalibrationFileError, GalenError, ToolNameError
 from galen_model.files.calibration_store import CalibrationStore
-from galen_ros.goal.node import GoalNode, RejectedGoalError, RunningGoal, Words
-from galen_ros.node.spin import run
+from galen_ros.goal.action import ArmAction, RejectedGoalError, RunningGoal
+from galen_ros.goal.commands import End
+from galen_ros.goal.node import GoalNode, named
 from galen_ros.qos import LATCHED
 from rclpy.action.server import ServerGoalHandle
 
-from galen_calibration_behavior.quick_check.commands import ErrorCode, Feedback, Finished
+from galen_calibration_behavior.commands import CheckCode, PoseFeedback, PosesEnd
+from galen_calibration_behavior.parameters import MOST_CHECK_POSES
 from galen_calibration_behavior.quick_check.decision import FEWEST_POSES
-from galen_calibration_behavior.quick_check.parameters import MOST_POSES, CheckParameters
 from galen_calibration_behavior.quick_check.procedure import CheckProcedure, CheckRequest
 from galen_calibration_behavior.quick_check.text import centre_change
 from galen_msgs.action import CheckTool
 from galen_msgs.msg import ActiveTool
 
 
-class _Goal(RunningGoal[CheckProcedure]):
+class _Goal(RunningGoal):
     """One running check; `warnings`: known from before it began."""
 
     def __init__(
-        self, handle: ServerGoalHandle, procedure: CheckProcedure, warnings: list[str]
+        self,
+        action: ArmAction,
+        handle: ServerGoalHandle,
+        procedure: CheckProcedure,
+        warnings: list[str],
     ) -> None:
-        super().__init__(handle, procedure)
+        super().__init__(action, handle, procedure)
         self.warnings = warnings
 
 
-class CheckNode(GoalNode[CheckParameters, _Goal, Finished]):
+class CheckAction(ArmAction):
     """Declares, converts and calls; what happens when is in CheckProcedure."""
 
-    codes = ErrorCode
-    words = Words(
-        subject="tool",
-        doing="checking",
-        nothing_yet="no check yet",
-        unit="poses",
-        restarted="the driver was restarted",
-        shutting_down="shutting down: stopping the arm",
-    )
+    action_type = CheckTool
+    name = "check_tool"
+    codes = CheckCode
+    doing = "checking"
+    unit = "poses"
+    restarted = "the driver was restarted"
 
-    def __init__(self, **kwargs: Any) -> None:
-        super().__init__("check", CheckParameters, CheckTool, "check_tool", **kwargs)
-        self._store = CalibrationStore(Path(self._settings.tools_dir).expanduser())
+    def __init__(self, node: GoalNode) -> None:
+        super().__init__(node)
+        self._store = CalibrationStore(Path(node.settings.tools_dir).expanduser())
         self._active: ActiveTool | None = None
-        self.create_subscription(ActiveTool, "gravcomp/active_tool", self._on_active_tool, LATCHED)
+        node.create_subscription(ActiveTool, "gravcomp/active_tool", self._on_active_tool, LATCHED)
 
     def _on_active_tool(self, message: ActiveTool) -> None:
         self._active = message
 
     # ---- the action
 
-    def _subject(self, request: Any) -> str:
+    def subject_of(self, request: Any) -> str:
+        """Return the tool's name; without one that of the active tool."""
         if request.tool or self._active is None:
             return str(request.tool)
         return str(self._active.tool)
 
-    def _rejection(self, request: Any) -> str:
-        if not self.count_publishers("gravcomp/active_tool"):
+    def rejection(self, request: Any) -> str:
+        """Return why there is no tool to check; empty where there is one."""
+        if not self.node.count_publishers("gravcomp/active_tool"):
             self._active = None  # a node that is gone subtracts nothing
-        if self._subject(request):
+        if self.subject_of(request):
             return ""
         why = "no gravcomp_node is running" if self._active is None else "gravcomp has none"
         return f"the goal names no tool, and {why}: name the tool that is on, as in 'check pointer'"
 
-    def _make_goal(self, handle: ServerGoalHandle) -> _Goal:
-        name, poses = self._subject(handle.request), handle.request.poses
-        if poses and not FEWEST_POSES <= poses <= MOST_POSES:
+    def make_goal(self, handle: ServerGoalHandle) -> _Goal:
+        """Return the goal to run; raises RejectedGoalError."""
+        name, poses = self.subject_of(handle.request), handle.request.poses
+        settings = self.node.settings
+        if poses and not FEWEST_POSES <= poses <= MOST_CHECK_POSES:
             raise RejectedGoalError(
-                ErrorCode.BAD_INPUT,
-                f"poses is {poses}: from {FEWEST_POSES} to {MOST_POSES}, or 0",
+                CheckCode.BAD_INPUT,
+                f"poses is {poses}: from {FEWEST_POSES} to {MOST_CHECK_POSES}, or 0",
             )
         try:
             tool = self._store.read(name).tool
@@ -86,23 +92,23 @@ class CheckNode(GoalNode[CheckParameters, _Goal, Finished]):
                 if entry.stored is not None and entry.name != name
             }
         except ToolNameError as error:
-            raise RejectedGoalError(ErrorCode.INVALID_NAME, str(error)) from error
+            raise RejectedGoalError(CheckCode.INVALID_NAME, str(error)) from error
         except CalibrationFileError as error:
-            raise RejectedGoalError(ErrorCode.TOOL_FILE, str(error)) from error
+            raise RejectedGoalError(CheckCode.TOOL_FILE, str(error)) from error
         except GalenError as error:
-            raise RejectedGoalError(ErrorCode.BAD_INPUT, str(error)) from error
+            raise RejectedGoalError(CheckCode.BAD_INPUT, str(error)) from error
         known_offset = self._known_offset(name)
         warnings = []
         if known_offset is not None:
             warnings.append(
-                "what gravcomp's tare, or its estimate of the bias drift, takes off counts"
+                "what gravcomp's tare, or its estimate of the bias drift, subtracts counts"
             )
-        request = CheckRequest(tool, poses or self._settings.poses, others, known_offset)
-        procedure = CheckProcedure(self._settings.settings(), request)
-        return _Goal(handle, procedure, warnings)
+        request = CheckRequest(tool, poses or settings.check_poses, others, known_offset)
+        procedure = CheckProcedure(settings, request)
+        return _Goal(self, handle, procedure, warnings)
 
     def _known_offset(self, tool: str) -> Array | None:
-        """What the compensation takes off beside the file (6,), N and N.m; None for nothing."""
+        """What the compensation subtracts beside the file (6,), N and N.m; None for nothing."""
         now = self._active
         if now is None or now.tool != tool or not (now.tared or now.bias_drift_estimated):
             return None
@@ -113,16 +119,20 @@ class CheckNode(GoalNode[CheckParameters, _Goal, Finished]):
                 taken_off += [force.x, force.y, force.z, torque.x, torque.y, torque.z]
         return taken_off
 
-    def _introduce(self, goal: _Goal) -> str:
+    def introduce(self, goal: _Goal) -> str:
+        """Describe in the log what begins."""
         return f"{goal.procedure.progress[1]} poses"
 
-    def _make_end(self, code: IntEnum, message: str, goal: _Goal | None) -> Finished:
-        return Finished(ErrorCode(code), message)
+    def make_end(self, code: IntEnum, message: str, goal: _Goal | None) -> End:
+        """Return an end that the procedure doesn't know of."""
+        return PosesEnd(CheckCode(code), message)
 
-    def _make_result(
-        self, handle: ServerGoalHandle, end: Finished, goal: _Goal | None
+    def make_result(
+        self, handle: ServerGoalHandle, end: PosesEnd, goal: _Goal | None
     ) -> tuple[CheckTool.Result, str]:
-        name, shown = self._subject(handle.request), self._named(handle.request)
+        """Return the action's result, and a sentence for /diagnostics."""
+        name = self.subject_of(handle.request)
+        shown = named(name)
         result = CheckTool.Result(
             error_code=int(end.error_code),
             error_msg=end.error_msg,
@@ -148,34 +158,19 @@ class CheckNode(GoalNode[CheckParameters, _Goal, Finished]):
 
     # ---- commands
 
-    def _obey(self, goal: _Goal, command: Any) -> None:
-        match command:
-            case Feedback():
-                goal.handle.publish_feedback(
-                    CheckTool.Feedback(
-                        state=int(command.state),
-                        done=command.done,
-                        total=command.total,
-                        roll=command.roll,
-                        tilt=command.tilt,
-                        accepted=command.accepted,
-                        message=command.message,
-                    )
-                )
-                self.get_logger().debug(command.message)
-            case _:
-                super()._obey(goal, command)
-
-    # ---- diagnostics
-
-    def _folders(self) -> dict[str, object]:
-        return {"tools_dir": self._store.directory}
-
-
-def main() -> None:
-    """Run the node until SIGINT or SIGTERM."""
-    run(CheckNode)
-
-
-if __name__ == "__main__":
-    main()
+    def obey(self, goal: _Goal, command: Any) -> None:
+        """Give feedback."""
+        if not isinstance(command, PoseFeedback):
+            return
+        goal.handle.publish_feedback(
+            CheckTool.Feedback(
+                state=int(command.state),
+                done=command.done,
+                total=command.total,
+                roll=command.roll,
+                tilt=command.tilt,
+                accepted=command.accepted,
+                message=command.message,
+            )
+        )
+        self.node.get_logger().debug(command.message)

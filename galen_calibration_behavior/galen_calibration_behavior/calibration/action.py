@@ -1,0 +1,273 @@
+"""The action `calibrate_tool`: the procedure on the arm's topics and services."""
+
+from __future__ import annotations
+
+from enum import IntEnum
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from galen_model.arrays import Array
+from galen_model.errors import CalibrationFileError, GalenError, NotExcitedError, ToolNameError
+from galen_model.files.calibration_file import calibration_path
+from galen_model.load.mounting.identification import check_planned_mounting
+from galen_ros.goal.action import ArmAction, RejectedGoalError, RunningGoal
+from galen_ros.goal.arm_link import DriversTools
+from galen_ros.goal.commands import End
+from galen_ros.goal.node import GoalNode, named
+from rclpy.action.server import ServerGoalHandle
+from rclpy.client import Client
+from std_srvs.srv import Trigger
+
+from galen_calibration_behavior.calibration.estimate import (
+    Calibration,
+    EstimateError,
+    MountingRequest,
+    TipError,
+    calibrate,
+    check_writable,
+    choose_tip,
+)
+from galen_calibration_behavior.calibration.procedure import (
+    CalibrationProcedure,
+    CalibrationRequest,
+)
+from galen_calibration_behavior.calibration.result_text import calibration_fields
+from galen_calibration_behavior.commands import (
+    AttachTool,
+    CalibrationCode,
+    Estimate,
+    PoseFeedback,
+    PosesEnd,
+    ZeroSensor,
+)
+from galen_calibration_behavior.parameters import MAX_ITERS
+from galen_msgs.action import CalibrateTool
+from galen_msgs.srv import SetTool
+
+
+class _Goal(RunningGoal):
+    """One running calibration; `warnings`: known from before it began."""
+
+    def __init__(
+        self,
+        action: ArmAction,
+        handle: ServerGoalHandle,
+        procedure: CalibrationProcedure,
+        path: Path,
+        tip_m: Array,
+        warnings: list[str],
+    ) -> None:
+        super().__init__(action, handle, procedure)
+        self.path = path
+        self.tip_m = tip_m
+        self.warnings = warnings
+        self.calibration: Calibration | None = None
+        self.asking: DriversTools | None = None
+
+
+class CalibrateAction(ArmAction):
+    """Declares, converts and calls; what happens when is in CalibrationProcedure."""
+
+    action_type = CalibrateTool
+    name = "calibrate_tool"
+    codes = CalibrationCode
+    doing = "calibrating"
+    unit = "poses"
+    restarted = "the driver was restarted, and the sensor's zero is lost"
+
+    def __init__(self, node: GoalNode) -> None:
+        super().__init__(node)
+        self._zero_client = node.create_client(Trigger, "zero_ft_sensor")
+        self._attach_client = node.create_client(SetTool, "attach_tool")
+        node.create_service(Trigger, "~/confirm", self._on_confirm)
+
+    def make_goal(self, handle: ServerGoalHandle) -> _Goal:
+        """Return the goal to run; raises RejectedGoalError."""
+        request, settings = handle.request, self.node.settings
+        for name, count in (("iters_t", request.iters_t), ("iters_r", request.iters_r)):
+            if count > MAX_ITERS:
+                raise RejectedGoalError(
+                    CalibrationCode.BAD_INPUT, f"{name} is {count}: at most {MAX_ITERS}, or 0"
+                )
+            if count and settings.poses != "grid":
+                raise RejectedGoalError(
+                    CalibrationCode.BAD_INPUT,
+                    f"{name} is {count}, but the node's poses are {settings.poses} ones",
+                )
+        try:
+            path = calibration_path(Path(settings.tools_dir).expanduser(), request.tool)
+            tip_m, warnings = choose_tip(np.array(request.tip_m, float), path)
+            if warnings and settings.obstacles:
+                raise TipError(f"{warnings[0]}, so that it is not known what the tool would hit")
+            plan = settings.plan(
+                tip_m, one_sweep=request.one_sweep, tilts=request.iters_t, rolls=request.iters_r
+            )
+            if settings.estimate:
+                check_planned_mounting(
+                    plan.poses[:, 0],
+                    plan.poses[:, 1],
+                    settings.estimate,
+                    one_sweep=request.one_sweep,
+                    zero_roll_rad=settings.Rhome,
+                    zero_tilt_rad=settings.Thome,
+                )
+            check_writable(path)
+        except ToolNameError as error:
+            raise RejectedGoalError(CalibrationCode.INVALID_NAME, str(error)) from error
+        except CalibrationFileError as error:
+            raise RejectedGoalError(CalibrationCode.WRITE_FAILED, str(error)) from error
+        except NotExcitedError as error:
+            raise RejectedGoalError(CalibrationCode.NOT_EXCITED, str(error)) from error
+        except GalenError as error:
+            raise RejectedGoalError(CalibrationCode.BAD_INPUT, str(error)) from error
+        procedure = CalibrationProcedure(
+            settings.of_sweep(),
+            CalibrationRequest(
+                request.tool,
+                request.one_sweep,
+                request.attach_by_service,
+                plan.poses,
+                plan.router,
+            ),
+        )
+        return _Goal(self, handle, procedure, path, tip_m, warnings)
+
+    def introduce(self, goal: _Goal) -> str:
+        """Describe in the log what begins."""
+        return f"{goal.procedure.progress[1]} poses, file {goal.path}"
+
+    def make_end(self, code: IntEnum, message: str, goal: _Goal | None) -> End:
+        """Return an end that the procedure doesn't know of."""
+        return PosesEnd(CalibrationCode(code), message)
+
+    def make_result(
+        self, handle: ServerGoalHandle, end: PosesEnd, goal: _Goal | None
+    ) -> tuple[CalibrateTool.Result, str]:
+        """Return the action's result, and a sentence for /diagnostics."""
+        tool, shown = handle.request.tool, named(handle.request.tool)
+        calibration = None if goal is None else goal.calibration
+        last = f"{shown} not calibrated: {end.error_code.name}: {end.error_msg}"
+        if calibration is not None:
+            last = f"{shown} calibrated: {calibration.path}"
+        return _to_result(tool, end, calibration), last
+
+    def _on_confirm(self, _request: Trigger.Request, response: Trigger.Response) -> Any:
+        goal = self.node.goal
+        if goal is None or goal.action is not self:
+            response.success, response.message = False, "no calibration is running"
+            return response
+        response.success = goal.procedure.waiting_for_person
+        if response.success:
+            self.node.feed(goal.procedure.confirm)
+        else:
+            response.message = f"it waits for no confirmation: state {goal.procedure.state.name}"
+        return response
+
+    # ---- commands
+
+    def needed_clients(self, goal: _Goal) -> list[Client]:
+        """Return the clients of the services that the goal can't do without."""
+        by_service = goal.handle.request.attach_by_service
+        return [self._zero_client, self._attach_client] if by_service else [self._zero_client]
+
+    def find_missing(self, goal: _Goal) -> tuple[IntEnum, str] | None:
+        """Ask a driver that changes tools whether it knows this one."""
+        request = goal.handle.request
+        if not request.attach_by_service:
+            return None
+        if goal.asking is None:
+            goal.asking = DriversTools(self.node, self._attach_client)
+            goal.preflight_s = 0.0  # what it needs is there; this waits by its own clock
+        if not goal.asking.is_over():
+            return CalibrationCode.SERVICE_FAILED, f"{goal.asking.driver} does not answer"
+        known = goal.asking.tools
+        if known is not None and request.tool not in known:
+            goal.procedure.fail(
+                CalibrationCode.SERVICE_FAILED,
+                f"attach_tool can't put {request.tool!r} on: {goal.asking.driver} knows"
+                f" {', '.join(known) or 'no tool'} (its parameter 'tools'); correct the name, or"
+                " calibrate by hand",
+            )
+        return None
+
+    def obey(self, goal: _Goal, command: Any) -> None:
+        """Give feedback, call the driver's services, estimate."""
+        node, on_service = self.node, goal.procedure.on_service
+        match command:
+            case PoseFeedback():
+                self._publish_feedback(goal, command)
+            case ZeroSensor():
+                node.call(
+                    goal,
+                    self._zero_client,
+                    Trigger.Request(),
+                    lambda answer: node.feed(on_service, answer.success, answer.message),
+                )
+            case AttachTool():
+                node.call(
+                    goal,
+                    self._attach_client,
+                    SetTool.Request(tool=command.tool),
+                    lambda answer: node.feed(on_service, answer.success, answer.error_msg),
+                )
+            case Estimate():
+                self._estimate(goal, command)
+
+    def _estimate(self, goal: _Goal, command: Estimate) -> None:
+        groups = self.node.settings.estimate
+        try:
+            goal.calibration = calibrate(
+                goal.path,
+                goal.handle.request.tool,
+                goal.tip_m,
+                command.measurements,
+                goal.warnings,
+                mounting=MountingRequest(groups) if groups else None,
+            )
+        except EstimateError as error:
+            goal.procedure.fail(error.code, str(error))
+        else:
+            goal.procedure.on_estimated()
+
+    def _publish_feedback(self, goal: _Goal, feedback: PoseFeedback) -> None:
+        message = CalibrateTool.Feedback(
+            state=int(feedback.state),
+            pose=feedback.pose,
+            poses=feedback.poses,
+            done=feedback.done,
+            total=feedback.total,
+            roll=feedback.roll,
+            tilt=feedback.tilt,
+            accepted=feedback.accepted,
+            wrench=list(feedback.wrench),
+            message=feedback.message,
+        )
+        goal.handle.publish_feedback(message)
+        self.node.get_logger().debug(feedback.message)
+
+    # ---- diagnostics
+
+    def status_values(self, goal: _Goal) -> dict[str, object]:
+        """Return whether it waits for a person."""
+        return {"waits_for_person": goal.procedure.waiting_for_person}
+
+    def status_remark(self, goal: _Goal) -> str:
+        """Return what it waits for."""
+        return "; waits for ~/confirm" if goal.procedure.waiting_for_person else ""
+
+
+def _to_result(tool: str, end: PosesEnd, calibration: Calibration | None) -> CalibrateTool.Result:
+    result = CalibrateTool.Result(
+        error_code=int(end.error_code),
+        error_msg=end.error_msg,
+        tool=tool,
+        poses_rejected=list(end.rejected),
+        warnings=list(end.warnings),
+    )
+    if calibration is None:
+        return result
+    result.file = str(calibration.path)
+    for name, value in calibration_fields(calibration).items():
+        setattr(result, name, value)
+    return result
