@@ -6,7 +6,7 @@ from galen_model.arm.galen import ENCODER_QUANTUM
 from galen_model.load.identification import StillPoses, identify_two_sweeps
 from galen_model.load.model import Load, nominal_reading
 from galen_model.load.nominal_tools import ADAPTER, TOOLS
-from galen_model.poses.grid import SweepGrid
+from galen_model.poses.plan import SweepGrid
 from galen_sim_driver.plant.config import SensorConfig
 from galen_sim_driver.plant.sensor import ForceTorqueSensor
 

@@ -9,8 +9,7 @@ from galen_gravcomp.corrections.cable import CablePull
 from galen_gravcomp.monitor import Monitor
 from galen_model.arm.galen import HOME, SENSOR
 from galen_model.files.calibration_file import CalibrationFile, LoadEstimate
-from galen_model.load.cable.drag import CableDrag
-from galen_model.load.cable.form import FORMS, form_matrices
+from galen_model.load.cable.drag import FORMS, CableDrag, form_matrices
 from galen_model.load.nominal_tools import ADAPTER, TOOLS
 from galen_ros.stream.monitor import Severity
 from galen_ros.stream.results import Compensated, Rejection

@@ -14,9 +14,14 @@ from galen_model.files.calibration_file import (
     read_calibration,
     write_calibration,
 )
-from galen_model.load.cable.drag import CableDrag, smooth_kernel
+from galen_model.load.cable.drag import (
+    FORMS,
+    CableDrag,
+    attachment_derivatives,
+    form_matrices,
+    smooth_kernel,
+)
 from galen_model.load.cable.fit import CableSweep, _Likelihood, fit_cable, spacing_rad
-from galen_model.load.cable.form import FORMS, attachment_derivatives, form_matrices
 from galen_model.load.cable.learning import (
     NoCableError,
     SparseSweepError,

@@ -8,10 +8,10 @@ from galen_model.load.bias.choice import CANDIDATES, BiasMode, choose_shapes
 from galen_model.load.bias.curve import BiasBasis, BiasShape, Shape
 from galen_model.load.bias.drifting import Sweeps, finish
 from galen_model.load.bias.identification import (
+    identify_drifting_load,
     identify_one_sweep_drifting,
     identify_two_sweeps_drifting,
 )
-from galen_model.load.bias.single_load import identify_drifting_load
 from galen_model.load.identification import StillPoses, identify_single_load, identify_two_sweeps
 from galen_model.load.model import Load, gravity_regressor, gravity_wrench, nominal_reading
 from galen_model.load.nominal_tools import ADAPTER, TOOLS

@@ -16,8 +16,8 @@ from galen_model.files.calibration_file import (
     read_calibration,
     write_calibration,
 )
-from galen_model.load.inertia.estimate import InertiaEstimate
 from galen_model.load.inertia.inertial import (
+    InertiaEstimate,
     LoadInMotion,
     inertia_matrix,
     inertia_numbers,

@@ -16,7 +16,6 @@ from galen_model.files.calibration_file import (
 from galen_model.files.json_fields import FieldError
 from galen_model.load.identification import StillPoses, identify_two_sweeps
 from galen_model.load.model import Load
-from galen_model.load.mounting.groups import GROUPS, PARAMETERS, entities
 from galen_model.load.mounting.held_out import GALEN, MOUNTED, Calibrated, worth
 from galen_model.load.mounting.identification import (
     KnownLoad,
@@ -25,7 +24,7 @@ from galen_model.load.mounting.identification import (
     identify_single_load_mounted,
     identify_two_sweeps_mounted,
 )
-from galen_model.load.mounting.mounting import Mounting
+from galen_model.load.mounting.mounting import GROUPS, PARAMETERS, Mounting, entities
 from galen_model.load.mounting.reading_model import JointPoses, ReadingModel, Sweep
 from galen_model.load.nominal_tools import ADAPTER, TOOLS
 from scipy.spatial.transform import Rotation

@@ -22,7 +22,7 @@ matplotlib.use("Agg")  # a lab's machine over ssh has no display
 import matplotlib.pyplot as plt
 import numpy as np
 from galen_model.arrays import Array
-from galen_model.files.figure_file import save_figure
+from galen_model.files.atomic_file import save_figure
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 

@@ -11,7 +11,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 from galen_model.arm.galen import JOINT_NAMES, WRENCH_AXES
 from galen_model.arrays import Array
-from galen_model.files.figure_file import save_figure
+from galen_model.files.atomic_file import save_figure
 
 from galen_diagnosis.answer.result import Diagnosis
 from galen_diagnosis.errors import DiagnosisError

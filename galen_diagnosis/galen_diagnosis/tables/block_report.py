@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from galen_model.files.figure_file import save_figure
+from galen_model.files.atomic_file import save_figure
 from rich.console import Console
 from rich.table import Table
 

@@ -17,7 +17,7 @@ from galen_bags.many.run import run_many
 from galen_model.arm.galen import GRAVITY_M_S2, JOINT_NAMES
 from galen_model.errors import CalibrationFileError, IdentificationError
 from galen_model.files.calibration_file import calibration_path, read_calibration, write_calibration
-from galen_model.load.mounting.groups import entities
+from galen_model.load.mounting.mounting import entities
 from galen_ros.command import (
     EXIT_FAILED,
     EXIT_OK,

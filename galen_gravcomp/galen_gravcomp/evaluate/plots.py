@@ -12,7 +12,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 from galen_model.arm.galen import WRENCH_AXES
 from galen_model.arrays import Array
-from galen_model.files.figure_file import save_figure
+from galen_model.files.atomic_file import save_figure
 from matplotlib.axes import Axes
 
 from galen_gravcomp.evaluate.bag_evaluation import BagEvaluation

@@ -11,6 +11,8 @@ written never ends up in another directory, and nothing there changes. A directo
 followed.
 """
 
+from __future__ import annotations
+
 import ctypes
 import errno
 import os
@@ -19,6 +21,11 @@ import time
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
 
 _NO_HARD_LINKS = (errno.EPERM, errno.ENOTSUP, errno.EOPNOTSUPP, errno.EMLINK)
 _NO_EXCHANGE = (errno.EINVAL, errno.ENOSYS, errno.ENOTSUP, errno.EOPNOTSUPP)
@@ -215,3 +222,25 @@ def sync_directory(directory: Path) -> None:
         pass  # some network file systems can't sync a directory; the rename itself is done
     finally:
         os.close(handle)
+
+
+_DPI = 110
+
+
+def save_figure(figure: Figure, path: Path) -> Path:
+    """Write a PNG in one step, making its folder, and close the figure; returns the path.
+
+    Raises OSError; an old picture is then untouched.
+    """
+    from matplotlib import pyplot as plt  # slow to import, and there already where a figure is
+
+    unfinished = path.with_name(f".{path.name}.{os.getpid()}")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        figure.savefig(unfinished, dpi=_DPI, format="png")
+        os.replace(unfinished, path)
+    finally:
+        plt.close(figure)
+        if unfinished.exists():  # not where a file stands in the folder's place
+            unfinished.unlink()
+    return path

@@ -43,7 +43,7 @@ from galen_model.files.json_fields import (
     texts,
 )
 from galen_model.load.cable.drag import CableDrag
-from galen_model.load.inertia.estimate import InertiaEstimate
+from galen_model.load.inertia.inertial import InertiaEstimate
 from galen_model.load.model import Load, gravity_wrench
 from galen_model.load.mounting.mounting import Mounting
 

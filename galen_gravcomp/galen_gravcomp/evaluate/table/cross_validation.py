@@ -11,7 +11,7 @@ import numpy as np
 from galen_bags.arrays.orientation_table import OrientationTable
 from galen_model.arrays import Array
 from galen_model.errors import GalenError, IdentificationError
-from galen_model.load.bias.single_load import DriftingLoad, identify_drifting_load
+from galen_model.load.bias.identification import DriftingLoad, identify_drifting_load
 from galen_model.load.identification import identify_single_load, plain_least_squares
 from galen_model.load.model import gravity_regressor
 from galen_model.load.mounting.held_out import GALEN, MOUNTED, PLAIN, Worth, compare
@@ -115,7 +115,7 @@ def cross_validate(table: OrientationTable, groups: np.ndarray, model: Model) ->
 
 @dataclass(frozen=True)
 class TableMounting:
-    """Groups (`galen_model.load.mounting.groups`) to estimate beside the load; what is known."""
+    """Groups (`galen_model.load.mounting.mounting`) to estimate beside the load; what is known."""
 
     groups: tuple[str, ...]
     known: KnownLoad | None = None

@@ -21,8 +21,14 @@ from scipy.optimize import minimize
 
 from galen_model.arrays import Array
 from galen_model.errors import IdentificationError
-from galen_model.load.cable.drag import CableDrag, constant_size, together
-from galen_model.load.cable.form import attachment_derivatives, form_matrices, groups
+from galen_model.load.cable.drag import (
+    CableDrag,
+    attachment_derivatives,
+    constant_size,
+    form_matrices,
+    groups,
+    together,
+)
 
 # Priors: mean and standard deviation of the logarithms, of length_rad (2), length_m, amplitude (2)
 # and scatter: 1 rad of the wrist, 0.15 m of the platform (half the way to an anchor nearby), some

@@ -17,9 +17,8 @@ import numpy as np
 from galen_model.arm.kinematics import gravity_in_sensor
 from galen_model.arrays import Array
 from galen_model.errors import IdentificationError
-from galen_model.load.cable.drag import MAX_POSES, MIN_POSES, CableDrag
+from galen_model.load.cable.drag import FORMS, MAX_POSES, MIN_POSES, CableDrag
 from galen_model.load.cable.fit import CableFit, CableSweep, fit_cable, spacing_rad
-from galen_model.load.cable.form import FORMS
 from galen_model.load.model import gravity_regressor
 
 LARGEST_SPACING_RAD = 0.5

@@ -35,7 +35,7 @@ from galen_model.load.cable.learning import (
 )
 from galen_model.load.inertia.identification import OTHER_MASS
 from galen_model.load.model import gravity_regressor
-from galen_model.load.mounting.groups import entities
+from galen_model.load.mounting.mounting import entities
 from galen_model.load.mounting.reading_model import JointPoses, ReadingModel
 from galen_model.load.mounting.reading_model import Sweep as MountedSweep
 

@@ -29,8 +29,7 @@ from galen_model.arrays import Array
 from galen_model.distributions import chi2_sf
 from galen_model.errors import IdentificationError, NotExcitedError
 from galen_model.files.calibration_file import CalibrationFile, LoadEstimate
-from galen_model.load.inertia.estimate import InertiaEstimate
-from galen_model.load.inertia.inertial import INERTIA_NAMES, inertial_regressor
+from galen_model.load.inertia.inertial import INERTIA_NAMES, InertiaEstimate, inertial_regressor
 from galen_model.load.inertia.motion_record import MotionRecord
 from galen_model.load.model import gravity_regressor
 

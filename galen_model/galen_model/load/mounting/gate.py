@@ -19,7 +19,7 @@ import numpy as np
 from galen_model.arrays import Array
 from galen_model.errors import NotToldApartError
 from galen_model.load.excitation import MAX_INFLATION
-from galen_model.load.mounting.groups import FORCE_GAIN, TORQUE_GAIN
+from galen_model.load.mounting.mounting import FORCE_GAIN, TORQUE_GAIN
 
 MAX_STD = 0.01
 """Rad (0.57 degrees) or gain (1 %): a parameter known no better isn't reported.

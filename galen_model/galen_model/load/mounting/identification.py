@@ -33,8 +33,7 @@ from galen_model.load.identification import (
 )
 from galen_model.load.model import gravity_regressor
 from galen_model.load.mounting.gate import MAX_STD, Columns, check_told
-from galen_model.load.mounting.groups import Entity, entities
-from galen_model.load.mounting.mounting import Mounting
+from galen_model.load.mounting.mounting import Entity, Mounting, entities
 from galen_model.load.mounting.reading_model import (
     JointPoses,
     OrientedPoses,

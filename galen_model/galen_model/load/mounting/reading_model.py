@@ -20,8 +20,7 @@ from galen_model.arm.galen import GRAVITY_M_S2
 from galen_model.arm.kinematics import sensor_rotation
 from galen_model.arrays import Array
 from galen_model.load.model import gravity_regressor
-from galen_model.load.mounting.groups import PARAMETERS, Entity
-from galen_model.load.mounting.mounting import Mounting
+from galen_model.load.mounting.mounting import PARAMETERS, Entity, Mounting
 from galen_model.rotation import skew
 
 _E_Y = np.array([0.0, 1.0, 0.0])
