@@ -16,7 +16,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from galen_bags.errors import BagError
 from galen_bags.formats.bag import open_bag
 from galen_bags.formats.writer import GrowingBagWriter
-from galen_bags.record.command import parse
+from galen_bags.record.command import main, parse
 from galen_bags.record.recorder import DEFAULT_TOPICS, RecorderNode, SimulatedTimes, received_ns
 from galen_ros.cdr.layout import JointStateBytes, WrenchBytes
 from galen_ros.node.diagnostics import Level
@@ -429,14 +429,8 @@ def wait_growing(path: Path, size_bytes: int = 4000) -> None:
 
 def check_run_of_wrenches(found: list[bytes]) -> None:
     """A run without gaps of what the source publishes, counted from some number."""
-    first = int(WrenchStampedReader.index(found[0]))
+    first = int.from_bytes(found[0][8:12], "little")  # nanoseconds of the stamp
     assert found == [wrench(first + k) for k in range(len(found))]
-
-
-class WrenchStampedReader:
-    @staticmethod
-    def index(data: bytes) -> int:
-        return int.from_bytes(data[8:12], "little")  # nanoseconds of the stamp
 
 
 @pytest.mark.slow
@@ -515,15 +509,14 @@ def test_a_full_disk_ends_it_with_one_line(processes: Any, tmp_path: Path) -> No
     assert f"{tmp_path / 'bag'}: {len(found)} messages" in out
 
 
-def test_a_place_that_is_taken_is_an_error(tmp_path: Path) -> None:
-    done = subprocess.run(
-        [sys.executable, "-m", "galen_bags.record.command", "-o", str(tmp_path)],
-        capture_output=True,
-        text=True,
-        timeout=60,
-    )
-    assert (done.returncode, done.stdout) == (1, "")
-    assert done.stderr == f"error: {tmp_path}: is there already, and is not written over\n"
+def test_a_place_that_is_taken_is_an_error(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(sys, "argv", ["record", "-o", str(tmp_path)])
+    with pytest.raises(SystemExit, match="1"):
+        main()
+    said = f"error: {tmp_path}: is there already, and is not written over\n"
+    assert capsys.readouterr() == ("", said)
 
 
 def test_wrong_arguments_are_said(capsys: pytest.CaptureFixture[str]) -> None:
