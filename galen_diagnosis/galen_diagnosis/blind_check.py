@@ -2,7 +2,7 @@
 
 Recordings are made by a plant of other laws than the diagnosis fits (`blind/plant`). Their labels
 are sealed and the hash is told; another process diagnoses; then the labels are opened and all is
-scored, beside simpler methods. `blind/keeper.py` says what is hidden from whom.
+scored, beside simpler methods. `blind/blind_protocol.py` says what is hidden from whom.
 """
 
 from __future__ import annotations
@@ -28,11 +28,8 @@ from galen_ros.command import (
     not_negative,
     run_command,
 )
-from galen_sim_driver.effects.registry import CONTRACT_ORDER
 from rich.console import Console
 
-from galen_diagnosis.blind.baselines.answers import NETWORK
-from galen_diagnosis.blind.baselines.network import lacking
 from galen_diagnosis.blind.blind_protocol import (
     DIAGNOSING,
     Places,
@@ -48,6 +45,7 @@ from galen_diagnosis.blind.plant.case import generate
 from galen_diagnosis.blind.scoring.score import Score, score, to_json
 from galen_diagnosis.blind.scoring.table import PROGRAM, markdown, print_scores
 from galen_diagnosis.blind.seal import forget, private_directory
+from galen_diagnosis.effects.candidates import SOUGHT
 
 _EPILOG = f"""An interrupted check goes on where it stopped, if it is called again with the same
 options and --output. A finished one is only scored again.
@@ -174,12 +172,10 @@ def run(
     labels = open_labels(places, told)
     say("labels opened: they are those that were sealed")
     ended_s = time.monotonic()
-    scores = {PROGRAM: score(answered(places, labels), CONTRACT_ORDER)}
+    scores = {PROGRAM: score(answered(places, labels), tuple(SOUGHT))}
     scores |= {
-        name: score(found, CONTRACT_ORDER) for name, found in baselines(places, labels).items()
+        name: score(found, tuple(SOUGHT)) for name, found in baselines(places, labels).items()
     }
-    if NETWORK not in scores:
-        say(f"no column for the network: {lacking() or 'it was not there when it was diagnosed'}")
     content = {
         "schema_version": 1,
         "labels_sha256": told,

@@ -42,7 +42,7 @@ def diagnose(recording):
     answer = {
         "verdict": said if plain else "identified",
         "causes": [] if plain else [{"effect": said, "parameters": {}, "equivalent": []}],
-        "ranking": ranking((said, 0.9), ("tilt_gain", 0.1)),
+        "ranking": ranking((said, 0.9), ("crosstalk", 0.1)),
         "gap": {"closed_fraction": {"value": 0.95, "ci95": None}},
     }
     naive = {**answer, "verdict": "none", "causes": [], "ranking": ranking(("none", 1.0))}

@@ -6,7 +6,7 @@ import numpy as np
 from galen_diagnosis.answer.answer import Answer, Cause, Interval
 from galen_diagnosis.answer.result import Diagnosis
 from galen_diagnosis.observation.rows import BAGS, CHANNELS, FOLDS, REGIMES, Rows, Stream
-from galen_sim_driver.effects.joints.tilt_zero_offset import TiltZeroOffset
+from galen_sim_driver.effects.joints.joint_zero_offset import JointZeroOffset
 
 TILTS = np.linspace(-0.9, 0.8, 7)
 ROLLS = np.linspace(-1.4, 1.4, 8)
@@ -110,26 +110,32 @@ def example_streams(error=0.0, seed=1):
 def example_answer(verdict="identified", recording="example"):
     """An answer with that verdict; its numbers are made up."""
     tilt = Cause(
-        "tilt_zero_offset",
+        "joint_zero_offset",
         0.93,
         {"offset_rad": Interval(0.0102, 0.0099, 0.0105)},
         (),
         Interval(0.98, 0.97, 0.99),
+        joint="tilt",
     )
     turned = Cause(
         "sensor_mount_rotation",
         0.45,
         {"rotvec_rad": [Interval(0.0, -1e-4, 1e-4), Interval(0.01, 9e-3, 11e-3)]
          + [Interval(0.0, -1e-4, 1e-4)]},
-        ("tilt_zero_offset",),
+        ("joint_zero_offset:tilt",),
         Interval(0.97, 0.95, 0.99),
     )  # fmt: skip
     causes = {"identified": (tilt,), "ambiguous": (tilt, turned)}.get(verdict, ())
+    offset = "joint_zero_offset:tilt"
     ranking = {
-        "none": (("none", 0.97), ("unknown", 0.02), ("tilt_zero_offset", 0.01)),
+        "none": (("none", 0.97), ("unknown", 0.02), (offset, 0.01)),
         "unknown": (("unknown", 0.96), ("cable_drag", 0.04), ("none", 0.0)),
-        "ambiguous": (("tilt_zero_offset", 0.5), ("sensor_mount_rotation", 0.45), ("none", 0.0)),
-    }.get(verdict, (("tilt_zero_offset", 0.93), ("unknown", 0.05), ("none", 0.0)))
+        "ambiguous": (
+            (offset, 0.5),
+            ("sensor_mount_rotation", 0.45),
+            ("none", 0.0),
+        ),
+    }.get(verdict, ((offset, 0.93), ("unknown", 0.05), ("none", 0.0)))
     closed = None if verdict == "none" else Interval(0.98, 0.97, 0.99).to_json()
     after = 1.01 if verdict in ("identified", "ambiguous") else 8.0
     gap = {
@@ -138,7 +144,7 @@ def example_answer(verdict="identified", recording="example"):
         "floor": {"all": 1.0},
         "closed_fraction": closed,
     }
-    following = {"separates": ["tilt_zero_offset", "sensor_mount_rotation"], "do": "Push."}
+    following = {"separates": ["joint_zero_offset:tilt", "sensor_mount_rotation"], "do": "Push."}
     return Answer(
         recording=recording,
         verdict=verdict,
@@ -170,7 +176,7 @@ def example_diagnosis(verdict="identified", recording="example", seed=0):
         held_out_after=after,
         streams_before=streams,
         streams_after=example_streams(0.0) if found else streams,
-        effects=(TiltZeroOffset(0.0102),) if found else (),
+        effects=(JointZeroOffset("tilt", 0.0102),) if found else (),
         floor=1.0,
         seconds={"read": 1.0, "fit": 3.2},
     )

@@ -10,7 +10,7 @@ from galen_diagnosis.blind import confine
 from galen_diagnosis.blind.blind_protocol import Places, open_labels, sealed_set
 from galen_diagnosis.blind.label import Label
 from galen_diagnosis.blind.making import make_all
-from galen_diagnosis.blind.parsed_answer import Said
+from galen_diagnosis.blind.parsed_answer import ParsedAnswer
 from galen_diagnosis.blind.plan import CALIBRATION, TEST, full_plan, short_plan, thinned
 from galen_diagnosis.blind.plant.case import STRENGTHS, Truth
 from galen_diagnosis.blind.plant.listed import EFFECTS
@@ -233,10 +233,12 @@ def test_an_interrupted_check_goes_on(tmp_path, monkeypatch):
 
 
 def test_a_score_may_be_asked_for():
-    label = Label("r", "single", ({"effect": "tilt_gain", "parameters": {}},), "clear")
+    label = Label(
+        "r", "single", ({"effect": "joint_gain", "parameters": {"joint": "tilt"}},), "clear"
+    )
     right, wrong = (
-        Said("r", "identified", {name: {}}, frozenset(), {name: 1.0})
-        for name in ("tilt_gain", "bias_step")
+        ParsedAnswer("r", "identified", {name: {}}, frozenset(), {name: 1.0})
+        for name in ("joint_gain:tilt", "bias_step")
     )
     answers = [Answered(label, right)] * 3 + [Answered(label, wrong)]
     blind_check.check_score(score(answers, EFFECTS), 0.75)

@@ -10,7 +10,7 @@ from galen_diagnosis.blind.plant.machine import Machine
 from galen_diagnosis.blind.plant.session import draw_session
 from galen_diagnosis.blind.scoring.metadata import chance, metadata, table
 
-SORTS = ("none", "tilt_zero_offset", "sensor_saturation", "wrench_delay")
+SORTS = ("none", "joint_zero_offset:tilt", "sensor_saturation", "wrench_delay")
 
 
 def record(folder, seed, cause):

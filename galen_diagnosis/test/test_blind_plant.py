@@ -37,10 +37,10 @@ from galen_sim_driver.effects.registry import effect_from
 from galen_sim_driver.replay import Replay, Scene
 
 CONTRACT = {
-    "roll_zero_offset": {"offset_rad"},
-    "tilt_zero_offset": {"offset_rad"},
-    "tilt_gain": {"gain"},
-    "tilt_axis_misalignment": {"about_z_rad"},
+    "joint_zero_offset:roll": {"joint", "offset_rad"},
+    "joint_zero_offset:tilt": {"joint", "offset_rad"},
+    "joint_gain:tilt": {"joint", "gain"},
+    "joint_axis_misalignment:tilt": {"joint", "about", "angle_rad"},
     "base_inclination": {"about_x_rad", "about_y_rad"},
     "sensor_mount_rotation": {"rotvec_rad"},
     "axis_gain": {"gain"},
@@ -54,7 +54,7 @@ CONTRACT = {
     "loose_tool": {"shift_m"},
     "cable_drag": {"tension_N"},
     "inertial_load": {"mass_kg"},
-    "joint_compliance": {"k_roll", "k_tilt", "k_carriage", "k_rod"},
+    "joint_compliance": {"stiffness"},
     "deflection_hysteresis": {"residual_fraction"},
     "backlash": {"joint", "gap_rad"},
     "tracker_delay": {"delay_s"},
@@ -168,10 +168,10 @@ def _scene(machine, bag):
 @pytest.mark.parametrize(
     ("name", "bag", "beside"),
     [
-        ("roll_zero_offset", "push", 0.002),
-        ("tilt_zero_offset", "push", 0.002),
-        ("tilt_gain", "push", 0.002),
-        ("tilt_axis_misalignment", "push", 0.002),
+        ("joint_zero_offset:roll", "push", 0.002),
+        ("joint_zero_offset:tilt", "push", 0.002),
+        ("joint_gain:tilt", "push", 0.002),
+        ("joint_axis_misalignment:tilt", "push", 0.002),
         ("base_inclination", "sweep", 0.002),
         ("sensor_mount_rotation", "sweep", 0.002),
         ("axis_gain", "sweep", 0.002),
@@ -192,7 +192,7 @@ def test_truths_numbers_mean_what_the_simulator_takes_them_for(session, name, ba
     kind = CAUSES[name]
     cause = kind.draw(np.random.default_rng(7), session).times(3.0)
     machine, healthy = Machine(session, [cause]), Machine(session)
-    effect = effect_from(name, dict(cause.parameters(machine)))
+    effect = effect_from(name.partition(":")[0], dict(cause.parameters(machine)))
     scene, nominal = _scene(machine, bag), _scene(healthy, bag)
     sigma = SENSOR.noise_std
     there = ~scene.touched
@@ -423,9 +423,9 @@ def test_every_cause_reaches_its_strength(session, scale):
 
 @pytest.mark.slow
 def test_twins_without_the_tracker_are_one_set(session):
-    made = work_out(Case(21, "ambiguous", ("roll_zero_offset",)))
+    made = work_out(Case(21, "ambiguous", ("joint_zero_offset:roll",)))
     assert "push" not in made.session.takes
-    assert set(made.truth.acceptable[0]) == {"roll_zero_offset", "base_inclination"}
+    assert set(made.truth.acceptable[0]) == {"joint_zero_offset:roll", "base_inclination"}
     assert made.truth.expected_verdict == "ambiguous"
     whole = Scale(draw_session(21))
     inclined = CAUSES["base_inclination"].spans(made.session)[0]

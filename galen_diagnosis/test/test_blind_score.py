@@ -3,7 +3,7 @@ import json
 import numpy as np
 import pytest
 from galen_diagnosis.blind.label import Label, label_from_json
-from galen_diagnosis.blind.parsed_answer import Said, said_from_json
+from galen_diagnosis.blind.parsed_answer import ParsedAnswer, parse_answer
 from galen_diagnosis.blind.scoring.parameter_errors import compare
 from galen_diagnosis.blind.scoring.pictures import draw_pictures
 from galen_diagnosis.blind.scoring.rates import Rate, calibration
@@ -24,7 +24,9 @@ def said(name, ranking, verdict="identified", causes=None, **others):
     first = max(ranking, key=ranking.get)
     if causes is None:
         causes = {} if first in ("none", "unknown") else {first: {}}
-    return Said(name, verdict, causes, others.pop("equivalent", frozenset()), ranking, **others)
+    return ParsedAnswer(
+        name, verdict, causes, others.pop("equivalent", frozenset()), ranking, **others
+    )
 
 
 def one(truth, answer):
@@ -297,10 +299,10 @@ def test_answers_that_make_no_sense_are_rejected(change, names):
         ],
         "gap": {"closed_fraction": {"value": 0.9, "ci95": [0.8, 1.0]}},
     }
-    good = said_from_json("r", content, 2.0)
+    good = parse_answer("r", content, 2.0)
     assert (good.first, good.closed, good.named) == ("alpha", 0.9, {"alpha", "beta"})
     with pytest.raises(FieldError, match=names):
-        said_from_json("r", {**content, **change})
+        parse_answer("r", {**content, **change})
 
 
 def test_labels_survive_their_file_and_wrong_ones_are_rejected():
@@ -316,3 +318,26 @@ def test_labels_survive_their_file_and_wrong_ones_are_rejected():
     ):
         with pytest.raises(FieldError, match=names):
             label_from_json({**content, **change})
+
+
+def test_effects_of_joints_are_read_with_their_joint():
+    content = {
+        "verdict": "ambiguous",
+        "causes": [
+            {"effect": "base_inclination", "parameters": {}, "equivalent": ["joint_zero_offset"],
+             "equivalent_joints": {"joint_zero_offset": ["roll"]}},
+            {"effect": "joint_gain", "joint": "tilt", "parameters": {"gain": 0.1}},
+        ],
+        "ranking": [{"effect": "joint_gain", "joint": "tilt", "probability": 0.8},
+                    {"effect": "joint_zero_offset", "joint": "roll", "probability": 0.7}],
+        "gap": {},
+    }  # fmt: skip
+    answer = parse_answer("r", content)
+    assert answer.first == "joint_gain:tilt"
+    assert answer.named == {"base_inclination", "joint_zero_offset:roll", "joint_gain:tilt"}
+    assert answer.causes["joint_gain:tilt"] == {"joint": "tilt", "gain": 0.1}
+    before = {"effect": "roll_zero_offset", "parameters": {"offset_rad": 0.1}}
+    sealed = Label("r", "single", (before,), acceptable=(("roll_zero_offset", "base_inclination"),))
+    read = label_from_json(sealed.to_json())
+    assert read.answer == "joint_zero_offset:roll"
+    assert read.accepted == {"joint_zero_offset:roll", "base_inclination"}

@@ -14,7 +14,7 @@ from galen_diagnosis.inference.diagnosing import diagnose_recording
 from galen_diagnosis.observation.observation import Observation, Unknowns
 from galen_diagnosis.observation.recording import read_recording
 from galen_diagnosis.observation.rows import CHANNELS, FOLDS
-from galen_sim_driver.effects.joints.tilt_zero_offset import TiltZeroOffset
+from galen_sim_driver.effects.joints.joint_zero_offset import JointZeroOffset
 from galen_sim_driver.effects.sensor.axis_gain import AxisGain
 
 DISCLOSED = Path(__file__).resolve().parents[3] / "shared" / "recordings" / "disclosed"
@@ -70,7 +70,7 @@ def test_what_unknowns_add_is_what_they_say(healthy):
 
 def test_a_candidates_columns_are_the_simulators_slope(healthy):
     for candidate in candidates(healthy):
-        if candidate.effect in ("tilt_zero_offset", "tool_com_error"):
+        if candidate.effect in ("joint_zero_offset:tilt", "tool_com_error"):
             columns = candidate.jacobian(healthy, lambda v, c=candidate: [c.at(v)], candidate.start)
             step = 0.3 * candidate.typical
             told = healthy.change([candidate.at(candidate.start + step)])
@@ -98,15 +98,16 @@ def test_a_gap_that_is_none_has_no_closed_fraction(healthy):
 @pytest.mark.slow
 @pytest.mark.timeout(400)
 def test_the_simulated_arms_tilt_zero_is_found_and_its_gap_closes(tmp_path):
-    effects = [TiltZeroOffset(offset_rad=0.012)]
+    effects = [JointZeroOffset("tilt", offset_rad=0.012)]
     make_recording(tmp_path / "made", effects, seed=8)
     shares = []
     answer = diagnose_recording(
         read_recording(tmp_path / "made"), progress=lambda what, share: shares.append(share)
     ).answer
     assert answer.verdict == "identified"
-    assert answer.ranking[0][0] == "tilt_zero_offset"
+    assert answer.ranking[0][0] == "joint_zero_offset:tilt"
     (cause,) = answer.causes
+    assert (cause.effect, cause.joint) == ("joint_zero_offset", "tilt")
     found = cause.parameters["offset_rad"]
     assert found.low < 0.012 < found.high
     assert found.value == pytest.approx(0.012, rel=0.05)

@@ -69,21 +69,21 @@ def _scored(name, energy, share, occam=4.0):
 
 def test_noise_alone_is_none_and_a_clear_effect_is_itself():
     settings = Settings()
-    quiet = [_scored("", 3.0, 0.0), _scored("tilt_gain", 0.0, 3.0)]
+    quiet = [_scored("", 3.0, 0.0), _scored("joint_gain:tilt", 0.0, 3.0)]
     assert posterior(quiet, settings).none > 0.9
     clear = [
         _scored("", 900.0, 0.0),
-        _scored("tilt_gain", 5.0, 895.0),
-        _scored("tilt_zero_offset", 400.0, 500.0),
+        _scored("joint_gain:tilt", 5.0, 895.0),
+        _scored("joint_zero_offset:tilt", 400.0, 500.0),
     ]
     chances = posterior(clear, settings)
-    assert chances.effects["tilt_gain"] > 0.99
+    assert chances.effects["joint_gain:tilt"] > 0.99
     total = chances.none + chances.unknown + sum(chances.hypotheses) - chances.none
     assert total == pytest.approx(1.0)
 
 
 def test_what_nothing_explains_is_unknown():
-    of = [_scored("", 5000.0, 0.0), _scored("tilt_gain", 4000.0, 1000.0)]
+    of = [_scored("", 5000.0, 0.0), _scored("joint_gain:tilt", 4000.0, 1000.0)]
     assert posterior(of, Settings()).unknown > 0.99
 
 
@@ -91,11 +91,11 @@ def test_a_second_effect_must_explain_more_than_the_first_law_leaves():
     settings = Settings()
     none = _scored("", 20000.0, 0.0)
     cable = _scored("cable_drag", 300.0, 19700.0, 15.0)
-    both = Scored(("cable_drag", "tilt_gain"), 0.0, (19000.0, 300.0), 20.0)
+    both = Scored(("cable_drag", "joint_gain:tilt"), 0.0, (19000.0, 300.0), 20.0)
     chances = posterior([none, cable, both], settings)
     # 300 of 20000 is less than a cable's law is known to.
     assert chances.hypotheses[1] > chances.hypotheses[2]
     mass = _scored("tool_mass_error", 3000.0, 17000.0)
-    pair = Scored(("tool_mass_error", "tilt_gain"), 0.0, (17000.0, 3000.0), 8.0)
+    pair = Scored(("tool_mass_error", "joint_gain:tilt"), 0.0, (17000.0, 3000.0), 8.0)
     chances = posterior([none, mass, pair], settings)
     assert chances.hypotheses[2] > 0.99

@@ -15,10 +15,10 @@ from galen_diagnosis.answer.sentence import sentence
 from galen_diagnosis.effects.effect_file import effect_file
 from galen_diagnosis.report.effect_words import (
     SENTENCES,
-    TITLES,
     cause_words,
     parameter_words,
     plain,
+    title,
 )
 from galen_diagnosis.report.output import told
 from galen_diagnosis.report.pictures import gap_figure, sweep_figure
@@ -162,10 +162,9 @@ def test_sweep_picture_shows_each_pose_at_its_place(diagnosis):
 
 # The contract's section 6: what each effect is told with, and how many numbers that is.
 CONTRACT = {
-    "roll_zero_offset": {"offset_rad": 1},
-    "tilt_zero_offset": {"offset_rad": 1},
-    "tilt_gain": {"gain": 1},
-    "tilt_axis_misalignment": {"about_z_rad": 1},
+    "joint_zero_offset": {"offset_rad": 1},
+    "joint_gain": {"gain": 1},
+    "joint_axis_misalignment": {"about": "z", "angle_rad": 1},
     "base_inclination": {"about_x_rad": 1, "about_y_rad": 1},
     "sensor_mount_rotation": {"rotvec_rad": 3},
     "axis_gain": {"gain": 6},
@@ -179,9 +178,9 @@ CONTRACT = {
     "loose_tool": {"shift_m": 1},
     "cable_drag": {"tension_N": 1},
     "inertial_load": {"mass_kg": 1},
-    "joint_compliance": {"k_roll": 1, "k_tilt": 1, "k_carriage": 1, "k_rod": 1},
+    "joint_compliance": {"stiffness": ("roll", "tilt", "carriage", "rod")},
     "deflection_hysteresis": {"residual_fraction": 1},
-    "backlash": {"joint": "tilt", "gap_rad": 1},
+    "backlash": {"gap_rad": 1},
     "tracker_delay": {"delay_s": 1},
     "tracker_scale": {"gain": 1},
     "base_shift": {"translation_m": 3, "rotvec_rad": 3, "time_s": 1},
@@ -194,20 +193,23 @@ def test_every_effect_has_a_sentence_with_all_its_numbers():
         parameters = {}
         for number, (parameter, shape) in enumerate(shapes.items(), start=3):
             value = Interval(number * 0.01, number * 0.0099, number * 0.0101)
-            parts = shape if isinstance(shape, str) else value if shape == 1 else [value] * shape
-            parameters[parameter] = parts
-        text = cause_words(name, parameters)
-        assert not text.startswith(TITLES[name] + " (")  # what it is called if its words don't fit
+            parts = value if shape == 1 else shape if isinstance(shape, str) else None
+            if isinstance(shape, tuple):
+                parts = dict.fromkeys(shape, value)
+            parameters[parameter] = parts or [value] * shape
+        cause = Cause(name, 1.0, parameters, (), None, joint="tilt")
+        text = cause_words(cause)
+        assert not text.startswith(title(cause.label) + " (")  # its name if its words don't fit
         for parameter in parameters:
             assert parameter_words(name, parameter, parameters) in text, (name, parameter)
-        assert cause_words(name, {}).strip()  # what the fit doesn't tell makes no error
+        assert cause_words(replace(cause, parameters={})).strip()  # an unknown number is no error
 
 
 @pytest.mark.parametrize(
     ("effect", "parameters", "expected"),
     [
         (
-            "tilt_zero_offset",
+            "joint_zero_offset",
             {"offset_rad": Interval(0.01, 0.0098, 0.0102)},
             "the tilt joint's zero is off by 0.573° (0.561 to 0.584)",
         ),
@@ -235,12 +237,12 @@ def test_every_effect_has_a_sentence_with_all_its_numbers():
             "the sensor's reading jumps by 0.200 N (0.190 to 0.210) in fx, 3.00 mN.m (2.90 to 3.10)"
             " in tx at 12.00 s (11.90 to 12.10) of motion",
         ),
-        ("joint_compliance", {"k_tilt": Interval(1200.0, 1180.0, 1220.0)},
-         "the arm's stiffness is not the nominal one: k_tilt 1200 N.m/rad (1180 to 1220)"),
+        ("joint_compliance", {"stiffness": {"tilt": Interval(1200.0, 1180.0, 1220.0)}},
+         "the arm's stiffness is not the nominal one: tilt 1200 N.m/rad (1180 to 1220)"),
     ],
 )  # fmt: skip
 def test_parameters_in_units_that_people_read(effect, parameters, expected):
-    assert cause_words(effect, parameters) == expected
+    assert cause_words(Cause(effect, 1.0, parameters, (), None, joint="tilt")) == expected
 
 
 @pytest.mark.parametrize(
@@ -272,7 +274,8 @@ def test_sentences_of_the_verdicts(diagnosis):
     assert words["ambiguous"].startswith(
         "The tilt joint's zero is off by 0.584° (0.567 to 0.602). Whether there is more, this"
         " recording can't tell: perhaps the sensor is turned in its mount, by 0.57° (0.52 to 0.63)"
-        " about y (45%), or zero of the tilt joint (tilt_zero_offset). What is found explains 98%"
+        " about y (45%), or zero of the tilt joint (joint_zero_offset:tilt). What is found explains"
+        " 98%"
     )
     open_ = example_answer("ambiguous")
     open_ = replace(open_, causes=tuple(replace(c, probability=0.5) for c in open_.causes))

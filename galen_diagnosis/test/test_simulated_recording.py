@@ -14,7 +14,7 @@ from galen_model.arm.galen import LIMITS, SENSOR, TRACKER_POSITION_NOISE_M
 from galen_model.errors import GalenError
 from galen_model.load.nominal_tools import TOOLS
 from galen_model.rotation import rotvec_to_matrix
-from galen_sim_driver.effects.joints.tilt_gain import TiltGain
+from galen_sim_driver.effects.joints.joint_gain import JointGain
 from galen_sim_driver.effects.load.inertial_load import InertialLoad
 from galen_sim_driver.effects.sensor.bias_step import BiasStep
 from galen_sim_driver.effects.sensor.wrench_delay import WrenchDelay
@@ -111,7 +111,7 @@ def test_what_is_there_is_not_written_over(tmp_path, capsys):
 @pytest.mark.slow
 def test_replay_with_the_effects_explains_all_three_bags_to_the_noise(tmp_path):
     effects = [
-        TiltGain(0.02),
+        JointGain("tilt", 0.02),
         InertialLoad(0.16),
         WrenchDelay(0.01),
         TrackerDelay(0.02),
@@ -122,7 +122,7 @@ def test_replay_with_the_effects_explains_all_three_bags_to_the_noise(tmp_path):
     recording = read_recording(tmp_path / "made")
     told = json.loads((tmp_path / "made" / "truth.json").read_text())
     assert [one["effect"] for one in told["effects"]] == [effect.name for effect in effects]
-    assert told["effects"][0]["parameters"] == {"gain": 0.02}
+    assert told["effects"][0]["parameters"] == {"joint": "tilt", "gain": 0.02}
     for name in ("sweep", "motion"):
         # 600 and 9000 samples tell a mean square to 6 and 1.5 %.
         most = {"sweep": 0.25, "motion": 0.07}[name]

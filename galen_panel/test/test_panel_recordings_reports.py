@@ -15,7 +15,7 @@ from galen_panel.recordings.jobs import Stage
 from galen_panel.recordings.recordings import REPORTS_PATH, Recordings
 from galen_panel.recordings.report_files import EVALUATION, PICTURE, Report, ReportError
 from galen_panel.recordings.report_view import VERDICTS, view_of
-from galen_panel.state.snapshot import Level
+from galen_panel.snapshot import Level
 from starlette.applications import Starlette
 
 BAGS = Path(__file__).resolve().parents[2] / "bags"
@@ -117,10 +117,10 @@ def test_an_evaluation_that_can_not_be_made_is_told(make, tmp_path):
 @pytest.mark.timeout(900)
 def test_a_diagnosis_finds_its_cause_and_its_page_runs_nothing(make, tmp_path):
     from galen_diagnosis.examples.simulated_recording import make_recording
-    from galen_sim_driver.effects.joints.tilt_gain import TiltGain
+    from galen_sim_driver.effects.joints.joint_gain import JointGain
 
     folder = tmp_path / "bags"
-    make_recording(folder / "tilted", [TiltGain(0.02)], seed=13)
+    make_recording(folder / "tilted", [JointGain("tilt", 0.02)], seed=13)
     recordings = make(folder)
     found = next(one for one in recordings.search().recordings if one.name == "tilted")
     answer = recordings.start(found.id, "beside")

@@ -30,7 +30,7 @@ from galen_model.wrench import move_wrench
 from scipy.signal import savgol_filter
 
 from galen_sim_driver.effects.effect import Effect, Instants, Loading, Posture, in_order
-from galen_sim_driver.effects.joints.tilt_axis_misalignment import sensor_pose
+from galen_sim_driver.effects.joints.joint_axis_misalignment import sensor_pose
 
 _STILL_POSE_M = 2e-4
 """Joints nearer to each other than this (m, rad) share a compliance: it changes by 1e-3 of itself
@@ -73,7 +73,7 @@ class Replay:
         self.effects = in_order(effects)
         self._wrench_delay_s = sum(effect.wrench_delay_s for effect in effects)
         self._tracker_delay_s = sum(effect.tracker_delay_s for effect in effects)
-        self._axis_turn = sum(effect.tilt_axis_about_z_rad for effect in effects)
+        self._axis_turns = sum(effect.axis_turns for effect in effects)
         self._gravity = GRAVITY_M_S2
         self._known: tuple[Instants, Array] | None = None
         self.arm = scene.arm
@@ -227,10 +227,10 @@ class Replay:
         )
 
     def _sensor_pose(self, joints: Array) -> tuple[Array, Array]:
-        if not self._axis_turn:
+        if not np.any(self._axis_turns):
             rotation, origin = tip_pose(joints, np.zeros(3), self.arm)
             return rotation, origin
-        return sensor_pose(joints, self._axis_turn, self.arm)
+        return sensor_pose(joints, self._axis_turns, self.arm)
 
     def _true_tool(self) -> Load:
         """The tool as it is, without what gravity moves of it."""

@@ -31,7 +31,7 @@ TURNED = np.array([0.03, -0.05, 0.45, 0.8, -0.6])
 SETTINGS = [
     CableDrag(0.2),
     InertialLoad(0.16),
-    JointCompliance(k_roll=1500.0),
+    JointCompliance(roll=1500.0),
     DeflectionHysteresis(0.07),
     DeflectionHysteresis(0.07, form="joints"),
     Backlash(gap_rad=0.001),
@@ -209,7 +209,7 @@ def test_forces_of_acceleration_are_the_change_of_momentum_of_two_points():
 def test_other_stiffnesses_bend_as_the_stiffness_model_says_and_linearly_in_softness():
     rng = np.random.default_rng(5)
     wrench = rng.uniform(-1.0, 1.0, (8, 6)) * [8.0, 8.0, 8.0, 0.3, 0.3, 0.3]
-    softer = JointCompliance(k_roll=1200.0, k_carriage=2e5, k_rod=3e6)
+    softer = JointCompliance(roll=1200.0, carriage=2e5, rod=3e6)
     pushed = scene(0.1 * np.arange(8), TURNED, wrench)
 
     def bent(effects):

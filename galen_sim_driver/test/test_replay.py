@@ -12,19 +12,19 @@ from galen_model.arm.stiffness import deflection
 from galen_model.errors import GalenError
 from galen_model.load.model import Load, gravity_wrench, nominal_reading
 from galen_model.load.nominal_tools import ADAPTER, TOOLS
-from galen_ros.parameters.param import param_fields
 from galen_sim_driver.effects.effect import Instants
 from galen_sim_driver.effects.joints.base_inclination import BaseInclination
-from galen_sim_driver.effects.joints.roll_zero_offset import RollZeroOffset
-from galen_sim_driver.effects.joints.tilt_axis_misalignment import TiltAxisMisalignment
-from galen_sim_driver.effects.joints.tilt_gain import TiltGain
-from galen_sim_driver.effects.joints.tilt_zero_offset import TiltZeroOffset
+from galen_sim_driver.effects.joints.joint_axis_misalignment import JointAxisMisalignment
+from galen_sim_driver.effects.joints.joint_compliance import JointCompliance
+from galen_sim_driver.effects.joints.joint_gain import JointGain
+from galen_sim_driver.effects.joints.joint_zero_offset import JointZeroOffset
 from galen_sim_driver.effects.load.loose_tool import LooseTool
 from galen_sim_driver.effects.load.tool_com_error import ToolComError
 from galen_sim_driver.effects.load.tool_mass_error import ToolMassError
 from galen_sim_driver.effects.registry import (
     CONTRACT_ORDER,
     EFFECTS,
+    IDENTITIES,
     contract_parameters,
     effect_from,
     extra_parameters,
@@ -84,25 +84,29 @@ JOINTS = np.stack([np.interp(WRENCH_S, JOINT_S, q) for q in joints_at(JOINT_S).T
 NOMINAL = nominal_reading(JOINTS[:, 3], JOINTS[:, 4], TOOL.load, ADAPTER, *BIAS)
 
 
-def sensor_by_pinocchio(joints, about_z_rad=0.0):
-    """R_base_sensor and its origin at joints (5,), the tilt axis turned about the roll link's z."""
+def sensor_by_pinocchio(joints, roll_axis=(0.0, 0.0, 0.0), tilt_axis=(0.0, 0.0, 0.0)):
+    """R_base_sensor and its origin at joints (5,), axes turned in their parent links (rotvec)."""
     model = PinocchioArm().model.copy()
-    turn = Rotation.from_rotvec([0.0, 0.0, about_z_rad]).as_matrix()
-    aside = pinocchio.SE3(turn, np.zeros(3))
-    tilt, frame = model.getJointId("tilt"), model.getFrameId(SENSOR_FRAME)
-    model.jointPlacements[tilt] = model.jointPlacements[tilt] * aside
-    model.frames[frame].placement = aside.inverse() * model.frames[frame].placement
+    of_roll, of_tilt = (
+        pinocchio.SE3(Rotation.from_rotvec(turn).as_matrix(), np.zeros(3))
+        for turn in (roll_axis, tilt_axis)
+    )
+    roll, tilt = model.getJointId("roll"), model.getJointId("tilt")
+    frame = model.getFrameId(SENSOR_FRAME)
+    model.jointPlacements[roll] = model.jointPlacements[roll] * of_roll
+    model.jointPlacements[tilt] = of_roll.inverse() * model.jointPlacements[tilt] * of_tilt
+    model.frames[frame].placement = of_tilt.inverse() * model.frames[frame].placement
     data = model.createData()
     pinocchio.framesForwardKinematics(model, data, np.asarray(joints))
     return data.oMf[frame].rotation.copy(), data.oMf[frame].translation.copy()
 
 
-def reading_of(joints, gravity=GRAVITY_M_S2, about_z_rad=0.0, tool=lambda gravity: TOOL.load,
-               true=lambda q: q):  # fmt: skip
+def reading_of(joints, gravity=GRAVITY_M_S2, tool=lambda gravity: TOOL.load,
+               true=lambda q: q, **axes):  # fmt: skip
     """The reading (6,) at reported joints (5,), zeroed at BIAS; `true` makes the true joints."""
 
     def seen(q):
-        return sensor_by_pinocchio(true(np.asarray(q)), about_z_rad)[0].T @ gravity
+        return sensor_by_pinocchio(true(np.asarray(q)), **axes)[0].T @ gravity
 
     now, zero = seen(joints), seen([*HOME[:3], *BIAS])
     weight = gravity_wrench(now, tool(now)) + gravity_wrench(now, ADAPTER)
@@ -124,20 +128,23 @@ def other_tool(_gravity):
     return Load(TOOL.load.mass_kg + 0.01, TOOL.load.com_m + [0.002, -0.001, 0.003])
 
 
-def angles(roll=0.0, tilt=0.0, gain=1.0):
-    return {"true": lambda q: np.array([*q[:3], q[3] + roll, gain * q[4] + tilt])}
+def angles(roll=0.0, tilt=0.0, gain=1.0, roll_gain=1.0):
+    return {"true": lambda q: np.array([*q[:3], roll_gain * q[3] + roll, gain * q[4] + tilt])}
 
 
 @pytest.mark.parametrize(
     ("effects", "arm"),
     [
         ((), {}),
-        ((RollZeroOffset(0.02),), angles(roll=0.02)),
-        ((TiltZeroOffset(-0.03),), angles(tilt=-0.03)),
-        ((TiltGain(0.05),), angles(gain=1.05)),
+        ((JointZeroOffset("roll", 0.02),), angles(roll=0.02)),
+        ((JointZeroOffset("tilt", -0.03),), angles(tilt=-0.03)),
+        ((JointGain("tilt", 0.05),), angles(gain=1.05)),
+        ((JointGain("roll", 0.05),), angles(roll_gain=1.05)),
         # However they are given: the encoder's gain first, then its zero.
-        ((TiltZeroOffset(0.02), TiltGain(0.05)), angles(tilt=0.02, gain=1.05)),
-        ((TiltAxisMisalignment(0.06),), {"about_z_rad": 0.06}),
+        ((JointZeroOffset("tilt", 0.02), JointGain("tilt", 0.05)), angles(tilt=0.02, gain=1.05)),
+        ((JointAxisMisalignment("tilt", "z", 0.06),), {"tilt_axis": (0.0, 0.0, 0.06)}),
+        ((JointAxisMisalignment("tilt", "x", 0.06),), {"tilt_axis": (0.06, 0.0, 0.0)}),
+        ((JointAxisMisalignment("roll", "y", 0.06),), {"roll_axis": (0.0, 0.06, 0.0)}),
         ((LooseTool(0.004),), {"tool": sagging}),
         ((ToolMassError(0.01), ToolComError((0.002, -0.001, 0.003))), {"tool": other_tool}),
         ((BaseInclination(0.03, -0.02),), inclined),
@@ -234,13 +241,18 @@ def test_the_tip_stands_where_the_arm_and_the_push_put_it():
     bent = deflection(STILL, PUSH, TOOL.tip_m)
     assert np.linalg.norm(bent[:3]) > 1e-4
     nobody = np.zeros((len(WRENCH_S), 6))
-    for effects, about_z_rad, offset_rad in (
-        ((), 0.0, 0.0),
-        ((TiltAxisMisalignment(0.05), RollZeroOffset(0.01)), 0.05, 0.01),
+    turned = JointAxisMisalignment("tilt", "z", 0.05), JointAxisMisalignment("roll", "y", 0.02)
+    for effects, axes, offset_rad in (
+        ((), {}, 0.0),
+        (
+            (*turned, JointZeroOffset("roll", 0.01)),
+            {"roll_axis": (0.0, 0.02, 0.0), "tilt_axis": (0.0, 0.0, 0.05)},
+            0.01,
+        ),
     ):
         replay = Replay(held(STILL), effects)
         true = STILL + [0.0, 0.0, 0.0, offset_rad, 0.0]
-        rotation, origin = sensor_by_pinocchio(true, about_z_rad)
+        rotation, origin = sensor_by_pinocchio(true, **axes)
         bare_rotations, bare = replay.tip(nobody)
         assert np.abs(bare_rotations - rotation).max() < 1e-12
         assert np.abs(bare - origin - rotation @ TOOL.tip_m).max() < 1e-12
@@ -273,7 +285,7 @@ def test_the_motion_that_effects_feel_is_that_of_the_joints():
 
 def some(name):
     """The effect with numbers in all that is fitted, no two alike."""
-    effect = EFFECTS[name]()
+    effect = IDENTITIES[name]
     typical = np.concatenate([p.typicals for p in effect.fitted])
     upper = np.concatenate([np.full(p.size, p.upper) for p in effect.fitted])
     return effect.with_vector(np.minimum(typical * (1.0 + 0.1 * np.arange(len(typical))), upper))
@@ -281,24 +293,23 @@ def some(name):
 
 def test_all_effects_of_the_contract_are_there_in_its_order():
     assert tuple(EFFECTS)[: len(CONTRACT_ORDER)] == CONTRACT_ORDER
-    assert len(CONTRACT_ORDER) == 23
+    assert len(CONTRACT_ORDER) == 22
 
 
-@pytest.mark.parametrize("name", EFFECTS)
+@pytest.mark.parametrize("name", IDENTITIES)
 def test_an_effects_numbers_survive_a_file(name):
-    effect, default = some(name), EFFECTS[name]()
+    effect, default = some(name), IDENTITIES[name]
     assert default.changes_nothing
     assert not effect.changes_nothing
     told = json.loads(json.dumps(contract_parameters(effect) | extra_parameters(effect)))
-    assert len(told) == len(param_fields(EFFECTS[name]))
-    again = effect_from(name, told)
+    again = effect_from(effect.name, told)
     assert again == effect
     assert np.array_equal(again.vector(), effect.vector())
 
 
-@pytest.mark.parametrize("name", EFFECTS)
+@pytest.mark.parametrize("name", IDENTITIES)
 def test_by_default_an_effect_changes_nothing(name):
-    nominal, found = Replay(held(STILL)), Replay(held(STILL), [EFFECTS[name]()])
+    nominal, found = Replay(held(STILL)), Replay(held(STILL), [IDENTITIES[name]])
     assert np.array_equal(found.reading(), nominal.reading())
     for a, b in zip(found.tip(), nominal.tip(), strict=True):
         assert np.array_equal(a, b)
@@ -309,10 +320,14 @@ def test_by_default_an_effect_changes_nothing(name):
     ("name", "parameters", "words"),
     [
         ("friction", {}, "no effect 'friction'"),
-        ("tilt_gain", {"gian": 0.1}, "tilt_gain: no parameter 'gian'; known: gain"),
-        ("tilt_gain", {"gain": float("nan")}, "tilt_gain.*'gain' is nan"),
-        ("tilt_gain", {"gain": [0.1]}, "tilt_gain.*'gain'"),
-        ("tilt_gain", {"gain": 7.0}, "tilt_gain.*-0.5 to 0.5"),
+        ("joint_gain", {"gian": 0.1}, "joint_gain: no parameter 'gian'; known: joint, gain"),
+        ("joint_gain", {"gain": float("nan")}, "joint_gain.*'gain' is nan"),
+        ("joint_gain", {"gain": [0.1]}, "joint_gain.*'gain'"),
+        ("joint_gain", {"gain": 7.0}, "joint_gain.*-0.5 to 0.5"),
+        ("joint_gain", {"joint": "knee"}, "joint_gain: joint is 'knee', not one of roll, tilt"),
+        ("joint_axis_misalignment", {"about": "w"}, "about is 'w', not one of x, y, z"),
+        ("joint_compliance", {"stiffness": {"knee": 1.0}}, "no parameter 'stiffness.knee'"),
+        ("joint_compliance", {"stiffness": 1.0}, "no parameter 'stiffness'"),
         ("axis_gain", {"gain": [0.1] * 5}, "axis_gain: gain has 5 numbers.*6"),
         ("axis_gain", {"gain": [0.1] * 5 + [float("inf")]}, "axis_gain.*gain"),
         ("crosstalk", {"from": "fw", "to": "tx"}, "crosstalk: from is 'fw'"),
@@ -326,6 +341,20 @@ def test_by_default_an_effect_changes_nothing(name):
 def test_bad_numbers_are_named(name, parameters, words):
     with pytest.raises(GalenError, match=words):
         effect_from(name, parameters)
+
+
+@pytest.mark.parametrize(
+    ("name", "parameters", "effect"),
+    [
+        ("roll_zero_offset", {"offset_rad": 0.01}, JointZeroOffset("roll", 0.01)),
+        ("tilt_zero_offset", {"offset_rad": 0.01}, JointZeroOffset("tilt", 0.01)),
+        ("tilt_gain", {"gain": 0.02}, JointGain("tilt", 0.02)),
+        ("tilt_axis_misalignment", {"about_z_rad": 0.03}, JointAxisMisalignment("tilt", "z", 0.03)),
+        ("joint_compliance", {"k_tilt": 900.0, "k_rod": 1e6}, JointCompliance(tilt=900.0, rod=1e6)),
+    ],
+)
+def test_reads_the_names_from_before_effects_had_joints(name, parameters, effect):
+    assert effect_from(name, parameters) == effect
 
 
 def test_a_drift_of_a_shape_keeps_it_when_its_mean_changes():

@@ -51,7 +51,7 @@ def test_it_is_configured_anew_and_a_failure_is_fixed(cell, monkeypatch):
     assert "'initial_tool' can't be set" in cell.life.set(initial_tool="pointer")
     assert cell.life.go("deactivate", "cleanup")
     cell.wait(lambda: cell.value("lifecycle") == "unconfigured", "its state")
-    assert not cell.life.set(initial_tool="pointer", tilt_zero_offset_rad=0.01)
+    assert not cell.life.set(initial_tool="pointer", joint_zero_offset_tilt_rad=0.01)
     assert "knife" in cell.life.set(initial_tool="knife")
 
     def no_plant(*_):
@@ -66,7 +66,7 @@ def test_it_is_configured_anew_and_a_failure_is_fixed(cell, monkeypatch):
     assert cell.life.go("configure", "activate")
     cell.wait(lambda: len(cell.wrenches) > count + 20, "samples")
     cell.wait(lambda: cell.value("tool") == "pointer", "the new tool")
-    assert cell.value("effects") == "tilt_zero_offset"
+    assert cell.value("effects") == "joint_zero_offset:tilt"
 
 
 def test_a_zeroing_under_way_is_answered_when_the_services_go(cell):

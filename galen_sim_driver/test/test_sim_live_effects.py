@@ -13,7 +13,7 @@ from galen_model.errors import GalenError
 from galen_model.load.nominal_tools import ADAPTER, TOOLS
 from galen_model.rotation import quaternion_to_matrix, rotvec_to_matrix
 from galen_ros.parameters.param import param_fields
-from galen_sim_driver.effects.registry import EFFECTS, effect_from
+from galen_sim_driver.effects.registry import EFFECTS, IDENTITIES, effect_from
 from galen_sim_driver.effects.sensor.bias_step import BiasStep
 from galen_sim_driver.effects.sensor.crosstalk import Crosstalk
 from galen_sim_driver.effects.sensor.sensor_drift import SensorDrift
@@ -79,7 +79,7 @@ def nominal():
 
 
 def some(name):
-    effect = EFFECTS[name]()
+    effect = IDENTITIES[name]
     typical = np.concatenate([p.typicals for p in effect.fitted])
     upper = np.concatenate([np.full(p.size, p.upper) for p in effect.fitted])
     return effect.with_vector(np.minimum(typical * (1.0 + 0.1 * np.arange(len(typical))), upper))
@@ -87,13 +87,13 @@ def some(name):
 
 # Those that clip, are smoothed, or know more of a whole bag.
 NOT_TOGETHER = {"sensor_saturation", "inertial_load", "deflection_hysteresis"}
-CASES = {name: (some(name),) for name in EFFECTS} | {
+CASES = {name: (some(name),) for name in IDENTITIES} | {
     "sensor_saturation": (SensorSaturation(0.9, "fx"),),
     "sensor_drift": (SensorDrift.through([0.0, 0.5, 3.0], 0.1 * np.arange(18.0).reshape(3, 6)),),
     "bias_step": (BiasStep(0.5, (0.1, 0.2, -0.3, 0.01, 0.0, 0.0)),),
     "wrench_delay": (WrenchDelay(0.025),),
     "base_shift": (BaseShift((0.001, -0.002, 0.003), (0.01, 0.02, -0.03), 1.5),),
-    "together": (*(some(name) for name in EFFECTS if name not in NOT_TOGETHER),),
+    "together": (*(some(name) for name in IDENTITIES if name not in NOT_TOGETHER),),
 }
 # What is told of a remembered or differentiated path hangs on when somebody looks: replay smooths
 # rates over 80 ms, knows the largest load of a bag beforehand, and sees the tip only when the
@@ -145,11 +145,13 @@ def test_the_plant_with_parameters_tells_what_replay_with_the_effects_tells(name
     assert not (late and same)
 
 
-@pytest.mark.parametrize("name", EFFECTS)
+@pytest.mark.parametrize("name", IDENTITIES)
 def test_every_number_of_an_effect_is_a_parameter_of_the_driver(name):
-    kind = EFFECTS[name]
+    effect = IDENTITIES[name]
+    kind = type(effect)
     asked = set(param_fields(kind)) - set(kind.recording_only)
-    names = [parameter_name(kind, field) for field in asked]
+    asked -= {"joint"} if kind.of_a_joint else set()
+    names = [parameter_name(effect, field) for field in asked]
     assert set(names) <= set(param_fields(EffectParameters))
     assert len(set(names)) == len(asked) > 0
     for p in kind.fitted:  # what a fit may find the driver may have
@@ -165,15 +167,17 @@ def test_the_readmes_table_names_every_effect_with_its_parameters():
     rows = [re.findall(r"`(\w+)`", "|".join(row.split("|")[1:3])) for row in table.splitlines()[2:]]
     assert [row[0] for row in rows] == list(EFFECTS)
     for name, *parameters in rows:
-        kind = EFFECTS[name]
-        own = [field for field in param_fields(kind) if field not in kind.recording_only]
-        assert parameters == [parameter_name(kind, field) for field in own]
+        at = [effect for effect in IDENTITIES.values() if effect.name == name]
+        left_out = {*EFFECTS[name].recording_only, *(["joint"] if len(at) > 1 else [])}
+        own = [field for field in param_fields(EFFECTS[name]) if field not in left_out]
+        assert parameters == [parameter_name(effect, field) for effect in at for field in own]
 
 
 def test_names_of_parameters():
     wanted = {
-        ("roll_zero_offset", "offset_rad"): "roll_zero_offset_rad",
-        ("tilt_gain", "gain"): "tilt_gain",
+        ("joint_zero_offset:roll", "offset_rad"): "joint_zero_offset_roll_rad",
+        ("joint_gain:tilt", "gain"): "joint_gain_tilt",
+        ("joint_compliance", "roll"): "joint_compliance_stiffness_roll",
         ("crosstalk", "from_axis"): "crosstalk_from",
         ("bias_step", "time_s"): "bias_step_time_s",
         ("bias_step", "step"): "bias_step",
@@ -182,20 +186,20 @@ def test_names_of_parameters():
         ("sensor_drift", "rate_per_hour"): "sensor_drift_per_hour",
         ("loose_tool", "shift_m"): "loose_tool_shift_m",
     }
-    assert {key: parameter_name(EFFECTS[key[0]], key[1]) for key in wanted} == wanted
+    assert {key: parameter_name(IDENTITIES[key[0]], key[1]) for key in wanted} == wanted
 
 
 def test_effects_become_a_parameter_file():
     step = BiasStep(2.0, (0.1,) * 6, "push")
     effects = [
-        effect_from("tilt_zero_offset", {"offset_rad": 0.012}),
+        effect_from("joint_zero_offset", {"joint": "tilt", "offset_rad": 0.012}),
         SensorDrift((1.0,) * 6),
         step,
     ]
     assert driver_file(effects) == {
         "sim_driver": {
             "ros__parameters": {
-                "tilt_zero_offset_rad": 0.012,
+                "joint_zero_offset_tilt_rad": 0.012,
                 "sensor_drift_per_hour": [1.0] * 6,
                 "bias_step_time_s": 2.0,
                 "bias_step": [0.1] * 6,

@@ -176,7 +176,7 @@ def test_streams_have_equal_stamps_500_times_a_second(cell):
 def test_effects_are_parameters_and_their_delays_are_in_the_stamps(harness):
     cell = Cell(
         harness, speed_factor=2.0, noise=False, quantise=False, initial_tool="pointer",
-        tilt_zero_offset_rad=0.1, wrench_delay_s=0.0213, tracker_delay_s=0.0107,
+        joint_zero_offset_tilt_rad=0.1, wrench_delay_s=0.0213, tracker_delay_s=0.0107,
     )  # fmt: skip
     cell.wait(lambda: len(cell.tool_poses) > 5 and cell.value("effects"), "the tracker's poses")
     every_ns = 2_000_000
@@ -190,7 +190,7 @@ def test_effects_are_parameters_and_their_delays_are_in_the_stamps(harness):
     tool = TOOLS["pointer"].load
     expected = nominal_reading(0.0, 0.1, tool, ADAPTER, 0.0, 0.1)
     assert wrench_to_array(cell.wrenches[-1]) == pytest.approx(expected, abs=1e-9)
-    assert cell.value("effects") == "tilt_zero_offset, wrench_delay, tracker_delay"
+    assert cell.value("effects") == "joint_zero_offset:tilt, wrench_delay, tracker_delay"
 
 
 def test_joint_states_go_out_before_their_wrench(cell):

@@ -28,11 +28,11 @@ class Interval(NamedTuple):
 
 @dataclass(frozen=True)
 class Cause:
-    """One effect that was found.
+    """One effect that was found; `joint` where it is at one.
 
-    parameters: name to interval, or to a list of them, or to a word (`axis`, `joint`, `bag`).
+    parameters: name to interval, to a list or a mapping of them, or to a word (`axis`, `bag`).
     extra: numbers of the form that was fitted and the contract doesn't name, for the driver's file.
-    equivalent: effects that this recording can't tell from it.
+    equivalent: identities of effects that this recording can't distinguish from it.
     """
 
     effect: str
@@ -41,6 +41,12 @@ class Cause:
     equivalent: tuple[str, ...]
     gap_closed: Interval | None
     extra: dict[str, Any] = field(default_factory=dict)
+    joint: str | None = None
+
+    @property
+    def label(self) -> str:
+        """The effect with its joint, as tables have it."""
+        return f"{self.effect}:{self.joint}" if self.joint else self.effect
 
 
 @dataclass(frozen=True)
@@ -71,7 +77,7 @@ class Answer:
             "verdict": self.verdict,
             "sentence": self.sentence,
             "causes": [_cause_to_json(cause) for cause in self.causes],
-            "ranking": [{"effect": name, "probability": p} for name, p in self.ranking],
+            "ranking": [{**_at(name), "probability": p} for name, p in self.ranking],
             "where": self.where,
             "gap": self.gap,
             "next_experiment": self.next_experiment,
@@ -81,13 +87,24 @@ class Answer:
         }
 
 
+def _at(identity: str) -> dict[str, str]:
+    """An effect and, where it has one, its joint."""
+    effect, _, joint = identity.partition(":")
+    return {"effect": effect, "joint": joint} if joint else {"effect": effect}
+
+
 def _cause_to_json(cause: Cause) -> dict[str, Any]:
+    joints: dict[str, list[str]] = {}
+    for effect, _, joint in (name.partition(":") for name in cause.equivalent):
+        if joint:
+            joints.setdefault(effect, []).append(joint)
     return {
-        "effect": cause.effect,
+        **_at(cause.label),
         "probability": cause.probability,
         "parameters": {name: _value(value) for name, value in cause.parameters.items()},
         "extra": cause.extra,
-        "equivalent": list(cause.equivalent),
+        "equivalent": list(dict.fromkeys(name.partition(":")[0] for name in cause.equivalent)),
+        "equivalent_joints": joints,
         "gap_closed": None if cause.gap_closed is None else cause.gap_closed.to_json(),
     }
 
@@ -96,6 +113,8 @@ def _value(value: Any) -> Any:
     """Intervals as they are in the contract; six of them as {"value": [6], "ci95": [[2]]}."""
     if isinstance(value, Interval):
         return value.to_json()
+    if isinstance(value, dict):
+        return {name: _value(part) for name, part in value.items()}
     if isinstance(value, list | tuple) and value and isinstance(value[0], Interval):
         parts = [part.to_json() for part in value]
         return {

@@ -104,8 +104,6 @@ def parameters(
             name: _interval(part, name, value, [draw[name] for draw in draws])
             for name, value in told.items()
         }
-        if part.effect == "joint_compliance":
-            named = {name: value for name, value in named.items() if value != Interval(0.0, 0, 0)}
         out.append((named, extra_parameters(effect)))
     return out
 
@@ -127,6 +125,11 @@ def _told(observation: Observation, effect: Effect) -> Mapping[str, Any]:
 def _interval(part: Candidate, name: str, value: Any, draws: list[Any]) -> Any:
     if isinstance(value, str):
         return value
+    if isinstance(value, Mapping):
+        return {
+            entry: _interval(part, entry, number, [draw.get(entry, 0.0) for draw in draws])
+            for entry, number in value.items()
+        }
     if name == "time_s" and isinstance(part, JumpCandidate):
         return Interval(float(value), part.from_s, part.to_s)
     if isinstance(part, SaturationCandidate):

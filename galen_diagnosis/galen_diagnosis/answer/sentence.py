@@ -33,7 +33,7 @@ def sentence(answer: Answer) -> str:
 
 
 def _identified(answer: Answer) -> str:
-    parts = [cause_words(cause.effect, cause.parameters) for cause in answer.causes]
+    parts = [cause_words(cause) for cause in answer.causes]
     if len(parts) == 1:
         text = f"{_capital(parts[0])}: this explains{_closed(answer.gap)} of the gap."
     else:
@@ -47,7 +47,7 @@ def _identified(answer: Answer) -> str:
 def _ambiguous(answer: Answer) -> str:
     sure = [cause for cause in answer.causes if cause.probability >= _SURE]
     open_ = [cause for cause in answer.causes if cause.probability < _SURE]
-    told = [cause_words(cause.effect, cause.parameters) for cause in sure]
+    told = [cause_words(cause) for cause in sure]
     maybe = [_one_of(cause) for cause in open_]
     if told:
         text = f"{_capital('; and '.join(told))}."
@@ -66,7 +66,7 @@ def _ambiguous(answer: Answer) -> str:
 
 def _one_of(cause: Cause) -> str:
     """An open cause with its probability and what can't be told from it."""
-    text = f"{cause_words(cause.effect, cause.parameters)} ({cause.probability:.0%})"
+    text = f"{cause_words(cause)} ({cause.probability:.0%})"
     return f"{text}, or {_names(cause.equivalent)}" if cause.equivalent else text
 
 

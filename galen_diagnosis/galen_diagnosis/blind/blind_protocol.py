@@ -38,7 +38,7 @@ from galen_diagnosis.blind import confine
 from galen_diagnosis.blind.diagnosing import ANSWER, BESIDE
 from galen_diagnosis.blind.label import Label
 from galen_diagnosis.blind.making import Generate, make_all
-from galen_diagnosis.blind.parsed_answer import Said, said_from_json
+from galen_diagnosis.blind.parsed_answer import ParsedAnswer, parse_answer
 from galen_diagnosis.blind.plan import Planned
 from galen_diagnosis.blind.plant.case import generate
 from galen_diagnosis.blind.scoring.score import Answered
@@ -237,14 +237,14 @@ def baselines(places: Places, labels: Sequence[Label]) -> dict[str, list[Answere
     return found
 
 
-def _said(folder: Path) -> Said:
+def _said(folder: Path) -> ParsedAnswer:
     seconds = _beside(folder).get("seconds")
     return _checked(folder / ANSWER, folder.name, _read(folder / ANSWER), seconds)
 
 
-def _checked(path: Path, recording: str, content: Any, seconds: float | None) -> Said:
+def _checked(path: Path, recording: str, content: Any, seconds: float | None) -> ParsedAnswer:
     try:
-        return said_from_json(recording, content, seconds)
+        return parse_answer(recording, content, seconds)
     except (FieldError, TypeError, ValueError) as error:
         raise GalenError(f"{path}: {error}") from error
 

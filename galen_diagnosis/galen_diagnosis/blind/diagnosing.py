@@ -26,7 +26,7 @@ ANSWER, BESIDE, FAILED = "diagnosis.json", "beside.json", "failed.txt"
 
 def diagnosed(recording: Path) -> tuple[Mapping[str, Any], Mapping[str, Any]]:
     """The program's answer and the baselines' on the same rows, as JSON."""
-    from galen_diagnosis.blind.baselines.answers import answers
+    from galen_diagnosis.blind.baselines import answers
     from galen_diagnosis.inference.diagnosing import diagnose_recording
     from galen_diagnosis.observation.observation import Observation
     from galen_diagnosis.observation.recording import read_recording

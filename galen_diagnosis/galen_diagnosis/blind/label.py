@@ -7,6 +7,7 @@ from dataclasses import asdict, dataclass, fields
 from typing import Any, Literal
 
 from galen_model.files.json_fields import FieldError, get, mapping, text
+from galen_sim_driver.effects.registry import contract_form, identity_of
 
 from galen_diagnosis.answer.answer import NONE, UNKNOWN
 
@@ -41,8 +42,8 @@ class Label:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of the effects, in their order."""
-        return tuple(str(effect["effect"]) for effect in self.effects)
+        """Identities of the effects, with the joint where they have one, in their order."""
+        return tuple(identity_of(one["effect"], one["parameters"]) for one in self.effects)
 
     @property
     def answer(self) -> str:
@@ -75,12 +76,19 @@ def label_from_json(content: Any) -> Label:
         raise FieldError(f"kind is {kind!r:.40}; expected one of {', '.join(LABEL_KINDS)}")
     if strange := set(found) - {field.name for field in fields(Label)}:
         raise FieldError(f"{sorted(strange)[0]!r:.40} is no field of a label")
-    effects = tuple(mapping(effect, "effects") for effect in get(found, "effects"))
+    effects = [mapping(effect, "effects") for effect in get(found, "effects")]
     if len(effects) != _EFFECTS[kind]:
         raise FieldError(f"a label of kind {kind} has {len(effects)} effects")
     for effect in effects:
         text(get(effect, "effect"), "effect")
         mapping(get(effect, "parameters"), "parameters")
-    same = tuple(tuple(names) for names in found.get("acceptable", ()))
+    same = tuple(tuple(map(_identity, names)) for names in found.get("acceptable", ()))
     bags = tuple(found.get("bags", ()))
-    return Label(**{**found, "effects": effects, "acceptable": same, "bags": bags})
+    renamed = [contract_form(str(one["effect"]), one["parameters"]) for one in effects]
+    found["effects"] = tuple({"effect": name, "parameters": of} for name, of in renamed)
+    return Label(**{**found, "acceptable": same, "bags": bags})
+
+
+def _identity(name: str) -> str:
+    """An acceptable answer, of labels from before effects had joints as well."""
+    return name if ":" in name else identity_of(*contract_form(name, {}))

@@ -18,7 +18,7 @@ _UNKNOWN_PER_CLASS = 2
 _PAIRS_PER_CLASS = 15
 _SHORT = (
     (NONE, (), "clear"),
-    ("single", ("tilt_zero_offset",), "gross"),
+    ("single", ("joint_zero_offset:tilt",), "gross"),
     ("single", ("bias_step",), "clear"),
     ("single", ("tool_mass_error",), "faint"),
     ("pair", (), "clear"),

@@ -20,7 +20,7 @@ from galen_sim_driver.effects.joints.backlash import Backlash
 from galen_sim_driver.effects.joints.deflection_hysteresis import DeflectionHysteresis
 from galen_sim_driver.effects.joints.joint_compliance import JointCompliance
 from galen_sim_driver.effects.load.cable_drag import CableDrag
-from galen_sim_driver.effects.registry import EFFECTS
+from galen_sim_driver.effects.registry import IDENTITIES
 from galen_sim_driver.effects.sensor.crosstalk import Crosstalk
 
 from galen_diagnosis.observation.observation import Observation
@@ -42,11 +42,17 @@ NEEDS_MOTION = frozenset({"wrench_delay", "inertial_load"})
 ELSEWHERE = frozenset({"crosstalk", "sensor_drift", "bias_step", "base_shift", "sensor_saturation"})
 """Effects whose forms are scanned (`scans.py`, `saturation.py`) instead of being listed here."""
 
+NOT_SOUGHT = frozenset({"joint_gain:roll", "joint_axis_misalignment:roll"})
+"""Effects at joints where the calibration of the probabilities has none of them."""
+
 _CABLE_REACH_M = 0.7
 _CABLE_WAYS = (1.0, float(np.sqrt(3.0)))
 """Held towards the faces and corners of a cube about the tool."""
 _SOFTNESS = ("roll", "tilt", "carriage", "rod")
 
+
+SOUGHT = {name: effect for name, effect in IDENTITIES.items() if name not in NOT_SOUGHT}
+"""What is looked for, by identity: effects that change nothing yet."""
 
 EffectsAt = Callable[[Array], Sequence[Effect]]
 
@@ -55,6 +61,7 @@ EffectsAt = Callable[[Array], Sequence[Effect]]
 class Candidate:
     """An effect in one form; `base` holds all of it but the free numbers.
 
+    effect: its identity (`Effect.identity`), which of a joint's effects has the joint.
     free (p,): which of the effect's `vector` are fitted. start (p,): where nothing or next to
     nothing is changed. typical (p,): their prior's standard deviations about `centre` (p,).
     probe (p,): by how much to change each for a finite difference.
@@ -121,7 +128,7 @@ def candidates(observation: Observation) -> list[Candidate]:
     tracker = any(view.tracks for view in observation.views.values())
     moves = bool(np.any(np.abs(observation.rows.rate) > 0.05))
     found = []
-    for name, kind in EFFECTS.items():
+    for name, effect in SOUGHT.items():
         if name in ELSEWHERE or (name in NEEDS_TRACKER and not tracker):
             continue
         if name in NEEDS_MOTION and not moves:
@@ -130,7 +137,6 @@ def candidates(observation: Observation) -> list[Candidate]:
         if special is not None:
             found += list(special(observation))
         else:
-            effect = kind()
             found.append(_plain(name, "", effect, np.arange(len(effect.vector()))))
     return found
 

@@ -24,7 +24,7 @@ def effect_file(diagnosis: Diagnosis) -> str | None:
         return None
     head = _HEAD.format(
         recording=_one_line(diagnosis.answer.recording),
-        causes=", ".join(effect.name for effect in diagnosis.effects),
+        causes=", ".join(effect.identity for effect in diagnosis.effects),
     )
     content = {f"/**/{node}": below for node, below in driver_file(diagnosis.effects).items()}
     return head + yaml.safe_dump(content, sort_keys=False)

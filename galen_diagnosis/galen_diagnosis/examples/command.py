@@ -27,7 +27,7 @@ from galen_ros.command import (
     run_command,
 )
 from galen_sim_driver.effects.effect import Effect
-from galen_sim_driver.effects.joints.tilt_gain import TiltGain
+from galen_sim_driver.effects.joints.joint_gain import JointGain
 from galen_sim_driver.effects.sensor.sensor_drift import SensorDrift
 from rich.console import Console
 from tqdm import tqdm
@@ -74,7 +74,10 @@ def _bias_drift() -> SensorDrift:
 STORIES = {
     "drift": Story(_bias_drift(), 12, "time", "the sensor's z axis drifts (report, figure 12)"),
     "tilt": Story(
-        TiltGain(0.02), 13, "tilt", "the tilt joint's kinematics are wrong (report, figure 13)"
+        JointGain("tilt", 0.02),
+        13,
+        "tilt",
+        "the tilt joint's kinematics are wrong (report, figure 13)",
     ),
 }
 

@@ -119,7 +119,7 @@ class Experiments:
 
     def all(self) -> Iterator[Proposal]:
         """From the least trouble to the most; two of them only where they can make a difference."""
-        names = {effect.name for one in self._alternatives for effect in one.effects}
+        names = {effect.identity for one in self._alternatives for effect in one.effects}
         poses = self._poses(tracker=False)
         yield self._still(poses)
         yield self._there_and_back(poses)

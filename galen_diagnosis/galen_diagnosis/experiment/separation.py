@@ -56,7 +56,7 @@ class Alternative:
     @property
     def name(self) -> str:
         """As it is called in sentences."""
-        return " and ".join(effect.name for effect in self.effects) or "none"
+        return " and ".join(effect.identity for effect in self.effects) or "none"
 
     def vector(self) -> Array:
         """All parameters (k,)."""

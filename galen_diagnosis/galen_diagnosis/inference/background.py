@@ -22,13 +22,13 @@ _ANGLE = 0.1e-3
 
 TOLERANCES: Mapping[tuple[str, str], float | tuple[float, ...]] = {
     # A level and a dial gauge set a joint's zero and the base to 0.1 ... 0.2 mrad.
-    ("roll_zero_offset", ""): _ANGLE,
-    ("tilt_zero_offset", ""): _ANGLE,
-    ("tilt_axis_misalignment", ""): _ANGLE,
+    ("joint_zero_offset:roll", ""): _ANGLE,
+    ("joint_zero_offset:tilt", ""): _ANGLE,
+    ("joint_axis_misalignment:tilt", ""): _ANGLE,
     ("base_inclination", ""): (_ANGLE, _ANGLE),
     ("sensor_mount_rotation", ""): (_ANGLE,) * 3,
     # An encoder's scale over its travel.
-    ("tilt_gain", ""): 0.1e-3,
+    ("joint_gain:tilt", ""): 0.1e-3,
     # What is left of a sensor's gains after its maker's matrix and an adjustment on the arm.
     ("axis_gain", ""): (_GAIN,) * 6,
     # Samples are stamped when they are read: within a fraction of a period of 2 to 10 ms.

@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 from galen_model.arrays import Array
-from galen_sim_driver.effects.registry import EFFECTS
 from scipy.linalg import block_diag
 
 from galen_diagnosis.answer.answer import NONE, UNKNOWN, Answer, Cause, Interval, Verdict
@@ -18,7 +17,7 @@ from galen_diagnosis.answer.localization import where
 from galen_diagnosis.answer.numbers_found import covariance, parameters
 from galen_diagnosis.answer.result import Diagnosis
 from galen_diagnosis.answer.sentence import sentence
-from galen_diagnosis.effects.candidates import NEEDS_MOTION, NEEDS_TRACKER
+from galen_diagnosis.effects.candidates import NEEDS_MOTION, NEEDS_TRACKER, SOUGHT
 from galen_diagnosis.experiment.next_experiment import Experiment, propose
 from galen_diagnosis.experiment.separation import Alternative
 from galen_diagnosis.inference.linear import Background, evidence
@@ -210,8 +209,10 @@ def _causes(
             if part.effect in causes:
                 continue
             closed = gap.fraction if number == 0 and len(fit.parts) == 1 else None
+            joint = named.pop("joint", None)
             causes[part.effect] = Cause(
-                effect=part.effect,
+                effect=part.effect.partition(":")[0],
+                joint=joint,
                 probability=chances.effects.get(part.effect, 0.0),
                 parameters=named,
                 equivalent=_equivalent(explored, fit, index),
@@ -248,11 +249,11 @@ def _equivalent(explored: Explored, fit: Hypothesis, index: int) -> tuple[str, .
         got = evidence(gram, along, 30.0 * found.typical[effect, label][: len(along)])
         if whole - got.gain < _APART**2:
             out.add(effect)
-    return tuple(name for name in EFFECTS if name in out)
+    return tuple(name for name in SOUGHT if name in out)
 
 
 def _ranking(chances: Posterior) -> tuple[tuple[str, float], ...]:
-    each = {name: chances.effects.get(name, 0.0) for name in EFFECTS}
+    each = {name: chances.effects.get(name, 0.0) for name in SOUGHT}
     each[NONE], each[UNKNOWN] = chances.none, chances.unknown
     return tuple(sorted(each.items(), key=lambda pair: -pair[1]))
 
@@ -305,7 +306,7 @@ def _cannot_tell(observation: Observation) -> tuple[str, ...]:
     recording = observation.recording
     out = [f"no {name}: nothing is said of it" for name in recording.missing]
     if not any(view.tracks for view in observation.views.values()):
-        names = ", ".join(name for name in EFFECTS if name in NEEDS_TRACKER)
+        names = ", ".join(name for name in SOUGHT if name in NEEDS_TRACKER)
         out.append(f"no tracker: {names} can't be seen")
     if "motion" in recording.missing and "sweep" in recording.missing:
         out.append(f"no motion: {', '.join(sorted(NEEDS_MOTION))} can't be seen")

@@ -8,17 +8,16 @@ from typing import Any, NamedTuple
 
 from galen_model.arm.galen import WRENCH_AXES
 
-from galen_diagnosis.answer.answer import NONE, UNKNOWN, Interval
+from galen_diagnosis.answer.answer import NONE, UNKNOWN, Cause, Interval
 
 RANKING_NOTE = (
     "Each probability is that of one cause being there; several can be there together, so they"
     " need not add up to 100 %."
 )
 TITLES = {
-    "roll_zero_offset": "zero of the roll joint",
-    "tilt_zero_offset": "zero of the tilt joint",
-    "tilt_gain": "gain of the tilt joint",
-    "tilt_axis_misalignment": "direction of the tilt axis",
+    "joint_zero_offset": "zero of the {joint} joint",
+    "joint_gain": "gain of the {joint} joint",
+    "joint_axis_misalignment": "direction of the {joint} axis",
     "base_inclination": "inclined base",
     "sensor_mount_rotation": "turned sensor",
     "axis_gain": "gains of the sensor's axes",
@@ -44,10 +43,10 @@ TITLES = {
 
 # {name} is the parameter with its interval, {name!r} a word as it is.
 SENTENCES = {
-    "roll_zero_offset": "the roll joint's zero is off by {offset_rad}",
-    "tilt_zero_offset": "the tilt joint's zero is off by {offset_rad}",
-    "tilt_gain": "the tilt joint turns by {gain} more than it reports",
-    "tilt_axis_misalignment": "the tilt axis is turned by {about_z_rad} about the roll link's z",
+    "joint_zero_offset": "the {joint} joint's zero is off by {offset_rad}",
+    "joint_gain": "the {joint} joint turns by {gain} more than it reports",
+    "joint_axis_misalignment": "the {joint} axis is turned by {angle_rad} about {about} of its"
+    " parent link",
     "base_inclination": "the base is inclined, by {about_x_rad} about x and {about_y_rad} about y",
     "sensor_mount_rotation": "the sensor is turned in its mount, by {rotvec_rad}",
     "axis_gain": "the sensor's axes read too much, by {gain}",
@@ -61,7 +60,7 @@ SENTENCES = {
     "loose_tool": "the tool is loose and sags by {shift_m} in its mount",
     "cable_drag": "a cable pulls at the tool with {tension_N}",
     "inertial_load": "forces of acceleration of {mass_kg} are missing in the model",
-    "joint_compliance": "the arm's stiffness is not the nominal one: {others}",
+    "joint_compliance": "the arm's stiffness is not the nominal one: {stiffness}",
     "deflection_hysteresis": "the deflection has hysteresis and keeps {residual_fraction} of itself"
     " when the load is gone",
     "backlash": "the {joint} joint has a backlash of {gap_rad}",
@@ -93,9 +92,9 @@ def unit_of(name: str, axis: str | None = None) -> Unit:
         return Unit(1e3, " mN.m/h") if torque else Unit(1.0, " N/h")
     if name in ("gain", "residual_fraction"):
         return Unit(100.0, " %")
-    if name in ("k_roll", "k_tilt"):
+    if name in ("roll", "tilt"):  # of a stiffness
         return Unit(1.0, " N.m/rad")
-    if name in ("k_carriage", "k_rod"):
+    if name in ("carriage", "rod"):
         return Unit(1e-3, " N/mm")
     for end, unit in (
         ("_rad", Unit(math.degrees(1.0), "°")),
@@ -143,6 +142,8 @@ def parameter_words(effect: str, name: str, parameters: dict[str, Any]) -> str:
     value = parameters[name]
     if isinstance(value, str):
         return value
+    if isinstance(value, dict):
+        return ", ".join(f"{part} {parameter_words(effect, part, value)}" for part in value)
     if isinstance(value, Interval):
         if name == "coefficient":
             unit = coefficient_unit(str(parameters.get("from", "")), str(parameters.get("to", "")))
@@ -180,19 +181,22 @@ def _not_zero(part: Interval) -> bool:
     return part.low > 0.0 or part.high < 0.0
 
 
-def cause_words(effect: str, parameters: dict[str, Any]) -> str:
+def cause_words(cause: Cause) -> str:
     """What an effect does, as a part of a sentence with its numbers."""
-    words = {name: parameter_words(effect, name, parameters) for name in parameters}
-    template = SENTENCES.get(effect)
-    others = ", ".join(f"{name} {text}" for name, text in words.items())
-    if template is None:
-        return f"{title(effect)} ({others})" if others else title(effect)
+    parameters = cause.parameters
+    words = {name: parameter_words(cause.effect, name, parameters) for name in parameters}
+    template = SENTENCES.get(cause.effect, "{missing}")
     try:
-        return template.format(**words, others=others)
-    except KeyError:  # a parameter wasn't told
-        return f"{title(effect)} ({others})" if others else title(effect)
+        return template.format(**words, joint=cause.joint)
+    except KeyError:  # an effect or a parameter without words
+        others = ", ".join(f"{name} {text}" for name, text in words.items())
+        return f"{title(cause.label)} ({others})" if others else title(cause.label)
 
 
-def title(effect: str) -> str:
-    """An effect's name for people."""
-    return TITLES.get(effect, effect.replace("_", " "))
+def title(identity: str) -> str:
+    """An effect's name for people; identity: with its joint, `effect:joint`, where it has one."""
+    effect, _, joint = identity.partition(":")
+    words = TITLES.get(effect, effect.replace("_", " "))
+    if "{joint}" in words:
+        return words.format(joint=joint or "?")
+    return f"{words} of the {joint} joint" if joint else words

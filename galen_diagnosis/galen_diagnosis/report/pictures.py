@@ -82,7 +82,7 @@ def gap_figure(diagnosis: Diagnosis) -> plt.Figure:
 
 def _headline(diagnosis: Diagnosis) -> str:
     answer = diagnosis.answer
-    causes = " + ".join(cause.effect for cause in answer.causes)
+    causes = " + ".join(cause.label for cause in answer.causes)
     text = answer.verdict if not causes else f"{answer.verdict}: {causes}"
     closed = answer.gap.get("closed_fraction") or {}
     if closed.get("value") is not None:

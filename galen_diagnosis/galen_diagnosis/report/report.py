@@ -119,7 +119,7 @@ def _causes(causes: tuple[Cause, ...]) -> str:
         if closed is not None and closed.low is not None and closed.high is not None:
             part += f" ({closed.low:.0%} to {closed.high:.0%})"
         first = (
-            f"{cause.effect}: {title(cause.effect)}",
+            f"{cause.label}: {title(cause.label)}",
             f"{cause.probability:.1%}",
         )
         last = (part, ", ".join(cause.equivalent) or "-")

@@ -62,7 +62,7 @@ def _causes(answer: Answer) -> Table:
         names = list(cause.parameters) or [""]
         for number, name in enumerate(names):
             words = parameter_words(cause.effect, name, cause.parameters) if name else ""
-            first = (cause.effect, f"{cause.probability:.1%}") if number == 0 else ("", "")
+            first = (cause.label, f"{cause.probability:.1%}") if number == 0 else ("", "")
             last = _few(cause.equivalent) if number == 0 else ""
             table.add_row(*first, name, escape(words), last)
     return table

@@ -10,7 +10,7 @@ The way, in this order (`replay.py`, `plant.py`):
 
 1. `wrench_delay_s`, `tracker_delay_s`: a stamp is later than the measurement by that much.
 2. `true_joints`: from the reported joints to the arm's own.
-3. `tilt_axis_about_z_rad`, `gravity`, `arm`: geometry, gravity in base_link, stiffness.
+3. `axis_turns`, `gravity`, `arm`: geometry, gravity in base_link, stiffness.
 4. `tool_load`: mass and centre of the tool.
 5. `wrench`: what else acts on the sensor, about its origin in ft_sensor.
 6. `read`, in the order of `order`: from the true wrench to the reading; `unread` goes back.
@@ -33,6 +33,8 @@ from galen_model.arrays import Array
 from galen_model.load.model import Load
 
 from galen_sim_driver.errors import ConfigError
+
+ROTARY_JOINTS = ("roll", "tilt")
 
 BAG_ORDER = ("sweep", "motion", "push")
 """A recording's bags as they were recorded, one after the other."""
@@ -117,9 +119,11 @@ class Effect:
 
     order: where in `true_joints` and `read` it comes. after_noise: `read` gets the noise as well.
     needs_motion: `wrench` needs the posture's motion. contract_names: names of fields in the
-    contract, where they are others. beyond_contract: fields that the contract doesn't name.
-    recording_only: fields that say nothing to a driver. driver_names: the driver's parameters of
-    fields, where they have names from before (`galen_sim_driver.node.effect_parameters`).
+    contract, where they are others; "a.b" is the entry b of a mapping a, left out where 0.
+    beyond_contract: fields that the contract doesn't name. recording_only: fields that mean nothing
+    to a driver. driver_names: the driver's parameters of fields, where they have names from before
+    (`galen_sim_driver.node.effect_parameters`).
+    of_a_joint: it has a field `joint`, and at another joint it is another cause.
     """
 
     name: ClassVar[str]
@@ -131,6 +135,12 @@ class Effect:
     beyond_contract: ClassVar[tuple[str, ...]] = ()
     recording_only: ClassVar[tuple[str, ...]] = ()
     driver_names: ClassVar[Mapping[str, str]] = {}
+    of_a_joint: ClassVar[bool] = False
+
+    @property
+    def identity(self) -> str:
+        """What a diagnosis distinguishes: `name`, or `name:joint` of an effect of a joint."""
+        return f"{self.name}:{self.joint}" if self.of_a_joint else self.name
 
     # --- numbers ------------------------------------------------------------------------------
 
@@ -175,9 +185,9 @@ class Effect:
         return 0.0
 
     @property
-    def tilt_axis_about_z_rad(self) -> float:
-        """How far the tilt axis is turned about the roll link's z."""
-        return 0.0
+    def axis_turns(self) -> Array:
+        """Rotation vectors (2, 3) of the roll and the tilt axis in their parent links, rad."""
+        return np.zeros((len(ROTARY_JOINTS), 3))
 
     def true_joints(self, when: Instants, joints: Array) -> Array:
         """True joints (n, 5) of reported ones."""
@@ -229,3 +239,9 @@ def check_axis(effect: str, name: str, axis: str) -> None:
     """Raise ConfigError unless `axis` is one of the sensor's."""
     if axis not in WRENCH_AXES:
         raise ConfigError(f"{effect}: {name} is {axis!r}, not one of {', '.join(WRENCH_AXES)}")
+
+
+def check_rotary(effect: str, joint: str) -> None:
+    """Raise ConfigError unless `joint` is one that turns."""
+    if joint not in ROTARY_JOINTS:
+        raise ConfigError(f"{effect}: joint is {joint!r}, not one of {', '.join(ROTARY_JOINTS)}")

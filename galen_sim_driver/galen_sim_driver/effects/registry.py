@@ -8,21 +8,20 @@ from __future__ import annotations
 
 import importlib
 import pkgutil
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import fields
 from typing import Any
 
 from galen_ros.parameters.param import ParameterError, checked, param_fields
 
 from galen_sim_driver import effects
-from galen_sim_driver.effects.effect import Effect
+from galen_sim_driver.effects.effect import ROTARY_JOINTS, Effect
 from galen_sim_driver.errors import ConfigError
 
 CONTRACT_ORDER = (
-    "roll_zero_offset",
-    "tilt_zero_offset",
-    "tilt_gain",
-    "tilt_axis_misalignment",
+    "joint_zero_offset",
+    "joint_gain",
+    "joint_axis_misalignment",
     "base_inclination",
     "sensor_mount_rotation",
     "axis_gain",
@@ -67,39 +66,82 @@ EFFECTS: dict[str, type[Effect]] = {
 }
 
 
+IDENTITIES: dict[str, Effect] = {
+    effect.identity: effect
+    for kind in EFFECTS.values()
+    for effect in (
+        [kind(joint=joint) for joint in ROTARY_JOINTS]  # type: ignore[call-arg]
+        if kind.of_a_joint
+        else [kind()]
+    )
+}
+"""All effects that change nothing, those of a joint at each joint."""
+
+_FORMER_NAMES: Mapping[str, Mapping[str, str]] = {
+    "roll_zero_offset": {"effect": "joint_zero_offset", "joint": "roll"},
+    "tilt_zero_offset": {"effect": "joint_zero_offset", "joint": "tilt"},
+    "tilt_gain": {"effect": "joint_gain", "joint": "tilt"},
+    "tilt_axis_misalignment": {"effect": "joint_axis_misalignment", "joint": "tilt", "about": "z"},
+}
+_FORMER_STIFFNESSES = {f"k_{spring}": spring for spring in ("roll", "tilt", "carriage", "rod")}
+
+
+def contract_form(name: str, parameters: Mapping[str, Any]) -> tuple[str, dict[str, Any]]:
+    """Rename an effect of recordings made before effects had joints; leave others as they are."""
+    if name == "joint_compliance" and parameters.keys() & _FORMER_STIFFNESSES.keys():
+        others = {key: v for key, v in parameters.items() if key not in _FORMER_STIFFNESSES}
+        springs = {_FORMER_STIFFNESSES[key]: parameters[key] for key in parameters.keys() - others}
+        return name, {**others, "stiffness": springs}
+    if name not in _FORMER_NAMES:
+        return name, dict(parameters)
+    at = dict(_FORMER_NAMES[name])
+    found = {"angle_rad" if key == "about_z_rad" else key: v for key, v in parameters.items()}
+    return at.pop("effect"), {**at, **found}
+
+
+def identity_of(name: str, parameters: Mapping[str, Any]) -> str:
+    """What a diagnosis distinguishes (`Effect.identity`), of an effect by name and parameters."""
+    kind = EFFECTS.get(name)
+    return f"{name}:{parameters.get('joint')}" if kind and kind.of_a_joint else name
+
+
 def contract_parameters(effect: Effect) -> dict[str, Any]:
     """The effect's numbers under the contract's names, as JSON has them."""
-    return _told(effect, lambda name: name not in effect.beyond_contract)
+    return _named(effect, [f.name for f in fields(effect) if f.name not in effect.beyond_contract])
 
 
 def extra_parameters(effect: Effect) -> dict[str, Any]:
     """The numbers that the contract doesn't name, as JSON has them."""
-    return _told(effect, lambda name: name in effect.beyond_contract)
+    return _named(effect, effect.beyond_contract)
 
 
-def _told(effect: Effect, wanted: Any) -> dict[str, Any]:
-    told = {}
-    for field in fields(effect):
-        if wanted(field.name):
-            value = getattr(effect, field.name)
-            name = effect.contract_names.get(field.name, field.name)
-            told[name] = list(value) if isinstance(value, tuple) else value
-    return told
+def _named(effect: Effect, of: Iterable[str]) -> dict[str, Any]:
+    named: dict[str, Any] = {}
+    for field in of:
+        value = getattr(effect, field)
+        group, _, entry = effect.contract_names.get(field, field).partition(".")
+        if not entry:
+            named[group] = list(value) if isinstance(value, tuple) else value
+        elif value:
+            named.setdefault(group, {})[entry] = value
+    return named
 
 
 def effect_from(name: str, parameters: Mapping[str, Any]) -> Effect:
     """The effect of this name with these numbers, under the contract's names or the fields' own.
 
-    What isn't given has its default. Raises ConfigError naming effect and parameter on an unknown
-    name, a wrong type, size or range, and what isn't finite.
+    What isn't given has its default. Names from before effects had joints are read, too. Raises
+    ConfigError naming effect and parameter on an unknown name, a wrong type, size or range, and
+    what isn't finite.
     """
+    name, parameters = contract_form(name, parameters)
     if name not in EFFECTS:
         raise ConfigError(f"no effect '{name}'; known: {', '.join(EFFECTS)}")
     kind = EFFECTS[name]
     own = param_fields(kind)
     names = {told: field for field, told in kind.contract_names.items()}
     values = {}
-    for told, value in parameters.items():
+    for told, value in _flat(parameters).items():
         field = names.get(told, told)
         if field not in own:
             known = ", ".join(kind.contract_names.get(other, other) for other in own)
@@ -118,3 +160,14 @@ def effect_from(name: str, parameters: Mapping[str, Any]) -> Effect:
     effect = kind(**values)
     effect.validate()
     return effect
+
+
+def _flat(parameters: Mapping[str, Any]) -> dict[str, Any]:
+    """Entries of mappings under "name.entry"."""
+    flat: dict[str, Any] = {}
+    for name, value in parameters.items():
+        if isinstance(value, Mapping):
+            flat |= {f"{name}.{entry}": part for entry, part in value.items()}
+        else:
+            flat[name] = value
+    return flat

@@ -18,7 +18,7 @@ from galen_model.load.nominal_tools import ToolGeometry
 from galen_model.rotation import matrix_to_quaternion
 
 from galen_sim_driver.effects.effect import Effect, Instants, Loading, Posture, in_order
-from galen_sim_driver.effects.joints.tilt_axis_misalignment import sensor_pose
+from galen_sim_driver.effects.joints.joint_axis_misalignment import sensor_pose
 from galen_sim_driver.plant.geometry import (
     ArmGeometry,
     Matrix,
@@ -61,7 +61,8 @@ class PlantEffects:
         self._geometry = ArmGeometry(arm)
         self._motion = MotionOfSensor(arm)
         self._adapter = adapter
-        self._turn = sum(effect.tilt_axis_about_z_rad for effect in self._effects)
+        self._turns = sum(effect.axis_turns for effect in self._effects)
+        self._turned = bool(np.any(self._turns))
         self.wrench_delay_ns = _ns(sum(effect.wrench_delay_s for effect in self._effects))
         self.tracker_delay_ns = _ns(sum(effect.tracker_delay_s for effect in self._effects))
         self.needs_motion = any(effect.needs_motion for effect in self._effects)
@@ -146,15 +147,15 @@ class PlantEffects:
 
     def position(self, arm: ArmNow, point: Sequence[float]) -> tuple[float, float, float]:
         """A point that is told in ft_sensor, in base_link, m."""
-        if not self._turn:
+        if not self._turned:
             return self._geometry.tip_position(arm.joints, arm.matrix, point)
-        rotation, origin = sensor_pose(np.array([arm.joints]), self._turn, self.arm)
+        rotation, origin = sensor_pose(np.array([arm.joints]), self._turns, self.arm)
         x, y, z = origin[0] + rotation[0] @ np.asarray(point)
         return (float(x), float(y), float(z))
 
     def quaternion(self, arm: ArmNow) -> Quaternion:
         """How the sensor is turned in base_link."""
-        if not self._turn:
+        if not self._turned:
             return sensor_quaternion(arm.joints[3], arm.joints[4])
         x, y, z, w = matrix_to_quaternion(np.reshape(arm.matrix, (3, 3)))
         return (float(x), float(y), float(z), float(w))
@@ -211,9 +212,9 @@ class PlantEffects:
         return [float(value) for value in joints[0]]
 
     def _matrix(self, joints: Sequence[float]) -> Matrix:
-        if not self._turn:
+        if not self._turned:
             return sensor_matrix(joints[3], joints[4])
-        rotation, _ = sensor_pose(np.array([joints]), self._turn, self.arm)
+        rotation, _ = sensor_pose(np.array([joints]), self._turns, self.arm)
         (a, b, c), (d, e, f), (g, h, i) = rotation[0].tolist()
         return (a, b, c, d, e, f, g, h, i)
 

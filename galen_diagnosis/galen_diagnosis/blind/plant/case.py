@@ -159,7 +159,11 @@ def _made(
         capped = capped or bool(reached < 0.9 * wanted)
     machine = Machine(session, causes)
     effects = [
-        {"effect": cause.name, "parameters": dict(cause.parameters(machine))} for cause in causes
+        {
+            "effect": cause.name.partition(":")[0],
+            "parameters": dict(cause.parameters(machine)),
+        }
+        for cause in causes
     ]
     unknown = any(name in UNLISTED for name in names)
     verdict = "identified" if all(len(a) == 1 for a in acceptable) else "ambiguous"

@@ -59,7 +59,7 @@ CAUSES: dict[str, type[Cause]] = {
         BaseShift,
     )
 }
-"""By the contract's names, in its order."""
+"""By what a diagnosis distinguishes: the contract's names, with the joint where it has one."""
 
 EFFECTS = tuple(CAUSES)
 
@@ -86,7 +86,7 @@ PAIRS = tuple(
 """All pairs but those of near twins; `case` draws a pair anew where the recording can't part it."""
 
 TWINS: dict[str, Cause] = {
-    "roll_zero_offset": RollZeroOffset(RollZeroOffset.typical),
+    "joint_zero_offset:roll": RollZeroOffset(RollZeroOffset.typical),
     "base_inclination": BaseInclination(BaseInclination.typical, (1.0, 0.0)),
 }
 """Exact twins where nobody pushes, so without the tracker: both turn gravity about the roll axis.

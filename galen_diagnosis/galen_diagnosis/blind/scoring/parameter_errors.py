@@ -59,6 +59,7 @@ def compare(
     recording: str, effect: str, true: Mapping[str, Any], said: Mapping[str, Any]
 ) -> Compared:
     """A cause's parameters as they are and as they were said (`diagnosis.json`'s form)."""
+    true, said = _flat(true), _flat(said)
     words = [name for name, value in true.items() if isinstance(value, str)]
     right = all(_word(said.get(name)) == true[name] for name in words) if words else None
     missing = tuple(name for name in true if said.get(name) is None)
@@ -69,6 +70,17 @@ def compare(
                 continue
             numbers += _numbers(recording, effect, name, value, said[name])
     return Compared(tuple(numbers), right, missing)
+
+
+def _flat(parameters: Mapping[str, Any]) -> dict[str, Any]:
+    """Entries of mappings, but for values with their intervals, under "name.entry"."""
+    flat: dict[str, Any] = {}
+    for name, value in parameters.items():
+        if isinstance(value, Mapping) and "value" not in value:
+            flat |= {f"{name}.{entry}": part for entry, part in value.items()}
+        else:
+            flat[name] = value
+    return flat
 
 
 def _word(said: Any) -> Any:

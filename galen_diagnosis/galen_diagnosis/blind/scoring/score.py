@@ -16,7 +16,7 @@ from scipy.optimize import linear_sum_assignment
 
 from galen_diagnosis.answer.answer import NONE, UNKNOWN
 from galen_diagnosis.blind.label import Label
-from galen_diagnosis.blind.parsed_answer import Said
+from galen_diagnosis.blind.parsed_answer import ParsedAnswer
 from galen_diagnosis.blind.scoring.parameter_errors import ParameterError, compare
 from galen_diagnosis.blind.scoring.rates import Calibration, Rate, calibration, rate
 
@@ -30,10 +30,10 @@ CLOSED_WITHIN = 0.03
 
 @dataclass(frozen=True)
 class Answered:
-    """A label and what was said of it, None where the diagnosis failed."""
+    """A label and the answer to it, None where the diagnosis failed."""
 
     label: Label
-    said: Said | None
+    said: ParsedAnswer | None
 
 
 @dataclass(frozen=True)
@@ -310,8 +310,7 @@ def _parameters(cases: Sequence[Answered]) -> tuple[tuple[ParameterError, ...], 
     for case in cases:
         if case.said is None:
             continue
-        for effect in case.label.effects:
-            name = str(effect["effect"])
+        for name, effect in zip(case.label.names, case.label.effects, strict=True):
             if name not in case.said.causes:
                 continue
             compared = compare(

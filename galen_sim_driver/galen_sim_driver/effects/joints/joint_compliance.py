@@ -1,6 +1,6 @@
 """A stiffness is not the nominal one (contract, section 6).
 
-The tip gives way by C w with C = sum over springs of J^T J / k, which is linear in 1/k. A fit
+The tip deflects by C w with C = sum over springs of J^T J / k, which is linear in 1/k. A fit
 therefore works on how much softer than nominal a spring is,
 
     c = k_nominal / k - 1,
@@ -23,12 +23,12 @@ from galen_ros.parameters.param import param
 from galen_sim_driver.effects.effect import Effect, Fitted
 
 ARM_FIELDS: Mapping[str, str] = {
-    "k_roll": "roll_stiffness_nm_rad",
-    "k_tilt": "tilt_stiffness_nm_rad",
-    "k_carriage": "carriage_stiffness_n_m",
-    "k_rod": "rod_stiffness_n_m",
+    "roll": "roll_stiffness_nm_rad",
+    "tilt": "tilt_stiffness_nm_rad",
+    "carriage": "carriage_stiffness_n_m",
+    "rod": "rod_stiffness_n_m",
 }
-"""The effect's fields and the arm's."""
+"""The effect's fields and those of the arm's parameters."""
 
 
 def _softer(of: str) -> Fitted:
@@ -43,12 +43,13 @@ class JointCompliance(Effect):
     """
 
     name: ClassVar[str] = "joint_compliance"
-    fitted: ClassVar[tuple[Fitted, ...]] = tuple(map(_softer, ("roll", "tilt", "carriage", "rod")))
+    fitted: ClassVar[tuple[Fitted, ...]] = tuple(map(_softer, ARM_FIELDS))
+    contract_names: ClassVar[Mapping[str, str]] = {name: f"stiffness.{name}" for name in ARM_FIELDS}
 
-    k_roll: float = param(0.0, "stiffness of the roll joint, 0 for the nominal one, Nm/rad", 0.0)
-    k_tilt: float = param(0.0, "stiffness of the tilt joint, 0 for the nominal one, Nm/rad", 0.0)
-    k_carriage: float = param(0.0, "stiffness of a carriage, 0 for the nominal one, N/m", 0.0)
-    k_rod: float = param(0.0, "stiffness of a rod, 0 for the nominal one, N/m", 0.0)
+    roll: float = param(0.0, "stiffness of the roll joint, 0 for the nominal one, Nm/rad", 0.0)
+    tilt: float = param(0.0, "stiffness of the tilt joint, 0 for the nominal one, Nm/rad", 0.0)
+    carriage: float = param(0.0, "stiffness of a carriage, 0 for the nominal one, N/m", 0.0)
+    rod: float = param(0.0, "stiffness of a rod, 0 for the nominal one, N/m", 0.0)
 
     def vector(self) -> Array:
         """How much softer than nominal: k_nominal / k - 1, (4,)."""

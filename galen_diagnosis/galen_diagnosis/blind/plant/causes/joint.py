@@ -22,7 +22,7 @@ ROLL, TILT = 3, 4
 class RollZeroOffset(Cause):
     """True roll = reported + size."""
 
-    name: ClassVar[str] = "roll_zero_offset"
+    name: ClassVar[str] = "joint_zero_offset:roll"
     typical: ClassVar[float] = 0.005
     largest: ClassVar[float] = 0.3
 
@@ -31,15 +31,15 @@ class RollZeroOffset(Cause):
         return joints + self.size * np.eye(5)[ROLL]
 
     def parameters(self, machine: Machine) -> Mapping[str, Any]:
-        """offset_rad."""
-        return {"offset_rad": self.size}
+        """joint, offset_rad."""
+        return {"joint": "roll", "offset_rad": self.size}
 
 
 @dataclass(frozen=True)
 class TiltZeroOffset(Cause):
     """True tilt = reported + size."""
 
-    name: ClassVar[str] = "tilt_zero_offset"
+    name: ClassVar[str] = "joint_zero_offset:tilt"
     typical: ClassVar[float] = 0.005
     largest: ClassVar[float] = 0.3
 
@@ -48,15 +48,15 @@ class TiltZeroOffset(Cause):
         return joints + self.size * np.eye(5)[TILT]
 
     def parameters(self, machine: Machine) -> Mapping[str, Any]:
-        """offset_rad."""
-        return {"offset_rad": self.size}
+        """joint, offset_rad."""
+        return {"joint": "tilt", "offset_rad": self.size}
 
 
 @dataclass(frozen=True)
 class TiltGain(Cause):
     """True tilt = (1 + size) reported."""
 
-    name: ClassVar[str] = "tilt_gain"
+    name: ClassVar[str] = "joint_gain:tilt"
     typical: ClassVar[float] = 0.01
     largest: ClassVar[float] = 0.5
 
@@ -65,15 +65,15 @@ class TiltGain(Cause):
         return joints * (1.0 + self.size * np.eye(5)[TILT])
 
     def parameters(self, machine: Machine) -> Mapping[str, Any]:
-        """The gain."""
-        return {"gain": self.size}
+        """joint, gain."""
+        return {"joint": "tilt", "gain": self.size}
 
 
 @dataclass(frozen=True)
 class TiltAxisMisalignment(Cause):
     """The tilt axis is Rz(size) y: the chain itself is another, with its exact exponential."""
 
-    name: ClassVar[str] = "tilt_axis_misalignment"
+    name: ClassVar[str] = "joint_axis_misalignment:tilt"
     typical: ClassVar[float] = 0.01
     largest: ClassVar[float] = 0.4
 
@@ -83,8 +83,8 @@ class TiltAxisMisalignment(Cause):
         return replace(arm, tilt_axis=turn @ arm.tilt_axis)
 
     def parameters(self, machine: Machine) -> Mapping[str, Any]:
-        """about_z_rad."""
-        return {"about_z_rad": self.size}
+        """joint, about, angle_rad."""
+        return {"joint": "tilt", "about": "z", "angle_rad": self.size}
 
 
 @dataclass(frozen=True)

@@ -65,7 +65,8 @@ class JointCompliance(Cause):
 
     def parameters(self, machine: Machine) -> Mapping[str, Any]:
         """The one stiffness."""
-        return {self.which: _NOMINAL[self.which] / (1.0 + self.size)}
+        stiffness = _NOMINAL[self.which] / (1.0 + self.size)
+        return {"stiffness": {self.which.removeprefix("k_"): stiffness}}
 
 
 _THRESHOLDS = np.array([0.04, 0.1, 0.2, 0.35, 0.55])

@@ -1,48 +1,54 @@
 """What simpler methods answer from the same residual rows: the check's columns for comparison.
 
-Each effect has one or more linear templates, columns of what its parameters change of the rows.
-The least squares fit of each beside the columns of what isn't known leaves a sum of squares:
+Each effect has one or more linear templates, columns of what its parameters change of the rows:
+plainer than the diagnosis' own, with a steady drift, steps at ten-second marks, a cable's mean
+pull. The least squares fit of each beside the columns of the unknowns leaves a sum of squares:
 
 - largest RMSE drop: the effect that leaves the least; `none` where that is less than 1 %.
 - naive BIC: n ln(RSS/n) + k ln n (G. Schwarz, Ann. Stat. 6, 1978), every row counted as new
-  knowledge, nothing known of what a model may lack; probabilities as exp(-BIC/2).
-- network: a small one on features of the residual (`network.py`).
+  knowledge, no discrepancy of any model; probabilities as exp(-BIC/2).
 
-Neither of the first two can say `unknown`, and none of them takes more than one cause.
+Neither can answer `unknown`, or more than one cause.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
+from galen_model.arm.galen import WRENCH_AXES
 from galen_model.arrays import Array
+from galen_sim_driver.effects.sensor.sensor_saturation import SensorSaturation
 
-from galen_diagnosis.answer.answer import NONE, UNKNOWN
-from galen_diagnosis.blind.baselines.features import features
-from galen_diagnosis.blind.baselines.network import lacking, read_network
-from galen_diagnosis.blind.baselines.templates import templates, unknown_columns
-from galen_diagnosis.observation.observation import Observation
+from galen_diagnosis.answer.answer import NONE
+from galen_diagnosis.effects.candidates import (
+    Candidate,
+    candidates,
+    crosstalk_candidate,
+    crosstalks,
+)
+from galen_diagnosis.observation.observation import UNKNOWNS, Observation, Unknowns
+from galen_diagnosis.observation.rows import BAGS
 
-RMSE_DROP, NAIVE_BIC, NETWORK = "largest RMSE drop", "naive BIC", "network"
+RMSE_DROP, NAIVE_BIC = "largest RMSE drop", "naive BIC"
 _LEAST_DROP = 0.01
 _SAME = 1e-10
 """Eigenvalues below this part of the largest are columns that others make up."""
+_STEP_S = 10.0
+_CLIPS = (0.5, 0.7, 0.9)
+"""Limits tried, as shares of an axis' largest reading."""
+_UNIT = np.array([1e-3] * 6 + [1e-4] * 12)
 
 
 def answers(observation: Observation) -> dict[str, Any]:
-    """Every baseline's answer, by its name; the network's only where there is one."""
+    """Every baseline's answer, by its name."""
     unknowns = unknown_columns(observation)
     rest = Rest(observation.nominal, unknowns)
     left: dict[str, tuple[float, int]] = {}
     for name, columns in templates(observation, unknowns):
         left[name] = min(rest.left_by(columns), left.get(name, (np.inf, 0)))
-    found = simple_answers(len(observation.nominal), rest.sum_of_squares, left)
-    if not lacking():
-        described = features(observation.rows, rest.residual)
-        found[NETWORK] = network_answer(read_network().probabilities(described))
-    return found
+    return simple_answers(len(observation.nominal), rest.sum_of_squares, left)
 
 
 class Rest:
@@ -83,7 +89,7 @@ def _basis(columns: Array) -> Array:
 
 
 def simple_answers(n: int, before: float, left: Mapping[str, tuple[float, int]]) -> dict[str, Any]:
-    """Answers of the first two methods, in the form of `diagnosis.json`.
+    """Answers of both methods, in the form of `diagnosis.json`.
 
     n: rows. before: sum of squares with the unknowns alone. left: sum of squares and number of
     parameters of each effect's best template.
@@ -97,17 +103,12 @@ def simple_answers(n: int, before: float, left: Mapping[str, tuple[float, int]])
     return {RMSE_DROP: _answer(drop), NAIVE_BIC: _answer(weight)}
 
 
-def network_answer(probabilities: Mapping[str, float]) -> dict[str, Any]:
-    """The network's, in the same form."""
-    return _answer(probabilities)
-
-
 def _answer(weights: Mapping[str, float]) -> dict[str, Any]:
-    """`identified` or what the first is; probabilities are the weights' shares."""
+    """`identified` or `none`; probabilities are the weights' shares."""
     total = float(sum(weights.values()))
     shares = {name: float(weight) / total for name, weight in weights.items()}
     first = max(shares, key=lambda name: shares[name])
-    alone = first in (NONE, UNKNOWN)
+    alone = first == NONE
     return {
         "verdict": first if alone else "identified",
         "causes": []
@@ -116,3 +117,49 @@ def _answer(weights: Mapping[str, float]) -> dict[str, Any]:
         "ranking": [{"effect": name, "probability": p} for name, p in shares.items()],
         "gap": {},
     }
+
+
+def unknown_columns(observation: Observation) -> Array:
+    """What the recording's unknowns change of the rows (N, UNKNOWNS)."""
+    return np.stack(
+        [
+            observation.change([], Unknowns(unit)) / step
+            for unit, step in zip(np.diag(_UNIT), _UNIT, strict=True)
+        ],
+        axis=1,
+    )
+
+
+def templates(observation: Observation, unknowns: Array) -> Iterator[tuple[str, Array]]:
+    """Effects' names with columns (N, k) each, an effect as often as it has forms.
+
+    unknowns (N, UNKNOWNS): `unknown_columns`.
+    """
+    for one in candidates(observation):
+        yield one.effect, _columns(observation, one)
+    for _, _, crosstalk in crosstalks():
+        yield "crosstalk", _columns(observation, crosstalk_candidate(crosstalk))
+    rows = observation.rows
+    offsets, marker = unknowns[:, :6], unknowns[:, UNKNOWNS - 6 :]
+    yield "sensor_drift", offsets * rows.session_s[:, None]
+    for bag in np.unique(rows.bag):
+        times = rows.bag_s[rows.bag == bag]
+        for at_s in np.arange(times.min() + 0.5 * _STEP_S, times.max(), _STEP_S):
+            later = (rows.bag > bag) | ((rows.bag == bag) & (rows.bag_s >= at_s))
+            yield "bias_step", offsets * later[:, None]
+            if BAGS[bag] == "push" and marker.any():
+                yield "base_shift", marker * later[:, None]
+    readings = np.concatenate([view.scene.reading for view in observation.views.values()])
+    for axis, largest in zip(WRENCH_AXES, np.abs(readings).max(axis=0), strict=True):
+        for share in _CLIPS:
+            clip = SensorSaturation(limit=float(share * largest), axis=axis)
+            yield "sensor_saturation", observation.change([clip])[:, None]
+
+
+def _columns(observation: Observation, one: Candidate) -> Array:
+    """By differences about the start; of a cable the pull alone, the rest bends it only."""
+    if one.effect == "cable_drag":
+        values = one.start.copy()
+        values[0] += one.probe[0]
+        return observation.change([one.at(values)])[:, None] / one.probe[0]
+    return one.jacobian(observation, lambda values: [one.at(values)], one.start)

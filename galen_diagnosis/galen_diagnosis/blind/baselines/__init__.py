@@ -1,1 +1,0 @@
-"""Simpler methods beside the diagnosis."""
