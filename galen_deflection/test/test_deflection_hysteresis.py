@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from deflection_synthetic import NOISE, TIP_M, Arm, dahl, recording, without_noise
 from galen_deflection.models import joint_hysteresis, joint_stiffness
-from galen_deflection.models.fit_settings import FitSettings
 from galen_deflection.models.hysteresis_basis import (
     COLUMNS,
     JOINTS,
@@ -15,6 +14,7 @@ from galen_deflection.models.hysteresis_basis import (
     HysteresisBasis,
     Operator,
 )
+from galen_deflection.models.interface import FitSettings
 from galen_deflection.models.joint_hysteresis import LEADS, OF_PLATFORM, fit
 from galen_deflection.models.least_squares import blocks
 from galen_deflection.models.linear import LinearModel

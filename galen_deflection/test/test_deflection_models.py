@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from deflection_synthetic import NOISE, POSITIONS, TIP_M, Arm, in_sensor, recording, without_noise
 from galen_deflection.errors import FitError, NegativeComplianceError
-from galen_deflection.models.fit_settings import FitSettings
 from galen_deflection.models.fitted_range import FittedRange
+from galen_deflection.models.interface import FitSettings
 from galen_deflection.models.joint_stiffness import StiffnessBasis
 from galen_deflection.models.least_squares import BLOCK_S, blocks, folds
 from galen_deflection.models.registry import KINDS
@@ -50,7 +50,7 @@ def pushed():
 def test_springs_give_the_nominal_deflection_to_rounding():
     joints = places(40)
     wrench = np.random.default_rng(1).normal(size=(40, 6)) * [10, 10, 10, 1, 1, 1]
-    design = StiffnessBasis(TIP_M).run().rows(np.arange(len(joints)), joints, wrench).design
+    design = StiffnessBasis(TIP_M).run().rows(joints, wrench).design
     ours = design @ [kind.compliance for kind in kinds()]
     theirs = [deflection(q, w, TIP_M) for q, w in zip(joints, wrench, strict=True)]
     np.testing.assert_allclose(ours, theirs, rtol=0, atol=1e-15)
@@ -59,7 +59,7 @@ def test_springs_give_the_nominal_deflection_to_rounding():
 def test_a_deflection_is_linear_in_the_compliances():
     """Against finite differences of the nominal model, over each compliance."""
     joints, wrench = places(5, seed=2), np.random.default_rng(3).normal(size=(5, 6))
-    design = StiffnessBasis(TIP_M).run().rows(np.arange(len(joints)), joints, wrench).design
+    design = StiffnessBasis(TIP_M).run().rows(joints, wrench).design
     fields = ("roll_stiffness_nm_rad", "tilt_stiffness_nm_rad")
     fields += ("carriage_stiffness_n_m", "rod_stiffness_n_m")
     for k, (name, kind) in enumerate(zip(fields, kinds(), strict=True)):

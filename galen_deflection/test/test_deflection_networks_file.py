@@ -8,16 +8,13 @@ import numpy as np
 import pytest
 from deflection_synthetic import POSITIONS, recording
 from galen_deflection.errors import ModelFileError
-from galen_deflection.models import independent
 from galen_deflection.models.file import read_model, write_model
 from galen_deflection.models.fitted_range import FittedRange
 from galen_deflection.models.linear import FittedOn
-from galen_deflection.networks import network_model
-from galen_deflection.networks.network import Network
-from galen_deflection.networks.network_model import NetworkModel
+from galen_deflection.models.registry import KINDS
+from galen_deflection.networks.network import INPUTS, OUTPUTS, Network, NetworkModel, TrainingCurve
 from galen_deflection.networks.recurrent_net import RecurrentNet, Scaling, Weights
 from galen_deflection.networks.tensor_file import digest
-from galen_deflection.networks.training_curve import TrainingCurve
 
 safetensors = pytest.importorskip(
     "safetensors.numpy", reason="networks' files need safetensors: `make networks`"
@@ -38,7 +35,7 @@ def network(inputs, noise):
     weights = {name: rng.normal(size=shape).astype(np.float32) for name, shape in shapes.items()}
     scaling = Scaling(rng.normal(size=len(inputs)), rng.uniform(0.1, 1.0, len(inputs)))
     net = RecurrentNet(Weights(**weights), scaling, Scaling(rng.normal(size=6) * noise, noise))
-    return Network(net, 0.04, inputs, network_model.OUTPUTS)
+    return Network(net, 0.04, inputs, OUTPUTS)
 
 
 @pytest.fixture(scope="module")
@@ -46,7 +43,7 @@ def models(samples):
     lstm = NetworkModel(
         name="lstm",
         tip_m=samples.tip_m,
-        network=network(network_model.INPUTS, samples.noise),
+        network=network(INPUTS, samples.noise),
         discrepancy=np.diag(samples.noise**2 / 3.0),
         noise=samples.noise,
         fitted_range=FittedRange.of(samples.joints, samples.wrench, only_nearby=True),
@@ -227,6 +224,6 @@ def test_what_could_not_be_read_is_not_written_and_the_old_is_kept(path, models,
     with pytest.raises(ModelFileError, match="not written: tensor bias holds"):
         write_model(path, replace(model, network=replace(model.network, net=net)))
     assert path.read_bytes() == before
-    write_model(path, independent.fit(samples))
+    write_model(path, KINDS["independent"].fit(samples, None))
     assert read_model(path).name == "independent"
     assert path.with_name("arm.safetensors.bak").read_bytes() == before

@@ -8,15 +8,12 @@ import numpy as np
 import pytest
 from deflection_synthetic import POSITIONS, Arm, recording
 from galen_deflection.errors import FitError
-from galen_deflection.models.fit_settings import FitSettings
-from galen_deflection.models.interface import PredictedSamples
+from galen_deflection.models.interface import FitSettings, PredictedSamples
 from galen_deflection.models.linear import segments
 from galen_deflection.models.registry import KINDS
 from galen_deflection.networks import lstm
-from galen_deflection.networks.hold_out import hold_out
-from galen_deflection.networks.paced import PacedNet
-from galen_deflection.networks.recurrent_net import RecurrentNet, Scaling, Weights
-from galen_deflection.networks.sequences import interpolated, sequences
+from galen_deflection.networks.recurrent_net import PacedNet, RecurrentNet, Scaling, Weights
+from galen_deflection.networks.sequences import hold_out, interpolated, sequences
 
 LSTMS = ["lstm", "lstm_direct"]
 FEW = {"axes": (0, 1, 4), "forces_n": (8.0,), "torques_nm": (0.8,), "untouched_s": 0.5}
@@ -264,18 +261,19 @@ def test_what_may_not_be_used_is_not_looked_at(torch, pushed):
     use = pushed.position != 2
     hidden = np.where(use[:, None], pushed.deflection, np.nan)
     settings = FitSettings(use=use, iterations=2, seed=3)
-    masked = lstm.fit(replace(pushed, deflection=hidden), settings)
-    alone = lstm.fit(pushed.rows(use), FitSettings(iterations=2, seed=3))
+    masked = lstm.fit(lstm.KIND, replace(pushed, deflection=hidden), settings)
+    alone = lstm.fit(lstm.KIND, pushed.rows(use), FitSettings(iterations=2, seed=3))
     assert masked.fitted_on == alone.fitted_on
     np.testing.assert_array_equal(masked.discrepancy, alone.discrepancy)
     np.testing.assert_array_equal(masked.predict(pushed).mean, alone.predict(pushed).mean)
-    other = lstm.fit(pushed.rows(use), FitSettings(iterations=2, seed=4))
+    other = lstm.fit(lstm.KIND, pushed.rows(use), FitSettings(iterations=2, seed=4))
     assert np.abs(other.predict(pushed).mean - alone.predict(pushed).mean).max() > 1e-6
 
 
 def test_progress_and_patience_reach_the_training(torch, pushed):
     told = []
     model = lstm.fit(
+        lstm.KIND,
         pushed,
         FitSettings(iterations=3, patience=1, on_progress=lambda *now: told.append(now)),
     )

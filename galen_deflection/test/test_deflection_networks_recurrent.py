@@ -5,7 +5,7 @@ import pytest
 
 torch = pytest.importorskip("torch", reason="networks need PyTorch: `make networks`")
 
-from galen_deflection.networks.recurrent import (  # noqa: E402
+from galen_deflection.networks.training import (  # noqa: E402
     RecurrentSettings,
     Series,
     TrainingError,

@@ -9,7 +9,7 @@ from deflection_pushes import NOISE, TIP, make_samples, pushes_along
 from galen_deflection.measurement.pushes import PushLimits, find_pushes, tip_wrench
 from galen_deflection.measurement.recordings import Recording
 from galen_deflection.measurement.samples import DeflectionSamples, joined
-from galen_deflection.models.fit_settings import FitSettings
+from galen_deflection.models.interface import FitSettings
 from galen_deflection.models.registry import KINDS
 from galen_deflection.scoring.cross_check import Task, cross_check, fit_without, make_tasks
 from galen_deflection.scoring.score import score

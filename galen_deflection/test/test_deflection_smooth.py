@@ -115,9 +115,9 @@ def test_a_model_may_have_both_kinds_of_plays():
     both = HysteresisBasis(TIP_M, plays).run()
     alone = [HysteresisBasis(TIP_M, (one,)).run() for one in plays]
     here = samples.rows(samples.segment == 0)
-    found = both.rows(here.stamp_ns, here.joints, here.wrench).design
+    found = both.rows(here.joints, here.wrench).design
     for k, run in enumerate(alone):
-        design = run.rows(here.stamp_ns, here.joints, here.wrench).design
+        design = run.rows(here.joints, here.wrench).design
         np.testing.assert_array_equal(found[:, :, 4 + k], design[:, :, 4])
         assert np.abs(design[:, :, 4]).max() > 0.0
 

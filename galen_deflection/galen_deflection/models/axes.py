@@ -1,8 +1,15 @@
-"""What the report's two models share: the wrench's axes themselves are the loads."""
+"""The report's two models: the wrench's axes themselves are the loads.
+
+`independent`: each axis of the deflection from the same axis of the wrench, six compliances.
+`coupled`: from all axes of the wrench, a full 6 x 6 compliance; as in the report nothing makes it
+symmetric.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -10,11 +17,20 @@ from galen_model.arm.galen import HOME
 from galen_model.arm.stiffness import tip_compliance
 from galen_model.arrays import Array
 
-from galen_deflection.models.linear import Parameter, Rows
+from galen_deflection.measurement.samples import DeflectionSamples
+from galen_deflection.models.interface import FitSettings
+from galen_deflection.models.least_squares import finished, sums
+from galen_deflection.models.linear import LinearModel, Parameter, Rows, tip_from_json
+from galen_deflection.models.linear import from_json as linear_from_json
 from galen_deflection.springs.springs import TipWrench
 
 LOADS = ("fx", "fy", "fz", "tx", "ty", "tz")
 MOTIONS = ("dx", "dy", "dz", "rx", "ry", "rz")
+INDEPENDENT, COUPLED = "independent", "coupled"
+_PAIRS = {
+    INDEPENDENT: tuple((axis, axis) for axis in range(6)),
+    COUPLED: tuple(product(range(6), range(6))),
+}
 
 
 @dataclass(frozen=True)
@@ -27,7 +43,7 @@ class AxesBasis:
     degrees at home, x of the force would be z of the arm, and the models would be worse.)
 
     There is no offset: without load there is no deflection (contract, section 2). An offset would
-    be the registration's, and a model that shifts the tip of an arm that nobody touches is wrong.
+    be the registration's, and a model that shifts the tip of an arm without contact is wrong.
     """
 
     tip_m: Array
@@ -66,9 +82,21 @@ class AxesRun:
         self._motion, self._load = np.array(basis.pairs).T
         self._column = np.arange(len(basis.pairs))
 
-    def rows(self, stamp_ns: np.ndarray, joints: Array, wrench: Array) -> Rows:
-        """As `Run.rows`; nothing hangs on the stamps."""
+    def rows(self, joints: Array, wrench: Array) -> Rows:
+        """As `Run.rows`."""
         at_tip = self._to_tip(joints, wrench)
         design = np.zeros((len(joints), 6, len(self._column)))
         design[:, self._motion, self._column] = at_tip[:, self._load]
         return Rows(at_tip, design)
+
+
+def fit(kind: str, samples: DeflectionSamples, settings: FitSettings | None = None) -> LinearModel:
+    """Fit INDEPENDENT or COUPLED by weighted least squares; raises FitError."""
+    basis = AxesBasis(samples.tip_m, _PAIRS[kind])
+    totals = sums(basis, samples, settings or FitSettings())
+    return finished(kind, basis, samples, totals, only_nearby=True)
+
+
+def from_json(content: Mapping[str, Any]) -> LinearModel:
+    """Read a model from a file's content; raises FieldError."""
+    return linear_from_json(content, AxesBasis(tip_from_json(content), _PAIRS[content["kind"]]))

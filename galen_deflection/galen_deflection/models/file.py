@@ -39,8 +39,8 @@ from galen_model.files.json_fields import (
 )
 
 from galen_deflection.errors import ModelFileError
-from galen_deflection.models.interface import DeflectionModel, WithTensors
-from galen_deflection.models.registry import kind_of
+from galen_deflection.models.interface import DeflectionModel
+from galen_deflection.models.registry import kind_of, model_from
 from galen_deflection.networks.tensor_file import digest, is_packed, packed, unpacked
 
 SCHEMA_VERSION = 1
@@ -68,7 +68,7 @@ def write_model(path: str | os.PathLike[str], model: DeflectionModel) -> None:
     """
     path = Path(path)
     try:
-        tensors = model.tensors() if isinstance(model, WithTensors) else None
+        tensors = model.tensors()
         content = {"schema_version": SCHEMA_VERSION, **model.to_json()}
         content["sha256"] = _checksum(content, tensors)
         text = json.dumps(content, indent=1, allow_nan=False) + "\n"
@@ -94,11 +94,11 @@ def _made(content: Any, tensors: _Tensors | None) -> DeflectionModel:
     whole = mapping(content, "the file")
     check_kind(whole, DEFLECTION_MODEL)
     check_version(whole, SCHEMA_VERSION)
-    kind = kind_of(text(get(whole, "kind"), "kind"))
+    kind_of(text(get(whole, "kind"), "kind"))
     found = text(get(whole, "sha256"), "sha256")
     if found != _checksum(whole, tensors):
         raise FieldError("sha256 is not that of the content: it was changed or cut")
-    return kind.make(whole, tensors)
+    return model_from(whole, tensors)
 
 
 def _checksum(content: Mapping[str, Any], tensors: _Tensors | None) -> str:

@@ -152,12 +152,8 @@ class HysteresisRun:
             loads = np.concatenate([loads, motion], axis=1)
         return at_tip, springs, jacobian, loads
 
-    def rows(self, stamp_ns: np.ndarray, joints: Array, wrench: Array) -> Rows:
-        """As `Run.rows`; nothing hangs on the stamps."""
-        return self.loaded_rows(joints, wrench)[0]
-
-    def loaded_rows(self, joints: Array, wrench: Array) -> tuple[Rows, Array, Array]:
-        """The next samples' rows, and their J and loads as `loads` has them."""
+    def rows(self, joints: Array, wrench: Array) -> Rows:
+        """As `Run.rows`."""
         at_tip, springs, jacobian, loads = self.loads(joints, wrench)
         inputs = loads.take(self._column, axis=1)
         output, unknown = self._played(inputs)
@@ -170,7 +166,7 @@ class HysteresisRun:
         if unknown.any():
             deviation = columns * unknown[:, None, :]
             start = Start(deviation, self._parameter, self._source)
-        return Rows(at_tip, design, start), jacobian, loads
+        return Rows(at_tip, design, start)
 
     def _played(self, inputs: Array) -> tuple[Array, Array]:
         """Outputs and what is unknown of them, (n, m) each, of all plays."""

@@ -1,8 +1,10 @@
-"""What every deflection model offers, whatever is inside it."""
+"""The interface of every deflection model, and how one is fitted."""
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple, Protocol, runtime_checkable
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from galen_model.arrays import Array
@@ -54,6 +56,14 @@ class DeflectionModel(Protocol):
     def tip_m(self) -> Array:
         """The tip (3,) in ft_sensor that it was fitted for."""
 
+    @property
+    def noise(self) -> Array:
+        """Standard deviation (6,) of one measured deflection that it was fitted to."""
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Sentences on what the fit found."""
+
     def predict(self, samples: DeflectionSamples) -> PredictedSamples:
         """Predict every sample, each segment from a fresh start: the same as stream by stream."""
 
@@ -61,12 +71,34 @@ class DeflectionModel(Protocol):
         """A stream that starts unloaded. Needs no torch but in the networks."""
 
     def to_json(self) -> dict[str, Any]:
-        """Everything needed to make it again, as plain numbers, lists and texts."""
+        """Everything needed to make it again, but `tensors`: numbers, lists and texts."""
+
+    def tensors(self) -> dict[str, np.ndarray] | None:
+        """A network's weights by name, float32; None for a model without any."""
 
 
-@runtime_checkable
-class WithTensors(Protocol):
-    """A model of which `to_json` gives all but some arrays: a network's weights."""
+@dataclass(frozen=True)
+class FitSettings:
+    """What every kind of model takes; a kind that doesn't need one of these leaves it alone.
 
-    def tensors(self) -> dict[str, np.ndarray]:
-        """The arrays by name, float32."""
+    use (n,) bool, or None for all: the samples whose measured deflection a fit may look at. The
+    loads of the others still count for what the arm remembers, as they would live. seed: of all
+    that is drawn by chance. iterations: of a network's training, None for its kind's own number.
+    patience: stop a training that has not become better for so many iterations, None for never.
+    on_progress(done, total, what): called now and then.
+    """
+
+    use: np.ndarray | None = None
+    seed: int = 0
+    iterations: int | None = None
+    patience: int | None = None
+    on_progress: Callable[[int, int, str], None] | None = None
+
+    def used(self, count: int) -> np.ndarray:
+        """The samples (count,) to look at; raises ValueError for another number of them."""
+        if self.use is None:
+            return np.ones(count, dtype=bool)
+        use = np.asarray(self.use, dtype=bool)
+        if use.shape != (count,):
+            raise ValueError(f"use has the shape {use.shape} for {count} samples")
+        return use

@@ -35,7 +35,6 @@ import numpy as np
 from galen_model.arrays import Array
 
 from galen_deflection.measurement.samples import DeflectionSamples
-from galen_deflection.models.fit_settings import FitSettings
 from galen_deflection.models.hysteresis_basis import (
     COLUMNS,
     JOINTS,
@@ -46,6 +45,7 @@ from galen_deflection.models.hysteresis_basis import (
     Operator,
     Shape,
 )
+from galen_deflection.models.interface import FitSettings
 from galen_deflection.models.joint_stiffness import COMPLIANCES, StiffnessBasis
 from galen_deflection.models.least_squares import Sums, finished, held_out_cost, solve, sums
 from galen_deflection.models.linear import LinearModel, tip_from_json

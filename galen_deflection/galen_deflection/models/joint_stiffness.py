@@ -16,7 +16,7 @@ import numpy as np
 from galen_model.arrays import Array
 
 from galen_deflection.measurement.samples import DeflectionSamples
-from galen_deflection.models.fit_settings import FitSettings
+from galen_deflection.models.interface import FitSettings
 from galen_deflection.models.least_squares import finished, sums
 from galen_deflection.models.linear import LinearModel, Parameter, Rows, tip_from_json
 from galen_deflection.models.linear import from_json as linear_from_json
@@ -71,8 +71,8 @@ class StiffnessRun:
         geometry = self._springs.geometry(joints)
         return at_tip, geometry, np.matmul(at_tip[:, None, :], geometry.jacobian)[:, 0]
 
-    def rows(self, stamp_ns: np.ndarray, joints: Array, wrench: Array) -> Rows:
-        """As `Run.rows`; nothing hangs on the stamps."""
+    def rows(self, joints: Array, wrench: Array) -> Rows:
+        """As `Run.rows`."""
         at_tip, geometry, loads = self.loaded(joints, wrench)
         return Rows(at_tip, elastic(geometry.jacobian, loads))
 

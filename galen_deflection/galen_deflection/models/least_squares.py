@@ -26,8 +26,8 @@ from scipy.optimize import nnls
 
 from galen_deflection.errors import FitError, NegativeComplianceError
 from galen_deflection.measurement.samples import DeflectionSamples, check_to_fit
-from galen_deflection.models.fit_settings import FitSettings
 from galen_deflection.models.fitted_range import FittedRange
+from galen_deflection.models.interface import FitSettings
 from galen_deflection.models.linear import (
     Basis,
     FittedOn,
@@ -260,7 +260,7 @@ def _rows(
     for part in parts:
         if part.start in beginnings:
             run = basis.run()
-        yield part, run.rows(samples.stamp_ns[part], samples.joints[part], samples.wrench[part])
+        yield part, run.rows(samples.joints[part], samples.wrench[part])
 
 
 def _inflation(totals: Sums, solution: Solution) -> float:

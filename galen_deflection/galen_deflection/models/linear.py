@@ -63,17 +63,6 @@ class Start(NamedTuple):
     parameter: np.ndarray
     source: Array
 
-    def beside(self, other: Start) -> Start:
-        """Both, their things independent of each other."""
-        source = np.zeros(np.add(self.source.shape, other.source.shape))
-        source[: len(self.source), : self.source.shape[1]] = self.source
-        source[len(self.source) :, self.source.shape[1] :] = other.source
-        return Start(
-            np.concatenate([self.deviation, other.deviation], axis=2),
-            np.concatenate([self.parameter, other.parameter]),
-            source,
-        )
-
     def covariance(self, values: Array) -> Array:
         """(n, 6, 6) of the deflection, for parameters (p,): of one thing they add up."""
         by_source = (self.deviation * values[self.parameter]) @ self.source
@@ -95,8 +84,8 @@ class Rows(NamedTuple):
 class Run(Protocol):
     """A basis at work on one segment."""
 
-    def rows(self, stamp_ns: np.ndarray, joints: Array, wrench: Array) -> Rows:
-        """The next samples: stamps (n,), joints (n, 5), wrenches (n, 6) in ft_sensor."""
+    def rows(self, joints: Array, wrench: Array) -> Rows:
+        """Take the next samples: joints (n, 5), wrenches (n, 6) in ft_sensor."""
 
 
 class Basis(Protocol):
@@ -180,9 +169,7 @@ class LinearModel:
             run = self.basis.run()
             for first in range(segment.start, segment.stop, _CHUNK):
                 part = slice(first, min(first + _CHUNK, segment.stop))
-                result, _ = self._predict(
-                    run, samples.stamp_ns[part], samples.joints[part], samples.wrench[part]
-                )
+                result, _ = self._predict(run, samples.joints[part], samples.wrench[part])
                 for whole, piece in zip(predicted, result, strict=True):
                     whole[part] = piece
         return predicted
@@ -192,10 +179,10 @@ class LinearModel:
         return LinearStream(self)
 
     def _predict(
-        self, run: Run, stamp_ns: np.ndarray, joints: Array, wrench: Array
+        self, run: Run, joints: Array, wrench: Array
     ) -> tuple[PredictedSamples, Array | None]:
         """Predictions, and which part of their covariance (n, 6, 6) the unknown start has."""
-        rows = run.rows(stamp_ns, joints, wrench)
+        rows = run.rows(joints, wrench)
         mean = rows.design @ self.values
         covariance = rows.design @ self.covariance @ rows.design.transpose(0, 2, 1)
         covariance += self.discrepancy
@@ -205,6 +192,9 @@ class LinearModel:
             covariance += start
         outside = self.fitted_range.left_by(joints, rows.wrench_at_tip)
         return PredictedSamples(mean, covariance, outside), start
+
+    def tensors(self) -> None:
+        """As `DeflectionModel.tensors`."""
 
     def to_json(self) -> dict[str, Any]:
         """As `DeflectionModel.to_json`."""
@@ -238,7 +228,6 @@ class LinearStream:
         """As `Stream.step`."""
         predicted, start = self._model._predict(
             self._run,
-            np.array([stamp_ns]),
             np.asarray(joints, dtype=float)[None],
             np.asarray(wrench, dtype=float)[None],
         )

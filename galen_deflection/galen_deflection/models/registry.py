@@ -6,61 +6,42 @@ Nothing here imports PyTorch; only training a network does.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
-from galen_model.files.json_fields import FieldError
+from galen_model.files.json_fields import FieldError, get, text
 
 from galen_deflection.measurement.samples import DeflectionSamples
-from galen_deflection.models import coupled, independent, joint_hysteresis, joint_stiffness
-from galen_deflection.models.fit_settings import FitSettings
-from galen_deflection.models.interface import DeflectionModel
-from galen_deflection.networks import lstm, network_model
+from galen_deflection.models import axes, joint_hysteresis, joint_stiffness
+from galen_deflection.models.interface import DeflectionModel, FitSettings
+from galen_deflection.networks import lstm
+from galen_deflection.networks.network import NetworkModel
 
 
 class ModelKind(NamedTuple):
     """What can be done with a kind of model.
 
-    fit: raises FitError. One of the others, raising FieldError: from_json, from what
-    `DeflectionModel.to_json` gave; or, of a network, from_tensors, from that and its tensors.
+    fit: raises FitError. make: from a file's content, and the tensors of a network; raises
+    FieldError. is_network: fitting it needs PyTorch, and its file safetensors.
     """
 
     summary: str
     fit: Callable[[DeflectionSamples, FitSettings | None], DeflectionModel]
-    from_json: Callable[[Mapping[str, Any]], DeflectionModel] | None = None
-    from_tensors: (
-        Callable[[Mapping[str, Any], Mapping[str, np.ndarray]], DeflectionModel] | None
-    ) = None
-
-    @property
-    def is_network(self) -> bool:
-        """Whether fitting it needs PyTorch, and its file safetensors."""
-        return self.from_tensors is not None
-
-    def make(
-        self, content: Mapping[str, Any], tensors: Mapping[str, np.ndarray] | None
-    ) -> DeflectionModel:
-        """From a file's content, and its tensors if it has any; raises FieldError."""
-        if self.from_tensors is not None and tensors is not None:
-            return self.from_tensors(content, tensors)
-        if self.from_json is not None and tensors is None:
-            return self.from_json(content)
-        raise FieldError(
-            f"a model of the kind {content['kind']} is in "
-            f"{'safetensors' if self.is_network else 'JSON'}, not in this format"
-        )
+    make: Callable[..., DeflectionModel]
+    is_network: bool = False
 
 
 KINDS: dict[str, ModelKind] = {
-    independent.KIND: ModelKind(
+    axes.INDEPENDENT: ModelKind(
         "each axis from the same axis of the wrench, linear (the report's first)",
-        independent.fit,
-        independent.from_json,
+        partial(axes.fit, axes.INDEPENDENT),
+        axes.from_json,
     ),
-    coupled.KIND: ModelKind(
+    axes.COUPLED: ModelKind(
         "each axis from all axes of the wrench, linear (the report's second)",
-        coupled.fit,
-        coupled.from_json,
+        partial(axes.fit, axes.COUPLED),
+        axes.from_json,
     ),
     joint_stiffness.KIND: ModelKind(
         "springs at roll, tilt, carriages and rods",
@@ -74,16 +55,32 @@ KINDS: dict[str, ModelKind] = {
     ),
     lstm.KIND: ModelKind(
         "the report's network: LSTM of 18 units, fully connected to the axes",
-        lstm.fit,
-        from_tensors=network_model.from_tensors,
+        partial(lstm.fit, lstm.KIND),
+        NetworkModel.from_json,
+        is_network=True,
     ),
     lstm.KIND_DIRECT: ModelKind(
         "the variant its authors suggest: no fully connected layer",
-        lstm.fit_direct,
-        from_tensors=network_model.from_tensors,
+        partial(lstm.fit, lstm.KIND_DIRECT),
+        NetworkModel.from_json,
+        is_network=True,
     ),
 }
 """Kinds in the order in which they are listed."""
+
+
+def model_from(
+    content: Mapping[str, Any], tensors: Mapping[str, np.ndarray] | None
+) -> DeflectionModel:
+    """Make a model from a file's content, and its tensors if it has any; raises FieldError."""
+    name = text(get(content, "kind"), "kind")
+    kind = kind_of(name)
+    if kind.is_network != (tensors is not None):
+        raise FieldError(
+            f"a model of the kind {name} is in {'safetensors' if kind.is_network else 'JSON'}, not"
+            " in this format"
+        )
+    return kind.make(content) if tensors is None else kind.make(content, tensors)
 
 
 def kind_of(name: str) -> ModelKind:

@@ -26,15 +26,19 @@ import numpy as np
 
 from galen_deflection.errors import FitError
 from galen_deflection.measurement.samples import DeflectionSamples, check_to_fit
-from galen_deflection.models.fit_settings import FitSettings
 from galen_deflection.models.fitted_range import FittedRange
+from galen_deflection.models.interface import FitSettings
 from galen_deflection.models.least_squares import beyond_noise
 from galen_deflection.models.linear import FittedOn
-from galen_deflection.networks.hold_out import hold_out
-from galen_deflection.networks.network import Network
-from galen_deflection.networks.network_model import INPUTS, LEAST_SCALE, OUTPUTS, NetworkModel
-from galen_deflection.networks.recurrent import RecurrentSettings, Series, TrainingError, train
-from galen_deflection.networks.sequences import products, run, sequences
+from galen_deflection.networks.network import (
+    INPUTS,
+    LEAST_SCALE,
+    OUTPUTS,
+    Network,
+    NetworkModel,
+)
+from galen_deflection.networks.sequences import hold_out, products, run, sequences
+from galen_deflection.networks.training import RecurrentSettings, Series, TrainingError, train
 from galen_deflection.springs.springs import TipWrench
 
 KIND = "lstm"
@@ -50,27 +54,20 @@ PERIOD_S = 0.04
 would be a hundred steps to look back over."""
 
 
-def fit(samples: DeflectionSamples, settings: FitSettings | None = None) -> NetworkModel:
-    """Train the report's network; raises FitError."""
-    return _fit(KIND, samples, settings or FitSettings(), SETTINGS)
+_SETTINGS = {KIND: SETTINGS, KIND_DIRECT: DIRECT}
 
 
-def fit_direct(samples: DeflectionSamples, settings: FitSettings | None = None) -> NetworkModel:
-    """Train the one without a fully connected layer; raises FitError."""
-    return _fit(KIND_DIRECT, samples, settings or FitSettings(), DIRECT)
-
-
-def _fit(
-    kind: str, samples: DeflectionSamples, settings: FitSettings, network: RecurrentSettings
-) -> NetworkModel:
+def fit(kind: str, samples: DeflectionSamples, settings: FitSettings | None = None) -> NetworkModel:
+    """Train the report's network (KIND) or its variant (KIND_DIRECT); raises FitError."""
+    settings = settings or FitSettings()
     used = settings.used(len(samples))
     check_to_fit(samples, used)
     at_tip = TipWrench(samples.tip_m)(samples.joints, samples.wrench)
     inputs = np.hstack([at_tip, samples.joints])
     network = replace(
-        network,
+        _SETTINGS[kind],
         seed=settings.seed,
-        iterations=settings.iterations or network.iterations,
+        iterations=settings.iterations or _SETTINGS[kind].iterations,
         patience=settings.patience,
     )
     held = hold_out(samples, used)

@@ -1,4 +1,4 @@
-"""Samples of a deflection as sequences for a network, and a network's outputs for samples."""
+"""Samples as sequences for a network; which of them are held out of its training."""
 
 from __future__ import annotations
 
@@ -6,10 +6,12 @@ import numpy as np
 from galen_model.arrays import Array
 
 from galen_deflection.measurement.samples import DeflectionSamples
+from galen_deflection.models.least_squares import blocks
 from galen_deflection.models.linear import segments
-from galen_deflection.networks.paced import PacedNet
-from galen_deflection.networks.recurrent import Series
-from galen_deflection.networks.recurrent_net import RecurrentNet
+from galen_deflection.networks.recurrent_net import PacedNet, RecurrentNet
+from galen_deflection.networks.training import Series
+
+_HELD_OUT_SHARE = 0.25
 
 
 def sequences(
@@ -61,3 +63,32 @@ def products(samples: DeflectionSamples, mean: Array, rows: np.ndarray) -> Array
     """Mean (6, 6) of the products of residuals in units of the noise, of predictions (n, 6)."""
     error = ((samples.deflection - mean) / samples.noise)[rows]
     return np.asarray(error.T @ error / len(error))
+
+
+def hold_out(samples: DeflectionSamples, used: np.ndarray) -> np.ndarray:
+    """Choose at most a quarter (n,) bool of the used samples, of positions that also remain.
+
+    A training only checks itself on them. The last repetitions of positions that have several, as
+    the report held out sets; of as many positions as make up a quarter. Where no position has
+    several, the last blocks of each (blocks: as `least_squares`, about a push); nothing of a
+    position that has only one.
+    """
+    held = np.zeros(len(samples), dtype=bool)
+    for position in np.unique(samples.position[used]):
+        there = used & (samples.position == position)
+        sets = np.unique(samples.set_number[there])
+        last = there & (samples.set_number == sets[-1])
+        if len(sets) > 1 and np.count_nonzero(held | last) <= _HELD_OUT_SHARE * np.count_nonzero(
+            used
+        ):
+            held |= last
+    if held.any():
+        return held
+    parts = [part for part in blocks(samples) if used[part].any()]
+    places = np.array([samples.position[part.start] for part in parts])
+    for position in np.unique(places):
+        of_position = np.flatnonzero(places == position)
+        if len(of_position) > 1:
+            for k in of_position[-max(1, round(_HELD_OUT_SHARE * len(of_position))) :]:
+                held[parts[k]] = used[parts[k]]
+    return held

@@ -22,7 +22,7 @@ from galen_ros.command import (
 )
 from rich.console import Console
 
-from galen_deflection.models.fit_settings import FitSettings
+from galen_deflection.models.interface import FitSettings
 from galen_deflection.models.registry import KINDS
 from galen_deflection.scoring.cross_check import Checked, Task, by_position, cross_check, make_tasks
 from galen_deflection.scoring.options import (

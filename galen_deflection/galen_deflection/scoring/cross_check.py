@@ -12,8 +12,7 @@ import numpy as np
 from galen_deflection.measurement.pushes import PushLimits, tip_wrench
 from galen_deflection.measurement.recordings import Recording, join_recordings
 from galen_deflection.measurement.samples import DeflectionSamples
-from galen_deflection.models.fit_settings import FitSettings
-from galen_deflection.models.interface import DeflectionModel, PredictedSamples
+from galen_deflection.models.interface import DeflectionModel, FitSettings, PredictedSamples
 from galen_deflection.models.registry import kind_of
 from galen_deflection.scoring.score import Score, score
 from galen_deflection.scoring.splits import (

@@ -18,7 +18,7 @@ from tqdm import tqdm
 from galen_deflection.measurement.push_recording import PushSettings, PushTopics
 from galen_deflection.measurement.recordings import ReadSettings, Recording, read_recording
 from galen_deflection.measurement.registration_fit import RegistrationSettings
-from galen_deflection.models.fit_settings import FitSettings
+from galen_deflection.models.interface import FitSettings
 
 _TABLE_WIDTH = 170
 

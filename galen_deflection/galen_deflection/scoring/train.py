@@ -25,8 +25,7 @@ from galen_ros.command import (
 from galen_deflection.measurement.recordings import Recording, join_recordings
 from galen_deflection.measurement.samples import DeflectionSamples
 from galen_deflection.models.file import write_model
-from galen_deflection.models.fit_settings import FitSettings
-from galen_deflection.models.interface import DeflectionModel
+from galen_deflection.models.interface import DeflectionModel, FitSettings
 from galen_deflection.models.registry import KINDS
 from galen_deflection.scoring.cross_check import cross_check, make_tasks, seen_split
 from galen_deflection.scoring.options import (

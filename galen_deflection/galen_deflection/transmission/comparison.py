@@ -16,7 +16,7 @@ from galen_model.transmission.joint_run import JointRun, LagNoise, noise_of
 from galen_model.transmission.parts import Parts
 from galen_model.transmission.terms import Scales, design, velocity
 
-from galen_deflection.networks.recurrent import RecurrentSettings, Series, train
+from galen_deflection.networks.training import RecurrentSettings, Series, train
 from galen_deflection.transmission import joint_forms
 from galen_deflection.transmission.joint_fit import CellSums, fit_terms
 from galen_deflection.transmission.joint_forms import FORMS

@@ -25,8 +25,8 @@ from galen_model.arrays import Array
 from galen_model.errors import GalenError
 
 from galen_deflection.networks import NEEDS
+from galen_deflection.networks.network import TrainingCurve
 from galen_deflection.networks.recurrent_net import RecurrentNet, Scaling, Weights
-from galen_deflection.networks.training_curve import TrainingCurve
 
 
 class TrainingError(GalenError):
