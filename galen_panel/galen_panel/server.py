@@ -16,7 +16,7 @@ from galen_panel.access import Access
 from galen_panel.ending import end_by_signals, end_server, ignore_signals
 from galen_panel.options import Options
 from galen_panel.recordings.recordings import Recordings
-from galen_panel.state.suite import Suite
+from galen_panel.snapshot import Suite
 
 RECONNECT_S = 15.0
 # A page whose panel says nothing for the sum of both shows that its connection is lost.

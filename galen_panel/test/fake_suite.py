@@ -5,8 +5,8 @@ from contextlib import contextmanager
 from dataclasses import replace
 
 import numpy as np
-from galen_panel.state.history import History
-from galen_panel.state.snapshot import (
+from galen_panel.history import History
+from galen_panel.snapshot import (
     Active,
     Answer,
     Comparison,
@@ -26,7 +26,7 @@ RETRACTOR = Tool(
     (3.5e-5, 3.4e-5, 3.6e-5), 56, "2026-11-20T09:12:44+00:00", ("inertia",),
 )  # fmt: skip
 BROKEN = Tool("drill", problem="drill.json: field 'load' is missing")
-IN_FORCE = Active(
+ACTIVE = Active(
     "pointer", True, 0.0601, (0.055, 0.002, 0.045), (0.15, 0.0, 0.05),
     "2026-11-21T14:03:11+00:00", "as loaded", None, None,
 )  # fmt: skip
@@ -51,7 +51,7 @@ class FakeSuite:
 
     def __init__(self):
         self.state = State(
-            1, (POINTER, RETRACTOR, BROKEN), "/tools", "", IN_FORCE,
+            1, (POINTER, RETRACTOR, BROKEN), "/tools", "", ACTIVE,
             {one.name: one for one in (COMPENSATING, CALIBRATION_READY)}, {}, ALL
         )  # fmt: skip
         self.history = History()

@@ -9,8 +9,8 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from galen_panel.options import read_options
-from galen_panel.page import compensation, lamp, tools, under_way
-from galen_panel.page.behaviours import behaviours
+from galen_panel.page import behaviours, tools, under_way
+from galen_panel.page.header import build_compensation, build_lamp
 from galen_panel.page.page import Page
 from galen_panel.recordings.recordings import Recordings
 from nicegui import app
@@ -22,8 +22,9 @@ PATIENCE_S = 10.0
 
 
 def _operate(page):
-    for section in (compensation, lamp, under_way, tools, behaviours):
-        section.build(page)
+    builders = (build_compensation, build_lamp, under_way.build, tools.build, behaviours.build)
+    for build in builders:
+        build(page)
 
 
 def on_page(suite, story, build=_operate):

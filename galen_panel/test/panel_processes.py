@@ -102,13 +102,6 @@ class PanelWorld:
             "galen_calibration_behavior", "calibration_node", BEHAVIOUR | few | parameters
         )
 
-    def start_check(self, **parameters):
-        self.start_node(
-            "galen_calibration_behavior",
-            "check_node",
-            BEHAVIOUR | {"tools_dir": self.tools_dir} | parameters,
-        )
-
     def start_panel(self, *arguments, fake=False, port=None, **environment):
         """Start it and return its link, when it answers there."""
         port = port or free_port()

@@ -76,8 +76,7 @@ def start(world):
     tools = {"tools_dir": world.tools_dir}
     world.start_node("galen_gravcomp", "gravcomp_node", tools | {"tool": "retractor"})
     world.start_node("galen_deflection", "deflection_node", {"model_file": model})
-    for executable in ("calibration_node", "check_node"):
-        world.start_node("galen_calibration_behavior", executable, tools)
+    world.start_node("galen_calibration_behavior", "calibration_node", tools)
     return world.start_panel("--bags-dir", BAGS)
 
 

@@ -5,8 +5,8 @@ import pytest
 from galen_model.arm.galen import GALEN, HOME
 from galen_model.arm.kinematics import tip_pose
 from galen_model.rotation import quaternion_to_matrix
-from galen_panel.state.arm_view import delta_parts
-from galen_panel.state.arm_view_drawing import FORCE_M_PER_N, Drawing
+from galen_panel.page.live.arm_drawing import FORCE_M_PER_N, Drawing
+from galen_panel.page.live.arm_view import delta_parts
 
 TIP, COM = np.array([0.15, 0.0, 0.05]), np.array([0.055, 0.002, 0.045])
 JOINTS = np.array([0.03, -0.02, 0.42, 0.7, -0.3])

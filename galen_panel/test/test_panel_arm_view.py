@@ -7,7 +7,7 @@ from galen_model.arm.stiffness import deflection, platform_stiffness
 from galen_model.arm.urdf import galen_urdf
 from galen_model.rotation import matrix_to_rotvec
 from galen_model.wrench import move_twist, move_wrench
-from galen_panel.state.arm_view import (
+from galen_panel.page.live.arm_view import (
     bent_frames,
     delta_parts,
     force_in_base,

@@ -1,6 +1,6 @@
 import numpy as np
 import pytest
-from galen_panel.state.history import NS_PER_S, RESTART_S, History, Series
+from galen_panel.history import NS_PER_S, RESTART_S, History, Series
 
 
 class Reference:

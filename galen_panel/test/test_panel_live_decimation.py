@@ -1,7 +1,14 @@
 import numpy as np
 import pytest
-from galen_panel.state.decimation import BUCKETS, Follower, bucket_ns, decimate, with_gaps, zoomed
-from galen_panel.state.history import NS_PER_S, Series
+from galen_panel.history import NS_PER_S, Series
+from galen_panel.page.live.decimation import (
+    BUCKETS,
+    Follower,
+    bucket_ns,
+    decimate,
+    with_gaps,
+    zoomed,
+)
 
 MS = NS_PER_S // 1000
 

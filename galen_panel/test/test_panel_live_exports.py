@@ -3,9 +3,8 @@ import io
 from datetime import datetime
 
 import numpy as np
-from galen_panel.state.exports import HEADER, between, file_name
-from galen_panel.state.exports import csv as written
-from galen_panel.state.history import NS_PER_S, Samples
+from galen_panel.history import HEADER, NS_PER_S, Samples, between, file_name
+from galen_panel.history import csv as written
 
 AT = 1_790_000_000 * NS_PER_S + 123_456_789
 

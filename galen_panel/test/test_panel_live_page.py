@@ -8,9 +8,9 @@ import time
 from dataclasses import replace
 
 import numpy as np
-from fake_suite import IN_FORCE, FakeSuite
+from fake_suite import ACTIVE, FakeSuite
+from galen_panel.history import NS_PER_S
 from galen_panel.page.live import live
-from galen_panel.state.history import NS_PER_S
 from page_user import on_page
 
 START_S = 1_000_000.0
@@ -164,7 +164,7 @@ def test_numbers_are_the_signed_mean_of_the_last_two_seconds():
 def test_it_says_what_does_not_come():
     async def story(user, shown):
         await user.until(lambda: "No wrench_raw" in user.text("silence"))
-        shown.suite.put(active_tool=replace(IN_FORCE, enabled=False))
+        shown.suite.put(active_tool=replace(ACTIVE, enabled=False))
         history = shown.suite.history
 
         async def raw_only():
@@ -311,7 +311,7 @@ def test_another_tool_is_another_drawing():
         user.trigger("arm", "init")
         await user.until(lambda: shown.placements)
         before = shown.placements[-1]["straight/tool_tip"][:3]
-        shown.suite.put(active_tool=replace(IN_FORCE, tip_m=(0.18, 0.01, 0.05)))
+        shown.suite.put(active_tool=replace(ACTIVE, tip_m=(0.18, 0.01, 0.05)))
         await user.until(lambda: shown.placements[-1]["straight/tool_tip"][:3] != before)
 
     on_live(story)

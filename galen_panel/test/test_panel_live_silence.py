@@ -1,9 +1,9 @@
 from dataclasses import replace
 
 import pytest
-from fake_suite import IN_FORCE
+from fake_suite import ACTIVE
 from galen_panel.messages.silence import COMPENSATED, DEFLECTION, JOINTS, RAW, Heard, tell
-from galen_panel.state.snapshot import State
+from galen_panel.snapshot import State
 
 ALL = frozenset({RAW, COMPENSATED, DEFLECTION, JOINTS})
 
@@ -11,14 +11,14 @@ ALL = frozenset({RAW, COMPENSATED, DEFLECTION, JOINTS})
 @pytest.mark.parametrize(
     ("silent", "active_tool", "words"),
     [
-        (ALL, IN_FORCE, "driver"),
-        ({COMPENSATED, DEFLECTION}, replace(IN_FORCE, enabled=False), "compensation is off"),
-        ({COMPENSATED}, replace(IN_FORCE, tool="", enabled=False), "no tool is active"),
+        (ALL, ACTIVE, "driver"),
+        ({COMPENSATED, DEFLECTION}, replace(ACTIVE, enabled=False), "compensation is off"),
+        ({COMPENSATED}, replace(ACTIVE, tool="", enabled=False), "no tool is active"),
         ({COMPENSATED}, None, "gravcomp_node is not running"),
-        ({COMPENSATED, JOINTS}, IN_FORCE, "no joint_states come"),
-        ({COMPENSATED}, IN_FORCE, "Nodes says why"),
-        ({DEFLECTION}, IN_FORCE, "ros2 run galen_deflection deflection_node"),
-        ({JOINTS}, IN_FORCE, "No joint_states"),
+        ({COMPENSATED, JOINTS}, ACTIVE, "no joint_states come"),
+        ({COMPENSATED}, ACTIVE, "Nodes says why"),
+        ({DEFLECTION}, ACTIVE, "ros2 run galen_deflection deflection_node"),
+        ({JOINTS}, ACTIVE, "No joint_states"),
     ],
 )
 def test_it_says_what_is_missing_and_what_to_do(silent, active_tool, words):
@@ -26,7 +26,7 @@ def test_it_says_what_is_missing_and_what_to_do(silent, active_tool, words):
 
 
 def test_nothing_is_said_where_all_come():
-    assert tell(frozenset(), State(active_tool=IN_FORCE)) == ""
+    assert tell(frozenset(), State(active_tool=ACTIVE)) == ""
 
 
 def test_a_stream_is_silent_when_its_stamp_stands_still_whatever_the_clock_says():

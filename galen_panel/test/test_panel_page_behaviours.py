@@ -3,8 +3,8 @@
 from dataclasses import replace
 
 import pytest
-from fake_suite import ALL, BROKEN, IN_FORCE, POINTER, RETRACTOR, FakeSuite
-from galen_panel.state.snapshot import (
+from fake_suite import ACTIVE, ALL, BROKEN, POINTER, RETRACTOR, FakeSuite
+from galen_panel.snapshot import (
     Answer,
     Asked,
     Behaviour,
@@ -104,9 +104,9 @@ def test_what_began_while_the_question_was_open_is_told():
 @pytest.mark.parametrize(
     ("changes", "chosen", "words"),
     [
-        ({"active_tool": replace(IN_FORCE, tool="")}, "", "no tool is active"),
+        ({"active_tool": replace(ACTIVE, tool="")}, "", "no tool is active"),
         ({"active_tool": None}, "", "no tool is active"),
-        ({"active_tool": replace(IN_FORCE, tool=""), "tools": ()}, "", "no tool is calibrated yet"),
+        ({"active_tool": replace(ACTIVE, tool=""), "tools": ()}, "", "no tool is calibrated yet"),
         ({"tools": (POINTER, BROKEN)}, "drill", "field 'load' is missing"),
     ],
 )
@@ -173,7 +173,7 @@ def test_a_node_that_is_absent_is_named_where_its_button_is():
 
     async def story(user):
         assert not user.get("check").enabled
-        assert "ros2 run galen_calibration_behavior check_node" in user.text("card-check")
+        assert "ros2 run galen_calibration_behavior calibration_node" in user.text("card-check")
         assert user.get("calibrate").enabled
         suite.put(available=ALL)
         await user.until(lambda: user.get("check").enabled)
@@ -269,7 +269,7 @@ def test_a_calibration_is_shown_beside_the_old_one_and_kept():
         assert "1 not used" in _headers(user)
         user.click("keep")
         await user.until(lambda: ("activate", "retractor") in suite.calls)
-        active_tool = replace(IN_FORCE, tool="retractor", mass_kg=0.2, com_m=(0.07, -0.01, 0.055))
+        active_tool = replace(ACTIVE, tool="retractor", mass_kg=0.2, com_m=(0.07, -0.01, 0.055))
         suite.put(active_tool=active_tool)
         await user.until(lambda: user.text("fate") == "The new file is active.")
         assert not user.get("keep").enabled

@@ -5,8 +5,8 @@ import time
 from dataclasses import replace
 
 import pytest
-from fake_suite import ALL, COMPENSATING, IN_FORCE, FakeSuite
-from galen_panel.state.snapshot import Answer, Level
+from fake_suite import ACTIVE, ALL, COMPENSATING, FakeSuite
+from galen_panel.snapshot import Answer, Level
 from page_user import on_page
 
 
@@ -17,11 +17,11 @@ def test_it_shows_what_gravcomp_says():
         assert "pointer" in user.text("active")
         assert "60.10 g" in user.text("active")
         assert user.text("enable") == "Compensation on"
-        suite.put(active_tool=replace(IN_FORCE, tool="", mass_kg=0.0, enabled=False))
+        suite.put(active_tool=replace(ACTIVE, tool="", mass_kg=0.0, enabled=False))
         await user.until(lambda: "no tool" in user.text("active"))
         assert user.text("enable") == "Compensation off"
         assert user.get("enable").props["aria-checked"] == "false"
-        suite.put(active_tool=replace(IN_FORCE, file_state="changed"))
+        suite.put(active_tool=replace(ACTIVE, file_state="changed"))
         await user.until(lambda: "has changed" in user.text("active"))
 
     on_page(suite, story)
@@ -34,7 +34,7 @@ def test_the_switch_asks_for_the_other_state_and_waits_for_gravcomp():
         user.click("enable")
         await user.until(lambda: suite.calls == [("set_enabled", False)])
         assert user.text("enable") == "Compensation on", "clicked is not yet switched"
-        suite.put(active_tool=replace(IN_FORCE, enabled=False))
+        suite.put(active_tool=replace(ACTIVE, enabled=False))
         await user.until(lambda: user.text("enable") == "Compensation off")
         user.click("enable")
         await user.until(lambda: suite.calls[-1] == ("set_enabled", True))
@@ -45,10 +45,10 @@ def test_the_switch_asks_for_the_other_state_and_waits_for_gravcomp():
 @pytest.mark.parametrize(
     ("active_tool", "level", "state"),
     [
-        (replace(IN_FORCE, tool=""), Level.WARN, "no_tool"),
-        (replace(IN_FORCE, tool=""), Level.OK, "compensating"),  # said a moment ago
-        (IN_FORCE, Level.STALE, "silent"),
-        (IN_FORCE, Level.ERROR, "stale_joints"),
+        (replace(ACTIVE, tool=""), Level.WARN, "no_tool"),
+        (replace(ACTIVE, tool=""), Level.OK, "compensating"),  # said a moment ago
+        (ACTIVE, Level.STALE, "silent"),
+        (ACTIVE, Level.ERROR, "stale_joints"),
     ],
 )
 def test_the_switch_is_on_only_while_something_is_published(active_tool, level, state):
@@ -83,7 +83,7 @@ def test_tare_says_what_it_takes_off():
         assert user.text("tare-value") == "Takes nothing off now."
         user.click("tare")
         await user.until(lambda: suite.calls == [("tare",)])
-        suite.put(active_tool=replace(IN_FORCE, tare=(0.03, 0.0, 0.04, 0.0, 1e-3, 0.0)))
+        suite.put(active_tool=replace(ACTIVE, tare=(0.03, 0.0, 0.04, 0.0, 1e-3, 0.0)))
         await user.until(lambda: user.text("tare-value") == "Takes off 50 mN, 1.0 mN·m now.")
 
     on_page(suite, story)
@@ -100,7 +100,7 @@ def test_without_gravcomp_all_says_so():
         assert "gravcomp_node" in user.get("tare").props["title"]
         assert not user.get("tare").enabled
         assert "ros2 run galen_gravcomp gravcomp_node" in user.text("tools-note")
-        suite.put(active_tool=IN_FORCE, available=ALL)
+        suite.put(active_tool=ACTIVE, available=ALL)
         await user.until(lambda: user.get("enable").enabled and user.get("tare").enabled)
         assert "title" not in user.get("tare").props
 
@@ -142,7 +142,7 @@ def test_two_clicks_ask_once_and_the_state_frees_nothing_that_waits():
         assert button.enabled, "disabled, it would lose the keyboard's focus"
         suite.put(active_tool=None, available=frozenset())
         await user.until(lambda: not button.enabled)
-        suite.put(active_tool=IN_FORCE, available=ALL)
+        suite.put(active_tool=ACTIVE, available=ALL)
         await user.until(lambda: button.enabled)
         assert "loading" in button.props
         user.click("tare")

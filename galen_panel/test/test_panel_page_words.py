@@ -5,17 +5,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from fake_suite import ALL, IN_FORCE, POINTER, RETRACTOR
+from fake_suite import ACTIVE, ALL, POINTER, RETRACTOR
 from galen_model.arm.kinematics import gravity_in_sensor
 from galen_model.load.model import Load, gravity_wrench
 from galen_panel.messages import hints, texts
 from galen_panel.messages import results as result_words
 from galen_panel.messages.results import Fate, Todo
-from galen_panel.page.under_way import count
-from galen_panel.state import pose_table
-from galen_panel.state.pace import Pace
-from galen_panel.state.running_fit import residuals
-from galen_panel.state.snapshot import Behaviour, Kind, Level, NodeReport, Outcome, Pose, State
+from galen_panel.page.poses import poses_table, rejections, residuals, sweep_summary
+from galen_panel.page.under_way import Pace, count
+from galen_panel.snapshot import Behaviour, Kind, Level, NodeReport, Outcome, Pose, State
 
 NAN = math.nan
 
@@ -184,14 +182,14 @@ def test_poses_without_a_reading_are_left_out_of_the_fit():
 def test_a_grid_of_poses_is_a_table_of_roll_and_tilt():
     poses = sweep(touched=20)
     poses[9] = replace(poses[9], accepted=False, text="it <moved> 'here'")
-    html = pose_table.table(poses, residuals(poses))
+    html = poses_table(poses, residuals(poses))
     assert html.count("<tr>") == 8
     assert html.count("<td class=") == 56
     assert html.count("panel-pose-odd") == 1
     assert html.count("✗</td>") == 1
     assert "title='it &lt;moved&gt; &#x27;here&#x27;'" in html
-    assert pose_table.rejections(poses) == ["Roll -61.4°, tilt -39.2°: it <moved> 'here'"]
-    assert "56 poses, 1 not used; they agree within" in pose_table.summary(poses, residuals(poses))
+    assert rejections(poses) == ["Roll -61.4°, tilt -39.2°: it <moved> 'here'"]
+    assert "56 poses, 1 not used; they agree within" in sweep_summary(poses, residuals(poses))
 
 
 def test_scattered_poses_are_a_list_of_the_newest():
@@ -199,10 +197,10 @@ def test_scattered_poses_are_a_list_of_the_newest():
     poses = [
         Pose("check", number, *rng.uniform(-1, 1, 2), True, "", None) for number in range(1, 31)
     ]
-    html = pose_table.table(poses, {})
+    html = poses_table(poses, {})
     assert html.count("<tr>") == 11
     assert ">30</th>" in html
-    assert pose_table.table([], {}) == ""
+    assert poses_table([], {}) == ""
 
 
 VALUES = {"mass_kg": 0.2, "mass_std_kg": 3e-5, "com_m": [0.07, -0.01, 0.055]}
@@ -210,17 +208,17 @@ WRITTEN = Outcome("", "done", "retractor", values=VALUES)
 
 
 def test_a_calibrations_file_is_known_by_what_is_in_it():
-    state = State(tools=(POINTER, RETRACTOR), active_tool=IN_FORCE)
+    state = State(tools=(POINTER, RETRACTOR), active_tool=ACTIVE)
     assert result_words.fate(WRITTEN, state) is Fate.HERE
     other = replace(RETRACTOR, mass_kg=0.2 + 1e-6)
     assert result_words.fate(WRITTEN, replace(state, tools=(other,))) is Fate.REPLACED
     assert result_words.fate(WRITTEN, replace(state, tools=None)) is Fate.REPLACED
     broken = replace(RETRACTOR, problem="cut off")
     assert result_words.fate(WRITTEN, replace(state, tools=(broken,))) is Fate.REPLACED
-    old = replace(IN_FORCE, tool="retractor", mass_kg=0.1999, com_m=RETRACTOR.com_m)
+    old = replace(ACTIVE, tool="retractor", mass_kg=0.1999, com_m=RETRACTOR.com_m)
     assert result_words.fate(WRITTEN, replace(state, active_tool=old)) is Fate.HERE
     new = replace(old, mass_kg=0.2)
-    assert result_words.fate(WRITTEN, replace(state, active_tool=new)) is Fate.IN_FORCE
+    assert result_words.fate(WRITTEN, replace(state, active_tool=new)) is Fate.ACTIVE
 
 
 @pytest.mark.parametrize("values", [{}, {"answer": 99, "cause": 0}, {"answer": None, "cause": 0}])

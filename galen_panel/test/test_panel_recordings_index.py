@@ -5,8 +5,7 @@ from pathlib import Path
 
 import pytest
 from galen_panel.recordings.index import Details, RecordingKind, find_recordings, look_at
-from galen_panel.recordings.recordings import PAGE_LENGTH, Recordings
-from galen_panel.recordings.tools import tool_choices
+from galen_panel.recordings.recordings import PAGE_LENGTH, Recordings, tool_choices
 
 BAGS = Path(__file__).resolve().parents[2] / "bags"
 METADATA = """rosbag2_bagfile_information:

@@ -6,7 +6,7 @@ import pytest
 from galen_panel.messages.results import told
 from galen_panel.ros.goal_kinds import KINDS, Calibration, Check, Collection, kind_of
 from galen_panel.ros.thread import CallError
-from galen_panel.state.snapshot import Asked, CalibrateGoal, CheckGoal, CollectGoal, Kind
+from galen_panel.snapshot import Asked, CalibrateGoal, CheckGoal, CollectGoal, Kind
 
 from galen_msgs.action import CalibrateTool, CheckTool, CollectPushes
 

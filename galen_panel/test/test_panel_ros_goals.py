@@ -5,11 +5,11 @@ import math
 import threading
 
 import pytest
+from galen_calibration_behavior.commands import CalibrationCode as ErrorCode
+from galen_calibration_behavior.commands import CalibrationState as Phase
 from galen_panel.ros import goals as ros_goals
 from galen_panel.ros.suite import RosSuite
-from galen_panel.state.snapshot import Asked, CalibrateGoal, CheckGoal, Kind
-from galen_ros.goal.commands import ErrorCode
-from galen_ros.goal.commands import State as Phase
+from galen_panel.snapshot import Asked, CalibrateGoal, CheckGoal, Kind
 from galen_ros.node.diagnostics import OK, DiagnosticsPublisher, Status
 from galen_ros.rclpy_workarounds import DeferredActionServer
 from panel_ros_world import World, panel_world
@@ -404,6 +404,6 @@ def test_a_goal_whose_answer_is_late_is_taken_back(monkeypatch):
         assert "has not answered" in answer.text and "had begun, and is canceled" in answer.text
 
 
-def test_without_a_check_node_there_is_no_check(goals):
+def test_without_its_node_there_is_no_check(goals):
     answer = goals.ask(goals.suite.start(CheckGoal()))
-    assert not answer.ok and "check_node" in answer.text
+    assert not answer.ok and "calibration_node" in answer.text

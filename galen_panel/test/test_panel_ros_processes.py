@@ -7,7 +7,7 @@ import sys
 import time
 
 import pytest
-from galen_panel.state.snapshot import CalibrateGoal, CheckGoal, Kind
+from galen_panel.snapshot import CalibrateGoal, CheckGoal, Kind
 from panel_ros_world import panel_world
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(400)]
@@ -95,9 +95,6 @@ def outcome(world, kind):
 def test_a_tool_is_calibrated_activate_and_checked(world):
     start_driver_and_gravcomp(world)
     start_calibration(world)
-    world.processes.start(
-        "galen_calibration_behavior.quick_check.node", tools_dir=world.tools, **QUICK
-    )
     world.wait_for(
         lambda state: (
             {"attach_tool", "calibrate_tool", "check_tool"} <= state.available and state.tools == ()

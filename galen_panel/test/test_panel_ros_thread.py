@@ -5,9 +5,9 @@ import math
 
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from galen_panel.ros.board import Board
 from galen_panel.ros.thread import CallError, RosThread
-from galen_panel.state.board import Board
-from galen_panel.state.snapshot import Behaviour, Kind, Level
+from galen_panel.snapshot import Behaviour, Kind, Level
 from galen_ros.node.domain import DomainLock
 from panel_ros_world import panel_world
 from rclpy.node import Node

@@ -13,14 +13,7 @@ from galen_gravcomp.node import GravcompNode
 from galen_model.files.calibration_file import calibration_path, read_calibration, write_calibration
 from galen_panel.ros import tools as ros_tools
 from galen_panel.ros.suite import RosSuite
-from galen_panel.state.snapshot import (
-    CalibrateGoal,
-    CheckGoal,
-    CollectGoal,
-    Comparison,
-    Kind,
-    Level,
-)
+from galen_panel.snapshot import CalibrateGoal, CheckGoal, CollectGoal, Comparison, Kind, Level
 from galen_ros.node.spin import StartError
 from galen_ros.node.testing import parameters
 from galen_ros.qos import STREAM

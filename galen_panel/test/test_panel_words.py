@@ -6,7 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from galen_calibration_behavior.quick_check.commands import State as CheckState
+from galen_calibration_behavior.commands import CalibrationState, CheckState
 from galen_deflection.collection.commands import State as CollectionState
 from galen_deflection.live.deflector import ModelRejection
 from galen_deflection.live.monitor import DeflectorMonitor
@@ -20,8 +20,7 @@ from galen_panel.messages.states import (
     words_of,
     words_of_other,
 )
-from galen_panel.state.snapshot import Active, Behaviour, Kind, Level, NodeReport, Outcome, State
-from galen_ros.goal.commands import State as CalibrationState
+from galen_panel.snapshot import Active, Behaviour, Kind, Level, NodeReport, Outcome, State
 from galen_ros.node.managed_node import Stage
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -33,8 +32,7 @@ SOURCES = {
 }
 MONITORS = {"gravcomp": Monitor, "deflection": DeflectorMonitor}
 ENUMERATED = {
-    "calibration": [state.name for state in CalibrationState],
-    "check": [state.name for state in CheckState],
+    "calibration": [state.name for states in (CalibrationState, CheckState) for state in states],
     "collection": [state.name for state in CollectionState],
     "deflection": [],
     "gravcomp": [],
@@ -105,7 +103,7 @@ def all_states():
     for role in SOURCES:
         for level, name in states_of_streams(role):
             yield role, level, name
-    for role in ("calibration", "check", "collection"):
+    for role in ("calibration", "collection"):
         for level, name in states_of_goals(role):
             yield role, level, name
     for level, name in states_of_driver():
@@ -136,7 +134,7 @@ def test_the_list_of_states_is_that_of_the_code():
     assert {("gravcomp", "frozen_wrench"), ("gravcomp", "file_changed"), ("gravcomp", "late"),
             ("deflection", "out_of_reach"), ("deflection", "predicting"),
             ("sim_driver", "slow"), ("sim_driver", "running"),
-            ("calibration", "ATTACH_TOOL"), ("collection", "HOLD"), ("check", "failed"),
+            ("calibration", "ATTACH_TOOL"), ("collection", "HOLD"), ("calibration", "failed"),
             ("gravcomp", "incompatible_qos"), ("gravcomp", "cable_outside")} <= names  # fmt: skip
     assert len(ALL) > 90
 
@@ -267,11 +265,11 @@ GOOD = (
     report("gravcomp", Level.OK, "compensating", tool="pointer"),
     report("calibration", Level.OK, "ready"),
 )
-IN_FORCE = Active("pointer", True, 0.06, (0, 0, 0), (0, 0, 0), "", "as loaded", None, None)
+ACTIVE = Active("pointer", True, 0.06, (0, 0, 0), (0, 0, 0), "", "as loaded", None, None)
 
 
 def test_the_lamp_is_good_when_all_is():
-    assert overall(state_of(*GOOD, active_tool=IN_FORCE), NOW_S) == (
+    assert overall(state_of(*GOOD, active_tool=ACTIVE), NOW_S) == (
         Level.OK, "Compensates 'pointer'."
     )  # fmt: skip
 
@@ -299,7 +297,7 @@ def calibrating(**changes):
 
 def test_a_calibration_that_takes_the_tool_off_is_no_warning():
     fits = report("gravcomp", Level.WARN, "does_not_fit", tool="pointer")
-    state = state_of(GOOD[0], fits, active_tool=IN_FORCE, behaviours=calibrating())
+    state = state_of(GOOD[0], fits, active_tool=ACTIVE, behaviours=calibrating())
     level, text = overall(state, NOW_S)
     assert level is Level.OK
     assert text.startswith("Compensates 'pointer'") and "calibration" in text

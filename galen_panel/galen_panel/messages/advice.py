@@ -284,9 +284,6 @@ ADVICE: dict[str, dict[str, Advice]] = {
         "ATTACH_TOOL": Advice("Calibrates: it waits for you.", "Put the tool on, then confirm."),
         "SWEEP_TOOL": Advice("Calibrates: measures with the tool.", _KEEP_OFF),
         "ESTIMATE": Advice("Calibrates: computes mass and centre."),
-    },
-    "check": _GOAL_IDLE
-    | {
         "MEASURE": Advice("Checks: goes from pose to pose.", _KEEP_OFF),
         "RETURN": Advice("Checks: goes back to where it was.", _KEEP_OFF),
     },

@@ -12,7 +12,7 @@ from galen_calibration_behavior.quick_check.answer import Answer, Cause
 from galen_calibration_behavior.quick_check.text import TARE_COMMAND
 
 from galen_panel.messages import texts
-from galen_panel.state.snapshot import LOST, Kind, Outcome, State
+from galen_panel.snapshot import LOST, Kind, Outcome, State
 
 _CANCELED = "CANCELED"
 _DONE = {Kind.CALIBRATE: "Calibrated", Kind.CHECK: "Checked", Kind.COLLECT: "Collected"}
@@ -22,7 +22,7 @@ class Fate(Enum):
     """Where the file that a calibration wrote is now."""
 
     HERE = "here"
-    IN_FORCE = "active"
+    ACTIVE = "active"
     REPLACED = "replaced"
 
 
@@ -92,7 +92,7 @@ def fate(outcome: Outcome, state: State) -> Fate:
         return Fate.REPLACED
     now = state.active_tool
     if now and now.tool == outcome.tool and _is(outcome, now.mass_kg, now.com_m):
-        return Fate.IN_FORCE
+        return Fate.ACTIVE
     return Fate.HERE
 
 

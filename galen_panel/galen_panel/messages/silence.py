@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from galen_panel.messages import programs
-from galen_panel.state.snapshot import State
+from galen_panel.messages.hints import DEFLECTION as DEFLECTION_NODE
+from galen_panel.messages.hints import DRIVER, GRAVCOMP
+from galen_panel.snapshot import State
 
 SILENT_S = 1.0
 RAW, COMPENSATED, DEFLECTION, JOINTS = "raw", "compensated", "deflection", "joints"
@@ -44,14 +45,14 @@ def tell(silent: frozenset[str], state: State) -> str:
     if RAW in silent:
         return (
             "No wrench_raw: the arm's driver is not running or not heard. "
-            f"The simulated arm: {programs.DRIVER.start}"
+            f"The simulated arm: {DRIVER.start}"
         )
     if COMPENSATED in silent:
         return f"No wrench_compensated: {_why_not_compensated(silent, state)}"
     if DEFLECTION in silent:
         return (
             "No deflection: its node is not running or has rejected its model (see Nodes). "
-            f"Start it: {programs.DEFLECTION.start}"
+            f"Start it: {DEFLECTION_NODE.start}"
         )
     if JOINTS in silent:
         return "No joint_states: the arm's driver doesn't say where its joints are."
@@ -60,7 +61,7 @@ def tell(silent: frozenset[str], state: State) -> str:
 
 def _why_not_compensated(silent: frozenset[str], state: State) -> str:
     if state.active_tool is None:
-        return f"gravcomp_node is not running. Start it: {programs.GRAVCOMP.start}"
+        return f"gravcomp_node is not running. Start it: {GRAVCOMP.start}"
     if not state.active_tool.tool:
         return "no tool is active. Choose one under Operate."
     if not state.active_tool.enabled:

@@ -18,16 +18,15 @@ from galen_panel.messages.advice import (
     WHILE_CALIBRATING,
     Advice,
 )
-from galen_panel.messages.programs import (
+from galen_panel.messages.hints import (
     CALIBRATION,
-    CHECK,
     COLLECTION,
     DEFLECTION,
     DRIVER,
     GRAVCOMP,
     Program,
 )
-from galen_panel.state.snapshot import Active, Kind, Level, NodeReport, State
+from galen_panel.snapshot import Active, Kind, Level, NodeReport, State
 
 SILENT_S = 3.0
 """A node that lives tells its state once a second."""
@@ -64,12 +63,11 @@ _DRIVER = Role(DRIVER, "Driver", "Moves the arm and reads its sensor.", "attach_
 ROLES = (
     _DRIVER,
     _COMPENSATION,
-    Role(CALIBRATION, "Calibration", "Finds a tool's mass and centre.", "calibrate_tool"),
     Role(
-        CHECK,
-        "Quick check",
-        "Says in half a minute whether a tool's file fits.",
-        "check_tool",
+        CALIBRATION,
+        "Calibration",
+        "Finds and checks a tool's mass and centre.",
+        "calibrate_tool",
     ),
     Role(
         DEFLECTION,

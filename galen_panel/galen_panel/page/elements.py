@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from nicegui import ui
 
-from galen_panel.state.snapshot import Level
+from galen_panel.snapshot import Level
 
 LOOKS = {
     Level.OK: ("check_circle", "text-positive"),

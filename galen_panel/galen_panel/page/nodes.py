@@ -8,11 +8,11 @@ from pathlib import Path
 
 from nicegui import ui
 
-from galen_panel.messages.numbers import numbers_of
 from galen_panel.messages.states import ROLES, Words, others, words_of, words_of_other
+from galen_panel.messages.texts import numbers_of
 from galen_panel.page.elements import LOOKS
 from galen_panel.page.page import Page
-from galen_panel.state.snapshot import Level, State
+from galen_panel.snapshot import Level, State
 
 # Nodes tell their state once a second; one that falls silent is told by time alone.
 _PERIOD_S = 1.0

@@ -7,11 +7,10 @@ from galen_model.files.calibration_file import check_tool_name
 from nicegui import ui
 
 from galen_panel.messages import hints, texts
-from galen_panel.page import comparison
-from galen_panel.page.behaviours.calibration_options import AREA_CLEAR, CalibrationOptions
-from galen_panel.page.dialogs import buttons, confirmed, dialog
-from galen_panel.page.page import LOOK_PERIOD_S, Page
-from galen_panel.state.snapshot import Answer, Kind
+from galen_panel.page.calibration_options import AREA_CLEAR, CalibrationOptions
+from galen_panel.page.outcome import draw_comparison
+from galen_panel.page.page import LOOK_PERIOD_S, Page, buttons, confirmed, dialog
+from galen_panel.snapshot import Answer, Kind
 
 
 async def remove_tool(page: Page, name: str, button: ui.button) -> None:
@@ -43,7 +42,7 @@ async def revert_tool(page: Page, name: str, button: ui.button) -> None:
     with dialog(page, f"Go back to the calibration of {name} before?") as shown:
         ui.label("The present calibration is kept: going back once more brings it again.")
         ui.label("If the tool is active, activate it again afterwards.")
-        comparison.draw(found, "before", "now")
+        draw_comparison(found, "before", "now")
         buttons(shown, "Go back", "history").on_click(lambda: shown.submit(True))
         sure = bool(await shown)
     if sure:

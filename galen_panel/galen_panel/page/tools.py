@@ -8,7 +8,7 @@ from galen_panel.messages import hints, texts
 from galen_panel.page import tool_dialogs
 from galen_panel.page.elements import heading, pick_class, set_prop, set_test_id
 from galen_panel.page.page import Page
-from galen_panel.state.snapshot import Active, State, Tool
+from galen_panel.snapshot import Active, State, Tool
 
 _LISTED = 40
 """Tools that are drawn at most: a page of 500 would be slow, and nobody reads it."""
@@ -152,7 +152,7 @@ class _Row:
         )
         self._page.allow(self._button, "Its file can't be used." if tool.problem else set_tool)
         self._page.allow(self._revert, hints.missing(state, "gravcomp/revert_tool"))
-        active_tool = "It is active: put another active one first." if tool.active_tool else ""
+        active_tool = "It is active: activate another one first." if tool.active_tool else ""
         missing = hints.missing(state, "gravcomp/remove_tool")
         self._page.allow(self._remove, missing or active_tool)
 

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import math
 import time
+from collections import deque
+from statistics import median
 
 from nicegui import ui
 
 from galen_panel.messages import hints, texts
 from galen_panel.page.elements import set_prop
 from galen_panel.page.page import Page
-from galen_panel.state.pace import Pace
-from galen_panel.state.snapshot import Asked, Behaviour, Kind, State
+from galen_panel.snapshot import Asked, Behaviour, Kind, State
 
 _UNITS = {Kind.CALIBRATE: "poses", Kind.CHECK: "poses", Kind.COLLECT: "pushes"}
 
@@ -108,3 +109,29 @@ def question(asked: Asked, tool: str) -> tuple[str, str]:
     if asked is Asked.REMOVE_TOOL:
         return "Take the tool off, then press.", "The tool is off"
     return f"Put {tool or 'the tool'} on, then press.", "The tool is on"
+
+
+_LAST = 16
+_ENOUGH = 3
+
+
+class Pace:
+    """Follows one goal's count, by the median of its last steps: a person's pause is none."""
+
+    def __init__(self) -> None:
+        self._steps: deque[float] = deque(maxlen=_LAST)
+        self._done: int | None = None
+        self._at_s = 0.0
+
+    def left_s(self, done: int, total: int, now_s: float) -> float:
+        """Seconds that are left, or NaN while too little is known. now_s: of a monotonic clock."""
+        if self._done is None or done < self._done:
+            self._steps.clear()
+            self._done, self._at_s = done, now_s
+        elif done > self._done:
+            step = (now_s - self._at_s) / (done - self._done)
+            self._steps.extend([step] * (done - self._done))
+            self._done, self._at_s = done, now_s
+        if len(self._steps) < _ENOUGH:
+            return math.nan
+        return max(0.0, (total - done) * median(self._steps) - (now_s - self._at_s))

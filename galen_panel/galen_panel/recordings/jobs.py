@@ -23,7 +23,7 @@ from typing import IO, Any
 from galen_model.errors import GalenError, one_line
 
 from galen_panel.recordings.report_files import Reports
-from galen_panel.state.snapshot import Answer
+from galen_panel.snapshot import Answer
 
 MOST_WAITING = 20
 _MOST_ENDED = 20

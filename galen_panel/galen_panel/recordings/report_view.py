@@ -13,7 +13,7 @@ from galen_model.arm.galen import WRENCH_AXES
 
 from galen_panel.messages import texts
 from galen_panel.recordings.report_files import PAGE, PICTURE, Report, ReportError
-from galen_panel.state.snapshot import Level
+from galen_panel.snapshot import Level
 
 Row = list[str]
 _UNITS = ("mN", "mN", "mN", "mN·m", "mN·m", "mN·m")

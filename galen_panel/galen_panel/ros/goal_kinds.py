@@ -10,21 +10,25 @@ from enum import IntEnum
 from typing import Any, ClassVar
 
 from galen_calibration_behavior.calibrate import CalibrateClient
-from galen_calibration_behavior.calibration.phase_text import CALIBRATION_PHASES, CHECK_PHASES
-from galen_calibration_behavior.calibration.result_text import result_to_dict
-from galen_calibration_behavior.quick_check import commands as check_commands
-from galen_calibration_behavior.quick_check.command import CheckClient
+from galen_calibration_behavior.check import CheckClient
+from galen_calibration_behavior.commands import (
+    CALIBRATION_PHASES,
+    CHECK_PHASES,
+    CalibrationCode,
+    CalibrationState,
+    CheckCode,
+    CheckState,
+)
 from galen_deflection.collection import commands as collection_commands
 from galen_deflection.collection.command import CollectClient
 from galen_deflection.collection.phases import COLLECTION_PHASES
 from galen_model.files.calibration_file import check_tool_name
-from galen_ros.goal import commands
-from galen_ros.goal.client import GoalClient
+from galen_ros.goal.client import GoalClient, result_to_dict
 
 from galen_msgs.action import CalibrateTool, CheckTool, CollectPushes
-from galen_panel.messages.programs import CALIBRATION, CHECK, COLLECTION, Program
+from galen_panel.messages.hints import CALIBRATION, COLLECTION, Program
 from galen_panel.ros.thread import CallError
-from galen_panel.state.snapshot import (
+from galen_panel.snapshot import (
     Asked,
     CalibrateGoal,
     CheckGoal,
@@ -133,8 +137,8 @@ class Calibration(GoalKind):
     kind = Kind.CALIBRATE
     program = CALIBRATION
     client = CalibrateClient
-    codes = commands.ErrorCode
-    states = commands.State
+    codes = CalibrationCode
+    states = CalibrationState
     phases = CALIBRATION_PHASES
 
     def request(self, goal: CalibrateGoal) -> CalibrateTool.Goal:
@@ -164,7 +168,7 @@ class Calibration(GoalKind):
     def _pose(self, feedback: Any) -> Pose | None:
         if not math.isfinite(feedback.roll):
             return None
-        bare = feedback.state == commands.State.SWEEP_BARE
+        bare = feedback.state == CalibrationState.SWEEP_BARE
         wrench = tuple(map(float, feedback.wrench))
         return Pose(
             sweep="bare" if bare else "tool",
@@ -198,10 +202,10 @@ class Check(GoalKind):
     """`check_tool`."""
 
     kind = Kind.CHECK
-    program = CHECK
+    program = CALIBRATION
     client = CheckClient
-    codes = check_commands.ErrorCode
-    states = check_commands.State
+    codes = CheckCode
+    states = CheckState
     phases = CHECK_PHASES
 
     def request(self, goal: CheckGoal) -> CheckTool.Goal:

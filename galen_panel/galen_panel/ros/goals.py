@@ -20,12 +20,10 @@ from rclpy.node import Node
 from rclpy.qos import QoSProfile, qos_profile_action_status_default
 from unique_identifier_msgs.msg import UUID
 
-from galen_panel.ros.calls import Calls
+from galen_panel.ros.board import SILENT_S, Board, Presence
 from galen_panel.ros.goal_kinds import GoalKind
-from galen_panel.ros.presence import SILENT_S, Presence
-from galen_panel.ros.thread import CallError, Reply, RosThread
-from galen_panel.state.board import Board
-from galen_panel.state.snapshot import (
+from galen_panel.ros.thread import CallError, Calls, Reply, RosThread
+from galen_panel.snapshot import (
     LOST,
     Answer,
     Asked,

@@ -25,7 +25,7 @@ from rclpy.subscription import Subscription
 from sensor_msgs.msg import JointState
 
 from galen_msgs.msg import DeflectionStamped
-from galen_panel.state.history import History, Series
+from galen_panel.history import History, Series
 
 _POLL_PERIOD_S = 0.04
 _DEPTH = 200

@@ -12,26 +12,15 @@ from rclpy.node import Node
 from std_srvs.srv import Trigger
 
 from galen_msgs.srv import SetTool
-from galen_panel.messages.programs import CALIBRATION
-from galen_panel.ros.calls import Calls
+from galen_panel.history import History
+from galen_panel.messages.hints import CALIBRATION
+from galen_panel.ros.board import Board, Presence, Reports
 from galen_panel.ros.goal_kinds import KINDS, kind_of
 from galen_panel.ros.goals import GoalFollower
-from galen_panel.ros.presence import Presence
-from galen_panel.ros.reports import Reports
 from galen_panel.ros.streams import Streams
-from galen_panel.ros.thread import RosThread
+from galen_panel.ros.thread import Calls, RosThread
 from galen_panel.ros.tools import Tools
-from galen_panel.state.board import Board
-from galen_panel.state.history import History
-from galen_panel.state.snapshot import (
-    Answer,
-    CalibrateGoal,
-    Comparison,
-    Goal,
-    Kind,
-    NodeReport,
-    State,
-)
+from galen_panel.snapshot import Answer, CalibrateGoal, Comparison, Goal, Kind, NodeReport, State
 
 T = TypeVar("T")
 
@@ -40,7 +29,7 @@ _CONFIRM_LIMIT_S = 3.0
 
 
 class RosSuite(AbstractContextManager["RosSuite"]):
-    """A `galen_panel.state.suite.Suite` in a ROS node of its own."""
+    """A `galen_panel.snapshot.Suite` in a ROS node of its own."""
 
     def __init__(self, argv: list[str]) -> None:
         """`argv`: the command line, with what is ROS's; raises StartError."""

@@ -14,12 +14,10 @@ from std_srvs.srv import SetBool, Trigger
 
 from galen_msgs.msg import ActiveTool
 from galen_msgs.srv import CompareTools, ListTools, RemoveTool, RevertTool, SetTool
-from galen_panel.messages.programs import GRAVCOMP
-from galen_panel.ros.calls import Calls
-from galen_panel.ros.presence import Presence
-from galen_panel.ros.thread import CallError
-from galen_panel.state.board import Board
-from galen_panel.state.snapshot import Active, Answer, Comparison, Difference, State, Tool
+from galen_panel.messages.hints import GRAVCOMP
+from galen_panel.ros.board import Board, Presence
+from galen_panel.ros.thread import CallError, Calls
+from galen_panel.snapshot import Active, Answer, Comparison, Difference, State, Tool
 
 _LIST_PERIOD_S = 10.0
 _FILE_LIMIT_S, _SWITCH_LIMIT_S = 5.0, 3.0
@@ -162,7 +160,7 @@ class Tools:
         await self._list_quietly()
         active_tool = self._board.state.active_tool
         again = active_tool is not None and active_tool.tool == tool
-        load = f"; put {tool} active to load it" if again else ""
+        load = f"; activate {tool} to load it" if again else ""
         return Answer(True, f"{tool} has its calibration before the last one again{load}")
 
     async def compare(self, tool: str, with_tool: str = "") -> Comparison | Answer:

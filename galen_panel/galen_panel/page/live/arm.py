@@ -10,12 +10,13 @@ import numpy as np
 from galen_model.arm.galen import HOME
 from galen_model.arrays import Array
 from nicegui import events, ui
+from nicegui.awaitable_response import AwaitableResponse
+from nicegui.elements.scene import Object3D
 
-from galen_panel.page.live.arm_object import ArmObject
+from galen_panel.history import NS_PER_S, Series
+from galen_panel.page.live.arm_drawing import Drawing, Part, Placement
 from galen_panel.page.page import Page
-from galen_panel.state.arm_view_drawing import Drawing, Placement
-from galen_panel.state.history import NS_PER_S, Series
-from galen_panel.state.snapshot import Active
+from galen_panel.snapshot import Active
 
 FACTOR_MAX = 500
 FACTOR = 100
@@ -179,3 +180,14 @@ def _now(series: Series, seconds: float, now_ns: int) -> Array | None:
     if samples.newest_ns is None or now_ns - samples.newest_ns > _STALE_S * NS_PER_S:
         return None
     return np.asarray(samples.values.mean(axis=0))
+
+
+class ArmObject(Object3D, component="arm_object.js"):
+    """Parts and placements as in `galen_panel.page.live.arm_drawing`."""
+
+    def __init__(self, parts: list[Part]) -> None:
+        super().__init__(parts)
+
+    def place(self, placement: Placement, timeout_s: float) -> AwaitableResponse:
+        """Move the parts; awaited, it is True once that is done, None without a picture."""
+        return self.run_method("place", placement, timeout=timeout_s)

@@ -14,7 +14,7 @@ from nicegui import ui
 from galen_panel.page.live.arm import Arm
 from galen_panel.page.live.plots import Plots
 from galen_panel.page.page import Page
-from galen_panel.state.suite import Suite
+from galen_panel.snapshot import Suite
 
 PLOT_PERIOD_S = 0.2
 ARM_PERIOD_S = 0.1

@@ -17,12 +17,10 @@ import numpy as np
 from galen_model.arrays import Array
 from nicegui import events, run, ui
 
+from galen_panel.history import NS_PER_S, SECONDS, Samples, Series, between, csv, file_name
 from galen_panel.messages.silence import COMPENSATED, DEFLECTION, JOINTS, RAW, Heard, tell
-from galen_panel.page.page import Page
-from galen_panel.state.decimation import Follower, Patch, Rows, bucket_ns, zoomed
-from galen_panel.state.exports import between, csv, file_name
-from galen_panel.state.history import NS_PER_S, SECONDS, Samples, Series
-from galen_panel.state.plot_options import (
+from galen_panel.page.live.decimation import Follower, Patch, Rows, bucket_ns, zoomed
+from galen_panel.page.live.plot_options import (
     DEFLECTION_NAMES,
     HEIGHT_PX,
     Option,
@@ -33,6 +31,7 @@ from galen_panel.state.plot_options import (
     time_span,
     wrench_curves,
 )
+from galen_panel.page.page import Page
 
 WINDOWS_S = (10, 30, 60, 120)
 _FIRST_WINDOW_S = 30

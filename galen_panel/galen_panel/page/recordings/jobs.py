@@ -7,9 +7,9 @@ from nicegui import ui
 from galen_panel.page.elements import heading, set_prop
 from galen_panel.page.page import Page
 from galen_panel.page.recordings.report import ReportDialog
+from galen_panel.recordings.index import VERBS
 from galen_panel.recordings.jobs import Job, Stage
-from galen_panel.recordings.words import VERBS
-from galen_panel.state.snapshot import Answer
+from galen_panel.snapshot import Answer
 
 _PERIOD_S = 0.5
 _STAGES = {

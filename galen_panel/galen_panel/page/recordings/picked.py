@@ -7,10 +7,8 @@ from starlette.concurrency import run_in_threadpool
 
 from galen_panel.page.elements import heading
 from galen_panel.page.page import Page
-from galen_panel.page.recordings.report import ReportDialog
-from galen_panel.page.recordings.report_buttons import ReportButtons
-from galen_panel.recordings.index import Details, Recording, RecordingKind
-from galen_panel.recordings.words import facts_of
+from galen_panel.page.recordings.report import ReportButtons, ReportDialog
+from galen_panel.recordings.index import Details, Recording, RecordingKind, facts_of
 
 _PERIOD_S = 0.5
 _HINTS = {

@@ -12,11 +12,9 @@ from galen_panel.page.elements import heading, set_prop
 from galen_panel.page.page import Page
 from galen_panel.page.recordings.jobs import Queue
 from galen_panel.page.recordings.picked import Picked
-from galen_panel.page.recordings.report import ReportDialog
-from galen_panel.page.recordings.report_buttons import AllReports
-from galen_panel.recordings.index import Details, Recording, RecordingKind
+from galen_panel.page.recordings.report import AllReports, ReportDialog
+from galen_panel.recordings.index import Details, Recording, RecordingKind, line_of
 from galen_panel.recordings.recordings import Listed, ListPage
-from galen_panel.recordings.words import line_of
 
 _STYLE = Path(__file__).with_suffix(".css")
 

@@ -1,13 +1,64 @@
-"""A sweep's poses as a table: roll by tilt with what each one leaves over. No ROS, no NiceGUI."""
+"""The poses of a behaviour that runs, as they are finished, with their residuals so far.
+
+The calibration fits when all poses are done. Until then the plain least squares of one load and six
+offsets, on the poses so far, shows whether something goes wrong: a touched pose stands out.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from html import escape
+from itertools import groupby
 from statistics import median
 
+import numpy as np
+from galen_model.arm.kinematics import gravity_in_sensor
+from galen_model.load.identification import plain_least_squares
+from galen_model.load.model import gravity_regressor
+from nicegui import ui
+
 from galen_panel.messages import texts
-from galen_panel.state.snapshot import Pose
+from galen_panel.snapshot import Behaviour, Kind, Pose
+
+_REASONS = 4
+
+
+class PosesView:
+    """The newest sweep pose by pose; those before it in a sentence each."""
+
+    def __init__(self, behaviour: Behaviour) -> None:
+        self._drawn = -1
+        self._before = ui.label().classes("panel-number panel-lines")
+        self._title = ui.label().classes("panel-number").props("data-testid=poses-summary")
+        with ui.element("div").classes("panel-scroll"):
+            self._table = ui.html("", sanitize=False).props("data-testid=poses")
+        self._rejected = ui.label().classes("panel-lines")
+        # A quick check's few poses are for its own fit; what they leave over says nothing here.
+        self._fits = behaviour.kind is Kind.CALIBRATE
+
+    def update(self, behaviour: Behaviour) -> None:
+        """Draw what is new."""
+        if len(behaviour.poses) == self._drawn:
+            return
+        self._drawn = len(behaviour.poses)
+        sweeps = [(name, list(of)) for name, of in groupby(behaviour.poses, lambda p: p.sweep)]
+        lines = [_sentence(name, poses, self._fits) for name, poses in sweeps]
+        self._before.set_text("\n".join(lines[:-1]))
+        self._before.set_visibility(len(lines) > 1)
+        newest = sweeps[-1][1] if sweeps else []
+        self._title.set_text(lines[-1] if lines else "")
+        left = residuals(newest) if self._fits else {}
+        self._table.set_content(poses_table(newest, left))
+        rejected = rejections(behaviour.poses)
+        more = [f"and {len(rejected) - _REASONS} before"] if len(rejected) > _REASONS else []
+        self._rejected.set_text("\n".join(["Not used:", *rejected[-_REASONS:], *more]))
+        self._rejected.set_visibility(bool(rejected))
+
+
+def _sentence(name: str, poses: list[Pose], fits: bool) -> str:
+    left = residuals(poses) if fits else {}
+    return f"{sweep_title(name)}: {sweep_summary(poses, left)}"
+
 
 _MOST_COLUMNS = 10
 _NEWEST = 10
@@ -23,7 +74,7 @@ def sweep_title(sweep: str) -> str:
     return _SWEEPS.get(sweep) or texts.sentence(sweep).rstrip(".") or "Poses"
 
 
-def summary(poses: Sequence[Pose], residuals: Residuals) -> str:
+def sweep_summary(poses: Sequence[Pose], residuals: Residuals) -> str:
     """A sweep in a sentence, such as "12 poses, 1 not used, they agree within 3.1 mN, ..."."""
     rejected = sum(not pose.accepted for pose in poses)
     text = texts.count(len(poses), "pose")
@@ -45,7 +96,7 @@ def rejections(poses: Sequence[Pose]) -> list[str]:
     ]
 
 
-def table(poses: Sequence[Pose], residuals: Residuals) -> str:
+def poses_table(poses: Sequence[Pose], residuals: Residuals) -> str:
     """HTML: a grid where the poses are one, else the newest in a list. All text is escaped."""
     if not poses:
         return ""
@@ -109,3 +160,27 @@ def _odd(residuals: Residuals) -> frozenset[int]:
 
 def _angle(text: str) -> float:
     return float(text.rstrip("°"))
+
+
+_ENOUGH = 4
+"""Poses: six readings each, ten unknowns."""
+
+
+def residuals(poses: Sequence[Pose]) -> Mapping[int, tuple[float, float]]:
+    """By pose's number, the length of force and torque that the fit leaves over, N and N.m.
+
+    poses: of one sweep. Only accepted ones with a finite reading count; empty while they are too
+    few.
+    """
+    used = [p for p in poses if p.accepted and p.wrench is not None and np.isfinite(p.wrench).all()]
+    if len(used) < _ENOUGH:
+        return {}
+    gravity = gravity_in_sensor([p.roll_rad for p in used], [p.tilt_rad for p in used])
+    readings = np.array([p.wrench for p in used])
+    moments, offset = plain_least_squares(gravity, readings)
+    left = readings - gravity_regressor(gravity) @ moments - offset
+    lengths = np.linalg.norm(left.reshape(-1, 2, 3), axis=2)
+    return {
+        pose.number: (float(force), float(torque))
+        for pose, (force, torque) in zip(used, lengths, strict=True)
+    }

@@ -7,15 +7,15 @@ from galen_model.files.calibration_file import check_tool_name
 from nicegui import ui
 
 from galen_panel.messages import hints, texts
-from galen_panel.page.behaviours.calibration_options import CalibrationOptions, start_calibration
-from galen_panel.page.behaviours.outcome import OutcomeView
-from galen_panel.page.behaviours.poses import PosesView
+from galen_panel.page.calibration_options import CalibrationOptions, start_calibration
 from galen_panel.page.elements import heading
+from galen_panel.page.outcome import OutcomeView
 from galen_panel.page.page import Page
-from galen_panel.state.snapshot import CalibrateGoal, CheckGoal, CollectGoal, Goal, Kind, State
+from galen_panel.page.poses import PosesView
+from galen_panel.snapshot import CalibrateGoal, CheckGoal, CollectGoal, Goal, Kind, State
 
-_IN_FORCE = ""
-_IN_FORCE_TEXT = "the active one"
+_ACTIVE = ""
+_ACTIVE_TEXT = "the active one"
 
 
 def build(page: Page) -> None:
@@ -144,10 +144,10 @@ class _Check(_Card):
         self._tool = _tool_select("Tool", self.name)
 
     def update_fields(self, state: State) -> None:
-        _set_tools(self._tool, state, _IN_FORCE_TEXT)
+        _set_tools(self._tool, state, _ACTIVE_TEXT)
 
     def goal(self) -> Goal | None:
-        tool = str(self._tool.value or _IN_FORCE)
+        tool = str(self._tool.value or _ACTIVE)
         why_not = hints.cannot_check(self.page.suite.state, tool)
         if why_not:
             self.page.complain(why_not)
@@ -192,12 +192,12 @@ def _tool_select(label: str, name: str) -> ui.select:
 
 def _set_tools(chosen: ui.select, state: State, none: str | None) -> None:
     """Offer the tools; at first the active one. none: the text of an entry for no name."""
-    options = {} if none is None else {_IN_FORCE: none}
+    options = {} if none is None else {_ACTIVE: none}
     options |= {tool.name: tool.name for tool in state.tools or ()}
     value = chosen.value
     if value not in options:
         active_tool = state.active_tool.tool if state.active_tool else ""
-        value = _IN_FORCE if none is not None else active_tool if active_tool in options else None
+        value = _ACTIVE if none is not None else active_tool if active_tool in options else None
     if options != chosen.options:
         chosen.set_options(options, value=value)
     elif value != chosen.value:

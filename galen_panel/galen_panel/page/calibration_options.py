@@ -7,9 +7,8 @@ import math
 from nicegui import ui
 
 from galen_panel.messages import hints
-from galen_panel.page.dialogs import confirmed
-from galen_panel.page.page import Page
-from galen_panel.state.snapshot import CalibrateGoal, Kind, State
+from galen_panel.page.page import Page, confirmed
+from galen_panel.snapshot import CalibrateGoal, Kind, State
 
 AREA_CLEAR = "Area clear: calibrate"
 

@@ -1,4 +1,4 @@
-"""The page's header: the active tool, compensation on or off, and tare."""
+"""The page's header: the active tool, compensation on or off, tare, and the worst of all nodes."""
 
 from __future__ import annotations
 
@@ -7,10 +7,10 @@ import time
 from nicegui import ui
 
 from galen_panel.messages import hints, texts
-from galen_panel.messages.states import compensates
-from galen_panel.page.elements import pick_class, set_prop
+from galen_panel.messages.states import compensates, overall
+from galen_panel.page.elements import LOOKS, pick_class, set_prop
 from galen_panel.page.page import Page
-from galen_panel.state.snapshot import Active, State
+from galen_panel.snapshot import Active, State
 
 _FILE_STATES = {
     "changed": "Its file has changed since: activate it again.",
@@ -21,7 +21,7 @@ _ABSENT = "gravcomp is not running"
 _PERIOD_S = 1.0
 
 
-def build(page: Page) -> None:
+def build_compensation(page: Page) -> None:
     """Draw it into the header."""
     _active_tool(page)
     _enable(page)
@@ -108,3 +108,26 @@ def _tare_text(active_tool: Active | None) -> str:
         return "Takes nothing off now."
     force, torque = texts.norm(active_tool.tare[:3]), texts.norm(active_tool.tare[3:])
     return f"Takes off {texts.size(force, torque)} now."
+
+
+# Nodes that fall silent change nothing in the state; only time tells.
+_PERIOD_S = 1.0
+
+
+def build_lamp(page: Page) -> None:
+    """Draw it."""
+    with ui.row().classes("panel-lamp") as lamp:
+        lamp.props("role=status aria-live=polite data-testid=lamp")
+        icon = ui.icon("help").props("aria-hidden=true")
+        text = ui.label()
+
+    def look() -> None:
+        level, sentence = overall(page.suite.state, time.monotonic())
+        word = level.name.lower()
+        icon.set_name(LOOKS[level][0])
+        text.set_text(sentence)
+        pick_class(lamp, "panel-lamp-", word)
+        set_prop(lamp, "data-level", word)
+
+    page.on_change(lambda _state: look())
+    ui.timer(_PERIOD_S, look)

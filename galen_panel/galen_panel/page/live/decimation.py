@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from galen_model.arrays import Array
 
-from galen_panel.state.history import NS_PER_S, Series
+from galen_panel.history import NS_PER_S, Series
 
 GAP_S = 0.25
 """Samples further apart aren't joined by a line; the streams have hundreds a second."""

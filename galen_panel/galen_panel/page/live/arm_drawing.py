@@ -18,7 +18,7 @@ from galen_model.arrays import Array
 from galen_model.errors import KinematicsError
 from galen_model.rotation import matrix_to_quaternion, quaternion_to_matrix
 
-from galen_panel.state.arm_view import (
+from galen_panel.page.live.arm_view import (
     HERE,
     Model,
     Pose,

@@ -1,1 +1,0 @@
-"""The behaviours: start, follow, outcome."""

@@ -1,1 +1,0 @@
-"""What the panel knows, and its numbers. No ROS, no page."""
