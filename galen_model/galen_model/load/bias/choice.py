@@ -26,6 +26,7 @@ import numpy as np
 from galen_model.arrays import Array
 from galen_model.distributions import student_t_logpdf
 from galen_model.errors import IdentificationError
+from galen_model.evidence.block_gain import BlockGain, block_gain
 from galen_model.load.bias.curve import BiasShape, Shape
 from galen_model.load.bias.drifting import Problem, Shapes, Sweeps, agreeing, settle
 from galen_model.load.robust_fit import MIN_POSES_TO_REJECT, PRIOR_READINGS
@@ -50,7 +51,6 @@ class BiasMode(StrEnum):
 BLOCKS = 8
 _FEWEST_BLOCKS = 3
 _FEWEST_POSES = 12  # as for outliers: too few to say what is noise and what is not
-_CLEAR = 2.0
 # What outliers are found with, before anything is chosen: follows most drifts, but no single pose.
 _FIRST_GUESS = BiasShape(Shape.WALK, 10.0)
 
@@ -147,21 +147,19 @@ def choose_shapes(
         return Choice((first, first), len(candidates), (0.0, 0.0), (np.nan, np.nan), len(scores))
     gain = np.array(scores)  # (blocks, candidates, kinds)
     gain -= gain[:, :1]
-    chosen, means, stds = [], [], []
+    chosen, gains = [], []
     for kind in range(2):
         best = int(np.argmax(gain[:, :, kind].sum(axis=0)))
-        mean = float(gain[:, best, kind].mean())
-        std = float(gain[:, best, kind].std(ddof=1) / np.sqrt(len(gain)))
-        if not mean > _CLEAR * std:
-            best, mean, std = 0, 0.0, 0.0
+        over_first = block_gain(gain[:, best, kind])
+        if not over_first.clear:
+            best, over_first = 0, BlockGain(0.0, 0.0)
         chosen.append(candidates[best])
-        means.append(mean)
-        stds.append(std)
+        gains.append(over_first)
     return Choice(
         (chosen[0], chosen[1]),
         len(candidates),
-        (means[0], means[1]),
-        (stds[0], stds[1]),
+        (gains[0].mean, gains[1].mean),
+        (gains[0].std, gains[1].std),
         len(scores),
     )
 

@@ -1,6 +1,6 @@
 """Least squares of a load whose sensor's bias drifts while the poses are visited.
 
-    y_ik = X_ik x + b_k(t_i) + e_ik,    e_ik ~ N(0, sigma_k^2),   b_k = B beta_k (`bias_curve`)
+    y_ik = X_ik x + b_k(t_i) + e_ik,    e_ik ~ N(0, sigma_k^2),   b_k = B beta_k (`curve`)
 
 x are the loads' moments; the six curves have the prior beta_k ~ N(0, sigma_k^2 Q^-1), with one Q
 for the forces and one for the torques. Given Q this is generalised least squares with the

@@ -1,7 +1,7 @@
 """Tool and adapter as `identification`, with a sensor whose bias drifts over the sweeps.
 
 Each sweep has six curves of its own (the sensor may have been zeroed in between), of a shape that
-held-out blocks choose (`bias_choice`); the fit is `drifting_bias`. What comes out is an
+held-out blocks choose (`choice`); the fit is `drifting`. What comes out is an
 `Identification` whose offsets are the biases at the end of each sweep, because they are what holds
 for the first readings that the calibration is used on, and whose covariances hold the bias drift.
 Where a constant bias is chosen, it is that of `identification`, to the last digit.

@@ -6,9 +6,9 @@ What a reading holds beyond the calibration file, y (6,), is a Gaussian process 
     y = B(q) g(q) + noise,   cov(g_l(q), g_l(q')) = a^2 exp(-|q - q'|^2 / 2) + c^2
 
 with distances in units of the lengths over which the pull changes, a the size of its changes and c
-a broad prior for what is the same at all poses; B is `cable_form`'s. The pull at q is the mean
+a broad prior for what is the same at all poses; B is of `form_matrices`. The pull at q is the mean
 given the sweep's poses; the covariance says how well that is known. It needs no parameters but the
-sweep and the few numbers that `cable_fit` found, so a calibration file holds the sweep itself.
+sweep and the few numbers that `fit` found, so a calibration file holds the sweep itself.
 
 Off where nobody looked: s(q), the share of the sweep's information that is missing at q, is the
 same process' variance over its prior's, but for lengths that come from the sweep's spacing and not
@@ -226,7 +226,7 @@ def together(left: Array, right: Array) -> Array:
 
 
 def constant_size(group: int) -> float:
-    """The prior's c for a group of `cable_form`: N or N.m."""
+    """The prior's c for a group of the form: N or N.m."""
     return float(_CONSTANT[group])
 
 

@@ -1,4 +1,4 @@
-"""How smooth a cable's pull is: the numbers of `cable_drag` by marginal likelihood.
+"""How smooth a cable's pull is: the numbers of `drag` by marginal likelihood.
 
 With K the covariance of all readings y of a sweep (6 n), W = K^-1 y y^T K^-1 - K^-1:
 

@@ -17,6 +17,7 @@ import numpy as np
 from galen_model.arm.kinematics import gravity_in_sensor
 from galen_model.arrays import Array
 from galen_model.errors import IdentificationError
+from galen_model.evidence.block_gain import block_gain
 from galen_model.load.cable.drag import FORMS, MAX_POSES, MIN_POSES, CableDrag
 from galen_model.load.cable.fit import CableFit, CableSweep, fit_cable, spacing_rad
 from galen_model.load.model import gravity_regressor
@@ -24,8 +25,6 @@ from galen_model.load.model import gravity_regressor
 LARGEST_SPACING_RAD = 0.5
 _MIN_SPAN_RAD = 0.3
 _TILT_PARTS = 3
-_CLEARLY = 2.0
-"""Standard errors over the blocks."""
 _NOISE = 1.5
 """What a sweep without a cable leaves, in units of its averages' noise, is not more than this; and
 less than the noise of one reading is not worth a cable: a joint's zero that is a little wrong, or a
@@ -176,8 +175,7 @@ def clearly_better(sweep: CableSweep, block: np.ndarray, one: HeldOut, other: He
     """Whether `one` has clearly smaller errors, by the paired differences of the blocks' means."""
     gain = np.sum((other.error / sweep.std_of_mean) ** 2, axis=1)
     gain -= np.sum((one.error / sweep.std_of_mean) ** 2, axis=1)
-    means = np.array([gain[block == part].mean() for part in np.unique(block)])
-    return bool(means.mean() > _CLEARLY * means.std(ddof=1) / np.sqrt(len(means)))
+    return block_gain([gain[block == part].mean() for part in np.unique(block)]).clear
 
 
 def scored(sweep: CableSweep, predicted: Array, stated: Array | None = None) -> HeldOut:

@@ -1,11 +1,11 @@
 """What else, instead of a cable, may stand behind what a sweep reads beyond a calibration file.
 
 Smooth in the pose are many errors. Each is fitted beside a load and offsets (mass, first moment,
-six offsets) to the poses that `cable_learning` fits a cable to, and scored on the same blocks held
+six offsets) to the poses that `learning` fits a cable to, and scored on the same blocks held
 out; one that isn't clearly worse there than the cable can't be told from it by this sweep:
 
-    a joint's zero, a turned sensor, an inclined base     `mounting_model`, by Gauss-Newton
-    a drift of the sensor                                 `drifting_bias`: straight, or a walk
+    a joint's zero, a turned sensor, an inclined base     `reading_model`, by Gauss-Newton
+    a drift of the sensor                                 `drifting`: straight, or a walk
     a loose tool                                          tau = s (a x u)
 
 with u gravity in ft_sensor, a the x and y parts of u / |u| and s mass times shift: a tool with play

@@ -14,6 +14,7 @@ import numpy as np
 
 from galen_model.arrays import Array
 from galen_model.errors import IdentificationError
+from galen_model.evidence.block_gain import BlockGain, block_gain
 from galen_model.files.calibration_file import LoadEstimate
 from galen_model.load.identification import (
     Identification,
@@ -34,8 +35,6 @@ from galen_model.load.mounting.mounting import Mounting
 BLOCKS = 5
 PLAIN, GALEN, MOUNTED = "plain least squares", "galen", "galen, mounted"
 """The models' names."""
-
-_PAYS_SIGMAS = 2.0
 
 _Predict = Callable[[StillPoses], Array]
 
@@ -83,14 +82,13 @@ class Worth:
 
     rmse: (6,) by model, N and N.m, NaN where the model rejected some block; gain: by how much the
     mounting lowers the mean squared residual in units of the noise, and its standard deviation
-    over the blocks; by_kind: the same (2, 2) of forces and of torques, gain and deviation;
-    against: the model compared with.
+    over the blocks; by_kind: the same of forces and of torques; against: the model compared with.
     """
 
     rmse: dict[str, Array]
     gain: float
     gain_std: float
-    by_kind: Array
+    by_kind: tuple[BlockGain, BlockGain]
     against: str
     blocks: int
 
@@ -101,13 +99,13 @@ class Worth:
         A rotation, an inclination or a zero acts on both; one at the cost of the other is
         something else.
         """
-        lost = self.by_kind[:, 0] < -_PAYS_SIGMAS * self.by_kind[:, 1]
-        return "forces" if lost[0] else "torques" if lost[1] else ""
+        force, torque = self.by_kind
+        return "forces" if force.clear_loss else "torques" if torque.clear_loss else ""
 
     @property
     def pays(self) -> bool:
         """Whether the gain is beyond chance, and not one kind's at the other's cost."""
-        return self.gain > _PAYS_SIGMAS * self.gain_std and not self.worse
+        return BlockGain(self.gain, self.gain_std).clear and not self.worse
 
     @property
     def sentence(self) -> str:
@@ -162,13 +160,10 @@ def compare(parts: Mapping[str, Sequence[Array]], sigma: Array) -> Worth:
     }
     against = GALEN if np.all(np.isfinite(squares[GALEN])) else PLAIN
     gains = squares[against] - squares[MOUNTED]
-    together = gains.mean(axis=1)
-    root = np.sqrt(len(gains))
     return Worth(
         {name: np.sqrt(np.mean(np.concatenate(of) ** 2, axis=0)) for name, of in parts.items()},
-        float(np.mean(together)),
-        float(np.std(together, ddof=1) / root),
-        np.stack([gains.mean(axis=0), gains.std(axis=0, ddof=1) / root], axis=1),
+        *block_gain(gains.mean(axis=1)),
+        (block_gain(gains[:, 0]), block_gain(gains[:, 1])),
         against,
         len(gains),
     )

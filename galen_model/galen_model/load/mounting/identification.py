@@ -3,7 +3,7 @@
 Gauss-Newton: the model (`galen_model.load.mounting.reading_model`) is made linear at the last
 values and each step is a whole robust fit (`galen_model.load.robust_fit`), so that outliers, the
 channels' noise and the covariance are those of the fits without a mounting. Before and after,
-`mounting_gate` rejects parameters that the poses can't tell apart. No parameter of the mounting
+`gate` rejects parameters that the poses can't tell apart. No parameter of the mounting
 has a prior; of the loads only what the caller has measured otherwise (a scale, a drawing) enters
 beforehand.
 """
