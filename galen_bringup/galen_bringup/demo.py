@@ -24,6 +24,15 @@ from galen_model.arrays import Array
 from galen_model.errors import GalenError
 from galen_model.load.model import nominal_reading
 from galen_model.load.nominal_tools import ADAPTER, TOOLS
+from galen_ros.command import (
+    EXIT_FAILED,
+    EXIT_INTERRUPTED,
+    EXIT_OK,
+    EXIT_SIGNAL,
+    add_json,
+    make_parser,
+    whole,
+)
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
@@ -39,11 +48,6 @@ REPORT_RMSE = {
     "retractor": np.array([0.0245, 0.0134, 0.0388, 0.6621e-3, 0.7079e-3, 0.3997e-3]),
 }
 """Tables 1 and 2 of the 2019 report, on the real arm: RMSE (6,), N and N.m."""
-
-_EPILOG = (
-    "exit codes: 0 done, 1 something failed (one line says what), 2 usage, 130 interrupted, "
-    "143 terminated"
-)
 
 
 @dataclass(frozen=True)
@@ -247,16 +251,16 @@ def to_json(result: DemoResult) -> dict[str, Any]:
 
 def build_parser() -> argparse.ArgumentParser:
     """The command's options."""
-    parser = argparse.ArgumentParser(prog="demo", description=__doc__, epilog=_EPILOG)
+    parser = make_parser("demo", __doc__ or "", codes={EXIT_SIGNAL + 15: "ended by SIGTERM"})
     parser.add_argument(
         "--output", default="output/demo", metavar="DIR", help="tools, figures and logs go here"
     )
     parser.add_argument(
-        "--poses", type=_count, default=200, help="poses to visit with each tool (default 200)"
+        "--poses", type=whole(10), default=200, help="poses to visit with each tool (default 200)"
     )
     parser.add_argument(
         "--sweep",
-        type=_sweep_count,
+        type=whole(3),
         nargs=2,
         metavar=("TILTS", "ROLLS"),
         help="poses of a sweep; fewer are quicker and tell less (default 7 8)",
@@ -269,37 +273,15 @@ def build_parser() -> argparse.ArgumentParser:
         "result (default 5)",
     )
     parser.add_argument(
-        "--seed", type=_seed, default=2019, help="of noise and poses (default 2019)"
+        "--seed", type=whole(0), default=2019, help="of noise and poses (default 2019)"
     )
-    parser.add_argument("--json", action="store_true", help="print one JSON object (SI units)")
+    add_json(parser)
     return parser
-
-
-def _count(text: str) -> int:
-    return _whole_number(text, 10)
-
-
-def _sweep_count(text: str) -> int:
-    return _whole_number(text, 3)
-
-
-def _seed(text: str) -> int:
-    return _whole_number(text, 0)
-
-
-def _whole_number(text: str, smallest: int) -> int:
-    try:
-        value = int(text)
-    except ValueError:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number") from None
-    if value < smallest:
-        raise argparse.ArgumentTypeError(f"{value} is less than {smallest}")
-    return value
 
 
 def _on_terminate(number: int, _: Any) -> None:
     """End as an interrupt does: the nodes are processes of their own and would go on."""
-    raise SystemExit(128 + number)
+    raise SystemExit(EXIT_SIGNAL + number)
 
 
 def main(args: Sequence[str] | None = None) -> int:
@@ -322,17 +304,17 @@ def main(args: Sequence[str] | None = None) -> int:
     except (Exception, KeyboardInterrupt) as error:
         if interrupted:  # inside a library's C++ it may come out as another exception
             print("demo: interrupted", file=sys.stderr)
-            return 130
+            return EXIT_INTERRUPTED
         if not isinstance(error, GalenError | OSError):
             raise
         # OSError: what it writes to is full or not writable
         print(f"demo: {error}", file=sys.stderr)
-        return 1
+        return EXIT_FAILED
     if options.json:
         print(json.dumps(to_json(result), indent=2))
     else:
         print_report(result, console)
-    return 0
+    return EXIT_OK
 
 
 if __name__ == "__main__":

@@ -19,16 +19,17 @@ from typing import Any
 from galen_model.errors import GalenError
 from galen_model.files.atomic_file import write_whole
 from galen_ros.command import (
-    EXIT_FAILED,
-    EXIT_INTERRUPTED,
     EXIT_OK,
-    EXIT_USAGE,
+    add_json,
+    add_plots,
     add_workers,
     check_folder,
+    make_parser,
     not_negative,
     run_command,
+    terminal,
+    whole,
 )
-from rich.console import Console
 
 from galen_diagnosis.blind.blind_protocol import (
     DIAGNOSING,
@@ -42,36 +43,31 @@ from galen_diagnosis.blind.blind_protocol import (
 from galen_diagnosis.blind.making import Generate
 from galen_diagnosis.blind.plan import Planned, full_plan, short_plan, thinned
 from galen_diagnosis.blind.plant.case import generate
-from galen_diagnosis.blind.scoring.score import Score, score, to_json
+from galen_diagnosis.blind.scoring.score import Answered, Score, score, to_json, wrong_answers
 from galen_diagnosis.blind.scoring.table import PROGRAM, markdown, print_scores
 from galen_diagnosis.blind.seal import forget, private_directory
 from galen_diagnosis.effects.candidates import SOUGHT
 
-_EPILOG = f"""An interrupted check goes on where it stopped, if it is called again with the same
-options and --output. A finished one is only scored again.
-
-exit codes:
-  {EXIT_OK}    done; whatever the score, but for --at-least
-  {EXIT_FAILED}    no recordings can be made or diagnosed, the labels aren't those that were sealed,
-       or the score is below --at-least; a line says why. Single diagnoses that failed are counted
-       as wrong
-  {EXIT_USAGE}    wrong arguments
-  {EXIT_INTERRUPTED}  interrupted (Ctrl-C)"""
+_NOTES = """An interrupted check goes on where it stopped, if it is called again with the same
+options and --output. A finished one is only scored again. Single diagnoses that failed count as
+wrong."""
 
 
 def build_parser() -> argparse.ArgumentParser:
     """The command's options."""
-    parser = argparse.ArgumentParser(
-        prog="blind_check",
-        description="Make recordings with hidden causes, seal the labels, diagnose in another"
+    parser = make_parser(
+        "blind_check",
+        "Make recordings with hidden causes, seal the labels, diagnose in another"
         " process that can't read them, open, and score beside simpler methods.",
-        epilog=_EPILOG,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
+        notes=_NOTES,
+        ok="done; whatever the score, but for --at-least",
+        failed="no recordings can be made or diagnosed, the labels aren't those that were sealed,"
+        " or the score is below --at-least",
     )
     size = parser.add_mutually_exclusive_group()
     size.add_argument(
         "--per-class",
-        type=_count,
+        type=whole(1),
         default=3,
         metavar="N",
         help="recordings of each effect at each strength; others in proportion (default:"
@@ -81,11 +77,14 @@ def build_parser() -> argparse.ArgumentParser:
         "--short", action="store_true", help="one recording of each sort: a check of the program"
     )
     parser.add_argument(
-        "--cases", type=_count, metavar="N", help="only so many, of all sorts and strengths in turn"
+        "--cases",
+        type=whole(1),
+        metavar="N",
+        help="only so many, of all sorts and strengths in turn",
     )
     parser.add_argument(
         "--seed",
-        type=_seed,
+        type=whole(0),
         metavar="N",
         help="makes the same recordings again (default: a random one, told when all is open)",
     )
@@ -100,32 +99,16 @@ def build_parser() -> argparse.ArgumentParser:
         type=_share,
         metavar="SHARE",
         help="exit with 1 if a diagnosis failed, or top-1 by class of clear and gross singles (what"
-        " the recording can't separate taken as one) is below this, 0 ... 1; for CI",
+        " the recording can't separate taken as one) is below this, 0 ... 1; with --short also if"
+        " one of its answers is wrong; for CI",
     )
-    parser.add_argument(
-        "--plots",
-        type=Path,
-        metavar="DIR",
-        help="write pictures of confusions, probabilities and parameters' errors here",
-    )
-    parser.add_argument("--json", action="store_true", help="print one JSON object")
+    add_plots(parser)
+    add_json(parser)
     parser.add_argument(
         "--readme", action="store_true", help="print the tables as Markdown, for a README"
     )
     add_workers(parser)
     return parser
-
-
-def _count(text: str) -> int:
-    if not text.isdecimal() or int(text) < 1:
-        raise argparse.ArgumentTypeError(f"{text!r} is no number from 1")
-    return int(text)
-
-
-def _seed(text: str) -> int:
-    if not text.isdecimal():
-        raise argparse.ArgumentTypeError(f"{text!r} is no whole number")
-    return int(text)
 
 
 def _share(text: str) -> float:
@@ -172,7 +155,8 @@ def run(
     labels = open_labels(places, told)
     say("labels opened: they are those that were sealed")
     ended_s = time.monotonic()
-    scores = {PROGRAM: score(answered(places, labels), tuple(SOUGHT))}
+    cases = answered(places, labels)
+    scores = {PROGRAM: score(cases, tuple(SOUGHT))}
     scores |= {
         name: score(found, tuple(SOUGHT)) for name, found in baselines(places, labels).items()
     }
@@ -190,7 +174,7 @@ def run(
     elif arguments.readme:
         print(markdown(scores))
     else:
-        console = Console(width=None if sys.stdout.isatty() else 150)
+        console = terminal(150)
         print_scores(scores, console)
         for picture in pictures:
             console.print(f"picture: {picture}", soft_wrap=True)
@@ -198,6 +182,8 @@ def run(
         raise GalenError(f"{output}: no recording could be diagnosed; {_first_failure(places)}")
     if arguments.at_least is not None:
         check_score(scores[PROGRAM], arguments.at_least)
+        if arguments.short:
+            check_answers(cases)
     return EXIT_OK
 
 
@@ -209,6 +195,12 @@ def check_score(found: Score, at_least: float) -> None:
         raise GalenError(
             f"top-1 by class is {found.by_class_accepted:.3f}, below the {at_least:g} wanted"
         )
+
+
+def check_answers(cases: Sequence[Answered]) -> None:
+    """Raise GalenError unless every answer is right, verdict and causes."""
+    if wrong := wrong_answers(cases):
+        raise GalenError(f"{len(wrong)} of {len(cases)} answers are wrong: {'; '.join(wrong)}")
 
 
 def _sayer(arguments: argparse.Namespace) -> Callable[[str], None]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 import time
 from collections.abc import Callable, Sequence
@@ -15,15 +14,18 @@ from typing import Any
 from galen_bags.many.run import run_many
 from galen_ros.command import (
     EXIT_FAILED,
-    EXIT_INTERRUPTED,
     EXIT_OK,
-    EXIT_USAGE,
+    ProgressLine,
+    add_json,
+    add_tool_file,
     add_workers,
     check_file,
+    make_parser,
+    print_json,
     run_command,
+    terminal,
 )
 from rich.console import Console
-from tqdm import tqdm
 
 from galen_diagnosis.answer.answer import Answer
 from galen_diagnosis.answer.result import Diagnosis
@@ -37,20 +39,11 @@ from galen_diagnosis.report.terminal import print_answer, print_overview
 EXIT_GAP = 3
 _READ, _DIAGNOSED = 0.1, 0.75
 """Parts of the time that reading and diagnosing take; the rest is for the report."""
-_BAR = "{percentage:3.0f}% |{bar}| {elapsed} {desc}"
-_EPILOG = f"""written to the output directory, whole or not at all:
+_NOTES = """written to the output directory, whole or not at all:
   diagnosis.json     the answer, for programs
   report.html        the same with pictures, for people; opens without a network
   found_effect.yaml  what was found, as parameters of sim_driver_node; only where something was
-  pictures/          the report's pictures
-
-exit codes:
-  {EXIT_OK}    done, whatever the verdict
-  {EXIT_FAILED}    a recording or file can't be used; a line says why. Of many recordings, the
-       others were diagnosed
-  {EXIT_USAGE}    wrong arguments
-  {EXIT_GAP}    with --fail-on-gap: there is a gap in a recording (any verdict but none)
-  {EXIT_INTERRUPTED}  interrupted (Ctrl-C)"""
+  pictures/          the report's pictures"""
 
 
 @dataclass(frozen=True)
@@ -86,13 +79,15 @@ class Job:
 
 def build_parser() -> argparse.ArgumentParser:
     """The command's options."""
-    parser = argparse.ArgumentParser(
-        prog="diagnose",
-        description="Compare recordings with the nominal simulator driven along their joint states:"
+    parser = make_parser(
+        "diagnose",
+        "Compare recordings with the nominal simulator driven along their joint states:"
         " is there a gap, where, which effect causes it, how far does it shrink with that effect in"
         " the simulator, what to do next.",
-        epilog=_EPILOG,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
+        notes=_NOTES,
+        ok="done, whatever the verdict",
+        failed="a recording or file can't be used; of many recordings, the others were diagnosed",
+        codes={EXIT_GAP: "with --fail-on-gap: a recording has a gap (any verdict but none)"},
     )
     parser.add_argument(
         "recordings",
@@ -101,9 +96,7 @@ def build_parser() -> argparse.ArgumentParser:
         metavar="RECORDING",
         help="directory with the bags sweep, motion, push (or some of them) and tool.json",
     )
-    parser.add_argument(
-        "--tool", type=Path, metavar="FILE", help="the tool's file, where it isn't the recording's"
-    )
+    add_tool_file(parser, "the tool's calibration file, where it isn't the recording's")
     parser.add_argument(
         "--output",
         type=Path,
@@ -114,7 +107,7 @@ def build_parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--overwrite", action="store_true", help="replace an old diagnosis in the output directory"
     )
-    parser.add_argument("--json", action="store_true", help="print diagnosis.json's content")
+    add_json(parser, "print diagnosis.json's content")
     parser.add_argument("--no-report", action="store_true", help="no report.html, no pictures")
     parser.add_argument(
         "--next",
@@ -173,7 +166,7 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
         for outcome in outcomes
     ]
     if arguments.json:
-        print(json.dumps({"recordings": rows}, indent=2))
+        print_json({"recordings": rows})
     else:
         print_overview(rows, console)
     if any("error" in row for row in rows):
@@ -182,10 +175,8 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
 
 
 def _one(job: Job, recording: Path, arguments: argparse.Namespace, console: Console) -> int:
-    # Nothing where standard error is no terminal, and never left behind an error message.
-    off = True if arguments.json else None
-    with tqdm(total=1.0, bar_format=_BAR, ncols=80, disable=off, leave=False) as bar:
-        diagnosis = job.diagnose(recording, partial(_show, bar))
+    with ProgressLine(quiet=arguments.json) as line:
+        diagnosis = job.diagnose(recording, lambda stage, share: line.show(stage, share, 1.0))
     if arguments.next is not None:
         if diagnosis.experiment is None:
             print(f"diagnose: {arguments.next} not written: {_why_none(diagnosis.answer)}",
@@ -193,18 +184,13 @@ def _one(job: Job, recording: Path, arguments: argparse.Namespace, console: Cons
         else:
             write_sweep(diagnosis.experiment, arguments.next)
     if arguments.json:
-        print(json.dumps(diagnosis.answer.to_json(), indent=2))
+        print_json(diagnosis.answer.to_json())
     else:
         print_answer(diagnosis.answer, console)
         console.print(f"written: {job.folders[recording]}", soft_wrap=True, markup=False)
         if arguments.next is not None and diagnosis.experiment is not None:
             console.print(f"next experiment: {arguments.next}", soft_wrap=True, markup=False)
     return _code(arguments, [diagnosis.answer.verdict])
-
-
-def _show(bar: tqdm, stage: str, share: float) -> None:
-    bar.n = max(bar.n, min(share, 1.0))  # what tells a share too small doesn't turn it back
-    bar.set_description_str(stage)
 
 
 def _why_none(answer: Answer) -> str:
@@ -226,8 +212,7 @@ def main(args: Sequence[str] | None = None) -> int:
     several = len(arguments.recordings) > 1
     if arguments.next is not None and several:
         parser.error("--next is for one RECORDING")
-    console = Console(width=None if sys.stdout.isatty() else 120, highlight=False)
-    return run_command("diagnose", partial(run, arguments, console))
+    return run_command("diagnose", partial(run, arguments, terminal()))
 
 
 if __name__ == "__main__":

@@ -9,24 +9,21 @@ import socket
 from dataclasses import dataclass
 from pathlib import Path
 
+from galen_ros.command import make_parser
+
 from galen_panel.access import is_loopback, new_token
 
 TOKEN_VARIABLE = "GALEN_PANEL_TOKEN"
 # What needs no quoting in a link or a cookie.
 _TOKEN = re.compile(r"[A-Za-z0-9_.~-]{16,}")
 _ANY_ADDRESS = ("0.0.0.0", "::")
-_EPILOG = f"""\
+_NOTES = f"""\
 Where --host is not this machine alone, whoever opens the panel needs its token. It is made anew at
 each start and printed with the link; {TOKEN_VARIABLE} in the environment sets it, and has it asked
 for on this machine, too. Without --certificate what goes through the network can be read there.
 
 Names of topics, services and actions are relative: a namespace is
-  panel --ros-args -r __ns:=/left
-
-exit codes:
-  0  ended by a signal (Ctrl-C)
-  1  can't start: a line says why
-  2  wrong arguments"""
+  panel --ros-args -r __ns:=/left"""
 
 
 @dataclass(frozen=True)
@@ -58,11 +55,13 @@ class Options:
 
 def read_options(arguments: list[str], environment: dict[str, str] | None = None) -> Options:
     """Read the command line; exits with code 2 and a message where it is wrong."""
-    parser = argparse.ArgumentParser(
-        prog="panel",
-        description="The operator's panel: a page for the browser, served from here.",
-        epilog=_EPILOG,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
+    parser = make_parser(
+        "panel",
+        "The operator's panel: a page for the browser, served from here.",
+        notes=_NOTES,
+        ok="ended by a signal (Ctrl-C)",
+        failed="can't start; one line gives the reason",
+        interrupted="interrupted (Ctrl-C) before the page was served",
     )
     parser.add_argument(
         "--host",

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import json
 import math
 import sys
 from collections.abc import Sequence
@@ -16,12 +15,13 @@ from galen_model.files.calibration_store import CalibrationStore, CalibrationSto
 from galen_model.files.comparison import before_name, compare_calibrations
 from galen_model.load.frames import FRAMES, joint_vector, needed_joints, sensor_in_frame
 from galen_ros.command import (
-    EXIT_FAILED,
-    EXIT_INTERRUPTED,
     EXIT_OK,
-    EXIT_USAGE,
+    add_json,
+    make_parser,
     positive,
+    print_json,
     run_command,
+    terminal,
 )
 from rich.console import Console
 
@@ -36,26 +36,21 @@ from galen_gravcomp.tools.report import (
     tool_to_dict,
 )
 
-_EPILOG = f"""A running gravcomp_node keeps what it has loaded, whatever happens to the files; its
-services do the same as these commands and know what is active.
-
-exit codes:
-  {EXIT_OK}    done; `list`: also where some files can't be used
-  {EXIT_FAILED}    not done; a line says why, and nothing is changed
-  {EXIT_USAGE}    wrong arguments
-  {EXIT_INTERRUPTED}  interrupted (Ctrl-C)"""
+_NOTES = """A running gravcomp_node keeps what it has loaded, whatever happens to the files; its
+services do the same as these commands and know what is active."""
 
 
 def build_parser() -> argparse.ArgumentParser:
     """The command's options."""
-    parser = argparse.ArgumentParser(
-        prog="tools",
-        description="Look after the tools' files of a directory.",
-        epilog=_EPILOG,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
+    parser = make_parser(
+        "tools",
+        "Look after the tools' files of a directory.",
+        notes=_NOTES,
+        ok="done; `list`: also where some files can't be used",
+        failed="not done; one line gives the reason, and nothing is changed",
     )
     common = argparse.ArgumentParser(add_help=False)
-    common.add_argument("--json", action="store_true", help="print one JSON object (SI units)")
+    add_json(common)
     files = argparse.ArgumentParser(add_help=False, parents=[common])
     files.add_argument(
         "--tools-dir",
@@ -139,7 +134,7 @@ def _list(arguments: argparse.Namespace, store: CalibrationStore, console: Conso
         )
     entries, removed = list(store.entries()), store.removed()
     if arguments.json:
-        _print_json(list_to_dict(str(store.directory), entries, removed))
+        print_json(list_to_dict(str(store.directory), entries, removed))
     else:
         print_list(str(store.directory), entries, removed, console)
 
@@ -150,7 +145,7 @@ def _show(arguments: argparse.Namespace, store: CalibrationStore, console: Conso
     joints = np.where(needed, arguments.joints, math.nan)
     place = sensor_in_frame(arguments.frame, stored.tool.tip_m, joints)
     if arguments.json:
-        _print_json(tool_to_dict(stored, place, joints))
+        print_json(tool_to_dict(stored, place, joints))
     else:
         print_tool(stored, place, joints, console)
 
@@ -165,7 +160,7 @@ def _compare(arguments: argparse.Namespace, store: CalibrationStore, console: Co
             store.read(arguments.a).tool, store.read(arguments.b).tool
         )
     if arguments.json:
-        _print_json(comparison_to_dict(comparison))
+        print_json(comparison_to_dict(comparison))
     else:
         print_comparison(comparison, console)
 
@@ -210,7 +205,7 @@ def _active(arguments: argparse.Namespace, ros_args: Sequence[str], console: Con
 
     state = read(arguments.node, arguments.timeout_s, ros_args)
     if arguments.json:
-        _print_json(state)
+        print_json(state)
     else:
         print_active(state, console)
 
@@ -230,13 +225,9 @@ def _tell(
     arguments: argparse.Namespace, console: Console, content: dict[str, str], text: str
 ) -> None:
     if arguments.json:
-        _print_json(content)
+        print_json(content)
     else:
         console.print(text, soft_wrap=True, highlight=False, markup=False)
-
-
-def _print_json(content: object) -> None:
-    print(json.dumps(content, indent=2))
 
 
 def main(args: Sequence[str] | None = None) -> int:
@@ -247,7 +238,7 @@ def main(args: Sequence[str] | None = None) -> int:
     arguments = parser.parse_args(words[:at])
     if arguments.command == "remove" and not arguments.yes and not sys.stdin.isatty():
         parser.error("remove asks on a terminal, and there is none: give --yes")
-    console = Console(width=None if sys.stdout.isatty() else 120)
+    console = terminal()
 
     def work() -> int:
         if arguments.command == "active":
