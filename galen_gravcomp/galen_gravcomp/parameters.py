@@ -3,11 +3,12 @@
 from dataclasses import dataclass
 
 import numpy as np
+from galen_model.evidence.verdict import Limits
 from galen_model.load.inertia.imu_mount import ImuMount
 from galen_ros.parameters.param import param
 from galen_ros.stream.parameters import LoopParameters
 
-from galen_gravcomp.calibration_monitor.watch import GravityFitWatch
+from galen_gravcomp.calibration_monitor.monitor import CalibrationMonitor
 from galen_gravcomp.compensator import CompensatorSettings
 from galen_gravcomp.corrections.bias_drift import BiasDrift, BiasDriftSettings
 from galen_gravcomp.corrections.imu_motion import ImuMotion
@@ -15,7 +16,6 @@ from galen_gravcomp.corrections.joint_motion import JointMotion
 from galen_gravcomp.corrections.motion_window import MotionSettings
 from galen_gravcomp.corrections.stages import MotionStage, Stages
 from galen_gravcomp.corrections.tare import TareSettings
-from galen_gravcomp.evaluate.residual_decomposition import Limits
 
 _MOTIONS = ("off", "joints", "imu")
 
@@ -177,7 +177,7 @@ class GravcompParameters(LoopParameters):
         return Stages(
             motion=self.motion_stage(),
             bias_drift=BiasDrift(bias_drift, enabled=self.bias_drift),
-            fit=GravityFitWatch(limits) if self.fit_watch else None,
+            fit=CalibrationMonitor(limits) if self.fit_watch else None,
         )
 
     def settings(self) -> CompensatorSettings:

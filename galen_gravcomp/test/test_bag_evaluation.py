@@ -11,9 +11,8 @@ from galen_bags.formats.writer import BagWriter
 from galen_gravcomp.compensator import CompensatorSettings
 from galen_gravcomp.evaluate.bag_evaluation import EvaluationSettings, evaluate_bag
 from galen_gravcomp.evaluate.bag_report import findings, print_overview, to_dict
-from galen_gravcomp.evaluate.residual_decomposition import Limits
-from galen_gravcomp.evaluate.verdict import Verdict
 from galen_model.arm.galen import SENSOR
+from galen_model.evidence.verdict import Cause, Limits
 from galen_model.files.calibration_file import LoadEstimate
 from gravcomp_bags import Recording, tool_file
 from rich.console import Console
@@ -32,7 +31,7 @@ def evaluate(tmp_path, recording, tool, **options):
 def test_a_recording_that_fits_is_at_the_noise(tmp_path, tool):
     recording = Recording(tool)
     result = evaluate(tmp_path, recording, tool)
-    assert result.verdict is Verdict.FITS
+    assert result.verdict.cause is Cause.FITS
     assert (result.compensated, result.received) == (len(recording.angles),) * 2
     assert len(result.phases) == 16
     np.testing.assert_allclose(result.phases.noise, SENSOR.noise_std, rtol=0.1)
@@ -74,13 +73,13 @@ def test_a_heavier_tool_is_told_by_its_mass(tmp_path, tool):
     heavier = tool_file(mass_kg=0.212)
     recording = Recording(heavier)
     result = evaluate(tmp_path, recording, tool)
-    assert result.verdict is Verdict.LOAD
+    assert result.verdict.cause is Cause.LOAD
     parts = result.parts
     assert abs(parts.mass_kg - 0.012) < 4 * parts.mass_std_kg
     assert parts.mass_std_kg < 1e-3
     moment = heavier.load.load.moments[1:] - tool.load.load.moments[1:]
     assert np.all(np.abs(parts.moment_kgm - moment) < 4 * parts.moment_std_kgm)
-    assert re.search(r"another load, by \+1[12]\.\d \+- 0\.\d g", result.sentence)
+    assert re.search(r"another load, by \+1[12]\.\d \+- 0\.\d g", result.verdict.text)
 
 
 def test_an_offset_is_told_with_its_value(tmp_path, tool):
@@ -88,8 +87,8 @@ def test_an_offset_is_told_with_its_value(tmp_path, tool):
     offset = np.array([0.1, -0.2, 0.3, 0.005, 0.0, -0.004])
     recording.wrench += offset
     result = evaluate(tmp_path, recording, tool)
-    assert result.verdict is Verdict.OFFSET
-    assert "tare" in result.sentence
+    assert result.verdict.cause is Cause.OFFSET
+    assert "tare" in result.verdict.text
     pull = (result.parts.offset_value - offset) / result.parts.offset_std
     assert np.all(np.abs(pull) < 4.0)
 
@@ -99,7 +98,7 @@ def test_a_drift_is_told_with_its_rate(tmp_path, tool):
     rate = np.array([0.0, 0.0, 60.0, 0.0, 0.0, 0.0])  # per hour; the recording lasts half a minute
     recording.wrench += rate * (recording.time_s - recording.time_s.mean())[:, None] / 3600.0
     result = evaluate(tmp_path, recording, tool)
-    assert result.verdict is Verdict.DRIFT
+    assert result.verdict.cause is Cause.DRIFT
     pull = (result.parts.rate_per_hour - rate) / result.parts.rate_std
     assert np.all(np.abs(pull) < 4.0)
 
@@ -111,7 +110,7 @@ def test_what_none_of_the_parts_explains_is_called_unexplained(tmp_path, tool):
     for rows in recording.pose_slices:
         recording.wrench[rows, 0] += 0.5 * rng.choice([-1.0, 1.0])
     result = evaluate(tmp_path, recording, tool)
-    assert result.verdict is Verdict.UNEXPLAINED
+    assert result.verdict.cause is Cause.UNEXPLAINED
     assert result.parts.rest[0] > 0.3
 
 
@@ -120,8 +119,8 @@ def test_touched_poses_stand_out_and_do_not_spoil_the_verdict(tmp_path, tool):
     for pose in (3, 11):
         recording.wrench[recording.pose_slices[pose], :3] += [0.0, 2.0, -1.0]
     result = evaluate(tmp_path, recording, tool)
-    assert result.verdict is Verdict.FITS
-    assert "2 of 20 rest segments: outliers" in result.sentence
+    assert result.verdict.cause is Cause.FITS
+    assert "2 of 20 rest segments: outliers" in result.verdict.text
     assert set(result.worst_phases[:2].tolist()) == {3, 11}
     assert np.flatnonzero(~result.parts.used).tolist() == [3, 11]
 
@@ -167,8 +166,9 @@ def test_poses_that_tell_nothing_of_the_load_are_said_to(tmp_path, tool):
     recording.wrench = tool.predict(recording.angles[:, 0], recording.angles[:, 1]) + 0.2
     result = evaluate(tmp_path, recording, tool)
     assert result.parts.load is None
-    assert result.verdict is Verdict.OFFSET
-    assert "or another load or drift, not distinguishable by these rest segments" in result.sentence
+    assert result.verdict.cause is Cause.OFFSET
+    told = result.verdict.text
+    assert "or another load or drift, not distinguishable by these rest segments" in told
     assert "can't be told" not in result.parts.why_no_load
     assert "poses" in result.parts.why_no_load
 
@@ -177,26 +177,26 @@ def test_a_recording_in_motion_alone_fits_or_not(tmp_path, tool):
     recording = Recording(tool, poses=30, hold_s=0.0, move_s=1.0)
     result = evaluate(tmp_path, recording, tool)
     assert len(result.phases) == 0
-    assert result.verdict is Verdict.FITS
-    assert "in motion" in result.sentence
+    assert result.verdict.cause is Cause.FITS
+    assert "in motion" in result.verdict.text
     recording.wrench += 1.0
     result = evaluate_bag(recording.write(tmp_path / "off"), tool)
-    assert result.verdict is Verdict.UNKNOWN
+    assert result.verdict.cause is Cause.UNKNOWN
     json.dumps(to_dict(result), allow_nan=False)
 
 
 def test_limits_are_the_callers(tmp_path, tool):
     recording = Recording(tool)
     recording.wrench[:, 0] += 0.03
-    assert evaluate(tmp_path, recording, tool).verdict is Verdict.FITS
+    assert evaluate(tmp_path, recording, tool).verdict.cause is Cause.FITS
     tight = EvaluationSettings(limits=Limits(force_n=0.01, torque_nm=0.002))
-    assert evaluate_bag(tmp_path / "bag", tool, tight).verdict is Verdict.OFFSET
+    assert evaluate_bag(tmp_path / "bag", tool, tight).verdict.cause is Cause.OFFSET
 
 
 def test_another_frame_is_rejected_as_by_the_node(tmp_path, tool):
     path = Recording(tool).write(tmp_path / "bag", frame_id="wrist")
     result = evaluate_bag(path, tool)
-    assert (result.compensated, result.verdict) == (0, Verdict.UNKNOWN)
+    assert (result.compensated, result.verdict.cause) == (0, Cause.UNKNOWN)
     assert "expected 'ft_sensor'" in "\n".join(findings(result))
     json.dumps(to_dict(result), allow_nan=False)
 
@@ -207,7 +207,7 @@ def test_a_slow_sensor_gets_longer_cells(tmp_path, tool):
     result = evaluate_bag(recording.write(tmp_path / "bag"), tool, settings)
     assert result.cells.cell_s == pytest.approx(0.5)
     assert len(result.phases) == 8
-    assert result.verdict is Verdict.FITS
+    assert result.verdict.cause is Cause.FITS
 
 
 def test_another_gravity_in_the_file_is_taken_into_account(tmp_path, tool):
@@ -216,7 +216,7 @@ def test_another_gravity_in_the_file_is_taken_into_account(tmp_path, tool):
     object.__setattr__(elsewhere, "gravity_m_s2", np.array([0.0, 0.0, -9.83]))
     recording = Recording(elsewhere)
     result = evaluate(tmp_path, recording, elsewhere)
-    assert result.verdict is Verdict.FITS
+    assert result.verdict.cause is Cause.FITS
     lighter = LoadEstimate(0.38, elsewhere.load.com_m, elsewhere.load.covariance)
     object.__setattr__(elsewhere, "load", lighter)
     result = evaluate_bag(tmp_path / "bag", elsewhere)
@@ -233,12 +233,12 @@ def test_a_tool_that_was_put_on_in_the_middle_is_told(tmp_path, tool):
     first.log_ns = np.concatenate([first.log_ns, second.log_ns + shift])
     first.kept = np.concatenate([first.kept, second.kept])
     result = evaluate(tmp_path, first, tool)
-    assert result.verdict is Verdict.CHANGED
+    assert result.verdict.cause is Cause.CHANGED
     assert result.change.first_after == 10
     np.testing.assert_allclose(result.change.mass_kg, [-0.2, 0.0], atol=1e-3)
     settings = EvaluationSettings(start_s=21.0)
     later = evaluate_bag(tmp_path / "bag", tool, settings)
-    assert later.verdict is Verdict.FITS
+    assert later.verdict.cause is Cause.FITS
     assert len(later.phases) == 12
     assert later.duration_s == pytest.approx(12 * 1.5 + 11 * 0.5, abs=0.02)
     settings = EvaluationSettings(duration_s=5.0)
@@ -250,23 +250,24 @@ def test_a_sensor_that_jumps_is_not_called_another_load(tmp_path, tool):
     half = len(recording.wrench) // 2
     recording.wrench[half:, 0] -= 0.4
     result = evaluate(tmp_path, recording, tool)
-    assert result.verdict is Verdict.CHANGED
+    assert result.verdict.cause is Cause.CHANGED
     assert result.change.mass_kg is None
     np.testing.assert_allclose(result.change.offset_step[:3], [-0.4, 0.0, 0.0], atol=0.01)
-    time_s = float(re.search(r"jumps by -0\.\d+ N in fx at ([\d.]+) s", result.sentence).group(1))
+    jump = re.search(r"jumps by -0\.\d+ N in fx at ([\d.]+) s", result.verdict.text)
+    time_s = float(jump.group(1))
     assert abs(time_s - 0.01 * half) < 1.0
-    assert "Before: the file fits" in result.sentence
-    assert "After: the residual is 0.399 N in fx: a constant offset" in result.sentence
+    assert "Before: the file fits" in result.verdict.text
+    assert "After: the residual is 0.399 N in fx: a constant offset" in result.verdict.text
     json.dumps(to_dict(result), allow_nan=False)
 
 
 def test_a_moved_centre_is_told_in_mm(tmp_path, tool):
     moved = tool_file(com_m=(0.076, -0.01, 0.055))
     result = evaluate(tmp_path, Recording(moved), tool)
-    assert result.verdict is Verdict.LOAD
-    told = re.search(r"its centre by \(([-+.\d]+), ([-+.\d]+), ([-+.\d]+)\)", result.sentence)
+    assert result.verdict.cause is Cause.LOAD
+    told = re.search(r"its centre by \(([-+.\d]+), ([-+.\d]+), ([-+.\d]+)\)", result.verdict.text)
     np.testing.assert_allclose([float(part) for part in told.groups()], [6, 0, 0], atol=0.21)
-    assert re.search(r"another load, by [-+]0\.\d ", result.sentence)
+    assert re.search(r"another load, by [-+]0\.\d ", result.verdict.text)
 
 
 def test_angles_that_are_off_are_not_called_what_a_tare_fixes(tmp_path, tool):
@@ -274,21 +275,21 @@ def test_angles_that_are_off_are_not_called_what_a_tare_fixes(tmp_path, tool):
     recording = Recording(tool, poses=30)
     recording.angles[:, 1] -= 0.06
     result = evaluate(tmp_path, recording, tool)
-    assert result.verdict is Verdict.UNEXPLAINED
-    assert "tare" not in result.sentence
-    assert "wrong angles" in result.sentence
+    assert result.verdict.cause is Cause.UNEXPLAINED
+    assert "tare" not in result.verdict.text
+    assert "wrong angles" in result.verdict.text
 
 
 def test_readings_with_the_other_sign_are_suspected(tmp_path, tool):
     recording = Recording(tool)
     recording.wrench *= -1.0
-    assert "less than nothing" in evaluate(tmp_path, recording, tool).sentence
+    assert "less than nothing" in evaluate(tmp_path, recording, tool).verdict.text
 
 
 def test_a_tool_that_is_not_on_is_suspected(tmp_path, tool):
     result = evaluate(tmp_path, Recording(tool_file(mass_kg=1e-6)), tool)
-    assert result.verdict is Verdict.LOAD
-    assert result.sentence.endswith("(no tool on it?)")
+    assert result.verdict.cause is Cause.LOAD
+    assert result.verdict.text.endswith("(no tool on it?)")
 
 
 @pytest.mark.parametrize("what", ["degrees", "N mm"])
@@ -299,8 +300,8 @@ def test_units_that_look_wrong_leave_no_verdict(tmp_path, tool, what):
     else:
         recording.wrench[:, 3:] *= 1e3
     result = evaluate(tmp_path, recording, tool)
-    assert result.verdict is Verdict.UNKNOWN
-    assert f"look like {what} in " in result.sentence
+    assert result.verdict.cause is Cause.UNKNOWN
+    assert f"look like {what} in " in result.verdict.text
 
 
 def at_rest(tool, seconds, rad_s=0.0):
@@ -319,8 +320,8 @@ def test_an_arm_at_rest_for_minutes_tells_the_drift(tmp_path, tool):
     recording.wrench[:, 2] += 5.0 * (recording.time_s / 3600.0)
     result = evaluate(tmp_path, recording, tool)
     assert len(result.phases) == 20
-    assert result.verdict is Verdict.DRIFT
-    assert "another load" in result.sentence
+    assert result.verdict.cause is Cause.DRIFT
+    assert "another load" in result.verdict.text
     assert abs(result.parts.rate_per_hour[2] - 5.0) < 4 * result.parts.rate_std[2] < 0.5
 
 
@@ -339,8 +340,8 @@ def test_after_a_jump_of_the_stamps_no_drift_is_told(tmp_path, tool):
     result = evaluate(tmp_path, recording, tool)
     assert result.parts.rate_per_hour is None
     assert result.parts.why_no_drift == "the time stamps jump"
-    assert result.verdict is Verdict.OFFSET
-    assert "or drift, not distinguishable" in result.sentence
+    assert result.verdict.cause is Cause.OFFSET
+    assert "or drift, not distinguishable" in result.verdict.text
 
 
 def test_a_slow_sensor_behind_a_fast_driver_is_said_to_be_one(tmp_path, tool):
@@ -384,7 +385,7 @@ def test_what_is_left_over_in_motion_is_not_that_at_rest(tmp_path, tool):
     result = evaluate(tmp_path, recording, tool)
     assert result.rmse_moving[0] > 0.4
     assert result.rmse_still[0] < 0.15
-    assert result.verdict is Verdict.FITS
+    assert result.verdict.cause is Cause.FITS
 
 
 def test_a_message_that_cannot_be_read_is_no_stamp_and_no_reading(tmp_path, tool):

@@ -2,9 +2,10 @@
 
 import numpy as np
 import pytest
-from galen_gravcomp.evaluate.residual_decomposition import Limits, decompose, find_change
-from galen_gravcomp.evaluate.verdict import Verdict, judge
+from galen_gravcomp.evaluate.residual_decomposition import decompose, find_change
+from galen_gravcomp.evaluate.verdict import judge
 from galen_model.arm.galen import SENSOR
+from galen_model.evidence.verdict import Cause, Limits
 from galen_model.rest.binned import StillPhases
 from gravcomp_bags import START_NS, tool_file
 
@@ -35,7 +36,8 @@ def phases(true, tool, count=20, *, seed=1, noise=1.0, angles=None, every_s=5.0,
 def told(found, tool):
     change = find_change(found, tool, LIMITS)
     parts = None if change else decompose(found, tool)
-    return judge(found, parts, change, tool, LIMITS, moving=NOWHERE, start_ns=START_NS)
+    verdict = judge(found, parts, change, tool, LIMITS, moving=NOWHERE, start_ns=START_NS)
+    return verdict.cause, verdict.text
 
 
 def alternating(count, size, axis):
@@ -112,21 +114,21 @@ def test_adapter_and_tool_off_is_not_less_than_nothing():
     tool = tool_file()
     bare = tool_file(mass_kg=-0.1, com_m=(0.0, 0.0, 0.02))
     verdict, sentence = told(phases(bare, tool, 30), tool)
-    assert verdict is Verdict.LOAD
+    assert verdict is Cause.LOAD
     assert sentence.endswith("(no tool on it?)")
 
 
 @pytest.mark.parametrize(
     ("offset", "rest", "verdict"),
     [
-        (0.12, 0.02, Verdict.OFFSET),
-        (0.12, 0.045, Verdict.OFFSET),
+        (0.12, 0.02, Cause.OFFSET),
+        (0.12, 0.045, Cause.OFFSET),
         # taken off, more than half would be left
-        (0.04, 0.04, Verdict.UNEXPLAINED),
+        (0.04, 0.04, Cause.UNEXPLAINED),
         # taken off, it would still not fit
-        (0.18, 0.09, Verdict.UNEXPLAINED),
+        (0.18, 0.09, Cause.UNEXPLAINED),
         # nor here, but by far the most is the offset
-        (1.0, 0.09, Verdict.OFFSET),
+        (1.0, 0.09, Cause.OFFSET),
     ],
 )
 def test_what_would_not_fix_it_is_not_the_reason(offset, rest, verdict):
@@ -135,9 +137,9 @@ def test_what_would_not_fix_it_is_not_the_reason(offset, rest, verdict):
     left[:, 0] += offset
     found, sentence = told(phases(tool, tool, 30, left=left), tool)
     assert found is verdict
-    besides = rest > 0.025 and verdict is Verdict.OFFSET
+    besides = rest > 0.025 and verdict is Cause.OFFSET
     assert ("besides, 0.0" in sentence) == besides
-    assert ("which a tare subtracts" in sentence) == (verdict is Verdict.OFFSET and not besides)
+    assert ("which a tare subtracts" in sentence) == (verdict is Cause.OFFSET and not besides)
 
 
 def test_a_phase_that_is_out_by_nothing_that_matters_is_not_worth_a_word():
@@ -156,5 +158,5 @@ def test_a_torque_s_drift_is_in_mnm_an_hour():
     left = np.zeros((30, 6))
     left[:, 4] = 0.2 * (np.arange(30) - 14.5) * 5.0 / 3600.0
     verdict, sentence = told(phases(tool, tool, 30, left=left), tool)
-    assert verdict is Verdict.DRIFT
+    assert verdict is Cause.DRIFT
     assert 190.0 < float(sentence.split("here by +")[1].split(" mN.m/h")[0]) < 210.0

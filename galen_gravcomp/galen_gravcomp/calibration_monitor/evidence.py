@@ -13,7 +13,7 @@ y parts of gravity's unit vector u^ (the contract's `loose_tool`), times its mas
 
 Every explanation allows all of it by a normal prior, and differs only in how wide: where the file
 fits, d is as uncertain as the calibration's covariance, and b within an allowance for bias drift;
-with another load d is wide, and so on. `UNKNOWN` allows an error at each stop of its own. The
+with another load d is wide, and so on. `UNEXPLAINED` allows an error at each stop of its own. The
 likelihood of an explanation is then the density of all r_k with the parameters integrated out
 (Kass and Raftery, *J. Am. Stat. Assoc.* 90, 1995), so that a wide prior costs what it should, also
 for one stop. Any stop may have been touched: its r_k is then a force of newtons in any direction,
@@ -29,7 +29,6 @@ from __future__ import annotations
 
 from collections.abc import Generator
 from dataclasses import dataclass
-from enum import Enum
 
 import numpy as np
 from galen_model.arm.galen import GRAVITY_M_S2
@@ -45,6 +44,7 @@ from galen_model.evidence.linear import (
     log_evidence,
     posterior,
 )
+from galen_model.evidence.verdict import Cause
 from galen_model.files.calibration_file import CalibrationFile
 
 _LOAD, _OFFSET, _DRIFT, _SAG = slice(0, 4), slice(4, 10), slice(10, 16), 16
@@ -52,17 +52,7 @@ _COUNT = 17
 _LOOKS = 5
 
 
-class Explanation(Enum):
-    """What the stops may say."""
-
-    FITS = "fits"
-    LOAD = "load"
-    DRIFT = "drift"
-    LOOSE = "loose_tool"
-    UNKNOWN = "unknown"
-
-
-EXPLANATIONS = tuple(Explanation)
+EXPLANATIONS = (Cause.FITS, Cause.LOAD, Cause.DRIFT, Cause.LOOSE_TOOL, Cause.UNEXPLAINED)
 
 
 def _axes(force_n: float, torque_nm: float) -> Array:
@@ -118,7 +108,7 @@ class Judgement:
     the explanation takes off, N and N.m.
     """
 
-    explanation: Explanation
+    explanation: Cause
     log_odds: float
     values: Array
     covariance: Array
@@ -146,14 +136,14 @@ class FitEvidence:
         wrong_load = 1.0 / np.array([_WRONG_MASS_KG, *[_WRONG_MOMENT_KGM] * 3]) ** 2
         precision = np.zeros((len(EXPLANATIONS), _COUNT, _COUNT))
         for k, what in enumerate(EXPLANATIONS):
-            wide = what is Explanation.DRIFT
-            load = what is Explanation.LOAD
+            wide = what is Cause.DRIFT
+            load = what is Cause.LOAD
             precision[k, _LOAD, _LOAD] = np.diag(wrong_load) if load else np.linalg.inv(known)
             offset = _WRONG_OFFSET if wide else _ALLOWED_OFFSET
             drift = _WRONG_DRIFT_PER_H if wide else _ALLOWED_DRIFT_PER_H
             precision[k, _OFFSET, _OFFSET] = np.diag(1.0 / offset**2)
             precision[k, _DRIFT, _DRIFT] = np.diag(1.0 / drift**2)
-            precision[k, _SAG, _SAG] = sag if what is Explanation.LOOSE else tight
+            precision[k, _SAG, _SAG] = sag if what is Cause.LOOSE_TOOL else tight
         self._prior = Prior.of_precision(precision)
 
     def design(self, stops: Stops) -> Array:
@@ -201,10 +191,10 @@ class FitEvidence:
         return distance(rest, spread), log_density(rest, spread)
 
     def _noise(self, k: int, variance: Array) -> Array:
-        unknown = EXPLANATIONS[k] is Explanation.UNKNOWN
+        unknown = EXPLANATIONS[k] is Cause.UNEXPLAINED
         return variance + _WRONG_STOP**2 if unknown else variance
 
-    def log_density_of(self, explanation: Explanation, stops: Stops) -> float:
+    def log_density_of(self, explanation: Cause, stops: Stops) -> float:
         """Log density of all means together under an explanation, none of them touched."""
         k = EXPLANATIONS.index(explanation)
         own = self._noise(k, self.variance(stops))[None]
@@ -243,7 +233,7 @@ class FitEvidence:
         found = posterior(_counted(of_each, best_free), self._prior)
         value, covariance, free = found.values[k], found.covariance[k], best_free[k]
         std = np.sqrt(np.diag(covariance))
-        unknown = EXPLANATIONS[k] is Explanation.UNKNOWN
+        unknown = EXPLANATIONS[k] is Cause.UNEXPLAINED
         explained = stops.mean[free] if unknown else design[free] @ value
         beyond = np.zeros(6) if not free.any() else np.sqrt(np.mean(explained**2, axis=0))
         return Judgement(

@@ -56,7 +56,7 @@ class BiasDriftModel:
     rate_per_s: fastest learning. 0.9 N/h in 60 s is 0.015 N, below the 0.02 N that a push of a
     minute may change at most though every other test failed. walk_per_sqrt_s: density of the
     random walk, 0.05 N in an hour; load_std (4,): kg and kg.m, and pose_std: together the 0.05 N
-    and 2 mN.m up to which a file fits (`galen_gravcomp.evaluate.residual_decomposition.Limits`);
+    and 2 mN.m up to which a file fits (`galen_model.evidence.verdict.Limits`);
     start_std: of b, when nothing was tared; floor: see above; longest_std: bound of b's standard
     deviation.
     """

@@ -17,6 +17,7 @@ from galen_bags.arrays.arm_recording import ArmBlock, ArmReader, ArmTopics
 from galen_bags.arrays.stamp_check import StampCheck, StampReport
 from galen_bags.formats.bag import Bag, open_bag
 from galen_model.arrays import Array
+from galen_model.evidence.verdict import Cause, Limits, Verdict
 from galen_model.files.calibration_file import CalibrationFile
 from galen_model.rest.binned import StillCellSettings, StillPhases, find_still_phases
 from galen_model.rest.time_bins import CELL_S, CellReducer, Cells
@@ -29,14 +30,13 @@ from galen_gravcomp.corrections.motion_window import MotionSettings
 from galen_gravcomp.corrections.stages import Stages
 from galen_gravcomp.evaluate.channel_check import ChannelCheck, ChannelReport
 from galen_gravcomp.evaluate.residual_decomposition import (
-    Limits,
     LoadChange,
     ResidualParts,
     decompose,
     find_change,
     rms,
 )
-from galen_gravcomp.evaluate.verdict import Verdict, judge
+from galen_gravcomp.evaluate.verdict import judge
 
 # Slower sensors get longer cells, so that a cell holds a few readings.
 _READINGS_A_CELL = 5
@@ -101,7 +101,6 @@ class BagEvaluation:
     change: LoadChange | None
     limits: Limits
     verdict: Verdict
-    sentence: str
     motion: str = ""
 
     @property
@@ -216,7 +215,7 @@ class _Run:
         change = find_change(phases, self._tool, limits)
         # One load for both sides of a change fits neither.
         parts = decompose(phases, self._tool, stamps_jump=stamps_jump) if change is None else None
-        verdict, sentence = judge(
+        verdict = judge(
             phases,
             parts,
             change,
@@ -227,7 +226,7 @@ class _Run:
             stamps_jump=stamps_jump,
         )
         if doubt := self._doubt():
-            verdict, sentence = Verdict.UNKNOWN, doubt
+            verdict = Verdict(Cause.UNKNOWN, doubt)
         compensator = self._compensator
         first, last = self._span or (0, 0)
         return BagEvaluation(
@@ -254,7 +253,6 @@ class _Run:
             change=change,
             limits=limits,
             verdict=verdict,
-            sentence=sentence,
             motion="" if self._settings.motion is None else inertia_source(self._tool),
         )
 

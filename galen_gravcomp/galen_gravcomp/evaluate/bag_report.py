@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from galen_bags.arrays.stamp_check import StampReport
 from galen_model.arm.galen import WRENCH_AXES
+from galen_model.evidence.verdict import Cause
 from galen_ros.stream.results import Notice
 from rich.console import Console
 from rich.table import Table
@@ -25,25 +26,24 @@ from galen_gravcomp.evaluate.report import (
     table,
 )
 from galen_gravcomp.evaluate.residual_decomposition import ResidualParts
-from galen_gravcomp.evaluate.verdict import Verdict
 
 _WORST = 5
 _EVENTS = 5
 _RUNS = ("frozen", "stuck", "saturated")
-_VERDICT_STYLE = {Verdict.FITS: "bold green", Verdict.UNKNOWN: "bold yellow"}
+_STYLES = {Cause.FITS.word: "bold green", Cause.UNKNOWN.word: "bold yellow"}
 
 
 def report(result: BagEvaluation) -> Report:
     """Make the report of one bag; its picture is written by the job."""
     tool = result.tool
-    style = _VERDICT_STYLE.get(result.verdict, "bold red")
+    style = _STYLES.get(result.verdict.cause.word, "bold red")
     shown: list[str | Table] = [
         f"[bold]{result.path}[/bold]: {result.duration_s:.1f} s, tool {tool.tool}"
         f" ({1e3 * tool.load.mass_kg:.1f} g, calibrated {tool.calibrated_at})"
     ]
     if result.motion:
         shown.append(f"Inertial forces are subtracted, with the inertia: {result.motion}")
-    shown += [f"[{style}]{result.sentence}[/{style}]", _rmse_table(result)]
+    shown += [f"[{style}]{result.verdict.text}[/{style}]", _rmse_table(result)]
     if result.parts is not None:
         shown += [_parts_table(result.parts), *_parts_lines(result.parts)]
     if len(result.phases):
@@ -98,8 +98,8 @@ def to_dict(result: BagEvaluation) -> dict[str, Any]:
         "bag": str(result.path),
         "tool": result.tool.tool,
         "motion": result.motion or None,
-        "verdict": result.verdict.value,
-        "sentence": result.sentence,
+        "verdict": result.verdict.cause.word,
+        "sentence": result.verdict.text,
         "duration_s": result.duration_s,
         "topics": {"joint_states": result.topics[0], "wrench_raw": result.topics[1]},
         "wrenches": {
@@ -158,8 +158,7 @@ def print_overview(rows: list[dict[str, Any]], console: Console) -> None:
         if "error" in row:
             made.add_row(name, *("-",) * 6, "[bold red]broken[/bold red]", "-")
             continue
-        verdict = Verdict(row["verdict"])
-        style = _VERDICT_STYLE.get(verdict, "bold red")
+        style = _STYLES.get(row["verdict"], "bold red")
         received = row["wrenches"]["received"]
         out = 100.0 * row["wrenches"]["compensated"] / received if received else 0.0
         made.add_row(
@@ -170,14 +169,14 @@ def print_overview(rows: list[dict[str, Any]], console: Console) -> None:
             _largest(row["rmse"]["still_phases"], WRENCH_AXES[3:], 1e3, 2),
             _largest(row["rmse"]["moving"], WRENCH_AXES[:3], 1.0, 3),
             _drift(row["residual_decomposition"]),
-            f"[{style}]{verdict.value}[/{style}]",
+            f"[{style}]{row['verdict']}[/{style}]",
             str(len(row["findings"])),
         )
     console.print(made)
     for name, row in zip(names, rows, strict=True):
         if "error" in row:
             console.print(f"[red]{row['error']}[/red]", soft_wrap=True, highlight=False)
-        elif row["verdict"] != Verdict.FITS.value:
+        elif row["verdict"] != Cause.FITS.word:
             console.print(f"{name}: {row['sentence']}", soft_wrap=True, highlight=False)
 
 

@@ -16,6 +16,7 @@ from galen_bags.many.inputs import distinct_names
 from galen_bags.many.run import run_many
 from galen_model.arm.galen import GRAVITY_M_S2, JOINT_NAMES
 from galen_model.errors import CalibrationFileError, IdentificationError
+from galen_model.evidence.verdict import Limits
 from galen_model.files.calibration_file import calibration_path, read_calibration, write_calibration
 from galen_model.load.mounting.mounting import entities
 from galen_ros.command import (
@@ -47,7 +48,6 @@ from galen_gravcomp.evaluate.drift.result import judge_drift
 from galen_gravcomp.evaluate.drift.result import report as drift_report
 from galen_gravcomp.evaluate.drift.series import CELL_S, TEXT_SUFFIXES, read_series
 from galen_gravcomp.evaluate.report import Report
-from galen_gravcomp.evaluate.residual_decomposition import Limits
 from galen_gravcomp.evaluate.table.calibration_file import tool_from_table
 from galen_gravcomp.evaluate.table.cross_validation import TableMounting
 from galen_gravcomp.evaluate.table.evaluation import evaluate_table

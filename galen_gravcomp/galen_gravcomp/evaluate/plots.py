@@ -38,7 +38,7 @@ def plot_evaluation(result: BagEvaluation, directory: Path, name: str) -> Path:
     _poses(figure.add_subplot(grid[2, 0]), result, slice(0, 3), 1.0, "force, N")
     _poses(figure.add_subplot(grid[2, 1]), result, slice(3, 6), 1e3, "torque, mN.m")
     _parts(figure.add_subplot(grid[2, 2]), result)
-    figure.suptitle(f"{name}, {result.tool.tool}: {fill(result.sentence, 90)}")
+    figure.suptitle(f"{name}, {result.tool.tool}: {fill(result.verdict.text, 90)}")
     figure.tight_layout()
     return save_figure(figure, directory / f"{name}_evaluation.png")
 

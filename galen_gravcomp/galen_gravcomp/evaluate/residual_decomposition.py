@@ -23,6 +23,7 @@ from galen_model.arm.kinematics import gravity_in_sensor
 from galen_model.arrays import Array
 from galen_model.distributions import chi2_sf
 from galen_model.errors import IdentificationError, NotExcitedError
+from galen_model.evidence.verdict import Limits
 from galen_model.files.calibration_file import CalibrationFile
 from galen_model.load.excitation import LOAD_PARAMETERS, check_excitation
 from galen_model.load.model import gravity_regressor
@@ -36,19 +37,6 @@ _SHORTEST_DRIFT_S = 30.0
 _SIGNIFICANT = 1e-3
 _FEWEST_A_SIDE = 6
 _CHANGE = 5.0
-
-
-@dataclass(frozen=True)
-class Limits:
-    """Residuals up to which a file fits: each axis' RMSE of the still phases' means."""
-
-    force_n: float = 0.05
-    torque_nm: float = 0.002
-
-    @property
-    def axes(self) -> Array:
-        """By axis (6,), N and N.m."""
-        return np.repeat([self.force_n, self.torque_nm], 3)
 
 
 @dataclass(frozen=True)

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-from enum import Enum
-
 import numpy as np
 from galen_model.arm.galen import WRENCH_AXES
 from galen_model.arrays import Array
+from galen_model.evidence.verdict import Cause, Limits, Verdict
 from galen_model.files.calibration_file import CalibrationFile
 from galen_model.rest.binned import StillPhases
 
 from galen_gravcomp.evaluate.residual_decomposition import (
-    Limits,
     LoadChange,
     ResidualParts,
     decompose,
@@ -30,18 +28,6 @@ _NO_LOAD = 0.05
 _SURE = 5.0
 
 
-class Verdict(Enum):
-    """Whether the tool's file still fits the recording, and what would fix it."""
-
-    FITS = "fits"
-    OFFSET = "offset"
-    DRIFT = "drift"
-    LOAD = "load"
-    CHANGED = "changed"
-    UNEXPLAINED = "unexplained"
-    UNKNOWN = "unknown"
-
-
 def judge(
     phases: StillPhases,
     parts: ResidualParts | None,
@@ -52,8 +38,8 @@ def judge(
     moving: Array,
     start_ns: int,
     stamps_jump: bool = False,
-) -> tuple[Verdict, str]:
-    """Return the verdict and a sentence, with times from `start_ns` on.
+) -> Verdict:
+    """Return the verdict, with times from `start_ns` on.
 
     `moving` (6,): RMSE of the cells' means in motion. Without a still phase a small one is a fit
     as well; a large one may be inertial forces.
@@ -63,7 +49,7 @@ def judge(
     if change is not None:
         sides = (slice(change.first_after), slice(change.first_after, None))
         before, after = (
-            _judge_still(side, decompose(side, tool, stamps_jump=stamps_jump), tool, limits)[1]
+            _judge_still(side, decompose(side, tool, stamps_jump=stamps_jump), tool, limits).text
             for side in (phases.part(rows) for rows in sides)
         )
         time_s = (change.time_ns - start_ns) * 1e-9
@@ -72,33 +58,31 @@ def judge(
             axis, _, size = _worst(np.abs(change.offset_step), limits)
             sign = "-" if change.offset_step[axis] < 0.0 else "+"
             what = f"the reading's offset jumps by {sign}{size}"
-        return Verdict.CHANGED, f"{what} at {time_s:.1f} s. Before: {before}. After: {after}"
+        return Verdict(Cause.CHANGED, f"{what} at {time_s:.1f} s. Before: {before}. After: {after}")
     return _judge_still(phases, parts, tool, limits)
 
 
-def _judge_motion(limits: Limits, moving: Array) -> tuple[Verdict, str]:
+def _judge_motion(limits: Limits, moving: Array) -> Verdict:
     none = "no rest segment in it"
     if not np.all(np.isfinite(moving)):
-        return Verdict.UNKNOWN, f"{none}: nothing can be said of the file's fit"
+        return Verdict(Cause.UNKNOWN, f"{none}: nothing can be said of the file's fit")
     _, ratio, size = _worst(moving, limits)
     if ratio <= 1.0:
-        return Verdict.FITS, f"the file fits in motion, to {size}; {none}"
-    return (
-        Verdict.UNKNOWN,
-        f"the residual in motion is {size}, which may be inertial forces; {none}",
-    )
+        return Verdict(Cause.FITS, f"the file fits in motion, to {size}; {none}")
+    text = f"the residual in motion is {size}, which may be inertial forces; {none}"
+    return Verdict(Cause.UNKNOWN, text)
 
 
 def _judge_still(
     phases: StillPhases, parts: ResidualParts | None, tool: CalibrationFile, limits: Limits
-) -> tuple[Verdict, str]:
+) -> Verdict:
     if parts is None:
         _, ratio, size = _worst(rms(phases.mean), limits)
         plural = "" if len(phases) == 1 else "s"
         few = f"only {len(phases)} rest segment{plural}, too few to decompose it"
         if ratio <= 1.0:
-            return Verdict.FITS, f"the file fits, to {size}; {few}"
-        return Verdict.UNKNOWN, f"the residual is {size}; {few}"
+            return Verdict(Cause.FITS, f"the file fits, to {size}; {few}")
+        return Verdict(Cause.UNKNOWN, f"the residual is {size}; {few}")
     total = rms(phases.mean[parts.used])
     worst, ratio, size = _worst(total, limits)
     notes = ""
@@ -109,39 +93,39 @@ def _judge_still(
         plural = "an outlier" if outside == 1 else "outliers"
         notes = f"; {outside} of {len(phases)} rest segments: {plural} (contact? see the worst)"
     unexplained = _unexplained(phases, parts, limits)
-    verdict = _reason(parts, worst, float(total[worst]), ratio, limits)
-    why = _in_words(verdict, parts, worst, tool, unexplained, limits)
+    cause = _reason(parts, worst, float(total[worst]), ratio, limits)
+    why = _in_words(cause, parts, worst, tool, unexplained, limits)
     if ratio <= 1.0:
-        if verdict is not Verdict.UNEXPLAINED and ratio > _WORTH_SAYING:
+        if cause is not Cause.UNEXPLAINED and ratio > _WORTH_SAYING:
             notes = f", most of it {why}{notes}"
-        return Verdict.FITS, f"the file fits, to {size}{notes}"
-    return verdict, f"the residual is {size}: {why}{notes}"
+        return Verdict(Cause.FITS, f"the file fits, to {size}{notes}")
+    return Verdict(cause, f"the residual is {size}: {why}{notes}")
 
 
-def _reason(parts: ResidualParts, axis: int, total: float, ratio: float, limits: Limits) -> Verdict:
+def _reason(parts: ResidualParts, axis: int, total: float, ratio: float, limits: Limits) -> Cause:
     """The largest part in `axis`, if the parts together explain enough of `total` there."""
-    by_verdict = {
-        Verdict.OFFSET: parts.offset,
-        Verdict.DRIFT: parts.drift,
-        Verdict.LOAD: parts.load,
+    by_cause = {
+        Cause.OFFSET: parts.offset,
+        Cause.DRIFT: parts.drift,
+        Cause.LOAD: parts.load,
     }
     sizes = {
-        verdict: float(part[axis])
-        for verdict, part in by_verdict.items()
-        if part is not None and verdict.value in parts.significant
+        cause: float(part[axis])
+        for cause, part in by_cause.items()
+        if part is not None and cause.word in parts.significant
     }
     rest = _worst(parts.rest, limits)[1]
     beyond = rest > 1.0 and rest * _WORTH_BEYOND > ratio
     # A drift that began at zero has a mean 1.7 times as large as what it scatters by.
-    if 2.0 * sizes.get(Verdict.DRIFT, 0.0) > sizes.get(Verdict.OFFSET, 0.0):
-        sizes.pop(Verdict.OFFSET, None)
+    if 2.0 * sizes.get(Cause.DRIFT, 0.0) > sizes.get(Cause.OFFSET, 0.0):
+        sizes.pop(Cause.OFFSET, None)
     if not sizes or parts.rest[axis] * _WORTH > total or beyond:
-        return Verdict.UNEXPLAINED
-    return max(sizes, key=lambda verdict: sizes[verdict])
+        return Cause.UNEXPLAINED
+    return max(sizes, key=lambda cause: sizes[cause])
 
 
 def _in_words(
-    verdict: Verdict,
+    cause: Cause,
     parts: ResidualParts,
     axis: int,
     tool: CalibrationFile,
@@ -149,14 +133,14 @@ def _in_words(
     limits: Limits,
 ) -> str:
     others = "a cable, a loose tool, wrong angles, contact?"
-    if verdict is Verdict.UNEXPLAINED:
+    if cause is Cause.UNEXPLAINED:
         rest = _worst(parts.rest, limits)[2]
         return f"load, offset and drift leave {rest} unexplained ({others})"
     besides = f"; besides, {unexplained} stays unexplained ({others})"
     hint = ""
-    if verdict is Verdict.LOAD:
+    if cause is Cause.LOAD:
         text, hint = _load_in_words(parts, tool)
-    elif verdict is Verdict.OFFSET:
+    elif cause is Cause.OFFSET:
         text = "a constant offset"
         if not parts.why_no_load and not parts.why_no_drift:
             hint = ", which a tare subtracts"

@@ -9,13 +9,13 @@ from typing import Any
 import numpy as np
 from galen_model.arm.galen import WRENCH_AXES
 from galen_model.arrays import Array
+from galen_model.evidence.verdict import Limits
 from rich.table import Table
 
 from galen_gravcomp.evaluate.drift.allan import Allan, allan_deviation
 from galen_gravcomp.evaluate.drift.forecast import HorizonScore, cell_for, score_forecasts
 from galen_gravcomp.evaluate.drift.series import DriftSeries
 from galen_gravcomp.evaluate.report import Report, table
-from galen_gravcomp.evaluate.residual_decomposition import Limits
 
 GROUPS = {"force": slice(0, 3), "torque": slice(3, 6)}
 _UNIT = {"force": (1.0, "N"), "torque": (1e3, "mN.m")}

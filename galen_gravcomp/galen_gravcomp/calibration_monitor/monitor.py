@@ -26,15 +26,20 @@ from itertools import islice
 import numpy as np
 from galen_model.arrays import Array
 from galen_model.distributions import chi2_ppf
+from galen_model.evidence.verdict import (
+    MESSAGES,
+    Cause,
+    Limits,
+    Verdict,
+    load_text,
+    wrench_text,
+)
 from galen_model.files.calibration_file import CalibrationFile
 from galen_model.rest.windows import StillWindows
 
-from galen_gravcomp.calibration_monitor import words
-from galen_gravcomp.calibration_monitor.evidence import Explanation, FitEvidence, Judgement
+from galen_gravcomp.calibration_monitor.evidence import FitEvidence, Judgement
 from galen_gravcomp.calibration_monitor.pull import log_density_of_pull, log_odds_of_pull
 from galen_gravcomp.calibration_monitor.rest_segments import REMEMBERED, Stop, StopMemory, as_arrays
-from galen_gravcomp.calibration_monitor.words import FitNotice, FitState
-from galen_gravcomp.evaluate.residual_decomposition import Limits
 
 _NEWEST = 4
 _LONE_S = 15.0
@@ -42,16 +47,16 @@ _SURE = 9.2  # a factor of ten thousand
 _CONTRADICTION = 4.6  # of a hundred
 _FITS = float(chi2_ppf(0.999, 6))
 _FEWEST = {
-    Explanation.LOAD: 2,
-    Explanation.DRIFT: 3,
-    Explanation.LOOSE: 4,
-    Explanation.UNKNOWN: 6,
+    Cause.LOAD: 2,
+    Cause.DRIFT: 3,
+    Cause.LOOSE_TOOL: 4,
+    Cause.UNEXPLAINED: 6,
 }
-_NOT_JUDGED = FitState(FitNotice.NOT_JUDGED)
+_NOT_JUDGED = Verdict(Cause.UNKNOWN)
 
 
-class GravityFitWatch:
-    """A `galen_gravcomp.corrections.stages.FitWatch`."""
+class CalibrationMonitor:
+    """Judges a calibration by the rest segments of what goes out."""
 
     def __init__(self, limits: Limits | None = None) -> None:
         self._limits = limits or Limits()
@@ -62,23 +67,23 @@ class GravityFitWatch:
         self._forget()
 
     @property
-    def state(self) -> FitState:
+    def verdict(self) -> Verdict:
         """What it says now."""
-        return self._state
+        return self._verdict
 
     @property
     def trouble(self) -> str:
         """Why the file seems not to fit, empty while nothing says so."""
-        return self._state.sentence
+        return self._verdict.text
 
     def values(self) -> dict[str, object]:
         """What it says, for /diagnostics."""
-        state = self._state
+        verdict = self._verdict
         return {
-            "fit": state.notice.value,
-            "fit_reason": "" if state.reason is None else state.reason.value,
-            "fit_stops": state.stops,
-            "fit_log_odds": state.log_odds,
+            "fit": verdict.fits,
+            "fit_reason": verdict.cause.word if verdict.text else "",
+            "fit_stops": verdict.blocks,
+            "fit_log_odds": verdict.log_odds,
         }
 
     # Samples
@@ -127,7 +132,7 @@ class GravityFitWatch:
 
     def _forget(self) -> None:
         self._memory = StopMemory()
-        self._state = _NOT_JUDGED
+        self._verdict = _NOT_JUDGED
         self._judgement: Judgement | None = None
         self._work = iter(())
 
@@ -155,14 +160,14 @@ class GravityFitWatch:
         yield
         found = yield from self._likeliest()
         if found is not None:
-            self._judgement, self._state = found
-        elif newest.fits or self._state.notice is FitNotice.DOES_NOT_FIT:
+            self._judgement, self._verdict = found
+        elif newest.fits or self._verdict.text:
             self._judgement = None
-            self._state = FitState(FitNotice.FITS, stops=len(self._memory.stops))
+            self._verdict = Verdict(Cause.FITS, blocks=len(self._memory.stops))
 
     def _drop_contradicted(self, newest: Stop) -> None:
         """Drop what is older than stops that fit, where what was said foretold otherwise."""
-        if not newest.fits or self._state.notice is not FitNotice.DOES_NOT_FIT:
+        if not newest.fits or not self._verdict.text:
             return
         judgement = self._judgement
         if judgement is None:  # a contact, which is over
@@ -170,7 +175,7 @@ class GravityFitWatch:
             return
         assert self._evidence is not None
         # An error of its own at each stop forbids no stop that fits, but makes several unlikely.
-        count = _NEWEST if judgement.explanation is Explanation.UNKNOWN else 1
+        count = _NEWEST if judgement.explanation is Cause.UNEXPLAINED else 1
         against = list(self._memory.stops)[-count:]
         odds = self._evidence.log_contradiction(as_arrays(against), judgement)
         if all(stop.fits for stop in against) and odds.sum() > _CONTRADICTION:
@@ -178,7 +183,7 @@ class GravityFitWatch:
 
     def _likeliest(
         self,
-    ) -> Generator[None, None, tuple[Judgement | None, FitState] | None]:
+    ) -> Generator[None, None, tuple[Judgement | None, Verdict] | None]:
         """What is wrong, if something is: by the fewest of the newest stops that tell of it."""
         assert self._evidence is not None and self._tool is not None
         stops = self._judged
@@ -202,12 +207,12 @@ class GravityFitWatch:
                     judgement, some = whole, kept
                 yield
                 pulled = self._may_be_pulled(judgement, some)
-                return judgement, words.misfit(judgement, self._tool, self._limits, pulled)
+                return judgement, _said(judgement, self._tool, self._limits, pulled)
             if len(some) < count:
                 break
             yield
         if lone and newest.log_touched > _SURE:
-            return None, words.contact(newest.mean, newest.lasts_s, newest.log_touched)
+            return None, _contact(newest)
         return None
 
     @property
@@ -218,7 +223,7 @@ class GravityFitWatch:
         """Drop stops before `some` that fit and so contradict what is said now: it is new."""
         assert self._evidence is not None
         others = [stop for stop in self._memory.stops if stop not in some]
-        if not others or judgement.explanation is Explanation.UNKNOWN:
+        if not others or judgement.explanation is Cause.UNEXPLAINED:
             return
         odds = self._evidence.log_contradiction(as_arrays(others), judgement)
         kept = [
@@ -230,9 +235,9 @@ class GravityFitWatch:
 
     def _worth_saying(self, judgement: Judgement, stops: list[Stop]) -> bool:
         what = judgement.explanation
-        if what is Explanation.FITS or judgement.log_odds < _SURE:
+        if what is Cause.FITS or judgement.log_odds < _SURE:
             return False
-        if what is Explanation.UNKNOWN and len(stops) <= _NEWEST:
+        if what is Cause.UNEXPLAINED and len(stops) <= _NEWEST:
             return False
         if np.all(judgement.beyond <= self._limits.axes):
             return False
@@ -241,19 +246,19 @@ class GravityFitWatch:
             return False
         # Stops that fit were before it; those that nothing explains were pushes, as more may be.
         pushes = sum(not stop.fits for stop in stops if stop not in counted)
-        if what is Explanation.UNKNOWN:
+        if what is Cause.UNEXPLAINED:
             return self._is_of_the_pose(counted, len(stops))
         if len(counted) >= _FEWEST[what] + pushes:
             return True
         lone = counted[-1].lasts_s >= _LONE_S
-        crept = what is Explanation.DRIFT and counted[-1].fitted
-        return crept or (lone and what is Explanation.LOAD)
+        crept = what is Cause.DRIFT and counted[-1].fitted
+        return crept or (lone and what is Cause.LOAD)
 
     def _is_of_the_pose(self, counted: list[Stop], of: int) -> bool:
         """Whether errors of each stop's own can't be pushes, which look like that as well."""
         assert self._evidence is not None
         counted = [stop for stop in counted if not stop.stepped]
-        if len(counted) < _FEWEST[Explanation.UNKNOWN] or 2 * len(counted) < of:
+        if len(counted) < _FEWEST[Cause.UNEXPLAINED] or 2 * len(counted) < of:
             return False
         arrays = as_arrays(counted)
         return log_odds_of_pull(arrays, self._evidence.variance(arrays)) > _SURE
@@ -269,3 +274,42 @@ class GravityFitWatch:
 
 def _counted(judgement: Judgement, stops: list[Stop]) -> list[Stop]:
     return [stop for stop, out in zip(stops, judgement.touched, strict=True) if not out]
+
+
+def _said(judgement: Judgement, tool: CalibrationFile, limits: Limits, pulled: bool) -> Verdict:
+    """What a judgement says; pulled: a cable's pull may look like that, too."""
+    cause, details = judgement.explanation, ""
+    if cause is Cause.LOAD:
+        cause, details = _load(judgement, tool)
+    elif cause is Cause.DRIFT:
+        details = wrench_text(judgement.offset)
+    elif cause is Cause.LOOSE_TOOL:
+        details = f"its centre shifts with gravity by {1e3 * abs(judgement.shift_m):.1f} mm"
+    why = MESSAGES[cause].text(details)
+    if pulled and cause is not Cause.UNEXPLAINED:
+        why += "; or a cable that pulls, which looks the same at these poses"
+    count = int(np.count_nonzero(~judgement.touched))
+    plural = "" if count == 1 else "s"
+    size = limits.worst(judgement.beyond)
+    text = f"its file does not fit, {size} too much in {count} rest segment{plural}: {why}"
+    return Verdict(cause, text, count, judgement.log_odds)
+
+
+def _load(judgement: Judgement, tool: CalibrationFile) -> tuple[Cause, str]:
+    more, std = float(judgement.load[0]), float(judgement.load_std[0])
+    own = float(tool.load.mass_kg)
+    if abs(own + more) < max(3.0 * std, 0.1 * own):
+        return Cause.NO_TOOL, load_text(more, std)
+    if own + more <= 0.0:
+        return Cause.LOAD, load_text(more, std)
+    centre = (own * tool.load.com_m + judgement.load[1:]) / (own + more)
+    return Cause.LOAD, load_text(more, std, centre - tool.load.com_m)
+
+
+def _contact(stop: Stop) -> Verdict:
+    """A lone stop's wrench that is neither a load's nor a hand's."""
+    details = (
+        f"{wrench_text(stop.mean)} for {stop.lasts_s:.0f} s without a tremble, and not along"
+        " gravity: a collision, or something that leans on the tool"
+    )
+    return Verdict(Cause.CONTACT, MESSAGES[Cause.CONTACT].text(details), 1, stop.log_touched)

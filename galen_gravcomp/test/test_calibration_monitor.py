@@ -5,13 +5,13 @@ from itertools import product
 import numpy as np
 import pytest
 from galen_gravcomp.calibration_monitor import pull as fit_pull
-from galen_gravcomp.calibration_monitor.evidence import Explanation, FitEvidence, Stops
-from galen_gravcomp.calibration_monitor.watch import GravityFitWatch
-from galen_gravcomp.calibration_monitor.words import FitNotice, Misfit
+from galen_gravcomp.calibration_monitor.evidence import FitEvidence, Stops
+from galen_gravcomp.calibration_monitor.monitor import CalibrationMonitor
 from galen_gravcomp.compensator import Compensator
 from galen_gravcomp.corrections.stages import Stages
 from galen_gravcomp.monitor import Monitor
 from galen_model.arm.kinematics import gravity_in_sensor
+from galen_model.evidence.verdict import Cause
 from galen_model.load.model import Load
 from galen_ros.stream.monitor import Severity
 from scipy.stats import multivariate_normal, norm
@@ -19,27 +19,27 @@ from untouched_arm import NO_TOOL, POINTER, RETRACTOR, START_NS, UntouchedArm, p
 
 
 class Watched:
-    """A watch with every state that it had: (time, notice, reason)."""
+    """A monitor with every verdict that it had: (time, cause)."""
 
     def __init__(self, **arm):
-        self.watch = GravityFitWatch()
+        self.watch = CalibrationMonitor()
         self.states = []
         self.arm = UntouchedArm(self._take, **arm)
         self.watch.set_tool(self.arm.file)
 
     def _take(self, stamp_ns, roll, tilt, wrench):
         self.watch.push(stamp_ns, roll, tilt, wrench)
-        state = self.watch.state
-        if not self.states or self.states[-1][1:] != (state.notice, state.reason):
-            self.states.append((self.arm.time_s, state.notice, state.reason))
+        cause = self.watch.verdict.cause
+        if not self.states or self.states[-1][1] != cause:
+            self.states.append((self.arm.time_s, cause))
 
     @property
     def now(self):
-        return self.watch.state.notice, self.watch.state.reason
+        return self.watch.verdict.cause
 
     @property
     def warnings(self):
-        return [state for state in self.states if state[1] is FitNotice.DOES_NOT_FIT]
+        return [state for state in self.states if state[1] not in (Cause.UNKNOWN, Cause.FITS)]
 
 
 def judged(evidence, stops):
@@ -51,20 +51,20 @@ def judged(evidence, stops):
             return end.value
 
 
-FITS = (FitNotice.FITS, None)
+FITS = Cause.FITS
 
 
 @pytest.mark.parametrize(
     ("reason", "spoil"),
     [
-        (Misfit.WRONG_TOOL, lambda arm: setattr(arm, "on", POINTER)),
-        (Misfit.NO_TOOL, lambda arm: setattr(arm, "on", NO_TOOL)),
-        (Misfit.WRONG_TOOL, lambda arm: setattr(arm, "on", Load(0.215, RETRACTOR.com_m))),
+        (Cause.LOAD, lambda arm: setattr(arm, "on", POINTER)),
+        (Cause.NO_TOOL, lambda arm: setattr(arm, "on", NO_TOOL)),
+        (Cause.LOAD, lambda arm: setattr(arm, "on", Load(0.215, RETRACTOR.com_m))),
         (
-            Misfit.DRIFT,
+            Cause.DRIFT,
             lambda arm: setattr(arm, "offset", np.array([0.3, -0.3, 0.2, 0.003, 0.0, 0.002])),
         ),
-        (Misfit.LOOSE_TOOL, lambda arm: setattr(arm, "sag_m", 0.006)),
+        (Cause.LOOSE_TOOL, lambda arm: setattr(arm, "sag_m", 0.006)),
     ],
     ids=["wrong tool", "no tool", "15 g", "offset", "loose"],
 )
@@ -76,7 +76,7 @@ def test_the_reason_is_found_within_a_few_stops_and_goes_by_itself(reason, spoil
     assert not watched.warnings
     spoil(arm)
     arm.visit(5)
-    assert watched.now == (FitNotice.DOES_NOT_FIT, reason)
+    assert watched.now is reason
     assert watched.watch.trouble
     arm.on, arm.sag_m, arm.offset = arm.file.load.load, 0.0, np.zeros(6)
     arm.visit(4)
@@ -93,12 +93,12 @@ def test_a_lone_pose_tells_a_load_from_what_leans_on_the_tool():
     assert not watched.warnings  # a push, so far
     arm.hold(3.0)
     arm.hold(20.0, push(np.array([0.0, 2.0, 0.5])))
-    assert watched.now == (FitNotice.DOES_NOT_FIT, Misfit.CONTACT)
+    assert watched.now is Cause.CONTACT
     arm.hold(3.0)
     assert watched.now == FITS
     arm.on = POINTER
     arm.hold(20.0)
-    assert watched.now == (FitNotice.DOES_NOT_FIT, Misfit.WRONG_TOOL)
+    assert watched.now is Cause.LOAD
 
 
 @pytest.mark.slow
@@ -137,7 +137,7 @@ def test_a_tare_moves_what_is_remembered():
     arm = watched.arm
     arm.offset = np.array([0.4, -0.3, 0.3, 0.004, 0.0, 0.002])
     arm.visit(6)
-    assert watched.now == (FitNotice.DOES_NOT_FIT, Misfit.DRIFT)
+    assert watched.now is Cause.DRIFT
     watched.watch.offset_changed(arm.offset)
     arm.offset = np.zeros(6)
     arm.hold(0.4)  # no window's length: it is what was seen before, moved
@@ -159,7 +159,7 @@ def test_a_tare_in_the_first_stop_s_first_moments_is_no_end():
 
 
 def test_the_node_s_state_warns_of_it_and_a_bad_file_is_worse():
-    compensator = Compensator(stages=Stages(fit=GravityFitWatch()))
+    compensator = Compensator(stages=Stages(fit=CalibrationMonitor()))
     monitor = Monitor(compensator, 1.0)
     tool = tool_file()
     compensator.set_tool(tool)
@@ -176,14 +176,14 @@ def test_the_node_s_state_warns_of_it_and_a_bad_file_is_worse():
     monitor.on_output(0.0, 0.0, 1)
     state = monitor.state(0.1)
     assert (state.severity, state.name) == (Severity.WARN, "does_not_fit")
-    assert "-200" in state.message and "not on" in state.message
-    assert monitor.values(0.1)["fit_reason"] == "no_tool_on"
+    assert "no tool is on, by -199.7 +- " in state.message
+    assert monitor.values(0.1)["fit_reason"] == "no_tool"
     compensator.rename_tool("hook")
     monitor.set_file_note("its file has changed")
     state = monitor.state(0.1)
     assert state.name == "does_not_fit"
     assert "'hook'" in state.message and "retractor" not in state.message
-    assert "not on" in state.message and "its file has changed" in state.message
+    assert "no tool is on" in state.message and "its file has changed" in state.message
     monitor.set_tool_error("torn")
     assert monitor.state(0.1).name == "bad_tool_file"
 
@@ -251,7 +251,7 @@ def test_evidence_is_the_density_of_the_stops():
     end_ns = START_NS + np.arange(3) * 3_000_000_000
     stops = Stops(mean, np.full((3, 6), 1e-3), angles, end_ns)
     judgement = judged(evidence, stops)
-    assert judgement.explanation is Explanation.LOAD
+    assert judgement.explanation is Cause.LOAD
     assert not judgement.touched.any()
     assert np.isclose(judgement.load[0], 0.02, atol=3.0 * judgement.load_std[0])
     density = {}
