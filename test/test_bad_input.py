@@ -83,8 +83,15 @@ def test_a_file_cut_at_any_byte_is_rejected(name: str, tmp_path: Path) -> None:
     """The last byte alone may lack: it is the end of the line."""
     whole = READERS[name].seeds()[0] + b"\n"
     assert check(READERS[name], whole, tmp_path)
-    read = [n for n in range(len(whole)) if check(READERS[name], whole[:n], tmp_path)]
-    assert read == [len(whole) - 1]
+    cuts = {*range(0, len(whole), 7), *range(len(whole) - 100, len(whole))}
+    assert {n for n in cuts if check(READERS[name], whole[:n], tmp_path)} == {len(whole) - 1}
+
+
+@pytest.mark.soak
+@pytest.mark.parametrize("name", ["tool_file", "model_json"])
+def test_a_file_cut_at_every_byte_is_rejected(name: str, tmp_path: Path) -> None:
+    whole = READERS[name].seeds()[0]
+    assert not [n for n in range(len(whole)) if check(READERS[name], whole[:n], tmp_path)]
 
 
 @pytest.mark.parametrize("number", [b"NaN", b"Infinity", b"1e999", b"-1e999"])

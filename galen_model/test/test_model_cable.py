@@ -236,6 +236,7 @@ def test_a_cable_is_taken_for_nothing_else(learned):
     assert named(sweep_of(pull(grid()), grid()), learned) == []
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("error", "name"),
     [
@@ -243,11 +244,7 @@ def test_a_cable_is_taken_for_nothing_else(learned):
             lambda: np.linspace(0.0, 0.2, 30)[:, None] * [1.0, -0.5, 1.0, 0.01, 0.01, -0.01],
             "a drift of the sensor",
         ),
-        pytest.param(
-            lambda: mounted(joint_zero_rad=np.array([0.03, -0.02])),
-            "a joint's wrong zero",
-            marks=pytest.mark.slow,
-        ),
+        (lambda: mounted(joint_zero_rad=np.array([0.03, -0.02])), "a joint's wrong zero"),
     ],
 )
 def test_what_is_no_cable_is_named(error, name):
