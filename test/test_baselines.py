@@ -53,8 +53,6 @@ KEPT_WRENCHES = 40
 
 COMMANDS = {
     "calibrate_from_bag": ("galen_calibration_behavior", "calibrate_from_bag"),
-    "inertia_from_bag": ("galen_calibration_behavior", "inertia_from_bag"),
-    "cable_from_bag": ("galen_calibration_behavior", "cable_from_bag"),
     "evaluate": ("galen_gravcomp", "evaluate"),
     "train": ("galen_deflection", "train"),
     "evaluate_deflection": ("galen_deflection", "evaluate"),
@@ -141,11 +139,12 @@ def samples(bag, seconds):
 def compensate_live(bag, tool, seconds, tare_at_s=None, **parameters):
     """Stamps (n,) ns and wrenches (n, 6) as the node makes them, sample by sample."""
     from galen_gravcomp.compensator import Compensator
+    from galen_gravcomp.corrections.stages import make_stages
     from galen_gravcomp.parameters import GravcompParameters
     from galen_model.files.calibration_file import read_calibration
 
     settings = GravcompParameters(**parameters)
-    compensator = Compensator(settings.settings(), stages=settings.stages())
+    compensator = Compensator(settings, stages=make_stages(settings))
     compensator.set_tool(read_calibration(tool))
     tared = []
     out = []
@@ -269,7 +268,7 @@ def copied(tool, folder):
 
 def inertia(tmp_path):
     arguments = ("retractor", BAGS / "swings", "--tools-dir", copied("retractor.json", tmp_path))
-    printed = json.loads(run("inertia_from_bag", *arguments, "--json"))
+    printed = json.loads(run("calibrate_from_bag", *arguments, "--estimate", "inertia", "--json"))
     written = json.loads((tmp_path / "retractor.json").read_text())["inertia"]
     return {
         "about_sensor_kg_m2": written["about_sensor_kg_m2"],
@@ -285,7 +284,7 @@ def inertia(tmp_path):
 
 def cable(tmp_path):
     arguments = ("pointer", BAGS / "cable_sweep", "--tools-dir", copied("pointer.json", tmp_path))
-    printed = json.loads(run("cable_from_bag", *arguments, "--json"))
+    printed = json.loads(run("calibrate_from_bag", *arguments, "--estimate", "cable", "--json"))
     # The other forms' optimisers end up to 2 % elsewhere with another number of threads.
     scores = [
         [score["times_noise"], six(score["rmse"])]
@@ -526,7 +525,8 @@ GROUPS = {
 }
 
 
-SLOW = ("cable", "deflection", "diagnosis")
+SLOW = ("cable", "deflection", "diagnosis", "retractor, sensor rotation estimated")
+"""Groups, and one entry of a group."""
 
 
 def differences(stored, found, where="", tolerance=TOLERANCE):
@@ -595,8 +595,9 @@ def stored(group):
 
 def cases():
     for group, group_entries in GROUPS.items():
-        marks = [pytest.mark.slow, pytest.mark.timeout(900)] if group in SLOW else []
         for name in group_entries:
+            slow = group in SLOW or name in SLOW
+            marks = [pytest.mark.slow, pytest.mark.timeout(900)] if slow else []
             yield pytest.param(group, name, id=f"{group}: {name}", marks=marks)
 
 

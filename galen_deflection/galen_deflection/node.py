@@ -49,7 +49,7 @@ class DeflectionNode(StreamNode):
 
     def _configure(self) -> None:
         p = self._config = self._held.now
-        self._deflector = Deflector(p.settings(), self._on_restart, self._on_forgotten)
+        self._deflector = Deflector(p, self._on_restart, self._on_forgotten)
         self._prediction = DeflectorMonitor(self._deflector, p.silence_s, p.frozen_s, p.late_s)
         self._model_file = ""
         self._model_written_at = ""

@@ -9,9 +9,10 @@ import pytest
 from deflection_made_model import made_model
 from deflection_synthetic import TIP_M, recording
 from galen_deflection.live.corrected_tip import CorrectedTip
-from galen_deflection.live.deflector import Deflected, Deflector, DeflectorSettings, ModelRejection
+from galen_deflection.live.deflector import Deflected, Deflector, ModelRejection
 from galen_deflection.live.gravcomp_state import GravcompState
 from galen_deflection.live.monitor import DeflectorMonitor
+from galen_deflection.live.parameters import DeflectionParameters
 from galen_deflection.springs.springs import Springs
 from galen_model.arm.kinematics import tip_pose
 from galen_model.load.nominal_tools import TOOLS
@@ -33,7 +34,7 @@ class Rig:
     def __init__(self, model=MODEL, **settings):
         self.forgotten = []
         self.deflector = Deflector(
-            DeflectorSettings(**settings), on_forgotten=self.forgotten.append
+            DeflectionParameters(**settings), on_forgotten=self.forgotten.append
         )
         self.deflector.set_model(model)
         self.results = []

@@ -10,27 +10,27 @@ angles belong to a wrench, and which wrench is rejected, is `galen_ros.stream.pa
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 
 import numpy as np
 from galen_model.arrays import Array
 from galen_model.errors import GalenError
 from galen_model.files.calibration_file import CalibrationFile
 from galen_model.load.prediction import Prediction
-from galen_ros.stream.pairing import PairedWrench, PairingSettings, WrenchPairing
+from galen_ros.stream.pairing import PairedWrench, WrenchPairing
 from galen_ros.stream.regular_run import Arrivals
 from galen_ros.stream.results import Compensated, Rejected, Rejection, Result
 
 from galen_gravcomp.block import NOTHING, BlockResult, Outputs, SampleBlock, push_block
+from galen_gravcomp.calibration_monitor.monitor import CalibrationMonitor
+from galen_gravcomp.corrections.bias_drift import BiasDrift
 from galen_gravcomp.corrections.cable import CablePull
-from galen_gravcomp.corrections.stages import (
-    BiasDriftStage,
-    FitWatch,
-    MotionStage,
-    NoMotion,
-    Stages,
-)
-from galen_gravcomp.corrections.tare import TareOutcome, TareRamp, TareSettings, TareWindow
+from galen_gravcomp.corrections.imu_motion import ImuMotion
+from galen_gravcomp.corrections.joint_motion import JointMotion
+from galen_gravcomp.corrections.motion_window import NoMotion
+from galen_gravcomp.corrections.stages import Stages
+from galen_gravcomp.corrections.tare import TareOutcome, TareRamp, TareWindow
+from galen_gravcomp.parameters import GravcompParameters
 
 _IMPOSSIBLE = (
     "inertial forces are not known: they come out beyond the sensor's range; does joint_states (or"
@@ -40,13 +40,6 @@ _IMPOSSIBLE = (
 
 class TareRejectedError(GalenError):
     """A tare can't start now; the message says why."""
-
-
-@dataclass(frozen=True)
-class CompensatorSettings(PairingSettings):
-    """Limits of the compensator. sensor_frame: empty: as the tool's file says."""
-
-    tare: TareSettings = field(default_factory=TareSettings)
 
 
 class Compensator:
@@ -60,23 +53,24 @@ class Compensator:
 
     def __init__(
         self,
-        settings: CompensatorSettings | None = None,
+        parameters: GravcompParameters | None = None,
         on_restart: Callable[[str], None] | None = None,
         stages: Stages | None = None,
     ) -> None:
         """`on_restart(why)` is called after everything was cleared because the driver restarted."""
         self._stages = stages or Stages()
-        self._settings = settings or CompensatorSettings()
+        self._parameters = parameters or GravcompParameters()
+        self._sensor_range = np.array(self._parameters.sensor_range)
         self._on_restart = on_restart
         self.pairing = WrenchPairing(
-            self._settings, self._forget_driver, awaited=self._stages.motion
+            self._parameters, self._forget_driver, awaited=self._stages.motion
         )
         self._enabled = True
         self._tool: CalibrationFile | None = None
         self._prediction: Prediction | None = None
         self._cable: CablePull | None = None
         self._no_tool_detail = "no tool is loaded"
-        self._ramp = TareRamp(self._settings.tare.ramp_s)
+        self._ramp = TareRamp(self._parameters.tare_ramp_s)
         self._window: TareWindow | None = None
         self._update_bar()
         self.compensated = 0
@@ -84,11 +78,6 @@ class Compensator:
         """Samples of both topics that `push_block` did not have to push one by one."""
 
     # State
-
-    @property
-    def settings(self) -> CompensatorSettings:
-        """The limits active."""
-        return self._settings
 
     @property
     def enabled(self) -> bool:
@@ -101,17 +90,17 @@ class Compensator:
         return self._tool
 
     @property
-    def motion(self) -> MotionStage | None:
+    def motion(self) -> JointMotion | ImuMotion | None:
         """The stage of the inertial forces."""
         return self._stages.motion
 
     @property
-    def bias_drift(self) -> BiasDriftStage | None:
+    def bias_drift(self) -> BiasDrift | None:
         """The stage of the sensor's bias drift."""
         return self._stages.bias_drift
 
     @property
-    def fit(self) -> FitWatch | None:
+    def fit(self) -> CalibrationMonitor | None:
         """The watch on whether the file fits."""
         return self._stages.fit
 
@@ -182,7 +171,7 @@ class Compensator:
         self._prediction = None if tool is None else Prediction(tool)
         self._no_tool_detail = why_none
         own_frame = "" if tool is None else tool.sensor_frame
-        self.pairing.sensor_frame = self._settings.sensor_frame or own_frame
+        self.pairing.sensor_frame = self._parameters.sensor_frame or own_frame
         results = self._set_cable(tool)
         if self._stages.motion is not None:
             self._stages.motion.set_tool(tool)
@@ -210,7 +199,7 @@ class Compensator:
             raise TareRejectedError(f"not tared: {self._no_tool_detail}")
         if self._window is not None:
             raise TareRejectedError("not tared: a tare is already running")
-        self._window = TareWindow(self._settings.tare, self.pairing.newest_wrench_ns, on_done)
+        self._window = TareWindow(self._parameters, self.pairing.newest_wrench_ns, on_done)
 
     def cancel_tare(self, why: str) -> None:
         """End a running tare without an effect."""
@@ -401,7 +390,7 @@ class Compensator:
             if isinstance(motion, NoMotion):
                 return self.pairing.reject(stamp_ns, motion.reason, motion.detail, number)
             # No reading can hold more than the sensor does, and NaN is no less.
-            if not (np.abs(motion) <= self._settings.sensor_range).all():
+            if not (np.abs(motion) <= self._sensor_range).all():
                 return self.pairing.reject(stamp_ns, Rejection.NO_MOTION, _IMPOSSIBLE, number)
             untared = untared - motion
         compensated: Array = untared - self._ramp.offset_at(stamp_ns)

@@ -16,11 +16,15 @@ from sensor_msgs.msg import Imu
 from std_srvs.srv import SetBool, Trigger
 
 from galen_gravcomp.compensator import Compensator, TareRejectedError
+from galen_gravcomp.corrections.stages import make_stages
 from galen_gravcomp.corrections.tare import TareOutcome
 from galen_gravcomp.monitor import Monitor
 from galen_gravcomp.parameters import GravcompParameters
 from galen_gravcomp.tools.services import LiveJoints, ToolServices
 from galen_msgs.srv import SetTool
+
+# Wall time without a compensated wrench after which a running tare is given up.
+_TARE_TIMEOUT_S = 2.0
 
 
 class GravcompNode(StreamNode):
@@ -36,7 +40,7 @@ class GravcompNode(StreamNode):
 
     def _configure(self) -> None:
         p = self._config = self._held.now
-        self._compensator = Compensator(p.settings(), self._on_restart, p.stages())
+        self._compensator = Compensator(p, self._on_restart, make_stages(p))
         self._compensation = Monitor(self._compensator, p.silence_s, p.frozen_s, p.late_s)
         self._tare_progress = (0, 0.0)
 
@@ -205,7 +209,7 @@ class GravcompNode(StreamNode):
         count, since_s = self._tare_progress
         if self._compensator.compensated != count:
             self._tare_progress = (self._compensator.compensated, now_s)
-        elif now_s - since_s > self._config.tare_timeout_s:
+        elif now_s - since_s > _TARE_TIMEOUT_S:
             state = self._state(now_s)
             self._compensator.cancel_tare(
                 f"no compensated wrench for {now_s - since_s:.1f} s ({state.message})"

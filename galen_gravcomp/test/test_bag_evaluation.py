@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from galen_bags.formats.bag import open_bag
 from galen_bags.formats.writer import BagWriter
-from galen_gravcomp.compensator import CompensatorSettings
 from galen_gravcomp.evaluate.bag_evaluation import EvaluationSettings, evaluate_bag
 from galen_gravcomp.evaluate.bag_report import findings, print_overview, to_dict
+from galen_gravcomp.parameters import GravcompParameters
 from galen_model.arm.galen import SENSOR
 from galen_model.evidence.verdict import Cause, Limits
 from galen_model.files.calibration_file import LoadEstimate
@@ -167,8 +167,10 @@ def test_poses_that_tell_nothing_of_the_load_are_said_to(tmp_path, tool):
     result = evaluate(tmp_path, recording, tool)
     assert result.parts.load is None
     assert result.verdict.cause is Cause.OFFSET
-    told = result.verdict.text
-    assert "or another load or drift, not distinguishable by these rest segments" in told
+    assert (
+        "or another load or drift, not distinguishable by these rest segments"
+        in result.verdict.text
+    )
     assert "can't be told" not in result.parts.why_no_load
     assert "poses" in result.parts.why_no_load
 
@@ -203,7 +205,7 @@ def test_another_frame_is_rejected_as_by_the_node(tmp_path, tool):
 
 def test_a_slow_sensor_gets_longer_cells(tmp_path, tool):
     recording = Recording(tool, rate_hz=10.0, hold_s=10.0, move_s=2.0, poses=8)
-    settings = EvaluationSettings(compensator=CompensatorSettings(max_joint_age_s=0.5))
+    settings = EvaluationSettings(parameters=GravcompParameters(max_joint_age_s=0.5))
     result = evaluate_bag(recording.write(tmp_path / "bag"), tool, settings)
     assert result.cells.cell_s == pytest.approx(0.5)
     assert len(result.phases) == 8
@@ -253,8 +255,9 @@ def test_a_sensor_that_jumps_is_not_called_another_load(tmp_path, tool):
     assert result.verdict.cause is Cause.CHANGED
     assert result.change.mass_kg is None
     np.testing.assert_allclose(result.change.offset_step[:3], [-0.4, 0.0, 0.0], atol=0.01)
-    jump = re.search(r"jumps by -0\.\d+ N in fx at ([\d.]+) s", result.verdict.text)
-    time_s = float(jump.group(1))
+    time_s = float(
+        re.search(r"jumps by -0\.\d+ N in fx at ([\d.]+) s", result.verdict.text).group(1)
+    )
     assert abs(time_s - 0.01 * half) < 1.0
     assert "Before: the file fits" in result.verdict.text
     assert "After: the residual is 0.399 N in fx: a constant offset" in result.verdict.text

@@ -2,11 +2,12 @@
 
 import numpy as np
 import pytest
-from galen_gravcomp.compensator import Compensator, CompensatorSettings
-from galen_gravcomp.corrections.bias_drift import BiasDrift, BiasDriftSettings, BiasDriftState
+from galen_gravcomp.compensator import Compensator
+from galen_gravcomp.corrections import bias_drift as bias_drift_module
+from galen_gravcomp.corrections.bias_drift import BiasDrift, BiasDriftState
 from galen_gravcomp.corrections.bias_drift_filter import BiasDriftModel
 from galen_gravcomp.corrections.stages import Stages
-from galen_gravcomp.corrections.tare import TareSettings
+from galen_gravcomp.parameters import GravcompParameters
 from untouched_arm import UntouchedArm, push, tool_file
 
 FORCE_5N = 5.0 * np.array([0.6, 0.64, 0.48])
@@ -114,7 +115,7 @@ def test_switching_off_ramps_also_after_a_pause_of_what_it_is_fed():
 
 
 def test_no_gate_at_all_keeps_the_rate():
-    model_rate = BiasDriftSettings().model.rate_per_s
+    model_rate = BiasDriftModel().rate_per_s
     assert np.all(model_rate[:3] * 60.0 < 0.02)
     watched = Watched(rate_hz=20.0)
     watched.arm.hold(8.0)
@@ -153,9 +154,10 @@ def test_other_rates_and_noises(rate_hz, noise):
     assert np.all(watched.change() < np.repeat([0.004, 1e-4], 3))
 
 
-def test_limit_freezes_warns_and_a_tare_begins_anew():
+def test_limit_freezes_warns_and_a_tare_begins_anew(monkeypatch):
+    monkeypatch.setattr(bias_drift_module, "LIMITS", np.repeat([0.01, 0.02], 3))
     watched = Watched(rate_hz=20.0)
-    watched.bias_drift = bias_drift = BiasDrift(BiasDriftSettings(max_force_n=0.01), enabled=True)
+    bias_drift = watched.bias_drift
     watched.arm.drift_per_h = np.array([0.6, 0.0, 0.0, 0.0, 0.0, 0.0])
     watched.arm.hold(150.0)
     assert bias_drift.state is BiasDriftState.LIMIT
@@ -191,7 +193,7 @@ def test_switching_off_ramps_and_clearing_forgets():
 
 @pytest.mark.slow
 def test_a_tare_does_not_count_twice_and_nothing_jumps():
-    settings = CompensatorSettings(tare=TareSettings(window_s=0.5, ramp_s=1.0))
+    settings = GravcompParameters(tare_window_s=0.5, tare_ramp_s=1.0)
     compensator = Compensator(settings, stages=Stages(bias_drift=BiasDrift(enabled=True)))
     tool = tool_file()
     compensator.set_tool(tool)

@@ -8,10 +8,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from galen_gravcomp.compensator import Compensator, CompensatorSettings, TareRejectedError
-from galen_gravcomp.corrections.tare import TareOutcome, TareRamp, TareSettings
+from galen_gravcomp.compensator import Compensator, TareRejectedError
+from galen_gravcomp.corrections.tare import TareOutcome, TareRamp
+from galen_gravcomp.parameters import GravcompParameters
 from galen_model.arrays import Array
 from galen_model.files.calibration_file import CalibrationFile, LoadEstimate
+from galen_ros.stream import pairing as pairing_module
 from galen_ros.stream.results import Compensated, Notice, Rejected, Rejection, Result
 
 MS = 1_000_000
@@ -37,7 +39,7 @@ PUSH = np.array([1.0, -2.0, 3.0, 0.1, -0.2, 0.3])
 
 
 def loaded(**settings: object) -> Compensator:
-    compensator = Compensator(CompensatorSettings(**settings))  # type: ignore[arg-type]
+    compensator = Compensator(GravcompParameters(**settings))  # type: ignore[arg-type]
     compensator.set_tool(TOOL)
     return compensator
 
@@ -144,8 +146,9 @@ def test_waits_no_longer_than_max_joint_age() -> None:
     assert compensator.pairing.waiting == 0 and balanced(compensator)
 
 
-def test_queue_is_bounded() -> None:
-    compensator = loaded(max_waiting=5)
+def test_queue_is_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(pairing_module, "MAX_WAITING", 5)
+    compensator = loaded()
     compensator.push_joints(START, 0.0, 0.0)
     results: list[Result] = []
     for i in range(1, 10):
@@ -377,7 +380,7 @@ def test_tare_takes_off_what_is_left_without_a_jump() -> None:
 
 
 def test_second_tare_starts_from_the_offset_active() -> None:
-    rig = Rig(loaded(tare=TareSettings(window_s=0.1, ramp_s=1.0)))
+    rig = Rig(loaded(tare_window_s=0.1, tare_ramp_s=1.0))
     rig.touch = LEFT
     series: list[Compensated] = []
     for touch in (LEFT, 2 * LEFT):
@@ -448,10 +451,10 @@ def _torque_too_large(rig: Rig, _: int) -> None:
 @pytest.mark.parametrize(
     ("happens", "words"),
     [
-        (_roll_moves, ["roll moved", "tare_max_motion_rad"]),
-        (_tilt_moves, ["tilt moved", "tare_max_motion_rad"]),
-        (_force_shakes, ["force was not still", "tare_max_std_force_n"]),
-        (_torque_drifts, ["torque was not still", "tare_max_std_torque_nm"]),
+        (_roll_moves, ["roll moved", "the limit is 0.001"]),
+        (_tilt_moves, ["tilt moved", "the limit is 0.001"]),
+        (_force_shakes, ["force was not still", "the limit is 0.3"]),
+        (_torque_drifts, ["torque was not still", "the limit is 0.02"]),
         (_force_too_large, ["5.1 N", "tare_max_force_n"]),
         (_torque_too_large, ["0.51 N.m", "tare_max_torque_nm"]),
     ],

@@ -5,13 +5,15 @@ import math
 import re
 from collections import Counter
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
-from galen_gravcomp.compensator import Compensator, CompensatorSettings, TareRejectedError
-from galen_gravcomp.corrections.tare import TareOutcome, TareSettings
+from galen_gravcomp.compensator import Compensator, TareRejectedError
+from galen_gravcomp.corrections import tare as tare_module
+from galen_gravcomp.corrections.tare import TareOutcome
+from galen_gravcomp.parameters import GravcompParameters
 from galen_model.files.calibration_file import CalibrationFile, LoadEstimate
 from galen_ros.stream import pairing as pairing_module
 from galen_ros.stream.joint_buffer import JointBuffer
@@ -251,10 +253,26 @@ def block_of(samples: Sequence[Sample]) -> dict[str, Any]:
     }
 
 
-def make_way(capacity: int = 4096, tool: CalibrationFile | None = TOOL, **settings: Any) -> Way:
+@pytest.fixture(autouse=True)
+def any_tare(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Tares succeed, whatever moves."""
+    for name in ("MAX_MOTION_RAD", "MAX_STD_FORCE_N", "MAX_STD_TORQUE_NM"):
+        monkeypatch.setattr(tare_module, name, 99.0)
+
+
+def make_way(
+    capacity: int = 4096, tool: CalibrationFile | None = TOOL, max_waiting: int = 1000
+) -> Way:
     """With a ring of joint samples small enough to matter."""
-    tare = TareSettings(0.02, 0.03, 9.0, 99.0, 99.0, 99.0, 99.0)
-    way = Way(Compensator(CompensatorSettings(tare=tare, **settings)))
+    way = Way(
+        Compensator(
+            GravcompParameters(
+                tare_window_s=0.02, tare_ramp_s=0.03, tare_max_force_n=99.0, tare_max_torque_nm=99.0
+            )
+        )
+    )
+    pairing = way.compensator.pairing
+    pairing._limits = replace(pairing._limits, max_waiting=max_waiting)
     way.compensator._on_restart = way.log.append
     way.compensator.pairing._joints = JointBuffer(50 * MS, capacity)
     way.compensator.set_tool(tool)

@@ -8,8 +8,8 @@ from galen_gravcomp.compensator import Compensator
 from galen_gravcomp.corrections.imu_motion import ImuMotion
 from galen_gravcomp.corrections.joint_motion import JointMotion
 from galen_gravcomp.corrections.local_polynomial import LocalPolynomial
-from galen_gravcomp.corrections.motion_window import MotionSettings
 from galen_gravcomp.corrections.stages import Stages
+from galen_gravcomp.parameters import GravcompParameters
 from galen_model.arm.galen import SENSOR
 from galen_model.arm.kinematics import gravity_in_sensor
 from galen_model.arm.sensor_motion import sensor_motion
@@ -18,13 +18,13 @@ from galen_model.rotation import rotvec_to_matrix
 from galen_ros.stream.results import Compensated, Rejection
 from motion_tape import MS, START_NS, measured, readings, swing, tool_file
 
-SETTINGS = MotionSettings()
+PARAMETERS = GravcompParameters()
 FIRST = 13
 """Wrenches at 500 Hz before the window is full but for a gap at its start."""
 
 
 def compensator(motion=None, **settings):
-    stage = motion or JointMotion(replace(SETTINGS, **settings))
+    stage = motion or JointMotion(replace(PARAMETERS, **settings))
     made = Compensator(stages=Stages(motion=stage))
     made.set_tool(tool_file())
     return made
@@ -123,7 +123,7 @@ def test_the_lag_between_wrench_and_joints_is_taken_into_account():
     for lag_s in (0.0, 0.004):
         whole = readings(motion)  # weight and inertial forces are late alike
         late = np.vstack([whole[:2], whole[:-2]])
-        results = push(compensator(lag_s=lag_s), stamps, motion[0], late)
+        results = push(compensator(motion_lag_s=lag_s), stamps, motion[0], late)
         out = [r.wrench for r in results if isinstance(r, Compensated)]
         left[lag_s] = np.sqrt(np.mean(np.square(out), axis=0))
     assert np.all(left[0.004] < 0.3 * left[0.0])
@@ -165,7 +165,7 @@ def test_gaps_bad_values_and_lacking_positions_are_rejected_with_their_own_reaso
 
 
 def test_inertial_forces_beyond_the_sensors_range_are_rejected():
-    made = compensator(ImuMotion(MOUNT))
+    made = compensator(ImuMotion(MOUNTED))
     for k in range(60):
         stamp = START_NS + k * 2 * MS
         made.push_imu(stamp, (0.0, 0.0, 1e6 if k == 30 else 0.0), (0.0, 0.0, 9.8))
@@ -176,7 +176,7 @@ def test_inertial_forces_beyond_the_sensors_range_are_rejected():
 
 
 def test_a_short_delay_is_taken_between_two_joint_samples():
-    made = compensator(delay_s=0.001)
+    made = compensator(motion_delay_s=0.001)
     stamps = START_NS + np.arange(60) * 2 * MS
     q = np.tile([0.0, 0.0, 0.4, 0.1, 0.2], (60, 1))
     out = push(made, stamps, q, np.zeros((60, 6)), wrench_late_ns=700_000)
@@ -185,7 +185,7 @@ def test_a_short_delay_is_taken_between_two_joint_samples():
 
 def test_an_imu_whose_stamps_jumped_is_known_again_a_window_later():
     for jump_ns in (10**13, -3 * 10**9):
-        made = compensator(ImuMotion(MOUNT))
+        made = compensator(ImuMotion(MOUNTED))
         out = []
         for k in range(120):
             stamp = START_NS + k * 2 * MS
@@ -216,6 +216,12 @@ MOUNT = ImuMount(
     bias_m_s2=np.array([0.1, -0.2, 0.05]),
     scale=1.01,
 )
+MOUNTED = GravcompParameters(
+    imu_rotvec_rad=tuple(MOUNT.rotvec_rad),
+    imu_lever_m=tuple(MOUNT.lever_m),
+    imu_bias_m_s2=tuple(MOUNT.bias_m_s2),
+    imu_scale=MOUNT.scale,
+)
 
 
 def imu_readings(motion):
@@ -235,7 +241,7 @@ def test_an_imu_tells_the_inertial_forces_in_its_own_axes_and_at_its_own_stamps(
     imu_times = np.arange(0.0, 1.0, 0.003)
     angular, linear = imu_readings(swing(imu_times))
     imu_stamps = START_NS + np.round(imu_times * 1e9).astype(np.int64) + 5 * MS
-    stage = ImuMotion(MOUNT, MotionSettings(0.04, 0.02, lag_s=-0.005))
+    stage = ImuMotion(replace(MOUNTED, motion_window_s=0.04, motion_lag_s=-0.005))
     made = compensator(stage)
     wrenches = readings(motion)
     events = [(s, 0, k) for k, s in enumerate(stamps)] + [
@@ -256,7 +262,7 @@ def test_an_imu_tells_the_inertial_forces_in_its_own_axes_and_at_its_own_stamps(
 
 
 def test_an_imu_that_is_silent_or_broken_off_is_rejected():
-    made = compensator(ImuMotion(MOUNT))
+    made = compensator(ImuMotion(MOUNTED))
     silent = push(made, START_NS + np.arange(100) * 2 * MS, np.zeros((100, 5)), np.zeros((100, 6)))
     assert rejections(silent) and "the IMU has sent nothing (topic imu)" in rejections(silent)[0]
     for k in range(100, 160):

@@ -14,17 +14,17 @@ the wrench says so by `forget`.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from enum import Enum
 from typing import NamedTuple
 
 import numpy as np
 from galen_model.arrays import Array
 from galen_model.errors import KinematicsError
-from galen_ros.stream.pairing import PairedWrench, PairingSettings, WrenchPairing
+from galen_ros.stream.pairing import PairedWrench, WrenchPairing
 from galen_ros.stream.results import Rejected
 
 from galen_deflection.live.corrected_tip import CorrectedTip, TipPose
+from galen_deflection.live.parameters import DeflectionParameters
 from galen_deflection.models.interface import DeflectionModel, Predicted, Stream
 
 TIP_TOLERANCE_M = 1e-5
@@ -41,14 +41,6 @@ class ModelRejection(Enum):
     OUT_OF_ORDER = "out_of_order"  # hysteresis takes loads in their order only
     OUT_OF_REACH = "out_of_reach"  # joints at which the rods don't reach
     NONFINITE = "nonfinite_prediction"
-
-
-@dataclass(frozen=True)
-class DeflectorSettings(PairingSettings):
-    """Limits, times in s by the samples' stamps."""
-
-    sensor_frame: str = "ft_sensor"
-    memory_gap_s: float = 0.1
 
 
 class Deflected(NamedTuple):
@@ -70,17 +62,20 @@ class Deflector:
 
     def __init__(
         self,
-        settings: DeflectorSettings | None = None,
+        parameters: DeflectionParameters | None = None,
         on_restart: Callable[[str], None] | None = None,
         on_forgotten: Callable[[str], None] | None = None,
     ) -> None:
         """`on_forgotten(why)` is called after the memory of a model at work was dropped."""
-        settings = settings or DeflectorSettings()
+        parameters = parameters or DeflectionParameters()
         self._on_restart = on_restart
         self.pairing = WrenchPairing(
-            settings, self._forget_driver, wrench_topic="wrench_compensated"
+            parameters,
+            self._forget_driver,
+            wrench_topic="wrench_compensated",
+            sensor_frame=parameters.sensor_frame,
         )
-        self._memory_gap_ns = round(settings.memory_gap_s * 1e9)
+        self._memory_gap_ns = round(parameters.memory_gap_s * 1e9)
         self._on_forgotten = on_forgotten
         self._model: DeflectionModel | None = None
         self._why_none = "no model is loaded"

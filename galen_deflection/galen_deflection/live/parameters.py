@@ -2,16 +2,13 @@
 
 from dataclasses import dataclass
 
-import numpy as np
 from galen_model.arm.galen import JOINT_NAMES
 from galen_ros.parameters.param import param
-from galen_ros.stream.parameters import LoopParameters
-
-from galen_deflection.live.deflector import DeflectorSettings
+from galen_ros.stream.parameters import StreamParameters
 
 
 @dataclass(frozen=True)
-class DeflectionParameters(LoopParameters):
+class DeflectionParameters(StreamParameters):
     """Parameters of the node. Times of samples are by their stamps."""
 
     model_file: str = param(
@@ -49,13 +46,3 @@ class DeflectionParameters(LoopParameters):
                 f"parameter 'joint_names' is {list(self.joint_names)}, but must name five joints:"
                 " x, y and z of the platform, roll and tilt"
             )
-
-    def settings(self) -> DeflectorSettings:
-        """The deflector's part of the parameters."""
-        return DeflectorSettings(
-            max_joint_age_s=self.max_joint_age_s,
-            restart_gap_s=self.restart_gap_s,
-            sensor_frame=self.sensor_frame,
-            sensor_range=np.array(self.sensor_range),
-            memory_gap_s=self.memory_gap_s,
-        )

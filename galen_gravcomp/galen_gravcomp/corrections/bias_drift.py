@@ -1,24 +1,23 @@
-"""The sensor's bias drift, learned live while the arm is still and nobody touches the tool.
+"""The sensor's bias drift, learned live while the arm is at rest without contact.
 
     out = untared - bias drift - tare
 
 The estimate is `galen_gravcomp.corrections.bias_drift_filter`'s, from the windows of
-`galen_model.rest.windows`; here are its switch, its limits and what is taken off of it. It is
-off unless it is asked for: what is taken off a surgeon's force without being asked should be
-nothing. What comes off never jumps: each new value is gone to along the tare's smoothstep, and so
+`galen_model.rest.windows`; here are its switch, its limits and what is subtracted. It is off
+unless it is asked for: nothing is subtracted from a surgeon's force unasked. What is subtracted
+never jumps: each new value is gone to along the tare's smoothstep, and so
 is zero when it is switched off.
 
-A tare says anew what zero is: it averages the wrench with the bias drift still in it, so its offset
-holds what the bias drift took off, which goes to zero along the same ramp as the tare comes in:
+A tare defines zero anew: it averages the wrench with the bias drift still in it, so its offset
+holds the bias drift's own, which goes to zero along the same ramp as the tare comes in:
 their sum goes from the old value to the new one as if there were no bias drift.
 
-Beyond `max_force_n` or `max_torque_nm` along an axis it stays where it is, until a tare, another
-tool or a restart of the driver: a sensor that went so far wants a person's look.
+Beyond `LIMITS` along an axis it stays where it is, until a tare, another
+tool or a restart of the driver: a sensor that went so far needs attention.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
 from enum import Enum
 
 import numpy as np
@@ -27,23 +26,11 @@ from galen_model.arrays import Array
 from galen_model.rest.windows import StillWindows
 from galen_ros.stream.monitor import joined
 
-from galen_gravcomp.corrections.bias_drift_filter import BiasDriftFilter, BiasDriftModel
+from galen_gravcomp.corrections.bias_drift_filter import BiasDriftFilter
 from galen_gravcomp.corrections.tare import TareRamp
 
-
-@dataclass(frozen=True)
-class BiasDriftSettings:
-    """Limits of what is taken off along an axis, and the ramp, which is the tare's."""
-
-    max_force_n: float = 0.5
-    max_torque_nm: float = 0.02
-    ramp_s: float = 1.0
-    model: BiasDriftModel = field(default_factory=BiasDriftModel)
-
-    @property
-    def limits(self) -> Array:
-        """By axis (6,), N and N.m."""
-        return np.repeat([self.max_force_n, self.max_torque_nm], 3)
+# N, N.m: a sensor that drifted further is to be looked at, not followed.
+LIMITS = np.repeat([0.5, 0.02], 3)
 
 
 class BiasDriftState(Enum):
@@ -63,14 +50,14 @@ _HELD_AFTER_NS = 1_500_000_000
 
 
 class BiasDrift:
-    """A `galen_gravcomp.corrections.stages.BiasDriftStage`."""
+    """The estimate of the bias drift, with its switch, limits and ramp."""
 
-    def __init__(self, settings: BiasDriftSettings | None = None, *, enabled: bool = False) -> None:
-        self._settings = settings or BiasDriftSettings()
+    def __init__(self, *, enabled: bool = False, ramp_s: float = 1.0) -> None:
+        """`ramp_s`: the tare's, along which every change is applied."""
         self._enabled = enabled
         self._windows = StillWindows()
-        self._filter = BiasDriftFilter(self._settings.model)
-        self._ramp = TareRamp(self._settings.ramp_s)
+        self._filter = BiasDriftFilter()
+        self._ramp = TareRamp(ramp_s)
         self._tare: Array = np.zeros(6)
         self._newest_ns: int | None = None
         self._window_ns: int | None = None
@@ -81,12 +68,12 @@ class BiasDrift:
 
     @property
     def enabled(self) -> bool:
-        """Whether it learns, and takes off what it learned."""
+        """Whether it learns, and subtracts what it learned."""
         return self._enabled
 
     @property
     def active(self) -> bool:
-        """Whether it has to see samples one by one, or takes anything off."""
+        """Whether it needs samples one by one, or subtracts anything."""
         return self._enabled or self._ramp.ramping or bool(self._ramp.target.any())
 
     @property
@@ -103,7 +90,7 @@ class BiasDrift:
 
     @property
     def settled(self) -> Array:
-        """Offset (6,) that is taken off when no ramp runs; not to be written into."""
+        """Offset (6,) that is subtracted when no ramp runs; not to be written into."""
         return self._ramp.target
 
     @property
@@ -120,13 +107,12 @@ class BiasDrift:
             return ""
         axes = [axis for axis, over in zip(WRENCH_AXES, self._at_limit, strict=True) if over]
         return (
-            f"the sensor drifted as far in {', '.join(axes)} as bias_drift_max_force_n and"
-            " bias_drift_max_torque_nm allow; it is not followed further: tare without contact, or"
-            " recalibrate"
+            f"the sensor drifted by the limit ({LIMITS[0]:g} N, {LIMITS[3]:g} N.m) in"
+            f" {', '.join(axes)} and is not followed further: tare without contact, or recalibrate"
         )
 
     def values(self) -> dict[str, object]:
-        """State, what is taken off, and its standard deviation, for /diagnostics."""
+        """State, what is subtracted, and its standard deviation, for /diagnostics."""
         ago_s = self.learned_s_ago
         settled, std = self.settled, self._filter.std
         return {
@@ -139,7 +125,7 @@ class BiasDrift:
         }
 
     def set_enabled(self, enabled: bool) -> None:
-        """Switch on or off; off takes what was learned off along the ramp, and forgets it."""
+        """Switch on or off; off drops what was learned along the ramp."""
         if enabled == self._enabled:
             return
         self._enabled = enabled
@@ -181,7 +167,7 @@ class BiasDrift:
             self._learned(stamp_ns, window.end_ns)
 
     def tared(self, stamp_ns: int, roll_rad: float, tilt_rad: float, offset: Array) -> None:
-        """A tare takes `offset` (6,) off the untared wrench from `stamp_ns` on, along its ramp."""
+        """Follow a tare: it subtracts `offset` (6,) from `stamp_ns` on, along its ramp."""
         self._tare = np.array(offset)
         self._windows.drop()
         self._filter.begin((stamp_ns, roll_rad, tilt_rad))
@@ -210,8 +196,7 @@ class BiasDrift:
         self._window_ns = self._learned_ns = None
 
     def _learned(self, stamp_ns: int, window_ns: int) -> None:
-        limits = self._settings.limits
-        self._at_limit |= np.abs(self._filter.bias_drift) >= limits
+        self._at_limit |= np.abs(self._filter.bias_drift) >= LIMITS
         if self._at_limit.any():
             # Frozen as a whole: a sensor that is out along one axis is not to be trusted in others.
             return

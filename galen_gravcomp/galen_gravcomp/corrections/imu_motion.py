@@ -24,8 +24,8 @@ from galen_model.rotation import rotvec_to_matrix
 from galen_ros.stream.results import Rejection
 
 from galen_gravcomp.corrections.joint_motion import inertia_source, load_in_motion
-from galen_gravcomp.corrections.motion_window import MotionSettings, MotionWindow
-from galen_gravcomp.corrections.stages import NoMotion
+from galen_gravcomp.corrections.motion_window import MotionWindow, NoMotion
+from galen_gravcomp.parameters import GravcompParameters
 
 # As with joint_states: a longer step of the stamps is no gap, and this far apart are two clocks.
 _RESTART_NS = 1_000_000_000
@@ -38,20 +38,19 @@ class ImuMotion:
     needs_positions = False
     needs_imu = True
 
-    def __init__(
-        self,
-        mount: ImuMount | None = None,
-        settings: MotionSettings | None = None,
-        max_age_s: float = 0.05,
-    ) -> None:
-        """`max_age_s`: so far may the IMU fall behind the wrench, beside delay and lag."""
-        self.settings = settings or MotionSettings()
-        self.mount = mount or ImuMount()
+    def __init__(self, parameters: GravcompParameters | None = None) -> None:
+        self._parameters = p = parameters or GravcompParameters()
+        self.mount = ImuMount(
+            np.array(p.imu_rotvec_rad),
+            np.array(p.imu_lever_m),
+            np.array(p.imu_bias_m_s2),
+            p.imu_scale,
+        )
         self._rotation = rotvec_to_matrix(self.mount.rotvec_rad)
-        self._window = MotionWindow(self.settings, "the IMU")
+        self._window = MotionWindow(p, "the IMU")
         # A wrench that is behind by no more than this has nothing to wait for too long.
-        self._usual_ns = round((self.settings.delay_s - self.settings.lag_s) * 1e9)
-        self._max_age_ns = round(max_age_s * 1e9)
+        self._usual_ns = round((p.motion_delay_s - p.motion_lag_s) * 1e9)
+        self._max_age_ns = round(p.max_joint_age_s * 1e9)
         self._load: LoadInMotion | None = None
         self._gravity: Callable[[float, float], Array] = gravity_in_sensor
         self._source = inertia_source(None)
@@ -134,9 +133,9 @@ class ImuMotion:
         """For /diagnostics."""
         return {
             "motion": "imu",
-            "motion_window_s": self.settings.window_s,
-            "motion_delay_s": self.settings.delay_s,
-            "motion_lag_s": self.settings.lag_s,
+            "motion_window_s": self._parameters.motion_window_s,
+            "motion_delay_s": self._parameters.motion_delay_s,
+            "motion_lag_s": self._parameters.motion_lag_s,
             "motion_inertia": self._source,
             "imu_received": self._received,
         }

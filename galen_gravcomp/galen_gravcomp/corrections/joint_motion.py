@@ -23,8 +23,8 @@ from galen_model.arrays import Array
 from galen_model.files.calibration_file import CalibrationFile
 from galen_model.load.inertia.inertial import LoadInMotion, point_mass_inertia
 
-from galen_gravcomp.corrections.motion_window import MotionSettings, MotionWindow
-from galen_gravcomp.corrections.stages import NoMotion
+from galen_gravcomp.corrections.motion_window import MotionWindow, NoMotion
+from galen_gravcomp.parameters import GravcompParameters
 
 
 def load_in_motion(tool: CalibrationFile) -> LoadInMotion:
@@ -57,9 +57,9 @@ class JointMotion:
     needs_positions = True
     needs_imu = False
 
-    def __init__(self, settings: MotionSettings | None = None) -> None:
-        self.settings = settings or MotionSettings()
-        self._window = MotionWindow(self.settings, "joint_states")
+    def __init__(self, parameters: GravcompParameters | None = None) -> None:
+        self._parameters = parameters or GravcompParameters()
+        self._window = MotionWindow(self._parameters, "joint_states")
         self._sensor = MotionOfSensor()
         self._load: LoadInMotion | None = None
         self._source = inertia_source(None)
@@ -114,7 +114,7 @@ class JointMotion:
             lacking = self._last is not None and all(map(math.isnan, self._last[1][:3]))
             return NoMotion(found.reason, _NO_PLATFORM) if lacking else found
         then, change = (roll_rad, tilt_rad), (0.0, 0.0, 0.0)
-        if self.settings.lag_s:
+        if self._parameters.motion_lag_s:
             then = (float(found.value[3]), float(found.value[4]))
             x, y, z = (self._gravity(*then) - self._gravity(roll_rad, tilt_rad)).tolist()
             change = (x, y, z)
@@ -131,9 +131,9 @@ class JointMotion:
         """For /diagnostics."""
         return {
             "motion": "joints",
-            "motion_window_s": self.settings.window_s,
-            "motion_delay_s": self.settings.delay_s,
-            "motion_lag_s": self.settings.lag_s,
+            "motion_window_s": self._parameters.motion_window_s,
+            "motion_delay_s": self._parameters.motion_delay_s,
+            "motion_lag_s": self._parameters.motion_lag_s,
             "motion_inertia": self._source,
         }
 

@@ -3,41 +3,30 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from enum import Enum
+from typing import NamedTuple
 
 import numpy as np
 from galen_model.arrays import Array
 from galen_ros.stream.results import Rejection
 
 from galen_gravcomp.corrections.local_polynomial import Derivatives, LocalPolynomial
-from galen_gravcomp.corrections.stages import NoMotion
+from galen_gravcomp.parameters import GravcompParameters
 
 # Of the window: samples further apart leave the polynomial to guess.
 _LARGEST_GAP = 0.25
 
 
-@dataclass(frozen=True)
-class MotionSettings:
-    """Window of the local polynomial, how long before its end it is read off, and the lag, s.
+DEGREE = 3
+# Fewer leave nearly no freedom to average noise.
+FEWEST_SAMPLES = 2 * (DEGREE + 1)
 
-    lag_s: how much later the wrench's stamps are than those of what tells the motion, for the same
-    moment: filters of sensor and driver differ.
 
-    The defaults: with encoder steps of 5e-5 rad and 5 um at 500 Hz, and the arm's fastest free
-    motion (1.5 rad/s, 6 rad/s^2, 0.2 m/s, 1 m/s^2), what the inertial forces of 0.3 kg are then
-    wrong by makes the sensor's noise 0.1 to 4.4 % larger, axis by axis. A window of 40 ms read off
-    in its middle makes it up to 6.7 % larger; 50 ms 3.4 %, but 5 ms later.
-    """
+class NoMotion(NamedTuple):
+    """Why the inertial forces at a stamp are not known: a `Rejection` and a sentence."""
 
-    window_s: float = 0.06
-    delay_s: float = 0.02
-    lag_s: float = 0.0
-    degree: int = 3
-
-    @property
-    def fewest_samples(self) -> int:
-        """Samples that a window must have: fewer leave nearly no freedom to average noise."""
-        return 2 * (self.degree + 1)
+    reason: Enum
+    detail: str
 
 
 # Samples kept: more than a window's, and than come while a wrench waits.
@@ -81,15 +70,16 @@ class _Ring:
 class MotionWindow:
     """Keeps one stream's samples and differentiates them at a stamp."""
 
-    def __init__(self, settings: MotionSettings, topic: str) -> None:
+    def __init__(self, parameters: GravcompParameters, topic: str) -> None:
         """`topic`: as it is called in sentences."""
-        self._settings = settings
         self._topic = topic
-        self._polynomial = LocalPolynomial(settings.window_s, settings.delay_s, settings.degree)
-        self._delay_ns = round(settings.delay_s * 1e9)
-        self._lag_ns = round(settings.lag_s * 1e9)
-        self._window_ns = round(settings.window_s * 1e9)
-        self._gap_ns = round(_LARGEST_GAP * settings.window_s * 1e9)
+        self._polynomial = LocalPolynomial(
+            parameters.motion_window_s, parameters.motion_delay_s, DEGREE
+        )
+        self._delay_ns = round(parameters.motion_delay_s * 1e9)
+        self._lag_ns = round(parameters.motion_lag_s * 1e9)
+        self._window_ns = round(parameters.motion_window_s * 1e9)
+        self._gap_ns = round(_LARGEST_GAP * parameters.motion_window_s * 1e9)
         self._samples = _Ring()
 
     @property
@@ -122,9 +112,9 @@ class MotionWindow:
         end_ns = at_ns + self._delay_ns
         start_ns = end_ns - self._window_ns
         stamps, values = self._samples.window(start_ns, end_ns)
-        if len(stamps) < self._settings.fewest_samples:
+        if len(stamps) < FEWEST_SAMPLES:
             return self._none(
-                f"holds {len(stamps)} samples of {self._topic}; {self._settings.fewest_samples} are"
+                f"holds {len(stamps)} samples of {self._topic}; {FEWEST_SAMPLES} are"
                 " needed (a longer motion_window_s, or more samples a second)"
             )
         lacking = self._lacking(stamps, start_ns, end_ns)
@@ -151,7 +141,7 @@ class MotionWindow:
         return ""
 
     def _none(self, what: str) -> NoMotion:
-        window_ms = self._settings.window_s * 1e3
+        window_ms = self._polynomial.window_s * 1e3
         return NoMotion(
             Rejection.NO_MOTION,
             f"inertial forces are not known: the window of {window_ms:.0f} ms {what}",

@@ -1,4 +1,4 @@
-"""Taking off what is left of the wrench: averaged over a still window, removed smoothly."""
+"""Tare: the residual wrench, averaged at rest and subtracted along a ramp."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -6,20 +6,13 @@ from dataclasses import dataclass
 import numpy as np
 from galen_model.arrays import Array
 
+from galen_gravcomp.parameters import GravcompParameters
+
 MIN_SAMPLES = 10
-
-
-@dataclass(frozen=True)
-class TareSettings:
-    """When a tare is accepted and how fast it is applied."""
-
-    window_s: float = 0.5
-    ramp_s: float = 1.0
-    max_motion_rad: float = 0.001
-    max_std_force_n: float = 0.3
-    max_std_torque_nm: float = 0.02
-    max_force_n: float = 5.0
-    max_torque_nm: float = 0.5
+# An arm at rest moves less, and a sensor's noise is 15 to 50 times smaller.
+MAX_MOTION_RAD = 0.001
+MAX_STD_FORCE_N = 0.3
+MAX_STD_TORQUE_NM = 0.02
 
 
 @dataclass(frozen=True)
@@ -35,10 +28,13 @@ class TareWindow:
     """Collects samples from a request on, until they span `window_s` by their stamps."""
 
     def __init__(
-        self, settings: TareSettings, after_ns: int | None, on_done: Callable[[TareOutcome], None]
+        self,
+        parameters: GravcompParameters,
+        after_ns: int | None,
+        on_done: Callable[[TareOutcome], None],
     ) -> None:
         """Take only samples stamped later than `after_ns` (None: any)."""
-        self._settings = settings
+        self._parameters = parameters
         self._after_ns = after_ns
         self._on_done = on_done
         self._stamps: list[int] = []
@@ -59,61 +55,62 @@ class TareWindow:
         self._stamps.append(stamp_ns)
         self._angles.append((roll, tilt))
         self._wrenches.append(untared)
-        return stamp_ns - self._stamps[0] >= self._settings.window_s * 1e9
+        return stamp_ns - self._stamps[0] >= self._parameters.tare_window_s * 1e9
 
     def evaluate(self) -> TareOutcome:
         """Mean of the window's wrenches, or why they do not make a tare."""
-        s = self._settings
+        p = self._parameters
         if self.samples < MIN_SAMPLES:
             return TareOutcome(
                 False,
-                f"not tared: {self.samples} compensated wrenches in {s.window_s:g} s,"
+                f"not tared: {self.samples} compensated wrenches in {p.tare_window_s:g} s,"
                 f" at least {MIN_SAMPLES} are needed",
             )
         motion = np.ptp(np.array(self._angles), axis=0)
         for name, moved in zip(("roll", "tilt"), motion, strict=True):
-            if moved > s.max_motion_rad:
+            if moved > MAX_MOTION_RAD:
                 return TareOutcome(
                     False,
                     f"not tared: {name} moved by {moved:.4f} rad in the window,"
-                    f" tare_max_motion_rad is {s.max_motion_rad:g}",
+                    f" the limit is {MAX_MOTION_RAD:g}",
                 )
         wrenches = np.array(self._wrenches)
         std = wrenches.std(axis=0, ddof=1)
         offset = wrenches.mean(axis=0)
         checks = (
-            ("force", std[:3].max(), s.max_std_force_n, "tare_max_std_force_n", "N"),
-            ("torque", std[3:].max(), s.max_std_torque_nm, "tare_max_std_torque_nm", "N.m"),
+            ("force", std[:3].max(), MAX_STD_FORCE_N, "N"),
+            ("torque", std[3:].max(), MAX_STD_TORQUE_NM, "N.m"),
         )
-        for what, value, limit, parameter, unit in checks:
+        for what, value, limit, unit in checks:
             if value > limit:
                 return TareOutcome(
                     False,
                     f"not tared: the {what} was not still, standard deviation {value:.3g} {unit}"
-                    f" in the window, {parameter} is {limit:g}",
+                    f" in the window, the limit is {limit:g}",
                 )
         sizes = (
-            ("force", np.linalg.norm(offset[:3]), s.max_force_n, "tare_max_force_n", "N"),
-            ("torque", np.linalg.norm(offset[3:]), s.max_torque_nm, "tare_max_torque_nm", "N.m"),
+            ("force", offset[:3], p.tare_max_force_n, "tare_max_force_n", "N"),
+            ("torque", offset[3:], p.tare_max_torque_nm, "tare_max_torque_nm", "N.m"),
         )
-        for what, value, limit, parameter, unit in sizes:
+        for what, part, limit, parameter, unit in sizes:
+            value = np.linalg.norm(part)
             if value > limit:
                 return TareOutcome(
                     False,
-                    f"not tared: a {what} of {value:.3g} {unit} would be taken off, {parameter} is"
+                    f"not tared: a {what} of {value:.3g} {unit} would be subtracted, {parameter} is"
                     f" {limit:g}; is the right tool active, and is it free of contact?",
                 )
         force = ", ".join(f"{v:.3f}" for v in offset[:3])
         torque = ", ".join(f"{1e3 * v:.1f}" for v in offset[3:])
         return TareOutcome(
             True,
-            f"tared: takes off force ({force}) N, torque ({torque}) mN.m"
-            f" over the next {s.ramp_s:g} s",
+            f"tared: subtracts force ({force}) N, torque ({torque}) mN.m"
+            f" over the next {p.tare_ramp_s:g} s",
             offset,
         )
 
     def finish(self, outcome: TareOutcome) -> None:
-        """Give the answer to whoever asked."""
+        """Answer the request."""
         self._on_done(outcome)
 
 

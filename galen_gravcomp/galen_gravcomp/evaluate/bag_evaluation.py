@@ -24,10 +24,9 @@ from galen_model.rest.time_bins import CELL_S, CellReducer, Cells
 from galen_ros.stream.results import Notice
 
 from galen_gravcomp.arm_block import push_arm_block
-from galen_gravcomp.compensator import Compensator, CompensatorSettings
-from galen_gravcomp.corrections.joint_motion import JointMotion, inertia_source
-from galen_gravcomp.corrections.motion_window import MotionSettings
-from galen_gravcomp.corrections.stages import Stages
+from galen_gravcomp.compensator import Compensator
+from galen_gravcomp.corrections.joint_motion import inertia_source
+from galen_gravcomp.corrections.stages import Stages, make_motion
 from galen_gravcomp.evaluate.channel_check import ChannelCheck, ChannelReport
 from galen_gravcomp.evaluate.residual_decomposition import (
     LoadChange,
@@ -37,6 +36,7 @@ from galen_gravcomp.evaluate.residual_decomposition import (
     rms,
 )
 from galen_gravcomp.evaluate.verdict import judge
+from galen_gravcomp.parameters import GravcompParameters
 
 # Slower sensors get longer cells, so that a cell holds a few readings.
 _READINGS_A_CELL = 5
@@ -53,7 +53,7 @@ OnBlock = Callable[[ArmBlock, np.ndarray, Array], None]
 
 @dataclass(frozen=True)
 class EvaluationSettings:
-    """Topics, the compensator's limits, when the arm is still, and what counts as a fit.
+    """Topics, the node's parameters, when the arm is at rest, and what counts as a fit.
 
     Only `duration_s` (None: all) from `start_s` after the first message on are looked at.
     """
@@ -61,11 +61,9 @@ class EvaluationSettings:
     topics: ArmTopics = field(default_factory=ArmTopics)
     start_s: float = 0.0
     duration_s: float | None = None
-    compensator: CompensatorSettings = field(default_factory=CompensatorSettings)
+    parameters: GravcompParameters = field(default_factory=GravcompParameters)
     still: StillCellSettings = field(default_factory=StillCellSettings)
     limits: Limits = field(default_factory=Limits)
-    motion: MotionSettings | None = None
-    """Subtract inertial forces as well, from the joints; None: not."""
 
 
 @dataclass(frozen=True)
@@ -169,12 +167,12 @@ class _Run:
     def __init__(self, tool: CalibrationFile, settings: EvaluationSettings) -> None:
         self._tool = tool
         self._settings = settings
-        motion = None if settings.motion is None else JointMotion(settings.motion)
-        self._compensator = Compensator(settings.compensator, stages=Stages(motion=motion))
+        stages = Stages(motion=make_motion(settings.parameters))
+        self._compensator = Compensator(settings.parameters, stages=stages)
         self._compensator.set_tool(tool)
         self._joint_stamps = StampCheck()
         self._wrench_stamps = StampCheck()
-        self._channels = ChannelCheck(settings.compensator.sensor_range)
+        self._channels = ChannelCheck(np.array(settings.parameters.sensor_range))
         self._cells: CellReducer | None = None
         self._examples: dict[str, str] = {}
         self._span: tuple[int, int] | None = None
@@ -207,7 +205,7 @@ class _Run:
         cells = (self._cells or CellReducer()).finish()
         phases = find_still_phases(cells, self._settings.still)
         wrench_stamps = self._wrench_stamps.report()
-        restart_s = self._settings.compensator.restart_gap_s
+        restart_s = self._settings.parameters.restart_gap_s
         stamps_jump = any(
             event.kind == "jump" and abs(event.size_s) > restart_s for event in wrench_stamps.events
         )
@@ -253,7 +251,7 @@ class _Run:
             change=change,
             limits=limits,
             verdict=verdict,
-            motion="" if self._settings.motion is None else inertia_source(self._tool),
+            motion="" if compensator.motion is None else inertia_source(self._tool),
         )
 
     def _doubt(self) -> str:

@@ -352,9 +352,8 @@ def _bag_settings(arguments: argparse.Namespace) -> EvaluationSettings:
         topics=_topics(arguments),
         start_s=arguments.start_offset,
         duration_s=arguments.duration,
-        compensator=parameters.settings(),
+        parameters=parameters,
         limits=_limits(arguments),
-        motion=parameters.motion_settings() if parameters.motion == "joints" else None,
     )
 
 

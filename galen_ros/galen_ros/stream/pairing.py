@@ -12,7 +12,6 @@ from __future__ import annotations
 import math
 from collections import Counter, deque
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
 from enum import Enum
 from typing import NamedTuple, Protocol
 
@@ -20,6 +19,7 @@ import numpy as np
 from galen_model.arrays import Array
 
 from galen_ros.stream.joint_buffer import JointBuffer, JointPush, NoJoints
+from galen_ros.stream.parameters import StreamParameters
 from galen_ros.stream.regular_run import Arrivals, Reported, regular_stretch
 from galen_ros.stream.results import Notice, Rejected, Rejection
 from galen_ros.stream.sample_limits import (
@@ -29,25 +29,8 @@ from galen_ros.stream.sample_limits import (
     joint_jump,
 )
 
-
-def _sensor_range() -> Array:
-    return np.array([125.0, 125.0, 500.0, 3.0, 3.0, 3.0])
-
-
-@dataclass(frozen=True)
-class PairingSettings:
-    """Limits; times in s by the samples' stamps, range (6,) in N and N.m.
-
-    sensor_frame: the frame_id that a wrench must have.
-    """
-
-    max_joint_age_s: float = 0.05
-    restart_gap_s: float = 1.0
-    max_waiting: int = 1000
-    sensor_frame: str = ""
-    sensor_range: Array = field(default_factory=_sensor_range)
-
-
+# Wrenches that may wait: 2 s of a driver at 500 Hz.
+MAX_WAITING = 1000
 # Samples of one driver never lie this far apart; two clocks do.
 _OTHER_CLOCK_NS = 5_000_000_000
 
@@ -110,29 +93,29 @@ class WrenchPairing:
 
     def __init__(
         self,
-        settings: PairingSettings,
+        parameters: StreamParameters,
         on_restart: Callable[[str], None] | None = None,
         *,
         wrench_topic: str = "wrench_raw",
+        sensor_frame: str = "",
         awaited: Awaited | None = None,
     ) -> None:
         """Pair a topic's wrenches.
 
         `on_restart(why)` is called after everything was cleared because the driver restarted;
-        wrench_topic: as it is called in sentences.
+        wrench_topic: as it is called in sentences; sensor_frame: what a wrench's frame_id must be.
         """
         self._on_restart = on_restart
         self._awaited = awaited
         self.wrench_topic = wrench_topic
-        self.sensor_frame = settings.sensor_frame
-        """The frame_id that a wrench must have."""
+        self.sensor_frame = sensor_frame
         self._barred: tuple[Enum, str] | None = None
-        self._max_joint_age_s = settings.max_joint_age_s
+        self._max_joint_age_s = parameters.max_joint_age_s
         self._limits = SampleLimits(
-            max_age_ns=round(settings.max_joint_age_s * 1e9),
-            restart_gap_ns=round(settings.restart_gap_s * 1e9),
-            max_waiting=settings.max_waiting,
-            sensor_range=tuple(float(limit) for limit in settings.sensor_range),
+            max_age_ns=round(parameters.max_joint_age_s * 1e9),
+            restart_gap_ns=round(parameters.restart_gap_s * 1e9),
+            max_waiting=MAX_WAITING,
+            sensor_range=parameters.sensor_range,
         )
         self._joints = JointBuffer(self._limits.max_age_ns)
         self._waiting: deque[Waiting] = deque()

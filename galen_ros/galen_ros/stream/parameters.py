@@ -1,4 +1,4 @@
-"""Parameters that the nodes share which take a wrench and joint_states."""
+"""Parameters of every node that takes a wrench and joint_states."""
 
 from dataclasses import dataclass
 
@@ -9,7 +9,7 @@ from galen_ros.stream.lateness import LATE_S
 
 @dataclass(frozen=True)
 class StreamParameters:
-    """Which samples are paired, by their stamps, and when a topic is silent."""
+    """Limits of the samples, by their stamps, and when a topic is silent."""
 
     max_joint_age_s: float = param(
         0.05,
@@ -33,12 +33,6 @@ class StreamParameters:
     best_effort_input: bool = param(
         False, "subscribe as best effort, for who publishes the wrench or the joints so"
     )
-
-
-@dataclass(frozen=True)
-class LoopParameters(StreamParameters):
-    """What those have besides whose output may stand in a robot's loop."""
-
     frozen_s: float = param(
         FROZEN_S,
         "s of wall time that a wrench may stay the same to the last bit while roll or tilt turns;"
