@@ -14,8 +14,8 @@ import math
 import re
 import sys
 import tempfile
-from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
@@ -31,16 +31,18 @@ from galen_calibration_behavior.calibration.estimate import calibrate
 from galen_calibration_behavior.calibration.procedure import CalibrationRequest
 from galen_calibration_behavior.parameters import CalibrationParameters
 from galen_model.arm.galen import HOME, JOINT_NAMES
+from galen_model.arm.kinematics import tip_pose
 from galen_model.errors import CalibrationFileError, GalenError
 from galen_model.files.calibration_file import read_calibration
-from galen_model.load.nominal_tools import TOOLS
+from galen_model.load.nominal_tools import ADAPTER, TOOLS
+from galen_sim_driver.effects.effect import Effect
+from galen_sim_driver.effects.joints.deflection_hysteresis import DeflectionHysteresis
+from galen_sim_driver.effects.load.cable_drag import CableDrag
+from galen_sim_driver.effects.load.inertial_load import InertialLoad
 from galen_sim_driver.plant.cell import Plant
 from galen_sim_driver.plant.config import (
     ZERO3,
-    CableConfig,
     HandPush,
-    HysteresisConfig,
-    InertiaConfig,
     PlantConfig,
 )
 from galen_sim_driver.plant.trajectory import Trajectory, TrajectoryPoint
@@ -67,8 +69,8 @@ class Recipe:
     tracker: bool = False
     hand: tuple[HandPush, ...] = ()
     hysteresis_fraction: float = 0.0
-    effects: Mapping[str, Any] = field(default_factory=dict)
-    """What the arm has beside the nominal model, as `PlantConfig` takes it."""
+    effects: tuple[Effect, ...] = ()
+    """What the arm has beside the nominal model."""
 
     @property
     def tool_file(self) -> str | None:
@@ -145,10 +147,11 @@ def _progress(time_s: float) -> tuple[float, float, float]:
 
 # --- swings, for inertial forces ---------------------------------------------------------------
 
-INERTIA = InertiaConfig(
-    on=True,
-    adapter_kg_m2=(3e-5, 3e-5, 4e-5, 0.0, 0.0, 0.0),
-    tools_kg_m2={"retractor": (2e-4, 5e-4, 4e-4, 0.0, -3e-5, 0.0)},
+# About their own centres, kg m^2: adapter (3e-5, 3e-5, 4e-5, 0, 0, 0) and retractor
+# (2e-4, 5e-4, 4e-4, 0, -3e-5, 0).
+INERTIA = InertialLoad(
+    TOOLS["retractor"].load.mass_kg + ADAPTER.mass_kg,
+    (2.3e-4, 5.3e-4, 4.4e-4, 0.0, -3e-5, 0.0),
 )
 _SWING_MOVES, _SHARE_OF_LIMITS = 24, 0.97
 _SWING_RANGE = np.array([0.08, 0.08, 0.06, 1.2, 0.8])
@@ -177,7 +180,13 @@ def _swings(cell: OfflineCell, recipe: Recipe, _folder: Path) -> None:
 
 # --- a sweep with a cable on --------------------------------------------------------------------
 
-CABLE = CableConfig(tension_n=0.3)
+_ATTACHMENT_M = (0.08, 0.0, 0.06)
+CABLE = CableDrag(
+    tension_n=0.3,
+    attachment_m=_ATTACHMENT_M,
+    stretch_per_m=1.0 / 0.3,
+    reference_m=tuple(tip_pose(HOME, _ATTACHMENT_M)[1].tolist()),
+)
 
 
 def _sweep(cell: OfflineCell, _recipe: Recipe, _folder: Path) -> None:
@@ -254,11 +263,11 @@ RECIPES = (
     ),
     Recipe(
         "swings", 5, datetime(2026, 3, 2, 13, tzinfo=UTC), 500.0, "retractor", 42.1, _swings,
-        effects={"inertia": INERTIA},
+        effects=(INERTIA,),
     ),
     Recipe(
         "cable_sweep", 6, datetime(2026, 3, 2, 14, tzinfo=UTC), 200.0, "pointer", 119.1, _sweep,
-        effects={"cable": CABLE},
+        effects=(CABLE,),
     ),
 )  # fmt: skip
 
@@ -301,8 +310,10 @@ def make(recipe: Recipe, folder: Path, quiet: bool = False) -> None:
         rate_hz=recipe.rate_hz,
         start_ns=start_ns,
         hand=recipe.hand,
-        hysteresis=HysteresisConfig(recipe.hysteresis_fraction),
-        **recipe.effects,
+        effects=(
+            *recipe.effects,
+            DeflectionHysteresis(recipe.hysteresis_fraction, form="joints", restarts=False),
+        ),
     )
     (folder / recipe.name).parent.mkdir(parents=True, exist_ok=True)
     plant = Plant(config, np.random.default_rng(recipe.seed))

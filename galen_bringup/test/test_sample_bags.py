@@ -10,9 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from galen_bags.arrays.arm_recording import read_arm
-from galen_calibration_behavior.from_bag.cable_from_bag import main as cable_from_bag
-from galen_calibration_behavior.from_bag.calibrate_from_bag import main as calibrate_from_bag
-from galen_calibration_behavior.from_bag.inertia_from_bag import main as inertia_from_bag
+from galen_calibration_behavior.calibrate_from_bag import main as calibrate_from_bag
 from galen_model.arm.galen import SENSOR
 from galen_model.files.calibration_file import read_calibration
 from galen_model.load.inertia.inertial import point_mass_inertia
@@ -83,11 +81,12 @@ def test_nobody_touches_the_tool_in_free_motion():
 @pytest.mark.slow
 def test_swings_tell_the_inertia_that_made_them(capsys):
     bag, tools = str(BAGS / "swings"), str(BAGS / "tools")
-    inertia_from_bag(["retractor", bag, "--tools-dir", tools, "--dry-run", "--json"])
+    options = ["--estimate", "inertia", "--tools-dir", tools, "--dry-run", "--json"]
+    calibrate_from_bag(["retractor", bag, *options])
     found = json.loads(capsys.readouterr().out)
-    own = np.add(make_bags.INERTIA.tools_kg_m2["retractor"], make_bags.INERTIA.adapter_kg_m2)
     points = point_mass_inertia(TOOLS["retractor"].load, ADAPTER)
-    off = np.array(found["inertia"]["about_sensor_kg_m2"]) - (points + own)
+    true = points + np.array(make_bags.INERTIA.own_inertia_kg_m2)
+    off = np.array(found["inertia"]["about_sensor_kg_m2"]) - true
     covariance = np.array(found["inertia"]["covariance"])
     assert off @ np.linalg.solve(covariance, off) < 27.9  # of six: once in ten thousand
     held_out = found["held_out_rms"]
@@ -97,7 +96,8 @@ def test_swings_tell_the_inertia_that_made_them(capsys):
 @pytest.mark.slow
 def test_the_cable_is_found_in_its_sweep(capsys):
     bag, tools = str(BAGS / "cable_sweep"), str(BAGS / "tools")
-    cable_from_bag(["pointer", bag, "--tools-dir", tools, "--dry-run", "--json"])
+    options = ["--estimate", "cable", "--tools-dir", tools, "--dry-run", "--json"]
+    calibrate_from_bag(["pointer", bag, *options])
     found = json.loads(capsys.readouterr().out)
     assert found["form"].startswith("point")
     assert found["attachment_m"] == pytest.approx(make_bags.CABLE.attachment_m, abs=2e-3)

@@ -21,8 +21,6 @@ from galen_sim_driver.effects.tracker.base_shift import BaseShift
 from galen_sim_driver.effects.tracker.tracker_delay import TrackerDelay
 from galen_sim_driver.effects.tracker.tracker_scale import TrackerScale
 from galen_sim_driver.errors import ConfigError
-from galen_sim_driver.plant.config import HysteresisConfig
-from galen_sim_driver.plant.joint_hysteresis import JointHysteresis
 from galen_sim_driver.plant.turning import turning_points
 from galen_sim_driver.replay import Replay, Scene
 
@@ -319,21 +317,6 @@ def test_one_sample_at_a_time_is_a_whole_bag_where_the_largest_loads_are_the_dri
     found = whole.deflect(instants(len(load)), given)
     assert np.abs(found - one).max() < 1e-9 * np.abs(found).max() + 1e-15
     assert np.abs(found[-1]).max() > 1e-6
-
-
-def test_joints_friction_is_the_plants():
-    load = pushes([0.0, 9.0, -6.0, 0.0], samples=30)
-    given = loading(TURNED, load)
-    effect = DeflectionHysteresis(0.06, 1.0, "joints").fresh()
-    plant = JointHysteresis(HysteresisConfig(0.06), GALEN)
-    for k in range(len(load)):
-        now = Loading(
-            given.joints[k : k + 1], given.wrench[k : k + 1], given.elastic[k : k + 1],
-            given.tip_m, GALEN,
-        )  # fmt: skip
-        found = effect.deflect(instants(1), now)[0]
-        plant.load(TURNED, POINTER.tip_m, given.wrench[k])
-        assert found == pytest.approx(plant.displacement(TURNED, POINTER.tip_m), rel=0.01, abs=1e-9)
 
 
 def test_noise_doesnt_wear_the_tips_state_off():

@@ -5,27 +5,25 @@ from dataclasses import replace
 import numpy as np
 import pinocchio
 import pytest
-from galen_model.arm.galen import GALEN, GRAVITY_M_S2, HOME, JOINT_NAMES, SENSOR, SENSOR_FRAME
-from galen_model.arm.kinematics import gravity_in_sensor, sensor_pose
+from galen_model.arm.galen import GRAVITY_M_S2, HOME, JOINT_NAMES, SENSOR, SENSOR_FRAME
+from galen_model.arm.kinematics import gravity_in_sensor, sensor_pose, tip_pose
 from galen_model.arm.pinocchio_arm import PinocchioArm
+from galen_model.arm.sensor_motion import sensor_motion
 from galen_model.errors import GalenError
 from galen_model.load.model import Load, nominal_reading
 from galen_model.load.nominal_tools import ADAPTER, TOOLS
 from galen_sim_driver.effects.effect import Instants, Posture
+from galen_sim_driver.effects.load.cable_drag import CableDrag
+from galen_sim_driver.effects.load.inertial_load import InertialLoad
 from galen_sim_driver.effects.load.loose_tool import LooseTool
 from galen_sim_driver.effects.sensor.sensor_drift import SensorDrift
 from galen_sim_driver.node.effect_parameters import EffectParameters, effects_of
 from galen_sim_driver.node.parameters import DriverParameters
 from galen_sim_driver.plant.cell import Plant
 from galen_sim_driver.plant.config import (
-    BiasDriftConfig,
-    CableConfig,
-    InertiaConfig,
     PlantConfig,
     SensorConfig,
 )
-from galen_sim_driver.plant.geometry import ArmGeometry, sensor_matrix
-from galen_sim_driver.plant.inertial_load import InertialLoad, inertia_about_origin
 from galen_sim_driver.plant.trajectory import Trajectory, TrajectoryPoint
 
 EXACT = SensorConfig(noise=False, quantise=False)
@@ -51,24 +49,26 @@ def tensor(entries):
     return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
 
 
+CABLE = CableDrag(
+    0.4,
+    bending_nm=0.01,
+    stretch_per_m=10.0,
+    reference_m=tuple(tip_pose(HOME, (0.08, 0.0, 0.06))[1]),
+)
+SWUNG = InertialLoad(
+    TOOLS["retractor"].load.mass_kg + ADAPTER.mass_kg, tuple(np.add(ADAPTER_INERTIA, TOOL_INERTIA))
+)
+
+
 def test_none_is_there_by_default_and_any_leaves_the_noise_what_it_is():
-    config = DriverParameters().plant_config()
-    assert not (config.inertia.on or config.bias_drift.on or config.cable.on)
-    assert effects_of(EffectParameters()) == config.effects == ()
-    nominal = make_plant(**{name: getattr(config, name) for name in ("inertia", "bias_drift")})
-    assert nominal._inertial is nominal._effects is nominal._sensor._bias_drift is None
-    # Still, without a tool, only the bias drift shows, and it draws from a generator of its own.
-    every = {
-        "inertia": InertiaConfig(True, ADAPTER_INERTIA),
-        "bias_drift": BiasDriftConfig(per_sqrt_hour=(1e-9,) * 6),
-        "cable": CableConfig(0.5, bending_nm=0.01),
-        "effects": (LooseTool(0.01),),
-    }
-    nominal, other = make_plant(""), make_plant("", **every)
+    assert effects_of(EffectParameters()) == DriverParameters().plant_config().effects == ()
+    assert make_plant()._effects is None
+    # Without a tool none of these shows.
+    nominal, other = make_plant(""), make_plant("", effects=(SWUNG, CABLE, LooseTool(0.01)))
     nominal.start_hand()
     other.start_hand()
     samples = [(nominal.step(), other.step()) for _ in range(900)]
-    assert all(a == b for a, b in samples)
+    assert all(np.allclose(a.wrench, b.wrench, rtol=0.0, atol=1e-12) for a, b in samples)
 
 
 def test_without_them_the_plant_reads_as_it_did_before_there_were_any():
@@ -87,15 +87,14 @@ def test_without_them_the_plant_reads_as_it_did_before_there_were_any():
 
 
 def inertial_wrench(load, about_com, joints, velocities, accelerations):
-    return InertialLoad(ArmGeometry(GALEN)).wrench(
-        sensor_matrix(joints[3], joints[4]),
-        joints,
-        velocities,
-        accelerations,
-        load.mass_kg,
-        load.moments[1:].tolist(),
-        tuple(inertia_about_origin(load, about_com).ravel().tolist()),
-    )
+    motion = sensor_motion(*(np.atleast_2d(part) for part in (joints, velocities, accelerations)))
+    at = Posture(
+        np.atleast_2d(joints), None, None, np.zeros((1, 3)), motion, load, Load(0.0, np.zeros(3)),
+        np.zeros(3),
+    )  # fmt: skip
+    effect = InertialLoad(load.mass_kg, about_com)
+    (wrench,) = effect.wrench(Instants("", np.zeros(1), np.zeros(1)), at)
+    return wrench
 
 
 def test_forces_of_acceleration_are_those_of_pinocchios_inverse_dynamics():
@@ -123,9 +122,8 @@ def test_forces_of_acceleration_are_those_of_pinocchios_inverse_dynamics():
 
 
 def test_the_plant_reads_the_change_of_momentum_along_its_own_path():
-    config = InertiaConfig(True, ADAPTER_INERTIA, {"retractor": TOOL_INERTIA})
     # It obeys a command a period later, and goes the same way then.
-    samples = move(make_plant(sensor=EXACT, inertia=config))[1:]
+    samples = move(make_plant(sensor=EXACT, effects=(SWUNG,)))[1:]
     without = move(make_plant(sensor=EXACT))[:-1]
     assert [s.true_joints for s in samples] == [s.true_joints for s in without]
     joints = np.array([sample.true_joints for sample in samples])
@@ -174,28 +172,26 @@ def pull_of(cable, joints):
 
 
 def test_a_cable_has_no_moment_about_its_anchor_and_pulls_as_a_spring():
-    config = CableConfig(0.3, stiffness_n_m=4.0, bending_nm=0.02)
-    bent, plain = config.effect(), replace(config, bending_nm=0.0).effect()
+    bent = replace(CABLE, tension_n=0.3, stretch_per_m=4.0 / 0.3, bending_nm=0.02)
+    plain = replace(bent, bending_nm=0.0)
     rng = np.random.default_rng(2)
     lengths, tensions = [], []
     for _ in range(30):
         joints = HOME + rng.uniform(-1.0, 1.0, 5) * [0.14, 0.14, 0.2, 1.5, 0.9]
         rotation, origin = sensor_pose(joints)
-        lever = rotation.T @ (np.array(config.anchor_m) - origin)
+        lever = rotation.T @ (np.array(bent.anchor_m) - origin)
         for cable in (bent, plain):
             wrench = pull_of(cable, joints)
             about_anchor = wrench[3:] - np.cross(lever, wrench[:3])
             assert np.abs(about_anchor).max() < 1e-12
-        line = lever - config.attachment_m
+        line = lever - bent.attachment_m
         # Without bending, a pull along the line at the attachment.
         assert np.abs(np.cross(line, wrench[:3])).max() < 1e-12
         assert wrench[:3] @ line > 0.0
         lengths.append(np.linalg.norm(line))
         tensions.append(np.linalg.norm(wrench[:3]))
     rotation, origin = sensor_pose(HOME)
-    at_home = np.linalg.norm(
-        rotation.T @ (np.array(config.anchor_m) - origin) - config.attachment_m
-    )
+    at_home = np.linalg.norm(rotation.T @ (np.array(bent.anchor_m) - origin) - bent.attachment_m)
     wrench = pull_of(bent, HOME)
     assert np.linalg.norm(wrench[:3]) == pytest.approx(0.3, rel=1e-12)
     lengths, tensions = np.array(lengths), np.array(tensions)
@@ -206,11 +202,9 @@ def test_a_cable_has_no_moment_about_its_anchor_and_pulls_as_a_spring():
 
 
 def test_the_cable_pulls_at_the_tool_that_is_on_and_every_joint_matters():
-    config = CableConfig(0.4, stiffness_n_m=1.5, bending_nm=0.01)
-
     def pull(joints, tool="retractor"):
         changes = {"sensor": EXACT, "start_joints": tuple(joints)}
-        with_it = make_plant(tool, cable=config, **changes).step().wrench
+        with_it = make_plant(tool, effects=(CABLE,), **changes).step().wrench
         return np.array(with_it) - make_plant(tool, **changes).step().wrench
 
     assert np.abs(pull(TURNED, "")).max() == 0.0
@@ -222,8 +216,7 @@ def test_the_cable_pulls_at_the_tool_that_is_on_and_every_joint_matters():
         assert np.abs(pull(moved) - at)[:3].max() > 1e-3
 
 
-# --- bias drift, sagging tool
-# -----------------------------------------------------------------------
+# --- bias drift, sagging tool -------------------------------------------------------------------
 
 
 def test_drift_is_what_was_asked_for_and_zeroing_takes_it_away_once():
@@ -240,22 +233,6 @@ def test_drift_is_what_was_asked_for_and_zeroing_takes_it_away_once():
     assert after[-1] == pytest.approx(drift * 1.0 / 3600.0, rel=1e-6, abs=1e-12)
 
 
-def test_the_random_walk_has_the_asked_for_size_and_acts_before_the_quantum():
-    asked = np.array([0.3, 0.2, 0.5, 2e-3, 3e-3, 1e-3])
-    change = BiasDriftConfig(per_sqrt_hour=tuple(asked))
-    plant = make_plant(sensor=EXACT, bias_drift=change)
-    path = np.array([plant.step().wrench for _ in range(20000)])
-    steps = np.diff(path, axis=0)
-    # 19999 steps tell a standard deviation to 0.5 %.
-    assert steps.std(axis=0) == pytest.approx(asked * np.sqrt(0.002 / 3600.0), rel=0.025)
-    assert np.abs(np.corrcoef(steps.T) - np.eye(6)).max() < 0.03
-    rough = make_plant(sensor=SensorConfig(noise=False), bias_drift=change)
-    quantum = np.array([0.005] * 3 + [1e-4] * 3)
-    seen = np.array([rough.step().wrench for _ in range(200)])
-    zero = rough._sensor.zero
-    assert np.abs((seen + zero) / quantum - np.round((seen + zero) / quantum)).max() < 1e-9
-
-
 def test_a_loose_tools_centre_moves_with_gravity():
     shift = 0.004
     tool = TOOLS["retractor"].load
@@ -269,39 +246,13 @@ def test_a_loose_tools_centre_moves_with_gravity():
         assert np.abs(found - nominal_reading(roll, tilt, tool, ADAPTER)).max() > 1e-3
 
 
-def test_the_nodes_parameters_reach_the_plant():
-    asked = replace(
-        DriverParameters(),
-        inertial_load=True,
-        adapter_inertia_kg_m2=ADAPTER_INERTIA,
-        tool_inertia_kg_m2=(*TOOL_INERTIA, *(0.0,) * 6),
-        sensor_bias_drift_per_sqrt_hour=(0.2,) * 6,
-        cable_tension_n=0.3,
-        cable_stiffness_n_m=2.0,
-        cable_bending_nm=0.01,
-        cable_anchor_m=(1.0, 2.0, 3.0),
-        cable_attachment_m=(0.1, 0.2, 0.3),
-    )
-    asked.validate()
-    config = asked.plant_config()
-    tools = {"pointer": TOOL_INERTIA, "retractor": (0.0,) * 6}
-    assert config.inertia == InertiaConfig(True, ADAPTER_INERTIA, tools)
-    assert config.bias_drift == BiasDriftConfig((0.2,) * 6)
-    assert config.cable == CableConfig(0.3, 2.0, 0.01, (1.0, 2.0, 3.0), (0.1, 0.2, 0.3))
-
-
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        ({"adapter_inertia_kg_m2": (1.0,)}, r"adapter_inertia_kg_m2.*1 numbers.*6"),
-        ({"adapter_inertia_kg_m2": (1.0, 1.0, 3.0, 0.0, 0.0, 0.0)}, "adapter.*no body"),
-        ({"tool_inertia_kg_m2": (1.0,) * 6}, r"tool_inertia_kg_m2.*6 numbers.*12"),
-        ({"sensor_bias_drift_per_sqrt_hour": (-1.0,) * 6}, "random walk"),
-        ({"cable_tension_n": -0.1}, "tension"),
-        ({"cable_anchor_m": (0.0, 1.0)}, "cable_anchor_m.*2 numbers.*3"),
-        ({"cable_anchor_m": (0.0, 1.0, float("inf"))}, "end of the cable"),
+        ({"inertial_load_own_inertia_kg_m2": (1.0,)}, r"own_inertia_kg_m2.*1 numbers.*6"),
+        ({"inertial_load_own_inertia_kg_m2": (1.0, 1.0, 3.0, 0.0, 0.0, 0.0)}, "no body"),
     ],
 )
 def test_bad_values_are_named(changes, words):
     with pytest.raises(GalenError, match=words):
-        replace(DriverParameters(), **changes).validate()
+        replace(EffectParameters(), **changes).validate()

@@ -20,16 +20,11 @@ from galen_ros.parameters.declare import ParameterError, param
 
 from galen_sim_driver.plant.config import (
     AdmittanceConfig,
-    BiasDriftConfig,
-    CableConfig,
     HandPush,
-    HysteresisConfig,
-    InertiaConfig,
     MotionConfig,
     PlantConfig,
     Pose,
     SensorConfig,
-    SixNumbers,
     TrackerConfig,
     Vector3,
 )
@@ -161,61 +156,6 @@ class DriverParameters:
         minimum=0.002,
     )
 
-    deflection_hysteresis_fraction: float = param(
-        _DEFAULT.hysteresis.residual_fraction,
-        "friction in the joints: what it leaves of a joint's deflection at no load, after the load "
-        "of `deflection_hysteresis_load`; 0 for none, else at least 0.0001",
-        minimum=0.0,
-        maximum=0.5,
-    )
-    deflection_hysteresis_load: tuple[float, ...] = param(
-        (
-            _DEFAULT.hysteresis.carriage_load_n,
-            _DEFAULT.hysteresis.rod_load_n,
-            _DEFAULT.hysteresis.roll_load_nm,
-            _DEFAULT.hysteresis.tilt_load_nm,
-        ),
-        "the load of each carriage and each rod (N), of roll and of tilt (Nm) that leaves the "
-        "largest fraction",
-        minimum=1e-6,
-    )
-
-    inertial_load: bool = param(False, "forces of acceleration of tool and adapter")
-    adapter_inertia_kg_m2: tuple[float, ...] = param(
-        _DEFAULT.inertia.adapter_kg_m2,
-        "inertia of the adapter about its centre of mass, along `ft_sensor`: entries xx yy zz xy "
-        "xz yz of the tensor, kg m^2; only with `inertial_load`",
-    )
-    tool_inertia_kg_m2: tuple[float, ...] = param(
-        [0.0] * 6 * len(TOOLS), "the same of each tool, six numbers a tool, kg m^2"
-    )
-    sensor_bias_drift_per_sqrt_hour: tuple[float, ...] = param(
-        _DEFAULT.bias_drift.per_sqrt_hour,
-        "random walk of each axis: its sigma after one hour, N and Nm",
-        minimum=0.0,
-    )
-    cable_tension_n: float = param(
-        _DEFAULT.cable.tension_n,
-        "a cable that pulls at the tool while one is on: its tension at home, N; 0 for none",
-        minimum=0.0,
-    )
-    cable_stiffness_n_m: float = param(
-        _DEFAULT.cable.stiffness_n_m,
-        "how much more it pulls for each metre farther from its anchor, N/m",
-        minimum=0.0,
-    )
-    cable_bending_nm: float = param(
-        _DEFAULT.cable.bending_nm,
-        "moment of the cord's bend at the tool at a right angle to how it lies at home, Nm",
-        minimum=0.0,
-    )
-    cable_anchor_m: tuple[float, ...] = param(
-        _DEFAULT.cable.anchor_m, "where the cable is held, in `base_link`, m"
-    )
-    cable_attachment_m: tuple[float, ...] = param(
-        _DEFAULT.cable.attachment_m, "where it pulls at the tool, in `ft_sensor`, m"
-    )
-
     hand_pushes: tuple[float, ...] = param(
         [
             value
@@ -235,13 +175,7 @@ class DriverParameters:
 
     def validate(self) -> None:
         """Lists have their lengths, names exist; raises ParameterError or another GalenError."""
-        for name in (
-            "sensor_noise",
-            "sensor_quantum",
-            "sensor_range",
-            "adapter_inertia_kg_m2",
-            "sensor_bias_drift_per_sqrt_hour",
-        ):
+        for name in ("sensor_noise", "sensor_quantum", "sensor_range"):
             self._require_length(name, 6)
         self._require_length("start_joints", 5)
         for name in (
@@ -252,11 +186,8 @@ class DriverParameters:
             "base_marker_rotvec_rad",
             "tool_marker_m",
             "tool_marker_rotvec_rad",
-            "cable_anchor_m",
-            "cable_attachment_m",
         ):
             self._require_length(name, 3)
-        self._require_length("deflection_hysteresis_load", 4)
         for tool in self.tools:
             check_tool_name(tool)
         if len(set(self.tools)) != len(self.tools):
@@ -264,8 +195,6 @@ class DriverParameters:
         self._require_length("tool_mass_kg", len(self.tools))
         self._require_length("tool_com_m", 3 * len(self.tools))
         self._require_length("tool_tip_m", 3 * len(self.tools))
-        if any(self.tool_inertia_kg_m2):
-            self._require_length("tool_inertia_kg_m2", 6 * len(self.tools))
         if self.initial_tool and self.initial_tool not in self.tools:
             raise ParameterError(
                 f"parameter 'initial_tool' is '{self.initial_tool}', which is not in 'tools'"
@@ -327,29 +256,8 @@ class DriverParameters:
                 self.admittance_damping,
                 self.admittance_timeout_s * max(1.0, self.speed_factor),
             ),
-            hysteresis=HysteresisConfig(
-                self.deflection_hysteresis_fraction, *self.deflection_hysteresis_load
-            ),
-            inertia=InertiaConfig(
-                self.inertial_load, _six(self.adapter_inertia_kg_m2), self._tool_inertias()
-            ),
-            bias_drift=BiasDriftConfig(_six(self.sensor_bias_drift_per_sqrt_hour)),
-            cable=CableConfig(
-                self.cable_tension_n,
-                self.cable_stiffness_n_m,
-                self.cable_bending_nm,
-                _vector(self.cable_anchor_m),
-                _vector(self.cable_attachment_m),
-            ),
             hand=self._hand_script(),
         )
-
-    def _tool_inertias(self) -> dict[str, SixNumbers]:
-        """Inertia by tool's name; the default, all of zero, does for any number of tools."""
-        if not any(self.tool_inertia_kg_m2):
-            return {}
-        rows = np.reshape(self.tool_inertia_kg_m2, (-1, 6)).tolist()
-        return {name: _six(row) for name, row in zip(self.tools, rows, strict=True)}
 
     def _hand_script(self) -> list[HandPush]:
         rows = np.reshape(self.hand_pushes, (-1, _NUMBERS_A_PUSH)).tolist()
@@ -370,11 +278,6 @@ class DriverParameters:
 def _vector(values: tuple[float, ...] | list[float]) -> Vector3:
     x, y, z = values
     return (x, y, z)
-
-
-def _six(values: tuple[float, ...] | list[float]) -> SixNumbers:
-    a, b, c, d, e, f = values
-    return (a, b, c, d, e, f)
 
 
 def _pose(translation_m: tuple[float, ...], rotvec_rad: tuple[float, ...]) -> Pose:

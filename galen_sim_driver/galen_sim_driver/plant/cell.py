@@ -5,8 +5,8 @@ The reading is the nominal measurement model,
     reading = W(theta; tool) + W(theta; adapter) - zero + applied wrench + noise,
 
 with W = (m g, m p x g) of a load m at p under gravity g in ft_sensor, and the zero what the sensor
-held when it was last zeroed; at the start W(home; adapter). What nominal lacks, the effects of
-`effects/` and some more, is there only where the configuration asks for it.
+held when it was last zeroed; at the start W(home; adapter). What nominal lacks are the effects of
+`effects/`, there only where the configuration asks for them.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from galen_model.load.nominal_tools import ToolGeometry
 
 from galen_sim_driver.errors import UnknownToolError, ZeroingError
 from galen_sim_driver.plant.admittance import Admittance
-from galen_sim_driver.plant.config import ZERO6, HandPush, PlantConfig
+from galen_sim_driver.plant.config import HandPush, PlantConfig
 from galen_sim_driver.plant.effects import ArmNow, PlantEffects
 from galen_sim_driver.plant.geometry import (
     ArmGeometry,
@@ -35,10 +35,7 @@ from galen_sim_driver.plant.geometry import (
     sensor_quaternion,
 )
 from galen_sim_driver.plant.hand import Hand
-from galen_sim_driver.plant.inertial_load import InertialLoad, inertia_about_origin
-from galen_sim_driver.plant.joint_hysteresis import JointHysteresis
 from galen_sim_driver.plant.motion import LimitedMotion
-from galen_sim_driver.plant.random_walk import SensorBiasDrift
 from galen_sim_driver.plant.sensor import ForceTorqueSensor, Zeroing
 from galen_sim_driver.plant.tracker import Tracker, TrackerSample
 from galen_sim_driver.plant.trajectory import JointState, Reference, Trajectory, check_trajectory
@@ -90,11 +87,8 @@ class Plant:
         self._mass = 0.0
         self._moment: list[float] = []
         self._set_load(None)
-        self._inertial = InertialLoad(self._geometry) if config.inertia.on else None
         # An acceleration at a stamp hangs on where the joints are a period later.
-        self._ahead = self._inertial is not None or (
-            self._effects is not None and self._effects.needs_motion
-        )
+        self._ahead = self._effects is not None and self._effects.needs_motion
         self._ahead_ns = self._period_ns if self._ahead else 0
 
         sensor_rng, tracker_rng = rng.spawn(2)
@@ -102,21 +96,13 @@ class Plant:
             zero = gravity_wrench(gravity_in_sensor(HOME[3], HOME[4]), config.adapter).tolist()
         else:
             zero = self._effects.zero
-        # Spawned after the others, which so draw the same with and without it.
-        bias_drift = (
-            SensorBiasDrift(config.bias_drift, self._period_s, rng.spawn(1)[0])
-            if config.bias_drift.on
-            else None
-        )
-        self._sensor = ForceTorqueSensor(config.sensor, zero, sensor_rng, bias_drift)
+        self._sensor = ForceTorqueSensor(config.sensor, zero, sensor_rng)
         self._zero_pose = (float(HOME[3]), float(HOME[4]))
         self._zeroing: Zeroing | None = None
         self._tracker = Tracker(config.tracker, tracker_rng)
         self._tracker_count = 0
         self._compliance_of: tuple[tuple[float, ...], str] | None = None
         self._compliance = np.zeros((6, 6))
-        hysteresis = config.hysteresis
-        self._hysteresis = JointHysteresis(hysteresis, self._arm) if hysteresis.on else None
 
         self._hand = Hand(config.hand)
         self._admittance = Admittance(config.admittance, self._geometry, config.motion.velocity)
@@ -288,17 +274,6 @@ class Plant:
             hz * gx - hx * gz,
             hx * gy - hy * gx,
         ]
-        if self._inertial is not None:
-            moving = self._inertial.wrench(
-                matrix,
-                true,
-                velocities,
-                motion.accelerations,
-                mass,
-                (hx, hy, hz),
-                self._inertia,
-            )
-            wrench = [a + b for a, b in zip(wrench, moving, strict=True)]
         if effects is not None and now is not None:
             more = effects.more_wrench(now, velocities, motion.accelerations)
             if more is not None:
@@ -309,9 +284,6 @@ class Plant:
             for axis in range(3):
                 wrench[axis] += touch[axis]
                 wrench[axis + 3] += touch[axis + 3] + lever[axis]
-        if self._hysteresis is not None:
-            at_tip = None if touch is None else _in_base(matrix, touch)
-            self._hysteresis.load(true, self._tip, at_tip)
         if effects is None:
             reading = self._sensor.read(wrench)
         else:
@@ -383,26 +355,14 @@ class Plant:
         return [q - offset for q, offset in zip(stops, self._offset, strict=True)]
 
     def _set_load(self, tool: ToolGeometry | None) -> None:
-        """Mass, first moment and inertia (SI) of all that hangs on the sensor; they only add up."""
+        """Mass and first moment (SI) of all that hangs on the sensor; they only add up."""
         moments = self._config.adapter.moments + (tool.load.moments if tool else 0.0)
         self._mass = float(moments[0])
         self._moment = moments[1:].tolist()
-        # What a loose tool's sag changes of the inertia is left out.
-        self._inertia = self._inertia_of(tool)
         if self._effects is not None:
             self._effects.attach(tool)
         # Without a tool there is no tip; a hand then holds the sensor's own origin.
         self._tip = np.asarray(tool.tip_m, dtype=float).tolist() if tool else [0.0, 0.0, 0.0]
-
-    def _inertia_of(self, tool: ToolGeometry | None) -> Matrix:
-        """Inertia about the sensor's origin (kg.m^2) of the adapter and of the tool that is on."""
-        config = self._config.inertia
-        total = inertia_about_origin(self._config.adapter, config.adapter_kg_m2)
-        if tool is not None:
-            own = config.tools_kg_m2.get(self._tool, ZERO6)
-            total = total + inertia_about_origin(tool.load, own)
-        (a, b, c), (d, e, f), (g, h, i) = total.tolist()
-        return (a, b, c, d, e, f, g, h, i)
 
     def _encode(self, joints: Sequence[float]) -> list[float]:
         return [
@@ -429,11 +389,6 @@ class Plant:
                 self._compliance = tip_compliance(joints, self._tip, self._arm)
                 self._compliance_of = key
             deflection = (self._compliance @ _in_base(matrix, touch)).tolist()
-        if self._hysteresis is not None:
-            left = self._hysteresis.displacement(joints, self._tip)
-            if left is not None:
-                elastic = deflection or [0.0] * 6
-                deflection = [a + b for a, b in zip(elastic, left, strict=True)]
         if effects is None or now is None:
             position = self._geometry.tip_position(joints, matrix, self._tip)
             tip = (position, sensor_quaternion(joints[3], joints[4]))
@@ -447,10 +402,8 @@ class Plant:
 
 
 def _effects_at_work(config: PlantConfig) -> PlantEffects | None:
-    """The effects that change something, the configured cable among them; None where none does."""
+    """The effects that change something; None where none does."""
     effects = [effect for effect in config.effects if not effect.changes_nothing]
-    if config.cable.on:
-        effects.append(config.cable.effect())
     if not effects:
         return None
     return PlantEffects(effects, config.arm, config.adapter, HOME.tolist())

@@ -9,7 +9,6 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
-import numpy as np
 from galen_model.arm.galen import (
     ENCODER_QUANTUM,
     GALEN,
@@ -23,29 +22,21 @@ from galen_model.arm.galen import (
     JointLimits,
     SensorParameters,
 )
-from galen_model.arm.kinematics import tip_pose
 from galen_model.load.model import Load
 from galen_model.load.nominal_tools import ADAPTER, TOOLS, ToolGeometry
 
 from galen_sim_driver.effects.effect import Effect
-from galen_sim_driver.effects.load.cable_drag import CableDrag
 from galen_sim_driver.errors import ConfigError
 
 Vector3 = tuple[float, float, float]
 JointVector = tuple[float, float, float, float, float]
-
-SixNumbers = tuple[float, float, float, float, float, float]
 
 LONGEST_PUSH_S = 3600.0
 """A hand that pushes for ever would keep every other push out."""
 LARGEST_PUSH = 1e4
 """N, or N.m about the tip: beyond what any arm of this size bears, and no number overflows."""
 
-LEAST_TENSION_N = 1e-6
-"""The stiffness over less overflows."""
-
 ZERO3: Vector3 = (0.0, 0.0, 0.0)
-ZERO6: SixNumbers = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True)
@@ -129,145 +120,6 @@ class AdmittanceConfig:
 
 
 @dataclass(frozen=True)
-class HysteresisConfig:
-    """Friction in the joints that leaves some of a deflection behind; none in the nominal arm.
-
-    After a push that loads a joint as much as told here (a carriage or a rod in N, roll and tilt
-    in N.m), `residual_fraction` of that joint's deflection is left at no load, and less after any
-    other push. The loads are about those of 10 N at the retractor's tip.
-    """
-
-    residual_fraction: float = 0.0
-    carriage_load_n: float = 15.0
-    rod_load_n: float = 60.0
-    roll_load_nm: float = 1.5
-    tilt_load_nm: float = 1.5
-
-    @property
-    def on(self) -> bool:
-        """Whether there is any."""
-        return self.residual_fraction > 0.0
-
-    def validate(self) -> None:
-        """The fraction is none or one that can be computed, the loads are positive."""
-        _require(
-            self.residual_fraction == 0.0 or 1e-4 <= self.residual_fraction <= 0.5,
-            f"residual fraction of the deflection's hysteresis is {self.residual_fraction}, but "
-            "must be 0 or between 0.0001 and 0.5",
-        )
-        for name, value in (
-            ("carriage", self.carriage_load_n),
-            ("rod", self.rod_load_n),
-            ("roll", self.roll_load_nm),
-            ("tilt", self.tilt_load_nm),
-        ):
-            _require(
-                math.isfinite(value) and value > 0.0,
-                f"hysteresis load of the {name} is {value}, but must be positive",
-            )
-
-
-@dataclass(frozen=True)
-class InertiaConfig:
-    """Forces of acceleration of tool and adapter; none in the nominal arm.
-
-    Inertia tensors are about the loads' own centres of mass, along ft_sensor, as their entries
-    xx yy zz xy xz yz (kg.m^2). A tool that is not named is a point mass.
-    """
-
-    on: bool = False
-    adapter_kg_m2: SixNumbers = ZERO6
-    tools_kg_m2: Mapping[str, SixNumbers] = field(default_factory=dict)
-
-    def validate(self) -> None:
-        """Every tensor is one that a body can have: principal moments that make a triangle."""
-        for name, entries in (("adapter", self.adapter_kg_m2), *self.tools_kg_m2.items()):
-            _require(all(map(math.isfinite, entries)), f"inertia of {name} is {list(entries)}")
-            xx, yy, zz, xy, xz, yz = entries
-            low, middle, high = np.linalg.eigvalsh([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-            # To rounding: a thin rod has two equal moments and a third of zero.
-            slack = 1e-9 * max(abs(low), abs(high))
-            _require(
-                low >= -slack and high <= low + middle + slack,
-                f"inertia of {name} is {list(entries)} kg m^2, which no body can have",
-            )
-
-
-@dataclass(frozen=True)
-class BiasDriftConfig:
-    """The sensor's random walk, fx fy fz in N, tx ty tz in N.m; none in the nominal arm."""
-
-    per_sqrt_hour: SixNumbers = ZERO6
-    """Its standard deviation after one hour."""
-
-    @property
-    def on(self) -> bool:
-        """Whether there is any."""
-        return any(self.per_sqrt_hour)
-
-    def validate(self) -> None:
-        """A standard deviation is finite and not negative."""
-        for value in self.per_sqrt_hour:
-            _require(
-                math.isfinite(value) and value >= 0.0,
-                f"the sensor's random walk is {value}, but can't be negative",
-            )
-
-
-@dataclass(frozen=True)
-class CableConfig:
-    """A cable from the tool to an anchor, told by its stiffness; none in the nominal arm.
-
-    The law is that of the effect `cable_drag`. It pulls while a tool is on, with `tension_n` at
-    home and `stiffness_n_m` more for each metre farther from the anchor. `bending_nm` is the moment
-    of the cord's bend at the tool at a right angle to how it lies at home.
-    """
-
-    tension_n: float = 0.0
-    stiffness_n_m: float = 1.0
-    bending_nm: float = 0.0
-    anchor_m: Vector3 = (0.35, 0.35, 0.9)
-    """In base_link."""
-    attachment_m: Vector3 = (0.08, 0.0, 0.06)
-    """In ft_sensor."""
-
-    @property
-    def on(self) -> bool:
-        """Whether there is one."""
-        return self.tension_n > 0.0
-
-    def validate(self) -> None:
-        """Numbers are finite; tension, stiffness and bending aren't negative."""
-        for name, value in (
-            ("tension", self.tension_n),
-            ("stiffness", self.stiffness_n_m),
-            ("bending", self.bending_nm),
-        ):
-            _require(
-                math.isfinite(value) and value >= 0.0,
-                f"{name} of the cable is {value}, but can't be negative",
-            )
-        _require(
-            self.tension_n == 0.0 or self.tension_n >= LEAST_TENSION_N,
-            f"tension of the cable is {self.tension_n} N: 0, or at least {LEAST_TENSION_N:g}",
-        )
-        for value in (*self.anchor_m, *self.attachment_m):
-            _require(math.isfinite(value), f"an end of the cable is at {value} m")
-
-    def effect(self) -> CableDrag:
-        """The cable as the plant has it; it must be on."""
-        _, at_home = tip_pose(HOME, self.attachment_m)
-        return CableDrag(
-            self.tension_n,
-            self.anchor_m,
-            self.attachment_m,
-            self.stiffness_n_m / self.tension_n,
-            self.bending_nm,
-            tuple(at_home.tolist()),
-        )
-
-
-@dataclass(frozen=True)
 class HandPush:
     """One push of the scripted hand at tool_tip.
 
@@ -341,12 +193,8 @@ class PlantConfig:
     sensor: SensorConfig = SensorConfig()
     tracker: TrackerConfig = TrackerConfig()
     admittance: AdmittanceConfig = AdmittanceConfig()
-    hysteresis: HysteresisConfig = HysteresisConfig()
-    inertia: InertiaConfig = field(default_factory=InertiaConfig)
-    bias_drift: BiasDriftConfig = BiasDriftConfig()
-    cable: CableConfig = CableConfig()
     effects: tuple[Effect, ...] = ()
-    """Of `effects/`, beside those above."""
+    """What the nominal model leaves out."""
     hand: Sequence[HandPush] = field(default_factory=_default_script)
 
     @property
@@ -363,10 +211,6 @@ class PlantConfig:
         self.motion.validate()
         self.tracker.validate()
         self.admittance.validate()
-        self.hysteresis.validate()
-        self.inertia.validate()
-        self.bias_drift.validate()
-        self.cable.validate()
         for effect in self.effects:
             effect.validate()
         for push in self.hand:

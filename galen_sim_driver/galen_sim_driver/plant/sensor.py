@@ -1,6 +1,6 @@
-"""The force/torque sensor: bias drift, noise, quantum, range, and the zero that is subtracted.
+"""The force/torque sensor: noise, quantum, range, and the zero that is subtracted.
 
-The element sees the whole load, so bias drift, noise, quantum and range act on what is not zeroed
+The element sees the whole load, so noise, quantum and range act on what is not zeroed
 yet; the zero is a number that is subtracted afterwards.
 """
 
@@ -12,7 +12,6 @@ import numpy as np
 
 from galen_sim_driver.errors import ZeroingError
 from galen_sim_driver.plant.config import SensorConfig
-from galen_sim_driver.plant.random_walk import SensorBiasDrift
 
 _BLOCK = 2048
 
@@ -44,13 +43,8 @@ class ForceTorqueSensor:
     """Turns the load's true wrench into a reading. Wrenches are lists (6,), N and N.m."""
 
     def __init__(
-        self,
-        config: SensorConfig,
-        zero: Sequence[float],
-        rng: np.random.Generator,
-        bias_drift: SensorBiasDrift | None = None,
+        self, config: SensorConfig, zero: Sequence[float], rng: np.random.Generator
     ) -> None:
-        self._bias_drift = bias_drift
         self._rng = rng
         self._noise = config.noise
         self._std = config.parameters.noise_std
@@ -86,8 +80,6 @@ class ForceTorqueSensor:
     ) -> list[float]:
         """Return the reading of a true wrench; `after_noise` changes it before the quantum."""
         raw = wrench
-        if self._bias_drift is not None:
-            raw = [a + b for a, b in zip(raw, self._bias_drift.next(), strict=True)]
         if self._noise:
             if self._next == len(self._block):
                 # One draw for many samples: a call into numpy costs more than the numbers.

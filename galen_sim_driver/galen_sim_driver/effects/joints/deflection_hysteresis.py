@@ -23,7 +23,7 @@ Why a softness: a spring with friction that doesn't slide yet is stiffer than on
 whose friction does, and which of the two the nominal stiffness is of, nobody says.
 
 "joints": Dahl's friction beside the springs of carriages, roll, tilt and rods, as
-`galen_sim_driver.plant.joint_hysteresis` derives it, each with the fraction at its own largest
+`dahl.py` derives it, each with the fraction at its own largest
 load (over its deflection with the friction, there). With side -1 what friction takes is added.
 
 With `restarts` a move of the arm takes away what loads have left, and largest loads are those of a
@@ -49,17 +49,9 @@ from galen_model.load.nominal_tools import TOOLS
 from galen_ros.parameters.param import param
 
 from galen_sim_driver.effects.effect import Effect, Fitted, Instants, Loading
+from galen_sim_driver.effects.joints.dahl import joint_columns, joint_stiffness, load_of, shape
+from galen_sim_driver.effects.joints.dahl import slide as dahl_slide
 from galen_sim_driver.errors import ConfigError
-from galen_sim_driver.plant.config import HysteresisConfig
-from galen_sim_driver.plant.joint_hysteresis import (
-    joint_columns,
-    joint_stiffness,
-    load_of,
-    shape,
-)
-from galen_sim_driver.plant.joint_hysteresis import (
-    slide as dahl_slide,
-)
 from galen_sim_driver.plant.turning import along_turns
 
 FORMS = ("tip", "joints")
@@ -275,9 +267,5 @@ def _typical_tip() -> Array:
 
 
 def _typical_joints() -> Array:
-    loads = HysteresisConfig()
-    return np.array(
-        [loads.carriage_load_n] * 3
-        + [loads.roll_load_nm, loads.tilt_load_nm]
-        + [loads.rod_load_n] * 6
-    )
+    """Loads (11,) of carriages (N), roll and tilt (N.m) and rods (N) by that force."""
+    return np.array([15.0] * 3 + [1.5, 1.5] + [60.0] * 6)

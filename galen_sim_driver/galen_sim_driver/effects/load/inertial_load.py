@@ -6,8 +6,8 @@ of the weight of both:
 
     m_i = mass_kg w_i / sum w,   h = sum m_i p_i,   I = sum m_i (p_i.p_i 1 - p_i p_i^T)
 
-so that they swing about their common centre h / m. What the bodies turn about their own centres is
-not in it: some 1e-4 kg m^2 for a tool of this size.
+so that they swing about their common centre h / m. What the bodies turn about their own centres,
+some 1e-4 kg m^2 for a tool of this size, is `own_inertia_kg_m2`, added to I.
 """
 
 from __future__ import annotations
@@ -23,6 +23,7 @@ from galen_model.load.model import Load
 from galen_ros.parameters.param import param
 
 from galen_sim_driver.effects.effect import Effect, Fitted, Instants, Posture
+from galen_sim_driver.errors import ConfigError
 
 
 @dataclass(frozen=True)
@@ -32,8 +33,31 @@ class InertialLoad(Effect):
     name: ClassVar[str] = "inertial_load"
     fitted: ClassVar[tuple[Fitted, ...]] = (Fitted("mass_kg", "kg", 0.15, 0.0, 5.0),)
     needs_motion: ClassVar[bool] = True
+    beyond_contract: ClassVar[tuple[str, ...]] = ("own_inertia_kg_m2",)
 
     mass_kg: float = param(0.0, "mass of tool and adapter that accelerates, kg", 0.0, 5.0)
+    own_inertia_kg_m2: tuple[float, ...] = param(
+        (0.0,) * 6,
+        "inertia of tool and adapter about their own centres, along `ft_sensor`, summed: entries "
+        "xx yy zz xy xz yz of the tensor, kg m^2",
+    )
+
+    @property
+    def changes_nothing(self) -> bool:
+        """Neither mass nor inertia."""
+        return self.mass_kg == 0.0 and not any(self.own_inertia_kg_m2)
+
+    def validate(self) -> None:
+        """Raise ConfigError unless a body can have the inertia: its moments make a triangle."""
+        xx, yy, zz, xy, xz, yz = self.own_inertia_kg_m2
+        low, middle, high = np.linalg.eigvalsh([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+        # To rounding: a thin rod has two equal moments and a third of zero.
+        slack = 1e-9 * max(abs(low), abs(high))
+        if low < -slack or high > low + middle + slack:
+            raise ConfigError(
+                f"{self.name}: own_inertia_kg_m2 is {list(self.own_inertia_kg_m2)}, which no body "
+                "can have"
+            )
 
     def wrench(self, when: Instants, posture: Posture) -> Array | None:
         """What the motion adds to the weight."""
@@ -43,6 +67,7 @@ class InertialLoad(Effect):
             return None
         told = tuple((load.mass_kg, *np.asarray(load.com_m).tolist()) for load in loads)
         moments, inertia = _numbers(self.mass_kg, told)
+        inertia = inertia + np.array(self.own_inertia_kg_m2)
         moved = (-motion.acceleration_m_s2, motion.velocity_rad_s, motion.acceleration_rad_s2)
         if len(when) == 1:  # a driver's sample: some ten times as fast
             specific, turning, faster = (tuple(part[0].tolist()) for part in moved)

@@ -1,4 +1,4 @@
-"""Hysteresis of the arm's deflection: Dahl's friction beside the spring of every joint.
+"""Dahl's friction beside the spring of every joint, under a prescribed load.
 
 A joint's spring of nominal stiffness k carries the load u less a friction F that follows the
 joint's displacement x (P. R. Dahl, Solid friction damping of mechanical vibrations, AIAA Journal
@@ -31,7 +31,6 @@ carriage moves it without turning it, since its two rods stay parallel.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from functools import cache
 
 import numpy as np
@@ -43,32 +42,6 @@ from galen_model.wrench import move_twist
 from numpy.typing import ArrayLike
 from scipy.optimize import brentq, minimize_scalar
 from scipy.special import lambertw
-
-from galen_sim_driver.plant.config import HysteresisConfig
-
-
-class DahlFriction:
-    """Friction of several joints, each beside a spring, under a prescribed load."""
-
-    def __init__(self, ratio: float, level: Array) -> None:
-        """Start without friction.
-
-        ratio: a, the friction's first stiffness over the spring's. level: F_c (joints,), N or N.m.
-        """
-        self._ratio = ratio
-        self._level = level
-        self._load = np.zeros(len(level))
-        self._phi = np.zeros(len(level))
-
-    @property
-    def friction(self) -> Array:
-        """F (joints,): what the springs don't carry of the load, N or N.m."""
-        return self._level * self._phi
-
-    def load(self, load: Array) -> None:
-        """Go from the last load to this one (joints,), N or N.m, straight."""
-        self._phi = slide(self._ratio, self._phi, (load - self._load) / self._level)
-        self._load = load
 
 
 def slide(ratio: float, phi: Array, change: Array) -> Array:
@@ -118,59 +91,6 @@ def shape(largest_fraction: float) -> tuple[float, float]:
         xtol=1e-12,
     )
     return float(ratio), peak(ratio)
-
-
-class JointHysteresis:
-    """What friction in the joints takes from the tip's nominal deflection, or leaves of it."""
-
-    def __init__(self, config: HysteresisConfig, arm: ArmParameters) -> None:
-        """Start as if never loaded. Raises ConfigError; the fraction must be above 0 here."""
-        config.validate()
-        self._arm = arm
-        self._stiffness = joint_stiffness(arm)
-        ratio, way = shape(config.residual_fraction)
-        reference = np.array(
-            [config.carriage_load_n] * 3
-            + [config.roll_load_nm, config.tilt_load_nm]
-            + [config.rod_load_n] * 6
-        )
-        self._friction = DahlFriction(ratio, reference / load_of(ratio, way))
-        self._loaded = False
-        self._used = False
-        self._columns_at: tuple[tuple[float, ...], tuple[float, ...]] | None = None
-        self._columns: Array = np.zeros((6, 11))
-
-    def load(
-        self, joints: Sequence[float], tip_m: Sequence[float], wrench: Sequence[float] | None
-    ) -> None:
-        """Load the joints with a wrench (6,) at the tip in base_link, N and N.m, or with none.
-
-        joints (5,): m, rad. tip_m (3,): in ft_sensor. Call it for every sample.
-        """
-        if wrench is not None:
-            self._loaded = self._used = True
-            # Virtual work: a joint carries what the wrench does on the motion of the tip by it.
-            self._friction.load(self._columns_for(joints, tip_m).T @ np.asarray(wrench))
-        elif self._loaded:
-            self._loaded = False
-            self._friction.load(np.zeros(len(self._stiffness)))
-
-    def displacement(self, joints: Sequence[float], tip_m: Sequence[float]) -> list[float] | None:
-        """What is to be added to the tip's nominal deflection: translation (m), rotation (rad).
-
-        (6,) in base_link; None before the first load.
-        """
-        if not self._used:
-            return None
-        slack = self._friction.friction / self._stiffness
-        return (-(self._columns_for(joints, tip_m) @ slack)).tolist()
-
-    def _columns_for(self, joints: Sequence[float], tip_m: Sequence[float]) -> Array:
-        """Twist of the tip (6, 11) over what carriages, roll, tilt and rods give."""
-        key = (tuple(joints), tuple(tip_m))
-        if key != self._columns_at:
-            self._columns, self._columns_at = joint_columns(joints, tip_m, self._arm), key
-        return self._columns
 
 
 def joint_stiffness(arm: ArmParameters) -> Array:
