@@ -244,6 +244,11 @@ def test_a_score_may_be_asked_for():
     blind_check.check_score(score(answers, EFFECTS), 0.75)
     with pytest.raises(blind_check.GalenError, match=r"0\.750, below the 0\.8"):
         blind_check.check_score(score(answers, EFFECTS), 0.8)
+    blind_check.check_answers(answers[:3])
+    with pytest.raises(
+        blind_check.GalenError, match=r"1 of 4.*r: verdict .*\(bias_step\) of joint_g"
+    ):
+        blind_check.check_answers(answers)
     with pytest.raises(blind_check.GalenError, match="1 of 4 diagnoses failed"):
         blind_check.check_score(score([*answers[:3], Answered(label, None)], EFFECTS), 0.0)
 

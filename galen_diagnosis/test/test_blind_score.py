@@ -7,7 +7,7 @@ from galen_diagnosis.blind.parsed_answer import ParsedAnswer, parse_answer
 from galen_diagnosis.blind.scoring.parameter_errors import compare
 from galen_diagnosis.blind.scoring.pictures import draw_pictures
 from galen_diagnosis.blind.scoring.rates import Rate, calibration
-from galen_diagnosis.blind.scoring.score import Answered, score, to_json
+from galen_diagnosis.blind.scoring.score import Answered, score, to_json, wrong_answers
 from galen_diagnosis.blind.scoring.table import markdown
 from galen_model.files.json_fields import FieldError
 
@@ -341,3 +341,39 @@ def test_effects_of_joints_are_read_with_their_joint():
     read = label_from_json(sealed.to_json())
     assert read.answer == "joint_zero_offset:roll"
     assert read.accepted == {"joint_zero_offset:roll", "base_inclination"}
+
+
+@pytest.mark.parametrize(
+    ("truth", "answer", "right"),
+    [
+        (label("r", "none", ()), said("r", {"none": 1.0}, "none"), True),
+        (label("r", "none", ()), said("r", {"alpha": 1.0}), False),
+        (label("r", "unknown", ("hail",)), said("r", {"unknown": 1.0}, "unknown"), True),
+        (label("r", "unknown", ("hail",)), said("r", {"alpha": 1.0}), False),
+        (label("r", "single", ("alpha",)), said("r", {"alpha": 1.0}), True),
+        (label("r", "single", ("alpha",)), said("r", {"alpha": 1.0}, "ambiguous"), False),
+        (label("r", "single", ("alpha",)), said("r", {"beta": 1.0}), False),
+        (
+            label("r", "single", ("alpha",), strength="faint"),
+            said("r", {"none": 1.0}, "none"),
+            True,
+        ),
+        (label("r", "single", ("alpha",), strength="faint"), said("r", {"beta": 1.0}), False),
+        (label("r", "pair", ("alpha", "beta")), said("r", {"alpha": 1.0}), False),
+        (
+            label("r", "pair", ("alpha", "beta")),
+            said("r", {"alpha": 1.0}, causes={"alpha": {}, "beta": {}}),
+            True,
+        ),
+        (
+            label("r", "single", ("alpha",), acceptable=(("alpha", "beta"),)),
+            said("r", {"beta": 1.0}, "ambiguous"),
+            True,
+        ),
+    ],
+)
+def test_every_answer_of_a_short_check_must_be_right(truth, answer, right):
+    assert (wrong_answers([Answered(truth, answer)]) == []) == right
+    assert wrong_answers([Answered(truth, None)]) == [
+        f"r: no answer of {' and '.join(truth.names) or 'none'}"
+    ]

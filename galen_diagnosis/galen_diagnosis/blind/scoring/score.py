@@ -201,6 +201,40 @@ def score(cases: Sequence[Answered], effects: Sequence[str]) -> Score:
     )
 
 
+def wrong_answers(cases: Sequence[Answered]) -> list[str]:
+    """Say which answers are wrong, one line each.
+
+    Healthy and unlisted causes need their verdict, others all their effects or twins of these
+    named, as identified where no twin is. A faint cause may be left open or missed.
+    """
+    return [
+        f"{case.label.recording}: {_words(case)} of {' and '.join(case.label.names) or NONE}"
+        for case in cases
+        if not _answer_is_right(case)
+    ]
+
+
+def _words(case: Answered) -> str:
+    if case.said is None:
+        return "no answer"
+    return f"verdict {case.said.verdict} ({', '.join(case.said.causes) or 'no cause'})"
+
+
+def _answer_is_right(case: Answered) -> bool:
+    label, answer = case.label, case.said
+    if answer is None:
+        return False
+    if label.kind in (NONE, UNKNOWN):
+        return answer.verdict == label.kind
+    if label.strength == "faint":
+        return answer.verdict != "identified" or _named(case)
+    wanted = [set(names) | {own} for own, names in _wanted(label)]
+    alone = all(len(names) == 1 for names in wanted)
+    verdicts = ("identified",) if alone else ("identified", "ambiguous")
+    found = _matched(wanted, sorted(answer.named))
+    return answer.verdict in verdicts and found == len(wanted)
+
+
 def _calibration(cases: Sequence[Answered]) -> Calibration | None:
     answered = [(dict(c.said.ranking), c.label.answer) for c in cases if c.said is not None]
     return calibration([ranking for ranking, _ in answered], [truth for _, truth in answered])
