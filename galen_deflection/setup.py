@@ -21,11 +21,9 @@ setup(
         "console_scripts": [
             "collect = galen_ros.executable:galen_deflection.collection.command.main",
             "collection_node = galen_ros.executable:galen_deflection.collection.node.main",
-            "compare = galen_ros.executable:galen_deflection.scoring.compare.main",
             "deflection_node = galen_ros.executable:galen_deflection.node.main",
-            "evaluate = galen_ros.executable:galen_deflection.scoring.evaluate.main",
-            "fit_joint = galen_ros.executable:galen_deflection.transmission.fit_joint.main",
-            "train = galen_ros.executable:galen_deflection.scoring.train.main",
+            "evaluate = galen_ros.executable:galen_deflection.evaluate.main",
+            "train = galen_ros.executable:galen_deflection.train.main",
         ]
     },
 )

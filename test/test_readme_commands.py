@@ -28,7 +28,7 @@ MAKES = {
     ">",
 }
 TAKES = re.compile(
-    r"ros2 run galen_\w+ (?:play|evaluate|drift|convert|diagnose\w*|train|compare|fit_joint"
+    r"ros2 run galen_\w+ (?:play|evaluate|drift|convert|diagnose\w*|train"
     r"|(?:calibrate|inertia|cable)_from_bag \w+) "
 )
 COMMAND = re.compile(r"(\$ )?(ros2|python) ")

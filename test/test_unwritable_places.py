@@ -7,16 +7,21 @@ import pytest
 NOWHERE = "/proc/galen/new"  # for root, too
 COMMANDS = {
     "galen_bags.convert": ("IN.csv", "-o", NOWHERE),
-    "galen_calibration_behavior.from_bag.cable_from_bag": (
+    "galen_calibration_behavior.calibrate_from_bag": (
         "t",
         "IN",
+        "--estimate",
+        "cable",
         "--dry-run",
         "--plots",
         NOWHERE,
     ),
-    "galen_calibration_behavior.pose_choice.command": ("--plots", NOWHERE),
-    "galen_deflection.scoring.compare": ("IN", "--tool", "IN", "--plots", NOWHERE),
-    "galen_deflection.scoring.evaluate": (
+    "galen_calibration_behavior.calibrate_from_bag --propose-poses": (
+        "--propose-poses",
+        "--plots",
+        NOWHERE,
+    ),
+    "galen_deflection.evaluate": (
         "IN",
         "--tool",
         "IN",
@@ -25,7 +30,7 @@ COMMANDS = {
         "--plots",
         NOWHERE,
     ),
-    "galen_deflection.scoring.train": ("IN", "--tool", "IN", "--kind", "coupled", "-o", NOWHERE),
+    "galen_deflection.train": ("IN", "--tool", "IN", "--kind", "coupled", "-o", NOWHERE),
     "galen_diagnosis.blind_check": ("--short", "--plots", NOWHERE),
     "galen_diagnosis.diagnose": ("IN", "--output", NOWHERE),
     "galen_diagnosis.diagnose --next": ("IN", "--next", NOWHERE),

@@ -1,4 +1,4 @@
-"""train, evaluate and compare, end to end on small recordings."""
+"""train and evaluate, end to end on small recordings."""
 
 import json
 import subprocess
@@ -10,14 +10,15 @@ import pytest
 from galen_deflection.errors import FitError
 from galen_deflection.models.file import read_model
 from galen_deflection.models.registry import KINDS
-from galen_deflection.scoring import compare, evaluate, train
 from galen_model.files.calibration_file import write_calibration
 from galen_ros.command import EXIT_FAILED, EXIT_INTERRUPTED, EXIT_OK
 from push_bag import POSITIONS, ROOT, TOOL, Scene, write
 
+from galen_deflection import evaluate, train
+
 PUSHES = ((8.0, 0.0, 0.0), (0.0, -8.0, 0.0), (0.0, 0.0, 8.0), (-5.0, 4.0, 0.0), (0.0, 6.0, -5.0))
 TOOL_FILE = str(ROOT / "bags" / "tools" / "retractor.json")
-COMMANDS = {"train": train, "evaluate": evaluate, "compare": compare}
+COMMANDS = {"train": train, "evaluate": evaluate}
 
 
 @pytest.fixture(scope="module")
@@ -132,7 +133,6 @@ def test_pictures_that_cant_be_are_told_before_the_bags_are_read(command, tmp_pa
     needs = {
         "train": ("--kind", "coupled", "-o", tmp_path / "m.json"),
         "evaluate": ("--model", tmp_path / "m.json"),
-        "compare": (),
     }[command]
     (tmp_path / "file").write_text("")
 
@@ -249,12 +249,12 @@ def test_two_models_of_a_kind_are_told_apart(folder, tmp_path, capsys):
     assert list(said["models"]) == ["coupled coupled", "coupled again"]
 
 
-# --- compare ------------------------------------------------------------------------------------
+# --- kinds --------------------------------------------------------------------------------------
 
 
-def test_compare_fits_where_it_does_not_check(folder, capsys):
+def test_kinds_fits_where_it_does_not_check(folder, capsys):
     code, said = call_json(
-        "compare", capsys, folder / "bags", "--tool", TOOL_FILE,
+        "evaluate", capsys, folder / "bags", "--tool", TOOL_FILE,
         "--kinds", "coupled", "joint_stiffness",
     )  # fmt: skip
     assert code == EXIT_OK
@@ -271,11 +271,11 @@ def test_compare_fits_where_it_does_not_check(folder, capsys):
     assert ratio[1] > 1.1 * ratio[0] > 1.1
 
 
-def test_compare_with_more_to_fit_to(folder, capsys):
+def test_kinds_with_more_to_fit_to(folder, capsys):
     arguments = ("--tool", TOOL_FILE, "--kinds", "coupled", "--split", "position")
     first, second = folder / "bags" / "first", folder / "bags" / "second"
-    _, alone = call_json("compare", capsys, first, *arguments)
-    _, more = call_json("compare", capsys, first, *arguments, "--extra", second)
+    _, alone = call_json("evaluate", capsys, first, *arguments)
+    _, more = call_json("evaluate", capsys, first, *arguments, "--extra", second)
     (alone,), (more,) = alone["comparisons"], more["comparisons"]
     assert more["samples_only_fitted_to"] > 0
     assert alone["samples_checked"] == more["samples_checked"]
@@ -289,14 +289,14 @@ def test_compare_with_more_to_fit_to(folder, capsys):
     assert all(value > 1.1 for value in after.values())
 
 
-def test_compare_tells_a_kind_that_fails_and_goes_on(folder, capsys, monkeypatch):
+def test_kinds_tells_a_kind_that_fails_and_goes_on(folder, capsys, monkeypatch):
     def fails(samples, settings):
         raise FitError("no such luck")
 
     monkeypatch.setitem(KINDS, "independent", KINDS["independent"]._replace(fit=fails))
     arguments = (folder / "bags" / "first", "--tool", TOOL_FILE, "--split", "position")
     arguments += ("--kinds", "independent", "joint_stiffness")
-    code, out, err = call("compare", capsys, *arguments)
+    code, out, err = call("evaluate", capsys, *arguments)
     assert (code, err) == (EXIT_FAILED, "")
     assert "independent: no such luck" in out
     assert "joint_stiffness" in out
@@ -305,7 +305,7 @@ def test_compare_tells_a_kind_that_fails_and_goes_on(folder, capsys, monkeypatch
 def test_the_networks_error_over_a_models_is_shown(folder, capsys, monkeypatch):
     monkeypatch.setitem(KINDS, "lstm", KINDS["independent"])
     arguments = (folder / "bags" / "first", "--tool", TOOL_FILE, "--split", "position")
-    _, said = call_json("compare", capsys, *arguments, "--kinds", "lstm", "joint_stiffness")
+    _, said = call_json("evaluate", capsys, *arguments, "--kinds", "lstm", "joint_stiffness")
     kinds = said["comparisons"][0]["kinds"]
     expected = (
         kinds["lstm"]["rmse_over_noise_all"] / kinds["joint_stiffness"]["rmse_over_noise_all"]
@@ -324,8 +324,7 @@ def test_the_networks_error_over_a_models_is_shown(folder, capsys, monkeypatch):
 
 LEAST = {
     "train": ["--kind", "coupled", "-o", "never.json"],
-    "evaluate": ["--model", "never.json"],
-    "compare": [],
+    "evaluate": [],
 }
 
 
@@ -351,7 +350,7 @@ def test_an_interrupt_has_its_own_end(command, capsys, monkeypatch):
     def interrupted(*_args, **_kwargs):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(COMMANDS[command], "read_settings", interrupted)
+    monkeypatch.setattr(COMMANDS[command], "check_folder", interrupted)
     bag = ROOT / "bags" / "pushes"
     code, out, err = call(command, capsys, bag, "--tool", TOOL_FILE, *LEAST[command])
     assert (code, out, err) == (EXIT_INTERRUPTED, "", f"{command}: interrupted\n")
@@ -370,7 +369,7 @@ for name in sys.argv[1:]:
     text = io.StringIO()
     try:
         with contextlib.redirect_stdout(text):
-            importlib.import_module("galen_deflection.scoring." + name).main(["--help"])
+            importlib.import_module("galen_deflection." + name).main(["--help"])
     except SystemExit as end:
         assert end.code == 0
     assert "exit codes:" in text.getvalue()

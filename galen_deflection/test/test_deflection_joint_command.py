@@ -1,4 +1,4 @@
-"""`fit_joint`: tables in, sentences and numbers out; networks; the measured sets."""
+"""`evaluate` of a joint: tables in, sentences and numbers out; networks; the measured sets."""
 
 import json
 import subprocess
@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from galen_bags.arrays.joint_table import JointColumns, read_joint_run, read_joint_runs
 from galen_bags.arrays.text_table import TableError
+from galen_deflection.evaluate import main
 from galen_deflection.transmission.comparison import JointSettings, compare
-from galen_deflection.transmission.fit_joint import main
 from galen_model.transmission.parts import whole_runs
 from joint_synthetic import RATE_HZ, STIFFNESS, lost_run, spring_run, write_csv
 
@@ -36,16 +36,14 @@ def table(tmp_path):
 
 def test_columns_gears_and_senses(tmp_path):
     run = spring_run("geared", 1, 1e-5, seconds=2.0)
-    shaft = replace(run, motor=100.0 * run.motor, link=-run.link, torque=run.torque / -100.0)
+    shaft = replace(run, link=-run.link, torque=run.torque / -100.0)
     file = write_csv(tmp_path / "geared.csv", shaft, "ms,q_m,q_l,tau")
-    columns = JointColumns("ms", "q_m", "q_l", "tau", 1e-3, None, True, 100.0, -100.0)
+    columns = JointColumns("ms", "q_m", "q_l", "tau", 1e-3, True, -100.0)
     read = read_joint_run(file, columns)
     assert read.name == "geared"
     assert read.lag == pytest.approx(run.lag, abs=1e-8)
     assert read.torque == pytest.approx(run.torque)
     assert read.time_s == pytest.approx(1e-3 * run.time_s)
-    by_rate = read_joint_run(file, replace(columns, t=None, rate_hz=RATE_HZ))
-    assert by_rate.time_s == pytest.approx(run.time_s)
 
 
 def test_stamps_that_cannot_be_are_told_with_their_line(table, tmp_path):
@@ -93,10 +91,10 @@ def test_columns_that_do_not_do_are_told(table):
 
 def test_a_table_becomes_a_stiffness_and_a_picture(tmp_path, capsys):
     file = write_csv(tmp_path / "run.csv", spring_run("run", 1, 1e-5, seconds=8.0))
-    options = ["--blocks", "3", "--label", "my joint/../x", "--plots", str(tmp_path / "plots")]
+    options = ["--blocks", "3", "--plots", str(tmp_path / "plots")]
     assert main([str(file), *options, "--json"]) == 0
     result = json.loads(capsys.readouterr().out)
-    assert [path.name for path in (tmp_path / "plots").iterdir()] == ["my_joint_x_lag.png"]
+    assert [path.name for path in (tmp_path / "plots").iterdir()] == ["run_lag.png"]
     stiffness = result["parameters"]["stiffness"]
     assert stiffness["ci95"][0] < STIFFNESS < stiffness["ci95"][1]
     assert stiffness["value"] == pytest.approx(STIFFNESS, rel=0.01)
@@ -105,10 +103,10 @@ def test_a_table_becomes_a_stiffness_and_a_picture(tmp_path, capsys):
     assert "common terms" not in result["scores"]
     saved = tmp_path / "a.json"
     saved.write_text(json.dumps(result))
-    assert main(["--table", str(saved), str(saved), "--unit", "mdeg"]) == 0
+    assert main([str(saved), str(saved)]) == 0
     shown = capsys.readouterr().out
     assert "linear" in shown
-    assert f"{1e3 * np.degrees(result['scores']['linear']['rmse_rad']):.3f}" in shown
+    assert f"{1e3 * result['scores']['linear']['rmse_rad']:.3f}" in shown
 
 
 def test_several_runs_for_a_person(tmp_path, capsys):
@@ -126,19 +124,21 @@ def test_what_goes_wrong_is_one_line(table, tmp_path, capsys):
     assert main([str(tmp_path / "none.csv")]) == 1
     assert main([str(table), "--columns", "torque=tau"]) == 1
     assert main([str(table), "--plots", str(table)]) == 1
-    assert main([str(table), "--hold-out", "run"]) == 1
-    assert main([str(table), "--table"]) == 1
+    assert main([str(table), "--unlike", "(.)"]) == 1
     lines = capsys.readouterr().err.splitlines()
-    assert len(lines) == 5
-    assert all(line.startswith("fit_joint: ") for line in lines)
+    assert len(lines) == 4
+    assert all(line.startswith("evaluate: ") for line in lines)
     for wrong in (
         ["--columns", "speed=x"],
         ["--columns", "motor"],
         ["--columns", "motor=a,motor=b"],
         ["--torque-gear", "0"],
         ["--terms", "friction"],
-        ["--rate-hz", "100", "--time-scale", "2"],
-        ["--hold-out", "block", "--unlike", "(.)"],
+        ["--blocks", "3", "--unlike", "(.)"],
+        ["--blocks", "2"],
+        ["--model", "m.json"],
+        ["--tool", "t.json"],
+        ["bag.mcap"],
         ["--iterations", "0"],
         ["--seed", "-1"],
     ):
@@ -159,7 +159,7 @@ def test_what_goes_wrong_is_one_line(table, tmp_path, capsys):
 def test_results_that_are_none_are_told(tmp_path, capsys, content, message):
     file = tmp_path / "result.json"
     file.write_text(content)
-    assert main(["--table", str(file)]) == 1
+    assert main([str(file)]) == 1
     said = capsys.readouterr().err
     assert str(file) in said
     assert message in said
@@ -167,7 +167,7 @@ def test_results_that_are_none_are_told(tmp_path, capsys, content, message):
 
 def test_physics_needs_no_torch(table):
     code = (
-        "import sys; from galen_deflection.transmission.fit_joint import main\n"
+        "import sys; from galen_deflection.evaluate import main\n"
         "code = main(sys.argv[1:]); sys.exit(code or ('torch' in sys.modules) * 7)"
     )
     done = subprocess.run(

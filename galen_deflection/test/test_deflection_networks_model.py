@@ -270,12 +270,12 @@ def test_what_may_not_be_used_is_not_looked_at(torch, pushed):
     assert np.abs(other.predict(pushed).mean - alone.predict(pushed).mean).max() > 1e-6
 
 
-def test_progress_and_patience_reach_the_training(torch, pushed):
+def test_progress_reaches_the_training(torch, pushed):
     told = []
     model = lstm.fit(
         lstm.KIND,
         pushed,
-        FitSettings(iterations=3, patience=1, on_progress=lambda *now: told.append(now)),
+        FitSettings(iterations=3, on_progress=lambda *now: told.append(now)),
     )
     assert told[0][:2] == (1, 3)
     assert len(told) == len(model.training.training_loss) + model.training.best + 1

@@ -221,7 +221,7 @@ def _packed_seeds() -> list[bytes]:
 
 
 def use_comparison(path: Path) -> None:
-    """A comparison that fit_joint printed."""
+    """A comparison of joints that `evaluate` printed."""
     listed = read_listed(path)
     assert np.isfinite([listed.noise, listed.lag_std, *np.ravel([*listed.scores.values()])]).all()
 

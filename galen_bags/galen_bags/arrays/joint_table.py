@@ -30,21 +30,18 @@ _LARGEST = 1e9
 class JointColumns:
     """The names of a table's columns, and their units and gears.
 
-    motor, link: angles, rad; torque: N.m; t: time, or None with `rate_hz`. time_scale_s: seconds a
-    unit of the column t; None: not given, then seconds unless that can't be. opposite: the two
-    ends turn in opposite senses. angle_gear, torque_gear: motor turns a turn of the link, by which
-    the motor's angle is divided, and by which the torque is multiplied (a negative one turns it
-    round).
+    motor, link: angles, rad; torque: N.m; t: time. time_scale_s: seconds a unit of the column t;
+    None: not given, then seconds unless that can't be. opposite: the two ends turn in opposite
+    senses. torque_gear: motor turns a turn of the link, by which the torque is multiplied (a
+    negative one turns it round).
     """
 
-    t: str | None = "t"
+    t: str = "t"
     motor: str = "motor"
     link: str = "link"
     torque: str = "torque"
     time_scale_s: float | None = None
-    rate_hz: float | None = None
     opposite: bool = False
-    angle_gear: float = 1.0
     torque_gear: float = 1.0
 
 
@@ -62,8 +59,7 @@ def read_joint_runs(
 
 def read_joint_run(file: str | os.PathLike[str], columns: JointColumns) -> JointRun:
     """Read a run; raises TableError that names file and line, or column."""
-    wanted = [columns.motor, columns.link, columns.torque]
-    wanted += [columns.t] if columns.t is not None else []
+    wanted = [columns.motor, columns.link, columns.torque, columns.t]
     table = read_text_table(file, wanted)
     motor, link, torque = (table.require(name) for name in wanted[:3])
     if len(motor) < _FEWEST_READINGS:
@@ -80,8 +76,8 @@ def read_joint_run(file: str | os.PathLike[str], columns: JointColumns) -> Joint
             )
     run = JointRun(
         name=Path(file).stem,
-        time_s=_time(table, columns, motor / columns.angle_gear),
-        motor=motor / columns.angle_gear,
+        time_s=_time(table, columns, motor),
+        motor=motor,
         link=-link if columns.opposite else link,
         torque=torque * columns.torque_gear,
     )
@@ -94,10 +90,6 @@ def read_joint_run(file: str | os.PathLike[str], columns: JointColumns) -> Joint
 
 
 def _time(table: TextTable, columns: JointColumns, motor: Array) -> Array:
-    count = len(table.rows)
-    if columns.t is None:
-        assert columns.rate_hz is not None
-        return np.arange(count) / columns.rate_hz
     time = table.require(columns.t)
     steps = np.diff(time)
     if np.any(steps <= 0.0):
@@ -143,17 +135,7 @@ def add_column_options(group: argparse._ArgumentGroup) -> None:
         help="seconds a unit of the column t (default: 1, where that can be)",
     )
     group.add_argument(
-        "--rate-hz", type=positive, metavar="HZ", help="readings a second, without a column t"
-    )
-    group.add_argument(
         "--opposite", action="store_true", help="motor and link turn in opposite senses"
-    )
-    group.add_argument(
-        "--angle-gear",
-        type=_not_zero,
-        default=1.0,
-        metavar="G",
-        help="the motor's angle is of its shaft: divide it by G (default: %(default)s)",
     )
     group.add_argument(
         "--torque-gear",
@@ -165,20 +147,12 @@ def add_column_options(group: argparse._ArgumentGroup) -> None:
     )
 
 
-def check_column_options(parser: argparse.ArgumentParser, arguments: argparse.Namespace) -> None:
-    """End the command where options of `add_column_options` exclude each other."""
-    if arguments.rate_hz is not None and (arguments.time_scale or "t" in arguments.columns):
-        parser.error("--rate-hz is for tables without a column t")
-
-
-def column_map(arguments: argparse.Namespace) -> JointColumns:
+def joint_columns(arguments: argparse.Namespace) -> JointColumns:
     """Make the columns from the options of `add_column_options`."""
     return JointColumns(
-        **{"t": None if arguments.rate_hz else "t", **arguments.columns},
+        **arguments.columns,
         time_scale_s=arguments.time_scale,
-        rate_hz=arguments.rate_hz,
         opposite=arguments.opposite,
-        angle_gear=arguments.angle_gear,
         torque_gear=arguments.torque_gear,
     )
 

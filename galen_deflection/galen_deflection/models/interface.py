@@ -84,14 +84,12 @@ class FitSettings:
     use (n,) bool, or None for all: the samples whose measured deflection a fit may look at. The
     loads of the others still count for what the arm remembers, as they would live. seed: of all
     that is drawn by chance. iterations: of a network's training, None for its kind's own number.
-    patience: stop a training that has not become better for so many iterations, None for never.
     on_progress(done, total, what): called now and then.
     """
 
     use: np.ndarray | None = None
     seed: int = 0
     iterations: int | None = None
-    patience: int | None = None
     on_progress: Callable[[int, int, str], None] | None = None
 
     def used(self, count: int) -> np.ndarray:

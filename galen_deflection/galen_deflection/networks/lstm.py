@@ -68,7 +68,6 @@ def fit(kind: str, samples: DeflectionSamples, settings: FitSettings | None = No
         _SETTINGS[kind],
         seed=settings.seed,
         iterations=settings.iterations or _SETTINGS[kind].iterations,
-        patience=settings.patience,
     )
     held = hold_out(samples, used)
     if not held.any():
@@ -89,7 +88,7 @@ def fit(kind: str, samples: DeflectionSamples, settings: FitSettings | None = No
         )
         final, _ = train(
             part(used),
-            replace(network, iterations=curve.best + 1, patience=None),
+            replace(network, iterations=curve.best + 1),
             unit=samples.noise,
             least=LEAST_SCALE,
             on_progress=lambda done, total: told(done, total, f"{kind}: on all samples"),

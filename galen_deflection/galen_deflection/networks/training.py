@@ -50,9 +50,8 @@ class RecurrentSettings:
     """Of a network and its training.
 
     direct: no fully connected layer. dropout: share of the hidden units' outputs that are left out
-    at random, before the outputs are made of them. weight_decay: of Adam, decoupled. patience: stop
-    when the held-out loss has not become better for so many iterations; None for never.
-    gradient_limit: the norm of a gradient is cut to it. seed: of weights and dropout.
+    at random, before the outputs are made of them. gradient_limit: the norm of a gradient is cut to
+    it. seed: of weights and dropout.
     """
 
     hidden: int = 18
@@ -60,8 +59,6 @@ class RecurrentSettings:
     iterations: int = 150
     direct: bool = False
     learning_rate: float = 0.02
-    weight_decay: float = 0.0
-    patience: int | None = None
     gradient_limit: float = 1.0
     seed: int = 0
 
@@ -106,9 +103,7 @@ def _descend(
     settings: RecurrentSettings,
     on_progress: Callable[[int, int], None] | None,
 ) -> tuple[Weights, TrainingCurve]:
-    optimiser = torch.optim.AdamW(
-        net.parameters, lr=settings.learning_rate, weight_decay=settings.weight_decay
-    )
+    optimiser = torch.optim.Adam(net.parameters, lr=settings.learning_rate)
     training, check = [], []
     best, kept = 0, net.weights()
     for iteration in range(settings.iterations):
@@ -127,8 +122,6 @@ def _descend(
             best, kept = iteration, net.weights()
         if on_progress is not None:
             on_progress(iteration + 1, settings.iterations)
-        if settings.patience is not None and iteration - best >= settings.patience:
-            break
     return kept, TrainingCurve(tuple(training), tuple(check), best)
 
 

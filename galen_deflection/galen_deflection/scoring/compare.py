@@ -1,10 +1,8 @@
-"""`compare`: every kind of model on the same questions, each scored where it was not fitted."""
+"""Kinds of models on the same questions, each scored where it was not fitted."""
 
 from __future__ import annotations
 
 import argparse
-import json
-import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -12,88 +10,22 @@ from typing import Any
 
 import numpy as np
 from galen_model.errors import GalenError
-from galen_ros.command import (
-    EXIT_FAILED,
-    EXIT_INTERRUPTED,
-    EXIT_OK,
-    EXIT_USAGE,
-    check_folder,
-    run_command,
-)
+from galen_ros.command import EXIT_FAILED, EXIT_OK, print_json, progress, terminal, writing
 from rich.console import Console
 
 from galen_deflection.models.interface import FitSettings
 from galen_deflection.models.registry import KINDS
 from galen_deflection.scoring.cross_check import Checked, Task, by_position, cross_check, make_tasks
 from galen_deflection.scoring.options import (
-    add_bags,
-    add_fit,
-    console,
+    TABLE_WIDTH,
     fit_settings,
     print_problems,
-    progress,
     read_all,
     read_settings,
-    written,
 )
 from galen_deflection.scoring.score_table import comparison_table
-from galen_deflection.scoring.splits import SPLITS
 
 _BASELINE = "lstm"
-_EPILOG = f"""splits:
-  report    a set of each position in one half is checked, all others fitted to; in turn
-            (of four positions with two sets: six sets to two, as in the 2019 report)
-  push      pushes are dealt to four folds, each checked in turn: where every position was
-            visited once
-  set       each set in turn is checked
-  position  each position in turn is checked with all its sets: none of it was fitted to
-
-exit codes:
-  {EXIT_OK}    done
-  {EXIT_FAILED}    a bag or a tool's file can't be used, or a kind of model can't be fitted; a line
-       says why. The other kinds were compared
-  {EXIT_USAGE}    wrong arguments
-  {EXIT_INTERRUPTED}  interrupted (Ctrl-C)"""
-
-
-def build_parser() -> argparse.ArgumentParser:
-    """The command's options."""
-    parser = argparse.ArgumentParser(
-        prog="compare",
-        usage="compare BAG... (--tool FILE | --tool-beside NAME) [options]",
-        description="Fit every kind of model to a part of recordings of pushes, score it on the"
-        " rest, and print one table for each way to split them.",
-        epilog=_EPILOG,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    add_bags(parser)
-    parser.add_argument(
-        "--kinds",
-        nargs="+",
-        choices=list(KINDS),
-        default=list(KINDS),
-        metavar="KIND",
-        help=f"of {', '.join(KINDS)} (default: all)",
-    )
-    parser.add_argument(
-        "--split",
-        nargs="+",
-        choices=list(SPLITS),
-        metavar="SPLIT",
-        help=f"of {', '.join(SPLITS)} (default: position, if there are several, and report where"
-        " every position has two sets, else push)",
-    )
-    parser.add_argument(
-        "--extra",
-        nargs="+",
-        type=Path,
-        metavar="BAG",
-        help="recordings that are only ever fitted to; but for the positions that are left out",
-    )
-    parser.add_argument("--plots", metavar="DIR", type=Path, help="write pictures here")
-    parser.add_argument("--json", action="store_true", help="print one JSON object")
-    add_fit(parser)
-    return parser
 
 
 @dataclass(frozen=True)
@@ -129,7 +61,7 @@ def compare(
     """Every kind at every task."""
     folds = sum(len(task.splits) for task in tasks)
     results = []
-    with progress(folds * len(kinds), "fit", quiet) as bar:
+    with progress(folds * len(kinds), "fit", quiet=quiet) as bar:
 
         def show(done: int, total: int, what: str) -> None:
             bar.set_postfix_str(f"{what} {done}/{total}")
@@ -212,22 +144,17 @@ def _pictures(result: Compared, folder: Path) -> list[Path]:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Do it; returns the exit code; raises GalenError."""
-    to = console()
-    check_folder(arguments.plots)
+    """Compare as the options say; returns the exit code; raises GalenError."""
     settings = read_settings(arguments)
-    recordings = read_all(arguments.bags, settings, arguments.json)
+    recordings = read_all(arguments.inputs, settings, arguments.json)
     extra = read_all(arguments.extra, settings, arguments.json) if arguments.extra else []
     tasks = make_tasks(arguments.split, recordings, extra)
-    results = compare(
-        tasks, list(dict.fromkeys(arguments.kinds)), fit_settings(arguments), arguments.json
-    )
+    kinds = list(dict.fromkeys(arguments.kinds or KINDS))
+    results = compare(tasks, kinds, fit_settings(arguments), arguments.json)
     pictures: list[Path] = []
     if arguments.plots is not None:
-        pictures = written(
-            lambda: [path for one in results for path in _pictures(one, arguments.plots)],
-            arguments.plots,
-        )
+        with writing(arguments.plots):
+            pictures = [path for one in results for path in _pictures(one, arguments.plots)]
     if arguments.json:
         content = {
             "bags": [str(recording.path) for recording in recordings],
@@ -239,8 +166,9 @@ def run(arguments: argparse.Namespace) -> int:
             "plots": [str(path) for path in pictures],
             "comparisons": [_to_dict(result) for result in results],
         }
-        print(json.dumps(content, indent=2))
+        print_json(content)
     else:
+        to = terminal(TABLE_WIDTH)
         print_problems([*recordings, *extra], to)
         for result in results:
             _print(result, to)
@@ -248,13 +176,3 @@ def run(arguments: argparse.Namespace) -> int:
             to.print(f"plot: {path}", soft_wrap=True)
     failed = any(isinstance(one, str) for result in results for one in result.kinds.values())
     return EXIT_FAILED if failed else EXIT_OK
-
-
-def main(args: Sequence[str] | None = None) -> int:
-    """Entry point; returns the exit code."""
-    arguments = build_parser().parse_args(args)
-    return run_command("compare", lambda: run(arguments))
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -19,6 +19,7 @@ import numpy as np
 from galen_deflection.measurement.pushes import Push, find_pushes, tip_wrench
 from galen_deflection.measurement.samples import DeflectionSamples
 from galen_deflection.models.interface import DeflectionModel, PredictedSamples
+from galen_deflection.networks.network import NetworkModel
 from galen_deflection.scoring.plots import (
     plot_axis,
     plot_course,
@@ -79,8 +80,8 @@ def plot_trainings(models: Mapping[str, DeflectionModel], folder: Path, name: st
     """Draw how those of the models that were trained were, by their names; returns the files."""
     written = []
     for model, fitted in models.items():
-        curve = getattr(fitted, "training", None)
-        if curve is not None:
+        if isinstance(fitted, NetworkModel):
+            curve = fitted.training
             folder.mkdir(parents=True, exist_ok=True)
             written.append(
                 plot_training(

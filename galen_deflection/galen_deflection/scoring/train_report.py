@@ -14,6 +14,7 @@ from galen_deflection.measurement.recordings import Recording
 from galen_deflection.measurement.samples import DeflectionSamples
 from galen_deflection.models.interface import DeflectionModel
 from galen_deflection.models.linear import LinearModel
+from galen_deflection.networks.network import NetworkModel
 from galen_deflection.scoring.options import print_problems
 from galen_deflection.scoring.score import Score
 from galen_deflection.scoring.score_table import comparison_table
@@ -40,18 +41,18 @@ def print_training(
     )
     if isinstance(model, LinearModel):
         to.print(_parameters_table(model))
-    curve = getattr(model, "training", None)
-    if curve is not None:
+    if isinstance(model, NetworkModel):
+        curve = model.training
         check = f", {curve.check_loss[curve.best]:.2f} on what was held out"
         to.print(
             f"{len(curve.training_loss)} iterations, kept {curve.best + 1}: error / noise"
             f" {curve.training_loss[curve.best]:.2f}{check if curve.check_loss else ''}"
         )
-    for note in _texts(model, "notes"):
+    for note in model.notes:
         to.print(f"[yellow]{note}[/yellow]", soft_wrap=True)
-    for name in _texts(model, "unresolved"):
+    for name in _unresolved(model):
         to.print(
-            f"[yellow]{name}: the samples don't tell it; it is as it was before[/yellow]",
+            f"[yellow]{name}: not identifiable from these samples; it keeps its prior[/yellow]",
             soft_wrap=True,
         )
     scores = {"fitted to": fit} | {
@@ -93,8 +94,8 @@ def to_dict(
         "positions": len(np.unique(samples.position)),
         "fit_s": seconds,
         "parameters": _parameters(model) if isinstance(model, LinearModel) else [],
-        "unresolved": list(_texts(model, "unresolved")),
-        "notes": list(_texts(model, "notes")),
+        "unresolved": list(_unresolved(model)),
+        "notes": list(model.notes),
         "problems": {str(recording.path): list(recording.problems) for recording in recordings},
         "fit": fit.to_dict(),
         "held_out": {
@@ -138,6 +139,5 @@ def _parameters_table(model: LinearModel) -> Table:
     return table
 
 
-def _texts(model: DeflectionModel, name: str) -> Sequence[str]:
-    """Sentences that some kinds have, and others not."""
-    return getattr(model, name, ())
+def _unresolved(model: DeflectionModel) -> Sequence[str]:
+    return model.unresolved if isinstance(model, LinearModel) else ()

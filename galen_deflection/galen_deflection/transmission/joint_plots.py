@@ -13,20 +13,20 @@ import numpy as np
 from galen_model.arrays import Array
 
 from galen_deflection.transmission.comparison import OURS, Comparison
-from galen_deflection.transmission.joint_report import LAG_UNITS
+from galen_deflection.transmission.joint_report import MRAD
 
 _MEASURED = "#8c8c8c"
 _RARE = 0.005
 _COLOURS = ("#c44e52", "#1f6f8b", "#55a868")
 
 
-def plot_joint(comparison: Comparison, label: str, unit: str, folder: Path) -> Path:
+def plot_joint(comparison: Comparison, label: str, folder: Path) -> Path:
     """A run a row: lag over torque, over the motor's angle, and over time; returns the file.
 
     Predictions are of models that haven't seen what they predict: ours, the linear one, and the
     better of the networks, if there are any.
     """
-    runs, scale = comparison.runs, LAG_UNITS[unit]
+    runs, scale = comparison.runs, MRAD
     names = ["linear", OURS]
     if comparison.against is not None:
         names.append(comparison.against[0])
@@ -46,7 +46,7 @@ def plot_joint(comparison: Comparison, label: str, unit: str, folder: Path) -> P
         # a start's jerk would leave no room for the loops
         row[0].set_xlim(*_limits(np.quantile(run.torque, [_RARE, 1.0 - _RARE])))
         row[0].locator_params(axis="x", nbins=5)
-        row[0].set_ylabel(f"{run.name}\nlag, {unit}")
+        row[0].set_ylabel(f"{run.name}\nlag, mrad")
         row[2].margins(x=0.0)
     for panel, text in zip(
         panels[-1], ("torque, N.m", "motor's angle, rad", "time, s"), strict=True

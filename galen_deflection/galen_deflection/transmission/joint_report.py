@@ -14,7 +14,6 @@ from galen_model.files.json_fields import (
     mapping,
     number,
     read_json,
-    text,
 )
 from galen_model.transmission.joint_run import swapped
 from rich.console import Console
@@ -25,8 +24,8 @@ from galen_deflection.transmission.comparison import Comparison
 from galen_deflection.transmission.joint_parameters import MEANINGS, UNITS, JointParameters
 
 SCHEMA_VERSION = 1
-LAG_UNITS = {"mrad": 1e3, "mdeg": 57295.77951308232}
-"""What lags are printed in, over rad."""
+MRAD = 1e3
+"""Lags are printed in mrad."""
 
 _MOST_BYTES = 10_000_000
 _TIED = 1.0 + 1e-6
@@ -105,18 +104,18 @@ def notes(comparison: Comparison, parameters: JointParameters) -> list[str]:
 
 
 def print_comparison(
-    comparison: Comparison, parameters: JointParameters, label: str, unit: str, console: Console
+    comparison: Comparison, parameters: JointParameters, label: str, console: Console
 ) -> None:
     """The table of models, then how the joint gives."""
-    console.print(_score_table(comparison, label, unit))
-    console.print(_parameter_table(parameters, unit))
+    console.print(_score_table(comparison, label))
+    console.print(_parameter_table(parameters))
     for note in notes(comparison, parameters):
         console.print(f"[yellow]{note}[/yellow]", soft_wrap=True)
 
 
-def _score_table(comparison: Comparison, label: str, unit: str) -> Table:
-    scale, parts = LAG_UNITS[unit], comparison.parts
-    table = Table(title=f"{label}: lag that no model has seen, {unit}", title_justify="left")
+def _score_table(comparison: Comparison, label: str) -> Table:
+    scale, parts = MRAD, comparison.parts
+    table = Table(title=f"{label}: lag that no model has seen, mrad", title_justify="left")
     table.add_column("model")
     for heading in ("RMSE", "95 %", "of the lag's std", "best part", "worst part", "time, s"):
         table.add_column(heading, justify="right")
@@ -156,9 +155,9 @@ def _score_table(comparison: Comparison, label: str, unit: str) -> Table:
     return table
 
 
-def _parameter_table(parameters: JointParameters, unit: str) -> Table:
+def _parameter_table(parameters: JointParameters) -> Table:
     table = Table(
-        title=f"how it gives: {parameters.form}, fitted to everything", title_justify="left"
+        title=f"how it deflects: {parameters.form}, fitted to everything", title_justify="left"
     )
     table.add_column("")
     table.add_column("")
@@ -169,7 +168,7 @@ def _parameter_table(parameters: JointParameters, unit: str) -> Table:
     rows = [
         (name, MEANINGS[name], found, 1.0, UNITS[name])
         if UNITS[name] != "rad"
-        else (name, MEANINGS[name], found, LAG_UNITS[unit], unit)
+        else (name, MEANINGS[name], found, MRAD, "mrad")
         for name, found in parameters.estimates.items()
         if found.value != 0.0
     ]
@@ -182,11 +181,11 @@ def _parameter_table(parameters: JointParameters, unit: str) -> Table:
             f"{scale * found.std:.2g}", f"{low:.4g} - {high:.4g}", in_unit,
         )  # fmt: skip
     give, direction = parameters.plain["compliance"], parameters.plain["direction"]
-    scale = LAG_UNITS[unit]
+    scale = MRAD
     table.caption = (
         "plain least squares of a spring and the direction: "
-        f"{scale * give.value:.4g} +- {scale * give.std:.2g} {unit}/(N.m) and "
-        f"{scale * direction.value:+.4g} +- {scale * direction.std:.2g} {unit}"
+        f"{scale * give.value:.4g} +- {scale * give.std:.2g} mrad/(N.m) and "
+        f"{scale * direction.value:+.4g} +- {scale * direction.std:.2g} mrad"
     )
     table.caption_justify = "left"
     return table
@@ -217,7 +216,7 @@ class Listed(NamedTuple):
 def read_listed(file: Path) -> Listed:
     """From what `--json` printed; raises ReportError."""
     try:
-        content = mapping(read_json(file, _MOST_BYTES, "a comparison of fit_joint"), "it")
+        content = mapping(read_json(file, _MOST_BYTES, "a comparison of `evaluate`"), "it")
         check_version(content, SCHEMA_VERSION)
         scores = {
             str(name): (
@@ -228,7 +227,7 @@ def read_listed(file: Path) -> Listed:
         }
         noise = mapping(get(content, "noise_rad"), "noise_rad")
         return Listed(
-            text(get(content, "label"), "label"),
+            file.stem,
             scores,
             number(get(noise, "floor"), "noise_rad.floor"),
             number(get(content, "lag_std_rad"), "lag_std_rad"),
@@ -239,17 +238,17 @@ def read_listed(file: Path) -> Listed:
         raise ReportError(f"{file}: {error}") from error
 
 
-def joint_table(listed: Sequence[Listed], unit: str) -> Table:
+def joint_table(listed: Sequence[Listed]) -> Table:
     """A model a row, a comparison a column: RMSE and its share of the lag's standard deviation."""
-    table = Table(title=f"lag that no model has seen, {unit}", title_justify="left")
+    table = Table(title="lag that no model has seen, mrad", title_justify="left")
     table.add_column("model")
     for one in listed:
         table.add_column(one.label, justify="right")
     names = list(dict.fromkeys(name for one in sorted(listed, key=_size) for name in one.scores))
     for name in names:
-        table.add_row(name, *(_cell(one, name, unit) for one in listed))
+        table.add_row(name, *(_cell(one, name) for one in listed))
     table.add_section()
-    scale = LAG_UNITS[unit]
+    scale = MRAD
     table.add_row("the lag's std", *(f"{scale * one.lag_std:.3f}" for one in listed))
     table.add_row("noise", *(f"{scale * one.noise:.3f}" for one in listed))
     return table
@@ -275,10 +274,10 @@ def _size(one: Listed) -> int:
     return -len(one.scores)
 
 
-def _cell(one: Listed, name: str, unit: str) -> str:
+def _cell(one: Listed, name: str) -> str:
     if name not in one.scores:
         return "-"
     rmse, share = one.scores[name]
     best = rmse <= _TIED * min(other for other, _ in one.scores.values())
-    shown = f"{LAG_UNITS[unit] * rmse:.3f} ({100.0 * share:.0f} %)"
+    shown = f"{MRAD * rmse:.3f} ({100.0 * share:.0f} %)"
     return f"[green]{shown}[/green]" if best else shown

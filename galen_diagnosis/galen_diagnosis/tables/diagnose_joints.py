@@ -9,8 +9,7 @@ from pathlib import Path
 
 from galen_bags.arrays.joint_table import (
     add_column_options,
-    check_column_options,
-    column_map,
+    joint_columns,
     read_joint_runs,
 )
 from galen_model.transmission.parts import time_blocks, whole_runs
@@ -69,7 +68,6 @@ def main(args: Sequence[str] | None = None) -> int:
     """Entry point; returns the exit code."""
     parser = build_parser()
     arguments = parser.parse_args(args)
-    check_column_options(parser, arguments)
     if arguments.blocks is not None and arguments.blocks < 4:
         parser.error("--blocks must be at least 4")
     return run_command("diagnose_joints", lambda: _diagnose(arguments))
@@ -78,7 +76,7 @@ def main(args: Sequence[str] | None = None) -> int:
 def _diagnose(arguments: argparse.Namespace) -> int:
     check_outputs(arguments)
     name = name_of(arguments.files[0], arguments.label)
-    runs = read_joint_runs(arguments.files, column_map(arguments))
+    runs = read_joint_runs(arguments.files, joint_columns(arguments))
     by_run = arguments.blocks is None and len(runs) >= 4
     parts = whole_runs(runs) if by_run else time_blocks(runs, arguments.blocks or 6)
     give([diagnose_rows(name, prepare_joint(runs, parts), quiet=arguments.json)], arguments)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 import time
 from collections.abc import Mapping, Sequence
@@ -13,13 +12,18 @@ from typing import Any
 
 from galen_model.errors import GalenError
 from galen_ros.command import (
-    EXIT_FAILED,
-    EXIT_INTERRUPTED,
     EXIT_OK,
-    EXIT_USAGE,
+    add_bags,
+    add_json,
+    add_plots,
     check_file,
     check_folder,
+    make_parser,
+    print_json,
+    progress,
     run_command,
+    terminal,
+    writing,
 )
 
 from galen_deflection.measurement.recordings import Recording, join_recordings
@@ -29,41 +33,34 @@ from galen_deflection.models.interface import DeflectionModel, FitSettings
 from galen_deflection.models.registry import KINDS
 from galen_deflection.scoring.cross_check import cross_check, make_tasks, seen_split
 from galen_deflection.scoring.options import (
-    add_bags,
+    TABLE_WIDTH,
     add_fit,
-    console,
+    add_recordings,
     fit_settings,
-    progress,
     read_all,
     read_settings,
-    written,
 )
 from galen_deflection.scoring.score import Score, score
 from galen_deflection.scoring.splits import SPLITS, SplitError
 from galen_deflection.scoring.train_report import print_training, to_dict
 
-_EPILOG = f"""kinds:
-{chr(10).join(f"  {name:<20} {kind.summary}" for name, kind in KINDS.items())}
-
-exit codes:
-  {EXIT_OK}    done, the model's file is written
-  {EXIT_FAILED}    a bag or a tool's file can't be used, the model can't be fitted or its file not
-       written; a line says why, and an old file is untouched
-  {EXIT_USAGE}    wrong arguments
-  {EXIT_INTERRUPTED}  interrupted (Ctrl-C)"""
+_KINDS = f"""kinds:
+{chr(10).join(f"  {name:<20} {kind.summary}" for name, kind in KINDS.items())}"""
 
 
 def build_parser() -> argparse.ArgumentParser:
-    """The command's options."""
-    parser = argparse.ArgumentParser(
-        prog="train",
+    """Build the command's parser."""
+    parser = make_parser(
+        "train",
+        "Fit a model of the arm's deflection to recordings of pushes with one tool, and write its"
+        " file.",
+        notes=_KINDS,
+        ok="done, the model's file is written",
+        failed="a bag or a calibration file can't be used, the model can't be fitted or its file\n"
+        "       not written; one line gives the reason, and an old file is unchanged",
         usage="train BAG... (--tool FILE | --tool-beside NAME) --kind KIND -o FILE [options]",
-        description="Fit a model of the arm's deflection to recordings of pushes with one tool, and"
-        " write its file.",
-        epilog=_EPILOG,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    add_bags(parser)
+    add_bags(parser, "recording of pushes with the tracker")
     parser.add_argument("--kind", required=True, choices=list(KINDS), help="of model")
     parser.add_argument(
         "-o",
@@ -78,23 +75,22 @@ def build_parser() -> argparse.ArgumentParser:
         nargs="+",
         choices=[*SPLITS, "none"],
         metavar="SPLIT",
-        help="fit again without some of the samples and score on those, as `compare` does: of"
+        help="fit again without some of the samples and score on those, as `evaluate` does: of"
         f" {', '.join(SPLITS)}, none (default: seen and unseen positions; none for a network, since"
         " each takes as long as the training)",
     )
-    parser.add_argument(
-        "--plots", metavar="DIR", type=Path, help="of a network: draw its training here"
-    )
-    parser.add_argument("--json", action="store_true", help="print one JSON object")
-    add_fit(parser)
+    add_plots(parser)
+    add_json(parser)
+    add_recordings(parser, required=True)
+    add_fit(parser.add_argument_group("fits"))
     return parser
 
 
-def train(
+def fit(
     kind: str, samples: DeflectionSamples, settings: FitSettings, quiet: bool
 ) -> DeflectionModel:
     """Fit to all samples, with a bar; raises GalenError."""
-    with progress(1, "fit", quiet) as bar:
+    with progress(1, "fit", quiet=quiet) as bar:
         bar.set_description(kind)
         told = False
 
@@ -125,7 +121,7 @@ def held_out(
         except SplitError as error:
             found[name] = str(error)
             continue
-        with progress(len(task.splits), "fit", quiet) as bar:
+        with progress(len(task.splits), "fit", quiet=quiet) as bar:
             bar.set_description(f"held out, {name}")
             try:
                 found[name] = cross_check(kind, task, settings, lambda _: bar.update()).score
@@ -143,7 +139,7 @@ def _checks(arguments: argparse.Namespace, samples: DeflectionSamples) -> list[s
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Do it; returns the exit code; raises GalenError."""
+    """Train as the options say; returns the exit code; raises GalenError."""
     check_file(arguments.output)
     check_folder(arguments.plots)
     quiet = arguments.json
@@ -151,7 +147,7 @@ def run(arguments: argparse.Namespace) -> int:
     samples = join_recordings(recordings)
     settings = fit_settings(arguments)
     started_s = time.monotonic()
-    model = train(arguments.kind, samples, settings, quiet)
+    model = fit(arguments.kind, samples, settings, quiet)
     seconds = time.monotonic() - started_s
     write_model(arguments.output, model)
     pictures = _pictures(model, arguments.plots, arguments.output.stem)
@@ -167,9 +163,9 @@ def run(arguments: argparse.Namespace) -> int:
         "pictures": pictures,
     }
     if arguments.json:
-        print(json.dumps(to_dict(**result), indent=2))
+        print_json(to_dict(**result))
     else:
-        print_training(**result, to=console())
+        print_training(**result, to=terminal(TABLE_WIDTH))
     return EXIT_OK
 
 
@@ -178,11 +174,12 @@ def _pictures(model: DeflectionModel, folder: Path | None, name: str) -> list[Pa
         return []
     from galen_deflection.scoring.pictures import plot_trainings  # slow to import
 
-    return written(lambda: plot_trainings({model.name: model}, folder, name), folder)
+    with writing(folder):
+        return plot_trainings({model.name: model}, folder, name)
 
 
 def main(args: Sequence[str] | None = None) -> int:
-    """Entry point; returns the exit code."""
+    """Run the command; returns the exit code."""
     arguments = build_parser().parse_args(args)
     return run_command("train", lambda: run(arguments))
 
