@@ -77,7 +77,6 @@ class Active:
     file_state: str
     tare: Vector | None
     """(6,) N, N.m; None: no tare."""
-    bias_drift: Vector | None
 
 
 @dataclass(frozen=True)

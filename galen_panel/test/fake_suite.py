@@ -28,7 +28,7 @@ RETRACTOR = Tool(
 BROKEN = Tool("drill", problem="drill.json: field 'load' is missing")
 ACTIVE = Active(
     "pointer", True, 0.0601, (0.055, 0.002, 0.045), (0.15, 0.0, 0.05),
-    "2026-11-21T14:03:11+00:00", "as loaded", None, None,
+    "2026-11-21T14:03:11+00:00", "as loaded", None,
 )  # fmt: skip
 COMPENSATING = NodeReport(
     "gravcomp", Level.OK, "compensating 'pointer'", {"state": "compensating"}, math.inf

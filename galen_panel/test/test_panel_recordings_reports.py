@@ -177,7 +177,7 @@ def test_each_verdict_has_words():
     from galen_diagnosis.answer.answer import Verdict as DiagnosisVerdict
     from galen_gravcomp.evaluate.verdict import Verdict
 
-    wanted = {("evaluate", one.value) for one in Verdict}
+    wanted = {("evaluate", one) for one in get_args(Verdict)}
     wanted |= {("diagnose", one) for one in get_args(DiagnosisVerdict)}
     assert set(VERDICTS) == wanted
     assert len({word for _, word in VERDICTS.values()}) == len(VERDICTS)

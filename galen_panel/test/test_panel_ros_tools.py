@@ -245,7 +245,7 @@ class Mute(Node):
 
 
 def test_a_silent_node_holds_up_no_button(world, monkeypatch):
-    monkeypatch.setattr(ros_tools, "_FILE_LIMIT_S", 0.3)
+    monkeypatch.setattr(ros_tools, "FILE_LIMIT_S", 0.3)
     mute = world.add(Mute)
     world.wait_for_service("gravcomp/set_tool")
     answer, took_s = world.timed(world.suite.activate("retractor"))

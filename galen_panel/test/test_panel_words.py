@@ -12,8 +12,8 @@ from galen_deflection.live.deflector import ModelRejection
 from galen_deflection.live.monitor import DeflectorMonitor
 from galen_gravcomp.monitor import Monitor
 from galen_panel.messages.advice import ADVICE, LIFECYCLE, REJECTED
+from galen_panel.messages.hints import PROGRAMS
 from galen_panel.messages.states import (
-    ROLES,
     find_advice,
     others,
     overall,
@@ -126,7 +126,7 @@ def state_of(*reports, **changes):
 
 
 def role(name):
-    return next(one for one in ROLES if one.name == name)
+    return next(one for one in PROGRAMS if one.node == name)
 
 
 def test_the_list_of_states_is_that_of_the_code():
@@ -210,7 +210,7 @@ def test_a_node_not_heard_of_is_not_running_and_says_how_to_start():
     assert words_of(state, role("gravcomp"), NOW_S - 4.5).level is Level.OK
 
 
-@pytest.mark.parametrize("one", ROLES, ids=[one.name for one in ROLES])
+@pytest.mark.parametrize("one", PROGRAMS, ids=[one.node for one in PROGRAMS])
 def test_without_any_node_each_card_says_how_to_start_it(one):
     words = words_of(State(), one, time.monotonic())
     assert not words.running and "ros2 " in words.todo
@@ -265,7 +265,7 @@ GOOD = (
     report("gravcomp", Level.OK, "compensating", tool="pointer"),
     report("calibration", Level.OK, "ready"),
 )
-ACTIVE = Active("pointer", True, 0.06, (0, 0, 0), (0, 0, 0), "", "as loaded", None, None)
+ACTIVE = Active("pointer", True, 0.06, (0, 0, 0), (0, 0, 0), "", "as loaded", None)
 
 
 def test_the_lamp_is_good_when_all_is():

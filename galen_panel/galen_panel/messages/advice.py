@@ -18,20 +18,14 @@ class Advice(NamedTuple):
     stopped: bool = False
 
 
-class Output(NamedTuple):
-    """How a node that works on wrenches speaks of its own output."""
-
-    works: str
-    lost: str
-
-
 OUTPUT = {
-    "gravcomp": Output("It compensates", "No compensation"),
-    "deflection": Output("It predicts", "No prediction"),
+    "gravcomp": ("It compensates", "No compensation"),
+    "deflection": ("It predicts", "No prediction"),
 }
+"""What a node that works on wrenches does, and what lacks without it."""
 
 NO_CLOCK = Advice(
-    "Its time stands still: use_sim_time is set, but nobody publishes /clock.",
+    "Its time stands still: use_sim_time is set, but /clock has no publisher.",
     "Start the simulation, or play the recording with a clock. On a real arm start the node without"
     " use_sim_time.",
 )
@@ -44,7 +38,7 @@ LIFECYCLE = {
     ),
     "unconfigured failed": Advice(
         "It could not start.",
-        "Mend what its message names, then: ros2 lifecycle set /{node} configure, then activate.",
+        "Fix what its message names, then: ros2 lifecycle set /{node} configure, then activate.",
         True,
     ),
     "inactive": Advice(
@@ -211,7 +205,7 @@ ADVICE: dict[str, dict[str, Advice]] = {
         ),
         "bias_drift_limit": Advice(
             "Compensates '{tool}', but the sensor's zero has drifted too far.",
-            "Tare with nobody at the tool, or calibrate again.",
+            "Tare without contact at the tool, or calibrate again.",
         ),
         "cable_outside": Advice(
             "Compensates '{tool}' without its cable's pull: the cable was not measured here.",

@@ -11,11 +11,19 @@ from galen_panel.snapshot import Behaviour, Kind, State
 
 @dataclass(frozen=True)
 class Program:
-    """A node's executable; `node` is the name that the node has on /diagnostics."""
+    """A part of the suite; `node` is the name that its node has on /diagnostics.
+
+    offers: a service or action of it, as in `State.available`. needed: whether nothing works
+    without it.
+    """
 
     node: str
     package: str
     executable: str
+    title: str
+    purpose: str
+    offers: str = ""
+    needed: bool = False
 
     @property
     def start(self) -> str:
@@ -28,11 +36,38 @@ class Program:
         return f"{self.executable} isn't running. Start it: {self.start}"
 
 
-DRIVER = Program("sim_driver", "galen_sim_driver", "sim_driver_node")
-GRAVCOMP = Program("gravcomp", "galen_gravcomp", "gravcomp_node")
-CALIBRATION = Program("calibration", "galen_calibration_behavior", "calibration_node")
-COLLECTION = Program("collection", "galen_deflection", "collection_node")
-DEFLECTION = Program("deflection", "galen_deflection", "deflection_node")
+DRIVER = Program(
+    *("sim_driver", "galen_sim_driver", "sim_driver_node"),
+    "Driver",
+    "Moves the arm and reads its sensor.",
+    offers="attach_tool",
+    needed=True,
+)
+GRAVCOMP = Program(
+    *("gravcomp", "galen_gravcomp", "gravcomp_node"),
+    "Compensation",
+    "Subtracts the tool's weight from the wrench.",
+    offers="gravcomp/enable",
+    needed=True,
+)
+CALIBRATION = Program(
+    *("calibration", "galen_calibration_behavior", "calibration_node"),
+    "Calibration",
+    "Finds and checks a tool's mass and centre.",
+    offers="calibrate_tool",
+)
+DEFLECTION = Program(
+    *("deflection", "galen_deflection", "deflection_node"),
+    "Deflection",
+    "Predicts how far the arm bends.",
+)
+COLLECTION = Program(
+    *("collection", "galen_deflection", "collection_node"),
+    "Collection of pushes",
+    "Records pushes, to learn the deflection from.",
+    offers="collect_pushes",
+)
+PROGRAMS = (DRIVER, GRAVCOMP, CALIBRATION, DEFLECTION, COLLECTION)
 
 OFFERED_BY = {
     "gravcomp/set_tool": GRAVCOMP,

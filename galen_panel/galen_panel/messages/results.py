@@ -8,8 +8,7 @@ from enum import Enum
 from typing import NamedTuple
 
 import numpy as np
-from galen_calibration_behavior.quick_check.answer import Answer, Cause
-from galen_calibration_behavior.quick_check.text import TARE_COMMAND
+from galen_model.evidence.verdict import TARE_COMMAND, Cause, CheckAnswer
 
 from galen_panel.messages import texts
 from galen_panel.snapshot import LOST, Kind, Outcome, State
@@ -44,10 +43,12 @@ class Verdict(NamedTuple):
 
 
 _VERDICTS = {
-    Answer.GOOD: Verdict("Good: the file fits", "positive", Todo.NOTHING),
-    Answer.RETARE: Verdict("Tare it", "warning", Todo.TARE),
-    Answer.RECALIBRATE: Verdict("It does not fit: calibrate again", "negative", Todo.CALIBRATE),
-    Answer.UNSURE: Verdict("Can't tell: check again", "warning", Todo.CHECK),
+    CheckAnswer.GOOD: Verdict("Good: the file fits", "positive", Todo.NOTHING),
+    CheckAnswer.RETARE: Verdict("Tare it", "warning", Todo.TARE),
+    CheckAnswer.RECALIBRATE: Verdict(
+        "It does not fit: calibrate again", "negative", Todo.CALIBRATE
+    ),
+    CheckAnswer.UNSURE: Verdict("Can't tell: check again", "warning", Todo.CHECK),
 }
 # Another calibration would not help these.
 _NOT_ON = {
@@ -71,9 +72,9 @@ def verdict(outcome: Outcome) -> Verdict:
     """Of a quick check that came to its end."""
     values = outcome.values
     try:
-        answer, cause = Answer(_code(values, "answer")), Cause(_code(values, "cause"))
+        answer, cause = CheckAnswer(_code(values, "answer")), Cause(_code(values, "cause"))
     except ValueError:
-        return _VERDICTS[Answer.UNSURE]
+        return _VERDICTS[CheckAnswer.UNSURE]
     return _NOT_ON.get(cause) or _VERDICTS[answer]
 
 

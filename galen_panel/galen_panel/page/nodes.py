@@ -8,7 +8,8 @@ from pathlib import Path
 
 from nicegui import ui
 
-from galen_panel.messages.states import ROLES, Words, others, words_of, words_of_other
+from galen_panel.messages.hints import PROGRAMS
+from galen_panel.messages.states import Words, others, words_of, words_of_other
 from galen_panel.messages.texts import numbers_of
 from galen_panel.page.elements import LOOKS
 from galen_panel.page.page import Page
@@ -29,19 +30,19 @@ _COLOURS = " ".join({colour for _, colour, _ in (*_LAMPS.values(), _NOT_RUNNING)
 
 
 def build(page: Page) -> None:
-    """Draw a card for each role, and one for each other node that tells its state."""
+    """Draw a card for each program, and one for each other node that tells its state."""
     ui.add_css(_STYLE)
     ui.label("What each node is doing").classes("text-h5")
     with ui.element("div").classes("panel-columns"):
-        cards = [(role, _Card(role.name, role.title, role.purpose)) for role in ROLES]
+        cards = [(one, _Card(one.node, one.title, one.purpose)) for one in PROGRAMS]
     rest = ui.element("div").classes("panel-columns")
     other_cards: dict[str, _Card] = {}
 
     def look() -> None:
         state, now_s = page.suite.state, time.monotonic()
-        for role, card in cards:
-            report = state.report_of(role.name)
-            card.show(words_of(state, role, now_s), {} if report is None else report.values)
+        for program, card in cards:
+            report = state.report_of(program.node)
+            card.show(words_of(state, program, now_s), {} if report is None else report.values)
         _look_at_others(state, now_s)
 
     def _look_at_others(state: State, now_s: float) -> None:

@@ -17,9 +17,8 @@ from enum import Enum
 from pathlib import Path
 
 from galen_bags.errors import BagError
-from galen_bags.formats.bag import storage_files
 from galen_bags.formats.find import find_bags
-from galen_bags.formats.metadata import BagMetadata, read_metadata
+from galen_bags.formats.metadata import BagMetadata, read_metadata, storage_files
 from galen_diagnosis.observation.rows import BAGS
 from galen_model.errors import one_line
 

@@ -94,23 +94,20 @@ class Presence:
 _MOST_NODES, _MOST_VALUES, _LONGEST_KEY = 100, 200, 100
 
 
-class Reports:
-    """Puts the newest word of each node on the board, and hands it to `on_report`."""
+def hear_reports(node: Node, board: Board, on_report: Callable[[NodeReport], None]) -> None:
+    """Put each node's newest report of /diagnostics on the board, and hand it to `on_report`."""
 
-    def __init__(self, node: Node, board: Board, on_report: Callable[[NodeReport], None]) -> None:
-        self._board = board
-        self._on_report = on_report
-        node.create_subscription(DiagnosticArray, "/diagnostics", self._on_message, 100)
-
-    def _on_message(self, message: DiagnosticArray) -> None:
+    def on_message(message: DiagnosticArray) -> None:
         now_s = time.monotonic()
         reports = [_report(status, now_s) for status in message.status[:_MOST_NODES]]
-        nodes = {**self._board.state.nodes, **{report.name: report for report in reports}}
+        nodes = {**board.state.nodes, **{report.name: report for report in reports}}
         newest_first = sorted(nodes.values(), key=lambda report: -report.heard_s)
         kept = {report.name for report in newest_first[:_MOST_NODES]}
-        self._board.put(nodes={name: nodes[name] for name in nodes if name in kept})
+        board.put(nodes={name: nodes[name] for name in nodes if name in kept})
         for report in reports:
-            self._on_report(report)
+            on_report(report)
+
+    node.create_subscription(DiagnosticArray, "/diagnostics", on_message, 100)
 
 
 def _report(status: Any, heard_s: float) -> NodeReport:

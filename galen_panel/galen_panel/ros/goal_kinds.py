@@ -9,8 +9,6 @@ from dataclasses import dataclass
 from enum import IntEnum
 from typing import Any, ClassVar
 
-from galen_calibration_behavior.calibrate import CalibrateClient
-from galen_calibration_behavior.check import CheckClient
 from galen_calibration_behavior.commands import (
     CALIBRATION_PHASES,
     CHECK_PHASES,
@@ -20,10 +18,9 @@ from galen_calibration_behavior.commands import (
     CheckState,
 )
 from galen_deflection.collection import commands as collection_commands
-from galen_deflection.collection.command import CollectClient
 from galen_deflection.collection.phases import COLLECTION_PHASES
 from galen_model.files.calibration_file import check_tool_name
-from galen_ros.goal.client import GoalClient, result_to_dict
+from galen_ros.goal.client import result_to_dict
 
 from galen_msgs.action import CalibrateTool, CheckTool, CollectPushes
 from galen_panel.messages.hints import CALIBRATION, COLLECTION, Program
@@ -56,8 +53,9 @@ class GoalKind(ABC):
 
     kind: ClassVar[Kind]
     program: ClassVar[Program]
-    client: ClassVar[type[GoalClient]]
-    """The command that sends the same goals; it has the action's type and words."""
+    action_type: ClassVar[Any]
+    lost: ClassVar[str]
+    """What becomes of a goal without its server."""
     codes: ClassVar[type[IntEnum]]
     states: ClassVar[type[IntEnum]]
     phases: ClassVar[dict[Any, str]]
@@ -128,7 +126,7 @@ class GoalKind(ABC):
     @property
     def gone(self) -> str:
         """That the server went away, and what became of its goal."""
-        return f"{self.program.executable} went away; {self.client.lost}"
+        return f"{self.program.executable} went away; {self.lost}"
 
 
 class Calibration(GoalKind):
@@ -136,7 +134,8 @@ class Calibration(GoalKind):
 
     kind = Kind.CALIBRATE
     program = CALIBRATION
-    client = CalibrateClient
+    action_type = CalibrateTool
+    lost = "nothing was written"
     codes = CalibrationCode
     states = CalibrationState
     phases = CALIBRATION_PHASES
@@ -203,7 +202,8 @@ class Check(GoalKind):
 
     kind = Kind.CHECK
     program = CALIBRATION
-    client = CheckClient
+    action_type = CheckTool
+    lost = "nothing is known of the tool"
     codes = CheckCode
     states = CheckState
     phases = CHECK_PHASES
@@ -241,7 +241,8 @@ class Collection(GoalKind):
 
     kind = Kind.COLLECT
     program = COLLECTION
-    client = CollectClient
+    action_type = CollectPushes
+    lost = "what it recorded is under a name that ends in .unfinished"
     codes = collection_commands.ErrorCode
     states = collection_commands.State
     phases = COLLECTION_PHASES

@@ -105,8 +105,8 @@ class GoalFollower:
         self._ended: deque[bytes] = deque(maxlen=100)
         self._rejections: list[_Rejection] = []
         self._next_look_s = 0.0
-        self._impl = impl = kind.client.action_type.Impl
-        action = f"{kind.client.action_name}/_action"
+        self._impl = impl = kind.action_type.Impl
+        action = f"{kind.kind.value}/_action"
         self._send = node.create_client(impl.SendGoalService, f"{action}/send_goal")
         self._get_result = node.create_client(impl.GetResultService, f"{action}/get_result")
         self._cancel = node.create_client(impl.CancelGoalService, f"{action}/cancel_goal")

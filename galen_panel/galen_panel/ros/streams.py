@@ -33,27 +33,30 @@ _DEPTH = 200
 _LINGER_S = 2.0
 """A page that is loaded again leaves and comes back."""
 _DEFLECTION_DOUBLES = 42
+"""Translation, rotation and covariance."""
 
 Read = Callable[[bytes], tuple[int, tuple[float, ...]]]
 
 
-class DeflectionWire:
-    """Reads serialised galen_msgs/DeflectionStamped: translation, rotation, covariance, flag."""
+def deflection_reader() -> Read:
+    """Read serialised DeflectionStamped: stamp (ns), translation and rotation vector (6,).
 
-    def __init__(self) -> None:
-        self._layout: Layout | None = None
+    m and rad; raises UnreadableError.
+    """
+    layout: Layout | None = None
 
-    def read(self, data: bytes) -> tuple[int, tuple[float, ...]]:
-        """Stamp (ns), translation and rotation vector (6,), m and rad; raises UnreadableError."""
-        layout = self._layout
+    def read(data: bytes) -> tuple[int, tuple[float, ...]]:
+        nonlocal layout
         if layout is None or not layout.fits(data):
-            layout = self._layout = stamped_layout(data, _DEFLECTION_DOUBLES)
+            layout = stamped_layout(data, _DEFLECTION_DOUBLES)
         values = layout.doubles[0].unpack_from(data, layout.doubles_at[0])
         return layout.stamp_ns(data), values[:6]
 
+    return read
+
 
 def wrench_reader() -> Read:
-    """Reads serialised WrenchStamped: stamp (ns) and wrench (6,); raises UnreadableError."""
+    """Read serialised WrenchStamped: stamp (ns) and wrench (6,); raises UnreadableError."""
     wire = WrenchWire()
 
     def read(data: bytes) -> tuple[int, tuple[float, ...]]:
@@ -84,7 +87,7 @@ class Streams:
         self._taps = (
             _Tap("wrench_raw", WrenchStamped, wrench_reader(), history.raw),
             _Tap("wrench_compensated", WrenchStamped, wrench_reader(), history.compensated),
-            _Tap("deflection", DeflectionStamped, DeflectionWire().read, history.deflection),
+            _Tap("deflection", DeflectionStamped, deflection_reader(), history.deflection),
             _Tap("joint_states", JointState, JointWire(JOINT_NAMES).read, history.joints),
         )
         self._watchers = 0

@@ -2,30 +2,50 @@
 
 from __future__ import annotations
 
+import functools
 import itertools
-from collections.abc import Awaitable, Callable
+from collections.abc import Callable, Coroutine
 from contextlib import AbstractContextManager
-from typing import TypeVar
+from typing import Any, Concatenate, ParamSpec, TypeVar
 
 from galen_model.errors import GalenError
+from galen_model.files.calibration_file import check_tool_name
 from rclpy.node import Node
-from std_srvs.srv import Trigger
+from std_srvs.srv import SetBool, Trigger
 
-from galen_msgs.srv import SetTool
+from galen_msgs.srv import CompareTools, RemoveTool, RevertTool, SetTool
 from galen_panel.history import History
 from galen_panel.messages.hints import CALIBRATION
-from galen_panel.ros.board import Board, Presence, Reports
+from galen_panel.ros.board import Board, Presence, hear_reports
 from galen_panel.ros.goal_kinds import KINDS, kind_of
 from galen_panel.ros.goals import GoalFollower
 from galen_panel.ros.streams import Streams
 from galen_panel.ros.thread import Calls, RosThread
-from galen_panel.ros.tools import Tools
+from galen_panel.ros.tools import Tools, comparison
 from galen_panel.snapshot import Answer, CalibrateGoal, Comparison, Goal, Kind, NodeReport, State
 
+P = ParamSpec("P")
 T = TypeVar("T")
 
 NODE_NAME = "panel"
-_CONFIRM_LIMIT_S = 3.0
+_SWITCH_LIMIT_S = 3.0
+# It averages, and waits for samples (parameters tare_window_s and tare_timeout_s).
+_TARE_LIMIT_S = 20.0
+
+
+def _answered(
+    call: Callable[Concatenate[RosSuite, P], Coroutine[Any, Any, T]],
+) -> Callable[Concatenate[RosSuite, P], Coroutine[Any, Any, T | Answer]]:
+    """Give an error as an answer: no call of the page raises."""
+
+    @functools.wraps(call)
+    async def safe(suite: RosSuite, *args: P.args, **kwargs: P.kwargs) -> T | Answer:
+        try:
+            return await call(suite, *args, **kwargs)
+        except GalenError as error:
+            return Answer(False, str(error))
+
+    return safe
 
 
 class RosSuite(AbstractContextManager["RosSuite"]):
@@ -67,7 +87,7 @@ class RosSuite(AbstractContextManager["RosSuite"]):
             for follower in followers.values():
                 follower.on_report(report)
 
-        Reports(node, board, on_report)
+        hear_reports(node, board, on_report)
 
         def on_beat(now_s: float) -> None:
             self.streams.tick(now_s)
@@ -93,58 +113,88 @@ class RosSuite(AbstractContextManager["RosSuite"]):
         """See Suite."""
         return self.streams.watch()
 
+    @_answered
     async def list_tools(self) -> Answer:
         """See Suite."""
-        return await _answer(self._tools.list_tools())
+        response = await self._tools.list_tools()
+        if not response.success:
+            return Answer(False, response.error_msg)
+        count = len(response.tools)
+        return Answer(True, f"{count} tool{'' if count == 1 else 's'} in {response.tools_dir}")
 
+    @_answered
     async def activate(self, tool: str) -> Answer:
         """See Suite."""
-        return await _answer(self._tools.activate(tool))
+        request = SetTool.Request(tool=check_tool_name(tool) if tool else "")
+        response = await self._tools.ask("set_tool", request)
+        if not response.success:
+            return Answer(False, response.error_msg)
+        return Answer(True, f"{response.tool} is active" if tool else "no tool is active")
 
+    @_answered
     async def remove_tool(self, tool: str) -> Answer:
         """See Suite."""
-        return await _answer(self._tools.remove_tool(tool))
+        request = RemoveTool.Request(tool=check_tool_name(tool))
+        response = await self._tools.ask("remove_tool", request)
+        if not response.success:
+            return Answer(False, response.error_msg)
+        await self._tools.list_quietly()
+        return Answer(True, f"{tool} is removed; its file is kept as {response.kept_as}")
 
+    @_answered
     async def revert_tool(self, tool: str) -> Answer:
         """See Suite."""
-        return await _answer(self._tools.revert_tool(tool))
+        request = RevertTool.Request(tool=check_tool_name(tool))
+        response = await self._tools.ask("revert_tool", request)
+        if not response.success:
+            return Answer(False, response.error_msg)
+        await self._tools.list_quietly()
+        active_tool = self.state.active_tool
+        again = active_tool is not None and active_tool.tool == tool
+        load = f"; activate {tool} to load it" if again else ""
+        return Answer(True, f"{tool} has its calibration before the last one again{load}")
 
+    @_answered
     async def compare(self, tool: str, with_tool: str = "") -> Comparison | Answer:
         """See Suite."""
-        return await _answer(self._tools.compare(tool, with_tool))
+        request = CompareTools.Request(
+            a=check_tool_name(with_tool or tool),
+            a_previous=not with_tool,
+            b=check_tool_name(tool),
+        )
+        response = await self._tools.ask("compare_tools", request)
+        return comparison(response) if response.success else Answer(False, response.error_msg)
 
+    @_answered
     async def set_enabled(self, enabled: bool) -> Answer:
         """See Suite."""
-        return await _answer(self._tools.set_enabled(enabled))
+        request = SetBool.Request(data=enabled)
+        response = await self._tools.ask("enable", request, _SWITCH_LIMIT_S)
+        return Answer(response.success, response.message)
 
+    @_answered
     async def tare(self) -> Answer:
-        """See Suite."""
-        return await _answer(self._tools.tare())
+        """See Suite; the answer comes when it is done."""
+        response = await self._tools.ask("tare", Trigger.Request(), _TARE_LIMIT_S)
+        return Answer(response.success, response.message)
 
+    @_answered
     async def start(self, goal: Goal) -> Answer:
         """See Suite."""
         if isinstance(goal, CalibrateGoal) and "gravcomp/list_tools" in self.state.available:
-            # Whether the tool had a file before is told from the list.
-            await self.list_tools()
-        return await _answer(self._followers[kind_of(goal)].start(goal))
+            # Whether the tool had a file before is read from the list.
+            await self._tools.list_quietly()
+        return await self._followers[kind_of(goal)].start(goal)
 
+    @_answered
     async def confirm(self) -> Answer:
         """See Suite."""
-        return await _answer(self._ask_confirm())
-
-    async def cancel(self, kind: Kind) -> Answer:
-        """See Suite."""
-        return await _answer(self._followers[kind].cancel())
-
-    async def _ask_confirm(self) -> Answer:
         response = await self._calls.ask(
-            self._confirm, Trigger.Request(), CALIBRATION, _CONFIRM_LIMIT_S
+            self._confirm, Trigger.Request(), CALIBRATION, _SWITCH_LIMIT_S
         )
         return Answer(response.success, response.message or "confirmed: the calibration goes on")
 
-
-async def _answer(work: Awaitable[T]) -> T | Answer:
-    try:
-        return await work
-    except GalenError as error:
-        return Answer(False, str(error))
+    @_answered
+    async def cancel(self, kind: Kind) -> Answer:
+        """See Suite."""
+        return await self._followers[kind].cancel()

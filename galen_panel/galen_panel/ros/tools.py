@@ -1,4 +1,4 @@
-"""gravcomp's services on the tools' files, what it has active, its switch and its tare."""
+"""gravcomp's list of calibration files and what it has active, on the board."""
 
 from __future__ import annotations
 
@@ -6,8 +6,6 @@ from collections.abc import Iterable
 from dataclasses import replace
 from typing import Any
 
-from galen_gravcomp.tools.client import to_dict
-from galen_model.files.calibration_file import check_tool_name
 from galen_ros.qos import LATCHED
 from rclpy.node import Node
 from std_srvs.srv import SetBool, Trigger
@@ -17,16 +15,20 @@ from galen_msgs.srv import CompareTools, ListTools, RemoveTool, RevertTool, SetT
 from galen_panel.messages.hints import GRAVCOMP
 from galen_panel.ros.board import Board, Presence
 from galen_panel.ros.thread import CallError, Calls
-from galen_panel.snapshot import Active, Answer, Comparison, Difference, State, Tool
+from galen_panel.snapshot import Active, Comparison, Difference, State, Tool
 
 _LIST_PERIOD_S = 10.0
-_FILE_LIMIT_S, _SWITCH_LIMIT_S = 5.0, 3.0
-# It averages, and waits for samples (parameters tare_window_s and tare_timeout_s).
-_TARE_LIMIT_S = 20.0
+FILE_LIMIT_S = 5.0
+_FILE_STATES = {
+    ActiveTool.FILE_NONE: "none",
+    ActiveTool.FILE_AS_LOADED: "as loaded",
+    ActiveTool.FILE_CHANGED: "changed",
+    ActiveTool.FILE_GONE: "gone",
+}
 
 
 class Tools:
-    """The tools on the board, and what can be asked of gravcomp."""
+    """Keeps the tools on the board, and calls gravcomp's services."""
 
     def __init__(self, node: Node, board: Board, calls: Calls, presence: Presence) -> None:
         self._board = board
@@ -77,7 +79,7 @@ class Tools:
             self._clients["list_tools"],
             ListTools.Request(),
             GRAVCOMP,
-            _FILE_LIMIT_S,
+            FILE_LIMIT_S,
             self._on_listed,
         )
 
@@ -123,75 +125,25 @@ class Tools:
             }
         )
 
-    # In the event loop; all raise CallError, or ToolNameError for names that can't be
+    # In the event loop
 
-    async def list_tools(self) -> Answer:
-        """As in `Suite`, as all below."""
-        response = await self._ask("list_tools", ListTools.Request(), _FILE_LIMIT_S)
+    async def ask(self, name: str, request: Any, timeout_s: float | None = None) -> Any:
+        """Call one of gravcomp's services and return its response; raises CallError."""
+        limit_s = FILE_LIMIT_S if timeout_s is None else timeout_s
+        return await self._calls.ask(self._clients[name], request, GRAVCOMP, limit_s)
+
+    async def list_tools(self) -> Any:
+        """Show the list anew and return the service's response; raises CallError."""
+        response = await self.ask("list_tools", ListTools.Request())
         self._show_list(response)
-        if not response.success:
-            return Answer(False, response.error_msg)
-        count = len(response.tools)
-        return Answer(True, f"{count} tool{'' if count == 1 else 's'} in {response.tools_dir}")
+        return response
 
-    async def activate(self, tool: str) -> Answer:
-        """An empty name is no tool."""
-        request = SetTool.Request(tool=check_tool_name(tool) if tool else "")
-        response = await self._ask("set_tool", request, _FILE_LIMIT_S)
-        if not response.success:
-            return Answer(False, response.error_msg)
-        return Answer(True, f"{response.tool} is active" if tool else "no tool is active")
-
-    async def remove_tool(self, tool: str) -> Answer:
-        """The file is kept beside."""
-        request = RemoveTool.Request(tool=check_tool_name(tool))
-        response = await self._ask("remove_tool", request, _FILE_LIMIT_S)
-        if not response.success:
-            return Answer(False, response.error_msg)
-        await self._list_quietly()
-        return Answer(True, f"{tool} is removed; its file is kept as {response.kept_as}")
-
-    async def revert_tool(self, tool: str) -> Answer:
-        """The present calibration becomes the one before."""
-        request = RevertTool.Request(tool=check_tool_name(tool))
-        response = await self._ask("revert_tool", request, _FILE_LIMIT_S)
-        if not response.success:
-            return Answer(False, response.error_msg)
-        await self._list_quietly()
-        active_tool = self._board.state.active_tool
-        again = active_tool is not None and active_tool.tool == tool
-        load = f"; activate {tool} to load it" if again else ""
-        return Answer(True, f"{tool} has its calibration before the last one again{load}")
-
-    async def compare(self, tool: str, with_tool: str = "") -> Comparison | Answer:
-        """Against the calibration before it where `with_tool` is empty."""
-        request = CompareTools.Request(
-            a=check_tool_name(with_tool or tool),
-            a_previous=not with_tool,
-            b=check_tool_name(tool),
-        )
-        response = await self._ask("compare_tools", request, _FILE_LIMIT_S)
-        return _comparison(response) if response.success else Answer(False, response.error_msg)
-
-    async def set_enabled(self, enabled: bool) -> Answer:
-        """Switch the compensation."""
-        response = await self._ask("enable", SetBool.Request(data=enabled), _SWITCH_LIMIT_S)
-        return Answer(response.success, response.message)
-
-    async def tare(self) -> Answer:
-        """The answer comes when it is done."""
-        response = await self._ask("tare", Trigger.Request(), _TARE_LIMIT_S)
-        return Answer(response.success, response.message)
-
-    async def _list_quietly(self) -> None:
-        """So that who has changed a file sees it in the list with the answer."""
+    async def list_quietly(self) -> None:
+        """Show the list with the answer to a change of a file; a failure is shown, too."""
         try:
-            self._show_list(await self._ask("list_tools", ListTools.Request(), _FILE_LIMIT_S))
+            await self.list_tools()
         except CallError as error:
             self._board.put(tools_problem=str(error))
-
-    async def _ask(self, name: str, request: Any, timeout_s: float) -> Any:
-        return await self._calls.ask(self._clients[name], request, GRAVCOMP, timeout_s)
 
 
 def _marked(tools: Iterable[Tool], active_tool: Active | None) -> tuple[Tool, ...]:
@@ -224,22 +176,22 @@ def _tool(row: Any) -> Tool:
 
 
 def _active(message: ActiveTool) -> Active:
-    content = to_dict(message)
-    tare, bias_drift = content["tare"], content["bias_drift"]
+    force, torque = message.tare.force, message.tare.torque
+    tare = (force.x, force.y, force.z, torque.x, torque.y, torque.z)
     return Active(
-        tool=content["tool"],
-        enabled=content["enabled"],
-        mass_kg=content["mass_kg"],
-        com_m=_floats(content["com_m"]),
-        tip_m=_floats(content["tip_m"]),
-        calibrated_at=content["calibrated_at"],
-        file_state=content["file_state"],
-        tare=None if tare is None else _floats(tare),
-        bias_drift=None if bias_drift is None else _floats(bias_drift),
+        tool=message.tool,
+        enabled=message.enabled,
+        mass_kg=message.mass_kg,
+        com_m=_floats(message.com_m),
+        tip_m=_floats(message.tip_m),
+        calibrated_at=message.calibrated_at,
+        file_state=_FILE_STATES.get(message.file_state, "unknown"),
+        tare=_floats(tare) if message.tared else None,
     )
 
 
-def _comparison(response: Any) -> Comparison:
+def comparison(response: Any) -> Comparison:
+    """Read the response of `compare_tools`."""
     return Comparison(
         response.text,
         response.same_load,

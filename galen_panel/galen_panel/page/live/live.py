@@ -14,7 +14,6 @@ from nicegui import ui
 from galen_panel.page.live.arm import Arm
 from galen_panel.page.live.plots import Plots
 from galen_panel.page.page import Page
-from galen_panel.snapshot import Suite
 
 PLOT_PERIOD_S = 0.2
 ARM_PERIOD_S = 0.1
@@ -23,34 +22,12 @@ _STYLE = Path(__file__).with_suffix(".css")
 _SCRIPT = Path(__file__).with_suffix(".js")
 
 
-class _Watch:
-    """Whether this browser has the streams listened to."""
-
-    def __init__(self, suite: Suite) -> None:
-        self._suite = suite
-        self._within: ExitStack | None = None
-
-    @property
-    def entered(self) -> bool:
-        return self._within is not None
-
-    def enter(self) -> None:
-        if self._within is None:
-            self._within = ExitStack()
-            self._within.enter_context(self._suite.watch())
-
-    def leave(self) -> None:
-        if self._within is not None:
-            self._within.close()
-            self._within = None
-
-
 def build(page: Page, shown: Callable[[], bool]) -> None:
     """Draw it; `shown` says whether its tab is open."""
     ui.add_css(_STYLE)
     ui.add_head_html(f"<script>{_SCRIPT.read_text()}</script>")
     client = ui.context.client
-    watch = _Watch(page.suite)
+    listening: list[ExitStack] = []
     with ui.element("div").classes("live-columns"):
         with ui.element("section").classes("live-left").props('aria-label="Plots"'):
             plots = Plots(page)
@@ -61,19 +38,24 @@ def build(page: Page, shown: Callable[[], bool]) -> None:
         ui.timer(ARM_PERIOD_S, arm.update, active=False),
     )
 
+    def leave() -> None:
+        while listening:
+            listening.pop().close()
+
     def look() -> None:
         seen = shown() and client.has_socket_connection
-        if seen == watch.entered:
+        if seen == bool(listening):
             return
         if seen:
-            watch.enter()
+            listening.append(ExitStack())
+            listening[-1].enter_context(page.suite.watch())
             plots.resume_listening()
         else:
-            watch.leave()
+            leave()
         for timer in timers:
             timer.active = seen
 
     ui.timer(_LOOK_PERIOD_S, look)
     # A browser that vanishes: its timers may wait for an answer that never comes.
-    client.on_disconnect(watch.leave)
-    client.on_delete(watch.leave)
+    client.on_disconnect(leave)
+    client.on_delete(leave)
