@@ -22,13 +22,14 @@ from typing import Any
 import numpy as np
 from galen_calibration_behavior.calibration.sweep import stack
 from galen_calibration_behavior.parameters import CalibrationParameters
-from galen_calibration_behavior.quick_check.answer import Answer, CheckLimits
+from galen_calibration_behavior.quick_check.answer import CheckLimits
 from galen_calibration_behavior.quick_check.causes import load_and_offset
 from galen_calibration_behavior.quick_check.decision import differences, quick_check
 from galen_calibration_behavior.quick_check.poses import plan_check
 from galen_model.arm.galen import SENSOR
 from galen_model.arm.kinematics import gravity_in_sensor
 from galen_model.arrays import Array
+from galen_model.evidence.verdict import CheckAnswer
 from galen_model.files.calibration_file import CalibrationFile
 from galen_model.load.identification import StillPoses, identify_two_sweeps
 from galen_model.load.model import Load, gravity_wrench, nominal_reading
@@ -141,7 +142,12 @@ class Bench:
         )
         here = np.array([*_PLATFORM, *random.uniform((-1.2, -0.8), (1.2, 0.7))])
         self.poses = plan_check(
-            here, parameters.reach_rad, parameters.poses, times, Surroundings(), np.zeros(3)
+            here,
+            parameters.check_reach_rad,
+            parameters.check_poses,
+            times,
+            Surroundings(),
+            np.zeros(3),
         ).poses
 
     def file(self, name: str, load: Load) -> CalibrationFile:
@@ -184,7 +190,7 @@ class Bench:
         return average_pose(np.array([[*_PLATFORM, *pose]] * 2), wrench)
 
 
-def plain_answer(records: Sequence[PoseRecord], tool: CalibrationFile) -> Answer:
+def plain_answer(records: Sequence[PoseRecord], tool: CalibrationFile) -> CheckAnswer:
     """What a ten-parameter least squares says by itself."""
     roll, tilt, wrench, _ = stack(list(records))
     rows = load_and_offset(np.column_stack([roll, tilt]), tool).reshape(-1, 10)
@@ -193,8 +199,8 @@ def plain_answer(records: Sequence[PoseRecord], tool: CalibrationFile) -> Answer
     by_load = np.max(np.abs(everywhere[:, :, :4] @ values[:4]), axis=0)
     by_both = np.max(np.abs(everywhere @ values), axis=0)
     if _LIMITS.size(by_load) > 1.0:
-        return Answer.RECALIBRATE
-    return Answer.RETARE if _LIMITS.size(by_both) > 1.0 else Answer.GOOD
+        return CheckAnswer.RECALIBRATE
+    return CheckAnswer.RETARE if _LIMITS.size(by_both) > 1.0 else CheckAnswer.GOOD
 
 
 def answers(case: Case, checks: int, seed: int, step: Callable[[], object]) -> dict[str, Any]:

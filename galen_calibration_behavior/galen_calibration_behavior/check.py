@@ -9,6 +9,7 @@ import sys
 from typing import Any
 
 from galen_model.arm.galen import WRENCH_AXES
+from galen_model.evidence.verdict import Cause, CheckAnswer
 from galen_ros.goal.client import (
     EXIT_CANCELED,
     EXIT_FAILED,
@@ -25,21 +26,20 @@ from galen_ros.goal.client import (
 from galen_ros.node.spin import own_arguments
 
 from galen_calibration_behavior.commands import CheckCode
-from galen_calibration_behavior.quick_check.answer import Answer, Cause
 from galen_msgs.action import CheckTool
 
 EXIT_RETARE, EXIT_RECALIBRATE, EXIT_UNSURE = 3, 4, 5
 _EXITS = {
-    Answer.GOOD: EXIT_OK,
-    Answer.RETARE: EXIT_RETARE,
-    Answer.RECALIBRATE: EXIT_RECALIBRATE,
-    Answer.UNSURE: EXIT_UNSURE,
+    CheckAnswer.GOOD: EXIT_OK,
+    CheckAnswer.RETARE: EXIT_RETARE,
+    CheckAnswer.RECALIBRATE: EXIT_RECALIBRATE,
+    CheckAnswer.UNSURE: EXIT_UNSURE,
 }
 _HEADS = {
-    Answer.GOOD: "good",
-    Answer.RETARE: "re-tare",
-    Answer.RECALIBRATE: "recalibrate",
-    Answer.UNSURE: "can't tell",
+    CheckAnswer.GOOD: "good",
+    CheckAnswer.RETARE: "re-tare",
+    CheckAnswer.RECALIBRATE: "recalibrate",
+    CheckAnswer.UNSURE: "can't tell",
 }
 _EPILOG = f"""The tool is on, and nobody touches it. The tool's file stays as it is.
 
@@ -99,7 +99,7 @@ def result_fields(result: Any) -> dict[str, Any]:
     """A CheckTool.Result for JSON: answer and cause as words, no NaN."""
     content = result_to_dict(result)
     if result.error_code == CheckCode.NONE:
-        content |= {"answer": Answer(result.answer).name, "cause": Cause(result.cause).name}
+        content |= {"answer": CheckAnswer(result.answer).name, "cause": Cause(result.cause).name}
     else:
         content |= {"answer": None, "cause": None}
     for name in ("com_change_m", "com_change_std_m"):
@@ -111,7 +111,7 @@ def result_fields(result: Any) -> dict[str, Any]:
 def format_result(result: Any) -> str:
     """Return a CheckTool.Result for a person; one standard deviation after +-."""
     lines = [
-        f"{_HEADS[Answer(result.answer)]}: {result.tool}: {result.text}",
+        f"{_HEADS[CheckAnswer(result.answer)]}: {result.tool}: {result.text}",
         "",
         "                " + "".join(f"{axis:>10}" for axis in WRENCH_AXES) + "   [N, mN.m]",
         _row("offset", result.offset),
@@ -147,7 +147,7 @@ def _print_result(result: Any, as_json: bool) -> int:
         print(format_result(result))
     exit_code = report_error("check", code, result.error_msg)
     if code == CheckCode.NONE:
-        return _EXITS[Answer(result.answer)]
+        return _EXITS[CheckAnswer(result.answer)]
     if not as_json:
         for text in result.poses_rejected:
             print(f"  rejected {text}", file=sys.stderr)

@@ -12,7 +12,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from galen_calibration_behavior.check import format_result, parse, result_fields
 from galen_calibration_behavior.commands import CheckCode as ErrorCode
 from galen_calibration_behavior.node import CalibrationNode
-from galen_calibration_behavior.quick_check.answer import Answer, Cause
+from galen_model.evidence.verdict import Cause, CheckAnswer
 from galen_model.files.calibration_file import write_calibration
 from galen_ros.node.testing import Harness, parameters
 from galen_ros.qos import LATCHED
@@ -65,7 +65,7 @@ def test_the_active_tool_is_checked_with_its_tare_and_an_unknown_one_is_rejected
 
         status, result = check(tool="pointer", poses=4)
         assert (status, result.error_code) == (GoalStatus.STATUS_SUCCEEDED, 0), result.error_msg
-        assert (result.answer, result.cause) == (Answer.RETARE, Cause.OFFSET), result.text
+        assert (result.answer, result.cause) == (CheckAnswer.RETARE, Cause.OFFSET), result.text
         assert result.offset == pytest.approx(push, abs=0.02)
         assert result.poses_used == 4
         assert abs(result.mass_change_kg) < 5 * result.mass_change_std_kg
@@ -76,7 +76,7 @@ def test_the_active_tool_is_checked_with_its_tare_and_an_unknown_one_is_rejected
         harness.call_in_executor(lambda: publisher.publish(active_tool))
         harness.wait_for(lambda: check_action(node)._active is not None, 10.0, "the active tool")
         _, result = check()
-        assert (result.tool, result.answer) == ("pointer", Answer.GOOD), result.text
+        assert (result.tool, result.answer) == ("pointer", CheckAnswer.GOOD), result.text
         assert "tare" in result.warnings[0]
         assert (tmp_path / "pointer.json").read_bytes() == before
         assert len(list(tmp_path.iterdir())) == 1
@@ -148,7 +148,7 @@ def test_a_second_server_is_an_error_of_both_and_takes_no_goal(tmp_path):
 
 def test_a_result_is_words_for_a_person_and_json_for_a_program():
     result = CheckTool.Result(
-        tool="pointer", answer=int(Answer.RECALIBRATE), cause=int(Cause.NO_TOOL),
+        tool="pointer", answer=int(CheckAnswer.RECALIBRATE), cause=int(Cause.NO_TOOL),
         text="there is no tool on", com_change_m=[math.nan] * 3, com_change_std_m=[math.nan] * 3,
         mass_change_kg=-0.06, poses_used=6, poses_rejected=["check/1: tilt moved"],
     )  # fmt: skip
@@ -171,7 +171,7 @@ def test_a_result_is_words_for_a_person_and_json_for_a_program():
 )
 def test_the_mass_is_called_noise_or_not_by_what_was_found(change_kg, words):
     result = CheckTool.Result(
-        answer=int(Answer.GOOD), mass_change_kg=change_kg, found_mass_kg=0.00013, poses_used=6
+        answer=int(CheckAnswer.GOOD), mass_change_kg=change_kg, found_mass_kg=0.00013, poses_used=6
     )
     assert format_result(result).splitlines()[-1].endswith(f"6 poses; {words}")
 

@@ -9,10 +9,10 @@ from calibration_fake_arm import NO_TOOL, POINTER, FakeArm
 from check_pointer_file import POINTER_FILE
 from galen_calibration_behavior.commands import CheckCode, CheckState, PoseFeedback, PosesEnd
 from galen_calibration_behavior.parameters import CalibrationParameters
-from galen_calibration_behavior.quick_check.answer import Answer, Cause
 from galen_calibration_behavior.quick_check.procedure import CheckProcedure, CheckRequest
 from galen_model.arm.clearance import ArmClearance, boxes_from_numbers
 from galen_model.arm.galen import LIMITS
+from galen_model.evidence.verdict import Cause, CheckAnswer
 from galen_ros.goal.commands import MoveTo, Stop
 
 BOX = (0.721, -0.003, 0.304, 0.768, 0.111, 0.352)
@@ -64,7 +64,7 @@ class Course:
 def test_a_good_file_is_called_good_and_the_arm_is_where_it_was():
     course = Course(SLOW)
     end = course.run()
-    assert (end.error_code, end.check.answer) == (CheckCode.NONE, Answer.GOOD), end
+    assert (end.error_code, end.check.answer) == (CheckCode.NONE, CheckAnswer.GOOD), end
     assert course.arm.joints == pytest.approx(START, abs=1e-9)
     assert course.seconds < 20.0
     assert [f.done for f in course.of(PoseFeedback) if np.isfinite(f.roll)] == [1, 2, 3, 4, 5]
@@ -76,7 +76,7 @@ def test_a_good_file_is_called_good_and_the_arm_is_where_it_was():
 
 def test_no_tool_on_is_told():
     end = Course(tool=NO_TOOL).run()
-    assert (end.check.answer, end.check.cause) == (Answer.RECALIBRATE, Cause.NO_TOOL)
+    assert (end.check.answer, end.check.cause) == (CheckAnswer.RECALIBRATE, Cause.NO_TOOL)
 
 
 def test_a_pose_that_is_touched_is_tried_again():
@@ -87,7 +87,7 @@ def test_a_pose_that_is_touched_is_tried_again():
         else np.zeros(6)
     )
     end = course.run()
-    assert end.check.answer is Answer.GOOD
+    assert end.check.answer is CheckAnswer.GOOD
     assert end.rejected == ()
     assert len(course.of(MoveTo)) > 6
 
@@ -116,7 +116,7 @@ def test_it_goes_around_a_box():
                 nearest[course] = min(nearest[course], clearance.nearest(arm.joints).distance_m)
 
         course.watch = watch
-        assert course.run().check.answer is Answer.GOOD
+        assert course.run().check.answer is CheckAnswer.GOOD
     assert nearest[straight] < 0.01
     assert 0.02 <= nearest[around] < 0.05
     assert len(around.of(MoveTo)) > len(straight.of(MoveTo)) == 6

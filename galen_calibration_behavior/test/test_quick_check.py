@@ -5,10 +5,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from galen_calibration_behavior.quick_check.answer import Answer, Cause, CheckLimits
+from galen_calibration_behavior.quick_check.answer import CheckLimits
 from galen_calibration_behavior.quick_check.decision import differences, quick_check
 from galen_calibration_behavior.quick_check.poses import plan_check
 from galen_model.arm.kinematics import gravity_in_sensor
+from galen_model.evidence.verdict import Cause, CheckAnswer
 from galen_model.files.calibration_file import CalibrationFile, LoadEstimate
 from galen_model.load.cable.drag import CableDrag
 from galen_model.load.model import Load, gravity_wrench, nominal_reading
@@ -20,6 +21,7 @@ from galen_model.rest.pose import PoseRecord
 
 from benchmarks.validation.check_power import CASES as CHECK_CASES
 from benchmarks.validation.check_power import heavier, loose, main, tilt_zero, touched
+from galen_msgs.action import CheckTool
 
 POINTER, RETRACTOR = TOOLS["pointer"].load, TOOLS["retractor"].load
 SIGMA = np.array([1.3e-3, 1.3e-3, 1.9e-3, 2.6e-5, 2.6e-5, 2.6e-5])  # of a mean of 250 samples
@@ -66,55 +68,75 @@ ZEROED_ELSEWHERE = NEVER_ZEROED - gravity_wrench(gravity_in_sensor(0.9, -0.6), A
 ZEROED_WITH_TOOL = -gravity_wrench(gravity_in_sensor(0.0, 0.0), POINTER)
 PULL = np.array([0.0, 0.2, 0.0, 0.0, 0.0, 0.0])
 CASES = {
-    "healthy": (POINTER, POINTER, {}, Answer.GOOD, Cause.NOTHING, "fits"),
+    "healthy": (POINTER, POINTER, {}, Cause.FITS, "fits"),
     "no noise": (
-        Load(POINTER.mass_kg - 0.0005, POINTER.com_m), POINTER, {}, Answer.GOOD, Cause.NOTHING,
+        Load(POINTER.mass_kg - 0.0005, POINTER.com_m), POINTER, {}, Cause.FITS,
         "within the limits (0.05 N, 2 mN.m), although noise alone does not explain",
     ),
-    "small": (POINTER, POINTER, {"offset": 0.1 * PULL}, Answer.GOOD, Cause.NOTHING, "0.020 N"),
-    "offset": (POINTER, POINTER, {"offset": PULL}, Answer.RETARE, Cause.OFFSET, "/gravcomp/tare"),
+    "small": (POINTER, POINTER, {"offset": 0.1 * PULL}, Cause.FITS, "0.020 N"),
+    "offset": (POINTER, POINTER, {"offset": PULL}, Cause.OFFSET, "/gravcomp/tare"),
     "unzeroed": (
-        POINTER, POINTER, {"offset": NEVER_ZEROED}, Answer.RETARE, Cause.ZERO_LOST, "switched on",
+        POINTER, POINTER, {"offset": NEVER_ZEROED}, Cause.ZERO_LOST, "switched on",
     ),
     "zeroed": (
-        POINTER, POINTER, {"offset": ZEROED_WITH_TOOL}, Answer.RETARE, Cause.ZERO_LOST,
+        POINTER, POINTER, {"offset": ZEROED_WITH_TOOL}, Cause.ZERO_LOST,
         "with the tool on",
     ),
     "elsewhere": (
-        POINTER, POINTER, {"offset": ZEROED_ELSEWHERE}, Answer.RETARE, Cause.ZERO_LOST,
+        POINTER, POINTER, {"offset": ZEROED_ELSEWHERE}, Cause.ZERO_LOST,
         "in another pose",
     ),
-    "wrong": (POINTER, RETRACTOR, {}, Answer.RECALIBRATE, Cause.OTHER_TOOL, "'retractor'"),
-    "none": (RETRACTOR, Load(0.0), {}, Answer.RECALIBRATE, Cause.NO_TOOL, "no tool on"),
+    "wrong": (POINTER, RETRACTOR, {}, Cause.OTHER_TOOL, "'retractor'"),
+    "none": (RETRACTOR, Load(0.0), {}, Cause.NO_TOOL, "no tool is on"),
     "heavier": (
-        POINTER, heavier(POINTER, 0.005), {}, Answer.RECALIBRATE, Cause.LOAD, "9 +- 0.1 g, its",
+        POINTER, heavier(POINTER, 0.005), {}, Cause.LOAD, "9 +- 0.1 g, its",
     ),
     "both": (
-        RETRACTOR, heavier(RETRACTOR, 0.01), {"offset": PULL}, Answer.RECALIBRATE, Cause.LOAD,
+        RETRACTOR, heavier(RETRACTOR, 0.01), {"offset": PULL}, Cause.LOAD,
         "beside it an offset",
     ),
     "loose": (
-        RETRACTOR, RETRACTOR, {"extra": loose(RETRACTOR, 0.005)}, Answer.RECALIBRATE,
-        Cause.UNEXPLAINED, "as of a loose tool:",
+        RETRACTOR, RETRACTOR, {"extra": loose(RETRACTOR, 0.005)}, Cause.UNEXPLAINED,
+        "as of a loose tool:",
     ),
     "zero": (
-        RETRACTOR, RETRACTOR, {"extra": tilt_zero(RETRACTOR, 0.03)}, Answer.RECALIBRATE,
-        Cause.UNEXPLAINED, "a joint's zero that has moved",
+        RETRACTOR, RETRACTOR, {"extra": tilt_zero(RETRACTOR, 0.03)}, Cause.UNEXPLAINED,
+        "a joint's zero that has moved",
     ),
-    "touched": (POINTER, POINTER, {"extra": touched(0.3)}, Answer.UNSURE, Cause.TOUCHED, "repeat"),
-    "noisy": (POINTER, POINTER, {"sigma": 60 * SIGMA}, Answer.UNSURE, Cause.NOISE, "too noisy"),
+    "touched": (POINTER, POINTER, {"extra": touched(0.3)}, Cause.CONTACT, "repeat"),
+    "noisy": (POINTER, POINTER, {"sigma": 60 * SIGMA}, Cause.NOISE, "too noisy"),
 }  # fmt: skip
 
 
 @pytest.mark.parametrize("case", CASES)
 def test_each_change_has_its_answer(case):
-    believed, true, how, answer, cause, words = CASES[case]
+    believed, true, how, cause, words = CASES[case]
     others = {"retractor": file_of(RETRACTOR, "retractor")} if believed is POINTER else {}
     check = quick_check(
         records(true, np.random.default_rng(1), **how), file_of(believed), LIMITS, others=others
     )
-    assert (check.answer, check.cause) == (answer, cause), check.text
+    assert check.cause is cause, check.text
     assert words in check.text
+
+
+@pytest.mark.parametrize(
+    ("answer", "causes"),
+    [
+        (CheckAnswer.GOOD, {Cause.FITS}),
+        (CheckAnswer.RETARE, {Cause.OFFSET, Cause.ZERO_LOST}),
+        (
+            CheckAnswer.RECALIBRATE,
+            {Cause.LOAD, Cause.OTHER_TOOL, Cause.NO_TOOL, Cause.UNEXPLAINED},
+        ),
+        (CheckAnswer.UNSURE, {Cause.CONTACT, Cause.NOISE}),
+    ],
+)
+def test_a_cause_has_its_answer_and_the_message_s_number(answer, causes):
+    assert {cause for cause in Cause if cause <= Cause.NOISE and cause.answer is answer} == causes
+    assert getattr(CheckTool.Result, answer.name) == answer
+    names = {Cause.FITS: "NOTHING", Cause.CONTACT: "TOUCHED"}
+    for cause in causes:
+        assert getattr(CheckTool.Result, names.get(cause, cause.name)) == cause
 
 
 def test_a_change_without_noise_is_found_exactly():
@@ -167,7 +189,7 @@ def test_the_smallest_change_that_is_found_is_found_as_often_as_said():
 def test_what_a_tare_takes_off_is_no_offset_any_more():
     averages = records(POINTER, np.random.default_rng(1), offset=PULL)
     check = quick_check(averages, file_of(POINTER), LIMITS, known_offset=PULL)
-    assert check.answer is Answer.GOOD
+    assert check.answer is CheckAnswer.GOOD
     assert np.all(np.abs(check.found.offset) < 5 * SIGMA)
     unzeroed = records(POINTER, np.random.default_rng(1), offset=NEVER_ZEROED)
     check = quick_check(unzeroed, file_of(POINTER), LIMITS, known_offset=PULL)
@@ -194,15 +216,15 @@ def test_a_learned_cable_is_expected_as_the_compensation_expects_it():
     )
     left, without_part = (np.max(np.abs(c.found.rest)) for c in (with_cable, without))
     assert left < 5 * np.max(SIGMA) < 0.5 * without_part
-    assert with_cable.cause in (Cause.NOTHING, Cause.NOISE)
-    assert without.answer in (Answer.RECALIBRATE, Answer.RETARE)
+    assert with_cable.cause in (Cause.FITS, Cause.NOISE)
+    assert without.answer in (CheckAnswer.RECALIBRATE, CheckAnswer.RETARE)
 
 
 def test_a_file_of_one_sweep_is_judged_by_what_it_knows_of_tool_and_adapter_together():
     split = np.array([5e-3, 1e-2, 1e-2, 1e-2])
     tool = file_of(POINTER, std=split, unresolved=("the tool's centre along z",))
     random = np.random.default_rng(1)
-    assert quick_check(records(POINTER, random), tool, LIMITS).answer is Answer.GOOD
+    assert quick_check(records(POINTER, random), tool, LIMITS).answer is CheckAnswer.GOOD
     check = quick_check(records(heavier(POINTER, 0.005), random), tool, LIMITS)
     assert check.cause is Cause.LOAD
     # The same covariance of two sweeps is what is known of their sum, too.

@@ -3,51 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from enum import IntEnum
 
-import numpy as np
 from galen_model.arrays import Array
-
-
-class Answer(IntEnum):
-    """Answers as in CheckTool's result."""
-
-    GOOD = 0
-    RETARE = 1
-    RECALIBRATE = 2
-    UNSURE = 3
-
-
-class Cause(IntEnum):
-    """What it looks like, as in CheckTool's result."""
-
-    NOTHING = 0
-    OFFSET = 1
-    ZERO_LOST = 2
-    OTHER_TOOL = 3
-    NO_TOOL = 4
-    LOAD = 5
-    UNEXPLAINED = 6
-    TOUCHED = 7
-    NOISE = 8
+from galen_model.evidence.verdict import Cause, CheckAnswer, Limits
 
 
 @dataclass(frozen=True)
-class CheckLimits:
+class CheckLimits(Limits):
     """What a compensation may be off by, anywhere, and how often chance may call a change."""
 
-    force_n: float = 0.05
-    torque_nm: float = 0.002
     false_alarm: float = 0.05
-
-    @property
-    def axes(self) -> Array:
-        """By axis (6,), N and N.m."""
-        return np.repeat([self.force_n, self.torque_nm], 3)
-
-    def size(self, values: Array) -> float:
-        """The largest of `values` (6,), N and N.m, in units of its limit."""
-        return float(np.max(np.abs(values) / self.axes))
 
 
 @dataclass(frozen=True)
@@ -77,15 +42,19 @@ class Differences:
 
 @dataclass(frozen=True)
 class QuickCheck:
-    """The answer, its cause, and both in words.
+    """What the readings differ by, and in words.
 
     found_mass_kg, found_offset (6,): the smallest changes that are told from noise with 95 %.
     """
 
-    answer: Answer
     cause: Cause
     text: str
     found: Differences
     poses: int
     found_mass_kg: float
     found_offset: Array
+
+    @property
+    def answer(self) -> CheckAnswer:
+        """What to do."""
+        return self.cause.answer

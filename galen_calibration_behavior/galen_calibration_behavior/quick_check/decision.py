@@ -36,6 +36,7 @@ from galen_model.arrays import Array
 from galen_model.distributions import chi2_isf, chi2_sf, noncentral_chi2_sf, normal_ppf
 from galen_model.evidence.columns import moment_covariance
 from galen_model.evidence.linear import chance
+from galen_model.evidence.verdict import Cause
 from galen_model.files.calibration_file import CalibrationFile
 from galen_model.load.mounting.mounting import Mounting
 from galen_model.poses.design import ANGLE_LIMITS, angle_grid
@@ -43,13 +44,7 @@ from galen_model.rest.pose import PoseRecord
 from scipy.optimize import brentq
 
 from galen_calibration_behavior.calibration.sweep import stack
-from galen_calibration_behavior.quick_check.answer import (
-    Answer,
-    Cause,
-    CheckLimits,
-    Differences,
-    QuickCheck,
-)
+from galen_calibration_behavior.quick_check.answer import CheckLimits, Differences, QuickCheck
 from galen_calibration_behavior.quick_check.causes import (
     Explanation,
     explain_rest,
@@ -89,11 +84,11 @@ def quick_check(
         angles, residual, sigma = _readings(records, tool, taken_off)
         explained = explain_rest(angles, residual, sigma, tool, _ANYWHERE, _UNEXPLAINED)
     hints = tuple(one.name for one in explained)
-    answer, cause = _decide(found, limits, explained)
+    cause = _decide(found, limits, explained)
     if cause is Cause.UNEXPLAINED:
         stands_out = _one_that_stands_out(records, tool, limits, taken_off)
         if stands_out is not None:
-            answer, cause, hints = Answer.UNSURE, Cause.TOUCHED, (stands_out,)
+            cause, hints = Cause.CONTACT, (stands_out,)
     elif cause is Cause.LOAD:
         cause, hints = _which_load(found, tool, limits, others or {})
     # The sensor's zero knows nothing of a tare.
@@ -101,7 +96,6 @@ def quick_check(
         cause, hints = Cause.ZERO_LOST, (how,)
     information = _load_information(records, tool, found.sigma)
     return QuickCheck(
-        answer=answer,
         cause=cause,
         text=in_words(cause, found, tool, limits, hints, len(records)),
         found=found,
@@ -171,9 +165,7 @@ def _noncentrality(freedom: int, false_alarm: float, power: float = 0.95) -> flo
     )
 
 
-def _decide(
-    found: Differences, limits: CheckLimits, explained: tuple[Explanation, ...]
-) -> tuple[Answer, Cause]:
+def _decide(found: Differences, limits: CheckLimits, explained: tuple[Explanation, ...]) -> Cause:
     # The fit takes ten values, and so freedom of the rest's mean square, in six axes.
     rest = np.sqrt(np.sum(found.rest**2, axis=0) / (len(found.rest) - 10.0 / 6.0))
     load_size = limits.size(found.load_effect)
@@ -183,15 +175,15 @@ def _decide(
         no_load_then = any(limits.size(one.load_effect) <= 1.0 for one in explained[:1])
         instead = no_load_then or _WORTH * limits.size(rest) > load_size
         if max([limits.size(rest), *by_cause]) > 1.0 and (not load_told or instead):
-            return Answer.RECALIBRATE, Cause.UNEXPLAINED
+            return Cause.UNEXPLAINED
     if load_told:
-        return Answer.RECALIBRATE, Cause.LOAD
+        return Cause.LOAD
     if limits.size(found.effect) > 1.0 and found.offset_p < limits.false_alarm:
-        return Answer.RETARE, Cause.OFFSET
+        return Cause.OFFSET
     two_sided = normal_ppf(1.0 - limits.false_alarm / 2.0)
     if np.any(two_sided * found.effect_std > limits.axes):
-        return Answer.UNSURE, Cause.NOISE
-    return Answer.GOOD, Cause.NOTHING
+        return Cause.NOISE
+    return Cause.FITS
 
 
 def _which_load(

@@ -154,10 +154,18 @@ def wrench_text(wrench: Array) -> str:
     return f"({force}) N and ({torque}) mN.m"
 
 
-def load_text(mass_kg: float, mass_std_kg: float, centre_m: Array | None = None) -> str:
+def load_text(
+    mass_kg: float,
+    mass_std_kg: float,
+    centre_m: Array | None = None,
+    centre_std_m: Array | None = None,
+) -> str:
     """Return by how much a load's mass and centre (3,) differ, in words."""
     text = f"by {1e3 * mass_kg:+.1f} +- {1e3 * mass_std_kg:.1f} g"
     if centre_m is None:
         return text
     centre = ", ".join(f"{round(1e3 * value, 1) + 0.0:+.1f}" for value in centre_m)
-    return f"{text}, its centre by ({centre}) mm"
+    if centre_std_m is None:
+        return f"{text}, its centre by ({centre}) mm"
+    stds = ", ".join(f"{1e3 * value:.1f}" for value in centre_std_m)
+    return f"{text}, its centre by ({centre}) +- ({stds}) mm"
