@@ -7,7 +7,8 @@ STARTER ?= python3
 SETUP = $(STARTER) scripts/setup_env.py
 ENTER = source scripts/env.sh
 # Test files side by side; every test has a ROS domain of its own. With 0 they go one by one.
-TEST_WORKERS ?= 2
+# The quick tests wait for more than half of their time, so there is one more of them.
+TEST_WORKERS ?= $(if $(filter test,$(MAKECMDGOALS)),3,2)
 # They start hundreds of processes: byte code is kept, whatever this shell has set.
 PYTEST = env -u PYTHONDONTWRITEBYTECODE python -m pytest --numprocesses $(TEST_WORKERS) --dist loadfile --no-loadscope-reorder
 # Given on the command line, as in `make GALEN_PYTHON=/usr/bin/python3.12 build`.
