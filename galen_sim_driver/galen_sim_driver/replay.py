@@ -30,7 +30,7 @@ from galen_model.wrench import move_wrench
 from scipy.signal import savgol_filter
 
 from galen_sim_driver.effects.effect import Effect, Instants, Loading, Posture, in_order
-from galen_sim_driver.effects.joints.joint_axis_misalignment import sensor_pose
+from galen_sim_driver.effects.joint_effects import sensor_pose
 
 _STILL_POSE_M = 2e-4
 """Joints nearer to each other than this (m, rad) share a compliance: it changes by 1e-3 of itself

@@ -13,14 +13,14 @@ from galen_model.errors import GalenError
 from galen_model.load.model import Load, gravity_wrench, nominal_reading
 from galen_model.load.nominal_tools import ADAPTER, TOOLS
 from galen_sim_driver.effects.effect import Instants
-from galen_sim_driver.effects.joints.base_inclination import BaseInclination
-from galen_sim_driver.effects.joints.joint_axis_misalignment import JointAxisMisalignment
-from galen_sim_driver.effects.joints.joint_compliance import JointCompliance
-from galen_sim_driver.effects.joints.joint_gain import JointGain
-from galen_sim_driver.effects.joints.joint_zero_offset import JointZeroOffset
-from galen_sim_driver.effects.load.loose_tool import LooseTool
-from galen_sim_driver.effects.load.tool_com_error import ToolComError
-from galen_sim_driver.effects.load.tool_mass_error import ToolMassError
+from galen_sim_driver.effects.joint_effects import (
+    BaseInclination,
+    JointAxisMisalignment,
+    JointCompliance,
+    JointGain,
+    JointZeroOffset,
+)
+from galen_sim_driver.effects.load_effects import LooseTool, ToolComError, ToolMassError
 from galen_sim_driver.effects.registry import (
     CONTRACT_ORDER,
     EFFECTS,
@@ -29,13 +29,15 @@ from galen_sim_driver.effects.registry import (
     effect_from,
     extra_parameters,
 )
-from galen_sim_driver.effects.sensor.axis_gain import AxisGain
-from galen_sim_driver.effects.sensor.bias_step import BiasStep
-from galen_sim_driver.effects.sensor.crosstalk import Crosstalk
-from galen_sim_driver.effects.sensor.sensor_drift import SensorDrift
-from galen_sim_driver.effects.sensor.sensor_mount_rotation import SensorMountRotation
-from galen_sim_driver.effects.sensor.sensor_saturation import SensorSaturation
-from galen_sim_driver.effects.sensor.wrench_delay import WrenchDelay
+from galen_sim_driver.effects.sensor_drift import SensorDrift
+from galen_sim_driver.effects.sensor_effects import (
+    AxisGain,
+    BiasStep,
+    Crosstalk,
+    SensorMountRotation,
+    SensorSaturation,
+    WrenchDelay,
+)
 from galen_sim_driver.replay import Replay, Scene, rates
 from scipy.spatial.transform import Rotation
 

@@ -12,11 +12,10 @@ from galen_model.arm.sensor_motion import sensor_motion
 from galen_model.errors import GalenError
 from galen_model.load.model import Load, nominal_reading
 from galen_model.load.nominal_tools import ADAPTER, TOOLS
+from galen_sim_driver.effects.cable_drag import CableDrag
 from galen_sim_driver.effects.effect import Instants, Posture
-from galen_sim_driver.effects.load.cable_drag import CableDrag
-from galen_sim_driver.effects.load.inertial_load import InertialLoad
-from galen_sim_driver.effects.load.loose_tool import LooseTool
-from galen_sim_driver.effects.sensor.sensor_drift import SensorDrift
+from galen_sim_driver.effects.load_effects import InertialLoad, LooseTool
+from galen_sim_driver.effects.sensor_drift import SensorDrift
 from galen_sim_driver.node.effect_parameters import EffectParameters, effects_of
 from galen_sim_driver.node.parameters import DriverParameters
 from galen_sim_driver.plant.cell import Plant

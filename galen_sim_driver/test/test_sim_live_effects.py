@@ -14,12 +14,14 @@ from galen_model.load.nominal_tools import ADAPTER, TOOLS
 from galen_model.rotation import quaternion_to_matrix, rotvec_to_matrix
 from galen_ros.parameters.param import param_fields
 from galen_sim_driver.effects.registry import EFFECTS, IDENTITIES, effect_from
-from galen_sim_driver.effects.sensor.bias_step import BiasStep
-from galen_sim_driver.effects.sensor.crosstalk import Crosstalk
-from galen_sim_driver.effects.sensor.sensor_drift import SensorDrift
-from galen_sim_driver.effects.sensor.sensor_saturation import SensorSaturation
-from galen_sim_driver.effects.sensor.wrench_delay import WrenchDelay
-from galen_sim_driver.effects.tracker.base_shift import BaseShift
+from galen_sim_driver.effects.sensor_drift import SensorDrift
+from galen_sim_driver.effects.sensor_effects import (
+    BiasStep,
+    Crosstalk,
+    SensorSaturation,
+    WrenchDelay,
+)
+from galen_sim_driver.effects.tracker_effects import BaseShift
 from galen_sim_driver.node.effect_parameters import (
     EffectParameters,
     driver_file,

@@ -23,8 +23,8 @@ from typing import Any
 import numpy as np
 from galen_model.arm.kinematics import sensor_pose
 from galen_model.arrays import Array
+from galen_sim_driver.effects.cable_drag import CableDrag
 from galen_sim_driver.effects.effect import Effect
-from galen_sim_driver.effects.load.cable_drag import CableDrag
 from galen_sim_driver.effects.registry import contract_parameters, extra_parameters
 from scipy.linalg import cho_solve
 

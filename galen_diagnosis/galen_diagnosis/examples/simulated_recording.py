@@ -30,8 +30,8 @@ from galen_model.load.model import Load
 from galen_ros.cdr.layout import JointStateBytes, PoseBytes, WrenchBytes
 from galen_sim_driver.effects.effect import BAG_ORDER, Effect
 from galen_sim_driver.effects.registry import contract_parameters
-from galen_sim_driver.effects.sensor.bias_step import BiasStep
-from galen_sim_driver.effects.tracker.base_shift import BaseShift
+from galen_sim_driver.effects.sensor_effects import BiasStep
+from galen_sim_driver.effects.tracker_effects import BaseShift
 from galen_sim_driver.plant.cell import Plant, Sample
 from galen_sim_driver.plant.config import HandPush, PlantConfig, TrackerConfig
 from galen_sim_driver.plant.trajectory import Trajectory, TrajectoryPoint

@@ -1,6 +1,6 @@
 """All effects by name, and their numbers as the contract's files have them.
 
-An effect is known by its file being in a folder of this one: nothing lists the files. In `EFFECTS`
+An effect is known by being in a module of this folder: nothing lists them. In `EFFECTS`
 those of the contract come first, in its order.
 """
 
@@ -46,7 +46,7 @@ CONTRACT_ORDER = (
 
 
 def _in_folder() -> Iterator[type[Effect]]:
-    for found in pkgutil.walk_packages(effects.__path__, prefix=f"{effects.__name__}."):
+    for found in pkgutil.iter_modules(effects.__path__, prefix=f"{effects.__name__}."):
         if found.name == __name__:
             continue
         module = importlib.import_module(found.name)

@@ -18,7 +18,7 @@ from galen_model.load.nominal_tools import ToolGeometry
 from galen_model.rotation import matrix_to_quaternion
 
 from galen_sim_driver.effects.effect import Effect, Instants, Loading, Posture, in_order
-from galen_sim_driver.effects.joints.joint_axis_misalignment import sensor_pose
+from galen_sim_driver.effects.joint_effects import sensor_pose
 from galen_sim_driver.plant.geometry import (
     ArmGeometry,
     Matrix,

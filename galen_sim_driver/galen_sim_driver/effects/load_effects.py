@@ -1,4 +1,14 @@
-"""Forces of acceleration of tool and adapter, which nominal leaves out (contract, section 6).
+"""Effects of what hangs on the sensor (contract, section 6).
+
+The tool weighs other than its file says: true mass - file's mass, same centre (contract, 6).
+
+The tool's centre of mass isn't where its file says: true - file's.
+
+The tool sags in its mount.
+
+centre = file's + shift (d_x, d_y, 0),   d: the unit vector of gravity in ft_sensor.
+
+Forces of acceleration of tool and adapter, which nominal leaves out.
 
 Newton and Euler (`galen_model.load.inertia.inertial`) with s = -a, the part without gravity, for
 tool and adapter as two points, each at its own centre p_i with the share of `mass_kg` that it has
@@ -24,6 +34,59 @@ from galen_ros.parameters.param import param
 
 from galen_sim_driver.effects.effect import Effect, Fitted, Instants, Posture
 from galen_sim_driver.errors import ConfigError
+
+
+@dataclass(frozen=True)
+class ToolMassError(Effect):
+    """true mass = file's + `delta_kg`."""
+
+    name: ClassVar[str] = "tool_mass_error"
+    fitted: ClassVar[tuple[Fitted, ...]] = (Fitted("delta_kg", "kg", 0.005, -1.0, 5.0),)
+
+    delta_kg: float = param(
+        0.0, "how much the tool weighs more than its number says, kg", -1.0, 5.0
+    )
+
+    def tool_load(self, mass_kg: float, com_m: Array, direction: Array) -> tuple[float, Array]:
+        """The centre stays."""
+        return mass_kg + self.delta_kg, com_m
+
+
+@dataclass(frozen=True)
+class ToolComError(Effect):
+    """true centre = file's + `delta_m`, in ft_sensor."""
+
+    name: ClassVar[str] = "tool_com_error"
+    fitted: ClassVar[tuple[Fitted, ...]] = (Fitted("delta_m", "m", 0.003, -0.5, 0.5, 3),)
+
+    delta_m: tuple[float, ...] = param(
+        (0.0,) * 3,
+        "the tool's centre of mass less where its numbers say, in `ft_sensor`, m",
+        -0.5,
+        0.5,
+    )
+
+    def tool_load(self, mass_kg: float, com_m: Array, direction: Array) -> tuple[float, Array]:
+        """The mass stays."""
+        return mass_kg, com_m + np.asarray(self.delta_m)
+
+
+@dataclass(frozen=True)
+class LooseTool(Effect):
+    """The tool's centre moves by `shift_m` times x and y of gravity's direction."""
+
+    name: ClassVar[str] = "loose_tool"
+    fitted: ClassVar[tuple[Fitted, ...]] = (Fitted("shift_m", "m", 0.003, -0.2, 0.2),)
+
+    shift_m: float = param(
+        0.0,
+        "a tool that sags in its mount: its centre moves by this length times the x and y parts, "
+        "in `ft_sensor`, of gravity's unit vector, m",
+    )
+
+    def tool_load(self, mass_kg: float, com_m: Array, direction: Array) -> tuple[float, Array]:
+        """The centre hangs lower."""
+        return mass_kg, com_m + self.shift_m * direction * np.array([1.0, 1.0, 0.0])
 
 
 @dataclass(frozen=True)

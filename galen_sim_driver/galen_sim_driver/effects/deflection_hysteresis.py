@@ -23,13 +23,13 @@ Why a softness: a spring with friction that doesn't slide yet is stiffer than on
 whose friction does, and which of the two the nominal stiffness is of, nobody says.
 
 "joints": Dahl's friction beside the springs of carriages, roll, tilt and rods, as
-`dahl.py` derives it, each with the fraction at its own largest
+`friction.py` derives it, each with the fraction at its own largest
 load (over its deflection with the friction, there). With side -1 what friction takes is added.
 
 With `restarts` a move of the arm takes away what loads have left, and largest loads are those of a
 place: joints that move shake their friction out. Without, all of it stays.
 
-Loads that turn by less than 2 % of the largest are noise (`galen_sim_driver.plant.turning`). The
+Loads that turn by less than 2 % of the largest are noise (`friction.py`). The
 largest loads are those of the samples. A driver looks at one sample at a time and can't know what
 comes: it takes those of about 10 N at the retractor's tip.
 """
@@ -49,10 +49,15 @@ from galen_model.load.nominal_tools import TOOLS
 from galen_ros.parameters.param import param
 
 from galen_sim_driver.effects.effect import Effect, Fitted, Instants, Loading
-from galen_sim_driver.effects.joints.dahl import joint_columns, joint_stiffness, load_of, shape
-from galen_sim_driver.effects.joints.dahl import slide as dahl_slide
+from galen_sim_driver.effects.friction import (
+    along_turns,
+    joint_columns,
+    joint_stiffness,
+    load_of,
+    shape,
+)
+from galen_sim_driver.effects.friction import slide as dahl_slide
 from galen_sim_driver.errors import ConfigError
-from galen_sim_driver.plant.turning import along_turns
 
 FORMS = ("tip", "joints")
 

@@ -1,4 +1,14 @@
-"""The stand of the base's marker moves once during `push` (contract, section 6).
+"""Effects of the tracker (contract, section 6).
+
+Tracker stamps are late: stamp = measurement + delay.
+
+The tracker's lengths are wrong: positions are (1 + gain) times true.
+
+About the tracker's own origin, so that both markers move away from it; rotations stay. Whoever
+finds where base_link is from what the tracker tells sees of it what is left of a scale about the
+mean of the tool's positions.
+
+The stand of the base's marker moves once during `push`.
 
 The marker goes by `translation_m` and turns about its own origin by `rotvec_rad`, both along the
 axes of base_link, and stays there. Arm and tracker stay where they are: only who takes the marker
@@ -15,6 +25,40 @@ from galen_model.arrays import Array
 from galen_ros.parameters.param import param
 
 from galen_sim_driver.effects.effect import Effect, Fitted, Instants
+
+
+@dataclass(frozen=True)
+class TrackerDelay(Effect):
+    """A tracker's stamp is `delay_s` later than its measurement."""
+
+    name: ClassVar[str] = "tracker_delay"
+    fitted: ClassVar[tuple[Fitted, ...]] = (Fitted("delay_s", "s", 0.02, -0.3, 0.3),)
+
+    delay_s: float = param(
+        0.0, "a tracker's stamp is so much later than its measurement, s", -0.3, 0.3
+    )
+
+    @property
+    def tracker_delay_s(self) -> float:
+        """The delay itself; whoever looks up what happened at a tracker's stamp takes it away."""
+        return self.delay_s
+
+
+@dataclass(frozen=True)
+class TrackerScale(Effect):
+    """Positions of both markers in the tracker's frame are (1 + `gain`) times true."""
+
+    name: ClassVar[str] = "tracker_scale"
+    fitted: ClassVar[tuple[Fitted, ...]] = (Fitted("gain", "", 0.003, -0.5, 1.0),)
+
+    gain: float = param(
+        0.0, "how much too long the tracker's lengths are, as a fraction", -0.5, 1.0
+    )
+
+    def seen(self, when: Instants, position: Array) -> Array:
+        """The position times its gain."""
+        return position * (1.0 + self.gain)
+
 
 _BAG = "push"
 

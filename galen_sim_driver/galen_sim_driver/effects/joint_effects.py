@@ -1,0 +1,207 @@
+"""Effects of joints and of the base (contract, section 6).
+
+A joint's zero is wrong: true angle = reported + offset.
+
+A joint turns by more than it reports: true = (1 + gain) reported.
+
+With an offset of the zero as well: (1 + gain) reported + offset.
+
+A joint's axis is turned in its parent link.
+
+With the turn A of an axis in its parent link, the joint's rotation R(q) becomes A R(q) A^T: at
+q = 0 the link is where it should be. For the tilt axis turned about the roll link's z,
+
+    R_base_sensor = Rx(roll) Rz(a) Ry(tilt) Rz(a)^T Ry(pi/2).
+
+The base doesn't stand level: gravity in base_link is (Rx(a) Ry(b))^T g.
+
+A stiffness is not the nominal one.
+
+The tip deflects by C w with C = sum over springs of J^T J / k, which is linear in 1/k. A fit
+therefore works on how much softer than nominal a spring is,
+
+    c = k_nominal / k - 1,
+
+in which the deflection is linear, carriages and rods included: with the square matrix A of the
+six rods' rows K_p^-1 = A^-1 (I / k_rod + G G^T / k_q) A^-T (`galen_model.arm.stiffness`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import ClassVar, Self
+
+import numpy as np
+from galen_model.arm.galen import GALEN, JOINT_NAMES, ArmParameters
+from galen_model.arrays import Array
+from galen_model.rotation import rot_x, rot_y, rotvec_to_matrix
+from galen_ros.parameters.param import param
+
+from galen_sim_driver.effects.effect import ROTARY_JOINTS, Effect, Fitted, Instants, check_rotary
+from galen_sim_driver.errors import ConfigError
+
+
+@dataclass(frozen=True)
+class JointZeroOffset(Effect):
+    """true angle of `joint` = reported + `offset_rad`."""
+
+    name: ClassVar[str] = "joint_zero_offset"
+    fitted: ClassVar[tuple[Fitted, ...]] = (Fitted("offset_rad", "rad", 0.01, -0.5, 0.5),)
+    order: ClassVar[int] = 1
+    of_a_joint: ClassVar[bool] = True
+
+    joint: str = param("tilt", "the joint whose zero is off: roll tilt")
+    offset_rad: float = param(0.0, "true angle minus the reported one, rad", -0.5, 0.5)
+
+    def validate(self) -> None:
+        """Raise ConfigError unless the joint turns."""
+        check_rotary(self.name, self.joint)
+
+    def true_joints(self, when: Instants, joints: Array) -> Array:
+        """Add the offset."""
+        true = joints.copy()
+        true[:, JOINT_NAMES.index(self.joint)] += self.offset_rad
+        return true
+
+
+@dataclass(frozen=True)
+class JointGain(Effect):
+    """true angle of `joint` = (1 + `gain`) reported."""
+
+    name: ClassVar[str] = "joint_gain"
+    fitted: ClassVar[tuple[Fitted, ...]] = (Fitted("gain", "", 0.02, -0.5, 0.5),)
+    of_a_joint: ClassVar[bool] = True
+
+    joint: str = param("tilt", "the joint with the gain: roll tilt")
+    gain: float = param(0.0, "true angle over the reported one, minus 1", -0.5, 0.5)
+
+    def validate(self) -> None:
+        """Raise ConfigError unless the joint turns."""
+        check_rotary(self.name, self.joint)
+
+    def true_joints(self, when: Instants, joints: Array) -> Array:
+        """Multiply by 1 + gain."""
+        true = joints.copy()
+        true[:, JOINT_NAMES.index(self.joint)] *= 1.0 + self.gain
+        return true
+
+
+_ABOUT = ("x", "y", "z")
+
+
+@dataclass(frozen=True)
+class JointAxisMisalignment(Effect):
+    """The axis of `joint` is turned by `angle_rad` about an axis of its parent link."""
+
+    name: ClassVar[str] = "joint_axis_misalignment"
+    fitted: ClassVar[tuple[Fitted, ...]] = (Fitted("angle_rad", "rad", 0.02, -0.5, 0.5),)
+    of_a_joint: ClassVar[bool] = True
+
+    joint: str = param("tilt", "the joint whose axis is turned: roll tilt")
+    about: str = param("z", "axis of the parent link that it is turned about: x y z")
+    angle_rad: float = param(0.0, "by how much it is turned, rad", -0.5, 0.5)
+
+    def validate(self) -> None:
+        """Raise ConfigError unless the joint turns and `about` is an axis."""
+        check_rotary(self.name, self.joint)
+        if self.about not in _ABOUT:
+            raise ConfigError(f"{self.name}: about is {self.about!r}, not one of x, y, z")
+
+    @property
+    def axis_turns(self) -> Array:
+        """The turn of its own joint's axis; the other's is zero."""
+        turns = np.zeros((len(ROTARY_JOINTS), 3))
+        turns[ROTARY_JOINTS.index(self.joint), _ABOUT.index(self.about)] = self.angle_rad
+        return turns
+
+
+def sensor_pose(joints: Array, axis_turns: Array, arm: ArmParameters) -> tuple[Array, Array]:
+    """Compute the sensor's pose with turned joint axes.
+
+    Args:
+        joints: (n, 5) true ones, m and rad.
+        axis_turns: (2, 3) rotation vectors of roll and tilt axis in their parent links, rad.
+        arm: dimensions.
+
+    Returns:
+        R_base_sensor (n, 3, 3) and the sensor's origin (n, 3) in base_link, m.
+
+    """
+    roll_axis, tilt_axis = rotvec_to_matrix(axis_turns)
+    roll = roll_axis @ rot_x(joints[:, 3]) @ roll_axis.T
+    turned = roll @ tilt_axis @ rot_y(joints[:, 4]) @ tilt_axis.T
+    origin = joints[:, :3] + arm.platform_to_roll_m + roll @ arm.roll_to_tilt_m
+    return turned @ rot_y(np.pi / 2), origin + turned @ arm.tilt_to_sensor_m
+
+
+@dataclass(frozen=True)
+class BaseInclination(Effect):
+    """Gravity in base_link is (Rx(`about_x_rad`) Ry(`about_y_rad`))^T (0, 0, -g)."""
+
+    name: ClassVar[str] = "base_inclination"
+    fitted: ClassVar[tuple[Fitted, ...]] = (
+        Fitted("about_x_rad", "rad", 0.01, -0.5, 0.5),
+        Fitted("about_y_rad", "rad", 0.01, -0.5, 0.5),
+    )
+
+    about_x_rad: float = param(0.0, "the base is inclined so far about its x, rad", -0.5, 0.5)
+    about_y_rad: float = param(0.0, "the same about its y, after x, rad", -0.5, 0.5)
+
+    def gravity(self, gravity_base: Array) -> Array:
+        """Gravity is turned the other way."""
+        turn = rot_x(self.about_x_rad) @ rot_y(self.about_y_rad)
+        return np.asarray(turn.T @ gravity_base)
+
+
+ARM_FIELDS: Mapping[str, str] = {
+    "roll": "roll_stiffness_nm_rad",
+    "tilt": "tilt_stiffness_nm_rad",
+    "carriage": "carriage_stiffness_n_m",
+    "rod": "rod_stiffness_n_m",
+}
+"""The effect's fields and those of the arm's parameters."""
+
+
+def _softer(of: str) -> Fitted:
+    return Fitted(f"softness_{of}", "", 0.3, -0.9, 20.0)
+
+
+@dataclass(frozen=True)
+class JointCompliance(Effect):
+    """Stiffnesses of the true arm, SI; 0 for one that is as nominal.
+
+    `vector` holds k_nominal / k - 1 of roll, tilt, carriages and rods, in this order.
+    """
+
+    name: ClassVar[str] = "joint_compliance"
+    fitted: ClassVar[tuple[Fitted, ...]] = tuple(map(_softer, ARM_FIELDS))
+    contract_names: ClassVar[Mapping[str, str]] = {name: f"stiffness.{name}" for name in ARM_FIELDS}
+
+    roll: float = param(0.0, "stiffness of the roll joint, 0 for the nominal one, Nm/rad", 0.0)
+    tilt: float = param(0.0, "stiffness of the tilt joint, 0 for the nominal one, Nm/rad", 0.0)
+    carriage: float = param(0.0, "stiffness of a carriage, 0 for the nominal one, N/m", 0.0)
+    rod: float = param(0.0, "stiffness of a rod, 0 for the nominal one, N/m", 0.0)
+
+    def vector(self) -> Array:
+        """How much softer than nominal: k_nominal / k - 1, (4,)."""
+        softer = []
+        for field, of_arm in ARM_FIELDS.items():
+            stiffness = getattr(self, field)
+            softer.append(getattr(GALEN, of_arm) / stiffness - 1.0 if stiffness > 0.0 else 0.0)
+        return np.array(softer)
+
+    def with_vector(self, vector: Array) -> Self:
+        """The same with other softnesses (4,); one of exactly 0 leaves its spring nominal."""
+        return replace(
+            self,
+            **{
+                field: getattr(GALEN, of_arm) / (1.0 + float(softer)) if softer != 0.0 else 0.0
+                for (field, of_arm), softer in zip(ARM_FIELDS.items(), vector, strict=True)
+            },
+        )
+
+    def arm(self, arm: ArmParameters) -> ArmParameters:
+        """The arm with these stiffnesses."""
+        given = {of_arm: getattr(self, field) for field, of_arm in ARM_FIELDS.items()}
+        return replace(arm, **{of_arm: k for of_arm, k in given.items() if k > 0.0})

@@ -1,1 +1,0 @@
-"""Effects of joints and of the base."""

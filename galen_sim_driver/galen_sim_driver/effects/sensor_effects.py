@@ -1,0 +1,211 @@
+"""Effects of the sensor (contract, section 6).
+
+The sensing element is turned in its housing; the tool isn't.
+
+With E = exp(r) the element's axes in ft_sensor it tells f and tau along its own axes, E^T f and
+E^T tau, about the same origin.
+
+Gains of the sensor's six axes: reading_k = (1 + gain_k) true_k.
+
+One axis of the sensor sees some of another: reading_to += c true_from.
+
+The reading jumps once and stays.
+
+It stays for the bags after, too: sweep, motion and push are recorded in this order. With an empty
+bag's name, as in a driver that runs on, the time is that of the recording.
+
+Wrench stamps are late against the joints': stamp = measurement + delay.
+
+An axis of the sensor clips (contract, section 6): nothing beyond +- limit comes out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import ClassVar
+
+import numpy as np
+from galen_model.arm.galen import WRENCH_AXES
+from galen_model.arrays import Array
+from galen_model.rotation import rotvec_to_matrix
+from galen_ros.parameters.param import param
+
+from galen_sim_driver.effects.effect import BAG_ORDER, Effect, Fitted, Instants, check_axis
+from galen_sim_driver.errors import ConfigError
+
+
+@dataclass(frozen=True)
+class SensorMountRotation(Effect):
+    """reading = exp(`rotvec_rad`)^T of force and of torque."""
+
+    name: ClassVar[str] = "sensor_mount_rotation"
+    fitted: ClassVar[tuple[Fitted, ...]] = (Fitted("rotvec_rad", "rad", 0.01, -0.5, 0.5, 3),)
+    order: ClassVar[int] = 0
+
+    rotvec_rad: tuple[float, ...] = param(
+        (0.0,) * 3,
+        "the sensing element is turned so in `ft_sensor`, rotation vector, rad",
+        -0.5,
+        0.5,
+    )
+
+    def read(self, when: Instants, wrench: Array) -> Array:
+        """Along the element's axes: rows times E are E^T v."""
+        return _turned(wrench, _matrix(tuple(self.rotvec_rad)))
+
+    def unread(self, when: Instants, reading: Array) -> Array:
+        """Back to ft_sensor's axes."""
+        return _turned(reading, _matrix(tuple(self.rotvec_rad)).T)
+
+
+@lru_cache(maxsize=256)
+def _matrix(rotvec_rad: tuple[float, ...]) -> Array:
+    return rotvec_to_matrix(rotvec_rad)
+
+
+def _turned(wrench: Array, matrix: Array) -> Array:
+    return np.concatenate([wrench[:, :3] @ matrix, wrench[:, 3:] @ matrix], axis=1)
+
+
+@dataclass(frozen=True)
+class AxisGain(Effect):
+    """reading_k = (1 + gain_k) true_k."""
+
+    name: ClassVar[str] = "axis_gain"
+    fitted: ClassVar[tuple[Fitted, ...]] = (Fitted("gain", "", 0.03, -0.9, 2.0, 6),)
+    order: ClassVar[int] = 1
+
+    gain: tuple[float, ...] = param(
+        (0.0,) * 6, "what each axis of the sensor reads too much of itself, fx to tz", -0.9, 2.0
+    )
+
+    def read(self, when: Instants, wrench: Array) -> Array:
+        """Each axis times its gain."""
+        return wrench * (1.0 + np.asarray(self.gain))
+
+    def unread(self, when: Instants, reading: Array) -> Array:
+        """Each axis over its gain."""
+        return reading / (1.0 + np.asarray(self.gain))
+
+
+@dataclass(frozen=True)
+class Crosstalk(Effect):
+    """reading of `to_axis` += `coefficient` times the true `from_axis`; fx fy fz tx ty tz."""
+
+    name: ClassVar[str] = "crosstalk"
+    fitted: ClassVar[tuple[Fitted, ...]] = (Fitted("coefficient", "", 0.02, -2.0, 2.0),)
+    order: ClassVar[int] = 2
+    contract_names: ClassVar[Mapping[str, str]] = {"from_axis": "from", "to_axis": "to"}
+
+    from_axis: str = param("fz", "the axis that another one sees some of: fx fy fz tx ty tz")
+    to_axis: str = param("fx", "the axis that sees it")
+    coefficient: float = param(0.0, "how much it sees of it, in N and Nm", -100.0, 100.0)
+
+    def validate(self) -> None:
+        """Both are axes, and not the same one."""
+        check_axis(self.name, "from", self.from_axis)
+        check_axis(self.name, "to", self.to_axis)
+        if self.from_axis == self.to_axis:
+            raise ConfigError(f"{self.name}: from and to are both {self.to_axis}")
+
+    def read(self, when: Instants, wrench: Array) -> Array:
+        """What the one axis has goes to the other as well."""
+        return self._add(wrench, self.coefficient)
+
+    def unread(self, when: Instants, reading: Array) -> Array:
+        """Exactly back: `from_axis` reads what it did."""
+        return self._add(reading, -self.coefficient)
+
+    def _add(self, wrench: Array, coefficient: float) -> Array:
+        changed = wrench.copy()
+        origin, target = WRENCH_AXES.index(self.from_axis), WRENCH_AXES.index(self.to_axis)
+        changed[:, target] += coefficient * wrench[:, origin]
+        return changed
+
+
+@dataclass(frozen=True)
+class BiasStep(Effect):
+    """`step` from `time_s` on, since the first stamp of `bag`."""
+
+    name: ClassVar[str] = "bias_step"
+    fitted: ClassVar[tuple[Fitted, ...]] = (
+        Fitted("step", "", (0.3, 0.3, 0.3, 0.01, 0.01, 0.01), -50.0, 50.0, 6),
+    )
+    order: ClassVar[int] = 4
+    recording_only: ClassVar[tuple[str, ...]] = ("bag",)
+
+    time_s: float = param(0.0, "when the reading jumps, since the start, s", minimum=0.0)
+    step: tuple[float, ...] = param((0.0,) * 6, "how far it jumps, and stays, N and Nm")
+    bag: str = param("", "the bag from whose first stamp the time counts, empty for the first")
+
+    def validate(self) -> None:
+        """The bag is one of a recording."""
+        if self.bag and self.bag not in BAG_ORDER:
+            raise ConfigError(
+                f"{self.name}: bag is {self.bag!r}, not one of {', '.join(BAG_ORDER)}"
+            )
+
+    def read(self, when: Instants, wrench: Array) -> Array:
+        """The reading with the jump."""
+        return wrench + self._at(when)
+
+    def unread(self, when: Instants, reading: Array) -> Array:
+        """The reading without it."""
+        return reading - self._at(when)
+
+    def _at(self, when: Instants) -> Array:
+        if not self.bag:
+            jumped = when.session_s >= self.time_s
+        elif when.bag == self.bag:
+            jumped = when.bag_s >= self.time_s
+        else:
+            later = when.bag in BAG_ORDER and BAG_ORDER.index(when.bag) > BAG_ORDER.index(self.bag)
+            jumped = np.full(len(when), later)
+        return np.outer(jumped, self.step)
+
+
+@dataclass(frozen=True)
+class WrenchDelay(Effect):
+    """A wrench's stamp is `delay_s` later than its measurement."""
+
+    name: ClassVar[str] = "wrench_delay"
+    fitted: ClassVar[tuple[Fitted, ...]] = (Fitted("delay_s", "s", 0.01, -0.2, 0.2),)
+
+    delay_s: float = param(
+        0.0, "a wrench's stamp is so much later than its measurement, s", -0.2, 0.2
+    )
+
+    @property
+    def wrench_delay_s(self) -> float:
+        """The delay itself; whoever looks up the joints at a wrench's stamp takes it away."""
+        return self.delay_s
+
+
+@dataclass(frozen=True)
+class SensorSaturation(Effect):
+    """`axis` reads nothing beyond +- `limit`; 0 for none. What was clipped can't be told back."""
+
+    name: ClassVar[str] = "sensor_saturation"
+    fitted: ClassVar[tuple[Fitted, ...]] = (Fitted("limit", "", 5.0, 1e-4, 1e3),)
+    order: ClassVar[int] = 5
+    after_noise: ClassVar[bool] = True
+
+    limit: float = param(
+        0.0, "largest reading of an axis that clips, N or Nm; 0 for none", minimum=0.0
+    )
+    axis: str = param("fz", "the axis that clips: fx fy fz tx ty tz")
+
+    def validate(self) -> None:
+        """The axis is one."""
+        check_axis(self.name, "axis", self.axis)
+
+    def read(self, when: Instants, wrench: Array) -> Array:
+        """The axis within its limit."""
+        if self.limit <= 0.0:
+            return wrench
+        clipped = wrench.copy()
+        axis = WRENCH_AXES.index(self.axis)
+        clipped[:, axis] = np.clip(wrench[:, axis], -self.limit, self.limit)
+        return clipped
