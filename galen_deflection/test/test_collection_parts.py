@@ -1,4 +1,4 @@
-"""The collection's parts one by one: plan, push, untouched tool, folder, summary, parameters."""
+"""The collection's parts one by one: plan, push, marker, folder, summary, parameters."""
 
 import json
 import math
@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 from collection_fake_arm import TIP
 from galen_deflection.collection.commands import NOTHING, Collected, ErrorCode, State
-from galen_deflection.collection.folder import CollectionFolder, CollectionFolderError
+from galen_deflection.collection.folder import CollectionFolder, CollectionFolderError, summary
+from galen_deflection.collection.no_contact import MarkerPoses
 from galen_deflection.collection.parameters import CollectionParameters
 from galen_deflection.collection.plan import (
     LoadLimits,
@@ -17,9 +18,7 @@ from galen_deflection.collection.plan import (
     make_plan,
     to_tip,
 )
-from galen_deflection.collection.push import PushLimits, PushWatch
-from galen_deflection.collection.summary import summary
-from galen_deflection.collection.untouched import MarkerPoses
+from galen_deflection.collection.push import PushWatch
 from galen_deflection.springs.springs import TipWrench
 from galen_model.arm.galen import HOME
 from galen_model.errors import ToolNameError
@@ -97,11 +96,12 @@ def test_the_tip_s_load_is_what_the_models_see():
 
 # --- one push -----------------------------------------------------------------------------------
 
-PUSH_LIMITS = PushLimits(
+PUSH_LIMITS = CollectionParameters(
     level_tolerance=0.15,
     aside_share=0.3,
     overload_share=1.5,
-    released=(0.15, 0.02),
+    released_n=0.15,
+    released_nm=0.02,
     hold_s=0.3,
     rest_s=0.2,
     release_timeout_s=1.0,

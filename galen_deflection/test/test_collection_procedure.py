@@ -315,7 +315,7 @@ def test_a_touch_where_there_must_be_none_is_waited_out(state):
     world = World().run(in_state(state))
     world.hand._target = np.array([2.0, 0, 0, 0, 0, 0])
     world.hand.lets_go = False
-    world.run(lambda w: any("touched" in message for message in w.messages))
+    world.run(lambda w: any("in contact" in message for message in w.messages))
     world.hand.lets_go = True
     ended(world.run(), ErrorCode.NONE)
 
@@ -325,7 +325,7 @@ def test_a_touch_that_stays_ends_it(state):
     world = World().run(in_state(state))
     world.hand._target = np.array([2.0, 0, 0, 0, 0, 0])
     world.hand.lets_go = False
-    failed(world.run(), ErrorCode.NOT_UNTOUCHED, "touched")
+    failed(world.run(), ErrorCode.NOT_UNTOUCHED, "in contact")
 
 
 def test_a_trembling_hand_is_a_touch():
@@ -338,7 +338,7 @@ def test_a_trembling_hand_is_a_touch():
         return step()
 
     arm.step = trembling
-    failed(world.run(), ErrorCode.NOT_UNTOUCHED, "touched")
+    failed(world.run(), ErrorCode.NOT_UNTOUCHED, "in contact")
 
 
 @pytest.mark.parametrize("how", ["marker_hidden", "marker_frozen"])
@@ -506,7 +506,7 @@ def test_nothing_is_looked_at_before_the_arm_stands_by_the_wrench_s_own_stamps()
 
     arm.step = swinging
     ended(world.run(), ErrorCode.NONE)
-    assert not any("touched" in message for message in world.messages)
+    assert not any("in contact" in message for message in world.messages)
 
 
 def test_a_service_that_is_busy_is_asked_again():

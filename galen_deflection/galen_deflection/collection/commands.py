@@ -26,6 +26,18 @@ class State(IntEnum):
     REST = 6
 
 
+COLLECTION_PHASES = {
+    State.CALIBRATION: "calibration set: keep off",
+    State.MOVE: "moving: keep off",
+    State.UNTOUCHED: "without contact: keep off",
+    State.PUSH: "push",
+    State.HOLD: "hold",
+    State.RELEASE: "let go",
+    State.REST: "keep off until the next push",
+}
+"""The states in words."""
+
+
 class ErrorCode(IntEnum):
     """Error codes as in CollectPushes's result."""
 

@@ -31,7 +31,7 @@ from galen_deflection.collection.commands import (
     Push,
     Record,
 )
-from galen_deflection.collection.folder import CollectionFolder, CollectionFolderError
+from galen_deflection.collection.folder import CollectionFolder, CollectionFolderError, summary
 from galen_deflection.collection.parameters import CollectionParameters
 from galen_deflection.collection.plan import (
     CollectionPlan,
@@ -41,7 +41,6 @@ from galen_deflection.collection.plan import (
 )
 from galen_deflection.collection.procedure import CollectionProcedure
 from galen_deflection.collection.recorder import BagRecording
-from galen_deflection.collection.summary import summary
 from galen_msgs.action import CollectPushes
 from galen_msgs.srv import PushTool
 

@@ -6,12 +6,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from galen_model.arrays import Array
 from galen_ros.goal.parameters import MotionParameters
 from galen_ros.parameters.param import param
 
 from galen_deflection.collection.plan import MOST_SETS, LoadLimits, make_plan
-from galen_deflection.collection.push import PushLimits
-from galen_deflection.collection.untouched import UntouchedSettings
 
 _POSITIONS = (
     (0.00, 0.00, 0.408, 0.0, 0.0),
@@ -101,26 +100,9 @@ class CollectionParameters(MotionParameters):
         return Path(getattr(self, name)).expanduser()
 
     @property
-    def untouched(self) -> UntouchedSettings:
-        """When the tool counts as left alone."""
-        return UntouchedSettings(
-            duration_s=self.untouched_s,
-            tolerance=np.array([self.untouched_force_n] * 3 + [self.untouched_torque_nm] * 3),
-            max_gap_s=self.max_marker_gap_s,
-        )
-
-    @property
-    def push(self) -> PushLimits:
-        """What a push must be like."""
-        return PushLimits(
-            level_tolerance=self.level_tolerance,
-            aside_share=self.aside_share,
-            overload_share=self.overload_share,
-            released=(self.released_n, self.released_nm),
-            hold_s=self.hold_s,
-            rest_s=self.rest_s,
-            release_timeout_s=self.release_timeout_s,
-        )
+    def untouched_tolerance(self) -> Array:
+        """(6,), N and N.m: without contact the mean wrench stays this near to itself."""
+        return np.array([self.untouched_force_n] * 3 + [self.untouched_torque_nm] * 3)
 
 
 _NO_TIP = np.zeros(3)

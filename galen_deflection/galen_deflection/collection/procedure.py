@@ -35,11 +35,15 @@ from galen_deflection.collection.commands import (
     Record,
     State,
 )
+from galen_deflection.collection.no_contact import (
+    NoContact,
+    NoContactWatch,
+    collection_shift,
+    shift_sentence,
+)
 from galen_deflection.collection.parameters import CollectionParameters
 from galen_deflection.collection.plan import CollectionPlan, ToTip, WantedPush, to_tip
 from galen_deflection.collection.push import PushWatch
-from galen_deflection.collection.shift import collection_shift, shift_sentence
-from galen_deflection.collection.untouched import Untouched, UntouchedWatch
 
 CALIBRATION_BAGS = ("calibration_1", "calibration_2")
 PUSH_BAG = "push"
@@ -74,11 +78,11 @@ class CollectionProcedure(GoalProcedure[Command, Finished]):
         self._by_service = by_service
         self._script = self._steps()
         self._set = self._position = 0  # from 1; 0 in a calibration set
-        self._untouched: UntouchedWatch | None = None
-        self._on_untouched: Callable[[Untouched], None] | None = None
-        self._untouched_since_ns = 0
-        self._calibrations: list[Untouched] = []
-        self._here: Untouched | None = None
+        self._no_contact: NoContactWatch | None = None
+        self._on_no_contact: Callable[[NoContact], None] | None = None
+        self._no_contact_since_ns = 0
+        self._calibrations: list[NoContact] = []
+        self._here: NoContact | None = None
         self._to_tip: ToTip | None = None
         self._window: deque[tuple[int, Array]] = deque()
         self._watch: PushWatch | None = None
@@ -125,8 +129,8 @@ class CollectionProcedure(GoalProcedure[Command, Finished]):
             self.fail(ErrorCode.BAD_INPUT, f"{JOINTS} holds values that are not finite")
         elif self._arrival is not None:
             self._look_at_arrival(stamp_ns, position, velocity)
-        elif self._untouched is not None:
-            self._untouched.add_joints(position)
+        elif self._no_contact is not None:
+            self._no_contact.add_joints(position)
         elif self._watch is not None:
             self._check_position(position)
 
@@ -137,17 +141,17 @@ class CollectionProcedure(GoalProcedure[Command, Finished]):
         self._check_stamps()
         if self.ending or stamp_ns < self._not_before_ns:
             return
-        if self._untouched is not None:
-            self._untouched.add_wrench(stamp_ns, wrench)
-            self._look_at_untouched()
+        if self._no_contact is not None:
+            self._no_contact.add_wrench(stamp_ns, wrench)
+            self._look_at_no_contact()
         elif self._watch is not None:
             self._window.append((stamp_ns, wrench))
             self._look_at_push(stamp_ns)
 
     def on_tool_marker(self, stamp_ns: int, rotation: Array, translation: Array) -> None:
         """Take the tool's marker in `tracker`: (3, 3) and (3,), m."""
-        if self._untouched is not None:
-            self._untouched.tool.add(stamp_ns, rotation, translation)
+        if self._no_contact is not None:
+            self._no_contact.tool.add(stamp_ns, rotation, translation)
         key = (*translation.tolist(), *rotation.ravel().tolist())
         if np.all(np.isfinite(key)) and key != self._tool_key:
             self._tool_key = key
@@ -157,8 +161,8 @@ class CollectionProcedure(GoalProcedure[Command, Finished]):
 
     def on_base_marker(self, stamp_ns: int, rotation: Array, translation: Array) -> None:
         """Take the base's marker in `tracker`: (3, 3) and (3,), m."""
-        if self._untouched is not None:
-            self._untouched.base.add(stamp_ns, rotation, translation)
+        if self._no_contact is not None:
+            self._no_contact.base.add(stamp_ns, rotation, translation)
 
     def on_recording(self) -> None:
         """Every topic is recorded."""
@@ -189,7 +193,7 @@ class CollectionProcedure(GoalProcedure[Command, Finished]):
         return Finished(ErrorCode(code), message, self.collected)
 
     def _drop_watches(self) -> None:
-        self._untouched = self._watch = None
+        self._no_contact = self._watch = None
 
     # ---- the course
 
@@ -225,9 +229,9 @@ class CollectionProcedure(GoalProcedure[Command, Finished]):
         self._state = State.CALIBRATION
         number = len(self._calibrations) + 1
         self._report(f"calibration set {number} of 2: keep off the tool")
-        self._go_to(self._plan.positions[0], partial(self._stay_untouched, self._calibrated))
+        self._go_to(self._plan.positions[0], partial(self._wait_for_no_contact, self._calibrated))
 
-    def _calibrated(self, found: Untouched) -> None:
+    def _calibrated(self, found: NoContact) -> None:
         self._calibrations.append(found)
         self._next()
 
@@ -240,9 +244,9 @@ class CollectionProcedure(GoalProcedure[Command, Finished]):
     def _arrived_at_position(self) -> None:
         self._state = State.UNTOUCHED
         self._report("keep off the tool")
-        self._stay_untouched(self._begin_pushes)
+        self._wait_for_no_contact(self._begin_pushes)
 
-    def _begin_pushes(self, found: Untouched) -> None:
+    def _begin_pushes(self, found: NoContact) -> None:
         self._here = found
         self._to_tip = to_tip(found.joints, self._tip_m)
         self._push_number = self._tries = 0
@@ -265,20 +269,20 @@ class CollectionProcedure(GoalProcedure[Command, Finished]):
 
     # ---- the tool left alone
 
-    def _stay_untouched(self, then: Callable[[Untouched], None]) -> None:
-        self._untouched = UntouchedWatch(self._settings.untouched)
-        self._on_untouched = then
-        self._untouched_since_ns = self._clock.elapsed_ns
+    def _wait_for_no_contact(self, then: Callable[[NoContact], None]) -> None:
+        self._no_contact = NoContactWatch(self._settings)
+        self._on_no_contact = then
+        self._no_contact_since_ns = self._clock.elapsed_ns
 
-    def _look_at_untouched(self) -> None:
-        watch = self._untouched
-        assert watch is not None and self._on_untouched is not None
+    def _look_at_no_contact(self) -> None:
+        watch = self._no_contact
+        assert watch is not None and self._on_no_contact is not None
         if watch.result is not None:
-            self._untouched = None
-            self._on_untouched(watch.result)
+            self._no_contact = None
+            self._on_no_contact(watch.result)
         elif watch.complaint:
             complaint, watch.complaint = watch.complaint, ""
-            waited_s = (self._clock.elapsed_ns - self._untouched_since_ns) / NS
+            waited_s = (self._clock.elapsed_ns - self._no_contact_since_ns) / NS
             if waited_s > self._settings.untouched_timeout_s:
                 where = f"at position {self._position}" if self._position else "when calibrating"
                 self.fail(ErrorCode.NOT_UNTOUCHED, f"{where}, {complaint} ({waited_s:.0f} s)")
@@ -296,9 +300,9 @@ class CollectionProcedure(GoalProcedure[Command, Finished]):
         timeout_s = settings.push_timeout_s
         if self._by_service:
             timeout_s = (
-                settings.push_rise_s + settings.push.hold_s + _SERVICE_SPARE_S + _SERVICE_PATIENCE_S
+                settings.push_rise_s + settings.hold_s + _SERVICE_SPARE_S + _SERVICE_PATIENCE_S
             )
-        self._watch = PushWatch(self._wanted, settings.push, timeout_s, self._time_s)
+        self._watch = PushWatch(self._wanted, settings, timeout_s, self._time_s)
         self._window.clear()
         self._state = self._watch.state
 
@@ -333,7 +337,7 @@ class CollectionProcedure(GoalProcedure[Command, Finished]):
         push = Push(
             self._wanted.wrench,
             settings.push_rise_s,
-            settings.push.hold_s + _SERVICE_SPARE_S,
+            settings.hold_s + _SERVICE_SPARE_S,
             settings.push_fall_s,
         )
         self._pushes_until_s = self._time_s + push.rise_s + push.hold_s + push.fall_s
@@ -393,8 +397,8 @@ class CollectionProcedure(GoalProcedure[Command, Finished]):
         if self._clock.jumps == self._seen_jumps:
             return
         self._seen_jumps = self._clock.jumps
-        if self._untouched is not None:
-            self._untouched.begin_again()
+        if self._no_contact is not None:
+            self._no_contact.begin_again()
         self._window.clear()
         self._spoil(self._clock.last_jump)
 
@@ -410,7 +414,7 @@ class CollectionProcedure(GoalProcedure[Command, Finished]):
             )
 
     def _check_marker(self, lost_s: float) -> None:
-        if lost_s > self._settings.untouched.max_gap_s:
+        if lost_s > self._settings.max_marker_gap_s:
             self._spoil(f"the tool's marker was lost for {lost_s:.2f} s")
 
     def _spoil(self, reason: str) -> None:

@@ -1,45 +1,29 @@
-"""One push: is it as asked, is it held, is it let go of? From the load at the tip alone."""
+"""Watch one push: as asked, held, released; from the load at the tip alone."""
 
 from __future__ import annotations
-
-from dataclasses import dataclass
 
 import numpy as np
 from galen_model.arrays import Array
 
 from galen_deflection.collection.commands import State
+from galen_deflection.collection.parameters import CollectionParameters
 from galen_deflection.collection.plan import WantedPush
-
-
-@dataclass(frozen=True)
-class PushLimits:
-    """When a push is as asked. Shares are of the level; times are s of stamps.
-
-    Along its axis it must be within `level_tolerance` of the level, beside it (force of a force,
-    torque of a torque: where exactly a hand takes hold of the tip is its own affair) at most
-    `aside_share`, both for `hold_s` without a break. More than `overload_share` in all is rejected.
-    Let go of is what is below `released` (N, N.m), for `rest_s`.
-    """
-
-    level_tolerance: float
-    aside_share: float
-    overload_share: float
-    released: tuple[float, float]
-    hold_s: float
-    rest_s: float
-    release_timeout_s: float
 
 
 class PushWatch:
     """One try at a push. Give it the load some fifty times a second until there is an `outcome`.
 
-        RELEASE (if touched) -> PUSH <-> HOLD -> RELEASE -> REST
+        RELEASE (if in contact) -> PUSH <-> HOLD -> RELEASE -> REST
 
-    `outcome` is None, "" for a push as asked, else the reason why it isn't.
+    `outcome` is None, "" for a push as asked, else the reason why it isn't. Along its axis the load
+    must be within `level_tolerance` of the level, beside it (force of a force, torque of a torque:
+    where exactly a hand takes hold of the tip is its own affair) at most `aside_share`, both for
+    `hold_s` without a break. More than `overload_share` in all is rejected. Released is what is
+    below `released_n` and `released_nm` for `rest_s`.
     """
 
     def __init__(
-        self, wanted: WantedPush, limits: PushLimits, timeout_s: float, start_s: float
+        self, wanted: WantedPush, limits: CollectionParameters, timeout_s: float, start_s: float
     ) -> None:
         """`timeout_s`: for the push from when it is asked for until it has been held."""
         self.wanted = wanted
@@ -63,7 +47,7 @@ class PushWatch:
         self.along = float(part @ self._direction)
         self.aside = float(np.linalg.norm(part - self.along * self._direction))
         force, torque = np.linalg.norm(load[:3]), np.linalg.norm(load[3:])
-        free = force <= self._limits.released[0] and torque <= self._limits.released[1]
+        free = force <= self._limits.released_n and torque <= self._limits.released_nm
         if self.state in (State.PUSH, State.HOLD):
             self._look_at_push(time_s, float(np.linalg.norm(part)))
         elif self.state == State.RELEASE:
@@ -80,7 +64,7 @@ class PushWatch:
             self.outcome = self._verdict
 
     def spoil(self, reason: str, time_s: float) -> None:
-        """The push counts no more, for a reason that the load doesn't tell."""
+        """Reject the push for a reason other than its load."""
         if self._verdict:
             return
         self._verdict = reason

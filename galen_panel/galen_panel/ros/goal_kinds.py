@@ -18,7 +18,7 @@ from galen_calibration_behavior.commands import (
     CheckState,
 )
 from galen_deflection.collection import commands as collection_commands
-from galen_deflection.collection.phases import COLLECTION_PHASES
+from galen_deflection.collection.commands import COLLECTION_PHASES
 from galen_model.files.calibration_file import check_tool_name
 from galen_ros.goal.client import result_to_dict
 

@@ -1,40 +1,34 @@
-"""Whether the tool is left alone and its marker seen, at the start of a set.
+"""The tool without contact, its markers seen: at the start of a set; two such compared.
 
 By the rule that reading the recording goes by later (`arm_positions.load_phases`), and by a limit
 of its own: a hand that trembles makes its own noise.
+
+Two calibration sets tell whether the robot's position stayed constant, as in the 2019 report. The
+first set registers the tracker as the report does (eq. 13), W = F(q_1) M_1^-1 with F the tip by the
+joints and M the tool's marker in the base's; in the second one the tip is at W M_2 (eq. 14), and by
+the joints at F(q_2). A tool marker that is not at the tip hardly counts, because the joints are
+nearly the same.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
+from galen_model.arm.kinematics import tip_pose
 from galen_model.arrays import Array
 from galen_model.registration.rigid import Transform, mean_pose
 from galen_ros.goal.stamps import NS
 
+from galen_deflection.collection.parameters import CollectionParameters
 from galen_deflection.measurement.arm_positions import UnloadedSettings, load_phases, noise_of_mean
 
 _LEAST_POSES = 10
 
 
 @dataclass(frozen=True)
-class UntouchedSettings:
-    """When the tool counts as left alone.
-
-    For `duration_s` of stamps the wrench's mean over a tenth of a second stays within `tolerance`
-    (6,) (N, N.m) of what it is, and both markers are seen without a gap of more than `max_gap_s`.
-    """
-
-    duration_s: float
-    tolerance: Array
-    max_gap_s: float
-    unloaded: UnloadedSettings = field(default_factory=UnloadedSettings)
-
-
-@dataclass(frozen=True)
-class Untouched:
-    """What there is without a touch.
+class NoContact:
+    """What was measured without contact.
 
     joints (5,), m and rad: mean. offset (6,): mean compensated wrench, ft_sensor, N and N.m. tool,
     base: mean poses of the markers in `tracker`.
@@ -85,17 +79,22 @@ class MarkerPoses:
         return mean_pose(Transform(np.array(rotations), np.array(translations))).pose
 
 
-class UntouchedWatch:
-    """Feed it until there is a `result`; `complaint` is why the last stretch was none."""
+class NoContactWatch:
+    """Feed it until there is a `result`; `complaint` is why the last attempt was none.
 
-    def __init__(self, settings: UntouchedSettings) -> None:
+    For `untouched_s` of stamps the wrench's mean over a tenth of a second stays within the
+    tolerance of what it is, and both markers are seen without a gap of more than
+    `max_marker_gap_s`.
+    """
+
+    def __init__(self, settings: CollectionParameters) -> None:
         self._settings = settings
         self.tool = MarkerPoses(may_stand=False)
         self.base = MarkerPoses(may_stand=True)
         self._joints: list[Array] = []
         self._stamps: list[int] = []
         self._wrenches: list[Array] = []
-        self.result: Untouched | None = None
+        self.result: NoContact | None = None
         self.complaint = ""
 
     def add_joints(self, position: Array) -> None:
@@ -106,7 +105,7 @@ class UntouchedWatch:
         """Take a compensated wrench (6,) in ft_sensor, N and N.m."""
         self._stamps.append(stamp_ns)
         self._wrenches.append(wrench)
-        if stamp_ns - self._stamps[0] < self._settings.duration_s * NS:
+        if stamp_ns - self._stamps[0] < self._settings.untouched_s * NS:
             return
         self.complaint = self._judge()
         self.begin_again()
@@ -121,21 +120,56 @@ class UntouchedWatch:
     def _judge(self) -> str:
         settings = self._settings
         for marker, name in ((self.tool, "tool's"), (self.base, "base's")):
-            if complaint := marker.complaint(settings.duration_s, settings.max_gap_s):
+            if complaint := marker.complaint(settings.untouched_s, settings.max_marker_gap_s):
                 return f"the {name} marker {complaint}"
         if not self._joints:
             return "no joint states came"
         time_ns, wrenches = np.array(self._stamps), np.array(self._wrenches)
-        unloaded = settings.unloaded
+        unloaded = UnloadedSettings()
         noise = noise_of_mean(time_ns, wrenches, unloaded.window_s)
-        noise = np.minimum(noise, settings.tolerance / unloaded.sigmas)
+        noise = np.minimum(noise, settings.untouched_tolerance / unloaded.sigmas)
         found = load_phases(time_ns, wrenches, noise, unloaded)
         if found.first is None:
-            return f"the tool is touched: {found.why_none}"
+            return f"the tool is in contact: {found.why_none}"
         if found.first[1] < time_ns[-1]:
             at_s = (found.first[1] - time_ns[0]) / NS
-            return f"the tool is touched: the wrench changes after {at_s:.1f} s"
-        self.result = Untouched(
+            return f"the tool is in contact: the wrench changes after {at_s:.1f} s"
+        self.result = NoContact(
             np.mean(self._joints, axis=0), found.offset, self.tool.mean(), self.base.mean()
         )
         return ""
+
+
+def collection_shift(first: NoContact, second: NoContact, tip_m: Array) -> Array:
+    """How far the tip (6,) is from where it should be, in base_link, m and rad."""
+    registered = _tip(first, tip_m) @ _tool_in_base_marker(first).inverse()
+    return (registered @ _tool_in_base_marker(second)).displacement_from(_tip(second, tip_m))
+
+
+def shift_sentence(
+    first: NoContact, second: NoContact, shift: Array, most_m: float, most_rad: float
+) -> str:
+    """A warning with the numbers where it is more than allowed, else empty."""
+    moved_m, turned_rad = _sizes(shift)
+    if moved_m <= most_m and turned_rad <= most_rad:
+        return ""
+    marker_m, marker_rad = _sizes(second.base.displacement_from(first.base))
+    return (
+        "the robot's position did not stay constant: between the calibration sets the tip moved by"
+        f" {1e3 * moved_m:.3f} mm and {1e3 * turned_rad:.3f} mrad from where the joints say (at"
+        f" most {1e3 * most_m:g} mm and {1e3 * most_rad:g} mrad): the base, a marker or the tool"
+        f" moved; the tracker saw the base's marker move by {1e3 * marker_m:.3f} mm and"
+        f" {1e3 * marker_rad:.3f} mrad"
+    )
+
+
+def _tip(at: NoContact, tip_m: Array) -> Transform:
+    return Transform(*tip_pose(at.joints, tip_m))
+
+
+def _tool_in_base_marker(at: NoContact) -> Transform:
+    return at.base.inverse() @ at.tool
+
+
+def _sizes(displacement: Array) -> tuple[float, float]:
+    return float(np.linalg.norm(displacement[:3])), float(np.linalg.norm(displacement[3:]))
