@@ -59,7 +59,7 @@ def subjects(folder: Path) -> dict[str, tuple[str, tuple[str, ...]]]:
 
 
 class _Watcher(Node):
-    """Sees names in the graph, and who told its state."""
+    """Sees names in the graph, and which nodes reported their state."""
 
     def __init__(self, context: rclpy.Context) -> None:
         super().__init__("startup_watcher", context=context)

@@ -58,7 +58,7 @@ def _nothing(_roll: float, _tilt: float, _pose: int) -> Array:
 
 @dataclass(frozen=True)
 class Case:
-    """What is on the arm, and what the tool's file believes.
+    """What is on the arm, and what the calibration file believes.
 
     offset (6,): on all readings; `extra(roll, tilt, pose)` (6,): on each, `pose` from 0.
     """

@@ -43,7 +43,7 @@ WrenchListener = Callable[[int, Array], None]
 
 
 class ArmClient(Node):
-    """Subscribes to the streams, and hands each sample to whoever listens at the moment.
+    """Subscribes to the streams, and hands each sample to the present listener.
 
     Listeners: on_joints(stamp_ns, position (5,), velocity (5,)), on_raw(stamp_ns, wrench (6,)),
     on_compensated(stamp_ns, wrench (6,)).
@@ -140,7 +140,7 @@ class ArmClient(Node):
         self._trajectory.publish(message)
 
     def set_tool(self, tool: str) -> SetTool.Response:
-        """Make gravcomp load a tool's file; raises ArmError with its reason."""
+        """Make gravcomp load a calibration file; raises ArmError with its reason."""
         response = self._call(self._set_tool, SetTool.Request(tool=tool))
         if not response.success:
             raise ArmError(f"gravcomp: {response.error_msg}")

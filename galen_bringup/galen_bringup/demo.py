@@ -3,7 +3,7 @@
 Starts driver, calibration and compensation as processes of their own, calibrates both tools through
 the action, visits poses that the calibration has not seen, and prints what is left of the tools'
 weight beside the 2019 report's tables and the noise; then turns the arm in admittance mode with
-nobody touching it, with the compensation off and on.
+without contact, with the compensation off and on.
 """
 
 from __future__ import annotations
@@ -194,7 +194,7 @@ def print_report(result: DemoResult, console: Console) -> None:
             console.print(f"  [yellow]skipped {skipped}[/yellow]")
     off, on = result.drift_off, result.drift_on
     table = Table(
-        title=f"Drift of the {result.drift_tool} in admittance mode, nobody touching it",
+        title=f"Drift of the {result.drift_tool} in admittance mode, without contact",
         title_justify="left",
     )
     for name in ("", "at the end (mm)", "largest (mm)", "largest (°)"):

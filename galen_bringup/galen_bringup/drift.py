@@ -1,4 +1,4 @@
-"""How far a hand-guided tool drifts when nobody touches it and the arm turns.
+"""How far a hand-guided tool drifts without contact while the arm turns.
 
 The arm follows one and the same trajectory three times: with admittance off (that is where the
 tool should be), with admittance on the raw reading, zeroed at home with the tool on as the arm did
@@ -53,7 +53,7 @@ def measure_drift(arm: ArmClient, tip_m: Array, progress: Progress) -> tuple[Dri
     The sensor is left zeroed at home with the tool on, so that nothing that relies on the
     calibration's zero may follow.
     """
-    task = progress.add_task("admittance mode, nobody touches", total=3)
+    task = progress.add_task("admittance mode, no contact", total=3)
     # The run on the compensated wrench comes before the sensor is zeroed anew for the raw one.
     runs = {}
     for mode in ("off", "compensated", "raw"):

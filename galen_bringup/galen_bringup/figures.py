@@ -45,7 +45,7 @@ def plot_compensation(tool: str, readings: PoseReadings, path: Path) -> None:
 
 
 def plot_residual_map(tool: str, readings: PoseReadings, path: Path) -> None:
-    """What is left over roll and tilt, in units of the averaged reading's noise."""
+    """Plot the residual over roll and tilt, in units of the averaged reading's noise."""
     figure, axes = plt.subplots(2, 3, figsize=(12, 7), sharex=True, sharey=True)
     roll, tilt = np.degrees(readings.joints[:, 3:]).T
     shown = None
@@ -66,7 +66,7 @@ def plot_residual_map(tool: str, readings: PoseReadings, path: Path) -> None:
 
 
 def plot_drift(tool: str, off: Drift, on: Drift, path: Path) -> None:
-    """The tip's way off its place in admittance mode, nobody touching it."""
+    """Plot the tip's drift in admittance mode without contact."""
     figure, axes = plt.subplots(1, 2, figsize=(11, 4))
     for axis, log in zip(axes, (False, True), strict=True):
         axis.plot(off.time, off.distance * 1e3, color=_BEFORE, label="compensation off")
@@ -80,7 +80,7 @@ def plot_drift(tool: str, off: Drift, on: Drift, path: Path) -> None:
         else:
             axis.set_title("drift of the tool while the arm turns", fontsize=10)
             axis.legend(loc="upper left")
-    figure.suptitle(f"{tool}: admittance mode, nobody touches the tool")
+    figure.suptitle(f"{tool}: admittance mode, no contact with the tool")
     _save(figure, path)
 
 

@@ -39,7 +39,7 @@ class OfflineCalibrationError(GalenError):
 
 
 class OfflineCell:
-    """A plant and who listens to its samples."""
+    """A plant and the listeners to its samples."""
 
     def __init__(self, plant: Plant, listeners: Sequence[Callable[[Sample], object]] = ()) -> None:
         """`listeners` are called with every sample, in this order."""
@@ -81,12 +81,12 @@ class OfflineCell:
     ) -> Measurements:
         """Run a whole calibration and return what it would estimate from.
 
-        The request must attach the tool by service, for nobody is here. `zero_window_s` is the
+        The request must attach the tool by service, without a person. `zero_window_s` is the
         driver's `bias_window_s`; `on_feedback` gets each feedback and the stamp it came at. Raises
         OfflineCalibrationError.
         """
         if not request.attach_by_service:
-            raise OfflineCalibrationError("nobody is here to put the tool on: attach it by service")
+            raise OfflineCalibrationError("no person puts the tool on: attach it by service")
         run = _Calibration(self, CalibrationProcedure(settings, request), zero_window_s)
         return run.finish(on_feedback)
 

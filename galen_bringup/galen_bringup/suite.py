@@ -35,7 +35,7 @@ _CALIBRATION = {
 
 @contextmanager
 def ros_world() -> Iterator[None]:
-    """A ROS domain on this machine that nobody else has, for this process and its children."""
+    """Hold a ROS domain on this machine for this process and its children."""
     lock = DomainLock()
     os.environ["ROS_DOMAIN_ID"] = str(lock.domain_id)
     os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"

@@ -75,7 +75,7 @@ def generate_launch_description() -> LaunchDescription:
                 "tool", default_value="", description="tool whose file gravcomp loads at start"
             ),
             DeclareLaunchArgument(
-                "tools_dir", default_value="~/.ros/galen/tools", description="the tools' files"
+                "tools_dir", default_value="~/.ros/galen/tools", description="the calibration files"
             ),
             DeclareLaunchArgument(
                 "deflection_model",

@@ -55,7 +55,7 @@ def generate_launch_description() -> LaunchDescription:
                 description="model's file for the deflection; empty: its node is not started",
             ),
             DeclareLaunchArgument(
-                "tools_dir", default_value="~/.ros/galen/tools", description="the tools' files"
+                "tools_dir", default_value="~/.ros/galen/tools", description="the calibration files"
             ),
             DeclareLaunchArgument(
                 "panel", default_value="false", description="start the operator's panel, too"

@@ -139,7 +139,7 @@ def _part(address: str, name: str) -> str:
 
 
 def _of_another_site(headers: Headers) -> bool:
-    """Whether the browser says so; some requests of other pages have no Origin."""
+    """Whether the browser marks it so; some requests of other pages have no Origin."""
     return headers.get("sec-fetch-site") in ("cross-site", "same-site")
 
 

@@ -18,7 +18,7 @@ TOKEN_VARIABLE = "GALEN_PANEL_TOKEN"
 _TOKEN = re.compile(r"[A-Za-z0-9_.~-]{16,}")
 _ANY_ADDRESS = ("0.0.0.0", "::")
 _NOTES = f"""\
-Where --host is not this machine alone, whoever opens the panel needs its token. It is made anew at
+Where --host is not this machine alone, a browser needs the panel's token. It is made anew at
 each start and printed with the link; {TOKEN_VARIABLE} in the environment sets it, and has it asked
 for on this machine, too. Without --certificate what goes through the network can be read there.
 
@@ -82,7 +82,7 @@ def read_options(arguments: list[str], environment: dict[str, str] | None = None
         type=_path,
         default="~/.ros/galen/tools",
         metavar="DIR",
-        help="tools' files that recordings are evaluated with (default: %(default)s)",
+        help="calibration files that recordings are evaluated with (default: %(default)s)",
     )
     parser.add_argument(
         "--output-dir",

@@ -43,7 +43,7 @@ class Asked(Enum):
 
 @dataclass(frozen=True)
 class Tool:
-    """One tool's file. `problem`: why it can't be used; the numbers are then 0.
+    """One calibration file. `problem`: why it can't be used; the numbers are then 0.
 
     com_m (3,) in the sensor's frame; rmse_* (3,): residual of the calibration's averaged readings,
     NaN where the file has none. calibrated_at: RFC 3339. has_previous: the calibration before it is
@@ -127,7 +127,7 @@ class Outcome:
 
 @dataclass(frozen=True)
 class Behaviour:
-    """A goal under way, or the one that ended last, whoever sent it.
+    """A goal under way, or the one that ended last, of any client.
 
     phase: in words, such as "sweep with tool"; message: the feedback's sentence. number: of the
     goal, so that a page sees that another one began. ours: whether this panel sent it.
@@ -201,7 +201,7 @@ class Difference:
 
 @dataclass(frozen=True)
 class Comparison:
-    """Two tools' files beside each other; worst_*: of the compensations, over all poses."""
+    """Two calibration files beside each other; worst_*: of the compensations, over all poses."""
 
     text: str
     same_load: bool
@@ -248,7 +248,7 @@ class Suite(Protocol):
 
     @property
     def history(self) -> History:
-        """The streams' newest samples; it grows only while somebody watches."""
+        """The streams' newest samples; it grows only while a page shows them."""
 
     def watch(self) -> AbstractContextManager[None]:
         """Within it the streams are listened to; the last one to leave stops that."""
@@ -257,22 +257,22 @@ class Suite(Protocol):
         """Ask anew for the tools; they are then in `state`."""
 
     async def activate(self, tool: str) -> Answer:
-        """Have gravcomp load a tool's file; "" for none."""
+        """Have gravcomp load a calibration file; "" for no tool."""
 
     async def remove_tool(self, tool: str) -> Answer:
-        """Take a tool's file off the list; it is kept beside."""
+        """Remove a calibration file from the list; it is kept beside."""
 
     async def revert_tool(self, tool: str) -> Answer:
         """Bring back the calibration before the present one."""
 
     async def compare(self, tool: str, with_tool: str = "") -> Comparison | Answer:
-        """A tool's file (b) against another's (a); "": against its own calibration before."""
+        """Compare a calibration file (b) with another's (a); "": against its own calibration before."""
 
     async def set_enabled(self, enabled: bool) -> Answer:
         """Switch the compensation."""
 
     async def tare(self) -> Answer:
-        """Take off what is left."""
+        """Tare: subtract the present residual."""
 
     async def start(self, goal: Goal) -> Answer:
         """Send a goal; answers when it is accepted or rejected."""
@@ -281,4 +281,4 @@ class Suite(Protocol):
         """Tell a calibration that the person has done what it asked."""
 
     async def cancel(self, kind: Kind) -> Answer:
-        """Cancel a behaviour's goal, whoever sent it; answers when that is accepted."""
+        """Cancel a behaviour's goal, of any client; answers when that is accepted."""

@@ -169,7 +169,7 @@ def test_the_keyboard_does_it_all(page):
     page.wait(lambda: page.usable("tool-retractor"), "the tools", PATIENCE_S)
     go_to(page, "tare")
     page.press(Keys.ENTER)
-    page.says("tare-value", "Takes off", patience_s=PATIENCE_S)
+    page.says("tare-value", "subtracts", patience_s=PATIENCE_S)
     go_to(page, "enable")
     page.press(Keys.SPACE)
     page.says("enable", "off", patience_s=PATIENCE_S)

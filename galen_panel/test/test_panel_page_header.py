@@ -80,11 +80,11 @@ def test_tare_says_what_it_takes_off():
     suite = FakeSuite()
 
     async def story(user):
-        assert user.text("tare-value") == "Takes nothing off now."
+        assert user.text("tare-value") == "Tare: none."
         user.click("tare")
         await user.until(lambda: suite.calls == [("tare",)])
         suite.put(active_tool=replace(ACTIVE, tare=(0.03, 0.0, 0.04, 0.0, 1e-3, 0.0)))
-        await user.until(lambda: user.text("tare-value") == "Takes off 50 mN, 1.0 mN·m now.")
+        await user.until(lambda: user.text("tare-value") == "Tare: subtracts 50 mN, 1.0 mN·m.")
 
     on_page(suite, story)
 

@@ -2,6 +2,7 @@
 
 import asyncio
 import json
+import re
 import shutil
 import subprocess
 import sys
@@ -84,7 +85,7 @@ def test_an_evaluation_says_what_the_command_says(make, tmp_path):
     view = view_of(report, content, list(recordings.reports.files(report)))
     assert view.level is Level.OK and view.sentence == content["sentence"]
     left = view.tables[0]
-    assert left.title.startswith("What is left over") and len(left.headers) == 7
+    assert left.title.startswith("Residual") and len(left.headers) == 7
     fx_n = content["rmse"]["still_phases"]["fx"]
     assert left.rows[0][:2] == ["means of still phases", f"{1e3 * fx_n:.2f}"]
     assert view.picture == PICTURE and view.page == ""
@@ -174,11 +175,14 @@ def test_a_damaged_report_is_an_error_that_is_told(kind, content):
 def test_each_verdict_has_words():
     from typing import get_args
 
-    from galen_diagnosis.answer.answer import Verdict as DiagnosisVerdict
-    from galen_gravcomp.evaluate.verdict import Verdict
+    from galen_diagnosis.answer.answer import Verdict
+    from galen_model.evidence.verdict import Cause
 
-    wanted = {("evaluate", one) for one in get_args(Verdict)}
-    wanted |= {("diagnose", one) for one in get_args(DiagnosisVerdict)}
+    folder = Path(__file__).resolve().parents[2] / "galen_gravcomp/galen_gravcomp/evaluate"
+    judged = {name for path in folder.glob("*.py")
+              for name in re.findall(r"\bCause\.([A-Z_]+)", path.read_text())}  # fmt: skip
+    wanted = {("evaluate", Cause[name].word) for name in judged}
+    wanted |= {("diagnose", one) for one in get_args(Verdict)}
     assert set(VERDICTS) == wanted
     assert len({word for _, word in VERDICTS.values()}) == len(VERDICTS)
 

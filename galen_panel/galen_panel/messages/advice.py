@@ -49,7 +49,7 @@ LIFECYCLE = {
 
 REJECTED = {
     "wrong_frame": Advice(
-        "the wrench is in another frame than the tool's file",
+        "the wrench is in another frame than the calibration file",
         "Set the driver's frame_id to the one that the message names, or calibrate the tool with"
         " this sensor.",
     ),
@@ -173,7 +173,7 @@ ADVICE: dict[str, dict[str, Advice]] = {
     "gravcomp": _STREAM
     | {
         "bad_tool_file": Advice(
-            "No compensation: the tool's file can't be used.",
+            "No compensation: the calibration file can't be used.",
             "Choose another tool, or calibrate this one again.",
             True,
         ),

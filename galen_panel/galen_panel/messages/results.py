@@ -84,7 +84,7 @@ def told(outcome: Outcome) -> str:
 
 
 def fate(outcome: Outcome, state: State) -> Fate:
-    """Where a calibration's file is: whoever has kept, discarded or replaced it meanwhile.
+    """Find where a calibration's file is: kept, discarded or replaced, from any page.
 
     A file is known by mass and centre, which are written with all their digits.
     """
@@ -108,7 +108,7 @@ def load_rows(outcome: Outcome) -> list[list[str]]:
 
 
 def residual(outcome: Outcome) -> str:
-    """What a calibration leaves over of the poses' readings."""
+    """Say the residual of a calibration's readings."""
     force = texts.norm(_vector(outcome.values, "rmse_force_n"))
     torque = texts.norm(_vector(outcome.values, "rmse_torque_nm"))
     return f"Residual of the averaged readings: {texts.size(force, torque)}."

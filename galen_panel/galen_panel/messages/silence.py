@@ -30,7 +30,7 @@ class Heard:
                 self._changed_s[name] = now_s
 
     def forget(self, now_s: float) -> None:
-        """Nobody listened until now: silence counts from here."""
+        """Count silence from here: the streams were not listened to."""
         self._changed_s = dict.fromkeys(self._changed_s, now_s)
 
     def silent(self, now_s: float) -> frozenset[str]:

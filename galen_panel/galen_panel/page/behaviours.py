@@ -136,7 +136,7 @@ class _Check(_Card):
     title = "Quick check"
     icon = "fact_check"
     purpose = (
-        "A few poses tell in half a minute whether a tool's file still fits. Keep off the tool."
+        "A few poses show in half a minute whether a calibration still fits. Keep off the tool."
     )
     start_text = "Check"
 

@@ -26,10 +26,10 @@ class CalibrationOptions:
         self._one_sweep = ui.switch("One sweep only, with the tool on")
         self._one_sweep.props(f"data-testid={name}-one-sweep")
         ui.label(
-            "One sweep takes half the time; what the tool and what the adapter weighs is then not"
-            " fully told apart."
+            "One sweep takes half the time; the weights of tool and adapter are then not fully"
+            " distinguished."
         ).classes("panel-quiet")
-        ui.label("Tip, from the sensor, in mm. Empty: as in the tool's file.").classes("mt-2")
+        ui.label("Tip, from the sensor, in mm. Empty: as in the calibration file.").classes("mt-2")
         with ui.row().classes("panel-tip no-wrap"):
             self._tip = [
                 ui.number(

@@ -12,7 +12,7 @@ LOOKS = {
     Level.ERROR: ("error", "text-negative"),
     Level.STALE: ("help", "text-warning"),
 }
-"""A level's icon, and its colour's class; a word has to stand beside."""
+"""A level's icon, and its colour's class; to be shown with a word."""
 
 
 def set_prop(element: ui.element, name: str, value: str | None) -> None:

@@ -91,7 +91,7 @@ def _tare(page: Page) -> None:
         button = ui.button("Tare", on_click=tare, color=None)
         button.classes("panel-tare").props("unelevated data-testid=tare")
         with ui.column().classes("gap-0"):
-            ui.label("Nobody touches the tool meanwhile.").classes("panel-quiet")
+            ui.label("No contact with the tool meanwhile.").classes("panel-quiet")
             taken = ui.label().classes("panel-number").props("data-testid=tare-value")
 
     def update(state: State) -> None:
@@ -105,9 +105,9 @@ def _tare_text(active_tool: Active | None) -> str:
     if active_tool is None:
         return _ABSENT
     if active_tool.tare is None:
-        return "Takes nothing off now."
+        return "Tare: none."
     force, torque = texts.norm(active_tool.tare[:3]), texts.norm(active_tool.tare[3:])
-    return f"Takes off {texts.size(force, torque)} now."
+    return f"Tare: subtracts {texts.size(force, torque)}."
 
 
 # Nodes that fall silent change nothing in the state; only time tells.

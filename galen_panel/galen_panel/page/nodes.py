@@ -15,7 +15,7 @@ from galen_panel.page.elements import LOOKS
 from galen_panel.page.page import Page
 from galen_panel.snapshot import Level, State
 
-# Nodes tell their state once a second; one that falls silent is told by time alone.
+# Nodes tell their state once a second; one that falls silent is seen by time alone.
 _PERIOD_S = 1.0
 _STYLE = Path(__file__).with_suffix(".css")
 _WORDS = {

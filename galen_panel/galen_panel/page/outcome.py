@@ -101,7 +101,7 @@ def _rest(outcome: Outcome) -> None:
 _FATES = {
     Fate.HERE: "The new file is written. Keep it to compensate with it now, or discard it.",
     Fate.ACTIVE: "The new file is active.",
-    Fate.REPLACED: "The tool's file is another one by now: this one was discarded or replaced.",
+    Fate.REPLACED: "The file is another one by now: this calibration was discarded or replaced.",
 }
 _GONE = "This calibration's file is no longer the tool's."
 
@@ -211,13 +211,13 @@ def _row(row: Difference) -> list[str]:
 
 
 def worst_case(comparison: Comparison) -> str:
-    """What the difference means for who holds the tool."""
+    """Say what the difference means at the tool."""
     size = texts.size(comparison.worst_force_n, comparison.worst_torque_nm)
     return f"What is compensated differs by at most {size}, over all poses."
 
 
 def same_load(comparison: Comparison) -> str:
-    """Whether it is the same tool as far as anybody can tell."""
+    """Say whether it may be the same tool."""
     if comparison.same_load:
         return "Mass and centre are the same as far as both calibrations can tell."
     return "Mass or centre differ by more than both calibrations' uncertainty."

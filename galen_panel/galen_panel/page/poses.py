@@ -1,7 +1,7 @@
 """The poses of a behaviour that runs, as they are finished, with their residuals so far.
 
 The calibration fits when all poses are done. Until then the plain least squares of one load and six
-offsets, on the poses so far, shows whether something goes wrong: a touched pose stands out.
+offsets, on the poses so far, shows whether something goes wrong: a pose with contact stands out.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ class PosesView:
         with ui.element("div").classes("panel-scroll"):
             self._table = ui.html("", sanitize=False).props("data-testid=poses")
         self._rejected = ui.label().classes("panel-lines")
-        # A quick check's few poses are for its own fit; what they leave over says nothing here.
+        # A quick check's few poses are for its own fit; their residual is no news here.
         self._fits = behaviour.kind is Kind.CALIBRATE
 
     def update(self, behaviour: Behaviour) -> None:
@@ -120,7 +120,7 @@ def poses_table(poses: Sequence[Pose], residuals: Residuals) -> str:
             line += "<td></td>" if pose is None else _cell(pose, residuals, odd)
         lines.append(line + "</tr>")
     return (
-        "<p class='panel-quiet'>Force left over, mN. ✓ used, ✗ not used, ▲ stands out</p>"
+        "<p class='panel-quiet'>Residual force, mN. ✓ used, ✗ not used, ▲ stands out</p>"
         f"<table class='panel-poses'>{''.join(lines)}</table>"
     )
 
@@ -131,7 +131,9 @@ def _list(poses: Sequence[Pose], residuals: Residuals, odd: frozenset[int]) -> s
         f"<td>{escape(texts.degrees(pose.tilt_rad))}</td>{_cell(pose, residuals, odd)}</tr>"
         for pose in list(poses)[-_NEWEST:]
     ]
-    head = "".join(f"<th scope='col'>{name}</th>" for name in ("pose", "roll", "tilt", "left, mN"))
+    head = "".join(
+        f"<th scope='col'>{name}</th>" for name in ("pose", "roll", "tilt", "residual, mN")
+    )
     return (
         "<p class='panel-quiet'>✓ used, ✗ not used, ▲ stands out</p>"
         f"<table class='panel-poses'><tr>{head}</tr>{''.join(lines)}</table>"
@@ -167,7 +169,7 @@ _ENOUGH = 4
 
 
 def residuals(poses: Sequence[Pose]) -> Mapping[int, tuple[float, float]]:
-    """By pose's number, the length of force and torque that the fit leaves over, N and N.m.
+    """Compute each pose's residual force and torque, N and N.m, by its number.
 
     poses: of one sweep. Only accepted ones with a finite reading count; empty while they are too
     few.

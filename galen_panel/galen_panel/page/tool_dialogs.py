@@ -1,4 +1,4 @@
-"""What is asked before a tool's file changes: remove, go back, new."""
+"""Questions before a calibration file changes: remove, go back, new."""
 
 from __future__ import annotations
 

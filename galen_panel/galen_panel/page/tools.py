@@ -11,7 +11,7 @@ from galen_panel.page.page import Page
 from galen_panel.snapshot import Active, State, Tool
 
 _LISTED = 40
-"""Tools that are drawn at most: a page of 500 would be slow, and nobody reads it."""
+"""Tools that are drawn at most: a page of 500 would be slow and unread."""
 _FILTER_FROM = 8
 
 

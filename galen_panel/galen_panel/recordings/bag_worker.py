@@ -5,7 +5,7 @@ alone. It is told what to do by one line of JSON on standard input, tells how fa
 JSON on standard output, and ends when standard input is closed: then the panel is gone.
 
     {"kind": "evaluate", "recording": PATH, "tool": PATH or null, "output": PATH}
-    {"stage": "reading", "share": 0.4}     share: null where nobody knows
+    {"stage": "reading", "share": 0.4}     share: null where unknown
     {"error": "a sentence"}                the last line, where it failed
     {"verdict": "fits", "sentence": "..."} the last line, where it is done
 """
@@ -94,7 +94,7 @@ def diagnose(
 
 
 class _Told:
-    """Lines for the panel; progress not more often than somebody can look."""
+    """Lines for the panel; progress not more often than can be read."""
 
     def __init__(self, stream: TextIO) -> None:
         self._stream = stream
@@ -102,7 +102,7 @@ class _Told:
         self._told_s = -_TOLD_EVERY_S
 
     def progress(self, stage: str, share: float | None) -> None:
-        """Tell how far it is: a share of 1, None where nobody knows."""
+        """Tell how far it is: a share of 1, None where unknown."""
         now_s = time.monotonic()
         if stage == self._stage and now_s - self._told_s < _TOLD_EVERY_S:
             return

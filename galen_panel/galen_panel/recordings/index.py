@@ -153,7 +153,7 @@ def _sets(bags: Iterable[Recording]) -> Iterator[tuple[Path, list[Recording]]]:
         if bag.path.name in BAGS and bag.path.is_dir():
             folders.setdefault(bag.path.parent, []).append(bag)
     for folder, parts in folders.items():
-        # One bag of such a name alone is any recording; with the tool's file beside it is meant.
+        # One bag of such a name alone is any recording; with a calibration file beside it is meant.
         if len(parts) > 1 or (folder / TOOL_BESIDE).is_file():
             yield folder, parts
 

@@ -56,7 +56,7 @@ class Wanted:
 
 @dataclass(frozen=True)
 class Job:
-    """One of them. share: what is done of it, 0 to 1, None where nobody knows; report: its id."""
+    """One of them. share: what is done of it, 0 to 1, None where unknown; report: its id."""
 
     id: int
     wanted: Wanted
@@ -266,7 +266,7 @@ class Jobs:
 
     def _end_group_with(self, worker: subprocess.Popen[bytes]) -> None:
         """End what the worker started when it has ended itself; that may hold its output open."""
-        # Its number isn't another process's as long as nobody has waited for it.
+        # Its number isn't another process's as long as it was not waited for.
         os.waitid(os.P_PID, worker.pid, os.WEXITED | os.WNOWAIT)
         with self._changed:
             if self._worker is worker:

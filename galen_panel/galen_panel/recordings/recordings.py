@@ -75,7 +75,7 @@ def tool_choices(recording: Recording, bags_dir: Path, tools_dir: Path) -> list[
 REPORTS_PATH = "/reports"
 PAGE_LENGTH = 15
 _GONE = "That recording is not on the list any more. Look again."
-_NO_TOOL = "That tool's file is not there any more. Choose another one."
+_NO_TOOL = "That calibration file is not there any more. Choose another one."
 # A report's own page needs nothing but its pictures, which are in it, and may not run anything.
 _REPORT_POLICY = (
     "sandbox; default-src 'none'; img-src data:; style-src 'unsafe-inline'; base-uri 'none';"
@@ -150,7 +150,7 @@ class Recordings:
         return None if self._index is None else self._index.get(recording_id)
 
     def tools(self, recording_id: str) -> list[ToolChoice]:
-        """The tools' files that a recording can be looked at with; reads them."""
+        """The calibration files that a recording can be looked at with; reads them."""
         recording = self.get(recording_id)
         if recording is None:
             return []

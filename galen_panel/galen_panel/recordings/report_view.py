@@ -22,7 +22,7 @@ _RANKED = 6
 _WORTH_NAMING = 0.001
 
 VERDICTS = {
-    ("evaluate", "fits"): (Level.OK, "The tool's file fits"),
+    ("evaluate", "fits"): (Level.OK, "The calibration fits"),
     ("evaluate", "offset"): (Level.WARN, "An offset"),
     ("evaluate", "drift"): (Level.WARN, "The sensor drifts"),
     ("evaluate", "load"): (Level.ERROR, "Another load"),
@@ -38,7 +38,7 @@ VERDICTS = {
 
 _NEXT = {
     "none": "Nothing has to be done.",
-    "identified": "Mend what is named above, then record again and diagnose again.",
+    "identified": "Fix what is named above, then record again and diagnose again.",
     "ambiguous": "No experiment that is known here would separate the causes that are left.",
     "unknown": "Look below where the gap lies; record again to see whether it stays.",
 }
@@ -105,7 +105,7 @@ def _evaluation(content: Mapping[str, Any]) -> tuple[list[tuple[str, list[str]]]
     )
     tables = [
         Table(
-            "What is left over (root mean square)",
+            "Residual (root mean square)",
             ["", *_AXES],
             [[name, *_cells(rmse[key])] for name, key in names],
         )

@@ -90,7 +90,7 @@ class Presence:
         return program in _GONE_WHEN_SILENT and not heard
 
 
-# Anybody may publish there; those heard last are kept.
+# Any node may publish there; those heard last are kept.
 _MOST_NODES, _MOST_VALUES, _LONGEST_KEY = 100, 200, 100
 
 

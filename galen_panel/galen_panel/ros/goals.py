@@ -1,4 +1,4 @@
-"""Follows the goals of one action, whoever sent them: the panel's own and those of anybody else.
+"""Follows the goals of one action: the panel's own and those of other clients.
 
 rclpy's ActionClient follows only goals that it sent itself. An action is three services and two
 topics (REP design "Actions"), so here they are used as such: a goal id that comes by on the topics
@@ -51,7 +51,7 @@ _ACTIVE = (GoalStatus.STATUS_ACCEPTED, GoalStatus.STATUS_EXECUTING, GoalStatus.S
 
 @dataclass(eq=False)
 class _Followed:
-    """The goal that is under way; `goal` is None where somebody else sent it."""
+    """The goal that is under way; `goal` is None where another client sent it."""
 
     goal_id: bytes
     goal: Goal | None
@@ -380,7 +380,7 @@ class GoalFollower:
             self._take_report(self._followed, report)
 
     def _take_report(self, followed: _Followed, report: NodeReport) -> None:
-        """Learn of a goal that somebody else sent what its feedback doesn't say, or said before."""
+        """Learn of another client's goal what its feedback lacks, or held before."""
         if not _at_work(report) or followed.behaviour.ours:
             return
         values, behaviour = report.values, followed.behaviour

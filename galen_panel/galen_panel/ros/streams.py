@@ -1,4 +1,4 @@
-"""Listens to the 500 Hz streams while somebody watches, for as little as can be.
+"""Listens to the 500 Hz streams while a page shows them, for as little as can be.
 
 Subscriptions on a node that no executor spins cost nothing when a message comes: it lies in the
 middleware's queue until all that is there is taken at once, some 25 times a second.

@@ -1,4 +1,4 @@
-"""The suite over ROS: the services, actions and topics that anybody may use."""
+"""The suite over ROS: the services, actions and topics that any client may use."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ class RosSuite(AbstractContextManager["RosSuite"]):
         self.close()
 
     def close(self) -> None:
-        """Leave ROS; who still waits for an answer is told so. May be called more than once."""
+        """Leave ROS; open calls end with an answer. May be called more than once."""
         self._thread.close()
 
     def _set_up(self, node: Node) -> Callable[[float], None]:

@@ -51,7 +51,7 @@ class Reply(Generic[T]):
 
     def __init__(self) -> None:
         self._future: Future[T] = Future()
-        # So that who no longer waits, as a closed page, doesn't cancel what is under way.
+        # So that a closed page doesn't cancel what is under way.
         self._future.set_running_or_notify_cancel()
 
     def give(self, value: T) -> None:
@@ -123,7 +123,7 @@ class RosThread:
         return reply
 
     def close(self) -> None:
-        """End the thread; who still waits for an answer gets a CallError. May be called again."""
+        """End the thread; open calls get a CallError. May be called again."""
         with self._lock:
             self._stop = True
         if self._thread is not None:

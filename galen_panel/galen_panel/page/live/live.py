@@ -1,6 +1,6 @@
 """What the sensor and the arm do now: plots, and the arm in three dimensions.
 
-The streams are listened to only while somebody looks: the tab is open and the browser is there.
+The streams are listened to only while a page shows them: the tab is open and the browser is there.
 """
 
 from __future__ import annotations

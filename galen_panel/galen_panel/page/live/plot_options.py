@@ -30,7 +30,7 @@ _RIGHT_PX = 16
 _RIGHT_COLUMN = "60%"
 
 DEFLECTION_NAMES = ("x", "y", "z", "size")
-# Told apart by their dashes as well as by their colours.
+# Distinguished by their dashes as well as by their colours.
 _DASHES = ("solid", "dashed", "dotted", "solid")
 
 

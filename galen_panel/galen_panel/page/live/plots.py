@@ -88,7 +88,7 @@ class Plots:
             self._show_means()
 
     def resume_listening(self) -> None:
-        """Nobody listened for a while: silence counts anew."""
+        """Count silence anew after a while without listening."""
         self._heard.forget(time.monotonic())
 
     def _build(self) -> None:

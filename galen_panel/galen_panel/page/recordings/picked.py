@@ -12,7 +12,7 @@ from galen_panel.recordings.index import Details, Recording, RecordingKind, fact
 
 _PERIOD_S = 0.5
 _HINTS = {
-    RecordingKind.BAG: "It says whether the tool's file still fits what was recorded.",
+    RecordingKind.BAG: "It says whether the calibration file still fits the recording.",
     RecordingKind.DIAGNOSIS: "It looks for what makes arm and model differ. That takes about half a"
     " minute, longer while the computer has other work.",
 }
@@ -37,7 +37,7 @@ class Picked:
             self._facts = ui.label("Pick one of the list.").classes("panel-lines")
             self._actions = ui.column().classes("w-full gap-2")
             with self._actions:
-                self._tool = ui.select({}, label="Tool's file").classes("w-full")
+                self._tool = ui.select({}, label="Calibration file").classes("w-full")
                 self._tool.props("outlined data-testid=bag-tool")
                 with ui.row():
                     self._evaluate = self._action("Evaluate", "fact_check", "evaluate")
@@ -65,7 +65,7 @@ class Picked:
         self._evaluate.set_visibility(not diagnosis)
         self._diagnose.set_visibility(diagnosis)
         self._actions.set_visibility(not details.problem)
-        why_not = "" if choices else "No tool's file was found: calibrate the tool first."
+        why_not = "" if choices else "No calibration file was found: calibrate the tool first."
         for button in (self._evaluate, self._diagnose):
             self._page.allow(button, why_not)
         self._hint.set_text(why_not or _HINTS[recording.kind])
@@ -86,7 +86,7 @@ class Picked:
             await self._page.ask(work, button)
 
     def _favourite(self, recording: Recording, choices: dict[str, str]) -> str | None:
-        """The tool's file beside the recording, else the active tool, else the first."""
+        """Choose the file beside the recording, else the active tool, else the first."""
         active_tool = self._page.suite.state.active_tool
         wanted = ["beside"]
         if active_tool is not None:

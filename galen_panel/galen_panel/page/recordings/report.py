@@ -72,7 +72,7 @@ def _draw(report: Report, view: View, files: list[str], dialog: ui.dialog) -> No
         heading("Picture", 3)
         image = ui.element("img").classes("panel-picture")
         image.props["src"] = f"{place}/{view.picture}"
-        image.props["alt"] = f"What is left over, over time and by pose. {view.sentence}"
+        image.props["alt"] = f"The residual over time and by pose. {view.sentence}"
     if view.page:
         heading("The whole report, with pictures", 3)
         frame = ui.element("iframe").classes("panel-page")
