@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
+from galen_bags.arrays.messages import Samples
 from galen_model.arrays import Array
 from galen_ros.stream.regular_run import Arrivals
 from galen_ros.stream.results import Compensated, Rejected, Result
@@ -22,57 +23,6 @@ _SMALLEST_LOOK = 256
 # them twice as many, so that looking never costs more than pushing.
 _FEWEST_STEPS = 16
 _MOST_STEPS = 1024
-
-
-@dataclass(frozen=True)
-class SampleBlock:
-    """Samples of both topics in the order of their arrival; is_wrench (n,) bool says whose.
-
-    joint_stamp_ns (j,), angles (j, 2): roll and tilt, rad; wrench_stamp_ns (w,), wrenches (w, 6):
-    N and N.m. positions (j, 3): the platform's, m, where a stage asks for them. frame (w,) counts
-    in `frame_ids`; None: frames aren't checked. `bad_joints` and `bad_wrenches`: rows (of joints,
-    of wrenches) whose message can't be used, and why; the numbers in such a row are not looked at.
-    Raises ValueError for shapes that don't fit.
-    """
-
-    is_wrench: np.ndarray
-    joint_stamp_ns: np.ndarray
-    angles: Array
-    wrench_stamp_ns: np.ndarray
-    wrenches: Array
-    frame: np.ndarray | None = None
-    frame_ids: Sequence[str] = ()
-    bad_joints: Mapping[int, str] = field(default_factory=dict)
-    bad_wrenches: Mapping[int, str] = field(default_factory=dict)
-    positions: Array | None = None
-
-    def __post_init__(self) -> None:
-        w = int(np.count_nonzero(self.is_wrench))
-        j = len(self.is_wrench) - w
-        shapes = {
-            "joint_stamp_ns": (self.joint_stamp_ns, (j,)),
-            "angles": (self.angles, (j, 2)),
-            "wrench_stamp_ns": (self.wrench_stamp_ns, (w,)),
-            "wrenches": (self.wrenches, (w, 6)),
-        }
-        if self.frame is not None:
-            shapes["frame"] = (self.frame, (w,))
-        if self.positions is not None:
-            shapes["positions"] = (self.positions, (j, 3))
-        for name, (array, shape) in shapes.items():
-            if array.shape != shape:
-                raise ValueError(
-                    f"{name} has shape {array.shape}; with {j} joint samples and {w} wrenches in"
-                    f" is_wrench it must be {shape}"
-                )
-        bad = (("joints", self.bad_joints, j), ("wrenches", self.bad_wrenches, w))
-        for name, rows, count in bad:
-            if any(not 0 <= row < count for row in rows):
-                raise ValueError(f"bad_{name} has rows {sorted(rows)}; there are {count} {name}")
-
-    def __len__(self) -> int:
-        """Number of samples of both topics."""
-        return len(self.is_wrench)
 
 
 @dataclass(frozen=True)
@@ -94,7 +44,7 @@ class BlockResult:
 
 @dataclass(frozen=True)
 class Outputs:
-    """The arrays of `BlockResult` for one stretch, and how many samples it took."""
+    """The arrays of `BlockResult` for one regular run, and how many samples it took."""
 
     taken: int
     index: np.ndarray
@@ -109,13 +59,35 @@ NOTHING = Outputs(
 
 
 def push_block(
-    block: SampleBlock, sink: Compensator, push_stretch: Callable[[Arrivals], Outputs]
+    sink: Compensator,
+    is_wrench: np.ndarray,
+    joints: Samples,
+    wrenches: Samples,
+    push_run: Callable[[Arrivals], Outputs],
 ) -> BlockResult:
-    """Push a block. `push_stretch` pushes the regular samples at the start of what it is given."""
-    pushing = _Pushing(block, sink)
+    """Push samples in the order of their arrival; is_wrench (n,) tells whose the next one is.
+
+    Args:
+        sink: where samples go one by one.
+        is_wrench: of both topics' samples in the order of their arrival.
+        joints: values (j, 5 or more), the platform's position before roll and tilt, m and rad.
+        wrenches: values (w, 6), N and N.m.
+        push_run: pushes the regular samples at the start of what it is given.
+
+    Raises:
+        ValueError: the counts don't fit, before anything was pushed.
+
+    """
+    count = int(np.count_nonzero(is_wrench))
+    if (len(is_wrench) - count, count) != (len(joints), len(wrenches)):
+        raise ValueError(
+            f"{len(joints)} joint samples and {len(wrenches)} wrenches; is_wrench has"
+            f" {len(is_wrench) - count} and {count}"
+        )
+    pushing = _Pushing(sink, is_wrench, joints, wrenches)
     look, steps = _LARGEST_LOOK, _FEWEST_STEPS
-    while pushing.at < len(block):
-        outputs = push_stretch(pushing.arrivals(look))
+    while pushing.at < len(is_wrench):
+        outputs = push_run(pushing.arrivals(look))
         pushing.take(outputs)
         if outputs.taken < look:
             pushing.step(steps)
@@ -130,43 +102,45 @@ def push_block(
 class _Pushing:
     """A block on its way: how far it is, and what came out."""
 
-    def __init__(self, block: SampleBlock, sink: Compensator) -> None:
-        self._block = block
+    def __init__(
+        self, sink: Compensator, is_wrench: np.ndarray, joints: Samples, wrenches: Samples
+    ) -> None:
         self._sink = sink
+        self._is_wrench = is_wrench
+        self._joints = joints
+        self._wrenches = wrenches
         self.at = 0
         self._joint_row = 0
         self._wrench_row = 0
-        self._joints = _paired_joints(block, sink)
-        self._joint_usable = _all_but(block.bad_joints, len(block.joint_stamp_ns))
-        self._wrench_readable = _all_but(block.bad_wrenches, len(block.wrench_stamp_ns))
+        first = 0 if sink.pairs_positions else 3
+        self._paired = joints.values[:, first:5]
+        self._joint_usable = _all_but(joints.bad, len(joints))
+        self._wrench_readable = _all_but(wrenches.bad, len(wrenches))
         self._parts = [NOTHING]
         self._single: list[Compensated] = []
         self._rejected: list[Rejected] = []
 
     def arrivals(self, most: int) -> Arrivals:
         """The next samples, `most` or as many as there are."""
-        block = self._block
-        is_wrench = block.is_wrench[self.at : self.at + most]
+        is_wrench = self._is_wrench[self.at : self.at + most]
         w = int(np.count_nonzero(is_wrench))
         joints = slice(self._joint_row, self._joint_row + len(is_wrench) - w)
         wrenches = slice(self._wrench_row, self._wrench_row + w)
-        usable = self._wrench_readable[wrenches]
-        if block.frame is not None:
-            expected = self._sink.pairing.sensor_frame
-            right = np.array([frame_id == expected for frame_id in block.frame_ids], dtype=bool)
-            usable = usable & right[block.frame[wrenches]]
+        expected = self._sink.pairing.sensor_frame
+        # One more: a block in which no message is readable has no frame at all.
+        right = np.array([*(name == expected for name in self._wrenches.frame_ids), False])
         return Arrivals(
             is_wrench,
-            block.joint_stamp_ns[joints],
-            self._joints[joints],
+            self._joints.stamp_ns[joints],
+            self._paired[joints],
             self._joint_usable[joints],
-            block.wrench_stamp_ns[wrenches],
-            block.wrenches[wrenches],
-            usable,
+            self._wrenches.stamp_ns[wrenches],
+            self._wrenches.values[wrenches],
+            self._wrench_readable[wrenches] & right[self._wrenches.frame[wrenches]],
         )
 
     def take(self, outputs: Outputs) -> None:
-        """Go on behind a stretch."""
+        """Go on behind a regular run."""
         if outputs.taken:
             self._flush()
             self._parts.append(outputs)
@@ -174,35 +148,34 @@ class _Pushing:
 
     def step(self, count: int) -> None:
         """Push the next `count` samples one by one, or as many as there are."""
-        block, sink = self._block, self._sink
-        kinds = block.is_wrench[self.at : self.at + count].tolist()
+        kinds = self._is_wrench[self.at : self.at + count].tolist()
         joint_row, wrench_row = self._joint_row, self._wrench_row
         for is_wrench in kinds:
-            if not is_wrench:
-                if self._joint_usable[joint_row]:
-                    stamp_ns = int(block.joint_stamp_ns[joint_row])
-                    roll, tilt = block.angles[joint_row].tolist()
-                    platform = (
-                        None
-                        if block.positions is None
-                        else tuple(block.positions[joint_row].tolist())
-                    )
-                    self._sort(sink.push_joints(stamp_ns, roll, tilt, platform))
-                else:
-                    sink.pairing.push_bad_joints(block.bad_joints[joint_row])
-                joint_row += 1
-                continue
-            if self._wrench_readable[wrench_row]:
-                frame_id = None
-                if block.frame is not None:
-                    frame_id = block.frame_ids[int(block.frame[wrench_row])]
-                stamp_ns = int(block.wrench_stamp_ns[wrench_row])
-                wrench = block.wrenches[wrench_row].tolist()
-                self._sort(sink.push_wrench(stamp_ns, wrench, frame_id))
+            if is_wrench:
+                self._step_wrench(wrench_row)
+                wrench_row += 1
             else:
-                self._sort(sink.pairing.push_bad_wrench(block.bad_wrenches[wrench_row]))
-            wrench_row += 1
+                self._step_joints(joint_row)
+                joint_row += 1
         self._go_on(len(kinds))
+
+    def _step_joints(self, row: int) -> None:
+        sink, joints = self._sink, self._joints
+        if not self._joint_usable[row]:
+            sink.pairing.push_bad_joints(joints.bad[row])
+            return
+        x, y, z, roll, tilt = joints.values[row, :5].tolist()
+        platform = (x, y, z) if sink.needs_positions else None
+        self._sort(sink.push_joints(int(joints.stamp_ns[row]), roll, tilt, platform))
+
+    def _step_wrench(self, row: int) -> None:
+        sink, wrenches = self._sink, self._wrenches
+        if not self._wrench_readable[row]:
+            self._sort(sink.pairing.push_bad_wrench(wrenches.bad[row]))
+            return
+        frame_id = wrenches.frame_ids[int(wrenches.frame[row])]
+        values = wrenches.values[row].tolist()
+        self._sort(sink.push_wrench(int(wrenches.stamp_ns[row]), values, frame_id))
 
     def result(self) -> BlockResult:
         """What came out of the whole block."""
@@ -217,7 +190,7 @@ class _Pushing:
         )
 
     def _go_on(self, count: int) -> None:
-        w = int(np.count_nonzero(self._block.is_wrench[self.at : self.at + count]))
+        w = int(np.count_nonzero(self._is_wrench[self.at : self.at + count]))
         self._wrench_row += w
         self._joint_row += count - w
         self.at += count
@@ -230,7 +203,7 @@ class _Pushing:
                 self._rejected.append(result)
 
     def _flush(self) -> None:
-        """Put the outputs of single samples where those of stretches are."""
+        """Put the outputs of single samples where those of regular runs are."""
         if not self._single:
             return
         self._parts.append(
@@ -243,16 +216,6 @@ class _Pushing:
             )
         )
         self._single = []
-
-
-def _paired_joints(block: SampleBlock, sink: Compensator) -> Array:
-    """What wrenches are paired with (j, 2), or (j, 5) with the platform's position first."""
-    if not sink.pairs_positions:
-        return block.angles
-    positions = block.positions
-    if positions is None:
-        positions = np.full((len(block.angles), 3), np.nan)
-    return np.concatenate((positions, block.angles), axis=1)
 
 
 def _all_but(rows: Mapping[int, str], count: int) -> np.ndarray:

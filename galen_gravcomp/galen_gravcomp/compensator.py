@@ -9,10 +9,11 @@ angles belong to a wrench, and which wrench is rejected, is `galen_ros.stream.pa
 """
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
+from galen_bags.arrays.messages import Samples
 from galen_model.arrays import Array
 from galen_model.errors import GalenError
 from galen_model.files.calibration_file import CalibrationFile
@@ -21,7 +22,7 @@ from galen_ros.stream.pairing import PairedWrench, WrenchPairing
 from galen_ros.stream.regular_run import Arrivals
 from galen_ros.stream.results import Compensated, Rejected, Rejection, Result
 
-from galen_gravcomp.block import NOTHING, BlockResult, Outputs, SampleBlock, push_block
+from galen_gravcomp.block import NOTHING, BlockResult, Outputs, push_block
 from galen_gravcomp.calibration_monitor.monitor import CalibrationMonitor
 from galen_gravcomp.corrections.bias_drift import BiasDrift
 from galen_gravcomp.corrections.cable import CablePull
@@ -244,39 +245,13 @@ class Compensator:
         """Take a wrench as `WrenchPairing.push_wrench`; returns what became of those answered."""
         return self._made(self.pairing.push_wrench(stamp_ns, wrench, frame_id, tag))
 
-    def push_block(
-        self,
-        is_wrench: np.ndarray,
-        joint_stamp_ns: np.ndarray,
-        angles: Array,
-        wrench_stamp_ns: np.ndarray,
-        wrenches: Array,
-        *,
-        frame: np.ndarray | None = None,
-        frame_ids: Sequence[str] = (),
-        bad_joints: Mapping[int, str] | None = None,
-        bad_wrenches: Mapping[int, str] | None = None,
-        positions: Array | None = None,
-    ) -> BlockResult:
+    def push_block(self, is_wrench: np.ndarray, joints: Samples, wrenches: Samples) -> BlockResult:
         """Take many samples of both topics: the same as pushing one by one, only faster.
 
-        The arguments are `SampleBlock`'s. Blocks may be of any size, and end anywhere; a wrench
-        that waits at the end comes out with a later block. Raises ValueError for shapes that don't
-        fit, before anything was pushed.
+        The arguments are those of `galen_gravcomp.block.push_block`. Blocks may be of any size, and
+        end anywhere; a wrench that waits at the end comes out with a later block.
         """
-        block = SampleBlock(
-            is_wrench,
-            joint_stamp_ns,
-            angles,
-            wrench_stamp_ns,
-            wrenches,
-            frame,
-            frame_ids,
-            bad_joints or {},
-            bad_wrenches or {},
-            positions,
-        )
-        return push_block(block, self, self._push_run)
+        return push_block(self, is_wrench, joints, wrenches, self._push_run)
 
     def push_imu(
         self, stamp_ns: int, angular_rad_s: Sequence[float], linear_m_s2: Sequence[float]

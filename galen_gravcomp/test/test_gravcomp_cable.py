@@ -13,6 +13,7 @@ from galen_model.load.cable.drag import FORMS, CableDrag, form_matrices
 from galen_model.load.nominal_tools import ADAPTER, TOOLS
 from galen_ros.stream.monitor import Severity
 from galen_ros.stream.results import Compensated, Rejection
+from sample_blocks import topic
 
 PERIOD_NS = 2_000_000
 START_NS = 1_000_000_000
@@ -129,11 +130,8 @@ def test_one_by_one_and_as_arrays_it_is_the_same_and_gone_where_it_was_seen():
         kinds += [True] * (row < len(joints)) + [False] * (row > 0)
     whole = block.push_block(
         np.array(kinds),
-        START_NS + joint_rows * PERIOD_NS - PERIOD_NS // 3,
-        joints[:, 3:],
-        START_NS + joint_rows * PERIOD_NS,
-        raw,
-        positions=joints[:, :3],
+        topic(START_NS + joint_rows * PERIOD_NS - PERIOD_NS // 3, joints),
+        topic(START_NS + joint_rows * PERIOD_NS, raw),
     )
     assert block.pushed_as_arrays > 0.9 * len(kinds)
     assert whole.stamp_ns.tolist() == stamps

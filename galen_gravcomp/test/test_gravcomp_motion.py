@@ -17,6 +17,7 @@ from galen_model.load.inertia.imu_mount import ImuMount
 from galen_model.rotation import rotvec_to_matrix
 from galen_ros.stream.results import Compensated, Rejection
 from motion_tape import MS, START_NS, measured, readings, swing, tool_file
+from sample_blocks import topic
 
 PARAMETERS = GravcompParameters()
 FIRST = 13
@@ -290,11 +291,8 @@ def test_a_block_with_positions_is_the_same_as_sample_by_sample():
     ]
     block = compensator().push_block(
         np.tile([False, True], len(times)),
-        stamps,
-        joints[:, 3:],
-        stamps,
-        wrenches,
-        positions=joints[:, :3],
+        topic(stamps, joints),
+        topic(stamps, wrenches),
     )
     np.testing.assert_array_equal(block.wrench, [r.wrench for r in single])
     np.testing.assert_array_equal(block.stamp_ns, [r.stamp_ns for r in single])

@@ -23,6 +23,7 @@ from galen_model.load.mounting.held_out import GALEN, MOUNTED, PLAIN
 from galen_model.load.mounting.mounting import Mounting
 from galen_model.load.prediction import Prediction
 from galen_ros.stream.results import Compensated
+from sample_blocks import topic
 from scipy.spatial.transform import Rotation
 
 TURNED = Mounting(
@@ -82,7 +83,9 @@ def test_a_push_on_a_mismounted_sensor_comes_out_right_one_by_one_and_in_blocks(
     np.testing.assert_allclose(wrenches, np.tile(PUSH, (count, 1)), atol=1e-12)
     block = Compensator()
     block.set_tool(TOOL)
-    result = block.push_block(np.tile([False, True], count), stamps, angles, stamps, raw)
+    result = block.push_block(
+        np.tile([False, True], count), topic(stamps, angles), topic(stamps, raw)
+    )
     assert block.pushed_as_arrays > 0
     np.testing.assert_allclose(result.wrench, wrenches[: len(result.wrench)], atol=1e-12)
     assert len(result.wrench) == count

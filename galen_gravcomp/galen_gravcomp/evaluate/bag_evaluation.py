@@ -23,7 +23,6 @@ from galen_model.rest.binned import StillCellSettings, StillPhases, find_still_p
 from galen_model.rest.time_bins import CELL_S, CellReducer, Cells
 from galen_ros.stream.results import Notice
 
-from galen_gravcomp.arm_block import push_arm_block
 from galen_gravcomp.compensator import Compensator
 from galen_gravcomp.corrections.joint_motion import inertia_source
 from galen_gravcomp.corrections.stages import Stages, make_motion
@@ -194,7 +193,7 @@ class _Run:
             period_s = self._wrench_stamps.report().period_s
             slow_s = _READINGS_A_CELL * period_s if np.isfinite(period_s) else 0.0
             self._cells = CellReducer(max(CELL_S, slow_s))
-        result = push_arm_block(self._compensator, block)
+        result = self._compensator.push_block(block.is_wrench, joints, wrenches)
         for rejected in result.rejected:
             self._examples.setdefault(rejected.reason.value, rejected.detail)
         if self._cells is not None:
