@@ -32,7 +32,7 @@ def empty(path):
 
 
 def other_schema(path):
-    path.write_text(json.dumps(json.loads(path.read_text()) | {"schema_version": 2}))
+    path.write_text(json.dumps(json.loads(path.read_text()) | {"schema_version": 99}))
 
 
 def negative_mass(path):
@@ -59,7 +59,7 @@ def dangling_link(path):
 
 
 def pipe(path):
-    """Whoever opened it would wait for ever."""
+    """A reader would wait for ever."""
     path.unlink()
     os.mkfifo(path)
 
@@ -73,7 +73,7 @@ FAULTS = [
     (missing, NOT_FOUND, "No such file", "its file is gone"),
     (truncated, INVALID, "JSON", "its file has changed"),
     (empty, INVALID, "JSON", "its file has changed"),
-    (other_schema, INVALID, "schema_version is 2", "its file has changed"),
+    (other_schema, INVALID, "schema_version is 99", "its file has changed"),
     (negative_mass, INVALID, "a mass is positive", "its file has changed"),
     (not_a_number, INVALID, "expected a finite number", "its file has changed"),
     (link_out, INVALID, "", ""),

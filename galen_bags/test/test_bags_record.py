@@ -7,7 +7,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +20,6 @@ from galen_bags.record.command import main, parse
 from galen_bags.record.recorder import DEFAULT_TOPICS, RecorderNode, SimulatedTimes, received_ns
 from galen_ros.cdr.layout import JointStateBytes, WrenchBytes
 from galen_ros.node.diagnostics import Level
-from galen_ros.node.domain import DomainLock
 from galen_ros.node.testing import Harness
 from galen_ros.qos import LATCHED, STREAM
 from geometry_msgs.msg import WrenchStamped
@@ -360,16 +359,6 @@ def test_diagnostics_tell_what_is_missing(harness: Harness, bag: GrowingBagWrite
 # --- the command ------------------------------------------------------------------------------
 
 
-@pytest.fixture
-def domain(monkeypatch: pytest.MonkeyPatch) -> Iterator[int]:
-    lock = DomainLock()
-    monkeypatch.setenv("ROS_DOMAIN_ID", str(lock.domain_id))
-    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-    monkeypatch.setenv("FASTDDS_BUILTIN_TRANSPORTS", "UDPv4")
-    yield lock.domain_id
-    lock.release()
-
-
 SOURCE = """
 import sys
 import rclpy
@@ -391,29 +380,8 @@ rclpy.spin(node)
 """
 
 
-@pytest.fixture
-def processes() -> Iterator[Callable[..., subprocess.Popen[str]]]:
-    started = []
-
-    def launch(*arguments: str) -> subprocess.Popen[str]:
-        process = subprocess.Popen(
-            [sys.executable, *arguments],
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            text=True,
-        )
-        started.append(process)
-        return process
-
-    yield launch
-    for process in started:
-        if process.poll() is None:
-            process.kill()
-        process.communicate()
-
-
-def record(processes: Any, path: Path, *options: str) -> subprocess.Popen[str]:
-    process: subprocess.Popen[str] = processes(
+def record(started: Any, path: Path, *options: str) -> subprocess.Popen[str]:
+    process: subprocess.Popen[str] = started(
         "-m", "galen_bags.record.command", "wrench_raw", "-o", str(path), *options
     )
     return process
@@ -434,11 +402,10 @@ def check_run_of_wrenches(found: list[bytes]) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.usefixtures("domain")
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_a_signal_closes_the_bag(processes: Any, tmp_path: Path, number: int) -> None:
-    processes("-c", SOURCE)
-    recorder = record(processes, tmp_path / "bag", "--json")
+def test_a_signal_closes_the_bag(started: Any, tmp_path: Path, number: int) -> None:
+    started("-c", SOURCE)
+    recorder = record(started, tmp_path / "bag", "--json")
     wait_growing(tmp_path / "bag")
     recorder.send_signal(number)
     out, err = recorder.communicate(timeout=20.0)
@@ -453,10 +420,9 @@ def test_a_signal_closes_the_bag(processes: Any, tmp_path: Path, number: int) ->
 
 
 @pytest.mark.slow
-@pytest.mark.usefixtures("domain")
-def test_a_kill_leaves_all_but_the_last_second(processes: Any, tmp_path: Path) -> None:
-    processes("-c", SOURCE)
-    recorder = record(processes, tmp_path / "bag")
+def test_a_kill_leaves_all_but_the_last_second(started: Any, tmp_path: Path) -> None:
+    started("-c", SOURCE)
+    recorder = record(started, tmp_path / "bag")
     wait_growing(tmp_path / "bag", 20_000)
     killed_ns = time.time_ns()
     os.kill(recorder.pid, signal.SIGKILL)
@@ -469,14 +435,13 @@ def test_a_kill_leaves_all_but_the_last_second(processes: Any, tmp_path: Path) -
 
 
 @pytest.mark.slow
-@pytest.mark.usefixtures("domain")
 @pytest.mark.parametrize(
     ("limit", "ended_by"),
     [(("--duration-s", "1"), "duration"), (("--max-size-mb", "0.005"), "size")],
 )
-def test_limits_end_it(processes: Any, tmp_path: Path, limit: Any, ended_by: str) -> None:
-    processes("-c", SOURCE)
-    recorder = record(processes, tmp_path / "bag", "--json", *limit)
+def test_limits_end_it(started: Any, tmp_path: Path, limit: Any, ended_by: str) -> None:
+    started("-c", SOURCE)
+    recorder = record(started, tmp_path / "bag", "--json", *limit)
     out, err = recorder.communicate(timeout=60.0)
     assert recorder.returncode == 0, err
     result = json.loads(out)
@@ -485,16 +450,15 @@ def test_limits_end_it(processes: Any, tmp_path: Path, limit: Any, ended_by: str
 
 
 @pytest.mark.slow
-@pytest.mark.usefixtures("domain")
-def test_a_full_disk_ends_it_with_one_line(processes: Any, tmp_path: Path) -> None:
+def test_a_full_disk_ends_it_with_one_line(started: Any, tmp_path: Path) -> None:
     """A limit on the size of files stands in for the disk: the system rejects the write."""
     program = (
         "import resource, sys; from galen_bags.record.command import main;"
         "resource.setrlimit(resource.RLIMIT_FSIZE, (30_000, 30_000));"
         f"sys.argv = ['record', 'wrench_raw', '-o', {str(tmp_path / 'bag')!r}]; main()"
     )
-    processes("-c", SOURCE)
-    recorder = processes("-c", program)
+    started("-c", SOURCE)
+    recorder = started("-c", program)
     out, err = recorder.communicate(timeout=60.0)
     assert recorder.returncode == 1
     (line,) = [text for text in err.splitlines() if text.startswith("error:")]
