@@ -20,8 +20,6 @@ setup(
     entry_points={
         "console_scripts": [
             "diagnose = galen_ros.executable:galen_diagnosis.diagnose.main",
-            "diagnose_table = galen_ros.executable:galen_diagnosis.tables.diagnose_table.main",
-            "diagnose_joints = galen_ros.executable:galen_diagnosis.tables.diagnose_joints.main",
             "blind_check = galen_ros.executable:galen_diagnosis.blind_check.main",
         ]
     },

@@ -1,17 +1,24 @@
-"""`diagnose`: where recordings and model differ, what causes it, how far the gap shrinks."""
+"""`diagnose`: where data and model differ, what causes it, how far the gap shrinks.
+
+Recordings are diagnosed here. Text tables have commands of their own behind the same name, chosen
+by their columns: `tables/diagnose_table.py` and `tables/diagnose_joints.py`.
+"""
 
 from __future__ import annotations
 
 import argparse
+import re
 import sys
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 from galen_bags.many.run import run_many
+from galen_model.arm.galen import WRENCH_AXES
 from galen_ros.command import (
     EXIT_FAILED,
     EXIT_OK,
@@ -35,8 +42,10 @@ from galen_diagnosis.inference.diagnosing import diagnose_recording
 from galen_diagnosis.observation.recording import read_recording
 from galen_diagnosis.report.output import check_output, told, write_output
 from galen_diagnosis.report.terminal import print_answer, print_overview
+from galen_diagnosis.tables import diagnose_joints, diagnose_table
 
 EXIT_GAP = 3
+_WRENCH = frozenset(WRENCH_AXES)
 _READ, _DIAGNOSED = 0.1, 0.75
 """Parts of the time that reading and diagnosing take; the rest is for the report."""
 _NOTES = """written to the output directory, whole or not at all:
@@ -83,7 +92,8 @@ def build_parser() -> argparse.ArgumentParser:
         "diagnose",
         "Compare recordings with the nominal simulator driven along their joint states:"
         " is there a gap, where, which effect causes it, how far does it shrink with that effect in"
-        " the simulator, what to do next.",
+        " the simulator, what to do next. A text TABLE of wrenches with orientations, or of the two"
+        " ends of a joint, is diagnosed as such: `diagnose TABLE --help` has its options.",
         notes=_NOTES,
         ok="done, whatever the verdict",
         failed="a recording or file can't be used; of many recordings, the others were diagnosed",
@@ -205,10 +215,38 @@ def _code(arguments: argparse.Namespace, verdicts: Sequence[str]) -> int:
     return EXIT_OK
 
 
+def _table_command(given: Sequence[str]) -> Callable[[Sequence[str]], int] | None:
+    """The command for the first input if that is a text table; None for recordings."""
+    words = [word for word in given if word not in ("-h", "--help")]
+    if all(word.startswith("-") for word in words):
+        return None
+    inputs, others = build_parser().parse_known_args(words)
+    tables = [path for path in inputs.recordings if path.is_file()]
+    if not tables:
+        return None
+    named = [word.partition("=")[2] for word in others if word.startswith("--columns=")]
+    named += [word for flag, word in pairwise(words) if flag == "--columns"]
+    # Columns of a joint are given as ROLE=NAME, those of a table without names in their order.
+    if "=" in named[0] if named else not _first_words(tables[0]) >= _WRENCH:
+        return diagnose_joints.main
+    return diagnose_table.main
+
+
+def _first_words(table: Path) -> set[str]:
+    """Words of the first line that is no comment."""
+    with table.open(encoding="utf-8", errors="replace") as lines:
+        first = next((line for line in lines if line.strip() and line[0] != "#"), "")
+    return set(re.split(r"[,;\s\"']+", first))
+
+
 def main(args: Sequence[str] | None = None) -> int:
     """Entry point; returns the exit code."""
+    given = sys.argv[1:] if args is None else list(args)
+    table_main = _table_command(given)
+    if table_main is not None:
+        return table_main(given)
     parser = build_parser()
-    arguments = parser.parse_args(args)
+    arguments = parser.parse_args(given)
     several = len(arguments.recordings) > 1
     if arguments.next is not None and several:
         parser.error("--next is for one RECORDING")

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from galen_bags.arrays.orientation_table import OrientationTable
-from galen_diagnosis.tables import diagnose_joints, diagnose_table
+from galen_diagnosis.diagnose import main as diagnose
 from galen_diagnosis.tables.measured_check import diagnose_case, is_right
 from galen_diagnosis.tables.table_effects import drift_columns
 from galen_diagnosis.tables.table_plant import TablePlant
@@ -141,7 +141,7 @@ def joint_runs(tmp_path, stiffness=800.0, gap_rad=0.0, delay_s=0.0, seed=0):
 
 def test_a_joint_with_play_and_spring_and_a_rigid_late_one(tmp_path, capsys):
     files = joint_runs(tmp_path, stiffness=800.0, gap_rad=0.012)
-    assert diagnose_joints.main([*files, "--label", "joint", "--json"]) == 0
+    assert diagnose([*files, "--label", "joint", "--json"]) == 0
     answer = json.loads(capsys.readouterr().out)
     causes = {cause["effect"]: cause for cause in answer["causes"]}
     assert {"joint_compliance", "backlash"} <= set(causes)
@@ -153,7 +153,7 @@ def test_a_joint_with_play_and_spring_and_a_rigid_late_one(tmp_path, capsys):
     assert answer["gap"]["closed_fraction"]["value"] > 0.97
     assert sum(answer["where"]["channels"].values()) == pytest.approx(1.0)
     files = joint_runs(tmp_path, stiffness=1e9, delay_s=0.004)
-    assert diagnose_joints.main([*files, "--json"]) == 0
+    assert diagnose([*files, "--json"]) == 0
     answer = json.loads(capsys.readouterr().out)
     assert answer["verdict"] == "identified"
     assert answer["causes"][0]["effect"] == "encoder_delay"
@@ -164,23 +164,26 @@ def test_a_joint_with_play_and_spring_and_a_rigid_late_one(tmp_path, capsys):
 
 
 def test_commands_say_in_a_line_what_is_wrong(tmp_path, capsys):
-    for command in (diagnose_table, diagnose_joints):
-        with pytest.raises(SystemExit) as end:
-            command.main(["--help"])
-        assert end.value.code == 0
-        assert "exit codes" in capsys.readouterr().out
-        assert command.main([str(tmp_path / "none.csv")]) == 1
-        error = capsys.readouterr().err
-        assert error.count("\n") == 1
-        assert "none.csv" in error
-    with pytest.raises(SystemExit) as end:
-        diagnose_table.main(["t.csv", "--imu", "imu.csv"])
-    assert end.value.code == 2
-    with pytest.raises(SystemExit) as end:
-        diagnose_joints.main(["t.csv", "--blocks", "2"])
-    assert end.value.code == 2
     files = joint_runs(tmp_path)
-    assert diagnose_joints.main([*files, "--label", "../x"]) == 1
+    table = tmp_path / "table.csv"
+    table.write_text('# a comment\n"fx";fy;fz;tx;ty;tz;gx;gy;gz\n')
+    for path, option in (("", "RECORDING"), (str(table), "--wrench-frame"), (files[0], "--blocks")):
+        with pytest.raises(SystemExit) as end:
+            diagnose([*([path] if path else []), "--help"])
+        assert end.value.code == 0
+        told = capsys.readouterr().out
+        assert "exit codes" in told and option in told
+    assert diagnose([str(tmp_path / "none.csv")]) == 1
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1
+    assert "none.csv" in error
+    with pytest.raises(SystemExit) as end:
+        diagnose([str(table), "--imu", "imu.csv"])
+    assert end.value.code == 2 and "--wrench" in capsys.readouterr().err
+    with pytest.raises(SystemExit) as end:
+        diagnose([files[0], "--blocks", "2"])
+    assert end.value.code == 2 and "at least 4" in capsys.readouterr().err
+    assert diagnose([*files, "--label", "../x"]) == 1
     assert "a name, not a path" in capsys.readouterr().err
 
 
@@ -189,7 +192,7 @@ def test_a_table_of_too_few_poses_is_rejected(tmp_path, capsys):
     rows = np.column_stack([np.ones((3, 6)), np.array([[0, 0, -9.8], [0, 9.8, 0], [9.8, 0, 0]])])
     header = "fx,fy,fz,tx,ty,tz,gx,gy,gz"
     np.savetxt(file, rows, delimiter=",", header=header, comments="")
-    assert diagnose_table.main([str(file)]) == 1
+    assert diagnose([str(file)]) == 1
     assert "few.csv: 3 blocks of readings" in capsys.readouterr().err
 
 
@@ -202,7 +205,7 @@ def test_an_industrial_arms_axis_and_a_grasper(capsys, tmp_path):
     names = "motor=motor_angle_3_rad,link=link_angle_3_rad,torque=motor_torque_3_Nm"
     command = [str(REAL / "kr300_joints" / "run_a.csv"), "--columns", f"t=t_s,{names}"]
     command += ["--torque-gear", "252.333", "--output", str(tmp_path), "--plots", str(tmp_path)]
-    assert diagnose_joints.main(command) == 0
+    assert diagnose(command) == 0
     assert (tmp_path / "run_a_diagnosis.png").stat().st_size > 10_000
     answer = json.loads((tmp_path / "run_a_diagnosis.json").read_text())
     causes = {cause["effect"]: cause for cause in answer["causes"]}
@@ -215,7 +218,7 @@ def test_an_industrial_arms_axis_and_a_grasper(capsys, tmp_path):
     names = "t=t_s,motor=output_angle_rad,link=input_angle_rad,torque=input_torque_Nm"
     options = ["--opposite", "--time-scale", "1000", "--columns", names, "--json"]
     capsys.readouterr()
-    assert diagnose_joints.main([*files, *options]) == 0
+    assert diagnose([*files, *options]) == 0
     answer = json.loads(capsys.readouterr().out)
     shares = {one["effect"]: one["probability"] for one in answer["ranking"]}
     assert min(shares["backlash"], shares["joint_compliance"], shares["gear_error"]) > 0.5
@@ -230,7 +233,7 @@ def test_seven_poses_of_an_axia80_have_unequal_gains(tmp_path, capsys):
     file = tmp_path / "axia80.csv"
     np.savetxt(file, np.column_stack(parts), delimiter=",")
     columns = "--columns=-,-,-,qx,qy,qz,qw,fx,fy,fz,tx,ty,tz"
-    assert diagnose_table.main([str(file), "--wrench-frame", "base", columns, "--json"]) == 0
+    assert diagnose([str(file), "--wrench-frame", "base", columns, "--json"]) == 0
     answer = json.loads(capsys.readouterr().out)
     assert answer["problems"]  # nothing tells the noise of single readings
     found = {cause["effect"]: cause for cause in answer["causes"]}

@@ -1,4 +1,4 @@
-"""`diagnose_joints`: which effect makes a joint's two ends differ, from tables of readings."""
+"""`diagnose` of tables of a joint: what makes its two ends differ."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ exit codes:
 def build_parser() -> argparse.ArgumentParser:
     """The command's options."""
     parser = argparse.ArgumentParser(
-        prog="diagnose_joints",
+        prog="diagnose",
         description="From readings of the angles at both ends of a joint and of its torque: what"
         " makes them differ, how sure that is, and how much of it is closed on readings held out.",
         epilog=_EPILOG,
@@ -70,7 +70,7 @@ def main(args: Sequence[str] | None = None) -> int:
     arguments = parser.parse_args(args)
     if arguments.blocks is not None and arguments.blocks < 4:
         parser.error("--blocks must be at least 4")
-    return run_command("diagnose_joints", lambda: _diagnose(arguments))
+    return run_command("diagnose", lambda: _diagnose(arguments))
 
 
 def _diagnose(arguments: argparse.Namespace) -> int:

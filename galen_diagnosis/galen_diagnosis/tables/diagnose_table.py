@@ -1,4 +1,4 @@
-"""`diagnose_table`: which effect makes a sensor's readings differ from its load's weight."""
+"""`diagnose` of a text table: what differs between readings and the weight of their load."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ exit codes:
 def build_parser() -> argparse.ArgumentParser:
     """The command's options."""
     parser = argparse.ArgumentParser(
-        prog="diagnose_table",
+        prog="diagnose",
         description="From readings of a force/torque sensor with its orientations: whether weight"
         " and constants explain them, which effect does beyond that, how sure it is, and how much"
         " it closes on blocks (stops, poses, stretches of a run) that no fit has seen.",
@@ -139,7 +139,7 @@ def main(args: Sequence[str] | None = None) -> int:
         parser.error("--tool and --noise are for still tables; a run has its own rest")
     if len(arguments.tables) > 1 and (in_motion or arguments.label is not None):
         parser.error("a run and --label take one table")
-    return run_command("diagnose_table", lambda: _diagnose(arguments))
+    return run_command("diagnose", lambda: _diagnose(arguments))
 
 
 def _diagnose(arguments: argparse.Namespace) -> int:
