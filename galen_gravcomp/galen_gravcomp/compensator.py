@@ -231,9 +231,11 @@ class Compensator:
         if self._stages.motion is not None:
             self._stages.motion.push_joints(stamp_ns, roll_rad, tilt_rad, position_m)
         if self._cable is None:
-            return self._made(self.pairing.push_joints(stamp_ns, (roll_rad, tilt_rad)))
-        platform = (math.nan,) * 3 if position_m is None else position_m
-        return self._made(self.pairing.push_joints(stamp_ns, (*platform, roll_rad, tilt_rad)))
+            results = self.pairing.push_joints(stamp_ns, (roll_rad, tilt_rad))
+        else:
+            platform = (math.nan,) * 3 if position_m is None else position_m
+            results = self.pairing.push_joints(stamp_ns, (*platform, roll_rad, tilt_rad))
+        return self._made(results) if results else []
 
     def push_wrench(
         self,
@@ -265,7 +267,10 @@ class Compensator:
     # Inside
 
     def _made(self, results: list[PairedWrench | Rejected]) -> list[Result]:
-        return [self._compensate(one) if isinstance(one, PairedWrench) else one for one in results]
+        made: list[Result] = []
+        for one in results:
+            made.append(self._compensate(one) if isinstance(one, PairedWrench) else one)
+        return made
 
     def _update_bar(self) -> list[Result]:
         """Have all wrenches rejected while it is off or without a tool."""
