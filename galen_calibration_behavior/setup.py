@@ -22,10 +22,7 @@ setup(
             f"calibration_node = {run}.node.main",
             f"calibrate = {run}.calibrate.main",
             f"check = {run}.check.main",
-            f"calibrate_from_bag = {run}.from_bag.calibrate_from_bag.main",
-            f"inertia_from_bag = {run}.from_bag.inertia_from_bag.main",
-            f"cable_from_bag = {run}.from_bag.cable_from_bag.main",
-            f"choose_poses = {run}.pose_choice.command.main",
+            f"calibrate_from_bag = {run}.calibrate_from_bag.main",
         ]
     },
 )

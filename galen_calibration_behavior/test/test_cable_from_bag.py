@@ -1,4 +1,4 @@
-"""`cable_from_bag`: from a recorded sweep to the tool's file, and what it says where it can't."""
+"""`calibrate_from_bag --estimate cable`: from a sweep to the tool's file, and where it can't."""
 
 import functools
 import json
@@ -6,7 +6,8 @@ import json
 import numpy as np
 import pytest
 from calibration_tape import RETRACTOR, Tape, grid
-from galen_calibration_behavior.from_bag import cable_estimation, cable_from_bag
+from galen_calibration_behavior.calibrate_from_bag import main, parse
+from galen_calibration_behavior.from_bag import cable, source
 from galen_model.arm.galen import HOME
 from galen_model.arm.kinematics import gravity_in_sensor, sensor_pose
 from galen_model.files.calibration_file import (
@@ -41,7 +42,7 @@ def place(tmp_path, monkeypatch):
     )
     write_calibration(tmp_path / "retractor.json", tool)
     tapes = {}
-    monkeypatch.setattr(cable_from_bag, "read_arm", lambda bag, _topics: tapes[str(bag)])
+    monkeypatch.setattr(source, "read_arm", lambda bag, _topics: tapes[str(bag)])
 
     def record(name, pull_at, poses=POSES, tool=RETRACTOR):
         tape = Tape(seed=5, tool=tool)
@@ -58,12 +59,14 @@ def place(tmp_path, monkeypatch):
 @pytest.fixture
 def one_form(monkeypatch):
     """Only one form is tried, which is a third of the work."""
-    learn = functools.partial(cable_estimation.learn_cable, forms=("point",))
-    monkeypatch.setattr(cable_estimation, "learn_cable", learn)
+    learn = functools.partial(cable.learn_cable, forms=("point",))
+    monkeypatch.setattr(cable, "learn_cable", learn)
 
 
 def run(*arguments):
-    cable_from_bag.main([str(argument) for argument in arguments])
+    """Return the exit code; without a recording the cable is removed."""
+    estimate = () if "--remove-cable" in arguments else ("--estimate", "cable")
+    return main([str(argument) for argument in (*arguments, *estimate)])
 
 
 def test_it_learns_the_pull_and_keeps_the_rest_of_the_file(place, capsys, one_form):
@@ -91,11 +94,9 @@ def test_it_learns_the_pull_and_keeps_the_rest_of_the_file(place, capsys, one_fo
     assert fields["poses"] == 30
     assert any("one place of the platform" in warning for warning in fields["warnings"])
 
-    run("retractor", "--remove", "--tools-dir", folder)
+    assert run("retractor", "--remove-cable", "--tools-dir", folder) == 0
     assert json.loads((folder / "retractor.json").read_text()) == before
-    with pytest.raises(SystemExit) as end:
-        run("retractor", "--remove", "--tools-dir", folder)
-    assert end.value.code == 1
+    assert run("retractor", "--remove-cable", "--tools-dir", folder) == 1
     assert "holds no cable" in capsys.readouterr().err
 
 
@@ -132,11 +133,9 @@ def test_where_there_is_no_cable_to_learn_it_says_so(place, capsys, pull_at, pos
     folder, record = place
     record("sweep", pull_at, poses, tool)
     before = (folder / "retractor.json").read_bytes()
-    with pytest.raises(SystemExit) as end:
-        run("retractor", "sweep", "--tools-dir", folder)
-    assert end.value.code == 1
+    assert run("retractor", "sweep", "--tools-dir", folder) == 1
     error = capsys.readouterr().err
-    assert error.startswith("cable_from_bag: sweep: ") and words in error
+    assert error.startswith("calibrate_from_bag: sweep: ") and words in error
     assert error.count("\n") == 1
     assert (folder / "retractor.json").read_bytes() == before
 
@@ -147,18 +146,25 @@ def test_a_recording_from_before_the_calibration_is_rejected(place, capsys):
     file = folder / "retractor.json"
     file.write_text(file.read_text().replace("2023-11-01", "2026-01-02"))
     before = file.read_bytes()
-    with pytest.raises(SystemExit) as end:
-        run("retractor", "sweep", "--tools-dir", folder)
-    assert (end.value.code, file.read_bytes()) == (1, before)
+    assert run("retractor", "sweep", "--tools-dir", folder) == 1
+    assert file.read_bytes() == before
     error = capsys.readouterr().err
     assert "calibrated 2026-01-02T03:04:05+00:00" in error and "2023-11-14T" in error
     assert "--replace-newer" in error
 
 
 @pytest.mark.parametrize(
-    "arguments", [["retractor"], ["retractor", "bag", "--remove"], ["../x", "b"]]
+    "arguments",
+    [
+        ["retractor", "--estimate", "cable"],
+        ["retractor", "bag", "--remove-cable"],
+        ["retractor", "bag", "--estimate", "cable,inertia"],
+        ["retractor", "bag", "--estimate", "cable", "--one-sweep"],
+        ["retractor", "--propose-poses"],
+        ["../x", "b"],
+    ],
 )
 def test_wrong_arguments_are_a_usage_error(arguments):
     with pytest.raises(SystemExit) as end:
-        cable_from_bag.parse(arguments)
+        parse(arguments)
     assert end.value.code == 2

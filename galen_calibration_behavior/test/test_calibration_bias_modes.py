@@ -6,7 +6,7 @@ import json
 import numpy as np
 import pytest
 from calibration_tape import POINTER, Tape, grid
-from galen_calibration_behavior.from_bag.calibrate_from_bag import main
+from galen_calibration_behavior.calibrate_from_bag import main
 from galen_model.files.calibration_file import read_calibration
 
 UNITS = np.array([1.0, 1.0, 1.0, 0.02, 0.02, 0.02])
@@ -25,9 +25,7 @@ def recording():
 def test_the_file_says_the_bias_at_the_end(recording, monkeypatch, capsys, tmp_path):
     """How good the load is, over many sweeps, is test_model_drifting_bias.py's."""
     tape, creep = recording
-    monkeypatch.setattr(
-        "galen_calibration_behavior.from_bag.calibrate_from_bag.read_arm", lambda *_: tape
-    )
+    monkeypatch.setattr("galen_calibration_behavior.from_bag.source.read_arm", lambda *_: tape)
     file, off = {}, {}
     for mode in ("constant", "drifting"):
         main(["pointer", "tape", "--json", "--bias", mode, "--tools-dir", str(tmp_path)])

@@ -65,7 +65,7 @@ def test_parts_of_the_old_file_that_go_are_named(tmp_path):
     inertia = InertiaEstimate(np.array([1e-3, 2e-3, 2e-3, 0, 0, 0]), np.eye(6) * 1e-12)
     write_calibration(path, replace(read_calibration(path), inertia=inertia))
     (said,) = (s for s in estimate(path, "pointer", TIP, sweeps, []).warnings if "old file" in s)
-    assert "inertia (inertia_from_bag)" in said
+    assert "inertia (--estimate inertia)" in said
     assert "cable" not in said
 
 

@@ -8,11 +8,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from galen_calibration_behavior.from_bag.calibrate_from_bag import main, measured_at, parse
-from galen_calibration_behavior.from_bag.options import EXIT_CANCELED, EXIT_FAILED, EXIT_USAGE
+from galen_calibration_behavior.calibrate_from_bag import main, parse
+from galen_calibration_behavior.from_bag.loads import measured_at
 from galen_calibration_behavior.from_bag.visits import Visit
 from galen_model.files.calibration_file import read_calibration
 from galen_model.load.nominal_tools import ADAPTER, TOOLS
+from galen_ros.command import EXIT_FAILED, EXIT_INTERRUPTED, EXIT_USAGE
 
 BAGS = Path(__file__).resolve().parents[2] / "bags"
 POINTER_BAG = str(BAGS / "pointer_calibration")
@@ -23,9 +24,8 @@ CHI2_4 = 23.5
 
 def run(capsys, *arguments):
     """Return exit code, standard output, standard error."""
-    code = 0
     try:
-        main(list(arguments))
+        code = main(list(arguments))
     except SystemExit as end:
         code = end.code
     captured = capsys.readouterr()
@@ -116,7 +116,7 @@ def test_all_of_a_phase_can_be_averaged(capsys, tmp_path):
     common = ["pointer", POINTER_BAG, "--dry-run", "--json", "--tools-dir", str(tmp_path)]
     results = [
         json.loads(run(capsys, *common, *more)[1])
-        for more in ((), ("--whole-phases",), ("--average-s", "0.25"))
+        for more in ((), ("--whole-phases",), ("-p", "average_s:=0.25"))
     ]
     used = [result["poses_used"] for result in results]
     assert used == [56, 56, 56]
@@ -147,7 +147,7 @@ def test_a_bag_that_was_cut_off_is_calibrated_as_far_as_it_goes_and_says_so(caps
         ([POINTER_BAG, "--joint-names", "a", "b", "c", "d", "e"], "joint"),
         ([POINTER_BAG, "--wrench-raw", "ft/wrench"], "/wrench_raw"),
         ([str(BAGS / "nowhere")], "nowhere"),
-        ([POINTER_BAG, "--min-samples", "400"], "only 101 samples"),
+        ([POINTER_BAG, "-p", "min_samples:=400"], "only 101 samples"),
     ],
 )
 def test_what_gives_no_file_is_said_in_one_line_and_leaves_nothing(
@@ -196,7 +196,7 @@ def test_an_adapter_that_is_itself_not_known_does_not_help(capsys, tmp_path, cal
         "--dry-run",
     )  # fmt: skip
     assert code == EXIT_FAILED
-    assert "old.json: its adapter is itself not told apart" in error
+    assert "old.json: its adapter is not distinguished" in error
 
 
 @pytest.mark.parametrize(
@@ -213,7 +213,10 @@ def test_an_adapter_that_is_itself_not_known_does_not_help(capsys, tmp_path, cal
         ["pointer", "bag", "--one-sweep", "--tool-on-at-s", "3"],
         ["pointer", "bag", "--tip", "nan", "0", "0"],
         ["pointer", "bag", "--tool-on-at-s", "inf"],
-        ["pointer", "bag", "--average-s", "0"],
+        ["pointer", "bag", "-p", "average_s:=0"],
+        ["pointer", "bag", "-p", "avarage_s:=1"],
+        ["pointer", "bag", "-p", "average_s"],
+        ["pointer", "bag", "-p", "Rhome:=9.0"],
         ["pointer", "bag", "--joint-names", "a", "b"],
     ],
 )
@@ -228,11 +231,9 @@ def test_ctrl_c_ends_with_130_and_writes_nothing(capsys, tmp_path, monkeypatch):
     def interrupted(*_, **__):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(
-        "galen_calibration_behavior.from_bag.calibrate_from_bag.read_arm", interrupted
-    )
+    monkeypatch.setattr("galen_calibration_behavior.from_bag.source.read_arm", interrupted)
     code, _, error = run(capsys, "pointer", POINTER_BAG, "--tools-dir", str(tmp_path))
-    assert code == EXIT_CANCELED
+    assert code == EXIT_INTERRUPTED
     assert "nothing is written" in error
     assert list(tmp_path.iterdir()) == []
 
@@ -242,8 +243,8 @@ def test_it_runs_without_ros(tmp_path):
     """On a machine that has none: an import of rclpy fails there."""
     code = (
         "import sys; sys.modules['rclpy'] = sys.modules['rcl_interfaces'] = None;"
-        "from galen_calibration_behavior.from_bag.calibrate_from_bag import main;"
-        "main(sys.argv[1:])"
+        "from galen_calibration_behavior.calibrate_from_bag import main;"
+        "sys.exit(main(sys.argv[1:]))"
     )
     done = subprocess.run(
         [sys.executable, "-c", code, "pointer", POINTER_BAG, "--tools-dir", str(tmp_path)],

@@ -1,12 +1,11 @@
-"""`inertia_from_bag`: the file gets the inertia and keeps the rest, or stays as it was."""
+"""`calibrate_from_bag --estimate inertia`: the file gets it and keeps the rest, or stays as it was."""
 
 import json
 
 import numpy as np
 import pytest
 from galen_bags.formats.writer import BagWriter
-from galen_calibration_behavior.from_bag.inertia_from_bag import main
-from galen_calibration_behavior.from_bag.options import EXIT_FAILED, EXIT_USAGE
+from galen_calibration_behavior.calibrate_from_bag import main
 from galen_model.arm.galen import ENCODER_QUANTUM, HOME, JOINT_NAMES, SENSOR
 from galen_model.arm.kinematics import gravity_in_sensor
 from galen_model.arm.sensor_motion import sensor_motion
@@ -19,6 +18,7 @@ from galen_model.files.calibration_file import (
 from galen_model.load.inertia.inertial import inertial_wrench, point_mass_inertia
 from galen_model.load.nominal_tools import ADAPTER, TOOLS
 from galen_ros.cdr.layout import JointStateBytes, WrenchBytes
+from galen_ros.command import EXIT_FAILED, EXIT_USAGE
 
 LOAD = TOOLS["retractor"].load
 INERTIA = point_mass_inertia(LOAD, ADAPTER) + np.array([3e-4, 5e-4, 4e-4, 2e-5, -4e-5, 1e-5])
@@ -66,9 +66,8 @@ def tools(tmp_path):
 
 
 def run(capsys, *arguments):
-    code = 0
     try:
-        main([str(a) for a in arguments])
+        code = main([str(a) for a in (*arguments, "--estimate", "inertia")])
     except SystemExit as end:
         code = end.code
     captured = capsys.readouterr()

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from calibration_fake_arm import ADAPTER, NO_TOOL, POINTER
+from galen_calibration_behavior.calibrate_from_bag import main
 from galen_calibration_behavior.calibration.estimate import (
     EstimateError,
     MountingRequest,
@@ -10,7 +11,6 @@ from galen_calibration_behavior.calibration.estimate import (
 )
 from galen_calibration_behavior.calibration.mounting_text import format_mounting, mounting_fields
 from galen_calibration_behavior.commands import CalibrationCode, Measurements
-from galen_calibration_behavior.from_bag.calibrate_from_bag import main
 from galen_calibration_behavior.parameters import CalibrationParameters
 from galen_model.errors import IdentificationError
 from galen_model.files.calibration_file import read_calibration

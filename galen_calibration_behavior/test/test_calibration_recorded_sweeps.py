@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 from calibration_tape import NO_TOOL, POINTER, RETRACTOR, Tape, grid
 from galen_calibration_behavior.calibration.estimate import estimate
-from galen_calibration_behavior.from_bag.home_stays import BiasPose
-from galen_calibration_behavior.from_bag.pose_table import format_poses, pose_rows
+from galen_calibration_behavior.from_bag.loads import format_poses, pose_rows
 from galen_calibration_behavior.from_bag.recorded_sweeps import SweepSorter
 from galen_calibration_behavior.from_bag.visits import RecordingError, find_visits
 from galen_calibration_behavior.parameters import CalibrationParameters
@@ -15,7 +14,7 @@ from galen_model.load.nominal_tools import ADAPTER
 
 PARAMETERS = CalibrationParameters()
 SETTINGS = PARAMETERS
-SORTER = SweepSorter(SETTINGS, BiasPose(0.0, 0.0))
+SORTER = SweepSorter(SETTINGS, (0.0, 0.0))
 POSES = grid()
 # chi-square with 4 degrees of freedom is above it once in 10000 draws
 CHI2_4 = 23.5

@@ -6,6 +6,7 @@ import json
 import numpy as np
 import pytest
 from calibration_fake_arm import FakeArm
+from galen_calibration_behavior.calibrate_from_bag import main
 from galen_calibration_behavior.calibration.precision import (
     Precision,
     averaged_noise,
@@ -13,9 +14,8 @@ from galen_calibration_behavior.calibration.precision import (
 )
 from galen_calibration_behavior.commands import CalibrationCode, PoseFeedback
 from galen_calibration_behavior.parameters import CalibrationParameters
-from galen_calibration_behavior.pose_choice.command import format_choice, main
 from galen_calibration_behavior.pose_choice.plots import plot_curve, plot_poses
-from galen_calibration_behavior.pose_choice.report import efficiency_curve, equal_count, promise
+from galen_calibration_behavior.pose_choice.report import efficiency_curve, equal_count
 from galen_model.arm.clearance import ArmClearance, ObstacleError, boxes_from_numbers
 from galen_model.arm.kinematics import gravity_in_sensor
 from galen_model.load.identification import plain_least_squares, single_load_design
@@ -212,7 +212,7 @@ def test_the_procedure_goes_around_boxes():
 
 @pytest.mark.slow
 def test_the_command_prints_and_rejects(capsys, tmp_path):
-    main(["--json", "--chosen-poses", "12"])
+    assert main(["--propose-poses", "--json", "-p", "chosen_poses:=12"]) == 0
     found = json.loads(capsys.readouterr().out)
     assert len(found["poses"]) == 12
     assert found["efficiency"] > 0.99
@@ -227,14 +227,11 @@ def test_the_command_prints_and_rejects(capsys, tmp_path):
     ):
         assert path.stat().st_size > 10_000
     assert equal_count(PoseDesign(CHOSEN.range.candidates(), goal="load"), grid) == 46
-    found["parameters"], found["curve"] = CHOSEN, curve
-    assert "55 chosen poses equal the grid's 56" in format_choice(
-        found | {"promises": {"chosen": promise(poses, CHOSEN.times(), 1.5, 500.0)}}
-    )
-    with pytest.raises(SystemExit) as ended:
-        main(["--obstacle", "0.5", "-0.1", "0.4", "0.9", "0.1", "0.6", "--tip", "0.1", "0", "0"])
-    assert ended.value.code == 1
+    assert main(["--propose-poses", "-p", "chosen_poses:=18"]) == 0
+    assert "55 chosen poses equal the grid's 56" in capsys.readouterr().out
+    box = ["--propose-poses", "-p", "obstacles:=[0.5, -0.1, 0.4, 0.9, 0.1, 0.6]"]
+    assert main([*box, "--tip", "0.1", "0", "0"]) == 1
     assert "home can't be taken" in capsys.readouterr().err
     with pytest.raises(SystemExit) as ended:
-        main(["--obstacle", "0", "0", "0", "1", "1", "1"])
+        main(box)
     assert ended.value.code == 2

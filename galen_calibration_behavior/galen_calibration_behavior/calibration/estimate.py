@@ -55,7 +55,7 @@ class TipError(GalenError):
 
 @dataclass(frozen=True)
 class MountingRequest:
-    """Which groups (`galen_model.load.mounting.mounting`) to estimate; what is known of the tool."""
+    """Groups of `galen_model.load.mounting.mounting` to estimate; what is known of the tool."""
 
     groups: tuple[str, ...]
     known: KnownLoad | None = None
@@ -180,7 +180,11 @@ def estimate(
 
 
 # How each part of a tool's file that a calibration does not find is found.
-_FOUND_BY = {"inertia": "inertia_from_bag", "cable": "cable_from_bag", "mounting": "--estimate"}
+_FOUND_BY = {
+    "inertia": "--estimate inertia",
+    "cable": "--estimate cable",
+    "mounting": "--estimate GROUPS",
+}
 
 
 def _dropped(path: Path, content: CalibrationFile) -> list[str]:

@@ -14,7 +14,7 @@ from galen_model.arrays import Array
 from galen_model.files.atomic_file import save_figure
 from matplotlib.axes import Axes
 
-from galen_calibration_behavior.from_bag.cable_estimation import CableResult
+from galen_calibration_behavior.from_bag.cable import CableResult
 
 _STEPS = 80
 _MARGIN_RAD = 0.4
@@ -54,8 +54,8 @@ def plot_cable(result: CableResult, directory: Path, name: str) -> Path:
             figure.colorbar(image, ax=shown)
         _held_out(axes[kind, 3], result, which, factor, unit)
     figure.suptitle(
-        f"{name}: pull of the cable as '{result.learned.drag.form}'; dots: the sweep's poses; taken"
-        " off whole within the line, not at all beyond the dotted one"
+        f"{name}: pull of the cable as '{result.learned.drag.form}'; dots: the sweep's poses;"
+        " subtracted whole within the line, not at all beyond the dotted one"
     )
     return save_figure(figure, directory / f"{name}_cable.png")
 

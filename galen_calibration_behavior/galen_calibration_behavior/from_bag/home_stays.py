@@ -8,7 +8,6 @@ them, and stay in inside of it.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from itertools import groupby
 
 import numpy as np
@@ -18,25 +17,17 @@ from galen_calibration_behavior.from_bag.visits import Visit, Visits
 from galen_calibration_behavior.parameters import CalibrationParameters
 
 
-@dataclass(frozen=True)
-class BiasPose:
-    """Where the sensor was zeroed, rad."""
-
-    roll: float
-    tilt: float
-
-
 class HomeStays:
     """Tells the visits at home from the others."""
 
-    def __init__(self, settings: CalibrationParameters, bias_pose: BiasPose) -> None:
-        """`bias_pose` is home."""
+    def __init__(self, settings: CalibrationParameters, zero_pose: tuple[float, float]) -> None:
+        """`zero_pose`: roll and tilt (rad) at home, where the sensor was zeroed."""
         self._settings = settings
-        self._bias_pose = bias_pose
+        self._zero_pose = zero_pose
 
     def at_home(self, visit: Visit) -> bool:
         """Whether it stands there, by roll and tilt."""
-        away = np.abs(visit.joints[3:] - (self._bias_pose.roll, self._bias_pose.tilt))
+        away = np.abs(visit.joints[3:] - self._zero_pose)
         return bool(np.all(away <= self._settings.arrival.position_tolerance[3:]))
 
     def without_ends(self, visits: Sequence[Visit]) -> list[Visit]:

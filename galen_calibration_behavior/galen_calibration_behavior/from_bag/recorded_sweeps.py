@@ -20,7 +20,7 @@ from galen_ros.goal.stamps import NS
 
 from galen_calibration_behavior.calibration.sweep import stack
 from galen_calibration_behavior.commands import Measurements
-from galen_calibration_behavior.from_bag.home_stays import BiasPose, HomeStays
+from galen_calibration_behavior.from_bag.home_stays import HomeStays
 from galen_calibration_behavior.from_bag.tool_border import Border, BorderError, find_border
 from galen_calibration_behavior.from_bag.visits import RecordingError, Visit, Visits
 from galen_calibration_behavior.parameters import CalibrationParameters
@@ -62,11 +62,11 @@ class RecordedSweeps:
 class SweepSorter:
     """Sorts the visits of recordings into sweeps."""
 
-    def __init__(self, settings: CalibrationParameters, bias_pose: BiasPose) -> None:
-        """`bias_pose` is what the phases at home are told by."""
+    def __init__(self, settings: CalibrationParameters, zero_pose: tuple[float, float]) -> None:
+        """`zero_pose`: roll and tilt (rad) where the sensor was zeroed, at home."""
         self._settings = settings
-        self._bias_pose = bias_pose
-        self._home = HomeStays(settings, bias_pose)
+        self._zero_pose = zero_pose
+        self._home = HomeStays(settings, zero_pose)
 
     def two_sweeps(self, recording: Visits, tool_on_at_s: float | None = None) -> RecordedSweeps:
         """Both sweeps out of one recording; where the tool came on is found, or given.
@@ -237,8 +237,8 @@ class SweepSorter:
         measurements = Measurements(
             bare=_still_poses(good_bare) if bare else None,
             tool=_still_poses(good_tool),
-            zero_roll=self._bias_pose.roll,
-            zero_tilt=self._bias_pose.tilt,
+            zero_roll=self._zero_pose[0],
+            zero_tilt=self._zero_pose[1],
             bare_indices=[pose.number for pose in good_bare],
             tool_indices=[pose.number for pose in good_tool],
             rejected=[*_left_out(bare), *_left_out(tool)],

@@ -21,8 +21,7 @@ from galen_model.poses.order import quintic_duration_s
 from galen_ros.goal.arrival import ArrivalMonitor, MotionTimeoutError
 from galen_ros.goal.commands import End, MoveTo, Stop
 from galen_ros.goal.parameters import MotionParameters
-from galen_ros.goal.silence import Silence, WallClock
-from galen_ros.goal.stamps import NS, StampClock, StampsError
+from galen_ros.goal.stamps import NS, Silence, StampClock, StampsError, WallClock
 
 JOINTS = "joint_states"
 

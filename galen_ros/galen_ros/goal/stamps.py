@@ -1,4 +1,4 @@
-"""The time base of a calibration: the samples' own stamps, and where they jump.
+"""Clocks of a goal on the arm: the samples' own stamps and their jumps; silence by the wall clock.
 
 The authors of the 2019 report lost weeks to jumps in the time stamps of their recordings.
 Here a jump never counts as time gone by, and never hides inside an average.
@@ -11,6 +11,9 @@ from galen_model.errors import GalenError
 NS = 1_000_000_000
 # So many jumps, and more jumps than steps: then it is not a jump but how the topic is.
 _MANY_JUMPS = 10
+# A tick of the wall clock counts at most this much towards a silence: a process that was itself
+# held up for seconds has the samples still waiting in its queues.
+_LONGEST_TICK_S = 0.25
 
 
 class StampsError(GalenError):
@@ -57,3 +60,49 @@ class StampClock:
                     f" max_stamp_step_s is {self._max_step_ns / NS:g}"
                 )
         return True
+
+
+class WallClock:
+    """Time gone by from one look at a steady clock to the next."""
+
+    def __init__(self) -> None:
+        self._last_s: float | None = None
+
+    def step(self, now_s: float) -> float:
+        """Seconds since the last call, never so many that a stall of this process tells."""
+        last_s, self._last_s = self._last_s, now_s
+        return 0.0 if last_s is None else min(max(now_s - last_s, 0.0), _LONGEST_TICK_S)
+
+
+class Silence:
+    """How long a topic has brought nothing new, by the wall clock."""
+
+    def __init__(self, topic: str) -> None:
+        self.topic = topic
+        self.silent_s = 0.0
+        self._received = False
+        self._moved_on = False
+        self._ever = False
+        self._standing_still = False
+        self._stamp_ns: int | None = None
+
+    def heard(self, stamp_ns: int) -> None:
+        """Take the stamp of a sample."""
+        self._received = self._ever = True
+        if stamp_ns != self._stamp_ns:
+            self._stamp_ns = stamp_ns
+            self._moved_on = True
+
+    def tick(self, dt_s: float) -> None:
+        """Let wall time go by."""
+        self.silent_s = 0.0 if self._moved_on else self.silent_s + dt_s
+        self._standing_still = self._received and not self._moved_on
+        self._received = self._moved_on = False
+
+    def complaint(self) -> str:
+        """Say what is wrong with the topic."""
+        if self._standing_still:
+            return f"the stamps of {self.topic} have stood still for {self.silent_s:.1f} s"
+        if self._ever:
+            return f"nothing on {self.topic} for {self.silent_s:.1f} s"
+        return f"nothing has come on {self.topic}: is the driver running?"

@@ -1,0 +1,283 @@
+"""`calibrate_from_bag`: a tool's calibration file out of recordings. Needs no ROS and no arm."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from galen_bags.arrays.arm_recording import ArmTopics
+from galen_model.errors import GalenError, IdentificationError, ToolNameError
+from galen_model.files.calibration_file import check_tool_name
+from galen_model.load.bias.choice import BiasMode
+from galen_model.load.mounting.mounting import GROUPS, entities
+from galen_ros.command import EXIT_OK, add_json, add_plots, make_parser, positive, run_command
+from galen_ros.parameters.param import ParameterError, checked, param_fields
+
+from galen_calibration_behavior.from_bag.cable import add_cable, remove_cable
+from galen_calibration_behavior.from_bag.inertia import add_inertia
+from galen_calibration_behavior.from_bag.loads import estimate_loads
+from galen_calibration_behavior.parameters import CalibrationParameters
+from galen_calibration_behavior.pose_choice.proposal import propose_poses
+
+_NAME = "calibrate_from_bag"
+_USAGE = """%(prog)s TOOL BAG [options]
+       %(prog)s TOOL --bare BAG --with-tool BAG [options]
+       %(prog)s TOOL BAG --estimate inertia|cable [options]
+       %(prog)s TOOL --remove-cable [options]
+       %(prog)s --propose-poses [options]"""
+_NOTES = """BAG is a rosbag2 directory, .mcap, .db3 or ROS 1 .bag:
+  both sweeps of still poses, first bare, then with the tool on;
+  --estimate inertia: at least 12 s in which roll and tilt swing, smoothly and fast, no contact;
+  --estimate cable: a sweep of still poses with the cable on, no contact."""
+# Added to a calibrated tool's file, each from a recording of its own.
+_PARTS: dict[str, Callable[[argparse.Namespace], dict[str, Any]]] = {
+    "inertia": add_inertia,
+    "cable": add_cable,
+}
+
+
+def parse(arguments: list[str] | None = None) -> argparse.Namespace:
+    """Read the command line; exits with code 2 and a message where it is wrong."""
+    parser = make_parser(
+        _NAME,
+        "Calibrate a tool from recorded sweeps: average and judge still poses as calibration_node"
+        " does, write the tool's file. Or add inertia or a cable's pull to a calibrated tool's"
+        " file, or propose poses for a sweep.",
+        notes=_NOTES,
+        ok="done; the file is written, but for --dry-run",
+        failed="failed; one line gives the reason, nothing is written",
+        interrupted="interrupted (Ctrl-C); nothing is written",
+        usage=_USAGE,
+    )
+    parser.add_argument("tool", nargs="?", help="name of the tool: letters, digits, _ and -")
+    parser.add_argument("bag", nargs="?", help="the recording")
+    _add_sweep_options(parser.add_argument_group("sweeps"))
+    _add_estimate_options(parser.add_argument_group("what is estimated"))
+    parser.add_argument(
+        "--propose-poses", action="store_true", help="propose poses beside the grid's; no recording"
+    )
+    parser.add_argument(
+        "--tools-dir",
+        default=CalibrationParameters().tools_dir,
+        metavar="DIR",
+        help="directory of the tools' files (default: %(default)s)",
+    )
+    parser.add_argument(
+        "--replace-newer",
+        action="store_true",
+        help="write also where the file's calibration is newer than the recording",
+    )
+    parser.add_argument("--dry-run", action="store_true", help="print what is found, write nothing")
+    add_plots(parser)
+    add_json(parser)
+    _add_recording_options(parser.add_argument_group("where things are in the recording"))
+    options = parser.parse_args(arguments)
+    try:
+        options.parameters = _parameters(options.param)
+        if not options.propose_poses:
+            check_tool_name(options.tool or "")
+    except (GalenError, ToolNameError) as error:
+        parser.error(str(error))
+    _check_combination(parser, options)
+    return options
+
+
+def _add_sweep_options(group: argparse._ArgumentGroup) -> None:
+    group.add_argument("--bare", metavar="BAG", help="a recording of the sweep without the tool")
+    group.add_argument("--with-tool", metavar="BAG", help="and one of the sweep with the tool on")
+    group.add_argument(
+        "--one-sweep",
+        action="store_true",
+        help="BAG holds the tool's sweep alone: tool and adapter are then not fully distinguished"
+        " (a warning names what is not known)",
+    )
+    group.add_argument(
+        "--adapter-from",
+        metavar="FILE",
+        help="with --one-sweep: a calibration file whose adapter is the one in the recording",
+    )
+    group.add_argument(
+        "--tool-on-at-s",
+        type=float,
+        metavar="SECONDS",
+        help="when the tool came on, from the recording's first joint state (default: found)",
+    )
+    group.add_argument(
+        "--tip",
+        nargs=3,
+        type=float,
+        metavar=("X", "Y", "Z"),
+        help="the tool's tip in ft_sensor, m; else the old file's is kept, or (0, 0, 0)",
+    )
+    group.add_argument(
+        "--whole-phases",
+        action="store_true",
+        help="average all of a rest segment after settling, not only average_s of it",
+    )
+    group.add_argument("--poses", action="store_true", help="print every pose with its residual")
+    group.add_argument(
+        "-p",
+        "--param",
+        action="append",
+        default=[],
+        metavar="NAME:=VALUE",
+        help="a parameter of calibration_node: how poses are judged (average_s:=1.0), where the"
+        " sensor was zeroed (Rhome, Thome), which poses are proposed",
+    )
+
+
+def _add_estimate_options(group: argparse._ArgumentGroup) -> None:
+    group.add_argument(
+        "--estimate",
+        metavar="GROUPS",
+        type=lambda text: tuple(text.split(",")),
+        default=(),
+        help="inertia or cable, added to a calibrated tool's file; or, comma-separated, together"
+        f" with the load and rejected where the poses don't identify them: {', '.join(GROUPS)}",
+    )
+    group.add_argument(
+        "--remove-cable", action="store_true", help="remove the cable from the tool's file"
+    )
+    group.add_argument(
+        "--known-mass-kg",
+        type=positive,
+        metavar="KG",
+        help="the tool's mass, as weighed; the common force gain needs it",
+    )
+    group.add_argument(
+        "--known-mass-std-kg", type=positive, metavar="KG", help="and its standard deviation"
+    )
+    group.add_argument(
+        "--known-com-m",
+        nargs=3,
+        type=float,
+        metavar=("X", "Y", "Z"),
+        help="the tool's centre in ft_sensor, as drawn; the common torque gain needs it",
+    )
+    group.add_argument(
+        "--known-com-std-m", type=positive, metavar="M", help="and its standard deviation"
+    )
+    group.add_argument(
+        "--bias",
+        type=BiasMode,
+        choices=list(BiasMode),
+        default=BiasMode.CONSTANT,
+        help="the sensor's bias over a sweep: constant; drifting; or whichever of them held-out"
+        " blocks of poses prefer (default: %(default)s)",
+    )
+
+
+def _add_recording_options(group: argparse._ArgumentGroup) -> None:
+    topics = ArmTopics()
+    group.add_argument("--joint-states", default=topics.joint_states, metavar="TOPIC")
+    group.add_argument("--wrench-raw", default=topics.wrench_raw, metavar="TOPIC")
+    group.add_argument(
+        "--joint-names",
+        nargs=5,
+        default=topics.joint_names,
+        metavar="NAME",
+        help=f"default: {' '.join(topics.joint_names)}",
+    )
+
+
+def _parameters(given: list[str]) -> CalibrationParameters:
+    """Return the node's parameters with those given as NAME:=VALUE; raises GalenError."""
+    fields = param_fields(CalibrationParameters)
+    values = {}
+    for text in given:
+        name, separator, value = text.partition(":=")
+        if not separator or name not in fields:
+            raise ParameterError(f"-p {text}: no parameter of calibration_node as NAME:=VALUE")
+        hint, _, meaning = fields[name]
+        try:
+            read = value if hint is str else json.loads(value)
+        except ValueError:
+            read = value
+        values[name] = checked(name, read, hint, meaning)
+    parameters = replace(CalibrationParameters(), **values)
+    parameters.validate()
+    return parameters
+
+
+def _check_combination(parser: argparse.ArgumentParser, options: argparse.Namespace) -> None:
+    _check_recordings(parser, options)
+    _check_estimate(parser, options)
+    given = {
+        "--known-com-m": options.known_com_m or [],
+        "--tip": options.tip or [],
+        "--tool-on-at-s": [] if options.tool_on_at_s is None else [options.tool_on_at_s],
+    }
+    for name, values in given.items():
+        if not all(map(math.isfinite, values)):
+            parser.error(f"{name} needs finite numbers")
+
+
+def _check_recordings(parser: argparse.ArgumentParser, options: argparse.Namespace) -> None:
+    pair = (options.bare, options.with_tool)
+    if options.propose_poses or options.remove_cable:
+        if options.bag or any(pair) or options.estimate:
+            parser.error("--propose-poses and --remove-cable take no BAG, and no --estimate")
+        if options.propose_poses and (options.tool or options.remove_cable):
+            parser.error("--propose-poses takes no TOOL")
+        if options.parameters.obstacles and options.tip is None:
+            parser.error("obstacles need --tip: what the tool would hit depends on its length")
+        return
+    if any(pair) and (options.bag or not all(pair)):
+        parser.error("either one BAG, or --bare BAG and --with-tool BAG")
+    if not any(pair) and not options.bag:
+        parser.error("a BAG is needed, or --bare BAG and --with-tool BAG")
+    if options.one_sweep and any(pair):
+        parser.error("--one-sweep is for one BAG")
+    if options.adapter_from and not options.one_sweep:
+        parser.error("--adapter-from is for --one-sweep: two sweeps identify the adapter")
+    if options.tool_on_at_s is not None and (options.one_sweep or any(pair)):
+        parser.error("--tool-on-at-s is for one BAG that holds both sweeps")
+
+
+def _check_estimate(parser: argparse.ArgumentParser, options: argparse.Namespace) -> None:
+    parts = set(options.estimate) & set(_PARTS)
+    if parts and (len(options.estimate) > 1 or not options.bag or options.one_sweep):
+        parser.error(f"--estimate {parts.pop()} is for itself, from one BAG")
+    if (options.known_mass_kg is None) != (options.known_mass_std_kg is None):
+        parser.error("--known-mass-kg and --known-mass-std-kg belong together")
+    if (options.known_com_m is None) != (options.known_com_std_m is None):
+        parser.error("--known-com-m and --known-com-std-m belong together")
+    if options.known_com_m is not None and options.known_mass_kg is None:
+        parser.error("--known-com-m needs --known-mass-kg")
+    if options.bias is not BiasMode.CONSTANT and options.estimate:
+        parser.error("--estimate is for a constant bias")
+    if options.known_mass_kg is not None and (parts or not options.estimate):
+        parser.error("--known-mass-kg is for --estimate of gains")
+    try:
+        entities(() if parts else options.estimate)
+    except IdentificationError as error:
+        parser.error(f"--estimate: {error}")
+
+
+def _work(options: argparse.Namespace) -> int:
+    options.tools_dir = Path(options.tools_dir).expanduser()
+    if options.propose_poses:
+        fields = propose_poses(options)
+    elif options.remove_cable:
+        fields = remove_cable(options)
+    else:
+        fields = _PARTS.get("".join(options.estimate), estimate_loads)(options)
+    if options.json:
+        print(json.dumps(fields))
+    return EXIT_OK
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run the command; see `calibrate_from_bag --help`."""
+    options = parse(arguments)
+    return run_command(_NAME, partial(_work, options), "; nothing is written")
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
