@@ -1,8 +1,8 @@
 """What the compensator's node can say of its health: state, rates, latency. No ROS."""
 
-from galen_ros.stream.frozen import FROZEN_S
 from galen_ros.stream.monitor import Severity, State, StreamMonitor, joined
 from galen_ros.stream.results import Rejection
+from galen_ros.stream.watches import FROZEN_S
 
 from galen_gravcomp.compensator import Compensator
 

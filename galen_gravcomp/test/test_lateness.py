@@ -7,8 +7,8 @@ import pytest
 from galen_gravcomp.compensator import Compensator
 from galen_gravcomp.monitor import Monitor
 from galen_gravcomp.parameters import GravcompParameters
-from galen_ros.stream.lateness import LateWatch
 from galen_ros.stream.monitor import NOTICE_HOLD_S, Severity
+from galen_ros.stream.watches import LateWatch
 from untouched_arm import tool_file
 
 MS = 1_000_000

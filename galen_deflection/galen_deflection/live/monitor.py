@@ -6,9 +6,9 @@ from collections import deque
 
 import numpy as np
 from galen_model.arrays import Array
-from galen_ros.stream.frozen import FROZEN_S
 from galen_ros.stream.monitor import RATE_WINDOW_S, Severity, State, StreamMonitor, joined
 from galen_ros.stream.results import Rejection
+from galen_ros.stream.watches import FROZEN_S
 
 from galen_deflection.live.deflector import Deflector, ModelRejection
 

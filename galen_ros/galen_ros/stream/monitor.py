@@ -15,11 +15,9 @@ from typing import ClassVar, NamedTuple
 
 import numpy as np
 
-from galen_ros.stream.frozen import FROZEN_S, FrozenWatch
-from galen_ros.stream.lateness import LateWatch
 from galen_ros.stream.pairing import WrenchPairing
-from galen_ros.stream.publishers import Publishers
 from galen_ros.stream.results import Notice, Rejected, Rejection
+from galen_ros.stream.watches import FROZEN_S, FrozenWatch, LateWatch, Publishers
 
 HOLD_S = 0.5
 NOTICE_HOLD_S = 5.0

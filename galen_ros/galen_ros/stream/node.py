@@ -21,8 +21,8 @@ from galen_ros.node.managed_node import ManagedNode
 from galen_ros.qos import STREAM
 from galen_ros.stream.monitor import Severity, State, StreamMonitor
 from galen_ros.stream.pairing import WrenchPairing
-from galen_ros.stream.publishers import Publishers
 from galen_ros.stream.results import Rejected
+from galen_ros.stream.watches import Publishers
 
 PushWrench = Callable[[int, Sequence[float], str, object], list[Any]]
 

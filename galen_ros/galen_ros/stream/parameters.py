@@ -3,8 +3,7 @@
 from dataclasses import dataclass
 
 from galen_ros.parameters.param import param
-from galen_ros.stream.frozen import FROZEN_S
-from galen_ros.stream.lateness import LATE_S
+from galen_ros.stream.watches import FROZEN_S, LATE_S
 
 
 @dataclass(frozen=True)
