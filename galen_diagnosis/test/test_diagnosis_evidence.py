@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
-from galen_diagnosis.inference.linear import SCALES, Background, evidence
 from galen_diagnosis.inference.posterior import Scored, posterior
 from galen_diagnosis.inference.settings import Settings
+from galen_model.evidence.background import SCALES, Background, evidence
 from scipy.stats import multivariate_normal
 
 

@@ -9,10 +9,10 @@ from galen_diagnosis.effects.scans import drift_candidates, scan_steps
 from galen_diagnosis.examples.simulated_recording import make_recording, sweep_poses
 from galen_diagnosis.inference.background import unknown_columns
 from galen_diagnosis.inference.diagnosing import _full_covariance
-from galen_diagnosis.inference.linear import Background
 from galen_diagnosis.inference.refine import Hypothesis
 from galen_diagnosis.observation.observation import Observation, Unknowns
 from galen_diagnosis.observation.recording import read_recording
+from galen_model.evidence.background import Background
 from galen_sim_driver.effects.sensor_effects import SensorSaturation
 
 

@@ -22,10 +22,10 @@ from dataclasses import dataclass
 
 import numpy as np
 from galen_model.arrays import Array
+from galen_model.evidence.background import Background
 
 from galen_diagnosis.answer.answer import Interval
 from galen_diagnosis.effects.saturation import SaturationCandidate
-from galen_diagnosis.inference.linear import Background
 from galen_diagnosis.inference.refine import Hypothesis, refine
 from galen_diagnosis.observation.observation import UNKNOWNS, Observation
 from galen_diagnosis.observation.rows import FOLDS, Rows

@@ -23,6 +23,7 @@ from typing import Any
 import numpy as np
 from galen_model.arm.kinematics import sensor_pose
 from galen_model.arrays import Array
+from galen_model.evidence.background import Background, factor
 from galen_sim_driver.effects.cable_drag import CableDrag
 from galen_sim_driver.effects.effect import Effect
 from galen_sim_driver.effects.registry import contract_parameters, extra_parameters
@@ -32,7 +33,6 @@ from galen_diagnosis.answer.answer import Interval
 from galen_diagnosis.effects.candidates import Candidate
 from galen_diagnosis.effects.saturation import SaturationCandidate
 from galen_diagnosis.effects.scans import JumpCandidate
-from galen_diagnosis.inference.linear import Background, factor
 from galen_diagnosis.inference.refine import Hypothesis
 from galen_diagnosis.inference.settings import Settings
 from galen_diagnosis.observation.observation import Observation

@@ -16,6 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from galen_model.arm.galen import WRENCH_AXES
 from galen_model.arrays import Array
+from galen_model.evidence.background import Background, Evidence, evidences
 from galen_sim_driver.effects.effect import Effect
 from galen_sim_driver.effects.sensor_drift import SensorDrift
 from galen_sim_driver.effects.sensor_effects import BiasStep
@@ -23,7 +24,6 @@ from galen_sim_driver.effects.tracker_effects import BaseShift
 from galen_sim_driver.replay import Replay
 
 from galen_diagnosis.effects.candidates import Candidate, EffectsAt, crosstalk_candidate, crosstalks
-from galen_diagnosis.inference.linear import Background, Evidence, evidences
 from galen_diagnosis.observation.observation import Observation
 from galen_diagnosis.observation.rows import BAGS
 

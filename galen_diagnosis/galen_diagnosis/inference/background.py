@@ -11,9 +11,9 @@ from collections.abc import Mapping
 
 import numpy as np
 from galen_model.arrays import Array
+from galen_model.evidence.background import Background
 
 from galen_diagnosis.effects.candidates import Candidate
-from galen_diagnosis.inference.linear import Background
 from galen_diagnosis.observation.observation import UNKNOWNS, Observation, Unknowns
 from galen_diagnosis.observation.rows import CHANNELS, TIP_AXES
 

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 from galen_model.arrays import Array
+from galen_model.evidence.background import Background, evidence
 from scipy.linalg import block_diag
 
 from galen_diagnosis.answer.answer import NONE, UNKNOWN, Answer, Cause, Interval, Verdict
@@ -20,7 +21,6 @@ from galen_diagnosis.answer.sentence import sentence
 from galen_diagnosis.effects.candidates import NEEDS_MOTION, NEEDS_TRACKER, SOUGHT
 from galen_diagnosis.experiment.next_experiment import Experiment, propose
 from galen_diagnosis.experiment.separation import Alternative
-from galen_diagnosis.inference.linear import Background, evidence
 from galen_diagnosis.inference.oscillation import Oscillation, oscillation
 from galen_diagnosis.inference.posterior import Posterior, Scored, posterior, scored
 from galen_diagnosis.inference.refine import Hypothesis, refine

@@ -4,7 +4,7 @@ Gauss and Newton's method on the penalised sum of squares
 
     F(theta, nu) = |r(theta, xi) - N nu|^2 + nu^T V^-1 nu + (theta - c)^T L^-1 (theta - c),
 
-with r the rows under the effects' numbers theta, N nu as in `linear.py`, xi the pose of base_link
+with r the rows under the effects' numbers theta, N nu as in `Background`, xi the pose of base_link
 in the tracker, which is followed nonlinearly, c and L the prior of theta. A step that doesn't
 lower F is halved. The evidence is Laplace's at the minimum.
 """
@@ -16,11 +16,11 @@ from dataclasses import dataclass
 
 import numpy as np
 from galen_model.arrays import Array
+from galen_model.evidence.background import Background, factor
 from galen_sim_driver.effects.effect import Effect
 from scipy.linalg import cho_solve
 
 from galen_diagnosis.effects.candidates import Candidate
-from galen_diagnosis.inference.linear import Background, factor
 from galen_diagnosis.observation.observation import UNKNOWNS, Observation, Unknowns
 
 _BASE = slice(6, 12)

@@ -14,6 +14,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 from galen_model.arrays import Array
+from galen_model.evidence.background import Background, Evidence, evidence
 from scipy.special import logsumexp
 
 from galen_diagnosis.effects.candidates import Candidate, candidates
@@ -26,7 +27,6 @@ from galen_diagnosis.effects.scans import (
     scan_steps,
 )
 from galen_diagnosis.inference.background import background, key_of, tolerances, unknown_columns
-from galen_diagnosis.inference.linear import Background, Evidence, evidence
 from galen_diagnosis.inference.refine import Hypothesis, nothing, refine
 from galen_diagnosis.observation.observation import Observation
 

@@ -3,7 +3,7 @@
 Means over cells see any structure, but with thousands of cells a few hundred of energy are chance.
 What machines do wrong is mostly a smooth function of something: of gravity's direction, the joints,
 their rates, the reading itself, what the reading was before, time, the applied load. A family of
-such functions for each, with Bayes' factor as an effect has (`linear.py`), sees a tenth of that,
+such functions for each, with Bayes' factor as an effect has (`Background`), sees a tenth of that,
 and says what the gap depends on where nothing on the list is it.
 """
 
@@ -16,8 +16,8 @@ import numpy as np
 from galen_model.arm.galen import JOINT_NAMES
 from galen_model.arm.kinematics import sensor_pose
 from galen_model.arrays import Array
+from galen_model.evidence.background import Background, evidence
 
-from galen_diagnosis.inference.linear import Background, evidence
 from galen_diagnosis.observation.noise import smooth_basis
 from galen_diagnosis.observation.observation import Observation
 from galen_diagnosis.observation.rows import BAGS, CHANNELS, TIP_AXES

@@ -1,4 +1,4 @@
-"""The linear picture of a recording: columns of unknowns and effects, and their evidence.
+"""The linear picture of whitened rows: nuisance columns, effects' columns, and their evidence.
 
 Rows are r = N nu + T theta + e with e white of unit variance. N holds the unknowns that are no gap
 and what a healthy arm's tolerances do, both with a prior of mean zero; T an effect's change of
@@ -17,9 +17,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from galen_model.arrays import Array
 from scipy.linalg import cho_factor, cho_solve
 from scipy.special import logsumexp
+
+from galen_model.arrays import Array
 
 SCALES = (0.1, 0.3, 1.0, 3.0, 10.0)
 
