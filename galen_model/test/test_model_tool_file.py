@@ -9,6 +9,7 @@ import time
 
 import numpy as np
 import pytest
+from galen_model.arm.kinematics import gravity_in_sensor
 from galen_model.errors import CalibrationFileError, ToolNameError
 from galen_model.files.calibration_file import (
     CalibrationFile,
@@ -18,7 +19,7 @@ from galen_model.files.calibration_file import (
     read_calibration,
     write_calibration,
 )
-from galen_model.load.model import nominal_reading
+from galen_model.load.model import Load, nominal_reading
 from galen_model.load.nominal_tools import ADAPTER, TOOLS
 
 
@@ -55,6 +56,64 @@ def test_what_is_written_is_read_back(tmp_path):
     roll, tilt = np.array([0.3, -1.0]), np.array([0.1, 0.7])
     expected = nominal_reading(roll, tilt, TOOLS["pointer"].load, ADAPTER) + tool.residual_offset
     np.testing.assert_allclose(again.predict(roll, tilt), expected, atol=1e-14)
+
+
+def schema_1(roll=0.3, tilt=-0.2, gravity=-9.8):
+    """A file as it was written before the arm and the zeroing were in it."""
+    content = make(gravity_m_s2=np.array([0.0, 0.0, gravity])).to_json()
+    for key in ("arm", "zeroing"):
+        del content[key]
+    return content | {
+        "schema_version": 1,
+        "bias": content.pop("adapter"),
+        "bias_pose_rad": {"roll": roll, "tilt": tilt},
+    }
+
+
+def test_a_file_of_schema_1_is_read_as_before(tmp_path):
+    path = tmp_path / "pointer.json"
+    path.write_text(json.dumps(schema_1()))
+    file = read_calibration(path)
+    at_zero = gravity_in_sensor(0.3, -0.2) * 9.8 / 9.80665
+    np.testing.assert_allclose(file.gravity_at_zeroing, at_zero, rtol=1e-15)
+    assert file.zero_pose_rad == (0.3, -0.2) and file.arm.name == "galen" and not file.arm_warning
+    roll, tilt = np.array([0.3, -1.0]), np.array([0.1, 0.7])
+    expected = (
+        nominal_reading(roll, tilt, TOOLS["pointer"].load, ADAPTER, 0.3, -0.2) * 9.8 / 9.80665
+    )
+    np.testing.assert_allclose(file.predict(roll, tilt), expected, atol=1e-14)
+    write_calibration(path, file)
+    assert json.loads(path.read_text())["schema_version"] == 2
+    np.testing.assert_array_equal(
+        read_calibration(path).predict(roll, tilt), file.predict(roll, tilt)
+    )
+
+
+@pytest.mark.parametrize("field", ["bias", "bias_pose_rad"])
+def test_a_field_that_schema_1_lacks_is_named_as_there(tmp_path, field):
+    content = schema_1()
+    del content[field]
+    path = tmp_path / "pointer.json"
+    path.write_text(json.dumps(content))
+    with pytest.raises(CalibrationFileError, match=f"{field} is missing"):
+        read_calibration(path)
+
+
+def test_another_urdf_of_the_same_arm_is_a_warning(tmp_path):
+    path = tmp_path / "pointer.json"
+    content = make().to_json()
+    content["arm"]["urdf_sha256"] = "ab" * 32
+    path.write_text(json.dumps(content))
+    warning = read_calibration(path).arm_warning
+    assert "another URDF of the arm 'galen' (abababababab," in warning
+
+
+def test_without_a_zeroing_the_adapter_is_weighed_like_the_tool(tmp_path):
+    path = tmp_path / "pointer.json"
+    write_calibration(path, make(zeroing=None))
+    both = nominal_reading(0.3, 0.1, TOOLS["pointer"].load, Load(0.0))
+    both = both + nominal_reading(0.3, 0.1, ADAPTER, Load(0.0))
+    np.testing.assert_allclose(read_calibration(path).predict(0.3, 0.1), both, atol=1e-14)
 
 
 def test_the_old_file_is_kept_as_bak(tmp_path):
