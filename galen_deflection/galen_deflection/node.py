@@ -18,8 +18,7 @@ from rcl_interfaces.msg import SetParametersResult
 from rclpy.parameter import Parameter
 from std_srvs.srv import Trigger
 
-from galen_deflection.live.deflector import Deflected, Deflector
-from galen_deflection.live.gravcomp_state import GravcompState
+from galen_deflection.live.deflector import Deflected, Deflector, GravcompState
 from galen_deflection.live.monitor import DeflectorMonitor
 from galen_deflection.live.parameters import DeflectionParameters
 from galen_deflection.models.file import read_model

@@ -22,7 +22,7 @@ from galen_deflection.models.registry import KINDS
 from galen_deflection.scoring.splits import report_splits, sets_of
 from galen_deflection.springs.springs import kinds
 from galen_model.files.calibration_file import read_calibration
-from galen_ros.goal.client import EXIT_USAGE
+from galen_ros.command import EXIT_USAGE
 from galen_ros.node.testing import Harness
 
 from galen_msgs.action import CollectPushes
@@ -96,7 +96,6 @@ def test_error_codes_and_states_are_the_action_s():
         ["monday"],
         ["../x", "--tool", "retractor"],
         ["monday", "--tool", "a b"],
-        ["monday", "--tool", "retractor", "--by-hand", "--by-service"],
         ["monday", "--tool", "retractor", "--positions", "1", "2"],
         ["monday", "--tool", "retractor", "--forces-n", "nan"],
         ["monday", "--tool", "retractor", "--sets", "0"],

@@ -9,8 +9,7 @@ import pytest
 from deflection_made_model import made_model
 from deflection_synthetic import TIP_M, recording
 from galen_deflection.live.corrected_tip import CorrectedTip
-from galen_deflection.live.deflector import Deflected, Deflector, ModelRejection
-from galen_deflection.live.gravcomp_state import GravcompState
+from galen_deflection.live.deflector import Deflected, Deflector, GravcompState, ModelRejection
 from galen_deflection.live.monitor import DeflectorMonitor
 from galen_deflection.live.parameters import DeflectionParameters
 from galen_deflection.springs.springs import Springs

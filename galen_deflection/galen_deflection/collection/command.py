@@ -9,14 +9,10 @@ import sys
 from typing import Any
 
 import numpy as np
+from galen_ros.command import EXIT_OK, finite, make_parser, whole
 from galen_ros.goal.client import (
-    EXIT_CANCELED,
-    EXIT_FAILED,
-    EXIT_OK,
-    EXIT_USAGE,
     GoalClient,
     add_client_options,
-    make_parser,
     read_options,
     report_error,
     result_to_dict,
@@ -28,13 +24,6 @@ from galen_deflection.collection.commands import ErrorCode, State
 from galen_deflection.collection.plan import MOST_SETS
 from galen_msgs.action import CollectPushes
 
-_EPILOG = f"""Axes are those of base_link. What isn't given here is as in the node's parameters.
-
-exit codes:
-  {EXIT_OK}    collected; what was left out is printed
-  {EXIT_FAILED}    failed; the reason is printed, and where what was recorded is
-  {EXIT_USAGE}    wrong arguments
-  {EXIT_CANCELED}  canceled (Ctrl-C); the arm is stopped, what was recorded stays as unfinished"""
 _PUSHING = (State.PUSH, State.HOLD, State.RELEASE, State.REST)
 
 
@@ -67,15 +56,15 @@ class CollectClient(GoalClient):
 
     def on_feedback(self, feedback: Any) -> None:
         """Show it: the bar at each, a line where something new is to be done or was wrong."""
-        self.bar.show(feedback.done, feedback.total, feedback.message)
+        self.bar.show(feedback.message, feedback.done, feedback.total)
         # What is pushed now comes some ten times a second, and only the bar can keep up with it.
         looks = feedback.state in _PUSHING and math.isfinite(feedback.along)
         said = (feedback.state, *feedback.wanted) if looks else (feedback.message,)
-        if said == self._said or (looks and self.bar.fancy):
+        if said == self._said or (looks and self.bar.active):
             return
         self._said = said
         where = f" set {feedback.set}, position {feedback.position}:" if feedback.set else ""
-        self.bar.say(f"[{feedback.done}/{feedback.total}]{where} {feedback.message}")
+        self.bar.line(f"[{feedback.done}/{feedback.total}]{where} {feedback.message}")
 
 
 def parse(arguments: list[str]) -> argparse.Namespace:
@@ -83,33 +72,36 @@ def parse(arguments: list[str]) -> argparse.Namespace:
     parser = make_parser(
         "collect",
         "Record pushes at the tool's tip, for deflection models to be fitted to.",
-        _EPILOG,
+        notes="Axes are those of base_link. What isn't given here is as in the node's parameters.",
+        ok="collected; what was left out is printed",
+        failed="failed; the reason is printed, and where what was recorded is",
+        interrupted="canceled (Ctrl-C); the arm is stopped, the recording stays as unfinished",
     )
     parser.add_argument("name", help="of the recording: letters, digits, _ and -")
     parser.add_argument("--tool", required=True, help="the tool that is on, with a tool's file")
-    who = parser.add_mutually_exclusive_group()
-    who.add_argument(
-        "--by-hand", action="store_true", help="a person pushes as asked here (the default)"
+    parser.add_argument(
+        "--by-service",
+        action="store_true",
+        help="the driver's service push_tool pushes, not a person as asked here",
     )
-    who.add_argument(
-        "--by-service", action="store_true", help="the driver's service push_tool pushes"
+    parser.add_argument(
+        "--sets", type=whole(1, MOST_SETS), default=0, help="visits of each position"
     )
-    parser.add_argument("--sets", type=_sets, default=0, help="visits of each position")
     parser.add_argument(
         "--positions",
         nargs="+",
-        type=_number,
+        type=finite,
         default=[],
         metavar="JOINT",
         help="five joints a position: delta x, y, z in m, roll, tilt in rad",
     )
     parser.add_argument(
-        "--forces-n", nargs="+", type=_number, default=[], metavar="N", help="levels of force, N"
+        "--forces-n", nargs="+", type=finite, default=[], metavar="N", help="levels of force, N"
     )
     parser.add_argument(
         "--torques-nm",
         nargs="+",
-        type=_number,
+        type=finite,
         default=[],
         metavar="NM",
         help="levels of torque about the tip, N·m",
@@ -119,20 +111,6 @@ def parse(arguments: list[str]) -> argparse.Namespace:
     if len(options.positions) % 5:
         parser.error(f"--positions has {len(options.positions)} numbers, not five a position")
     return options
-
-
-def _number(text: str) -> float:
-    value = float(text)
-    if not math.isfinite(value):
-        raise argparse.ArgumentTypeError(f"{text} is not finite")
-    return value
-
-
-def _sets(text: str) -> int:
-    value = int(text)
-    if not 1 <= value <= MOST_SETS:
-        raise argparse.ArgumentTypeError(f"{value} is not in 1 ... {MOST_SETS}")
-    return value
 
 
 def main() -> None:

@@ -207,6 +207,48 @@ class Deflector:
         return self.last
 
 
+class GravcompState(NamedTuple):
+    """What galen_gravcomp reports of itself on /diagnostics.
+
+    The active tool, its tip (3,) in ft_sensor, m, when it was calibrated, and the tare.
+
+    `tool` is empty where none is loaded. `tare`: the offset taken off, as text, and whether it
+    still comes in.
+    """
+
+    tool: str
+    tip_m: Array | None
+    calibrated_at: str
+    tare: str
+    ramping: bool
+
+    @classmethod
+    def of(cls, values: Mapping[str, str]) -> GravcompState:
+        """From a report's values; what lacks is empty."""
+        try:
+            tip = np.array([float(word) for word in values.get("tip_m", "").split()])
+        except ValueError:
+            tip = np.zeros(0)
+        known = tip.shape == (3,) and bool(np.isfinite(tip).all())
+        return cls(
+            tool=values.get("tool", ""),
+            tip_m=tip if known else None,
+            calibrated_at=values.get("calibrated_at", ""),
+            tare=f"{values.get('tare_force_n', '')} {values.get('tare_torque_nm', '')}".strip(),
+            ramping=values.get("tare", "") == "ramping",
+        )
+
+    def change_since(self, before: GravcompState) -> str:
+        """What changed of the wrench's meaning, in words; empty if nothing did."""
+        if self.tool != before.tool:
+            return f"gravcomp's tool changed from '{before.tool}' to '{self.tool}'"
+        if self.calibrated_at != before.calibrated_at:
+            return f"gravcomp loaded another calibration of '{self.tool}'"
+        if self.tare != before.tare or self.ramping != before.ramping:
+            return "gravcomp's tare changed"
+        return ""
+
+
 def _apart(one: Array, other: Array) -> bool:
     return float(np.linalg.norm(one - other)) > TIP_TOLERANCE_M
 

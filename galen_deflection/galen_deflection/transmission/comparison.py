@@ -17,9 +17,8 @@ from galen_model.transmission.parts import Parts
 from galen_model.transmission.terms import Scales, design, velocity
 
 from galen_deflection.networks.training import RecurrentSettings, Series, train
-from galen_deflection.transmission import joint_forms
-from galen_deflection.transmission.joint_fit import CellSums, fit_terms
-from galen_deflection.transmission.joint_forms import FORMS
+from galen_deflection.transmission import joint_fit
+from galen_deflection.transmission.joint_fit import FORMS, CellSums, fit_terms
 
 OURS = "ours"
 NETWORKS = ("LSTM", "LSTM direct")
@@ -147,11 +146,11 @@ class _Bench:
         designs = [design(run, scales) for run in runs]
         sums = CellSums.of(runs, parts, designs)
         forms = [
-            joint_forms.choose(form, sums, trained_on, settings.common)
+            joint_fit.choose(form, sums, trained_on, settings.common)
             for form in FORMS
             if form.name != "common terms" or settings.common
         ]
-        best = joint_forms.ours(forms)
+        best = joint_fit.ours(forms)
         self.chosen.append(best.form.name)
         for chosen in forms:
             weights = fit_terms(sums, sums.of_parts(trained_on), chosen.terms)

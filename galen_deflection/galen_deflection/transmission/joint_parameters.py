@@ -10,9 +10,8 @@ from galen_model.arrays import Array
 from galen_model.transmission.terms import MOTION_PLAYS, TERMS, TORQUE_PLAYS, Scales, design
 
 from galen_deflection.transmission.comparison import Comparison
-from galen_deflection.transmission.joint_fit import CellSums, bootstrap, fit_terms
-from galen_deflection.transmission.joint_forms import FORMS, choose
-from galen_deflection.transmission.joint_forms import ours as chosen_form
+from galen_deflection.transmission.joint_fit import FORMS, CellSums, bootstrap, choose, fit_terms
+from galen_deflection.transmission.joint_fit import ours as chosen_form
 
 UNITS = {
     "compliance_first": "rad/(N.m)",
