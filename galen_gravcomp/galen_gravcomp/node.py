@@ -4,6 +4,7 @@ import time
 from typing import Any
 
 from galen_model.errors import CalibrationFileError, ToolNameError
+from galen_model.files.calibration_file import CalibrationFile
 from galen_ros.cdr.layout import UnreadableError
 from galen_ros.cdr.wire import ImuWire, RawWrench
 from galen_ros.node.spin import run
@@ -109,12 +110,17 @@ class GravcompNode(StreamNode):
             stored = self._tools.read(name)
             self._compensator.set_tool(stored.tool)
             self._tools.active_tool.put(stored)
+            self._warn_of_another_urdf(stored.tool)
         except (ToolNameError, CalibrationFileError) as error:
             if not self.starts_itself:
                 raise  # whoever configures it hears of it
             # The node lives on, so that the state is on /diagnostics and the file can be fixed.
             self._compensator.set_tool(None, str(error))
             self._compensation.set_tool_error(str(error))
+
+    def _warn_of_another_urdf(self, file: CalibrationFile) -> None:
+        if file.arm_warning:
+            self.get_logger().warning(file.arm_warning)
 
     def _on_set_tool(self, request: SetTool.Request, response: SetTool.Response) -> Any:
         response.success = False
@@ -133,6 +139,8 @@ class GravcompNode(StreamNode):
             self._tools.active_tool.put(stored)
             self._choose_joints()
             self.get_logger().info(f"active tool: {request.tool or 'none'}")
+            if stored is not None:
+                self._warn_of_another_urdf(stored.tool)
         self._fill_active_tool(response)
         self._tools.active_tool.update()
         if not response.success:
