@@ -11,8 +11,8 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from galen_bringup.offline_cell import OfflineCell
 from galen_sim_driver.plant.config import HandPush
+from offline_cell import OfflineCell
 
 RESIDUAL_FRACTION = 0.0742
 """Of a joint's deflection, what is left at no load: what a recording of another's arm shows."""

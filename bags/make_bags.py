@@ -25,8 +25,6 @@ import numpy as np
 from galen_bags.errors import BagError
 from galen_bags.formats.bag import content_sha256, open_bag
 from galen_bags.formats.writer import BagWriter
-from galen_bringup.cell_bag import CellBag
-from galen_bringup.offline_cell import OfflineCell
 from galen_calibration_behavior.calibration.estimate import calibrate
 from galen_calibration_behavior.calibration.procedure import CalibrationRequest
 from galen_calibration_behavior.parameters import CalibrationParameters
@@ -46,6 +44,7 @@ from galen_sim_driver.plant.config import (
     PlantConfig,
 )
 from galen_sim_driver.plant.trajectory import Trajectory, TrajectoryPoint
+from offline_cell import CellBag, OfflineCell
 from tqdm import tqdm
 
 HERE = Path(__file__).resolve().parent

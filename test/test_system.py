@@ -6,8 +6,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 from galen_bringup.demo import main as demo
-from galen_bringup.processes import Processes
-from galen_bringup.suite import AVERAGE_S, calibrate, connected_arm, ros_world, start_suite
+from galen_bringup.processes import (
+    AVERAGE_S,
+    Processes,
+    calibrate,
+    connected_arm,
+    ros_world,
+    start_suite,
+)
 from galen_bringup.verification import random_poses, visit
 from galen_model.files.calibration_file import read_calibration
 from galen_model.load.nominal_tools import ADAPTER, TOOLS

@@ -29,8 +29,7 @@ from typing import Any
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
-from galen_bringup.processes import Processes, ros_arguments
-from galen_bringup.suite import ros_world
+from galen_bringup.processes import Processes, ros_arguments, ros_world
 from galen_model.arm.galen import HOME, JOINT_NAMES
 from galen_model.files.atomic_file import write_whole
 from galen_ros.cdr.layout import NS_PER_S, STAMP_AT

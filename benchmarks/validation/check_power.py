@@ -25,7 +25,7 @@ from galen_calibration_behavior.parameters import CalibrationParameters
 from galen_calibration_behavior.quick_check.answer import CheckLimits
 from galen_calibration_behavior.quick_check.causes import load_and_offset
 from galen_calibration_behavior.quick_check.decision import differences, quick_check
-from galen_calibration_behavior.quick_check.poses import plan_check
+from galen_calibration_behavior.quick_check.procedure import plan_check
 from galen_model.arm.galen import SENSOR
 from galen_model.arm.kinematics import gravity_in_sensor
 from galen_model.arrays import Array

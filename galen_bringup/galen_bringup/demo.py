@@ -2,7 +2,7 @@
 
 Starts driver, calibration and compensation as processes of their own, calibrates both tools through
 the action, visits poses that the calibration has not seen, and prints what is left of the tools'
-weight beside the 2019 report's tables and the noise; then turns the arm in admittance mode with
+weight beside the 2019 report's tables and the noise; then turns the arm in admittance mode
 without contact, with the compensation off and on.
 """
 
@@ -14,12 +14,10 @@ import signal
 import sys
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from galen_model.arm.galen import WRENCH_AXES
 from galen_model.arrays import Array
 from galen_model.errors import GalenError
 from galen_model.load.model import nominal_reading
@@ -35,47 +33,26 @@ from galen_ros.command import (
 )
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
-from rich.table import Table
 
-from galen_bringup.drift import Drift, measure_drift
-from galen_bringup.figures import plot_compensation, plot_drift, plot_residual_map
-from galen_bringup.processes import Processes
-from galen_bringup.suite import AVERAGE_S, calibrate, connected_arm, ros_world, start_suite
+from galen_bringup.drift import measure_drift
+from galen_bringup.processes import (
+    AVERAGE_S,
+    Processes,
+    calibrate,
+    connected_arm,
+    ros_world,
+    start_suite,
+)
+from galen_bringup.report import (
+    DemoResult,
+    ToolResult,
+    plot_compensation,
+    plot_drift,
+    plot_residual_map,
+    print_report,
+    to_json,
+)
 from galen_bringup.verification import PoseReadings, random_poses, visit
-
-REPORT_RMSE = {
-    "pointer": np.array([0.0214, 0.0174, 0.0306, 0.2835e-3, 0.6009e-3, 0.3330e-3]),
-    "retractor": np.array([0.0245, 0.0134, 0.0388, 0.6621e-3, 0.7079e-3, 0.3997e-3]),
-}
-"""Tables 1 and 2 of the 2019 report, on the real arm: RMSE (6,), N and N.m."""
-
-
-@dataclass(frozen=True)
-class ToolResult:
-    """One tool: what the calibration answered, and what is left at unseen poses."""
-
-    calibration: dict[str, Any]
-    readings: PoseReadings
-    noise: Array
-    """Noise (6,) that the averaged readings had, known because the arm is simulated."""
-    sample_rmse: Array
-
-    @property
-    def over_noise(self) -> Array:
-        """Ratio (6,): 1 if the compensation added nothing to the noise."""
-        return self.readings.rmse / self.noise
-
-
-@dataclass(frozen=True)
-class DemoResult:
-    """All that the demonstration measured."""
-
-    tools: dict[str, ToolResult]
-    drift_tool: str
-    drift_off: Drift
-    drift_on: Drift
-    wall_s: float
-    figures: list[str]
 
 
 def run_demo(options: argparse.Namespace, console: Console) -> DemoResult:
@@ -146,107 +123,6 @@ def _progress(console: Console) -> Progress:
         TimeElapsedColumn(),
     )
     return Progress(*columns, console=console)
-
-
-def print_report(result: DemoResult, console: Console) -> None:
-    """The report's tables beside ours, and the drift."""
-    for number, (tool, found) in enumerate(result.tools.items(), start=1):
-        readings = found.readings
-        table = Table(
-            title=f"{tool}: root mean square of the compensated reading at {len(readings.raw)} "
-            "poses that the calibration has not seen",
-            title_justify="left",
-        )
-        table.add_column("axis")
-        table.add_column("unit")
-        for name in (
-            f"report's table {number}\n(real arm)",
-            "averaged\nreading",
-            "noise\nin it",
-            "over\nnoise",
-            "one\nsample",
-            "without com-\npensation",
-        ):
-            table.add_column(name, justify="right")
-        raw = np.sqrt(np.mean(readings.raw**2, axis=0))
-        for index, axis in enumerate(WRENCH_AXES):
-            scale, unit = (1.0, "N") if index < 3 else (1e3, "mN·m")
-            table.add_row(
-                axis,
-                unit,
-                f"{REPORT_RMSE[tool][index] * scale:.4f}",
-                f"{readings.rmse[index] * scale:.5f}",
-                f"{found.noise[index] * scale:.5f}",
-                f"{found.over_noise[index]:.3f}",
-                f"{found.sample_rmse[index] * scale:.4f}",
-                f"{raw[index] * scale:.4f}",
-            )
-        console.print(table)
-        calibration = found.calibration
-        truth = TOOLS[tool]
-        console.print(
-            f"  mass {calibration['mass_kg'] * 1e3:.3f} g (standard deviation "
-            f"{calibration['mass_std_kg'] * 1e3:.3f} g; simulated: "
-            f"{truth.load.mass_kg * 1e3:.1f} g), centre {_millimetres(calibration['com_m'])} mm "
-            f"(simulated: {_millimetres(truth.load.com_m)} mm)"
-        )
-        for skipped in readings.skipped:
-            console.print(f"  [yellow]skipped {skipped}[/yellow]")
-    off, on = result.drift_off, result.drift_on
-    table = Table(
-        title=f"Drift of the {result.drift_tool} in admittance mode, without contact",
-        title_justify="left",
-    )
-    for name in ("", "at the end (mm)", "largest (mm)", "largest (°)"):
-        table.add_column(name, justify="right" if name else "left")
-    for name, drift in (("compensation off", off), ("compensation on", on)):
-        table.add_row(
-            name,
-            f"{drift.end_m * 1e3:.3f}",
-            f"{drift.largest_m * 1e3:.3f}",
-            f"{np.degrees(drift.angle.max()):.4f}",
-        )
-    console.print(table)
-    console.print(f"  largest on over largest off: {100 * on.largest_m / off.largest_m:.3f} %")
-    console.print("figures:")
-    for figure in result.figures:
-        console.print(f"  {figure}", soft_wrap=True)
-    console.print(f"took {result.wall_s:.0f} s")
-
-
-def _millimetres(vector: Sequence[float] | Array) -> str:
-    return "(" + ", ".join(f"{1e3 * value:.2f}" for value in vector) + ")"
-
-
-def to_json(result: DemoResult) -> dict[str, Any]:
-    """The result for a program; SI units."""
-    return {
-        "tools": {
-            tool: {
-                "calibration": found.calibration,
-                "poses": len(found.readings.raw),
-                "skipped": list(found.readings.skipped),
-                "report_rmse": REPORT_RMSE[tool].tolist(),
-                "rmse": found.readings.rmse.tolist(),
-                "noise": found.noise.tolist(),
-                "noise_from_scatter": found.readings.noise.tolist(),
-                "over_noise": found.over_noise.tolist(),
-                "sample_rmse": found.sample_rmse.tolist(),
-                "raw_rmse": np.sqrt(np.mean(found.readings.raw**2, axis=0)).tolist(),
-            }
-            for tool, found in result.tools.items()
-        },
-        "drift": {
-            name: {
-                "end_m": drift.end_m,
-                "largest_m": drift.largest_m,
-                "largest_rad": float(drift.angle.max()),
-            }
-            for name, drift in (("off", result.drift_off), ("on", result.drift_on))
-        },
-        "wall_s": result.wall_s,
-        "figures": result.figures,
-    }
 
 
 def build_parser() -> argparse.ArgumentParser:

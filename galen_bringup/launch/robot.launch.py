@@ -8,10 +8,8 @@
 wrench `measured_cf` and the joints `measured_js`, under `crtk_namespace`.
 """
 
-from typing import Any
-
+from galen_bringup.launch_arguments import COMMON, declare, enclave
 from launch import LaunchDescription
-from launch.actions import DeclareLaunchArgument
 from launch.conditions import IfCondition
 from launch.substitutions import (
     IfElseSubstitution,
@@ -27,13 +25,9 @@ _TOPICS = ("wrench_raw", "joint_states", "imu", "wrench_compensated", "joint_tra
 _CRTK = {"wrench_raw": "measured_cf", "joint_states": "measured_js"}
 
 
-def _enclave(node: str) -> list[Any]:
-    """The node's enclave; it counts only where ROS_SECURITY_ENABLE is true."""
-    return ["--enclave", [LaunchConfiguration("enclaves"), f"/{node}"]]
-
-
 def generate_launch_description() -> LaunchDescription:
     """Declare the arguments; start the nodes with the topics' remaps."""
+    share = FindPackageShare("galen_bringup")
     crtk = LaunchConfiguration("crtk")
     remaps = []
     for topic in _TOPICS:
@@ -55,64 +49,24 @@ def generate_launch_description() -> LaunchDescription:
     }
     return LaunchDescription(
         [
-            DeclareLaunchArgument(
-                "config",
-                default_value=PathJoinSubstitution(
-                    [FindPackageShare("galen_bringup"), "config", "robot.yaml"]
-                ),
-                description="parameters of all nodes",
-            ),
-            DeclareLaunchArgument("namespace", default_value="", description="of all nodes"),
-            DeclareLaunchArgument(
-                "enclaves",
-                default_value="/galen",
-                description="where SROS 2 has the nodes' enclaves",
-            ),
-            DeclareLaunchArgument(
-                "use_sim_time", default_value="false", description="follow /clock"
-            ),
-            DeclareLaunchArgument(
-                "tool", default_value="", description="tool whose file gravcomp loads at start"
-            ),
-            DeclareLaunchArgument(
-                "tools_dir", default_value="~/.ros/galen/tools", description="the calibration files"
-            ),
-            DeclareLaunchArgument(
-                "deflection_model",
-                default_value="",
-                description="model's file for the deflection; empty: its node is not started",
-            ),
-            DeclareLaunchArgument(
-                "panel", default_value="false", description="start the operator's panel, too"
-            ),
-            DeclareLaunchArgument(
-                "panel_host",
-                default_value="127.0.0.1",
-                description="where the panel listens; not this machine alone: it prints a token",
-            ),
-            DeclareLaunchArgument(
-                "panel_port", default_value="8080", description="the panel's port"
-            ),
-            DeclareLaunchArgument(
-                "bags_dir", default_value=".", description="where the panel looks for recordings"
-            ),
-            DeclareLaunchArgument(
-                "crtk", default_value="false", description="inputs by their CRTK names"
-            ),
-            DeclareLaunchArgument(
-                "crtk_namespace", default_value="/REMS/Research", description="where they are"
-            ),
-            *(
-                DeclareLaunchArgument(
-                    topic, default_value=topic, description=f"{topic} on this arm"
-                )
-                for topic in _TOPICS
+            *declare(
+                {
+                    "config": (
+                        PathJoinSubstitution([share, "config", "robot.yaml"]),
+                        "parameters of all nodes",
+                    ),
+                    **COMMON,
+                    "use_sim_time": ("false", "follow /clock"),
+                    "crtk": ("false", "inputs by their CRTK names"),
+                    "crtk_namespace": ("/REMS/Research", "where they are"),
+                    **{topic: (topic, f"{topic} on this arm") for topic in _TOPICS},
+                }
             ),
             Node(
                 package="galen_gravcomp",
                 executable="gravcomp_node",
                 name="gravcomp",
-                ros_arguments=_enclave("gravcomp"),
+                ros_arguments=enclave("gravcomp"),
                 parameters=[
                     config,
                     overrides,
@@ -124,7 +78,7 @@ def generate_launch_description() -> LaunchDescription:
                 package="galen_calibration_behavior",
                 executable="calibration_node",
                 name="calibration",
-                ros_arguments=_enclave("calibration"),
+                ros_arguments=enclave("calibration"),
                 parameters=[config, overrides],
                 **common,
             ),
@@ -132,7 +86,7 @@ def generate_launch_description() -> LaunchDescription:
                 package="galen_deflection",
                 executable="deflection_node",
                 name="deflection",
-                ros_arguments=_enclave("deflection"),
+                ros_arguments=enclave("deflection"),
                 condition=IfCondition(NotEqualsSubstitution(model, "")),
                 parameters=[
                     config,
@@ -145,7 +99,7 @@ def generate_launch_description() -> LaunchDescription:
                 package="galen_panel",
                 executable="panel",
                 # No name: it would be that of both nodes in the panel's process.
-                ros_arguments=_enclave("panel"),
+                ros_arguments=enclave("panel"),
                 arguments=[
                     *("--host", LaunchConfiguration("panel_host")),
                     *("--port", LaunchConfiguration("panel_port")),

@@ -3,8 +3,9 @@
 ros2 launch galen_bringup simulation.launch.py speed_factor:=5 tool:=pointer panel:=true
 """
 
+from galen_bringup.launch_arguments import COMMON, declare, enclave
 from launch import LaunchDescription
-from launch.actions import DeclareLaunchArgument, IncludeLaunchDescription
+from launch.actions import IncludeLaunchDescription
 from launch.substitutions import (
     LaunchConfiguration,
     NotEqualsSubstitution,
@@ -14,11 +15,6 @@ from launch.substitutions import (
 from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 from launch_ros.substitutions import FindPackageShare
-
-_HANDED_ON = (
-    *("namespace", "enclaves", "tool", "tools_dir", "deflection_model"),
-    *("panel", "panel_host", "panel_port", "bags_dir"),
-)
 
 
 def generate_launch_description() -> LaunchDescription:
@@ -30,52 +26,21 @@ def generate_launch_description() -> LaunchDescription:
     config = LaunchConfiguration("config")
     return LaunchDescription(
         [
-            DeclareLaunchArgument(
-                "config",
-                default_value=PathJoinSubstitution([share, "config", "simulation.yaml"]),
-                description="parameters of all nodes",
-            ),
-            DeclareLaunchArgument("namespace", default_value="", description="of all nodes"),
-            DeclareLaunchArgument(
-                "enclaves",
-                default_value="/galen",
-                description="where SROS 2 has the nodes' enclaves",
-            ),
-            DeclareLaunchArgument(
-                "speed_factor", default_value="1.0", description="simulated over wall time"
-            ),
-            DeclareLaunchArgument(
-                "tool",
-                default_value="",
-                description="tool on the simulated arm, whose file gravcomp loads; empty: none",
-            ),
-            DeclareLaunchArgument(
-                "deflection_model",
-                default_value="",
-                description="model's file for the deflection; empty: its node is not started",
-            ),
-            DeclareLaunchArgument(
-                "tools_dir", default_value="~/.ros/galen/tools", description="the calibration files"
-            ),
-            DeclareLaunchArgument(
-                "panel", default_value="false", description="start the operator's panel, too"
-            ),
-            DeclareLaunchArgument(
-                "panel_host",
-                default_value="127.0.0.1",
-                description="where the panel listens; not this machine alone: it prints a token",
-            ),
-            DeclareLaunchArgument(
-                "panel_port", default_value="8080", description="the panel's port"
-            ),
-            DeclareLaunchArgument(
-                "bags_dir", default_value=".", description="where the panel looks for recordings"
+            *declare(
+                {
+                    "config": (
+                        PathJoinSubstitution([share, "config", "simulation.yaml"]),
+                        "parameters of all nodes",
+                    ),
+                    **COMMON,
+                    "speed_factor": ("1.0", "simulated over wall time"),
+                }
             ),
             Node(
                 package="galen_sim_driver",
                 executable="sim_driver_node",
                 name="sim_driver",
-                ros_arguments=["--enclave", [LaunchConfiguration("enclaves"), "/sim_driver"]],
+                ros_arguments=enclave("sim_driver"),
                 namespace=LaunchConfiguration("namespace"),
                 parameters=[
                     config,
@@ -91,7 +56,7 @@ def generate_launch_description() -> LaunchDescription:
                 launch_arguments={
                     "config": config,
                     "use_sim_time": sim_time,
-                    **{name: LaunchConfiguration(name) for name in _HANDED_ON},
+                    **{name: LaunchConfiguration(name) for name in COMMON},
                 }.items(),
             ),
         ]

@@ -6,16 +6,14 @@ import numpy as np
 import pytest
 from galen_bags.arrays.arm_recording import read_arm
 from galen_bags.formats.writer import BagWriter
-from galen_bringup.cell_bag import CellBag
-from galen_bringup.offline_cell import OfflineCell
 from galen_calibration_behavior.calibration.estimate import estimate
 from galen_calibration_behavior.calibration.procedure import CalibrationRequest
-from galen_calibration_behavior.from_bag.home_stays import BiasPose
 from galen_calibration_behavior.from_bag.recorded_sweeps import SweepSorter
 from galen_calibration_behavior.from_bag.visits import find_visits
 from galen_calibration_behavior.parameters import CalibrationParameters
 from galen_sim_driver.plant.cell import Plant
 from galen_sim_driver.plant.config import HandPush, PlantConfig
+from offline_cell import CellBag, OfflineCell
 
 PARAMETERS = CalibrationParameters()
 # 2.5 ms off the grid on which a live sweep looks at the arm
@@ -60,7 +58,7 @@ def calibrate_and_record(folder, grid, *, rate_hz=100.0, seed=1, start=None, tou
 
 def offline(recording):
     settings = PARAMETERS
-    sweeps = SweepSorter(settings, BiasPose(PARAMETERS.Rhome, PARAMETERS.Thome))
+    sweeps = SweepSorter(settings, (PARAMETERS.Rhome, PARAMETERS.Thome))
     return sweeps.two_sweeps(find_visits(recording, settings)).measurements
 
 

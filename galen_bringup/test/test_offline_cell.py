@@ -6,8 +6,6 @@ import numpy as np
 import pytest
 from galen_bags.formats.bag import open_bag
 from galen_bags.formats.writer import BagWriter
-from galen_bringup.cell_bag import CellBag
-from galen_bringup.offline_cell import OfflineCalibrationError, OfflineCell
 from galen_calibration_behavior.calibration.procedure import CalibrationRequest
 from galen_calibration_behavior.commands import CalibrationState
 from galen_calibration_behavior.parameters import CalibrationParameters
@@ -17,6 +15,7 @@ from galen_model.load.model import Load, nominal_reading
 from galen_model.load.nominal_tools import ADAPTER, TOOLS
 from galen_sim_driver.plant.cell import Plant
 from galen_sim_driver.plant.config import HandPush, PlantConfig
+from offline_cell import CellBag, OfflineCalibrationError, OfflineCell
 
 PARAMETERS = CalibrationParameters(settle_s=0.1, average_s=0.3)
 POSES = PARAMETERS.grid_poses(3, 3)

@@ -266,7 +266,7 @@ class Suite(Protocol):
         """Bring back the calibration before the present one."""
 
     async def compare(self, tool: str, with_tool: str = "") -> Comparison | Answer:
-        """Compare a calibration file (b) with another's (a); "": against its own calibration before."""
+        """Compare a calibration (b) with another's (a); "": with its own before."""
 
     async def set_enabled(self, enabled: bool) -> Answer:
         """Switch the compensation."""

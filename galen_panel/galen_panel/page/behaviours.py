@@ -136,7 +136,7 @@ class _Check(_Card):
     title = "Quick check"
     icon = "fact_check"
     purpose = (
-        "A few poses show in half a minute whether a calibration still fits. Keep off the tool."
+        "Goes to a few poses and says whether a calibration still fits. Keep off the tool."
     )
     start_text = "Check"
 

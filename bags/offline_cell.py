@@ -1,4 +1,4 @@
-"""The simulated cell without ROS and without waiting: the same plant, stepped as fast as it goes.
+"""The simulated cell for sample bags and tests: no ROS, stepped as fast as it goes.
 
 What `sim_driver_node` and `calibration_node` do over topics and services is done here by calls,
 between two steps of the plant. So services answer at once, and the wall clock runs with the stamps.
@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
+from galen_bags.formats.writer import BagWriter
 from galen_calibration_behavior.calibration.procedure import (
     CalibrationProcedure,
     CalibrationRequest,
@@ -22,8 +23,9 @@ from galen_calibration_behavior.commands import (
     ZeroSensor,
 )
 from galen_calibration_behavior.parameters import CalibrationParameters
-from galen_model.arm.galen import JOINT_NAMES
+from galen_model.arm.galen import JOINT_NAMES, SENSOR_FRAME, TRACKER_FRAME
 from galen_model.errors import GalenError
+from galen_ros.cdr.layout import JointStateBytes, PoseBytes, WrenchBytes
 from galen_ros.goal.commands import MoveTo, Stop
 from galen_sim_driver.errors import UnknownToolError, ZeroingError
 from galen_sim_driver.plant.cell import Plant, Sample
@@ -32,6 +34,14 @@ from galen_sim_driver.plant.trajectory import Trajectory, TrajectoryPoint
 from numpy import array
 
 _WALL_TICK_NS = 100_000_000
+# A message is logged this long after its stamp, and each further one of a step so much later:
+# made up, of the size that a recorder on the same machine has, so that log times differ from stamps
+# and tell the order in which the driver publishes.
+DELAY_NS = 200_000
+NEXT_MESSAGE_NS = 50_000
+# Poses of the tracker are rounded to 1e-7 (m; 1 in a quaternion), three hundred times finer than
+# its noise: they alone come unrounded from LAPACK, whose last bits differ between processors.
+_POSE_DIGITS = 7
 
 
 class OfflineCalibrationError(GalenError):
@@ -153,3 +163,48 @@ class _Calibration:
                     procedure.on_service(True, "")
             case Estimate():
                 self._measurements = command.measurements
+
+
+class CellBag:
+    """The driver's topics in an open bag; call it with each sample."""
+
+    def __init__(self, bag: BagWriter, *, tracker: bool = False) -> None:
+        """`tracker`: with both tracker topics."""
+        self._bag = bag
+        self._joint_states = bag.add_topic("joint_states", "sensor_msgs/msg/JointState")
+        self._wrench_raw = bag.add_topic("wrench_raw", "geometry_msgs/msg/WrenchStamped")
+        self._joint_bytes = JointStateBytes(JOINT_NAMES)
+        self._wrench_bytes = WrenchBytes(SENSOR_FRAME)
+        self._tracker = tracker
+        if tracker:
+            pose = "geometry_msgs/msg/PoseStamped"
+            self._tool_pose = bag.add_topic("tracker/tool_pose", pose)
+            self._base_pose = bag.add_topic("tracker/base_pose", pose)
+            self._pose_bytes = PoseBytes(TRACKER_FRAME)
+
+    def __call__(self, sample: Sample) -> None:
+        """Write what the driver publishes of this sample, in its order."""
+        stamp_ns = sample.stamp_ns
+        messages = [
+            (
+                self._joint_states,
+                self._joint_bytes.fill(stamp_ns, sample.positions, sample.velocities),
+            ),
+            (self._wrench_raw, self._wrench_bytes.fill(stamp_ns, sample.wrench)),
+        ]
+        if self._tracker and sample.tracker is not None:
+            for topic, seen in (
+                (self._tool_pose, sample.tracker.tool),
+                (self._base_pose, sample.tracker.base),
+            ):
+                if seen is not None:  # there is no tool marker without a tool
+                    data = self._pose_bytes.fill(
+                        stamp_ns, _rounded(seen.position_m), _rounded(seen.quaternion)
+                    )
+                    messages.append((topic, data))
+        for number, (topic, data) in enumerate(messages):
+            self._bag.write(topic, stamp_ns + DELAY_NS + number * NEXT_MESSAGE_NS, data)
+
+
+def _rounded(values: Sequence[float]) -> list[float]:
+    return [round(value, _POSE_DIGITS) for value in values]
