@@ -2,8 +2,8 @@
 
     compensated = C (raw - expected reading of the tool at the joint angles of the raw stamp) - tare
 
-What can stand beside the tool's weight in the expected reading, C, and what else is taken off,
-`galen_gravcomp.corrections.stages` says. Samples are pushed in the order of their arrival, one by
+The other parts of the expected reading, C, and what else is subtracted:
+`galen_gravcomp.corrections.stages`. Samples are pushed in the order of their arrival, one by
 one or in blocks, which gives the same. Live node and offline evaluation feed the same class. Which
 angles belong to a wrench, and which wrench is rejected, is `galen_ros.stream.pairing`'s.
 """
@@ -129,12 +129,12 @@ class Compensator:
 
     @property
     def tare_offset(self) -> Array:
-        """Offset (6,) that the tare takes off when its ramp has ended, N and N.m."""
+        """Offset (6,) that the tare subtracts when its ramp has ended, N and N.m."""
         return self._ramp.target.copy()
 
     @property
     def bias_drift_offset(self) -> Array | None:
-        """Offset (6,) that the bias drift's estimate takes off now, N and N.m; None without one."""
+        """Offset (6,) that the bias drift's estimate subtracts now, N and N.m; None without one."""
         bias_drift, now_ns = self._stages.bias_drift, self.pairing.newest_wrench_ns
         if bias_drift is None or not bias_drift.active or now_ns is None:
             return None
@@ -313,7 +313,7 @@ class Compensator:
 
     @property
     def _settled_offset(self) -> Array:
-        """What tare and drift take off (6,) when no ramp runs."""
+        """What tare and drift subtract (6,) when no ramp runs."""
         bias_drift = self._stages.bias_drift
         return self._ramp.target if bias_drift is None else self._ramp.target + bias_drift.settled
 
@@ -322,7 +322,7 @@ class Compensator:
             self._stages.fit.offset_changed(self._settled_offset - before)
 
     def _end_tare(self, window: TareWindow, stamp_ns: int, roll: float, tilt: float) -> None:
-        """Its offset holds what the bias drift took off: that goes as the tare comes."""
+        """Its offset holds what the bias drift subtracted: that goes as the tare comes."""
         self._window = None
         outcome = window.evaluate()
         if outcome.offset is not None:

@@ -1,4 +1,4 @@
-"""What the compensator's node can say of its health: state, rates, latency. No ROS."""
+"""The health of the compensator's node: state, rates, latency. No ROS."""
 
 from galen_ros.stream.monitor import Severity, State, StreamMonitor, joined
 from galen_ros.stream.results import Rejection

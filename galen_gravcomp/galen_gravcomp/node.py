@@ -113,7 +113,7 @@ class GravcompNode(StreamNode):
             self._warn_of_another_urdf(stored.tool)
         except (ToolNameError, CalibrationFileError) as error:
             if not self.starts_itself:
-                raise  # whoever configures it hears of it
+                raise  # the transition's caller gets it
             # The node lives on, so that the state is on /diagnostics and the file can be fixed.
             self._compensator.set_tool(None, str(error))
             self._compensation.set_tool_error(str(error))
@@ -177,9 +177,9 @@ class GravcompNode(StreamNode):
         self._tools.active_tool.update()
         response.success = True
         response.message = (
-            "bias drift is learned while the arm is still and nobody touches the tool"
+            "bias drift is learned while the arm is at rest without contact"
             if request.data
-            else "bias drift is off, what it took off goes"
+            else "bias drift is off, what it subtracted goes along a ramp"
         )
         self.get_logger().info(response.message)
         self._announce(always=True)

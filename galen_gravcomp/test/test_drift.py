@@ -105,8 +105,8 @@ def test_a_hand_is_left_out_and_a_jump_that_stays_is_told():
     reading[3000:3040] += 2.0 * UNITS
     reading[5000:] += 0.1 * UNITS
     series = series_of("x", cells_of(reading), no_joints(), None)
-    assert len(series.touched_s) == 1
-    begin, end = series.touched_s[0]
+    assert len(series.contact_s) == 1
+    begin, end = series.contact_s[0]
     assert 2990 <= begin <= 3000
     assert 3040 <= end <= 3050
     ((at_s, change),) = series.steps

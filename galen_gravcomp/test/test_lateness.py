@@ -144,7 +144,7 @@ def test_late_is_a_state_with_numbers_that_goes_by_itself(feed):
     assert (feed.state.severity, feed.state.name) == (Severity.WARN, "late")
     assert feed.state.message == (
         "compensating, but: of wrench_raw 25 so far came late, the worst by 0.3 s: they go out,"
-        " and whoever takes them has to look at their stamps"
+        " and their users have to look at their stamps"
     )
     values = feed.monitor.values(feed.t)
     assert values["late"] == 25 and values["late_worst_s"] == pytest.approx(0.296, abs=1e-5)

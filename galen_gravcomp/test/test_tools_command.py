@@ -101,7 +101,7 @@ def test_show_in_another_frame(tools: Command) -> None:
     assert "centre in roll_link at tilt 0.2, mm" in out and "roll 0.1" not in out
     tools("show", "pointer", "--frame", "base_link", "--joints=0.1,0.2", code=1)
     assert "unknown: delta_x, delta_y, delta_z" in tools.err and tools.err.count("\n") == 1
-    assert "not told by the calibration: how much" in tools("show", "retractor")
+    assert "not identified by the calibration: how much" in tools("show", "retractor")
 
 
 def test_optional_parts_are_shown_whatever_they_hold(folder: Path) -> None:

@@ -40,8 +40,8 @@ class BiasDriftState(Enum):
     LEARNING = "learning"
     HELD = "held"
     """The arm moves, the wrench is not steady, or the sensor's noise is not known yet."""
-    TOUCHED = "touched"
-    """Something touches the tool, or the file does not fit."""
+    CONTACT = "contact"
+    """Contact of the tool, or a file that does not fit."""
     LIMIT = "limit"
 
 
@@ -160,7 +160,7 @@ class BiasDrift:
             window.end_ns, *window.angles, window.mean - self._tare, window.std_of_mean
         )
         if not free:
-            self._state = BiasDriftState.TOUCHED
+            self._state = BiasDriftState.CONTACT
         elif not self._filter.learned:
             self._state = BiasDriftState.HELD
         else:

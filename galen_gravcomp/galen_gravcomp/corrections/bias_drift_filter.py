@@ -1,4 +1,4 @@
-"""What of a still, untouched wrench is the sensor's bias drift, and when it must be a touch.
+"""Separate the sensor's bias drift from load, pose errors and contact, at rest.
 
 The residual z (6,) of a still window, with the tool's weight and the tare off, is taken as
 
@@ -12,12 +12,12 @@ is carried over as rho e with rho = exp(-a^2 / (2 l^2)), and (1 - rho^2) sigma_e
 So at one place every change of z is bias drift, a change from place to place mostly is not, and
 what turns with gravity is not even on the average over many places.
 
-Touched: a push begins faster than a sensor drifts. A window is a touch if in any axis
+Contact: a push begins faster than a sensor drifts. A window is contact if in any axis
 
     |z - b - G d - e| > k sqrt(S) + floor,     S: the innovation's variance, which grows with q t,
 
-the floor standing for what the rate limit lets b lag behind. While touched nothing is learned and
-the variance of b grows, up to a bound, so that a sensor that drifted under a long touch is taken
+the floor standing for what the rate limit lets b lag behind. During contact nothing is learned and
+the variance of b grows, up to a bound, so that a sensor that drifted under a long contact is taken
 up again; then `FEWEST_CALM` windows in a row must pass. b moves by no more than `rate_per_s` times
 the window, whatever happens: a push slower than that, or smaller than what the test lets through,
 is learned, at no more than that rate and never by more than its own size.

@@ -39,7 +39,7 @@ class CablePull:
         self._at: tuple[float, ...] = ()
         self._reading: Array = np.zeros(6)
         self.weight = math.nan
-        """How much of the pull was taken off at the last pose, 0 to 1; NaN before the first."""
+        """The part of the pull subtracted at the last pose, 0 to 1; NaN before the first."""
 
     @property
     def std(self) -> Array:
@@ -76,7 +76,7 @@ class CablePull:
         self._at, self.weight = (), math.nan
 
     def reading(self, joints: tuple[float, ...]) -> Array:
-        """The pull (6,) to take off at joints (5,), m and rad; N and N.m along ft_sensor."""
+        """The pull (6,) to subtract at joints (5,), m and rad; N and N.m along ft_sensor."""
         if joints != self._at:
             self._at = joints
             self._reading = self._compute(joints)

@@ -8,7 +8,7 @@ loads counts. Without an estimated inertia in the tool's file it is that of two 
 centres, which lacks their own inertia about these centres.
 
 A wrench whose stamp is late by a lag is that of earlier joints, its weight too: with s = g - a at
-stamp - lag and g at the stamp, whose weight the compensator takes off, -a above becomes s - g.
+stamp - lag and g at the stamp, whose weight the compensator subtracts, -a above becomes s - g.
 """
 
 from __future__ import annotations

@@ -39,7 +39,7 @@ from galen_gravcomp.parameters import GravcompParameters
 
 # Slower sensors get longer cells, so that a cell holds a few readings.
 _READINGS_A_CELL = 5
-# Units that so much of a recording is suspected to be in leave nothing to be said of the rest.
+# Units that so much of a recording is suspected to be in leave the rest unknown.
 _SUSPECT_SHARE = 0.1
 _UNITS = {
     Notice.TORQUE_UNIT: "the torques look like N mm",
@@ -254,7 +254,7 @@ class _Run:
         )
 
     def _doubt(self) -> str:
-        """Why nothing can be said of the fit, whatever is left over; empty if something can."""
+        """Why the fit is unknown, whatever the residual; empty if it is not."""
         compensator = self._compensator
         if not compensator.compensated:
             reasons = compensator.pairing.rejections.most_common(1)

@@ -51,7 +51,7 @@ class Run:
 
 @dataclass(frozen=True)
 class ChannelReport:
-    """What was found; by axis (6,) where it says so.
+    """What was found; by axis (6,) where noted.
 
     beyond_range (6,): readings at or beyond the sensor's range; not_finite (6,); smallest and
     largest (6,); `stuck` and `saturated`: runs of one channel that are no chance, `frozen`: of

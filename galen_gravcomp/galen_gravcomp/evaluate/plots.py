@@ -177,7 +177,7 @@ def plot_drift(result: DriftResult, directory: Path, name: str) -> Path:
             )
             allan.loglog(one.tau_s, one.fitted(one.tau_s) * factor, color=colour, lw=0.8, ls=":")
             hold.loglog(result.delay_s, result.change[:, axis] * factor, color=colour, lw=1.4)
-        for begin, end in series.touched_s:
+        for begin, end in series.contact_s:
             course.axvspan(begin / unit_s, end / unit_s, color="black", alpha=0.12, lw=0)
         course.axhline(0.0, color="black", lw=0.6)
         course.set_xlabel("time, h" if hours else "time, min")

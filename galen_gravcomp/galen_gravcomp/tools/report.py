@@ -130,7 +130,7 @@ def print_tool(
     for part in tool.parts:
         console.print(_part_table(part, getattr(tool, part).to_json()))
     for text in tool.unresolved:
-        console.print(f"[yellow]not told by the calibration: {escape(text)}[/yellow]")
+        console.print(f"[yellow]not identified by the calibration: {escape(text)}[/yellow]")
 
 
 def _part_table(part: str, content: Mapping[str, Any]) -> Table:
@@ -240,7 +240,7 @@ def print_active(state: Mapping[str, Any], console: Console) -> None:
     )
     table.add_row("tip", "", _millimetres(np.array(state["tip_m"])))
     console.print(table)
-    wrenches = Table("taken off, mN and mN.m", *WRENCH_AXES)
+    wrenches = Table("subtracted, mN and mN.m", *WRENCH_AXES)
     for name in ("tare", "bias_drift"):
         if state[name] is not None:
             wrenches.add_row(name, *(f"{1e3 * value:.2f}" for value in state[name]))

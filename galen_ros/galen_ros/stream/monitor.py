@@ -1,4 +1,4 @@
-"""What a node that turns wrenches into something can say of its health. No ROS.
+"""The health of a node that takes wrenches: state, rates, latency. No ROS.
 
 Rejections come and go with single samples; a state must not flap at 500 Hz. So a rejection stays
 the state for `HOLD_S` after the last one. Times here are wall times (s, monotonic): they only say
@@ -163,7 +163,7 @@ class StreamMonitor(ABC):
         self._notice = (text, now_s)
 
     def publishers_changed(self, topic: str, listed: int, came: int, now_s: float) -> str:
-        """Take what discovery says of a topic; returns why to start anew, or nothing."""
+        """Take a topic's publishers from discovery; return why to start anew, or nothing."""
         publishers = self.publishers[topic]
         silent = publishers.listed > 0 and self._was_silent(topic, publishers.since_s, now_s)
         why = publishers.changed(listed, came, silent, now_s)

@@ -170,7 +170,7 @@ class StreamNode(ManagedNode):
     # Restarts of the driver
 
     def _on_matched(self, topic: str, info: Any) -> None:
-        """A publisher of an input came or went: whoever publishes now may be another driver."""
+        """A publisher of an input came or went: the driver may be another one now."""
         now_s = time.monotonic()
         why = self._monitor.publishers_changed(
             topic, info.current_count, info.total_count_change, now_s

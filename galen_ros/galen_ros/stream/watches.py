@@ -128,7 +128,7 @@ class LateWatch:
             return ""
         return (
             f"{self._told} so far came late, the worst by {self.worst_s:.2g} s: they go out,"
-            " and whoever takes them has to look at their stamps"
+            " and their users have to look at their stamps"
         )
 
 

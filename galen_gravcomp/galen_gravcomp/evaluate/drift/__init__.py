@@ -1,1 +1,1 @@
-"""A long untouched recording: drift, and whether it can be predicted."""
+"""Drift of a long recording without contact, and whether it is predictable."""

@@ -45,7 +45,7 @@ class DriftResult:
 
 
 def judge_drift(series: DriftSeries, limits: Limits) -> DriftResult:
-    """Everything that is said of a recording."""
+    """Judge a recording in all respects."""
     allan = tuple(allan_deviation(column, series.cell_s) for column in series.reading.T)
     delay_s, change = _changes(series)
     cell_s = cell_for(series.duration_s, series.cell_s)
@@ -154,12 +154,12 @@ def _shown(result: DriftResult) -> list[str | Table]:
     series = result.series
     shown: list[str | Table] = [f"[bold]{sentence}[/bold]" for sentence in result.sentence.values()]
     shown.append(f"{duration_text(series.duration_s)}, {series.samples} readings")
-    if series.touched_s:
-        total = sum(end - begin for begin, end in series.touched_s)
-        first = ", ".join(f"{begin:.0f}-{end:.0f} s" for begin, end in series.touched_s[:3])
-        more = ", ..." if len(series.touched_s) > 3 else ""
+    if series.contact_s:
+        total = sum(end - begin for begin, end in series.contact_s)
+        first = ", ".join(f"{begin:.0f}-{end:.0f} s" for begin, end in series.contact_s[:3])
+        more = ", ..." if len(series.contact_s) > 3 else ""
         shown.append(
-            f"[yellow]left out for contact: {len(series.touched_s)} spans, {total:.0f} s in all"
+            f"[yellow]left out for contact: {len(series.contact_s)} spans, {total:.0f} s in all"
             f" ({first}{more})[/yellow]"
         )
     for at, change in series.steps:
@@ -235,7 +235,7 @@ def _content(result: DriftResult) -> dict[str, Any]:
     return {
         "duration_s": series.duration_s,
         "samples": series.samples,
-        "touched_s": [list(span) for span in series.touched_s],
+        "contact_s": [list(span) for span in series.contact_s],
         "steps": [{"time_s": at, "change": change.tolist()} for at, change in series.steps],
         "notes": list(series.notes),
         "axes": axes,

@@ -1,14 +1,14 @@
-"""A long untouched recording as one series of cells, and what of it nobody may have touched.
+"""A long recording without contact as one series of time bins; spans with contact are left out.
 
 Samples are reduced to cells of a second on the way in, so that three days at 500 Hz (130 million)
-need memory for 260 thousand cells. The weight is taken off with a tool's file where one is given,
+need memory for 260 thousand cells. The weight is subtracted with a calibration file where one is given,
 at poses at which the arm was at rest; without one, only cells at the pose where the arm stood
 longest are kept, because the weight turns with the sensor.
 
 Cells that lie far from the median of their neighbourhood (`_WINDOW_CELLS`), in units of how far
 cells of this recording lie from it (median absolute deviation), or that scatter within far more
-than the recording's do, are touched ones: left out with those beside them. A level that jumps and
-stays is kept, and told as a step; a hand that holds still for longer than half the window looks
+than the recording's do, are contact: left out with those beside them. A level that jumps and
+stays is kept, and reported as a step; contact that is steady for longer than half the window looks
 like two steps.
 """
 
@@ -52,8 +52,8 @@ class DriftSeries:
     """reading (n, 6), N and N.m, one row each `cell_s`, NaN where there is none or it was left out.
 
     noise (6,): standard deviation of one sample about its kept cell's mean; samples: how many there
-    were; start_ns: stamp of the first row. touched_s: spans (begin, end), s from the start, left
-    out as touched; steps: (time in s, change (6,)) of levels that jump and stay. notes: in words.
+    were; start_ns: stamp of the first row. contact_s: spans (begin, end), s from the start, left
+    out for contact; steps: (time in s, change (6,)) of levels that jump and stay. notes: in words.
     """
 
     reading: Array
@@ -61,7 +61,7 @@ class DriftSeries:
     noise: Array
     samples: int
     start_ns: int
-    touched_s: tuple[tuple[float, float], ...]
+    contact_s: tuple[tuple[float, float], ...]
     steps: tuple[tuple[float, Array], ...]
     notes: tuple[str, ...]
 
@@ -192,7 +192,7 @@ def series_of(name: str, cells: Cells, joints: Cells, tool: CalibrationFile | No
         if left.any() and share > 0.01:
             notes.append(
                 f"{share:.0%} of it is left out, where the arm "
-                + ("moved" if tool is not None else "was elsewhere (--tool takes the weight off)")
+                + ("moved" if tool is not None else "was elsewhere (--tool subtracts the weight)")
             )
         if tool is not None and bool(np.nanmax(np.abs(angles - _longest_pose(angles))) > 0.1):
             notes.append(
@@ -202,17 +202,17 @@ def series_of(name: str, cells: Cells, joints: Cells, tool: CalibrationFile | No
         reading[left] = np.nan
     elif tool is not None:
         raise GalenError(f"{name}: --tool needs the joints, and it has none")
-    touched = _touched(reading, scatter)
+    contact = _contact(reading, scatter)
     if int(np.isfinite(reading[:, 0]).sum()) < 3 * _WINDOW_CELLS:
-        notes.append("too short to find out whether somebody touched")
-    reading[touched] = np.nan
+        notes.append("too short to find contact")
+    reading[contact] = np.nan
     there = int(np.isfinite(reading[:, 0]).sum())
     if there < _FEWEST_CELLS:
         raise GalenError(
             f"{name}: {there} cells of {cells.cell_s:g} s that can be used are too few; there must"
             f" be {_FEWEST_CELLS} (--cell-s)"
         )
-    spans = _spans(touched)
+    spans = _spans(contact)
     steps = _steps(reading, cells.cell_s)
     still = np.isfinite(reading[row, 0])
     freedom = max(int((cells.count[still] - 1).sum()), 1)
@@ -238,25 +238,25 @@ def _longest_pose(angles: Array) -> Array:
     return np.median(known[which.ravel() == np.argmax(np.bincount(which.ravel()))], axis=0)
 
 
-def _touched(reading: Array, scatter: Array) -> np.ndarray:
-    """Mask (n,) of the cells in which somebody touched."""
+def _contact(reading: Array, scatter: Array) -> np.ndarray:
+    """Mask (n,) of the time bins with contact."""
     there = np.isfinite(reading[:, 0])
-    touched = np.zeros(len(reading), dtype=bool)
+    contact = np.zeros(len(reading), dtype=bool)
     rows = np.flatnonzero(there)
     if len(rows) < 3 * _WINDOW_CELLS:
-        return touched
+        return contact
     window = _WINDOW_CELLS | 1
     for channel in range(6):
         value = reading[rows, channel]
         off = value - median_filter(value, window, mode="nearest")
         scale = _MAD_TO_STD * np.median(np.abs(off))
         far = np.abs(off) > _TOUCH_SIGMAS * max(scale, 1e-9)
-        # A filter that is late at a jump that stays is no hand: only what comes back counts.
+        # A filter that is late at a jump that stays is no contact: only what comes back counts.
         within = scatter[rows, channel]
         usual = np.nanmedian(within) if np.isfinite(within).any() else np.nan
         shaken = within > 4.0 * usual if np.isfinite(usual) and usual > 0.0 else np.zeros_like(far)
-        touched[rows[far | shaken]] = True
-    return np.convolve(touched, np.ones(2 * _BESIDE + 1), mode="same") > 0.5
+        contact[rows[far | shaken]] = True
+    return np.convolve(contact, np.ones(2 * _BESIDE + 1), mode="same") > 0.5
 
 
 def _steps(reading: Array, cell_s: float) -> tuple[tuple[float, Array], ...]:

@@ -27,7 +27,7 @@ def tool_from_table(
 
     Its reading under any gravity is `fit.predict`'s or, where `mounted` is given, whose load then
     holds, `mounted.predict`'s. Gravity is as large as in the table, since the mass was found with
-    that. `unresolved` says what readings with one load can't tell.
+    that. `unresolved` lists what is not identifiable from readings with one load.
     """
     predicted = fit.predict(table.gravity)
     if mounted is not None:

@@ -1,7 +1,7 @@
 """Score load models on readings that their fit has not seen.
 
 Groups are held out whole: a reading, a stop, a block of neighbouring readings. Each model is fitted
-anew without the group and predicts it; the score is the root mean square of what is left over.
+anew without the group and predicts it; the score is the root mean square of the residual.
 """
 
 from collections.abc import Callable

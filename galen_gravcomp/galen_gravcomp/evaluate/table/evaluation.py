@@ -57,7 +57,7 @@ def evaluate_table(
     mounting: TableMounting | None = None,
     bias_drift: bool = False,
 ) -> TableEvaluation:
-    """Fit and score every model on a table; raises GalenError naming what stands in the way.
+    """Fit and score every model on a table; raises GalenError naming the obstacle.
 
     mounting: what to estimate beside the load, in a model of its own. bias_drift: also a model
     whose bias may drift, where blocks are held out.
