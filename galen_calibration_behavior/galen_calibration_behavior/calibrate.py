@@ -10,14 +10,10 @@ import sys
 import termios
 from typing import Any
 
+from galen_ros.command import EXIT_OK, finite, make_parser, whole
 from galen_ros.goal.client import (
-    EXIT_CANCELED,
-    EXIT_FAILED,
-    EXIT_OK,
-    EXIT_USAGE,
     GoalClient,
     add_client_options,
-    make_parser,
     read_options,
     report_error,
     result_to_dict,
@@ -33,14 +29,6 @@ from galen_calibration_behavior.commands import (
     CalibrationState,
 )
 from galen_msgs.action import CalibrateTool
-
-_EPILOG = f"""From recorded sweeps, without an arm: calibrate_from_bag.
-
-exit codes:
-  {EXIT_OK}    calibrated, file written
-  {EXIT_FAILED}    failed; the reason is printed, nothing is written
-  {EXIT_USAGE}    wrong arguments
-  {EXIT_CANCELED}  canceled (Ctrl-C); the arm is stopped, nothing is written"""
 
 
 class CalibrateClient(GoalClient):
@@ -80,7 +68,7 @@ class CalibrateClient(GoalClient):
             if sys.stdin.isatty():
                 # An Enter from before the question must not answer it: the arm would move.
                 termios.tcflush(sys.stdin, termios.TCIFLUSH)
-            self.bar.say(f"{feedback.message} - press Enter when done")
+            self.bar.line(f"{feedback.message} - press Enter when done")
             self._question = True
         self._asked = feedback.state if asks else None
 
@@ -90,7 +78,7 @@ class CalibrateClient(GoalClient):
             return
         self._question = False
         if not sys.stdin.readline():
-            self.bar.say(
+            self.bar.line(
                 f"standard input has ended; confirm with the service {self._confirm.srv_name}"
             )
             return
@@ -99,19 +87,19 @@ class CalibrateClient(GoalClient):
         def on_answer(future: Any) -> None:
             answer = future.result()
             if not answer.success:
-                self.bar.say(f"not confirmed: {answer.message}")
+                self.bar.line(f"not confirmed: {answer.message}")
 
         answering.add_done_callback(on_answer)
 
     def _show(self, feedback: Any) -> None:
         """The bar, or without a terminal a line for each state; and each bad pose."""
         state = CalibrationState(feedback.state)
-        self.bar.show(feedback.done, feedback.total, CALIBRATION_PHASES[state])
-        if not self.bar.fancy and state != self._state:
-            self.bar.say(f"[{feedback.done}/{feedback.total}] {feedback.message}")
+        self.bar.show(CALIBRATION_PHASES[state], feedback.done, feedback.total)
+        if not self.bar.active and state != self._state:
+            self.bar.line(f"[{feedback.done}/{feedback.total}] {feedback.message}")
         rejected = math.isfinite(feedback.roll) and not feedback.accepted
         if rejected:
-            self.bar.say(f"  {feedback.message}")
+            self.bar.line(f"  {feedback.message}")
         self._state = state
 
 
@@ -120,13 +108,16 @@ def parse(arguments: list[str]) -> argparse.Namespace:
     parser = make_parser(
         "calibrate",
         "Calibrate a tool on the arm: sweep over still poses, write the tool's file.",
-        _EPILOG,
+        notes="From recorded sweeps, without an arm: calibrate_from_bag.",
+        ok="calibrated, file written",
+        failed="failed; one line gives the reason, nothing is written",
+        interrupted="canceled (Ctrl-C); the arm is stopped, nothing is written",
     )
     parser.add_argument("tool", help="name of the tool and of its file: letters, digits, _ and -")
     parser.add_argument(
         "--tip",
         nargs=3,
-        type=float,
+        type=finite,
         metavar=("X", "Y", "Z"),
         help="the tool's tip in ft_sensor, m; else the old file's is kept, or (0, 0, 0)",
     )
@@ -142,20 +133,14 @@ def parse(arguments: list[str]) -> argparse.Namespace:
         help="a person takes the tool off and puts it on, and presses Enter here"
         " (default: the driver's service attach_tool does it)",
     )
-    parser.add_argument("--iters-t", type=_count, default=0, help="number of tilts; 0: the node's")
-    parser.add_argument("--iters-r", type=_count, default=0, help="number of rolls; 0: the node's")
+    parser.add_argument(
+        "--iters-t", type=whole(0, 100), default=0, help="number of tilts; 0: the node's"
+    )
+    parser.add_argument(
+        "--iters-r", type=whole(0, 100), default=0, help="number of rolls; 0: the node's"
+    )
     add_client_options(parser, "calibration", ", for ~/confirm")
-    options = read_options(parser, arguments, tool="tool")
-    if options.tip is not None and not all(map(math.isfinite, options.tip)):
-        parser.error("--tip needs three finite numbers")
-    return options
-
-
-def _count(text: str) -> int:
-    value = int(text)
-    if not 0 <= value <= 100:
-        raise argparse.ArgumentTypeError(f"{value} is not in 0 ... 100")
-    return value
+    return read_options(parser, arguments, tool="tool")
 
 
 def main() -> None:

@@ -10,14 +10,10 @@ from typing import Any
 
 from galen_model.arm.galen import WRENCH_AXES
 from galen_model.evidence.verdict import Cause, CheckAnswer
+from galen_ros.command import EXIT_OK, make_parser, whole
 from galen_ros.goal.client import (
-    EXIT_CANCELED,
-    EXIT_FAILED,
-    EXIT_OK,
-    EXIT_USAGE,
     GoalClient,
     add_client_options,
-    make_parser,
     read_options,
     report_error,
     result_to_dict,
@@ -41,16 +37,6 @@ _HEADS = {
     CheckAnswer.RECALIBRATE: "recalibrate",
     CheckAnswer.UNSURE: "can't tell",
 }
-_EPILOG = f"""The tool is on, and nobody touches it. The tool's file stays as it is.
-
-exit codes:
-  {EXIT_OK}    good: the file still fits
-  {EXIT_FAILED}    not checked; the reason is printed
-  {EXIT_USAGE}    wrong arguments
-  {EXIT_RETARE}    re-tare: an offset, which a tare takes off
-  {EXIT_RECALIBRATE}    recalibrate: another load, or something that a tare does not fix
-  {EXIT_UNSURE}    can't tell: too noisy, or one pose does not agree with the others
-  {EXIT_CANCELED}  canceled (Ctrl-C); the arm is stopped where it is"""
 
 
 class CheckClient(GoalClient):
@@ -69,24 +55,35 @@ class CheckClient(GoalClient):
 
     def on_feedback(self, feedback: Any) -> None:
         """Show it: the bar, or without a terminal a line for each; and each bad pose."""
-        self.bar.show(feedback.done, feedback.total, "checking")
+        self.bar.show("checking", feedback.done, feedback.total)
         rejected = math.isfinite(feedback.roll) and not feedback.accepted
-        if rejected or not self.bar.fancy:
-            self.bar.say(f"[{feedback.done}/{feedback.total}] {feedback.message}")
+        if rejected or not self.bar.active:
+            self.bar.line(f"[{feedback.done}/{feedback.total}] {feedback.message}")
 
 
 def parse(arguments: list[str]) -> argparse.Namespace:
     """Read the command line; exits with code 2 and a message where it is wrong."""
-    parser = make_parser("check", "Check at a few poses whether a tool's file still fits.", _EPILOG)
+    parser = make_parser(
+        "check",
+        "Check at a few poses whether a tool's calibration file still fits.",
+        notes="The tool is on, without contact. The calibration file stays as it is.",
+        ok="good: the file still fits",
+        failed="not checked; one line gives the reason",
+        codes={
+            EXIT_RETARE: "re-tare: an offset, which a tare subtracts",
+            EXIT_RECALIBRATE: "recalibrate: another load, or something that a tare does not fix",
+            EXIT_UNSURE: "not decided: too noisy, or one pose does not agree with the others",
+        },
+        interrupted="canceled (Ctrl-C); the arm is stopped where it is",
+    )
     parser.add_argument(
         "tool", nargs="?", default="", help="name of the tool; default: that active in gravcomp"
     )
-    parser.add_argument("--poses", type=int, default=0, help="number of poses; 0: the node's")
+    parser.add_argument(
+        "--poses", type=whole(0, 100), default=0, help="number of poses; 0: the node's"
+    )
     add_client_options(parser, "calibration")
-    options = read_options(parser, arguments, tool="tool")
-    if not 0 <= options.poses <= 100:
-        parser.error(f"--poses is {options.poses}, not in 0 ... 100")
-    return options
+    return read_options(parser, arguments, tool="tool")
 
 
 def main() -> None:

@@ -135,7 +135,7 @@ def split_ros_arguments(arguments: Sequence[str]) -> tuple[list[str], list[str]]
 
 def positive(text: str) -> float:
     """Read a finite number above zero, for argparse."""
-    value = _finite(text)
+    value = finite(text)
     if value <= 0.0:
         raise argparse.ArgumentTypeError(f"{text} is not above 0")
     return value
@@ -143,14 +143,14 @@ def positive(text: str) -> float:
 
 def not_negative(text: str) -> float:
     """Read a finite number, zero or above, for argparse."""
-    value = _finite(text)
+    value = finite(text)
     if value < 0.0:
         raise argparse.ArgumentTypeError(f"{text} is below 0")
     return value
 
 
-def whole(least: int) -> Callable[[str], int]:
-    """Make a reader of whole numbers of at least `least`, for argparse."""
+def whole(least: int, most: int | None = None) -> Callable[[str], int]:
+    """Make a reader of whole numbers of at least `least`, at most `most`, for argparse."""
 
     def read(text: str) -> int:
         try:
@@ -159,12 +159,15 @@ def whole(least: int) -> Callable[[str], int]:
             raise argparse.ArgumentTypeError(f"{text!r} is no whole number") from None
         if value < least:
             raise argparse.ArgumentTypeError(f"{text} is below {least}")
+        if most is not None and value > most:
+            raise argparse.ArgumentTypeError(f"{text} is above {most}")
         return value
 
     return read
 
 
-def _finite(text: str) -> float:
+def finite(text: str) -> float:
+    """Read a finite number, for argparse."""
     try:
         value = float(text)
     except ValueError:
@@ -275,7 +278,7 @@ class ProgressLine:
     def show(
         self, text: str | Callable[[], str], done: float = 0.0, total: float | None = None
     ) -> None:
-        """Write the line again, at most five times a second; never a smaller part done."""
+        """Write the line again, at most five times a second; a share never gets smaller."""
         now_s = time.monotonic()
         finished = total is not None and done >= total
         if not self.active or (now_s - self._shown_s < _SHOW_PERIOD_S and not finished):
@@ -285,7 +288,8 @@ class ProgressLine:
             self._bar = self._make(total)
         self._bar.set_description_str(text if isinstance(text, str) else text(), refresh=False)
         if total is not None:
-            self._bar.n = max(self._bar.n, min(done, total))
+            part = min(done, total)
+            self._bar.total, self._bar.n = total, part if self._unit else max(self._bar.n, part)
         self._bar.refresh()
 
     def line(self, text: str) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import shutil
 import signal
 import sys
 import time
@@ -23,13 +22,20 @@ from rclpy.action import ActionClient
 from rclpy.action.client import ClientGoalHandle
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
-from tqdm import tqdm
 from unique_identifier_msgs.msg import UUID
 
+from galen_ros.command import (
+    EXIT_FAILED,
+    EXIT_INTERRUPTED,
+    EXIT_OK,
+    EXIT_USAGE,
+    ProgressLine,
+    add_json,
+    positive,
+)
 from galen_ros.node.spin import init_ros
 from galen_ros.rclpy_workarounds import guard_parameter_services
 
-EXIT_OK, EXIT_FAILED, EXIT_USAGE, EXIT_CANCELED = 0, 1, 2, 130
 _SERVER_LOST_S = 1.5
 _CANCEL_PATIENCE_S = 10.0
 
@@ -40,38 +46,6 @@ class ClientError(Exception):
     def __init__(self, message: str, exit_code: int = EXIT_FAILED) -> None:
         super().__init__(message)
         self.exit_code = exit_code
-
-
-class Bar:
-    """A bar where standard error is a terminal (`fancy`); lines are for anywhere."""
-
-    def __init__(self, unit: str) -> None:
-        self.fancy = sys.stderr.isatty()
-        self._unit = unit
-        self._bar: tqdm | None = None
-
-    def show(self, done: int, total: int, description: str) -> None:
-        """Draw the bar; nothing where there is no terminal."""
-        if not self.fancy:
-            return
-        if self._bar is None:
-            # Sizes given: tqdm shows nothing on a terminal that says it has 0 rows.
-            columns = min(shutil.get_terminal_size().columns, 100)
-            self._bar = tqdm(total=total, unit=self._unit, file=sys.stderr, ncols=columns, nrows=24)
-        self._bar.set_description(description, refresh=False)
-        self._bar.n = done
-        self._bar.refresh()
-
-    def say(self, text: str) -> None:
-        """Print a line without tearing the bar."""
-        tqdm.write(text, file=sys.stderr)
-        sys.stderr.flush()
-
-    def close(self) -> None:
-        """Leave the bar as it is."""
-        if self._bar is not None:
-            self._bar.close()
-            self._bar = None
 
 
 class GoalClient:
@@ -90,7 +64,7 @@ class GoalClient:
     def __init__(self, options: argparse.Namespace) -> None:
         """`options` are those of `read_options`."""
         self.options = options
-        self.bar = Bar(self.unit)
+        self.bar = ProgressLine(self.unit)
         self.node = Node(self.node_name)
         guard_parameter_services(self.node)
         self._executor = SingleThreadedExecutor()
@@ -151,12 +125,12 @@ class GoalClient:
             now = time.monotonic()
             if self._interrupts and canceling_since is None:
                 canceling_since = now
-                self.bar.say("canceling: waiting for the arm to stop (Ctrl-C: don't wait)")
+                self.bar.line("canceling: waiting for the arm to stop (Ctrl-C: don't wait)")
                 handle.cancel_goal_async()
             if canceling_since is not None and (
                 self._interrupts > 1 or now - canceling_since > _CANCEL_PATIENCE_S
             ):
-                raise ClientError("canceled, but the arm was not seen to stop", EXIT_CANCELED)
+                raise ClientError("canceled, but the arm was not seen to stop", EXIT_INTERRUPTED)
             if self._action.server_is_ready():
                 lost_since = None
             else:
@@ -178,7 +152,7 @@ class GoalClient:
 
         The server may have begun it, and only the answer is late, or lost on a busy machine.
         """
-        self.bar.say("canceling: the goal may have begun (Ctrl-C: don't wait)")
+        self.bar.line("canceling: the goal may have begun (Ctrl-C: don't wait)")
         interrupts, deadline = self._interrupts, time.monotonic() + _CANCEL_PATIENCE_S
         unanswered = self.action_type.Impl.SendGoalService.Response()
         canceling = ClientGoalHandle(self._action, goal_id, unanswered).cancel_goal_async()
@@ -200,7 +174,7 @@ class GoalClient:
         deadline = time.monotonic() + timeout_s
         while not predicate():
             if self._interrupts:
-                raise ClientError(canceled, EXIT_CANCELED)
+                raise ClientError(canceled, EXIT_INTERRUPTED)
             if time.monotonic() > deadline:
                 raise ClientError(message)
             self._executor.spin_once(timeout_sec=0.05)
@@ -220,24 +194,14 @@ class GoalClient:
                         self._rejected = item.value
 
 
-def make_parser(name: str, description: str, epilog: str) -> argparse.ArgumentParser:
-    """The parser of such a command; the epilog, with its exit codes, is printed as it is."""
-    return argparse.ArgumentParser(
-        prog=name,
-        description=description,
-        epilog=epilog,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-
-
 def add_client_options(parser: argparse.ArgumentParser, node: str, use: str = "") -> None:
     """Add what each of these commands takes; `node` is the server's default name, `use` for what.
 
     `read_options` reads them.
     """
-    parser.add_argument("--json", action="store_true", help="print the result as one JSON object")
+    add_json(parser)
     parser.add_argument(
-        "--timeout-s", type=float, default=10.0, help="wait so long for the node (default 10)"
+        "--timeout-s", type=positive, default=10.0, help="wait so long for the node (default 10)"
     )
     parser.add_argument("--node", default=node, help=f"the node's name{use} (default {node})")
 
@@ -250,8 +214,6 @@ def read_options(
     `names`: the options that become names of files, and what `check_tool_name` calls them.
     """
     options = parser.parse_args(arguments)
-    if not options.timeout_s > 0:
-        parser.error("--timeout-s needs a positive number")
     try:
         for name, whose in names.items():
             if (value := getattr(options, name)) != parser.get_default(name):
@@ -278,7 +240,7 @@ def report_error(name: str, code: IntEnum, message: str) -> int:
     if code.name == "NONE":
         return EXIT_OK
     print(f"{name}: {code.name}: {message}", file=sys.stderr)
-    return EXIT_CANCELED if code.name == "CANCELED" else EXIT_FAILED
+    return EXIT_INTERRUPTED if code.name == "CANCELED" else EXIT_FAILED
 
 
 def run_client(
