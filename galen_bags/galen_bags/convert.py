@@ -36,7 +36,7 @@ Others are skipped."""
 
 
 def build_parser() -> argparse.ArgumentParser:
-    """The command's options."""
+    """Return the command's options."""
     parser = make_parser(
         "convert",
         "Make a bag with wrench_raw and joint_states of measured wrenches and "

@@ -51,7 +51,7 @@ def check_topic_name(name: str) -> str:
 
 
 def message_class(type_name: str) -> Any:
-    """The class of a type such as "galen_msgs/msg/DeflectionStamped"; raises BagError."""
+    """Return the class of a type such as "galen_msgs/msg/DeflectionStamped"; raises BagError."""
     try:
         package, folder, name = type_name.split("/")
         return getattr(importlib.import_module(f"{package}.{folder}"), name)
@@ -65,7 +65,7 @@ def definition_of(type_name: str) -> str:
 
 
 def find_definition(type_name: str, share_of: Callable[[str], Path]) -> str:
-    """The text of a type and of all types in it, as MCAP's `ros2msg` wants it.
+    """Return the text of a type and of all types in it, as MCAP's `ros2msg` wants it.
 
     `type_name` as in "galen_msgs/msg/DeflectionStamped"; `share_of(package)` is the package's
     share directory, or raises LookupError. Raises BagError, naming the type that is missing.
@@ -112,7 +112,7 @@ def _short(type_name: str) -> str:
 
 
 def request_for(offers: Sequence[QoSProfile]) -> QoSProfile:
-    """A subscription's QoS that all these publishers can serve, as strict as they allow.
+    """Return a subscription's QoS that all these publishers can serve, as strict as they allow.
 
     Reliable unless one is best effort, transient local where all are; the last 2000 kept.
     """
@@ -135,7 +135,7 @@ def serves(offer: QoSProfile, request: QoSProfile) -> bool:
 
 
 def to_bag(offer: QoSProfile) -> Qos:
-    """A publisher's QoS in the form that bags hold."""
+    """Return a publisher's QoS in the form that bags hold."""
     return Qos(
         QosHistory[offer.history.name],
         offer.depth,
@@ -150,7 +150,7 @@ def to_bag(offer: QoSProfile) -> Qos:
 
 
 def offer_again(recorded: Sequence[Qos]) -> QoSProfile:
-    """A publisher's QoS that stands for the recorded publishers of a topic.
+    """Return a publisher's QoS that stands for the recorded publishers of a topic.
 
     Best effort and transient local where all of them were; else reliable and volatile. History is
     the player's own affair: DDS does not tell a publisher's, so a bag does not have it.

@@ -95,7 +95,7 @@ class ArmReader:
         return None if None in counts else sum(count or 0 for count in counts)
 
     def blocks(self) -> Iterator[ArmBlock]:
-        """The samples, block by block."""
+        """Return the samples, block by block."""
         for block in self._inside_window():
             joint_rows = np.flatnonzero(block.topic == 0)
             wrench_rows = np.flatnonzero(block.topic == 1)
@@ -124,7 +124,7 @@ class ArmReader:
 
 
 def find_topic(bag: Bag, name: str, type_name: str) -> str:
-    """The bag's topic `name`, or the only one of the type that ends with it; else BagError."""
+    """Find the bag's topic `name`, or the only one of its type that ends with it; or BagError."""
     bare = name.lstrip("/")
     # Some recorders leave the first slash out.
     for exact in ("/" + bare, bare):
@@ -215,7 +215,7 @@ def read_arm(path: str | os.PathLike[str], topics: ArmTopics | None = None) -> A
 
 
 def join_samples(parts: list[Samples], width: int) -> Samples:
-    """Samples of all blocks, one after the other; a decoder's frame ids only grow."""
+    """Return samples of all blocks, one after the other; a decoder's frame ids only grow."""
     if not parts:
         none = np.zeros(0, dtype=np.int64)
         return Samples(none, np.zeros((0, width)), none, ("",), {})

@@ -37,7 +37,7 @@ class MarkerTrack:
     problems: tuple[str, ...]
 
     def __len__(self) -> int:
-        """Number of good poses."""
+        """Return the number of good poses."""
         return len(self.line)
 
 
@@ -95,7 +95,7 @@ def marker_track(
     may_stand: bool,
     beside_ns: np.ndarray | None = None,
 ) -> MarkerTrack:
-    """The good poses of a marker; sentences tell times in s after `start_ns`.
+    """Return the good poses of a marker; sentences tell times in s after `start_ns`.
 
     Lost are poses that aren't finite, whose quaternion's length isn't 1, that are the identity (as
     some trackers say it), those that repeat the one before to the last bit: a tracker that holds

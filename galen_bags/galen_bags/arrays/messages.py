@@ -54,7 +54,7 @@ class Samples:
     bad: dict[int, str]
 
     def __len__(self) -> int:
-        """Number of messages."""
+        """Return the number of messages."""
         return len(self.stamp_ns)
 
 
@@ -79,7 +79,7 @@ class Decoder:
         self._frame_ids: dict[str, int] = {}
 
     def decode(self, block: Messages, rows: np.ndarray) -> Samples:
-        """The messages at `rows` (n,) of a block."""
+        """Return the messages at `rows` (n,) of a block."""
         count = len(rows)
         samples = Samples(
             np.zeros(count, dtype=np.int64),

@@ -37,7 +37,7 @@ def read_motion(
     time_unit_s: float,
     imu_unit_m_s2: float,
 ) -> MotionTable:
-    """A run's tables; without an IMU its arrays are empty. Raises TableError."""
+    """Return a run's tables; without an IMU its arrays are empty. Raises TableError."""
     wrench_t, wrench = read_wrenches(wrench_file)
     gravity_t, gravity = read_orientations(orientations_file)
     imu_t, specific = np.zeros(0), np.zeros((0, 3))

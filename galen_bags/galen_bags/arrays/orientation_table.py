@@ -61,11 +61,11 @@ class OrientationTable:
     rotation: Array | None = None
 
     def __len__(self) -> int:
-        """Number of readings."""
+        """Return the number of readings."""
         return len(self.wrench)
 
     def take(self, rows: np.ndarray, block: np.ndarray | None) -> "OrientationTable":
-        """The table's `rows`, with the labels `block` (for those rows)."""
+        """Return the table's `rows`, with the labels `block` (for those rows)."""
         time = None if self.time is None else self.time[rows]
         rotation = None if self.rotation is None else self.rotation[rows]
         return OrientationTable(
@@ -79,7 +79,7 @@ class OrientationTable:
         )
 
     def timed(self) -> "OrientationTable":
-        """The table with its readings' order for a time where it has none."""
+        """Return the table with its readings' order for a time where it has none."""
         return self if self.time is not None else replace(self, time=np.arange(float(len(self))))
 
 
@@ -118,7 +118,7 @@ def read_table(
 def read_wrenches(
     path: str | os.PathLike[str], columns: Sequence[str] | None = None
 ) -> tuple[Array, Array]:
-    """Times (n,) as the file has them and wrenches (n, 6) of a table of t, fx ... tz.
+    """Return times (n,) as the file has them and wrenches (n, 6) of a table of t, fx ... tz.
 
     Raises TableError naming the file and what is wrong in it.
     """
@@ -129,7 +129,7 @@ def read_wrenches(
 def read_orientations(
     path: str | os.PathLike[str], columns: Sequence[str] | None = None
 ) -> tuple[Array, Array]:
-    """Times (n,) as the file has them and gravity (n, 3), m/s^2, of a table without wrenches.
+    """Read times (n,) as the file has them and gravity (n, 3), m/s^2, of a table without wrenches.
 
     Raises TableError naming the file and what is wrong in it.
     """

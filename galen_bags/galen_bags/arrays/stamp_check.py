@@ -98,7 +98,7 @@ class StampCheck:
             self._judge(stamp_ns, np.diff(stamp_ns), np.diff(log_time_ns))
 
     def report(self) -> StampReport:
-        """What was found so far."""
+        """Return what was found so far."""
         counts = {kind: self._counts.get(kind, 0) for kind in _KINDS}
         stamped = self._count - counts["unstamped"]
         good = self._steps > 0 and self._advance_ns > 0

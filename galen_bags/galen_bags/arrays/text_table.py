@@ -39,7 +39,7 @@ class TextTable:
     numbers: dict[str, Array]
 
     def require(self, name: str) -> Array:
-        """The numbers (n,) of a column; raises TableError that names those there are."""
+        """Return the numbers (n,) of a column; raises TableError that names those there are."""
         if name not in self.names:
             raise TableError(f"{self.path}: no column {name!r}; there are {', '.join(self.names)}")
         return self.numbers[name]
@@ -120,7 +120,7 @@ def _numbers(
     lines: list[int],
     known: Collection[str],
 ) -> dict[str, Array]:
-    """The known columns as numbers; others may hold anything."""
+    """Return the known columns as numbers; others may hold anything."""
     numbers: dict[str, Array] = {}
     for index, name in enumerate(names):
         if name not in known:

@@ -37,7 +37,7 @@ class Timeline:
     report: StampReport
 
     def __len__(self) -> int:
-        """Number of samples."""
+        """Return the number of samples."""
         return len(self.row)
 
     def kept(self, mask: np.ndarray) -> Timeline:
@@ -126,7 +126,7 @@ def interpolated(
 def stamp_sentences(
     topic: str, line: Timeline, start_ns: int, beside_ns: np.ndarray | None = None
 ) -> list[str]:
-    """What is wrong with a topic's stamps, as sentences; times in s after `start_ns`.
+    """Return what is wrong with a topic's stamps, as sentences; times in s after `start_ns`.
 
     beside_ns (m,), increasing: another topic's stamps. Where that has a gap, too, the recorder
     paused, as between two positions, and no sample is missing.
@@ -158,7 +158,7 @@ def stamp_sentences(
 
 
 def _without_pauses(line: Timeline, beside_ns: np.ndarray) -> StampReport:
-    """The line's report without the gaps that `beside_ns` has as well."""
+    """Return the line's report without the gaps that `beside_ns` has as well."""
     report = line.report
     if len(line) < 2 or len(beside_ns) < 2:
         return report

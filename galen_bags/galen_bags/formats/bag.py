@@ -141,7 +141,7 @@ class Bag:
         return opened
 
     def _folder(self) -> Path:
-        """A temporary directory, there until the bag is closed."""
+        """Return a temporary directory, there until the bag is closed."""
         return Path(self._stack.enter_context(tempfile.TemporaryDirectory(prefix="galen_bag_")))
 
     def _decompressed(self, path: Path) -> Path:
@@ -162,7 +162,7 @@ class Bag:
         return target
 
     def _inflated(self, block: Messages) -> Iterator[Messages]:
-        """The block with those messages decompressed that were compressed one by one (zstd)."""
+        """Decompress those messages of the block that were compressed one by one (zstd)."""
         if np.any(block.data[block.start[block.size > 0]] == _ZSTD_MAGIC[0]):
             yield from packed(self._decompress_each(block))
         else:

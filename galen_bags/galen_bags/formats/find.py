@@ -49,7 +49,7 @@ def is_bag(path: Path) -> bool:
 
 
 def _below(path: Path, seen: set[tuple[int, int]]) -> Iterator[Path]:
-    """The bags at `path` or below; `seen` holds the directories searched, against loops."""
+    """Return the bags at `path` or below; `seen` holds the directories searched, against loops."""
     if path.is_file():
         if is_bag(path):
             yield path

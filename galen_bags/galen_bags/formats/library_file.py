@@ -124,7 +124,7 @@ class LibraryFile:
 
 
 def _plain(path: Path, folder: Callable[[], Path]) -> Path:
-    """A path to the same file that is its own URI."""
+    """Return a path to the same file that is its own URI."""
     if not _URI_SIGNS & set(str(path)):
         return path
     link = folder() / "bag.db3"
@@ -133,7 +133,7 @@ def _plain(path: Path, folder: Callable[[], Path]) -> Path:
 
 
 def _to_cdr(connection: Any) -> Callable[[bytes], bytes]:
-    """Converts a ROS 1 connection's messages, by the definition that the bag has of their type."""
+    """Make the converter of a ROS 1 connection's messages, by the bag's definition of their type."""
     defined = get_types_from_msg(connection.msgdef.data, connection.msgtype)
     if _HEADER in defined:
         # The library steps over the number that only ROS 1's headers have, if it is not a field.

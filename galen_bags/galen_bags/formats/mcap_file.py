@@ -218,7 +218,7 @@ class McapFile:
                 _count(self._found, self._records(file, extent)[1])
 
     def _records(self, file: BinaryIO, extent: _Extent) -> tuple[bytes, Walk]:
-        """An extent's content and its records; none and a problem where they can't be had."""
+        """Read an extent's content and its records; none and a problem where they can't be had."""
         where = f"{self.path.name}: the chunk at byte {extent.start}"
         size = extent.stop - extent.start
         if size > LARGEST_BYTES:
@@ -252,7 +252,7 @@ class McapFile:
             )
 
     def _wanted(self, content: bytes, records: Walk, wanted: dict[str, int]) -> Messages:
-        """The wanted messages among the records."""
+        """Return the wanted messages among the records."""
         numbers = np.full(_CHANNELS, _UNKNOWN, dtype=np.int32)
         for channel, (topic, _, _) in self._channels.items():
             numbers[channel] = wanted.get(topic, _UNWANTED)

@@ -103,7 +103,7 @@ def _step(
 
 
 def _check_index(content: bytes, start: np.ndarray) -> Walk | None:
-    """The walk, if the messages at `start` and what is between them fill the content."""
+    """Return the walk, if the messages at `start` and what is between them fill the content."""
     if start[0] < 0 or start[-1] + MESSAGE_HEAD.itemsize > len(content):
         return None
     heads = _heads(content, start)
@@ -128,7 +128,7 @@ def _check_index(content: bytes, start: np.ndarray) -> Walk | None:
 
 
 def _heads(content: bytes, start: np.ndarray) -> np.ndarray:
-    """The heads of the message records that start at `start`."""
+    """Return the heads of the message records that start at `start`."""
     if not len(start):
         return np.zeros(0, MESSAGE_HEAD)
     data = np.frombuffer(content, np.uint8)
@@ -157,18 +157,18 @@ class Body:
         self._at = 0
 
     def number(self, form: str) -> int:
-        """The next number, of a struct's form."""
+        """Return the next number, of a struct's form."""
         (value,) = struct.unpack_from(form, self._content, self._at)
         self._at += struct.calcsize(form)
         return int(value)
 
     def text(self) -> str:
-        """The next text, after its length."""
+        """Return the next text, after its length."""
         text = self.rest(self.number("<I"))
         return text.decode()
 
     def rest(self, size: int) -> bytes:
-        """The next `size` bytes."""
+        """Return the next `size` bytes."""
         found = self._content[self._at : self._at + size]
         if len(found) != size:
             raise struct.error(f"{size} bytes are announced and {len(found)} are there")
@@ -176,7 +176,7 @@ class Body:
         return found
 
     def upto(self, size: int) -> bytes:
-        """The next `size` bytes, or those that are there."""
+        """Return the next `size` bytes, or those that are there."""
         return self._content[self._at : self._at + size]
 
     def skip(self, size: int) -> None:
@@ -185,7 +185,7 @@ class Body:
 
 
 def unpack_chunk(stored: bytes, *, cut: bool) -> bytes:
-    """The records of a chunk, whose content is `stored`; raises DamagedError.
+    """Return the records of a chunk, whose content is `stored`; raises DamagedError.
 
     A chunk that is `cut` off gives the records up to there.
     """

@@ -58,7 +58,7 @@ def read_metadata(path: Path) -> BagMetadata:
 
 
 def storage_files(directory: Path) -> list[Path]:
-    """A rosbag2 directory's files, in the order of the numbers in their names."""
+    """Return a rosbag2 directory's files, in the order of the numbers in their names."""
     found = [
         file
         for file in directory.iterdir()
@@ -73,7 +73,7 @@ def storage_of(path: Path) -> str:
 
 
 def listed_files(directory: Path) -> tuple[list[Path] | None, list[str]]:
-    """The files that metadata.yaml lists (None: it does not say), and what is wrong with it."""
+    """Return the files that metadata.yaml lists (None: unknown), and what is wrong with it."""
     metadata = directory / "metadata.yaml"
     if not metadata.exists():
         return None, [f"{directory.name} has no metadata.yaml: its recording was cut off"]
@@ -96,7 +96,7 @@ def listed_files(directory: Path) -> tuple[list[Path] | None, list[str]]:
 
 
 def _listed_paths(metadata: Path) -> list[str]:
-    """The texts in the list of files; the rest of the file is not taken apart."""
+    """Return the texts in the list of files; the rest of the file is not taken apart."""
     with metadata.open(encoding="utf-8") as file:
         found = iter(yaml.parse(file.read(_MOST_BYTES), Loader=_Loader))
         for event in found:

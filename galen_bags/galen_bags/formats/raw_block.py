@@ -45,7 +45,7 @@ class Messages:
     size: np.ndarray
 
     def __len__(self) -> int:
-        """Number of messages."""
+        """Return the number of messages."""
         return len(self.topic)
 
     def message(self, index: int) -> bytes:
@@ -58,19 +58,19 @@ class Messages:
         return bool(np.all(self.log_time_ns[1:] >= self.log_time_ns[:-1]))
 
     def sorted(self) -> Messages:
-        """The same in order of log time; messages of one time keep their order."""
+        """Return the same in order of log time; messages of one time keep their order."""
         if self.in_order():
             return self
         return self.rows(np.argsort(self.log_time_ns, kind="stable"))
 
     def rows(self, rows: slice | np.ndarray) -> Messages:
-        """Some of the messages, in the same buffer."""
+        """Return some of the messages, in the same buffer."""
         return Messages(
             self.topic[rows], self.log_time_ns[rows], self.data, self.start[rows], self.size[rows]
         )
 
     def pieces(self) -> Iterator[Messages]:
-        """The same in blocks of at most BLOCK_MESSAGES."""
+        """Return the same in blocks of at most BLOCK_MESSAGES."""
         if len(self) <= BLOCK_MESSAGES:
             if len(self):
                 yield self
@@ -129,7 +129,7 @@ class Problems:
             self._more = True
 
     def __iter__(self) -> Iterator[str]:
-        """The sentences, in the order in which they were found."""
+        """Return the sentences, in the order in which they were found."""
         yield from self._texts
         if self._more:
             yield f"there are more than these {_MOST_PROBLEMS} problems"

@@ -34,7 +34,7 @@ class TimeOrder:
             self._hold(place, messages.sorted())
 
     def ready(self, next_ns: int | None, next_place: int) -> Iterator[Messages]:
-        """What comes before the next stretch, which begins at this time; None: all."""
+        """Return what comes before the next stretch, which begins at this time; None: all."""
         if next_ns is not None and self._held_bytes > MOST_HELD_BYTES:
             self.overfull = True
             next_ns = None
@@ -46,7 +46,7 @@ class TimeOrder:
                 yield from self._take(upto_ns, -1)
 
     def _upto_ns(self) -> int | None:
-        """A time before which there is about a block's worth of messages; None: all there are.
+        """Find a time before which there is about a block's worth of messages; None: all there are.
 
         All that is held at once would be twice in memory while it is put together.
         """
@@ -86,7 +86,7 @@ def _border(times: np.ndarray, next_ns: int | None, *, inclusive: bool) -> int:
 
 
 def _compact(messages: Messages) -> Messages:
-    """The same in a buffer that holds little else, and in their order in it."""
+    """Return the same in a buffer that holds little else, and in their order in it."""
     size = messages.size
     if np.all(messages.start[1:] >= messages.start[:-1]):
         first, stop = int(messages.start[0]), int(messages.start[-1] + size[-1])
@@ -104,7 +104,7 @@ def _compact(messages: Messages) -> Messages:
 
 
 def _joined(parts: list[Messages]) -> Messages:
-    """The parts' messages, one part after the other."""
+    """Return the parts' messages, one part after the other."""
     lengths = np.array([len(part.data) for part in parts])
     return Messages(
         np.concatenate([part.topic for part in parts]),

@@ -171,7 +171,7 @@ class _Run(Generic[Result]):
             yield number, self._outcome(number, future)
 
     def _death(self, number: int) -> Outcome[Result]:
-        """The outcome of a bag that ended its worker."""
+        """Return the outcome of a bag that ended its worker."""
         reason = "it crashed or was killed" if self._deaths is None else self._deaths.reason()
         return self._error(number, f"the process that worked on it died: {reason}")
 

@@ -199,7 +199,7 @@ def _deaths_collected() -> Iterator[Deaths]:
 
 @contextlib.contextmanager
 def scheduler_client(scheduler: str, timeout_s: float) -> Iterator[Client]:
-    """A client of the scheduler at an address, such as tcp://host:8786, or of a scheduler file.
+    """Connect to the scheduler at an address, such as tcp://host:8786, or of a scheduler file.
 
     Raises ClusterError if none answers within `timeout_s`, or if it has no workers.
     """

@@ -51,7 +51,7 @@ class Replay:
             self._line.close()
 
     def result(self, signal_number: int | None) -> dict[str, Any]:
-        """What was played, for --json."""
+        """Return what was played, for --json."""
         assert self.node is not None
         return {
             "bag": str(self._bag.path),
@@ -67,7 +67,7 @@ class Replay:
         }
 
     def summary(self, signal_number: int | None) -> str:
-        """What was played, for a person."""
+        """Return what was played, for a person."""
         result = self.result(signal_number)
         lines = [f"{result['bag']}: {result['messages']} messages published"]
         width = max(map(len, result["topics"]))

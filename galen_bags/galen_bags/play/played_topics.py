@@ -42,7 +42,7 @@ def selected_topics(bag: Bag, wanted: Sequence[str] | None) -> list[str]:
 def make_topics(
     node: Node, bag: Bag, offers: Mapping[str, QoSProfile], own_clock: bool
 ) -> tuple[list[PlayedTopic], dict[str, str]]:
-    """Publishers for the topics in `offers`, and {name: reason} of those that are left out.
+    """Return publishers for the topics in `offers`, and {name: reason} of those that are left out.
 
     `own_clock`: the player publishes /clock itself. Raises BagError when nothing is left to play.
     """

@@ -239,7 +239,7 @@ class PlayerNode(Node):
         self._diagnostics.publish_now()
 
     def _wait_for_acknowledgements(self, now_s: float) -> None:
-        """The process must not end before the last messages have arrived."""
+        """Wait, for the process must not end before the last messages have arrived."""
         assert self._ending_since_s is not None
         publishers = [topic.publisher for topic in self._topics]
         if self._clock_publisher is not None:

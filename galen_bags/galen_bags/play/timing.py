@@ -93,7 +93,7 @@ class Due:
 
 
 def window(blocks: Iterable[Messages], first_ns: int, last_ns: int | None) -> Iterator[Messages]:
-    """The blocks' messages with log times of `first_ns` to `last_ns`, both included."""
+    """Return the blocks' messages with log times of `first_ns` to `last_ns`, both included."""
     for block in blocks:
         times = block.log_time_ns
         if last_ns is not None and len(times) and times[0] > last_ns:
@@ -123,7 +123,7 @@ class Ahead:
         self._thread.start()
 
     def take(self) -> Messages | None:
-        """The next block, None at the end. Raises queue.Empty if it is not read yet."""
+        """Return the next block, None at the end. Raises queue.Empty if it is not read yet."""
         item = self._ready.get_nowait()
         if isinstance(item, BaseException):
             raise item
@@ -170,7 +170,7 @@ class Playlist:
         return int(self._block.log_time_ns[self._next])
 
     def pop(self) -> Due:
-        """The next message; only after `peek_ns` has told its time."""
+        """Return the next message; only after `peek_ns` has told its time."""
         block, index = self._block, self._next
         assert block is not None
         self._next += 1
@@ -188,7 +188,7 @@ class Playlist:
 
 
 def with_stamp(data: bytes, stamp_ns: int) -> bytes:
-    """A message that starts with a header, with another stamp; its bytes are else as they were."""
+    """Give a message that starts with a header another stamp; other bytes stay as they are."""
     changed = bytearray(data)
     order = "<" if data[1] & 1 else ">"
     struct.pack_into(order + "iI", changed, STAMP_AT, *divmod(stamp_ns, NS_PER_S))

@@ -59,7 +59,7 @@ class Recording:
             self._line.close()
 
     def result(self) -> dict[str, Any]:
-        """What was recorded, for --json."""
+        """Return what was recorded, for --json."""
         node = self.node
         counts_by_topic = node.counts_by_topic if node else []
         first_ns = [counts.first_ns for counts in counts_by_topic if counts.first_ns is not None]
@@ -75,7 +75,7 @@ class Recording:
         }
 
     def summary(self) -> str:
-        """What was recorded, for a person."""
+        """Return what was recorded, for a person."""
         result = self.result()
         lines = [
             f"{result['bag']}: {result['messages']} messages, {result['size_bytes'] / _MB:.2f} MB,"

@@ -92,7 +92,7 @@ class SimulatedTimes:
         self._before, self._now = self._now, (wall_ns, clock_ns)
 
     def at(self, received_ns: int) -> int:
-        """What the clock was when a message was received."""
+        """Return what the clock was when a message was received."""
         (from_wall, from_clock), (wall, clock) = self._before, self._now
         if from_clock == 0 or not (from_wall < wall and from_clock < clock):
             return clock
@@ -167,7 +167,7 @@ class RecorderNode(Node):
         return sum(topic.counts.messages for topic in self._topics.values())
 
     def problems(self) -> dict[str, str]:
-        """What is wrong, by topic: not seen, nothing carried, not recordable, lost messages ..."""
+        """Return problems by topic: not seen, nothing carried, not recordable, lost messages ..."""
         found = dict(self._warned)
         for name in self._wanted:
             if name not in self._topics:

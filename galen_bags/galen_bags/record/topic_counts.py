@@ -59,11 +59,11 @@ class TopicCounts:
         self.last_ns = log_time_ns
 
     def keep(self) -> None:
-        """What was counted until now is in the file."""
+        """Note that what was counted until now is in the file."""
         self._kept = (self.messages, self.size_bytes, self.last_ns)
 
     def take_back(self) -> None:
-        """What was counted since `keep` did not get into the file."""
+        """Take back what was counted since `keep`: it did not get into the file."""
         self.messages, self.size_bytes, self.last_ns = self._kept
         self.first_ns = self.first_ns if self.messages else None
 
@@ -75,7 +75,7 @@ class TopicCounts:
         return (self.messages - 1) / ((self.last_ns - self.first_ns) * 1e-9)
 
     def to_dict(self) -> dict[str, Any]:
-        """The counts for JSON."""
+        """Return the counts for JSON."""
         return {
             "name": self.name,
             "type": self.type_name,
@@ -89,7 +89,7 @@ class TopicCounts:
 
 
 def topic_table(counts_by_topic: list[TopicCounts]) -> str:
-    """The tallies as lines of text, aligned."""
+    """Return the tallies as lines of text, aligned."""
     width = max((len(counts.name) for counts in counts_by_topic), default=0)
     lines = []
     for counts in counts_by_topic:

@@ -67,7 +67,7 @@ class Layout:
         return tuple(struct.Struct(f"{self.order}{count}d") for count in self.counts)
 
     def stamp_ns(self, data: bytes) -> int:
-        """The stamp of a message that fits, ns."""
+        """Return the stamp of a message that fits, ns."""
         sec, nanosec = self.stamp.unpack_from(data, STAMP_AT)
         return int(sec) * NS_PER_S + int(nanosec)
 
@@ -110,7 +110,7 @@ class _Walk:
         self._runs: list[tuple[int, int]] = [(0, 2)]
 
     def count(self, smallest: int) -> int:
-        """A sequence's length, of items that take at least `smallest` bytes."""
+        """Return a sequence's length, of items that take at least `smallest` bytes."""
         start = _aligned(self._at, 4)
         self._take(start, 4)
         (count,) = struct.unpack_from(self._order + "I", self._data, start)
@@ -184,7 +184,7 @@ class _Template:
         self._data += b"\x00"
 
     def fill(self, stamp_ns: int, *runs: Sequence[float]) -> bytes:
-        """The message's bytes; a run of another length than the message's is a struct.error."""
+        """Write the message; a run of another length than the message's is a struct.error."""
         struct.pack_into("<iI", self._data, STAMP_AT, *divmod(stamp_ns, NS_PER_S))
         for (layout, start), values in zip(self._runs, runs, strict=True):
             layout.pack_into(self._data, start, *values)
@@ -202,7 +202,7 @@ class WrenchBytes:
         self._template.add_doubles(6)
 
     def fill(self, stamp_ns: int, wrench: Sequence[float]) -> bytes:
-        """The message's bytes for a wrench (6,), force then torque, N and N.m."""
+        """Return the message's bytes for a wrench (6,), force then torque, N and N.m."""
         return self._template.fill(stamp_ns, wrench)
 
 
@@ -216,7 +216,7 @@ class PoseBytes:
     def fill(
         self, stamp_ns: int, position_m: Sequence[float], quaternion_xyzw: Sequence[float]
     ) -> bytes:
-        """The message's bytes for a position (3,) and a quaternion (4,)."""
+        """Return the message's bytes for a position (3,) and a quaternion (4,)."""
         return self._template.fill(stamp_ns, [*position_m, *quaternion_xyzw])
 
 
@@ -235,7 +235,7 @@ class DeflectionBytes:
         covariance: Sequence[float],
         extrapolated: bool,
     ) -> bytes:
-        """The message's bytes: translation and rotation (6,), m, rad; covariance (36,)."""
+        """Return the message's bytes: translation and rotation (6,), m, rad; covariance (36,)."""
         return self._template.fill(stamp_ns, [*deflection, *covariance], [extrapolated])
 
 
@@ -255,5 +255,5 @@ class JointStateBytes:
         self._template.add_count(0)
 
     def fill(self, stamp_ns: int, positions: Sequence[float], velocities: Sequence[float]) -> bytes:
-        """The message's bytes; positions and velocities (n,)."""
+        """Return the message's bytes; positions and velocities (n,)."""
         return self._template.fill(stamp_ns, positions, velocities)

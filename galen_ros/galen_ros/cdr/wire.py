@@ -25,7 +25,7 @@ class RawWrench:
     __slots__ = ("_data", "_layout", "frame_id", "stamp_ns", "wrench")
 
     def __init__(self, data: bytes, layout: Layout) -> None:
-        """`data`: a message that fits `layout`."""
+        """Take `data`: a message that fits `layout`."""
         self._data = data
         self._layout = layout
         self.stamp_ns = layout.stamp_ns(data)
@@ -33,7 +33,7 @@ class RawWrench:
         self.wrench: tuple[float, ...] = layout.doubles[0].unpack_from(data, layout.doubles_at[0])
 
     def with_wrench(self, wrench: Array) -> bytes:
-        """The same message, serialised, with another wrench (6,); every other byte stays."""
+        """Return the same message, serialised, with another wrench (6,); every other byte stays."""
         out = bytearray(self._data)
         layout = self._layout
         layout.doubles[0].pack_into(out, layout.doubles_at[0], *wrench.tolist())

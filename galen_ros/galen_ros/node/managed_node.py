@@ -97,7 +97,7 @@ class ManagedNode(LifecycleNode):
 
     @abstractmethod
     def _report(self) -> Status:
-        """The state for /diagnostics while the node is inactive or active."""
+        """Return the state for /diagnostics while the node is inactive or active."""
 
     # What it can use
 

@@ -57,7 +57,7 @@ def init_ros(args: list[str] | None = None, context: Context | None = None) -> N
 
 
 def own_arguments(arguments: list[str]) -> list[str]:
-    """A command line without what is ROS's; where that is wrong, `init_ros` says it."""
+    """Return a command line without what is ROS's; where that is wrong, `init_ros` says it."""
     try:
         return list(remove_ros_args(arguments))
     except RuntimeError:

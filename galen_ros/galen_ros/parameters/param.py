@@ -102,7 +102,7 @@ def add_options(parser: argparse._ActionsContainer, cls: type, names: Sequence[s
 
 
 def from_options(options: argparse.Namespace, cls: type[T], names: Sequence[str]) -> T:
-    """The parameters with the values of the options that `add_options` made, else the defaults."""
+    """Read the options that `add_options` made into parameters; others have their defaults."""
     return cls(**{name: getattr(options, name) for name in names})
 
 
