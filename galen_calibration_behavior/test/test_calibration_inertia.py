@@ -1,4 +1,4 @@
-"""`calibrate_from_bag --estimate inertia`: the file gets it and keeps the rest, or stays as it was."""
+"""`calibrate_from_bag --estimate inertia`: the file gets it and keeps the rest, or is as it was."""
 
 import json
 

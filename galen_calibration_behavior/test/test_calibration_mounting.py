@@ -9,7 +9,7 @@ from galen_calibration_behavior.calibration.estimate import (
     MountingRequest,
     calibrate,
 )
-from galen_calibration_behavior.calibration.mounting_text import format_mounting, mounting_fields
+from galen_calibration_behavior.calibration.result_text import format_mounting, mounting_fields
 from galen_calibration_behavior.commands import CalibrationCode, Measurements
 from galen_calibration_behavior.parameters import CalibrationParameters
 from galen_model.errors import IdentificationError

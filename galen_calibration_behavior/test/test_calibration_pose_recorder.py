@@ -320,8 +320,3 @@ def test_a_reading_that_never_changes_keeps_the_error_of_rounding():
     arm.noise[:] = 0.0
     result = record(arm)
     assert np.all(result.std_of_mean > 0.0)
-
-
-def test_stamps_are_ten_ms_apart_in_the_fake():
-    arm = FakeArm()
-    assert arm.step()[0] + STEP_NS == arm.step()[0]

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from galen_calibration_behavior.quick_check.answer import CheckLimits
 from galen_calibration_behavior.quick_check.decision import differences, quick_check
-from galen_calibration_behavior.quick_check.poses import plan_check
+from galen_calibration_behavior.quick_check.procedure import plan_check
 from galen_model.arm.kinematics import gravity_in_sensor
 from galen_model.evidence.verdict import Cause, CheckAnswer
 from galen_model.files.calibration_file import CalibrationFile, LoadEstimate

@@ -29,8 +29,12 @@ from galen_calibration_behavior.calibration.estimate import (
     choose_tip,
     estimate,
 )
-from galen_calibration_behavior.calibration.mounting_text import format_mounting, mounting_fields
-from galen_calibration_behavior.calibration.result_text import calibration_fields, format_result
+from galen_calibration_behavior.calibration.result_text import (
+    calibration_fields,
+    format_mounting,
+    format_result,
+    mounting_fields,
+)
 from galen_calibration_behavior.commands import CalibrationCode
 from galen_calibration_behavior.from_bag.recorded_sweeps import RecordedSweeps, SweepSorter
 from galen_calibration_behavior.from_bag.source import (
