@@ -8,14 +8,19 @@ square root of an eigenvalue of the ratio is the inflation of the standard devia
 eigenvector; where it is infinite or very large, the poses do not tell that combination.
 """
 
+from __future__ import annotations
+
 from collections.abc import Mapping, Sequence
-from typing import Protocol
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from galen_model.arm.galen import GRAVITY_M_S2
 from galen_model.arrays import Array
 from galen_model.errors import NotExcitedError
+
+if TYPE_CHECKING:
+    from galen_model.load.identification import StillPoses
 
 LOAD_PARAMETERS = (
     "the tool's mass",
@@ -34,18 +39,6 @@ MAX_INFLATION = 25.0
 
 The default grid of 56 poses has 4 at worst; one within +-0.1 rad of roll and tilt has 29.
 """
-
-
-class PoseAngles(Protocol):
-    """Poses with roll and tilt, shape (n,), rad."""
-
-    @property
-    def roll(self) -> Array:
-        """Roll angles (n,), rad."""
-
-    @property
-    def tilt(self) -> Array:
-        """Tilt angles (n,), rad."""
 
 
 def inflation(design: Array, parameters: int) -> tuple[Array, Array]:
@@ -72,7 +65,7 @@ def inflation(design: Array, parameters: int) -> tuple[Array, Array]:
 
 
 def check_excitation(
-    design: Array, names: Sequence[str], poses: Mapping[str, PoseAngles] | None = None
+    design: Array, names: Sequence[str], poses: Mapping[str, StillPoses] | None = None
 ) -> None:
     """Raise NotExcitedError, naming what is missing, unless the poses tell every parameter.
 

@@ -26,6 +26,7 @@ from galen_model.arm.galen import WRENCH_AXES
 from galen_model.arm.kinematics import gravity_in_sensor
 from galen_model.arrays import Array
 from galen_model.errors import IdentificationError, ImplausibleLoadError, NotExcitedError
+from galen_model.evidence.columns import moment_covariance
 from galen_model.files.calibration_file import LoadEstimate
 from galen_model.load.bias.choice import BiasDrift
 from galen_model.load.excitation import LOAD_PARAMETERS, check_excitation
@@ -304,11 +305,7 @@ def one_sweep_prior(
         return row, np.zeros(1), np.array([_UNOBSERVED_MOMENT_STD_KGM])
     # (m, h) of the known adapter, its covariance taken from (m, p) and decorrelated into rows.
     moments = known_adapter.load.moments
-    jacobian = np.eye(4)
-    jacobian[1:, 0] = known_adapter.com_m
-    jacobian[1:, 1:] *= known_adapter.mass_kg
-    covariance = jacobian @ known_adapter.covariance @ jacobian.T
-    variances, vectors = np.linalg.eigh(covariance)
+    variances, vectors = np.linalg.eigh(moment_covariance(known_adapter, np.zeros(4)))
     rows = np.zeros((4, 14))
     rows[:, 4:8] = vectors.T
     floor = 1e-12 * max(float(variances.max()), 1e-12)

@@ -28,7 +28,8 @@ import numpy as np
 from galen_model.arrays import Array
 from galen_model.distributions import chi2_sf
 from galen_model.errors import IdentificationError, NotExcitedError
-from galen_model.files.calibration_file import CalibrationFile, LoadEstimate
+from galen_model.evidence.columns import moment_covariance
+from galen_model.files.calibration_file import CalibrationFile
 from galen_model.load.inertia.inertial import INERTIA_NAMES, InertiaEstimate, inertial_regressor
 from galen_model.load.inertia.motion_record import MotionRecord
 from galen_model.load.model import gravity_regressor
@@ -83,24 +84,12 @@ def _is_other(file_distance: float) -> bool:
 
 
 def total_moments(tool: CalibrationFile) -> tuple[Array, Array]:
-    """(m, h) (4,) of tool and adapter, and their covariance (4, 4), kg and kg m.
-
-    h = m p: its covariance is that of (m, p), taken by the Jacobian [[1, 0], [p, m 1]].
-    """
+    """(m, h) (4,) of tool and adapter, and their covariance (4, 4), kg and kg m."""
     total, covariance = np.zeros(4), np.zeros((4, 4))
     for part in (tool.load, tool.adapter):
         total += part.load.moments
-        jacobian = _moments_jacobian(part)
-        covariance += jacobian @ part.covariance @ jacobian.T
+        covariance += moment_covariance(part, np.zeros(4))
     return total, covariance
-
-
-def _moments_jacobian(part: LoadEstimate) -> Array:
-    jacobian = np.zeros((4, 4))
-    jacobian[0, 0] = 1.0
-    jacobian[1:, 0] = part.com_m
-    jacobian[1:, 1:] = part.mass_kg * np.eye(3)
-    return jacobian
 
 
 def identify_inertia(record: MotionRecord, moments: Array, covariance: Array) -> InertiaFit:

@@ -12,7 +12,6 @@ e_x) and du/da = g R^T dd/da.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 
@@ -24,16 +23,6 @@ from galen_model.load.mounting.mounting import PARAMETERS, Entity, Mounting
 from galen_model.rotation import skew
 
 _E_Y = np.array([0.0, 1.0, 0.0])
-
-
-class Poses(Protocol):
-    """Where the sensor was."""
-
-    def __len__(self) -> int:
-        """Number of poses."""
-
-    def gravity(self, mounting: Mounting) -> tuple[Array, Array]:
-        """Gravity (n, 3) in ft_sensor and its change (n, 3, 4) by inclination x, y, zeros."""
 
 
 @dataclass(frozen=True)
@@ -48,7 +37,7 @@ class JointPoses:
         return len(self.roll)
 
     def gravity(self, mounting: Mounting) -> tuple[Array, Array]:
-        """See `Poses.gravity`."""
+        """Gravity (n, 3) in ft_sensor and its change (n, 3, 4) by inclination x, y, zeros."""
         zero = mounting.joint_zero_rad
         rotation = sensor_rotation(self.roll + zero[0], self.tilt + zero[1])
         size = -GRAVITY_M_S2[2]
@@ -75,13 +64,16 @@ class OrientedPoses:
         return len(self.level_gravity)
 
     def gravity(self, mounting: Mounting) -> tuple[Array, Array]:
-        """See `Poses.gravity`; joint zeros have no effect."""
+        """As `JointPoses.gravity`; joint zeros have no effect."""
         change = np.zeros((len(self), 3, 4))
         if self.rotation is None:
             return self.level_gravity, change
         size = np.linalg.norm(self.level_gravity, axis=1)[:, None, None]
         change[:, :, :2] = size * _by_inclination(self.rotation, mounting)
         return mounting.turned_gravity(self.level_gravity, self.rotation), change
+
+
+Poses = JointPoses | OrientedPoses
 
 
 def _by_inclination(rotation: Array, mounting: Mounting) -> Array:
