@@ -133,7 +133,7 @@ def _plain(path: Path, folder: Callable[[], Path]) -> Path:
 
 
 def _to_cdr(connection: Any) -> Callable[[bytes], bytes]:
-    """Make the converter of a ROS 1 connection's messages, by the bag's definition of their type."""
+    """Make the converter of a ROS 1 connection's messages, by the bag's own definition."""
     defined = get_types_from_msg(connection.msgdef.data, connection.msgtype)
     if _HEADER in defined:
         # The library steps over the number that only ROS 1's headers have, if it is not a field.
