@@ -13,7 +13,7 @@ the wrench says so by `forget`.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from enum import Enum
 from typing import NamedTuple
 
@@ -171,9 +171,9 @@ class Deflector:
                 f" has its tip at {_point(tip_m)} m: load a model of this tool (model_file)"
             )
         if model is None:
-            return self._made(self.pairing.bar(ModelRejection.NO_MODEL, self._why_none))
+            return [*self.pairing.bar(ModelRejection.NO_MODEL, self._why_none)]
         if self._other_tip:
-            return self._made(self.pairing.bar(ModelRejection.OTHER_TIP, self._other_tip))
+            return [*self.pairing.bar(ModelRejection.OTHER_TIP, self._other_tip)]
         self.pairing.unbar()
         return []
 

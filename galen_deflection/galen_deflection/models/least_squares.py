@@ -18,6 +18,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
@@ -82,12 +83,20 @@ class Sums:
 
 @dataclass(frozen=True)
 class Solution:
-    """Values (p,), covariance (p, p), which are free (p,) bool, names that were not told."""
+    """Values (p,), which are free (p,) bool, names that are not identifiable, N (p, p)."""
 
     values: Array
-    covariance: Array
     free: np.ndarray
     unresolved: tuple[str, ...]
+    information: Array
+
+    @cached_property
+    def covariance(self) -> Array:
+        """(p, p); zero of what is not free. Fits of folds don't need it."""
+        covariance = np.zeros_like(self.information)
+        some = np.ix_(self.free, self.free)
+        covariance[some] = _inverse(self.information[some])
+        return covariance
 
 
 def sums(basis: Basis, samples: DeflectionSamples, settings: FitSettings) -> Sums:
@@ -176,10 +185,8 @@ def solve(
         values[used] = np.linalg.lstsq(rows[:, used], wanted, rcond=None)[0]
     values /= scale
     free = used & ((values > 0.0) | [p.prior_std is not None for p in parameters])
-    covariance = np.zeros_like(information)
-    covariance[np.ix_(free, free)] = _inverse(information[np.ix_(free, free)])
     names = tuple(parameters[k].name for k in missing)
-    return Solution(values, covariance, free, names)
+    return Solution(values, free, names, information)
 
 
 def not_told(information: Array, parameters: Sequence[Parameter]) -> list[int]:
@@ -279,11 +286,11 @@ def _reject_negative(totals: Sums, solution: Solution, parameters: Sequence[Para
             continue
         free = solution.values > 0.0
         free[k] = True
-        covariance = np.zeros_like(information)
-        covariance[np.ix_(free, free)] = _inverse(information[np.ix_(free, free)])
-        values = covariance @ right
-        inflation = _inflation(totals, Solution(values, covariance, free, ()))
-        std = np.sqrt(inflation * covariance[k, k])
+        unbounded = Solution(np.empty(0), free, (), information)
+        values = unbounded.covariance @ right
+        std = np.sqrt(
+            _inflation(totals, replace(unbounded, values=values)) * unbounded.covariance[k, k]
+        )
         if values[k] < -_REJECTED_BEYOND * std:
             raise NegativeComplianceError(
                 f"{parameter.name} comes out as {values[k]:.3g} +- {std:.2g} {parameter.unit}: no "
