@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -195,7 +195,7 @@ class _Pushing:
         self._joint_row += count - w
         self.at += count
 
-    def _sort(self, results: list[Result]) -> None:
+    def _sort(self, results: Sequence[Result]) -> None:
         for result in results:
             if isinstance(result, Compensated):
                 self._single.append(result)

@@ -157,7 +157,7 @@ class Compensator:
         self._enabled = enabled
         if not enabled:
             self.cancel_tare("compensation was switched off")
-        return self._update_bar()
+        return [*self._update_bar()]
 
     def set_tool(
         self, tool: CalibrationFile | None, why_none: str = "no tool is loaded"
@@ -180,7 +180,7 @@ class Compensator:
             self._stages.bias_drift.clear("the tool was changed")
         if self._stages.fit is not None:
             self._stages.fit.set_tool(tool)
-        return results + self._update_bar()
+        return [*results, *self._update_bar()]
 
     def rename_tool(self, name: str) -> None:
         """Call the active tool by another name; nothing else changes, the tare stays."""
@@ -272,12 +272,12 @@ class Compensator:
             made.append(self._compensate(one) if isinstance(one, PairedWrench) else one)
         return made
 
-    def _update_bar(self) -> list[Result]:
+    def _update_bar(self) -> list[Rejected]:
         """Have all wrenches rejected while it is off or without a tool."""
         if not self._enabled:
-            return self._made(self.pairing.bar(Rejection.DISABLED, "compensation is switched off"))
+            return self.pairing.bar(Rejection.DISABLED, "compensation is switched off")
         if self._tool is None:
-            return self._made(self.pairing.bar(Rejection.NO_TOOL, self._no_tool_detail))
+            return self.pairing.bar(Rejection.NO_TOOL, self._no_tool_detail)
         self.pairing.unbar()
         return []
 
@@ -299,7 +299,7 @@ class Compensator:
         if self._on_restart is not None:
             self._on_restart(why)
 
-    def _set_cable(self, tool: CalibrationFile | None) -> list[Result]:
+    def _set_cable(self, tool: CalibrationFile | None) -> list[Rejected]:
         """Take the cable of another tool, or none."""
         before = self.pairs_positions
         drag = None if tool is None else tool.cable
@@ -307,9 +307,7 @@ class Compensator:
         if self.pairs_positions == before:
             return []
         # The joints so far were kept without the platform's position, or with one too many.
-        return self._made(
-            self.pairing.forget_joints("the tool was changed, and the joints are paired anew")
-        )
+        return self.pairing.forget_joints("the tool was changed, and the joints are paired anew")
 
     @property
     def _settled_offset(self) -> Array:

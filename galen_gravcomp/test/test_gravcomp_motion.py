@@ -7,7 +7,7 @@ import pytest
 from galen_gravcomp.compensator import Compensator
 from galen_gravcomp.corrections.imu_motion import ImuMotion
 from galen_gravcomp.corrections.joint_motion import JointMotion
-from galen_gravcomp.corrections.local_polynomial import LocalPolynomial
+from galen_gravcomp.corrections.motion_window import LocalPolynomial
 from galen_gravcomp.corrections.stages import Stages
 from galen_gravcomp.parameters import GravcompParameters
 from galen_model.arm.galen import SENSOR

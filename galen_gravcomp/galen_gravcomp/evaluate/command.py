@@ -251,7 +251,8 @@ def _evaluate_drift(arguments: argparse.Namespace) -> Report:
 def _evaluate_motion(arguments: argparse.Namespace) -> Report:
     still, unit = arguments.inputs[0], arguments.imu_unit_m_s2
     table = read_table(still, _columns(arguments), arguments.wrench_frame)
-    run = read_motion(*arguments.run, arguments.time_unit_s, unit)
+    wrench, imu, orientations = arguments.run
+    run = read_motion(wrench, imu, orientations, arguments.time_unit_s, unit)
     return motion_report(score_motion(table, read_specific(still, unit), run))
 
 

@@ -143,7 +143,7 @@ class WrenchPairing:
         reported = self._reported
         return None if reported is None else (reported.roll_rad, reported.tilt_rad)
 
-    def bar(self, reason: Enum, detail: str) -> list[Result]:
+    def bar(self, reason: Enum, detail: str) -> list[Rejected]:
         """Reject every wrench until `unbar`, those that wait, too."""
         self._barred = (reason, detail)
         return self.reject_waiting(reason, detail)
@@ -157,7 +157,7 @@ class WrenchPairing:
         """Whether every wrench is rejected by `distrust`."""
         return self._distrust is not None
 
-    def distrust(self, reason: Enum, detail: str) -> list[Result]:
+    def distrust(self, reason: Enum, detail: str) -> list[Rejected]:
         """Reject every wrench until `trust`, for a reason that no single sample shows."""
         self._distrust = (reason, detail)
         return self.reject_waiting(reason, detail)
@@ -166,7 +166,7 @@ class WrenchPairing:
         """Take wrenches again."""
         self._distrust = None
 
-    def restart(self, why: str) -> list[Result]:
+    def restart(self, why: str) -> list[Rejected]:
         """Forget every sample: it belongs to the driver's life so far. Counters stay."""
         results = self.reject_waiting(Rejection.RESTART, why)
         self._joints.clear()
@@ -213,7 +213,7 @@ class WrenchPairing:
         if stamp_ns == self._newest_wrench_ns:
             detail = f"{self.wrench_topic} repeats a stamp; only the first wrench of a stamp is"
             return [self.reject(stamp_ns, Rejection.DUPLICATE, f"{detail} used", number)]
-        results = self._follow_wrench_stamps(stamp_ns)
+        results: list[Result] = [*self._follow_wrench_stamps(stamp_ns)]
         if barred is not None:
             results.append(self.reject(stamp_ns, *barred, number))
             return results
@@ -238,7 +238,7 @@ class WrenchPairing:
         results.extend(self._drop_hopeless())
         return results
 
-    def push_bad_wrench(self, detail: str) -> list[Result]:
+    def push_bad_wrench(self, detail: str) -> list[Rejected]:
         """Reject a wrench message that can't be read, and so has no stamp; `detail` says why."""
         self.received += 1
         return [self.reject(0, Rejection.UNREADABLE, detail, self.received - 1)]
@@ -250,7 +250,7 @@ class WrenchPairing:
         if newest is not None:
             restarted = self._limits.restarted("joint_states", stamp_ns, newest)
             if restarted:
-                results = self.restart(restarted)
+                results.extend(self.restart(restarted))
         self._joint_trouble = None
         # As with wrenches: the sum is finite if all of them are.
         if not math.isfinite(sum(joints)):
@@ -333,7 +333,7 @@ class WrenchPairing:
         self._note(Notice.ANGLE_UNIT, count_angle_unit_notices(arrivals.angles[:, -2:]))
         return PairedRun(len(arrivals.is_wrench), number[:out], stamp_ns[:out], raw[:out], angles)
 
-    def forget_joints(self, detail: str) -> list[Result]:
+    def forget_joints(self, detail: str) -> list[Rejected]:
         """Forget the joint samples, as of another joint vector; reject what waits for them."""
         self._joints.clear()
         return self.reject_waiting(Rejection.NO_JOINTS, detail)
@@ -357,10 +357,10 @@ class WrenchPairing:
         if count:
             self.notices[notice] += count
 
-    def _follow_wrench_stamps(self, stamp_ns: int) -> list[Result]:
+    def _follow_wrench_stamps(self, stamp_ns: int) -> list[Rejected]:
         """Compare with the newest stamp: restart, out of order."""
         newest = self._newest_wrench_ns
-        results: list[Result] = []
+        results: list[Rejected] = []
         if newest is not None:
             restarted = self._limits.restarted(self.wrench_topic, stamp_ns, newest)
             if restarted:
@@ -371,7 +371,7 @@ class WrenchPairing:
         self._newest_wrench_ns = stamp_ns
         return results
 
-    def _drop_hopeless(self) -> list[Result]:
+    def _drop_hopeless(self) -> list[Rejected]:
         """Reject what waits once the joints have fallen too far behind, or too many wait."""
         newest_wrench = self._newest_wrench_ns
         newest_joints = self._joints.newest_ns
@@ -437,9 +437,9 @@ class WrenchPairing:
         self.rejections[reason] += 1
         return Rejected(stamp_ns, reason, detail, number)
 
-    def reject_waiting(self, reason: Enum, detail: str) -> list[Result]:
+    def reject_waiting(self, reason: Enum, detail: str) -> list[Rejected]:
         """Reject the wrenches that wait."""
-        results: list[Result] = [
+        results: list[Rejected] = [
             self.reject(waiting.stamp_ns, reason, detail, waiting.number)
             for waiting in self._waiting
         ]

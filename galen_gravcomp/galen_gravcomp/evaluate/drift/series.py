@@ -1,8 +1,8 @@
 """A long recording without contact as one series of time bins; spans with contact are left out.
 
 Samples are reduced to cells of a second on the way in, so that three days at 500 Hz (130 million)
-need memory for 260 thousand cells. The weight is subtracted with a calibration file where one is given,
-at poses at which the arm was at rest; without one, only cells at the pose where the arm stood
+need memory for 260 thousand cells. The weight is subtracted with a calibration file, if given, at
+poses at which the arm was at rest; without one, only cells at the pose where the arm stood
 longest are kept, because the weight turns with the sensor.
 
 Cells that lie far from the median of their neighbourhood (`_WINDOW_CELLS`), in units of how far
