@@ -101,7 +101,9 @@ def test_an_output_that_can_not_be_written_is_named(tmp_path, capsys):
     assert str(tmp_path / "file") in captured.err and captured.err.count("\n") == 1
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize(
+    "number", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.slow)]
+)
 def test_a_signal_ends_the_nodes_as_well(tmp_path, number):
     demo = subprocess.Popen(
         [sys.executable, "-m", "galen_bringup.demo", "--output", str(tmp_path)],

@@ -15,7 +15,13 @@ from galen_sim_driver.plant.cell import Plant
 from galen_sim_driver.plant.config import HandPush, PlantConfig
 from offline_cell import CellBag, OfflineCell
 
-PARAMETERS = CalibrationParameters()
+# Quicker than on a real arm, and with less of it to simulate.
+PARAMETERS = CalibrationParameters(
+    max_angle_velocity_rad_s=1.4,
+    max_angle_acceleration_rad_s2=5.5,
+    max_delta_velocity_m_s=0.15,
+    max_delta_acceleration_m_s2=0.9,
+)
 # 2.5 ms off the grid on which a live sweep looks at the arm
 START_NS = 1_700_000_000_002_500_000
 NUMBERS = ("roll", "tilt", "wrench", "std_of_mean")
