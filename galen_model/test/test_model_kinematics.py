@@ -39,22 +39,6 @@ def test_home_is_where_the_chain_of_offsets_puts_it():
     np.testing.assert_allclose(rotation, [[0, 0, 1], [0, 1, 0], [-1, 0, 0]], atol=1e-12)
 
 
-def test_jacobian_equals_finite_differences():
-    step = 1e-6
-    for q in random_joints(10, seed=2):
-        jacobian = tip_jacobian(q, TIP)
-        for joint in range(5):
-            ahead, behind = q.copy(), q.copy()
-            ahead[joint] += step
-            behind[joint] -= step
-            (r1, p1), (r0, p0) = tip_pose(ahead, TIP), tip_pose(behind, TIP)
-            np.testing.assert_allclose(jacobian[:3, joint], (p1 - p0) / (2 * step), atol=1e-8)
-            spin = (r1 - r0) / (2 * step) @ tip_pose(q, TIP)[0].T
-            np.testing.assert_allclose(
-                jacobian[3:, joint], [spin[2, 1], spin[0, 2], spin[1, 0]], atol=1e-8
-            )
-
-
 def test_gravity_in_the_sensor_is_the_rotated_vector():
     q = random_joints(100, seed=3)
     rotation = sensor_rotation(q[:, 3], q[:, 4])

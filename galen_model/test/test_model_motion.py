@@ -5,14 +5,11 @@ import json
 import numpy as np
 import pinocchio
 import pytest
-from galen_model.arm.galen import HOME, LIMITS
-from galen_model.arm.kinematics import sensor_pose
+from galen_model.arm.galen import LIMITS
 from galen_model.arm.pinocchio_arm import PinocchioArm
 from galen_model.arm.sensor_motion import MotionOfSensor, sensor_motion
 from galen_model.errors import CalibrationFileError
 from galen_model.files.calibration_file import (
-    CalibrationFile,
-    LoadEstimate,
     read_calibration,
     write_calibration,
 )
@@ -26,7 +23,7 @@ from galen_model.load.inertia.inertial import (
     point_mass_inertia,
 )
 from galen_model.load.model import Load, gravity_wrench
-from galen_model.rotation import matrix_to_rotvec
+from model_files import calibration
 
 INERTIA = np.array([2e-3, 3e-3, 4e-3, 1e-4, -2e-4, 3e-4])
 LOAD = Load(0.3, np.array([0.04, -0.01, 0.05]))
@@ -83,26 +80,6 @@ def test_the_sensors_motion_and_a_loads_wrench_are_pinocchios():
         np.testing.assert_allclose(fast, wrench[k], atol=1e-12)
 
 
-def test_the_sensors_motion_is_that_of_finite_differences():
-    h = 1e-4
-
-    def pose(t):
-        return sensor_pose(HOME + np.array([0.05, -0.04, 0.03, 0.8, 0.5]) * np.sin(4.0 * t + 0.3))
-
-    (r0, o0), (r1, o1), (r2, o2) = (pose(t) for t in (0.2 - h, 0.2, 0.2 + h))
-    amplitude = np.array([0.05, -0.04, 0.03, 0.8, 0.5])
-    at = 4.0 * 0.2 + 0.3
-    found = sensor_motion(
-        HOME + amplitude * np.sin(at),
-        4.0 * amplitude * np.cos(at),
-        -16.0 * amplitude * np.sin(at),
-    )
-    before, after = matrix_to_rotvec(r0.T @ r1) / h, matrix_to_rotvec(r1.T @ r2) / h
-    np.testing.assert_allclose(found.velocity_rad_s, (before + after) / 2, atol=1e-5)
-    np.testing.assert_allclose(found.acceleration_rad_s2, (after - before) / h, atol=1e-5)
-    np.testing.assert_allclose(found.acceleration_m_s2, r1.T @ (o0 - 2 * o1 + o2) / h**2, atol=1e-5)
-
-
 def test_at_rest_it_is_the_weight_and_a_pendulum_in_free_fall_of_its_swing_reads_nothing_along_it():
     gravity = np.array([0.0, -9.80665, 0.0])
     still = inertial_wrench(gravity, np.zeros(3), np.zeros(3), LOAD.moments, INERTIA)
@@ -126,28 +103,14 @@ def test_every_column_of_the_regressor_has_its_own_effect():
     assert np.linalg.matrix_rank(columns) == 10
 
 
-def tool_with(inertia):
-    load = LoadEstimate(0.06, np.array([0.05, 0.0, 0.04]), np.eye(4) * 1e-9)
-    return CalibrationFile(
-        tool="a",
-        load=load,
-        adapter=load,
-        tip_m=np.zeros(3),
-        rmse=np.zeros(6),
-        poses_used=56,
-        calibrated_at="2026-11-21T12:00:00+00:00",
-        inertia=inertia,
-    )
-
-
 def test_a_tools_file_holds_the_inertia_or_no_key_for_it(tmp_path):
     estimate = InertiaEstimate(INERTIA, np.diag(np.full(6, 1e-10)))
-    write_calibration(tmp_path / "a.json", tool_with(estimate))
+    write_calibration(tmp_path / "a.json", calibration("a", inertia=estimate))
     again = read_calibration(tmp_path / "a.json").inertia
     assert again is not None
     np.testing.assert_array_equal(again.about_sensor_kg_m2, INERTIA)
     np.testing.assert_allclose(again.std_kg_m2, 1e-5)
-    assert "inertia" not in tool_with(None).to_json()
+    assert "inertia" not in calibration().to_json()
 
 
 @pytest.mark.parametrize(
@@ -168,7 +131,7 @@ def test_a_tools_file_holds_the_inertia_or_no_key_for_it(tmp_path):
     ],
 )
 def test_a_wrong_inertia_is_named_with_the_file(tmp_path, change, message):
-    content = tool_with(InertiaEstimate(INERTIA, np.eye(6) * 1e-12)).to_json()
+    content = calibration(inertia=InertiaEstimate(INERTIA, np.eye(6) * 1e-12)).to_json()
     content["inertia"] |= change
     path = tmp_path / "a.json"
     path.write_text(json.dumps(content))

@@ -12,8 +12,6 @@ import pytest
 from galen_model.arm.kinematics import gravity_in_sensor
 from galen_model.errors import CalibrationFileError, ToolNameError
 from galen_model.files.calibration_file import (
-    CalibrationFile,
-    LoadEstimate,
     calibration_path,
     check_tool_name,
     read_calibration,
@@ -21,21 +19,7 @@ from galen_model.files.calibration_file import (
 )
 from galen_model.load.model import Load, nominal_reading
 from galen_model.load.nominal_tools import ADAPTER, TOOLS
-
-
-def make(name="pointer", mass=0.06, **changes):
-    tool = TOOLS["pointer"]
-    fields = {
-        "tool": name,
-        "load": LoadEstimate(mass, tool.load.com_m, np.diag([1e-8, 1e-9, 1e-9, 1e-9])),
-        "adapter": LoadEstimate(0.1, ADAPTER.com_m, np.diag([1e-8, 1e-9, 1e-9, 1e-9])),
-        "tip_m": tool.tip_m,
-        "rmse": np.full(6, 1e-3),
-        "poses_used": 56,
-        "calibrated_at": "2026-11-21T12:00:00+00:00",
-        **changes,
-    }
-    return CalibrationFile(**fields)
+from model_files import calibration
 
 
 def zeroing(joints, gravity=(0, 0, -9.80665)):
@@ -48,7 +32,9 @@ def other_arm(name, *joints):
 
 def test_what_is_written_is_read_back(tmp_path):
     path = calibration_path(tmp_path, "pointer")
-    tool = make(residual_offset=np.arange(6) * 0.01, poses_rejected=("with the tool, pose 3: x",))
+    tool = calibration(
+        residual_offset=np.arange(6) * 0.01, poses_rejected=("with the tool, pose 3: x",)
+    )
     write_calibration(path, tool)
     again = read_calibration(path)
     assert again.to_json() == tool.to_json()
@@ -60,7 +46,7 @@ def test_what_is_written_is_read_back(tmp_path):
 
 def schema_1(roll=0.3, tilt=-0.2, gravity=-9.8):
     """A file as it was written before the arm and the zeroing were in it."""
-    content = make(gravity_m_s2=np.array([0.0, 0.0, gravity])).to_json()
+    content = calibration(gravity_m_s2=np.array([0.0, 0.0, gravity])).to_json()
     for key in ("arm", "zeroing"):
         del content[key]
     return content | {
@@ -101,7 +87,7 @@ def test_a_field_that_schema_1_lacks_is_named_as_there(tmp_path, field):
 
 def test_another_urdf_of_the_same_arm_is_a_warning(tmp_path):
     path = tmp_path / "pointer.json"
-    content = make().to_json()
+    content = calibration().to_json()
     content["arm"]["urdf_sha256"] = "ab" * 32
     path.write_text(json.dumps(content))
     warning = read_calibration(path).arm_warning
@@ -110,7 +96,7 @@ def test_another_urdf_of_the_same_arm_is_a_warning(tmp_path):
 
 def test_without_a_zeroing_the_adapter_is_weighed_like_the_tool(tmp_path):
     path = tmp_path / "pointer.json"
-    write_calibration(path, make(zeroing=None))
+    write_calibration(path, calibration(zeroing=None))
     both = nominal_reading(0.3, 0.1, TOOLS["pointer"].load, Load(0.0))
     both = both + nominal_reading(0.3, 0.1, ADAPTER, Load(0.0))
     np.testing.assert_allclose(read_calibration(path).predict(0.3, 0.1), both, atol=1e-14)
@@ -118,9 +104,9 @@ def test_without_a_zeroing_the_adapter_is_weighed_like_the_tool(tmp_path):
 
 def test_the_old_file_is_kept_as_bak(tmp_path):
     path = calibration_path(tmp_path, "pointer")
-    write_calibration(path, make(mass=0.06))
+    write_calibration(path, calibration(mass_kg=0.06))
     assert not path.with_name("pointer.json.bak").exists()
-    write_calibration(path, make(mass=0.07))
+    write_calibration(path, calibration(mass_kg=0.07))
     assert read_calibration(path).load.mass_kg == 0.07
     assert read_calibration(path.with_name("pointer.json.bak")).load.mass_kg == 0.06
     assert sorted(p.name for p in tmp_path.iterdir()) == ["pointer.json", "pointer.json.bak"]
@@ -184,15 +170,15 @@ def test_names_that_must_not_reach_a_path(name, tmp_path):
 )
 def test_a_wrong_field_is_named_with_the_file(tmp_path, change, message):
     path = tmp_path / "pointer.json"
-    path.write_text(json.dumps({**make().to_json(), **change}))
+    path.write_text(json.dumps({**calibration().to_json(), **change}))
     with pytest.raises(CalibrationFileError, match=message) as error:
         read_calibration(path)
     assert str(path) in str(error.value)
 
 
-@pytest.mark.parametrize("field", list(make().to_json()))
+@pytest.mark.parametrize("field", list(calibration().to_json()))
 def test_a_missing_field_is_named(tmp_path, field):
-    content = make().to_json()
+    content = calibration().to_json()
     del content[field]
     path = tmp_path / "pointer.json"
     path.write_text(json.dumps(content))
@@ -208,10 +194,12 @@ def test_what_is_no_json_object_is_rejected(tmp_path, text):
         read_calibration(path)
 
 
-@pytest.mark.parametrize("field", [name for name in make().to_json() if name != "poses_rejected"])
+@pytest.mark.parametrize(
+    "field", [name for name in calibration().to_json() if name != "poses_rejected"]
+)
 @pytest.mark.parametrize("depth", [400, 970])
 def test_what_is_nested_too_deep_is_rejected(tmp_path, field, depth):
-    content = {**make().to_json(), field: "HERE"}
+    content = {**calibration().to_json(), field: "HERE"}
     path = tmp_path / "pointer.json"
     path.write_text(json.dumps(content).replace('"HERE"', "[" * depth + "]" * depth))
     with pytest.raises(CalibrationFileError, match=r"pointer\.json"):
@@ -229,12 +217,12 @@ def test_a_missing_or_huge_file_is_rejected(tmp_path):
 
 def test_what_can_not_be_read_is_not_written(tmp_path):
     path = calibration_path(tmp_path, "pointer")
-    write_calibration(path, make())
+    write_calibration(path, calibration())
     before = path.read_bytes()
     with pytest.raises(CalibrationFileError, match="not written"):
-        write_calibration(path, make(mass=float("nan")))
+        write_calibration(path, calibration(mass_kg=float("nan")))
     with pytest.raises(CalibrationFileError, match="not written"):
-        write_calibration(path, make(mass=-1.0))
+        write_calibration(path, calibration(mass_kg=-1.0))
     assert path.read_bytes() == before
     assert [p.name for p in tmp_path.iterdir()] == ["pointer.json"]
 
@@ -242,7 +230,7 @@ def test_what_can_not_be_read_is_not_written(tmp_path):
 def test_a_directory_that_can_not_be_made_is_named(tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(CalibrationFileError, match="can't be written"):
-        write_calibration(tmp_path / "file" / "pointer.json", make())
+        write_calibration(tmp_path / "file" / "pointer.json", calibration())
 
 
 WRITER = """
@@ -262,7 +250,7 @@ while True:
 @pytest.mark.slow
 def test_a_kill_at_any_moment_leaves_a_atomic_file(tmp_path):
     path = calibration_path(tmp_path, "pointer")
-    write_calibration(path, make())
+    write_calibration(path, calibration())
     rng = np.random.default_rng(0)
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
     written = set()

@@ -12,18 +12,14 @@ from galen_model.files.comparison import (
     same_load,
     three_digits,
 )
+from model_files import calibration
 
 COVARIANCE = np.diag([0.03e-3, 0.2e-3, 0.3e-3, 0.1e-3]) ** 2
 COVARIANCE[0, 1] = COVARIANCE[1, 0] = -0.6 * 0.03e-3 * 0.2e-3
 CENTRE = np.array([0.055, 0.002, 0.045])
-POINTER = CalibrationFile(
-    tool="pointer",
+POINTER = calibration(
     load=LoadEstimate(0.06, CENTRE, COVARIANCE),
     adapter=LoadEstimate(0.1, np.array([0.0, 0.0, 0.02]), COVARIANCE),
-    tip_m=np.array([0.15, 0.0, 0.05]),
-    rmse=np.zeros(6),
-    poses_used=56,
-    calibrated_at="2026-01-01T00:00:00+00:00",
 )
 
 

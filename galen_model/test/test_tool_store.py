@@ -5,14 +5,11 @@ import os
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 import pytest
 from galen_model.errors import CalibrationFileError, GalenError, ToolNameError
 from galen_model.files import atomic_file as atomic_file
 from galen_model.files import calibration_store as tool_store
 from galen_model.files.calibration_file import (
-    CalibrationFile,
-    LoadEstimate,
     calibration_path,
     read_calibration,
     write_calibration,
@@ -23,25 +20,18 @@ from galen_model.files.calibration_store import (
     FileState,
     ToolExistsError,
 )
-
-
-def a_tool(name: str, mass_kg: float = 0.06) -> CalibrationFile:
-    return CalibrationFile(
-        tool=name,
-        load=LoadEstimate(mass_kg, np.array([0.055, 0.002, 0.045]), np.eye(4) * 1e-8),
-        adapter=LoadEstimate(0.1, np.array([0.0, 0.0, 0.02]), np.eye(4) * 1e-8),
-        tip_m=np.array([0.15, 0.0, 0.05]),
-        rmse=np.zeros(6),
-        poses_used=56,
-        calibrated_at="2026-01-01T00:00:00+00:00",
-    )
+from model_files import calibration
 
 
 @pytest.fixture
 def store(tmp_path: Path) -> CalibrationStore:
     """A pointer with a calibration before it, and a retractor."""
     store = CalibrationStore(tmp_path / "tools")
-    for tool in (a_tool("pointer", 0.05), a_tool("pointer"), a_tool("retractor", 0.2)):
+    for tool in (
+        calibration("pointer", 0.05),
+        calibration("pointer"),
+        calibration("retractor", 0.2),
+    ):
         write_calibration(calibration_path(store.directory, tool.tool), tool)
     return store
 
@@ -97,7 +87,7 @@ def test_a_link_within_the_directory_and_a_linked_directory_are_read(
     """Configuration systems keep the files in a folder beside and link to them."""
     data = store.directory / "..data"
     data.mkdir()
-    write_calibration(data / "drill.json", a_tool("drill"))
+    write_calibration(data / "drill.json", calibration("drill"))
     (store.directory / "drill.json").symlink_to("..data/drill.json")
     (tmp_path / "linked").symlink_to(store.directory)
     assert CalibrationStore(tmp_path / "linked").read("drill").tool.tool == "drill"
@@ -207,7 +197,7 @@ def test_a_calibration_written_during_a_rename_is_not_lost(
     def calibrate_meanwhile(path, content):
         real(path, content)
         if path.name == "probe.json":
-            write_calibration(store.directory / "pointer.json", a_tool("pointer", 0.07))
+            write_calibration(store.directory / "pointer.json", calibration("pointer", 0.07))
 
     monkeypatch.setattr(tool_store, "write_new", calibrate_meanwhile)
     with pytest.raises(CalibrationStoreError, match="is being written; ask again"):
@@ -225,7 +215,7 @@ def test_a_calibration_written_at_the_last_moment_is_not_lost(
     def calibrate_before(path, target):
         if path.name == "retractor.json" and ".aside." in Path(target).name:
             monkeypatch.undo()
-            write_calibration(store.directory / "retractor.json", a_tool("retractor", 0.3))
+            write_calibration(store.directory / "retractor.json", calibration("retractor", 0.3))
         return real(path, target)
 
     monkeypatch.setattr(Path, "rename", calibrate_before)
@@ -255,7 +245,7 @@ def test_removed_tools_come_back_with_their_backup(store: CalibrationStore) -> N
     assert kept.name == "pointer.json.removed"
     assert store.names() == ["retractor"] and store.removed() == ["pointer"]
     # Removed again under the same name: both are kept, and the last one comes back.
-    write_calibration(store.directory / "pointer.json", a_tool("pointer", 0.07))
+    write_calibration(store.directory / "pointer.json", calibration("pointer", 0.07))
     with pytest.raises(ToolExistsError, match="is there"):
         store.restore("pointer")
     assert store.remove("pointer").name == "pointer.json.removed.2"
@@ -319,11 +309,11 @@ def test_what_can_not_be_reverted_stays(store: CalibrationStore, tmp_path: Path)
     ):
         store.revert("retractor")
     outside = tmp_path / "outside.json"
-    write_calibration(outside, a_tool("pointer", 0.04))
+    write_calibration(outside, calibration("pointer", 0.04))
     content, backup = outside.read_bytes(), store.directory / "pointer.json.bak"
     for make, words in (
         (lambda: backup.write_text("{"), "not JSON"),
-        (lambda: write_calibration(backup, a_tool("retractor")), "holds the tool 'retractor'"),
+        (lambda: write_calibration(backup, calibration("retractor")), "holds the tool 'retractor'"),
         (lambda: backup.symlink_to(outside), "leads out of"),
         (lambda: backup.symlink_to(backup), "out of|levels of symbolic links"),
         (backup.mkdir, "regular file"),
@@ -348,7 +338,7 @@ def test_a_broken_file_is_reverted_and_links_within_swap_their_names(
     assert pointer.with_name("pointer.json.bak").read_text() == "{"
     data = store.directory / "..data"
     data.mkdir()
-    write_calibration(data / "retractor.json", a_tool("retractor", 0.19))
+    write_calibration(data / "retractor.json", calibration("retractor", 0.19))
     (store.directory / "retractor.json.bak").symlink_to("..data/retractor.json")
     assert store.revert("retractor").tool.load.mass_kg == 0.19
     assert store.previous("retractor").tool.load.mass_kg == 0.2
@@ -385,7 +375,7 @@ def test_a_calibration_written_during_a_revert_is_not_lost(
     real = tool_store.exchange
 
     def calibrate_before(path, other, spare):
-        write_calibration(path, a_tool("pointer", 0.07))
+        write_calibration(path, calibration("pointer", 0.07))
         real(path, other, spare)
 
     monkeypatch.setattr(tool_store, "exchange", calibrate_before)
@@ -411,7 +401,7 @@ def test_a_broken_file_can_be_removed_and_a_link_never_takes_its_target(
     (store.directory / "cut.json").write_text("{")
     assert store.remove("cut").read_text() == "{"
     outside = tmp_path / "outside.json"
-    write_calibration(outside, a_tool("link"))
+    write_calibration(outside, calibration("link"))
     (store.directory / "link.json").symlink_to(outside)
     for rejected in (lambda: store.remove("link"), lambda: store.rename("link", "new")):
         with pytest.raises(CalibrationFileError, match="leads out of"):
@@ -438,7 +428,7 @@ def test_what_became_of_a_file_since_it_was_read(store: CalibrationStore) -> Non
     stored = store.read("pointer")
     os.utime(stored.path)  # touched, but not changed
     assert stored.file_state() is FileState.AS_LOADED
-    write_calibration(stored.path, replace(stored.tool, load=a_tool("pointer", 0.07).load))
+    write_calibration(stored.path, replace(stored.tool, load=calibration("pointer", 0.07).load))
     assert stored.file_state() is FileState.CHANGED
     stored.path.unlink()
     assert stored.file_state() is FileState.GONE
