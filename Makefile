@@ -10,8 +10,7 @@ ENTER = source scripts/env.sh
 # The quick tests wait for more than half of their time, so there is one more of them.
 TEST_WORKERS ?= $(if $(filter test,$(MAKECMDGOALS)),3,2)
 # They start hundreds of processes: byte code is kept, whatever this shell has set.
-# Side by side, the threads of one small matrix product wait for each other, twenty times its time.
-PYTEST = env -u PYTHONDONTWRITEBYTECODE OPENBLAS_NUM_THREADS=1 python -m pytest --numprocesses $(TEST_WORKERS) --dist loadfile --no-loadscope-reorder
+PYTEST = env -u PYTHONDONTWRITEBYTECODE python -m pytest --numprocesses $(TEST_WORKERS) --dist loadfile --no-loadscope-reorder
 # Given on the command line, as in `make GALEN_PYTHON=/usr/bin/python3.12 build`.
 ifdef GALEN_PYTHON
 export GALEN_PYTHON
