@@ -23,14 +23,6 @@ def test_exact_stamp_gives_the_sample() -> None:
     assert buffer.joints_at(0) == (0.0, 0.0)
 
 
-def test_interpolation_is_exact_on_a_ramp() -> None:
-    buffer = filled()
-    for stamp in range(0, 18 * MS, 130_001):
-        angles = buffer.joints_at(stamp)
-        assert isinstance(angles, tuple)
-        assert angles == pytest.approx((0.05 * stamp / MS, -0.1 * stamp / MS), abs=1e-13)
-
-
 def test_interpolates_between_the_right_samples_of_a_curve() -> None:
     buffer = JointBuffer(50 * MS)
     rng = np.random.default_rng(1)
@@ -101,26 +93,6 @@ def test_rejects_senseless_sizes(gap: int, capacity: int) -> None:
         JointBuffer(gap, capacity)
 
 
-@pytest.mark.parametrize("capacity", [2, 5])
-def test_the_ring_keeps_the_same_samples(capacity: int) -> None:
-    rng = np.random.default_rng(8)
-    for _ in range(50):
-        one, many = JointBuffer(50 * MS, capacity), JointBuffer(50 * MS, capacity)
-        stamp = 0
-        for size in rng.integers(0, 4 * capacity, size=5):
-            stamps, angles = stamp + 1 + np.arange(size), rng.normal(size=(size, 2))
-            stamp += int(size)
-            for at, (roll, tilt) in zip(stamps.tolist(), angles.tolist(), strict=True):
-                one.push(at, (roll, tilt))
-            many.push_regular(stamps, angles)
-            assert (one._stamps, one._positions) == (many._stamps, many._positions)
-        for at in (0, stamp - 1, stamp, stamp + 1):
-            stamps, angles = many.since(at)
-            assert stamps[-1] == stamp and (at <= many._stamps[0] or stamps[0] < at)
-            assert stamps.tolist() == one._stamps[-len(stamps) :]
-            assert angles.tolist() == [list(p) for p in one._positions[-len(stamps) :]]
-
-
 def test_any_number_of_joints() -> None:
     buffer = JointBuffer(50 * MS)
     buffer.push(0, (0.0, 1.0, 2.0, 3.0, 4.0))
@@ -129,25 +101,3 @@ def test_any_number_of_joints() -> None:
     buffer.push(6 * MS, (4.0, 1.0, math.nan, 7.0, 8.0))
     hole = buffer.joints_at(5 * MS)
     assert isinstance(hole, tuple) and all(math.isnan(value) for value in hole) and len(hole) == 5
-
-
-def test_interpolation_of_arrays_is_that_of_single_stamps() -> None:
-    rng = np.random.default_rng(9)
-    buffer = JointBuffer(50 * MS)
-    stamps = 1000 * MS + np.cumsum(rng.choice([1, MS, 2 * MS, 50 * MS, 50 * MS + 1], size=300))
-    angles = rng.normal(size=(300, 2))
-    angles[rng.integers(0, 300, 10), 0] = math.nan
-    buffer.push_regular(stamps, angles)
-    at = np.sort(np.concatenate((stamps, stamps + 1, rng.integers(0, stamps[-1], 500))))
-    at = at[at <= stamps[-1]]
-    found = buffer.interpolate(stamps, angles, at)
-    for row, stamp in enumerate(at.tolist()):
-        single = buffer.joints_at(stamp)
-        if isinstance(single, NoJoints) or not all(map(math.isfinite, single)):
-            assert not found.good[row]
-            continue
-        assert found.good[row]
-        np.testing.assert_allclose(found.joints[row], single, rtol=1e-14, atol=1e-15)
-        oldest = int(found.oldest[row])
-        assert stamps[oldest] <= stamp and (oldest == 299 or stamps[oldest + 1] > stamp)
-    assert 0 < found.good.sum() < len(at)
