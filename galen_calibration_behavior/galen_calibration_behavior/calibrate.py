@@ -125,7 +125,7 @@ def parse(arguments: list[str]) -> argparse.Namespace:
         "--one-sweep",
         action="store_true",
         help="only sweep with the tool on: half the time, but tool and adapter are then not fully"
-        " told apart (a warning says what is not known)",
+        " distinguished (a warning names what is not known)",
     )
     parser.add_argument(
         "--by-hand",

@@ -305,7 +305,7 @@ def test_somebody_else_who_commands_the_arm_ends_it(world, points):
     )
     command = JointTrajectory(joint_names=list(JOINT_NAMES), points=points)
     world.harness.call_in_executor(lambda: publisher.publish(command))
-    world.fails(handle, ErrorCode.BAD_INPUT, "somebody else commands the arm", "/teach_pendant")
+    world.fails(handle, ErrorCode.BAD_INPUT, "another node commands the arm", "/teach_pendant")
     assert not world.driver.arm.moving
     status, result = world.result(world.send(iters_t=2, iters_r=4))
     assert status == GoalStatus.STATUS_SUCCEEDED, result.error_msg

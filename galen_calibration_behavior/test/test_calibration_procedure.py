@@ -349,7 +349,7 @@ def test_samples_from_before_the_zeroing_are_waited_out():
 def test_nobody_confirms(state):
     world = World(attach_by_service=False)
     world.confirms -= {state}
-    what = "taken off" if state == State.REMOVE_TOOL else "put on"
+    what = "removed" if state == State.REMOVE_TOOL else "put on"
     failed(world.run(), ErrorCode.CONFIRM_TIMEOUT, what)
 
 

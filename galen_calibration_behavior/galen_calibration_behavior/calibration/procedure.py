@@ -103,7 +103,7 @@ class CalibrationProcedure(PoseProcedure[Command, PosesEnd]):
         self._waiting_for_person = False
         self._zero_attempts = 0
         self._zero_checks_left = 0
-        self._bias_pose = (float("nan"), float("nan"))
+        self._zero_pose = (float("nan"), float("nan"))
         self._tool_off = False
         wanted = settings.wanted_force_std_n, settings.wanted_torque_std_nm
         self._wanted = wanted if max(wanted) > 0.0 else ()
@@ -136,7 +136,7 @@ class CalibrationProcedure(PoseProcedure[Command, PosesEnd]):
             self._tool_is_changed()
 
     def confirm(self) -> bool:
-        """Take a person's word that the tool is off or on; False when nobody was asked."""
+        """Take a person's word that the tool is off or on; False when none is waited for."""
         if not self.waiting_for_person:
             return False
         self._waiting_for_person = False
@@ -151,10 +151,10 @@ class CalibrationProcedure(PoseProcedure[Command, PosesEnd]):
     def _check_patience(self) -> None:
         super()._check_patience()
         if self._waiting_for_person and self._waited_s > self._settings.confirm_timeout_s:
-            what = "taken off" if self._state == CalibrationState.REMOVE_TOOL else "put on"
+            what = "removed" if self._state == CalibrationState.REMOVE_TOOL else "put on"
             self.fail(
                 CalibrationCode.CONFIRM_TIMEOUT,
-                f"nobody confirmed in {self._settings.confirm_timeout_s:g} s that the tool was"
+                f"no confirmation in {self._settings.confirm_timeout_s:g} s that the tool was"
                 f" {what}",
             )
 
@@ -217,7 +217,7 @@ class CalibrationProcedure(PoseProcedure[Command, PosesEnd]):
         if isinstance(outcome, Rejection):
             self._zero_again(outcome)
             return
-        self._bias_pose = (float(outcome.joints[3]), float(outcome.joints[4]))
+        self._zero_pose = (float(outcome.joints[3]), float(outcome.joints[4]))
         self._waited_s = 0.0
         self._waiting_for = "zero_ft_sensor"
         self._commands.append(ZeroSensor())
@@ -340,8 +340,8 @@ class CalibrationProcedure(PoseProcedure[Command, PosesEnd]):
                 Measurements(
                     bare=None if self._bare is None else _still_poses(self._bare),
                     tool=_still_poses(self._tool),
-                    zero_roll=self._bias_pose[0],
-                    zero_tilt=self._bias_pose[1],
+                    zero_roll=self._zero_pose[0],
+                    zero_tilt=self._zero_pose[1],
                     bare_indices=[] if self._bare is None else self._bare.indices,
                     tool_indices=self._tool.indices,
                     rejected=self._rejections(),

@@ -25,8 +25,8 @@ class Verdict:
 class Sweep:
     """Visits every pose once, then the rejected ones again, `retries` times.
 
-    A rejected pose is tried again at the end of the sweep, not at once: whoever touched the arm
-    is more likely gone by then. After the last pose all are judged once more against the whole
+    A rejected pose is tried again at the end of the sweep, not at once: an operator who touched the
+    arm is more likely gone by then. After the last pose all are judged once more against the whole
     sweep, because the first ones had little to be compared with.
     """
 

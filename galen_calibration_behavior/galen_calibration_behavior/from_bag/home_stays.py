@@ -38,7 +38,7 @@ class HomeStays:
     def after_zeroing(self, recording: Visits) -> tuple[list[Visit], list[str]]:
         """What comes after the sensor was zeroed, and a warning where poses are lost by that.
 
-        It was zeroed in a stay at home in which the reading goes to zero (or a tool was taken off;
+        It was zeroed in a stay at home in which the reading goes to zero (or a tool was removed;
         in both cases what was read before has another zero or load), and, where the zero did not
         change by enough to be seen, in the first stay at home, if the recording begins with it or
         with too few poses for a sweep.
@@ -61,7 +61,7 @@ class HomeStays:
         at_s = recording.time_s(visits[first - 1].end_ns)
         return visits[first:], [
             f"{lost} still phases before {at_s:.1f} s are left out: the arm was at home then, and"
-            " the sensor was zeroed there, or a tool taken off"
+            " the sensor was zeroed there, or a tool removed"
         ]
 
     def _zeroed(self, stay: list[Visit]) -> bool:

@@ -5,7 +5,7 @@ since offsets are free, the two-sweep model of `galen_model.load.identification`
 after pose k is one load with six offsets for the poses up to k and another for those after it. So
 each border's cost is that of two separate fits: the sum over the poses of how far they are off, in
 standard deviations over all six channels, at the values that make this sum smallest (iteratively
-reweighted least squares). A pose that was touched adds what it is off, and leads nobody astray.
+reweighted least squares). A pose that was touched adds what it is off, and does not bias the fit.
 """
 
 from __future__ import annotations

@@ -25,7 +25,7 @@ from galen_ros.goal.stamps import NS, StampClock, StampsError
 
 from galen_calibration_behavior.parameters import CalibrationParameters
 
-# The recorder hears the samples from this long before a phase, for a stop is told by a window that
+# The recorder hears the samples from this long before a phase, for a stop is found by a window that
 # reaches back into the motion, and until this long after it, for wrenches received late.
 _LEAD_NS = NS // 2
 _LAG_NS = NS
@@ -266,7 +266,7 @@ def _stamp_warnings(recording: ArmRecording, settings: CalibrationParameters) ->
 def _stand_in_for_missing_joints(
     recording: ArmRecording, home: Array
 ) -> tuple[ArmRecording, list[str]]:
-    """Let a joint that the recording lacks stand at home; and say so."""
+    """Let a joint that the recording lacks stand at home, with a warning."""
     missing = ~np.isfinite(recording.joints).any(axis=0)
     if not missing.any():
         return recording, []

@@ -48,7 +48,7 @@ _GRID_STEPS = (5, 5)
 class CheckRequest:
     """What one goal asks for.
 
-    others: the files of other tools by name; known_offset (6,): what a tare already takes off, N
+    others: the files of other tools by name; known_offset (6,): what a tare already subtracts, N
     and N.m, None where that isn't known.
     """
 

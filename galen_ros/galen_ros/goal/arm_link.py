@@ -69,9 +69,9 @@ class ArmPublisher:
         self._publisher.wait_for_all_acked(Duration(seconds=0.2))
 
     def hear_others(self, on_command: Callable[[str], None]) -> Subscription:
-        """Call `on_command`, with what to say, when somebody else commands the arm.
+        """Call `on_command`, with a message, when another node commands the arm.
 
-        Own commands come back over the topic as well. They are told by what they say, for rclpy
+        Own commands come back over the topic as well. Their content identifies them, for rclpy
         doesn't tell who sent a message; a stranger's that says the same does no harm.
         """
         self._not_heard.clear()
@@ -91,7 +91,7 @@ class ArmPublisher:
         names = _node_names(infos)
         names.remove(self._node.get_fully_qualified_name())  # once: another may be called the same
         who = f"; it could be {' or '.join(names)}" if names else ""
-        return f"somebody else commands the arm on {self.topic_name}{who}"
+        return f"another node commands the arm on {self.topic_name}{who}"
 
 
 def _node_names(infos: Sequence[TopicEndpointInfo]) -> list[str]:
@@ -159,7 +159,7 @@ class PublisherWatch:
         self._known: dict[str, frozenset[bytes]] = {}
 
     def silent(self) -> list[str]:
-        """Topics that nobody publishes."""
+        """Topics without a publisher."""
         return [topic for topic in self._topics if not self._node.count_publishers(topic)]
 
     def several(self) -> str:
@@ -170,7 +170,7 @@ class PublisherWatch:
                 names = _node_names(infos)
                 text = f"{len(infos)} publishers on {topic}: {', '.join(names)}"
                 if len(set(names)) < len(names):
-                    # Nobody tells DDS of a kill -9; it finds out by its own time-out.
+                    # DDS is not notified of a kill -9; it finds out by its own time-out.
                     text += "; a driver that was killed is forgotten after some 20 s"
                 return text
         return ""

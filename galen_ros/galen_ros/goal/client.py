@@ -162,7 +162,7 @@ class GoalClient:
             self._executor.spin_once(timeout_sec=0.05)
         if canceling.result().goals_canceling:
             return "it had begun, and is canceled"
-        return f"{self.server} says that it is not at work"
+        return f"{self.server} reports no running goal"
 
     def _wait(
         self,

@@ -241,7 +241,7 @@ class GoalNode(Node):
             return
         if missing is None:
             goal.preflight_s = None
-            # Not before: this node's own subscription would count as somebody who listens.
+            # Not before: this node's own subscription would count as a listener.
             goal.subscriptions.append(self._arm.hear_others(self._on_other_command))
             goal.procedure.start()
             return
