@@ -298,7 +298,7 @@ class ToolServices:
             tool = name or self._named(name, active_tool).tool.tool
             return self._store.previous(tool), before_name(tool)
         stored = self._named(name, active_tool)
-        return stored, name or f"{stored.tool.tool} active"
+        return stored, name or f"active {stored.tool.tool}"
 
     def _named(self, name: str, active_tool: StoredCalibration | None) -> StoredCalibration:
         """A tool by its name; empty: the active one, as it was loaded."""
