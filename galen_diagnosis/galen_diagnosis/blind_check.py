@@ -40,8 +40,7 @@ from galen_diagnosis.blind.blind_protocol import (
     open_labels,
     sealed_set,
 )
-from galen_diagnosis.blind.making import Generate
-from galen_diagnosis.blind.plan import Planned, full_plan, short_plan, thinned
+from galen_diagnosis.blind.making import Generate, Planned, full_plan, short_plan, thinned
 from galen_diagnosis.blind.plant.case import generate
 from galen_diagnosis.blind.scoring.score import Answered, Score, score, to_json, wrong_answers
 from galen_diagnosis.blind.scoring.table import PROGRAM, markdown, print_scores

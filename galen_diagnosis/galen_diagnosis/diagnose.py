@@ -34,8 +34,7 @@ from galen_ros.command import (
 )
 from rich.console import Console
 
-from galen_diagnosis.answer.answer import Answer
-from galen_diagnosis.answer.result import Diagnosis
+from galen_diagnosis.answer.answer import Answer, Diagnosis
 from galen_diagnosis.errors import DiagnosisError
 from galen_diagnosis.experiment.next_experiment import write_sweep
 from galen_diagnosis.inference.diagnosing import diagnose_recording

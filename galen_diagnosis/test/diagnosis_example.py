@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from galen_diagnosis.answer.answer import Answer, Cause, Interval
-from galen_diagnosis.answer.result import Diagnosis
+from galen_diagnosis.answer.answer import Answer, Cause, Diagnosis, Interval
 from galen_diagnosis.observation.rows import BAGS, CHANNELS, FOLDS, REGIMES, Rows, Stream
 from galen_sim_driver.effects.joint_effects import JointZeroOffset
 

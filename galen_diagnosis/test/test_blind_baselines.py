@@ -1,9 +1,9 @@
 import numpy as np
 import pytest
+from galen_diagnosis.blind.answers import parse_answer
 from galen_diagnosis.blind.baselines import NAIVE_BIC, RMSE_DROP, Rest, simple_answers
-from galen_diagnosis.blind.parsed_answer import parse_answer
+from galen_diagnosis.blind.making import oracle_closed
 from galen_diagnosis.blind.plant.case import Case, generate
-from galen_diagnosis.blind.scoring.oracle import oracle_closed
 from galen_diagnosis.observation.recording import read_recording
 
 

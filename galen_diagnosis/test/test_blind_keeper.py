@@ -7,11 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from galen_diagnosis.blind import confine
+from galen_diagnosis.blind.answers import Label, ParsedAnswer
 from galen_diagnosis.blind.blind_protocol import Places, open_labels, sealed_set
-from galen_diagnosis.blind.label import Label
-from galen_diagnosis.blind.making import make_all
-from galen_diagnosis.blind.parsed_answer import ParsedAnswer
-from galen_diagnosis.blind.plan import CALIBRATION, TEST, full_plan, short_plan, thinned
+from galen_diagnosis.blind.making import CALIBRATION, TEST, full_plan, make_all, short_plan, thinned
 from galen_diagnosis.blind.plant.case import STRENGTHS, Truth
 from galen_diagnosis.blind.plant.listed import EFFECTS
 from galen_diagnosis.blind.plant.unlisted import CALIBRATION_UNKNOWN, TEST_UNKNOWN

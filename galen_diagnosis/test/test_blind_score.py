@@ -2,11 +2,9 @@ import json
 
 import numpy as np
 import pytest
-from galen_diagnosis.blind.label import Label, label_from_json
-from galen_diagnosis.blind.parsed_answer import ParsedAnswer, parse_answer
-from galen_diagnosis.blind.scoring.parameter_errors import compare
+from galen_diagnosis.blind.answers import Label, ParsedAnswer, label_from_json, parse_answer
 from galen_diagnosis.blind.scoring.pictures import draw_pictures
-from galen_diagnosis.blind.scoring.rates import Rate, calibration
+from galen_diagnosis.blind.scoring.rates import Rate, calibration, compare
 from galen_diagnosis.blind.scoring.score import Answered, score, to_json, wrong_answers
 from galen_diagnosis.blind.scoring.table import markdown
 from galen_model.files.json_fields import FieldError

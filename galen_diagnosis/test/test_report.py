@@ -11,18 +11,17 @@ import pytest
 import yaml
 from diagnosis_example import example_answer, example_diagnosis
 from galen_diagnosis.answer.answer import Answer, Cause, Interval
-from galen_diagnosis.answer.sentence import sentence
-from galen_diagnosis.effects.effect_file import effect_file
-from galen_diagnosis.report.effect_words import (
+from galen_diagnosis.report.output import effect_file, told
+from galen_diagnosis.report.pictures import gap_figure, sweep_figure
+from galen_diagnosis.report.report import report
+from galen_diagnosis.report.words import (
     SENTENCES,
     cause_words,
     parameter_words,
     plain,
+    sentence,
     title,
 )
-from galen_diagnosis.report.output import told
-from galen_diagnosis.report.pictures import gap_figure, sweep_figure
-from galen_diagnosis.report.report import report
 from galen_sim_driver.effects.registry import CONTRACT_ORDER
 from galen_sim_driver.node.effect_parameters import EffectParameters, effects_of
 from matplotlib import pyplot as plt

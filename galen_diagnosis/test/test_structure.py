@@ -5,11 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from galen_diagnosis.examples.simulated_recording import make_recording
-from galen_diagnosis.inference.oscillation import oscillation
 from galen_diagnosis.inference.refine import nothing
-from galen_diagnosis.inference.remaining_structure import leftover
 from galen_diagnosis.inference.search import healthy_background
-from galen_diagnosis.inference.structure import structures
+from galen_diagnosis.inference.structure import leftover, oscillation, structures
 from galen_diagnosis.observation.observation import Observation
 from galen_diagnosis.observation.recording import read_recording
 

@@ -59,7 +59,7 @@ from galen_deflection.models.file import read_model, write_model  # noqa: E402
 from galen_deflection.transmission.joint_report import read_listed  # noqa: E402
 from galen_diagnosis.blind.blind_protocol import Places, answered  # noqa: E402
 from galen_diagnosis.inference import settings  # noqa: E402
-from galen_diagnosis.inference.settings import load_settings  # noqa: E402
+from galen_diagnosis.inference.posterior import load_settings  # noqa: E402
 from galen_gravcomp.evaluate.drift.series import read_series  # noqa: E402
 from galen_model.arm.galen import JOINT_NAMES  # noqa: E402
 from galen_model.errors import GalenError  # noqa: E402

@@ -33,8 +33,8 @@ from galen_diagnosis.answer.answer import Interval
 from galen_diagnosis.effects.candidates import Candidate
 from galen_diagnosis.effects.saturation import SaturationCandidate
 from galen_diagnosis.effects.scans import JumpCandidate
+from galen_diagnosis.inference.posterior import Settings
 from galen_diagnosis.inference.refine import Hypothesis
-from galen_diagnosis.inference.settings import Settings
 from galen_diagnosis.observation.observation import Observation
 
 _DRAWS = 400

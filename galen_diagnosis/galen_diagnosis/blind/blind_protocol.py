@@ -35,11 +35,9 @@ from galen_model.files.json_fields import FieldError, get, mapping, read_json
 from galen_ros.command import EXIT_FAILED, EXIT_INTERRUPTED, EXIT_OK
 
 from galen_diagnosis.blind import confine
+from galen_diagnosis.blind.answers import Label, ParsedAnswer, parse_answer
 from galen_diagnosis.blind.diagnosing import ANSWER, BESIDE
-from galen_diagnosis.blind.label import Label
-from galen_diagnosis.blind.making import Generate, make_all
-from galen_diagnosis.blind.parsed_answer import ParsedAnswer, parse_answer
-from galen_diagnosis.blind.plan import Planned
+from galen_diagnosis.blind.making import Generate, Planned, make_all
 from galen_diagnosis.blind.plant.case import generate
 from galen_diagnosis.blind.scoring.score import Answered
 from galen_diagnosis.blind.seal import (

@@ -20,7 +20,7 @@ from galen_model.errors import GalenError
 from galen_model.files.atomic_file import write_whole
 from galen_model.files.json_fields import FieldError, get, mapping, parse_json
 
-from galen_diagnosis.blind.label import Label, label_from_json
+from galen_diagnosis.blind.answers import Label, label_from_json
 
 _SALT_BYTES = 32
 

@@ -1,9 +1,13 @@
-"""`python -m galen_diagnosis.examples.command`: the 2019 report's two stories as worked examples.
+"""Make an example recording, diagnose it and draw its story.
+
+`python -m galen_diagnosis.examples.command`: the 2019 report's two stories as worked examples.
 
     drift   figure 12: the reading along z drifts, and compensation is the worse the later it is
     tilt    figure 13: the tilt joint's kinematics are wrong, and compensation errs with the tilt
 
 Each is a recording by the simulated arm with the effect on, its diagnosis, and the story's picture.
+
+The picture of a worked example: what gravity compensation leaves in the sweep's still poses.
 """
 
 from __future__ import annotations
@@ -18,7 +22,14 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
+import matplotlib
+
+matplotlib.use("Agg")  # a lab's machine over ssh has no display
+import matplotlib.pyplot as plt
 import numpy as np
+from galen_model.arm.galen import JOINT_NAMES, WRENCH_AXES
+from galen_model.arrays import Array
+from galen_model.files.atomic_file import save_figure
 from galen_ros.command import (
     EXIT_FAILED,
     EXIT_INTERRUPTED,
@@ -32,11 +43,12 @@ from galen_sim_driver.effects.sensor_drift import SensorDrift
 from rich.console import Console
 from tqdm import tqdm
 
+from galen_diagnosis.answer.answer import Diagnosis
 from galen_diagnosis.errors import DiagnosisError
-from galen_diagnosis.examples.example_picture import draw_story
 from galen_diagnosis.examples.simulated_recording import make_recording
 from galen_diagnosis.inference.diagnosing import diagnose_recording
 from galen_diagnosis.observation.recording import read_recording
+from galen_diagnosis.observation.rows import BAGS, CHANNELS
 from galen_diagnosis.report.output import told, write_output
 from galen_diagnosis.report.terminal import print_answer
 
@@ -147,6 +159,76 @@ def main(args: Sequence[str] | None = None) -> int:
     arguments = build_parser().parse_args(args)
     console = Console(width=None if sys.stdout.isatty() else 120)
     return run_command("examples", partial(run, arguments, console))
+
+
+_COLOURS = ("#0072b2", "#e69f00", "#009e73")
+_TILT = JOINT_NAMES.index("tilt")
+
+
+def draw_story(diagnosis: Diagnosis, over: str, title: str, path: Path) -> Path:
+    """Write the picture: forces above, torques below; before on the left, after on the right.
+
+    over: "time" (since the recording's start) or "tilt". A point is what is left of the reading of
+    one still pose, less its mean over all poses, for the sensor's zero is none of a compensation's
+    errors. After: with the effect that was found in the simulator. Raises DiagnosisError without a
+    sweep.
+    """
+    poses = _poses(diagnosis)
+    if not len(poses):
+        raise DiagnosisError("a story's picture needs the still poses of a sweep")
+    figure, grid = plt.subplots(2, 2, figsize=(10, 5.2), sharex=True, sharey="row")
+    for row, (group, axes, factor, unit) in enumerate(
+        (("force", slice(0, 3), 1e3, "mN"), ("torque", slice(3, 6), 1e3, "mN.m"))
+    ):
+        for column, (state, residual) in enumerate(
+            (("before", diagnosis.before), ("after", diagnosis.after))
+        ):
+            axis = grid[row, column]
+            for colour, channel in zip(_COLOURS, range(6)[axes], strict=True):
+                where, error = _pose_means(diagnosis, residual, poses, channel, over)
+                axis.plot(
+                    where,
+                    (error - error.mean()) * factor,
+                    ".",
+                    color=colour,
+                    ms=5,
+                    label=WRENCH_AXES[channel],
+                )
+            axis.axhline(0.0, color="black", lw=0.6)
+            if row == 0:
+                axis.set_title(f"{state}", loc="left", fontsize=10)
+        grid[row, 0].set_ylabel(f"error of {group}, {unit}")
+        grid[row, 0].legend(loc="best", ncol=3, frameon=False, fontsize=8)
+    for axis in grid[-1]:
+        axis.set_xlabel("time of the recording, s" if over == "time" else "tilt as reported, rad")
+    figure.suptitle(f"Gravity compensation where {title}", fontsize=11)
+    figure.tight_layout()
+    return save_figure(figure, path)
+
+
+def _poses(diagnosis: Diagnosis) -> np.ndarray:
+    rows = diagnosis.rows
+    return np.unique(rows.pose[(rows.bag == BAGS.index("sweep")) & (rows.pose >= 0)])
+
+
+def _pose_means(
+    diagnosis: Diagnosis, residual: Array, poses: np.ndarray, channel: int, over: str
+) -> tuple[Array, Array]:
+    """Time (s) or tilt (rad), and the mean residual in N or N.m, of each pose that has the axis."""
+    rows = diagnosis.rows
+    mine = (rows.bag == BAGS.index("sweep")) & (
+        rows.channel == CHANNELS.index(WRENCH_AXES[channel])
+    )
+    where, error = [], []
+    for pose in poses:
+        here = mine & (rows.pose == pose)
+        if here.any():
+            value = rows.session_s if over == "time" else rows.joints[:, _TILT]
+            where.append(value[here].mean())
+            # A row's weight is its number of samples: scale is that of its mean.
+            weight = rows.samples[here]
+            error.append(np.average((residual * rows.scale)[here], weights=weight))
+    return np.array(where), np.array(error)
 
 
 if __name__ == "__main__":

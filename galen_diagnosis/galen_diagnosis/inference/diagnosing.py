@@ -12,24 +12,34 @@ from galen_model.arrays import Array
 from galen_model.evidence.background import Background, evidence
 from scipy.linalg import block_diag
 
-from galen_diagnosis.answer.answer import NONE, UNKNOWN, Answer, Cause, Interval, Verdict
+from galen_diagnosis.answer.answer import NONE, UNKNOWN, Answer, Cause, Diagnosis, Interval, Verdict
 from galen_diagnosis.answer.gap import Gap, held_out_gap, unknowns_alone
 from galen_diagnosis.answer.localization import where
 from galen_diagnosis.answer.numbers_found import covariance, parameters
-from galen_diagnosis.answer.result import Diagnosis
-from galen_diagnosis.answer.sentence import sentence
 from galen_diagnosis.effects.candidates import NEEDS_MOTION, NEEDS_TRACKER, SOUGHT
 from galen_diagnosis.experiment.next_experiment import Experiment, propose
 from galen_diagnosis.experiment.separation import Alternative
-from galen_diagnosis.inference.oscillation import Oscillation, oscillation
-from galen_diagnosis.inference.posterior import Posterior, Scored, posterior, scored
+from galen_diagnosis.inference.posterior import (
+    Posterior,
+    Scored,
+    Settings,
+    load_settings,
+    posterior,
+    scored,
+)
 from galen_diagnosis.inference.refine import Hypothesis, refine
-from galen_diagnosis.inference.remaining_structure import Leftover, leftover
 from galen_diagnosis.inference.search import Found, search
-from galen_diagnosis.inference.settings import Settings, load_settings
-from galen_diagnosis.inference.structure import Structure, structures
+from galen_diagnosis.inference.structure import (
+    Leftover,
+    Oscillation,
+    Structure,
+    leftover,
+    oscillation,
+    structures,
+)
 from galen_diagnosis.observation.observation import UNKNOWNS, Observation
 from galen_diagnosis.observation.recording import Recording
+from galen_diagnosis.report.words import sentence
 
 Progress = Callable[[str, float], None]
 

@@ -1,26 +1,90 @@
-"""What a fit leaves, judged by smooth functions that stand for no effect in particular.
+"""What the best fit leaves: smooth structure, oscillations, and its energy.
+
+How much structure a fit leaves: the energy of means over cells, in excess of noise's.
+
+White rows averaged over a cell and scaled by the root of their number are again white; what is slow
+adds up. With c cells the sum of squares of such means is chi-square of c degrees of freedom.
+
+What a fit leaves, judged by smooth functions that stand for no effect in particular.
 
 Means over cells see any structure, but with thousands of cells a few hundred of energy are chance.
 What machines do wrong is mostly a smooth function of something: of gravity's direction, the joints,
 their rates, the reading itself, what the reading was before, time, the applied load. A family of
 such functions for each, with Bayes' factor as an effect has (`Background`), sees a tenth of that,
 and says what the gap depends on where nothing on the list is it.
+
+What a fit leaves that oscillates: faster than any mean over half a second shows.
+
+By `bands.py` a stream's coefficients are independent with the noise's variance. In a band of n
+coefficients whose squares sum to E, a variance of its own, E / n, against the noise's has
+
+    log LR = 1/2 (E - n - n log(E / n)),
+
+looked for in bands of several widths, in each channel and in all of them, with the price of the
+looks. Noise is known to _UNSURE.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from galen_model.arm.galen import JOINT_NAMES
+from galen_model.arm.galen import JOINT_NAMES, WRENCH_AXES
 from galen_model.arm.kinematics import sensor_pose
 from galen_model.arrays import Array
 from galen_model.evidence.background import Background, evidence
 
+from galen_diagnosis.answer.bands import coefficients
 from galen_diagnosis.observation.noise import smooth_basis
 from galen_diagnosis.observation.observation import Observation
-from galen_diagnosis.observation.rows import BAGS, CHANNELS, TIP_AXES
+from galen_diagnosis.observation.rows import BAGS, CHANNELS, TIP_AXES, Rows, Stream
+
+_CELL_S = 0.5
+_SURE = 2.0
+_FLOOR_ERROR = 0.04
+
+
+class Leftover(NamedTuple):
+    """excess: of the cells' energy over noise; sure: what of it noise and its estimate can't be.
+
+    floor: mean square of a row about its cell's mean, what noise alone gives a row.
+    """
+
+    excess: float
+    sure: float
+    floor: float
+
+
+def cells(rows: Rows) -> np.ndarray:
+    """Cell (N,) of each row: a channel of a pose of the sweep, else of half a second."""
+    piece = np.zeros(len(rows), dtype=np.int64)
+    for number, name in enumerate(BAGS):
+        here = rows.bag == number
+        halves = np.floor(rows.bag_s[here] / _CELL_S).astype(np.int64)
+        if name == "sweep":
+            # A pose is a cell; a move, over which everything changes, is several.
+            still = rows.pose[here] >= 0
+            halves[still] = -1 - rows.block[here][still]
+        piece[here] = halves
+    key = (piece * len(BAGS) + rows.bag) * len(CHANNELS) + rows.channel
+    return np.unique(key, return_inverse=True)[1]
+
+
+def leftover(rows: Rows, residual: Array, cell: np.ndarray | None = None) -> Leftover:
+    """Of residual rows (N,)."""
+    if cell is None:
+        cell = cells(rows)
+    number = np.bincount(cell)
+    total = np.bincount(cell, residual)
+    energy = float(np.sum(total**2 / number))
+    count = len(number)
+    within = float(residual @ residual) - energy
+    floor = within / max(len(residual) - count, 1)
+    excess = energy - count * floor
+    chance = _SURE * floor * np.sqrt(2.0 * count) + _FLOOR_ERROR * count
+    return Leftover(excess, max(0.0, excess - chance), floor)
+
 
 _TURNS = (JOINT_NAMES.index("roll"), JOINT_NAMES.index("tilt"))
 _TYPICAL = 10.0
@@ -165,3 +229,53 @@ def _each(scale: Array, functions: Array) -> Array:
     for channel in range(6):
         columns[:, channel, channel] = functions
     return np.asarray(columns.reshape(6 * n, 6 * f) / scale[:, None])
+
+
+_WIDTHS_HZ = (0.5, 2.0, 8.0)
+_FROM_HZ = 1.0
+_UNSURE = 0.05
+
+
+class Oscillation(NamedTuple):
+    """log_bayes: that this band of a bag's wrench holds more than noise; energy beyond it."""
+
+    bag: str
+    from_hz: float
+    to_hz: float
+    log_bayes: float
+    energy: float
+
+
+def oscillation(streams: Sequence[Stream]) -> Oscillation | None:
+    """The clearest, over the wrench's streams of a residual; None where nothing was looked at."""
+    found: list[Oscillation] = []
+    looks = 0
+    for stream in streams:
+        if stream.channels[0] != WRENCH_AXES[0]:
+            continue
+        known = coefficients(stream)
+        fast = known.frequency_hz >= _FROM_HZ
+        frequency, square = known.frequency_hz[fast], known.square[fast]
+        if not len(frequency):
+            continue
+        each = square.shape[1]
+        for width in _WIDTHS_HZ:
+            number = np.floor(frequency / width).astype(int)
+            count = np.bincount(number).astype(float)
+            energies = [np.bincount(number, column) for column in square.T]
+            for energy, channels in (
+                (np.sum(energies, axis=0), each),
+                *((one, 1) for one in energies),
+            ):
+                n = count * channels
+                known_to = energy / (1.0 + _UNSURE)
+                for k in np.flatnonzero(known_to > n):
+                    e = known_to[k]
+                    log = 0.5 * (e - n[k] - n[k] * np.log(e / n[k]))
+                    place = (stream.bag, k * width, (k + 1) * width)
+                    found.append(Oscillation(*place, float(log), float(energy[k] - n[k])))
+            looks += int(np.sum(count > 0)) * (each + 1)
+    if not found:
+        return None
+    best = max(found, key=lambda one: one.log_bayes)
+    return best._replace(log_bayes=best.log_bayes - float(np.log(looks)))

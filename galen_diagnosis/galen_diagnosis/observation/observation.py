@@ -26,14 +26,6 @@ from galen_sim_driver.effects.effect import Effect
 from galen_sim_driver.replay import Replay, Scene
 
 from galen_diagnosis.errors import DiagnosisError
-from galen_diagnosis.observation.grouping import (
-    Groups,
-    group_mean,
-    groups_of,
-    middle,
-    stretches,
-    whitened,
-)
 from galen_diagnosis.observation.noise import ChannelNoise, channel_noise
 from galen_diagnosis.observation.phases import (
     Phases,
@@ -45,7 +37,20 @@ from galen_diagnosis.observation.phases import (
     touched,
 )
 from galen_diagnosis.observation.recording import BagData, Recording, Track
-from galen_diagnosis.observation.rows import BAGS, CHANNELS, MARKER_AXES, TIP_AXES, Rows, Stream
+from galen_diagnosis.observation.rows import (
+    BAGS,
+    CHANNELS,
+    MARKER_AXES,
+    TIP_AXES,
+    Groups,
+    Rows,
+    Stream,
+    group_mean,
+    groups_of,
+    middle,
+    stretches,
+    whitened,
+)
 
 _GROUP_S = {"sweep": 0.1, "motion": 0.025, "push": 0.1}
 _TRACK_GROUP_S = 0.05

@@ -1,4 +1,9 @@
-"""What a diagnosis leaves on the disk: a directory, there whole or not at all."""
+"""Write what a diagnosis found.
+
+What a diagnosis leaves on the disk: a directory, there whole or not at all.
+
+The effect that was found, as parameters of the simulated driver.
+"""
 
 from __future__ import annotations
 
@@ -9,16 +14,17 @@ import tempfile
 from dataclasses import replace
 from pathlib import Path
 
+import yaml
 from galen_model.files.atomic_file import sync_directory
 from galen_ros.command import check_parent
 from galen_sim_driver.errors import ConfigError
+from galen_sim_driver.node.effect_parameters import driver_file
 
+from galen_diagnosis.answer.answer import Diagnosis
 from galen_diagnosis.answer.localization import where
-from galen_diagnosis.answer.result import Diagnosis
-from galen_diagnosis.answer.sentence import sentence
-from galen_diagnosis.effects.effect_file import effect_file
 from galen_diagnosis.errors import DiagnosisError
 from galen_diagnosis.report.report import report
+from galen_diagnosis.report.words import sentence
 
 DIAGNOSIS, REPORT, EFFECT, PICTURES = (
     "diagnosis.json",
@@ -121,3 +127,31 @@ def _put(made: Path, folder: Path, *, overwrite: bool) -> None:
         aside.rename(folder)
         raise
     shutil.rmtree(aside, ignore_errors=True)
+
+
+_HEAD = """\
+# What the diagnosis of {recording} found, for the simulated driver:
+# {causes}
+#
+#   ros2 run galen_sim_driver sim_driver_node --ros-args --params-file THIS_FILE
+"""
+
+
+def effect_file(diagnosis: Diagnosis) -> str | None:
+    """The YAML's text; None where no effect was found. Raises ConfigError.
+
+    The driver has one of each effect, so that two of a kind are rejected.
+    """
+    if not diagnosis.effects:
+        return None
+    head = _HEAD.format(
+        recording=_one_line(diagnosis.answer.recording),
+        causes=", ".join(effect.identity for effect in diagnosis.effects),
+    )
+    content = {f"/**/{node}": below for node, below in driver_file(diagnosis.effects).items()}
+    return head + yaml.safe_dump(content, sort_keys=False)
+
+
+def _one_line(text: str) -> str:
+    """Without what would end a comment: a recording's name is whatever its directory is called."""
+    return "".join(letter if letter.isprintable() else "?" for letter in text)

@@ -6,10 +6,8 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from galen_diagnosis.answer.answer import NONE, UNKNOWN, Answer, Cause
+from galen_diagnosis.answer.answer import NONE, UNKNOWN, Answer, Cause, Diagnosis
 from galen_diagnosis.answer.localization import hertz, p_words
-from galen_diagnosis.answer.result import Diagnosis
-from galen_diagnosis.report.effect_words import RANKING_NOTE, parameter_words, title
 from galen_diagnosis.report.report_html import (
     Table,
     bar,
@@ -20,6 +18,7 @@ from galen_diagnosis.report.report_html import (
     paragraph,
     picture,
 )
+from galen_diagnosis.report.words import RANKING_NOTE, parameter_words, title
 
 _SHOWN_PROBABILITY = 0.005
 _LEVEL = 0.05

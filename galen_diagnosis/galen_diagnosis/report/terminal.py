@@ -11,7 +11,7 @@ from rich.table import Table
 
 from galen_diagnosis.answer.answer import Answer
 from galen_diagnosis.answer.localization import p_words
-from galen_diagnosis.report.effect_words import RANKING_NOTE, parameter_words
+from galen_diagnosis.report.words import RANKING_NOTE, parameter_words
 
 _RANKED = 6
 _PLACES = 4

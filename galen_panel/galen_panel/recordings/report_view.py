@@ -8,12 +8,12 @@ from dataclasses import dataclass
 from typing import Any
 
 from galen_diagnosis.answer.answer import Interval
-from galen_diagnosis.report.effect_words import parameter_words, title
+from galen_diagnosis.report.words import parameter_words, title
 from galen_model.arm.galen import WRENCH_AXES
 
 from galen_panel.messages import texts
-from galen_panel.recordings.report_files import PAGE, PICTURE, Report, ReportError
-from galen_panel.snapshot import Level
+from galen_panel.recordings.report_files import PAGE, PICTURE, StoredReport, StoredReportError
+from galen_panel.snapshot import NodeLevel
 
 Row = list[str]
 _UNITS = ("mN", "mN", "mN", "mN·m", "mN·m", "mN·m")
@@ -22,17 +22,17 @@ _RANKED = 6
 _WORTH_NAMING = 0.001
 
 VERDICTS = {
-    ("evaluate", "fits"): (Level.OK, "The calibration fits"),
-    ("evaluate", "offset"): (Level.WARN, "An offset"),
-    ("evaluate", "drift"): (Level.WARN, "The sensor drifts"),
-    ("evaluate", "load"): (Level.ERROR, "Another load"),
-    ("evaluate", "changed"): (Level.ERROR, "Something changed during the recording"),
-    ("evaluate", "unexplained"): (Level.ERROR, "Does not fit, and nothing explains it"),
-    ("evaluate", "unknown"): (Level.WARN, "Can't tell"),
-    ("diagnose", "none"): (Level.OK, "No gap"),
-    ("diagnose", "identified"): (Level.WARN, "Cause found"),
-    ("diagnose", "ambiguous"): (Level.WARN, "Several causes are possible"),
-    ("diagnose", "unknown"): (Level.ERROR, "A gap without a known cause"),
+    ("evaluate", "fits"): (NodeLevel.OK, "The calibration fits"),
+    ("evaluate", "offset"): (NodeLevel.WARN, "An offset"),
+    ("evaluate", "drift"): (NodeLevel.WARN, "The sensor drifts"),
+    ("evaluate", "load"): (NodeLevel.ERROR, "Another load"),
+    ("evaluate", "changed"): (NodeLevel.ERROR, "Something changed during the recording"),
+    ("evaluate", "unexplained"): (NodeLevel.ERROR, "Does not fit, and nothing explains it"),
+    ("evaluate", "unknown"): (NodeLevel.WARN, "Can't tell"),
+    ("diagnose", "none"): (NodeLevel.OK, "No gap"),
+    ("diagnose", "identified"): (NodeLevel.WARN, "Cause found"),
+    ("diagnose", "ambiguous"): (NodeLevel.WARN, "Several causes are possible"),
+    ("diagnose", "unknown"): (NodeLevel.ERROR, "A gap without a known cause"),
 }
 """By the kind of a report and its verdict."""
 
@@ -45,7 +45,7 @@ _NEXT = {
 
 
 @dataclass(frozen=True)
-class Table:
+class ReportTable:
     """Texts in rows and columns; the first column names its row."""
 
     title: str
@@ -54,42 +54,44 @@ class Table:
 
 
 @dataclass(frozen=True)
-class View:
+class ReportView:
     """All that is shown. lists: titles with sentences. picture, page: a file's name or empty."""
 
-    level: Level
+    level: NodeLevel
     word: str
     sentence: str
     about: str
     lists: list[tuple[str, list[str]]]
-    tables: list[Table]
+    tables: list[ReportTable]
     picture: str
     page: str
 
 
-def verdict_of(report: Report) -> tuple[Level, str]:
+def verdict_of(report: StoredReport) -> tuple[NodeLevel, str]:
     """A verdict's level and its words."""
-    return VERDICTS.get((report.kind, report.verdict), (Level.WARN, report.verdict))
+    return VERDICTS.get((report.kind, report.verdict), (NodeLevel.WARN, report.verdict))
 
 
-def view_of(report: Report, content: Mapping[str, Any], files: Sequence[str]) -> View:
+def view_of(report: StoredReport, content: Mapping[str, Any], files: Sequence[str]) -> ReportView:
     """What to show of a report; files: those that it has. Raises ReportError for a damaged one."""
     try:
         lists, tables = _PARTS[report.kind](content)
     except (LookupError, TypeError, ValueError, AttributeError) as error:
-        raise ReportError(f"{report.id}: the report is damaged: {error!r}") from error
+        raise StoredReportError(f"{report.id}: the report is damaged: {error!r}") from error
     level, word = verdict_of(report)
     names = {"picture": PICTURE, "page": PAGE.rsplit("/", 1)[-1]}
     found = {key: name if name in files else "" for key, name in names.items()}
     about = f"{report.recording}, with {report.tool}, {texts.date(report.made_at)}"
     shown = [(heading, lines) for heading, lines in lists if lines]
-    return View(level, word, report.sentence, about, shown, tables, **found)
+    return ReportView(level, word, report.sentence, about, shown, tables, **found)
 
 
 # An evaluation
 
 
-def _evaluation(content: Mapping[str, Any]) -> tuple[list[tuple[str, list[str]]], list[Table]]:
+def _evaluation(
+    content: Mapping[str, Any],
+) -> tuple[list[tuple[str, list[str]]], list[ReportTable]]:
     rmse = content["rmse"]
     received, out = content["wrenches"]["received"], content["wrenches"]["compensated"]
     summary = [
@@ -104,7 +106,7 @@ def _evaluation(content: Mapping[str, Any]) -> tuple[list[tuple[str, list[str]]]
         ("noise of one reading", "noise"),
     )
     tables = [
-        Table(
+        ReportTable(
             "Residual (root mean square)",
             ["", *_AXES],
             [[name, *_cells(rmse[key])] for name, key in names],
@@ -129,7 +131,7 @@ def _evaluation(content: Mapping[str, Any]) -> tuple[list[tuple[str, list[str]]]
     return lists, tables
 
 
-def _made_of(misfit: Mapping[str, Any]) -> Table:
+def _made_of(misfit: Mapping[str, Any]) -> ReportTable:
     parts = (
         ("another load", "load"),
         ("an offset", "offset"),
@@ -140,10 +142,10 @@ def _made_of(misfit: Mapping[str, Any]) -> Table:
     if misfit["rate_per_hour"] is not None:
         rows.append(["drift, per hour", *_cells(misfit["rate_per_hour"])])
         rows.append(["± of that", *_cells(misfit["rate_std"])])
-    return Table("What that is made of", ["", *_AXES], rows)
+    return ReportTable("What that is made of", ["", *_AXES], rows)
 
 
-def _worst(poses: Sequence[Mapping[str, Any]]) -> Table:
+def _worst(poses: Sequence[Mapping[str, Any]]) -> ReportTable:
     rows = [
         [
             f"{pose['time_s']:.1f} s",
@@ -155,17 +157,17 @@ def _worst(poses: Sequence[Mapping[str, Any]]) -> Table:
         ]
         for pose in poses
     ]
-    return Table("Worst still phases", ["at", "for", "roll", "tilt", *_AXES, ""], rows)
+    return ReportTable("Worst still phases", ["at", "for", "roll", "tilt", *_AXES, ""], rows)
 
 
-def _stamps(stamps: Mapping[str, Any]) -> Table:
+def _stamps(stamps: Mapping[str, Any]) -> ReportTable:
     counted = ("gaps", "missing", "jumps", "duplicates", "out_of_order")
     rows = [
         [topic, str(one["messages"]), _number(one["rate_hz"], 1), *(str(one[k]) for k in counted)]
         for topic, one in stamps.items()
     ]
     headers = ["topic", "messages", "rate (Hz)", *(name.replace("_", " ") for name in counted)]
-    return Table("Time stamps", headers, rows)
+    return ReportTable("Time stamps", headers, rows)
 
 
 def _cells(by_axis: Mapping[str, float] | None) -> Row:
@@ -181,7 +183,7 @@ def _number(value: float | None, digits: int) -> str:
 # A diagnosis
 
 
-def _diagnosis(content: Mapping[str, Any]) -> tuple[list[tuple[str, list[str]]], list[Table]]:
+def _diagnosis(content: Mapping[str, Any]) -> tuple[list[tuple[str, list[str]]], list[ReportTable]]:
     experiment = content["next_experiment"]
     todo = _NEXT.get(content["verdict"], "") if experiment is None else str(experiment["do"])
     closed = content["gap"].get("closed_fraction")
@@ -195,14 +197,14 @@ def _diagnosis(content: Mapping[str, Any]) -> tuple[list[tuple[str, list[str]]],
     tables = []
     if content["causes"]:
         headers = ["cause", "probability", "how much (95 % interval)", "gap closed", "or else"]
-        tables.append(Table("Causes", headers, [_cause(one) for one in content["causes"]]))
+        tables.append(ReportTable("Causes", headers, [_cause(one) for one in content["causes"]]))
     ranking = [
         [title(_label(one)), f"{one['probability']:.1%}"]
         for one in content["ranking"][:_RANKED]
         if one["probability"] >= _WORTH_NAMING
     ]
     tables.append(
-        Table(
+        ReportTable(
             "How likely each effect is; several can be there together",
             ["effect", "probability"],
             ranking,

@@ -186,7 +186,7 @@ class Effect:
 
     @property
     def axis_turns(self) -> Array:
-        """Rotation vectors (2, 3) of the roll and the tilt axis in their parent links, rad."""
+        """Turns (2, 3) of roll and tilt axis about x, y, z of their parent links, rad."""
         return np.zeros((len(ROTARY_JOINTS), 3))
 
     def true_joints(self, when: Instants, joints: Array) -> Array:

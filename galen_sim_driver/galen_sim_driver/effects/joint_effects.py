@@ -35,7 +35,7 @@ from typing import ClassVar, Self
 import numpy as np
 from galen_model.arm.galen import GALEN, JOINT_NAMES, ArmParameters
 from galen_model.arrays import Array
-from galen_model.rotation import rot_x, rot_y, rotvec_to_matrix
+from galen_model.rotation import rot_x, rot_y, rot_z
 from galen_ros.parameters.param import param
 
 from galen_sim_driver.effects.effect import ROTARY_JOINTS, Effect, Fitted, Instants, check_rotary
@@ -121,14 +121,15 @@ def sensor_pose(joints: Array, axis_turns: Array, arm: ArmParameters) -> tuple[A
 
     Args:
         joints: (n, 5) true ones, m and rad.
-        axis_turns: (2, 3) rotation vectors of roll and tilt axis in their parent links, rad.
+        axis_turns: (2, 3) by how much roll and tilt axis are turned about x, then y, then z of
+            their parent links, rad.
         arm: dimensions.
 
     Returns:
         R_base_sensor (n, 3, 3) and the sensor's origin (n, 3) in base_link, m.
 
     """
-    roll_axis, tilt_axis = rotvec_to_matrix(axis_turns)
+    roll_axis, tilt_axis = (rot_x(x) @ rot_y(y) @ rot_z(z) for x, y, z in axis_turns)
     roll = roll_axis @ rot_x(joints[:, 3]) @ roll_axis.T
     turned = roll @ tilt_axis @ rot_y(joints[:, 4]) @ tilt_axis.T
     origin = joints[:, :3] + arm.platform_to_roll_m + roll @ arm.roll_to_tilt_m

@@ -15,10 +15,15 @@ from galen_model.arrays import Array
 from scipy.optimize import linear_sum_assignment
 
 from galen_diagnosis.answer.answer import NONE, UNKNOWN
-from galen_diagnosis.blind.label import Label
-from galen_diagnosis.blind.parsed_answer import ParsedAnswer
-from galen_diagnosis.blind.scoring.parameter_errors import ParameterError, compare
-from galen_diagnosis.blind.scoring.rates import Calibration, Rate, calibration, rate
+from galen_diagnosis.blind.answers import Label, ParsedAnswer
+from galen_diagnosis.blind.scoring.rates import (
+    Calibration,
+    ParameterError,
+    Rate,
+    calibration,
+    compare,
+    rate,
+)
 
 STRENGTHS = ("faint", "clear", "gross")
 SURE = ("clear", "gross")

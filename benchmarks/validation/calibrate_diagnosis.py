@@ -1,6 +1,6 @@
 """Calibrates the few numbers of the evidence on simulated recordings with known causes.
 
-    python -m galen_diagnosis.inference.calibrate CASES [--per-class N] [--write]
+    python -m benchmarks.validation.calibrate_diagnosis CASES [--per-class N] [--write]
 
 makes recordings by the blind plant, with seeds and unknown kinds that `blind_check` never uses,
 explores each (CASES keeps what came out, so that a run can be taken up again), and fits the
@@ -22,20 +22,20 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from galen_model.files.atomic_file import write_whole
-from galen_ros.command import EXIT_OK, run_command
-from scipy.optimize import minimize
-from tqdm import tqdm
-
 from galen_diagnosis.answer.answer import NONE
 from galen_diagnosis.blind.plant.case import Case, generate
 from galen_diagnosis.blind.plant.listed import EFFECTS, PAIRS
 from galen_diagnosis.blind.plant.unlisted import CALIBRATION_UNKNOWN
 from galen_diagnosis.errors import DiagnosisError
 from galen_diagnosis.inference.diagnosing import explore
-from galen_diagnosis.inference.posterior import Posterior, Scored, posterior
-from galen_diagnosis.inference.settings import Settings
+from galen_diagnosis.inference.posterior import Posterior, Scored, Settings, posterior
 from galen_diagnosis.observation.recording import read_recording
+from galen_model.files.atomic_file import write_whole
+from galen_ros.command import EXIT_OK, run_command
+from scipy.optimize import minimize
+from tqdm import tqdm
+
+from galen_diagnosis import inference
 
 FIRST_SEED = 7_000_000
 """Seeds from here on are calibration's."""
@@ -205,7 +205,8 @@ def report(cases: Sequence[Known], settings: Settings) -> dict[str, Any]:
 def main(args: Sequence[str] | None = None) -> int:
     """Entry point; returns the exit code."""
     parser = argparse.ArgumentParser(
-        prog="python -m galen_diagnosis.inference.calibrate", description=__doc__.split("\n")[0]
+        prog="python -m benchmarks.validation.calibrate_diagnosis",
+        description=__doc__.split("\n")[0],
     )
     parser.add_argument("cases", type=Path, help="folder that keeps what came out of each case")
     parser.add_argument("--per-class", type=int, default=4, help="turns over all kinds (4)")
@@ -250,7 +251,7 @@ def _run(given: argparse.Namespace) -> int:
     everything = fitted(cases, half)
     outcome = {
         "settings": asdict(everything),
-        "made_by": "python -m galen_diagnosis.inference.calibrate",
+        "made_by": "python -m benchmarks.validation.calibrate_diagnosis",
         "cases": len(cases),
         "loss": {
             "start": loss(cases, start),
@@ -262,7 +263,7 @@ def _run(given: argparse.Namespace) -> int:
     }
     print(json.dumps(outcome, indent=2))
     if given.write:
-        target = Path(__file__).with_name("calibration.json")
+        target = Path(inference.__file__).with_name("calibration.json")
         write_whole(target, json.dumps(outcome, indent=2) + "\n")
     return EXIT_OK
 
