@@ -19,8 +19,7 @@ from pathlib import Path
 
 from workspace.build import build
 from workspace.environment import Environment
-from workspace.errors import SetupError
-from workspace.lock import exclusive, shared
+from workspace.machine import SetupError, exclusive, shared
 
 ROOT = Path(__file__).resolve().parent.parent
 

@@ -17,9 +17,9 @@ ROOT = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(ROOT / "scripts"))
 
 from ros2_run import NotFoundError, find_executable  # noqa: E402
-from workspace import build, environment, interpreter, ros, tools  # noqa: E402
+from workspace import build, environment, interpreter, machine, ros  # noqa: E402
 from workspace.environment import Environment, explain_pip, read_pins, to_install  # noqa: E402
-from workspace.errors import SetupError  # noqa: E402
+from workspace.machine import SetupError  # noqa: E402
 from workspace.wheel_repair import repair_wheels  # noqa: E402
 
 REQUIREMENTS = ROOT / "requirements"
@@ -208,14 +208,14 @@ def fill_path(folder, names):
 )
 def test_the_first_missing_tool_is_named_with_its_package(tmp_path, present, missing):
     with pytest.raises(SetupError, match=rf"no {missing} found.*apt install"):
-        tools.check_tools(fill_path(tmp_path, present))
+        machine.check_tools(fill_path(tmp_path, present))
 
 
 def test_all_tools_present_is_fine(tmp_path):
     environ = fill_path(tmp_path, ["gcc", "g++", "cmake", "make"])
-    tools.check_tools(environ)
+    machine.check_tools(environ)
     with pytest.raises(SetupError, match="CXX=icpc is not on PATH"):
-        tools.check_tools({**environ, "CXX": "icpc"})
+        machine.check_tools({**environ, "CXX": "icpc"})
 
 
 @pytest.mark.parametrize(
@@ -236,9 +236,9 @@ def test_what_is_missing_stops_the_command_in_one_line(tmp_path, monkeypatch, en
 
 
 def test_a_full_disk_is_told_before_anything_is_fetched(tmp_path):
-    tools.check_disk(tmp_path, 1)
+    machine.check_disk(tmp_path, 1)
     with pytest.raises(SetupError, match=r"GB free in .* are needed"):
-        tools.check_disk(tmp_path, 10**18)
+        machine.check_disk(tmp_path, 10**18)
 
 
 # ---- what is installed

@@ -10,7 +10,7 @@ import time
 from pathlib import Path
 
 from .environment import Environment
-from .errors import SetupError
+from .machine import SetupError
 
 # With --symlink-install an edit in these folders or of a .py file needs no build.
 _LIVE_SUFFIXES = (".py", ".pyc", ".md")

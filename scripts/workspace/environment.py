@@ -13,9 +13,9 @@ import time
 from collections.abc import Mapping
 from pathlib import Path
 
-from . import tools
-from .errors import SetupError
+from . import machine
 from .interpreter import Interpreter, choose
+from .machine import SetupError
 from .ros import Ros, find_ros, unused_ros_note
 from .wheel_repair import repair_wheels
 
@@ -162,12 +162,12 @@ class Environment:
         """
         if self.is_ready():
             return
-        tools.check_tools(self.environ)
+        machine.check_tools(self.environ)
         if self.ros is None:
-            tools.check_platform()
+            machine.check_platform()
         interpreter = choose(self.environ, self.ros)
         self._remove_old()
-        tools.check_disk(self.root)
+        machine.check_disk(self.root)
         origin = f"the ROS 2 in {self.ros.prefix}" if self.ros else "PyPI"
         print(f"Making .venv: Python {interpreter.version}, ROS 2 from {origin} ...", flush=True)
         if self.ros is None and unused_ros_note():
@@ -193,7 +193,7 @@ class Environment:
         if stamp.is_file() and stamp.read_bytes() == path.read_bytes():
             return
         check, needed_bytes = OPTIONAL_GROUPS[group]
-        tools.check_disk(self.root, needed_bytes)
+        machine.check_disk(self.root, needed_bytes)
         print(f"Adding what {path.relative_to(self.root)} names to .venv ...", flush=True)
         started = time.monotonic()
         self.log.parent.mkdir(exist_ok=True)

@@ -11,7 +11,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from .errors import SetupError
+from .machine import SetupError
 from .ros import Ros
 
 SUPPORTED = ("3.12", "3.11")

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from .errors import SetupError
+from .machine import SetupError
 
 DISTRO = "jazzy"
 DEBIAN_PREFIX = Path("/opt/ros") / DISTRO

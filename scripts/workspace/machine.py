@@ -1,14 +1,14 @@
-"""Checks for what has to be on the machine before anything is made."""
+"""The machine: what has to be on it, one run at a time in a workspace, how a run fails."""
 
 from __future__ import annotations
 
+import fcntl
 import platform
 import shutil
 import sys
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
-
-from .errors import SetupError
 
 NEEDED_DISK_BYTES = 2_000_000_000  # the environment and the build take 1.3 GB
 
@@ -19,6 +19,10 @@ _TOOLS = (
     ("CMake", None, ("cmake",), "cmake"),
     ("make", None, ("make", "gmake"), "make"),
 )
+
+
+class SetupError(Exception):
+    """Set-up or build cannot go on; the message says in one line why, and the remedy."""
 
 
 def check_tools(environ: Mapping[str, str]) -> None:
@@ -53,3 +57,27 @@ def check_disk(folder: Path, needed_bytes: int = NEEDED_DISK_BYTES) -> None:
             f"{free / 1e9:.1f} GB free in {folder}, and {needed_bytes / 1e9:.1f} GB are needed: "
             "free some space, then run it again"
         )
+
+
+def exclusive(path: Path) -> AbstractContextManager[None]:
+    """Hold the lock file ``path``; wait for the process that holds it, and say so.
+
+    The system frees the lock when its holder ends, however it ends.
+    """
+    return _held(path, fcntl.LOCK_EX)
+
+
+def shared(path: Path) -> AbstractContextManager[None]:
+    """Hold the lock file ``path`` together with others that share it; wait as `exclusive` does."""
+    return _held(path, fcntl.LOCK_SH)
+
+
+@contextmanager
+def _held(path: Path, kind: int) -> Iterator[None]:
+    with path.open("a") as file:
+        try:
+            fcntl.flock(file, kind | fcntl.LOCK_NB)
+        except OSError:
+            print("Waiting for another set-up or build of this workspace ...", flush=True)
+            fcntl.flock(file, kind)
+        yield
