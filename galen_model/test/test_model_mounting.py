@@ -25,7 +25,7 @@ from galen_model.load.mounting.identification import (
     identify_two_sweeps_mounted,
 )
 from galen_model.load.mounting.mounting import GROUPS, PARAMETERS, Mounting, entities
-from galen_model.load.mounting.reading_model import JointPoses, ReadingModel, Sweep
+from galen_model.load.mounting.reading_model import JointPoses, MountedSweep, ReadingModel
 from galen_model.load.nominal_tools import ADAPTER, TOOLS
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
@@ -133,8 +133,8 @@ def two_sweeps_model(groups):
     poses, adapter = JointPoses(roll, tilt), slice(4, 8)
     return ReadingModel(
         [
-            Sweep(poses, None, adapter, slice(8, 14)),
-            Sweep(poses, slice(0, 4), adapter, slice(14, 20)),
+            MountedSweep(poses, None, adapter, slice(8, 14)),
+            MountedSweep(poses, slice(0, 4), adapter, slice(14, 20)),
         ],
         JointPoses(np.array([0.1]), np.array([-0.2])),
         entities(groups),

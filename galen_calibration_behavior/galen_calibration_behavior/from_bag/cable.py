@@ -20,7 +20,7 @@ from galen_model.files.calibration_file import (
 )
 from galen_model.load.cable.drag import MAX_POSES, SUPPORT_M
 from galen_model.load.cable.fit import CableSweep, spread_out
-from galen_model.load.cable.learning import HeldOut, LearnedCable, learn_cable
+from galen_model.load.cable.learning import CableScore, LearnedCable, learn_cable
 from galen_model.load.cable.rivals import check_same_tool, doubts, rivals
 from galen_model.rest.pose import PoseRecord
 from galen_ros.command import check_folder, terminal, writing
@@ -47,7 +47,7 @@ class CableResult:
     tool: CalibrationFile
     learned: LearnedCable
     sweep: CableSweep
-    others: dict[str, HeldOut]
+    others: dict[str, CableScore]
     warnings: tuple[str, ...]
 
 
@@ -145,7 +145,7 @@ def add_cable(options: argparse.Namespace) -> dict[str, Any]:
     return result_fields(options, result)
 
 
-def _scores(result: CableResult) -> dict[str, HeldOut]:
+def _scores(result: CableResult) -> dict[str, CableScore]:
     learned = result.learned
     return {
         "the tool's file": learned.file,

@@ -8,7 +8,7 @@ import numpy as np
 from galen_model.arrays import Array
 from galen_model.errors import CalibrationFileError, GalenError, ToolNameError
 from galen_model.files.calibration_store import Entry, FileState, StoredCalibration, ToolExistsError
-from galen_model.files.comparison import Comparison, IncomparableError
+from galen_model.files.comparison import CalibrationComparison, IncomparableError
 from galen_model.load.frames import FrameError, FrameNeedsJointsError
 from geometry_msgs.msg import Wrench
 
@@ -80,7 +80,7 @@ def active_message(
     return message
 
 
-def fill_comparison(response: Any, comparison: Comparison) -> None:
+def fill_comparison(response: Any, comparison: CalibrationComparison) -> None:
     """Write a comparison into the answer of `~/compare_tools`."""
     response.same_load, response.text = comparison.same_load, comparison.text
     response.differences = [

@@ -11,7 +11,7 @@ from galen_model.arm.galen import JOINT_NAMES, WRENCH_AXES
 from galen_model.arrays import Array
 from galen_model.files.calibration_file import LoadEstimate, age_text
 from galen_model.files.calibration_store import Entry, StoredCalibration
-from galen_model.files.comparison import Comparison, three_digits
+from galen_model.files.comparison import CalibrationComparison, three_digits
 from galen_model.load.frames import SensorInFrame
 from rich.console import Console
 from rich.markup import escape
@@ -156,7 +156,7 @@ def _plain(value: Any) -> str:
 # Two tools
 
 
-def comparison_to_dict(comparison: Comparison) -> dict[str, Any]:
+def comparison_to_dict(comparison: CalibrationComparison) -> dict[str, Any]:
     """A comparison; `std_dev` and `sigmas` are None where the files tell none."""
     return {
         "a": comparison.a,
@@ -187,7 +187,7 @@ def comparison_to_dict(comparison: Comparison) -> dict[str, Any]:
     }
 
 
-def print_comparison(comparison: Comparison, console: Console) -> None:
+def print_comparison(comparison: CalibrationComparison, console: Console) -> None:
     """The sentence, and a row for each quantity."""
     style = "green" if comparison.same_load else "yellow"
     console.print(f"[{style}]{escape(comparison.text)}[/{style}]", soft_wrap=True, highlight=False)

@@ -26,7 +26,7 @@ from galen_model.files.calibration_store import (
     FileState,
     StoredCalibration,
 )
-from galen_model.files.comparison import Comparison, before_name, compare_calibrations
+from galen_model.files.comparison import CalibrationComparison, before_name, compare_calibrations
 from galen_model.load.frames import (
     joint_vector,
     needed_joints,
@@ -199,7 +199,7 @@ class ToolServices:
     def _on_compare(self, request: Any, response: Any, respond: Respond) -> None:
         active_tool = self.active_tool.stored
 
-        def job() -> Comparison:
+        def job() -> CalibrationComparison:
             a, name_a = self._compared(request.a, request.a_previous, active_tool)
             b, name_b = self._compared(request.b, request.b_previous, active_tool)
             return compare_calibrations(a.tool, b.tool, (name_a, name_b))

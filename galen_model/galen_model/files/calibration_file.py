@@ -42,7 +42,7 @@ from galen_model.files.json_fields import (
     text,
     texts,
 )
-from galen_model.load.cable.drag import CableDrag
+from galen_model.load.cable.drag import CablePull
 from galen_model.load.inertia.inertial import InertiaEstimate
 from galen_model.load.model import Load, gravity_wrench
 from galen_model.load.mounting.mounting import Mounting
@@ -94,16 +94,16 @@ def galen_identity() -> ArmIdentity:
 
 
 @dataclass(frozen=True)
-class Zeroing:
+class ZeroingPose:
     """Pose of the last zeroing: joints by name (m, rad), gravity (3,) in ft_sensor, m/s^2."""
 
     joints: Mapping[str, float]
     gravity_in_sensor_m_s2: Array
 
 
-def zeroed_at(roll_rad: float, tilt_rad: float) -> Zeroing:
+def zeroed_at(roll_rad: float, tilt_rad: float) -> ZeroingPose:
     """Return the zeroing of the Galen at roll and tilt, under standard gravity."""
-    return Zeroing(
+    return ZeroingPose(
         {"roll": float(roll_rad), "tilt": float(tilt_rad)}, gravity_in_sensor(roll_rad, tilt_rad)
     )
 
@@ -120,7 +120,7 @@ class CalibrationFile:
     poses_used: int
     calibrated_at: str
     residual_offset: Array = field(default_factory=lambda: np.zeros(6))
-    zeroing: Zeroing | None = field(default_factory=lambda: zeroed_at(0.0, 0.0))
+    zeroing: ZeroingPose | None = field(default_factory=lambda: zeroed_at(0.0, 0.0))
     """Where the sensor was zeroed with the adapter alone; None: not so, or not known."""
     poses_rejected: tuple[str, ...] = ()
     sensor_frame: str = SENSOR_FRAME
@@ -131,7 +131,7 @@ class CalibrationFile:
     inertia: InertiaEstimate | None = None
     """Of tool and adapter together, where a recording of motion told it."""
     mounting: Mounting | None = None
-    cable: CableDrag | None = None
+    cable: CablePull | None = None
     """What a cable at the tool pulls beside the load, where a sweep with the cable on told it."""
 
     def predict(self, roll_rad: ArrayLike, tilt_rad: ArrayLike) -> Array:
@@ -353,7 +353,7 @@ def _from_json(content: Any) -> CalibrationFile:
         if "inertia" in whole
         else None,
         mounting=Mounting.from_json(whole["mounting"], "mounting") if "mounting" in whole else None,
-        cable=CableDrag.from_json(whole["cable"], "cable") if "cable" in whole else None,
+        cable=CablePull.from_json(whole["cable"], "cable") if "cable" in whole else None,
     )
     if file.mounting is not None and file.zeroing is not None:
         lacking = {"roll", "tilt"} - file.zeroing.joints.keys()
@@ -399,7 +399,7 @@ def _arm(value: Any) -> ArmIdentity:
     return ArmIdentity(name, joints, text(get(whole, "urdf_sha256"), "arm.urdf_sha256"))
 
 
-def _zeroing(value: Any, arm: ArmIdentity, gravity_m_s2: float) -> Zeroing | None:
+def _zeroing(value: Any, arm: ArmIdentity, gravity_m_s2: float) -> ZeroingPose | None:
     if value is None:
         return None
     whole = mapping(value, "zeroing")
@@ -416,7 +416,7 @@ def _zeroing(value: Any, arm: ArmIdentity, gravity_m_s2: float) -> Zeroing | Non
         raise FieldError(
             f"{name} is {size:g} m/s^2 long; expected {gravity_m_s2:g} as gravity_m_s2"
         )
-    return Zeroing(
+    return ZeroingPose(
         {joint: number(angle, f"zeroing.joints.{joint}") for joint, angle in joints.items()},
         gravity,
     )

@@ -83,7 +83,7 @@ class WorstCase:
 
 
 @dataclass(frozen=True)
-class Comparison:
+class CalibrationComparison:
     """Two files compared; `parts`: (part, who has it) of optional parts that not both have."""
 
     a: str
@@ -121,7 +121,7 @@ def before_name(tool: str) -> str:
 
 def compare_calibrations(
     a: CalibrationFile, b: CalibrationFile, names: tuple[str, str] | None = None
-) -> Comparison:
+) -> CalibrationComparison:
     """Compare two files; `names`: as they are called here. Raises IncomparableError."""
     name_a, name_b = names or (a.tool, b.tool)
     if a.sensor_frame != b.sensor_frame:
@@ -139,7 +139,7 @@ def compare_calibrations(
     for axis, of_a, of_b in zip("xyz", a.tip_m, b.tip_m, strict=True):
         differences.append(Difference(f"tip_{axis}", "m", float(of_a), float(of_b)))
     force, torque = _worst(a, b)
-    return Comparison(
+    return CalibrationComparison(
         name_a,
         name_b,
         tuple(differences),

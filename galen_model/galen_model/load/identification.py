@@ -28,7 +28,7 @@ from galen_model.arrays import Array
 from galen_model.errors import IdentificationError, ImplausibleLoadError, NotExcitedError
 from galen_model.evidence.columns import moment_covariance
 from galen_model.files.calibration_file import LoadEstimate
-from galen_model.load.bias.choice import BiasDrift
+from galen_model.load.bias.choice import SweepBiasDrift
 from galen_model.load.excitation import LOAD_PARAMETERS, check_excitation
 from galen_model.load.model import gravity_regressor
 from galen_model.load.robust_fit import RobustFit, fit_robust, fit_with_known_prior
@@ -120,7 +120,7 @@ class Identification:
     outliers: tuple[Outlier, ...]
     warnings: tuple[str, ...]
     unresolved: tuple[str, ...] = ()
-    bias_drift: BiasDrift | None = None
+    bias_drift: SweepBiasDrift | None = None
 
 
 def identify_two_sweeps(

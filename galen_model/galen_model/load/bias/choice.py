@@ -80,7 +80,7 @@ class Choice:
 
 
 @dataclass(frozen=True)
-class BiasDrift:
+class SweepBiasDrift:
     """How the bias went over a calibration.
 
     choice: the shapes, and by how much held-out blocks prefer them to a constant bias. bare (m, 6)

@@ -21,7 +21,7 @@ from galen_model.arm.kinematics import gravity_in_sensor
 from galen_model.arrays import Array
 from galen_model.errors import IdentificationError, NotExcitedError
 from galen_model.files.calibration_file import LoadEstimate
-from galen_model.load.bias.choice import BiasDrift, BiasMode, Choice, choose_by_mode
+from galen_model.load.bias.choice import BiasMode, Choice, SweepBiasDrift, choose_by_mode
 from galen_model.load.bias.curve import BiasShape
 from galen_model.load.bias.drifting import BiasDriftFit, Sweeps, fit_drifting
 from galen_model.load.excitation import LOAD_PARAMETERS, check_excitation
@@ -140,7 +140,7 @@ def identify_two_sweeps_drifting(
     if choice is None or choice.constant:
         found = identify_two_sweeps(bare, tool, zero_roll_rad, zero_tilt_rad)
         return replace(
-            found, bias_drift=None if choice is None else BiasDrift(choice, None, None, 1.0)
+            found, bias_drift=None if choice is None else SweepBiasDrift(choice, None, None, 1.0)
         )
     fitted = fit_drifting(sweeps, choice.shapes)
     check_rejections(fitted.fit)
@@ -148,7 +148,7 @@ def identify_two_sweeps_drifting(
     check_told(result.load, fitted, "the tool")
     check_told(result.adapter, fitted, "the adapter")
     curves = fitted.bias[: len(bare)], fitted.bias[len(bare) :]
-    return _with_bias_drift(result, BiasDrift(choice, *curves, float(fitted.growth[0])))
+    return _with_bias_drift(result, SweepBiasDrift(choice, *curves, float(fitted.growth[0])))
 
 
 def identify_one_sweep_drifting(
@@ -184,11 +184,11 @@ def identify_one_sweep_drifting(
     if choice is None or choice.constant:
         found = identify_one_sweep(tool, zero_roll_rad, zero_tilt_rad, known_adapter)
         return replace(
-            found, bias_drift=None if choice is None else BiasDrift(choice, None, None, 1.0)
+            found, bias_drift=None if choice is None else SweepBiasDrift(choice, None, None, 1.0)
         )
     fitted = fit_drifting(sweeps, choice.shapes)
     check_rejections(fitted.fit)
-    bias_drift = BiasDrift(choice, None, fitted.bias, float(fitted.growth[0]))
+    bias_drift = SweepBiasDrift(choice, None, fitted.bias, float(fitted.growth[0]))
     return _with_bias_drift(
         one_sweep_result(fitted.fit, tool, gravity_zero, known_adapter), bias_drift
     )
@@ -201,7 +201,7 @@ def _times(*sweeps: StillPoses) -> np.ndarray:
     return np.concatenate(times)
 
 
-def _with_bias_drift(found: Identification, bias_drift: BiasDrift) -> Identification:
+def _with_bias_drift(found: Identification, bias_drift: SweepBiasDrift) -> Identification:
     """Add what the bias did, and tell what that costs."""
     parts = [part for part in (bias_drift.bare, bias_drift.tool) if part is not None]
     span = np.max([np.ptp(part, axis=0) for part in parts], axis=0)

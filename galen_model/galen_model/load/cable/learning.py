@@ -18,7 +18,7 @@ from galen_model.arm.kinematics import gravity_in_sensor
 from galen_model.arrays import Array
 from galen_model.errors import IdentificationError
 from galen_model.evidence.block_gain import block_gain
-from galen_model.load.cable.drag import FORMS, MAX_POSES, MIN_POSES, CableDrag
+from galen_model.load.cable.drag import FORMS, MAX_POSES, MIN_POSES, CablePull
 from galen_model.load.cable.fit import CableFit, CableSweep, fit_cable, spacing_rad
 from galen_model.load.model import gravity_regressor
 
@@ -40,7 +40,7 @@ class SparseSweepError(IdentificationError):
 
 
 @dataclass(frozen=True)
-class HeldOut:
+class CableScore:
     """Errors (n, 6) of predicted less measured wrenches of held-out poses, N and N.m.
 
     chi: their root mean square in units of the averages' noise; coverage: the share within the
@@ -61,15 +61,15 @@ class HeldOut:
 class LearnedCable:
     """The pull, and how well poses held out were predicted: by each form and by the others."""
 
-    drag: CableDrag
+    drag: CablePull
     scatter: float
-    file: HeldOut
-    least_squares: HeldOut
-    forms: dict[str, HeldOut]
+    file: CableScore
+    least_squares: CableScore
+    forms: dict[str, CableScore]
     block: np.ndarray
 
     @property
-    def held_out(self) -> HeldOut:
+    def held_out(self) -> CableScore:
         """That of the form chosen."""
         return self.forms[self.drag.form]
 
@@ -156,7 +156,11 @@ def _check_poses(sweep: CableSweep) -> None:
 
 
 def _check_worth(
-    sweep: CableSweep, block: np.ndarray, best: HeldOut, file: HeldOut, least_squares: HeldOut
+    sweep: CableSweep,
+    block: np.ndarray,
+    best: CableScore,
+    file: CableScore,
+    least_squares: CableScore,
 ) -> None:
     if not clearly_better(sweep, block, best, file):
         raise NoCableError(
@@ -171,14 +175,16 @@ def _check_worth(
         )
 
 
-def clearly_better(sweep: CableSweep, block: np.ndarray, one: HeldOut, other: HeldOut) -> bool:
+def clearly_better(
+    sweep: CableSweep, block: np.ndarray, one: CableScore, other: CableScore
+) -> bool:
     """Whether `one` has clearly smaller errors, by the paired differences of the blocks' means."""
     gain = np.sum((other.error / sweep.std_of_mean) ** 2, axis=1)
     gain -= np.sum((one.error / sweep.std_of_mean) ** 2, axis=1)
     return block_gain([gain[block == part].mean() for part in np.unique(block)]).clear
 
 
-def scored(sweep: CableSweep, predicted: Array, stated: Array | None = None) -> HeldOut:
+def scored(sweep: CableSweep, predicted: Array, stated: Array | None = None) -> CableScore:
     """Score wrenches (n, 6) predicted for the sweep's poses, N and N.m.
 
     stated (n, 6): standard deviations of the difference to what was measured.
@@ -186,8 +192,8 @@ def scored(sweep: CableSweep, predicted: Array, stated: Array | None = None) -> 
     error = predicted - sweep.wrench
     chi = float(np.sqrt(np.mean((error / sweep.std_of_mean) ** 2)))
     if stated is None:
-        return HeldOut(error, chi)
-    return HeldOut(error, chi, float(np.mean(np.abs(error) < 1.96 * stated)))
+        return CableScore(error, chi)
+    return CableScore(error, chi, float(np.mean(np.abs(error) < 1.96 * stated)))
 
 
 def linear_held_out(sweep: CableSweep, block: np.ndarray, more: Array | None = None) -> Array:
@@ -217,5 +223,5 @@ def least_squares(design: Array, readings: Array, std: Array) -> Array:
     return np.asarray(np.linalg.lstsq(rows, (readings * scale).ravel(), rcond=1e-9)[0])
 
 
-def _newtons(held_out: HeldOut) -> str:
+def _newtons(held_out: CableScore) -> str:
     return f"{np.sqrt(np.mean(held_out.rmse[:3] ** 2)):.2g} N"

@@ -26,7 +26,7 @@ from galen_model.load.bias.curve import BiasShape, Shape
 from galen_model.load.bias.drifting import Problem, Sweeps
 from galen_model.load.cable.fit import CableSweep
 from galen_model.load.cable.learning import (
-    HeldOut,
+    CableScore,
     LearnedCable,
     clearly_better,
     least_squares,
@@ -36,8 +36,7 @@ from galen_model.load.cable.learning import (
 from galen_model.load.inertia.identification import OTHER_MASS
 from galen_model.load.model import gravity_regressor
 from galen_model.load.mounting.mounting import entities
-from galen_model.load.mounting.reading_model import JointPoses, ReadingModel
-from galen_model.load.mounting.reading_model import Sweep as MountedSweep
+from galen_model.load.mounting.reading_model import JointPoses, MountedSweep, ReadingModel
 
 _MOUNTINGS = {
     "a joint's wrong zero": "joint_zero",
@@ -83,7 +82,9 @@ def check_same_tool(tool: CalibrationFile, sweep: CableSweep) -> list[str]:
     return [f"{text}: if that is not the cable, another tool is on"]
 
 
-def rivals(tool: CalibrationFile, sweep: CableSweep, learned: LearnedCable) -> dict[str, HeldOut]:
+def rivals(
+    tool: CalibrationFile, sweep: CableSweep, learned: LearnedCable
+) -> dict[str, CableScore]:
     """How well each other explanation predicts the blocks held out that the cable was scored on.
 
     tool: the file whose predictions the sweep's wrenches are beyond.
@@ -97,7 +98,7 @@ def rivals(tool: CalibrationFile, sweep: CableSweep, learned: LearnedCable) -> d
     return {name: scored(sweep, predicted) for name, predicted in found.items()}
 
 
-def doubts(sweep: CableSweep, learned: LearnedCable, others: dict[str, HeldOut]) -> list[str]:
+def doubts(sweep: CableSweep, learned: LearnedCable, others: dict[str, CableScore]) -> list[str]:
     """A warning for each of `rivals` that the cable isn't clearly better than, the best first."""
     left = [
         name

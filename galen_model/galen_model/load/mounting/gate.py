@@ -47,7 +47,7 @@ _REMEDIES = {
 
 
 @dataclass(frozen=True)
-class Columns:
+class JacobianColumns:
     """Which columns of the Jacobian are what, and the names of the last ones."""
 
     masses: Sequence[int]
@@ -59,7 +59,7 @@ class Columns:
 def check_told(
     jacobian: Array,
     sigma: Array,
-    columns: Columns,
+    columns: JacobianColumns,
     known_rows: Array,
     *,
     what_separates: str = _TURN,
@@ -100,7 +100,9 @@ def _order(names: Sequence[str]) -> Callable[[str], tuple[int, str]]:
 
 
 class _Space:
-    def __init__(self, jacobian: Array, sigma: Array, columns: Columns, known: Array) -> None:
+    def __init__(
+        self, jacobian: Array, sigma: Array, columns: JacobianColumns, known: Array
+    ) -> None:
         rows = (jacobian / sigma[:, None]).reshape(-1, jacobian.shape[2])
         self._rows = np.concatenate([rows, known])
         self._has_known = len(known) > 0

@@ -32,14 +32,14 @@ from galen_model.load.identification import (
     two_sweeps_result,
 )
 from galen_model.load.model import gravity_regressor
-from galen_model.load.mounting.gate import MAX_STD, Columns, check_told
+from galen_model.load.mounting.gate import MAX_STD, JacobianColumns, check_told
 from galen_model.load.mounting.mounting import Entity, Mounting, entities
 from galen_model.load.mounting.reading_model import (
     JointPoses,
+    MountedSweep,
     OrientedPoses,
     Poses,
     ReadingModel,
-    Sweep,
 )
 from galen_model.load.robust_fit import RobustFit, fit_with_known_prior
 
@@ -173,7 +173,9 @@ def identify_one_sweep_mounted(
     gravity_zero = zero.gravity(Mounting())[0][0]
     rows, values, std = one_sweep_prior(gravity_zero, known_adapter)
     problem = _Problem(
-        ReadingModel([Sweep(poses, slice(0, 4), slice(4, 8), slice(8, 14))], zero, asked, 14),
+        ReadingModel(
+            [MountedSweep(poses, slice(0, 4), slice(4, 8), slice(8, 14))], zero, asked, 14
+        ),
         (np.hstack([rows, np.zeros((len(rows), len(asked)))]), values, std),
         slice(8, 14),
         None,
@@ -247,10 +249,10 @@ def _two_sweeps_problem(
     """Values: tool's moments (4), adapter's (4), offsets bare (6) and with the tool (6), asked."""
     adapter = slice(4, 8)
     sweeps = [
-        Sweep(bare, None, adapter, slice(8, 14)),
-        Sweep(tool, slice(0, 4), adapter, slice(14, 20)),
+        MountedSweep(bare, None, adapter, slice(8, 14)),
+        MountedSweep(tool, slice(0, 4), adapter, slice(14, 20)),
     ]
-    columns = Columns((0, 4), (1, 2, 3, 5, 6, 7), range(8, 20), [e.name for e in asked])
+    columns = JacobianColumns((0, 4), (1, 2, 3, 5, 6, 7), range(8, 20), [e.name for e in asked])
     return _Problem(
         ReadingModel(sweeps, zero, asked, 20), _prior(known, 20 + len(asked)), None, columns
     )
@@ -259,12 +261,12 @@ def _two_sweeps_problem(
 def _single_problem(poses: Poses, asked: tuple[Entity, ...], known: KnownLoad | None) -> "_Problem":
     """Values: the load's moments (4), offsets (6), asked."""
     model = ReadingModel(
-        [Sweep(poses, slice(0, 4), None, slice(4, 10))],
+        [MountedSweep(poses, slice(0, 4), None, slice(4, 10))],
         JointPoses(np.zeros(1), np.zeros(1)),
         asked,
         10,
     )
-    columns = Columns((0,), (1, 2, 3), range(4, 10), [e.name for e in asked])
+    columns = JacobianColumns((0,), (1, 2, 3), range(4, 10), [e.name for e in asked])
     return _Problem(model, _prior(known, 10 + len(asked)), None, columns)
 
 
@@ -284,7 +286,7 @@ class _Problem:
     model: ReadingModel
     known: tuple[Array, Array, Array]
     offsets: slice | None
-    columns: Columns | None
+    columns: JacobianColumns | None
 
     def start(self, readings: Array) -> tuple[Array, Array, Array]:
         """Values (p,) without a mounting, their linear part's design, and the noise (6,) so far."""

@@ -84,7 +84,7 @@ def _by_inclination(rotation: Array, mounting: Mounting) -> Array:
 
 
 @dataclass(frozen=True)
-class Sweep:
+class MountedSweep:
     """Poses with the same on the sensor: which values are its tool, its adapter, its offset."""
 
     poses: Poses
@@ -97,7 +97,7 @@ class Sweep:
 class ReadingModel:
     """Sweeps, where the sensor was zeroed, and the mounting's directions after `linear` values."""
 
-    sweeps: Sequence[Sweep]
+    sweeps: Sequence[MountedSweep]
     zero: JointPoses
     entities: Sequence[Entity]
     linear: int
@@ -116,7 +116,7 @@ class ReadingModel:
         parts = [self._sweep(sweep, values) for sweep in self.sweeps]
         return np.concatenate([h for h, _ in parts]), np.concatenate([jac for _, jac in parts])
 
-    def _sweep(self, sweep: Sweep, values: Array) -> tuple[Array, Array]:
+    def _sweep(self, sweep: MountedSweep, values: Array) -> tuple[Array, Array]:
         mounting = self.mounting(values)
         u, du = sweep.poses.gravity(mounting)
         by_wrench = mounting.reading_from_wrench
