@@ -1,0 +1,254 @@
+"""Options of `evaluate`."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from galen_bags.arrays.arm_recording import ArmTopics
+from galen_model.arm.galen import GRAVITY_M_S2, JOINT_NAMES
+from galen_model.errors import IdentificationError
+from galen_model.evidence.verdict import Limits
+from galen_model.load.mounting.mounting import entities
+from galen_ros.command import (
+    add_json,
+    add_plots,
+    add_tool_file,
+    add_topic,
+    add_workers,
+    make_parser,
+    not_negative,
+    positive,
+)
+from galen_ros.parameters.param import add_options, from_options
+
+from galen_gravcomp.evaluate.bag_evaluation import EvaluationSettings
+from galen_gravcomp.evaluate.drift.series import CELL_S
+from galen_gravcomp.parameters import GravcompParameters
+
+_USAGE = """evaluate BAG... (--tool FILE | --tool-beside NAME) [options]
+       evaluate TABLE [--tool FILE] [options]
+       evaluate TABLE --run WRENCH IMU ORIENTATIONS [options]
+       evaluate BAG|TABLE... --drift [--tool FILE] [options]"""
+_NOTES = """BAG: rosbag2 directory, .mcap, .db3, ROS 1 .bag, or a folder that is searched for
+them: does the calibration file still fit the recording, and where not?
+TABLE: .csv, .txt, .tsv or .dat with fx fy fz tx ty tz (N, N.m; a push reads positive in
+its direction) and one of gx gy gz | r11..r33 (R_base_sensor) | qx qy qz qw (sensor in
+base) | roll tilt; optional: t (s), block (label): a load is fitted, and scored on
+readings held out, beside the plain ten-parameter least squares."""
+# The node's own parameters that decide what becomes of a wrench, with its defaults.
+_NODE_OPTIONS = ("max_joint_age_s", "motion", "motion_lag_s")
+_CELL_LIMITS_S = 1e-3, 3600.0
+
+
+def build_parser() -> argparse.ArgumentParser:
+    """Make the parser."""
+    parser = make_parser(
+        "evaluate",
+        "Judge calibration files, loads and sensors on recordings and tables; the kind is found"
+        " from the input.",
+        usage=_USAGE,
+        notes=_NOTES,
+        ok="done, whatever the verdict",
+        failed="an input can't be used; a line gives the reason. Of many bags, the others were"
+        " evaluated",
+    )
+    parser.add_argument("inputs", nargs="+", type=Path, metavar="INPUT", help="bags or tables")
+    add_tool_file(parser, "the calibration file; with a table optional, scored beside")
+    add_plots(parser)
+    add_json(parser)
+    for unit, metavar, default in (
+        ("force-n", "N", Limits.force_n),
+        ("torque-nm", "NM", Limits.torque_nm),
+    ):
+        parser.add_argument(
+            f"--limit-{unit}",
+            type=positive,
+            default=default,
+            metavar=metavar,
+            help="a file fits if no axis has a larger RMSE over the rest segments; with --drift:"
+            " how far a tare may be off (1 sigma; default: %(default)s)",
+        )
+    _add_bag_options(parser.add_argument_group("bags"))
+    _add_table_options(parser.add_argument_group("tables"))
+    _add_drift_options(parser.add_argument_group("long recordings without contact"))
+    return parser
+
+
+def _add_bag_options(group: argparse._ArgumentGroup) -> None:
+    group.add_argument(
+        "--tool-beside",
+        metavar="NAME",
+        help="instead of --tool: use the file of this name in each bag's directory or above it",
+    )
+    topics = ArmTopics()
+    add_topic(group, "--joint-states", topics.joint_states, "the joint states")
+    add_topic(group, "--wrench-raw", topics.wrench_raw, "the raw wrench")
+    group.add_argument(
+        "--joint-names",
+        default=",".join(JOINT_NAMES),
+        metavar="NAMES",
+        help="names of the five joints; only the last two must be there (default: %(default)s)",
+    )
+    group.add_argument(
+        "--start-offset",
+        type=not_negative,
+        default=0.0,
+        metavar="SECONDS",
+        help="leave out so much at the beginning (default: %(default)s)",
+    )
+    group.add_argument(
+        "--duration", type=positive, metavar="SECONDS", help="look at so much only (default: all)"
+    )
+    add_options(group, GravcompParameters, _NODE_OPTIONS)
+    group.add_argument(
+        "--write-bags",
+        metavar="DIR",
+        type=Path,
+        help="write each bag with wrench_compensated in it as DIR/<name>_compensated",
+    )
+    add_workers(group)
+
+
+def _add_table_options(group: argparse._ArgumentGroup) -> None:
+    group.add_argument(
+        "--columns",
+        metavar="NAMES",
+        help="comma-separated column names of a file without a first line of names; "
+        "'-' for a column to skip",
+    )
+    group.add_argument(
+        "--wrench-frame",
+        choices=("sensor", "base"),
+        default="sensor",
+        help="axes that the file's wrenches are written in (default: sensor)",
+    )
+    group.add_argument(
+        "--average-s",
+        type=positive,
+        metavar="SECONDS",
+        help="the table is a recording: find its rest segments and average this long within them",
+    )
+    group.add_argument(
+        "--bias-drift",
+        action="store_true",
+        help="beside the others, a model whose offset may drift, in the order of the readings; its"
+        " shape is chosen by blocks, within what is not held out (takes some seconds a block)",
+    )
+    group.add_argument(
+        "--estimate",
+        metavar="GROUPS",
+        default=(),
+        type=lambda text: tuple(text.split(",")),
+        help="score a model beside that has these together with the load, comma-separated; rejected"
+        " where the orientations don't distinguish them: sensor_rotation, axis_gain, gain_ratio,"
+        " base_inclination (not with gx gy gz alone) and their parts",
+    )
+    group.add_argument(
+        "--write-tool",
+        metavar="FILE",
+        type=Path,
+        help="write the load from all readings as the calibration file <tools_dir>/<tool>.json; one"
+        " load doesn't distinguish the adapter from the tool, and the file notes it",
+    )
+    group.add_argument(
+        "--run",
+        nargs=3,
+        type=Path,
+        metavar=("WRENCH", "IMU", "ORIENTATIONS"),
+        help="the table holds still poses with an IMU (ax ay az): calibrate load and IMU on them,"
+        " subtract weight and inertial forces from this run (tables of t and fx .. tz; t, ax ay az;"
+        " t and an orientation), and score the residual",
+    )
+    group.add_argument(
+        "--time-unit-s",
+        type=positive,
+        default=1.0,
+        metavar="SECONDS",
+        help="a unit of the run's column t (default: %(default)s)",
+    )
+    group.add_argument(
+        "--imu-unit-m-s2",
+        type=positive,
+        default=1.0,
+        metavar="UNIT",
+        help=f"a unit of ax ay az; {-GRAVITY_M_S2[2]} for g (default: %(default)s)",
+    )
+
+
+def _add_drift_options(group: argparse._ArgumentGroup) -> None:
+    group.add_argument(
+        "--drift",
+        action="store_true",
+        help="the inputs, in their order, are one recording without contact: its course, Allan"
+        " deviation, how long a tare holds, and whether the drift is predictable, on hours that no"
+        " fit has seen. Tables are read whole; --tool: the arm was at rest in several poses",
+    )
+    group.add_argument(
+        "--rate-hz", type=positive, metavar="HZ", help="rate of a table without the column t"
+    )
+    group.add_argument(
+        "--cell-s",
+        type=positive,
+        default=CELL_S,
+        metavar="SECONDS",
+        help="readings are averaged over so much first; less for a short recording (default:"
+        " %(default)s)",
+    )
+
+
+# What was given
+
+
+def topics_of(arguments: argparse.Namespace) -> ArmTopics:
+    """Return the topics and the joints' names."""
+    names = tuple(arguments.joint_names.split(","))
+    return ArmTopics(arguments.joint_states, arguments.wrench_raw, names)
+
+
+def columns_of(arguments: argparse.Namespace) -> list[str] | None:
+    """Return a table's column names; None: its first line has them."""
+    return arguments.columns.split(",") if arguments.columns else None
+
+
+def limits_of(arguments: argparse.Namespace) -> Limits:
+    """Return the limits of a fit."""
+    return Limits(arguments.limit_force_n, arguments.limit_torque_nm)
+
+
+def bag_settings(arguments: argparse.Namespace) -> EvaluationSettings:
+    """Return the settings of a bag's evaluation."""
+    parameters = from_options(arguments, GravcompParameters, _NODE_OPTIONS)
+    return EvaluationSettings(
+        topics=topics_of(arguments),
+        start_s=arguments.start_offset,
+        duration_s=arguments.duration,
+        parameters=parameters,
+        limits=limits_of(arguments),
+    )
+
+
+def check_options(
+    parser: argparse.ArgumentParser, arguments: argparse.Namespace, table: bool
+) -> None:
+    """End with exit code 2 where the options don't go together."""
+    if not arguments.drift and table and len(arguments.inputs) > 1:
+        parser.error("one TABLE at a time; bags and tables apart")
+    if not (arguments.drift or table) and bool(arguments.tool) == bool(arguments.tool_beside):
+        parser.error("bags need --tool FILE or --tool-beside NAME")
+    if arguments.run and (arguments.drift or not table):
+        parser.error("--run needs a TABLE of still poses")
+    if arguments.estimate and not table:
+        parser.error("--estimate is for a TABLE; calibrate_from_bag estimates from recordings")
+    if arguments.motion not in ("off", "joints"):
+        parser.error("--motion is 'off' or 'joints'; with an IMU, see --run")
+    low, high = _CELL_LIMITS_S
+    if not low <= arguments.cell_s <= high:
+        parser.error(f"--cell-s is {arguments.cell_s:g}, but must be {low:g} to {high:g}")
+    if arguments.drift and len(arguments.joint_names.split(",")) != len(JOINT_NAMES):
+        parser.error(f"--joint-names needs {len(JOINT_NAMES)} names, separated by commas")
+    try:
+        from_options(arguments, GravcompParameters, _NODE_OPTIONS).validate()
+        entities(arguments.estimate)
+    except (ValueError, IdentificationError) as error:
+        parser.error(str(error))
