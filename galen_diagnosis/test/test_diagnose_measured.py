@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from galen_bags.arrays.orientation_table import OrientationTable
 from galen_diagnosis.diagnose import main as diagnose
-from galen_diagnosis.tables.measured_check import diagnose_case, is_right
 from galen_diagnosis.tables.table_effects import drift_columns
 from galen_diagnosis.tables.table_plant import TablePlant
 from galen_model.arm.galen import GRAVITY_M_S2
@@ -17,6 +16,8 @@ from galen_model.load.model import Load, gravity_wrench
 from galen_model.rotation import rotvec_to_matrix
 from galen_sim_driver.effects.registry import EFFECTS
 from scipy.stats import multivariate_normal
+
+from benchmarks.validation.table_diagnosis import diagnose_case, is_right
 
 REAL = Path(__file__).resolve().parents[3] / "shared" / "data" / "real"
 measured = pytest.mark.skipif(not REAL.is_dir(), reason="measured data is not beside the checkout")

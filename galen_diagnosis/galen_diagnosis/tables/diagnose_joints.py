@@ -21,14 +21,14 @@ from galen_ros.command import (
     run_command,
 )
 
-from galen_diagnosis.tables.block_command import (
+from galen_diagnosis.tables.joint_rows import prepare_joint
+from galen_diagnosis.tables.output import (
     add_output_options,
     check_outputs,
     diagnose_rows,
     give,
     name_of,
 )
-from galen_diagnosis.tables.joint_rows import prepare_joint
 
 _EPILOG = f"""effects: joint_compliance, backlash, deflection_hysteresis, wrench_delay (the torque's
 stamps are late), and two that the arm's list has not: encoder_delay (the link's stamps are late

@@ -29,8 +29,8 @@ from galen_ros.command import (
     run_command,
 )
 
-from galen_diagnosis.tables.block_answer import BlockDiagnosis
-from galen_diagnosis.tables.block_command import (
+from galen_diagnosis.tables.conclusion import BlockDiagnosis
+from galen_diagnosis.tables.output import (
     add_output_options,
     check_outputs,
     diagnose_rows,

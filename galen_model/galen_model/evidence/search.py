@@ -34,7 +34,7 @@ _TOLD_APART_NATS = 2.3
 
 @dataclass(frozen=True)
 class SearchSettings:
-    """Chosen by hand; `measured_check` tells how often the answers are right with them.
+    """Chosen by hand; benchmarks/validation/table_diagnosis.py says how often answers are right.
 
     tempering: eta. effect_odds: of an effect being there, beforehand. unknown_odds: of something
     unknown being there. most: effects at once. joined: best sets that get another.

@@ -5,7 +5,7 @@ a cause. Laws that differ from those that are fitted: drift is a random walk, a 
 a place in the base, a step is a ramp, turns and gains are taken exactly. Unknown causes are ones
 without a name on the list: a reading that bends with the load, a constant of each stop's own.
 
-    python -m galen_diagnosis.tables.measured_check TABLE [--columns NAMES] [--cases N]
+    python -m benchmarks.validation.table_diagnosis TABLE [--columns NAMES] [--cases N]
 
 prints the share of right answers by cause; `SearchSettings` holds what was chosen by it.
 """
@@ -19,6 +19,11 @@ from dataclasses import replace
 
 import numpy as np
 from galen_bags.arrays.orientation_table import OrientationTable, read_table
+from galen_diagnosis.answer.answer import NONE, UNKNOWN
+from galen_diagnosis.tables.conclusion import BlockDiagnosis
+from galen_diagnosis.tables.output import diagnose_rows
+from galen_diagnosis.tables.table_plant import TablePlant
+from galen_diagnosis.tables.table_rows import prepare_table
 from galen_model.arm.galen import WRENCH_AXES
 from galen_model.arrays import Array
 from galen_model.evidence.search import SearchSettings
@@ -28,12 +33,6 @@ from galen_sim_driver.effects.effect import Effect
 from galen_sim_driver.effects.registry import effect_from
 from scipy.signal import lfilter
 from tqdm import tqdm
-
-from galen_diagnosis.answer.answer import NONE, UNKNOWN
-from galen_diagnosis.tables.block_answer import BlockDiagnosis
-from galen_diagnosis.tables.block_command import diagnose_rows
-from galen_diagnosis.tables.table_plant import TablePlant
-from galen_diagnosis.tables.table_rows import prepare_table
 
 NOISE = np.repeat([0.02, 0.001], 3)
 """N, N.m of one reading."""
@@ -170,13 +169,15 @@ def is_right(found: BlockDiagnosis, cause: str) -> bool:
 
 def main(args: Sequence[str] | None = None) -> int:
     """Entry point; returns the exit code."""
-    parser = argparse.ArgumentParser(prog="measured_check", description="diagnose simulated tables")
+    parser = argparse.ArgumentParser(
+        prog="table_diagnosis", description="diagnose simulated tables"
+    )
     parser.add_argument("table", metavar="TABLE", help="times and orientations are this table's")
     parser.add_argument("--columns", metavar="NAMES", help="as in diagnose_table")
     parser.add_argument("--cases", type=int, default=5, metavar="N", help="of each cause")
     parser.add_argument("--strength", type=float, default=1.0, metavar="S", help="1: clear")
     arguments = parser.parse_args(args)
-    return run_command("measured_check", lambda: _check(arguments))
+    return run_command("table_diagnosis", lambda: _check(arguments))
 
 
 def _check(arguments: argparse.Namespace) -> int:
