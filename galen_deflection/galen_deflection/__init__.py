@@ -1,1 +1,1 @@
-"""Predicts how far the arm bends under load, live and on recordings."""
+"""Predict how far the arm deflects under load, live and on recordings."""

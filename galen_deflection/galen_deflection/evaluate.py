@@ -112,6 +112,7 @@ def main(args: Sequence[str] | None = None) -> int:
     if len(kinds) > 1:
         parser.error("bags, tables and results don't go together")
     (kind,) = kinds
+    allowed: tuple[str, ...]
     if kind == "results":
         work, allowed = joints.list_results, ()
     elif kind == "tables":

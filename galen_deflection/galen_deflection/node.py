@@ -1,4 +1,4 @@
-"""The deflection's node: wrench_compensated and joint_states in, how far the tip gives way out."""
+"""The deflection's node: wrench_compensated and joint_states in, how far the tip deflects out."""
 
 import time
 from datetime import UTC, datetime
@@ -129,7 +129,7 @@ class DeflectionNode(StreamNode):
             self._use(file, _model_of(file))
         except GalenError as error:
             if not self.starts_itself:
-                raise  # whoever configures it hears of it
+                raise  # the transition fails with the reason
             # The node lives on, so that the state is on /diagnostics and the file can be fixed.
             self._deflector.set_model(None, str(error))
             self._prediction.set_model_error(str(error))

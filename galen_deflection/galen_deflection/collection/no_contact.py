@@ -51,7 +51,7 @@ class MarkerPoses:
         self.poses: list[tuple[Array, Array]] = []
 
     def add(self, stamp_ns: int, rotation: Array, translation: Array) -> None:
-        """Take a pose in `tracker`: (3, 3) and (3,), m. Not finite ones tell nothing."""
+        """Take a pose in `tracker`: (3, 3) and (3,), m. Values that are not finite are ignored."""
         key = (*translation.tolist(), *rotation.ravel().tolist())
         if not np.all(np.isfinite(key)) or (not self._may_stand and key == self._last):
             return

@@ -113,7 +113,8 @@ def make_plan(
         raise PlanError(f"sets is {sets}: it must be 1 to {MOST_SETS}")
     if sets > 1 and len(rows) == 1:
         raise PlanError(
-            "two sets at a single position can't be told apart: the arm must go elsewhere between"
+            "two sets at a single position can't be distinguished: the arm must go elsewhere"
+            " between"
         )
     for name, levels in (("forces_n", forces_n), ("torques_nm", torques_nm)):
         if len(levels) > MOST_LEVELS or not all(np.isfinite(v) and v > 0.0 for v in levels):

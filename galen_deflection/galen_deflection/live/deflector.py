@@ -1,4 +1,4 @@
-"""A model at work on live samples: wrenches and joints go in, deflections come out. No ROS.
+"""A model on live samples: wrenches and joints go in, deflections come out. No ROS.
 
 Each wrench pushed ends in exactly one way: as a `Deflected`, or as a `Rejected` that names the
 reason. Which joints belong to a wrench is for `galen_ros.stream.pairing` to say, as for the
@@ -66,7 +66,7 @@ class Deflector:
         on_restart: Callable[[str], None] | None = None,
         on_forgotten: Callable[[str], None] | None = None,
     ) -> None:
-        """`on_forgotten(why)` is called after the memory of a model at work was dropped."""
+        """`on_forgotten(why)` is called after the memory of the active model was dropped."""
         parameters = parameters or DeflectionParameters()
         self._on_restart = on_restart
         self.pairing = WrenchPairing(
@@ -212,7 +212,7 @@ class GravcompState(NamedTuple):
 
     The active tool, its tip (3,) in ft_sensor, m, when it was calibrated, and the tare.
 
-    `tool` is empty where none is loaded. `tare`: the offset taken off, as text, and whether it
+    `tool` is empty where none is loaded. `tare`: the offset subtracted, as text, and whether it
     still comes in.
     """
 

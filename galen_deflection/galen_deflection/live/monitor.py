@@ -1,4 +1,4 @@
-"""What the deflection's node can say of its health: state, rates, what it knows. No ROS."""
+"""Health of the deflection's node: state, rates, counts. No ROS."""
 
 from __future__ import annotations
 

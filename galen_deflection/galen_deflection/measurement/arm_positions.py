@@ -1,4 +1,4 @@
-"""Where the arm stood: its positions, found in its joints, and when nobody pushed there."""
+"""Where the arm stood: its positions, found in its joints, and when there was no contact."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ def find_stays(
 
 @dataclass(frozen=True)
 class UnloadedSettings:
-    """When nobody pushes.
+    """When there is no contact.
 
     The wrench's mean over `window_s` must stay within `sigmas` of its noise of what it was at the
     start of the visit, for `min_duration_s` at least; `margin_s` is cut off before it leaves.
@@ -89,7 +89,7 @@ class LoadPhases:
     """Of one visit's wrenches.
 
     first: from when to when it is untouched before its first push (time_ns), None if it is not;
-    zero_load: stretches between pushes in which nobody pushes, but in which a deflection may be
+    zero_load: stretches between pushes without contact, in which a deflection may be
     left by hysteresis. offset (6,): what the wrench is in `first`; why_none: a reason in words.
     """
 
@@ -133,7 +133,7 @@ def noise_of_mean(time_ns: np.ndarray, wrenches: Array, window_s: float) -> Arra
 def load_phases(
     time_ns: np.ndarray, wrenches: Array, noise: Array, settings: UnloadedSettings
 ) -> LoadPhases:
-    """When nobody pushes, in one visit's wrenches (n, 6) at time_ns (n,).
+    """Find the phases without contact in one visit's wrenches (n, 6) at time_ns (n,).
 
     noise (6,): of a mean over the settings' window (`noise_of_mean`).
     """

@@ -91,7 +91,7 @@ def read_arm_track(
             what = _count(len(samples.bad), "message", "messages")
             problems.append(f"{topic}: {what} can't be used: {next(iter(samples.bad.values()))}")
     problems += [f"{reader.wrench_raw}: {sentence}" for sentence in rejected]
-    good = np.isfinite(wrench).all(axis=1)
+    good = np.asarray(np.isfinite(wrench).all(axis=1))
     if not good.any():
         raise PushRecordingError(
             f"{bag.path}: no wrench could be compensated" + "".join(f"; {p}" for p in problems)

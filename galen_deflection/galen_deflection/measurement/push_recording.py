@@ -72,7 +72,7 @@ class PushRecording:
     stamp_ns, segment, position, visit, stand (n,): `stand` counts in `stands`, visits from 0 for
     each position; joints (n, 5) m and rad; wrench (n, 6) compensated, ft_sensor, N and N.m; marker
     (n): the tool's marker in the base's marker. untouched (n,): before the first push of a visit,
-    nobody touching the tool; zero_load (n,): between pushes, where hysteresis may have left a
+    without contact; zero_load (n,): between pushes, where hysteresis may have left a
     deflection. positions (p, 5): joints. wrench_noise (6,): of one sample. period_s: of the tool
     marker. loaded_segments: those that begin under load, of whose past nothing is known.
     """

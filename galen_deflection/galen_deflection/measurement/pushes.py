@@ -68,8 +68,8 @@ def find_pushes(
 ) -> list[Push]:
     """Pushes in their order, none over the end of a segment; `at_tip` (n, 6) by `tip_wrench`.
 
-    A push without an unloaded sample before or after it in its segment is left out: nobody knows
-    what the deflection was without it.
+    A push without an unloaded sample before or after it in its segment is left out: its
+    deflection without load is not known.
     """
     limits = limits or PushLimits()
     if not len(samples):

@@ -5,7 +5,7 @@ marker, B base_link) from one pose, and then reads the tool in the base as g_fB^
 eq. (14) prints p_Tt for g_Tt). Here, with W = g_fB^-1 the base's marker in base_link, Y the tool's
 marker in tool_tip, M_i the tool's marker in the base's marker and F(q_i) the tip by the joints,
 
-    W M_i Y^-1 = F(q_i)   at every position i at which nobody pushes,
+    W M_i Y^-1 = F(q_i)   at every position i without contact,
 
 is solved by weighted least squares over all of them. With Y known (the identity, if nothing else is
 said), one position tells W, and each further one checks it.

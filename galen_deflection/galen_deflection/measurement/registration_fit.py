@@ -1,4 +1,4 @@
-"""The registration's least squares: two rigid transforms, their covariance, what is left over."""
+"""The registration's least squares: two rigid transforms, their covariance, the residuals."""
 
 from __future__ import annotations
 
@@ -27,8 +27,8 @@ _LEAST_REDUNDANCY = 1e-3
 class RegistrationSettings:
     """What is estimated, and when it holds.
 
-    tool_marker: in tool_tip, where it is not estimated. A position fails the check when what is
-    left over there is more than chance makes it, and longer than `max_residual_m` or turned by more
+    tool_marker: in tool_tip, where it is not estimated. A position fails the check when its
+    residual is more than chance makes it, and longer than `max_residual_m` or turned by more
     than `max_residual_rad`: twice the length of a tracker's noise of 0.03 mm and 0.1 mrad an axis.
     With infinite limits all is told, and nothing rejected.
     joint_quantum (5,): step of the encoders, m and rad, whose rounding stays while the arm stands.
@@ -44,10 +44,10 @@ class RegistrationSettings:
 
 @dataclass(frozen=True)
 class PositionCheck:
-    """What is left over (6,) at a position, m and rad in base_link, by the other positions' fit.
+    """The residual (6,) at a position, m and rad in base_link, by the other positions' fit.
 
     std (6,): expected; distance: length of the residual in units of it; limit: what chance makes
-    of it at most. All NaN where the other positions tell nothing about this one.
+    of it at most. All NaN where the other positions don't determine this one.
     """
 
     position: int
@@ -125,15 +125,15 @@ class RegistrationFit:
         positions = len({rest.position for rest in self._rests})
         if positions < 3:
             raise RegistrationError(
-                f"the tool marker's own offset can't be told from {positions} position"
+                f"the tool marker's own offset is not identifiable from {positions} position"
                 f"{'s' if positions > 1 else ''}: it needs three or more, with the tool turned"
                 " about two axes between them"
             )
         noise = float(np.median([rest.noise[3:] for rest in self._rests]))
         if self.turns[1] < 10.0 * noise:
             raise RegistrationError(
-                "the tool marker's own offset can't be told from these positions: between them the"
-                f" tool turns about one axis only ({1e3 * self.turns[0]:.1f} mrad, and"
+                "the tool marker's own offset is not identifiable from these positions: between"
+                f" them the tool turns about one axis only ({1e3 * self.turns[0]:.1f} mrad, and"
                 f" {1e3 * self.turns[1]:.2f} mrad about any other): tilt and roll must both differ"
             )
 
@@ -146,7 +146,7 @@ class RegistrationFit:
                 step = np.linalg.solve(self._information, -np.einsum("nki,nk->i", rows, error))
             except np.linalg.LinAlgError:
                 raise RegistrationError(
-                    "the tool marker's own offset can't be told from these positions"
+                    "the tool marker's own offset is not identifiable from these positions"
                 ) from None
             self.base = self.base.displaced(step[:6])
             if self._unknowns == 12:
@@ -170,7 +170,7 @@ class RegistrationFit:
             if std > limit:
                 axis = ", ".join(f"{value:.2f}" for value in axes[:, -1])
                 raise RegistrationError(
-                    "the tool marker's own offset can't be told from these positions: along"
+                    "the tool marker's own offset is not identifiable from these positions: along"
                     f" ({axis}) of tool_tip it is known to {std * unit:.3g} {name} only, worse"
                     f" than one sample of the tracker ({limit * unit:.3g} {name}); turn the tool"
                     f" further between positions (now {1e3 * self.turns[0]:.0f} and"
@@ -178,7 +178,7 @@ class RegistrationFit:
                 )
 
     def checks(self) -> tuple[PositionCheck, ...]:
-        """What is left over at each position by the fit to the others.
+        """The residual at each position by the fit to the others.
 
         By the residuals e and their covariance S = C - J P J^T (C the pose's own, P the fit's):
         in the whitened coordinates in which S is diagonal, r, the residual by the others' fit is
@@ -275,7 +275,7 @@ class RegistrationFit:
     def _offset_covariance(self) -> Array:
         if np.linalg.cond(self._information) > 1e18:
             raise RegistrationError(
-                "the tool marker's own offset can't be told from these positions"
+                "the tool marker's own offset is not identifiable from these positions"
             )
         to_offset = self._to_offset()
         return np.asarray((to_offset @ np.linalg.inv(self._information) @ to_offset.T)[6:, 6:])

@@ -1,4 +1,4 @@
-"""Where the marker is while the arm rests and nobody pushes: what the tracker is registered on."""
+"""Poses of the marker at rest and without contact: the tracker is registered on them."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _LEAST_SAMPLES = 10
 
 @dataclass(frozen=True)
 class RestPose:
-    """The arm at rest, nobody touching the tool, for some samples.
+    """The arm at rest, without contact, for some samples.
 
     joints (5,): m, rad. marker: mean of the tool's marker in the base's. noise (6,): standard
     deviation of one sample along the base marker's axes, m and rad; covariance (6, 6) of the mean,

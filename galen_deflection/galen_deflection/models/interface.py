@@ -36,7 +36,7 @@ class PredictedSamples(NamedTuple):
 
 
 class Stream(Protocol):
-    """A model at work on samples as they come; it may remember the load."""
+    """A model on samples as they come; it may remember the load."""
 
     def step(self, stamp_ns: int, joints: Array, wrench: Array) -> Predicted:
         """Take joints (5,) and the applied wrench (6,) in ft_sensor about its origin."""

@@ -1,6 +1,6 @@
 """The contract's arm with hysteresis in its springs: roll, tilt, carriages and rods.
 
-Each of these springs gives by
+Each of these springs deflects by
 
     d = c l + sum_i w_i play_i(l),   c, w_i >= 0,
 
@@ -11,7 +11,7 @@ has not seen tell.
 
 That is what dry friction does. Other forms are tried as well:
 
-- smooth plays, for friction that gives way before it slides and whose loops shift;
+- smooth plays, for friction that deflects before it slides and whose loops shift;
 - plays of the platform's six motions, as the springs alone would make them, in place of plays of
   carriages and rods: hysteresis that is not known to sit in one of its parts;
 - stops, l - play(l), in place of either. Plays lag behind the load: after a push something of the

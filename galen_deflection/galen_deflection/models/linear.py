@@ -82,7 +82,7 @@ class Rows(NamedTuple):
 
 
 class Run(Protocol):
-    """A basis at work on one segment."""
+    """A basis on one segment."""
 
     def rows(self, joints: Array, wrench: Array) -> Rows:
         """Take the next samples: joints (n, 5), wrenches (n, 6) in ft_sensor."""

@@ -96,7 +96,7 @@ class Network:
     outputs: tuple[str, ...]
 
     def paced(self) -> PacedNet:
-        """At work, from a fresh start."""
+        """Run by stamps, from a fresh start."""
         return PacedNet(self.net, self.period_s)
 
     def to_json(self) -> dict[str, Any]:

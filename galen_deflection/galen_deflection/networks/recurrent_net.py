@@ -1,4 +1,4 @@
-"""A trained recurrent network at work: one LSTM layer and a linear layer on it, in numpy.
+"""A trained recurrent network: one LSTM layer and a linear layer on it, in numpy.
 
 With x the standardised inputs, h and c (hidden,) the state, and s the logistic function
 (S. Hochreiter, J. Schmidhuber, *Long short-term memory*, Neural Computation 9, 1997, with the
@@ -30,7 +30,7 @@ _LATE = 0.25
 
 
 class Scaling(NamedTuple):
-    """What is taken off, and what the rest is divided by."""
+    """Standardisation: (value - mean) / scale."""
 
     mean: Array
     scale: Array

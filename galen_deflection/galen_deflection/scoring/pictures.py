@@ -38,7 +38,7 @@ def plot_models(
     name: str,
     what: str,
 ) -> list[Path]:
-    """Draw what the module says of predictions by their models' names; returns the files.
+    """Draw the module's pictures of predictions by models' names; returns the files.
 
     `name` begins the files' names, `what` the titles. Raises OSError.
     """

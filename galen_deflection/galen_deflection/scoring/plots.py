@@ -89,7 +89,7 @@ def plot_axis(
     right.plot(load, 1e3 * samples.deflection[:, axis], ".", color=_MEASURED, ms=2.5)
     breaks = np.flatnonzero(np.diff(samples.segment)) + 1
     for colour, predicted in zip(_cycled(predictions), predictions.values(), strict=True):
-        # A line over a border would be a load that nobody applied.
+        # A line over a border would be a load that was not applied.
         drawn = np.insert(1e3 * predicted.mean[:, axis], breaks, np.nan)
         right.plot(np.insert(load, breaks, np.nan), drawn, color=colour, lw=1.0)
     right.set_xlabel(f"{'force' if axis < 3 else 'torque'} along {AXES[axis][-1]} at the tip, "
@@ -185,7 +185,7 @@ def _draw_course(
     for colour, (name, predicted) in zip(_cycled(predictions), predictions.items(), strict=True):
         mean = np.insert(1e3 * predicted.mean[:, axis], breaks, np.nan)
         panel.plot(drawn_time, mean, color=colour, lw=1.1, label=name)
-        if len(predictions) > 1:  # bands over bands can't be told apart
+        if len(predictions) > 1:  # bands over bands can't be distinguished
             continue
         width = _SIGMAS * 1e3 * np.sqrt(predicted.covariance[:, axis, axis])
         width = np.insert(width, breaks, np.nan)

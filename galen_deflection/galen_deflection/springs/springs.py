@@ -2,8 +2,8 @@
 
 Contract section 2. The platform stands on six rods with the square matrix A (6, 6) of their rows,
 so that rod forces f = A^-T w hold a wrench w at its centre, and the rods' lengthening e moves the
-centre by the twist A^-1 e. Rod j gives by f_j / k_rod, and all rods of a carriage by the carriage's
-give (G^T f)_i / k_q times n_z: e = f / k_rod + G G^T f / k_q. Since A is square,
+centre by the twist A^-1 e. Rod j deflects by f_j / k_rod, and all rods of a carriage by the
+carriage's (G^T f)_i / k_q times n_z: e = f / k_rod + G G^T f / k_q. Since A is square,
 
     C_p = K_p^-1 = A^-1 (I / k_rod + G G^T / k_q) A^-T
 
@@ -12,7 +12,7 @@ tip, and with roll and tilt beside it, this is a sum over eleven springs,
 
     deflection = sum_s J_s d_s,   d_s = c_s l_s,   l_s = J_s^T w_tip,
 
-where J_s (6,) is what the tip does when the spring s gives by one unit, and by virtual work also
+where J_s (6,) is what the tip does when the spring s deflects by one unit, and by virtual work also
 what the wrench at the tip loads it with: moments about roll and tilt (N.m; d in rad), and forces of
 carriages and rods (N; d in m).
 """
