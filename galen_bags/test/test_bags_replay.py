@@ -123,7 +123,7 @@ def played(playlist: Playlist) -> list[bytes]:
         wait_for(lambda: playlist.peek_ns() is not None or playlist.ended)
         if playlist.ended:
             return found
-        found.append(playlist.pop().data)
+        found.append(playlist.pop()[2])
 
 
 def test_a_playlist_is_all_messages_in_order() -> None:

@@ -220,14 +220,13 @@ class PlayerNode(Node):
         self._position_ns = bag_ns
 
     def _publish_next(self) -> None:
-        message = self._playlist.pop()
-        topic = self._topics[message.topic]
-        data = message.data
+        number, log_time_ns, data = self._playlist.pop()
+        topic = self._topics[number]
         if self._options.log_stamps and topic.stamped:
-            data = with_stamp(data, message.log_time_ns)
+            data = with_stamp(data, log_time_ns)
         topic.publisher.publish(data)
         topic.published += 1
-        self._position_ns = message.log_time_ns
+        self._position_ns = log_time_ns
 
     def _end_or_rewind(self, now_s: float) -> None:
         if self._options.loop:

@@ -9,7 +9,6 @@ import queue
 import struct
 import threading
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass
 
 import numpy as np
 from galen_ros.cdr.layout import NS_PER_S, STAMP_AT
@@ -81,15 +80,6 @@ class Settling:
         if self._seen is None or self._seen[0] != number:
             self._seen = (number, now_s)
         return now_s - self._seen[1] >= self._quiet_s
-
-
-@dataclass(frozen=True)
-class Due:
-    """A message to be published: number of its topic, log time, bytes."""
-
-    topic: int
-    log_time_ns: int
-    data: bytes
 
 
 def window(blocks: Iterable[Messages], first_ns: int, last_ns: int | None) -> Iterator[Messages]:
@@ -169,12 +159,12 @@ class Playlist:
         assert self._block is not None
         return int(self._block.log_time_ns[self._next])
 
-    def pop(self) -> Due:
-        """Return the next message; only after `peek_ns` has told its time."""
+    def pop(self) -> tuple[int, int, bytes]:
+        """Return the next message: number of its topic, log time, bytes; only after `peek_ns`."""
         block, index = self._block, self._next
         assert block is not None
         self._next += 1
-        return Due(int(block.topic[index]), int(block.log_time_ns[index]), block.message(index))
+        return int(block.topic[index]), int(block.log_time_ns[index]), block.message(index)
 
     def _fill(self) -> bool:
         while not self.ended and (self._block is None or self._next >= len(self._block)):
