@@ -10,29 +10,22 @@ from pathlib import Path
 from typing import Any
 
 from galen_model.files.atomic_file import write_whole
-from galen_ros.command import EXIT_FAILED, EXIT_OK, EXIT_USAGE, check_file, run_command
+from galen_ros.command import EXIT_OK, add_json, check_file, make_parser, run_command
 
 from galen_diagnosis.blind.plant.case import KINDS, STRENGTHS, Case, generate
 from galen_diagnosis.blind.plant.listed import EFFECTS
 from galen_diagnosis.blind.plant.session import BAGS
 from galen_diagnosis.blind.plant.unlisted import CALIBRATION_UNKNOWN, TEST_UNKNOWN
 
-_EPILOG = f"""exit codes:
-  {EXIT_OK}    the recording is written
-  {EXIT_FAILED}    it can't be written; one line says why
-  {EXIT_USAGE}    wrong arguments
-  130  interrupted
-"""
-
 
 def build_parser() -> argparse.ArgumentParser:
     """The command's options."""
-    parser = argparse.ArgumentParser(
-        prog="python -m galen_diagnosis.blind.make",
-        description="Make a diagnostic recording with a hidden cause, by other laws than the "
+    parser = make_parser(
+        "python -m galen_diagnosis.blind.make",
+        "Make a diagnostic recording with a hidden cause, by other laws than the "
         "diagnosis fits. What the seed doesn't draw can be given.",
-        epilog=_EPILOG,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
+        ok="the recording is written",
+        failed="the recording can't be written",
     )
     parser.add_argument("--kind", choices=KINDS, default="single", help="(default: %(default)s)")
     parser.add_argument(
@@ -64,7 +57,7 @@ def build_parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--twin", type=Path, metavar="DIR", help="write the same there without the cause"
     )
-    parser.add_argument("--json", action="store_true", help="print the truth as JSON")
+    add_json(parser, "print the truth as JSON")
     return parser
 
 
