@@ -11,7 +11,7 @@ from galen_calibration_behavior.quick_check.procedure import plan_check
 from galen_model.arm.kinematics import gravity_in_sensor
 from galen_model.evidence.verdict import Cause, CheckAnswer
 from galen_model.files.calibration_file import CalibrationFile, LoadEstimate
-from galen_model.load.cable.drag import CablePull
+from galen_model.load.cable.drag import LearnedPull
 from galen_model.load.model import Load, gravity_wrench, nominal_reading
 from galen_model.load.nominal_tools import ADAPTER, TOOLS
 from galen_model.poses.design import ANGLE_LIMITS, PoseDesign, PoseDesignError
@@ -201,7 +201,7 @@ def test_a_learned_cable_is_expected_as_the_compensation_expects_it():
     learned = np.array([[0.0, 0.0, 0.408, r, t] for r in (-0.6, 0.0, 0.6) for t in (-0.6, 0, 0.6)])
     pulls = np.column_stack([0.3 * np.sin(learned[:, 3:]), 0.2 * np.cos(learned[:, 3])])
     wrench = np.concatenate([pulls, 0.05 * pulls], axis=1)
-    cable = CablePull(
+    cable = LearnedPull(
         form="free", joints=learned, wrench=wrench, std=np.tile(SIGMA, (9, 1)),
         length_rad=np.array([1.0, 1.0]), length_m=0.1, amplitude=np.array([0.3, 0.02]),
         support_rad=0.6, learned_at="2026-01-01T00:00:00+00:00",

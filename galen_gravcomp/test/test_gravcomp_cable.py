@@ -9,7 +9,7 @@ from galen_gravcomp.corrections.cable import CablePull
 from galen_gravcomp.monitor import Monitor
 from galen_model.arm.galen import HOME, SENSOR
 from galen_model.files.calibration_file import CalibrationFile, LoadEstimate
-from galen_model.load.cable.drag import FORMS, CablePull, form_matrices
+from galen_model.load.cable.drag import FORMS, LearnedPull, form_matrices
 from galen_model.load.nominal_tools import ADAPTER, TOOLS
 from galen_ros.stream.monitor import Severity
 from galen_ros.stream.results import Compensated, Rejection
@@ -31,7 +31,9 @@ def a_drag(form="point", seed=0):
     wrench = np.einsum("gnkl,gnl->nk", matrices, np.array([force, couple]))
     std = np.tile(SENSOR.noise_std / 20.0, (20, 1))
     length = np.array([1.2, 1.1])
-    return CablePull(form, joints, wrench, std, length, 0.3, [0.1, 0.01] * np.ones(2), 0.6, "x", AT)
+    return LearnedPull(
+        form, joints, wrench, std, length, 0.3, [0.1, 0.01] * np.ones(2), 0.6, "x", AT
+    )
 
 
 def a_tool(cable=None):

@@ -16,7 +16,7 @@ from galen_model.files.calibration_file import (
 )
 from galen_model.load.cable.drag import (
     FORMS,
-    CablePull,
+    LearnedPull,
     attachment_derivatives,
     form_matrices,
     smooth_kernel,
@@ -330,12 +330,12 @@ def test_a_pose_that_was_tampered_with_is_rejected(learned, key):
         content = json.loads(json.dumps(learned.drag.to_json()))
         content["poses"][3][key] = row
         with pytest.raises(ValueError, match=words):
-            CablePull.from_json(content, "cable")
+            LearnedPull.from_json(content, "cable")
     content = learned.drag.to_json()
     content["poses"][3]["std"] = [0.0] * 6
     with pytest.raises(ValueError, match="std is not between"):
-        CablePull.from_json(content, "cable")
+        LearnedPull.from_json(content, "cable")
     content = learned.drag.to_json()
     content["poses"][3]["wrench"] = [0.0, 21.0, 0.0, 0.0, 0.0, 0.0]
     with pytest.raises(ValueError, match=r"poses\.wrench is not between -20 and 20"):
-        CablePull.from_json(content, "cable")
+        LearnedPull.from_json(content, "cable")

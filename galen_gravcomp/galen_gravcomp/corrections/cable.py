@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 from galen_model.arrays import Array
-from galen_model.load.cable.drag import SEEN, UNSEEN, CablePull
+from galen_model.load.cable.drag import SEEN, UNSEEN, LearnedPull
 from galen_ros.stream.monitor import joined
 
 # Poses at once: the kernel of so many with those of a sweep stays in the processor's cache.
@@ -21,7 +21,7 @@ class CablePull:
     so one product with a matrix gives all of them.
     """
 
-    def __init__(self, drag: CablePull) -> None:
+    def __init__(self, drag: LearnedPull) -> None:
         self.drag = drag
         self._posterior = posterior = drag.posterior
         self._count = len(drag.joints)

@@ -42,7 +42,7 @@ from galen_model.files.json_fields import (
     text,
     texts,
 )
-from galen_model.load.cable.drag import CablePull
+from galen_model.load.cable.drag import LearnedPull
 from galen_model.load.inertia.inertial import InertiaEstimate
 from galen_model.load.model import Load, gravity_wrench
 from galen_model.load.mounting.mounting import Mounting
@@ -131,7 +131,7 @@ class CalibrationFile:
     inertia: InertiaEstimate | None = None
     """Of tool and adapter together, where a recording of motion told it."""
     mounting: Mounting | None = None
-    cable: CablePull | None = None
+    cable: LearnedPull | None = None
     """What a cable at the tool pulls beside the load, where a sweep with the cable on told it."""
 
     def predict(self, roll_rad: ArrayLike, tilt_rad: ArrayLike) -> Array:
@@ -353,7 +353,7 @@ def _from_json(content: Any) -> CalibrationFile:
         if "inertia" in whole
         else None,
         mounting=Mounting.from_json(whole["mounting"], "mounting") if "mounting" in whole else None,
-        cable=CablePull.from_json(whole["cable"], "cable") if "cable" in whole else None,
+        cable=LearnedPull.from_json(whole["cable"], "cable") if "cable" in whole else None,
     )
     if file.mounting is not None and file.zeroing is not None:
         lacking = {"roll", "tilt"} - file.zeroing.joints.keys()

@@ -102,7 +102,7 @@ _LARGEST_N = 20.0
 
 
 @dataclass(frozen=True)
-class CablePull:
+class LearnedPull:
     """What was learned: the sweep and how smooth the pull is. SI, wrenches along ft_sensor.
 
     joints (n, 5), wrench (n, 6) beyond the calibration file, std (n, 6) of it. length_rad (2,),
@@ -148,7 +148,7 @@ class CablePull:
         }
 
     @classmethod
-    def from_json(cls, value: Any, name: str) -> CablePull:
+    def from_json(cls, value: Any, name: str) -> LearnedPull:
         """From the key's content; raises FieldError that names what is wrong."""
         whole = mapping(value, name)
         form = text(get(whole, "form"), f"{name}.form")
@@ -208,7 +208,7 @@ def smooth_kernel(a: Array, b: Array, lengths: Array) -> Array:
     return np.asarray(np.exp(-0.5 * np.maximum(apart2, 0.0)))
 
 
-def prior_covariance(drag: CablePull, a: Array, b: Array) -> Array:
+def prior_covariance(drag: LearnedPull, a: Array, b: Array) -> Array:
     """Prior covariance (6 n, 6 m) of the readings at joints (n, 5) and (m, 5)."""
     kernel = smooth_kernel(a, b, _lengths(drag))
     left = form_matrices(drag.form, a, drag.attachment_m)
@@ -230,7 +230,7 @@ def constant_size(group: int) -> float:
     return float(_CONSTANT[group])
 
 
-def _lengths(drag: CablePull) -> Array:
+def _lengths(drag: LearnedPull) -> Array:
     return np.array([drag.length_m] * 3 + drag.length_rad.tolist())
 
 
@@ -243,7 +243,7 @@ def support_step(missing: ArrayLike) -> Array:
 class CablePosterior:
     """What the sweep says of the pull at other poses."""
 
-    def __init__(self, drag: CablePull) -> None:
+    def __init__(self, drag: LearnedPull) -> None:
         """Raises numpy's LinAlgError where the poses' covariance is none."""
         self._drag = drag
         covariance = prior_covariance(drag, drag.joints, drag.joints)

@@ -22,7 +22,7 @@ from scipy.optimize import minimize
 from galen_model.arrays import Array
 from galen_model.errors import IdentificationError
 from galen_model.load.cable.drag import (
-    CablePull,
+    LearnedPull,
     attachment_derivatives,
     constant_size,
     form_matrices,
@@ -71,7 +71,7 @@ class CableSweep:
 class CableFit:
     """What was found for one form: the pull, and the optimiser's vector, to start another from."""
 
-    drag: CablePull
+    drag: LearnedPull
     scatter: float
     start: Array
 
@@ -121,7 +121,7 @@ def fit_cable(
         raise IdentificationError("the sweep's readings give no cable's pull: they don't add up")
     values = np.exp(found.x[:6])
     scatter = float(values[5])
-    drag = CablePull(
+    drag = LearnedPull(
         form=form,
         joints=sweep.joints,
         wrench=sweep.wrench,

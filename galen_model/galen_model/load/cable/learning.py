@@ -18,7 +18,7 @@ from galen_model.arm.kinematics import gravity_in_sensor
 from galen_model.arrays import Array
 from galen_model.errors import IdentificationError
 from galen_model.evidence.block_gain import block_gain
-from galen_model.load.cable.drag import FORMS, MAX_POSES, MIN_POSES, CablePull
+from galen_model.load.cable.drag import FORMS, MAX_POSES, MIN_POSES, LearnedPull
 from galen_model.load.cable.fit import CableFit, CableSweep, fit_cable, spacing_rad
 from galen_model.load.model import gravity_regressor
 
@@ -61,7 +61,7 @@ class CableScore:
 class LearnedCable:
     """The pull, and how well poses held out were predicted: by each form and by the others."""
 
-    drag: CablePull
+    drag: LearnedPull
     scatter: float
     file: CableScore
     least_squares: CableScore
