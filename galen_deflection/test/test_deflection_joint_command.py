@@ -1,8 +1,6 @@
 """`evaluate` of a joint: tables in, sentences and numbers out; networks; the measured sets."""
 
 import json
-import subprocess
-import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -163,18 +161,6 @@ def test_results_that_are_none_are_told(tmp_path, capsys, content, message):
     said = capsys.readouterr().err
     assert str(file) in said
     assert message in said
-
-
-def test_physics_needs_no_torch(table):
-    code = (
-        "import sys; from galen_deflection.evaluate import main\n"
-        "code = main(sys.argv[1:]); sys.exit(code or ('torch' in sys.modules) * 7)"
-    )
-    done = subprocess.run(
-        [sys.executable, "-c", code, str(table), "--blocks", "3", "--json"],
-        capture_output=True, text=True, check=False,
-    )  # fmt: skip
-    assert done.returncode == 0, done.stderr
 
 
 # --- networks -------------------------------------------------------------------------------------

@@ -74,7 +74,7 @@ def test_nothing_loads_torch_but_a_training(tmp_path):
         "        if name.partition('.')[0] in ('torch', 'safetensors'):\n"
         "            raise ModuleNotFoundError(name)\n"
         "sys.meta_path.insert(0, NoTorch())\n"
-        "import galen_deflection.models.file\n"
+        "import galen_deflection.evaluate, galen_deflection.models.file, galen_deflection.node\n"
         "from galen_deflection.models.registry import KINDS\n"
         "from deflection_synthetic import recording\n"
         "samples = recording(sets=1, rate_hz=10.0)\n"

@@ -1,7 +1,5 @@
 """The deflector without ROS: the model's own numbers, and when it keeps silent or forgets."""
 
-import subprocess
-import sys
 from dataclasses import replace
 
 import numpy as np
@@ -466,22 +464,3 @@ def test_a_tip_that_is_none_is_not_known(tip):
     assert GravcompState.of(REPORT | {"tip_m": tip}).tip_m is None
     np.testing.assert_array_equal(GravcompState.of(REPORT).tip_m, [0.18, 0.01, 0.05])
     assert GravcompState.of({}).tip_m is None
-
-
-def test_physics_needs_no_torch():
-    """Reading a physical model and stepping it, in a process of its own."""
-    code = (
-        "import sys; sys.path.insert(0, sys.argv[1]);"
-        "import numpy as np, galen_deflection.node;"
-        "from deflection_made_model import made_model;"
-        "from galen_deflection.live.deflector import Deflector;"
-        "d = Deflector(); d.set_model(made_model());"
-        "d.push_joints(10**9, (0.0, 0.0, 0.408, 0.0, 0.0));"
-        "assert d.push_wrench(10**9, np.ones(6))[0].predicted.mean.any();"
-        "print('torch' in sys.modules)"
-    )
-    here = __file__.rpartition("/")[0]
-    done = subprocess.run(
-        [sys.executable, "-c", code, here], capture_output=True, text=True, check=True
-    )
-    assert done.stdout.strip() == "False"
