@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 from galen_model.arrays import Array
@@ -50,12 +51,9 @@ class MotionParameters:
     service_timeout_s: float = param(
         15.0, "a service without an answer for this long, by the wall clock, ends it", 0.2, 600.0
     )
-    stop_timeout_s: float = param(
-        3.0, "after a cancel, wait this long to see the arm stop, by the wall clock", 0.1, 60.0
-    )
-    max_stamp_offset_s: float = param(
-        0.2, "largest difference between the stamps of joints and wrenches", 0.001, 10.0
-    )
+    # No arm needed others: a stop takes a fraction of a second, clocks agree or differ by far more.
+    stop_timeout_s: ClassVar[float] = 3.0
+    max_stamp_offset_s: ClassVar[float] = 0.2
 
     @property
     def arrival(self) -> ArrivalSettings:
