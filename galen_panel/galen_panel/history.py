@@ -24,7 +24,7 @@ _RESTART_NS = int(RESTART_S * NS_PER_S)
 
 
 @dataclass(frozen=True)
-class Samples:
+class StreamSamples:
     """stamps_ns (n,) int64, rising; values (n, width). run: another one after each restart."""
 
     stamps_ns: np.ndarray
@@ -37,7 +37,7 @@ class Samples:
         return int(self.stamps_ns[-1]) if len(self.stamps_ns) else None
 
 
-class Series:
+class StreamSeries:
     """A ring of stamped rows."""
 
     def __init__(self, width: int, rows: int = _ROWS, seconds: float = SECONDS) -> None:
@@ -83,13 +83,13 @@ class Series:
         with self._lock:
             return self._newest() if self._count else None
 
-    def last(self, seconds: float | None = None) -> Samples:
+    def last(self, seconds: float | None = None) -> StreamSamples:
         """A copy of the newest rows, as far back as `seconds` before the newest one."""
         with self._lock:
             span_ns = self._span_ns if seconds is None else int(seconds * NS_PER_S)
             return self._from(self._newest() - span_ns if self._count else 0)
 
-    def since(self, stamp_ns: int) -> Samples:
+    def since(self, stamp_ns: int) -> StreamSamples:
         """A copy of the rows from this stamp on; it costs only as much as there are of them."""
         with self._lock:
             oldest = self._newest() - self._span_ns if self._count else 0
@@ -122,7 +122,7 @@ class Series:
             self._values[: len(stamps) - head] = rows[head:]
         self._count += len(stamps)
 
-    def _from(self, stamp_ns: int) -> Samples:
+    def _from(self, stamp_ns: int) -> StreamSamples:
         size = len(self._stamps)
         end = self._count % size
         # Older rows lie behind the place where the next one goes, once the ring is full.
@@ -132,18 +132,18 @@ class Series:
             first = int(np.searchsorted(self._stamps[part], stamp_ns))
             stamps.append(self._stamps[part][first:])
             values.append(self._values[part][first:])
-        return Samples(np.concatenate(stamps), np.concatenate(values), self._run)
+        return StreamSamples(np.concatenate(stamps), np.concatenate(values), self._run)
 
 
 class History:
     """What the plots show: raw and compensated wrench (6), deflection (6), joints (5); SI."""
 
     def __init__(self) -> None:
-        self.raw = Series(6)
-        self.compensated = Series(6)
-        self.deflection = Series(6)
+        self.raw = StreamSeries(6)
+        self.compensated = StreamSeries(6)
+        self.deflection = StreamSeries(6)
         """(translation, rotation vector) at the tip, in base_link; m, rad."""
-        self.joints = Series(5)
+        self.joints = StreamSeries(5)
         """delta_x, delta_y, delta_z, roll, tilt; m, rad."""
 
     def clear(self) -> None:
@@ -172,18 +172,18 @@ def file_name(kind: str, ending: str, now: datetime) -> str:
     return f"galen_{kind}_{now:%Y-%m-%d_%H-%M-%S}.{ending}"
 
 
-def between(samples: Samples, start_ns: int, end_ns: int) -> Samples:
+def between(samples: StreamSamples, start_ns: int, end_ns: int) -> StreamSamples:
     """The samples of this time, both ends included."""
     first, last = np.searchsorted(samples.stamps_ns, [start_ns, end_ns + 1])
-    return Samples(samples.stamps_ns[first:last], samples.values[first:last], samples.run)
+    return StreamSamples(samples.stamps_ns[first:last], samples.values[first:last], samples.run)
 
 
-def csv(raw: Samples, compensated: Samples, deflection: Samples) -> bytes:
+def csv(raw: StreamSamples, compensated: StreamSamples, deflection: StreamSamples) -> bytes:
     """One row a stamp, joined by equal stamps; a cell is empty where a stream has no such stamp."""
     return "".join(_lines(raw, compensated, deflection)).encode()
 
 
-def _lines(*streams: Samples) -> Iterator[str]:
+def _lines(*streams: StreamSamples) -> Iterator[str]:
     yield HEADER + "\n"
     stamps = np.unique(np.concatenate([samples.stamps_ns for samples in streams]))
     table: Array = np.full((len(stamps), 6 * len(streams)), np.nan)

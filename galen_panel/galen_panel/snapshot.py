@@ -17,7 +17,7 @@ from galen_panel.history import History
 Vector = tuple[float, ...]
 
 
-class Level(Enum):
+class NodeLevel(Enum):
     """Of what a node says on /diagnostics; named as there."""
 
     OK = 0
@@ -26,7 +26,7 @@ class Level(Enum):
     STALE = 3
 
 
-class Kind(Enum):
+class BehaviourKind(Enum):
     """The behaviours; the value is the action's name."""
 
     CALIBRATE = "calibrate_tool"
@@ -42,7 +42,7 @@ class Asked(Enum):
 
 
 @dataclass(frozen=True)
-class Tool:
+class ListedTool:
     """One calibration file. `problem`: why it can't be used; the numbers are then 0.
 
     com_m (3,) in the sensor's frame; rmse_* (3,): residual of the calibration's averaged readings,
@@ -65,7 +65,7 @@ class Tool:
 
 
 @dataclass(frozen=True)
-class Active:
+class LoadedTool:
     """What gravcomp subtracts now. `file_state`: none, as loaded, changed, gone."""
 
     tool: str
@@ -84,14 +84,14 @@ class NodeReport:
     """A node's newest word on /diagnostics. heard_s: time.monotonic() of it."""
 
     name: str
-    level: Level
+    level: NodeLevel
     message: str
     values: Mapping[str, str]
     heard_s: float
 
 
 @dataclass(frozen=True)
-class Pose:
+class FinishedPose:
     """One finished pose of a behaviour; wrench (6,) its averaged reading, or None."""
 
     sweep: str
@@ -108,7 +108,7 @@ LOST = "LOST"
 
 
 @dataclass(frozen=True)
-class Outcome:
+class BehaviourOutcome:
     """How a behaviour ended. `error`: its code's name or LOST, empty where it came to its end.
 
     text: a sentence for a person. file: what was written. values: the result's numbers, SI, by the
@@ -134,17 +134,17 @@ class Behaviour:
     """
 
     number: int
-    kind: Kind
+    kind: BehaviourKind
     tool: str
     phase: str = ""
     message: str = ""
     done: int = 0
     total: int = 0
-    poses: tuple[Pose, ...] = ()
+    poses: tuple[FinishedPose, ...] = ()
     asked: Asked | None = None
     canceling: bool = False
     ours: bool = True
-    outcome: Outcome | None = None
+    outcome: BehaviourOutcome | None = None
 
     @property
     def running(self) -> bool:
@@ -153,7 +153,7 @@ class Behaviour:
 
 
 @dataclass(frozen=True)
-class State:
+class SuiteState:
     """All of it. tools: None until a list came. available: services and actions that are there.
 
     available holds names as in the contract: `gravcomp/set_tool`, `calibrate_tool`, `attach_tool`.
@@ -161,12 +161,12 @@ class State:
     """
 
     revision: int = 0
-    tools: tuple[Tool, ...] | None = None
+    tools: tuple[ListedTool, ...] | None = None
     tools_dir: str = ""
     tools_problem: str = ""
-    active_tool: Active | None = None
+    active_tool: LoadedTool | None = None
     nodes: Mapping[str, NodeReport] = field(default_factory=dict)
-    behaviours: Mapping[Kind, Behaviour] = field(default_factory=dict)
+    behaviours: Mapping[BehaviourKind, Behaviour] = field(default_factory=dict)
     available: frozenset[str] = frozenset()
     namespace: str = ""
 
@@ -180,7 +180,7 @@ class State:
 
 
 @dataclass(frozen=True)
-class Answer:
+class CallAnswer:
     """What became of something that was asked for; text is for a person, never empty."""
 
     ok: bool
@@ -188,7 +188,7 @@ class Answer:
 
 
 @dataclass(frozen=True)
-class Difference:
+class QuantityDifference:
     """One quantity of two files; std_dev NaN where the files tell none."""
 
     quantity: str
@@ -200,12 +200,12 @@ class Difference:
 
 
 @dataclass(frozen=True)
-class Comparison:
+class ToolComparison:
     """Two calibration files beside each other; worst_*: of the compensations, over all poses."""
 
     text: str
     same_load: bool
-    differences: tuple[Difference, ...]
+    differences: tuple[QuantityDifference, ...]
     worst_force_n: float
     worst_torque_nm: float
 
@@ -243,7 +243,7 @@ class Suite(Protocol):
     """The suite as the page sees it."""
 
     @property
-    def state(self) -> State:
+    def state(self) -> SuiteState:
         """The newest snapshot."""
 
     @property
@@ -253,32 +253,32 @@ class Suite(Protocol):
     def watch(self) -> AbstractContextManager[None]:
         """Within it the streams are listened to; the last one to leave stops that."""
 
-    async def list_tools(self) -> Answer:
+    async def list_tools(self) -> CallAnswer:
         """Ask anew for the tools; they are then in `state`."""
 
-    async def activate(self, tool: str) -> Answer:
+    async def activate(self, tool: str) -> CallAnswer:
         """Have gravcomp load a calibration file; "" for no tool."""
 
-    async def remove_tool(self, tool: str) -> Answer:
+    async def remove_tool(self, tool: str) -> CallAnswer:
         """Remove a calibration file from the list; it is kept beside."""
 
-    async def revert_tool(self, tool: str) -> Answer:
+    async def revert_tool(self, tool: str) -> CallAnswer:
         """Bring back the calibration before the present one."""
 
-    async def compare(self, tool: str, with_tool: str = "") -> Comparison | Answer:
+    async def compare(self, tool: str, with_tool: str = "") -> ToolComparison | CallAnswer:
         """Compare a calibration (b) with another's (a); "": with its own before."""
 
-    async def set_enabled(self, enabled: bool) -> Answer:
+    async def set_enabled(self, enabled: bool) -> CallAnswer:
         """Switch the compensation."""
 
-    async def tare(self) -> Answer:
+    async def tare(self) -> CallAnswer:
         """Tare: subtract the present residual."""
 
-    async def start(self, goal: Goal) -> Answer:
+    async def start(self, goal: Goal) -> CallAnswer:
         """Send a goal; answers when it is accepted or rejected."""
 
-    async def confirm(self) -> Answer:
+    async def confirm(self) -> CallAnswer:
         """Tell a calibration that the person has done what it asked."""
 
-    async def cancel(self, kind: Kind) -> Answer:
+    async def cancel(self, kind: BehaviourKind) -> CallAnswer:
         """Cancel a behaviour's goal, of any client; answers when that is accepted."""

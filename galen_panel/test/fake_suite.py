@@ -7,35 +7,35 @@ from dataclasses import replace
 import numpy as np
 from galen_panel.history import History
 from galen_panel.snapshot import (
-    Active,
-    Answer,
-    Comparison,
-    Difference,
-    Level,
+    CallAnswer,
+    ListedTool,
+    LoadedTool,
+    NodeLevel,
     NodeReport,
-    State,
-    Tool,
+    QuantityDifference,
+    SuiteState,
+    ToolComparison,
 )
 
-POINTER = Tool(
+POINTER = ListedTool(
     "pointer", 0.0601, 3e-5, (0.055, 0.002, 0.045), (1.6e-3, 1.7e-3, 2.8e-3),
     (3.6e-5, 3.5e-5, 3.5e-5), 56, "2026-11-21T14:03:11+00:00", (), True, True,
 )  # fmt: skip
-RETRACTOR = Tool(
+RETRACTOR = ListedTool(
     "retractor", 0.2, 3e-5, (0.07, -0.01, 0.055), (1.9e-3, 1.7e-3, 3.0e-3),
     (3.5e-5, 3.4e-5, 3.6e-5), 56, "2026-11-20T09:12:44+00:00", ("inertia",),
 )  # fmt: skip
-BROKEN = Tool("drill", problem="drill.json: field 'load' is missing")
-ACTIVE = Active(
+BROKEN = ListedTool("drill", problem="drill.json: field 'load' is missing")
+ACTIVE = LoadedTool(
     "pointer", True, 0.0601, (0.055, 0.002, 0.045), (0.15, 0.0, 0.05),
     "2026-11-21T14:03:11+00:00", "as loaded", None,
 )  # fmt: skip
 COMPENSATING = NodeReport(
-    "gravcomp", Level.OK, "compensating 'pointer'", {"state": "compensating"}, math.inf
+    "gravcomp", NodeLevel.OK, "compensating 'pointer'", {"state": "compensating"}, math.inf
 )
 """It is never silent."""
 CALIBRATION_READY = NodeReport(
-    "calibration", Level.OK, "ready", {"state": "ready", "sweep_s": "102.0"}, math.inf
+    "calibration", NodeLevel.OK, "ready", {"state": "ready", "sweep_s": "102.0"}, math.inf
 )
 ALL = frozenset(
     {
@@ -50,16 +50,16 @@ class FakeSuite:
     """Notes each call in `calls`, answers `answer`; `put` changes the state."""
 
     def __init__(self):
-        self.state = State(
+        self.state = SuiteState(
             1, (POINTER, RETRACTOR, BROKEN), "/tools", "", ACTIVE,
             {one.name: one for one in (COMPENSATING, CALIBRATION_READY)}, {}, ALL
         )  # fmt: skip
         self.history = History()
         self.calls = []
-        self.answer = Answer(True, "done")
-        self.comparison = Comparison(
+        self.answer = CallAnswer(True, "done")
+        self.comparison = ToolComparison(
             "the same within 2 sigma", True,
-            (Difference("mass", "kg", 0.0601, 0.0602, 4e-5, "the same within 2 sigma"),),
+            (QuantityDifference("mass", "kg", 0.0601, 0.0602, 4e-5, "the same within 2 sigma"),),
             0.003, 0.0001,
         )  # fmt: skip
         self.watching = 0

@@ -1,6 +1,6 @@
 import numpy as np
 import pytest
-from galen_panel.history import NS_PER_S, RESTART_S, History, Series
+from galen_panel.history import NS_PER_S, RESTART_S, History, StreamSeries
 
 
 class Reference:
@@ -33,7 +33,7 @@ def rows_of(samples):
 @pytest.mark.parametrize("seed", range(40))
 def test_it_keeps_what_a_row_by_row_reference_keeps(seed):
     rng = np.random.default_rng(seed)
-    series, reference = Series(2, rows=50, seconds=1.5), Reference(50, 1.5)
+    series, reference = StreamSeries(2, rows=50, seconds=1.5), Reference(50, 1.5)
     at = 10 * NS_PER_S
     for block in range(30):
         steps = rng.choice(
@@ -54,7 +54,7 @@ def test_it_keeps_what_a_row_by_row_reference_keeps(seed):
 
 
 def test_a_restart_in_the_midst_of_a_block_leaves_only_what_is_after_it():
-    series = Series(1)
+    series = StreamSeries(1)
     series.append(np.array([5, 6]) * NS_PER_S, np.array([[5.0], [6.0]]))
     run = series.last().run
     series.append(np.array([7, 8, 1, 2]) * NS_PER_S, np.array([[7.0], [8.0], [1.0], [2.0]]))
@@ -64,7 +64,7 @@ def test_a_restart_in_the_midst_of_a_block_leaves_only_what_is_after_it():
 
 
 def test_a_block_longer_than_the_ring_leaves_its_end():
-    series = Series(1, rows=4)
+    series = StreamSeries(1, rows=4)
     series.append(np.arange(3), np.arange(3.0)[:, None])
     series.append(np.arange(3, 20), np.arange(3.0, 20.0)[:, None])
     assert series.last().stamps_ns.tolist() == [16, 17, 18, 19]
@@ -74,7 +74,7 @@ def test_a_block_longer_than_the_ring_leaves_its_end():
 
 
 def test_what_was_read_does_not_change_when_more_is_written():
-    series = Series(1, rows=3)
+    series = StreamSeries(1, rows=3)
     series.append(np.arange(3), np.arange(3.0)[:, None])
     read = series.last()
     series.append(np.arange(3, 6), np.arange(3.0, 6.0)[:, None])
@@ -83,7 +83,7 @@ def test_what_was_read_does_not_change_when_more_is_written():
 
 def test_stamps_and_values_must_be_as_many():
     with pytest.raises(ValueError, match="2 stamps for 3 rows"):
-        Series(1).append(np.arange(2), np.zeros((3, 1)))
+        StreamSeries(1).append(np.arange(2), np.zeros((3, 1)))
 
 
 def test_clear_forgets_all_series():

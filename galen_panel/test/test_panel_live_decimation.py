@@ -1,6 +1,6 @@
 import numpy as np
 import pytest
-from galen_panel.history import NS_PER_S, Series
+from galen_panel.history import NS_PER_S, StreamSeries
 from galen_panel.page.live.decimation import (
     BUCKETS,
     Follower,
@@ -87,7 +87,7 @@ class Browser:
 @pytest.mark.parametrize("seed", range(5))
 def test_patches_add_up_to_what_all_samples_give(seed):
     rng = np.random.default_rng(seed)
-    series = Series(3)
+    series = StreamSeries(3)
     follower, browser = Follower(series), Browser()
     follower.look_at(60.0, 200 * MS)
     stamps, values = swing(8000)
@@ -108,7 +108,7 @@ def test_patches_add_up_to_what_all_samples_give(seed):
 
 
 def test_a_patch_holds_what_is_new():
-    series = Series(3)
+    series = StreamSeries(3)
     follower = Follower(series)
     follower.look_at(60.0, 200 * MS)
     stamps, values = swing(30_000)
@@ -124,7 +124,7 @@ def test_a_patch_holds_what_is_new():
 
 
 def test_after_a_restart_the_browser_begins_anew():
-    series = Series(3)
+    series = StreamSeries(3)
     follower, browser = Follower(series), Browser()
     follower.look_at(60.0, 200 * MS)
     stamps, values = swing(1000)
@@ -139,7 +139,7 @@ def test_after_a_restart_the_browser_begins_anew():
 
 
 def test_a_series_that_begins_later_comes_whole():
-    series = Series(3)
+    series = StreamSeries(3)
     follower, browser = Follower(series), Browser()
     follower.look_at(10.0, 40 * MS)
     assert follower.patch().newest_ns is None

@@ -3,7 +3,7 @@ import io
 from datetime import datetime
 
 import numpy as np
-from galen_panel.history import HEADER, NS_PER_S, Samples, between, file_name
+from galen_panel.history import HEADER, NS_PER_S, StreamSamples, between, file_name
 from galen_panel.history import csv as written
 
 AT = 1_790_000_000 * NS_PER_S + 123_456_789
@@ -11,7 +11,7 @@ AT = 1_790_000_000 * NS_PER_S + 123_456_789
 
 def samples(stamps, seed):
     values = np.random.default_rng(seed).normal(size=(len(stamps), 6))
-    return Samples(np.asarray(stamps, dtype=np.int64), values)
+    return StreamSamples(np.asarray(stamps, dtype=np.int64), values)
 
 
 def test_rows_are_joined_by_stamp_and_cells_are_empty_where_nothing_came():

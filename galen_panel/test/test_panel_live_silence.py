@@ -3,7 +3,7 @@ from dataclasses import replace
 import pytest
 from fake_suite import ACTIVE
 from galen_panel.messages.silence import COMPENSATED, DEFLECTION, JOINTS, RAW, Heard, tell
-from galen_panel.snapshot import State
+from galen_panel.snapshot import SuiteState
 
 ALL = frozenset({RAW, COMPENSATED, DEFLECTION, JOINTS})
 
@@ -22,11 +22,11 @@ ALL = frozenset({RAW, COMPENSATED, DEFLECTION, JOINTS})
     ],
 )
 def test_it_says_what_is_missing_and_what_to_do(silent, active_tool, words):
-    assert words in tell(frozenset(silent), State(active_tool=active_tool))
+    assert words in tell(frozenset(silent), SuiteState(active_tool=active_tool))
 
 
 def test_nothing_is_said_where_all_come():
-    assert tell(frozenset(), State(active_tool=ACTIVE)) == ""
+    assert tell(frozenset(), SuiteState(active_tool=ACTIVE)) == ""
 
 
 def test_a_stream_is_silent_when_its_stamp_stands_still_whatever_the_clock_says():

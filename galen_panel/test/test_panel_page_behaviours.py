@@ -5,15 +5,15 @@ from dataclasses import replace
 import pytest
 from fake_suite import ACTIVE, ALL, BROKEN, POINTER, RETRACTOR, FakeSuite
 from galen_panel.snapshot import (
-    Answer,
     Asked,
     Behaviour,
+    BehaviourKind,
+    BehaviourOutcome,
     CalibrateGoal,
+    CallAnswer,
     CheckGoal,
     CollectGoal,
-    Kind,
-    Outcome,
-    Pose,
+    FinishedPose,
 )
 from nicegui import ui
 from page_user import on_page
@@ -24,12 +24,14 @@ VALUES = {
     "rmse_torque_nm": [3e-5, 3e-5, 3e-5], "poses_used": 55,
     "poses_rejected": ["tool/9: not still"],
 }  # fmt: skip
-CALIBRATING = Behaviour(7, Kind.CALIBRATE, "retractor", "sweep with tool", "at a pose", 12, 112)
+CALIBRATING = Behaviour(
+    7, BehaviourKind.CALIBRATE, "retractor", "sweep with tool", "at a pose", 12, 112
+)
 CALIBRATED = replace(
     CALIBRATING,
-    outcome=Outcome("", "it is calibrated", "retractor", "/tools/retractor.json", VALUES),
+    outcome=BehaviourOutcome("", "it is calibrated", "retractor", "/tools/retractor.json", VALUES),
 )
-CHECKED = Behaviour(8, Kind.CHECK, "pointer", total=6, done=6)
+CHECKED = Behaviour(8, BehaviourKind.CHECK, "pointer", total=6, done=6)
 
 
 def _headers(user):
@@ -40,7 +42,8 @@ def _headers(user):
 
 def check_outcome(answer, cause, text="so it is"):
     return replace(
-        CHECKED, outcome=Outcome("", text, "pointer", values={"answer": answer, "cause": cause})
+        CHECKED,
+        outcome=BehaviourOutcome("", text, "pointer", values={"answer": answer, "cause": cause}),
     )
 
 
@@ -91,7 +94,7 @@ def test_what_began_while_the_question_was_open_is_told():
     async def story(user):
         user.click("calibrate")
         await user.until(lambda: user.all("dialog-ok"))
-        suite.put(behaviours={Kind.CHECK: replace(CHECKED, done=2)})
+        suite.put(behaviours={BehaviourKind.CHECK: replace(CHECKED, done=2)})
         await user.until(lambda: user.all("running"))
         user.click("dialog-ok")
         await user.until(lambda: user.notices())
@@ -186,7 +189,7 @@ def test_progress_is_followed_and_cancel_is_there():
 
     async def story(user):
         assert user.all("cancel") == []
-        suite.put(behaviours={Kind.CALIBRATE: CALIBRATING})
+        suite.put(behaviours={BehaviourKind.CALIBRATE: CALIBRATING})
         await user.until(lambda: user.all("cancel"))
         assert "Calibration of retractor: sweep with tool" in user.text("running")
         assert user.text("count") == "12 of 112 poses"
@@ -194,15 +197,17 @@ def test_progress_is_followed_and_cancel_is_there():
         assert not user.get("check").enabled
         assert "Calibration of retractor is under way" in user.text("card-check")
         strip = user.get("running")
-        suite.put(behaviours={Kind.CALIBRATE: replace(CALIBRATING, done=56)})
+        suite.put(behaviours={BehaviourKind.CALIBRATE: replace(CALIBRATING, done=56)})
         await user.until(lambda: user.get("progress").value == pytest.approx(0.5))
         assert user.get("running") is strip, "another one would lose the focus"
         user.click("cancel")
-        await user.until(lambda: suite.calls == [("cancel", Kind.CALIBRATE)])
-        suite.put(behaviours={Kind.CALIBRATE: replace(CALIBRATING, canceling=True)})
+        await user.until(lambda: suite.calls == [("cancel", BehaviourKind.CALIBRATE)])
+        suite.put(behaviours={BehaviourKind.CALIBRATE: replace(CALIBRATING, canceling=True)})
         await user.until(lambda: user.text("cancel") == "Canceling")
-        ended = replace(CALIBRATING, outcome=Outcome("CANCELED", "it was canceled", "retractor"))
-        suite.put(behaviours={Kind.CALIBRATE: ended})
+        ended = replace(
+            CALIBRATING, outcome=BehaviourOutcome("CANCELED", "it was canceled", "retractor")
+        )
+        suite.put(behaviours={BehaviourKind.CALIBRATE: ended})
         await user.until(lambda: user.all("outcome"))
         assert user.all("running") == []
         assert "Canceled · retractor" in user.text("outcome")
@@ -214,7 +219,7 @@ def test_progress_is_followed_and_cancel_is_there():
 
 def test_what_was_started_elsewhere_is_told_so():
     suite = FakeSuite()
-    suite.put(behaviours={Kind.CHECK: replace(CHECKED, ours=False, done=2)})
+    suite.put(behaviours={BehaviourKind.CHECK: replace(CHECKED, ours=False, done=2)})
 
     async def story(user):
         assert "Quick check of pointer (started elsewhere)" in user.text("running")
@@ -224,16 +229,18 @@ def test_what_was_started_elsewhere_is_told_so():
 
 def test_a_person_is_asked_and_answers():
     suite = FakeSuite()
-    suite.put(behaviours={Kind.CALIBRATE: replace(CALIBRATING, asked=Asked.REMOVE_TOOL)})
+    suite.put(behaviours={BehaviourKind.CALIBRATE: replace(CALIBRATING, asked=Asked.REMOVE_TOOL)})
 
     async def story(user):
         assert user.text("asked") == "Take the tool off, then press."
         user.click("confirm")
         await user.until(lambda: suite.calls == [("confirm",)])
-        suite.put(behaviours={Kind.CALIBRATE: replace(CALIBRATING, asked=Asked.ATTACH_TOOL)})
+        suite.put(
+            behaviours={BehaviourKind.CALIBRATE: replace(CALIBRATING, asked=Asked.ATTACH_TOOL)}
+        )
         await user.until(lambda: user.text("asked") == "Put retractor on, then press.")
         assert user.text("confirm") == "The tool is on"
-        suite.put(behaviours={Kind.CALIBRATE: CALIBRATING})
+        suite.put(behaviours={BehaviourKind.CALIBRATE: CALIBRATING})
         await user.until(lambda: not user.all("confirm"))
 
     on_page(suite, story)
@@ -242,15 +249,15 @@ def test_a_person_is_asked_and_answers():
 def test_poses_are_shown_one_by_one():
     suite = FakeSuite()
     poses = (
-        Pose("tool", 1, -0.5, 0.1, True, "", None),
-        Pose("tool", 2, 0.5, 0.1, False, "the arm <moved>", None),
+        FinishedPose("tool", 1, -0.5, 0.1, True, "", None),
+        FinishedPose("tool", 2, 0.5, 0.1, False, "the arm <moved>", None),
     )
-    suite.put(behaviours={Kind.CALIBRATE: replace(CALIBRATING, poses=poses[:1])})
+    suite.put(behaviours={BehaviourKind.CALIBRATE: replace(CALIBRATING, poses=poses[:1])})
 
     async def story(user):
         assert "1 pose." in user.text("poses-summary")
         assert user.text("poses").count("<td class='panel-pose-used'") == 1
-        suite.put(behaviours={Kind.CALIBRATE: replace(CALIBRATING, poses=poses)})
+        suite.put(behaviours={BehaviourKind.CALIBRATE: replace(CALIBRATING, poses=poses)})
         await user.until(lambda: "1 not used" in user.text("poses-summary"))
         assert "the arm <moved>" not in user.text("poses")
         assert "the arm &lt;moved&gt;" in user.text("poses")
@@ -260,7 +267,7 @@ def test_poses_are_shown_one_by_one():
 
 def test_a_calibration_is_shown_beside_the_old_one_and_kept():
     suite = FakeSuite()
-    suite.put(behaviours={Kind.CALIBRATE: CALIBRATED})
+    suite.put(behaviours={BehaviourKind.CALIBRATE: CALIBRATED})
 
     async def story(user):
         await user.until(lambda: ("compare", "retractor", "") in suite.calls)
@@ -280,7 +287,7 @@ def test_a_calibration_is_shown_beside_the_old_one_and_kept():
 def test_of_a_new_tool_all_that_was_found_is_shown():
     suite = FakeSuite()
     outcome = replace(CALIBRATED.outcome, new=True)
-    suite.put(behaviours={Kind.CALIBRATE: replace(CALIBRATED, outcome=outcome)})
+    suite.put(behaviours={BehaviourKind.CALIBRATE: replace(CALIBRATED, outcome=outcome)})
 
     async def story(user):
         await user.until(lambda: "no file before" in user.text("beside"))
@@ -295,7 +302,7 @@ def test_of_a_new_tool_all_that_was_found_is_shown():
 def test_a_calibration_is_discarded_once(new, call):
     suite = FakeSuite()
     outcome = replace(CALIBRATED.outcome, new=new)
-    suite.put(behaviours={Kind.CALIBRATE: replace(CALIBRATED, outcome=outcome)})
+    suite.put(behaviours={BehaviourKind.CALIBRATE: replace(CALIBRATED, outcome=outcome)})
 
     async def story(user):
         await user.until(lambda: user.get("discard").enabled)
@@ -314,10 +321,10 @@ def test_a_calibration_is_discarded_once(new, call):
 
 def test_a_list_from_before_the_calibration_is_not_taken_for_a_discarded_file():
     suite = FakeSuite()
-    suite.answer = Answer(False, "gravcomp_node has not answered")
+    suite.answer = CallAnswer(False, "gravcomp_node has not answered")
     suite.put(
         tools=(POINTER, replace(RETRACTOR, mass_kg=0.1999)),
-        behaviours={Kind.CALIBRATE: CALIBRATED},
+        behaviours={BehaviourKind.CALIBRATE: CALIBRATED},
     )
 
     async def story(user):
@@ -342,7 +349,7 @@ def test_a_list_from_before_the_calibration_is_not_taken_for_a_discarded_file():
 )
 def test_a_quick_check_says_what_to_do_and_does_it(answer, cause, title, call):
     suite = FakeSuite()
-    suite.put(behaviours={Kind.CHECK: check_outcome(answer, cause)})
+    suite.put(behaviours={BehaviourKind.CHECK: check_outcome(answer, cause)})
 
     async def story(user):
         assert title in user.text("outcome")
@@ -361,12 +368,12 @@ def test_a_quick_check_says_what_to_do_and_does_it(answer, cause, title, call):
 
 def test_an_outcome_can_be_closed_and_the_next_one_is_shown():
     suite = FakeSuite()
-    suite.put(behaviours={Kind.CHECK: check_outcome(0, 0)})
+    suite.put(behaviours={BehaviourKind.CHECK: check_outcome(0, 0)})
 
     async def story(user):
         user.click("outcome-close")
         await user.until(lambda: not user.all("outcome"))
-        suite.put(behaviours={Kind.CHECK: replace(check_outcome(3, 8), number=9)})
+        suite.put(behaviours={BehaviourKind.CHECK: replace(check_outcome(3, 8), number=9)})
         await user.until(lambda: "Can't tell" in user.text("outcome"))
 
     on_page(suite, story)

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import pytest
 from fake_suite import ACTIVE, ALL, COMPENSATING, FakeSuite
-from galen_panel.snapshot import Answer, Level
+from galen_panel.snapshot import CallAnswer, NodeLevel
 from page_user import on_page
 
 
@@ -45,10 +45,10 @@ def test_the_switch_asks_for_the_other_state_and_waits_for_gravcomp():
 @pytest.mark.parametrize(
     ("active_tool", "level", "state"),
     [
-        (replace(ACTIVE, tool=""), Level.WARN, "no_tool"),
-        (replace(ACTIVE, tool=""), Level.OK, "compensating"),  # said a moment ago
-        (ACTIVE, Level.STALE, "silent"),
-        (ACTIVE, Level.ERROR, "stale_joints"),
+        (replace(ACTIVE, tool=""), NodeLevel.WARN, "no_tool"),
+        (replace(ACTIVE, tool=""), NodeLevel.OK, "compensating"),  # said a moment ago
+        (ACTIVE, NodeLevel.STALE, "silent"),
+        (ACTIVE, NodeLevel.ERROR, "stale_joints"),
     ],
 )
 def test_the_switch_is_on_only_while_something_is_published(active_tool, level, state):
@@ -191,7 +191,7 @@ def test_a_browser_may_go_while_its_page_waits():
 
 def test_a_rejection_is_told():
     suite = FakeSuite()
-    suite.answer = Answer(False, "the tool was touched: tare again")
+    suite.answer = CallAnswer(False, "the tool was touched: tare again")
 
     async def story(user):
         user.click("tare")

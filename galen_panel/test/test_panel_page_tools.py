@@ -5,7 +5,7 @@ from functools import partial
 
 from fake_suite import ACTIVE, ALL, POINTER, RETRACTOR, FakeSuite
 from galen_panel.page.outcome import differs_beside
-from galen_panel.snapshot import CalibrateGoal, Difference, Tool
+from galen_panel.snapshot import CalibrateGoal, ListedTool, QuantityDifference
 from page_user import on_page
 
 
@@ -62,7 +62,9 @@ def test_a_file_that_was_changed_otherwise_is_not_active_either():
     async def story(user):
         suite.put(active_tool=replace(ACTIVE, file_state="changed"))
         await user.until(lambda: "not active yet" in user.text("tool-pointer"))
-        broken = Tool("pointer", problem="pointer.json: field 'load' is missing", active_tool=True)
+        broken = ListedTool(
+            "pointer", problem="pointer.json: field 'load' is missing", active_tool=True
+        )
         suite.put(tools=(broken, RETRACTOR))
         await user.until(lambda: "is missing" in user.text("tool-pointer"))
         text = user.text("tool-pointer")
@@ -183,7 +185,7 @@ def test_where_nothing_takes_the_tool_off_a_person_does():
 
 def test_five_hundred_tools_are_found_by_name_and_rows_are_kept():
     suite = FakeSuite()
-    many = tuple(Tool(f"tool_{i:03d}", 0.1, 1e-5, (0, 0, 0.05)) for i in range(500))
+    many = tuple(ListedTool(f"tool_{i:03d}", 0.1, 1e-5, (0, 0, 0.05)) for i in range(500))
     suite.put(tools=(*many, POINTER))
 
     async def story(user):
@@ -206,6 +208,8 @@ def test_five_hundred_tools_are_found_by_name_and_rows_are_kept():
 
 def test_of_a_comparison_the_rest_is_told_where_it_differs():
     same = "the same within 2 sigma"
-    assert not differs_beside(Difference("mass", "kg", 0.1, 0.2, 1e-5, "differs by 100 g"))
-    assert not differs_beside(Difference("adapter_mass", "kg", 0.1, 0.1, 1e-5, same))
-    assert differs_beside(Difference("tip_x", "m", 0.1, 0.2, float("nan"), "differs by 100 mm"))
+    assert not differs_beside(QuantityDifference("mass", "kg", 0.1, 0.2, 1e-5, "differs by 100 g"))
+    assert not differs_beside(QuantityDifference("adapter_mass", "kg", 0.1, 0.1, 1e-5, same))
+    assert differs_beside(
+        QuantityDifference("tip_x", "m", 0.1, 0.2, float("nan"), "differs by 100 mm")
+    )

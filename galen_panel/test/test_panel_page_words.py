@@ -13,7 +13,15 @@ from galen_panel.messages import results as result_words
 from galen_panel.messages.results import Fate, Todo
 from galen_panel.page.poses import poses_table, rejections, residuals, sweep_summary
 from galen_panel.page.under_way import Pace, count
-from galen_panel.snapshot import Behaviour, Kind, Level, NodeReport, Outcome, Pose, State
+from galen_panel.snapshot import (
+    Behaviour,
+    BehaviourKind,
+    BehaviourOutcome,
+    FinishedPose,
+    NodeLevel,
+    NodeReport,
+    SuiteState,
+)
 
 NAN = math.nan
 
@@ -99,24 +107,31 @@ def test_a_sentence_does_not_change_names(text, sentence):
 
 
 def test_each_service_that_the_page_calls_has_a_program_that_offers_it():
-    nothing = State()
+    nothing = SuiteState()
     for name in ALL:
         assert "Start it: ros2 run" in hints.missing(nothing, name)
-        assert hints.missing(State(available=ALL), name) == ""
+        assert hints.missing(SuiteState(available=ALL), name) == ""
 
 
 def test_nothing_is_started_while_something_moves_the_arm():
-    running = Behaviour(1, Kind.COLLECT, "pointer")
-    state = State(available=ALL, behaviours={Kind.COLLECT: running})
-    assert "Collection of pushes with pointer is under way" in hints.cannot_start(state, Kind.CHECK)
-    ended = replace(running, outcome=Outcome("", "done"))
-    assert hints.cannot_start(replace(state, behaviours={Kind.COLLECT: ended}), Kind.CHECK) == ""
+    running = Behaviour(1, BehaviourKind.COLLECT, "pointer")
+    state = SuiteState(available=ALL, behaviours={BehaviourKind.COLLECT: running})
+    assert "Collection of pushes with pointer is under way" in hints.cannot_start(
+        state, BehaviourKind.CHECK
+    )
+    ended = replace(running, outcome=BehaviourOutcome("", "done"))
+    assert (
+        hints.cannot_start(
+            replace(state, behaviours={BehaviourKind.COLLECT: ended}), BehaviourKind.CHECK
+        )
+        == ""
+    )
 
 
 def test_before_a_calibration_its_duration_is_told_where_its_node_tells_it():
     def told(values, **options):
-        node = NodeReport("left/calibration", Level.OK, "ready", values, 0.0)
-        state = State(nodes={node.name: node}, namespace="left")
+        node = NodeReport("left/calibration", NodeLevel.OK, "ready", values, 0.0)
+        state = SuiteState(nodes={node.name: node}, namespace="left")
         chosen = {"one_sweep": False, "by_hand": False} | options
         return " ".join(hints.before_calibration(state, **chosen))
 
@@ -139,9 +154,12 @@ def test_the_time_left_follows_the_poses_and_not_a_persons_pause():
 
 
 def test_a_count_says_what_is_counted():
-    behaviour = Behaviour(1, Kind.COLLECT, "pointer", done=3, total=48)
+    behaviour = Behaviour(1, BehaviourKind.COLLECT, "pointer", done=3, total=48)
     assert count(behaviour, NAN) == "3 of 48 pushes"
-    assert count(replace(behaviour, kind=Kind.CHECK), 100.0) == "3 of 48 poses, about 2 min left"
+    assert (
+        count(replace(behaviour, kind=BehaviourKind.CHECK), 100.0)
+        == "3 of 48 poses, about 2 min left"
+    )
     assert count(replace(behaviour, total=0), NAN) == ""
 
 
@@ -155,7 +173,7 @@ def sweep(number=56, touched=None, load=0.2):
         reading = reading + [0.1, -0.2, 0.3, 0.01, 0.02, 0.03]
         if index == touched:
             reading = reading + [0.5, 0, 0, 0, 0, 0]
-        poses.append(Pose("tool", index + 1, roll, tilt, True, "", tuple(reading)))
+        poses.append(FinishedPose("tool", index + 1, roll, tilt, True, "", tuple(reading)))
     return poses
 
 
@@ -195,7 +213,8 @@ def test_a_grid_of_poses_is_a_table_of_roll_and_tilt():
 def test_scattered_poses_are_a_list_of_the_newest():
     rng = np.random.default_rng(1)
     poses = [
-        Pose("check", number, *rng.uniform(-1, 1, 2), True, "", None) for number in range(1, 31)
+        FinishedPose("check", number, *rng.uniform(-1, 1, 2), True, "", None)
+        for number in range(1, 31)
     ]
     html = poses_table(poses, {})
     assert html.count("<tr>") == 11
@@ -204,11 +223,11 @@ def test_scattered_poses_are_a_list_of_the_newest():
 
 
 VALUES = {"mass_kg": 0.2, "mass_std_kg": 3e-5, "com_m": [0.07, -0.01, 0.055]}
-WRITTEN = Outcome("", "done", "retractor", values=VALUES)
+WRITTEN = BehaviourOutcome("", "done", "retractor", values=VALUES)
 
 
 def test_a_calibrations_file_is_known_by_what_is_in_it():
-    state = State(tools=(POINTER, RETRACTOR), active_tool=ACTIVE)
+    state = SuiteState(tools=(POINTER, RETRACTOR), active_tool=ACTIVE)
     assert result_words.fate(WRITTEN, state) is Fate.HERE
     other = replace(RETRACTOR, mass_kg=0.2 + 1e-6)
     assert result_words.fate(WRITTEN, replace(state, tools=(other,))) is Fate.REPLACED
@@ -223,11 +242,11 @@ def test_a_calibrations_file_is_known_by_what_is_in_it():
 
 @pytest.mark.parametrize("values", [{}, {"answer": 99, "cause": 0}, {"answer": None, "cause": 0}])
 def test_an_answer_that_nobody_knows_is_not_good(values):
-    assert result_words.verdict(Outcome("", "?", values=values)).todo is Todo.CHECK
+    assert result_words.verdict(BehaviourOutcome("", "?", values=values)).todo is Todo.CHECK
 
 
 def test_a_checks_sentence_has_no_command_for_a_terminal():
-    outcome = Outcome(
+    outcome = BehaviourOutcome(
         "", "a constant offset; a tare takes it off: ros2 service call /gravcomp/tare"
         " std_srvs/srv/Trigger",
     )  # fmt: skip
@@ -244,12 +263,15 @@ def test_a_checks_sentence_has_no_command_for_a_terminal():
     ],
 )
 def test_every_end_has_a_title(error, title, level):
-    assert result_words.ended(Kind.CALIBRATE, Outcome(error, "x")) == (title, level)
+    assert result_words.ended(BehaviourKind.CALIBRATE, BehaviourOutcome(error, "x")) == (
+        title,
+        level,
+    )
 
 
 def test_a_collection_says_how_much_there_is():
     values = {"pushes": 46, "pushes_asked": 48, "calibration_holds": False, "left_out": ["set 1"]}
-    outcome = Outcome("", "collected", values=values)
+    outcome = BehaviourOutcome("", "collected", values=values)
     text = result_words.collection_sentence(outcome)
     assert text.startswith("46 of 48 pushes")
     assert "moved" in text

@@ -166,7 +166,7 @@ def test_a_browsers_word_is_never_a_path(archive, tmp_path, name):
     assert not recordings.start(name, "tools:pointer").ok
     (found,) = recordings.search().recordings
     answer = recordings.start(found.id, name)
-    assert not answer.ok and "tool" in answer.text
+    assert not answer.ok and "calibration file" in answer.text
     assert recordings.jobs.jobs == () and not (tmp_path / "out").exists()
 
 

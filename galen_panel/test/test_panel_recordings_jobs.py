@@ -12,8 +12,8 @@ from pathlib import Path
 
 import pytest
 from galen_panel.recordings.bag_worker import NICENESS
-from galen_panel.recordings.jobs import MOST_WAITING, Jobs, Stage, Wanted
-from galen_panel.recordings.report_files import EVALUATION, PICTURE, ReportError, Reports
+from galen_panel.recordings.jobs import MOST_WAITING, Jobs, JobStage, Wanted
+from galen_panel.recordings.report_files import EVALUATION, PICTURE, Reports, StoredReportError
 
 PATIENCE_S = 30.0
 WORKER = """
@@ -93,7 +93,7 @@ def folders(output):
 def test_a_job_leaves_a_report_that_is_found_again_after_a_restart(jobs, output):
     assert jobs.submit(wanted("good")).ok
     job = ended(jobs, 1)
-    assert (job.stage, job.text) == (Stage.DONE, "It fits.")
+    assert (job.stage, job.text) == (JobStage.DONE, "It fits.")
     again = Reports(output)
     (report,) = again.all()
     assert report.id == job.report and report.recording_id == "id-good"
@@ -108,10 +108,10 @@ def test_two_jobs_run_one_after_the_other_in_their_order(jobs):
     assert answer.ok and "1 before it" in answer.text
     until(lambda: jobs.get(1).doing == "hanging", "the first at work")
     assert jobs.get(1).share is None
-    assert [job.stage for job in jobs.jobs] == [Stage.RUNNING, Stage.WAITING]
+    assert [job.stage for job in jobs.jobs] == [JobStage.RUNNING, JobStage.WAITING]
     assert jobs.cancel(1).ok
-    assert ended(jobs, 1).stage is Stage.CANCELED
-    assert ended(jobs, 2).stage is Stage.DONE
+    assert ended(jobs, 1).stage is JobStage.CANCELED
+    assert ended(jobs, 2).stage is JobStage.DONE
 
 
 def test_a_cancel_ends_the_worker_and_all_that_it_started(jobs, output):
@@ -120,7 +120,7 @@ def test_a_cancel_ends_the_worker_and_all_that_it_started(jobs, output):
     child = int((output / "child").read_text())
     assert not gone(child)
     assert jobs.cancel(1).ok
-    assert ended(jobs, 1).stage is Stage.CANCELED
+    assert ended(jobs, 1).stage is JobStage.CANCELED
     until(lambda: gone(child), "the child's end")
     assert folders(output) == []
     assert not jobs.cancel(1).ok and not jobs.cancel(77).ok
@@ -130,10 +130,10 @@ def test_a_job_that_waits_is_cancelled_without_being_begun(jobs):
     jobs.submit(wanted("hang"))
     jobs.submit(wanted("good"))
     assert jobs.cancel(2).ok
-    assert jobs.get(2).stage is Stage.CANCELED
+    assert jobs.get(2).stage is JobStage.CANCELED
     jobs.cancel(1)
     ended(jobs, 1)
-    assert jobs.get(2).stage is Stage.CANCELED and jobs.get(2).report == ""
+    assert jobs.get(2).stage is JobStage.CANCELED and jobs.get(2).report == ""
 
 
 @pytest.mark.parametrize(
@@ -149,8 +149,8 @@ def test_a_worker_that_fails_is_told_and_the_next_one_runs(jobs, output, name, t
     jobs.submit(wanted(name))
     jobs.submit(wanted("good"))
     job = ended(jobs, 1)
-    assert (job.stage, job.text) == (Stage.FAILED, text)
-    assert ended(jobs, 2).stage is Stage.DONE
+    assert (job.stage, job.text) == (JobStage.FAILED, text)
+    assert ended(jobs, 2).stage is JobStage.DONE
     assert len(folders(output)) == 1
 
 
@@ -163,7 +163,7 @@ def test_a_worker_killed_from_outside_is_told(jobs):
 
 def test_lines_that_are_no_json_do_no_harm(jobs):
     jobs.submit(wanted("garbage"))
-    assert ended(jobs, 1).stage is Stage.DONE
+    assert ended(jobs, 1).stage is JobStage.DONE
 
 
 def test_a_worker_that_can_not_be_started_is_told(output):
@@ -279,7 +279,7 @@ def test_the_real_worker_tells_what_ended_it(output, error, text):
     jobs = Jobs(Reports(output), [sys.executable, "-c", FAILING.format(error=error)])
     jobs.submit(wanted("good"))
     job = ended(jobs, 1)
-    assert (job.stage, job.text) == (Stage.FAILED, text)
+    assert (job.stage, job.text) == (JobStage.FAILED, text)
     jobs.close()
 
 
@@ -354,10 +354,10 @@ def test_a_folder_that_is_no_report_is_not_listed(output, tmp_path):
 def test_a_report_that_was_removed_or_damaged_is_an_error_that_is_told(output):
     reports = Reports(output)
     report = finish(reports, evaluation_dot_json=b"[1]")
-    with pytest.raises(ReportError, match="damaged"):
+    with pytest.raises(StoredReportError, match="damaged"):
         reports.content(report)
     (output / report.id / EVALUATION).unlink()
-    with pytest.raises(ReportError, match="can't be read"):
+    with pytest.raises(StoredReportError, match="can't be read"):
         reports.content(report)
     assert reports.serve(report.id, EVALUATION) is None
 

@@ -12,11 +12,11 @@ from pathlib import Path
 import httpx
 import pytest
 from galen_panel.access import Access
-from galen_panel.recordings.jobs import Stage
+from galen_panel.recordings.jobs import JobStage
 from galen_panel.recordings.recordings import REPORTS_PATH, Recordings
-from galen_panel.recordings.report_files import EVALUATION, PICTURE, Report, ReportError
+from galen_panel.recordings.report_files import EVALUATION, PICTURE, StoredReport, StoredReportError
 from galen_panel.recordings.report_view import VERDICTS, view_of
-from galen_panel.snapshot import Level
+from galen_panel.snapshot import NodeLevel
 from starlette.applications import Starlette
 
 BAGS = Path(__file__).resolve().parents[2] / "bags"
@@ -72,7 +72,7 @@ def test_an_evaluation_says_what_the_command_says(make, tmp_path):
     answer = recordings.start(found.id, "tools:retractor")
     assert answer.ok, answer.text
     job, shares = finished(recordings, 1)
-    assert job.stage is Stage.DONE, job.text
+    assert job.stage is JobStage.DONE, job.text
     assert shares == sorted(shares)  # none where it was done between two looks
     (report,) = recordings.reports.all()
     assert (report.verdict, report.tool, report.recording) == ("fits", "retractor", "free_motion")
@@ -83,7 +83,7 @@ def test_an_evaluation_says_what_the_command_says(make, tmp_path):
     assert content == json.loads(said.stdout)
 
     view = view_of(report, content, list(recordings.reports.files(report)))
-    assert view.level is Level.OK and view.sentence == content["sentence"]
+    assert view.level is NodeLevel.OK and view.sentence == content["sentence"]
     left = view.tables[0]
     assert left.title.startswith("Residual") and len(left.headers) == 7
     fx_n = content["rmse"]["still_phases"]["fx"]
@@ -110,7 +110,7 @@ def test_an_evaluation_that_can_not_be_made_is_told(make, tmp_path):
     (found,) = recordings.search().recordings
     assert recordings.start(found.id, "tools:retractor").ok
     job, _ = finished(recordings, 1)
-    assert job.stage is Stage.FAILED and job.text.startswith("It failed: ")
+    assert job.stage is JobStage.FAILED and job.text.startswith("It failed: ")
     assert "cut" in job.text and recordings.reports.all() == []
 
 
@@ -127,7 +127,7 @@ def test_a_diagnosis_finds_its_cause_and_its_page_runs_nothing(make, tmp_path):
     answer = recordings.start(found.id, "beside")
     assert answer.ok, answer.text
     job, shares = finished(recordings, 1, 800.0)
-    assert job.stage is Stage.DONE, job.text
+    assert job.stage is JobStage.DONE, job.text
     assert shares == sorted(shares) and max(shares) > 0.5
     (report,) = recordings.reports.all()
     assert report.kind == "diagnose" and report.verdict == "identified"
@@ -162,13 +162,15 @@ def test_nothing_but_a_reports_files_is_served(make, tmp_path):
 
 
 def report_of(kind, verdict="unknown"):
-    return Report("id", kind, "run", "id", "pointer", "2026-11-22T09:00:00+00:00", verdict, "So.")
+    return StoredReport(
+        "id", kind, "run", "id", "pointer", "2026-11-22T09:00:00+00:00", verdict, "So."
+    )
 
 
 @pytest.mark.parametrize("kind", ["evaluate", "diagnose"])
 @pytest.mark.parametrize("content", [{}, {"rmse": None}, {"causes": [{}]}])
 def test_a_damaged_report_is_an_error_that_is_told(kind, content):
-    with pytest.raises(ReportError, match="damaged"):
+    with pytest.raises(StoredReportError, match="damaged"):
         view_of(report_of(kind), content, [])
 
 

@@ -9,7 +9,7 @@ from galen_calibration_behavior.commands import CalibrationCode as ErrorCode
 from galen_calibration_behavior.commands import CalibrationState as Phase
 from galen_panel.ros import goals as ros_goals
 from galen_panel.ros.suite import RosSuite
-from galen_panel.snapshot import Asked, CalibrateGoal, CheckGoal, Kind
+from galen_panel.snapshot import Asked, BehaviourKind, CalibrateGoal, CheckGoal
 from galen_ros.node.diagnostics import OK, DiagnosticsPublisher, Status
 from galen_ros.rclpy_workarounds import DeferredActionServer
 from panel_ros_world import World, panel_world
@@ -106,7 +106,7 @@ class Goals(World):
 
     @property
     def behaviour(self):
-        return self.state.behaviours.get(Kind.CALIBRATE)
+        return self.state.behaviours.get(BehaviourKind.CALIBRATE)
 
     def seen(self, what, predicate):
         return self.harness.wait_for(
@@ -181,13 +181,13 @@ def test_a_failure_says_why_and_the_next_goal_is_another_one(goals):
 
 def test_a_cancel_stops_the_panel_s_own_goal(goals):
     goals.ask(goals.suite.start(CalibrateGoal("pointer")))
-    answer = goals.ask(goals.suite.cancel(Kind.CALIBRATE))
+    answer = goals.ask(goals.suite.cancel(BehaviourKind.CALIBRATE))
     assert answer.ok and goals.behaviour.canceling
     assert goals.server.canceled == [bytes(goals.server.goal.goal_id.uuid)]
     goals.do(lambda: goals.server.end(ErrorCode.CANCELED, "canceled by the client"))
     outcome = goals.seen("the end", lambda b: b.outcome)
     assert outcome.error == "CANCELED"
-    answer = goals.ask(goals.suite.cancel(Kind.CALIBRATE))
+    answer = goals.ask(goals.suite.cancel(BehaviourKind.CALIBRATE))
     assert not answer.ok and "nothing is running" in answer.text
 
 
@@ -241,7 +241,7 @@ def test_a_goal_of_somebody_else_is_shown_and_can_be_canceled(goals):
     assert (behaviour.phase, behaviour.done) == ("tool on", 1)  # from /diagnostics
     goals.do(lambda: goals.server.pose(2, 0.1))
     goals.seen("its pose", lambda b: len(b.poses) == 1 and b.phase == "sweep with tool")
-    assert goals.ask(goals.suite.cancel(Kind.CALIBRATE)).ok
+    assert goals.ask(goals.suite.cancel(BehaviourKind.CALIBRATE)).ok
     assert goals.server.canceled == [bytes(theirs.goal_id.uuid)]
     goals.do(lambda: goals.server.end(ErrorCode.CANCELED, "canceled by the client"))
     goals.seen("its end", lambda b: b.outcome and b.outcome.error == "CANCELED")
@@ -280,17 +280,21 @@ def test_another_panel_takes_over_a_goal_that_is_under_way(goals):
     goals.ask(goals.suite.start(CalibrateGoal("pointer")))
     with RosSuite(["panel"]) as second:
         goals.harness.wait_for(
-            lambda: Kind.CALIBRATE in second.state.behaviours, 10.0, "the goal in another panel"
+            lambda: BehaviourKind.CALIBRATE in second.state.behaviours,
+            10.0,
+            "the goal in another panel",
         )
-        assert not second.state.behaviours[Kind.CALIBRATE].ours
+        assert not second.state.behaviours[BehaviourKind.CALIBRATE].ours
         goals.harness.wait_for(
             lambda: "calibrate_tool" in second.state.available, 10.0, "the server"
         )
-        assert asyncio.run(second.cancel(Kind.CALIBRATE)).ok
+        assert asyncio.run(second.cancel(BehaviourKind.CALIBRATE)).ok
         goals.seen("the other's cancelling", lambda b: b.canceling)
         goals.do(lambda: goals.server.end(ErrorCode.CANCELED, "canceled"))
         goals.harness.wait_for(
-            lambda: not second.state.behaviours[Kind.CALIBRATE].running, 10.0, "its end there"
+            lambda: not second.state.behaviours[BehaviourKind.CALIBRATE].running,
+            10.0,
+            "its end there",
         )
     goals.seen("its end here", lambda b: b.outcome)
 
@@ -344,7 +348,7 @@ def test_a_goal_that_was_out_of_sight_is_followed_again(goals):
     goals.do(lambda: goals.server.pose(1, 0.1))
     goals.seen("a pose", lambda b: len(b.poses) == 1)
     number = goals.behaviour.number
-    follower = goals.suite._followers[Kind.CALIBRATE]
+    follower = goals.suite._followers[BehaviourKind.CALIBRATE]
     in_sight = follower._clients
     follower._clients = (OutOfSight(),)
     goals.seen("the loss", lambda b: b.outcome and b.outcome.error == "LOST")
@@ -358,7 +362,7 @@ def test_a_goal_that_was_out_of_sight_is_followed_again(goals):
 
 def test_the_result_of_a_goal_that_was_out_of_sight_is_taken_all_the_same(goals):
     goals.ask(goals.suite.start(CalibrateGoal("pointer")))
-    goals.suite._followers[Kind.CALIBRATE]._clients = (OutOfSight(),)
+    goals.suite._followers[BehaviourKind.CALIBRATE]._clients = (OutOfSight(),)
     goals.seen("the loss", lambda b: b.outcome and b.outcome.error == "LOST")
     goals.do(lambda: goals.server.end(poses_used=4))
     outcome = goals.seen("its end", lambda b: b.outcome and not b.outcome.error and b.outcome)

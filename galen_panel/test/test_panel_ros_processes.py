@@ -7,7 +7,7 @@ import sys
 import time
 
 import pytest
-from galen_panel.snapshot import CalibrateGoal, CheckGoal, Kind
+from galen_panel.snapshot import BehaviourKind, CalibrateGoal, CheckGoal
 from panel_ros_world import panel_world
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(400)]
@@ -106,14 +106,14 @@ def test_a_tool_is_calibrated_activate_and_checked(world):
     answer = world.ask(world.suite.start(CalibrateGoal("retractor", tip_m)))
     assert answer.ok, answer.text
     seen = set()
-    while world.state.behaviours[Kind.CALIBRATE].running:
-        seen.add(world.state.behaviours[Kind.CALIBRATE].phase)
+    while world.state.behaviours[BehaviourKind.CALIBRATE].running:
+        seen.add(world.state.behaviours[BehaviourKind.CALIBRATE].phase)
         time.sleep(0.02)
-    ended = outcome(world, Kind.CALIBRATE)
+    ended = outcome(world, BehaviourKind.CALIBRATE)
     assert not ended.error, ended.text
     assert ended.new and ended.tool == "retractor"
     assert {"sweep without tool", "sweep with tool"} <= seen
-    poses = world.state.behaviours[Kind.CALIBRATE].poses
+    poses = world.state.behaviours[BehaviourKind.CALIBRATE].poses
     assert {pose.sweep for pose in poses} == {"bare", "tool"} and len(poses) == 18
     assert ended.values["mass_kg"] == pytest.approx(0.200, abs=0.002)
 
@@ -123,10 +123,10 @@ def test_a_tool_is_calibrated_activate_and_checked(world):
     assert world.state.active_tool.tip_m == tip_m
     answer = world.ask(world.suite.start(CheckGoal()))
     assert answer.ok, answer.text
-    ended = outcome(world, Kind.CHECK)
+    ended = outcome(world, BehaviourKind.CHECK)
     assert not ended.error, ended.text
     assert ended.tool == "retractor" and ended.values["poses_used"] >= 4
-    assert all(pose.sweep == "check" for pose in world.state.behaviours[Kind.CHECK].poses)
+    assert all(pose.sweep == "check" for pose in world.state.behaviours[BehaviourKind.CHECK].poses)
 
 
 def test_nodes_that_are_killed_are_missed_and_found_again(world):
@@ -146,7 +146,7 @@ def test_nodes_that_are_killed_are_missed_and_found_again(world):
     world.wait_for(lambda state: state.active_tool is None, "that gravcomp is gone")
     # DDS itself hears of it some 20 s later.
     assert time.monotonic() - began_s < 10.0
-    ended = outcome(world, Kind.CALIBRATE)
+    ended = outcome(world, BehaviourKind.CALIBRATE)
     assert ended.error == "LOST" and "calibration_node" in ended.text
     world.wait_for(lambda state: "calibrate_tool" not in state.available, "that it is gone, too")
 
@@ -158,7 +158,7 @@ def test_nodes_that_are_killed_are_missed_and_found_again(world):
     )
     answer = world.ask(world.suite.start(CalibrateGoal("retractor")))
     assert answer.ok, answer.text
-    answer = world.ask(world.suite.cancel(Kind.CALIBRATE))
-    assert answer.ok, (answer, world.state.behaviours[Kind.CALIBRATE])
-    ended = outcome(world, Kind.CALIBRATE)
+    answer = world.ask(world.suite.cancel(BehaviourKind.CALIBRATE))
+    assert answer.ok, (answer, world.state.behaviours[BehaviourKind.CALIBRATE])
+    ended = outcome(world, BehaviourKind.CALIBRATE)
     assert ended.error == "CANCELED"

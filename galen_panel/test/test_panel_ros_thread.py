@@ -7,7 +7,7 @@ import pytest
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from galen_panel.ros.board import Board
 from galen_panel.ros.thread import CallError, RosThread
-from galen_panel.snapshot import Behaviour, Kind, Level
+from galen_panel.snapshot import Behaviour, BehaviourKind, NodeLevel
 from galen_ros.node.domain import DomainLock
 from panel_ros_world import panel_world
 from rclpy.node import Node
@@ -76,9 +76,12 @@ def test_a_board_has_a_new_revision_only_where_something_is_new():
     first = board.state
     board.put(available=frozenset({"check_tool"}))
     assert board.state is first and first.revision == 1
-    board.put_behaviour(Behaviour(1, Kind.CHECK, "pointer"))
-    board.put_behaviour(Behaviour(2, Kind.CALIBRATE, "pointer"))
-    assert board.state.revision == 3 and set(board.state.behaviours) == {Kind.CHECK, Kind.CALIBRATE}
+    board.put_behaviour(Behaviour(1, BehaviourKind.CHECK, "pointer"))
+    board.put_behaviour(Behaviour(2, BehaviourKind.CALIBRATE, "pointer"))
+    assert board.state.revision == 3 and set(board.state.behaviours) == {
+        BehaviourKind.CHECK,
+        BehaviourKind.CALIBRATE,
+    }
     assert first.behaviours == {}
 
 
@@ -101,7 +104,7 @@ def test_diagnostics_of_anybody_are_kept_small(monkeypatch):
         )
         world.wait_for(lambda state: state.nodes, "a report")
         (report,) = world.state.nodes.values()
-        assert report.level is Level.STALE and report.name.isprintable()
+        assert report.level is NodeLevel.STALE and report.name.isprintable()
         assert len(report.message) < 5000 and len(report.values) == 200
         assert all(len(text) < 5000 for text in report.values.values())
         for first in (0, 100, 200):

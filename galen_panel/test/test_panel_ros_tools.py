@@ -13,7 +13,14 @@ from galen_gravcomp.node import GravcompNode
 from galen_model.files.calibration_file import calibration_path, read_calibration, write_calibration
 from galen_panel.ros import tools as ros_tools
 from galen_panel.ros.suite import RosSuite
-from galen_panel.snapshot import CalibrateGoal, CheckGoal, CollectGoal, Comparison, Kind, Level
+from galen_panel.snapshot import (
+    BehaviourKind,
+    CalibrateGoal,
+    CheckGoal,
+    CollectGoal,
+    NodeLevel,
+    ToolComparison,
+)
 from galen_ros.node.spin import StartError
 from galen_ros.node.testing import parameters
 from galen_ros.qos import STREAM
@@ -79,7 +86,7 @@ def calls(suite):
         suite.start(CheckGoal()),
         suite.start(CollectGoal("monday", "retractor")),
         suite.confirm(),
-        *(suite.cancel(kind) for kind in Kind),
+        *(suite.cancel(kind) for kind in BehaviourKind),
     ]
 
 
@@ -98,7 +105,7 @@ def test_the_tools_are_listed_with_their_numbers_as_soon_as_gravcomp_is_there(
     assert listed.active_tool and not listed.has_previous and not listed.problem
     assert not tool(state, "pointer").active_tool and tool(state, "pointer").has_previous
     assert "drill.json" in tool(state, "drill").problem
-    assert state.nodes["gravcomp"].level is Level.STALE  # no wrenches come
+    assert state.nodes["gravcomp"].level is NodeLevel.STALE  # no wrenches come
 
 
 def test_a_tool_is_activate_and_taken_out_again(with_gravcomp):
@@ -136,12 +143,12 @@ def test_a_tool_is_removed_and_its_file_kept_but_not_the_one_active(with_gravcom
 def test_a_calibration_is_compared_with_the_one_before_and_reverted_to_it(with_gravcomp, tools_dir):
     world = with_gravcomp
     comparison = world.ask(world.suite.compare("pointer"))
-    assert isinstance(comparison, Comparison)
+    assert isinstance(comparison, ToolComparison)
     mass = next(row for row in comparison.differences if row.quantity == "mass")
     assert (mass.a, mass.b, mass.unit) == (0.050, 0.060, "kg")
     assert not comparison.same_load and comparison.worst_force_n == pytest.approx(0.098, abs=1e-3)
     other = world.ask(world.suite.compare("pointer", "retractor"))
-    assert isinstance(other, Comparison)
+    assert isinstance(other, ToolComparison)
     assert other.differences[0].b == 0.060 and other.differences[0].a > 0.19
     answer = world.ask(world.suite.compare("retractor"))
     assert not answer.ok and "retractor" in answer.text  # it has none before

@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 
 from galen_panel.messages import texts
-from galen_panel.snapshot import Behaviour, Kind, State
+from galen_panel.snapshot import Behaviour, BehaviourKind, SuiteState
 
 
 @dataclass(frozen=True)
@@ -87,31 +87,31 @@ OFFERED_BY = {
 
 
 NAMES = {
-    Kind.CALIBRATE: "Calibration",
-    Kind.CHECK: "Quick check",
-    Kind.COLLECT: "Collection of pushes",
+    BehaviourKind.CALIBRATE: "Calibration",
+    BehaviourKind.CHECK: "Quick check",
+    BehaviourKind.COLLECT: "Collection of pushes",
 }
 
 
-def missing(state: State, name: str) -> str:
+def missing(state: SuiteState, name: str) -> str:
     """What to do where a service or action of that name isn't there; empty where it is."""
     return "" if name in state.available else OFFERED_BY[name].absent
 
 
 def title(behaviour: Behaviour) -> str:
     """What it is called, such as "Calibration of pointer"."""
-    joined = "with" if behaviour.kind is Kind.COLLECT else "of"
+    joined = "with" if behaviour.kind is BehaviourKind.COLLECT else "of"
     name = NAMES[behaviour.kind]
     return f"{name} {joined} {behaviour.tool}" if behaviour.tool else name
 
 
-def running(state: State) -> Behaviour | None:
+def running(state: SuiteState) -> Behaviour | None:
     """The behaviour that is under way, the newest where there are several."""
     under_way = [behaviour for behaviour in state.behaviours.values() if behaviour.running]
     return max(under_way, key=lambda behaviour: behaviour.number, default=None)
 
 
-def cannot_start(state: State, kind: Kind) -> str:
+def cannot_start(state: SuiteState, kind: BehaviourKind) -> str:
     """Why a behaviour can't be started now and what to do; empty where it can.
 
     A node rejects a second goal of its own; another node's at the same arm would end both.
@@ -122,7 +122,7 @@ def cannot_start(state: State, kind: Kind) -> str:
     return missing(state, kind.value)
 
 
-def cannot_check(state: State, tool: str) -> str:
+def cannot_check(state: SuiteState, tool: str) -> str:
     """Why a quick check has no file to check against; empty where it has one.
 
     tool: its name; empty: the active one.
@@ -141,7 +141,7 @@ def cannot_check(state: State, tool: str) -> str:
     )
 
 
-def before_calibration(state: State, *, one_sweep: bool, by_hand: bool) -> list[str]:
+def before_calibration(state: SuiteState, *, one_sweep: bool, by_hand: bool) -> list[str]:
     """What a person must know before the arm moves: how long, and that the area must be clear."""
     duration_s = (1 if one_sweep else 2) * _sweep_s(state)
     long = (
@@ -159,7 +159,7 @@ def before_calibration(state: State, *, one_sweep: bool, by_hand: bool) -> list[
     ]
 
 
-def _sweep_s(state: State) -> float:
+def _sweep_s(state: SuiteState) -> float:
     """How long one sweep takes, as the calibration's node tells; NaN where it doesn't."""
     report = state.report_of(CALIBRATION.node)
     try:

@@ -11,10 +11,14 @@ import numpy as np
 from galen_model.evidence.verdict import TARE_COMMAND, Cause, CheckAnswer
 
 from galen_panel.messages import texts
-from galen_panel.snapshot import LOST, Kind, Outcome, State
+from galen_panel.snapshot import LOST, BehaviourKind, BehaviourOutcome, SuiteState
 
 _CANCELED = "CANCELED"
-_DONE = {Kind.CALIBRATE: "Calibrated", Kind.CHECK: "Checked", Kind.COLLECT: "Collected"}
+_DONE = {
+    BehaviourKind.CALIBRATE: "Calibrated",
+    BehaviourKind.CHECK: "Checked",
+    BehaviourKind.COLLECT: "Collected",
+}
 
 
 class Fate(Enum):
@@ -34,7 +38,7 @@ class Todo(Enum):
     CHECK = "Check again"
 
 
-class Verdict(NamedTuple):
+class CheckVerdict(NamedTuple):
     """A quick check's answer for a person; level: positive, warning or negative."""
 
     title: str
@@ -43,21 +47,21 @@ class Verdict(NamedTuple):
 
 
 _VERDICTS = {
-    CheckAnswer.GOOD: Verdict("Good: the file fits", "positive", Todo.NOTHING),
-    CheckAnswer.RETARE: Verdict("Tare it", "warning", Todo.TARE),
-    CheckAnswer.RECALIBRATE: Verdict(
+    CheckAnswer.GOOD: CheckVerdict("Good: the file fits", "positive", Todo.NOTHING),
+    CheckAnswer.RETARE: CheckVerdict("Tare it", "warning", Todo.TARE),
+    CheckAnswer.RECALIBRATE: CheckVerdict(
         "It does not fit: calibrate again", "negative", Todo.CALIBRATE
     ),
-    CheckAnswer.UNSURE: Verdict("Can't tell: check again", "warning", Todo.CHECK),
+    CheckAnswer.UNSURE: CheckVerdict("Can't tell: check again", "warning", Todo.CHECK),
 }
 # Another calibration would not help these.
 _NOT_ON = {
-    Cause.OTHER_TOOL: Verdict("It does not fit: another tool is on", "negative", Todo.CHECK),
-    Cause.NO_TOOL: Verdict("It does not fit: no tool is on", "negative", Todo.CHECK),
+    Cause.OTHER_TOOL: CheckVerdict("It does not fit: another tool is on", "negative", Todo.CHECK),
+    Cause.NO_TOOL: CheckVerdict("It does not fit: no tool is on", "negative", Todo.CHECK),
 }
 
 
-def ended(kind: Kind, outcome: Outcome) -> tuple[str, str]:
+def ended(kind: BehaviourKind, outcome: BehaviourOutcome) -> tuple[str, str]:
     """A title for an outcome of any behaviour, and its level."""
     if not outcome.error:
         return _DONE[kind], "positive"
@@ -68,7 +72,7 @@ def ended(kind: Kind, outcome: Outcome) -> tuple[str, str]:
     return "It failed", "negative"
 
 
-def verdict(outcome: Outcome) -> Verdict:
+def verdict(outcome: BehaviourOutcome) -> CheckVerdict:
     """Of a quick check that came to its end."""
     values = outcome.values
     try:
@@ -78,12 +82,12 @@ def verdict(outcome: Outcome) -> Verdict:
     return _NOT_ON.get(cause) or _VERDICTS[answer]
 
 
-def told(outcome: Outcome) -> str:
+def told(outcome: BehaviourOutcome) -> str:
     """Its sentence, without commands for a terminal: the page has buttons."""
     return texts.sentence(outcome.text.replace(f": {TARE_COMMAND}", ""), outcome.tool)
 
 
-def fate(outcome: Outcome, state: State) -> Fate:
+def fate(outcome: BehaviourOutcome, state: SuiteState) -> Fate:
     """Find where a calibration's file is: kept, discarded or replaced, from any page.
 
     A file is known by mass and centre, which are written with all their digits.
@@ -97,7 +101,7 @@ def fate(outcome: Outcome, state: State) -> Fate:
     return Fate.HERE
 
 
-def load_rows(outcome: Outcome) -> list[list[str]]:
+def load_rows(outcome: BehaviourOutcome) -> list[list[str]]:
     """Mass and centre that a calibration found, as texts: name, value."""
     values = outcome.values
     com, com_std = _vector(values, "com_m"), _vector(values, "com_std_m")
@@ -107,14 +111,14 @@ def load_rows(outcome: Outcome) -> list[list[str]]:
     return rows
 
 
-def residual(outcome: Outcome) -> str:
+def residual(outcome: BehaviourOutcome) -> str:
     """Say the residual of a calibration's readings."""
     force = texts.norm(_vector(outcome.values, "rmse_force_n"))
     torque = texts.norm(_vector(outcome.values, "rmse_torque_nm"))
     return f"Residual of the averaged readings: {texts.size(force, torque)}."
 
 
-def collection_sentence(outcome: Outcome) -> str:
+def collection_sentence(outcome: BehaviourOutcome) -> str:
     """How many pushes there are, and whether the tracker's base held."""
     values = outcome.values
     text = (
@@ -126,13 +130,13 @@ def collection_sentence(outcome: Outcome) -> str:
     return text
 
 
-def left_out(outcome: Outcome) -> list[str]:
+def left_out(outcome: BehaviourOutcome) -> list[str]:
     """Poses or pushes that were not used, with their reasons."""
     found = outcome.values.get("poses_rejected") or outcome.values.get("left_out") or ()
     return [str(text) for text in found] if isinstance(found, Sequence) else []
 
 
-def discard_sentences(outcome: Outcome) -> list[str]:
+def discard_sentences(outcome: BehaviourOutcome) -> list[str]:
     """What discarding a calibration does."""
     if outcome.new:
         return [
@@ -145,7 +149,7 @@ def discard_sentences(outcome: Outcome) -> list[str]:
     ]
 
 
-def _is(outcome: Outcome, mass_kg: float, com_m: Sequence[float]) -> bool:
+def _is(outcome: BehaviourOutcome, mass_kg: float, com_m: Sequence[float]) -> bool:
     written = [_number(outcome.values, "mass_kg"), *_vector(outcome.values, "com_m")]
     return bool(np.allclose(written, [mass_kg, *com_m], rtol=1e-9, atol=1e-12))
 

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 from galen_panel.messages.hints import DEFLECTION as DEFLECTION_NODE
 from galen_panel.messages.hints import DRIVER, GRAVCOMP
-from galen_panel.snapshot import State
+from galen_panel.snapshot import SuiteState
 
 SILENT_S = 1.0
 RAW, COMPENSATED, DEFLECTION, JOINTS = "raw", "compensated", "deflection", "joints"
@@ -40,7 +40,7 @@ class Heard:
         )
 
 
-def tell(silent: frozenset[str], state: State) -> str:
+def tell(silent: frozenset[str], state: SuiteState) -> str:
     """Which topics don't come, why, and what to do; empty where nothing is missing."""
     if RAW in silent:
         return (
@@ -59,7 +59,7 @@ def tell(silent: frozenset[str], state: State) -> str:
     return ""
 
 
-def _why_not_compensated(silent: frozenset[str], state: State) -> str:
+def _why_not_compensated(silent: frozenset[str], state: SuiteState) -> str:
     if state.active_tool is None:
         return f"gravcomp_node is not running. Start it: {GRAVCOMP.start}"
     if not state.active_tool.tool:

@@ -18,7 +18,7 @@ from galen_panel.messages.advice import (
     Advice,
 )
 from galen_panel.messages.hints import DRIVER, GRAVCOMP, PROGRAMS, Program
-from galen_panel.snapshot import Active, Kind, Level, NodeReport, State
+from galen_panel.snapshot import BehaviourKind, LoadedTool, NodeLevel, NodeReport, SuiteState
 
 SILENT_S = 3.0
 """A node that lives tells its state once a second."""
@@ -31,7 +31,7 @@ class Words:
     running: whether it was heard of lately. stopped: whether it puts out nothing, though it should.
     """
 
-    level: Level
+    level: NodeLevel
     doing: str
     todo: str = ""
     said: str = ""
@@ -39,19 +39,19 @@ class Words:
     stopped: bool = False
 
 
-def others(state: State) -> list[NodeReport]:
+def others(state: SuiteState) -> list[NodeReport]:
     """Reports of other nodes, such as a recorder, or those of another arm; by name."""
     known = {state.full_name(program.node) for program in PROGRAMS}
     rest = (report for report in state.nodes.values() if report.name not in known)
     return sorted(rest, key=lambda report: report.name)
 
 
-def words_of(state: State, program: Program, now_s: float) -> Words:
+def words_of(state: SuiteState, program: Program, now_s: float) -> Words:
     """Say what a program's node is doing. now_s: time.monotonic()."""
     report = state.report_of(program.node)
     if report is None or now_s - report.heard_s > SILENT_S:
         return _absent(state, program, report, now_s)
-    calibration = state.behaviours.get(Kind.CALIBRATE)
+    calibration = state.behaviours.get(BehaviourKind.CALIBRATE)
     calibrating = calibration is not None and calibration.running
     words = _present(program, report, state.active_tool, calibrating)
     if "clock" in report.values:
@@ -63,19 +63,21 @@ def words_of_other(report: NodeReport, now_s: float) -> Words:
     """The same of a node that is none of `PROGRAMS`: its own message."""
     silent_s = now_s - report.heard_s
     if silent_s > SILENT_S:
-        return Words(Level.STALE, _silence(silent_s), "Start it again if it is needed.", "", False)
-    todo = "" if report.level is Level.OK else "Its own message says what is wrong."
+        return Words(
+            NodeLevel.STALE, _silence(silent_s), "Start it again if it is needed.", "", False
+        )
+    todo = "" if report.level is NodeLevel.OK else "Its own message says what is wrong."
     return Words(report.level, _sentence(report.message), todo)
 
 
-def compensates(state: State, now_s: float) -> bool:
+def compensates(state: SuiteState, now_s: float) -> bool:
     """Whether compensated wrenches go out; switched on is not enough. now_s: as in `words_of`."""
     active_tool = state.active_tool
     wanted = active_tool is not None and active_tool.enabled and bool(active_tool.tool)
     return wanted and not words_of(state, GRAVCOMP, now_s).stopped
 
 
-def overall(state: State, now_s: float) -> tuple[Level, str]:
+def overall(state: SuiteState, now_s: float) -> tuple[NodeLevel, str]:
     """The worst that an operator must know: compensation that puts out nothing goes first."""
     words = {program: words_of(state, program, now_s) for program in PROGRAMS}
     own = words[GRAVCOMP]
@@ -93,29 +95,31 @@ def overall(state: State, now_s: float) -> tuple[Level, str]:
     return worst.level, f"{program.title}: {worst.doing}"
 
 
-_RANK = {Level.OK: 0, Level.WARN: 1, Level.STALE: 2, Level.ERROR: 3}
+_RANK = {NodeLevel.OK: 0, NodeLevel.WARN: 1, NodeLevel.STALE: 2, NodeLevel.ERROR: 3}
 
 
-def _absent(state: State, program: Program, report: NodeReport | None, now_s: float) -> Words:
+def _absent(state: SuiteState, program: Program, report: NodeReport | None, now_s: float) -> Words:
     start = f"Start it: {program.start}"
     if program is DRIVER:
         start = f"Start the arm's driver. For a simulated arm: {program.start}"
     if program is DRIVER and report is None:
         drivers = _other_drivers(state, now_s)
         if drivers:
-            return Words(Level.OK, f"Another driver sends: {drivers}.", "", "nothing of its state")
+            return Words(
+                NodeLevel.OK, f"Another driver sends: {drivers}.", "", "nothing of its state"
+            )
     if report is not None:
         text = _silence(now_s - report.heard_s)
     elif program.offers and program.offers in state.available:
         return Words(
-            Level.STALE, f"{program.title} is there, but has told nothing of itself yet.",
+            NodeLevel.STALE, f"{program.title} is there, but has told nothing of itself yet.",
             "Wait a moment. If that stays so, start it again.", "", False, True,
         )  # fmt: skip
     else:
         text = "Not running."
     if program is GRAVCOMP:
         text = f"No compensation: {text[0].lower()}{text[1:]}"
-    level = Level.STALE if program.needed or report is not None else Level.OK
+    level = NodeLevel.STALE if program.needed or report is not None else NodeLevel.OK
     return Words(level, text, start, "", False, program.needed)
 
 
@@ -125,7 +129,7 @@ def _silence(silent_s: float) -> str:
     return f"Not running, or silent for {silent_s / 60.0:.0f} min."
 
 
-def _other_drivers(state: State, now_s: float) -> str:
+def _other_drivers(state: SuiteState, now_s: float) -> str:
     """Who publishes wrench_raw, as gravcomp tells."""
     report = state.report_of(GRAVCOMP.node)
     if report is None or now_s - report.heard_s > SILENT_S:
@@ -134,13 +138,13 @@ def _other_drivers(state: State, now_s: float) -> str:
 
 
 def _present(
-    program: Program, report: NodeReport, active_tool: Active | None, calibrating: bool
+    program: Program, report: NodeReport, active_tool: LoadedTool | None, calibrating: bool
 ) -> Words:
     lifecycle = report.values.get("lifecycle", "")
     name = report.values.get("state", "")
     if name not in ("", "inactive") or lifecycle in ("", "active"):
         return _by_state(program, report, name, active_tool, calibrating)
-    failed = report.level is Level.ERROR
+    failed = report.level is NodeLevel.ERROR
     advice = LIFECYCLE.get(f"{lifecycle} failed" if failed else lifecycle)
     if advice is None:
         return _own_words(report)
@@ -150,11 +154,15 @@ def _present(
 
 
 def _by_state(
-    program: Program, report: NodeReport, name: str, active_tool: Active | None, calibrating: bool
+    program: Program,
+    report: NodeReport,
+    name: str,
+    active_tool: LoadedTool | None,
+    calibrating: bool,
 ) -> Words:
     level, advice = report.level, find_advice(program.node, name, report.level)
     if calibrating and name in (expected := WHILE_CALIBRATING.get(program.node, {})):
-        level, advice = Level.OK, expected[name]
+        level, advice = NodeLevel.OK, expected[name]
     if advice is None:
         return _own_words(report)
     tool = report.values.get("tool", "") or ("" if active_tool is None else active_tool.tool)
@@ -165,7 +173,7 @@ def _by_state(
     )  # fmt: skip
 
 
-def find_advice(node: str, state: str, level: Level) -> Advice | None:
+def find_advice(node: str, state: str, level: NodeLevel) -> Advice | None:
     """The words for a state's name; None where there are none."""
     known = ADVICE.get(node, {})
     advice = known.get(f"{state} {level.name.lower()}", known.get(state))
@@ -175,7 +183,7 @@ def find_advice(node: str, state: str, level: Level) -> Advice | None:
     if rejected is None:
         return None
     works, lost = OUTPUT[node]
-    if level is Level.WARN:
+    if level is NodeLevel.WARN:
         return Advice(f"{works}, but some wrenches are left out: {rejected.doing}.",
                       rejected.todo)  # fmt: skip
     return Advice(f"{lost}: {rejected.doing}.", rejected.todo, True)
@@ -183,8 +191,8 @@ def find_advice(node: str, state: str, level: Level) -> Advice | None:
 
 def _own_words(report: NodeReport) -> Words:
     """A state that is not known here: a node of another version."""
-    todo = "" if report.level is Level.OK else "Its own message says what is wrong."
-    stopped = report.level in (Level.ERROR, Level.STALE)
+    todo = "" if report.level is NodeLevel.OK else "Its own message says what is wrong."
+    stopped = report.level in (NodeLevel.ERROR, NodeLevel.STALE)
     return Words(report.level, _sentence(report.message), todo, "", True, stopped)
 
 

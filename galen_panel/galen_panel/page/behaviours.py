@@ -12,7 +12,14 @@ from galen_panel.page.elements import heading
 from galen_panel.page.outcome import OutcomeView
 from galen_panel.page.page import Page
 from galen_panel.page.poses import PosesView
-from galen_panel.snapshot import CalibrateGoal, CheckGoal, CollectGoal, Goal, Kind, State
+from galen_panel.snapshot import (
+    BehaviourKind,
+    CalibrateGoal,
+    CheckGoal,
+    CollectGoal,
+    Goal,
+    SuiteState,
+)
 
 _ACTIVE = ""
 _ACTIVE_TEXT = "the active one"
@@ -31,7 +38,7 @@ def build(page: Page) -> None:
 class _Card:
     """What the three have in common: title, fields, start; then poses; then the outcome."""
 
-    kind: Kind
+    kind: BehaviourKind
     name: str
     title: str
     icon: str
@@ -62,7 +69,7 @@ class _Card:
         """Draw what is to be chosen."""
         raise NotImplementedError
 
-    def update_fields(self, state: State) -> None:
+    def update_fields(self, state: SuiteState) -> None:
         """Follow the state with it."""
         raise NotImplementedError
 
@@ -77,7 +84,7 @@ class _Card:
         elif goal is not None:
             await self.page.ask(self.page.suite.start(goal), self._start)
 
-    def _update(self, state: State) -> None:
+    def _update(self, state: SuiteState) -> None:
         self.update_fields(state)
         why_not = hints.cannot_start(state, self.kind)
         self._why_not.set_text(why_not)
@@ -107,7 +114,7 @@ class _Card:
 
 
 class _Calibrate(_Card):
-    kind = Kind.CALIBRATE
+    kind = BehaviourKind.CALIBRATE
     name = "calibrate"
     title = "Calibrate"
     icon = "balance"
@@ -119,7 +126,7 @@ class _Calibrate(_Card):
         with ui.expansion("Options").classes("w-full").props("dense data-testid=calibrate-options"):
             self._options = CalibrationOptions(self.name)
 
-    def update_fields(self, state: State) -> None:
+    def update_fields(self, state: SuiteState) -> None:
         _set_tools(self._tool, state, None)
         self._options.update(state)
 
@@ -131,19 +138,17 @@ class _Calibrate(_Card):
 
 
 class _Check(_Card):
-    kind = Kind.CHECK
+    kind = BehaviourKind.CHECK
     name = "check"
     title = "Quick check"
     icon = "fact_check"
-    purpose = (
-        "Goes to a few poses and says whether a calibration still fits. Keep off the tool."
-    )
+    purpose = "Goes to a few poses and says whether a calibration still fits. Keep off the tool."
     start_text = "Check"
 
     def draw_fields(self) -> None:
         self._tool = _tool_select("Tool", self.name)
 
-    def update_fields(self, state: State) -> None:
+    def update_fields(self, state: SuiteState) -> None:
         _set_tools(self._tool, state, _ACTIVE_TEXT)
 
     def goal(self) -> Goal | None:
@@ -156,7 +161,7 @@ class _Check(_Card):
 
 
 class _Collect(_Card):
-    kind = Kind.COLLECT
+    kind = BehaviourKind.COLLECT
     name = "collect"
     title = "Collect pushes"
     icon = "touch_app"
@@ -172,7 +177,7 @@ class _Collect(_Card):
         self._by_hand = ui.switch("A person pushes as the page says", value=True)
         self._by_hand.props("data-testid=collect-by-hand")
 
-    def update_fields(self, state: State) -> None:
+    def update_fields(self, state: SuiteState) -> None:
         _set_tools(self._tool, state, None)
 
     def goal(self) -> Goal | None:
@@ -190,7 +195,7 @@ def _tool_select(label: str, name: str) -> ui.select:
     return chosen.props(f"outlined data-testid={name}-tool").classes("panel-select")
 
 
-def _set_tools(chosen: ui.select, state: State, none: str | None) -> None:
+def _set_tools(chosen: ui.select, state: SuiteState, none: str | None) -> None:
     """Offer the tools; at first the active one. none: the text of an entry for no name."""
     options = {} if none is None else {_ACTIVE: none}
     options |= {tool.name: tool.name for tool in state.tools or ()}

@@ -8,7 +8,7 @@ from nicegui import ui
 
 from galen_panel.messages import hints
 from galen_panel.page.page import Page, confirmed
-from galen_panel.snapshot import CalibrateGoal, Kind, State
+from galen_panel.snapshot import BehaviourKind, CalibrateGoal, SuiteState
 
 AREA_CLEAR = "Area clear: calibrate"
 
@@ -59,13 +59,13 @@ class CalibrationOptions:
             by_hand=bool(self._by_hand.value),
         )
 
-    def before(self, state: State) -> list[str]:
+    def before(self, state: SuiteState) -> list[str]:
         """What a person must know before the arm moves."""
         return hints.before_calibration(
             state, one_sweep=bool(self._one_sweep.value), by_hand=bool(self._by_hand.value)
         )
 
-    def update(self, state: State) -> None:
+    def update(self, state: SuiteState) -> None:
         """Where nothing takes the tool off by itself, a person must."""
         can_choose = _SERVICE in state.available
         if can_choose != self._can_choose:
@@ -82,7 +82,7 @@ async def start_calibration(page: Page, goal: CalibrateGoal, button: ui.button) 
     title = f"Calibrate {goal.tool}?"
     if not await confirmed(page, title, before, AREA_CLEAR, "play_arrow", "primary"):
         return
-    why_not = hints.cannot_start(page.suite.state, Kind.CALIBRATE)
+    why_not = hints.cannot_start(page.suite.state, BehaviourKind.CALIBRATE)
     if why_not:
         page.complain(why_not)
     else:

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from nicegui import ui
 
-from galen_panel.snapshot import Level
+from galen_panel.snapshot import NodeLevel
 
 LOOKS = {
-    Level.OK: ("check_circle", "text-positive"),
-    Level.WARN: ("warning", "text-warning"),
-    Level.ERROR: ("error", "text-negative"),
-    Level.STALE: ("help", "text-warning"),
+    NodeLevel.OK: ("check_circle", "text-positive"),
+    NodeLevel.WARN: ("warning", "text-warning"),
+    NodeLevel.ERROR: ("error", "text-negative"),
+    NodeLevel.STALE: ("help", "text-warning"),
 }
 """A level's icon, and its colour's class; to be shown with a word."""
 

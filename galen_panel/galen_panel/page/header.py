@@ -10,7 +10,7 @@ from galen_panel.messages import hints, texts
 from galen_panel.messages.states import compensates, overall
 from galen_panel.page.elements import LOOKS, pick_class, set_prop
 from galen_panel.page.page import Page
-from galen_panel.snapshot import Active, State
+from galen_panel.snapshot import LoadedTool, SuiteState
 
 _FILE_STATES = {
     "changed": "Its file has changed since: activate it again.",
@@ -34,7 +34,7 @@ def _active_tool(page: Page) -> None:
         name = ui.label().classes("panel-name")
         details = ui.label().classes("panel-number")
 
-    def update(state: State) -> None:
+    def update(state: SuiteState) -> None:
         active_tool = state.active_tool
         if active_tool is None:
             name.set_text("unknown")
@@ -59,7 +59,7 @@ def _enable(page: Page) -> None:
     button = ui.button(on_click=switch, color=None).classes("panel-switch")
     button.props('unelevated no-caps role=switch data-testid=enable aria-label="Compensation"')
 
-    def update(state: State) -> None:
+    def update(state: SuiteState) -> None:
         switched_on = state.active_tool is not None and state.active_tool.enabled
         text, word = _shown(state)
         button.set_text(text)
@@ -72,7 +72,7 @@ def _enable(page: Page) -> None:
     ui.timer(_PERIOD_S, lambda: update(page.suite.state))
 
 
-def _shown(state: State) -> tuple[str, str]:
+def _shown(state: SuiteState) -> tuple[str, str]:
     """The switch's text and look: what is published, not what is wished."""
     if state.active_tool is None:
         return "Compensation: unknown", "unknown"
@@ -94,14 +94,14 @@ def _tare(page: Page) -> None:
             ui.label("No contact with the tool meanwhile.").classes("panel-quiet")
             taken = ui.label().classes("panel-number").props("data-testid=tare-value")
 
-    def update(state: State) -> None:
+    def update(state: SuiteState) -> None:
         taken.set_text(_tare_text(state.active_tool))
         page.allow(button, hints.missing(state, "gravcomp/tare"))
 
     page.on_change(update)
 
 
-def _tare_text(active_tool: Active | None) -> str:
+def _tare_text(active_tool: LoadedTool | None) -> str:
     if active_tool is None:
         return _ABSENT
     if active_tool.tare is None:

@@ -13,16 +13,16 @@ from galen_panel.messages.states import Words, others, words_of, words_of_other
 from galen_panel.messages.texts import numbers_of
 from galen_panel.page.elements import LOOKS
 from galen_panel.page.page import Page
-from galen_panel.snapshot import Level, State
+from galen_panel.snapshot import NodeLevel, SuiteState
 
 # Nodes tell their state once a second; one that falls silent is seen by time alone.
 _PERIOD_S = 1.0
 _STYLE = Path(__file__).with_suffix(".css")
 _WORDS = {
-    Level.OK: "OK",
-    Level.WARN: "Look at it",
-    Level.ERROR: "Trouble",
-    Level.STALE: "Silent",
+    NodeLevel.OK: "OK",
+    NodeLevel.WARN: "Look at it",
+    NodeLevel.ERROR: "Trouble",
+    NodeLevel.STALE: "Silent",
 }
 _LAMPS = {level: (*LOOKS[level], word) for level, word in _WORDS.items()}
 _NOT_RUNNING = ("power_settings_new", "panel-quiet", "Not running")
@@ -45,7 +45,7 @@ def build(page: Page) -> None:
             card.show(words_of(state, program, now_s), {} if report is None else report.values)
         _look_at_others(state, now_s)
 
-    def _look_at_others(state: State, now_s: float) -> None:
+    def _look_at_others(state: SuiteState, now_s: float) -> None:
         reports = others(state)
         names = [report.name for report in reports]
         if names != list(other_cards):
@@ -89,7 +89,7 @@ class _Card:
 
     def show(self, words: Words, values: Mapping[str, str]) -> None:
         """Set what differs."""
-        off = not words.running and words.level is Level.OK
+        off = not words.running and words.level is NodeLevel.OK
         icon, colour, word = _NOT_RUNNING if off else _LAMPS[words.level]
         self._icon.set_name(icon)
         self._icon.classes(add=colour, remove=_COLOURS.replace(colour, ""))

@@ -11,14 +11,14 @@ from galen_panel.page.calibration_options import start_calibration
 from galen_panel.page.elements import pick_class, table
 from galen_panel.page.page import Page, confirmed
 from galen_panel.snapshot import (
-    Answer,
+    BehaviourKind,
+    BehaviourOutcome,
     CalibrateGoal,
+    CallAnswer,
     CheckGoal,
-    Comparison,
-    Difference,
-    Kind,
-    Outcome,
-    State,
+    QuantityDifference,
+    SuiteState,
+    ToolComparison,
 )
 
 _ICONS = {"positive": "check_circle", "warning": "warning", "negative": "error"}
@@ -27,13 +27,13 @@ _ICONS = {"positive": "check_circle", "warning": "warning", "negative": "error"}
 class OutcomeView:
     """One outcome; drawn once, then its buttons follow the state."""
 
-    def __init__(self, page: Page, kind: Kind, outcome: Outcome) -> None:
+    def __init__(self, page: Page, kind: BehaviourKind, outcome: BehaviourOutcome) -> None:
         self._page = page
         self._outcome = outcome
         self._file: FileNotice | None = None
         title, level = result_words.ended(kind, outcome)
         todo = Todo.NOTHING
-        if kind is Kind.CHECK and not outcome.error:
+        if kind is BehaviourKind.CHECK and not outcome.error:
             title, level, todo = result_words.verdict(outcome)
         with ui.column().classes("panel-outcome") as self._element:
             self._element.props("role=status data-testid=outcome")
@@ -48,20 +48,20 @@ class OutcomeView:
                 close.props('flat round aria-label="Close the result" data-testid=outcome-close')
             ui.label(result_words.told(outcome)).props("data-testid=outcome-text")
             _warnings(outcome)
-            if kind is Kind.CALIBRATE and not outcome.error:
+            if kind is BehaviourKind.CALIBRATE and not outcome.error:
                 if outcome.new:
                     table([], result_words.load_rows(outcome))
                 ui.label(result_words.residual(outcome)).classes("panel-number")
                 self._file = FileNotice(page, outcome)
-            elif kind is Kind.COLLECT and not outcome.error:
+            elif kind is BehaviourKind.COLLECT and not outcome.error:
                 ui.label(result_words.collection_sentence(outcome))
-            if kind is Kind.COLLECT and outcome.file:
+            if kind is BehaviourKind.COLLECT and outcome.file:
                 ui.label(f"The recording is {outcome.file}").classes("panel-path")
             if todo is not Todo.NOTHING:
                 self._offer(todo)
             _rest(outcome)
 
-    def update(self, state: State) -> None:
+    def update(self, state: SuiteState) -> None:
         """Follow the state with the buttons."""
         if self._file is not None:
             self._file.update(state)
@@ -81,14 +81,14 @@ class OutcomeView:
         button.props("unelevated data-testid=outcome-do")
 
 
-def _warnings(outcome: Outcome) -> None:
+def _warnings(outcome: BehaviourOutcome) -> None:
     for warning in outcome.warnings:
         with ui.row().classes("no-wrap items-start"):
             ui.icon("warning").classes("text-warning panel-icon").props("aria-hidden=true")
             ui.label(texts.sentence(warning))
 
 
-def _rest(outcome: Outcome) -> None:
+def _rest(outcome: BehaviourOutcome) -> None:
     """How it went; what was left out can be unfolded."""
     for note in outcome.notes:
         ui.label(texts.sentence(note)).classes("panel-quiet")
@@ -109,7 +109,7 @@ _GONE = "This calibration's file is no longer the tool's."
 class FileNotice:
     """Of one calibration that came to its end."""
 
-    def __init__(self, page: Page, outcome: Outcome) -> None:
+    def __init__(self, page: Page, outcome: BehaviourOutcome) -> None:
         self._page = page
         self._outcome = outcome
         self._listed = False
@@ -122,7 +122,7 @@ class FileNotice:
             self._discard.props("outline color=negative data-testid=discard")
         ui.timer(0.0, self._look, once=True)
 
-    def update(self, state: State) -> None:
+    def update(self, state: SuiteState) -> None:
         """Follow the state: another browser may have kept or discarded it."""
         fate = result_words.fate(self._outcome, state)
         if fate is Fate.REPLACED and not self._listed:
@@ -151,7 +151,7 @@ class FileNotice:
             return
         found = await suite.compare(self._outcome.tool)
         with self._beside:
-            if isinstance(found, Answer):
+            if isinstance(found, CallAnswer):
                 ui.label(found.text)
             else:
                 draw_comparison(found, "before", "new")
@@ -179,7 +179,7 @@ _LOAD = ("mass", "com_x", "com_y", "com_z")
 _THE_SAME = "the same"
 
 
-def draw_comparison(comparison: Comparison, before: str, after: str) -> None:
+def draw_comparison(comparison: ToolComparison, before: str, after: str) -> None:
     """Draw what differs. before, after: what the two files, a and b, are called here."""
     ui.label(worst_case(comparison)).classes("panel-lead")
     ui.label(same_load(comparison))
@@ -195,12 +195,12 @@ def draw_comparison(comparison: Comparison, before: str, after: str) -> None:
             table(headers, [_row(row) for row in others])
 
 
-def differs_beside(row: Difference) -> bool:
+def differs_beside(row: QuantityDifference) -> bool:
     """Whether a quantity that is neither mass nor centre is another one."""
     return row.quantity not in _LOAD and not row.text.startswith(_THE_SAME)
 
 
-def _row(row: Difference) -> list[str]:
+def _row(row: QuantityDifference) -> list[str]:
     return [
         texts.quantity_name(row.quantity),
         texts.quantity(row.a, row.unit),
@@ -210,13 +210,13 @@ def _row(row: Difference) -> list[str]:
     ]
 
 
-def worst_case(comparison: Comparison) -> str:
+def worst_case(comparison: ToolComparison) -> str:
     """Say what the difference means at the tool."""
     size = texts.size(comparison.worst_force_n, comparison.worst_torque_nm)
     return f"What is compensated differs by at most {size}, over all poses."
 
 
-def same_load(comparison: Comparison) -> str:
+def same_load(comparison: ToolComparison) -> str:
     """Say whether it may be the same tool."""
     if comparison.same_load:
         return "Mass and centre are the same as far as both calibrations can tell."

@@ -13,11 +13,11 @@ from nicegui.elements.mixins.disableable_element import DisableableElement
 from galen_panel.options import Options
 from galen_panel.page.elements import heading
 from galen_panel.recordings.recordings import Recordings
-from galen_panel.snapshot import Answer, State, Suite
+from galen_panel.snapshot import CallAnswer, Suite, SuiteState
 
 LOOK_PERIOD_S = 0.2
 _READING_S_PER_CHARACTER = 0.06
-_ASKED_ALREADY = Answer(False, "That is under way already.")
+_ASKED_ALREADY = CallAnswer(False, "That is under way already.")
 _log = logging.getLogger(__name__)
 
 
@@ -32,13 +32,13 @@ class Page:
         self.options = options
         self.recordings = recordings
         self.client = ui.context.client
-        self._updates: list[Callable[[State], None]] = []
+        self._updates: list[Callable[[SuiteState], None]] = []
         self._seen = -1
         self._waiting: set[int] = set()
         self._rejected: dict[int, str] = {}
         ui.timer(LOOK_PERIOD_S, self._look)
 
-    def on_change(self, update: Callable[[State], None]) -> None:
+    def on_change(self, update: Callable[[SuiteState], None]) -> None:
         """Call it now, and whenever the state is another one.
 
         It is called some times a second: it sets texts and properties that differ, and makes
@@ -90,7 +90,7 @@ class Page:
                 else:
                     element.set_enabled(not self._rejected.get(element.id))
 
-    async def ask(self, work: Awaitable[Answer], *elements: DisableableElement) -> Answer:
+    async def ask(self, work: Awaitable[CallAnswer], *elements: DisableableElement) -> CallAnswer:
         """Wait for an answer and show it; the elements take no input meanwhile.
 
         Where one of them waits for an answer already, `work` is not done. A failure of the panel
@@ -105,11 +105,11 @@ class Page:
                 answer = await work
             except Exception as error:
                 _log.exception("the panel failed to ask")
-                answer = Answer(False, f"The panel failed ({error!r}). Its terminal says more.")
+                answer = CallAnswer(False, f"The panel failed ({error!r}). Its terminal says more.")
         self.tell(answer)
         return answer
 
-    def tell(self, answer: Answer) -> None:
+    def tell(self, answer: CallAnswer) -> None:
         """Show an answer for as long as it takes to read it; an error until it is closed.
 
         Nothing is shown where the browser has gone meanwhile.
@@ -131,7 +131,7 @@ class Page:
 
     def complain(self, text: str) -> None:
         """Say what is missing before something can be asked for."""
-        self.tell(Answer(False, text))
+        self.tell(CallAnswer(False, text))
 
     def _look(self) -> None:
         state = self.suite.state

@@ -18,7 +18,7 @@ from galen_model.load.model import gravity_regressor
 from nicegui import ui
 
 from galen_panel.messages import texts
-from galen_panel.snapshot import Behaviour, Kind, Pose
+from galen_panel.snapshot import Behaviour, BehaviourKind, FinishedPose
 
 _REASONS = 4
 
@@ -34,7 +34,7 @@ class PosesView:
             self._table = ui.html("", sanitize=False).props("data-testid=poses")
         self._rejected = ui.label().classes("panel-lines")
         # A quick check's few poses are for its own fit; their residual is no news here.
-        self._fits = behaviour.kind is Kind.CALIBRATE
+        self._fits = behaviour.kind is BehaviourKind.CALIBRATE
 
     def update(self, behaviour: Behaviour) -> None:
         """Draw what is new."""
@@ -55,7 +55,7 @@ class PosesView:
         self._rejected.set_visibility(bool(rejected))
 
 
-def _sentence(name: str, poses: list[Pose], fits: bool) -> str:
+def _sentence(name: str, poses: list[FinishedPose], fits: bool) -> str:
     left = residuals(poses) if fits else {}
     return f"{sweep_title(name)}: {sweep_summary(poses, left)}"
 
@@ -74,7 +74,7 @@ def sweep_title(sweep: str) -> str:
     return _SWEEPS.get(sweep) or texts.sentence(sweep).rstrip(".") or "Poses"
 
 
-def sweep_summary(poses: Sequence[Pose], residuals: Residuals) -> str:
+def sweep_summary(poses: Sequence[FinishedPose], residuals: Residuals) -> str:
     """A sweep in a sentence, such as "12 poses, 1 not used, they agree within 3.1 mN, ..."."""
     rejected = sum(not pose.accepted for pose in poses)
     text = texts.count(len(poses), "pose")
@@ -87,7 +87,7 @@ def sweep_summary(poses: Sequence[Pose], residuals: Residuals) -> str:
     return text + "."
 
 
-def rejections(poses: Sequence[Pose]) -> list[str]:
+def rejections(poses: Sequence[FinishedPose]) -> list[str]:
     """Why poses are not used, a line each."""
     return [
         f"Roll {texts.degrees(pose.roll_rad)}, tilt {texts.degrees(pose.tilt_rad)}: {pose.text}"
@@ -96,7 +96,7 @@ def rejections(poses: Sequence[Pose]) -> list[str]:
     ]
 
 
-def poses_table(poses: Sequence[Pose], residuals: Residuals) -> str:
+def poses_table(poses: Sequence[FinishedPose], residuals: Residuals) -> str:
     """HTML: a grid where the poses are one, else the newest in a list. All text is escaped."""
     if not poses:
         return ""
@@ -125,7 +125,7 @@ def poses_table(poses: Sequence[Pose], residuals: Residuals) -> str:
     )
 
 
-def _list(poses: Sequence[Pose], residuals: Residuals, odd: frozenset[int]) -> str:
+def _list(poses: Sequence[FinishedPose], residuals: Residuals, odd: frozenset[int]) -> str:
     lines = [
         f"<tr><th scope='row'>{pose.number}</th><td>{escape(texts.degrees(pose.roll_rad))}</td>"
         f"<td>{escape(texts.degrees(pose.tilt_rad))}</td>{_cell(pose, residuals, odd)}</tr>"
@@ -140,7 +140,7 @@ def _list(poses: Sequence[Pose], residuals: Residuals, odd: frozenset[int]) -> s
     )
 
 
-def _cell(pose: Pose, residuals: Residuals, odd: frozenset[int]) -> str:
+def _cell(pose: FinishedPose, residuals: Residuals, odd: frozenset[int]) -> str:
     if not pose.accepted:
         return f"<td class='panel-pose-rejected' title='{escape(pose.text, quote=True)}'>✗</td>"
     residual = residuals.get(pose.number)
@@ -168,7 +168,7 @@ _ENOUGH = 4
 """Poses: six readings each, ten unknowns."""
 
 
-def residuals(poses: Sequence[Pose]) -> Mapping[int, tuple[float, float]]:
+def residuals(poses: Sequence[FinishedPose]) -> Mapping[int, tuple[float, float]]:
     """Compute each pose's residual force and torque, N and N.m, by its number.
 
     poses: of one sweep. Only accepted ones with a finite reading count; empty while they are too

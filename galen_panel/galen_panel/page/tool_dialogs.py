@@ -10,7 +10,7 @@ from galen_panel.messages import hints, texts
 from galen_panel.page.calibration_options import AREA_CLEAR, CalibrationOptions
 from galen_panel.page.outcome import draw_comparison
 from galen_panel.page.page import LOOK_PERIOD_S, Page, buttons, confirmed, dialog
-from galen_panel.snapshot import Answer, Kind
+from galen_panel.snapshot import BehaviourKind, CallAnswer
 
 
 async def remove_tool(page: Page, name: str, button: ui.button) -> None:
@@ -36,7 +36,7 @@ async def revert_tool(page: Page, name: str, button: ui.button) -> None:
         if not free:
             return
         found = await page.suite.compare(name)
-    if isinstance(found, Answer):
+    if isinstance(found, CallAnswer):
         page.tell(found)
         return
     with dialog(page, f"Go back to the calibration of {name} before?") as shown:
@@ -71,7 +71,7 @@ async def new_tool(page: Page) -> None:
             goal = options.goal(name.value or "") if name.validate() else None
             if goal is None:
                 return
-            why_not = hints.cannot_start(page.suite.state, Kind.CALIBRATE)
+            why_not = hints.cannot_start(page.suite.state, BehaviourKind.CALIBRATE)
             reason.set_text(why_not)
             if not why_not and (await page.ask(page.suite.start(goal), start)).ok:
                 shown.submit(True)

@@ -8,7 +8,7 @@ from galen_panel.messages import hints, texts
 from galen_panel.page import tool_dialogs
 from galen_panel.page.elements import heading, pick_class, set_prop, set_test_id
 from galen_panel.page.page import Page
-from galen_panel.snapshot import Active, State, Tool
+from galen_panel.snapshot import ListedTool, LoadedTool, SuiteState
 
 _LISTED = 40
 """Tools that are drawn at most: a page of 500 would be slow and unread."""
@@ -74,7 +74,7 @@ class _Tools:
         for tool in found[:_LISTED]:
             self._rows[tool.name].update(tool, state, set_tool)
 
-    def _place(self, tools: list[Tool]) -> None:
+    def _place(self, tools: list[ListedTool]) -> None:
         """Rows for these tools in this order; those that stay are kept, and their focus with it."""
         names = [tool.name for tool in tools]
         if list(self._rows) == names:
@@ -126,7 +126,7 @@ class _Row:
             set_prop(self._remove, "aria-label", f"Remove {name}")
             set_test_id(self._remove, f"tool-{name}-remove")
 
-    def update(self, tool: Tool, state: State, set_tool: str) -> None:
+    def update(self, tool: ListedTool, state: SuiteState, set_tool: str) -> None:
         """Show it as it is now. set_tool: why none can be activated, or empty."""
         compensated = _compensated_instead(tool, state.active_tool)
         active = tool.active_tool and not compensated
@@ -166,7 +166,7 @@ class _Row:
         await tool_dialogs.remove_tool(self._page, self._name, self._remove)
 
 
-def _compensated_instead(tool: Tool, loaded: Active | None) -> str:
+def _compensated_instead(tool: ListedTool, loaded: LoadedTool | None) -> str:
     """What of the active tool is compensated where its file is another one by now; else empty."""
     if not tool.active_tool or loaded is None:
         return ""
@@ -178,7 +178,7 @@ def _compensated_instead(tool: Tool, loaded: Active | None) -> str:
     return f"{now}." if tool.problem else f"{now}. Press to load this file."
 
 
-def _made(tool: Tool) -> str:
+def _made(tool: ListedTool) -> str:
     parts = [f"Calibrated {texts.date(tool.calibrated_at)}"]
     if tool.poses_used:
         parts.append(texts.count(tool.poses_used, "pose"))
@@ -187,7 +187,7 @@ def _made(tool: Tool) -> str:
     return " · ".join(parts)
 
 
-def _note(state: State, found: int) -> str:
+def _note(state: SuiteState, found: int) -> str:
     """What is to be said of the list as a whole; empty where it speaks for itself."""
     missing = hints.missing(state, "gravcomp/list_tools")
     if missing:

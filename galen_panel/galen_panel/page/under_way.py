@@ -12,9 +12,13 @@ from nicegui import ui
 from galen_panel.messages import hints, texts
 from galen_panel.page.elements import set_prop
 from galen_panel.page.page import Page
-from galen_panel.snapshot import Asked, Behaviour, Kind, State
+from galen_panel.snapshot import Asked, Behaviour, BehaviourKind, SuiteState
 
-_UNITS = {Kind.CALIBRATE: "poses", Kind.CHECK: "poses", Kind.COLLECT: "pushes"}
+_UNITS = {
+    BehaviourKind.CALIBRATE: "poses",
+    BehaviourKind.CHECK: "poses",
+    BehaviourKind.COLLECT: "pushes",
+}
 
 
 def build(page: Page) -> None:
@@ -23,7 +27,7 @@ def build(page: Page) -> None:
     with ui.column().classes("panel-strips") as place:
         place.set_visibility(False)
 
-    def update(state: State) -> None:
+    def update(state: SuiteState) -> None:
         running = {b.number: b for b in state.behaviours.values() if b.running}
         for number in set(strips) - set(running):
             strips.pop(number).element.delete()
@@ -63,7 +67,7 @@ class _Strip:
                 self._confirm = ui.button(icon="check", on_click=self._on_confirm)
                 self._confirm.props("unelevated size=lg data-testid=confirm")
 
-    def update(self, behaviour: Behaviour, state: State) -> None:
+    def update(self, behaviour: Behaviour, state: SuiteState) -> None:
         """Show how far it is."""
         self._title.set_text(title(behaviour))
         self._message.set_text(texts.sentence(behaviour.message))

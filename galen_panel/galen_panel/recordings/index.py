@@ -40,7 +40,7 @@ class RecordingKind(Enum):
 
 
 @dataclass(frozen=True)
-class Recording:
+class FoundRecording:
     """One of them, as the search found it.
 
     name: its path below the directory. at_s: when it was recorded, s since 1970; where its metadata
@@ -52,7 +52,7 @@ class Recording:
     name: str
     path: Path
     at_s: float
-    parts: tuple[Recording, ...] = ()
+    parts: tuple[FoundRecording, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -76,14 +76,14 @@ class Index:
     """What was found, the newest first, and why nothing was."""
 
     directory: Path
-    recordings: tuple[Recording, ...] = ()
+    recordings: tuple[FoundRecording, ...] = ()
     problem: str = ""
 
-    def get(self, recording_id: str) -> Recording | None:
+    def get(self, recording_id: str) -> FoundRecording | None:
         """The recording of an id; None where there is none."""
         return next((one for one in self.recordings if one.id == recording_id), None)
 
-    def matching(self, text: str) -> list[Recording]:
+    def matching(self, text: str) -> list[FoundRecording]:
         """Those whose name or kind holds each word of a text; case makes no difference."""
         words = text.casefold().split()
         return [
@@ -107,7 +107,7 @@ def find_recordings(directory: Path) -> Index:
     return Index(directory, tuple(sorted(found, key=lambda one: (-one.at_s, one.name))))
 
 
-def look_at(recording: Recording, directory: Path) -> Details:
+def look_at(recording: FoundRecording, directory: Path) -> Details:
     """Read a recording's metadata. Nothing is raised: what can't be read is a problem, told."""
     root = directory.resolve()
     if recording.kind is RecordingKind.BAG:
@@ -123,12 +123,12 @@ def leads_out(path: Path, root: Path) -> bool:
         return True
 
 
-def _recording(path: Path, kind: RecordingKind, directory: Path, at_s: float) -> Recording:
+def _recording(path: Path, kind: RecordingKind, directory: Path, at_s: float) -> FoundRecording:
     relative = os.path.relpath(path, directory)
     whole = f"{kind.value}:{relative}".encode(errors="surrogateescape")
     name = one_line(directory.resolve().name if relative == "." else relative)
     digest = hashlib.sha256(whole).hexdigest()[:_ID_LETTERS]
-    return Recording(digest, kind, name, path, at_s)
+    return FoundRecording(digest, kind, name, path, at_s)
 
 
 def _at_s(path: Path) -> float:
@@ -146,9 +146,9 @@ def _at_s(path: Path) -> float:
         return 0.0
 
 
-def _sets(bags: Iterable[Recording]) -> Iterator[tuple[Path, list[Recording]]]:
+def _sets(bags: Iterable[FoundRecording]) -> Iterator[tuple[Path, list[FoundRecording]]]:
     """Folders with the bags of a diagnosis recording, and these."""
-    folders: dict[Path, list[Recording]] = {}
+    folders: dict[Path, list[FoundRecording]] = {}
     for bag in bags:
         if bag.path.name in BAGS and bag.path.is_dir():
             folders.setdefault(bag.path.parent, []).append(bag)
@@ -209,7 +209,7 @@ def _note(path: Path, has_metadata: bool, metadata: BagMetadata) -> str:
     return ""
 
 
-def _look_at_set(recording: Recording, directory: Path, root: Path) -> Details:
+def _look_at_set(recording: FoundRecording, directory: Path, root: Path) -> Details:
     folder = recording.path
     parts = {part.path.name: _look_at_bag(part.path, directory, root) for part in recording.parts}
     problems = [f"{name}: {part.problem}" for name, part in parts.items() if part.problem]
@@ -241,7 +241,7 @@ VERBS = {"evaluate": "Evaluation", "diagnose": "Diagnosis"}
 """By the kind of a job or a report."""
 
 
-def line_of(recording: Recording, details: Details) -> str:
+def line_of(recording: FoundRecording, details: Details) -> str:
     """When, how long, how large, in a line."""
     parts = [texts.date(datetime.fromtimestamp(recording.at_s, UTC).isoformat(timespec="seconds"))]
     if details.duration_s is not None:
@@ -252,7 +252,7 @@ def line_of(recording: Recording, details: Details) -> str:
     return ", ".join(parts)
 
 
-def facts_of(recording: Recording, details: Details) -> str:
+def facts_of(recording: FoundRecording, details: Details) -> str:
     """All that metadata says of it, and what is wrong with it; a line each."""
     lines = [line_of(recording, details)]
     if details.problem:

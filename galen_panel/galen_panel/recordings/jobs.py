@@ -23,7 +23,7 @@ from typing import IO, Any
 from galen_model.errors import GalenError, one_line
 
 from galen_panel.recordings.report_files import Reports
-from galen_panel.snapshot import Answer
+from galen_panel.snapshot import CallAnswer
 
 MOST_WAITING = 20
 _MOST_ENDED = 20
@@ -32,7 +32,7 @@ _ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM
 """Numerical libraries would take all cores otherwise, and the arm's loop needs one."""
 
 
-class Stage(Enum):
+class JobStage(Enum):
     """Where a job is."""
 
     WAITING = "waiting"
@@ -55,12 +55,12 @@ class Wanted:
 
 
 @dataclass(frozen=True)
-class Job:
+class QueuedJob:
     """One of them. share: what is done of it, 0 to 1, None where unknown; report: its id."""
 
     id: int
     wanted: Wanted
-    stage: Stage = Stage.WAITING
+    stage: JobStage = JobStage.WAITING
     doing: str = ""
     share: float | None = None
     text: str = ""
@@ -70,7 +70,7 @@ class Job:
     @property
     def ended(self) -> bool:
         """Whether it is over."""
-        return self.stage not in (Stage.WAITING, Stage.RUNNING)
+        return self.stage not in (JobStage.WAITING, JobStage.RUNNING)
 
 
 class Jobs:
@@ -81,7 +81,7 @@ class Jobs:
         self._reports = reports
         self._command = list(command or (sys.executable, "-m", "galen_panel.recordings.bag_worker"))
         self._changed = threading.Condition()
-        self._jobs: list[Job] = []
+        self._jobs: list[QueuedJob] = []
         self._next_id = 1
         self._revision = 0
         self._closing = False
@@ -95,50 +95,50 @@ class Jobs:
             return self._revision
 
     @property
-    def jobs(self) -> tuple[Job, ...]:
+    def jobs(self) -> tuple[QueuedJob, ...]:
         """Those that run or wait in their order, then those that ended, the newest first."""
         with self._changed:
             open_ = [job for job in self._jobs if not job.ended]
             ended = [job for job in reversed(self._jobs) if job.ended]
         return tuple(open_ + ended)
 
-    def get(self, job_id: int) -> Job | None:
+    def get(self, job_id: int) -> QueuedJob | None:
         """The job of an id; None where there is none."""
         with self._changed:
             return self._find(job_id)
 
-    def submit(self, wanted: Wanted) -> Answer:
+    def submit(self, wanted: Wanted) -> CallAnswer:
         """Put it at the queue's end, unless it is there already."""
         with self._changed:
             open_ = [job for job in self._jobs if not job.ended]
             if self._closing:
-                return Answer(False, "The panel is ending.")
+                return CallAnswer(False, "The panel is ending.")
             if any(job.wanted == wanted for job in open_):
-                return Answer(False, f"{wanted.recording} is in the queue already.")
+                return CallAnswer(False, f"{wanted.recording} is in the queue already.")
             if len(open_) > MOST_WAITING:
-                return Answer(False, f"{MOST_WAITING} wait already. Cancel some, or wait.")
-            self._jobs.append(Job(self._next_id, wanted))
+                return CallAnswer(False, f"{MOST_WAITING} wait already. Cancel some, or wait.")
+            self._jobs.append(QueuedJob(self._next_id, wanted))
             self._next_id += 1
             self._announce()
             if self._thread is None:
                 self._thread = threading.Thread(target=self._run, name="recordings", daemon=True)
                 self._thread.start()
         if open_:
-            return Answer(True, f"{wanted.recording} is in the queue, {len(open_)} before it.")
-        return Answer(True, f"{wanted.recording}: begun.")
+            return CallAnswer(True, f"{wanted.recording} is in the queue, {len(open_)} before it.")
+        return CallAnswer(True, f"{wanted.recording}: begun.")
 
-    def cancel(self, job_id: int) -> Answer:
+    def cancel(self, job_id: int) -> CallAnswer:
         """End it, or take it out of the queue."""
         with self._changed:
             job = self._find(job_id)
             if job is None or job.ended:
-                return Answer(False, "That is over already.")
-            if job.stage is Stage.WAITING:
-                self._put(replace(job, stage=Stage.CANCELED, text="Canceled."))
+                return CallAnswer(False, "That is over already.")
+            if job.stage is JobStage.WAITING:
+                self._put(replace(job, stage=JobStage.CANCELED, text="Canceled."))
             else:
                 self._put(replace(job, canceling=True))
                 self._kill()
-        return Answer(True, f"{job.wanted.recording}: canceled.")
+        return CallAnswer(True, f"{job.wanted.recording}: canceled.")
 
     def close(self) -> None:
         """End what runs, forget what waits."""
@@ -152,10 +152,10 @@ class Jobs:
 
     # Inside; with the lock
 
-    def _find(self, job_id: int) -> Job | None:
+    def _find(self, job_id: int) -> QueuedJob | None:
         return next((job for job in self._jobs if job.id == job_id), None)
 
-    def _put(self, job: Job) -> None:
+    def _put(self, job: QueuedJob) -> None:
         self._jobs = [job if one.id == job.id else one for one in self._jobs]
         ended = [one.id for one in self._jobs if one.ended]
         old = set(ended[:-_MOST_ENDED])
@@ -179,21 +179,21 @@ class Jobs:
             try:
                 self._do(job)
             except (GalenError, OSError) as error:
-                self._end(job.id, Stage.FAILED, f"It failed: {error}.")
+                self._end(job.id, JobStage.FAILED, f"It failed: {error}.")
 
-    def _wait_for_next(self) -> Job | None:
+    def _wait_for_next(self) -> QueuedJob | None:
         with self._changed:
             while True:
                 if self._closing:
                     return None
-                waiting = [job for job in self._jobs if job.stage is Stage.WAITING]
+                waiting = [job for job in self._jobs if job.stage is JobStage.WAITING]
                 if waiting:
-                    job = replace(waiting[0], stage=Stage.RUNNING, doing="starting")
+                    job = replace(waiting[0], stage=JobStage.RUNNING, doing="starting")
                     self._put(job)
                     return job
                 self._changed.wait()
 
-    def _do(self, job: Job) -> None:
+    def _do(self, job: QueuedJob) -> None:
         folder = self._reports.begin()
         try:
             with tempfile.TemporaryFile() as complaints:
@@ -211,13 +211,15 @@ class Jobs:
                         "sentence": str(last.get("sentence", "")),
                     },
                 )
-                self._end(job.id, Stage.DONE, report.sentence, report.id)
+                self._end(job.id, JobStage.DONE, report.sentence, report.id)
                 return
         finally:
             self._reports.discard(folder)
         self._fail(job.id, last, code, said)
 
-    def _work(self, job: Job, folder: Path, complaints: IO[bytes]) -> tuple[Mapping[str, Any], int]:
+    def _work(
+        self, job: QueuedJob, folder: Path, complaints: IO[bytes]
+    ) -> tuple[Mapping[str, Any], int]:
         """Run the worker; returns its last line and its exit code."""
         with self._changed:
             if self._closing:
@@ -287,18 +289,18 @@ class Jobs:
         with self._changed:
             canceled = self._canceling(job_id) or self._closing
         if canceled:
-            self._end(job_id, Stage.CANCELED, "Canceled.")
+            self._end(job_id, JobStage.CANCELED, "Canceled.")
         elif "error" in last:
-            self._end(job_id, Stage.FAILED, f"It failed: {last['error']}")
+            self._end(job_id, JobStage.FAILED, f"It failed: {last['error']}")
         elif code < 0:
             name = signal.Signals(-code).name
             hint = " Perhaps there was not enough memory." if code == -signal.SIGKILL else ""
-            self._end(job_id, Stage.FAILED, f"Its process was ended by {name}.{hint}")
+            self._end(job_id, JobStage.FAILED, f"Its process was ended by {name}.{hint}")
         else:
             detail = f": {said}" if said else "."
-            self._end(job_id, Stage.FAILED, f"Its process ended with code {code}{detail}")
+            self._end(job_id, JobStage.FAILED, f"Its process ended with code {code}{detail}")
 
-    def _end(self, job_id: int, stage: Stage, text: str, report: str = "") -> None:
+    def _end(self, job_id: int, stage: JobStage, text: str, report: str = "") -> None:
         with self._changed:
             job = self._find(job_id)
             if job is not None:

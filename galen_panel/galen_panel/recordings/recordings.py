@@ -16,8 +16,8 @@ from starlette.responses import PlainTextResponse, Response
 from galen_panel.recordings.index import (
     TOOL_BESIDE,
     Details,
+    FoundRecording,
     Index,
-    Recording,
     RecordingKind,
     find_recordings,
     leads_out,
@@ -25,7 +25,7 @@ from galen_panel.recordings.index import (
 )
 from galen_panel.recordings.jobs import Jobs, Wanted
 from galen_panel.recordings.report_files import Reports
-from galen_panel.snapshot import Answer
+from galen_panel.snapshot import CallAnswer
 
 BESIDE = "beside"
 _TOOLS_OF_BAGS = "tools"
@@ -40,7 +40,7 @@ class ToolChoice:
     path: Path
 
 
-def tool_choices(recording: Recording, bags_dir: Path, tools_dir: Path) -> list[ToolChoice]:
+def tool_choices(recording: FoundRecording, bags_dir: Path, tools_dir: Path) -> list[ToolChoice]:
     """The file beside the recording first, then those of the two directories; usable ones only."""
     choices = []
     folder = recording.path if recording.path.is_dir() else recording.path.parent
@@ -84,11 +84,11 @@ _REPORT_POLICY = (
 
 
 @dataclass(frozen=True)
-class Listed:
+class ListEntry:
     """A recording on the list, with its number in it."""
 
     number: int
-    recording: Recording
+    recording: FoundRecording
     details: Details
 
 
@@ -96,7 +96,7 @@ class Listed:
 class ListPage:
     """A part of the list. total: how many match; number: of this page, from 0."""
 
-    listed: tuple[Listed, ...]
+    listed: tuple[ListEntry, ...]
     total: int
     number: int
     pages: int
@@ -131,11 +131,11 @@ class Recordings:
         first = number * PAGE_LENGTH
         shown = matching[first : first + PAGE_LENGTH]
         listed = tuple(
-            Listed(first + place, one, self.details(one)) for place, one in enumerate(shown)
+            ListEntry(first + place, one, self.details(one)) for place, one in enumerate(shown)
         )
         return ListPage(listed, len(matching), number, pages, index.problem)
 
-    def details(self, recording: Recording) -> Details:
+    def details(self, recording: FoundRecording) -> Details:
         """What a recording's metadata says, read once until the next search."""
         with self._lock:
             known = self._details.get(recording.id)
@@ -145,7 +145,7 @@ class Recordings:
                 self._details[recording.id] = known
         return known
 
-    def get(self, recording_id: str) -> Recording | None:
+    def get(self, recording_id: str) -> FoundRecording | None:
         """The recording of an id; None where there is none, or no search was made."""
         return None if self._index is None else self._index.get(recording_id)
 
@@ -156,18 +156,18 @@ class Recordings:
             return []
         return tool_choices(recording, self.bags_dir, self.tools_dir)
 
-    def start(self, recording_id: str, tool_id: str) -> Answer:
+    def start(self, recording_id: str, tool_id: str) -> CallAnswer:
         """Evaluate a bag, diagnose a diagnosis recording; ids as they were given to the browser."""
         recording = self.get(recording_id)
         if recording is None:
-            return Answer(False, _GONE)
+            return CallAnswer(False, _GONE)
         # Files may have changed since they were listed.
         problem = look_at(recording, self.bags_dir).problem
         if problem:
-            return Answer(False, f"{recording.name} can't be used. {problem}")
+            return CallAnswer(False, f"{recording.name} can't be used. {problem}")
         tool = next((one for one in self.tools(recording_id) if one.id == tool_id), None)
         if tool is None:
-            return Answer(False, _NO_TOOL)
+            return CallAnswer(False, _NO_TOOL)
         diagnosis = recording.kind is RecordingKind.DIAGNOSIS
         # The diagnosis takes the file in the recording by itself.
         own = diagnosis and tool.id == BESIDE and tool.path.parent == recording.path

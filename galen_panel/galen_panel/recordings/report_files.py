@@ -47,12 +47,12 @@ _TYPES = {
 }
 
 
-class ReportError(GalenError):
+class StoredReportError(GalenError):
     """A report can't be written or read."""
 
 
 @dataclass(frozen=True)
-class Report:
+class StoredReport:
     """One of them. made_at: RFC 3339. recording, tool: as they were named to the person."""
 
     id: str
@@ -80,15 +80,15 @@ class Reports:
     def __init__(self, directory: Path) -> None:
         self._directory = directory
         self._lock = threading.Lock()
-        self._known: dict[str, Report] | None = None
+        self._known: dict[str, StoredReport] | None = None
 
-    def all(self) -> list[Report]:
+    def all(self) -> list[StoredReport]:
         """The newest first. The first call reads the directory."""
         with self._lock:
             known = self._read_known()
             return sorted(known.values(), key=lambda one: one.id, reverse=True)
 
-    def get(self, report_id: str) -> Report | None:
+    def get(self, report_id: str) -> StoredReport | None:
         """The report of an id; None where there is none."""
         with self._lock:
             return self._read_known().get(report_id)
@@ -100,20 +100,22 @@ class Reports:
             self._sweep()
             return Path(tempfile.mkdtemp(dir=self._directory, prefix=_UNFINISHED))
         except OSError as error:
-            raise ReportError(f"{self._directory}: can't be written: {error.strerror}") from error
+            raise StoredReportError(
+                f"{self._directory}: can't be written: {error.strerror}"
+            ) from error
 
-    def finish(self, folder: Path, told: Mapping[str, str]) -> Report:
+    def finish(self, folder: Path, told: Mapping[str, str]) -> StoredReport:
         """List what was written into a folder; `told` has Report's fields but id and made_at."""
         at = datetime.now(UTC)
         name = f"{at.strftime('%Y%m%dT%H%M%SZ')}_{told['kind']}_{secrets.token_hex(4)}"
-        report = Report(id=name, made_at=at.isoformat(timespec="seconds"), **told)
+        report = StoredReport(id=name, made_at=at.isoformat(timespec="seconds"), **told)
         content = {"schema_version": _SCHEMA_VERSION, **asdict(report)}
         try:
             (folder / REPORT).write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
             folder.chmod(0o755)  # mkdtemp's 0700 would hide it from the lab's others
             folder.rename(self._directory / name)
         except OSError as error:
-            raise ReportError(f"{folder}: can't be written: {error.strerror}") from error
+            raise StoredReportError(f"{folder}: can't be written: {error.strerror}") from error
         with self._lock:
             self._read_known()[name] = report
         return report
@@ -122,18 +124,18 @@ class Reports:
         """Remove what was begun and not finished."""
         shutil.rmtree(folder, ignore_errors=True)
 
-    def content(self, report: Report) -> dict[str, Any]:
+    def content(self, report: StoredReport) -> dict[str, Any]:
         """What the command would print with --json. Raises ReportError."""
         name = EVALUATION if report.kind == "evaluate" else DIAGNOSIS
         try:
             content = parse_json(_read(self._directory / report.id / name))
         except (OSError, ValueError) as error:
-            raise ReportError(f"{report.id}: {name} can't be read: {error}") from error
+            raise StoredReportError(f"{report.id}: {name} can't be read: {error}") from error
         if not isinstance(content, dict):
-            raise ReportError(f"{report.id}: {name} is damaged")
+            raise StoredReportError(f"{report.id}: {name} is damaged")
         return content
 
-    def files(self, report: Report) -> dict[str, Path]:
+    def files(self, report: StoredReport) -> dict[str, Path]:
         """The report's files by the name that a browser asks for."""
         folder = self._directory / report.id
         if report.kind == "evaluate":
@@ -161,7 +163,7 @@ class Reports:
 
     # Inside
 
-    def _read_known(self) -> dict[str, Report]:
+    def _read_known(self) -> dict[str, StoredReport]:
         if self._known is None:
             try:
                 names = [path.name for path in self._directory.iterdir()]
@@ -171,7 +173,7 @@ class Reports:
             self._known = {report.id: report for report in found if report is not None}
         return self._known
 
-    def _read_report(self, name: str) -> Report | None:
+    def _read_report(self, name: str) -> StoredReport | None:
         folder = self._directory / name
         try:
             if not _is_folder(folder):
@@ -179,7 +181,7 @@ class Reports:
             content = parse_json(_read(folder / REPORT))
             if content.pop("schema_version") != _SCHEMA_VERSION:
                 return None
-            report = Report(**content)
+            report = StoredReport(**content)
         except (OSError, ValueError, LookupError, TypeError, AttributeError):
             return None
         texts = all(isinstance(value, str) for value in asdict(report).values())

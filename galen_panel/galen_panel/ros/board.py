@@ -14,18 +14,18 @@ from rclpy.client import Client
 from rclpy.node import Node
 
 from galen_panel.messages.hints import DRIVER, GRAVCOMP, OFFERED_BY, Program
-from galen_panel.snapshot import Behaviour, Kind, Level, NodeReport, State
+from galen_panel.snapshot import Behaviour, BehaviourKind, NodeLevel, NodeReport, SuiteState
 
 
 class Board:
     """The state, and the only way to change it."""
 
     def __init__(self) -> None:
-        self._state = State()
+        self._state = SuiteState()
         self._lock = threading.Lock()
 
     @property
-    def state(self) -> State:
+    def state(self) -> SuiteState:
         """The newest snapshot."""
         return self._state
 
@@ -36,12 +36,12 @@ class Board:
     def put_behaviour(self, behaviour: Behaviour) -> None:
         """Show a behaviour in place of the one of its kind."""
 
-        def changes(state: State) -> dict[str, dict[Kind, Behaviour]]:
+        def changes(state: SuiteState) -> dict[str, dict[BehaviourKind, Behaviour]]:
             return {"behaviours": {**state.behaviours, behaviour.kind: behaviour}}
 
         self.change(changes)
 
-    def change(self, changes: Callable[[State], dict[str, Any]]) -> None:
+    def change(self, changes: Callable[[SuiteState], dict[str, Any]]) -> None:
         """Change what `changes(state)` says; in it the state stays as it is."""
         with self._lock:
             old = self._state
@@ -114,7 +114,7 @@ def _report(status: Any, heard_s: float) -> NodeReport:
     level = int.from_bytes(status.level)
     return NodeReport(
         one_line(status.name, _LONGEST_KEY),
-        Level(level) if level in (known.value for known in Level) else Level.STALE,
+        NodeLevel(level) if level in (known.value for known in NodeLevel) else NodeLevel.STALE,
         one_line(status.message),
         {
             one_line(item.key, _LONGEST_KEY): one_line(item.value)

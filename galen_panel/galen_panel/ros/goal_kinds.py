@@ -27,13 +27,13 @@ from galen_panel.messages.hints import CALIBRATION, COLLECTION, Program
 from galen_panel.ros.thread import CallError
 from galen_panel.snapshot import (
     Asked,
+    BehaviourKind,
+    BehaviourOutcome,
     CalibrateGoal,
     CheckGoal,
     CollectGoal,
+    FinishedPose,
     Goal,
-    Kind,
-    Outcome,
-    Pose,
 )
 
 
@@ -45,13 +45,13 @@ class Step:
     message: str
     done: int
     total: int
-    pose: Pose | None = None
+    pose: FinishedPose | None = None
 
 
 class GoalKind(ABC):
     """One action of the suite."""
 
-    kind: ClassVar[Kind]
+    kind: ClassVar[BehaviourKind]
     program: ClassVar[Program]
     action_type: ClassVar[Any]
     lost: ClassVar[str]
@@ -91,7 +91,7 @@ class GoalKind(ABC):
         phase = self._phase(feedback.state)
         return Step(phase, feedback.message, feedback.done, feedback.total, self._pose(feedback))
 
-    def _pose(self, feedback: Any) -> Pose | None:
+    def _pose(self, feedback: Any) -> FinishedPose | None:
         return None
 
     def _phase(self, state: int) -> str:
@@ -107,12 +107,12 @@ class GoalKind(ABC):
         """What a person does in this state, where one is to do it."""
         return None
 
-    def outcome(self, result: Any, tool: str, new: bool) -> Outcome:
+    def outcome(self, result: Any, tool: str, new: bool) -> BehaviourOutcome:
         """What a result says; `new`: whether the tool had no file when the goal began."""
         known = result.error_code in (code.value for code in self.codes)
         code = self.codes(result.error_code).name if known else f"CODE_{result.error_code}"
         ok = code == "NONE"
-        return Outcome(
+        return BehaviourOutcome(
             error="" if ok else code,
             text=self._succeeded(result) if ok else self._failed(result.error_msg or code, result),
             tool=tool,
@@ -129,10 +129,10 @@ class GoalKind(ABC):
         return f"{self.program.executable} went away; {self.lost}"
 
 
-class Calibration(GoalKind):
+class CalibrationGoals(GoalKind):
     """`calibrate_tool`."""
 
-    kind = Kind.CALIBRATE
+    kind = BehaviourKind.CALIBRATE
     program = CALIBRATION
     action_type = CalibrateTool
     lost = "nothing was written"
@@ -164,12 +164,12 @@ class Calibration(GoalKind):
         """See GoalKind."""
         return Asked[phase] if phase in Asked.__members__ else None
 
-    def _pose(self, feedback: Any) -> Pose | None:
+    def _pose(self, feedback: Any) -> FinishedPose | None:
         if not math.isfinite(feedback.roll):
             return None
         bare = feedback.state == CalibrationState.SWEEP_BARE
         wrench = tuple(map(float, feedback.wrench))
-        return Pose(
+        return FinishedPose(
             sweep="bare" if bare else "tool",
             number=feedback.pose,
             roll_rad=feedback.roll,
@@ -197,10 +197,10 @@ class Calibration(GoalKind):
         return f"not calibrated, and nothing is written: {message}"
 
 
-class Check(GoalKind):
+class CheckGoals(GoalKind):
     """`check_tool`."""
 
-    kind = Kind.CHECK
+    kind = BehaviourKind.CHECK
     program = CALIBRATION
     action_type = CheckTool
     lost = "nothing is known of the tool"
@@ -220,11 +220,11 @@ class Check(GoalKind):
         """See GoalKind."""
         return goal.tool or active_tool
 
-    def _pose(self, feedback: Any) -> Pose | None:
+    def _pose(self, feedback: Any) -> FinishedPose | None:
         if not math.isfinite(feedback.roll):
             return None
         roll, tilt, done = feedback.roll, feedback.tilt, feedback.done
-        return Pose("check", done, roll, tilt, feedback.accepted, feedback.message)
+        return FinishedPose("check", done, roll, tilt, feedback.accepted, feedback.message)
 
     def _file(self, result: Any) -> str:
         return ""
@@ -236,10 +236,10 @@ class Check(GoalKind):
         return f"not checked: {message}"
 
 
-class Collection(GoalKind):
+class CollectionGoals(GoalKind):
     """`collect_pushes`."""
 
-    kind = Kind.COLLECT
+    kind = BehaviourKind.COLLECT
     program = COLLECTION
     action_type = CollectPushes
     lost = "what it recorded is under a name that ends in .unfinished"
@@ -277,11 +277,11 @@ class Collection(GoalKind):
         return f"not collected: {message}{where}"
 
 
-KINDS: tuple[GoalKind, ...] = (Calibration(), Check(), Collection())
+KINDS: tuple[GoalKind, ...] = (CalibrationGoals(), CheckGoals(), CollectionGoals())
 
 
-def kind_of(goal: Goal) -> Kind:
+def kind_of(goal: Goal) -> BehaviourKind:
     """Which behaviour a goal is for."""
     if isinstance(goal, CalibrateGoal):
-        return Kind.CALIBRATE
-    return Kind.CHECK if isinstance(goal, CheckGoal) else Kind.COLLECT
+        return BehaviourKind.CALIBRATE
+    return BehaviourKind.CHECK if isinstance(goal, CheckGoal) else BehaviourKind.COLLECT

@@ -25,15 +25,15 @@ from galen_panel.ros.goal_kinds import GoalKind
 from galen_panel.ros.thread import CallError, Calls, Reply, RosThread
 from galen_panel.snapshot import (
     LOST,
-    Answer,
     Asked,
     Behaviour,
+    BehaviourKind,
+    BehaviourOutcome,
     CalibrateGoal,
+    CallAnswer,
+    FinishedPose,
     Goal,
-    Kind,
     NodeReport,
-    Outcome,
-    Pose,
 )
 
 _SEND_LIMIT_S, _CANCEL_LIMIT_S = 5.0, 5.0
@@ -71,7 +71,7 @@ class _Followed:
 class _Rejection:
     """A goal was rejected; why is on /diagnostics, in a moment."""
 
-    reply: Reply[Answer]
+    reply: Reply[CallAnswer]
     sent_s: float
     deadline_s: float
 
@@ -124,16 +124,16 @@ class GoalFollower:
 
     # ---- what the page asks for
 
-    async def start(self, goal: Goal) -> Answer:
+    async def start(self, goal: Goal) -> CallAnswer:
         """Send a goal; raises CallError, or ToolNameError."""
         request = self._kind.request(goal)
         return await self._thread.ask(lambda reply: self._send_goal(goal, request, reply))
 
-    async def cancel(self) -> Answer:
+    async def cancel(self) -> CallAnswer:
         """Cancel the goal under way; raises CallError."""
         return await self._thread.ask(self._cancel_followed)
 
-    def _send_goal(self, goal: Goal, request: Any, reply: Reply[Answer]) -> None:
+    def _send_goal(self, goal: Goal, request: Any, reply: Reply[CallAnswer]) -> None:
         kind, sent_s = self._kind, time.monotonic()
         if not self._send.service_is_ready():
             raise CallError(kind.program.absent)
@@ -145,7 +145,7 @@ class GoalFollower:
                 self._take_back(goal_id, str(answer), reply)
             elif answer.accepted:
                 self._begin(goal_id)
-                reply.give(Answer(True, kind.begun(goal)))
+                reply.give(CallAnswer(True, kind.begun(goal)))
             else:
                 self._ours.pop(goal_id, None)
                 now_s = time.monotonic()
@@ -156,7 +156,7 @@ class GoalFollower:
         message = self._impl.SendGoalService.Request(goal_id=UUID(uuid=list(goal_id)), goal=request)
         self._calls.send(self._send, message, kind.program, _SEND_LIMIT_S, done)
 
-    def _take_back(self, goal_id: bytes, why: str, reply: Reply[Answer]) -> None:
+    def _take_back(self, goal_id: bytes, why: str, reply: Reply[CallAnswer]) -> None:
         """Cancel a goal without an answer: it may have begun, and only the answer be lost."""
 
         def done(answer: Any) -> None:
@@ -166,14 +166,14 @@ class GoalFollower:
                 text = "it had begun, and is canceled"
             else:
                 text = "it has not begun"
-            reply.give(Answer(False, f"{why}; {text}"))
+            reply.give(CallAnswer(False, f"{why}; {text}"))
 
         self._send_cancel(goal_id, done)
 
-    def _cancel_followed(self, reply: Reply[Answer]) -> None:
+    def _cancel_followed(self, reply: Reply[CallAnswer]) -> None:
         followed = self._followed
         if followed is None:
-            reply.give(Answer(False, "nothing is running: there is nothing to cancel"))
+            reply.give(CallAnswer(False, "nothing is running: there is nothing to cancel"))
             return
 
         def done(answer: Any) -> None:
@@ -182,9 +182,9 @@ class GoalFollower:
             elif answer.goals_canceling:
                 if self._followed is followed:
                     self._show(followed, canceling=True)
-                reply.give(Answer(True, "canceling: the arm stops"))
+                reply.give(CallAnswer(True, "canceling: the arm stops"))
             else:
-                reply.give(Answer(False, "it had just ended: there is nothing to cancel"))
+                reply.give(CallAnswer(False, "it had just ended: there is nothing to cancel"))
 
         self._send_cancel(followed.goal_id, done)
 
@@ -205,7 +205,7 @@ class GoalFollower:
             else:
                 continue
             self._rejections.remove(rejection)
-            rejection.reply.give(Answer(False, text))
+            rejection.reply.give(CallAnswer(False, text))
 
     # ---- the goal under way
 
@@ -244,7 +244,7 @@ class GoalFollower:
 
     def _is_new(self, tool: str) -> bool:
         tools = self._board.state.tools
-        known = self._kind.kind is Kind.CALIBRATE and bool(tool) and tools is not None
+        known = self._kind.kind is BehaviourKind.CALIBRATE and bool(tool) and tools is not None
         return known and tool not in (one.name for one in tools or ())
 
     def _show(self, followed: _Followed, **changes: Any) -> None:
@@ -256,7 +256,7 @@ class GoalFollower:
         self._ended.append(followed.goal_id)
         self._followed = None
 
-    def _end(self, followed: _Followed, outcome: Outcome) -> None:
+    def _end(self, followed: _Followed, outcome: BehaviourOutcome) -> None:
         self._forget(followed)
         self._lost = None
         self._show(followed, outcome=outcome, asked=None)
@@ -265,7 +265,7 @@ class GoalFollower:
     def _lose(self, followed: _Followed) -> None:
         """Give it up, but not for good: its server may only have been out of sight."""
         self._followed, self._lost = None, followed
-        outcome = Outcome(LOST, self._kind.gone, followed.behaviour.tool, new=followed.new)
+        outcome = BehaviourOutcome(LOST, self._kind.gone, followed.behaviour.tool, new=followed.new)
         self._show(followed, outcome=outcome, asked=None)
         self._on_end()
 
@@ -398,7 +398,7 @@ class GoalFollower:
         self._show(followed, asked=asked, **changes)
 
 
-def _with(poses: tuple[Pose, ...], pose: Pose | None) -> tuple[Pose, ...]:
+def _with(poses: tuple[FinishedPose, ...], pose: FinishedPose | None) -> tuple[FinishedPose, ...]:
     """The poses and another one; one that was tried again takes the place of its first trial.
 
     Numbers differ within a sweep, also where a pose that is to be tried again wasn't counted.

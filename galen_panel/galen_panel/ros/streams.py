@@ -25,7 +25,7 @@ from rclpy.subscription import Subscription
 from sensor_msgs.msg import JointState
 
 from galen_msgs.msg import DeflectionStamped
-from galen_panel.history import History, Series
+from galen_panel.history import History, StreamSeries
 
 _POLL_PERIOD_S = 0.04
 _DEPTH = 200
@@ -71,7 +71,7 @@ class _Tap:
     topic: str
     message_type: Any
     read: Read
-    series: Series
+    series: StreamSeries
     subscription: Subscription | None = None
 
 

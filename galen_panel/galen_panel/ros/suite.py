@@ -22,7 +22,15 @@ from galen_panel.ros.goals import GoalFollower
 from galen_panel.ros.streams import Streams
 from galen_panel.ros.thread import Calls, RosThread
 from galen_panel.ros.tools import Tools, comparison
-from galen_panel.snapshot import Answer, CalibrateGoal, Comparison, Goal, Kind, NodeReport, State
+from galen_panel.snapshot import (
+    BehaviourKind,
+    CalibrateGoal,
+    CallAnswer,
+    Goal,
+    NodeReport,
+    SuiteState,
+    ToolComparison,
+)
 
 P = ParamSpec("P")
 T = TypeVar("T")
@@ -35,15 +43,15 @@ _TARE_LIMIT_S = 20.0
 
 def _answered(
     call: Callable[Concatenate[RosSuite, P], Coroutine[Any, Any, T]],
-) -> Callable[Concatenate[RosSuite, P], Coroutine[Any, Any, T | Answer]]:
+) -> Callable[Concatenate[RosSuite, P], Coroutine[Any, Any, T | CallAnswer]]:
     """Give an error as an answer: no call of the page raises."""
 
     @functools.wraps(call)
-    async def safe(suite: RosSuite, *args: P.args, **kwargs: P.kwargs) -> T | Answer:
+    async def safe(suite: RosSuite, *args: P.args, **kwargs: P.kwargs) -> T | CallAnswer:
         try:
             return await call(suite, *args, **kwargs)
         except GalenError as error:
-            return Answer(False, str(error))
+            return CallAnswer(False, str(error))
 
     return safe
 
@@ -100,7 +108,7 @@ class RosSuite(AbstractContextManager["RosSuite"]):
         return on_beat
 
     @property
-    def state(self) -> State:
+    def state(self) -> SuiteState:
         """The newest snapshot."""
         return self._board.state
 
@@ -114,48 +122,48 @@ class RosSuite(AbstractContextManager["RosSuite"]):
         return self.streams.watch()
 
     @_answered
-    async def list_tools(self) -> Answer:
+    async def list_tools(self) -> CallAnswer:
         """See Suite."""
         response = await self._tools.list_tools()
         if not response.success:
-            return Answer(False, response.error_msg)
+            return CallAnswer(False, response.error_msg)
         count = len(response.tools)
-        return Answer(True, f"{count} tool{'' if count == 1 else 's'} in {response.tools_dir}")
+        return CallAnswer(True, f"{count} tool{'' if count == 1 else 's'} in {response.tools_dir}")
 
     @_answered
-    async def activate(self, tool: str) -> Answer:
+    async def activate(self, tool: str) -> CallAnswer:
         """See Suite."""
         request = SetTool.Request(tool=check_tool_name(tool) if tool else "")
         response = await self._tools.ask("set_tool", request)
         if not response.success:
-            return Answer(False, response.error_msg)
-        return Answer(True, f"{response.tool} is active" if tool else "no tool is active")
+            return CallAnswer(False, response.error_msg)
+        return CallAnswer(True, f"{response.tool} is active" if tool else "no tool is active")
 
     @_answered
-    async def remove_tool(self, tool: str) -> Answer:
+    async def remove_tool(self, tool: str) -> CallAnswer:
         """See Suite."""
         request = RemoveTool.Request(tool=check_tool_name(tool))
         response = await self._tools.ask("remove_tool", request)
         if not response.success:
-            return Answer(False, response.error_msg)
+            return CallAnswer(False, response.error_msg)
         await self._tools.list_quietly()
-        return Answer(True, f"{tool} is removed; its file is kept as {response.kept_as}")
+        return CallAnswer(True, f"{tool} is removed; its file is kept as {response.kept_as}")
 
     @_answered
-    async def revert_tool(self, tool: str) -> Answer:
+    async def revert_tool(self, tool: str) -> CallAnswer:
         """See Suite."""
         request = RevertTool.Request(tool=check_tool_name(tool))
         response = await self._tools.ask("revert_tool", request)
         if not response.success:
-            return Answer(False, response.error_msg)
+            return CallAnswer(False, response.error_msg)
         await self._tools.list_quietly()
         active_tool = self.state.active_tool
         again = active_tool is not None and active_tool.tool == tool
         load = f"; activate {tool} to load it" if again else ""
-        return Answer(True, f"{tool} has its calibration before the last one again{load}")
+        return CallAnswer(True, f"{tool} has its calibration before the last one again{load}")
 
     @_answered
-    async def compare(self, tool: str, with_tool: str = "") -> Comparison | Answer:
+    async def compare(self, tool: str, with_tool: str = "") -> ToolComparison | CallAnswer:
         """See Suite."""
         request = CompareTools.Request(
             a=check_tool_name(with_tool or tool),
@@ -163,23 +171,23 @@ class RosSuite(AbstractContextManager["RosSuite"]):
             b=check_tool_name(tool),
         )
         response = await self._tools.ask("compare_tools", request)
-        return comparison(response) if response.success else Answer(False, response.error_msg)
+        return comparison(response) if response.success else CallAnswer(False, response.error_msg)
 
     @_answered
-    async def set_enabled(self, enabled: bool) -> Answer:
+    async def set_enabled(self, enabled: bool) -> CallAnswer:
         """See Suite."""
         request = SetBool.Request(data=enabled)
         response = await self._tools.ask("enable", request, _SWITCH_LIMIT_S)
-        return Answer(response.success, response.message)
+        return CallAnswer(response.success, response.message)
 
     @_answered
-    async def tare(self) -> Answer:
+    async def tare(self) -> CallAnswer:
         """See Suite; the answer comes when it is done."""
         response = await self._tools.ask("tare", Trigger.Request(), _TARE_LIMIT_S)
-        return Answer(response.success, response.message)
+        return CallAnswer(response.success, response.message)
 
     @_answered
-    async def start(self, goal: Goal) -> Answer:
+    async def start(self, goal: Goal) -> CallAnswer:
         """See Suite."""
         if isinstance(goal, CalibrateGoal) and "gravcomp/list_tools" in self.state.available:
             # Whether the tool had a file before is read from the list.
@@ -187,14 +195,16 @@ class RosSuite(AbstractContextManager["RosSuite"]):
         return await self._followers[kind_of(goal)].start(goal)
 
     @_answered
-    async def confirm(self) -> Answer:
+    async def confirm(self) -> CallAnswer:
         """See Suite."""
         response = await self._calls.ask(
             self._confirm, Trigger.Request(), CALIBRATION, _SWITCH_LIMIT_S
         )
-        return Answer(response.success, response.message or "confirmed: the calibration goes on")
+        return CallAnswer(
+            response.success, response.message or "confirmed: the calibration goes on"
+        )
 
     @_answered
-    async def cancel(self, kind: Kind) -> Answer:
+    async def cancel(self, kind: BehaviourKind) -> CallAnswer:
         """See Suite."""
         return await self._followers[kind].cancel()

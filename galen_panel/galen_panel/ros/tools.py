@@ -15,7 +15,13 @@ from galen_msgs.srv import CompareTools, ListTools, RemoveTool, RevertTool, SetT
 from galen_panel.messages.hints import GRAVCOMP
 from galen_panel.ros.board import Board, Presence
 from galen_panel.ros.thread import CallError, Calls
-from galen_panel.snapshot import Active, Comparison, Difference, State, Tool
+from galen_panel.snapshot import (
+    ListedTool,
+    LoadedTool,
+    QuantityDifference,
+    SuiteState,
+    ToolComparison,
+)
 
 _LIST_PERIOD_S = 10.0
 FILE_LIMIT_S = 5.0
@@ -47,7 +53,7 @@ class Tools:
         }
         for name, client in self._clients.items():
             presence.add(f"gravcomp/{name}", client)
-        self._active: Active | None = None
+        self._active: LoadedTool | None = None
         self._there = False
         self._listing = False
         self._list_again = False
@@ -103,7 +109,7 @@ class Tools:
     def _show_active(self) -> None:
         active_tool = self._active if self._there else None
 
-        def changes(state: State) -> dict[str, Any]:
+        def changes(state: SuiteState) -> dict[str, Any]:
             tools = None if state.tools is None else _marked(state.tools, active_tool)
             return {"active_tool": active_tool, "tools": tools}
 
@@ -146,12 +152,12 @@ class Tools:
             self._board.put(tools_problem=str(error))
 
 
-def _marked(tools: Iterable[Tool], active_tool: Active | None) -> tuple[Tool, ...]:
+def _marked(tools: Iterable[ListedTool], active_tool: LoadedTool | None) -> tuple[ListedTool, ...]:
     name = "" if active_tool is None else active_tool.tool
     return tuple(replace(tool, active_tool=bool(name) and tool.name == name) for tool in tools)
 
 
-def _of_file(active_tool: Active) -> tuple[str, str, str]:
+def _of_file(active_tool: LoadedTool) -> tuple[str, str, str]:
     return active_tool.tool, active_tool.calibrated_at, active_tool.file_state
 
 
@@ -159,8 +165,8 @@ def _floats(values: Iterable[float]) -> tuple[float, ...]:
     return tuple(map(float, values))
 
 
-def _tool(row: Any) -> Tool:
-    return Tool(
+def _tool(row: Any) -> ListedTool:
+    return ListedTool(
         name=row.tool,
         mass_kg=row.mass_kg,
         mass_std_kg=row.mass_std_kg,
@@ -175,10 +181,10 @@ def _tool(row: Any) -> Tool:
     )
 
 
-def _active(message: ActiveTool) -> Active:
+def _active(message: ActiveTool) -> LoadedTool:
     force, torque = message.tare.force, message.tare.torque
     tare = (force.x, force.y, force.z, torque.x, torque.y, torque.z)
-    return Active(
+    return LoadedTool(
         tool=message.tool,
         enabled=message.enabled,
         mass_kg=message.mass_kg,
@@ -190,13 +196,13 @@ def _active(message: ActiveTool) -> Active:
     )
 
 
-def comparison(response: Any) -> Comparison:
+def comparison(response: Any) -> ToolComparison:
     """Read the response of `compare_tools`."""
-    return Comparison(
+    return ToolComparison(
         response.text,
         response.same_load,
         tuple(
-            Difference(row.quantity, row.unit, row.a, row.b, row.std_dev, row.text)
+            QuantityDifference(row.quantity, row.unit, row.a, row.b, row.std_dev, row.text)
             for row in response.differences
         ),
         response.worst_force_n,

@@ -13,10 +13,10 @@ from nicegui import events, ui
 from nicegui.awaitable_response import AwaitableResponse
 from nicegui.elements.scene import Object3D
 
-from galen_panel.history import NS_PER_S, Series
+from galen_panel.history import NS_PER_S, StreamSeries
 from galen_panel.page.live.arm_drawing import Drawing, Part, Placement
 from galen_panel.page.page import Page
-from galen_panel.snapshot import Active
+from galen_panel.snapshot import LoadedTool
 
 FACTOR_MAX = 500
 FACTOR = 100
@@ -127,7 +127,7 @@ class Arm:
     def _tell_factor(self) -> None:
         self._told_factor.set_text(f"Bend × {self._factor:.0f}")
 
-    def _choose_drawing(self, active_tool: Active | None) -> None:
+    def _choose_drawing(self, active_tool: LoadedTool | None) -> None:
         """Another tool is another drawing."""
         has_tool = active_tool is not None and bool(active_tool.tool)
         tool = (
@@ -174,7 +174,7 @@ class Arm:
             self._numbers[name].set_text(text)
 
 
-def _now(series: Series, seconds: float, now_ns: int) -> Array | None:
+def _now(series: StreamSeries, seconds: float, now_ns: int) -> Array | None:
     """The mean of a series' last rows; None where it has none or ended a while ago."""
     samples = series.last(seconds)
     if samples.newest_ns is None or now_ns - samples.newest_ns > _STALE_S * NS_PER_S:

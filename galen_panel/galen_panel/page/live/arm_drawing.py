@@ -20,9 +20,9 @@ from galen_model.rotation import matrix_to_quaternion, quaternion_to_matrix
 
 from galen_panel.page.live.arm_view import (
     HERE,
+    ArmPose,
+    ArmShape,
     Model,
-    Pose,
-    Shape,
     bent_frames,
     delta_parts,
     force_in_base,
@@ -81,22 +81,22 @@ class Drawing:
             ),
             *(
                 _part(f"rail/{leg}", [
-                    Shape("", "cylinder", (_RAIL_RADIUS_M, rail_m), Pose(np.eye(3), foot)),
+                    ArmShape("", "cylinder", (_RAIL_RADIUS_M, rail_m), ArmPose(np.eye(3), foot)),
                 ], _DELTA, 0.5)
                 for leg, foot in enumerate(rails.carriages_m)
             ),
             *(
                 _part(f"rod/{rod}", [
-                    Shape("", "cylinder", (_ROD_RADIUS_M, self._arm.rod_length_m), HERE),
+                    ArmShape("", "cylinder", (_ROD_RADIUS_M, self._arm.rod_length_m), HERE),
                 ], _DELTA, 1.0)
                 for rod in range(6)
             ),
             *(
-                _part(f"carriage/{leg}", [Shape("", "box", _CARRIAGE_M, HERE)], _DELTA, 1.0)
+                _part(f"carriage/{leg}", [ArmShape("", "box", _CARRIAGE_M, HERE)], _DELTA, 1.0)
                 for leg in range(3)
             ),
         ]  # fmt: skip
-        arrow = [Shape("", "arrow", (0.006, 0.018), HERE)]
+        arrow = [ArmShape("", "arrow", (0.006, 0.018), HERE)]
         return [*parts, _part("force", arrow, _FORCE, 1.0)]
 
     def place(
@@ -130,7 +130,7 @@ class Drawing:
             placed["force"] = [*_rounded([*tip_m.tolist(), *turn]), round(length_m, 3)]
         return placed
 
-    def _bent(self, joints: Array, deflection: Array | None, factor: float) -> dict[str, Pose]:
+    def _bent(self, joints: Array, deflection: Array | None, factor: float) -> dict[str, ArmPose]:
         if deflection is None:
             return {}
         try:
@@ -139,23 +139,23 @@ class Drawing:
             return {}
         return bent_frames(self._model, joints, bend.times(factor))
 
-    def _shapes(self) -> dict[str, list[Shape]]:
-        shapes: dict[str, list[Shape]] = {}
+    def _shapes(self) -> dict[str, list[ArmShape]]:
+        shapes: dict[str, list[ArmShape]] = {}
         for shape in self._model.shapes:
             shapes.setdefault(shape.link, []).append(shape)
         length_m = float(np.linalg.norm(self._tip_m))
         if length_m > 0.0:
             turn = quaternion_to_matrix(_turn_of_z((self._tip_m / length_m).tolist()))
-            place = Pose(turn, self._tip_m / 2.0)
-            tool = Shape(SENSOR_FRAME, "cylinder", (_TOOL_RADIUS_M, length_m), place)
+            place = ArmPose(turn, self._tip_m / 2.0)
+            tool = ArmShape(SENSOR_FRAME, "cylinder", (_TOOL_RADIUS_M, length_m), place)
             shapes[SENSOR_FRAME].append(tool)
         if self._com_m is not None:
-            place = Pose(np.eye(3), np.asarray(self._com_m, dtype=float))
-            shapes[SENSOR_FRAME].append(Shape("com", "sphere", (_COM_RADIUS_M,), place))
+            place = ArmPose(np.eye(3), np.asarray(self._com_m, dtype=float))
+            shapes[SENSOR_FRAME].append(ArmShape("com", "sphere", (_COM_RADIUS_M,), place))
         return shapes
 
 
-def _part(name: str, shapes: list[Shape], colour: str, opacity: float) -> Part:
+def _part(name: str, shapes: list[ArmShape], colour: str, opacity: float) -> Part:
     return {
         "name": name,
         "shapes": [
@@ -174,7 +174,7 @@ def _part(name: str, shapes: list[Shape], colour: str, opacity: float) -> Part:
     }
 
 
-def _places(poses: dict[str, Pose]) -> Placement:
+def _places(poses: dict[str, ArmPose]) -> Placement:
     # All at once: a quaternion costs more to ask for than to compute.
     turns = matrix_to_quaternion(np.stack([pose.rotation for pose in poses.values()]))
     rows = np.column_stack([np.stack([pose.origin_m for pose in poses.values()]), turns])

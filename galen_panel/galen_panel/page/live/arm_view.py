@@ -31,29 +31,29 @@ PLATFORM_FRAME = "delta_platform"
 
 
 @dataclass(frozen=True)
-class Pose:
+class ArmPose:
     """Of a frame in another: rotation (3, 3) and origin (3,), m."""
 
     rotation: Array
     origin_m: Array
 
-    def then(self, pose: Pose) -> Pose:
+    def then(self, pose: ArmPose) -> ArmPose:
         """A pose in this frame, seen from where this one is."""
-        return Pose(self.rotation @ pose.rotation, self.origin_m + self.rotation @ pose.origin_m)
+        return ArmPose(self.rotation @ pose.rotation, self.origin_m + self.rotation @ pose.origin_m)
 
 
 _EYE = np.eye(3)
-HERE = Pose(_EYE, np.zeros(3))
+HERE = ArmPose(_EYE, np.zeros(3))
 
 
 @dataclass(frozen=True)
-class Shape:
+class ArmShape:
     """A link's visual. kind: cylinder (radius, length along z), sphere (radius), box (x, y, z)."""
 
     link: str
     kind: str
     sizes_m: tuple[float, ...]
-    pose: Pose
+    pose: ArmPose
 
 
 @dataclass(frozen=True)
@@ -68,7 +68,7 @@ class Joint:
     kind: str
     parent: str
     child: str
-    pose: Pose
+    pose: ArmPose
     direction_m: Array
     across: Array
 
@@ -77,7 +77,7 @@ class Joint:
 class Model:
     """Joints from the base on: each after the one that carries it."""
 
-    shapes: tuple[Shape, ...]
+    shapes: tuple[ArmShape, ...]
     joints: tuple[Joint, ...]
 
 
@@ -92,7 +92,7 @@ def read_urdf(text: str) -> Model:
     return Model(tuple(shapes), tuple(_joint(element) for element in robot.findall("joint")))
 
 
-def frames(model: Model, joints: Array) -> dict[str, Pose]:
+def frames(model: Model, joints: Array) -> dict[str, ArmPose]:
     """Each link's pose in base_link; joints (5,) in the order of `JOINT_NAMES`, m and rad."""
     values = dict(zip(JOINT_NAMES, np.asarray(joints, dtype=float).tolist(), strict=True))
     poses = {BASE_FRAME: HERE}
@@ -129,7 +129,7 @@ def share(joints: Array, deflection: Array, tip_m: Array, arm: ArmParameters = G
     return Bend(platform, float(angles[0]), float(angles[1]))
 
 
-def bent_frames(model: Model, joints: Array, bend: Bend) -> dict[str, Pose]:
+def bent_frames(model: Model, joints: Array, bend: Bend) -> dict[str, ArmPose]:
     """Each link's pose in base_link on the bent arm; from the platform on."""
     bent = np.array(joints, dtype=float)
     bent[3:] += bend.roll_rad, bend.tilt_rad
@@ -137,7 +137,7 @@ def bent_frames(model: Model, joints: Array, bend: Bend) -> dict[str, Pose]:
     centre = poses[PLATFORM_FRAME].origin_m
     turn = rotvec_to_matrix(bend.platform[3:])
     return {
-        link: Pose(
+        link: ArmPose(
             turn @ pose.rotation,
             centre + bend.platform[:3] + turn @ (pose.origin_m - centre),
         )
@@ -176,12 +176,12 @@ def force_in_base(joints: Array, wrench: Array) -> Array:
     return np.asarray(rotation @ np.asarray(wrench, dtype=float)[:3])
 
 
-def _moved(joint: Joint, value: float) -> Pose:
+def _moved(joint: Joint, value: float) -> ArmPose:
     """The child's pose in the parent; m or rad."""
     if joint.kind == "prismatic":
-        return Pose(joint.pose.rotation, joint.pose.origin_m + value * joint.direction_m)
+        return ArmPose(joint.pose.rotation, joint.pose.origin_m + value * joint.direction_m)
     if joint.kind == "revolute":
-        return Pose(joint.pose.rotation @ _turned(joint.across, value), joint.pose.origin_m)
+        return ArmPose(joint.pose.rotation @ _turned(joint.across, value), joint.pose.origin_m)
     return joint.pose
 
 
@@ -191,7 +191,7 @@ def _turned(across: Array, angle_rad: float) -> Array:
     return _EYE + sine * across + versine * (across @ across)
 
 
-def _shape(link: str, visual: ElementTree.Element) -> Shape:
+def _shape(link: str, visual: ElementTree.Element) -> ArmShape:
     geometry = visual.find("geometry")
     assert geometry is not None
     solid = geometry[0]
@@ -202,7 +202,7 @@ def _shape(link: str, visual: ElementTree.Element) -> Shape:
         sizes = (float(solid.get("radius", "")),)
     else:
         sizes = tuple(_numbers(solid.get("size", "")))
-    return Shape(link, solid.tag, sizes, _origin(visual))
+    return ArmShape(link, solid.tag, sizes, _origin(visual))
 
 
 def _joint(element: ElementTree.Element) -> Joint:
@@ -222,13 +222,13 @@ def _joint(element: ElementTree.Element) -> Joint:
     )
 
 
-def _origin(element: ElementTree.Element) -> Pose:
+def _origin(element: ElementTree.Element) -> ArmPose:
     origin = element.find("origin")
     if origin is None:
         return HERE
     roll, pitch, yaw = _numbers(origin.get("rpy", "0 0 0"))
     rotation = rot_z(yaw) @ rot_y(pitch) @ rot_x(roll)
-    return Pose(rotation, np.array(_numbers(origin.get("xyz", "0 0 0"))))
+    return ArmPose(rotation, np.array(_numbers(origin.get("xyz", "0 0 0"))))
 
 
 def _numbers(text: str) -> list[float]:

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from galen_model.arrays import Array
 
-from galen_panel.history import NS_PER_S, Series
+from galen_panel.history import NS_PER_S, StreamSeries
 
 GAP_S = 0.25
 """Samples further apart aren't joined by a line; the streams have hundreds a second."""
@@ -23,7 +23,7 @@ BUCKETS = 300
 
 
 @dataclass(frozen=True)
-class Rows:
+class PlotRows:
     """What is drawn: stamps_ns (n,) int64, rising, and values (n, width); NaN ends a line."""
 
     stamps_ns: np.ndarray
@@ -33,10 +33,10 @@ class Rows:
         return len(self.stamps_ns)
 
 
-def decimate(stamps_ns: np.ndarray, values: Array, width_ns: int) -> Rows:
+def decimate(stamps_ns: np.ndarray, values: Array, width_ns: int) -> PlotRows:
     """Two rows or one for each bucket; stamps (n,) rising, values (n, columns). O(n)."""
     if not len(stamps_ns):
-        return Rows(stamps_ns, values)
+        return PlotRows(stamps_ns, values)
     number = stamps_ns // width_ns
     first = np.flatnonzero(np.r_[True, number[1:] != number[:-1]])
     last = np.r_[first[1:], len(number)] - 1
@@ -47,10 +47,10 @@ def decimate(stamps_ns: np.ndarray, values: Array, width_ns: int) -> Rows:
     times = np.stack([stamps_ns[first], stamps_ns[last]], axis=1)
     kept = np.ones(times.shape, dtype=bool)
     kept[:, 1] = last > first
-    return Rows(times[kept], pairs[kept])
+    return PlotRows(times[kept], pairs[kept])
 
 
-def with_gaps(rows: Rows, width_ns: int, before_ns: int | None = None) -> Rows:
+def with_gaps(rows: PlotRows, width_ns: int, before_ns: int | None = None) -> PlotRows:
     """The rows with one of NaN at the end of each gap; before_ns: stamp of what was before them."""
     if not len(rows):
         return rows
@@ -61,7 +61,7 @@ def with_gaps(rows: Rows, width_ns: int, before_ns: int | None = None) -> Rows:
     at = np.flatnonzero(steps > gap_ns)
     # Not in the midst of the gap: a row before `Patch.from_ns` would be sent twice.
     stamps = np.insert(rows.stamps_ns, at, rows.stamps_ns[at])
-    return Rows(stamps, np.insert(rows.values, at, np.nan, axis=0))
+    return PlotRows(stamps, np.insert(rows.values, at, np.nan, axis=0))
 
 
 def bucket_ns(span_s: float) -> int:
@@ -69,7 +69,9 @@ def bucket_ns(span_s: float) -> int:
     return max(1, int(span_s * NS_PER_S) // BUCKETS)
 
 
-def zoomed(stamps_ns: np.ndarray, values: Array, start_ns: int, end_ns: int, span_s: float) -> Rows:
+def zoomed(
+    stamps_ns: np.ndarray, values: Array, start_ns: int, end_ns: int, span_s: float
+) -> PlotRows:
     """All of `span_s` coarsely, with what is from start to end in as much detail as can be seen."""
     coarse, fine = bucket_ns(span_s), bucket_ns((end_ns - start_ns) / NS_PER_S)
     edges = [0, *np.searchsorted(stamps_ns, [start_ns, end_ns]).tolist(), len(stamps_ns)]
@@ -77,7 +79,7 @@ def zoomed(stamps_ns: np.ndarray, values: Array, start_ns: int, end_ns: int, spa
         decimate(stamps_ns[begin:end], values[begin:end], width)
         for begin, end, width in zip(edges, edges[1:], (coarse, fine, coarse), strict=False)
     ]
-    rows = Rows(
+    rows = PlotRows(
         np.concatenate([piece.stamps_ns for piece in pieces]),
         np.concatenate([piece.values for piece in pieces]),
     )
@@ -92,7 +94,7 @@ class Patch:
     """
 
     from_ns: int
-    rows: Rows
+    rows: PlotRows
     whole: bool
     newest_ns: int | None
 
@@ -100,7 +102,7 @@ class Patch:
 class Follower:
     """One browser's place in one series: what is new since the last patch that arrived."""
 
-    def __init__(self, series: Series, curves: Callable[[Array], Array] = np.asarray) -> None:
+    def __init__(self, series: StreamSeries, curves: Callable[[Array], Array] = np.asarray) -> None:
         """`curves`: what is drawn (n, columns) of the series' values (n, width)."""
         self._series = series
         self._curves = curves
@@ -130,7 +132,7 @@ class Follower:
         self._run = samples.run
         from_ns, newest = self._from_ns, samples.newest_ns
         if newest == self._newest_ns and not whole:
-            nothing = Rows(samples.stamps_ns[:0], samples.values[:0])
+            nothing = PlotRows(samples.stamps_ns[:0], samples.values[:0])
             return Patch(0 if newest is None else newest + 1, nothing, whole, newest)
         self._newest_ns = newest
         rows = decimate(samples.stamps_ns, self._curves(samples.values), self._width_ns)

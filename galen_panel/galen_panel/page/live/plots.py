@@ -17,9 +17,17 @@ import numpy as np
 from galen_model.arrays import Array
 from nicegui import events, run, ui
 
-from galen_panel.history import NS_PER_S, SECONDS, Samples, Series, between, csv, file_name
+from galen_panel.history import (
+    NS_PER_S,
+    SECONDS,
+    StreamSamples,
+    StreamSeries,
+    between,
+    csv,
+    file_name,
+)
 from galen_panel.messages.silence import COMPENSATED, DEFLECTION, JOINTS, RAW, Heard, tell
-from galen_panel.page.live.decimation import Follower, Patch, Rows, bucket_ns, zoomed
+from galen_panel.page.live.decimation import Follower, Patch, PlotRows, bucket_ns, zoomed
 from galen_panel.page.live.plot_options import (
     DEFLECTION_NAMES,
     HEIGHT_PX,
@@ -53,7 +61,11 @@ class Plots:
     def __init__(self, page: Page) -> None:
         self._page = page
         history = page.suite.history
-        self._series: tuple[Series, ...] = (history.raw, history.compensated, history.deflection)
+        self._series: tuple[StreamSeries, ...] = (
+            history.raw,
+            history.compensated,
+            history.deflection,
+        )
         self._followers = [
             Follower(series, curves) for series, curves in zip(self._series, _CURVES, strict=True)
         ]
@@ -61,7 +73,7 @@ class Plots:
         self._window_s = float(_FIRST_WINDOW_S)
         self._base_ns: int | None = None
         self._option: Option | None = None
-        self._frozen: tuple[Samples, ...] | None = None
+        self._frozen: tuple[StreamSamples, ...] | None = None
         self._zoom = (0.0, 100.0)
         self._stale = False
         self._means_at_s = -math.inf
@@ -190,7 +202,7 @@ class Plots:
         ]
         return await self._send(streams, now_ns, self._window_s)
 
-    async def _send_frozen(self, frozen: tuple[Samples, ...]) -> bool:
+    async def _send_frozen(self, frozen: tuple[StreamSamples, ...]) -> bool:
         now_ns = _newest(frozen)
         self._base_ns = now_ns
         start_ns, end_ns = self._shown_ns(now_ns, SECONDS)
@@ -216,7 +228,7 @@ class Plots:
         return arrived
 
     @staticmethod
-    def _stream(rows: Rows, whole: bool, from_ns: int, base_ns: int) -> Option:
+    def _stream(rows: PlotRows, whole: bool, from_ns: int, base_ns: int) -> Option:
         times = np.round((rows.stamps_ns - base_ns) / 1e6, 1)
         return {
             "whole": whole,
@@ -291,7 +303,7 @@ class Plots:
 
     async def _save_csv(self) -> None:
         if self._frozen is None:
-            streams: tuple[Samples, ...] = tuple(series.last() for series in self._series)
+            streams: tuple[StreamSamples, ...] = tuple(series.last() for series in self._series)
             span_s, zoom = self._window_s, (0.0, 100.0)
         else:
             streams, span_s, zoom = self._frozen, SECONDS, self._zoom
@@ -343,7 +355,7 @@ class Plots:
         self._means["tip"][0].set_text(_text(size, 3))
 
 
-def _newest(streams: tuple[Samples, ...]) -> int:
+def _newest(streams: tuple[StreamSamples, ...]) -> int:
     return max(samples.newest_ns or 0 for samples in streams)
 
 

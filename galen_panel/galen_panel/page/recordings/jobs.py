@@ -8,16 +8,16 @@ from galen_panel.page.elements import heading, set_prop
 from galen_panel.page.page import Page
 from galen_panel.page.recordings.report import ReportDialog
 from galen_panel.recordings.index import VERBS
-from galen_panel.recordings.jobs import Job, Stage
-from galen_panel.snapshot import Answer
+from galen_panel.recordings.jobs import JobStage, QueuedJob
+from galen_panel.snapshot import CallAnswer
 
 _PERIOD_S = 0.5
 _STAGES = {
-    Stage.WAITING: ("hourglass_empty", "waits"),
-    Stage.RUNNING: ("sync", "runs"),
-    Stage.DONE: ("check_circle", "done"),
-    Stage.FAILED: ("error", "failed"),
-    Stage.CANCELED: ("cancel", "canceled"),
+    JobStage.WAITING: ("hourglass_empty", "waits"),
+    JobStage.RUNNING: ("sync", "runs"),
+    JobStage.DONE: ("check_circle", "done"),
+    JobStage.FAILED: ("error", "failed"),
+    JobStage.CANCELED: ("cancel", "canceled"),
 }
 
 
@@ -74,12 +74,12 @@ class _JobLine:
             self._bar.props('size=0.6rem aria-label="Progress"')
             self._bar.props(f"data-testid=job-{job_id}-progress")
 
-    def show(self, job: Job) -> None:
+    def show(self, job: QueuedJob) -> None:
         """Set what differs."""
         icon, word = _STAGES[job.stage]
         self._icon.set_name(icon)
         self._text.set_text(_job_text(job, word))
-        running = job.stage is Stage.RUNNING
+        running = job.stage is JobStage.RUNNING
         self._bar.set_visibility(running)
         if running:
             self._bar.set_value(job.share or 0.0)
@@ -90,15 +90,15 @@ class _JobLine:
         self._show.set_visibility(bool(job.report))
 
     async def _on_cancel(self) -> None:
-        async def cancel() -> Answer:
+        async def cancel() -> CallAnswer:
             return self._page.recordings.jobs.cancel(self._job_id)
 
         await self._page.ask(cancel(), self._cancel)
 
 
-def _job_text(job: Job, word: str) -> str:
+def _job_text(job: QueuedJob, word: str) -> str:
     name = f"{VERBS[job.wanted.kind]} of {job.wanted.recording}"
-    if job.stage is Stage.RUNNING:
+    if job.stage is JobStage.RUNNING:
         share = "" if job.share is None else f", {job.share:.0%}"
         return f"{name} {word}: {job.doing}{share}"
     return f"{name} {word}{f'. {job.text}' if job.text else ''}"

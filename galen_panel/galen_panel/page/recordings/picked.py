@@ -8,7 +8,7 @@ from starlette.concurrency import run_in_threadpool
 from galen_panel.page.elements import heading
 from galen_panel.page.page import Page
 from galen_panel.page.recordings.report import ReportButtons, ReportDialog
-from galen_panel.recordings.index import Details, Recording, RecordingKind, facts_of
+from galen_panel.recordings.index import Details, FoundRecording, RecordingKind, facts_of
 
 _PERIOD_S = 0.5
 _HINTS = {
@@ -23,7 +23,7 @@ class Picked:
 
     def __init__(self, page: Page) -> None:
         self._page = page
-        self._recording: Recording | None = None
+        self._recording: FoundRecording | None = None
 
     @property
     def id(self) -> str:
@@ -51,7 +51,7 @@ class Picked:
             own.set_visibility(False)
         ui.timer(_PERIOD_S, self._look)
 
-    async def pick(self, recording: Recording, details: Details) -> None:
+    async def pick(self, recording: FoundRecording, details: Details) -> None:
         """Show another recording."""
         self._recording = recording
         tools = await run_in_threadpool(self._page.recordings.tools, recording.id)
@@ -85,7 +85,7 @@ class Picked:
             )
             await self._page.ask(work, button)
 
-    def _favourite(self, recording: Recording, choices: dict[str, str]) -> str | None:
+    def _favourite(self, recording: FoundRecording, choices: dict[str, str]) -> str | None:
         """Choose the file beside the recording, else the active tool, else the first."""
         active_tool = self._page.suite.state.active_tool
         wanted = ["beside"]

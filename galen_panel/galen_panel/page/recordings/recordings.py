@@ -13,8 +13,8 @@ from galen_panel.page.page import Page
 from galen_panel.page.recordings.jobs import Queue
 from galen_panel.page.recordings.picked import Picked
 from galen_panel.page.recordings.report import AllReports, ReportDialog
-from galen_panel.recordings.index import Details, Recording, RecordingKind, line_of
-from galen_panel.recordings.recordings import Listed, ListPage
+from galen_panel.recordings.index import Details, FoundRecording, RecordingKind, line_of
+from galen_panel.recordings.recordings import ListEntry, ListPage
 
 _STYLE = Path(__file__).with_suffix(".css")
 
@@ -115,7 +115,7 @@ class _List:
                 self._buttons[listed.recording.id] = self._row(listed)
         self._mark()
 
-    def _row(self, listed: Listed) -> ui.button:
+    def _row(self, listed: ListEntry) -> ui.button:
         recording, details = listed.recording, listed.details
 
         async def pick() -> None:
@@ -147,7 +147,7 @@ def _status(shown: ListPage, text: str) -> str:
     return texts.count(shown.total, "recording")
 
 
-def _icon(recording: Recording, details: Details) -> tuple[str, str]:
+def _icon(recording: FoundRecording, details: Details) -> tuple[str, str]:
     if details.problem:
         return "error", "text-negative"
     if recording.kind is RecordingKind.DIAGNOSIS:

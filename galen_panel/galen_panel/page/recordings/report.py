@@ -10,9 +10,9 @@ from galen_panel.page.elements import LOOKS, heading, table
 from galen_panel.page.page import Page
 from galen_panel.recordings.index import VERBS
 from galen_panel.recordings.recordings import REPORTS_PATH
-from galen_panel.recordings.report_files import EFFECT, Report, ReportError
-from galen_panel.recordings.report_view import View, verdict_of, view_of
-from galen_panel.snapshot import Answer
+from galen_panel.recordings.report_files import EFFECT, StoredReport, StoredReportError
+from galen_panel.recordings.report_view import ReportView, verdict_of, view_of
+from galen_panel.snapshot import CallAnswer
 
 
 class ReportDialog:
@@ -30,14 +30,14 @@ class ReportDialog:
         reports = self._page.recordings.reports
         report = reports.get(report_id)
         if report is None:
-            self._page.tell(Answer(False, "That report is not there any more."))
+            self._page.tell(CallAnswer(False, "That report is not there any more."))
             return
         try:
             content = await run_in_threadpool(reports.content, report)
             files = list(await run_in_threadpool(reports.files, report))
             view = view_of(report, content, files)
-        except ReportError as error:
-            self._page.tell(Answer(False, str(error)))
+        except StoredReportError as error:
+            self._page.tell(CallAnswer(False, str(error)))
             return
         self._body.clear()
         with self._body:
@@ -45,7 +45,7 @@ class ReportDialog:
         self._dialog.open()
 
 
-def _draw(report: Report, view: View, files: list[str], dialog: ui.dialog) -> None:
+def _draw(report: StoredReport, view: ReportView, files: list[str], dialog: ui.dialog) -> None:
     place = f"{REPORTS_PATH}/{report.id}"
     with ui.row().classes("w-full items-start no-wrap"):
         ui.label(view.about).classes("panel-quiet panel-lines")
@@ -102,7 +102,7 @@ class ReportButtons:
         self._nothing = ui.label("None yet.")
         self._shown: list[str] = []
 
-    def show(self, reports: list[Report], of_one: bool = False) -> None:
+    def show(self, reports: list[StoredReport], of_one: bool = False) -> None:
         """Show the first of these."""
         reports = reports[:_MOST]
         self._nothing.set_visibility(not reports)
@@ -116,7 +116,7 @@ class ReportButtons:
                 _report_button(report, self._dialog, of_one)
 
 
-def _report_button(report: Report, dialog: ReportDialog, of_one: bool) -> None:
+def _report_button(report: StoredReport, dialog: ReportDialog, of_one: bool) -> None:
     async def show() -> None:
         await dialog.show(report.id)
 
