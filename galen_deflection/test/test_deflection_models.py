@@ -38,6 +38,11 @@ def rms(values):
 
 
 @pytest.fixture(scope="module")
+def coarse():
+    return recording(WORN, seed=1, rate_hz=10.0)
+
+
+@pytest.fixture(scope="module")
 def pushed():
     return recording(WORN, seed=1)
 
@@ -366,10 +371,10 @@ def test_segments_are_predicted_each_on_its_own(kind):
 
 
 @pytest.mark.parametrize("kind", ALL)
-def test_beyond_load_or_position_it_says_so(kind, pushed):
-    model = fit(kind, pushed)
-    assert not model.predict(pushed).extrapolated.any()
-    one = pushed.rows(slice(0, 1))
+def test_beyond_load_or_position_it_says_so(kind, coarse):
+    model = fit(kind, coarse)
+    assert not model.predict(coarse).extrapolated.any()
+    one = coarse.rows(slice(0, 1))
     for axis, limit in ((0, 10.0), (4, 0.8)):
         for sign in (1.0, -1.0):
             for factor, beyond in ((1.1, False), (1.4, True)):
@@ -380,10 +385,10 @@ def test_beyond_load_or_position_it_says_so(kind, pushed):
     assert model.predict(replace(one, joints=far)).extrapolated[0]
 
 
-def test_only_models_that_know_the_arm_interpolate_between_positions(pushed):
-    between = replace(pushed, joints=np.tile(POSITIONS.mean(axis=0), (len(pushed), 1)))
+def test_only_models_that_know_the_arm_interpolate_between_positions(coarse):
+    between = replace(coarse, joints=np.tile(POSITIONS.mean(axis=0), (len(coarse), 1)))
     for kind in ALL:
-        extrapolated = fit(kind, pushed).predict(between).extrapolated.any()
+        extrapolated = fit(kind, coarse).predict(between).extrapolated.any()
         assert extrapolated == (kind in ("independent", "coupled"))
 
 
@@ -402,14 +407,14 @@ def test_positions_in_the_tests_are_within_the_arms_limits():
 
 
 @pytest.mark.parametrize("kind", ALL)
-def test_a_fit_looks_at_no_deflection_that_it_may_not_use(kind, pushed):
+def test_a_fit_looks_at_no_deflection_that_it_may_not_use(kind, coarse):
     """Others' deflections may be anything; what was used gives the same as alone."""
-    use = pushed.position < 2
-    hidden = pushed.deflection.copy()
+    use = coarse.position < 2
+    hidden = coarse.deflection.copy()
     hidden[~use] = np.nan
     settings = FitSettings(use=use)
-    masked = KINDS[kind].fit(replace(pushed, deflection=hidden), settings)
-    alone = KINDS[kind].fit(pushed.rows(use), None)
+    masked = KINDS[kind].fit(replace(coarse, deflection=hidden), settings)
+    alone = KINDS[kind].fit(coarse.rows(use), None)
     np.testing.assert_allclose(masked.values, alone.values, rtol=1e-9)
     np.testing.assert_allclose(masked.covariance, alone.covariance, rtol=1e-6, atol=1e-18)
     assert masked.fitted_on == alone.fitted_on
