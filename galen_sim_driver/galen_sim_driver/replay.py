@@ -29,7 +29,14 @@ from galen_model.rotation import rotvec_to_matrix
 from galen_model.wrench import move_wrench
 from scipy.signal import savgol_filter
 
-from galen_sim_driver.effects.effect import Effect, Instants, Loading, Posture, in_order
+from galen_sim_driver.effects.effect import (
+    Effect,
+    Instants,
+    Loading,
+    Posture,
+    in_order,
+    total_turns,
+)
 from galen_sim_driver.effects.joint_effects import sensor_pose
 
 _STILL_POSE_M = 2e-4
@@ -73,7 +80,7 @@ class Replay:
         self.effects = in_order(effects)
         self._wrench_delay_s = sum(effect.wrench_delay_s for effect in effects)
         self._tracker_delay_s = sum(effect.tracker_delay_s for effect in effects)
-        self._axis_turns = sum(effect.axis_turns for effect in effects)
+        self._axis_turns = total_turns(effects)
         self._gravity = GRAVITY_M_S2
         self._known: tuple[Instants, Array] | None = None
         self.arm = scene.arm

@@ -140,7 +140,7 @@ class Effect:
     @property
     def identity(self) -> str:
         """What a diagnosis distinguishes: `name`, or `name:joint` of an effect of a joint."""
-        return f"{self.name}:{self.joint}" if self.of_a_joint else self.name
+        return f"{self.name}:{vars(self)['joint']}" if self.of_a_joint else self.name
 
     # --- numbers ------------------------------------------------------------------------------
 
@@ -233,6 +233,11 @@ class Effect:
 def in_order(effects: Iterable[Effect]) -> tuple[Effect, ...]:
     """Effects as they come one after the other, by `order`; equals as they are given."""
     return tuple(sorted(effects, key=lambda effect: effect.order))
+
+
+def total_turns(effects: Iterable[Effect]) -> Array:
+    """Sum the turns (2, 3) of roll and tilt axis."""
+    return np.sum([np.zeros((len(ROTARY_JOINTS), 3)), *(e.axis_turns for e in effects)], axis=0)
 
 
 def check_axis(effect: str, name: str, axis: str) -> None:

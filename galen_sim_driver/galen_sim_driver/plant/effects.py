@@ -17,7 +17,14 @@ from galen_model.load.model import Load, gravity_wrench
 from galen_model.load.nominal_tools import ToolGeometry
 from galen_model.rotation import matrix_to_quaternion
 
-from galen_sim_driver.effects.effect import Effect, Instants, Loading, Posture, in_order
+from galen_sim_driver.effects.effect import (
+    Effect,
+    Instants,
+    Loading,
+    Posture,
+    in_order,
+    total_turns,
+)
 from galen_sim_driver.effects.joint_effects import sensor_pose
 from galen_sim_driver.plant.geometry import (
     ArmGeometry,
@@ -61,7 +68,7 @@ class PlantEffects:
         self._geometry = ArmGeometry(arm)
         self._motion = MotionOfSensor(arm)
         self._adapter = adapter
-        self._turns = sum(effect.axis_turns for effect in self._effects)
+        self._turns = total_turns(self._effects)
         self._turned = bool(np.any(self._turns))
         self.wrench_delay_ns = _ns(sum(effect.wrench_delay_s for effect in self._effects))
         self.tracker_delay_ns = _ns(sum(effect.tracker_delay_s for effect in self._effects))
