@@ -21,5 +21,6 @@ The observations, and by what each decides:
 - diagnosis (`galen_diagnosis.inference`): white rows of three bags; evidence, refined in the
   simulator.
 
-How a cause shows is in `columns`, what matters in `limits`.
+How a cause shows is in `columns`; causes, messages and the limits of what matters in `verdict`;
+what is fitted beside every hypothesis in `background`.
 """
