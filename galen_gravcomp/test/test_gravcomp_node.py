@@ -611,7 +611,11 @@ def test_a_compensator_on_another_topic_is_no_conflict(
     bench.harness.wait_for(
         lambda: bench.listener.count_publishers(publisher) == 1, 10.0, "the other one"
     )
-    assert bench.running()["wrench_compensated_publishers"] == "1"
+    bench.report(
+        lambda s, v: v["state"] == "compensating" and v["wrench_compensated_publishers"] == "1",
+        "one publisher of its own",
+        lambda: bench.step(LEFT),
+    )
 
 
 def test_best_effort_driver(harness: Harness, tools_dir: Path) -> None:

@@ -220,7 +220,7 @@ bag_worker.main()
 PANEL = f"""
 import sys, time
 from pathlib import Path
-from galen_panel.recordings.jobs import Jobs, Stage, Wanted
+from galen_panel.recordings.jobs import Jobs, Wanted
 from galen_panel.recordings.report_files import Reports
 jobs = Jobs(Reports(Path(sys.argv[1])), [sys.executable, "-c", {ENDLESS!r}])
 jobs.submit(Wanted("evaluate", "x", "x", Path("x"), "x", Path("x")))

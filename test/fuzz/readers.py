@@ -58,7 +58,7 @@ from galen_bags.formats.raw_block import pack  # noqa: E402
 from galen_deflection.models.file import read_model, write_model  # noqa: E402
 from galen_deflection.transmission.joint_report import read_listed  # noqa: E402
 from galen_diagnosis.blind.blind_protocol import Places, answered  # noqa: E402
-from galen_diagnosis.inference import settings  # noqa: E402
+from galen_diagnosis.inference import posterior  # noqa: E402
 from galen_diagnosis.inference.posterior import load_settings  # noqa: E402
 from galen_gravcomp.evaluate.drift.series import read_series  # noqa: E402
 from galen_model.arm.galen import JOINT_NAMES  # noqa: E402
@@ -351,11 +351,11 @@ def use_settings(path: Path) -> None:
 @contextmanager
 def patched(path: Path) -> Iterator[None]:
     """Let the package's calibration be this file."""
-    files, settings.resources.files = settings.resources.files, lambda _: path.parent
+    files, posterior.resources.files = posterior.resources.files, lambda _: path.parent
     try:
         yield
     finally:
-        settings.resources.files = files
+        posterior.resources.files = files
 
 
 def use_answer(path: Path) -> None:
@@ -386,7 +386,7 @@ def _answer_seeds() -> list[bytes]:
 
 
 def _settings_seeds() -> list[bytes]:
-    content = {"settings": asdict(settings.Settings())}
+    content = {"settings": asdict(posterior.Settings())}
     return [json.dumps(content).encode()]
 
 

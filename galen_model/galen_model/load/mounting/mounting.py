@@ -128,7 +128,7 @@ class Mounting:
     """Rotation and gains of the sensor, inclination of the base (about x, y), zeros (roll, tilt).
 
     axis_gain (6,) in the order fx fy fz tx ty tz; all others in rad. estimated: the names of
-    `galen_model.load.mounting.groups.GROUPS` that a calibration told; what is not among them is
+    `GROUPS` that a calibration told; what is not among them is
     zero by assumption. covariance: (13, 13) in the order of `PARAMETERS`, zero where not estimated.
     """
 
