@@ -20,6 +20,7 @@ from galen_ros.conversions import fill_stamp, fill_wrench, stamp_to_ns, wrench_t
 from galen_ros.node.diagnostics import Level
 from galen_ros.node.testing import Harness, parameters
 from galen_ros.qos import STREAM
+from galen_ros.stream.monitor import NOTICE_HOLD_S
 from geometry_msgs.msg import WrenchStamped
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
@@ -201,7 +202,8 @@ class Bench:
             return None
 
         del self.listener.reports[:-1]
-        report: dict[str, str] = self.harness.wait_for(found, 5.0, what)
+        # A notice of what came before is held for NOTICE_HOLD_S.
+        report: dict[str, str] = self.harness.wait_for(found, NOTICE_HOLD_S + 5.0, what)
         return report
 
     def state(
