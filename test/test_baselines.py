@@ -64,6 +64,13 @@ COMMANDS = {
 }
 CABLE_FORMS = ("point", "point_and_couple", "free")
 DEFLECTION_MODELS = ("independent", "coupled", "joint_stiffness", "joint_hysteresis")
+# Half of the diagnoses, which take half a minute each: by `make test-soak`, or by name.
+ONE_BY_ONE = frozenset(
+    (
+        *(f"disclosed/recording_{n}" for n in (359, 601, 942)),
+        *(f"disclosed_2/recording_{n}" for n in (224, 390, 842)),
+    )
+)
 DIAGNOSED = (
     *(f"disclosed/recording_{n}" for n in (359, 420, 601, 695, 942, 956)),
     *(f"disclosed_2/recording_{n}" for n in (224, 390, 393, 404, 767, 842)),
@@ -623,7 +630,8 @@ def cases():
     for group, group_entries in GROUPS.items():
         for name in group_entries:
             slow = group in SLOW or name in SLOW
-            marks = [pytest.mark.slow, pytest.mark.timeout(900)] if slow else []
+            kind = pytest.mark.soak if name in ONE_BY_ONE else pytest.mark.slow
+            marks = [kind, pytest.mark.timeout(900)] if slow else []
             yield pytest.param(group, name, id=f"{group}: {name}", marks=marks)
 
 
