@@ -45,7 +45,7 @@ def test_page_of_a_panel_that_is_gone_is_grey_and_comes_back(browser, world):
     assert browser.focus() in ("", "lost")
     world.start_panel(fake=True, port=urlsplit(link).port)
     browser.wait(lambda: not browser.all("lost") and browser.all("tab-operate"), "the page")
-    browser.forgive("ERR_CONNECTION_REJECTED")
+    browser.forgive("ERR_CONNECTION_REFUSED")
 
 
 def test_page_of_a_panel_that_hangs_is_grey_until_it_goes_on(browser, world):

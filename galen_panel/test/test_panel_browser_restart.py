@@ -57,7 +57,7 @@ def test_the_panel_before_the_nodes_and_killed_while_they_work(browser, tmp_path
         browser.wait(lambda: done(browser) >= 3, "poses of the goal that is adopted", PATIENCE_S)
         browser.click("cancel")
         browser.says("outcome", "Canceled", patience_s=PATIENCE_S)
-        browser.forgive("ERR_CONNECTION_REJECTED")
+        browser.forgive("ERR_CONNECTION_REFUSED")
 
 
 def done(browser):
