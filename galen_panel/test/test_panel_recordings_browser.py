@@ -139,8 +139,8 @@ def test_nodes_are_told_in_words_and_how_to_start_them(browser, world):
     browser.click("tab-nodes")
     text = browser.says("node-deflection", "Not running.")
     assert "ros2 run galen_deflection deflection_node" in text
-    browser.says("node-gravcomp", "told nothing of itself yet")
-    browser.find("node-sim_driver")
+    browser.says("node-gravcomp", "Compensates 'pointer'")
+    browser.says("node-sim_driver", "told nothing of itself yet")
 
 
 def workers_of(pid):
