@@ -1,4 +1,4 @@
-"""How often `diagnose_table` is right: tables with a known cause, by other laws than it fits.
+"""Score `diagnose` on tables with a known cause, by other models than it fits.
 
 A table's times and orientations stay, its wrenches are replaced: a load, autoregressive noise, and
 a cause. Laws that differ from those that are fitted: drift is a random walk, a cable is a spring to
@@ -173,7 +173,7 @@ def main(args: Sequence[str] | None = None) -> int:
         prog="table_diagnosis", description="diagnose simulated tables"
     )
     parser.add_argument("table", metavar="TABLE", help="times and orientations are this table's")
-    parser.add_argument("--columns", metavar="NAMES", help="as in diagnose_table")
+    parser.add_argument("--columns", metavar="NAMES", help="as in diagnose")
     parser.add_argument("--cases", type=int, default=5, metavar="N", help="of each cause")
     parser.add_argument("--strength", type=float, default=1.0, metavar="S", help="1: clear")
     arguments = parser.parse_args(args)

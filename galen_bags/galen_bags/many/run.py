@@ -10,7 +10,7 @@ from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
-from typing import TYPE_CHECKING, Generic, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 from galen_model.errors import GalenError
 from tqdm import tqdm
@@ -31,6 +31,14 @@ class Outcome(Generic[Result]):
     result: Result | None
     error: str | None
     seconds: float
+
+
+def json_rows(outcomes: Sequence[Outcome[dict[str, Any]]]) -> list[dict[str, Any]]:
+    """Return each bag's result as JSON, or its path and the error."""
+    return [
+        {"bag": str(one.bag), "error": one.error} if one.result is None else one.result
+        for one in outcomes
+    ]
 
 
 def run_many(

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from galen_bags.formats.find import find_bags
 from galen_bags.many.inputs import distinct_names
-from galen_bags.many.run import run_many
+from galen_bags.many.run import json_rows, run_many
 from galen_model.files.calibration_file import CalibrationFile
 from galen_ros.command import EXIT_FAILED, EXIT_OK, print_json, progress, terminal, writing
 from rich.console import Console
@@ -198,12 +198,7 @@ def run(arguments: argparse.Namespace) -> int:
         workers=arguments.workers,
         progress=not arguments.json,
     )
-    rows: list[dict[str, Any]] = [
-        {"bag": str(outcome.bag), "error": outcome.error}
-        if outcome.result is None
-        else outcome.result
-        for outcome in outcomes
-    ]
+    rows = json_rows(outcomes)
     if arguments.json:
         print_json({"bags": rows})
     else:

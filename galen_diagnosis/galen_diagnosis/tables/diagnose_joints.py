@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -13,13 +12,7 @@ from galen_bags.arrays.joint_table import (
     read_joint_runs,
 )
 from galen_model.transmission.parts import time_blocks, whole_runs
-from galen_ros.command import (
-    EXIT_FAILED,
-    EXIT_INTERRUPTED,
-    EXIT_OK,
-    EXIT_USAGE,
-    run_command,
-)
+from galen_ros.command import EXIT_OK, make_parser, run_command
 
 from galen_diagnosis.tables.joint_rows import prepare_joint
 from galen_diagnosis.tables.output import (
@@ -30,25 +23,20 @@ from galen_diagnosis.tables.output import (
     name_of,
 )
 
-_EPILOG = f"""effects: joint_compliance, backlash, deflection_hysteresis, wrench_delay (the torque's
+_NOTES = """effects: joint_compliance, backlash, deflection_hysteresis, wrench_delay (the torque's
 stamps are late), and two that the arm's list has not: encoder_delay (the link's stamps are late
-against the motor's), gear_error. Nominal is a rigid gear.
-
-exit codes:
-  {EXIT_OK}    done, whatever the verdict
-  {EXIT_FAILED}    a table can't be used; a line says why
-  {EXIT_USAGE}    wrong arguments
-  {EXIT_INTERRUPTED}  interrupted (Ctrl-C)"""
+against the motor's), gear_error. Nominal is a rigid gear."""
 
 
 def build_parser() -> argparse.ArgumentParser:
     """The command's options."""
-    parser = argparse.ArgumentParser(
-        prog="diagnose",
-        description="From readings of the angles at both ends of a joint and of its torque: what"
+    parser = make_parser(
+        "diagnose",
+        "From readings of the angles at both ends of a joint and of its torque: what"
         " makes them differ, how sure that is, and how much of it is closed on readings held out.",
-        epilog=_EPILOG,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
+        notes=_NOTES,
+        ok="done, whatever the verdict",
+        failed="a table can't be used; one line gives the reason",
     )
     parser.add_argument(
         "files", nargs="+", type=Path, metavar="FILE", help="text tables of one joint, a run each"
@@ -81,7 +69,3 @@ def _diagnose(arguments: argparse.Namespace) -> int:
     parts = whole_runs(runs) if by_run else time_blocks(runs, arguments.blocks or 6)
     give([diagnose_rows(name, prepare_joint(runs, parts), quiet=arguments.json)], arguments)
     return EXIT_OK
-
-
-if __name__ == "__main__":
-    sys.exit(main())

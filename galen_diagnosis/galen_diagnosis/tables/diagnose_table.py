@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -21,10 +20,8 @@ from galen_model.arrays import Array
 from galen_model.files.calibration_file import read_calibration
 from galen_model.rest.segments import DirectionRest
 from galen_ros.command import (
-    EXIT_FAILED,
-    EXIT_INTERRUPTED,
     EXIT_OK,
-    EXIT_USAGE,
+    make_parser,
     positive,
     run_command,
 )
@@ -42,26 +39,21 @@ from galen_diagnosis.tables.table_run import prepare_run
 
 _RUN_WINDOW_S, _STOP_WINDOW_S = 0.01, 1.0
 _WAYS = "; ".join(" ".join(columns) for columns in ORIENTATIONS.values())
-_EPILOG = f"""TABLE: fx .. tz and an orientation ({_WAYS}),
+_NOTES = f"""TABLE: fx .. tz and an orientation ({_WAYS}),
 perhaps t and block. With t it is cut into its stops. With --wrench and --orientations the tables
-are still poses that tell the load, and the run is diagnosed.
-
-exit codes:
-  {EXIT_OK}    done, whatever the verdict
-  {EXIT_FAILED}    a table can't be used; a line says why
-  {EXIT_USAGE}    wrong arguments
-  {EXIT_INTERRUPTED}  interrupted (Ctrl-C)"""
+are still poses that tell the load, and the run is diagnosed."""
 
 
 def build_parser() -> argparse.ArgumentParser:
     """The command's options."""
-    parser = argparse.ArgumentParser(
-        prog="diagnose",
-        description="From readings of a force/torque sensor with its orientations: whether weight"
+    parser = make_parser(
+        "diagnose",
+        "From readings of a force/torque sensor with its orientations: whether weight"
         " and constants explain them, which effect does beyond that, how sure it is, and how much"
         " it closes on blocks (stops, poses, stretches of a run) that no fit has seen.",
-        epilog=_EPILOG,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
+        notes=_NOTES,
+        ok="done, whatever the verdict",
+        failed="a table can't be used; one line gives the reason",
     )
     parser.add_argument("tables", nargs="+", type=Path, metavar="TABLE", help="each by itself")
     parser.add_argument(
@@ -185,7 +177,3 @@ def _run(still: OrientationTable, path: Path, arguments: argparse.Namespace) -> 
 def _noise(path: Path) -> Array:
     text = read_text_table(path, set(WRENCH_AXES))
     return np.column_stack([text.require(axis) for axis in WRENCH_AXES])
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -12,7 +12,7 @@ from galen_bags.arrays.motion_table import read_motion, read_specific
 from galen_bags.arrays.orientation_table import read_table
 from galen_bags.formats.find import find_bags
 from galen_bags.many.inputs import distinct_names
-from galen_bags.many.run import run_many
+from galen_bags.many.run import json_rows, run_many
 from galen_model.errors import CalibrationFileError
 from galen_model.files.calibration_file import calibration_path, read_calibration, write_calibration
 from galen_ros.command import (
@@ -128,12 +128,7 @@ def _evaluate_bags(arguments: argparse.Namespace) -> int:
     if len(bags) == 1 and not arguments.scheduler:
         return _give(_evaluate_bag(arguments, job, bags[0]), arguments)
     outcomes = run_many(job, bags, scheduler=arguments.scheduler, workers=arguments.workers)
-    rows: list[dict[str, Any]] = [
-        {"bag": str(outcome.bag), "error": outcome.error}
-        if outcome.result is None
-        else outcome.result
-        for outcome in outcomes
-    ]
+    rows = json_rows(outcomes)
     if arguments.json:
         print_json({"bags": rows})
     else:
