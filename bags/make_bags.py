@@ -33,17 +33,16 @@ from galen_model.arm.kinematics import tip_pose
 from galen_model.errors import CalibrationFileError, GalenError
 from galen_model.files.calibration_file import read_calibration
 from galen_model.load.nominal_tools import ADAPTER, TOOLS
-from galen_sim_driver.effects.cable_drag import CableDrag
-from galen_sim_driver.effects.deflection_hysteresis import DeflectionHysteresis
 from galen_sim_driver.effects.effect import Effect
-from galen_sim_driver.effects.load_effects import InertialLoad
+from galen_sim_driver.effects.hysteresis import DeflectionHysteresis
+from galen_sim_driver.effects.load import CableDrag, InertialLoad
 from galen_sim_driver.plant.cell import Plant
 from galen_sim_driver.plant.config import (
     ZERO3,
     HandPush,
     PlantConfig,
 )
-from galen_sim_driver.plant.trajectory import Trajectory, TrajectoryPoint
+from galen_sim_driver.plant.motion import Trajectory, TrajectoryPoint
 from offline_cell import CellBag, OfflineCell
 from tqdm import tqdm
 

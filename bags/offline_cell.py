@@ -27,10 +27,10 @@ from galen_model.arm.galen import JOINT_NAMES, SENSOR_FRAME, TRACKER_FRAME
 from galen_model.errors import GalenError
 from galen_ros.cdr.layout import JointStateBytes, PoseBytes, WrenchBytes
 from galen_ros.goal.commands import MoveTo, Stop
-from galen_sim_driver.errors import UnknownToolError, ZeroingError
 from galen_sim_driver.plant.cell import Plant, Sample
-from galen_sim_driver.plant.sensor import Zeroing
-from galen_sim_driver.plant.trajectory import Trajectory, TrajectoryPoint
+from galen_sim_driver.plant.config import PlantError
+from galen_sim_driver.plant.motion import Trajectory, TrajectoryPoint
+from galen_sim_driver.plant.sensors import Zeroing
 from numpy import array
 
 _WALL_TICK_NS = 100_000_000
@@ -152,12 +152,12 @@ class _Calibration:
             case ZeroSensor():
                 try:
                     self._zeroing = plant.start_zeroing(self._zero_window_s)
-                except ZeroingError as error:
+                except PlantError as error:
                     procedure.on_service(False, str(error))
             case AttachTool():
                 try:
                     plant.attach_tool(command.tool)
-                except UnknownToolError as error:
+                except PlantError as error:
                     procedure.on_service(False, str(error))
                 else:
                     procedure.on_service(True, "")

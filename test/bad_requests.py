@@ -22,7 +22,7 @@ from galen_model.files.calibration_file import calibration_path, write_calibrati
 from galen_ros.conversions import wrench_to_array
 from galen_ros.node.testing import Harness, parameters
 from galen_ros.qos import STREAM
-from galen_sim_driver.node.sim_driver_node import SimDriverNode
+from galen_sim_driver.node import SimDriverNode
 from geometry_msgs.msg import WrenchStamped
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import GetParameters, ListParameters, SetParameters

@@ -8,7 +8,7 @@ from galen_model.load.model import Load, nominal_reading
 from galen_model.load.nominal_tools import ADAPTER, TOOLS
 from galen_model.poses.plan import SweepGrid
 from galen_sim_driver.plant.config import SensorConfig
-from galen_sim_driver.plant.sensor import ForceTorqueSensor
+from galen_sim_driver.plant.sensors import ForceTorqueSensor
 
 SAMPLES = 125
 ZERO_SAMPLES = 250

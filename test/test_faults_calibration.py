@@ -50,7 +50,7 @@ def world(tmp_path_factory):
     with FaultWorld(folder) as world:
         world.start(
             "driver",
-            ["-m", "galen_sim_driver.node.sim_driver_node"],
+            ["-m", "galen_sim_driver.node"],
             {"speed_factor": 4.0, "seed": 3},
         )
         parameters = {"tools_dir": folder, "use_sim_time": True} | QUICK

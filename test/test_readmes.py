@@ -17,7 +17,7 @@ from galen_panel.ros.suite import RosSuite
 from galen_ros.cdr.layout import WrenchBytes
 from galen_ros.node.testing import Harness, parameters
 from galen_ros.parameters.declare import markdown_table
-from galen_sim_driver.node.sim_driver_node import SimDriverNode
+from galen_sim_driver.node import SimDriverNode
 from rclpy.node import Node
 
 ROOT = Path(__file__).resolve().parent.parent

@@ -17,7 +17,7 @@ from pathlib import Path
 from galen_diagnosis.examples.simulated_recording import make_recording
 from galen_diagnosis.inference.diagnosing import diagnose_recording
 from galen_diagnosis.observation.recording import read_recording
-from galen_sim_driver.effects.sensor_effects import AxisGain
+from galen_sim_driver.effects.sensor import AxisGain
 from rich.table import Table
 
 from benchmarks.speed.bags import rosbags_deserialise

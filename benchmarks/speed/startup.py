@@ -52,7 +52,7 @@ def subjects(folder: Path) -> dict[str, tuple[str, tuple[str, ...]]]:
             ("galen_gravcomp.node", *ros, *tools, "-p", f"tool:={NAME}"),
         ),
         "deflection_node": ("deflection", ("galen_deflection.node", *ros)),
-        "sim_driver_node": ("sim_driver", ("galen_sim_driver.node.sim_driver_node", *ros)),
+        "sim_driver_node": ("sim_driver", ("galen_sim_driver.node", *ros)),
         "calibration_node": ("calibration", ("galen_calibration_behavior.node", *ros, *tools)),
         "collection_node": ("collection", ("galen_deflection.collection.node", *ros, *tools)),
     }

@@ -23,7 +23,7 @@ from galen_gravcomp.node import GravcompNode
 from galen_panel.ros.suite import RosSuite
 from galen_ros.goal.pose_procedure import PoseProcedure
 from galen_ros.node.testing import Harness, parameters
-from galen_sim_driver.node.sim_driver_node import SimDriverNode
+from galen_sim_driver.node import SimDriverNode
 from rclpy.node import Node
 
 POLICIES = Path(__file__).resolve().parent.parent / "config" / "sros2"

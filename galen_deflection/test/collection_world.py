@@ -9,7 +9,7 @@ from galen_deflection.collection.node import CollectionNode
 from galen_gravcomp.node import GravcompNode
 from galen_model.arm.galen import HOME
 from galen_ros.node.testing import parameters
-from galen_sim_driver.node.sim_driver_node import SimDriverNode
+from galen_sim_driver.node import SimDriverNode
 from rclpy.action import ActionClient
 from rclpy.node import Node
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from galen_diagnosis.answer.answer import Answer, Cause, Diagnosis, Interval
 from galen_diagnosis.observation.rows import BAGS, CHANNELS, FOLDS, REGIMES, Rows, Stream
-from galen_sim_driver.effects.joint_effects import JointZeroOffset
+from galen_sim_driver.effects.joints import JointZeroOffset
 
 TILTS = np.linspace(-0.9, 0.8, 7)
 ROLLS = np.linspace(-1.4, 1.4, 8)

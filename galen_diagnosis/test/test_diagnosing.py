@@ -14,8 +14,8 @@ from galen_diagnosis.inference.diagnosing import diagnose_recording
 from galen_diagnosis.observation.observation import Observation, Unknowns
 from galen_diagnosis.observation.recording import read_recording
 from galen_diagnosis.observation.rows import CHANNELS, FOLDS
-from galen_sim_driver.effects.joint_effects import JointZeroOffset
-from galen_sim_driver.effects.sensor_effects import AxisGain
+from galen_sim_driver.effects.joints import JointZeroOffset
+from galen_sim_driver.effects.sensor import AxisGain
 
 DISCLOSED = Path(__file__).resolve().parents[3] / "shared" / "recordings" / "disclosed"
 needs_disclosed = pytest.mark.skipif(

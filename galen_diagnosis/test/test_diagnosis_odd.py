@@ -13,7 +13,7 @@ from galen_diagnosis.inference.refine import Hypothesis
 from galen_diagnosis.observation.observation import Observation, Unknowns
 from galen_diagnosis.observation.recording import read_recording
 from galen_model.evidence.background import Background
-from galen_sim_driver.effects.sensor_effects import SensorSaturation
+from galen_sim_driver.effects.sensor import SensorSaturation
 
 
 @pytest.fixture(scope="module")

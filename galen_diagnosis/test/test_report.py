@@ -23,7 +23,7 @@ from galen_diagnosis.report.words import (
     title,
 )
 from galen_sim_driver.effects.registry import CONTRACT_ORDER
-from galen_sim_driver.node.effect_parameters import EffectParameters, effects_of
+from galen_sim_driver.parameters import EffectParameters, effects_of
 from matplotlib import pyplot as plt
 
 HOSTILE = "x\"><script>alert(1)</script><img src=http://evil.example/a.png onerror='alert(2)'>&lt;"

@@ -14,10 +14,10 @@ from galen_model.arm.galen import LIMITS, SENSOR, TRACKER_POSITION_NOISE_M
 from galen_model.errors import GalenError
 from galen_model.load.nominal_tools import TOOLS
 from galen_model.rotation import rotvec_to_matrix
-from galen_sim_driver.effects.joint_effects import JointGain
-from galen_sim_driver.effects.load_effects import InertialLoad
-from galen_sim_driver.effects.sensor_effects import BiasStep, WrenchDelay
-from galen_sim_driver.effects.tracker_effects import BaseShift, TrackerDelay
+from galen_sim_driver.effects.joints import JointGain
+from galen_sim_driver.effects.load import InertialLoad
+from galen_sim_driver.effects.sensor import BiasStep, WrenchDelay
+from galen_sim_driver.effects.tracker import BaseShift, TrackerDelay
 from galen_sim_driver.plant.config import TrackerConfig
 from galen_sim_driver.replay import Replay, Scene
 

@@ -68,7 +68,7 @@ def world(monkeypatch, tmp_path):
 
 def start_driver_and_gravcomp(world):
     world.processes.start(
-        "galen_sim_driver.node.sim_driver_node", speed_factor=2.0, initial_tool="retractor"
+        "galen_sim_driver.node", speed_factor=2.0, initial_tool="retractor"
     )
     start_gravcomp(world)
 

@@ -37,7 +37,7 @@ from galen_sim_driver.effects.effect import (
     in_order,
     total_turns,
 )
-from galen_sim_driver.effects.joint_effects import sensor_pose
+from galen_sim_driver.effects.joints import sensor_pose
 
 _STILL_POSE_M = 2e-4
 """Joints nearer to each other than this (m, rad) share a compliance: it changes by 1e-3 of itself

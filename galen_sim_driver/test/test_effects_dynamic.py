@@ -10,16 +10,12 @@ from galen_model.arm.kinematics import sensor_pose, tip_jacobian, tip_pose
 from galen_model.arm.stiffness import deflection, tip_compliance
 from galen_model.load.nominal_tools import ADAPTER, TOOLS
 from galen_model.rotation import matrix_to_rotvec, rotvec_to_matrix
-from galen_sim_driver.effects.backlash import Backlash
-from galen_sim_driver.effects.cable_drag import CableDrag
-from galen_sim_driver.effects.deflection_hysteresis import DeflectionHysteresis
-from galen_sim_driver.effects.effect import Instants, Loading, Posture
-from galen_sim_driver.effects.friction import turning_points
-from galen_sim_driver.effects.joint_effects import JointCompliance
-from galen_sim_driver.effects.load_effects import InertialLoad
-from galen_sim_driver.effects.sensor_drift import SensorDrift
-from galen_sim_driver.effects.tracker_effects import BaseShift, TrackerDelay, TrackerScale
-from galen_sim_driver.errors import ConfigError
+from galen_sim_driver.effects.effect import ConfigError, Instants, Loading, Posture
+from galen_sim_driver.effects.hysteresis import DeflectionHysteresis, turning_points
+from galen_sim_driver.effects.joints import Backlash, JointCompliance
+from galen_sim_driver.effects.load import CableDrag, InertialLoad
+from galen_sim_driver.effects.sensor import SensorDrift
+from galen_sim_driver.effects.tracker import BaseShift, TrackerDelay, TrackerScale
 from galen_sim_driver.replay import Replay, Scene
 
 POINTER = TOOLS["pointer"]

@@ -13,14 +13,14 @@ from galen_model.errors import GalenError
 from galen_model.load.model import Load, gravity_wrench, nominal_reading
 from galen_model.load.nominal_tools import ADAPTER, TOOLS
 from galen_sim_driver.effects.effect import Instants
-from galen_sim_driver.effects.joint_effects import (
+from galen_sim_driver.effects.joints import (
     BaseInclination,
     JointAxisMisalignment,
     JointCompliance,
     JointGain,
     JointZeroOffset,
 )
-from galen_sim_driver.effects.load_effects import LooseTool, ToolComError, ToolMassError
+from galen_sim_driver.effects.load import LooseTool, ToolComError, ToolMassError
 from galen_sim_driver.effects.registry import (
     CONTRACT_ORDER,
     EFFECTS,
@@ -29,11 +29,11 @@ from galen_sim_driver.effects.registry import (
     effect_from,
     extra_parameters,
 )
-from galen_sim_driver.effects.sensor_drift import SensorDrift
-from galen_sim_driver.effects.sensor_effects import (
+from galen_sim_driver.effects.sensor import (
     AxisGain,
     BiasStep,
     Crosstalk,
+    SensorDrift,
     SensorMountRotation,
     SensorSaturation,
     WrenchDelay,

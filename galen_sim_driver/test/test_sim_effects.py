@@ -12,18 +12,16 @@ from galen_model.arm.sensor_motion import sensor_motion
 from galen_model.errors import GalenError
 from galen_model.load.model import Load, nominal_reading
 from galen_model.load.nominal_tools import ADAPTER, TOOLS
-from galen_sim_driver.effects.cable_drag import CableDrag
 from galen_sim_driver.effects.effect import Instants, Posture
-from galen_sim_driver.effects.load_effects import InertialLoad, LooseTool
-from galen_sim_driver.effects.sensor_drift import SensorDrift
-from galen_sim_driver.node.effect_parameters import EffectParameters, effects_of
-from galen_sim_driver.node.parameters import DriverParameters
+from galen_sim_driver.effects.load import CableDrag, InertialLoad, LooseTool
+from galen_sim_driver.effects.sensor import SensorDrift
+from galen_sim_driver.parameters import DriverParameters, EffectParameters, effects_of
 from galen_sim_driver.plant.cell import Plant
 from galen_sim_driver.plant.config import (
     PlantConfig,
     SensorConfig,
 )
-from galen_sim_driver.plant.trajectory import Trajectory, TrajectoryPoint
+from galen_sim_driver.plant.motion import Trajectory, TrajectoryPoint
 
 EXACT = SensorConfig(noise=False, quantise=False)
 TURNED = (0.03, -0.05, 0.45, 0.8, -0.6)

@@ -7,7 +7,6 @@ import pytest
 from galen_model.arm.galen import GALEN, LIMITS
 from galen_model.arm.kinematics import joint_axes, sensor_rotation, tip_jacobian, tip_pose
 from galen_model.rotation import quaternion_to_matrix, rotvec_to_matrix
-from galen_sim_driver.plant.admittance import damped_joint_velocities
 from galen_sim_driver.plant.geometry import (
     ArmGeometry,
     from_rotvec,
@@ -18,6 +17,7 @@ from galen_sim_driver.plant.geometry import (
     sensor_matrix,
     sensor_quaternion,
 )
+from galen_sim_driver.plant.hand import damped_joint_velocities
 
 RNG = np.random.default_rng(11)
 POSES = RNG.uniform(LIMITS.lower, LIMITS.upper, (25, 5))

@@ -7,7 +7,7 @@ import pytest
 from galen_model.arm.galen import GALEN, HOME
 from galen_model.arm.stiffness import tip_compliance
 from galen_model.load.nominal_tools import TOOLS
-from galen_sim_driver.effects.friction import (
+from galen_sim_driver.effects.hysteresis import (
     joint_columns,
     load_of,
     residual_fraction,

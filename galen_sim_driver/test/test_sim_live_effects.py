@@ -14,15 +14,15 @@ from galen_model.load.nominal_tools import ADAPTER, TOOLS
 from galen_model.rotation import quaternion_to_matrix, rotvec_to_matrix
 from galen_ros.parameters.param import param_fields
 from galen_sim_driver.effects.registry import EFFECTS, IDENTITIES, effect_from
-from galen_sim_driver.effects.sensor_drift import SensorDrift
-from galen_sim_driver.effects.sensor_effects import (
+from galen_sim_driver.effects.sensor import (
     BiasStep,
     Crosstalk,
+    SensorDrift,
     SensorSaturation,
     WrenchDelay,
 )
-from galen_sim_driver.effects.tracker_effects import BaseShift
-from galen_sim_driver.node.effect_parameters import (
+from galen_sim_driver.effects.tracker import BaseShift
+from galen_sim_driver.parameters import (
     EffectParameters,
     driver_file,
     driver_parameters,
@@ -31,7 +31,7 @@ from galen_sim_driver.node.effect_parameters import (
 )
 from galen_sim_driver.plant.cell import Plant
 from galen_sim_driver.plant.config import HandPush, PlantConfig, SensorConfig, TrackerConfig
-from galen_sim_driver.plant.trajectory import Trajectory, TrajectoryPoint
+from galen_sim_driver.plant.motion import Trajectory, TrajectoryPoint
 from galen_sim_driver.replay import Replay, Scene
 
 RATE_HZ = 200.0

@@ -4,6 +4,7 @@ import os
 import time
 from xml.etree import ElementTree
 
+import galen_sim_driver.node as node_module
 import numpy as np
 import pytest
 from builtin_interfaces.msg import Duration
@@ -22,8 +23,7 @@ from galen_ros.node.spin import make_executor
 from galen_ros.node.testing import Harness, parameters
 from galen_ros.parameters.declare import ParameterError
 from galen_ros.qos import LATCHED, STREAM
-from galen_sim_driver.node import sim_driver_node as node_module
-from galen_sim_driver.node.sim_driver_node import SimDriverNode, main
+from galen_sim_driver.node import SimDriverNode, main
 from geometry_msgs.msg import PoseStamped, WrenchStamped
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node

@@ -1,7 +1,7 @@
 """Pacing: how many steps are due on a given clock."""
 
 import pytest
-from galen_sim_driver.node.pacing import Pacer, SpeedMeter
+from galen_sim_driver.node import Pacer, SpeedMeter
 
 
 def test_steps_follow_the_clock():

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from galen_model.errors import GalenError
-from galen_sim_driver.node.parameters import DriverParameters
+from galen_sim_driver.parameters import DriverParameters
 from galen_sim_driver.plant.cell import Plant
 from galen_sim_driver.plant.config import PlantConfig
 

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 from galen_model.arm.galen import HOME, JOINT_NAMES, LIMITS
-from galen_sim_driver.errors import TrajectoryError
-from galen_sim_driver.plant.trajectory import (
+from galen_sim_driver.plant.config import PlantError
+from galen_sim_driver.plant.motion import (
     JointState,
     Reference,
     Trajectory,
@@ -50,14 +50,14 @@ def test_good_trajectories_pass():
     ],
 )
 def test_bad_trajectories_are_rejected_with_joint_and_value(names, points, words):
-    with pytest.raises(TrajectoryError) as error:
+    with pytest.raises(PlantError) as error:
         check(names, *points)
     for word in words:
         assert word in str(error.value)
 
 
 def test_a_trajectory_of_the_past_is_rejected():
-    with pytest.raises(TrajectoryError, match=r"1\.000 s in the past"):
+    with pytest.raises(PlantError, match=r"1\.000 s in the past"):
         check(["roll", "tilt"], POINT, start_ns=NOW_NS - 2_000_000_000)
 
 
@@ -141,7 +141,7 @@ def test_a_start_in_the_past_joins_in_the_middle():
 def test_rates_that_would_overflow_are_rejected(kind):
     """The sum of 1e308 and 1e308 in a polynomial is infinite, and then the arm's place NaN."""
     rates = {"velocities": [0.0], "accelerations": [0.0], kind: [1e308]}
-    with pytest.raises(TrajectoryError, match=f"{kind} of roll hold 1e\\+308"):
+    with pytest.raises(PlantError, match=f"{kind} of roll hold 1e\\+308"):
         check(["roll"], TrajectoryPoint(1.0, [0.2], **rates))
     # the largest that are taken keep the reference finite, however short the piece
     rates = {"velocities": [1e6], "accelerations": [1e6]}

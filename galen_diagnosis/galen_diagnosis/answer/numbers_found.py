@@ -24,8 +24,8 @@ import numpy as np
 from galen_model.arm.kinematics import sensor_pose
 from galen_model.arrays import Array
 from galen_model.evidence.background import Background, factor
-from galen_sim_driver.effects.cable_drag import CableDrag
 from galen_sim_driver.effects.effect import Effect
+from galen_sim_driver.effects.load import CableDrag
 from galen_sim_driver.effects.registry import contract_parameters, extra_parameters
 from scipy.linalg import cho_solve
 
@@ -109,8 +109,9 @@ def parameters(
 
 
 def _root(spread: Array) -> Array:
+    """The symmetric root, which is unique: the signs of eigenvectors are not."""
     values, vectors = np.linalg.eigh(spread)
-    return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))
+    return np.asarray((vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T)
 
 
 def _told(observation: Observation, effect: Effect) -> Mapping[str, Any]:

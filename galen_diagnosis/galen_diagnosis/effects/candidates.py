@@ -15,13 +15,12 @@ import numpy as np
 from galen_model.arm.galen import WRENCH_AXES
 from galen_model.arm.kinematics import sensor_pose
 from galen_model.arrays import Array
-from galen_sim_driver.effects.backlash import Backlash
-from galen_sim_driver.effects.cable_drag import CableDrag
-from galen_sim_driver.effects.deflection_hysteresis import DeflectionHysteresis
 from galen_sim_driver.effects.effect import Effect
-from galen_sim_driver.effects.joint_effects import JointCompliance
+from galen_sim_driver.effects.hysteresis import DeflectionHysteresis
+from galen_sim_driver.effects.joints import Backlash, JointCompliance
+from galen_sim_driver.effects.load import CableDrag
 from galen_sim_driver.effects.registry import IDENTITIES
-from galen_sim_driver.effects.sensor_effects import Crosstalk
+from galen_sim_driver.effects.sensor import Crosstalk
 
 from galen_diagnosis.observation.observation import Observation
 

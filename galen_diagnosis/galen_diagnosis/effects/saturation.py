@@ -16,7 +16,7 @@ import numpy as np
 from galen_model.arm.galen import WRENCH_AXES
 from galen_model.arrays import Array
 from galen_sim_driver.effects.effect import Effect
-from galen_sim_driver.effects.sensor_effects import SensorSaturation
+from galen_sim_driver.effects.sensor import SensorSaturation
 
 from galen_diagnosis.effects.candidates import Candidate, EffectsAt
 from galen_diagnosis.observation.observation import Observation

@@ -18,9 +18,8 @@ from galen_model.arm.galen import WRENCH_AXES
 from galen_model.arrays import Array
 from galen_model.evidence.background import Background, Evidence, evidences
 from galen_sim_driver.effects.effect import Effect
-from galen_sim_driver.effects.sensor_drift import SensorDrift
-from galen_sim_driver.effects.sensor_effects import BiasStep
-from galen_sim_driver.effects.tracker_effects import BaseShift
+from galen_sim_driver.effects.sensor import BiasStep, SensorDrift
+from galen_sim_driver.effects.tracker import BaseShift
 from galen_sim_driver.replay import Replay
 
 from galen_diagnosis.effects.candidates import Candidate, EffectsAt, crosstalk_candidate, crosstalks

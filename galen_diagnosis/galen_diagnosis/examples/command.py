@@ -38,8 +38,8 @@ from galen_ros.command import (
     run_command,
 )
 from galen_sim_driver.effects.effect import Effect
-from galen_sim_driver.effects.joint_effects import JointGain
-from galen_sim_driver.effects.sensor_drift import SensorDrift
+from galen_sim_driver.effects.joints import JointGain
+from galen_sim_driver.effects.sensor import SensorDrift
 from rich.console import Console
 from tqdm import tqdm
 

@@ -30,11 +30,11 @@ from galen_model.load.model import Load
 from galen_ros.cdr.layout import JointStateBytes, PoseBytes, WrenchBytes
 from galen_sim_driver.effects.effect import BAG_ORDER, Effect
 from galen_sim_driver.effects.registry import contract_parameters
-from galen_sim_driver.effects.sensor_effects import BiasStep
-from galen_sim_driver.effects.tracker_effects import BaseShift
+from galen_sim_driver.effects.sensor import BiasStep
+from galen_sim_driver.effects.tracker import BaseShift
 from galen_sim_driver.plant.cell import Plant, Sample
 from galen_sim_driver.plant.config import HandPush, PlantConfig, TrackerConfig
-from galen_sim_driver.plant.trajectory import Trajectory, TrajectoryPoint
+from galen_sim_driver.plant.motion import Trajectory, TrajectoryPoint
 
 from galen_diagnosis.errors import DiagnosisError
 

@@ -29,7 +29,7 @@ import numpy as np
 from galen_model.arrays import Array
 from galen_model.files.calibration_file import CalibrationFile
 from galen_sim_driver.effects.effect import Effect
-from galen_sim_driver.effects.sensor_drift import SensorDrift
+from galen_sim_driver.effects.sensor import SensorDrift
 
 from galen_diagnosis.errors import DiagnosisError
 from galen_diagnosis.experiment.trial import Trial, free_columns, load_columns, signature

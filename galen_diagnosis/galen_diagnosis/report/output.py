@@ -17,8 +17,8 @@ from pathlib import Path
 import yaml
 from galen_model.files.atomic_file import sync_directory
 from galen_ros.command import check_parent
-from galen_sim_driver.errors import ConfigError
-from galen_sim_driver.node.effect_parameters import driver_file
+from galen_sim_driver.effects.effect import ConfigError
+from galen_sim_driver.parameters import driver_file
 
 from galen_diagnosis.answer.answer import Diagnosis
 from galen_diagnosis.answer.localization import where

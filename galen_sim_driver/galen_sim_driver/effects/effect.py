@@ -30,9 +30,13 @@ import numpy as np
 from galen_model.arm.galen import WRENCH_AXES, ArmParameters
 from galen_model.arm.sensor_motion import SensorMotion
 from galen_model.arrays import Array
+from galen_model.errors import GalenError
 from galen_model.load.model import Load
 
-from galen_sim_driver.errors import ConfigError
+
+class ConfigError(GalenError):
+    """A configuration value is invalid; the message names it."""
+
 
 ROTARY_JOINTS = ("roll", "tilt")
 
@@ -122,7 +126,7 @@ class Effect:
     contract, where they are others; "a.b" is the entry b of a mapping a, left out where 0.
     beyond_contract: fields that the contract doesn't name. recording_only: fields that mean nothing
     to a driver. driver_names: the driver's parameters of fields, where they have names from before
-    (`galen_sim_driver.node.effect_parameters`).
+    (`galen_sim_driver.parameters`).
     of_a_joint: it has a field `joint`, and at another joint it is another cause.
     """
 

@@ -15,8 +15,7 @@ from typing import Any
 from galen_ros.parameters.param import ParameterError, checked, param_fields
 
 from galen_sim_driver import effects
-from galen_sim_driver.effects.effect import ROTARY_JOINTS, Effect
-from galen_sim_driver.errors import ConfigError
+from galen_sim_driver.effects.effect import ROTARY_JOINTS, ConfigError, Effect
 
 CONTRACT_ORDER = (
     "joint_zero_offset",

@@ -22,9 +22,7 @@ from galen_model.arm.stiffness import tip_compliance
 from galen_model.load.model import gravity_wrench
 from galen_model.load.nominal_tools import ToolGeometry
 
-from galen_sim_driver.errors import UnknownToolError, ZeroingError
-from galen_sim_driver.plant.admittance import Admittance
-from galen_sim_driver.plant.config import HandPush, PlantConfig
+from galen_sim_driver.plant.config import HandPush, PlantConfig, PlantError
 from galen_sim_driver.plant.effects import ArmNow, PlantEffects
 from galen_sim_driver.plant.geometry import (
     ArmGeometry,
@@ -34,11 +32,15 @@ from galen_sim_driver.plant.geometry import (
     sensor_matrix,
     sensor_quaternion,
 )
-from galen_sim_driver.plant.hand import Hand
-from galen_sim_driver.plant.motion import LimitedMotion
-from galen_sim_driver.plant.sensor import ForceTorqueSensor, Zeroing
-from galen_sim_driver.plant.tracker import Tracker, TrackerSample
-from galen_sim_driver.plant.trajectory import JointState, Reference, Trajectory, check_trajectory
+from galen_sim_driver.plant.hand import Admittance, Hand
+from galen_sim_driver.plant.motion import (
+    JointState,
+    LimitedMotion,
+    Reference,
+    Trajectory,
+    check_trajectory,
+)
+from galen_sim_driver.plant.sensors import ForceTorqueSensor, Tracker, TrackerSample, Zeroing
 
 _G = -float(GRAVITY_M_S2[2])
 
@@ -163,7 +165,7 @@ class Plant:
     def command(self, trajectory: Trajectory) -> None:
         """Follow a trajectory from the present state, instead of any other.
 
-        Without points it means: stop. Raises TrajectoryError and changes nothing when the
+        Without points it means: stop. Raises PlantError and changes nothing when the
         trajectory is bad.
         """
         if not trajectory.points:
@@ -187,10 +189,10 @@ class Plant:
         self._reference = None
 
     def attach_tool(self, name: str) -> ToolGeometry | None:
-        """Put a tool on, "" for none, and return it; raises UnknownToolError."""
+        """Put a tool on, "" for none, and return it; raises PlantError."""
         if name and name not in self._config.tools:
             known = ", ".join(sorted(self._config.tools)) or "none"
-            raise UnknownToolError(f"no tool '{name}' here; configured: {known}")
+            raise PlantError(f"no tool '{name}' here; configured: {known}")
         tool = self._config.tools[name] if name else None
         self._tool = name
         self._set_load(tool)
@@ -200,12 +202,12 @@ class Plant:
     def start_zeroing(self, window_s: float) -> Zeroing:
         """Zero the sensor at the mean of the next `window_s`; ask `done` and `error` of the result.
 
-        Raises ZeroingError while the arm moves or is in admittance mode.
+        Raises PlantError while the arm moves or is in admittance mode.
         """
         if self._admittance_on:
-            raise ZeroingError("the arm is in admittance mode")
+            raise PlantError("the arm is in admittance mode")
         if self.moving:
-            raise ZeroingError("the arm is moving")
+            raise PlantError("the arm is moving")
         self._zeroing = self._sensor.start_zeroing(max(1, round(window_s / self._period_s)))
         return self._zeroing
 
@@ -235,7 +237,7 @@ class Plant:
         self._hand.start(self.now_ns)
 
     def push(self, push: HandPush) -> None:
-        """Push once, from now on; raises HandBusyError, or ConfigError for nonsense."""
+        """Push once, from now on; raises PlantError, or ConfigError for nonsense."""
         self._hand.push(push, self.now_ns)
 
     # --- time -------------------------------------------------------------------------------

@@ -22,11 +22,11 @@ from galen_model.arm.galen import (
     JointLimits,
     SensorParameters,
 )
+from galen_model.errors import GalenError
 from galen_model.load.model import Load
 from galen_model.load.nominal_tools import ADAPTER, TOOLS, ToolGeometry
 
-from galen_sim_driver.effects.effect import Effect
-from galen_sim_driver.errors import ConfigError
+from galen_sim_driver.effects.effect import ConfigError, Effect
 
 Vector3 = tuple[float, float, float]
 JointVector = tuple[float, float, float, float, float]
@@ -35,6 +35,11 @@ LONGEST_PUSH_S = 3600.0
 """A hand that pushes for ever would keep every other push out."""
 LARGEST_PUSH = 1e4
 """N, or N.m about the tip: beyond what any arm of this size bears, and no number overflows."""
+
+
+class PlantError(GalenError):
+    """Reject a command to the plant; the message gives the reason."""
+
 
 ZERO3: Vector3 = (0.0, 0.0, 0.0)
 

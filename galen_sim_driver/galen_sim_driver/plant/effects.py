@@ -25,7 +25,7 @@ from galen_sim_driver.effects.effect import (
     in_order,
     total_turns,
 )
-from galen_sim_driver.effects.joint_effects import sensor_pose
+from galen_sim_driver.effects.joints import sensor_pose
 from galen_sim_driver.plant.geometry import (
     ArmGeometry,
     Matrix,
@@ -34,7 +34,7 @@ from galen_sim_driver.plant.geometry import (
     sensor_matrix,
     sensor_quaternion,
 )
-from galen_sim_driver.plant.tracker import MarkerPose
+from galen_sim_driver.plant.sensors import MarkerPose
 
 _ORIGIN = (0.0, 0.0, 0.0)
 

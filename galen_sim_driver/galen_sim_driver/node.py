@@ -1,4 +1,9 @@
-"""The simulated driver as a ROS node: stands in for arm, force/torque sensor and tracker."""
+"""Messages of the driver to and from the plant's own types.
+
+How many steps of the plant are due, on a clock of the caller's.
+
+The simulated driver as a ROS node: stands in for arm, force/torque sensor and tracker.
+"""
 
 from __future__ import annotations
 
@@ -29,20 +34,102 @@ from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory
 
 from galen_msgs.srv import PushTool, SetTool
-from galen_sim_driver.errors import (
-    ConfigError,
-    HandBusyError,
-    TrajectoryError,
-    UnknownToolError,
-    ZeroingError,
-)
-from galen_sim_driver.node.conversions import fill_pose, push_from_request, trajectory_from_message
-from galen_sim_driver.node.effect_parameters import DRIVER_NODE, EffectParameters, effects_of
-from galen_sim_driver.node.pacing import Pacer, SpeedMeter
-from galen_sim_driver.node.parameters import DriverParameters
+from galen_sim_driver.effects.effect import ConfigError
+from galen_sim_driver.parameters import DRIVER_NODE, DriverParameters, EffectParameters, effects_of
 from galen_sim_driver.plant.cell import Plant, Sample
-from galen_sim_driver.plant.sensor import Zeroing
-from galen_sim_driver.plant.tracker import TrackerSample
+from galen_sim_driver.plant.config import HandPush, PlantError
+from galen_sim_driver.plant.motion import Trajectory, TrajectoryPoint
+from galen_sim_driver.plant.sensors import MarkerPose, TrackerSample, Zeroing
+
+
+def trajectory_from_message(message: JointTrajectory) -> Trajectory:
+    """Return the trajectory that a message asks for, unchecked."""
+    return Trajectory(
+        list(message.joint_names),
+        [
+            TrajectoryPoint(
+                point.time_from_start.sec + point.time_from_start.nanosec * 1e-9,
+                list(point.positions),
+                list(point.velocities),
+                list(point.accelerations),
+            )
+            for point in message.points
+        ],
+        stamp_to_ns(message.header.stamp),
+    )
+
+
+def push_from_request(request: PushTool.Request) -> HandPush:
+    """Return the push that a request asks for, unchecked."""
+    fx, fy, fz = (float(value) for value in request.force_n)
+    tx, ty, tz = (float(value) for value in request.torque_nm)
+    return HandPush(
+        start_s=0.0,
+        # In this order, for rise and fall to be within the sum whatever is rounded.
+        duration_s=(request.rise_s + request.fall_s) + request.hold_s,
+        force_n=(fx, fy, fz),
+        torque_nm=(tx, ty, tz),
+        frame="base",
+        ramp_s=request.rise_s,
+        fall_s=request.fall_s,
+    )
+
+
+def fill_pose(message: PoseStamped, stamp_ns: int, pose: MarkerPose) -> None:
+    """Write stamp and pose into `message`."""
+    fill_stamp(message.header.stamp, stamp_ns)
+    position, orientation = message.pose.position, message.pose.orientation
+    position.x, position.y, position.z = pose.position_m
+    orientation.x, orientation.y, orientation.z, orientation.w = pose.quaternion
+
+
+class Pacer:
+    """Spreads simulated periods over wall time, `speed_factor` simulated seconds to a second.
+
+    In real time every step that a stall left out is made up, at most `max_steps` at once, since
+    the stamps follow the system's clock. At another speed a stall slows simulated time down
+    instead: steps in a burst would overrun the subscribers of a machine that is short of time.
+    """
+
+    def __init__(self, period_s: float, speed_factor: float, max_steps: int) -> None:
+        self._steps_per_s = speed_factor / period_s
+        self._max_steps = max_steps
+        self._makes_up = speed_factor == 1.0
+        self._origin_s = 0.0
+        self._taken = 0
+
+    def start(self, now_s: float) -> None:
+        """Count from `now_s`."""
+        self._origin_s = now_s
+        self._taken = 0
+
+    def due(self, now_s: float) -> int:
+        """Return how many steps to take now; the caller takes them."""
+        missing = int((now_s - self._origin_s) * self._steps_per_s) - self._taken
+        steps = max(0, min(missing, self._max_steps))
+        self._taken += steps
+        if steps < missing and not self._makes_up:
+            self.start(now_s)
+        return steps
+
+
+class SpeedMeter:
+    """How fast simulated time goes, averaged over at least `window_s` of wall time."""
+
+    def __init__(self, window_s: float) -> None:
+        self._window_s = window_s
+        self._last: tuple[float, int] | None = None
+        self.speed: float | None = None
+        """Simulated over wall time, None at first."""
+
+    def update(self, now_s: float, sim_ns: int) -> None:
+        """Tell both times; `speed` changes when the window is over."""
+        if self._last is None:
+            self._last = (now_s, sim_ns)
+        elif now_s - self._last[0] >= self._window_s:
+            self.speed = (sim_ns - self._last[1]) * 1e-9 / (now_s - self._last[0])
+            self._last = (now_s, sim_ns)
+
 
 _CLOCK_RATE_HZ = 100.0
 # Slower than this part of what was asked is worth a warning.
@@ -188,7 +275,7 @@ class SimDriverNode(ManagedNode):
     def _on_trajectory(self, message: JointTrajectory) -> None:
         try:
             self._plant.command(trajectory_from_message(message))
-        except TrajectoryError as error:
+        except PlantError as error:
             self._rejected_count += 1
             self._rejection = str(error)
             self.get_logger().error(f"joint_trajectory rejected: {error}")
@@ -222,9 +309,9 @@ class SimDriverNode(ManagedNode):
     def _on_zero_ft_sensor(self, _: Any, response: Any, respond: Respond) -> None:
         try:
             if not self.active:
-                raise ZeroingError(_INACTIVE)
+                raise PlantError(_INACTIVE)
             zeroing = self._plant.start_zeroing(self._settings.bias_window_s)
-        except ZeroingError as error:
+        except PlantError as error:
             response.message = f"not zeroed: {error}"
             respond(response)
             return
@@ -233,7 +320,7 @@ class SimDriverNode(ManagedNode):
     def _give_up_zeroing(self) -> None:
         """Answer who waits for a zeroing when the services go."""
         if self._pending_zeroing is not None:
-            self._pending_zeroing.zeroing.error = ZeroingError("the driver was shut down")
+            self._pending_zeroing.zeroing.error = PlantError("the driver was shut down")
             self._answer_zeroing(self._pending_zeroing)
 
     def _answer_zeroing(self, pending: _PendingZeroing) -> None:
@@ -258,7 +345,7 @@ class SimDriverNode(ManagedNode):
         except ToolNameError as error:
             response.error_code = SetTool.Response.INVALID_NAME
             response.error_msg = str(error)
-        except UnknownToolError as error:
+        except PlantError as error:
             response.error_code = SetTool.Response.NOT_FOUND
             response.error_msg = str(error)
         else:
@@ -276,7 +363,7 @@ class SimDriverNode(ManagedNode):
     def _on_push_tool(self, request: Any, response: Any) -> Any:
         try:
             self._plant.push(push_from_request(request))
-        except HandBusyError as error:
+        except PlantError as error:
             response.error_code, response.error_msg = PushTool.Response.BUSY, str(error)
         except ConfigError as error:
             response.error_code, response.error_msg = PushTool.Response.BAD_INPUT, str(error)
