@@ -17,7 +17,7 @@ from galen_model.arm.galen import JOINT_NAMES, SENSOR_FRAME, TRACKER_FRAME
 from galen_model.arm.urdf import galen_urdf
 from galen_model.errors import ToolNameError
 from galen_model.files.calibration_file import check_tool_name
-from galen_ros.cdr.layout import JointStateBytes, WrenchBytes
+from galen_ros.cdr import joint_state_bytes, wrench_bytes
 from galen_ros.conversions import fill_stamp, stamp_to_ns, wrench_to_array
 from galen_ros.node.diagnostics import ERROR, OK, WARN, Level, Status
 from galen_ros.node.managed_node import ManagedNode
@@ -180,8 +180,8 @@ class SimDriverNode(ManagedNode):
         self._ignored_wrench = ""
         self._pending_zeroing: _PendingZeroing | None = None
 
-        self._joint_state_bytes = JointStateBytes(JOINT_NAMES, "")
-        self._wrench_bytes = WrenchBytes(SENSOR_FRAME)
+        self._joint_state_bytes = joint_state_bytes(JOINT_NAMES, "")
+        self._wrench_bytes = wrench_bytes(SENSOR_FRAME)
         self._pose = PoseStamped()
         self._pose.header.frame_id = TRACKER_FRAME
         self._clock_message = ClockMessage()

@@ -27,8 +27,7 @@ from galen_model.arm.galen import (
 from galen_model.files.calibration_file import check_tool_name
 from galen_model.load.model import Load
 from galen_model.load.nominal_tools import ADAPTER, TOOLS, ToolGeometry
-from galen_ros.parameters.declare import ParameterError, param
-from galen_ros.parameters.param import param_fields
+from galen_ros.parameters.param import ParameterError, param, param_fields
 
 from galen_sim_driver.effects.effect import ConfigError, Effect
 from galen_sim_driver.effects.registry import IDENTITIES

@@ -83,7 +83,6 @@ from functools import cache, partial
 from typing import ClassVar, Self
 
 import numpy as np
-from galen_model.arm.delta import LinearDelta
 from galen_model.arm.galen import HOME, ArmParameters
 from galen_model.arm.kinematics import tip_jacobian, tip_pose
 from galen_model.arm.stiffness import tip_compliance
@@ -162,7 +161,7 @@ def joint_columns(joints: ArrayLike, tip_m: ArrayLike, arm: ArmParameters) -> Ar
     joints (5,): m, rad. tip_m (3,): in ft_sensor.
     """
     q = np.asarray(joints, dtype=float)
-    delta = LinearDelta(arm)
+    delta = arm.delta
     columns = np.zeros((6, 11))
     columns[:, :5] = tip_jacobian(q, tip_m, arm)
     columns[:3, :3] = np.linalg.inv(delta.jacobian(q[:3]))

@@ -185,10 +185,10 @@ class BaseInclination(Effect):
 
 
 ARM_FIELDS: Mapping[str, str] = {
-    "roll": "roll_stiffness_nm_rad",
-    "tilt": "tilt_stiffness_nm_rad",
-    "carriage": "carriage_stiffness_n_m",
-    "rod": "rod_stiffness_n_m",
+    "roll": "roll",
+    "tilt": "tilt",
+    "carriage": "carriage",
+    "rod": "rod",
 }
 """The effect's fields and those of the arm's parameters."""
 
@@ -234,7 +234,7 @@ class JointCompliance(Effect):
     def arm(self, arm: ArmParameters) -> ArmParameters:
         """The arm with these stiffnesses."""
         given = {of_arm: getattr(self, field) for field, of_arm in ARM_FIELDS.items()}
-        return replace(arm, **{of_arm: k for of_arm, k in given.items() if k > 0.0})
+        return arm.with_stiffness({of_arm: k for of_arm, k in given.items() if k > 0.0})
 
 
 _TILT = JOINT_NAMES.index("tilt")
