@@ -25,7 +25,7 @@ from galen_calibration_behavior.commands import (
 from galen_calibration_behavior.parameters import CalibrationParameters
 from galen_model.arm.galen import JOINT_NAMES, SENSOR_FRAME, TRACKER_FRAME
 from galen_model.errors import GalenError
-from galen_ros.cdr.layout import JointStateBytes, PoseBytes, WrenchBytes
+from galen_ros.cdr import joint_state_bytes, pose_bytes, wrench_bytes
 from galen_ros.goal.commands import MoveTo, Stop
 from galen_sim_driver.plant.cell import Plant, Sample
 from galen_sim_driver.plant.config import PlantError
@@ -173,14 +173,14 @@ class CellBag:
         self._bag = bag
         self._joint_states = bag.add_topic("joint_states", "sensor_msgs/msg/JointState")
         self._wrench_raw = bag.add_topic("wrench_raw", "geometry_msgs/msg/WrenchStamped")
-        self._joint_bytes = JointStateBytes(JOINT_NAMES)
-        self._wrench_bytes = WrenchBytes(SENSOR_FRAME)
+        self._joint_bytes = joint_state_bytes(JOINT_NAMES)
+        self._wrench_bytes = wrench_bytes(SENSOR_FRAME)
         self._tracker = tracker
         if tracker:
             pose = "geometry_msgs/msg/PoseStamped"
             self._tool_pose = bag.add_topic("tracker/tool_pose", pose)
             self._base_pose = bag.add_topic("tracker/base_pose", pose)
-            self._pose_bytes = PoseBytes(TRACKER_FRAME)
+            self._pose_bytes = pose_bytes(TRACKER_FRAME)
 
     def __call__(self, sample: Sample) -> None:
         """Write what the driver publishes of this sample, in its order."""

@@ -1,7 +1,7 @@
 """An arm by the contract's numbers, and a driver that publishes what it is told."""
 
 import numpy as np
-from galen_ros.cdr.layout import JointStateBytes, WrenchBytes
+from galen_ros.cdr import joint_state_bytes, wrench_bytes
 from galen_ros.qos import STREAM
 from geometry_msgs.msg import WrenchStamped
 from rclpy.node import Node
@@ -43,8 +43,8 @@ class Source(Node):
     def joints(self, stamp_ns, roll, tilt, names=JOINTS):
         values = dict(zip(JOINTS, (*HOME, roll, tilt), strict=True))
         positions = [values.get(name, 9.0) for name in names]
-        data = JointStateBytes(names).fill(stamp_ns, positions, [0.0] * len(names))
+        data = joint_state_bytes(names).fill(stamp_ns, positions, [0.0] * len(names))
         self.joints_out.publish(data)
 
     def wrench(self, stamp_ns, wrench, frame_id="ft_sensor"):
-        self.wrench_out.publish(WrenchBytes(frame_id).fill(stamp_ns, list(wrench)))
+        self.wrench_out.publish(wrench_bytes(frame_id).fill(stamp_ns, list(wrench)))

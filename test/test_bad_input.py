@@ -18,7 +18,7 @@ from galen_bags.formats import library_file
 from galen_bags.formats.raw_block import pack
 from galen_bags.formats.writer import BagWriter
 from galen_model.errors import GalenError
-from galen_ros.cdr.wire import WrenchWire
+from galen_ros.cdr import WrenchWire
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from rosbags.typesys import TypesysError

@@ -14,7 +14,7 @@ from galen_deflection.collection.node import CollectionNode
 from galen_deflection.node import DeflectionNode
 from galen_gravcomp.node import GravcompNode
 from galen_panel.ros.suite import RosSuite
-from galen_ros.cdr.layout import WrenchBytes
+from galen_ros.cdr import wrench_bytes
 from galen_ros.node.testing import Harness, parameters
 from galen_ros.parameters.declare import markdown_table
 from galen_sim_driver.node import SimDriverNode
@@ -38,7 +38,7 @@ def recorder_node(folder, **options):
 def player_node(folder, **options):
     with BagWriter(folder / "bag") as bag:
         topic = bag.add_topic("wrench_raw", "geometry_msgs/msg/WrenchStamped")
-        bag.write(topic, 1, WrenchBytes("ft_sensor").fill(1, [0.0] * 6))
+        bag.write(topic, 1, wrench_bytes("ft_sensor").fill(1, [0.0] * 6))
     return PlayerNode(open_bag(folder / "bag"), PlayOptions(start_paused=True), **options)
 
 

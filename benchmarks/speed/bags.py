@@ -32,7 +32,7 @@ from galen_bags.formats.writer import BagWriter
 from galen_gravcomp.evaluate.bag_evaluation import evaluate_bag
 from galen_model.arm.galen import JOINT_NAMES, SENSOR
 from galen_model.files.calibration_file import read_calibration, write_calibration
-from galen_ros.cdr.layout import JointStateBytes, WrenchBytes
+from galen_ros.cdr import joint_state_bytes, wrench_bytes
 from rich.table import Table
 from tqdm import tqdm
 
@@ -63,7 +63,7 @@ def generate(path: Path, hours: float, *, quiet: bool) -> int:
     tool = bench_tool()
     period_ns = round(1e9 / _RATE_HZ)
     total = round(hours * 3600.0 * _RATE_HZ)
-    joint_bytes, wrench_bytes = JointStateBytes(JOINT_NAMES), WrenchBytes("ft_sensor")
+    states, forces = joint_state_bytes(JOINT_NAMES), wrench_bytes("ft_sensor")
     goals = rng.uniform([-1.3, -0.9], [1.3, 0.9], size=(round(hours * 3600 / 6) + 2, 2))
     with (
         BagWriter(path) as bag,
@@ -83,9 +83,9 @@ def generate(path: Path, hours: float, *, quiet: bool) -> int:
                        strict=True)  # fmt: skip
             for stamp_ns, pair, reading in rows:
                 position = [0.0, 0.0, 0.408, *pair]
-                message = joint_bytes.fill(stamp_ns, position, [0.0] * 5)
+                message = states.fill(stamp_ns, position, [0.0] * 5)
                 bag.write(joints, stamp_ns + 200_000, message)
-                bag.write(wrenches, stamp_ns + 250_000, wrench_bytes.fill(stamp_ns, reading))
+                bag.write(wrenches, stamp_ns + 250_000, forces.fill(stamp_ns, reading))
             bar.update(len(number))
     return 2 * total
 

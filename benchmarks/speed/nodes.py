@@ -27,7 +27,7 @@ from typing import Any
 
 import numpy as np
 import rclpy
-from galen_ros.cdr.layout import NS_PER_S, STAMP_AT
+from galen_ros.cdr import NS_PER_S, STAMP_AT
 from galen_ros.node.domain import DomainLock
 from galen_ros.node.spin import make_executor
 from galen_ros.qos import STREAM

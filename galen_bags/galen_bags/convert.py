@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from galen_model.arm.galen import SENSOR_FRAME
 from galen_model.errors import GalenError
-from galen_ros.cdr.layout import NS_PER_S
+from galen_ros.cdr import NS_PER_S
 from galen_ros.command import (
     EXIT_OK,
     add_json,

@@ -7,13 +7,13 @@ import pytest
 from galen_bags.errors import BagError
 from galen_bags.formats.bag import content_sha256
 from galen_bags.formats.writer import BagWriter
-from galen_ros.cdr.layout import WrenchBytes
+from galen_ros.cdr import wrench_bytes
 
 WRENCH = "geometry_msgs/msg/WrenchStamped"
 
 
 def write(path, *, compressed=True, topic="wrench_raw", type_name=WRENCH, delay=7, last=2.0):
-    layout = WrenchBytes("ft_sensor")
+    layout = wrench_bytes("ft_sensor")
     with BagWriter(path, compressed=compressed) as bag:
         handle = bag.add_topic(topic, type_name)
         for k, value in enumerate((1.0, last)):
@@ -25,7 +25,7 @@ def write(path, *, compressed=True, topic="wrench_raw", type_name=WRENCH, delay=
 def test_it_is_what_its_description_says(tmp_path):
     digest = hashlib.sha256()
     for k, value in enumerate((1.0, 2.0)):
-        data = WrenchBytes("ft_sensor").fill(1_000_000_000 + k, [value] * 6)
+        data = wrench_bytes("ft_sensor").fill(1_000_000_000 + k, [value] * 6)
         digest.update(f"/wrench_raw\0{WRENCH}\0".encode())
         digest.update(struct.pack("<qQ", 1_000_000_007 + k, len(data)))
         digest.update(data)

@@ -9,14 +9,14 @@ import pytest
 from galen_bags.errors import BagError
 from galen_bags.formats.bag import open_bag
 from galen_bags.formats.writer import GrowingBagWriter
-from galen_ros.cdr.layout import WrenchBytes
+from galen_ros.cdr import wrench_bytes
 from rosbags.rosbag2 import Reader
 
 WRENCH = "geometry_msgs/msg/WrenchStamped"
 
 
 def message(index: int) -> bytes:
-    return WrenchBytes("ft_sensor").fill(index, [float(index)] * 6)
+    return wrench_bytes("ft_sensor").fill(index, [float(index)] * 6)
 
 
 def write_some(bag: GrowingBagWriter, topic: Any, indices: range) -> None:

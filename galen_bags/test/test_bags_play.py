@@ -17,7 +17,7 @@ from galen_bags.play.command import main
 from galen_bags.play.player import PlayerNode, PlayOptions
 from galen_bags.record.recorder import RecorderNode
 from galen_bags.topics import definition_of, to_bag
-from galen_ros.cdr.layout import WrenchBytes
+from galen_ros.cdr import wrench_bytes
 from galen_ros.node.testing import Harness
 from galen_ros.qos import LATCHED, STREAM
 from geometry_msgs.msg import WrenchStamped
@@ -41,7 +41,7 @@ DEFLECTION = "galen_msgs/msg/DeflectionStamped"
 
 def wrench(index: int, stamp_ns: int | None = None) -> bytes:
     stamp_ns = 7 * S + index if stamp_ns is None else stamp_ns
-    return WrenchBytes("ft_sensor").fill(stamp_ns, [float(index)] * 6)
+    return wrench_bytes("ft_sensor").fill(stamp_ns, [float(index)] * 6)
 
 
 @cache

@@ -18,7 +18,7 @@ from galen_bags.formats.bag import open_bag
 from galen_bags.formats.writer import GrowingBagWriter
 from galen_bags.record.command import main, parse
 from galen_bags.record.recorder import DEFAULT_TOPICS, RecorderNode, SimulatedTimes, received_ns
-from galen_ros.cdr.layout import JointStateBytes, WrenchBytes
+from galen_ros.cdr import joint_state_bytes, wrench_bytes
 from galen_ros.node.diagnostics import Level
 from galen_ros.node.testing import Harness
 from galen_ros.qos import LATCHED, STREAM
@@ -41,11 +41,11 @@ NAMES = ("delta_x", "delta_y", "delta_z", "roll", "tilt")
 
 
 def wrench(index: int) -> bytes:
-    return WrenchBytes("ft_sensor").fill(S + index, [float(index)] * 6)
+    return wrench_bytes("ft_sensor").fill(S + index, [float(index)] * 6)
 
 
 def joints(index: int) -> bytes:
-    return JointStateBytes(NAMES).fill(S + index, [0.5 * index] * 5, [0.0] * 5)
+    return joint_state_bytes(NAMES).fill(S + index, [0.5 * index] * 5, [0.0] * 5)
 
 
 @pytest.fixture
@@ -362,7 +362,7 @@ def test_diagnostics_tell_what_is_missing(harness: Harness, bag: GrowingBagWrite
 SOURCE = """
 import sys
 import rclpy
-from galen_ros.cdr.layout import WrenchBytes
+from galen_ros.cdr import wrench_bytes
 from galen_ros.qos import STREAM
 from geometry_msgs.msg import WrenchStamped
 from rclpy.node import Node
@@ -373,7 +373,7 @@ publisher = node.create_publisher(WrenchStamped, "wrench_raw", STREAM)
 index = 0
 def publish():
     global index
-    publisher.publish(WrenchBytes("ft_sensor").fill(10**9 + index, [float(index)] * 6))
+    publisher.publish(wrench_bytes("ft_sensor").fill(10**9 + index, [float(index)] * 6))
     index += 1
 node.create_timer(0.002, publish)
 rclpy.spin(node)

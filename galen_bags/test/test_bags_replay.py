@@ -10,7 +10,7 @@ import pytest
 from galen_bags.errors import BagError
 from galen_bags.formats.raw_block import Messages, pack
 from galen_bags.play.timing import Ahead, BagClock, Playlist, Settling, window, with_stamp
-from galen_ros.cdr.layout import WrenchBytes
+from galen_ros.cdr import wrench_bytes
 
 S = 1_000_000_000
 MS = 1_000_000
@@ -193,8 +193,8 @@ def test_nothing_is_ready_at_first() -> None:
 
 @pytest.mark.parametrize("order", ["<", ">"])
 def test_a_stamp_is_changed_and_nothing_else(order: str) -> None:
-    data = WrenchBytes("ft_sensor").fill(3 * S + 7, [1.0, 2.0, 3.0, 4.0, 5.0, 6.0])
-    wanted = WrenchBytes("ft_sensor").fill(9 * S + 8, [1.0, 2.0, 3.0, 4.0, 5.0, 6.0])
+    data = wrench_bytes("ft_sensor").fill(3 * S + 7, [1.0, 2.0, 3.0, 4.0, 5.0, 6.0])
+    wanted = wrench_bytes("ft_sensor").fill(9 * S + 8, [1.0, 2.0, 3.0, 4.0, 5.0, 6.0])
     if order == ">":
         data, wanted = (
             b"\x00\x00" + each[2:4] + np.frombuffer(each, "<u4", 2, 4).astype(">u4").tobytes()

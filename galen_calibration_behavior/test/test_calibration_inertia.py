@@ -17,7 +17,7 @@ from galen_model.files.calibration_file import (
 )
 from galen_model.load.inertia.inertial import inertial_wrench, point_mass_inertia
 from galen_model.load.nominal_tools import ADAPTER, TOOLS
-from galen_ros.cdr.layout import JointStateBytes, WrenchBytes
+from galen_ros.cdr import joint_state_bytes, wrench_bytes
 from galen_ros.command import EXIT_FAILED, EXIT_USAGE
 
 LOAD = TOOLS["retractor"].load
@@ -39,11 +39,11 @@ def write_recording(path, size):
     with BagWriter(path) as bag:
         joint_topic = bag.add_topic("joint_states", "sensor_msgs/msg/JointState")
         wrench_topic = bag.add_topic("wrench_raw", "geometry_msgs/msg/WrenchStamped")
-        joint_bytes, wrench_bytes = JointStateBytes(JOINT_NAMES), WrenchBytes("ft_sensor")
+        states, forces = joint_state_bytes(JOINT_NAMES), wrench_bytes("ft_sensor")
         for time_s, joint, wrench in zip(times, joints, wrenches, strict=True):
             stamp = 1_790_000_000_000_000_000 + round(time_s * 1e9)
-            bag.write(joint_topic, stamp, joint_bytes.fill(stamp, joint, np.zeros(5)))
-            bag.write(wrench_topic, stamp + 1000, wrench_bytes.fill(stamp, wrench))
+            bag.write(joint_topic, stamp, states.fill(stamp, joint, np.zeros(5)))
+            bag.write(wrench_topic, stamp + 1000, forces.fill(stamp, wrench))
 
 
 @pytest.fixture

@@ -7,8 +7,7 @@ from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
 from galen_model.errors import GalenError
-from galen_ros.cdr.layout import DeflectionBytes, PoseBytes
-from galen_ros.cdr.wire import RawWrench
+from galen_ros.cdr import RawWrench, deflection_bytes, pose_bytes
 from galen_ros.node.spin import run
 from galen_ros.qos import STREAM
 from galen_ros.stream.node import StreamNode
@@ -55,8 +54,8 @@ class DeflectionNode(StreamNode):
         self._gravcomp: GravcompState | None = None
         self._gravcomp_name = self._resolved(p.gravcomp_node)
 
-        self._deflection_bytes = DeflectionBytes(BASE_FRAME)
-        self._pose_bytes = PoseBytes(BASE_FRAME)
+        self._deflection_bytes = deflection_bytes(BASE_FRAME)
+        self._pose_bytes = pose_bytes(BASE_FRAME)
         self._deflections = self.create_publisher(DeflectionStamped, "deflection", STREAM)
         self._tip_poses = None
         if p.publish_tip_pose:
@@ -88,7 +87,7 @@ class DeflectionNode(StreamNode):
                 result.stamp_ns,
                 predicted.mean.tolist(),
                 predicted.covariance.ravel().tolist(),
-                predicted.extrapolated,
+                [predicted.extrapolated],
             )
         )
         if self._tip_poses is not None:

@@ -15,7 +15,7 @@ from galen_model.load.prediction import Prediction
 from galen_model.registration.rigid import IDENTITY, Transform
 from galen_model.rotation import matrix_to_quaternion, rotvec_to_matrix
 from galen_model.wrench import move_wrench
-from galen_ros.cdr.layout import JointStateBytes, PoseBytes, WrenchBytes
+from galen_ros.cdr import joint_state_bytes, pose_bytes, wrench_bytes
 
 ROOT = Path(__file__).resolve().parents[2]
 TOOL = read_calibration(ROOT / "bags" / "tools" / "retractor.json")
@@ -159,12 +159,12 @@ def write(path: Path, topics: dict[str, Topic], frame: str = "tracker") -> Path:
     fill = {
         JOINTS: (
             "sensor_msgs/msg/JointState",
-            lambda stamp, row: JointStateBytes(JOINT_NAMES).fill(stamp, row, [0.0] * 5),
+            lambda stamp, row: joint_state_bytes(JOINT_NAMES).fill(stamp, row, [0.0] * 5),
         ),
-        WRENCH: ("geometry_msgs/msg/WrenchStamped", WrenchBytes("ft_sensor").fill),
+        WRENCH: ("geometry_msgs/msg/WrenchStamped", wrench_bytes("ft_sensor").fill),
     }
     for name in (TOOL_POSE, BASE_POSE):
-        pose = PoseBytes(frame)
+        pose = pose_bytes(frame)
         fill[name] = (
             "geometry_msgs/msg/PoseStamped",
             lambda stamp, row, pose=pose: pose.fill(stamp, row[:3], row[3:]),

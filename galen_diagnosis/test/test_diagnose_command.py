@@ -15,7 +15,7 @@ from galen_diagnosis.errors import DiagnosisError
 from galen_diagnosis.observation.recording import Recording
 from galen_diagnosis.report import output
 from galen_model.arm.galen import JOINT_NAMES
-from galen_ros.cdr.layout import JointStateBytes, WrenchBytes
+from galen_ros.cdr import joint_state_bytes, wrench_bytes
 from matplotlib import pyplot as plt
 
 from galen_diagnosis import diagnose
@@ -198,7 +198,7 @@ class Opened:
 
 def write_recording(folder):
     """A second of standing still; the truth beside it is poisoned."""
-    joints, wrench = JointStateBytes(JOINT_NAMES, "base_link"), WrenchBytes("ft_sensor")
+    joints, wrench = joint_state_bytes(JOINT_NAMES, "base_link"), wrench_bytes("ft_sensor")
     for name in ("sweep", "motion"):
         with BagWriter(folder / name) as bag:
             states = bag.add_topic("joint_states", "sensor_msgs/msg/JointState")

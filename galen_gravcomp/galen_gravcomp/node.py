@@ -5,8 +5,7 @@ from typing import Any
 
 from galen_model.errors import CalibrationFileError, ToolNameError
 from galen_model.files.calibration_file import CalibrationFile
-from galen_ros.cdr.layout import UnreadableError
-from galen_ros.cdr.wire import ImuWire, RawWrench
+from galen_ros.cdr import ImuWire, RawWrench, UnreadableError
 from galen_ros.node.spin import run
 from galen_ros.qos import STREAM
 from galen_ros.rclpy_workarounds import DeferredService, Respond

@@ -4,7 +4,7 @@ import numpy as np
 from galen_bags.formats.writer import BagWriter
 from galen_model.arm.galen import JOINT_NAMES, SENSOR
 from galen_model.files.calibration_file import CalibrationFile, LoadEstimate
-from galen_ros.cdr.layout import JointStateBytes, WrenchBytes
+from galen_ros.cdr import joint_state_bytes, wrench_bytes
 
 START_NS = 1_700_000_000_000_000_000
 DELAY_NS = 400_000
@@ -57,13 +57,13 @@ class Recording:
     def write(self, path, *, joint_names=JOINT_NAMES, frame_id="ft_sensor", namespace=""):
         """Quantise and write; samples not `kept` are left out. Joints come before wrenches."""
         quantised = np.round(self.wrench / SENSOR.quantum) * SENSOR.quantum
-        joint_bytes, wrench_bytes = JointStateBytes(joint_names), WrenchBytes(frame_id)
+        states, forces = joint_state_bytes(joint_names), wrench_bytes(frame_id)
         with BagWriter(path) as bag:
             joints = bag.add_topic(f"{namespace}joint_states", "sensor_msgs/msg/JointState")
             wrenches = bag.add_topic(f"{namespace}wrench_raw", "geometry_msgs/msg/WrenchStamped")
             for k in np.flatnonzero(self.kept).tolist():
                 positions = [0.0, 0.0, 0.408, *self.angles[k].tolist()]
                 stamp, log = int(self.stamp_ns[k]), int(self.log_ns[k])
-                bag.write(joints, log, joint_bytes.fill(stamp, positions, [0.0] * 5))
-                bag.write(wrenches, log + 1000, wrench_bytes.fill(stamp, quantised[k].tolist()))
+                bag.write(joints, log, states.fill(stamp, positions, [0.0] * 5))
+                bag.write(wrenches, log + 1000, forces.fill(stamp, quantised[k].tolist()))
         return path

@@ -8,7 +8,7 @@ from galen_bags.formats.writer import BagWriter
 from galen_gravcomp.evaluate.bag_job import BagJob
 from galen_model.arm.galen import JOINT_NAMES
 from galen_model.files.calibration_file import write_calibration
-from galen_ros.cdr.layout import JointStateBytes, WrenchBytes
+from galen_ros.cdr import joint_state_bytes, wrench_bytes
 from gravcomp_bags import START_NS, tool_file
 
 PERIOD_NS = 2_000_000
@@ -16,7 +16,7 @@ PERIOD_NS = 2_000_000
 
 def written(tmp_path: Path, monkeypatch, *, joints_late: bool = False, old_result: bool = False):
     """Write a bag through a job; what it wrote: topic, log time and bytes, in its order."""
-    wrench, joints = WrenchBytes("ft_sensor"), JointStateBytes(JOINT_NAMES)
+    wrench, joints = wrench_bytes("ft_sensor"), joint_state_bytes(JOINT_NAMES)
     with BagWriter(tmp_path / "bag") as bag:
         topics = {
             name: bag.add_topic(name, f"{kind}/msg/{type_name}")
@@ -73,7 +73,7 @@ def test_a_wrench_that_waited_from_block_to_block_is_written_too(tmp_path, monke
 def test_an_older_result_is_replaced(tmp_path, monkeypatch):
     _, out = written(tmp_path, monkeypatch, old_result=True)
     assert sum(topic == "/wrench_compensated" for topic, _, _ in out) == 12_000
-    old = WrenchBytes("ft_sensor").fill(START_NS, [9.0] * 6)
+    old = wrench_bytes("ft_sensor").fill(START_NS, [9.0] * 6)
     assert all(data[-48:] != old[-48:] for _, _, data in out)
     with open_bag(tmp_path / "out" / "bag_compensated") as bag:
         assert bag.topics["/wrench_compensated"].count == 12_000

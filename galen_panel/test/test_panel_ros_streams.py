@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from galen_model.arm.galen import JOINT_NAMES
 from galen_panel.ros import streams as ros_streams
-from galen_ros.cdr.layout import DeflectionBytes, JointStateBytes, WrenchBytes
+from galen_ros.cdr import deflection_bytes, joint_state_bytes, wrench_bytes
 from galen_ros.qos import STREAM
 from geometry_msgs.msg import WrenchStamped
 from panel_ros_world import panel_world
@@ -36,12 +36,12 @@ class Source(Node):
         self.streams = {
             topic: self.create_publisher(kind, topic, STREAM) for topic, kind in KINDS.items()
         }
-        wrench, joints = WrenchBytes("ft_sensor"), JointStateBytes(("other", *JOINT_NAMES))
-        deflection = DeflectionBytes("base_link")
+        wrench, joints = wrench_bytes("ft_sensor"), joint_state_bytes(("other", *JOINT_NAMES))
+        deflection = deflection_bytes("base_link")
         self.make = {
             "wrench_raw": lambda t, k: wrench.fill(t, [k, 1, 2, 3, 4, 5]),
             "wrench_compensated": lambda t, k: wrench.fill(t, [k, 0, 0, 0, 0, 0]),
-            "deflection": lambda t, k: deflection.fill(t, [k, 1, 2, 3, 4, 5], [7.0] * 36, True),
+            "deflection": lambda t, k: deflection.fill(t, [k, 1, 2, 3, 4, 5], [7.0] * 36, [True]),
             "joint_states": lambda t, k: joints.fill(t, [9.0, *JOINTS], [0.0] * 6),
         }
         self.create_timer(0.004, self.on_timer)
@@ -127,16 +127,16 @@ def test_bad_messages_are_counted_and_left_out(world):
     suite = world.suite
     with suite.watch():
         world.harness.wait_for(lambda: min(lengths(suite)) > 50, 15.0, "samples")
-        good = WrenchBytes("ft_sensor").fill(5, [0.0] * 6)
+        good = wrench_bytes("ft_sensor").fill(5, [0.0] * 6)
         at_ns = source.start_ns
         bad = [
             ("wrench_raw", b"\x00\x01\x00\x00"),
             ("wrench_raw", good[:-8]),
             ("wrench_raw", b"\xff" * 80),
-            ("wrench_raw", WrenchBytes("ft_sensor").fill(at_ns, [math.nan] * 6)),
-            ("wrench_compensated", WrenchBytes("ft_sensor").fill(at_ns, [math.inf] + [0.0] * 5)),
+            ("wrench_raw", wrench_bytes("ft_sensor").fill(at_ns, [math.nan] * 6)),
+            ("wrench_compensated", wrench_bytes("ft_sensor").fill(at_ns, [math.inf] + [0.0] * 5)),
             ("deflection", good),
-            ("joint_states", JointStateBytes(("shoulder", "elbow")).fill(at_ns, [0, 0], [0, 0])),
+            ("joint_states", joint_state_bytes(("shoulder", "elbow")).fill(at_ns, [0, 0], [0, 0])),
             ("joint_states", good),
         ]
         world.harness.call_in_executor(lambda: source.extra.extend(bad))

@@ -10,7 +10,7 @@ from geometry_msgs.msg import WrenchStamped
 from numpy.typing import NDArray
 from sensor_msgs.msg import JointState
 
-from galen_ros.joint_names import check_joint_counts, joint_indices
+from galen_ros.cdr import check_joint_counts, joint_indices
 
 _NS_PER_S = 1_000_000_000
 
@@ -49,7 +49,7 @@ class JointStateReader:
     def read(self, message: JointState) -> tuple[NDArray[np.float64], NDArray[np.float64] | None]:
         """Return positions (n,) and velocities (n,) in the order of the wanted joints.
 
-        Velocities are None when the message has none. Raises UnknownJointError when joints are
+        Velocities are None when the message has none. Raises JointStateError when joints are
         missing, JointStateError when a list's length doesn't fit the names.
         """
         if message.name != self._seen:

@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 from galen_model.arm.galen import JOINT_NAMES
-from galen_ros.cdr.layout import (
-    JointStateBytes,
-    PoseBytes,
+from galen_ros.cdr import (
     UnreadableError,
-    WrenchBytes,
+    joint_state_bytes,
     joint_state_layout,
+    pose_bytes,
     stamped_layout,
+    wrench_bytes,
 )
 from galen_ros.conversions import fill_stamp, fill_wrench
 from geometry_msgs.msg import PoseStamped, WrenchStamped
@@ -37,7 +37,7 @@ def assert_same_bytes(data, message):
 @pytest.mark.parametrize("frame_id", ["", "a", "base_link", "a frame with a long name"])
 def test_joint_states_byte_for_byte(frame_id):
     rng = np.random.default_rng(1)
-    template = JointStateBytes(JOINT_NAMES, frame_id)
+    template = joint_state_bytes(JOINT_NAMES, frame_id)
     for stamp_ns in STAMPS_NS:
         positions, velocities = rng.normal(size=(2, 5)).tolist()
         message = JointState(name=list(JOINT_NAMES), position=positions, velocity=velocities)
@@ -54,7 +54,7 @@ def test_joint_states_byte_for_byte(frame_id):
 @pytest.mark.parametrize("frame_id", ["", "ft_sensor", "left_ft_sensor"])
 def test_wrenches_byte_for_byte(frame_id):
     rng = np.random.default_rng(2)
-    template = WrenchBytes(frame_id)
+    template = wrench_bytes(frame_id)
     for stamp_ns in STAMPS_NS:
         wrench = rng.normal(size=6)
         message = WrenchStamped()
@@ -68,7 +68,7 @@ def test_wrenches_byte_for_byte(frame_id):
 @pytest.mark.parametrize("frame_id", ["", "tracker"])
 def test_poses_byte_for_byte(frame_id):
     rng = np.random.default_rng(3)
-    template = PoseBytes(frame_id)
+    template = pose_bytes(frame_id)
     for stamp_ns in STAMPS_NS:
         position, quaternion = rng.normal(size=3).tolist(), rng.normal(size=4).tolist()
         message = PoseStamped()
@@ -103,13 +103,13 @@ def test_the_layout_finds_the_numbers_of_any_joint_state(frame_id, counts):
 
 @pytest.mark.parametrize("cut", range(0, 76, 5))
 def test_a_cut_off_message_is_unreadable(cut):
-    data = WrenchBytes("ft_sensor").fill(0, [0.0] * 6)
+    data = wrench_bytes("ft_sensor").fill(0, [0.0] * 6)
     with pytest.raises(UnreadableError):
         stamped_layout(data[:cut], 6)
 
 
 def test_what_is_not_cdr_is_unreadable():
-    data = WrenchBytes("ft_sensor").fill(0, [0.0] * 6)
+    data = wrench_bytes("ft_sensor").fill(0, [0.0] * 6)
     assert stamped_layout(data, 6).frame_id == "ft_sensor"
     with pytest.raises(UnreadableError, match="start"):
         stamped_layout(b"\x00\x09" + data[2:], 6)
@@ -120,6 +120,6 @@ def test_what_is_not_cdr_is_unreadable():
 
 
 def test_values_of_the_wrong_number_are_rejected():
-    template = JointStateBytes(JOINT_NAMES, "")
+    template = joint_state_bytes(JOINT_NAMES, "")
     with pytest.raises(Exception, match="pack"):
         template.fill(0, [0.0] * 4, [0.0] * 5)

@@ -71,7 +71,7 @@ from galen_model.files.calibration_file import (  # noqa: E402
 )
 from galen_model.files.calibration_store import CalibrationStore  # noqa: E402
 from galen_model.files.comparison import compare_calibrations  # noqa: E402
-from galen_ros.cdr.wire import ImuWire, JointWire, WrenchWire  # noqa: E402
+from galen_ros.cdr import ImuWire, JointWire, WrenchWire  # noqa: E402
 
 LONGEST_MESSAGE = 2000
 """Letters, beside the path; more of a hostile file must not get into a log."""

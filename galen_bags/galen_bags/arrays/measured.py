@@ -22,7 +22,7 @@ from dataclasses import dataclass
 import numpy as np
 from galen_model.arm.galen import HOME, JOINT_NAMES, SENSOR_FRAME
 from galen_model.arrays import Array
-from galen_ros.cdr.layout import NS_PER_S, JointStateBytes, WrenchBytes
+from galen_ros.cdr import NS_PER_S, joint_state_bytes, wrench_bytes
 from tqdm import tqdm
 
 from galen_bags.arrays.messages import JOINT_STATE_TYPE, WRENCH_TYPE
@@ -128,7 +128,7 @@ def write_measured(
     joints = np.tile(HOME, (len(roll), 1))
     joints[:, 3], joints[:, 4] = roll, tilt
     velocities = _velocities(measured.gravity_stamp_ns, joints)
-    joint_bytes, wrench_bytes = JointStateBytes(JOINT_NAMES), WrenchBytes(sensor_frame)
+    states, forces = joint_state_bytes(JOINT_NAMES), wrench_bytes(sensor_frame)
     log_ns = [
         np.maximum.accumulate(stamps)
         for stamps in (measured.gravity_stamp_ns, measured.wrench_stamp_ns)
@@ -141,13 +141,11 @@ def write_measured(
         for k in tqdm(order, desc=os.fspath(path), unit="message", disable=quiet or None):
             if k < len(joints):
                 stamp = int(measured.gravity_stamp_ns[k])
-                data = joint_bytes.fill(stamp, joints[k].tolist(), velocities[k].tolist())
+                data = states.fill(stamp, joints[k].tolist(), velocities[k].tolist())
                 bag.write(joint_states, int(log_ns[0][k]), data)
             else:
                 k -= len(joints)
-                data = wrench_bytes.fill(
-                    int(measured.wrench_stamp_ns[k]), measured.wrench[k].tolist()
-                )
+                data = forces.fill(int(measured.wrench_stamp_ns[k]), measured.wrench[k].tolist())
                 bag.write(wrench_raw, int(log_ns[1][k]), data)
     return Written(roll, tilt, int(lost.sum()))
 

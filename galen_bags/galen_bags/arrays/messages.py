@@ -2,7 +2,7 @@
 
 A publisher's messages are alike but for stamp and numbers. So the first message's layout is worked
 out, all that fit it are read by array operations, and so on with what is left
-(`galen_ros.cdr.layout`).
+(`galen_ros.cdr`).
 """
 
 from __future__ import annotations
@@ -12,18 +12,16 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from galen_model.arrays import Array
-from galen_ros.cdr.layout import (
+from galen_ros.cdr import (
     NS_PER_S,
     STAMP_AT,
+    JointStateError,
     Layout,
     UnreadableError,
-    joint_state_layout,
-    stamped_layout,
-)
-from galen_ros.joint_names import (
-    JointStateError,
     check_joint_counts,
     joint_indices,
+    joint_state_layout,
+    stamped_layout,
 )
 
 from galen_bags.errors import BagError

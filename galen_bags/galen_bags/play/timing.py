@@ -11,7 +11,7 @@ import threading
 from collections.abc import Callable, Iterable, Iterator
 
 import numpy as np
-from galen_ros.cdr.layout import NS_PER_S, STAMP_AT
+from galen_ros.cdr import NS_PER_S, STAMP_AT
 
 from galen_bags.formats.raw_block import Messages
 

@@ -27,7 +27,7 @@ from galen_model.arm.galen import BASE_FRAME, HOME, JOINT_NAMES, SENSOR, SENSOR_
 from galen_model.arrays import Array
 from galen_model.files.calibration_file import CalibrationFile, LoadEstimate, write_calibration
 from galen_model.load.model import Load
-from galen_ros.cdr.layout import JointStateBytes, PoseBytes, WrenchBytes
+from galen_ros.cdr import joint_state_bytes, pose_bytes, wrench_bytes
 from galen_sim_driver.effects.effect import BAG_ORDER, Effect
 from galen_sim_driver.effects.registry import contract_parameters
 from galen_sim_driver.effects.sensor import BiasStep
@@ -213,9 +213,9 @@ class _Tape:
         self._tracker = bag == "push"
         self._writer = BagWriter(path) if keep else None
         self._on = True
-        self._joints = JointStateBytes(JOINT_NAMES, BASE_FRAME)
-        self._wrench = WrenchBytes(SENSOR_FRAME)
-        self._pose = PoseBytes(TRACKER_FRAME)
+        self._joints = joint_state_bytes(JOINT_NAMES, BASE_FRAME)
+        self._wrench = wrench_bytes(SENSOR_FRAME)
+        self._pose = pose_bytes(TRACKER_FRAME)
         self._period_ns = round(1e9 / RATE_HZ)
 
     def __enter__(self) -> Self:

@@ -17,7 +17,7 @@ from galen_bags.formats.writer import BagWriter
 from galen_bags.many.inputs import calibration_of_bag
 from galen_model.arrays import Array
 from galen_model.errors import GalenError
-from galen_ros.cdr.layout import WrenchBytes
+from galen_ros.cdr import MessageBytes, wrench_bytes
 
 from galen_gravcomp.evaluate.bag_evaluation import (
     BagEvaluation,
@@ -95,7 +95,7 @@ class CompensatedBag:
                 writer.add_topic(name, topic.type_name, definition) if kept else None
             )
         self._out = writer.add_topic(self._name, WRENCH_TYPE)
-        self._templates: dict[str, WrenchBytes] = {}
+        self._templates: dict[str, MessageBytes] = {}
         # Wrenches that were received and not yet answered for: number, log time, stamp, frame.
         self._open: deque[tuple[int, int, int, str]] = deque()
         self._received = 0
@@ -135,7 +135,7 @@ class CompensatedBag:
             number, log_ns, stamp_ns, frame_id = entry
             wrench = by_number.get(number)
             if wrench is not None:
-                template = self._templates.setdefault(frame_id, WrenchBytes(frame_id))
+                template = self._templates.setdefault(frame_id, wrench_bytes(frame_id))
                 out.append((log_ns, template.fill(stamp_ns, wrench)))
             elif number > last:
                 still_open.append(entry)

@@ -32,9 +32,7 @@ from galen_model.load.frames import (
     needed_joints,
     sensor_in_frame,
 )
-from galen_ros.cdr.layout import UnreadableError
-from galen_ros.cdr.wire import JointWire
-from galen_ros.joint_names import JointStateError
+from galen_ros.cdr import JointStateError, JointWire, UnreadableError
 from galen_ros.rclpy_workarounds import Background, DeferredService, Respond
 from rclpy.node import Node
 

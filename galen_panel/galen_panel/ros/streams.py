@@ -14,9 +14,14 @@ from typing import Any
 
 import numpy as np
 from galen_model.arm.galen import JOINT_NAMES
-from galen_ros.cdr.layout import Layout, UnreadableError, stamped_layout
-from galen_ros.cdr.wire import JointWire, WrenchWire
-from galen_ros.joint_names import JointStateError
+from galen_ros.cdr import (
+    JointStateError,
+    JointWire,
+    Layout,
+    UnreadableError,
+    WrenchWire,
+    stamped_layout,
+)
 from geometry_msgs.msg import WrenchStamped
 from rclpy.context import Context
 from rclpy.node import Node

@@ -13,9 +13,7 @@ from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState
 
-from galen_ros.cdr.layout import UnreadableError
-from galen_ros.cdr.wire import JointWire, RawWrench, WrenchWire
-from galen_ros.joint_names import JointStateError
+from galen_ros.cdr import JointStateError, JointWire, RawWrench, UnreadableError, WrenchWire
 from galen_ros.node.diagnostics import Level, Status
 from galen_ros.node.managed_node import ManagedNode
 from galen_ros.qos import STREAM
@@ -123,7 +121,7 @@ class StreamNode(ManagedNode):
             matched=lambda info: self._on_matched(topic, info),
             incompatible_qos=lambda _info: self._on_incompatible_qos(topic),
         )
-        # Serialised messages: see galen_ros.cdr.wire.
+        # Serialised messages: see galen_ros.cdr.
         return self.create_subscription(
             message_type, topic, callback, qos, event_callbacks=events, raw=True
         )

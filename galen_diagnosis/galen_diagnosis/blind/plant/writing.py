@@ -21,7 +21,7 @@ from galen_model.arm.galen import (
     TRACKER_FRAME,
 )
 from galen_model.arrays import Array
-from galen_ros.cdr.layout import NS_PER_S, JointStateBytes, PoseBytes, WrenchBytes
+from galen_ros.cdr import NS_PER_S, joint_state_bytes, pose_bytes, wrench_bytes
 from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation
 
@@ -68,12 +68,12 @@ def _topics(rng: np.random.Generator, machine: Machine, bag: str, take: Take) ->
     session = machine.session
     going = take.course.at(take.joints.taken_s)
     joints = np.round(going.joints / ENCODER_QUANTUM) * ENCODER_QUANTUM
-    states = JointStateBytes(JOINT_NAMES, BASE_FRAME)
+    states = joint_state_bytes(JOINT_NAMES, BASE_FRAME)
     state_ns = stamps_ns(session, take, take.joints.stamp_s).tolist()
     reading = machine.reading(bag, take.wrench.taken_s)
     noise = session.wrench_std * coloured(rng, reading.shape, session.rho)
     reading = np.round((reading + noise) / SENSOR.quantum) * SENSOR.quantum
-    wrenches = WrenchBytes(SENSOR_FRAME)
+    wrenches = wrench_bytes(SENSOR_FRAME)
     wrench_ns = stamps_ns(session, take, take.wrench.stamp_s).tolist()
     topics = [
         _Topic(
@@ -96,7 +96,7 @@ def _topics(rng: np.random.Generator, machine: Machine, bag: str, take: Take) ->
         position = position + session.tracker_std[0] * shaken[:, :3]
         rotation = rotation @ turned_by(session.tracker_std[1] * shaken[:, 3:])
         quaternion = Rotation.from_matrix(rotation).as_quat()
-        filler = PoseBytes(TRACKER_FRAME)
+        filler = pose_bytes(TRACKER_FRAME)
         topics.append(
             _Topic(
                 name, POSE_TYPE, pose_ns,

@@ -1,1 +1,0 @@
-"""Serialised messages without ROS."""
