@@ -12,7 +12,6 @@ from galen_deflection.models.joint_stiffness import StiffnessBasis
 from galen_deflection.models.least_squares import BLOCK_S, blocks, folds
 from galen_deflection.models.registry import KINDS
 from galen_deflection.springs.springs import Springs, TipWrench, kinds
-from galen_model.arm.delta import LinearDelta
 from galen_model.arm.galen import GALEN, HOME, LIMITS
 from galen_model.arm.kinematics import tip_pose
 from galen_model.arm.stiffness import deflection, tip_compliance
@@ -63,11 +62,10 @@ def test_a_deflection_is_linear_in_the_compliances():
     """Against finite differences of the nominal model, over each compliance."""
     joints, wrench = places(5, seed=2), np.random.default_rng(3).normal(size=(5, 6))
     design = StiffnessBasis(TIP_M).run().rows(joints, wrench).design
-    fields = ("roll_stiffness_nm_rad", "tilt_stiffness_nm_rad")
-    fields += ("carriage_stiffness_n_m", "rod_stiffness_n_m")
+    fields = ("roll", "tilt", "carriage", "rod")
     for k, (name, kind) in enumerate(zip(fields, kinds(), strict=True)):
         # twice as compliant: a difference as large as the compliance itself
-        softer = replace(GALEN, **{name: 0.5 / kind.compliance})
+        softer = GALEN.with_stiffness({name: 0.5 / kind.compliance})
         for row in range(5):
             step = deflection(joints[row], wrench[row], TIP_M, softer)
             step -= deflection(joints[row], wrench[row], TIP_M)
@@ -93,7 +91,7 @@ def test_joints_that_give_move_the_tip_as_the_kinematics_say():
                 jacobian[:, column], [*((to_m - from_m) / (2 * step)), *turned], atol=1e-8
             )
         # a carriage moves the platform without turning it
-        moves = np.linalg.inv(LinearDelta().jacobian(joints[:3]))
+        moves = np.linalg.inv(GALEN.delta.jacobian(joints[:3]))
         np.testing.assert_allclose(jacobian[:3, 2:5], moves, atol=1e-12)
         np.testing.assert_allclose(jacobian[3:, 2:5], 0.0, atol=1e-12)
 
@@ -160,15 +158,9 @@ def test_the_covariance_is_cramer_and_raos():
     """The bound from the nominal model itself, by its differences over each compliance."""
     samples = recording(WORN, seed=2, rate_hz=4.0)
     information = np.zeros((4, 4))
-    stiff = replace(
-        GALEN, roll_stiffness_nm_rad=1e15, tilt_stiffness_nm_rad=1e15,
-        carriage_stiffness_n_m=1e15, rod_stiffness_n_m=1e15,
-    )  # fmt: skip
-    unit = [
-        replace(stiff, **{name: 1.0})
-        for name in ("roll_stiffness_nm_rad", "tilt_stiffness_nm_rad")
-        + ("carriage_stiffness_n_m", "rod_stiffness_n_m")
-    ]
+    names = ("roll", "tilt", "carriage", "rod")
+    stiff = GALEN.with_stiffness(dict.fromkeys(names, 1e15))
+    unit = [stiff.with_stiffness({name: 1.0}) for name in names]
     at_tip = TipWrench(TIP_M)(samples.joints, samples.wrench)
     for place in POSITIONS:
         rows = np.all(samples.joints == place, axis=1)

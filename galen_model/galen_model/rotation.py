@@ -37,6 +37,13 @@ def rot_z(angle_rad: ArrayLike) -> Array:
     return _about(angle_rad, 0, 1)
 
 
+def about(axis: Array, angle_rad: ArrayLike) -> Array:
+    """Rotation (..., 3, 3) about a unit axis (3,), angles (...): 1 + sin K + (1 - cos) K^2."""
+    angle = np.asarray(angle_rad, dtype=float)[..., None, None]
+    turned = skew(axis)
+    return np.eye(3) + np.sin(angle) * turned + (1.0 - np.cos(angle)) * (turned @ turned)
+
+
 def skew(vector: ArrayLike) -> Array:
     """The matrix v^ with v^ w = v x w; vectors (..., 3) give matrices (..., 3, 3)."""
     v = np.asarray(vector, dtype=float)

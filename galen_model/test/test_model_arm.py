@@ -5,7 +5,6 @@ Other tests take the numbers from the package on both sides, and would follow a 
 
 import numpy as np
 import pytest
-from galen_model.arm.delta import LinearDelta
 from galen_model.arm.galen import (
     ENCODER_QUANTUM,
     GALEN,
@@ -90,6 +89,6 @@ def test_carriages_worked_out_by_hand():
     near = np.sqrt(0.440**2 - ((0.100 - 0.0825) ** 2 + 0.165**2 * 0.75))
     far = np.sqrt(0.440**2 - 0.265**2)
     home = np.sqrt(0.440**2 - 0.165**2)
-    q = LinearDelta().carriages([0.1, 0.0, 0.408])
+    q = GALEN.delta.carriages([0.1, 0.0, 0.408])
     np.testing.assert_allclose(q, [home - near, home - near, home - far], atol=1e-12)
     assert q[0] < 0.0 < q[2]

@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from galen_model.arm.delta import LinearDelta
 from galen_model.arm.galen import GALEN, HOME, LIMITS
 from galen_model.arm.kinematics import (
     gravity_in_sensor,
@@ -47,7 +46,7 @@ def test_gravity_in_the_sensor_is_the_rotated_vector():
 
 
 def test_delta_forward_undoes_inverse():
-    delta = LinearDelta()
+    delta = GALEN.delta
     np.testing.assert_allclose(delta.carriages(HOME[:3]), 0.0, atol=1e-15)
     for q in random_joints(200, seed=4):
         carriages = delta.carriages(q[:3], check_travel=False)
@@ -55,7 +54,7 @@ def test_delta_forward_undoes_inverse():
 
 
 def test_delta_rods_keep_their_length_and_jacobian_equals_finite_differences():
-    delta, step = LinearDelta(), 1e-6
+    delta, step = GALEN.delta, 1e-6
     for q in random_joints(20, seed=5):
         p = q[:3]
         np.testing.assert_allclose(np.linalg.norm(delta.rod_directions(p), axis=1), 1.0, atol=1e-12)
@@ -73,7 +72,7 @@ def test_delta_rods_keep_their_length_and_jacobian_equals_finite_differences():
 
 
 def test_delta_says_what_it_cannot_reach():
-    delta = LinearDelta()
+    delta = GALEN.delta
     with pytest.raises(KinematicsError, match=r"rod . does not reach"):
         delta.carriages([0.7, 0.0, 0.4])
     with pytest.raises(KinematicsError, match="outside its travel"):
@@ -84,7 +83,7 @@ def test_delta_says_what_it_cannot_reach():
 
 def test_where_the_joint_limits_are_inside_the_carriages_travel():
     """Up to 0.503 m everywhere in the box, no higher in its worst corner; never too low."""
-    delta = LinearDelta()
+    delta = GALEN.delta
     highest = []
     for x in np.linspace(LIMITS.lower[0], LIMITS.upper[0], 15):
         for y in np.linspace(LIMITS.lower[1], LIMITS.upper[1], 15):

@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from galen_model.arm.delta import LinearDelta, ball_joints
 from galen_model.arm.galen import GALEN, HOME, LIMITS
 from galen_model.arm.kinematics import joint_axes, sensor_pose, tip_pose
 from galen_model.arm.stiffness import deflection, platform_stiffness, tip_compliance
@@ -32,7 +31,7 @@ def test_platform_stiffness_equals_the_rods_strain_energy():
     """
     rng = np.random.default_rng(2)
     p = np.array([0.05, -0.03, 0.45])
-    directions = LinearDelta().rod_directions(p)
+    directions = GALEN.delta.rod_directions(p)
     for _ in range(5):
         twist = rng.standard_normal(6) * 1e-6
         turn = rotvec_to_matrix(twist[3:])
@@ -59,9 +58,7 @@ def test_platform_stiffness_equals_the_rods_strain_energy():
 
 def test_roll_spring_alone():
     """With the rest rigid, a moment about the roll axis turns the tip about that axis."""
-    stiff = type(GALEN)(
-        carriage_stiffness_n_m=1e15, rod_stiffness_n_m=1e15, tilt_stiffness_nm_rad=1e15
-    )
+    stiff = GALEN.with_stiffness({"carriage": 1e15, "rod": 1e15, "tilt": 1e15})
     q = np.array([0.02, 0.01, 0.42, 0.4, -0.3])
     rotation, origin = sensor_pose(q)
     _, tip = tip_pose(q, TIP)
@@ -77,7 +74,7 @@ def test_roll_spring_alone():
 def test_a_rods_row_is_what_a_twist_of_the_platform_lengthens_it_by(platform):
     """Finite differences of the rods' own lengths, their lower ends held where they are."""
     platform = np.array(platform)
-    delta, balls = LinearDelta(), ball_joints()
+    delta, balls = GALEN.delta, GALEN.delta.ball_joints_m
     lower = platform + balls - GALEN.rod_length_m * np.repeat(delta.rod_directions(platform), 2, 0)
     np.testing.assert_allclose(np.linalg.norm(balls[0::2] - balls[1::2], axis=1), 2 * 0.0552)
 

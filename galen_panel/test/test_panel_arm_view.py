@@ -1,6 +1,5 @@
 import numpy as np
 import pytest
-from galen_model.arm.delta import LinearDelta
 from galen_model.arm.galen import GALEN, LIMITS
 from galen_model.arm.kinematics import joint_axes, sensor_pose, tip_jacobian, tip_pose
 from galen_model.arm.stiffness import deflection, platform_stiffness
@@ -129,7 +128,7 @@ def test_rods_keep_their_length_and_stand_on_the_carriages(joints):
     radii = np.linalg.norm(parts.carriages_m[:, :2], axis=1)
     np.testing.assert_allclose(radii, GALEN.rail_radius_m, atol=1e-12)
     home = delta_parts(np.array([0.0, 0.0, 0.408])).carriages_m[:, 2]
-    travel = LinearDelta().carriages(joints[:3], check_travel=False)
+    travel = GALEN.delta.carriages(joints[:3], check_travel=False)
     np.testing.assert_allclose(parts.carriages_m[:, 2] - home, travel, atol=1e-12)
 
 

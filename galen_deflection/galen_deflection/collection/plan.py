@@ -11,7 +11,6 @@ from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
-from galen_model.arm.delta import LinearDelta
 from galen_model.arm.galen import JOINT_NAMES, JOINT_UNITS, LIMITS
 from galen_model.arm.kinematics import sensor_pose, tip_pose
 from galen_model.arrays import Array
@@ -147,7 +146,7 @@ def _check_reach(number: int, joints: Array) -> None:
     try:
         # Between two such positions it is well too: a carriage's coordinate is convex in the
         # platform's position, and in the joints' box it has room to spare downwards.
-        LinearDelta().carriages(joints[:3])
+        GALEN.delta.carriages(joints[:3])
     except KinematicsError as error:
         raise OutOfReachError(f"position {number}: {error}") from None
 

@@ -23,7 +23,6 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from galen_model.arm.delta import LinearDelta, ball_joints
 from galen_model.arm.galen import GALEN, ArmParameters
 from galen_model.arrays import Array
 
@@ -61,14 +60,14 @@ class SpringsAt:
 
     def __init__(self, beyond_tilt_m: Array, arm: ArmParameters = GALEN) -> None:
         """beyond_tilt_m (3,): from the tilt axis to the tip at tilt zero."""
-        self._delta = LinearDelta(arm)
+        self._delta = arm.delta
         angles = arm.leg_angles_rad
         self._feet = [
             (arm.delta_radius_m * math.cos(angle), arm.delta_radius_m * math.sin(angle))
             for angle in angles
         ]
         self._length = arm.rod_length_m
-        balls = ball_joints(arm)
+        balls = arm.delta.ball_joints_m
         self._apart = [vector(row) for row in balls[0::2] - balls[1::2]]
         self._middle = [vector(row) for row in 0.5 * (balls[0::2] + balls[1::2])]
         self._from_centre = vector(arm.platform_to_roll_m)

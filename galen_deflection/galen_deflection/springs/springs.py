@@ -23,7 +23,6 @@ from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
-from galen_model.arm.delta import LinearDelta, ball_joints
 from galen_model.arm.galen import GALEN, ArmParameters
 from galen_model.arm.kinematics import sensor_rotation
 from galen_model.arrays import Array
@@ -101,12 +100,12 @@ class Springs:
     def __init__(self, tip_m: Array, arm: ArmParameters = GALEN) -> None:
         """tip_m (3,): in ft_sensor."""
         self._arm = arm
-        self._delta = LinearDelta(arm)
+        self._delta = arm.delta
         angles = np.asarray(arm.leg_angles_rad)
         self._feet = arm.delta_radius_m * np.stack([np.cos(angles), np.sin(angles)], axis=-1)
         # the row [n, B x n] of each rod, from its leg's n: (6 rods, 6, 3)
         self._rows = np.concatenate(
-            [np.broadcast_to(np.eye(3), (6, 3, 3)), skew(ball_joints(arm))], axis=1
+            [np.broadcast_to(np.eye(3), (6, 3, 3)), skew(arm.delta.ball_joints_m)], axis=1
         )
         self._leg = np.repeat(np.arange(3), 2)
         self._beyond_tilt = arm.tilt_to_sensor_m + rot_y(np.pi / 2) @ tip_m

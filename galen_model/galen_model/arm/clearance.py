@@ -22,11 +22,10 @@ from dataclasses import dataclass
 import coal
 import numpy as np
 
-from galen_model.arm.delta import LinearDelta
-from galen_model.arm.galen import GALEN, LIMITS, ArmParameters
+from galen_model.arm.galen import GALEN, ArmParameters
 from galen_model.arm.kinematics import sensor_pose
 from galen_model.arrays import Array
-from galen_model.errors import GalenError, KinematicsError
+from galen_model.errors import GalenError
 from galen_model.rotation import rot_x, rot_y
 
 PLATFORM_RADIUS_M = 0.06
@@ -127,7 +126,6 @@ class ArmClearance:
         self._boxes = tuple(boxes)
         self._clearance_m = clearance_m
         self._arm = arm
-        self._delta = LinearDelta(arm)
         parts = _parts(np.asarray(tip_m, dtype=float), arm)
         self._parts = [
             (part, coal.Capsule(part.radius_m, _length(part)), *_placement(part)) for part in parts
@@ -165,13 +163,7 @@ class ArmClearance:
     def pose_fault(self, joints: Array) -> str:
         """Why the arm can't stand here: limit, carriage or box; empty when it can."""
         q = np.asarray(joints, dtype=float)
-        if np.any(q < LIMITS.lower) or np.any(q > LIMITS.upper):
-            return "a joint is outside its limits"
-        try:
-            self._delta.carriages(q[:3])
-        except KinematicsError as error:
-            return str(error)
-        return self._too_near(q)[1]
+        return self._arm.limit_fault(q) or self._too_near(q)[1]
 
     def path_fault(self, start: Array, goal: Array) -> str:
         """Why the arm can't go straight from `start` to `goal`, both included; empty when it can.

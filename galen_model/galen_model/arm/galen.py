@@ -8,6 +8,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from galen_model.arm.arm import Arm, Joint
+from galen_model.arm.arm import constant as _vector
+from galen_model.arm.delta import LinearDelta
 from galen_model.arrays import Array
 
 JOINT_NAMES = ("delta_x", "delta_y", "delta_z", "roll", "tilt")
@@ -31,54 +34,46 @@ WRENCH_AXES = ("fx", "fy", "fz", "tx", "ty", "tz")
 """Order of a wrench everywhere: force (N), then torque about the sensor's origin (N.m)."""
 
 
-def _vector(*values: float) -> Array:
-    array = np.array(values, dtype=float)
-    array.setflags(write=False)
-    return array
+_X, _Y, _Z, _HERE = _vector(1, 0, 0), _vector(0, 1, 0), _vector(0, 0, 1), _vector(0, 0, 0)
 
+# The platform's box is the usable volume published for the arm. At home's height the carriages
+# stay within their travel all over it; in its upper part they don't (`LinearDelta.carriages`
+# raises): the highest z is 0.658 m on the axis, but 0.503 m at the worst corner, less than the
+# box's 0.618 m.
+GALEN = Arm(
+    name="galen",
+    joints=(
+        Joint("delta_x", "prismatic", _X, _HERE, -0.14, 0.14),
+        Joint("delta_y", "prismatic", _Y, _HERE, -0.14, 0.14),
+        Joint("delta_z", "prismatic", _Z, _HERE, 0.408 - 0.21, 0.408 + 0.21, home=0.408),
+        Joint("roll", "revolute", _X, _vector(0, 0, 0.07614), -1.57, 1.57, stiffness=2000.0),
+        Joint("tilt", "revolute", _Y, _vector(0.6085, 0, 0.013), -1.04, 0.96, stiffness=1500.0),
+    ),
+    sensor_origin_m=_vector(0.031248, 0.0, 0.025),
+    sensor_rotation=np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]]),  # Ry(pi/2)
+    delta=LinearDelta(
+        rod_length_m=0.440,
+        rail_radius_m=0.215,
+        platform_radius_m=0.050,
+        rod_half_spacing_m=0.0552,
+        leg_angles_rad=(-np.pi / 3, np.pi / 3, np.pi),
+        carriage_travel_m=0.25,
+        carriage_stiffness=3e5,
+        rod_stiffness=2e6,
+        home_m=(0.0, 0.0, 0.408),
+    ),
+)
+"""The nominal arm: a linear delta carries a roll joint, then a tilt joint, then the sensor."""
 
-@dataclass(frozen=True)
-class ArmParameters:
-    """Geometry and stiffness of the linear delta, roll and tilt (lengths m, stiffness SI)."""
-
-    rod_length_m: float = 0.440
-    rail_radius_m: float = 0.215
-    platform_radius_m: float = 0.050
-    rod_half_spacing_m: float = 0.0552
-    leg_angles_rad: tuple[float, float, float] = (-np.pi / 3, np.pi / 3, np.pi)
-    carriage_travel_m: float = 0.25
-
-    platform_to_roll_m: Array = field(default_factory=lambda: _vector(0.0, 0.0, 0.07614))
-    roll_to_tilt_m: Array = field(default_factory=lambda: _vector(0.6085, 0.0, 0.013))
-    tilt_to_sensor_m: Array = field(default_factory=lambda: _vector(0.031248, 0.0, 0.025))
-
-    carriage_stiffness_n_m: float = 3e5
-    rod_stiffness_n_m: float = 2e6
-    roll_stiffness_nm_rad: float = 2000.0
-    tilt_stiffness_nm_rad: float = 1500.0
-
-    @property
-    def delta_radius_m(self) -> float:
-        """R: rail radius less platform radius, what the delta's equations see."""
-        return self.rail_radius_m - self.platform_radius_m
-
-
-GALEN = ArmParameters()
-"""The nominal arm."""
+ArmParameters = Arm
 
 
 @dataclass(frozen=True)
 class JointLimits:
-    """Lowest and highest value of each joint, shape (5,), m and rad.
+    """Lowest and highest value of each joint, shape (5,), m and rad."""
 
-    The platform's box is the usable volume published for the arm. At home's height the carriages
-    stay within their travel all over it; in its upper part they don't (`LinearDelta.carriages`
-    tells): the highest z is 0.658 m on the axis, but 0.503 m at the worst corner, less than the
-    box's 0.618 m.
-    """
-
-    lower: Array = field(default_factory=lambda: _vector(-0.14, -0.14, 0.408 - 0.21, -1.57, -1.04))
-    upper: Array = field(default_factory=lambda: _vector(0.14, 0.14, 0.408 + 0.21, 1.57, 0.96))
+    lower: Array = field(default_factory=lambda: GALEN.lower)
+    upper: Array = field(default_factory=lambda: GALEN.upper)
 
 
 LIMITS = JointLimits()

@@ -18,7 +18,6 @@ from dataclasses import dataclass
 from xml.etree import ElementTree
 
 import numpy as np
-from galen_model.arm.delta import LinearDelta, ball_joints
 from galen_model.arm.galen import BASE_FRAME, GALEN, JOINT_NAMES, ArmParameters
 from galen_model.arm.kinematics import sensor_rotation, tip_jacobian, tip_pose
 from galen_model.arm.stiffness import tip_compliance
@@ -162,10 +161,10 @@ def delta_parts(platform_m: Array, arm: ArmParameters = GALEN) -> Delta | None:
     """Rods and carriages of a platform's position (3,); None where the rods don't reach it."""
     platform = np.asarray(platform_m, dtype=float)
     try:
-        directions = LinearDelta(arm).rod_directions(platform)
+        directions = arm.delta.rod_directions(platform)
     except KinematicsError:
         return None
-    ends = platform + ball_joints(arm)
+    ends = platform + arm.delta.ball_joints_m
     starts = ends - arm.rod_length_m * np.repeat(directions, 2, axis=0)
     return Delta(starts, ends, (starts[::2] + starts[1::2]) / 2.0)
 

@@ -1,0 +1,369 @@
+"""One arm: the joints between its base and its force/torque sensor, and what follows from them.
+
+With joint k's placement (R_k, p_k) in the link before it, its axis a_k and its value q_k
+
+    T_base_sensor = prod_k [Trans(p_k) R_k M(a_k, q_k)] T_mount,
+
+where M is a rotation about a_k (revolute) or a translation along it (prismatic). Source: product
+of exponentials as in Lynch and Park, *Modern Robotics*, 2017, section 4.1; Pinocchio gives the same
+from the URDF, and a test compares the two.
+
+Joints come as arrays in the order of `Arm.joints`. Gravity in the sensor depends on the revolute
+joints alone: `Arm.turning` are their places, and an array of their values is called `angles`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from galen_model.arm.delta import LinearDelta
+from galen_model.arrays import Array
+from galen_model.errors import KinematicsError
+from galen_model.rotation import about, skew
+from galen_model.wrench import move_wrench
+
+STANDARD_GRAVITY_M_S2 = 9.80665
+
+
+def constant(*values: float) -> Array:
+    """Return an array that can't be written to."""
+    array = np.array(values, dtype=float)
+    array.setflags(write=False)
+    return array
+
+
+Components = tuple[Any, Any, Any]
+"""Components of a vector: floats, or arrays of one shape."""
+
+
+class _Fixed:
+    """A constant rotation R; where it only swaps axes, components keep their last bit."""
+
+    def __init__(self, rotation: Array) -> None:
+        exact = np.round(rotation)
+        self._swap: list[tuple[int, bool]] | None = None
+        if np.allclose(rotation, exact, rtol=0.0, atol=1e-15):
+            places = np.argmax(np.abs(exact), axis=0)
+            self._swap = [(int(i), bool(exact[i, k] > 0.0)) for k, i in enumerate(places)]
+        self._columns = rotation.T.tolist()
+
+    def turned_back(self, parts: Components) -> Components:
+        """R^T v."""
+        if self._swap is not None:
+            x, y, z = (parts[i] if positive else -parts[i] for i, positive in self._swap)
+        else:
+            x, y, z = (a * parts[0] + b * parts[1] + c * parts[2] for a, b, c in self._columns)
+        return x, y, z
+
+
+class _About:
+    """A rotation about a joint's axis; about one of the frame's own axes it takes four products."""
+
+    def __init__(self, axis: Array) -> None:
+        own = [k for k in range(3) if abs(axis[k]) == 1.0]
+        self._own = own[0] if own else None
+        self._axis: tuple[float, ...] = tuple(axis.tolist())
+
+    def turned_back(self, parts: Components, cos: Any, sin: Any) -> Components:
+        """Rot(a, q)^T v; Rodrigues' formula where the axis isn't one of the frame's own."""
+        x, y, z = parts
+        a, b, c = self._axis
+        if self._own == 0:
+            return x, y * cos + z * (a * sin), z * cos - y * (a * sin)
+        if self._own == 1:
+            return x * cos - z * (b * sin), y, z * cos + x * (b * sin)
+        if self._own == 2:
+            return x * cos + y * (c * sin), y * cos - x * (c * sin), z
+        along = (a * x + b * y + c * z) * (1.0 - cos)
+        return (
+            x * cos - (b * z - c * y) * sin + a * along,
+            y * cos - (c * x - a * z) * sin + b * along,
+            z * cos - (a * y - b * x) * sin + c * along,
+        )
+
+
+@dataclass(frozen=True)
+class Joint:
+    """A movable joint; lengths m, angles rad, stiffness N/m or N.m/rad (inf: rigid).
+
+    axis: (3,) unit vector in the joint's own frame; origin_m (3,) and rotation (3, 3), None for no
+    turn, place that frame in the link before it.
+    """
+
+    name: str
+    kind: Literal["revolute", "prismatic"]
+    axis: Array
+    origin_m: Array
+    lower: float
+    upper: float
+    home: float = 0.0
+    stiffness: float = math.inf
+    rotation: Array | None = None
+
+    @property
+    def unit(self) -> str:
+        """Unit of the joint's value."""
+        return "rad" if self.kind == "revolute" else "m"
+
+
+@dataclass(frozen=True)
+class Arm:
+    """A chain of joints from base to sensor. Functions take joints (..., n) in the chain's order.
+
+    sensor_origin_m (3,) and sensor_rotation (3, 3) place the sensor in the last joint's link.
+    gravity_m_s2: (3,) in the base's frame. delta: rods that hold a platform, which the first three
+    joints move along x, y, z; None for a serial arm.
+    """
+
+    name: str
+    joints: tuple[Joint, ...]
+    sensor_origin_m: Array
+    sensor_rotation: Array
+    gravity_m_s2: Array = field(default_factory=lambda: constant(0.0, 0.0, -STANDARD_GRAVITY_M_S2))
+    base_frame: str = "base_link"
+    sensor_frame: str = "ft_sensor"
+    delta: LinearDelta | None = None
+
+    # Joints
+
+    @cached_property
+    def joint_names(self) -> tuple[str, ...]:
+        """Names of the joints (n)."""
+        return tuple(joint.name for joint in self.joints)
+
+    @cached_property
+    def units(self) -> tuple[str, ...]:
+        """Unit of each joint's value: m or rad."""
+        return tuple(joint.unit for joint in self.joints)
+
+    @cached_property
+    def home(self) -> Array:
+        """Joints (n,) at home."""
+        return constant(*(joint.home for joint in self.joints))
+
+    @cached_property
+    def lower(self) -> Array:
+        """Lowest value (n,) of each joint."""
+        return constant(*(joint.lower for joint in self.joints))
+
+    @cached_property
+    def upper(self) -> Array:
+        """Highest value (n,) of each joint."""
+        return constant(*(joint.upper for joint in self.joints))
+
+    @cached_property
+    def stiffness(self) -> dict[str, float]:
+        """Stiffness by joint, and of a delta's `carriage` and `rod`; rigid joints left out."""
+        found = {joint.name: joint.stiffness for joint in self.joints}
+        if self.delta is not None:
+            found |= {"carriage": self.delta.carriage_stiffness, "rod": self.delta.rod_stiffness}
+        return {name: value for name, value in found.items() if math.isfinite(value)}
+
+    def with_stiffness(self, stiffness: Mapping[str, float]) -> Arm:
+        """Return the arm with other stiffnesses, by names as `stiffness` has them."""
+        joints = tuple(
+            replace(joint, stiffness=stiffness.get(joint.name, joint.stiffness))
+            for joint in self.joints
+        )
+        delta = self.delta
+        if delta is not None:
+            delta = replace(
+                delta,
+                carriage_stiffness=stiffness.get("carriage", delta.carriage_stiffness),
+                rod_stiffness=stiffness.get("rod", delta.rod_stiffness),
+            )
+        return replace(self, joints=joints, delta=delta)
+
+    @cached_property
+    def turning(self) -> tuple[int, ...]:
+        """Places of the revolute joints: what gravity in the sensor depends on."""
+        return tuple(k for k, joint in enumerate(self.joints) if joint.kind == "revolute")
+
+    @cached_property
+    def turning_names(self) -> tuple[str, ...]:
+        """Names of the revolute joints (k)."""
+        return tuple(self.joint_names[k] for k in self.turning)
+
+    def angles(self, joints: ArrayLike) -> Array:
+        """Values (..., k) of the revolute joints, rad."""
+        return np.asarray(joints, dtype=float)[..., self.turning]
+
+    def with_angles(self, angles: ArrayLike, joints: ArrayLike | None = None) -> Array:
+        """Joints (..., n): the revolute at angles (..., k), others as in `joints` or at home."""
+        angles = np.asarray(angles, dtype=float)
+        others = self.home if joints is None else np.asarray(joints, dtype=float)
+        found = np.broadcast_to(others, (*angles.shape[:-1], len(self.joints))).copy()
+        found[..., self.turning] = angles
+        return found
+
+    def limit_fault(self, joints: ArrayLike) -> str:
+        """Which limit joints (n,) exceed, a delta's carriages included; empty for none."""
+        q = np.asarray(joints, dtype=float)
+        for joint, value in zip(self.joints, q, strict=True):
+            if not joint.lower <= value <= joint.upper:
+                return (
+                    f"{joint.name} = {value:g} {joint.unit} is outside its limits"
+                    f" {joint.lower:g} ... {joint.upper:g}"
+                )
+        if self.delta is not None:
+            try:
+                self.delta.carriages(q[:3])
+            except KinematicsError as error:
+                return str(error)
+        return ""
+
+    # Gravity and kinematics
+
+    def direction_in_sensor(self, angles: ArrayLike, direction: ArrayLike) -> Array:
+        """R_base_sensor^T d (..., 3) of a vector d (3,) in the base's frame, at angles (..., k)."""
+        angles = np.asarray(angles, dtype=float)
+        places = range(angles.shape[-1])
+        cosines, sines = np.cos(angles), np.sin(angles)
+        x, y, z = np.asarray(direction, dtype=float).tolist()
+        parts = self.components_in_sensor(
+            (x, y, z), [cosines[..., k] for k in places], [sines[..., k] for k in places]
+        )
+        return np.stack(np.broadcast_arrays(*parts, angles[..., 0])[:3], axis=-1)
+
+    def components_in_sensor(
+        self, direction: Components, cosines: Sequence[Any], sines: Sequence[Any]
+    ) -> Components:
+        """As `direction_in_sensor`, of the angles' cosines and sines (k): floats or arrays."""
+        parts = direction
+        k = 0
+        for step in self._turns_back:
+            if isinstance(step, _Fixed):
+                parts = step.turned_back(parts)
+            else:
+                parts = step.turned_back(parts, cosines[k], sines[k])
+                k += 1
+        return parts
+
+    def gravity_in_sensor(self, angles: ArrayLike) -> Array:
+        """Gravity (..., 3) in the sensor's frame at angles (..., k), m/s^2."""
+        size = float(np.linalg.norm(self.gravity_m_s2))
+        return self.direction_in_sensor(angles, self.gravity_m_s2 / size) * size
+
+    def rotation(self, angles: ArrayLike) -> Array:
+        """R_base_sensor (..., 3, 3) at angles (..., k)."""
+        return self.sensor_pose(self.with_angles(angles))[0]
+
+    def sensor_pose(self, joints: ArrayLike) -> tuple[Array, Array]:
+        """R_base_sensor (..., 3, 3) and the sensor's origin in the base (..., 3), m."""
+        rotation, origin = self._links(joints)[-1]
+        origin = origin + rotation @ self.sensor_origin_m
+        return rotation @ self.sensor_rotation, origin
+
+    def tip_pose(self, joints: ArrayLike, tip_m: ArrayLike) -> tuple[Array, Array]:
+        """R_base_tip (..., 3, 3) and the tip in the base (..., 3), m; tip_m (3,) in the sensor."""
+        rotation, origin = self.sensor_pose(joints)
+        return rotation, origin + rotation @ np.asarray(tip_m, dtype=float)
+
+    def joint_axes(self, joints: ArrayLike) -> tuple[Array, Array]:
+        """Origins (..., n, 3), m, and unit axes (..., n, 3) of the joints, in the base's frame."""
+        links = self._links(joints)
+        # A joint's own motion doesn't change its axis.
+        axes = [
+            rotation @ joint.axis for joint, (rotation, _) in zip(self.joints, links, strict=True)
+        ]
+        return np.stack([origin for _, origin in links], axis=-2), np.stack(axes, axis=-2)
+
+    def tip_jacobian(self, joints: ArrayLike, tip_m: ArrayLike) -> Array:
+        """Jacobian (..., 6, n) of the tip's twist (linear, angular; base) by joint velocities.
+
+        A revolute column is (axis x (tip - origin), axis); a prismatic one (axis, 0).
+        """
+        origins, axes = self.joint_axes(joints)
+        _, tip = self.tip_pose(joints, tip_m)
+        jacobian = np.zeros((*axes.shape[:-2], 6, len(self.joints)))
+        for k, joint in enumerate(self.joints):
+            axis = axes[..., k, :]
+            if joint.kind == "revolute":
+                jacobian[..., :3, k] = np.cross(axis, tip - origins[..., k, :])
+                jacobian[..., 3:, k] = axis
+            else:
+                jacobian[..., :3, k] = axis
+        return jacobian
+
+    # Elasticity
+
+    def tip_compliance(self, joints: ArrayLike, tip_m: ArrayLike) -> Array:
+        """C (6, 6): twist of the tip (m, rad) over the wrench at the tip (N, N.m), base's frame.
+
+        Springs in series, J K^-1 J^T over the elastic joints; a delta adds its platform on rods,
+        T K_p^-1 T^T with T the transport of a twist from platform to tip.
+        """
+        q = np.asarray(joints, dtype=float)
+        _, tip = self.tip_pose(q, tip_m)
+        compliance = np.zeros((6, 6))
+        if self.delta is not None:
+            # v_tip = v_platform + w x (tip - platform)
+            transport = np.eye(6)
+            transport[:3, 3:] = -skew(tip - q[:3])
+            stiffness = self.delta.platform_stiffness(q[:3])
+            compliance = transport @ np.linalg.solve(stiffness, transport.T)
+        columns = self.tip_jacobian(q, tip_m)
+        for joint, column in zip(self.joints, columns.T, strict=True):
+            compliance = compliance + np.outer(column, column) / joint.stiffness
+        return np.asarray(compliance)
+
+    def deflection(self, joints: ArrayLike, applied_wrench: ArrayLike, tip_m: ArrayLike) -> Array:
+        """Displacement (6,) of the tip: translation (m), rotation vector (rad) in the base's frame.
+
+        applied_wrench (6,): in the sensor's frame about its origin, N and N.m. tip_m (3,) there.
+        """
+        rotation, origin = self.sensor_pose(joints)
+        _, tip = self.tip_pose(joints, tip_m)
+        wrench = move_wrench(applied_wrench, rotation, origin - tip)
+        return self.tip_compliance(joints, tip_m) @ wrench
+
+    @cached_property
+    def _turns_back(self) -> tuple[_Fixed | _About, ...]:
+        """The rotations from base to sensor, one after another."""
+        steps: list[_Fixed | _About] = []
+        for joint in self.joints:
+            if joint.rotation is not None:
+                steps.append(_Fixed(joint.rotation))
+            if joint.kind == "revolute":
+                steps.append(_About(joint.axis))
+        return (*steps, _Fixed(self.sensor_rotation))
+
+    # Names of before, until every package has switched
+    platform_to_roll_m = property(lambda self: self.joints[3].origin_m)
+    roll_to_tilt_m = property(lambda self: self.joints[4].origin_m)
+    tilt_to_sensor_m = property(lambda self: self.sensor_origin_m)
+    carriage_stiffness_n_m = property(lambda self: self.delta.carriage_stiffness)
+    rod_stiffness_n_m = property(lambda self: self.delta.rod_stiffness)
+    roll_stiffness_nm_rad = property(lambda self: self.joints[3].stiffness)
+    tilt_stiffness_nm_rad = property(lambda self: self.joints[4].stiffness)
+    rod_length_m = property(lambda self: self.delta.rod_length_m)
+    rail_radius_m = property(lambda self: self.delta.rail_radius_m)
+    platform_radius_m = property(lambda self: self.delta.platform_radius_m)
+    rod_half_spacing_m = property(lambda self: self.delta.rod_half_spacing_m)
+    leg_angles_rad = property(lambda self: self.delta.leg_angles_rad)
+    carriage_travel_m = property(lambda self: self.delta.carriage_travel_m)
+    delta_radius_m = property(lambda self: self.delta.radius_m)
+
+    def _links(self, joints: ArrayLike) -> list[tuple[Array, Array]]:
+        """R_base_link (..., 3, 3) and origin (..., 3) of the link after each joint."""
+        q = np.asarray(joints, dtype=float)
+        rotation = np.broadcast_to(np.eye(3), (*q.shape[:-1], 3, 3))
+        origin = np.zeros((*q.shape[:-1], 3))
+        links = []
+        for k, joint in enumerate(self.joints):
+            origin = origin + rotation @ joint.origin_m
+            if joint.rotation is not None:
+                rotation = rotation @ joint.rotation
+            if joint.kind == "revolute":
+                rotation = rotation @ about(joint.axis, q[..., k])
+            else:
+                origin = origin + q[..., k, None] * (rotation @ joint.axis)
+            links.append((rotation, origin))
+        return links
