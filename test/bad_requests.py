@@ -19,9 +19,8 @@ from galen_deflection.node import DeflectionNode
 from galen_gravcomp.node import GravcompNode
 from galen_model.arm.galen import HOME
 from galen_model.files.calibration_file import calibration_path, write_calibration
-from galen_ros.conversions import wrench_to_array
+from galen_ros.messages import STREAM, wrench_to_array
 from galen_ros.node.testing import Harness, parameters
-from galen_ros.qos import STREAM
 from galen_sim_driver.node import SimDriverNode
 from geometry_msgs.msg import WrenchStamped
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue

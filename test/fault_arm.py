@@ -2,7 +2,7 @@
 
 import numpy as np
 from galen_ros.cdr import joint_state_bytes, wrench_bytes
-from galen_ros.qos import STREAM
+from galen_ros.messages import STREAM
 from geometry_msgs.msg import WrenchStamped
 from rclpy.node import Node
 from sensor_msgs.msg import JointState

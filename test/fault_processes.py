@@ -14,9 +14,8 @@ import time
 
 import numpy as np
 from fault_arm import PERIOD_NS, Source, weight
-from galen_ros.conversions import stamp_to_ns, wrench_to_array
+from galen_ros.messages import STREAM, stamp_to_ns, wrench_to_array
 from galen_ros.node.spin import run
-from galen_ros.qos import STREAM
 from geometry_msgs.msg import WrenchStamped
 from rclpy.node import Node
 from sensor_msgs.msg import JointState

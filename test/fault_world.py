@@ -31,9 +31,8 @@ from galen_model.files.calibration_file import (
     calibration_path,
     write_calibration,
 )
-from galen_ros.conversions import stamp_to_ns, wrench_to_array
+from galen_ros.messages import STREAM, stamp_to_ns, wrench_to_array
 from galen_ros.node.testing import Harness
-from galen_ros.qos import STREAM
 from geometry_msgs.msg import WrenchStamped
 from rclpy.node import Node
 

@@ -11,7 +11,7 @@ from action_msgs.msg import GoalStatus
 from fault_world import PATIENCE_S, TIP_M, FaultWorld, write_tool_file
 from galen_model.files.calibration_file import read_calibration
 from galen_model.load.nominal_tools import TOOLS
-from galen_ros.qos import STREAM
+from galen_ros.messages import STREAM
 from rclpy.action import ActionClient
 from rclpy.node import Node
 from sensor_msgs.msg import JointState

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import psutil
 import pytest
-from galen_ros.node.domain import DomainLock
+from galen_ros.node.spin import DomainLock
 
 ENV = Path(__file__).resolve().parent.parent / "scripts" / "env.sh"
 NODE = """

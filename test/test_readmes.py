@@ -16,7 +16,7 @@ from galen_gravcomp.node import GravcompNode
 from galen_panel.ros.suite import RosSuite
 from galen_ros.cdr import wrench_bytes
 from galen_ros.node.testing import Harness, parameters
-from galen_ros.parameters.declare import markdown_table
+from galen_ros.parameters import markdown_table
 from galen_sim_driver.node import SimDriverNode
 from rclpy.node import Node
 

@@ -33,9 +33,9 @@ from galen_bringup.processes import Processes, ros_arguments, ros_world
 from galen_model.arm.galen import HOME, JOINT_NAMES
 from galen_model.files.atomic_file import write_whole
 from galen_ros.cdr import NS_PER_S, STAMP_AT
+from galen_ros.messages import STREAM
 from galen_ros.node.diagnostics import Level
 from galen_ros.node.spin import make_executor
-from galen_ros.qos import STREAM
 from geometry_msgs.msg import WrenchStamped
 from rclpy.node import Node
 from rich.console import Console

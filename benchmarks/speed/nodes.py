@@ -28,9 +28,8 @@ from typing import Any
 import numpy as np
 import rclpy
 from galen_ros.cdr import NS_PER_S, STAMP_AT
-from galen_ros.node.domain import DomainLock
-from galen_ros.node.spin import make_executor
-from galen_ros.qos import STREAM
+from galen_ros.messages import STREAM
+from galen_ros.node.spin import DomainLock, make_executor
 from geometry_msgs.msg import PoseStamped, WrenchStamped
 from rclpy.node import Node
 from rich.table import Table
@@ -115,7 +114,12 @@ def gravcomp_nodes(tools_dir: Path) -> list[Subject]:
     output = ("wrench_compensated", WrenchStamped)
     return [
         Subject("gravcomp", node, output, moving=True),
-        Subject("gravcomp, weight alone", (*node, "-p", "fit_watch:=false"), output, moving=True),
+        Subject(
+            "gravcomp, weight alone",
+            (*node, "-p", "calibration_monitor:=false"),
+            output,
+            moving=True,
+        ),
         Subject("gravcomp, motion", (*node, "-p", "motion:=joints"), output, moving=True),
     ]
 

@@ -16,9 +16,8 @@ import time
 import numpy as np
 import rclpy
 from galen_model.arm.galen import JOINT_NAMES, SENSOR_FRAME
-from galen_ros.conversions import fill_stamp
+from galen_ros.messages import STREAM, fill_stamp
 from galen_ros.node.spin import run
-from galen_ros.qos import STREAM
 from geometry_msgs.msg import PoseStamped, WrenchStamped
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions

@@ -19,8 +19,7 @@ from pathlib import Path
 
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
-from galen_ros.node.domain import DomainLock
-from galen_ros.node.spin import make_executor
+from galen_ros.node.spin import DomainLock, make_executor
 from rclpy.node import Node
 from rich.table import Table
 

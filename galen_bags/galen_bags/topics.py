@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from ament_index_python.packages import get_package_share_path
-from galen_ros.qos import STREAM
+from galen_ros.messages import STREAM
 from rclpy.duration import Duration
 from rclpy.exceptions import InvalidTopicNameException
 from rclpy.qos import (

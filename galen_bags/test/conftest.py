@@ -4,7 +4,7 @@ import subprocess
 import sys
 
 import pytest
-from galen_ros.node.domain import DomainLock
+from galen_ros.node.spin import DomainLock
 
 
 @pytest.fixture

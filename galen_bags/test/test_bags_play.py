@@ -18,8 +18,8 @@ from galen_bags.play.player import PlayerNode, PlayOptions
 from galen_bags.record.recorder import RecorderNode
 from galen_bags.topics import definition_of, to_bag
 from galen_ros.cdr import wrench_bytes
+from galen_ros.messages import LATCHED, STREAM
 from galen_ros.node.testing import Harness
-from galen_ros.qos import LATCHED, STREAM
 from geometry_msgs.msg import WrenchStamped
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node

@@ -19,9 +19,9 @@ from galen_bags.formats.writer import GrowingBagWriter
 from galen_bags.record.command import main, parse
 from galen_bags.record.recorder import DEFAULT_TOPICS, RecorderNode, SimulatedTimes, received_ns
 from galen_ros.cdr import joint_state_bytes, wrench_bytes
+from galen_ros.messages import LATCHED, STREAM
 from galen_ros.node.diagnostics import Level
 from galen_ros.node.testing import Harness
-from galen_ros.qos import LATCHED, STREAM
 from geometry_msgs.msg import WrenchStamped
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
@@ -363,7 +363,7 @@ SOURCE = """
 import sys
 import rclpy
 from galen_ros.cdr import wrench_bytes
-from galen_ros.qos import STREAM
+from galen_ros.messages import STREAM
 from geometry_msgs.msg import WrenchStamped
 from rclpy.node import Node
 

@@ -12,9 +12,8 @@ from galen_model.arm.galen import JOINT_NAMES
 from galen_model.arrays import Array
 from galen_model.errors import GalenError
 from galen_model.poses.order import quintic_duration_s
-from galen_ros.conversions import JointStateReader, fill_stamp, stamp_to_ns, wrench_to_array
+from galen_ros.messages import STREAM, JointStateReader, fill_stamp, stamp_to_ns, wrench_to_array
 from galen_ros.node.spin import make_executor
-from galen_ros.qos import STREAM
 from geometry_msgs.msg import WrenchStamped
 from rclpy.duration import Duration
 from rclpy.node import Node

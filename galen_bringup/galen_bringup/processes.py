@@ -22,7 +22,7 @@ import rclpy
 from ament_index_python.packages import PackageNotFoundError, get_package_prefix
 from galen_model.errors import GalenError
 from galen_model.load.nominal_tools import TOOLS
-from galen_ros.node.domain import DomainLock
+from galen_ros.node.spin import DomainLock
 from rclpy.signals import SignalHandlerOptions
 
 from galen_bringup.arm_client import ArmClient

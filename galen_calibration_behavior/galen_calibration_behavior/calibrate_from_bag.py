@@ -17,7 +17,7 @@ from galen_model.files.calibration_file import check_tool_name
 from galen_model.load.bias.choice import BiasMode
 from galen_model.load.mounting.mounting import GROUPS, entities
 from galen_ros.command import EXIT_OK, add_json, add_plots, make_parser, positive, run_command
-from galen_ros.parameters.param import ParameterError, checked, param_fields
+from galen_ros.parameters import ParameterError, checked, param_fields
 
 from galen_calibration_behavior.from_bag.cable import add_cable, remove_cable
 from galen_calibration_behavior.from_bag.inertia import add_inertia

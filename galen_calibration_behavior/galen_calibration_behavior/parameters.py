@@ -23,7 +23,7 @@ from galen_model.poses.plan import (
     plan_listed,
 )
 from galen_ros.goal.parameters import PoseParameters
-from galen_ros.parameters.param import ParameterError, param
+from galen_ros.parameters import ParameterError, param
 
 from galen_calibration_behavior.quick_check.answer import CheckLimits
 from galen_calibration_behavior.quick_check.decision import FEWEST_POSES

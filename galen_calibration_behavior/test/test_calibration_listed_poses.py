@@ -6,7 +6,7 @@ from galen_calibration_behavior.parameters import CalibrationParameters
 from galen_model.arm.clearance import ObstacleError
 from galen_model.errors import NotExcitedError
 from galen_model.poses.plan import GridError
-from galen_ros.parameters.param import ParameterError
+from galen_ros.parameters import ParameterError
 
 TIP = np.array([0.15, 0.0, 0.05])
 POSES = [[-1.2, 0.5], [0.0, -0.9], [1.1, 0.4], [0.6, -0.3], [-0.7, 0.1], [0.3, 0.8], [0.0, -0.9]]

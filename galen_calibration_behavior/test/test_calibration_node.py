@@ -15,9 +15,8 @@ from galen_calibration_behavior.commands import CheckCode, CheckState
 from galen_calibration_behavior.node import CalibrationNode
 from galen_model.arm.galen import JOINT_NAMES
 from galen_model.files.calibration_file import read_calibration
-from galen_ros.conversions import fill_stamp, fill_wrench
+from galen_ros.messages import STREAM, fill_stamp, fill_wrench
 from galen_ros.node.testing import Harness, parameters
-from galen_ros.qos import STREAM
 from geometry_msgs.msg import WrenchStamped
 from rclpy.action import ActionClient
 from rclpy.executors import SingleThreadedExecutor

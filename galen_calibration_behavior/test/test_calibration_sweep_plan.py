@@ -25,7 +25,7 @@ from galen_model.poses.design import PoseDesign, compensation_std
 from galen_model.poses.order import drift_share, order_poses
 from galen_model.poses.plan import make_router
 from galen_model.rest.pose import PoseRecord
-from galen_ros.parameters.param import ParameterError
+from galen_ros.parameters import ParameterError
 from test_calibration_procedure import SETTINGS, World
 
 GRID = CalibrationParameters()

@@ -14,8 +14,8 @@ from galen_calibration_behavior.commands import CheckCode as ErrorCode
 from galen_calibration_behavior.node import CalibrationNode
 from galen_model.evidence.verdict import Cause, CheckAnswer
 from galen_model.files.calibration_file import write_calibration
+from galen_ros.messages import LATCHED
 from galen_ros.node.testing import Harness, parameters
-from galen_ros.qos import LATCHED
 from rclpy.action import ActionClient
 from rclpy.node import Node
 from test_calibration_node import FakeDriver

@@ -8,8 +8,8 @@ from typing import Any
 from diagnostic_msgs.msg import DiagnosticArray
 from galen_model.errors import GalenError
 from galen_ros.cdr import RawWrench, deflection_bytes, pose_bytes
+from galen_ros.messages import STREAM
 from galen_ros.node.spin import run
-from galen_ros.qos import STREAM
 from galen_ros.stream.node import StreamNode
 from galen_ros.stream.results import Rejected
 from geometry_msgs.msg import PoseStamped

@@ -20,10 +20,9 @@ from galen_model.files.calibration_file import (
 from galen_model.load.nominal_tools import TOOLS
 from galen_model.registration.rigid import Transform
 from galen_model.rotation import quaternion_to_matrix
-from galen_ros.conversions import fill_stamp, fill_wrench, stamp_to_ns
+from galen_ros.messages import STREAM, fill_stamp, fill_wrench, stamp_to_ns
 from galen_ros.node.diagnostics import Level
 from galen_ros.node.testing import Harness, parameters
-from galen_ros.qos import STREAM
 from geometry_msgs.msg import PoseStamped, WrenchStamped
 from rcl_interfaces.srv import SetParameters
 from rclpy.node import Node

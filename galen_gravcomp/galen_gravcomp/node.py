@@ -6,8 +6,8 @@ from typing import Any
 from galen_model.errors import CalibrationFileError, ToolNameError
 from galen_model.files.calibration_file import CalibrationFile
 from galen_ros.cdr import ImuWire, RawWrench, UnreadableError
+from galen_ros.messages import STREAM
 from galen_ros.node.spin import run
-from galen_ros.qos import STREAM
 from galen_ros.rclpy_workarounds import DeferredService, Respond
 from galen_ros.stream.node import StreamNode, input_qos
 from galen_ros.stream.results import Compensated, Result
@@ -16,7 +16,6 @@ from sensor_msgs.msg import Imu
 from std_srvs.srv import SetBool, Trigger
 
 from galen_gravcomp.compensator import Compensator, TareRejectedError
-from galen_gravcomp.corrections.stages import make_stages
 from galen_gravcomp.corrections.tare import TareOutcome
 from galen_gravcomp.monitor import Monitor
 from galen_gravcomp.parameters import GravcompParameters
@@ -40,7 +39,7 @@ class GravcompNode(StreamNode):
 
     def _configure(self) -> None:
         p = self._config = self._held.now
-        self._compensator = Compensator(p, self._on_restart, make_stages(p))
+        self._compensator = Compensator(p, self._on_restart)
         self._compensation = Monitor(self._compensator, p.silence_s, p.frozen_s, p.late_s)
         self._tare_progress = (0, 0.0)
 

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 from galen_model.evidence.verdict import Limits
-from galen_ros.parameters.param import param
+from galen_ros.parameters import param
 from galen_ros.stream.parameters import StreamParameters
 
 _MOTIONS = ("off", "joints", "imu")
@@ -70,8 +70,8 @@ class GravcompParameters(StreamParameters):
         "whether the sensor's bias drift is learned and subtracted from the start, while the arm"
         " is at rest without contact; `~/set_bias_drift` switches it",
     )
-    fit_watch: bool = param(
-        True, "whether to watch, at rest without contact, if the calibration file still fits"
+    calibration_monitor: bool = param(
+        True, "whether to check, at rest without contact, if the calibration file still fits"
     )
     fit_limit_force_n: float = param(
         Limits.force_n, "N; a smaller residual is no warning", minimum=0.001

@@ -9,9 +9,8 @@ from galen_gravcomp.evaluate.bag_evaluation import evaluate_bag
 from galen_gravcomp.evaluate.bag_job import BagJob
 from galen_gravcomp.node import GravcompNode
 from galen_model.files.calibration_file import write_calibration
-from galen_ros.conversions import stamp_to_ns, wrench_to_array
+from galen_ros.messages import STREAM, stamp_to_ns, wrench_to_array
 from galen_ros.node.testing import Harness, parameters
-from galen_ros.qos import STREAM
 from geometry_msgs.msg import WrenchStamped
 from gravcomp_bags import Recording, tool_file
 from rclpy.node import Node

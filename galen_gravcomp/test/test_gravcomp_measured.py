@@ -11,9 +11,8 @@ from galen_gravcomp.compensator import Compensated, Compensator
 from galen_gravcomp.evaluate.command import main as evaluate
 from galen_gravcomp.node import GravcompNode
 from galen_model.files.calibration_file import read_calibration
-from galen_ros.conversions import stamp_to_ns, wrench_to_array
+from galen_ros.messages import STREAM, stamp_to_ns, wrench_to_array
 from galen_ros.node.testing import Harness, parameters
-from galen_ros.qos import STREAM
 from geometry_msgs.msg import WrenchStamped
 from rclpy.node import Node
 from sensor_msgs.msg import JointState

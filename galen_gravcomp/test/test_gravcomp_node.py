@@ -16,10 +16,9 @@ from galen_model.files.calibration_file import (
     calibration_path,
     write_calibration,
 )
-from galen_ros.conversions import fill_stamp, fill_wrench, stamp_to_ns, wrench_to_array
+from galen_ros.messages import STREAM, fill_stamp, fill_wrench, stamp_to_ns, wrench_to_array
 from galen_ros.node.diagnostics import Level
 from galen_ros.node.testing import Harness, parameters
-from galen_ros.qos import STREAM
 from galen_ros.stream.monitor import NOTICE_HOLD_S
 from geometry_msgs.msg import WrenchStamped
 from rclpy.node import Node

@@ -15,9 +15,8 @@ from galen_ros.cdr import (
     UnreadableError,
     WrenchWire,
 )
-from galen_ros.conversions import fill_wrench
+from galen_ros.messages import STREAM, fill_wrench
 from galen_ros.node.testing import Harness
-from galen_ros.qos import STREAM
 from geometry_msgs.msg import WrenchStamped
 from rclpy.node import Node
 from rclpy.serialization import deserialize_message, serialize_message

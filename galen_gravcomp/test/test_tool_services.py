@@ -18,9 +18,8 @@ from galen_model.files.calibration_file import (
     calibration_path,
     write_calibration,
 )
-from galen_ros.conversions import fill_stamp, fill_wrench, wrench_to_array
+from galen_ros.messages import LATCHED, STREAM, fill_stamp, fill_wrench, wrench_to_array
 from galen_ros.node.testing import Harness, parameters
-from galen_ros.qos import LATCHED, STREAM
 from geometry_msgs.msg import WrenchStamped
 from rclpy.node import Node
 from sensor_msgs.msg import JointState

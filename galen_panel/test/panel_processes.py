@@ -11,7 +11,7 @@ from pathlib import Path
 
 from galen_bringup.processes import executable_path, ros_arguments
 from galen_panel.options import TOKEN_VARIABLE
-from galen_ros.node.domain import DomainLock
+from galen_ros.node.spin import DomainLock
 
 # Quicker than the nodes' defaults, which are for a real arm; the simulated one does not ring.
 BEHAVIOUR = {

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from galen_gravcomp.node import GravcompNode
+from galen_model.errors import GalenError
 from galen_model.files.calibration_file import calibration_path, read_calibration, write_calibration
 from galen_panel.ros import tools as ros_tools
 from galen_panel.ros.suite import RosSuite
@@ -21,9 +22,8 @@ from galen_panel.snapshot import (
     NodeLevel,
     ToolComparison,
 )
-from galen_ros.node.spin import StartError
+from galen_ros.messages import STREAM
 from galen_ros.node.testing import parameters
-from galen_ros.qos import STREAM
 from galen_ros.rclpy_workarounds import DeferredService
 from geometry_msgs.msg import WrenchStamped
 from panel_ros_world import panel_world
@@ -306,5 +306,5 @@ def test_a_namespace_is_the_panel_s_own(monkeypatch, tools_dir):
 
 
 def test_wrong_arguments_of_ros_are_told():
-    with pytest.raises(StartError, match="ros-args"):
+    with pytest.raises(GalenError, match="ros-args"):
         RosSuite(["panel", "--ros-args", "--nonsense"])

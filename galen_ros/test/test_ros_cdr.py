@@ -11,7 +11,7 @@ from galen_ros.cdr import (
     stamped_layout,
     wrench_bytes,
 )
-from galen_ros.conversions import fill_stamp, fill_wrench
+from galen_ros.messages import fill_stamp, fill_wrench
 from geometry_msgs.msg import PoseStamped, WrenchStamped
 from rclpy.serialization import deserialize_message, serialize_message
 from rosbags.typesys import Stores, get_typestore

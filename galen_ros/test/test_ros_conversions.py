@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from builtin_interfaces.msg import Time
 from galen_ros.cdr import JointStateError
-from galen_ros.conversions import (
+from galen_ros.messages import (
     JointStateReader,
     fill_stamp,
     fill_wrench,

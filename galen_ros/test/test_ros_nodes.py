@@ -2,11 +2,10 @@
 
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from galen_ros.messages import LATCHED
 from galen_ros.node.diagnostics import OK, WARN, DiagnosticsPublisher, Status
-from galen_ros.node.domain import DomainLock
-from galen_ros.node.spin import make_executor
+from galen_ros.node.spin import DomainLock, make_executor
 from galen_ros.node.testing import Harness
-from galen_ros.qos import LATCHED
 from galen_ros.rclpy_workarounds import DeferredService
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node

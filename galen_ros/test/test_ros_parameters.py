@@ -3,8 +3,9 @@
 from dataclasses import dataclass
 
 import pytest
+from galen_ros.node.parameters import declare_parameters, warn_of_unknown_parameters
 from galen_ros.node.testing import Harness, parameters
-from galen_ros.parameters.declare import ParameterError, declare_parameters, markdown_table, param
+from galen_ros.parameters import ParameterError, markdown_table, param
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
@@ -112,3 +113,19 @@ def test_markdown_table():
     assert lines[7] == "| `strict` | bool | true |  | reject what is odd |"
     assert lines[8] == "| `gain` | float | 0.5 | 0.0 to 1.0 | gain (at run time) |"
     assert len(lines) == 10
+
+
+def test_only_a_misspelt_parameter_gives_a_warning(harness):
+    node, _ = declared(harness, rate_hs=5.0, gian_limit=0.5, other_node_has_this=1)
+    warnings = []
+
+    class Log:
+        warning = staticmethod(warnings.append)
+
+    node.get_logger = Log
+    harness.call_in_executor(lambda: warn_of_unknown_parameters(node))
+    assert warnings == [
+        "parameter 'gian_limit' is unknown to /example and ignored: did you mean 'gain_limit'?",
+        "parameter 'rate_hs' is unknown to /example and ignored: did you mean 'rate_hz'?",
+    ]
+    harness.remove(node)

@@ -7,8 +7,7 @@ import sys
 
 import pytest
 from galen_model.errors import GalenError
-from galen_ros.node.domain import DomainLock
-from galen_ros.node.spin import run
+from galen_ros.node.spin import DomainLock, run
 from rclpy.node import Node
 
 _PROGRAM = """

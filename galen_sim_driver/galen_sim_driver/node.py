@@ -18,11 +18,10 @@ from galen_model.arm.urdf import galen_urdf
 from galen_model.errors import ToolNameError
 from galen_model.files.calibration_file import check_tool_name
 from galen_ros.cdr import joint_state_bytes, wrench_bytes
-from galen_ros.conversions import fill_stamp, stamp_to_ns, wrench_to_array
+from galen_ros.messages import LATCHED, STREAM, fill_stamp, stamp_to_ns, wrench_to_array
 from galen_ros.node.diagnostics import ERROR, OK, WARN, Level, Status
 from galen_ros.node.managed_node import ManagedNode
 from galen_ros.node.spin import run
-from galen_ros.qos import LATCHED, STREAM
 from galen_ros.rclpy_workarounds import DeferredService, Respond
 from geometry_msgs.msg import PoseStamped, WrenchStamped
 from rclpy.clock import Clock

@@ -27,7 +27,7 @@ from galen_model.arm.galen import (
 from galen_model.files.calibration_file import check_tool_name
 from galen_model.load.model import Load
 from galen_model.load.nominal_tools import ADAPTER, TOOLS, ToolGeometry
-from galen_ros.parameters.param import ParameterError, param, param_fields
+from galen_ros.parameters import ParameterError, param, param_fields
 
 from galen_sim_driver.effects.effect import ConfigError, Effect
 from galen_sim_driver.effects.registry import IDENTITIES
@@ -348,7 +348,7 @@ EffectParameters: type[Any] = dataclasses.make_dataclass(
     namespace={"__module__": __name__},
     frozen=True,
 )
-"""All effects' parameters, as `galen_ros.parameters.declare.declare_parameters` takes them."""
+"""All effects' parameters, as `galen_ros.node.parameters.declare_parameters` takes them."""
 
 
 def effects_of(parameters: Any) -> tuple[Effect, ...]:

@@ -4,7 +4,7 @@ import time
 
 import galen_sim_driver.node
 import pytest
-from galen_ros.conversions import stamp_to_ns
+from galen_ros.messages import stamp_to_ns
 from galen_ros.node.testing import Harness, Lifecycle
 from galen_sim_driver.effects.effect import ConfigError
 from std_srvs.srv import SetBool, Trigger

@@ -12,7 +12,7 @@ from galen_model.arm.galen import JOINT_NAMES
 from galen_model.errors import GalenError
 from galen_model.load.nominal_tools import ADAPTER, TOOLS
 from galen_model.rotation import quaternion_to_matrix, rotvec_to_matrix
-from galen_ros.parameters.param import param_fields
+from galen_ros.parameters import param_fields
 from galen_sim_driver.effects.registry import EFFECTS, IDENTITIES, effect_from
 from galen_sim_driver.effects.sensor import (
     BiasStep,

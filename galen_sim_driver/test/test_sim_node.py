@@ -12,7 +12,9 @@ from diagnostic_msgs.msg import DiagnosticArray
 from galen_model.arm.galen import HOME, JOINT_NAMES, SENSOR
 from galen_model.load.model import Load, nominal_reading
 from galen_model.load.nominal_tools import ADAPTER, TOOLS
-from galen_ros.conversions import (
+from galen_ros.messages import (
+    LATCHED,
+    STREAM,
     JointStateReader,
     fill_stamp,
     fill_wrench,
@@ -21,8 +23,7 @@ from galen_ros.conversions import (
 )
 from galen_ros.node.spin import make_executor
 from galen_ros.node.testing import Harness, parameters
-from galen_ros.parameters.declare import ParameterError
-from galen_ros.qos import LATCHED, STREAM
+from galen_ros.parameters import ParameterError
 from galen_sim_driver.node import SimDriverNode, main
 from geometry_msgs.msg import PoseStamped, WrenchStamped
 from rclpy.executors import SingleThreadedExecutor

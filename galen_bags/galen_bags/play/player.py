@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
-from galen_ros.conversions import fill_stamp
+from galen_ros.messages import fill_stamp
 from galen_ros.node.diagnostics import OK, WARN, DiagnosticsPublisher, Status
 from galen_ros.rclpy_workarounds import guard_parameter_services
 from rclpy.clock import Clock

@@ -13,7 +13,7 @@ from galen_model.files.calibration_store import CalibrationStore
 from galen_ros.goal.action import ArmAction, RejectedGoalError, RunningGoal
 from galen_ros.goal.commands import End
 from galen_ros.goal.node import GoalNode, named
-from galen_ros.qos import LATCHED
+from galen_ros.messages import LATCHED
 from rclpy.action.server import ServerGoalHandle
 
 from galen_calibration_behavior.commands import CheckCode, PoseFeedback, PosesEnd

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from galen_model.arrays import Array
 from galen_ros.goal.parameters import MotionParameters
-from galen_ros.parameters.param import param
+from galen_ros.parameters import param
 
 from galen_deflection.collection.plan import MOST_SETS, LoadLimits, make_plan
 

@@ -20,7 +20,7 @@ from galen_ros.command import (
     not_negative,
     positive,
 )
-from galen_ros.parameters.param import add_options, from_options
+from galen_ros.parameters import add_options, from_options
 
 from galen_gravcomp.evaluate.bag_evaluation import EvaluationSettings
 from galen_gravcomp.evaluate.drift.series import CELL_S
@@ -128,12 +128,6 @@ def _add_table_options(group: argparse._ArgumentGroup) -> None:
         type=positive,
         metavar="SECONDS",
         help="the table is a recording: find its rest segments and average this long within them",
-    )
-    group.add_argument(
-        "--bias-drift",
-        action="store_true",
-        help="beside the others, a model whose offset may drift, in the order of the readings; its"
-        " shape is chosen by blocks, within what is not held out (takes some seconds a block)",
     )
     group.add_argument(
         "--estimate",

@@ -12,7 +12,7 @@ from collections.abc import Callable
 import numpy as np
 from galen_model.arm.galen import SENSOR
 from galen_model.files.calibration_store import FileState, StoredCalibration
-from galen_ros.qos import LATCHED
+from galen_ros.messages import LATCHED
 from galen_ros.rclpy_workarounds import Background
 from rclpy.node import Node
 

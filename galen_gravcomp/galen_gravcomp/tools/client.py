@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 import rclpy
 from galen_model.errors import GalenError
+from galen_ros.messages import LATCHED
 from galen_ros.node.spin import init_ros
-from galen_ros.qos import LATCHED
 from geometry_msgs.msg import Wrench
 from rclpy.node import Node
 

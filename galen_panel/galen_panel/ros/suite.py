@@ -60,7 +60,7 @@ class RosSuite(AbstractContextManager["RosSuite"]):
     """A `galen_panel.snapshot.Suite` in a ROS node of its own."""
 
     def __init__(self, argv: list[str]) -> None:
-        """`argv`: the command line, with what is ROS's; raises StartError."""
+        """`argv`: the command line, with what is ROS's; raises GalenError."""
         self._board = Board()
         self._history = History()
         self._thread = RosThread()

@@ -19,7 +19,7 @@ from dataclasses import dataclass
 from typing import Any, Generic, TypeVar
 
 from galen_model.errors import GalenError
-from galen_ros.node.spin import StartError, init_ros, make_executor
+from galen_ros.node.spin import init_ros, make_executor
 from galen_ros.rclpy_workarounds import guard_parameter_services
 from rclpy.client import Client
 from rclpy.context import Context
@@ -97,7 +97,7 @@ class RosThread:
         set_up: Callable[[Node], Callable[[float], None]],
         clean_up: Callable[[], None],
     ) -> None:
-        """Make the node; raises StartError and what `set_up` raises.
+        """Make the node; raises GalenError and what `set_up` raises.
 
         `set_up(node)` makes what is on the node, and returns what is called at each beat with
         time.monotonic(). `clean_up()` comes before the node is destroyed. Both run in the thread.
@@ -156,7 +156,7 @@ class RosThread:
             node.destroy_node()
             executor.shutdown()
         except ParameterException as error:  # of rclpy's own, such as use_sim_time
-            started.fail(StartError(str(error)))
+            started.fail(GalenError(str(error)))
         except Exception as error:
             started.fail(error)
         finally:

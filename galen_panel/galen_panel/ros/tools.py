@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from dataclasses import replace
 from typing import Any
 
-from galen_ros.qos import LATCHED
+from galen_ros.messages import LATCHED
 from rclpy.node import Node
 from std_srvs.srv import SetBool, Trigger
 

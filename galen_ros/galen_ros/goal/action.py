@@ -13,11 +13,10 @@ from rclpy.client import Client
 from rclpy.subscription import Subscription
 from sensor_msgs.msg import JointState
 
-from galen_ros.conversions import JointStateReader
 from galen_ros.goal.arm_link import PublisherWatch
 from galen_ros.goal.commands import End
 from galen_ros.goal.procedure import GoalProcedure
-from galen_ros.qos import STREAM
+from galen_ros.messages import STREAM, JointStateReader
 
 if TYPE_CHECKING:
     from galen_ros.goal.node import GoalNode

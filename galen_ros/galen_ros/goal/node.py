@@ -19,13 +19,13 @@ from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
 
-from galen_ros.conversions import stamp_to_ns, wrench_to_array
 from galen_ros.goal.action import ArmAction, RejectedGoalError, RunningGoal
 from galen_ros.goal.arm_link import DISCOVERY_S, ArmPublisher, PublisherWatch
 from galen_ros.goal.commands import End, MoveTo, Stop
 from galen_ros.goal.parameters import MotionParameters
+from galen_ros.messages import stamp_to_ns, wrench_to_array
 from galen_ros.node.diagnostics import ERROR, OK, WARN, DiagnosticsPublisher, Status
-from galen_ros.parameters.declare import declare_parameters
+from galen_ros.node.parameters import declare_parameters
 from galen_ros.rclpy_workarounds import DeferredActionServer
 
 _TICK_S = 0.1

@@ -10,7 +10,7 @@ from galen_model.arrays import Array
 from galen_model.rest.pose import StillnessSettings
 
 from galen_ros.goal.arrival import ArrivalSettings
-from galen_ros.parameters.param import param
+from galen_ros.parameters import param
 
 
 @dataclass(frozen=True)

@@ -25,7 +25,8 @@ from galen_model.errors import GalenError
 from rclpy.lifecycle import LifecycleNode, TransitionCallbackReturn
 
 from galen_ros.node.diagnostics import ERROR, WARN, DiagnosticsPublisher, Status
-from galen_ros.parameters.declare import Held, declare_parameters, hold_parameters, param
+from galen_ros.node.parameters import Held, declare_parameters
+from galen_ros.parameters import param
 from galen_ros.rclpy_workarounds import destroy_all, guard_transitions, leave_graph
 
 T = TypeVar("T")
@@ -134,7 +135,7 @@ class ManagedNode(LifecycleNode):
 
         `on_change` is called for those of `read_only=False` that are set while it is configured.
         """
-        return hold_parameters(self, cls, on_change, lambda: _FIXED.get(self._stage, ""))
+        return Held(self, cls, on_change, lambda: _FIXED.get(self._stage, ""))
 
     def _at_undo(self, callback: Callable[[], object]) -> None:
         """In `_configure` or `_activate`: have this called on the way down, the last one first."""

@@ -1,14 +1,19 @@
-"""Run one node as a process: executor, signals, exit code."""
+"""Run one node as a process: executor, signals, exit code, domain."""
 
 from __future__ import annotations
 
+import fcntl
 import gc
+import os
 import re
 import signal
 import sys
+import tempfile
+import time
 from collections.abc import Callable
+from pathlib import Path
 from types import FrameType
-from typing import TypeVar
+from typing import IO, TypeVar
 
 import rclpy
 from galen_model.errors import GalenError
@@ -21,15 +26,11 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import ok, remove_ros_args, try_shutdown
 
 from galen_ros.executable import interrupted
-from galen_ros.parameters.unknown import warn_of_unknown_parameters
+from galen_ros.node.parameters import warn_of_unknown_parameters
 
 N = TypeVar("N", bound=Node)
 
 _IN_RCL = re.compile(r",? at /\S+")
-
-
-class StartError(GalenError):
-    """What ROS itself was told after `--ros-args` can't be used."""
 
 
 def make_executor(context: Context | None = None) -> Executor:
@@ -46,14 +47,14 @@ def make_executor(context: Context | None = None) -> Executor:
 
 
 def init_ros(args: list[str] | None = None, context: Context | None = None) -> None:
-    """Do `rclpy.init` without its signal handlers; raises StartError."""
+    """Do `rclpy.init` without its signal handlers; raises GalenError."""
     try:
         rclpy.init(args=args, context=context, signal_handler_options=SignalHandlerOptions.NO)
     except UnknownROSArgsError as error:
-        raise StartError(f"unknown after --ros-args: {error}") from error
+        raise GalenError(f"unknown after --ros-args: {error}") from error
     except RCLError as error:
         # rcl adds the lines of its own source.
-        raise StartError(_IN_RCL.sub("", str(error))) from error
+        raise GalenError(_IN_RCL.sub("", str(error))) from error
 
 
 def own_arguments(arguments: list[str]) -> list[str]:
@@ -118,7 +119,7 @@ def _make_and_spin(
     try:
         node = make_node()
     except ParameterException as error:  # of rclpy's own, such as use_sim_time
-        raise StartError(str(error)) from error
+        raise GalenError(str(error)) from error
     warn_of_unknown_parameters(node)
     executor = make()
     executor.add_node(node)
@@ -133,3 +134,49 @@ def _make_and_spin(
         executor.remove_node(node)
         node.destroy_node()
         executor.shutdown()
+
+
+# Domains
+
+# Fast DDS takes UDP port 7400 + 250 domain and up. Linux hands out ports from 32768 to everybody,
+# which is domain 101; people use the low domains.
+_DOMAIN_IDS = range(61, 101)
+
+
+class DomainLock:
+    """Holds a ROS domain id that no other process of this suite holds: a test, a demonstration."""
+
+    def __init__(self, timeout_s: float = 60.0) -> None:
+        deadline = time.monotonic() + timeout_s
+        count = len(_DOMAIN_IDS)
+        first = os.getpid() % count
+        while True:
+            for step in range(count):
+                domain_id = _DOMAIN_IDS[(first + step) % count]
+                handle = _try_lock(domain_id)
+                if handle is not None:
+                    self.domain_id = domain_id
+                    self._handle = handle
+                    return
+            if time.monotonic() > deadline:
+                raise TimeoutError(f"no free ROS domain id among {_DOMAIN_IDS} for {timeout_s} s")
+            time.sleep(0.1)
+
+    def release(self) -> None:
+        """Give the domain id back."""
+        self._handle.close()
+
+
+def _try_lock(domain_id: int) -> IO[str] | None:
+    """Lock a domain's file; the system releases it when the process ends, however it ends."""
+    path = Path(tempfile.gettempdir()) / f"galen_ros_domain_{domain_id}.lock"
+    try:
+        handle = path.open("a")
+    except PermissionError:  # another user's
+        return None
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:
+        handle.close()
+        return None
+    return handle

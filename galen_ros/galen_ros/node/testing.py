@@ -20,8 +20,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.utilities import try_shutdown
 
-from galen_ros.node.domain import DomainLock
-from galen_ros.node.spin import make_executor
+from galen_ros.node.spin import DomainLock, make_executor
 
 N = TypeVar("N", bound=Node)
 

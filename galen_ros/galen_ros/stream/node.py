@@ -14,9 +14,9 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState
 
 from galen_ros.cdr import JointStateError, JointWire, RawWrench, UnreadableError, WrenchWire
+from galen_ros.messages import STREAM
 from galen_ros.node.diagnostics import Level, Status
 from galen_ros.node.managed_node import ManagedNode
-from galen_ros.qos import STREAM
 from galen_ros.stream.monitor import Severity, State, StreamMonitor
 from galen_ros.stream.pairing import WrenchPairing
 from galen_ros.stream.results import Rejected

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from galen_ros.parameters.param import param
+from galen_ros.parameters import param
 from galen_ros.stream.watches import FROZEN_S, LATE_S
 
 

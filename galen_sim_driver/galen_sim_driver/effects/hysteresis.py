@@ -89,7 +89,7 @@ from galen_model.arm.stiffness import tip_compliance
 from galen_model.arrays import Array
 from galen_model.load.nominal_tools import TOOLS
 from galen_model.wrench import move_twist
-from galen_ros.parameters.param import param
+from galen_ros.parameters import param
 from numpy.typing import ArrayLike
 from scipy.optimize import brentq, minimize_scalar
 from scipy.special import lambertw

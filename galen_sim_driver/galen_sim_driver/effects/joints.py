@@ -58,7 +58,7 @@ import numpy as np
 from galen_model.arm.galen import GALEN, JOINT_NAMES, ArmParameters
 from galen_model.arrays import Array
 from galen_model.rotation import rot_x, rot_y, rot_z
-from galen_ros.parameters.param import param
+from galen_ros.parameters import param
 
 from galen_sim_driver.effects.effect import (
     ROTARY_JOINTS,
@@ -184,13 +184,7 @@ class BaseInclination(Effect):
         return np.asarray(turn.T @ gravity_base)
 
 
-ARM_FIELDS: Mapping[str, str] = {
-    "roll": "roll",
-    "tilt": "tilt",
-    "carriage": "carriage",
-    "rod": "rod",
-}
-"""The effect's fields and those of the arm's parameters."""
+_SPRINGS = tuple(GALEN.stiffness)
 
 
 def _softer(of: str) -> Fitted:
@@ -205,8 +199,8 @@ class JointCompliance(Effect):
     """
 
     name: ClassVar[str] = "joint_compliance"
-    fitted: ClassVar[tuple[Fitted, ...]] = tuple(map(_softer, ARM_FIELDS))
-    contract_names: ClassVar[Mapping[str, str]] = {name: f"stiffness.{name}" for name in ARM_FIELDS}
+    fitted: ClassVar[tuple[Fitted, ...]] = tuple(map(_softer, _SPRINGS))
+    contract_names: ClassVar[Mapping[str, str]] = {name: f"stiffness.{name}" for name in _SPRINGS}
 
     roll: float = param(0.0, "stiffness of the roll joint, 0 for the nominal one, Nm/rad", 0.0)
     tilt: float = param(0.0, "stiffness of the tilt joint, 0 for the nominal one, Nm/rad", 0.0)
@@ -216,9 +210,9 @@ class JointCompliance(Effect):
     def vector(self) -> Array:
         """How much softer than nominal: k_nominal / k - 1, (4,)."""
         softer = []
-        for field, of_arm in ARM_FIELDS.items():
-            stiffness = getattr(self, field)
-            softer.append(getattr(GALEN, of_arm) / stiffness - 1.0 if stiffness > 0.0 else 0.0)
+        for spring in _SPRINGS:
+            stiffness = getattr(self, spring)
+            softer.append(GALEN.stiffness[spring] / stiffness - 1.0 if stiffness > 0.0 else 0.0)
         return np.array(softer)
 
     def with_vector(self, vector: Array) -> Self:
@@ -226,15 +220,15 @@ class JointCompliance(Effect):
         return replace(
             self,
             **{
-                field: getattr(GALEN, of_arm) / (1.0 + float(softer)) if softer != 0.0 else 0.0
-                for (field, of_arm), softer in zip(ARM_FIELDS.items(), vector, strict=True)
+                spring: GALEN.stiffness[spring] / (1.0 + float(softer)) if softer != 0.0 else 0.0
+                for spring, softer in zip(_SPRINGS, vector, strict=True)
             },
         )
 
     def arm(self, arm: ArmParameters) -> ArmParameters:
         """The arm with these stiffnesses."""
-        given = {of_arm: getattr(self, field) for field, of_arm in ARM_FIELDS.items()}
-        return arm.with_stiffness({of_arm: k for of_arm, k in given.items() if k > 0.0})
+        given = {spring: getattr(self, spring) for spring in _SPRINGS}
+        return arm.with_stiffness({spring: k for spring, k in given.items() if k > 0.0})
 
 
 _TILT = JOINT_NAMES.index("tilt")

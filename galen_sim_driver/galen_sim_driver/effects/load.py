@@ -10,7 +10,7 @@ centre = file's + shift (d_x, d_y, 0),   d: the unit vector of gravity in ft_sen
 
 Forces of acceleration of tool and adapter, which nominal leaves out.
 
-Newton and Euler (`galen_model.load.inertia.inertial`) with s = -a, the part without gravity, for
+Newton and Euler (`galen_model.load.inertia`) with s = -a, the part without gravity, for
 tool and adapter as two points, each at its own centre p_i with the share of `mass_kg` that it has
 of the weight of both:
 
@@ -53,10 +53,10 @@ import numpy as np
 from galen_model.arm.galen import HOME
 from galen_model.arm.kinematics import sensor_pose
 from galen_model.arrays import Array
-from galen_model.load.inertia.inertial import LoadInMotion, inertial_wrench, point_mass_inertia
+from galen_model.load.inertia import LoadInMotion, inertial_wrench, point_mass_inertia
 from galen_model.load.model import Load
 from galen_model.rotation import skew
-from galen_ros.parameters.param import param
+from galen_ros.parameters import param
 from numpy.typing import ArrayLike
 
 from galen_sim_driver.effects.effect import ConfigError, Effect, Fitted, Instants, Posture

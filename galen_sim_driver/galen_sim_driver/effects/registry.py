@@ -12,7 +12,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import fields
 from typing import Any
 
-from galen_ros.parameters.param import ParameterError, checked, param_fields
+from galen_ros.parameters import ParameterError, checked, param_fields
 
 from galen_sim_driver import effects
 from galen_sim_driver.effects.effect import ROTARY_JOINTS, ConfigError, Effect

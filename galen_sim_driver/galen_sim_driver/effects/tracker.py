@@ -22,7 +22,7 @@ from typing import ClassVar
 
 import numpy as np
 from galen_model.arrays import Array
-from galen_ros.parameters.param import param
+from galen_ros.parameters import param
 
 from galen_sim_driver.effects.effect import Effect, Fitted, Instants
 

@@ -1,4 +1,7 @@
-"""Messages to arrays and back. Stamps are integer nanoseconds; a wrench is force, then torque."""
+"""Topics' quality of service; messages to arrays and back.
+
+Stamps are integer nanoseconds; a wrench is force, then torque.
+"""
 
 from __future__ import annotations
 
@@ -8,11 +11,28 @@ import numpy as np
 from builtin_interfaces.msg import Time
 from geometry_msgs.msg import WrenchStamped
 from numpy.typing import NDArray
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState
 
 from galen_ros.cdr import check_joint_counts, joint_indices
 
 _NS_PER_S = 1_000_000_000
+
+# For 500 Hz streams. The depth is the stall budget: 2000 samples are 4 s of a node that is busy.
+STREAM = QoSProfile(
+    history=HistoryPolicy.KEEP_LAST,
+    depth=2000,
+    reliability=ReliabilityPolicy.RELIABLE,
+    durability=DurabilityPolicy.VOLATILE,
+)
+
+# For what a late subscriber must still get, such as the robot's description.
+LATCHED = QoSProfile(
+    history=HistoryPolicy.KEEP_LAST,
+    depth=1,
+    reliability=ReliabilityPolicy.RELIABLE,
+    durability=DurabilityPolicy.TRANSIENT_LOCAL,
+)
 
 
 def stamp_to_ns(stamp: Time) -> int:

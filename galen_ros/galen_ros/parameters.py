@@ -4,7 +4,7 @@
     class Parameters:
         rate_hz: float = param(500.0, "sample rate in Hz", minimum=1.0, maximum=2000.0)
 
-A node declares them by `galen_ros.parameters.declare.declare_parameters`, a command takes some of
+A node declares them by `galen_ros.node.parameters.declare_parameters`, a command takes some of
 them as options by `add_options` and `from_options`, and a README has its table from
 `markdown_table`, so that none of these can differ from the others. No ROS here.
 """
@@ -28,9 +28,7 @@ _TYPE_NAMES: dict[Any, str] = {
     float: "float",
     str: "string",
     tuple[float, ...]: "float list",
-    tuple[int, ...]: "int list",
     tuple[str, ...]: "string list",
-    tuple[bool, ...]: "bool list",
 }
 
 
@@ -134,9 +132,7 @@ def param_fields(cls: type) -> dict[str, tuple[Any, Any, Meaning]]:
 
 def checked(name: str, value: Any, hint: Any, meaning: Meaning) -> Any:
     """Return `value` as the field's type, or raise ParameterError."""
-    element = {tuple[float, ...]: float, tuple[int, ...]: int, tuple[str, ...]: str}.get(
-        hint, bool if hint == tuple[bool, ...] else None
-    )
+    element = {tuple[float, ...]: float, tuple[str, ...]: str}.get(hint)
     try:
         if element is None:
             return _checked_scalar(value, hint, meaning)
@@ -167,7 +163,7 @@ def _checked_scalar(value: Any, kind: Any, meaning: Meaning) -> Any:
 
 
 def wanted(hint: Any, meaning: Meaning) -> str:
-    """Say of what type and in what range a value must be."""
+    """Return of what type and in what range a value must be, in words."""
     text = f"a {_TYPE_NAMES[hint]}" if hint is not int else "an int"
     limits = [_format_range(meaning)]
     if hint in (float, tuple[float, ...]) and meaning.maximum is None:

@@ -1,21 +1,11 @@
-"""Declare on a node the parameters of a frozen dataclass (`galen_ros.parameters.param`).
-
-A node writes
-
-    @dataclass(frozen=True)
-    class Parameters:
-        rate_hz: float = param(500.0, "sample rate in Hz", minimum=1.0, maximum=2000.0)
-
-and calls `declare_parameters(node, Parameters)`. A managed node (`galen_ros.node.managed_node`)
-calls `hold_parameters`: what others take at their start alone, it takes anew whenever it is
-configured.
-"""
+"""Declare on a node the parameters of a frozen dataclass (`galen_ros.parameters`)."""
 
 from __future__ import annotations
 
 import dataclasses
 import math
 from collections.abc import Callable, Sequence
+from difflib import get_close_matches
 from typing import Any, Generic, TypeVar, cast
 
 from galen_model.errors import GalenError
@@ -29,29 +19,14 @@ from rclpy.exceptions import ParameterException
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
-from galen_ros.parameters.param import (
-    Meaning,
-    ParameterError,
-    checked,
-    markdown_table,
-    param,
-    param_fields,
-    wanted,
-)
+from galen_ros.parameters import Meaning, ParameterError, checked, param_fields, wanted
 from galen_ros.rclpy_workarounds import guard_parameter_services
-
-__all__ = [
-    "Held",
-    "ParameterError",
-    "declare_parameters",
-    "hold_parameters",
-    "markdown_table",
-    "param",
-]
 
 T = TypeVar("T")
 
 _INT64_MAX = 2**63 - 1
+# rclpy declares these with the publisher or subscription that they are for, if that allows it.
+_DECLARED_LATER = "qos_overrides."
 
 
 def declare_parameters(node: Node, cls: type[T], on_change: Callable[[T], None] | None = None) -> T:
@@ -62,28 +37,7 @@ def declare_parameters(node: Node, cls: type[T], on_change: Callable[[T], None] 
     be used raises `ParameterError` at start-up, and is rejected when set at run time.
     `on_change(new_instance)` is called after every accepted change of a `read_only=False` field.
     """
-    fields = param_fields(cls)
-    held = Held(_declare_all(node, cls, fields), fields, on_change)
-    if any(not meaning.read_only for _, _, meaning in fields.values()):
-        held.follow(node)
-    return held.now
-
-
-def hold_parameters(
-    node: Node,
-    cls: type[T],
-    on_change: Callable[[T], None] | None,
-    why_fixed: Callable[[], str],
-) -> Held[T]:
-    """As `declare_parameters`; while `why_fixed()` is empty, every field can be set.
-
-    Otherwise it says why the `read_only` ones can't be set now, such as "while the node is active".
-    `on_change` is called for changes in that time alone.
-    """
-    fields = param_fields(cls)
-    held = Held(_declare_all(node, cls, fields, fixed=False), fields, on_change, why_fixed)
-    held.follow(node)
-    return held
+    return Held(node, cls, on_change).now
 
 
 class Held(Generic[T]):
@@ -91,20 +45,30 @@ class Held(Generic[T]):
 
     def __init__(
         self,
-        first: T,
-        fields: dict[str, tuple[Any, Any, Meaning]],
-        on_change: Callable[[T], None] | None,
+        node: Node,
+        cls: type[T],
+        on_change: Callable[[T], None] | None = None,
         why_fixed: Callable[[], str] | None = None,
     ) -> None:
-        self.now = first
-        self._fields = fields
+        """Declare them.
+
+        While `why_fixed()` is empty, every field can be set and `on_change` is not called.
+        Otherwise it is why the `read_only` ones can't be set, such as "while the node is active".
+        Without it these can never be set.
+        """
+        guard_parameter_services(node)
+        self._fields = param_fields(cls)
         self._on_change = on_change
         self._why_fixed = why_fixed
-
-    def follow(self, node: Node) -> None:
-        """Check what is set from now on, and tell `on_change`."""
-        node.add_on_set_parameters_callback(self._on_set)
-        node.add_post_set_parameters_callback(self._on_post_set)
+        values = {
+            name: _declare(node, name, *field, fixed=why_fixed is None)
+            for name, field in self._fields.items()
+        }
+        self.now = cls(**values)
+        _validate(self.now)
+        if why_fixed or any(not meaning.read_only for _, _, meaning in self._fields.values()):
+            node.add_on_set_parameters_callback(self._on_set)
+            node.add_post_set_parameters_callback(self._on_post_set)
 
     def _changed(self, parameters: Sequence[Parameter]) -> T:
         new = {}
@@ -139,29 +103,15 @@ class Held(Generic[T]):
             self._on_change(new)
 
 
-def _declare_all(
-    node: Node, cls: type[T], fields: dict[str, tuple[Any, Any, Meaning]], fixed: bool = True
-) -> T:
-    """Declare the fields, return what is active; `fixed`: rclpy keeps the read-only ones."""
-    guard_parameter_services(node)
-    values = {}
-    for name, (hint, default, meaning) in fields.items():
-        read_only = fixed and meaning.read_only
-        values[name] = _declare(node, name, hint, default, meaning, read_only)
-    instance = cls(**values)
-    _validate(instance)
-    return instance
-
-
 def _declare(
-    node: Node, name: str, hint: Any, default: Any, meaning: Meaning, read_only: bool
+    node: Node, name: str, hint: Any, default: Any, meaning: Meaning, *, fixed: bool
 ) -> Any:
-    """Declare one parameter and return its checked value."""
+    """Declare one parameter and return its checked value; `fixed`: rclpy keeps a read-only one."""
     descriptor = ParameterDescriptor(
         name=name,
         description=meaning.description,
-        read_only=read_only,
-        # With a static type rclpy would reject 5 for 5.0; `_checked` holds the type instead.
+        read_only=fixed and meaning.read_only,
+        # With a static type rclpy would reject 5 for 5.0; `checked` holds the type instead.
         dynamic_typing=True,
     )
     if meaning.minimum is not None or meaning.maximum is not None:
@@ -181,7 +131,7 @@ def _declare(
     try:
         value = node.declare_parameter(name, start, descriptor).value
     except (ParameterException, ValueError) as error:  # ValueError: a list with nothing in it
-        # rclpy keeps an override's value to itself: its own message says it, ours adds the range.
+        # rclpy's message has the override's value, ours adds the range.
         raise ParameterError(
             f"parameter '{name}' must be {wanted(hint, meaning)}: {error}"
         ) from error
@@ -196,3 +146,19 @@ def _validate(instance: Any) -> None:
         validate()
     except ValueError as error:
         raise ParameterError(str(error)) from error
+
+
+def warn_of_unknown_parameters(node: Node) -> None:
+    """Log a warning for each parameter given to `node` whose name is nearly one of its own.
+
+    Others are not named: a section for any node, such as `/**`, may hold other nodes' parameters.
+    """
+    known = list(node._parameters)
+    for name in sorted(node._parameter_overrides):
+        if node.has_parameter(name) or name.startswith(_DECLARED_LATER):
+            continue
+        for near in get_close_matches(name, known, n=1):
+            node.get_logger().warning(
+                f"parameter '{name}' is unknown to {node.get_fully_qualified_name()} and ignored:"
+                f" did you mean '{near}'?"
+            )

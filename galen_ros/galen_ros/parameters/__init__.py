@@ -1,1 +1,0 @@
-"""Parameters of nodes as fields of a frozen dataclass."""
