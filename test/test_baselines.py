@@ -150,12 +150,11 @@ def samples(bag, seconds):
 def compensate_live(bag, tool, seconds, tare_at_s=None, **parameters):
     """Stamps (n,) ns and wrenches (n, 6) as the node makes them, sample by sample."""
     from galen_gravcomp.compensator import Compensator
-    from galen_gravcomp.corrections.stages import make_stages
     from galen_gravcomp.parameters import GravcompParameters
     from galen_model.files.calibration_file import read_calibration
 
     settings = GravcompParameters(**parameters)
-    compensator = Compensator(settings, stages=make_stages(settings))
+    compensator = Compensator(settings)
     compensator.set_tool(read_calibration(tool))
     tared = []
     out = []

@@ -21,7 +21,7 @@ def world(tmp_path_factory):
     write_model_file(folder / "model.json")
     with FaultWorld(folder) as world:
         # Here stamps advance as the test gets on; what is late: test_faults_processes.
-        parameters = {"tools_dir": folder, "tool": "retractor", "fit_watch": False, "late_s": 0.0}
+        parameters = {"tools_dir": folder, "tool": "retractor", "calibration_monitor": False, "late_s": 0.0}
         world.start("gravcomp", ["-m", "galen_gravcomp.node"], parameters)
         parameters = {"model_file": folder / "model.json", "late_s": 0.0}
         world.start("deflection", ["-m", "galen_deflection.node"], parameters)

@@ -99,7 +99,7 @@ def world(tmp_path_factory):
     with FaultWorld(tools.parent) as world:
         world.path = path
         world.parameters = {
-            "tools_dir": tools, "tool": "retractor", "fit_watch": False, "late_s": 0.0,
+            "tools_dir": tools, "tool": "retractor", "calibration_monitor": False, "late_s": 0.0,
         }  # fmt: skip
         start(world)
         world.driver = world.source("driver")

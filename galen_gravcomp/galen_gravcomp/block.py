@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from galen_bags.arrays.messages import Samples
@@ -16,7 +15,7 @@ if TYPE_CHECKING:
     from galen_gravcomp.compensator import Compensator
 
 # Samples looked at as arrays at once. What lies behind the first irregular sample was looked at in
-# vain, so after a short stretch the next look is a short one.
+# vain, so after a short run the next look is a short one.
 _LARGEST_LOOK = 1 << 16
 _SMALLEST_LOOK = 256
 # Samples pushed one by one around an irregular one. Where trouble lasts, each look in vain makes
@@ -25,8 +24,7 @@ _FEWEST_STEPS = 16
 _MOST_STEPS = 1024
 
 
-@dataclass(frozen=True)
-class BlockResult:
+class BlockResult(NamedTuple):
     """What became of the wrenches of a block, and of those that had waited before it.
 
     In the order in which they came out: index (k,), the wrench's running number by arrival over
@@ -35,27 +33,11 @@ class BlockResult:
     index.
     """
 
-    index: np.ndarray
-    stamp_ns: np.ndarray
-    wrench: Array
-    angles: Array
-    rejected: list[Rejected]
-
-
-@dataclass(frozen=True)
-class Outputs:
-    """The arrays of `BlockResult` for one regular run, and how many samples it took."""
-
-    taken: int
-    index: np.ndarray
-    stamp_ns: np.ndarray
-    wrench: Array
-    angles: Array
-
-
-NOTHING = Outputs(
-    0, np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64), np.zeros((0, 6)), np.zeros((0, 2))
-)
+    index: np.ndarray = np.zeros(0, dtype=np.int64)
+    stamp_ns: np.ndarray = np.zeros(0, dtype=np.int64)
+    wrench: Array = np.zeros((0, 6))
+    angles: Array = np.zeros((0, 2))
+    rejected: Sequence[Rejected] = ()
 
 
 def push_block(
@@ -63,7 +45,7 @@ def push_block(
     is_wrench: np.ndarray,
     joints: Samples,
     wrenches: Samples,
-    push_run: Callable[[Arrivals], Outputs],
+    push_run: Callable[[Arrivals], tuple[int, BlockResult]],
 ) -> BlockResult:
     """Push samples in the order of their arrival; is_wrench (n,) tells whose the next one is.
 
@@ -72,7 +54,7 @@ def push_block(
         is_wrench: of both topics' samples in the order of their arrival.
         joints: values (j, 5 or more), the platform's position before roll and tilt, m and rad.
         wrenches: values (w, 6), N and N.m.
-        push_run: pushes the regular samples at the start of what it is given.
+        push_run: pushes the regular samples at the start of its argument; how many, and outputs.
 
     Raises:
         ValueError: the counts don't fit, before anything was pushed.
@@ -87,15 +69,12 @@ def push_block(
     pushing = _Pushing(sink, is_wrench, joints, wrenches)
     look, steps = _LARGEST_LOOK, _FEWEST_STEPS
     while pushing.at < len(is_wrench):
-        outputs = push_run(pushing.arrivals(look))
-        pushing.take(outputs)
-        if outputs.taken < look:
+        taken, outputs = push_run(pushing.arrivals(look))
+        pushing.take(taken, outputs)
+        if taken < look:
             pushing.step(steps)
-            if outputs.taken < steps:
-                steps = min(2 * steps, _MOST_STEPS)
-            else:
-                steps = _FEWEST_STEPS
-        look = min(max(2 * outputs.taken, _SMALLEST_LOOK), _LARGEST_LOOK)
+            steps = min(2 * steps, _MOST_STEPS) if taken < steps else _FEWEST_STEPS
+        look = min(max(2 * taken, _SMALLEST_LOOK), _LARGEST_LOOK)
     return pushing.result()
 
 
@@ -116,7 +95,7 @@ class _Pushing:
         self._paired = joints.values[:, first:5]
         self._joint_usable = _all_but(joints.bad, len(joints))
         self._wrench_readable = _all_but(wrenches.bad, len(wrenches))
-        self._parts = [NOTHING]
+        self._parts = [BlockResult()]
         self._single: list[Compensated] = []
         self._rejected: list[Rejected] = []
 
@@ -139,12 +118,12 @@ class _Pushing:
             self._wrench_readable[wrenches] & right[self._wrenches.frame[wrenches]],
         )
 
-    def take(self, outputs: Outputs) -> None:
-        """Go on behind a regular run."""
-        if outputs.taken:
+    def take(self, taken: int, outputs: BlockResult) -> None:
+        """Go on behind a regular run of `taken` samples."""
+        if taken:
             self._flush()
             self._parts.append(outputs)
-            self._go_on(outputs.taken)
+            self._go_on(taken)
 
     def step(self, count: int) -> None:
         """Push the next `count` samples one by one, or as many as there are."""
@@ -180,14 +159,10 @@ class _Pushing:
     def result(self) -> BlockResult:
         """What came out of the whole block."""
         self._flush()
-        parts = self._parts
-        return BlockResult(
-            np.concatenate([part.index for part in parts]),
-            np.concatenate([part.stamp_ns for part in parts]),
-            np.concatenate([part.wrench for part in parts]),
-            np.concatenate([part.angles for part in parts]),
-            self._rejected,
+        arrays = (
+            np.concatenate(parts) for parts in zip(*(p[:4] for p in self._parts), strict=True)
         )
+        return BlockResult(*arrays, self._rejected)
 
     def _go_on(self, count: int) -> None:
         w = int(np.count_nonzero(self._is_wrench[self.at : self.at + count]))
@@ -207,8 +182,7 @@ class _Pushing:
         if not self._single:
             return
         self._parts.append(
-            Outputs(
-                0,
+            BlockResult(
                 np.array([single.number for single in self._single], dtype=np.int64),
                 np.array([single.stamp_ns for single in self._single], dtype=np.int64),
                 np.array([single.wrench for single in self._single]),

@@ -1,11 +1,13 @@
 """The compensator without ROS: joint and wrench samples go in, compensated wrenches come out.
 
-    compensated = C (raw - expected reading of the tool at the joint angles of the raw stamp) - tare
+    expected    = weight(roll, tilt) + pull of a cable   as the sensor reads them, in its own axes
+    untared     = C (raw - expected) - inertial forces   C: undoes its gains and rotation
+    compensated = untared - bias drift - tare
 
-The other parts of the expected reading, C, and what else is subtracted:
-`galen_gravcomp.corrections.stages`. Samples are pushed in the order of their arrival, one by
-one or in blocks, which gives the same. Live node and offline evaluation feed the same class. Which
-angles belong to a wrench, and which wrench is rejected, is `galen_ros.stream.pairing`'s.
+All but the weight is optional. A correction sees each sample once, in the order of its arrival, by
+its stamp. Samples are pushed one by one or in blocks, which gives the same. Live node and offline
+evaluation feed the same class. Which angles belong to a wrench, and which wrench is rejected, is
+`galen_ros.stream.pairing`'s.
 """
 
 import math
@@ -16,23 +18,22 @@ import numpy as np
 from galen_bags.arrays.messages import Samples
 from galen_model.arrays import Array
 from galen_model.errors import GalenError
+from galen_model.evidence.verdict import Limits
 from galen_model.files.calibration_file import CalibrationFile
 from galen_model.load.prediction import Prediction
 from galen_ros.stream.pairing import PairedWrench, WrenchPairing
 from galen_ros.stream.regular_run import Arrivals
 from galen_ros.stream.results import Compensated, Rejected, Rejection, Result
 
-from galen_gravcomp.block import NOTHING, BlockResult, Outputs, push_block
+from galen_gravcomp.block import BlockResult, push_block
 from galen_gravcomp.calibration_monitor.monitor import CalibrationMonitor
 from galen_gravcomp.corrections.bias_drift import BiasDrift
 from galen_gravcomp.corrections.cable import CablePull
-from galen_gravcomp.corrections.imu_motion import ImuMotion
-from galen_gravcomp.corrections.joint_motion import JointMotion
-from galen_gravcomp.corrections.motion_window import NoMotion
-from galen_gravcomp.corrections.stages import Stages
+from galen_gravcomp.corrections.inertial import ImuMotion, InertialForces, JointMotion
 from galen_gravcomp.corrections.tare import TareOutcome, TareRamp, TareWindow
 from galen_gravcomp.parameters import GravcompParameters
 
+_MOTIONS: dict[str, type[InertialForces]] = {"joints": JointMotion, "imu": ImuMotion}
 _IMPOSSIBLE = (
     "inertial forces are not known: they come out beyond the sensor's range; does joint_states (or"
     " the IMU) jump, or come in another unit?"
@@ -56,22 +57,25 @@ class Compensator:
         self,
         parameters: GravcompParameters | None = None,
         on_restart: Callable[[str], None] | None = None,
-        stages: Stages | None = None,
     ) -> None:
         """`on_restart(why)` is called after everything was cleared because the driver restarted."""
-        self._stages = stages or Stages()
-        self._parameters = parameters or GravcompParameters()
-        self._sensor_range = np.array(self._parameters.sensor_range)
+        self._parameters = p = parameters or GravcompParameters()
+        self._sensor_range = np.array(p.sensor_range)
         self._on_restart = on_restart
-        self.pairing = WrenchPairing(
-            self._parameters, self._forget_driver, awaited=self._stages.motion
-        )
+        self.motion = _MOTIONS[p.motion](p) if p.motion in _MOTIONS else None
+        """Inertial forces, where the parameters ask for them."""
+        self.bias_drift = BiasDrift(enabled=p.bias_drift, ramp_s=p.tare_ramp_s)
+        limits = Limits(p.fit_limit_force_n, p.fit_limit_torque_nm)
+        self.monitor = CalibrationMonitor(limits) if p.calibration_monitor else None
+        """Checks whether the calibration file fits."""
+        self.pairing = WrenchPairing(p, self._forget_driver, awaited=self.motion)
         self._enabled = True
         self._tool: CalibrationFile | None = None
         self._prediction: Prediction | None = None
-        self._cable: CablePull | None = None
+        self.cable: CablePull | None = None
+        """The cable that the tool's file describes."""
         self._no_tool_detail = "no tool is loaded"
-        self._ramp = TareRamp(self._parameters.tare_ramp_s)
+        self._ramp = TareRamp(p.tare_ramp_s)
         self._window: TareWindow | None = None
         self._update_bar()
         self.compensated = 0
@@ -91,41 +95,19 @@ class Compensator:
         return self._tool
 
     @property
-    def motion(self) -> JointMotion | ImuMotion | None:
-        """The stage of the inertial forces."""
-        return self._stages.motion
-
-    @property
-    def bias_drift(self) -> BiasDrift | None:
-        """The stage of the sensor's bias drift."""
-        return self._stages.bias_drift
-
-    @property
-    def fit(self) -> CalibrationMonitor | None:
-        """The watch on whether the file fits."""
-        return self._stages.fit
-
-    @property
-    def cable(self) -> CablePull | None:
-        """The pull of the cable that the tool's file tells of."""
-        return self._cable
-
-    @property
     def needs_positions(self) -> bool:
         """Whether `push_joints` must be given the platform's position."""
-        motion = self._stages.motion
-        return self.pairs_positions or (motion is not None and motion.needs_positions)
+        return self.pairs_positions or (self.motion is not None and self.motion.needs_positions)
 
     @property
     def pairs_positions(self) -> bool:
         """Whether each wrench is paired with the platform's position as well."""
-        return self._cable is not None
+        return self.cable is not None
 
     @property
     def needs_imu(self) -> bool:
         """Whether `push_imu` must be called."""
-        motion = self._stages.motion
-        return motion is not None and motion.needs_imu
+        return self.motion is not None and self.motion.needs_imu
 
     @property
     def tare_offset(self) -> Array:
@@ -135,10 +117,10 @@ class Compensator:
     @property
     def bias_drift_offset(self) -> Array | None:
         """Offset (6,) that the bias drift's estimate subtracts now, N and N.m; None without one."""
-        bias_drift, now_ns = self._stages.bias_drift, self.pairing.newest_wrench_ns
-        if bias_drift is None or not bias_drift.active or now_ns is None:
+        now_ns = self.pairing.newest_wrench_ns
+        if not self.bias_drift.active or now_ns is None:
             return None
-        return bias_drift.offset_at(now_ns)
+        return self.bias_drift.offset_at(now_ns)
 
     @property
     def taring(self) -> bool:
@@ -174,12 +156,11 @@ class Compensator:
         own_frame = "" if tool is None else tool.sensor_frame
         self.pairing.sensor_frame = self._parameters.sensor_frame or own_frame
         results = self._set_cable(tool)
-        if self._stages.motion is not None:
-            self._stages.motion.set_tool(tool)
-        if self._stages.bias_drift is not None:
-            self._stages.bias_drift.clear("the tool was changed")
-        if self._stages.fit is not None:
-            self._stages.fit.set_tool(tool)
+        if self.motion is not None:
+            self.motion.set_tool(tool)
+        self.bias_drift.clear()
+        if self.monitor is not None:
+            self.monitor.set_tool(tool)
         return [*results, *self._update_bar()]
 
     def rename_tool(self, name: str) -> None:
@@ -209,11 +190,10 @@ class Compensator:
             window.finish(TareOutcome(False, f"not tared: {why}"))
 
     def set_bias_drift(self, enabled: bool) -> None:
-        """Switch the bias drift's estimate on or off, where there is one."""
-        if self._stages.bias_drift is not None:
-            before = self._settled_offset
-            self._stages.bias_drift.set_enabled(enabled)
-            self._offset_changed(before)
+        """Switch the bias drift's estimate on or off."""
+        before = self._settled_offset
+        self.bias_drift.set_enabled(enabled)
+        self._offset_changed(before)
 
     # Samples
 
@@ -228,9 +208,9 @@ class Compensator:
 
         position_m: the platform's (3,) in base_link, where `needs_positions`.
         """
-        if self._stages.motion is not None:
-            self._stages.motion.push_joints(stamp_ns, roll_rad, tilt_rad, position_m)
-        if self._cable is None:
+        if self.motion is not None:
+            self.motion.push_joints(stamp_ns, roll_rad, tilt_rad, position_m)
+        if self.cable is None:
             results = self.pairing.push_joints(stamp_ns, (roll_rad, tilt_rad))
         else:
             platform = (math.nan,) * 3 if position_m is None else position_m
@@ -259,18 +239,14 @@ class Compensator:
         self, stamp_ns: int, angular_rad_s: Sequence[float], linear_m_s2: Sequence[float]
     ) -> list[Result]:
         """Take an IMU's reading (3,), (3,) in its axes; returns what became of what waited."""
-        motion = self._stages.motion
-        if motion is not None:
-            motion.push_imu(stamp_ns, angular_rad_s, linear_m_s2)
+        if self.motion is not None:
+            self.motion.push_imu(stamp_ns, angular_rad_s, linear_m_s2)
         return self._made(self.pairing.release())
 
     # Inside
 
     def _made(self, results: list[PairedWrench | Rejected]) -> list[Result]:
-        made: list[Result] = []
-        for one in results:
-            made.append(self._compensate(one) if isinstance(one, PairedWrench) else one)
-        return made
+        return [self._compensate(one) if isinstance(one, PairedWrench) else one for one in results]
 
     def _update_bar(self) -> list[Rejected]:
         """Have all wrenches rejected while it is off or without a tool."""
@@ -282,20 +258,16 @@ class Compensator:
         return []
 
     def _forget_driver(self, why: str) -> None:
-        """Forget everything that belongs to the driver's life so far: bias drift and tare, too.
-
-        Tool, switch and counters stay.
-        """
+        """Forget samples, bias drift and tare; tool, switch and counters stay."""
         self.cancel_tare(why)
         self._ramp.reset()
-        if self._cable is not None:
-            self._cable.forget()
-        if self._stages.motion is not None:
-            self._stages.motion.clear()
-        if self._stages.bias_drift is not None:
-            self._stages.bias_drift.clear(why)
-        if self._stages.fit is not None:
-            self._stages.fit.clear(why)
+        if self.cable is not None:
+            self.cable.forget()
+        if self.motion is not None:
+            self.motion.clear()
+        self.bias_drift.clear()
+        if self.monitor is not None:
+            self.monitor.clear()
         if self._on_restart is not None:
             self._on_restart(why)
 
@@ -303,7 +275,7 @@ class Compensator:
         """Take the cable of another tool, or none."""
         before = self.pairs_positions
         drag = None if tool is None else tool.cable
-        self._cable = None if drag is None else CablePull(drag)
+        self.cable = None if drag is None else CablePull(drag)
         if self.pairs_positions == before:
             return []
         # The joints so far were kept without the platform's position, or with one too many.
@@ -312,12 +284,11 @@ class Compensator:
     @property
     def _settled_offset(self) -> Array:
         """What tare and drift subtract (6,) when no ramp runs."""
-        bias_drift = self._stages.bias_drift
-        return self._ramp.target if bias_drift is None else self._ramp.target + bias_drift.settled
+        return self._ramp.target + self.bias_drift.settled
 
     def _offset_changed(self, before: Array) -> None:
-        if self._stages.fit is not None:
-            self._stages.fit.offset_changed(self._settled_offset - before)
+        if self.monitor is not None:
+            self.monitor.offset_changed(self._settled_offset - before)
 
     def _end_tare(self, window: TareWindow, stamp_ns: int, roll: float, tilt: float) -> None:
         """Its offset holds what the bias drift subtracted: that goes as the tare comes."""
@@ -326,61 +297,57 @@ class Compensator:
         if outcome.offset is not None:
             before = self._settled_offset
             self._ramp.start(stamp_ns, outcome.offset)
-            if self._stages.bias_drift is not None:
-                self._stages.bias_drift.tared(stamp_ns, roll, tilt, outcome.offset)
+            self.bias_drift.tared(stamp_ns, roll, tilt, outcome.offset)
             self._offset_changed(before)
         window.finish(outcome)
 
-    def _push_run(self, arrivals: Arrivals) -> Outputs:
-        """Push the regular samples at the start of `arrivals`, none while there is a tare to do."""
+    def _push_run(self, arrivals: Arrivals) -> tuple[int, BlockResult]:
+        """Push the regular samples at the start of `arrivals`, none during a tare; how many."""
         prediction = self._prediction
         taring = self._window is not None or self._ramp.ramping
         if not self._enabled or prediction is None or taring or self._one_by_one:
-            return NOTHING
+            return 0, BlockResult()
         paired = self.pairing.push_run(arrivals)
         self.compensated += len(paired.number)
         self.pushed_as_arrays += paired.taken
         angles = paired.joints[:, -2:]
-        pull = 0.0 if self._cable is None else self._cable.readings(paired.joints)
-        wrench = prediction.compensate(paired.raw - pull, angles[:, 0], angles[:, 1])
+        pull = 0.0 if self.cable is None else self.cable.readings(paired.joints)
+        wrench = prediction.compensate(paired.raw - pull, angles)
         wrench -= self._ramp.target
-        return Outputs(paired.taken, paired.number, paired.stamp_ns, wrench, angles)
+        return paired.taken, BlockResult(paired.number, paired.stamp_ns, wrench, angles)
 
     @property
     def _one_by_one(self) -> bool:
-        """Whether samples have to be pushed one by one: a stage sees each, or rejected."""
-        stages = self._stages
-        bias_drift = stages.bias_drift is not None and stages.bias_drift.active
-        seen = stages.motion is not None or bias_drift or stages.fit is not None
+        """Whether samples have to be pushed one by one: a correction sees each, or rejected."""
+        seen = self.motion is not None or self.bias_drift.active or self.monitor is not None
         return seen or self.pairing.distrusted
 
     def _compensate(self, paired: PairedWrench) -> Result:
         stamp_ns, raw, joints, tag, number = paired
         roll, tilt = joints[-2:]
-        stages, prediction = self._stages, self._prediction
+        prediction, cable = self._prediction, self.cable
         assert prediction is not None
-        expected = prediction.reading(roll, tilt)
-        if self._cable is not None:
-            expected = expected + self._cable.reading(joints)
+        expected = prediction.reading(joints[-2:])
+        if cable is not None:
+            expected = expected + cable.reading(joints)
         untared = prediction.wrench(raw - expected)
-        if stages.motion is not None:
-            motion = stages.motion.reading(stamp_ns, roll, tilt)
-            if isinstance(motion, NoMotion):
-                return self.pairing.reject(stamp_ns, motion.reason, motion.detail, number)
+        if self.motion is not None:
+            motion = self.motion.reading(stamp_ns, roll, tilt)
+            if isinstance(motion, str):
+                return self.pairing.reject(stamp_ns, Rejection.NO_MOTION, motion, number)
             # No reading can hold more than the sensor does, and NaN is no less.
             if not (np.abs(motion) <= self._sensor_range).all():
                 return self.pairing.reject(stamp_ns, Rejection.NO_MOTION, _IMPOSSIBLE, number)
             untared = untared - motion
         compensated: Array = untared - self._ramp.offset_at(stamp_ns)
-        # Where a cable's pull is not known, what is left is neither the sensor's nor the load's.
-        known = self._cable is None or self._cable.weight == 1.0
-        if stages.bias_drift is not None:
-            if known:
-                stages.bias_drift.push(stamp_ns, roll, tilt, untared)
-            compensated = compensated - stages.bias_drift.offset_at(stamp_ns)
+        # Where a cable's pull is not known, the residual is neither the sensor's nor the load's.
+        known = cable is None or cable.weight == 1.0
+        if known:
+            self.bias_drift.push(stamp_ns, roll, tilt, untared)
+        compensated = compensated - self.bias_drift.offset_at(stamp_ns)
         if self._window is not None and self._window.add(stamp_ns, roll, tilt, untared):
             self._end_tare(self._window, stamp_ns, roll, tilt)
-        if stages.fit is not None and known:
-            stages.fit.push(stamp_ns, roll, tilt, untared - self._settled_offset)
+        if self.monitor is not None and known:
+            self.monitor.push(stamp_ns, roll, tilt, untared - self._settled_offset)
         self.compensated += 1
         return Compensated(stamp_ns, compensated, tag, number, (roll, tilt))

@@ -53,10 +53,10 @@ class Monitor(StreamMonitor):
             return State(Severity.OK, "taring", f"compensating '{tool}', averaging for a tare")
         if compensator.tare_ramping:
             return State(Severity.OK, "tare_ramp", f"compensating '{tool}', applying a tare")
-        fit, bias_drift = compensator.fit, compensator.bias_drift
-        if fit is not None and fit.trouble:
-            return self._warning("does_not_fit", f"'{tool}', but {fit.trouble}")
-        if bias_drift is not None and bias_drift.trouble:
+        monitor, bias_drift = compensator.monitor, compensator.bias_drift
+        if monitor is not None and monitor.trouble:
+            return self._warning("does_not_fit", f"'{tool}', but {monitor.trouble}")
+        if bias_drift.trouble:
             return self._warning("bias_drift_limit", f"'{tool}', but {bias_drift.trouble}")
         if compensator.cable is not None and compensator.cable.where == "outside":
             return self._warning(
@@ -96,12 +96,8 @@ class Monitor(StreamMonitor):
         motion = compensator.motion
         values |= {"motion": "off"} if motion is None else motion.values()
         values |= {"cable": "none"} if compensator.cable is None else compensator.cable.values()
-        values |= (
-            {"bias_drift": "off"}
-            if compensator.bias_drift is None
-            else compensator.bias_drift.values()
-        )
-        values |= {"fit": "off"} if compensator.fit is None else compensator.fit.values()
+        values |= compensator.bias_drift.values()
+        values |= {"fit": "off"} if compensator.monitor is None else compensator.monitor.values()
         values |= self.inputs(now_s, self.output)
         values |= {
             "received": compensator.pairing.received,

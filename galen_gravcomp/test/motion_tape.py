@@ -5,7 +5,7 @@ import pinocchio
 from galen_model.arm.galen import ENCODER_QUANTUM, HOME, SENSOR
 from galen_model.arm.pinocchio_arm import PinocchioArm
 from galen_model.files.calibration_file import CalibrationFile, LoadEstimate
-from galen_model.load.inertia.inertial import InertiaEstimate, inertia_matrix, point_mass_inertia
+from galen_model.load.inertia import InertiaEstimate, inertia_matrix, point_mass_inertia
 from galen_model.load.model import Load, gravity_wrench
 
 MS = 1_000_000

@@ -8,7 +8,6 @@ from galen_gravcomp.calibration_monitor import pull as fit_pull
 from galen_gravcomp.calibration_monitor.evidence import FitEvidence, Stops
 from galen_gravcomp.calibration_monitor.monitor import CalibrationMonitor
 from galen_gravcomp.compensator import Compensator
-from galen_gravcomp.corrections.stages import Stages
 from galen_gravcomp.monitor import Monitor
 from galen_model.arm.kinematics import gravity_in_sensor
 from galen_model.evidence.verdict import Cause
@@ -159,7 +158,7 @@ def test_a_tare_in_the_first_stop_s_first_moments_is_no_end():
 
 
 def test_the_node_s_state_warns_of_it_and_a_bad_file_is_worse():
-    compensator = Compensator(stages=Stages(fit=CalibrationMonitor()))
+    compensator = Compensator()
     monitor = Monitor(compensator, 1.0)
     tool = tool_file()
     compensator.set_tool(tool)

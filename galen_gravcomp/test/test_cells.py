@@ -1,6 +1,6 @@
 import numpy as np
 import pytest
-from galen_model.rest.time_bins import CellReducer
+from galen_model.rest.binned import CellReducer
 
 START = 1_700_000_000_000_000_000
 

@@ -271,7 +271,11 @@ def make_way(
     way = Way(
         Compensator(
             GravcompParameters(
-                tare_window_s=0.02, tare_ramp_s=0.03, tare_max_force_n=99.0, tare_max_torque_nm=99.0
+                calibration_monitor=False,
+                tare_window_s=0.02,
+                tare_ramp_s=0.03,
+                tare_max_force_n=99.0,
+                tare_max_torque_nm=99.0,
             )
         )
     )

@@ -13,7 +13,7 @@ from galen_gravcomp.evaluate.drift.result import judge_drift
 from galen_gravcomp.evaluate.drift.series import series_of
 from galen_model.errors import GalenError
 from galen_model.evidence.verdict import Limits
-from galen_model.rest.time_bins import CellReducer, Cells
+from galen_model.rest.binned import CellReducer, Cells
 
 UNITS = np.array([1.0, 1.0, 1.0, 0.02, 0.02, 0.02])
 

@@ -7,9 +7,10 @@ import pytest
 from galen_gravcomp.compensator import Compensator
 from galen_gravcomp.corrections.cable import CablePull
 from galen_gravcomp.monitor import Monitor
+from galen_gravcomp.parameters import GravcompParameters
 from galen_model.arm.galen import HOME, SENSOR
 from galen_model.files.calibration_file import CalibrationFile, LoadEstimate
-from galen_model.load.cable.drag import FORMS, LearnedPull, form_matrices
+from galen_model.load.cable import FORMS, LearnedPull, form_matrices
 from galen_model.load.nominal_tools import ADAPTER, TOOLS
 from galen_ros.stream.monitor import Severity
 from galen_ros.stream.results import Compensated, Rejection
@@ -125,7 +126,7 @@ def test_one_by_one_and_as_arrays_it_is_the_same_and_gone_where_it_was_seen():
     wrench = np.array([result.wrench for result in results if isinstance(result, Compensated)])
     stamps = [result.stamp_ns for result in results if isinstance(result, Compensated)]
 
-    block = Compensator()
+    block = Compensator(GravcompParameters(calibration_monitor=False))
     block.set_tool(tool)
     kinds, joint_rows = [], np.arange(len(joints))
     for row in range(len(joints) + 1):

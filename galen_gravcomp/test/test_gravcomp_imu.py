@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from galen_gravcomp.evaluate.command import main
 from galen_model.errors import IdentificationError, NotExcitedError
-from galen_model.load.inertia.imu_mount import fit_imu
+from galen_model.load.inertia import fit_imu
 from galen_model.rotation import rot_x, rot_y, rotvec_to_matrix
 
 G = 9.80665

@@ -1,8 +1,7 @@
 """Still phases of cells that were made up."""
 
 import numpy as np
-from galen_model.rest.binned import find_still_phases
-from galen_model.rest.time_bins import Cells
+from galen_model.rest.binned import Cells, find_still_phases
 from gravcomp_bags import START_NS
 
 CELL_NS = 100_000_000

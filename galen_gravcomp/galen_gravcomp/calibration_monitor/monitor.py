@@ -92,11 +92,10 @@ class CalibrationMonitor:
         """Watch another tool; what was seen is forgotten."""
         self._tool = tool
         self._evidence = None if tool is None else FitEvidence(tool)
-        self.clear("")
+        self.clear()
 
-    def clear(self, why: str) -> None:
+    def clear(self) -> None:
         """Forget everything."""
-        del why
         self._windows.clear()
         self._forget()
 

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 from galen_model.arrays import Array
-from galen_model.load.cable.drag import SEEN, UNSEEN, LearnedPull
+from galen_model.load.cable import SEEN, UNSEEN, LearnedPull
 from galen_ros.stream.monitor import joined
 
 # Poses at once: the kernel of so many with those of a sweep stays in the processor's cache.
@@ -117,7 +117,7 @@ class CablePull:
 
 
 def _step(missing: float) -> float:
-    """`galen_model.load.cable.drag.support_step` of one number."""
+    """`galen_model.load.cable.support_step` of one number."""
     x = min(max((missing - SEEN) / (UNSEEN - SEEN), 0.0), 1.0)
     return 1.0 - x * x * (3.0 - 2.0 * x)
 

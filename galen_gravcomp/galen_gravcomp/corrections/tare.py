@@ -36,15 +36,11 @@ class TareWindow:
         """Take only samples stamped later than `after_ns` (None: any)."""
         self._parameters = parameters
         self._after_ns = after_ns
-        self._on_done = on_done
+        self.finish = on_done
+        """Answers the request."""
         self._stamps: list[int] = []
         self._angles: list[tuple[float, float]] = []
         self._wrenches: list[Array] = []
-
-    @property
-    def samples(self) -> int:
-        """Samples collected so far."""
-        return len(self._stamps)
 
     def add(self, stamp_ns: int, roll: float, tilt: float, untared: Array) -> bool:
         """Take a sample (angles rad, wrench without weight (6,)); True when the window is full."""
@@ -59,40 +55,15 @@ class TareWindow:
 
     def evaluate(self) -> TareOutcome:
         """Mean of the window's wrenches, or why they do not make a tare."""
-        p = self._parameters
-        if self.samples < MIN_SAMPLES:
-            return TareOutcome(
-                False,
-                f"not tared: {self.samples} compensated wrenches in {p.tare_window_s:g} s,"
-                f" at least {MIN_SAMPLES} are needed",
-            )
-        motion = np.ptp(np.array(self._angles), axis=0)
-        for name, moved in zip(("roll", "tilt"), motion, strict=True):
-            if moved > MAX_MOTION_RAD:
-                return TareOutcome(
-                    False,
-                    f"not tared: {name} moved by {moved:.4f} rad in the window,"
-                    f" the limit is {MAX_MOTION_RAD:g}",
-                )
         wrenches = np.array(self._wrenches)
-        std = wrenches.std(axis=0, ddof=1)
-        offset = wrenches.mean(axis=0)
-        checks = (
-            ("force", std[:3].max(), MAX_STD_FORCE_N, "N"),
-            ("torque", std[3:].max(), MAX_STD_TORQUE_NM, "N.m"),
-        )
-        for what, value, limit, unit in checks:
-            if value > limit:
-                return TareOutcome(
-                    False,
-                    f"not tared: the {what} was not still, standard deviation {value:.3g} {unit}"
-                    f" in the window, the limit is {limit:g}",
-                )
-        sizes = (
+        problem = self._unsteady(wrenches)
+        if problem:
+            return TareOutcome(False, f"not tared: {problem}")
+        p, offset = self._parameters, wrenches.mean(axis=0)
+        for what, part, limit, parameter, unit in (
             ("force", offset[:3], p.tare_max_force_n, "tare_max_force_n", "N"),
             ("torque", offset[3:], p.tare_max_torque_nm, "tare_max_torque_nm", "N.m"),
-        )
-        for what, part, limit, parameter, unit in sizes:
+        ):
             value = np.linalg.norm(part)
             if value > limit:
                 return TareOutcome(
@@ -109,9 +80,31 @@ class TareWindow:
             offset,
         )
 
-    def finish(self, outcome: TareOutcome) -> None:
-        """Answer the request."""
-        self._on_done(outcome)
+    def _unsteady(self, wrenches: Array) -> str:
+        """Why arm and wrench were not at rest in the window; empty if they were."""
+        if len(wrenches) < MIN_SAMPLES:
+            return (
+                f"{len(wrenches)} compensated wrenches in {self._parameters.tare_window_s:g} s,"
+                f" at least {MIN_SAMPLES} are needed"
+            )
+        motion = np.ptp(np.array(self._angles), axis=0)
+        for name, moved in zip(("roll", "tilt"), motion, strict=True):
+            if moved > MAX_MOTION_RAD:
+                return (
+                    f"{name} moved by {moved:.4f} rad in the window, the limit is"
+                    f" {MAX_MOTION_RAD:g}"
+                )
+        std = wrenches.std(axis=0, ddof=1)
+        for what, value, limit, unit in (
+            ("force", std[:3].max(), MAX_STD_FORCE_N, "N"),
+            ("torque", std[3:].max(), MAX_STD_TORQUE_NM, "N.m"),
+        ):
+            if value > limit:
+                return (
+                    f"the {what} was not still, standard deviation {value:.3g} {unit}"
+                    f" in the window, the limit is {limit:g}"
+                )
+        return ""
 
 
 class TareRamp:

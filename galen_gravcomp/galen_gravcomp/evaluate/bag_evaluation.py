@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -19,13 +19,18 @@ from galen_bags.formats.bag import Bag, open_bag
 from galen_model.arrays import Array
 from galen_model.evidence.verdict import Cause, Limits, Verdict
 from galen_model.files.calibration_file import CalibrationFile
-from galen_model.rest.binned import StillCellSettings, StillPhases, find_still_phases
-from galen_model.rest.time_bins import CELL_S, CellReducer, Cells
+from galen_model.rest.binned import (
+    CELL_S,
+    CellReducer,
+    Cells,
+    StillCellSettings,
+    StillPhases,
+    find_still_phases,
+)
 from galen_ros.stream.results import Notice
 
 from galen_gravcomp.compensator import Compensator
-from galen_gravcomp.corrections.joint_motion import inertia_source
-from galen_gravcomp.corrections.stages import Stages, make_motion
+from galen_gravcomp.corrections.inertial import inertia_source
 from galen_gravcomp.evaluate.channel_check import ChannelCheck, ChannelReport
 from galen_gravcomp.evaluate.residual_decomposition import (
     LoadChange,
@@ -166,8 +171,7 @@ class _Run:
     def __init__(self, tool: CalibrationFile, settings: EvaluationSettings) -> None:
         self._tool = tool
         self._settings = settings
-        stages = Stages(motion=make_motion(settings.parameters))
-        self._compensator = Compensator(settings.parameters, stages=stages)
+        self._compensator = Compensator(replace(settings.parameters, calibration_monitor=False))
         self._compensator.set_tool(tool)
         self._joint_stamps = StampCheck()
         self._wrench_stamps = StampCheck()

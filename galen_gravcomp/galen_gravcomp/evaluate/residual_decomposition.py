@@ -8,7 +8,7 @@ d: what the load (mass, first moment) differs from the file's, in which the read
 `galen_model.load.model`); b: an offset, as a sensor zeroed anew or drifted leaves it, which a
 tare subtracts; c: its drift; robustly, so that a few segments with contact don't count
 (`galen_model.load.robust_fit`). Poses that don't distinguish d from b are rejected by the gate of
-a calibration (`galen_model.load.excitation`); then only the offset and the drift are fitted. The
+a calibration (`galen_model.load.identifiability`); then only the offset and the drift are fitted. The
 standard deviations come from the rest's scatter from phase to phase, so a sensor's coloured noise
 is in them, but not a bias drift over many phases, which offset and drift follow.
 """
@@ -25,7 +25,7 @@ from galen_model.distributions import chi2_sf
 from galen_model.errors import IdentificationError, NotExcitedError
 from galen_model.evidence.verdict import Limits
 from galen_model.files.calibration_file import CalibrationFile
-from galen_model.load.excitation import LOAD_PARAMETERS, check_excitation
+from galen_model.load.identifiability import LOAD_PARAMETERS, check_excitation
 from galen_model.load.model import gravity_regressor
 from galen_model.load.robust_fit import RobustFit, fit_robust
 from galen_model.rest.binned import StillPhases

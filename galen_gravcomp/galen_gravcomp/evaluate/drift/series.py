@@ -29,7 +29,7 @@ from galen_model.arm.galen import WRENCH_AXES
 from galen_model.arrays import Array
 from galen_model.errors import GalenError
 from galen_model.files.calibration_file import CalibrationFile
-from galen_model.rest.time_bins import CellReducer, Cells
+from galen_model.rest.binned import CellReducer, Cells
 from scipy.ndimage import median_filter
 
 CELL_S = 1.0

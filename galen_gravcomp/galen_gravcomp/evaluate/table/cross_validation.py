@@ -11,10 +11,10 @@ import numpy as np
 from galen_bags.arrays.orientation_table import OrientationTable
 from galen_model.arrays import Array
 from galen_model.errors import GalenError, IdentificationError
-from galen_model.load.bias.identification import DriftingLoad, identify_drifting_load
+from galen_model.evidence.block_gain import GALEN, MOUNTED, PLAIN, Worth, compare
+from galen_model.load.drifting_identification import DriftingLoad, identify_drifting_load
 from galen_model.load.identification import identify_single_load, plain_least_squares
 from galen_model.load.model import gravity_regressor
-from galen_model.load.mounting.held_out import GALEN, MOUNTED, PLAIN, Worth, compare
 from galen_model.load.mounting.identification import (
     KnownLoad,
     MountedLoad,

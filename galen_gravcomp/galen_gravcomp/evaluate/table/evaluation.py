@@ -7,10 +7,10 @@ import numpy as np
 from galen_bags.arrays.orientation_table import OrientationTable, average_still
 from galen_model.arrays import Array
 from galen_model.errors import GalenError, IdentificationError
+from galen_model.evidence.block_gain import MOUNTED, Worth
 from galen_model.files.calibration_file import CalibrationFile
-from galen_model.load.bias.identification import DriftingLoad
+from galen_model.load.drifting_identification import DriftingLoad
 from galen_model.load.identification import SingleLoad, identify_single_load
-from galen_model.load.mounting.held_out import MOUNTED, Worth
 from galen_model.load.mounting.identification import MountedLoad
 from galen_model.rest.segments import DirectionRest
 

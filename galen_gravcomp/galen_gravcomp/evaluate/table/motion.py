@@ -23,7 +23,7 @@ from galen_bags.arrays.orientation_table import OrientationTable
 from galen_bags.arrays.text_table import TableError
 from galen_model.arrays import Array
 from galen_model.load.identification import plain_least_squares
-from galen_model.load.inertia.imu_mount import ImuFit, fit_imu
+from galen_model.load.inertia import ImuFit, fit_imu
 from galen_model.load.model import gravity_regressor
 from galen_model.rotation import rotvec_to_matrix
 from rich.table import Table
