@@ -9,7 +9,7 @@ import numpy as np
 from galen_bags.arrays.messages import Samples
 from galen_model.arrays import Array
 from galen_ros.stream.regular_run import Arrivals
-from galen_ros.stream.results import Compensated, Rejected, Result
+from galen_ros.stream.samples import PairedWrench, Rejected, Result
 
 if TYPE_CHECKING:
     from galen_gravcomp.compensator import Compensator
@@ -96,7 +96,7 @@ class _Pushing:
         self._joint_usable = _all_but(joints.bad, len(joints))
         self._wrench_readable = _all_but(wrenches.bad, len(wrenches))
         self._parts = [BlockResult()]
-        self._single: list[Compensated] = []
+        self._single: list[PairedWrench] = []
         self._rejected: list[Rejected] = []
 
     def arrivals(self, most: int) -> Arrivals:
@@ -172,7 +172,7 @@ class _Pushing:
 
     def _sort(self, results: Sequence[Result]) -> None:
         for result in results:
-            if isinstance(result, Compensated):
+            if isinstance(result, PairedWrench):
                 self._single.append(result)
             else:
                 self._rejected.append(result)
@@ -186,7 +186,7 @@ class _Pushing:
                 np.array([single.number for single in self._single], dtype=np.int64),
                 np.array([single.stamp_ns for single in self._single], dtype=np.int64),
                 np.array([single.wrench for single in self._single]),
-                np.array([single.angles for single in self._single]),
+                np.array([single.joints[-2:] for single in self._single]),
             )
         )
         self._single = []

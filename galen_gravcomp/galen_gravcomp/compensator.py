@@ -21,12 +21,12 @@ from galen_model.errors import GalenError
 from galen_model.evidence.verdict import Limits
 from galen_model.files.calibration_file import CalibrationFile
 from galen_model.load.prediction import Prediction
-from galen_ros.stream.pairing import PairedWrench, WrenchPairing
+from galen_ros.stream.pairing import WrenchPairing
 from galen_ros.stream.regular_run import Arrivals
-from galen_ros.stream.results import Compensated, Rejected, Rejection, Result
+from galen_ros.stream.samples import PairedWrench, Rejected, Rejection, Result
 
 from galen_gravcomp.block import BlockResult, push_block
-from galen_gravcomp.calibration_monitor.monitor import CalibrationMonitor
+from galen_gravcomp.calibration_monitor import CalibrationMonitor
 from galen_gravcomp.corrections.bias_drift import BiasDrift
 from galen_gravcomp.corrections.cable import CablePull
 from galen_gravcomp.corrections.inertial import ImuMotion, InertialForces, JointMotion
@@ -47,7 +47,7 @@ class TareRejectedError(GalenError):
 class Compensator:
     """Streaming compensation of one sensor's wrench by one calibration file.
 
-    Each wrench pushed ends as a `Compensated` or as a `Rejected`. `pairing` decides which samples
+    Each wrench pushed ends compensated or as a `Rejected`. `pairing` decides which samples
     are taken, and counts.
 
     Not thread-safe: push everything from one thread.
@@ -350,4 +350,4 @@ class Compensator:
         if self.monitor is not None and known:
             self.monitor.push(stamp_ns, roll, tilt, untared - self._settled_offset)
         self.compensated += 1
-        return Compensated(stamp_ns, compensated, tag, number, (roll, tilt))
+        return PairedWrench(stamp_ns, compensated, joints, tag, number)

@@ -1,7 +1,7 @@
 """The health of the compensator's node: state, rates, latency. No ROS."""
 
 from galen_ros.stream.monitor import Severity, State, StreamMonitor, joined
-from galen_ros.stream.results import Rejection
+from galen_ros.stream.samples import Rejection
 from galen_ros.stream.watches import FROZEN_S
 
 from galen_gravcomp.compensator import Compensator
@@ -10,7 +10,7 @@ from galen_gravcomp.compensator import Compensator
 class Monitor(StreamMonitor):
     """Watches one compensator; times as `StreamMonitor` says."""
 
-    said_better = (Rejection.DISABLED, Rejection.NO_TOOL, Rejection.RESTART)
+    not_shown = (Rejection.DISABLED, Rejection.NO_TOOL, Rejection.RESTART)
     working = "compensating"
     output = "wrench_compensated"
 

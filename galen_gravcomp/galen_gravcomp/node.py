@@ -10,7 +10,7 @@ from galen_ros.messages import STREAM
 from galen_ros.node.spin import run
 from galen_ros.rclpy_workarounds import DeferredService, Respond
 from galen_ros.stream.node import StreamNode, input_qos
-from galen_ros.stream.results import Compensated, Result
+from galen_ros.stream.samples import PairedWrench, Result
 from geometry_msgs.msg import WrenchStamped
 from sensor_msgs.msg import Imu
 from std_srvs.srv import SetBool, Trigger
@@ -97,7 +97,7 @@ class GravcompNode(StreamNode):
         platform = p.position_joint_names if self._compensator.needs_positions else ()
         self._read_joints(p.joint_names + platform)
 
-    def _publish(self, result: Compensated, raw: RawWrench) -> None:
+    def _publish(self, result: PairedWrench, raw: RawWrench) -> None:
         # The input's own bytes with other numbers: stamp and frame_id can't but be kept.
         self._publisher.publish(raw.with_wrench(result.wrench))
 

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 from galen_model.evidence.verdict import Limits
 from galen_ros.parameters import param
-from galen_ros.stream.parameters import StreamParameters
+from galen_ros.stream.pairing import StreamParameters
 
 _MOTIONS = ("off", "joints", "imu")
 # motion_window_s and motion_delay_s: with encoder steps of 5e-5 rad and 5 um at 500 Hz, and the

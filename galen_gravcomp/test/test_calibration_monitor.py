@@ -4,10 +4,9 @@ from itertools import product
 
 import numpy as np
 import pytest
-from galen_gravcomp.calibration_monitor import pull as fit_pull
-from galen_gravcomp.calibration_monitor.evidence import FitEvidence, Stops
-from galen_gravcomp.calibration_monitor.monitor import CalibrationMonitor
+from galen_gravcomp.calibration_monitor import CalibrationMonitor
 from galen_gravcomp.compensator import Compensator
+from galen_gravcomp.evidence import FitEvidence, Segments
 from galen_gravcomp.monitor import Monitor
 from galen_model.arm.kinematics import gravity_in_sensor
 from galen_model.evidence.verdict import Cause
@@ -15,6 +14,8 @@ from galen_model.load.model import Load
 from galen_ros.stream.monitor import Severity
 from scipy.stats import multivariate_normal, norm
 from untouched_arm import NO_TOOL, POINTER, RETRACTOR, START_NS, UntouchedArm, push, tool_file
+
+from galen_gravcomp import evidence as pull_evidence
 
 
 class Watched:
@@ -151,7 +152,7 @@ def test_a_tare_in_the_first_stop_s_first_moments_is_no_end():
     arm = watched.arm
     arm.visit(2)
     arm.hold(1.6)
-    assert [stop.windows for stop in watched.watch._memory.stops] == [1]
+    assert [stop.windows for stop in watched.watch._memory.segments] == [1]
     watched.watch.offset_changed(np.zeros(6))
     arm.hold(2.0)
     assert watched.now == FITS
@@ -192,23 +193,23 @@ def test_a_pull_s_density_is_the_normal_density():
     rng = np.random.default_rng(3)
     angles = rng.uniform(-0.8, 0.8, (5, 2))
     mean = 0.1 * rng.normal(size=(5, 6))
-    stops = Stops(mean, np.full((5, 6), 1e-3), angles, START_NS + np.arange(5))
+    stops = Segments(mean, np.full((5, 6), 1e-3), angles, START_NS + np.arange(5))
     variance = np.full((5, 6), 0.01**2)
-    kernel = fit_pull._by_pose(stops)[0]
+    kernel = pull_evidence._by_pose(stops)[0]
     pull, hands = 0.0, 0.0
     for axis in range(6):
         densities = []
-        for size in fit_pull._SIZES[axis]:
+        for size in pull_evidence._SIZES[axis]:
             normal = multivariate_normal(np.zeros(5), size**2 * kernel + 0.01**2 * np.eye(5))
             densities.append(normal.pdf(mean[:, axis]))
         pull += np.log(np.mean(densities))
-    found = fit_pull._log_density(mean, variance, kernel[None])[0].sum()
+    found = pull_evidence._log_density(mean, variance, kernel[None])[0].sum()
     assert np.isclose(found, pull, rtol=1e-9)
     for row, part in product(mean, (slice(0, 3), slice(3, 6))):
-        sizes = fit_pull._SIZES[part].T
+        sizes = pull_evidence._SIZES[part].T
         densities = [norm.pdf(row[part], 0.0, np.hypot(size, 0.01)).prod() for size in sizes]
         hands += np.log(np.mean(densities))
-    assert np.isclose(fit_pull._log_density_of_hands(mean, variance).sum(), hands, rtol=1e-9)
+    assert np.isclose(pull_evidence._log_density_of_hands(mean, variance).sum(), hands, rtol=1e-9)
 
 
 def test_a_pull_is_told_from_hands_by_poses_near_each_other():
@@ -220,8 +221,8 @@ def test_a_pull_is_told_from_hands_by_poses_near_each_other():
     variance = np.full((14, 6), 0.01**2) * np.repeat([1.0, 0.04**2], 3)
 
     def odds(mean, order):
-        stops = Stops(mean[order], variance**0.5, angles[order], START_NS + np.arange(14))
-        return fit_pull.log_odds_of_pull(stops, variance)
+        stops = Segments(mean[order], variance**0.5, angles[order], START_NS + np.arange(14))
+        return pull_evidence.log_odds_of_pull(stops, variance)
 
     assert odds(pull, np.arange(14)) > 9.2
     hands = [odds(rng.permutation(pull), np.arange(14)) for _ in range(20)]
@@ -248,11 +249,11 @@ def test_evidence_is_the_density_of_the_stops():
     gravity = gravity_in_sensor(angles[:, 0], angles[:, 1])
     mean = 0.02 * np.concatenate([gravity, np.cross([0.07, 0.0, 0.05], gravity)], axis=1)
     end_ns = START_NS + np.arange(3) * 3_000_000_000
-    stops = Stops(mean, np.full((3, 6), 1e-3), angles, end_ns)
+    stops = Segments(mean, np.full((3, 6), 1e-3), angles, end_ns)
     judgement = judged(evidence, stops)
     assert judgement.explanation is Cause.LOAD
-    assert not judgement.touched.any()
-    assert np.isclose(judgement.load[0], 0.02, atol=3.0 * judgement.load_std[0])
+    assert not judgement.contact.any()
+    assert np.isclose(judgement.load[0], 0.02, atol=3.0 * judgement.mass_std_kg)
     density = {}
     for k in (0, 1):
         rows = evidence.design(stops).reshape(18, -1)
@@ -261,5 +262,5 @@ def test_evidence_is_the_density_of_the_stops():
         density[k] = multivariate_normal(np.zeros(18), covariance).logpdf(mean.ravel())
     odds = density[1] + np.log(0.04) - density[0] - np.log(0.9)
     assert judgement.log_odds <= odds + 1e-6  # a file that fits may have touched stops instead
-    touched = evidence.log_touched(stops).sum() - density[0]
+    touched = evidence.log_contact(stops).sum() - density[0]
     assert judgement.log_odds == pytest.approx(odds - max(touched, 0.0), abs=20.0)

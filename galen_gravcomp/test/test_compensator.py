@@ -14,7 +14,7 @@ from galen_gravcomp.parameters import GravcompParameters
 from galen_model.arrays import Array
 from galen_model.files.calibration_file import CalibrationFile, LoadEstimate
 from galen_ros.stream import pairing as pairing_module
-from galen_ros.stream.results import Compensated, Notice, Rejected, Rejection, Result
+from galen_ros.stream.samples import Notice, PairedWrench, Rejected, Rejection, Result
 
 MS = 1_000_000
 S = 1_000_000_000
@@ -44,8 +44,8 @@ def loaded(**settings: object) -> Compensator:
     return compensator
 
 
-def outputs(results: list[Result]) -> list[Compensated]:
-    return [result for result in results if isinstance(result, Compensated)]
+def outputs(results: list[Result]) -> list[PairedWrench]:
+    return [result for result in results if isinstance(result, PairedWrench)]
 
 
 def reasons(results: list[Result]) -> list[Rejection]:
@@ -78,7 +78,7 @@ class Rig:
         self.stamp += step_ns
         return results
 
-    def steps(self, count: int) -> list[Compensated]:
+    def steps(self, count: int) -> list[PairedWrench]:
         return list(itertools.chain.from_iterable(outputs(self.step()) for _ in range(count)))
 
 
@@ -89,7 +89,7 @@ def test_still_arm_gives_the_applied_wrench() -> None:
     rig = Rig(loaded())
     rig.touch = PUSH
     result = rig.step()
-    assert len(result) == 1 and isinstance(result[0], Compensated)
+    assert len(result) == 1 and isinstance(result[0], PairedWrench)
     assert result[0].stamp_ns == START
     np.testing.assert_allclose(result[0].wrench, PUSH, atol=1e-12)
 
@@ -382,7 +382,7 @@ def test_tare_takes_off_what_is_left_without_a_jump() -> None:
 def test_second_tare_starts_from_the_offset_active() -> None:
     rig = Rig(loaded(tare_window_s=0.1, tare_ramp_s=1.0))
     rig.touch = LEFT
-    series: list[Compensated] = []
+    series: list[PairedWrench] = []
     for touch in (LEFT, 2 * LEFT):
         before = rig.compensator.compensated
         rig.touch = touch

@@ -15,11 +15,15 @@ from galen_gravcomp.corrections.tare import TareOutcome
 from galen_gravcomp.parameters import GravcompParameters
 from galen_model.files.calibration_file import CalibrationFile, LoadEstimate
 from galen_ros.stream import pairing as pairing_module
-from galen_ros.stream.joint_buffer import JointBuffer
-from galen_ros.stream.results import Compensated, Notice, Rejected, Rejection, Result
-from galen_ros.stream.sample_limits import (
+from galen_ros.stream.samples import (
     ANGLE_UNIT_LIMIT_RAD,
     TORQUE_UNIT_FACTOR,
+    JointBuffer,
+    Notice,
+    PairedWrench,
+    Rejected,
+    Rejection,
+    Result,
     SampleLimits,
     angle_unit_notice,
     count_angle_unit_notices,
@@ -170,13 +174,13 @@ class Way:
     """A compensator, and all that came out of it."""
 
     compensator: Compensator
-    outputs: list[Compensated] = field(default_factory=list)
+    outputs: list[PairedWrench] = field(default_factory=list)
     rejected: list[Rejected] = field(default_factory=list)
     log: list[str] = field(default_factory=list)
 
     def sort(self, results: list[Result]) -> None:
         for result in results:
-            if isinstance(result, Compensated):
+            if isinstance(result, PairedWrench):
                 self.outputs.append(result)
             else:
                 self.rejected.append(result)
@@ -218,7 +222,7 @@ class Way:
         rows = (result.index, result.stamp_ns, result.wrench, result.angles)
         for number, stamp_ns, wrench, angles in zip(*rows, strict=True):
             pair = (float(angles[0]), float(angles[1]))
-            self.outputs.append(Compensated(int(stamp_ns), wrench, None, int(number), pair))
+            self.outputs.append(PairedWrench(int(stamp_ns), wrench, pair, None, int(number)))
         self.rejected += result.rejected
 
     def state(self) -> dict[str, Any]:
@@ -299,7 +303,7 @@ def assert_same(singly: Way, blocks: Way, samples: Sequence[Sample]) -> None:
     rows = np.array([o.number for o in singly.outputs], dtype=int)
     size = 1.0 + np.abs(raw[rows]).max(axis=1, initial=0.0)
     assert np.all(np.abs(got - expected) <= 1e-12 * size[:, None])
-    angles = [np.reshape([o.angles for o in way.outputs], (-1, 2)) for way in (blocks, singly)]
+    angles = [np.reshape([o.joints[-2:] for o in way.outputs], (-1, 2)) for way in (blocks, singly)]
     np.testing.assert_allclose(*angles, rtol=1e-12, atol=1e-14)
     kept = [way.compensator.pairing._joints._positions for way in (blocks, singly)]
     np.testing.assert_array_equal(*kept)
@@ -497,7 +501,7 @@ def test_both_forms_of_a_rule_agree_at_its_limits() -> None:
     for at in (ANGLE_UNIT_LIMIT_RAD, -ANGLE_UNIT_LIMIT_RAD):
         for angle in (np.nextafter(at, 0.0), at, np.nextafter(at, 2.0 * at)):
             for pair in ((angle, 0.0), (0.0, angle)):
-                assert count_angle_unit_notices(np.array([pair])) == int(angle_unit_notice(*pair))
+                assert count_angle_unit_notices(np.array([pair])) == int(angle_unit_notice(pair))
     for value in (1.0, 1e300, 1e308, math.inf, math.nan):
         wrenches = np.full((1, 6), value)
         assert surely_finite(wrenches)[0] == (value <= 1e300)
@@ -523,10 +527,10 @@ def test_frequent_faults_do_not_make_it_look_again_and_again(
 
     def counting(arrivals: Any, *state: Any) -> Any:
         looked.append(len(arrivals.is_wrench))
-        return regular_stretch(arrivals, *state)
+        return find_regular_run(arrivals, *state)
 
-    regular_stretch = pairing_module.regular_stretch
-    monkeypatch.setattr(pairing_module, "regular_stretch", counting)
+    find_regular_run = pairing_module.find_regular_run
+    monkeypatch.setattr(pairing_module, "find_regular_run", counting)
     rng = np.random.default_rng(5)
     samples = clean_stream(rng, 20 * S, 2 * MS, 2 * MS)
     for at in range(every, len(samples), every):
@@ -550,7 +554,7 @@ def test_numbers_run_over_all_blocks_and_single_wrenches() -> None:
     assert [(r.number, r.reason) for r in way.rejected] == [(2, Rejection.WRONG_FRAME)]
     (first, second, last) = way.compensator.push_joints(START + 3, 0.0, 0.0)
     assert [first.number, second.number, last.number] == [0, 1, 3]
-    assert isinstance(second, Compensated) and second.tag == "mine"
+    assert isinstance(second, PairedWrench) and second.tag == "mine"
     # A wrench that waited from before comes out with the block, in its place.
     assert way.compensator.push_wrench(START + 4, wrench, tag="mine") == []
     way.as_block([Sample(True, START + 5, wrench), Sample(False, START + 6, (0.0, 0.0))])

@@ -13,7 +13,7 @@ from galen_model.files.calibration_file import CalibrationFile, LoadEstimate
 from galen_model.load.cable import FORMS, LearnedPull, form_matrices
 from galen_model.load.nominal_tools import ADAPTER, TOOLS
 from galen_ros.stream.monitor import Severity
-from galen_ros.stream.results import Compensated, Rejection
+from galen_ros.stream.samples import PairedWrench, Rejection
 from sample_blocks import topic
 
 PERIOD_NS = 2_000_000
@@ -123,8 +123,8 @@ def test_one_by_one_and_as_arrays_it_is_the_same_and_gone_where_it_was_seen():
     single.set_tool(tool)
     assert single.needs_positions and single.pairs_positions
     results = one_by_one(single, joints, raw)
-    wrench = np.array([result.wrench for result in results if isinstance(result, Compensated)])
-    stamps = [result.stamp_ns for result in results if isinstance(result, Compensated)]
+    wrench = np.array([result.wrench for result in results if isinstance(result, PairedWrench)])
+    stamps = [result.stamp_ns for result in results if isinstance(result, PairedWrench)]
 
     block = Compensator(GravcompParameters(calibration_monitor=False))
     block.set_tool(tool)
@@ -161,7 +161,7 @@ def test_a_push_comes_out_as_it_went_in():
         compensator = Compensator()
         compensator.set_tool(tool)
         results = one_by_one(compensator, joints, raw_of(tool, joints, size * push))
-        outputs.append(np.array([r.wrench for r in results if isinstance(r, Compensated)]))
+        outputs.append(np.array([r.wrench for r in results if isinstance(r, PairedWrench)]))
     assert len(outputs[0]) > 390
     assert np.abs(outputs[1] - outputs[0] - push).max() < 1e-12
 
@@ -211,7 +211,7 @@ def test_outside_is_told_on_diagnostics():
         monitor.on_joints(now_s)
         monitor.on_wrench(now_s)
         compensator.push_joints(stamp_ns, 0.0, 0.0, (away, 0.0, 0.408))
-        assert isinstance(compensator.push_wrench(stamp_ns, np.zeros(6))[0], Compensated)
+        assert isinstance(compensator.push_wrench(stamp_ns, np.zeros(6))[0], PairedWrench)
         monitor.on_output(now_s, now_s, stamp_ns)
         assert monitor.state(now_s).name == state
     assert monitor.state(now_s).severity is Severity.WARN

@@ -7,7 +7,7 @@ import pytest
 from galen_bags.arrays.arm_recording import read_arm
 from galen_bags.convert import main as convert
 from galen_bags.formats.bag import open_bag
-from galen_gravcomp.compensator import Compensated, Compensator
+from galen_gravcomp.compensator import Compensator, PairedWrench
 from galen_gravcomp.evaluate.command import main as evaluate
 from galen_gravcomp.node import GravcompNode
 from galen_model.files.calibration_file import read_calibration
@@ -58,7 +58,7 @@ def offline(bag, file):
         else:
             stamp_ns = int(recording.joint_stamp_ns[k])
             results = compensator.push_joints(stamp_ns, *recording.joints[k, 3:].tolist())
-        done += [result for result in results if isinstance(result, Compensated)]
+        done += [result for result in results if isinstance(result, PairedWrench)]
         counts.append(len(done))
     return [result.stamp_ns for result in done], np.array([r.wrench for r in done]), counts
 

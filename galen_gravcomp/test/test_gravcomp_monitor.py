@@ -6,7 +6,7 @@ from galen_gravcomp.compensator import Compensator
 from galen_gravcomp.monitor import Monitor
 from galen_model.files.calibration_file import CalibrationFile, LoadEstimate
 from galen_ros.stream.monitor import HOLD_S, NOTICE_HOLD_S, Severity
-from galen_ros.stream.results import Compensated, Notice, Rejected, Rejection
+from galen_ros.stream.samples import Notice, PairedWrench, Rejected, Rejection
 
 S = 1_000_000_000
 TOOL = CalibrationFile(
@@ -60,7 +60,7 @@ class Rig:
             self.compensator.push_joints(stamp, roll, 0.0)
         self.monitor.on_wrench(self.t)
         for result in self.compensator.push_wrench(stamp, wrench):
-            if isinstance(result, Compensated):
+            if isinstance(result, PairedWrench):
                 changed |= self.monitor.on_output(self.t - 0.001, self.t, result.stamp_ns)
             else:
                 assert isinstance(result, Rejected)

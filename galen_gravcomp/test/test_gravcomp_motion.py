@@ -12,7 +12,7 @@ from galen_model.arm.kinematics import gravity_in_sensor
 from galen_model.arm.sensor_motion import sensor_motion
 from galen_model.load.inertia import ImuMount
 from galen_model.rotation import rotvec_to_matrix
-from galen_ros.stream.results import Compensated, Rejection
+from galen_ros.stream.samples import PairedWrench, Rejection
 from motion_tape import MS, START_NS, measured, readings, swing, tool_file
 from sample_blocks import topic
 
@@ -69,7 +69,7 @@ def test_free_motion_at_the_arms_limits_leaves_the_sensors_noise():
     joints, wrenches = measured(swing(times), np.random.default_rng(2))
     stamps = START_NS + np.round(times * 1e9).astype(np.int64)
     results = push(compensator(), stamps, joints, wrenches)
-    out = [result for result in results if isinstance(result, Compensated)]
+    out = [result for result in results if isinstance(result, PairedWrench)]
     assert len(out) == len(times) - FIRST - 10  # what still waits at the end
     over_noise = np.sqrt(np.mean([r.wrench**2 for r in out], axis=0)) / SENSOR.noise_std
     assert over_noise.max() < 1.1, over_noise
@@ -89,7 +89,7 @@ def test_without_an_inertia_the_points_at_the_centres_stand_in_and_it_is_said():
         out = [
             r.wrench
             for r in push(made, stamps, motion[0], readings(motion))
-            if isinstance(r, Compensated)
+            if isinstance(r, PairedWrench)
         ]
         worst[known] = np.abs(out).max(axis=0)
         said = made.motion.values()["motion_inertia"]
@@ -121,14 +121,14 @@ def test_the_lag_between_wrench_and_joints_is_taken_into_account():
         whole = readings(motion)  # weight and inertial forces are late alike
         late = np.vstack([whole[:2], whole[:-2]])
         results = push(compensator(motion_lag_s=lag_s), stamps, motion[0], late)
-        out = [r.wrench for r in results if isinstance(r, Compensated)]
+        out = [r.wrench for r in results if isinstance(r, PairedWrench)]
         left[lag_s] = np.sqrt(np.mean(np.square(out), axis=0))
     assert np.all(left[0.004] < 0.3 * left[0.0])
     assert np.all(left[0.004] < SENSOR.noise_std)
 
 
 def rejections(results):
-    return [r.detail for r in results if not isinstance(r, Compensated)]
+    return [r.detail for r in results if not isinstance(r, PairedWrench)]
 
 
 def test_gaps_bad_values_and_lacking_positions_are_rejected_with_their_own_reason():
@@ -177,7 +177,7 @@ def test_a_short_delay_is_taken_between_two_joint_samples():
     stamps = START_NS + np.arange(60) * 2 * MS
     q = np.tile([0.0, 0.0, 0.4, 0.1, 0.2], (60, 1))
     out = push(made, stamps, q, np.zeros((60, 6)), wrench_late_ns=700_000)
-    assert sum(isinstance(result, Compensated) for result in out) > 30
+    assert sum(isinstance(result, PairedWrench) for result in out) > 30
 
 
 def test_an_imu_whose_stamps_jumped_is_known_again_a_window_later():
@@ -190,7 +190,7 @@ def test_an_imu_whose_stamps_jumped_is_known_again_a_window_later():
             wrong = k == 50 if jump_ns > 0 else k < 50
             out += made.push_imu(stamp + wrong * abs(jump_ns), (0.0,) * 3, (0.0, 0.0, 9.8))
             out += made.push_joints(stamp, 0.1, 0.2) + made.push_wrench(stamp, np.zeros(6))
-        known = [r.stamp_ns for r in out if isinstance(r, Compensated)]
+        known = [r.stamp_ns for r in out if isinstance(r, PairedWrench)]
         assert len([stamp for stamp in known if stamp > START_NS + 150 * MS]) > 30
         assert set(made.pairing.rejections) == {Rejection.NO_MOTION}
 
@@ -201,7 +201,7 @@ def test_after_a_restart_nothing_is_known_until_the_window_is_full_again():
     first = START_NS + np.arange(80) * 2 * MS
     assert len(rejections(push(made, first, q, np.zeros((80, 6))))) == FIRST
     again = push(made, first - 10_000 * MS, q, np.zeros((80, 6)))
-    reasons = [r.reason for r in again if not isinstance(r, Compensated)]
+    reasons = [r.reason for r in again if not isinstance(r, PairedWrench)]
     assert reasons[:10] == [Rejection.RESTART] * 10  # those that waited
     # The sample that told of the restart is lost to the window.
     assert reasons[10:] == [Rejection.NO_MOTION] * (FIRST + 1)
@@ -253,7 +253,7 @@ def test_an_imu_tells_the_inertial_forces_in_its_own_axes_and_at_its_own_stamps(
             new = made.push_joints(int(stamp), *motion[0][k, 3:])
             results += new + made.push_wrench(int(stamp), wrenches[k])
         waited.append(made.pairing.waiting)
-    out = [r for r in results if isinstance(r, Compensated)]
+    out = [r for r in results if isinstance(r, PairedWrench)]
     assert len(out) > 450 and max(waited) < 16
     # What the polynomial's bias leaves, far below the noise.
     assert np.all(np.abs([r.wrench for r in out]).max(axis=0) < 0.1 * SENSOR.noise_std)
@@ -270,7 +270,7 @@ def test_an_imu_that_is_silent_or_broken_off_is_rejected():
     )
     assert set(made.pairing.rejections) == {Rejection.NO_MOTION}
     assert "ms behind the wrench (topic imu)" in rejections(late)[-1]
-    assert sum(isinstance(r, Compensated) for r in late) == 60 - FIRST - 10
+    assert sum(isinstance(r, PairedWrench) for r in late) == 60 - FIRST - 10
 
 
 @pytest.mark.parametrize(("window_s", "delay_s"), [(0.06, 0.06), (0.06, -0.01)])
@@ -284,7 +284,7 @@ def test_a_block_with_positions_is_the_same_as_sample_by_sample():
     joints, wrenches = measured(swing(times), np.random.default_rng(4))
     stamps = START_NS + np.round(times * 1e9).astype(np.int64)
     single = [
-        r for r in push(compensator(), stamps, joints, wrenches) if isinstance(r, Compensated)
+        r for r in push(compensator(), stamps, joints, wrenches) if isinstance(r, PairedWrench)
     ]
     block = compensator().push_block(
         np.tile([False, True], len(times)),

@@ -23,7 +23,7 @@ from galen_model.evidence.block_gain import GALEN, MOUNTED, PLAIN
 from galen_model.files.calibration_file import CalibrationFile, LoadEstimate, read_calibration
 from galen_model.load.mounting.mounting import Mounting
 from galen_model.load.prediction import Prediction
-from galen_ros.stream.results import Compensated
+from galen_ros.stream.samples import PairedWrench
 from sample_blocks import topic
 from scipy.spatial.transform import Rotation
 
@@ -80,7 +80,7 @@ def test_a_push_on_a_mismounted_sensor_comes_out_right_one_by_one_and_in_blocks(
     for stamp, (roll, tilt), reading in zip(stamps.tolist(), angles, raw, strict=True):
         single.push_joints(stamp, float(roll), float(tilt))
         out += single.push_wrench(stamp, reading)
-    wrenches = np.array([one.wrench for one in out if isinstance(one, Compensated)])
+    wrenches = np.array([one.wrench for one in out if isinstance(one, PairedWrench)])
     np.testing.assert_allclose(wrenches, np.tile(PUSH, (count, 1)), atol=1e-12)
     block = Compensator(GravcompParameters(calibration_monitor=False))
     block.set_tool(TOOL)

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from galen_ros.stream.joint_buffer import JointBuffer, JointPush, NoJoints
+from galen_ros.stream.samples import JointBuffer, NoJoints, Notice
 
 MS = 1_000_000
 
@@ -55,9 +55,9 @@ def test_gap_between_samples() -> None:
 
 def test_backward_and_repeated_stamps_are_not_stored() -> None:
     buffer = filled(3)
-    assert buffer.push(4 * MS, (9.0, 9.0)) is JointPush.DUPLICATE
-    assert buffer.push(3 * MS, (9.0, 9.0)) is JointPush.OUT_OF_ORDER
-    assert buffer.push(5 * MS, (9.0, 9.0)) is JointPush.STORED
+    assert buffer.push(4 * MS, (9.0, 9.0)) is Notice.DUPLICATE_JOINTS
+    assert buffer.push(3 * MS, (9.0, 9.0)) is Notice.OUT_OF_ORDER_JOINTS
+    assert buffer.push(5 * MS, (9.0, 9.0)) is None
     assert buffer.joints_at(4 * MS) == (0.1 * 2, -0.2 * 2)
     assert len(buffer) == 4
 

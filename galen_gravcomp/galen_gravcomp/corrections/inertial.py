@@ -31,7 +31,7 @@ from galen_model.arrays import Array
 from galen_model.files.calibration_file import CalibrationFile
 from galen_model.load.inertia import ImuMount, LoadInMotion, point_mass_inertia
 from galen_model.rotation import rotvec_to_matrix
-from galen_ros.stream.results import Rejection
+from galen_ros.stream.samples import Rejection
 
 from galen_gravcomp.parameters import GravcompParameters
 

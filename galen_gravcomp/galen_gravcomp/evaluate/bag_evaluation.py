@@ -27,7 +27,7 @@ from galen_model.rest.binned import (
     StillPhases,
     find_still_phases,
 )
-from galen_ros.stream.results import Notice
+from galen_ros.stream.samples import Notice
 
 from galen_gravcomp.compensator import Compensator
 from galen_gravcomp.corrections.inertial import inertia_source

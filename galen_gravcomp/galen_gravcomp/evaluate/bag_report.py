@@ -10,7 +10,7 @@ import numpy as np
 from galen_bags.arrays.stamp_check import StampReport
 from galen_model.arm.galen import WRENCH_AXES
 from galen_model.evidence.verdict import Cause
-from galen_ros.stream.results import Notice
+from galen_ros.stream.samples import Notice
 from rich.console import Console
 from rich.table import Table
 

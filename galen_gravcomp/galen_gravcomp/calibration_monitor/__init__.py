@@ -1,1 +1,0 @@
-"""Whether the active calibration still fits, asked live."""
