@@ -11,7 +11,7 @@ from galen_ros.cdr import RawWrench, deflection_bytes, pose_bytes
 from galen_ros.messages import STREAM
 from galen_ros.node.spin import run
 from galen_ros.stream.node import StreamNode
-from galen_ros.stream.results import Rejected
+from galen_ros.stream.samples import Rejected
 from geometry_msgs.msg import PoseStamped
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.parameter import Parameter

@@ -13,10 +13,10 @@ from galen_deflection.live.parameters import DeflectionParameters
 from galen_deflection.springs.springs import Springs
 from galen_model.arm.kinematics import tip_pose
 from galen_model.load.nominal_tools import TOOLS
-from galen_model.registration.rigid import Transform
+from galen_model.registration import Transform
 from galen_model.rotation import quaternion_to_matrix
 from galen_ros.stream.monitor import NOTICE_HOLD_S, Severity
-from galen_ros.stream.results import Rejected, Rejection
+from galen_ros.stream.samples import Rejected, Rejection
 
 MS = 1_000_000
 START = 100_000 * MS

@@ -76,15 +76,13 @@ def states_of_streams(role):
     found.add((NodeLevel.OK, monitor.working))
     found.add((NodeLevel.WARN, monitor.working))
     for reason in monitor.reasons:
-        if reason not in monitor.said_better:
+        if reason not in monitor.not_shown:
             found |= {(level, reason.value) for level in (NodeLevel.WARN, NodeLevel.ERROR)}
     return found
 
 
 def states_of_driver():
-    tree = ast.parse(
-        (ROOT / "galen_sim_driver/galen_sim_driver/node.py").read_text()
-    )
+    tree = ast.parse((ROOT / "galen_sim_driver/galen_sim_driver/node.py").read_text())
     (state,) = (n for n in ast.walk(tree) if isinstance(n, ast.FunctionDef) and n.name == "_state")
     returned = [n.value for n in ast.walk(state) if isinstance(n, ast.Return)]
     return {(NodeLevel[one.elts[0].id], one.elts[1].value) for one in returned}

@@ -21,7 +21,7 @@ import numpy as np
 from galen_model.arrays import Array
 from galen_model.errors import KinematicsError
 from galen_ros.stream.pairing import PairedWrench, WrenchPairing
-from galen_ros.stream.results import Rejected
+from galen_ros.stream.samples import Rejected
 
 from galen_deflection.live.corrected_tip import CorrectedTip, TipPose
 from galen_deflection.live.parameters import DeflectionParameters
@@ -34,7 +34,7 @@ noise is.
 
 
 class ModelRejection(Enum):
-    """Why a deflection was not predicted, beside `galen_ros.stream.results.Rejection`."""
+    """Why a deflection was not predicted, beside `galen_ros.stream.samples.Rejection`."""
 
     NO_MODEL = "no_model"
     OTHER_TIP = "other_tip"  # the model was fitted for another tool's tip

@@ -7,7 +7,7 @@ from collections import deque
 import numpy as np
 from galen_model.arrays import Array
 from galen_ros.stream.monitor import RATE_WINDOW_S, Severity, State, StreamMonitor, joined
-from galen_ros.stream.results import Rejection
+from galen_ros.stream.samples import Rejection
 from galen_ros.stream.watches import FROZEN_S
 
 from galen_deflection.live.deflector import Deflector, ModelRejection
@@ -20,7 +20,7 @@ class DeflectorMonitor(StreamMonitor):
     """Watches one deflector; times as `StreamMonitor` says."""
 
     reasons = tuple(r for r in Rejection if r not in _NOT_HERE) + tuple(ModelRejection)
-    said_better = (Rejection.RESTART, ModelRejection.NO_MODEL, ModelRejection.OTHER_TIP)
+    not_shown = (Rejection.RESTART, ModelRejection.NO_MODEL, ModelRejection.OTHER_TIP)
     working = "predicting"
 
     def __init__(

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 from galen_model.arm.galen import JOINT_NAMES
 from galen_ros.parameters import param
-from galen_ros.stream.parameters import StreamParameters
+from galen_ros.stream.pairing import StreamParameters
 
 
 @dataclass(frozen=True)

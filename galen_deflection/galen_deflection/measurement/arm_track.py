@@ -14,7 +14,7 @@ from galen_model.arm.galen import JOINT_NAMES, SENSOR
 from galen_model.arrays import Array
 from galen_model.files.calibration_file import CalibrationFile
 from galen_model.load.prediction import Prediction
-from galen_ros.stream.sample_limits import joint_jumps
+from galen_ros.stream.samples import joint_jump
 
 from galen_deflection.errors import PushRecordingError
 
@@ -121,7 +121,7 @@ def _compensated(
     needed = joints[:, _ANGLES] if cable is None else joints
     jumped = np.zeros(len(joints), dtype=bool)
     steps = np.abs(np.diff(joints[:, _ANGLES], axis=0))
-    jumped[1:] = joint_jumps(np.diff(joint_line.time_ns), np.nan_to_num(steps))
+    jumped[1:] = joint_jump(np.diff(joint_line.time_ns), np.abs(np.nan_to_num(steps)).max(axis=1))
     needed = np.where(jumped[:, None], np.nan, needed)
     at, known, shift = interpolated(joint_line, needed, wrench_line.time_ns, _MAX_JOINT_GAP_S)
     known &= shift == wrench_line.shift_ns

@@ -8,7 +8,6 @@ whether something arrives at all, never what is done with a sample.
 from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from enum import Enum
 from itertools import pairwise
 from typing import ClassVar, NamedTuple
@@ -16,7 +15,7 @@ from typing import ClassVar, NamedTuple
 import numpy as np
 
 from galen_ros.stream.pairing import WrenchPairing
-from galen_ros.stream.results import Notice, Rejected, Rejection
+from galen_ros.stream.samples import Notice, Rejected, Rejection
 from galen_ros.stream.watches import FROZEN_S, FrozenWatch, LateWatch, Publishers
 
 HOLD_S = 0.5
@@ -48,26 +47,13 @@ class State(NamedTuple):
     message: str
 
 
-class _Counts(NamedTuple):
-    now_s: float
-    joints: int
-    wrenches: int
-    outputs: int
-
-
-@dataclass
-class _LastRejection:
-    rejected: Rejected
-    now_s: float
-
-
 class StreamMonitor(ABC):
     """Watches one `WrenchPairing`; what comes out of it is the subclass's to name."""
 
     reasons: ClassVar[tuple[Enum, ...]] = tuple(Rejection)
     """Rejections that are counted on /diagnostics."""
-    said_better: ClassVar[tuple[Enum, ...]] = (Rejection.RESTART,)
-    """Rejections that the state itself, or the restart's own text, says better."""
+    not_shown: ClassVar[tuple[Enum, ...]] = (Rejection.RESTART,)
+    """Rejections that are no state: the state itself, or the restart's own text, shows them."""
     working: ClassVar[str]
     """The state's name when all is well."""
     output: ClassVar[str] = ""
@@ -94,7 +80,7 @@ class StreamMonitor(ABC):
         self._joints_s: float | None = None
         self._wrench_s: float | None = None
         self._output_s: float | None = None
-        self._last: _LastRejection | None = None
+        self._last: tuple[Rejected, float] | None = None
         self._restart: tuple[str, float] | None = None
         self._notices_seen: Mapping[Notice, int] = {}
         self._notice: tuple[str, float] | None = None
@@ -106,7 +92,7 @@ class StreamMonitor(ABC):
         self._frozen = FrozenWatch(frozen_s)
         self._lateness = LateWatch(late_s)
         self._irregular = 0
-        self._counts: deque[_Counts] = deque()
+        self._counts: deque[tuple[float, dict[str, int]]] = deque()
         self._latencies_s: deque[float] = deque(maxlen=LATENCY_SAMPLES)
 
     def begin(self) -> None:
@@ -146,12 +132,8 @@ class StreamMonitor(ABC):
     def on_rejected(self, rejected: Rejected, now_s: float) -> bool:
         """Note a rejection. True when it may have changed the state."""
         last = self._last
-        self._last = _LastRejection(rejected, now_s)
-        return (
-            last is None
-            or last.rejected.reason is not rejected.reason
-            or now_s - last.now_s > HOLD_S
-        )
+        self._last = (rejected, now_s)
+        return last is None or last[0].reason is not rejected.reason or now_s - last[1] > HOLD_S
 
     def on_restart(self, why: str, now_s: float) -> None:
         """Note that everything was cleared."""
@@ -193,8 +175,9 @@ class StreamMonitor(ABC):
     def tick(self, now_s: float) -> None:
         """Take the counts for the rates, and new notices; call it a few times a second."""
         pairing = self._pairing
-        self._counts.append(_Counts(now_s, self._joints_seen, pairing.received, self._outputs))
-        while len(self._counts) > 2 and now_s - self._counts[1].now_s > RATE_WINDOW_S:
+        seen, received, outputs = self._joints_seen, pairing.received, self._outputs
+        self._counts.append((now_s, {"joints": seen, "wrenches": received, "outputs": outputs}))
+        while len(self._counts) > 2 and now_s - self._counts[1][0] > RATE_WINDOW_S:
             self._counts.popleft()
         for notice, text in self._notice_texts().items():
             if pairing.notices[notice] > self._notices_seen.get(notice, 0):
@@ -212,7 +195,7 @@ class StreamMonitor(ABC):
         self._irregular = irregular
 
     def state(self, now_s: float) -> State:
-        """The state now; the most serious and most basic trouble comes first."""
+        """Return the state now; the most serious and most basic trouble comes first."""
         return (
             self._standing_state()
             or self._silence_state(now_s)
@@ -226,11 +209,11 @@ class StreamMonitor(ABC):
 
     @abstractmethod
     def _standing_state(self) -> State | None:
-        """Why nothing can go out, whatever comes in."""
+        """Return why nothing can go out, whatever comes in."""
 
     @abstractmethod
     def _running_state(self) -> State:
-        """What is done when nothing is wrong with the samples."""
+        """Return what is done when nothing is wrong with the samples."""
 
     def _notice_texts(self) -> Mapping[Notice, str]:
         """Notices that a person should hear of, and how."""
@@ -278,11 +261,10 @@ class StreamMonitor(ABC):
         return State(Severity.WARN, "several_publishers", text)
 
     def _rejection_state(self, now_s: float) -> State | None:
-        last = self._last
-        if last is None or now_s - last.now_s > HOLD_S:
+        if self._last is None or now_s - self._last[1] > HOLD_S:
             return None
-        reason, detail = last.rejected.reason, last.rejected.detail
-        if reason in self.said_better:
+        reason, detail = self._last[0].reason, self._last[0].detail
+        if reason in self.not_shown:
             return None
         if self._output_s is None or now_s - self._output_s > HOLD_S:
             return State(Severity.ERROR, reason.value, f"{self.lost}: {detail}")
@@ -307,7 +289,7 @@ class StreamMonitor(ABC):
         return None
 
     def inputs(self, now_s: float, output_topic: str) -> dict[str, object]:
-        """Rates, ages and latency, for /diagnostics; units are in the names."""
+        """Return rates, ages and latency, for /diagnostics; units are in the names."""
         topic = self._pairing.wrench_topic
         values: dict[str, object] = {
             f"{topic}_hz": self._rate("wrenches"),
@@ -324,14 +306,14 @@ class StreamMonitor(ABC):
         return values
 
     def rejected(self) -> dict[str, object]:
-        """Counts of rejections and notices, and the last ones, for /diagnostics."""
+        """Return counts of rejections and notices, and the last ones, for /diagnostics."""
         pairing = self._pairing
         values: dict[str, object] = {"waiting": pairing.waiting}
         values |= {
             f"rejected_{reason.value}": pairing.rejections[reason] for reason in self.reasons
         }
         values |= {notice.value: pairing.notices[notice] for notice in Notice}
-        values["last_rejection"] = "" if self._last is None else self._last.rejected.detail
+        values["last_rejection"] = "" if self._last is None else self._last[0].detail
         values["last_restart"] = "" if self._restart is None else self._restart[0]
         watched = {**self.publishers, self.output: self.outputs}
         for topic, publishers in watched.items():
@@ -347,21 +329,19 @@ class StreamMonitor(ABC):
         start_s = max(since_s, now_s - SILENCE_SEEN_S)
         if now_s - max(start_s, -np.inf if last_s is None else last_s) > PAUSE_S:
             return True
-        counts = [one for one in self._counts if one.now_s >= start_s]
-        totals = [one.wrenches if wrenches else one.joints for one in counts]
+        name = "wrenches" if wrenches else "joints"
+        totals = [counts[name] for at_s, counts in self._counts if at_s >= start_s]
         return any(before == after for before, after in pairwise(totals))
 
     def _rate(self, name: str) -> float:
         if len(self._counts) < 2:
             return 0.0
-        first, last = self._counts[0], self._counts[-1]
-        elapsed_s = last.now_s - first.now_s
-        count: int = getattr(last, name) - getattr(first, name)
-        return count / elapsed_s if elapsed_s > 0.0 else 0.0
+        (first_s, first), (last_s, last) = self._counts[0], self._counts[-1]
+        return (last[name] - first[name]) / (last_s - first_s) if last_s > first_s else 0.0
 
 
 def joined(numbers: np.ndarray) -> str:
-    """Numbers as a value on /diagnostics."""
+    """Join numbers to a value on /diagnostics."""
     return " ".join(f"{number:.6g}" for number in numbers)
 
 

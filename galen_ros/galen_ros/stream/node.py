@@ -19,7 +19,7 @@ from galen_ros.node.diagnostics import Level, Status
 from galen_ros.node.managed_node import ManagedNode
 from galen_ros.stream.monitor import Severity, State, StreamMonitor
 from galen_ros.stream.pairing import WrenchPairing
-from galen_ros.stream.results import Rejected
+from galen_ros.stream.samples import Rejected
 from galen_ros.stream.watches import Publishers
 
 PushWrench = Callable[[int, Sequence[float], str, object], list[Any]]

@@ -1,10 +1,7 @@
 """Wrenches and joints that come as two streams, paired by their stamps. No ROS.
 
-What comes out is a `PairedWrench` or a `Rejected`. The compensator and the deflection's node make
-something of the first; which samples are taken, which wait, which are rejected and why, is the
-same for both, and here.
-
-Samples are pushed in the order of their arrival; every decision is made on stamps.
+What comes out is a `PairedWrench` or a `Rejected`. Samples are pushed in the order of their
+arrival; every decision is made on stamps.
 """
 
 from __future__ import annotations
@@ -12,52 +9,91 @@ from __future__ import annotations
 import math
 from collections import Counter, deque
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from enum import Enum
 from typing import NamedTuple, Protocol
 
 import numpy as np
 from galen_model.arrays import Array
 
-from galen_ros.stream.joint_buffer import JointBuffer, JointPush, NoJoints
-from galen_ros.stream.parameters import StreamParameters
-from galen_ros.stream.regular_run import Arrivals, Reported, regular_stretch
-from galen_ros.stream.results import Notice, Rejected, Rejection
-from galen_ros.stream.sample_limits import (
+from galen_ros.parameters import param
+from galen_ros.stream.regular_run import Arrivals, find_regular_run
+from galen_ros.stream.samples import (
+    JointBuffer,
+    NoJoints,
+    Notice,
+    PairedWrench,
+    Rejected,
+    Rejection,
+    Result,
     SampleLimits,
     angle_unit_notice,
     count_angle_unit_notices,
     joint_jump,
 )
+from galen_ros.stream.watches import FROZEN_S, LATE_S
 
 # Wrenches that may wait: 2 s of a driver at 500 Hz.
 MAX_WAITING = 1000
 # Samples of one driver never lie this far apart; two clocks do.
 _OTHER_CLOCK_NS = 5_000_000_000
+# Of the joints that are pushed: roll and tilt come last.
+_ANGLES = slice(-2, None)
 
 
-class Waiting(NamedTuple):
-    """A wrench (6,) that waits for joint samples."""
+@dataclass(frozen=True)
+class StreamParameters:
+    """Limits of the samples, by their stamps, and when a topic is silent."""
 
-    stamp_ns: int
-    raw: Array
-    tag: object
-    number: int
+    max_joint_age_s: float = param(
+        0.05,
+        "s; how far `joint_states` may lie behind a wrench, and how far apart two joint samples"
+        " may be to interpolate between them",
+        minimum=0.001,
+        maximum=1.0,
+    )
+    restart_gap_s: float = param(
+        1.0,
+        "s; a longer gap in the stamps of a topic means that the driver was restarted",
+        minimum=0.1,
+        maximum=60.0,
+    )
+    silence_s: float = param(
+        1.0,
+        "s of wall time without a message after which a topic is called silent",
+        minimum=0.1,
+        maximum=60.0,
+    )
+    best_effort_input: bool = param(
+        False, "subscribe as best effort, for who publishes the wrench or the joints so"
+    )
+    frozen_s: float = param(
+        FROZEN_S,
+        "s of wall time that a wrench may stay the same to the last bit while roll or tilt turns;"
+        " then it is rejected: the sensor hangs; 0: for ever",
+        minimum=0.0,
+        maximum=60.0,
+    )
+    late_s: float = param(
+        LATE_S,
+        "s; a wrench that takes so much longer from its stamp to its arrival than the fastest of"
+        " the last 5 to 10 s gives a warning, and goes out; 0: none does. Not watched with"
+        " `use_sim_time`",
+        minimum=0.0,
+        maximum=60.0,
+    )
+    sensor_range: tuple[float, ...] = param(
+        (125.0, 125.0, 500.0, 3.0, 3.0, 3.0),
+        "N, N.m; range of the sensor's axes fx fy fz tx ty tz; a wrench beyond it gives a warning",
+        minimum=1e-6,
+    )
 
-
-class PairedWrench(NamedTuple):
-    """A finite wrench (6,), N and N.m, with finite joints at its stamp, m and rad.
-
-    tag: as it was pushed; number: of the wrench in the order of arrival, from 0.
-    """
-
-    stamp_ns: int
-    wrench: Array
-    joints: tuple[float, ...]
-    tag: object
-    number: int
-
-
-Result = PairedWrench | Rejected
+    def validate(self) -> None:
+        """Check what no single range can say."""
+        if len(self.sensor_range) != 6:
+            raise ValueError(
+                f"parameter 'sensor_range' has {len(self.sensor_range)} numbers, but must have 6"
+            )
 
 
 class PairedRun(NamedTuple):
@@ -74,7 +110,7 @@ class PairedRun(NamedTuple):
 
 
 class Awaited(Protocol):
-    """What a wrench waits for besides the joints."""
+    """Give what a wrench waits for besides the joints."""
 
     @property
     def known_until_ns(self) -> int | None:
@@ -118,11 +154,11 @@ class WrenchPairing:
             sensor_range=parameters.sensor_range,
         )
         self._joints = JointBuffer(self._limits.max_age_ns)
-        self._waiting: deque[Waiting] = deque()
+        self._waiting: deque[PairedWrench] = deque()
         self._newest_wrench_ns: int | None = None
         self._joint_trouble: str | None = None
         self._distrust: tuple[Enum, str] | None = None
-        self._reported: Reported | None = None
+        self._reported: tuple[int, tuple[float, ...]] | None = None
         self._jump: tuple[int, str] | None = None
         self.newest_wrench: Sequence[float] | Array | None = None
         """The last wrench (6,) that came by itself, N and N.m, whatever became of it."""
@@ -138,10 +174,9 @@ class WrenchPairing:
         return len(self._waiting)
 
     @property
-    def newest_angles(self) -> tuple[float, float] | None:
+    def newest_angles(self) -> tuple[float, ...] | None:
         """Roll and tilt as last reported, rad; None before any."""
-        reported = self._reported
-        return None if reported is None else (reported.roll_rad, reported.tilt_rad)
+        return None if self._reported is None else self._reported[1]
 
     def bar(self, reason: Enum, detail: str) -> list[Rejected]:
         """Reject every wrench until `unbar`, those that wait, too."""
@@ -234,7 +269,7 @@ class WrenchPairing:
         if until is not None and stamp_ns <= until:
             results.append(self._pair(stamp_ns, raw, tag, number))
             return results
-        self._waiting.append(Waiting(stamp_ns, raw, tag, number))
+        self._waiting.append(PairedWrench(stamp_ns, raw, (), tag, number))
         results.extend(self._drop_hopeless())
         return results
 
@@ -257,30 +292,29 @@ class WrenchPairing:
             self.notices[Notice.NONFINITE_JOINTS] += 1
             joints = (math.nan,) * len(joints)
         else:
-            roll_rad, tilt_rad = joints[-2:]
-            if angle_unit_notice(roll_rad, tilt_rad):
+            angles = joints[_ANGLES]
+            if angle_unit_notice(angles):
                 self.notices[Notice.ANGLE_UNIT] += 1
-            if self._jumped(stamp_ns, roll_rad, tilt_rad):
+            if self._jumped(stamp_ns, angles):
                 self.notices[Notice.JOINT_JUMP] += 1
                 joints = (math.nan,) * len(joints)
-        pushed = self._joints.push(stamp_ns, joints)
-        if pushed is not JointPush.STORED:
-            duplicate = pushed is JointPush.DUPLICATE
-            self.notices[Notice.DUPLICATE_JOINTS if duplicate else Notice.OUT_OF_ORDER_JOINTS] += 1
+        wrong = self._joints.push(stamp_ns, joints)
+        if wrong is not None:
+            self.notices[wrong] += 1
             return results
         results.extend(self.release())
         return results
 
-    def _jumped(self, stamp_ns: int, roll_rad: float, tilt_rad: float) -> bool:
+    def _jumped(self, stamp_ns: int, angles: tuple[float, ...]) -> bool:
         """Whether the arm can't have turned so since the last report: one of both is wrong."""
         before = self._reported
-        if before is not None and stamp_ns <= before.stamp_ns:
+        if before is not None and stamp_ns <= before[0]:
             return False
-        self._reported = Reported(stamp_ns, roll_rad, tilt_rad)
+        self._reported = (stamp_ns, angles)
         if before is None:
             return False
-        step_ns = stamp_ns - before.stamp_ns
-        step_rad = max(abs(roll_rad - before.roll_rad), abs(tilt_rad - before.tilt_rad))
+        step_ns = stamp_ns - before[0]
+        step_rad = max([abs(now - then) for now, then in zip(angles, before[1], strict=True)])
         if not joint_jump(step_ns, step_rad):
             return False
         detail = f"joint_states jumped by {step_rad:.2f} rad within {step_ns * 1e-6:.1f} ms"
@@ -292,14 +326,15 @@ class WrenchPairing:
         until = self._known_until_ns()
         results: list[Result] = []
         while until is not None and self._waiting and self._waiting[0].stamp_ns <= until:
-            results.append(self._pair(*self._waiting.popleft()))
+            one = self._waiting.popleft()
+            results.append(self._pair(one.stamp_ns, one.wrench, one.tag, one.number))
         return results
 
     def push_run(self, arrivals: Arrivals) -> PairedRun:
         """Take the regular samples at the start of `arrivals` as arrays; nothing is rejected."""
         waiting = self._waiting
         waiting_ns = np.array([one.stamp_ns for one in waiting], dtype=np.int64)
-        stretch = regular_stretch(
+        arrivals, joints = find_regular_run(
             arrivals,
             waiting_ns,
             self._newest_wrench_ns,
@@ -307,31 +342,31 @@ class WrenchPairing:
             self._limits,
             self._reported,
         )
-        arrivals, angles = stretch.arrivals, stretch.angles
-        out, waited = len(angles), len(waiting)
+        out, waited = len(joints), len(waiting)
         stamp_ns = np.concatenate((waiting_ns, arrivals.wrench_stamp_ns))
-        raw = np.concatenate((np.reshape([one.raw for one in waiting], (-1, 6)), arrivals.wrenches))
+        held = np.reshape([one.wrench for one in waiting], (-1, 6))
+        raw = np.concatenate((held, arrivals.wrenches))
         arrived = self.received + np.arange(len(arrivals.wrenches))
         number = np.concatenate(([one.number for one in waiting], arrived)).astype(np.int64)
 
         for _ in range(min(out, waited)):
             waiting.popleft()
         for row in range(max(out, waited), len(stamp_ns)):
-            waiting.append(Waiting(int(stamp_ns[row]), raw[row].copy(), None, int(number[row])))
-        self._joints.push_regular(arrivals.joint_stamp_ns, arrivals.angles)
-        if len(arrivals.joint_stamp_ns):
+            wrench = raw[row].copy()
+            waiting.append(PairedWrench(int(stamp_ns[row]), wrench, (), None, int(number[row])))
+        self._joints.push_regular(arrivals.joint_stamp_ns, arrivals.joints)
+        angles = arrivals.joints[:, _ANGLES]
+        if len(angles):
             self._joint_trouble = None
-            self._reported = Reported(
-                int(arrivals.joint_stamp_ns[-1]), *arrivals.angles[-1, -2:].tolist()
-            )
+            self._reported = (int(arrivals.joint_stamp_ns[-1]), tuple(angles[-1].tolist()))
         if len(arrivals.wrench_stamp_ns):
             self._newest_wrench_ns = int(arrivals.wrench_stamp_ns[-1])
         self.received += len(arrivals.wrenches)
         beyond_range, other_unit = self._limits.count_range_notices(arrivals.wrenches)
         self._note(Notice.BEYOND_RANGE, beyond_range)
         self._note(Notice.TORQUE_UNIT, other_unit)
-        self._note(Notice.ANGLE_UNIT, count_angle_unit_notices(arrivals.angles[:, -2:]))
-        return PairedRun(len(arrivals.is_wrench), number[:out], stamp_ns[:out], raw[:out], angles)
+        self._note(Notice.ANGLE_UNIT, count_angle_unit_notices(angles))
+        return PairedRun(len(arrivals.is_wrench), number[:out], stamp_ns[:out], raw[:out], joints)
 
     def forget_joints(self, detail: str) -> list[Rejected]:
         """Forget the joint samples, as of another joint vector; reject what waits for them."""

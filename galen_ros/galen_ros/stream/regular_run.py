@@ -8,13 +8,11 @@ it ended by itself. The rules are those of `SampleLimits` and `JointBuffer`.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 from galen_model.arrays import Array
 
-from galen_ros.stream.joint_buffer import JointBuffer
-from galen_ros.stream.sample_limits import SampleLimits, joint_jumps, surely_finite
+from galen_ros.stream.samples import JointBuffer, SampleLimits, joint_jump, surely_finite
 
 # Earlier and later than any stamp of a message, which has 32 bits for the seconds; differences of
 # these don't overflow.
@@ -26,27 +24,27 @@ _AFTER_ALL_NS = 2**61
 class Arrivals:
     """Samples of both topics; is_wrench (n,) says whose the next one is.
 
-    Joints: stamps (j,) ns, angles (j, 2) rad, or (j, 5) with the platform's position before them.
+    Joints: stamps (j,) ns, joints (j, k) m and rad, roll and tilt last.
     Wrenches: stamps (w,), wrenches (w, 6) N and N.m.
     `*_usable`: whether the message could be read and its frame is right.
     """
 
     is_wrench: np.ndarray
     joint_stamp_ns: np.ndarray
-    angles: Array
+    joints: Array
     joint_usable: np.ndarray
     wrench_stamp_ns: np.ndarray
     wrenches: Array
     wrench_usable: np.ndarray
 
     def first(self, count: int) -> Arrivals:
-        """Only the `count` samples that came first."""
+        """Return only the `count` samples that came first."""
         w = int(np.count_nonzero(self.is_wrench[:count]))
         j = count - w
         return Arrivals(
             self.is_wrench[:count],
             self.joint_stamp_ns[:j],
-            self.angles[:j],
+            self.joints[:j],
             self.joint_usable[:j],
             self.wrench_stamp_ns[:w],
             self.wrenches[:w],
@@ -54,40 +52,26 @@ class Arrivals:
         )
 
 
-class Reported(NamedTuple):
-    """Angles as the driver reported them last, rad."""
-
-    stamp_ns: int
-    roll_rad: float
-    tilt_rad: float
-
-
-class Stretch(NamedTuple):
-    """What was found: the first so many arrivals are regular.
-
-    Of the wrenches that waited, followed by those that arrived, the first ones come out, as many
-    as there are `angles` (k, 2 or 5), what `Arrivals` has of them at their stamps.
-    """
-
-    arrivals: Arrivals
-    angles: Array
-
-
-def regular_stretch(
+def find_regular_run(
     arrivals: Arrivals,
     waiting_ns: np.ndarray,
     newest_wrench_ns: int | None,
     joints: JointBuffer,
     limits: SampleLimits,
-    reported: Reported | None,
-) -> Stretch:
-    """The regular stretch at the start of `arrivals`.
+    reported: tuple[int, tuple[float, ...]] | None,
+) -> tuple[Arrivals, Array]:
+    """Find the regular run at the start of `arrivals`.
 
     The rest is the state before: stamps (k,) of the wrenches that wait, the newest wrench's stamp,
-    the joint samples, the last angles reported.
+    the joint samples, the last angles reported and their stamp.
+
+    Returns:
+        The regular arrivals. Of the wrenches that waited, followed by those that arrived, the first
+        ones come out: as many as there are joints at their stamps.
+
     """
     if np.any(np.diff(waiting_ns) <= 0):
-        return Stretch(arrivals.first(0), np.zeros((0, arrivals.angles.shape[1])))
+        return arrivals.first(0), np.zeros((0, arrivals.joints.shape[1]))
     arrivals = arrivals.first(
         _in_line(arrivals, newest_wrench_ns, joints.newest_ns, limits, reported)
     )
@@ -97,7 +81,7 @@ def regular_stretch(
     waited = len(waiting_ns)
     wrench_ns = np.concatenate((waiting_ns, arrivals.wrench_stamp_ns))
     oldest_ns = int(wrench_ns[0]) if len(wrench_ns) else _AFTER_ALL_NS
-    kept_ns, kept_angles = joints.since(oldest_ns)
+    kept_ns, kept_joints = joints.since(oldest_ns)
     joint_ns = np.concatenate((kept_ns, arrivals.joint_stamp_ns))
     # How many samples of `joint_ns` there are when each wrench arrives.
     seen = len(kept_ns) + wrench_at - np.arange(len(wrench_at))
@@ -114,22 +98,22 @@ def regular_stretch(
     after = after[: np.searchsorted(after, len(joint_ns), side="left")]
     arrived = np.concatenate((np.full(waited, -1), wrench_at))[: len(after)]
     out_at = np.maximum(arrived, np.concatenate((np.full(len(kept_ns), -1), joint_at))[after])
-    found = joints.interpolate(
+    found, good, oldest = joints.interpolate(
         joint_ns,
-        np.concatenate((kept_angles.reshape(-1, arrivals.angles.shape[1]), arrivals.angles)),
+        np.concatenate((kept_joints.reshape(-1, arrivals.joints.shape[1]), arrivals.joints)),
         wrench_ns[: len(after)],
     )
     # The newest sample then; the buffer may have dropped what lies its capacity behind it.
     seen = np.concatenate((np.zeros(waited, dtype=int), seen))[: len(after)]
     newest = np.maximum(after, seen - 1)
-    rejected = ~found.good | (newest - found.oldest >= joints.capacity)
+    rejected = ~good | (newest - oldest >= joints.capacity)
 
     end = min(
         _first(dropped, wrench_at, len(arrivals.is_wrench)),
         _first(rejected, out_at, len(arrivals.is_wrench)),
     )
     out = np.searchsorted(out_at, end, side="left")
-    return Stretch(arrivals.first(end), found.joints[:out])
+    return arrivals.first(end), found[:out]
 
 
 def _in_line(
@@ -137,14 +121,14 @@ def _in_line(
     newest_wrench_ns: int | None,
     newest_joints_ns: int | None,
     limits: SampleLimits,
-    reported: Reported | None,
+    reported: tuple[int, tuple[float, ...]] | None,
 ) -> int:
     """How many arrivals are in line with those before them in their own topic."""
     fine = np.empty(len(arrivals.is_wrench), dtype=bool)
     fine[~arrivals.is_wrench] = (
         arrivals.joint_usable
         & limits.regular_steps(arrivals.joint_stamp_ns, newest_joints_ns)
-        & np.isfinite(arrivals.angles).all(axis=1)
+        & np.isfinite(arrivals.joints).all(axis=1)
         & ~_jumps(arrivals, reported)
     )
     fine[arrivals.is_wrench] = (
@@ -156,15 +140,14 @@ def _in_line(
     return _first(~fine, np.arange(len(fine)), len(fine))
 
 
-def _jumps(arrivals: Arrivals, reported: Reported | None) -> np.ndarray:
+def _jumps(arrivals: Arrivals, reported: tuple[int, tuple[float, ...]] | None) -> np.ndarray:
     """Which joint samples the arm can't have turned to from the one before."""
-    stamp_ns, angles = arrivals.joint_stamp_ns, arrivals.angles[:, -2:]
-    jumped = np.zeros(len(stamp_ns), dtype=bool)
-    jumped[1:] = joint_jumps(np.diff(stamp_ns), np.diff(angles, axis=0))
-    if reported is not None and len(stamp_ns):
-        step_rad = angles[:1] - np.array([reported[1:]])
-        jumped[:1] = joint_jumps(stamp_ns[:1] - reported.stamp_ns, step_rad)
-    return jumped
+    stamp_ns, angles = arrivals.joint_stamp_ns, arrivals.joints[:, -2:]
+    if not len(stamp_ns):
+        return np.zeros(0, dtype=bool)
+    before_ns, before = (stamp_ns[0] - 1, angles[0]) if reported is None else reported
+    step_rad = np.abs(np.diff(angles, axis=0, prepend=np.reshape(before, (1, -1)))).max(axis=1)
+    return np.asarray(joint_jump(np.diff(stamp_ns, prepend=before_ns), step_rad))
 
 
 def _first(marks: np.ndarray, at: np.ndarray, none: int) -> int:

@@ -26,7 +26,7 @@ FROZEN_S = 1.0
 
 
 class FrozenWatch:
-    """Looks at the newest wrench and the newest angles. Times are wall times, s."""
+    """Look at the newest wrench and the newest angles. Times are wall times, s."""
 
     def __init__(self, frozen_s: float = FROZEN_S) -> None:
         """`frozen_s`: so long must it stay the same; 0: not watched."""
@@ -44,7 +44,7 @@ class FrozenWatch:
         wrench: Sequence[float] | Array | None,
         angles: Sequence[float] | None,
     ) -> str:
-        """Why the reading can't be a live one, in words; empty while it may be.
+        """Return why the reading can't be a live one, in words; empty while it may be.
 
         received: how many wrenches came so far; wrench (6,); angles: roll and tilt, rad.
         """
@@ -123,7 +123,7 @@ class LateWatch:
             self._limit_s = self._before_s + self._late_s
 
     def trouble(self, now_s: float, hold_s: float) -> str:
-        """What was late, in words, for so long after the last one; else empty."""
+        """Return what was late, in words, for so long after the last one; else empty."""
         if now_s - self._told_s >= hold_s:
             return ""
         return (
