@@ -12,7 +12,8 @@ from galen_model.arm.galen import JOINT_NAMES
 from galen_model.arrays import Array
 from galen_model.errors import GalenError
 from galen_model.poses.order import quintic_duration_s
-from galen_ros.messages import STREAM, JointStateReader, fill_stamp, stamp_to_ns, wrench_to_array
+from galen_ros.cdr import JointWire
+from galen_ros.messages import STREAM, fill_stamp, stamp_to_ns, wrench_to_array
 from galen_ros.node.spin import make_executor
 from geometry_msgs.msg import WrenchStamped
 from rclpy.duration import Duration
@@ -54,14 +55,14 @@ class ArmClient(Node):
         self._check = check
         self._executor = make_executor()
         self._executor.add_node(self)
-        self._reader = JointStateReader(JOINT_NAMES)
+        self._reader = JointWire(JOINT_NAMES)
         self.stamp_ns = 0
         self.position: Array | None = None
         self.on_joints: JointListener | None = None
         self.on_raw: WrenchListener | None = None
         self.on_compensated: WrenchListener | None = None
         self._trajectory = self.create_publisher(JointTrajectory, "joint_trajectory", 10)
-        self.create_subscription(JointState, "joint_states", self._on_joint_state, STREAM)
+        self.create_subscription(JointState, "joint_states", self._on_joint_state, STREAM, raw=True)
         self._set_tool = self.create_client(SetTool, "gravcomp/set_tool")
         self._zero_ft_sensor = self.create_client(Trigger, "zero_ft_sensor")
         self._set_admittance = self.create_client(SetBool, "sim_driver/set_admittance")
@@ -168,11 +169,12 @@ class ArmClient(Node):
         self.wait_for(future.done, 20.0, f"an answer of {client.srv_name}")
         return future.result()
 
-    def _on_joint_state(self, message: JointState) -> None:
-        position, velocity = self._reader.read(message)
-        self.stamp_ns, self.position = stamp_to_ns(message.header.stamp), position
+    def _on_joint_state(self, data: bytes) -> None:
+        self.stamp_ns, position, velocity = self._reader.read_motion(data)
+        self.position = np.array(position)
         if self.on_joints is not None:
-            self.on_joints(self.stamp_ns, position, velocity)
+            speed = None if velocity is None else np.array(velocity)
+            self.on_joints(self.stamp_ns, self.position, speed)
 
     def _on_wrench_raw(self, message: WrenchStamped) -> None:
         if self.on_raw is not None:

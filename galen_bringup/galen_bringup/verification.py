@@ -8,8 +8,7 @@ import numpy as np
 from galen_model.arm.galen import HOME
 from galen_model.arrays import Array
 from galen_model.rest.pose import PoseRecord, StillnessSettings
-from galen_ros.goal.arrival import ArrivalSettings, MotionTimeoutError
-from galen_ros.goal.pose_recorder import PoseRecorder
+from galen_ros.goal.arrival import ArrivalSettings, MotionTimeoutError, PoseRecorder
 from rich.progress import Progress
 
 from galen_bringup.arm_client import ArmClient, ArmError

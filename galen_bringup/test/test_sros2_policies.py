@@ -21,7 +21,7 @@ from galen_deflection.collection.procedure import CollectionProcedure
 from galen_deflection.node import DeflectionNode
 from galen_gravcomp.node import GravcompNode
 from galen_panel.ros.suite import RosSuite
-from galen_ros.goal.pose_procedure import PoseProcedure
+from galen_ros.goal.procedure import PoseProcedure
 from galen_ros.node.testing import Harness, parameters
 from galen_sim_driver.node import SimDriverNode
 from rclpy.node import Node

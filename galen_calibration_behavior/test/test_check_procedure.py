@@ -13,7 +13,7 @@ from galen_calibration_behavior.quick_check.procedure import CheckProcedure, Che
 from galen_model.arm.clearance import ArmClearance, boxes_from_numbers
 from galen_model.arm.galen import LIMITS
 from galen_model.evidence.verdict import Cause, CheckAnswer
-from galen_ros.goal.commands import MoveTo, Stop
+from galen_ros.goal.procedure import MoveTo, Stop
 
 BOX = (0.721, -0.003, 0.304, 0.768, 0.111, 0.352)
 START = np.array([0.02, -0.01, 0.41, 0.3, -0.2])

@@ -16,7 +16,7 @@ from galen_deflection.collection.commands import (
 from galen_deflection.collection.parameters import CollectionParameters
 from galen_deflection.collection.plan import make_plan
 from galen_deflection.collection.procedure import CollectionProcedure
-from galen_ros.goal.commands import MoveTo, Stop
+from galen_ros.goal.procedure import MoveTo, Stop
 
 SETTINGS = CollectionParameters(
     settle_s=0.1,

@@ -1,7 +1,7 @@
 """The start and end that all executables share: SIGINT ends them without a traceback.
 
 An entry point has this module in front of its function's path, so that the signal is handled before
-the imports, which take seconds: `tools = galen_ros.executable:galen_gravcomp.tools.command.main`.
+the imports, which take seconds: `tools = galen_ros.executable:galen_gravcomp.tools.main`.
 """
 
 from __future__ import annotations

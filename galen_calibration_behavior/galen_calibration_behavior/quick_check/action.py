@@ -10,17 +10,15 @@ import numpy as np
 from galen_model.arrays import Array
 from galen_model.errors import CalibrationFileError, GalenError, ToolNameError
 from galen_model.files.calibration_store import CalibrationStore
-from galen_ros.goal.action import ArmAction, RejectedGoalError, RunningGoal
-from galen_ros.goal.commands import End
-from galen_ros.goal.node import GoalNode, named
+from galen_ros.goal.node import ArmAction, GoalNode, RejectedGoalError, RunningGoal, named
+from galen_ros.goal.procedure import End
 from galen_ros.messages import LATCHED
 from rclpy.action.server import ServerGoalHandle
 
 from galen_calibration_behavior.commands import CheckCode, PoseFeedback, PosesEnd
 from galen_calibration_behavior.parameters import MOST_CHECK_POSES
-from galen_calibration_behavior.quick_check.decision import FEWEST_POSES
+from galen_calibration_behavior.quick_check.decision import FEWEST_POSES, centre_change
 from galen_calibration_behavior.quick_check.procedure import CheckProcedure, CheckRequest
-from galen_calibration_behavior.quick_check.text import centre_change
 from galen_msgs.action import CheckTool
 from galen_msgs.msg import ActiveTool
 
@@ -167,8 +165,7 @@ class CheckAction(ArmAction):
                 state=int(command.state),
                 done=command.done,
                 total=command.total,
-                roll=command.roll,
-                tilt=command.tilt,
+                **dict(zip(("roll", "tilt"), command.angles, strict=True)),
                 accepted=command.accepted,
                 message=command.message,
             )

@@ -7,7 +7,7 @@ from enum import IntEnum
 
 import numpy as np
 from galen_model.arrays import Array
-from galen_ros.goal.commands import End, MoveTo, Stop
+from galen_ros.goal.procedure import End, MoveTo, Stop
 
 NOTHING = np.full(6, np.nan)
 NOTHING.setflags(write=False)

@@ -15,10 +15,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from galen_model.arm.kinematics import tip_pose
+from galen_model.arm.galen import GALEN
 from galen_model.arrays import Array
-from galen_model.registration.rigid import Transform, mean_pose
-from galen_ros.goal.stamps import NS
+from galen_model.registration import Transform, mean_pose
+from galen_ros.goal.arrival import NS
 
 from galen_deflection.collection.parameters import CollectionParameters
 from galen_deflection.measurement.arm_positions import UnloadedSettings, load_phases, noise_of_mean
@@ -164,7 +164,7 @@ def shift_sentence(
 
 
 def _tip(at: NoContact, tip_m: Array) -> Transform:
-    return Transform(*tip_pose(at.joints, tip_m))
+    return Transform(*GALEN.tip_pose(at.joints, tip_m))
 
 
 def _tool_in_base_marker(at: NoContact) -> Transform:

@@ -13,9 +13,8 @@ from galen_model.arrays import Array
 from galen_model.errors import CalibrationFileError, GalenError, ToolNameError
 from galen_model.files.calibration_file import CalibrationFile, calibration_path, read_calibration
 from galen_model.rotation import quaternion_to_matrix
-from galen_ros.goal.action import ArmAction, RejectedGoalError, RunningGoal
-from galen_ros.goal.commands import End
-from galen_ros.goal.node import GoalNode, named
+from galen_ros.goal.node import ArmAction, GoalNode, RejectedGoalError, RunningGoal, named
+from galen_ros.goal.procedure import End
 from galen_ros.messages import STREAM, stamp_to_ns
 from galen_ros.node.spin import run
 from geometry_msgs.msg import PoseStamped

@@ -21,13 +21,12 @@ from functools import partial
 import numpy as np
 from galen_model.arm.galen import JOINT_NAMES, JOINT_UNITS
 from galen_model.arrays import Array
+from galen_ros.goal.arrival import NS, StampClock
 from galen_ros.goal.procedure import JOINTS, GoalProcedure
-from galen_ros.goal.stamps import NS, StampClock
 
 from galen_deflection.collection.commands import (
     NOTHING,
     Collected,
-    Command,
     ErrorCode,
     Feedback,
     Finished,
@@ -60,7 +59,7 @@ _MARKER_PATIENCE_S = 0.5
 _WRENCH = "wrench_compensated"
 
 
-class CollectionProcedure(GoalProcedure[Command, Finished]):
+class CollectionProcedure(GoalProcedure):
     """One collection. Call `start`, feed samples and events, and do what `take_commands` gives."""
 
     codes = ErrorCode

@@ -2,28 +2,21 @@
 
 from __future__ import annotations
 
-import time
 from collections import deque
 from collections.abc import Callable, Sequence
 
 from galen_model.arm.galen import JOINT_NAMES
-from rcl_interfaces.msg import ParameterType
-from rcl_interfaces.srv import GetParameters
-from rclpy.client import Client
 from rclpy.duration import Duration
-from rclpy.node import Node, NodeNameNonExistentError
+from rclpy.node import Node
 from rclpy.subscription import Subscription
-from rclpy.task import Future
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
-from galen_ros.goal.commands import MoveTo
+from galen_ros.goal.procedure import MoveTo
 
 DISCOVERY_S = 5.0
 """A driver that runs may take so long to be found: DDS repeats a lost announcement after 3 s."""
 _DEPTH = 10
-# So long a driver is asked which tools it knows.
-_ANSWER_S = 2.0
 
 
 class ArmPublisher:
@@ -41,11 +34,11 @@ class ArmPublisher:
 
     @property
     def has_listener(self) -> bool:
-        """Whether anybody would hear."""
+        """Whether the topic has a subscriber."""
         return bool(self._publisher.get_subscription_count() > 0)
 
     def move(self, move: MoveTo) -> None:
-        """From rest to rest."""
+        """Move from rest to rest."""
         point = JointTrajectoryPoint(
             positions=[float(value) for value in move.joints],
             velocities=[0.0] * len(JOINT_NAMES),
@@ -99,57 +92,6 @@ def _node_names(infos: Sequence[TopicEndpointInfo]) -> list[str]:
     return sorted(f"{info.node_namespace.rstrip('/')}/{info.node_name}" for info in infos)
 
 
-def service_owner(node: Node, service: str) -> str:
-    """Full name of the node that offers a service (full name); empty where none is known."""
-    for name, namespace in node.get_node_names_and_namespaces():
-        try:
-            services = node.get_service_names_and_types_by_node(name, namespace)
-        except NodeNameNonExistentError:  # gone since it was listed
-            continue
-        if any(offered == service for offered, _ in services):
-            return f"{namespace.rstrip('/')}/{name}"
-    return ""
-
-
-class DriversTools:
-    """Asks the node that offers `attach_tool` for its parameter `tools`, the names it knows.
-
-    A driver without that parameter, or one that does not answer, is not known to lack any tool.
-    """
-
-    def __init__(self, node: Node, attach: Client) -> None:
-        self.driver = ""
-        self.tools: list[str] | None = None
-        self._node = node
-        self._service = node.resolve_service_name(attach.srv_name)
-        self._until_s = time.monotonic() + _ANSWER_S
-        self._client: Client | None = None
-        self._answer: Future | None = None
-
-    def is_over(self) -> bool:
-        """Go on asking; whether there is an answer, or none to wait for any longer."""
-        if self._answer is not None and self._answer.done():
-            for value in self._answer.result().values:
-                if value.type == ParameterType.PARAMETER_STRING_ARRAY:
-                    self.tools = list(value.string_array_value)
-        elif time.monotonic() < self._until_s:
-            self._ask()
-            return False
-        if self._client is not None:
-            self._node.destroy_client(self._client)
-        return True
-
-    def _ask(self) -> None:
-        if self._client is None:
-            self.driver = service_owner(self._node, self._service)
-            if self.driver:
-                self._client = self._node.create_client(
-                    GetParameters, f"{self.driver}/get_parameters"
-                )
-        elif self._answer is None and self._client.service_is_ready():
-            self._answer = self._client.call_async(GetParameters.Request(names=["tools"]))
-
-
 class PublisherWatch:
     """Looks up who publishes topics (full names), again and again."""
 
@@ -159,11 +101,11 @@ class PublisherWatch:
         self._known: dict[str, frozenset[bytes]] = {}
 
     def silent(self) -> list[str]:
-        """Topics without a publisher."""
+        """Return the topics without a publisher."""
         return [topic for topic in self._topics if not self._node.count_publishers(topic)]
 
     def several(self) -> str:
-        """Say which topic has more than one publisher; empty when none has."""
+        """Return which topic has more than one publisher; empty when none has."""
         for topic in self._topics:
             infos = self._node.get_publishers_info_by_topic(topic)
             if len(infos) > 1:
@@ -176,7 +118,7 @@ class PublisherWatch:
         return ""
 
     def changed(self) -> str:
-        """Say which topic has another publisher than when first looked at; empty when none has."""
+        """Return which topic has another publisher than at first; empty when none has."""
         for topic in self._topics:
             infos = self._node.get_publishers_info_by_topic(topic)
             now = frozenset(bytes(info.endpoint_gid) for info in infos)

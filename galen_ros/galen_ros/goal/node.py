@@ -1,15 +1,17 @@
-"""A node that runs goals on the arm: one at a time over all its actions, its inputs and its end."""
+"""Nodes that run goals on the arm: one at a time over all their actions, its inputs and its end."""
 
 from __future__ import annotations
 
 import time
 import traceback
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from enum import IntEnum
 from functools import partial
-from typing import Any
+from typing import Any, ClassVar
 
-from galen_model.arm.galen import SENSOR_FRAME
+import numpy as np
+from galen_model.arm.galen import JOINT_NAMES, SENSOR_FRAME
 from galen_model.errors import GalenError, one_line
 from geometry_msgs.msg import WrenchStamped
 from rclpy.action import CancelResponse, GoalResponse
@@ -17,13 +19,14 @@ from rclpy.action.server import ServerGoalHandle
 from rclpy.client import Client
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
+from rclpy.subscription import Subscription
 from sensor_msgs.msg import JointState
 
-from galen_ros.goal.action import ArmAction, RejectedGoalError, RunningGoal
+from galen_ros.cdr import JointWire, WrenchWire
 from galen_ros.goal.arm_link import DISCOVERY_S, ArmPublisher, PublisherWatch
-from galen_ros.goal.commands import End, MoveTo, Stop
 from galen_ros.goal.parameters import MotionParameters
-from galen_ros.messages import stamp_to_ns, wrench_to_array
+from galen_ros.goal.procedure import End, GoalProcedure, MoveTo, Stop
+from galen_ros.messages import STREAM
 from galen_ros.node.diagnostics import ERROR, OK, WARN, DiagnosticsPublisher, Status
 from galen_ros.node.parameters import declare_parameters
 from galen_ros.rclpy_workarounds import DeferredActionServer
@@ -32,6 +35,114 @@ _TICK_S = 0.1
 # The publishers of the topics are looked up this often.
 _TICKS_PER_GRAPH_CHECK = 10
 _LONGEST_NAME = 80
+
+
+class RejectedGoalError(Exception):
+    """A goal that can't be begun."""
+
+    def __init__(self, code: IntEnum, message: str) -> None:
+        super().__init__(message)
+        self.code = code
+
+
+class RunningGoal:
+    """One running goal and what belongs to it alone."""
+
+    def __init__(
+        self, action: ArmAction, handle: ServerGoalHandle, procedure: GoalProcedure
+    ) -> None:
+        self.action = action
+        self.handle = handle
+        self.procedure: Any = procedure
+        self.joints = JointWire(JOINT_NAMES)
+        self.wrenches = WrenchWire()
+        self.subscriptions: list[Subscription] = []
+        self.publishers: PublisherWatch | None = None
+        self.preflight_s: float | None = 0.0
+        self.ticks = 0
+
+
+class ArmAction(ABC):
+    """One action; what happens when is in the goal's procedure, what all share in the node."""
+
+    action_type: ClassVar[Any]
+    name: ClassVar[str]
+    codes: ClassVar[type[IntEnum]]
+    """The action's error codes, as the procedure's."""
+    subject: ClassVar[str] = "tool"
+    """The field of the action's goal that names what it is about."""
+    doing: ClassVar[str]
+    unit: ClassVar[str]
+    restarted: ClassVar[str]
+    """What it means that a publisher is another one."""
+
+    def __init__(self, node: GoalNode) -> None:
+        self.node = node
+
+    @abstractmethod
+    def make_goal(self, handle: ServerGoalHandle) -> RunningGoal:
+        """Return the goal to run; raises RejectedGoalError."""
+
+    @abstractmethod
+    def introduce(self, goal: Any) -> str:
+        """Describe in the log what begins."""
+
+    @abstractmethod
+    def make_end(self, code: IntEnum, message: str, goal: Any) -> End:
+        """Return an end that the procedure doesn't know of; `goal` is None without one."""
+
+    @abstractmethod
+    def make_result(self, handle: ServerGoalHandle, end: Any, goal: Any) -> tuple[Any, str]:
+        """Return the action's result, and a sentence for /diagnostics."""
+
+    @abstractmethod
+    def obey(self, goal: Any, command: Any) -> None:
+        """Do what the procedure asks for, beside motion and its end."""
+
+    def subject_of(self, request: Any) -> str:
+        """Return what a goal is about."""
+        return str(getattr(request, self.subject))
+
+    def rejection(self, request: Any) -> str:
+        """Return why this goal can't even begin; empty where it can."""
+        return ""
+
+    def subscribe(self, goal: Any) -> list[Subscription]:
+        """Subscribe to what the goal hears."""
+        node, topic = self.node, goal.procedure.wrench_topic
+        return [
+            node.create_subscription(
+                JointState, "joint_states", node.on_joint_state, STREAM, raw=True
+            ),
+            node.create_subscription(WrenchStamped, topic, node.on_wrench, STREAM, raw=True),
+        ]
+
+    def also_watched(self) -> list[str]:
+        """Name topics that it doesn't hear, and whose publishers matter all the same."""
+        return []
+
+    def needed_clients(self, goal: Any) -> list[Client]:
+        """Return the clients of the services that the goal can't do without."""
+        return []
+
+    def silent_text(self, topics: list[str]) -> str:
+        """Return what is wrong where topics have no publisher."""
+        return f"no publisher on {' and '.join(topics)}: is the driver running?"
+
+    def look_after(self, goal: Any) -> None:  # noqa: B027 - most have nothing to do
+        """Do what is to be done ten times a second."""
+
+    def put_away(self, goal: Any, end: Any) -> Any:
+        """Close what the goal has open; returns the end that it came to."""
+        return end
+
+    def status_values(self, goal: Any) -> dict[str, object]:
+        """Return more values for /diagnostics."""
+        return {}
+
+    def status_remark(self, goal: Any) -> str:
+        """Return what /diagnostics adds to the progress."""
+        return ""
 
 
 class GoalNode(Node):
@@ -179,34 +290,35 @@ class GoalNode(Node):
 
     # ---- inputs
 
-    def on_joint_state(self, message: JointState) -> None:
-        """Hand a joint state to the goal."""
+    def on_joint_state(self, data: bytes) -> None:
+        """Hand a joint state, serialised, to the goal."""
         goal = self._goal
         if goal is None:
             return
         try:
-            position, velocity = goal.reader.read(message)
+            stamp_ns, position, velocity = goal.joints.read_motion(data)
         except GalenError as error:
             self._fail(goal, "BAD_INPUT", f"joint_states: {error}")
             return
-        self.feed(goal.procedure.on_joints, stamp_to_ns(message.header.stamp), position, velocity)
+        speed = None if velocity is None else np.array(velocity)
+        self.feed(goal.procedure.on_joints, stamp_ns, np.array(position), speed)
 
-    def on_wrench(self, message: WrenchStamped) -> None:
-        """Hand a wrench to the goal."""
+    def on_wrench(self, data: bytes) -> None:
+        """Hand a wrench, serialised, to the goal."""
         goal = self._goal
         if goal is None:
             return
-        if message.header.frame_id != SENSOR_FRAME:
-            self._fail(
-                goal,
-                "BAD_INPUT",
-                f"{goal.procedure.wrench_topic} has frame_id {message.header.frame_id!r}, not"
-                f" {SENSOR_FRAME!r}",
-            )
+        topic = goal.procedure.wrench_topic
+        try:
+            raw = goal.wrenches.read(data)
+        except GalenError as error:
+            self._fail(goal, "BAD_INPUT", f"{topic}: {error}")
             return
-        self.feed(
-            goal.procedure.on_wrench, stamp_to_ns(message.header.stamp), wrench_to_array(message)
-        )
+        if raw.frame_id != SENSOR_FRAME:
+            text = f"{topic} has frame_id {raw.frame_id!r}, not {SENSOR_FRAME!r}"
+            self._fail(goal, "BAD_INPUT", text)
+            return
+        self.feed(goal.procedure.on_wrench, raw.stamp_ns, np.array(raw.wrench))
 
     def _on_other_command(self, text: str) -> None:
         """End: two that command one arm are a danger, and no pose is where it was sent."""
@@ -236,9 +348,7 @@ class GoalNode(Node):
 
     def _check_driver(self, goal: RunningGoal) -> None:
         """Start the procedure once everything it needs is there, or say what is missing."""
-        missing = self._find_missing(goal) or goal.action.find_missing(goal)
-        if goal.procedure.ending:
-            return
+        missing = self._find_missing(goal)
         if missing is None:
             goal.preflight_s = None
             # Not before: this node's own subscription would count as a listener.

@@ -115,5 +115,5 @@ class PoseParameters(MotionParameters):
 
 
 def by_joint(delta: float, angle: float) -> Array:
-    """A number for each joint, (5,): one for the delta's, one for roll and tilt."""
+    """Return a number for each joint, (5,): one for the delta's, one for roll and tilt."""
     return np.array([delta] * 3 + [angle] * 2)

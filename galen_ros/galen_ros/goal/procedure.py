@@ -1,4 +1,4 @@
-"""What the courses of all goals on the arm share, without ROS: samples and events in, commands out.
+"""Procedures of goals on the arm, without ROS: samples and events in, commands out.
 
 Any state ends at once on `cancel` or `fail`: the arm is told to stop, and the procedure is finished
 when it stands still. Times of motion are the samples' stamps; only waiting for answers and for a
@@ -9,30 +9,96 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from enum import IntEnum
-from typing import ClassVar, Generic, TypeVar
+from typing import Any, ClassVar
 
 import numpy as np
+from galen_model.arm.clearance import ObstacleError
 from galen_model.arm.galen import JOINT_NAMES
+from galen_model.arm.routes import Router
 from galen_model.arrays import Array
 from galen_model.poses.order import quintic_duration_s
+from galen_model.rest.pose import PoseRecord
 
-from galen_ros.goal.arrival import ArrivalMonitor, MotionTimeoutError
-from galen_ros.goal.commands import End, MoveTo, Stop
-from galen_ros.goal.parameters import MotionParameters
-from galen_ros.goal.stamps import NS, Silence, StampClock, StampsError, WallClock
+from galen_ros.goal.arrival import (
+    NS,
+    ArrivalMonitor,
+    MotionTimeoutError,
+    PoseRecorder,
+    PoseRejection,
+    StampClock,
+    StampsError,
+)
+from galen_ros.goal.parameters import MotionParameters, PoseParameters
 
 JOINTS = "joint_states"
+# A tick of the wall clock counts at most this much towards a silence: a process that was itself
+# held up for seconds has the samples still waiting in its queues.
+_LONGEST_TICK_S = 0.25
+# Errors that lost samples may be the cause of.
+_OF_LOST_SAMPLES = ("MOTION_TIMEOUT", "POSES_NOT_STILL")
 
-CommandT = TypeVar("CommandT")
-EndT = TypeVar("EndT", bound=End)
+
+@dataclass(frozen=True)
+class MoveTo:
+    """Go to `joints` (5,), m and rad, from rest to rest in `duration_s`."""
+
+    joints: Array
+    duration_s: float
 
 
-class GoalProcedure(ABC, Generic[CommandT, EndT]):
+@dataclass(frozen=True)
+class Stop:
+    """Decelerate and stay where the arm then is."""
+
+
+@dataclass(frozen=True)
+class End:
+    """A goal is over, and the arm stands still as far as can be seen."""
+
+    error_code: IntEnum
+    error_msg: str
+
+
+class _Silence:
+    """How long a topic has brought nothing new, by the wall clock."""
+
+    def __init__(self, topic: str) -> None:
+        self.topic = topic
+        self.silent_s = 0.0
+        self._received = False
+        self._moved_on = False
+        self._ever = False
+        self._standing_still = False
+        self._stamp_ns: int | None = None
+
+    def heard(self, stamp_ns: int) -> None:
+        """Take the stamp of a sample."""
+        self._received = self._ever = True
+        if stamp_ns != self._stamp_ns:
+            self._stamp_ns = stamp_ns
+            self._moved_on = True
+
+    def tick(self, dt_s: float) -> None:
+        """Let wall time go by."""
+        self.silent_s = 0.0 if self._moved_on else self.silent_s + dt_s
+        self._standing_still = self._received and not self._moved_on
+        self._received = self._moved_on = False
+
+    def complaint(self) -> str:
+        """Return what is wrong with the topic."""
+        if self._standing_still:
+            return f"the stamps of {self.topic} have stood still for {self.silent_s:.1f} s"
+        if self._ever:
+            return f"nothing on {self.topic} for {self.silent_s:.1f} s"
+        return f"nothing has come on {self.topic}: is the driver running?"
+
+
+class GoalProcedure(ABC):
     """One goal. Call `start`, feed samples and events, and do what `take_commands` gives.
 
-    A subclass says by `_begin` what it does first. While `_waiting_for` names a service, an answer
+    A subclass begins in `_begin`. While `_waiting_for` names a service, an answer
     from it is waited for, for `service_timeout_s`.
     """
 
@@ -44,17 +110,17 @@ class GoalProcedure(ABC, Generic[CommandT, EndT]):
         """`state` is the first one."""
         self._settings = settings
         self._state = state
-        self._commands: list[CommandT | EndT | MoveTo | Stop] = []
+        self._commands: list[Any] = []
         self._arrival: ArrivalMonitor | None = None
         self._then: Callable[[], None] | None = None
         self._joints: Array | None = None
         self._stamps: dict[str, int] = {}
-        self._silences = (Silence(JOINTS), Silence(self.wrench_topic))
-        self._wall = WallClock()
+        self._silences = (_Silence(JOINTS), _Silence(self.wrench_topic))
+        self._wall_s: float | None = None
         self._waited_s = 0.0
         self._waiting_for = ""
         self._started = self._under_way = self._finished = False
-        self._ending: EndT | None = None
+        self._ending: Any = None
 
     @property
     def state(self) -> IntEnum:
@@ -76,12 +142,12 @@ class GoalProcedure(ABC, Generic[CommandT, EndT]):
     def progress(self) -> tuple[int, int]:
         """How much is done, of how much."""
 
-    def take_commands(self) -> list[CommandT | EndT | MoveTo | Stop]:
+    def take_commands(self) -> list[Any]:
         """Return the commands given since the last call, in order."""
         commands, self._commands = self._commands, []
         return commands
 
-    # ---- what a subclass says
+    # ---- for subclasses
 
     @abstractmethod
     def _begin(self) -> None:
@@ -96,7 +162,7 @@ class GoalProcedure(ABC, Generic[CommandT, EndT]):
         """Take a wrench of the goal under way."""
 
     @abstractmethod
-    def _make_end(self, code: IntEnum, message: str) -> EndT:
+    def _make_end(self, code: IntEnum, message: str) -> Any:
         """Return the end with what has come of the goal so far."""
 
     @abstractmethod
@@ -107,7 +173,7 @@ class GoalProcedure(ABC, Generic[CommandT, EndT]):
     def _report(self, message: str) -> None:
         """Give feedback."""
 
-    def _note_arrival(self, clock: StampClock) -> None:
+    def _note_arrival(self, clock: StampClock) -> None:  # noqa: B027 - most have nothing to do
         """The arm has arrived, or has not in time, by this clock of the joint states."""
 
     # ---- events
@@ -147,7 +213,8 @@ class GoalProcedure(ABC, Generic[CommandT, EndT]):
 
     def on_wall(self, now_s: float) -> None:
         """Take the time of a steady wall clock (s), some ten times a second."""
-        dt = self._wall.step(now_s)
+        last_s, self._wall_s = self._wall_s, now_s
+        dt = 0.0 if last_s is None else min(max(now_s - last_s, 0.0), _LONGEST_TICK_S)
         if self._finished or not self._started:
             return
         self._waited_s += dt
@@ -275,3 +342,124 @@ class GoalProcedure(ABC, Generic[CommandT, EndT]):
         then, self._then = self._then, None
         assert then is not None
         then()
+
+
+class PoseProcedure(GoalProcedure):
+    """Goes to poses and averages the raw reading there; a wrench is of no use on the way.
+
+    A subclass that knows of boxes sets `_router`; None: all ways are free.
+    """
+
+    wrench_topic: ClassVar[str] = "wrench_raw"
+    _settings: PoseParameters
+
+    def __init__(self, settings: PoseParameters, state: IntEnum) -> None:
+        """`state` is the first one."""
+        super().__init__(settings, state)
+        self._router: Router | None = None
+        self._ordered: Array | None = None
+        self._recorder: PoseRecorder | None = None
+        self._on_record: Callable[[PoseRecord | PoseRejection], None] | None = None
+        self._jumps = 0
+        self._last_jump = ""
+
+    def _take_joints(self, stamp_ns: int, position: Array, velocity: Array | None) -> None:
+        if self._recorder is not None:
+            self._recorder.add_joints(stamp_ns, position, velocity)
+            self._take_record()
+        else:
+            self._look_at_arrival(stamp_ns, position, velocity)
+
+    def _take_wrench(self, stamp_ns: int, wrench: Array) -> None:
+        if self._recorder is not None:
+            self._recorder.add_wrench(stamp_ns, wrench)
+            self._take_record()
+
+    def _drop_watches(self) -> None:
+        self._recorder = None
+
+    def fail(self, code: IntEnum, message: str) -> None:
+        """Stop the arm and end with this error; where samples were lost, it names the cause."""
+        if self._recorder is not None and not self.ending:
+            self._note_jumps(self._recorder.jumps, self._recorder.last_jump)
+        if self._jumps and code.name in _OF_LOST_SAMPLES:
+            message += (
+                f"; time stamps jumped {self._jumps} times: samples are lost where the machine is"
+                " overloaded; close other programs, or lower the simulated driver's speed_factor"
+            )
+        super().fail(code, message)
+
+    def _record(
+        self, target: Array, duration_s: float, then: Callable[[PoseRecord | PoseRejection], None]
+    ) -> None:
+        """Average at `target`, to which the arm goes in `duration_s`, and call `then` with it."""
+        if self.ending:
+            return
+        self._recorder = PoseRecorder(
+            self._settings.arrival,
+            self._settings.stillness,
+            self._settings.average_s,
+            target,
+            self._allowance(duration_s),
+        )
+        self._on_record = then
+
+    def _take_record(self) -> None:
+        recorder = self._recorder
+        if recorder is None or recorder.result is None or self._on_record is None:
+            return
+        self._recorder = None
+        self._note_jumps(recorder.jumps, recorder.last_jump)
+        self._on_record(recorder.result)
+
+    def _go_to(self, target: Array, then: Callable[[], None]) -> None:
+        go_straight = super()._go_to
+        self._on_the_way(target, lambda: go_straight(target, then))
+
+    def _move(self, target: Array) -> float:
+        self._ordered = target
+        return super()._move(target)
+
+    def _visit(self, target: Array, then: Callable[[PoseRecord | PoseRejection], None]) -> None:
+        """Go to `target` around all boxes, and average there."""
+        self._on_the_way(target, lambda: self._record(target, self._move(target), then))
+
+    def _on_the_way(self, target: Array, then: Callable[[], None]) -> None:
+        """Go where `target` is straight ahead, and call `then`."""
+        router, joints = self._router, self._joints
+        if router is None or joints is None or not np.all(np.isfinite(joints)):
+            then()
+            return
+        # An arm that is where it was sent is so within its tolerance; the way was looked at from
+        # the place itself.
+        near = self._settings.arrival.position_tolerance
+        sent = self._ordered
+        start = sent if sent is not None and np.all(np.abs(joints - sent) <= near) else joints
+        try:
+            way = router.route(start, target)
+        except ObstacleError as error:
+            roll, tilt = target[3:]
+            self.fail(
+                self.codes["BAD_INPUT"],
+                f"no way to roll {roll:.3f}, tilt {tilt:.3f} rad: {error}",
+            )
+            return
+        self._follow(way[:-1], then)
+
+    def _follow(self, way: list[Array], then: Callable[[], None]) -> None:
+        if not way:
+            then()
+            return
+        super()._go_to(way[0], lambda: self._follow(way[1:], then))
+
+    def _note_arrival(self, clock: StampClock) -> None:
+        self._note_jumps(clock.jumps, clock.last_jump)
+
+    def _note_jumps(self, count: int, last: str) -> None:
+        self._jumps += count
+        self._last_jump = last or self._last_jump
+
+    def _warnings(self) -> list[str]:
+        if not self._jumps:
+            return []
+        return [f"time stamps jumped {self._jumps} times; the last: {self._last_jump}"]
