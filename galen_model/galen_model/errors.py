@@ -40,15 +40,7 @@ class IdentificationError(GalenError):
 
 
 class NotExcitedError(IdentificationError):
-    """The poses don't tell what was asked; the message names what is missing."""
-
-
-class NotToldApartError(NotExcitedError):
-    """Two parameters that the poses can't tell apart; `pairs` holds their names."""
-
-    def __init__(self, message: str, pairs: tuple[tuple[str, ...], ...]) -> None:
-        super().__init__(message)
-        self.pairs = pairs
+    """The poses don't identify what was asked; the message names what is missing."""
 
 
 class ImplausibleLoadError(IdentificationError):

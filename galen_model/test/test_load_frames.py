@@ -2,8 +2,7 @@
 
 import numpy as np
 import pytest
-from galen_model.arm.galen import GRAVITY_M_S2, HOME, LIMITS
-from galen_model.arm.kinematics import gravity_in_sensor
+from galen_model.arm.galen import GALEN, GRAVITY_M_S2, HOME, LIMITS
 from galen_model.arm.pinocchio_arm import PinocchioArm
 from galen_model.files.calibration_file import LoadEstimate
 from galen_model.load.frames import (
@@ -48,7 +47,7 @@ def test_the_weight_pulls_at_the_centre_in_every_frame(frame: str) -> None:
     joints = np.array([0.05, -0.03, 0.45, 0.7, -0.4])
     rotation = PinocchioArm(TIP_M).pose(joints, frame)[0]
     place = sensor_in_frame(frame, TIP_M, joints)
-    wrench = place.wrench(gravity_wrench(gravity_in_sensor(0.7, -0.4), LOAD.load))
+    wrench = place.wrench(gravity_wrench(GALEN.gravity_in_sensor((0.7, -0.4)), LOAD.load))
     force = LOAD.mass_kg * rotation.T @ GRAVITY_M_S2
     np.testing.assert_allclose(wrench[:3], force, atol=1e-12)
     np.testing.assert_allclose(wrench[3:], np.cross(place.load(LOAD).com_m, force), atol=1e-12)

@@ -72,7 +72,9 @@ def test_loads():
 def test_a_reading_worked_out_by_hand(roll_deg, tilt_deg, gravity):
     x, y, z = 9.80665 * np.array(gravity)
     reading = nominal_reading(
-        np.radians(roll_deg), np.radians(tilt_deg), TOOLS["pointer"].load, ADAPTER
+        np.stack([np.radians(roll_deg), np.radians(tilt_deg)], axis=-1),
+        TOOLS["pointer"].load,
+        ADAPTER,
     )
     # tool: 60 g at (55, 2, 45) mm; adapter: 100 g at (0, 0, 20) mm; zeroed level with it
     force = [0.160 * x - 0.980665, 0.160 * y, 0.160 * z]

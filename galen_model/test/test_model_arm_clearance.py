@@ -10,8 +10,7 @@ from galen_model.arm.clearance import (
     ObstacleError,
     boxes_from_numbers,
 )
-from galen_model.arm.galen import HOME
-from galen_model.arm.kinematics import tip_pose
+from galen_model.arm.galen import GALEN, HOME
 from galen_model.arm.routes import Router
 from galen_model.poses.design import angle_grid
 
@@ -33,7 +32,7 @@ def test_a_wall_beside_the_tip_is_as_far_as_the_tip_says():
     wall = [0.0, 0.3, 0.0, 2.0, 0.4, 0.6]
     arm = clearance(wall)
     for roll in (0.6, 0.9, 1.2):
-        _, tip = tip_pose(at(roll, 0.5), TIP)
+        _, tip = GALEN.tip_pose(at(roll, 0.5), TIP)
         nearest = arm.nearest(at(roll, 0.5))
         assert nearest.part == "tool"
         assert nearest.distance_m == pytest.approx(0.3 - tip[1] - TOOL_RADIUS_M, abs=1e-6)
@@ -44,7 +43,9 @@ def test_points_of_the_tool_are_no_nearer_than_the_library_says():
     numbers = np.array(SIDE)
     arm = clearance(numbers)
     for joints in rng.uniform([-0.1, -0.1, 0.3, -1.5, -1.0], [0.1, 0.1, 0.5, 1.5, 0.9], (12, 5)):
-        line = np.array([tip_pose(joints, share * TIP)[1] for share in np.linspace(0.0, 1.0, 200)])
+        line = np.array(
+            [GALEN.tip_pose(joints, share * TIP)[1] for share in np.linspace(0.0, 1.0, 200)]
+        )
         outside = np.maximum(np.maximum(numbers[:3] - line, line - numbers[3:]), 0.0)
         of_points = np.min(np.linalg.norm(outside, axis=1)) - TOOL_RADIUS_M
         if of_points > 0.0:

@@ -5,33 +5,32 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from galen_model.arm.galen import HOME, SENSOR
-from galen_model.arm.kinematics import gravity_in_sensor, sensor_pose
-from galen_model.errors import CalibrationFileError
+from galen_model.arm.galen import GALEN, HOME, SENSOR
+from galen_model.errors import CalibrationFileError, NotExcitedError
 from galen_model.files.calibration_file import (
     CalibrationFile,
     LoadEstimate,
     read_calibration,
     write_calibration,
 )
-from galen_model.load.cable.drag import (
+from galen_model.load.cable import (
     FORMS,
     LearnedPull,
     attachment_derivatives,
     form_matrices,
     smooth_kernel,
 )
-from galen_model.load.cable.fit import CableSweep, _Likelihood, fit_cable, spacing_rad
-from galen_model.load.cable.learning import (
+from galen_model.load.cable_learning import (
+    CableSweep,
     NoCableError,
-    SparseSweepError,
+    _Likelihood,
+    fit_cable,
     learn_cable,
     pose_blocks,
+    spacing_rad,
 )
-from galen_model.load.cable.rivals import doubts, rivals
 from galen_model.load.model import Load, gravity_wrench
-from galen_model.load.mounting.mounting import Mounting
-from galen_model.wrench import move_wrench
+from galen_model.registration import move_wrench
 
 AT = np.array([0.09, 0.01, 0.05])
 ANCHOR = np.array([0.4, 0.3, 0.85])
@@ -58,7 +57,7 @@ def between(count=40, seed=3):
 
 def pull(joints, couple=0.0):
     """A pull towards an anchor that grows with the distance, and a couple; along ft_sensor."""
-    rotation, origin = sensor_pose(joints)
+    rotation, origin = GALEN.sensor_pose(joints)
     line = ANCHOR - origin - rotation @ AT
     length = np.linalg.norm(line, axis=1, keepdims=True)
     unit = np.einsum("nji,nj->ni", rotation, line / length)
@@ -70,7 +69,7 @@ def sweep_of(wrench, joints, seed=0, scatter=0.0):
     rng = np.random.default_rng(seed)
     std = np.tile(NOISE / np.sqrt(250.0), (len(joints), 1))
     noise = rng.normal(size=wrench.shape) * np.hypot(std, scatter * NOISE)
-    return CableSweep(joints, wrench + noise, std, NOISE, 3.0 * np.arange(len(joints)))
+    return CableSweep(joints, wrench + noise, std, NOISE)
 
 
 @pytest.fixture(scope="module")
@@ -84,7 +83,7 @@ def learned():
 
 def test_a_force_at_a_point_reads_as_a_wrench_moved_from_there():
     joints = between(5)
-    rotation, _ = sensor_pose(joints)
+    rotation, _ = GALEN.sensor_pose(joints)
     rng = np.random.default_rng(1)
     force, couple = rng.normal(size=(2, 3))
     matrices = form_matrices("point_and_couple", joints, AT)
@@ -216,42 +215,6 @@ def test_poses_at_several_places_of_the_platform_are_covered():
     assert np.abs(error[:, :3]).max() < 0.02
 
 
-# --- is it a cable? -----------------------------------------------------------------------------
-
-
-def named(sweep, found):
-    """What is warned of, for what was learned from a sweep of `a_tool`."""
-    others = rivals(a_tool(None), sweep, found)
-    texts = doubts(sweep, found, others)
-    return [name for name in others if any(name in text for text in texts)]
-
-
-def mounted(**parts):
-    tool, joints = a_tool(None), grid()
-    angles = joints[:, 3], joints[:, 4]
-    return replace(tool, mounting=Mounting(**parts)).predict(*angles) - tool.predict(*angles)
-
-
-def test_a_cable_is_taken_for_nothing_else(learned):
-    assert named(sweep_of(pull(grid()), grid()), learned) == []
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("error", "name"),
-    [
-        (
-            lambda: np.linspace(0.0, 0.2, 30)[:, None] * [1.0, -0.5, 1.0, 0.01, 0.01, -0.01],
-            "a drift of the sensor",
-        ),
-        (lambda: mounted(joint_zero_rad=np.array([0.03, -0.02])), "a joint's wrong zero"),
-    ],
-)
-def test_what_is_no_cable_is_named(error, name):
-    sweep = sweep_of(error(), grid())
-    assert named(sweep, learn_cable(sweep, WHEN, forms=["point"])) == [name]
-
-
 # --- rejections -----------------------------------------------------------------------------------
 
 
@@ -259,7 +222,7 @@ def test_where_there_is_no_cable_none_is_learned():
     joints = grid()
     with pytest.raises(NoCableError, match="no pull beyond the noise"):
         learn_cable(sweep_of(np.zeros((len(joints), 6)), joints), WHEN)
-    load = gravity_wrench(gravity_in_sensor(joints[:, 3], joints[:, 4]), Load(0.004, AT))
+    load = gravity_wrench(GALEN.gravity_in_sensor(joints[:, 3:]), Load(0.004, AT))
     with pytest.raises(NoCableError, match="another load explains it"):
         learn_cable(sweep_of(load, joints), WHEN, forms=["point"])
     with pytest.raises(NoCableError, match="does not tell of the others"):
@@ -276,7 +239,7 @@ def test_where_there_is_no_cable_none_is_learned():
     ],
 )
 def test_a_sweep_that_is_too_sparse_is_rejected(joints, words):
-    with pytest.raises(SparseSweepError, match=words):
+    with pytest.raises(NotExcitedError, match=words):
         learn_cable(sweep_of(pull(joints), joints), WHEN)
 
 

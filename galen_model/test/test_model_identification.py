@@ -4,7 +4,7 @@ import re
 
 import numpy as np
 import pytest
-from galen_model.arm.kinematics import gravity_in_sensor
+from galen_model.arm.galen import GALEN
 from galen_model.errors import IdentificationError, ImplausibleLoadError, NotExcitedError
 from galen_model.load.identification import (
     StillPoses,
@@ -29,11 +29,13 @@ def grid(tilts=7, rolls=8, roll=1.5, tilt=(-1.0, 0.9)):
 def sweeps(tool, rng, noise=SIGMA, drift=0.0, poses=None):
     roll, tilt = poses if poses is not None else grid()
     zeroing = noise * rng.standard_normal(6)
-    bare = nominal_reading(roll, tilt, NO_TOOL, ADAPTER) + zeroing
-    with_tool = nominal_reading(roll, tilt, tool, ADAPTER) + zeroing + drift
+    bare = nominal_reading(np.stack([roll, tilt], axis=-1), NO_TOOL, ADAPTER) + zeroing
+    with_tool = nominal_reading(np.stack([roll, tilt], axis=-1), tool, ADAPTER) + zeroing + drift
     return (
-        StillPoses(roll, tilt, bare + noise * rng.standard_normal(bare.shape)),
-        StillPoses(roll, tilt, with_tool + noise * rng.standard_normal(bare.shape)),
+        StillPoses(np.stack([roll, tilt], axis=-1), bare + noise * rng.standard_normal(bare.shape)),
+        StillPoses(
+            np.stack([roll, tilt], axis=-1), with_tool + noise * rng.standard_normal(bare.shape)
+        ),
     )
 
 
@@ -87,8 +89,10 @@ def cramer_rao(roll, tilt, tool):
 
     def stacked(x, o_bare, o_tool):
         adapter, load = Load(x[4], x[5:8]), Load(x[0], x[1:4])
-        bare = nominal_reading(roll, tilt, NO_TOOL, adapter) + o_bare
-        return np.concatenate([bare, nominal_reading(roll, tilt, load, adapter) + o_tool])
+        bare = nominal_reading(np.stack([roll, tilt], axis=-1), NO_TOOL, adapter) + o_bare
+        return np.concatenate(
+            [bare, nominal_reading(np.stack([roll, tilt], axis=-1), load, adapter) + o_tool]
+        )
 
     columns = []
     for index in range(20):
@@ -147,7 +151,7 @@ def test_poses_that_do_not_turn_are_rejected_by_name():
     same = (np.full(56, 0.2), np.full(56, 0.1))
     with pytest.raises(NotExcitedError, match=r"the tool's mass.*0.000 rad of roll"):
         identify_two_sweeps(*sweeps(tool, rng, poses=same))
-    with pytest.raises(NotExcitedError, match="times less than well-spread"):
+    with pytest.raises(NotExcitedError, match="times less information than well-spread"):
         identify_two_sweeps(*sweeps(tool, rng, poses=grid(roll=0.05, tilt=(-0.05, 0.05))))
     still_good = identify_two_sweeps(*sweeps(tool, rng, poses=grid(roll=0.3, tilt=(-0.3, 0.3))))
     assert np.all(np.abs(estimate(still_good) - truth(tool)) < 5 * stated_std(still_good))
@@ -172,7 +176,7 @@ def test_mass_that_is_not_positive_is_rejected():
     nothing, still_nothing = sweeps(NO_TOOL, rng)
     with pytest.raises(ImplausibleLoadError, match="the tool"):
         identify_two_sweeps(nothing, still_nothing)
-    flipped = [StillPoses(s.roll, s.tilt, -s.wrench) for s in (bare, with_tool)]
+    flipped = [StillPoses(s.angles, -s.wrench) for s in (bare, with_tool)]
     with pytest.raises(ImplausibleLoadError, match="direction of the push"):
         identify_two_sweeps(*flipped)
 
@@ -183,8 +187,11 @@ def test_one_sweep_compensates_fully_and_says_what_it_can_not_know():
     found = identify_one_sweep(with_tool)
     # predictions at poses of its own, not at the sweep's
     roll, tilt = rng.uniform(-1.5, 1.5, 200), rng.uniform(-1.0, 0.9, 200)
-    expected = nominal_reading(roll, tilt, tool, ADAPTER)
-    predicted = nominal_reading(roll, tilt, found.load.load, found.adapter.load) + found.offset
+    expected = nominal_reading(np.stack([roll, tilt], axis=-1), tool, ADAPTER)
+    predicted = (
+        nominal_reading(np.stack([roll, tilt], axis=-1), found.load.load, found.adapter.load)
+        + found.offset
+    )
     assert np.all(np.sqrt(np.mean((predicted - expected) ** 2, axis=0)) < 2.5 * SIGMA)
     total = tool.moments[1] + ADAPTER.moments[1]  # gravity at home is along the sensor's x
     both = found.load.load.moments[1] + found.adapter.load.moments[1]
@@ -193,16 +200,6 @@ def test_one_sweep_compensates_fully_and_says_what_it_can_not_know():
     # what isn't known is stated as wide, what is known as narrow
     assert found.load.com_std_m[0] > 0.02
     assert found.load.com_std_m[1] < 1e-3
-
-
-def test_one_sweep_with_a_known_adapter_knows_everything():
-    tool, rng = TOOLS["retractor"].load, np.random.default_rng(12)
-    bare, with_tool = sweeps(tool, rng)
-    earlier = identify_two_sweeps(bare, with_tool)
-    found = identify_one_sweep(with_tool, known_adapter=earlier.adapter)
-    assert found.unresolved == ()
-    assert np.all(np.abs(estimate(found) - truth(tool)) < 5 * stated_std(found))
-    assert found.load.com_std_m[0] < 1e-3
 
 
 @pytest.mark.slow
@@ -296,27 +293,27 @@ def test_a_bias_drift_within_a_sweep_is_told():
 
 def test_readings_without_scatter_give_a_readable_warning():
     bare, with_tool = sweeps(TOOLS["pointer"].load, np.random.default_rng(16))
-    quiet = [StillPoses(s.roll, s.tilt, s.wrench, np.zeros((56, 6))) for s in (bare, with_tool)]
+    quiet = [StillPoses(s.angles, s.wrench, np.zeros((56, 6))) for s in (bare, with_tool)]
     assert all(len(text) < 200 for text in identify_two_sweeps(*quiet).warnings)
 
 
 def test_sweep_shapes_are_checked():
     roll, tilt = grid()
     with pytest.raises(IdentificationError, match="shape"):
-        StillPoses(roll, tilt, np.zeros((55, 6)))
+        StillPoses(np.stack([roll, tilt], axis=-1), np.zeros((55, 6)))
     with pytest.raises(IdentificationError, match=r"wrench .* non-finite"):
-        StillPoses(roll, tilt, np.full((56, 6), np.nan))
-    assert gravity_in_sensor(0.0, 0.0) == pytest.approx([9.80665, 0, 0])
+        StillPoses(np.stack([roll, tilt], axis=-1), np.full((56, 6), np.nan))
+    assert GALEN.gravity_in_sensor((0.0, 0.0)) == pytest.approx([9.80665, 0, 0])
 
 
 def test_planned_poses_are_judged_before_the_arm_moves():
-    check_planned_poses(*grid())
-    check_planned_poses(*grid(2, 3), one_sweep=True)
+    check_planned_poses(np.stack(grid(), axis=-1))
+    check_planned_poses(np.stack(grid(2, 3), axis=-1), one_sweep=True)
     for one_sweep in (False, True):
         with pytest.raises(NotExcitedError, match="each sweep: 1 still poses; at least 4"):
-            check_planned_poses(*grid(1, 1), one_sweep=one_sweep)
+            check_planned_poses(np.stack(grid(1, 1), axis=-1), one_sweep=one_sweep)
         with pytest.raises(NotExcitedError, match=r"the tool's centre along \w"):
-            check_planned_poses(np.full(8, 0.3), np.full(8, 0.1), one_sweep=one_sweep)
+            check_planned_poses(np.tile([0.3, 0.1], (8, 1)), one_sweep=one_sweep)
 
 
 @pytest.mark.slow

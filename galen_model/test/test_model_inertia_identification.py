@@ -2,18 +2,16 @@
 
 import numpy as np
 import pytest
-from galen_model.arm.galen import ENCODER_QUANTUM, HOME, SENSOR
-from galen_model.arm.kinematics import gravity_in_sensor
+from galen_model.arm.galen import ENCODER_QUANTUM, GALEN, HOME, SENSOR
 from galen_model.arm.sensor_motion import sensor_motion
 from galen_model.errors import IdentificationError, NotExcitedError
 from galen_model.files.calibration_file import CalibrationFile, LoadEstimate
-from galen_model.load.inertia.identification import identify_inertia, total_moments
-from galen_model.load.inertia.inertial import (
+from galen_model.load.inertia import (
     inertial_regressor,
     inertial_wrench,
     point_mass_inertia,
 )
-from galen_model.load.inertia.motion_record import motion_record
+from galen_model.load.inertia_identification import identify_inertia, motion_record, total_moments
 from galen_model.load.model import Load
 
 TOOL, ADAPTER = Load(0.2, np.array([0.07, -0.01, 0.055])), Load(0.1, np.array([0, 0, 0.02]))
@@ -44,7 +42,7 @@ def recording(seed, duration_s=20.0, rate_hz=250.0, size=SIZE, late_s=0.0, momen
     q, _, _ = motion(times, size)
     felt, v, a = motion(times - late_s, size)  # a late wrench is late with its weight as well
     moving = sensor_motion(felt, v, a)
-    specific = gravity_in_sensor(felt[:, 3], felt[:, 4]) - moving[2]
+    specific = GALEN.gravity_in_sensor(felt[:, 3:]) - moving[2]
     wrench = inertial_wrench(specific, moving[0], moving[1], moments, INERTIA)
     wrench += np.array([0.4, 0.0, -0.2, 0.001, 0.02, -0.01])
     wrench += SENSOR.noise_std * rng.standard_normal(wrench.shape)
@@ -61,7 +59,7 @@ def cramer_rao_std(rate_hz=250.0, duration_s=20.0):
     times = np.arange(0.0, duration_s, 1.0 / rate_hz)
     q, v, a = motion(times)
     moving = sensor_motion(q, v, a)
-    gravity = gravity_in_sensor(q[:, 3], q[:, 4])
+    gravity = GALEN.gravity_in_sensor(q[:, 3:])
     design = np.zeros((len(q), 6, 17))
     design[..., :10] = inertial_regressor(gravity - moving[2], moving[0], moving[1])
     design[..., 10:16] = np.eye(6)

@@ -13,7 +13,7 @@ from galen_model.files.calibration_file import (
     read_calibration,
     write_calibration,
 )
-from galen_model.load.inertia.inertial import (
+from galen_model.load.inertia import (
     InertiaEstimate,
     LoadInMotion,
     inertia_matrix,

@@ -4,7 +4,7 @@ import itertools
 
 import numpy as np
 import pytest
-from galen_model.arm.kinematics import gravity_in_sensor
+from galen_model.arm.galen import GALEN
 from galen_model.load.identification import (
     StillPoses,
     one_sweep_prior,
@@ -32,7 +32,7 @@ def random_poses(rng, count):
 
 def both_loads(design):
     """From all parameters to the sum of both loads and what the tool's sweep adds to it."""
-    at_zero = gravity_regressor(gravity_in_sensor(*BIAS))
+    at_zero = gravity_regressor(GALEN.gravity_in_sensor(BIAS))
     matrix = np.zeros((10, design))
     matrix[:4, :4] = matrix[:4, 4:8] = np.eye(4)
     matrix[4:, 4:8] = -at_zero
@@ -44,7 +44,7 @@ def workspace_error(covariance):
     """Mean variance of G x + c over the workspace and axes, in readings; written out again."""
     poses = angle_grid(*ANGLE_LIMITS, 25, 25)
     total = 0.0
-    for gravity in gravity_in_sensor(*poses.T):
+    for gravity in GALEN.gravity_in_sensor(poses):
         row = np.hstack([gravity_regressor(gravity), np.eye(6)])
         total += np.mean(np.diag(row @ covariance @ row.T) / SIGMA**2)
     return total / len(poses)
@@ -52,8 +52,8 @@ def workspace_error(covariance):
 
 def test_the_criterion_is_what_two_sweeps_leave():
     poses = random_poses(np.random.default_rng(1), 9)
-    gravity = StillPoses(*poses.T, np.zeros((9, 6))).gravity
-    rows, zero = gravity_regressor(gravity), gravity_regressor(gravity_in_sensor(*BIAS))
+    gravity = StillPoses(poses, np.zeros((9, 6))).gravity
+    rows, zero = gravity_regressor(gravity), gravity_regressor(GALEN.gravity_in_sensor(BIAS))
     design = two_sweeps_design(rows - zero, rows, zero) / SIGMA[:, None]
     covariance = np.linalg.inv(np.einsum("nkp,nkq->pq", design, design))
     matrix = both_loads(20)
@@ -69,13 +69,13 @@ def test_the_criterion_is_what_two_sweeps_leave():
 
 def test_the_criterion_is_what_one_sweep_leaves():
     poses = random_poses(np.random.default_rng(2), 7)
-    rows = gravity_regressor(gravity_in_sensor(*poses.T))
-    at_zero = gravity_in_sensor(*BIAS)
+    rows = gravity_regressor(GALEN.gravity_in_sensor(poses))
+    at_zero = GALEN.gravity_in_sensor(BIAS)
     design = np.zeros((7, 6, 14))
     design[:, :, :4], design[:, :, 4:8] = rows, rows - gravity_regressor(at_zero)
     design[:, :, 8:] = np.eye(6)
     scaled = design / SIGMA[:, None]
-    prior, _, std = one_sweep_prior(at_zero, None)
+    prior, _, std = one_sweep_prior(at_zero)
     information = np.einsum("nkp,nkq->pq", scaled, scaled)
     information += (prior / std[:, None] ** 2).T @ prior
     information[8:, 8:] += np.diag(1.0 / SIGMA**2)
@@ -89,7 +89,10 @@ def test_the_criterion_is_what_one_sweep_leaves():
 def test_the_std_is_that_of_fits_to_noise():
     rng = np.random.default_rng(3)
     poses, unseen = random_poses(rng, 8), angle_grid(*ANGLE_LIMITS, 9, 9)
-    gravity, there = gravity_in_sensor(*poses.T), gravity_regressor(gravity_in_sensor(*unseen.T))
+    gravity, there = (
+        GALEN.gravity_in_sensor(poses),
+        gravity_regressor(GALEN.gravity_in_sensor(unseen)),
+    )
     even = np.array([0.02] * 3 + [4e-4] * 3)  # plain least squares counts the axes alike
     errors = []
     for _ in range(300):

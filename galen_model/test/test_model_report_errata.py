@@ -6,17 +6,16 @@ one; R0 at home; f_t, f_b weights in the base-parallel frame; p_t, p_b centres i
 
 import numpy as np
 import pytest
-from galen_model.arm.galen import GRAVITY_M_S2
-from galen_model.arm.kinematics import sensor_rotation
+from galen_model.arm.galen import GALEN, GRAVITY_M_S2
 from galen_model.load.model import nominal_reading
 from galen_model.load.nominal_tools import ADAPTER, TOOLS
+from galen_model.registration import adjoint
 from galen_model.rotation import skew
-from galen_model.wrench import adjoint
 
 ROLL, TILT = (a.ravel() for a in np.meshgrid(np.linspace(-1.5, 1.5, 8), np.linspace(-1, 0.9, 7)))
-R = sensor_rotation(ROLL, TILT)
+R = GALEN.rotation(np.stack([ROLL, TILT], axis=-1))
 RT = np.swapaxes(R, 1, 2)
-R0 = sensor_rotation(0.0, 0.0)
+R0 = GALEN.rotation((0.0, 0.0))
 F_B = ADAPTER.mass_kg * GRAVITY_M_S2
 P_B = np.asarray(ADAPTER.com_m)
 
@@ -30,7 +29,7 @@ def test_sound_force_and_torque_equations_are_the_model(tool):
     f_t = tool.mass_kg * GRAVITY_M_S2
     force = RT @ f_t + (RT - R0.T) @ F_B
     torque = -RT @ skew(f_t) @ R @ tool.com_m - (RT @ skew(F_B) @ R - R0.T @ skew(F_B) @ R0) @ P_B
-    reading = nominal_reading(ROLL, TILT, tool, ADAPTER)
+    reading = nominal_reading(np.stack([ROLL, TILT], axis=-1), tool, ADAPTER)
     np.testing.assert_allclose(reading[:, :3], force, atol=1e-14)
     np.testing.assert_allclose(reading[:, 3:], torque, atol=1e-14)
 
@@ -84,7 +83,7 @@ def test_printed_eq_7_leaves_bias_torque_on_its_right_side(tool, right_form):
     Both miss the tool's centre by millimetres, without any noise.
     """
     f_t = tool.mass_kg * GRAVITY_M_S2
-    torque = nominal_reading(ROLL, TILT, tool, ADAPTER)[:, 3:]
+    torque = nominal_reading(np.stack([ROLL, TILT], axis=-1), tool, ADAPTER)[:, 3:]
     taken_off = {
         "R(theta) for R(0)": -(RT @ skew(F_B) @ R - RT @ skew(F_B) @ R) @ P_B,
         "f_t for f_b": -(RT @ skew(f_t) @ R - R0.T @ skew(f_t) @ R0) @ P_B,
@@ -102,7 +101,7 @@ def test_printed_eqs_9_to_11_with_a_constant_p_miss_the_torque(tool):
     Frame t stands at the centre of mass, parallel to the base; the sensor's origin in t is -R p_t.
     """
     weight = np.concatenate([tool.mass_kg * GRAVITY_M_S2, np.zeros(3)])
-    reading = nominal_reading(ROLL, TILT, tool, type(tool)(0.0))
+    reading = nominal_reading(np.stack([ROLL, TILT], axis=-1), tool, type(tool)(0.0))
     sound, printed = [], []
     for rotation in R:
         transform = np.eye(4)

@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 from galen_model.arm.galen import ENCODER_QUANTUM, HOME
-from galen_model.rest.rule import allowed_travel
-from galen_model.rest.segments import JointRest, rest_by_joints
+from galen_model.rest.segments import JointRest, allowed_travel, rest_by_joints
 from galen_model.rest.windows import WINDOW_S, StillWindows
 
 NS = 1_000_000_000
@@ -142,7 +141,7 @@ def test_a_live_stream_and_a_recording_are_at_rest_at_the_same_times(seed):
     windows = [
         (window.start_ns, window.end_ns)
         for stamp, row in zip(stamps.tolist(), joints, strict=True)
-        if (window := live.push(stamp, row[3], row[4], rng.standard_normal(6)))
+        if (window := live.push(stamp, row[3:], rng.standard_normal(6)))
     ]
     # A window holds no more travel than its band to both sides, nor does a part of it.
     band = allowed_travel(1e-3, WINDOW_S, ENCODER_QUANTUM, steps=2.0)

@@ -3,8 +3,6 @@
 import numpy as np
 import pytest
 from galen_model.arm.galen import GALEN, HOME, LIMITS
-from galen_model.arm.kinematics import joint_axes, sensor_pose, tip_pose
-from galen_model.arm.stiffness import deflection, platform_stiffness, tip_compliance
 from galen_model.rotation import rotvec_to_matrix
 
 TIP = np.array([0.15, 0.0, 0.05])
@@ -12,14 +10,14 @@ TIP = np.array([0.15, 0.0, 0.05])
 
 def test_flange_stiffness_at_home():
     """66, 10.5 and 36 N/mm in x, y, z: computed independently for the study of this arm."""
-    compliance = tip_compliance(HOME, np.zeros(3))
+    compliance = GALEN.tip_compliance(HOME, np.zeros(3))
     np.testing.assert_allclose(1.0 / np.diag(compliance)[:3] / 1e3, [66.0, 10.5, 36.0], rtol=0.01)
 
 
 def test_compliance_is_symmetric_and_positive():
     rng = np.random.default_rng(1)
     for q in rng.uniform(LIMITS.lower, LIMITS.upper, (20, 5)):
-        compliance = tip_compliance(q, TIP)
+        compliance = GALEN.tip_compliance(q, TIP)
         np.testing.assert_allclose(compliance, compliance.T, rtol=1e-9, atol=1e-15)
         assert np.linalg.eigvalsh(compliance).min() > 0.0
 
@@ -53,21 +51,24 @@ def test_platform_stiffness_equals_the_rods_strain_energy():
             k, kq = GALEN.rod_stiffness_n_m, GALEN.carriage_stiffness_n_m
             yield_m = k * nz * mine.sum() / (kq + 2 * k * nz**2)
             energy += 0.5 * kq * yield_m**2 + 0.5 * k * np.sum((mine - nz * yield_m) ** 2)
-        assert 0.5 * twist @ platform_stiffness(p) @ twist == pytest.approx(energy, rel=1e-4)
+        assert 0.5 * twist @ GALEN.delta.platform_stiffness(p) @ twist == pytest.approx(
+            energy, rel=1e-4
+        )
 
 
 def test_roll_spring_alone():
     """With the rest rigid, a moment about the roll axis turns the tip about that axis."""
     stiff = GALEN.with_stiffness({"carriage": 1e15, "rod": 1e15, "tilt": 1e15})
     q = np.array([0.02, 0.01, 0.42, 0.4, -0.3])
-    rotation, origin = sensor_pose(q)
-    _, tip = tip_pose(q, TIP)
-    point, axis, _, _ = joint_axes(q)
+    rotation, origin = GALEN.sensor_pose(q)
+    _, tip = GALEN.tip_pose(q, TIP)
+    points, axes = GALEN.joint_axes(q)
+    point, axis = points[3], axes[3]
     force_base = np.array([0.0, 3.0, -1.0])
     wrench = np.concatenate([rotation.T @ force_base, np.zeros(3)])
     angle = axis @ np.cross(origin - point, force_base) / 2000.0
     expected = np.concatenate([np.cross(axis * angle, tip - point), axis * angle])
-    np.testing.assert_allclose(deflection(q, wrench, TIP, stiff), expected, rtol=1e-6, atol=1e-12)
+    np.testing.assert_allclose(stiff.deflection(q, wrench, TIP), expected, rtol=1e-6, atol=1e-12)
 
 
 @pytest.mark.parametrize("platform", [(0.0, 0.0, 0.408), (0.06, -0.04, 0.45), (-0.05, 0.07, 0.35)])

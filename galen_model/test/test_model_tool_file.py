@@ -9,7 +9,7 @@ import time
 
 import numpy as np
 import pytest
-from galen_model.arm.kinematics import gravity_in_sensor
+from galen_model.arm.galen import GALEN
 from galen_model.errors import CalibrationFileError, ToolNameError
 from galen_model.files.calibration_file import (
     calibration_path,
@@ -40,8 +40,11 @@ def test_what_is_written_is_read_back(tmp_path):
     assert again.to_json() == tool.to_json()
     assert "unresolved" not in json.loads(path.read_text())
     roll, tilt = np.array([0.3, -1.0]), np.array([0.1, 0.7])
-    expected = nominal_reading(roll, tilt, TOOLS["pointer"].load, ADAPTER) + tool.residual_offset
-    np.testing.assert_allclose(again.predict(roll, tilt), expected, atol=1e-14)
+    expected = (
+        nominal_reading(np.stack([roll, tilt], axis=-1), TOOLS["pointer"].load, ADAPTER)
+        + tool.residual_offset
+    )
+    np.testing.assert_allclose(again.predict(np.stack([roll, tilt], axis=-1)), expected, atol=1e-14)
 
 
 def schema_1(roll=0.3, tilt=-0.2, gravity=-9.8):
@@ -60,18 +63,27 @@ def test_a_file_of_schema_1_is_read_as_before(tmp_path):
     path = tmp_path / "pointer.json"
     path.write_text(json.dumps(schema_1()))
     file = read_calibration(path)
-    at_zero = gravity_in_sensor(0.3, -0.2) * 9.8 / 9.80665
+    at_zero = GALEN.gravity_in_sensor((0.3, -0.2)) * 9.8 / 9.80665
     np.testing.assert_allclose(file.gravity_at_zeroing, at_zero, rtol=1e-15)
-    assert file.zero_pose_rad == (0.3, -0.2) and file.arm.name == "galen" and not file.arm_warning
+    assert (
+        file.zero_angles.tolist() == [0.3, -0.2]
+        and file.arm.name == "galen"
+        and not file.arm_warning
+    )
     roll, tilt = np.array([0.3, -1.0]), np.array([0.1, 0.7])
     expected = (
-        nominal_reading(roll, tilt, TOOLS["pointer"].load, ADAPTER, 0.3, -0.2) * 9.8 / 9.80665
+        nominal_reading(
+            np.stack([roll, tilt], axis=-1), TOOLS["pointer"].load, ADAPTER, (0.3, -0.2)
+        )
+        * 9.8
+        / 9.80665
     )
-    np.testing.assert_allclose(file.predict(roll, tilt), expected, atol=1e-14)
+    np.testing.assert_allclose(file.predict(np.stack([roll, tilt], axis=-1)), expected, atol=1e-14)
     write_calibration(path, file)
     assert json.loads(path.read_text())["schema_version"] == 2
     np.testing.assert_array_equal(
-        read_calibration(path).predict(roll, tilt), file.predict(roll, tilt)
+        read_calibration(path).predict(np.stack([roll, tilt], axis=-1)),
+        file.predict(np.stack([roll, tilt], axis=-1)),
     )
 
 
@@ -97,9 +109,9 @@ def test_another_urdf_of_the_same_arm_is_a_warning(tmp_path):
 def test_without_a_zeroing_the_adapter_is_weighed_like_the_tool(tmp_path):
     path = tmp_path / "pointer.json"
     write_calibration(path, calibration(zeroing=None))
-    both = nominal_reading(0.3, 0.1, TOOLS["pointer"].load, Load(0.0))
-    both = both + nominal_reading(0.3, 0.1, ADAPTER, Load(0.0))
-    np.testing.assert_allclose(read_calibration(path).predict(0.3, 0.1), both, atol=1e-14)
+    both = nominal_reading((0.3, 0.1), TOOLS["pointer"].load, Load(0.0))
+    both = both + nominal_reading((0.3, 0.1), ADAPTER, Load(0.0))
+    np.testing.assert_allclose(read_calibration(path).predict((0.3, 0.1)), both, atol=1e-14)
 
 
 def test_the_old_file_is_kept_as_bak(tmp_path):

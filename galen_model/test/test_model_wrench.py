@@ -1,6 +1,7 @@
 """Wrench algebra: power is the same in every frame, and forces act where they act."""
 
 import numpy as np
+from galen_model.registration import adjoint, move_twist, move_wrench
 from galen_model.rotation import (
     matrix_to_quaternion,
     quaternion_to_matrix,
@@ -10,7 +11,6 @@ from galen_model.rotation import (
     rotvec_to_matrix,
     skew,
 )
-from galen_model.wrench import adjoint, move_twist, move_wrench
 
 
 def random_transform(rng):

@@ -83,11 +83,13 @@ def test_the_worst_case_is_the_largest_over_the_workspace() -> None:
     comparison = compare_calibrations(POINTER, other)
     rng = np.random.default_rng(5)
     roll, tilt = rng.uniform(LIMITS.lower[3:], LIMITS.upper[3:], (20000, 2)).T
-    difference = other.predict(roll, tilt) - POINTER.predict(roll, tilt)
+    difference = other.predict(np.stack([roll, tilt], axis=-1)) - POINTER.predict(
+        np.stack([roll, tilt], axis=-1)
+    )
     for worst, part in ((comparison.worst_force, slice(3)), (comparison.worst_torque, slice(3, 6))):
         drawn = np.linalg.norm(difference[:, part], axis=1).max()
         assert drawn * (1 - 1e-3) < worst.size < drawn * (1 + 1e-3)
-        there = other.predict(*worst.at_rad) - POINTER.predict(*worst.at_rad)
+        there = other.predict(worst.at_rad) - POINTER.predict(worst.at_rad)
         assert np.linalg.norm(there[part]) == pytest.approx(worst.size)
     assert compare_calibrations(POINTER, POINTER).worst_force.size == 0.0
 

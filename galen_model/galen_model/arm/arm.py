@@ -15,7 +15,7 @@ joints alone: `Arm.turning` are their places, and an array of their values is ca
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, Literal
@@ -26,8 +26,8 @@ from numpy.typing import ArrayLike
 from galen_model.arm.delta import LinearDelta
 from galen_model.arrays import Array
 from galen_model.errors import KinematicsError
+from galen_model.registration import move_wrench
 from galen_model.rotation import about, skew
-from galen_model.wrench import move_wrench
 
 STANDARD_GRAVITY_M_S2 = 9.80665
 
@@ -43,50 +43,63 @@ Components = tuple[Any, Any, Any]
 """Components of a vector: floats, or arrays of one shape."""
 
 
-class _Fixed:
-    """A constant rotation R; where it only swaps axes, components keep their last bit."""
-
-    def __init__(self, rotation: Array) -> None:
-        exact = np.round(rotation)
-        self._swap: list[tuple[int, bool]] | None = None
-        if np.allclose(rotation, exact, rtol=0.0, atol=1e-15):
-            places = np.argmax(np.abs(exact), axis=0)
-            self._swap = [(int(i), bool(exact[i, k] > 0.0)) for k, i in enumerate(places)]
-        self._columns = rotation.T.tolist()
-
-    def turned_back(self, parts: Components) -> Components:
-        """R^T v."""
-        if self._swap is not None:
-            x, y, z = (parts[i] if positive else -parts[i] for i, positive in self._swap)
-        else:
-            x, y, z = (a * parts[0] + b * parts[1] + c * parts[2] for a, b, c in self._columns)
-        return x, y, z
+Turn = Callable[[Components, Any, Any], Components]
+"""Rot(a, q)^T v of v, cos q and sin q."""
 
 
-class _About:
-    """A rotation about a joint's axis; about one of the frame's own axes it takes four products."""
+def _about_x(parts: Components, cos: Any, sin: Any) -> Components:
+    x, y, z = parts
+    return x, y * cos + z * sin, z * cos - y * sin
 
-    def __init__(self, axis: Array) -> None:
-        own = [k for k in range(3) if abs(axis[k]) == 1.0]
-        self._own = own[0] if own else None
-        self._axis: tuple[float, ...] = tuple(axis.tolist())
 
-    def turned_back(self, parts: Components, cos: Any, sin: Any) -> Components:
-        """Rot(a, q)^T v; Rodrigues' formula where the axis isn't one of the frame's own."""
+def _about_y(parts: Components, cos: Any, sin: Any) -> Components:
+    x, y, z = parts
+    return x * cos - z * sin, y, z * cos + x * sin
+
+
+def _about_z(parts: Components, cos: Any, sin: Any) -> Components:
+    x, y, z = parts
+    return x * cos + y * sin, y * cos - x * sin, z
+
+
+def _about(axis: Array) -> Turn:
+    """Return the turn about a unit axis (3,), by Rodrigues' formula."""
+    a, b, c = axis.tolist()
+
+    def turn(parts: Components, cos: Any, sin: Any) -> Components:
         x, y, z = parts
-        a, b, c = self._axis
-        if self._own == 0:
-            return x, y * cos + z * (a * sin), z * cos - y * (a * sin)
-        if self._own == 1:
-            return x * cos - z * (b * sin), y, z * cos + x * (b * sin)
-        if self._own == 2:
-            return x * cos + y * (c * sin), y * cos - x * (c * sin), z
         along = (a * x + b * y + c * z) * (1.0 - cos)
         return (
             x * cos - (b * z - c * y) * sin + a * along,
             y * cos - (c * x - a * z) * sin + b * along,
             z * cos - (a * y - b * x) * sin + c * along,
         )
+
+    return turn
+
+
+def _joint_turn(joint: Joint) -> Turn:
+    own = {(1.0, 0.0, 0.0): _about_x, (0.0, 1.0, 0.0): _about_y, (0.0, 0.0, 1.0): _about_z}
+    about = own.get(tuple(joint.axis.tolist())) or _about(joint.axis)
+    if joint.rotation is None:
+        return about
+    fixed = _fixed(joint.rotation)
+    return lambda parts, cos, sin: about(fixed(parts), cos, sin)
+
+
+def _fixed(rotation: Array) -> Callable[[Components], Components]:
+    """Return R^T v; where R only swaps axes, components keep their last bit."""
+    columns = rotation.T.tolist()
+    exact = np.round(rotation)
+    if np.allclose(rotation, exact, rtol=0.0, atol=1e-15):
+        (i, j, k), (a, b, c) = np.argmax(np.abs(exact), axis=0).tolist(), exact.sum(axis=0).tolist()
+        return lambda parts: (a * parts[i], b * parts[j], c * parts[k])
+
+    def turned(parts: Components) -> Components:
+        x, y, z = (a * parts[0] + b * parts[1] + c * parts[2] for a, b, c in columns)
+        return x, y, z
+
+    return turned
 
 
 @dataclass(frozen=True)
@@ -191,6 +204,11 @@ class Arm:
         """Names of the revolute joints (k)."""
         return tuple(self.joint_names[k] for k in self.turning)
 
+    @cached_property
+    def home_angles(self) -> Array:
+        """Values (k,) of the revolute joints at home, rad."""
+        return constant(*(self.joints[k].home for k in self.turning))
+
     def angles(self, joints: ArrayLike) -> Array:
         """Values (..., k) of the revolute joints, rad."""
         return np.asarray(joints, dtype=float)[..., self.turning]
@@ -233,21 +251,17 @@ class Arm:
         return np.stack(np.broadcast_arrays(*parts, angles[..., 0])[:3], axis=-1)
 
     def components_in_sensor(
-        self, direction: Components, cosines: Sequence[Any], sines: Sequence[Any]
+        self, direction: Components, cosines: Iterable[Any], sines: Iterable[Any]
     ) -> Components:
         """As `direction_in_sensor`, of the angles' cosines and sines (k): floats or arrays."""
         parts = direction
-        k = 0
-        for step in self._turns_back:
-            if isinstance(step, _Fixed):
-                parts = step.turned_back(parts)
-            else:
-                parts = step.turned_back(parts, cosines[k], sines[k])
-                k += 1
-        return parts
+        for turn, cos, sin in zip(self.turns, cosines, sines, strict=True):
+            parts = turn(parts, cos, sin)
+        return self.into_sensor(parts)
 
-    def gravity_in_sensor(self, angles: ArrayLike) -> Array:
-        """Gravity (..., 3) in the sensor's frame at angles (..., k), m/s^2."""
+    def gravity_in_sensor(self, angles: ArrayLike | None) -> Array:
+        """Gravity (..., 3) in the sensor's frame at angles (..., k), or at home for None, m/s^2."""
+        angles = self.home_angles if angles is None else angles
         size = float(np.linalg.norm(self.gravity_m_s2))
         return self.direction_in_sensor(angles, self.gravity_m_s2 / size) * size
 
@@ -324,17 +338,6 @@ class Arm:
         wrench = move_wrench(applied_wrench, rotation, origin - tip)
         return self.tip_compliance(joints, tip_m) @ wrench
 
-    @cached_property
-    def _turns_back(self) -> tuple[_Fixed | _About, ...]:
-        """The rotations from base to sensor, one after another."""
-        steps: list[_Fixed | _About] = []
-        for joint in self.joints:
-            if joint.rotation is not None:
-                steps.append(_Fixed(joint.rotation))
-            if joint.kind == "revolute":
-                steps.append(_About(joint.axis))
-        return (*steps, _Fixed(self.sensor_rotation))
-
     # Names of before, until every package has switched
     platform_to_roll_m = property(lambda self: self.joints[3].origin_m)
     roll_to_tilt_m = property(lambda self: self.joints[4].origin_m)
@@ -350,6 +353,29 @@ class Arm:
     leg_angles_rad = property(lambda self: self.delta.leg_angles_rad)
     carriage_travel_m = property(lambda self: self.delta.carriage_travel_m)
     delta_radius_m = property(lambda self: self.delta.radius_m)
+
+    @cached_property
+    def turns(self) -> tuple[Turn, ...]:
+        """The turn back at each revolute joint, the fixed rotations before it included."""
+        turns: list[Turn] = []
+        fixed: Array | None = None
+        for joint in self.joints:
+            if joint.rotation is not None:
+                fixed = joint.rotation if fixed is None else fixed @ joint.rotation
+            if joint.kind == "revolute":
+                turns.append(_joint_turn(replace(joint, rotation=fixed)))
+                fixed = None
+        return tuple(turns)
+
+    @cached_property
+    def into_sensor(self) -> Callable[[Components], Components]:
+        """Turns components back from the last revolute joint to the sensor."""
+        last = self.turning[-1] if self.turning else -1
+        rotation = np.eye(3)
+        for joint in self.joints[last + 1 :]:
+            if joint.rotation is not None:
+                rotation = rotation @ joint.rotation
+        return _fixed(rotation @ self.sensor_rotation)
 
     def _links(self, joints: ArrayLike) -> list[tuple[Array, Array]]:
         """R_base_link (..., 3, 3) and origin (..., 3) of the link after each joint."""

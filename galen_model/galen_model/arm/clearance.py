@@ -23,7 +23,6 @@ import coal
 import numpy as np
 
 from galen_model.arm.galen import GALEN, ArmParameters
-from galen_model.arm.kinematics import sensor_pose
 from galen_model.arrays import Array
 from galen_model.errors import GalenError
 from galen_model.rotation import rot_x, rot_y
@@ -235,7 +234,7 @@ def _frames(joints: Array, arm: ArmParameters) -> list[tuple[Array, Array]]:
         (np.eye(3), q[:3]),
         (roll, roll_origin),
         (roll @ rot_y(q[4]), roll_origin + roll @ arm.roll_to_tilt_m),
-        sensor_pose(q, arm),
+        arm.sensor_pose(q),
     ]
 
 

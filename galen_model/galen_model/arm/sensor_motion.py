@@ -24,7 +24,7 @@ from numpy.typing import ArrayLike
 
 from galen_model.arm.galen import GALEN, ArmParameters
 from galen_model.arrays import Array
-from galen_model.load.inertia.inertial import Vector
+from galen_model.load.inertia import Vector
 
 
 class SensorMotion(NamedTuple):

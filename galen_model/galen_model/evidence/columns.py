@@ -6,7 +6,7 @@ With u gravity in ft_sensor and W = (f, tau) the reading of tool and adapter, a 
     an offset              b           of the sensor's zero                             (6)
     a drift                t c         t: hours                                         (6)
     a loose tool           tau = s m (a x u), a the x and y parts of u / |u|, s: shift  (1)
-    joints' zeros          dW/droll, dW/dtilt                                           (2)
+    joints' zeros          dW/dq_k                                                      (k)
     a turned sensor        -phi x f, -phi x tau, phi its rotation vector                (3)
     a constant pull        R^T F at the tool's tip, F in base_link, as of a cable       (3)
 """
@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from galen_model.arm.kinematics import sensor_rotation
+from galen_model.arm.galen import GALEN
 from galen_model.arrays import Array
 from galen_model.files.calibration_file import CalibrationFile, LoadEstimate
 from galen_model.load.model import gravity_regressor, gravity_wrench
@@ -52,17 +52,17 @@ def turned_sensor(gravity: Array, tool: CalibrationFile) -> Array:
 
 
 def joint_zeros(angles: Array, tool: CalibrationFile) -> Array:
-    """Return (n, 6, 2) by a radian, at roll and tilt (n, 2) in rad."""
+    """Return (n, 6, k) by a radian, at angles (n, k) in rad."""
     columns = []
-    for step in _STEP_RAD * np.eye(2):
-        ahead, behind = tool.predict(*(angles + step).T), tool.predict(*(angles - step).T)
+    for step in _STEP_RAD * np.eye(angles.shape[1]):
+        ahead, behind = tool.predict(angles + step), tool.predict(angles - step)
         columns.append((ahead - behind) / (2.0 * _STEP_RAD))
     return np.stack(columns, axis=2)
 
 
 def constant_pull(angles: Array, tool: CalibrationFile) -> Array:
-    """Return (n, 6, 3) by a newton at the tip, at roll and tilt (n, 2) in rad."""
-    to_sensor = np.swapaxes(sensor_rotation(angles[:, 0], angles[:, 1]), 1, 2)
+    """Return (n, 6, 3) by a newton at the tip, at angles (n, k) in rad."""
+    to_sensor = np.swapaxes(GALEN.rotation(angles), 1, 2)
     return np.concatenate([to_sensor, skew(tool.tip_m) @ to_sensor], axis=1)
 
 

@@ -19,8 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from galen_model.arrays import Array
-from galen_model.evidence.blocks import Columns, Effects
-from galen_model.evidence.held_out import BlockEvidence, BlockHypothesis
+from galen_model.evidence.held_out import BlockEvidence, BlockHypothesis, Columns, Effects
 
 NONE, UNKNOWN = "none", "unknown"
 Progress = Callable[[str], None]

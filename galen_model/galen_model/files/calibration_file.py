@@ -18,8 +18,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from galen_model.arm.galen import GRAVITY_M_S2, JOINT_NAMES, SENSOR_FRAME
-from galen_model.arm.kinematics import gravity_in_sensor
+from galen_model.arm.arm import Arm
+from galen_model.arm.galen import GALEN, GRAVITY_M_S2, JOINT_NAMES, SENSOR_FRAME
 from galen_model.arm.urdf import galen_urdf
 from galen_model.arrays import Array
 from galen_model.errors import CalibrationFileError, ToolNameError
@@ -42,8 +42,8 @@ from galen_model.files.json_fields import (
     text,
     texts,
 )
-from galen_model.load.cable.drag import LearnedPull
-from galen_model.load.inertia.inertial import InertiaEstimate
+from galen_model.load.cable import LearnedPull
+from galen_model.load.inertia import InertiaEstimate
 from galen_model.load.model import Load, gravity_wrench
 from galen_model.load.mounting.mounting import Mounting
 
@@ -101,11 +101,11 @@ class ZeroingPose:
     gravity_in_sensor_m_s2: Array
 
 
-def zeroed_at(roll_rad: float, tilt_rad: float) -> ZeroingPose:
-    """Return the zeroing of the Galen at roll and tilt, under standard gravity."""
-    return ZeroingPose(
-        {"roll": float(roll_rad), "tilt": float(tilt_rad)}, gravity_in_sensor(roll_rad, tilt_rad)
-    )
+def zeroed_at(angles: ArrayLike | None = None, arm: Arm = GALEN) -> ZeroingPose:
+    """Return the zeroing at angles (k,) of the arm's turning joints, rad; None for home."""
+    at = arm.home_angles if angles is None else np.asarray(angles, dtype=float)
+    joints = dict(zip(arm.turning_names, numbers(at), strict=True))
+    return ZeroingPose(joints, arm.gravity_in_sensor(at))
 
 
 @dataclass(frozen=True)
@@ -120,7 +120,7 @@ class CalibrationFile:
     poses_used: int
     calibrated_at: str
     residual_offset: Array = field(default_factory=lambda: np.zeros(6))
-    zeroing: ZeroingPose | None = field(default_factory=lambda: zeroed_at(0.0, 0.0))
+    zeroing: ZeroingPose | None = field(default_factory=lambda: zeroed_at())
     """Where the sensor was zeroed with the adapter alone; None: not so, or not known."""
     poses_rejected: tuple[str, ...] = ()
     sensor_frame: str = SENSOR_FRAME
@@ -134,21 +134,21 @@ class CalibrationFile:
     cable: LearnedPull | None = None
     """What a cable at the tool pulls beside the load, where a sweep with the cable on told it."""
 
-    def predict(self, roll_rad: ArrayLike, tilt_rad: ArrayLike) -> Array:
-        """Reading (..., 6) expected at roll and tilt (...) without touch, N and N.m.
+    def predict(self, angles: ArrayLike) -> Array:
+        """Reading (..., 6) expected at angles (..., k) without contact, N and N.m.
 
-        reading = M (W(theta; tool) + W(theta; adapter) - W(zeroing; adapter)) + residual offset
+        reading = M (W(q; tool) + W(q; adapter) - W(zeroing; adapter)) + residual offset
 
-        in the sensor's own axes: with a `mounting`, theta and M are its; without, M is one and the
-        axes are ft_sensor's.
+        in the sensor's own axes: with a `mounting`, q and M are its; without, M is one and the
+        axes are the sensor frame's.
         """
-        return self.predict_under(self.gravity_in_sensor(roll_rad, tilt_rad))
+        return self.predict_under(self.gravity_in_sensor(angles))
 
-    def gravity_in_sensor(self, roll_rad: ArrayLike, tilt_rad: ArrayLike) -> Array:
-        """Gravity (..., 3) in ft_sensor at reported angles (...), m/s^2: the file's, mounted."""
+    def gravity_in_sensor(self, angles: ArrayLike) -> Array:
+        """Gravity (..., 3) in the sensor at reported angles (..., k), m/s^2: the file's."""
         if self.mounting is None:
-            return gravity_in_sensor(roll_rad, tilt_rad) * self._gravity_scale
-        return self.mounting.gravity_in_sensor(roll_rad, tilt_rad) * self._gravity_scale
+            return GALEN.gravity_in_sensor(angles) * self._gravity_scale
+        return self.mounting.gravity_in_sensor(angles) * self._gravity_scale
 
     def predict_under(self, gravity_sensor: ArrayLike) -> Array:
         """As `predict`, from the true gravity (..., 3) in ft_sensor, m/s^2."""
@@ -162,10 +162,11 @@ class CalibrationFile:
         return wrench + self.residual_offset
 
     @property
-    def zero_pose_rad(self) -> tuple[float, float]:
-        """Roll and tilt of the zeroing; home where the file does not hold them."""
+    def zero_angles(self) -> Array:
+        """Angles (k,) of the zeroing, rad; home where the file does not hold them."""
         joints = {} if self.zeroing is None else self.zeroing.joints
-        return joints.get("roll", 0.0), joints.get("tilt", 0.0)
+        names, home = GALEN.turning_names, GALEN.home_angles
+        return np.array([joints.get(name, at) for name, at in zip(names, home, strict=True)])
 
     @property
     def gravity_at_zeroing(self) -> Array:
@@ -174,7 +175,7 @@ class CalibrationFile:
             return np.zeros(3)
         if self.mounting is None:
             return self.zeroing.gravity_in_sensor_m_s2
-        return self.gravity_in_sensor(*self.zero_pose_rad)
+        return self.gravity_in_sensor(self.zero_angles)
 
     @property
     def arm_warning(self) -> str:
@@ -356,7 +357,7 @@ def _from_json(content: Any) -> CalibrationFile:
         cable=LearnedPull.from_json(whole["cable"], "cable") if "cable" in whole else None,
     )
     if file.mounting is not None and file.zeroing is not None:
-        lacking = {"roll", "tilt"} - file.zeroing.joints.keys()
+        lacking = set(GALEN.turning_names) - file.zeroing.joints.keys()
         if lacking:
             raise FieldError(
                 f"zeroing.joints lacks {', '.join(sorted(lacking))}: mounting needs it"
@@ -367,11 +368,11 @@ def _from_json(content: Any) -> CalibrationFile:
 def _from_schema_1(whole: Mapping[str, Any]) -> Mapping[str, Any]:
     """Rewrite the content of schema 1; raises FieldError with the names of its own keys."""
     pose = mapping(get(whole, "bias_pose_rad"), "bias_pose_rad")
-    roll, tilt = (number(get(pose, name), f"bias_pose_rad.{name}") for name in ("roll", "tilt"))
+    zero = [number(get(pose, name), f"bias_pose_rad.{name}") for name in GALEN.turning_names]
     gravity = array(get(whole, "gravity_m_s2"), "gravity_m_s2", (3,))
     _load(get(whole, "bias"), "bias", none_allowed=True)
     galen = galen_identity()
-    at_zero = gravity_in_sensor(roll, tilt) * float(gravity[2] / GRAVITY_M_S2[2])
+    at_zero = GALEN.gravity_in_sensor(zero) * float(gravity[2] / GRAVITY_M_S2[2])
     kept = {key: value for key, value in whole.items() if key not in ("bias", "bias_pose_rad")}
     return {
         **kept,
@@ -380,7 +381,8 @@ def _from_schema_1(whole: Mapping[str, Any]) -> Mapping[str, Any]:
             "name": galen.name, "joints": list(galen.joints), "urdf_sha256": galen.urdf_sha256,
         },
         "zeroing": {
-            "joints": {"roll": roll, "tilt": tilt}, "gravity_in_sensor_m_s2": at_zero.tolist(),
+            "joints": dict(zip(GALEN.turning_names, zero, strict=True)),
+            "gravity_in_sensor_m_s2": at_zero.tolist(),
         },
         "adapter": whole["bias"],
     }  # fmt: skip

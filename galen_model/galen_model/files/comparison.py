@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from galen_model.arm.galen import LIMITS, WRENCH_AXES
+from galen_model.arm.galen import GALEN, WRENCH_AXES
 from galen_model.arrays import Array
 from galen_model.distributions import chi2_ppf
 from galen_model.errors import GalenError
@@ -76,7 +76,7 @@ class Difference:
 
 @dataclass(frozen=True)
 class WorstCase:
-    """Largest difference over roll and tilt, N or N.m, and roll and tilt of it (2,), rad."""
+    """Largest difference over all angles, N or N.m, and the angles (k,) of it, rad."""
 
     size: float
     at_rad: Array
@@ -175,17 +175,16 @@ def _load_differences(prefix: str, a: LoadEstimate, b: LoadEstimate) -> list[Dif
 
 
 def _worst(a: CalibrationFile, b: CalibrationFile) -> tuple[WorstCase, WorstCase]:
-    """Over all rolls and tilts within the arm's limits, of weight and offsets."""
-    roll, tilt = np.meshgrid(
-        *(np.linspace(LIMITS.lower[3 + i], LIMITS.upper[3 + i], _GRID[i]) for i in range(2)),
-        indexing="ij",
-    )
-    difference = b.predict(roll, tilt) - a.predict(roll, tilt)
+    """Over angles on a grid within the arm's limits, of weight and offsets."""
+    limits = zip(GALEN.angles(GALEN.lower), GALEN.angles(GALEN.upper), _GRID, strict=True)
+    grid = np.meshgrid(*(np.linspace(*limit) for limit in limits), indexing="ij")
+    angles = np.stack(grid, axis=-1)
+    difference = b.predict(angles) - a.predict(angles)
     worst = []
     for part in (slice(0, 3), slice(3, 6)):
         size = np.linalg.norm(difference[..., part], axis=-1)
         at = np.unravel_index(np.argmax(size), size.shape)
-        worst.append(WorstCase(float(size[at]), np.array([roll[at], tilt[at]])))
+        worst.append(WorstCase(float(size[at]), angles[at]))
     return worst[0], worst[1]
 
 

@@ -27,8 +27,8 @@ from galen_model.arm.galen import (
 from galen_model.arrays import Array
 from galen_model.errors import GalenError
 from galen_model.files.calibration_file import LoadEstimate
+from galen_model.registration import move_wrench
 from galen_model.rotation import rot_x, rot_y
-from galen_model.wrench import move_wrench
 
 TILT_FRAME, ROLL_FRAME, PLATFORM_FRAME = "tilt_link", "roll_link", "delta_platform"
 

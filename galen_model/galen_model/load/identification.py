@@ -17,21 +17,25 @@ Source: the 2019 report's eqs. (1)-(8) with the errata's bias term, as one least
 that uses force and torque of both sweeps together.
 """
 
+from __future__ import annotations
+
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from galen_model.arm.galen import WRENCH_AXES
-from galen_model.arm.kinematics import gravity_in_sensor
+from galen_model.arm.arm import Arm
+from galen_model.arm.galen import GALEN, WRENCH_AXES
 from galen_model.arrays import Array
 from galen_model.errors import IdentificationError, ImplausibleLoadError, NotExcitedError
-from galen_model.evidence.columns import moment_covariance
 from galen_model.files.calibration_file import LoadEstimate
-from galen_model.load.bias.choice import SweepBiasDrift
-from galen_model.load.excitation import LOAD_PARAMETERS, check_excitation
+from galen_model.load.identifiability import LOAD_PARAMETERS, check_excitation
 from galen_model.load.model import gravity_regressor
-from galen_model.load.robust_fit import RobustFit, fit_robust, fit_with_known_prior
+from galen_model.load.robust_fit import Prior, RobustFit, fit_robust
+
+if TYPE_CHECKING:
+    from galen_model.load.drifting_identification import SweepBiasDrift
 
 MIN_POSES = 4
 """Fewer still poses than this leave no residual worth the name."""
@@ -46,30 +50,33 @@ _UNOBSERVED_MOMENT_STD_KGM = 0.01  # 100 g at 100 mm: wider than any adapter's f
 class StillPoses:
     """Averaged readings of n still poses of one sweep.
 
-    roll, tilt: (n,) rad; wrench: (n, 6) N and N.m in ft_sensor; std_of_mean: (n, 6), the averaged
-    reading's standard deviation as the scatter within each pose tells it, or None; time_s: (n,)
+    angles: (n, k) of the turning joints, rad; wrench: (n, 6) N and N.m; std_of_mean: (n, 6), the
+    averaged reading's standard deviation from the scatter within each pose, or None; time_s: (n,)
     when each was taken, s from anywhere, or None. A bias that drifts needs it.
     """
 
-    roll: Array
-    tilt: Array
+    angles: Array
     wrench: Array
     std_of_mean: Array | None = None
     time_s: Array | None = None
+    arm: Arm = GALEN
 
     def __post_init__(self) -> None:
         """Check shapes and values; raises IdentificationError."""
-        count = len(self.roll)
-        if self.roll.shape != (count,) or self.tilt.shape != (count,):
-            raise IdentificationError("roll and tilt of the still poses differ in length")
+        count, names = len(self.angles), self.arm.turning_names
+        if self.angles.shape != (count, len(names)):
+            raise IdentificationError(
+                f"angles of the still poses have shape {self.angles.shape}; expected ({count},"
+                f" {len(names)}) for {', '.join(names)}"
+            )
         if self.wrench.shape != (count, 6):
             raise IdentificationError(
                 f"wrenches of the still poses have shape {self.wrench.shape}; expected ({count}, 6)"
             )
-        named = {"roll": self.roll, "tilt": self.tilt, "wrench": self.wrench}
+        named = {"angles": self.angles, "wrench": self.wrench}
         if self.time_s is not None:
             if self.time_s.shape != (count,):
-                raise IdentificationError("roll and times of the still poses differ in length")
+                raise IdentificationError("angles and times of the still poses differ in length")
             named["time"] = self.time_s
         for name, values in named.items():
             if not np.all(np.isfinite(values)):
@@ -77,12 +84,12 @@ class StillPoses:
 
     def __len__(self) -> int:
         """Number of poses."""
-        return len(self.roll)
+        return len(self.angles)
 
     @property
     def gravity(self) -> Array:
         """Gravity (n, 3) in ft_sensor, m/s^2."""
-        return gravity_in_sensor(self.roll, self.tilt)
+        return self.arm.gravity_in_sensor(self.angles)
 
 
 @dataclass(frozen=True)
@@ -124,7 +131,7 @@ class Identification:
 
 
 def identify_two_sweeps(
-    bare: StillPoses, tool: StillPoses, zero_roll_rad: float = 0.0, zero_tilt_rad: float = 0.0
+    bare: StillPoses, tool: StillPoses, zero_angles: ArrayLike | None = None
 ) -> Identification:
     """Tool and adapter from a sweep without the tool and one with it.
 
@@ -133,7 +140,7 @@ def identify_two_sweeps(
     """
     check_count(bare, "sweep without the tool")
     check_count(tool, "sweep with the tool")
-    zero = gravity_regressor(gravity_in_sensor(zero_roll_rad, zero_tilt_rad))
+    zero = gravity_regressor(tool.arm.gravity_in_sensor(zero_angles))
     bare_rows = gravity_regressor(bare.gravity) - zero
     tool_rows = gravity_regressor(tool.gravity)
     design = two_sweeps_design(bare_rows, tool_rows, zero)
@@ -183,18 +190,12 @@ def two_sweeps_result(fit: RobustFit, bare: StillPoses, tool: StillPoses) -> Ide
     )
 
 
-def identify_one_sweep(
-    tool: StillPoses,
-    zero_roll_rad: float = 0.0,
-    zero_tilt_rad: float = 0.0,
-    known_adapter: LoadEstimate | None = None,
-) -> Identification:
-    """Tool and adapter from one sweep with the tool on, after zeroing without it.
+def identify_one_sweep(tool: StillPoses, zero_angles: ArrayLike | None = None) -> Identification:
+    """Identify tool and adapter from one sweep with the tool on, after zeroing without it.
 
-    The compensation is fully determined; the split between tool and adapter is not. With
-    `known_adapter` (the adapter of an earlier calibration) it is. Otherwise `unresolved` says what
-    is not known, the adapter's first moment along gravity at the zeroing pose is put to zero,
-    and the covariances hold how wide that leaves both.
+    The compensation is fully determined; the split between tool and adapter is not: `unresolved`
+    names what is not known, the adapter's first moment along gravity at the zeroing pose is put to
+    zero, and the covariances hold how wide that leaves both.
 
     The offset is taken as the zeroing's noise, as large as that of one averaged reading. A sensor
     that has drifted since it was zeroed is mistaken for adapter mass; two sweeps don't do that.
@@ -202,7 +203,7 @@ def identify_one_sweep(
     Raises as `identify_two_sweeps` does.
     """
     check_count(tool, "sweep with the tool")
-    gravity_zero = gravity_in_sensor(zero_roll_rad, zero_tilt_rad)
+    gravity_zero = tool.arm.gravity_in_sensor(zero_angles)
     rows = gravity_regressor(tool.gravity)
     design = np.zeros((len(tool), 6, 14))
     design[:, :, :4] = rows
@@ -213,32 +214,25 @@ def identify_one_sweep(
     check_excitation(sum_design, LOAD_PARAMETERS[:4], {"with the tool": tool})
     check_channels(rows, tool, "sweep with the tool")
 
-    prior_rows, prior_values, prior_std = one_sweep_prior(gravity_zero, known_adapter)
-    fit = fit_with_known_prior(
-        design, tool.wrench, prior_rows, prior_values, prior_std, offset_columns=slice(8, 14)
-    )
+    fit = fit_robust(design, tool.wrench, Prior(*one_sweep_prior(gravity_zero), slice(8, 14)))
     check_rejections(fit)
     check_excitation(sum_design[fit.used], LOAD_PARAMETERS[:4], {"with the tool": tool})
-    return one_sweep_result(fit, tool, gravity_zero, known_adapter)
+    return one_sweep_result(fit, tool, gravity_zero)
 
 
-def one_sweep_result(
-    fit: RobustFit, tool: StillPoses, gravity_zero: Array, known_adapter: LoadEstimate | None
-) -> Identification:
+def one_sweep_result(fit: RobustFit, tool: StillPoses, gravity_zero: Array) -> Identification:
     """What a fit to one sweep found; its values: see `identify_one_sweep`, any others last.
 
     gravity_zero: (3,) in ft_sensor where the sensor was zeroed, m/s^2. Raises ImplausibleLoadError.
     """
-    unresolved: tuple[str, ...] = ()
-    if known_adapter is None:
-        along = gravity_zero / np.linalg.norm(gravity_zero)
-        total = along @ (fit.values[1:4] + fit.values[5:8])
-        unresolved = (
-            "the first moments of tool and adapter along gravity at the zeroing pose "
-            f"(ft_sensor direction {np.round(along, 4).tolist()}): only their sum "
-            f"{total:.6f} kg.m is known, here all of it is given to the tool; "
-            "the compensation is not affected",
-        )
+    along = gravity_zero / np.linalg.norm(gravity_zero)
+    total = along @ (fit.values[1:4] + fit.values[5:8])
+    unresolved = (
+        "the first moments of tool and adapter along gravity at the zeroing pose "
+        f"(ft_sensor direction {np.round(along, 4).tolist()}): only their sum "
+        f"{total:.6f} kg.m is known, here all of it is given to the tool; "
+        "the compensation is not affected",
+    )
     return Identification(
         load=load_estimate(fit, slice(0, 4), "the tool"),
         adapter=load_estimate(fit, slice(4, 8), "the adapter"),
@@ -261,21 +255,20 @@ def one_sweep_result(
 
 
 def check_planned_poses(
-    roll: Array,
-    tilt: Array,
+    angles: Array,
     *,
     one_sweep: bool = False,
-    zero_roll_rad: float = 0.0,
-    zero_tilt_rad: float = 0.0,
+    zero_angles: ArrayLike | None = None,
+    arm: Arm = GALEN,
 ) -> None:
-    """Raise NotExcitedError, before the arm moves, for poses (n,), rad, that tell too little."""
-    planned = StillPoses(roll, tilt, np.zeros((len(roll), 6)))
+    """Raise NotExcitedError, before the arm moves, for angles (n, k), rad, that tell too little."""
+    planned = StillPoses(angles, np.zeros((len(angles), 6)), arm=arm)
     check_count(planned, "each sweep")
     rows = gravity_regressor(planned.gravity)
     if one_sweep:
         check_excitation(single_load_design(planned.gravity), LOAD_PARAMETERS[:4])
         return
-    zero = gravity_regressor(gravity_in_sensor(zero_roll_rad, zero_tilt_rad))
+    zero = gravity_regressor(arm.gravity_in_sensor(zero_angles))
     poses = {"in each sweep": planned}
     check_excitation(two_sweeps_design(rows - zero, rows, zero), LOAD_PARAMETERS, poses)
 
@@ -292,24 +285,14 @@ def two_sweeps_design(bare_rows: Array, tool_rows: Array, zero: Array) -> Array:
     return design
 
 
-def one_sweep_prior(
-    gravity_zero: Array, known_adapter: LoadEstimate | None
-) -> tuple[Array, Array, Array]:
-    """Rows (k, 14), values (k,) and standard deviations (k,) of what is known beforehand.
+def one_sweep_prior(gravity_zero: Array) -> tuple[Array, Array, Array]:
+    """Return what is known beforehand: rows (1, 14), value (1,) and standard deviation (1,).
 
     gravity_zero: (3,) in ft_sensor where the sensor was zeroed, m/s^2.
     """
-    if known_adapter is None:
-        row = np.zeros((1, 14))
-        row[0, 5:8] = gravity_zero / np.linalg.norm(gravity_zero)
-        return row, np.zeros(1), np.array([_UNOBSERVED_MOMENT_STD_KGM])
-    # (m, h) of the known adapter, its covariance taken from (m, p) and decorrelated into rows.
-    moments = known_adapter.load.moments
-    variances, vectors = np.linalg.eigh(moment_covariance(known_adapter, np.zeros(4)))
-    rows = np.zeros((4, 14))
-    rows[:, 4:8] = vectors.T
-    floor = 1e-12 * max(float(variances.max()), 1e-12)
-    return rows, vectors.T @ moments, np.sqrt(np.maximum(variances, floor))
+    row = np.zeros((1, 14))
+    row[0, 5:8] = gravity_zero / np.linalg.norm(gravity_zero)
+    return row, np.zeros(1), np.array([_UNOBSERVED_MOMENT_STD_KGM])
 
 
 @dataclass(frozen=True)
@@ -479,7 +462,7 @@ def _drift_warnings(change: Array, std: Array, sigma: Array) -> list[str]:
 def _bias_drift_warnings(fit: RobustFit, sweep: slice, name: str) -> list[str]:
     """Tell when a sweep's residual goes up or down over its poses, taken as in visiting order.
 
-    Where the order goes with roll or tilt, a drift looks in part like a load, and the parameters
+    Where the order goes with a joint, a drift looks in part like a load, and the parameters
     are off by more than their covariance says. The fit takes that part, so that the drift told is
     a lower bound, and its test against noise a cautious one.
     """

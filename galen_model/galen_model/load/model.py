@@ -6,10 +6,10 @@ A load of mass m with its centre at p (ft_sensor) reads, about the sensor's orig
 
 which is linear in (m, h) with the first moment h = m p:  tau = h x (R^T g) = -(R^T g)^ h.
 
-    reading = W(theta; tool) + W(theta; adapter) - W(theta_bias; adapter) + applied + noise
+    reading = W(q; tool) + W(q; adapter) - W(q_zero; adapter) + applied + noise
 
 Source: the 2019 report's section 2.3 as corrected for its eqs. (3) and (7): the zeroing happened
-at theta_bias, so its term holds R(theta_bias) on both sides.
+at q_zero, so its term holds R(q_zero) on both sides.
 """
 
 from dataclasses import dataclass, field
@@ -17,7 +17,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike
 
-from galen_model.arm.kinematics import gravity_in_sensor
+from galen_model.arm.arm import Arm
+from galen_model.arm.galen import GALEN
 from galen_model.arrays import Array
 from galen_model.rotation import skew
 
@@ -52,17 +53,17 @@ def gravity_wrench(gravity_sensor: ArrayLike, load: Load) -> Array:
 
 
 def nominal_reading(
-    roll_rad: ArrayLike,
-    tilt_rad: ArrayLike,
+    angles: ArrayLike,
     tool: Load,
     adapter: Load,
-    zero_roll_rad: float = 0.0,
-    zero_tilt_rad: float = 0.0,
+    zero_angles: ArrayLike | None = None,
+    arm: Arm = GALEN,
 ) -> Array:
-    """Reading (..., 6) without touch and noise, N and N.m in ft_sensor.
+    """Reading (..., 6) without contact and noise, N and N.m in the sensor's frame.
 
-    The sensor was zeroed at (zero_roll_rad, zero_tilt_rad) with the adapter on and no tool.
+    angles: (..., k) of the arm's turning joints, rad; zero_angles (k,) those of the pose in which
+    the sensor was zeroed with the adapter on and no tool, None for home.
     """
-    gravity = gravity_in_sensor(roll_rad, tilt_rad)
-    at_bias = gravity_wrench(gravity_in_sensor(zero_roll_rad, zero_tilt_rad), adapter)
-    return gravity_wrench(gravity, tool) + gravity_wrench(gravity, adapter) - at_bias
+    gravity = arm.gravity_in_sensor(angles)
+    at_zero = gravity_wrench(arm.gravity_in_sensor(zero_angles), adapter)
+    return gravity_wrench(gravity, tool) + gravity_wrench(gravity, adapter) - at_zero

@@ -1,9 +1,12 @@
 """The expected reading of a tool, fast for one pose at a time and for arrays of poses."""
 
-import math
+from collections.abc import Sequence
+from math import cos, sin
 
 import numpy as np
 
+from galen_model.arm.arm import Arm
+from galen_model.arm.galen import GALEN
 from galen_model.arrays import Array
 from galen_model.files.calibration_file import CalibrationFile
 from galen_model.load.mounting.mounting import Mounting
@@ -17,14 +20,16 @@ class Prediction:
 
     Every term of the model is linear in gravity's direction in the sensor's frame or constant,
 
-        reading = A u + c,   u = Ry(tilt + pi/2)^T Rx(roll)^T d,
+        reading = A u + c,   u = R_base_sensor^T d,
 
-    with gravity's direction d in base_link, (0, 0, -1) for a level base, and angles that hold the
-    joints' zeros (`galen_model.load.mounting.mounting`). A (6, 3) and c (6,) are read off the
-    tool's own `predict_under`, so that the physics, and a turned sensor's gains, stay in one place.
+    with gravity's direction d in the base's frame, (0, 0, -1) for a level base, and angles that
+    hold the joints' zeros (`galen_model.load.mounting.mounting`). A (6, 3) and c (6,) are read off
+    the file's own `predict_under`, so that the physics, and a turned sensor's gains, stay in one
+    place.
     """
 
-    def __init__(self, tool: CalibrationFile) -> None:
+    def __init__(self, tool: CalibrationFile, arm: Arm = GALEN) -> None:
+        self._arm, self._into_sensor = arm, arm.into_sensor
         gravity = abs(tool.gravity_m_s2[2])
         self._constant: Array = tool.predict_under(np.zeros(3))
         self._by_direction: Array = (
@@ -32,31 +37,30 @@ class Prediction:
         ).T
         self._by_direction_and_one: Array = np.vstack([self._by_direction.T, self._constant])
         mounting = Mounting() if tool.mounting is None else tool.mounting
-        self._down: tuple[float, ...] = tuple(mounting.gravity_direction.tolist())
-        self._zero: tuple[float, ...] = tuple(mounting.joint_zero_rad.tolist())
+        x, y, z = mounting.gravity_direction.tolist()
+        self._down = (x, y, z)
+        self._zero: list[float] = mounting.joint_zero_rad.tolist()
+        self._turns = tuple(zip(arm.turns, self._zero, strict=True))
         self._to_wrench = None if tool.mounting is None else mounting.wrench_from_reading
 
-    def reading(self, roll_rad: float, tilt_rad: float) -> Array:
-        """Reading (6,) expected without touch, N and N.m in the sensor's own axes."""
-        (x, y, z), (zero_roll, zero_tilt) = self._down, self._zero
-        sin_roll, cos_roll = math.sin(roll_rad + zero_roll), math.cos(roll_rad + zero_roll)
-        sin_tilt, cos_tilt = math.sin(tilt_rad + zero_tilt), math.cos(tilt_rad + zero_tilt)
-        across, down = y * cos_roll + z * sin_roll, y * sin_roll - z * cos_roll
-        direction = np.array(
-            (down * cos_tilt - x * sin_tilt, across, down * sin_tilt + x * cos_tilt)
-        )
-        reading: Array = self._by_direction @ direction + self._constant
+    def reading(self, angles: Sequence[float]) -> Array:
+        """Reading (6,) expected without contact at angles (k,), in the sensor's own axes."""
+        parts = self._down
+        for k, (turn, zero) in enumerate(self._turns):
+            angle = angles[k] + zero
+            parts = turn(parts, cos(angle), sin(angle))
+        reading: Array = self._by_direction @ np.array(self._into_sensor(parts)) + self._constant
         return reading
 
-    def readings(self, roll_rad: Array, tilt_rad: Array) -> Array:
-        """Readings (n, 6) as `reading` gives them, for angles (n,)."""
-        directions: Array = np.ones((len(roll_rad), 4))
-        self._write_directions(directions, roll_rad, tilt_rad)
+    def readings(self, angles: Array) -> Array:
+        """Readings (n, 6) as `reading` gives them, for angles (n, k)."""
+        directions: Array = np.ones((len(angles), 4))
+        self._write_directions(directions, angles)
         readings: Array = directions @ self._by_direction_and_one
         return readings
 
-    def compensate(self, readings: Array, roll_rad: Array, tilt_rad: Array) -> Array:
-        """Wrenches (n, 6) in ft_sensor of readings (n, 6) at angles (n,), less what is expected.
+    def compensate(self, readings: Array, angles: Array) -> Array:
+        """Wrenches (n, 6) in ft_sensor of readings (n, 6) at angles (n, k), less the expected.
 
         Block by block: what a block needs in between stays in the processor's cache, so that only
         readings, angles and wrenches go through memory. Sines and cosines take most of the time.
@@ -67,27 +71,19 @@ class Prediction:
             rows = slice(first, first + _BLOCK)
             block = out[rows]
             u = directions[: len(block)]
-            self._write_directions(u, roll_rad[rows], tilt_rad[rows])
+            self._write_directions(u, angles[rows])
             np.matmul(u, self._by_direction_and_one, out=block)
             np.subtract(readings[rows], block, out=block)
             if self._to_wrench is not None:
                 block[...] = self.wrenches(block)
         return out
 
-    def _write_directions(self, out: Array, roll_rad: Array, tilt_rad: Array) -> None:
-        """Write gravity's directions u for angles (n,) into the first columns of out (n, 4)."""
-        (x, y, z), (zero_roll, zero_tilt) = self._down, self._zero
-        roll, tilt = roll_rad + zero_roll, tilt_rad + zero_tilt
-        sin_roll, cos_roll, sin_tilt, cos_tilt = (
-            np.sin(roll),
-            np.cos(roll),
-            np.sin(tilt),
-            np.cos(tilt),
-        )
-        across, down = y * cos_roll + z * sin_roll, y * sin_roll - z * cos_roll
-        out[:, 0] = down * cos_tilt - x * sin_tilt
-        out[:, 1] = across
-        out[:, 2] = down * sin_tilt + x * cos_tilt
+    def _write_directions(self, out: Array, angles: Array) -> None:
+        """Write gravity's directions u for angles (n, k) into the first columns of out (n, 4)."""
+        true = [column + zero for column, zero in zip(angles.T, self._zero, strict=True)]
+        parts = self._arm.components_in_sensor(self._down, map(np.cos, true), map(np.sin, true))
+        for k in range(3):
+            out[:, k] = parts[k]
 
     def wrench(self, difference: Array) -> Array:
         """Wrench (6,) in ft_sensor, N and N.m, of a raw reading less the expected one (6,)."""

@@ -46,39 +46,21 @@ class RobustFit:
     distance: Array
 
 
-def fit_robust(design: Array, readings: Array) -> RobustFit:
-    """Fit readings (n, 6) = design (n, 6, p) @ values.
-
-    Raises IdentificationError when the poses leave no degrees of freedom.
-    """
-    return _fit(design, readings, _NO_PRIOR)
-
-
-def fit_with_known_prior(
-    design: Array,
-    readings: Array,
-    prior_rows: Array,
-    prior_values: Array,
-    prior_std: Array,
-    offset_columns: slice | None,
-) -> RobustFit:
-    """As `fit_robust`, with Gaussian knowledge rows (k, p) @ values = prior_values +- prior_std.
-
-    The six values in `offset_columns`, if any, are known to be zero within the noise of one
-    reading, which the fit itself finds.
-    """
-    return _fit(design, readings, _Prior(prior_rows, prior_values, prior_std, offset_columns))
-
-
 @dataclass(frozen=True)
-class _Prior:
+class Prior:
+    """Gaussian knowledge rows (k, p) @ values = values (k,) +- std (k,).
+
+    The six values in `offset_columns`, if any, are zero within the noise of one reading, which the
+    fit itself finds.
+    """
+
     rows: Array
     values: Array
     std: Array
-    offset_columns: slice | None
+    offset_columns: slice | None = None
 
     def information(self, parameters: int, sigma: Array) -> tuple[Array, Array]:
-        """The prior's part of the normal equations: matrix (p, p) and right side (p,)."""
+        """Return its part of the normal equations: matrix (p, p) and right side (p,)."""
         weighted = self.rows.reshape(-1, parameters) / self.std[:, None] ** 2
         matrix = weighted.T @ self.rows.reshape(-1, parameters)
         if self.offset_columns is not None:
@@ -87,10 +69,14 @@ class _Prior:
         return matrix, weighted.T @ self.values
 
 
-_NO_PRIOR = _Prior(np.zeros((0, 0)), np.zeros(0), np.zeros(0), None)
+NO_PRIOR = Prior(np.zeros((0, 0)), np.zeros(0), np.zeros(0))
 
 
-def _fit(design: Array, readings: Array, prior: _Prior) -> RobustFit:
+def fit_robust(design: Array, readings: Array, prior: Prior = NO_PRIOR) -> RobustFit:
+    """Fit readings (n, 6) = design (n, 6, p) @ values.
+
+    Raises IdentificationError when the poses leave no degrees of freedom.
+    """
     count, channels, parameters = design.shape
     if count * channels <= parameters:
         raise IdentificationError(f"{count} poses are too few for {parameters} parameters")
@@ -126,7 +112,7 @@ def _fit(design: Array, readings: Array, prior: _Prior) -> RobustFit:
     return RobustFit(values, covariance, residuals, sigma, used, _distance(residuals, sigma))
 
 
-def _irls(design: Array, readings: Array, prior: _Prior, scale: Array) -> Array:
+def _irls(design: Array, readings: Array, prior: Prior, scale: Array) -> Array:
     """Tukey's bisquare over poses from a start by least absolute distance."""
     channels = design.shape[1]
     weights = np.ones(len(design))
@@ -149,7 +135,7 @@ def _irls(design: Array, readings: Array, prior: _Prior, scale: Array) -> Array:
 
 
 def _weighted(
-    design: Array, readings: Array, prior: _Prior, sigma: Array
+    design: Array, readings: Array, prior: Prior, sigma: Array
 ) -> tuple[Array, Array, Array]:
     """Least squares with each channel's own noise, found together: values, covariance, sigma."""
     weights = np.ones(len(design))
@@ -182,7 +168,7 @@ def pooled_sigma(squares: Array, freedom: Array) -> Array:
 
 
 def _solve(
-    design: Array, readings: Array, prior: _Prior, sigma: Array, weights: Array
+    design: Array, readings: Array, prior: Prior, sigma: Array, weights: Array
 ) -> tuple[Array, Array]:
     parameters = design.shape[2]
     scaled = design * (np.sqrt(weights)[:, None] / sigma)[:, :, None]
@@ -190,17 +176,24 @@ def _solve(
     right = (readings * np.sqrt(weights)[:, None] / sigma).reshape(-1)
     prior_matrix, prior_right = prior.information(parameters, sigma)
     information = rows.T @ rows + prior_matrix
-    # columns differ by orders of magnitude (kg beside kg.m): balance before inverting
+    covariance = balanced_inverse(information)
+    return covariance @ (rows.T @ right + prior_right), covariance
+
+
+def balanced_inverse(information: Array) -> Array:
+    """Invert information (p, p) whose columns differ by orders of magnitude (kg beside kg.m).
+
+    Raises IdentificationError where the poses, as they are weighted, leave a parameter open.
+    """
     diagonal = np.diag(information)
-    if np.any(diagonal <= 0.0):  # every pose that tells some parameter was weighted to nothing
+    if np.any(diagonal <= 0.0):
         raise IdentificationError("the poses agree on no load")
     balance = 1.0 / np.sqrt(diagonal)
     try:
         inverse = np.linalg.inv(information * np.outer(balance, balance))
-    except np.linalg.LinAlgError:  # the weights left too few poses for all parameters
+    except np.linalg.LinAlgError:
         raise IdentificationError("the poses agree on no load") from None
-    covariance = np.asarray(inverse * np.outer(balance, balance), dtype=np.float64)
-    return covariance @ (rows.T @ right + prior_right), covariance
+    return np.asarray(inverse * np.outer(balance, balance), dtype=np.float64)
 
 
 def mad_scale(residuals: Array) -> Array:

@@ -16,7 +16,7 @@ tool's own covariance is twice that of the sum). Both criteria are linear in N^-
                    the compensation's error, mean over workspace and axes, in units of one averaged
                    reading's ("V-" or "I-optimality")
     load           phi = tr(D N^-1), D diagonal over the four moments: their variance over that of
-                   one ideal reading (`galen_model.load.excitation`), mean of the four
+                   one ideal reading (`galen_model.load.identifiability`), mean of the four
                    ("A-optimality")
 
 Fedorov's exchange finds n poses: each is taken out in turn and the best candidate put in, until no
@@ -35,8 +35,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from galen_model.arm.galen import GRAVITY_M_S2, LIMITS, SENSOR
-from galen_model.arm.kinematics import gravity_in_sensor
+from galen_model.arm.galen import GALEN, GRAVITY_M_S2, LIMITS, SENSOR
 from galen_model.arrays import Array
 from galen_model.errors import GalenError
 from galen_model.load.identification import single_load_design
@@ -211,7 +210,7 @@ class PoseDesign:
 
 
 def _rows(poses: Array) -> Array:
-    return single_load_design(gravity_in_sensor(poses[:, 0], poses[:, 1]))
+    return single_load_design(GALEN.gravity_in_sensor(poses))
 
 
 def _information(rows: Array, sigma: Array) -> Array:
@@ -232,7 +231,7 @@ def _zeroing_information(bias: tuple[float, float], sigma: Array) -> Array:
 
     W - W G_0 (G_0^T W G_0)^+ G_0^T W with W = Sigma^-1, what is left when x_adapter is taken out.
     """
-    at_zero = gravity_regressor(gravity_in_sensor(*bias))
+    at_zero = gravity_regressor(GALEN.gravity_in_sensor(np.stack(bias, axis=-1)))
     weights = np.diag(1.0 / np.asarray(sigma) ** 2)
     root = np.diag(1.0 / np.asarray(sigma)) @ at_zero
     basis, singular, _ = np.linalg.svd(root, full_matrices=False)

@@ -17,7 +17,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import ArrayLike
 
-from galen_model.arm.kinematics import gravity_in_sensor
+from galen_model.arm.galen import GALEN
 from galen_model.arrays import Array
 
 # Rest-to-rest quintic s(x) = 10 x^3 - 15 x^4 + 6 x^5 over x = t/T in 0..1:
@@ -107,7 +107,7 @@ def order_poses(poses: Array, times: SweepTimes) -> Array:
 
 
 def _directions(poses: Array) -> Array:
-    gravity = gravity_in_sensor(poses[:, 0], poses[:, 1])
+    gravity = GALEN.gravity_in_sensor(poses)
     return gravity / np.linalg.norm(gravity, axis=1)[:, None]
 
 

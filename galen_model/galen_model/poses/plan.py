@@ -185,13 +185,7 @@ def plan_chosen(
     design = PoseDesign(free, goal=goal, one_sweep_zero=bias if one_sweep else None)
     try:
         poses = free[design.choose(count)]
-        check_planned_poses(
-            poses[:, 0],
-            poses[:, 1],
-            one_sweep=one_sweep,
-            zero_roll_rad=bias[0],
-            zero_tilt_rad=bias[1],
-        )
+        check_planned_poses(poses, one_sweep=one_sweep, zero_angles=bias)
     except (PoseDesignError, NotExcitedError) as error:
         if len(free) == len(candidates):
             raise

@@ -1,4 +1,17 @@
-"""Find the rest segments of a recording, by its joints or by gravity's direction.
+"""The rule of rest, and how it is applied.
+
+The arm is at rest while no joint goes further in a window than its limit of speed allows, beside
+steps of its encoder: one step of 5e-5 rad between two samples, 2 ms apart, would be 0.025 rad/s.
+The wrench is steady while it changes from window to window by no more than its noise makes it.
+
+The forms differ in what they see and in what they must say, and so in windows and limits:
+
+- `segments`: rows of a recording, by joints or by gravity's direction alone. No wrench: a recording
+  of a calibration holds contacts that the estimator has to see.
+- `binned`: time bins of hours of a compensated wrench, the noise known from the whole recording.
+- `windows`: a live stream, sample by sample, the noise learned from what came before. A segment
+  can't be looked back into, so that windows are of one length and begin where the arm came to rest.
+- `pose`: one averaged pose, compared with the other poses of its sweep.
 
 By joints: a joint's range is taken over blocks of half a window, and the arm is at rest where, over
 each two blocks that follow one another, no joint goes further than `rule.allowed_travel`. Blocks
@@ -12,12 +25,21 @@ turns slower than a limit, but for a rim at both ends, where the arm still rings
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
 from galen_model.arm.galen import ENCODER_QUANTUM
 from galen_model.arrays import Array, runs
-from galen_model.rest.rule import allowed_travel
+
+
+def allowed_travel(max_speed: Any, window_s: float, quantum: Any, steps: float = 1.0) -> Any:
+    """Return how far a joint at rest may go in a window, m or rad.
+
+    A range over many samples holds a step of the encoder at both of its ends: steps = 2.
+    """
+    return max_speed * window_s + steps * quantum
+
 
 _NS = 1_000_000_000
 

@@ -1,7 +1,7 @@
 """Half-second windows of a live stream in which the arm was still, and whether the wrench was.
 
 Live, there is no recording to look back into, as `galen_model.rest.binned` does: a window is
-judged when it is full, from what came before. The arm is still while roll and tilt stay within a
+judged when it is full, from what came before. The arm is still while all angles stay within a
 narrow band; a window that a motion or a gap breaks is dropped, and the time right after a motion
 (the arm rings, the joint stamps lag) is left out.
 
@@ -18,6 +18,7 @@ Pushing a sample costs a few appends; the arithmetic is done once a window.
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Sequence
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -26,7 +27,7 @@ import numpy as np
 from galen_model.arm.galen import ENCODER_QUANTUM, SENSOR
 from galen_model.arrays import Array
 from galen_model.distributions import chi2_ppf
-from galen_model.rest.rule import allowed_travel
+from galen_model.rest.segments import allowed_travel
 
 WINDOW_S = 0.5
 _RIM_S = 0.3
@@ -46,7 +47,7 @@ _MARGIN = 1.3
 class StillWindow(NamedTuple):
     """Mean of a wrench (6,) over a window with the arm at rest, N and N.m.
 
-    std_of_mean (6,): by the sensor's own noise as it was learned; angles (2,): mean roll and tilt,
+    std_of_mean (6,): by the sensor's own noise as it was learned; angles (k,): their mean,
     rad; steady: whether the wrench scattered no more than the sensor does.
     """
 
@@ -82,12 +83,12 @@ class StillWindows:
         """Begin the window anew."""
         self._stamps: list[int] = []
         self._wrenches: list[Array] = []
-        self._first = (0.0, 0.0)
+        self._first: tuple[float, ...] = ()
 
-    def push(
-        self, stamp_ns: int, roll_rad: float, tilt_rad: float, wrench: Array
-    ) -> StillWindow | None:
-        """Take a wrench (6,), which must not be written into later; a window when one is full.
+    def push(self, stamp_ns: int, angles: Sequence[float], wrench: Array) -> StillWindow | None:
+        """Take angles (k,), rad, and a wrench (6,); return a window when one is full.
+
+        The wrench must not be written into later.
 
         A stamp that is not later than the one before is passed over.
         """
@@ -95,10 +96,10 @@ class StillWindows:
         if last_ns is not None and stamp_ns <= last_ns:
             self._last_ns = last_ns
             return None
-        moved = not self._near(roll_rad, tilt_rad)
+        moved = not self._near(angles)
         if last_ns is None or moved or stamp_ns - last_ns > _GAP_S * 1e9:
             self.drop()
-            self._first = (roll_rad, tilt_rad)
+            self._first = tuple(angles)
             if last_ns is not None and moved:
                 self._rim_end_ns = stamp_ns + round(_RIM_S * 1e9)
         if self._rim_end_ns is not None:
@@ -110,16 +111,17 @@ class StillWindows:
         self._wrenches.append(wrench)
         if stamp_ns - stamps[0] < WINDOW_S * 1e9 or len(stamps) < _FEWEST_SAMPLES:
             return None
-        window = self._window((roll_rad, tilt_rad))
+        window = self._window(angles)
         self.drop()
-        self._first = (roll_rad, tilt_rad)
+        self._first = tuple(angles)
         return window
 
-    def _near(self, roll_rad: float, tilt_rad: float) -> bool:
-        roll, tilt = self._first
-        return abs(roll_rad - roll) <= _BAND_RAD and abs(tilt_rad - tilt) <= _BAND_RAD
+    def _near(self, angles: Sequence[float]) -> bool:
+        return all(
+            abs(now - then) <= _BAND_RAD for now, then in zip(angles, self._first, strict=False)
+        )
 
-    def _window(self, angles: tuple[float, float]) -> StillWindow:
+    def _window(self, angles: Sequence[float]) -> StillWindow:
         wrenches = np.array(self._wrenches)
         count = len(wrenches)
         size = count // _CELLS

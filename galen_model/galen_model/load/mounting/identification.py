@@ -3,21 +3,34 @@
 Gauss-Newton: the model (`galen_model.load.mounting.reading_model`) is made linear at the last
 values and each step is a whole robust fit (`galen_model.load.robust_fit`), so that outliers, the
 channels' noise and the covariance are those of the fits without a mounting. Before and after,
-`gate` rejects parameters that the poses can't tell apart. No parameter of the mounting
-has a prior; of the loads only what the caller has measured otherwise (a scale, a drawing) enters
-beforehand.
+`identifiability` rejects parameters that the poses don't identify. No parameter of the mounting has
+a prior; of the loads only what the caller has measured otherwise (a scale, a drawing) enters.
+
+Whether the mounting's parameters pay is a matter of poses held out by blocks, not of the fit's own
+residual (`worth`): blocks of neighbouring poses, in visiting order, are left out of both sweeps in
+turn; three models fitted to the rest predict the readings with the tool: the ten-parameter least
+squares of other packages (from the sweep with the tool alone), loads without a mounting, loads with
+it.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from galen_model.arm.arm import Arm
+from galen_model.arm.galen import GALEN
 from galen_model.arrays import Array
 from galen_model.errors import IdentificationError
-from galen_model.files.calibration_file import LoadEstimate
-from galen_model.load.excitation import LOAD_PARAMETERS, check_excitation
+from galen_model.evidence.block_gain import MOUNTED, PLAIN, ROBUST, Worth, compare
+from galen_model.load.identifiability import (
+    LOAD_PARAMETERS,
+    MAX_STD,
+    JacobianColumns,
+    check_excitation,
+    check_identifiable,
+)
 from galen_model.load.identification import (
     MIN_POSES,
     Identification,
@@ -26,13 +39,15 @@ from galen_model.load.identification import (
     check_channels,
     check_count,
     check_rejections,
+    identify_one_sweep,
+    identify_two_sweeps,
     load_estimate,
     one_sweep_prior,
     one_sweep_result,
+    plain_least_squares,
     two_sweeps_result,
 )
-from galen_model.load.model import gravity_regressor
-from galen_model.load.mounting.gate import MAX_STD, JacobianColumns, check_told
+from galen_model.load.model import gravity_regressor, gravity_wrench
 from galen_model.load.mounting.mounting import Entity, Mounting, entities
 from galen_model.load.mounting.reading_model import (
     JointPoses,
@@ -41,13 +56,12 @@ from galen_model.load.mounting.reading_model import (
     Poses,
     ReadingModel,
 )
-from galen_model.load.robust_fit import RobustFit, fit_with_known_prior
+from galen_model.load.robust_fit import Prior, RobustFit, fit_robust
 
 _STEPS = 20
 _STEPS_WITH_ALL = 6
 _SETTLED = 0.05  # of a standard deviation: the step after that is smaller by two orders
 _ROUNDING = 1e-11  # kg, kg.m, N, N.m, rad
-_TURNED_MORE = "turn the sensor further, about both axes, or sweep with the base in another place"
 
 
 @dataclass(frozen=True)
@@ -75,20 +89,20 @@ class KnownLoad:
         if self.com_std_m is not None and not 0.0 < self.com_std_m < np.inf:
             raise IdentificationError(f"the known centre's deviation is {self.com_std_m:g} m")
 
-    def prior(self, parameters: int, column: int) -> tuple[Array, Array, Array]:
-        """Rows (k, p), values (k,), deviations (k,) on the moments (m, h) from `column` on.
+    def prior(self, parameters: int) -> Prior:
+        """Return it as knowledge of the moments (m, h), the first four of p parameters.
 
         h - p m = 0 within m times the centre's deviation.
         """
         count = 1 if self.com_m is None else 4
         rows, values = np.zeros((count, parameters)), np.zeros(count)
         std = np.full(count, self.mass_std_kg)
-        rows[0, column], values[0] = 1.0, self.mass_kg
+        rows[0, 0], values[0] = 1.0, self.mass_kg
         if self.com_m is not None and self.com_std_m is not None:
-            rows[1:, column + 1 : column + 4] = np.eye(3)
-            rows[1:, column] = -np.asarray(self.com_m, dtype=float)
+            rows[1:, 1:4] = np.eye(3)
+            rows[1:, 0] = -np.asarray(self.com_m, dtype=float)
             std[1:] = self.mass_kg * self.com_std_m
-        return rows, values, std
+        return Prior(rows, values, std)
 
 
 @dataclass(frozen=True)
@@ -119,21 +133,20 @@ def identify_two_sweeps_mounted(
     bare: StillPoses,
     tool: StillPoses,
     groups: Sequence[str],
-    zero_roll_rad: float = 0.0,
-    zero_tilt_rad: float = 0.0,
+    zero_angles: ArrayLike | None = None,
     known: KnownLoad | None = None,
 ) -> MountedIdentification:
     """As `identify_two_sweeps`, with the mounting's `groups`. known: of the tool.
 
-    Raises NotToldApartError naming the pairs, and as `identify_two_sweeps` does.
+    Raises NotExcitedError naming the pairs, and as `identify_two_sweeps` does.
     """
     check_count(bare, "sweep without the tool")
     check_count(tool, "sweep with the tool")
     asked = entities(groups)
     problem = _two_sweeps_problem(
-        JointPoses(bare.roll, bare.tilt),
-        JointPoses(tool.roll, tool.tilt),
-        JointPoses(np.array([zero_roll_rad]), np.array([zero_tilt_rad])),
+        JointPoses(bare.angles, bare.arm),
+        JointPoses(tool.angles, tool.arm),
+        _zeroing_pose(zero_angles, tool.arm),
         asked,
         known,
     )
@@ -151,9 +164,7 @@ def identify_two_sweeps_mounted(
 def identify_one_sweep_mounted(
     tool: StillPoses,
     groups: Sequence[str],
-    zero_roll_rad: float = 0.0,
-    zero_tilt_rad: float = 0.0,
-    known_adapter: LoadEstimate | None = None,
+    zero_angles: ArrayLike | None = None,
 ) -> MountedIdentification:
     """As `identify_one_sweep`, with the mounting's `groups`; raises as the two sweeps' does.
 
@@ -162,8 +173,8 @@ def identify_one_sweep_mounted(
     """
     check_count(tool, "sweep with the tool")
     asked = entities(groups)
-    poses = JointPoses(tool.roll, tool.tilt)
-    zero = JointPoses(np.array([zero_roll_rad]), np.array([zero_tilt_rad]))
+    poses = JointPoses(tool.angles, tool.arm)
+    zero = _zeroing_pose(zero_angles, tool.arm)
     together = _single_problem(poses, asked, None)
     start, design, sigma = together.start(tool.wrench)
     check_excitation(design, LOAD_PARAMETERS[:4], {"with the tool": tool})
@@ -171,13 +182,12 @@ def identify_one_sweep_mounted(
     together.check(start, sigma, None)
 
     gravity_zero = zero.gravity(Mounting())[0][0]
-    rows, values, std = one_sweep_prior(gravity_zero, known_adapter)
+    rows, values, std = one_sweep_prior(gravity_zero)
     problem = _Problem(
         ReadingModel(
             [MountedSweep(poses, slice(0, 4), slice(4, 8), slice(8, 14))], zero, asked, 14
         ),
-        (np.hstack([rows, np.zeros((len(rows), len(asked)))]), values, std),
-        slice(8, 14),
+        Prior(np.hstack([rows, np.zeros((len(rows), len(asked)))]), values, std, slice(8, 14)),
         None,
     )
     # what the sum's offset holds, the zeroing took: - G_0 x_adapter
@@ -189,7 +199,7 @@ def identify_one_sweep_mounted(
     together.check(sum_values, fit.sigma, MAX_STD, fit.used)
     mounting = problem.mounting(fit, tuple(groups))
     gravity_zero = zero.gravity(mounting)[0][0]
-    return MountedIdentification(one_sweep_result(fit, tool, gravity_zero, known_adapter), mounting)
+    return MountedIdentification(one_sweep_result(fit, tool, gravity_zero), mounting)
 
 
 def identify_single_load_mounted(
@@ -202,7 +212,7 @@ def identify_single_load_mounted(
     """As `identify_single_load`, with the mounting's `groups`, from orientations.
 
     gravity_sensor: (n, 3) for a level base; base_from_sensor: R_base_sensor (n, 3, 3), which an
-    inclination of the base needs. known: of all that hangs on the sensor. Raises NotToldApartError
+    inclination of the base needs. known: of all that hangs on the sensor. Raises NotExcitedError
     naming the pairs, and as `identify_single_load` does.
     """
     gravity, readings = np.asarray(gravity_sensor, dtype=float), np.asarray(wrench, dtype=float)
@@ -218,22 +228,26 @@ def identify_single_load_mounted(
     return MountedLoad(single, problem.mounting(fit, tuple(groups)))
 
 
+def _zeroing_pose(zero_angles: ArrayLike | None, arm: Arm) -> JointPoses:
+    at = arm.home_angles if zero_angles is None else np.asarray(zero_angles, dtype=float)
+    return JointPoses(at[None], arm)
+
+
 def check_planned_mounting(
-    roll: Array,
-    tilt: Array,
+    angles: Array,
     groups: Sequence[str],
     *,
     one_sweep: bool = False,
-    zero_roll_rad: float = 0.0,
-    zero_tilt_rad: float = 0.0,
+    zero_angles: ArrayLike | None = None,
+    arm: Arm = GALEN,
 ) -> None:
-    """Raise, before the arm moves, for poses (n,), rad, that can't tell `groups` apart.
+    """Raise, before the arm moves, for angles (n, k), rad, that can't distinguish `groups`.
 
     The load isn't known then; one of 100 g, well off every axis, stands for it.
     """
     asked = entities(groups)
-    planned = JointPoses(np.asarray(roll, dtype=float), np.asarray(tilt, dtype=float))
-    zero = JointPoses(np.array([zero_roll_rad]), np.array([zero_tilt_rad]))
+    planned = JointPoses(np.asarray(angles, dtype=float), arm)
+    zero = _zeroing_pose(zero_angles, arm)
     load, noise = 0.1 * np.array([1.0, 0.05, 0.03, 0.05]), np.array([1.0] * 3 + [0.02] * 3)
     if one_sweep:
         problem = _single_problem(planned, asked, None)
@@ -253,44 +267,38 @@ def _two_sweeps_problem(
         MountedSweep(tool, slice(0, 4), adapter, slice(14, 20)),
     ]
     columns = JacobianColumns((0, 4), (1, 2, 3, 5, 6, 7), range(8, 20), [e.name for e in asked])
-    return _Problem(
-        ReadingModel(sweeps, zero, asked, 20), _prior(known, 20 + len(asked)), None, columns
-    )
+    return _Problem(ReadingModel(sweeps, zero, asked, 20), _prior(known, 20 + len(asked)), columns)
 
 
 def _single_problem(poses: Poses, asked: tuple[Entity, ...], known: KnownLoad | None) -> "_Problem":
     """Values: the load's moments (4), offsets (6), asked."""
     model = ReadingModel(
         [MountedSweep(poses, slice(0, 4), None, slice(4, 10))],
-        JointPoses(np.zeros(1), np.zeros(1)),
+        _zeroing_pose(None, GALEN),
         asked,
         10,
     )
     columns = JacobianColumns((0,), (1, 2, 3), range(4, 10), [e.name for e in asked])
-    return _Problem(model, _prior(known, 10 + len(asked)), None, columns)
+    return _Problem(model, _prior(known, 10 + len(asked)), columns)
 
 
-def _prior(known: KnownLoad | None, parameters: int) -> tuple[Array, Array, Array]:
+def _prior(known: KnownLoad | None, parameters: int) -> Prior:
     if known is None:
-        return np.zeros((0, parameters)), np.zeros(0), np.zeros(0)
-    return known.prior(parameters, 0)
+        return Prior(np.zeros((0, parameters)), np.zeros(0), np.zeros(0))
+    return known.prior(parameters)
 
 
 @dataclass(frozen=True)
 class _Problem:
-    """A model, what is known beforehand (rows, values, deviations), and the gate's columns.
-
-    offsets: those known to be zero within a reading's noise, or None.
-    """
+    """A model, what is known beforehand, and the columns of `check_identifiable`."""
 
     model: ReadingModel
-    known: tuple[Array, Array, Array]
-    offsets: slice | None
+    known: Prior
     columns: JacobianColumns | None
 
     def start(self, readings: Array) -> tuple[Array, Array, Array]:
         """Values (p,) without a mounting, their linear part's design, and the noise (6,) so far."""
-        values = np.zeros(self.known[0].shape[1])
+        values = np.zeros(self.known.rows.shape[1])
         design = self.model.evaluate(values)[1][:, :, : self.model.linear]
         rows = design.reshape(-1, self.model.linear)
         values[: self.model.linear] = np.linalg.lstsq(rows, readings.reshape(-1), rcond=None)[0]
@@ -305,7 +313,7 @@ class _Problem:
         for step in range(_STEPS):
             expected, jacobian = self.model.evaluate(values)
             right = readings - expected + jacobian @ values
-            fit = fit_with_known_prior(jacobian[asked], right[asked], *self.known, self.offsets)
+            fit = fit_robust(jacobian[asked], right[asked], self.known)
             used = asked.copy()
             used[asked] = fit.used
             change = np.abs(fit.values - values)
@@ -330,17 +338,15 @@ class _Problem:
     def check(
         self, values: Array, sigma: Array, max_std: float | None, used: np.ndarray | None = None
     ) -> None:
-        """Raise NotToldApartError unless the (used) poses tell all that is asked."""
+        """Raise NotExcitedError unless the (used) poses tell all that is asked."""
         if self.columns is None:
             return
         jacobian = self.model.evaluate(values)[1]
-        rows, _, std = self.known
-        check_told(
+        check_identifiable(
             jacobian if used is None else jacobian[used],
             sigma,
             self.columns,
-            rows / std[:, None],
-            what_separates=_TURNED_MORE,
+            self.known.rows / self.known.std[:, None],
             max_std=max_std,
         )
 
@@ -349,3 +355,101 @@ class _Problem:
         basis, linear = self.model.basis, self.model.linear
         covariance = basis @ fit.covariance[linear:, linear:] @ basis.T
         return Mounting.from_vector(basis @ fit.values[linear:], groups, covariance)
+
+
+BLOCKS = 5
+_Predict = Callable[[StillPoses], Array]
+
+
+@dataclass(frozen=True)
+class Calibrated:
+    """What was measured: sweeps, the zeroing pose (rad), what is known, the groups asked for."""
+
+    bare: StillPoses | None
+    tool: StillPoses
+    groups: Sequence[str]
+    zero_angles: ArrayLike | None = None
+    known: KnownLoad | None = None
+
+    def identify(self) -> MountedIdentification:
+        """From all poses, or those `without` leaves; raises IdentificationError."""
+        if self.bare is not None:
+            return identify_two_sweeps_mounted(
+                self.bare, self.tool, self.groups, self.zero_angles, known=self.known
+            )
+        if self.known is not None:
+            raise IdentificationError("a known mass of the tool needs two sweeps")
+        return identify_one_sweep_mounted(self.tool, self.groups, self.zero_angles)
+
+    def identify_unmounted(self) -> Identification:
+        """The same without a mounting; raises IdentificationError."""
+        if self.bare is not None:
+            return identify_two_sweeps(self.bare, self.tool, self.zero_angles)
+        return identify_one_sweep(self.tool, self.zero_angles)
+
+    def without(self, block: int, blocks: int) -> "Calibrated":
+        """The same without a block of each sweep."""
+        bare = None if self.bare is None else _take(self.bare, ~_held(self.bare, block, blocks))
+        tool = _take(self.tool, ~_held(self.tool, block, blocks))
+        return replace(self, bare=bare, tool=tool)
+
+
+def worth(measured: Calibrated, all_poses: MountedIdentification, blocks: int = BLOCKS) -> Worth:
+    """Score the models; all_poses: the mounted fit to everything, whose outliers don't count.
+
+    Raises IdentificationError where the mounting can't be fitted without a block.
+    """
+    parts: dict[str, list[Array]] = {name: [] for name in (PLAIN, ROBUST, MOUNTED)}
+    for block in range(blocks):
+        held = _held(measured.tool, block, blocks)
+        rest = measured.without(block, blocks)
+        scored = _take(measured.tool, held & all_poses.found.used_tool)
+        try:
+            mounted = rest.identify()
+        except IdentificationError as error:
+            raise IdentificationError(
+                f"without block {block + 1} of {blocks} of the poses: {error}"
+            ) from error
+        for name, predict in zip(parts, _models(rest, mounted), strict=True):
+            left = np.full((len(scored), 6), np.nan) if predict is None else predict(scored)
+            parts[name].append(scored.wrench - left)
+    return compare(parts, all_poses.found.sigma)
+
+
+def _models(rest: Calibrated, mounted: MountedIdentification) -> list[_Predict | None]:
+    moments, offset = plain_least_squares(rest.tool.gravity, rest.tool.wrench)
+    try:
+        unmounted = rest.identify_unmounted()
+    except IdentificationError:  # far off, readings fit no load at all without a mounting
+        galen = None
+    else:
+        galen = _predictor(unmounted, Mounting(), rest.zero_angles)
+    return [
+        lambda poses: gravity_regressor(poses.gravity) @ moments + offset,
+        galen,
+        _predictor(mounted.found, mounted.mounting, rest.zero_angles),
+    ]
+
+
+def _predictor(
+    found: Identification, mounting: Mounting, zero_angles: ArrayLike | None
+) -> _Predict:
+    def predict(poses: StillPoses) -> Array:
+        gravity = mounting.gravity_in_sensor(poses.angles)
+        wrench = (
+            gravity_wrench(gravity, found.load.load)
+            + gravity_wrench(gravity, found.adapter.load)
+            - gravity_wrench(mounting.gravity_in_sensor(zero_angles), found.adapter.load)
+        )
+        return np.asarray(wrench @ mounting.reading_from_wrench.T + found.offset)
+
+    return predict
+
+
+def _held(poses: StillPoses, block: int, blocks: int) -> np.ndarray:
+    return np.asarray(np.arange(len(poses)) * blocks // len(poses) == block)
+
+
+def _take(poses: StillPoses, rows: np.ndarray) -> StillPoses:
+    std = None if poses.std_of_mean is None else poses.std_of_mean[rows]
+    return StillPoses(poses.angles[rows], poses.wrench[rows], std, arm=poses.arm)

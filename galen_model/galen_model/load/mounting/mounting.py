@@ -1,12 +1,12 @@
 """How the sensor sits in its mount and the base on its stand, and what both do to a reading.
 
 With the conventions of the effects `sensor_mount_rotation`, `axis_gain`, `base_inclination`,
-`roll_zero_offset` and `tilt_zero_offset`: S = exp(rotvec) turns the sensing element in ft_sensor
+`joint_zero_offset`: S = exp(rotvec) turns the sensing element in ft_sensor
 (the tool is not turned), reading_k = (1 + g_k) true_k, gravity in base_link is
 (Rx(a) Ry(b))^T (0, 0, -g), and a true angle is the reported one plus its zero. So
 
-    u(roll, tilt) = Ry(tilt + zero_tilt + pi/2)^T Rx(roll + zero_roll)^T (Rx(a) Ry(b))^T (0, 0, -g)
-    reading       = M w(u),   M = diag(1 + g) blockdiag(S^T, S^T)
+    u(q)    = R_base_sensor(q + zeros)^T (Rx(a) Ry(b))^T (0, 0, -g)
+    reading = M w(u),   M = diag(1 + g) blockdiag(S^T, S^T)
 
 for a wrench w in ft_sensor. The element reads about the same origin, so force and torque turn
 alike. Zeroing takes a reading off; with M linear, M w(u) - M w(u_0) = M (w(u) - w(u_0)), so that
@@ -27,8 +27,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from galen_model.arm.galen import GRAVITY_M_S2, WRENCH_AXES
-from galen_model.arm.kinematics import sensor_rotation
+from galen_model.arm.arm import Arm
+from galen_model.arm.galen import GALEN, GRAVITY_M_S2, WRENCH_AXES
 from galen_model.arrays import Array
 from galen_model.errors import IdentificationError
 from galen_model.files.json_fields import FieldError, array, get, mapping, number, numbers, texts
@@ -39,8 +39,7 @@ PARAMETERS = (
     *(f"the gain of {axis}" for axis in WRENCH_AXES),
     "the base's inclination about x",
     "the base's inclination about y",
-    "the roll joint's zero",
-    "the tilt joint's zero",
+    *(f"the {name} joint's zero" for name in GALEN.turning_names),
 )
 """Order of a mounting's parameters (13): rad, but for the gains."""
 
@@ -78,7 +77,7 @@ _TORQUE_RATIO = (
     _gain("the ratio of the gain of tz to those of tx and ty", 6, -0.5, -0.5, 1.0),
 )
 _INCLINATION = (_single(9), _single(10))
-_ZERO = (_single(11), _single(12))
+_ZERO = tuple(map(_single, range(11, len(PARAMETERS))))
 
 GROUPS: dict[str, tuple[Entity, ...]] = {
     "sensor_rotation": _ROTATION,
@@ -95,8 +94,7 @@ GROUPS: dict[str, tuple[Entity, ...]] = {
     "torque_gain_ratio": _TORQUE_RATIO,
     "base_inclination_x": _INCLINATION[:1],
     "base_inclination_y": _INCLINATION[1:],
-    "roll_zero": _ZERO[:1],
-    "tilt_zero": _ZERO[1:],
+    **{f"{name}_zero": (zero,) for name, zero in zip(GALEN.turning_names, _ZERO, strict=True)},
 }
 """What can be asked for, and which directions it holds."""
 
@@ -125,7 +123,7 @@ def gravity_direction(about_x_rad: float, about_y_rad: float) -> Array:
 
 @dataclass(frozen=True)
 class Mounting:
-    """Rotation and gains of the sensor, inclination of the base (about x, y), zeros (roll, tilt).
+    """Rotation and gains of the sensor, inclination of the base (about x, y), joint zeros.
 
     axis_gain (6,) in the order fx fy fz tx ty tz; all others in rad. estimated: the names of
     `GROUPS` that a calibration told; what is not among them is
@@ -182,14 +180,11 @@ class Mounting:
         """Unit vector (3,) of gravity in base_link."""
         return gravity_direction(*self.base_inclination_rad)
 
-    def gravity_in_sensor(self, roll_rad: ArrayLike, tilt_rad: ArrayLike) -> Array:
-        """Gravity (..., 3) in ft_sensor, m/s^2, at reported angles (...), rad."""
-        roll = np.asarray(roll_rad, dtype=float) + self.joint_zero_rad[0]
-        tilt = np.asarray(tilt_rad, dtype=float) + self.joint_zero_rad[1]
-        return np.asarray(
-            np.einsum("...ji,j->...i", sensor_rotation(roll, tilt), self.gravity_direction)
-            * -GRAVITY_M_S2[2]
-        )
+    def gravity_in_sensor(self, angles: ArrayLike | None, arm: Arm = GALEN) -> Array:
+        """Gravity (..., 3) in the sensor, m/s^2, at reported angles (..., k); None for home."""
+        reported = arm.home_angles if angles is None else np.asarray(angles, dtype=float)
+        true = reported + self.joint_zero_rad
+        return arm.direction_in_sensor(true, self.gravity_direction) * -GRAVITY_M_S2[2]
 
     def turned_gravity(self, gravity_sensor: ArrayLike, base_from_sensor: ArrayLike) -> Array:
         """Gravity (n, 3) in ft_sensor as the inclined base has it.
@@ -219,12 +214,13 @@ class Mounting:
     def to_json(self) -> dict[str, Any]:
         """As the calibration file holds it."""
         about_x, about_y = numbers(self.base_inclination_rad)
-        roll, tilt = numbers(self.joint_zero_rad)
         return {
             "sensor_rotvec_rad": numbers(self.sensor_rotvec_rad),
             "axis_gain": numbers(self.axis_gain),
             "base_inclination_rad": {"about_x": about_x, "about_y": about_y},
-            "joint_zero_rad": {"roll": roll, "tilt": tilt},
+            "joint_zero_rad": dict(
+                zip(GALEN.turning_names, numbers(self.joint_zero_rad), strict=True)
+            ),
             "estimated": list(self.estimated),
             "covariance": [numbers(row) for row in self.covariance],
         }
@@ -236,7 +232,7 @@ class Mounting:
         rotvec = array(get(whole, "sensor_rotvec_rad"), f"{name}.sensor_rotvec_rad", (3,))
         gain = array(get(whole, "axis_gain"), f"{name}.axis_gain", (6,))
         inclination = _pair(whole, "base_inclination_rad", ("about_x", "about_y"), name)
-        zero = _pair(whole, "joint_zero_rad", ("roll", "tilt"), name)
+        zero = _pair(whole, "joint_zero_rad", GALEN.turning_names, name)
         covariance = array(get(whole, "covariance"), f"{name}.covariance", (_COUNT, _COUNT))
         estimated = texts(get(whole, "estimated"), f"{name}.estimated")
         if np.linalg.norm(rotvec) > np.pi:
@@ -254,6 +250,6 @@ class Mounting:
         return Mounting(rotvec, gain, inclination, zero, estimated, covariance)
 
 
-def _pair(whole: Any, key: str, parts: tuple[str, str], name: str) -> Array:
+def _pair(whole: Any, key: str, parts: Sequence[str], name: str) -> Array:
     inner = mapping(get(whole, key), f"{name}.{key}")
     return np.array([number(get(inner, part), f"{name}.{key}.{part}") for part in parts])

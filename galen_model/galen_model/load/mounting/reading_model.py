@@ -6,8 +6,8 @@
 h)). The columns of the Jacobian: M G(u) by x, 1 by o; by a gain the element's own reading e = M w
 / (1 + g); by the rotation vector diag(1 + g) [e_f^ ; e_t^] J_r, since S(rho + d)^T w = exp(-(J_r
 d)^) S^T w with the right Jacobian J_r of the rotation group (Sola, Deray, Atchuthan, *A micro Lie
-theory*, 2018, eq. 143); by angles M [m 1 ; h^] du, with du/dtilt = u x e_y, du/droll = u x (R^T
-e_x) and du/da = g R^T dd/da.
+theory*, 2018, eq. 143); by angles M [m 1 ; h^] du, with du/dq_k = u x (R^T a_k),
+a_k the axis of joint k in the base's frame, and du/da = g R^T dd/da.
 """
 
 from collections.abc import Sequence
@@ -15,37 +15,37 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from galen_model.arm.galen import GRAVITY_M_S2
-from galen_model.arm.kinematics import sensor_rotation
+from galen_model.arm.arm import Arm
+from galen_model.arm.galen import GALEN, GRAVITY_M_S2
 from galen_model.arrays import Array
 from galen_model.load.model import gravity_regressor
 from galen_model.load.mounting.mounting import PARAMETERS, Entity, Mounting
 from galen_model.rotation import skew
 
-_E_Y = np.array([0.0, 1.0, 0.0])
-
 
 @dataclass(frozen=True)
 class JointPoses:
-    """Reported roll and tilt (n,), rad."""
+    """Reported angles (n, k) of an arm's turning joints, rad."""
 
-    roll: Array
-    tilt: Array
+    angles: Array
+    arm: Arm = GALEN
 
     def __len__(self) -> int:
         """Number of poses."""
-        return len(self.roll)
+        return len(self.angles)
 
     def gravity(self, mounting: Mounting) -> tuple[Array, Array]:
-        """Gravity (n, 3) in ft_sensor and its change (n, 3, 4) by inclination x, y, zeros."""
-        zero = mounting.joint_zero_rad
-        rotation = sensor_rotation(self.roll + zero[0], self.tilt + zero[1])
+        """Gravity (n, 3) in the sensor and its change (n, 3, 2 + k) by inclination and zeros."""
+        joints = self.arm.with_angles(self.angles + mounting.joint_zero_rad)
+        rotation, _ = self.arm.sensor_pose(joints)
+        _, axes = self.arm.joint_axes(joints)
         size = -GRAVITY_M_S2[2]
         u = np.einsum("nji,j->ni", rotation, mounting.gravity_direction) * size
-        change = np.empty((len(self), 3, 4))
+        change = np.empty((len(self), 3, 2 + len(self.arm.turning)))
         change[:, :, :2] = size * _by_inclination(rotation, mounting)
-        change[:, :, 2] = np.cross(u, rotation[:, 0, :])
-        change[:, :, 3] = np.cross(u, _E_Y)
+        for column, joint in enumerate(self.arm.turning, start=2):
+            axis = np.einsum("nji,nj->ni", rotation, axes[:, joint])
+            change[:, :, column] = np.cross(u, axis)
         return u, change
 
 
@@ -65,7 +65,7 @@ class OrientedPoses:
 
     def gravity(self, mounting: Mounting) -> tuple[Array, Array]:
         """As `JointPoses.gravity`; joint zeros have no effect."""
-        change = np.zeros((len(self), 3, 4))
+        change = np.zeros((len(self), 3, _COUNT - 9))
         if self.rotation is None:
             return self.level_gravity, change
         size = np.linalg.norm(self.level_gravity, axis=1)[:, None, None]
@@ -124,7 +124,7 @@ class ReadingModel:
         regressor = gravity_regressor(u)
         moments = np.zeros(4)
         wrench = np.zeros((len(u), 6))
-        by_angles = np.zeros((len(u), 6, 4))
+        by_angles = np.zeros((len(u), 6, _COUNT - 9))
         if sweep.tool is not None:
             moments = moments + values[sweep.tool]
             jacobian[:, :, sweep.tool] = by_wrench @ regressor
@@ -151,7 +151,7 @@ def _by_gravity(moments: Array) -> Array:
 
 
 def _by_mounting(mounting: Mounting, reading: Array, by_angles: Array) -> Array:
-    """(n, 6, 13) from readings (n, 6) without offset and their change (n, 6, 4) by the angles."""
+    """(n, 6, 13) from readings (n, 6) without offset and their change by the angles."""
     gain = 1.0 + mounting.axis_gain
     element = reading / gain
     jacobian = np.zeros((len(reading), 6, _COUNT))

@@ -1,14 +1,14 @@
 """Inertia of all that hangs on the sensor, from a recording of free motion.
 
-With s = g - a, Y the regressor of `galen_model.load.inertia.inertial`, x = (m, h, I) of tool and
+With s = g - a, Y the regressor of `galen_model.load.inertia`, x = (m, h, I) of tool and
 adapter together and r the readings,
 
     r = Y(s, w, al) x + b - lag d/dt [Y(s, w, al) x] + noise,
 
 linear in x and the offset b (the sensor's zero takes up the adapter's weight there), and, at the x
 found before, in the lag of the wrench's stamps. The calibration file knows (m, h) far better than
-motion does: it enters with its covariance. Beside it the same is fitted without the
-file, and the two (m, h) are compared.
+motion does: it enters with its covariance. The same is fitted without the file, and the two (m, h)
+are compared.
 
 Residuals of neighbouring samples belong together (vibration, differentiated encoder steps), so the
 covariance is taken from blocks of time, not from samples (Liang, Zeger, *Biometrika* 73, 1986):
@@ -16,23 +16,162 @@ covariance is taken from blocks of time, not from samples (Liang, Zeger, *Biomet
     C = N^-1 (sum over blocks u u^T + P) N^-1 B / (B - p),   N = sum X^T W X + P,
 
 u the sum of X^T W e over a block, P the file's information, B blocks, p parameters. Blocks that
-disagree with the rest (somebody touched the tool) are left out.
+disagree with the rest (the tool was touched) are left out.
+
+`motion_record` makes a recording of joints and wrenches into the sensor's motion. Derivatives of
+encoders are noisy, and noise in a regressor draws what is fitted by it towards zero; smoothing them
+alone leaves a bias wherever the motion is fast. So joints and wrench go through the same zero-phase
+low-pass before the joints are differentiated: what it takes away, it takes away on both sides of
+the equation (Swevers, Verdonck, De Schutter, *IEEE Control Systems* 27(5), 2007, "parallel
+filtering"). Products of slow and fast motion are filtered not quite alike, which matters only for
+motion near the cut-off.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
+from scipy.signal import butter, sosfiltfilt
 
+from galen_model.arm.sensor_motion import sensor_motion
 from galen_model.arrays import Array
 from galen_model.distributions import chi2_sf
 from galen_model.errors import IdentificationError, NotExcitedError
 from galen_model.evidence.columns import moment_covariance
 from galen_model.files.calibration_file import CalibrationFile
-from galen_model.load.inertia.inertial import INERTIA_NAMES, InertiaEstimate, inertial_regressor
-from galen_model.load.inertia.motion_record import MotionRecord
+from galen_model.load.inertia import INERTIA_NAMES, InertiaEstimate, inertial_regressor
 from galen_model.load.model import gravity_regressor
+from galen_model.load.mounting.mounting import Mounting
+
+CUTOFF_HZ = 10.0
+"""The arm's own motion is below 5 Hz."""
+_ORDER = 4
+_SAMPLES_A_CUTOFF = 10.0
+_EDGE_S = 0.3
+_LARGEST_GAP_S = 0.05
+
+
+@dataclass(frozen=True)
+class MotionRecord:
+    """The sensor's motion at each reading, all in ft_sensor: time_s (n,), the rest (n, 3), (n, 6).
+
+    gravity, acceleration of the origin (m/s^2), angular velocity and acceleration, wrench.
+    """
+
+    time_s: Array
+    gravity: Array
+    acceleration_m_s2: Array
+    velocity_rad_s: Array
+    acceleration_rad_s2: Array
+    wrench: Array
+
+    def __len__(self) -> int:
+        """Number of readings."""
+        return len(self.time_s)
+
+    def take(self, rows: np.ndarray) -> MotionRecord:
+        """Some of the readings, by index or mask."""
+        return MotionRecord(
+            self.time_s[rows],
+            self.gravity[rows],
+            self.acceleration_m_s2[rows],
+            self.velocity_rad_s[rows],
+            self.acceleration_rad_s2[rows],
+            self.wrench[rows],
+        )
+
+
+def motion_record(
+    joint_stamp_ns: np.ndarray,
+    joints: Array,
+    wrench_stamp_ns: np.ndarray,
+    wrenches: Array,
+    mounting: Mounting | None = None,
+    cutoff_hz: float = CUTOFF_HZ,
+) -> MotionRecord:
+    """From joints (n, 5), m and rad, and wrenches (m, 6), N and N.m, with their stamps, ns.
+
+    Readings come at ten times the cut-off; the ends of each stretch without a gap are left out, as
+    filters have nothing to hold on to there. Raises IdentificationError where nothing is left.
+    """
+    mounting = mounting or Mounting()
+    kept = np.isfinite(joints).all(axis=1)
+    joint_stamp_ns, joints = joint_stamp_ns[kept], joints[kept]
+    kept = np.isfinite(wrenches).all(axis=1)
+    wrench_stamp_ns, wrenches = wrench_stamp_ns[kept], wrenches[kept]
+    start_ns = int(joint_stamp_ns[0]) if len(joint_stamp_ns) else 0
+    joint_s = (joint_stamp_ns - start_ns) * 1e-9
+    wrench_s = (wrench_stamp_ns - start_ns) * 1e-9
+    parts = []
+    for first_s, last_s in _stretches(joint_s, wrench_s):
+        period_s = float(np.median(np.diff(joint_s)))
+        if 1.0 / period_s < 4.0 * cutoff_hz:
+            raise IdentificationError(
+                f"joint_states come at {1.0 / period_s:.0f} Hz; {4.0 * cutoff_hz:.0f} Hz or more"
+                " are needed to tell motion"
+            )
+        time_s = np.arange(first_s, last_s, period_s)
+        sections = butter(_ORDER, cutoff_hz, fs=1.0 / period_s, output="sos")
+        smooth, felt = (
+            sosfiltfilt(sections, _at(time_s, own_s, values), axis=0)
+            for own_s, values in ((joint_s, joints), (wrench_s, wrenches))
+        )
+        velocity = np.gradient(smooth, period_s, axis=0)
+        acceleration = np.gradient(velocity, period_s, axis=0)
+        step = max(1, round(1.0 / (_SAMPLES_A_CUTOFF * cutoff_hz * period_s)))
+        edge = round(_EDGE_S / period_s)
+        rows = slice(edge, len(time_s) - edge, step)
+        angles = smooth[rows, 3:]
+        turned = smooth[rows].copy()
+        turned[:, 3:] += mounting.joint_zero_rad
+        motion = sensor_motion(turned, velocity[rows], acceleration[rows])
+        parts.append(
+            MotionRecord(
+                time_s[rows],
+                mounting.gravity_in_sensor(angles),
+                motion.acceleration_m_s2,
+                motion.velocity_rad_s,
+                motion.acceleration_rad_s2,
+                felt[rows] @ mounting.wrench_from_reading.T,
+            )
+        )
+    if not parts:
+        raise IdentificationError(
+            f"joints and wrenches never come together for {4 * _EDGE_S:.1f} s without a gap"
+        )
+    return MotionRecord(
+        *(np.concatenate([getattr(part, name) for part in parts]) for name in _FIELDS)
+    )
+
+
+_FIELDS = (
+    "time_s", "gravity", "acceleration_m_s2", "velocity_rad_s", "acceleration_rad_s2", "wrench",
+)  # fmt: skip
+
+
+def _at(time_s: Array, own_s: Array, values: Array) -> Array:
+    return np.column_stack([np.interp(time_s, own_s, column) for column in values.T])
+
+
+def _stretches(joint_s: Array, wrench_s: Array) -> list[tuple[float, float]]:
+    """From where to where both come without a gap, s."""
+    if len(joint_s) < 2 or len(wrench_s) < 2:
+        return []
+    first = max(joint_s[0], wrench_s[0])
+    last = min(joint_s[-1], wrench_s[-1])
+    borders = [(float(first), float(first)), (float(last), float(last))]
+    for own_s in (joint_s, wrench_s):
+        for row in np.flatnonzero(np.diff(own_s) > _LARGEST_GAP_S):
+            borders.append((float(own_s[row]), float(own_s[row + 1])))
+    borders.sort()
+    found = []
+    for (_, begin), (end, _) in pairwise(borders):
+        if end - begin > 4 * _EDGE_S and first <= begin and end <= last:
+            found.append((begin, end))
+    return found
+
 
 BLOCK_S = 0.5
 FEWEST_BLOCKS = 24
@@ -292,6 +431,6 @@ def _check_told(fitted: _Fitted, moments: Array) -> None:
     share = np.sum(directions[:, bad] ** 2, axis=1)
     missing = [name for name, part in zip(INERTIA_NAMES, share, strict=True) if part > 0.1]
     raise NotExcitedError(
-        f"the motion does not tell the inertia's {', '.join(missing)}: turn roll and tilt both,"
-        " each way and faster, with tilt at different places while roll turns"
+        f"the motion does not tell the inertia's {', '.join(missing)}: turn all joints,"
+        " each way and faster, each with the others at different places"
     )

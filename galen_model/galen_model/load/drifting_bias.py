@@ -1,6 +1,6 @@
 """Least squares of a load whose sensor's bias drifts while the poses are visited.
 
-    y_ik = X_ik x + b_k(t_i) + e_ik,    e_ik ~ N(0, sigma_k^2),   b_k = B beta_k (`curve`)
+    y_ik = X_ik x + b_k(t_i) + e_ik,    e_ik ~ N(0, sigma_k^2),   b_k = B beta_k
 
 x are the loads' moments; the six curves have the prior beta_k ~ N(0, sigma_k^2 Q^-1), with one Q
 for the forces and one for the torques. Given Q this is generalised least squares with the
@@ -16,12 +16,30 @@ drawn towards its kind's mean, and the covariance widened for its own error, as 
 
 A pose is an outlier by its studentised residuals, r / (sigma sqrt(1 - h)) with h its leverage on
 its own fitted value, because a curve bends towards what it is to be compared with. A hand that
-stays over several poses looks like a bias drift, and no fit of this kind tells them apart.
+stays over several poses looks like a bias drift, and no fit of this kind distinguishes them.
+
+**The curves** are b(t) = B(t) beta, linear between knots, with the prior beta ~ N(0, (sigma^2)
+Q^-1), where sigma is one averaged reading's noise and Q is singular where nothing is known
+beforehand:
+
+    constant   b = c                            Q = 0
+    linear     b = c + d t                      Q = 0
+    walk       db = q dw, a random walk         beta' Q beta = sum (beta_j+1 - beta_j)^2 / (q^2 h_j)
+    smooth     d^2b = q dw, its integral        the same of slopes: a cubic smoothing spline
+
+(Wahba, *Spline Models for Observational Data*, 1990, chapter 1; Harvey, *Forecasting, Structural
+Time Series Models*, 1989, section 2.3.) The roughness says how far a curve gets from a constant (a
+straight line, for `smooth`) over the sweep's length T, in sigma: q^2 T = roughness^2, and
+q^2 T^3 / 3 = roughness^2. Between two knots the posterior mean of a walk is a straight line, so
+linear interpolation is exact there; beyond the ends it stays, and a smooth curve goes on straight.
+
+Several sweeps have curves of their own (`segment`), which share the roughness.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from enum import StrEnum
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
@@ -29,16 +47,123 @@ from scipy.linalg import cho_factor, cho_solve
 from galen_model.arrays import Array
 from galen_model.distributions import chi2_ppf, f_ppf
 from galen_model.errors import IdentificationError
-from galen_model.load.bias.curve import BiasBasis, BiasShape
 from galen_model.load.robust_fit import (
     FALSE_REJECTIONS_PER_SWEEP,
     MIN_POSES_TO_REJECT,
     PRIOR_READINGS,
     RobustFit,
+    balanced_inverse,
     mad_scale,
     pooled_sigma,
     tiny,
 )
+
+_MOST_KNOTS = 60
+
+
+class Shape(StrEnum):
+    """Kind of curve."""
+
+    CONSTANT = "constant"
+    LINEAR = "linear"
+    WALK = "walk"
+    SMOOTH = "smooth"
+
+
+@dataclass(frozen=True)
+class BiasShape:
+    """A kind of curve, and for a drifting one its roughness in sigma (see above)."""
+
+    shape: Shape = Shape.CONSTANT
+    roughness: float = 0.0
+
+    def __str__(self) -> str:
+        """In words, as in "walk (10 sigma over a sweep)"."""
+        if self.shape in (Shape.CONSTANT, Shape.LINEAR):
+            return self.shape.value
+        return f"{self.shape.value} ({self.roughness:g} sigma over a sweep)"
+
+
+class BiasBasis:
+    """Curves of one shape over given times."""
+
+    def __init__(self, shape: BiasShape, time_s: Array, segment: np.ndarray) -> None:
+        """time_s (n,) and segment (n,), from 0 on: the readings that there are, held out or not."""
+        self.shape = shape
+        self.segments = int(segment.max()) + 1
+        times = [np.unique(time_s[segment == s]) for s in range(self.segments)]
+        longest = max(float(np.ptp(t)) for t in times)
+        self._length_s = longest if longest > 0.0 else 1.0
+        self._end_s = [float(t[-1]) for t in times]
+        if shape.shape is Shape.CONSTANT:
+            self._knots = [t[-1:] for t in times]
+        elif shape.shape is Shape.LINEAR:
+            self._knots = [t[[0, -1]] if len(t) > 1 else t for t in times]
+        else:
+            self._knots = [_thinned(t) for t in times]
+        self._first = np.cumsum([0, *(len(knots) for knots in self._knots)])
+
+    @property
+    def width(self) -> int:
+        """Number of the curves' parameters."""
+        return int(self._first[-1])
+
+    @property
+    def free(self) -> int:
+        """How many of them the prior says nothing of."""
+        order = 1 if self.shape.shape in (Shape.CONSTANT, Shape.WALK) else 2
+        return sum(min(order, len(knots)) for knots in self._knots)
+
+    def rows(self, time_s: Array, segment: np.ndarray) -> Array:
+        """B (n, width) at times (n,), s, of the sweeps `segment` (n,)."""
+        rows = np.zeros((len(time_s), self.width))
+        for s, knots in enumerate(self._knots):
+            at = np.flatnonzero(segment == s)
+            first = self._first[s]
+            if len(knots) == 1:
+                rows[at, first] = 1.0
+                continue
+            place = time_s[at]
+            if self.shape.shape is Shape.WALK:
+                place = np.clip(place, knots[0], knots[-1])
+            left = np.clip(np.searchsorted(knots, place, side="right") - 1, 0, len(knots) - 2)
+            part = (place - knots[left]) / (knots[left + 1] - knots[left])
+            rows[at, first + left] = 1.0 - part
+            rows[at, first + left + 1] = part
+        return rows
+
+    def ends(self) -> Array:
+        """B (segments, width) at each sweep's last reading."""
+        return self.rows(np.array(self._end_s), np.arange(self.segments))
+
+    def penalty(self) -> Array:
+        """Q (width, width)."""
+        matrix = np.zeros((self.width, self.width))
+        if self.shape.shape in (Shape.CONSTANT, Shape.LINEAR):
+            return matrix
+        order = 1 if self.shape.shape is Shape.WALK else 2
+        for s, knots in enumerate(self._knots):
+            if len(knots) <= order:
+                continue
+            place = knots / self._length_s
+            steps = np.diff(place)
+            slopes = np.diff(np.eye(len(knots)), axis=0) / steps[:, None]
+            if order == 1:
+                rows = slopes * np.sqrt(steps)[:, None]
+            else:
+                rows = np.diff(slopes, axis=0) / np.sqrt((steps[1:] + steps[:-1]) / 2.0)[:, None]
+                rows /= np.sqrt(3.0)
+            here = slice(self._first[s], self._first[s + 1])
+            matrix[here, here] = rows.T @ rows / self.shape.roughness**2
+        return matrix
+
+
+def _thinned(times: Array) -> Array:
+    """Knots among the times, both ends with them."""
+    if len(times) <= _MOST_KNOTS:
+        return times
+    return np.asarray(times[np.round(np.linspace(0, len(times) - 1, _MOST_KNOTS)).astype(int)])
+
 
 _ITERATIONS = 30
 Shapes = tuple[BiasShape, BiasShape]
@@ -139,15 +264,7 @@ class Problem:
         if self.sweeps.prior_matrix is not None and self.sweeps.prior_right is not None:
             information = information + self.sweeps.prior_matrix
             right = right + self.sweeps.prior_right
-        diagonal = np.diag(information)
-        if np.any(diagonal <= 0.0):
-            raise IdentificationError("the poses agree on no load")
-        balance = 1.0 / np.sqrt(diagonal)
-        try:
-            inverse = np.linalg.inv(information * np.outer(balance, balance))
-        except np.linalg.LinAlgError:
-            raise IdentificationError("the poses agree on no load") from None
-        covariance = np.asarray(inverse * np.outer(balance, balance))
+        covariance = balanced_inverse(information)
         return covariance @ right, covariance
 
     def curves(self, values: Array) -> list[Array]:

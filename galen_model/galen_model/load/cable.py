@@ -43,7 +43,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.linalg import cho_factor, cho_solve
 
-from galen_model.arm.kinematics import sensor_rotation
+from galen_model.arm.galen import GALEN
 from galen_model.arrays import Array
 from galen_model.files.json_fields import (
     FieldError,
@@ -72,7 +72,7 @@ def form_matrices(form: str, joints: ArrayLike, attachment_m: ArrayLike) -> Arra
     if form == "free":
         matrices[0, :, :3] = matrices[1, :, 3:] = np.eye(3)
         return matrices
-    turned = np.swapaxes(sensor_rotation(q[:, 3], q[:, 4]), -1, -2)
+    turned = np.swapaxes(GALEN.rotation(q[:, 3:]), -1, -2)
     matrices[0, :, :3] = turned
     matrices[0, :, 3:] = skew(np.asarray(attachment_m, dtype=float)) @ turned
     if form == "point_and_couple":
@@ -84,7 +84,7 @@ def attachment_derivatives(form: str, joints: Array) -> Array:
     """Derivatives of B[0] by the attachment (3, n, 6, 3), 1/m; zeros for `free`."""
     derivatives = np.zeros((3, len(joints), 6, 3))
     if form != "free":
-        turned = np.swapaxes(sensor_rotation(joints[:, 3], joints[:, 4]), -1, -2)
+        turned = np.swapaxes(GALEN.rotation(joints[:, 3:]), -1, -2)
         derivatives[:, :, 3:] = skew(np.eye(3))[:, None] @ turned
     return derivatives
 
@@ -106,7 +106,7 @@ class LearnedPull:
     """What was learned: the sweep and how smooth the pull is. SI, wrenches along ft_sensor.
 
     joints (n, 5), wrench (n, 6) beyond the calibration file, std (n, 6) of it. length_rad (2,),
-    over roll and tilt, length_m over the platform's position. amplitude (2,): a of forces (N) and
+    over the angles, length_m over the platform's position. amplitude (2,): a of forces (N) and
     of torques (N.m). attachment_m (3,): r. inflation: the covariance's standard deviations are this
     much larger than the process says, as held-out poses asked for. held_out_rmse (6,): theirs.
     """

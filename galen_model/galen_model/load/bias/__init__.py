@@ -1,1 +1,0 @@
-"""A sensor's bias over a sweep: constant, straight or drifting."""

@@ -1,1 +1,0 @@
-"""The pull of a cable at the tool."""

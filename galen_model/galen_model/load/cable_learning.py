@@ -1,0 +1,453 @@
+"""Learn a cable's pull out of a sweep: how smooth, in which form, and whether it is one.
+
+**How smooth.** With K the covariance of all readings y of a sweep (6 n), W = K^-1 (y y^T - K) K^-1:
+
+    log p(y) = -(y^T K^-1 y + log det K) / 2 + const.,    d log p = tr(W dK) / 2
+
+(Rasmussen & Williams 2006, eqs. 5.8 and 5.9), plus broad normal priors on the logarithms of
+lengths, amplitudes and scatter and on the attachment, for numbers that the sweep does not identify.
+The scatter is what poses have beside smoothness and the averages' own noise (a cord that slips, a
+sensor that drifts), in units of the sensor's noise.
+
+**Which form.** The poses are cut into blocks of neighbours in the angles, and every block is
+predicted from the others, lengths and all learned without it. Beside it: the calibration file as it
+is, and plain least squares with ten parameters (mass, first moment, six offsets) on the same poses,
+which is what a calibration with the cable on would make of it. A cable is believed where it beats
+both, block by block.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.linalg import cho_factor, cho_solve
+from scipy.optimize import minimize
+
+from galen_model.arm.galen import GALEN
+from galen_model.arrays import Array
+from galen_model.errors import IdentificationError, NotExcitedError
+from galen_model.evidence.block_gain import block_gain
+from galen_model.evidence.columns import load_and_offset
+from galen_model.files.calibration_file import CalibrationFile
+from galen_model.load.cable import (
+    FORMS,
+    MAX_POSES,
+    MIN_POSES,
+    LearnedPull,
+    attachment_derivatives,
+    constant_size,
+    form_matrices,
+    groups,
+    together,
+)
+from galen_model.load.inertia_identification import OTHER_MASS
+from galen_model.rotation import skew
+
+# Priors: mean and standard deviation of the logarithms, of length_rad (2), length_m, amplitude (2)
+# and scatter: 1 rad of the wrist, 0.15 m of the platform (half the way to an anchor nearby), some
+# 0.1 N and 0.01 N.m.
+_LOG_PRIOR = np.log([1.0, 1.0, 0.15, 0.1, 0.01, 0.1])
+_LOG_WIDTH = np.array([0.7, 0.7, 0.7, 1.5, 1.5, 1.5])
+_ATTACHMENT_WIDTH_M = 0.2
+_DUPLICATE_RAD = 0.02
+_SPACINGS = 1.5
+
+
+@dataclass(frozen=True)
+class CableSweep:
+    """Still poses with the cable on: joints (n, 5), wrench (n, 6) beyond the file, N, N.m.
+
+    std_of_mean (n, 6) of the wrench; noise (6,), the sensor's, of one reading.
+    """
+
+    joints: Array
+    wrench: Array
+    std_of_mean: Array
+    noise: Array
+
+    def __len__(self) -> int:
+        return len(self.joints)
+
+    def part(self, which: Array) -> CableSweep:
+        """Some of the poses, by mask (n,) or indices."""
+        return CableSweep(
+            self.joints[which],
+            self.wrench[which],
+            self.std_of_mean[which],
+            self.noise,
+        )
+
+
+@dataclass(frozen=True)
+class CableFit:
+    """What was found for one form: the pull, and the optimiser's vector, to start another from."""
+
+    drag: LearnedPull
+    scatter: float
+    start: Array
+
+
+def spacing_rad(joints: Array) -> float:
+    """How far apart the poses (n, 5) stand in their angles: most have another within it."""
+    angles = joints[:, 3:]
+    apart = np.linalg.norm(angles[:, None] - angles[None], axis=2)
+    apart[apart < _DUPLICATE_RAD] = np.inf
+    return float(np.quantile(apart.min(axis=1), 0.8))
+
+
+def spread_out(joints: Array, count: int) -> Array:
+    """Indices (count,) of poses (n, 5) that lie far apart: each next one farthest from the others.
+
+    A tenth of a metre of the platform counts as much as half a radian.
+    """
+    scaled = joints / np.array([0.1, 0.1, 0.1, 0.5, 0.5])
+    chosen = [int(np.argmin(np.linalg.norm(scaled - scaled.mean(axis=0), axis=1)))]
+    nearest = np.linalg.norm(scaled - scaled[chosen[0]], axis=1)
+    while len(chosen) < min(count, len(joints)):
+        chosen.append(int(np.argmax(nearest)))
+        nearest = np.minimum(nearest, np.linalg.norm(scaled - scaled[chosen[-1]], axis=1))
+    return np.sort(chosen)
+
+
+def fit_cable(
+    sweep: CableSweep, form: str, learned_at: str, start: Array | None = None
+) -> CableFit:
+    """Learn a cable's pull from all poses given. `start`: an earlier fit's.
+
+    Raises IdentificationError where the sweep's numbers give none.
+    """
+    problem = _Likelihood(sweep, form)
+    begin = np.concatenate([_LOG_PRIOR, problem.first_attachment()]) if start is None else start
+    # The logarithms stay within e^-6 to e^6 of where they are plausible: beyond, exp() overflows.
+    bounds = [(centre - 6.0, centre + 6.0) for centre in _LOG_PRIOR] + [(-1.0, 1.0)] * 3
+    found = minimize(
+        problem,
+        begin,
+        jac=True,
+        method="L-BFGS-B",
+        bounds=bounds,
+        options={"maxiter": 60, "ftol": 1e-6},
+    )
+    if not np.isfinite(found.fun):
+        raise IdentificationError("the sweep's readings give no cable's pull: they don't add up")
+    values = np.exp(found.x[:6])
+    scatter = float(values[5])
+    drag = LearnedPull(
+        form=form,
+        joints=sweep.joints,
+        wrench=sweep.wrench,
+        std=np.hypot(sweep.std_of_mean, scatter * sweep.noise),
+        length_rad=values[:2],
+        length_m=float(values[2]),
+        amplitude=values[3:5],
+        support_rad=float(np.clip(_SPACINGS * spacing_rad(sweep.joints), 0.1, 0.8)),
+        learned_at=learned_at,
+        attachment_m=np.zeros(3) if form == "free" else found.x[6:],
+    )
+    return CableFit(drag, scatter, found.x)
+
+
+class _Likelihood:
+    """Minus the logarithm of posterior density, and its gradient, over the fit's vector (9,)."""
+
+    def __init__(self, sweep: CableSweep, form: str) -> None:
+        self._sweep = sweep
+        self._form = form
+        joints = sweep.joints
+        self._apart2 = (joints[:, None] - joints[None]) ** 2
+        self._derivatives = attachment_derivatives(form, joints)
+
+    def first_attachment(self) -> Array:
+        """The point r (3,) for which r x f comes nearest to the torques."""
+        if self._form == "free":
+            return np.zeros(3)
+        force, torque = self._sweep.wrench[:, :3], self._sweep.wrench[:, 3:]
+        # tau = -[f]x r, by ridge: a constant direction leaves r along it open.
+        lever = -skew(force).reshape(-1, 3)
+        normal = lever.T @ lever
+        ridge = 1e-3 * np.trace(normal) * np.eye(3) + 1e-12 * np.eye(3)
+        return np.clip(np.linalg.solve(normal + ridge, lever.T @ torque.ravel()), -0.9, 0.9)
+
+    def __call__(self, vector: Array) -> tuple[float, Array]:
+        sweep, form = self._sweep, self._form
+        values, attachment = np.exp(vector[:6]), vector[6:]
+        lengths = np.array([values[2]] * 3 + [values[0], values[1]])
+        scaled = self._apart2 / lengths**2
+        kernel = np.exp(-0.5 * scaled.sum(axis=2))
+        matrices = form_matrices(form, sweep.joints, attachment)
+        products = [together(part, part) for part in matrices]
+        sizes = [values[3 + g] ** 2 * kernel + constant_size(g) ** 2 for g in range(groups(form))]
+        n = len(sweep)
+        total: Array = np.zeros((n, 6, n, 6))
+        for product, size in zip(products, sizes, strict=True):
+            total += product * size[:, None, :, None]
+        covariance = total.reshape(6 * n, 6 * n)
+        scatter2 = np.tile((values[5] * sweep.noise) ** 2, n)
+        covariance[np.diag_indices(6 * n)] += sweep.std_of_mean.ravel() ** 2 + scatter2
+        try:
+            factor = cho_factor(covariance, lower=True)
+        except np.linalg.LinAlgError:
+            return np.inf, np.zeros_like(vector)
+        inverse = cho_solve(factor, np.eye(6 * n))
+        weights = inverse @ sweep.wrench.ravel()
+        away = np.concatenate(
+            [(vector[:6] - _LOG_PRIOR) / _LOG_WIDTH, attachment / _ATTACHMENT_WIDTH_M]
+        )
+        value = (
+            0.5 * float(sweep.wrench.ravel() @ weights)
+            + float(np.log(np.diag(factor[0])).sum())
+            + 0.5 * float(away @ away)
+        )
+        pull = (np.outer(weights, weights) - inverse).reshape(n, 6, n, 6)
+        gradient = np.zeros(9)
+        for group, product in enumerate(products):
+            # tr(W dK) for a dK that is this group's product times a change of its kernel (n, n).
+            along = values[3 + group] ** 2 * kernel * np.einsum("aibj,aibj->ab", pull, product)
+            gradient[3 + group] = -along.sum()
+            gradient[0] -= 0.5 * np.sum(along * scaled[:, :, 3])
+            gradient[1] -= 0.5 * np.sum(along * scaled[:, :, 4])
+            gradient[2] -= 0.5 * np.sum(along * scaled[:, :, :3].sum(axis=2))
+        gradient[5] = -np.einsum("aiai,i->", pull, (values[5] * sweep.noise) ** 2)
+        if form != "free":
+            seen = np.einsum("aibj,ab,bjl->ail", pull, sizes[0], matrices[0], optimize=True)
+            gradient[6:] = -np.einsum("dail,ail->d", self._derivatives, seen)
+        gradient += away / np.concatenate([_LOG_WIDTH, np.full(3, _ATTACHMENT_WIDTH_M)])
+        return value, gradient
+
+
+LARGEST_SPACING_RAD = 0.5
+# Of the mean square that another tool leaves a load leaves less; of a cable's pull mostly more.
+_LOAD_LEAVES = 0.06
+_MIN_SPAN_RAD = 0.3
+_SECOND_PARTS = 3
+_NOISE = 1.5
+"""What a sweep without a cable leaves, in units of its averages' noise, is not more than this; and
+less than the noise of one reading is not worth a cable: a joint's zero that is a little wrong, or a
+drift, leaves as much."""
+
+
+class NoCableError(IdentificationError):
+    """The sweep shows no pull of a cable."""
+
+
+@dataclass(frozen=True)
+class CableScore:
+    """Errors (n, 6) of predicted less measured wrenches of held-out poses, N and N.m.
+
+    chi: their root mean square in units of the averages' noise; coverage: the share within the
+    stated 95 % (NaN where nothing is stated).
+    """
+
+    error: Array
+    chi: float
+    coverage: float = float("nan")
+
+    @property
+    def rmse(self) -> Array:
+        """(6,), N and N.m."""
+        return np.asarray(np.sqrt(np.mean(self.error**2, axis=0)))
+
+
+@dataclass(frozen=True)
+class LearnedCable:
+    """The pull, and how well poses held out were predicted: by each form and by the others."""
+
+    drag: LearnedPull
+    scatter: float
+    file: CableScore
+    least_squares: CableScore
+    forms: dict[str, CableScore]
+    block: np.ndarray
+
+    @property
+    def held_out(self) -> CableScore:
+        """Score of the form chosen."""
+        return self.forms[self.drag.form]
+
+    @property
+    def scores(self) -> dict[str, CableScore]:
+        """All scores by name."""
+        plain = {
+            "the tool's file": self.file,
+            "ten-parameter least squares": self.least_squares,
+        }
+        return plain | self.forms
+
+
+def check_same_tool(tool: CalibrationFile, sweep: CableSweep) -> list[str]:
+    """Compare the load that the sweep's wrenches show with the file's; return warnings.
+
+    Raises IdentificationError where another load explains nearly all of them.
+    """
+    columns = _ten_columns(sweep)
+    found = _least_squares(columns, sweep.wrench, sweep.std_of_mean)
+    mass = tool.load.mass_kg + tool.adapter.mass_kg
+    if abs(found[0]) <= OTHER_MASS * mass:
+        return []
+    file = _scored(sweep, np.zeros_like(sweep.wrench))
+    left = (_scored(sweep, columns @ found).chi / file.chi) ** 2
+    text = (
+        f"the recording is of {1e3 * (mass + found[0]):.1f} g, the file of {1e3 * mass:.1f} g on"
+        f" the sensor, more than {100.0 * OTHER_MASS:.0f} % apart"
+    )
+    if left < _LOAD_LEAVES:
+        raise IdentificationError(
+            f"{text}, and another load leaves only {100.0 * left:.1g} % of what the file leaves:"
+            " another tool is on (or the cable pulls straight up or down, as a load does); name the"
+            " tool that is on, or calibrate it without the cable first"
+        )
+    return [f"{text}: if that is not the cable, another tool is on"]
+
+
+def pose_blocks(joints: Array) -> np.ndarray:
+    """Labels (n,) of blocks of neighbours among joints (n, 5): a few poses in each."""
+    first, second = GALEN.angles(joints).T
+    parts = int(np.clip(len(joints) // (4 * _SECOND_PARTS), 3, 6))
+    labels = _parts(first, parts) * _SECOND_PARTS + _parts(second, _SECOND_PARTS)
+    return np.unique(labels, return_inverse=True)[1]
+
+
+def _parts(values: Array, count: int) -> np.ndarray:
+    """Which of `count` parts of equal width each of values (n,) lies in."""
+    low, high = values.min(), values.max()
+    return np.minimum((count * (values - low) / (high - low)).astype(int), count - 1)
+
+
+def learn_cable(
+    sweep: CableSweep,
+    learned_at: str,
+    forms: Iterable[str] = FORMS,
+    progress: Callable[[list[tuple[str, int]]], Iterable[tuple[str, int]]] = iter,
+) -> LearnedCable:
+    """Learn the pull, choosing among `forms` by held-out blocks; `progress` wraps the work.
+
+    Raises NotExcitedError, or NoCableError where held-out poses don't show a cable.
+    """
+    _check_poses(sweep)
+    block = pose_blocks(sweep.joints)
+    parts = range(int(block.max()) + 1)
+    file = _scored(sweep, np.zeros_like(sweep.wrench))
+    least_squares = _scored(sweep, _linear_held_out(sweep, block))
+    over_noise = float(np.max(file.rmse / sweep.noise))
+    if file.chi < _NOISE or over_noise < 1.0:
+        raise NoCableError(
+            f"no pull beyond the noise: the calibration file leaves {_newtons(file)},"
+            f" {file.chi:.1f} times the noise of the averages and, in the worst axis,"
+            f" {over_noise:.2g} times that of one reading"
+        )
+    whole: dict[str, CableFit] = {}
+    predicted = {form: np.zeros_like(sweep.wrench) for form in forms}
+    stated = {form: np.zeros_like(sweep.wrench) for form in forms}
+    for form, part in progress([(form, part) for form in predicted for part in (-1, *parts)]):
+        if part < 0:
+            whole[form] = fit_cable(sweep, form, learned_at)
+            continue
+        out = block == part
+        fold = fit_cable(sweep.part(~out), form, learned_at, whole[form].start)
+        posterior = fold.drag.posterior
+        predicted[form][out] = posterior.means(sweep.joints[out])
+        own = [np.diag(posterior.process_covariance(q)) for q in sweep.joints[out]]
+        noise = np.hypot(sweep.std_of_mean[out], fold.scatter * sweep.noise)
+        stated[form][out] = np.sqrt(np.maximum(own, 0.0) + noise**2)
+    held_out = {form: _scored(sweep, predicted[form], stated[form]) for form in predicted}
+    best = min(held_out, key=lambda form: held_out[form].chi)
+    _check_worth(sweep, block, held_out[best], file, least_squares)
+    ratio = held_out[best].error / stated[best]
+    drag = replace(
+        whole[best].drag,
+        inflation=max(1.0, float(np.sqrt(np.mean(ratio**2)))),
+        held_out_rmse=held_out[best].rmse,
+    )
+    return LearnedCable(drag, whole[best].scatter, file, least_squares, held_out, block)
+
+
+def _check_poses(sweep: CableSweep) -> None:
+    n = len(sweep)
+    if n < MIN_POSES:
+        raise NotExcitedError(f"the sweep has {n} still poses; at least {MIN_POSES} are needed")
+    if n > MAX_POSES:
+        raise NotExcitedError(f"the sweep has {n} still poses; at most {MAX_POSES} can be kept")
+    for name, angle in zip(GALEN.turning_names, GALEN.angles(sweep.joints).T, strict=True):
+        span = float(np.ptp(angle))
+        if span < _MIN_SPAN_RAD:
+            raise NotExcitedError(
+                f"the sweep covers {span:.2g} rad of {name}; at least {_MIN_SPAN_RAD:g} are needed"
+            )
+    spacing = spacing_rad(sweep.joints)
+    if not spacing <= LARGEST_SPACING_RAD:
+        raise NotExcitedError(
+            f"the poses are too sparse: they stand {spacing:.2g} rad apart; a cable's pull needs"
+            f" {LARGEST_SPACING_RAD:g} rad or less"
+        )
+
+
+def _check_worth(
+    sweep: CableSweep,
+    block: np.ndarray,
+    best: CableScore,
+    file: CableScore,
+    least_squares: CableScore,
+) -> None:
+    if not _clearly_better(sweep, block, best, file):
+        raise NoCableError(
+            f"the calibration file leaves {_newtons(file)}, but what it leaves at some poses does"
+            f" not tell of the others ({_newtons(best)} on poses held out): no cable's pull that"
+            " repeats, or a sweep too sparse for it"
+        )
+    if not _clearly_better(sweep, block, best, least_squares):
+        raise NoCableError(
+            f"another load explains it as well as a cable ({_newtons(least_squares)} and"
+            f" {_newtons(best)} on poses held out): calibrate the tool without the cable first"
+        )
+
+
+def _clearly_better(
+    sweep: CableSweep, block: np.ndarray, one: CableScore, other: CableScore
+) -> bool:
+    """Whether `one` has clearly smaller errors, by the paired differences of the blocks' means."""
+    gain = np.sum((other.error / sweep.std_of_mean) ** 2, axis=1)
+    gain -= np.sum((one.error / sweep.std_of_mean) ** 2, axis=1)
+    return block_gain([gain[block == part].mean() for part in np.unique(block)]).clear
+
+
+def _scored(sweep: CableSweep, predicted: Array, stated: Array | None = None) -> CableScore:
+    """Score wrenches (n, 6) predicted for the sweep's poses, N and N.m.
+
+    stated (n, 6): standard deviations of the difference to what was measured.
+    """
+    error = predicted - sweep.wrench
+    chi = float(np.sqrt(np.mean((error / sweep.std_of_mean) ** 2)))
+    if stated is None:
+        return CableScore(error, chi)
+    return CableScore(error, chi, float(np.mean(np.abs(error) < 1.96 * stated)))
+
+
+def _linear_held_out(sweep: CableSweep, block: np.ndarray) -> Array:
+    """Each block's wrenches (n, 6) by ten parameters, load and offsets, of the other blocks."""
+    design = _ten_columns(sweep)
+    predicted = np.zeros_like(sweep.wrench)
+    for part in np.unique(block):
+        out = block == part
+        found = _least_squares(design[~out], sweep.wrench[~out], sweep.std_of_mean[~out])
+        predicted[out] = design[out] @ found
+    return predicted
+
+
+def _ten_columns(sweep: CableSweep) -> Array:
+    return load_and_offset(GALEN.gravity_in_sensor(sweep.joints[:, 3:]))
+
+
+def _least_squares(design: Array, readings: Array, std: Array) -> Array:
+    """Parameters (p,) of readings (n, 6) by design (n, 6, p), weighted by std (n, 6).
+
+    Where the readings don't identify some, the smallest.
+    """
+    scale = 1.0 / std
+    rows = (design * scale[:, :, None]).reshape(-1, design.shape[2])
+    return np.asarray(np.linalg.lstsq(rows, (readings * scale).ravel(), rcond=1e-9)[0])
+
+
+def _newtons(held_out: CableScore) -> str:
+    return f"{np.sqrt(np.mean(held_out.rmse[:3] ** 2)):.2g} N"

@@ -1,1 +1,0 @@
-"""Inertial forces of a load, and identification of its inertia."""

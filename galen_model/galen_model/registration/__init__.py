@@ -1,1 +1,0 @@
-"""Rigid transforms and the registration of a tracker."""
