@@ -1,26 +1,30 @@
-"""Who may talk to the panel: it moves an arm, so that not every web page may.
+"""Who may talk to the panel, and how much: it moves an arm, so that not every web page may.
 
 A page of another host that is open in the same browser could send requests to a server on
 loopback, and open its WebSocket: browsers let them. So each request must name this server as its
 host (against DNS rebinding) and, where it has one, as its origin; what the browser itself marks as
 sent by another site may only open the page in a tab. Where the server isn't bound to loopback each
 request must bring the token as well: once in the link that the panel prints, from then on in a
-cookie that scripts can't read.
+cookie that scripts can't read. Limits of one address keep a flood from locking the operator out.
 """
 
 from __future__ import annotations
 
+import asyncio
 import hmac
-import ipaddress
-import secrets
+from collections import Counter
+from contextlib import AsyncExitStack
+from typing import Any
 from urllib.parse import parse_qs, urlencode, urlsplit
 
 from starlette.datastructures import Headers, MutableHeaders
-from starlette.requests import cookie_parser
+from starlette.requests import Request, cookie_parser
 from starlette.responses import PlainTextResponse, RedirectResponse, Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
+from uvicorn.protocols.http.h11_impl import H11Protocol
 
-TOKEN_BYTES = 24
+from galen_panel.options import is_loopback
+
 _PARAMETER = "token"
 _WRONG_TOKEN = (
     "The panel needs its token: open it with the whole link that it printed when it started.\n"
@@ -39,22 +43,19 @@ _HEADERS = {
     "Referrer-Policy": "no-referrer",
     "X-Content-Type-Options": "nosniff",
 }
+MAX_HEADER_BYTES = 1 << 16
+"""Of a request's line and headers, beyond what one read of the socket brings (256 kB at most)."""
+MAX_CONNECTIONS = 128
+"""Of one address. A tab has one for its socket; a browser six at most for all else."""
+MAX_REQUESTS = 8
+"""For pages and reports, of one address, under way at once; a browser opens a page by one."""
+FIRST_REQUEST_S = 20.0
+"""A new connection without a whole request is closed after this time."""
+# uvloop accepts one connection each time around: a flood's are then all heard between two pages.
+_PAUSE_S = 0.02
+# NiceGUI's own files and sockets: nothing is built for them, and a socket may stay for hours.
+_NO_TURN = "/_nicegui"
 _NOT_KEPT = {"Cache-Control": "no-store"}
-
-
-def is_loopback(host: str) -> bool:
-    """Whether a server bound to this host or address is reached from this machine alone."""
-    if host.lower() == "localhost":
-        return True
-    try:
-        return ipaddress.ip_address(host.strip("[]")).is_loopback
-    except ValueError:
-        return False
-
-
-def new_token() -> str:
-    """A token that can't be guessed, for a link."""
-    return secrets.token_urlsafe(TOKEN_BYTES)
 
 
 class Access:
@@ -131,7 +132,7 @@ def _rejected(text: str, code: int) -> Response:
 
 
 def _part(address: str, name: str) -> str:
-    """The host's name of an address, or its whole netloc; empty where it is none."""
+    """Return an address' hostname or netloc; empty where it is none."""
     try:
         return getattr(urlsplit(address), name) or ""
     except ValueError:
@@ -154,7 +155,7 @@ def _opens_a_tab(scope: Scope, headers: Headers) -> bool:
 
 
 def _with_headers(send: Send) -> Send:
-    """The browser may load nothing from another host, and no other host may frame the page.
+    """Add headers: nothing is loaded from another host, and no other host may frame the page.
 
     An answer that has one of these headers keeps its own: it may be stricter.
     """
@@ -167,3 +168,84 @@ def _with_headers(send: Send) -> Send:
         await send(message)
 
     return sent
+
+
+class LimitedProtocol(H11Protocol):
+    """Serve HTTP by h11, which limits headers, and limit the connections of an address.
+
+    httptools, uvicorn's first choice, has no limit: its time grows with the header's square.
+    """
+
+    def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
+        """See asyncio.Protocol."""
+        super().connection_made(transport)
+        address = _address(self.client)
+        count = sum(
+            _address(getattr(other, "client", None)) == address for other in self.connections
+        )
+        if count > MAX_CONNECTIONS:
+            transport.abort()
+        else:
+            self.loop.call_later(FIRST_REQUEST_S, self._close_without_request)
+
+    def _close_without_request(self) -> None:
+        # What has become a WebSocket is among the connections as another protocol.
+        if self in self.connections and self.cycle is None:
+            self.transport.close()
+
+
+class Turns:
+    """ASGI application around another: it begins one answer after the other.
+
+    A page takes some tenths of a second to build. Between two of them the event loop hears what
+    open pages ask for, and which requests were given up: those are not answered.
+    """
+
+    def __init__(self, app: ASGIApp) -> None:
+        self._app = app
+        self._turn = asyncio.Lock()
+        self._under_way: Counter[str] = Counter()
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Answer when it is this request's turn, or reject one too many of its address."""
+        if scope["type"] != "http" or scope["path"].startswith(_NO_TURN):
+            await self._app(scope, receive, send)
+            return
+        address = _address(scope.get("client"))
+        if self._under_way[address] >= MAX_REQUESTS:
+            await _too_many(address)(scope, receive, send)
+            return
+        self._under_way[address] += 1
+        try:
+            await self._answer(scope, receive, send)
+        finally:
+            self._under_way[address] -= 1
+            self._under_way += Counter()  # forgets addresses that have none
+
+    async def _answer(self, scope: Scope, receive: Receive, send: Send) -> None:
+        async with AsyncExitStack() as turn:
+            await turn.enter_async_context(self._turn)
+            await asyncio.sleep(_PAUSE_S)
+            may_ask = scope["method"] in ("GET", "HEAD")  # else that loses what was sent
+            if may_ask and await Request(scope, receive).is_disconnected():
+                return
+
+            async def begun(message: Message) -> None:
+                # A slow reader takes its time without the others.
+                await turn.aclose()
+                await send(message)
+
+            await self._app(scope, receive, begun)
+
+
+def _too_many(address: str) -> PlainTextResponse:
+    return PlainTextResponse(
+        f"Too many pages for {address} are under way ({MAX_REQUESTS}, the limit):"
+        " ask again when they are answered.\n",
+        503,
+        headers={"Retry-After": "1", "Cache-Control": "no-store"},
+    )
+
+
+def _address(client: Any) -> str:
+    return client[0] if client else ""

@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 import argparse
+import ipaddress
 import os
 import re
+import secrets
 import socket
 from dataclasses import dataclass
 from pathlib import Path
 
 from galen_ros.command import make_parser
 
-from galen_panel.access import is_loopback, new_token
-
 TOKEN_VARIABLE = "GALEN_PANEL_TOKEN"
 # What needs no quoting in a link or a cookie.
 _TOKEN = re.compile(r"[A-Za-z0-9_.~-]{16,}")
+_TOKEN_BYTES = 24
 _ANY_ADDRESS = ("0.0.0.0", "::")
 _NOTES = f"""\
 Where --host is not this machine alone, a browser needs the panel's token. It is made anew at
@@ -118,6 +119,21 @@ def read_options(arguments: list[str], environment: dict[str, str] | None = None
         certificate=given.certificate,
         key=given.key,
     )
+
+
+def is_loopback(host: str) -> bool:
+    """Return whether a server bound to this host is reached from this machine alone."""
+    if host.lower() == "localhost":
+        return True
+    try:
+        return ipaddress.ip_address(host.strip("[]")).is_loopback
+    except ValueError:
+        return False
+
+
+def new_token() -> str:
+    """Make a token that can't be guessed, for a link."""
+    return secrets.token_urlsafe(_TOKEN_BYTES)
 
 
 def _host(text: str) -> str:

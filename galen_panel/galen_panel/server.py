@@ -8,15 +8,18 @@ import socket
 import ssl
 from collections.abc import Callable
 from contextlib import closing
+from typing import TYPE_CHECKING
 
 from galen_model.errors import GalenError
 from galen_ros.command import check_folder
 
-from galen_panel.access import Access
+from galen_panel.access import MAX_HEADER_BYTES, Access, LimitedProtocol, Turns
 from galen_panel.ending import end_by_signals, end_server, ignore_signals
 from galen_panel.options import Options
 from galen_panel.recordings.recordings import Recordings
-from galen_panel.snapshot import Suite
+
+if TYPE_CHECKING:
+    from galen_panel.ros.suite import RosSuite
 
 RECONNECT_S = 15.0
 # A page whose panel says nothing for the sum of both shows that its connection is lost.
@@ -28,7 +31,7 @@ class ServerError(GalenError):
     """The panel can't be served."""
 
 
-def serve(suite: Suite, options: Options, on_stop: Callable[[], None]) -> None:
+def serve(suite: RosSuite, options: Options, on_stop: Callable[[], None]) -> None:
     """Serve the panel until SIGINT or SIGTERM; at the end `on_stop` is called.
 
     Raises ServerError where the address can't be had, or the certificate not be read.
@@ -43,7 +46,6 @@ def serve(suite: Suite, options: Options, on_stop: Callable[[], None]) -> None:
     from nicegui import app, core, ui
     from nicegui.server import Server
 
-    from galen_panel.limits import MAX_HEADER_BYTES, LimitedProtocol, Turns
     from galen_panel.page import layout
     from galen_panel.page.page import Page
 
@@ -60,13 +62,13 @@ def serve(suite: Suite, options: Options, on_stop: Callable[[], None]) -> None:
         core.sio.eio.ping_interval, core.sio.eio.ping_timeout = _PING_S, _PONG_WITHIN_S
 
     app.on_startup(ping_often)
-    app.on_shutdown(recordings.close)
+    app.on_shutdown(recordings.jobs.close)
     app.on_shutdown(on_stop)
-    recordings.serve(app)
+    recordings.reports.serve(app)
 
     @ui.page("/", title="Galen")
     def panel() -> None:
-        layout.build(Page(suite, options, recordings))
+        layout.build(Page(suite, recordings))
 
     Server.handle_exit = end_server  # type: ignore[assignment,method-assign]
     print(f"panel: open {options.link}", flush=True)

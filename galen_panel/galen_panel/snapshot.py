@@ -1,4 +1,4 @@
-"""What the page knows of the suite, and what it may ask of it. No ROS.
+"""What the page knows of the suite. No ROS.
 
 A snapshot is the same for every browser and is never changed: what is new is another one, with a
 higher `revision`. So that a thread may read it while the next one is made.
@@ -7,18 +7,14 @@ higher `revision`. So that a thread may read it while the next one is made.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
 from enum import Enum
-from typing import Protocol
-
-from galen_panel.history import History
 
 Vector = tuple[float, ...]
 
 
 class NodeLevel(Enum):
-    """Of what a node says on /diagnostics; named as there."""
+    """Level of a node's report on /diagnostics; named as there."""
 
     OK = 0
     WARN = 1
@@ -27,7 +23,7 @@ class NodeLevel(Enum):
 
 
 class BehaviourKind(Enum):
-    """The behaviours; the value is the action's name."""
+    """A behaviour; the value is the action's name."""
 
     CALIBRATE = "calibrate_tool"
     CHECK = "check_tool"
@@ -35,7 +31,7 @@ class BehaviourKind(Enum):
 
 
 class Asked(Enum):
-    """What a behaviour waits for a person to do."""
+    """A person's step that a behaviour waits for."""
 
     REMOVE_TOOL = "remove_tool"
     ATTACH_TOOL = "attach_tool"
@@ -81,26 +77,13 @@ class LoadedTool:
 
 @dataclass(frozen=True)
 class NodeReport:
-    """A node's newest word on /diagnostics. heard_s: time.monotonic() of it."""
+    """A node's newest report on /diagnostics; heard_s: time.monotonic() of it."""
 
     name: str
     level: NodeLevel
     message: str
     values: Mapping[str, str]
     heard_s: float
-
-
-@dataclass(frozen=True)
-class FinishedPose:
-    """One finished pose of a behaviour; wrench (6,) its averaged reading, or None."""
-
-    sweep: str
-    number: int
-    roll_rad: float
-    tilt_rad: float
-    accepted: bool
-    text: str
-    wrench: Vector | None = None
 
 
 LOST = "LOST"
@@ -130,7 +113,8 @@ class Behaviour:
     """A goal under way, or the one that ended last, of any client.
 
     phase: in words, such as "sweep with tool"; message: the feedback's sentence. number: of the
-    goal, so that a page sees that another one began. ours: whether this panel sent it.
+    goal, so that a page sees that another one began. rejected: a sentence for each pose that was
+    not still enough, also where it is tried again. ours: whether this panel sent it.
     """
 
     number: int
@@ -140,7 +124,7 @@ class Behaviour:
     message: str = ""
     done: int = 0
     total: int = 0
-    poses: tuple[FinishedPose, ...] = ()
+    rejected: tuple[str, ...] = ()
     asked: Asked | None = None
     canceling: bool = False
     ours: bool = True
@@ -171,17 +155,17 @@ class SuiteState:
     namespace: str = ""
 
     def full_name(self, node: str) -> str:
-        """What a node of the panel's own namespace is called on /diagnostics."""
+        """Return the name on /diagnostics of a node in the panel's own namespace."""
         return f"{self.namespace}/{node}".lstrip("/")
 
     def report_of(self, node: str) -> NodeReport | None:
-        """Its newest report; None where there is none."""
+        """Return a node's newest report; None where there is none."""
         return self.nodes.get(self.full_name(node))
 
 
 @dataclass(frozen=True)
 class CallAnswer:
-    """What became of something that was asked for; text is for a person, never empty."""
+    """Answer to a request; text is for a person, never empty."""
 
     ok: bool
     text: str
@@ -189,7 +173,7 @@ class CallAnswer:
 
 @dataclass(frozen=True)
 class QuantityDifference:
-    """One quantity of two files; std_dev NaN where the files tell none."""
+    """One quantity of two files; std_dev NaN where unknown."""
 
     quantity: str
     unit: str
@@ -211,74 +195,15 @@ class ToolComparison:
 
 
 @dataclass(frozen=True)
-class CalibrateGoal:
-    """As in CalibrateTool; tip_m None: the file's is kept."""
+class Goal:
+    """A behaviour's goal. tool: of a check "" is the active one; name: of a collection's recording.
 
-    tool: str
+    tip_m None: the file's is kept. by_hand: a person changes the tool, or pushes.
+    """
+
+    kind: BehaviourKind
+    tool: str = ""
+    name: str = ""
     tip_m: Vector | None = None
     one_sweep: bool = False
     by_hand: bool = False
-
-
-@dataclass(frozen=True)
-class CheckGoal:
-    """As in CheckTool; tool "": the active one."""
-
-    tool: str = ""
-
-
-@dataclass(frozen=True)
-class CollectGoal:
-    """As in CollectPushes, positions and loads as the node's parameters say."""
-
-    name: str
-    tool: str
-    by_hand: bool = True
-
-
-Goal = CalibrateGoal | CheckGoal | CollectGoal
-
-
-class Suite(Protocol):
-    """The suite as the page sees it."""
-
-    @property
-    def state(self) -> SuiteState:
-        """The newest snapshot."""
-
-    @property
-    def history(self) -> History:
-        """The streams' newest samples; it grows only while a page shows them."""
-
-    def watch(self) -> AbstractContextManager[None]:
-        """Within it the streams are listened to; the last one to leave stops that."""
-
-    async def list_tools(self) -> CallAnswer:
-        """Ask anew for the tools; they are then in `state`."""
-
-    async def activate(self, tool: str) -> CallAnswer:
-        """Have gravcomp load a calibration file; "" for no tool."""
-
-    async def remove_tool(self, tool: str) -> CallAnswer:
-        """Remove a calibration file from the list; it is kept beside."""
-
-    async def revert_tool(self, tool: str) -> CallAnswer:
-        """Bring back the calibration before the present one."""
-
-    async def compare(self, tool: str, with_tool: str = "") -> ToolComparison | CallAnswer:
-        """Compare a calibration (b) with another's (a); "": with its own before."""
-
-    async def set_enabled(self, enabled: bool) -> CallAnswer:
-        """Switch the compensation."""
-
-    async def tare(self) -> CallAnswer:
-        """Tare: subtract the present residual."""
-
-    async def start(self, goal: Goal) -> CallAnswer:
-        """Send a goal; answers when it is accepted or rejected."""
-
-    async def confirm(self) -> CallAnswer:
-        """Tell a calibration that the person has done what it asked."""
-
-    async def cancel(self, kind: BehaviourKind) -> CallAnswer:
-        """Cancel a behaviour's goal, of any client; answers when that is accepted."""

@@ -8,9 +8,8 @@ import time
 from contextlib import contextmanager
 from pathlib import Path
 
-from galen_panel.options import read_options
 from galen_panel.page import behaviours, tools, under_way
-from galen_panel.page.header import build_compensation, build_lamp
+from galen_panel.page.layout import build_compensation, build_lamp
 from galen_panel.page.page import Page
 from galen_panel.recordings.recordings import Recordings
 from nicegui import app
@@ -54,7 +53,7 @@ def _own_storage():
 async def _tell(suite, story, errors, build):
     def draw():
         nowhere = Path("/nonexistent")
-        build(Page(suite, read_options([], {}), Recordings(nowhere, nowhere, nowhere)))
+        build(Page(suite, Recordings(nowhere, nowhere, nowhere)))
 
     async with user_simulation(root=draw) as user:
         logging.getLogger().addHandler(errors)

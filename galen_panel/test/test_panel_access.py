@@ -7,7 +7,8 @@ import socket
 from contextlib import closing
 
 import pytest
-from galen_panel.access import Access, is_loopback, new_token
+from galen_panel.access import Access
+from galen_panel.options import is_loopback, new_token
 from panel_processes import PanelWorld
 from starlette.responses import PlainTextResponse
 

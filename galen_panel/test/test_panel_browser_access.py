@@ -6,7 +6,7 @@ from contextlib import contextmanager
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 
 import pytest
-from galen_panel.access import new_token
+from galen_panel.options import new_token
 from panel_processes import PanelWorld
 from selenium.webdriver.common.by import By
 

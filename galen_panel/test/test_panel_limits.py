@@ -5,7 +5,7 @@ import socket
 from contextlib import ExitStack, closing, suppress
 
 import pytest
-from galen_panel.limits import MAX_CONNECTIONS, MAX_HEADER_BYTES, MAX_REQUESTS, Turns
+from galen_panel.access import MAX_CONNECTIONS, MAX_HEADER_BYTES, MAX_REQUESTS, Turns
 from panel_processes import PanelWorld
 
 # One read of the socket may bring this much more.

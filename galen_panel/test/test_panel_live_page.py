@@ -4,13 +4,18 @@ import asyncio
 import csv
 import io
 import json
-import time
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from fake_suite import ACTIVE, FakeSuite
+from galen_model.arm.galen import GALEN
+from galen_model.rotation import quaternion_to_matrix
 from galen_panel.history import NS_PER_S
-from galen_panel.page.live import live
+from galen_panel.messages.hints import StreamSilence, missing_stream
+from galen_panel.page import live
+from galen_panel.page.arm_drawing import FORCE_M_PER_N, parts, place
+from galen_panel.snapshot import SuiteState
 from page_user import on_page
 
 START_S = 1_000_000.0
@@ -23,23 +28,18 @@ class Shown:
         self.suite = suite
         self.tab = True
         self.arrives = True
-        self.patches, self.scripts, self.placements = [], [], []
+        self.patches, self.placements = [], []
 
     def build(self, page):
         live.build(page, lambda: self.tab)
 
     def listen(self, user):
         user.answers(r"galenPlots\.patch\(\d+, (.*)\)", self._patched)
-        user.answers(r"galenPlots\.png\(\d+, (.*)\)", self._saved)
         user.answers(r"return runMethod\(\d+, \"run_method_on_component\", (.*)\)", self._placed)
 
     def _patched(self, match):
         self.patches.append(json.loads(match[1]))
         return self.arrives
-
-    def _saved(self, match):
-        self.scripts.append(match[1])
-        return True
 
     def _placed(self, match):
         self.placements.append(json.loads(match[1])[2])
@@ -84,20 +84,6 @@ def test_a_page_that_is_deleted_listens_no_more():
 
     on_page(shown.suite, story, shown.build)
     assert shown.suite.watching == 0
-
-
-def test_nothing_is_sent_while_the_tab_is_hidden():
-    async def story(user, shown):
-        await user.until(lambda: shown.patches)
-        shown.tab = False
-        await user.until(lambda: shown.suite.watching == 0)
-        await asyncio.sleep(0.3)
-        sent = len(shown.patches)
-        shown.suite.stream(START_S + 30.0, 1.0)
-        await asyncio.sleep(0.6)
-        assert len(shown.patches) == sent
-
-    on_live(story)
 
 
 def test_first_all_of_the_window_then_only_what_is_new():
@@ -182,47 +168,6 @@ def test_it_says_what_does_not_come():
     on_live(story, seconds=0.0)
 
 
-def test_pause_holds_the_picture_and_zoom_shows_single_samples():
-    async def story(user, shown):
-        await user.until(lambda: shown.patches)
-        user.click("pause")
-        assert user.get("pause").props["aria-pressed"] == "true"
-        await user.until(lambda: shown.patches[-1]["span"] == 120.0)
-        assert shown.patches[-1]["option"]["xAxis"][0]["min"] == -120.0
-        shown.suite.stream(START_S + 30.0, 0.5)
-        await asyncio.sleep(0.5)
-        count = len(shown.patches)
-        user.trigger("plot", "chart:datazoom", {"start": 99.0, "end": 99.5})
-        await user.until(lambda: len(shown.patches) > count)
-        rows = np.array(shown.patches[-1]["streams"][0]["rows"])
-        inside = rows[(rows[:, 0] >= -1200.0) & (rows[:, 0] < -600.0), 0]
-        assert len(inside) == 300, "each sample of 0.6 s at 500 Hz"
-        assert rows[-1, 0] == 0.0, "what came after the pause is not shown"
-        user.click("pause")
-        await user.until(lambda: shown.patches[-1]["span"] == 30.0)
-        assert user.get("pause").props["aria-pressed"] == "false"
-
-    on_live(story)
-
-
-def test_a_zoom_that_is_nonsense_changes_nothing():
-    async def story(user, shown):
-        await user.until(lambda: shown.patches)
-        user.click("pause")
-        await user.until(lambda: shown.patches[-1]["span"] == 120.0)
-        await asyncio.sleep(0.5)
-        count = len(shown.patches)
-        for arguments in (
-            {"start": 50, "end": 10}, {"start": None, "end": 5}, {"start": "a", "end": "b"}, {}, 7,
-            {"start": float("nan"), "end": 20}, {"start": -5, "end": 1e9},
-        ):  # fmt: skip
-            user.trigger("plot", "chart:datazoom", arguments)
-        await asyncio.sleep(0.5)
-        assert len(shown.patches) == count
-
-    on_live(story)
-
-
 def test_another_window_is_sent_whole():
     async def story(user, shown):
         await user.until(lambda: shown.patches)
@@ -253,49 +198,43 @@ def test_csv_has_every_sample_of_the_window():
     on_live(story)
 
 
-def test_png_is_asked_of_the_browser_by_a_name_with_the_date():
+def test_pause_holds_the_picture_through_another_window():
     async def story(user, shown):
         await user.until(lambda: shown.patches)
-        user.click("png")
-        await user.until(lambda: shown.scripts)
-        year = time.strftime("%Y")
-        assert json.loads(shown.scripts[0]).startswith(f"galen_plots_{year}-")
-        assert json.loads(shown.scripts[0]).endswith(".png")
+        user.click("pause")
+        assert user.get("pause").props["aria-pressed"] == "true"
+        shown.suite.stream(START_S + 30.0, 0.5)
+        user.enter("window", 60)
+        await user.until(lambda: shown.patches[-1]["span"] == 60.0)
+        held = shown.patches[-1]["streams"][0]["rows"]
+        assert held[-1][0] - held[0][0] < 30_001.0, "what came after the pause is not shown"
+        user.click("pause")
+        await user.until(lambda: len(shown.patches[-1]["streams"][0]["rows"]) > 0
+                         and shown.patches[-1]["now"] == 0.0
+                         and shown.patches[-1]["streams"][0]["rows"] != held)  # fmt: skip
+        assert user.get("pause").props["aria-pressed"] == "false"
 
     on_live(story)
 
 
-def test_the_arm_is_told_in_numbers_and_placed():
+def test_the_arm_is_placed_bent_and_told_in_numbers():
     async def story(user, shown):
         user.trigger("arm", "init")
         await user.until(lambda: shown.placements)
-        placed = shown.placements[0]
         joints = shown.suite.history.joints.last(0.0).values[0]
-        np.testing.assert_allclose(placed["straight/delta_platform"][:3], joints[:3], atol=1e-5)
-        assert placed["bent/tool_tip"] is not None
         await user.until(lambda: user.text("arm-roll") != "–")
-        assert user.text("arm-platform-z") == f"z {1e3 * joints[2]:.1f} mm"
+        assert user.text("arm-delta_z") == f"{1e3 * joints[2]:.1f} mm"
         assert user.text("arm-roll") == f"{np.degrees(joints[3]):.2f}°"
-        assert user.text("arm-deflection-size").endswith(" mm")
-
-    on_live(story)
-
-
-def test_the_factor_is_told_on_the_picture_and_bends_more():
-    async def story(user, shown):
-        user.trigger("arm", "init")
+        assert " mm (" in user.text("arm-deflection")
         assert user.text("factor") == "Bend × 100"
 
         def moved():
             straight, bent = (
-                np.array(shown.placements[-1][f"{arm}/tool_tip"][:3])
-                for arm in ("straight", "bent")
+                np.array(shown.placements[-1][f"{arm}/6"][:3]) for arm in ("straight", "bent")
             )
             return np.linalg.norm(bent - straight)
 
-        await user.until(lambda: shown.placements)
-        before = moved()
-        count = len(shown.placements)
+        before, count = moved(), len(shown.placements)
         user.enter("exaggeration", 200)
         assert user.text("factor") == "Bend × 200"
         await user.until(lambda: len(shown.placements) > count)
@@ -306,12 +245,72 @@ def test_the_factor_is_told_on_the_picture_and_bends_more():
     on_live(story)
 
 
-def test_another_tool_is_another_drawing():
-    async def story(user, shown):
-        user.trigger("arm", "init")
-        await user.until(lambda: shown.placements)
-        before = shown.placements[-1]["straight/tool_tip"][:3]
-        shown.suite.put(active_tool=replace(ACTIVE, tip_m=(0.18, 0.01, 0.05)))
-        await user.until(lambda: shown.placements[-1]["straight/tool_tip"][:3] != before)
+# Pictures of the arm, and what is missing, without a page
 
-    on_live(story)
+TIP, COM = np.array([0.15, 0.0, 0.05]), np.array([0.055, 0.002, 0.045])
+JOINTS = np.array([0.03, -0.02, 0.42, 0.7, -0.3])
+DEFLECTION = np.array([2e-2, -1e-2, 3e-2, 1e-2, 2e-2, -1e-2])
+WRENCH = np.array([3.0, -2.0, 1.0, 0.0, 0.0, 0.0])
+
+
+def ends(place):
+    middle, axis = np.array(place[:3]), quaternion_to_matrix(place[3:7])[:, 2]
+    return middle - axis * place[7] / 2.0, middle + axis * place[7] / 2.0
+
+
+def test_the_chain_goes_from_the_base_to_the_tip_and_the_bent_one_to_the_displaced_tip():
+    placed = place(GALEN, JOINTS, TIP, COM, DEFLECTION, WRENCH)
+    assert {part["name"] for part in parts(GALEN)} == set(placed)
+    rotation, sensor = GALEN.sensor_pose(JOINTS)
+    _, tip = GALEN.tip_pose(JOINTS, TIP)
+    np.testing.assert_allclose(ends(placed["straight/6"]), [sensor, tip], atol=2e-5)
+    np.testing.assert_allclose(ends(placed["straight/0"])[0], 0.0, atol=2e-5)
+    for piece in range(6):
+        before, after = ends(placed[f"straight/{piece}"]), ends(placed[f"straight/{piece + 1}"])
+        np.testing.assert_allclose(before[1], after[0], atol=4e-5)
+    np.testing.assert_allclose(ends(placed["bent/6"])[1], tip + DEFLECTION[:3], atol=2e-5)
+    np.testing.assert_allclose(placed["com"][:3], sensor + rotation @ COM, atol=1e-5)
+    force = rotation @ WRENCH[:3]
+    size = np.linalg.norm(force)
+    np.testing.assert_allclose(
+        quaternion_to_matrix(placed["force"][3:7])[:, 2], force / size, atol=1e-4
+    )
+    assert placed["force"][7] == pytest.approx(FORCE_M_PER_N * size, abs=1e-4)
+    assert json.loads(json.dumps([parts(GALEN), placed]))
+
+
+def test_what_is_not_known_is_not_drawn():
+    placed = place(GALEN, GALEN.home, np.zeros(3), None, None, 0.01 * WRENCH)
+    assert placed["force"] is None and placed["com"] is None
+    assert {value for name, value in placed.items() if name.startswith("bent/")} == {None}
+    assert placed["straight/6"] is None, "no tool"
+
+
+@pytest.mark.parametrize(
+    ("silent", "active_tool", "words"),
+    [
+        ({"raw", "compensated", "deflection", "joints"}, ACTIVE, "driver"),
+        ({"compensated", "deflection"}, replace(ACTIVE, enabled=False), "compensation is off"),
+        ({"compensated"}, replace(ACTIVE, tool="", enabled=False), "no tool is active"),
+        ({"compensated"}, None, "gravcomp_node is not running"),
+        ({"compensated", "joints"}, ACTIVE, "no joint_states come"),
+        ({"compensated"}, ACTIVE, "Nodes says why"),
+        ({"deflection"}, ACTIVE, "ros2 run galen_deflection deflection_node"),
+        ({"joints"}, ACTIVE, "No joint_states"),
+        ((), ACTIVE, ""),
+    ],
+)
+def test_a_missing_stream_is_named_with_what_to_do(silent, active_tool, words):
+    told = missing_stream(frozenset(silent), SuiteState(active_tool=active_tool))
+    assert words in told and bool(told) == bool(words)
+
+
+def test_a_stream_is_silent_when_its_stamp_stands_still_whatever_the_clock_says():
+    heard = StreamSilence()
+    for step in range(30):
+        newest = {"raw": 5_000_000_000 - step, "compensated": 7, "deflection": None}
+        heard.look(newest, step * 0.2)
+    assert heard.silent(5.9) == {"compensated", "deflection"}
+    heard.forget(5.9)
+    assert heard.silent(6.0) == frozenset()
+    assert heard.silent(7.0) == {"raw", "compensated", "deflection"}

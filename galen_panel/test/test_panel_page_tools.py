@@ -5,7 +5,7 @@ from functools import partial
 
 from fake_suite import ACTIVE, ALL, POINTER, RETRACTOR, FakeSuite
 from galen_panel.page.outcome import differs_beside
-from galen_panel.snapshot import CalibrateGoal, ListedTool, QuantityDifference
+from galen_panel.snapshot import BehaviourKind, Goal, ListedTool, QuantityDifference
 from page_user import on_page
 
 
@@ -162,7 +162,7 @@ def test_a_new_tool_is_named_and_calibrated():
         await user.until(lambda: suite.calls)
         ((call, goal),) = suite.calls
         assert call == "start"
-        assert goal == CalibrateGoal("drill_2", (0.15, 0.0, 0.05))
+        assert goal == Goal(BehaviourKind.CALIBRATE, "drill_2", tip_m=(0.15, 0.0, 0.05))
         await user.until(lambda: not user.all("dialog-ok"))
 
     on_page(suite, story)
@@ -178,7 +178,8 @@ def test_where_nothing_takes_the_tool_off_a_person_does():
         assert not user.get("new-tool-by-hand").enabled
         user.enter("new-tool-name", "drill_2")
         user.click("dialog-ok")
-        await user.until(lambda: suite.calls == [("start", CalibrateGoal("drill_2", by_hand=True))])
+        goal = Goal(BehaviourKind.CALIBRATE, "drill_2", by_hand=True)
+        await user.until(lambda: suite.calls == [("start", goal)])
 
     on_page(suite, story)
 

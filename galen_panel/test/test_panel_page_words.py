@@ -3,21 +3,16 @@
 import math
 from dataclasses import replace
 
-import numpy as np
 import pytest
 from fake_suite import ACTIVE, ALL, POINTER, RETRACTOR
-from galen_model.arm.kinematics import gravity_in_sensor
-from galen_model.load.model import Load, gravity_wrench
 from galen_panel.messages import hints, texts
 from galen_panel.messages import results as result_words
 from galen_panel.messages.results import Fate, Todo
-from galen_panel.page.poses import poses_table, rejections, residuals, sweep_summary
 from galen_panel.page.under_way import Pace, count
 from galen_panel.snapshot import (
     Behaviour,
     BehaviourKind,
     BehaviourOutcome,
-    FinishedPose,
     NodeLevel,
     NodeReport,
     SuiteState,
@@ -163,65 +158,6 @@ def test_a_count_says_what_is_counted():
     assert count(replace(behaviour, total=0), NAN) == ""
 
 
-def sweep(number=56, touched=None, load=0.2):
-    """Poses on the grid with readings of a load and offsets, without noise."""
-    rolls, tilts = np.linspace(-1.5, 1.5, 8), np.linspace(-1.0, 0.9, 7)
-    poses = []
-    for index in range(number):
-        roll, tilt = rolls[index % 8], tilts[index // 8]
-        reading = gravity_wrench(gravity_in_sensor(roll, tilt), Load(load, np.array([0.07, 0, 0])))
-        reading = reading + [0.1, -0.2, 0.3, 0.01, 0.02, 0.03]
-        if index == touched:
-            reading = reading + [0.5, 0, 0, 0, 0, 0]
-        poses.append(FinishedPose("tool", index + 1, roll, tilt, True, "", tuple(reading)))
-    return poses
-
-
-def test_poses_that_agree_leave_nothing_and_a_touched_one_stands_out():
-    clean = residuals(sweep())
-    assert len(clean) == 56
-    assert max(force for force, _ in clean.values()) < 1e-9
-    assert max(torque for _, torque in clean.values()) < 1e-9
-    touched = residuals(sweep(touched=20))
-    assert max(touched, key=lambda number: touched[number][0]) == 21
-    assert touched[21][0] == pytest.approx(0.5, rel=0.2)
-
-
-def test_poses_without_a_reading_are_left_out_of_the_fit():
-    poses = sweep(12)
-    poses[3] = replace(poses[3], accepted=False)
-    poses[4] = replace(poses[4], wrench=None)
-    poses[5] = replace(poses[5], wrench=(NAN,) * 6)
-    assert set(residuals(poses)) == set(range(1, 13)) - {4, 5, 6}
-    assert residuals(poses[3:7]) == {}
-    assert residuals([]) == {}
-
-
-def test_a_grid_of_poses_is_a_table_of_roll_and_tilt():
-    poses = sweep(touched=20)
-    poses[9] = replace(poses[9], accepted=False, text="it <moved> 'here'")
-    html = poses_table(poses, residuals(poses))
-    assert html.count("<tr>") == 8
-    assert html.count("<td class=") == 56
-    assert html.count("panel-pose-odd") == 1
-    assert html.count("✗</td>") == 1
-    assert "title='it &lt;moved&gt; &#x27;here&#x27;'" in html
-    assert rejections(poses) == ["Roll -61.4°, tilt -39.2°: it <moved> 'here'"]
-    assert "56 poses, 1 not used; they agree within" in sweep_summary(poses, residuals(poses))
-
-
-def test_scattered_poses_are_a_list_of_the_newest():
-    rng = np.random.default_rng(1)
-    poses = [
-        FinishedPose("check", number, *rng.uniform(-1, 1, 2), True, "", None)
-        for number in range(1, 31)
-    ]
-    html = poses_table(poses, {})
-    assert html.count("<tr>") == 11
-    assert ">30</th>" in html
-    assert poses_table([], {}) == ""
-
-
 VALUES = {"mass_kg": 0.2, "mass_std_kg": 3e-5, "com_m": [0.07, -0.01, 0.055]}
 WRITTEN = BehaviourOutcome("", "done", "retractor", values=VALUES)
 
@@ -250,7 +186,7 @@ def test_a_checks_sentence_has_no_command_for_a_terminal():
         "", "a constant offset; a tare takes it off: ros2 service call /gravcomp/tare"
         " std_srvs/srv/Trigger",
     )  # fmt: skip
-    assert result_words.told(outcome) == "A constant offset; a tare takes it off."
+    assert result_words.sentence_of(outcome) == "A constant offset; a tare takes it off."
 
 
 @pytest.mark.parametrize(

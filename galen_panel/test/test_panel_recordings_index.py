@@ -4,8 +4,8 @@ import shutil
 from pathlib import Path
 
 import pytest
-from galen_panel.recordings.index import Details, RecordingKind, find_recordings, look_at
-from galen_panel.recordings.recordings import PAGE_LENGTH, Recordings, tool_choices
+from galen_panel.recordings.index import find_recordings, line_of, look_at, tool_choices
+from galen_panel.recordings.recordings import Recordings
 
 BAGS = Path(__file__).resolve().parents[2] / "bags"
 METADATA = """rosbag2_bagfile_information:
@@ -54,66 +54,55 @@ def archive(tmp_path):
 
 def described(archive):
     """What the search found and what their metadata says, by name."""
-    return {one.name: (one, look_at(one, archive)) for one in find_recordings(archive).recordings}
+    return {one.name: (one, look_at(one, archive)) for one in find_recordings(archive)[0]}
 
 
 def test_the_repositorys_bags_are_found_with_what_metadata_says():
     found, details = described(BAGS)["free_motion"]
-    assert found.kind is RecordingKind.BAG and found.at_s == pytest.approx(1772449200.0, abs=1.0)
+    assert found.kind == "bag" and found.at_s == pytest.approx(1772449200.0, abs=1.0)
     assert details.duration_s == pytest.approx(32.0, abs=0.01)
-    assert details.topics == {"/joint_states": 16000, "/wrench_raw": 16000}
     assert details.size_bytes == (BAGS / "free_motion" / "free_motion.mcap").stat().st_size
-    assert (details.problem, details.note) == ("", "")
+    assert details.problem == ""
+    assert "2026-03-02" in line_of(found, details) and "32 s" in line_of(found, details)
 
 
 def test_the_newest_is_first_and_ids_stay_from_search_to_search(archive):
     make_bag(archive / "old", start=10**18)
     make_bag(archive / "new", start=2 * 10**18)
     make_bag(archive / "deep" / "middle", start=15 * 10**17)
-    first, again = find_recordings(archive), find_recordings(archive)
-    assert [one.name for one in first.recordings] == ["new", "deep/middle", "old"]
+    (first, _), (again, _) = find_recordings(archive), find_recordings(archive)
+    assert [one.name for one in first] == ["new", "deep/middle", "old"]
     assert first == again
-    assert len({one.id for one in first.recordings}) == 3
+    assert len({one.id for one in first}) == 3
 
 
-def test_broken_bags_are_listed_with_the_reason(archive):
-    make_bag(archive / "junk", content=b"no bag at all")
-    make_bag(archive / "empty", content=b"")
+def test_broken_bags_are_listed_and_one_without_files_with_the_reason(archive):
     (make_bag(archive / "lost") / "lost_0.mcap").unlink()
     (make_bag(archive / "cut") / "metadata.yaml").unlink()
     (make_bag(archive / "damaged") / "metadata.yaml").write_text("rosbag2_bagfile_information: [")
     (archive / "alone.mcap").write_bytes(MCAP)
     found = described(archive)
-    assert found["junk"][1].problem == "junk_0.mcap is no .mcap file."
-    assert found["empty"][1].problem == "empty_0.mcap is empty."
     assert found["lost"][1].problem == "Its files are missing."
-    assert found["cut"][1].problem == "" and "was cut off" in found["cut"][1].note
-    assert found["damaged"][1].problem == "" and "damaged" in found["damaged"][1].note
-    assert found["alone.mcap"][1].problem == "" and "alone" in found["alone.mcap"][1].note
+    for name in ("cut", "damaged", "alone.mcap"):
+        assert found[name][1].problem == "" and found[name][1].duration_s is None
 
 
 def test_a_diagnosis_recording_is_found_as_one_with_its_bags(archive):
     make_set(archive / "tuesday")
-    found, details = described(archive)["tuesday"]
-    assert found.kind is RecordingKind.DIAGNOSIS and details.problem == details.note == ""
-    assert details.duration_s == pytest.approx(15.0) and details.topics == {"/wrench_raw": 21}
-    assert {"tuesday/sweep", "tuesday/motion", "tuesday/push"} < set(described(archive))
-
-
-def test_what_a_diagnosis_recording_lacks_is_said(archive):
-    make_set(archive / "half", names=("sweep", "push"), tool=False)
-    _, details = described(archive)["half"]
-    assert details.note == "It lacks motion. It has no tool.json."
     make_set(archive / "one", names=("push",), tool=False)
-    assert "one" not in described(archive)
     make_set(archive / "meant", names=("push",))
-    assert described(archive)["meant"][0].kind is RecordingKind.DIAGNOSIS
+    found = described(archive)
+    tuesday, details = found["tuesday"]
+    assert tuesday.kind == "diagnosis recording" and details.problem == ""
+    assert details.duration_s == pytest.approx(15.0)
+    assert {"tuesday/sweep", "tuesday/motion", "tuesday/push", "meant"} < set(found)
+    assert "one" not in found
 
 
 def test_a_directory_without_bags_is_no_error(archive):
-    index = find_recordings(archive)
-    assert index.recordings == () and "no bag" in index.problem
-    assert "is not there" in find_recordings(archive / "gone").problem
+    found, problem = find_recordings(archive)
+    assert found == [] and "no bag" in problem
+    assert "is not there" in find_recordings(archive / "gone")[1]
 
 
 # Nothing leads out
@@ -164,7 +153,7 @@ def test_a_browsers_word_is_never_a_path(archive, tmp_path, name):
     recordings.search()
     assert recordings.tools(name) == []
     assert not recordings.start(name, "tools:pointer").ok
-    (found,) = recordings.search().recordings
+    (found,) = recordings.search()
     answer = recordings.start(found.id, name)
     assert not answer.ok and "calibration file" in answer.text
     assert recordings.jobs.jobs == () and not (tmp_path / "out").exists()
@@ -181,7 +170,7 @@ def test_the_tools_to_choose_from(archive, tmp_path):
     store.mkdir()
     shutil.copy(BAGS / "tools" / "pointer.json", store)
     (store / "broken.json").write_text("{")
-    by_name = {one.name: one for one in find_recordings(archive).recordings}
+    by_name = {one.name: one for one in find_recordings(archive)[0]}
 
     def ids(name):
         return [one.id for one in tool_choices(by_name[name], archive, store)]
@@ -196,49 +185,30 @@ def test_the_tools_to_choose_from(archive, tmp_path):
 def test_a_recording_that_broke_since_the_search_is_rejected(archive, tmp_path):
     bag = make_bag(archive / "run")
     recordings = Recordings(archive, BAGS / "tools", tmp_path / "out")
-    (found,) = recordings.search().recordings
+    (found,) = recordings.search()
     (bag / "run_0.mcap").unlink()
     answer = recordings.start(found.id, "tools:pointer")
     assert not answer.ok and "files are missing" in answer.text
 
 
-# The list in pages
+# The list
 
 
-def test_a_large_archive_is_shown_in_pages_and_only_these_are_read(archive, tmp_path, monkeypatch):
-    for number in range(PAGE_LENGTH + 3):
-        make_bag(archive / f"run_{number:02d}", start=10**18 + number * 10**9)
+def test_a_name_is_found_by_its_words_and_details_are_read_once_until_the_next_search(
+    archive, tmp_path
+):
+    bag = make_bag(archive / "run_07")
+    make_bag(archive / "run_08", start=10**18)
     make_set(archive / "tuesday")
-    read = []
-
-    def look(recording, directory):
-        read.append(recording.name)
-        return Details()
-
-    monkeypatch.setattr("galen_panel.recordings.recordings.look_at", look)
     recordings = Recordings(archive, tmp_path, tmp_path / "out")
-    first = recordings.page("RUN")
-    assert (first.total, first.number, first.pages) == (PAGE_LENGTH + 3, 0, 2)
-    assert [one.number for one in first.listed] == list(range(PAGE_LENGTH))
-    assert first.listed[0].recording.name == f"run_{PAGE_LENGTH + 2:02d}"
-    assert len(read) == PAGE_LENGTH
-    second = recordings.page("run", 99)
-    assert second.number == 1 and [one.number for one in second.listed] == [15, 16, 17]
-    recordings.page("run")
-    assert len(read) == PAGE_LENGTH + 3, "what was read is kept"
-    assert [one.recording.name for one in recordings.page("diagnosis").listed] == ["tuesday"]
-    assert recordings.page("run 07").total == 1
-    assert recordings.page("nowhere").listed == ()
-
-
-def test_another_search_finds_what_is_new_and_reads_again(archive, tmp_path):
-    bag = make_bag(archive / "one")
-    recordings = Recordings(archive, tmp_path, tmp_path / "out")
-    assert recordings.page().total == 1
+    assert [one.name for one in recordings.matching("RUN")] == ["run_07", "run_08"]
+    assert [one.name for one in recordings.matching("diagnosis")] == ["tuesday"]
+    (found,) = recordings.matching("run 07")
+    assert recordings.matching("nowhere") == []
+    before = recordings.details(found)
     make_bag(archive / "two")
-    text = (bag / "metadata.yaml").read_text()
-    (bag / "metadata.yaml").write_text(text.replace("message_count: 7", "message_count: 9"))
-    assert recordings.page().total == 1
+    (bag / "metadata.yaml").write_text(METADATA.format(start=10**18, duration=10**9, name="run_07"))
+    assert recordings.details(found) == before and recordings.matching("two") == []
     recordings.search(again=True)
-    found = {one.recording.name: one.details for one in recordings.page().listed}
-    assert set(found) == {"one", "two"} and found["one"].topics == {"/wrench_raw": 9}
+    (found,) = recordings.matching("run 07")
+    assert recordings.details(found).duration_s == 1.0 and len(recordings.matching("two")) == 1

@@ -3,84 +3,87 @@
 import math
 
 import pytest
-from galen_panel.messages.results import told
-from galen_panel.ros.goal_kinds import KINDS, CalibrationGoals, CheckGoals, CollectionGoals, kind_of
+from galen_panel.messages.results import sentence_of
+from galen_panel.ros.goal_kinds import KINDS, rejected_pose
 from galen_panel.ros.thread import CallError
-from galen_panel.snapshot import Asked, BehaviourKind, CalibrateGoal, CheckGoal, CollectGoal
+from galen_panel.snapshot import Asked, BehaviourKind, Goal
 
 from galen_msgs.action import CalibrateTool, CheckTool, CollectPushes
 
+CALIBRATE, CHECK, COLLECT = KINDS
+
+
+def goal(kind, *args, **options):
+    return Goal(kind.kind, *args, **options)
+
 
 def test_every_state_of_every_action_has_words():
+    assert [kind.kind for kind in KINDS] == list(BehaviourKind)
     for kind in KINDS:
         for state in kind.states:
             assert kind.phases[state] and kind.phase_text(state.name) == kind.phases[state]
-        assert kind.phase_text("SOMETHING_NEW") == "something new"
-
-
-def test_goals_go_to_their_behaviours():
-    goals = (CalibrateGoal("pointer"), CheckGoal(), CollectGoal("monday", "pointer"))
-    assert [kind_of(goal) for goal in goals] == list(BehaviourKind)
-    assert [kind.kind for kind in KINDS] == list(BehaviourKind)
 
 
 def test_goals_become_those_of_the_actions():
-    goal = CalibrationGoals().request(CalibrateGoal("pointer", None, one_sweep=True, by_hand=True))
-    assert (goal.tool, goal.one_sweep, goal.attach_by_service) == ("pointer", True, False)
-    assert all(math.isnan(value) for value in goal.tip_m)
-    assert CheckGoals().request(CheckGoal()).tool == ""
-    assert CheckGoals().tool(CheckGoal(), "retractor") == "retractor"
-    goal = CollectionGoals().request(CollectGoal("monday", "pointer", by_hand=False))
-    assert (goal.name, goal.tool, goal.push_by_service) == ("monday", "pointer", True)
+    request = CALIBRATE.request(goal(CALIBRATE, "pointer", one_sweep=True, by_hand=True))
+    assert (request.tool, request.one_sweep, request.attach_by_service) == ("pointer", True, False)
+    assert all(math.isnan(value) for value in request.tip_m)
+    assert CHECK.request(goal(CHECK)).tool == ""
+    request = COLLECT.request(goal(COLLECT, "pointer", name="monday"))
+    assert (request.name, request.tool, request.push_by_service) == ("monday", "pointer", True)
     with pytest.raises(CallError, match="three finite"):
-        CalibrationGoals().request(CalibrateGoal("pointer", (math.inf, 0.0, 0.0)))
+        CALIBRATE.request(goal(CALIBRATE, "pointer", tip_m=(math.inf, 0.0, 0.0)))
 
 
 def test_a_check_tells_its_sentence_and_its_numbers():
     result = CheckTool.Result(
         tool="pointer", answer=CheckTool.Result.RETARE, text="tare it", poses_used=4
     )
-    outcome = CheckGoals().outcome(result, "pointer", new=False)
+    outcome = CHECK.outcome(result, "pointer", new=False)
     assert (outcome.error, outcome.text) == ("", "tare it")
     assert outcome.values["answer"] == CheckTool.Result.RETARE
-    step = CheckGoals().step(
-        CheckTool.Feedback(state=0, done=1, total=4, roll=math.nan, message="at 1")
-    )
-    assert (step.pose, step.phase, step.message) == (None, "MEASURE", "at 1")
 
 
 def test_a_collection_tells_what_was_left_out_and_where_it_is():
     result = CollectPushes.Result(
         pushes=11, pushes_asked=12, directory="recordings/monday", left_out=["set 1: touched"]
     )
-    outcome = CollectionGoals().outcome(result, "pointer", new=False)
+    outcome = COLLECT.outcome(result, "pointer", new=False)
     assert outcome.text == "11 of 12 pushes are recorded" and outcome.file == "recordings/monday"
-    assert outcome.notes == ("left out: set 1: touched",)
+    assert outcome.values["left_out"] == ["set 1: touched"]
     result.error_code, result.error_msg = CollectPushes.Result.OVERLOAD, "more than 20 N"
-    outcome = CollectionGoals().outcome(result, "pointer", new=False)
+    outcome = COLLECT.outcome(result, "pointer", new=False)
     assert outcome.error == "OVERLOAD"
-    assert "more than 20 N" in outcome.text and "recordings/monday" in outcome.text
+    assert "more than 20 N" in outcome.text and outcome.file == "recordings/monday"
 
 
 def test_what_to_do_after_a_cancel_is_the_last_that_is_told():
     result = CalibrateTool.Result(error_code=CalibrateTool.Result.CANCELED)
     result.error_msg = "canceled; the tool is still off: put it on again"
-    outcome = CalibrationGoals().outcome(result, "pointer", new=False)
+    outcome = CALIBRATE.outcome(result, "pointer", new=False)
     assert outcome.error == "CANCELED"
-    assert told(outcome) == (
+    assert sentence_of(outcome) == (
         "Not calibrated, and nothing is written: canceled; the tool is still off: put it on again."
     )
 
 
 def test_what_a_newer_node_says_is_shown_all_the_same():
-    outcome = CalibrationGoals().outcome(CalibrateTool.Result(error_code=77), "pointer", new=True)
+    outcome = CALIBRATE.outcome(CalibrateTool.Result(error_code=77), "pointer", new=True)
     assert outcome.error == "CODE_77" and "CODE_77" in outcome.text
-    step = CalibrationGoals().step(CalibrateTool.Feedback(state=42, roll=math.nan, message="hm"))
-    assert step.phase == "" and CalibrationGoals().phase_text(step.phase) == ""
+    assert CALIBRATE.state_name(42) == "" and CALIBRATE.phase_text("") == ""
+
+
+def test_only_a_pose_that_was_not_still_is_rejected():
+    feedback = CalibrateTool.Feedback(state=3, roll=0.1, accepted=False, message="bare/1: moved")
+    assert rejected_pose(feedback) == "bare/1: moved"
+    feedback.accepted = True
+    assert rejected_pose(feedback) == ""
+    assert rejected_pose(CalibrateTool.Feedback(state=3, roll=math.nan, message="hm")) == ""
+    assert rejected_pose(CollectPushes.Feedback(message="push")) == ""
 
 
 def test_only_where_a_tool_is_put_on_or_taken_off_a_person_is_asked():
-    asked = {state.name: CalibrationGoals().asked(state.name) for state in CalibrationGoals.states}
+    asked = {state.name: CALIBRATE.asked(state.name) for state in CALIBRATE.states}
     assert {name for name, value in asked.items() if value} == {"REMOVE_TOOL", "ATTACH_TOOL"}
     assert asked["REMOVE_TOOL"] is Asked.REMOVE_TOOL
-    assert CheckGoals().asked("MEASURE") is None
+    assert CHECK.asked("MEASURE") is None

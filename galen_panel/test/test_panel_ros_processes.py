@@ -7,7 +7,7 @@ import sys
 import time
 
 import pytest
-from galen_panel.snapshot import BehaviourKind, CalibrateGoal, CheckGoal
+from galen_panel.snapshot import BehaviourKind, Goal
 from panel_ros_world import panel_world
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(400)]
@@ -67,9 +67,7 @@ def world(monkeypatch, tmp_path):
 
 
 def start_driver_and_gravcomp(world):
-    world.processes.start(
-        "galen_sim_driver.node", speed_factor=2.0, initial_tool="retractor"
-    )
+    world.processes.start("galen_sim_driver.node", speed_factor=2.0, initial_tool="retractor")
     start_gravcomp(world)
 
 
@@ -103,7 +101,7 @@ def test_a_tool_is_calibrated_activate_and_checked(world):
         PATIENCE_S,
     )
     tip_m = (0.18, 0.01, 0.05)
-    answer = world.ask(world.suite.start(CalibrateGoal("retractor", tip_m)))
+    answer = world.ask(world.suite.start(Goal(BehaviourKind.CALIBRATE, "retractor", tip_m=tip_m)))
     assert answer.ok, answer.text
     seen = set()
     while world.state.behaviours[BehaviourKind.CALIBRATE].running:
@@ -121,7 +119,7 @@ def test_a_tool_is_calibrated_activate_and_checked(world):
     assert world.ask(world.suite.activate("retractor")).ok
     world.wait_for(lambda state: state.active_tool.tool == "retractor", "the active tool")
     assert world.state.active_tool.tip_m == tip_m
-    answer = world.ask(world.suite.start(CheckGoal()))
+    answer = world.ask(world.suite.start(Goal(BehaviourKind.CHECK)))
     assert answer.ok, answer.text
     ended = outcome(world, BehaviourKind.CHECK)
     assert not ended.error, ended.text
@@ -139,7 +137,7 @@ def test_nodes_that_are_killed_are_missed_and_found_again(world):
     )
     # It tells its tool on connecting, its state a second later: by this one it is missed.
     world.wait_for(lambda state: state.report_of("gravcomp"), "its report", PATIENCE_S)
-    assert world.ask(world.suite.start(CalibrateGoal("retractor"))).ok
+    assert world.ask(world.suite.start(Goal(BehaviourKind.CALIBRATE, "retractor"))).ok
     world.processes.kill("galen_calibration_behavior.node")
     world.processes.kill("galen_gravcomp.node")
     began_s = time.monotonic()
@@ -156,7 +154,7 @@ def test_nodes_that_are_killed_are_missed_and_found_again(world):
     world.wait_for(
         lambda state: "calibrate_tool" in state.available, "calibration_node again", PATIENCE_S
     )
-    answer = world.ask(world.suite.start(CalibrateGoal("retractor")))
+    answer = world.ask(world.suite.start(Goal(BehaviourKind.CALIBRATE, "retractor")))
     assert answer.ok, answer.text
     answer = world.ask(world.suite.cancel(BehaviourKind.CALIBRATE))
     assert answer.ok, (answer, world.state.behaviours[BehaviourKind.CALIBRATE])

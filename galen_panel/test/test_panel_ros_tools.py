@@ -16,9 +16,7 @@ from galen_panel.ros import tools as ros_tools
 from galen_panel.ros.suite import RosSuite
 from galen_panel.snapshot import (
     BehaviourKind,
-    CalibrateGoal,
-    CheckGoal,
-    CollectGoal,
+    Goal,
     NodeLevel,
     ToolComparison,
 )
@@ -82,9 +80,9 @@ def calls(suite):
         suite.compare("retractor"),
         suite.set_enabled(True),
         suite.tare(),
-        suite.start(CalibrateGoal("retractor")),
-        suite.start(CheckGoal()),
-        suite.start(CollectGoal("monday", "retractor")),
+        suite.start(Goal(BehaviourKind.CALIBRATE, "retractor")),
+        suite.start(Goal(BehaviourKind.CHECK)),
+        suite.start(Goal(BehaviourKind.COLLECT, "retractor", name="monday")),
         suite.confirm(),
         *(suite.cancel(kind) for kind in BehaviourKind),
     ]

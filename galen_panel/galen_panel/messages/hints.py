@@ -1,8 +1,9 @@
-"""Which program offers what, what is missing, and what to do about it. No ROS, no NiceGUI."""
+"""Programs, what is missing (nodes, tools, streams), and what to do about it. No ROS, no page."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 from galen_panel.messages import texts
@@ -11,7 +12,7 @@ from galen_panel.snapshot import Behaviour, BehaviourKind, SuiteState
 
 @dataclass(frozen=True)
 class Program:
-    """A part of the suite; `node` is the name that its node has on /diagnostics.
+    """A part of the suite; `node` is its node's name on /diagnostics.
 
     offers: a service or action of it, as in `State.available`. needed: whether nothing works
     without it.
@@ -27,12 +28,12 @@ class Program:
 
     @property
     def start(self) -> str:
-        """The command that starts it."""
+        """Command that starts it."""
         return f"ros2 run {self.package} {self.executable}"
 
     @property
     def absent(self) -> str:
-        """That it isn't there, and what to do."""
+        """Sentence on its absence, and what to do."""
         return f"{self.executable} isn't running. Start it: {self.start}"
 
 
@@ -94,25 +95,25 @@ NAMES = {
 
 
 def missing(state: SuiteState, name: str) -> str:
-    """What to do where a service or action of that name isn't there; empty where it is."""
+    """Say what to do where that service or action isn't there; empty where it is."""
     return "" if name in state.available else OFFERED_BY[name].absent
 
 
 def title(behaviour: Behaviour) -> str:
-    """What it is called, such as "Calibration of pointer"."""
+    """Name a behaviour, such as "Calibration of pointer"."""
     joined = "with" if behaviour.kind is BehaviourKind.COLLECT else "of"
     name = NAMES[behaviour.kind]
     return f"{name} {joined} {behaviour.tool}" if behaviour.tool else name
 
 
 def running(state: SuiteState) -> Behaviour | None:
-    """The behaviour that is under way, the newest where there are several."""
+    """Return the running behaviour, the newest of several."""
     under_way = [behaviour for behaviour in state.behaviours.values() if behaviour.running]
     return max(under_way, key=lambda behaviour: behaviour.number, default=None)
 
 
 def cannot_start(state: SuiteState, kind: BehaviourKind) -> str:
-    """Why a behaviour can't be started now and what to do; empty where it can.
+    """Say why a behaviour can't be started now and what to do; empty where it can.
 
     A node rejects a second goal of its own; another node's at the same arm would end both.
     """
@@ -123,7 +124,7 @@ def cannot_start(state: SuiteState, kind: BehaviourKind) -> str:
 
 
 def cannot_check(state: SuiteState, tool: str) -> str:
-    """Why a quick check has no file to check against; empty where it has one.
+    """Say why a quick check has no file to check against; empty where it has one.
 
     tool: its name; empty: the active one.
     """
@@ -142,7 +143,7 @@ def cannot_check(state: SuiteState, tool: str) -> str:
 
 
 def before_calibration(state: SuiteState, *, one_sweep: bool, by_hand: bool) -> list[str]:
-    """What a person must know before the arm moves: how long, and that the area must be clear."""
+    """List what a person must know before the arm moves: how long, and a clear area."""
     duration_s = (1 if one_sweep else 2) * _sweep_s(state)
     long = (
         f"{CALIBRATION.executable} does not tell how long that takes"
@@ -166,3 +167,67 @@ def _sweep_s(state: SuiteState) -> float:
         return float("nan" if report is None else report.values.get("sweep_s", "nan"))
     except ValueError:
         return math.nan
+
+
+STREAM_SILENT_S = 1.0
+
+
+class StreamSilence:
+    """When each stream was heard last; stamps may be of any clock and are only compared.
+
+    A stream is silent where its newest stamp hasn't changed for `STREAM_SILENT_S` of `now_s`.
+    """
+
+    def __init__(self) -> None:
+        self._newest: dict[str, int | None] = {}
+        self._changed_s: dict[str, float] = {}
+
+    def look(self, newest_ns: Mapping[str, int | None], now_s: float) -> None:
+        """Take each stream's newest stamp, None for nothing yet; now_s: time.monotonic()."""
+        for name, newest in newest_ns.items():
+            if name not in self._newest or newest != self._newest[name]:
+                self._newest[name] = newest
+                self._changed_s[name] = now_s
+
+    def forget(self, now_s: float) -> None:
+        """Count silence from here: the streams were not listened to."""
+        self._changed_s = dict.fromkeys(self._changed_s, now_s)
+
+    def silent(self, now_s: float) -> frozenset[str]:
+        """Return the streams that don't come."""
+        return frozenset(
+            name
+            for name, changed_s in self._changed_s.items()
+            if now_s - changed_s > STREAM_SILENT_S
+        )
+
+
+def missing_stream(silent: frozenset[str], state: SuiteState) -> str:
+    """Say which topic doesn't come, why, and what to do; empty where all come."""
+    if "raw" in silent:
+        return (
+            "No wrench_raw: the arm's driver is not running or not heard. "
+            f"The simulated arm: {DRIVER.start}"
+        )
+    if "compensated" in silent:
+        return f"No wrench_compensated: {_why_not_compensated(silent, state)}"
+    if "deflection" in silent:
+        return (
+            "No deflection: its node is not running or has rejected its model (see Nodes). "
+            f"Start it: {DEFLECTION.start}"
+        )
+    if "joints" in silent:
+        return "No joint_states: the arm's driver doesn't say where its joints are."
+    return ""
+
+
+def _why_not_compensated(silent: frozenset[str], state: SuiteState) -> str:
+    if state.active_tool is None:
+        return f"gravcomp_node is not running. Start it: {GRAVCOMP.start}"
+    if not state.active_tool.tool:
+        return "no tool is active. Choose one under Operate."
+    if not state.active_tool.enabled:
+        return "compensation is off. The switch above turns it on."
+    if "joints" in silent:
+        return "no joint_states come, and without them nothing can be compensated."
+    return "gravcomp_node holds it back; Nodes says why."

@@ -62,7 +62,7 @@ _NOT_ON = {
 
 
 def ended(kind: BehaviourKind, outcome: BehaviourOutcome) -> tuple[str, str]:
-    """A title for an outcome of any behaviour, and its level."""
+    """Title an outcome of any behaviour, and give its level."""
     if not outcome.error:
         return _DONE[kind], "positive"
     if outcome.error == _CANCELED:
@@ -73,7 +73,7 @@ def ended(kind: BehaviourKind, outcome: BehaviourOutcome) -> tuple[str, str]:
 
 
 def verdict(outcome: BehaviourOutcome) -> CheckVerdict:
-    """Of a quick check that came to its end."""
+    """Read the answer of a quick check that came to its end."""
     values = outcome.values
     try:
         answer, cause = CheckAnswer(_code(values, "answer")), Cause(_code(values, "cause"))
@@ -82,8 +82,8 @@ def verdict(outcome: BehaviourOutcome) -> CheckVerdict:
     return _NOT_ON.get(cause) or _VERDICTS[answer]
 
 
-def told(outcome: BehaviourOutcome) -> str:
-    """Its sentence, without commands for a terminal: the page has buttons."""
+def sentence_of(outcome: BehaviourOutcome) -> str:
+    """Return the sentence without commands for a terminal: the page has buttons."""
     return texts.sentence(outcome.text.replace(f": {TARE_COMMAND}", ""), outcome.tool)
 
 
@@ -102,7 +102,7 @@ def fate(outcome: BehaviourOutcome, state: SuiteState) -> Fate:
 
 
 def load_rows(outcome: BehaviourOutcome) -> list[list[str]]:
-    """Mass and centre that a calibration found, as texts: name, value."""
+    """Write mass and centre that a calibration found, as texts: name, value."""
     values = outcome.values
     com, com_std = _vector(values, "com_m"), _vector(values, "com_std_m")
     rows = [["mass", texts.mass(_number(values, "mass_kg"), _number(values, "mass_std_kg"))]]
@@ -119,7 +119,7 @@ def residual(outcome: BehaviourOutcome) -> str:
 
 
 def collection_sentence(outcome: BehaviourOutcome) -> str:
-    """How many pushes there are, and whether the tracker's base held."""
+    """Say how many pushes there are, and whether the tracker's base held."""
     values = outcome.values
     text = (
         f"{_number(values, 'pushes'):.0f} of {_number(values, 'pushes_asked'):.0f} pushes are as"
@@ -131,13 +131,13 @@ def collection_sentence(outcome: BehaviourOutcome) -> str:
 
 
 def left_out(outcome: BehaviourOutcome) -> list[str]:
-    """Poses or pushes that were not used, with their reasons."""
+    """List poses or pushes that were not used, with their reasons."""
     found = outcome.values.get("poses_rejected") or outcome.values.get("left_out") or ()
     return [str(text) for text in found] if isinstance(found, Sequence) else []
 
 
 def discard_sentences(outcome: BehaviourOutcome) -> list[str]:
-    """What discarding a calibration does."""
+    """Say what discarding a calibration does."""
     if outcome.new:
         return [
             f"{outcome.tool} had no file before: it goes off the list of tools.",

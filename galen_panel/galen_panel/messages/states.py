@@ -40,7 +40,7 @@ class Words:
 
 
 def others(state: SuiteState) -> list[NodeReport]:
-    """Reports of other nodes, such as a recorder, or those of another arm; by name."""
+    """List reports of other nodes, such as a recorder, or those of another arm; by name."""
     known = {state.full_name(program.node) for program in PROGRAMS}
     rest = (report for report in state.nodes.values() if report.name not in known)
     return sorted(rest, key=lambda report: report.name)
@@ -60,7 +60,7 @@ def words_of(state: SuiteState, program: Program, now_s: float) -> Words:
 
 
 def words_of_other(report: NodeReport, now_s: float) -> Words:
-    """The same of a node that is none of `PROGRAMS`: its own message."""
+    """Say what a node that is none of `PROGRAMS` is doing: its own message."""
     silent_s = now_s - report.heard_s
     if silent_s > SILENT_S:
         return Words(
@@ -71,14 +71,14 @@ def words_of_other(report: NodeReport, now_s: float) -> Words:
 
 
 def compensates(state: SuiteState, now_s: float) -> bool:
-    """Whether compensated wrenches go out; switched on is not enough. now_s: as in `words_of`."""
+    """Return whether compensated wrenches go out; switched on is not enough."""
     active_tool = state.active_tool
     wanted = active_tool is not None and active_tool.enabled and bool(active_tool.tool)
     return wanted and not words_of(state, GRAVCOMP, now_s).stopped
 
 
 def overall(state: SuiteState, now_s: float) -> tuple[NodeLevel, str]:
-    """The worst that an operator must know: compensation that puts out nothing goes first."""
+    """Choose the worst report; compensation that puts out nothing goes first."""
     words = {program: words_of(state, program, now_s) for program in PROGRAMS}
     own = words[GRAVCOMP]
     if own.stopped:
@@ -130,7 +130,6 @@ def _silence(silent_s: float) -> str:
 
 
 def _other_drivers(state: SuiteState, now_s: float) -> str:
-    """Who publishes wrench_raw, as gravcomp tells."""
     report = state.report_of(GRAVCOMP.node)
     if report is None or now_s - report.heard_s > SILENT_S:
         return ""
@@ -174,7 +173,7 @@ def _by_state(
 
 
 def find_advice(node: str, state: str, level: NodeLevel) -> Advice | None:
-    """The words for a state's name; None where there are none."""
+    """Return the words for a state's name; None where there are none."""
     known = ADVICE.get(node, {})
     advice = known.get(f"{state} {level.name.lower()}", known.get(state))
     if advice is not None or node not in OUTPUT:
@@ -190,7 +189,7 @@ def find_advice(node: str, state: str, level: NodeLevel) -> Advice | None:
 
 
 def _own_words(report: NodeReport) -> Words:
-    """A state that is not known here: a node of another version."""
+    # A state that is not known here: a node of another version.
     todo = "" if report.level is NodeLevel.OK else "Its own message says what is wrong."
     stopped = report.level in (NodeLevel.ERROR, NodeLevel.STALE)
     return Words(report.level, _sentence(report.message), todo, "", True, stopped)

@@ -6,7 +6,7 @@ What a file or a message has no number for (NaN) is written as "–".
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from datetime import datetime
 
 NOTHING = "–"
@@ -21,7 +21,7 @@ _NAMES = {"com": "centre", "adapter com": "adapter's centre", "adapter mass": "a
 
 
 def mass(mass_kg: float, std_kg: float = math.nan) -> str:
-    """Such as "60.10 ± 0.03 g"; without a standard deviation "60.10 g"."""
+    """Write a mass as "60.10 ± 0.03 g"; without a standard deviation "60.10 g"."""
     if not math.isfinite(mass_kg):
         return NOTHING
     if not std_kg > 0.0 or math.isinf(std_kg):
@@ -31,18 +31,12 @@ def mass(mass_kg: float, std_kg: float = math.nan) -> str:
 
 
 def centre(com_m: Sequence[float]) -> str:
-    """Such as "55.0, 2.0, 45.0 mm"."""
+    """Write a centre as "55.0, 2.0, 45.0 mm"."""
     return f"{_list([1e3 * value for value in com_m], 1)} mm"
 
 
-def wrench(values: Sequence[float]) -> str:
-    """Six numbers fx ... tz, N and N·m, such as "(0.12, 0.00, 0.01) N, (1.2, 0.0, 0.0) mN·m"."""
-    torque = [1e3 * value for value in values[3:6]]
-    return f"({_list(values[:3], 3)}) N, ({_list(torque, 1)}) mN·m"
-
-
 def size(force_n: float, torque_nm: float) -> str:
-    """How much a wrench is, such as "3.1 mN, 0.05 mN·m"; from 1 N on in N; "unknown" for NaN."""
+    """Write a wrench's size as "3.1 mN, 0.05 mN·m"; from 1 N on in N; "unknown" for NaN."""
     if not (math.isfinite(force_n) and math.isfinite(torque_nm)):
         return "unknown"
     force = f"{_short(force_n)} N" if abs(force_n) >= 1.0 else f"{_short(1e3 * force_n)} mN"
@@ -50,25 +44,25 @@ def size(force_n: float, torque_nm: float) -> str:
 
 
 def norm(values: Sequence[float]) -> float:
-    """Length of a vector; NaN where a part is."""
+    """Return the length of a vector; NaN where a part is."""
     return math.sqrt(sum(value * value for value in values))
 
 
 def quantity_name(quantity: str) -> str:
-    """A file's quantity in words: "com_x" is "centre x"."""
+    """Name a file's quantity: "com_x" is "centre x"."""
     words = quantity.replace("_", " ")
     head, _, axis = words.rpartition(" ")
     return _NAMES.get(words) or f"{_NAMES.get(head, head)} {axis}".strip()
 
 
 def quantity(value: float, unit: str) -> str:
-    """A file's number, units kg, m, N and N.m as g, mm, mN and mN·m."""
+    """Write a file's number, units kg, m, N and N.m as g, mm, mN and mN·m."""
     factor, shown, digits = _SHOWN.get(unit, (1.0, unit, 4))
     return f"{_plain(factor * value, digits)} {shown}" if math.isfinite(value) else NOTHING
 
 
 def change(value: float, unit: str) -> str:
-    """A difference with its sign, such as "+0.10 g"."""
+    """Write a difference with its sign, such as "+0.10 g"."""
     factor, shown, digits = _SHOWN.get(unit, (1.0, unit, 4))
     if not math.isfinite(value):
         return NOTHING
@@ -77,14 +71,14 @@ def change(value: float, unit: str) -> str:
 
 
 def sigmas(value: float, std_dev: float) -> str:
-    """How many standard deviations a difference is, such as "2.5 σ"."""
+    """Write a difference in standard deviations, such as "2.5 σ"."""
     if not std_dev > 0.0 or not math.isfinite(value / std_dev):
         return NOTHING
     return f"{abs(value) / std_dev:.1f} σ"
 
 
 def date(rfc3339: str) -> str:
-    """Such as "2026-11-21 14:03 UTC", in the zone that it was written in; as it is if unclear."""
+    """Write a time as "2026-11-21 14:03 UTC", in its own zone; unchanged if unclear."""
     try:
         at = datetime.fromisoformat(rfc3339)
     except ValueError:
@@ -96,7 +90,7 @@ def date(rfc3339: str) -> str:
 
 
 def duration(seconds: float) -> str:
-    """Such as "40 s", "2 min", "1 h 10 min": what a person waits, not what a clock shows."""
+    """Write a duration roughly, such as "40 s", "2 min", "1 h 10 min"."""
     if seconds < 55.0:
         return f"{max(5, 5 * round(seconds / 5.0))} s"
     minutes = max(1, round(seconds / 60.0))
@@ -106,18 +100,13 @@ def duration(seconds: float) -> str:
     return f"{hours} h {minutes} min" if minutes else f"{hours} h"
 
 
-def degrees(angle_rad: float, digits: int = 1) -> str:
-    """Such as "-45°"; a part of a degree only where there is one."""
-    return f"{round(math.degrees(angle_rad), digits) + 0.0:g}°"
-
-
 def count(number: int, what: str) -> str:
-    """Such as "1 pose", "56 poses"."""
+    """Write a count, such as "1 pose", "56 poses"."""
     return f"{number} {what}" if number == 1 else f"{number} {what}s"
 
 
 def sentence(text: str, name: str = "") -> str:
-    """With a full stop at its end, and a capital letter at its start unless a name stands there."""
+    """Add a full stop at the end, and a capital at the start unless a name is there."""
     text = text.strip()
     if not text:
         return text
@@ -149,53 +138,3 @@ def _short(value: float, significant: int = 2) -> str:
 
 def _list(values: Sequence[float], digits: int) -> str:
     return ", ".join(_plain(v, digits) if math.isfinite(v) else NOTHING for v in values)
-
-
-_RATE = "_hz"
-_REJECTED = "rejected_"
-_PLAIN = {
-    "latency_median_ms": ("latency, half of them", "ms"),
-    "latency_p99_ms": ("latency, 99 % of them", "ms"),
-    "speed_reached": ("speed, times real time", ""),
-    "std_mm": ("uncertain by", "mm"),
-    "extrapolated_percent": ("beyond the model", "%"),
-    "untouched_s": ("untouched so far", "s"),
-    "messages": ("recorded messages", ""),
-}
-_COUNTS = {
-    "late": "came late",
-    "trajectories_rejected": "rejected motions",
-    "restarts": "restarts of the driver",
-}
-_TEXTS = {"tool": "tool", "tare": "tare", "fit": "fit", "effects": "effects", "model": "model"}
-_SAYS_NOTHING = ("", "none", "off", "not_judged")
-
-
-def numbers_of(values: Mapping[str, str]) -> tuple[tuple[str, str], ...]:
-    """Label and text of what matters: rates, latency, what was rejected at all, progress."""
-    found = [(label, text) for key, label in _TEXTS.items()
-             if (text := values.get(key, "")) not in _SAYS_NOTHING]  # fmt: skip
-    if values.get("total", "0") != "0":
-        found.append(("done", f"{values.get('done', '0')} of {values['total']}"))
-    for key, text in values.items():
-        number = _number(text)
-        if number is None:
-            continue
-        if key.endswith(_RATE):
-            found.append((key.removesuffix(_RATE), f"{number:.0f} Hz"))
-        elif key in _PLAIN:
-            label, unit = _PLAIN[key]
-            found.append((label, f"{number:.3g} {unit}".rstrip()))
-        elif number > 0.0 and key in _COUNTS:
-            found.append((_COUNTS[key], f"{number:.0f}"))
-        elif number > 0.0 and key.startswith(_REJECTED):
-            reason = key.removeprefix(_REJECTED).replace("_", " ")
-            found.append((f"left out, {reason}", f"{number:.0f}"))
-    return tuple(found)
-
-
-def _number(text: str) -> float | None:
-    try:
-        return float(text)
-    except ValueError:
-        return None

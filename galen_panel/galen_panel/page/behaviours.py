@@ -1,6 +1,9 @@
-"""The behaviours: a card each, to start one, to follow its poses, and to see how it ended."""
+"""The behaviours: a card each, to start one, to see what it rejects, and how it ended."""
 
 from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
 
 from galen_model.errors import GalenError
 from galen_model.files.calibration_file import check_tool_name
@@ -8,194 +11,181 @@ from nicegui import ui
 
 from galen_panel.messages import hints, texts
 from galen_panel.page.calibration_options import CalibrationOptions, start_calibration
-from galen_panel.page.elements import heading
 from galen_panel.page.outcome import OutcomeView
-from galen_panel.page.page import Page
-from galen_panel.page.poses import PosesView
-from galen_panel.snapshot import (
-    BehaviourKind,
-    CalibrateGoal,
-    CheckGoal,
-    CollectGoal,
-    Goal,
-    SuiteState,
-)
+from galen_panel.page.page import Page, heading
+from galen_panel.snapshot import BehaviourKind, Goal, SuiteState
 
 _ACTIVE = ""
 _ACTIVE_TEXT = "the active one"
+_REASONS = 4
 
 
 def build(page: Page) -> None:
-    """Draw it."""
+    """Draw a card for each."""
     with ui.element("section").classes("panel-section").props("aria-label=Behaviours"):
         with ui.row().classes("panel-head"):
             heading("Behaviours")
-        _Calibrate(page)
-        _Check(page)
-        _Collect(page)
+        for kind, (name, title, icon, purpose, form) in _CARDS.items():
+            _Card(page, kind, name, title, icon, purpose, form)
+
+
+@dataclass(frozen=True)
+class _Form:
+    """update: follows the state; goal: what was chosen, None where a field complains."""
+
+    update: Callable[[SuiteState], None]
+    goal: Callable[[], Goal | None]
 
 
 class _Card:
-    """What the three have in common: title, fields, start; then poses; then the outcome."""
+    """Title, fields, start; then what is rejected; then the outcome."""
 
-    kind: BehaviourKind
-    name: str
-    title: str
-    icon: str
-    purpose: str
-    start_text: str
-
-    def __init__(self, page: Page) -> None:
-        self.page = page
-        self._poses: PosesView | None = None
+    def __init__(
+        self,
+        page: Page,
+        kind: BehaviourKind,
+        name: str,
+        title: str,
+        icon: str,
+        purpose: str,
+        form: Callable[[Page], _Form],
+    ) -> None:
+        self._page = page
+        self._kind = kind
         self._outcome: OutcomeView | None = None
         self._number = -1
-        with ui.card().classes("panel-card") as card:
-            card.props(f"flat bordered data-testid=card-{self.name}")
+        with ui.card().classes("panel-card").props(f"flat bordered data-testid=card-{name}"):
             with ui.row().classes("panel-card-head"):
-                ui.icon(self.icon).props("aria-hidden=true")
-                heading(self.title, 3)
+                ui.icon(icon).props("aria-hidden=true")
+                heading(title, 3)
+            self._rejected = ui.label().classes("panel-lines").props(f"data-testid={name}-rejected")
             self._place = ui.column().classes("panel-run")
-            self._form = ui.column().classes("panel-form")
-            with self._form:
-                ui.label(self.purpose)
-                self.draw_fields()
-                self._start = ui.button(self.start_text, icon="play_arrow", on_click=self._begin)
-                self._start.props(f"unelevated data-testid={self.name}")
+            with ui.column().classes("panel-form") as self._whole_form:
+                ui.label(purpose)
+                self._form = form(page)
+                self._start = ui.button(title, icon="play_arrow", on_click=self._begin)
+                self._start.props(f"unelevated data-testid={name}")
                 self._why_not = ui.label().classes("panel-note").props("role=status")
         page.on_change(self._update)
 
-    def draw_fields(self) -> None:
-        """Draw what is to be chosen."""
-        raise NotImplementedError
-
-    def update_fields(self, state: SuiteState) -> None:
-        """Follow the state with it."""
-        raise NotImplementedError
-
-    def goal(self) -> Goal | None:
-        """What was chosen, or None where a field is wrong, which then says so."""
-        raise NotImplementedError
-
     async def _begin(self) -> None:
-        goal = self.goal()
-        if isinstance(goal, CalibrateGoal):
-            await start_calibration(self.page, goal, self._start)
-        elif goal is not None:
-            await self.page.ask(self.page.suite.start(goal), self._start)
+        goal = self._form.goal()
+        if goal is None:
+            return
+        if goal.kind is BehaviourKind.CALIBRATE:
+            await start_calibration(self._page, goal, self._start)
+        else:
+            await self._page.ask(self._page.suite.start(goal), self._start)
 
     def _update(self, state: SuiteState) -> None:
-        self.update_fields(state)
-        why_not = hints.cannot_start(state, self.kind)
+        self._form.update(state)
+        why_not = hints.cannot_start(state, self._kind)
         self._why_not.set_text(why_not)
         self._why_not.set_visibility(bool(why_not))
-        self.page.allow(self._start, why_not)
-        behaviour = state.behaviours.get(self.kind)
-        number = -1 if behaviour is None else behaviour.number
+        self._page.allow(self._start, why_not)
+        behaviour = state.behaviours.get(self._kind)
+        running = behaviour is not None and behaviour.running
+        self._whole_form.set_visibility(not running)
+        rejected = behaviour.rejected if behaviour is not None and running else ()
+        more = [f"and {len(rejected) - _REASONS} before"] if len(rejected) > _REASONS else []
+        self._rejected.set_text("\n".join(["Not still enough:", *rejected[-_REASONS:], *more]))
+        self._rejected.set_visibility(bool(rejected))
+        ended = behaviour if behaviour is not None and not behaviour.running else None
+        number = -1 if ended is None else ended.number
         if number != self._number:
-            self._number = number
-            self._poses = self._outcome = None
+            self._number, self._outcome = number, None
             self._place.clear()
-        self._form.set_visibility(behaviour is None or not behaviour.running)
-        self._place.set_visibility(behaviour is not None)
-        if behaviour is None:
-            return
-        if behaviour.outcome is None:
-            if self._poses is None:
-                with self._place:
-                    self._poses = PosesView(behaviour)
-            self._poses.update(behaviour)
+        if ended is None or ended.outcome is None:
             return
         if self._outcome is None:
-            self._place.clear()
             with self._place:
-                self._outcome = OutcomeView(self.page, self.kind, behaviour.outcome)
+                self._outcome = OutcomeView(self._page, self._kind, ended.outcome)
         self._outcome.update(state)
 
 
-class _Calibrate(_Card):
-    kind = BehaviourKind.CALIBRATE
-    name = "calibrate"
-    title = "Calibrate"
-    icon = "balance"
-    purpose = "The arm turns the tool through its poses and finds its mass and centre. Keep off it."
-    start_text = "Calibrate"
+def _calibrate(page: Page) -> _Form:
+    tool = _tool_select("calibrate")
+    with ui.expansion("Options").classes("w-full").props("dense data-testid=calibrate-options"):
+        options = CalibrationOptions("calibrate")
 
-    def draw_fields(self) -> None:
-        self._tool = _tool_select("Tool", self.name)
-        with ui.expansion("Options").classes("w-full").props("dense data-testid=calibrate-options"):
-            self._options = CalibrationOptions(self.name)
+    def update(state: SuiteState) -> None:
+        _set_tools(tool, state)
+        options.update(state)
 
-    def update_fields(self, state: SuiteState) -> None:
-        _set_tools(self._tool, state, None)
-        self._options.update(state)
-
-    def goal(self) -> Goal | None:
-        if not self._tool.value:
-            self.page.complain("Choose a tool, or press New tool.")
+    def goal() -> Goal | None:
+        if not tool.value:
+            page.complain("Choose a tool, or press New tool.")
             return None
-        return self._options.goal(str(self._tool.value))
+        return options.goal(str(tool.value))
+
+    return _Form(update, goal)
 
 
-class _Check(_Card):
-    kind = BehaviourKind.CHECK
-    name = "check"
-    title = "Quick check"
-    icon = "fact_check"
-    purpose = "Goes to a few poses and says whether a calibration still fits. Keep off the tool."
-    start_text = "Check"
+def _check(page: Page) -> _Form:
+    tool = _tool_select("check")
 
-    def draw_fields(self) -> None:
-        self._tool = _tool_select("Tool", self.name)
-
-    def update_fields(self, state: SuiteState) -> None:
-        _set_tools(self._tool, state, _ACTIVE_TEXT)
-
-    def goal(self) -> Goal | None:
-        tool = str(self._tool.value or _ACTIVE)
-        why_not = hints.cannot_check(self.page.suite.state, tool)
+    def goal() -> Goal | None:
+        name = str(tool.value or _ACTIVE)
+        why_not = hints.cannot_check(page.suite.state, name)
         if why_not:
-            self.page.complain(why_not)
+            page.complain(why_not)
             return None
-        return CheckGoal(tool)
+        return Goal(BehaviourKind.CHECK, name)
+
+    return _Form(lambda state: _set_tools(tool, state, _ACTIVE_TEXT), goal)
 
 
-class _Collect(_Card):
-    kind = BehaviourKind.COLLECT
-    name = "collect"
-    title = "Collect pushes"
-    icon = "touch_app"
-    purpose = "Records pushes on the tool's tip, which the deflection is learned from."
-    start_text = "Collect"
+def _collect(page: Page) -> _Form:
+    with ui.row().classes("panel-fields"):
+        tool = _tool_select("collect")
+        name = ui.input("Name of the recording", validation=_name_problem)
+        name.without_auto_validation().props("outlined data-testid=collect-name")
+    by_hand = ui.switch("A person pushes as the page says", value=True)
+    by_hand.props("data-testid=collect-by-hand")
 
-    def draw_fields(self) -> None:
-        with ui.row().classes("panel-fields"):
-            self._tool = _tool_select("Tool", self.name)
-            self._name = ui.input("Name of the recording", validation=_name_problem)
-            self._name.without_auto_validation()
-            self._name.props("outlined data-testid=collect-name")
-        self._by_hand = ui.switch("A person pushes as the page says", value=True)
-        self._by_hand.props("data-testid=collect-by-hand")
-
-    def update_fields(self, state: SuiteState) -> None:
-        _set_tools(self._tool, state, None)
-
-    def goal(self) -> Goal | None:
-        if not self._tool.value:
-            self.page.complain("Choose the tool that is on.")
+    def goal() -> Goal | None:
+        if not tool.value:
+            page.complain("Choose the tool that is on.")
             return None
-        if not self._name.validate():
+        if not name.validate():
             return None
-        by_hand = bool(self._by_hand.value)
-        return CollectGoal(self._name.value or "", str(self._tool.value), by_hand)
+        kind, chosen = BehaviourKind.COLLECT, str(tool.value)
+        return Goal(kind, chosen, name=name.value or "", by_hand=bool(by_hand.value))
+
+    return _Form(lambda state: _set_tools(tool, state), goal)
 
 
-def _tool_select(label: str, name: str) -> ui.select:
-    chosen = ui.select({}, label=label, with_input=True)
+_CARDS = {
+    BehaviourKind.CALIBRATE: (
+        "calibrate",
+        "Calibrate",
+        "balance",
+        "The arm turns the tool through its poses and finds its mass and centre. Keep off it.",
+        _calibrate,
+    ),
+    BehaviourKind.CHECK: (
+        "check",
+        "Quick check",
+        "fact_check",
+        "Goes to a few poses and tests whether a calibration still fits. Keep off the tool.",
+        _check,
+    ),
+    BehaviourKind.COLLECT: (
+        "collect",
+        "Collect pushes",
+        "touch_app",
+        "Records pushes on the tool's tip, which the deflection is learned from.",
+        _collect,
+    ),
+}
+
+
+def _tool_select(name: str) -> ui.select:
+    chosen = ui.select({}, label="Tool", with_input=True)
     return chosen.props(f"outlined data-testid={name}-tool").classes("panel-select")
 
 
-def _set_tools(chosen: ui.select, state: SuiteState, none: str | None) -> None:
+def _set_tools(chosen: ui.select, state: SuiteState, none: str | None = None) -> None:
     """Offer the tools; at first the active one. none: the text of an entry for no name."""
     options = {} if none is None else {_ACTIVE: none}
     options |= {tool.name: tool.name for tool in state.tools or ()}

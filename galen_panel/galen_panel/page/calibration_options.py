@@ -8,7 +8,7 @@ from nicegui import ui
 
 from galen_panel.messages import hints
 from galen_panel.page.page import Page, confirmed
-from galen_panel.snapshot import BehaviourKind, CalibrateGoal, SuiteState
+from galen_panel.snapshot import BehaviourKind, Goal, SuiteState
 
 AREA_CLEAR = "Area clear: calibrate"
 
@@ -42,8 +42,8 @@ class CalibrationOptions:
                 for axis in "xyz"
             ]
 
-    def goal(self, tool: str) -> CalibrateGoal | None:
-        """What was chosen, for a tool; None where a field is wrong, which then says so."""
+    def goal(self, tool: str) -> Goal | None:
+        """Return what was chosen, for a tool; None where a field is wrong, which then says so."""
         values = [field.value for field in self._tip]
         given = [value is not None for value in values]
         if any(given):
@@ -52,21 +52,22 @@ class CalibrationOptions:
                     field.error = "all three, or none"
             if not all(given) or not all(field.validate() for field in self._tip):
                 return None
-        return CalibrateGoal(
+        return Goal(
+            BehaviourKind.CALIBRATE,
             tool,
-            tuple(1e-3 * float(value) for value in values) if all(given) else None,
+            tip_m=tuple(1e-3 * float(value) for value in values) if all(given) else None,
             one_sweep=bool(self._one_sweep.value),
             by_hand=bool(self._by_hand.value),
         )
 
     def before(self, state: SuiteState) -> list[str]:
-        """What a person must know before the arm moves."""
+        """List what a person must know before the arm moves."""
         return hints.before_calibration(
             state, one_sweep=bool(self._one_sweep.value), by_hand=bool(self._by_hand.value)
         )
 
     def update(self, state: SuiteState) -> None:
-        """Where nothing takes the tool off by itself, a person must."""
+        """Choose by hand where no driver changes the tool by itself."""
         can_choose = _SERVICE in state.available
         if can_choose != self._can_choose:
             self._can_choose = can_choose
@@ -74,7 +75,7 @@ class CalibrationOptions:
             self._by_hand.set_enabled(can_choose)
 
 
-async def start_calibration(page: Page, goal: CalibrateGoal, button: ui.button) -> None:
+async def start_calibration(page: Page, goal: Goal, button: ui.button) -> None:
     """Start it once a person has said that the area is clear."""
     before = hints.before_calibration(
         page.suite.state, one_sweep=goal.one_sweep, by_hand=goal.by_hand

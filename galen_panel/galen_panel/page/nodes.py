@@ -10,9 +10,7 @@ from nicegui import ui
 
 from galen_panel.messages.hints import PROGRAMS
 from galen_panel.messages.states import Words, others, words_of, words_of_other
-from galen_panel.messages.texts import numbers_of
-from galen_panel.page.elements import LOOKS
-from galen_panel.page.page import Page
+from galen_panel.page.page import LOOKS, Page
 from galen_panel.snapshot import NodeLevel, SuiteState
 
 # Nodes tell their state once a second; one that falls silent is seen by time alone.
@@ -79,8 +77,7 @@ class _Card:
                 self._doing = ui.label().classes("panel-doing")
                 self._todo = ui.label().classes("panel-todo")
             self._said = ui.label().classes("panel-quiet panel-words")
-            self._numbers = ui.label().classes("panel-words")
-            with ui.expansion("All values", on_value_change=self._fill).classes("w-full") as more:
+            with ui.expansion("Values", on_value_change=self._fill).classes("w-full") as more:
                 more.props["data-testid"] = f"node-{testid}-values"
                 self._values = ui.label().classes("panel-values")
         self._more = more
@@ -102,13 +99,10 @@ class _Card:
         self._said.set_text(said)
         self._said.set_visibility(bool(said))
         self._last = values if words.running else {}
-        numbers = "\n".join(f"{label}: {text}" for label, text in numbers_of(self._last))
-        self._numbers.set_text(numbers)
-        self._numbers.set_visibility(bool(numbers))
         self._more.set_visibility(bool(self._last))
         self._fill()
 
     def _fill(self) -> None:
-        """All values: only while they are seen, for there are many, and they never rest."""
+        """Write the values only while they are seen: there are many, and they never rest."""
         if self._more.value:
             self._values.set_text("\n".join(f"{key}: {text}" for key, text in self._last.items()))

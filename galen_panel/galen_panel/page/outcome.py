@@ -8,14 +8,12 @@ from galen_panel.messages import hints, texts
 from galen_panel.messages import results as result_words
 from galen_panel.messages.results import Fate, Todo
 from galen_panel.page.calibration_options import start_calibration
-from galen_panel.page.elements import pick_class, table
-from galen_panel.page.page import Page, confirmed
+from galen_panel.page.page import Page, confirmed, pick_class, table
 from galen_panel.snapshot import (
     BehaviourKind,
     BehaviourOutcome,
-    CalibrateGoal,
     CallAnswer,
-    CheckGoal,
+    Goal,
     QuantityDifference,
     SuiteState,
     ToolComparison,
@@ -46,7 +44,7 @@ class OutcomeView:
                     icon="close", on_click=lambda: self._element.set_visibility(False)
                 )
                 close.props('flat round aria-label="Close the result" data-testid=outcome-close')
-            ui.label(result_words.told(outcome)).props("data-testid=outcome-text")
+            ui.label(result_words.sentence_of(outcome)).props("data-testid=outcome-text")
             _warnings(outcome)
             if kind is BehaviourKind.CALIBRATE and not outcome.error:
                 if outcome.new:
@@ -71,10 +69,10 @@ class OutcomeView:
             suite = self._page.suite
             if todo is Todo.CALIBRATE:
                 by_hand = "attach_tool" not in suite.state.available
-                goal = CalibrateGoal(self._outcome.tool, by_hand=by_hand)
+                goal = Goal(BehaviourKind.CALIBRATE, self._outcome.tool, by_hand=by_hand)
                 await start_calibration(self._page, goal, button)
                 return
-            check = CheckGoal(self._outcome.tool)
+            check = Goal(BehaviourKind.CHECK, self._outcome.tool)
             await self._page.ask(suite.tare() if todo is Todo.TARE else suite.start(check), button)
 
         button = ui.button(todo.value, icon="arrow_forward", on_click=do)

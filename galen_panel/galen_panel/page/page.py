@@ -6,19 +6,29 @@ import inspect
 import logging
 from collections.abc import Awaitable, Callable, Iterator
 from contextlib import contextmanager
+from typing import TYPE_CHECKING
 
 from nicegui import ui
 from nicegui.elements.mixins.disableable_element import DisableableElement
 
-from galen_panel.options import Options
-from galen_panel.page.elements import heading
 from galen_panel.recordings.recordings import Recordings
-from galen_panel.snapshot import CallAnswer, Suite, SuiteState
+from galen_panel.snapshot import CallAnswer, NodeLevel, SuiteState
+
+if TYPE_CHECKING:
+    from galen_panel.ros.suite import RosSuite
 
 LOOK_PERIOD_S = 0.2
 _READING_S_PER_CHARACTER = 0.06
 _ASKED_ALREADY = CallAnswer(False, "That is under way already.")
 _log = logging.getLogger(__name__)
+
+LOOKS = {
+    NodeLevel.OK: ("check_circle", "text-positive"),
+    NodeLevel.WARN: ("warning", "text-warning"),
+    NodeLevel.ERROR: ("error", "text-negative"),
+    NodeLevel.STALE: ("help", "text-warning"),
+}
+"""A level's icon, and its colour's class; to be shown with a word."""
 
 
 class Page:
@@ -27,9 +37,8 @@ class Page:
     client: NiceGUI's name for the browser's page; `with page.client` puts what is drawn on it.
     """
 
-    def __init__(self, suite: Suite, options: Options, recordings: Recordings) -> None:
+    def __init__(self, suite: RosSuite, recordings: Recordings) -> None:
         self.suite = suite
-        self.options = options
         self.recordings = recordings
         self.client = ui.context.client
         self._updates: list[Callable[[SuiteState], None]] = []
@@ -64,7 +73,7 @@ class Page:
 
     @contextmanager
     def waiting(self, *elements: DisableableElement) -> Iterator[bool]:
-        """Within it the elements take no input, and buttons turn; False: one waits already.
+        """Let the elements take no input within it, and buttons turn; False: one waits already.
 
         Two clicks may be on their way before the browser hears of it. A button isn't disabled: it
         would lose the keyboard's focus.
@@ -130,7 +139,7 @@ class Page:
             )
 
     def complain(self, text: str) -> None:
-        """Say what is missing before something can be asked for."""
+        """Show what is missing before something can be asked for."""
         self.tell(CallAnswer(False, text))
 
     def _look(self) -> None:
@@ -148,7 +157,7 @@ class Page:
 
 @contextmanager
 def dialog(page: Page, title: str) -> Iterator[ui.dialog]:
-    """A dialog with a title, gone from the page when it is left; await what it yields.
+    """Draw a dialog with a title, gone from the page when it is left; await what it yields.
 
     Escape closes it, which is None for who awaits it.
     """
@@ -163,7 +172,7 @@ def dialog(page: Page, title: str) -> Iterator[ui.dialog]:
 
 
 def buttons(shown: ui.dialog, text: str, icon: str, color: str = "primary") -> ui.button:
-    """The last line of a dialog: cancel, and what it is about, which has no handler yet."""
+    """Draw a dialog's last line: cancel, and a button `text`, which has no handler yet."""
     with ui.row().classes("panel-actions"):
         ui.button("Cancel", on_click=shown.close).props("flat data-testid=dialog-cancel")
         return ui.button(text, icon=icon, color=color).props("unelevated data-testid=dialog-ok")
@@ -178,3 +187,45 @@ async def confirmed(
             ui.label(sentence)
         buttons(shown, text, icon, color).on_click(lambda: shown.submit(True))
         return bool(await shown)
+
+
+def set_prop(element: ui.element, name: str, value: str | None) -> None:
+    """Set an attribute, or remove it (None); nothing is sent where it is so already."""
+    if element.props.get(name) == value:
+        return
+    if value is None:
+        del element.props[name]
+    else:
+        element.props[name] = value
+
+
+def pick_class(element: ui.element, prefix: str, word: str) -> None:
+    """Give it the class prefix + word, and remove other classes of that prefix."""
+    wanted = prefix + word
+    if wanted not in element.classes:
+        others = [name for name in element.classes if name.startswith(prefix)]
+        element.classes(add=wanted, remove=" ".join(others))
+
+
+def heading(text: str, level: int = 2) -> ui.label:
+    """Draw a title that a screen reader finds."""
+    return ui.label(text).classes("panel-title").props(f'role=heading aria-level="{level}"')
+
+
+def table(headers: list[str], rows: list[list[str]]) -> ui.element:
+    """Draw a plain table of texts; the first column names its row."""
+    with ui.element("table").classes("panel-table") as drawn:
+        if headers:
+            with ui.element("thead"), ui.element("tr"):
+                for text in headers:
+                    with ui.element("th").props("scope=col"):
+                        ui.label(text)
+        with ui.element("tbody"):
+            for row in rows:
+                with ui.element("tr"):
+                    for index, text in enumerate(row):
+                        with ui.element("td" if index else "th") as cell:
+                            ui.label(text)
+                        if not index:
+                            cell.props("scope=row")
+    return drawn

@@ -2,13 +2,24 @@
 
 from __future__ import annotations
 
+from galen_model.errors import GalenError
+from galen_model.files.calibration_file import check_tool_name
 from nicegui import ui
 
 from galen_panel.messages import hints, texts
-from galen_panel.page import tool_dialogs
-from galen_panel.page.elements import heading, pick_class, set_prop, set_test_id
-from galen_panel.page.page import Page
-from galen_panel.snapshot import ListedTool, LoadedTool, SuiteState
+from galen_panel.page.calibration_options import AREA_CLEAR, CalibrationOptions
+from galen_panel.page.outcome import draw_comparison
+from galen_panel.page.page import (
+    LOOK_PERIOD_S,
+    Page,
+    buttons,
+    confirmed,
+    dialog,
+    heading,
+    pick_class,
+    set_prop,
+)
+from galen_panel.snapshot import BehaviourKind, CallAnswer, ListedTool, LoadedTool, SuiteState
 
 _LISTED = 40
 """Tools that are drawn at most: a page of 500 would be slow and unread."""
@@ -44,7 +55,7 @@ class _Tools:
         page.on_change(lambda _state: self._draw())
 
     async def _new_tool(self) -> None:
-        await tool_dialogs.new_tool(self._page)
+        await _new_tool(self._page)
 
     async def _list(self) -> None:
         await self._page.ask(self._page.suite.list_tools(), self._refresh)
@@ -101,7 +112,7 @@ class _Row:
         with ui.row().classes("panel-tool-row").props("role=listitem") as self.element:
             self._button = ui.button(on_click=self._activate, color=None).classes("panel-tool")
             self._button.props("flat align=left")
-            set_test_id(self._button, f"tool-{name}")
+            self._button.props["data-testid"] = f"tool-{name}"
             with self._button, ui.column().classes("panel-tool-text"):
                 with ui.row().classes("panel-tool-line"):
                     ui.label(name).classes("panel-tool-name")
@@ -120,11 +131,11 @@ class _Row:
             self._revert = ui.button(icon="history", on_click=self._revert_tool)
             self._revert.props("flat round")
             set_prop(self._revert, "aria-label", f"Go back to the calibration of {name} before")
-            set_test_id(self._revert, f"tool-{name}-revert")
+            self._revert.props["data-testid"] = f"tool-{name}-revert"
             self._remove = ui.button(icon="delete_outline", on_click=self._remove_tool)
             self._remove.props("flat round")
             set_prop(self._remove, "aria-label", f"Remove {name}")
-            set_test_id(self._remove, f"tool-{name}-remove")
+            self._remove.props["data-testid"] = f"tool-{name}-remove"
 
     def update(self, tool: ListedTool, state: SuiteState, set_tool: str) -> None:
         """Show it as it is now. set_tool: why none can be activated, or empty."""
@@ -160,14 +171,14 @@ class _Row:
         await self._page.ask(self._page.suite.activate(self._name), self._button)
 
     async def _revert_tool(self) -> None:
-        await tool_dialogs.revert_tool(self._page, self._name, self._revert)
+        await _revert_tool(self._page, self._name, self._revert)
 
     async def _remove_tool(self) -> None:
-        await tool_dialogs.remove_tool(self._page, self._name, self._remove)
+        await _remove_tool(self._page, self._name, self._remove)
 
 
 def _compensated_instead(tool: ListedTool, loaded: LoadedTool | None) -> str:
-    """What of the active tool is compensated where its file is another one by now; else empty."""
+    """Say what is compensated where the active tool's file is another one by now; else empty."""
     if not tool.active_tool or loaded is None:
         return ""
     if loaded.file_state == "as loaded" and loaded.calibrated_at == tool.calibrated_at:
@@ -188,7 +199,7 @@ def _made(tool: ListedTool) -> str:
 
 
 def _note(state: SuiteState, found: int) -> str:
-    """What is to be said of the list as a whole; empty where it speaks for itself."""
+    """Say what is wrong with the list as a whole; empty where nothing is."""
     missing = hints.missing(state, "gravcomp/list_tools")
     if missing:
         return missing if state.tools is None else f"The list may be old: {missing}"
@@ -202,4 +213,82 @@ def _note(state: SuiteState, found: int) -> str:
         return "No tool's name has that in it."
     if found > _LISTED:
         return f"{_LISTED} of {found} tools are shown. Type a part of a name to find the others."
+    return ""
+
+
+async def _remove_tool(page: Page, name: str, button: ui.button) -> None:
+    """Remove it, once a person has read what becomes of its file."""
+    sure = await confirmed(
+        page,
+        f"Remove {name}?",
+        [
+            "Its file is not deleted: it is kept beside the others, under another name.",
+            "The active tool can't be removed.",
+        ],
+        "Remove it",
+        "delete_outline",
+    )
+    if sure:
+        await page.ask(page.suite.remove_tool(name), button)
+
+
+async def _revert_tool(page: Page, name: str, button: ui.button) -> None:
+    """Bring back the calibration before, once a person has read what that changes."""
+    with page.waiting(button) as free:
+        if not free:
+            return
+        found = await page.suite.compare(name)
+    if isinstance(found, CallAnswer):
+        page.tell(found)
+        return
+    with dialog(page, f"Go back to the calibration of {name} before?") as shown:
+        ui.label("The present calibration is kept: going back once more brings it again.")
+        ui.label("If the tool is active, activate it again afterwards.")
+        draw_comparison(found, "before", "now")
+        buttons(shown, "Go back", "history").on_click(lambda: shown.submit(True))
+        sure = bool(await shown)
+    if sure:
+        await page.ask(page.suite.revert_tool(name), button)
+
+
+async def _new_tool(page: Page) -> None:
+    """Ask for a name and a tip, and start the calibration."""
+    with dialog(page, "New tool") as shown:
+        name = ui.input("Name", validation=lambda text: _name_problem(page, text or "") or None)
+        name.props("outlined autofocus data-testid=new-tool-name").classes("w-full")
+        name.without_auto_validation()
+        options = CalibrationOptions("new-tool")
+        before = ui.label().props("data-testid=new-tool-before")
+
+        def look() -> None:
+            options.update(page.suite.state)
+            before.set_text(" ".join(options.before(page.suite.state)))
+
+        look()
+        ui.timer(LOOK_PERIOD_S, look)
+        reason = ui.label().classes("text-negative").props("role=status")
+        start = buttons(shown, AREA_CLEAR, "play_arrow")
+
+        async def begin() -> None:
+            goal = options.goal(name.value or "") if name.validate() else None
+            if goal is None:
+                return
+            why_not = hints.cannot_start(page.suite.state, BehaviourKind.CALIBRATE)
+            reason.set_text(why_not)
+            if not why_not and (await page.ask(page.suite.start(goal), start)).ok:
+                shown.submit(True)
+
+        start.on_click(begin)
+        name.on("keydown.enter", begin)
+        await shown
+
+
+def _name_problem(page: Page, name: str) -> str:
+    """Why a new tool can't be called so; empty where it can."""
+    try:
+        check_tool_name(name)
+    except GalenError as error:
+        return texts.sentence(str(error))
+    if any(tool.name == name for tool in page.suite.state.tools or ()):
+        return "There is a tool of this name. Choose another one, or calibrate that tool again."
     return ""

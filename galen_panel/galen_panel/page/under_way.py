@@ -10,8 +10,7 @@ from statistics import median
 from nicegui import ui
 
 from galen_panel.messages import hints, texts
-from galen_panel.page.elements import set_prop
-from galen_panel.page.page import Page
+from galen_panel.page.page import Page, set_prop
 from galen_panel.snapshot import Asked, Behaviour, BehaviourKind, SuiteState
 
 _UNITS = {
@@ -93,7 +92,7 @@ class _Strip:
 
 
 def title(behaviour: Behaviour) -> str:
-    """Such as "Calibration of pointer: sweep with tool"."""
+    """Title a behaviour, such as "Calibration of pointer: sweep with tool"."""
     text = hints.title(behaviour)
     if not behaviour.ours:
         text += " (started elsewhere)"
@@ -101,7 +100,7 @@ def title(behaviour: Behaviour) -> str:
 
 
 def count(behaviour: Behaviour, left_s: float) -> str:
-    """Such as "12 of 112 poses, about 3 min left"; empty before the number is known."""
+    """Write "12 of 112 poses, about 3 min left"; empty before the number is known."""
     if not behaviour.total:
         return ""
     text = f"{behaviour.done} of {behaviour.total} {_UNITS[behaviour.kind]}"
@@ -109,7 +108,7 @@ def count(behaviour: Behaviour, left_s: float) -> str:
 
 
 def question(asked: Asked, tool: str) -> tuple[str, str]:
-    """What a person is asked to do, and the words on the button that says it is done."""
+    """Return what a person is asked to do, and the answer's button."""
     if asked is Asked.REMOVE_TOOL:
         return "Take the tool off, then press.", "The tool is off"
     return f"Put {tool or 'the tool'} on, then press.", "The tool is on"
@@ -128,7 +127,7 @@ class Pace:
         self._at_s = 0.0
 
     def left_s(self, done: int, total: int, now_s: float) -> float:
-        """Seconds that are left, or NaN while too little is known. now_s: of a monotonic clock."""
+        """Return the seconds left, NaN while unknown. now_s: of a monotonic clock."""
         if self._done is None or done < self._done:
             self._steps.clear()
             self._done, self._at_s = done, now_s

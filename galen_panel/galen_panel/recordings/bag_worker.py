@@ -19,18 +19,25 @@ import sys
 import threading
 import time
 from collections.abc import Callable
+from io import StringIO
 from pathlib import Path
 from typing import Any, TextIO
 
 from galen_model.errors import GalenError, one_line
 
-from galen_panel.recordings.report_files import DIAGNOSIS_FOLDER, EVALUATION, PICTURE
+from galen_panel.recordings.reports import (
+    DIAGNOSIS_FOLDER,
+    EVALUATION,
+    EVALUATION_PAGE,
+    PICTURE,
+)
 
 NICENESS = 10
 """The arm's loop goes first."""
 _TOLD_EVERY_S = 0.2
 _READ_SHARE = 0.9
 """Of an evaluation's time; the rest is for the picture."""
+_COLUMNS = 130
 
 OnProgress = Callable[[str, float | None], None]
 
@@ -62,9 +69,10 @@ def main() -> int:
 def evaluate(
     recording: Path, tool: Path | None, output: Path, on_progress: OnProgress
 ) -> dict[str, Any]:
-    """As the command `evaluate` does; writes its JSON and its picture."""
+    """Do as the command `evaluate`; writes its JSON, its picture, and its terminal's report."""
     from galen_gravcomp.evaluate.bag_job import BagJob
-    from galen_gravcomp.evaluate.bag_report import to_dict
+    from galen_gravcomp.evaluate.bag_report import report
+    from rich.console import Console
 
     assert tool is not None
     on_progress("reading", None)
@@ -74,8 +82,12 @@ def evaluate(
         on_progress("reading", _READ_SHARE * min(1.0, done / total) if total else None)
 
     result = job.evaluate(recording, counted)
-    content = to_dict(result)
+    made = report(result)
+    content = made.content
     (output / EVALUATION).write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
+    page = Console(record=True, width=_COLUMNS, file=StringIO())
+    made.print(page)
+    page.save_html(str(output / EVALUATION_PAGE), inline_styles=True)
     for picture in output.glob("*.png"):
         picture.rename(output / PICTURE)
     return {"verdict": content["verdict"], "sentence": content["sentence"]}
@@ -84,7 +96,7 @@ def evaluate(
 def diagnose(
     recording: Path, tool: Path | None, output: Path, on_progress: OnProgress
 ) -> dict[str, Any]:
-    """As the command `diagnose` does, with its report."""
+    """Do as the command `diagnose`, with its report."""
     from galen_diagnosis.diagnose import Job
 
     folders = {recording: output / DIAGNOSIS_FOLDER}
@@ -102,7 +114,7 @@ class _Told:
         self._told_s = -_TOLD_EVERY_S
 
     def progress(self, stage: str, share: float | None) -> None:
-        """Tell how far it is: a share of 1, None where unknown."""
+        """Report the progress: a share of 1, None where unknown."""
         now_s = time.monotonic()
         if stage == self._stage and now_s - self._told_s < _TOLD_EVERY_S:
             return
@@ -110,12 +122,12 @@ class _Told:
         self.line({"stage": stage, "share": share})
 
     def line(self, content: dict[str, Any]) -> None:
-        """Tell it."""
+        """Write a line."""
         print(json.dumps(content), file=self._stream, flush=True)
 
 
 def _own_output() -> TextIO:
-    """Standard output for the answers alone: what a library prints goes to standard error."""
+    """Take standard output for the answers alone; what a library prints goes to standard error."""
     own = os.fdopen(os.dup(1), "w", encoding="utf-8")
     os.dup2(2, 1)
     return own

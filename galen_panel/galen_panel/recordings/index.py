@@ -1,8 +1,7 @@
 """The bags and the diagnosis recordings below a directory, from their metadata alone. No ROS.
 
-An archive may hold thousands: the search asks the file system only, and what metadata says is read
-for those that are shown. The browser names a recording by the id that it got from here, never by a
-path.
+An archive may hold thousands: the search asks the file system only, and metadata is read for those
+that are shown. The browser names a recording by the id that it got from here, never by a path.
 """
 
 from __future__ import annotations
@@ -11,124 +10,154 @@ import hashlib
 import os
 import re
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
-from enum import Enum
 from pathlib import Path
 
 from galen_bags.errors import BagError
 from galen_bags.formats.find import find_bags
-from galen_bags.formats.metadata import BagMetadata, read_metadata, storage_files
+from galen_bags.formats.metadata import read_metadata, storage_files
 from galen_diagnosis.observation.rows import BAGS
-from galen_model.errors import one_line
+from galen_model.errors import GalenError, one_line
+from galen_model.files.calibration_store import CalibrationStore
 
 from galen_panel.messages import texts
 
 TOOL_BESIDE = "tool.json"
+BESIDE = "beside"
+_TOOLS_OF_BAGS = "tools"
 _METADATA = "metadata.yaml"
-_MAGIC = {".mcap": b"\x89MCAP", ".db3": b"SQLite format 3\x00", ".bag": b"#ROSBAG V"}
 _ID_LETTERS = 16
 _HEAD_BYTES = 4096
 _BEGAN = re.compile(rb"starting_time:\s*nanoseconds_since_epoch:\s*(\d{1,19})\b")
 
 
-class RecordingKind(Enum):
-    """What can be done with it: a bag is evaluated, a diagnosis recording is diagnosed."""
-
-    BAG = "bag"
-    DIAGNOSIS = "diagnosis recording"
-
-
 @dataclass(frozen=True)
 class FoundRecording:
-    """One of them, as the search found it.
+    """A bag, which is evaluated, or a diagnosis recording with its bags, which is diagnosed.
 
-    name: its path below the directory. at_s: when it was recorded, s since 1970; where its metadata
-    doesn't say it, when it was written. parts: of a diagnosis recording its bags.
+    name: its path below the directory. at_s: when it was recorded, s since 1970; without metadata
+    when it was written. parts: bags of a diagnosis recording, empty for a bag.
     """
 
     id: str
-    kind: RecordingKind
     name: str
     path: Path
     at_s: float
     parts: tuple[FoundRecording, ...] = ()
 
+    @property
+    def kind(self) -> str:
+        """What it is, for a person."""
+        return "diagnosis recording" if self.parts else "bag"
+
 
 @dataclass(frozen=True)
 class Details:
-    """What its files' sizes and its metadata say.
-
-    start_ns, duration_s: None where no metadata says it. topics: messages by name, empty where no
-    metadata names them. problem: why it can't be used; note: what is wrong with it otherwise.
-    """
+    """Sizes and metadata; duration_s None where unknown; problem: why it can't be used."""
 
     size_bytes: int = 0
-    start_ns: int | None = None
     duration_s: float | None = None
-    topics: dict[str, int] = field(default_factory=dict)
     problem: str = ""
-    note: str = ""
 
 
 @dataclass(frozen=True)
-class Index:
-    """What was found, the newest first, and why nothing was."""
+class ToolChoice:
+    """A calibration file; id: the browser's name for it, label: a person's."""
 
-    directory: Path
-    recordings: tuple[FoundRecording, ...] = ()
-    problem: str = ""
-
-    def get(self, recording_id: str) -> FoundRecording | None:
-        """The recording of an id; None where there is none."""
-        return next((one for one in self.recordings if one.id == recording_id), None)
-
-    def matching(self, text: str) -> list[FoundRecording]:
-        """Those whose name or kind holds each word of a text; case makes no difference."""
-        words = text.casefold().split()
-        return [
-            one
-            for one in self.recordings
-            if all(word in f"{one.name} {one.kind.value}".casefold() for word in words)
-        ]
+    id: str
+    label: str
+    path: Path
 
 
-def find_recordings(directory: Path) -> Index:
-    """Search a directory; takes as long as the disk does. Nothing is raised."""
+def find_recordings(directory: Path) -> tuple[list[FoundRecording], str]:
+    """Search a directory: recordings, newest first, and the reason where there are none."""
     try:
         bags = find_bags([directory])
     except BagError as error:
-        return Index(directory, problem=str(error))
-    found = [_recording(bag, RecordingKind.BAG, directory, _at_s(bag)) for bag in bags]
+        return [], str(error)
+    found = [_recording(bag, directory, _at_s(bag)) for bag in bags]
     for folder, parts in _sets(found):
-        began_s = min(part.at_s for part in parts)
-        one = _recording(folder, RecordingKind.DIAGNOSIS, directory, began_s)
-        found.append(replace(one, parts=tuple(parts)))
-    return Index(directory, tuple(sorted(found, key=lambda one: (-one.at_s, one.name))))
+        at_s = min(part.at_s for part in parts)
+        found.append(_recording(folder, directory, at_s, tuple(parts)))
+    return sorted(found, key=lambda one: (-one.at_s, one.name)), ""
 
 
 def look_at(recording: FoundRecording, directory: Path) -> Details:
-    """Read a recording's metadata. Nothing is raised: what can't be read is a problem, told."""
+    """Read a recording's metadata; what can't be read becomes `problem`."""
     root = directory.resolve()
-    if recording.kind is RecordingKind.BAG:
+    if not recording.parts:
         return _look_at_bag(recording.path, directory, root)
-    return _look_at_set(recording, directory, root)
+    parts = {part.path.name: _look_at_bag(part.path, directory, root) for part in recording.parts}
+    problems = [f"{name}: {part.problem}" for name, part in parts.items() if part.problem]
+    # A diagnosis opens whatever has these names, also what is no bag and so was not found.
+    for entry in (*(recording.path / name for name in BAGS), recording.path / TOOL_BESIDE):
+        if entry.name not in parts and entry.exists() and leads_out(entry, root):
+            problems.append(f"{entry.name} is a link that leads out of {directory}.")
+    lengths = [part.duration_s for part in parts.values() if part.duration_s is not None]
+    return Details(
+        sum(part.size_bytes for part in parts.values()),
+        sum(lengths) if len(lengths) == len(parts) else None,
+        " ".join(problems),
+    )
 
 
 def leads_out(path: Path, root: Path) -> bool:
-    """Whether a path, its links followed, is outside of root, which has none."""
+    """Return whether a path, its links followed, is outside of root, which has none."""
     try:
         return not path.resolve().is_relative_to(root)
     except (OSError, RuntimeError):  # such as links in a circle, up to Python 3.12
         return True
 
 
-def _recording(path: Path, kind: RecordingKind, directory: Path, at_s: float) -> FoundRecording:
+def tool_choices(recording: FoundRecording, bags_dir: Path, tools_dir: Path) -> list[ToolChoice]:
+    """List usable calibration files: beside the recording, then of the two directories."""
+    choices = []
+    folder = recording.path if recording.path.is_dir() else recording.path.parent
+    root = bags_dir.resolve()
+    for place in (folder, folder.parent):
+        beside = place / TOOL_BESIDE
+        if beside.is_file() and not leads_out(beside, root):
+            choices.append(ToolChoice(BESIDE, f"{TOOL_BESIDE} beside the recording", beside))
+            break
+    stores = {"tools": CalibrationStore(tools_dir)}
+    of_bags = CalibrationStore(bags_dir / _TOOLS_OF_BAGS)
+    same = of_bags.directory.resolve() == stores["tools"].directory.resolve()
+    if not same and not leads_out(of_bags.directory, root):
+        stores["bags"] = of_bags
+    for key, store in stores.items():
+        try:
+            entries = list(store.entries())
+        except GalenError:
+            continue
+        where = "" if key == "tools" else " (kept with the recordings)"
+        choices += [
+            ToolChoice(f"{key}:{entry.name}", f"{entry.name}{where}", entry.stored.path)
+            for entry in entries
+            if entry.stored is not None
+        ]
+    return choices
+
+
+def line_of(recording: FoundRecording, details: Details) -> str:
+    """When, how long, how large, in a line."""
+    parts = [texts.date(datetime.fromtimestamp(recording.at_s, UTC).isoformat(timespec="seconds"))]
+    if details.duration_s is not None:
+        parts.append(f"{details.duration_s:.0f} s")
+    parts.append(f"{1e-6 * details.size_bytes:.1f} MB")
+    if recording.parts:
+        parts.append(recording.kind)
+    return ", ".join(parts)
+
+
+def _recording(
+    path: Path, directory: Path, at_s: float, parts: tuple[FoundRecording, ...] = ()
+) -> FoundRecording:
     relative = os.path.relpath(path, directory)
-    whole = f"{kind.value}:{relative}".encode(errors="surrogateescape")
     name = one_line(directory.resolve().name if relative == "." else relative)
-    digest = hashlib.sha256(whole).hexdigest()[:_ID_LETTERS]
-    return FoundRecording(digest, kind, name, path, at_s)
+    found = FoundRecording("", name, path, at_s, parts)
+    whole = f"{found.kind}:{relative}".encode(errors="surrogateescape")
+    return replace(found, id=hashlib.sha256(whole).hexdigest()[:_ID_LETTERS])
 
 
 def _at_s(path: Path) -> float:
@@ -162,109 +191,13 @@ def _look_at_bag(path: Path, directory: Path, root: Path) -> Details:
     metadata_file = path / _METADATA
     try:
         files = storage_files(path) if path.is_dir() else [path]
-        has_metadata = metadata_file.exists()
-        parts = [*files, metadata_file] if has_metadata else files
-        if any(leads_out(part, root) for part in (path, *parts)):
+        if any(leads_out(part, root) for part in (path, metadata_file, *files)):
             return Details(problem=f"It is a link that leads out of {directory}.")
         size_bytes = sum(file.stat().st_size for file in files)
-        problem = _broken(files)
     except OSError as error:
         return Details(problem=f"It can't be read: {error.strerror}.")
-    metadata = read_metadata(path) if has_metadata else BagMetadata()
+    metadata = read_metadata(path)
     duration_s = None
     if metadata.start_ns is not None and metadata.end_ns is not None:
         duration_s = (metadata.end_ns - metadata.start_ns) * 1e-9
-    return Details(
-        size_bytes=size_bytes,
-        start_ns=metadata.start_ns,
-        duration_s=duration_s,
-        topics=dict(sorted(metadata.counts.items())),
-        problem=problem,
-        note=_note(path, has_metadata, metadata),
-    )
-
-
-def _broken(files: list[Path]) -> str:
-    """Why its first file can't be one of a bag; empty where it can."""
-    if not files:
-        return "Its files are missing."
-    first = files[0]
-    magic = _MAGIC.get(first.suffix)
-    with first.open("rb") as stream:
-        head = stream.read(16)
-    if not head:
-        return f"{first.name} is empty."
-    if magic is not None and not head.startswith(magic):
-        return f"{first.name} is no {first.suffix} file."
-    return ""
-
-
-def _note(path: Path, has_metadata: bool, metadata: BagMetadata) -> str:
-    if not has_metadata:
-        if path.is_dir():
-            return f"It has no {_METADATA}: its recording was cut off."
-        return f"A file alone, without {_METADATA}: its length and topics are not known here."
-    if not metadata.counts:
-        return f"Its {_METADATA} is damaged or names no topic."
-    return ""
-
-
-def _look_at_set(recording: FoundRecording, directory: Path, root: Path) -> Details:
-    folder = recording.path
-    parts = {part.path.name: _look_at_bag(part.path, directory, root) for part in recording.parts}
-    problems = [f"{name}: {part.problem}" for name, part in parts.items() if part.problem]
-    # A diagnosis opens whatever has these names, also what is no bag and so was not found.
-    for entry in (*(folder / name for name in BAGS), folder / TOOL_BESIDE):
-        if entry.name not in parts and entry.exists() and leads_out(entry, root):
-            problems.append(f"{entry.name} is a link that leads out of {directory}.")
-    lacks = [name for name in BAGS if name not in parts]
-    notes = [f"It lacks {', '.join(lacks)}."] if lacks else []
-    if not (folder / TOOL_BESIDE).is_file():
-        notes.append(f"It has no {TOOL_BESIDE}.")
-    starts = [part.start_ns for part in parts.values() if part.start_ns is not None]
-    lengths = [part.duration_s for part in parts.values() if part.duration_s is not None]
-    topics: dict[str, int] = {}
-    for part in parts.values():
-        for topic, count in part.topics.items():
-            topics[topic] = topics.get(topic, 0) + count
-    return Details(
-        size_bytes=sum(part.size_bytes for part in parts.values()),
-        start_ns=min(starts, default=None),
-        duration_s=sum(lengths) if len(lengths) == len(parts) else None,
-        topics=topics,
-        problem=" ".join(problems),
-        note=" ".join(notes),
-    )
-
-
-VERBS = {"evaluate": "Evaluation", "diagnose": "Diagnosis"}
-"""By the kind of a job or a report."""
-
-
-def line_of(recording: FoundRecording, details: Details) -> str:
-    """When, how long, how large, in a line."""
-    parts = [texts.date(datetime.fromtimestamp(recording.at_s, UTC).isoformat(timespec="seconds"))]
-    if details.duration_s is not None:
-        parts.append(f"{details.duration_s:.0f} s")
-    parts.append(_size(details.size_bytes))
-    if recording.kind is RecordingKind.DIAGNOSIS:
-        parts.append(recording.kind.value)
-    return ", ".join(parts)
-
-
-def facts_of(recording: FoundRecording, details: Details) -> str:
-    """All that metadata says of it, and what is wrong with it; a line each."""
-    lines = [line_of(recording, details)]
-    if details.problem:
-        lines.append(f"It can't be used. {details.problem}")
-    if details.note:
-        lines.append(details.note)
-    lines += [f"{topic}: {texts.count(n, 'message')}" for topic, n in details.topics.items()]
-    return "\n".join(lines)
-
-
-def _size(size_bytes: int) -> str:
-    for unit, size in (("GB", 1e9), ("MB", 1e6), ("kB", 1e3)):
-        if size_bytes >= size:
-            return f"{size_bytes / size:.1f} {unit}"
-    return f"{size_bytes} B"
+    return Details(size_bytes, duration_s, "" if files else "Its files are missing.")

@@ -16,13 +16,12 @@ import tempfile
 import threading
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from enum import Enum
 from pathlib import Path
-from typing import IO, Any
+from typing import IO, Any, Literal
 
 from galen_model.errors import GalenError, one_line
 
-from galen_panel.recordings.report_files import Reports
+from galen_panel.recordings.reports import Reports
 from galen_panel.snapshot import CallAnswer
 
 MOST_WAITING = 20
@@ -32,19 +31,12 @@ _ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM
 """Numerical libraries would take all cores otherwise, and the arm's loop needs one."""
 
 
-class JobStage(Enum):
-    """Where a job is."""
-
-    WAITING = "waiting"
-    RUNNING = "running"
-    DONE = "done"
-    FAILED = "failed"
-    CANCELED = "canceled"
+JobStage = Literal["waiting", "running", "done", "failed", "canceled"]
 
 
 @dataclass(frozen=True)
 class Wanted:
-    """What a job is to do. kind: evaluate or diagnose. recording, tool: names for a person."""
+    """A job's task; kind: evaluate or diagnose; recording, tool: names for a person."""
 
     kind: str
     recording: str
@@ -56,11 +48,11 @@ class Wanted:
 
 @dataclass(frozen=True)
 class QueuedJob:
-    """One of them. share: what is done of it, 0 to 1, None where unknown; report: its id."""
+    """A job's state; share: done so far, 0 to 1, None where unknown; report: its id."""
 
     id: int
     wanted: Wanted
-    stage: JobStage = JobStage.WAITING
+    stage: JobStage = "waiting"
     doing: str = ""
     share: float | None = None
     text: str = ""
@@ -69,8 +61,8 @@ class QueuedJob:
 
     @property
     def ended(self) -> bool:
-        """Whether it is over."""
-        return self.stage not in (JobStage.WAITING, JobStage.RUNNING)
+        """Whether the job is over."""
+        return self.stage not in ("waiting", "running")
 
 
 class Jobs:
@@ -90,22 +82,17 @@ class Jobs:
 
     @property
     def revision(self) -> int:
-        """Rises with every change."""
+        """Number of changes so far."""
         with self._changed:
             return self._revision
 
     @property
     def jobs(self) -> tuple[QueuedJob, ...]:
-        """Those that run or wait in their order, then those that ended, the newest first."""
+        """Open jobs in their order, then those that ended, newest first."""
         with self._changed:
             open_ = [job for job in self._jobs if not job.ended]
             ended = [job for job in reversed(self._jobs) if job.ended]
         return tuple(open_ + ended)
-
-    def get(self, job_id: int) -> QueuedJob | None:
-        """The job of an id; None where there is none."""
-        with self._changed:
-            return self._find(job_id)
 
     def submit(self, wanted: Wanted) -> CallAnswer:
         """Put it at the queue's end, unless it is there already."""
@@ -133,8 +120,8 @@ class Jobs:
             job = self._find(job_id)
             if job is None or job.ended:
                 return CallAnswer(False, "That is over already.")
-            if job.stage is JobStage.WAITING:
-                self._put(replace(job, stage=JobStage.CANCELED, text="Canceled."))
+            if job.stage == "waiting":
+                self._put(replace(job, stage="canceled", text="Canceled."))
             else:
                 self._put(replace(job, canceling=True))
                 self._kill()
@@ -167,7 +154,7 @@ class Jobs:
         self._changed.notify_all()
 
     def _kill(self) -> None:
-        """The worker writes nothing that matters before it is done."""
+        # The worker writes nothing that matters before it is done.
         if self._worker is not None:
             with contextlib.suppress(ProcessLookupError):
                 os.killpg(self._worker.pid, signal.SIGKILL)
@@ -179,16 +166,16 @@ class Jobs:
             try:
                 self._do(job)
             except (GalenError, OSError) as error:
-                self._end(job.id, JobStage.FAILED, f"It failed: {error}.")
+                self._end(job.id, "failed", f"It failed: {error}.")
 
     def _wait_for_next(self) -> QueuedJob | None:
         with self._changed:
             while True:
                 if self._closing:
                     return None
-                waiting = [job for job in self._jobs if job.stage is JobStage.WAITING]
+                waiting = [job for job in self._jobs if job.stage == "waiting"]
                 if waiting:
-                    job = replace(waiting[0], stage=JobStage.RUNNING, doing="starting")
+                    job = replace(waiting[0], stage="running", doing="starting")
                     self._put(job)
                     return job
                 self._changed.wait()
@@ -211,7 +198,7 @@ class Jobs:
                         "sentence": str(last.get("sentence", "")),
                     },
                 )
-                self._end(job.id, JobStage.DONE, report.sentence, report.id)
+                self._end(job.id, "done", report.sentence, report.id)
                 return
         finally:
             self._reports.discard(folder)
@@ -289,16 +276,16 @@ class Jobs:
         with self._changed:
             canceled = self._canceling(job_id) or self._closing
         if canceled:
-            self._end(job_id, JobStage.CANCELED, "Canceled.")
+            self._end(job_id, "canceled", "Canceled.")
         elif "error" in last:
-            self._end(job_id, JobStage.FAILED, f"It failed: {last['error']}")
+            self._end(job_id, "failed", f"It failed: {last['error']}")
         elif code < 0:
             name = signal.Signals(-code).name
             hint = " Perhaps there was not enough memory." if code == -signal.SIGKILL else ""
-            self._end(job_id, JobStage.FAILED, f"Its process was ended by {name}.{hint}")
+            self._end(job_id, "failed", f"Its process was ended by {name}.{hint}")
         else:
             detail = f": {said}" if said else "."
-            self._end(job_id, JobStage.FAILED, f"Its process ended with code {code}{detail}")
+            self._end(job_id, "failed", f"Its process ended with code {code}{detail}")
 
     def _end(self, job_id: int, stage: JobStage, text: str, report: str = "") -> None:
         with self._changed:
@@ -316,7 +303,7 @@ def _parsed(line: bytes) -> Mapping[str, Any]:
 
 
 def _last_line(complaints: IO[bytes]) -> str:
-    """The last line of what the worker said to standard error."""
+    """Read the last line of the worker's standard error."""
     end = complaints.seek(0, os.SEEK_END)
     complaints.seek(max(0, end - 4096))
     lines = complaints.read().decode(errors="replace").strip().splitlines()

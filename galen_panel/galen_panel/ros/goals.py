@@ -1,4 +1,4 @@
-"""Follows the goals of one action: the panel's own and those of other clients.
+"""Follow the goals of one action: the panel's own and those of other clients.
 
 rclpy's ActionClient follows only goals that it sent itself. An action is three services and two
 topics (REP design "Actions"), so here they are used as such: a goal id that comes by on the topics
@@ -20,8 +20,8 @@ from rclpy.node import Node
 from rclpy.qos import QoSProfile, qos_profile_action_status_default
 from unique_identifier_msgs.msg import UUID
 
-from galen_panel.ros.board import SILENT_S, Board, Presence
-from galen_panel.ros.goal_kinds import GoalKind
+from galen_panel.ros.board import Board, Presence
+from galen_panel.ros.goal_kinds import GoalKind, rejected_pose
 from galen_panel.ros.thread import CallError, Calls, Reply, RosThread
 from galen_panel.snapshot import (
     LOST,
@@ -29,9 +29,7 @@ from galen_panel.snapshot import (
     Behaviour,
     BehaviourKind,
     BehaviourOutcome,
-    CalibrateGoal,
     CallAnswer,
-    FinishedPose,
     Goal,
     NodeReport,
 )
@@ -51,7 +49,10 @@ _ACTIVE = (GoalStatus.STATUS_ACCEPTED, GoalStatus.STATUS_EXECUTING, GoalStatus.S
 
 @dataclass(eq=False)
 class _Followed:
-    """The goal that is under way; `goal` is None where another client sent it."""
+    """The goal under way; `goal` is None where another client sent it.
+
+    over: by its status, the result is still to come. lost: its server is out of sight.
+    """
 
     goal_id: bytes
     goal: Goal | None
@@ -60,16 +61,14 @@ class _Followed:
     began_s: float
     stop_asking: Callable[[], None] = lambda: None
     asked_s: float | None = None
-    said: str = ""
-    heard_s: float = 0.0
     over: bool = False
-    """By its status; the result is still to come."""
     gone_s: float | None = None
+    lost: bool = False
 
 
 @dataclass(frozen=True)
 class _Rejection:
-    """A goal was rejected; why is on /diagnostics, in a moment."""
+    """A rejected goal; the reason comes on /diagnostics in a moment."""
 
     reply: Reply[CallAnswer]
     sent_s: float
@@ -98,7 +97,6 @@ class GoalFollower:
         self._numbers = numbers
         self._on_end = on_end
         self._followed: _Followed | None = None
-        self._lost: _Followed | None = None
         # Sent, and not heard of yet.
         self._ours: dict[bytes, Goal] = {}
         # Their last word on the topics may come after their result.
@@ -172,7 +170,7 @@ class GoalFollower:
 
     def _cancel_followed(self, reply: Reply[CallAnswer]) -> None:
         followed = self._followed
-        if followed is None:
+        if followed is None or followed.lost:
             reply.give(CallAnswer(False, "nothing is running: there is nothing to cancel"))
             return
 
@@ -194,7 +192,7 @@ class GoalFollower:
         self._calls.send(self._cancel, request, self._kind.program, _CANCEL_LIMIT_S, done)
 
     def _tell_rejections(self, now_s: float) -> None:
-        """An action's rejection carries no text; the node says it on /diagnostics."""
+        """Answer rejected goals: the reason is not in the action but on /diagnostics."""
         report = self._report
         for rejection in list(self._rejections):
             said = report is not None and report.heard_s >= rejection.sent_s
@@ -214,30 +212,25 @@ class GoalFollower:
         # Also where its acceptance is the last that comes of it.
         if goal_id in self._ended:
             return
-        if self._followed is not None:
-            if self._followed.goal_id == goal_id:
-                return
-            self._forget(self._followed)
-        lost, self._lost = self._lost, None
-        if lost is not None and lost.goal_id == goal_id:
-            self._followed, lost.gone_s = lost, None
-            lost.heard_s = time.monotonic()
-            self._show(lost, outcome=None)
+        followed = self._followed
+        if followed is not None and followed.goal_id == goal_id:
+            if followed.lost:
+                followed.lost = False
+                self._show(followed, outcome=None)
             return
-        if lost is not None:
-            lost.stop_asking()
+        if followed is not None:
+            self._forget(followed)
         goal = self._ours.pop(goal_id, None)
         active_tool = self._board.state.active_tool
         tool = ""
         if goal is not None:
-            tool = self._kind.tool(goal, "" if active_tool is None else active_tool.tool)
+            tool = goal.tool or ("" if active_tool is None else active_tool.tool)
         self._followed = followed = _Followed(
             goal_id,
             goal,
             Behaviour(next(self._numbers), self._kind.kind, tool, ours=goal is not None),
             self._is_new(tool),
             began_s=time.monotonic(),
-            heard_s=time.monotonic(),
         )
         self._show(followed)
         self._ask_result(followed)
@@ -258,13 +251,14 @@ class GoalFollower:
 
     def _end(self, followed: _Followed, outcome: BehaviourOutcome) -> None:
         self._forget(followed)
-        self._lost = None
         self._show(followed, outcome=outcome, asked=None)
         self._on_end()
 
     def _lose(self, followed: _Followed) -> None:
-        """Give it up, but not for good: its server may only have been out of sight."""
-        self._followed, self._lost = None, followed
+        """Show it as lost, but listen on: its server may only have been out of sight."""
+        if followed.lost:
+            return
+        followed.lost = True
         outcome = BehaviourOutcome(LOST, self._kind.gone, followed.behaviour.tool, new=followed.new)
         self._show(followed, outcome=outcome, asked=None)
         self._on_end()
@@ -284,11 +278,10 @@ class GoalFollower:
         )
 
     def _on_result(self, followed: _Followed, answer: Any) -> None:
-        if followed not in (self._followed, self._lost) or isinstance(answer, CallError):
+        if followed is not self._followed or isinstance(answer, CallError):
             return
         if answer.status == GoalStatus.STATUS_UNKNOWN:  # a server that was started since
-            if followed is self._followed:
-                self._lose(followed)
+            self._lose(followed)
             return
         tool = followed.behaviour.tool or getattr(answer.result, "tool", "")
         self._end(followed, self._kind.outcome(answer.result, tool, followed.new))
@@ -307,20 +300,11 @@ class GoalFollower:
             if now_s - followed.gone_s > _LOST_S:
                 self._lose(followed)
             return
-        silent_s, message = self._silent_s(followed, now_s), followed.said
-        if silent_s > SILENT_S:
-            message = f"{self._kind.program.executable} has said nothing for {silent_s:.0f} s"
-        self._show(followed, message=message)
         back, followed.gone_s = followed.gone_s is not None, None
-        overdue = followed.over or self._idle_since(followed.began_s)
+        overdue = not followed.lost and (followed.over or self._idle_since(followed.began_s))
         asked_s = followed.asked_s
         if asked_s is None or back or (overdue and now_s - asked_s > _ASK_AGAIN_S):
             self._ask_result(followed)
-
-    def _silent_s(self, followed: _Followed, now_s: float) -> float:
-        """How long nothing was heard of a goal or its node; 0 where the node tells no state."""
-        report = self._report
-        return 0.0 if report is None else now_s - max(followed.heard_s, report.heard_s)
 
     # ---- topics
 
@@ -328,13 +312,12 @@ class GoalFollower:
         for one in message.status_list:
             goal_id = bytes(one.goal_info.goal_id.uuid)
             followed = self._followed
+            if one.status in _ACTIVE:
+                self._begin(goal_id)
             if followed is not None and goal_id == followed.goal_id:
-                followed.heard_s = time.monotonic()
                 followed.over = one.status not in _ACTIVE
                 if one.status == GoalStatus.STATUS_CANCELING:
                     self._show(followed, canceling=True)
-            elif one.status in _ACTIVE:
-                self._begin(goal_id)
 
     def _on_feedback(self, message: Any) -> None:
         goal_id = bytes(message.goal_id.uuid)
@@ -343,20 +326,20 @@ class GoalFollower:
         self._begin(goal_id)
         followed = self._followed
         assert followed is not None
-        followed.heard_s = time.monotonic()
-        step, behaviour = self._kind.step(message.feedback), followed.behaviour
-        followed.said = one_line(step.message)
-        phase = self._kind.phase_text(step.phase)
+        feedback, behaviour = message.feedback, followed.behaviour
+        state_name = self._kind.state_name(feedback.state)
+        phase = self._kind.phase_text(state_name)
         asked = behaviour.asked if phase == behaviour.phase else None
-        if isinstance(followed.goal, CalibrateGoal) and followed.goal.by_hand:
-            asked = self._kind.asked(step.phase)
+        if followed.goal is not None and followed.goal.by_hand:
+            asked = self._kind.asked(state_name)
+        rejected = rejected_pose(feedback)
         self._show(
             followed,
             phase=phase,
-            message=followed.said,
-            done=step.done,
-            total=step.total,
-            poses=_with(behaviour.poses, step.pose),
+            message=one_line(feedback.message),
+            done=feedback.done,
+            total=feedback.total,
+            rejected=(*behaviour.rejected, rejected) if rejected else behaviour.rejected,
             asked=asked,
         )
 
@@ -367,21 +350,21 @@ class GoalFollower:
         return self._board.state.report_of(self._kind.program.node)
 
     def _idle_since(self, since_s: float) -> bool:
-        """Whether the node has said since that it is not at work."""
+        """Whether the node has reported since that it has no goal."""
         report = self._report
-        return report is not None and report.heard_s > since_s + 1.0 and not _at_work(report)
+        return report is not None and report.heard_s > since_s + 1.0 and not _active(report)
 
     def on_report(self, report: NodeReport) -> None:
-        """Take what any node says; it is on the board already."""
+        """Take a node's report; it is on the board already."""
         if report.name != self._board.state.full_name(self._kind.program.node):
             return
         self._tell_rejections(report.heard_s)
-        if self._followed is not None:
+        if self._followed is not None and not self._followed.lost:
             self._take_report(self._followed, report)
 
     def _take_report(self, followed: _Followed, report: NodeReport) -> None:
         """Learn of another client's goal what its feedback lacks, or held before."""
-        if not _at_work(report) or followed.behaviour.ours:
+        if not _active(report) or followed.behaviour.ours:
             return
         values, behaviour = report.values, followed.behaviour
         changes: dict[str, Any] = {}
@@ -398,21 +381,7 @@ class GoalFollower:
         self._show(followed, asked=asked, **changes)
 
 
-def _with(poses: tuple[FinishedPose, ...], pose: FinishedPose | None) -> tuple[FinishedPose, ...]:
-    """The poses and another one; one that was tried again takes the place of its first trial.
-
-    Numbers differ within a sweep, also where a pose that is to be tried again wasn't counted.
-    """
-    if pose is None:
-        return poses
-    for k, one in enumerate(poses):
-        if (one.sweep, one.roll_rad, one.tilt_rad) == (pose.sweep, pose.roll_rad, pose.tilt_rad):
-            return (*poses[:k], replace(pose, number=one.number), *poses[k + 1 :])
-    newest = max((one.number for one in poses if one.sweep == pose.sweep), default=0)
-    return (*poses, replace(pose, number=max(pose.number, newest + 1)))
-
-
-def _at_work(report: NodeReport) -> bool:
+def _active(report: NodeReport) -> bool:
     return "done" in report.values and "total" in report.values
 
 

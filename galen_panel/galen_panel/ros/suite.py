@@ -17,14 +17,13 @@ from galen_msgs.srv import CompareTools, RemoveTool, RevertTool, SetTool
 from galen_panel.history import History
 from galen_panel.messages.hints import CALIBRATION
 from galen_panel.ros.board import Board, Presence, hear_reports
-from galen_panel.ros.goal_kinds import KINDS, kind_of
+from galen_panel.ros.goal_kinds import KINDS
 from galen_panel.ros.goals import GoalFollower
 from galen_panel.ros.streams import Streams
 from galen_panel.ros.thread import Calls, RosThread
 from galen_panel.ros.tools import Tools, comparison
 from galen_panel.snapshot import (
     BehaviourKind,
-    CalibrateGoal,
     CallAnswer,
     Goal,
     NodeReport,
@@ -57,7 +56,7 @@ def _answered(
 
 
 class RosSuite(AbstractContextManager["RosSuite"]):
-    """A `galen_panel.snapshot.Suite` in a ROS node of its own."""
+    """The suite as the page sees it, by a ROS node of its own."""
 
     def __init__(self, argv: list[str]) -> None:
         """`argv`: the command line, with what is ROS's; raises GalenError."""
@@ -114,16 +113,16 @@ class RosSuite(AbstractContextManager["RosSuite"]):
 
     @property
     def history(self) -> History:
-        """The streams' newest samples."""
+        """The streams' newest samples; it grows only while a page shows them."""
         return self._history
 
     def watch(self) -> AbstractContextManager[None]:
-        """See Suite."""
+        """Listen to the streams within it; the last one to leave stops that."""
         return self.streams.watch()
 
     @_answered
     async def list_tools(self) -> CallAnswer:
-        """See Suite."""
+        """Ask anew for the tools; they are then in `state`."""
         response = await self._tools.list_tools()
         if not response.success:
             return CallAnswer(False, response.error_msg)
@@ -132,7 +131,7 @@ class RosSuite(AbstractContextManager["RosSuite"]):
 
     @_answered
     async def activate(self, tool: str) -> CallAnswer:
-        """See Suite."""
+        """Have gravcomp load a calibration file; "" for no tool."""
         request = SetTool.Request(tool=check_tool_name(tool) if tool else "")
         response = await self._tools.ask("set_tool", request)
         if not response.success:
@@ -141,7 +140,7 @@ class RosSuite(AbstractContextManager["RosSuite"]):
 
     @_answered
     async def remove_tool(self, tool: str) -> CallAnswer:
-        """See Suite."""
+        """Remove a calibration file from the list; it is kept beside."""
         request = RemoveTool.Request(tool=check_tool_name(tool))
         response = await self._tools.ask("remove_tool", request)
         if not response.success:
@@ -151,7 +150,7 @@ class RosSuite(AbstractContextManager["RosSuite"]):
 
     @_answered
     async def revert_tool(self, tool: str) -> CallAnswer:
-        """See Suite."""
+        """Bring back the calibration before the present one."""
         request = RevertTool.Request(tool=check_tool_name(tool))
         response = await self._tools.ask("revert_tool", request)
         if not response.success:
@@ -164,7 +163,7 @@ class RosSuite(AbstractContextManager["RosSuite"]):
 
     @_answered
     async def compare(self, tool: str, with_tool: str = "") -> ToolComparison | CallAnswer:
-        """See Suite."""
+        """Compare a calibration (b) with another's (a); "": with its own before."""
         request = CompareTools.Request(
             a=check_tool_name(with_tool or tool),
             a_previous=not with_tool,
@@ -175,28 +174,28 @@ class RosSuite(AbstractContextManager["RosSuite"]):
 
     @_answered
     async def set_enabled(self, enabled: bool) -> CallAnswer:
-        """See Suite."""
+        """Switch the compensation."""
         request = SetBool.Request(data=enabled)
         response = await self._tools.ask("enable", request, _SWITCH_LIMIT_S)
         return CallAnswer(response.success, response.message)
 
     @_answered
     async def tare(self) -> CallAnswer:
-        """See Suite; the answer comes when it is done."""
+        """Subtract the present residual; answers when it is done."""
         response = await self._tools.ask("tare", Trigger.Request(), _TARE_LIMIT_S)
         return CallAnswer(response.success, response.message)
 
     @_answered
     async def start(self, goal: Goal) -> CallAnswer:
-        """See Suite."""
-        if isinstance(goal, CalibrateGoal) and "gravcomp/list_tools" in self.state.available:
+        """Send a goal; answers when it is accepted or rejected."""
+        if goal.kind is BehaviourKind.CALIBRATE and "gravcomp/list_tools" in self.state.available:
             # Whether the tool had a file before is read from the list.
             await self._tools.list_quietly()
-        return await self._followers[kind_of(goal)].start(goal)
+        return await self._followers[goal.kind].start(goal)
 
     @_answered
     async def confirm(self) -> CallAnswer:
-        """See Suite."""
+        """Tell a calibration that the person has done what it asked."""
         response = await self._calls.ask(
             self._confirm, Trigger.Request(), CALIBRATION, _SWITCH_LIMIT_S
         )
@@ -206,5 +205,5 @@ class RosSuite(AbstractContextManager["RosSuite"]):
 
     @_answered
     async def cancel(self, kind: BehaviourKind) -> CallAnswer:
-        """See Suite."""
+        """Cancel a behaviour's goal, of any client; answers when that is accepted."""
         return await self._followers[kind].cancel()

@@ -44,22 +44,18 @@ class Heading(NamedTuple):
 
 
 def wrench_curves(values: Array) -> Array:
-    """N and mN·m of wrenches (n, 6) in N and N·m."""
+    """Turn wrenches (n, 6) in N and N·m into N and mN·m."""
     return np.round(values * [1, 1, 1, 1e3, 1e3, 1e3], 4)
 
 
 def deflection_curves(values: Array) -> Array:
-    """mm, (n, 4): x, y, z and their size, of deflections (n, 6) in m and rad."""
-    return np.round(1e3 * np.column_stack([values[:, :3], sizes(values)]), 5)
-
-
-def sizes(values: Array) -> Array:
-    """How far (n,), m, the tip is displaced; values (n, 6)."""
-    return np.asarray(np.linalg.norm(values[:, :3], axis=1))
+    """Turn deflections (n, 6) in m and rad into x, y, z and their size (n, 4) in mm."""
+    sizes = np.linalg.norm(values[:, :3], axis=1)
+    return np.round(1e3 * np.column_stack([values[:, :3], sizes]), 5)
 
 
 def headings() -> list[Heading]:
-    """Of the six axes, then of the tip."""
+    """Return the headings of the six axes, then of the tip."""
     return [
         *(
             Heading(
@@ -75,7 +71,7 @@ def headings() -> list[Heading]:
 
 
 def options(window_s: float) -> Option:
-    """All of it, without rows; they come as datasets raw, compensated and deflection."""
+    """Return all options, without rows: those are datasets raw, compensated, deflection."""
     return {
         "animation": False,
         "textStyle": {"fontSize": _FONT_PX, "fontFamily": _FONT},
@@ -123,12 +119,12 @@ def options(window_s: float) -> Option:
 
 
 def time_span(span_s: float) -> Option:
-    """To set another length of the time axis."""
+    """Return the option of another length of the time axis."""
     return {"xAxis": [{"min": -span_s} for _ in range(7)]}
 
 
 def look(dark: bool) -> Option:
-    """The colours on a dark or a light page."""
+    """Return the colours on a dark or a light page."""
     text, faint = ("#e6eaee", "#3d4852") if dark else ("#1f2933", "#d5dbe1")
     raw, compensated = ("#8397ab", "#ffb347") if dark else ("#8294a6", "#b84300")
     tip = ("#6cb8ff", "#ff8fb1", "#7ddc9a", "#ffffff") if dark else (

@@ -57,21 +57,5 @@ window.galenPlots = (() => {
     }).observe(document.body, { attributeFilter: ["class"] });
   }
 
-  function zoom(id, start, end) {
-    chartOf(id)?.dispatchAction({ type: "dataZoom", start, end });
-  }
-
-  function png(id, name) {
-    const chart = chartOf(id);
-    if (!chart) return false;
-    const link = document.createElement("a");
-    // On the page it is transparent.
-    const backgroundColor = isDark() ? "#1d1d1d" : "#ffffff";
-    link.href = chart.getDataURL({ type: "png", pixelRatio: 2, backgroundColor });
-    link.download = name;
-    link.click();
-    return true;
-  }
-
-  return { patch, follow, zoom, png };
+  return { patch, follow };
 })();

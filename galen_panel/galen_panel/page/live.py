@@ -11,9 +11,9 @@ from pathlib import Path
 
 from nicegui import ui
 
-from galen_panel.page.live.arm import Arm
-from galen_panel.page.live.plots import Plots
+from galen_panel.page.arm import ArmView
 from galen_panel.page.page import Page
+from galen_panel.page.plots import Plots
 
 PLOT_PERIOD_S = 0.2
 ARM_PERIOD_S = 0.1
@@ -32,7 +32,7 @@ def build(page: Page, shown: Callable[[], bool]) -> None:
         with ui.element("section").classes("live-left").props('aria-label="Plots"'):
             plots = Plots(page)
         with ui.element("section").classes("live-right").props('aria-label="Arm"'):
-            arm = Arm(page)
+            arm = ArmView(page)
     timers = (
         ui.timer(PLOT_PERIOD_S, plots.update, active=False),
         ui.timer(ARM_PERIOD_S, arm.update, active=False),

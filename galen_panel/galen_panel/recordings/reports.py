@@ -12,48 +12,73 @@ import os
 import re
 import secrets
 import shutil
-import stat
 import tempfile
 import threading
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
 
 from galen_model.errors import GalenError
 from galen_model.files.json_fields import parse_json, read_limited
+from starlette.applications import Starlette
+from starlette.concurrency import run_in_threadpool
+from starlette.requests import Request
+from starlette.responses import PlainTextResponse, Response
+
+from galen_panel.snapshot import NodeLevel
 
 REPORT = "report.json"
-EVALUATION = "evaluation.json"
-PICTURE = "evaluation.png"
+EVALUATION, EVALUATION_PAGE, PICTURE = "evaluation.json", "evaluation.html", "evaluation.png"
 DIAGNOSIS_FOLDER = "diagnosis"
-DIAGNOSIS = f"{DIAGNOSIS_FOLDER}/diagnosis.json"
-PAGE = f"{DIAGNOSIS_FOLDER}/report.html"
-EFFECT = f"{DIAGNOSIS_FOLDER}/found_effect.yaml"
-PICTURES = f"{DIAGNOSIS_FOLDER}/pictures"
-
-KINDS = ("evaluate", "diagnose")
+REPORTS_PATH = "/reports"
+# By the name that a browser asks for: the path in a report's folder, and the content's type.
+_FILES = {
+    EVALUATION: (EVALUATION, "application/json"),
+    EVALUATION_PAGE: (EVALUATION_PAGE, "text/html; charset=utf-8"),
+    PICTURE: (PICTURE, "image/png"),
+    "diagnosis.json": (f"{DIAGNOSIS_FOLDER}/diagnosis.json", "application/json"),
+    "report.html": (f"{DIAGNOSIS_FOLDER}/report.html", "text/html; charset=utf-8"),
+    "found_effect.yaml": (
+        f"{DIAGNOSIS_FOLDER}/found_effect.yaml",
+        "text/plain; charset=utf-8",
+    ),
+}
+KINDS = {"evaluate": "Evaluation", "diagnose": "Diagnosis"}
+"""Of a job or a report, with its word."""
+VERDICTS = {
+    ("evaluate", "fits"): (NodeLevel.OK, "The calibration fits"),
+    ("evaluate", "offset"): (NodeLevel.WARN, "An offset"),
+    ("evaluate", "drift"): (NodeLevel.WARN, "The sensor drifts"),
+    ("evaluate", "load"): (NodeLevel.ERROR, "Another load"),
+    ("evaluate", "changed"): (NodeLevel.ERROR, "Something changed during the recording"),
+    ("evaluate", "unexplained"): (NodeLevel.ERROR, "Does not fit, and nothing explains it"),
+    ("evaluate", "unknown"): (NodeLevel.WARN, "Not decidable"),
+    ("diagnose", "none"): (NodeLevel.OK, "No gap"),
+    ("diagnose", "identified"): (NodeLevel.WARN, "Cause found"),
+    ("diagnose", "ambiguous"): (NodeLevel.WARN, "Several causes are possible"),
+    ("diagnose", "unknown"): (NodeLevel.ERROR, "A gap without a known cause"),
+}
+"""By the kind of a report and its verdict."""
+# A report's own page needs nothing but its pictures, which are in it, and may not run anything.
+_PAGE_POLICY = (
+    "sandbox; default-src 'none'; img-src data:; style-src 'unsafe-inline'; base-uri 'none';"
+    " form-action 'none'; frame-ancestors 'self'"
+)
 _SCHEMA_VERSION = 1
 _NAME = re.compile(r"\d{8}T\d{6}Z_(evaluate|diagnose)_[0-9a-f]{8}")
 _UNFINISHED = ".unfinished_"
 _OLD_S = 24 * 3600.0
 _MOST_BYTES = 64 << 20
-_TYPES = {
-    ".json": "application/json",
-    ".png": "image/png",
-    ".html": "text/html; charset=utf-8",
-    ".yaml": "text/plain; charset=utf-8",
-}
 
 
 class StoredReportError(GalenError):
-    """A report can't be written or read."""
+    """A report can't be written."""
 
 
 @dataclass(frozen=True)
 class StoredReport:
-    """One of them. made_at: RFC 3339. recording, tool: as they were named to the person."""
+    """A report; made_at: RFC 3339; recording, tool: names for a person."""
 
     id: str
     kind: str
@@ -64,18 +89,14 @@ class StoredReport:
     verdict: str
     sentence: str
 
-
-@dataclass(frozen=True)
-class Served:
-    """A file for a browser; attachment: it is saved instead of shown."""
-
-    content: bytes
-    content_type: str
-    attachment: bool
+    @property
+    def verdict_words(self) -> tuple[NodeLevel, str]:
+        """The verdict's level and words."""
+        return VERDICTS.get((self.kind, self.verdict), (NodeLevel.WARN, self.verdict))
 
 
 class Reports:
-    """Those of one directory; used from several threads."""
+    """Reports of one directory; used from several threads."""
 
     def __init__(self, directory: Path) -> None:
         self._directory = directory
@@ -83,18 +104,18 @@ class Reports:
         self._known: dict[str, StoredReport] | None = None
 
     def all(self) -> list[StoredReport]:
-        """The newest first. The first call reads the directory."""
+        """List the reports, newest first. The first call reads the directory."""
         with self._lock:
             known = self._read_known()
             return sorted(known.values(), key=lambda one: one.id, reverse=True)
 
     def get(self, report_id: str) -> StoredReport | None:
-        """The report of an id; None where there is none."""
+        """Return the report of an id; None where there is none."""
         with self._lock:
             return self._read_known().get(report_id)
 
     def begin(self) -> Path:
-        """A new folder to write one into, not listed yet. Raises ReportError."""
+        """Make a folder for a report, not listed yet. Raises StoredReportError."""
         try:
             self._directory.mkdir(parents=True, exist_ok=True)
             self._sweep()
@@ -105,7 +126,10 @@ class Reports:
             ) from error
 
     def finish(self, folder: Path, told: Mapping[str, str]) -> StoredReport:
-        """List what was written into a folder; `told` has Report's fields but id and made_at."""
+        """List a written folder; `told` has StoredReport's fields but id and made_at.
+
+        Raises StoredReportError.
+        """
         at = datetime.now(UTC)
         name = f"{at.strftime('%Y%m%dT%H%M%SZ')}_{told['kind']}_{secrets.token_hex(4)}"
         report = StoredReport(id=name, made_at=at.isoformat(timespec="seconds"), **told)
@@ -124,44 +148,41 @@ class Reports:
         """Remove what was begun and not finished."""
         shutil.rmtree(folder, ignore_errors=True)
 
-    def content(self, report: StoredReport) -> dict[str, Any]:
-        """What the command would print with --json. Raises ReportError."""
-        name = EVALUATION if report.kind == "evaluate" else DIAGNOSIS
-        try:
-            content = parse_json(_read(self._directory / report.id / name))
-        except (OSError, ValueError) as error:
-            raise StoredReportError(f"{report.id}: {name} can't be read: {error}") from error
-        if not isinstance(content, dict):
-            raise StoredReportError(f"{report.id}: {name} is damaged")
-        return content
-
     def files(self, report: StoredReport) -> dict[str, Path]:
-        """The report's files by the name that a browser asks for."""
+        """Return the report's files by the name that a browser asks for."""
         folder = self._directory / report.id
-        if report.kind == "evaluate":
-            listed = [folder / EVALUATION, folder / PICTURE]
-        else:
-            pictures = folder / PICTURES
-            listed = [folder / DIAGNOSIS, folder / PAGE, folder / EFFECT]
-            if _is_folder(folder / DIAGNOSIS_FOLDER) and _is_folder(pictures):
-                listed += sorted(path for path in pictures.iterdir() if path.suffix == ".png")
-        if not _is_folder(folder) or (folder / DIAGNOSIS_FOLDER).is_symlink():
+        if folder.is_symlink() or (folder / DIAGNOSIS_FOLDER).is_symlink():
             return {}
-        return {path.name: path for path in listed if _is_file(path)}
+        paths = {name: folder / path for name, (path, _) in _FILES.items()}
+        return {n: path for n, path in paths.items() if path.is_file() and not path.is_symlink()}
 
-    def serve(self, report_id: str, name: str) -> Served | None:
-        """A file by what a browser asks for; None where there is none. Nothing is raised."""
+    def response(self, report_id: str, name: str) -> Response:
+        """Answer a browser's request for a file; 404 where there is none."""
         report = self.get(report_id)
         path = None if report is None else self.files(report).get(name)
-        if path is None:
-            return None
         try:
-            content = _read(path)
+            content = None if path is None else _read(path)
         except (OSError, ValueError):
-            return None
-        return Served(content, _TYPES[path.suffix], path.suffix in (".json", ".yaml"))
+            content = None
+        if content is None:
+            return PlainTextResponse("There is no such file of a report.\n", 404)
+        content_type = _FILES[name][1]
+        headers = {"X-Content-Type-Options": "nosniff", "Cache-Control": "no-store"}
+        if content_type.startswith("text/html"):
+            headers["Content-Security-Policy"] = _PAGE_POLICY
+        if name.endswith((".json", ".yaml")):
+            headers["Content-Disposition"] = f'attachment; filename="{name}"'
+        return Response(content, media_type=content_type, headers=headers)
 
-    # Inside
+    def serve(self, app: Starlette) -> None:
+        """Add the route of the reports' files, and read which reports there are."""
+        self.all()
+
+        async def answer(request: Request) -> Response:
+            asked = request.path_params
+            return await run_in_threadpool(self.response, asked["report"], asked["name"])
+
+        app.add_route(f"{REPORTS_PATH}/{{report}}/{{name}}", answer, methods=["GET"])
 
     def _read_known(self) -> dict[str, StoredReport]:
         if self._known is None:
@@ -176,7 +197,7 @@ class Reports:
     def _read_report(self, name: str) -> StoredReport | None:
         folder = self._directory / name
         try:
-            if not _is_folder(folder):
+            if folder.is_symlink():
                 return None
             content = parse_json(_read(folder / REPORT))
             if content.pop("schema_version") != _SCHEMA_VERSION:
@@ -194,19 +215,8 @@ class Reports:
                 shutil.rmtree(path, ignore_errors=True)
 
 
-def _is_folder(path: Path) -> bool:
-    return path.is_dir() and not path.is_symlink()
-
-
-def _is_file(path: Path) -> bool:
-    try:
-        return stat.S_ISREG(path.lstat().st_mode)
-    except OSError:
-        return False
-
-
 def _read(path: Path) -> bytes:
-    """A file's content; raises OSError, and ValueError where it is too large."""
+    """Read a file; raises OSError, and ValueError where it is too large."""
     if path.is_symlink():
         raise OSError(f"{os.fspath(path.name)} is a link")
     return read_limited(path, _MOST_BYTES, "a report's file")

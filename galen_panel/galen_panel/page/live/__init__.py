@@ -1,1 +1,0 @@
-"""Live plots and the arm in three dimensions."""

@@ -1,1 +1,0 @@
-"""Recordings and reports on the page."""
