@@ -28,8 +28,7 @@ from galen_bags.formats.writer import BagWriter
 from galen_calibration_behavior.calibration.estimate import calibrate
 from galen_calibration_behavior.calibration.procedure import CalibrationRequest
 from galen_calibration_behavior.parameters import CalibrationParameters
-from galen_model.arm.galen import HOME, JOINT_NAMES
-from galen_model.arm.kinematics import tip_pose
+from galen_model.arm.galen import GALEN, HOME, JOINT_NAMES
 from galen_model.errors import CalibrationFileError, GalenError
 from galen_model.files.calibration_file import read_calibration
 from galen_model.load.nominal_tools import ADAPTER, TOOLS
@@ -37,11 +36,7 @@ from galen_sim_driver.effects.effect import Effect
 from galen_sim_driver.effects.hysteresis import DeflectionHysteresis
 from galen_sim_driver.effects.load import CableDrag, InertialLoad
 from galen_sim_driver.plant.cell import Plant
-from galen_sim_driver.plant.config import (
-    ZERO3,
-    HandPush,
-    PlantConfig,
-)
+from galen_sim_driver.plant.config import ACCELERATION, VELOCITY, ZERO3, HandPush, PlantConfig
 from galen_sim_driver.plant.motion import Trajectory, TrajectoryPoint
 from offline_cell import CellBag, OfflineCell
 from tqdm import tqdm
@@ -158,8 +153,7 @@ _SWING_RANGE = np.array([0.08, 0.08, 0.06, 1.2, 0.8])
 def _swings(cell: OfflineCell, recipe: Recipe, _folder: Path) -> None:
     """Moves to random places, each as fast as the arm's limits allow."""
     rng = np.random.default_rng(recipe.seed)
-    limits = PlantConfig().motion
-    velocity, acceleration = np.array(limits.velocity), np.array(limits.acceleration)
+    velocity, acceleration = np.array(VELOCITY), np.array(ACCELERATION)
     joints = HOME
     cell.run(1.5)
     for _ in range(_SWING_MOVES):
@@ -183,7 +177,7 @@ CABLE = CableDrag(
     tension_n=0.3,
     attachment_m=_ATTACHMENT_M,
     stretch_per_m=1.0 / 0.3,
-    reference_m=tuple(tip_pose(HOME, _ATTACHMENT_M)[1].tolist()),
+    reference_m=tuple(GALEN.tip_pose(HOME, _ATTACHMENT_M)[1].tolist()),
 )
 
 

@@ -7,7 +7,7 @@ from galen_model.load.identification import StillPoses, identify_two_sweeps
 from galen_model.load.model import Load, nominal_reading
 from galen_model.load.nominal_tools import ADAPTER, TOOLS
 from galen_model.poses.plan import SweepGrid
-from galen_sim_driver.plant.config import SensorConfig
+from galen_sim_driver.plant.config import PlantConfig
 from galen_sim_driver.plant.sensors import ForceTorqueSensor
 
 SAMPLES = 125
@@ -36,15 +36,16 @@ def reported(angle):
 
 def calibration(tool, roll, tilt, rng):
     """One calibration as the behaviour makes it: zero at home without the tool, two sweeps."""
-    sensor = ForceTorqueSensor(SensorConfig(), [0.0] * 6, rng)
-    adapter = nominal_reading(0.0, 0.0, ADAPTER, Load(0.0))
+    sensor = ForceTorqueSensor(PlantConfig(), [0.0] * 6, rng)
+    adapter = nominal_reading((0.0, 0.0), ADAPTER, Load(0.0))
     zero_here(sensor, adapter)
     left_by_zeroing = adapter - sensor.zero
-    bare = nominal_reading(roll, tilt, Load(0.0), ADAPTER) + adapter
-    loaded = nominal_reading(roll, tilt, tool, ADAPTER) + adapter
+    bare = nominal_reading(np.stack([roll, tilt], axis=-1), Load(0.0), ADAPTER) + adapter
+    loaded = nominal_reading(np.stack([roll, tilt], axis=-1), tool, ADAPTER) + adapter
     angles = reported(roll), reported(tilt)
     found = identify_two_sweeps(
-        StillPoses(*angles, averaged(sensor, bare)), StillPoses(*angles, averaged(sensor, loaded))
+        StillPoses(np.stack(angles, axis=-1), averaged(sensor, bare)),
+        StillPoses(np.stack(angles, axis=-1), averaged(sensor, loaded)),
     )
     return found, left_by_zeroing
 
@@ -58,11 +59,10 @@ def test_intervals_hold_the_truth_in_95_of_100_and_unseen_poses_are_compensated(
     roll, tilt = grid.poses((-1.57, -1.04), (1.57, 0.96)).T
     truth = np.concatenate([[tool.mass_kg], tool.com_m, [ADAPTER.mass_kg], ADAPTER.com_m])
     unseen = rng.uniform(-1.5, 1.5, 500), rng.uniform(-1.0, 0.9, 500)
-    exact = nominal_reading(*unseen, tool, ADAPTER)
+    exact = nominal_reading(np.stack(unseen, axis=-1), tool, ADAPTER)
     inside, errors = [], []
     noise = np.sqrt(
-        (SensorConfig().parameters.noise_std ** 2 + SensorConfig().parameters.quantum ** 2 / 12)
-        / SAMPLES
+        (PlantConfig().sensor.noise_std ** 2 + PlantConfig().sensor.quantum ** 2 / 12) / SAMPLES
     )
     for _ in range(CALIBRATIONS):
         found, left_by_zeroing = calibration(tool, roll, tilt, rng)
@@ -73,7 +73,10 @@ def test_intervals_hold_the_truth_in_95_of_100_and_unseen_poses_are_compensated(
             np.concatenate([np.diag(found.load.covariance), np.diag(found.adapter.covariance)])
         )
         inside.append(np.abs(value - truth) < 1.96 * std)
-        predicted = nominal_reading(*unseen, found.load.load, found.adapter.load) + found.offset
+        predicted = (
+            nominal_reading(np.stack(unseen, axis=-1), found.load.load, found.adapter.load)
+            + found.offset
+        )
         errors.append(np.mean((predicted - exact - left_by_zeroing) ** 2, axis=0))
     coverage = np.mean(inside, axis=0)
     # 200 calibrations tell a coverage to 1.5 % a parameter

@@ -22,7 +22,7 @@ from galen_diagnosis.report.words import (
     sentence,
     title,
 )
-from galen_sim_driver.effects.registry import CONTRACT_ORDER
+from galen_sim_driver.effects.registry import EFFECTS
 from galen_sim_driver.parameters import EffectParameters, effects_of
 from matplotlib import pyplot as plt
 
@@ -187,7 +187,7 @@ CONTRACT = {
 
 
 def test_every_effect_has_a_sentence_with_all_its_numbers():
-    assert set(SENTENCES) == set(CONTRACT) == set(CONTRACT_ORDER)
+    assert set(SENTENCES) == set(CONTRACT) == set(EFFECTS)
     for name, shapes in CONTRACT.items():
         parameters = {}
         for number, (parameter, shape) in enumerate(shapes.items(), start=3):
@@ -281,7 +281,7 @@ def test_sentences_of_the_verdicts(diagnosis):
     assert sentence(open_).startswith(
         "There is a gap, and this recording can't tell what causes it: "
     )
-    many = replace(open_.causes[0], equivalent=CONTRACT_ORDER[3:20])
+    many = replace(open_.causes[0], equivalent=tuple(EFFECTS)[3:20])
     assert "or one of 17 other effects" in sentence(replace(open_, causes=(many,)))
     assert "nothing on the list explains" in words["unknown"]
 

@@ -18,7 +18,7 @@ from galen_sim_driver.effects.joints import JointGain
 from galen_sim_driver.effects.load import InertialLoad
 from galen_sim_driver.effects.sensor import BiasStep, WrenchDelay
 from galen_sim_driver.effects.tracker import BaseShift, TrackerDelay
-from galen_sim_driver.plant.config import TrackerConfig
+from galen_sim_driver.plant.config import BASE_IN_TRACKER
 from galen_sim_driver.replay import Replay, Scene
 
 FEW = sweep_poses()[::11]
@@ -129,7 +129,7 @@ def test_replay_with_the_effects_explains_all_three_bags_to_the_noise(tmp_path):
     push = scene(recording, "push")
     replay = Replay(push, effects)
     rotation, position = replay.tip()
-    base = TrackerConfig().base_in_tracker
+    base = BASE_IN_TRACKER
     _, there = replay.seen_by_tracker(
         rotation, position, rotvec_to_matrix(base.rotvec_rad), np.array(base.translation_m)
     )

@@ -1,19 +1,14 @@
-"""Messages of the driver to and from the plant's own types.
-
-How many steps of the plant are due, on a clock of the caller's.
-
-The simulated driver as a ROS node: stands in for arm, force/torque sensor and tracker.
-"""
+"""The simulated driver as a ROS node: stands in for arm, force/torque sensor and tracker."""
 
 from __future__ import annotations
 
 import os
 import time
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from galen_model.arm.galen import JOINT_NAMES, SENSOR_FRAME, TRACKER_FRAME
+from galen_model.arm.galen import JOINT_NAMES, LIMITS, SENSOR_FRAME, TRACKER_FRAME
 from galen_model.arm.urdf import galen_urdf
 from galen_model.errors import ToolNameError
 from galen_model.files.calibration_file import check_tool_name
@@ -36,9 +31,21 @@ from galen_msgs.srv import PushTool, SetTool
 from galen_sim_driver.effects.effect import ConfigError
 from galen_sim_driver.parameters import DRIVER_NODE, DriverParameters, EffectParameters, effects_of
 from galen_sim_driver.plant.cell import Plant, Sample
-from galen_sim_driver.plant.config import HandPush, PlantError
+from galen_sim_driver.plant.config import VELOCITY, HandPush, PlantError
 from galen_sim_driver.plant.motion import Trajectory, TrajectoryPoint
 from galen_sim_driver.plant.sensors import MarkerPose, TrackerSample, Zeroing
+
+_CLOCK_RATE_HZ = 100.0
+# Slower than this part of what was asked is worth a warning.
+_SLOW = 0.9
+_TELL_SLOW_EVERY_S = 60.0
+# A busy machine must slow the simulation down: a node that falls behind it loses samples.
+_NICENESS = 10
+_INACTIVE = "the driver is inactive: activate it first"
+_TICK_S = 0.002
+"""Wall time between two batches of steps."""
+_MOST_STEPS = 40
+"""Of the plant at once, when it has to catch up."""
 
 
 def trajectory_from_message(message: JointTrajectory) -> Trajectory:
@@ -83,16 +90,15 @@ def fill_pose(message: PoseStamped, stamp_ns: int, pose: MarkerPose) -> None:
 
 
 class Pacer:
-    """Spreads simulated periods over wall time, `speed_factor` simulated seconds to a second.
+    """Spread simulated periods over wall time, `speed_factor` simulated seconds to a second.
 
-    In real time every step that a stall left out is made up, at most `max_steps` at once, since
+    In real time every step that a stall left out is made up, at most 40 at once, since
     the stamps follow the system's clock. At another speed a stall slows simulated time down
     instead: steps in a burst would overrun the subscribers of a machine that is short of time.
     """
 
-    def __init__(self, period_s: float, speed_factor: float, max_steps: int) -> None:
+    def __init__(self, period_s: float, speed_factor: float) -> None:
         self._steps_per_s = speed_factor / period_s
-        self._max_steps = max_steps
         self._makes_up = speed_factor == 1.0
         self._origin_s = 0.0
         self._taken = 0
@@ -105,7 +111,7 @@ class Pacer:
     def due(self, now_s: float) -> int:
         """Return how many steps to take now; the caller takes them."""
         missing = int((now_s - self._origin_s) * self._steps_per_s) - self._taken
-        steps = max(0, min(missing, self._max_steps))
+        steps = max(0, min(missing, _MOST_STEPS))
         self._taken += steps
         if steps < missing and not self._makes_up:
             self.start(now_s)
@@ -113,7 +119,7 @@ class Pacer:
 
 
 class SpeedMeter:
-    """How fast simulated time goes, averaged over at least `window_s` of wall time."""
+    """Measure the speed of simulated time over at least `window_s` of wall time."""
 
     def __init__(self, window_s: float) -> None:
         self._window_s = window_s
@@ -122,7 +128,7 @@ class SpeedMeter:
         """Simulated over wall time, None at first."""
 
     def update(self, now_s: float, sim_ns: int) -> None:
-        """Tell both times; `speed` changes when the window is over."""
+        """Take both times; `speed` changes when the window is over."""
         if self._last is None:
             self._last = (now_s, sim_ns)
         elif now_s - self._last[0] >= self._window_s:
@@ -130,29 +136,11 @@ class SpeedMeter:
             self._last = (now_s, sim_ns)
 
 
-_CLOCK_RATE_HZ = 100.0
-# Slower than this part of what was asked is worth a warning.
-_SLOW = 0.9
-_TELL_SLOW_EVERY_S = 60.0
-# A busy machine must slow the simulation down: a node that falls behind it loses samples.
-_NICENESS = 10
-_INACTIVE = "the driver is inactive: activate it first"
-
-
-@dataclass
-class _PendingZeroing:
-    """A zeroing under way and the caller who waits for it."""
-
-    zeroing: Zeroing
-    response: Any
-    respond: Respond
-
-
 class SimDriverNode(ManagedNode):
-    """Steps the plant by wall time, publishes its samples, passes commands on to it.
+    """Step the plant by wall time, publish its samples, pass commands on to it.
 
-    While it is inactive, the arm and the world go on: the plant is stepped, nobody hears of it, and
-    nothing moves the arm.
+    While it is inactive, the arm and the world go on: the plant is stepped, nothing is published,
+    and no command moves the arm.
     """
 
     hardware_id = "galen_simulated"
@@ -177,7 +165,8 @@ class SimDriverNode(ManagedNode):
         self._rejected_count = 0
         self._rejection = ""
         self._ignored_wrench = ""
-        self._pending_zeroing: _PendingZeroing | None = None
+        self._pending_zeroing: tuple[Zeroing, Any, Respond] | None = None
+        """A zeroing under way, and the response that its caller waits for."""
 
         self._joint_state_bytes = joint_state_bytes(JOINT_NAMES, "")
         self._wrench_bytes = wrench_bytes(SENSOR_FRAME)
@@ -203,14 +192,10 @@ class SimDriverNode(ManagedNode):
         self.create_service(Trigger, "~/run_hand", self._on_run_hand)
 
         self._speed_meter = SpeedMeter(window_s=0.9)
-        self._pacer = Pacer(
-            config.period_ns * 1e-9,
-            self._settings.speed_factor,
-            self._settings.max_steps_per_tick,
-        )
+        self._pacer = Pacer(config.period_ns * 1e-9, self._settings.speed_factor)
         self._pacer.start(time.monotonic())
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self.create_timer(self._settings.tick_s, self._on_tick, clock=self._steady)
+        self.create_timer(_TICK_S, self._on_tick, clock=self._steady)
 
     def _activate(self) -> None:
         self.create_subscription(JointTrajectory, "joint_trajectory", self._on_trajectory, 10)
@@ -220,7 +205,6 @@ class SimDriverNode(ManagedNode):
         self._at_undo(self._stand_still)
 
     def _stand_still(self) -> None:
-        """Nobody moves the arm through a driver that is not active."""
         self._plant.set_admittance(False)
         self._plant.stop()
 
@@ -234,9 +218,9 @@ class SimDriverNode(ManagedNode):
                 continue
             self._publish(sample)
             if raw_admittance:
-                self._plant.feed_admittance(sample.stamp_ns, sample.wrench)
-        if self._pending_zeroing is not None and self._pending_zeroing.zeroing.done:
-            self._answer_zeroing(self._pending_zeroing)
+                self._plant.admittance.feed(sample.stamp_ns, sample.wrench)
+        if self._pending_zeroing is not None and self._pending_zeroing[0].done:
+            self._answer_zeroing()
 
     def _publish(self, sample: Sample) -> None:
         stamp_ns = sample.stamp_ns
@@ -264,9 +248,7 @@ class SimDriverNode(ManagedNode):
     def _publish_description(self) -> None:
         tool = self._config.tools.get(self._plant.tool)
         tip_m = np.zeros(3) if tool is None else tool.tip_m
-        text = galen_urdf(
-            tip_m, self._config.arm, self._config.motion.limits, self._config.motion.velocity
-        )
+        text = galen_urdf(tip_m, self._config.arm, LIMITS, VELOCITY)
         self._description.publish(String(data=text))
 
     # --- commands in ------------------------------------------------------------------------
@@ -294,13 +276,13 @@ class SimDriverNode(ManagedNode):
             return
         self._ignored_wrench = ""
         if self._plant.admittance_on:
-            self._plant.feed_admittance(
+            self._plant.admittance.feed(
                 stamp_to_ns(message.header.stamp), wrench_to_array(message).tolist()
             )
 
     def _on_parameters(self, parameters: DriverParameters) -> None:
         self._settings = parameters
-        self._plant.forget_admittance()
+        self._plant.admittance.forget()
         self._diagnostics.publish_now()
 
     # --- services ---------------------------------------------------------------------------
@@ -314,26 +296,29 @@ class SimDriverNode(ManagedNode):
             response.message = f"not zeroed: {error}"
             respond(response)
             return
-        self._pending_zeroing = _PendingZeroing(zeroing, response, respond)
+        self._pending_zeroing = (zeroing, response, respond)
 
     def _give_up_zeroing(self) -> None:
-        """Answer who waits for a zeroing when the services go."""
+        """Answer the caller of a zeroing when the services are removed."""
         if self._pending_zeroing is not None:
-            self._pending_zeroing.zeroing.error = PlantError("the driver was shut down")
-            self._answer_zeroing(self._pending_zeroing)
+            self._pending_zeroing[0].error = PlantError("the driver was shut down")
+            self._answer_zeroing()
 
-    def _answer_zeroing(self, pending: _PendingZeroing) -> None:
+    def _answer_zeroing(self) -> None:
+        assert self._pending_zeroing is not None
+        zeroing, response, respond = self._pending_zeroing
         self._pending_zeroing = None
-        error = pending.zeroing.error
-        pending.response.success = error is None
-        roll, tilt = self._plant.zero_pose
-        pending.response.message = (
-            f"zeroed at roll {roll:.6g} rad, tilt {tilt:.6g} rad"
-            if error is None
-            else f"not zeroed: {error}"
+        response.success = zeroing.error is None
+        at = ", ".join(f"{name} {value:.6g} rad" for name, value in self._zero_angles().items())
+        response.message = (
+            f"zeroed at {at}" if zeroing.error is None else f"not zeroed: {zeroing.error}"
         )
-        pending.respond(pending.response)
+        respond(response)
         self._diagnostics.publish_now()
+
+    def _zero_angles(self) -> dict[str, float]:
+        names = self._config.arm.turning_names
+        return dict(zip(names, self._plant.zero_angles, strict=True))
 
     def _on_attach_tool(self, request: Any, response: Any) -> Any:
         response.error_code = SetTool.Response.NONE
@@ -418,7 +403,6 @@ class SimDriverNode(ManagedNode):
         self._speed_meter.update(time.monotonic(), self._plant.now_ns)
         speed = self._speed_meter.speed
         level, state, message = self._state(speed)
-        roll, tilt = self._plant.zero_pose
         return Status(
             level,
             message,
@@ -433,8 +417,7 @@ class SimDriverNode(ManagedNode):
                 "admittance_source": self._settings.admittance_source,
                 "hand": self._plant.hand_active,
                 "effects": ", ".join(effect.identity for effect in self._config.effects) or "none",
-                "zeroed_at_roll_rad": roll,
-                "zeroed_at_tilt_rad": tilt,
+                **{f"zeroed_at_{name}_rad": q for name, q in self._zero_angles().items()},
                 "trajectories_rejected": self._rejected_count,
             },
         )

@@ -1,4 +1,4 @@
-"""What sensor and tracker of the simulated arm tell along recorded joint states.
+"""Simulate the readings of sensor and tracker along recorded joint states.
 
     reading = read(W(true pose; tool) + W(true pose; adapter) - W(true bias pose; adapter) + others)
     tip     = T(true joints) moved by the deflection that the applied wrench causes
@@ -14,19 +14,18 @@ be the same but for where a saturated axis clips.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
-from functools import lru_cache
+from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
-from galen_model.arm.galen import GALEN, GRAVITY_M_S2, ArmParameters
-from galen_model.arm.kinematics import tip_pose
+from galen_model.arm.arm import Arm
+from galen_model.arm.galen import GALEN
 from galen_model.arm.sensor_motion import SensorMotion, sensor_motion
-from galen_model.arm.stiffness import tip_compliance
 from galen_model.arrays import Array
 from galen_model.load.model import Load
 from galen_model.load.nominal_tools import ToolGeometry
+from galen_model.registration import move_wrench
 from galen_model.rotation import rotvec_to_matrix
-from galen_model.wrench import move_wrench
 from scipy.signal import savgol_filter
 
 from galen_sim_driver.effects.effect import (
@@ -35,9 +34,7 @@ from galen_sim_driver.effects.effect import (
     Loading,
     Posture,
     in_order,
-    total_turns,
 )
-from galen_sim_driver.effects.joints import sensor_pose
 
 _STILL_POSE_M = 2e-4
 """Joints nearer to each other than this (m, rad) share a compliance: it changes by 1e-3 of itself
@@ -46,7 +43,7 @@ over some millimetres."""
 
 @dataclass(frozen=True)
 class Scene:
-    """One bag as the simulator needs it; times in s since the bag's first stamp.
+    """Hold one bag as the simulator needs it; times in s since the bag's first stamp.
 
     joint_s (nj,), joints (nj, 5) as reported, m and rad; wrench_s (nw,), reading (nw, 6), N and
     N.m in ft_sensor; touched (nw,): where a hand may be at the tool; tracker_s (nt,), empty without
@@ -65,38 +62,44 @@ class Scene:
     tool: ToolGeometry
     adapter: Load
     zero_pose_rad: tuple[float, float] = (0.0, 0.0)
-    arm: ArmParameters = GALEN
+    arm: Arm = GALEN
+    compliances: dict[tuple[Any, ...], Array] = field(
+        init=False, default_factory=dict, repr=False, compare=False
+    )
+    """Of the tip, by joints and stiffnesses, as they are worked out: many replays share them."""
 
     def instants(self, at_s: Array) -> Instants:
-        """Times of this bag as effects see them."""
+        """Return times of this bag as effects take them."""
         return Instants(self.bag, at_s, at_s + self.start_s)
 
 
 class Replay:
-    """The simulator with some effects, driven along a scene."""
+    """Drive the simulator with some effects along a scene."""
 
     def __init__(self, scene: Scene, effects: Sequence[Effect] = ()) -> None:
         self.scene = scene
         self.effects = in_order(effects)
         self._wrench_delay_s = sum(effect.wrench_delay_s for effect in effects)
         self._tracker_delay_s = sum(effect.tracker_delay_s for effect in effects)
-        self._axis_turns = total_turns(effects)
-        self._gravity = GRAVITY_M_S2
+        self._gravity = scene.arm.gravity_m_s2
         self._known: tuple[Instants, Array] | None = None
         self.arm = scene.arm
         for effect in effects:
             self._gravity = effect.gravity(self._gravity)
             self.arm = effect.arm(self.arm)
+        self._misaligned = self.arm
+        for effect in effects:
+            self._misaligned = effect.misaligned(self._misaligned)
 
     # --- the wrench ---------------------------------------------------------------------------
 
     def reading(self) -> Array:
-        """The reading (nw, 6) that an untouched tool gives at the wrenches' stamps."""
+        """Return the reading (nw, 6) of a tool without contact at the wrenches' stamps."""
         when, true = self._untouched()
         return self._read(when, true)
 
     def applied_wrench(self) -> Array:
-        """What a hand pushes (nw, 6), in ft_sensor about its origin; zero where nobody touches."""
+        """Return the applied wrench (nw, 6) in ft_sensor; zero without contact."""
         when, true = self._untouched()
         pushed = self.scene.reading
         for effect in reversed(self.effects):
@@ -109,7 +112,6 @@ class Replay:
         return true
 
     def _untouched(self) -> tuple[Instants, Array]:
-        """The true wrench (nw, 6) less that at the bias pose, and when it was; worked out once."""
         if self._known is None:
             self._known = self._true_untouched()
         return self._known
@@ -125,12 +127,9 @@ class Replay:
             more = effect.fresh().wrench(when, posture)
             if more is not None:
                 total = total + more
-        zero = np.array([[*self._home(), *scene.zero_pose_rad]])
+        zero = scene.arm.with_angles(np.array([scene.zero_pose_rad]), scene.joints[:1])
         at_zero = self._posture(scene.instants(np.zeros(1)), zero, False)
         return when, total - self._weight(at_zero, with_tool=False)
-
-    def _home(self) -> Array:
-        return np.asarray(self.scene.joints[0, :3])
 
     def _weight(self, posture: Posture, *, with_tool: bool) -> Array:
         loads = [(self.scene.adapter.mass_kg, np.asarray(self.scene.adapter.com_m, dtype=float))]
@@ -148,7 +147,9 @@ class Replay:
     # --- the tip ------------------------------------------------------------------------------
 
     def tip(self, applied: Array | None = None) -> tuple[Array, Array]:
-        """Rotation (nt, 3, 3) and position (nt, 3) of tool_tip in base_link at the tracker's.
+        """Return tool_tip's rotation (nt, 3, 3) and position (nt, 3) in base_link.
+
+        At the tracker's stamps.
 
         applied (nw, 6): what is pushed at the wrenches' stamps; None to take `applied_wrench`.
         """
@@ -183,18 +184,22 @@ class Replay:
         places, which = np.unique(keys, axis=0, return_inverse=True)
         for number, place in enumerate(places):
             rows = loaded[which.ravel() == number]
-            compliance = _compliance(
-                tuple(place * _STILL_POSE_M), tuple(self.scene.tool.tip_m), _Arm(self.arm)
-            )
-            bent[rows] = wrench[rows] @ compliance.T
+            bent[rows] = wrench[rows] @ self._compliance(place * _STILL_POSE_M).T
         return bent
+
+    def _compliance(self, joints: Array) -> Array:
+        key = (joints.tobytes(), *self.arm.stiffness.values())
+        known = self.scene.compliances
+        if key not in known:
+            known[key] = self.arm.tip_compliance(joints, self.scene.tool.tip_m)
+        return known[key]
 
     def seen_by_tracker(
         self, rotation: Array, position: Array, base_rotation: Array, base_position: Array
     ) -> tuple[Array, Array]:
-        """The tip in the tracker's frame, with base_link at (base_rotation, base_position) there.
+        """Return the tip in the tracker's frame, with base_link at the given pose there.
 
-        rotation (nt, 3, 3), position (nt, 3) in base_link; what the tracker tells of them.
+        rotation (nt, 3, 3), position (nt, 3) in base_link; their readings by the tracker.
         """
         when = self.scene.instants(self.scene.tracker_s - self._tracker_delay_s)
         there = base_position + position @ base_rotation.T
@@ -203,7 +208,7 @@ class Replay:
         return base_rotation @ rotation, there
 
     def base_marker(self) -> Array:
-        """Displacement (nt, 6) of the base's marker in base_link at the tracker's stamps."""
+        """Return the base marker's displacement (nt, 6) in base_link at the tracker's stamps."""
         when = self.scene.instants(self.scene.tracker_s - self._tracker_delay_s)
         moved = np.zeros((len(when), 6))
         for effect in self.effects:
@@ -221,7 +226,7 @@ class Replay:
         joints = reported
         for effect in self.effects:
             joints = effect.fresh().true_joints(when, joints)
-        rotation, origin = self._sensor_pose(joints)
+        rotation, origin = self._misaligned.sensor_pose(joints)
         return Posture(
             joints=joints,
             rotation=rotation,
@@ -233,14 +238,7 @@ class Replay:
             tip_m=np.asarray(self.scene.tool.tip_m, dtype=float),
         )
 
-    def _sensor_pose(self, joints: Array) -> tuple[Array, Array]:
-        if not np.any(self._axis_turns):
-            rotation, origin = tip_pose(joints, np.zeros(3), self.arm)
-            return rotation, origin
-        return sensor_pose(joints, self._axis_turns, self.arm)
-
     def _true_tool(self) -> Load:
-        """The tool as it is, without what gravity moves of it."""
         mass, com = self.scene.tool.load.mass_kg, np.reshape(self.scene.tool.load.com_m, (1, 3))
         for effect in self.effects:
             mass, com = effect.tool_load(mass, com, np.zeros((1, 3)))
@@ -261,27 +259,6 @@ class Replay:
         return sensor_motion(joints, velocities, accelerations, self.arm)
 
 
-class _Arm:
-    """Arm parameters as a key: the arrays in them have no hash of their own."""
-
-    def __init__(self, arm: ArmParameters) -> None:
-        self.arm = arm
-        self._key = tuple(
-            tuple(np.ravel(getattr(arm, field.name)).tolist()) for field in fields(arm)
-        )
-
-    def __hash__(self) -> int:
-        return hash(self._key)
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, _Arm) and self._key == other._key
-
-
-@lru_cache(maxsize=4096)
-def _compliance(joints: tuple[float, ...], tip_m: tuple[float, ...], arm: _Arm) -> Array:
-    return tip_compliance(np.array(joints), np.array(tip_m), arm.arm)
-
-
 def _interpolated(at_s: Array, known_s: Array, values: Array) -> Array:
     """Values (n, k) at known_s, linearly at at_s; the ends hold."""
     return np.stack([np.interp(at_s, known_s, column) for column in values.T], axis=1)
@@ -291,7 +268,7 @@ _RATE_WINDOW_S = 0.08
 
 
 def rates(at_s: Array, joints: Array) -> tuple[Array, Array]:
-    """Velocity and acceleration (n, 5) of joints (n, 5) at times at_s (n,), s.
+    """Return velocity and acceleration (n, 5) of joints (n, 5) at times at_s (n,), s.
 
     Cubic polynomials over 80 ms (Savitzky and Golay, Anal. Chem. 36, 1964) on an even grid of the
     stamps' median period; across a gap of more than that nothing is known, and both are 0 there.

@@ -1,10 +1,8 @@
 """Hysteresis of the deflection: Dahl's law itself, and the joints that it is in."""
 
-
 import numpy as np
 import pytest
 from galen_model.arm.galen import GALEN, HOME
-from galen_model.arm.stiffness import tip_compliance
 from galen_model.load.nominal_tools import TOOLS
 from galen_sim_driver.effects.hysteresis import (
     joint_columns,
@@ -150,7 +148,7 @@ def test_the_joints_are_those_of_the_nominal_compliance(kind, joints):
     # By the six-rod formula with and without that kind's give; the columns don't come from it.
     which, stiffness = KINDS[kind]
     rigid = GALEN.with_stiffness({stiffness: 1e15})
-    expected = tip_compliance(joints, RETRACTOR) - tip_compliance(joints, RETRACTOR, rigid)
+    expected = GALEN.tip_compliance(joints, RETRACTOR) - rigid.tip_compliance(joints, RETRACTOR)
     column = joint_columns(joints, RETRACTOR, GALEN)[:, which]
     found = column @ column.T / GALEN.stiffness[stiffness]
     assert np.abs(found - expected).max() < 1e-8 * np.abs(expected).max()

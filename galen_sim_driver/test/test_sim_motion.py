@@ -3,18 +3,16 @@
 import numpy as np
 import pytest
 from galen_model.arm.galen import HOME, LIMITS
-from galen_sim_driver.plant.config import MotionConfig
+from galen_sim_driver.plant import config
 from galen_sim_driver.plant.motion import LimitedMotion, braking_velocity, stopping_distance
 
 PERIOD_S = 0.002
-CONFIG = MotionConfig()
-VELOCITY = np.array(CONFIG.velocity)
-ACCELERATION = np.array(CONFIG.acceleration)
+VELOCITY, ACCELERATION = np.array(config.VELOCITY), np.array(config.ACCELERATION)
 
 
 def follow(targets, motion=None):
     """Step through targets (n, 5); return positions and velocities (n + 1, 5), start included."""
-    motion = motion or LimitedMotion(CONFIG, HOME, PERIOD_S)
+    motion = motion or LimitedMotion(HOME, PERIOD_S)
     positions, velocities = [motion.positions.copy()], [motion.velocities.copy()]
     for target in targets:
         motion.step(target)
@@ -95,7 +93,7 @@ def test_braking_velocity_stops_where_it_should():
 
 
 def test_stopping_distance_agrees_with_braking():
-    motion = LimitedMotion(CONFIG, HOME, PERIOD_S)
+    motion = LimitedMotion(HOME, PERIOD_S)
     follow([HOME + 0.1] * 100, motion)
     stop = np.array(motion.stopping_positions([0.0] * 5))
     before = np.array(motion.velocities)

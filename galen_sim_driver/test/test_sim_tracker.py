@@ -1,19 +1,29 @@
-"""The tracker: geometry, deflection and noise."""
+"""Rotations in plain floats; the tracker: geometry, deflection and noise."""
 
+import math
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from galen_model.arm.kinematics import tip_pose
-from galen_model.arm.stiffness import deflection
+from galen_model.arm.galen import GALEN
 from galen_model.load.nominal_tools import TOOLS
+from galen_model.registration import move_wrench
 from galen_model.rotation import matrix_to_rotvec, quaternion_to_matrix, rotvec_to_matrix
-from galen_model.wrench import move_wrench
 from galen_sim_driver.plant.cell import Plant
-from galen_sim_driver.plant.config import HandPush, PlantConfig, Pose, TrackerConfig
+from galen_sim_driver.plant.config import BASE_IN_TRACKER, BASE_MARKER, HandPush, PlantConfig, Pose
+from galen_sim_driver.plant.geometry import (
+    from_rotvec,
+    multiply,
+    rotate,
+    rotate_back,
+    rotate_by,
+    sensor_matrix,
+)
 
 TURNED = (0.03, -0.05, 0.45, 0.8, -0.6)
-QUIET = TrackerConfig(noise=False)
+QUIET = {"noise": False}
+RNG = np.random.default_rng(11)
+POSES = RNG.uniform(GALEN.lower, GALEN.upper, (25, 5))
 
 
 def make_plant(seed=0, **changes):
@@ -44,17 +54,16 @@ def of_marker(marker):
 
 def test_markers_are_where_the_configuration_puts_them():
     tool_marker = Pose((0.01, -0.02, 0.03), (0.3, -0.2, 0.5))
-    config = replace(QUIET, tool_marker=tool_marker)
-    sample = look(make_plant(tracker=config))
-    rotation, tip = tip_pose(TURNED, TOOLS["pointer"].tip_m)
-    base = of_pose(config.base_in_tracker)
-    assert np.allclose(of_marker(sample.base), base @ of_pose(config.base_marker), atol=1e-12)
+    sample = look(make_plant(**QUIET, tool_marker=tool_marker))
+    rotation, tip = GALEN.tip_pose(TURNED, TOOLS["pointer"].tip_m)
+    base = of_pose(BASE_IN_TRACKER)
+    assert np.allclose(of_marker(sample.base), base @ of_pose(BASE_MARKER), atol=1e-12)
     expected = base @ transform(tip, rotation) @ of_pose(tool_marker)
     assert np.allclose(of_marker(sample.tool), expected, atol=1e-12)
 
 
 def test_there_is_no_tool_marker_without_a_tool():
-    plant = make_plant(tracker=QUIET)
+    plant = make_plant(**QUIET)
     plant.attach_tool("")
     sample = look(plant)
     assert sample.tool is None and sample.base is not None
@@ -67,8 +76,8 @@ def test_there_is_no_tool_marker_without_a_tool():
 )
 def test_a_push_deflects_the_tip_as_the_stiffness_says(force, torque, frame):
     push = HandPush(0.0, 1.0, force, torque, frame, ramp_s=0.1)
-    plant = make_plant(tracker=QUIET, hand=[push])
-    base = of_pose(QUIET.base_in_tracker)
+    plant = make_plant(**QUIET, hand=[push])
+    base = of_pose(BASE_IN_TRACKER)
     still = np.linalg.inv(base) @ of_marker(look(plant).tool)
     plant.start_hand()
     for _ in range(200):
@@ -76,12 +85,12 @@ def test_a_push_deflects_the_tip_as_the_stiffness_says(force, torque, frame):
     pushed = np.linalg.inv(base) @ of_marker(look(plant).tool)
 
     tip_m = TOOLS["pointer"].tip_m
-    rotation, _ = tip_pose(TURNED, tip_m)
+    rotation, _ = GALEN.tip_pose(TURNED, tip_m)
     at_tip = np.array([*force, *torque])
     if frame == "base":
         at_tip = move_wrench(at_tip, rotation.T, np.zeros(3))
     at_sensor = move_wrench(at_tip, np.eye(3), tip_m)
-    expected = deflection(TURNED, at_sensor, tip_m)
+    expected = GALEN.deflection(TURNED, at_sensor, tip_m)
     assert np.allclose(pushed[:3, 3] - still[:3, 3], expected[:3], atol=1e-12)
     turn = matrix_to_rotvec(pushed[:3, :3] @ still[:3, :3].T)
     assert np.allclose(turn, expected[3:], atol=1e-9)
@@ -92,7 +101,7 @@ def test_a_push_deflects_the_tip_as_the_stiffness_says(force, torque, frame):
 
 
 def test_the_deflection_is_gone_when_the_hand_lets_go():
-    plant = make_plant(tracker=QUIET, hand=[HandPush(0.0, 0.5, (20.0, 0.0, 0.0))])
+    plant = make_plant(**QUIET, hand=[HandPush(0.0, 0.5, (20.0, 0.0, 0.0))])
     before = look(plant)
     plant.start_hand()
     for _ in range(300):
@@ -102,7 +111,7 @@ def test_the_deflection_is_gone_when_the_hand_lets_go():
 
 def test_noise_has_the_configured_size_in_each_axis():
     plant = make_plant(seed=3)
-    quiet = look(make_plant(tracker=QUIET))
+    quiet = look(make_plant(**QUIET))
     samples = [look(plant) for _ in range(2000)]
     for name in ("tool", "base"):
         truth = of_marker(getattr(quiet, name))
@@ -116,7 +125,31 @@ def test_noise_has_the_configured_size_in_each_axis():
 
 
 def test_it_sees_at_its_rate():
-    plant = make_plant(tracker=TrackerConfig(rate_hz=100.0))
+    plant = make_plant(tracker_rate_hz=100.0)
     stamps = [s.stamp_ns for s in (plant.step() for _ in range(1000)) if s.tracker is not None]
     assert len(stamps) == 200
     assert np.all(np.diff(stamps) == 10_000_000)
+
+
+# --- rotations --------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("joints", POSES)
+def test_the_sensors_rotation_is_the_models(joints):
+    matrix = sensor_matrix(GALEN, joints)
+    expected = GALEN.rotation(joints[3:])
+    assert np.allclose(np.reshape(matrix, (3, 3)), expected, atol=1e-14)
+    vector = RNG.normal(size=3)
+    assert np.allclose(rotate(matrix, vector), expected @ vector, atol=1e-14)
+    assert np.allclose(rotate_back(matrix, vector), expected.T @ vector, atol=1e-14)
+
+
+def test_quaternions():
+    for scale in (0.0, 1e-9, 1e-3, 1.0, 3.0):
+        a, b = RNG.normal(size=3) * scale, RNG.normal(size=3)
+        first, second = rotvec_to_matrix(a), rotvec_to_matrix(b)
+        product = multiply(from_rotvec(a), from_rotvec(b))
+        assert np.allclose(quaternion_to_matrix(product), first @ second, atol=1e-12)
+        vector = RNG.normal(size=3)
+        assert np.allclose(rotate_by(from_rotvec(b), vector), second @ vector, atol=1e-12)
+        assert math.hypot(*product) == pytest.approx(1.0, abs=1e-12)

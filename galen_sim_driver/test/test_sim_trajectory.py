@@ -2,10 +2,9 @@
 
 import numpy as np
 import pytest
-from galen_model.arm.galen import HOME, JOINT_NAMES, LIMITS
+from galen_model.arm.galen import HOME, JOINT_NAMES
 from galen_sim_driver.plant.config import PlantError
 from galen_sim_driver.plant.motion import (
-    JointState,
     Reference,
     Trajectory,
     TrajectoryPoint,
@@ -18,7 +17,7 @@ POINT = TrajectoryPoint(1.0, [0.1, -0.2])
 
 
 def check(names, *points, start_ns=0):
-    check_trajectory(Trajectory(names, points, start_ns), LIMITS, NOW_NS)
+    check_trajectory(Trajectory(names, points, start_ns), NOW_NS)
 
 
 def test_good_trajectories_pass():
@@ -61,7 +60,7 @@ def test_a_trajectory_of_the_past_is_rejected():
         check(["roll", "tilt"], POINT, start_ns=NOW_NS - 2_000_000_000)
 
 
-START = JointState(HOME + [0, 0, 0, 0.2, -0.1], [0, 0, 0, 0.3, -0.2], [0, 0, 0, 0.5, 1.0])
+START = TrajectoryPoint(0.0, HOME + [0, 0, 0, 0.2, -0.1], [0, 0, 0, 0.3, -0.2], [0, 0, 0, 0.5, 1.0])
 
 
 def sampled(names, points, start_ns=0):
@@ -115,7 +114,7 @@ def test_accelerations_make_it_quintic():
 
 def test_rest_to_rest_peaks_are_what_behaviours_rely_on():
     """1.875 d / T and 5.774 d / T^2: the quintic from rest to rest."""
-    rest = JointState(HOME, [0.0] * 5, [0.0] * 5)
+    rest = TrajectoryPoint(0.0, HOME, [0.0] * 5, [0.0] * 5)
     reference = Reference(
         Trajectory(["roll"], [TrajectoryPoint(2.0, [1.0], [0.0], [0.0])]), 0, rest, HOME
     )

@@ -33,7 +33,7 @@ from galen_sim_driver.effects.registry import contract_parameters
 from galen_sim_driver.effects.sensor import BiasStep
 from galen_sim_driver.effects.tracker import BaseShift
 from galen_sim_driver.plant.cell import Plant, Sample
-from galen_sim_driver.plant.config import HandPush, PlantConfig, TrackerConfig
+from galen_sim_driver.plant.config import HandPush, PlantConfig
 from galen_sim_driver.plant.motion import Trajectory, TrajectoryPoint
 
 from galen_diagnosis.errors import DiagnosisError
@@ -140,7 +140,7 @@ class _Session:
         config = PlantConfig(
             rate_hz=RATE_HZ,
             start_ns=_START_NS,
-            tracker=TrackerConfig(rate_hz=TRACKER_RATE_HZ),
+            tracker_rate_hz=TRACKER_RATE_HZ,
             effects=tuple(_in_plants_time(effect, starts) for effect in effects),
             hand=_pushes(self._rng),
         )

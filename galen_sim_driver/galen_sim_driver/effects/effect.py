@@ -1,21 +1,21 @@
-"""What every simulated effect is: a part of the arm, the sensor or the tracker that nominal lacks.
+"""Base of all simulated effects: parts of arm, sensor or tracker that the nominal model lacks.
 
 An effect is a frozen dataclass whose fields are its parameters, named as the contract's section 6
-names them, and whose hooks change what passes on the way from the reported joints to what sensor
-and tracker say. All hooks take arrays of n samples in the order of time. The live plant calls them
-with n = 1, `replay` with a whole bag; both so run the same code. A hook that isn't overridden
-changes nothing.
+names them, and whose hooks change what passes on the way from the reported joints to the
+readings of sensor and tracker. All hooks take arrays of n samples in the order of time. The live
+plant calls them with n = 1, `replay` with a whole bag; both so run the same code. A hook that isn't
+overridden changes nothing.
 
 The way, in this order (`replay.py`, `plant.py`):
 
 1. `wrench_delay_s`, `tracker_delay_s`: a stamp is later than the measurement by that much.
 2. `true_joints`: from the reported joints to the arm's own.
-3. `axis_turns`, `gravity`, `arm`: geometry, gravity in base_link, stiffness.
+3. `arm`, `misaligned`, `gravity`: stiffness, geometry, gravity in base_link.
 4. `tool_load`: mass and centre of the tool.
 5. `wrench`: what else acts on the sensor, about its origin in ft_sensor.
 6. `read`, in the order of `order`: from the true wrench to the reading; `unread` goes back.
 7. `deflect`: what is added to the elastic deflection of the tip, in base_link.
-8. `seen`, `base_marker`: what the tracker says.
+8. `seen`, `base_marker`: the tracker's reading.
 
 Effects that remember (play, friction) keep their state in the object that `fresh` returns.
 """
@@ -27,7 +27,7 @@ from dataclasses import dataclass, fields
 from typing import ClassVar, NamedTuple, Self
 
 import numpy as np
-from galen_model.arm.galen import WRENCH_AXES, ArmParameters
+from galen_model.arm.arm import Arm
 from galen_model.arm.sensor_motion import SensorMotion
 from galen_model.arrays import Array
 from galen_model.errors import GalenError
@@ -67,7 +67,7 @@ class Fitted(NamedTuple):
 
 @dataclass(frozen=True)
 class Instants:
-    """When n samples were taken: true times, later corrected for the stamps' delay.
+    """Hold true times of n samples, the stamps' delay removed.
 
     bag_s (n,): since the bag's first stamp; session_s (n,): since the recording's first stamp.
     """
@@ -82,11 +82,11 @@ class Instants:
 
 @dataclass(frozen=True)
 class Posture:
-    """Where the true arm is: n samples.
+    """Hold the true arm's state: n samples.
 
     joints (n, 5) m and rad; rotation (n, 3, 3) R_base_sensor; origin (n, 3) of the sensor in
-    base_link, m; gravity (n, 3) in ft_sensor, m/s^2. motion: of the sensor in ft_sensor, None where
-    nobody asked for it (`needs_motion`). tool, adapter: the true loads. tip_m (3,) in ft_sensor.
+    base_link, m; gravity (n, 3) in ft_sensor, m/s^2. motion: of the sensor in ft_sensor, None
+    without `needs_motion`. tool, adapter: the true loads. tip_m (3,) in ft_sensor.
     """
 
     joints: Array
@@ -101,7 +101,7 @@ class Posture:
 
 @dataclass(frozen=True)
 class Loading:
-    """What bends the arm: n samples.
+    """Hold what bends the arm: n samples.
 
     joints (n, 5) true; wrench (n, 6) at the tip in base_link, N and N.m; elastic (n, 6) the nominal
     springs' displacement of the tip in base_link, m and rad; arm: with its stiffness as it is.
@@ -111,7 +111,7 @@ class Loading:
     wrench: Array
     elastic: Array
     tip_m: Array
-    arm: ArmParameters
+    arm: Arm
 
 
 @dataclass(frozen=True)
@@ -125,8 +125,7 @@ class Effect:
     needs_motion: `wrench` needs the posture's motion. contract_names: names of fields in the
     contract, where they are others; "a.b" is the entry b of a mapping a, left out where 0.
     beyond_contract: fields that the contract doesn't name. recording_only: fields that mean nothing
-    to a driver. driver_names: the driver's parameters of fields, where they have names from before
-    (`galen_sim_driver.parameters`).
+    to a driver.
     of_a_joint: it has a field `joint`, and at another joint it is another cause.
     """
 
@@ -138,7 +137,6 @@ class Effect:
     contract_names: ClassVar[Mapping[str, str]] = {}
     beyond_contract: ClassVar[tuple[str, ...]] = ()
     recording_only: ClassVar[tuple[str, ...]] = ()
-    driver_names: ClassVar[Mapping[str, str]] = {}
     of_a_joint: ClassVar[bool] = False
 
     @property
@@ -157,13 +155,13 @@ class Effect:
         """Raise ConfigError, naming the field, where the numbers don't fit together."""
 
     def vector(self) -> Array:
-        """The fitted parameters as one array, in the order of `fitted`."""
+        """Return the fitted parameters as one array, in the order of `fitted`."""
         return np.concatenate(
             [np.atleast_1d(np.asarray(getattr(self, p.name), dtype=float)) for p in self.fitted]
         )
 
     def with_vector(self, vector: Array) -> Self:
-        """The same effect with other numbers."""
+        """Return the same effect with other numbers."""
         values, at = {}, 0
         for p in self.fitted:
             part = vector[at : at + p.size]
@@ -173,7 +171,7 @@ class Effect:
         return type(self)(**{**own, **values})
 
     def fresh(self) -> Effect:
-        """The effect at the start of a bag; those that remember return a new object."""
+        """Return the effect at the start of a bag; effects with memory return a new object."""
         return self
 
     # --- the way from joints to readings ------------------------------------------------------
@@ -188,49 +186,48 @@ class Effect:
         """How much later than the measurement a tracker's stamp is."""
         return 0.0
 
-    @property
-    def axis_turns(self) -> Array:
-        """Turns (2, 3) of roll and tilt axis about x, y, z of their parent links, rad."""
-        return np.zeros((len(ROTARY_JOINTS), 3))
-
     def true_joints(self, when: Instants, joints: Array) -> Array:
-        """True joints (n, 5) of reported ones."""
+        """Return true joints (n, 5) of reported ones."""
         return joints
 
-    def arm(self, arm: ArmParameters) -> ArmParameters:
-        """The arm's true numbers."""
+    def arm(self, arm: Arm) -> Arm:
+        """Return the arm with its true stiffness."""
+        return arm
+
+    def misaligned(self, arm: Arm) -> Arm:
+        """Return the arm with its true geometry, which poses follow and springs don't."""
         return arm
 
     def gravity(self, gravity_base: Array) -> Array:
-        """Gravity (3,) in base_link, m/s^2."""
+        """Return gravity (3,) in base_link, m/s^2."""
         return gravity_base
 
     def tool_load(self, mass_kg: float, com_m: Array, direction: Array) -> tuple[float, Array]:
-        """True mass and centre (n, 3) in ft_sensor; direction (n, 3): gravity's, in ft_sensor."""
+        """Return true mass and centre (n, 3) in ft_sensor; direction (n, 3) is gravity's there."""
         return mass_kg, com_m
 
     def wrench(self, when: Instants, posture: Posture) -> Array | None:
-        """What else acts on the sensor (n, 6), about its origin in ft_sensor; None for nothing."""
+        """Return what else acts on the sensor (n, 6), about its origin; None for nothing."""
         return None
 
     def read(self, when: Instants, wrench: Array) -> Array:
-        """The reading (n, 6) of a true wrench."""
+        """Return the reading (n, 6) of a true wrench."""
         return wrench
 
     def unread(self, when: Instants, reading: Array) -> Array:
-        """The true wrench (n, 6) of a reading."""
+        """Return the true wrench (n, 6) of a reading."""
         return reading
 
     def deflect(self, when: Instants, loading: Loading) -> Array | None:
-        """Displacement (n, 6) of the tip beside the elastic one, in base_link; None for none."""
+        """Return the tip's displacement (n, 6) beside the elastic one, in base_link, or None."""
         return None
 
     def seen(self, when: Instants, position: Array) -> Array:
-        """A marker's position (n, 3) in the tracker's frame as the tracker tells it."""
+        """Return the tracker's reading of a marker's position (n, 3) in its frame."""
         return position
 
     def base_marker(self, when: Instants) -> Array | None:
-        """Displacement (n, 6) of the base's marker in base_link: m, rad; None for none."""
+        """Return the base marker's displacement (n, 6) in base_link, m and rad, or None."""
         return None
 
 
@@ -239,18 +236,7 @@ def in_order(effects: Iterable[Effect]) -> tuple[Effect, ...]:
     return tuple(sorted(effects, key=lambda effect: effect.order))
 
 
-def total_turns(effects: Iterable[Effect]) -> Array:
-    """Sum the turns (2, 3) of roll and tilt axis."""
-    return np.sum([np.zeros((len(ROTARY_JOINTS), 3)), *(e.axis_turns for e in effects)], axis=0)
-
-
-def check_axis(effect: str, name: str, axis: str) -> None:
-    """Raise ConfigError unless `axis` is one of the sensor's."""
-    if axis not in WRENCH_AXES:
-        raise ConfigError(f"{effect}: {name} is {axis!r}, not one of {', '.join(WRENCH_AXES)}")
-
-
-def check_rotary(effect: str, joint: str) -> None:
-    """Raise ConfigError unless `joint` is one that turns."""
-    if joint not in ROTARY_JOINTS:
-        raise ConfigError(f"{effect}: joint is {joint!r}, not one of {', '.join(ROTARY_JOINTS)}")
+def check_choice(effect: str, name: str, value: str, choices: Iterable[str]) -> None:
+    """Raise ConfigError unless `value` is one of the choices."""
+    if value not in choices:
+        raise ConfigError(f"{effect}: {name} is {value!r}, not one of {', '.join(choices)}")

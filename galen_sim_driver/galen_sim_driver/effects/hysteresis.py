@@ -83,22 +83,28 @@ from functools import cache, partial
 from typing import ClassVar, Self
 
 import numpy as np
-from galen_model.arm.galen import HOME, ArmParameters
-from galen_model.arm.kinematics import tip_jacobian, tip_pose
-from galen_model.arm.stiffness import tip_compliance
+from galen_model.arm.arm import Arm
+from galen_model.arm.galen import GALEN, HOME
 from galen_model.arrays import Array
 from galen_model.load.nominal_tools import TOOLS
-from galen_model.wrench import move_twist
+from galen_model.registration import move_twist
 from galen_ros.parameters import param
 from numpy.typing import ArrayLike
 from scipy.optimize import brentq, minimize_scalar
 from scipy.special import lambertw
 
-from galen_sim_driver.effects.effect import ConfigError, Effect, Fitted, Instants, Loading
+from galen_sim_driver.effects.effect import (
+    ConfigError,
+    Effect,
+    Fitted,
+    Instants,
+    Loading,
+    check_choice,
+)
 
 
 def slide(ratio: float, phi: Array, change: Array) -> Array:
-    """Friction over F_c after the load over F_c has changed straight; arrays of one shape.
+    """Return friction over F_c after a straight change of the load over F_c.
 
     ratio: a. phi: the friction before.
     """
@@ -112,19 +118,19 @@ def slide(ratio: float, phi: Array, change: Array) -> Array:
 
 
 def residual_fraction(ratio: float, way: float) -> float:
-    """y_0 / Y of a first push to Y = `way`; `ratio` is a."""
+    """Return y_0 / Y of a first push to Y = `way`; `ratio` is a."""
     left = ratio - lambertw(ratio * (2.0 - np.exp(-way)) * np.exp(ratio - way)).real
     return float(left / way)
 
 
 def load_of(ratio: float, way: float) -> float:
-    """Load over F_c that takes a joint without friction to Y = `way`; `ratio` is a."""
+    """Return the load over F_c that takes a joint without friction to Y = `way`."""
     return float(way / ratio - np.expm1(-way))
 
 
 @cache
 def shape(largest_fraction: float) -> tuple[float, float]:
-    """The ratio a whose largest residual fraction this is, and the way Y after which it is left."""
+    """Return the ratio a with this largest residual fraction, and its way Y."""
 
     def peak(ratio: float) -> float:
         # Little friction has its peak at Y = 1.26, much friction at Y near a.
@@ -146,33 +152,32 @@ def shape(largest_fraction: float) -> tuple[float, float]:
     return float(ratio), peak(ratio)
 
 
-def joint_stiffness(arm: ArmParameters) -> Array:
-    """Stiffness (11,) of three carriages, roll, tilt and six rods, N/m and N.m/rad."""
-    return np.array(
-        [arm.carriage_stiffness_n_m] * 3
-        + [arm.roll_stiffness_nm_rad, arm.tilt_stiffness_nm_rad]
-        + [arm.rod_stiffness_n_m] * 6
-    )
+def joint_stiffness(arm: Arm) -> Array:
+    """Return the stiffness (11,) of three carriages, roll, tilt and six rods, N/m and N.m/rad."""
+    k = arm.stiffness
+    return np.array([k["carriage"]] * 3 + [k["roll"], k["tilt"]] + [k["rod"]] * 6)
 
 
-def joint_columns(joints: ArrayLike, tip_m: ArrayLike, arm: ArmParameters) -> Array:
-    """Twist of the tip (6, 11) in base_link over what carriages, roll, tilt and rods give.
+def joint_columns(joints: ArrayLike, tip_m: ArrayLike, arm: Arm) -> Array:
+    """Return the tip's twist (6, 11) in base_link over what each joint gives.
+
+    Columns: carriages, roll, tilt, rods.
 
     joints (5,): m, rad. tip_m (3,): in ft_sensor.
     """
     q = np.asarray(joints, dtype=float)
     delta = arm.delta
     columns = np.zeros((6, 11))
-    columns[:, :5] = tip_jacobian(q, tip_m, arm)
+    columns[:, :5] = arm.tip_jacobian(q, tip_m)
     columns[:3, :3] = np.linalg.inv(delta.jacobian(q[:3]))
     rods = np.linalg.inv(delta.rod_rows(q[:3]))
-    _, tip = tip_pose(q, tip_m, arm)
+    _, tip = arm.tip_pose(q, tip_m)
     columns[:, 5:] = move_twist(rods.T, q[:3], tip).T
     return columns
 
 
 def turning_points(values: Array, gate: float) -> np.ndarray:
-    """Indices, increasing, at which values (n,) turn by more than `gate`; the first is always 0.
+    """Return increasing indices at which values (n,) turn by more than `gate`; the first is 0.
 
     A turn is where the values were farthest, before they came back by more than the gate.
     """
@@ -206,7 +211,7 @@ def along_turns(
     before: Array,
     start: Array,
 ) -> Array:
-    """States (n, k) of k frictions under loads (n, k), before which they had `before` and `start`.
+    """Return states (n, k) of k frictions under loads (n, k), from `before` and `start` on.
 
     before, start (k,): load and state of the last sample. gates (k,). slide(states, changes) gives
     the states after the loads have changed straight by `changes`, for arrays (..., k).
@@ -295,7 +300,7 @@ class DeflectionHysteresis(Effect):
     side: float = param(
         1.0, "1: it is left on the load's side, as by friction; -1: on the other", -1.0, 1.0
     )
-    form: str = param("tip", "law: tip (the whole displacement) or joints (friction in each)")
+    form: str = param("tip", "model: tip (the whole displacement) or joints (friction in each)")
     knee: float = param(
         0.2, "form tip: load over which the state turns, over the largest load", 0.02, 2.0
     )
@@ -310,9 +315,8 @@ class DeflectionHysteresis(Effect):
     _memory: ClassVar[_Memory | None] = None
 
     def validate(self) -> None:
-        """The form is one of the two, the side 1 or -1, and the law can leave that fraction."""
-        if self.form not in FORMS:
-            raise ConfigError(f"{self.name}: form is {self.form!r}, not one of {', '.join(FORMS)}")
+        """Check form and side, and that the model can leave that fraction."""
+        check_choice(self.name, "form", self.form, FORMS)
         if self.side not in (1.0, -1.0):
             raise ConfigError(f"{self.name}: side is {self.side}, but must be 1 or -1")
         most = -np.expm1(-1.0 / self.knee)
@@ -328,11 +332,11 @@ class DeflectionHysteresis(Effect):
         return self.residual_fraction == 0.0 and self.softness == 0.0
 
     def vector(self) -> Array:
-        """The signed fraction, the knee and the softness, (3,)."""
+        """Return the signed fraction, the knee and the softness, (3,)."""
         return np.array([self.side * self.residual_fraction, self.knee, self.softness])
 
     def with_vector(self, vector: Array) -> Self:
-        """The same law with another signed fraction, knee and softness."""
+        """Return the same with another signed fraction, knee and softness."""
         signed = float(vector[0])
         return replace(
             self,
@@ -343,14 +347,14 @@ class DeflectionHysteresis(Effect):
         )
 
     def fresh(self) -> Self:
-        """The same, never loaded."""
+        """Return the same, never loaded."""
         new = replace(self)
         # A dataclass's own way into its frozen fields; the memory is none of its numbers.
         object.__setattr__(new, "_memory", _Memory())
         return new
 
     def deflect(self, when: Instants, loading: Loading) -> Array | None:
-        """What the tip has more, or less, than the elastic displacement."""
+        """Return the tip's displacement beside the elastic one."""
         if self.changes_nothing or not len(when):
             return None
         memory = self._memory or _Memory()
@@ -367,7 +371,6 @@ class DeflectionHysteresis(Effect):
         return out
 
     def _places(self, memory: _Memory, joints: Array) -> Iterator[slice]:
-        """Runs of samples at one place; memory is cleared where the arm has left the one before."""
         if not self.restarts:
             yield slice(0, len(joints))
             return
@@ -385,7 +388,6 @@ class DeflectionHysteresis(Effect):
             first = last
 
     def _at_tip(self, memory: _Memory, loading: Loading) -> Array:
-        """What lags (n, 6), less what is softer."""
         states, peak = memory.states(loading.elastic, _typical_tip, partial(_bouc_wen, self.knee))
         turned = -np.expm1(-1.0 / self.knee)
         fraction, soft = self.residual_fraction, 1.0 + self.softness
@@ -394,7 +396,6 @@ class DeflectionHysteresis(Effect):
         return np.asarray(size * peak * states - softer)
 
     def _in_joints(self, memory: _Memory, loading: Loading) -> Array:
-        """What friction takes of the displacement (n, 6)."""
         arm = loading.arm
         columns = _columns(loading)
         loads = np.einsum("nij,ni->nj", columns, loading.wrench)
@@ -435,10 +436,9 @@ def _bouc_wen(knee: float, peak: Array) -> Callable[[Array, Array], Array]:
 
 @cache
 def _typical_tip() -> Array:
-    compliance = tip_compliance(HOME, TOOLS["retractor"].tip_m)
+    compliance = GALEN.tip_compliance(HOME, TOOLS["retractor"].tip_m)
     return _TYPICAL_FORCE_N * np.abs(compliance[:, :3]).max(axis=1)
 
 
 def _typical_joints() -> Array:
-    """Loads (11,) of carriages (N), roll and tilt (N.m) and rods (N) by that force."""
     return np.array([15.0] * 3 + [1.5, 1.5] + [60.0] * 6)

@@ -1,40 +1,33 @@
 """Effects of joints and of the base (contract, section 6).
 
-A joint's zero is wrong: true angle = reported + offset.
+Zero offset: true angle = reported + offset; gain: true = (1 + gain) reported; with both
+(1 + gain) reported + offset.
 
-A joint turns by more than it reports: true = (1 + gain) reported.
-
-With an offset of the zero as well: (1 + gain) reported + offset.
-
-A joint's axis is turned in its parent link.
-
-With the turn A of an axis in its parent link, the joint's rotation R(q) becomes A R(q) A^T: at
-q = 0 the link is where it should be. For the tilt axis turned about the roll link's z,
+Misaligned axis: with the turn A of an axis in its parent link, the joint's rotation R(q) becomes
+A R(q) A^T: at q = 0 the link is where it should be. For the tilt axis turned about its parent's z,
 
     R_base_sensor = Rx(roll) Rz(a) Ry(tilt) Rz(a)^T Ry(pi/2).
 
-The base doesn't stand level: gravity in base_link is (Rx(a) Ry(b))^T g.
+Inclined base: gravity in base_link is (Rx(a) Ry(b))^T g.
 
-A stiffness is not the nominal one.
-
-The tip deflects by C w with C = sum over springs of J^T J / k, which is linear in 1/k. A fit
-therefore works on how much softer than nominal a spring is,
+Compliance: the tip deflects by C w with C = sum over springs of J^T J / k, which is linear in 1/k.
+A fit therefore works on how much softer than nominal a spring is,
 
     c = k_nominal / k - 1,
 
 in which the deflection is linear, carriages and rods included: with the square matrix A of the
-six rods' rows K_p^-1 = A^-1 (I / k_rod + G G^T / k_q) A^-T (`galen_model.arm.stiffness`).
+six rods' rows K_p^-1 = A^-1 (I / k_rod + G G^T / k_q) A^-T (`galen_model.arm.delta`).
 
-Play in a joint: after each reversal its true value lags by half the gap (contract, section 6).
+Play in a joint: after each reversal its true value lags by half the gap.
 
 In motion: with x the reported joint and h = gap / 2 the true one is the play operator's
 
     w_k = min(max(w_(k-1), x_k - h), x_k + h),    w_0 = x_0 + `start` h
 
 (e.g. Brokate and Sprekels, Hysteresis and Phase Transitions, 1996, section 2.2): x - h while it
-goes up, x + h while it goes down, and between the two it stays. Where it is in its gap before the
-first motion of a bag nobody knows who hasn't seen what was before: `start`, 0 for the middle, is -1
-after going up and 1 after going down.
+goes up, x + h while it goes down, and between the two it stays. Its place in the gap before the
+first motion of a bag is unknown: `start`, 0 for the middle, is -1 after going up and 1 after going
+down.
 
 In a push: a moment M about the axis takes the joint to the side of the gap that it points to, and
 there it stays until a moment points the other way. It takes M_s (`seat` times 0.05 N.m, or 0.5 N of
@@ -55,37 +48,42 @@ from dataclasses import dataclass, replace
 from typing import ClassVar, Self
 
 import numpy as np
-from galen_model.arm.galen import GALEN, JOINT_NAMES, ArmParameters
+from galen_model.arm.arm import Arm
+from galen_model.arm.galen import GALEN, JOINT_NAMES
 from galen_model.arrays import Array
 from galen_model.rotation import rot_x, rot_y, rot_z
 from galen_ros.parameters import param
 
 from galen_sim_driver.effects.effect import (
     ROTARY_JOINTS,
-    ConfigError,
     Effect,
     Fitted,
     Instants,
     Loading,
-    check_rotary,
+    check_choice,
 )
 
 
 @dataclass(frozen=True)
-class JointZeroOffset(Effect):
+class _RotaryEffect(Effect):
+    of_a_joint: ClassVar[bool] = True
+
+    joint: str = param("tilt", "the joint: roll tilt")
+
+    def validate(self) -> None:
+        """Check that the joint turns."""
+        check_choice(self.name, "joint", self.joint, ROTARY_JOINTS)
+
+
+@dataclass(frozen=True)
+class JointZeroOffset(_RotaryEffect):
     """true angle of `joint` = reported + `offset_rad`."""
 
     name: ClassVar[str] = "joint_zero_offset"
     fitted: ClassVar[tuple[Fitted, ...]] = (Fitted("offset_rad", "rad", 0.01, -0.5, 0.5),)
     order: ClassVar[int] = 1
-    of_a_joint: ClassVar[bool] = True
 
-    joint: str = param("tilt", "the joint whose zero is off: roll tilt")
     offset_rad: float = param(0.0, "true angle minus the reported one, rad", -0.5, 0.5)
-
-    def validate(self) -> None:
-        """Raise ConfigError unless the joint turns."""
-        check_rotary(self.name, self.joint)
 
     def true_joints(self, when: Instants, joints: Array) -> Array:
         """Add the offset."""
@@ -95,19 +93,13 @@ class JointZeroOffset(Effect):
 
 
 @dataclass(frozen=True)
-class JointGain(Effect):
+class JointGain(_RotaryEffect):
     """true angle of `joint` = (1 + `gain`) reported."""
 
     name: ClassVar[str] = "joint_gain"
     fitted: ClassVar[tuple[Fitted, ...]] = (Fitted("gain", "", 0.02, -0.5, 0.5),)
-    of_a_joint: ClassVar[bool] = True
 
-    joint: str = param("tilt", "the joint with the gain: roll tilt")
     gain: float = param(0.0, "true angle over the reported one, minus 1", -0.5, 0.5)
-
-    def validate(self) -> None:
-        """Raise ConfigError unless the joint turns."""
-        check_rotary(self.name, self.joint)
 
     def true_joints(self, when: Instants, joints: Array) -> Array:
         """Multiply by 1 + gain."""
@@ -116,53 +108,31 @@ class JointGain(Effect):
         return true
 
 
-_ABOUT = ("x", "y", "z")
+_ABOUT = {"x": rot_x, "y": rot_y, "z": rot_z}
 
 
 @dataclass(frozen=True)
-class JointAxisMisalignment(Effect):
+class JointAxisMisalignment(_RotaryEffect):
     """The axis of `joint` is turned by `angle_rad` about an axis of its parent link."""
 
     name: ClassVar[str] = "joint_axis_misalignment"
     fitted: ClassVar[tuple[Fitted, ...]] = (Fitted("angle_rad", "rad", 0.02, -0.5, 0.5),)
-    of_a_joint: ClassVar[bool] = True
 
-    joint: str = param("tilt", "the joint whose axis is turned: roll tilt")
     about: str = param("z", "axis of the parent link that it is turned about: x y z")
     angle_rad: float = param(0.0, "by how much it is turned, rad", -0.5, 0.5)
 
     def validate(self) -> None:
         """Raise ConfigError unless the joint turns and `about` is an axis."""
-        check_rotary(self.name, self.joint)
-        if self.about not in _ABOUT:
-            raise ConfigError(f"{self.name}: about is {self.about!r}, not one of x, y, z")
+        super().validate()
+        check_choice(self.name, "about", self.about, _ABOUT)
 
-    @property
-    def axis_turns(self) -> Array:
-        """The turn of its own joint's axis; the other's is zero."""
-        turns = np.zeros((len(ROTARY_JOINTS), 3))
-        turns[ROTARY_JOINTS.index(self.joint), _ABOUT.index(self.about)] = self.angle_rad
-        return turns
-
-
-def sensor_pose(joints: Array, axis_turns: Array, arm: ArmParameters) -> tuple[Array, Array]:
-    """Compute the sensor's pose with turned joint axes.
-
-    Args:
-        joints: (n, 5) true ones, m and rad.
-        axis_turns: (2, 3) by how much roll and tilt axis are turned about x, then y, then z of
-            their parent links, rad.
-        arm: dimensions.
-
-    Returns:
-        R_base_sensor (n, 3, 3) and the sensor's origin (n, 3) in base_link, m.
-
-    """
-    roll_axis, tilt_axis = (rot_x(x) @ rot_y(y) @ rot_z(z) for x, y, z in axis_turns)
-    roll = roll_axis @ rot_x(joints[:, 3]) @ roll_axis.T
-    turned = roll @ tilt_axis @ rot_y(joints[:, 4]) @ tilt_axis.T
-    origin = joints[:, :3] + arm.platform_to_roll_m + roll @ arm.roll_to_tilt_m
-    return turned @ rot_y(np.pi / 2), origin + turned @ arm.tilt_to_sensor_m
+    def misaligned(self, arm: Arm) -> Arm:
+        """Turn the joint's axis: A M(a, q) A^T = M(A a, q)."""
+        joints = list(arm.joints)
+        index = arm.joint_names.index(self.joint)
+        axis = _ABOUT[self.about](self.angle_rad) @ joints[index].axis
+        joints[index] = replace(joints[index], axis=axis)
+        return replace(arm, joints=tuple(joints))
 
 
 @dataclass(frozen=True)
@@ -179,7 +149,7 @@ class BaseInclination(Effect):
     about_y_rad: float = param(0.0, "the same about its y, after x, rad", -0.5, 0.5)
 
     def gravity(self, gravity_base: Array) -> Array:
-        """Gravity is turned the other way."""
+        """Turn gravity the other way."""
         turn = rot_x(self.about_x_rad) @ rot_y(self.about_y_rad)
         return np.asarray(turn.T @ gravity_base)
 
@@ -208,7 +178,7 @@ class JointCompliance(Effect):
     rod: float = param(0.0, "stiffness of a rod, 0 for the nominal one, N/m", 0.0)
 
     def vector(self) -> Array:
-        """How much softer than nominal: k_nominal / k - 1, (4,)."""
+        """Return k_nominal / k - 1 of each spring, (4,)."""
         softer = []
         for spring in _SPRINGS:
             stiffness = getattr(self, spring)
@@ -216,7 +186,7 @@ class JointCompliance(Effect):
         return np.array(softer)
 
     def with_vector(self, vector: Array) -> Self:
-        """The same with other softnesses (4,); one of exactly 0 leaves its spring nominal."""
+        """Return the same with other softnesses (4,); exactly 0 leaves a spring nominal."""
         return replace(
             self,
             **{
@@ -225,8 +195,8 @@ class JointCompliance(Effect):
             },
         )
 
-    def arm(self, arm: ArmParameters) -> ArmParameters:
-        """The arm with these stiffnesses."""
+    def arm(self, arm: Arm) -> Arm:
+        """Return the arm with these stiffnesses."""
         given = {spring: getattr(self, spring) for spring in _SPRINGS}
         return arm.with_stiffness({spring: k for spring, k in given.items() if k > 0.0})
 
@@ -276,13 +246,11 @@ class Backlash(Effect):
         return self.gap_rad == 0.0
 
     def validate(self) -> None:
-        """The joint is one of the arm's."""
-        if self.joint not in JOINT_NAMES:
-            known = ", ".join(JOINT_NAMES)
-            raise ConfigError(f"{self.name}: joint is {self.joint!r}, not one of {known}")
+        """Check that the joint is one of the arm's."""
+        check_choice(self.name, "joint", self.joint, JOINT_NAMES)
 
     def fresh(self) -> Self:
-        """The same, where it starts in its gap."""
+        """Return the same, where it starts in its gap."""
         new = replace(self)
         # A dataclass's own way into its frozen fields; the memory is none of its numbers.
         object.__setattr__(new, "_memory", _Memory(self.start))
@@ -293,7 +261,7 @@ class Backlash(Effect):
         return JOINT_NAMES.index(self.joint)
 
     def true_joints(self, when: Instants, joints: Array) -> Array:
-        """The play operator on the one joint."""
+        """Apply the play operator to the one joint."""
         if not len(joints) or self.gap_rad == 0.0:
             return joints
         memory = self._memory or _Memory(self.start)
@@ -309,7 +277,7 @@ class Backlash(Effect):
         return true
 
     def deflect(self, when: Instants, loading: Loading) -> Array | None:
-        """How far the tip moves where the load takes the joint through its gap."""
+        """Return the tip's displacement where the load takes the joint through its gap."""
         if not len(when) or self.gap_rad == 0.0:
             return None
         memory = self._memory or _Memory(self.start)
@@ -343,7 +311,7 @@ class Backlash(Effect):
             return column
         tilt, arm = loading.joints[:, _TILT], loading.arm
         z, y, x = -loading.tip_m[0], loading.tip_m[1], loading.tip_m[2]
-        x, y, z = np.array([x, y, z]) + arm.tilt_to_sensor_m
+        x, y, z = np.array([x, y, z]) + arm.sensor_origin_m
         lever = np.stack(
             [
                 np.cos(tilt) * x + np.sin(tilt) * z,
@@ -354,7 +322,7 @@ class Backlash(Effect):
         )
         axis = np.array([0.0, 1.0, 0.0])
         if index == _ROLL:
-            lever, axis = lever + arm.roll_to_tilt_m, np.array([1.0, 0.0, 0.0])
+            lever, axis = lever + arm.joints[_TILT].origin_m, np.array([1.0, 0.0, 0.0])
         roll = rot_x(loading.joints[:, _ROLL])
         column[:, :3] = np.einsum("nij,nj->ni", roll, np.cross(axis, lever))
         column[:, 3:] = roll @ axis

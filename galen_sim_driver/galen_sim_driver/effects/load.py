@@ -50,8 +50,7 @@ from functools import lru_cache
 from typing import ClassVar, Self
 
 import numpy as np
-from galen_model.arm.galen import HOME
-from galen_model.arm.kinematics import sensor_pose
+from galen_model.arm.galen import GALEN, HOME
 from galen_model.arrays import Array
 from galen_model.load.inertia import LoadInMotion, inertial_wrench, point_mass_inertia
 from galen_model.load.model import Load
@@ -74,7 +73,7 @@ class ToolMassError(Effect):
     )
 
     def tool_load(self, mass_kg: float, com_m: Array, direction: Array) -> tuple[float, Array]:
-        """The centre stays."""
+        """Change the mass only."""
         return mass_kg + self.delta_kg, com_m
 
 
@@ -93,7 +92,7 @@ class ToolComError(Effect):
     )
 
     def tool_load(self, mass_kg: float, com_m: Array, direction: Array) -> tuple[float, Array]:
-        """The mass stays."""
+        """Change the centre only."""
         return mass_kg, com_m + np.asarray(self.delta_m)
 
 
@@ -111,7 +110,7 @@ class LooseTool(Effect):
     )
 
     def tool_load(self, mass_kg: float, com_m: Array, direction: Array) -> tuple[float, Array]:
-        """The centre hangs lower."""
+        """Lower the centre."""
         return mass_kg, com_m + self.shift_m * direction * np.array([1.0, 1.0, 0.0])
 
 
@@ -149,7 +148,7 @@ class InertialLoad(Effect):
             )
 
     def wrench(self, when: Instants, posture: Posture) -> Array | None:
-        """What the motion adds to the weight."""
+        """Return the inertial wrench."""
         motion = posture.motion
         loads = (posture.tool, posture.adapter)
         if motion is None or sum(load.mass_kg for load in loads) <= 0.0:
@@ -229,7 +228,7 @@ class CableDrag(Effect):
         return self.tension_n == 0.0 and self.bending_nm == 0.0
 
     def centred(self, rotation: Array, origin: Array) -> Self:
-        """The same with `reference_m` at the attachment's mean position.
+        """Return the same with `reference_m` at the attachment's mean position.
 
         rotation (n, 3, 3) R_base_sensor, origin (n, 3) of the sensor in base_link, m.
         """
@@ -237,7 +236,7 @@ class CableDrag(Effect):
         return replace(self, reference_m=tuple(float(value) for value in at))
 
     def tension(self, rotation: Array, origin: Array) -> Array:
-        """T (n,), N, at poses as `centred` takes them."""
+        """Return T (n,), N, at poses as `centred` takes them."""
         return self._tension(cable_line(rotation, origin, self.anchor_m, self.attachment_m)[0])
 
     def _tension(self, distance_m: Array) -> Array:
@@ -246,7 +245,7 @@ class CableDrag(Effect):
         return self.tension_n * relative_tension(farther)
 
     def wrench(self, when: Instants, posture: Posture) -> Array | None:
-        """The cable's pull."""
+        """Return the cable's pull."""
         distance_m, direction = cable_line(
             posture.rotation, posture.origin, self.anchor_m, self.attachment_m
         )
@@ -262,15 +261,14 @@ class CableDrag(Effect):
 
 @lru_cache(maxsize=256)
 def _direction_at_home(anchor_m: tuple[float, ...], attachment_m: tuple[float, ...]) -> Array:
-    """The line's direction (3,) in ft_sensor at home, where the cord lies straight."""
-    rotation, origin = sensor_pose(HOME)
+    rotation, origin = GALEN.sensor_pose(HOME)
     return cable_line(rotation, origin, anchor_m, attachment_m)[1]
 
 
 def cable_line(
     rotation: ArrayLike, origin: ArrayLike, anchor_m: ArrayLike, attachment_m: ArrayLike
 ) -> tuple[Array, Array]:
-    """Distance (...,), m, from attachment to anchor, and the direction there (..., 3) in ft_sensor.
+    """Return distance (...,), m, and direction (..., 3) from attachment to anchor.
 
     rotation (..., 3, 3) R_base_sensor; origin (..., 3) of the sensor and anchor (3,) in base_link;
     attachment (3,) in ft_sensor, m.
@@ -283,7 +281,7 @@ def cable_line(
 
 
 def relative_tension(farther: ArrayLike) -> Array:
-    """g(x): the tension over T_0, for x = kappa (d - d_0)."""
+    """Return g(x), the tension over T_0, for x = kappa (d - d_0)."""
     return _CORNER * np.logaddexp(0.0, (_TAUT + np.asarray(farther, dtype=float)) / _CORNER)
 
 
@@ -295,7 +293,7 @@ def cable_wrench(
     home_direction: Array,
     attachment_m: ArrayLike,
 ) -> Array:
-    """Force and torque (..., 6) about the sensor's origin in ft_sensor, N and N.m.
+    """Return force and torque (..., 6) about the sensor's origin in ft_sensor, N and N.m.
 
     tension, distance (...,); direction (..., 3) and home_direction (3,) in ft_sensor.
     """

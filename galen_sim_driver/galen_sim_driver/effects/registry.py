@@ -1,69 +1,51 @@
-"""All effects by name, and their numbers as the contract's files have them.
-
-An effect is known by being in a module of this folder: nothing lists them. In `EFFECTS`
-those of the contract come first, in its order.
-"""
+"""All effects by name, and their numbers as the contract's files have them."""
 
 from __future__ import annotations
 
-import importlib
-import pkgutil
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import fields
 from typing import Any
 
 from galen_ros.parameters import ParameterError, checked, param_fields
 
-from galen_sim_driver import effects
 from galen_sim_driver.effects.effect import ROTARY_JOINTS, ConfigError, Effect
-
-CONTRACT_ORDER = (
-    "joint_zero_offset",
-    "joint_gain",
-    "joint_axis_misalignment",
-    "base_inclination",
-    "sensor_mount_rotation",
-    "axis_gain",
-    "crosstalk",
-    "sensor_drift",
-    "bias_step",
-    "wrench_delay",
-    "sensor_saturation",
-    "tool_mass_error",
-    "tool_com_error",
-    "loose_tool",
-    "cable_drag",
-    "inertial_load",
-    "joint_compliance",
-    "deflection_hysteresis",
-    "backlash",
-    "tracker_delay",
-    "tracker_scale",
-    "base_shift",
+from galen_sim_driver.effects.hysteresis import DeflectionHysteresis
+from galen_sim_driver.effects.joints import (
+    Backlash,
+    BaseInclination,
+    JointAxisMisalignment,
+    JointCompliance,
+    JointGain,
+    JointZeroOffset,
 )
-"""The names of the contract's section 6."""
-
-
-def _in_folder() -> Iterator[type[Effect]]:
-    for found in pkgutil.iter_modules(effects.__path__, prefix=f"{effects.__name__}."):
-        if found.name == __name__:
-            continue
-        module = importlib.import_module(found.name)
-        for value in vars(module).values():
-            is_effect = isinstance(value, type) and issubclass(value, Effect)
-            if is_effect and value is not Effect and value.__module__ == module.__name__:
-                yield value
-
-
-def _place(name: str) -> tuple[int, str]:
-    known = name in CONTRACT_ORDER
-    return (CONTRACT_ORDER.index(name) if known else len(CONTRACT_ORDER), name)
-
+from galen_sim_driver.effects.load import (
+    CableDrag,
+    InertialLoad,
+    LooseTool,
+    ToolComError,
+    ToolMassError,
+)
+from galen_sim_driver.effects.sensor import (
+    AxisGain,
+    BiasStep,
+    Crosstalk,
+    SensorDrift,
+    SensorMountRotation,
+    SensorSaturation,
+    WrenchDelay,
+)
+from galen_sim_driver.effects.tracker import BaseShift, TrackerDelay, TrackerScale
 
 EFFECTS: dict[str, type[Effect]] = {
-    effect.name: effect for effect in sorted(_in_folder(), key=lambda effect: _place(effect.name))
+    effect.name: effect
+    for effect in (
+        *(JointZeroOffset, JointGain, JointAxisMisalignment, BaseInclination),
+        *(SensorMountRotation, AxisGain, Crosstalk, SensorDrift, BiasStep, WrenchDelay),
+        *(SensorSaturation, ToolMassError, ToolComError, LooseTool, CableDrag, InertialLoad),
+        *(JointCompliance, DeflectionHysteresis, Backlash, TrackerDelay, TrackerScale, BaseShift),
+    )
 }
-
+"""Those of the contract's section 6, in its order."""
 
 IDENTITIES: dict[str, Effect] = {
     effect.identity: effect
@@ -99,18 +81,18 @@ def contract_form(name: str, parameters: Mapping[str, Any]) -> tuple[str, dict[s
 
 
 def identity_of(name: str, parameters: Mapping[str, Any]) -> str:
-    """What a diagnosis distinguishes (`Effect.identity`), of an effect by name and parameters."""
+    """Return `Effect.identity` of an effect by name and parameters."""
     kind = EFFECTS.get(name)
     return f"{name}:{parameters.get('joint')}" if kind and kind.of_a_joint else name
 
 
 def contract_parameters(effect: Effect) -> dict[str, Any]:
-    """The effect's numbers under the contract's names, as JSON has them."""
+    """Return the effect's numbers under the contract's names, as JSON has them."""
     return _named(effect, [f.name for f in fields(effect) if f.name not in effect.beyond_contract])
 
 
 def extra_parameters(effect: Effect) -> dict[str, Any]:
-    """The numbers that the contract doesn't name, as JSON has them."""
+    """Return the numbers that the contract doesn't name, as JSON has them."""
     return _named(effect, effect.beyond_contract)
 
 
@@ -127,11 +109,11 @@ def _named(effect: Effect, of: Iterable[str]) -> dict[str, Any]:
 
 
 def effect_from(name: str, parameters: Mapping[str, Any]) -> Effect:
-    """The effect of this name with these numbers, under the contract's names or the fields' own.
+    """Return the effect of this name with these numbers, named as the contract or the fields are.
 
-    What isn't given has its default. Names from before effects had joints are read, too. Raises
-    ConfigError naming effect and parameter on an unknown name, a wrong type, size or range, and
-    what isn't finite.
+    Numbers not given have their defaults. Names from before effects had joints are read, too.
+    Raises ConfigError naming effect and parameter on an unknown name, a wrong type, size or range,
+    and numbers that aren't finite.
     """
     name, parameters = contract_form(name, parameters)
     if name not in EFFECTS:

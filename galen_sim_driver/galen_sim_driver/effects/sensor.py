@@ -45,7 +45,7 @@ from galen_sim_driver.effects.effect import (
     Effect,
     Fitted,
     Instants,
-    check_axis,
+    check_choice,
 )
 
 
@@ -65,11 +65,11 @@ class SensorMountRotation(Effect):
     )
 
     def read(self, when: Instants, wrench: Array) -> Array:
-        """Along the element's axes: rows times E are E^T v."""
+        """Turn into the element's axes: rows times E are E^T v."""
         return _turned(wrench, _matrix(tuple(self.rotvec_rad)))
 
     def unread(self, when: Instants, reading: Array) -> Array:
-        """Back to ft_sensor's axes."""
+        """Turn back into ft_sensor's axes."""
         return _turned(reading, _matrix(tuple(self.rotvec_rad)).T)
 
 
@@ -95,11 +95,11 @@ class AxisGain(Effect):
     )
 
     def read(self, when: Instants, wrench: Array) -> Array:
-        """Each axis times its gain."""
+        """Multiply each axis by its gain."""
         return wrench * (1.0 + np.asarray(self.gain))
 
     def unread(self, when: Instants, reading: Array) -> Array:
-        """Each axis over its gain."""
+        """Divide each axis by its gain."""
         return reading / (1.0 + np.asarray(self.gain))
 
 
@@ -117,18 +117,18 @@ class Crosstalk(Effect):
     coefficient: float = param(0.0, "how much it sees of it, in N and Nm", -100.0, 100.0)
 
     def validate(self) -> None:
-        """Both are axes, and not the same one."""
-        check_axis(self.name, "from", self.from_axis)
-        check_axis(self.name, "to", self.to_axis)
+        """Check that both are axes, and not the same one."""
+        check_choice(self.name, "from", self.from_axis, WRENCH_AXES)
+        check_choice(self.name, "to", self.to_axis, WRENCH_AXES)
         if self.from_axis == self.to_axis:
             raise ConfigError(f"{self.name}: from and to are both {self.to_axis}")
 
     def read(self, when: Instants, wrench: Array) -> Array:
-        """What the one axis has goes to the other as well."""
+        """Add the one axis to the other."""
         return self._add(wrench, self.coefficient)
 
     def unread(self, when: Instants, reading: Array) -> Array:
-        """Exactly back: `from_axis` reads what it did."""
+        """Subtract it exactly: `from_axis` is unchanged."""
         return self._add(reading, -self.coefficient)
 
     def _add(self, wrench: Array, coefficient: float) -> Array:
@@ -139,7 +139,22 @@ class Crosstalk(Effect):
 
 
 @dataclass(frozen=True)
-class BiasStep(Effect):
+class _Additive(Effect):
+    def read(self, when: Instants, wrench: Array) -> Array:
+        """Add `_at`."""
+        return wrench + self._at(when)
+
+    def unread(self, when: Instants, reading: Array) -> Array:
+        """Subtract it."""
+        return reading - self._at(when)
+
+    def _at(self, when: Instants) -> Array:
+        """Return what is added to the reading (n, 6)."""
+        raise NotImplementedError
+
+
+@dataclass(frozen=True)
+class BiasStep(_Additive):
     """`step` from `time_s` on, since the first stamp of `bag`."""
 
     name: ClassVar[str] = "bias_step"
@@ -154,19 +169,9 @@ class BiasStep(Effect):
     bag: str = param("", "the bag from whose first stamp the time counts, empty for the first")
 
     def validate(self) -> None:
-        """The bag is one of a recording."""
-        if self.bag and self.bag not in BAG_ORDER:
-            raise ConfigError(
-                f"{self.name}: bag is {self.bag!r}, not one of {', '.join(BAG_ORDER)}"
-            )
-
-    def read(self, when: Instants, wrench: Array) -> Array:
-        """The reading with the jump."""
-        return wrench + self._at(when)
-
-    def unread(self, when: Instants, reading: Array) -> Array:
-        """The reading without it."""
-        return reading - self._at(when)
+        """Check that the bag is one of a recording."""
+        if self.bag:
+            check_choice(self.name, "bag", self.bag, BAG_ORDER)
 
     def _at(self, when: Instants) -> Array:
         if not self.bag:
@@ -192,13 +197,13 @@ class WrenchDelay(Effect):
 
     @property
     def wrench_delay_s(self) -> float:
-        """The delay itself; whoever looks up the joints at a wrench's stamp takes it away."""
+        """The delay itself: true time is the stamp minus it."""
         return self.delay_s
 
 
 @dataclass(frozen=True)
 class SensorSaturation(Effect):
-    """`axis` reads nothing beyond +- `limit`; 0 for none. What was clipped can't be told back."""
+    """`axis` reads nothing beyond +- `limit`; 0 for none. Clipping can't be undone."""
 
     name: ClassVar[str] = "sensor_saturation"
     fitted: ClassVar[tuple[Fitted, ...]] = (Fitted("limit", "", 5.0, 1e-4, 1e3),)
@@ -211,11 +216,11 @@ class SensorSaturation(Effect):
     axis: str = param("fz", "the axis that clips: fx fy fz tx ty tz")
 
     def validate(self) -> None:
-        """The axis is one."""
-        check_axis(self.name, "axis", self.axis)
+        """Check that the axis exists."""
+        check_choice(self.name, "axis", self.axis, WRENCH_AXES)
 
     def read(self, when: Instants, wrench: Array) -> Array:
-        """The axis within its limit."""
+        """Clip the axis."""
         if self.limit <= 0.0:
             return wrench
         clipped = wrench.copy()
@@ -228,7 +233,7 @@ _HOUR_S = 3600.0
 
 
 @dataclass(frozen=True)
-class SensorDrift(Effect):
+class SensorDrift(_Additive):
     """A drift of `rate_per_hour`, or through `levels` (k, 6), row by row, at `knots_s` (k,)."""
 
     name: ClassVar[str] = "sensor_drift"
@@ -237,7 +242,6 @@ class SensorDrift(Effect):
     )
     order: ClassVar[int] = 3
     beyond_contract: ClassVar[tuple[str, ...]] = ("knots_s", "levels")
-    driver_names: ClassVar[Mapping[str, str]] = {"rate_per_hour": "sensor_drift_per_hour"}
 
     rate_per_hour: tuple[float, ...] = param(
         (0.0,) * 6,
@@ -253,7 +257,7 @@ class SensorDrift(Effect):
 
     @classmethod
     def through(cls, knots_s: Array, levels: Array) -> Self:
-        """Through levels (k, 6) at times knots_s (k,) of the recording; the rate is their mean."""
+        """Make a drift through levels (k, 6) at times knots_s (k,) of the recording."""
         times, values = np.asarray(knots_s, dtype=float), np.asarray(levels, dtype=float)
         rate = (values[-1] - values[0]) / (times[-1] - times[0]) * _HOUR_S
         return cls(_floats(rate), _floats(times), _floats(values.ravel()))
@@ -264,7 +268,7 @@ class SensorDrift(Effect):
         return not any(self.rate_per_hour) and not any(self.levels)
 
     def validate(self) -> None:
-        """Knots increase, and there are six levels at each."""
+        """Check that knots increase, with six levels at each."""
         if len(self.knots_s) == 1 or not np.all(np.diff(self.knots_s) > 0.0):
             raise ConfigError(f"{self.name}: knots_s must be two or more that increase, or none")
         if len(self.levels) != 6 * len(self.knots_s):
@@ -274,7 +278,7 @@ class SensorDrift(Effect):
             )
 
     def with_vector(self, vector: Array) -> Self:
-        """Another mean rate; a shape keeps what it has beside its mean."""
+        """Return another mean rate; a shape keeps its deviation from the mean."""
         if not self.knots_s:
             return super().with_vector(vector)
         times = np.array(self.knots_s)
@@ -282,15 +286,8 @@ class SensorDrift(Effect):
         levels = np.reshape(self.levels, (-1, 6)) + np.outer(times - times[0], more)
         return type(self).through(times, levels)
 
-    def read(self, when: Instants, wrench: Array) -> Array:
-        """The reading with the drift."""
-        return wrench + self._at(when.session_s)
-
-    def unread(self, when: Instants, reading: Array) -> Array:
-        """The reading without it."""
-        return reading - self._at(when.session_s)
-
-    def _at(self, session_s: Array) -> Array:
+    def _at(self, when: Instants) -> Array:
+        session_s = when.session_s
         if not self.knots_s:
             return np.outer(session_s, np.asarray(self.rate_per_hour) / _HOUR_S)
         levels = np.reshape(self.levels, (-1, 6))

@@ -4,15 +4,15 @@ Tracker stamps are late: stamp = measurement + delay.
 
 The tracker's lengths are wrong: positions are (1 + gain) times true.
 
-About the tracker's own origin, so that both markers move away from it; rotations stay. Whoever
-finds where base_link is from what the tracker tells sees of it what is left of a scale about the
-mean of the tool's positions.
+About the tracker's own origin, so that both markers move away from it; rotations stay. After
+a registration of base_link from the tracker's readings only a scale about the mean of the tool's
+positions remains.
 
 The stand of the base's marker moves once during `push`.
 
 The marker goes by `translation_m` and turns about its own origin by `rotvec_rad`, both along the
-axes of base_link, and stays there. Arm and tracker stay where they are: only who takes the marker
-for base_link sees everything move.
+axes of base_link, and stays there. Arm and tracker stay where they are: only relative to the
+marker everything moves.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ class TrackerDelay(Effect):
 
     @property
     def tracker_delay_s(self) -> float:
-        """The delay itself; whoever looks up what happened at a tracker's stamp takes it away."""
+        """The delay itself: true time is the stamp minus it."""
         return self.delay_s
 
 
@@ -56,7 +56,7 @@ class TrackerScale(Effect):
     )
 
     def seen(self, when: Instants, position: Array) -> Array:
-        """The position times its gain."""
+        """Scale the position."""
         return position * (1.0 + self.gain)
 
 
@@ -85,7 +85,7 @@ class BaseShift(Effect):
     time_s: float = param(0.0, "when it moves, since the first stamp of push, s", minimum=0.0)
 
     def base_marker(self, when: Instants) -> Array | None:
-        """The shift from its time on; the driver, which knows no bags, counts from its start."""
+        """Return the shift from its time on; in the driver that counts from its start."""
         if when.bag not in ("", _BAG):
             return None
         return np.outer(when.bag_s >= self.time_s, [*self.translation_m, *self.rotvec_rad])

@@ -1,4 +1,4 @@
-"""Everything about the simulated arm that can be chosen; the defaults are the nominal Galen.
+"""Describe the simulated cell; the defaults are the nominal Galen.
 
 SI units. Each `validate()` raises ConfigError naming the value.
 """
@@ -16,10 +16,7 @@ from galen_model.arm.galen import (
     JOINT_NAMES,
     LIMITS,
     SENSOR,
-    TRACKER_POSITION_NOISE_M,
-    TRACKER_ROTATION_NOISE_RAD,
     ArmParameters,
-    JointLimits,
     SensorParameters,
 )
 from galen_model.errors import GalenError
@@ -31,41 +28,23 @@ from galen_sim_driver.effects.effect import ConfigError, Effect
 Vector3 = tuple[float, float, float]
 JointVector = tuple[float, float, float, float, float]
 
+VELOCITY: JointVector = (0.2, 0.2, 0.2, 1.5, 1.5)
+"""Fastest joints, m/s and rad/s."""
+ACCELERATION: JointVector = (1.0, 1.0, 1.0, 6.0, 6.0)
+"""Their largest accelerations, m/s^2 and rad/s^2."""
+VELOCITY_WINDOW_S = 0.02
+"""Over which the encoders' velocity is a difference."""
+
 LONGEST_PUSH_S = 3600.0
 """A hand that pushes for ever would keep every other push out."""
 LARGEST_PUSH = 1e4
 """N, or N.m about the tip: beyond what any arm of this size bears, and no number overflows."""
 
-
-class PlantError(GalenError):
-    """Reject a command to the plant; the message gives the reason."""
-
-
 ZERO3: Vector3 = (0.0, 0.0, 0.0)
 
 
-@dataclass(frozen=True)
-class MotionConfig:
-    """How fast the joints may go: velocity in m/s and rad/s, acceleration in m/s^2 and rad/s^2."""
-
-    velocity: JointVector = (0.2, 0.2, 0.2, 1.5, 1.5)
-    acceleration: JointVector = (1.0, 1.0, 1.0, 6.0, 6.0)
-    limits: JointLimits = LIMITS
-
-    def validate(self) -> None:
-        """Every limit is positive."""
-        for name, values in (("velocity", self.velocity), ("acceleration", self.acceleration)):
-            for joint, value in zip(JOINT_NAMES, values, strict=True):
-                _require(value > 0.0, f"{name} limit of {joint} is {value}, but must be positive")
-
-
-@dataclass(frozen=True)
-class SensorConfig:
-    """The force/torque sensor; noise and quanta can be switched off for exact readings."""
-
-    parameters: SensorParameters = SENSOR
-    noise: bool = True
-    quantise: bool = True
+class PlantError(GalenError):
+    """Reject a command to the plant; the message gives the reason."""
 
 
 @dataclass(frozen=True)
@@ -76,52 +55,10 @@ class Pose:
     rotvec_rad: Vector3 = ZERO3
 
 
-@dataclass(frozen=True)
-class TrackerConfig:
-    """The optical tracker: its rate, its noise (one sigma an axis) and where things stand.
-
-    `base_in_tracker` is base_link seen by the tracker. `base_marker` is in base_link, and
-    nobody but this configuration knows it. `tool_marker` is in tool_tip.
-    """
-
-    rate_hz: float = 100.0
-    noise: bool = True
-    position_noise_m: float = TRACKER_POSITION_NOISE_M
-    rotation_noise_rad: float = TRACKER_ROTATION_NOISE_RAD
-    base_in_tracker: Pose = Pose((0.15, -0.35, 1.80), (0.1, 2.9, 0.3))
-    base_marker: Pose = Pose((0.32, 0.21, 0.05), (0.05, -0.1, 0.7))
-    tool_marker: Pose = Pose()
-
-    def validate(self) -> None:
-        """The rate is positive, the noise not negative."""
-        _require(self.rate_hz > 0.0, f"tracker rate is {self.rate_hz} Hz, but must be positive")
-        for name, value in (
-            ("position", self.position_noise_m),
-            ("rotation", self.rotation_noise_rad),
-        ):
-            _require(value >= 0.0, f"tracker {name} noise is {value}, but can't be negative")
-
-
-@dataclass(frozen=True)
-class AdmittanceConfig:
-    """Hand-over-hand control: the tip's twist is proportional to the wrench at the tip."""
-
-    linear_gain_m_s_n: float = 0.01
-    angular_gain_rad_s_nm: float = 0.5
-    damping: float = 0.02
-    timeout_s: float = 0.05
-
-    def validate(self) -> None:
-        """Gains and damping aren't negative, the time-out is positive."""
-        for name, value in (
-            ("linear gain", self.linear_gain_m_s_n),
-            ("angular gain", self.angular_gain_rad_s_nm),
-            ("damping", self.damping),
-        ):
-            _require(value >= 0.0, f"admittance {name} is {value}, but can't be negative")
-        _require(
-            self.timeout_s > 0.0, f"admittance timeout is {self.timeout_s} s, but must be positive"
-        )
+BASE_IN_TRACKER = Pose((0.15, -0.35, 1.80), (0.1, 2.9, 0.3))
+"""base_link seen by the tracker."""
+BASE_MARKER = Pose((0.32, 0.21, 0.05), (0.05, -0.1, 0.7))
+"""In base_link; no other package uses it."""
 
 
 @dataclass(frozen=True)
@@ -147,7 +84,7 @@ class HandPush:
         return self.ramp_s if self.fall_s is None else self.fall_s
 
     def validate(self) -> None:
-        """Times make sense, forces are finite, the frame is known."""
+        """Check times, forces and frame."""
         _require(self.start_s >= 0.0, f"a push starts at {self.start_s} s, before its script")
         _require(
             0.0 < self.duration_s <= LONGEST_PUSH_S,
@@ -184,22 +121,26 @@ def _default_script() -> tuple[HandPush, ...]:
 
 @dataclass(frozen=True)
 class PlantConfig:
-    """The whole simulated cell."""
+    """The whole simulated cell.
+
+    noise: of sensor and tracker. quantise: the sensor's quanta. tool_marker: in tool_tip. effects:
+    what the nominal model leaves out. admittance_timeout_s: a wrench older than this moves nothing.
+    """
 
     rate_hz: float = 500.0
     start_ns: int = 1_000_000_000
     start_joints: JointVector = tuple(HOME.tolist())
-    velocity_window_s: float = 0.02
     encoder_quantum: JointVector = tuple(ENCODER_QUANTUM.tolist())
     arm: ArmParameters = GALEN
     adapter: Load = ADAPTER
     tools: Mapping[str, ToolGeometry] = field(default_factory=lambda: dict(TOOLS))
-    motion: MotionConfig = MotionConfig()
-    sensor: SensorConfig = SensorConfig()
-    tracker: TrackerConfig = TrackerConfig()
-    admittance: AdmittanceConfig = AdmittanceConfig()
+    noise: bool = True
+    quantise: bool = True
+    sensor: SensorParameters = SENSOR
+    tracker_rate_hz: float = 100.0
+    tool_marker: Pose = Pose()
+    admittance_timeout_s: float = 0.05
     effects: tuple[Effect, ...] = ()
-    """What the nominal model leaves out."""
     hand: Sequence[HandPush] = field(default_factory=_default_script)
 
     @property
@@ -208,42 +149,33 @@ class PlantConfig:
         return round(1e9 / self.rate_hz)
 
     def validate(self) -> None:
-        """Every part is valid, and the parts fit together."""
+        """Check every part, and that the parts fit together."""
         _require(
-            math.isfinite(self.rate_hz) and 0.0 < self.rate_hz <= 10_000.0,
-            f"rate is {self.rate_hz} Hz, but must be above 0 and at most 10000",
+            self.rate_hz * VELOCITY_WINDOW_S >= 1.0 and self.rate_hz <= 10_000.0,
+            f"rate is {self.rate_hz} Hz, but must be {1.0 / VELOCITY_WINDOW_S:g} to 10000",
         )
-        self.motion.validate()
-        self.tracker.validate()
-        self.admittance.validate()
-        for effect in self.effects:
-            effect.validate()
-        for push in self.hand:
-            push.validate()
+        for part in (*self.effects, *self.hand):
+            part.validate()
         _require(
-            self.tracker.rate_hz <= self.rate_hz,
-            f"tracker rate is {self.tracker.rate_hz} Hz, above the plant's {self.rate_hz} Hz",
+            0.0 < self.tracker_rate_hz <= self.rate_hz,
+            f"tracker rate is {self.tracker_rate_hz} Hz, not above 0 and up to the plant's "
+            f"{self.rate_hz} Hz",
         )
         _require(
-            self.velocity_window_s * self.rate_hz >= 1.0,
-            f"velocity window is {self.velocity_window_s} s, less than one sample",
+            self.admittance_timeout_s > 0.0,
+            f"admittance timeout is {self.admittance_timeout_s} s, but must be positive",
         )
         for joint, value, low, high in zip(
-            JOINT_NAMES,
-            self.start_joints,
-            self.motion.limits.lower,
-            self.motion.limits.upper,
-            strict=True,
+            JOINT_NAMES, self.start_joints, LIMITS.lower, LIMITS.upper, strict=True
         ):
             _require(
                 low <= value <= high, f"{joint} starts at {value}, outside {low:g} to {high:g}"
             )
-        for name, load in [
-            ("adapter", self.adapter),
-            *((name, tool.load) for name, tool in self.tools.items()),
-        ]:
+        loads = {"adapter": self.adapter} | {name: tool.load for name, tool in self.tools.items()}
+        for name, load in loads.items():
             _require(
-                load.mass_kg >= 0.0, f"mass of {name} is {load.mass_kg} kg, but can't be negative"
+                load.mass_kg >= 0.0 and math.isfinite(load.mass_kg),
+                f"mass of {name} is {load.mass_kg} kg, but can't be negative",
             )
 
 

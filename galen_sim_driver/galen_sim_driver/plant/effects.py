@@ -1,7 +1,7 @@
-"""The effects of `effects/` in the plant, one sample at a time.
+"""The arm with the effects of `effects/`, one sample at a time.
 
 They are the same objects that `replay` drives along a recording, called with n = 1; only hooks that
-an effect has are called. The plant does without all of this where no effect is on.
+an effect has are called.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from galen_model.arm.galen import GRAVITY_M_S2, ArmParameters
+from galen_model.arm.arm import Arm
 from galen_model.arm.sensor_motion import MotionOfSensor, SensorMotion
 from galen_model.arrays import Array
 from galen_model.load.model import Load, gravity_wrench
@@ -23,16 +23,12 @@ from galen_sim_driver.effects.effect import (
     Loading,
     Posture,
     in_order,
-    total_turns,
 )
-from galen_sim_driver.effects.joints import sensor_pose
 from galen_sim_driver.plant.geometry import (
-    ArmGeometry,
     Matrix,
     Quaternion,
     rotate_back,
     sensor_matrix,
-    sensor_quaternion,
 )
 from galen_sim_driver.plant.sensors import MarkerPose
 
@@ -52,24 +48,24 @@ class ArmNow(NamedTuple):
 
 
 class PlantEffects:
-    """What the effects do to one plant; `at` first, then the rest, once a sample."""
+    """What the effects do to one plant: call `at` first, then the rest, once a sample."""
 
     def __init__(
-        self, effects: Sequence[Effect], arm: ArmParameters, adapter: Load, home: Sequence[float]
+        self, effects: Sequence[Effect], arm: Arm, adapter: Load, home: Sequence[float]
     ) -> None:
-        """Start as at the start of a bag; home (5,): reported joints where the zero was taken."""
+        """Start as at the start of a bag; home (n,): reported joints where the zero was taken."""
         self._effects = [effect.fresh() for effect in in_order(effects)]
-        gravity = GRAVITY_M_S2
+        gravity = arm.gravity_m_s2
         for effect in self._effects:
             arm, gravity = effect.arm(arm), effect.gravity(gravity)
         self.arm = arm
         self._gravity: list[float] = gravity.tolist()
         self._direction = gravity / np.linalg.norm(gravity)
-        self._geometry = ArmGeometry(arm)
         self._motion = MotionOfSensor(arm)
         self._adapter = adapter
-        self._turns = total_turns(self._effects)
-        self._turned = bool(np.any(self._turns))
+        self._misaligned = arm
+        for effect in self._effects:
+            self._misaligned = effect.misaligned(self._misaligned)
         self.wrench_delay_ns = _ns(sum(effect.wrench_delay_s for effect in self._effects))
         self.tracker_delay_ns = _ns(sum(effect.tracker_delay_s for effect in self._effects))
         self.needs_motion = any(effect.needs_motion for effect in self._effects)
@@ -83,22 +79,22 @@ class PlantEffects:
         self._seers = self._with("seen")
         self._shifters = self._with("base_marker")
         self._tool: ToolGeometry | None = None
-        self._true_tool = Load(0.0, np.zeros(3))
-        self._tip_m = np.zeros(3)
         self.at(0.0)
+        self.attach(None)
         self._zero = np.zeros(6)
         self._zero = self._zero_at(home)
 
     @property
     def zero(self) -> list[float]:
-        """What the sensor held of the adapter (6,) when it was zeroed at home."""
+        """Part of the adapter's weight (6,) that was subtracted by zeroing at home."""
         return [float(value) for value in self._zero]
 
     def attach(self, tool: ToolGeometry | None) -> None:
-        """Another tool is on, or none."""
+        """Put another tool on, or none."""
         self._tool = tool
         self._tip_m = np.zeros(3) if tool is None else np.asarray(tool.tip_m, dtype=float)
         self._true_tool = Load(*self._tool_load(np.zeros(3)))
+        self._load = self._with_adapter(self._true_tool.mass_kg, self._true_tool.com_m)
 
     def at(self, since_start_s: float) -> None:
         """Go on to this time."""
@@ -106,26 +102,26 @@ class PlantEffects:
         self._when = Instants("", now, now)
 
     def arm_now(self, reported: Sequence[float]) -> ArmNow:
-        """The true arm at reported joints (5,)."""
+        """Return the true arm at reported joints (n,)."""
         joints = self._true(self._joints, reported)
-        matrix = self._matrix(joints)
+        matrix = sensor_matrix(self._misaligned, joints)
         gravity = rotate_back(matrix, self._gravity)
-        mass, com = self._true_tool.mass_kg, self._true_tool.com_m
+        load = self._load
         if self._loads and self._tool is not None:
-            mass, com = self._tool_load(np.array(rotate_back(matrix, self._direction)))
-        moment = mass * com + self._adapter.mass_kg * np.asarray(self._adapter.com_m)
-        return ArmNow(joints, matrix, gravity, mass + self._adapter.mass_kg, moment.tolist())
+            direction = np.array(rotate_back(matrix, self._direction))
+            load = self._with_adapter(*self._tool_load(direction))
+        return ArmNow(joints, matrix, gravity, *load)
 
     def more_wrench(
         self, arm: ArmNow, velocities: Sequence[float], accelerations: Sequence[float]
     ) -> list[float] | None:
-        """What else acts on the sensor (6,) while a tool is on; rates (5,) of the joints."""
+        """Return what else acts on the sensor (6,) while a tool is on; rates (n,) of the joints."""
         if not self._wrenches or self._tool is None:
             return None
         motion = None
         if self.needs_motion:
-            roll, tilt = arm.joints[3:]
-            own = self._motion.at(roll, tilt, tuple(velocities), tuple(accelerations))
+            angles = self.arm.angles(arm.joints).tolist()
+            own = self._motion.at(*angles, tuple(velocities), tuple(accelerations))
             motion = SensorMotion(*(np.array([part]) for part in own))
         posture = Posture(
             joints=np.array([arm.joints]),
@@ -145,32 +141,27 @@ class PlantEffects:
         return [float(value) for value in total]
 
     def before_noise(self, wrench: list[float]) -> list[float]:
-        """What the element makes of a true wrench (6,), the zero's part included."""
+        """Apply the sensing element's errors to a true wrench (6,) before zeroing."""
         return self._read(self._early, wrench)
 
     def after_noise(self, wrench: list[float]) -> list[float]:
-        """What comes out of it in the end."""
+        """Apply those that follow its noise."""
         return self._read(self._late, wrench)
 
     def position(self, arm: ArmNow, point: Sequence[float]) -> tuple[float, float, float]:
-        """A point that is told in ft_sensor, in base_link, m."""
-        if not self._turned:
-            return self._geometry.tip_position(arm.joints, arm.matrix, point)
-        rotation, origin = sensor_pose(np.array([arm.joints]), self._turns, self.arm)
-        x, y, z = origin[0] + rotation[0] @ np.asarray(point)
-        return (float(x), float(y), float(z))
+        """Return a point of ft_sensor in base_link, m."""
+        _, at = self._misaligned.tip_pose(arm.joints, point)
+        return (float(at[0]), float(at[1]), float(at[2]))
 
     def quaternion(self, arm: ArmNow) -> Quaternion:
-        """How the sensor is turned in base_link."""
-        if not self._turned:
-            return sensor_quaternion(arm.joints[3], arm.joints[4])
-        x, y, z, w = matrix_to_quaternion(np.reshape(arm.matrix, (3, 3)))
-        return (float(x), float(y), float(z), float(w))
+        """Return the sensor's rotation in base_link."""
+        x, y, z, w = matrix_to_quaternion(np.reshape(arm.matrix, (3, 3))).tolist()
+        return (x, y, z, w)
 
     def more_deflection(
         self, arm: ArmNow, at_tip: Sequence[float], elastic: Sequence[float]
     ) -> list[float] | None:
-        """Displacement of the tip beside the elastic one (6,), under the wrench there (6,).
+        """Return the tip's displacement beside the elastic one (6,) under the wrench there (6,).
 
         All in base_link; None where no effect bends anything.
         """
@@ -187,7 +178,7 @@ class PlantEffects:
         return [float(value) for value in total]
 
     def seen(self, pose: MarkerPose) -> MarkerPose:
-        """A marker as the tracker tells it, but for noise."""
+        """Return a marker as the tracker measures it, but for noise."""
         if not self._seers:
             return pose
         position = np.array([pose.position_m])
@@ -197,7 +188,7 @@ class PlantEffects:
         return MarkerPose((x, y, z), pose.quaternion)
 
     def base_shift(self) -> list[float] | None:
-        """How far the base's marker has moved in base_link (6,); None where it can't."""
+        """Return the base marker's displacement in base_link (6,); None without an effect on it."""
         total = None
         for effect in self._shifters:
             more = effect.base_marker(self._when)
@@ -208,25 +199,23 @@ class PlantEffects:
     # --- inside -----------------------------------------------------------------------------
 
     def _with(self, hook: str) -> list[Effect]:
-        """The effects that have this hook."""
         nothing: Any = getattr(Effect, hook)
         return [effect for effect in self._effects if getattr(type(effect), hook) is not nothing]
 
+    def _with_adapter(self, mass_kg: float, com_m: Array) -> tuple[float, list[float]]:
+        """Mass and first moment of tool and adapter, kg and kg.m."""
+        moment = mass_kg * com_m + self._adapter.mass_kg * np.asarray(self._adapter.com_m)
+        return mass_kg + self._adapter.mass_kg, moment.tolist()
+
     def _true(self, effects: Sequence[Effect], reported: Sequence[float]) -> list[float]:
+        if not effects:
+            return list(reported)
         joints = np.array([reported])
         for effect in effects:
             joints = effect.true_joints(self._when, joints)
         return [float(value) for value in joints[0]]
 
-    def _matrix(self, joints: Sequence[float]) -> Matrix:
-        if not self._turned:
-            return sensor_matrix(joints[3], joints[4])
-        rotation, _ = sensor_pose(np.array([joints]), self._turns, self.arm)
-        (a, b, c), (d, e, f), (g, h, i) = rotation[0].tolist()
-        return (a, b, c, d, e, f, g, h, i)
-
     def _tool_load(self, direction: Array) -> tuple[float, Array]:
-        """The tool's true mass and centre (3,), with gravity's direction (3,) in ft_sensor."""
         if self._tool is None:
             return 0.0, np.zeros(3)
         mass, com = self._tool.load.mass_kg, np.reshape(self._tool.load.com_m, (1, 3))
@@ -237,7 +226,7 @@ class PlantEffects:
     def _zero_at(self, home: Sequence[float]) -> Array:
         # Those that remember must not: the zero was taken some other time.
         joints = self._true([effect.fresh() for effect in self._joints], home)
-        gravity = rotate_back(self._matrix(joints), self._gravity)
+        gravity = rotate_back(sensor_matrix(self._misaligned, joints), self._gravity)
         return gravity_wrench(np.array(gravity), self._adapter)
 
     def _read(self, effects: Sequence[Effect], wrench: list[float]) -> list[float]:

@@ -1,17 +1,8 @@
-"""The hand at tool_tip: a script of pushes, one after the other or at once, or a single push.
+"""The hand at tool_tip: scripted pushes, and hand-over-hand control.
 
-Hand-over-hand control: the tip moves as it is pushed.
-
-The wrench, moved from the sensor's origin to the tip, times the gains is the tip's twist (v, w).
-Joint velocities follow by damped least squares, min |J q' - (v, w)|^2 + d^2 |q'|^2.
-
-The Jacobian has a simple form: J = [[I, L], [0, A]] with the platform's three columns, L the two
-levers (axis x arm) and A the roll and tilt axes, which are always perpendicular: A^T A = I. With
-m = d^2 / (1 + d^2) the normal equations shrink to two unknowns s = (roll', tilt'):
-
-    ((1 + d^2) I + m L^T L) s = A^T w + m L^T v,      platform' = (v - L s) / (1 + d^2).
-
-Roll and tilt can't turn the tip about the axis perpendicular to both; that part of w is lost.
+In admittance mode the wrench, moved from the sensor's origin to the tip, times the gains is the
+tip's twist t = (v, w). Joint velocities follow by damped least squares, min |J q' - t|^2 +
+d^2 |q'|^2. What the joints can't do (turn about the axis perpendicular to roll and tilt) is lost.
 """
 
 from __future__ import annotations
@@ -19,8 +10,15 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from galen_sim_driver.plant.config import AdmittanceConfig, HandPush, PlantError
-from galen_sim_driver.plant.geometry import ArmGeometry, Matrix, cross, rotate, rotate_back
+import numpy as np
+from galen_model.arm.arm import Arm
+
+from galen_sim_driver.plant.config import VELOCITY, HandPush, PlantError
+from galen_sim_driver.plant.geometry import Matrix, cross, rotate, rotate_back, sensor_matrix
+
+_GAINS = np.repeat([0.01, 0.5], 3)
+"""Velocity of the tip over force, m/s/N, and over torque, rad/s/N.m."""
+_DAMPING = 0.02
 
 
 class Hand:
@@ -54,7 +52,7 @@ class Hand:
         self._start_ns = now_ns
 
     def wrench_at_tip(self, now_ns: int, matrix: Matrix) -> list[float] | None:
-        """Force and torque (6,) about tool_tip along its axes, N and N.m, or None for no touch.
+        """Return force and torque (6,) about tool_tip along its axes; None for no touch.
 
         `matrix` is R_base_tip.
         """
@@ -79,7 +77,7 @@ class Hand:
 
 
 def push_strength(push: HandPush, time_s: float) -> float:
-    """Between 0 and 1: a half cosine up, full, a half cosine down."""
+    """Return 0 to 1: a half cosine up, full, a half cosine down."""
     since = time_s - push.start_s
     left = push.duration_s - since
     if since <= 0.0 or left <= 0.0:
@@ -93,55 +91,11 @@ def _edge(time_s: float, ramp_s: float) -> float:
     return 0.5 - 0.5 * math.cos(math.pi * time_s / ramp_s)
 
 
-def damped_joint_velocities(
-    linear: Sequence[float],
-    angular: Sequence[float],
-    roll: float,
-    from_roll: Sequence[float],
-    from_tilt: Sequence[float],
-    damping: float,
-) -> list[float]:
-    """Joint velocities (5,), m/s and rad/s, for a twist of the tip in base_link.
-
-    `from_roll` and `from_tilt` are the vectors from the axes to the tip (m).
-    """
-    tilt_axis = (0.0, math.cos(roll), math.sin(roll))
-    l1 = (0.0, -from_roll[2], from_roll[1])  # x axis x arm
-    l2 = cross(tilt_axis, from_tilt)
-    d2 = damping * damping
-    m = d2 / (1.0 + d2)
-    k11 = 1.0 + d2 + m * (l1[1] * l1[1] + l1[2] * l1[2])
-    k22 = 1.0 + d2 + m * (l2[0] * l2[0] + l2[1] * l2[1] + l2[2] * l2[2])
-    k12 = m * (l1[1] * l2[1] + l1[2] * l2[2])
-    b1 = angular[0] + m * (l1[1] * linear[1] + l1[2] * linear[2])
-    b2 = (
-        tilt_axis[1] * angular[1]
-        + tilt_axis[2] * angular[2]
-        + m * (l2[0] * linear[0] + l2[1] * linear[1] + l2[2] * linear[2])
-    )
-    determinant = k11 * k22 - k12 * k12
-    s1 = (k22 * b1 - k12 * b2) / determinant
-    s2 = (k11 * b2 - k12 * b1) / determinant
-    scale = 1.0 / (1.0 + d2)
-    return [
-        scale * (linear[0] - l2[0] * s2),
-        scale * (linear[1] - l1[1] * s1 - l2[1] * s2),
-        scale * (linear[2] - l1[2] * s1 - l2[2] * s2),
-        s1,
-        s2,
-    ]
-
-
 class Admittance:
-    """The wrench it last heard of, and the velocities that follow from it."""
+    """The last wrench fed, and the joint velocities that follow from it."""
 
-    def __init__(
-        self, config: AdmittanceConfig, geometry: ArmGeometry, velocity_limits: Sequence[float]
-    ) -> None:
-        self._config = config
-        self._geometry = geometry
-        self._limits = list(velocity_limits)
-        self._timeout_ns = round(config.timeout_s * 1e9)
+    def __init__(self, timeout_s: float) -> None:
+        self._timeout_ns = round(timeout_s * 1e9)
         self._wrench: list[float] | None = None
         self._stamp_ns = 0
 
@@ -155,9 +109,13 @@ class Admittance:
         self._wrench = None
 
     def joint_velocities(
-        self, now_ns: int, joints: Sequence[float], matrix: Matrix, tip: Sequence[float]
+        self,
+        now_ns: int,
+        joints: Sequence[float],
+        tip: Sequence[float],
+        arm: Arm,
     ) -> list[float] | None:
-        """Joint velocities (5,), m/s and rad/s; None without a wrench that is fresh enough.
+        """Return joint velocities (n,), m/s and rad/s; None without a fresh wrench.
 
         Where a joint would be too fast all are slowed alike, so that the direction stays.
         """
@@ -165,18 +123,11 @@ class Admittance:
             return None
         force, torque = self._wrench[:3], self._wrench[3:]
         # About the tip, its force having no lever there: tau_tip = tau - tip x f.
-        moment = cross(tip, force)
-        at_tip = (torque[0] - moment[0], torque[1] - moment[1], torque[2] - moment[2])
-        linear_gain = self._config.linear_gain_m_s_n
-        angular_gain = self._config.angular_gain_rad_s_nm
-        velocities = damped_joint_velocities(
-            [linear_gain * value for value in rotate(matrix, force)],
-            [angular_gain * value for value in rotate(matrix, at_tip)],
-            joints[3],
-            *self._geometry.arms_to_tip(joints, matrix, tip),
-            self._config.damping,
-        )
-        excess = max(abs(v) / limit for v, limit in zip(velocities, self._limits, strict=True))
-        if excess > 1.0:
-            velocities = [velocity / excess for velocity in velocities]
-        return velocities
+        at_tip = [t - m for t, m in zip(torque, cross(tip, force), strict=True)]
+        matrix = sensor_matrix(arm, joints)
+        twist = _GAINS * np.array([*rotate(matrix, force), *rotate(matrix, at_tip)])
+        jacobian = arm.tip_jacobian(joints, tip)
+        damped = jacobian.T @ jacobian + _DAMPING**2 * np.eye(len(joints))
+        velocities = np.linalg.solve(damped, jacobian.T @ twist)
+        excess = float(np.max(np.abs(velocities) / VELOCITY))
+        return (velocities / max(excess, 1.0)).tolist()

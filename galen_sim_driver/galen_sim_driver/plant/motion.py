@@ -1,10 +1,8 @@
-"""A trajectory as joint_trajectory_controller takes it.
+"""Trajectories as joint_trajectory_controller takes them, and joints that follow within limits.
 
 Between two points the reference is linear where they give positions only, cubic where they give
 velocities too, quintic where they give accelerations as well. The first piece starts at the arm's
 state at the moment the trajectory comes in. After the last point the reference stands there.
-
-Joints that follow a reference within limits of velocity, acceleration and position.
 
 Each joint moves by v' T in one period T, with |v' - v| <= u = a T and |v'| <= v_max.
 
@@ -25,10 +23,13 @@ import math
 from bisect import bisect_right
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
-from galen_model.arm.galen import JOINT_NAMES, JointLimits
+import numpy as np
+from galen_model.arm.galen import JOINT_NAMES, LIMITS
+from scipy.interpolate import BPoly, PPoly
 
-from galen_sim_driver.plant.config import MotionConfig, PlantError
+from galen_sim_driver.plant.config import ACCELERATION, VELOCITY, PlantError
 
 _NS = 1e-9
 _LARGEST_RATE = 1e6
@@ -37,7 +38,7 @@ _LARGEST_RATE = 1e6
 
 @dataclass(frozen=True)
 class TrajectoryPoint:
-    """One point: time after the trajectory's start (s), values in the order of its joints.
+    """Hold one point: time after the trajectory's start (s), values in the order of its joints.
 
     Empty `velocities` or `accelerations` mean that the point doesn't say.
     """
@@ -57,16 +58,7 @@ class Trajectory:
     start_ns: int = 0
 
 
-@dataclass(frozen=True)
-class JointState:
-    """Positions, velocities and accelerations of all five joints, in the order of JOINT_NAMES."""
-
-    positions: Sequence[float]
-    velocities: Sequence[float]
-    accelerations: Sequence[float]
-
-
-def check_trajectory(trajectory: Trajectory, limits: JointLimits, now_ns: int) -> None:
+def check_trajectory(trajectory: Trajectory, now_ns: int) -> None:
     """Raise PlantError, naming joint and value, unless the trajectory can be taken.
 
     The points must be inside the joint limits; what a polynomial does between them is held inside
@@ -94,7 +86,7 @@ def check_trajectory(trajectory: Trajectory, limits: JointLimits, now_ns: int) -
         _check_sizes(where, names, point)
         for name, value in zip(names, point.positions, strict=True):
             joint = JOINT_NAMES.index(name)
-            low, high = limits.lower[joint], limits.upper[joint]
+            low, high = LIMITS.lower[joint], LIMITS.upper[joint]
             if not low <= value <= high:
                 raise PlantError(
                     f"{where}: {name} at {value:.6g} is outside its limits {low:g} to {high:g}"
@@ -123,33 +115,29 @@ class Reference:
     """Where the joints should be at any time: pieces of polynomials, then the last point."""
 
     def __init__(
-        self, trajectory: Trajectory, now_ns: int, start: JointState, hold: Sequence[float]
+        self, trajectory: Trajectory, now_ns: int, start: TrajectoryPoint, hold: Sequence[float]
     ) -> None:
-        """Plan from `start` at `now_ns`; joints not named go to `hold` (5,), m and rad.
+        """Plan from `start`, the arm's state at `now_ns`; joints not named go to `hold` (5,).
 
         The trajectory must have passed `check_trajectory`.
         """
         self._joints = [JOINT_NAMES.index(name) for name in trajectory.joint_names]
         self._hold = list(hold)
         self._origin_ns = now_ns
-        begin_ns = trajectory.start_ns or now_ns
-        delay_s = (begin_ns - now_ns) * _NS
-        first = TrajectoryPoint(
-            0.0,
-            [start.positions[joint] for joint in self._joints],
-            [start.velocities[joint] for joint in self._joints],
-            [start.accelerations[joint] for joint in self._joints],
-        )
+        delay_s = ((trajectory.start_ns or now_ns) - now_ns) * _NS
         points = list(trajectory.points)
         times = [point.time_s + delay_s for point in points]
+        values = [_derivatives(point) for point in points]
         if times[0] > 0.0:
             # The usual case: from the state now to the first point.
-            points, times = [first, *points], [0.0, *times]
+            times, values = [0.0, *times], [_derivatives(start)[:, self._joints], *values]
         self._times = times
-        self._pieces = [
-            _piece(points[i], points[i + 1], times[i + 1] - times[i])
-            for i in range(len(points) - 1)
-        ]
+        self._pieces: list[list[list[float]]] = []
+        if len(times) > 1:
+            orders = [2 * min(len(a), len(b)) - 1 for a, b in pairwise(values)]
+            bernstein = BPoly.from_derivatives(times, values, orders)
+            # (piece, joint, order), the highest order first
+            self._pieces = np.moveaxis(PPoly.from_bernstein_basis(bernstein).c, 0, -1).tolist()
         self._last = list(points[-1].positions)
         self.end_ns = now_ns + round(times[-1] / _NS)
 
@@ -163,57 +151,18 @@ class Reference:
         time_s = (now_ns - self._origin_ns) * _NS
         index = min(max(bisect_right(self._times, time_s) - 1, 0), len(self._pieces) - 1)
         t = time_s - self._times[index]
-        for joint, (c0, c1, c2, c3, c4, c5) in zip(self._joints, self._pieces[index], strict=True):
-            result[joint] = c0 + t * (c1 + t * (c2 + t * (c3 + t * (c4 + t * c5))))
+        for joint, coefficients in zip(self._joints, self._pieces[index], strict=True):
+            value = 0.0
+            for coefficient in coefficients:
+                value = value * t + coefficient
+            result[joint] = value
         return result
 
 
-def _piece(
-    start: TrajectoryPoint, end: TrajectoryPoint, duration_s: float
-) -> list[tuple[float, float, float, float, float, float]]:
-    """Coefficients, lowest order first, for every joint of one piece.
-
-    Linear, cubic or quintic Hermite polynomial: as many derivatives as both ends give.
-    """
-    count = len(start.positions)
-    if len(start.velocities) and len(end.velocities):
-        quintic = len(start.accelerations) > 0 and len(end.accelerations) > 0
-        return [
-            _quintic(start, end, joint, duration_s)
-            if quintic
-            else _cubic(start, end, joint, duration_s)
-            for joint in range(count)
-        ]
-    return [
-        (p0, (p1 - p0) / duration_s, 0.0, 0.0, 0.0, 0.0)
-        for p0, p1 in zip(start.positions, end.positions, strict=True)
-    ]
-
-
-def _cubic(
-    start: TrajectoryPoint, end: TrajectoryPoint, joint: int, t: float
-) -> tuple[float, float, float, float, float, float]:
-    p0, p1 = start.positions[joint], end.positions[joint]
-    v0, v1 = start.velocities[joint], end.velocities[joint]
-    d = p1 - p0
-    return (p0, v0, (3 * d / t - 2 * v0 - v1) / t, (v0 + v1 - 2 * d / t) / t**2, 0.0, 0.0)
-
-
-def _quintic(
-    start: TrajectoryPoint, end: TrajectoryPoint, joint: int, t: float
-) -> tuple[float, float, float, float, float, float]:
-    p0, p1 = start.positions[joint], end.positions[joint]
-    v0, v1 = start.velocities[joint], end.velocities[joint]
-    a0, a1 = start.accelerations[joint], end.accelerations[joint]
-    d = p1 - p0
-    return (
-        p0,
-        v0,
-        a0 / 2,
-        (20 * d - (8 * v1 + 12 * v0) * t - (3 * a0 - a1) * t**2) / (2 * t**3),
-        (-30 * d + (14 * v1 + 16 * v0) * t + (3 * a0 - 2 * a1) * t**2) / (2 * t**4),
-        (12 * d - 6 * (v1 + v0) * t + (a1 - a0) * t**2) / (2 * t**5),
-    )
+def _derivatives(point: TrajectoryPoint) -> np.ndarray:
+    """Return positions, velocities, accelerations as far as given: (1 to 3, joints)."""
+    given = (point.positions, point.velocities, point.accelerations)
+    return np.array([values for values in given if len(values)])
 
 
 # Rounding must not make a step that just fits the acceleration limit look as if it didn't.
@@ -221,7 +170,7 @@ _SLACK = 1.0 + 1e-9
 
 
 def braking_velocity(distance: float, velocity_step: float, period_s: float) -> float:
-    """Largest velocity of the next period from which a joint still stops `distance` away.
+    """Return the largest velocity from which a joint still stops within `distance`.
 
     `distance` and the result are not negative; `velocity_step` is u = a T.
     """
@@ -233,7 +182,7 @@ def braking_velocity(distance: float, velocity_step: float, period_s: float) -> 
 
 
 def stopping_distance(velocity: float, velocity_step: float, period_s: float) -> float:
-    """Signed distance that a joint goes on when it brakes by `velocity_step` in each period."""
+    """Return the signed braking distance at `velocity_step` in each period."""
     speed = abs(velocity)
     count = math.floor(speed / velocity_step)
     distance = period_s * (count * speed - velocity_step * count * (count + 1) / 2.0)
@@ -241,9 +190,9 @@ def stopping_distance(velocity: float, velocity_step: float, period_s: float) ->
 
 
 class LimitedMotion:
-    """Positions and velocities of the joints; `step` takes them one period on."""
+    """Hold positions and velocities of the joints; `step` takes them one period on."""
 
-    def __init__(self, config: MotionConfig, positions: Sequence[float], period_s: float) -> None:
+    def __init__(self, positions: Sequence[float], period_s: float) -> None:
         self.positions = list(positions)
         self.velocities = [0.0] * len(self.positions)
         self.accelerations = [0.0] * len(self.positions)
@@ -259,11 +208,7 @@ class LimitedMotion:
                 velocity**2 / (2.0 * acceleration) + 2.0 * velocity * period_s,
             )
             for velocity, acceleration, low, high in zip(
-                config.velocity,
-                config.acceleration,
-                config.limits.lower.tolist(),
-                config.limits.upper.tolist(),
-                strict=True,
+                VELOCITY, ACCELERATION, LIMITS.lower.tolist(), LIMITS.upper.tolist(), strict=True
             )
         ]
 
@@ -311,7 +256,7 @@ class LimitedMotion:
             self.velocities[index] = wanted
 
     def stopping_positions(self, excepted: Sequence[float]) -> list[float]:
-        """Where the joints stand when they brake at their limits from now on.
+        """Return where the joints stop when they brake at their limits from now on.
 
         `excepted` (5,) is a part of the velocity that isn't to be braked.
         """

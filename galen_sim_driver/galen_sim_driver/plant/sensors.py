@@ -1,21 +1,20 @@
-"""The force/torque sensor: noise, quantum, range, and the zero that is subtracted.
+"""The force/torque sensor and the optical tracker, with their noise.
 
-The element sees the whole load, so noise, quantum and range act on what is not zeroed
-yet; the zero is a number that is subtracted afterwards.
-
-The optical tracker: poses of the tool's marker and of the marker on the base's stand.
-
-It sees the true tip, deflection included. Base to tracker is fixed and known to nobody else.
+The sensing element sees the whole load, so noise, quantum and range act on what is not zeroed yet;
+the zero is a number that is subtracted afterwards. The tracker sees the true tip, deflection
+included.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from galen_model.arm.galen import TRACKER_POSITION_NOISE_M, TRACKER_ROTATION_NOISE_RAD
+from galen_model.arrays import Array
 
-from galen_sim_driver.plant.config import PlantError, SensorConfig, TrackerConfig
+from galen_sim_driver.plant.config import BASE_IN_TRACKER, BASE_MARKER, PlantConfig, PlantError
 from galen_sim_driver.plant.geometry import (
     Quaternion,
     Vector,
@@ -24,7 +23,13 @@ from galen_sim_driver.plant.geometry import (
     rotate_by,
 )
 
-_BLOCK = 2048
+_BLOCK = 512
+
+
+def _noise(rng: np.random.Generator, std: Array) -> Iterator[list[float]]:
+    """Yield rows (6,): one draw for many, since a call of numpy costs more than the numbers."""
+    while True:
+        yield from (rng.standard_normal((_BLOCK, 6)) * std).tolist()
 
 
 class Zeroing:
@@ -51,25 +56,16 @@ class Zeroing:
 
 
 class ForceTorqueSensor:
-    """Turns the load's true wrench into a reading. Wrenches are lists (6,), N and N.m."""
+    """Turn the load's true wrench into a reading. Wrenches are lists (6,), N and N.m."""
 
     def __init__(
-        self, config: SensorConfig, zero: Sequence[float], rng: np.random.Generator
+        self, config: PlantConfig, zero: Sequence[float], rng: np.random.Generator
     ) -> None:
-        self._rng = rng
-        self._noise = config.noise
-        self._std = config.parameters.noise_std
-        self._quantum = config.parameters.quantum.tolist() if config.quantise else None
-        self._range = config.parameters.range.tolist()
-        self._block: list[list[float]] = []
-        self._next = 0
+        self._noise = _noise(rng, config.sensor.noise_std) if config.noise else None
+        self._quantum = config.sensor.quantum.tolist() if config.quantise else None
+        self._range = config.sensor.range.tolist()
         self.zero = list(zero)
         self._zeroing: Zeroing | None = None
-
-    @property
-    def zeroing(self) -> bool:
-        """Whether a zeroing is under way."""
-        return self._zeroing is not None
 
     def start_zeroing(self, samples: int) -> Zeroing:
         """Average the next `samples` readings into a new zero; it holds from the one after."""
@@ -91,21 +87,8 @@ class ForceTorqueSensor:
     ) -> list[float]:
         """Return the reading of a true wrench; `after_noise` changes it before the quantum."""
         raw = wrench
-        if self._noise:
-            if self._next == len(self._block):
-                # One draw for many samples: a call into numpy costs more than the numbers.
-                self._block = (self._rng.standard_normal((_BLOCK, 6)) * self._std).tolist()
-                self._next = 0
-            e = self._block[self._next]
-            self._next += 1
-            raw = [
-                raw[0] + e[0],
-                raw[1] + e[1],
-                raw[2] + e[2],
-                raw[3] + e[3],
-                raw[4] + e[4],
-                raw[5] + e[5],
-            ]
+        if self._noise is not None:
+            raw = [a + b for a, b in zip(raw, next(self._noise), strict=True)]
         if after_noise is not None:
             raw = after_noise(raw)
         if self._quantum is not None:
@@ -116,23 +99,12 @@ class ForceTorqueSensor:
             if not -limit <= raw[index] <= limit:
                 raw = [min(max(v, -top), top) for v, top in zip(raw, self._range, strict=True)]
                 break
-        zero = self.zero
-        reading = [
-            raw[0] - zero[0],
-            raw[1] - zero[1],
-            raw[2] - zero[2],
-            raw[3] - zero[3],
-            raw[4] - zero[4],
-            raw[5] - zero[5],
-        ]
+        reading = [a - b for a, b in zip(raw, self.zero, strict=True)]
         if self._zeroing is not None:
             new = self._zeroing.add(raw)
             if new is not None:
                 self.zero, self._zeroing = new, None
         return reading
-
-
-_BLOCK = 512
 
 
 @dataclass(frozen=True)
@@ -152,34 +124,30 @@ class TrackerSample:
 
 
 class Tracker:
-    """Turns true poses in base_link into noisy ones in `tracker`."""
+    """Turn true poses in base_link into noisy ones in `tracker`."""
 
-    def __init__(self, config: TrackerConfig, rng: np.random.Generator) -> None:
-        self._rng = rng
-        self._noisy = config.noise
-        self._std = np.repeat([config.position_noise_m, config.rotation_noise_rad], 3)
-        self._block: list[list[float]] = []
-        self._next = 0
-        self._base_position = config.base_in_tracker.translation_m
-        self._base_turn = from_rotvec(config.base_in_tracker.rotvec_rad)
+    def __init__(self, config: PlantConfig, rng: np.random.Generator) -> None:
+        std = np.repeat([TRACKER_POSITION_NOISE_M, TRACKER_ROTATION_NOISE_RAD], 3)
+        self._noise = _noise(rng, std) if config.noise else None
+        self._base_position = BASE_IN_TRACKER.translation_m
+        self._base_turn = from_rotvec(BASE_IN_TRACKER.rotvec_rad)
         self._marker_position = config.tool_marker.translation_m
         self._marker_turn = from_rotvec(config.tool_marker.rotvec_rad)
-        base = config.base_marker
-        self._base_marker_in_base = (base.translation_m, from_rotvec(base.rotvec_rad))
+        self._base_marker_in_base = (BASE_MARKER.translation_m, from_rotvec(BASE_MARKER.rotvec_rad))
         self._base_marker = self._seen(*self._base_marker_in_base)
 
     def sample(
         self,
         tip: tuple[Vector, Quaternion] | None,
         deflection: Sequence[float] | None,
-        seen: Callable[[MarkerPose], MarkerPose] | None = None,
-        base_shift: Sequence[float] | None = None,
+        seen: Callable[[MarkerPose], MarkerPose],
+        base_shift: Sequence[float] | None,
     ) -> TrackerSample:
-        """Look once.
+        """Measure both markers once.
 
         `tip` is the undeflected tool_tip in base_link, `deflection` (6,) its displacement there:
-        translation (m), rotation vector (rad), or None for no touch. `seen` makes of a marker's
-        pose what the tracker tells; `base_shift` (6,) is how far the base's marker has moved.
+        translation (m), rotation vector (rad), or None for no touch. `seen` turns a marker's
+        pose into the tracker's reading; `base_shift` (6,) is the displacement of the base's marker.
         """
         base = self._base_marker if base_shift is None else self._shifted_base(base_shift)
         tool = None
@@ -190,11 +158,10 @@ class Tracker:
                 turn = multiply(from_rotvec(deflection[3:]), turn)
             marker = _add(position, rotate_by(turn, self._marker_position))
             there = self._seen(marker, multiply(turn, self._marker_turn))
-            tool = self._with_noise(there if seen is None else seen(there))
-        return TrackerSample(tool, self._with_noise(base if seen is None else seen(base)))
+            tool = self._with_noise(seen(there))
+        return TrackerSample(tool, self._with_noise(seen(base)))
 
     def _shifted_base(self, shift: Sequence[float]) -> MarkerPose:
-        """The base's marker, moved and turned about itself along base_link's axes."""
         position, turn = self._base_marker_in_base
         return self._seen(_add(position, shift[:3]), multiply(from_rotvec(shift[3:]), turn))
 
@@ -205,13 +172,9 @@ class Tracker:
         )
 
     def _with_noise(self, pose: MarkerPose) -> MarkerPose:
-        if not self._noisy:
+        if self._noise is None:
             return pose
-        if self._next == len(self._block):
-            self._block = (self._rng.standard_normal((_BLOCK, 6)) * self._std).tolist()
-            self._next = 0
-        noise = self._block[self._next]
-        self._next += 1
+        noise = next(self._noise)
         return MarkerPose(
             _add(pose.position_m, noise[:3]), multiply(from_rotvec(noise[3:]), pose.quaternion)
         )
