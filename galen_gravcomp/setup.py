@@ -21,7 +21,7 @@ setup(
         "console_scripts": [
             "gravcomp_node = galen_ros.executable:galen_gravcomp.node.main",
             "evaluate = galen_ros.executable:galen_gravcomp.evaluate.command.main",
-            "tools = galen_ros.executable:galen_gravcomp.tools.command.main",
+            "tools = galen_ros.executable:galen_gravcomp.tools.main",
         ]
     },
 )

@@ -167,8 +167,7 @@ def compensate_live(bag, tool, seconds, tare_at_s=None, **parameters):
         if is_wrench:
             out += compensator.push_wrench(at_ns, values, "ft_sensor")
         else:
-            *position, roll, tilt = values
-            out += compensator.push_joints(at_ns, roll, tilt, tuple(position))
+            out += compensator.push_joints(at_ns, tuple(values))
     assert all(outcome.success for outcome in tared)
     out = [one for one in out if hasattr(one, "wrench")]
     return np.array([one.stamp_ns for one in out]), np.array([one.wrench for one in out])

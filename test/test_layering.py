@@ -26,7 +26,7 @@ ROS = {
     "galen_deflection.collection.recorder",
     "galen_deflection.node",
     "galen_gravcomp.node",
-    "galen_gravcomp.tools",
+    "galen_gravcomp.tool_services",
     "galen_panel.ros",
     "galen_ros.goal",
     "galen_ros.messages",

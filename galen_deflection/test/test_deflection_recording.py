@@ -24,7 +24,7 @@ from galen_deflection.measurement.registration_fit import RegistrationSettings
 from galen_gravcomp.compensator import Compensator
 from galen_model.arm.galen import SENSOR
 from galen_model.files.calibration_file import read_calibration
-from galen_model.registration.rigid import Transform, mean_pose
+from galen_model.registration import Transform, mean_pose
 from galen_model.rotation import matrix_to_quaternion, quaternion_to_matrix, rotvec_to_matrix
 from push_bag import (
     BASE_POSE,
@@ -112,7 +112,7 @@ def test_wrenches_are_those_of_the_compensator(bag, tool):
     last_ns = arm.wrench_stamp_ns[count]
     for stamp_ns, joints in zip(arm.joint_stamp_ns, arm.joints, strict=True):
         if stamp_ns <= last_ns:
-            made += compensator.push_joints(int(stamp_ns), joints[3], joints[4], tuple(joints[:3]))
+            made += compensator.push_joints(int(stamp_ns), tuple(joints))
     for k in range(count):
         made += compensator.push_wrench(int(arm.wrench_stamp_ns[k]), arm.wrenches[k])
     made = [one for one in made if hasattr(one, "wrench")]

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from galen_bags.arrays.messages import Samples
+from galen_model.arm.galen import GALEN
 from galen_model.arrays import Array
 from galen_ros.stream.regular_run import Arrivals
 from galen_ros.stream.samples import PairedWrench, Rejected, Result
@@ -28,15 +29,15 @@ class BlockResult(NamedTuple):
     """What became of the wrenches of a block, and of those that had waited before it.
 
     In the order in which they came out: index (k,), the wrench's running number by arrival over
-    all blocks, from 0; stamp_ns (k,); wrench (k, 6), compensated, N and N.m; angles (k, 2), roll
-    and tilt at the stamp, rad. `rejected` in the order of the rejections; its `number` is the
+    all blocks, from 0; stamp_ns (k,); wrench (k, 6), compensated, N and N.m; angles (k, a)
+    at the stamp, rad. `rejected` in the order of the rejections; its `number` is the
     index.
     """
 
     index: np.ndarray = np.zeros(0, dtype=np.int64)
     stamp_ns: np.ndarray = np.zeros(0, dtype=np.int64)
     wrench: Array = np.zeros((0, 6))
-    angles: Array = np.zeros((0, 2))
+    angles: Array = np.zeros((0, len(GALEN.turning)))
     rejected: Sequence[Rejected] = ()
 
 
@@ -52,7 +53,7 @@ def push_block(
     Args:
         sink: where samples go one by one.
         is_wrench: of both topics' samples in the order of their arrival.
-        joints: values (j, 5 or more), the platform's position before roll and tilt, m and rad.
+        joints: values (j, n or more) in the arm's order, m and rad.
         wrenches: values (w, 6), N and N.m.
         push_run: pushes the regular samples at the start of its argument; how many, and outputs.
 
@@ -91,8 +92,9 @@ class _Pushing:
         self.at = 0
         self._joint_row = 0
         self._wrench_row = 0
-        first = 0 if sink.pairs_positions else 3
-        self._paired = joints.values[:, first:5]
+        all_joints = joints.values[:, : len(GALEN.joints)]
+        self._joint_values = all_joints if sink.needs_positions else GALEN.angles(all_joints)
+        self._paired = all_joints if sink.pairs_positions else GALEN.angles(all_joints)
         self._joint_usable = _all_but(joints.bad, len(joints))
         self._wrench_readable = _all_but(wrenches.bad, len(wrenches))
         self._parts = [BlockResult()]
@@ -143,9 +145,8 @@ class _Pushing:
         if not self._joint_usable[row]:
             sink.pairing.push_bad_joints(joints.bad[row])
             return
-        x, y, z, roll, tilt = joints.values[row, :5].tolist()
-        platform = (x, y, z) if sink.needs_positions else None
-        self._sort(sink.push_joints(int(joints.stamp_ns[row]), roll, tilt, platform))
+        values = tuple(self._joint_values[row].tolist())
+        self._sort(sink.push_joints(int(joints.stamp_ns[row]), values))
 
     def _step_wrench(self, row: int) -> None:
         sink, wrenches = self._sink, self._wrenches

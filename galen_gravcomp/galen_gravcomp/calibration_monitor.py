@@ -28,7 +28,7 @@ from dataclasses import dataclass, field
 from itertools import islice
 
 import numpy as np
-from galen_model.arm.kinematics import gravity_in_sensor
+from galen_model.arm.galen import GALEN
 from galen_model.arrays import Array
 from galen_model.distributions import chi2_ppf
 from galen_model.evidence.verdict import (
@@ -80,7 +80,7 @@ class RestSegment:
     """
 
     gravity: Array
-    angles: tuple[float, float]
+    angles: tuple[float, ...]
     mean: Array
     std: Array
     start_ns: int
@@ -122,7 +122,7 @@ class SegmentMemory:
 
     def add(self, window: StillWindow) -> RestSegment:
         """Add a window to the newest segment, or begin another; returns the segment."""
-        unit = np.asarray(gravity_in_sensor(*window.angles))
+        unit = np.asarray(GALEN.gravity_in_sensor(window.angles))
         unit = unit / np.linalg.norm(unit)
         segment = self.segments[-1] if self.segments and self._open else None
         if segment is not None and _goes_on(segment, window, unit):
@@ -226,11 +226,11 @@ class CalibrationMonitor:
             self._refit(segments)
             self._work = self._judge()
 
-    def push(self, stamp_ns: int, roll_rad: float, tilt_rad: float, output: Array) -> None:
-        """Take a wrench (6,) as it goes out, and the angles at its stamp."""
+    def push(self, stamp_ns: int, angles: tuple[float, ...], output: Array) -> None:
+        """Take a wrench (6,) as it goes out, and the angles (k,) at its stamp."""
         if self._evidence is None:
             return
-        window = self._windows.push(stamp_ns, roll_rad, tilt_rad, output)
+        window = self._windows.push(stamp_ns, angles, output)
         if window is None:
             # One piece a sample, so that no sample waits for all of it.
             self._work_on(1)

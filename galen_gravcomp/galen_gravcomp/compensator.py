@@ -1,6 +1,6 @@
 """The compensator without ROS: joint and wrench samples go in, compensated wrenches come out.
 
-    expected    = weight(roll, tilt) + pull of a cable   as the sensor reads them, in its own axes
+    expected    = weight(angles) + pull of a cable   as the sensor reads them, in its own axes
     untared     = C (raw - expected) - inertial forces   C: undoes its gains and rotation
     compensated = untared - bias drift - tare
 
@@ -10,12 +10,12 @@ evaluation feed the same class. Which angles belong to a wrench, and which wrenc
 `galen_ros.stream.pairing`'s.
 """
 
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
 from galen_bags.arrays.messages import Samples
+from galen_model.arm.galen import GALEN
 from galen_model.arrays import Array
 from galen_model.errors import GalenError
 from galen_model.evidence.verdict import Limits
@@ -33,6 +33,7 @@ from galen_gravcomp.corrections.inertial import ImuMotion, InertialForces, Joint
 from galen_gravcomp.corrections.tare import TareOutcome, TareRamp, TareWindow
 from galen_gravcomp.parameters import GravcompParameters
 
+_ANGLES = GALEN.turning
 _MOTIONS: dict[str, type[InertialForces]] = {"joints": JointMotion, "imu": ImuMotion}
 _IMPOSSIBLE = (
     "inertial forces are not known: they come out beyond the sensor's range; does joint_states (or"
@@ -96,12 +97,12 @@ class Compensator:
 
     @property
     def needs_positions(self) -> bool:
-        """Whether `push_joints` must be given the platform's position."""
+        """Whether `push_joints` must be given all joints, and not the angles alone."""
         return self.pairs_positions or (self.motion is not None and self.motion.needs_positions)
 
     @property
     def pairs_positions(self) -> bool:
-        """Whether each wrench is paired with the platform's position as well."""
+        """Whether each wrench is paired with all joints, and not with the angles alone."""
         return self.cable is not None
 
     @property
@@ -197,24 +198,18 @@ class Compensator:
 
     # Samples
 
-    def push_joints(
-        self,
-        stamp_ns: int,
-        roll_rad: float,
-        tilt_rad: float,
-        position_m: tuple[float, ...] | None = None,
-    ) -> list[Result]:
+    def push_joints(self, stamp_ns: int, joints: tuple[float, ...]) -> list[Result]:
         """Take a joint sample; returns what became of the wrenches that waited for it.
 
-        position_m: the platform's (3,) in base_link, where `needs_positions`.
+        joints: the arm's (n,), m and rad, or its angles (k,) alone, which do where
+        `needs_positions` is false.
         """
+        if self.needs_positions and len(joints) == len(_ANGLES):
+            joints = tuple(GALEN.with_angles(joints, np.full(len(GALEN.joints), np.nan)).tolist())
         if self.motion is not None:
-            self.motion.push_joints(stamp_ns, roll_rad, tilt_rad, position_m)
-        if self.cable is None:
-            results = self.pairing.push_joints(stamp_ns, (roll_rad, tilt_rad))
-        else:
-            platform = (math.nan,) * 3 if position_m is None else position_m
-            results = self.pairing.push_joints(stamp_ns, (*platform, roll_rad, tilt_rad))
+            self.motion.push_joints(stamp_ns, joints)
+        paired = joints if self.pairs_positions else _angles(joints)
+        results = self.pairing.push_joints(stamp_ns, paired)
         return self._made(results) if results else []
 
     def push_wrench(
@@ -278,7 +273,7 @@ class Compensator:
         self.cable = None if drag is None else CablePull(drag)
         if self.pairs_positions == before:
             return []
-        # The joints so far were kept without the platform's position, or with one too many.
+        # The joints so far were kept as angles alone, or with others that no one needs now.
         return self.pairing.forget_joints("the tool was changed, and the joints are paired anew")
 
     @property
@@ -290,14 +285,14 @@ class Compensator:
         if self.monitor is not None:
             self.monitor.offset_changed(self._settled_offset - before)
 
-    def _end_tare(self, window: TareWindow, stamp_ns: int, roll: float, tilt: float) -> None:
+    def _end_tare(self, window: TareWindow, stamp_ns: int, angles: tuple[float, ...]) -> None:
         """Its offset holds what the bias drift subtracted: that goes as the tare comes."""
         self._window = None
         outcome = window.evaluate()
         if outcome.offset is not None:
             before = self._settled_offset
             self._ramp.start(stamp_ns, outcome.offset)
-            self.bias_drift.tared(stamp_ns, roll, tilt, outcome.offset)
+            self.bias_drift.tared(stamp_ns, angles, outcome.offset)
             self._offset_changed(before)
         window.finish(outcome)
 
@@ -310,7 +305,7 @@ class Compensator:
         paired = self.pairing.push_run(arrivals)
         self.compensated += len(paired.number)
         self.pushed_as_arrays += paired.taken
-        angles = paired.joints[:, -2:]
+        angles = paired.joints[:, _ANGLES] if self.pairs_positions else paired.joints
         pull = 0.0 if self.cable is None else self.cable.readings(paired.joints)
         wrench = prediction.compensate(paired.raw - pull, angles)
         wrench -= self._ramp.target
@@ -324,15 +319,15 @@ class Compensator:
 
     def _compensate(self, paired: PairedWrench) -> Result:
         stamp_ns, raw, joints, tag, number = paired
-        roll, tilt = joints[-2:]
+        angles = _angles(joints)
         prediction, cable = self._prediction, self.cable
         assert prediction is not None
-        expected = prediction.reading(joints[-2:])
+        expected = prediction.reading(angles)
         if cable is not None:
             expected = expected + cable.reading(joints)
         untared = prediction.wrench(raw - expected)
         if self.motion is not None:
-            motion = self.motion.reading(stamp_ns, roll, tilt)
+            motion = self.motion.reading(stamp_ns, angles)
             if isinstance(motion, str):
                 return self.pairing.reject(stamp_ns, Rejection.NO_MOTION, motion, number)
             # No reading can hold more than the sensor does, and NaN is no less.
@@ -343,11 +338,16 @@ class Compensator:
         # Where a cable's pull is not known, the residual is neither the sensor's nor the load's.
         known = cable is None or cable.weight == 1.0
         if known:
-            self.bias_drift.push(stamp_ns, roll, tilt, untared)
+            self.bias_drift.push(stamp_ns, angles, untared)
         compensated = compensated - self.bias_drift.offset_at(stamp_ns)
-        if self._window is not None and self._window.add(stamp_ns, roll, tilt, untared):
-            self._end_tare(self._window, stamp_ns, roll, tilt)
+        if self._window is not None and self._window.add(stamp_ns, angles, untared):
+            self._end_tare(self._window, stamp_ns, angles)
         if self.monitor is not None and known:
-            self.monitor.push(stamp_ns, roll, tilt, untared - self._settled_offset)
+            self.monitor.push(stamp_ns, angles, untared - self._settled_offset)
         self.compensated += 1
         return PairedWrench(stamp_ns, compensated, joints, tag, number)
+
+
+def _angles(joints: tuple[float, ...]) -> tuple[float, ...]:
+    """Values (k,) of the revolute joints, of all joints (n,) or of these alone."""
+    return joints if len(joints) == len(_ANGLES) else tuple(joints[k] for k in _ANGLES)

@@ -47,8 +47,7 @@ from collections.abc import Generator
 from dataclasses import dataclass
 
 import numpy as np
-from galen_model.arm.galen import GRAVITY_M_S2
-from galen_model.arm.kinematics import gravity_in_sensor
+from galen_model.arm.galen import GALEN, GRAVITY_M_S2
 from galen_model.arrays import Array
 from galen_model.evidence import columns
 from galen_model.evidence.linear import (
@@ -101,7 +100,7 @@ _SIZES = np.repeat([0.15, 0.006], 3)[:, None] * 2.0 ** np.arange(-2, 5)
 class Segments:
     """Segments (n,), oldest first.
 
-    mean, std (n, 6): of the output, N and N.m; angles (n, 2): roll and tilt, rad; end_ns (n,).
+    mean, std (n, 6): of the output, N and N.m; angles (n, k), rad; end_ns (n,).
     """
 
     mean: Array
@@ -176,7 +175,7 @@ class FitEvidence:
 
     def design(self, segments: Segments) -> Array:
         """Phi (n, 6, 17) of the parameters, see above."""
-        gravity = gravity_in_sensor(segments.angles[:, 0], segments.angles[:, 1]) * self._scale
+        gravity = GALEN.gravity_in_sensor(segments.angles) * self._scale
         hours = (segments.end_ns - int(segments.end_ns[-1])) / 3.6e12
         return np.concatenate(
             [
@@ -327,7 +326,7 @@ def log_density_of_pull(segments: Segments, variance: Array) -> float:
 
 def _by_pose(segments: Segments) -> Array:
     """Kernels (lengths, n, n)."""
-    unit = gravity_in_sensor(segments.angles[:, 0], segments.angles[:, 1]) / -GRAVITY_M_S2[2]
+    unit = GALEN.gravity_in_sensor(segments.angles) / -GRAVITY_M_S2[2]
     square = np.sum((unit[:, None] - unit) ** 2, axis=2)
     return np.array([np.exp(-square / (2.0 * length**2)) for length in _LENGTHS])
 

@@ -1,11 +1,15 @@
 """The gravity compensation node: wrench_raw and joint_states in, wrench_compensated out."""
 
+import contextlib
 import time
 from typing import Any
 
+import numpy as np
+from galen_model.arm.galen import JOINT_NAMES
+from galen_model.arrays import Array
 from galen_model.errors import CalibrationFileError, ToolNameError
 from galen_model.files.calibration_file import CalibrationFile
-from galen_ros.cdr import ImuWire, RawWrench, UnreadableError
+from galen_ros.cdr import ImuWire, JointStateError, JointWire, RawWrench, UnreadableError
 from galen_ros.messages import STREAM
 from galen_ros.node.spin import run
 from galen_ros.rclpy_workarounds import DeferredService, Respond
@@ -19,7 +23,7 @@ from galen_gravcomp.compensator import Compensator, TareRejectedError
 from galen_gravcomp.corrections.tare import TareOutcome
 from galen_gravcomp.monitor import Monitor
 from galen_gravcomp.parameters import GravcompParameters
-from galen_gravcomp.tools.services import LiveJoints, ToolServices
+from galen_gravcomp.tool_services import ToolServices
 from galen_msgs.srv import SetTool
 
 # Wall time without a compensated wrench after which a running tare is given up.
@@ -44,11 +48,12 @@ class GravcompNode(StreamNode):
         self._tare_progress = (0, 0.0)
 
         self._compensator.set_enabled(p.enabled)
-        joints = LiveJoints(
-            lambda: self._newest_joint_state, p.position_joint_names, p.joint_names, p.silence_s
-        )
         self._tools = ToolServices(
-            self, self._compensator, p.tools_dir, joints, self._compensation.set_file_note
+            self,
+            self._compensator,
+            p.tools_dir,
+            self._live_joints,
+            self._compensation.set_file_note,
         )
         self._at_undo(self._tools.close)
         if p.tool:
@@ -77,8 +82,7 @@ class GravcompNode(StreamNode):
             self._imu = self.create_subscription(Imu, "imu", self._on_imu, qos, raw=True)
 
     def _push_joints(self, stamp_ns: int, positions: tuple[float, ...]) -> list[Result]:
-        roll, tilt, *platform = positions
-        return self._compensator.push_joints(stamp_ns, roll, tilt, tuple(platform) or None)
+        return self._compensator.push_joints(stamp_ns, positions)
 
     def _on_imu(self, data: bytes) -> None:
         try:
@@ -92,16 +96,27 @@ class GravcompNode(StreamNode):
             self._emit(results)
 
     def _choose_joints(self) -> None:
-        """Read the platform's position from joint_states only while it is needed."""
+        """Read all joints from joint_states only while they are needed, else the angles."""
         p = self._config
         platform = p.position_joint_names if self._compensator.needs_positions else ()
-        self._read_joints(p.joint_names + platform)
+        self._read_joints(platform + p.joint_names)
 
     def _publish(self, result: PairedWrench, raw: RawWrench) -> None:
         # The input's own bytes with other numbers: stamp and frame_id can't but be kept.
         self._publisher.publish(raw.with_wrench(result.wrench))
 
     # Tools
+
+    def _live_joints(self) -> Array:
+        """Joints (5,), m and rad; NaN where they are not known, or were long ago."""
+        p, newest = self._config, self._newest_joint_state
+        joints = np.full(len(JOINT_NAMES), np.nan)
+        if newest is None or time.monotonic() - newest[0] > p.silence_s:
+            return joints
+        for names, place in ((p.joint_names, slice(3, 5)), (p.position_joint_names, slice(0, 3))):
+            with contextlib.suppress(JointStateError, UnreadableError):
+                joints[place] = JointWire(names).read(newest[1])[1]
+        return joints
 
     def _load_at_start(self, name: str) -> None:
         try:

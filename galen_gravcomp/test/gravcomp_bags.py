@@ -42,7 +42,7 @@ class Recording:
         self.goals = goals
         self.angles = np.round(angles / 5e-5) * 5e-5
         self.stamp_ns = START_NS + period_ns * np.arange(len(angles), dtype=np.int64)
-        self.wrench = tool.predict(angles[:, 0], angles[:, 1])
+        self.wrench = tool.predict(angles)
         self.wrench = self.wrench + noise * rng.normal(size=(len(angles), 6)) * SENSOR.noise_std
         self.log_ns = self.stamp_ns + DELAY_NS
         self.kept = np.ones(len(angles), dtype=bool)

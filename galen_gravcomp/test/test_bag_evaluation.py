@@ -163,7 +163,7 @@ def test_stuck_and_saturated_channels_are_named(tmp_path, tool):
 def test_poses_that_tell_nothing_of_the_load_are_said_to(tmp_path, tool):
     recording = Recording(tool, poses=12)
     recording.angles[:] = 0.01 * recording.angles
-    recording.wrench = tool.predict(recording.angles[:, 0], recording.angles[:, 1]) + 0.2
+    recording.wrench = tool.predict(recording.angles) + 0.2
     result = evaluate(tmp_path, recording, tool)
     assert result.parts.load is None
     assert result.verdict.cause is Cause.OFFSET
@@ -314,7 +314,7 @@ def at_rest(tool, seconds, rad_s=0.0):
     angles[:, 0] = -1.0 + rad_s * recording.time_s
     recording.angles = np.round(angles / 5e-5) * 5e-5
     noise = np.random.default_rng(1).normal(size=recording.wrench.shape) * SENSOR.noise_std
-    recording.wrench = tool.predict(angles[:, 0], angles[:, 1]) + noise
+    recording.wrench = tool.predict(angles) + noise
     return recording
 
 

@@ -22,8 +22,8 @@ class Watched:
         self.taken = [np.zeros(6)]
         self.arm = UntouchedArm(self._take, **arm)
 
-    def _take(self, stamp_ns, roll, tilt, wrench):
-        self.bias_drift.push(stamp_ns, roll, tilt, wrench)
+    def _take(self, stamp_ns, angles, wrench):
+        self.bias_drift.push(stamp_ns, angles, wrench)
         self.taken.append(self.bias_drift.offset_at(stamp_ns))
 
     def change(self):
@@ -88,7 +88,7 @@ def test_a_push_is_not_learned_as_a_whole_however_it_begins(force_n, begins):
     watched.change()
     if begins == "in a tare":  # half of it with the hand on, so it holds half the push
         arm.hold(0.5, extra)
-        bias_drift.tared(bias_drift._newest_ns, 0.0, 0.0, extra / 2.0)
+        bias_drift.tared(bias_drift._newest_ns, (0.0, 0.0), extra / 2.0)
     arm.hold(60.0, extra)
     arm.hold(4.0)
     # The rate's limit alone would allow 0.015 N in this minute.
@@ -164,7 +164,7 @@ def test_limit_freezes_warns_and_a_tare_begins_anew(monkeypatch):
     watched.arm.hold(20.0)
     assert not watched.change().any()
     stamp_ns = bias_drift._newest_ns
-    bias_drift.tared(stamp_ns, 0.0, 0.0, watched.arm.left(watched.arm.pose))
+    bias_drift.tared(stamp_ns, (0.0, 0.0), watched.arm.left(watched.arm.pose))
     assert bias_drift.trouble == ""
     assert np.allclose(bias_drift.offset_at(stamp_ns + 2_000_000_000), 0.0)
     watched.arm.hold(10.0)
@@ -194,9 +194,9 @@ def test_a_tare_does_not_count_twice_and_nothing_jumps():
     compensator.set_tool(tool)
     out, outcomes = [], []
 
-    def take(stamp_ns, roll, tilt, left):
-        reading = left + tool.predict(roll, tilt)
-        compensator.push_joints(stamp_ns, roll, tilt)
+    def take(stamp_ns, angles, left):
+        reading = left + tool.predict(angles)
+        compensator.push_joints(stamp_ns, angles)
         out.extend(result.wrench for result in compensator.push_wrench(stamp_ns, reading))
 
     arm = UntouchedArm(take, tool, noise=0.0)

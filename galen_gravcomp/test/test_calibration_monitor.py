@@ -8,7 +8,7 @@ from galen_gravcomp.calibration_monitor import CalibrationMonitor
 from galen_gravcomp.compensator import Compensator
 from galen_gravcomp.evidence import FitEvidence, Segments
 from galen_gravcomp.monitor import Monitor
-from galen_model.arm.kinematics import gravity_in_sensor
+from galen_model.arm.galen import GALEN
 from galen_model.evidence.verdict import Cause
 from galen_model.load.model import Load
 from galen_ros.stream.monitor import Severity
@@ -27,8 +27,8 @@ class Watched:
         self.arm = UntouchedArm(self._take, **arm)
         self.watch.set_tool(self.arm.file)
 
-    def _take(self, stamp_ns, roll, tilt, wrench):
-        self.watch.push(stamp_ns, roll, tilt, wrench)
+    def _take(self, stamp_ns, angles, wrench):
+        self.watch.push(stamp_ns, angles, wrench)
         cause = self.watch.verdict.cause
         if not self.states or self.states[-1][1] != cause:
             self.states.append((self.arm.time_s, cause))
@@ -164,9 +164,9 @@ def test_the_node_s_state_warns_of_it_and_a_bad_file_is_worse():
     tool = tool_file()
     compensator.set_tool(tool)
 
-    def take(stamp_ns, roll, tilt, left):
-        compensator.push_joints(stamp_ns, roll, tilt)
-        compensator.push_wrench(stamp_ns, left + tool.predict(roll, tilt))
+    def take(stamp_ns, angles, left):
+        compensator.push_joints(stamp_ns, angles)
+        compensator.push_wrench(stamp_ns, left + tool.predict(angles))
 
     arm = UntouchedArm(take, tool, seed=5)
     arm.on = NO_TOOL
@@ -246,7 +246,7 @@ def test_evidence_is_the_density_of_the_stops():
     evidence = FitEvidence(tool)
     rng = np.random.default_rng(0)
     angles = rng.uniform(-0.8, 0.8, (3, 2))
-    gravity = gravity_in_sensor(angles[:, 0], angles[:, 1])
+    gravity = GALEN.gravity_in_sensor(angles)
     mean = 0.02 * np.concatenate([gravity, np.cross([0.07, 0.0, 0.05], gravity)], axis=1)
     end_ns = START_NS + np.arange(3) * 3_000_000_000
     stops = Segments(mean, np.full((3, 6), 1e-3), angles, end_ns)

@@ -72,8 +72,8 @@ class Rig:
         self.touch: Array = np.zeros(6)
 
     def step(self, step_ns: int = 2 * MS) -> list[Result]:
-        raw = TOOL.predict(self.roll, self.tilt) + self.touch
-        results = self.compensator.push_joints(self.stamp, self.roll, self.tilt)
+        raw = TOOL.predict(self.angles) + self.touch
+        results = self.compensator.push_joints(self.stamp, (self.roll, self.tilt))
         results += self.compensator.push_wrench(self.stamp, raw, "ft_sensor")
         self.stamp += step_ns
         return results
@@ -111,9 +111,11 @@ def test_moving_arm_uses_the_angles_of_the_stamp(wrench_offset_ns: int, lag_samp
     results: list[Result] = []
     for stamp, kind in delayed:
         if kind == 0:
-            results += compensator.push_joints(stamp, *ramp(stamp))
+            results += compensator.push_joints(stamp, ramp(stamp))
         else:
-            results += compensator.push_wrench(stamp, TOOL.predict(*ramp(stamp)) + PUSH)
+            results += compensator.push_wrench(
+                stamp, TOOL.predict(np.stack(ramp(stamp), axis=-1)) + PUSH
+            )
     got = outputs(results)
     count = 300 if wrench_offset_ns == 0 else 299  # the last one still waits
     assert [out.stamp_ns for out in got] == [
@@ -128,13 +130,13 @@ def test_moving_arm_uses_the_angles_of_the_stamp(wrench_offset_ns: int, lag_samp
 def test_tag_comes_back_also_after_waiting() -> None:
     compensator = loaded()
     assert compensator.push_wrench(START, PUSH, tag="a") == []
-    (out,) = outputs(compensator.push_joints(START, 0.0, 0.0))
+    (out,) = outputs(compensator.push_joints(START, (0.0, 0.0)))
     assert out.tag == "a"
 
 
 def test_waits_no_longer_than_max_joint_age() -> None:
     compensator = loaded()
-    compensator.push_joints(START, 0.0, 0.0)
+    compensator.push_joints(START, (0.0, 0.0))
     stamps = [START + i * MS for i in range(1, 51)]
     for stamp in stamps:
         assert compensator.push_wrench(stamp, PUSH) == []
@@ -149,7 +151,7 @@ def test_waits_no_longer_than_max_joint_age() -> None:
 def test_queue_is_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(pairing_module, "MAX_WAITING", 5)
     compensator = loaded()
-    compensator.push_joints(START, 0.0, 0.0)
+    compensator.push_joints(START, (0.0, 0.0))
     results: list[Result] = []
     for i in range(1, 10):
         results += compensator.push_wrench(START + i, PUSH)
@@ -162,7 +164,7 @@ def test_queue_is_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_no_tool() -> None:
     compensator = Compensator()
-    compensator.push_joints(START, 0.0, 0.0)
+    compensator.push_joints(START, (0.0, 0.0))
     (result,) = compensator.push_wrench(START, PUSH)
     assert isinstance(result, Rejected) and result.reason is Rejection.NO_TOOL
     compensator.set_tool(None, "pointer.json: mass is negative")
@@ -208,7 +210,7 @@ def test_nonfinite_joints_reject_the_wrenches_beside_them(bad: float) -> None:
     compensator = loaded()
     for i in range(10):
         tilt = bad if i == 5 else 0.0
-        compensator.push_joints(START + i * 2 * MS, 0.0, tilt)
+        compensator.push_joints(START + i * 2 * MS, (0.0, tilt))
     got = [compensator.push_wrench(START + i * MS, PUSH) for i in range(1, 19)]
     rejected = [i + 1 for i, results in enumerate(got) if reasons(results)]
     assert rejected == [9, 10, 11]
@@ -228,7 +230,7 @@ def test_wrong_frame() -> None:
 
 def test_frame_of_settings_comes_before_the_tools() -> None:
     compensator = loaded(sensor_frame="left_ft_sensor")
-    compensator.push_joints(START, 0.0, 0.0)
+    compensator.push_joints(START, (0.0, 0.0))
     assert reasons(compensator.push_wrench(START, PUSH, "ft_sensor")) == [Rejection.WRONG_FRAME]
     assert len(outputs(compensator.push_wrench(START, PUSH, "left_ft_sensor"))) == 1
 
@@ -245,7 +247,7 @@ def test_no_joints_at_all() -> None:
 def test_wrench_from_before_the_first_joints() -> None:
     compensator = loaded()
     compensator.push_wrench(START, PUSH)
-    (result,) = compensator.push_joints(START + 2 * MS, 0.0, 0.0)
+    (result,) = compensator.push_joints(START + 2 * MS, (0.0, 0.0))
     assert isinstance(result, Rejected) and result.reason is Rejection.NO_JOINTS
 
 
@@ -257,23 +259,23 @@ def test_unusable_joint_messages_are_the_reason() -> None:
         results += compensator.push_wrench(START + i * 2 * MS, PUSH)
     assert set(reasons(results)) == {Rejection.BAD_JOINTS}
     assert "gripper" in results[-1].detail  # type: ignore[union-attr]
-    compensator.push_joints(START + 120 * MS, 0.0, 0.0)
+    compensator.push_joints(START + 120 * MS, (0.0, 0.0))
     assert len(outputs(compensator.push_wrench(START + 120 * MS, PUSH))) == 1
 
 
 def test_gap_in_the_joints_is_not_bridged() -> None:
     compensator = loaded()
-    compensator.push_joints(START, 0.0, 0.0)
+    compensator.push_joints(START, (0.0, 0.0))
     assert compensator.push_wrench(START + 30 * MS, PUSH) == []
-    (result,) = compensator.push_joints(START + 51 * MS, 1.0, 0.0)
+    (result,) = compensator.push_joints(START + 51 * MS, (1.0, 0.0))
     assert isinstance(result, Rejected) and result.reason is Rejection.STALE_JOINTS
     assert compensator.push_wrench(START + 60 * MS, PUSH) == []
-    assert len(outputs(compensator.push_joints(START + 70 * MS, 1.0, 0.0))) == 1
+    assert len(outputs(compensator.push_joints(START + 70 * MS, (1.0, 0.0)))) == 1
 
 
 def test_other_clock_is_named() -> None:
     compensator = loaded()
-    compensator.push_joints(START, 0.0, 0.0)
+    compensator.push_joints(START, (0.0, 0.0))
     (result,) = compensator.push_wrench(START + 1000 * S, PUSH)
     assert isinstance(result, Rejected) and result.reason is Rejection.STALE_JOINTS
     assert "different clocks" in result.detail
@@ -281,7 +283,7 @@ def test_other_clock_is_named() -> None:
 
 def test_unstamped() -> None:
     compensator = loaded()
-    compensator.push_joints(START, 0.0, 0.0)
+    compensator.push_joints(START, (0.0, 0.0))
     assert reasons(compensator.push_wrench(0, PUSH)) == [Rejection.UNSTAMPED]
 
 
@@ -297,10 +299,12 @@ def test_out_of_order_wrench_is_compensated_with_its_own_angles() -> None:
     compensator = loaded()
     for i in range(20):
         stamp = START + i * 2 * MS
-        compensator.push_joints(stamp, *ramp(stamp))
+        compensator.push_joints(stamp, ramp(stamp))
     assert len(outputs(compensator.push_wrench(START + 30 * MS, PUSH))) == 1
     late = START + 11 * MS
-    (out,) = outputs(compensator.push_wrench(late, TOOL.predict(*ramp(late)) + PUSH))
+    (out,) = outputs(
+        compensator.push_wrench(late, TOOL.predict(np.stack(ramp(late), axis=-1)) + PUSH)
+    )
     assert out.stamp_ns == late
     np.testing.assert_allclose(out.wrench, PUSH, atol=1e-12)
     assert compensator.pairing.notices[Notice.OUT_OF_ORDER_WRENCH] == 1
@@ -309,11 +313,11 @@ def test_out_of_order_wrench_is_compensated_with_its_own_angles() -> None:
 def test_out_of_order_and_duplicate_joints_are_noticed() -> None:
     compensator = loaded()
     for stamp in (START, START + 4 * MS, START + 2 * MS, START + 4 * MS):
-        compensator.push_joints(stamp, *ramp(stamp))
+        compensator.push_joints(stamp, ramp(stamp))
     assert compensator.pairing.notices[Notice.OUT_OF_ORDER_JOINTS] == 1
     assert compensator.pairing.notices[Notice.DUPLICATE_JOINTS] == 1
     late = START + 3 * MS
-    (out,) = outputs(compensator.push_wrench(late, TOOL.predict(*ramp(late))))
+    (out,) = outputs(compensator.push_wrench(late, TOOL.predict(np.stack(ramp(late), axis=-1))))
     np.testing.assert_allclose(out.wrench, np.zeros(6), atol=1e-12)
 
 
@@ -480,8 +484,8 @@ def test_tare_needs_enough_samples() -> None:
     answer = Answer()
     rig.compensator.start_tare(answer)
     while not answer.outcomes:
-        results = rig.compensator.push_joints(rig.stamp, 0.2, -0.1)
-        results += rig.compensator.push_wrench(rig.stamp, TOOL.predict(0.2, -0.1))
+        results = rig.compensator.push_joints(rig.stamp, (0.2, -0.1))
+        results += rig.compensator.push_wrench(rig.stamp, TOOL.predict((0.2, -0.1)))
         rig.stamp += 100 * MS
     assert not answer.only.success and "6 compensated wrenches" in answer.only.message
 
@@ -582,9 +586,9 @@ def test_nothing_leaks_across_a_restart(jump_ns: int, first: str) -> None:
     results: list[Result] = []
     for i in range(30):
         stamp = new_start + i * 2 * MS
-        raw = TOOL.predict(new_roll, new_tilt) + PUSH
+        raw = TOOL.predict(np.stack([new_roll, new_tilt], axis=-1)) + PUSH
         feed = [
-            lambda s=stamp: compensator.push_joints(s, new_roll, new_tilt),
+            lambda s=stamp: compensator.push_joints(s, (new_roll, new_tilt)),
             lambda s=stamp, r=raw: compensator.push_wrench(s + MS, r, "ft_sensor"),
         ]
         for push in feed if first == "joints" else reversed(feed):

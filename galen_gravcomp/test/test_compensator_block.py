@@ -215,7 +215,7 @@ class Way:
             elif sample.bad:
                 compensator.pairing.push_bad_joints(sample.bad)
             else:
-                self.sort(compensator.push_joints(sample.stamp_ns, *sample.values))
+                self.sort(compensator.push_joints(sample.stamp_ns, sample.values))
 
     def as_block(self, samples: Sequence[Sample]) -> None:
         result = self.compensator.push_block(**block_of(samples))
@@ -233,7 +233,7 @@ class Way:
             "compensated": c.compensated,
             "rejections": dict(c.pairing.rejections),
             "notices": dict(c.pairing.notices),
-            "waiting": [(w.stamp_ns, w.raw.tolist(), w.number) for w in c.pairing._waiting],
+            "waiting": [(w.stamp_ns, w.wrench.tolist(), w.number) for w in c.pairing._waiting],
             "newest wrench": c.pairing._newest_wrench_ns,
             "joint trouble": c.pairing._joint_trouble,
             "joint stamps": c.pairing._joints._stamps,
@@ -552,7 +552,7 @@ def test_numbers_run_over_all_blocks_and_single_wrenches() -> None:
     way.as_block([])
     way.as_block([Sample(True, START + 2, wrench, frame=1), Sample(True, START + 3, wrench)])
     assert [(r.number, r.reason) for r in way.rejected] == [(2, Rejection.WRONG_FRAME)]
-    (first, second, last) = way.compensator.push_joints(START + 3, 0.0, 0.0)
+    (first, second, last) = way.compensator.push_joints(START + 3, (0.0, 0.0))
     assert [first.number, second.number, last.number] == [0, 1, 3]
     assert isinstance(second, PairedWrench) and second.tag == "mine"
     # A wrench that waited from before comes out with the block, in its place.

@@ -55,7 +55,7 @@ def motion(count=1500):
 
 
 def raw_of(tool, joints, push=0.0):
-    expected = tool.predict(joints[:, 3], joints[:, 4])
+    expected = tool.predict(joints[:, 3:])
     if tool.cable is not None:
         expected = expected + tool.cable.posterior.means(joints)
     return expected + push
@@ -71,7 +71,7 @@ def one_by_one(compensator, joints, raw, lag=1):
         if late >= 0:
             q = joints[late].tolist()
             stamp_ns = START_NS + late * PERIOD_NS - PERIOD_NS // 3
-            results += compensator.push_joints(stamp_ns, q[3], q[4], tuple(q[:3]))
+            results += compensator.push_joints(stamp_ns, tuple(q))
     return results
 
 
@@ -169,7 +169,7 @@ def test_a_push_comes_out_as_it_went_in():
 def test_without_a_position_nothing_is_published():
     compensator = Compensator()
     compensator.set_tool(a_tool(a_drag()))
-    compensator.push_joints(START_NS, 0.1, 0.2)
+    compensator.push_joints(START_NS, (0.1, 0.2))
     (rejected,) = compensator.push_wrench(START_NS, np.zeros(6))
     assert rejected.reason is Rejection.NONFINITE_JOINTS
 
@@ -182,8 +182,7 @@ def test_a_tool_with_a_cable_and_one_without_follow_each_other():
 
     def step(number):
         stamp_ns = START_NS + number * PERIOD_NS
-        platform = tuple(q[:3]) if compensator.needs_positions else None
-        compensator.push_joints(stamp_ns, q[3], q[4], platform)
+        compensator.push_joints(stamp_ns, tuple(q))
         return compensator.push_wrench(stamp_ns, raw_of(corded, HOME[None])[0])
 
     (first,) = step(1)
@@ -210,7 +209,7 @@ def test_outside_is_told_on_diagnostics():
         now_s = 0.002 * number
         monitor.on_joints(now_s)
         monitor.on_wrench(now_s)
-        compensator.push_joints(stamp_ns, 0.0, 0.0, (away, 0.0, 0.408))
+        compensator.push_joints(stamp_ns, (away, 0.0, 0.408, 0.0, 0.0))
         assert isinstance(compensator.push_wrench(stamp_ns, np.zeros(6))[0], PairedWrench)
         monitor.on_output(now_s, now_s, stamp_ns)
         assert monitor.state(now_s).name == state

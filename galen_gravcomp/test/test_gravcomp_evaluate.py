@@ -10,8 +10,7 @@ from galen_bags.arrays.text_table import TableError
 from galen_gravcomp.evaluate.command import main
 from galen_gravcomp.evaluate.table.cross_validation import MODELS, contiguous_blocks, cross_validate
 from galen_gravcomp.evaluate.table.evaluation import evaluate_table
-from galen_model.arm.galen import GRAVITY_M_S2
-from galen_model.arm.kinematics import sensor_rotation
+from galen_model.arm.galen import GALEN, GRAVITY_M_S2
 from galen_model.files.calibration_file import (
     CalibrationFile,
     LoadEstimate,
@@ -36,7 +35,7 @@ needs_shared = pytest.mark.skipif(
 def readings():
     rng = np.random.default_rng(1)
     roll, tilt = rng.uniform(-1.5, 1.5, 30), rng.uniform(-1.0, 0.9, 30)
-    rotation = sensor_rotation(roll, tilt)
+    rotation = GALEN.rotation(np.stack([roll, tilt], axis=-1))
     gravity = np.einsum("nji,j->ni", rotation, GRAVITY_M_S2)
     wrench = gravity_wrench(gravity, LOAD) + OFFSET + NOISE * rng.standard_normal((30, 6))
     return roll, tilt, rotation, gravity, wrench
@@ -183,7 +182,7 @@ def recording(noise, rng):
     phase, into = np.minimum((time // 9).astype(int), 3), time % 9
     blend = np.clip((into - 6) / 3, 0.0, 1.0)[:, None]
     joints = stops[phase] * (1 - blend) + stops[np.minimum(phase + 1, 3)] * blend
-    rotation = sensor_rotation(joints[:, 0], joints[:, 1])
+    rotation = GALEN.rotation(joints)
     gravity = np.einsum("nji,j->ni", rotation, GRAVITY_M_S2)
     wrench = gravity_wrench(gravity, LOAD) + OFFSET + noise * rng.standard_normal((len(time), 6))
     return time, joints, gravity, wrench
@@ -241,7 +240,7 @@ def test_a_tool_file_is_scored_beside_the_fits(tmp_path, capsys):
     write_calibration(tmp_path / "pointer.json", tool)
     joints = np.column_stack([rng.uniform(-1.5, 1.5, 40), rng.uniform(-1.0, 0.9, 40)])
     noise = NOISE * 0.1
-    wrench = tool.predict(joints[:, 0], joints[:, 1]) + noise * rng.standard_normal((40, 6))
+    wrench = tool.predict(joints) + noise * rng.standard_normal((40, 6))
     path = write(tmp_path / "t.csv", ["roll", "tilt", *WRENCH], np.hstack([joints, wrench]))
     assert main([str(path), "--tool", str(tmp_path / "pointer.json"), "--json"]) == 0
     rmse = json.loads(capsys.readouterr().out)["tool"]["rmse"]
@@ -335,7 +334,9 @@ def test_a_tool_file_from_a_table_reads_what_the_fit_reads(tmp_path, readings, k
     tool = read_calibration(path)
     fit = evaluate_table(read_table(table)).fit
     under = gravity * (local if kind == "gravity" else 1.0)
-    assert tool.predict(roll, tilt) == pytest.approx(fit.predict(under), rel=1e-12, abs=1e-12)
+    assert tool.predict(np.stack([roll, tilt], axis=-1)) == pytest.approx(
+        fit.predict(under), rel=1e-12, abs=1e-12
+    )
     assert tool.adapter.mass_kg == 0.0
     assert "adapter" in tool.unresolved[0]
     assert (tool.tool, tool.poses_used) == ("gripper", 29)

@@ -114,7 +114,7 @@ def test_it_is_configured_anew_with_other_files_and_joints(harness: Harness, too
     assert life.go("configure", "activate")
     harness.wait_for(bench.ready, 20.0, "inputs and output")
     stamp = bench.step(PUSH)
-    bench.expect(stamp, PUSH + POINTER.predict(*STILL) - OTHER.predict(*STILL))
+    bench.expect(stamp, PUSH + POINTER.predict(STILL) - OTHER.predict(STILL))
 
 
 def test_a_bad_file_fails_configure_and_can_be_fixed(harness: Harness, tools: Path) -> None:

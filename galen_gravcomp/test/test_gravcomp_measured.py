@@ -57,7 +57,7 @@ def offline(bag, file):
             results = compensator.push_wrench(stamp_ns, recording.wrenches[k], "ft_sensor")
         else:
             stamp_ns = int(recording.joint_stamp_ns[k])
-            results = compensator.push_joints(stamp_ns, *recording.joints[k, 3:].tolist())
+            results = compensator.push_joints(stamp_ns, tuple(recording.joints[k, 3:].tolist()))
         done += [result for result in results if isinstance(result, PairedWrench)]
         counts.append(len(done))
     return [result.stamp_ns for result in done], np.array([r.wrench for r in done]), counts

@@ -57,7 +57,7 @@ class Rig:
         changed = False
         if joints:
             self.monitor.on_joints(self.t)
-            self.compensator.push_joints(stamp, roll, 0.0)
+            self.compensator.push_joints(stamp, (roll, 0.0))
         self.monitor.on_wrench(self.t)
         for result in self.compensator.push_wrench(stamp, wrench):
             if isinstance(result, PairedWrench):

@@ -7,8 +7,7 @@ import pytest
 from galen_gravcomp.compensator import Compensator
 from galen_gravcomp.corrections.inertial import LocalPolynomial
 from galen_gravcomp.parameters import GravcompParameters
-from galen_model.arm.galen import SENSOR
-from galen_model.arm.kinematics import gravity_in_sensor
+from galen_model.arm.galen import GALEN, SENSOR
 from galen_model.arm.sensor_motion import sensor_motion
 from galen_model.load.inertia import ImuMount
 from galen_model.rotation import rotvec_to_matrix
@@ -31,7 +30,7 @@ def push(made, stamps, joints, wrenches, wrench_late_ns=0):
     """Joints, then the wrench of each stamp; returns all results."""
     results = []
     for stamp, q, wrench in zip(stamps, joints, wrenches, strict=True):
-        results += made.push_joints(int(stamp), q[3], q[4], tuple(q[:3]))
+        results += made.push_joints(int(stamp), tuple(q))
         results += made.push_wrench(int(stamp) + wrench_late_ns, wrench)
     return results
 
@@ -105,7 +104,7 @@ def test_a_wrench_waits_for_the_delay_and_not_longer():
     joints = np.tile([0.0, 0.0, 0.4, 0.1, 0.2], (60, 1))
     out_at = {}
     for stamp, q in zip(stamps, joints, strict=True):
-        for result in made.push_joints(int(stamp), q[3], q[4], tuple(q[:3])):
+        for result in made.push_joints(int(stamp), tuple(q)):
             out_at[result.stamp_ns] = int(stamp) - result.stamp_ns
         made.push_wrench(int(stamp), np.zeros(6))
     assert set(out_at.values()) == {20 * MS}
@@ -141,7 +140,7 @@ def test_gaps_bad_values_and_lacking_positions_are_rejected_with_their_own_reaso
         results = []
         for number, stamp in enumerate(stamps.tolist()):
             for sample in joint_at(number):
-                results += made.push_joints(stamp, sample[3], sample[4], sample[:3])
+                results += made.push_joints(stamp, sample)
             results += made.push_wrench(stamp, zeros)
         assert set(made.pairing.rejections) == {Rejection.NO_MOTION}
         assert len(results) + made.pairing.waiting == len(stamps)
@@ -166,7 +165,7 @@ def test_inertial_forces_beyond_the_sensors_range_are_rejected():
     for k in range(60):
         stamp = START_NS + k * 2 * MS
         made.push_imu(stamp, (0.0, 0.0, 1e6 if k == 30 else 0.0), (0.0, 0.0, 9.8))
-        made.push_joints(stamp, 0.1, 0.2)
+        made.push_joints(stamp, (0.1, 0.2))
     results = [made.push_wrench(START_NS + k * 2 * MS, np.zeros(6))[0] for k in (25, 30)]
     assert [r.reason for r in results] == [Rejection.NO_MOTION] * 2
     assert all("beyond the sensor's range" in r.detail for r in results)
@@ -189,7 +188,7 @@ def test_an_imu_whose_stamps_jumped_is_known_again_a_window_later():
             # one stamp from the future, or a clock that was ahead until it started anew
             wrong = k == 50 if jump_ns > 0 else k < 50
             out += made.push_imu(stamp + wrong * abs(jump_ns), (0.0,) * 3, (0.0, 0.0, 9.8))
-            out += made.push_joints(stamp, 0.1, 0.2) + made.push_wrench(stamp, np.zeros(6))
+            out += made.push_joints(stamp, (0.1, 0.2)) + made.push_wrench(stamp, np.zeros(6))
         known = [r.stamp_ns for r in out if isinstance(r, PairedWrench)]
         assert len([stamp for stamp in known if stamp > START_NS + 150 * MS]) > 30
         assert set(made.pairing.rejections) == {Rejection.NO_MOTION}
@@ -227,7 +226,7 @@ def imu_readings(motion):
     """What an IMU mounted so reads: angular velocity, specific force, (n, 3) each."""
     w, al, a = sensor_motion(*motion)
     there = a + np.cross(al, MOUNT.lever_m) + np.cross(w, np.cross(w, MOUNT.lever_m))
-    felt = there - gravity_in_sensor(motion[0][:, 3], motion[0][:, 4])
+    felt = there - GALEN.gravity_in_sensor(motion[0][:, 3:])
     back = rotvec_to_matrix(MOUNT.rotvec_rad)
     return w @ back, MOUNT.scale * felt @ back + MOUNT.bias_m_s2
 
@@ -250,7 +249,7 @@ def test_an_imu_tells_the_inertial_forces_in_its_own_axes_and_at_its_own_stamps(
         if kind:
             results += made.push_imu(int(stamp), tuple(angular[k]), tuple(linear[k]))
         else:
-            new = made.push_joints(int(stamp), *motion[0][k, 3:])
+            new = made.push_joints(int(stamp), tuple(motion[0][k, 3:]))
             results += new + made.push_wrench(int(stamp), wrenches[k])
         waited.append(made.pairing.waiting)
     out = [r for r in results if isinstance(r, PairedWrench)]

@@ -19,7 +19,7 @@ from galen_gravcomp.evaluate.table.cross_validation import (
 from galen_gravcomp.evaluate.table.evaluation import table_prediction
 from galen_gravcomp.parameters import GravcompParameters
 from galen_model.errors import GalenError
-from galen_model.evidence.block_gain import GALEN, MOUNTED, PLAIN
+from galen_model.evidence.block_gain import MOUNTED, PLAIN, ROBUST
 from galen_model.files.calibration_file import CalibrationFile, LoadEstimate, read_calibration
 from galen_model.load.mounting.mounting import Mounting
 from galen_model.load.prediction import Prediction
@@ -61,7 +61,7 @@ def sensed(wrench):
 def test_the_fast_prediction_is_the_tools_own(tool):
     prediction = Prediction(tool)
     angles = np.random.default_rng(0).uniform(-4.0, 4.0, (40, 2))
-    expected = tool.predict(angles[:, 0], angles[:, 1])
+    expected = tool.predict(angles)
     np.testing.assert_allclose(prediction.readings(angles), expected, atol=1e-13)
     assert prediction.readings(angles[:0]).shape == (0, 6)
     found = [prediction.reading(one) for one in angles.tolist()]
@@ -73,12 +73,12 @@ def test_a_push_on_a_mismounted_sensor_comes_out_right_one_by_one_and_in_blocks(
     count, step = 60, 2_000_000
     stamps = 10**9 + step * np.arange(count)
     angles = np.cumsum(rng.normal(size=(count, 2)), axis=0) * 1e-3 + [0.4, -0.3]
-    raw = TOOL.predict(angles[:, 0], angles[:, 1]) + sensed(PUSH)
+    raw = TOOL.predict(angles) + sensed(PUSH)
     single = Compensator()
     single.set_tool(TOOL)
     out = []
     for stamp, (roll, tilt), reading in zip(stamps.tolist(), angles, raw, strict=True):
-        single.push_joints(stamp, float(roll), float(tilt))
+        single.push_joints(stamp, (float(roll), float(tilt)))
         out += single.push_wrench(stamp, reading)
     wrenches = np.array([one.wrench for one in out if isinstance(one, PairedWrench)])
     np.testing.assert_allclose(wrenches, np.tile(PUSH, (count, 1)), atol=1e-12)
@@ -121,7 +121,7 @@ def test_a_model_with_the_mounting_wins_on_held_out_readings_of_a_turned_sensor(
     std = np.degrees(found.mounting.std[:3])
     assert np.all(np.abs(np.degrees(found.mounting.vector[:3]) - [0.0, 0.0, 2.0]) < 4.0 * std)
     groups = contiguous_blocks(len(readings), 4)
-    models = {PLAIN: plain_model, GALEN: robust_model, MOUNTED: request.model}
+    models = {PLAIN: plain_model, ROBUST: robust_model, MOUNTED: request.model}
     scores = {name: cross_validate(readings, groups, model) for name, model in models.items()}
     verdict = table_worth(scores, groups, found.single.sigma)
     assert verdict is not None
@@ -162,7 +162,7 @@ def test_an_inclined_base_is_followed_in_a_table_of_angles(tmp_path):
     tool = replace(TOOL, mounting=only, gravity_m_s2=np.array([0.0, 0.0, -9.80665]))
     path = tmp_path / "angles.csv"
     roll, tilt = np.random.default_rng(3).uniform(-1.0, 0.9, (2, 16))
-    wrench = tool.predict(roll, tilt)
+    wrench = tool.predict(np.stack([roll, tilt], axis=-1))
     rows = np.column_stack([wrench, roll, tilt])
     np.savetxt(path, rows, delimiter=",", header="fx,fy,fz,tx,ty,tz,roll,tilt", comments="")
     readings = read_table(path)

@@ -167,7 +167,7 @@ class Bench:
         """One sample of an arm with the pointer on; returns its stamp."""
         stamp = self.stamp
         self.driver.joints(stamp, roll, tilt)
-        self.driver.wrench(stamp, POINTER.predict(roll, tilt) + touch)
+        self.driver.wrench(stamp, POINTER.predict(np.stack([roll, tilt], axis=-1)) + touch)
         self.stamp += 2 * MS
         return stamp
 
@@ -261,7 +261,7 @@ def test_uses_the_angles_of_the_wrenchs_stamp(bench: Bench) -> None:
         bench.driver.joints(stamp, roll, 0.0)
         if i == 0:
             middle = stamp + MS // 2
-            bench.driver.wrench(middle, POINTER.predict(0.025, 0.0) + PUSH)
+            bench.driver.wrench(middle, POINTER.predict((0.025, 0.0)) + PUSH)
     bench.expect(middle, PUSH)
 
 
@@ -409,7 +409,7 @@ def test_set_tool_reads_back_what_is_active(bench: Bench) -> None:
     np.testing.assert_array_equal(answer.com_m, RETRACTOR.load.com_m)
     np.testing.assert_array_equal(answer.tip_m, RETRACTOR.tip_m)
     assert answer.calibrated_at == RETRACTOR.calibrated_at
-    difference = POINTER.predict(*STILL) - RETRACTOR.predict(*STILL)
+    difference = POINTER.predict(STILL) - RETRACTOR.predict(STILL)
     bench.expect(bench.step(PUSH), PUSH + difference)
 
 

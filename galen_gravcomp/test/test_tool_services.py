@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray
 from galen_gravcomp.node import GravcompNode
-from galen_gravcomp.tools import active as active_tool
-from galen_model.arm.kinematics import sensor_pose
+from galen_model.arm.galen import GALEN
 from galen_model.files.calibration_file import (
     CalibrationFile,
     LoadEstimate,
@@ -25,6 +24,7 @@ from rclpy.node import Node
 from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool, Trigger
 
+from galen_gravcomp import tool_services
 from galen_msgs.msg import ActiveTool
 from galen_msgs.srv import (
     CompareTools,
@@ -85,7 +85,7 @@ class Person(Node):
         joints.position = JOINTS.tolist()
         wrench = WrenchStamped()
         wrench.header.frame_id = "ft_sensor"
-        fill_wrench(wrench, POINTER.predict(*JOINTS[3:]) + LEFT)
+        fill_wrench(wrench, POINTER.predict(JOINTS[3:]) + LEFT)
         for message in (joints, wrench):
             fill_stamp(message.header.stamp, self.stamp_ns)
         self.joints.publish(joints)
@@ -116,7 +116,7 @@ class Person(Node):
 def test_tools_by_service_in_one_nodes_life(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(active_tool, "_FILE_CHECK_S", 0.05)
+    monkeypatch.setattr(tool_services, "_FILE_CHECK_S", 0.05)
     for tool in (POINTER, RETRACTOR, a_tool("drill", 0.06 + 1e-5)):
         write_calibration(calibration_path(tmp_path, tool.tool), tool)
     write_calibration(tmp_path / "cut.json.bak", a_tool("cut", 0.1))
@@ -182,7 +182,7 @@ def check_list_get_compare(person: Person, folder: Path) -> None:
     given = person.call("get_tool", GetTool, **asked, joints=JOINTS.tolist())
     person.output()
     live = person.call("get_tool", GetTool, **asked)
-    rotation, origin = sensor_pose(JOINTS)
+    rotation, origin = GALEN.sensor_pose(JOINTS)
     for answer in (given, live):
         assert answer.success and answer.frame == "base_link" and not answer.active_tool
         np.testing.assert_allclose(answer.com_m, rotation @ RETRACTOR.load.com_m + origin)

@@ -1,17 +1,14 @@
 """The command `tools`: what it prints, what it rejects, exit codes; without a node."""
 
 import json
-from dataclasses import dataclass, field, make_dataclass
+from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from galen_gravcomp.tools import command as tools_command
-from galen_gravcomp.tools.command import main
-from galen_gravcomp.tools.report import print_active, print_tool
-from galen_model.arm.kinematics import sensor_pose
+from galen_gravcomp.tools import main
 from galen_model.files.calibration_file import (
     CalibrationFile,
     LoadEstimate,
@@ -19,9 +16,9 @@ from galen_model.files.calibration_file import (
     calibration_path,
     write_calibration,
 )
-from galen_model.files.calibration_store import StoredCalibration
-from galen_model.load.frames import sensor_in_frame
-from rich.console import Console
+
+from galen_gravcomp import tool_services
+from galen_gravcomp import tools as tools_module
 
 
 def a_tool(name: str, mass_kg: float) -> CalibrationFile:
@@ -90,37 +87,21 @@ def test_list_names_what_is_broken_and_what_was_removed(tools: Command) -> None:
     assert tools.json("show", "pointer")["load"]["mass_kg"] == 0.06
 
 
-def test_show_in_another_frame(tools: Command) -> None:
-    joints = [0.0, 0.0, 0.408, 0.1, 0.2]
-    found = tools.json("show", "pointer", "--frame", "base_link", "--joints=0,0,0.408,0.1,0.2")
-    rotation, origin = sensor_pose(joints)
-    np.testing.assert_allclose(found["load"]["com_m"], rotation @ [0.055, 0.002, 0.045] + origin)
-    np.testing.assert_allclose(found["tip_m"], rotation @ [0.15, 0.0, 0.05] + origin)
-    assert found["joints"] == joints and found["frame"] == "base_link"
-    out = tools("show", "pointer", "--frame", "roll_link", "--joints=0.1,0.2")
-    assert "centre in roll_link at tilt 0.2, mm" in out and "roll 0.1" not in out
-    tools("show", "pointer", "--frame", "base_link", "--joints=0.1,0.2", code=1)
-    assert "unknown: delta_x, delta_y, delta_z" in tools.err and tools.err.count("\n") == 1
+def test_show_prints_the_file_and_its_optional_parts_whatever_they_hold(
+    tools: Command, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    found = tools.json("show", "pointer")
+    assert found["load"]["com_m"] == [0.055, 0.002, 0.045] and found["tip_m"] == [0.15, 0.0, 0.05]
+    assert found["path"] == str(tools.folder / "pointer.json") and len(found["sha256"]) == 64
     assert "not identified by the calibration: how much" in tools("show", "retractor")
 
-
-def test_optional_parts_are_shown_whatever_they_hold(folder: Path) -> None:
     class Part:
         def to_json(self) -> dict[str, Any]:
             return {"gain": [1.0, 2.5], "covariance": [[1.0]], "nested": {"x": 0.1}}
 
-    kind = make_dataclass(
-        "WithPart", [("of_later", Any, field(default=None))], bases=(CalibrationFile,), frozen=True
-    )
-    tool = kind(**{**vars(a_tool("pointer", 0.06)), "of_later": Part()})
-    assert tool.parts[-1:] == ("of_later",)
-    console = Console(width=100)
-    place = sensor_in_frame("ft_sensor", tool.tip_m)
-    with console.capture() as captured:
-        print_tool(
-            StoredCalibration(folder / "x", tool, "", ""), place, np.full(5, np.nan), console
-        )
-    out = captured.get()
+    monkeypatch.setattr(CalibrationFile, "parts", ("of_later",))
+    monkeypatch.setattr(CalibrationFile, "of_later", Part(), raising=False)
+    out = tools("show", "pointer")
     assert "of_later" in out and "1 2.5" in out and "x: 0.1" in out and "given" in out
 
 
@@ -129,7 +110,7 @@ def test_compare(tools: Command) -> None:
     assert "another load: mass differs by 140 g (990 sigma)" in out
     found = tools.json("compare", "pointer", "retractor")
     assert found["differences"][0]["difference"] == pytest.approx(0.14)
-    assert found["worst"]["force_n"]["size"] == pytest.approx(0.14 * 9.80665)
+    assert found["worst"]["force_n"] == pytest.approx(0.14 * 9.80665)
     tip = next(row for row in found["differences"] if row["quantity"] == "tip_x")
     assert tip["std_dev"] is None and tip["text"] == "the same"
     assert tools.json("compare", "pointer", "pointer")["same_load"]
@@ -191,7 +172,7 @@ def test_remove_asks(
             return self.answer
 
     terminal = Terminal()
-    monkeypatch.setattr(tools_command.sys, "stdin", terminal)
+    monkeypatch.setattr(tools_module.sys, "stdin", terminal)
     for answer, code in (("n\n", 1), ("", 1), ("interrupt", 130), ("y\n", 0)):
         terminal.answer = answer
         tools("remove", "pointer", code=code)
@@ -214,22 +195,26 @@ def test_ages() -> None:
         assert age_text(time, now) == text
 
 
-def test_active_tells_a_switch_that_is_off_and_a_file_that_changed() -> None:
-    state = {
-        "tool": "pointer", "enabled": False, "frame": "ft_sensor", "mass_kg": 0.06,
-        "com_m": [0.055, 0.002, 0.045], "covariance": (np.eye(4) * 1e-8).tolist(),
-        "tip_m": [0.15, 0.0, 0.05], "adapter": {"mass_kg": 0.1, "com_m": [0.0, 0.0, 0.02]},
-        "parts": ["inertia"], "calibrated_at": "2026-01-01T00:00:00Z", "path": "/x/pointer.json",
-        "sha256": "0123456789abcdef", "file_state": "changed",
-        "tare": [0.5, 0.0, 0.0, 0.0, 0.0, 0.0], "bias_drift": None,
-    }  # fmt: skip
-    console = Console(width=100)
-    with console.capture() as captured:
-        print_active(state, console)
-    out = captured.get()
-    for words in ("switched off", "has changed since", "500.00", "inertia", "0123456789ab"):
-        assert words in out
-    assert "bias_drift" not in out
-    with console.capture() as captured:
-        print_active({**state, "tool": ""}, console)
-    assert "no tool is active" in captured.get()
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({}, ("pointer", "0.06", "0.5 0 0", "as loaded")),
+        ({"enabled": False}, ("switched off",)),
+        ({"file_state": "changed"}, ("file is changed since it was loaded",)),
+        ({"tool": ""}, ("no tool is active",)),
+    ],
+)
+def test_active_shows_the_topic_and_what_is_wrong(
+    changes: dict[str, Any],
+    words: tuple[str, ...],
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    state = {"tool": "pointer", "enabled": True, "mass_kg": 0.06, "tare": [0.5, 0.0, 0.0]}
+    state |= {"file_state": "as loaded"} | changes
+    monkeypatch.setattr(tool_services, "read_active", lambda *_: state)
+    assert main(["active"]) == 0
+    out = capsys.readouterr().out
+    assert all(word in out for word in words)
+    assert main(["active", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out) == state

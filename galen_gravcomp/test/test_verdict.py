@@ -19,7 +19,7 @@ def phases(true, tool, count=20, *, seed=1, noise=1.0, angles=None, every_s=5.0,
     rng = np.random.default_rng(seed)
     if angles is None:
         angles = np.column_stack([rng.uniform(-1.3, 1.3, count), rng.uniform(-0.9, 0.9, count)])
-    mean = true.predict(angles[:, 0], angles[:, 1]) - tool.predict(angles[:, 0], angles[:, 1])
+    mean = true.predict(angles) - tool.predict(angles)
     start = START_NS + np.round(every_s * 1e9 * np.arange(len(angles))).astype(np.int64)
     return StillPhases(
         start,

@@ -1,8 +1,7 @@
 """A made-up arm for tests of what is watched live: poses, pushes, another load, drift."""
 
 import numpy as np
-from galen_model.arm.galen import SENSOR
-from galen_model.arm.kinematics import gravity_in_sensor
+from galen_model.arm.galen import GALEN, SENSOR
 from galen_model.files.calibration_file import CalibrationFile, LoadEstimate
 from galen_model.load.model import Load, gravity_wrench
 
@@ -32,7 +31,7 @@ def push(force):
 
 
 class UntouchedArm:
-    """Gives `take(stamp_ns, roll, tilt, wrench)` what is left when the file's weight is off."""
+    """Gives `take(stamp_ns, angles, wrench)` what is left when the file's weight is off."""
 
     def __init__(self, take, file=None, *, rate_hz=50.0, seed=0, noise=1.0):
         self.take = take
@@ -49,7 +48,7 @@ class UntouchedArm:
 
     def left(self, pose):
         """What is left (6,) at a pose, without drift and noise."""
-        gravity = gravity_in_sensor(*pose)
+        gravity = GALEN.gravity_in_sensor(np.stack(pose, axis=-1))
         unit = gravity / np.linalg.norm(gravity)
         centre = self.on.com_m + self.sag_m * unit * [1.0, 1.0, 0.0]
         true = gravity_wrench(gravity, Load(self.on.mass_kg, centre))
@@ -83,7 +82,7 @@ class UntouchedArm:
         for k in range(count):
             self.time_s = float(time_s[k])
             stamp_ns = START_NS + round(self.time_s * 1e9)
-            self.take(stamp_ns, float(poses[k, 0]), float(poses[k, 1]), wrenches[k])
+            self.take(stamp_ns, tuple(poses[k].tolist()), wrenches[k])
 
     def visit(self, count, hold_s=2.0):
         for _ in range(count):

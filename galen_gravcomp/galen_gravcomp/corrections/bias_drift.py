@@ -38,8 +38,7 @@ from __future__ import annotations
 from enum import Enum
 
 import numpy as np
-from galen_model.arm.galen import GRAVITY_M_S2, WRENCH_AXES
-from galen_model.arm.kinematics import gravity_in_sensor
+from galen_model.arm.galen import GALEN, GRAVITY_M_S2, WRENCH_AXES
 from galen_model.arrays import Array
 from galen_model.load.model import gravity_regressor
 from galen_model.rest.windows import StillWindows
@@ -105,8 +104,8 @@ class BiasDriftFilter:
         """The bias drift's standard deviation (6,)."""
         return np.asarray(np.sqrt(np.diag(self._covariance)[_BIAS_DRIFT]))
 
-    def begin(self, tared: tuple[int, float, float] | None = None) -> None:
-        """Begin at zero; `tared`: stamp, roll and tilt at which a tare said that it is zero."""
+    def begin(self, tared: tuple[int, tuple[float, ...]] | None = None) -> None:
+        """Begin at zero; `tared`: stamp and angles at which a tare said that it is zero."""
         self._state: Array = np.zeros(16)
         variance = np.concatenate([_START_STD, _LOAD_STD, _POSE_STD]) ** 2
         self._covariance: Array = np.diag(variance)
@@ -116,15 +115,14 @@ class BiasDriftFilter:
         self.learned = False
         """Whether the last window seen was learned from."""
         if tared is not None:
-            stamp_ns, roll_rad, tilt_rad = tared
             self._covariance[_BIAS_DRIFT, _BIAS_DRIFT] = 0.0
-            self._go_to(stamp_ns, roll_rad, tilt_rad)
+            self._go_to(*tared)
             # A level of zero, known as well as a tare's window tells it.
             self._learn(np.zeros(6), self._design(), 1e-2 * _FLOOR**2)
 
-    def see(self, end_ns: int, roll_rad: float, tilt_rad: float, level: Array, std: Array) -> bool:
+    def see(self, end_ns: int, angles: tuple[float, ...], level: Array, std: Array) -> bool:
         """Take a steady window's mean (6,) and its standard deviation (6,); True: no contact."""
-        elapsed_s = self._go_to(end_ns, roll_rad, tilt_rad)
+        elapsed_s = self._go_to(end_ns, angles)
         design = self._design()
         innovation = level - design @ self._state
         variance = np.einsum("ip,pq,iq->i", design, self._covariance, design) + std**2
@@ -156,9 +154,9 @@ class BiasDriftFilter:
         self._covariance = (after + after.T) / 2.0
         return np.asarray(gain @ innovation)
 
-    def _go_to(self, end_ns: int, roll_rad: float, tilt_rad: float) -> float:
+    def _go_to(self, end_ns: int, angles: tuple[float, ...]) -> float:
         """Carry the states on to a time and pose; returns the elapsed time, s."""
-        gravity = np.asarray(gravity_in_sensor(roll_rad, tilt_rad))
+        gravity = np.asarray(GALEN.gravity_in_sensor(angles))
         elapsed_s = 0.0
         if self._time_ns is not None and self._gravity is not None:
             elapsed_s = max((end_ns - self._time_ns) * 1e-9, 0.0)
@@ -269,12 +267,12 @@ class BiasDrift:
         self._see_stamp(stamp_ns)
         return self._ramp.offset_at(stamp_ns)
 
-    def push(self, stamp_ns: int, roll_rad: float, tilt_rad: float, untared: Array) -> None:
+    def push(self, stamp_ns: int, angles: tuple[float, ...], untared: Array) -> None:
         """Take an untared wrench (6,), which must not be written into later."""
         self._see_stamp(stamp_ns)
         if not self._enabled:
             return
-        window = self._windows.push(stamp_ns, roll_rad, tilt_rad, untared)
+        window = self._windows.push(stamp_ns, angles, untared)
         if window is None:
             return
         self._window_ns = window.end_ns
@@ -283,7 +281,7 @@ class BiasDrift:
             self._state = BiasDriftState.HELD
             return
         free = self._filter.see(
-            window.end_ns, *window.angles, window.mean - self._tare, window.std_of_mean
+            window.end_ns, window.angles, window.mean - self._tare, window.std_of_mean
         )
         if not free:
             self._state = BiasDriftState.CONTACT
@@ -292,11 +290,11 @@ class BiasDrift:
         else:
             self._learned(stamp_ns, window.end_ns)
 
-    def tared(self, stamp_ns: int, roll_rad: float, tilt_rad: float, offset: Array) -> None:
+    def tared(self, stamp_ns: int, angles: tuple[float, ...], offset: Array) -> None:
         """Follow a tare: it subtracts `offset` (6,) from `stamp_ns` on, along its ramp."""
         self._tare = np.array(offset)
         self._windows.drop()
-        self._filter.begin((stamp_ns, roll_rad, tilt_rad))
+        self._filter.begin((stamp_ns, angles))
         self._begin_state()
         self._ramp.start(stamp_ns, np.zeros(6))
 

@@ -3,6 +3,7 @@
 import math
 
 import numpy as np
+from galen_model.arm.galen import GALEN
 from galen_model.arrays import Array
 from galen_model.load.cable import SEEN, UNSEEN, LearnedPull
 from galen_ros.stream.monitor import joined
@@ -76,14 +77,14 @@ class CablePull:
         self._at, self.weight = (), math.nan
 
     def reading(self, joints: tuple[float, ...]) -> Array:
-        """The pull (6,) to subtract at joints (5,), m and rad; N and N.m along ft_sensor."""
+        """The pull (6,) to subtract at joints (n,), m and rad; N and N.m along ft_sensor."""
         if joints != self._at:
             self._at = joints
             self._reading = self._compute(joints)
         return self._reading
 
     def readings(self, joints: Array) -> Array:
-        """Pulls (n, 6) as `reading` gives them, for joints (n, 5)."""
+        """Pulls (n, 6) as `reading` gives them, for joints (k, n)."""
         if not len(joints):
             return np.zeros((0, 6))
         self.reading(tuple(joints[-1].tolist()))
@@ -123,13 +124,9 @@ def _step(missing: float) -> float:
 
 
 def _along_sensor(joints: tuple[float, ...], vector: list[float]) -> tuple[float, float, float]:
-    """A vector of base_link along ft_sensor: R^T v, R = Rx(roll) Ry(tilt + pi/2)."""
-    sin_roll, cos_roll = math.sin(joints[3]), math.cos(joints[3])
-    sin_tilt, cos_tilt = math.sin(joints[4]), math.cos(joints[4])
+    """A vector of the base's frame in the sensor's: R_base_sensor^T v."""
+    angles = [joints[k] for k in GALEN.turning]
     x, y, z = vector
-    down = sin_roll * y - cos_roll * z
-    return (
-        cos_tilt * down - sin_tilt * x,
-        cos_roll * y + sin_roll * z,
-        sin_tilt * down + cos_tilt * x,
+    return GALEN.components_in_sensor(
+        (x, y, z), list(map(math.cos, angles)), list(map(math.sin, angles))
     )

@@ -25,7 +25,7 @@ import math
 from collections.abc import Callable, Sequence
 
 import numpy as np
-from galen_model.arm.kinematics import gravity_in_sensor
+from galen_model.arm.galen import GALEN
 from galen_model.arm.sensor_motion import MotionOfSensor
 from galen_model.arrays import Array
 from galen_model.files.calibration_file import CalibrationFile
@@ -45,7 +45,9 @@ _CAPACITY = 4096
 _US = 1000
 # From one sample to the next no joint goes further than this and 7 times its fastest: m, m/s; rad,
 # rad/s. A wrong sample, differentiated twice, would be a blow at the tool for a whole window.
-_JUMPS = ((0.005, 1.5),) * 3 + ((0.03, 10.0),) * 2
+_LARGEST_STEP = {"m": (0.005, 1.5), "rad": (0.03, 10.0)}
+_JUMPS = tuple(_LARGEST_STEP[unit] for unit in GALEN.units)
+_ANGLES = GALEN.turning
 # As with joint_states: a longer step of the stamps is no gap, and this far apart are two clocks.
 _RESTART_NS = 1_000_000_000
 _OTHER_CLOCK_NS = 5_000_000_000
@@ -209,7 +211,7 @@ class InertialForces:
         """Take another tool's loads; the samples stay."""
         self._inertia = inertia_source(tool)
         self._load: LoadInMotion | None = None
-        self._gravity: Callable[[float, float], Array] = gravity_in_sensor
+        self._gravity: Callable[[Sequence[float]], Array] = GALEN.gravity_in_sensor
         if tool is None:
             return
         loads = (tool.load.load, tool.adapter.load)
@@ -223,17 +225,15 @@ class InertialForces:
         """Forget every sample."""
         self._window.clear()
 
-    def push_joints(
-        self, stamp_ns: int, roll_rad: float, tilt_rad: float, position_m: tuple[float, ...] | None
-    ) -> None:
-        """Take a joint sample."""
+    def push_joints(self, stamp_ns: int, joints: tuple[float, ...]) -> None:
+        """Take joints (n,), NaN where unknown."""
 
     def push_imu(
         self, stamp_ns: int, angular_rad_s: Sequence[float], linear_m_s2: Sequence[float]
     ) -> None:
         """Take an IMU's reading."""
 
-    def reading(self, stamp_ns: int, roll_rad: float, tilt_rad: float) -> Array | str:
+    def reading(self, stamp_ns: int, angles: tuple[float, ...]) -> Array | str:
         """Inertial forces (6,) at a stamp, N and N.m in ft_sensor, or why they are not known."""
         raise NotImplementedError
 
@@ -249,7 +249,7 @@ class InertialForces:
 
 
 class JointMotion(InertialForces):
-    """From the platform's position and both angles, differentiated twice.
+    """From the joints, differentiated twice.
 
     A wrench whose stamp is late by a lag is that of earlier joints, its weight too: with s = g - a
     at stamp - lag and g at the stamp, whose weight the compensator subtracts, -a becomes s - g.
@@ -277,30 +277,28 @@ class JointMotion(InertialForces):
         super().clear()
         self._last = None
 
-    def push_joints(
-        self, stamp_ns: int, roll_rad: float, tilt_rad: float, position_m: tuple[float, ...] | None
-    ) -> None:
-        """Take a joint sample; without a position, and after a jump, the motion is unknown."""
-        platform = (math.nan,) * 3 if position_m is None else position_m
-        joints = (*platform, roll_rad, tilt_rad)
+    def push_joints(self, stamp_ns: int, joints: tuple[float, ...]) -> None:
+        """Take joints (n,); with a NaN, and after a jump, the motion is unknown."""
         last, self._last = self._last, (stamp_ns, joints)
         if last is not None and _jumps(stamp_ns - last[0], last[1], joints):
-            joints = (math.nan,) * 5
+            joints = (math.nan,) * len(joints)
         self._window.push(stamp_ns, joints)
 
-    def reading(self, stamp_ns: int, roll_rad: float, tilt_rad: float) -> Array | str:
+    def reading(self, stamp_ns: int, angles: tuple[float, ...]) -> Array | str:
         """Inertial forces (6,) at a stamp, N and N.m in ft_sensor, or why they are not known."""
         assert self._load is not None
         found = self._window.at(stamp_ns)
         if isinstance(found, str):
-            if self._last is not None and all(map(math.isnan, self._last[1][:3])):
+            last = () if self._last is None else self._last[1]
+            others = [value for k, value in enumerate(last) if k not in _ANGLES]
+            if others and all(map(math.isnan, others)):
                 return f"{_UNKNOWN} joint_states lacks the platform's position"
             return found
         value, first, second = found
-        then, change = (roll_rad, tilt_rad), (0.0, 0.0, 0.0)
+        then, change = angles, (0.0, 0.0, 0.0)
         if self._parameters.motion_lag_s:
-            then = (float(value[3]), float(value[4]))
-            x, y, z = (self._gravity(*then) - self._gravity(roll_rad, tilt_rad)).tolist()
+            then = tuple(value[list(_ANGLES)].tolist())
+            x, y, z = (self._gravity(then) - self._gravity(angles)).tolist()
             change = (x, y, z)
         w, al, (ax, ay, az) = self._sensor.at(
             then[0] + self._zero[0],
@@ -320,7 +318,7 @@ class ImuMotion(InertialForces):
 
         a = R (u - b) + g - al x r - w x (w x r),
 
-    al from the gyroscope by a local polynomial, g from roll and tilt. Unlike joints it feels what
+    al from the gyroscope by a local polynomial, g from the angles. Unlike joints it feels what
     the arm does between its encoders and the tool, and at once; but where R or b are wrong by e, it
     adds m e also at rest. `galen_model.load.inertia` finds R, scale and b from still
     poses.
@@ -382,7 +380,7 @@ class ImuMotion(InertialForces):
             self.clear()
         self._window.push(stamp_ns, (*angular_rad_s, *linear_m_s2))
 
-    def reading(self, stamp_ns: int, roll_rad: float, tilt_rad: float) -> Array | str:
+    def reading(self, stamp_ns: int, angles: tuple[float, ...]) -> Array | str:
         """Inertial forces (6,) at a stamp, N and N.m in ft_sensor, or why they are not known."""
         assert self._load is not None
         found = self._window.at(stamp_ns)
@@ -392,7 +390,7 @@ class ImuMotion(InertialForces):
         mount, turn = self._mount, self._rotation
         w, al = turn @ value[:3], turn @ first[:3]
         felt = turn @ ((value[3:] - mount.bias_m_s2) / mount.scale)
-        gravity = self._gravity(roll_rad, tilt_rad)
+        gravity = self._gravity(angles)
         # -a of the sensor's origin
         arm = np.cross(al, mount.lever_m) + np.cross(w, np.cross(w, mount.lever_m))
         specific = arm - felt - gravity

@@ -4,6 +4,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from galen_model.arm.galen import GALEN
 from galen_model.arrays import Array
 
 from galen_gravcomp.parameters import GravcompParameters
@@ -39,17 +40,17 @@ class TareWindow:
         self.finish = on_done
         """Answers the request."""
         self._stamps: list[int] = []
-        self._angles: list[tuple[float, float]] = []
+        self._angles: list[tuple[float, ...]] = []
         self._wrenches: list[Array] = []
 
-    def add(self, stamp_ns: int, roll: float, tilt: float, untared: Array) -> bool:
-        """Take a sample (angles rad, wrench without weight (6,)); True when the window is full."""
+    def add(self, stamp_ns: int, angles: tuple[float, ...], untared: Array) -> bool:
+        """Take angles (k,), rad, and a wrench without weight (6,); True: the window is full."""
         if self._after_ns is not None and stamp_ns <= self._after_ns:
             return False
         if self._stamps and stamp_ns <= self._stamps[-1]:
             return False
         self._stamps.append(stamp_ns)
-        self._angles.append((roll, tilt))
+        self._angles.append(angles)
         self._wrenches.append(untared)
         return stamp_ns - self._stamps[0] >= self._parameters.tare_window_s * 1e9
 
@@ -88,7 +89,7 @@ class TareWindow:
                 f" at least {MIN_SAMPLES} are needed"
             )
         motion = np.ptp(np.array(self._angles), axis=0)
-        for name, moved in zip(("roll", "tilt"), motion, strict=True):
+        for name, moved in zip(GALEN.turning_names, motion, strict=True):
             if moved > MAX_MOTION_RAD:
                 return (
                     f"{name} moved by {moved:.4f} rad in the window, the limit is"

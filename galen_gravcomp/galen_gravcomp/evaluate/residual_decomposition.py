@@ -18,8 +18,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from galen_model.arm.galen import GRAVITY_M_S2
-from galen_model.arm.kinematics import gravity_in_sensor
+from galen_model.arm.galen import GALEN, GRAVITY_M_S2
 from galen_model.arrays import Array
 from galen_model.distributions import chi2_sf
 from galen_model.errors import IdentificationError, NotExcitedError
@@ -110,7 +109,7 @@ def decompose(
 
 def phase_gravity(phases: StillPhases, tool: CalibrationFile) -> Array:
     """Gravity (n, 3) in the sensor's frame, m/s^2, as large as the tool's file has it."""
-    gravity = gravity_in_sensor(phases.angles[:, 0], phases.angles[:, 1])
+    gravity = GALEN.gravity_in_sensor(phases.angles)
     return np.asarray(gravity * (tool.gravity_m_s2[2] / GRAVITY_M_S2[2]))
 
 

@@ -183,7 +183,7 @@ def series_of(name: str, cells: Cells, joints: Cells, tool: CalibrationFile | No
         angles[place[inside]] = joints.angles[inside]
         moving = np.isnan(angles[:, 0])
         if tool is not None:
-            reading = reading - tool.predict(angles[:, 0], angles[:, 1])
+            reading = reading - tool.predict(angles)
             left = moving
         else:
             stood = _longest_pose(angles)

@@ -11,7 +11,7 @@ import numpy as np
 from galen_bags.arrays.orientation_table import OrientationTable
 from galen_model.arrays import Array
 from galen_model.errors import GalenError, IdentificationError
-from galen_model.evidence.block_gain import GALEN, MOUNTED, PLAIN, Worth, compare
+from galen_model.evidence.block_gain import MOUNTED, PLAIN, ROBUST, Worth, compare
 from galen_model.load.drifting_identification import DriftingLoad, identify_drifting_load
 from galen_model.load.identification import identify_single_load, plain_least_squares
 from galen_model.load.model import gravity_regressor
@@ -134,7 +134,7 @@ class TableMounting:
 
 def table_worth(scores: dict[str, Score], groups: np.ndarray, sigma: Array) -> Worth | None:
     """Whether the mounting pays on the held-out `groups` (n,); None where a group has no score."""
-    chosen = {name: scores[name] for name in (PLAIN, GALEN, MOUNTED)}
+    chosen = {name: scores[name] for name in (PLAIN, ROBUST, MOUNTED)}
     if any(score.rejected for score in chosen.values()):
         return None
     labels = list(dict.fromkeys(groups.tolist()))

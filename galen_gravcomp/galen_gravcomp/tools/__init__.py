@@ -1,1 +1,0 @@
-"""Calibration files, looked after from a command and over services."""
