@@ -22,19 +22,17 @@ from typing import Any
 import numpy as np
 from galen_calibration_behavior.calibration.sweep import stack
 from galen_calibration_behavior.parameters import CalibrationParameters
-from galen_calibration_behavior.quick_check.answer import CheckLimits
-from galen_calibration_behavior.quick_check.causes import load_and_offset
+from galen_calibration_behavior.quick_check.causes import CheckLimits, load_and_offset
 from galen_calibration_behavior.quick_check.decision import differences, quick_check
 from galen_calibration_behavior.quick_check.procedure import plan_check
-from galen_model.arm.galen import SENSOR
-from galen_model.arm.kinematics import gravity_in_sensor
+from galen_model.arm.galen import GALEN, SENSOR
 from galen_model.arrays import Array
 from galen_model.evidence.verdict import CheckAnswer
 from galen_model.files.calibration_file import CalibrationFile
 from galen_model.load.identification import StillPoses, identify_two_sweeps
 from galen_model.load.model import Load, gravity_wrench, nominal_reading
 from galen_model.load.nominal_tools import ADAPTER, TOOLS
-from galen_model.poses.design import ANGLE_LIMITS, angle_grid
+from galen_model.poses.design import workspace
 from galen_model.poses.order import SweepTimes
 from galen_model.poses.plan import Surroundings
 from galen_model.rest.pose import PoseRecord, average_pose
@@ -47,7 +45,7 @@ _CHECKS_A_FILE = 10
 _POWER_CHECKS = 4  # for each of a case's
 _PLATFORM = (0.0, 0.0, 0.408)
 _LIMITS = CheckLimits()
-_ANYWHERE = angle_grid(*ANGLE_LIMITS, 13, 13)
+_ANYWHERE = workspace(13)
 _POINTER, _RETRACTOR = TOOLS["pointer"].load, TOOLS["retractor"].load
 _SIDE_N = np.array([0.0, 1.0, 0.0, 0.0, 0.0, 0.0])
 
@@ -74,7 +72,7 @@ def loose(load: Load, shift_m: float) -> Callable[[float, float, int], Array]:
     """A tool that hangs `shift_m` aside, the way gravity pulls it across the flange."""
 
     def extra(roll: float, tilt: float, _pose: int) -> Array:
-        gravity = gravity_in_sensor(roll, tilt)
+        gravity = GALEN.gravity_in_sensor(np.stack([roll, tilt], axis=-1))
         aside = gravity / np.linalg.norm(gravity) * (1.0, 1.0, 0.0)
         return np.concatenate([np.zeros(3), np.cross(aside * shift_m, load.mass_kg * gravity)])
 
@@ -85,8 +83,8 @@ def tilt_zero(load: Load, offset_rad: float) -> Callable[[float, float, int], Ar
     """The tilt encoder reads `offset_rad` too little."""
 
     def extra(roll: float, tilt: float, _pose: int) -> Array:
-        true = nominal_reading(roll, tilt + offset_rad, load, ADAPTER)
-        return true - nominal_reading(roll, tilt, load, ADAPTER)
+        true = nominal_reading(np.stack([roll, tilt + offset_rad], axis=-1), load, ADAPTER)
+        return true - nominal_reading(np.stack([roll, tilt], axis=-1), load, ADAPTER)
 
     return extra
 
@@ -121,7 +119,7 @@ CASES = (
         "sensor never zeroed",
         _POINTER,
         _POINTER,
-        gravity_wrench(gravity_in_sensor(0.0, 0.0), ADAPTER),
+        gravity_wrench(GALEN.gravity_in_sensor((0.0, 0.0)), ADAPTER),
     ),
     Case("loose by 3 mm", _RETRACTOR, _RETRACTOR, extra=loose(_RETRACTOR, 0.003)),
     Case("loose by 6 mm", _RETRACTOR, _RETRACTOR, extra=loose(_RETRACTOR, 0.006)),
@@ -154,9 +152,7 @@ class Bench:
         """A file as `calibrate` writes it, from two sweeps of its own."""
         settings = CalibrationParameters()
         poses = settings.grid_poses(settings.itersT, settings.itersR)
-        found = identify_two_sweeps(
-            self._sweep(poses, Load(0.0)), self._sweep(poses, load), 0.0, 0.0
-        )
+        found = identify_two_sweeps(self._sweep(poses, Load(0.0)), self._sweep(poses, load))
         return CalibrationFile(
             tool=name,
             load=found.load,
@@ -172,17 +168,14 @@ class Bench:
         """The case's averages at the poses."""
         records = []
         for k, (roll, tilt) in enumerate(self.poses):
-            wrench = nominal_reading(roll, tilt, case.true, ADAPTER)
+            wrench = nominal_reading(np.stack([roll, tilt], axis=-1), case.true, ADAPTER)
             wrench = wrench + case.offset + case.extra(roll, tilt, k)
             records.append(self._record(self.poses[k], wrench))
         return records
 
     def _sweep(self, poses: Array, load: Load) -> StillPoses:
-        records = [
-            self._record(pose, nominal_reading(pose[0], pose[1], load, ADAPTER)) for pose in poses
-        ]
-        roll, tilt, wrench, std_of_mean = stack(records)
-        return StillPoses(roll=roll, tilt=tilt, wrench=wrench, std_of_mean=std_of_mean)
+        records = [self._record(pose, nominal_reading(pose, load, ADAPTER)) for pose in poses]
+        return StillPoses(*stack(records))
 
     def _record(self, pose: Array, mean: Array) -> PoseRecord:
         noise = self._random.standard_normal((_SAMPLES, 6)) * SENSOR.noise_std
@@ -192,9 +185,9 @@ class Bench:
 
 def plain_answer(records: Sequence[PoseRecord], tool: CalibrationFile) -> CheckAnswer:
     """What a ten-parameter least squares says by itself."""
-    roll, tilt, wrench, _ = stack(list(records))
-    rows = load_and_offset(np.column_stack([roll, tilt]), tool).reshape(-1, 10)
-    values = np.linalg.lstsq(rows, (wrench - tool.predict(roll, tilt)).ravel(), rcond=None)[0]
+    angles, wrench, _ = stack(list(records))
+    rows = load_and_offset(angles, tool).reshape(-1, 10)
+    values = np.linalg.lstsq(rows, (wrench - tool.predict(angles)).ravel(), rcond=None)[0]
     everywhere = load_and_offset(_ANYWHERE, tool)
     by_load = np.max(np.abs(everywhere[:, :, :4] @ values[:4]), axis=0)
     by_both = np.max(np.abs(everywhere @ values), axis=0)

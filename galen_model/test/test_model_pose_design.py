@@ -13,12 +13,12 @@ from galen_model.load.identification import (
 )
 from galen_model.load.model import gravity_regressor
 from galen_model.poses.design import (
-    ANGLE_LIMITS,
     PoseDesign,
     PoseDesignError,
     angle_grid,
     compensation_std,
     reading_noise,
+    workspace,
 )
 
 RANGE = (-1.5, -1.0), (1.5, 0.9)
@@ -42,7 +42,7 @@ def both_loads(design):
 
 def workspace_error(covariance):
     """Mean variance of G x + c over the workspace and axes, in readings; written out again."""
-    poses = angle_grid(*ANGLE_LIMITS, 25, 25)
+    poses = workspace(25)
     total = 0.0
     for gravity in GALEN.gravity_in_sensor(poses):
         row = np.hstack([gravity_regressor(gravity), np.eye(6)])
@@ -88,7 +88,7 @@ def test_the_criterion_is_what_one_sweep_leaves():
 
 def test_the_std_is_that_of_fits_to_noise():
     rng = np.random.default_rng(3)
-    poses, unseen = random_poses(rng, 8), angle_grid(*ANGLE_LIMITS, 9, 9)
+    poses, unseen = random_poses(rng, 8), workspace(9)
     gravity, there = (
         GALEN.gravity_in_sensor(poses),
         gravity_regressor(GALEN.gravity_in_sensor(unseen)),

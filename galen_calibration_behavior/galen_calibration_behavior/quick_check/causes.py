@@ -1,4 +1,4 @@
-"""What may be behind readings that no other load and no offset explains, or behind an offset.
+"""What a calibration check answers, and what may be behind readings that do not fit.
 
 A cause (`galen_model.evidence.columns`) explains the rest if, fitted beside load and offset, it
 leaves only noise; what all three then make of a compensation, anywhere in the arm's range, decides
@@ -13,8 +13,61 @@ import numpy as np
 from galen_model.arrays import Array
 from galen_model.distributions import chi2_sf
 from galen_model.evidence import columns
+from galen_model.evidence.verdict import Cause, CheckAnswer, Limits
 from galen_model.files.calibration_file import CalibrationFile
 from galen_model.load.model import gravity_regressor, gravity_wrench
+
+
+@dataclass(frozen=True)
+class CheckLimits(Limits):
+    """What a compensation may be off by, anywhere, and how often chance may call a change."""
+
+    false_alarm: float = 0.05
+
+
+@dataclass(frozen=True)
+class Differences:
+    """Load and offset that the readings at still poses differ by, all in ft_sensor, SI.
+
+    moments (4,): mass and first moment, true less file's, with covariance (4, 4); offset (6,), its
+    std (6,): with no other load where that isn't told, else beside it; rest (n, 6): what neither
+    explains; sigma (6,): noise of one pose's mean. rest_p, load_p, offset_p: how often chance alone
+    does as much. load_effect, effect (6,): by how much a compensation is off at worst, by the load
+    and by all; effect_std (6,): its largest standard deviation.
+    """
+
+    moments: Array
+    moments_covariance: Array
+    offset: Array
+    offset_std: Array
+    rest: Array
+    sigma: Array
+    rest_p: float
+    load_p: float
+    offset_p: float
+    load_effect: Array
+    effect: Array
+    effect_std: Array
+
+
+@dataclass(frozen=True)
+class QuickCheck:
+    """What the readings differ by, and in words.
+
+    found_mass_kg, found_offset (6,): the smallest changes that are told from noise with 95 %.
+    """
+
+    cause: Cause
+    text: str
+    found: Differences
+    poses: int
+    found_mass_kg: float
+    found_offset: Array
+
+    @property
+    def answer(self) -> CheckAnswer:
+        """What to do."""
+        return self.cause.answer
 
 
 @dataclass(frozen=True)
@@ -39,7 +92,7 @@ def explain_rest(
 ) -> tuple[Explanation, ...]:
     """The causes that leave only noise of the residual (n, 6) at angles (n, 2), the best first.
 
-    Angles are roll and tilt in rad, `anywhere` (w, 2) those of the arm's range; sigma (6,) is the
+    Angles are in rad, `anywhere` (w, k) those of the arm's range; sigma (6,) is the
     noise, and what is likelier than `p_noise` by chance counts as noise.
     """
     count = len(residual)
@@ -65,8 +118,8 @@ def explain_rest(
 
 
 def load_and_offset(angles: Array, tool: CalibrationFile) -> Array:
-    """[G, I] (n, 6, 10) at roll and tilt (n, 2), rad."""
-    return columns.load_and_offset(tool.gravity_in_sensor(angles[:, 0], angles[:, 1]))
+    """Return [G, I] (n, 6, 10) at angles (n, k), rad."""
+    return columns.load_and_offset(tool.gravity_in_sensor(angles))
 
 
 def zero_lost(offset: Array, tool: CalibrationFile, limit: Array) -> str:
@@ -95,7 +148,7 @@ def zero_lost(offset: Array, tool: CalibrationFile, limit: Array) -> str:
 
 def _causes(angles: Array, tool: CalibrationFile) -> dict[str, Array]:
     """Columns (n, 6, k) of each cause, by its name."""
-    gravity = tool.gravity_in_sensor(angles[:, 0], angles[:, 1])
+    gravity = tool.gravity_in_sensor(angles)
     return {
         "a loose tool": columns.loose_tool(gravity, tool.load.mass_kg),
         "a joint's zero that has moved": columns.joint_zeros(angles, tool),

@@ -22,7 +22,7 @@ X = [G, I]: C and O act within X's columns, and so neither change the estimate n
     an offset alone, d = 0         b^T (S / n + O + G_m C G_m^T)^-1 b chi^2(6), b and G_m the means
 
 What a difference matters is another question: how far would a compensation by this file be off,
-at worst, anywhere in the arm's range of roll and tilt? Only what is beyond a limit there and can't
+at worst, anywhere in the range of its angles? Only what is beyond a limit there and can't
 be noise is called a change. Where noise alone could be beyond a limit, nothing can be told.
 Two poses tell (d, b) at best; the more there are beyond, the more is told of what is neither.
 """
@@ -32,31 +32,33 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 import numpy as np
+from galen_model.arm.galen import GALEN
 from galen_model.arrays import Array
 from galen_model.distributions import chi2_isf, chi2_sf, noncentral_chi2_sf, normal_ppf
 from galen_model.evidence.columns import moment_covariance
 from galen_model.evidence.linear import chance
-from galen_model.evidence.verdict import Cause
+from galen_model.evidence.verdict import MESSAGES, Cause, load_text, wrench_text
 from galen_model.files.calibration_file import CalibrationFile
 from galen_model.load.mounting.mounting import Mounting
-from galen_model.poses.design import ANGLE_LIMITS, angle_grid
+from galen_model.poses.design import workspace
 from galen_model.rest.pose import PoseRecord
 from scipy.optimize import brentq
 
 from galen_calibration_behavior.calibration.sweep import stack
-from galen_calibration_behavior.quick_check.answer import CheckLimits, Differences, QuickCheck
 from galen_calibration_behavior.quick_check.causes import (
+    CheckLimits,
+    Differences,
     Explanation,
+    QuickCheck,
     explain_rest,
     load_and_offset,
     zero_lost,
 )
-from galen_calibration_behavior.quick_check.text import in_words
 
 FEWEST_POSES = 4
 # Standard deviations after the default grid, over those after as many ideal poses.
 _GRID_INFLATION = 4.0
-_ANYWHERE = angle_grid(*ANGLE_LIMITS, 13, 13)
+_ANYWHERE = workspace(13)
 # What no load and no offset explains is the cause, not a remark, where it is so unlikely ...
 _UNEXPLAINED = 1e-3
 # ... and so large a part of the load that would be told besides (as in
@@ -220,16 +222,16 @@ def _one_that_stands_out(
     best = int(np.argmax(p_values))
     if p_values[best] < limits.false_alarm:
         return None
-    roll, tilt = records[best].joints[3:]
-    return f"that at roll {roll:.2f}, tilt {tilt:.2f} rad"
+    angles = zip(GALEN.turning_names, GALEN.angles(records[best].joints), strict=True)
+    return f"that at {', '.join(f'{name} {angle:.2f}' for name, angle in angles)} rad"
 
 
 def _readings(
     records: Sequence[PoseRecord], tool: CalibrationFile, known_offset: Array
 ) -> tuple[Array, Array, Array]:
-    """Roll and tilt (n, 2), rad, residual (n, 6) in ft_sensor, a mean's noise sigma (6,)."""
-    roll, tilt, wrench, std_of_mean = stack(list(records))
-    expected = tool.predict(roll, tilt)
+    """Angles (n, k), rad, residual (n, 6) in ft_sensor, a mean's noise sigma (6,)."""
+    angles, wrench, std_of_mean = stack(list(records))
+    expected = tool.predict(angles)
     unknown = np.zeros(6)
     if tool.cable is not None:
         joints = np.array([record.joints for record in records])
@@ -241,7 +243,7 @@ def _readings(
     halves = np.array([record.half_difference for record in records]) / 2.0
     seen = np.maximum(np.mean(std_of_mean**2, axis=0), np.mean(halves**2, axis=0))
     sigma = np.sqrt(np.maximum(tool.rmse**2, seen) + unknown)
-    return np.column_stack([roll, tilt]), residual, sigma
+    return angles, residual, sigma
 
 
 def _file_covariance(tool: CalibrationFile) -> Array:
@@ -250,8 +252,8 @@ def _file_covariance(tool: CalibrationFile) -> Array:
     The tool's own covariance bounds that of tool and adapter together, which the readings show:
     two sweeps of the same poses tell the sum twice as well as the tool. One sweep that could not
     take the two apart tells the sum all the same; its own covariance says nothing of it, and that
-    of as many ideal poses (`galen_model.load.excitation`), inflated as by the default grid, stands
-    in.
+    of as many ideal poses (`galen_model.load.identifiability`), inflated as by the default grid,
+    stands in.
     """
     whole = np.diag(np.concatenate([np.zeros(4), tool.rmse**2 / tool.poses_used]))
     if tool.unresolved:
@@ -265,9 +267,76 @@ def _file_covariance(tool: CalibrationFile) -> Array:
 
 
 def _load_information(records: Sequence[PoseRecord], tool: CalibrationFile, sigma: Array) -> Array:
-    roll, tilt, _, _ = stack(list(records))
-    regressor = load_and_offset(np.column_stack([roll, tilt]), tool)[:, :, :4]
+    regressor = load_and_offset(stack(list(records))[0], tool)[:, :, :4]
     free = (regressor - regressor.mean(axis=0)) / sigma[:, None]
     rows = free.reshape(-1, 4)
     covariance = np.linalg.inv(rows.T @ rows) + _file_covariance(tool)[:4, :4]
     return np.asarray(np.linalg.inv(covariance))
+
+
+def in_words(
+    cause: Cause,
+    found: Differences,
+    tool: CalibrationFile,
+    limits: CheckLimits,
+    hints: tuple[str, ...],
+    poses: int,
+) -> str:
+    """The cause in words; `hints` are what it was found by."""
+    if cause is Cause.FITS:
+        return _fits(found, limits, hints)
+    message = MESSAGES[cause]
+    if cause is Cause.NOISE:
+        spread = limits.worst(2.0 * found.effect_std)
+        return message.text(f"with {poses} poses noise alone may be off by {spread}")
+    if cause is Cause.CONTACT:
+        return message.text(f"one pose does not agree with the others, {hints[0]}")
+    if cause is Cause.UNEXPLAINED:
+        rest = limits.worst(np.sqrt(np.mean(found.rest**2, axis=0)))
+        left = f"{rest} is left that neither another load nor an offset explains"
+        if hints:
+            return f"{left}; it is as of {' or '.join(hints)}: fix that, then calibrate again"
+        return f"{left}: {message.text()}"
+    if cause is Cause.ZERO_LOST:
+        return message.text(f"as if {hints[0]}: a constant offset, {wrench_text(found.offset)}")
+    if cause is Cause.OFFSET:
+        return message.text(wrench_text(found.offset))
+    return f"{message.text(_load(cause, found, tool, hints))}; {_offset_beside(found, limits)}"
+
+
+def _fits(found: Differences, limits: CheckLimits, hints: tuple[str, ...]) -> str:
+    size = limits.worst(found.effect)
+    text = f"the file fits: a compensation by it is off by at most {size}, within the limits"
+    text += f" ({limits.force_n:g} N, {1e3 * limits.torque_nm:g} mN.m)"
+    if found.load_p < limits.false_alarm:
+        text += ", although noise alone does not explain the change of the load"
+    return f"{text}; a little is left as of {' or '.join(hints)}" if hints else text
+
+
+def _load(cause: Cause, found: Differences, tool: CalibrationFile, hints: tuple[str, ...]) -> str:
+    change = (float(found.moments[0]), float(np.sqrt(found.moments_covariance[0, 0])))
+    if cause is Cause.OTHER_TOOL:
+        names = " or ".join(f"'{name}'" for name in hints)
+        return f"{names}, not '{tool.tool}', {load_text(*change)}"
+    moved = centre_change(found, tool) if cause is Cause.LOAD else None
+    return load_text(*change, *(moved or ()))
+
+
+def centre_change(found: Differences, tool: CalibrationFile) -> tuple[Array, Array] | None:
+    """By how much the tool's centre moved, m, and its std, (3,) each; None without a mass.
+
+    p = h / m, so that dp = (dh - p dm) / m for its covariance.
+    """
+    mass = tool.load.mass_kg + found.moments[0]
+    if mass < 5.0 * np.sqrt(found.moments_covariance[0, 0]):
+        return None
+    centre = (tool.load.mass_kg * tool.load.com_m + found.moments[1:]) / mass
+    jacobian = np.column_stack([-centre, np.eye(3)]) / mass
+    covariance = jacobian @ found.moments_covariance @ jacobian.T
+    return centre - tool.load.com_m, np.sqrt(np.diag(covariance))
+
+
+def _offset_beside(found: Differences, limits: CheckLimits) -> str:
+    if np.any(np.abs(found.offset) > limits.axes + 2.0 * found.offset_std):
+        return f"beside it an offset, {wrench_text(found.offset)}"
+    return "no offset beside it"

@@ -18,27 +18,25 @@ from enum import IntEnum
 
 import numpy as np
 from galen_model.arm.clearance import ObstacleError
-from galen_model.arm.galen import LIMITS
+from galen_model.arm.galen import GALEN, LIMITS
 from galen_model.arrays import Array
 from galen_model.errors import GalenError
 from galen_model.files.calibration_file import CalibrationFile
-from galen_model.poses.design import ANGLE_LIMITS
 from galen_model.poses.order import SweepTimes
 from galen_model.poses.plan import Surroundings, SweepPlan, SweepRange, plan_chosen
 from galen_model.rest.pose import PoseRecord
-from galen_ros.goal.pose_procedure import PoseProcedure
-from galen_ros.goal.pose_recorder import Rejection
+from galen_ros.goal.arrival import PoseRejection
+from galen_ros.goal.procedure import PoseProcedure
 
 from galen_calibration_behavior.calibration.sweep import Sweep, Verdict
 from galen_calibration_behavior.commands import (
     CheckCode,
     CheckState,
-    Command,
     PoseFeedback,
     PosesEnd,
 )
 from galen_calibration_behavior.parameters import CalibrationParameters
-from galen_calibration_behavior.quick_check.answer import QuickCheck
+from galen_calibration_behavior.quick_check.causes import QuickCheck
 from galen_calibration_behavior.quick_check.decision import FEWEST_POSES, quick_check
 
 _GRID_STEPS = (5, 5)
@@ -58,7 +56,7 @@ class CheckRequest:
     known_offset: Array | None
 
 
-class CheckProcedure(PoseProcedure[Command, PosesEnd]):
+class CheckProcedure(PoseProcedure):
     """One check. Call `start`, feed samples and events, and do what `take_commands` gives."""
 
     codes = CheckCode
@@ -94,7 +92,10 @@ class CheckProcedure(PoseProcedure[Command, PosesEnd]):
         self._before = np.where(near, inside, self._joints)
         stay_s = settings.arrival.velocity_window_s + settings.arrival.settle_s + settings.average_s
         times = SweepTimes(
-            self._before[3:], settings.max_velocity[3:], settings.max_acceleration[3:], stay_s
+            GALEN.angles(self._before),
+            GALEN.angles(settings.max_velocity),
+            GALEN.angles(settings.max_acceleration),
+            stay_s,
         )
         try:
             plan = plan_check(
@@ -119,10 +120,10 @@ class CheckProcedure(PoseProcedure[Command, PosesEnd]):
         if index is None:
             self._judge(self._sweep)
             return
-        target = np.concatenate([self._before[:3], self._sweep.poses[index]])
+        target = GALEN.with_angles(self._sweep.poses[index], self._before)
         self._visit(target, self._on_pose)
 
-    def _on_pose(self, outcome: PoseRecord | Rejection) -> None:
+    def _on_pose(self, outcome: PoseRecord | PoseRejection) -> None:
         assert self._sweep is not None
         for verdict in self._sweep.take(outcome):
             self._report_pose(verdict)
@@ -172,8 +173,7 @@ class CheckProcedure(PoseProcedure[Command, PosesEnd]):
                 f"{where}: {verdict.message}" if verdict.message else f"{where} recorded",
                 done=done,
                 total=total,
-                roll=verdict.roll,
-                tilt=verdict.tilt,
+                angles=verdict.angles,
                 accepted=verdict.accepted,
             )
         )
@@ -199,14 +199,13 @@ def plan_check(
             "the tool's file has its tip at (0, 0, 0): it was not given, and what the tool"
             " would hit is not known; calibrate with --tip, or write tip_m"
         )
-    low, high = (np.array(limit) for limit in ANGLE_LIMITS)
+    low, high = GALEN.angles(GALEN.lower), GALEN.angles(GALEN.upper)
     reach = np.minimum(reach_rad, (high - low) / 2.0)
-    centre = np.clip(here[3:], low + reach, high - reach)
-    (low_roll, low_tilt), (high_roll, high_tilt) = centre - reach, centre + reach
+    centre = np.clip(GALEN.angles(here), low + reach, high - reach)
     where = SweepRange(
         home=here,
-        lower=(low_roll, low_tilt),
-        upper=(high_roll, high_tilt),
+        lower=tuple((centre - reach).tolist()),
+        upper=tuple((centre + reach).tolist()),
         steps=_GRID_STEPS,
         name="the present pose",
     )

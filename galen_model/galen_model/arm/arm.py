@@ -107,7 +107,7 @@ class Joint:
     """A movable joint; lengths m, angles rad, stiffness N/m or N.m/rad (inf: rigid).
 
     axis: (3,) unit vector in the joint's own frame; origin_m (3,) and rotation (3, 3), None for no
-    turn, place that frame in the link before it.
+    turn, place that frame in the link before it; link: the name of the link that it moves.
     """
 
     name: str
@@ -119,6 +119,7 @@ class Joint:
     home: float = 0.0
     stiffness: float = math.inf
     rotation: Array | None = None
+    link: str = ""
 
     @property
     def unit(self) -> str:
@@ -221,6 +222,12 @@ class Arm:
         found[..., self.turning] = angles
         return found
 
+    def described(self, angles: ArrayLike) -> str:
+        """Angles (k,) with the joints' names, for people: "roll 0.300, tilt 1.200 rad"."""
+        values = np.asarray(angles, dtype=float)
+        pairs = zip(self.turning_names, values, strict=True)
+        return ", ".join(f"{name} {value:.3f}" for name, value in pairs) + " rad"
+
     def limit_fault(self, joints: ArrayLike) -> str:
         """Which limit joints (n,) exceed, a delta's carriages included; empty for none."""
         q = np.asarray(joints, dtype=float)
@@ -271,7 +278,7 @@ class Arm:
 
     def sensor_pose(self, joints: ArrayLike) -> tuple[Array, Array]:
         """R_base_sensor (..., 3, 3) and the sensor's origin in the base (..., 3), m."""
-        rotation, origin = self._links(joints)[-1]
+        rotation, origin = self._links(joints)[-1] if self.joints else (np.eye(3), np.zeros(3))
         origin = origin + rotation @ self.sensor_origin_m
         return rotation @ self.sensor_rotation, origin
 

@@ -124,7 +124,7 @@ class ArmClearance:
             )
         self._boxes = tuple(boxes)
         self._clearance_m = clearance_m
-        self._arm = arm
+        self.arm = arm
         parts = _parts(np.asarray(tip_m, dtype=float), arm)
         self._parts = [
             (part, coal.Capsule(part.radius_m, _length(part)), *_placement(part)) for part in parts
@@ -146,7 +146,7 @@ class ArmClearance:
 
     def nearest(self, joints: Array) -> Nearest | None:
         """The nearest part and box at a pose; None without boxes."""
-        frames = _frames(joints, self._arm)
+        frames = _frames(joints, self.arm)
         request, result = coal.DistanceRequest(), coal.DistanceResult()
         best: Nearest | None = None
         for part, capsule, turn, middle in self._parts:
@@ -162,7 +162,7 @@ class ArmClearance:
     def pose_fault(self, joints: Array) -> str:
         """Why the arm can't stand here: limit, carriage or box; empty when it can."""
         q = np.asarray(joints, dtype=float)
-        return self._arm.limit_fault(q) or self._too_near(q)[1]
+        return self.arm.limit_fault(q) or self._too_near(q)[1]
 
     def path_fault(self, start: Array, goal: Array) -> str:
         """Why the arm can't go straight from `start` to `goal`, both included; empty when it can.

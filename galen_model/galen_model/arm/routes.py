@@ -1,6 +1,6 @@
 """Ways for the arm around boxes: straight in joint space, or over poses between.
 
-The poses between are a lattice of roll and tilt with the platform at home. Two neighbours are
+The poses between are a lattice of angles with all other joints at home. Two neighbours are
 joined where the straight way between them is free, and so are home and its nearest nodes. What is
 joined to home is where the arm can go; any pose from which a node is straight ahead is as well.
 """
@@ -20,7 +20,7 @@ _NEAREST = 12
 
 
 class Router:
-    """Free ways between poses; `lattice` (k, 2) are rolls and tilts, rad, `home` (5,) joints."""
+    """Free ways between poses; `lattice` (m, k) are angles, rad, `home` (n,) joints."""
 
     def __init__(
         self, clearance: ArmClearance, home: Array, lattice: Array, name: str = "home"
@@ -30,8 +30,9 @@ class Router:
         self._home = np.asarray(home, dtype=float)
         if fault := clearance.pose_fault(self._home):
             raise ObstacleError(f"{name} can't be taken: {fault}")
-        nodes = np.vstack([self._home[3:], lattice])
-        self._nodes = np.column_stack([np.tile(self._home[:3], (len(nodes), 1)), nodes])
+        self._arm = clearance.arm
+        angles = np.vstack([self._arm.angles(self._home), lattice])
+        self._nodes = self._arm.with_angles(angles, self._home)
         self._faults = [clearance.pose_fault(node) for node in self._nodes]
         self._known: dict[bytes, str] = {}
 
@@ -48,7 +49,7 @@ class Router:
         return faults
 
     def fault(self, joints: Array) -> str:
-        """Why the arm can't stand at joints (5,) or not get there from home; else empty."""
+        """Why the arm can't stand at joints (n,) or not get there from home; else empty."""
         if fault := self._clearance.pose_fault(joints):
             return fault
         try:
@@ -58,7 +59,7 @@ class Router:
         return ""
 
     def route(self, start: Array, goal: Array) -> list[Array]:
-        """Where to go one after another, each (5,), `goal` the last; raises ObstacleError."""
+        """Where to go one after another, each (n,), `goal` the last; raises ObstacleError."""
         straight = self._path_fault(start, goal)
         if not straight:
             return [np.asarray(goal, dtype=float)]
@@ -81,9 +82,9 @@ class Router:
     def _ways(self) -> tuple[Array, Array]:
         """Lengths between all nodes, inf for no way, and each way's last node but one."""
         free = np.array([not fault for fault in self._faults])
-        angles = self._nodes[:, 3:]
+        angles = self._arm.angles(self._nodes)
         steps = [
-            np.min(np.diff(np.unique(angles[1:, k].round(9))), initial=np.inf) for k in range(2)
+            np.min(np.diff(np.unique(column.round(9))), initial=np.inf) for column in angles[1:].T
         ]
         rows, columns, lengths = [], [], []
         for one in range(len(self._nodes)):

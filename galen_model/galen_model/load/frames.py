@@ -6,42 +6,28 @@ by A C A^T with
 
     A = [[1, 0], [0, R]]                    (first-order propagation, exact since it is linear)
 
-The tip and the tilt link are rigid to the sensor. Frames beyond hang on joints, whose own errors
-are not in the covariance. Frames and chain: `galen_model.arm.kinematics`.
+The tip and the last link are rigid to the sensor. Frames beyond depend on joints, whose own errors
+are not in the covariance.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from galen_model.arm.galen import (
-    BASE_FRAME,
-    GALEN,
-    JOINT_NAMES,
-    SENSOR_FRAME,
-    TIP_FRAME,
-    ArmParameters,
-)
+from galen_model.arm.arm import Arm
+from galen_model.arm.galen import GALEN, TIP_FRAME
 from galen_model.arrays import Array
 from galen_model.errors import GalenError
 from galen_model.files.calibration_file import LoadEstimate
 from galen_model.registration import move_wrench
-from galen_model.rotation import rot_x, rot_y
 
-TILT_FRAME, ROLL_FRAME, PLATFORM_FRAME = "tilt_link", "roll_link", "delta_platform"
 
-_NEEDED: dict[str, tuple[int, ...]] = {
-    SENSOR_FRAME: (),
-    TIP_FRAME: (),
-    TILT_FRAME: (),
-    ROLL_FRAME: (4,),
-    PLATFORM_FRAME: (3, 4),
-    BASE_FRAME: (0, 1, 2, 3, 4),
-}
-FRAMES = tuple(_NEEDED)
-"""Frames that a load can be told in."""
+def frames(arm: Arm = GALEN) -> tuple[str, ...]:
+    """Names of the frames that a load can be given in: sensor, tip, links towards the base."""
+    links = (joint.link for joint in reversed(arm.joints))
+    return arm.sensor_frame, TIP_FRAME, *links, arm.base_frame
 
 
 class FrameError(GalenError):
@@ -76,60 +62,63 @@ class SensorInFrame:
         return move_wrench(wrench, self.rotation, self.origin_m)
 
 
-def needed_joints(frame: str) -> tuple[str, ...]:
-    """Names of the joints that the sensor's place in a frame hangs on; raises FrameError."""
-    return tuple(JOINT_NAMES[index] for index in _indices(frame))
+def needed_joints(frame: str, arm: Arm = GALEN) -> tuple[str, ...]:
+    """Names of the joints between a frame and the sensor; raises FrameError."""
+    return arm.joint_names[_first_joint(frame, arm) :]
 
 
-def joint_vector(values: Sequence[float]) -> Array:
-    """Joints (5,) of five values, of two (roll, tilt) or of none; NaN where none is given.
+def joint_vector(values: Sequence[float], arm: Arm = GALEN) -> Array:
+    """Joints (n,) of n values, of the turning joints' angles alone or of none; the rest NaN.
 
     Raises FrameNeedsJointsError for another number of them, or values that aren't finite.
     """
-    joints = np.full(len(JOINT_NAMES), np.nan)
-    if len(values) not in (0, 2, len(JOINT_NAMES)) or not np.all(np.isfinite(values)):
+    unknown = np.full(len(arm.joints), np.nan)
+    if len(values) not in (0, len(arm.turning), len(unknown)) or not np.all(np.isfinite(values)):
         raise FrameNeedsJointsError(
-            f"joints {', '.join(f'{value:g}' for value in values)}: give {', '.join(JOINT_NAMES)},"
-            " or roll and tilt alone (m, rad)"
+            f"joints {', '.join(f'{value:g}' for value in values)}: give"
+            f" {', '.join(arm.joint_names)}, or {', '.join(arm.turning_names)} alone (m, rad)"
         )
-    if len(values):
-        joints[-len(values) :] = values
-    return joints
+    if not len(values):
+        return unknown
+    whole = len(values) == len(unknown)
+    return np.asarray(values, dtype=float) if whole else arm.with_angles(values, unknown)
 
 
 def sensor_in_frame(
-    frame: str,
-    tip_m: ArrayLike,
-    joints: ArrayLike | None = None,
-    arm: ArmParameters = GALEN,
+    frame: str, tip_m: ArrayLike, joints: ArrayLike | None = None, arm: Arm = GALEN
 ) -> SensorInFrame:
-    """Where ft_sensor is in `frame`.
+    """Where the sensor is in `frame`.
 
-    tip_m: (3,) in ft_sensor; joints: (5,) in the order of `JOINT_NAMES`, m and rad, NaN where not
-    known. Raises FrameError for another name, FrameNeedsJointsError if a joint it hangs on lacks.
+    tip_m: (3,) in the sensor's frame; joints: (n,) in the arm's order, NaN where not known. Raises
+    FrameError for another name, FrameNeedsJointsError if a joint between frame and sensor lacks.
     """
-    q = np.full(len(JOINT_NAMES), np.nan) if joints is None else np.asarray(joints, dtype=float)
-    lacking = [JOINT_NAMES[index] for index in _indices(frame) if not np.isfinite(q[index])]
-    if lacking:
-        raise FrameNeedsJointsError(
-            f"frame '{frame}' hangs on {', '.join(needed_joints(frame))}; unknown:"
-            f" {', '.join(lacking)}"
-        )
-    if frame == SENSOR_FRAME:
-        return SensorInFrame(frame, np.eye(3), np.zeros(3))
     if frame == TIP_FRAME:
         return SensorInFrame(frame, np.eye(3), -np.asarray(tip_m, dtype=float))
-    rotation, origin = rot_y(np.pi / 2), np.asarray(arm.tilt_to_sensor_m, dtype=float)
-    if frame != TILT_FRAME:
-        rotation, origin = rot_y(q[4]) @ rotation, arm.roll_to_tilt_m + rot_y(q[4]) @ origin
-    if frame in (PLATFORM_FRAME, BASE_FRAME):
-        rotation, origin = rot_x(q[3]) @ rotation, arm.platform_to_roll_m + rot_x(q[3]) @ origin
-    if frame == BASE_FRAME:
-        origin = q[:3] + origin
-    return SensorInFrame(frame, rotation, origin)
+    first = _first_joint(frame, arm)
+    if frame == arm.sensor_frame:
+        return SensorInFrame(frame, np.eye(3), np.zeros(3))
+    q = np.full(len(arm.joints), np.nan) if joints is None else np.asarray(joints, dtype=float)
+    lacking = [
+        name
+        for name, value in zip(arm.joint_names[first:], q[first:], strict=True)
+        if not np.isfinite(value)
+    ]
+    if lacking:
+        raise FrameNeedsJointsError(
+            f"frame '{frame}' depends on {', '.join(needed_joints(frame, arm))}; unknown:"
+            f" {', '.join(lacking)}"
+        )
+    beyond = replace(arm, joints=arm.joints[first:], delta=None)
+    return SensorInFrame(frame, *beyond.sensor_pose(q[first:]))
 
 
-def _indices(frame: str) -> tuple[int, ...]:
-    if frame not in _NEEDED:
-        raise FrameError(f"no frame '{frame}'; there are {', '.join(FRAMES)}")
-    return _NEEDED[frame]
+def _first_joint(frame: str, arm: Arm) -> int:
+    """Place of the first joint between a frame and the sensor."""
+    if frame in (arm.sensor_frame, TIP_FRAME):
+        return len(arm.joints)
+    if frame == arm.base_frame:
+        return 0
+    for k, joint in enumerate(arm.joints):
+        if joint.link == frame:
+            return k + 1
+    raise FrameError(f"no frame '{frame}'; there are {', '.join(frames(arm))}")

@@ -35,15 +35,14 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from galen_model.arm.galen import GALEN, GRAVITY_M_S2, LIMITS, SENSOR
+from galen_model.arm.arm import Arm
+from galen_model.arm.galen import GALEN, GRAVITY_M_S2, SENSOR
 from galen_model.arrays import Array
 from galen_model.errors import GalenError
 from galen_model.load.identification import single_load_design
 from galen_model.load.model import gravity_regressor
 
 GOALS = ("compensation", "load")
-ANGLE_LIMITS = (tuple(LIMITS.lower[3:].tolist()), tuple(LIMITS.upper[3:].tolist()))
-"""Lowest and highest (roll, tilt), rad: the workspace over which an error is averaged."""
 
 _WORKSPACE_STEPS = 25
 _PARAMETERS = 10
@@ -64,20 +63,24 @@ def reading_noise() -> Array:
     return np.asarray(np.hypot(SENSOR.noise_std, SENSOR.quantum / np.sqrt(12.0)))
 
 
-def angle_grid(lower: Sequence[float], upper: Sequence[float], rolls: int, tilts: int) -> Array:
-    """Poses (rolls * tilts, 2), rad, evenly over roll and tilt, ends included."""
-    roll = np.linspace(lower[0], upper[0], rolls)
-    tilt = np.linspace(lower[1], upper[1], tilts)
-    return np.stack(np.meshgrid(roll, tilt, indexing="ij"), axis=-1).reshape(-1, 2)
+def angle_grid(lower: Sequence[float], upper: Sequence[float], *counts: int) -> Array:
+    """Angles (prod(counts), k), rad, evenly from lower (k,) to upper (k,), ends included."""
+    axes = [np.linspace(*axis) for axis in zip(lower, upper, counts, strict=True)]
+    return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(axes))
+
+
+def workspace(steps: int, arm: Arm = GALEN) -> Array:
+    """Angles (steps^k, k), rad, evenly over all that the joints' limits allow."""
+    return angle_grid(arm.angles(arm.lower), arm.angles(arm.upper), *[steps] * len(arm.turning))
 
 
 def workspace_rows() -> Array:
-    """B (w, 6, 10) at poses evenly over all that the joints' limits allow."""
-    return _rows(angle_grid(*ANGLE_LIMITS, _WORKSPACE_STEPS, _WORKSPACE_STEPS))
+    """B (w, 6, 10) at poses evenly over the workspace."""
+    return _rows(workspace(_WORKSPACE_STEPS))
 
 
 def compensation_std(poses: Array, sigma: Array) -> Array:
-    """Std (6,), N and N.m, of the compensation's error after a sweep of poses (n, 2), rad.
+    """Std (6,), N and N.m, of the compensation's error after a sweep of angles (n, k), rad.
 
     Root of the mean variance over the workspace; sigma (6,) is one averaged reading's noise. inf
     where the poses don't tell the load.
@@ -94,10 +97,10 @@ def compensation_std(poses: Array, sigma: Array) -> Array:
 
 
 class PoseDesign:
-    """Chooses from candidates (k, 2), roll and tilt in rad, each at most once.
+    """Chooses from candidates (m, k), angles in rad, each at most once.
 
     `goal` is one of GOALS; sigma (6,), N and N.m: the noise, up to a factor. `one_sweep_zero`
-    (roll, tilt) of the zeroing says that there is the tool's sweep alone.
+    (k,), angles of the zeroing, says that there is the tool's sweep alone.
     """
 
     def __init__(
@@ -106,10 +109,10 @@ class PoseDesign:
         *,
         goal: str = "compensation",
         sigma: Array | None = None,
-        one_sweep_zero: tuple[float, float] | None = None,
+        one_sweep_zero: Sequence[float] | None = None,
     ) -> None:
         """Raise PoseDesignError for a goal that is none."""
-        self.candidates = np.asarray(candidates, dtype=float).reshape(-1, 2)
+        self.candidates = np.asarray(candidates, dtype=float).reshape(-1, len(GALEN.turning))
         self._sigma = reading_noise() if sigma is None else np.asarray(sigma, dtype=float)
         # Parameters scaled so that one ideal reading would tell each of them to about 1.
         gravity = -GRAVITY_M_S2[2]
@@ -131,11 +134,11 @@ class PoseDesign:
             raise PoseDesignError(f"goal is {goal!r}, but must be one of {', '.join(GOALS)}")
 
     def information(self, poses: Array) -> Array:
-        """I (n, 10, 10) of poses (n, 2), rad, in the scaled parameters."""
+        """I (n, 10, 10) of angles (n, k), rad, in the scaled parameters."""
         return _information(_rows(np.asarray(poses, dtype=float)) * self._scale, self._sigma)
 
     def value(self, poses: Array) -> float:
-        """Phi of poses (n, 2), rad, whether candidates or not; inf where they don't tell all."""
+        """Phi of angles (n, k), rad, whether candidates or not; inf where they don't tell all."""
         return float(self._value(self.information(poses).sum(axis=0) + self._known))
 
     def choose(self, count: int, start: Sequence[int] = ()) -> list[int]:
@@ -226,12 +229,12 @@ def _balanced(information: Array) -> tuple[Array, Array]:
     return information * both, both
 
 
-def _zeroing_information(bias: tuple[float, float], sigma: Array) -> Array:
+def _zeroing_information(zero_angles: Sequence[float], sigma: Array) -> Array:
     """Of c = o - G_0 x_adapter (6, 6): o is zero to one reading's noise, x_adapter not known.
 
     W - W G_0 (G_0^T W G_0)^+ G_0^T W with W = Sigma^-1, what is left when x_adapter is taken out.
     """
-    at_zero = gravity_regressor(GALEN.gravity_in_sensor(np.stack(bias, axis=-1)))
+    at_zero = gravity_regressor(GALEN.gravity_in_sensor(zero_angles))
     weights = np.diag(1.0 / np.asarray(sigma) ** 2)
     root = np.diag(1.0 / np.asarray(sigma)) @ at_zero
     basis, singular, _ = np.linalg.svd(root, full_matrices=False)

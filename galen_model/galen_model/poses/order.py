@@ -4,7 +4,7 @@ A reading that drifts by b t over the sweep moves the fit by C A^T W (b t). The 
 linear in gravity's direction u, the offsets take the mean; so nothing of the drift reaches the load
 where the poses' times are uncorrelated with u, sum_i (t_i - mean t) u_i = 0. R^2, the share of the
 times' variance that a regression on u explains, says how far that holds: a grid's serpentine,
-which goes from one end of roll to the other, has nearly 1, a way there and back nearly 0.
+which goes from one end of one angle to the other, has nearly 1, a way there and back nearly 0.
 The order makes travel + weight R^2 small: first a short open way through all poses, every second
 one of them on the way there and the others on the way back, then 2-opt and moves of single poses
 (Lin, *Bell System Tech. J.* 44, 1965) until none is better.
@@ -51,12 +51,12 @@ _BETTER = 1e-9
 
 
 class SweepTimes:
-    """How long moves between poses (n, 2), rad, and the stay at each take, s."""
+    """How long moves between angles (n, k), rad, and the stay at each take, s."""
 
     def __init__(
         self, home: Array, max_velocity: Array, max_acceleration: Array, stay_s: float
     ) -> None:
-        """`home` (2,), rad, is where it begins and ends; limits (2,) in rad/s and rad/s^2."""
+        """`home` (k,), rad, is where it begins and ends; limits (k,) in rad/s and rad/s^2."""
         self._home = np.asarray(home, dtype=float)
         self._limits = max_velocity, max_acceleration
         self.stay_s = stay_s
@@ -82,12 +82,12 @@ class SweepTimes:
 
 
 def drift_share(poses: Array, times_s: Array) -> float:
-    """R^2 (0 ... 1) of the poses' times (n,) on gravity's direction at poses (n, 2), rad."""
+    """R^2 (0 ... 1) of the poses' times (n,) on gravity's direction at angles (n, k), rad."""
     return float(_explained(_directions(poses)[None], np.asarray(times_s, dtype=float)[None])[0])
 
 
 def order_poses(poses: Array, times: SweepTimes) -> Array:
-    """The poses (n, 2), rad, in the order to visit them."""
+    """The angles (n, k), rad, in the order to visit them."""
     count = len(poses)
     if count < 3:
         return poses

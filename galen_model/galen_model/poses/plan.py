@@ -15,7 +15,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from galen_model.arm.arm import Arm
 from galen_model.arm.clearance import ArmClearance, Box, ObstacleError
+from galen_model.arm.galen import GALEN
 from galen_model.arm.routes import Router
 from galen_model.arrays import Array
 from galen_model.errors import GalenError, NotExcitedError
@@ -88,7 +90,7 @@ def _serpentine(outer: Array, inner: Array) -> Array:
     return np.vstack(rows)
 
 
-# Candidates over the sweep's range of roll and tilt. 187 are within 0.6 % of the best poses of a
+# Candidates over the sweep's range of angles. 187 are within 0.6 % of the best poses of a
 # continuum, up to some fifty (test_model_pose_design.py).
 CANDIDATE_ROLLS, CANDIDATE_TILTS = 17, 11
 
@@ -103,26 +105,32 @@ class Surroundings:
 
 @dataclass(frozen=True)
 class SweepRange:
-    """Where a sweep may go: home (5,), and lowest and highest (roll, tilt), rad.
+    """Where a sweep may go: home (n,), and lowest and highest angles (k,), rad.
 
-    steps: candidates along roll and tilt; `name`: what home is called where it can't be taken.
+    steps: candidates along each angle; `name`: what home is called where it can't be taken.
     """
 
     home: Array
-    lower: tuple[float, float]
-    upper: tuple[float, float]
-    steps: tuple[int, int] = (CANDIDATE_ROLLS, CANDIDATE_TILTS)
+    lower: Sequence[float]
+    upper: Sequence[float]
+    steps: tuple[int, ...] = (CANDIDATE_ROLLS, CANDIDATE_TILTS)
     name: str = "home"
+    arm: Arm = GALEN
+
+    @property
+    def home_angles(self) -> Array:
+        """Angles (k,) at home, rad."""
+        return self.arm.angles(self.home)
 
     def candidates(self) -> Array:
-        """Poses (k, 2), rad, evenly over the range."""
+        """Angles (m, k), rad, evenly over the range."""
         grid = angle_grid(self.lower, self.upper, *self.steps)
         return np.unique(grid, axis=0)  # a range of no width gives the same ones again
 
 
 @dataclass(frozen=True)
 class SweepPlan:
-    """Poses (n, 2), rad, in visiting order, and the way around boxes where there are any."""
+    """Angles (n, k), rad, in visiting order, and the way around boxes where there are any."""
 
     poses: Array
     router: Router | None = None
@@ -154,11 +162,11 @@ def _plan_as_is(
 ) -> SweepPlan:
     router = make_router(where, surroundings, tip_m)
     if router is not None:
-        for index, (roll, tilt) in enumerate(poses):
-            if fault := router.fault(np.array([*where.home[:3], roll, tilt])):
+        for index, angles in enumerate(poses):
+            if fault := router.fault(where.arm.with_angles(angles, where.home)):
                 raise ObstacleError(
-                    f"pose {index} of {source} (roll {roll:.3f}, tilt {tilt:.3f} rad) can't be"
-                    f" visited: {fault}; {remedy}"
+                    f"pose {index} of {source} ({where.arm.described(angles)}) can't be visited:"
+                    f" {fault}; {remedy}"
                 )
     return SweepPlan(poses, router)
 
@@ -181,11 +189,11 @@ def plan_chosen(
     candidates = where.candidates()
     faults = [""] * len(candidates) if router is None else router.lattice_faults
     free = candidates[[not fault for fault in faults]]
-    bias = float(where.home[3]), float(where.home[4])
-    design = PoseDesign(free, goal=goal, one_sweep_zero=bias if one_sweep else None)
+    zero = where.home_angles
+    design = PoseDesign(free, goal=goal, one_sweep_zero=zero if one_sweep else None)
     try:
         poses = free[design.choose(count)]
-        check_planned_poses(poses, one_sweep=one_sweep, zero_angles=bias)
+        check_planned_poses(poses, one_sweep=one_sweep, zero_angles=zero)
     except (PoseDesignError, NotExcitedError) as error:
         if len(free) == len(candidates):
             raise
@@ -200,7 +208,7 @@ def make_router(where: SweepRange, surroundings: Surroundings, tip_m: Array) -> 
     """
     if not surroundings.boxes:
         return None
-    clearance = ArmClearance(surroundings.boxes, surroundings.clearance_m, tip_m)
+    clearance = ArmClearance(surroundings.boxes, surroundings.clearance_m, tip_m, where.arm)
     return Router(clearance, where.home, where.candidates(), where.name)
 
 
