@@ -167,6 +167,7 @@ def joint_columns(joints: ArrayLike, tip_m: ArrayLike, arm: Arm) -> Array:
     """
     q = np.asarray(joints, dtype=float)
     delta = arm.delta
+    assert delta is not None
     columns = np.zeros((6, 11))
     columns[:, :5] = arm.tip_jacobian(q, tip_m)
     columns[:3, :3] = np.linalg.inv(delta.jacobian(q[:3]))

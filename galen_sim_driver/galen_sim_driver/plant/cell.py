@@ -17,6 +17,7 @@ from typing import NamedTuple
 
 import numpy as np
 from galen_model.arm.galen import LIMITS
+from galen_model.arrays import Array
 from galen_model.load.nominal_tools import ToolGeometry
 
 from galen_sim_driver.plant.config import (
@@ -27,7 +28,7 @@ from galen_sim_driver.plant.config import (
     PlantError,
 )
 from galen_sim_driver.plant.effects import ArmNow, PlantEffects
-from galen_sim_driver.plant.geometry import cross, rotate
+from galen_sim_driver.plant.geometry import Quaternion, Vector, cross, rotate
 from galen_sim_driver.plant.hand import Admittance, Hand
 from galen_sim_driver.plant.motion import (
     LimitedMotion,
@@ -94,8 +95,9 @@ class Plant:
         self._zeroing: Zeroing | None = None
         self._tracker = Tracker(config, tracker_rng)
         self._tracker_count = 0
-        self._compliance_of: tuple[tuple[float, ...], str] | None = None
-        self._compliance = np.zeros((6, 6))
+        self._place: tuple[tuple[float, ...], str] | None = None
+        self._tip_pose: tuple[Vector, Quaternion]
+        self._compliance: Array | None = None
 
         self._hand = Hand(config.hand)
         self.admittance = Admittance(config.admittance_timeout_s)
@@ -315,17 +317,18 @@ class Plant:
         effects = self._effects
         if not self.tool:
             return self._tracker.sample(None, None, effects.seen, effects.base_shift())
+        place = (tuple(now.joints), self.tool)
+        if place != self._place:  # the arm stands most of the time
+            self._place, self._compliance = place, None
+            self._tip_pose = (effects.position(now, self._tip), effects.quaternion(now))
         deflection = None
         at_tip = [0.0] * 6
         if touch is not None:
             at_tip = [*rotate(now.matrix, touch[:3]), *rotate(now.matrix, touch[3:])]
-            key = (tuple(now.joints), self.tool)
-            if key != self._compliance_of:
+            if self._compliance is None:
                 self._compliance = effects.arm.tip_compliance(now.joints, self._tip)
-                self._compliance_of = key
             deflection = (self._compliance @ at_tip).tolist()
         more = effects.more_deflection(now, at_tip, deflection or [0.0] * 6)
         if more is not None:
             deflection = [a + b for a, b in zip(deflection or [0.0] * 6, more, strict=True)]
-        tip = (effects.position(now, self._tip), effects.quaternion(now))
-        return self._tracker.sample(tip, deflection, effects.seen, effects.base_shift())
+        return self._tracker.sample(self._tip_pose, deflection, effects.seen, effects.base_shift())

@@ -154,7 +154,8 @@ class PlantConfig:
             self.rate_hz * VELOCITY_WINDOW_S >= 1.0 and self.rate_hz <= 10_000.0,
             f"rate is {self.rate_hz} Hz, but must be {1.0 / VELOCITY_WINDOW_S:g} to 10000",
         )
-        for part in (*self.effects, *self.hand):
+        parts: tuple[Effect | HandPush, ...] = (*self.effects, *self.hand)
+        for part in parts:
             part.validate()
         _require(
             0.0 < self.tracker_rate_hz <= self.rate_hz,

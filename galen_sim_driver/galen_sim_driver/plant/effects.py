@@ -60,7 +60,7 @@ class PlantEffects:
             arm, gravity = effect.arm(arm), effect.gravity(gravity)
         self.arm = arm
         self._gravity: list[float] = gravity.tolist()
-        self._direction = gravity / np.linalg.norm(gravity)
+        self._direction: list[float] = (gravity / np.linalg.norm(gravity)).tolist()
         self._motion = MotionOfSensor(arm)
         self._adapter = adapter
         self._misaligned = arm
@@ -120,8 +120,8 @@ class PlantEffects:
             return None
         motion = None
         if self.needs_motion:
-            angles = self.arm.angles(arm.joints).tolist()
-            own = self._motion.at(*angles, tuple(velocities), tuple(accelerations))
+            roll, tilt = self.arm.angles(arm.joints).tolist()
+            own = self._motion.at(roll, tilt, tuple(velocities), tuple(accelerations))
             motion = SensorMotion(*(np.array([part]) for part in own))
         posture = Posture(
             joints=np.array([arm.joints]),
