@@ -74,7 +74,7 @@ def test_what_lacks_is_named() -> None:
     with pytest.raises(FrameNeedsJointsError, match=r"unknown: delta_x, delta_y, delta_z$"):
         sensor_in_frame("base_link", TIP_M, joint_vector([0.1, 0.2]))
     for wrong in ([0.1], [0.1] * 3, [0.1, np.nan]):
-        with pytest.raises(FrameNeedsJointsError, match="roll and tilt alone"):
+        with pytest.raises(FrameNeedsJointsError, match="or roll, tilt alone"):
             joint_vector(wrong)
     np.testing.assert_array_equal(joint_vector([0.1, 0.2]), [np.nan] * 3 + [0.1, 0.2])
     np.testing.assert_array_equal(joint_vector(HOME.tolist()), HOME)

@@ -34,6 +34,7 @@ Wolfowitz 1960; Fedorov 1972, chapter 2). The weights come from w <- w sqrt(d), 
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from galen_model.arm.arm import Arm
 from galen_model.arm.galen import GALEN, GRAVITY_M_S2, SENSOR
@@ -63,7 +64,9 @@ def reading_noise() -> Array:
     return np.asarray(np.hypot(SENSOR.noise_std, SENSOR.quantum / np.sqrt(12.0)))
 
 
-def angle_grid(lower: Sequence[float], upper: Sequence[float], *counts: int) -> Array:
+def angle_grid(
+    lower: Sequence[float] | Array, upper: Sequence[float] | Array, *counts: int
+) -> Array:
     """Angles (prod(counts), k), rad, evenly from lower (k,) to upper (k,), ends included."""
     axes = [np.linspace(*axis) for axis in zip(lower, upper, counts, strict=True)]
     return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(axes))
@@ -109,7 +112,7 @@ class PoseDesign:
         *,
         goal: str = "compensation",
         sigma: Array | None = None,
-        one_sweep_zero: Sequence[float] | None = None,
+        one_sweep_zero: ArrayLike | None = None,
     ) -> None:
         """Raise PoseDesignError for a goal that is none."""
         self.candidates = np.asarray(candidates, dtype=float).reshape(-1, len(GALEN.turning))
@@ -229,7 +232,7 @@ def _balanced(information: Array) -> tuple[Array, Array]:
     return information * both, both
 
 
-def _zeroing_information(zero_angles: Sequence[float], sigma: Array) -> Array:
+def _zeroing_information(zero_angles: ArrayLike, sigma: Array) -> Array:
     """Of c = o - G_0 x_adapter (6, 6): o is zero to one reading's noise, x_adapter not known.
 
     W - W G_0 (G_0^T W G_0)^+ G_0^T W with W = Sigma^-1, what is left when x_adapter is taken out.
