@@ -23,12 +23,11 @@ from galen_model.files.atomic_file import write_whole
 from galen_ros.command import check_file
 from rich.console import Console
 
-from benchmarks.speed import bags, computing, diagnosis, nodes, panel, startup
+from benchmarks.speed import bags, computing, diagnosis, nodes, startup
 
 _EPILOG = """\
 groups:
   nodes     gravcomp and deflection against bare rclpy relays: latency, CPU, loss
-  panel     the operator's panel, and gravcomp at 500 Hz beside it
   compute   one sample, arrays, a calibration's regression, hysteresis
   startup   each node, from its process' start till others see it
   diagnose  one recording, by part
@@ -40,7 +39,6 @@ meanwhile: the load average before each group is in the JSON. Ends with 0; 1: a 
 
 GROUPS: dict[str, ModuleType] = {
     "nodes": nodes,
-    "panel": panel,
     "compute": computing,
     "startup": startup,
     "diagnose": diagnosis,

@@ -76,7 +76,7 @@ def generate(path: Path, hours: float, *, quiet: bool) -> int:
             number = np.arange(first, min(first + block, total))
             angles = _angles(number / _RATE_HZ, goals)
             noise = SENSOR.noise_std * rng.normal(size=(len(number), 6))
-            wrench = tool.predict(angles[:, 0], angles[:, 1]) + noise
+            wrench = tool.predict(angles) + noise
             wrench = np.round(wrench / SENSOR.quantum) * SENSOR.quantum
             angles = np.round(angles / 5e-5) * 5e-5
             rows = zip((_START_NS + number * period_ns).tolist(), angles.tolist(), wrench.tolist(),

@@ -21,8 +21,7 @@ from itertools import count
 
 import numpy as np
 from galen_deflection.models.interface import Stream
-from galen_model.arm.galen import SENSOR
-from galen_model.arm.kinematics import gravity_in_sensor
+from galen_model.arm.galen import GALEN, SENSOR
 from galen_model.arm.pinocchio_arm import PinocchioArm
 from galen_model.arrays import Array
 from galen_model.load.identification import StillPoses, identify_two_sweeps
@@ -108,7 +107,7 @@ def arrays(rounds: int, samples: int = _SAMPLES) -> list[Compared]:
         return kernel.compensate(readings, roll, tilt)
 
     def by_peer() -> Array:
-        force = mass * gravity_in_sensor(roll, tilt)
+        force = mass * GALEN.gravity_in_sensor(np.stack([roll, tilt], axis=-1))
         return np.asarray(readings - np.concatenate([force, np.cross(com, force)], axis=1))
 
     def copied() -> None:
@@ -177,9 +176,9 @@ def _sweeps(poses: int) -> tuple[StillPoses, StillPoses]:
     out = []
     for load in (0.0, 1.0):
         roll, tilt = random.uniform(-1.4, 1.4, poses), random.uniform(-0.9, 0.8, poses)
-        whole = tool.predict(roll, tilt) * (1.0 + load)
+        whole = tool.predict(np.stack([roll, tilt], axis=-1)) * (1.0 + load)
         noise = SENSOR.noise_std / 10.0 * random.normal(size=(poses, 6))
-        out.append(StillPoses(roll, tilt, whole + noise))
+        out.append(StillPoses(np.stack([roll, tilt], axis=-1), whole + noise))
     return out[0], out[1]
 
 

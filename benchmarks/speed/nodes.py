@@ -19,9 +19,8 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import AbstractContextManager, nullcontext
-from dataclasses import dataclass, field
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -44,18 +43,12 @@ WARM_UP_S = 1.5
 DISCOVERY_TIMEOUT_S = 60.0
 
 
-CpuSoFar = Callable[[], dict[str, float]]
-"""CPU time so far of what runs beside a subject, s, by its name."""
-
-
 @dataclass(frozen=True)
 class Subject:
     """A process to measure: arguments after `python -m`, and the topic whose stamps are taken.
 
     others: further topics that it publishes, which are received as well and not looked at. moving:
-    whether the arm moves, so that no two joint vectors are alike. beside: starts what else shall
-    run, in the environment that it is given, before the subject, and ends it. warm_up_s: from the
-    first output until the numbers are taken.
+    whether the arm moves, so that no two joint vectors are alike.
     """
 
     name: str
@@ -63,16 +56,11 @@ class Subject:
     output: tuple[str, Any]
     others: tuple[tuple[str, Any], ...] = ()
     moving: bool = False
-    beside: Callable[[Mapping[str, str]], AbstractContextManager[CpuSoFar]] | None = None
-    warm_up_s: float = WARM_UP_S
 
 
 @dataclass(frozen=True)
 class Measurement:
-    """One subject at one rate, one round. lost: wrenches that never came out of it.
-
-    beside_percent: CPU of what ran beside it, by its name.
-    """
+    """One subject at one rate, one round. lost: wrenches that never came out of it."""
 
     subject: str
     rate_hz: float
@@ -85,7 +73,6 @@ class Measurement:
     latency_p99_ms: float
     latency_p999_ms: float
     latency_max_ms: float
-    beside_percent: dict[str, float] = field(default_factory=dict)
 
 
 def relays() -> list[Subject]:
@@ -211,7 +198,7 @@ class _Receiver(Node):
                     f"no output of {subject.name} within {DISCOVERY_TIMEOUT_S:g} s: does it start?"
                 )
             self.spin_for(executor, 0.1)
-        self.spin_for(executor, subject.warm_up_s)
+        self.spin_for(executor, WARM_UP_S)
         self.stamps_ns.clear()
         self.times_ns.clear()
 
@@ -235,18 +222,14 @@ def _measure_once(subject: Subject, rate_hz: float, seconds: float, number: int)
     receiver = _Receiver(subject, context=context)
     executor.add_node(receiver)
     try:
-        with (subject.beside or _nothing_beside)(environment) as cpu_beside:
-            for arguments in (subject.arguments, sending):
-                command = [sys.executable, "-m", *arguments]
-                processes.append(subprocess.Popen(command, env=environment))
-            receiver.start(executor, subject)
-            beside_s = cpu_beside()
-            before_s, start_s = cpu_s(processes[0].pid), time.monotonic()
-            receiver.spin_for(executor, seconds)
-            used_s = cpu_s(processes[0].pid) - before_s
-            elapsed_s = time.monotonic() - start_s
-            beside_s = {name: now_s - beside_s[name] for name, now_s in cpu_beside().items()}
-            _end(processes)
+        for arguments in (subject.arguments, sending):
+            command = [sys.executable, "-m", *arguments]
+            processes.append(subprocess.Popen(command, env=environment))
+        receiver.start(executor, subject)
+        before_s, start_s = cpu_s(processes[0].pid), time.monotonic()
+        receiver.spin_for(executor, seconds)
+        used_s = cpu_s(processes[0].pid) - before_s
+        elapsed_s = time.monotonic() - start_s
     finally:
         _end(processes)
         receiver.destroy_node()
@@ -270,12 +253,7 @@ def _measure_once(subject: Subject, rate_hz: float, seconds: float, number: int)
         latency_p99_ms=float(p99),
         latency_p999_ms=float(p999),
         latency_max_ms=float(latencies_ms.max()),
-        beside_percent={name: 100.0 * s / elapsed_s for name, s in beside_s.items()},
     )
-
-
-def _nothing_beside(_environment: Mapping[str, str]) -> AbstractContextManager[CpuSoFar]:
-    return nullcontext(dict)
 
 
 def _end(processes: Sequence[subprocess.Popen[bytes]]) -> None:

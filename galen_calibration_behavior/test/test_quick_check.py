@@ -1,26 +1,23 @@
 """The quick check's decision: what it finds of known changes, and how often it is wrong."""
 
-import json
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from galen_calibration_behavior.quick_check.answer import CheckLimits
+from galen_calibration_behavior.quick_check.causes import CheckLimits
 from galen_calibration_behavior.quick_check.decision import differences, quick_check
 from galen_calibration_behavior.quick_check.procedure import plan_check
-from galen_model.arm.kinematics import gravity_in_sensor
+from galen_model.arm.galen import GALEN
 from galen_model.evidence.verdict import Cause, CheckAnswer
 from galen_model.files.calibration_file import CalibrationFile, LoadEstimate
-from galen_model.load.cable.drag import LearnedPull
+from galen_model.load.cable import LearnedPull
 from galen_model.load.model import Load, gravity_wrench, nominal_reading
 from galen_model.load.nominal_tools import ADAPTER, TOOLS
-from galen_model.poses.design import ANGLE_LIMITS, PoseDesign, PoseDesignError
+from galen_model.poses.design import PoseDesign, PoseDesignError
 from galen_model.poses.order import SweepTimes
 from galen_model.poses.plan import Surroundings
 from galen_model.rest.pose import PoseRecord
 
-from benchmarks.validation.check_power import CASES as CHECK_CASES
-from benchmarks.validation.check_power import heavier, loose, main, tilt_zero, touched
 from galen_msgs.action import CheckTool
 
 POINTER, RETRACTOR = TOOLS["pointer"].load, TOOLS["retractor"].load
@@ -28,6 +25,37 @@ SIGMA = np.array([1.3e-3, 1.3e-3, 1.9e-3, 2.6e-5, 2.6e-5, 2.6e-5])  # of a mean 
 LOAD_STD = np.array([3e-5, 3e-5, 3e-5, 3e-5])  # kg and m, as a sweep of 56 poses leaves it
 TIMES = SweepTimes(np.zeros(2), [0.8, 0.8], [3.0, 3.0], 0.9)
 LIMITS = CheckLimits()
+
+
+def heavier(load, mass_kg):
+    """The load with more mass at its centre."""
+    return Load(load.mass_kg + mass_kg, load.com_m)
+
+
+def loose(load, shift_m):
+    """A tool that hangs `shift_m` aside, the way gravity pulls it across the flange."""
+
+    def extra(roll, tilt, _pose):
+        gravity = GALEN.gravity_in_sensor((roll, tilt))
+        aside = gravity / np.linalg.norm(gravity) * (1.0, 1.0, 0.0)
+        return np.concatenate([np.zeros(3), np.cross(aside * shift_m, load.mass_kg * gravity)])
+
+    return extra
+
+
+def tilt_zero(load, offset_rad):
+    """The tilt encoder reads `offset_rad` too little."""
+
+    def extra(roll, tilt, _pose):
+        true = nominal_reading((roll, tilt + offset_rad), load, ADAPTER)
+        return true - nominal_reading((roll, tilt), load, ADAPTER)
+
+    return extra
+
+
+def touched(force_n):
+    """A steady push at the third pose."""
+    return lambda _roll, _tilt, pose: np.array([force_n, 0, 0, 0, 0, 0]) * (pose == 2)
 
 
 def choose(here, reach_rad=0.5):
@@ -52,7 +80,7 @@ def records(load, random, *, offset=0.0, extra=None, sigma=SIGMA, poses=POSES, n
     """Averages at the poses: true physics, white noise; `extra(roll, tilt, k)` is added."""
     made = []
     for k, (roll, tilt) in enumerate(poses):
-        wrench = nominal_reading(roll, tilt, load, ADAPTER) + offset
+        wrench = nominal_reading(np.stack([roll, tilt], axis=-1), load, ADAPTER) + offset
         wrench = wrench + (extra(roll, tilt, k) if extra else 0.0)
         noise = 0.0 if nothing else random.standard_normal(6) * sigma
         halves = random.standard_normal(6) * 2.0 * sigma
@@ -63,9 +91,9 @@ def records(load, random, *, offset=0.0, extra=None, sigma=SIGMA, poses=POSES, n
     return made
 
 
-NEVER_ZEROED = gravity_wrench(gravity_in_sensor(0.0, 0.0), ADAPTER)
-ZEROED_ELSEWHERE = NEVER_ZEROED - gravity_wrench(gravity_in_sensor(0.9, -0.6), ADAPTER)
-ZEROED_WITH_TOOL = -gravity_wrench(gravity_in_sensor(0.0, 0.0), POINTER)
+NEVER_ZEROED = gravity_wrench(GALEN.gravity_in_sensor((0.0, 0.0)), ADAPTER)
+ZEROED_ELSEWHERE = NEVER_ZEROED - gravity_wrench(GALEN.gravity_in_sensor((0.9, -0.6)), ADAPTER)
+ZEROED_WITH_TOOL = -gravity_wrench(GALEN.gravity_in_sensor((0.0, 0.0)), POINTER)
 PULL = np.array([0.0, 0.2, 0.0, 0.0, 0.0, 0.0])
 CASES = {
     "healthy": (POINTER, POINTER, {}, Cause.FITS, "fits"),
@@ -235,7 +263,7 @@ def test_a_file_of_one_sweep_is_judged_by_what_it_knows_of_tool_and_adapter_toge
 @pytest.mark.parametrize("here", [(0.0, 0.0), (1.5, 0.9), (-0.8, 0.4)])
 def test_poses_are_near_and_tell_the_most_of_those_near(here):
     poses = choose(here)
-    low, high = (np.array(limit) for limit in ANGLE_LIMITS)
+    low, high = GALEN.angles(GALEN.lower), GALEN.angles(GALEN.upper)
     assert np.all((poses >= low) & (poses <= high))
     assert np.all(np.abs(poses - here) <= 1.0 + 1e-9)
     assert np.all(np.ptp(poses, axis=0) <= 1.0 + 1e-9)
@@ -249,17 +277,3 @@ def test_poses_are_near_and_tell_the_most_of_those_near(here):
 def test_a_reach_that_tells_nothing_is_rejected():
     with pytest.raises(PoseDesignError):
         choose((0.0, 0.0), 1e-7)
-
-
-@pytest.mark.slow
-def test_the_table_of_the_readme_is_made_by_a_command(capsys, monkeypatch):
-    wanted = [case for case in CHECK_CASES if case.name in ("mass +2 g", "loose by 6 mm")]
-    monkeypatch.setattr("benchmarks.validation.check_power.CASES", wanted)
-    main(["--checks", "1", "--json"])
-    found = json.loads(capsys.readouterr().out)
-    assert [row["answers"] for row in found["cases"]] == [{"GOOD": 1}, {"RECALIBRATE": 1}]
-    assert [row["share"] for row in found["power"]] == [0.0, 0.5, 1.0]
-    assert 5e-5 < found["power"][0]["mass_kg"] < 3e-4
-    with pytest.raises(SystemExit) as ended:
-        main(["--checks", "0"])
-    assert ended.value.code == 2

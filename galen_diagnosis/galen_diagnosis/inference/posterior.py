@@ -2,7 +2,7 @@
 
 The few numbers of the evidence that are not physics: calibrated on simulated recordings.
 
-`python -m benchmarks.validation.calibrate_diagnosis` makes `calibration.json`; causes, sessions and
+`python -m benchmarks.calibrate_diagnosis` makes `calibration.json`; causes, sessions and
 unknown kinds there are others than those of `blind_check`.
 
 Probabilities of hypotheses: none, effects alone and together, and something that isn't listed.
@@ -22,8 +22,8 @@ or alone: nu_u directions with the variance that fits best, which take what the 
 and all of E_0 where nothing listed is there. "None" has nothing but noise and a healthy arm's
 excess. Probabilities go as exp(eta l - c), with c what effects and unknown ones cost
 beforehand: eta < 1 tempers evidence that is never as good as its formula (Grünwald, van Ommen,
-Bayesian Analysis 12, 2017). Energies are counted from the noise, with what the best fit leaves of
-structure (`leftover.py`, `structure.py`, `oscillation.py`).
+Bayesian Analysis 12, 2017). Energies are counted from the noise, with the
+structure that the best fit leaves (`structure.py`).
 """
 
 from __future__ import annotations
@@ -171,7 +171,7 @@ def _counted(hypothesis: Hypothesis) -> float:
     inputs = sum(
         len(values)
         for part, values in zip(hypothesis.parts, hypothesis.values, strict=True)
-        if part.has_inputs
+        if part.inputs
     )
     total = sum(len(values) for values in hypothesis.values)
     return 1.0 - _INPUTS_FREE * inputs / max(total, 1)

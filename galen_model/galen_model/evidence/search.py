@@ -33,7 +33,7 @@ _TOLD_APART_NATS = 2.3
 
 @dataclass(frozen=True)
 class SearchSettings:
-    """Chosen by hand; benchmarks/validation/table_diagnosis.py says how often answers are right.
+    """Chosen by hand; galen_diagnosis/README.md has how often answers were right.
 
     tempering: eta. effect_odds: of an effect being there, beforehand. unknown_odds: of something
     unknown being there. most: effects at once. joined: best sets that get another.

@@ -1,4 +1,4 @@
-"""Runs the nodes for long and looks at what wears out: losses, memory, stamps, latency.
+"""Run the nodes for long and look at what wears out: losses, memory, stamps, latency.
 
     make soak                           # an hour of simulated time, then 10 minutes at 1000 Hz
     make soak ARGS="--only real --minutes 60"
@@ -39,14 +39,142 @@ from galen_ros.node.spin import make_executor
 from geometry_msgs.msg import WrenchStamped
 from rclpy.node import Node
 from rich.console import Console
+from rich.table import Table
 from tqdm import tqdm
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from benchmarks.nominal import NAME, write_bench_models, write_bench_tool
-from benchmarks.soak.ledger import Account, StampLedger
-from benchmarks.soak.report import print_report, save_plot
 from benchmarks.speed.nodes import cpu_s
 from galen_msgs.msg import DeflectionStamped
+
+_ALLOWED_NS = 500_000_000
+
+
+@dataclass
+class Account:
+    """What became of the stamps of one input so far."""
+
+    went_in: int = 0
+    came_out: int = 0
+    lost: int = 0
+    doubled: int = 0
+    unknown: int = 0
+    """Came out without having gone in."""
+    disordered: int = 0
+
+
+class StampLedger:
+    """Compares the stamps of an output with those of its input, a stretch at a time.
+
+    Both are heard from their publishers, in any order among each other. What went in more than
+    half a second before the newest of both is looked at and forgotten, so that memory is bounded.
+    """
+
+    def __init__(self, allowed_ns: int = _ALLOWED_NS) -> None:
+        """`allowed_ns`: so much later by stamps may an output be heard."""
+        self.account = Account()
+        self._allowed_ns = allowed_ns
+        self._inputs: list[int] = []
+        self._outputs: list[int] = []
+        self._newest_out = 0
+        self._begun = False
+
+    def go_in(self, stamp_ns: int) -> None:
+        """Heard on the input."""
+        self._inputs.append(stamp_ns)
+
+    def come_out(self, stamp_ns: int) -> None:
+        """Heard on the output."""
+        if stamp_ns < self._newest_out:
+            self.account.disordered += 1
+        self._newest_out = max(self._newest_out, stamp_ns)
+        self._outputs.append(stamp_ns)
+
+    def settle(self, *, last: bool = False) -> None:
+        """Look at all that is old enough; `last`: at all up to the last that came out.
+
+        The first stretch begins with the first stamp that was heard on both sides.
+        """
+        if not self._inputs or not self._outputs:
+            return
+        until_ns = min(max(self._inputs), max(self._outputs))
+        if not last:
+            until_ns -= self._allowed_ns
+        inputs = [stamp for stamp in self._inputs if stamp <= until_ns]
+        outputs = [stamp for stamp in self._outputs if stamp <= until_ns]
+        self._inputs = [stamp for stamp in self._inputs if stamp > until_ns]
+        self._outputs = [stamp for stamp in self._outputs if stamp > until_ns]
+        known, seen = set(inputs), set(outputs)
+        if not self._begun and known and seen:
+            common = known & seen
+            if not common:
+                return
+            begin_ns = min(common)
+            known = {stamp for stamp in known if stamp >= begin_ns}
+            outputs = [stamp for stamp in outputs if stamp >= begin_ns]
+            seen = set(outputs)
+            self._begun = True
+        self.account.went_in += len(known)
+        self.account.came_out += len(outputs)
+        self.account.lost += len(known - seen)
+        self.account.unknown += len(seen - known)
+        self.account.doubled += len(outputs) - len(seen)
+
+
+_WARM_UP_SHARE = 0.1
+
+
+def slope_per_hour(time_s: Sequence[float], values: Sequence[float]) -> tuple[float, float]:
+    """Slope after the warm-up and its standard error, a hour; of least squares.
+
+    The error takes neighbouring windows as independent; memory that steps isn't, so that it is too
+    small for a process that grew once.
+    """
+    first = int(len(time_s) * _WARM_UP_SHARE)
+    hours, y = np.array(time_s[first:]) / 3600.0, np.array(values[first:])
+    if len(y) < 3:
+        return float("nan"), float("nan")
+    design = np.column_stack([hours - hours.mean(), np.ones_like(hours)])
+    solution, *_ = np.linalg.lstsq(design, y, rcond=None)
+    rest = y - design @ solution
+    spread = np.sqrt(rest @ rest / (len(y) - 2) / np.sum(design[:, 0] ** 2))
+    return float(solution[0]), float(spread)
+
+
+def print_report(one: Soaked, console: Console) -> None:
+    """What a person wants to know."""
+    real = one.kind == "real"
+    title = f"{one.seconds / 60:.1f} min of wall time"
+    if not real:
+        title += f", {one.simulated_s / 3600:.2f} h of simulated time"
+    console.rule(f"[bold]{one.kind}: {title}", align="left")
+    streams = Table("stream", "in", "out", "lost", "doubled", "unknown", "out of order", box=None)
+    for name, a in one.accounts.items():
+        numbers = (a.went_in, a.came_out, a.lost, a.doubled, a.unknown, a.disordered)
+        streams.add_row(name, *(str(number) for number in numbers))
+    console.print(streams)
+    memory = Table("process", "CPU %", "MB first", "MB last", "MB/h after warm-up", box=None)
+    for name, values in one.memory_mb.items():
+        slope, error = slope_per_hour(one.time_s, values)
+        memory.add_row(
+            name, f"{one.cpu_percent[name]:.0f}", f"{values[0]:.1f}", f"{values[-1]:.1f}",
+            f"{slope:+.2f} +- {error:.2f}",
+        )  # fmt: skip
+    console.print(memory)
+    if real:
+        slope, error = slope_per_hour(one.time_s, one.delay_p50_ms)
+        console.print(
+            f"stamp to compensation, windows of 5 s: median {np.median(one.delay_p50_ms):.2f} ms, "
+            f"99 % {np.median(one.delay_p99_ms):.1f} ms, largest {max(one.delay_max_ms):.1f} ms; "
+            f"the median drifts by {slope:+.2f} +- {error:.2f} ms/h"
+        )
+    console.print(
+        f"stamps over wall time: {one.pace[-1]:.6f}"
+        + (f", off by {1e6 * (one.pace[-1] - 1):+.0f} ppm" if real else "")
+    )
+    for state, (count, text) in one.states.items():
+        console.print(f"/diagnostics, {state}, {count} times, the last: {text}")
+
 
 KINDS = ("simulated", "real")
 _WINDOW_S = 5.0
@@ -292,7 +420,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
             found.append(soak(kind, seconds, options.speed, options.rate, Path(folder)))
         text = json.dumps([asdict(one) for one in found], indent=1)
         write_whole(options.output / "soak.json", text + "\n")
-        save_plot(found[-1], options.output / f"soak_{kind}.png")
     if options.json:
         print(text)
     else:

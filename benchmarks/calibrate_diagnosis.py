@@ -1,6 +1,6 @@
 """Calibrates the few numbers of the evidence on simulated recordings with known causes.
 
-    python -m benchmarks.validation.calibrate_diagnosis CASES [--per-class N] [--write]
+    python -m benchmarks.calibrate_diagnosis CASES [--per-class N] [--write]
 
 makes recordings by the blind plant, with seeds and unknown kinds that `blind_check` never uses,
 explores each (CASES keeps what came out, so that a run can be taken up again), and fits the
@@ -205,7 +205,7 @@ def report(cases: Sequence[Known], settings: Settings) -> dict[str, Any]:
 def main(args: Sequence[str] | None = None) -> int:
     """Entry point; returns the exit code."""
     parser = argparse.ArgumentParser(
-        prog="python -m benchmarks.validation.calibrate_diagnosis",
+        prog="python -m benchmarks.calibrate_diagnosis",
         description=__doc__.split("\n")[0],
     )
     parser.add_argument("cases", type=Path, help="folder that keeps what came out of each case")
@@ -251,7 +251,7 @@ def _run(given: argparse.Namespace) -> int:
     everything = fitted(cases, half)
     outcome = {
         "settings": asdict(everything),
-        "made_by": "python -m benchmarks.validation.calibrate_diagnosis",
+        "made_by": "python -m benchmarks.calibrate_diagnosis",
         "cases": len(cases),
         "loss": {
             "start": loss(cases, start),

@@ -1,1 +1,0 @@
-"""Long runs that compare every stamp and watch memory."""

@@ -1,1 +1,0 @@
-"""Long scores of the suite's own statements."""
