@@ -22,10 +22,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from galen_bags.errors import BagError
 from galen_bags.formats.bag import content_sha256, open_bag
 from galen_bags.formats.writer import BagWriter
-from galen_calibration_behavior.calibration.estimate import calibrate
+from galen_calibration_behavior.calibration.estimate import estimate
 from galen_calibration_behavior.calibration.procedure import CalibrationRequest
 from galen_calibration_behavior.parameters import CalibrationParameters
 from galen_model.arm.galen import GALEN, HOME, JOINT_NAMES
@@ -40,6 +39,8 @@ from galen_sim_driver.plant.config import ACCELERATION, VELOCITY, ZERO3, HandPus
 from galen_sim_driver.plant.motion import Trajectory, TrajectoryPoint
 from offline_cell import CellBag, OfflineCell
 from tqdm import tqdm
+
+from galen_bags import BagError
 
 HERE = Path(__file__).resolve().parent
 BEGIN, END = "<!-- made by make_bags.py -->", "<!-- end -->"
@@ -87,7 +88,7 @@ def _calibrate(cell: OfflineCell, recipe: Recipe, folder: Path) -> None:
     assert recipe.tool_file is not None
     path = folder / recipe.tool_file
     tip_m = TOOLS[recipe.tool].tip_m
-    calibrate(path, recipe.tool, tip_m, measurements, [], calibrated_at=last_stamp)
+    estimate(path, recipe.tool, tip_m, measurements, [], calibrated_at=last_stamp).write()
 
 
 # --- free motion --------------------------------------------------------------------------------

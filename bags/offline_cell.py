@@ -16,7 +16,6 @@ from galen_calibration_behavior.calibration.procedure import (
 from galen_calibration_behavior.commands import (
     AttachTool,
     Command,
-    Estimate,
     Measurements,
     PoseFeedback,
     PosesEnd,
@@ -161,8 +160,8 @@ class _Calibration:
                     procedure.on_service(False, str(error))
                 else:
                     procedure.on_service(True, "")
-            case Estimate():
-                self._measurements = command.measurements
+            case Measurements():
+                self._measurements = command
 
 
 class CellBag:

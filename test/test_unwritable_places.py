@@ -7,20 +7,6 @@ import pytest
 NOWHERE = "/proc/galen/new"  # for root, too
 COMMANDS = {
     "galen_bags.convert": ("IN.csv", "-o", NOWHERE),
-    "galen_calibration_behavior.calibrate_from_bag": (
-        "t",
-        "IN",
-        "--estimate",
-        "cable",
-        "--dry-run",
-        "--plots",
-        NOWHERE,
-    ),
-    "galen_calibration_behavior.calibrate_from_bag --propose-poses": (
-        "--propose-poses",
-        "--plots",
-        NOWHERE,
-    ),
     "galen_deflection.evaluate": (
         "IN",
         "--tool",

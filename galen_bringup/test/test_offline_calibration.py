@@ -8,7 +8,7 @@ from galen_bags.arrays.arm_recording import read_arm
 from galen_bags.formats.writer import BagWriter
 from galen_calibration_behavior.calibration.estimate import estimate
 from galen_calibration_behavior.calibration.procedure import CalibrationRequest
-from galen_calibration_behavior.from_bag.recorded_sweeps import SweepSorter
+from galen_calibration_behavior.from_bag.sweeps import SweepSorter
 from galen_calibration_behavior.from_bag.visits import find_visits
 from galen_calibration_behavior.parameters import CalibrationParameters
 from galen_sim_driver.plant.cell import Plant
@@ -24,7 +24,7 @@ PARAMETERS = CalibrationParameters(
 )
 # 2.5 ms off the grid on which a live sweep looks at the arm
 START_NS = 1_700_000_000_002_500_000
-NUMBERS = ("roll", "tilt", "wrench", "std_of_mean")
+NUMBERS = ("angles", "wrench", "std_of_mean")
 
 
 class Toucher:

@@ -10,7 +10,7 @@ import sys
 import termios
 from typing import Any
 
-from galen_ros.command import EXIT_OK, finite, make_parser, whole
+from galen_ros.command import EXIT_OK, finite, make_parser, own_arguments, whole
 from galen_ros.goal.client import (
     GoalClient,
     add_client_options,
@@ -19,10 +19,9 @@ from galen_ros.goal.client import (
     result_to_dict,
     run_client,
 )
-from galen_ros.node.spin import own_arguments
 from std_srvs.srv import Trigger
 
-from galen_calibration_behavior.calibration.result_text import format_result
+from galen_calibration_behavior.calibration.estimate import format_result
 from galen_calibration_behavior.commands import (
     CALIBRATION_PHASES,
     CalibrationCode,

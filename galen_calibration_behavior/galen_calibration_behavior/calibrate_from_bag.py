@@ -5,25 +5,22 @@ from __future__ import annotations
 import argparse
 import json
 import math
-from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 from galen_bags.arrays.arm_recording import ArmTopics
 from galen_model.errors import GalenError, IdentificationError, ToolNameError
 from galen_model.files.calibration_file import check_tool_name
-from galen_model.load.bias.choice import BiasMode
+from galen_model.load.drifting_identification import BiasMode
 from galen_model.load.mounting.mounting import GROUPS, entities
-from galen_ros.command import EXIT_OK, add_json, add_plots, make_parser, positive, run_command
+from galen_ros.command import EXIT_OK, add_json, make_parser, positive, run_command
 from galen_ros.parameters import ParameterError, checked, param_fields
 
-from galen_calibration_behavior.from_bag.cable import add_cable, remove_cable
-from galen_calibration_behavior.from_bag.inertia import add_inertia
 from galen_calibration_behavior.from_bag.loads import estimate_loads
+from galen_calibration_behavior.from_bag.parts import add_part, remove_cable
 from galen_calibration_behavior.parameters import CalibrationParameters
-from galen_calibration_behavior.pose_choice.proposal import propose_poses
+from galen_calibration_behavior.propose_poses import propose_poses
 
 _NAME = "calibrate_from_bag"
 _USAGE = """%(prog)s TOOL BAG [options]
@@ -35,11 +32,8 @@ _NOTES = """BAG is a rosbag2 directory, .mcap, .db3 or ROS 1 .bag:
   both sweeps of still poses, first bare, then with the tool on;
   --estimate inertia: at least 12 s in which roll and tilt swing, smoothly and fast, no contact;
   --estimate cable: a sweep of still poses with the cable on, no contact."""
-# Added to a calibrated tool's file, each from a recording of its own.
-_PARTS: dict[str, Callable[[argparse.Namespace], dict[str, Any]]] = {
-    "inertia": add_inertia,
-    "cable": add_cable,
-}
+_PARTS = ("inertia", "cable")
+"""Added to a calibrated tool's file, each from a recording of its own."""
 
 
 def parse(arguments: list[str] | None = None) -> argparse.Namespace:
@@ -74,7 +68,6 @@ def parse(arguments: list[str] | None = None) -> argparse.Namespace:
         help="write also where the file's calibration is newer than the recording",
     )
     parser.add_argument("--dry-run", action="store_true", help="print what is found, write nothing")
-    add_plots(parser)
     add_json(parser)
     _add_recording_options(parser.add_argument_group("where things are in the recording"))
     options = parser.parse_args(arguments)
@@ -98,11 +91,6 @@ def _add_sweep_options(group: argparse._ArgumentGroup) -> None:
         " (a warning names what is not known)",
     )
     group.add_argument(
-        "--adapter-from",
-        metavar="FILE",
-        help="with --one-sweep: a calibration file whose adapter is the one in the recording",
-    )
-    group.add_argument(
         "--tool-on-at-s",
         type=float,
         metavar="SECONDS",
@@ -115,12 +103,6 @@ def _add_sweep_options(group: argparse._ArgumentGroup) -> None:
         metavar=("X", "Y", "Z"),
         help="the tool's tip in ft_sensor, m; else the old file's is kept, or (0, 0, 0)",
     )
-    group.add_argument(
-        "--whole-phases",
-        action="store_true",
-        help="average all of a rest segment after settling, not only average_s of it",
-    )
-    group.add_argument("--poses", action="store_true", help="print every pose with its residual")
     group.add_argument(
         "-p",
         "--param",
@@ -234,8 +216,6 @@ def _check_recordings(parser: argparse.ArgumentParser, options: argparse.Namespa
         parser.error("a BAG is needed, or --bare BAG and --with-tool BAG")
     if options.one_sweep and any(pair):
         parser.error("--one-sweep is for one BAG")
-    if options.adapter_from and not options.one_sweep:
-        parser.error("--adapter-from is for --one-sweep: two sweeps identify the adapter")
     if options.tool_on_at_s is not None and (options.one_sweep or any(pair)):
         parser.error("--tool-on-at-s is for one BAG that holds both sweeps")
 
@@ -267,7 +247,8 @@ def _work(options: argparse.Namespace) -> int:
     elif options.remove_cable:
         fields = remove_cable(options)
     else:
-        fields = _PARTS.get("".join(options.estimate), estimate_loads)(options)
+        add = "".join(options.estimate) in _PARTS
+        fields = add_part(options) if add else estimate_loads(options)
     if options.json:
         print(json.dumps(fields))
     return EXIT_OK

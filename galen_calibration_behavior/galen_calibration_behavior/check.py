@@ -10,7 +10,7 @@ from typing import Any
 
 from galen_model.arm.galen import WRENCH_AXES
 from galen_model.evidence.verdict import Cause, CheckAnswer
-from galen_ros.command import EXIT_OK, make_parser, whole
+from galen_ros.command import EXIT_OK, make_parser, own_arguments, whole
 from galen_ros.goal.client import (
     GoalClient,
     add_client_options,
@@ -19,7 +19,6 @@ from galen_ros.goal.client import (
     result_to_dict,
     run_client,
 )
-from galen_ros.node.spin import own_arguments
 
 from galen_calibration_behavior.commands import CheckCode
 from galen_msgs.action import CheckTool

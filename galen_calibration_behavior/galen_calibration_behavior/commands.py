@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from enum import IntEnum
 
-from galen_model.files.calibration_file import LoadEstimate
-from galen_model.load.bias.choice import BiasMode
+from galen_model.arm.galen import GALEN
+from galen_model.arrays import Array
+from galen_model.load.drifting_identification import BiasMode
 from galen_model.load.identification import StillPoses
-from galen_ros.goal.commands import End, MoveTo, Stop
+from galen_ros.goal.procedure import End, MoveTo, Stop
 
-from galen_calibration_behavior.quick_check.answer import QuickCheck
+from galen_calibration_behavior.quick_check.causes import QuickCheck
 
 
 class CalibrationState(IntEnum):
@@ -90,7 +91,7 @@ class AttachTool:
 
 @dataclass(frozen=True)
 class PoseFeedback:
-    """Feedback of either action; roll and tilt (rad), wrench (6,) of the pose just finished."""
+    """Feedback of either action; angles (k,), rad, and wrench (6,) of the pose just finished."""
 
     state: CalibrationState | CheckState
     message: str
@@ -98,39 +99,28 @@ class PoseFeedback:
     poses: int = 0
     done: int = 0
     total: int = 0
-    roll: float = float("nan")
-    tilt: float = float("nan")
+    angles: tuple[float, ...] = (float("nan"),) * len(GALEN.turning)
     accepted: bool = False
     wrench: tuple[float, ...] = (float("nan"),) * 6
 
 
 @dataclass(frozen=True)
 class Measurements:
-    """All that the estimate needs; the zero pose (rad) is where the sensor was zeroed.
+    """Identify the load from these, write the file; answer with `on_estimated` or `fail`.
 
-    `known_adapter`: the adapter of an earlier calibration; with one sweep it separates adapter and
-    tool. `notes`: how it went, where nothing is wrong. `bias_mode`: whether the sensor's bias may
-    drift over a sweep; then the poses need times.
+    The zero pose (rad) is where the sensor was zeroed.
+
+    `bias_mode`: whether the sensor's bias may drift over a sweep; then the poses need times.
     """
 
     bare: StillPoses | None
     tool: StillPoses
-    zero_roll: float
-    zero_tilt: float
+    zero_angles: Array
     bare_indices: list[int]
     tool_indices: list[int]
     rejected: list[str]
     warnings: list[str]
-    known_adapter: LoadEstimate | None = None
-    notes: list[str] = field(default_factory=list)
     bias_mode: BiasMode = BiasMode.CONSTANT
-
-
-@dataclass(frozen=True)
-class Estimate:
-    """Identify the load and write the file; answer with `on_estimated` or `fail`."""
-
-    measurements: Measurements
 
 
 @dataclass(frozen=True)
@@ -142,4 +132,4 @@ class PosesEnd(End):
     check: QuickCheck | None = None
 
 
-Command = MoveTo | Stop | ZeroSensor | AttachTool | PoseFeedback | Estimate | PosesEnd
+Command = MoveTo | Stop | ZeroSensor | AttachTool | PoseFeedback | Measurements | PosesEnd

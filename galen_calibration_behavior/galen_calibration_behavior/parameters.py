@@ -10,7 +10,6 @@ from galen_model.arm.galen import LIMITS
 from galen_model.arrays import Array
 from galen_model.load.identification import check_planned_poses
 from galen_model.load.mounting.mounting import entities
-from galen_model.poses.design import GOALS
 from galen_model.poses.order import SweepTimes
 from galen_model.poses.plan import (
     GridError,
@@ -25,7 +24,7 @@ from galen_model.poses.plan import (
 from galen_ros.goal.parameters import PoseParameters
 from galen_ros.parameters import ParameterError, param
 
-from galen_calibration_behavior.quick_check.answer import CheckLimits
+from galen_calibration_behavior.quick_check.causes import CheckLimits
 from galen_calibration_behavior.quick_check.decision import FEWEST_POSES
 
 MAX_ITERS = 100  # so that the feedback's counts of poses, uint16, hold two sweeps
@@ -78,22 +77,6 @@ class CalibrationParameters(PoseParameters):
         0.01,
         60.0,
     )
-    chosen_for: str = param(
-        "compensation",
-        "what the chosen poses shall make precise: the `compensation`, or the `load`'s own mass and"
-        " centre",
-    )
-    wanted_force_std_n: float = param(
-        0.0,
-        "a sweep ends as soon as the standard deviation of the compensation's own force error,"
-        " N, is this small; 0: never",
-        0.0,
-        10.0,
-    )
-    wanted_torque_std_nm: float = param(
-        0.0, "likewise in torque, N·m; where both are given, both must be reached", 0.0, 1.0
-    )
-    fewest_poses: int = param(12, "but not before so many good poses", 6, 10_000)
 
     pose_retries: int = param(1, "how often a rejected pose is tried again", 0, 10)
     max_rejected_in_a_row: int = param(8, "so many rejected poses in a row end it", 1, 10_000)
@@ -140,10 +123,9 @@ class CalibrationParameters(PoseParameters):
                 raise GridError(f"{name} = {value:g} is outside its limits, {low:g} ... {high:g}")
         entities(self.estimate)
         self.grid_poses(self.itersT, self.itersR)
-        for name, allowed in (("poses", POSES), ("chosen_for", GOALS)):
-            if (given := getattr(self, name)) not in allowed:
-                names = " or ".join(map(repr, allowed))
-                raise ParameterError(f"parameter '{name}' is {given!r}, but must be {names}")
+        if self.poses not in POSES:
+            names = " or ".join(map(repr, POSES))
+            raise ParameterError(f"parameter 'poses' is {self.poses!r}, but must be {names}")
         if self.poses == "listed":
             self.listed_poses()
         boxes_from_numbers(self.obstacles)
@@ -215,7 +197,6 @@ class CalibrationParameters(PoseParameters):
                 self.surroundings,
                 tip_m,
                 self.times(),
-                goal=self.chosen_for,
                 one_sweep=one_sweep,
             )
         listed = self.poses == "listed"
@@ -224,13 +205,7 @@ class CalibrationParameters(PoseParameters):
             if listed
             else self.grid_poses(tilts or self.itersT, rolls or self.itersR)
         )
-        check_planned_poses(
-            poses[:, 0],
-            poses[:, 1],
-            one_sweep=one_sweep,
-            zero_roll_rad=self.Rhome,
-            zero_tilt_rad=self.Thome,
-        )
+        check_planned_poses(poses, one_sweep=one_sweep, zero_angles=(self.Rhome, self.Thome))
         plan = plan_listed if listed else plan_grid
         return plan(poses, self.range, self.surroundings, tip_m)
 

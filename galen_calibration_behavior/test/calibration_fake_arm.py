@@ -1,8 +1,7 @@
 """A small arm, sensor and hand for the tests: no ROS, no limits, exact physics plus noise."""
 
 import numpy as np
-from galen_model.arm.galen import HOME, SENSOR
-from galen_model.arm.kinematics import gravity_in_sensor
+from galen_model.arm.galen import GALEN, HOME, SENSOR
 from galen_model.load.model import Load, gravity_wrench
 
 ADAPTER = Load(0.100, np.array([0.0, 0.0, 0.020]))
@@ -53,7 +52,7 @@ class FakeArm:
         key = (self.joints[3], self.joints[4], id(self.tool))
         if self._known[0] != key:
             roll, tilt = self.joints[3:]
-            gravity = gravity_in_sensor(roll, tilt)
+            gravity = GALEN.gravity_in_sensor(np.stack([roll, tilt], axis=-1))
             loads = gravity_wrench(gravity, self.tool) + gravity_wrench(gravity, ADAPTER)
             self._known = (key, loads)
         return self._known[1]

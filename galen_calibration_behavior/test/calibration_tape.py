@@ -4,8 +4,7 @@ from pathlib import Path
 
 import numpy as np
 from galen_bags.arrays.arm_recording import ArmRecording
-from galen_model.arm.galen import ENCODER_QUANTUM, HOME, SENSOR
-from galen_model.arm.kinematics import gravity_in_sensor
+from galen_model.arm.galen import ENCODER_QUANTUM, GALEN, HOME, SENSOR
 from galen_model.load.model import Load, gravity_wrench
 from galen_model.load.nominal_tools import ADAPTER, TOOLS
 
@@ -113,7 +112,7 @@ class Tape:
         )
 
     def _true(self, angles):
-        gravity = gravity_in_sensor(angles[:, 0], angles[:, 1])
+        gravity = GALEN.gravity_in_sensor(angles)
         return gravity_wrench(gravity, self.tool) + gravity_wrench(gravity, self.adapter)
 
     def _write(self, angles):

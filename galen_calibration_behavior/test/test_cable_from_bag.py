@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 from calibration_tape import RETRACTOR, Tape, grid
 from galen_calibration_behavior.calibrate_from_bag import main, parse
-from galen_calibration_behavior.from_bag import cable, source
-from galen_model.arm.galen import HOME
-from galen_model.arm.kinematics import gravity_in_sensor, sensor_pose
+from galen_calibration_behavior.from_bag import parts
+from galen_model.arm.galen import GALEN, HOME
 from galen_model.files.calibration_file import (
     CalibrationFile,
     LoadEstimate,
@@ -25,7 +24,7 @@ POSES = grid(np.linspace(-1.2, 1.2, 6), np.linspace(-0.9, 0.8, 5))
 
 
 def pull(pose):
-    rotation, origin = sensor_pose([*HOME[:3], *pose])
+    rotation, origin = GALEN.sensor_pose([*HOME[:3], *pose])
     line = ANCHOR - origin - rotation @ AT
     length = np.linalg.norm(line)
     force = rotation.T @ line / length * (0.3 + length - 0.5)
@@ -42,11 +41,11 @@ def place(tmp_path, monkeypatch):
     )
     write_calibration(tmp_path / "retractor.json", tool)
     tapes = {}
-    monkeypatch.setattr(source, "read_arm", lambda bag, _topics: tapes[str(bag)])
+    monkeypatch.setattr(parts, "read_recording", lambda _options, bag: tapes[str(bag)])
 
     def record(name, pull_at, poses=POSES, tool=RETRACTOR):
         tape = Tape(seed=5, tool=tool)
-        tape.bias = gravity_wrench(gravity_in_sensor(0.0, 0.0), ADAPTER)
+        tape.bias = gravity_wrench(GALEN.gravity_in_sensor((0.0, 0.0)), ADAPTER)
         for pose in poses:
             tape.move(pose)
             tape.touch = lambda _, at=pose: pull_at(at)
@@ -59,8 +58,8 @@ def place(tmp_path, monkeypatch):
 @pytest.fixture
 def one_form(monkeypatch):
     """Only one form is tried, which is a third of the work."""
-    learn = functools.partial(cable.learn_cable, forms=("point",))
-    monkeypatch.setattr(cable, "learn_cable", learn)
+    learn = functools.partial(parts.learn_cable, forms=("point",))
+    monkeypatch.setattr(parts, "learn_cable", learn)
 
 
 def run(*arguments):
@@ -89,8 +88,6 @@ def test_it_learns_the_pull_and_keeps_the_rest_of_the_file(place, capsys, one_fo
     assert (
         ours["times_noise"] < 0.2 * plain["times_noise"] < scores["the tool's file"]["times_noise"]
     )
-    assert scores["a loose tool"]["times_noise"] > 5.0 * ours["times_noise"]
-    assert not any("no cable" in text for text in fields["warnings"])
     assert fields["poses"] == 30
     assert any("one place of the platform" in warning for warning in fields["warnings"])
 
@@ -100,18 +97,15 @@ def test_it_learns_the_pull_and_keeps_the_rest_of_the_file(place, capsys, one_fo
     assert "holds no cable" in capsys.readouterr().err
 
 
-@pytest.mark.slow
-def test_a_person_gets_a_table_and_a_picture_and_a_dry_run_writes_nothing(place, capsys, one_form):
+def test_a_person_gets_a_table_and_a_dry_run_writes_nothing(place, capsys, one_form):
     folder, record = place
     record("corded", pull)
     before = (folder / "retractor.json").read_bytes()
-    plots = folder / "plots"
-    run("retractor", "corded", "--tools-dir", folder, "--dry-run", "--plots", plots)
+    run("retractor", "corded", "--tools-dir", folder, "--dry-run")
     text = capsys.readouterr().out
     assert "ten-parameter least squares" in text
     assert "not written (--dry-run)" in text
     assert (folder / "retractor.json").read_bytes() == before
-    assert (plots / "retractor_cable.png").stat().st_size > 20_000
 
 
 @pytest.mark.parametrize(

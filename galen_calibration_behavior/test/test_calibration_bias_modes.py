@@ -25,7 +25,7 @@ def recording():
 def test_the_file_says_the_bias_at_the_end(recording, monkeypatch, capsys, tmp_path):
     """How good the load is, over many sweeps, is test_model_drifting_bias.py's."""
     tape, creep = recording
-    monkeypatch.setattr("galen_calibration_behavior.from_bag.source.read_arm", lambda *_: tape)
+    monkeypatch.setattr("galen_calibration_behavior.from_bag.loads.read_arm", lambda *_: tape)
     file, off = {}, {}
     for mode in ("constant", "drifting"):
         main(["pointer", "tape", "--json", "--bias", mode, "--tools-dir", str(tmp_path)])

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from galen_bags.formats.writer import BagWriter
 from galen_calibration_behavior.calibrate_from_bag import main
-from galen_model.arm.galen import ENCODER_QUANTUM, HOME, JOINT_NAMES, SENSOR
-from galen_model.arm.kinematics import gravity_in_sensor
+from galen_model.arm.galen import ENCODER_QUANTUM, GALEN, HOME, JOINT_NAMES, SENSOR
 from galen_model.arm.sensor_motion import sensor_motion
 from galen_model.files.calibration_file import (
     CalibrationFile,
@@ -15,7 +14,7 @@ from galen_model.files.calibration_file import (
     read_calibration,
     write_calibration,
 )
-from galen_model.load.inertia.inertial import inertial_wrench, point_mass_inertia
+from galen_model.load.inertia import inertial_wrench, point_mass_inertia
 from galen_model.load.nominal_tools import ADAPTER, TOOLS
 from galen_ros.cdr import joint_state_bytes, wrench_bytes
 from galen_ros.command import EXIT_FAILED, EXIT_USAGE
@@ -32,7 +31,7 @@ def write_recording(path, size):
     q = HOME + size * np.sin(angle)
     moving = sensor_motion(q, size * RATES * np.cos(angle), -size * RATES**2 * np.sin(angle))
     moments = LOAD.moments + ADAPTER.moments
-    felt = gravity_in_sensor(q[:, 3], q[:, 4]) - moving[2]
+    felt = GALEN.gravity_in_sensor(q[:, 3:]) - moving[2]
     wrenches = inertial_wrench(felt, moving[0], moving[1], moments, INERTIA)
     wrenches += SENSOR.noise_std * np.random.default_rng(1).standard_normal(wrenches.shape)
     joints = np.round(q / ENCODER_QUANTUM) * ENCODER_QUANTUM
@@ -82,9 +81,6 @@ def test_the_file_gets_the_inertia_and_keeps_the_rest(tools, capsys):
     assert code == 0 and json.loads((tools / "retractor.json").read_text()) == before
     found = json.loads(out)
     assert found["agrees_with_file"] and found["blocks_left_out"] == 0
-    left = found["held_out_rms"]
-    assert all(left["inertia"][a] < 0.5 * left["points"][a] for a in ("ty", "tz"))
-    assert all(left["points"][a] < 0.5 * left["static"][a] for a in ("fx", "fy", "ty"))
     code, out, _ = run(capsys, *args)
     assert code == 0 and "one standard deviation" in out and "written" in out
     estimate = read_calibration(tools / "retractor.json").inertia
@@ -92,18 +88,6 @@ def test_the_file_gets_the_inertia_and_keeps_the_rest(tools, capsys):
     assert np.all(np.abs(error) < 4.5 * estimate.std_kg_m2)
     after = json.loads((tools / "retractor.json").read_text())
     assert after.pop("inertia") and after == before
-
-
-def test_a_recording_from_before_the_calibration_is_used_only_if_asked(tools, capsys):
-    write_recording(tools / "bag", np.array([0.04, 0.04, 0.04, 0.45, 0.35]))
-    file = tools / "retractor.json"
-    file.write_text(file.read_text().replace("2026-09-21T12", "2026-09-21T15"))
-    before = file.read_bytes()
-    arguments = ("retractor", tools / "bag", "--tools-dir", tools)
-    code, out, err = run(capsys, *arguments)
-    assert (code, out, file.read_bytes()) == (EXIT_FAILED, "", before)
-    assert "calibrated 2026-09-21T15:00:00+00:00" in err and "--replace-newer" in err
-    assert run(capsys, *arguments, "--replace-newer")[0] == 0
 
 
 def test_what_is_not_told_or_not_there_is_one_line_and_nothing_is_written(tools, capsys):

@@ -7,9 +7,10 @@ from galen_calibration_behavior.calibrate_from_bag import main
 from galen_calibration_behavior.calibration.estimate import (
     EstimateError,
     MountingRequest,
-    calibrate,
+    estimate,
+    format_mounting,
+    mounting_fields,
 )
-from galen_calibration_behavior.calibration.result_text import format_mounting, mounting_fields
 from galen_calibration_behavior.commands import CalibrationCode, Measurements
 from galen_calibration_behavior.parameters import CalibrationParameters
 from galen_model.errors import IdentificationError
@@ -25,22 +26,22 @@ STD = 2e-3 * np.array([1, 1, 1, 0.02, 0.02, 0.02])
 def still(tool, seed, zero):
     """Readings at the true angles, reported ones beside them."""
     true = POSES + zero
-    exact = nominal_reading(true[:, 0], true[:, 1], tool, ADAPTER, *zero)
+    exact = nominal_reading(true, tool, ADAPTER, np.stack(zero, axis=-1))
     wrench = exact + STD * np.random.default_rng(seed).standard_normal(exact.shape)
-    return StillPoses(POSES[:, 0], POSES[:, 1], wrench, np.broadcast_to(STD, exact.shape))
+    return StillPoses(POSES, wrench, np.broadcast_to(STD, exact.shape))
 
 
 def measured(zero):
     indices = list(range(len(POSES)))
     bare, tool = still(NO_TOOL, 1, zero), still(POINTER, 2, zero)
-    return Measurements(bare, tool, 0.0, 0.0, indices, indices, [], [])
+    return Measurements(bare, tool, np.zeros(2), indices, indices, [], [])
 
 
 def test_joint_zeros_are_written_and_told(tmp_path):
     path = tmp_path / "pointer.json"
-    done = calibrate(
-        path, "pointer", np.zeros(3), measured(ZERO), [], mounting=MountingRequest(("joint_zero",))
-    )
+    request = MountingRequest(("joint_zero",))
+    done = estimate(path, "pointer", np.zeros(3), measured(ZERO), [], mounting=request)
+    done.write()
     mounting = read_calibration(path).mounting
     error = mounting.joint_zero_rad - ZERO
     assert np.all(np.abs(error) < 4.0 * mounting.std[11:])
@@ -57,7 +58,7 @@ def test_joint_zeros_are_written_and_told(tmp_path):
 
 @pytest.mark.slow
 def test_a_healthy_arm_is_warned_that_it_does_not_pay(tmp_path):
-    done = calibrate(
+    done = estimate(
         tmp_path / "pointer.json",
         "pointer",
         np.zeros(3),
@@ -71,8 +72,8 @@ def test_a_healthy_arm_is_warned_that_it_does_not_pay(tmp_path):
 def test_what_the_poses_can_not_tell_writes_nothing(tmp_path):
     path = tmp_path / "pointer.json"
     request = MountingRequest(("joint_zero", "base_inclination"))
-    with pytest.raises(EstimateError, match=r"roll joint's zero .* apart") as rejected:
-        calibrate(path, "pointer", np.zeros(3), measured(ZERO), [], mounting=request)
+    with pytest.raises(EstimateError, match=r"not identifiable .* roll joint's zero") as rejected:
+        estimate(path, "pointer", np.zeros(3), measured(ZERO), [], mounting=request)
     assert rejected.value.code is CalibrationCode.NOT_EXCITED
     assert not path.exists()
 

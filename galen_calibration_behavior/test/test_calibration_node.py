@@ -201,6 +201,10 @@ def test_a_calibration_recovers_the_tool_and_writes_its_file(world):
     assert file.load.mass_kg == result.mass_kg
     assert file.tip_m == pytest.approx([0.15, 0.0, 0.05])
     assert world.driver.stops == 0
+    # idle, it does not listen to the streams
+    world.harness.wait_for(
+        lambda: world.client_node.count_subscribers("joint_states") == 0, 5.0, "no subscriber"
+    )
     states = [f.state for f in world.feedback]
     assert [s for k, s in enumerate(states) if k == 0 or states[k - 1] != s] == [
         State.HOME, State.REMOVE_TOOL, State.ZERO, State.SWEEP_BARE, State.HOME,
@@ -366,29 +370,6 @@ def test_poses_that_tell_too_little_are_rejected_before_the_arm_moves(world):
     assert world.driver.moves == 0
 
 
-def test_a_tools_directory_that_can_not_be_looked_into_is_found_at_once(tmp_path):
-    with Harness() as harness:
-        world = World(harness, tmp_path / ("x" * 300))
-        world.tools_dir = tmp_path
-        world.fails(world.send(), ErrorCode.WRITE_FAILED, "too long")
-        assert world.driver.moves == 0
-
-
-def test_a_rejection_is_forgotten_when_another_goal_begins(world):
-    first = world.send()
-    assert not world.send(tool="retractor").accepted
-    world.cancel(first)
-    world.result(first)
-    world.send(tool="drill")
-    world.diagnostics.clear()
-    world.harness.wait_for(
-        lambda: any("drill" in status.message for status in world.diagnostics), 5.0, "the new goal"
-    )
-    values = {item.key: item.value for s in world.diagnostics[-1:] for item in s.values}
-    assert "rejected" not in values
-    assert values["state"] in [state.name for state in State]
-
-
 def test_without_a_goal_its_state_is_ready_or_that_the_last_one_failed(world):
     def told():
         return [v.value for s in world.diagnostics[-1:] for v in s.values if v.key == "state"]
@@ -410,11 +391,6 @@ def test_a_missing_service_is_named_before_anything_moves(tmp_path, service):
 def test_a_wrong_frame_is_named(world):
     world.driver.frame_id = "tool0"
     world.fails(world.send(), ErrorCode.BAD_INPUT, "wrench_raw", "'tool0'", "'ft_sensor'")
-
-
-def test_unknown_joints_are_named(world):
-    world.driver.names = ["a", "b", "c", "d", "e"]
-    world.fails(world.send(), ErrorCode.BAD_INPUT, "joint_states", "roll", "tilt")
 
 
 def test_two_drivers_are_rejected(world):
@@ -476,14 +452,6 @@ def test_joint_states_in_another_order_with_other_joints_are_fine(world):
     assert status == GoalStatus.STATUS_SUCCEEDED, result.error_msg
 
 
-def test_an_idle_node_does_not_listen_to_the_streams(world):
-    status, _ = world.result(world.send(iters_t=2, iters_r=4))
-    assert status == GoalStatus.STATUS_SUCCEEDED
-    world.harness.wait_for(
-        lambda: world.client_node.count_subscribers("joint_states") == 0, 5.0, "no subscriber"
-    )
-
-
 @pytest.mark.parametrize(
     ("codes", "states", "action"),
     [(ErrorCode, State, CalibrateTool), (CheckCode, CheckState, CheckTool)],
@@ -493,12 +461,3 @@ def test_error_codes_and_states_are_the_action_s(codes, states, action):
         assert code == getattr(action.Result, code.name)
     for state in states:
         assert state == getattr(action.Feedback, state.name)
-
-
-def test_it_tells_how_long_a_sweep_takes(world):
-    def told():
-        return [v.value for s in world.diagnostics[-1:] for v in s.values if v.key == "sweep_s"]
-
-    (text,) = world.harness.wait_for(told, 10.0, "the duration")
-    stays_s = 9 * (0.1 + 0.1 + 0.3)  # the window in which it is still, settling, the average
-    assert stays_s < float(text) < 3.0 * stays_s

@@ -2,12 +2,16 @@ import dataclasses
 
 import numpy as np
 import pytest
-from calibration_fake_arm import STEP_NS, FakeArm
+from calibration_fake_arm import FakeArm
 from galen_model.arm.galen import HOME
 from galen_model.rest.pose import PoseRecord, StillnessSettings, wrench_fault
-from galen_ros.goal.arrival import ArrivalSettings, MotionTimeoutError
-from galen_ros.goal.pose_recorder import PoseRecorder, Rejection
-from galen_ros.goal.stamps import StampsError
+from galen_ros.goal.arrival import (
+    ArrivalSettings,
+    MotionTimeoutError,
+    PoseRecorder,
+    PoseRejection,
+    StampsError,
+)
 
 ARRIVAL = ArrivalSettings(
     position_tolerance=np.array([5e-4] * 3 + [3e-3] * 2),
@@ -74,31 +78,6 @@ def test_where_the_average_lies_hangs_on_the_stamps_and_not_on_when_the_recorder
     assert results[0][0][1] - results[0][0][0] == 500_000_000
 
 
-def test_an_average_can_be_ended_when_the_arm_leaves():
-    arm = FakeArm(start=TARGET)
-    recorder = PoseRecorder(ARRIVAL, STILLNESS, 1e6, TARGET, np.inf)
-    recorder.close(arm.stamp_ns)
-    assert recorder.result is None
-    for _ in range(300):
-        stamp, position, velocity, wrench = arm.step()
-        recorder.add_joints(stamp, position, velocity)
-        recorder.add_wrench(stamp, wrench)
-    assert recorder.result is None
-    end = arm.stamp_ns - 10 * STEP_NS
-    recorder.close(end)
-    start = recorder.window_ns[0]
-    assert recorder.window_ns == (start, end)
-    assert recorder.result.samples == (end - start) // STEP_NS + 1
-    assert recorder.result.samples > 200
-
-
-def test_it_does_not_begin_while_the_arm_still_moves_through_the_target():
-    arm = FakeArm(start=TARGET)
-    arm.creep[3] = 0.02  # within tolerance of the target at first, but moving
-    with pytest.raises(MotionTimeoutError, match=r"roll did not stop: it moves at 0\.02"):
-        record(arm, allowance_s=0.1)
-
-
 @pytest.mark.parametrize("with_velocity", [True, False])
 def test_a_joint_that_never_stops_is_named(with_velocity):
     arm = FakeArm(start=TARGET)
@@ -139,7 +118,7 @@ def test_motion_inside_the_window_rejects_and_names_the_joint():
             arm.creep[3] = 0.01
 
     result = record(arm, each=push)
-    assert isinstance(result, Rejection)
+    assert isinstance(result, PoseRejection)
     assert "roll moved by" in result.reason
     assert "tilt" not in result.reason
 
@@ -155,23 +134,9 @@ def test_a_jump_of_the_stamps_inside_the_window_rejects(jump_s):
             arm.skip_ns = round(jump_s * 1e9)
 
     result = record(arm, each=jump)
-    assert isinstance(result, Rejection)
+    assert isinstance(result, PoseRejection)
     assert "stamps of joint_states jumped by" in result.reason
     assert f"{jump_s + 0.01:+.3f}" in result.reason
-
-
-@pytest.mark.parametrize("jump_s", [3600.0, -100.0])
-def test_a_jump_on_the_way_does_not_count_as_waiting_time(jump_s):
-    arm = FakeArm()
-    arm.move_to(TARGET, 1.0)
-    count = [0]
-
-    def jump(arm, _recorder):
-        count[0] += 1
-        if count[0] == 50:
-            arm.skip_ns = round(jump_s * 1e9)
-
-    assert isinstance(record(arm, allowance_s=2.0, each=jump), PoseRecord)
 
 
 def test_stamps_that_always_jump_end_it_with_the_topic_and_the_step():
@@ -186,20 +151,9 @@ def test_values_that_are_not_finite_reject_and_are_named():
     arm = FakeArm(start=TARGET)
     arm.touch = lambda arm: np.array([0, 0, 0, 0, np.nan, 0])
     result = record(arm)
-    assert isinstance(result, Rejection)
+    assert isinstance(result, PoseRejection)
     assert "wrench_raw: ty not finite" in result.reason
     assert result.not_finite
-
-
-def test_repeated_stamps_are_not_counted_twice():
-    arm = FakeArm(start=TARGET)
-    recorder = PoseRecorder(ARRIVAL, STILLNESS, 0.5, TARGET, 5.0)
-    while recorder.result is None:
-        stamp, position, velocity, wrench = arm.step()
-        for _ in range(3):
-            recorder.add_joints(stamp, position, velocity)
-            recorder.add_wrench(stamp, wrench)
-    assert recorder.result.samples == 51
 
 
 def test_too_few_wrenches_reject_with_the_counts():
@@ -212,7 +166,7 @@ def test_too_few_wrenches_reject_with_the_counts():
         if k % 4 == 0:
             recorder.add_wrench(stamp, wrench)
         k += 1
-    assert isinstance(recorder.result, Rejection)
+    assert isinstance(recorder.result, PoseRejection)
     assert "only 13 samples of wrench_raw" in recorder.result.reason
 
 
@@ -224,43 +178,9 @@ def test_wrenches_far_behind_the_joint_states_reject():
         recorder.add_joints(stamp, position, velocity)
         if k >= 120 and recorder.result is None:
             recorder.add_wrench(samples[k - 120][0], samples[k - 120][3])
-    assert isinstance(recorder.result, Rejection)
+    assert isinstance(recorder.result, PoseRejection)
     assert "wrench_raw are 1.2" in recorder.result.reason
     assert "behind those of joint_states" in recorder.result.reason
-
-
-def test_a_pause_of_the_wrenches_is_waited_for():
-    """A queue may hold them up; whether the driver is silent is not for the recorder to say."""
-    arm = FakeArm(start=TARGET)
-    recorder = PoseRecorder(ARRIVAL, STILLNESS, 0.5, TARGET, 5.0)
-    samples = [arm.step() for _ in range(400)]
-    for stamp, position, velocity, _ in samples:
-        recorder.add_joints(stamp, position, velocity)
-    assert recorder.result is None
-
-
-def test_the_average_covers_the_same_stamps_however_the_streams_are_bunched():
-    """The wrenches of the whole pose come first, then the joint states, or the other way round."""
-    outcomes = []
-    for wrench_lead in (-40, 0, 40):
-        arm = FakeArm(seed=3, start=TARGET)
-        samples = [arm.step() for _ in range(400)]
-        recorder = PoseRecorder(ARRIVAL, STILLNESS, 0.5, TARGET, 5.0)
-        for k in range(-40, 440):
-            if 0 <= k + wrench_lead < 400:
-                stamp, _, _, wrench = samples[k + wrench_lead]
-                recorder.add_wrench(stamp, wrench)
-            if 0 <= k < 400:
-                stamp, position, velocity, _ = samples[k]
-                recorder.add_joints(stamp, position, velocity)
-        outcomes.append(recorder.result.wrench)
-    assert np.array_equal(outcomes[0], outcomes[1])
-    assert np.array_equal(outcomes[1], outcomes[2])
-
-
-def still_records(count, seed=5):
-    arm = FakeArm(seed=seed, start=TARGET)
-    return [record(arm) for _ in range(count)]
 
 
 def test_pure_noise_is_hardly_ever_rejected():
@@ -285,14 +205,6 @@ def test_pure_noise_is_hardly_ever_rejected():
     assert sum(bool(wrench_fault(p, poses[:56], strict)) for p in poses) > 200, "it does judge"
 
 
-def test_slow_bias_drift_that_all_poses_share_is_not_taken_for_a_touch():
-    records = [
-        dataclasses.replace(r, half_difference=np.full(6, 0.05) * (-1) ** k)
-        for k, r in enumerate(still_records(6))
-    ]
-    assert not any(wrench_fault(r, records, STILLNESS) for r in records)
-
-
 @pytest.mark.parametrize("kind", ["step", "ramp", "shake"])
 def test_a_touched_pose_is_told_from_the_others(kind):
     arm = FakeArm(start=TARGET)
@@ -313,10 +225,3 @@ def test_a_touched_pose_is_told_from_the_others(kind):
     assert isinstance(touched, PoseRecord)
     assert "fy" in wrench_fault(touched, [*records, touched], STILLNESS)
     assert not any(wrench_fault(r, [*records, touched], STILLNESS) for r in records)
-
-
-def test_a_reading_that_never_changes_keeps_the_error_of_rounding():
-    arm = FakeArm(start=TARGET)
-    arm.noise[:] = 0.0
-    result = record(arm)
-    assert np.all(result.std_of_mean > 0.0)

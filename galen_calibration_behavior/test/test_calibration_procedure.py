@@ -11,7 +11,7 @@ from galen_calibration_behavior.calibration.procedure import (
 )
 from galen_calibration_behavior.commands import (
     AttachTool,
-    Estimate,
+    Measurements,
     PoseFeedback,
     PosesEnd,
     ZeroSensor,
@@ -20,7 +20,7 @@ from galen_calibration_behavior.commands import CalibrationCode as ErrorCode
 from galen_calibration_behavior.commands import CalibrationState as State
 from galen_calibration_behavior.parameters import CalibrationParameters
 from galen_model.arm.galen import HOME
-from galen_ros.goal.commands import MoveTo, Stop
+from galen_ros.goal.procedure import MoveTo, Stop
 
 SETTINGS = CalibrationParameters(
     settle_s=0.1,
@@ -61,7 +61,7 @@ class World:
 
     @property
     def estimate(self):
-        return next((c for c in self.commands if isinstance(c, Estimate)), None)
+        return next((c for c in self.commands if isinstance(c, Measurements)), None)
 
     def of(self, kind):
         return [c for c in self.commands if isinstance(c, kind)]
@@ -105,7 +105,7 @@ class World:
             case AttachTool() if "attach_tool" not in self.dead:
                 self.arm.tool = POINTER if command.tool else NO_TOOL
                 self.procedure.on_service(*self.answers["attach_tool"])
-            case Estimate():
+            case Measurements():
                 self.procedure.on_estimated()
         if self.procedure.waiting_for_person and self.procedure.state in self.confirms:
             off = self.procedure.state == State.REMOVE_TOOL
@@ -147,11 +147,10 @@ def test_the_way_through(by_service, one_sweep):
     attached = [c.tool for c in world.of(AttachTool)]
     assert attached == (["", "pointer"] if by_service else [])
     assert len(world.of(ZeroSensor)) == 1
-    found = world.estimate.measurements
+    found = world.estimate
     assert (found.bare is None) == one_sweep
-    assert found.tool.roll == pytest.approx(POSES[:, 0], abs=1e-6)
-    assert found.tool.tilt == pytest.approx(POSES[:, 1], abs=1e-6)
-    assert (found.zero_roll, found.zero_tilt) == pytest.approx((0.0, 0.0), abs=1e-9)
+    assert found.tool.angles == pytest.approx(POSES, abs=1e-6)
+    assert found.zero_angles == pytest.approx((0.0, 0.0), abs=1e-9)
     last_move = world.of(MoveTo)[-1]
     assert last_move.joints == pytest.approx(HOME)
 
@@ -175,7 +174,7 @@ def test_the_sensor_is_zeroed_at_home_without_the_tool_and_before_any_pose():
 
 def test_feedback_counts_every_pose_once():
     world = World().run()
-    poses = [f for f in world.of(PoseFeedback) if np.isfinite(f.roll)]
+    poses = [f for f in world.of(PoseFeedback) if np.isfinite(f.angles[0])]
     assert [f.done for f in poses] == list(range(1, 13))
     assert [f.pose for f in poses] == [*range(1, 7), *range(1, 7)]
     assert {f.total for f in world.of(PoseFeedback)} == {12}
@@ -208,19 +207,11 @@ def test_cancel_while_estimating_writes_nothing():
         world.procedure.on_joints(stamp, position, velocity)
         world.procedure.on_wrench(stamp, wrench)
         for command in world.procedure.take_commands():
-            if not isinstance(command, Estimate):
+            if not isinstance(command, Measurements):
                 world.commands.append(command)
                 world._obey_one(command)
     world.procedure.cancel()
     world.procedure.on_estimated()  # too late, and not believed
-    world.run()
-    failed(world, ErrorCode.CANCELED)
-
-
-def test_cancel_before_the_first_sample_ends_at_once():
-    world = World()
-    world.dead = {"joint_states", "wrench_raw"}
-    world.procedure.cancel()
     world.run()
     failed(world, ErrorCode.CANCELED)
 
@@ -290,20 +281,6 @@ def test_a_timeout_after_lost_samples_names_an_overloaded_machine(state):
     world.arm.skip_ns = 1_700_000_000
     world.run()
     failed(world, ErrorCode.MOTION_TIMEOUT, "roll did not reach", "overloaded", "speed_factor")
-
-
-def test_poses_spoilt_by_lost_samples_name_an_overloaded_machine():
-    world = World(one_sweep=True)
-    world.run(in_state(State.SWEEP_TOOL))
-
-    def averages(w):
-        recorder = w.procedure._recorder
-        if recorder is not None and recorder._window is not None:
-            w.arm.skip_ns = 1_700_000_000
-        return False
-
-    world.run(averages)
-    failed(world, ErrorCode.POSES_NOT_STILL, "3 poses in a row", "jumped by +1.7", "overloaded")
 
 
 @pytest.mark.parametrize("service", ["zero_ft_sensor", "attach_tool"])
@@ -382,10 +359,10 @@ def test_a_touched_pose_is_tried_again_at_the_end_of_the_sweep():
     world.run()
     assert world.end.error_code == ErrorCode.NONE
     assert world.end.rejected == ()
-    rejected = [f for f in world.of(PoseFeedback) if np.isfinite(f.roll) and not f.accepted]
+    rejected = [f for f in world.of(PoseFeedback) if np.isfinite(f.angles[0]) and not f.accepted]
     assert [f.message.split(":")[0] for f in rejected] == ["tool/4"]
     assert "tried again" in rejected[0].message
-    assert len(world.estimate.measurements.tool.roll) == 6
+    assert len(world.estimate.tool) == 6
 
 
 def test_a_pose_that_is_never_still_is_left_out_and_listed():
@@ -395,18 +372,10 @@ def test_a_pose_that_is_never_still_is_left_out_and_listed():
     assert world.end.error_code == ErrorCode.NONE
     (text,) = world.end.rejected
     assert text.startswith("tool/4: fx scattered")
-    found = world.estimate.measurements
+    found = world.estimate
     assert found.tool_indices == [0, 1, 2, 3, 5]
-    assert found.tool.roll == pytest.approx(POSES[[0, 1, 2, 3, 5], 0], abs=1e-6)
+    assert found.tool.angles == pytest.approx(POSES[[0, 1, 2, 3, 5]], abs=1e-6)
     assert world.procedure.progress == (6, 6)
-
-
-def test_the_first_pose_is_judged_as_well_once_there_are_others():
-    world = World(one_sweep=True)
-    world.arm.touch = touch_pose(0, times=99)
-    world.run()
-    (text,) = world.end.rejected
-    assert text.startswith("tool/0: ")
 
 
 def test_too_few_still_poses_end_it():
@@ -427,14 +396,6 @@ def test_too_few_still_poses_end_it():
     assert len(world.end.rejected) == 4
 
 
-def test_a_hopeless_sweep_ends_early():
-    world = World(one_sweep=True)
-    world.run(in_state(State.SWEEP_TOOL))
-    world.arm.touch = lambda arm: np.full(6, np.nan)
-    world.run()
-    failed(world, ErrorCode.BAD_INPUT, "3 poses in a row", "fx", "not finite")
-
-
 def test_a_jump_of_the_stamps_costs_a_retry_and_gives_a_warning():
     world = World(one_sweep=True)
     world.run(in_state(State.SWEEP_TOOL))
@@ -442,11 +403,11 @@ def test_a_jump_of_the_stamps_costs_a_retry_and_gives_a_warning():
     world.arm.skip_ns = 5_000_000_000
     world.run()
     assert world.end.error_code == ErrorCode.NONE
-    rejected = [f for f in world.of(PoseFeedback) if np.isfinite(f.roll) and not f.accepted]
+    rejected = [f for f in world.of(PoseFeedback) if np.isfinite(f.angles[0]) and not f.accepted]
     assert len(rejected) == 1
     assert "jumped by +5.010 s" in rejected[0].message
     assert "time stamps jumped" in world.end.warnings[0]
-    assert len(world.estimate.measurements.tool.roll) == 6
+    assert len(world.estimate.tool) == 6
 
 
 def test_stamps_of_two_clocks_are_rejected_at_the_start():
@@ -455,13 +416,6 @@ def test_stamps_of_two_clocks_are_rejected_at_the_start():
     world.run()
     failed(world, ErrorCode.BAD_INPUT, "differ by +3.0")
     assert not world.of(MoveTo)
-
-
-def test_a_joint_that_reports_no_number_is_bad_input():
-    arm = FakeArm()
-    step = arm.step
-    arm.step = lambda: (step()[0], np.array([0, 0, 0.4, np.nan, 0]), np.zeros(5), np.zeros(6))
-    failed(World(arm=arm).run(), ErrorCode.BAD_INPUT, "roll = nan")
 
 
 def test_a_wrench_that_reports_no_number_while_zeroing_is_bad_input():
@@ -488,7 +442,7 @@ def test_zeroing_is_tried_again_when_someone_still_holds_the_arm():
     world.arm.creep[4] = 0.0
     world.run()
     assert world.end.error_code == ErrorCode.NONE
-    assert world.estimate.measurements.zero_tilt == pytest.approx(0.0, abs=2e-3)
+    assert world.estimate.zero_angles[1] == pytest.approx(0.0, abs=2e-3)
 
 
 def test_the_first_error_stays():
@@ -496,3 +450,18 @@ def test_the_first_error_stays():
     world.procedure.fail(ErrorCode.BAD_INPUT, "first")
     world.procedure.cancel()
     failed(world.run(), ErrorCode.BAD_INPUT, "first")
+
+
+def test_a_hopeless_sweep_ends_early():
+    world = World(one_sweep=True)
+    world.run(in_state(State.SWEEP_TOOL))
+    world.arm.touch = lambda arm: np.full(6, np.nan)
+    world.run()
+    failed(world, ErrorCode.BAD_INPUT, "3 poses in a row", "fx", "not finite")
+
+
+def test_a_joint_that_reports_no_number_is_bad_input():
+    arm = FakeArm()
+    step = arm.step
+    arm.step = lambda: (step()[0], np.array([0, 0, 0.4, np.nan, 0]), np.zeros(5), np.zeros(6))
+    failed(World(arm=arm).run(), ErrorCode.BAD_INPUT, "roll = nan")

@@ -4,11 +4,10 @@ import numpy as np
 import pytest
 from calibration_tape import NO_TOOL, POINTER, RETRACTOR, Tape, grid
 from galen_calibration_behavior.calibration.estimate import estimate
-from galen_calibration_behavior.from_bag.loads import format_poses, pose_rows
-from galen_calibration_behavior.from_bag.recorded_sweeps import SweepSorter
+from galen_calibration_behavior.from_bag.sweeps import SweepSorter
 from galen_calibration_behavior.from_bag.visits import RecordingError, find_visits
 from galen_calibration_behavior.parameters import CalibrationParameters
-from galen_model.arm.kinematics import gravity_in_sensor
+from galen_model.arm.galen import GALEN
 from galen_model.load.model import Load, gravity_wrench
 from galen_model.load.nominal_tools import ADAPTER
 
@@ -20,8 +19,8 @@ POSES = grid()
 CHI2_4 = 23.5
 
 
-def visits(tape, **options):
-    return find_visits(tape.recording(), SETTINGS, **options)
+def visits(tape):
+    return find_visits(tape.recording(), SETTINGS)
 
 
 def two_sweeps(tape, **options):
@@ -59,16 +58,14 @@ def test_both_loads_come_out_as_well_as_they_say_and_the_border_where_the_tool_c
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("tool", "whole_phases"), [(POINTER, False), (RETRACTOR, False), (RETRACTOR, True)]
-)
-def test_the_errors_have_the_size_of_the_stated_covariance(tool, whole_phases):
+@pytest.mark.parametrize("tool", [POINTER, RETRACTOR])
+def test_the_errors_have_the_size_of_the_stated_covariance(tool):
     """Over seeds the squared normalised errors average to their 4 degrees of freedom."""
     poses = [tuple(pose) for pose in PARAMETERS.grid_poses(PARAMETERS.itersT, PARAMETERS.itersR)]
     squares = []
     for seed in range(8):
         tape = Tape(seed).calibration(tool, poses)
-        sweeps = SORTER.two_sweeps(visits(tape, whole_phases=whole_phases))
+        sweeps = SORTER.two_sweeps(visits(tape))
         assert counts(sweeps) == (56, 56)
         content = found(sweeps).content
         squares.append([error_squared(content.load, tool), error_squared(content.adapter, ADAPTER)])
@@ -162,10 +159,7 @@ def test_a_steady_push_is_the_fit_s_to_find():
     calibration = found(sweeps)
     (text,) = calibration.content.poses_rejected
     assert text.startswith("tool/5: ")
-    row = next(r for r in pose_rows(sweeps, calibration) if (r["sweep"], r["pose"]) == ("tool", 5))
-    assert not row["used"]
-    assert "sigma off" in row["fault"]
-    assert row["residual"][0] == pytest.approx(0.4, abs=0.02)
+    assert "sigma off" in text
 
 
 @pytest.mark.parametrize(
@@ -202,7 +196,7 @@ def test_a_light_tool_is_found_or_rejected_but_never_put_on_at_a_wrong_place():
 def test_where_a_pose_belongs_to_either_sweep_the_border_is_asked_for():
     """In the last pose without the tool somebody holds it on, and carries half of it."""
     tape = Tape().stay(1.0).zero().stay(1.0).sweep(POSES[:-1])
-    tape.touch = lambda _: 0.5 * gravity_wrench(gravity_in_sensor(*POSES[-1]), POINTER)
+    tape.touch = lambda _: 0.5 * gravity_wrench(GALEN.gravity_in_sensor(POSES[-1]), POINTER)
     tape.sweep(POSES[-1:])
     tape.touch = lambda _: np.zeros(6)
     tape.tool = POINTER
@@ -250,17 +244,11 @@ def test_two_recordings_of_a_sweep_each():
         SORTER.two_recordings(bare, visits(Tape().calibration(POINTER)))
 
 
-def test_one_sweep_alone_and_with_an_adapter_known_from_before():
-    known = found(two_sweeps(Tape(1).calibration(POINTER))).content.adapter
+def test_one_sweep_alone_says_what_it_leaves_open():
     tape = Tape(2).stay(1.0).zero()
     tape.tool = RETRACTOR
     recording = visits(tape.stay(1.0).sweep(POSES))
-    alone = found(SORTER.one_sweep(recording)).content
-    assert alone.unresolved
-    told = found(SORTER.one_sweep(recording, known)).content
-    assert not told.unresolved
-    assert error_squared(told.load, RETRACTOR) < CHI2_4
-    assert told.load.com_std_m.max() < 0.1 * alone.load.com_std_m.max()
+    assert found(SORTER.one_sweep(recording)).content.unresolved
 
 
 def test_a_recording_cut_off_in_the_second_sweep_gives_what_it_holds():
@@ -285,18 +273,3 @@ def test_too_few_good_poses_are_rejected_as_live():
     recording.wrenches[time_s < 11.0, 0] = np.nan
     with pytest.raises(RecordingError, match=r"only 5 of 12 poses of the tool .*fx not finite"):
         SORTER.one_sweep(find_visits(recording, SETTINGS))
-
-
-def test_residuals_are_of_both_sweeps_and_the_size_of_the_noise():
-    sweeps = two_sweeps(Tape().calibration(RETRACTOR))
-    calibration = found(sweeps)
-    rows = pose_rows(sweeps, calibration)
-    assert [row["sweep"] for row in rows] == ["bare"] * len(POSES) + ["tool"] * len(POSES)
-    for name in ("bare", "tool"):
-        residuals = np.array([row["residual"] for row in rows if row["sweep"] == name])
-        rms = np.sqrt(np.mean(residuals**2, axis=0))
-        assert np.all(rms < 2.0 * calibration.found.sigma)
-        assert np.all(rms > 0.2 * calibration.found.sigma)
-    text = format_poses(rows)
-    assert len(text.splitlines()) == 1 + 2 * len(POSES)
-    assert "tool/11" in text

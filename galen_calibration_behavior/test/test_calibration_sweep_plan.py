@@ -1,4 +1,4 @@
-"""Chosen poses on the arm's side: their order, boxes, when a sweep is enough, the command."""
+"""Poses of a sweep: grid, listed and chosen ones, their order and times, boxes, the command."""
 
 import dataclasses
 import json
@@ -7,32 +7,23 @@ import numpy as np
 import pytest
 from calibration_fake_arm import FakeArm
 from galen_calibration_behavior.calibrate_from_bag import main
-from galen_calibration_behavior.calibration.precision import (
-    Precision,
-    averaged_noise,
-    sweep_precision,
-)
-from galen_calibration_behavior.commands import CalibrationCode, PoseFeedback
+from galen_calibration_behavior.commands import CalibrationCode
 from galen_calibration_behavior.parameters import CalibrationParameters
-from galen_calibration_behavior.pose_choice.plots import plot_curve, plot_poses
-from galen_calibration_behavior.pose_choice.report import efficiency_curve, equal_count
 from galen_model.arm.clearance import ArmClearance, ObstacleError, boxes_from_numbers
-from galen_model.arm.kinematics import gravity_in_sensor
-from galen_model.load.identification import plain_least_squares, single_load_design
+from galen_model.arm.galen import GALEN
+from galen_model.errors import NotExcitedError
+from galen_model.load.identification import plain_least_squares
 from galen_model.load.model import gravity_wrench
 from galen_model.load.nominal_tools import ADAPTER
-from galen_model.poses.design import PoseDesign, compensation_std
-from galen_model.poses.order import drift_share, order_poses
-from galen_model.poses.plan import make_router
-from galen_model.rest.pose import PoseRecord
+from galen_model.poses.order import drift_share, order_poses, quintic_duration_s
+from galen_model.poses.plan import GridError, SweepGrid, make_router
 from galen_ros.parameters import ParameterError
-from test_calibration_procedure import SETTINGS, World
+from test_calibration_procedure import World
 
 GRID = CalibrationParameters()
 CHOSEN = dataclasses.replace(GRID, poses="chosen")
 TIP = np.array([0.15, 0.0, 0.05])
 SIDE = (0.5, 0.07, 0.2, 0.9, 0.5, 0.44)
-SCATTER = np.array([0.02, 0.02, 0.03, 4e-4, 4e-4, 4e-4]) / np.sqrt(250.0)
 
 
 @pytest.fixture(scope="module")
@@ -44,7 +35,7 @@ def drifted_mass(poses, times):
     """Error of mass, kg, where the reading drifts by 0.1 N over the sweep, without noise."""
     at = times.at_s(poses)
     drift = (at / at[-1])[:, None] * np.array([0.1, 0.1, 0.1, 1e-3, 1e-3, 1e-3])
-    gravity = gravity_in_sensor(*poses.T)
+    gravity = GALEN.gravity_in_sensor(poses)
     moments, _ = plain_least_squares(gravity, gravity_wrench(gravity, ADAPTER) + drift)
     return abs(moments[0] - ADAPTER.mass_kg)
 
@@ -58,7 +49,7 @@ def test_the_order_is_short_and_a_drift_does_not_look_like_load(plan):
     assert times.sweep_s(ordered) < 0.75 * GRID.times().sweep_s(grid)
     # R^2 against a regression by another way
     at = times.at_s(ordered)
-    columns = np.column_stack([gravity_in_sensor(*ordered.T), np.ones(len(at))])
+    columns = np.column_stack([GALEN.gravity_in_sensor(ordered), np.ones(len(at))])
     left = np.linalg.lstsq(columns, at, rcond=None)[1][0] / np.sum((at - at.mean()) ** 2)
     assert drift_share(ordered, at) == pytest.approx(1.0 - left, abs=1e-4)
     assert drift_share(ordered, at) < 0.03
@@ -88,99 +79,9 @@ def test_what_is_in_the_way_is_named():
     walls = (*SIDE, 0.5, -0.5, 0.3, 0.9, -0.075, 0.6, 0.6, -0.4, 0.0, 1.2, 0.4, 0.31)
     with pytest.raises(ObstacleError, match=r"of 187 candidates \d+ .* by box \d"):
         dataclasses.replace(CHOSEN, obstacles=walls, chosen_poses=40).plan(TIP)
-    for name, value in (("poses", "some"), ("chosen_for", "all"), ("obstacles", (1.0, 2.0))):
+    for name, value in (("poses", "some"), ("obstacles", (1.0, 2.0))):
         with pytest.raises((ParameterError, ObstacleError), match=name):
             dataclasses.replace(GRID, **{name: value}).validate()
-
-
-def records(poses, noise, rng, scatter=SCATTER):
-    gravity = gravity_in_sensor(*poses.T)
-    wrench = single_load_design(gravity)[:, :, :4] @ ADAPTER.moments
-    wrench = wrench + noise * rng.standard_normal(wrench.shape)
-    return [
-        PoseRecord(np.array([0, 0, 0, *q]), np.zeros(5), w, scatter * 15.8114, np.zeros(6), 250)
-        for q, w in zip(poses, wrench, strict=True)
-    ]
-
-
-def test_the_larger_of_scatter_and_residuals_counts(plan):
-    rng = np.random.default_rng(2)
-    of_scatter = compensation_std(plan.poses, SCATTER)
-    quiet = sweep_precision(records(plan.poses, 1e-3 * SCATTER, rng))
-    assert quiet.force_std_n == pytest.approx(np.sqrt(np.mean(of_scatter[:3] ** 2)), rel=1e-3)
-    loud = sweep_precision(records(plan.poses, 4.0 * SCATTER, rng))
-    assert 3.0 < loud.force_std_n / quiet.force_std_n < 7.0
-    assert 3.0 < loud.torque_std_nm / quiet.torque_std_nm < 7.0
-    assert not sweep_precision(records(plan.poses[:2], SCATTER, rng)).reaches(1.0, 0.0)
-    assert Precision(2.0, 0.5).reaches(0.0, 1.0)
-    assert not Precision(2.0, 0.5).reaches(1.0, 1.0)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("ratio", [1.0, 3.0])
-def test_sweeps_that_stop_are_as_precise_as_they_say(ratio):
-    """Noise of `ratio` times what the scatter tells; wanted is what 20 poses give."""
-    poses = dataclasses.replace(CHOSEN, chosen_poses=40, chosen_average_s=0.5).plan(TIP).poses
-    rng, sigma = np.random.default_rng(3), ratio * SCATTER
-    design = single_load_design(gravity_in_sensor(*poses.T))
-    true = np.array([compensation_std(poses[:n], sigma)[:3] for n in range(1, 41)])
-    true = np.sqrt(np.mean(true**2, axis=1))
-    stops = []
-    for _ in range(25):
-        readings = sigma * rng.standard_normal((40, 6))
-        for count in range(12, 41):
-            rows = (design[:count] / SCATTER[:, None]).reshape(-1, 10)
-            fit = np.linalg.lstsq(rows, (readings[:count] / SCATTER).ravel(), rcond=None)[0]
-            left = readings[:count] - design[:count] @ fit
-            noise = averaged_noise(left, np.tile(SCATTER, (count, 1)))
-            if true[count - 1] * np.mean(noise[:3] / sigma[:3]) <= true[19]:
-                break
-        stops.append(count)
-    ended = true[np.array(stops) - 1] / true[19]
-    print(f"ratio {ratio}: {np.mean(stops):.1f} poses, std over wanted {np.mean(ended):.3f}")
-    # one in five by chance, as the limit taken says, and then by little
-    assert np.mean(ended > 1.0) < 0.3
-    assert np.mean(ended) < 1.0
-    assert np.max(ended) < 1.15
-    assert 20 <= np.mean(stops) < 27
-
-
-def test_a_sweep_ends_when_it_is_precise_and_all_counts_are_right():
-    poses = dataclasses.replace(CHOSEN, chosen_poses=10).plan(TIP).poses
-    wanted = dataclasses.replace(SETTINGS, wanted_force_std_n=0.01, fewest_poses=6)
-    world = World(wanted, poses=poses).run()
-    assert world.end.error_code == CalibrationCode.NONE
-    measured = world.estimate.measurements
-    visited = len(measured.bare), len(measured.tool)
-    assert all(6 <= count < 10 for count in visited)
-    assert measured.notes[0].startswith(f"bare sweep: {visited[0]} of 10 poses visited")
-    told = world.of(PoseFeedback)
-    assert (told[-1].done, told[-1].total) == (sum(visited), sum(visited))
-    assert all(f.done <= f.total and f.pose <= f.poses for f in told)
-    ends = [f for f in told if "poses visited" in f.message]
-    assert [(f.pose, f.poses) for f in ends] == [(n, n) for n in visited]
-    # what no number of poses reaches is said
-    never = dataclasses.replace(wanted, wanted_force_std_n=1e-6)
-    short = World(never, poses=poses[:7], one_sweep=True).run()
-    assert len(short.estimate.measurements.tool) == 7
-    assert "tool sweep: 7 of 7 poses visited" in short.end.warnings[-1]
-    assert "more than was wanted" in short.end.warnings[-1]
-
-
-@pytest.mark.slow
-def test_a_stopped_sweep_leaves_out_what_was_to_be_tried_again():
-    poses = dataclasses.replace(CHOSEN, chosen_poses=14).plan(TIP).poses
-    arm = FakeArm(1)
-    arm.touch = lambda arm: np.array(
-        [2.0 * np.sin(arm.stamp_ns * 3e-8) if np.allclose(arm.joints[3:], poses[2]) else 0.0]
-        + [0.0] * 5
-    )
-    wanted = dataclasses.replace(SETTINGS, wanted_force_std_n=0.01, fewest_poses=6)
-    world = World(wanted, poses=poses, arm=arm).run()
-    assert world.end.error_code == CalibrationCode.NONE
-    assert [text[:6] for text in world.end.rejected] == ["bare/2", "tool/2"]
-    told = world.of(PoseFeedback)[-1]
-    assert told.done == told.total < 28
 
 
 @pytest.mark.slow
@@ -210,28 +111,148 @@ def test_the_procedure_goes_around_boxes():
     assert "box 1" in lost.end.error_msg
 
 
-@pytest.mark.slow
-def test_the_command_prints_and_rejects(capsys, tmp_path):
+def test_the_command_proposes_and_rejects(capsys):
     assert main(["--propose-poses", "--json", "-p", "chosen_poses:=12"]) == 0
     found = json.loads(capsys.readouterr().out)
-    assert len(found["poses"]) == 12
-    assert found["efficiency"] > 0.99
-    assert 0.95 < found["grid_efficiency"] < found["efficiency"]
-    assert found["equal_count"] == 55
-    poses, grid = np.array(found["poses"]), np.array(found["grid"])
-    curve = efficiency_curve(PoseDesign(CHOSEN.range.candidates()), grid, (6, 8))
-    assert curve[1].grid_ratio < 0.9 * curve[0].grid_ratio
-    for path in (
-        plot_poses(poses, grid, np.array(found["free"]), np.zeros((0, 2)), tmp_path / "a.png"),
-        plot_curve(curve, tmp_path / "new" / "b.png"),
-    ):
-        assert path.stat().st_size > 10_000
-    assert equal_count(PoseDesign(CHOSEN.range.candidates(), goal="load"), grid) == 46
-    assert main(["--propose-poses", "-p", "chosen_poses:=18"]) == 0
-    assert "55 chosen poses equal the grid's 56" in capsys.readouterr().out
+    chosen, grid = found["promises"]["chosen"], found["promises"]["grid"]
+    assert len(found["poses"]) == chosen["poses"] == 12 and grid["poses"] == 56
+    assert chosen["sweep_s"] < 0.7 * grid["sweep_s"]
+    assert chosen["force_std_n"] < 1.3 * grid["force_std_n"]
+    assert main(["--propose-poses"]) == 0
+    assert "error of compensation" in capsys.readouterr().out
     box = ["--propose-poses", "-p", "obstacles:=[0.5, -0.1, 0.4, 0.9, 0.1, 0.6]"]
     assert main([*box, "--tip", "0.1", "0", "0"]) == 1
     assert "home can't be taken" in capsys.readouterr().err
     with pytest.raises(SystemExit) as ended:
         main(box)
     assert ended.value.code == 2
+
+
+# --- grid
+
+LOWER, UPPER = (-1.57, -1.04), (1.57, 0.96)
+
+
+def grid(tstart=-1.0, tend=0.9, tilts=7, rstart=-1.5, rend=1.5, rolls=8):
+    return SweepGrid(tstart, tend, tilts, rstart, rend, rolls).poses(LOWER, UPPER)
+
+
+def test_the_report_s_grid_has_56_different_poses_ends_included():
+    found = grid()
+    assert found.shape == (56, 2)
+    assert len({tuple(row) for row in found.round(12)}) == 56
+    assert np.allclose(np.unique(found[:, 0].round(12)), np.linspace(-1.5, 1.5, 8))
+    assert np.allclose(np.unique(found[:, 1].round(12)), np.linspace(-1.0, 0.9, 7))
+
+
+@pytest.mark.parametrize(("tilts", "rolls"), [(7, 8), (3, 12), (12, 3), (1, 5), (5, 1), (1, 1)])
+def test_each_move_is_one_step_of_one_joint(tilts, rolls):
+    found = grid(tilts=tilts, rolls=rolls)
+    moves = np.abs(np.diff(found, axis=0))
+    assert len(found) == tilts * rolls
+    assert np.all(np.sum(moves > 1e-12, axis=1) == 1)
+    assert np.all(moves[:, 0] <= 3.0 / max(rolls - 1, 1) + 1e-12)
+    assert np.all(moves[:, 1] <= 1.9 / max(tilts - 1, 1) + 1e-12)
+
+
+def test_the_serpentine_takes_the_order_with_less_travel():
+    for found in (grid(), grid(tilts=3, rolls=12), grid(tilts=12, rolls=3)):
+        rolls, tilts = np.unique(found[:, 0]), np.unique(found[:, 1])
+        travel = np.abs(np.diff(found, axis=0)).sum()
+        roll_inside = np.ptp(tilts) + len(tilts) * np.ptp(rolls)
+        tilt_inside = np.ptp(rolls) + len(rolls) * np.ptp(tilts)
+        assert travel == pytest.approx(min(roll_inside, tilt_inside))
+
+
+def test_one_pose_of_a_joint_stands_in_the_middle():
+    assert grid(tilts=1, rolls=2)[:, 1].tolist() == pytest.approx([-0.05, -0.05])
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"tstart": -1.2}, ["tilt", "tstart", "-1.2", "-1.04"]),
+        ({"tend": 1.0}, ["tilt", "tend", "0.96"]),
+        ({"rstart": -2.0}, ["roll", "rstart", "-2"]),
+        ({"rend": float("nan")}, ["roll", "rend", "nan"]),
+        ({"tilts": 0}, ["itersT", "0", "tilt"]),
+        ({"rolls": -3}, ["itersR", "-3", "roll"]),
+        ({"rstart": 0.5, "rend": 0.5}, ["roll", "0.5", "same"]),
+    ],
+)
+def test_an_impossible_grid_names_joint_and_value(change, words):
+    with pytest.raises(GridError) as error:
+        grid(**change)
+    assert all(word in str(error.value) for word in words), str(error.value)
+
+
+def test_a_range_may_run_downward():
+    assert grid(tstart=0.9, tend=-1.0)[0, 1] == 0.9
+
+
+# --- listed poses
+
+POSES = [[-1.2, 0.5], [0.0, -0.9], [1.1, 0.4], [0.6, -0.3], [-0.7, 0.1], [0.3, 0.8], [0.0, -0.9]]
+
+
+def listed(poses, **more):
+    numbers = tuple(float(value) for value in np.ravel(poses))
+    return CalibrationParameters(poses="listed", listed_poses_rad=numbers, **more)
+
+
+def test_listed_poses_are_visited_as_they_are_in_their_order():
+    parameters = listed(POSES)
+    parameters.validate()
+    assert parameters.plan(TIP).poses.tolist() == POSES
+    # each averaged as a grid's pose is, not for as long as a chosen one
+    assert parameters.of_sweep().average_s == parameters.average_s
+    assert parameters.times().stay_s == CalibrationParameters().times().stay_s
+
+
+def test_what_can_not_be_visited_is_rejected_by_its_number():
+    for numbers in ((), (0.1, 0.2, 0.3), tuple([0.1, 0.2] * 1001)):
+        with pytest.raises(ParameterError, match=f"listed_poses_rad' has {len(numbers)} numbers"):
+            CalibrationParameters(poses="listed", listed_poses_rad=numbers).validate()
+    with pytest.raises(GridError, match=r"pose 2 of listed_poses_rad .roll 0, tilt 1.2 rad"):
+        listed([[0.0, 0.0], [0.1, 0.0], [0.0, 1.2]]).validate()
+    with pytest.raises(NotExcitedError):
+        listed([[0.1 * k, 0.0] for k in range(8)]).plan(TIP)
+    box = (0.5, 0.07, 0.2, 0.9, 0.5, 0.44)
+    with pytest.raises(ObstacleError, match=r"pose \d of listed_poses_rad .* leave it out"):
+        listed(POSES, obstacles=box).plan(TIP)
+
+
+def test_a_list_that_is_not_used_is_not_looked_at():
+    CalibrationParameters(listed_poses_rad=(9.0,)).validate()
+
+
+# --- times
+
+TIME = np.linspace(0.0, 1.0, 20001)
+
+
+def peaks(distance, duration):
+    """Peak velocity and acceleration of the quintic, by differences."""
+    path = distance * (10 * TIME**3 - 15 * TIME**4 + 6 * TIME**5)
+    velocity = np.gradient(path, TIME * duration)
+    return np.max(np.abs(velocity)), np.max(np.abs(np.gradient(velocity, TIME * duration)))
+
+
+@pytest.mark.parametrize("distance", [0.001, 0.3, -2.0])
+def test_one_limit_is_met_and_none_is_broken(distance):
+    duration = quintic_duration_s([distance], [0.8], [3.0])
+    velocity, acceleration = peaks(distance, duration)
+    assert velocity <= 0.8 * 1.001
+    assert acceleration <= 3.0 * 1.001
+    assert velocity >= 0.8 * 0.999 or acceleration >= 3.0 * 0.995 or duration == 0.05
+
+
+def test_the_slowest_joint_decides():
+    limits = [0.1, 0.8], [1.0, 3.0]
+    both = quintic_duration_s([0.2, 0.3], *limits)
+    assert both == quintic_duration_s([0.2, 0.0], *limits)
+    assert both > quintic_duration_s([0.0, 0.3], *limits)
+
+
+def test_no_distance_still_takes_time():
+    assert quintic_duration_s(np.zeros(5), np.ones(5), np.ones(5)) == 0.05

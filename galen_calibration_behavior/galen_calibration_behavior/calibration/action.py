@@ -11,10 +11,8 @@ from galen_model.arrays import Array
 from galen_model.errors import CalibrationFileError, GalenError, NotExcitedError, ToolNameError
 from galen_model.files.calibration_file import calibration_path
 from galen_model.load.mounting.identification import check_planned_mounting
-from galen_ros.goal.action import ArmAction, RejectedGoalError, RunningGoal
-from galen_ros.goal.arm_link import DriversTools
-from galen_ros.goal.commands import End
-from galen_ros.goal.node import GoalNode, named
+from galen_ros.goal.node import ArmAction, GoalNode, RejectedGoalError, RunningGoal, named
+from galen_ros.goal.procedure import End
 from rclpy.action.server import ServerGoalHandle
 from rclpy.client import Client
 from std_srvs.srv import Trigger
@@ -24,19 +22,19 @@ from galen_calibration_behavior.calibration.estimate import (
     EstimateError,
     MountingRequest,
     TipError,
-    calibrate,
+    calibration_fields,
     check_writable,
     choose_tip,
+    estimate,
 )
 from galen_calibration_behavior.calibration.procedure import (
     CalibrationProcedure,
     CalibrationRequest,
 )
-from galen_calibration_behavior.calibration.result_text import calibration_fields
 from galen_calibration_behavior.commands import (
     AttachTool,
     CalibrationCode,
-    Estimate,
+    Measurements,
     PoseFeedback,
     PosesEnd,
     ZeroSensor,
@@ -63,7 +61,6 @@ class _Goal(RunningGoal):
         self.tip_m = tip_m
         self.warnings = warnings
         self.calibration: Calibration | None = None
-        self.asking: DriversTools | None = None
 
 
 class CalibrateAction(ArmAction):
@@ -109,8 +106,7 @@ class CalibrateAction(ArmAction):
                     plan.poses[:, 1],
                     settings.estimate,
                     one_sweep=request.one_sweep,
-                    zero_roll_rad=settings.Rhome,
-                    zero_tilt_rad=settings.Thome,
+                    zero_angles=(settings.Rhome, settings.Thome),
                 )
             check_writable(path)
         except ToolNameError as error:
@@ -171,26 +167,6 @@ class CalibrateAction(ArmAction):
         by_service = goal.handle.request.attach_by_service
         return [self._zero_client, self._attach_client] if by_service else [self._zero_client]
 
-    def find_missing(self, goal: _Goal) -> tuple[IntEnum, str] | None:
-        """Ask a driver that changes tools whether it knows this one."""
-        request = goal.handle.request
-        if not request.attach_by_service:
-            return None
-        if goal.asking is None:
-            goal.asking = DriversTools(self.node, self._attach_client)
-            goal.preflight_s = 0.0  # what it needs is there; this waits by its own clock
-        if not goal.asking.is_over():
-            return CalibrationCode.SERVICE_FAILED, f"{goal.asking.driver} does not answer"
-        known = goal.asking.tools
-        if known is not None and request.tool not in known:
-            goal.procedure.fail(
-                CalibrationCode.SERVICE_FAILED,
-                f"attach_tool can't put {request.tool!r} on: {goal.asking.driver} knows"
-                f" {', '.join(known) or 'no tool'} (its parameter 'tools'); correct the name, or"
-                " calibrate by hand",
-            )
-        return None
-
     def obey(self, goal: _Goal, command: Any) -> None:
         """Give feedback, call the driver's services, estimate."""
         node, on_service = self.node, goal.procedure.on_service
@@ -211,23 +187,25 @@ class CalibrateAction(ArmAction):
                     SetTool.Request(tool=command.tool),
                     lambda answer: node.feed(on_service, answer.success, answer.error_msg),
                 )
-            case Estimate():
+            case Measurements():
                 self._estimate(goal, command)
 
-    def _estimate(self, goal: _Goal, command: Estimate) -> None:
+    def _estimate(self, goal: _Goal, measurements: Measurements) -> None:
         groups = self.node.settings.estimate
         try:
-            goal.calibration = calibrate(
+            calibration = estimate(
                 goal.path,
                 goal.handle.request.tool,
                 goal.tip_m,
-                command.measurements,
+                measurements,
                 goal.warnings,
                 mounting=MountingRequest(groups) if groups else None,
             )
+            calibration.write()
         except EstimateError as error:
             goal.procedure.fail(error.code, str(error))
         else:
+            goal.calibration = calibration
             goal.procedure.on_estimated()
 
     def _publish_feedback(self, goal: _Goal, feedback: PoseFeedback) -> None:
@@ -237,8 +215,7 @@ class CalibrateAction(ArmAction):
             poses=feedback.poses,
             done=feedback.done,
             total=feedback.total,
-            roll=feedback.roll,
-            tilt=feedback.tilt,
+            **dict(zip(("roll", "tilt"), feedback.angles, strict=True)),
             accepted=feedback.accepted,
             wrench=list(feedback.wrench),
             message=feedback.message,

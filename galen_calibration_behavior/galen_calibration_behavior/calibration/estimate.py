@@ -1,4 +1,4 @@
-"""From still poses to the tool's file: identify, put together, write. No ROS."""
+"""From still poses to the tool's file, and its result for a person and for a program. No ROS."""
 
 from __future__ import annotations
 
@@ -6,8 +6,10 @@ import os
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from galen_model.arm.galen import WRENCH_AXES
 from galen_model.arrays import Array
 from galen_model.errors import (
     CalibrationFileError,
@@ -15,14 +17,15 @@ from galen_model.errors import (
     IdentificationError,
     NotExcitedError,
 )
+from galen_model.evidence.block_gain import Worth
 from galen_model.files.calibration_file import (
     CalibrationFile,
     read_calibration,
     write_calibration,
     zeroed_at,
 )
-from galen_model.load.bias.choice import BiasMode
-from galen_model.load.bias.identification import (
+from galen_model.load.drifting_identification import (
+    BiasMode,
     identify_one_sweep_drifting,
     identify_two_sweeps_drifting,
 )
@@ -31,8 +34,7 @@ from galen_model.load.identification import (
     identify_one_sweep,
     identify_two_sweeps,
 )
-from galen_model.load.mounting.held_out import Calibrated, Worth, worth
-from galen_model.load.mounting.identification import KnownLoad
+from galen_model.load.mounting.identification import Calibrated, KnownLoad, worth
 from galen_model.load.mounting.mounting import Mounting
 
 from galen_calibration_behavior.commands import CalibrationCode, Measurements
@@ -63,9 +65,9 @@ class MountingRequest:
 
 @dataclass(frozen=True)
 class Calibration:
-    """What was written, and where, and what the file does not hold of the fit.
+    """A tool's file and where it belongs, and what it does not hold of the fit.
 
-    worth: whether the mounting's parameters pay, where they were asked for. notes: how it went.
+    worth: whether the mounting's parameters pay, where they were asked for.
     """
 
     path: Path
@@ -73,7 +75,13 @@ class Calibration:
     warnings: list[str]
     found: Identification
     worth: Worth | None = None
-    notes: tuple[str, ...] = ()
+
+    def write(self) -> None:
+        """Write the tool's file whole or not at all; raises EstimateError."""
+        try:
+            write_calibration(self.path, self.content)
+        except CalibrationFileError as error:
+            raise EstimateError(CalibrationCode.WRITE_FAILED, str(error)) from error
 
 
 def check_writable(path: Path) -> None:
@@ -109,32 +117,6 @@ def choose_tip(tip_m: Array, path: Path) -> tuple[Array, list[str]]:
         return nowhere, [f"the old file's tip can't be kept, (0, 0, 0) is written: {error}"]
 
 
-def calibrate(
-    path: Path,
-    tool: str,
-    tip_m: Array,
-    measurements: Measurements,
-    warnings: list[str],
-    *,
-    calibrated_at: datetime | None = None,
-    mounting: MountingRequest | None = None,
-) -> Calibration:
-    """Identify the load and write the tool's file whole or not at all.
-
-    `warnings` are known from before. `calibrated_at`, with a time zone, is when it was measured,
-    for measurements that come out of a recording; None: now. `mounting`: estimate that as well.
-    Raises EstimateError; the old file is then untouched.
-    """
-    done = estimate(
-        path, tool, tip_m, measurements, warnings, calibrated_at=calibrated_at, mounting=mounting
-    )
-    try:
-        write_calibration(path, done.content)
-    except CalibrationFileError as error:
-        raise EstimateError(CalibrationCode.WRITE_FAILED, str(error)) from error
-    return done
-
-
 def estimate(
     path: Path,
     tool: str,
@@ -145,7 +127,12 @@ def estimate(
     calibrated_at: datetime | None = None,
     mounting: MountingRequest | None = None,
 ) -> Calibration:
-    """As `calibrate`, and writes nothing; raises EstimateError."""
+    """Identify the load and put the tool's file together, without writing it.
+
+    `warnings` are known from before. `calibrated_at`, with a time zone, is when it was measured,
+    for measurements that come out of a recording; None: now. `mounting`: estimate that as well.
+    Raises EstimateError.
+    """
     mounted: Mounting | None = None
     gain: Worth | None = None
     try:
@@ -168,7 +155,7 @@ def estimate(
         poses_used=int(np.sum(found.used_tool)),
         calibrated_at=(calibrated_at or datetime.now(UTC)).isoformat(timespec="seconds"),
         residual_offset=found.offset,
-        zeroing=zeroed_at(measurements.zero_roll, measurements.zero_tilt),
+        zeroing=zeroed_at(measurements.zero_angles),
         poses_rejected=(*measurements.rejected, *_outliers(found, measurements)),
         unresolved=found.unresolved,
         mounting=mounted,
@@ -176,7 +163,7 @@ def estimate(
     said = [*warnings, *measurements.warnings, *found.warnings, *_dropped(path, content)]
     if gain is not None and not gain.pays:
         said.append(gain.sentence)
-    return Calibration(path, content, said, found, gain, tuple(measurements.notes))
+    return Calibration(path, content, said, found, gain)
 
 
 # How each part of a tool's file that a calibration does not find is found.
@@ -201,15 +188,15 @@ def _dropped(path: Path, content: CalibrationFile) -> list[str]:
 
 
 def _identify(measurements: Measurements) -> Identification:
-    roll, tilt = measurements.zero_roll, measurements.zero_tilt
+    zero = measurements.zero_angles
     mode, bare, tool = measurements.bias_mode, measurements.bare, measurements.tool
     if mode is not BiasMode.CONSTANT:
         if bare is None:
-            return identify_one_sweep_drifting(tool, roll, tilt, measurements.known_adapter, mode)
-        return identify_two_sweeps_drifting(bare, tool, roll, tilt, mode)
+            return identify_one_sweep_drifting(tool, zero, mode)
+        return identify_two_sweeps_drifting(bare, tool, zero, mode)
     if bare is None:
-        return identify_one_sweep(tool, roll, tilt, measurements.known_adapter)
-    return identify_two_sweeps(bare, tool, roll, tilt)
+        return identify_one_sweep(tool, zero)
+    return identify_two_sweeps(bare, tool, zero)
 
 
 def _with_mounting(measurements: Measurements, request: MountingRequest) -> Calibrated:
@@ -217,10 +204,8 @@ def _with_mounting(measurements: Measurements, request: MountingRequest) -> Cali
         measurements.bare,
         measurements.tool,
         request.groups,
-        measurements.zero_roll,
-        measurements.zero_tilt,
+        measurements.zero_angles,
         request.known,
-        measurements.known_adapter,
     )
 
 
@@ -231,3 +216,107 @@ def _outliers(found: Identification, measurements: Measurements) -> list[str]:
         f"{o.sweep}/{indices[o.sweep][o.pose]}: {o.sigmas:.1f} sigma off the common load"
         for o in found.outliers
     ]
+
+
+def calibration_fields(calibration: Calibration) -> dict[str, Any]:
+    """A calibration's part of a CalibrateTool.Result by the names of its fields, as JSON has it.
+
+    All but `tool`, `file` and the error; SI units.
+    """
+    file = calibration.content
+    return {
+        "mass_kg": file.load.mass_kg,
+        "mass_std_kg": file.load.mass_std_kg,
+        "com_m": file.load.com_m.tolist(),
+        "com_std_m": file.load.com_std_m.tolist(),
+        "bias_mass_kg": file.adapter.mass_kg,
+        "bias_mass_std_kg": file.adapter.mass_std_kg,
+        "bias_com_m": file.adapter.com_m.tolist(),
+        "bias_com_std_m": file.adapter.com_std_m.tolist(),
+        "rmse_force_n": file.rmse[:3].tolist(),
+        "rmse_torque_nm": file.rmse[3:].tolist(),
+        "poses_used": file.poses_used,
+        "poses_rejected": list(file.poses_rejected),
+        "warnings": list(calibration.warnings),
+    }
+
+
+def format_result(result: Any) -> str:
+    """Return a successful CalibrateTool.Result, or what has its fields, as a table.
+
+    One standard deviation after +-. Without a `file` nothing was written.
+    """
+    lines = [
+        f"{'':18}{'mass [g]':>18}   centre x, y, z in ft_sensor [mm]",
+        _load_line(result.tool, result.mass_kg, result.mass_std_kg, result.com_m, result.com_std_m),
+        _load_line(
+            "adapter",
+            result.bias_mass_kg,
+            result.bias_mass_std_kg,
+            result.bias_com_m,
+            result.bias_com_std_m,
+        ),
+        "",
+        "RMSE force  [N]    " + "".join(f"{v:10.4f}" for v in result.rmse_force_n),
+        "RMSE torque [mN.m] " + "".join(f"{1e3 * v:10.4f}" for v in result.rmse_torque_nm),
+        f"poses used         {result.poses_used:10d}",
+        f"poses rejected     {len(result.poses_rejected):10d}",
+    ]
+    lines += [f"  {text}" for text in result.poses_rejected]
+    lines += [f"warning: {text}" for text in result.warnings]
+    lines.append(f"written: {result.file}" if result.file else "nothing is written")
+    return "\n".join(lines)
+
+
+def _load_line(name: str, mass: float, mass_std: float, com: Any, com_std: Any) -> str:
+    centre = "   ".join(
+        f"{1e3 * value:8.3f} +- {1e3 * std:.3f}" for value, std in zip(com, com_std, strict=True)
+    )
+    return f"{name[:17]:18}{1e3 * mass:9.3f} +- {1e3 * mass_std:.3f}  {centre}"
+
+
+def mounting_fields(calibration: Calibration) -> dict[str, Any] | None:
+    """What the file holds of the mounting and how it did on held-out poses; SI units."""
+    mounting, worth = calibration.content.mounting, calibration.worth
+    if mounting is None or worth is None:
+        return None
+    return mounting.to_json() | {
+        "held_out": {
+            "blocks": worth.blocks,
+            "rmse": {
+                name: dict(zip(WRENCH_AXES, [_finite(v) for v in rmse], strict=True))
+                for name, rmse in worth.rmse.items()
+            },
+            "against": worth.against,
+            "gain": worth.gain,
+            "gain_std": worth.gain_std,
+            "pays": worth.pays,
+        }
+    }
+
+
+def format_mounting(calibration: Calibration) -> str:
+    """The same as tables, in degrees, per cent, mN and mN.m; empty where nothing was asked."""
+    mounting, worth = calibration.content.mounting, calibration.worth
+    if mounting is None or worth is None:
+        return ""
+    return f"\n{_mounting_rows(mounting)}\n\n{_mounting_scores(worth)}\n{worth.sentence}\n"
+
+
+def _mounting_rows(mounting: Mounting) -> str:
+    lines = [f"{'estimated with the load':48}{'value':>10}{'std':>9}"]
+    lines += [f"{n:48}{value:10.4f}{std:9.4f} {unit}" for n, value, std, unit in mounting.rows]
+    return "\n".join(lines)
+
+
+def _mounting_scores(worth: Worth) -> str:
+    heads = [f"{axis} [{'mN' if axis[0] == 'f' else 'mN.m'}]" for axis in WRENCH_AXES]
+    lines = [f"{'RMSE on held-out poses':24}" + "".join(f"{head:>11}" for head in heads)]
+    for name, rmse in worth.rmse.items():
+        cells = "".join(f"{1e3 * v:11.3f}" if np.isfinite(v) else f"{'-':>11}" for v in rmse)
+        lines.append(f"{name:24}{cells}")
+    return "\n".join(lines)
+
+
+def _finite(value: float) -> float | None:
+    return float(value) if np.isfinite(value) else None

@@ -18,22 +18,19 @@ from dataclasses import dataclass
 from enum import IntEnum
 
 import numpy as np
-from galen_model.arm.galen import WRENCH_AXES
+from galen_model.arm.galen import GALEN, WRENCH_AXES
 from galen_model.arm.routes import Router
 from galen_model.arrays import Array
 from galen_model.load.identification import StillPoses
 from galen_model.rest.pose import PoseRecord
-from galen_ros.goal.pose_procedure import PoseProcedure
-from galen_ros.goal.pose_recorder import Rejection
+from galen_ros.goal.arrival import PoseRejection
+from galen_ros.goal.procedure import PoseProcedure
 
-from galen_calibration_behavior.calibration.precision import sweep_precision
 from galen_calibration_behavior.calibration.sweep import Sweep, Verdict, stack
 from galen_calibration_behavior.commands import (
     AttachTool,
     CalibrationCode,
     CalibrationState,
-    Command,
-    Estimate,
     Measurements,
     PoseFeedback,
     PosesEnd,
@@ -68,7 +65,7 @@ _ONE_SWEEP = (
 
 @dataclass(frozen=True)
 class CalibrationRequest:
-    """What one goal asks for; `poses` (n, 2) are roll and tilt in rad.
+    """What one goal asks for; `poses` (n, k) are angles in rad.
 
     `router` knows the ways around boxes, None: all are free.
     """
@@ -80,7 +77,7 @@ class CalibrationRequest:
     router: Router | None = None
 
 
-class CalibrationProcedure(PoseProcedure[Command, PosesEnd]):
+class CalibrationProcedure(PoseProcedure):
     """One calibration. Call `start`, feed samples and events, and do what `take_commands` gives."""
 
     codes = CalibrationCode
@@ -97,16 +94,11 @@ class CalibrationProcedure(PoseProcedure[Command, PosesEnd]):
         self._tool: Sweep | None = None
         self._done_before = 0
         self._planned = len(request.poses) * (1 if request.one_sweep else 2)
-        self._skipped = 0
-        self._notes: list[str] = []
-        self._missed: list[str] = []
         self._waiting_for_person = False
         self._zero_attempts = 0
         self._zero_checks_left = 0
-        self._zero_pose = (float("nan"), float("nan"))
+        self._zero_angles = GALEN.home_angles
         self._tool_off = False
-        wanted = settings.wanted_force_std_n, settings.wanted_torque_std_nm
-        self._wanted = wanted if max(wanted) > 0.0 else ()
 
     @property
     def waiting_for_person(self) -> bool:
@@ -117,7 +109,7 @@ class CalibrationProcedure(PoseProcedure[Command, PosesEnd]):
     def progress(self) -> tuple[int, int]:
         """Poses finished in all sweeps, and poses in all sweeps."""
         done = self._done_before + (self._sweep.finished_poses if self._sweep else 0)
-        return done, self._planned - self._skipped
+        return done, self._planned
 
     # ---- events
 
@@ -213,17 +205,17 @@ class CalibrationProcedure(PoseProcedure[Command, PosesEnd]):
         self._report("zeroing the sensor")
         self._visit(self._settings.home, self._on_ready_to_zero)
 
-    def _on_ready_to_zero(self, outcome: PoseRecord | Rejection) -> None:
-        if isinstance(outcome, Rejection):
+    def _on_ready_to_zero(self, outcome: PoseRecord | PoseRejection) -> None:
+        if isinstance(outcome, PoseRejection):
             self._zero_again(outcome)
             return
-        self._zero_pose = (float(outcome.joints[3]), float(outcome.joints[4]))
+        self._zero_angles = GALEN.angles(outcome.joints)
         self._waited_s = 0.0
         self._waiting_for = "zero_ft_sensor"
         self._commands.append(ZeroSensor())
 
-    def _on_zero_checked(self, outcome: PoseRecord | Rejection) -> None:
-        if isinstance(outcome, Rejection):
+    def _on_zero_checked(self, outcome: PoseRecord | PoseRejection) -> None:
+        if isinstance(outcome, PoseRejection):
             self._zero_again(outcome)
             return
         off = np.abs(outcome.wrench) > self._settings.zero_tolerance
@@ -244,7 +236,7 @@ class CalibrationProcedure(PoseProcedure[Command, PosesEnd]):
             return
         self._next()
 
-    def _zero_again(self, rejection: Rejection) -> None:
+    def _zero_again(self, rejection: PoseRejection) -> None:
         if self._zero_attempts > self._settings.pose_retries:
             self.fail(
                 CalibrationCode.BAD_INPUT
@@ -273,53 +265,27 @@ class CalibrationProcedure(PoseProcedure[Command, PosesEnd]):
         if index is None:
             self._finish_sweep(self._sweep)
             return
-        roll, tilt = self._sweep.poses[index]
-        target = np.array([*self._settings.home[:3], roll, tilt])
+        target = GALEN.with_angles(self._sweep.poses[index], self._settings.home)
         self._visit(target, self._on_pose)
 
-    def _on_pose(self, outcome: PoseRecord | Rejection) -> None:
+    def _on_pose(self, outcome: PoseRecord | PoseRejection) -> None:
         assert self._sweep is not None
         for verdict in self._sweep.take(outcome):
             self._report_pose(verdict)
         if self._sweep.rejected_in_a_row >= self._settings.max_rejected_in_a_row:
-            reason = outcome.reason if isinstance(outcome, Rejection) else "the wrench is not still"
-            not_finite = isinstance(outcome, Rejection) and outcome.not_finite
+            reason = (
+                outcome.reason if isinstance(outcome, PoseRejection) else "the wrench is not still"
+            )
+            not_finite = isinstance(outcome, PoseRejection) and outcome.not_finite
             self.fail(
                 CalibrationCode.BAD_INPUT if not_finite else CalibrationCode.POSES_NOT_STILL,
                 f"{self._sweep.rejected_in_a_row} poses in a row can't be used; the last: {reason}",
             )
             return
-        self._stop_when_precise(self._sweep)
         self._visit_next_pose()
 
-    def _stop_when_precise(self, sweep: Sweep) -> None:
-        """End the sweep where its poses so far make the compensation as precise as is wanted."""
-        enough = self._settings.fewest_poses
-        if not self._wanted or sweep.current is None or len(sweep.sound) < enough:
-            return
-        if sweep_precision(sweep.sound).reaches(*self._wanted):
-            verdicts = sweep.stop()
-            self._skipped += len(sweep.poses) - sweep.count
-            for verdict in verdicts:
-                self._report_pose(verdict)
-
-    def _note_precision(self, sweep: Sweep) -> None:
-        """Say after how many poses it ended, and how precise it is; a wish not come true warns."""
-        if not self._wanted:
-            return
-        precision = sweep_precision(sweep.records)
-        text = (
-            f"{sweep.name} sweep: {sweep.count} of {len(sweep.poses)} poses visited; the"
-            f" compensation's own error has a standard deviation of {precision}"
-        )
-        if precision.reaches(*self._wanted):
-            self._notes.append(text)
-        else:
-            self._missed.append(f"{text}, more than was wanted")
-        self._report(text)
-
     def _finish_sweep(self, sweep: Sweep) -> None:
-        good, count = len(sweep.records), sweep.count
+        good, count = len(sweep.records), len(sweep.poses)
         if good < self._settings.min_pose_fraction * count:
             reason = sweep.rejections[-1]
             self.fail(
@@ -327,7 +293,6 @@ class CalibrationProcedure(PoseProcedure[Command, PosesEnd]):
                 f"only {good} of {count} poses of the {sweep.name} sweep can be used; {reason}",
             )
             return
-        self._note_precision(sweep)
         self._done_before += count
         self._sweep = None
         self._next()
@@ -336,25 +301,18 @@ class CalibrationProcedure(PoseProcedure[Command, PosesEnd]):
         assert self._tool is not None
         self._report("estimating")
         self._commands.append(
-            Estimate(
-                Measurements(
-                    bare=None if self._bare is None else _still_poses(self._bare),
-                    tool=_still_poses(self._tool),
-                    zero_roll=self._zero_pose[0],
-                    zero_tilt=self._zero_pose[1],
-                    bare_indices=[] if self._bare is None else self._bare.indices,
-                    tool_indices=self._tool.indices,
-                    rejected=self._rejections(),
-                    warnings=self._warnings(),
-                    notes=self._notes,
-                )
+            Measurements(
+                bare=None if self._bare is None else _still_poses(self._bare),
+                tool=_still_poses(self._tool),
+                zero_angles=self._zero_angles,
+                bare_indices=[] if self._bare is None else self._bare.indices,
+                tool_indices=self._tool.indices,
+                rejected=self._rejections(),
+                warnings=self._warnings(),
             )
         )
 
     # ---- reports
-
-    def _warnings(self) -> list[str]:
-        return [*super()._warnings(), *self._missed]
 
     def _report(self, message: str) -> None:
         done, total = self.progress
@@ -364,7 +322,7 @@ class CalibrationProcedure(PoseProcedure[Command, PosesEnd]):
                 self._state,
                 message,
                 pose=sweep.finished_poses if sweep else 0,
-                poses=sweep.count if sweep else 0,
+                poses=len(sweep.poses) if sweep else 0,
                 done=done,
                 total=total,
             )
@@ -377,7 +335,7 @@ class CalibrationProcedure(PoseProcedure[Command, PosesEnd]):
         if verdict.record is not None:
             wrench = tuple(float(value) for value in verdict.record.wrench)
         sweep = self._sweep
-        message = f"pose {sweep.finished_poses} of {sweep.count} recorded"
+        message = f"pose {sweep.finished_poses} of {len(sweep.poses)} recorded"
         if verdict.message:
             message = f"{sweep.name}/{verdict.index}: {verdict.message}"
         self._commands.append(
@@ -385,11 +343,10 @@ class CalibrationProcedure(PoseProcedure[Command, PosesEnd]):
                 self._state,
                 message,
                 pose=self._sweep.finished_poses,
-                poses=self._sweep.count,
+                poses=len(self._sweep.poses),
                 done=done,
                 total=total,
-                roll=verdict.roll,
-                tilt=verdict.tilt,
+                angles=verdict.angles,
                 accepted=verdict.accepted,
                 wrench=wrench,
             )
@@ -400,5 +357,4 @@ class CalibrationProcedure(PoseProcedure[Command, PosesEnd]):
 
 
 def _still_poses(sweep: Sweep) -> StillPoses:
-    roll, tilt, wrench, std_of_mean = stack(sweep.records)
-    return StillPoses(roll=roll, tilt=tilt, wrench=wrench, std_of_mean=std_of_mean)
+    return StillPoses(*stack(sweep.records))

@@ -5,9 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from galen_model.arm.galen import GALEN
 from galen_model.arrays import Array
 from galen_model.rest.pose import PoseRecord, StillnessSettings, wrench_fault
-from galen_ros.goal.pose_recorder import Rejection
+from galen_ros.goal.arrival import PoseRejection
 
 
 @dataclass(frozen=True)
@@ -15,8 +16,7 @@ class Verdict:
     """What became of one visit of a pose."""
 
     index: int
-    roll: float
-    tilt: float
+    angles: tuple[float, ...]
     accepted: bool
     record: PoseRecord | None
     message: str
@@ -31,7 +31,7 @@ class Sweep:
     """
 
     def __init__(self, name: str, poses: Array, stillness: StillnessSettings, retries: int) -> None:
-        """`poses` (n, 2): roll and tilt in rad, in visiting order."""
+        """`poses` (n, k): angles of the turning joints, rad, in visiting order."""
         self.name = name
         self.poses = poses
         self._stillness = stillness
@@ -39,9 +39,7 @@ class Sweep:
         self._queue = list(range(len(poses)))
         self._visits = [0] * len(poses)
         self._records: dict[int, PoseRecord] = {}
-        self._left_out: dict[int, Rejection] = {}
-        self._rejected: dict[int, Rejection] = {}  # to be tried again
-        self._skipped = 0
+        self._left_out: dict[int, PoseRejection] = {}
         self.rejected_in_a_row = 0
 
     @property
@@ -50,19 +48,9 @@ class Sweep:
         return self._queue[0] if self._queue else None
 
     @property
-    def count(self) -> int:
-        """Number of poses, without those that `stop` has skipped."""
-        return len(self.poses) - self._skipped
-
-    @property
     def finished_poses(self) -> int:
         """Poses whose fate is known: recorded, or left out for good."""
         return len(self._records) + len(self._left_out)
-
-    @property
-    def left_out(self) -> int:
-        """Number of poses left out for good."""
-        return len(self._left_out)
 
     @property
     def indices(self) -> list[int]:
@@ -75,12 +63,6 @@ class Sweep:
         return [self._records[k] for k in self.indices]
 
     @property
-    def sound(self) -> list[PoseRecord]:
-        """The recorded poses that would stay if all were judged now."""
-        faults = self._faults()
-        return [self._records[k] for k in self.indices if k not in faults]
-
-    @property
     def rejections(self) -> list[str]:
         """Name sweep, pose and reason of every pose left out, as in "tool/3: reason"."""
         return [f"{self.name}/{k}: {r.reason}" for k, r in sorted(self._left_out.items())]
@@ -91,7 +73,7 @@ class Sweep:
         bad = sum(r.not_finite for r in self._left_out.values())
         return bad > len(self._left_out) / 2
 
-    def take(self, outcome: PoseRecord | Rejection) -> list[Verdict]:
+    def take(self, outcome: PoseRecord | PoseRejection) -> list[Verdict]:
         """Judge the current pose's visit and step on.
 
         Returns its verdict, then, at the end of a round, those of recorded poses that turned out
@@ -102,7 +84,7 @@ class Sweep:
         if isinstance(outcome, PoseRecord):
             fault = wrench_fault(outcome, [*self._records.values(), outcome], self._stillness)
             verdicts = [
-                self._reject(index, Rejection(fault)) if fault else self._keep(index, outcome)
+                self._reject(index, PoseRejection(fault)) if fault else self._keep(index, outcome)
             ]
         else:
             verdicts = [self._reject(index, outcome)]
@@ -116,59 +98,38 @@ class Sweep:
             ]
         return verdicts
 
-    def stop(self) -> list[Verdict]:
-        """Let it be enough: skip the poses not visited yet, leave out those to be tried again.
-
-        Returns verdicts as the end of a round does.
-        """
-        self._skipped = self._visits.count(0)
-        self._retries = 0
-        verdicts = self._judge_all()
-        self._queue.clear()
-        self._left_out |= self._rejected
-        self._rejected.clear()
-        return verdicts
-
     def _keep(self, index: int, record: PoseRecord) -> Verdict:
         self._records[index] = record
-        self._rejected.pop(index, None)
         return self._verdict(index, True, record, "")
 
-    def _reject(self, index: int, rejection: Rejection) -> Verdict:
+    def _reject(self, index: int, rejection: PoseRejection) -> Verdict:
         if self._visits[index] > self._retries:
-            self._rejected.pop(index, None)
             self._left_out[index] = rejection
             return self._verdict(index, False, None, f"{rejection.reason}; left out")
-        self._rejected[index] = rejection
         return self._verdict(index, False, None, f"{rejection.reason}; will be tried again")
 
     def _judge_all(self) -> list[Verdict]:
-        faults = self._faults()
-        for k in faults:
-            del self._records[k]
-        return [self._reject(k, Rejection(fault)) for k, fault in sorted(faults.items())]
-
-    def _faults(self) -> dict[int, str]:
         records = list(self._records.values())
-        return {
+        faults = {
             k: fault
             for k, record in self._records.items()
             if (fault := wrench_fault(record, records, self._stillness))
         }
+        for k in faults:
+            del self._records[k]
+        return [self._reject(k, PoseRejection(fault)) for k, fault in sorted(faults.items())]
 
     def _verdict(
         self, index: int, accepted: bool, record: PoseRecord | None, message: str
     ) -> Verdict:
-        roll, tilt = self.poses[index]
-        return Verdict(index, float(roll), float(tilt), accepted, record, message)
+        return Verdict(index, tuple(self.poses[index].tolist()), accepted, record, message)
 
 
-def stack(records: list[PoseRecord]) -> tuple[Array, Array, Array, Array]:
-    """Return roll (n,), tilt (n,), wrench (n, 6) and its std_of_mean (n, 6) of the records."""
-    joints = np.array([r.joints for r in records]).reshape(-1, 5)
+def stack(records: list[PoseRecord]) -> tuple[Array, Array, Array]:
+    """Return angles (n, k), wrench (n, 6) and its std_of_mean (n, 6) of the records."""
+    joints = np.array([r.joints for r in records]).reshape(-1, len(GALEN.joints))
     return (
-        joints[:, 3],
-        joints[:, 4],
+        GALEN.angles(joints),
         np.array([r.wrench for r in records]).reshape(-1, 6),
         np.array([r.std_of_mean for r in records]).reshape(-1, 6),
     )

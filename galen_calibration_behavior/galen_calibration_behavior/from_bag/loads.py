@@ -1,69 +1,108 @@
-"""Loads of adapter and tool out of recorded sweeps: the file, and the result for a person."""
+"""Loads of adapter and tool out of recorded sweeps: the file, and the result for a person.
+
+How a recording is read, and when it ended.
+"""
 
 from __future__ import annotations
 
 import argparse
 import functools
 import math
+import sys
+from collections.abc import Iterable
 from dataclasses import replace
-from datetime import datetime
+from datetime import UTC, datetime
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
-from galen_model.arm.galen import WRENCH_AXES
-from galen_model.arrays import Array
-from galen_model.errors import GalenError
-from galen_model.files.calibration_file import LoadEstimate, calibration_path, read_calibration
-from galen_model.load.identification import Identification
+from galen_bags.arrays.arm_recording import ArmRecording, ArmTopics, read_arm
+from galen_model.errors import CalibrationFileError, GalenError
+from galen_model.files.calibration_file import (
+    age_text,
+    calibration_path,
+    read_calibration,
+)
 from galen_model.load.mounting.identification import KnownLoad
-from galen_model.rest.pose import PoseRecord
+from tqdm import tqdm
 
 from galen_calibration_behavior.calibration.estimate import (
     Calibration,
     EstimateError,
     MountingRequest,
-    calibrate,
+    calibration_fields,
     check_writable,
     choose_tip,
     estimate,
-)
-from galen_calibration_behavior.calibration.result_text import (
-    calibration_fields,
     format_mounting,
     format_result,
     mounting_fields,
 )
 from galen_calibration_behavior.commands import CalibrationCode
-from galen_calibration_behavior.from_bag.recorded_sweeps import RecordedSweeps, SweepSorter
-from galen_calibration_behavior.from_bag.source import (
-    check_not_newer,
-    progress,
-    read_recording,
-    sample_time,
-)
-from galen_calibration_behavior.from_bag.visits import RecordingError, Visit, Visits, find_visits
+from galen_calibration_behavior.from_bag.sweeps import RecordedSweeps, SweepSorter
+from galen_calibration_behavior.from_bag.visits import Visits, find_visits
+
+T = TypeVar("T")
+
+# A stamp before this is not a date: a simulation's clock, or one that was never set.
+_EARLIEST_DATE = datetime(2000, 1, 1, tzinfo=UTC)
+
+
+def read_recording(options: argparse.Namespace, bag: str) -> ArmRecording:
+    """Read a bag with the options' names of topics and joints; raises GalenError."""
+    return read_arm(
+        bag, ArmTopics(options.joint_states, options.wrench_raw, tuple(options.joint_names))
+    )
+
+
+def sample_time(stamp_ns: int, log_ns: int) -> datetime:
+    """When a sample was taken: its stamp or, where that is no date, when it was received."""
+    stamp = datetime.fromtimestamp(stamp_ns / 1e9, UTC)
+    received = datetime.fromtimestamp(log_ns / 1e9, UTC)
+    return stamp if stamp >= _EARLIEST_DATE else max(stamp, received)
+
+
+def check_not_newer(options: argparse.Namespace, path: Path, recorded: datetime) -> None:
+    """Raise GalenError where the file's calibration is newer than the recording's end.
+
+    Nothing is raised where nothing is to be written, or `--replace-newer` allows it.
+    """
+    if options.dry_run or options.replace_newer:
+        return
+    try:
+        held = read_calibration(path).calibrated_at
+    except CalibrationFileError:
+        return
+    ended = recorded.isoformat(timespec="seconds")  # as precise as the file's
+    if datetime.fromisoformat(ended) < datetime.fromisoformat(held):
+        raise GalenError(
+            f"{path}: not replaced: calibrated {held} ({age_text(held)}), after the recording's"
+            f" end, {ended} ({age_text(ended)}); --replace-newer replaces it all the same"
+        )
+
+
+def progress(what: str, unit: str, work: list[T]) -> Iterable[T]:
+    """Wrap work in a bar on standard error, where that is a terminal; it leaves no trace."""
+    return tqdm(work, desc=what, unit=unit, file=sys.stderr, disable=None, leave=False)
 
 
 def estimate_loads(options: argparse.Namespace) -> dict[str, Any]:
     """Calibrate as the options say, print it unless as JSON; raises GalenError."""
     try:
-        sweeps, calibration = run(options)
+        sweeps, calibration = _run(options)
     except EstimateError as error:
         raise GalenError(f"{error.code.name}: {error}") from error
-    fields = result_fields(options, sweeps, calibration)
+    fields = _result_fields(options, sweeps, calibration)
     if not options.json:
-        if options.poses:
-            print(format_poses(fields["poses"]) + "\n")
-        print(f"{format_sweeps(sweeps)}\n{format_mounting(calibration)}")
+        print(f"{_format_sweeps(sweeps)}\n{format_mounting(calibration)}")
         if fields["bias"] is not None:
             print(f"bias of the sensor, as held-out poses choose it: {fields['bias']}\n")
         print(format_result(SimpleNamespace(**fields)))
     return fields
 
 
-def mounting_request(options: argparse.Namespace) -> MountingRequest | None:
+def _mounting_request(options: argparse.Namespace) -> MountingRequest | None:
     """What the options ask of the mounting; raises IdentificationError for what can't be known."""
     if not options.estimate:
         return None
@@ -76,7 +115,7 @@ def mounting_request(options: argparse.Namespace) -> MountingRequest | None:
     return MountingRequest(options.estimate, known)
 
 
-def find_sweeps(options: argparse.Namespace) -> RecordedSweeps:
+def _find_sweeps(options: argparse.Namespace) -> RecordedSweeps:
     """Read the recordings and sort their still poses into sweeps; raises GalenError."""
     settings = options.parameters
 
@@ -84,7 +123,6 @@ def find_sweeps(options: argparse.Namespace) -> RecordedSweeps:
         return find_visits(
             read_recording(options, bag),
             settings,
-            whole_phases=options.whole_phases,
             progress=functools.partial(progress, Path(bag).name, "phase"),
         )
 
@@ -92,48 +130,34 @@ def find_sweeps(options: argparse.Namespace) -> RecordedSweeps:
     if options.bag is None:
         return sorter.two_recordings(visits(options.bare), visits(options.with_tool))
     if options.one_sweep:
-        return sorter.one_sweep(visits(options.bag), _known_adapter(options.adapter_from))
+        return sorter.one_sweep(visits(options.bag))
     return sorter.two_sweeps(visits(options.bag), options.tool_on_at_s)
 
 
-def _known_adapter(path: str | None) -> LoadEstimate | None:
-    if path is None:
-        return None
-    tool = read_calibration(path)
-    if tool.unresolved:
-        raise RecordingError(
-            f"{path}: its adapter is not distinguished from its tool: it came from one sweep"
-        )
-    return tool.adapter
-
-
-def measured_at(last: Visit) -> datetime:
-    """When the last sample was taken."""
-    return sample_time(last.window_ns[1], last.log_ns)
-
-
-def run(options: argparse.Namespace) -> tuple[RecordedSweeps, Calibration]:
+def _run(options: argparse.Namespace) -> tuple[RecordedSweeps, Calibration]:
     """Calibrate as the options say; writes the file, but for `dry_run`. Raises GalenError."""
     path = calibration_path(options.tools_dir, options.tool)
     if not options.dry_run:
         check_writable(path)
     tip, warnings = choose_tip(np.array(options.tip or [math.nan] * 3), path)
-    sweeps = find_sweeps(options)
-    recorded = measured_at(sweeps.last)
+    sweeps = _find_sweeps(options)
+    recorded = sample_time(sweeps.last.window_ns[1], sweeps.last.log_ns)
     check_not_newer(options, path, recorded)
-    make = estimate if options.dry_run else calibrate
-    return sweeps, make(
+    calibration = estimate(
         path,
         options.tool,
         tip,
         replace(sweeps.measurements, bias_mode=options.bias),
         warnings,
         calibrated_at=recorded,
-        mounting=mounting_request(options),
+        mounting=_mounting_request(options),
     )
+    if not options.dry_run:
+        calibration.write()
+    return sweeps, calibration
 
 
-def result_fields(
+def _result_fields(
     options: argparse.Namespace, sweeps: RecordedSweeps, calibration: Calibration
 ) -> dict[str, Any]:
     """The fields of a live calibration's result, and what only a recording has; for JSON."""
@@ -153,11 +177,10 @@ def result_fields(
         "next_border_worse_sigmas": None if border is None else border.next_worse,
         "one_load_worse_ratio": None if border is None else border.ratio,
         "mounting": mounting_fields(calibration),
-        "poses": pose_rows(sweeps, calibration),
     }
 
 
-def format_sweeps(sweeps: RecordedSweeps) -> str:
+def _format_sweeps(sweeps: RecordedSweeps) -> str:
     """How many poses there are, and where the tool came on, in words."""
     counts = [
         f"{len({p.number for p in sweeps.poses if p.sweep == name})} poses {words}"
@@ -173,92 +196,3 @@ def format_sweeps(sweeps: RecordedSweeps) -> str:
             f" one load for all poses {sweeps.border.ratio:.0f} times)"
         )
     return text
-
-
-def pose_rows(sweeps: RecordedSweeps, calibration: Calibration) -> list[dict[str, Any]]:
-    """One row a visit, SI units, ready for JSON.
-
-    `time_s` from the recording's begin; roll and tilt in rad, averaged; `wrench` the averaged
-    reading and `residual` what the fit leaves of it, (6,) N and N.m, None where there is no
-    average; `used`, and `fault`, why not.
-    """
-    found = calibration.found
-    fit = {"bare": iter(found.used_bare.tolist()), "tool": iter(found.used_tool.tolist())}
-    off = {"bare": iter(_off(calibration, "bare")), "tool": iter(_off(calibration, "tool"))}
-    curve = {name: iter(_bias_drift(found, name)) for name in ("bare", "tool")}
-    rows = []
-    for pose in sweeps.poses:
-        outcome = pose.visit.outcome
-        joints, wrench, residual = pose.visit.joints, None, None
-        if isinstance(outcome, PoseRecord):
-            joints, wrench = outcome.joints, outcome.wrench
-            residual = wrench - _predicted(calibration, pose.sweep, joints)
-            if not pose.fault:
-                residual -= next(curve[pose.sweep], 0.0)
-        fault = pose.fault or ("" if next(fit[pose.sweep]) else next(off[pose.sweep]))
-        rows.append(
-            {
-                "sweep": pose.sweep,
-                "pose": pose.number,
-                "time_s": pose.time_s,
-                "roll": float(joints[3]),
-                "tilt": float(joints[4]),
-                "wrench": None if wrench is None else wrench.tolist(),
-                "residual": None if residual is None else residual.tolist(),
-                "used": not fault,
-                "fault": fault,
-            }
-        )
-    return rows
-
-
-def format_poses(rows: list[dict[str, Any]]) -> str:
-    """The rows as a table: forces in N, torques in mN.m (N.mm), angles in degrees."""
-    units = ["N"] * 3 + ["mN.m"] * 3
-    heads = [f"{axis} [{unit}]" for axis, unit in zip(WRENCH_AXES, units, strict=True)]
-    lines = [
-        f"{'pose':8}{'t [s]':>8}{'roll [deg]':>12}{'tilt [deg]':>12}  residual"
-        + "".join(f"{head:>11}" for head in heads)
-    ]
-    for row in rows:
-        angles = "".join(f"{np.degrees(row[name]):12.3f}" for name in ("roll", "tilt"))
-        residual = np.array(row["residual"] or [])
-        residual[3:] *= 1e3
-        values = "".join(f"{value:11.4f}" for value in residual)
-        name = f"{row['sweep']}/{row['pose']}"
-        lines.append(
-            f"{name:8}{row['time_s']:8.1f}{angles}{'':10}{values}  {row['fault']}".rstrip()
-        )
-    return "\n".join(lines)
-
-
-def _bias_drift(found: Identification, sweep: str) -> Array | list[Array]:
-    """How far (n, 6) the bias was from that at the sweep's end, pose by pose; [] if it is constant.
-
-    N and N.m.
-    """
-    bias_drift = found.bias_drift
-    if bias_drift is None or bias_drift.tool is None:
-        return []
-    if sweep == "tool":
-        return bias_drift.tool - found.offset
-    if bias_drift.bare is None or found.offset_change is None:
-        return []
-    return bias_drift.bare - (found.offset - found.offset_change)
-
-
-def _off(calibration: Calibration, sweep: str) -> list[str]:
-    return [
-        f"{o.sigmas:.1f} sigma off the common load"
-        for o in calibration.found.outliers
-        if o.sweep == sweep
-    ]
-
-
-def _predicted(calibration: Calibration, sweep: str, joints: Array) -> Array:
-    """What the fit expects at joints (5,): reading (6,), N and N.m, in the sensor's own axes."""
-    file, found = calibration.content, calibration.found
-    if sweep != "bare" or found.offset_change is None:
-        return file.predict(joints[3], joints[4])
-    bare = replace(file, load=replace(file.load, mass_kg=0.0))
-    return bare.predict(joints[3], joints[4]) - found.offset_change

@@ -20,8 +20,7 @@ from galen_model.arrays import Array
 from galen_model.errors import GalenError
 from galen_model.rest.pose import PoseRecord
 from galen_model.rest.segments import JointRest, rest_by_joints
-from galen_ros.goal.pose_recorder import PoseRecorder, Rejection
-from galen_ros.goal.stamps import NS, StampClock, StampsError
+from galen_ros.goal.arrival import NS, PoseRecorder, PoseRejection, StampClock, StampsError
 
 from galen_calibration_behavior.parameters import CalibrationParameters
 
@@ -29,8 +28,6 @@ from galen_calibration_behavior.parameters import CalibrationParameters
 # reaches back into the motion, and until this long after it, for wrenches received late.
 _LEAD_NS = NS // 2
 _LAG_NS = NS
-# An average over a whole phase is ended by the phase.
-_NO_END_S = 1e6
 
 
 class RecordingError(GalenError):
@@ -59,7 +56,7 @@ class Visit:
     window_ns: tuple[int, int]
     log_ns: int
     joints: Array
-    outcome: PoseRecord | Rejection
+    outcome: PoseRecord | PoseRejection
     first: Level | None
     last: Level | None
 
@@ -85,15 +82,13 @@ class Visits:
 def find_visits(
     recording: ArmRecording,
     settings: CalibrationParameters,
-    *,
-    whole_phases: bool = False,
     progress: Callable[[list[slice]], Iterable[slice]] = iter,
 ) -> Visits:
     """Average and judge every still phase.
 
-    An average begins when the arm has settled and is as long as a live one or, with `whole_phases`,
-    as the phase. `progress` wraps the phases while they are worked through. Raises RecordingError
-    for a recording in which nothing is still, or that does not hold what it must.
+    An average begins when the arm has settled and is as long as a live one. `progress` wraps the
+    phases while they are worked through. Raises RecordingError for a recording in which nothing is
+    still, or that does not hold what it must.
     """
     _check_frames(recording)
     warnings = [*recording.problems, *_stamp_warnings(recording, settings)]
@@ -106,7 +101,7 @@ def find_visits(
         max_stamp_step_s=settings.arrival.max_stamp_step_s,
     )
     phases = rest_by_joints(recording.joint_stamp_ns, recording.joints, still)
-    player = _Player(recording, settings, whole_phases)
+    player = _Player(recording, settings)
     visits, before = [], 0
     for number, rows in enumerate(progress(phases)):
         after = phases[number + 1].start if number + 1 < len(phases) else None
@@ -127,12 +122,9 @@ def find_visits(
 class _Player:
     """Plays a recording's phases to recorders."""
 
-    def __init__(
-        self, recording: ArmRecording, settings: CalibrationParameters, whole_phases: bool
-    ) -> None:
+    def __init__(self, recording: ArmRecording, settings: CalibrationParameters) -> None:
         self._recording = recording
         self._settings = settings
-        self._whole_phases = whole_phases
         joints = len(recording.joint_stamp_ns)
         log_ns = np.concatenate([recording.joint_log_ns, recording.wrench_log_ns])
         self._order = np.argsort(
@@ -155,7 +147,7 @@ class _Player:
         recorder = PoseRecorder(
             self._settings.arrival,
             self._settings.stillness,
-            _NO_END_S if self._whole_phases else self._settings.average_s,
+            self._settings.average_s,
             joints,
             math.inf,
         )
@@ -165,13 +157,11 @@ class _Player:
             self._play(recorder, first, last)
         except StampsError as error:
             raise RecordingError(f"{recording.path}: {error}") from error
-        if self._whole_phases:
-            recorder.close(end_ns)
         window_ns, outcome = recorder.window_ns, recorder.result
         if window_ns is None or (window_ns[1] > end_ns and not isinstance(outcome, PoseRecord)):
             return None
         if outcome is None:
-            outcome = Rejection("wrench_raw ends before the average does")
+            outcome = PoseRejection("wrench_raw ends before the average does")
         return Visit(
             start_ns, end_ns, window_ns, int(recording.joint_log_ns[rows.stop - 1]), joints,
             outcome, *self._levels(rows, window_ns[0], end_ns),

@@ -1,29 +1,95 @@
 """Which of a recording's still phases belong to which sweep, and what the estimate takes of them.
 
-What is recorded at home before, between and after the sweeps is left out (`home_stays`); where the
+What is recorded at home before, between and after the sweeps is left out; where the
 tool came on is found (`tool_border`) or given; then each sweep's poses are compared with each other
 as a live sweep's are.
+
+A live calibration goes home before, between and after its sweeps, and measures nothing there unless
+its grid has home among its poses. So phases at home are left out where a sweep begins or ends with
+them, and stay in inside of it.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import groupby
 
 import numpy as np
+from galen_model.arm.galen import GALEN
 from galen_model.arrays import Array
-from galen_model.files.calibration_file import LoadEstimate
 from galen_model.load.identification import MIN_POSES, StillPoses
 from galen_model.rest.pose import PoseRecord, wrench_fault
-from galen_ros.goal.pose_recorder import Rejection
-from galen_ros.goal.stamps import NS
+from galen_ros.goal.arrival import NS, PoseRejection
+from numpy.typing import ArrayLike
 
 from galen_calibration_behavior.calibration.sweep import stack
 from galen_calibration_behavior.commands import Measurements
-from galen_calibration_behavior.from_bag.home_stays import HomeStays
 from galen_calibration_behavior.from_bag.tool_border import Border, BorderError, find_border
 from galen_calibration_behavior.from_bag.visits import RecordingError, Visit, Visits
 from galen_calibration_behavior.parameters import CalibrationParameters
+
+
+class HomeStays:
+    """Tells the visits at home from the others."""
+
+    def __init__(self, settings: CalibrationParameters, zero_angles: ArrayLike) -> None:
+        """`zero_angles` (k,), rad, at home, where the sensor was zeroed."""
+        self._settings = settings
+        self._zero_angles = np.asarray(zero_angles, dtype=float)
+
+    def at_home(self, visit: Visit) -> bool:
+        """Whether it stands there, by its angles."""
+        away = np.abs(GALEN.angles(visit.joints) - self._zero_angles)
+        return bool(np.all(away <= GALEN.angles(self._settings.arrival.position_tolerance)))
+
+    def without_ends(self, visits: Sequence[Visit]) -> list[Visit]:
+        """Without the phases at home with which it begins and ends."""
+        away = [k for k, visit in enumerate(visits) if not self.at_home(visit)]
+        return list(visits[away[0] : away[-1] + 1]) if away else []
+
+    def after_zeroing(self, recording: Visits) -> tuple[list[Visit], list[str]]:
+        """What comes after the sensor was zeroed, and a warning where poses are lost by that.
+
+        It was zeroed in a stay at home in which the reading goes to zero (or a tool was removed;
+        in both cases what was read before has another zero or load), and, where the zero did not
+        change by enough to be seen, in the first stay at home, if the recording begins with it or
+        with too few poses for a sweep.
+        """
+        visits = recording.visits
+        stays = [
+            list(group)
+            for at_home, group in groupby(range(len(visits)), lambda k: self.at_home(visits[k]))
+            if at_home
+        ]
+        first = 0
+        for stay in stays:
+            begins = stay == stays[0] and stay[0] < MIN_POSES
+            enough_left = len(visits) - 1 - stay[-1] >= 2 * MIN_POSES
+            if enough_left and (begins or self._zeroed([visits[k] for k in stay])):
+                first = stay[-1] + 1
+        lost = sum(not self.at_home(visit) for visit in visits[:first])
+        if not lost:
+            return visits[first:], []
+        at_s = recording.time_s(visits[first - 1].end_ns)
+        return visits[first:], [
+            f"{lost} still phases before {at_s:.1f} s are left out: the arm was at home then, and"
+            " the sensor was zeroed there, or a tool removed"
+        ]
+
+    def _zeroed(self, stay: list[Visit]) -> bool:
+        before = next((v.first for v in stay if v.first is not None), None)
+        after = next((v.last for v in reversed(stay) if v.last is not None), None)
+        if before is None or after is None:
+            return False
+        noise = np.hypot(after.std, before.std)
+        change = (after.wrench - before.wrench) / noise
+        # A light tool that comes on changes a reading within the tolerance too, but away from zero.
+        nearer = np.linalg.norm(after.wrench / noise) < np.linalg.norm(before.wrench / noise)
+        changed = np.any(np.abs(change) > self._settings.stillness.trend_sigmas)
+        at_zero = np.all(np.abs(after.wrench) <= self._settings.zero_tolerance)
+        return bool(changed and nearer and at_zero)
+
 
 _AT_HAND = "say --tool-on-at-s SECONDS, from the recording's first joint state"
 
@@ -62,11 +128,11 @@ class RecordedSweeps:
 class SweepSorter:
     """Sorts the visits of recordings into sweeps."""
 
-    def __init__(self, settings: CalibrationParameters, zero_pose: tuple[float, float]) -> None:
-        """`zero_pose`: roll and tilt (rad) where the sensor was zeroed, at home."""
+    def __init__(self, settings: CalibrationParameters, zero_angles: ArrayLike) -> None:
+        """`zero_angles` (k,), rad, where the sensor was zeroed, at home."""
         self._settings = settings
-        self._zero_pose = zero_pose
-        self._home = HomeStays(settings, zero_pose)
+        self._zero_angles = np.asarray(zero_angles, dtype=float)
+        self._home = HomeStays(settings, zero_angles)
 
     def two_sweeps(self, recording: Visits, tool_on_at_s: float | None = None) -> RecordedSweeps:
         """Both sweeps out of one recording; where the tool came on is found, or given.
@@ -108,13 +174,11 @@ class SweepSorter:
             warnings += [*recording.warnings, *lost]
         return self._put_together(parts[0], parts[1], warnings)
 
-    def one_sweep(
-        self, recording: Visits, known_adapter: LoadEstimate | None = None
-    ) -> RecordedSweeps:
+    def one_sweep(self, recording: Visits) -> RecordedSweeps:
         """A recording of the tool's sweep alone; raises RecordingError."""
         visits, lost = self._home.after_zeroing(recording)
         poses = self._one_load_sweep("tool", recording, visits)
-        return self._put_together([], poses, [*recording.warnings, *lost], known_adapter)
+        return self._put_together([], poses, [*recording.warnings, *lost])
 
     def still_poses(self, recording: Visits) -> tuple[list[RecordedPose], list[str]]:
         """The poses of a sweep of one tool, and warnings; raises RecordingError.
@@ -186,7 +250,7 @@ class SweepSorter:
         faults = {
             k: visit.outcome.reason
             for k, visit in enumerate(visits)
-            if isinstance(visit.outcome, Rejection)
+            if isinstance(visit.outcome, PoseRejection)
         }
         while True:
             records = {k: _record(v) for k, v in enumerate(visits) if k not in faults}
@@ -207,11 +271,11 @@ class SweepSorter:
     def _judge(self, name: str, recording: Visits, visits: list[Visit]) -> list[RecordedPose]:
         """The sweep's poses; a pose visited again has its old number. Raises RecordingError."""
         faults = self._faults(visits)
-        tolerance = 2.0 * self._settings.arrival.position_tolerance[3:]
+        tolerance = 2.0 * GALEN.angles(self._settings.arrival.position_tolerance)
         seen: list[Array] = []
         poses = []
         for k, visit in enumerate(visits):
-            angles = visit.joints[3:]
+            angles = GALEN.angles(visit.joints)
             near = [n for n, old in enumerate(seen) if np.all(np.abs(angles - old) <= tolerance)]
             if not near:
                 seen.append(angles)
@@ -231,19 +295,16 @@ class SweepSorter:
         bare: list[RecordedPose],
         tool: list[RecordedPose],
         warnings: list[str],
-        known_adapter: LoadEstimate | None = None,
     ) -> RecordedSweeps:
         good_bare, good_tool = ([p for p in poses if not p.fault] for poses in (bare, tool))
         measurements = Measurements(
             bare=_still_poses(good_bare) if bare else None,
             tool=_still_poses(good_tool),
-            zero_roll=self._zero_pose[0],
-            zero_tilt=self._zero_pose[1],
+            zero_angles=self._zero_angles,
             bare_indices=[pose.number for pose in good_bare],
             tool_indices=[pose.number for pose in good_tool],
             rejected=[*_left_out(bare), *_left_out(tool)],
             warnings=warnings,
-            known_adapter=known_adapter,
         )
         return RecordedSweeps(measurements, [*bare, *tool])
 
@@ -266,9 +327,9 @@ def _left_out(poses: list[RecordedPose]) -> list[str]:
 
 
 def _still_poses(poses: list[RecordedPose]) -> StillPoses:
-    roll, tilt, wrench, std_of_mean = stack([_record(pose.visit) for pose in poses])
+    stacked = stack([_record(pose.visit) for pose in poses])
     time_s = np.array([pose.time_s for pose in poses])
-    return StillPoses(roll, tilt, wrench, std_of_mean, time_s)
+    return StillPoses(*stacked, time_s)
 
 
 def _span(recording: Visits, visits: list[Visit]) -> str:

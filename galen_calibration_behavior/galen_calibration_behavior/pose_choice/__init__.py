@@ -1,1 +1,0 @@
-"""Poses chosen for information."""
