@@ -14,8 +14,8 @@ from galen_model.errors import GalenError
 from galen_ros.command import check_folder
 
 from galen_panel.access import MAX_HEADER_BYTES, Access, LimitedProtocol, Turns
-from galen_panel.ending import end_by_signals, end_server, ignore_signals
 from galen_panel.options import Options
+from galen_panel.panel import end_by_signals, end_server, ignore_signals
 from galen_panel.recordings.recordings import Recordings
 
 if TYPE_CHECKING:

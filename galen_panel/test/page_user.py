@@ -8,8 +8,8 @@ import time
 from contextlib import contextmanager
 from pathlib import Path
 
-from galen_panel.page import behaviours, tools, under_way
-from galen_panel.page.layout import build_compensation, build_lamp
+from galen_panel.page import behaviours, tools
+from galen_panel.page.layout import build_compensation, build_lamp, build_running
 from galen_panel.page.page import Page
 from galen_panel.recordings.recordings import Recordings
 from nicegui import app
@@ -21,7 +21,7 @@ PATIENCE_S = 10.0
 
 
 def _operate(page):
-    builders = (build_compensation, build_lamp, under_way.build, tools.build, behaviours.build)
+    builders = (build_compensation, build_lamp, build_running, tools.build, behaviours.build)
     for build in builders:
         build(page)
 

@@ -4,18 +4,14 @@ import asyncio
 import csv
 import io
 import json
-from dataclasses import replace
 
 import numpy as np
 import pytest
-from fake_suite import ACTIVE, FakeSuite
+from fake_suite import FakeSuite
 from galen_model.arm.galen import GALEN
 from galen_model.rotation import quaternion_to_matrix
-from galen_panel.history import NS_PER_S
-from galen_panel.messages.hints import StreamSilence, missing_stream
 from galen_panel.page import live
-from galen_panel.page.arm_drawing import FORCE_M_PER_N, parts, place
-from galen_panel.snapshot import SuiteState
+from galen_panel.page.arm import FORCE_M_PER_N, parts, place
 from page_user import on_page
 
 START_S = 1_000_000.0
@@ -147,27 +143,6 @@ def test_numbers_are_the_signed_mean_of_the_last_two_seconds():
     on_live(story)
 
 
-def test_it_says_what_does_not_come():
-    async def story(user, shown):
-        await user.until(lambda: "No wrench_raw" in user.text("silence"))
-        shown.suite.put(active_tool=replace(ACTIVE, enabled=False))
-        history = shown.suite.history
-
-        async def raw_only():
-            at_ns = int(START_S * NS_PER_S)
-            while True:
-                at_ns += NS_PER_S // 10
-                history.raw.append(np.array([at_ns]), np.ones((1, 6)))
-                await asyncio.sleep(0.05)
-
-        task = asyncio.ensure_future(raw_only())
-        await user.until(lambda: "compensation is off" in user.text("silence"))
-        task.cancel()
-        assert user.text("mean-fx") == "–"
-
-    on_live(story, seconds=0.0)
-
-
 def test_another_window_is_sent_whole():
     async def story(user, shown):
         await user.until(lambda: shown.patches)
@@ -284,33 +259,3 @@ def test_what_is_not_known_is_not_drawn():
     assert placed["force"] is None and placed["com"] is None
     assert {value for name, value in placed.items() if name.startswith("bent/")} == {None}
     assert placed["straight/6"] is None, "no tool"
-
-
-@pytest.mark.parametrize(
-    ("silent", "active_tool", "words"),
-    [
-        ({"raw", "compensated", "deflection", "joints"}, ACTIVE, "driver"),
-        ({"compensated", "deflection"}, replace(ACTIVE, enabled=False), "compensation is off"),
-        ({"compensated"}, replace(ACTIVE, tool="", enabled=False), "no tool is active"),
-        ({"compensated"}, None, "gravcomp_node is not running"),
-        ({"compensated", "joints"}, ACTIVE, "no joint_states come"),
-        ({"compensated"}, ACTIVE, "Nodes says why"),
-        ({"deflection"}, ACTIVE, "ros2 run galen_deflection deflection_node"),
-        ({"joints"}, ACTIVE, "No joint_states"),
-        ((), ACTIVE, ""),
-    ],
-)
-def test_a_missing_stream_is_named_with_what_to_do(silent, active_tool, words):
-    told = missing_stream(frozenset(silent), SuiteState(active_tool=active_tool))
-    assert words in told and bool(told) == bool(words)
-
-
-def test_a_stream_is_silent_when_its_stamp_stands_still_whatever_the_clock_says():
-    heard = StreamSilence()
-    for step in range(30):
-        newest = {"raw": 5_000_000_000 - step, "compensated": 7, "deflection": None}
-        heard.look(newest, step * 0.2)
-    assert heard.silent(5.9) == {"compensated", "deflection"}
-    heard.forget(5.9)
-    assert heard.silent(6.0) == frozenset()
-    assert heard.silent(7.0) == {"raw", "compensated", "deflection"}

@@ -6,9 +6,8 @@ from dataclasses import replace
 import pytest
 from fake_suite import ACTIVE, ALL, POINTER, RETRACTOR
 from galen_panel.messages import hints, texts
-from galen_panel.messages import results as result_words
-from galen_panel.messages.results import Fate, Todo
-from galen_panel.page.under_way import Pace, count
+from galen_panel.page.layout import count
+from galen_panel.page.outcome import Fate, fate, left_out, sentence_of, title_and_level
 from galen_panel.snapshot import (
     Behaviour,
     BehaviourKind,
@@ -136,26 +135,11 @@ def test_before_a_calibration_its_duration_is_told_where_its_node_tells_it():
         assert "does not tell how long" in told(odd)
 
 
-def test_the_time_left_follows_the_poses_and_not_a_persons_pause():
-    pace = Pace()
-    assert math.isnan(pace.left_s(0, 20, 0.0))
-    for done in range(1, 6):
-        left = pace.left_s(done, 20, 2.0 * done)
-    assert left == pytest.approx(30.0)
-    assert pace.left_s(5, 20, 11.0) == pytest.approx(29.0)
-    assert pace.left_s(6, 20, 310.0) == pytest.approx(28.0)
-    assert pace.left_s(20, 20, 340.0) == 0.0
-    assert math.isnan(pace.left_s(0, 20, 341.0)), "another goal"
-
-
 def test_a_count_says_what_is_counted():
     behaviour = Behaviour(1, BehaviourKind.COLLECT, "pointer", done=3, total=48)
-    assert count(behaviour, NAN) == "3 of 48 pushes"
-    assert (
-        count(replace(behaviour, kind=BehaviourKind.CHECK), 100.0)
-        == "3 of 48 poses, about 2 min left"
-    )
-    assert count(replace(behaviour, total=0), NAN) == ""
+    assert count(behaviour) == "3 of 48 pushes"
+    assert count(replace(behaviour, kind=BehaviourKind.CHECK)) == "3 of 48 poses"
+    assert count(replace(behaviour, total=0)) == ""
 
 
 VALUES = {"mass_kg": 0.2, "mass_std_kg": 3e-5, "com_m": [0.07, -0.01, 0.055]}
@@ -164,21 +148,16 @@ WRITTEN = BehaviourOutcome("", "done", "retractor", values=VALUES)
 
 def test_a_calibrations_file_is_known_by_what_is_in_it():
     state = SuiteState(tools=(POINTER, RETRACTOR), active_tool=ACTIVE)
-    assert result_words.fate(WRITTEN, state) is Fate.HERE
+    assert fate(WRITTEN, state) is Fate.HERE
     other = replace(RETRACTOR, mass_kg=0.2 + 1e-6)
-    assert result_words.fate(WRITTEN, replace(state, tools=(other,))) is Fate.REPLACED
-    assert result_words.fate(WRITTEN, replace(state, tools=None)) is Fate.REPLACED
+    assert fate(WRITTEN, replace(state, tools=(other,))) is Fate.REPLACED
+    assert fate(WRITTEN, replace(state, tools=None)) is Fate.REPLACED
     broken = replace(RETRACTOR, problem="cut off")
-    assert result_words.fate(WRITTEN, replace(state, tools=(broken,))) is Fate.REPLACED
+    assert fate(WRITTEN, replace(state, tools=(broken,))) is Fate.REPLACED
     old = replace(ACTIVE, tool="retractor", mass_kg=0.1999, com_m=RETRACTOR.com_m)
-    assert result_words.fate(WRITTEN, replace(state, active_tool=old)) is Fate.HERE
+    assert fate(WRITTEN, replace(state, active_tool=old)) is Fate.HERE
     new = replace(old, mass_kg=0.2)
-    assert result_words.fate(WRITTEN, replace(state, active_tool=new)) is Fate.ACTIVE
-
-
-@pytest.mark.parametrize("values", [{}, {"answer": 99, "cause": 0}, {"answer": None, "cause": 0}])
-def test_an_answer_that_nobody_knows_is_not_good(values):
-    assert result_words.verdict(BehaviourOutcome("", "?", values=values)).todo is Todo.CHECK
+    assert fate(WRITTEN, replace(state, active_tool=new)) is Fate.ACTIVE
 
 
 def test_a_checks_sentence_has_no_command_for_a_terminal():
@@ -186,7 +165,7 @@ def test_a_checks_sentence_has_no_command_for_a_terminal():
         "", "a constant offset; a tare takes it off: ros2 service call /gravcomp/tare"
         " std_srvs/srv/Trigger",
     )  # fmt: skip
-    assert result_words.sentence_of(outcome) == "A constant offset; a tare takes it off."
+    assert sentence_of(outcome) == "A constant offset; a tare takes it off."
 
 
 @pytest.mark.parametrize(
@@ -199,16 +178,6 @@ def test_a_checks_sentence_has_no_command_for_a_terminal():
     ],
 )
 def test_every_end_has_a_title(error, title, level):
-    assert result_words.ended(BehaviourKind.CALIBRATE, BehaviourOutcome(error, "x")) == (
-        title,
-        level,
-    )
-
-
-def test_a_collection_says_how_much_there_is():
-    values = {"pushes": 46, "pushes_asked": 48, "calibration_holds": False, "left_out": ["set 1"]}
-    outcome = BehaviourOutcome("", "collected", values=values)
-    text = result_words.collection_sentence(outcome)
-    assert text.startswith("46 of 48 pushes")
-    assert "moved" in text
-    assert result_words.left_out(outcome) == ["set 1"]
+    outcome = BehaviourOutcome(error, "x", values={"left_out": ["set 1"]})
+    assert title_and_level(BehaviourKind.CALIBRATE, outcome) == (title, level)
+    assert left_out(outcome) == ["set 1"]

@@ -4,8 +4,13 @@ import shutil
 from pathlib import Path
 
 import pytest
-from galen_panel.recordings.index import find_recordings, line_of, look_at, tool_choices
-from galen_panel.recordings.recordings import Recordings
+from galen_panel.recordings.recordings import (
+    Recordings,
+    find_recordings,
+    line_of,
+    look_at,
+    tool_choices,
+)
 
 BAGS = Path(__file__).resolve().parents[2] / "bags"
 METADATA = """rosbag2_bagfile_information:

@@ -3,7 +3,7 @@
 import math
 
 import pytest
-from galen_panel.messages.results import sentence_of
+from galen_panel.page.outcome import sentence_of
 from galen_panel.ros.goal_kinds import KINDS, rejected_pose
 from galen_panel.ros.thread import CallError
 from galen_panel.snapshot import Asked, BehaviourKind, Goal
@@ -74,11 +74,13 @@ def test_what_a_newer_node_says_is_shown_all_the_same():
 
 
 def test_only_a_pose_that_was_not_still_is_rejected():
-    feedback = CalibrateTool.Feedback(state=3, roll=0.1, accepted=False, message="bare/1: moved")
+    feedback = CalibrateTool.Feedback(
+        state=3, angles=[0.1, 0.0], accepted=False, message="bare/1: moved"
+    )
     assert rejected_pose(feedback) == "bare/1: moved"
     feedback.accepted = True
     assert rejected_pose(feedback) == ""
-    assert rejected_pose(CalibrateTool.Feedback(state=3, roll=math.nan, message="hm")) == ""
+    assert rejected_pose(CalibrateTool.Feedback(state=3, message="hm")) == ""
     assert rejected_pose(CollectPushes.Feedback(message="push")) == ""
 
 

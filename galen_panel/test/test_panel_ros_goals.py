@@ -67,13 +67,13 @@ class Server(Node):
         return response
 
     def say(self, state, **fields):
-        nothing = {"roll": math.nan, "tilt": math.nan, "wrench": [math.nan] * 6, "total": 4}
+        nothing = {"wrench": [math.nan] * 6, "total": 4}
         fields = nothing | {"message": state.name.lower()} | fields
         self.goal.publish_feedback(CalibrateTool.Feedback(state=int(state), **fields))
 
     def pose(self, done, roll, *, accepted=True, message="recorded"):
         self.say(
-            Phase.SWEEP_TOOL, pose=done, done=done, roll=roll, tilt=0.1, accepted=accepted,
+            Phase.SWEEP_TOOL, pose=done, done=done, angles=[roll, 0.1], accepted=accepted,
             wrench=[1.0] * 6 if accepted else [math.nan] * 6, message=message,
         )  # fmt: skip
 
@@ -153,13 +153,13 @@ def test_a_goal_is_followed_from_pose_to_pose_to_its_result(goals):
     goals.do(
         lambda: goals.server.end(
             mass_kg=0.0601, mass_std_kg=3e-5, poses_used=4, file="pointer.json",
-            warnings=["odd"], notes=["as precise as wanted"],
+            warnings=["odd"],
         )
     )  # fmt: skip
     outcome = goals.seen("the end", lambda b: b.outcome)
     assert not outcome.error and "pointer is calibrated: 60.10 ± 0.03 g; 4 poses" in outcome.text
     assert (outcome.file, outcome.tool) == ("pointer.json", "pointer")
-    assert (outcome.warnings, outcome.notes) == (("odd",), ("as precise as wanted",))
+    assert outcome.warnings == ("odd",)
     assert outcome.values["mass_kg"] == 0.0601 and outcome.values["poses_used"] == 4
 
 

@@ -12,7 +12,7 @@ import pytest
 from galen_gravcomp.node import GravcompNode
 from galen_model.errors import GalenError
 from galen_model.files.calibration_file import calibration_path, read_calibration, write_calibration
-from galen_panel.ros import tools as ros_tools
+from galen_panel.ros import board as ros_board
 from galen_panel.ros.suite import RosSuite
 from galen_panel.snapshot import (
     BehaviourKind,
@@ -250,7 +250,7 @@ class Mute(Node):
 
 
 def test_a_silent_node_holds_up_no_button(world, monkeypatch):
-    monkeypatch.setattr(ros_tools, "FILE_LIMIT_S", 0.3)
+    monkeypatch.setattr(ros_board, "FILE_LIMIT_S", 0.3)
     mute = world.add(Mute)
     world.wait_for_service("gravcomp/set_tool")
     answer, took_s = world.timed(world.suite.activate("retractor"))

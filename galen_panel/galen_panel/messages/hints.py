@@ -1,9 +1,8 @@
-"""Programs, what is missing (nodes, tools, streams), and what to do about it. No ROS, no page."""
+"""Programs, what is missing, and what to do about it. No ROS, no page."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 from galen_panel.messages import texts
@@ -123,25 +122,6 @@ def cannot_start(state: SuiteState, kind: BehaviourKind) -> str:
     return missing(state, kind.value)
 
 
-def cannot_check(state: SuiteState, tool: str) -> str:
-    """Say why a quick check has no file to check against; empty where it has one.
-
-    tool: its name; empty: the active one.
-    """
-    if tool:
-        found = next((one for one in state.tools or () if one.name == tool), None)
-        problem = "" if found is None else found.problem
-        return f"Not checked: {problem}. Calibrate {tool} again." if problem else ""
-    if state.active_tool is not None and state.active_tool.tool:
-        return ""
-    if state.tools is not None and not state.tools:
-        return "Not checked: no tool is calibrated yet. Calibrate the one that is on: New tool."
-    return (
-        "Not checked: no tool is active. Press the one that is on in the list of tools to load its"
-        " file, or choose it in the quick check."
-    )
-
-
 def before_calibration(state: SuiteState, *, one_sweep: bool, by_hand: bool) -> list[str]:
     """List what a person must know before the arm moves: how long, and a clear area."""
     duration_s = (1 if one_sweep else 2) * _sweep_s(state)
@@ -167,67 +147,3 @@ def _sweep_s(state: SuiteState) -> float:
         return float("nan" if report is None else report.values.get("sweep_s", "nan"))
     except ValueError:
         return math.nan
-
-
-STREAM_SILENT_S = 1.0
-
-
-class StreamSilence:
-    """When each stream was heard last; stamps may be of any clock and are only compared.
-
-    A stream is silent where its newest stamp hasn't changed for `STREAM_SILENT_S` of `now_s`.
-    """
-
-    def __init__(self) -> None:
-        self._newest: dict[str, int | None] = {}
-        self._changed_s: dict[str, float] = {}
-
-    def look(self, newest_ns: Mapping[str, int | None], now_s: float) -> None:
-        """Take each stream's newest stamp, None for nothing yet; now_s: time.monotonic()."""
-        for name, newest in newest_ns.items():
-            if name not in self._newest or newest != self._newest[name]:
-                self._newest[name] = newest
-                self._changed_s[name] = now_s
-
-    def forget(self, now_s: float) -> None:
-        """Count silence from here: the streams were not listened to."""
-        self._changed_s = dict.fromkeys(self._changed_s, now_s)
-
-    def silent(self, now_s: float) -> frozenset[str]:
-        """Return the streams that don't come."""
-        return frozenset(
-            name
-            for name, changed_s in self._changed_s.items()
-            if now_s - changed_s > STREAM_SILENT_S
-        )
-
-
-def missing_stream(silent: frozenset[str], state: SuiteState) -> str:
-    """Say which topic doesn't come, why, and what to do; empty where all come."""
-    if "raw" in silent:
-        return (
-            "No wrench_raw: the arm's driver is not running or not heard. "
-            f"The simulated arm: {DRIVER.start}"
-        )
-    if "compensated" in silent:
-        return f"No wrench_compensated: {_why_not_compensated(silent, state)}"
-    if "deflection" in silent:
-        return (
-            "No deflection: its node is not running or has rejected its model (see Nodes). "
-            f"Start it: {DEFLECTION.start}"
-        )
-    if "joints" in silent:
-        return "No joint_states: the arm's driver doesn't say where its joints are."
-    return ""
-
-
-def _why_not_compensated(silent: frozenset[str], state: SuiteState) -> str:
-    if state.active_tool is None:
-        return f"gravcomp_node is not running. Start it: {GRAVCOMP.start}"
-    if not state.active_tool.tool:
-        return "no tool is active. Choose one under Operate."
-    if not state.active_tool.enabled:
-        return "compensation is off. The switch above turns it on."
-    if "joints" in silent:
-        return "no joint_states come, and without them nothing can be compensated."
-    return "gravcomp_node holds it back; Nodes says why."

@@ -121,16 +121,11 @@ def _calibrate(page: Page) -> _Form:
     return _Form(update, goal)
 
 
-def _check(page: Page) -> _Form:
+def _check(_page: Page) -> _Form:
     tool = _tool_select("check")
 
     def goal() -> Goal | None:
-        name = str(tool.value or _ACTIVE)
-        why_not = hints.cannot_check(page.suite.state, name)
-        if why_not:
-            page.complain(why_not)
-            return None
-        return Goal(BehaviourKind.CHECK, name)
+        return Goal(BehaviourKind.CHECK, str(tool.value or _ACTIVE))
 
     return _Form(lambda state: _set_tools(tool, state, _ACTIVE_TEXT), goal)
 

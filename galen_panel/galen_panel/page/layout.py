@@ -1,4 +1,7 @@
-"""The page as a whole: header (active tool, compensation, tare, the worst of all nodes), tabs."""
+"""The page as a whole: tabs below a header.
+
+The header has the active tool, compensation, tare, the worst of all nodes, and what runs.
+"""
 
 from __future__ import annotations
 
@@ -9,9 +12,9 @@ from nicegui import ui
 
 from galen_panel.messages import hints, texts
 from galen_panel.messages.states import compensates, overall
-from galen_panel.page import behaviours, live, nodes, recordings, tools, under_way
+from galen_panel.page import behaviours, live, nodes, recordings, tools
 from galen_panel.page.page import LOOKS, Page, pick_class, set_prop
-from galen_panel.snapshot import LoadedTool, SuiteState
+from galen_panel.snapshot import Asked, Behaviour, BehaviourKind, LoadedTool, SuiteState
 
 STYLE = Path(__file__).with_name("panel.css")
 _TABS = (
@@ -58,6 +61,7 @@ def build(page: Page) -> None:
     """Draw the page."""
     ui.add_css(STYLE)
     ui.add_body_html(_LOST)
+    ui.dark_mode(None)  # as the browser's own setting
     with ui.header().classes("panel-header"):
         with ui.row().classes("panel-bar"):
             build_compensation(page)
@@ -67,8 +71,7 @@ def build(page: Page) -> None:
                 for name, icon in _TABS:
                     ui.tab(name, icon=icon).props(f"data-testid=tab-{name.lower()}")
             build_lamp(page)
-            _dark()
-        under_way.build(page)
+        build_running(page)
     with ui.tab_panels(tabs, value="Operate").classes("panel-panels"):
         with ui.tab_panel("Operate"), ui.element("main").classes("panel-columns"):
             tools.build(page)
@@ -189,15 +192,90 @@ def build_lamp(page: Page) -> None:
     ui.timer(_PERIOD_S, look)
 
 
-def _dark() -> None:
-    """Draw the button for dark or light; at first it is as the browser's own setting."""
-    dark = ui.dark_mode(None)
+def build_running(page: Page) -> None:
+    """Draw a strip for each behaviour that runs: how far it is, what it asks, and cancel."""
+    strips: dict[int, _Strip] = {}
+    with ui.column().classes("panel-strips") as place:
+        place.set_visibility(False)
 
-    async def switch() -> None:
-        now = dark.value
-        if now is None:
-            now = await ui.run_javascript("Quasar.Dark.isActive", timeout=5.0)
-        dark.set_value(not now)
+    def update(state: SuiteState) -> None:
+        running = {b.number: b for b in state.behaviours.values() if b.running}
+        for number in set(strips) - set(running):
+            strips.pop(number).element.delete()
+        for number, behaviour in sorted(running.items()):
+            if number not in strips:
+                with place:
+                    strips[number] = _Strip(page, behaviour)
+            strips[number].update(behaviour, state)
+        place.set_visibility(bool(strips))
 
-    button = ui.button(icon="contrast", on_click=switch, color=None)
-    button.props('flat round aria-label="Dark or light" data-testid=dark')
+    page.on_change(update)
+
+
+class _Strip:
+    """One goal under way."""
+
+    def __init__(self, page: Page, behaviour: Behaviour) -> None:
+        self._page = page
+        self._kind = behaviour.kind
+        with ui.column().classes("panel-strip") as self.element:
+            self.element.props(f"data-testid=running data-kind={behaviour.kind.value}")
+            with ui.row().classes("panel-strip-line"):
+                with ui.column().classes("gap-0 panel-strip-text").props("role=status"):
+                    self._title = ui.label().classes("panel-strip-title")
+                    self._message = ui.label().props("data-testid=message")
+                ui.space()
+                self._count = ui.label().classes("panel-number").props("data-testid=count")
+                self._cancel = ui.button("Cancel", icon="stop", on_click=self._on_cancel)
+                self._cancel.props("unelevated color=negative data-testid=cancel")
+            self._bar = ui.linear_progress(0.0, show_value=False, size="0.75rem")
+            self._bar.props('data-testid=progress aria-label="Progress"')
+            self._question = ui.row().classes("panel-question").props("role=alert")
+            with self._question:
+                ui.icon("pan_tool").props("aria-hidden=true")
+                self._asked = ui.label().props("data-testid=asked")
+                self._confirm = ui.button(icon="check", on_click=self._on_confirm)
+                self._confirm.props("unelevated size=lg data-testid=confirm")
+
+    def update(self, behaviour: Behaviour, state: SuiteState) -> None:
+        """Show how far it is."""
+        self._title.set_text(title(behaviour))
+        self._message.set_text(texts.sentence(behaviour.message))
+        self._count.set_text(count(behaviour))
+        self._bar.set_value(behaviour.done / behaviour.total if behaviour.total else 0.0)
+        set_prop(self._bar, "aria-valuetext", self._count.text)
+        self._cancel.set_text("Canceling" if behaviour.canceling else "Cancel")
+        self._page.allow(self._cancel, "It is being canceled." if behaviour.canceling else "")
+        self._question.set_visibility(behaviour.asked is not None and not behaviour.canceling)
+        if behaviour.asked is not None:
+            sentence, answer = question(behaviour.asked, behaviour.tool)
+            self._asked.set_text(sentence)
+            self._confirm.set_text(answer)
+        self._page.allow(self._confirm, hints.missing(state, "calibration/confirm"))
+
+    async def _on_cancel(self) -> None:
+        await self._page.ask(self._page.suite.cancel(self._kind), self._cancel)
+
+    async def _on_confirm(self) -> None:
+        await self._page.ask(self._page.suite.confirm(), self._confirm)
+
+
+def title(behaviour: Behaviour) -> str:
+    """Title a behaviour, such as "Calibration of pointer: sweep with tool"."""
+    text = hints.title(behaviour)
+    if not behaviour.ours:
+        text += " (started elsewhere)"
+    return f"{text}: {behaviour.phase}" if behaviour.phase else text
+
+
+def count(behaviour: Behaviour) -> str:
+    """Write "12 of 112 poses"; empty before the number is known."""
+    units = "pushes" if behaviour.kind is BehaviourKind.COLLECT else "poses"
+    return f"{behaviour.done} of {behaviour.total} {units}" if behaviour.total else ""
+
+
+def question(asked: Asked, tool: str) -> tuple[str, str]:
+    """Return what a person is asked to do, and the answer's button."""
+    if asked is Asked.REMOVE_TOOL:
+        return "Take the tool off, then press.", "The tool is off"
+    return f"Put {tool or 'the tool'} on, then press.", "The tool is on"

@@ -1,31 +1,66 @@
 """What the sensor and the arm do now: plots, and the arm in three dimensions.
 
 The streams are listened to only while a page shows them: the tab is open and the browser is there.
+
+What is new goes to the browser some times a second, the next only when it has said that it has the
+last: a slow browser gets fewer pictures, not a queue.
 """
 
 from __future__ import annotations
 
+import json
+import math
+import time
 from collections.abc import Callable
 from contextlib import ExitStack
+from datetime import datetime
 from pathlib import Path
 
-from nicegui import ui
+import numpy as np
+from galen_model.arrays import Array
+from nicegui import run, ui
 
+from galen_panel.history import (
+    NS_PER_S,
+    Follower,
+    Patch,
+    StreamSamples,
+    StreamSeries,
+    bucket_ns,
+    csv,
+    file_name,
+)
 from galen_panel.page.arm import ArmView
 from galen_panel.page.page import Page
-from galen_panel.page.plots import Plots
+from galen_panel.page.plot_options import (
+    DEFLECTION_NAMES,
+    HEIGHT_PX,
+    Option,
+    deflection_curves,
+    headings,
+    look,
+    options,
+    time_span,
+    wrench_curves,
+)
 
+WINDOWS_S = (10, 30, 60, 120)
+_FIRST_WINDOW_S = 30
+MEAN_S = 2.0
+_MEAN_PERIOD_S = 0.5
+_ANSWER_S = 10.0
 PLOT_PERIOD_S = 0.2
 ARM_PERIOD_S = 0.1
 _LOOK_PERIOD_S = 0.2
-_STYLE = Path(__file__).with_suffix(".css")
-_SCRIPT = Path(__file__).with_suffix(".js")
+_HERE = Path(__file__).parent
+_CURVES: tuple[Callable[[Array], Array], ...] = (wrench_curves, wrench_curves, deflection_curves)
 
 
 def build(page: Page, shown: Callable[[], bool]) -> None:
     """Draw it; `shown` says whether its tab is open."""
-    ui.add_css(_STYLE)
-    ui.add_head_html(f"<script>{_SCRIPT.read_text()}</script>")
+    ui.add_css(_HERE / "live.css")
+    for script in ("live.js", "plots.js"):
+        ui.add_head_html(f"<script>{(_HERE / script).read_text()}</script>")
     client = ui.context.client
     listening: list[ExitStack] = []
     with ui.element("div").classes("live-columns"):
@@ -49,7 +84,6 @@ def build(page: Page, shown: Callable[[], bool]) -> None:
         if seen:
             listening.append(ExitStack())
             listening[-1].enter_context(page.suite.watch())
-            plots.resume_listening()
         else:
             leave()
         for timer in timers:
@@ -59,3 +93,190 @@ def build(page: Page, shown: Callable[[], bool]) -> None:
     # A browser that vanishes: its timers may wait for an answer that never comes.
     client.on_disconnect(leave)
     client.on_delete(leave)
+
+
+class Plots:
+    """One browser's plots; `update` is to be awaited again and again while they are shown."""
+
+    def __init__(self, page: Page) -> None:
+        self._page = page
+        self._window_s = float(_FIRST_WINDOW_S)
+        self._paused = False
+        self._base_ns: int | None = None
+        self._option: Option | None = None
+        self._means_at_s = -math.inf
+        self._means: dict[str, tuple[ui.label, ui.label]] = {}
+        self._build()
+        self._follow(self._live())
+
+    async def update(self) -> None:
+        """Bring what is new to the browser, and wait until it is there."""
+        patches = [follower.patch() for follower in self._followers]
+        if not await self._send_patches(patches):
+            self._forget()
+        now_s = time.monotonic()
+        if now_s - self._means_at_s >= _MEAN_PERIOD_S:
+            self._means_at_s = now_s
+            self._show_means()
+
+    def _build(self) -> None:
+        with ui.row().classes("items-center w-full"):
+            self._window = ui.toggle(
+                {seconds: f"{seconds} s" for seconds in WINDOWS_S},
+                value=_FIRST_WINDOW_S,
+                on_change=lambda event: self._choose_window(event.value),
+            ).props('data-testid=window no-caps aria-label="How far back"')
+            self._pause = ui.button("Pause", icon="pause", on_click=self._toggle_pause).props(
+                "data-testid=pause no-caps aria-pressed=false"
+            )
+            ui.space()
+            self._csv = ui.button("CSV", icon="download", on_click=self._save_csv)
+            self._csv.props('data-testid=csv no-caps outline aria-label="Save as CSV"')
+            self._csv.tooltip("All samples of the window, at full rate")
+        with ui.element("div").classes("live-plots").style(f"height:{HEIGHT_PX}px"):
+            self._chart = ui.echart(options(self._window_s)).classes("live-chart")
+            self._chart.props(
+                'data-testid=plot role=img aria-label="Forces, torques and deflection over time;'
+                ' their size is told beside each axis"'
+            )
+            for heading in headings():
+                place = f"left:{heading.left};top:{heading.top_px}px"
+                with ui.row(wrap=False).classes("live-heading").style(place):
+                    ui.label(heading.axis).classes("live-axis")
+                    number = ui.label("–").classes("live-mean")
+                    number.props(f"data-testid=mean-{heading.axis}")
+                    ui.label(heading.unit)
+                    raw = ui.label().classes("live-raw")
+                    raw.props(f"data-testid=mean-raw-{heading.axis}")
+                self._means[heading.axis] = (number, raw)
+        ui.label(
+            f"Numbers: mean of the last {MEAN_S:.0f} s. Zoom: the bar below the plots, or Shift and"
+            " the wheel. The CSV has every sample."
+        )
+        script = f"galenPlots.follow({self._chart.id})"
+        ui.timer(0.0, lambda: self._chart.client.run_javascript(script), once=True)
+
+    def _live(self) -> tuple[StreamSeries, ...]:
+        history = self._page.suite.history
+        return history.raw, history.compensated, history.deflection
+
+    def _follow(self, series: tuple[StreamSeries, ...]) -> None:
+        self._series = series
+        self._followers = [Follower(one, c) for one, c in zip(series, _CURVES, strict=True)]
+        self._look_at(self._window_s)
+
+    async def _ask(self, script: str) -> bool:
+        """Whether the browser answers that it is done."""
+        try:
+            answer = await self._chart.client.run_javascript(script, timeout=_ANSWER_S)
+        except TimeoutError:
+            return False
+        return answer is True
+
+    def _look_at(self, window_s: float) -> None:
+        self._window_s = window_s
+        for follower in self._followers:
+            follower.look_at(window_s, bucket_ns(window_s))
+        self._begin(time_span(window_s))
+
+    def _begin(self, option: Option) -> None:
+        """Make the next message whole, and bring this option with it."""
+        self._option = option
+        self._base_ns = None
+
+    def _forget(self) -> None:
+        for follower in self._followers:
+            follower.forget()
+        self._begin(time_span(self._window_s))
+
+    async def _send_patches(self, patches: list[Patch]) -> bool:
+        newest = [patch.newest_ns for patch in patches if patch.newest_ns is not None]
+        if not newest:
+            return True
+        if self._option is None and not any(len(patch.rows) or patch.whole for patch in patches):
+            return True
+        now_ns = max(newest)
+        if self._base_ns is None:
+            self._base_ns = now_ns
+        streams = [_stream(patch, self._base_ns) for patch in patches]
+        message: Option = {
+            "now": _ms(now_ns - self._base_ns),
+            "span": self._window_s,
+            "streams": streams,
+        }
+        option = self._option
+        if option is not None:
+            message |= {"option": option, "looks": [look(dark=False), look(dark=True)]}
+        script = f"galenPlots.patch({self._chart.id}, {json.dumps(message)})"
+        arrived = await self._ask(script)
+        if arrived and self._option is option:
+            self._option = None
+        return arrived
+
+    def _choose_window(self, seconds: object) -> None:
+        if seconds in WINDOWS_S:
+            self._look_at(float(str(seconds)))
+
+    def _toggle_pause(self) -> None:
+        """Hold what is there now, 120 s of it; resume with what has come since."""
+        self._paused = not self._paused
+        live = self._live()
+        self._follow(tuple(series.frozen() for series in live) if self._paused else live)
+        self._pause.set_text("Resume" if self._paused else "Pause")
+        self._pause.set_icon("play_arrow" if self._paused else "pause")
+        self._pause.props(f"aria-pressed={'true' if self._paused else 'false'}")
+
+    async def _save_csv(self) -> None:
+        newest_ns = max(series.newest_ns or 0 for series in self._series)
+        start_ns = newest_ns - int(self._window_s * NS_PER_S)
+        streams: list[StreamSamples] = [series.since(start_ns) for series in self._series]
+        if not newest_ns:
+            ui.notify("Nothing has come yet.")
+            return
+        self._csv.props("loading disable")
+        try:
+            content = await run.io_bound(csv, *streams)
+        finally:
+            self._csv.props(remove="loading disable")
+        if content is not None:
+            ui.download.content(content, file_name("wrench", "csv", datetime.now()), "text/csv")
+
+    def _show_means(self) -> None:
+        newest = max((series.newest_ns or 0 for series in self._series), default=0)
+        raw, compensated, deflection = (
+            _mean(curves(series.since(newest - int(MEAN_S * NS_PER_S)).values))
+            for series, curves in zip(self._series, _CURVES, strict=True)
+        )
+        axes = list(self._means)[:6]
+        for index, (axis, net, gross) in enumerate(zip(axes, compensated, raw, strict=True)):
+            digits = 3 if index < 3 else 1
+            number, beside = self._means[axis]
+            number.set_text(_text(net, digits))
+            beside.set_text(f"raw {_text(gross, digits)}")
+        size = deflection[DEFLECTION_NAMES.index("size")]
+        self._means["tip"][0].set_text(_text(size, 3))
+
+
+def _stream(patch: Patch, base_ns: int) -> Option:
+    times = np.round((patch.rows.stamps_ns - base_ns) / 1e6, 1)
+    return {
+        "whole": patch.whole,
+        "from": _ms(patch.from_ns - base_ns),
+        "rows": np.column_stack([times, patch.rows.values]).tolist(),
+    }
+
+
+def _ms(duration_ns: int) -> float:
+    return round(duration_ns / 1e6, 1)
+
+
+def _mean(values: Array) -> Array:
+    """Of each column, with its sign; NaN without rows."""
+    if not len(values):
+        return np.full(values.shape[1], np.nan)
+    return np.asarray(values.mean(axis=0))
+
+
+def _text(value: float, digits: int) -> str:
+    # A rounded zero has no sign.
+    return f"{round(value, digits) + 0.0:.{digits}f}" if math.isfinite(value) else "–"

@@ -2,115 +2,152 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Mapping, Sequence
+from enum import Enum
+
+import numpy as np
+from galen_model.evidence.verdict import TARE_COMMAND, Cause, CheckAnswer
 from nicegui import ui
 
 from galen_panel.messages import hints, texts
-from galen_panel.messages import results as result_words
-from galen_panel.messages.results import Fate, Todo
-from galen_panel.page.calibration_options import start_calibration
 from galen_panel.page.page import Page, confirmed, pick_class, table
 from galen_panel.snapshot import (
+    LOST,
     BehaviourKind,
     BehaviourOutcome,
     CallAnswer,
-    Goal,
     QuantityDifference,
     SuiteState,
     ToolComparison,
 )
 
 _ICONS = {"positive": "check_circle", "warning": "warning", "negative": "error"}
+_DONE = {
+    BehaviourKind.CALIBRATE: "Calibrated",
+    BehaviourKind.CHECK: "Checked",
+    BehaviourKind.COLLECT: "Collected",
+}
+_ENDS = {"CANCELED": ("Canceled", "warning"), LOST: ("Lost", "negative")}
+_VERDICTS: dict[object, tuple[str, str]] = {
+    CheckAnswer.GOOD: ("Good: the file fits", "positive"),
+    CheckAnswer.RETARE: ("Tare it", "warning"),
+    CheckAnswer.RECALIBRATE: ("It does not fit: calibrate again", "negative"),
+    CheckAnswer.UNSURE: ("Not decidable: check again", "warning"),
+}
+# Another calibration would not help these.
+_NOT_ON: dict[object, tuple[str, str]] = {
+    Cause.OTHER_TOOL: ("It does not fit: another tool is on", "negative"),
+    Cause.NO_TOOL: ("It does not fit: no tool is on", "negative"),
+}
+
+
+class Fate(Enum):
+    """Where the file that a calibration wrote is now."""
+
+    HERE = "The new file is written. Keep it to compensate with it now, or discard it."
+    ACTIVE = "The new file is active."
+    REPLACED = "The file is another one by now: this calibration was discarded or replaced."
+
+
+def title_and_level(kind: BehaviourKind, outcome: BehaviourOutcome) -> tuple[str, str]:
+    """Title an outcome and give its level: positive, warning or negative."""
+    if outcome.error:
+        return _ENDS.get(outcome.error, ("It failed", "negative"))
+    if kind is not BehaviourKind.CHECK:
+        return _DONE[kind], "positive"
+    answer, cause = outcome.values.get("answer"), outcome.values.get("cause")
+    return _NOT_ON.get(cause) or _VERDICTS.get(answer, _VERDICTS[CheckAnswer.UNSURE])
+
+
+def sentence_of(outcome: BehaviourOutcome) -> str:
+    """Return the sentence without commands for a terminal: the page has buttons."""
+    return texts.sentence(outcome.text.replace(f": {TARE_COMMAND}", ""), outcome.tool)
+
+
+def fate(outcome: BehaviourOutcome, state: SuiteState) -> Fate:
+    """Find where a calibration's file is: kept, discarded or replaced, from any page.
+
+    A file is known by mass and centre, which are written with all their digits.
+    """
+    found = next((tool for tool in state.tools or () if tool.name == outcome.tool), None)
+    if found is None or found.problem or not _is(outcome, found.mass_kg, found.com_m):
+        return Fate.REPLACED
+    now = state.active_tool
+    if now and now.tool == outcome.tool and _is(outcome, now.mass_kg, now.com_m):
+        return Fate.ACTIVE
+    return Fate.HERE
+
+
+def load_rows(outcome: BehaviourOutcome) -> list[list[str]]:
+    """Write mass and centre that a calibration found, as texts: name, value."""
+    values = outcome.values
+    com, com_std = _vector(values, "com_m"), _vector(values, "com_std_m")
+    rows = [["mass", texts.mass(_number(values, "mass_kg"), _number(values, "mass_std_kg"))]]
+    for axis, value, std in zip("xyz", com, com_std, strict=True):
+        rows.append([f"centre {axis}", f"{1e3 * value:.2f} ± {1e3 * std:.2f} mm"])
+    return rows
+
+
+def left_out(outcome: BehaviourOutcome) -> list[str]:
+    """List poses or pushes that were not used, with their reasons."""
+    found = outcome.values.get("poses_rejected") or outcome.values.get("left_out") or ()
+    return [str(text) for text in found] if isinstance(found, Sequence) else []
 
 
 class OutcomeView:
     """One outcome; drawn once, then its buttons follow the state."""
 
     def __init__(self, page: Page, kind: BehaviourKind, outcome: BehaviourOutcome) -> None:
-        self._page = page
-        self._outcome = outcome
         self._file: FileNotice | None = None
-        title, level = result_words.ended(kind, outcome)
-        todo = Todo.NOTHING
-        if kind is BehaviourKind.CHECK and not outcome.error:
-            title, level, todo = result_words.verdict(outcome)
-        with ui.column().classes("panel-outcome") as self._element:
-            self._element.props("role=status data-testid=outcome")
-            pick_class(self._element, "panel-level-", level)
+        title, level = title_and_level(kind, outcome)
+        with ui.column().classes("panel-outcome") as element:
+            element.props("role=status data-testid=outcome")
+            pick_class(element, "panel-level-", level)
             with ui.row().classes("panel-outcome-head no-wrap"):
                 ui.icon(_ICONS[level]).props("aria-hidden=true").classes(f"text-{level}")
                 ui.label(f"{title} · {outcome.tool}" if outcome.tool else title)
                 ui.space()
-                close = ui.button(
-                    icon="close", on_click=lambda: self._element.set_visibility(False)
-                )
+                close = ui.button(icon="close", on_click=lambda: element.set_visibility(False))
                 close.props('flat round aria-label="Close the result" data-testid=outcome-close')
-            ui.label(result_words.sentence_of(outcome)).props("data-testid=outcome-text")
-            _warnings(outcome)
+            ui.label(sentence_of(outcome)).props("data-testid=outcome-text")
+            warnings = list(outcome.warnings)
+            if outcome.values.get("calibration_holds") is False:
+                warnings.append("The tracker's base moved between begin and end: collect again.")
+            for warning in warnings:
+                with ui.row().classes("no-wrap items-start"):
+                    ui.icon("warning").classes("text-warning panel-icon").props("aria-hidden=true")
+                    ui.label(texts.sentence(warning))
             if kind is BehaviourKind.CALIBRATE and not outcome.error:
-                if outcome.new:
-                    table([], result_words.load_rows(outcome))
-                ui.label(result_words.residual(outcome)).classes("panel-number")
                 self._file = FileNotice(page, outcome)
-            elif kind is BehaviourKind.COLLECT and not outcome.error:
-                ui.label(result_words.collection_sentence(outcome))
-            if kind is BehaviourKind.COLLECT and outcome.file:
+            elif outcome.file:
                 ui.label(f"The recording is {outcome.file}").classes("panel-path")
-            if todo is not Todo.NOTHING:
-                self._offer(todo)
-            _rest(outcome)
+            for note in outcome.notes:
+                ui.label(texts.sentence(note)).classes("panel-quiet")
+            reasons = left_out(outcome)
+            if reasons:
+                with ui.expansion(f"{len(reasons)} not used").props("dense").classes("w-full"):
+                    ui.label("\n".join(reasons)).classes("panel-lines")
 
     def update(self, state: SuiteState) -> None:
         """Follow the state with the buttons."""
         if self._file is not None:
             self._file.update(state)
 
-    def _offer(self, todo: Todo) -> None:
-        async def do() -> None:
-            suite = self._page.suite
-            if todo is Todo.CALIBRATE:
-                by_hand = "attach_tool" not in suite.state.available
-                goal = Goal(BehaviourKind.CALIBRATE, self._outcome.tool, by_hand=by_hand)
-                await start_calibration(self._page, goal, button)
-                return
-            check = Goal(BehaviourKind.CHECK, self._outcome.tool)
-            await self._page.ask(suite.tare() if todo is Todo.TARE else suite.start(check), button)
-
-        button = ui.button(todo.value, icon="arrow_forward", on_click=do)
-        button.props("unelevated data-testid=outcome-do")
-
-
-def _warnings(outcome: BehaviourOutcome) -> None:
-    for warning in outcome.warnings:
-        with ui.row().classes("no-wrap items-start"):
-            ui.icon("warning").classes("text-warning panel-icon").props("aria-hidden=true")
-            ui.label(texts.sentence(warning))
-
-
-def _rest(outcome: BehaviourOutcome) -> None:
-    """How it went; what was left out can be unfolded."""
-    for note in outcome.notes:
-        ui.label(texts.sentence(note)).classes("panel-quiet")
-    left_out = result_words.left_out(outcome)
-    if left_out:
-        with ui.expansion(f"{len(left_out)} not used").props("dense").classes("w-full"):
-            ui.label("\n".join(left_out)).classes("panel-lines")
-
-
-_FATES = {
-    Fate.HERE: "The new file is written. Keep it to compensate with it now, or discard it.",
-    Fate.ACTIVE: "The new file is active.",
-    Fate.REPLACED: "The file is another one by now: this calibration was discarded or replaced.",
-}
-_GONE = "This calibration's file is no longer the tool's."
-
 
 class FileNotice:
-    """Of one calibration that came to its end."""
+    """The file of a calibration that came to its end: what it changes, keep, discard."""
 
     def __init__(self, page: Page, outcome: BehaviourOutcome) -> None:
         self._page = page
         self._outcome = outcome
         self._listed = False
+        if outcome.new:
+            table([], load_rows(outcome))
+        force = texts.norm(_vector(outcome.values, "rmse_force_n"))
+        torque = texts.norm(_vector(outcome.values, "rmse_torque_nm"))
+        text = f"Residual of the averaged readings: {texts.size(force, torque)}."
+        ui.label(text).classes("panel-number")
         self._beside = ui.column().classes("w-full gap-2").props("data-testid=beside")
         self._fate = ui.label().classes("panel-lead").props("role=status data-testid=fate")
         with ui.row():
@@ -122,19 +159,17 @@ class FileNotice:
 
     def update(self, state: SuiteState) -> None:
         """Follow the state: another browser may have kept or discarded it."""
-        fate = result_words.fate(self._outcome, state)
-        if fate is Fate.REPLACED and not self._listed:
-            # The list is from before the calibration until it has been read again.
-            self._fate.set_text("Reading the new file.")
-            self._page.allow(self._keep, "The new file is being read.")
-            self._page.allow(self._discard, "The new file is being read.")
-            return
-        self._fate.set_text(_FATES[fate])
-        gone = _GONE if fate is Fate.REPLACED else ""
-        kept = _FATES[Fate.ACTIVE] if fate is Fate.ACTIVE else ""
+        now = fate(self._outcome, state)
+        replaced = now is Fate.REPLACED
+        # The list is from before the calibration until it has been read again.
+        reading = replaced and not self._listed
+        text = "Reading the new file." if reading else now.value
+        why_not = text if replaced else ""
         way_back = "gravcomp/remove_tool" if self._outcome.new else "gravcomp/revert_tool"
-        self._page.allow(self._keep, gone or kept or hints.missing(state, "gravcomp/set_tool"))
-        self._page.allow(self._discard, gone or hints.missing(state, way_back))
+        kept = text if now is Fate.ACTIVE else ""
+        self._fate.set_text(text)
+        self._page.allow(self._keep, why_not or kept or hints.missing(state, "gravcomp/set_tool"))
+        self._page.allow(self._discard, why_not or hints.missing(state, way_back))
 
     async def _look(self) -> None:
         suite = self._page.suite
@@ -158,19 +193,20 @@ class FileNotice:
         await self._page.ask(self._page.suite.activate(self._outcome.tool), self._keep)
 
     async def _on_discard(self) -> None:
-        outcome = self._outcome
-        sure = await confirmed(
-            self._page,
-            "Discard this calibration?",
-            result_words.discard_sentences(outcome),
-            "Discard it",
-            "undo",
-        )
-        if not sure:
-            return
-        suite = self._page.suite
-        back = suite.remove_tool if outcome.new else suite.revert_tool
-        await self._page.ask(back(outcome.tool), self._discard)
+        suite, tool = self._page.suite, self._outcome.tool
+        sentences = [
+            f"The calibration of {tool} before comes back.",
+            "The new one is kept as the one before: going back once more brings it again.",
+        ]
+        if self._outcome.new:
+            sentences = [
+                f"{tool} had no file before: it leaves the list of tools.",
+                "The new file is not deleted: it is kept beside the others, under another name.",
+            ]
+        title = "Discard this calibration?"
+        if await confirmed(self._page, title, sentences, "Discard it", "undo"):
+            back = suite.remove_tool if self._outcome.new else suite.revert_tool
+            await self._page.ask(back(tool), self._discard)
 
 
 _LOAD = ("mass", "com_x", "com_y", "com_z")
@@ -179,23 +215,23 @@ _THE_SAME = "the same"
 
 def draw_comparison(comparison: ToolComparison, before: str, after: str) -> None:
     """Draw what differs. before, after: what the two files, a and b, are called here."""
-    ui.label(worst_case(comparison)).classes("panel-lead")
-    ui.label(same_load(comparison))
-    headers = ["", before, after, "difference", "σ"]
+    size = texts.size(comparison.worst_force_n, comparison.worst_torque_nm)
+    ui.label(f"What is compensated differs by at most {size}, over all poses.").classes(
+        "panel-lead"
+    )
+    ui.label(
+        "Mass and centre agree within both calibrations' uncertainty."
+        if comparison.same_load
+        else "Mass or centre differ by more than both calibrations' uncertainty."
+    )
+    rows = [_row(row) for row in comparison.differences if is_shown(row)]
     with ui.element("div").classes("panel-scroll"):
-        table(headers, [_row(row) for row in comparison.differences if row.quantity in _LOAD])
-    others = [row for row in comparison.differences if differs_beside(row)]
-    if others:
-        with (
-            ui.expansion(f"{len(others)} other numbers differ").props("dense").classes("w-full"),
-            ui.element("div").classes("panel-scroll"),
-        ):
-            table(headers, [_row(row) for row in others])
+        table(["", before, after, "difference", "σ"], rows)
 
 
-def differs_beside(row: QuantityDifference) -> bool:
-    """Whether a quantity that is neither mass nor centre is another one."""
-    return row.quantity not in _LOAD and not row.text.startswith(_THE_SAME)
+def is_shown(row: QuantityDifference) -> bool:
+    """Return whether a quantity is mass or centre, or another one that differs."""
+    return row.quantity in _LOAD or not row.text.startswith(_THE_SAME)
 
 
 def _row(row: QuantityDifference) -> list[str]:
@@ -208,14 +244,18 @@ def _row(row: QuantityDifference) -> list[str]:
     ]
 
 
-def worst_case(comparison: ToolComparison) -> str:
-    """Say what the difference means at the tool."""
-    size = texts.size(comparison.worst_force_n, comparison.worst_torque_nm)
-    return f"What is compensated differs by at most {size}, over all poses."
+def _is(outcome: BehaviourOutcome, mass_kg: float, com_m: Sequence[float]) -> bool:
+    written = [_number(outcome.values, "mass_kg"), *_vector(outcome.values, "com_m")]
+    return bool(np.allclose(written, [mass_kg, *com_m], rtol=1e-9, atol=1e-12))
 
 
-def same_load(comparison: ToolComparison) -> str:
-    """Say whether it may be the same tool."""
-    if comparison.same_load:
-        return "Mass and centre are the same as far as both calibrations can tell."
-    return "Mass or centre differ by more than both calibrations' uncertainty."
+def _number(values: Mapping[str, object], name: str) -> float:
+    value = values.get(name)
+    return float(value) if isinstance(value, (int, float)) else math.nan
+
+
+def _vector(values: Mapping[str, object], name: str) -> list[float]:
+    value = values.get(name)
+    if not isinstance(value, (Sequence, np.ndarray)) or len(value) != 3:
+        return [math.nan] * 3
+    return [float(part) for part in value]

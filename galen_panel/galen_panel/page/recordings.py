@@ -10,7 +10,7 @@ from starlette.concurrency import run_in_threadpool
 from galen_panel.messages import texts
 from galen_panel.page.page import Page, heading, set_prop
 from galen_panel.page.reports import Queue, ReportList
-from galen_panel.recordings.index import BESIDE, Details, FoundRecording, line_of
+from galen_panel.recordings.recordings import BESIDE, Details, FoundRecording, line_of
 
 _STYLE = Path(__file__).with_suffix(".css")
 _LISTED = 30

@@ -21,10 +21,6 @@ from galen_panel.page.page import (
 )
 from galen_panel.snapshot import BehaviourKind, CallAnswer, ListedTool, LoadedTool, SuiteState
 
-_LISTED = 40
-"""Tools that are drawn at most: a page of 500 would be slow and unread."""
-_FILTER_FROM = 8
-
 
 def build(page: Page) -> None:
     """Draw it."""
@@ -33,7 +29,7 @@ def build(page: Page) -> None:
 
 
 class _Tools:
-    """One browser's list, with what it is filtered by."""
+    """One browser's list."""
 
     def __init__(self, page: Page) -> None:
         self._page = page
@@ -45,9 +41,6 @@ class _Tools:
             self._new.props("outline data-testid=new-tool")
             self._refresh = ui.button(icon="refresh", on_click=self._list)
             self._refresh.props('flat round aria-label="Read the list again" data-testid=refresh')
-        self._filter = ui.input(placeholder="Find a tool", on_change=self._draw)
-        self._filter.props('outlined dense clearable aria-label="Find a tool"')
-        self._filter.props("data-testid=tools-filter").classes("w-full")
         self._note = ui.label().classes("panel-note").props("role=status data-testid=tools-note")
         self._none = ui.button("No tool", icon="block", on_click=self._put_none, color=None)
         self._none.props("flat align=left data-testid=no-tool").classes("panel-tool panel-none")
@@ -66,12 +59,9 @@ class _Tools:
     def _draw(self) -> None:
         state = self._page.suite.state
         tools = state.tools or ()
-        self._filter.set_visibility(len(tools) >= _FILTER_FROM or bool(self._filter.value))
-        wanted = (self._filter.value or "").strip().lower()
-        found = [tool for tool in tools if wanted in tool.name.lower()]
-        # The active one must be seen, however many there are.
-        found.sort(key=lambda tool: not tool.active_tool)
-        self._note.set_text(_note(state, len(found)))
+        # The active one goes first.
+        found = sorted(tools, key=lambda tool: not tool.active_tool)
+        self._note.set_text(_note(state))
         self._note.set_visibility(bool(self._note.text))
         none = state.active_tool is not None and not state.active_tool.tool
         pick_class(self._none, "panel-tool-", "active" if none else "other")
@@ -81,8 +71,8 @@ class _Tools:
         self._page.allow(self._none, set_tool)
         self._page.allow(self._refresh, hints.missing(state, "gravcomp/list_tools"))
         self._page.allow(self._new, hints.missing(state, "calibrate_tool"))
-        self._place(found[:_LISTED])
-        for tool in found[:_LISTED]:
+        self._place(found)
+        for tool in found:
             self._rows[tool.name].update(tool, state, set_tool)
 
     def _place(self, tools: list[ListedTool]) -> None:
@@ -198,7 +188,7 @@ def _made(tool: ListedTool) -> str:
     return " · ".join(parts)
 
 
-def _note(state: SuiteState, found: int) -> str:
+def _note(state: SuiteState) -> str:
     """Say what is wrong with the list as a whole; empty where nothing is."""
     missing = hints.missing(state, "gravcomp/list_tools")
     if missing:
@@ -209,10 +199,6 @@ def _note(state: SuiteState, found: int) -> str:
         return "Reading the list."
     if not state.tools:
         return f"There is no tool in {state.tools_dir} yet. New tool calibrates one."
-    if not found:
-        return "No tool's name has that in it."
-    if found > _LISTED:
-        return f"{_LISTED} of {found} tools are shown. Type a part of a name to find the others."
     return ""
 
 

@@ -1,25 +1,78 @@
-"""The recordings at hand, the jobs on them, and the reports; the same for every browser. No ROS."""
+"""The recordings below a directory, from their metadata alone, and what is done with them. No ROS.
+
+An archive may hold thousands: the search asks the file system only, and metadata is read for those
+that are shown. The browser names a recording by the id that it got from here, never by a path.
+"""
 
 from __future__ import annotations
 
+import hashlib
+import os
+import re
 import threading
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
 from pathlib import Path
 
-from galen_panel.recordings.index import (
-    BESIDE,
-    Details,
-    FoundRecording,
-    ToolChoice,
-    find_recordings,
-    look_at,
-    tool_choices,
-)
+from galen_bags.formats.files import find_bags, read_metadata, storage_files
+from galen_diagnosis.observation.rows import BAGS
+from galen_model.errors import GalenError, one_line
+from galen_model.files.calibration_store import CalibrationStore
+
+from galen_bags import BagError
+from galen_panel.messages import texts
 from galen_panel.recordings.jobs import Jobs, Wanted
 from galen_panel.recordings.reports import Reports
 from galen_panel.snapshot import CallAnswer
 
+TOOL_BESIDE = "tool.json"
+BESIDE = "beside"
+_TOOLS_OF_BAGS = "tools"
+_METADATA = "metadata.yaml"
+_ID_LETTERS = 16
+_HEAD_BYTES = 4096
 _GONE = "That recording is not on the list any more. Look again."
 _NO_TOOL = "That calibration file is not there any more. Choose another one."
+_BEGAN = re.compile(rb"starting_time:\s*nanoseconds_since_epoch:\s*(\d{1,19})\b")
+
+
+@dataclass(frozen=True)
+class FoundRecording:
+    """A bag, which is evaluated, or a diagnosis recording with its bags, which is diagnosed.
+
+    name: its path below the directory. at_s: when it was recorded, s since 1970; without metadata
+    when it was written. parts: bags of a diagnosis recording, empty for a bag.
+    """
+
+    id: str
+    name: str
+    path: Path
+    at_s: float
+    parts: tuple[FoundRecording, ...] = ()
+
+    @property
+    def kind(self) -> str:
+        """What it is, for a person."""
+        return "diagnosis recording" if self.parts else "bag"
+
+
+@dataclass(frozen=True)
+class Details:
+    """Sizes and metadata; duration_s None where unknown; problem: why it can't be used."""
+
+    size_bytes: int = 0
+    duration_s: float | None = None
+    problem: str = ""
+
+
+@dataclass(frozen=True)
+class ToolChoice:
+    """A calibration file; id: the browser's name for it, label: a person's."""
+
+    id: str
+    label: str
+    path: Path
 
 
 class Recordings:
@@ -96,3 +149,136 @@ class Recordings:
     def _get(self, recording_id: str) -> FoundRecording | None:
         """Return the recording of an id; None where there is none, or no search was made."""
         return next((one for one in self._found or () if one.id == recording_id), None)
+
+
+def find_recordings(directory: Path) -> tuple[list[FoundRecording], str]:
+    """Search a directory: recordings, newest first, and the reason where there are none."""
+    try:
+        bags = find_bags([directory])
+    except BagError as error:
+        return [], str(error)
+    found = [_recording(bag, directory, _at_s(bag)) for bag in bags]
+    for folder, parts in _sets(found):
+        at_s = min(part.at_s for part in parts)
+        found.append(_recording(folder, directory, at_s, tuple(parts)))
+    return sorted(found, key=lambda one: (-one.at_s, one.name)), ""
+
+
+def look_at(recording: FoundRecording, directory: Path) -> Details:
+    """Read a recording's metadata; what can't be read becomes `problem`."""
+    root = directory.resolve()
+    if not recording.parts:
+        return _look_at_bag(recording.path, directory, root)
+    parts = {part.path.name: _look_at_bag(part.path, directory, root) for part in recording.parts}
+    problems = [f"{name}: {part.problem}" for name, part in parts.items() if part.problem]
+    # A diagnosis opens whatever has these names, also what is no bag and so was not found.
+    for entry in (*(recording.path / name for name in BAGS), recording.path / TOOL_BESIDE):
+        if entry.name not in parts and entry.exists() and leads_out(entry, root):
+            problems.append(f"{entry.name} is a link that leads out of {directory}.")
+    lengths = [part.duration_s for part in parts.values() if part.duration_s is not None]
+    return Details(
+        sum(part.size_bytes for part in parts.values()),
+        sum(lengths) if len(lengths) == len(parts) else None,
+        " ".join(problems),
+    )
+
+
+def leads_out(path: Path, root: Path) -> bool:
+    """Return whether a path, its links followed, is outside of root, which has none."""
+    try:
+        return not path.resolve().is_relative_to(root)
+    except (OSError, RuntimeError):  # such as links in a circle, up to Python 3.12
+        return True
+
+
+def tool_choices(recording: FoundRecording, bags_dir: Path, tools_dir: Path) -> list[ToolChoice]:
+    """List usable calibration files: beside the recording, then of the two directories."""
+    choices = []
+    folder = recording.path if recording.path.is_dir() else recording.path.parent
+    root = bags_dir.resolve()
+    for place in (folder, folder.parent):
+        beside = place / TOOL_BESIDE
+        if beside.is_file() and not leads_out(beside, root):
+            choices.append(ToolChoice(BESIDE, f"{TOOL_BESIDE} beside the recording", beside))
+            break
+    stores = {"tools": CalibrationStore(tools_dir)}
+    of_bags = CalibrationStore(bags_dir / _TOOLS_OF_BAGS)
+    same = of_bags.directory.resolve() == stores["tools"].directory.resolve()
+    if not same and not leads_out(of_bags.directory, root):
+        stores["bags"] = of_bags
+    for key, store in stores.items():
+        try:
+            entries = list(store.entries())
+        except GalenError:
+            continue
+        where = "" if key == "tools" else " (kept with the recordings)"
+        choices += [
+            ToolChoice(f"{key}:{entry.name}", f"{entry.name}{where}", entry.stored.path)
+            for entry in entries
+            if entry.stored is not None
+        ]
+    return choices
+
+
+def line_of(recording: FoundRecording, details: Details) -> str:
+    """When, how long, how large, in a line."""
+    parts = [texts.date(datetime.fromtimestamp(recording.at_s, UTC).isoformat(timespec="seconds"))]
+    if details.duration_s is not None:
+        parts.append(f"{details.duration_s:.0f} s")
+    parts.append(f"{1e-6 * details.size_bytes:.1f} MB")
+    if recording.parts:
+        parts.append(recording.kind)
+    return ", ".join(parts)
+
+
+def _recording(
+    path: Path, directory: Path, at_s: float, parts: tuple[FoundRecording, ...] = ()
+) -> FoundRecording:
+    relative = os.path.relpath(path, directory)
+    name = one_line(directory.resolve().name if relative == "." else relative)
+    found = FoundRecording("", name, path, at_s, parts)
+    whole = f"{found.kind}:{relative}".encode(errors="surrogateescape")
+    return replace(found, id=hashlib.sha256(whole).hexdigest()[:_ID_LETTERS])
+
+
+def _at_s(path: Path) -> float:
+    """When a bag was recorded, in a look at its metadata's head: all of it takes 30 ms to parse."""
+    try:
+        with (path / _METADATA).open("rb") as stream:
+            began = _BEGAN.search(stream.read(_HEAD_BYTES))
+        if began is not None:
+            return float(int(began[1]) * 1e-9)
+    except OSError:
+        pass
+    try:
+        return path.stat().st_mtime
+    except OSError:
+        return 0.0
+
+
+def _sets(bags: Iterable[FoundRecording]) -> Iterator[tuple[Path, list[FoundRecording]]]:
+    """Folders with the bags of a diagnosis recording, and these."""
+    folders: dict[Path, list[FoundRecording]] = {}
+    for bag in bags:
+        if bag.path.name in BAGS and bag.path.is_dir():
+            folders.setdefault(bag.path.parent, []).append(bag)
+    for folder, parts in folders.items():
+        # One bag of such a name alone is any recording; with a calibration file beside it is meant.
+        if len(parts) > 1 or (folder / TOOL_BESIDE).is_file():
+            yield folder, parts
+
+
+def _look_at_bag(path: Path, directory: Path, root: Path) -> Details:
+    metadata_file = path / _METADATA
+    try:
+        files = storage_files(path) if path.is_dir() else [path]
+        if any(leads_out(part, root) for part in (path, metadata_file, *files)):
+            return Details(problem=f"It is a link that leads out of {directory}.")
+        size_bytes = sum(file.stat().st_size for file in files)
+    except OSError as error:
+        return Details(problem=f"It can't be read: {error.strerror}.")
+    metadata = read_metadata(path)
+    duration_s = None
+    if metadata.start_ns is not None and metadata.end_ns is not None:
+        duration_s = (metadata.end_ns - metadata.start_ns) * 1e-9
+    return Details(size_bytes, duration_s, "" if files else "Its files are missing.")

@@ -90,7 +90,7 @@ class GoalKind:
 
 def rejected_pose(feedback: Any) -> str:
     """Return the reason where the feedback is on a pose that was not still; else empty."""
-    ended = math.isfinite(getattr(feedback, "roll", math.nan))
+    ended = len(getattr(feedback, "angles", ())) > 0
     return str(feedback.message) if ended and not feedback.accepted else ""
 
 

@@ -16,7 +16,7 @@ from collections import deque
 from collections.abc import Awaitable, Callable
 from concurrent.futures import Future, InvalidStateError
 from dataclasses import dataclass
-from typing import Any, Generic, TypeVar
+from typing import Any, TypeVar
 
 from galen_model.errors import GalenError
 from galen_ros.node.spin import init_ros, make_executor
@@ -46,36 +46,26 @@ class CallError(GalenError):
 _STOPPED = "not done: the panel is being stopped"
 
 
-class Reply(Generic[T]):
-    """Takes an answer once, in any thread; what comes later is dropped."""
+class Reply(Future[T]):
+    """Takes an answer once, in any thread, to be awaited in an event loop; drops later ones."""
 
     def __init__(self) -> None:
-        self._future: Future[T] = Future()
+        super().__init__()
         # So that a closed page doesn't cancel what is under way.
-        self._future.set_running_or_notify_cancel()
+        self.set_running_or_notify_cancel()
 
     def give(self, value: T) -> None:
         """Answer."""
         with contextlib.suppress(InvalidStateError):
-            self._future.set_result(value)
+            self.set_result(value)
 
     def fail(self, error: Exception) -> None:
         """Answer with an exception."""
         with contextlib.suppress(InvalidStateError):
-            self._future.set_exception(error)
-
-    @property
-    def given(self) -> bool:
-        """Whether there is an answer."""
-        return self._future.done()
-
-    def wait(self, timeout_s: float) -> T:
-        """Wait in a thread; raises what the answer raises, or TimeoutError."""
-        return self._future.result(timeout_s)
+            self.set_exception(error)
 
     def __await__(self) -> Any:
-        """Wait in an event loop."""
-        return asyncio.wrap_future(self._future).__await__()
+        return asyncio.wrap_future(self).__await__()
 
 
 class RosThread:
@@ -106,7 +96,7 @@ class RosThread:
         work = (name, argv, set_up, clean_up, started)
         self._thread = threading.Thread(target=self._run, args=work, name="ros", daemon=True)
         self._thread.start()
-        started.wait(_START_PATIENCE_S)
+        started.result(_START_PATIENCE_S)
 
     def ask(self, job: Callable[[Reply[T]], None]) -> Awaitable[T]:
         """Run `job(reply)` in the thread; await what it gives to the reply, at once or later.
@@ -118,7 +108,7 @@ class RosThread:
             if self._stop:
                 reply.fail(CallError(_STOPPED))
             else:
-                self._open = {one for one in self._open if not one.given} | {reply}
+                self._open = {one for one in self._open if not one.done()} | {reply}
                 self._jobs.append((job, reply))
         return reply
 
