@@ -20,8 +20,8 @@ setup(
     entry_points={
         "console_scripts": [
             "convert = galen_ros.executable:galen_bags.convert.main",
-            "record = galen_ros.executable:galen_bags.record.command.main",
-            "play = galen_ros.executable:galen_bags.play.command.main",
+            "record = galen_ros.executable:galen_bags.record.main",
+            "play = galen_ros.executable:galen_bags.play.main",
         ]
     },
 )

@@ -13,7 +13,9 @@ PACKAGES = sorted(path.parent.name for path in ROOT.glob("galen_*/setup.py"))
 # they work, and are tested, without ROS. A new node or client is added on purpose.
 ROS = {
     "galen_bags.play",
+    "galen_bags.player",
     "galen_bags.record",
+    "galen_bags.recorder",
     "galen_bags.topics",
     "galen_bringup",
     "galen_calibration_behavior.calibrate",

@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 from galen_bags.formats.bag import open_bag
 from galen_bags.formats.writer import BagWriter, GrowingBagWriter
-from galen_bags.play.player import PlayerNode, PlayOptions
-from galen_bags.record.recorder import RecorderNode
+from galen_bags.player import PlayerNode, PlayOptions
+from galen_bags.recorder import RecorderNode
 from galen_calibration_behavior.node import CalibrationNode
 from galen_deflection.collection.node import CollectionNode
 from galen_deflection.node import DeflectionNode
@@ -39,7 +39,7 @@ def player_node(folder, **options):
     with BagWriter(folder / "bag") as bag:
         topic = bag.add_topic("wrench_raw", "geometry_msgs/msg/WrenchStamped")
         bag.write(topic, 1, wrench_bytes("ft_sensor").fill(1, [0.0] * 6))
-    return PlayerNode(open_bag(folder / "bag"), PlayOptions(start_paused=True), **options)
+    return PlayerNode(open_bag(folder / "bag"), PlayOptions(wait_for_subscribers_s=1e6), **options)
 
 
 # Nodes that need a folder to work in; they have no parameters.

@@ -1,30 +1,46 @@
-"""`convert`: makes a bag of measured readings, so that nodes and commands can work on them."""
+"""`convert`: makes a bag of measured readings, so that nodes and commands can work on them.
+
+The compensation needs no more of the joints than the direction of gravity in the sensor's frame,
+
+    u = (cos roll cos tilt, -sin roll, cos roll sin tilt),
+
+so any sensor's orientation can be given by a roll and a tilt:
+
+    roll = atan2(-u_y, |(u_x, u_z)|) in -90 to 90 degrees,   tilt = atan2(u_z, u_x), without steps.
+
+Where gravity lies along y (roll at 90 degrees) tilt has no meaning, and the last one is kept.
+Angles may lie beyond the Galen's limits; the platform stands at home. A turn about the direction of
+gravity is lost, and so is where the sensor's frame stands on its robot.
+"""
 
 from __future__ import annotations
 
 import argparse
 import sys
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from galen_model.arm.galen import SENSOR_FRAME
-from galen_model.errors import GalenError
-from galen_ros.cdr import NS_PER_S
+from galen_model.arm.galen import HOME, JOINT_NAMES, SENSOR_FRAME
+from galen_model.arrays import Array
+from galen_ros.cdr import NS_PER_S, joint_state_bytes, wrench_bytes
 from galen_ros.command import (
     EXIT_OK,
-    add_json,
     check_parent,
     make_parser,
     positive,
-    print_json,
+    progress,
     run_command,
 )
 
-from galen_bags.arrays.measured import UNITS_NS, Measured, Written, stamps_ns, write_measured
-from galen_bags.arrays.orientation_table import read_orientations, read_table, read_wrenches
-from galen_bags.arrays.text_table import TableError
+from galen_bags.arrays.arm_recording import JOINT_STATE_TYPE, WRENCH_TYPE
+from galen_bags.arrays.tables import TableError, read_orientations, read_table, read_wrenches
+from galen_bags.formats.writer import BagWriter
+
+_UNITS_NS = {"s": NS_PER_S, "ms": 1_000_000, "us": 1_000, "ns": 1}
+_NO_TILT = 1e-6  # |(u_x, u_z)| below which tilt has no meaning
+_LAST_STAMP_NS = 2**31 * NS_PER_S  # a message's seconds are an int32
 
 _NOTES = """columns, named in a file's first line or by --columns:
   fx fy fz tx ty tz                 wrench, N and N.m; a push reads positive in its direction
@@ -52,17 +68,12 @@ def build_parser() -> argparse.ArgumentParser:
         "--orientations", metavar="FILE", help="one of orientations with t, at its own rate"
     )
     parser.add_argument("-o", "--output", required=True, metavar="BAG", help="the new bag")
-    for option, what in (
-        ("--columns", "the table"),
-        ("--wrench-columns", "--wrench"),
-        ("--orientation-columns", "--orientations"),
-    ):
-        parser.add_argument(
-            option,
-            metavar="NAMES",
-            help=f"comma-separated column names of {what}, when it has no first line of names;"
-            " '-' skips a column",
-        )
+    parser.add_argument(
+        "--columns",
+        metavar="NAMES",
+        help="comma-separated column names of the table, when it has no first line of names; '-'"
+        " skips a column",
+    )
     parser.add_argument(
         "--wrench-frame",
         choices=("sensor", "base"),
@@ -70,13 +81,7 @@ def build_parser() -> argparse.ArgumentParser:
         help="axes that the table's wrenches are written in (default: sensor)",
     )
     parser.add_argument(
-        "--time-unit", choices=tuple(UNITS_NS), default="s", help="unit of t (default: s)"
-    )
-    parser.add_argument(
-        "--start-s",
-        type=positive,
-        metavar="SECONDS",
-        help="stamp of the earliest sample (default: t as it is)",
+        "--time-unit", choices=tuple(_UNITS_NS), default="s", help="unit of t (default: s)"
     )
     parser.add_argument(
         "--rate-hz",
@@ -84,113 +89,172 @@ def build_parser() -> argparse.ArgumentParser:
         metavar="HZ",
         help="of a table without t: stamp its readings at this rate, one after the other",
     )
-    parser.add_argument(
-        "--sensor-frame",
-        default=SENSOR_FRAME,
-        metavar="NAME",
-        help="frame_id of the wrenches (default: %(default)s)",
-    )
-    add_json(parser)
     return parser
 
 
-def convert(arguments: argparse.Namespace) -> dict[str, Any]:
-    """Read, write, and return what was written; raises GalenError."""
-    check_parent(Path(arguments.output))
-    measured = _read_one(arguments) if arguments.table else _read_two(arguments)
-    written = write_measured(
-        arguments.output, measured, sensor_frame=arguments.sensor_frame, quiet=arguments.json
-    )
-    return _summary(arguments.output, measured, written)
+@dataclass(frozen=True)
+class Measured:
+    """Wrenches and orientations, each with its own stamps (ns) in the file's order.
+
+    wrench (n, 6) N and N.m, gravity (m, 3) in the sensor's frame, any length.
+    """
+
+    wrench_stamp_ns: np.ndarray
+    wrench: Array
+    gravity_stamp_ns: np.ndarray
+    gravity: Array
 
 
-def _read_one(arguments: argparse.Namespace) -> Measured:
-    table = read_table(arguments.table, _names(arguments.columns), arguments.wrench_frame)
-    time, unit, start_s = table.time, arguments.time_unit, arguments.start_s
+def read_measured(arguments: argparse.Namespace) -> Measured:
+    """Read the tables that the command's options name; raises TableError."""
+    unit, file = arguments.time_unit, arguments.table or arguments.wrench
+    if not arguments.table:
+        wrench_time, wrench = read_wrenches(arguments.wrench)
+        time, gravity = read_orientations(arguments.orientations)
+        return _stamped(file, [wrench_time, time], unit, wrench, gravity)
+    columns = arguments.columns.split(",") if arguments.columns else None
+    table = read_table(file, columns, arguments.wrench_frame)
+    time = table.time
     if time is None and arguments.rate_hz is None:
-        raise TableError(f"{arguments.table}: no column 't'; give the readings' --rate-hz")
+        raise TableError(f"{file}: no column 't'; give the readings' --rate-hz")
     if time is not None and arguments.rate_hz is not None:
-        raise TableError(f"{arguments.table}: has a column 't'; --rate-hz is for tables without")
+        raise TableError(f"{file}: has a column 't'; --rate-hz is for tables without")
     if time is None:
         time, unit = np.arange(len(table)) / arguments.rate_hz, "s"
-        start_s = start_s or 1.0
-    (stamp_ns,) = _stamps(arguments.table, [time], unit, start_s)
-    return Measured(stamp_ns, table.wrench, stamp_ns, table.gravity)
+    return _stamped(file, [time, time], unit, table.wrench, table.gravity)
 
 
-def _read_two(arguments: argparse.Namespace) -> Measured:
-    wrench_time, wrench = read_wrenches(arguments.wrench, _names(arguments.wrench_columns))
-    time, gravity = read_orientations(arguments.orientations, _names(arguments.orientation_columns))
-    wrench_stamp_ns, stamp_ns = _stamps(
-        arguments.wrench, [wrench_time, time], arguments.time_unit, arguments.start_s
-    )
-    return Measured(wrench_stamp_ns, wrench, stamp_ns, gravity)
-
-
-def _stamps(
-    file: str, times: list[np.ndarray], unit: str, start_s: float | None
-) -> list[np.ndarray]:
+def _stamped(
+    file: str, times: Sequence[Array], unit: str, wrench: Array, gravity: Array
+) -> Measured:
     try:
-        return stamps_ns(times, unit, start_s)
-    except GalenError as error:
+        wrench_ns, gravity_ns = stamps_ns(times, unit)
+    except ValueError as error:
         raise TableError(f"{file}: {error}") from error
+    return Measured(wrench_ns, wrench, gravity_ns, gravity)
 
 
-def _names(option: str | None) -> list[str] | None:
-    return option.split(",") if option else None
+def stamps_ns(times: Sequence[Array], unit: str = "s") -> list[np.ndarray]:
+    """Return stamps (ns) of several columns of times in `unit`, which share one clock.
+
+    A stamp is above 0: where the earliest is not, it becomes 1 s. Raises ValueError for times that
+    no stamp can hold.
+    """
+    unit_ns = _UNITS_NS[unit]
+    latest_ns = max(float(np.abs(time).max()) for time in times) * unit_ns
+    if not latest_ns < _LAST_STAMP_NS:
+        raise ValueError(
+            f"times go up to {latest_ns / NS_PER_S:g} s, beyond any stamp: are they in {unit}?"
+            " (--time-unit)"
+        )
+    result = []
+    for time in times:
+        whole = np.floor(time)
+        part_ns = np.rint((time - whole) * unit_ns)
+        result.append(whole.astype(np.int64) * unit_ns + part_ns.astype(np.int64))
+    first = min(int(stamps.min()) for stamps in result)
+    return result if first > 0 else [stamps - first + NS_PER_S for stamps in result]
 
 
-def _summary(path: str, measured: Measured, written: Written) -> dict[str, Any]:
-    topics = {
-        "joint_states": measured.gravity_stamp_ns,
-        "wrench_raw": measured.wrench_stamp_ns,
-    }
-    return {
-        "bag": path,
-        "topics": {
-            name: {
-                "messages": len(stamps),
-                "first_stamp_s": int(stamps[0]) / NS_PER_S,
-                "duration_s": int(stamps[-1] - stamps[0]) / NS_PER_S,
-                "stamps_not_after_the_one_before": int(np.sum(np.diff(stamps) <= 0)),
-            }
-            for name, stamps in topics.items()
-        },
-        "roll_rad": [float(written.roll_rad.min()), float(written.roll_rad.max())],
-        "tilt_rad": [float(written.tilt_rad.min()), float(written.tilt_rad.max())],
-        "orientations_without_tilt": written.without_tilt,
-    }
+def roll_and_tilt(gravity: Array) -> tuple[Array, Array, np.ndarray]:
+    """Return roll and tilt (m,), rad, and where tilt has no meaning, of gravity (m, 3)."""
+    unit = gravity / np.linalg.norm(gravity, axis=1, keepdims=True)
+    level = np.hypot(unit[:, 0], unit[:, 2])
+    roll = np.arctan2(-unit[:, 1], level)
+    tilt = np.arctan2(unit[:, 2], unit[:, 0])
+    lost = level < _NO_TILT
+    if lost.all():
+        return roll, np.zeros(len(unit)), lost
+    known = np.flatnonzero(~lost)
+    # The last one known; before the first of them, the first.
+    last = known[np.maximum(np.searchsorted(known, np.arange(len(unit)), side="right") - 1, 0)]
+    tilt = np.unwrap(tilt[known])[np.searchsorted(known, last)]
+    turns = np.round(np.median(tilt) / (2.0 * np.pi))  # keep it near zero, as an arm's angles are
+    return roll, tilt - 2.0 * np.pi * turns, lost
 
 
-def _print(summary: dict[str, Any]) -> None:
-    for name, topic in summary["topics"].items():
-        rate = ""
-        if topic["duration_s"] > 0.0:
-            rate = f", {(topic['messages'] - 1) / topic['duration_s']:.1f} Hz"
-        print(f"{name}: {topic['messages']} messages over {topic['duration_s']:.3f} s{rate}")
-        if back := topic["stamps_not_after_the_one_before"]:
-            print(f"{name}: {back} stamps are not after the one before them")
-    for name in ("roll", "tilt"):
-        low, high = summary[f"{name}_rad"]
-        print(f"{name}: {low:.4f} to {high:.4f} rad")
-    if lost := summary["orientations_without_tilt"]:
-        print(f"gravity lies along y in {lost} orientations: their tilt is the last one known")
-    print(f"bag: {summary['bag']}")
+def write_measured(path: str, measured: Measured) -> tuple[Array, int]:
+    """Write `wrench_raw` and `joint_states` into a new bag; raises BagError.
+
+    Every message keeps its stamp and its place in its file. The log time is the stamp; where
+    stamps step back, that of the message before.
+
+    Returns:
+        The joints (m, 5), m and rad, and how many orientations have no tilt of their own.
+
+    """
+    roll, tilt, lost = roll_and_tilt(measured.gravity)
+    joints = np.tile(HOME, (len(roll), 1))
+    joints[:, 3], joints[:, 4] = roll, tilt
+    velocities = _velocities(measured.gravity_stamp_ns, joints)
+    states, forces = joint_state_bytes(JOINT_NAMES), wrench_bytes(SENSOR_FRAME)
+    stamps = (measured.gravity_stamp_ns, measured.wrench_stamp_ns)
+    log_ns = np.concatenate([np.maximum.accumulate(one) for one in stamps])
+    stamp_ns = np.concatenate(stamps)
+    # Stable: of one time the joints come first, as the driver publishes them.
+    order = np.argsort(log_ns, kind="stable").tolist()
+    with BagWriter(path) as bag, progress(len(order), "message", path) as bar:
+        joint_states = bag.add_topic("joint_states", JOINT_STATE_TYPE)
+        wrench_raw = bag.add_topic("wrench_raw", WRENCH_TYPE)
+        for k in order:
+            stamp, row = int(stamp_ns[k]), k - len(joints)
+            if row < 0:
+                data = states.fill(stamp, joints[k].tolist(), velocities[k].tolist())
+                bag.write(joint_states, int(log_ns[k]), data)
+            else:
+                data = forces.fill(stamp, measured.wrench[row].tolist())
+                bag.write(wrench_raw, int(log_ns[k]), data)
+            bar.update()
+    return joints, int(lost.sum())
+
+
+def _velocities(stamp_ns: np.ndarray, positions: Array) -> Array:
+    """Differences (n, 5) of the neighbours on both sides, per s; zero where time does not go on."""
+    after = np.minimum(np.arange(len(stamp_ns)) + 1, len(stamp_ns) - 1)
+    before = np.maximum(np.arange(len(stamp_ns)) - 1, 0)
+    span_s = (stamp_ns[after] - stamp_ns[before])[:, None] / NS_PER_S
+    change = positions[after] - positions[before]
+    return np.divide(change, span_s, out=np.zeros_like(change), where=span_s > 0.0)
+
+
+def convert(arguments: argparse.Namespace) -> list[str]:
+    """Read and write; return what was written, line by line. Raises GalenError."""
+    check_parent(Path(arguments.output))
+    measured = read_measured(arguments)
+    joints, lost = write_measured(arguments.output, measured)
+    lines = []
+    for name, stamps in (
+        ("joint_states", measured.gravity_stamp_ns),
+        ("wrench_raw", measured.wrench_stamp_ns),
+    ):
+        duration_s = int(stamps[-1] - stamps[0]) / NS_PER_S
+        rate = f", {(len(stamps) - 1) / duration_s:.1f} Hz" if duration_s > 0.0 else ""
+        lines.append(f"{name}: {len(stamps)} messages over {duration_s:.3f} s{rate}")
+        if back := int(np.sum(np.diff(stamps) <= 0)):
+            lines.append(f"{name}: {back} stamps are not after the one before them")
+    for name, angles in zip(("roll", "tilt"), joints.T[3:], strict=True):
+        lines.append(f"{name}: {angles.min():.4f} to {angles.max():.4f} rad")
+    if lost:
+        lines.append(
+            f"gravity lies along y in {lost} orientations: their tilt is the last one known"
+        )
+    return [*lines, f"bag: {arguments.output}"]
 
 
 def main(args: Sequence[str] | None = None) -> int:
-    """Entry point; returns the exit code."""
+    """Run the command; return the exit code."""
     parser = build_parser()
     arguments = parser.parse_args(args)
     two = (arguments.wrench is not None, arguments.orientations is not None)
     if (arguments.table is not None) == any(two) or any(two) != all(two):
         parser.error("give a table, or --wrench and --orientations")
-    if any(two) and (arguments.wrench_frame != "sensor" or arguments.rate_hz is not None):
-        parser.error("--wrench-frame base and --rate-hz are for a table that has both")
+    if any(two) and (
+        arguments.wrench_frame != "sensor" or arguments.rate_hz is not None or arguments.columns
+    ):
+        parser.error("--columns, --wrench-frame base and --rate-hz are for a table that has both")
 
     def work() -> int:
-        summary = convert(arguments)
-        print_json(summary) if arguments.json else _print(summary)
+        print("\n".join(convert(arguments)))
         return EXIT_OK
 
     return run_command("convert", work, "; no bag is written")

@@ -29,7 +29,7 @@ from rosbags.interfaces import (
     QosTime,
 )
 
-from galen_bags.errors import BagError
+from galen_bags import BagError
 
 _TYPE = re.compile(r"^\s*(?P<type>[A-Za-z][\w/]*)(\[[<=\d]*\])?\s+[A-Za-z]", re.MULTILINE)
 _BUILT_IN = re.compile(r"bool|byte|char|float(32|64)|u?int(8|16|32|64)|w?string(<=\d+)?")
@@ -119,19 +119,6 @@ def request_for(offers: Sequence[QoSProfile]) -> QoSProfile:
     reliable = all(offer.reliability is not ReliabilityPolicy.BEST_EFFORT for offer in offers)
     latched = all(offer.durability is DurabilityPolicy.TRANSIENT_LOCAL for offer in offers)
     return _stream(reliable, latched and bool(offers))
-
-
-def serves(offer: QoSProfile, request: QoSProfile) -> bool:
-    """Whether messages of a publisher with this offer reach a subscription with this request."""
-    if (
-        request.reliability is ReliabilityPolicy.RELIABLE
-        and offer.reliability is ReliabilityPolicy.BEST_EFFORT
-    ):
-        return False
-    return (
-        request.durability is not DurabilityPolicy.TRANSIENT_LOCAL
-        or offer.durability is DurabilityPolicy.TRANSIENT_LOCAL
-    )
 
 
 def to_bag(offer: QoSProfile) -> Qos:

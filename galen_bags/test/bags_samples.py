@@ -10,16 +10,15 @@ from zlib import crc32
 
 import lz4.frame
 import numpy as np
-from galen_bags.errors import BagError
 from galen_bags.formats.bag import open_bag
 from galen_bags.formats.mcap_records import zstd
 from galen_model.arm.galen import JOINT_NAMES
-from rosbags.rosbag1 import Writer as Ros1Writer
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, Reader, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
+from galen_bags import BagError
+
 TYPES = get_typestore(Stores.ROS2_JAZZY)
-ROS1_TYPES = get_typestore(Stores.ROS1_NOETIC)
 JOINT_STATE = "sensor_msgs/msg/JointState"
 WRENCH = "geometry_msgs/msg/WrenchStamped"
 POSE = "geometry_msgs/msg/PoseStamped"
@@ -34,9 +33,9 @@ class Sample(NamedTuple):
     data: bytes
 
 
-def header(stamp_ns: int, frame_id: str = "", types: Any = TYPES, **seq: int) -> Any:
-    stamp = types.types["builtin_interfaces/msg/Time"](*divmod(stamp_ns, 10**9))
-    return types.types["std_msgs/msg/Header"](stamp=stamp, frame_id=frame_id, **seq)
+def header(stamp_ns: int, frame_id: str = "") -> Any:
+    stamp = TYPES.types["builtin_interfaces/msg/Time"](*divmod(stamp_ns, 10**9))
+    return TYPES.types["std_msgs/msg/Header"](stamp=stamp, frame_id=frame_id)
 
 
 def joint_state(
@@ -45,16 +44,15 @@ def joint_state(
     position: Sequence[float],
     velocity: Sequence[float] = (),
     effort: Sequence[float] = (),
-    types: Any = TYPES,
 ) -> Any:
     runs = [np.array(values, dtype=float) for values in (position, velocity, effort)]
-    return types.types[JOINT_STATE](head, list(names), *runs)
+    return TYPES.types[JOINT_STATE](head, list(names), *runs)
 
 
-def wrench(head: Any, values: Sequence[float], types: Any = TYPES) -> Any:
-    vector = types.types["geometry_msgs/msg/Vector3"]
+def wrench(head: Any, values: Sequence[float]) -> Any:
+    vector = TYPES.types["geometry_msgs/msg/Vector3"]
     force, torque = vector(*values[:3]), vector(*values[3:])
-    return types.types[WRENCH](head, types.types["geometry_msgs/msg/Wrench"](force, torque))
+    return TYPES.types[WRENCH](head, TYPES.types["geometry_msgs/msg/Wrench"](force, torque))
 
 
 def pose(head: Any, values: Sequence[float]) -> Any:
@@ -111,21 +109,6 @@ def write_rosbag2(
             known[topic] = writer.add_connection(topic, type_of(topic), typestore=TYPES)
         writer.write(known[topic], log_time_ns, data)
     writer.close()
-    return path
-
-
-def write_ros1(path: Path, messages: Iterable[tuple[str, int, Any]], compression: str = "") -> Path:
-    """A ROS 1 bag of (topic, log time, message of ROS1_TYPES)."""
-    writer = Ros1Writer(path)
-    if compression:
-        writer.set_compression(Ros1Writer.CompressionFormat[compression])
-    with writer:
-        known: dict[str, Any] = {}
-        for topic, log_time_ns, message in messages:
-            kind = message.__msgtype__
-            if topic not in known:
-                known[topic] = writer.add_connection(topic, kind, typestore=ROS1_TYPES)
-            writer.write(known[topic], log_time_ns, ROS1_TYPES.serialize_ros1(message, kind))
     return path
 
 

@@ -22,9 +22,10 @@ from bags_samples import (
     write_rosbag2,
 )
 from galen_bags.arrays.arm_recording import ArmReader, ArmTopics, find_topic, read_arm
-from galen_bags.errors import BagError
 from galen_bags.formats.bag import open_bag
 from galen_model.arm.galen import JOINT_NAMES
+
+from galen_bags import BagError
 
 
 @pytest.fixture

@@ -1,8 +1,9 @@
 import os
 
 import pytest
-from galen_bags.errors import BagError
-from galen_bags.formats.find import find_bags
+from galen_bags.formats.files import find_bags
+
+from galen_bags import BagError
 
 METADATA = "rosbag2_bagfile_information:\n  version: 9\n"
 
@@ -19,7 +20,7 @@ def found(folder, *arguments):
 
 
 def test_a_rosbag2_directory_is_one_bag(tmp_path):
-    make(tmp_path, "run/metadata.yaml", "run/a_0.mcap", "run/a_1.mcap", "run/deeper/x.bag")
+    make(tmp_path, "run/metadata.yaml", "run/a_0.mcap", "run/a_1.mcap", "run/deeper/x.db3")
     assert found(tmp_path) == ["run"]
     assert find_bags([tmp_path / "run"]) == [tmp_path / "run"]
 
@@ -52,8 +53,8 @@ def test_a_bag_that_lost_its_files_is_still_found_and_so_reported_later(tmp_path
 
 
 def test_files_of_every_kind_and_nothing_else(tmp_path):
-    names = ["a.mcap", "b.db3", "c.mcap.zstd", "d.db3.zstd", "e.bag"]
-    make(tmp_path, *names, "notes.txt", "f.csv.zstd", "tool.json", "g.bag.txt")
+    names = ["a.mcap", "b.db3", "c.mcap.zstd", "d.db3.zstd"]
+    make(tmp_path, *names, "notes.txt", "f.csv.zstd", "tool.json", "g.bag")
     assert found(tmp_path) == names
 
 
@@ -72,18 +73,18 @@ def test_hidden_entries_are_left_out_unless_named(tmp_path):
 
 
 def test_each_bag_comes_once_whatever_leads_to_it(tmp_path):
-    make(tmp_path, "b/b.mcap", "a/metadata.yaml", "a/a.mcap", "c.bag")
+    make(tmp_path, "b/b.mcap", "a/metadata.yaml", "a/a.mcap", "c.db3")
     (tmp_path / "again").symlink_to(tmp_path / "b")
-    (tmp_path / "d.bag").symlink_to(tmp_path / "c.bag")
-    arguments = [tmp_path / "c.bag", tmp_path, tmp_path / "a", os.path.relpath(tmp_path / "c.bag")]
-    assert find_bags(arguments) == [tmp_path / name for name in ("a", "again", "c.bag")]
+    (tmp_path / "d.db3").symlink_to(tmp_path / "c.db3")
+    arguments = [tmp_path / "c.db3", tmp_path, tmp_path / "a", os.path.relpath(tmp_path / "c.db3")]
+    assert find_bags(arguments) == [tmp_path / name for name in ("a", "again", "c.db3")]
 
 
 def test_links_that_go_round_end(tmp_path):
     make(tmp_path, "x/a.mcap")
     (tmp_path / "x" / "up").symlink_to(tmp_path)
     (tmp_path / "x" / "self").symlink_to(tmp_path / "x" / "self")
-    (tmp_path / "x" / "gone.bag").symlink_to(tmp_path / "nowhere.bag")
+    (tmp_path / "x" / "gone.db3").symlink_to(tmp_path / "nowhere.db3")
     assert found(tmp_path) == ["x/a.mcap"]
 
 

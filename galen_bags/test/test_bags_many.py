@@ -15,9 +15,10 @@ from pathlib import Path
 
 import psutil
 import pytest
-from galen_bags.errors import BagError, ClusterError
-from galen_bags.many.run import run_many
+from galen_bags.many import run_many
 from galen_ros.command import add_workers
+
+from galen_bags import BagError, ClusterError
 
 WAIT_S = 30.0
 NOTHING_SAID = 0.3  # s without an answer are enough to see that there is none
@@ -239,7 +240,7 @@ def test_wrong_calls_are_rejected(tmp_path):
 
 def test_one_bag_is_worked_on_here_without_dask(tmp_path):
     code = (
-        "import os, pathlib, sys; from galen_bags.many.run import run_many;"
+        "import os, pathlib, sys; from galen_bags.many import run_many;"
         "(outcome,) = run_many(str, [pathlib.Path('bag')]);"
         "assert outcome.result == 'bag';"
         "assert not {'dask', 'distributed'} & set(sys.modules)"
@@ -276,7 +277,7 @@ def test_options_of_commands(capsys):
     ],
 )
 def test_the_reason_of_a_death(messages, reason, monkeypatch):
-    from galen_bags.many import workers
+    from galen_bags import workers
 
     monkeypatch.setattr(workers, "_END_S", 0.01)
     deaths = workers.Deaths()
@@ -336,7 +337,7 @@ def test_processes_are_reachable_from_here_only_and_leave_nothing(tmp_path, temp
 SCRIPT = """
 import sys, time
 from pathlib import Path
-from galen_bags.many.run import run_many
+from galen_bags.many import run_many
 from galen_ros.command import add_workers
 
 def work(bag):

@@ -33,10 +33,11 @@ from bags_samples import (
     statistics,
     text,
 )
-from galen_bags.errors import BagError
 from galen_bags.formats import mcap_file
 from galen_bags.formats.bag import open_bag
 from galen_bags.formats.mcap_records import zstd
+
+from galen_bags import BagError
 
 CDR = b"\0\1\0\0"
 DESCRIBED = schema(1, WRENCH) + channel(1, 1, "/w")

@@ -17,11 +17,12 @@ from bags_samples import (
     pose,
     wrench,
 )
-from galen_bags.arrays.messages import Decoder
-from galen_bags.errors import BagError
+from galen_bags.arrays.arm_recording import Decoder
 from galen_bags.formats.raw_block import pack
 from galen_model.arm.galen import JOINT_NAMES
 from rosbags.serde import SerdeError
+
+from galen_bags import BagError
 
 ODD = [0.0, -0.0, np.nan, np.inf, -np.inf, 5e-324, 1.7976931348623157e308, 0.1]
 
@@ -105,7 +106,7 @@ def test_joint_states(seed):
     """Any order of names, other joints among them, with velocities, efforts or without."""
     rng = random.Random(seed)
     order = ["roll", "tilt", "delta_x", "delta_y", "delta_z"]
-    decoder = Decoder(JOINT_STATE, order, required=2)
+    decoder = Decoder(JOINT_STATE, order, required=order[:2])
     for _ in range(2):  # in the second block, the layouts are known
         messages = [any_joint_state(rng) for _ in range(300)]
         samples = decode(decoder, messages)
@@ -205,14 +206,14 @@ def test_joint_states_that_can_not_be_used():
         b"\0\3" + fine[2:]: "don't start as a serialised message",
     }
     order = ["roll", "tilt", "delta_x", "delta_y", "delta_z"]
-    samples = decode(Decoder(JOINT_STATE, order, required=2), [fine, *cases, fine])
+    samples = decode(Decoder(JOINT_STATE, order, required=order[:2]), [fine, *cases, fine])
     assert sorted(samples.bad) == list(range(1, len(cases) + 1))
     for row, words in enumerate(cases.values(), 1):
         assert words in samples.bad[row]
     assert samples.values[[0, -1], :5].tolist() == [[3, 4, 0, 1, 2]] * 2
     # A platform's joints may lack, and are not known then.
     few = decode(
-        Decoder(JOINT_STATE, order, required=2),
+        Decoder(JOINT_STATE, order, required=order[:2]),
         [cdr(joint_state(header(T0), ["tilt", "roll"], [1, 2], [3, 4]))],
     )
     assert not few.bad

@@ -5,21 +5,16 @@ import random
 import shutil
 import sqlite3
 
-import numpy as np
 import pytest
 from bags_samples import (
     JOINT_STATE,
-    ROS1_TYPES,
     T0,
-    TYPES,
     WRENCH,
     Sample,
     arm_samples,
     channel,
     chunk,
-    header,
     index,
-    joint_state,
     mcap,
     mcap_of,
     message,
@@ -27,16 +22,14 @@ from bags_samples import (
     read_by_rosbags,
     read_or_reject,
     schema,
-    wrench,
-    write_ros1,
     write_rosbag2,
 )
-from galen_bags.errors import BagError
-from galen_bags.formats import raw_block, time_order
+from galen_bags.formats import raw_block
 from galen_bags.formats.bag import open_bag, storage_files
 from galen_bags.formats.mcap_records import zstd
-from galen_model.arm.galen import JOINT_NAMES
 from rosbags.rosbag2 import CompressionMode, StoragePlugin
+
+from galen_bags import BagError
 
 SQLITE, MCAP = StoragePlugin.SQLITE3, StoragePlugin.MCAP
 
@@ -140,7 +133,7 @@ def test_overlap_beyond_the_limit_is_named(tmp_path, monkeypatch):
         parts.append(chunk(content, min(times), max(times)))
     path.write_bytes(mcap(*parts))
     assert read(path) == (in_order(first + second + third), [])
-    monkeypatch.setattr(time_order, "MOST_HELD_BYTES", 1000)
+    monkeypatch.setattr(raw_block, "MOST_HELD_BYTES", 1000)
     found, problems = read(path)
     assert sorted(found) == sorted(first + second + third)
     assert len(problems) == 1 and "come out of order" in problems[0]
@@ -310,14 +303,13 @@ def test_paths_that_are_no_bags(tmp_path):
     (tmp_path / "text.txt").write_text("no bag")
     (tmp_path / "zeros.mcap").write_bytes(bytes(100))
     (tmp_path / "zeros.db3").write_bytes(bytes(100))
-    (tmp_path / "zeros.bag").write_bytes(bytes(100))
     (tmp_path / "nothing.mcap").write_bytes(b"")
     (tmp_path / "nothing.mcap.zstd").write_bytes(b"")
     for name, words in {
         "absent.mcap": "is not there", "empty": "holds no bag", "x.mcap": "holds no bag",
         "pipe.mcap": "neither a file nor a directory", "loop.mcap": "is not there",
         "text.txt": "is no bag", "zeros.mcap": "is no MCAP file", "zeros.db3": "can't be read",
-        "zeros.bag": "can't be read", "nothing.mcap": "is empty", "nothing.mcap.zstd": "is empty",
+        "nothing.mcap": "is empty", "nothing.mcap.zstd": "is empty",
         "n" * 300: "can't be read",
     }.items():  # fmt: skip
         with pytest.raises(BagError, match=words) as raised:
@@ -341,7 +333,7 @@ def test_compressed_file_that_would_fill_the_disk(tmp_path):
         open_bag(path)
 
 
-# --- SQLite and ROS 1 ---------------------------------------------------------------------------
+# --- SQLite -------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("name", ["50%", "run #3", "what?x=y", "a b", "%20"])
@@ -406,55 +398,7 @@ def test_sqlite_messages_left_in_the_journal_are_named(tmp_path):
     )  # fmt: skip
 
 
-def ros1_messages(count=60):
-    rng = np.random.default_rng(4)
-    for k in range(count):
-        stamp, q = T0 + k * 2_000_000, rng.normal(size=10)
-        head = header(stamp, "", ROS1_TYPES, seq=k + 1)
-        state = joint_state(head, JOINT_NAMES, q[:5], q[5:], types=ROS1_TYPES)
-        yield "/arm/joint_states", stamp + 1, state
-        head = header(stamp, "ft_sensor", ROS1_TYPES, seq=k + 7)
-        yield "/arm/wrench_raw", stamp + 2, wrench(head, q[:6], ROS1_TYPES)
-
-
-@pytest.mark.parametrize("compression", ["", "BZ2", "LZ4"])
-def test_ros1_bag(tmp_path, compression):
-    messages = list(ros1_messages())
-    path = write_ros1(tmp_path / "ros1.bag", messages, compression)
-    found, problems = read(path)
-    assert problems == [] and len(found) == len(messages)
-    for sample, (topic, time, sent) in zip(found, messages, strict=True):
-        assert sample[:2] == (topic, time)
-        got = TYPES.deserialize_cdr(sample.data, sent.__msgtype__)  # raises on a byte too much
-        assert got.header.stamp.sec == sent.header.stamp.sec
-        assert got.header.stamp.nanosec == sent.header.stamp.nanosec
-        assert got.header.frame_id == sent.header.frame_id
-        if topic.endswith("joint_states"):
-            assert got.name == sent.name
-            assert got.position.tolist() == sent.position.tolist()
-            assert got.velocity.tolist() == sent.velocity.tolist()
-        else:
-            for name in ("force", "torque"):
-                ours, theirs = getattr(got.wrench, name), getattr(sent.wrench, name)
-                assert [ours.x, ours.y, ours.z] == [theirs.x, theirs.y, theirs.z]
-
-
-@pytest.mark.parametrize("compression", ["", "BZ2", "LZ4"])
-def test_ros1_bag_that_is_damaged_anywhere(tmp_path, compression):
-    path = write_ros1(tmp_path / "ros1.bag", ros1_messages(), compression)
-    whole, rng = path.read_bytes(), random.Random(5)
-    for _ in range(25):
-        data = bytearray(whole)
-        for _ in range(rng.randint(1, 20)):
-            data[rng.randrange(len(data))] = rng.randrange(256)
-        path.write_bytes(data if rng.random() < 0.8 else data[: rng.randrange(len(data))])
-        found, problems = read_or_reject(path)
-        assert len(found) == 120 or path.name in problems[0]
-        assert not any("\n" in problem for problem in problems)
-
-
-def test_ros1_bag_that_was_cut_off_says_how_to_fix_it(tmp_path):
-    path = write_ros1(tmp_path / "ros1.bag", ros1_messages())
-    path.write_bytes(path.read_bytes()[:-400])
-    with pytest.raises(BagError, match="`rosbag reindex`"):
-        open_bag(path)
+def test_a_bag_of_ros1_names_the_command_that_converts_it(tmp_path):
+    (tmp_path / "old.bag").write_bytes(b"#ROSBAG V2.0\n")
+    with pytest.raises(BagError, match=r"rosbags-convert --src .*old\.bag --dst NEW"):
+        open_bag(tmp_path / "old.bag")

@@ -13,11 +13,10 @@ from typing import Any
 
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray
-from galen_bags.errors import BagError
 from galen_bags.formats.bag import open_bag
 from galen_bags.formats.writer import GrowingBagWriter
-from galen_bags.record.command import main, parse
-from galen_bags.record.recorder import DEFAULT_TOPICS, RecorderNode, SimulatedTimes, received_ns
+from galen_bags.record import main, parse
+from galen_bags.recorder import DEFAULT_TOPICS, RecorderNode, SimulatedTimes, received_ns
 from galen_ros.cdr import joint_state_bytes, wrench_bytes
 from galen_ros.messages import LATCHED, STREAM
 from galen_ros.node.diagnostics import Level
@@ -34,6 +33,7 @@ from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
+from galen_bags import BagError
 from galen_msgs.msg import DeflectionStamped
 
 S = 1_000_000_000
@@ -227,7 +227,7 @@ def test_what_can_not_be_recorded_does_not_disturb_the_rest(
             raise BagError(f"the type {type_name} is not installed here")
         return WrenchStamped
 
-    monkeypatch.setattr("galen_bags.record.recorder.message_class", uninstalled)
+    monkeypatch.setattr("galen_bags.recorder.message_class", uninstalled)
     recorder = start(harness, bag, ("wrench_raw", "strange"))
     wrenches = publisher(harness, WrenchStamped, "wrench_raw")
     strange = publisher(harness, String, "strange")
@@ -262,12 +262,10 @@ def test_lost_messages_are_counted(harness: Harness, bag: GrowingBagWriter) -> N
     wait_recorded(harness, recorder, 1)
     harness.call_in_executor(lambda: [wrenches.publish(wrench(k)) for k in range(1, 2501)])
     (counts,) = recorder.counts_by_topic
-    harness.wait_for(
-        lambda: counts.messages + counts.losses.lost == 2501, 10.0, "all accounted for"
-    )
-    assert counts.losses.lost > 0
+    harness.wait_for(lambda: counts.messages + counts.lost == 2501, 10.0, "all accounted for")
+    assert counts.lost > 0
     assert recorder.problems() == {
-        "/wrench_raw": f"{counts.losses.lost} of its messages were lost on the way"
+        "/wrench_raw": f"{counts.lost} of its messages were lost on the way"
     }
     found = messages(end(harness, recorder, bag))["/wrench_raw"]
     assert found[-1] == wrench(2500)
@@ -382,7 +380,7 @@ rclpy.spin(node)
 
 def record(started: Any, path: Path, *options: str) -> subprocess.Popen[str]:
     process: subprocess.Popen[str] = started(
-        "-m", "galen_bags.record.command", "wrench_raw", "-o", str(path), *options
+        "-m", "galen_bags.record", "wrench_raw", "-o", str(path), *options
     )
     return process
 
@@ -435,17 +433,13 @@ def test_a_kill_leaves_all_but_the_last_second(started: Any, tmp_path: Path) -> 
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("limit", "ended_by"),
-    [(("--duration-s", "1"), "duration"), (("--max-size-mb", "0.005"), "size")],
-)
-def test_limits_end_it(started: Any, tmp_path: Path, limit: Any, ended_by: str) -> None:
+def test_a_duration_ends_it(started: Any, tmp_path: Path) -> None:
     started("-c", SOURCE)
-    recorder = record(started, tmp_path / "bag", "--json", *limit)
+    recorder = record(started, tmp_path / "bag", "--json", "--duration-s", "1")
     out, err = recorder.communicate(timeout=60.0)
     assert recorder.returncode == 0, err
     result = json.loads(out)
-    assert result["ended_by"] == ended_by
+    assert result["ended_by"] == "duration"
     assert len(messages(tmp_path / "bag")["/wrench_raw"]) == result["messages"] > 0
 
 
@@ -453,7 +447,7 @@ def test_limits_end_it(started: Any, tmp_path: Path, limit: Any, ended_by: str) 
 def test_a_full_disk_ends_it_with_one_line(started: Any, tmp_path: Path) -> None:
     """A limit on the size of files stands in for the disk: the system rejects the write."""
     program = (
-        "import resource, sys; from galen_bags.record.command import main;"
+        "import resource, sys; from galen_bags.record import main;"
         "resource.setrlimit(resource.RLIMIT_FSIZE, (30_000, 30_000));"
         f"sys.argv = ['record', 'wrench_raw', '-o', {str(tmp_path / 'bag')!r}]; main()"
     )
@@ -488,7 +482,6 @@ def test_wrong_arguments_are_said(capsys: pytest.CaptureFixture[str]) -> None:
         (["/a b"], "'/a b' is no name of a topic: topic name must not contain"),
         (["-a", "wrench_raw"], "--all records all topics"),
         (["--duration-s", "0"], "0 is not above 0"),
-        (["--max-size-mb", "nan"], "nan is not finite"),
     ):
         with pytest.raises(SystemExit, match="2"):
             parse(arguments)
@@ -499,4 +492,4 @@ def test_defaults_are_the_arms_topics_and_a_name_by_the_time() -> None:
     options = parse([])
     assert options.topics == list(DEFAULT_TOPICS)
     assert re.fullmatch(r"rosbag2(_\d\d\d\d)(_\d\d){2}(-\d\d)(_\d\d){2}", str(options.output))
-    assert parse(["a", "--topics", "b", "a"]).topics == ["a", "b"]
+    assert parse(["a", "b", "a"]).topics == ["a", "b"]

@@ -1,6 +1,6 @@
 import numpy as np
 import pytest
-from galen_bags.arrays.stamp_check import StampCheck
+from galen_bags.arrays.timeline import StampCheck
 
 START = 1_700_000_000_000_000_000
 PERIOD = 2_000_000

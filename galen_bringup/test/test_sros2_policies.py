@@ -10,7 +10,7 @@ from xml.etree import ElementTree
 import pytest
 import rclpy
 from galen_bags.formats.writer import GrowingBagWriter
-from galen_bags.record.recorder import RecorderNode
+from galen_bags.recorder import RecorderNode
 from galen_calibration_behavior.calibrate import CalibrateClient
 from galen_calibration_behavior.check import CheckClient
 from galen_calibration_behavior.node import CalibrationNode

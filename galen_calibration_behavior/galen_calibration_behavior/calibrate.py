@@ -96,7 +96,7 @@ class CalibrateClient(GoalClient):
         self.bar.show(CALIBRATION_PHASES[state], feedback.done, feedback.total)
         if not self.bar.active and state != self._state:
             self.bar.line(f"[{feedback.done}/{feedback.total}] {feedback.message}")
-        rejected = math.isfinite(feedback.roll) and not feedback.accepted
+        rejected = len(feedback.angles) > 0 and not feedback.accepted
         if rejected:
             self.bar.line(f"  {feedback.message}")
         self._state = state

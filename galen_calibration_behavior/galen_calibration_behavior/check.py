@@ -55,7 +55,7 @@ class CheckClient(GoalClient):
     def on_feedback(self, feedback: Any) -> None:
         """Show it: the bar, or without a terminal a line for each; and each bad pose."""
         self.bar.show("checking", feedback.done, feedback.total)
-        rejected = math.isfinite(feedback.roll) and not feedback.accepted
+        rejected = len(feedback.angles) > 0 and not feedback.accepted
         if rejected or not self.bar.active:
             self.bar.line(f"[{feedback.done}/{feedback.total}] {feedback.message}")
 

@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 from galen_bags.arrays.joint_table import JointColumns, read_joint_run, read_joint_runs
-from galen_bags.arrays.text_table import TableError
+from galen_bags.arrays.tables import TableError
 from galen_deflection.evaluate import main
 from galen_deflection.transmission.comparison import JointSettings, compare
-from galen_model.transmission.parts import whole_runs
+from galen_model.transmission import whole_runs
 from joint_synthetic import RATE_HZ, STIFFNESS, lost_run, spring_run, write_csv
 
 REAL = Path(__file__).resolve().parents[3] / "shared" / "data" / "real"

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from galen_bags.arrays.arm_recording import ArmTopics, read_arm
 from galen_bags.arrays.marker_tracks import RawTrack, marker_track
-from galen_bags.errors import BagError
 from galen_bags.formats.bag import open_bag
 from galen_deflection.errors import PushRecordingError, RegistrationError
 from galen_deflection.measurement.arm_positions import (
@@ -41,6 +40,8 @@ from push_bag import (
     nominal,
     write,
 )
+
+from galen_bags import BagError
 
 SHARED = Path(__file__).resolve().parents[3] / "shared" / "recordings" / "disclosed"
 SHORT = Scene(positions=POSITIONS[:2])

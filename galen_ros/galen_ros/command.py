@@ -24,7 +24,7 @@ EXIT_OK, EXIT_FAILED, EXIT_USAGE, EXIT_INTERRUPTED = 0, 1, 2, 130
 # A process that a signal ended has this much more than the signal's number.
 EXIT_SIGNAL = 128
 _SHOW_PERIOD_S = 0.2
-_BAG_FORMATS = "rosbag2 directory, .mcap, .db3 or ROS 1 .bag"
+_BAG_FORMATS = "rosbag2 directory, .mcap or .db3"
 
 _Options = argparse.ArgumentParser | argparse._ArgumentGroup
 
@@ -118,19 +118,19 @@ def add_workers(options: _Options) -> None:
     )
 
 
-def split_ros_arguments(arguments: Sequence[str]) -> tuple[list[str], list[str]]:
-    """Split a command's own arguments from those between each `--ros-args` and `--`, or the end.
+def own_arguments(arguments: Sequence[str]) -> list[str]:
+    """Return a command's arguments without those between each `--ros-args` and `--`, or the end.
 
     rclpy's `remove_ros_args` also drops what only looks like a ROS argument, such as OLD:=NEW.
     """
     own: list[str] = []
-    ros: list[str] = []
     to_ros = False
     for argument in arguments:
         to_ros = to_ros or argument == "--ros-args"
-        (ros if to_ros else own).append(argument)
+        if not to_ros:
+            own.append(argument)
         to_ros = to_ros and argument != "--"
-    return own, ros
+    return own
 
 
 def positive(text: str) -> float:

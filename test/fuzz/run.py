@@ -23,7 +23,7 @@ PACKAGES = [f"galen_{name}" for name in ("model", "ros", "bags", "deflection", "
 PACKAGES += ["galen_diagnosis"]
 TARGETS = (
     "tool_file", "model_json", "model_packed", "comparison", "table", "convert", "motion", "answer",
-    "settings", "mcap", "mcap_zstd", "db3", "ros1", "metadata", "messages",
+    "settings", "mcap", "mcap_zstd", "db3", "metadata", "messages",
 )  # fmt: skip
 
 

@@ -11,10 +11,10 @@ from pathlib import Path
 
 import numpy as np
 from galen_model.arrays import Array
-from galen_model.transmission.joint_run import JointRun
+from galen_model.transmission import JointRun
 from galen_ros.command import positive
 
-from galen_bags.arrays.text_table import TableError, TextTable, read_text_table
+from galen_bags.arrays.tables import TableError, TextTable, read_text_table
 
 COLUMNS = ("t", "motor", "link", "torque")
 MOST_READINGS_HZ = 20e3

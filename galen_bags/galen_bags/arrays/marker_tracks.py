@@ -6,14 +6,19 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from galen_model.registration.rigid import Transform
+from galen_model.registration import Transform
 from galen_model.rotation import quaternion_to_matrix
 from scipy.ndimage import median_filter
 
-from galen_bags.arrays.arm_recording import find_topic
-from galen_bags.arrays.messages import POSE_TYPE, Decoder, Samples
+from galen_bags import BagError
+from galen_bags.arrays.arm_recording import (
+    POSE_TYPE,
+    Decoder,
+    Samples,
+    find_topic,
+    join_samples,
+)
 from galen_bags.arrays.timeline import Timeline, lay_out, stamp_sentences
-from galen_bags.errors import BagError
 from galen_bags.formats.bag import Bag
 
 _NORM_TOLERANCE = 1e-3
@@ -71,19 +76,15 @@ def read_poses(bag: Bag, names: tuple[str, ...]) -> list[RawTrack]:
 def _joined(bag: Bag, topic: str, parts: list[tuple[Samples, np.ndarray]]) -> RawTrack:
     if not parts:
         raise BagError(f"{bag.path}: {topic} has no message")
-    first = np.cumsum([0, *(len(samples) for samples, _ in parts)])
-    bad = {
-        int(start) + row: why
-        for start, (samples, _) in zip(first, parts, strict=False)
-        for row, why in samples.bad.items()
-    }
+    all_samples, logs = zip(*parts, strict=True)
+    samples = join_samples(list(all_samples), 7)
     return RawTrack(
         topic,
-        np.concatenate([samples.stamp_ns for samples, _ in parts]),
-        np.concatenate([log_ns for _, log_ns in parts]),
-        np.concatenate([samples.values for samples, _ in parts]),
-        parts[-1][0].frame_ids,
-        bad,
+        samples.stamp_ns,
+        np.concatenate(logs),
+        samples.values,
+        samples.frame_ids,
+        samples.bad,
     )
 
 

@@ -1,8 +1,4 @@
-"""Any bag: rosbag2 directories and files, MCAP and SQLite3, compressed or not, and ROS 1 bags.
-
-MCAP is read by `mcap_file`, in chunks, into arrays. The other storages come from the library
-rosbags, message by message.
-"""
+"""Any bag of ROS 2: rosbag2 directories and files, MCAP and SQLite3, compressed or not."""
 
 from __future__ import annotations
 
@@ -18,25 +14,24 @@ from types import TracebackType
 
 import numpy as np
 
-from galen_bags.errors import BagError
-from galen_bags.formats.library_file import LibraryFile
-from galen_bags.formats.mcap_file import McapFile
-from galen_bags.formats.mcap_records import LARGEST_BYTES
-from galen_bags.formats.metadata import (
+from galen_bags import BagError
+from galen_bags.formats.files import (
     STORAGES,
     ZSTD_ENDING,
     listed_files,
     storage_files,
     storage_of,
 )
+from galen_bags.formats.mcap_file import McapFile
+from galen_bags.formats.mcap_records import LARGEST_BYTES
 from galen_bags.formats.raw_block import Messages, Problems, TopicInfo, packed
+from galen_bags.formats.sqlite_file import SqliteFile
 
 if sys.version_info >= (3, 14):
     from compression import zstd
 else:
     from backports import zstd
 
-_KINDS = (*STORAGES, ".bag")
 # No serialised message starts so: CDR's first byte is zero.
 _ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 # Recordings don't shrink to less; what grows by more is meant to fill the disk.
@@ -54,7 +49,7 @@ class Bag:
         self._problems = Problems()
         for text in problems:
             self._problems.add(text)
-        self._files: list[McapFile | LibraryFile] = []
+        self._files: list[McapFile | SqliteFile] = []
         with contextlib.ExitStack() as undo:
             undo.callback(self.close)
             self._open_all(files)
@@ -88,7 +83,7 @@ class Bag:
         return found
 
     def blocks(self, topics: Sequence[str]) -> Iterator[Messages]:
-        """Messages of `topics` in order of log time; `Messages.topic` counts in `topics`.
+        """Return messages of `topics` in order of log time; `Messages.topic` counts in `topics`.
 
         Raises BagError for a topic that the bag lacks, or that is not CDR.
         """
@@ -125,9 +120,13 @@ class Bag:
                     raise
                 self._problems.add(str(error))
 
-    def _open(self, path: Path) -> McapFile | LibraryFile:
-        if storage_of(path) not in _KINDS:
-            raise BagError(f"{path}: is no bag (.mcap, .db3, .bag or a directory of them)")
+    def _open(self, path: Path) -> McapFile | SqliteFile:
+        if path.suffix == ".bag":
+            raise BagError(
+                f"{path}: is a bag of ROS 1; convert it: rosbags-convert --src {path} --dst NEW"
+            )
+        if storage_of(path) not in STORAGES:
+            raise BagError(f"{path}: is no bag (.mcap, .db3 or a directory of them)")
         if path.suffix == ZSTD_ENDING:
             unpacked = self._decompressed(path)
             try:
@@ -136,7 +135,7 @@ class Bag:
                 raise BagError(str(error).replace(str(unpacked), str(path))) from error
         if path.suffix == ".mcap":
             return McapFile(path)
-        opened = LibraryFile(path, self._folder)
+        opened = SqliteFile(path, self._folder)
         self._stack.callback(opened.close)
         return opened
 
@@ -194,7 +193,7 @@ class Bag:
 
 
 def open_bag(path: str | os.PathLike[str]) -> Bag:
-    """Open a rosbag2 directory (with metadata.yaml or without), a .mcap, .db3 or ROS 1 .bag.
+    """Open a rosbag2 directory (with metadata.yaml or without), a .mcap or a .db3.
 
     Raises BagError, naming the file.
     """
@@ -222,7 +221,7 @@ def open_bag(path: str | os.PathLike[str]) -> Bag:
 
 
 def content_sha256(path: str | os.PathLike[str]) -> str:
-    """SHA-256, in hexadecimal, over every message of a bag in order of log time.
+    """Return the SHA-256, in hexadecimal, over every message of a bag in order of log time.
 
     Of each message: topic name and type, each ended by a zero byte, log time (int64, ns), length
     of the payload (uint64), both little-endian, the payload itself. Messages of one log time are
@@ -244,7 +243,7 @@ def content_sha256(path: str | os.PathLike[str]) -> str:
 
 
 def listing(names: Iterable[str]) -> str:
-    """Names for a sentence: "/a, /b", the first of many, or "none"."""
+    """Join names for a sentence: "/a, /b", the first of many, or "none"."""
     there = sorted(names)
     more = [f"{len(there) - _MOST_NAMED} more"] if len(there) > _MOST_NAMED else []
     return ", ".join([*there[:_MOST_NAMED], *more]) or "none"

@@ -6,7 +6,7 @@ Checksums of chunks are checked where they have one; the one over the whole file
 would take a second pass.
 
 What a file may cost, whatever it claims: mcap_records.LARGEST_BYTES a chunk,
-time_order.MOST_HELD_BYTES of chunks that overlap in time, _MOST_DEFINITION_BYTES of types, and time
+raw_block.MOST_HELD_BYTES of chunks that overlap in time, _MOST_DEFINITION_BYTES of types, and time
 in proportion to the number of records.
 """
 
@@ -21,7 +21,7 @@ from typing import BinaryIO
 
 import numpy as np
 
-from galen_bags.errors import BagError
+from galen_bags import BagError
 from galen_bags.formats.mcap_records import (
     CHANNEL,
     CHUNK,
@@ -42,8 +42,13 @@ from galen_bags.formats.mcap_records import (
     unpack_chunk,
     walk,
 )
-from galen_bags.formats.raw_block import Messages, Problems, TopicInfo
-from galen_bags.formats.time_order import MOST_HELD_BYTES, TimeOrder
+from galen_bags.formats.raw_block import (
+    MOST_HELD_BYTES,
+    Messages,
+    Problems,
+    TimeOrder,
+    TopicInfo,
+)
 
 _WINDOW_BYTES = 1 << 16
 # Messages outside of chunks are read in pieces of this size.
@@ -93,7 +98,7 @@ class McapFile:
             raise BagError(f"{path}: can't be read: {error.strerror}") from error
 
     def close(self) -> None:
-        """Nothing is kept open."""
+        """Do nothing: no file is kept open."""
 
     @property
     def topics(self) -> list[TopicInfo]:
@@ -106,7 +111,7 @@ class McapFile:
         return found
 
     def messages(self, wanted: dict[str, int]) -> Iterator[Messages]:
-        """Messages of the `wanted` topics ({name: number}) in order of log time.
+        """Return messages of the `wanted` topics ({name: number}) in order of log time.
 
         Chunks may overlap in time; what is later than the next one's start waits for it.
         """

@@ -136,7 +136,7 @@ def _heads(content: bytes, start: np.ndarray) -> np.ndarray:
 
 
 def indexed_starts(index: bytes) -> np.ndarray:
-    """Where the message indexes after a chunk say that its messages are, sorted."""
+    """Return where the message indexes after a chunk place its messages, sorted."""
     parts = []
     at = 0
     while at + _INDEX_HEAD.size <= len(index):

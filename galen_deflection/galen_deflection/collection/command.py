@@ -9,7 +9,7 @@ import sys
 from typing import Any
 
 import numpy as np
-from galen_ros.command import EXIT_OK, finite, make_parser, whole
+from galen_ros.command import EXIT_OK, finite, make_parser, own_arguments, whole
 from galen_ros.goal.client import (
     GoalClient,
     add_client_options,
@@ -18,7 +18,6 @@ from galen_ros.goal.client import (
     result_to_dict,
     run_client,
 )
-from galen_ros.node.spin import own_arguments
 
 from galen_deflection.collection.commands import ErrorCode, State
 from galen_deflection.collection.plan import MOST_SETS

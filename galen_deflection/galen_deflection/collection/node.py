@@ -8,7 +8,6 @@ from enum import IntEnum
 from typing import Any
 
 import numpy as np
-from galen_bags.errors import BagError
 from galen_model.arrays import Array
 from galen_model.errors import CalibrationFileError, GalenError, ToolNameError
 from galen_model.files.calibration_file import CalibrationFile, calibration_path, read_calibration
@@ -22,6 +21,7 @@ from rclpy.action.server import ServerGoalHandle
 from rclpy.client import Client
 from rclpy.subscription import Subscription
 
+from galen_bags import BagError
 from galen_deflection.collection.commands import (
     ErrorCode,
     Feedback,

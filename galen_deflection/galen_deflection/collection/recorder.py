@@ -12,12 +12,13 @@ from concurrent.futures import Future
 from pathlib import Path
 from queue import Empty, SimpleQueue
 
-from galen_bags.errors import BagError
 from galen_bags.formats.writer import GrowingBagWriter
-from galen_bags.record.recorder import RecorderNode
+from galen_bags.recorder import RecorderNode
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
+
+from galen_bags import BagError
 
 _SPIN_S = 0.05
 

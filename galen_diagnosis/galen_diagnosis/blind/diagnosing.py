@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from galen_bags.many.run import run_many
+from galen_bags.many import run_many
 from galen_model.files.atomic_file import write_whole
 from galen_ros.command import EXIT_FAILED, EXIT_OK, add_workers, run_command
 

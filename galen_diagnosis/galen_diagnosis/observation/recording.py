@@ -14,13 +14,13 @@ from pathlib import Path
 import numpy as np
 from galen_bags.arrays.arm_recording import ArmRecording, ArmTopics, read_arm
 from galen_bags.arrays.marker_tracks import marker_track, read_poses
-from galen_bags.errors import BagError
 from galen_bags.formats.bag import open_bag
-from galen_bags.formats.find import is_bag
+from galen_bags.formats.files import is_bag
 from galen_model.arm.galen import WRENCH_AXES
 from galen_model.arrays import Array
 from galen_model.files.calibration_file import CalibrationFile, read_calibration
 
+from galen_bags import BagError
 from galen_diagnosis.errors import DiagnosisError
 from galen_diagnosis.observation.rows import BAGS
 

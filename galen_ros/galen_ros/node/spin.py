@@ -23,7 +23,7 @@ from rclpy.exceptions import ParameterException
 from rclpy.executors import Executor, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
-from rclpy.utilities import ok, remove_ros_args, try_shutdown
+from rclpy.utilities import ok, try_shutdown
 
 from galen_ros.executable import interrupted
 from galen_ros.node.parameters import warn_of_unknown_parameters
@@ -55,14 +55,6 @@ def init_ros(args: list[str] | None = None, context: Context | None = None) -> N
     except RCLError as error:
         # rcl adds the lines of its own source.
         raise GalenError(_IN_RCL.sub("", str(error))) from error
-
-
-def own_arguments(arguments: list[str]) -> list[str]:
-    """Return a command line without what is ROS's; where that is wrong, `init_ros` says it."""
-    try:
-        return list(remove_ros_args(arguments))
-    except RuntimeError:
-        return arguments[: arguments.index("--ros-args")]
 
 
 def run(make_node: Callable[[], Node], args: list[str] | None = None) -> None:

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from galen_bags.arrays.messages import JOINT_STATE_TYPE, POSE_TYPE, WRENCH_TYPE
+from galen_bags.arrays.arm_recording import JOINT_STATE_TYPE, POSE_TYPE, WRENCH_TYPE
 from galen_bags.formats.writer import BagWriter
 from galen_model.arm.galen import (
     BASE_FRAME,

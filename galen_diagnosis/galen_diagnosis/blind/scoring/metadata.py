@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 from galen_bags.formats.bag import open_bag
-from galen_bags.formats.find import find_bags
+from galen_bags.formats.files import find_bags
 from galen_model.arrays import Array
 from scipy.stats import rankdata
 

@@ -6,12 +6,11 @@ All `now_s` are of one steady clock, in s; bag times are log times in ns.
 from __future__ import annotations
 
 import queue
-import struct
 import threading
 from collections.abc import Callable, Iterable, Iterator
 
 import numpy as np
-from galen_ros.cdr import NS_PER_S, STAMP_AT
+from galen_ros.cdr import NS_PER_S
 
 from galen_bags.formats.raw_block import Messages
 
@@ -45,7 +44,7 @@ class BagClock:
         self._anchor_ns, self._anchor_s, self._last_s = bag_ns, now_s, now_s
 
     def advance(self, now_s: float) -> int:
-        """Bag time now, ns."""
+        """Return bag time now, ns."""
         if self._paused:
             return self._anchor_ns
         excess_s = now_s - self._last_s - self._max_step_s
@@ -69,7 +68,7 @@ class BagClock:
 
 
 class Settling:
-    """Waits until a number has stayed as it is for `quiet_s`."""
+    """Wait until a number has stayed as it is for `quiet_s`."""
 
     def __init__(self, quiet_s: float) -> None:
         self._quiet_s = quiet_s
@@ -100,7 +99,7 @@ def window(blocks: Iterable[Messages], first_ns: int, last_ns: int | None) -> It
 
 
 class Ahead:
-    """Reads blocks ahead in a thread, so that reading does not delay what is due.
+    """Read blocks ahead in a thread, so that reading does not delay what is due.
 
     An error of reading is raised by `take`. `close` ends the thread.
     """
@@ -153,7 +152,7 @@ class Playlist:
         self.ended = False
 
     def peek_ns(self) -> int | None:
-        """Log time of the next message; None if it is not read yet, or at the end (`ended`)."""
+        """Return the next message's log time; None if it is not read yet, or at the end."""
         if not self._fill():
             return None
         assert self._block is not None
@@ -175,11 +174,3 @@ class Playlist:
             self._next = 0
             self.ended = self._block is None
         return not self.ended
-
-
-def with_stamp(data: bytes, stamp_ns: int) -> bytes:
-    """Give a message that starts with a header another stamp; other bytes stay as they are."""
-    changed = bytearray(data)
-    order = "<" if data[1] & 1 else ">"
-    struct.pack_into(order + "iI", changed, STAMP_AT, *divmod(stamp_ns, NS_PER_S))
-    return bytes(changed)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,17 +15,20 @@ from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.duration import Duration
 from rclpy.node import Node
+from rclpy.publisher import Publisher
+from rclpy.qos import QoSProfile
 from rosgraph_msgs.msg import Clock as ClockMessage
 from std_srvs.srv import SetBool
 
-from galen_bags.errors import BagError
+from galen_bags import BagError
 from galen_bags.formats.bag import Bag
-from galen_bags.formats.metadata import read_metadata
+from galen_bags.formats.files import read_metadata
 from galen_bags.formats.raw_block import Messages
-from galen_bags.play.played_topics import CLOCK, make_topics, selected_topics
-from galen_bags.play.timing import Ahead, BagClock, Playlist, Settling, window, with_stamp
-from galen_bags.topics import offer_again
+from galen_bags.timing import Ahead, BagClock, Playlist, Settling, window
+from galen_bags.topics import message_class, offer_again
 
+_CLOCK = "/clock"
+_CLOCK_HZ = 100.0
 _TICK_S = 0.001
 # More at once could overflow the queues of receivers (2000).
 _MOST_AT_ONCE = 200
@@ -36,18 +39,69 @@ _ACK_TIMEOUT_S = 10.0
 
 @dataclass(frozen=True)
 class PlayOptions:
-    """How to play. `topics` None: all; `clock_hz` 0: no /clock; times in s."""
+    """How to play. `topics` None: all; `clock`: publish /clock; times in s."""
 
     topics: tuple[str, ...] | None = None
     rate: float = 1.0
-    clock_hz: float = 100.0
+    clock: bool = True
     start_offset_s: float = 0.0
     playback_duration_s: float | None = None
     loop: bool = False
-    start_paused: bool = False
-    delay_s: float = 0.0
     wait_for_subscribers_s: float = 0.0
-    log_stamps: bool = False
+
+
+@dataclass
+class _PlayedTopic:
+    """One topic that is played."""
+
+    name: str
+    publisher: Publisher
+    carries: bool
+    published: int = 0
+
+
+def _selected_topics(bag: Bag, wanted: Sequence[str] | None) -> list[str]:
+    """Full names of the wanted topics (None: all); raises BagError for one that the bag lacks."""
+    if wanted is None:
+        return sorted(bag.topics)
+    names = [name if name.startswith("/") else f"/{name}" for name in wanted]
+    for name in names:
+        if name not in bag.topics:
+            there = ", ".join(sorted(bag.topics)) or "none"
+            raise BagError(f"{bag.path}: has no topic {name}; it has {there}")
+    return list(dict.fromkeys(names))
+
+
+def _make_topics(
+    node: Node, bag: Bag, offers: Mapping[str, QoSProfile], own_clock: bool
+) -> tuple[list[_PlayedTopic], dict[str, str]]:
+    """Return publishers for the topics in `offers`, and {name: reason} of those that are left out.
+
+    `own_clock`: the player publishes /clock itself. Raises BagError when nothing is left to play.
+    """
+    topics: list[_PlayedTopic] = []
+    left_out: dict[str, str] = {}
+    for name, offer in offers.items():
+        info = bag.topics[name]
+        try:
+            if name == _CLOCK and own_clock:
+                raise BagError("the player's own /clock takes its place")
+            if info.encoding != "cdr":
+                raise BagError(f"it is serialised as {info.encoding!r}, not cdr")
+            kind = message_class(info.type_name)
+        except BagError as reason:
+            left_out[name] = str(reason)
+            continue
+        topics.append(
+            _PlayedTopic(
+                name,
+                node.create_publisher(kind, name, offer),
+                carries=info.count != 0,
+            )
+        )
+    if not any(topic.carries for topic in topics):
+        raise BagError(f"{bag.path}: holds no message that can be played")
+    return topics, left_out
 
 
 class PlayerNode(Node):
@@ -67,13 +121,12 @@ class PlayerNode(Node):
         self.acknowledged = True
         self.done = False
         self._metadata = read_metadata(bag.path)
-        names = selected_topics(bag, options.topics)
+        names = _selected_topics(bag, options.topics)
         offers = {name: offer_again(self._metadata.qos.get(name, [])) for name in names}
-        self._topics, self.left_out = make_topics(self, bag, offers, bool(options.clock_hz))
+        self._topics, self.left_out = _make_topics(self, bag, offers, options.clock)
         for name, reason in self.left_out.items():
             self.get_logger().warning(f"{name} is not played: {reason}")
         self._timeline = BagClock(options.rate)
-        self._timeline.pause(options.start_paused, 0.0)
         self._settling = Settling(_QUIET_S)
         self._began_s = time.monotonic()
         self._playing_since_s: float | None = None
@@ -88,7 +141,7 @@ class PlayerNode(Node):
         self._clock_message = ClockMessage()
         self._next_clock_s = 0.0
         self._clock_publisher = (
-            self.create_publisher(ClockMessage, CLOCK, 10) if options.clock_hz else None
+            self.create_publisher(ClockMessage, _CLOCK, 10) if options.clock else None
         )
         self.create_service(SetBool, "~/pause", self._on_pause)
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
@@ -104,7 +157,7 @@ class PlayerNode(Node):
 
     @property
     def state(self) -> str:
-        """`waiting` for subscribers, `playing`, `paused`, `ending` (acknowledgements), `done`."""
+        """`waiting` (subscribers), `playing`, `paused`, `ending` (acknowledgements), `done`."""
         if self.done:
             return "done"
         if self._ending_since_s is not None:
@@ -181,7 +234,7 @@ class PlayerNode(Node):
             topic.carries and not count for topic, count in zip(self._topics, counts, strict=True)
         )
         waited_s = now_s - self._began_s
-        if not settled or waited_s < options.delay_s:
+        if not settled:
             return
         if lonely and waited_s < options.wait_for_subscribers_s:
             return
@@ -222,8 +275,6 @@ class PlayerNode(Node):
     def _publish_next(self) -> None:
         number, log_time_ns, data = self._playlist.pop()
         topic = self._topics[number]
-        if self._options.log_stamps and topic.stamped:
-            data = with_stamp(data, log_time_ns)
         topic.publisher.publish(data)
         topic.published += 1
         self._position_ns = log_time_ns
@@ -254,7 +305,7 @@ class PlayerNode(Node):
         publisher, bag_ns = self._clock_publisher, self._position_ns
         if publisher is None or bag_ns is None or now_s < self._next_clock_s:
             return
-        period_s = 1.0 / self._options.clock_hz
+        period_s = 1.0 / _CLOCK_HZ
         self._next_clock_s = max(self._next_clock_s + period_s, now_s)
         fill_stamp(self._clock_message.clock, bag_ns)
         publisher.publish(self._clock_message)
@@ -287,8 +338,8 @@ class PlayerNode(Node):
             if (count := self.count_publishers(topic.publisher.topic_name)) > 1
             and topic.name not in ("/diagnostics", "/rosout", "/parameter_events", "/tf")
         ]
-        if self._clock_publisher is not None and self.count_publishers(CLOCK) > 1:
-            troubles.append("somebody else publishes /clock too")
+        if self._clock_publisher is not None and self.count_publishers(_CLOCK) > 1:
+            troubles.append("another node publishes /clock, too")
         if troubles:
             return Status(WARN, "; ".join(itertools.islice(troubles, 5)), values)
         return Status(OK, self.state, values)

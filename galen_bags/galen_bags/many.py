@@ -1,8 +1,12 @@
-"""One function over many bags, in parallel: on processes here, or on a Dask cluster."""
+"""One function over many bags, in parallel: on processes here, or on a Dask cluster.
+
+And what such a job is given: the calibration file and the name of each bag.
+"""
 
 from __future__ import annotations
 
 import contextlib
+import os
 import socket
 import time
 import traceback
@@ -13,12 +17,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 from galen_model.errors import GalenError
+from galen_model.files.calibration_file import CalibrationFile, read_calibration
 from tqdm import tqdm
 
 if TYPE_CHECKING:
     from distributed import Client, Future
 
-    from galen_bags.many.workers import Deaths
+    from galen_bags.workers import Deaths
 
 Result = TypeVar("Result")
 
@@ -110,7 +115,7 @@ def _outcomes(
             yield number, _work(function, bag)
         return
     # Importing dask takes longer than many a bag.
-    from galen_bags.many.workers import cpu_count, local_workers, scheduler_client
+    from galen_bags.workers import cpu_count, local_workers, scheduler_client
 
     if scheduler is not None:
         with scheduler_client(scheduler, timeout_s) as client:
@@ -255,3 +260,42 @@ def _work_elsewhere(
         text = f"{bag}: its result can't be sent from the worker: {reason}"
         return Outcome(bag, None, text, outcome.seconds)
     return outcome
+
+
+# Inputs
+
+
+def calibration_of_bag(bag: Path, tool: Path, *, beside: bool) -> CalibrationFile:
+    """Read the calibration file that a bag was recorded with.
+
+    Args:
+        bag: the recording.
+        tool: the file, or, with `beside`, its name in the bag's directory or the one above.
+        beside: look for the file beside the bag.
+
+    Raises:
+        GalenError: the file is missing or invalid; the message names it.
+
+    """
+    if not beside:
+        return read_calibration(tool)
+    folder = bag if bag.is_dir() else bag.parent
+    for place in (folder, folder.parent):
+        if (place / tool.name).is_file():
+            return read_calibration(place / tool.name)
+    raise GalenError(f"{bag}: neither in it nor beside it is a tool's file {tool.name}")
+
+
+def distinct_names(paths: Sequence[Path]) -> dict[Path, str]:
+    """Name each path by its stem, with folders before it as far as they differ."""
+    resolved = {path: Path(os.path.abspath(path)) for path in paths}  # noqa: PTH100 - keeps links
+    depth = 1
+    while True:
+        names = {
+            path: "_".join((*whole.parent.parts, whole.stem)[-depth:])
+            for path, whole in resolved.items()
+        }
+        longest = max((len(whole.parts) for whole in resolved.values()), default=1)
+        if len(set(names.values())) == len(names) or depth > longest:
+            return names
+        depth += 1

@@ -26,7 +26,7 @@ from distributed import Client, LocalCluster
 from distributed.core import rpc
 from distributed.security import Security
 
-from galen_bags.errors import ClusterError
+from galen_bags import ClusterError
 
 # A worker that does not end by itself is killed after this time.
 _END_S = 0.5
@@ -46,12 +46,12 @@ _LOCAL_SETTINGS: dict[str, Any] = {
 
 
 def cpu_count() -> int:
-    """How many processors this process may use."""
+    """Return how many processors this process may use."""
     return int(CPU_COUNT)
 
 
 class Deaths(logging.Handler):
-    """Collects what the processes' watchers say when one dies."""
+    """Collect what the processes' watchers log when one dies."""
 
     def __init__(self) -> None:
         super().__init__(logging.INFO)
@@ -74,7 +74,7 @@ class Deaths(logging.Handler):
         self._said.clear()
 
     def reason(self) -> str:
-        """Why a worker died since `clear`, as far as it is known."""
+        """Return why a worker died since `clear`, as far as it is known."""
         # The scheduler may have seen its connection close before the process was waited for.
         self._said.wait(_END_S)
         if self._for_memory:
@@ -84,7 +84,7 @@ class Deaths(logging.Handler):
 
 @contextlib.contextmanager
 def local_workers(count: int) -> Iterator[tuple[Client, Deaths]]:
-    """`count` processes of one thread each, reachable from this machine only.
+    """Start `count` processes of one thread each, reachable from this machine only.
 
     When it ends, for whatever reason, they are gone, and so are their files.
     """

@@ -13,19 +13,16 @@ from rclpy.callback_groups import CallbackGroup
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.node import Node
-from rclpy.qos import QoSProfile
 from rclpy.subscription import Subscription
 from rclpy.topic_or_service_is_hidden import topic_or_service_is_hidden
 
-from galen_bags.errors import BagError
+from galen_bags import BagError
 from galen_bags.formats.writer import GrowingBagWriter
-from galen_bags.record.topic_counts import TopicCounts
 from galen_bags.topics import (
     check_topic_name,
     definition_of,
     message_class,
     request_for,
-    serves,
     to_bag,
 )
 
@@ -61,6 +58,79 @@ class _Never(CallbackGroup):
 
 
 @dataclass
+class TopicCounts:
+    """What a recording has of one topic; times are log times, ns.
+
+    Lost messages are gaps in a publisher's sequence numbers, which start at 1. They mean a loss
+    only while there is one publisher: two count each for itself. So messages come in batches, and
+    `end_batch` gets whether one publisher was matched all the while.
+    """
+
+    name: str
+    type_name: str
+    messages: int = 0
+    size_bytes: int = 0
+    first_ns: int | None = None
+    last_ns: int | None = None
+    lost: int = 0
+    _last_number: int | None = None
+    _gaps: int = 0
+    _kept: tuple[int, int, int | None] = (0, 0, None)
+
+    def add(self, log_time_ns: int, size_bytes: int) -> None:
+        """Count a message that was written."""
+        self.messages += 1
+        self.size_bytes += size_bytes
+        self.first_ns = log_time_ns if self.first_ns is None else self.first_ns
+        self.last_ns = log_time_ns
+
+    def add_number(self, sequence_number: int | None) -> None:
+        """Take the number of the next message; None where the middleware gives none."""
+        last, self._last_number = self._last_number, sequence_number
+        # A lower number is another publisher's: the old one was restarted.
+        if sequence_number is not None and last is not None and sequence_number > last:
+            self._gaps += sequence_number - last - 1
+
+    def end_batch(self, one_publisher: bool) -> int:
+        """Count the batch's gaps, or forget them; returns how many were counted."""
+        counted = self._gaps if one_publisher else 0
+        if not one_publisher:
+            self._last_number = None
+        self._gaps = 0
+        self.lost += counted
+        return counted
+
+    def keep(self) -> None:
+        """Note that what was counted until now is in the file."""
+        self._kept = (self.messages, self.size_bytes, self.last_ns)
+
+    def take_back(self) -> None:
+        """Take back what was counted since `keep`: it did not get into the file."""
+        self.messages, self.size_bytes, self.last_ns = self._kept
+        self.first_ns = self.first_ns if self.messages else None
+
+    @property
+    def rate_hz(self) -> float | None:
+        """Mean rate by log times; None where two messages don't span any time."""
+        if self.first_ns is None or self.last_ns is None or self.last_ns <= self.first_ns:
+            return None
+        return (self.messages - 1) / ((self.last_ns - self.first_ns) * 1e-9)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the counts for JSON."""
+        return {
+            "name": self.name,
+            "type": self.type_name,
+            "messages": self.messages,
+            "bytes": self.size_bytes,
+            "lost": self.lost,
+            "first_ns": self.first_ns,
+            "last_ns": self.last_ns,
+            "rate_hz": self.rate_hz,
+        }
+
+
+@dataclass
 class _Topic:
     """One topic that is being recorded."""
 
@@ -68,12 +138,11 @@ class _Topic:
     offered: tuple[Any, ...]  # the publishers' qualities of service, as a bag has them
     message_class: Any
     subscription: Subscription
-    request: QoSProfile
     counts: TopicCounts
 
 
 def received_ns(info: Mapping[str, int | None]) -> int:
-    """When the middleware received a message; now where it does not say (Cyclone DDS)."""
+    """Return when the middleware received a message; now where it does not say (Cyclone DDS)."""
     return info["received_timestamp"] or time.time_ns()
 
 
@@ -175,8 +244,8 @@ class RecorderNode(Node):
         for name, topic in self._topics.items():
             if topic.counts.messages == 0:
                 found[name] = "it carried nothing"
-            elif topic.counts.losses.lost:
-                found[name] = f"{topic.counts.losses.lost} of its messages were lost on the way"
+            elif topic.counts.lost:
+                found[name] = f"{topic.counts.lost} of its messages were lost on the way"
         if self._before_clock:
             found["/clock"] = f"{self._before_clock} messages came before it, and were left out"
         return found | self._rejected
@@ -225,13 +294,16 @@ class RecorderNode(Node):
         profiles = [offer.qos_profile for offer in offers]
         offered = tuple(map(to_bag, profiles))
         handle = self._add_to_bag(name, type_name, offered)
-        self._check_hash(name, handle.digest, offers)
-        request = request_for(profiles)
         subscription = self.create_subscription(
-            kind, name, self._on_executor, request, callback_group=self._group, raw=True
+            kind,
+            name,
+            self._on_executor,
+            request_for(profiles),
+            callback_group=self._group,
+            raw=True,
         )
         counts = TopicCounts(name, type_name)
-        self._topics[name] = _Topic(handle, offered, kind, subscription, request, counts)
+        self._topics[name] = _Topic(handle, offered, kind, subscription, counts)
         self.get_logger().info(f"recording {name} ({type_name})")
 
     def _add_to_bag(self, name: str, type_name: str, offered: tuple[Any, ...]) -> Any:
@@ -253,14 +325,6 @@ class RecorderNode(Node):
             topic.handle = self._add_to_bag(name, topic.counts.type_name, topic.offered)
             topic.counts = TopicCounts(name, topic.counts.type_name)
         return written
-
-    def _check_hash(self, name: str, digest: str, offers: Sequence[Any]) -> None:
-        """Warn where a publisher was built with another definition of the type than this one."""
-        hashes = {str(offer.topic_type_hash) for offer in offers}
-        others = {text for text in hashes if text.startswith("RIHS01_") and text != digest}
-        if others:
-            self._warned[name] = "its publisher has another definition of its type than the bag"
-            self.get_logger().warning(f"{name}: {self._warned[name]}")
 
     # --- messages come -----------------------------------------------------------------------
 
@@ -289,7 +353,7 @@ class RecorderNode(Node):
 
     def _take(self, topic: _Topic) -> None:
         subscription = topic.subscription
-        losses = topic.counts.losses
+        counts = topic.counts
         one_publisher = subscription.get_publisher_count() == 1
         handle = subscription.handle
         with handle:
@@ -302,11 +366,11 @@ class RecorderNode(Node):
                 if self._use_sim_time:
                     log_ns = self._times.at(log_ns)
                 self._waiting.append((log_ns, topic, data))
-                losses.add(info.get("publication_sequence_number"))
+                counts.add_number(info.get("publication_sequence_number"))
         one_publisher = one_publisher and subscription.get_publisher_count() == 1
-        lost = losses.end_batch(one_publisher)
+        lost = counts.end_batch(one_publisher)
         if lost:
-            self.get_logger().warning(f"{topic.counts.name}: {lost} messages were lost on the way")
+            self.get_logger().warning(f"{counts.name}: {lost} messages were lost on the way")
 
     def _write(self, items: Sequence[tuple[int, _Topic, bytes]]) -> None:
         for log_ns, topic, data in items:
@@ -354,7 +418,7 @@ class RecorderNode(Node):
             "bag": self._bag.path,
             "messages": self.messages,
             "size_bytes": self._bag.size_bytes,
-            "lost": sum(topic.counts.losses.lost for topic in self._topics.values()),
+            "lost": sum(topic.counts.lost for topic in self._topics.values()),
             "topics": len(self._topics),
         }
         for counts in self.counts_by_topic:
@@ -365,16 +429,9 @@ class RecorderNode(Node):
         return Status(OK, f"recording {len(self._topics)} topics", values)
 
     def _look_at_publishers(self) -> None:
-        """Note publishers that came later and change what is recorded."""
-        for name, topic in self._topics.items():
-            offers = self.get_publishers_info_by_topic(name)
-            trouble = ""
-            if any(offer.topic_type != topic.counts.type_name for offer in offers):
-                trouble = "a publisher has another type; its messages are not recorded"
-            elif not all(serves(offer.qos_profile, topic.request) for offer in offers):
-                trouble = "a later publisher is best effort or volatile, and is not recorded"
-            elif len(offers) > 1 and not self._all and name not in _SHARED:
-                trouble = f"it had {len(offers)} publishers at a time"
-            if trouble and self._warned.get(name) != trouble:
-                self._warned[name] = trouble
-                self.get_logger().warning(f"{name}: {trouble}")
+        """Note topics with more publishers than one."""
+        for name in self._topics:
+            count = self.count_publishers(name)
+            if count > 1 and not self._all and name not in _SHARED and name not in self._warned:
+                self._warned[name] = f"it had {count} publishers at a time"
+                self.get_logger().warning(f"{name}: {self._warned[name]}")

@@ -1,6 +1,8 @@
-"""Tables of readings with orientations, from text files.
+"""Tables of readings in text files: of any columns, with orientations, of one run in motion.
 
-A row is one reading. Columns, in any order, named in the first line or by the caller:
+Values are apart by commas, semicolons, tabs or blanks, quoted or not, with decimal points; a line
+that starts with # is a comment. Columns, in any order, are named in the first line or by the
+caller. A row of a table with orientations is one reading:
 
     fx fy fz tx ty tz       wrench, N and N.m
     and one of
@@ -11,24 +13,147 @@ A row is one reading. Columns, in any order, named in the first line or by the c
     and, where there are,
     t                       time, s
     block                   a label; rows of one label are held out together
-
-Values are apart, and comments marked, as `galen_bags.arrays.text_table` says.
 """
 
+from __future__ import annotations
+
 import os
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from galen_model.arm.galen import GRAVITY_M_S2, WRENCH_AXES
-from galen_model.arm.kinematics import sensor_rotation
+from galen_model.arm.galen import GALEN, GRAVITY_M_S2, WRENCH_AXES
 from galen_model.arrays import Array
 from galen_model.errors import GalenError
 from galen_model.rest.segments import DirectionRest, rest_by_direction
 from galen_model.rotation import quaternion_to_matrix
+from scipy.interpolate import CubicSpline
 
-from galen_bags.arrays.text_table import TableError, TextTable, read_text_table
+_MOST_BYTES = 1 << 30
+# No reading, stamp or gain is larger, in whatever units; products of such numbers are finite.
+_LARGEST = 1e30
+
+
+class TableError(GalenError):
+    """A table that can't be read; the message names the file and the line or column."""
+
+
+@dataclass(frozen=True)
+class TextTable:
+    """A file's columns: cells as they are, the numbers (n,) of those that were asked for.
+
+    lines: of each row, its line in the file.
+    """
+
+    path: Path
+    names: list[str]
+    rows: list[list[str]]
+    lines: list[int]
+    numbers: dict[str, Array]
+
+    def require(self, name: str) -> Array:
+        """Return the numbers (n,) of a column; raises TableError that names those there are."""
+        if name not in self.names:
+            raise TableError(f"{self.path}: no column {name!r}; there are {', '.join(self.names)}")
+        return self.numbers[name]
+
+
+def read_text_table(
+    path: str | os.PathLike[str], known: Collection[str], columns: Sequence[str] | None = None
+) -> TextTable:
+    """Read a table; the columns `known` must hold finite numbers where they are there.
+
+    `columns` names the columns of a file without a first line of names, "-" for one to skip.
+    Raises TableError naming the file and what is wrong in it.
+    """
+    path = Path(path)
+    names, rows, lines = _rows(path, columns)
+    return TextTable(path, names, rows, lines, _numbers(path, names, rows, lines, known))
+
+
+def _rows(
+    path: Path, columns: Sequence[str] | None
+) -> tuple[list[str], list[list[str]], list[int]]:
+    """Column names, cells and line numbers."""
+    try:
+        with path.open("rb") as stream:
+            raw = stream.read(_MOST_BYTES + 1)
+        text = raw[:_MOST_BYTES].decode("utf-8-sig")
+    except (OSError, UnicodeDecodeError) as error:
+        raise TableError(f"{path}: can't be read: {error}") from error
+    if len(raw) > _MOST_BYTES:
+        raise TableError(f"{path}: larger than {_MOST_BYTES} bytes, not a table of readings")
+    names = [name.strip() for name in columns] if columns else None
+    rows: list[list[str]] = []
+    lines: list[int] = []
+    for number, line in enumerate(text.splitlines(), start=1):
+        line = line.strip()
+        if not line or line.startswith("#"):
+            continue
+        cells = _split(line)
+        if names is None:
+            names = cells
+            if any(_is_number(cell) for cell in cells):
+                raise TableError(f"{path}: line {number} names no columns; name them on the call")
+            continue
+        if len(cells) != len(names):
+            raise TableError(
+                f"{path}: line {number} has {len(cells)} values; there are {len(names)} columns"
+            )
+        rows.append(cells)
+        lines.append(number)
+    if names is None or not rows:
+        raise TableError(f"{path}: no readings in it")
+    doubles = sorted(name for name, count in Counter(names).items() if count > 1 and name != "-")
+    if doubles:
+        raise TableError(f"{path}: column {doubles[0]!r} is there twice")
+    return names, rows, lines
+
+
+def _split(line: str) -> list[str]:
+    # The comma last: beside another separator it is a decimal comma, and the error names the cell.
+    for separator in (";", "\t", ","):
+        if separator in line:
+            return [cell.strip().strip('"') for cell in line.split(separator)]
+    return line.split()
+
+
+def _is_number(cell: str) -> bool:
+    try:
+        float(cell)
+    except ValueError:
+        return False
+    return True
+
+
+def _numbers(
+    path: Path,
+    names: list[str],
+    rows: list[list[str]],
+    lines: list[int],
+    known: Collection[str],
+) -> dict[str, Array]:
+    """Return the known columns as numbers; others may hold anything."""
+    numbers: dict[str, Array] = {}
+    for index, name in enumerate(names):
+        if name not in known:
+            continue
+        column = np.empty(len(rows))
+        for row, (cells, line) in enumerate(zip(rows, lines, strict=True)):
+            # NaN fails the comparison.
+            if not _is_number(cells[index]) or not abs(float(cells[index])) <= _LARGEST:
+                raise TableError(
+                    f"{path}: line {line}, column {name!r}: {cells[index]!r:.80} is not a finite"
+                    f" number up to {_LARGEST:g}"
+                )
+            column[row] = float(cells[index])
+        numbers[name] = column
+    return numbers
+
+
+# Orientations
 
 ORIENTATIONS = {
     "gravity": ("gx", "gy", "gz"),
@@ -64,7 +189,7 @@ class OrientationTable:
         """Return the number of readings."""
         return len(self.wrench)
 
-    def take(self, rows: np.ndarray, block: np.ndarray | None) -> "OrientationTable":
+    def take(self, rows: np.ndarray, block: np.ndarray | None) -> OrientationTable:
         """Return the table's `rows`, with the labels `block` (for those rows)."""
         time = None if self.time is None else self.time[rows]
         rotation = None if self.rotation is None else self.rotation[rows]
@@ -78,7 +203,7 @@ class OrientationTable:
             rotation,
         )
 
-    def timed(self) -> "OrientationTable":
+    def timed(self) -> OrientationTable:
         """Return the table with its readings' order for a time where it has none."""
         return self if self.time is not None else replace(self, time=np.arange(float(len(self))))
 
@@ -235,7 +360,7 @@ def _orientation(text: TextTable) -> tuple[Array, Array | None, str]:
 def _rotation(path: Path, numbers: dict[str, Array], kind: str, lines: list[int]) -> Array:
     cells = np.column_stack([numbers[name] for name in ORIENTATIONS[kind]])
     if kind == "joints":
-        return sensor_rotation(cells[:, 0], cells[:, 1])
+        return GALEN.rotation(cells)
     if kind == "quaternion":
         bad = np.abs(np.linalg.norm(cells, axis=1) - 1.0) > _ROTATION_TOLERANCE
         what = "qx qy qz qw is not a unit quaternion"
@@ -248,3 +373,82 @@ def _rotation(path: Path, numbers: dict[str, Array], kind: str, lines: list[int]
     if np.any(bad):
         raise TableError(f"{path}: line {lines[int(np.argmax(bad))]}: {what}")
     return quaternion_to_matrix(cells) if kind == "quaternion" else cells.reshape(-1, 3, 3)
+
+
+# Motion
+
+_IMU = ("ax", "ay", "az")
+_REST_RAD_S = 0.01
+_REST_S = 0.1
+_SETTLED_S = 0.25
+
+
+@dataclass(frozen=True)
+class MotionTable:
+    """One run: times (s, one clock more or less) and values of wrench, IMU and gravity."""
+
+    wrench_s: Array
+    wrench: Array
+    imu_s: Array
+    specific: Array
+    gravity_s: Array
+    gravity: Array
+
+
+def read_motion(
+    wrench_file: Path,
+    imu_file: Path | None,
+    orientations_file: Path,
+    time_unit_s: float,
+    imu_unit_m_s2: float,
+) -> MotionTable:
+    """Return a run's tables; without an IMU its arrays are empty. Raises TableError."""
+    wrench_t, wrench = read_wrenches(wrench_file)
+    gravity_t, gravity = read_orientations(orientations_file)
+    imu_t, specific = np.zeros(0), np.zeros((0, 3))
+    if imu_file is not None:
+        imu_t = read_text_table(imu_file, {"t", *_IMU}).require("t")
+        specific = read_specific(imu_file, imu_unit_m_s2)
+        _check_times(imu_file, imu_t)
+    _check_times(wrench_file, wrench_t)
+    _check_times(orientations_file, gravity_t)
+    start = wrench_t[0]
+    return MotionTable(
+        (wrench_t - start) * time_unit_s,
+        wrench,
+        (imu_t - start) * time_unit_s,
+        specific,
+        (gravity_t - start) * time_unit_s,
+        gravity,
+    )
+
+
+def _check_times(path: Path, times: Array) -> None:
+    late = np.flatnonzero(np.diff(times) <= 0.0)
+    if len(late):
+        row = int(late[0]) + 1
+        raise TableError(
+            f"{path}: reading {row + 1} has t = {times[row]:.15g} after {times[row - 1]:.15g};"
+            " a run's times increase"
+        )
+
+
+def read_specific(path: Path, unit_m_s2: float) -> Array:
+    """Specific force (n, 3), m/s^2, of a table of ax ay az; raises TableError."""
+    text = read_text_table(path, set(_IMU))
+    return unit_m_s2 * np.column_stack([text.require(name) for name in _IMU])
+
+
+def moving(time_s: Array, gravity: CubicSpline) -> np.ndarray:
+    """Whether gravity turns, or has or will within a quarter of a second, at each moment."""
+    around = [gravity(time_s + shift) for shift in (-_REST_S / 2.0, _REST_S / 2.0)]
+    change = np.linalg.norm(around[1] - around[0], axis=1) / 9.8
+    turning = time_s[change > _REST_RAD_S * _REST_S]
+    if not len(turning):
+        return np.zeros(len(time_s), dtype=bool)
+    after = np.clip(np.searchsorted(turning, time_s), 1, max(len(turning) - 1, 1))
+    last = len(turning) - 1
+    nearest = np.minimum(
+        np.abs(turning[np.minimum(after, last)] - time_s), np.abs(turning[after - 1] - time_s)
+    )
+    return np.asarray(nearest < _SETTLED_S)

@@ -1,4 +1,4 @@
-"""`record`: writes what topics carry to a bag, until Ctrl-C or a limit."""
+"""`record`: writes what topics carry to a bag, until Ctrl-C or for a time."""
 
 from __future__ import annotations
 
@@ -18,26 +18,26 @@ from galen_ros.command import (
     ProgressLine,
     add_json,
     make_parser,
+    own_arguments,
     positive,
 )
-from galen_ros.node.spin import own_arguments, run_until
+from galen_ros.node.spin import run_until
 from rclpy.executors import SingleThreadedExecutor
-from rclpy.parameter import Parameter
 
-from galen_bags.errors import BagError
+from galen_bags import BagError
 from galen_bags.formats.writer import GrowingBagWriter
-from galen_bags.record.recorder import DEFAULT_TOPICS, RecorderNode
-from galen_bags.record.topic_counts import topic_table
+from galen_bags.recorder import DEFAULT_TOPICS, RecorderNode, TopicCounts
 from galen_bags.topics import check_topic_name
 
 _MB = 1_000_000
 _NOTES = (
-    "Names of topics are relative to the namespace and can be remapped: --ros-args -r __ns:=/left"
+    "Names of topics are relative to the namespace and can be remapped: --ros-args -r __ns:=/left\n"
+    "Log times from /clock: --ros-args -p use_sim_time:=true"
 )
 
 
 class Recording:
-    """One run of the command: the node, the limits, the line on the terminal."""
+    """One run of the command: the node, the limit, the line on the terminal."""
 
     def __init__(self, options: argparse.Namespace) -> None:
         self._options = options
@@ -45,10 +45,7 @@ class Recording:
         self._line = ProgressLine()
         self._first_s: float | None = None
         self._ended_by = "signal"
-        self._messages_before = 0
-        self._looked_s = time.monotonic()
-        self._rate_hz = 0.0
-        self.bag = GrowingBagWriter(options.output, compressed=not options.no_compression)
+        self.bag = GrowingBagWriter(options.output)
 
     def run(self) -> None:
         """Record until a signal or a limit; raises BagError when the bag can't be written."""
@@ -82,65 +79,59 @@ class Recording:
             f" {result['duration_s']:.1f} s"
         ]
         if self.node is not None and self.node.counts_by_topic:
-            lines.append(topic_table(self.node.counts_by_topic))
+            lines.append(_topic_table(self.node.counts_by_topic))
         lines += [f"  {name}: {problem}" for name, problem in result["problems"].items()]
         return "\n".join(lines)
 
     def _make_node(self) -> RecorderNode:
-        options = self._options
-        overrides = [Parameter("use_sim_time", value=True)] if options.use_sim_time else None
-        self.node = RecorderNode(
-            self.bag, options.topics, options.all, parameter_overrides=overrides
-        )
+        self.node = RecorderNode(self.bag, self._options.topics, self._options.all)
         return self.node
 
     def _done(self, node: RecorderNode) -> bool:
-        options = self._options
-        now_s = time.monotonic()
+        now_s, duration_s = time.monotonic(), self._options.duration_s
         if self._first_s is None and node.messages:
             self._first_s = now_s
         elapsed_s = 0.0 if self._first_s is None else now_s - self._first_s
-        if now_s - self._looked_s >= 1.0:
-            self._rate_hz = (node.messages - self._messages_before) / (now_s - self._looked_s)
-            self._messages_before, self._looked_s = node.messages, now_s
         self._line.show(
             lambda: (
                 f"recording {elapsed_s:.0f} s: {len(node.counts_by_topic)} topics,"
-                f" {node.messages} messages, {self.bag.size_bytes / _MB:.2f} MB,"
-                f" {self._rate_hz:.0f} messages/s"
+                f" {node.messages} messages, {self.bag.size_bytes / _MB:.2f} MB"
             )
         )
-        if options.duration_s is not None and elapsed_s >= options.duration_s:
+        if duration_s is not None and elapsed_s >= duration_s:
             self._ended_by = "duration"
             return True
-        if options.max_size_mb is not None and self.bag.size_bytes >= options.max_size_mb * _MB:
-            self._ended_by = "size"
-            return True
         return False
+
+
+def _topic_table(counts_by_topic: list[TopicCounts]) -> str:
+    width = max((len(counts.name) for counts in counts_by_topic), default=0)
+    lines = []
+    for counts in counts_by_topic:
+        rate = "" if counts.rate_hz is None else f"{counts.rate_hz:9.1f} Hz"
+        lost = f"  {counts.lost} lost" if counts.lost else ""
+        lines.append(
+            f"  {counts.name:<{width}} {counts.messages:>9} messages {rate:12}"
+            f"  {counts.type_name}{lost}"
+        )
+    return "\n".join(lines)
 
 
 def parse(arguments: Sequence[str]) -> argparse.Namespace:
     """Read the command line; exits with code 2 and a message where it is wrong."""
     parser = make_parser(
         "record",
-        "Record topics to a rosbag2 directory (MCAP), until Ctrl-C or a limit.",
+        "Record topics to a rosbag2 directory (MCAP), until Ctrl-C or for a time.",
         notes=_NOTES,
         ok="recorded, until a limit or a signal (Ctrl-C, SIGTERM); the bag is whole",
         failed="can't write; what is in the bag until then can be read",
         interrupted="interrupted (Ctrl-C) before the recording began",
     )
     parser.add_argument(
-        "names",
+        "topics",
         nargs="*",
         metavar="TOPIC",
         help=f"topics to record (default: {' '.join(DEFAULT_TOPICS)})",
-    )
-    parser.add_argument(
-        "--topics",
-        nargs="+",
-        default=[],
-        metavar="TOPIC",
-        help="the same, as newer ros2 bag has it",
     )
     parser.add_argument(
         "-a", "--all", action="store_true", help="all topics but hidden ones, later ones too"
@@ -152,21 +143,12 @@ def parse(arguments: Sequence[str]) -> argparse.Namespace:
         metavar="BAG",
         help="directory to make (default: rosbag2_ and the time, here)",
     )
-    parser.add_argument("--no-compression", action="store_true", help="don't compress (zstd)")
     parser.add_argument(
         "--duration-s", type=positive, metavar="S", help="stop S seconds after the first message"
     )
-    parser.add_argument(
-        "--max-size-mb", type=positive, metavar="MB", help="stop when the file is so large, 10^6 B"
-    )
-    parser.add_argument(
-        "--use-sim-time",
-        action="store_true",
-        help="log times from /clock; nothing is written before it comes",
-    )
     add_json(parser)
     options = parser.parse_args(arguments)
-    options.topics = list(dict.fromkeys(options.names + options.topics))
+    options.topics = list(dict.fromkeys(options.topics))
     if options.all and options.topics:
         parser.error("--all records all topics: name none beside it")
     try:
@@ -182,7 +164,7 @@ def parse(arguments: Sequence[str]) -> argparse.Namespace:
 
 def main() -> None:
     """Run the command; see `record --help`."""
-    options = parse(own_arguments(sys.argv)[1:])
+    options = parse(own_arguments(sys.argv[1:]))
     exit_code = EXIT_OK
     recording = None
     try:

@@ -1,8 +1,10 @@
-"""What a rosbag2 directory holds: its files, and what its metadata.yaml states."""
+"""Bags' files: where they are, and what a rosbag2 directory's metadata.yaml states."""
 
 from __future__ import annotations
 
+import os
 import re
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path, PurePath
 from typing import Any
@@ -13,8 +15,15 @@ from rosbags.interfaces import Qos
 from rosbags.rosbag2 import ReaderError
 from rosbags.rosbag2.metadata import parse_qos
 
+from galen_bags import BagError
+
 STORAGES = (".mcap", ".db3")
 ZSTD_ENDING = ".zstd"
+_FILES = (*STORAGES, *(f"{storage}{ZSTD_ENDING}" for storage in STORAGES))
+_METADATA = "metadata.yaml"
+# What rosbag2's metadata begins with; other programs have a metadata.yaml, too.
+_METADATA_KEY = b"rosbag2_bagfile_information"
+_METADATA_HEAD_BYTES = 4096
 # A topic's entry has some hundred bytes, and a file's as well.
 _MOST_BYTES = 1 << 20
 # rosbag2 writes half as many levels.
@@ -37,7 +46,7 @@ def read_metadata(path: Path) -> BagMetadata:
     That is no error here: `open_bag` reports it, and reads the messages all the same.
     """
     try:
-        raw = read_limited(path / "metadata.yaml", _MOST_BYTES, "a bag's metadata")
+        raw = read_limited(path / _METADATA, _MOST_BYTES, "a bag's metadata")
         content = yaml.load(raw.decode(), Loader=_Loader)
         known = content["rosbag2_bagfile_information"]
         qos, counts = {}, {}
@@ -74,7 +83,7 @@ def storage_of(path: Path) -> str:
 
 def listed_files(directory: Path) -> tuple[list[Path] | None, list[str]]:
     """Return the files that metadata.yaml lists (None: unknown), and what is wrong with it."""
-    metadata = directory / "metadata.yaml"
+    metadata = directory / _METADATA
     if not metadata.exists():
         return None, [f"{directory.name} has no metadata.yaml: its recording was cut off"]
     try:
@@ -109,6 +118,78 @@ def _listed_paths(metadata: Path) -> list[str]:
                     break
                 paths.append(event.value)
         return paths
+
+
+# Search
+
+
+def find_bags(paths: Iterable[str | os.PathLike[str]]) -> list[Path]:
+    """Return the bags that `paths` are or, if they are folders, hold; sorted, each once.
+
+    A bag is a rosbag2 directory (not its files), or a .mcap or .db3 (.zstd, too) file elsewhere. A
+    directory without metadata.yaml whose files all have its own name, as in `run/run_0.mcap`, is a
+    recording that was cut off: one bag. Names that begin with a dot are left out, links are
+    followed. Raises BagError for a path that is not there, is no bag or holds none, or can't be
+    searched.
+    """
+    found: dict[tuple[int, int], Path] = {}
+    for path in map(Path, paths):
+        try:
+            if not path.exists():
+                raise BagError(f"{path}: is not there")
+            if path.is_file() and not path.name.endswith(_FILES):
+                raise BagError(f"{path}: is no bag; files of bags end in {', '.join(_FILES)}")
+            bags = list(_below(path, set()))
+            for bag in bags:
+                found.setdefault(_identity(bag), bag)
+        except OSError as error:
+            raise BagError(f"{error.filename or path}: can't be read: {error.strerror}") from error
+        if not bags:
+            raise BagError(f"{path}: no bag in it")
+    return sorted(found.values())
+
+
+def is_bag(path: Path) -> bool:
+    """Return whether the path itself is a bag, by names and metadata; raises OSError."""
+    return path.name.endswith(_FILES) if path.is_file() else path.is_dir() and _is_rosbag2(path)
+
+
+def _below(path: Path, seen: set[tuple[int, int]]) -> Iterator[Path]:
+    """Return the bags at `path` or below; `seen` holds the directories searched, against loops."""
+    if path.is_file():
+        if is_bag(path):
+            yield path
+        return
+    if not path.is_dir() or _identity(path) in seen:  # such as a link to nowhere, a pipe
+        return
+    seen.add(_identity(path))
+    if is_bag(path):
+        yield path
+        return
+    for entry in sorted(path.iterdir()):
+        if not entry.name.startswith("."):
+            yield from _below(entry, seen)
+
+
+def _is_rosbag2(directory: Path) -> bool:
+    files = storage_files(directory)
+    metadata = directory / _METADATA
+    if metadata.is_file():
+        if files:
+            return True
+        with metadata.open("rb") as stream:
+            return _METADATA_KEY in stream.read(_METADATA_HEAD_BYTES)
+    # A folder of recordings has no metadata.yaml either, but they have names of their own.
+    own = re.compile(re.escape(directory.resolve().name) + r"(_\d+)?\.")
+    return bool(files) and all(own.match(file.name) for file in files)
+
+
+def _identity(path: Path) -> tuple[int, int]:
+    status = path.stat()
+    return status.st_dev, status.st_ino
+
+
+# YAML
 
 
 class _Loader(yaml.SafeLoader):

@@ -18,35 +18,31 @@ from galen_ros.command import (
     add_json,
     make_parser,
     not_negative,
+    own_arguments,
     positive,
-    split_ros_arguments,
 )
 from galen_ros.node.spin import run_until
 
-from galen_bags.errors import BagError
 from galen_bags.formats.bag import Bag, open_bag
-from galen_bags.play.player import PlayerNode, PlayOptions
-from galen_bags.topics import check_topic_name
+from galen_bags.player import PlayerNode, PlayOptions
 
-_NOTES = 'Pause: ros2 service call /player/pause std_srvs/srv/SetBool "{data: true}"'
+_NOTES = """Pause: ros2 service call /player/pause std_srvs/srv/SetBool "{data: true}"
+Under other names: --ros-args -r OLD:=NEW"""
 
 
 class Replay:
     """One run of the command: the node, the bar on the terminal, what it comes to."""
 
-    def __init__(self, options: argparse.Namespace, bag: Bag, ros: Sequence[str]) -> None:
+    def __init__(self, options: argparse.Namespace, bag: Bag) -> None:
         self._options = options
-        self._ros_arguments = list(ros)
         self._bag = bag
         self._line = ProgressLine()
         self.node: PlayerNode | None = None
 
     def run(self) -> int | None:
         """Play; returns the number of the signal that ended it, if one did."""
-        arguments = [*self._ros_arguments, "--ros-args"]
-        arguments += [part for rule in self._options.remap or [] for part in ("-r", rule)]
         try:
-            return run_until(self._make_node, self._done, arguments)
+            return run_until(self._make_node, self._done)
         finally:
             self._line.close()
 
@@ -89,14 +85,11 @@ class Replay:
             PlayOptions(
                 topics=tuple(options.topics) if options.topics else None,
                 rate=options.rate,
-                clock_hz=0.0 if options.no_clock else options.clock,
+                clock=not options.no_clock,
                 start_offset_s=options.start_offset,
                 playback_duration_s=options.playback_duration,
                 loop=options.loop,
-                start_paused=options.start_paused,
-                delay_s=options.delay,
                 wait_for_subscribers_s=options.wait_for_subscribers,
-                log_stamps=options.stamps == "log",
             ),
         )
         return self.node
@@ -122,22 +115,10 @@ def parse(arguments: Sequence[str]) -> argparse.Namespace:
         failed="the bag can't be read, or has no such topic",
         codes={EXIT_SIGNAL + 15: "ended by SIGTERM"},
     )
-    parser.add_argument("bag", type=Path, help="rosbag2 directory, .mcap, .db3 or ROS 1 .bag")
+    parser.add_argument("bag", type=Path, help="rosbag2 directory, .mcap or .db3")
     parser.add_argument("-r", "--rate", type=positive, default=1.0, help="times as fast")
     parser.add_argument("--topics", nargs="+", metavar="TOPIC", help="only these of the bag")
-    parser.add_argument(
-        "-m", "--remap", nargs="+", metavar="OLD:=NEW", help="publish under other names"
-    )
-    parser.add_argument(
-        "--clock",
-        type=positive,
-        nargs="?",
-        const=100.0,
-        default=100.0,
-        metavar="HZ",
-        help="messages on /clock a second (default 100), with the bag's time",
-    )
-    parser.add_argument("--no-clock", action="store_true", help="no /clock")
+    parser.add_argument("--no-clock", action="store_true", help="no /clock with the bag's time")
     parser.add_argument(
         "--start-offset", type=not_negative, default=0.0, metavar="S", help="start so far in"
     )
@@ -145,10 +126,6 @@ def parse(arguments: Sequence[str]) -> argparse.Namespace:
         "--playback-duration", type=positive, metavar="S", help="stop after S s of bag time"
     )
     parser.add_argument("-l", "--loop", action="store_true", help="again and again, until Ctrl-C")
-    parser.add_argument("-p", "--start-paused", action="store_true", help="wait for ~/pause false")
-    parser.add_argument(
-        "-d", "--delay", type=not_negative, default=0.0, metavar="S", help="wait before the start"
-    )
     parser.add_argument(
         "--wait-for-subscribers",
         type=not_negative,
@@ -157,33 +134,16 @@ def parse(arguments: Sequence[str]) -> argparse.Namespace:
         help="wait up to S s until every topic has a subscriber; without it, play starts when no"
         " new subscriber was found for 0.5 s",
     )
-    parser.add_argument(
-        "--stamps",
-        choices=("bag", "log"),
-        default="bag",
-        help="stamps in headers: as they are (default), or each message's log time",
-    )
     add_json(parser)
-    options = parser.parse_args(arguments)
-    for rule in options.remap or []:
-        old, separator, new = rule.partition(":=")
-        if not separator:
-            parser.error(f"--remap wants OLD:=NEW, not {rule!r}")
-        try:
-            check_topic_name(old)
-            check_topic_name(new)
-        except BagError as error:
-            parser.error(str(error))
-    return options
+    return parser.parse_args(arguments)
 
 
 def main() -> None:
     """Run the command; see `play --help`."""
-    own, ros = split_ros_arguments(sys.argv[1:])
-    options = parse(own)
+    options = parse(own_arguments(sys.argv[1:]))
     try:
         with open_bag(options.bag) as bag:
-            replay = Replay(options, bag, ros)
+            replay = Replay(options, bag)
             number = replay.run()
             result = replay.result(number)
             print(json.dumps(result) if options.json else replay.summary(number))

@@ -1,1 +1,0 @@
-"""Publishing a bag again."""

@@ -1,1 +1,0 @@
-"""Recording topics to a bag."""
