@@ -4,7 +4,6 @@
 Each comes from the simulated driver's own core, stepped offline with a fixed seed and fixed stamps,
 and is written into a bag with the messages that the driver's node would publish. A bag whose
 content has not changed is left as it is; README.md's table is written from what then is there.
-With `--deflection-sets DIR` other, larger ones are made instead, and not kept here.
 """
 
 from __future__ import annotations
@@ -17,7 +16,6 @@ import tempfile
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from datetime import UTC, datetime
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -32,7 +30,6 @@ from galen_model.errors import CalibrationFileError, GalenError
 from galen_model.files.calibration_file import read_calibration
 from galen_model.load.nominal_tools import ADAPTER, TOOLS
 from galen_sim_driver.effects.effect import Effect
-from galen_sim_driver.effects.hysteresis import DeflectionHysteresis
 from galen_sim_driver.effects.load import CableDrag, InertialLoad
 from galen_sim_driver.plant.cell import Plant
 from galen_sim_driver.plant.config import ACCELERATION, VELOCITY, ZERO3, HandPush, PlantConfig
@@ -62,7 +59,6 @@ class Recipe:
     drive: Callable[[OfflineCell, Recipe, Path], None]
     tracker: bool = False
     hand: tuple[HandPush, ...] = ()
-    hysteresis_fraction: float = 0.0
     effects: tuple[Effect, ...] = ()
     """What the arm has beside the nominal model."""
 
@@ -73,7 +69,7 @@ class Recipe:
 
 
 def _calibrate(cell: OfflineCell, recipe: Recipe, folder: Path) -> None:
-    """The calibration behaviour's whole procedure, with its node's own parameters."""
+    """Run the calibration behaviour's procedure with its node's own parameters."""
     parameters = CalibrationParameters()
     measurements = cell.calibrate(
         parameters,
@@ -152,7 +148,7 @@ _SWING_RANGE = np.array([0.08, 0.08, 0.06, 1.2, 0.8])
 
 
 def _swings(cell: OfflineCell, recipe: Recipe, _folder: Path) -> None:
-    """Moves to random places, each as fast as the arm's limits allow."""
+    """Move to random places, each as fast as the arm's limits allow."""
     rng = np.random.default_rng(recipe.seed)
     velocity, acceleration = np.array(VELOCITY), np.array(ACCELERATION)
     joints = HOME
@@ -265,34 +261,6 @@ RECIPES = (
 )  # fmt: skip
 
 
-def deflection_recipes() -> tuple[Recipe, ...]:
-    """Recordings for models of deflection, below a folder of their own."""
-    from deflection_sets import EXTRA_POSITIONS, RESIDUAL_FRACTION, play, script
-
-    recipes = []
-    for name, seed, hour, positions in (
-        ("sets/round_1", 21, 13, _POSITIONS.tolist()),
-        ("sets/round_2", 22, 14, _POSITIONS.tolist()),
-        ("extra/positions", 23, 15, EXTRA_POSITIONS),
-    ):
-        hand, ends_s = script(len(positions), seed)
-        recipes.append(
-            Recipe(
-                name,
-                seed,
-                datetime(2026, 3, 3, hour, tzinfo=UTC),
-                rate_hz=200.0,
-                tool="retractor",
-                expected_s=ends_s[-1] + 1.0,
-                drive=partial(play, positions=positions, ends_s=ends_s),
-                tracker=True,
-                hand=hand,
-                hysteresis_fraction=RESIDUAL_FRACTION,
-            )
-        )
-    return tuple(recipes)
-
-
 # --- making and comparing -----------------------------------------------------------------------
 
 
@@ -303,10 +271,7 @@ def make(recipe: Recipe, folder: Path, quiet: bool = False) -> None:
         rate_hz=recipe.rate_hz,
         start_ns=start_ns,
         hand=recipe.hand,
-        effects=(
-            *recipe.effects,
-            DeflectionHysteresis(recipe.hysteresis_fraction, form="joints", restarts=False),
-        ),
+        effects=recipe.effects,
     )
     (folder / recipe.name).parent.mkdir(parents=True, exist_ok=True)
     plant = Plant(config, np.random.default_rng(recipe.seed))
@@ -327,7 +292,7 @@ def make(recipe: Recipe, folder: Path, quiet: bool = False) -> None:
 
 
 def differences(recipe: Recipe, made: Path, kept: Path) -> list[str]:
-    """What differs between a recording that was made and the one in `kept`, as sentences."""
+    """Return the differences between a made and a kept recording, as sentences."""
     found = []
     try:
         if content_sha256(kept / recipe.name) != content_sha256(made / recipe.name):
@@ -370,7 +335,7 @@ def replace(recipe: Recipe, made: Path, kept: Path) -> None:
 
 
 def table(folder: Path) -> str:
-    """README's table of the recordings, from what is in the folder."""
+    """Return README's table of the recordings, from what is in the folder."""
     lines = [
         "| recording | seed | first stamp | s | Hz | tool | messages | MB | `content_sha256` |",
         "|---|---|---|---|---|---|---|---|---|",
@@ -404,18 +369,6 @@ def write_readme(folder: Path) -> None:
         raise GalenError(f"{readme}: the marks {BEGIN} and {END} must be there, once")
     content = f"{BEGIN}\n{table(folder)}\n{END}"
     readme.write_text(pattern.sub(lambda _: content, text), encoding="utf-8")
-
-
-def make_deflection_sets(folder: Path, quiet: bool) -> None:
-    """Make them below a folder that isn't there yet; raises GalenError if it is."""
-    if folder.exists():
-        raise GalenError(f"{folder}: is there already; name a new folder")
-    folder.parent.mkdir(parents=True, exist_ok=True)
-    # Beside it, so that what is half made never has its name.
-    with tempfile.TemporaryDirectory(dir=folder.parent, prefix=".making.") as made:
-        for recipe in deflection_recipes():
-            make(recipe, Path(made) / "all", quiet)
-        (Path(made) / "all").rename(folder)
 
 
 # --- command ------------------------------------------------------------------------------------
@@ -459,22 +412,9 @@ def main(args: list[str] | None = None) -> int:
         "--check", action="store_true", help="write nothing here; compare with what is here"
     )
     parser.add_argument("--quiet", action="store_true", help="no progress bars")
-    parser.add_argument(
-        "--deflection-sets",
-        type=Path,
-        metavar="DIR",
-        help="make only recordings to compare models of deflection on, below this new folder:"
-        " sets/ has two sets of pushes at each of four positions, extra/ one at each of six others;"
-        " the joints have hysteresis",
-    )
     options = parser.parse_args(args)
-    if options.deflection_sets is not None and (options.check or options.only):
-        parser.error("--deflection-sets goes with neither --check nor --only")
     recipes = [r for r in RECIPES if options.only is None or r.name in options.only]
     try:
-        if options.deflection_sets is not None:
-            make_deflection_sets(options.deflection_sets, options.quiet)
-            return 0
         told = run(recipes, options.check, options.quiet)
     except (GalenError, OSError) as error:
         print(f"make_bags: {error}", file=sys.stderr)

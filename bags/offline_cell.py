@@ -51,7 +51,7 @@ class OfflineCell:
     """A plant and the listeners to its samples."""
 
     def __init__(self, plant: Plant, listeners: Sequence[Callable[[Sample], object]] = ()) -> None:
-        """`listeners` are called with every sample, in this order."""
+        """Call `listeners` with every sample, in this order."""
         self.plant = plant
         self._listeners = list(listeners)
 

@@ -152,7 +152,7 @@ def loss(cases: Sequence[Known], settings: Settings) -> float:
 
 
 def fitted(cases: Sequence[Known], start: Settings) -> Settings:
-    """Settings with the smallest loss beside their prior, by Nelder and Mead on logarithms."""
+    """Return the settings with the smallest loss beside their prior (Nelder-Mead)."""
     origin = _vector(Settings())
 
     def cost(vector: np.ndarray) -> float:

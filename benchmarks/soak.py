@@ -142,7 +142,7 @@ def slope_per_hour(time_s: Sequence[float], values: Sequence[float]) -> tuple[fl
 
 
 def print_report(one: Soaked, console: Console) -> None:
-    """What a person wants to know."""
+    """Print streams, memory and delays."""
     real = one.kind == "real"
     title = f"{one.seconds / 60:.1f} min of wall time"
     if not real:
@@ -390,7 +390,7 @@ def _watch(
 
 
 def build_parser() -> argparse.ArgumentParser:
-    """The command's options."""
+    """Build the command's options."""
     parser = argparse.ArgumentParser(
         prog="make soak",
         description=(__doc__ or "").partition("\n")[0],

@@ -24,7 +24,6 @@ MAKES = {
     "--truth",
     "--write-bags",
     "--write-tool",
-    "--deflection-sets",
     ">",
 }
 TAKES = re.compile(

@@ -14,7 +14,7 @@ from galen_bringup.processes import (
     ros_world,
     start_suite,
 )
-from galen_bringup.verification import random_poses, visit
+from galen_bringup.measurements import random_poses, visit
 from galen_model.files.calibration_file import read_calibration
 from galen_model.load.nominal_tools import ADAPTER, TOOLS
 from rich.console import Console
@@ -68,7 +68,7 @@ def test_the_demonstration_calibrates_compensates_and_draws(tmp_path, capfd):
         assert np.all(np.array(found["over_noise"]) < 1.8), tool
         assert np.all(np.array(found["raw_rmse"][:3]) > 0.3), tool
     assert content["drift"]["on"]["largest_m"] < 0.05 * content["drift"]["off"]["largest_m"]
-    assert len(content["figures"]) == 5
+    assert len(content["figures"]) == 3
     for figure in content["figures"]:
         assert Path(figure).read_bytes().startswith(b"\x89PNG")
 
@@ -91,6 +91,6 @@ def test_the_demonstration_reaches_what_the_readme_says(tmp_path, capfd):
         assert np.all(np.array(found["rmse"]) < np.array(found["report_rmse"]))
     assert content["drift"]["on"]["largest_m"] < 0.01 * content["drift"]["off"]["largest_m"]
     assert content["drift"]["off"]["largest_m"] > 0.02
-    assert len(content["figures"]) == 5
+    assert len(content["figures"]) == 3
     for figure in content["figures"]:
         assert (tmp_path / "figures" / figure.rsplit("/", 1)[1]).stat().st_size > 10_000

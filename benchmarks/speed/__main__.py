@@ -48,7 +48,7 @@ GROUPS: dict[str, ModuleType] = {
 
 
 def machine() -> dict[str, Any]:
-    """What was measured on."""
+    """Describe the machine."""
     names = [
         line.partition(":")[2].strip()
         for line in Path("/proc/cpuinfo").read_text().splitlines()
@@ -65,7 +65,7 @@ def machine() -> dict[str, Any]:
 
 
 def build_parser() -> argparse.ArgumentParser:
-    """The command's options."""
+    """Build the command's options."""
     parser = argparse.ArgumentParser(
         prog="make bench",
         description=(__doc__ or "").partition("\n")[0],

@@ -57,7 +57,7 @@ class Compared:
 
 
 def peer_wrench(rotation: Array, mass_kg: float, com_m: Array, reading: Array) -> Array:
-    """The reading (6,) less the weight, as other packages have it: f = R^T m g, t = c x f.
+    """Subtract the weight from a reading (6,) as other packages do: f = R^T m g, t = c x f.
 
     rotation (3, 3): of the sensor in the base, from a transform tree in their case.
     """
@@ -66,7 +66,7 @@ def peer_wrench(rotation: Array, mass_kg: float, com_m: Array, reading: Array) -
 
 
 def one_sample(rounds: int) -> list[Compared]:
-    """A sample at a time."""
+    """Compare one sample at a time."""
     tool = bench_tool()
     kernel, arm = Prediction(tool), PinocchioArm()
     reading, joints = np.ones(6), np.array([0.0, 0.0, 0.408, 0.3, -0.2])
@@ -94,7 +94,7 @@ def one_sample(rounds: int) -> list[Compared]:
 
 
 def arrays(rounds: int, samples: int = _SAMPLES) -> list[Compared]:
-    """A million samples at once."""
+    """Compare a million samples at once."""
     tool = bench_tool()
     kernel = Prediction(tool)
     random = np.random.default_rng(1)
@@ -122,7 +122,7 @@ def arrays(rounds: int, samples: int = _SAMPLES) -> list[Compared]:
 
 
 def regression(rounds: int) -> list[Compared]:
-    """A whole calibration's computing, checks included."""
+    """Compare a whole calibration's computing, checks included."""
     out = []
     for poses in (56, 10_000):
         bare, tool = _sweeps(poses)
@@ -147,7 +147,7 @@ def regression(rounds: int) -> list[Compared]:
 
 
 def hysteresis(rounds: int) -> list[Compared]:
-    """A sample of the deflection's models as they stream."""
+    """Compare a sample of the deflection's models as they stream."""
     random = np.random.default_rng(2)
     joints = np.array([0.0, 0.0, 0.408, 0.3, -0.2]) + 1e-4 * random.normal(size=(256, 5))
     wrench = 3.0 * np.sin(0.05 * np.arange(256))[:, None] * np.array([1, 0.3, 0.5, 0, 0, 0.01])

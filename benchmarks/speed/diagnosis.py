@@ -14,9 +14,9 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from galen_diagnosis.examples.simulated_recording import make_recording
 from galen_diagnosis.inference.diagnosing import diagnose_recording
 from galen_diagnosis.observation.recording import read_recording
+from galen_diagnosis.simulated_recording import make_recording
 from galen_sim_driver.effects.sensor import AxisGain
 from rich.table import Table
 
@@ -51,14 +51,13 @@ def measure(options: argparse.Namespace, progress: Callable[[str], None]) -> lis
             began_s = time.perf_counter()
             read = read_recording(recording, None)
             found.append(Part("reading", time.perf_counter() - began_s))
-            result = diagnose_recording(read)
+            diagnose_recording(read)
             found.append(Part(WHOLE, time.perf_counter() - began_s))
-            found += [Part(name, seconds) for name, seconds in result.seconds.items()]
     return found
 
 
 def table(found: Sequence[Part]) -> Table:
-    """A row a part: least/median/largest of the rounds, over the baseline's median."""
+    """Make a row a part: least/median/largest of the rounds, over the baseline's median."""
     out = Table("part", "s", "x reading by rosbags", box=None, header_style="bold")
     base = statistics.median(one.seconds for one in found if one.part == BASELINE)
     for name in dict.fromkeys(one.part for one in found):

@@ -273,7 +273,7 @@ def lost_between(stamps_ns: np.ndarray) -> int:
 
 
 def ratios(found: Sequence[Measurement], subject: str, rate_hz: float, what: str) -> list[float]:
-    """A subject's `what` over the relay's of the same round, for each round."""
+    """Divide a subject's `what` by the relay's of the same round, for each round."""
     by_round = {
         (one.subject, one.round): getattr(one, what) for one in found if one.rate_hz == rate_hz
     }
@@ -285,7 +285,7 @@ def ratios(found: Sequence[Measurement], subject: str, rate_hz: float, what: str
 
 
 def table(found: Sequence[Measurement]) -> Table:
-    """A row a subject and rate: least/median/largest of the rounds."""
+    """Make a row a subject and rate: least/median/largest of the rounds."""
     out = Table(
         "subject", "Hz", "lost", "CPU us a wrench", "x relay", "p50 ms", "p99 ms", "x relay",
         "p99.9 ms", "largest ms", box=None, header_style="bold",

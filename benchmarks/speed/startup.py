@@ -120,7 +120,7 @@ def measure(options: argparse.Namespace, progress: Callable[[str], None]) -> lis
 
 
 def table(found: Sequence[Started]) -> Table:
-    """A row a node: least/median/largest of the rounds."""
+    """Make a row a node: least/median/largest of the rounds."""
     base = statistics.median(one.seconds for one in found if one.subject == "relay")
     out = Table("node", "s till seen", "x relay", "CPU s", box=None, header_style="bold")
     for subject in dict.fromkeys(one.subject for one in found):

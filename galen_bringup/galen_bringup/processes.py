@@ -77,7 +77,7 @@ class Processes:
     """Processes that end with this object, whatever happens; each writes its own log."""
 
     def __init__(self, log_dir: Path) -> None:
-        """Logs go to `log_dir`/<executable>.log."""
+        """Write logs to `log_dir`/<executable>.log."""
         self._log_dir = log_dir
         self._running: dict[str, subprocess.Popen[bytes]] = {}
 
@@ -215,7 +215,7 @@ def calibrate(processes: Processes, tool: str, arguments: Sequence[str] = ()) ->
 
 @contextmanager
 def connected_arm(processes: Processes) -> Iterator[ArmClient]:
-    """The arm's client lives only while it is listened to: unread queues would hold old samples."""
+    """Give a client of the arm only while it is used: unread queues would hold old samples."""
     arm = ArmClient(processes.check)
     try:
         arm.wait_until_up()

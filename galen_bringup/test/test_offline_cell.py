@@ -42,9 +42,9 @@ def test_a_calibration_finds_the_plants_loads_and_tells_its_states():
     offline = cell()
     found, states = calibrate(offline)
     for still, tool in ((found.bare, Load(0.0)), (found.tool, TOOLS["pointer"].load)):
-        expected = nominal_reading(still.roll, still.tilt, tool, ADAPTER)
+        expected = nominal_reading(still.angles, tool, ADAPTER)
         assert still.wrench == pytest.approx(expected, abs=0.03)
-    load = identify_two_sweeps(found.bare, found.tool, found.zero_roll, found.zero_tilt).load
+    load = identify_two_sweeps(found.bare, found.tool, found.zero_angles).load
     assert load.mass_kg == pytest.approx(0.060, abs=5 * load.mass_std_kg)
     order = list(dict.fromkeys(state for state, _ in states))
     assert order == list(CalibrationState)

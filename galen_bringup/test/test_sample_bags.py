@@ -13,7 +13,7 @@ from galen_bags.arrays.arm_recording import read_arm
 from galen_calibration_behavior.calibrate_from_bag import main as calibrate_from_bag
 from galen_model.arm.galen import SENSOR
 from galen_model.files.calibration_file import read_calibration
-from galen_model.load.inertia.inertial import point_mass_inertia
+from galen_model.load.inertia import point_mass_inertia
 from galen_model.load.nominal_tools import ADAPTER, TOOLS
 
 BAGS = Path(__file__).resolve().parents[2] / "bags"
@@ -71,7 +71,7 @@ def test_the_recording_gives_the_file_that_the_calibration_itself_gave(name, tmp
 def test_nobody_touches_the_tool_in_free_motion():
     recording = read_arm(BAGS / "free_motion")
     tool = read_calibration(BAGS / "tools" / "retractor.json")
-    left = recording.wrenches - tool.predict(*recording.joints[:, 3:].T)
+    left = recording.wrenches - tool.predict(recording.joints[:, 3:])
     assert np.sqrt(np.mean(left**2, axis=0)) == pytest.approx(SENSOR.noise_std, rel=0.05)
     moving = np.abs(recording.joint_velocities).max(axis=1) > 0.01
     assert 0.6 < moving.mean() < 0.8
@@ -107,7 +107,7 @@ def test_the_cable_is_found_in_its_sweep(capsys):
 def test_pushes_are_pushes_with_untouched_stretches_between():
     recording = read_arm(BAGS / "pushes")
     tool = read_calibration(BAGS / "tools" / "retractor.json")
-    left = recording.wrenches - tool.predict(*recording.joints[:, 3:].T)
+    left = recording.wrenches - tool.predict(recording.joints[:, 3:])
     force = np.linalg.norm(left[:, :3], axis=1)
     assert force.max() == pytest.approx(10.0, abs=0.2)
     # 3 s of 250 Hz in a row without a touch, once at each of the four positions
