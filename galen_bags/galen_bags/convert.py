@@ -22,7 +22,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from galen_model.arm.galen import HOME, JOINT_NAMES, SENSOR_FRAME
+from galen_model.arm.galen import GALEN
 from galen_model.arrays import Array
 from galen_ros.cdr import NS_PER_S, joint_state_bytes, wrench_bytes
 from galen_ros.command import (
@@ -156,21 +156,22 @@ def stamps_ns(times: Sequence[Array], unit: str = "s") -> list[np.ndarray]:
     return result if first > 0 else [stamps - first + NS_PER_S for stamps in result]
 
 
-def roll_and_tilt(gravity: Array) -> tuple[Array, Array, np.ndarray]:
-    """Return roll and tilt (m,), rad, and where tilt has no meaning, of gravity (m, 3)."""
+def angles_of(gravity: Array) -> tuple[Array, np.ndarray]:
+    """Return roll and tilt (m, 2), rad, of gravity (m, 3), and where tilt has no meaning (m,)."""
     unit = gravity / np.linalg.norm(gravity, axis=1, keepdims=True)
     level = np.hypot(unit[:, 0], unit[:, 2])
-    roll = np.arctan2(-unit[:, 1], level)
-    tilt = np.arctan2(unit[:, 2], unit[:, 0])
+    angles = np.column_stack((np.arctan2(-unit[:, 1], level), np.arctan2(unit[:, 2], unit[:, 0])))
     lost = level < _NO_TILT
     if lost.all():
-        return roll, np.zeros(len(unit)), lost
+        angles[:, 1] = 0.0
+        return angles, lost
     known = np.flatnonzero(~lost)
     # The last one known; before the first of them, the first.
     last = known[np.maximum(np.searchsorted(known, np.arange(len(unit)), side="right") - 1, 0)]
-    tilt = np.unwrap(tilt[known])[np.searchsorted(known, last)]
+    tilt = np.unwrap(angles[known, 1])[np.searchsorted(known, last)]
     turns = np.round(np.median(tilt) / (2.0 * np.pi))  # keep it near zero, as an arm's angles are
-    return roll, tilt - 2.0 * np.pi * turns, lost
+    angles[:, 1] = tilt - 2.0 * np.pi * turns
+    return angles, lost
 
 
 def write_measured(path: str, measured: Measured) -> tuple[Array, int]:
@@ -180,14 +181,13 @@ def write_measured(path: str, measured: Measured) -> tuple[Array, int]:
     stamps step back, that of the message before.
 
     Returns:
-        The joints (m, 5), m and rad, and how many orientations have no tilt of their own.
+        The joints (m, n), m and rad, and how many orientations have no tilt of their own.
 
     """
-    roll, tilt, lost = roll_and_tilt(measured.gravity)
-    joints = np.tile(HOME, (len(roll), 1))
-    joints[:, 3], joints[:, 4] = roll, tilt
+    angles, lost = angles_of(measured.gravity)
+    joints = GALEN.with_angles(angles)
     velocities = _velocities(measured.gravity_stamp_ns, joints)
-    states, forces = joint_state_bytes(JOINT_NAMES), wrench_bytes(SENSOR_FRAME)
+    states, forces = joint_state_bytes(GALEN.joint_names), wrench_bytes(GALEN.sensor_frame)
     stamps = (measured.gravity_stamp_ns, measured.wrench_stamp_ns)
     log_ns = np.concatenate([np.maximum.accumulate(one) for one in stamps])
     stamp_ns = np.concatenate(stamps)
@@ -209,7 +209,7 @@ def write_measured(path: str, measured: Measured) -> tuple[Array, int]:
 
 
 def _velocities(stamp_ns: np.ndarray, positions: Array) -> Array:
-    """Differences (n, 5) of the neighbours on both sides, per s; zero where time does not go on."""
+    """Differences of the neighbours on both sides, per s; zero where time does not go on."""
     after = np.minimum(np.arange(len(stamp_ns)) + 1, len(stamp_ns) - 1)
     before = np.maximum(np.arange(len(stamp_ns)) - 1, 0)
     span_s = (stamp_ns[after] - stamp_ns[before])[:, None] / NS_PER_S
@@ -232,7 +232,7 @@ def convert(arguments: argparse.Namespace) -> list[str]:
         lines.append(f"{name}: {len(stamps)} messages over {duration_s:.3f} s{rate}")
         if back := int(np.sum(np.diff(stamps) <= 0)):
             lines.append(f"{name}: {back} stamps are not after the one before them")
-    for name, angles in zip(("roll", "tilt"), joints.T[3:], strict=True):
+    for name, angles in zip(GALEN.turning_names, GALEN.angles(joints).T, strict=True):
         lines.append(f"{name}: {angles.min():.4f} to {angles.max():.4f} rad")
     if lost:
         lines.append(

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from galen_bags.arrays.arm_recording import read_arm
-from galen_bags.convert import main, roll_and_tilt, stamps_ns
+from galen_bags.convert import angles_of, main, stamps_ns
 from galen_model.arm.galen import GALEN, GRAVITY_M_S2, HOME
 from galen_model.load.model import Load, gravity_wrench
 from galen_model.rotation import matrix_to_quaternion, quaternion_to_matrix, rotvec_to_matrix
@@ -123,11 +123,9 @@ def test_stamps_that_step_back_stay_as_they_are(tmp_path, capsys):
 
 def test_tilt_goes_on_without_steps_and_stays_near_zero():
     roll, tilt = np.full(200, 0.3), np.linspace(3.0, 9.0, 200)
-    found_roll, found_tilt, lost = roll_and_tilt(
-        3.0 * GALEN.gravity_in_sensor(np.stack([roll, tilt], axis=-1))
-    )
-    assert found_roll == pytest.approx(roll)
-    assert found_tilt == pytest.approx(tilt - 2 * np.pi)
+    found, lost = angles_of(3.0 * GALEN.gravity_in_sensor(np.stack([roll, tilt], axis=-1)))
+    assert found[:, 0] == pytest.approx(roll)
+    assert found[:, 1] == pytest.approx(tilt - 2 * np.pi)
     assert not lost.any()
 
 
@@ -135,15 +133,13 @@ def test_where_tilt_has_no_meaning_the_last_one_is_kept():
     half_pi = np.pi / 2
     roll = np.array([half_pi, half_pi, 1.5, half_pi, 1.5, -half_pi, -1.5])
     tilt = np.array([0.0, 0.0, 0.4, 0.0, 0.5, 0.0, -0.6])
-    found_roll, found_tilt, lost = roll_and_tilt(
-        GALEN.gravity_in_sensor(np.stack([roll, tilt], axis=-1))
-    )
-    assert found_roll == pytest.approx(roll)
-    assert found_tilt == pytest.approx([0.4, 0.4, 0.4, 0.4, 0.5, 0.5, -0.6])
+    found, lost = angles_of(GALEN.gravity_in_sensor(np.stack([roll, tilt], axis=-1)))
+    assert found[:, 0] == pytest.approx(roll)
+    assert found[:, 1] == pytest.approx([0.4, 0.4, 0.4, 0.4, 0.5, 0.5, -0.6])
     assert lost.tolist() == [True, True, False, True, False, True, False]
-    found_roll, found_tilt, lost = roll_and_tilt(np.array([[0.0, -9.8, 0.0]] * 3))
-    assert found_roll == pytest.approx([half_pi] * 3)
-    assert found_tilt.tolist() == [0.0] * 3
+    found, lost = angles_of(np.array([[0.0, -9.8, 0.0]] * 3))
+    assert found[:, 0] == pytest.approx([half_pi] * 3)
+    assert found[:, 1].tolist() == [0.0] * 3
     assert lost.all()
 
 

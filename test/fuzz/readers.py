@@ -47,7 +47,6 @@ from galen_bags.arrays.joint_table import JointColumns, read_joint_run  # noqa: 
 from galen_bags.arrays.tables import (  # noqa: E402
     read_motion,
     read_orientations,
-    read_rotations,
     read_table,
     read_wrenches,
 )
@@ -57,11 +56,10 @@ from galen_bags.formats.files import read_metadata  # noqa: E402
 from galen_bags.formats.mcap_records import zstd  # noqa: E402
 from galen_bags.formats.raw_block import pack  # noqa: E402
 from galen_deflection.models.file import read_model, write_model  # noqa: E402
-from galen_deflection.transmission.joint_report import read_listed  # noqa: E402
 from galen_diagnosis.blind.blind_protocol import Places, answered  # noqa: E402
 from galen_diagnosis.inference import posterior  # noqa: E402
 from galen_diagnosis.inference.posterior import load_settings  # noqa: E402
-from galen_gravcomp.evaluate.drift.series import read_series  # noqa: E402
+from galen_gravcomp.evaluate.drift_series import read_series  # noqa: E402
 from galen_model.arm.galen import JOINT_NAMES  # noqa: E402
 from galen_model.errors import GalenError  # noqa: E402
 from galen_model.files.calibration_file import (  # noqa: E402
@@ -209,35 +207,6 @@ def use_model(path: Path) -> None:
     again.unlink()
 
 
-def _packed_seeds() -> list[bytes]:
-    described = json.dumps({"schema_version": 1, "kind": "lstm", "sha256": "0"})
-    weights = np.zeros((2, 3), dtype=np.float32)
-    head = json.dumps(
-        {
-            "__metadata__": {"galen_deflection": described},
-            "w": {"dtype": "F32", "shape": [2, 3], "data_offsets": [0, 24]},
-        }
-    ).encode()
-    return [len(head).to_bytes(8, "little") + head + weights.tobytes()]
-
-
-def use_comparison(path: Path) -> None:
-    """A comparison of joints that `evaluate` printed."""
-    listed = read_listed(path)
-    assert np.isfinite([listed.noise, listed.lag_std, *np.ravel([*listed.scores.values()])]).all()
-
-
-def _comparison_seeds() -> list[bytes]:
-    content = {
-        "schema_version": 1,
-        "label": "roll",
-        "scores": {"linear": {"rmse_rad": 1e-3, "share_of_std": 0.5}},
-        "noise_rad": {"floor": 1e-5},
-        "lag_std_rad": 2e-3,
-    }
-    return [json.dumps(content).encode()]
-
-
 # --- tables ---------------------------------------------------------------------------------------
 
 
@@ -245,7 +214,7 @@ def use_table(path: Path) -> None:
     """By every reader of tables; one that rejects leaves the others their turn."""
     rejected: GalenError | None = None
     columns = JointColumns(motor="gx", link="gy", torque="gz", t="t")
-    for read in (read_table, _in_base, read_wrenches, read_orientations, read_rotations):
+    for read in (read_table, _in_base, read_wrenches, read_orientations):
         try:
             found = read(path)
         except GalenError as error:
@@ -512,8 +481,6 @@ READERS = {
         "file.json", lambda: [json.dumps(c).encode() for c in _tool_contents()], use_tool
     ),
     "model_json": Reader("model.json", _model_seeds, use_model),
-    "model_packed": Reader("model.safetensors", _packed_seeds, use_model),
-    "comparison": Reader("comparison.json", _comparison_seeds, use_comparison),
     "table": Reader("table.csv", _table_seeds, use_table),
     "convert": Reader("table.csv", _table_seeds, use_convert),
     "motion": Reader("table.csv", _motion_seeds, use_motion),

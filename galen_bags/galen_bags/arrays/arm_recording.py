@@ -14,7 +14,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from galen_model.arm.galen import JOINT_NAMES
+from galen_model.arm.arm import Arm
+from galen_model.arm.galen import GALEN
 from galen_model.arrays import Array
 from galen_ros.cdr import (
     NS_PER_S,
@@ -36,7 +37,6 @@ WRENCH_TYPE = "geometry_msgs/msg/WrenchStamped"
 POSE_TYPE = "geometry_msgs/msg/PoseStamped"
 JOINT_STATE_TYPE = "sensor_msgs/msg/JointState"
 
-_ANGLES = slice(3, None)
 _KEPT_LAYOUTS = 16
 # A block in which every message is another one is not worth an array operation for each.
 _MOST_LAYOUTS_A_BLOCK = 64
@@ -210,20 +210,20 @@ class ArmTopics:
     """Where the arm's samples are in a bag.
 
     A topic is taken by its whole name, or else as the only one of its type that ends with it, so
-    that recordings of a namespace need no option. `joint_names` has the five joints in the joint
-    vector's order (contract); the two angles must be there, the platform's need not.
+    that recordings of a namespace need no option. `joint_names`: the arm's joints in their order;
+    the turning ones must be there, the others need not.
     """
 
     joint_states: str = "joint_states"
     wrench_raw: str = "wrench_raw"
-    joint_names: tuple[str, ...] = tuple(JOINT_NAMES)
+    joint_names: tuple[str, ...] = GALEN.joint_names
 
 
 @dataclass(frozen=True)
 class ArmBlock:
     """Samples of both topics in the order of their log times.
 
-    is_wrench (n,) tells whose the next sample is. `joints.values` (nj, 10): positions, then
+    is_wrench (n,) tells whose the next sample is. `joints.values` (nj, 2 k): positions, then
     velocities, m and rad; `wrenches.values` (nw, 6): N and N.m. The log times are in ns.
     `messages`: the block as it was read; with other topics in it if they were asked for.
     """
@@ -244,6 +244,7 @@ class ArmReader:
         bag: Bag,
         topics: ArmTopics | None = None,
         *,
+        arm: Arm = GALEN,
         all_topics: bool = False,
         start_s: float = 0.0,
         duration_s: float | None = None,
@@ -254,8 +255,9 @@ class ArmReader:
         of the `duration_s` (None: all) from `start_s` after the first one's log time on are read.
         """
         topics = topics or ArmTopics()
-        if len(topics.joint_names) != len(JOINT_NAMES):
-            raise BagError(f"{len(topics.joint_names)} joint names; there must be five")
+        names, count = topics.joint_names, len(arm.joints)
+        if len(names) != count:
+            raise BagError(f"{len(names)} joint names; the arm has {count} joints")
         self.bag = bag
         self._start_s = start_s
         self._duration_s = math.inf if duration_s is None else duration_s
@@ -268,8 +270,8 @@ class ArmReader:
                 for topic in bag.topics.values()
                 if topic.name not in self.read_topics and topic.encoding == "cdr"
             ]
-        names = topics.joint_names
-        self._joints = Decoder(JOINT_STATE_TYPE, names, required=names[_ANGLES])
+        turning = [names[k] for k in arm.turning]
+        self._joints = Decoder(JOINT_STATE_TYPE, names, required=turning)
         self._wrenches = Decoder(WRENCH_TYPE)
 
     @property
@@ -334,7 +336,7 @@ def find_topic(bag: Bag, name: str, type_name: str) -> str:
 class ArmRecording:
     """A whole recording in memory, about half a kilobyte a message: minutes, not hours.
 
-    joint_stamp_ns (n,), joints (n, 5) m and rad, joint_velocities (n, 5) NaN where the messages
+    joint_stamp_ns (n,), joints (n, k) m and rad, joint_velocities (n, k) NaN where the messages
     have none; wrench_stamp_ns (m,), wrenches (m, 6) N and N.m; log times in ns; messages that
     can't be used are left out and named in `problems`, beside what is wrong with the bag.
     """
@@ -351,14 +353,17 @@ class ArmRecording:
     problems: tuple[str, ...]
 
 
-def read_arm(path: str | os.PathLike[str], topics: ArmTopics | None = None) -> ArmRecording:
+def read_arm(
+    path: str | os.PathLike[str], topics: ArmTopics | None = None, arm: Arm = GALEN
+) -> ArmRecording:
     """Read a bag's joint states and wrenches. Raises BagError, naming the bag."""
     with open_bag(path) as bag:
-        reader = ArmReader(bag, topics)
+        reader = ArmReader(bag, topics, arm=arm)
         blocks = list(reader.blocks())
         problems = bag.problems
         names = (reader.joint_states, reader.wrench_raw)
-    joints = join_samples([block.joints for block in blocks], 2 * len(JOINT_NAMES))
+    count = len(arm.joints)
+    joints = join_samples([block.joints for block in blocks], 2 * count)
     wrenches = join_samples([block.wrenches for block in blocks], 6)
     kept: list[np.ndarray | slice] = []
     for name, samples in zip(names, (joints, wrenches), strict=True):
@@ -374,7 +379,6 @@ def read_arm(path: str | os.PathLike[str], topics: ArmTopics | None = None) -> A
         kept.append(good if samples.bad else slice(None))  # a slice copies nothing
     joint_log = np.concatenate([block.joint_log_ns for block in blocks])
     wrench_log = np.concatenate([block.wrench_log_ns for block in blocks])
-    count = len(JOINT_NAMES)
     return ArmRecording(
         Path(path),
         joints.stamp_ns[kept[0]],

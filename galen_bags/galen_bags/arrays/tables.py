@@ -9,7 +9,7 @@ caller. A row of a table with orientations is one reading:
     qx qy qz qw             orientation of the sensor in the base, unit quaternion
     r11 r12 ... r33         R_base_sensor, row by row
     gx gy gz                gravity in the sensor's frame, m/s^2 (or in g: lengths 0.9 to 1.1)
-    roll tilt               the Galen's joints, rad
+    roll tilt               or what the arm's turning joints are called, rad
     and, where there are,
     t                       time, s
     block                   a label; rows of one label are held out together
@@ -24,7 +24,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from galen_model.arm.galen import GALEN, GRAVITY_M_S2, WRENCH_AXES
+from galen_model.arm.arm import STANDARD_GRAVITY_M_S2, Arm
+from galen_model.arm.galen import GALEN, WRENCH_AXES
 from galen_model.arrays import Array
 from galen_model.errors import GalenError
 from galen_model.rest.segments import DirectionRest, rest_by_direction
@@ -159,11 +160,9 @@ ORIENTATIONS = {
     "gravity": ("gx", "gy", "gz"),
     "matrix": tuple(f"r{row}{column}" for row in (1, 2, 3) for column in (1, 2, 3)),
     "quaternion": ("qx", "qy", "qz", "qw"),
-    "joints": ("roll", "tilt"),
 }
-"""Ways to give an orientation; where a table has several, the first of these is used."""
+"""Ways to give an orientation beside the arm's angles; the first that a table has is used."""
 
-_KNOWN = {"t", *WRENCH_AXES, *(name for needed in ORIENTATIONS.values() for name in needed)}
 _ROTATION_TOLERANCE = 1e-2
 _GRAVITY_TOLERANCE = 0.02
 
@@ -208,10 +207,20 @@ class OrientationTable:
         return self if self.time is not None else replace(self, time=np.arange(float(len(self))))
 
 
+def _read(path: str | os.PathLike[str], columns: Sequence[str] | None, arm: Arm) -> TextTable:
+    known = {name for needed in _ways(arm).values() for name in needed}
+    return read_text_table(path, {"t", *WRENCH_AXES, *known}, columns)
+
+
+def _ways(arm: Arm) -> dict[str, tuple[str, ...]]:
+    return {**ORIENTATIONS, "joints": arm.turning_names}
+
+
 def read_table(
     path: str | os.PathLike[str],
     columns: Sequence[str] | None = None,
     wrench_frame: str = "sensor",
+    arm: Arm = GALEN,
 ) -> OrientationTable:
     """Read a table; `columns` names the columns of a file without a first line of names.
 
@@ -220,13 +229,14 @@ def read_table(
 
     Raises TableError naming the file and what is wrong in it.
     """
-    text = read_text_table(path, _KNOWN, columns)
+    text = _read(path, columns, arm)
     wrench = _wrench(text)
-    gravity, rotation, kind = _orientation(text)
+    gravity, rotation, kind = _orientation(text, arm)
     if wrench_frame == "base":
         if rotation is None:
             raise TableError(
-                f"{text.path}: wrenches in the base need qx..qw, r11..r33 or roll, tilt"
+                f"{text.path}: wrenches in the base need qx..qw, r11..r33 or"
+                f" {', '.join(arm.turning_names)}"
             )
         turned = [np.einsum("nji,nj->ni", rotation, part) for part in np.split(wrench, 2, axis=1)]
         wrench = np.concatenate(turned, axis=1)
@@ -247,29 +257,19 @@ def read_wrenches(
 
     Raises TableError naming the file and what is wrong in it.
     """
-    text = read_text_table(path, _KNOWN, columns)
+    text = read_text_table(path, {"t", *WRENCH_AXES}, columns)
     return _time(text), _wrench(text)
 
 
 def read_orientations(
-    path: str | os.PathLike[str], columns: Sequence[str] | None = None
+    path: str | os.PathLike[str], columns: Sequence[str] | None = None, arm: Arm = GALEN
 ) -> tuple[Array, Array]:
     """Read times (n,) as the file has them and gravity (n, 3), m/s^2, of a table without wrenches.
 
     Raises TableError naming the file and what is wrong in it.
     """
-    text = read_text_table(path, _KNOWN, columns)
-    return _time(text), _orientation(text)[0]
-
-
-def read_rotations(
-    path: str | os.PathLike[str], columns: Sequence[str] | None = None
-) -> Array | None:
-    """R_base_sensor (n, 3, 3) of a table with orientations; None where it tells gravity alone.
-
-    Raises TableError naming the file and what is wrong in it.
-    """
-    return _orientation(read_text_table(path, _KNOWN, columns))[1]
+    text = _read(path, columns, arm)
+    return _time(text), _orientation(text, arm)[0]
 
 
 def average_still(
@@ -331,23 +331,29 @@ def _time(text: TextTable) -> Array:
     return text.numbers["t"]
 
 
-def _orientation(text: TextTable) -> tuple[Array, Array | None, str]:
-    """Gravity (n, 3), R_base_sensor (n, 3, 3) where the table tells it, and which columns told."""
+def _orientation(text: TextTable, arm: Arm) -> tuple[Array, Array | None, str]:
+    """Gravity (n, 3), R_base_sensor (n, 3, 3) where the table has it, and the columns' kind."""
     path, numbers, lines = text.path, text.numbers, text.lines
-    kinds = [kind for kind, needed in ORIENTATIONS.items() if set(needed) <= set(text.names)]
+    ways = _ways(arm)
+    kinds = [kind for kind, needed in ways.items() if set(needed) <= set(text.names)]
     if not kinds:
-        ways = "; ".join(" ".join(needed) for needed in ORIENTATIONS.values())
-        raise TableError(f"{path}: no orientation; give the columns of one of: {ways}")
-    rotations = {kind: _rotation(path, numbers, kind, lines) for kind in kinds if kind != "gravity"}
-    rotation = next(iter(rotations.values()), None)
+        listed = "; ".join(" ".join(needed) for needed in ways.values())
+        raise TableError(f"{path}: no orientation; give the columns of one of: {listed}")
+    columns = {kind: np.column_stack([numbers[name] for name in ways[kind]]) for kind in kinds}
+    rotations = [
+        arm.rotation(cells) if kind == "joints" else _rotation(path, cells, kind, lines)
+        for kind, cells in columns.items()
+        if kind != "gravity"
+    ]
+    rotation = rotations[0] if rotations else None
     if "gravity" not in kinds:
         assert rotation is not None
-        return np.einsum("nji,j->ni", rotation, GRAVITY_M_S2), rotation, kinds[0]
-    gravity = np.column_stack([numbers[name] for name in ORIENTATIONS["gravity"]])
+        return np.einsum("nji,j->ni", rotation, arm.gravity_m_s2), rotation, kinds[0]
+    gravity = columns["gravity"]
     size = np.linalg.norm(gravity, axis=1)
     if np.all(np.abs(size - 1.0) < 0.1):
-        gravity, size = gravity * -GRAVITY_M_S2[2], size * -GRAVITY_M_S2[2]
-    off = np.abs(size / -GRAVITY_M_S2[2] - 1.0) > _GRAVITY_TOLERANCE
+        gravity, size = gravity * STANDARD_GRAVITY_M_S2, size * STANDARD_GRAVITY_M_S2
+    off = np.abs(size / STANDARD_GRAVITY_M_S2 - 1.0) > _GRAVITY_TOLERANCE
     if np.any(off):
         row = int(np.argmax(off))
         raise TableError(
@@ -357,10 +363,7 @@ def _orientation(text: TextTable) -> tuple[Array, Array | None, str]:
     return gravity, rotation, kinds[0]
 
 
-def _rotation(path: Path, numbers: dict[str, Array], kind: str, lines: list[int]) -> Array:
-    cells = np.column_stack([numbers[name] for name in ORIENTATIONS[kind]])
-    if kind == "joints":
-        return GALEN.rotation(cells)
+def _rotation(path: Path, cells: Array, kind: str, lines: list[int]) -> Array:
     if kind == "quaternion":
         bad = np.abs(np.linalg.norm(cells, axis=1) - 1.0) > _ROTATION_TOLERANCE
         what = "qx qy qz qw is not a unit quaternion"

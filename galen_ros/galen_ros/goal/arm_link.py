@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Sequence
 
-from galen_model.arm.galen import JOINT_NAMES
+from galen_model.arm.arm import Arm
 from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.subscription import Subscription
@@ -22,8 +22,9 @@ _DEPTH = 10
 class ArmPublisher:
     """Sends the arm somewhere, and stops it, over `joint_trajectory`; hears who else does."""
 
-    def __init__(self, node: Node) -> None:
+    def __init__(self, node: Node, arm: Arm) -> None:
         self._node = node
+        self._joint_names = list(arm.joint_names)
         self._publisher = node.create_publisher(JointTrajectory, "joint_trajectory", _DEPTH)
         self._not_heard: deque[JointTrajectory] = deque(maxlen=_DEPTH)
 
@@ -41,8 +42,8 @@ class ArmPublisher:
         """Move from rest to rest."""
         point = JointTrajectoryPoint(
             positions=[float(value) for value in move.joints],
-            velocities=[0.0] * len(JOINT_NAMES),
-            accelerations=[0.0] * len(JOINT_NAMES),
+            velocities=[0.0] * len(self._joint_names),
+            accelerations=[0.0] * len(self._joint_names),
             time_from_start=Duration(seconds=move.duration_s).to_msg(),
         )
         self._send([point])
@@ -52,7 +53,7 @@ class ArmPublisher:
         self._send([])
 
     def _send(self, points: list[JointTrajectoryPoint]) -> None:
-        message = JointTrajectory(joint_names=list(JOINT_NAMES), points=points)
+        message = JointTrajectory(joint_names=self._joint_names, points=points)
         self._not_heard.append(message)
         self._publisher.publish(message)
 

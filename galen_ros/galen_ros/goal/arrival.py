@@ -11,7 +11,8 @@ from collections import deque
 from dataclasses import dataclass
 
 import numpy as np
-from galen_model.arm.galen import JOINT_NAMES, JOINT_UNITS, WRENCH_AXES
+from galen_model.arm.arm import Arm
+from galen_model.arm.galen import GALEN, WRENCH_AXES
 from galen_model.arrays import Array
 from galen_model.errors import GalenError
 from galen_model.rest.pose import (
@@ -78,13 +79,14 @@ class StampClock:
 
 @dataclass(frozen=True)
 class ArrivalSettings:
-    """Tolerances in the joint vector's order and units (m, m, m, rad, rad), times in s."""
+    """Tolerances (n,) in the order and units of the arm's joints, times in s."""
 
     position_tolerance: Array
     velocity_tolerance: Array
     velocity_window_s: float
     settle_s: float
     max_stamp_step_s: float
+    arm: Arm = GALEN
 
 
 class MotionTimeoutError(Exception):
@@ -105,7 +107,7 @@ class ArrivalMonitor:
     def __init__(
         self, settings: ArrivalSettings, target: Array | None, allowance_s: float, topic: str
     ) -> None:
-        """`target` (5,) or None to wait only for a standstill; `allowance_s` is the time-out."""
+        """`target` (n,) or None to wait only for a standstill; `allowance_s` is the time-out."""
         self._settings = settings
         self._target = None if target is None else np.array(target, float)
         self._allowance_s = allowance_s
@@ -118,7 +120,7 @@ class ArrivalMonitor:
         self._jumps_seen = 0
 
     def add(self, stamp_ns: int, position: Array, velocity: Array | None) -> bool:
-        """Take a joint state, (5,) in m, rad and per s; True once arrived, stopped and settled.
+        """Take a joint state, (n,) in m, rad and per s; True once arrived, stopped and settled.
 
         Raises MotionTimeoutError when the allowance is used up.
         """
@@ -158,24 +160,24 @@ class ArrivalMonitor:
         """What still keeps the arm from having arrived, a sentence a joint."""
         if span_ns < self._window_ns:
             return ["too few joint states yet to tell that the arm has stopped"]
+        names, units = self._settings.arm.joint_names, self._settings.arm.units
         faults = []
         position = self._recent[-1][1]
         if not np.all(np.isfinite(position)):
             return [
-                f"{JOINT_NAMES[k]} reports {position[k]}"
-                for k in np.flatnonzero(~np.isfinite(position))
+                f"{names[k]} reports {position[k]}" for k in np.flatnonzero(~np.isfinite(position))
             ]
         if self._target is not None:
             away = np.abs(position - self._target) > self._settings.position_tolerance
             faults += [
-                f"{JOINT_NAMES[k]} did not reach {self._target[k]:.4f} {JOINT_UNITS[k]}:"
-                f" it stands at {position[k]:.4f} {JOINT_UNITS[k]}"
+                f"{names[k]} did not reach {self._target[k]:.4f} {units[k]}:"
+                f" it stands at {position[k]:.4f} {units[k]}"
                 for k in np.flatnonzero(away)
             ]
         speed = self._speed(span_ns)
         moving = ~(speed <= self._settings.velocity_tolerance)
         faults += [
-            f"{JOINT_NAMES[k]} did not stop: it moves at {speed[k]:.4f} {JOINT_UNITS[k]}/s"
+            f"{names[k]} did not stop: it moves at {speed[k]:.4f} {units[k]}/s"
             for k in np.flatnonzero(moving)
         ]
         return faults
@@ -214,7 +216,8 @@ class PoseRecorder:
         target: Array,
         allowance_s: float,
     ) -> None:
-        """`target` (5,) in m and rad; `allowance_s` for arriving, stopping and settling."""
+        """`target` (n,) in m and rad; `allowance_s` for arriving, stopping and settling."""
+        self._arm = arrival.arm
         self._stillness = stillness
         self._average_ns = round(average_s * NS)
         self._arrival = ArrivalMonitor(arrival, target, allowance_s, "joint_states")
@@ -250,7 +253,7 @@ class PoseRecorder:
         return " and ".join(reasons)
 
     def add_joints(self, stamp_ns: int, position: Array, velocity: Array | None) -> None:
-        """Take a joint state, (5,) in m, rad and per s."""
+        """Take a joint state, (n,) in m, rad and per s."""
         if self.result is not None:
             return
         if self._window is None:
@@ -311,7 +314,7 @@ class PoseRecorder:
         if gap > self._max_step_ns or np.min(np.diff(wrench_stamps)) < 0:
             return PoseRejection(f"wrench_raw has a gap of {gap / NS:.3f} s while averaging")
         for values, names, topic in (
-            (joints, JOINT_NAMES, "joint_states"),
+            (joints, self._arm.joint_names, "joint_states"),
             (wrenches, WRENCH_AXES, "wrench_raw"),
         ):
             bad = np.flatnonzero(~np.all(np.isfinite(values), axis=0))

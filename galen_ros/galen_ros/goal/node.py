@@ -11,7 +11,7 @@ from functools import partial
 from typing import Any, ClassVar
 
 import numpy as np
-from galen_model.arm.galen import JOINT_NAMES, SENSOR_FRAME
+from galen_model.arm.arm import Arm
 from galen_model.errors import GalenError, one_line
 from geometry_msgs.msg import WrenchStamped
 from rclpy.action import CancelResponse, GoalResponse
@@ -54,7 +54,7 @@ class RunningGoal:
         self.action = action
         self.handle = handle
         self.procedure: Any = procedure
-        self.joints = JointWire(JOINT_NAMES)
+        self.joints = JointWire(action.node.arm.joint_names)
         self.wrenches = WrenchWire()
         self.subscriptions: list[Subscription] = []
         self.publishers: PublisherWatch | None = None
@@ -165,7 +165,8 @@ class GoalNode(Node):
         self._last = "no goal yet"
         self._last_failed = False
 
-        self._arm = ArmPublisher(self)
+        self.arm: Arm = self.settings.arm
+        self._arm = ArmPublisher(self, self.arm)
         self._servers = {}
         status = []
         for kind in actions:
@@ -314,8 +315,8 @@ class GoalNode(Node):
         except GalenError as error:
             self._fail(goal, "BAD_INPUT", f"{topic}: {error}")
             return
-        if raw.frame_id != SENSOR_FRAME:
-            text = f"{topic} has frame_id {raw.frame_id!r}, not {SENSOR_FRAME!r}"
+        if raw.frame_id != self.arm.sensor_frame:
+            text = f"{topic} has frame_id {raw.frame_id!r}, not {self.arm.sensor_frame!r}"
             self._fail(goal, "BAD_INPUT", text)
             return
         self.feed(goal.procedure.on_wrench, raw.stamp_ns, np.array(raw.wrench))

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import ClassVar
 
 import numpy as np
+from galen_model.arm.arm import Arm
+from galen_model.arm.galen import GALEN
 from galen_model.arrays import Array
 from galen_model.rest.pose import StillnessSettings
 
@@ -24,20 +26,26 @@ class MotionParameters:
         maximum=60.0,
     )
 
-    max_delta_velocity_m_s: float = param(0.08, "peak speed of each delta axis", 0.001, 1.0)
+    max_delta_velocity_m_s: float = param(0.08, "peak speed of each sliding joint", 0.001, 1.0)
     max_delta_acceleration_m_s2: float = param(
-        0.4, "peak acceleration of each delta axis", 0.01, 10
+        0.4, "peak acceleration of each sliding joint", 0.01, 10
     )
-    max_angle_velocity_rad_s: float = param(0.8, "peak speed of roll and tilt", 0.01, 5.0)
-    max_angle_acceleration_rad_s2: float = param(3.0, "peak acceleration of roll and tilt", 0.1, 50)
+    max_angle_velocity_rad_s: float = param(0.8, "peak speed of each turning joint", 0.01, 5.0)
+    max_angle_acceleration_rad_s2: float = param(
+        3.0, "peak acceleration of each turning joint", 0.1, 50
+    )
     motion_timeout_s: float = param(
         5.0, "time beyond a move's own to arrive and stop, s of stamps", 0.1, 600.0
     )
 
-    position_tolerance_m: float = param(0.0005, "at the target within this, delta", 1e-6, 0.1)
-    position_tolerance_rad: float = param(0.003, "at the target within this, roll, tilt", 1e-5, 0.5)
-    velocity_tolerance_m_s: float = param(0.0005, "stopped below this, delta", 1e-6, 0.1)
-    velocity_tolerance_rad_s: float = param(0.002, "stopped below this, roll and tilt", 1e-5, 1.0)
+    position_tolerance_m: float = param(
+        0.0005, "at the target within this, sliding joints", 1e-6, 0.1
+    )
+    position_tolerance_rad: float = param(
+        0.003, "at the target within this, turning joints", 1e-5, 0.5
+    )
+    velocity_tolerance_m_s: float = param(0.0005, "stopped below this, sliding joints", 1e-6, 0.1)
+    velocity_tolerance_rad_s: float = param(0.002, "stopped below this, turning joints", 1e-5, 1.0)
     velocity_window_s: float = param(
         0.1, "the speed is looked at over this time, s of stamps", 0.005, 10.0
     )
@@ -55,26 +63,37 @@ class MotionParameters:
     stop_timeout_s: ClassVar[float] = 3.0
     max_stamp_offset_s: ClassVar[float] = 0.2
 
+    arm: Arm = field(default=GALEN, repr=False, compare=False)
+
+    def _by_joint(self, metres: float, radians: float) -> Array:
+        """One number for each joint (n,), by its unit."""
+        return np.array([metres if unit == "m" else radians for unit in self.arm.units])
+
     @property
     def arrival(self) -> ArrivalSettings:
         """When the arm has arrived, each joint with its own unit's number."""
         return ArrivalSettings(
-            position_tolerance=by_joint(self.position_tolerance_m, self.position_tolerance_rad),
-            velocity_tolerance=by_joint(self.velocity_tolerance_m_s, self.velocity_tolerance_rad_s),
+            position_tolerance=self._by_joint(
+                self.position_tolerance_m, self.position_tolerance_rad
+            ),
+            velocity_tolerance=self._by_joint(
+                self.velocity_tolerance_m_s, self.velocity_tolerance_rad_s
+            ),
             velocity_window_s=self.velocity_window_s,
             settle_s=self.settle_s,
             max_stamp_step_s=self.max_stamp_step_s,
+            arm=self.arm,
         )
 
     @property
     def max_velocity(self) -> Array:
-        """(5,), m/s and rad/s."""
-        return by_joint(self.max_delta_velocity_m_s, self.max_angle_velocity_rad_s)
+        """Of each joint (n,), m/s or rad/s."""
+        return self._by_joint(self.max_delta_velocity_m_s, self.max_angle_velocity_rad_s)
 
     @property
     def max_acceleration(self) -> Array:
-        """(5,), m/s^2 and rad/s^2."""
-        return by_joint(self.max_delta_acceleration_m_s2, self.max_angle_acceleration_rad_s2)
+        """Of each joint (n,), m/s^2 or rad/s^2."""
+        return self._by_joint(self.max_delta_acceleration_m_s2, self.max_angle_acceleration_rad_s2)
 
 
 @dataclass(frozen=True)
@@ -88,9 +107,11 @@ class PoseParameters(MotionParameters):
         maximum=60.0,
     )
 
-    joint_motion_m: float = param(0.0001, "largest motion of delta during an average", 1e-7, 0.1)
+    joint_motion_m: float = param(
+        0.0001, "largest motion of a sliding joint during an average", 1e-7, 0.1
+    )
     joint_motion_rad: float = param(
-        0.0005, "largest motion of roll and tilt during an average", 1e-6, 0.5
+        0.0005, "largest motion of a turning joint during an average", 1e-6, 0.5
     )
     max_scatter_ratio: float = param(
         1.5, "a pose whose wrench scatters more, in units of the sweep's median, is rejected", 1.01
@@ -107,13 +128,8 @@ class PoseParameters(MotionParameters):
     def stillness(self) -> StillnessSettings:
         """When a pose was still, each joint with its own unit's number."""
         return StillnessSettings(
-            joint_motion=by_joint(self.joint_motion_m, self.joint_motion_rad),
+            joint_motion=self._by_joint(self.joint_motion_m, self.joint_motion_rad),
             scatter_ratio=self.max_scatter_ratio,
             trend_sigmas=self.max_trend_sigmas,
             min_samples=self.min_samples,
         )
-
-
-def by_joint(delta: float, angle: float) -> Array:
-    """Return a number for each joint, (5,): one for the delta's, one for roll and tilt."""
-    return np.array([delta] * 3 + [angle] * 2)

@@ -15,7 +15,6 @@ from typing import Any, ClassVar
 
 import numpy as np
 from galen_model.arm.clearance import ObstacleError
-from galen_model.arm.galen import JOINT_NAMES
 from galen_model.arm.routes import Router
 from galen_model.arrays import Array
 from galen_model.poses.order import quintic_duration_s
@@ -42,7 +41,7 @@ _OF_LOST_SAMPLES = ("MOTION_TIMEOUT", "POSES_NOT_STILL")
 
 @dataclass(frozen=True)
 class MoveTo:
-    """Go to `joints` (5,), m and rad, from rest to rest in `duration_s`."""
+    """Go to `joints` (n,), m and rad, from rest to rest in `duration_s`."""
 
     joints: Array
     duration_s: float
@@ -184,7 +183,7 @@ class GoalProcedure(ABC):
         self._report(f"waiting for {JOINTS} and {self.wrench_topic}")
 
     def on_joints(self, stamp_ns: int, position: Array, velocity: Array | None) -> None:
-        """Take a joint state, (5,) in m, rad and per s; velocity None where there is none."""
+        """Take a joint state, (n,) in m, rad and per s; velocity None where there is none."""
         self._silences[0].heard(stamp_ns)
         self._joints = position
         if not self._under_way:
@@ -305,7 +304,7 @@ class GoalProcedure(ABC):
         assert self._joints is not None
         if not np.all(np.isfinite(self._joints)):
             bad = ", ".join(
-                f"{JOINT_NAMES[k]} = {self._joints[k]}"
+                f"{self._settings.arm.joint_names[k]} = {self._joints[k]}"
                 for k in np.flatnonzero(~np.isfinite(self._joints))
             )
             self.fail(self.codes["BAD_INPUT"], f"{JOINTS}: {bad}")
@@ -438,10 +437,10 @@ class PoseProcedure(GoalProcedure):
         try:
             way = router.route(start, target)
         except ObstacleError as error:
-            roll, tilt = target[3:]
+            arm = self._settings.arm
             self.fail(
                 self.codes["BAD_INPUT"],
-                f"no way to roll {roll:.3f}, tilt {tilt:.3f} rad: {error}",
+                f"no way to {arm.described(arm.angles(target))}: {error}",
             )
             return
         self._follow(way[:-1], then)

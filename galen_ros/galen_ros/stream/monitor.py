@@ -251,7 +251,7 @@ class StreamMonitor(ABC):
         if self.outputs.several or self.publishers[self._pairing.wrench_topic].several:
             text = f"{self.lost}: {text}: stop all but one of them"
             return State(Severity.ERROR, "several_publishers", text)
-        # Joints may come from several, as long as only one of them has roll and tilt.
+        # Joints may come from several, as long as only one of them has this arm's.
         if self._output_s is None or now_s - self._output_s > HOLD_S:
             return None  # the rejection says why nothing goes out
         rest = (

@@ -14,6 +14,8 @@ from enum import Enum
 from typing import NamedTuple, Protocol
 
 import numpy as np
+from galen_model.arm.arm import Arm
+from galen_model.arm.galen import GALEN
 from galen_model.arrays import Array
 
 from galen_ros.parameters import param
@@ -37,8 +39,6 @@ from galen_ros.stream.watches import FROZEN_S, LATE_S
 MAX_WAITING = 1000
 # Samples of one driver never lie this far apart; two clocks do.
 _OTHER_CLOCK_NS = 5_000_000_000
-# Of the joints that are pushed: roll and tilt come last.
-_ANGLES = slice(-2, None)
 
 
 @dataclass(frozen=True)
@@ -69,7 +69,7 @@ class StreamParameters:
     )
     frozen_s: float = param(
         FROZEN_S,
-        "s of wall time that a wrench may stay the same to the last bit while roll or tilt turns;"
+        "s of wall time that a wrench may stay the same to the last bit while the arm turns;"
         " then it is rejected: the sensor hangs; 0: for ever",
         minimum=0.0,
         maximum=60.0,
@@ -135,6 +135,7 @@ class WrenchPairing:
         wrench_topic: str = "wrench_raw",
         sensor_frame: str = "",
         awaited: Awaited | None = None,
+        arm: Arm = GALEN,
     ) -> None:
         """Pair a topic's wrenches.
 
@@ -143,6 +144,7 @@ class WrenchPairing:
         """
         self._on_restart = on_restart
         self._awaited = awaited
+        self._turning = arm.turning
         self.wrench_topic = wrench_topic
         self.sensor_frame = sensor_frame
         self._barred: tuple[Enum, str] | None = None
@@ -175,7 +177,7 @@ class WrenchPairing:
 
     @property
     def newest_angles(self) -> tuple[float, ...] | None:
-        """Roll and tilt as last reported, rad; None before any."""
+        """Angles of the turning joints as last reported, rad; None before any."""
         return None if self._reported is None else self._reported[1]
 
     def bar(self, reason: Enum, detail: str) -> list[Rejected]:
@@ -279,7 +281,7 @@ class WrenchPairing:
         return [self.reject(0, Rejection.UNREADABLE, detail, self.received - 1)]
 
     def push_joints(self, stamp_ns: int, joints: tuple[float, ...]) -> list[Result]:
-        """Take joints, roll and tilt last; returns what became of wrenches that waited for them."""
+        """Take joints, all or the turning ones; returns what became of wrenches that waited."""
         results: list[Result] = []
         newest = self._joints.newest_ns
         if newest is not None:
@@ -292,7 +294,9 @@ class WrenchPairing:
             self.notices[Notice.NONFINITE_JOINTS] += 1
             joints = (math.nan,) * len(joints)
         else:
-            angles = joints[_ANGLES]
+            angles = joints
+            if len(joints) > len(self._turning):
+                angles = tuple([joints[k] for k in self._turning])
             if angle_unit_notice(angles):
                 self.notices[Notice.ANGLE_UNIT] += 1
             if self._jumped(stamp_ns, angles):
@@ -341,6 +345,7 @@ class WrenchPairing:
             self._joints,
             self._limits,
             self._reported,
+            self._angles(arrivals.joints),
         )
         out, waited = len(joints), len(waiting)
         stamp_ns = np.concatenate((waiting_ns, arrivals.wrench_stamp_ns))
@@ -355,7 +360,7 @@ class WrenchPairing:
             wrench = raw[row].copy()
             waiting.append(PairedWrench(int(stamp_ns[row]), wrench, (), None, int(number[row])))
         self._joints.push_regular(arrivals.joint_stamp_ns, arrivals.joints)
-        angles = arrivals.joints[:, _ANGLES]
+        angles = self._angles(arrivals.joints)
         if len(angles):
             self._joint_trouble = None
             self._reported = (int(arrivals.joint_stamp_ns[-1]), tuple(angles[-1].tolist()))
@@ -379,6 +384,10 @@ class WrenchPairing:
         return self._newest_wrench_ns
 
     # Inside
+
+    def _angles(self, joints: Array) -> Array:
+        """Angles (n, k) of joints (n, all or the k turning ones)."""
+        return joints if joints.shape[1] == len(self._turning) else joints[:, self._turning]
 
     def _known_until_ns(self) -> int | None:
         """The newest stamp that need not wait: the newest joints', or earlier; None: none yet."""

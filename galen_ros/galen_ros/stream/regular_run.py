@@ -24,7 +24,7 @@ _AFTER_ALL_NS = 2**61
 class Arrivals:
     """Samples of both topics; is_wrench (n,) says whose the next one is.
 
-    Joints: stamps (j,) ns, joints (j, k) m and rad, roll and tilt last.
+    Joints: stamps (j,) ns, joints (j, k) m and rad, all of the arm's or the turning ones.
     Wrenches: stamps (w,), wrenches (w, 6) N and N.m.
     `*_usable`: whether the message could be read and its frame is right.
     """
@@ -59,11 +59,12 @@ def find_regular_run(
     joints: JointBuffer,
     limits: SampleLimits,
     reported: tuple[int, tuple[float, ...]] | None,
+    angles: Array,
 ) -> tuple[Arrivals, Array]:
     """Find the regular run at the start of `arrivals`.
 
     The rest is the state before: stamps (k,) of the wrenches that wait, the newest wrench's stamp,
-    the joint samples, the last angles reported and their stamp.
+    the joint samples, the last angles reported and their stamp. angles: the arrivals' (j, k).
 
     Returns:
         The regular arrivals. Of the wrenches that waited, followed by those that arrived, the first
@@ -73,7 +74,13 @@ def find_regular_run(
     if np.any(np.diff(waiting_ns) <= 0):
         return arrivals.first(0), np.zeros((0, arrivals.joints.shape[1]))
     arrivals = arrivals.first(
-        _in_line(arrivals, newest_wrench_ns, joints.newest_ns, limits, reported)
+        _in_line(
+            arrivals,
+            newest_wrench_ns,
+            joints.newest_ns,
+            limits,
+            _jumps(arrivals.joint_stamp_ns, angles, reported),
+        )
     )
     # From here on the stamps of either topic increase, so they can be searched.
     wrench_at = np.flatnonzero(arrivals.is_wrench)
@@ -121,7 +128,7 @@ def _in_line(
     newest_wrench_ns: int | None,
     newest_joints_ns: int | None,
     limits: SampleLimits,
-    reported: tuple[int, tuple[float, ...]] | None,
+    jumps: np.ndarray,
 ) -> int:
     """How many arrivals are in line with those before them in their own topic."""
     fine = np.empty(len(arrivals.is_wrench), dtype=bool)
@@ -129,7 +136,7 @@ def _in_line(
         arrivals.joint_usable
         & limits.regular_steps(arrivals.joint_stamp_ns, newest_joints_ns)
         & np.isfinite(arrivals.joints).all(axis=1)
-        & ~_jumps(arrivals, reported)
+        & ~jumps
     )
     fine[arrivals.is_wrench] = (
         arrivals.wrench_usable
@@ -140,9 +147,10 @@ def _in_line(
     return _first(~fine, np.arange(len(fine)), len(fine))
 
 
-def _jumps(arrivals: Arrivals, reported: tuple[int, tuple[float, ...]] | None) -> np.ndarray:
+def _jumps(
+    stamp_ns: np.ndarray, angles: Array, reported: tuple[int, tuple[float, ...]] | None
+) -> np.ndarray:
     """Which joint samples the arm can't have turned to from the one before."""
-    stamp_ns, angles = arrivals.joint_stamp_ns, arrivals.joints[:, -2:]
     if not len(stamp_ns):
         return np.zeros(0, dtype=bool)
     before_ns, before = (stamp_ns[0] - 1, angles[0]) if reported is None else reported

@@ -46,7 +46,7 @@ class FrozenWatch:
     ) -> str:
         """Return why the reading can't be a live one, in words; empty while it may be.
 
-        received: how many wrenches came so far; wrench (6,); angles: roll and tilt, rad.
+        received: how many wrenches came so far; wrench (6,); angles: of the turning joints, rad.
         """
         if self._frozen_s <= 0.0 or wrench is None or angles is None:
             return ""
