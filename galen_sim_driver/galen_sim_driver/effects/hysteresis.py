@@ -27,7 +27,7 @@ fraction of 0.07 is 2 % lower at 0.8 and 1.25 times that load, 16 % at half and 
 The joints are the three carriages, roll and tilt, and the six rods with what slips in the seats of
 their balls, which bend the most. What each takes of a wrench is determined without their
 stiffness: six rods hold the platform as the square matrix A of their rows [n, B x n] says
-(`galen_model.arm.stiffness`), so that a rod that grows by 1 moves it by a column of A^-1, and a
+(`galen_model.arm.delta`), so that a rod that grows by 1 moves it by a column of A^-1, and a
 carriage moves it without turning it, since its two rods stay parallel.
 
 Where a load turns: what a friction's state hangs on, and nothing between.

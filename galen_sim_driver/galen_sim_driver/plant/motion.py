@@ -25,9 +25,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
-import numpy as np
 from galen_model.arm.galen import JOINT_NAMES, LIMITS
-from scipy.interpolate import BPoly, PPoly
 
 from galen_sim_driver.plant.config import ACCELERATION, VELOCITY, PlantError
 
@@ -127,17 +125,16 @@ class Reference:
         delay_s = ((trajectory.start_ns or now_ns) - now_ns) * _NS
         points = list(trajectory.points)
         times = [point.time_s + delay_s for point in points]
-        values = [_derivatives(point) for point in points]
         if times[0] > 0.0:
             # The usual case: from the state now to the first point.
-            times, values = [0.0, *times], [_derivatives(start)[:, self._joints], *values]
+            now = (start.positions, start.velocities, start.accelerations)
+            first = ([values[joint] for joint in self._joints] for values in now)
+            points, times = [TrajectoryPoint(0.0, *first), *points], [0.0, *times]
         self._times = times
-        self._pieces: list[list[list[float]]] = []
-        if len(times) > 1:
-            orders = [2 * min(len(a), len(b)) - 1 for a, b in pairwise(values)]
-            bernstein = BPoly.from_derivatives(times, values, orders)
-            # (piece, joint, order), the highest order first
-            self._pieces = np.moveaxis(PPoly.from_bernstein_basis(bernstein).c, 0, -1).tolist()
+        self._pieces = [
+            _piece(a, b, end_s - begin_s)
+            for (a, b), (begin_s, end_s) in zip(pairwise(points), pairwise(times), strict=True)
+        ]
         self._last = list(points[-1].positions)
         self.end_ns = now_ns + round(times[-1] / _NS)
 
@@ -151,18 +148,46 @@ class Reference:
         time_s = (now_ns - self._origin_ns) * _NS
         index = min(max(bisect_right(self._times, time_s) - 1, 0), len(self._pieces) - 1)
         t = time_s - self._times[index]
-        for joint, coefficients in zip(self._joints, self._pieces[index], strict=True):
-            value = 0.0
-            for coefficient in coefficients:
-                value = value * t + coefficient
-            result[joint] = value
+        for joint, (c0, c1, c2, c3, c4, c5) in zip(self._joints, self._pieces[index], strict=True):
+            result[joint] = c0 + t * (c1 + t * (c2 + t * (c3 + t * (c4 + t * c5))))
         return result
 
 
-def _derivatives(point: TrajectoryPoint) -> np.ndarray:
-    """Return positions, velocities, accelerations as far as given: (1 to 3, joints)."""
-    given = (point.positions, point.velocities, point.accelerations)
-    return np.array([values for values in given if len(values)])
+_Coefficients = tuple[float, float, float, float, float, float]
+"""Of one joint in one piece, the lowest order first."""
+
+
+def _piece(start: TrajectoryPoint, end: TrajectoryPoint, duration_s: float) -> list[_Coefficients]:
+    """Linear, cubic or quintic Hermite polynomial: as many derivatives as both ends give."""
+    if not (len(start.velocities) and len(end.velocities)):
+        return [
+            (p0, (p1 - p0) / duration_s, 0.0, 0.0, 0.0, 0.0)
+            for p0, p1 in zip(start.positions, end.positions, strict=True)
+        ]
+    ends = zip(start.positions, end.positions, start.velocities, end.velocities, strict=True)
+    if not (len(start.accelerations) and len(end.accelerations)):
+        return [_cubic(*values, duration_s) for values in ends]
+    accelerations = zip(start.accelerations, end.accelerations, strict=True)
+    return [_quintic(*a, *b, duration_s) for a, b in zip(ends, accelerations, strict=True)]
+
+
+def _cubic(p0: float, p1: float, v0: float, v1: float, t: float) -> _Coefficients:
+    d = p1 - p0
+    return (p0, v0, (3 * d / t - 2 * v0 - v1) / t, (v0 + v1 - 2 * d / t) / t**2, 0.0, 0.0)
+
+
+def _quintic(
+    p0: float, p1: float, v0: float, v1: float, a0: float, a1: float, t: float
+) -> _Coefficients:
+    d = p1 - p0
+    return (
+        p0,
+        v0,
+        a0 / 2,
+        (20 * d - (8 * v1 + 12 * v0) * t - (3 * a0 - a1) * t**2) / (2 * t**3),
+        (-30 * d + (14 * v1 + 16 * v0) * t + (3 * a0 - 2 * a1) * t**2) / (2 * t**4),
+        (12 * d - 6 * (v1 + v0) * t + (a1 - a0) * t**2) / (2 * t**5),
+    )
 
 
 # Rounding must not make a step that just fits the acceleration limit look as if it didn't.
