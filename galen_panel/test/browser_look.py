@@ -1,4 +1,6 @@
-"""What can be read on a page: each text that is seen, its size and its contrast."""
+"""What can be read on a page: each text that is seen, its size and contrast; what plots hold."""
+
+import numpy as np
 
 # Contrast as in WCAG 2.2; a background is what is painted below, one layer over the other. What is
 # disabled is left out, as there; icons are not texts.
@@ -68,6 +70,29 @@ for (const name of ['textStyle', 'legend', 'xAxis', 'yAxis', 'title'])
   look([option[name]].flat(), name);
 return sizes;
 """
+
+
+# Streams as they are sent to the page.
+RAW, COMPENSATED = 0, 1
+_ROWS = """
+const [stream, seconds] = arguments;
+const shown = document.querySelector('[data-testid=plot]');
+const chart = shown && getElement(shown.id.slice(1))?.chart;
+const source = chart?.getOption().dataset?.[stream]?.source ?? [];
+return source.filter(row => row[0] >= -seconds && row.slice(1).every(Number.isFinite));
+"""
+
+
+def rows(browser, stream, seconds=2.0):
+    """Plotted rows (n, 1 + width) of the newest seconds: time, s, then N and mN·m, or mm."""
+    found = browser.script(_ROWS, stream, seconds)
+    return np.array(found) if found else np.zeros((0, 7))
+
+
+def force_rms(browser, stream):
+    """RMS of the plotted force's size over the newest second, N; None with nothing plotted."""
+    found = rows(browser, stream, 1.0)
+    return float(np.sqrt(np.mean(np.sum(found[:, 1:4] ** 2, axis=1)))) if len(found) > 2 else None
 
 
 def texts(browser):

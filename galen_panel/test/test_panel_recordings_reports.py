@@ -114,7 +114,7 @@ def test_an_evaluation_that_can_not_be_made_is_told(make, tmp_path):
 @pytest.mark.slow
 @pytest.mark.timeout(900)
 def test_a_diagnosis_finds_its_cause_and_its_page_runs_nothing(make, tmp_path):
-    from galen_diagnosis.examples.simulated_recording import make_recording
+    from galen_diagnosis.simulated_recording import make_recording
     from galen_sim_driver.effects.joints import JointGain
 
     folder = tmp_path / "bags"

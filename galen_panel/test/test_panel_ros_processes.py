@@ -89,44 +89,6 @@ def outcome(world, kind):
     )
 
 
-@pytest.mark.soak
-def test_a_tool_is_calibrated_activate_and_checked(world):
-    start_driver_and_gravcomp(world)
-    start_calibration(world)
-    world.wait_for(
-        lambda state: (
-            {"attach_tool", "calibrate_tool", "check_tool"} <= state.available and state.tools == ()
-        ),
-        "the nodes",
-        PATIENCE_S,
-    )
-    tip_m = (0.18, 0.01, 0.05)
-    answer = world.ask(world.suite.start(Goal(BehaviourKind.CALIBRATE, "retractor", tip_m=tip_m)))
-    assert answer.ok, answer.text
-    seen = set()
-    while world.state.behaviours[BehaviourKind.CALIBRATE].running:
-        seen.add(world.state.behaviours[BehaviourKind.CALIBRATE].phase)
-        time.sleep(0.02)
-    ended = outcome(world, BehaviourKind.CALIBRATE)
-    assert not ended.error, ended.text
-    assert ended.new and ended.tool == "retractor"
-    assert {"sweep without tool", "sweep with tool"} <= seen
-    poses = world.state.behaviours[BehaviourKind.CALIBRATE].poses
-    assert {pose.sweep for pose in poses} == {"bare", "tool"} and len(poses) == 18
-    assert ended.values["mass_kg"] == pytest.approx(0.200, abs=0.002)
-
-    world.wait_for(lambda state: state.tools, "the new tool in the list")
-    assert world.ask(world.suite.activate("retractor")).ok
-    world.wait_for(lambda state: state.active_tool.tool == "retractor", "the active tool")
-    assert world.state.active_tool.tip_m == tip_m
-    answer = world.ask(world.suite.start(Goal(BehaviourKind.CHECK)))
-    assert answer.ok, answer.text
-    ended = outcome(world, BehaviourKind.CHECK)
-    assert not ended.error, ended.text
-    assert ended.tool == "retractor" and ended.values["poses_used"] >= 4
-    assert all(pose.sweep == "check" for pose in world.state.behaviours[BehaviourKind.CHECK].poses)
-
-
 def test_nodes_that_are_killed_are_missed_and_found_again(world):
     start_driver_and_gravcomp(world)
     start_calibration(world)

@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 from galen_calibration_behavior.commands import CalibrationState, CheckState
 from galen_deflection.collection.commands import State as CollectionState
-from galen_deflection.live.deflector import ModelRejection
-from galen_deflection.live.monitor import DeflectorMonitor
+from galen_deflection.deflector import ModelRejection
+from galen_deflection.monitor import DeflectorMonitor
 from galen_gravcomp.monitor import Monitor
 from galen_panel.messages.advice import ADVICE, LIFECYCLE, REJECTED
 from galen_panel.messages.hints import PROGRAMS
@@ -36,7 +36,7 @@ NOW_S = 1000.0
 STREAM = ("galen_ros/galen_ros/stream/monitor.py",)
 SOURCES = {
     "gravcomp": (*STREAM, "galen_gravcomp/galen_gravcomp/monitor.py"),
-    "deflection": (*STREAM, "galen_deflection/galen_deflection/live/monitor.py"),
+    "deflection": (*STREAM, "galen_deflection/galen_deflection/monitor.py"),
 }
 MONITORS = {"gravcomp": Monitor, "deflection": DeflectorMonitor}
 ENUMERATED = {

@@ -70,7 +70,7 @@ def evaluate(
     recording: Path, tool: Path | None, output: Path, on_progress: OnProgress
 ) -> dict[str, Any]:
     """Do as the command `evaluate`; writes its JSON, its picture, and its terminal's report."""
-    from galen_gravcomp.evaluate.bag_job import BagJob
+    from galen_gravcomp.evaluate.bag import BagJob
     from galen_gravcomp.evaluate.bag_report import report
     from rich.console import Console
 
