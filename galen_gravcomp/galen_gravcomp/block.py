@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from galen_bags.arrays.messages import Samples
+from galen_bags.arrays.arm_recording import Samples
 from galen_model.arm.galen import GALEN
 from galen_model.arrays import Array
 from galen_ros.stream.regular_run import Arrivals

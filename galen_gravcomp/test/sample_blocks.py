@@ -1,7 +1,7 @@
 """Arrays of samples as a bag's messages are read, for `Compensator.push_block`."""
 
 import numpy as np
-from galen_bags.arrays.messages import Samples
+from galen_bags.arrays.arm_recording import Samples
 
 
 def topic(stamps, values, frame=None, frame_ids=("ft_sensor",), bad=None):

@@ -5,10 +5,10 @@ import time
 import numpy as np
 import pytest
 from galen_bags.formats.bag import open_bag
-from galen_gravcomp.evaluate.bag_evaluation import evaluate_bag
-from galen_gravcomp.evaluate.bag_job import BagJob
+from galen_gravcomp.evaluate.bag import BagJob, evaluate_bag
 from galen_gravcomp.node import GravcompNode
 from galen_model.files.calibration_file import write_calibration
+from galen_ros.cdr import WrenchWire
 from galen_ros.messages import STREAM, stamp_to_ns, wrench_to_array
 from galen_ros.node.testing import Harness, parameters
 from geometry_msgs.msg import WrenchStamped
@@ -43,16 +43,12 @@ def test_the_node_and_the_evaluation_give_the_same_wrenches(tmp_path, faulty):
     write_calibration(tmp_path / "retractor.json", tool)
     recording = faulty_recording(tool) if faulty else Recording(tool, poses=5, hold_s=0.6)
     path = recording.write(tmp_path / "bag")
-    offline: list[tuple[int, np.ndarray]] = []
-
-    def on_block(block, numbers, wrenches):
-        stamps.extend(block.wrenches.stamp_ns.tolist())
-        offline.extend(
-            (stamps[number], wrench) for number, wrench in zip(numbers, wrenches, strict=True)
-        )
-
-    stamps: list[int] = []
-    result = evaluate_bag(path, tool, on_block=on_block)
+    result = evaluate_bag(path, tool, write_to=tmp_path / "out")
+    wire = WrenchWire()
+    with open_bag(tmp_path / "out") as bag:
+        blocks = list(bag.blocks(["/wrench_compensated"]))
+    written = [wire.read(block.message(k)) for block in blocks for k in range(len(block))]
+    offline = [(one.stamp_ns, np.array(one.wrench)) for one in written]
 
     live, sent = [], 0
     with Harness() as harness:

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 from galen_bags.formats.bag import open_bag
 from galen_bags.formats.writer import BagWriter
-from galen_gravcomp.evaluate.bag_job import BagJob
+from galen_gravcomp.evaluate.bag import BagJob
 from galen_model.arm.galen import JOINT_NAMES
 from galen_model.files.calibration_file import write_calibration
 from galen_ros.cdr import joint_state_bytes, wrench_bytes

@@ -7,10 +7,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from galen_gravcomp.evaluate.command import main
-from galen_gravcomp.evaluate.drift.allan import allan_deviation
-from galen_gravcomp.evaluate.drift.forecast import score_forecasts
-from galen_gravcomp.evaluate.drift.result import judge_drift
-from galen_gravcomp.evaluate.drift.series import series_of
+from galen_gravcomp.evaluate.drift import judge_drift
+from galen_gravcomp.evaluate.drift_series import series_of
+from galen_gravcomp.evaluate.drift_statistics import allan_deviation, score_forecasts
 from galen_model.errors import GalenError
 from galen_model.evidence.verdict import Limits
 from galen_model.rest.binned import CellReducer, Cells
@@ -122,7 +121,7 @@ def test_cells_in_motion_are_not_the_sensor_s_noise_and_wild_stamps_are_rejected
     cells.squares[moving] *= 100.0
     joints = dataclasses.replace(cells, spans=np.where(moving[:, None], 0.3, 0.0) * np.ones(2))
     joints.angles[300:] = 0.5
-    tool = SimpleNamespace(predict=lambda roll, tilt: np.zeros((len(roll), 6)))
+    tool = SimpleNamespace(predict=lambda angles: np.zeros((len(angles), 6)))
     series = series_of("x", cells, joints, tool)
     np.testing.assert_allclose(series.noise, 0.01 * np.sqrt(500 / 499) * UNITS)
     assert "several poses" in series.notes[1]
@@ -144,14 +143,16 @@ def test_how_long_a_tare_holds():
 def test_the_command_on_a_table(tmp_path, capsys):
     rng = np.random.default_rng(3)
     table = tmp_path / "still.csv"
-    rows = [",".join(map(str, row)) for row in 0.01 * rng.standard_normal((2000, 6)) * UNITS]
-    table.write_text("\n".join(["fx,fy,fz,tx,ty,tz", *rows]))
-    assert main([str(table), "--drift", "--rate-hz", "10", "--json"]) == 0
+    reading = 0.01 * rng.standard_normal((2000, 6)) * UNITS
+    columns = np.column_stack([np.arange(2000) / 10.0, reading])
+    np.savetxt(table, columns, delimiter=",", header="t,fx,fy,fz,tx,ty,tz", comments="")
+    assert main([str(table), "--drift", "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
     assert found["samples"] == 2000
     assert found["axes"]["fx"]["white_per_sqrt_hz"] == pytest.approx(0.01 / np.sqrt(10), rel=0.2)
+    np.savetxt(table, reading, delimiter=",", header="fx,fy,fz,tx,ty,tz", comments="")
     assert main([str(table), "--drift"]) == 1
-    assert "--rate-hz" in capsys.readouterr().err
+    assert "no column 't'" in capsys.readouterr().err
     assert main([str(tmp_path / "nothing"), "--drift"]) == 1
     for wrong in (("--cell-s", "1e-10"), ("--joint-names", "a,b")):
         with pytest.raises(SystemExit) as ended:

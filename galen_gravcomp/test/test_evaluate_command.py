@@ -4,7 +4,7 @@ import json
 import re
 
 import pytest
-from galen_bags.many.inputs import distinct_names
+from galen_bags.many import distinct_names
 from galen_gravcomp.evaluate.command import main
 from galen_model.files.calibration_file import write_calibration
 from gravcomp_bags import Recording, tool_file

@@ -4,22 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from galen_bags.arrays.orientation_table import read_table
+from galen_bags.arrays.tables import read_table
 from galen_gravcomp.compensator import Compensator
 from galen_gravcomp.evaluate.command import main
-from galen_gravcomp.evaluate.table.calibration_file import tool_from_table
-from galen_gravcomp.evaluate.table.cross_validation import (
-    TableMounting,
-    contiguous_blocks,
-    cross_validate,
-    plain_model,
-    robust_model,
-    table_worth,
-)
-from galen_gravcomp.evaluate.table.evaluation import table_prediction
+from galen_gravcomp.evaluate.table_scores import evaluate_table, table_prediction, tool_from_table
 from galen_gravcomp.parameters import GravcompParameters
 from galen_model.errors import GalenError
-from galen_model.evidence.block_gain import MOUNTED, PLAIN, ROBUST
+from galen_model.evidence.block_gain import MOUNTED, PLAIN
 from galen_model.files.calibration_file import CalibrationFile, LoadEstimate, read_calibration
 from galen_model.load.mounting.mounting import Mounting
 from galen_model.load.prediction import Prediction
@@ -115,17 +106,12 @@ def table(tmp_path):
 
 
 def test_a_model_with_the_mounting_wins_on_held_out_readings_of_a_turned_sensor(table):
-    request = TableMounting(("sensor_rotation",))
     readings = read_table(table)
-    found = request.identify(readings)
+    result = evaluate_table(readings, mounting=("sensor_rotation",))
+    found, (*_, scores) = result.mounted, result.scores.values()
     std = np.degrees(found.mounting.std[:3])
     assert np.all(np.abs(np.degrees(found.mounting.vector[:3]) - [0.0, 0.0, 2.0]) < 4.0 * std)
-    groups = contiguous_blocks(len(readings), 4)
-    models = {PLAIN: plain_model, ROBUST: robust_model, MOUNTED: request.model}
-    scores = {name: cross_validate(readings, groups, model) for name, model in models.items()}
-    verdict = table_worth(scores, groups, found.single.sigma)
-    assert verdict is not None
-    assert verdict.pays
+    assert result.worth.pays
     assert scores[MOUNTED].rmse[0] < 0.1 * scores[PLAIN].rmse[0]
     assert np.all(scores[MOUNTED].rmse < 1.5 * NOISE)
     file = tool_from_table("gripper", readings, found.single, found)

@@ -62,7 +62,7 @@ _ANYWHERE = workspace(13)
 # What no load and no offset explains is the cause, not a remark, where it is so unlikely ...
 _UNEXPLAINED = 1e-3
 # ... and so large a part of the load that would be told besides (as in
-# `galen_gravcomp.evaluate.verdict`).
+# `galen_gravcomp.evaluate.residual`).
 _WORTH = 4.0
 
 

@@ -1,8 +1,8 @@
 """Does the sensor itself look sound? Channels that are stuck, saturated or not finite.
 
-A driver may send each of the sensor's readings several times: all six channels then stand for
+A driver may send each of the sensor's readings several times: all six channels are then equal for
 about the same number of messages, over and over. That number is found first, and a reading that
-comes again counts once. A stand of all six that is far longer is a frozen reading.
+comes again counts once. A run of all six that is far longer is a frozen reading.
 
 A channel with noise above its quantum changes with most readings. If a fraction p of them differs
 from the one before, a run of L equal ones turns up in N readings about N (1 - p)^L times by
@@ -35,11 +35,15 @@ _LONGEST_HOLD = 256
 _FROZEN_HOLDS = 10
 
 
+RUNS = ("frozen", "stuck", "saturated")
+"""Kinds of runs in a `ChannelReport`."""
+
+
 @dataclass(frozen=True)
-class Run:
+class EqualReadings:
     """Equal readings: from `start_ns` on, `count` of them over `duration_s`.
 
-    `axis` is None where all six stand; `value` is then that of fx.
+    `axis` is None where all six are equal; `value` is then that of fx.
     """
 
     axis: int | None
@@ -51,33 +55,19 @@ class Run:
 
 @dataclass(frozen=True)
 class ChannelReport:
-    """What was found; by axis (6,) where noted.
+    """Faults of the channels.
 
-    beyond_range (6,): readings at or beyond the sensor's range; not_finite (6,); smallest and
-    largest (6,); `stuck` and `saturated`: runs of one channel that are no chance, `frozen`: of
-    all six at once; longest first. `held`: how often each reading usually comes.
+    beyond_range, not_finite (6,): how many readings; `stuck` and `saturated`: runs of one channel
+    that are no chance, `frozen`: of all six at once; longest first. `held`: how often each reading
+    usually comes.
     """
 
-    count: int
     beyond_range: np.ndarray
     not_finite: np.ndarray
-    smallest: Array
-    largest: Array
-    stuck: tuple[Run, ...]
-    saturated: tuple[Run, ...]
-    frozen: tuple[Run, ...]
+    stuck: tuple[EqualReadings, ...]
+    saturated: tuple[EqualReadings, ...]
+    frozen: tuple[EqualReadings, ...]
     held: int
-
-    @property
-    def sound(self) -> bool:
-        """Whether nothing is wrong; a reading that comes several times is no fault."""
-        return not (
-            self.stuck
-            or self.saturated
-            or self.frozen
-            or self.beyond_range.any()
-            or self.not_finite.any()
-        )
 
 
 class ChannelCheck:
@@ -117,32 +107,23 @@ class ChannelCheck:
             runs.add(stamp_ns, differs[:, axis], wrenches[:, axis])
 
     def report(self) -> ChannelReport:
-        """What was found so far."""
+        """Judge the readings so far."""
         held = self._rows.usual_length()
         frozen = self._rows.no_chance(None, held)
         readings = (self._count - sum(run.count for run in frozen)) / held
         # Of a coarse sensor only some readings differ from the one before in any channel.
-        told = min(1.0, self._rows.changes / readings) if readings else 0.0
-        any_noisy = any(told * runs.changing() >= _NOISY for runs in self._channels)
-        stuck: list[Run] = []
-        saturated: list[Run] = []
+        share = min(1.0, self._rows.changes / readings) if readings else 0.0
+        any_noisy = any(share * runs.changing() >= _NOISY for runs in self._channels)
+        stuck: list[EqualReadings] = []
+        saturated: list[EqualReadings] = []
         for axis, runs in enumerate(self._channels):
             ends = (self._smallest[axis], self._largest[axis])
-            for run in runs.no_chance(axis, told=told, never_changes=any_noisy):
+            for run in runs.no_chance(axis, share=share, never_changes=any_noisy):
                 at_end = run.value in ends and ends[0] != ends[1]
                 beyond = abs(run.value) >= self._range[axis]
                 (saturated if at_end or beyond else stuck).append(run)
-        return ChannelReport(
-            self._count,
-            self._beyond,
-            self._not_finite,
-            self._smallest,
-            self._largest,
-            _longest_first(stuck),
-            _longest_first(saturated),
-            _longest_first(frozen),
-            held,
-        )
+        found = (_longest_first(runs) for runs in (stuck, saturated, frozen))
+        return ChannelReport(self._beyond, self._not_finite, *found, held)
 
 
 class _Runs:
@@ -154,7 +135,7 @@ class _Runs:
         # start, length and value of the run that the next block may go on with
         self._open: tuple[int, int, float] | None = None
         self._last_ns = 0
-        self._long: list[Run] = []
+        self._long: list[EqualReadings] = []
         self._lengths = np.zeros(_LONGEST_HOLD + 1, dtype=np.int64)
 
     def add(self, stamp_ns: np.ndarray, new: np.ndarray, values: Array) -> None:
@@ -193,16 +174,11 @@ class _Runs:
         return middle if low >= 2 and 2 * low >= middle else 1
 
     def no_chance(
-        self,
-        axis: int | None,
-        held: int = 1,
-        *,
-        told: float = 1.0,
-        never_changes: bool = False,
-    ) -> list[Run]:
-        """The runs that chance does not explain, of a sequence that usually stands `held` long.
+        self, axis: int | None, held: int = 1, *, share: float = 1.0, never_changes: bool = False
+    ) -> list[EqualReadings]:
+        """The runs that chance does not explain, of a sequence of runs usually `held` long.
 
-        `told`: part of the readings that are in the sequence at all; `never_changes`: a run over
+        `share`: part of the readings that are in the sequence at all; `never_changes`: a run over
         all of it counts as well.
         """
         runs = [replace(run, axis=axis) for run in self._all_long()]
@@ -211,7 +187,7 @@ class _Runs:
         if self.changes <= 1:
             return runs if never_changes else []
         changing = self.changing()
-        if told * changing < (_NOISY_ROWS if axis is None else _NOISY):
+        if share * changing < (_NOISY_ROWS if axis is None else _NOISY):
             return []
         limit = self._limit(changing)
         return [run for run in runs if run.count >= limit]
@@ -234,7 +210,7 @@ class _Runs:
         changing = min(_LEAST_NOISY * changing, 1.0 - 1e-12)
         return max(float(_SHORTEST_RUN), np.log(_CHANCE / self._count) / np.log1p(-changing))
 
-    def _all_long(self) -> list[Run]:
+    def _all_long(self) -> list[EqualReadings]:
         runs = list(self._long)
         if self._open is not None and self._open[1] >= _SHORTEST_RUN:
             runs.append(_run(self._open, self._last_ns))
@@ -251,16 +227,16 @@ class _Runs:
             self._long = list(_longest_first(self._long)[:_KEPT_RUNS])
 
 
-def _run(run: tuple[int, int, float], end_ns: int) -> Run:
-    return Run(None, run[0], (end_ns - run[0]) * 1e-9, run[1], run[2])
+def _run(run: tuple[int, int, float], end_ns: int) -> EqualReadings:
+    return EqualReadings(None, run[0], (end_ns - run[0]) * 1e-9, run[1], run[2])
 
 
-def _longest_first(runs: Sequence[Run]) -> tuple[Run, ...]:
+def _longest_first(runs: Sequence[EqualReadings]) -> tuple[EqualReadings, ...]:
     return tuple(sorted(runs, key=lambda run: -run.count))
 
 
-def describe_run(run: Run, first_ns: int, verb: str) -> str:
-    """A sentence on a run: "fx stuck at 0.5 N for 2.1 s, from 12.3 s on"."""
+def describe_run(run: EqualReadings, first_ns: int, verb: str) -> str:
+    """Describe a run: "fx stuck at 0.5 N for 2.1 s, from 12.3 s on"."""
     since_s = (run.start_ns - first_ns) * 1e-9
     span = f"for {run.duration_s:.2f} s ({run.count} readings), from {since_s:.2f} s on"
     if run.axis is None:

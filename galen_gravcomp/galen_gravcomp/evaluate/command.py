@@ -8,13 +8,15 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from galen_bags.arrays.motion_table import read_motion, read_specific
-from galen_bags.arrays.orientation_table import read_table
-from galen_bags.formats.find import find_bags
-from galen_bags.many.inputs import distinct_names
-from galen_bags.many.run import json_rows, run_many
-from galen_model.errors import CalibrationFileError
+from galen_bags.arrays.arm_recording import ArmTopics
+from galen_bags.arrays.tables import read_motion, read_specific, read_table
+from galen_bags.formats.files import find_bags
+from galen_bags.many import distinct_names, json_rows, run_many
+from galen_model.arm.galen import GALEN
+from galen_model.errors import CalibrationFileError, IdentificationError
+from galen_model.evidence.verdict import Limits
 from galen_model.files.calibration_file import calibration_path, read_calibration, write_calibration
+from galen_model.load.mounting.mounting import entities
 from galen_ros.command import (
     EXIT_FAILED,
     EXIT_OK,
@@ -26,28 +28,62 @@ from galen_ros.command import (
     terminal,
     writing,
 )
+from galen_ros.parameters import from_options
 
-from galen_gravcomp.evaluate.bag_job import BagJob
+from galen_gravcomp.evaluate.bag import BagJob, EvaluationSettings
 from galen_gravcomp.evaluate.bag_report import print_overview
 from galen_gravcomp.evaluate.bag_report import report as bag_report
-from galen_gravcomp.evaluate.drift.result import judge_drift
-from galen_gravcomp.evaluate.drift.result import report as drift_report
-from galen_gravcomp.evaluate.drift.series import TEXT_SUFFIXES, read_series
-from galen_gravcomp.evaluate.options import (
-    bag_settings,
-    build_parser,
-    check_options,
-    columns_of,
-    limits_of,
-    topics_of,
-)
+from galen_gravcomp.evaluate.drift import judge_drift
+from galen_gravcomp.evaluate.drift import report as drift_report
+from galen_gravcomp.evaluate.drift_series import TEXT_SUFFIXES, read_series
+from galen_gravcomp.evaluate.imu_run import score_imu_run
+from galen_gravcomp.evaluate.options import NODE_OPTIONS, build_parser
 from galen_gravcomp.evaluate.report import Report
-from galen_gravcomp.evaluate.table.calibration_file import tool_from_table
-from galen_gravcomp.evaluate.table.cross_validation import TableMounting
-from galen_gravcomp.evaluate.table.evaluation import evaluate_table
-from galen_gravcomp.evaluate.table.motion import report as motion_report
-from galen_gravcomp.evaluate.table.motion import score_motion
-from galen_gravcomp.evaluate.table.report import report as table_report
+from galen_gravcomp.evaluate.table_report import run_report, scores_report
+from galen_gravcomp.evaluate.table_scores import evaluate_table, tool_from_table
+from galen_gravcomp.parameters import GravcompParameters
+
+_CELL_LIMITS_S = 1e-3, 3600.0
+
+
+def _check_options(
+    parser: argparse.ArgumentParser, arguments: argparse.Namespace, table: bool
+) -> None:
+    """End with exit code 2 where the options don't go together."""
+    if not arguments.drift and table and len(arguments.inputs) > 1:
+        parser.error("one TABLE at a time; bags and tables apart")
+    if not (arguments.drift or table) and bool(arguments.tool) == bool(arguments.tool_beside):
+        parser.error("bags need --tool FILE or --tool-beside NAME")
+    if arguments.run and (arguments.drift or not table):
+        parser.error("--run needs a TABLE of still poses")
+    if arguments.estimate and not table:
+        parser.error("--estimate is for a TABLE; calibrate_from_bag estimates from recordings")
+    if arguments.motion not in ("off", "joints"):
+        parser.error("--motion is 'off' or 'joints'; with an IMU, see --run")
+    low, high = _CELL_LIMITS_S
+    if not low <= arguments.cell_s <= high:
+        parser.error(f"--cell-s is {arguments.cell_s:g}, but must be {low:g} to {high:g}")
+    if arguments.drift and len(arguments.joint_names.split(",")) != len(GALEN.joints):
+        parser.error(f"--joint-names needs {len(GALEN.joints)} names, separated by commas")
+    try:
+        from_options(arguments, GravcompParameters, NODE_OPTIONS).validate()
+        entities(arguments.estimate)
+    except (ValueError, IdentificationError) as error:
+        parser.error(str(error))
+
+
+def _topics(arguments: argparse.Namespace) -> ArmTopics:
+    names = tuple(arguments.joint_names.split(","))
+    return ArmTopics(arguments.joint_states, arguments.wrench_raw, names)
+
+
+def _columns(arguments: argparse.Namespace) -> list[str] | None:
+    return arguments.columns.split(",") if arguments.columns else None
+
+
+def _limits(arguments: argparse.Namespace) -> Limits:
+    return Limits(arguments.limit_force_n, arguments.limit_torque_nm)
+
 
 # Kinds of input
 
@@ -60,36 +96,39 @@ def _evaluate_drift(arguments: argparse.Namespace) -> Report:
     with progress(unit="msg") as bar:
         series = read_series(
             paths,
-            topics_of(arguments),
+            _topics(arguments),
             tool,
-            columns_of(arguments),
-            arguments.rate_hz,
+            _columns(arguments),
             arguments.cell_s,
             lambda done, total: _show(bar, done, total),
         )
-    return drift_report(judge_drift(series, limits_of(arguments)), paths[0].resolve().stem)
+    return drift_report(judge_drift(series, _limits(arguments)), paths[0].resolve().stem)
 
 
-def _evaluate_motion(arguments: argparse.Namespace) -> Report:
+def _evaluate_run(arguments: argparse.Namespace) -> Report:
     still, unit = arguments.inputs[0], arguments.imu_unit_m_s2
-    table = read_table(still, columns_of(arguments), arguments.wrench_frame)
+    table = read_table(still, _columns(arguments), arguments.wrench_frame)
     wrench, imu, orientations = arguments.run
     run = read_motion(wrench, imu, orientations, arguments.time_unit_s, unit)
-    return motion_report(score_motion(table, read_specific(still, unit), run))
+    return run_report(score_imu_run(table, read_specific(still, unit), run))
 
 
 def _evaluate_table(arguments: argparse.Namespace) -> Report:
-    written = _written_tool(arguments.write_tool)
+    written = arguments.write_tool
+    if written is not None:
+        if written.suffix != ".json":
+            raise CalibrationFileError(f"{written}: a calibration file is named <tool>.json")
+        written = calibration_path(written.parent, written.stem)
     check_file(written)
-    table = read_table(arguments.inputs[0], columns_of(arguments), arguments.wrench_frame)
+    table = read_table(arguments.inputs[0], _columns(arguments), arguments.wrench_frame)
     result = evaluate_table(
         table,
         average_window_s=arguments.average_s,
         tool=None if arguments.tool is None else read_calibration(arguments.tool),
-        mounting=TableMounting(arguments.estimate) if arguments.estimate else None,
+        mounting=arguments.estimate,
         bias_drift=arguments.bias_drift,
     )
-    found = table_report(result)
+    found = scores_report(result)
     if written is not None:
         tool = tool_from_table(written.stem, result.table, result.fit, result.mounted)
         write_calibration(written, tool)
@@ -97,7 +136,7 @@ def _evaluate_table(arguments: argparse.Namespace) -> Report:
     return found
 
 
-def _evaluate_bag(arguments: argparse.Namespace, job: BagJob, bag: Path) -> Report:
+def _evaluate_bag(job: BagJob, bag: Path) -> Report:
     with progress(unit="msg") as bar:
         result = job.evaluate(bag, lambda done, total: _show(bar, done, total))
     found = bag_report(result)
@@ -117,7 +156,13 @@ def _evaluate_bags(arguments: argparse.Namespace) -> int:
     job = BagJob(
         tool=Path(arguments.tool_beside) if arguments.tool is None else place(arguments.tool),
         tool_beside=arguments.tool is None,
-        settings=bag_settings(arguments),
+        settings=EvaluationSettings(
+            topics=_topics(arguments),
+            start_s=arguments.start_offset,
+            duration_s=arguments.duration,
+            parameters=from_options(arguments, GravcompParameters, NODE_OPTIONS),
+            limits=_limits(arguments),
+        ),
         plots=None if arguments.plots is None else place(arguments.plots),
         bags_out=None if arguments.write_bags is None else place(arguments.write_bags),
         names=distinct_names(bags),
@@ -126,7 +171,7 @@ def _evaluate_bags(arguments: argparse.Namespace) -> int:
         read_calibration(job.tool)  # one message for a wrong file, and not one for each bag
     check_folder(job.bags_out)
     if len(bags) == 1 and not arguments.scheduler:
-        return _give(_evaluate_bag(arguments, job, bags[0]), arguments)
+        return _give(_evaluate_bag(job, bags[0]), arguments)
     outcomes = run_many(job, bags, scheduler=arguments.scheduler, workers=arguments.workers)
     rows = json_rows(outcomes)
     if arguments.json:
@@ -148,15 +193,6 @@ def _give(found: Report, arguments: argparse.Namespace) -> int:
     return EXIT_OK
 
 
-def _written_tool(path: Path | None) -> Path | None:
-    """Check that the calibration file's name is one that a tool may have."""
-    if path is None:
-        return None
-    if path.suffix != ".json":
-        raise CalibrationFileError(f"{path}: a calibration file is named <tool>.json")
-    return calibration_path(path.parent, path.stem)
-
-
 def _show(bar: Any, done: int, total: int | None) -> None:
     bar.total = total
     bar.update(done - bar.n)
@@ -167,14 +203,14 @@ def main(args: Sequence[str] | None = None) -> int:
     parser = build_parser()
     arguments = parser.parse_args(args)
     table = any(path.suffix in TEXT_SUFFIXES for path in arguments.inputs)
-    check_options(parser, arguments, table)
+    _check_options(parser, arguments, table)
 
     def work() -> int:
         check_folder(arguments.plots)
         if arguments.drift:
             return _give(_evaluate_drift(arguments), arguments)
         if arguments.run:
-            return _give(_evaluate_motion(arguments), arguments)
+            return _give(_evaluate_run(arguments), arguments)
         if table:
             return _give(_evaluate_table(arguments), arguments)
         return _evaluate_bags(arguments)

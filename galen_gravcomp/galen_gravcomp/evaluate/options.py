@@ -7,9 +7,7 @@ from pathlib import Path
 
 from galen_bags.arrays.arm_recording import ArmTopics
 from galen_model.arm.galen import GRAVITY_M_S2, JOINT_NAMES
-from galen_model.errors import IdentificationError
 from galen_model.evidence.verdict import Limits
-from galen_model.load.mounting.mounting import entities
 from galen_ros.command import (
     add_json,
     add_plots,
@@ -20,10 +18,9 @@ from galen_ros.command import (
     not_negative,
     positive,
 )
-from galen_ros.parameters import add_options, from_options
+from galen_ros.parameters import add_options
 
-from galen_gravcomp.evaluate.bag_evaluation import EvaluationSettings
-from galen_gravcomp.evaluate.drift.series import CELL_S
+from galen_gravcomp.evaluate.drift_series import CELL_S
 from galen_gravcomp.parameters import GravcompParameters
 
 _USAGE = """evaluate BAG... (--tool FILE | --tool-beside NAME) [options]
@@ -37,8 +34,7 @@ its direction) and one of gx gy gz | r11..r33 (R_base_sensor) | qx qy qz qw (sen
 base) | roll tilt; optional: t (s), block (label): a load is fitted, and scored on
 readings held out, beside the plain ten-parameter least squares."""
 # The node's own parameters that decide what becomes of a wrench, with its defaults.
-_NODE_OPTIONS = ("max_joint_age_s", "motion", "motion_lag_s")
-_CELL_LIMITS_S = 1e-3, 3600.0
+NODE_OPTIONS = ("max_joint_age_s", "motion", "motion_lag_s")
 
 
 def build_parser() -> argparse.ArgumentParser:
@@ -100,7 +96,7 @@ def _add_bag_options(group: argparse._ArgumentGroup) -> None:
     group.add_argument(
         "--duration", type=positive, metavar="SECONDS", help="look at so much only (default: all)"
     )
-    add_options(group, GravcompParameters, _NODE_OPTIONS)
+    add_options(group, GravcompParameters, NODE_OPTIONS)
     group.add_argument(
         "--write-bags",
         metavar="DIR",
@@ -128,6 +124,12 @@ def _add_table_options(group: argparse._ArgumentGroup) -> None:
         type=positive,
         metavar="SECONDS",
         help="the table is a recording: find its rest segments and average this long within them",
+    )
+    group.add_argument(
+        "--bias-drift",
+        action="store_true",
+        help="beside the others, a model whose offset may drift, in the order of the readings; its"
+        " shape is chosen by blocks, within what is not held out (takes some seconds a block)",
     )
     group.add_argument(
         "--estimate",
@@ -179,9 +181,6 @@ def _add_drift_options(group: argparse._ArgumentGroup) -> None:
         " fit has seen. Tables are read whole; --tool: the arm was at rest in several poses",
     )
     group.add_argument(
-        "--rate-hz", type=positive, metavar="HZ", help="rate of a table without the column t"
-    )
-    group.add_argument(
         "--cell-s",
         type=positive,
         default=CELL_S,
@@ -189,60 +188,3 @@ def _add_drift_options(group: argparse._ArgumentGroup) -> None:
         help="readings are averaged over so much first; less for a short recording (default:"
         " %(default)s)",
     )
-
-
-# What was given
-
-
-def topics_of(arguments: argparse.Namespace) -> ArmTopics:
-    """Return the topics and the joints' names."""
-    names = tuple(arguments.joint_names.split(","))
-    return ArmTopics(arguments.joint_states, arguments.wrench_raw, names)
-
-
-def columns_of(arguments: argparse.Namespace) -> list[str] | None:
-    """Return a table's column names; None: its first line has them."""
-    return arguments.columns.split(",") if arguments.columns else None
-
-
-def limits_of(arguments: argparse.Namespace) -> Limits:
-    """Return the limits of a fit."""
-    return Limits(arguments.limit_force_n, arguments.limit_torque_nm)
-
-
-def bag_settings(arguments: argparse.Namespace) -> EvaluationSettings:
-    """Return the settings of a bag's evaluation."""
-    parameters = from_options(arguments, GravcompParameters, _NODE_OPTIONS)
-    return EvaluationSettings(
-        topics=topics_of(arguments),
-        start_s=arguments.start_offset,
-        duration_s=arguments.duration,
-        parameters=parameters,
-        limits=limits_of(arguments),
-    )
-
-
-def check_options(
-    parser: argparse.ArgumentParser, arguments: argparse.Namespace, table: bool
-) -> None:
-    """End with exit code 2 where the options don't go together."""
-    if not arguments.drift and table and len(arguments.inputs) > 1:
-        parser.error("one TABLE at a time; bags and tables apart")
-    if not (arguments.drift or table) and bool(arguments.tool) == bool(arguments.tool_beside):
-        parser.error("bags need --tool FILE or --tool-beside NAME")
-    if arguments.run and (arguments.drift or not table):
-        parser.error("--run needs a TABLE of still poses")
-    if arguments.estimate and not table:
-        parser.error("--estimate is for a TABLE; calibrate_from_bag estimates from recordings")
-    if arguments.motion not in ("off", "joints"):
-        parser.error("--motion is 'off' or 'joints'; with an IMU, see --run")
-    low, high = _CELL_LIMITS_S
-    if not low <= arguments.cell_s <= high:
-        parser.error(f"--cell-s is {arguments.cell_s:g}, but must be {low:g} to {high:g}")
-    if arguments.drift and len(arguments.joint_names.split(",")) != len(JOINT_NAMES):
-        parser.error(f"--joint-names needs {len(JOINT_NAMES)} names, separated by commas")
-    try:
-        from_options(arguments, GravcompParameters, _NODE_OPTIONS).validate()
-        entities(arguments.estimate)
-    except (ValueError, IdentificationError) as error:
-        parser.error(str(error))

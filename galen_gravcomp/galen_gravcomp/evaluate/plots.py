@@ -1,4 +1,4 @@
-"""Pictures of evaluations: a bag, a table, a long recording without contact."""
+"""Pictures of evaluations: a bag, a long recording without contact."""
 
 from __future__ import annotations
 
@@ -10,18 +10,15 @@ import matplotlib
 matplotlib.use("Agg")  # a lab's machine over ssh has no display
 import matplotlib.pyplot as plt
 import numpy as np
-from galen_model.arm.galen import WRENCH_AXES
+from galen_model.arm.galen import GALEN, WRENCH_AXES
 from galen_model.arrays import Array
 from galen_model.files.atomic_file import save_figure
 from matplotlib.axes import Axes
 
-from galen_gravcomp.evaluate.bag_evaluation import BagEvaluation
-from galen_gravcomp.evaluate.drift.result import GROUPS, DriftResult
-from galen_gravcomp.evaluate.table.evaluation import TableEvaluation
+from galen_gravcomp.evaluate.bag import BagEvaluation
+from galen_gravcomp.evaluate.drift import GROUPS, DriftResult
 
 _COLOURS = ("#1f6f8b", "#c44e52", "#55a868")
-_MODEL_COLOURS = ("#c44e52", "#1f6f8b", "#55a868", "#8172b3", "#dd8452", "#8c8c8c")
-_PART_COLOURS = {"load": "#c44e52", "offset": "#dd8452", "drift": "#8172b3", "rest": "#8c8c8c"}
 _MOST_POINTS = 3000
 _SLOW_PART = 1 / 20
 
@@ -29,7 +26,7 @@ _SLOW_PART = 1 / 20
 def plot_evaluation(result: BagEvaluation, directory: Path, name: str) -> Path:
     """Write `<name>_evaluation.png` into `directory`; returns its path."""
     figure = plt.figure(figsize=(12, 10))
-    grid = figure.add_gridspec(3, 3, height_ratios=(1.0, 1.0, 1.15))
+    grid = figure.add_gridspec(3, 2, height_ratios=(1.0, 1.0, 1.15))
     force = figure.add_subplot(grid[0, :])
     torque = figure.add_subplot(grid[1, :], sharex=force)
     _course(force, result, slice(0, 3), 1.0, "N")
@@ -37,14 +34,13 @@ def plot_evaluation(result: BagEvaluation, directory: Path, name: str) -> Path:
     torque.set_xlabel("time, s (shaded: rest segments)")
     _poses(figure.add_subplot(grid[2, 0]), result, slice(0, 3), 1.0, "force, N")
     _poses(figure.add_subplot(grid[2, 1]), result, slice(3, 6), 1e3, "torque, mN.m")
-    _parts(figure.add_subplot(grid[2, 2]), result)
     figure.suptitle(f"{name}, {result.tool.tool}: {fill(result.verdict.text, 90)}")
     figure.tight_layout()
     return save_figure(figure, directory / f"{name}_evaluation.png")
 
 
 def _course(axes: Axes, result: BagEvaluation, which: slice, factor: float, unit: str) -> None:
-    """Plot the compensated wrench over time: means, and the band of single readings."""
+    """The compensated wrench over time: means, and the band of single readings."""
     cells = result.cells
     axes.axhline(0.0, color="black", lw=0.6)
     axes.set_ylabel(f"residual, {unit}")
@@ -84,9 +80,9 @@ def _course(axes: Axes, result: BagEvaluation, which: slice, factor: float, unit
 
 
 def _poses(axes: Axes, result: BagEvaluation, which: slice, factor: float, label: str) -> None:
-    """Plot the residual over roll and tilt."""
-    axes.set_xlabel("roll, rad")
-    axes.set_ylabel("tilt, rad")
+    """The residual over the arm's first and last angle."""
+    axes.set_xlabel(f"{GALEN.turning_names[0]}, rad")
+    axes.set_ylabel(f"{GALEN.turning_names[-1]}, rad")
     axes.set_title(f"rest segments: {label}", fontsize=10)
     if not len(result.phases):
         axes.text(0.5, 0.5, "no rest segment", ha="center", transform=axes.transAxes)
@@ -96,56 +92,10 @@ def _poses(axes: Axes, result: BagEvaluation, which: slice, factor: float, label
     size, angles = size[order], result.phases.angles[order]
     top = max(float(size.max()), factor * float(result.limits.axes[which.start]))
     points = axes.scatter(
-        angles[:, 0], angles[:, 1], c=size, cmap="viridis", vmin=0.0, vmax=top, s=40,
+        angles[:, 0], angles[:, -1], c=size, cmap="viridis", vmin=0.0, vmax=top, s=40,
         edgecolors="black", linewidths=0.4,
     )  # fmt: skip
     axes.figure.colorbar(points, ax=axes)
-
-
-def _parts(axes: Axes, result: BagEvaluation) -> None:
-    """Plot each part's root mean square, in units of the limit of a fit."""
-    axes.set_title("parts (1: the limit of a fit)", fontsize=10)
-    found = result.parts
-    if found is None:
-        why = "too few rest segments" if result.change is None else "see the parts on their own"
-        axes.text(0.5, 0.5, why, ha="center", transform=axes.transAxes)
-        return
-    parts = {
-        name: part
-        for name in _PART_COLOURS
-        if (part := getattr(found, name)) is not None
-    }  # fmt: skip
-    width = 0.8 / len(parts)
-    for k, (name, part) in enumerate(parts.items()):
-        axes.bar(
-            np.arange(6) + (k - (len(parts) - 1) / 2) * width, part / result.limits.axes, width,
-            color=_PART_COLOURS[name], label=name,
-        )  # fmt: skip
-    axes.axhline(1.0, color="grey", lw=0.8, ls="--")
-    axes.set_xticks(range(6), WRENCH_AXES)
-    axes.legend(frameon=False, fontsize=8)
-
-
-def plot_scores(result: TableEvaluation, directory: Path) -> Path:
-    """Write `<table's name>_residuals.png` into `directory`; returns its path."""
-    split, models = next(iter(result.scores.items()))
-    figure, axes = plt.subplots(2, 3, figsize=(12, 6), sharex=True)
-    for index, axis in enumerate(axes.flat):
-        for colour, (name, score) in zip(_MODEL_COLOURS, models.items(), strict=False):
-            values = score.residuals[:, index] * 1e3
-            axis.plot(values, "o-", color=colour, ms=3, lw=0.8, label=name)
-        unit = "mN" if index < 3 else "mN.m"
-        rms = ", ".join(f"{score.rmse[index] * 1e3:.1f}" for score in models.values())
-        axis.axhline(0.0, color="black", lw=0.6)
-        axis.set_title(f"{WRENCH_AXES[index]}: RMS {rms} {unit}", fontsize=10)
-        axis.set_ylabel(unit)
-        if index >= 3:
-            axis.set_xlabel("reading")
-    figure.suptitle(f"{Path(result.table.path).name}: residual on held-out readings ({split})")
-    handles, names = axes.flat[0].get_legend_handles_labels()
-    figure.legend(handles, names, loc="lower center", ncol=len(names), frameon=False)
-    figure.tight_layout(rect=(0.0, 0.04, 1.0, 1.0))
-    return save_figure(figure, directory / f"{Path(result.table.path).stem}_residuals.png")
 
 
 def plot_drift(result: DriftResult, directory: Path, name: str) -> Path:
@@ -175,7 +125,6 @@ def plot_drift(result: DriftResult, directory: Path, name: str) -> Path:
             allan.fill_between(
                 one.tau_s, one.low * factor, one.high * factor, color=colour, alpha=0.2, lw=0
             )
-            allan.loglog(one.tau_s, one.fitted(one.tau_s) * factor, color=colour, lw=0.8, ls=":")
             hold.loglog(result.delay_s, result.change[:, axis] * factor, color=colour, lw=1.4)
         for begin, end in series.contact_s:
             course.axvspan(begin / unit_s, end / unit_s, color="black", alpha=0.12, lw=0)
@@ -183,7 +132,7 @@ def plot_drift(result: DriftResult, directory: Path, name: str) -> Path:
         course.set_xlabel("time, h" if hours else "time, min")
         course.set_ylabel(f"change of {group}, {unit}")
         course.legend(loc="upper left", ncol=3, frameon=False)
-        allan.set_xlabel("averaging time, s (dotted: fitted)")
+        allan.set_xlabel("averaging time, s")
         allan.set_ylabel(f"Allan deviation, {unit}")
         limit = result.limits.axes[axes.start] * factor
         hold.axhline(limit, color="grey", lw=0.8, ls="--")

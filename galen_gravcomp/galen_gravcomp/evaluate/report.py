@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -38,19 +38,22 @@ def table(title: str, names: Iterable[str]) -> Table:
     """Make a table; its first column is aligned left, the others right."""
     made = Table(title=title, title_justify="left")
     for number, name in enumerate(names):
-        made.add_column(name, justify="right" if number else "left", no_wrap=not number)
+        made.add_column(name, justify="right" if number else "left", overflow="fold")
     return made
 
 
-def axes_table(title: str, first: str = "") -> Table:
-    """Make a table with a column for each wrench axis, mN and mN.m; see `axis_cells`."""
+def axes_table(title: str, first: str = "", others: Iterable[str] = ()) -> Table:
+    """Make a table whose last columns are the wrench axes, mN and mN.m; see `axis_cells`."""
     heads = (f"{axis} ({unit})" for axis, unit in zip(WRENCH_AXES, UNITS, strict=True))
-    return table(title, (first, *heads))
+    return table(title, (first, *others, *heads))
 
 
-def axis_cells(values: Array, digits: int = 2) -> list[str]:
+def axis_cells(values: Array | Mapping[str, float] | None, digits: int = 2) -> list[str]:
     """Format six values (N, N.m) as mN and mN.m; a dash where one is not finite."""
-    return [f"{1e3 * value:.{digits}f}" if np.isfinite(value) else "-" for value in values]
+    if values is None:
+        return ["-"] * len(WRENCH_AXES)
+    six = values.values() if isinstance(values, Mapping) else values
+    return [f"{1e3 * value:.{digits}f}" if np.isfinite(value) else "-" for value in six]
 
 
 def by_axis(values: Array | None) -> dict[str, Any] | None:

@@ -56,7 +56,7 @@ class StillWindow(NamedTuple):
     samples: int
     mean: Array
     std_of_mean: Array
-    angles: tuple[float, float]
+    angles: tuple[float, ...]
     steady: bool
 
 
@@ -96,6 +96,8 @@ class StillWindows:
         if last_ns is not None and stamp_ns <= last_ns:
             self._last_ns = last_ns
             return None
+        if not self._first:  # dropped: away from home, the arm counts as moved
+            self._first = (0.0,) * len(angles)
         moved = not self._near(angles)
         if last_ns is None or moved or stamp_ns - last_ns > _GAP_S * 1e9:
             self.drop()
@@ -118,7 +120,7 @@ class StillWindows:
 
     def _near(self, angles: Sequence[float]) -> bool:
         return all(
-            abs(now - then) <= _BAND_RAD for now, then in zip(angles, self._first, strict=False)
+            abs(now - then) <= _BAND_RAD for now, then in zip(angles, self._first, strict=True)
         )
 
     def _window(self, angles: Sequence[float]) -> StillWindow:
@@ -136,7 +138,7 @@ class StillWindows:
             count,
             wrenches.mean(axis=0),
             self._level.std_of_mean(count),
-            ((self._first[0] + angles[0]) / 2, (self._first[1] + angles[1]) / 2),
+            tuple((then + now) / 2 for then, now in zip(self._first, angles, strict=True)),
             steady,
         )
 

@@ -1,16 +1,22 @@
-"""Report of a table's evaluation."""
+"""Reports of tables: held-out scores, and a run with an IMU."""
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
+from galen_model.arm.arm import STANDARD_GRAVITY_M_S2
 from rich.table import Table
 
+from galen_gravcomp.evaluate.imu_run import ImuRunScore
 from galen_gravcomp.evaluate.report import Report, axes_table, axis_cells, by_axis, table
-from galen_gravcomp.evaluate.residual_decomposition import rms
-from galen_gravcomp.evaluate.table.evaluation import TableEvaluation
+from galen_gravcomp.evaluate.residual import rms
+from galen_gravcomp.evaluate.table_scores import TableEvaluation
+
+
+def scores_report(result: TableEvaluation) -> Report:
+    """Make the report of a table."""
+    return Report(_content(result), _shown(result))
 
 
 def _content(result: TableEvaluation) -> dict[str, Any]:
@@ -24,10 +30,9 @@ def _content(result: TableEvaluation) -> dict[str, Any]:
             "mass_kg": load.mass_kg,
             "com_m": load.com_m.tolist(),
             "covariance": load.covariance.tolist(),
-            "weight_N": load.mass_kg * 9.80665,
+            "weight_N": load.mass_kg * STANDARD_GRAVITY_M_S2,
         },
         "offset": result.fit.offset.tolist(),
-        "drifting_bias": _drifting(result),
         "left_out": (np.flatnonzero(~result.fit.used) + 1).tolist(),
         "scatter_within_phases": None if result.scatter is None else result.scatter.tolist(),
         "scores": {
@@ -42,46 +47,27 @@ def _content(result: TableEvaluation) -> dict[str, Any]:
             for split, models in result.scores.items()
         },
     }
+    drifting = result.drifting
+    if drifting is not None and drifting.choice is not None:
+        content["drifting_bias"] = {
+            "force": str(drifting.choice.shapes[0]),
+            "torque": str(drifting.choice.shapes[1]),
+            "mass_kg": drifting.load.mass_kg,
+            "mass_std_kg": drifting.load.mass_std_kg,
+            "com_m": drifting.load.com_m.tolist(),
+            "offset_at_end": drifting.bias_end.tolist(),
+        }
     if result.mounted is not None:
-        load = result.mounted.single.load
+        load, worth = result.mounted.single.load, result.worth
         content["mounted"] = result.mounted.mounting.to_json() | {
             "load": {"mass_kg": load.mass_kg, "com_m": load.com_m.tolist()},
-            "pays": None if result.worth is None else result.worth.pays,
-            "gain": None if result.worth is None else result.worth.gain,
-            "gain_std": None if result.worth is None else result.worth.gain_std,
+            "pays": None if worth is None else worth.pays,
+            "gain": None if worth is None else worth.gain,
+            "gain_std": None if worth is None else worth.gain_std,
         }
     if result.tool is not None and result.tool_residuals is not None:
-        content["tool"] = {
-            "name": result.tool.tool,
-            "rmse": by_axis(rms(result.tool_residuals)),
-        }
+        content["tool"] = {"name": result.tool.tool, "rmse": by_axis(rms(result.tool_residuals))}
     return content
-
-
-def _drifting(result: TableEvaluation) -> dict[str, Any] | None:
-    """The load with an offset that may drift; None where that is not identifiable."""
-    found = result.drifting
-    if found is None or found.choice is None:
-        return None
-    return {
-        "force": str(found.choice.shapes[0]),
-        "torque": str(found.choice.shapes[1]),
-        "mass_kg": found.load.mass_kg,
-        "mass_std_kg": found.load.mass_std_kg,
-        "com_m": found.load.com_m.tolist(),
-        "offset_at_end": found.bias_end.tolist(),
-    }
-
-
-def report(result: TableEvaluation) -> Report:
-    """Make the report of a table."""
-
-    def plot(directory: Path) -> Path:
-        from galen_gravcomp.evaluate.plots import plot_scores  # slow to import
-
-        return plot_scores(result, directory)
-
-    return Report(_content(result), _shown(result), plot)
 
 
 def _shown(result: TableEvaluation) -> list[str | Table]:
@@ -140,9 +126,41 @@ def _score_table(result: TableEvaluation) -> Table:
             made.add_row(f"  {name}", *axis_cells(score.rmse))
         made.add_section()
     if result.tool is not None and result.tool_residuals is not None:
-        made.add_row(
-            f"tool file {result.tool.tool}, no fit", *axis_cells(rms(result.tool_residuals))
-        )
+        name = f"calibration file {result.tool.tool}, no fit"
+        made.add_row(name, *axis_cells(rms(result.tool_residuals)))
     if result.scatter is not None:
         made.add_row("scatter within rest segments", *axis_cells(result.scatter))
     return made
+
+
+def run_report(score: ImuRunScore) -> Report:
+    """Make the report of a run with an IMU."""
+    mount = score.imu.mount
+    content = {
+        "imu": {
+            "rotvec_rad": mount.rotvec_rad.tolist(),
+            "bias_m_s2": mount.bias_m_s2.tolist(),
+            "scale": mount.scale,
+            "std_m_s2": score.imu.std_m_s2.tolist(),
+        },
+        "lag_of_halves_s": list(score.lag_s),
+        "rest_s": score.rest_s,
+        "rms": {name: by_axis(values) for name, values in score.rms.items()},
+    }
+    shown: list[str | Table] = [
+        f"{name}: {' '.join(f'{value:.4f}' for value in values)}"
+        for name, values in (
+            ("imu_rotvec_rad", mount.rotvec_rad),
+            ("imu_bias_m_s2", mount.bias_m_s2),
+            ("residual of the still poses, m/s^2", score.imu.std_m_s2),
+        )
+    ]
+    first, second = (1e3 * lag for lag in score.lag_s)
+    shown.append(
+        f"imu_scale: {mount.scale:.5f}; the IMU's stamps are {first:.2f} ms (first half), "
+        f"{second:.2f} ms (second half) late; each is used on the other"
+    )
+    made = axes_table("Residual in motion, root mean square, tared at rest", "model")
+    for name, values in score.rms.items():
+        made.add_row(name, *axis_cells(values, 1))
+    return Report(content, [*shown, made])

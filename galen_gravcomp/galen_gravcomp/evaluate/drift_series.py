@@ -20,17 +20,23 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from galen_bags.arrays.arm_recording import ArmTopics, find_topic
-from galen_bags.arrays.messages import JOINT_STATE_TYPE, WRENCH_TYPE, Decoder
-from galen_bags.arrays.text_table import read_text_table
-from galen_bags.errors import BagError
+from galen_bags.arrays.arm_recording import (
+    JOINT_STATE_TYPE,
+    WRENCH_TYPE,
+    ArmTopics,
+    Decoder,
+    find_topic,
+)
+from galen_bags.arrays.tables import read_text_table
 from galen_bags.formats.bag import Bag, open_bag
-from galen_model.arm.galen import WRENCH_AXES
+from galen_model.arm.galen import GALEN, WRENCH_AXES
 from galen_model.arrays import Array
 from galen_model.errors import GalenError
 from galen_model.files.calibration_file import CalibrationFile
 from galen_model.rest.binned import CellReducer, Cells
 from scipy.ndimage import median_filter
+
+from galen_bags import BagError
 
 CELL_S = 1.0
 _WINDOW_CELLS = 600
@@ -43,7 +49,9 @@ _POSE_RAD = 2e-3
 _FEWEST_CELLS = 60
 _FEWEST_IN_CELL = 10
 _MOST_CELLS = 5_000_000  # 58 days of seconds, 2 GB
+_ANGLES = len(GALEN.turning)
 _MOST_TABLE_S = 1e9  # of nanoseconds that int64 holds
+OnProgress = Callable[[int, int | None], None]
 TEXT_SUFFIXES = (".csv", ".txt", ".tsv", ".dat")
 
 
@@ -87,19 +95,15 @@ def read_series(
     topics: ArmTopics,
     tool: CalibrationFile | None = None,
     columns: Sequence[str] | None = None,
-    rate_hz: float | None = None,
     cell_s: float = CELL_S,
-    on_progress: Callable[[int, int | None], None] | None = None,
+    on_progress: OnProgress | None = None,
 ) -> DriftSeries:
-    """Read bags, or tables of t, fx ... tz, on one clock. Raises GalenError.
-
-    rate_hz: of a table without the column t.
-    """
+    """Read bags, or tables of t, fx ... tz, on one clock. Raises GalenError."""
     wrenches, joints = CellReducer(cell_s), CellReducer(cell_s)
     for path in paths:
         if path.suffix in TEXT_SUFFIXES:
-            stamp_ns, wrench = _table(path, columns, rate_hz)
-            wrenches.add(stamp_ns, wrench, np.zeros((len(wrench), 2)))
+            stamp_ns, wrench = _table(path, columns)
+            wrenches.add(stamp_ns, wrench, np.zeros((len(wrench), _ANGLES)))
         else:
             with open_bag(path) as bag:
                 _read_bag(bag, topics, wrenches, joints, on_progress)
@@ -112,14 +116,10 @@ def read_series(
     return series_of(name, cells, joints.finish(), tool)
 
 
-def _table(
-    path: Path, columns: Sequence[str] | None, rate_hz: float | None
-) -> tuple[np.ndarray, Array]:
+def _table(path: Path, columns: Sequence[str] | None) -> tuple[np.ndarray, Array]:
     text = read_text_table(path, {"t", *WRENCH_AXES}, columns)
     wrench = np.column_stack([text.require(axis) for axis in WRENCH_AXES])
-    if rate_hz is None and "t" not in text.names:
-        raise GalenError(f"{path}: no column 't'; say --rate-hz")
-    time_s = np.arange(len(wrench)) / rate_hz if rate_hz is not None else text.require("t")
+    time_s = text.require("t")
     if np.any(np.diff(time_s) < 0.0):
         raise GalenError(f"{path}: time steps back")
     if not time_s[-1] - time_s[0] < _MOST_TABLE_S:
@@ -132,7 +132,7 @@ def _read_bag(
     topics: ArmTopics,
     wrenches: CellReducer,
     joints: CellReducer,
-    on_progress: Callable[[int, int | None], None] | None,
+    on_progress: OnProgress | None,
 ) -> None:
     names = [find_topic(bag, topics.wrench_raw, WRENCH_TYPE)]
     with contextlib.suppress(BagError):  # a sensor on a table has no joints
@@ -140,18 +140,20 @@ def _read_bag(
     counts = [bag.topics[name].count for name in names]
     total = None if None in counts else sum(count or 0 for count in counts)
     decoder = Decoder(WRENCH_TYPE)
-    angles = Decoder(JOINT_STATE_TYPE, topics.joint_names[3:], required=2)
+    turning = [topics.joint_names[k] for k in GALEN.turning]
+    angles = Decoder(JOINT_STATE_TYPE, turning, required=turning)
     done = 0
     for block in bag.blocks(names):
         found = decoder.decode(block, np.flatnonzero(block.topic == 0))
         good = np.asarray(np.isfinite(found.values).all(axis=1))
         good[list(found.bad)] = False
-        wrenches.add(found.stamp_ns[good], found.values[good], np.zeros((int(good.sum()), 2)))
+        none = np.zeros((int(good.sum()), _ANGLES))
+        wrenches.add(found.stamp_ns[good], found.values[good], none)
         if len(names) > 1:
             turned = angles.decode(block, np.flatnonzero(block.topic == 1))
-            good = np.asarray(np.isfinite(turned.values[:, :2]).all(axis=1))
+            good = np.asarray(np.isfinite(turned.values[:, :_ANGLES]).all(axis=1))
             good[list(turned.bad)] = False
-            place = turned.values[good][:, :2]
+            place = turned.values[good][:, :_ANGLES]
             joints.add(turned.stamp_ns[good], np.zeros((len(place), 6)), place)
         done += len(block.topic)
         if on_progress is not None:
@@ -159,7 +161,7 @@ def _read_bag(
 
 
 def series_of(name: str, cells: Cells, joints: Cells, tool: CalibrationFile | None) -> DriftSeries:
-    """The series of cells and, where there are any, of the joints' cells."""
+    """Make the series of cells and, where there are any, of the joints' cells."""
     notes = []
     cell_ns = round(cells.cell_s * 1e9)
     first = int(cells.start_ns[0]) // cell_ns
@@ -176,7 +178,7 @@ def series_of(name: str, cells: Cells, joints: Cells, tool: CalibrationFile | No
     reading[row] = cells.mean
     scatter[row] = np.sqrt(cells.squares / np.maximum(cells.count - 1, 1)[:, None])
     scatter[row[cells.count < _FEWEST_IN_CELL]] = np.nan  # would say little
-    angles = np.full((count, 2), np.nan)
+    angles = np.full((count, _ANGLES), np.nan)
     if len(joints):
         place = joints.start_ns // cell_ns - first
         inside = (place >= 0) & (place < count) & (joints.spans <= _POSE_RAD).all(axis=1)
@@ -230,7 +232,7 @@ def series_of(name: str, cells: Cells, joints: Cells, tool: CalibrationFile | No
 
 
 def _longest_pose(angles: Array) -> Array:
-    """The angles (2,) at which the arm stood longest."""
+    """The angles (k,) at which the arm was at rest longest."""
     known = angles[np.isfinite(angles[:, 0])]
     if not len(known):
         raise GalenError("the arm never stands still in it")

@@ -12,19 +12,27 @@ from galen_model.arrays import Array
 from galen_model.evidence.verdict import Limits
 from rich.table import Table
 
-from galen_gravcomp.evaluate.drift.allan import Allan, allan_deviation
-from galen_gravcomp.evaluate.drift.forecast import HorizonScore, cell_for, score_forecasts
-from galen_gravcomp.evaluate.drift.series import DriftSeries
+from galen_gravcomp.evaluate.drift_series import DriftSeries
+from galen_gravcomp.evaluate.drift_statistics import (
+    KEEPERS,
+    PREDICTORS,
+    Allan,
+    HorizonScore,
+    allan_deviation,
+    cell_for,
+    score_forecasts,
+)
 from galen_gravcomp.evaluate.report import Report, table
 
 GROUPS = {"force": slice(0, 3), "torque": slice(3, 6)}
 _UNIT = {"force": (1.0, "N"), "torque": (1e3, "mN.m")}
 _DELAYS = 60
+_PREDICTOR_TEXT = {"line": "a straight line", "day": "the time of day"}
 
 
 @dataclass(frozen=True)
 class DriftResult:
-    """What was found.
+    """Drift of a recording.
 
     allan: of each axis; rate_per_hour (6,): slope of a line through it all, N/h and N.m/h;
     delay_s (k,), change (k, 6): root mean square change of the reading over a delay; holds_s: by
@@ -43,6 +51,49 @@ class DriftResult:
     forecast_cell_s: float
     sentence: dict[str, str]
 
+    def to_json(self) -> dict[str, Any]:
+        """Everything but the samples; SI units, axes by name."""
+        series = self.series
+        return {
+            "duration_s": series.duration_s,
+            "samples": series.samples,
+            "contact_s": [list(span) for span in series.contact_s],
+            "steps": [{"time_s": at, "change": change.tolist()} for at, change in series.steps],
+            "notes": list(series.notes),
+            "axes": {
+                axis: {
+                    "noise": float(series.noise[index]),
+                    "rate_per_hour": float(self.rate_per_hour[index]),
+                    "white_per_sqrt_hz": allan.white,
+                    "bias_instability": allan.instability,
+                    "random_walk_per_sqrt_h": allan.walk * 60.0,
+                    "ramp_per_h": allan.ramp * 3600.0,
+                    "allan": {
+                        name: getattr(allan, name).tolist()
+                        for name in ("tau_s", "deviation", "low", "high")
+                    },
+                }
+                for index, (axis, allan) in enumerate(zip(WRENCH_AXES, self.allan, strict=True))
+            },
+            "holds_s": self.holds_s,
+            "forecasts": {
+                name: [
+                    {
+                        "horizon_s": score.horizon_s,
+                        "rmse": score.rmse,
+                        "keeper": score.keeper,
+                        "predictor": score.predictor,
+                        "skill": score.skill,
+                        "interval99": list(score.interval),
+                        "predictable": score.predictable,
+                    }
+                    for score in scores
+                ]
+                for name, scores in self.scores.items()
+            },
+            "answer": self.sentence,
+        }
+
 
 def judge_drift(series: DriftSeries, limits: Limits) -> DriftResult:
     """Judge a recording in all respects."""
@@ -55,7 +106,8 @@ def judge_drift(series: DriftSeries, limits: Limits) -> DriftResult:
         over = np.flatnonzero((change[:, axes] > limits.axes[axes]).any(axis=1))
         holds[name] = float(delay_s[over[0]]) if len(over) else None
         scores[name] = score_forecasts(cells[:, axes], cell_s)
-        sentence[name] = _sentence(name, scores[name], holds[name], limits, series, change[:, axes])
+        hold = _hold_text(name, holds[name], limits, series)
+        sentence[name] = f"{name}: {_forecast_text(scores[name], change[:, axes])}; {hold}."
     time_h: Array = np.arange(float(len(series.reading))) * (series.cell_s / 3600.0)
     rate = np.array([_slope(time_h, column) for column in series.reading.T])
     return DriftResult(
@@ -81,57 +133,40 @@ def _slope(time_h: Array, column: Array) -> float:
     return float(np.polyfit(time_h[there], column[there], 1)[0])
 
 
-def _sentence(
-    name: str,
-    scores: list[HorizonScore],
-    holds_s: float | None,
-    limits: Limits,
-    series: DriftSeries,
-    change: Array,
-) -> str:
+def _hold_text(name: str, holds_s: float | None, limits: Limits, series: DriftSeries) -> str:
     factor, unit = _UNIT[name]
     limit = limits.axes[GROUPS[name].start] * factor
     if holds_s is None:
         longest = duration_text(series.duration_s / 3.0)
-        hold = (
-            f"a tare stays within {limit:g} {unit} (1 sigma) for {longest}, as long as can be told"
-        )
-    elif holds_s <= 3.0 * series.cell_s:
+        return f"a tare stays within {limit:g} {unit} (1 sigma) for {longest}, the longest delay"
+    if holds_s <= 3.0 * series.cell_s:
         cell = duration_text(series.cell_s)
-        hold = f"two means of {cell} next to each other differ by more than {limit:g} {unit} anyway"
-    else:
-        hold = f"re-tare every {duration_text(holds_s)} to stay within {limit:g} {unit} (1 sigma)"
+        return f"two means of {cell} next to each other differ by more than {limit:g} {unit} anyway"
+    return f"re-tare every {duration_text(holds_s)} to stay within {limit:g} {unit} (1 sigma)"
+
+
+def _forecast_text(scores: list[HorizonScore], change: Array) -> str:
     if not scores:
-        return f"{name}: too short to say whether the bias drift can be predicted; {hold}."
-    told = [score for score in scores if score.predictable]
-    if told:
-        best = max(told, key=lambda score: score.skill)
-        what = {
-            "trend": "a linear trend of the last hours",
-            "line": "a straight line",
-            "ar": "its last changes",
-            "day": "the time of day",
-        }
+        return "too short to say whether the bias drift can be predicted"
+    predictable = [score for score in scores if score.predictable]
+    if predictable:
+        best = max(predictable, key=lambda score: score.skill)
         return (
-            f"{name}: predictable; {what[best.teller]} predicts {best.skill:.0%} of the change over"
-            f" {duration_text(best.horizon_s)} (mean square, on hours that no fit has seen; at"
-            f" {len(told)} of {len(scores)} horizons it beats keeping a value); else {hold}."
+            f"predictable; {_PREDICTOR_TEXT[best.predictor]} predicts {best.skill:.0%} of the"
+            f" change over {duration_text(best.horizon_s)} (mean square, on hours that no fit has"
+            f" seen; at {len(predictable)} of {len(scores)} horizons it beats keeping a value)"
         )
-    if _only_noise(change):
-        return f"{name}: white noise, nothing drifts: average longer; {hold}."
+    # White noise: the change over the longest delays is that from one cell to the next.
+    if np.all(change[-5:].mean(axis=0) < 1.1 * change[0]):
+        return "white noise, nothing drifts: average longer"
     return (
-        f"{name}: not predictable; no forecast up to {duration_text(scores[-1].horizon_s)} beats"
-        f" keeping the value of the last moments; {hold}."
+        f"not predictable; no forecast up to {duration_text(scores[-1].horizon_s)} beats keeping"
+        " the value of the last moments"
     )
 
 
-def _only_noise(change: Array) -> bool:
-    """Whether the change over the longest delays is that from one cell to the next."""
-    return bool(np.all(change[-5:].mean(axis=0) < 1.1 * change[0]))
-
-
 def duration_text(seconds: float) -> str:
-    """As a person says it: 40 s, 12 min, 3.5 h."""
+    """Return 40 s, 12 min, 3.5 h."""
     if seconds < 120.0:
         return f"{seconds:.3g} s"
     if seconds < 7200.0:
@@ -147,34 +182,31 @@ def report(result: DriftResult, name: str) -> Report:
 
         return plot_drift(result, directory, name)
 
-    return Report(_content(result), _shown(result), plot)
+    return Report(result.to_json(), _shown(result), plot)
 
 
 def _shown(result: DriftResult) -> list[str | Table]:
     series = result.series
-    shown: list[str | Table] = [f"[bold]{sentence}[/bold]" for sentence in result.sentence.values()]
-    shown.append(f"{duration_text(series.duration_s)}, {series.samples} readings")
+    notes = []
     if series.contact_s:
         total = sum(end - begin for begin, end in series.contact_s)
         first = ", ".join(f"{begin:.0f}-{end:.0f} s" for begin, end in series.contact_s[:3])
         more = ", ..." if len(series.contact_s) > 3 else ""
-        shown.append(
-            f"[yellow]left out for contact: {len(series.contact_s)} spans, {total:.0f} s in all"
-            f" ({first}{more})[/yellow]"
-        )
+        spans = f"{len(series.contact_s)} spans, {total:.0f} s in all ({first}{more})"
+        notes.append(f"left out for contact: {spans}")
     for at, change in series.steps:
-        shown.append(
-            f"[yellow]the level jumps at {at:.0f} s and stays: force"
-            f" {', '.join(f'{v:+.3f}' for v in change[:3])} N[/yellow]"
-        )
-    shown += [f"[yellow]{note}[/yellow]" for note in series.notes]
-    shown += [_noise_table(result), _forecast_table(result)]
-    shown.append(
+        force = ", ".join(f"{value:+.3f}" for value in change[:3])
+        notes.append(f"the level jumps at {at:.0f} s and stays: force {force} N")
+    return [
+        *(f"[bold]{sentence}[/bold]" for sentence in result.sentence.values()),
+        f"{duration_text(series.duration_s)}, {series.samples} readings",
+        *(f"[yellow]{note}[/yellow]" for note in (*notes, *series.notes)),
+        _noise_table(result),
+        _forecast_table(result),
         "zero: the value just after zeroing; last: the newest bin of"
-        f" {result.forecast_cell_s:g} s; skill: of the better of trend, line, ar, day over that of"
-        " zero, last, level, both chosen on the first half"
-    )
-    return shown
+        f" {result.forecast_cell_s:g} s; skill: of the better of line, day over that of zero, last,"
+        " level, both chosen on the first half",
+    ]
 
 
 def _noise_table(result: DriftResult) -> Table:
@@ -194,7 +226,7 @@ def _noise_table(result: DriftResult) -> Table:
 
 
 def _forecast_table(result: DriftResult) -> Table:
-    names = ("zero", "last", "level", "trend", "line", "ar", "day")
+    names = (*KEEPERS, *PREDICTORS)
     made = table(
         "Forecasts on the second half: root mean square error (of three axes)",
         ("ahead", *names, "skill (99 %)"),
@@ -211,49 +243,3 @@ def _forecast_table(result: DriftResult) -> Table:
                 skill = f"[green]{skill}[/green]"
             made.add_row(duration_text(score.horizon_s), *values, skill)
     return made
-
-
-def _content(result: DriftResult) -> dict[str, Any]:
-    """Everything but the samples; SI units, axes by name."""
-    series = result.series
-    axes: dict[str, object] = {}
-    for index, (axis, allan) in enumerate(zip(WRENCH_AXES, result.allan, strict=True)):
-        axes[axis] = {
-            "noise": float(series.noise[index]),
-            "rate_per_hour": float(result.rate_per_hour[index]),
-            "white_per_sqrt_hz": allan.white,
-            "bias_instability": allan.instability,
-            "random_walk_per_sqrt_h": allan.walk * 60.0,
-            "ramp_per_h": allan.ramp * 3600.0,
-            "allan": {
-                "tau_s": allan.tau_s.tolist(),
-                "deviation": allan.deviation.tolist(),
-                "low": allan.low.tolist(),
-                "high": allan.high.tolist(),
-            },
-        }
-    return {
-        "duration_s": series.duration_s,
-        "samples": series.samples,
-        "contact_s": [list(span) for span in series.contact_s],
-        "steps": [{"time_s": at, "change": change.tolist()} for at, change in series.steps],
-        "notes": list(series.notes),
-        "axes": axes,
-        "holds_s": result.holds_s,
-        "forecasts": {
-            name: [
-                {
-                    "horizon_s": score.horizon_s,
-                    "rmse": score.rmse,
-                    "keeper": score.keeper,
-                    "teller": score.teller,
-                    "skill": score.skill,
-                    "interval99": list(score.interval),
-                    "predictable": score.predictable,
-                }
-                for score in scores
-            ]
-            for name, scores in result.scores.items()
-        },
-        "answer": result.sentence,
-    }

@@ -1,45 +1,45 @@
 """One recording through the compensator that the node runs, and its residual.
 
 The bag's samples go through `Compensator` in the order in which they were received, as they would
-through the node. What comes out is reduced to cells on the way (`cells`), so that memory is needed
-for the hours and not for the samples.
+through the node. What comes out is reduced to time bins on the way, so that memory is needed for
+the hours and not for the samples.
 """
 
 from __future__ import annotations
 
 import os
+from collections import deque
 from collections.abc import Callable
+from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
-from galen_bags.arrays.arm_recording import ArmBlock, ArmReader, ArmTopics
-from galen_bags.arrays.stamp_check import StampCheck, StampReport
+from galen_bags.arrays.arm_recording import WRENCH_TYPE, ArmBlock, ArmReader, ArmTopics
+from galen_bags.arrays.timeline import StampCheck, StampReport
 from galen_bags.formats.bag import Bag, open_bag
+from galen_bags.formats.writer import BagWriter
+from galen_bags.many import calibration_of_bag
 from galen_model.arrays import Array
+from galen_model.errors import GalenError
 from galen_model.evidence.verdict import Cause, Limits, Verdict
 from galen_model.files.calibration_file import CalibrationFile
-from galen_model.rest.binned import (
-    CELL_S,
-    CellReducer,
-    Cells,
-    StillCellSettings,
-    StillPhases,
-    find_still_phases,
-)
+from galen_model.rest.binned import CELL_S, CellReducer, Cells, StillPhases, find_still_phases
+from galen_ros.cdr import MessageBytes, wrench_bytes
 from galen_ros.stream.samples import Notice
 
 from galen_gravcomp.compensator import Compensator
 from galen_gravcomp.corrections.inertial import inertia_source
 from galen_gravcomp.evaluate.channel_check import ChannelCheck, ChannelReport
-from galen_gravcomp.evaluate.residual_decomposition import (
+from galen_gravcomp.evaluate.residual import (
     LoadChange,
     ResidualParts,
     decompose,
     find_change,
+    judge,
     rms,
 )
-from galen_gravcomp.evaluate.verdict import judge
 from galen_gravcomp.parameters import GravcompParameters
 
 # Slower sensors get longer cells, so that a cell holds a few readings.
@@ -50,14 +50,15 @@ _UNITS = {
     Notice.TORQUE_UNIT: "the torques look like N mm",
     Notice.ANGLE_UNIT: "the joint angles look like degrees",
 }
+_TOPIC = "wrench_compensated"
 
-OnBlock = Callable[[ArmBlock, np.ndarray, Array], None]
-"""Is told each block, the running numbers (k,) of the wrenches that came out, and these (k, 6)."""
+OnProgress = Callable[[int, int | None], None]
+"""Is told how many messages are done, and the total; None where the bag does not hold it."""
 
 
 @dataclass(frozen=True)
 class EvaluationSettings:
-    """Topics, the node's parameters, when the arm is at rest, and what counts as a fit.
+    """Topics, the node's parameters, and what counts as a fit.
 
     Only `duration_s` (None: all) from `start_s` after the first message on are looked at.
     """
@@ -66,16 +67,15 @@ class EvaluationSettings:
     start_s: float = 0.0
     duration_s: float | None = None
     parameters: GravcompParameters = field(default_factory=GravcompParameters)
-    still: StillCellSettings = field(default_factory=StillCellSettings)
     limits: Limits = field(default_factory=Limits)
 
 
 @dataclass(frozen=True)
 class BagEvaluation:
-    """What was found. Wrenches (6,) are N and N.m in the sensor's frame, NaN where there is none.
+    """The evaluation of a bag. Wrenches (6,) are N and N.m in the sensor's frame, NaN for none.
 
-    rmse_still, rmse_moving: of single compensated readings while the arm was still, and not;
-    rmse_phases: of the still phases' means. `rejected` and `notices` count by name, with an
+    rmse_still, rmse_moving: of single compensated readings while the arm was at rest, and not;
+    rmse_phases: of the rest segments' means. `rejected` and `notices` count by name, with an
     example of each rejection in words; `problems` are the bag's. motion: the inertia with which
     inertial forces were subtracted, in words; empty where they were not.
     """
@@ -112,7 +112,7 @@ class BagEvaluation:
 
     @property
     def still_s(self) -> float:
-        """Length of the still phases, s."""
+        """Length of the rest segments, s."""
         return float(np.sum(self.phases.end_ns - self.phases.start_ns) * 1e-9)
 
     @property
@@ -122,47 +122,77 @@ class BagEvaluation:
         return np.argsort(-over)
 
 
+@dataclass(frozen=True)
+class BagJob:
+    """Evaluates bags, in this process or another.
+
+    `tool` is the calibration file, or, where `tool_beside` is true, a file's name to look for in
+    the bag's directory and in the one above. `names` has the name that plots and bags written get.
+    """
+
+    tool: Path
+    tool_beside: bool = False
+    settings: EvaluationSettings = field(default_factory=EvaluationSettings)
+    plots: Path | None = None
+    bags_out: Path | None = None
+    names: dict[Path, str] = field(default_factory=dict)
+
+    def __call__(self, bag: Path) -> dict[str, Any]:
+        """Evaluate a bag, as plain numbers and texts."""
+        from galen_gravcomp.evaluate.bag_report import to_json
+
+        return to_json(self.evaluate(bag))
+
+    def evaluate(self, path: Path, on_progress: OnProgress | None = None) -> BagEvaluation:
+        """Evaluate a bag; raises GalenError, naming the bag or the calibration file."""
+        tool = calibration_of_bag(path, self.tool, beside=self.tool_beside)
+        name = self.names.get(path, path.stem)
+        write_to = None if self.bags_out is None else self.bags_out / f"{name}_compensated"
+        result = evaluate_bag(path, tool, self.settings, on_progress, write_to)
+        if self.plots is not None:
+            from galen_gravcomp.evaluate.plots import plot_evaluation  # slow to import
+
+            try:
+                plot_evaluation(result, self.plots, name)
+            except OSError as error:
+                raise GalenError(f"{self.plots}: can't be written: {error.strerror}") from error
+        return result
+
+
 def evaluate_bag(
     path: str | os.PathLike[str],
     tool: CalibrationFile,
     settings: EvaluationSettings | None = None,
-    on_progress: Callable[[int, int | None], None] | None = None,
-    on_block: OnBlock | None = None,
+    on_progress: OnProgress | None = None,
+    write_to: Path | None = None,
 ) -> BagEvaluation:
     """Evaluate a bag; raises BagError for one that can't be read or lacks the topics.
 
-    `on_progress(done, total)` counts messages; the total is None where the bag doesn't say it.
+    `write_to`: where to write the bag with the compensated wrench in it.
     """
-    with open_bag(path) as bag:
-        return evaluate_open_bag(bag, tool, settings, on_progress, on_block)
-
-
-def evaluate_open_bag(
-    bag: Bag,
-    tool: CalibrationFile,
-    settings: EvaluationSettings | None = None,
-    on_progress: Callable[[int, int | None], None] | None = None,
-    on_block: OnBlock | None = None,
-) -> BagEvaluation:
-    """As `evaluate_bag`, of a bag that the caller opened."""
     settings = settings or EvaluationSettings()
-    reader = ArmReader(
-        bag,
-        settings.topics,
-        all_topics=on_block is not None,
-        start_s=settings.start_s,
-        duration_s=settings.duration_s,
-    )
-    run = _Run(tool, settings)
-    total, done = reader.message_count, 0
-    for block in reader.blocks():
-        numbers, wrenches = run.add(block)
-        if on_block is not None:
-            on_block(block, numbers, wrenches)
-        done += len(block.is_wrench)
-        if on_progress is not None:
-            on_progress(done, total)
-    return run.finish(bag, (reader.joint_states, reader.wrench_raw))
+    with ExitStack() as stack:
+        bag = stack.enter_context(open_bag(path))
+        reader = ArmReader(
+            bag,
+            settings.topics,
+            all_topics=write_to is not None,
+            start_s=settings.start_s,
+            duration_s=settings.duration_s,
+        )
+        written = None
+        if write_to is not None:
+            written = _CompensatedBag(stack.enter_context(BagWriter(write_to)), reader)
+        run = _Run(tool, settings)
+        total, done = reader.message_count, 0
+        for block in reader.blocks():
+            numbers, wrenches = run.add(block)
+            if written is not None:
+                written.add(block, numbers, wrenches)
+            done += len(block.is_wrench)
+            if on_progress is not None:
+                on_progress(done, total)
+        return run.finish(bag, (reader.joint_states, reader.wrench_raw))
 
 
 class _Run:
@@ -206,7 +236,7 @@ class _Run:
 
     def finish(self, bag: Bag, topics: tuple[str, str]) -> BagEvaluation:
         cells = (self._cells or CellReducer()).finish()
-        phases = find_still_phases(cells, self._settings.still)
+        phases = find_still_phases(cells)
         wrench_stamps = self._wrench_stamps.report()
         restart_s = self._settings.parameters.restart_gap_s
         stamps_jump = any(
@@ -259,19 +289,18 @@ class _Run:
 
     def _doubt(self) -> str:
         """Why the fit is unknown, whatever the residual; empty if it is not."""
-        compensator = self._compensator
-        if not compensator.compensated:
-            reasons = compensator.pairing.rejections.most_common(1)
+        pairing = self._compensator.pairing
+        if not self._compensator.compensated:
+            reasons = pairing.rejections.most_common(1)
             if not reasons:
                 return "no wrench was compensated: the file's fit is unknown"
             why = self._examples[reasons[0][0].value]
             return f"no wrench was compensated, so the file's fit is unknown: {why}"
         for notice, what in _UNITS.items():
-            count = compensator.pairing.notices[notice]
-            if count > _SUSPECT_SHARE * compensator.pairing.received:
+            count = pairing.notices[notice]
+            if count > _SUSPECT_SHARE * pairing.received:
                 return (
-                    f"{what} in {count} of {compensator.pairing.received} wrenches:"
-                    " the file's fit is unknown"
+                    f"{what} in {count} of {pairing.received} wrenches: the file's fit is unknown"
                 )
         return ""
 
@@ -282,3 +311,64 @@ def _rmse(cells: Cells, which: np.ndarray) -> Array:
     if not count:
         return np.full(6, np.nan)
     return np.asarray(np.sqrt(cells.sum_of_squares[which].sum(axis=0) / count))
+
+
+class _CompensatedBag:
+    """Writes an evaluation's blocks with its results.
+
+    The compensated wrench has stamp, frame_id and log time of its raw one. A topic of its name in
+    the source is left out, since it came from another compensation.
+    """
+
+    def __init__(self, writer: BagWriter, reader: ArmReader) -> None:
+        self._writer = writer
+        result = f"{reader.wrench_raw.rsplit('/', 1)[0]}/{_TOPIC}"
+        self._topics = []
+        for name in reader.read_topics:
+            topic = reader.bag.topics[name]
+            definition = topic.definition if topic.definition_form == "ros2msg" else None
+            kept = name != result
+            self._topics.append(
+                writer.add_topic(name, topic.type_name, definition) if kept else None
+            )
+        self._out = writer.add_topic(result, WRENCH_TYPE)
+        self._templates: dict[str, MessageBytes] = {}
+        # Wrenches that were received and not yet answered for: number, log time, stamp, frame.
+        self._open: deque[tuple[int, int, int, str]] = deque()
+        self._received = 0
+
+    def add(self, block: ArmBlock, numbers: np.ndarray, wrenches: Array) -> None:
+        """Write a block's messages and the compensated wrenches (k, 6) with these numbers (k,)."""
+        raw = block.wrenches
+        for row in range(len(raw)):
+            log_ns, stamp_ns = int(block.wrench_log_ns[row]), int(raw.stamp_ns[row])
+            frame_id = raw.frame_ids[raw.frame[row]]
+            self._open.append((self._received + row, log_ns, stamp_ns, frame_id))
+        self._received += len(raw)
+        out = self._compensated(numbers, wrenches)
+        for row in range(len(block.messages)):
+            time_ns = int(block.messages.log_time_ns[row])
+            while out and out[0][0] < time_ns:
+                self._writer.write(self._out, *out.popleft())
+            topic = self._topics[block.messages.topic[row]]
+            if topic is not None:
+                self._writer.write(topic, time_ns, block.messages.message(row))
+        for entry in out:
+            self._writer.write(self._out, *entry)
+
+    def _compensated(self, numbers: np.ndarray, wrenches: Array) -> deque[tuple[int, bytes]]:
+        """Log time and message of each; what is not among the numbers was rejected."""
+        out: deque[tuple[int, bytes]] = deque()
+        by_number = dict(zip(numbers.tolist(), wrenches.tolist(), strict=True))
+        last = max(by_number, default=-1)
+        still_open: deque[tuple[int, int, int, str]] = deque()
+        for entry in self._open:
+            number, log_ns, stamp_ns, frame_id = entry
+            wrench = by_number.get(number)
+            if wrench is not None:
+                template = self._templates.setdefault(frame_id, wrench_bytes(frame_id))
+                out.append((log_ns, template.fill(stamp_ns, wrench)))
+            elif number > last:
+                still_open.append(entry)
+        self._open = still_open
+        return out

@@ -1,1 +1,0 @@
-"""Drift of a long recording without contact, and whether it is predictable."""

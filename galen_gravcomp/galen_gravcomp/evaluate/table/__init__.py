@@ -1,1 +1,0 @@
-"""Load models against tables of readings."""

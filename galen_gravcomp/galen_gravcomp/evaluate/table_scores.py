@@ -1,0 +1,346 @@
+"""Load models on a table of readings: fitted to all, scored on readings that no fit has seen.
+
+Groups are held out whole: a reading, a rest segment, a block of neighbouring readings. Each model
+is fitted anew without the group and predicts it; the score is the root mean square of the residual.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from datetime import UTC, datetime
+from functools import partial
+
+import numpy as np
+from galen_bags.arrays.tables import OrientationTable, average_still
+from galen_model.arm.galen import GRAVITY_M_S2
+from galen_model.arrays import Array
+from galen_model.errors import GalenError, IdentificationError
+from galen_model.evidence.block_gain import MOUNTED, PLAIN, ROBUST, Worth, compare
+from galen_model.files.calibration_file import CalibrationFile, LoadEstimate
+from galen_model.load.drifting_identification import DriftingLoad, identify_drifting_load
+from galen_model.load.identification import SingleLoad, identify_single_load, plain_least_squares
+from galen_model.load.model import gravity_regressor
+from galen_model.load.mounting.identification import MountedLoad, identify_single_load_mounted
+from galen_model.rest.segments import DirectionRest
+
+_FEWEST_READINGS = 4
+_MOST_LEFT_OUT_ONE_BY_ONE = 200  # each takes a fit of all others
+_DRIFTING = "galen, drifting bias"
+_UNRESOLVED = (
+    "how much of the load is the adapter: all that hangs on the sensor is written as the tool, and"
+    " the adapter as nothing; the compensation is not affected",
+    "where and with what on it the sensor was zeroed: residual_offset holds the whole constant part"
+    " of the reading",
+    "the tip: written as (0, 0, 0)",
+)
+
+Predictor = Callable[[OrientationTable], Array]
+"""From readings, whose wrench it must not look at, to what they should be (n, 6)."""
+
+Model = Callable[[OrientationTable], Predictor]
+"""From the readings to learn from to a predictor; both have a time, s or their order."""
+
+
+def robust_model(known: OrientationTable) -> Predictor:
+    """Fit the suite's: axes weighted by their noise, outliers rejected, excitation checked."""
+    found = identify_single_load(known.gravity, known.wrench)
+    return lambda asked: found.predict(asked.gravity)
+
+
+def plain_model(known: OrientationTable) -> Predictor:
+    """Fit the baseline of other packages: ten-parameter least squares, unweighted, unchecked."""
+    moments, offset = plain_least_squares(known.gravity, known.wrench)
+    return lambda asked: gravity_regressor(asked.gravity) @ moments + offset
+
+
+def identify_mounted(groups: tuple[str, ...], known: OrientationTable) -> MountedLoad:
+    """Identify load and mounting groups together. Raises IdentificationError."""
+    return identify_single_load_mounted(known.gravity, known.wrench, groups, known.rotation)
+
+
+def mounted_model(groups: tuple[str, ...], known: OrientationTable) -> Predictor:
+    """Fit load and mounting groups together."""
+    found = identify_mounted(groups, known)
+    return lambda asked: found.predict(asked.gravity, asked.rotation)
+
+
+def identify_drifting(known: OrientationTable) -> DriftingLoad:
+    """Identify the load with a bias that may drift, its shape chosen by blocks.
+
+    The blocks are the table's own where it has them; it has times. Raises IdentificationError.
+    """
+    assert known.time is not None
+    groups = None
+    if known.block is not None:
+        groups = np.unique(known.block, return_inverse=True)[1]
+    return identify_drifting_load(known.gravity, known.wrench, known.time, groups)
+
+
+def drifting_model(known: OrientationTable) -> Predictor:
+    """Fit a load with a bias that may drift.
+
+    A held-out block between known readings is bridged by the curve, one at an end extrapolated.
+    """
+    found = identify_drifting(known)
+
+    def predict(asked: OrientationTable) -> Array:
+        assert asked.time is not None
+        return found.predict(asked.gravity, asked.time)
+
+    return predict
+
+
+@dataclass(frozen=True)
+class HeldOutScore:
+    """Residuals (n, 6) of held-out readings, and the groups that could not be scored."""
+
+    residuals: Array
+    groups: int
+    rejected: tuple[str, ...]
+
+    @property
+    def rmse(self) -> Array:
+        """Root mean square residual (6,), N and N.m; NaN when no group could be scored."""
+        if not len(self.residuals):
+            return np.full(6, np.nan)
+        return np.asarray(np.sqrt(np.mean(self.residuals**2, axis=0)))
+
+
+def contiguous_blocks(count: int, blocks: int) -> np.ndarray:
+    """Label (count,) readings by runs of neighbours of about one length."""
+    return np.arange(count) * blocks // count
+
+
+def cross_validate(table: OrientationTable, groups: np.ndarray, model: Model) -> HeldOutScore:
+    """Hold out each of `groups` (n,) in turn; a model may reject to do without one."""
+    table = table.timed()
+    residuals = np.full(table.wrench.shape, np.nan)
+    rejected = []
+    labels = list(dict.fromkeys(groups.tolist()))
+    for label in labels:
+        held = groups == label
+        try:
+            block = None if table.block is None else table.block[~held]
+            predict = model(table.take(~held, block))
+        except IdentificationError as error:
+            rejected.append(f"without {label}: {error}")
+            continue
+        residuals[held] = table.wrench[held] - predict(table.take(held, None))
+    scored = np.isfinite(residuals[:, 0])
+    return HeldOutScore(residuals[scored], len(labels), tuple(rejected))
+
+
+@dataclass(frozen=True)
+class TableEvaluation:
+    """Fits and scores of a table; scores by split, then by model.
+
+    phases: how many rest segments were averaged, with their scatter (6,); None: it was no
+    recording. mounted, worth: with the mounting groups asked for, and whether they pay; drifting:
+    with a bias that drifts.
+    """
+
+    table: OrientationTable
+    source_rows: int
+    phases: int | None
+    fit: SingleLoad
+    scores: dict[str, dict[str, HeldOutScore]]
+    scatter: Array | None
+    tool: CalibrationFile | None = None
+    tool_residuals: Array | None = None
+    notes: list[str] = field(default_factory=list)
+    mounted: MountedLoad | None = None
+    worth: Worth | None = None
+    drifting: DriftingLoad | None = None
+
+
+def evaluate_table(
+    table: OrientationTable,
+    average_window_s: float | None = None,
+    tool: CalibrationFile | None = None,
+    mounting: tuple[str, ...] = (),
+    bias_drift: bool = False,
+) -> TableEvaluation:
+    """Fit and score every model on a table; raises GalenError naming the obstacle.
+
+    mounting: groups to estimate beside the load, in a model of its own. bias_drift: also a model
+    whose bias may drift, where blocks are held out.
+    """
+    source_rows, phases, scatter = len(table), None, None
+    if average_window_s is not None:
+        table, scatter = average_still(table, average_window_s, DirectionRest())
+        assert table.block is not None
+        phases = len(np.unique(table.block))
+    if len(table) < _FEWEST_READINGS:
+        raise GalenError(
+            f"{table.path}: {len(table)} readings; at least {_FEWEST_READINGS} are needed to hold"
+            " some out"
+        )
+    splits, notes = _splits(table, phases)
+    models: dict[str, Model] = {PLAIN: plain_model, ROBUST: robust_model}
+    mounted = None
+    if mounting:
+        mounted = identify_mounted(mounting, table)
+        models[MOUNTED] = partial(mounted_model, mounting)
+    scores = {
+        split: {name: cross_validate(table, groups, model) for name, model in models.items()}
+        for split, groups in splits.items()
+    }
+    drifting = None
+    if bias_drift:
+        for split, groups in splits.items():
+            # A single reading lies between two neighbours that determine any curve.
+            if len(set(groups.tolist())) < len(table):
+                scores[split][_DRIFTING] = cross_validate(table, groups, drifting_model)
+        try:
+            drifting = identify_drifting(table.timed())
+        except IdentificationError as error:
+            notes.append(f"with a bias that drifts: {error}")
+    fit = identify_single_load(table.gravity, table.wrench)
+    if phases is not None and phases > 2:
+        # averages within a segment share its error, so the residuals' own covariance is too small
+        fit = replace(fit, load=replace(fit.load, covariance=_jackknife(table, _load_vector)))
+        if mounted is not None:
+            mounted = _jackknifed(mounted, mounting, table)
+    worth = None
+    if mounted is not None:  # the widest blocks that leave enough to identify the mounting
+        found = (_worth(scores[s], splits[s], mounted.single.sigma) for s in reversed(splits))
+        worth = next((one for one in found if one is not None), None)
+    if not fit.used.all():
+        rows = ", ".join(str(row + 1) for row in np.flatnonzero(~fit.used))
+        notes.append(f"the fit on all readings left out reading {rows}: off the common load")
+    residuals = None if tool is None else table.wrench - table_prediction(tool, table)
+    return TableEvaluation(
+        table, source_rows, phases, fit, scores, scatter, tool, residuals, notes, mounted, worth,
+        drifting,
+    )  # fmt: skip
+
+
+def _splits(table: OrientationTable, phases: int | None) -> tuple[dict[str, np.ndarray], list[str]]:
+    """Labels (n,) of the groups that are held out, by name; notes."""
+    if table.block is not None:
+        splits = {"leave one still phase out" if phases else "leave one block out": table.block}
+        order = list(dict.fromkeys(table.block.tolist()))
+        count = min(3, len(order) // 2)
+        if count >= 2:
+            group = contiguous_blocks(len(order), count)
+            of_label = {label: f"block {g + 1}" for label, g in zip(order, group, strict=True)}
+            splits[f"{count} blocks of neighbours"] = np.array([of_label[b] for b in table.block])
+        return splits, []
+    splits, notes = {}, []
+    if len(table) <= _MOST_LEFT_OUT_ONE_BY_ONE:
+        labels = [f"reading {i + 1}" for i in range(len(table))]
+        splits["leave one reading out"] = np.array(labels)
+    else:
+        notes.append(
+            f"leave one reading out: not done for {len(table)} readings, more than"
+            f" {_MOST_LEFT_OUT_ONE_BY_ONE}; is it a recording (--average-s)?"
+        )
+    count = min(6, len(table) // 2)
+    blocks = [f"block {b + 1}" for b in contiguous_blocks(len(table), count)]
+    splits[f"{count} blocks of neighbours"] = np.array(blocks)
+    return splits, notes
+
+
+def _worth(scores: dict[str, HeldOutScore], groups: np.ndarray, sigma: Array) -> Worth | None:
+    """Whether the mounting pays on the held-out `groups` (n,); None where a group has no score."""
+    chosen = {name: scores[name] for name in (PLAIN, ROBUST, MOUNTED)}
+    if any(score.rejected for score in chosen.values()):
+        return None
+    labels = list(dict.fromkeys(groups.tolist()))
+    return compare(
+        {name: [of.residuals[groups == label] for label in labels] for name, of in chosen.items()},
+        sigma,
+    )
+
+
+def _load_vector(table: OrientationTable) -> Array:
+    load = identify_single_load(table.gravity, table.wrench).load
+    return np.concatenate([[load.mass_kg], load.com_m])
+
+
+def _jackknifed(
+    mounted: MountedLoad, groups: tuple[str, ...], table: OrientationTable
+) -> MountedLoad:
+    """The same with covariances by leaving out each block."""
+
+    def values(known: OrientationTable) -> Array:
+        found = identify_mounted(groups, known)
+        load = found.single.load
+        return np.concatenate([[load.mass_kg], load.com_m, found.mounting.vector])
+
+    covariance = _jackknife(table, values)
+    load = replace(mounted.single.load, covariance=covariance[:4, :4])
+    return MountedLoad(
+        replace(mounted.single, load=load),
+        replace(mounted.mounting, covariance=covariance[4:, 4:]),
+    )
+
+
+def _jackknife(table: OrientationTable, estimate: Callable[[OrientationTable], Array]) -> Array:
+    """Covariance (k, k) of what `estimate` (k,) finds, by leaving out each of G blocks.
+
+    (G - 1) / G sum (x_g - mean) (x_g - mean)^T: Efron and Tibshirani, *An Introduction to the
+    Bootstrap* (1993), eq. (11.5). Raises IdentificationError when a block can't be spared.
+    """
+    assert table.block is not None
+    labels = np.unique(table.block)
+    values = [estimate(table.take(table.block != label, None)) for label in labels]
+    spread = np.array(values) - np.mean(values, axis=0)
+    return np.asarray((len(labels) - 1) / len(labels) * spread.T @ spread)
+
+
+# Calibration files
+
+
+def table_prediction(tool: CalibrationFile, table: OrientationTable) -> Array:
+    """Predict readings (n, 6) at a table's orientations by a file, its mounting included.
+
+    Raises GalenError where the file's mounting needs what the table doesn't hold.
+    """
+    mounting = tool.mounting
+    if mounting is None:
+        return tool.predict_under(table.gravity)
+    if np.any(mounting.joint_zero_rad):
+        raise GalenError(f"{table.path}: {tool.tool} holds zeros of joints; a table has none")
+    if not np.any(mounting.base_inclination_rad):
+        return tool.predict_under(table.gravity)
+    if table.rotation is None:
+        raise GalenError(
+            f"{table.path}: {tool.tool} holds an inclination of the base, which needs qx..qw,"
+            " r11..r33 or roll, tilt"
+        )
+    return tool.predict_under(mounting.turned_gravity(table.gravity, table.rotation))
+
+
+def tool_from_table(
+    name: str, table: OrientationTable, fit: SingleLoad, mounted: MountedLoad | None = None
+) -> CalibrationFile:
+    """Make the calibration file of one load and six constants found on `table`.
+
+    Its reading under any gravity is `fit.predict`'s or, where `mounted` is given, whose load then
+    holds, `mounted.predict`'s. Gravity is as large as in the table, since the mass was found with
+    that. `unresolved` lists what is not identifiable from readings with one load.
+    """
+    predicted = fit.predict(table.gravity)
+    if mounted is not None:
+        fit, predicted = mounted.single, mounted.predict(table.gravity, table.rotation)
+    residuals = (table.wrench - predicted)[fit.used]
+    gravity = GRAVITY_M_S2.copy()
+    if table.orientation == "gravity":
+        gravity[2] = -np.mean(np.linalg.norm(table.gravity, axis=1))
+    return CalibrationFile(
+        tool=name,
+        load=fit.load,
+        adapter=LoadEstimate(0.0, np.zeros(3), np.zeros((4, 4))),
+        tip_m=np.zeros(3),
+        rmse=np.sqrt(np.mean(residuals**2, axis=0)),
+        poses_used=int(np.sum(fit.used)),
+        calibrated_at=datetime.now(UTC).isoformat(timespec="seconds"),
+        residual_offset=fit.offset,
+        poses_rejected=tuple(
+            f"reading {row + 1}: off the common load" for row in np.flatnonzero(~fit.used)
+        ),
+        zeroing=None,
+        gravity_m_s2=gravity,
+        unresolved=_UNRESOLVED,
+        mounting=None if mounted is None else mounted.mounting,
+    )
