@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import IntEnum
 
-from galen_model.arm.galen import GALEN
 from galen_model.arrays import Array
 from galen_model.load.drifting_identification import BiasMode
 from galen_model.load.identification import StillPoses
@@ -99,7 +98,7 @@ class PoseFeedback:
     poses: int = 0
     done: int = 0
     total: int = 0
-    angles: tuple[float, ...] = (float("nan"),) * len(GALEN.turning)
+    angles: tuple[float, ...] = ()
     accepted: bool = False
     wrench: tuple[float, ...] = (float("nan"),) * 6
 

@@ -52,7 +52,7 @@ class FakeArm:
         key = (self.joints[3], self.joints[4], id(self.tool))
         if self._known[0] != key:
             roll, tilt = self.joints[3:]
-            gravity = GALEN.gravity_in_sensor(np.stack([roll, tilt], axis=-1))
+            gravity = GALEN.gravity_in_sensor((roll, tilt))
             loads = gravity_wrench(gravity, self.tool) + gravity_wrench(gravity, ADAPTER)
             self._known = (key, loads)
         return self._known[1]

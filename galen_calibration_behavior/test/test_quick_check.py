@@ -80,7 +80,7 @@ def records(load, random, *, offset=0.0, extra=None, sigma=SIGMA, poses=POSES, n
     """Averages at the poses: true physics, white noise; `extra(roll, tilt, k)` is added."""
     made = []
     for k, (roll, tilt) in enumerate(poses):
-        wrench = nominal_reading(np.stack([roll, tilt], axis=-1), load, ADAPTER) + offset
+        wrench = nominal_reading((roll, tilt), load, ADAPTER) + offset
         wrench = wrench + (extra(roll, tilt, k) if extra else 0.0)
         noise = 0.0 if nothing else random.standard_normal(6) * sigma
         halves = random.standard_normal(6) * 2.0 * sigma

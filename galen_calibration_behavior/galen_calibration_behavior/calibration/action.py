@@ -215,7 +215,7 @@ class CalibrateAction(ArmAction):
             poses=feedback.poses,
             done=feedback.done,
             total=feedback.total,
-            **dict(zip(("roll", "tilt"), feedback.angles, strict=True)),
+            angles=feedback.angles,
             accepted=feedback.accepted,
             wrench=list(feedback.wrench),
             message=feedback.message,

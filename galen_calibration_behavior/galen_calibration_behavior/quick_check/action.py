@@ -165,7 +165,7 @@ class CheckAction(ArmAction):
                 state=int(command.state),
                 done=command.done,
                 total=command.total,
-                **dict(zip(("roll", "tilt"), command.angles, strict=True)),
+                angles=command.angles,
                 accepted=command.accepted,
                 message=command.message,
             )
