@@ -72,7 +72,7 @@ def test_loads():
 def test_a_reading_worked_out_by_hand(roll_deg, tilt_deg, gravity):
     x, y, z = 9.80665 * np.array(gravity)
     reading = nominal_reading(
-        np.stack([np.radians(roll_deg), np.radians(tilt_deg)], axis=-1),
+        np.radians([roll_deg, tilt_deg]),
         TOOLS["pointer"].load,
         ADAPTER,
     )

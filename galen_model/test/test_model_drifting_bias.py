@@ -27,11 +27,11 @@ def grid():
     """A sweep's 56 poses in a meandering order."""
     roll, tilt = np.meshgrid(np.linspace(-1.5, 1.5, 8), np.linspace(-1.0, 0.9, 7))
     roll[1::2] = roll[1::2, ::-1].copy()
-    return roll.ravel(), tilt.ravel()
+    return np.column_stack([roll.ravel(), tilt.ravel()])
 
 
-ROLL, TILT = grid()
-GRAVITY = GALEN.gravity_in_sensor(np.stack([ROLL, TILT], axis=-1))
+ANGLES = grid()
+GRAVITY = GALEN.gravity_in_sensor(ANGLES)
 TIME_S = PERIOD_S * np.arange(56)
 
 
@@ -127,19 +127,13 @@ def test_a_bias_drift_is_chosen_where_there_is_one_and_not_where_there_is_none()
 @pytest.mark.slow
 def test_two_sweeps_with_a_bias_drift_and_a_touched_pose():
     rng = np.random.default_rng(3)
-    bare = nominal_reading(np.stack([ROLL, TILT], axis=-1), Load(0.0), ADAPTER) + bias_drift(
-        rng, 50.0
-    )
-    with_tool = (
-        nominal_reading(np.stack([ROLL, TILT], axis=-1), TOOL, ADAPTER)
-        + bias_drift(rng, 50.0)
-        + 0.3
-    )
+    bare = nominal_reading(ANGLES, Load(0.0), ADAPTER) + bias_drift(rng, 50.0)
+    with_tool = nominal_reading(ANGLES, TOOL, ADAPTER) + bias_drift(rng, 50.0) + 0.3
     noise = SIGMA * rng.standard_normal((2, 56, 6))
     with_tool[20] += [0.5, -0.5, 0.5, 0.0, 0.0, 0.0]
     both = (
-        StillPoses(np.stack([ROLL, TILT], axis=-1), bare + noise[0], None, TIME_S),
-        StillPoses(np.stack([ROLL, TILT], axis=-1), with_tool + noise[1], None, TIME_S + 500.0),
+        StillPoses(ANGLES, bare + noise[0], None, TIME_S),
+        StillPoses(ANGLES, with_tool + noise[1], None, TIME_S + 500.0),
     )
     found = identify_two_sweeps_drifting(*both)
     assert found.bias_drift is not None
@@ -148,21 +142,21 @@ def test_two_sweeps_with_a_bias_drift_and_a_touched_pose():
     np.testing.assert_array_less(np.abs(found.load.com_m - TOOL.com_m) / found.load.com_std_m, 3.5)
     assert abs(found.load.mass_kg - TOOL.mass_kg) < 3.5 * found.load.mass_std_kg
     # what holds at the end is what is written
-    last = with_tool[-1] - nominal_reading(np.stack([ROLL[-1], TILT[-1]], axis=-1), TOOL, ADAPTER)
+    last = with_tool[-1] - nominal_reading(ANGLES[-1], TOOL, ADAPTER)
     np.testing.assert_allclose(found.offset[:3], last[:3], atol=0.01)
     assert "drifted" in found.warnings[0]
     steady = identify_two_sweeps_drifting(*both, mode=BiasMode.CONSTANT)
     assert steady.load.mass_kg == identify_two_sweeps(*both).load.mass_kg
-    untimed = StillPoses(np.stack([ROLL, TILT], axis=-1), both[1].wrench)
+    untimed = StillPoses(ANGLES, both[1].wrench)
     with pytest.raises(IdentificationError, match="no times"):
         identify_two_sweeps_drifting(both[0], untimed)
 
 
 def test_one_sweep_with_a_known_adapter():
     rng = np.random.default_rng(4)
-    tool = nominal_reading(np.stack([ROLL, TILT], axis=-1), TOOL, ADAPTER) + bias_drift(rng, 50.0)
+    tool = nominal_reading(ANGLES, TOOL, ADAPTER) + bias_drift(rng, 50.0)
     tool += SIGMA * rng.standard_normal((56, 6))
-    poses = StillPoses(np.stack([ROLL, TILT], axis=-1), tool, None, TIME_S)
+    poses = StillPoses(ANGLES, tool, None, TIME_S)
     found = identify_one_sweep_drifting(poses, mode=BiasMode.BIAS_DRIFTING)
     assert found.bias_drift is not None
     assert found.unresolved
@@ -173,7 +167,7 @@ def test_one_sweep_with_a_known_adapter():
 def test_poses_in_an_order_that_goes_with_time_are_told_or_rejected():
     """Tilt alone, slowly from one end to the other: a straight drift is a load."""
     tilt = np.linspace(-0.15, 0.15, 40)
-    gravity = GALEN.gravity_in_sensor(np.stack([np.zeros(40), tilt], axis=-1))
+    gravity = GALEN.gravity_in_sensor(np.column_stack([np.zeros(40), tilt]))
     time = np.arange(40.0)
     rng = np.random.default_rng(5)
     readings = gravity_wrench(gravity, TOOL) + 0.05 * rng.standard_normal((40, 6))

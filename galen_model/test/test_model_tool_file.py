@@ -39,12 +39,9 @@ def test_what_is_written_is_read_back(tmp_path):
     again = read_calibration(path)
     assert again.to_json() == tool.to_json()
     assert "unresolved" not in json.loads(path.read_text())
-    roll, tilt = np.array([0.3, -1.0]), np.array([0.1, 0.7])
-    expected = (
-        nominal_reading(np.stack([roll, tilt], axis=-1), TOOLS["pointer"].load, ADAPTER)
-        + tool.residual_offset
-    )
-    np.testing.assert_allclose(again.predict(np.stack([roll, tilt], axis=-1)), expected, atol=1e-14)
+    angles = np.array([[0.3, 0.1], [-1.0, 0.7]])
+    expected = nominal_reading(angles, TOOLS["pointer"].load, ADAPTER) + tool.residual_offset
+    np.testing.assert_allclose(again.predict(angles), expected, atol=1e-14)
 
 
 def schema_1(roll=0.3, tilt=-0.2, gravity=-9.8):
@@ -70,20 +67,14 @@ def test_a_file_of_schema_1_is_read_as_before(tmp_path):
         and file.arm.name == "galen"
         and not file.arm_warning
     )
-    roll, tilt = np.array([0.3, -1.0]), np.array([0.1, 0.7])
-    expected = (
-        nominal_reading(
-            np.stack([roll, tilt], axis=-1), TOOLS["pointer"].load, ADAPTER, (0.3, -0.2)
-        )
-        * 9.8
-        / 9.80665
-    )
-    np.testing.assert_allclose(file.predict(np.stack([roll, tilt], axis=-1)), expected, atol=1e-14)
+    angles = np.array([[0.3, 0.1], [-1.0, 0.7]])
+    expected = nominal_reading(angles, TOOLS["pointer"].load, ADAPTER, (0.3, -0.2)) * 9.8 / 9.80665
+    np.testing.assert_allclose(file.predict(angles), expected, atol=1e-14)
     write_calibration(path, file)
     assert json.loads(path.read_text())["schema_version"] == 2
     np.testing.assert_array_equal(
-        read_calibration(path).predict(np.stack([roll, tilt], axis=-1)),
-        file.predict(np.stack([roll, tilt], axis=-1)),
+        read_calibration(path).predict(angles),
+        file.predict(angles),
     )
 
 

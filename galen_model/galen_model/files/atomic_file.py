@@ -3,7 +3,7 @@
 The new content goes into a temporary file beside the old one, which is synced to the disk and
 renamed over the old name, as POSIX does in one step; before that the old file gets a second name,
 `<name>.bak`. A process killed at any moment leaves the old file or the new one, and perhaps a
-hidden `.<name>.unfinished.<anything>` beside it, which nobody reads, and which the next writing of
+hidden `.<name>.unfinished.<anything>` beside it, which is never read, and which the next writing of
 that file removes when it is ten minutes old.
 
 Where the name is a symbolic link, the link is replaced, and `.bak` leads to where it led: what is
@@ -13,7 +13,6 @@ followed.
 
 from __future__ import annotations
 
-import ctypes
 import errno
 import os
 import tempfile
@@ -28,10 +27,8 @@ if TYPE_CHECKING:
 
 
 _NO_HARD_LINKS = (errno.EPERM, errno.ENOTSUP, errno.EOPNOTSUPP, errno.EMLINK)
-_NO_EXCHANGE = (errno.EINVAL, errno.ENOSYS, errno.ENOTSUP, errno.EOPNOTSUPP)
-_AT_FDCWD, _RENAME_EXCHANGE = -100, 2
 _LEFT_AFTER_S = 600.0
-"""No writer is at work for so long."""
+"""No writer is active for so long."""
 
 
 def write_whole(path: Path, content: str | bytes) -> None:
@@ -108,36 +105,13 @@ def unlink_if(path: Path, is_it: Callable[[Path], bool]) -> None:
 
 
 def exchange(path: Path, other: Path, spare: Path) -> None:
-    """Have two files of a directory swap their names, in one step where the file system can.
+    """Have two files of a directory swap their names; at every moment `path` is a whole file.
 
-    Where it can't (some network file systems), a process killed in between leaves what `path` had
-    under both names, and what `other` had as `spare`, which must be a free name (FileExistsError).
+    A process killed in between leaves what `path` had under both names, and what `other` had as
+    `spare`, which must be a free name (FileExistsError).
 
     Raises OSError; both then have their names.
     """
-    try:
-        _exchange_in_one_step(path, other)
-    except OSError as error:
-        if error.errno not in _NO_EXCHANGE:
-            raise
-        _exchange_in_steps(path, other, spare)
-    sync_directory(path.parent)
-
-
-def _exchange_in_one_step(path: Path, other: Path) -> None:
-    """Linux's renameat2, which Python's os has not."""
-    try:
-        rename = ctypes.CDLL(None, use_errno=True).renameat2
-    except AttributeError:  # another C library
-        raise OSError(errno.ENOSYS, os.strerror(errno.ENOSYS)) from None
-    names = (os.fsencode(path), os.fsencode(other))
-    if rename(_AT_FDCWD, names[0], _AT_FDCWD, names[1], _RENAME_EXCHANGE) != 0:
-        number = ctypes.get_errno()
-        raise OSError(number, os.strerror(number), str(path), None, str(other))
-
-
-def _exchange_in_steps(path: Path, other: Path, spare: Path) -> None:
-    """At every moment `path` is a whole file."""
     _second_name(other, spare)
     try:
         _keep_as(path, other)
@@ -149,6 +123,7 @@ def _exchange_in_steps(path: Path, other: Path, spare: Path) -> None:
     except OSError:
         spare.unlink(missing_ok=True)
         raise
+    sync_directory(path.parent)
 
 
 def _write_beside(path: Path, content: str | bytes) -> Path:

@@ -9,8 +9,7 @@ calibration is there under at least one name.
     <tool>.json            the calibration file
     <tool>.json.bak        the calibration before it (`galen_model.files.atomic_file`)
     <tool>.json.removed    a tool that was removed; .removed.2 and so on where that is taken
-    <tool>.json.bak.removed, without the above: left by a revert that a crash cut short, on a file
-                           system that can't swap names in one step
+    <tool>.json.bak.removed, without the above: left by a revert that a crash cut short
 """
 
 import hashlib

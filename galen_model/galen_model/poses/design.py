@@ -10,25 +10,14 @@ is B(theta) (dx, dc) with B = [G, I], and n poses leave the covariance N^-1 with
 Sigma one averaged reading's noise and P what is known beforehand: nothing after two sweeps, after
 one what the zeroing tells of c. The sweep without the tool does not enter the compensation; it
 takes tool and adapter apart, and is the same problem (with the same poses in both sweeps the
-tool's own covariance is twice that of the sum). Both criteria are linear in N^-1:
+tool's own covariance is twice that of the sum). The criterion is linear in N^-1:
 
-    compensation   phi = tr(M N^-1) / 6, M the mean of I(theta) over the workspace: the variance of
-                   the compensation's error, mean over workspace and axes, in units of one averaged
-                   reading's ("V-" or "I-optimality")
-    load           phi = tr(D N^-1), D diagonal over the four moments: their variance over that of
-                   one ideal reading (`galen_model.load.identifiability`), mean of the four
-                   ("A-optimality")
+    phi = tr(M N^-1) / 6, M the mean of I(theta) over the workspace: the variance of the
+    compensation's error, mean over workspace and axes, in units of one averaged reading's ("V-" or
+    "I-optimality"; Pukelsheim, *Optimal Design of Experiments*, 1993).
 
-Fedorov's exchange finds n poses: each is taken out in turn and the best candidate put in, until no
-exchange is better. How good they are is told by a bound that no n of the candidates can beat. phi
-over weights w of sum n is convex and 1/phi concave (Pukelsheim, *Optimal Design of Experiments*,
-1993, sections 3.13 and 6.17), so the tangent at any w gives, with d(theta) = tr(M N^-1 I N^-1),
-
-    phi(w*) >= phi / (1 + (n max_theta d - sum_i w_i d_i) / phi),
-
-which for P = 0 is phi^2 / (n max d), the equivalence theorem's efficiency bound (Kiefer and
-Wolfowitz 1960; Fedorov 1972, chapter 2). The weights come from w <- w sqrt(d), renormalised
-(Silvey, Titterington, Torsney, *Comm. Statist. Theory Methods* 7, 1978).
+Fedorov's exchange finds n poses (Fedorov 1972, chapter 2): each is taken out in turn and the best
+candidate put in, until no exchange is better.
 """
 
 from collections.abc import Sequence
@@ -43,14 +32,10 @@ from galen_model.errors import GalenError
 from galen_model.load.identification import single_load_design
 from galen_model.load.model import gravity_regressor
 
-GOALS = ("compensation", "load")
-
 _WORKSPACE_STEPS = 25
 _PARAMETERS = 10
 _EXCHANGES = 100  # rounds; ten are many
 _BETTER = 1e-9
-_BOUND_ROUNDS = 2000
-_BOUND_CLOSE_ENOUGH = 2e-3
 # Below this share of an even spread's information a design counts as singular.
 _RIDGE = 1e-9
 
@@ -102,7 +87,7 @@ def compensation_std(poses: Array, sigma: Array) -> Array:
 class PoseDesign:
     """Chooses from candidates (m, k), angles in rad, each at most once.
 
-    `goal` is one of GOALS; sigma (6,), N and N.m: the noise, up to a factor. `one_sweep_zero`
+    sigma (6,), N and N.m: the noise, up to a factor. `one_sweep_zero`
     (k,), angles of the zeroing, says that there is the tool's sweep alone.
     """
 
@@ -110,11 +95,9 @@ class PoseDesign:
         self,
         candidates: Array,
         *,
-        goal: str = "compensation",
         sigma: Array | None = None,
         one_sweep_zero: ArrayLike | None = None,
     ) -> None:
-        """Raise PoseDesignError for a goal that is none."""
         self.candidates = np.asarray(candidates, dtype=float).reshape(-1, len(GALEN.turning))
         self._sigma = reading_noise() if sigma is None else np.asarray(sigma, dtype=float)
         # Parameters scaled so that one ideal reading would tell each of them to about 1.
@@ -128,13 +111,8 @@ class PoseDesign:
         if one_sweep_zero is not None:
             self._known[4:, 4:] = _zeroing_information(one_sweep_zero, self._sigma)
             self._known *= np.outer(self._scale, self._scale)
-        if goal == "compensation":
-            rows = workspace_rows() * self._scale
-            self._target = _information(rows, self._sigma).mean(axis=0) / 6.0
-        elif goal == "load":
-            self._target = np.diag([0.25] * 4 + [0.0] * 6)
-        else:
-            raise PoseDesignError(f"goal is {goal!r}, but must be one of {', '.join(GOALS)}")
+        rows = workspace_rows() * self._scale
+        self._target = _information(rows, self._sigma).mean(axis=0) / 6.0
 
     def information(self, poses: Array) -> Array:
         """I (n, 10, 10) of angles (n, k), rad, in the scaled parameters."""
@@ -166,25 +144,6 @@ class PoseDesign:
                 f"{count} poses out of {len(self.candidates)} don't tell all of the load"
             )
         return sorted(chosen)
-
-    def lower_bound(self, count: int) -> float:
-        """What phi no `count` of the candidates, however often each is taken, can be below."""
-        weights = np.full(len(self.candidates), count / len(self.candidates))
-        bound = 0.0
-        for _ in range(_BOUND_ROUNDS):
-            information = np.einsum("i,ipq->pq", weights, self._each) + self._known
-            value = float(self._value(information))
-            if not np.isfinite(value):
-                raise PoseDesignError("the candidates together don't tell all of the load")
-            inverse = np.linalg.inv(information)
-            slope = np.einsum("ipq,qp->i", self._each, inverse @ self._target @ inverse)
-            gain = (count * slope.max() - weights @ slope) / value
-            bound = max(bound, value / (1.0 + gain))
-            if gain < _BOUND_CLOSE_ENOUGH:
-                break
-            weights = weights * np.sqrt(slope)
-            weights *= count / weights.sum()
-        return bound
 
     def _exchange(self, chosen: list[int]) -> None:
         """Fedorov's exchange in place, until a whole round finds nothing better."""

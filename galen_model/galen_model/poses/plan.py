@@ -178,7 +178,6 @@ def plan_chosen(
     tip_m: Array,
     times: SweepTimes,
     *,
-    goal: str = "compensation",
     one_sweep: bool = False,
 ) -> SweepPlan:
     """The `count` poses that tell most of those that can be visited, in a good order.
@@ -190,7 +189,7 @@ def plan_chosen(
     faults = [""] * len(candidates) if router is None else router.lattice_faults
     free = candidates[[not fault for fault in faults]]
     zero = where.home_angles
-    design = PoseDesign(free, goal=goal, one_sweep_zero=zero if one_sweep else None)
+    design = PoseDesign(free, one_sweep_zero=zero if one_sweep else None)
     try:
         poses = free[design.choose(count)]
         check_planned_poses(poses, one_sweep=one_sweep, zero_angles=zero)
