@@ -91,7 +91,7 @@ class CalibrateClient(GoalClient):
         answering.add_done_callback(on_answer)
 
     def _show(self, feedback: Any) -> None:
-        """The bar, or without a terminal a line for each state; and each bad pose."""
+        """Return the bar, or without a terminal a line for each state; and each bad pose."""
         state = CalibrationState(feedback.state)
         self.bar.show(CALIBRATION_PHASES[state], feedback.done, feedback.total)
         if not self.bar.active and state != self._state:

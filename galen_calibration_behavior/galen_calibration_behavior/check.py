@@ -92,7 +92,7 @@ def main() -> None:
 
 
 def result_fields(result: Any) -> dict[str, Any]:
-    """A CheckTool.Result for JSON: answer and cause as words, no NaN."""
+    """Return a CheckTool.Result for JSON: answer and cause as words, no NaN."""
     content = result_to_dict(result)
     if result.error_code == CheckCode.NONE:
         content |= {"answer": CheckAnswer(result.answer).name, "cause": Cause(result.cause).name}

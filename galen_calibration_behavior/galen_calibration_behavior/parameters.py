@@ -164,7 +164,7 @@ class CalibrationParameters(PoseParameters):
         return grid.poses((low_roll, low_tilt), (high_roll, high_tilt))
 
     def listed_poses(self) -> Array:
-        """The listed poses (n, 2), roll and tilt in rad; raises ParameterError or GridError."""
+        """Return the listed poses (n, k), rad; raises ParameterError or GridError."""
         numbers = self.listed_poses_rad
         if not numbers or len(numbers) % 2 or len(numbers) > 2 * MAX_LISTED:
             raise ParameterError(
@@ -219,7 +219,7 @@ class CalibrationParameters(PoseParameters):
         )
 
     def of_sweep(self) -> CalibrationParameters:
-        """The same with the average's length that belongs to the poses."""
+        """Return the same with the average's length that belongs to the poses."""
         return replace(self, average_s=self.chosen_average_s) if self.chosen else self
 
     def sweep_s(self) -> float:

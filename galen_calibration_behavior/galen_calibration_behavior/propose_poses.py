@@ -48,7 +48,7 @@ def propose_poses(options: argparse.Namespace) -> dict[str, Any]:
 
 
 def _promise(poses: Array, parameters: CalibrationParameters) -> dict[str, float]:
-    """What poses (n, 2), rad, in visiting order make of the compensation, by theory; SI.
+    """Return what poses (n, 2), rad, in visiting order make of the compensation, by theory; SI.
 
     The standard deviations are the root mean square over workspace and three axes, the sensor's
     noise taken as white; drift_share: how far a linear drift looks like load, 0 to 1.

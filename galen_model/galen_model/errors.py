@@ -12,7 +12,7 @@ class GalenError(Exception):
 
 
 def one_line(text: str, longest: int = LONGEST_MESSAGE) -> str:
-    """A text that is not trusted, as one line that can be printed and sent.
+    """Return a text that is not trusted, as one line that can be printed and sent.
 
     Topics and cells of tables may be of any length and hold anything: ends of lines, what moves a
     terminal's cursor, halves of surrogate pairs, which neither a terminal nor a message takes.

@@ -40,7 +40,7 @@ def adjoint(transform_a_b: ArrayLike) -> Array:
 
 
 def move_wrench(wrench_b: ArrayLike, rotation_a_b: ArrayLike, origin_b_in_a_m: ArrayLike) -> Array:
-    """The same wrench, known in frame b, in frame a and about a's origin.
+    """Return the same wrench, known in frame b, in frame a and about a's origin.
 
     f_a = R f_b,  tau_a = R tau_b + p x (R f_b), with p the origin of b in a.
 
@@ -55,7 +55,7 @@ def move_wrench(wrench_b: ArrayLike, rotation_a_b: ArrayLike, origin_b_in_a_m: A
 
 
 def move_twist(twist: ArrayLike, from_m: ArrayLike, to_m: ArrayLike) -> Array:
-    """The twist (..., 6) of a rigid body at another of its points, axes unchanged.
+    """Return the twist (..., 6) of a rigid body at another of its points, axes unchanged.
 
     v_to = v_from + w x (to - from). Both points (..., 3) in the frame the twist is written in.
     """
@@ -82,7 +82,7 @@ class Transform:
         return Transform(self.rotation @ other.rotation, moved + self.translation)
 
     def __getitem__(self, rows: np.ndarray | slice | int) -> Transform:
-        """Some of many."""
+        """Return some of many."""
         return Transform(self.rotation[rows], self.translation[rows])
 
     def __len__(self) -> int:
@@ -95,7 +95,7 @@ class Transform:
         return Transform(back, -np.einsum("...ij,...j->...i", back, self.translation))
 
     def displacement_from(self, other: Transform) -> Array:
-        """What takes `other` to this one, (..., 6), both seen in the same frame.
+        """Return what takes `other` to this one, (..., 6), both seen in the same frame.
 
         Translation (m) of the origin and rotation vector (rad) of R R_other^T, along the axes of
         that frame: a deflection, if `other` is the pose without load.
@@ -123,7 +123,7 @@ class MeanPose(NamedTuple):
 
 
 def mean_pose(poses: Transform) -> MeanPose:
-    """The mean of poses (n) that scatter closely about one, and a few that lie far off.
+    """Return the mean of poses (n) that scatter closely about one, and a few that lie far off.
 
     From the medians and median absolute deviations of the six displacements, those beyond four
     standard deviations are left out; the mean is that of the others' displacements. Rotations
@@ -144,7 +144,7 @@ def mean_pose(poses: Transform) -> MeanPose:
 
 
 def nearest_rotation(matrix: Array) -> Array:
-    """The rotation (3, 3) nearest to a matrix in Frobenius norm, by its singular vectors.
+    """Return the rotation (3, 3) nearest to a matrix in Frobenius norm, by its singular vectors.
 
     Umeyama, *IEEE Trans. PAMI* 13(4), 1991, lemma.
     """
@@ -191,7 +191,7 @@ def solve_base_and_offset(marker: Transform, tool: Transform) -> tuple[Transform
 
 
 def _rotation_of(vector: Array) -> Array:
-    """The rotation nearest to a matrix told column by column, up to a factor."""
+    """Return the rotation nearest to a matrix told column by column, up to a factor."""
     matrix = vector.reshape(3, 3).T
     return nearest_rotation(matrix * np.sign(np.linalg.det(matrix)))
 

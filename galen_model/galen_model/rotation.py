@@ -45,7 +45,7 @@ def about(axis: Array, angle_rad: ArrayLike) -> Array:
 
 
 def skew(vector: ArrayLike) -> Array:
-    """The matrix v^ with v^ w = v x w; vectors (..., 3) give matrices (..., 3, 3)."""
+    """Return the matrix v^ with v^ w = v x w; vectors (..., 3) give matrices (..., 3, 3)."""
     v = np.asarray(vector, dtype=float)
     matrix = np.zeros((*v.shape, 3))
     matrix[..., 0, 1], matrix[..., 0, 2] = -v[..., 2], v[..., 1]
@@ -65,7 +65,7 @@ def matrix_to_rotvec(matrix: ArrayLike) -> Array:
 
 
 def matrix_to_quaternion(matrix: ArrayLike) -> Array:
-    """Unit quaternion (..., 4) in the order x, y, z, w, as ROS writes it."""
+    """Return unit quaternion (..., 4) in the order x, y, z, w, as ROS writes it."""
     return np.asarray(Rotation.from_matrix(np.asarray(matrix, dtype=float)).as_quat())
 
 

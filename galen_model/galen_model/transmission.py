@@ -69,7 +69,7 @@ class JointRun:
     torque: Array
 
     def __len__(self) -> int:
-        """Number of readings."""
+        """Return the number of readings."""
         return len(self.time_s)
 
     @property
@@ -101,7 +101,7 @@ def noise_of(runs: Sequence[JointRun]) -> LagNoise:
 
 
 def encoder_step(angle: Array) -> float:
-    """The step (rad) of the encoder that angles (n,) come from; 0 if they don't show one."""
+    """Return the step (rad) of the encoder that angles (n,) come from; 0 if they don't show one."""
     distinct = np.unique(angle)
     if len(distinct) > 0.5 * len(angle):
         return 0.0
@@ -172,11 +172,11 @@ class Parts:
     whole_runs: bool
 
     def rows(self, parts: Sequence[int]) -> Used:
-        """The readings of these parts."""
+        """Return the readings of these parts."""
         return [np.isin(label, parts) for label in self.label]
 
     def trained_on(self, part: int) -> list[int]:
-        """The parts that a model may be fitted to that is checked on this one."""
+        """Return the parts that a model may be fitted to that is checked on this one."""
         return np.flatnonzero(self.apart[part]).tolist()
 
 
@@ -315,7 +315,7 @@ def design(run: JointRun, scales: Scales) -> Array:
 
 
 def velocity(run: JointRun, window_s: float) -> Array:
-    """The motor's velocity (n,), rad/s, from readings up to each and none after it."""
+    """Return the motor's velocity (n,), rad/s, from readings up to each and none after it."""
     count = max(4, round(window_s / run.step_s) + 1)
     back = -run.step_s * np.arange(count)  # newest first
     slope = np.linalg.pinv(np.stack([np.ones(count), back, back**2], axis=1))[1]
@@ -327,6 +327,6 @@ def velocity(run: JointRun, window_s: float) -> Array:
 
 
 def _spread(values: Array) -> float:
-    """The range of all but the outermost hundredths: a start's jerk is no measure of a run."""
+    """Return the range of all but the outermost hundredths."""
     low, high = np.percentile(values, [1.0, 99.0])
     return float(high - low) or 1.0

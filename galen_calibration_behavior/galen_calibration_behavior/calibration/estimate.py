@@ -219,9 +219,9 @@ def _outliers(found: Identification, measurements: Measurements) -> list[str]:
 
 
 def calibration_fields(calibration: Calibration) -> dict[str, Any]:
-    """A calibration's part of a CalibrateTool.Result by the names of its fields, as JSON has it.
+    """Return a CalibrateTool.Result's fields by name, for JSON too; SI units.
 
-    All but `tool`, `file` and the error; SI units.
+    All but `tool`, `file` and the error.
     """
     file = calibration.content
     return {
@@ -276,7 +276,7 @@ def _load_line(name: str, mass: float, mass_std: float, com: Any, com_std: Any) 
 
 
 def mounting_fields(calibration: Calibration) -> dict[str, Any] | None:
-    """What the file holds of the mounting and how it did on held-out poses; SI units."""
+    """Return what the file holds of the mounting and how it did on held-out poses; SI units."""
     mounting, worth = calibration.content.mounting, calibration.worth
     if mounting is None or worth is None:
         return None
@@ -296,7 +296,7 @@ def mounting_fields(calibration: Calibration) -> dict[str, Any] | None:
 
 
 def format_mounting(calibration: Calibration) -> str:
-    """The same as tables, in degrees, per cent, mN and mN.m; empty where nothing was asked."""
+    """Return the same as tables, in deg, %, mN and mN.m; empty where nothing was asked."""
     mounting, worth = calibration.content.mounting, calibration.worth
     if mounting is None or worth is None:
         return ""

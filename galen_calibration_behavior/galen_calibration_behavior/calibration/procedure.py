@@ -136,7 +136,7 @@ class CalibrationProcedure(PoseProcedure):
         return True
 
     def on_estimated(self) -> None:
-        """The file is written."""
+        """Take that the file is written."""
         if not self.ending:
             self._succeed()
 
@@ -200,7 +200,7 @@ class CalibrationProcedure(PoseProcedure):
         self._next()
 
     def _enter_zero(self) -> None:
-        """The arm may have been pushed while a person took the tool off: home again, and still."""
+        """Go home again, and stand still: the arm may have been pushed meanwhile."""
         self._zero_attempts += 1
         self._report("zeroing the sensor")
         self._visit(self._settings.home, self._on_ready_to_zero)

@@ -103,7 +103,7 @@ def estimate_loads(options: argparse.Namespace) -> dict[str, Any]:
 
 
 def _mounting_request(options: argparse.Namespace) -> MountingRequest | None:
-    """What the options ask of the mounting; raises IdentificationError for what can't be known."""
+    """Return what the options ask of the mounting; raises IdentificationError."""
     if not options.estimate:
         return None
     if options.known_mass_kg is None:
@@ -160,7 +160,7 @@ def _run(options: argparse.Namespace) -> tuple[RecordedSweeps, Calibration]:
 def _result_fields(
     options: argparse.Namespace, sweeps: RecordedSweeps, calibration: Calibration
 ) -> dict[str, Any]:
-    """The fields of a live calibration's result, and what only a recording has; for JSON."""
+    """Return the fields of a live calibration's result, and what only a recording has; for JSON."""
     border = sweeps.border
     fields = {
         "error_code": int(CalibrationCode.NONE),

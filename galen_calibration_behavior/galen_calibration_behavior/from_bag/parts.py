@@ -198,7 +198,7 @@ def _inertia_warnings(fit: InertiaFit, moments: Array) -> list[str]:
 
 
 def _cable(tool: CalibrationFile, recording: ArmRecording, options: argparse.Namespace) -> Part:
-    """A cable's pull, from a sweep with the cable on; raises GalenError.
+    """Return a cable's pull, from a sweep with the cable on; raises GalenError.
 
     The cable that the file may already hold is not looked at.
     """
@@ -218,7 +218,7 @@ def _cable(tool: CalibrationFile, recording: ArmRecording, options: argparse.Nam
 def _cable_sweep(
     tool: CalibrationFile, recording: ArmRecording, options: argparse.Namespace
 ) -> tuple[CableSweep, str, list[str]]:
-    """The poses of the recorded sweep, the time of the last one, and warnings."""
+    """Return the poses of the recorded sweep, the time of the last one, and warnings."""
     settings = options.parameters
     averaging = functools.partial(progress, "averaging", "phase")
     visits = find_visits(recording, settings, averaging)

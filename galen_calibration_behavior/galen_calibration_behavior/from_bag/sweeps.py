@@ -49,7 +49,7 @@ class HomeStays:
         return list(visits[away[0] : away[-1] + 1]) if away else []
 
     def after_zeroing(self, recording: Visits) -> tuple[list[Visit], list[str]]:
-        """What comes after the sensor was zeroed, and a warning where poses are lost by that.
+        """Return the visits after the zeroing, and a warning where poses are lost by that.
 
         It was zeroed in a stay at home in which the reading goes to zero (or a tool was removed;
         in both cases what was read before has another zero or load), and, where the zero did not
@@ -166,7 +166,7 @@ class SweepSorter:
         return RecordedSweeps(done.measurements, done.poses, border, tool_on_s)
 
     def two_recordings(self, bare: Visits, tool: Visits) -> RecordedSweeps:
-        """A recording of each sweep; raises RecordingError."""
+        """Return a recording of each sweep; raises RecordingError."""
         parts, warnings = [], []
         for name, recording in (("bare", bare), ("tool", tool)):
             visits, lost = self._home.after_zeroing(recording)
@@ -175,13 +175,13 @@ class SweepSorter:
         return self._put_together(parts[0], parts[1], warnings)
 
     def one_sweep(self, recording: Visits) -> RecordedSweeps:
-        """A recording of the tool's sweep alone; raises RecordingError."""
+        """Return a recording of the tool's sweep alone; raises RecordingError."""
         visits, lost = self._home.after_zeroing(recording)
         poses = self._one_load_sweep("tool", recording, visits)
         return self._put_together([], poses, [*recording.warnings, *lost])
 
     def still_poses(self, recording: Visits) -> tuple[list[RecordedPose], list[str]]:
-        """The poses of a sweep of one tool, and warnings; raises RecordingError.
+        """Return the poses of a sweep of one tool, and warnings; raises RecordingError.
 
         Whether one load explains them is not asked: a cable's pull comes and goes with the pose.
         """
@@ -269,7 +269,10 @@ class SweepSorter:
         return [k for k in range(len(visits)) if k not in faults]
 
     def _judge(self, name: str, recording: Visits, visits: list[Visit]) -> list[RecordedPose]:
-        """The sweep's poses; a pose visited again has its old number. Raises RecordingError."""
+        """Return the sweep's poses, one visited again under its old number.
+
+        Raises RecordingError.
+        """
         faults = self._faults(visits)
         tolerance = 2.0 * GALEN.angles(self._settings.arrival.position_tolerance)
         seen: list[Array] = []

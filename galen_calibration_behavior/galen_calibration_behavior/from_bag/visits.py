@@ -136,7 +136,7 @@ class _Player:
         self._has_velocity = np.all(np.isfinite(recording.joint_velocities), axis=1)
 
     def visit(self, rows: slice, before: int, after: int | None) -> Visit | None:
-        """The phase's average; None when the phase is too short for one.
+        """Return the phase's average; None when the phase is too short for one.
 
         `before` and `after` are the joint rows that the neighbouring phases leave to this one.
         """
@@ -199,7 +199,7 @@ class _Player:
     def _levels(
         self, rows: slice, settled_ns: int, end_ns: int
     ) -> tuple[Level | None, Level | None]:
-        """The readings at the phase's begin and end."""
+        """Return the readings at the phase's begin and end."""
         count = len(self._recording.joint_stamp_ns)
         places = self._order[self._joint_place[rows.start] : self._joint_place[rows.stop - 1] + 1]
         wrench_rows = places[places >= count] - count

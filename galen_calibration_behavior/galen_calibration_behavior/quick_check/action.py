@@ -106,7 +106,7 @@ class CheckAction(ArmAction):
         return _Goal(self, handle, procedure, warnings)
 
     def _known_offset(self, tool: str) -> Array | None:
-        """What the compensation subtracts beside the file (6,), N and N.m; None for nothing."""
+        """Return what gravcomp subtracts beside the file (6,), N and N.m; None for nothing."""
         now = self._active
         if now is None or now.tool != tool or not (now.tared or now.bias_drift_estimated):
             return None

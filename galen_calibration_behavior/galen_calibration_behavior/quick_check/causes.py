@@ -90,9 +90,9 @@ def explain_rest(
     anywhere: Array,
     p_noise: float,
 ) -> tuple[Explanation, ...]:
-    """The causes that leave only noise of the residual (n, 6) at angles (n, 2), the best first.
+    """Return the causes that leave only noise of the residual (n, 6), the best first.
 
-    Angles are in rad, `anywhere` (w, k) those of the arm's range; sigma (6,) is the
+    angles (n, k) are in rad, `anywhere` (w, k) those of the arm's range; sigma (6,) is the
     noise, and what is likelier than `p_noise` by chance counts as noise.
     """
     count = len(residual)

@@ -212,7 +212,7 @@ def _which_load(
 def _one_that_stands_out(
     records: Sequence[PoseRecord], tool: CalibrationFile, limits: CheckLimits, known_offset: Array
 ) -> str | None:
-    """The pose without which the rest is noise, in words: it was touched, more likely than not."""
+    """Name the pose without which the rest is noise: a likely contact."""
     if len(records) <= FEWEST_POSES:
         return None
     p_values = []
@@ -282,7 +282,7 @@ def in_words(
     hints: tuple[str, ...],
     poses: int,
 ) -> str:
-    """The cause in words; `hints` are what it was found by."""
+    """Return the cause in words; `hints` are what it was found by."""
     if cause is Cause.FITS:
         return _fits(found, limits, hints)
     message = MESSAGES[cause]

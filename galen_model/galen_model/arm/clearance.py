@@ -145,7 +145,7 @@ class ArmClearance:
         return self._boxes
 
     def nearest(self, joints: Array) -> Nearest | None:
-        """The nearest part and box at a pose; None without boxes."""
+        """Return the nearest part and box at a pose; None without boxes."""
         frames = _frames(joints, self.arm)
         request, result = coal.DistanceRequest(), coal.DistanceResult()
         best: Nearest | None = None

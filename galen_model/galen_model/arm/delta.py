@@ -111,13 +111,13 @@ class LinearDelta:
         return directions / directions[:, 2:]
 
     def rod_directions(self, platform_m: ArrayLike) -> Array:
-        """Unit vectors n_i (3, 3; a row a leg) from carriage to platform."""
+        """Return unit vectors n_i (3, 3; a row a leg) from carriage to platform."""
         p = np.asarray(platform_m, dtype=float)
         carriage = np.column_stack([self.feet_m, self._carriage_height(p)])
         return (p - carriage) / self.rod_length_m
 
     def rod_rows(self, platform_m: ArrayLike) -> Array:
-        """A (6, 6): a rod a row, [n, B x n]; lengthening of the rods over the platform's twist.
+        """Return A (6, 6), a row [n, B x n] a rod: its lengthening over the platform's twist.
 
         The twist is the platform centre's, (m, rad); rods in the order of `ball_joints_m`.
         """

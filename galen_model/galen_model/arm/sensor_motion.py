@@ -83,7 +83,7 @@ def _lengths(arm: ArmParameters) -> tuple[float, ...]:
 
 
 def _motion(lengths: Any, trigonometry: Any, platform: Any, turning: Any) -> Any:
-    """The formulas, for floats and for arrays alike: (w, al, a), each three components."""
+    """Return the formulas, for floats and for arrays alike: (w, al, a), each three components."""
     _, c1y, c1z, c2x, c2y, c2z = lengths
     cr, sr, ct, st = trigonometry
     dx, dy, dz = platform

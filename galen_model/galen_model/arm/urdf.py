@@ -27,7 +27,7 @@ def galen_urdf(
     limits: JointLimits = LIMITS,
     max_velocity: ArrayLike = (0.2, 0.2, 0.2, 1.5, 1.5),
 ) -> str:
-    """The arm as URDF text; tip_m (3,) in ft_sensor, max_velocity (5,) in m/s and rad/s."""
+    """Return the arm as URDF text; tip_m (3,) in ft_sensor, max_velocity (5,) in m/s and rad/s."""
     robot = ElementTree.Element("robot", name="galen")
     speed = np.asarray(max_velocity, dtype=float)
     reach = float(arm.roll_to_tilt_m[0])

@@ -90,11 +90,11 @@ class BlockRows:
     memories_s: tuple[float, ...] = (float("inf"),)
 
     def __len__(self) -> int:
-        """Number of readings."""
+        """Return the number of readings."""
         return len(self.residual)
 
     def finer(self, parts: int) -> BlockRows:
-        """The same with every block cut into parts of about equal length, in the order of rows."""
+        """Cut every block into parts of about equal length, in the order of rows."""
         block = np.zeros(len(self), dtype=int)
         labels: list[str] = []
         for number, label in enumerate(self.labels):
@@ -214,7 +214,7 @@ class BlockEvidence:
         return Information(matrix, right, self._rest)
 
     def _remembered(self, ways: tuple[Columns, ...]) -> Information:
-        """What a hypothesis with and one without the floor alone share."""
+        """Return what a hypothesis with and one without the floor alone share."""
         key = tuple(id(way) for way in ways)
         if key not in self._last:
             self._last[key] = self.information(ways)
@@ -260,9 +260,9 @@ class BlockEvidence:
     def hypothesis(
         self, effects: tuple[str, ...], sets: Sequence[tuple[Columns, ...]], floor_only: bool
     ) -> BlockHypothesis | None:
-        """A hypothesis that holds in one of `sets` of ways; None where no weights are allowed.
+        """Fit a hypothesis that holds in one of `sets` of ways.
 
-        None as well where noise was not to be alone, and is.
+        None where no weights are allowed, or noise was not to be alone, and is.
         """
         found = []
         for ways in sets:
@@ -319,12 +319,12 @@ class BlockEvidence:
         return left
 
     def _predicted(self, ways: Sequence[Columns], weights: Array, where: np.ndarray) -> Array:
-        """What nominal columns and ways give rows `where` (m, C), in floor units."""
+        """Return what nominal columns and ways give rows `where` (m, C), in floor units."""
         values = [self._nominal[where]]
         values += [way.values[where] / self.rows.floor[None, :, None] for way in ways]
         return np.asarray(np.concatenate(values, axis=2) @ weights)
 
 
 def _picked(information: Information, places: tuple[object, ...]) -> Information:
-    """Some of the sets, by an index of the leading axes."""
+    """Return some of the sets, by an index of the leading axes."""
     return Information(*(part[places] for part in information))  # type: ignore[index]

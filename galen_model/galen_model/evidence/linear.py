@@ -206,7 +206,7 @@ class Background:
         return self.solve(self.columns.T @ rows)
 
     def penalty(self, nu: Array) -> float:
-        """What the prior adds to the sum of squares."""
+        """Return what the prior adds to the sum of squares."""
         return float(self.precision @ nu**2)
 
     def sum_of_squares(self, rows: Array) -> float:

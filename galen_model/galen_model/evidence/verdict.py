@@ -137,11 +137,11 @@ class Limits:
         return np.repeat([self.force_n, self.torque_nm], 3)
 
     def size(self, values: Array) -> float:
-        """The largest of `values` (6,), N and N.m, in units of its limit."""
+        """Return the largest of `values` (6,), N and N.m, in units of its limit."""
         return float(np.max(np.abs(values) / self.axes))
 
     def worst(self, values: Array) -> str:
-        """The value (6,) that is largest in units of its limit, in words."""
+        """Return the value (6,) that is largest in units of its limit, in words."""
         axis = int(np.argmax(np.abs(values) / self.axes))
         value = f"{values[axis]:.3f} N" if axis < 3 else f"{1e3 * values[axis]:.2f} mN.m"
         return f"{value} in {WRENCH_AXES[axis]}"

@@ -144,7 +144,7 @@ def _write_beside(path: Path, content: str | bytes) -> Path:
 
 
 def _unfinished(path: Path) -> str:
-    """What the names of files begin with that stand for `path` while it is written."""
+    """Return what the names of files begin with that stand for `path` while it is written."""
     return f".{path.name}.unfinished."
 
 

@@ -135,7 +135,7 @@ class CalibrationFile:
     """What a cable at the tool pulls beside the load, where a sweep with the cable on told it."""
 
     def predict(self, angles: ArrayLike) -> Array:
-        """Reading (..., 6) expected at angles (..., k) without contact, N and N.m.
+        """Return reading (..., 6) expected at angles (..., k) without contact, N and N.m.
 
         reading = M (W(q; tool) + W(q; adapter) - W(zeroing; adapter)) + residual offset
 
@@ -204,7 +204,7 @@ class CalibrationFile:
         return float(self.gravity_m_s2[2] / GRAVITY_M_S2[2])
 
     def to_json(self) -> dict[str, Any]:
-        """The file's content."""
+        """Return the file's content."""
         content: dict[str, Any] = {
             "schema_version": SCHEMA_VERSION,
             "tool": self.tool,

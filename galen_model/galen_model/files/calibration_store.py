@@ -77,7 +77,7 @@ class StoredCalibration:
         return self.file_state() is FileState.AS_LOADED
 
     def file_state(self) -> FileState:
-        """What became of the file since; a file with the same content is as loaded."""
+        """Return what became of the file since; a file with the same content is as loaded."""
         try:
             same = _digest(_read(self.path)) == self.sha256
         except CalibrationFileError:
@@ -126,7 +126,7 @@ class CalibrationStore:
         return True
 
     def names(self) -> list[str]:
-        """What is listed, sorted: files named *.json without it. Raises CalibrationStoreError."""
+        """Return the listed names, sorted: files *.json. Raises CalibrationStoreError."""
         return sorted(
             name.removesuffix(_SUFFIX)
             for name in self._files()
@@ -134,7 +134,7 @@ class CalibrationStore:
         )
 
     def entries(self, names: list[str] | None = None) -> Iterator[Entry]:
-        """The tools of these names (default: all), one by one as they are read."""
+        """Return the tools of these names (default: all), one by one as they are read."""
         for name in self.names() if names is None else names:
             try:
                 yield Entry(name, self.read(name))
@@ -309,7 +309,7 @@ def _stored(path: Path, name: str) -> StoredCalibration:
 
 
 def _named(content: str, name: str) -> str:
-    """A file's content with another name inside; what this version doesn't know of it stays."""
+    """Return a file's content with another name inside; unknown fields stay."""
     whole = json.loads(content)
     whole["tool"] = check_tool_name(name)
     return json.dumps(whole, indent=2) + "\n"
@@ -320,7 +320,7 @@ def _backup(path: Path) -> Path:
 
 
 def _named_backup(backup: Path, name: str) -> bytes | str:
-    """The backup, too, has the tool's name inside; one that can't be read stays as it is."""
+    """Return the backup with another name inside; one that can't be read stays as it is."""
     raw = _read(backup)
     try:
         parse_calibration(backup, raw)
@@ -338,7 +338,7 @@ def _set_aside(path: Path, files: tuple[Path, ...]) -> int:
 
 
 def _free_number(path: Path) -> int:
-    """The first under which neither a calibration file nor its backup was removed."""
+    """Return the first under which neither a calibration file nor its backup was removed."""
     number = 1
     while any(os.path.lexists(_removed(file, number)) for file in (path, _backup(path))):
         number += 1
@@ -350,7 +350,7 @@ def _removed(path: Path, number: int) -> Path:
 
 
 def _read(path: Path) -> bytes:
-    """The bytes of a calibration file; raises CalibrationFileError."""
+    """Return the bytes of a calibration file; raises CalibrationFileError."""
     try:
         return read_limited(path, MAX_FILE_BYTES, "a calibration file")
     except OSError as error:

@@ -115,7 +115,7 @@ class CalibrationComparison:
 
 
 def before_name(tool: str) -> str:
-    """What the calibration before a tool's present one is called beside others."""
+    """Return what the calibration before a tool's present one is called beside others."""
     return f"{tool} before"
 
 
@@ -189,7 +189,7 @@ def _worst(a: CalibrationFile, b: CalibrationFile) -> tuple[WorstCase, WorstCase
 
 
 def three_digits(value: float) -> str:
-    """A number with three significant digits, or all before its point, and no exponent."""
+    """Return a number with three significant digits, or all before its point, and no exponent."""
     if value == 0.0 or not np.isfinite(value):
         return f"{value:g}"
     return f"{value:.{max(0, 2 - int(np.floor(np.log10(abs(value)))))}f}"

@@ -32,7 +32,7 @@ class FieldError(ValueError):
 
 
 def read_json(path: Path, max_bytes: int, what: str) -> Any:
-    """The content of a JSON file, `what` it should be ("a calibration file").
+    """Return the content of a JSON file, `what` it should be ("a calibration file").
 
     Raises OSError, and FieldError without the file's name.
     """
@@ -40,7 +40,7 @@ def read_json(path: Path, max_bytes: int, what: str) -> Any:
 
 
 def read_limited(path: Path, max_bytes: int, what: str) -> bytes:
-    """A file's bytes; raises OSError, and FieldError, without reading on, if there are more.
+    """Return a file's bytes; raises OSError, and FieldError, without reading on, if there are more.
 
     What is no file is rejected: a pipe or a terminal would keep a node waiting for ever.
     """
@@ -80,52 +80,52 @@ def check_kind(content: Mapping[str, Any], wanted: str) -> None:
 
 
 def numbers(values: ArrayLike) -> list[float]:
-    """A row of plain numbers, to be written."""
+    """Return a row of plain numbers, to be written."""
     return [float(value) for value in np.asarray(values, dtype=float)]
 
 
 def mapping(value: Any, name: str) -> Mapping[str, Any]:
-    """An object."""
+    """Return an object."""
     if not isinstance(value, Mapping):
         raise FieldError(f"{name} is not an object")
     return value
 
 
 def get(content: Mapping[str, Any], name: str) -> Any:
-    """A field that must be there."""
+    """Return a field that must be there."""
     if name not in content:
         raise FieldError(f"{name} is missing")
     return content[name]
 
 
 def text(value: Any, name: str) -> str:
-    """A text that isn't empty, and can be written as UTF-8, as half of a surrogate pair can't."""
+    """Return a text that isn't empty, and can be written as UTF-8."""
     if not isinstance(value, str) or not value or any("\ud800" <= c <= "\udfff" for c in value):
         raise FieldError(f"{name} is {value!r:.80}; expected a text")
     return value
 
 
 def texts(value: Any, name: str) -> tuple[str, ...]:
-    """A list of texts."""
+    """Return a list of texts."""
     return tuple(str(item) for item in items(value, name))
 
 
 def items(value: Any, name: str) -> Sequence[Any]:
-    """A list of anything."""
+    """Return a list of anything."""
     if not isinstance(value, Sequence) or isinstance(value, str):
         raise FieldError(f"{name} is not a list")
     return value
 
 
 def count(value: Any, name: str) -> int:
-    """A whole number from 0 on."""
+    """Return a whole number from 0 on."""
     if not isinstance(value, int) or isinstance(value, bool) or value < 0:
         raise FieldError(f"{name} is {value!r:.40}; expected a count")
     return value
 
 
 def number(value: Any, name: str) -> float:
-    """A finite number of at most LARGEST."""
+    """Return a finite number of at most LARGEST."""
     # The comparison, unlike float(), takes integers of any size; NaN fails it.
     if not _is_number(value) or not abs(value) <= LARGEST:
         raise FieldError(f"{name} is {value!r:.40}; expected a finite number up to {LARGEST:g}")
@@ -148,7 +148,7 @@ def array(value: Any, name: str, shape: tuple[int, ...]) -> Array:
 
 
 def covariance(value: Any, name: str, size: int) -> Array:
-    """A covariance (size, size): symmetric, no eigenvalue below zero, as correlations."""
+    """Return a covariance (size, size): symmetric, no eigenvalue below zero, as correlations."""
     matrix = array(value, name, (size, size))
     variance = np.diag(matrix)
     if np.any(variance < 0.0):

@@ -81,7 +81,7 @@ def form_matrices(form: str, joints: ArrayLike, attachment_m: ArrayLike) -> Arra
 
 
 def attachment_derivatives(form: str, joints: Array) -> Array:
-    """Derivatives of B[0] by the attachment (3, n, 6, 3), 1/m; zeros for `free`."""
+    """Return derivatives of B[0] by the attachment (3, n, 6, 3), 1/m; zeros for `free`."""
     derivatives = np.zeros((3, len(joints), 6, 3))
     if form != "free":
         turned = np.swapaxes(GALEN.rotation(joints[:, 3:]), -1, -2)
@@ -130,7 +130,7 @@ class LearnedPull:
         return CablePosterior(self)
 
     def to_json(self) -> dict[str, Any]:
-        """The content of the key `cable`."""
+        """Return the content of the key `cable`."""
         return {
             "form": self.form,
             "length_rad": numbers(self.length_rad),
@@ -226,7 +226,7 @@ def together(left: Array, right: Array) -> Array:
 
 
 def constant_size(group: int) -> float:
-    """The prior's c for a group of the form: N or N.m."""
+    """Return the prior's c for a group of the form: N or N.m."""
     return float(_CONSTANT[group])
 
 
@@ -244,7 +244,7 @@ class CablePosterior:
     """What the sweep says of the pull at other poses."""
 
     def __init__(self, drag: LearnedPull) -> None:
-        """Raises numpy's LinAlgError where the poses' covariance is none."""
+        """Factor the covariance of the poses; raises numpy's LinAlgError where it is none."""
         self._drag = drag
         covariance = prior_covariance(drag, drag.joints, drag.joints)
         covariance[np.diag_indices(len(covariance))] += drag.std.ravel() ** 2
@@ -271,12 +271,12 @@ class CablePosterior:
         """(n, n): s = 1 - k^T support k."""
 
     def readings(self, joints: ArrayLike) -> Array:
-        """The pull (n, 6) to take off at joints (n, 5): mean times `weights`."""
+        """Return the pull (n, 6) to take off at joints (n, 5): mean times `weights`."""
         q = np.asarray(joints, dtype=float)
         return self.means(q) * self.weights(q)[:, None]
 
     def means(self, joints: ArrayLike) -> Array:
-        """The process' mean (n, 6), whether the pose was seen or not."""
+        """Return the process' mean (n, 6), whether the pose was seen or not."""
         q = np.asarray(joints, dtype=float)
         kernel = smooth_kernel(q, self._drag.joints, self.lengths)
         smooth = (kernel @ self.by_pose.T + self.constant).reshape(len(q), -1, 3)

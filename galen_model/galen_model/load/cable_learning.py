@@ -71,7 +71,7 @@ class CableSweep:
         return len(self.joints)
 
     def part(self, which: Array) -> CableSweep:
-        """Some of the poses, by mask (n,) or indices."""
+        """Return some of the poses, by mask (n,) or indices."""
         return CableSweep(
             self.joints[which],
             self.wrench[which],
@@ -98,7 +98,7 @@ def spacing_rad(joints: Array) -> float:
 
 
 def spread_out(joints: Array, count: int) -> Array:
-    """Indices (count,) of poses (n, 5) that lie far apart: each next one farthest from the others.
+    """Return indices (count,) of poses (n, 5): each next one farthest from the others.
 
     A tenth of a metre of the platform counts as much as half a radian.
     """
@@ -160,7 +160,7 @@ class _Likelihood:
         self._derivatives = attachment_derivatives(form, joints)
 
     def first_attachment(self) -> Array:
-        """The point r (3,) for which r x f comes nearest to the torques."""
+        """Return the point r (3,) for which r x f comes nearest to the torques."""
         if self._form == "free":
             return np.zeros(3)
         force, torque = self._sweep.wrench[:, :3], self._sweep.wrench[:, 3:]

@@ -88,7 +88,7 @@ class BiasBasis:
     """Curves of one shape over given times."""
 
     def __init__(self, shape: BiasShape, time_s: Array, segment: np.ndarray) -> None:
-        """time_s (n,) and segment (n,), from 0 on: the readings that there are, held out or not."""
+        """Take times (n,), s, and sweeps (n,), from 0 on, of all readings, held out or not."""
         self.shape = shape
         self.segments = int(segment.max()) + 1
         times = [np.unique(time_s[segment == s]) for s in range(self.segments)]
@@ -189,7 +189,7 @@ class Sweeps:
     zeroed: bool = False
 
     def __len__(self) -> int:
-        """Number of readings."""
+        """Return the number of readings."""
         return len(self.readings)
 
 
@@ -211,7 +211,7 @@ class BiasDriftFit:
     curves: list[Array]
 
     def bias_at(self, time_s: Array, segment: np.ndarray) -> Array:
-        """The curves (m, 6) at other times (m,), s, of the sweeps `segment` (m,)."""
+        """Return the curves (m, 6) at other times (m,), s, of the sweeps `segment` (m,)."""
         rows = [basis.rows(time_s, segment) for basis in self.bases]
         return np.column_stack([rows[k // 3] @ curve for k, curve in enumerate(self.curves)])
 
@@ -272,17 +272,17 @@ class Problem:
         return [y - x @ values for x, y in zip(self.curve_x, self.curve_y, strict=True)]
 
     def bias(self, values: Array) -> Array:
-        """The curves (n, 6) at the readings."""
+        """Return the curves (n, 6) at the readings."""
         curves = self.curves(values)
         return np.column_stack([self.rows[k // 3] @ curves[k] for k in range(6)])
 
     def squares(self, values: Array, residuals: Array) -> Array:
-        """Sums r'W r + beta' Q beta, (6,), whose mean is sigma^2 times the freedom."""
+        """Return sums r'W r + beta' Q beta, (6,), whose mean is sigma^2 times the freedom."""
         rough = [b @ self.penalty[k // 3] @ b for k, b in enumerate(self.curves(values))]
         return np.asarray(self.weights @ residuals**2 + np.array(rough))
 
     def freedom(self, covariance: Array, sigma: Array) -> Array:
-        """Readings less what the fit has taken of each channel, (6,)."""
+        """Return readings less what the fit has taken of each channel, (6,)."""
         taken = np.einsum("kij,ji->k", self.information, covariance) / sigma**2
         free = np.repeat([basis.free for basis in self.bases], 3)
         return np.asarray(np.maximum(self.count + self.sweeps.zeroed - free - taken, 1.0))

@@ -241,7 +241,7 @@ class DriftingLoad:
         return self.found.fit.values[4:]
 
     def predict(self, gravity_sensor: ArrayLike, time_s: Array) -> Array:
-        """Reading (n, 6), N and N.m, under gravity (n, 3), m/s^2, at times (n,), s."""
+        """Return reading (n, 6), N and N.m, under gravity (n, 3), m/s^2, at times (n,), s."""
         bias = self.found.bias_at(time_s, np.zeros(len(time_s), dtype=int))
         return gravity_regressor(gravity_sensor) @ self.load.load.moments + bias
 

@@ -47,18 +47,18 @@ class SensorInFrame:
     origin_m: Array
 
     def load(self, estimate: LoadEstimate) -> LoadEstimate:
-        """A load known in ft_sensor, with centre and covariance in the frame."""
+        """Return a load known in ft_sensor, with centre and covariance in the frame."""
         spread = np.eye(4)
         spread[1:, 1:] = self.rotation
         covariance = spread @ np.asarray(estimate.covariance, dtype=float) @ spread.T
         return LoadEstimate(estimate.mass_kg, self.point(estimate.com_m), covariance)
 
     def point(self, point_m: ArrayLike) -> Array:
-        """A point (3,) of ft_sensor in the frame, m."""
+        """Return a point (3,) of ft_sensor in the frame, m."""
         return self.rotation @ np.asarray(point_m, dtype=float) + self.origin_m
 
     def wrench(self, wrench: ArrayLike) -> Array:
-        """A wrench (..., 6) of ft_sensor in the frame's axes and about its origin, N and N.m."""
+        """Return a wrench (..., 6) of ft_sensor in the frame and about its origin, N and N.m."""
         return move_wrench(wrench, self.rotation, self.origin_m)
 
 

@@ -83,7 +83,7 @@ class StillPoses:
                 raise IdentificationError(f"{name} of the still poses holds a non-finite value")
 
     def __len__(self) -> int:
-        """Number of poses."""
+        """Return the number of poses."""
         return len(self.angles)
 
     @property
@@ -156,7 +156,9 @@ def identify_two_sweeps(
 
 
 def two_sweeps_result(fit: RobustFit, bare: StillPoses, tool: StillPoses) -> Identification:
-    """What a fit to both sweeps found; its values: see `identify_two_sweeps`, any others last.
+    """Return what a fit to both sweeps found.
+
+    Its values: see `two_sweeps_design`, any others last.
 
     Raises ImplausibleLoadError.
     """
@@ -221,7 +223,7 @@ def identify_one_sweep(tool: StillPoses, zero_angles: ArrayLike | None = None) -
 
 
 def one_sweep_result(fit: RobustFit, tool: StillPoses, gravity_zero: Array) -> Identification:
-    """What a fit to one sweep found; its values: see `identify_one_sweep`, any others last.
+    """Return what a fit to one sweep found; its values: see `identify_one_sweep`, any others last.
 
     gravity_zero: (3,) in ft_sensor where the sensor was zeroed, m/s^2. Raises ImplausibleLoadError.
     """
@@ -305,7 +307,7 @@ class SingleLoad:
     used: np.ndarray
 
     def predict(self, gravity_sensor: ArrayLike) -> Array:
-        """Reading (..., 6), N and N.m, under gravity (..., 3) in the sensor's frame, m/s^2."""
+        """Return readings (..., 6), N and N.m, under gravity (..., 3) in the sensor, m/s^2."""
         return gravity_regressor(gravity_sensor) @ self.load.load.moments + self.offset
 
 
@@ -327,7 +329,7 @@ def identify_single_load(gravity_sensor: ArrayLike, wrench: ArrayLike) -> Single
 
 
 def plain_least_squares(gravity_sensor: ArrayLike, wrench: ArrayLike) -> tuple[Array, Array]:
-    """The baseline that other packages use: moments (4,) and biases (6,), unweighted, no checks.
+    """Fit moments (4,) and biases (6,), unweighted and unchecked, as other packages do.
 
     gravity (n, 3) in the sensor's frame, m/s^2; readings (n, 6). The three axes of a force (of a
     torque) count alike, whatever their noise; force and torque share no parameter in (m, h).

@@ -88,13 +88,13 @@ def point_mass_inertia(*loads: Load) -> Array:
 
 
 def inertia_numbers(matrix: ArrayLike) -> Array:
-    """The six numbers of a symmetric matrix (3, 3), in the order of `INERTIA_NAMES`."""
+    """Return the six numbers of a symmetric matrix (3, 3), in the order of `INERTIA_NAMES`."""
     i = np.asarray(matrix, dtype=float)
     return np.array([i[0, 0], i[1, 1], i[2, 2], i[0, 1], i[0, 2], i[1, 2]])
 
 
 def inertia_matrix(numbers: ArrayLike) -> Array:
-    """The symmetric matrix (3, 3) of six numbers."""
+    """Return the symmetric matrix (3, 3) of six numbers."""
     xx, yy, zz, xy, xz, yz = np.asarray(numbers, dtype=float)
     return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
 
@@ -118,7 +118,7 @@ class LoadInMotion:
     def wrench(
         self, specific: Vector, velocity: Vector, acceleration: Vector
     ) -> tuple[float, float, float, float, float, float]:
-        """The wrench, N and N.m, from s (g - a, or -a alone), w and al in ft_sensor."""
+        """Return the wrench, N and N.m, from s (g - a, or -a alone), w and al in ft_sensor."""
         m, hx, hy, hz = self._moments
         xx, yy, zz, xy, xz, yz = self._inertia
         sx, sy, sz = specific
@@ -162,7 +162,7 @@ class InertiaEstimate:
         return np.asarray(np.sqrt(np.diag(self.covariance)))
 
     def to_json(self) -> dict[str, Any]:
-        """The content of the key `inertia`."""
+        """Return the content of the key `inertia`."""
         return {
             "about_sensor_kg_m2": numbers(self.about_sensor_kg_m2),
             "order": list(INERTIA_NAMES),

@@ -68,11 +68,11 @@ class MotionRecord:
     wrench: Array
 
     def __len__(self) -> int:
-        """Number of readings."""
+        """Return the number of readings."""
         return len(self.time_s)
 
     def take(self, rows: np.ndarray) -> MotionRecord:
-        """Some of the readings, by index or mask."""
+        """Return some of the readings, by index or mask."""
         return MotionRecord(
             self.time_s[rows],
             self.gravity[rows],
@@ -232,7 +232,7 @@ def total_moments(tool: CalibrationFile) -> tuple[Array, Array]:
 
 
 def identify_inertia(record: MotionRecord, moments: Array, covariance: Array) -> InertiaFit:
-    """The inertia, given (m, h) (4,) and their covariance (4, 4) from the calibration file.
+    """Identify the inertia, given (m, h) (4,) and their covariance (4, 4) from the file.
 
     Raises IdentificationError for a recording that is too short or touched all over, and
     NotExcitedError, naming the components, where the motion doesn't tell them.

@@ -59,7 +59,7 @@ def nominal_reading(
     zero_angles: ArrayLike | None = None,
     arm: Arm = GALEN,
 ) -> Array:
-    """Reading (..., 6) without contact and noise, N and N.m in the sensor's frame.
+    """Return reading (..., 6) without contact and noise, N and N.m in the sensor's frame.
 
     angles: (..., k) of the arm's turning joints, rad; zero_angles (k,) those of the pose in which
     the sensor was zeroed with the adapter on and no tool, None for home.

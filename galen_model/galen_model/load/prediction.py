@@ -44,7 +44,7 @@ class Prediction:
         self._to_wrench = None if tool.mounting is None else mounting.wrench_from_reading
 
     def reading(self, angles: Sequence[float]) -> Array:
-        """Reading (6,) expected without contact at angles (k,), in the sensor's own axes."""
+        """Return reading (6,) expected without contact at angles (k,), in the sensor's own axes."""
         parts = self._down
         for k, (turn, zero) in enumerate(self._turns):
             angle = angles[k] + zero
@@ -53,7 +53,7 @@ class Prediction:
         return reading
 
     def readings(self, angles: Array) -> Array:
-        """Readings (n, 6) as `reading` gives them, for angles (n, k)."""
+        """Return readings (n, 6) as `reading` gives them, for angles (n, k)."""
         directions: Array = np.ones((len(angles), 4))
         self._write_directions(directions, angles)
         readings: Array = directions @ self._by_direction_and_one

@@ -204,7 +204,7 @@ def mad_scale(residuals: Array) -> Array:
 
 
 def tiny(values: Array) -> Array:
-    """A floor that keeps noise-free channels from dividing by zero, per channel."""
+    """Return a floor that keeps noise-free channels from dividing by zero, per channel."""
     return np.maximum(np.max(np.abs(values), axis=0) * 1e-12, 1e-15)
 
 

@@ -123,7 +123,7 @@ class PoseDesign:
         return float(self._value(self.information(poses).sum(axis=0) + self._known))
 
     def choose(self, count: int, start: Sequence[int] = ()) -> list[int]:
-        """Indices of `count` candidates, sorted; `start`: some to begin with.
+        """Return indices of `count` candidates, sorted; `start`: some to begin with.
 
         Raises PoseDesignError where there are fewer candidates, or all of them tell too little.
         """

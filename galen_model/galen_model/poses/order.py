@@ -87,7 +87,7 @@ def drift_share(poses: Array, times_s: Array) -> float:
 
 
 def order_poses(poses: Array, times: SweepTimes) -> Array:
-    """The angles (n, k), rad, in the order to visit them."""
+    """Return the angles (n, k), rad, in the order to visit them."""
     count = len(poses)
     if count < 3:
         return poses
@@ -141,7 +141,7 @@ def _nearest_first(seconds: Array) -> Array:
 
 
 def _improved(order: Array, cost: Callable[[Array], Array]) -> tuple[Array, float]:
-    """The best of all 2-opt and single moves, again and again, until there is none better."""
+    """Take the best of all 2-opt and single moves until none is better."""
     moves = _moves(len(order))
     value = float(cost(order[None])[0])
     while True:

@@ -139,7 +139,7 @@ class SweepPlan:
 def plan_grid(
     poses: Array, where: SweepRange, surroundings: Surroundings, tip_m: Array
 ) -> SweepPlan:
-    """The grid as it is; raises ObstacleError naming the first pose that a box is in the way of."""
+    """Plan the grid as it is; raises ObstacleError naming the first pose in a box's way."""
     remedy = "clear the space, narrow the grid, or set poses to chosen"
     return _plan_as_is(poses, "the grid", remedy, where, surroundings, tip_m)
 
@@ -147,7 +147,7 @@ def plan_grid(
 def plan_listed(
     poses: Array, where: SweepRange, surroundings: Surroundings, tip_m: Array
 ) -> SweepPlan:
-    """The listed poses as they are, raising as `plan_grid` does."""
+    """Plan the listed poses as they are, raising as `plan_grid` does."""
     remedy = "clear the space, or leave it out"
     return _plan_as_is(poses, "listed_poses_rad", remedy, where, surroundings, tip_m)
 
@@ -180,7 +180,7 @@ def plan_chosen(
     *,
     one_sweep: bool = False,
 ) -> SweepPlan:
-    """The `count` poses that tell most of those that can be visited, in a good order.
+    """Choose the `count` most informative poses that can be visited, in a good order.
 
     Raises ObstacleError naming what is to blame where too few are left or they tell too little.
     """

@@ -46,11 +46,11 @@ class Cells:
     cell_s: float = CELL_S
 
     def __len__(self) -> int:
-        """Number of cells."""
+        """Return the number of cells."""
         return len(self.start_ns)
 
     def rows(self, rows: np.ndarray) -> Cells:
-        """Some of the cells."""
+        """Return some of the cells."""
         columns = {name: getattr(self, name)[rows] for name in _FIELDS}
         return Cells(**columns, cell_s=self.cell_s)
 
@@ -157,17 +157,17 @@ class StillPhases:
     noise: Array
 
     def __len__(self) -> int:
-        """Number of phases."""
+        """Return the number of phases."""
         return len(self.start_ns)
 
     def part(self, rows: slice) -> StillPhases:
-        """Some of the phases; `arm_still` and `noise` stay those of all."""
+        """Return some of the phases; `arm_still` and `noise` stay those of all."""
         columns = ("start_ns", "end_ns", "samples", "mean", "std_of_mean", "angles")
         return replace(self, **{name: getattr(self, name)[rows] for name in columns})
 
 
 def find_still_phases(cells: Cells, settings: StillCellSettings | None = None) -> StillPhases:
-    """The phases in which the arm was still and the wrench steady."""
+    """Return the phases in which the arm was still and the wrench steady."""
     settings = settings or StillCellSettings()
     arm_still, joined = _arm_still(cells, settings)
     steady = joined & _steady(cells, joined, settings)
@@ -187,7 +187,7 @@ def find_still_phases(cells: Cells, settings: StillCellSettings | None = None) -
 
 
 def _pieces(cells: Cells, rows: np.ndarray, settings: StillCellSettings) -> Iterator[np.ndarray]:
-    """A run's cells cut where it becomes too long or has turned too far."""
+    """Return a run's cells cut where it becomes too long or has turned too far."""
     if not len(rows):
         return
     cell_ns = cells.cell_s * 1e9

@@ -180,7 +180,7 @@ class _NoiseLevel:
         )
 
     def std_of_mean(self, count: int) -> Array:
-        """Standard deviation (6,) of a window's mean: white noise, or more where cells say so."""
+        """Return the std (6,) of a window's mean: white noise, or more by the cells."""
         return np.asarray(np.sqrt(np.maximum(self._of_within / count, self._of_between / _CELLS)))
 
     def _quiet(self, variances: deque[Array], freedom: int) -> Array:

@@ -351,7 +351,7 @@ class _Problem:
         )
 
     def mounting(self, fit: RobustFit, groups: tuple[str, ...]) -> Mounting:
-        """The mounting of a fit's values, with its covariance."""
+        """Return the mounting of a fit's values, with its covariance."""
         basis, linear = self.model.basis, self.model.linear
         covariance = basis @ fit.covariance[linear:, linear:] @ basis.T
         return Mounting.from_vector(basis @ fit.values[linear:], groups, covariance)
@@ -382,13 +382,13 @@ class Calibrated:
         return identify_one_sweep_mounted(self.tool, self.groups, self.zero_angles)
 
     def identify_unmounted(self) -> Identification:
-        """The same without a mounting; raises IdentificationError."""
+        """Return the same without a mounting; raises IdentificationError."""
         if self.bare is not None:
             return identify_two_sweeps(self.bare, self.tool, self.zero_angles)
         return identify_one_sweep(self.tool, self.zero_angles)
 
     def without(self, block: int, blocks: int) -> "Calibrated":
-        """The same without a block of each sweep."""
+        """Return the same without a block of each sweep."""
         bare = None if self.bare is None else _take(self.bare, ~_held(self.bare, block, blocks))
         tool = _take(self.tool, ~_held(self.tool, block, blocks))
         return replace(self, bare=bare, tool=tool)

@@ -100,7 +100,7 @@ GROUPS: dict[str, tuple[Entity, ...]] = {
 
 
 def entities(groups: Sequence[str]) -> tuple[Entity, ...]:
-    """The directions of `groups`, each once; raises IdentificationError for an unknown name."""
+    """Return the directions of `groups`, each once; raises IdentificationError."""
     for group in groups:
         if group not in GROUPS:
             raise IdentificationError(
@@ -115,7 +115,7 @@ _COUNT = len(PARAMETERS)
 
 
 def gravity_direction(about_x_rad: float, about_y_rad: float) -> Array:
-    """Unit vector (3,) of gravity in base_link, (Rx(a) Ry(b))^T (0, 0, -1), written out."""
+    """Return unit vector (3,) of gravity in base_link, (Rx(a) Ry(b))^T (0, 0, -1), written out."""
     sin_a, cos_a = np.sin(about_x_rad), np.cos(about_x_rad)
     sin_b, cos_b = np.sin(about_y_rad), np.cos(about_y_rad)
     return np.array([sin_b * cos_a, -sin_a, -cos_b * cos_a])

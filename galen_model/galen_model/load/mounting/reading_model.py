@@ -31,7 +31,7 @@ class JointPoses:
     arm: Arm = GALEN
 
     def __len__(self) -> int:
-        """Number of poses."""
+        """Return the number of poses."""
         return len(self.angles)
 
     def gravity(self, mounting: Mounting) -> tuple[Array, Array]:
@@ -60,7 +60,7 @@ class OrientedPoses:
     rotation: Array | None
 
     def __len__(self) -> int:
-        """Number of poses."""
+        """Return the number of poses."""
         return len(self.level_gravity)
 
     def gravity(self, mounting: Mounting) -> tuple[Array, Array]:
@@ -108,11 +108,11 @@ class ReadingModel:
         return np.array([entity.direction for entity in self.entities]).reshape(-1, _COUNT).T
 
     def mounting(self, values: Array) -> Mounting:
-        """The mounting of values (p,)."""
+        """Return the mounting of values (p,)."""
         return Mounting.from_vector(self.basis @ values[self.linear :])
 
     def evaluate(self, values: Array) -> tuple[Array, Array]:
-        """Readings (n, 6) of all sweeps and their Jacobian (n, 6, p) by the values (p,)."""
+        """Return readings (n, 6) of all sweeps and their Jacobian (n, 6, p) by the values (p,)."""
         parts = [self._sweep(sweep, values) for sweep in self.sweeps]
         return np.concatenate([h for h, _ in parts]), np.concatenate([jac for _, jac in parts])
 
