@@ -127,7 +127,6 @@ def collect(case: Case) -> dict[str, Any]:
         "d": truth.d,
         "acceptable": truth.acceptable,
         "scored": [asdict(one) for one in explored.scored],
-        "left": explored.left.sure,
         "rows": len(explored.observation.rows),
     }
 

@@ -40,15 +40,11 @@ RETRACTOR = BASELINES / "retractor_with_inertia.json"
 POINTER = BASELINES / "pointer_with_cable.json"
 
 # Of the largest number in the same list. With other numbers of threads and another processor's
-# arithmetic 3e-12 was seen; 9e-9 in a probability, which is the exponential of a large number; 2e-9
-# in what a cable's optimiser leaves.
+# arithmetic 3e-12 was seen; 9e-9 in a diagnosis' probability, which is the exponential of a large
+# number; 2e-9 in what a cable's optimiser leaves.
 TOLERANCE = 1e-9
-PROBABILITY_TOLERANCE = 1e-7
-CABLE_TOLERANCE = 1e-6
-# A diagnosis with one BLAS thread or with two: 4.6e-9 of what an optimiser leaves (404), and 1.6e-3
-# in an interval (695), since the eigenvectors that its draws are made with have no certain sign.
 DIAGNOSIS_TOLERANCE = 1e-7
-INTERVAL_TOLERANCE = 1e-2
+CABLE_TOLERANCE = 1e-6
 # N, N.m: of a compensated wrench on another processor; a learned cable came out 2e-11 N apart.
 ROUNDING = 1e-9
 # Probabilities below it are those of effects that are out of the question.
@@ -63,7 +59,7 @@ COMMANDS = {
     "diagnose": ("galen_diagnosis", "diagnose"),
 }
 CABLE_FORMS = ("point", "point_and_couple", "free")
-DEFLECTION_MODELS = ("independent", "coupled", "joint_stiffness", "joint_hysteresis")
+DEFLECTION_MODELS = ("joint_stiffness", "joint_hysteresis")
 # Half of the diagnoses, which take half a minute each: by `make test-soak`, or by name.
 ONE_BY_ONE = frozenset(
     (
@@ -565,35 +561,6 @@ def is_number(value):
     return isinstance(value, int | float) and not isinstance(value, bool)
 
 
-def diagnosis_differences(stored, found):
-    """As `differences`; a parameter is its value and the two ends of its interval, in turn."""
-    yield from differences(*map(_ranking, (stored, found)), tolerance=PROBABILITY_TOLERANCE)
-    yield from differences(*map(_firm, (stored, found)), tolerance=DIAGNOSIS_TOLERANCE)
-    yield from differences(*map(_intervals, (stored, found)), tolerance=INTERVAL_TOLERANCE)
-
-
-def _ranking(numbers):
-    return {"ranking": numbers["ranking"]}
-
-
-def _firm(numbers):
-    intervals = _intervals(numbers)
-    values = {name: content[::3] for name, content in intervals.items()}
-    return {name: content for name, content in numbers.items() if name != "ranking"} | values
-
-
-def _intervals(numbers):
-    return {
-        name: content
-        for name, content in numbers.items()
-        if ": " in name
-        and isinstance(content, list)
-        and content
-        and len(content) % 3 == 0
-        and all(map(is_number, content))
-    }
-
-
 def compensator_differences(stored, found):
     """As `differences`, to the last bit; the kept wrenches show how large they are.
 
@@ -614,7 +581,7 @@ def compensator_differences(stored, found):
 
 COMPARE = {
     "compensator": compensator_differences,
-    "diagnosis": diagnosis_differences,
+    "diagnosis": partial(differences, tolerance=DIAGNOSIS_TOLERANCE),
     "cable": partial(differences, tolerance=CABLE_TOLERANCE),
 }
 

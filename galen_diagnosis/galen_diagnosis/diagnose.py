@@ -1,7 +1,7 @@
 """`diagnose`: where data and model differ, what causes it, how far the gap shrinks.
 
-Recordings are diagnosed here. Text tables have commands of their own behind the same name, chosen
-by their columns: `tables/diagnose_table.py` and `tables/diagnose_joints.py`.
+The first input decides what is diagnosed: recordings (directories), text tables of a force/torque
+sensor with orientations, or text tables of the two ends of a joint.
 """
 
 from __future__ import annotations
@@ -9,16 +9,23 @@ from __future__ import annotations
 import argparse
 import re
 import sys
-import time
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
-from galen_bags.many.run import run_many
-from galen_model.arm.galen import WRENCH_AXES
+import numpy as np
+from galen_bags.arrays.joint_table import add_column_options, joint_columns, read_joint_runs
+from galen_bags.arrays.tables import ORIENTATIONS, read_table, read_text_table
+from galen_bags.many import run_many
+from galen_model.arm.galen import GALEN, WRENCH_AXES
+from galen_model.arrays import Array
+from galen_model.evidence.held_out import BlockRows, Effects
+from galen_model.files.atomic_file import save_figure
+from galen_model.files.calibration_file import read_calibration
+from galen_model.transmission import time_blocks, whole_runs
 from galen_ros.command import (
     EXIT_FAILED,
     EXIT_OK,
@@ -28,10 +35,12 @@ from galen_ros.command import (
     add_workers,
     check_file,
     make_parser,
+    positive,
     print_json,
     run_command,
     terminal,
 )
+from galen_sim_driver.effects.effect import ConfigError
 from rich.console import Console
 
 from galen_diagnosis.answer.answer import Answer, Diagnosis
@@ -39,24 +48,39 @@ from galen_diagnosis.errors import DiagnosisError
 from galen_diagnosis.experiment.next_experiment import write_sweep
 from galen_diagnosis.inference.diagnosing import diagnose_recording
 from galen_diagnosis.observation.recording import read_recording
-from galen_diagnosis.report.output import check_output, told, write_output
-from galen_diagnosis.report.terminal import print_answer, print_overview
-from galen_diagnosis.tables import diagnose_joints, diagnose_table
+from galen_diagnosis.report.output import EFFECT, check_output, effect_file, write_output
+from galen_diagnosis.report.report import print_answer, print_overview
+from galen_diagnosis.tables.conclusion import BlockDiagnosis, diagnose_blocks
+from galen_diagnosis.tables.joint_rows import prepare_joint
+from galen_diagnosis.tables.table_rows import prepare_table
 
+Kind = Literal["recording", "table", "joint"]
 EXIT_GAP = 3
 _WRENCH = frozenset(WRENCH_AXES)
 _READ, _DIAGNOSED = 0.1, 0.75
 """Parts of the time that reading and diagnosing take; the rest is for the report."""
+_RUNS, _BLOCKS = 4, 6
+"""From so many runs of a joint on whole runs are held out, else so many blocks of time."""
 _NOTES = """written to the output directory, whole or not at all:
   diagnosis.json     the answer, for programs
   report.html        the same with pictures, for people; opens without a network
-  found_effect.yaml  what was found, as parameters of sim_driver_node; only where something was
+  found_effect.yaml  what was found in a recording, as parameters of sim_driver_node
   pictures/          the report's pictures"""
+_INPUTS = {
+    "recording": "directory with the bags sweep, motion, push (or some of them) and tool.json; a"
+    " text TABLE of wrenches with orientations, or of the two ends of a joint, is diagnosed as"
+    " such: `diagnose TABLE --help` has its options",
+    "table": "text tables, each by itself: fx .. tz and an orientation ("
+    f"{'; '.join(map(' '.join, (*ORIENTATIONS.values(), GALEN.turning_names)))}), perhaps t and"
+    " block;"
+    " with t it is cut into its rest segments",
+    "joint": "text tables of one joint, a run each: angles at both ends, torque, time",
+}
 
 
 @dataclass(frozen=True)
 class Job:
-    """What is done with each recording; picklable, for workers."""
+    """Diagnoses each recording; picklable, for workers."""
 
     tool: Path | None
     folders: dict[Path, Path]
@@ -71,47 +95,53 @@ class Job:
         """Diagnose and write; raises GalenError. progress: told each stage, and what is done."""
         folder = self.folders[recording]
         check_output(folder, overwrite=self.overwrite)
-        began_s = time.monotonic()
         progress("reading", 0.0)
-        read = read_recording(recording, self.tool)
-        read_s = time.monotonic() - began_s
         diagnosis = diagnose_recording(
-            read, progress=lambda stage, share: progress(stage, _READ + share * _DIAGNOSED)
+            read_recording(recording, self.tool),
+            progress=lambda stage, share: progress(stage, _READ + share * _DIAGNOSED),
         )
         progress("writing", _READ + _DIAGNOSED)
-        diagnosis = told(diagnosis)
-        diagnosis.seconds.setdefault("reading", read_s)
-        write_output(diagnosis, folder, with_report=self.report, overwrite=self.overwrite)
+        answer, driver = diagnosis.answer, None
+        try:
+            driver = effect_file(answer.recording, diagnosis.effects)
+        except ConfigError as error:
+            problem = f"{EFFECT} is not written: {error}"
+            answer = replace(answer, problems=(*answer.problems, problem))
+            diagnosis = replace(diagnosis, answer=answer)
+        draw = partial(_draw, diagnosis) if self.report else None
+        write_output(answer, folder, driver=driver, draw=draw, overwrite=self.overwrite)
         return diagnosis
 
 
-def build_parser() -> argparse.ArgumentParser:
-    """The command's options."""
+def _draw(found: Diagnosis | BlockDiagnosis, folder: Path) -> Mapping[str, Path]:
+    from galen_diagnosis.report.pictures import block_figure, write_pictures  # slow to import
+
+    if isinstance(found, Diagnosis):
+        return write_pictures(found, folder)
+    figure = block_figure(found.rows, found.before, found.after)
+    return {"time": save_figure(figure, folder / "time.png")}
+
+
+def build_parser(kind: Kind = "recording") -> argparse.ArgumentParser:
+    """Return the command's options for a kind of input."""
     parser = make_parser(
         "diagnose",
-        "Compare recordings with the nominal simulator driven along their joint states:"
-        " is there a gap, where, which effect causes it, how far does it shrink with that effect in"
-        " the simulator, what to do next. A text TABLE of wrenches with orientations, or of the two"
-        " ends of a joint, is diagnosed as such: `diagnose TABLE --help` has its options.",
+        "Compare data with the nominal model (of recordings the simulator, driven along their"
+        " joint states): is there a gap, where, which effect causes it, how far does it shrink with"
+        " that effect in the model, what to do next.",
         notes=_NOTES,
         ok="done, whatever the verdict",
-        failed="a recording or file can't be used; of many recordings, the others were diagnosed",
-        codes={EXIT_GAP: "with --fail-on-gap: a recording has a gap (any verdict but none)"},
+        failed="an input can't be used; of many recordings, the others were diagnosed",
+        codes={EXIT_GAP: "with --fail-on-gap: an input has a gap (any verdict but none)"},
     )
-    parser.add_argument(
-        "recordings",
-        nargs="+",
-        type=Path,
-        metavar="RECORDING",
-        help="directory with the bags sweep, motion, push (or some of them) and tool.json",
-    )
-    add_tool_file(parser, "the tool's calibration file, where it isn't the recording's")
+    name = kind.upper()
+    parser.add_argument("inputs", nargs="+", type=Path, metavar=name, help=_INPUTS[kind])
     parser.add_argument(
         "--output",
         type=Path,
         metavar="DIR",
-        help="write here, of several recordings into a directory each in here (default:"
-        " ./diagnosis_<recording>)",
+        help="write here, of several inputs into a directory each in here (default:"
+        " ./diagnosis_<input>)",
     )
     parser.add_argument(
         "--overwrite", action="store_true", help="replace an old diagnosis in the output directory"
@@ -119,42 +149,83 @@ def build_parser() -> argparse.ArgumentParser:
     add_json(parser, "print diagnosis.json's content")
     parser.add_argument("--no-report", action="store_true", help="no report.html, no pictures")
     parser.add_argument(
+        "--fail-on-gap", action="store_true", help=f"exit with {EXIT_GAP} where there is a gap"
+    )
+    if kind == "joint":
+        add_column_options(parser.add_argument_group("columns"))
+    else:
+        add_tool_file(parser, "the tool's calibration file (default: the recording's; of a table"
+                      " the load is fitted)")  # fmt: skip
+        (_add_table_options if kind == "table" else _add_recording_options)(parser)
+    return parser
+
+
+def _add_recording_options(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
         "--next",
         type=Path,
         metavar="FILE",
         help="write the experiment that would separate the causes that are left, as parameters of"
         " the node that runs it; none where no causes are left to separate (one recording only)",
     )
-    parser.add_argument(
-        "--fail-on-gap", action="store_true", help=f"exit with {EXIT_GAP} where there is a gap"
-    )
     add_workers(parser)
-    return parser
 
 
-def output_folders(recordings: Sequence[Path], output: Path | None) -> dict[Path, Path]:
-    """Where each recording's diagnosis goes; raises DiagnosisError where two would go to one."""
+def _add_table_options(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--columns", metavar="NAMES", help="of a table without a first line of names; - skips one"
+    )
+    parser.add_argument(
+        "--wrench-frame",
+        choices=("sensor", "base"),
+        default="sensor",
+        help="the axes that wrenches are written in (default: %(default)s)",
+    )
+    parser.add_argument(
+        "--noise",
+        type=Path,
+        metavar="TABLE",
+        help="readings of the sensor, still and untouched (fx .. tz): the floor of a table without"
+        " time",
+    )
+    parser.add_argument(
+        "--average-s",
+        type=positive,
+        default=1.0,
+        metavar="S",
+        help="rows are means over this in rest segments (default: %(default)g)",
+    )
+
+
+def output_folders(inputs: Sequence[Path], output: Path | None) -> dict[Path, Path]:
+    """Return each input's directory; raises DiagnosisError where two would go to one."""
     folders: dict[Path, Path] = {}
-    for recording in recordings:
-        name = f"diagnosis_{recording.resolve().name or 'recording'}"
+    for path in inputs:
+        name = f"diagnosis_{_name(path)}"
         if output is None:
             folder = Path(name)
         else:
-            folder = output if len(recordings) == 1 else output / name
-        if folder in folders.values() or recording in folders:
+            folder = output if len(inputs) == 1 else output / name
+        if folder in folders.values() or path in folders:
             raise DiagnosisError(
-                f"{recording}: {folder} would be written twice; diagnose recordings of the same"
-                " name one by one, with --output"
+                f"{path}: {folder} would be written twice; diagnose inputs of the same name one by"
+                " one, with --output"
             )
-        folders[recording] = folder
+        folders[path] = folder
     return folders
 
 
-def run(arguments: argparse.Namespace, console: Console) -> int:
-    """Diagnose; returns the exit code; raises GalenError."""
+def _name(path: Path) -> str:
+    return path.stem if path.is_file() else path.resolve().name or "recording"
+
+
+# Recordings
+
+
+def _recordings(arguments: argparse.Namespace, console: Console) -> int:
     # A cluster's workers have another working directory.
     place = Path.absolute if arguments.scheduler else Path
-    recordings = [place(recording) for recording in arguments.recordings]
+    recordings = [place(recording) for recording in arguments.inputs]
     folders = output_folders(recordings, arguments.output)
     job = Job(
         tool=None if arguments.tool is None else place(arguments.tool),
@@ -195,11 +266,15 @@ def _one(job: Job, recording: Path, arguments: argparse.Namespace, console: Cons
     if arguments.json:
         print_json(diagnosis.answer.to_json())
     else:
-        print_answer(diagnosis.answer, console)
-        console.print(f"written: {job.folders[recording]}", soft_wrap=True, markup=False)
+        _print(diagnosis.answer, job.folders[recording], console)
         if arguments.next is not None and diagnosis.experiment is not None:
             console.print(f"next experiment: {arguments.next}", soft_wrap=True, markup=False)
     return _code(arguments, [diagnosis.answer.verdict])
+
+
+def _print(answer: Answer, folder: Path, console: Console) -> None:
+    print_answer(answer, console)
+    console.print(f"written: {folder}", soft_wrap=True, markup=False)
 
 
 def _why_none(answer: Answer) -> str:
@@ -214,21 +289,67 @@ def _code(arguments: argparse.Namespace, verdicts: Sequence[str]) -> int:
     return EXIT_OK
 
 
-def _table_command(given: Sequence[str]) -> Callable[[Sequence[str]], int] | None:
-    """The command for the first input if that is a text table; None for recordings."""
+# Tables
+
+
+def _tables(kind: Kind, arguments: argparse.Namespace, console: Console) -> int:
+    inputs = arguments.inputs if kind == "table" else arguments.inputs[:1]
+    folders = output_folders(inputs, arguments.output)
+    for folder in folders.values():
+        check_output(folder, overwrite=arguments.overwrite)
+    answers = []
+    for path, folder in folders.items():
+        with ProgressLine(quiet=arguments.json) as line:
+            found = diagnose_blocks(
+                _name(path), *_prepared(kind, path, arguments), progress=line.show
+            )
+        draw = None if arguments.no_report else partial(_draw, found)
+        write_output(found.answer, folder, draw=draw, overwrite=arguments.overwrite)
+        if not arguments.json:
+            _print(found.answer, folder, console)
+        answers.append(found.answer)
+    if arguments.json:
+        content = [answer.to_json() for answer in answers]
+        print_json(content[0] if len(content) == 1 else content)
+    return _code(arguments, [answer.verdict for answer in answers])
+
+
+def _prepared(
+    kind: Kind, path: Path, arguments: argparse.Namespace
+) -> tuple[BlockRows, Effects, tuple[str, ...]]:
+    if kind == "joint":
+        runs = read_joint_runs(arguments.inputs, joint_columns(arguments))
+        return prepare_joint(
+            runs, whole_runs(runs) if len(runs) >= _RUNS else time_blocks(runs, _BLOCKS)
+        )
+    columns = arguments.columns.split(",") if arguments.columns else None
+    return prepare_table(
+        read_table(path, columns, arguments.wrench_frame),
+        noise=None if arguments.noise is None else _noise(arguments.noise),
+        tool=None if arguments.tool is None else read_calibration(arguments.tool),
+        window_s=arguments.average_s,
+    )
+
+
+def _noise(path: Path) -> Array:
+    text = read_text_table(path, set(WRENCH_AXES))
+    return np.column_stack([text.require(axis) for axis in WRENCH_AXES])
+
+
+def _kind(given: Sequence[str]) -> Kind:
+    """What the first input that is a file makes of the command."""
     words = [word for word in given if word not in ("-h", "--help")]
     if all(word.startswith("-") for word in words):
-        return None
-    inputs, others = build_parser().parse_known_args(words)
-    tables = [path for path in inputs.recordings if path.is_file()]
+        return "recording"
+    known, others = build_parser().parse_known_args(words)
+    tables = [path for path in known.inputs if path.is_file()]
     if not tables:
-        return None
+        return "recording"
     named = [word.partition("=")[2] for word in others if word.startswith("--columns=")]
     named += [word for flag, word in pairwise(words) if flag == "--columns"]
     # Columns of a joint are given as ROLE=NAME, those of a table without names in their order.
-    if "=" in named[0] if named else not _first_words(tables[0]) >= _WRENCH:
-        return diagnose_joints.main
-    return diagnose_table.main
+    of_joint = "=" in named[0] if named else not _first_words(tables[0]) >= _WRENCH
+    return "joint" if of_joint else "table"
 
 
 def _first_words(table: Path) -> set[str]:
@@ -241,15 +362,14 @@ def _first_words(table: Path) -> set[str]:
 def main(args: Sequence[str] | None = None) -> int:
     """Entry point; returns the exit code."""
     given = sys.argv[1:] if args is None else list(args)
-    table_main = _table_command(given)
-    if table_main is not None:
-        return table_main(given)
-    parser = build_parser()
+    kind = _kind(given)
+    parser = build_parser(kind)
     arguments = parser.parse_args(given)
-    several = len(arguments.recordings) > 1
-    if arguments.next is not None and several:
+    if kind != "recording":
+        return run_command("diagnose", lambda: _tables(kind, arguments, terminal(170)))
+    if arguments.next is not None and len(arguments.inputs) > 1:
         parser.error("--next is for one RECORDING")
-    return run_command("diagnose", partial(run, arguments, terminal()))
+    return run_command("diagnose", lambda: _recordings(arguments, terminal()))
 
 
 if __name__ == "__main__":

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from galen_diagnosis.answer.answer import Answer, Cause, Diagnosis, Interval
+from galen_diagnosis.answer.localization import localize
 from galen_diagnosis.observation.rows import BAGS, CHANNELS, FOLDS, REGIMES, Rows, Stream
+from galen_diagnosis.report.words import sentence
 from galen_sim_driver.effects.joints import JointZeroOffset
 
 TILTS = np.linspace(-0.9, 0.8, 7)
@@ -138,9 +142,9 @@ def example_answer(verdict="identified", recording="example"):
     closed = None if verdict == "none" else Interval(0.98, 0.97, 0.99).to_json()
     after = 1.01 if verdict in ("identified", "ambiguous") else 8.0
     gap = {
-        "before": {"all": 1.0 if verdict == "none" else 17.3},
-        "after": {"all": 1.0 if verdict == "none" else after},
-        "floor": {"all": 1.0},
+        "before": {"mean_square": 1.0 if verdict == "none" else 17.3},
+        "after": {"mean_square": 1.0 if verdict == "none" else after},
+        "floor": {"mean_square": 1.0},
         "closed_fraction": closed,
     }
     following = {"separates": ["joint_zero_offset:tilt", "sensor_mount_rotation"], "do": "Push."}
@@ -166,16 +170,14 @@ def example_diagnosis(verdict="identified", recording="example", seed=0):
     found = verdict in ("identified", "ambiguous")
     after = noise if found else before
     streams = example_streams(gap)
+    answer = replace(example_answer(verdict, recording), where=localize(rows, before))
     return Diagnosis(
-        answer=example_answer(verdict, recording),
+        answer=replace(answer, sentence=sentence(answer)),
         rows=rows,
-        before=before,
-        after=after,
         held_out_before=before,
         held_out_after=after,
         streams_before=streams,
         streams_after=example_streams(0.0) if found else streams,
         effects=(JointZeroOffset("tilt", 0.0102),) if found else (),
         floor=1.0,
-        seconds={"read": 1.0, "fit": 3.2},
     )

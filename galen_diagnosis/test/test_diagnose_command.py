@@ -26,7 +26,7 @@ ALL = ["diagnosis.json", "found_effect.yaml", "pictures", "report.html"]
 
 @cache
 def diagnosed_as(verdict):
-    return output.told(example_diagnosis(verdict))
+    return example_diagnosis(verdict)
 
 
 @pytest.fixture
@@ -61,11 +61,11 @@ def test_writes_answer_report_and_the_drivers_file(recordings, capsys):
     assert content["verdict"] == "identified" and content["causes"][0]["probability"] == 0.93
     assert content["where"]["channels"]["fx"] > 0.4
     pictures = sorted((folder / "pictures").iterdir())
-    assert [path.name for path in pictures] == ["gap.png", "spectra.png", "sweep.png", "time.png"]
+    assert [path.name for path in pictures] == ["gap.png", "time.png"]
     for file in pictures:
         pixels = plt.imread(file)
         assert min(pixels.shape[:2]) > 500 and np.ptp(pixels[..., :3]) > 0.9
-    assert (folder / "report.html").read_text().count("data:image/png") == 4
+    assert (folder / "report.html").read_text().count("data:image/png") == 2
     out, err = capsys.readouterr()
     assert content["sentence"][:40] in out and "written: diagnosis_identified" in out
     assert err == ""
@@ -109,12 +109,11 @@ def test_an_old_diagnosis_is_replaced_only_when_asked(recordings, capsys):
 
 
 def test_what_fails_half_way_leaves_nothing(recordings, monkeypatch, capsys):
-    def full(diagnosis):
+    def full(*arguments, **options):
         raise OSError(28, "No space left on device")
 
     assert run("none", "--no-report", "--output", "o") == 0
-    monkeypatch.setattr(output, "effect_file", full)
-    monkeypatch.setattr(diagnose, "told", lambda diagnosis: diagnosis)
+    monkeypatch.setattr(output, "_put", full)
     assert run("unknown", "--no-report", "--output", "o", "--overwrite") == 1
     assert run("unknown", "--no-report", "--output", "new") == 1
     assert capsys.readouterr().err.count("can't be written: No space left on device") == 2
@@ -145,6 +144,15 @@ def test_next_says_where_there_is_nothing_to_separate(recordings, capsys):
     assert run("none", "--no-report", "--next", "next.yaml") == 0
     assert "next.yaml not written: the verdict is none" in capsys.readouterr().err
     assert not Path("next.yaml").exists()
+
+
+def test_two_effects_of_a_kind_are_a_problem_and_no_file(recordings, monkeypatch):
+    twice = replace(diagnosed_as("identified"), effects=diagnosed_as("identified").effects * 2)
+    monkeypatch.setattr(diagnose, "diagnose_recording", lambda recording, progress=None: twice)
+    assert run("identified", "--no-report", "--output", "o") == 0
+    assert [path.name for path in Path("o").iterdir()] == ["diagnosis.json"]
+    content = json.loads(Path("o/diagnosis.json").read_text())
+    assert "found_effect.yaml is not written" in content["problems"][-1]
 
 
 def test_wrong_arguments_are_2(recordings, capsys):

@@ -1,7 +1,6 @@
-"""The whole diagnosis: on our simulated arm, and on an arm that we didn't write."""
+"""The whole diagnosis on the simulated arm; test_baselines.py has another's arm."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -9,18 +8,14 @@ from galen_diagnosis.answer.gap import closed_fraction
 from galen_diagnosis.effects.candidates import candidates
 from galen_diagnosis.effects.scans import crosstalk_candidates
 from galen_diagnosis.errors import DiagnosisError
-from galen_diagnosis.examples.simulated_recording import make_recording
 from galen_diagnosis.inference.diagnosing import diagnose_recording
 from galen_diagnosis.observation.observation import Observation, Unknowns
 from galen_diagnosis.observation.recording import read_recording
 from galen_diagnosis.observation.rows import CHANNELS, FOLDS
+from galen_diagnosis.simulated_recording import make_recording
 from galen_sim_driver.effects.joints import JointZeroOffset
 from galen_sim_driver.effects.sensor import AxisGain
 
-DISCLOSED = Path(__file__).resolve().parents[3] / "shared" / "recordings" / "disclosed"
-needs_disclosed = pytest.mark.skipif(
-    not DISCLOSED.is_dir(), reason="recordings of another arm aren't beside the checkout"
-)
 SWEEP_ONLY = ("sweep",)
 
 
@@ -124,25 +119,3 @@ def test_without_pushes_the_answer_says_what_it_cant_tell(tmp_path):
     assert any("joint_compliance" in line for line in answer.cannot_tell)
     found = {cause.effect for cause in answer.causes}
     assert "axis_gain" in found | {name for cause in answer.causes for name in cause.equivalent}
-
-
-# Three of the six that were told, for the time that they take.
-@needs_disclosed
-@pytest.mark.timeout(400)
-@pytest.mark.parametrize(
-    ("name", "wanted"),
-    [
-        pytest.param("recording_359", (), marks=pytest.mark.slow),
-        pytest.param("recording_420", ("tool_mass_error", "wrench_delay"), marks=pytest.mark.soak),
-        pytest.param("recording_956", ("deflection_hysteresis",), marks=pytest.mark.soak),
-    ],
-)
-def test_causes_of_another_arm_that_were_told_are_found(name, wanted):
-    answer = diagnose_recording(read_recording(DISCLOSED / name)).answer
-    if not wanted:
-        assert answer.verdict == "none"
-        assert answer.causes == ()
-        return
-    assert answer.verdict == "identified"
-    assert {cause.effect for cause in answer.causes} == set(wanted)
-    assert answer.gap["closed_fraction"]["value"] > 0.9

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from galen_diagnosis.inference.posterior import Scored, Settings, posterior
-from galen_model.evidence.background import SCALES, Background, evidence
+from galen_model.evidence.linear import SCALES, Background, evidence
 from scipy.stats import multivariate_normal
 
 

@@ -4,15 +4,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from galen_diagnosis.effects.saturation import SaturationCandidate
+from galen_diagnosis.effects.candidates import Candidate, unknown_columns
 from galen_diagnosis.effects.scans import drift_candidates, scan_steps
-from galen_diagnosis.examples.simulated_recording import make_recording, sweep_poses
-from galen_diagnosis.inference.background import unknown_columns
 from galen_diagnosis.inference.diagnosing import _full_covariance
 from galen_diagnosis.inference.refine import Hypothesis
 from galen_diagnosis.observation.observation import Observation, Unknowns
 from galen_diagnosis.observation.recording import read_recording
-from galen_model.evidence.background import Background
+from galen_diagnosis.simulated_recording import make_recording, sweep_poses
+from galen_model.evidence.linear import Background
 from galen_sim_driver.effects.sensor import SensorSaturation
 
 
@@ -63,18 +62,8 @@ def test_a_drift_over_days_between_bags_stays_small(recording):
 def test_loads_beyond_a_limit_are_no_covariance_of_the_limit():
     effect = SensorSaturation(limit=4.0, axis="fz")
     two = np.zeros(2)
-    part = SaturationCandidate(
-        "sensor_saturation",
-        "fz 4",
-        effect,
-        np.arange(2),
-        two,
-        two,
-        two + 2.0,
-        two,
-        two[:, None],
-        9.0,
-        0.02,
+    part = Candidate(
+        "sensor_saturation", "fz 4", effect, np.arange(2), two, two + 2.0, two, inputs=True
     )
     fit = Hypothesis(
         parts=(part,),

@@ -8,8 +8,8 @@ import pytest
 from galen_bags.arrays.arm_recording import ArmRecording
 from galen_bags.arrays.timeline import lay_out, stamp_sentences
 from galen_diagnosis.errors import DiagnosisError
-from galen_diagnosis.examples.simulated_recording import make_recording, sweep_poses
 from galen_diagnosis.observation.recording import _REACH_S, _Arm, read_recording
+from galen_diagnosis.simulated_recording import make_recording, sweep_poses
 from galen_model.errors import GalenError
 
 START_NS = 10**18

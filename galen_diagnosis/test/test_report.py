@@ -6,13 +6,12 @@ import re
 from dataclasses import replace
 from html.parser import HTMLParser
 
-import numpy as np
 import pytest
 import yaml
 from diagnosis_example import example_answer, example_diagnosis
 from galen_diagnosis.answer.answer import Answer, Cause, Interval
-from galen_diagnosis.report.output import effect_file, told
-from galen_diagnosis.report.pictures import gap_figure, sweep_figure
+from galen_diagnosis.report.output import effect_file
+from galen_diagnosis.report.pictures import gap_figure
 from galen_diagnosis.report.report import report
 from galen_diagnosis.report.words import (
     SENTENCES,
@@ -22,6 +21,8 @@ from galen_diagnosis.report.words import (
     sentence,
     title,
 )
+from galen_sim_driver.effects.effect import ConfigError
+from galen_sim_driver.effects.joints import JointZeroOffset
 from galen_sim_driver.effects.registry import EFFECTS
 from galen_sim_driver.parameters import EffectParameters, effects_of
 from matplotlib import pyplot as plt
@@ -55,7 +56,7 @@ class Page(HTMLParser):
 def pictures(tmp_path_factory):
     """Files of the pictures' names; the page doesn't look into them."""
     folder = tmp_path_factory.mktemp("pictures")
-    files = {name: folder / f"{name}.png" for name in ("gap", "sweep", "time", "spectra")}
+    files = {name: folder / f"{name}.png" for name in ("gap", "time")}
     for name, file in files.items():
         file.write_bytes(name.encode())
     return files
@@ -63,13 +64,12 @@ def pictures(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def diagnosis():
-    return told(example_diagnosis())
+    return example_diagnosis()
 
 
-def hostile(diagnosis):
+def hostile(answer):
     """Names and texts that come from a file, all of them hostile."""
-    answer = diagnosis.answer
-    answer = replace(
+    return replace(
         answer,
         recording=HOSTILE,
         sentence=HOSTILE,
@@ -78,19 +78,17 @@ def hostile(diagnosis):
         next_experiment={"separates": [HOSTILE], "do": HOSTILE},
         ranking=((HOSTILE, 0.5), *answer.ranking),
         causes=tuple(replace(one, parameters={HOSTILE: HOSTILE}) for one in answer.causes),
-        gap={**answer.gap, "before": {HOSTILE: 1.0}},
+        gap={**answer.gap, "before": {"rms": {HOSTILE: 1.0}}},
     )
-    return replace(diagnosis, answer=answer)
 
 
 def test_page_stands_alone_and_runs_nothing(diagnosis, pictures):
-    html = report(hostile(diagnosis), pictures)
+    html = report(hostile(diagnosis.answer), pictures)
     page = Page(html)
     assert not page.open
     allowed = {
         "html", "head", "meta", "title", "style", "body", "header", "main", "h1", "h2", "p",
-        "figure", "figcaption", "img", "div", "table", "tr", "th", "td", "svg", "rect", "ul", "li",
-        "details", "summary",
+        "figure", "figcaption", "img", "div", "table", "tr", "th", "td", "meter", "ul", "li",
     }  # fmt: skip
     assert set(page.tags) <= allowed
     for tag, name, value in page.attributes:
@@ -101,7 +99,7 @@ def test_page_stands_alone_and_runs_nothing(diagnosis, pictures):
 
 
 def test_policy_lets_in_its_own_style_and_pictures_only(diagnosis, pictures):
-    html = report(diagnosis, pictures)
+    html = report(diagnosis.answer, pictures)
     (policy,) = re.findall(r'Content-Security-Policy" content="([^"]*)"', html)
     (style,) = re.findall(r"<style>(.*?)</style>", html, re.DOTALL)
     digest = base64.b64encode(hashlib.sha256(style.encode()).digest()).decode()
@@ -111,18 +109,18 @@ def test_policy_lets_in_its_own_style_and_pictures_only(diagnosis, pictures):
     assert "prefers-color-scheme: dark" in style and "url(" not in style and "@import" not in style
     shown = re.findall(r'src="data:image/png;base64,([^"]*)"', html)
     assert [base64.b64decode(one) for one in shown] == [
-        pictures[name].read_bytes() for name in ("gap", "sweep", "time", "spectra")
+        pictures[name].read_bytes() for name in ("gap", "time")
     ]
 
 
 def test_page_tells_the_numbers(diagnosis, pictures):
-    text = " ".join("".join(Page(report(diagnosis, pictures)).text).split())
+    text = " ".join("".join(Page(report(diagnosis.answer, pictures)).text).split())
     for told_there in (
         diagnosis.answer.sentence,
         "0.584° (0.567 to 0.602)",
         "93.0%",
         "17.3",
-        "0.980 (0.970 to 0.990)",
+        "98% (97% to 99%)",
         "without a tracker a tilt's zero looks like a turned sensor",
         "sweep: 3 stamps went back",
         "tilt",
@@ -140,23 +138,6 @@ def test_gap_picture_has_one_scale_and_frames_what_is_beyond_noise(diagnosis):
         assert "2.47" in before.get_title() and "1.00" in after.get_title()
     finally:
         plt.close(figure)
-
-
-def test_sweep_picture_shows_each_pose_at_its_place(diagnosis):
-    figure = sweep_figure(diagnosis)
-    try:
-        force_before, force_after = figure.axes[0].collections[0], figure.axes[1].collections[0]
-        assert len(force_before.get_offsets()) == 56
-        assert force_before.norm is force_after.norm
-        assert np.ptp(force_before.get_offsets()[:, 0]) == pytest.approx(np.degrees(2.8))
-        assert np.mean(force_before.get_array()) > 3 * np.mean(force_after.get_array())
-    finally:
-        plt.close(figure)
-    none = replace(diagnosis.rows, pose=np.full(len(diagnosis.rows), -1))
-    assert sweep_figure(replace(diagnosis, rows=none)) is None
-
-
-# --- words ----------------------------------------------------------------------------------------
 
 
 # The contract's section 6: what each effect is told with, and how many numbers that is.
@@ -187,7 +168,7 @@ CONTRACT = {
 
 
 def test_every_effect_has_a_sentence_with_all_its_numbers():
-    assert set(SENTENCES) == set(CONTRACT) == set(EFFECTS)
+    assert set(CONTRACT) == set(EFFECTS) < set(SENTENCES)
     for name, shapes in CONTRACT.items():
         parameters = {}
         for number, (parameter, shape) in enumerate(shapes.items(), start=3):
@@ -272,14 +253,14 @@ def test_sentences_of_the_verdicts(diagnosis):
     )
     assert words["ambiguous"].startswith(
         "The tilt joint's zero is off by 0.584° (0.567 to 0.602). Whether there is more, this"
-        " recording can't tell: perhaps the sensor is turned in its mount, by 0.57° (0.52 to 0.63)"
-        " about y (45%), or zero of the tilt joint (joint_zero_offset:tilt). What is found explains"
-        " 98%"
+        " recording can't decide: perhaps the sensor is turned in its mount, by 0.57° (0.52 to"
+        " 0.63) about y (45%), or zero of the tilt joint (joint_zero_offset:tilt). What is found"
+        " explains 98%"
     )
     open_ = example_answer("ambiguous")
     open_ = replace(open_, causes=tuple(replace(c, probability=0.5) for c in open_.causes))
     assert sentence(open_).startswith(
-        "There is a gap, and this recording can't tell what causes it: "
+        "There is a gap, and this recording doesn't show what causes it: "
     )
     many = replace(open_.causes[0], equivalent=tuple(EFFECTS)[3:20])
     assert "or one of 17 other effects" in sentence(replace(open_, causes=(many,)))
@@ -299,20 +280,14 @@ def test_two_causes_explain_the_gap_together_and_twins_are_named(diagnosis):
 
 
 def test_driver_file_gives_the_driver_what_was_found():
-    diagnosis = example_diagnosis(recording="a\n- {injected: 1}")
-    text = effect_file(diagnosis)
-    ((node, below),) = yaml.safe_load(text).items()
+    effects = (JointZeroOffset("tilt", 0.0102),)
+    ((node, below),) = yaml.safe_load(effect_file("a\n- {injected: 1}", effects)).items()
     assert node == "/**/sim_driver"
-    assert effects_of(EffectParameters(**below["ros__parameters"])) == diagnosis.effects
-    assert effect_file(example_diagnosis("unknown")) is None
+    assert effects_of(EffectParameters(**below["ros__parameters"])) == effects
+    assert effect_file("a", ()) is None
+    with pytest.raises(ConfigError):
+        effect_file("a", effects * 2)
 
 
-def test_two_of_a_kind_are_a_problem_and_no_file(diagnosis):
-    twice = told(replace(diagnosis, effects=diagnosis.effects * 2))
-    assert effect_file(twice) is None
-    assert "found_effect.yaml is not written" in twice.answer.problems[-1]
-
-
-def test_an_answer_of_nothing_but_a_verdict_makes_a_page(diagnosis):
-    bare = Answer("r", "unknown", (), (), {}, {}, None)
-    assert "Diagnosis of r" in report(replace(diagnosis, answer=bare, seconds={}), {})
+def test_an_answer_of_nothing_but_a_verdict_makes_a_page():
+    assert "Diagnosis of r" in report(Answer("r", "unknown", (), (), {}, {}), {})

@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 from galen_bags.formats.bag import open_bag
 from galen_diagnosis.errors import DiagnosisError
-from galen_diagnosis.examples import command as examples
-from galen_diagnosis.examples.simulated_recording import make_recording, sweep_poses
 from galen_diagnosis.observation.recording import Recording, read_recording
+from galen_diagnosis.simulated_recording import main, make_recording, sweep_poses
 from galen_model.arm.galen import LIMITS, SENSOR, TRACKER_POSITION_NOISE_M
 from galen_model.errors import GalenError
 from galen_model.load.nominal_tools import TOOLS
@@ -101,7 +100,7 @@ def test_what_is_there_is_not_written_over(tmp_path, capsys):
     (tmp_path / "made").mkdir()
     with pytest.raises(DiagnosisError, match="made: is there already"):
         make_recording(tmp_path / "made")
-    assert examples.main(["tilt", "--output", str(tmp_path / "made")]) == 1
+    assert main(["tilt", "--output", str(tmp_path / "made")]) == 1
     assert "is there already" in capsys.readouterr().err
     assert list((tmp_path / "made").iterdir()) == []
 

@@ -4,12 +4,19 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from galen_diagnosis.examples.simulated_recording import make_recording
 from galen_diagnosis.inference.refine import nothing
 from galen_diagnosis.inference.search import healthy_background
-from galen_diagnosis.inference.structure import leftover, oscillation, structures
+from galen_diagnosis.inference.structure import (
+    coefficients,
+    oscillation,
+    remaining_energy,
+    structures,
+)
+from galen_diagnosis.observation.noise import ChannelNoise
 from galen_diagnosis.observation.observation import Observation
 from galen_diagnosis.observation.recording import read_recording
+from galen_diagnosis.observation.rows import CHANNELS, Stream
+from galen_diagnosis.simulated_recording import make_recording
 
 
 @pytest.fixture(scope="module")
@@ -57,7 +64,7 @@ def test_a_function_of_a_joint_is_seen_where_means_over_cells_see_none(recording
     assert seen[0].name == "wrench by roll and tilt"
     assert seen[0].log_bayes > 10.0
     assert seen[0].energy > 20.0
-    assert leftover(observation.rows, none.rows).sure == 0.0
+    assert remaining_energy(observation.rows, none.rows)[0] == 0.0
     assert fast.log_bayes < 3.0
 
 
@@ -71,11 +78,49 @@ def test_an_oscillation_is_seen_at_its_frequency_though_its_mean_is_nothing(reco
         return out * moves(bag)[:, None]
 
     observation, none, seen, fast = left_of(changed(recording, hum))
-    assert fast.bag == "sweep"
-    assert fast.from_hz <= 17.3 <= fast.to_hz
+    assert fast.name.startswith("wrench in sweep at ")
+    from_hz, to_hz = (float(word) for word in fast.name.split()[4:7:2])
+    assert from_hz <= 17.3 <= to_hz
     assert fast.log_bayes > 20.0
     # A sine of the noise's size has half its variance; not all of it lies in the band.
     expected = 0.5 * np.sum(moves(recording.bags["sweep"]))
     assert 0.5 * expected < fast.energy < 1.2 * expected
     assert seen[0].log_bayes < 3.0
-    assert leftover(observation.rows, none.rows).sure == 0.0
+    assert remaining_energy(observation.rows, none.rows)[0] == 0.0
+
+
+NOISE = np.array([0.02, 0.02, 0.03, 4e-4, 4e-4, 4e-4])
+
+
+def stream(at_s, residual, models=()):
+    return Stream("motion", CHANNELS[:6], at_s, residual, NOISE, models)
+
+
+def test_a_stream_keeps_its_energy_in_its_coefficients():
+    at_s = np.arange(0.0, 45.0, 0.01)
+    residual = np.random.default_rng(1).standard_normal((len(at_s), 6)) * NOISE
+    residual[700:760] = np.nan
+    _, square = coefficients(stream(at_s, residual))
+    assert square.sum() == pytest.approx(np.nansum((residual / NOISE) ** 2))  # Parseval
+
+
+def test_holes_cut_a_stream():
+    at_s = np.concatenate([np.arange(100), np.arange(150, 250), [900]]) * 0.01
+    residual = np.ones((len(at_s), 6)) * NOISE
+    residual[50] = np.nan
+    frequency, _ = coefficients(stream(at_s, residual))
+    # Pieces of 50, 49 and 100 samples; the last sample is alone.
+    assert len(frequency) == 199 and np.sum(frequency == 0.0) == 3
+
+
+def test_coloured_noise_that_is_known_is_no_oscillation():
+    rng = np.random.default_rng(4)
+    model = ChannelNoise(np.array([0.6]), 0.016)
+    residual = np.zeros((6000, 6))
+    for row in range(1, len(residual)):
+        residual[row] = 0.6 * residual[row - 1] + 0.016 * rng.standard_normal(6)
+    at_s = np.arange(6000) / 100.0
+    white = Stream("motion", CHANNELS[:6], at_s, residual, np.full(6, model.std))
+    assert oscillation([white]).log_bayes > 5.0
+    coloured = oscillation([replace(white, models=(model,) * 6)])
+    assert coloured is None or coloured.log_bayes < 3.0

@@ -1,9 +1,4 @@
-"""The result of a diagnosis.
-
-What a diagnosis says: the contract's `diagnosis.json` (section 7) as dataclasses.
-
-A diagnosis with everything that its report shows.
-"""
+"""The result of a diagnosis: the contract's `diagnosis.json` (section 7), and what is behind it."""
 
 from __future__ import annotations
 
@@ -23,17 +18,19 @@ Verdict = Literal["none", "identified", "ambiguous", "unknown"]
 
 NONE = "none"
 UNKNOWN = "unknown"
+SURE = 0.9
+"""Probability from which a cause counts as found."""
 
 
 class Interval(NamedTuple):
-    """A value and its 95 % interval, None where it can't be said."""
+    """A value and its 95 % interval, None where it isn't known."""
 
     value: float
     low: float | None
     high: float | None
 
     def to_json(self) -> dict[str, Any]:
-        """`{"value": .., "ci95": [.., ..]}`."""
+        """Return `{"value": .., "ci95": [.., ..]}`."""
         if self.low is None or self.high is None:
             return {"value": _number(self.value), "ci95": None}
         return {"value": _number(self.value), "ci95": [_number(self.low), _number(self.high)]}
@@ -66,8 +63,8 @@ class Cause:
 class Answer:
     """The whole of `diagnosis.json`; `where`, `gap`, `next_experiment` as the contract has them.
 
-    left_over: what the best fit leaves, each with `what` it is a function of, `energy` over the
-    noise's and `log_bayes` against noise; the clearest first.
+    remaining: structure in what the best fit leaves, each with `what` it is a function of, `energy`
+    over the noise's and `log_bayes` against noise; the clearest first. notes: how rows were made.
     """
 
     recording: str
@@ -76,14 +73,15 @@ class Answer:
     ranking: tuple[tuple[str, float], ...]
     where: dict[str, Any]
     gap: dict[str, Any]
-    next_experiment: dict[str, Any] | None
+    next_experiment: dict[str, Any] | None = None
     sentence: str = ""
     cannot_tell: tuple[str, ...] = ()
-    left_over: tuple[dict[str, Any], ...] = ()
+    remaining: tuple[dict[str, Any], ...] = ()
     problems: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
 
     def to_json(self) -> dict[str, Any]:
-        """The file's content; the contract doesn't have the last three and `sentence`."""
+        """Return the file's content; `sentence` and the last four are beyond the contract."""
         return {
             "schema_version": 1,
             "recording": self.recording,
@@ -95,8 +93,9 @@ class Answer:
             "gap": self.gap,
             "next_experiment": self.next_experiment,
             "cannot_tell": list(self.cannot_tell),
-            "left_over": list(self.left_over),
+            "remaining": list(self.remaining),
             "problems": list(self.problems),
+            "notes": list(self.notes),
         }
 
 
@@ -130,10 +129,7 @@ def _value(value: Any) -> Any:
         return {name: _value(part) for name, part in value.items()}
     if isinstance(value, list | tuple) and value and isinstance(value[0], Interval):
         parts = [part.to_json() for part in value]
-        return {
-            "value": [part["value"] for part in parts],
-            "ci95": [part["ci95"] for part in parts],
-        }
+        return {key: [part[key] for part in parts] for key in ("value", "ci95")}
     return value
 
 
@@ -145,25 +141,20 @@ def _number(value: float) -> float | None:
 class Diagnosis:
     """The answer and the residuals behind it.
 
-    rows (N); before, after (N,): whitened residuals without and with the effects that were found,
-    what isn't known but no gap fitted in both; streams_before, streams_after: the same in time.
-    held_out_before, held_out_after (N,): each row predicted from the folds that it isn't in.
-    effects: as fitted to all of it, for the driver; empty where nothing was found.
-    floor: mean square of a row that noise alone gives, 1 but for what the noise estimate leaves.
-    experiment: the next one, whose sweep `diagnose --next` writes. healthy (N, q): how rows change
-    by each of q tolerances of a healthy arm, for what is marked as beyond noise.
+    rows (N); held_out_before, held_out_after (N,): whitened residuals without and with the effects
+    that were found, each row predicted from the folds that it isn't in; streams_before,
+    streams_after: the residual in time, unknowns fitted in both. effects: as fitted to all of it,
+    for the driver; empty where nothing was found. floor: mean square of a row that noise alone
+    gives. healthy (N, q): how rows change by each of q tolerances of a healthy arm.
     """
 
     answer: Answer
     rows: Rows
-    before: Array
-    after: Array
     held_out_before: Array
     held_out_after: Array
     streams_before: tuple[Stream, ...]
     streams_after: tuple[Stream, ...]
     effects: tuple[Effect, ...]
     floor: float
-    seconds: dict[str, float]
     experiment: Experiment | None = None
     healthy: Array | None = None

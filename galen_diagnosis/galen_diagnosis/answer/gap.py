@@ -1,37 +1,57 @@
-"""How far the gap shrinks, on blocks that no fit has seen.
+"""How far the gap shrinks on blocks that no fit has seen, and the numbers found, with intervals.
 
-Blocks (a pose with its move, three seconds) are dealt to folds; effects, unknowns and what a
-healthy arm may be off (`background.py`) are fitted on the others and the simulator, with the
-effects in it, predicts the one left out. "Before" is the same arm without the effects: what it is
-off stays as it was fitted beside them, unknowns are fitted anew. So tolerances, which are no gap,
-neither close it nor stand in the way of seeing it closed. With mean squares E of whitened rows,
-before, after and of noise alone,
+**Gap.** Blocks (a pose with its move, three seconds) are dealt to folds; effects, unknowns and a
+healthy arm's tolerances are fitted on the others, and the simulator with the effects predicts the
+one held out. "Before" is the same arm without the effects: its tolerances stay as fitted beside
+them, unknowns are fitted anew, so that tolerances neither close a gap nor hide that it is closed.
+With mean squares E of whitened rows, before, after and of noise alone,
 
     closed fraction = (E_before - E_after) / (E_before - E_floor),
 
-with an interval from drawing blocks with replacement, before and after from the same draw.
+with an interval from drawing blocks with replacement, before and after from the same draw. What
+isn't a number of a fit was chosen on all blocks: which effects, in which form, when a jump was, how
+white the noise is. Loads beyond a clipped axis are fitted to the block held out itself.
 
-What isn't a number of a fit was chosen on all blocks: which effects, in which form, when a jump
-was, how white the noise is. Loads beyond a clipped axis are fitted to the block left out itself.
+**Numbers.** A fit's covariance counts every row as independent. What a model leaves is not, so
+intervals take the larger of Laplace's covariance and the sandwich over blocks (White, Econometrica
+50, 1982; Liang and Zeger, Biometrika 73, 1986),
+
+    H^-1 (sum_b g_b g_b^T) H^-1,    g_b = J_b^T r_b,
+
+with J the columns of background and effects together. Nor is an effect's model quite the arm's: it
+may be wrong along its own parameters, too, which leaves no trace. With the posterior's discrepancy
+(`posterior.py`), nu directions whose variance is 1 + v beside noise's 1, Laplace's covariance
+counts (1 + v) times. Beforehand v = kappa^2 (energy explained) / nu, which weighs as _FIRM
+directions do; the energy L that the fit leaves adds what it shows of the others:
+
+    v = (_FIRM kappa^2 E / nu + L) / (_FIRM + nu).
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from galen_model.arm.galen import GALEN
 from galen_model.arrays import Array
-from galen_model.evidence.background import Background
+from galen_model.evidence.linear import Background, factor
+from galen_sim_driver.effects.effect import Effect
+from galen_sim_driver.effects.load import CableDrag
+from galen_sim_driver.effects.registry import contract_parameters, extra_parameters
+from scipy.linalg import cho_solve
 
 from galen_diagnosis.answer.answer import Interval
-from galen_diagnosis.effects.saturation import SaturationCandidate
+from galen_diagnosis.effects.candidates import Candidate
+from galen_diagnosis.inference.posterior import Settings
 from galen_diagnosis.inference.refine import Hypothesis, refine
 from galen_diagnosis.observation.observation import UNKNOWNS, Observation
 from galen_diagnosis.observation.rows import FOLDS, Rows
 
 _DRAWS = 400
-_SEED = 20191
+_GAP_SEED, _PARAMETER_SEED = 20191, 1956
+_FIRM = 9.0
 
 
 @dataclass(frozen=True)
@@ -47,7 +67,7 @@ class Gap:
     fraction: Interval | None
 
     def to_json(self) -> dict[str, object]:
-        """As the contract's `gap`: mean squares in units of the noise."""
+        """Return the contract's `gap`: mean squares in units of the noise."""
         return {
             "before": {"mean_square": float(np.mean(self.before**2))},
             "after": {"mean_square": float(np.mean(self.after**2))},
@@ -57,7 +77,7 @@ class Gap:
 
 
 def unknowns_alone(behind: Background) -> Background:
-    """Only what isn't known and no gap, beside which the nominal arm itself is shown."""
+    """Return the background of the unknowns, without a healthy arm's tolerances."""
     return Background(behind.columns[:, :UNKNOWNS], behind.prior_std[:UNKNOWNS])
 
 
@@ -68,7 +88,7 @@ def held_out_gap(
     floor: float,
     progress: Callable[[str, float], None] | None = None,
 ) -> Gap:
-    """Every row predicted from the folds that it isn't in; the fit starts at the hypothesis'.
+    """Predict every row from the folds that it isn't in; the fit starts at the hypothesis'.
 
     behind: unknowns and tolerances; floor: mean square of a row that noise alone gives.
     """
@@ -92,9 +112,8 @@ def held_out_gap(
         before[out] = without_unknowns(behind, observation.nominal - healthy, out)
         everywhere = observation.residual(fitted.effects, fitted.unknowns) - healthy
         for part in fitted.parts:
-            # Loads that the sensor didn't tell are inputs, as the reading is, and no parameters.
-            if isinstance(part, SaturationCandidate) and part.beyond.shape[1]:
-                beyond = part.beyond[out]
+            if part.inputs and part.columns is not None and part.columns.shape[1]:
+                beyond = part.columns[out]
                 seen = np.any(beyond != 0.0, axis=0)
                 loads = np.linalg.lstsq(beyond[:, seen], everywhere[out], rcond=None)[0]
                 everywhere[out] -= beyond[:, seen] @ loads
@@ -103,7 +122,7 @@ def held_out_gap(
 
 
 def closed_fraction(rows: Rows, before: Array, after: Array, floor: float) -> Interval | None:
-    """Of rows before and after (N,), with its interval; None where before isn't above the floor."""
+    """Return the closed fraction of rows (N,); None where before isn't above the floor."""
     blocks = int(rows.block.max()) + 1
     sums = [np.bincount(rows.block, part, blocks) for part in (before**2, after**2)]
     number = np.bincount(rows.block, minlength=blocks).astype(float)
@@ -111,7 +130,7 @@ def closed_fraction(rows: Rows, before: Array, after: Array, floor: float) -> In
     chance = 3.0 * floor * np.sqrt(2.0 * len(before))
     if sums[0].sum() - floor * number.sum() <= chance or value is None:
         return None
-    generator = np.random.default_rng(_SEED)
+    generator = np.random.default_rng(_GAP_SEED)
     draws = generator.integers(0, blocks, (_DRAWS, blocks))
     fractions = [
         _fraction(sums[0][draw].sum(), sums[1][draw].sum(), floor * number[draw].sum())
@@ -129,10 +148,112 @@ def _fraction(before: float, after: float, floor: float) -> float | None:
 
 
 def without_unknowns(behind: Background, rows: Array, out: np.ndarray) -> Array:
-    """Rows left out (m,), less the unknowns as the other rows (N,) tell them."""
+    """Return rows held out (m,), less the unknowns as fitted to the other rows (N,)."""
     unknowns = unknowns_alone(_only(behind, ~out)).fit(np.where(out, 0.0, rows))
     return np.asarray(rows[out] - behind.columns[out, :UNKNOWNS] @ unknowns)
 
 
 def _only(behind: Background, keep: np.ndarray) -> Background:
     return Background(behind.columns * keep[:, None], behind.prior_std)
+
+
+# Numbers
+
+
+def covariance(
+    observation: Observation,
+    behind: Background,
+    hypothesis: Hypothesis,
+    settings: Settings,
+    left: float,
+) -> Array:
+    """Return the covariance (p, p) of a hypothesis' numbers: Laplace's widened, or the sandwich.
+
+    left: energy that the fit leaves over the noise.
+    """
+    if not hypothesis.parts:
+        return hypothesis.covariance
+    laplace = hypothesis.covariance
+    shares = hypothesis.energies_explained()
+    wrong = np.empty(len(laplace))
+    for part, where, share in zip(hypothesis.parts, hypothesis.slices(), shares, strict=True):
+        before = _FIRM * settings.kappa_of(part.effect) ** 2 * share / settings.dof
+        wrong[where] = np.sqrt(1.0 + (before + left) / (_FIRM + settings.dof))
+    columns = np.concatenate([behind.columns, hypothesis.columns], axis=1)
+    width = behind.columns.shape[1]
+    precision = np.zeros(columns.shape[1])
+    precision[:width] = behind.precision
+    hessian = columns.T @ columns + np.diag(precision)
+    own = np.linalg.pinv(laplace, hermitian=True)
+    reduced = hessian[width:, width:] - hessian[width:, :width] @ behind.solve(
+        hessian[:width, width:]
+    )
+    hessian[width:, width:] += np.maximum(own - reduced, 0.0) * np.eye(len(own))
+    blocks = observation.rows.block
+    order = np.argsort(blocks, kind="stable")
+    edges = np.flatnonzero(np.diff(blocks[order])) + 1
+    weighted = columns[order] * hypothesis.rows[order, None]
+    scores = np.add.reduceat(weighted, np.concatenate([[0], edges]), axis=0)
+    silent = np.diag(hessian) <= 0.0
+    hessian[silent, silent] = 1.0
+    bread = cho_solve(factor(hessian), scores.T)[width:]
+    sandwich = bread @ bread.T
+    widen = np.sqrt(np.diag(sandwich) / np.maximum(np.diag(laplace), 1e-300))
+    widen = np.maximum(widen, wrong)
+    return np.asarray(laplace * np.outer(widen, widen))
+
+
+def parameters(
+    observation: Observation, hypothesis: Hypothesis, spread: Array
+) -> list[tuple[dict[str, Any], dict[str, Any]]]:
+    """Return of each effect the contract's parameters with intervals, and the rest as numbers."""
+    generator = np.random.default_rng(_PARAMETER_SEED)
+    out = []
+    for part, values, where, effect in zip(
+        hypothesis.parts, hypothesis.values, hypothesis.slices(), hypothesis.effects, strict=True
+    ):
+        root = _root(spread[where, where])
+        drawn = [
+            part.at(values + root @ generator.standard_normal(len(values))) for _ in range(_DRAWS)
+        ]
+        told = _told(observation, effect)
+        draws = [_told(observation, one) for one in drawn]
+        named = {
+            name: _interval(part, name, value, [draw[name] for draw in draws])
+            for name, value in told.items()
+        }
+        out.append((named, extra_parameters(effect)))
+    return out
+
+
+def _root(spread: Array) -> Array:
+    """The symmetric root, which is unique: the signs of eigenvectors are not."""
+    values, vectors = np.linalg.eigh(spread)
+    return np.asarray((vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T)
+
+
+def _told(observation: Observation, effect: Effect) -> Mapping[str, Any]:
+    told = contract_parameters(effect)
+    if isinstance(effect, CableDrag):
+        joints = np.concatenate([view.scene.joints for view in observation.views.values()])
+        rotation, origin = GALEN.sensor_pose(joints[:: max(len(joints) // 500, 1)])
+        told["tension_N"] = float(np.mean(effect.tension(rotation, origin)))
+    return told
+
+
+def _interval(part: Candidate, name: str, value: Any, draws: list[Any]) -> Any:
+    if isinstance(value, str):
+        return value
+    if isinstance(value, Mapping):
+        return {
+            entry: _interval(part, entry, number, [draw.get(entry, 0.0) for draw in draws])
+            for entry, number in value.items()
+        }
+    if name in part.known:
+        return Interval(float(value), *part.known[name])
+    low, high = np.quantile(np.array(draws, dtype=float), [0.025, 0.975], axis=0)
+    if isinstance(value, list | tuple):
+        return [
+            Interval(float(v), float(a), float(b)) for v, a, b in zip(value, low, high, strict=True)
+        ]
+    return Interval(float(value), float(low), float(high))

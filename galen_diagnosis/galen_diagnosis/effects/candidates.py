@@ -1,20 +1,24 @@
-"""The forms in which each effect is tried on a recording.
+"""The forms in which each effect is tried on a recording, and the background of every fit.
 
 A candidate is an effect with everything chosen that isn't a number to fit (which axis, which joint,
 where a cable is held), the numbers to fit, where a fit starts and how large they usually are. An
 effect is likely as a whole: its forms share its probability.
+
+Beside every hypothesis are fitted unknowns that are no gap, and a healthy arm's tolerances: no arm
+is the nominal one to the last micrometre. Its joints' zeros, its sensor's gains, its tool's file
+are right within what workshops and calibrations reach; a gap is what lies beyond.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from itertools import permutations, product
 
 import numpy as np
-from galen_model.arm.galen import WRENCH_AXES
-from galen_model.arm.kinematics import sensor_pose
+from galen_model.arm.galen import GALEN, WRENCH_AXES
 from galen_model.arrays import Array
+from galen_model.evidence.linear import Background
 from galen_sim_driver.effects.effect import Effect
 from galen_sim_driver.effects.hysteresis import DeflectionHysteresis
 from galen_sim_driver.effects.joints import Backlash, JointCompliance
@@ -22,7 +26,8 @@ from galen_sim_driver.effects.load import CableDrag
 from galen_sim_driver.effects.registry import IDENTITIES
 from galen_sim_driver.effects.sensor import Crosstalk
 
-from galen_diagnosis.observation.observation import Observation
+from galen_diagnosis.observation.observation import UNKNOWNS, Observation, Unknowns
+from galen_diagnosis.observation.rows import CHANNELS, TIP_AXES
 
 NEEDS_TRACKER = frozenset(
     {
@@ -38,19 +43,20 @@ NEEDS_TRACKER = frozenset(
 NEEDS_MOTION = frozenset({"wrench_delay", "inertial_load"})
 """Effects that only a moving arm shows."""
 
-ELSEWHERE = frozenset({"crosstalk", "sensor_drift", "bias_step", "base_shift", "sensor_saturation"})
-"""Effects whose forms are scanned (`scans.py`, `saturation.py`) instead of being listed here."""
+_SCANNED = frozenset({"crosstalk", "sensor_drift", "bias_step", "base_shift", "sensor_saturation"})
+"""Effects whose forms are made by `scans.py`."""
 
-NOT_SOUGHT = frozenset({"joint_gain:roll", "joint_axis_misalignment:roll"})
+_NOT_SOUGHT = frozenset({"joint_gain:roll", "joint_axis_misalignment:roll"})
 """Effects at joints where the calibration of the probabilities has none of them."""
 
 _CABLE_REACH_M = 0.7
 _CABLE_WAYS = (1.0, float(np.sqrt(3.0)))
 """Held towards the faces and corners of a cube about the tool."""
 _SOFTNESS = ("roll", "tilt", "carriage", "rod")
+_ALL = "all"
 
 
-SOUGHT = {name: effect for name, effect in IDENTITIES.items() if name not in NOT_SOUGHT}
+SOUGHT = {name: effect for name, effect in IDENTITIES.items() if name not in _NOT_SOUGHT}
 """What is looked for, by identity: effects that change nothing yet."""
 
 EffectsAt = Callable[[Array], Sequence[Effect]]
@@ -60,10 +66,13 @@ EffectsAt = Callable[[Array], Sequence[Effect]]
 class Candidate:
     """An effect in one form; `base` holds all of it but the free numbers.
 
-    effect: its identity (`Effect.identity`), which of a joint's effects has the joint.
-    free (p,): which of the effect's `vector` are fitted. start (p,): where nothing or next to
-    nothing is changed. typical (p,): their prior's standard deviations about `centre` (p,).
-    probe (p,): by how much to change each for a finite difference.
+    effect: its identity (`Effect.identity`), which of a joint's effects has the joint. free (p,):
+    which of the effect's `vector` are fitted. start (p,): nothing or next to nothing is changed.
+    typical (p,): prior standard deviations about it. probe (p,): steps of finite differences.
+    columns (N, p): how the prediction changes, where that is known and linear. make: the effect
+    with other numbers, where that isn't a matter of `vector`. inputs: the numbers are unknown loads
+    beside the effect, which no simulator knows. known: parameters whose interval isn't the fit's.
+    bonus: log evidence for the form that isn't in the rows.
     """
 
     effect: str
@@ -71,29 +80,32 @@ class Candidate:
     base: Effect
     free: np.ndarray
     start: Array
-    centre: Array
     typical: Array
     probe: Array
+    columns: Array | None = None
+    make: Callable[[Array], Effect] | None = None
+    inputs: bool = False
+    known: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    bonus: float = 0.0
+
+    @property
+    def key(self) -> tuple[str, str]:
+        """By which its columns are found."""
+        return self.effect, self.label
 
     def unsimulated(self, values: Array) -> Array | float:
-        """What these numbers add to the rows' prediction that no simulator knows (N,)."""
-        return 0.0
-
-    @property
-    def has_inputs(self) -> bool:
-        """Whether its numbers are unknown inputs instead of the effect's own."""
-        return False
-
-    @property
-    def other_evidence(self) -> float:
-        """Log evidence for the form that isn't in the rows."""
-        return 0.0
+        """Return what these numbers add to the rows' prediction that no simulator knows (N,)."""
+        if not self.inputs or self.columns is None:
+            return 0.0
+        return np.asarray(self.columns @ values)
 
     def jacobian(self, observation: Observation, effects: EffectsAt, values: Array) -> Array:
-        """How the rows' prediction changes (N, p) by the numbers, by differences.
+        """Return how the rows' prediction changes (N, p) by the numbers.
 
         effects(values): all of a hypothesis' effects with these numbers of this one.
         """
+        if self.columns is not None:
+            return self.columns
         here = observation.change(effects(values))
         columns = np.empty((len(here), len(values)))
         for k, step in enumerate(self.probe):
@@ -103,32 +115,34 @@ class Candidate:
         return columns
 
     def limits(self) -> tuple[Array, Array]:
-        """Lowest and highest value of each free number."""
-        low, high = bounds(self.base)
+        """Return the lowest and highest value of each free number."""
+        if self.make is not None:
+            return np.full(len(self.start), -np.inf), np.full(len(self.start), np.inf)
+        low, high = _bounds(self.base)
         return low[self.free], high[self.free]
 
     def at(self, values: Array) -> Effect:
-        """The effect with these numbers (p,), kept within what makes sense."""
+        """Return the effect with these numbers (p,), kept within its bounds."""
+        if self.make is not None:
+            return self.make(values)
         vector = self.base.vector()
         vector[self.free] = values
-        low, high = bounds(self.base)
-        return self.base.with_vector(np.clip(vector, low, high))
+        return self.base.with_vector(np.clip(vector, *_bounds(self.base)))
 
 
-def bounds(effect: Effect) -> tuple[Array, Array]:
-    """Lowest and highest value of each number of the effect's vector."""
+def _bounds(effect: Effect) -> tuple[Array, Array]:
     low = np.concatenate([np.full(p.size, p.lower) for p in effect.fitted])
     high = np.concatenate([np.full(p.size, p.upper) for p in effect.fitted])
     return low, high
 
 
 def candidates(observation: Observation) -> list[Candidate]:
-    """All forms that the recording could show, but for those of ELSEWHERE."""
+    """Return all forms that the recording could show, but for those of `scans.py`."""
     tracker = any(view.tracks for view in observation.views.values())
     moves = bool(np.any(np.abs(observation.rows.rate) > 0.05))
     found = []
     for name, effect in SOUGHT.items():
-        if name in ELSEWHERE or (name in NEEDS_TRACKER and not tracker):
+        if name in _SCANNED or (name in NEEDS_TRACKER and not tracker):
             continue
         if name in NEEDS_MOTION and not moves:
             continue
@@ -141,12 +155,12 @@ def candidates(observation: Observation) -> list[Candidate]:
 
 
 def crosstalks() -> list[tuple[str, str, Crosstalk]]:
-    """All pairs of axes: from, to, effect."""
+    """Return all pairs of axes: from, to, effect."""
     return [(a, b, Crosstalk(from_axis=a, to_axis=b)) for a, b in permutations(WRENCH_AXES, 2)]
 
 
 def crosstalk_candidate(effect: Crosstalk) -> Candidate:
-    """The form of one pair; coefficients between force and torque have a metre in them."""
+    """Return the form of one pair; coefficients between force and torque have a metre in them."""
     metre = 0.1
     size = 0.03
     if (effect.from_axis[0] == "f") != (effect.to_axis[0] == "f"):
@@ -159,7 +173,7 @@ def crosstalk_candidate(effect: Crosstalk) -> Candidate:
 def _plain(name: str, label: str, effect: Effect, free: np.ndarray) -> Candidate:
     typical = np.concatenate([p.typicals for p in effect.fitted])[free]
     start = effect.vector()[free]
-    return Candidate(name, label, effect, free, start, start, typical, 0.05 * typical)
+    return Candidate(name, label, effect, free, start, typical, 0.05 * typical)
 
 
 def _compliances(_: Observation) -> Iterator[Candidate]:
@@ -167,7 +181,7 @@ def _compliances(_: Observation) -> Iterator[Candidate]:
         one = _plain("joint_compliance", of, JointCompliance(), np.array([index]))
         # Of exactly 0 the effect keeps the spring nominal, and a fit can't leave it.
         yield replace(one, probe=np.array([0.05]))
-    both = _plain("joint_compliance", "all", JointCompliance(), np.arange(4))
+    both = _plain("joint_compliance", _ALL, JointCompliance(), np.arange(4))
     yield replace(both, probe=np.full(4, 0.05))
 
 
@@ -198,7 +212,7 @@ def _backlashes(_: Observation) -> Iterator[Candidate]:
 def _cables(observation: Observation) -> Iterator[Candidate]:
     effect = CableDrag()
     joints = np.concatenate([v.scene.joints for v in observation.views.values()])
-    rotation, origin = sensor_pose(joints[:: max(len(joints) // 2000, 1)])
+    rotation, origin = GALEN.sensor_pose(joints[:: max(len(joints) // 2000, 1)])
     at = np.mean(origin + rotation @ np.asarray(effect.attachment_m), axis=0)
     for direction in product((-1.0, 0.0, 1.0), repeat=3):
         length = float(np.linalg.norm(direction))
@@ -225,3 +239,100 @@ _FORMS = {
     "backlash": _backlashes,
     "cable_drag": _cables,
 }
+
+# Tolerances of a healthy arm
+
+
+_GAIN = 0.3e-3
+_ANGLE = 0.1e-3
+
+TOLERANCES: Mapping[str, float | tuple[float, ...]] = {
+    # A level and a dial gauge set a joint's zero and the base to 0.1 ... 0.2 mrad.
+    "joint_zero_offset": _ANGLE,
+    "joint_axis_misalignment": _ANGLE,
+    "base_inclination": (_ANGLE, _ANGLE),
+    "sensor_mount_rotation": (_ANGLE,) * 3,
+    # An encoder's scale over its travel.
+    "joint_gain": 0.1e-3,
+    # The rest of a sensor's gains after its maker's matrix and an adjustment on the arm.
+    "axis_gain": (_GAIN,) * 6,
+    # Samples are stamped when they are read: within a fraction of a period of 2 to 10 ms.
+    "wrench_delay": 0.3e-3,
+    # A camera's exposure and way are known to a fraction of its period of 3 to 17 ms.
+    "tracker_delay": 1.0e-3,
+    "tracker_scale": 0.05e-3,
+    # A tool seated in its mount.
+    "loose_tool": 0.01e-3,
+    # What a static test on the arm repeats.
+    "joint_compliance": 0.5e-2,
+}
+"""Standard deviations of a healthy arm's parameters, by effect."""
+
+_ZERO_N, _ZERO_NM = 0.1, 2e-3
+"""How far the sensor's zero may lie off, beside what its drift makes of it."""
+
+_PLACE_M, _PLACE_RAD = 0.05e-3, 0.08e-3
+"""How well the joints tell where the tip is, from one place of the arm to another: its geometry."""
+
+_MASS_KG, _COM_M = 0.1e-3, 0.1e-3
+"""What a tool's file may be off at most and still be right, however unsure it says it is itself."""
+
+
+def unknown_columns(observation: Observation) -> Array:
+    """Return how the prediction changes (N, 18) by each of `Unknowns`."""
+    steps = np.array([1e-2] * 3 + [1e-3] * 3 + [1e-4] * 6 + [1.0] * 6)
+    columns = []
+    for k, step in enumerate(steps):
+        values = np.zeros(UNKNOWNS)
+        values[k] = step
+        columns.append(observation.change((), Unknowns(values)) / step)
+    return np.stack(columns, axis=1)
+
+
+def background(
+    observation: Observation, unknowns: Array, columns: Mapping[tuple[str, str], Array]
+) -> Background:
+    """Join unknowns (N, 18), places of the arm, and tolerances among the candidates' columns.
+
+    columns: by effect and form, (N, p) at nominal.
+    """
+    parts = [unknowns]
+    std = [np.array([_ZERO_N] * 3 + [_ZERO_NM] * 3 + [np.inf] * 12)]
+    places = _place_columns(observation)
+    parts.append(places)
+    std.append(np.tile([_PLACE_M] * 3 + [_PLACE_RAD] * 3, places.shape[1] // 6))
+    for (effect, label), values in columns.items():
+        size = tolerance(observation, effect, label)
+        if size is not None:
+            parts.append(values)
+            std.append(np.atleast_1d(np.asarray(size, dtype=float)))
+    return Background(np.concatenate(parts, axis=1), np.concatenate(std))
+
+
+def tolerance(
+    observation: Observation, identity: str, label: str
+) -> float | Sequence[float] | None:
+    """Return what a healthy arm's parameters may be off, by effect and form; None for no such."""
+    load = observation.recording.tool.load
+    if identity == "tool_mass_error":
+        return max(min(float(load.mass_std_kg), _MASS_KG), 1e-6)
+    if identity == "tool_com_error":
+        return tuple(max(float(min(std, _COM_M)), 1e-6) for std in load.com_std_m)
+    return None if label == _ALL else TOLERANCES.get(identity.partition(":")[0])
+
+
+def _place_columns(observation: Observation) -> Array:
+    """Rows of the tip at each place of the arm: (N, 6 places), in the rows' units."""
+    rows = observation.rows
+    first = CHANNELS.index(TIP_AXES[0])
+    tip = (rows.channel >= first) & (rows.channel < first + 6)
+    gain = np.zeros(len(rows))
+    # A constant becomes sqrt(n) / sigma in a row of n samples: one over the row's scale.
+    gain[tip] = 1.0 / rows.scale[tip]
+    places = [number for number in np.unique(rows.pose[tip]) if number >= 0]
+    columns = np.zeros((len(rows), 6 * len(places)))
+    for k, place in enumerate(places):
+        for axis in range(6):
+            here = tip & (rows.pose == place) & (rows.channel == first + axis)
+            columns[here, 6 * k + axis] = gain[here]
+    return columns

@@ -1,28 +1,36 @@
-"""Effects that are scanned: crosstalk's pairs, drifts of any shape, steps at any time.
+"""Effects that are scanned: crosstalk's pairs, drifts of any shape, steps at any time, limits.
 
 What is added to a reading, b(t), changes the rows by the sensor's zero's columns O_k times b_k(t)
-(where a hand pushes, the tip's too: what the reading has too much, the hand has not pushed). So
-crosstalk, drift and steps need no simulation of their own,
+(where the tool is pushed, the tip's too: the excess of the reading wasn't applied). So crosstalk,
+drift and steps need no simulation of their own,
 
     crosstalk: O_to f_from(t),    drift: O_k phi(t),    step: O_k [t >= t_0],
 
-and of steps at all times t_0 the sums over time bins tell everything.
+and of steps at all times t_0 the sums over time bins suffice.
+
+A clipped axis shows as a pile of readings at its limit, of one size to the last bit where the noise
+is clipped as well. What it should have read is predicted where the tool isn't touched. During a
+push the load beyond the limit is not in the reading but in the deflection: an unknown input, which
+each clipped push has in the form
+
+    a_1 sin(pi u) + a_2 sin(3 pi u),   u from 0 to 1 over the time at the limit.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from galen_model.arm.galen import WRENCH_AXES
 from galen_model.arrays import Array
-from galen_model.evidence.background import Background, Evidence, evidences
+from galen_model.evidence.linear import Background, Evidence, evidences
 from galen_sim_driver.effects.effect import Effect
-from galen_sim_driver.effects.sensor import BiasStep, SensorDrift
+from galen_sim_driver.effects.sensor import BiasStep, SensorDrift, SensorSaturation
 from galen_sim_driver.effects.tracker import BaseShift
 from galen_sim_driver.replay import Replay
 
-from galen_diagnosis.effects.candidates import Candidate, EffectsAt, crosstalk_candidate, crosstalks
+from galen_diagnosis.effects.candidates import Candidate, crosstalk_candidate, crosstalks
 from galen_diagnosis.observation.observation import Observation
 from galen_diagnosis.observation.rows import BAGS
 
@@ -40,44 +48,17 @@ _EDGE_S = 1.0
 _TEMPER = 0.5
 
 
-@dataclass(frozen=True)
-class LinearCandidate(Candidate):
-    """A candidate whose rows are linear in its numbers: `columns` (N, p) are known."""
-
-    columns: Array
-
-    def jacobian(self, observation: Observation, effects: EffectsAt, values: Array) -> Array:
-        """Known beforehand."""
-        return self.columns
-
-
-@dataclass(frozen=True)
-class DriftCandidate(LinearCandidate):
-    """A drift by rates (6,) and bumps (k, 6) at knots between first and last."""
-
-    knots_s: Array
-
-    def limits(self) -> tuple[Array, Array]:
-        """None."""
-        return np.full(len(self.start), -np.inf), np.full(len(self.start), np.inf)
-
-    def at(self, values: Array) -> Effect:
-        """The drift through its levels."""
-        line = np.outer(self.knots_s - self.knots_s[0], values[:6] / _HOUR_S)
-        if len(values) > 6:
-            line[1:-1] += values[6:].reshape(-1, 6)
-        return SensorDrift.through(self.knots_s, line)
+def crosstalk_candidates(observation: Observation, zero: Array) -> list[Candidate]:
+    """Return all pairs; zero (N, 6): columns of the sensor's zero."""
+    reading = _readings_at_rows(observation)
+    found = []
+    for from_axis, to_axis, effect in crosstalks():
+        column = zero[:, WRENCH_AXES.index(to_axis)] * reading[:, WRENCH_AXES.index(from_axis)]
+        found.append(replace(crosstalk_candidate(effect), columns=column[:, None]))
+    return found
 
 
-@dataclass(frozen=True)
-class JumpCandidate(LinearCandidate):
-    """A jump at a time; from_s, to_s: within the bag, where it was with 95 %."""
-
-    from_s: float
-    to_s: float
-
-
-def readings_at_rows(observation: Observation) -> Array:
+def _readings_at_rows(observation: Observation) -> Array:
     """The reading (N, 6) at each row's time: predicted where untouched, measured where touched."""
     rows = observation.rows
     out = np.zeros((len(rows), 6))
@@ -90,26 +71,13 @@ def readings_at_rows(observation: Observation) -> Array:
     return out
 
 
-def crosstalk_candidates(observation: Observation, zero: Array) -> list[LinearCandidate]:
-    """All pairs; zero (N, 6): columns of the sensor's zero."""
-    reading = readings_at_rows(observation)
-    found = []
-    for from_axis, to_axis, effect in crosstalks():
-        column = zero[:, WRENCH_AXES.index(to_axis)] * reading[:, WRENCH_AXES.index(from_axis)]
-        plain = crosstalk_candidate(effect)
-        found.append(_linear(plain, column[:, None]))
-    return found
-
-
-def drift_candidates(observation: Observation, zero: Array) -> list[DriftCandidate]:
-    """A steady drift, and one of any shape."""
+def drift_candidates(observation: Observation, zero: Array) -> list[Candidate]:
+    """Return a steady drift, and one of any shape."""
     at_s = observation.rows.session_s
     length = float(at_s.max())
     if length < 2.0 * _KNOT_S:
         return []
-    ramp = at_s / _HOUR_S
-    steady = zero * ramp[:, None]
-    ends = np.array([0.0, length])
+    steady = zero * (at_s / _HOUR_S)[:, None]
     pieces = min(max(round(length / _KNOT_S), 2), _MOST_PIECES)
     knots = np.linspace(0.0, length, pieces + 1)
     bumps = []
@@ -118,26 +86,27 @@ def drift_candidates(observation: Observation, zero: Array) -> list[DriftCandida
         bumps.append(zero * height[:, None])
     found = []
     for label, columns, times in (
-        ("steady", steady, ends),
+        ("steady", steady, np.array([0.0, length])),
         ("any shape", np.concatenate([steady, *bumps], axis=1), knots),
     ):
         size = np.concatenate([_RATE, np.tile(_BUMP, len(times) - 2)])
-        nothing = np.zeros(columns.shape[1])
-        found.append(
-            DriftCandidate(
-                "sensor_drift",
-                label,
-                SensorDrift(),
-                np.arange(len(nothing)),
-                nothing,
-                nothing,
-                size,
-                0.1 * size,
-                columns,
-                times,
-            )
-        )
+        one = _linear("sensor_drift", label, SensorDrift(), columns, size)
+        found.append(replace(one, make=partial(_drift, times)))
     return found
+
+
+def _drift(knots_s: Array, values: Array) -> Effect:
+    """A drift by rates (6,) and bumps (k, 6) at knots between first and last."""
+    line = np.outer(knots_s - knots_s[0], values[:6] / _HOUR_S)
+    if len(values) > 6:
+        line[1:-1] += values[6:].reshape(-1, 6)
+    return SensorDrift.through(knots_s, line)
+
+
+def _linear(name: str, label: str, base: Effect, columns: Array, typical: Array) -> Candidate:
+    start = np.zeros(columns.shape[1])
+    free = np.arange(len(start))
+    return Candidate(name, label, base, free, start, typical, 0.1 * typical, columns)
 
 
 @dataclass(frozen=True)
@@ -149,7 +118,7 @@ class Scan:
     found: tuple[Evidence, ...]
 
     def best(self) -> int:
-        """The likeliest time."""
+        """Return the likeliest time."""
         return int(np.argmax([one.log_bayes for one in self.found]))
 
     @property
@@ -162,7 +131,7 @@ class Scan:
 def scan_steps(
     observation: Observation, zero: Array, rows: Array, behind: Background
 ) -> Scan | None:
-    """A step of the reading at any time of any bag."""
+    """Scan for a step of the reading at any time of any bag."""
     times = []
     for name, view in observation.views.items():
         last = float(view.scene.wrench_s[-1])
@@ -174,7 +143,7 @@ def scan_steps(
 def scan_shifts(
     observation: Observation, marker: Array, rows: Array, behind: Background
 ) -> Scan | None:
-    """A move of the base's marker at any time of push."""
+    """Scan for a move of the base's marker at any time of push."""
     view = observation.views.get("push")
     if view is None or not view.tracks:
         return None
@@ -226,7 +195,7 @@ def _scan(
 
 
 def jump_candidate(observation: Observation, scan: Scan, columns: Array, index: int) -> Candidate:
-    """The scan's jump at one of its times."""
+    """Return the scan's jump at one of its times."""
     bag, at_s = scan.times[index]
     after = _session_times(observation, [(bag, at_s)])[0]
     on = (observation.rows.session_s >= after).astype(float)
@@ -235,21 +204,8 @@ def jump_candidate(observation: Observation, scan: Scan, columns: Array, index: 
         base, typical = BiasStep(bag=bag, time_s=at_s), _STEP
     else:
         base, typical = BaseShift(time_s=at_s), _SHIFT
-    nothing = np.zeros(6)
-    from_s, to_s = _when(scan, bag)
-    return JumpCandidate(
-        scan.effect,
-        f"{bag} {at_s:.2f} s",
-        base,
-        np.arange(6),
-        nothing,
-        nothing,
-        typical,
-        0.1 * typical,
-        columns * on[:, None],
-        from_s,
-        to_s,
-    )
+    one = _linear(scan.effect, f"{bag} {at_s:.2f} s", base, columns * on[:, None], typical)
+    return replace(one, known={"time_s": _when(scan, bag)})
 
 
 def _when(scan: Scan, bag: str) -> tuple[float, float]:
@@ -273,6 +229,102 @@ def _session_times(observation: Observation, times: list[tuple[str, float]]) -> 
     return np.array([bags[bag].scene.start_s + at_s for bag, at_s in times])
 
 
-def _linear(plain: Candidate, columns: Array) -> LinearCandidate:
-    values = {name: getattr(plain, name) for name in plain.__dataclass_fields__}
-    return LinearCandidate(**values, columns=columns)
+# Limits
+
+_PINNED, _NEXT = 6, 5
+_PILE, _PILE_OVER = 25, 5.0
+_LOWEST_PART = 0.4
+_SAME = 1e-7
+_NEAR_SIGMAS = 2.5
+_LEAST_RUN_S = 0.08
+_BEYOND = (2.0, 2.0, 2.0, 0.1, 0.1, 0.1)
+_WORTH_EACH, _WORTH_MOST = 0.5, 40.0
+
+
+def saturation_candidates(observation: Observation, zero: Array) -> list[Candidate]:
+    """Return limits that readings pile up at; zero (N, 6): columns of the sensor's zero."""
+    found = []
+    for axis, name in enumerate(WRENCH_AXES):
+        readings = np.concatenate(
+            [bag.wrenches[:, axis] for bag in observation.recording.bags.values()]
+        )
+        noise = max(one[axis].std for one in observation.noise.values())
+        for limit, bonus in _piles(np.abs(readings), noise):
+            beyond = _beyond(observation, zero, axis, limit, noise)
+            typical = np.full(beyond.shape[1], _BEYOND[axis])
+            effect = SensorSaturation(limit=limit, axis=name)
+            one = _linear("sensor_saturation", f"{name} {limit:.4g}", effect, beyond, typical)
+            # Where readings pile up is known to the noise of one of them.
+            known = {"limit": (limit - noise, limit + noise)}
+            make = partial(_same, effect)
+            found.append(replace(one, make=make, inputs=True, known=known, bonus=bonus))
+    return found
+
+
+def _same(effect: Effect, _loads: Array) -> Effect:
+    return effect
+
+
+def _piles(sizes: Array, noise: float) -> list[tuple[float, float]]:
+    """Limits (value, log evidence of the pile) of an axis from its readings' sizes (n,)."""
+    top = float(sizes.max())
+    if top <= 4.0 * noise:
+        return []
+    at_top = sizes >= top - _SAME * max(top, 1.0)
+    pinned = int(np.sum(at_top))
+    # Coarse steps repeat every value, a limit only its own.
+    _, repeats = np.unique(sizes[~at_top], return_counts=True)
+    usual = float(np.median(repeats[-_NEXT:])) if len(repeats) else 0.0
+    if pinned >= _PINNED and pinned > 2.0 * usual:
+        return [(top, min(_WORTH_EACH * pinned, _WORTH_MOST))]
+    width = 2.0 * noise
+    edges = np.arange(_LOWEST_PART * top, top + width, width)
+    if len(edges) < 12:
+        return []
+    counts, _ = np.histogram(sizes, edges)
+    # A limit has nothing above it, but for noise.
+    last = len(counts) - 1
+    for bin_ in range(last, max(last - 4, 6), -1):
+        before = float(np.mean(counts[bin_ - 6 : bin_ - 2]))
+        if counts[bin_] >= _PILE and counts[bin_] > _PILE_OVER * max(before, 1.0):
+            inside = np.abs(sizes - edges[bin_]) < width
+            return [(float(np.mean(sizes[inside])), 0.0)]
+    return []
+
+
+def _beyond(observation: Observation, zero: Array, axis: int, limit: float, noise: float) -> Array:
+    """Columns (N, p): two for each push that the axis clips."""
+    columns = []
+    for name, view in observation.views.items():
+        if not view.tracks:
+            continue
+        bag = observation.recording.bags[name]
+        # Columns of the zero tell what a reading's excess takes from the tip: loads add it.
+        here = np.where(observation.rows.bag == BAGS.index(name), -zero[:, axis], 0.0)
+        wrench_rows = observation.rows.channel < len(WRENCH_AXES)
+        here[wrench_rows] = 0.0
+        at_limit = np.abs(bag.wrenches[:, axis]) >= limit - _NEAR_SIGMAS * noise
+        for start, end in _runs(bag.wrench_s, at_limit):
+            sign = np.sign(np.interp(0.5 * (start + end), bag.wrench_s, bag.wrenches[:, axis]))
+            u = (observation.rows.bag_s - start) / (end - start)
+            inside = (u > 0.0) & (u < 1.0) & (here != 0.0)
+            if inside.any():
+                for order in (1, 3):
+                    shape = np.where(inside, np.sin(order * np.pi * u), 0.0)
+                    columns.append(sign * here * shape)
+    if not columns:
+        return np.zeros((len(observation.rows), 0))
+    return np.stack(columns, axis=1)
+
+
+def _runs(at_s: Array, on: np.ndarray) -> list[tuple[float, float]]:
+    """Times from to in which `on` holds, short gaps of noise closed."""
+    times = at_s[on]
+    if not len(times):
+        return []
+    cuts = np.flatnonzero(np.diff(times) > _LEAST_RUN_S) + 1
+    return [
+        (float(run[0]), float(run[-1]))
+        for run in np.split(times, cuts)
+        if run[-1] - run[0] >= _LEAST_RUN_S
+    ]

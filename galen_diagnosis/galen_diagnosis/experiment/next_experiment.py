@@ -1,66 +1,100 @@
 """The experiment that best separates the causes that are left, and how sure it would make.
 
-Every experiment of `galen_diagnosis.experiment.experiments` is simulated with every hypothesis and
-judged by `galen_diagnosis.experiment.separation`; the one with the least trouble is taken of those
-that make the answer as sure as the best does, but for a hundredth.
+Each of a list of experiments, from the least trouble to the most, is simulated with every
+hypothesis and judged by `separation.py`; the one with the least trouble is taken of those that make
+the answer as sure as the best does, but for a hundredth. Its poses or places are chosen for the
+hypotheses; what some effects do in it differs from what they did in the recording (a tool that is
+off has no mass error), and that is what most of them are for.
 """
 
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import yaml
+from galen_model.arm.galen import GALEN, HOME
 from galen_model.arrays import Array
+from galen_model.errors import NotExcitedError
 from galen_model.files.atomic_file import write_whole
 from galen_model.files.calibration_file import CalibrationFile
+from galen_model.load.identification import check_planned_poses
+from galen_model.poses.design import PoseDesign, PoseDesignError
+from galen_model.poses.order import SweepTimes, order_poses
+from galen_model.poses.plan import SweepRange
+from galen_ros.command import writing
+from galen_ros.goal.parameters import MotionParameters
 
 from galen_diagnosis.errors import DiagnosisError
-from galen_diagnosis.experiment.experiments import LEVELS_N, Budget, Experiments, Program, Proposal
-from galen_diagnosis.experiment.separation import Alternative, Separation, separate
+from galen_diagnosis.experiment.separation import Alternative, choose_units, separate
+from galen_diagnosis.experiment.trial import Trial, motion_trial, push_trial, still_trial
 
-__all__ = ["Alternative", "Budget", "Experiment", "propose", "write_sweep"]
+Program = Literal["calibration", "collection", "none"]
 
 APART = 3.3
-"""Pairs at a distance below this can't be told apart: 5 % of errors at Phi(-D/2)."""
+"""Pairs at a smaller distance can't be distinguished: 5 % of errors at Phi(-D/2)."""
 _AS_GOOD = 0.01
 _WORTH = 0.05
 _MOST_ALTERNATIVES = 4
+
+_OF_THE_TOOL = frozenset({"tool_mass_error", "tool_com_error", "loose_tool", "cable_drag"})
+_POSES = 14
+_AVERAGE_S = 1.0
+_SETTLE_S = 0.4
+"""As calibration_node's velocity_window_s and settle_s."""
+_SWEEP = SweepRange(home=HOME, lower=(-1.5, -1.0), upper=(1.5, 0.9))
+_SPEEDS = (0.3, 1.0)
+_MOTION_S = 20.0
+_LEVELS_N = (3.0, 8.0)
+_PLACES = 3
+# The platform moves, too: where it stands still, a turn about roll's axis is one of the tracker.
+_PLATFORM_M = ((0.0, 0.0, 0.408), (0.07, -0.06, 0.45), (-0.07, 0.06, 0.36))
+_ANGLES_RAD = ((0.0, 0.0), (0.9, -0.6), (-0.9, -0.6), (0.9, 0.6), (-0.9, 0.6))
+
+
+@dataclass(frozen=True)
+class Proposal:
+    """An experiment that could be done: its kind, a sentence, what it would record.
+
+    poses (n, joints): where to stand, m and rad, in this order; program: the node that runs it.
+    """
+
+    kind: str
+    do: str
+    poses: Array
+    trials: tuple[Trial, ...]
+    program: Program = "calibration"
 
 
 @dataclass(frozen=True)
 class Experiment:
     """What to do next.
 
-    separates: the causes that it tells apart; not_separated: those that stay as they are. do: a
-    sentence. poses (n, 5): joints to stand at, m and rad, in this order; program: whose parameters
-    `write_sweep` makes of them. distance: the smallest D of the pairs that are
-    separated. expected_probability: of the truth afterwards, before: now.
+    separates: the causes that it separates; not_separated: pairs that stay as they are. distance:
+    the smallest D of the pairs that are separated. expected_probability: of the truth afterwards,
+    before: now.
     """
 
+    proposal: Proposal
     separates: tuple[str, ...]
     not_separated: tuple[tuple[str, str], ...]
-    do: str
-    kind: str
-    poses: Array
-    program: Program
-    average_s: float
-    home: tuple[float, ...]
     distance: float
     expected_probability: float
     before: float
 
     def to_json(self) -> dict[str, Any]:
-        """As `next_experiment` in diagnosis.json: the contract's two keys and more."""
+        """Return `next_experiment` of diagnosis.json: the contract's two keys and more."""
         return {
             "separates": list(self.separates),
-            "do": self.do,
-            "kind": self.kind,
-            "poses": len(self.poses),
+            "do": self.proposal.do,
+            "kind": self.proposal.kind,
+            "poses": len(self.proposal.poses),
             "distance": self.distance,
             "expected_probability": self.expected_probability,
             "probability_now": self.before,
@@ -68,19 +102,11 @@ class Experiment:
         }
 
 
-def propose(
-    alternatives: Sequence[Alternative], tool: CalibrationFile, budget: Budget | None = None
-) -> Experiment | None:
-    """The next experiment for two or more hypotheses that are left; None where none would help.
+def propose(alternatives: Sequence[Alternative], tool: CalibrationFile) -> Experiment | None:
+    """Return the next experiment for two or more hypotheses; None where none would help.
 
     Of more than four the likeliest four count.
-
-    Raises DiagnosisError for probabilities or covariances that are none, ObstacleError where the
-    budget's boxes leave the arm no home.
     """
-    budget = budget or Budget()
-    for one in alternatives:
-        one.check()
     known = sorted(alternatives, key=lambda one: -one.probability)[:_MOST_ALTERNATIVES]
     known = [one for one in known if one.probability > 0.0]
     if len(known) < 2:
@@ -88,50 +114,136 @@ def propose(
     left = [one.in_another_session() for one in known]
     probability = np.array([one.probability for one in left])
     before = float(np.sum((probability / probability.sum()) ** 2))
-    judged = [
-        (proposal, separate(proposal.trials, left, tool))
-        for proposal in Experiments(left, tool, budget).all()
-    ]
-    best = max(separation.expected_probability for _, separation in judged)
+    judged = [(one, *separate(one.trials, left, tool)) for one in proposals(left, tool)]
+    best = max(expected for _, _, expected in judged)
     if best < before + _WORTH * (1.0 - before):
         return None
-    proposal, separation = next(
-        (one, how) for one, how in judged if how.expected_probability >= best - _AS_GOOD
-    )
-    return _experiment(proposal, separation, [one.name for one in known], budget, before)
-
-
-def _experiment(
-    proposal: Proposal,
-    separation: Separation,
-    names: Sequence[str],
-    budget: Budget,
-    before: float,
-) -> Experiment:
-    distance = np.minimum(separation.distance, separation.distance.T)
-    pairs = [(i, j) for i in range(len(names)) for j in range(i)]
+    proposal, distances, expected = next(one for one in judged if one[2] >= best - _AS_GOOD)
+    distance = np.minimum(distances, distances.T)
+    pairs = [(i, j) for i in range(len(known)) for j in range(i)]
     apart = [pair for pair in pairs if distance[pair] >= APART]
     # Where no pair comes that far, the farthest is what it is about.
     about = apart or [max(pairs, key=lambda pair: distance[pair])]
-    told = {k for pair in about for k in pair}
     return Experiment(
-        separates=tuple(name for k, name in enumerate(names) if k in told),
-        not_separated=tuple((names[j], names[i]) for i, j in pairs if (i, j) not in about),
-        do=proposal.do,
-        kind=proposal.kind,
-        poses=proposal.poses,
-        program=proposal.program,
-        average_s=budget.average_s,
-        home=tuple(float(value) for value in budget.where.home),
+        proposal=proposal,
+        separates=tuple(one.name for k, one in enumerate(known) if any(k in p for p in about)),
+        not_separated=tuple(
+            (known[j].name, known[i].name) for i, j in pairs if (i, j) not in about
+        ),
         distance=float(min(distance[pair] for pair in about)),
-        expected_probability=min(float(separation.expected_probability), 1.0),
+        expected_probability=min(expected, 1.0),
         before=before,
     )
 
 
+# The list
+
+
+def proposals(alternatives: Sequence[Alternative], tool: CalibrationFile) -> Iterator[Proposal]:
+    """Yield experiments, from the least trouble to the most."""
+    poses = _chosen_poses(alternatives, tool, tracker=False)
+    count, joints = len(poses), GALEN.with_angles(poses)
+    yield Proposal(
+        "still poses",
+        f"sweep these {count} still poses, {_AVERAGE_S:g} s each, without touching the tool",
+        joints,
+        (_still(poses, tool),),
+    )
+    both = np.concatenate([poses, poses[::-1]])
+    yield Proposal(
+        "reversed order",
+        f"sweep these {count} still poses and then the same in reversed order, without zeroing the"
+        " sensor between: what belongs to the pose comes back, what belongs to the time or the way"
+        " doesn't",
+        GALEN.with_angles(both),
+        (_still(both, tool),),
+    )
+    seen = _chosen_poses(alternatives, tool, tracker=True)
+    yield Proposal(
+        "tracker at rest",
+        f"sweep these {len(seen)} still poses with the tracker on and record both markers: the"
+        " tip's place separates joints and frames from the sensor",
+        GALEN.with_angles(seen),
+        (_still(seen, tool, tracker=True),),
+    )
+    if tool.load.mass_kg > 0.0:
+        bare = _still(poses, tool, absent=_OF_THE_TOOL, tool_on=False)
+        yield Proposal(
+            "second mass",
+            f"sweep these {count} still poses twice, with the adapter alone and with the tool on,"
+            " as a calibration does: with two known masses a gain is not a mass",
+            joints,
+            (bare, _still(poses, tool)),
+        )
+    slow = _SPEEDS[0]
+    yield Proposal(
+        "two speeds",
+        f"move all joints freely for {_MOTION_S:g} s at {slow:g} of the usual speed and for"
+        f" {_MOTION_S:g} s at the full, without touching the tool: friction stays, a delay grows"
+        " with the speed, inertia with its square",
+        joints[:0],
+        tuple(motion_trial(speed, _MOTION_S, tool) for speed in _SPEEDS),
+        "none",
+    )
+    yield _pushes(alternatives, tool)
+
+
+def _pushes(alternatives: Sequence[Alternative], tool: CalibrationFile) -> Proposal:
+    places = np.array([[*at, *angles] for at, angles in product(_PLATFORM_M, _ANGLES_RAD)])
+    trial = push_trial(places, _LEVELS_N[-1:], tool)
+    chosen = places[choose_units(trial, alternatives, tool, _PLACES)]
+    levels = " and ".join(f"{level:g}" for level in _LEVELS_N)
+    where = "; ".join(
+        ", ".join(f"{name} {value:g}" for name, value in zip(GALEN.joint_names, place, strict=True))
+        for place in chosen
+    )
+    do = f"with the tracker on, push with {levels} N to both sides along each axis at {where}"
+    return Proposal("pushes", do, chosen, (push_trial(chosen, _LEVELS_N, tool),), "collection")
+
+
+def _times() -> SweepTimes:
+    motion = MotionParameters()
+    velocity, acceleration = (
+        GALEN.angles(limits) for limits in (motion.max_velocity, motion.max_acceleration)
+    )
+    return SweepTimes(_SWEEP.home_angles, velocity, acceleration, _SETTLE_S + _AVERAGE_S)
+
+
+def _still(poses: Array, tool: CalibrationFile, **options: Any) -> Trial:
+    return still_trial(poses, _times().at_s(poses), _AVERAGE_S, tool, **options)
+
+
+def _chosen_poses(
+    alternatives: Sequence[Alternative], tool: CalibrationFile, *, tracker: bool
+) -> Array:
+    """The poses that separate best, in a good order; a calibration can be made of them."""
+    candidates = _SWEEP.candidates()
+    trial = _still(candidates, tool, tracker=tracker)
+    poses = candidates[choose_units(trial, alternatives, tool, _POSES)]
+    if not _calibrates(poses):
+        # Half of them for what shows the load: the behaviour rejects a sweep that doesn't.
+        chosen = choose_units(trial, alternatives, tool, _POSES // 2)
+        with suppress(PoseDesignError):
+            design = PoseDesign(candidates).choose(_POSES)
+            chosen += [one for one in design if one not in chosen][: _POSES - len(chosen)]
+        poses = candidates[chosen]
+    return order_poses(poses, _times())
+
+
+def _calibrates(poses: Array) -> bool:
+    try:
+        check_planned_poses(poses, zero_angles=_SWEEP.home_angles)
+    except NotExcitedError:
+        return False
+    return True
+
+
+# The file
+
+
 _HEAD = """\
 {do}
-# It tells apart: {separates}.
+# It separates: {separates}.
 #
 #   ros2 run {node} --ros-args --params-file THIS_FILE{more}
 #   ros2 run {command}
@@ -142,63 +254,57 @@ _SWEEP_REMARK = (
     "Record joint_states and wrench_raw{tracker} meanwhile. A calibration writes the tool's file:"
     " give it a directory of its own, so that the file in use stays."
 )
-_PUSH_REMARK = "It records what a diagnosis needs."
 
 
 def write_sweep(experiment: Experiment, path: Path) -> None:
     """Write it as parameters of calibration_node or of collection_node, whole or not at all.
 
-    Raises DiagnosisError for an experiment that neither runs, and where it can't be written.
+    Raises GalenError for an experiment that neither runs, and where it can't be written.
     """
-    if experiment.program == "none":
+    proposal = experiment.proposal
+    if proposal.program == "none":
         raise DiagnosisError(
-            f"{path}: not written: the next experiment ({experiment.kind}) is nothing that a node"
-            f" runs; do it by hand: {experiment.do}"
+            f"{path}: not written: the next experiment ({proposal.kind}) is nothing that a node"
+            f" runs; do it by hand: {proposal.do}"
         )
-    sweep = experiment.program == "calibration"
-    parameters = _sweep_parameters(experiment) if sweep else _collection_parameters(experiment)
-    tracker = ", tracker/tool_pose, tracker/base_pose" if "tracker" in experiment.kind else ""
-    one_sweep = "" if experiment.kind == "second mass" else " --one-sweep"
+    parameters: dict[str, Any]
+    if proposal.program == "calibration":
+        tracker = ", tracker/tool_pose, tracker/base_pose" if "tracker" in proposal.kind else ""
+        one_sweep = "" if proposal.kind == "second mass" else " --one-sweep"
+        node, more = "galen_calibration_behavior calibration_node", " -p tools_dir:=DIR"
+        command = f"galen_calibration_behavior calibrate TOOL --tip X Y Z{one_sweep}"
+        remark = _SWEEP_REMARK.format(tracker=tracker)
+        parameters = {
+            "poses": "listed",
+            "average_s": _AVERAGE_S,
+            **dict(zip(("Xhome", "Yhome", "Zhome", "Rhome", "Thome"), HOME.tolist(), strict=True)),
+            "listed_poses_rad": _rounded(GALEN.angles(proposal.poses)),
+        }
+    else:
+        node, more = "galen_deflection collection_node", ""
+        command = "galen_deflection collect NAME --tool TOOL"
+        remark = "It records what a diagnosis needs."
+        parameters = {"positions": _rounded(proposal.poses), "forces_n": list(_LEVELS_N)}
     head = _HEAD.format(
-        do=_comment(f"{experiment.do}."),
+        do=_comment(f"{proposal.do}."),
         separates=", ".join(experiment.separates),
-        node="galen_calibration_behavior calibration_node"
-        if sweep
-        else "galen_deflection collection_node",
-        more=" -p tools_dir:=DIR" if sweep else "",
-        command=f"galen_calibration_behavior calibrate TOOL --tip X Y Z{one_sweep}"
-        if sweep
-        else "galen_deflection collect NAME --tool TOOL",
-        remark=_comment(_SWEEP_REMARK.format(tracker=tracker) if sweep else _PUSH_REMARK),
+        node=node,
+        more=more,
+        command=command,
+        remark=_comment(remark),
     )
     body = yaml.safe_dump(
-        {f"/**/{experiment.program}": {"ros__parameters": parameters}},
+        {f"/**/{proposal.program}": {"ros__parameters": parameters}},
         sort_keys=False,
         default_flow_style=None,
         width=100,
     )
-    try:
+    with writing(path):
         write_whole(path, head + body)
-    except OSError as error:
-        raise DiagnosisError(f"{path}: can't be written: {error.strerror or error}") from error
 
 
 def _comment(text: str) -> str:
     return textwrap.fill(text, 100, initial_indent="# ", subsequent_indent="# ")
-
-
-def _sweep_parameters(experiment: Experiment) -> dict[str, Any]:
-    names = ("Xhome", "Yhome", "Zhome", "Rhome", "Thome")
-    return {
-        "poses": "listed",
-        "average_s": float(experiment.average_s),
-        **dict(zip(names, experiment.home, strict=True)),
-        "listed_poses_rad": _rounded(experiment.poses[:, 3:]),
-    }
-
-
-def _collection_parameters(experiment: Experiment) -> dict[str, Any]:
-    return {"positions": _rounded(experiment.poses), "forces_n": list(LEVELS_N)}
 
 
 def _rounded(values: Array) -> list[float]:

@@ -1,4 +1,4 @@
-"""How well an experiment would tell hypotheses apart, before it is done.
+"""How well an experiment would separate hypotheses, before it is done.
 
 A hypothesis i is some effects with parameters theta_i, known to the covariance C_i. Linearised
 there, what its experiment would show (`galen_diagnosis.experiment.trial.signature`, in units of
@@ -31,7 +31,6 @@ from galen_model.files.calibration_file import CalibrationFile
 from galen_sim_driver.effects.effect import Effect
 from galen_sim_driver.effects.sensor import SensorDrift
 
-from galen_diagnosis.errors import DiagnosisError
 from galen_diagnosis.experiment.trial import Trial, free_columns, load_columns, signature
 
 _ONCE = frozenset({"bias_step", "base_shift"})
@@ -59,11 +58,11 @@ class Alternative:
         return " and ".join(effect.identity for effect in self.effects) or "none"
 
     def vector(self) -> Array:
-        """All parameters (k,)."""
+        """Return all parameters (k,)."""
         return np.concatenate([np.zeros(0), *(effect.vector() for effect in self.effects)])
 
     def with_vector(self, vector: Array) -> tuple[Effect, ...]:
-        """The effects with other numbers."""
+        """Return the effects with other numbers."""
         effects, at = [], 0
         for effect in self.effects:
             size = len(effect.vector())
@@ -71,24 +70,13 @@ class Alternative:
             at += size
         return tuple(effects)
 
-    def check(self) -> None:
-        """Raise DiagnosisError for a probability or a covariance that is none."""
-        if not (np.isfinite(self.probability) and 0.0 <= self.probability <= 1.0):
-            raise DiagnosisError(f"{self.name}: the probability is {self.probability}")
-        size = len(self.vector())
-        if np.shape(self.covariance) != (size, size) or not np.isfinite(self.covariance).all():
-            raise DiagnosisError(
-                f"{self.name}: the covariance, {np.shape(self.covariance)}, must be of {size}"
-                " parameters and finite"
-            )
-
     def spread(self) -> Array:
-        """A square root (k, k) of the covariance."""
+        """Return the symmetric square root (k, k) of the covariance."""
         values, vectors = np.linalg.eigh(np.asarray(self.covariance, dtype=float))
-        return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))
+        return np.asarray((vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T)
 
     def in_another_session(self) -> Alternative:
-        """What is left of it when something else is recorded.
+        """Return what stays of it when something else is recorded.
 
         A jump or a shift happened once. A bias drift goes on, but not as before: its rate is only
         known to be about as large.
@@ -117,51 +105,16 @@ class Alternative:
 
 
 def typical_sizes(effects: Sequence[Effect]) -> Array:
-    """The fitted parameters' usual sizes (k,), in their order."""
-    sizes = [
-        np.broadcast_to(np.asarray(p.typical, dtype=float), (p.size,))
-        for effect in effects
-        for p in effect.fitted
-    ]
+    """Return the fitted parameters' usual sizes (k,), in their order."""
+    sizes = [part.typicals for effect in effects for part in effect.fitted]
     return np.concatenate([np.zeros(0), *sizes])
 
 
-@dataclass(frozen=True)
-class Linear:
-    """A hypothesis along some trials: shown (n,) and spread (n, k), one column a deviation."""
+def linearise(trials: Sequence[Trial], alternative: Alternative) -> tuple[Array, Array]:
+    """Return what a hypothesis shows (n,), and a column (n, k) a deviation, by differences.
 
-    shown: Array
-    spread: Array
-
-
-def linearise(trials: Sequence[Trial], alternative: Alternative) -> Linear:
-    """By central differences, a hundredth of a parameter's typical size to either side."""
-    here, slope = slopes(trials, alternative.effects)
-    return Linear(here, slope @ alternative.spread())
-
-
-def fitted_covariance(
-    trials: Sequence[Trial], effects: tuple[Effect, ...], tool: CalibrationFile
-) -> Array:
-    """Covariance (k, k) that a fit to these trials would have, with priors of typical sizes.
-
-    The inverse of 1 / typical^2 and the information S^T (1 + L L^T)^-1 S, N projected out.
+    Central ones, a hundredth of a parameter's typical size to either side.
     """
-    _, slope = slopes(trials, effects)
-    free, _ = np.linalg.qr(free_columns(trials))
-    columns = np.hstack([slope, load_columns(trials, tool)])
-    columns -= free @ (free.T @ columns)
-    information = columns.T @ columns
-    prior = np.ones(columns.shape[1])
-    prior[: slope.shape[1]] = typical_sizes(effects) ** -2.0
-    inverse = np.linalg.inv(information + np.diag(prior))
-    return np.asarray(inverse[: slope.shape[1], : slope.shape[1]])
-
-
-def slopes(trials: Sequence[Trial], effects: tuple[Effect, ...]) -> tuple[Array, Array]:
-    """What effects show (n,) and how it changes with each parameter (n, k), by differences."""
-    size = len(typical_sizes(effects))
-    alternative = Alternative(effects, 1.0, np.zeros((size, size)))
 
     def shown(vector: Array) -> Array:
         effects = alternative.with_vector(vector)
@@ -174,30 +127,16 @@ def slopes(trials: Sequence[Trial], effects: tuple[Effect, ...]) -> tuple[Array,
         step = np.zeros(len(at))
         step[k] = _STEP * typical
         slope[:, k] = (shown(at + step) - shown(at - step)) / (2.0 * step[k])
-    return here, slope
-
-
-@dataclass(frozen=True)
-class Separation:
-    """distance (h, h): D_ij of truth i, hypothesis j; expected_probability of the truth."""
-
-    distance: Array
-    expected_probability: float
-
-    @property
-    def smallest(self) -> float:
-        """Of all pairs, in the less favourable of both directions."""
-        others = ~np.eye(len(self.distance), dtype=bool)
-        return float(self.distance[others].min())
+    return here, slope @ alternative.spread()
 
 
 def separate(
     trials: Sequence[Trial], alternatives: Sequence[Alternative], tool: CalibrationFile
-) -> Separation:
-    """What the trials together would tell."""
+) -> tuple[Array, float]:
+    """Return D_ij (h, h) of truth i, hypothesis j, and the expected probability of the truth."""
     linear = [linearise(trials, alternative) for alternative in alternatives]
     free, _ = np.linalg.qr(free_columns(trials))
-    columns = [part for one in linear for part in (one.shown[:, None], one.spread)]
+    columns = [part for shown, spread in linear for part in (shown[:, None], spread)]
     stacked = np.hstack([*columns, load_columns(trials, tool)])
     stacked -= free @ (free.T @ stacked)
     # All that differs lies in the columns' own space; the noise stays white there.
@@ -214,7 +153,7 @@ def separate(
         ]
     )
     prior = np.array([alternative.probability for alternative in alternatives])
-    return Separation(distance, _expected(means, covariances, prior / prior.sum()))
+    return distance, _expected(means, covariances, prior / prior.sum())
 
 
 def _length(difference: Array, covariance: Array) -> float:
@@ -247,7 +186,7 @@ def _expected(means: Sequence[Array], covariances: Sequence[Array], prior: Array
 def choose_units(
     trial: Trial, alternatives: Sequence[Alternative], tool: CalibrationFile, count: int
 ) -> list[int]:
-    """The units (poses, positions) of a trial that together make the smallest D_ij largest.
+    """Choose the units (poses, positions) of a trial that make the smallest D_ij largest.
 
     Everything that D holds are sums over units; so poses are taken one by one, the best first, and
     then exchanged until none is better (Fedorov's exchange, as in `galen_model.poses.design`).
@@ -261,7 +200,7 @@ def choose_units(
     for i, one in enumerate(linear):
         for j, other in enumerate(linear):
             if i != j:
-                rows = np.column_stack([one.shown - other.shown, other.spread, known, free])
+                rows = np.column_stack([one[0] - other[0], other[1], known, free])
                 parts = np.split(rows[order], np.cumsum(sizes)[:-1])
                 sums = np.stack([part.T @ part for part in parts])
                 weak = np.ones(rows.shape[1] - 1)

@@ -2,20 +2,27 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from galen_model.arrays import Array
-from galen_model.evidence.background import Background, evidence
+from galen_model.evidence.linear import Background, evidence
 from scipy.linalg import block_diag
 
-from galen_diagnosis.answer.answer import NONE, UNKNOWN, Answer, Cause, Diagnosis, Interval, Verdict
-from galen_diagnosis.answer.gap import Gap, held_out_gap, unknowns_alone
-from galen_diagnosis.answer.localization import where
-from galen_diagnosis.answer.numbers_found import covariance, parameters
+from galen_diagnosis.answer.answer import (
+    NONE,
+    SURE,
+    UNKNOWN,
+    Answer,
+    Cause,
+    Diagnosis,
+    Interval,
+    Verdict,
+)
+from galen_diagnosis.answer.gap import Gap, covariance, held_out_gap, parameters, unknowns_alone
+from galen_diagnosis.answer.localization import localize
 from galen_diagnosis.effects.candidates import NEEDS_MOTION, NEEDS_TRACKER, SOUGHT
 from galen_diagnosis.experiment.next_experiment import Experiment, propose
 from galen_diagnosis.experiment.separation import Alternative
@@ -30,11 +37,9 @@ from galen_diagnosis.inference.posterior import (
 from galen_diagnosis.inference.refine import Hypothesis, refine
 from galen_diagnosis.inference.search import Found, search
 from galen_diagnosis.inference.structure import (
-    Leftover,
-    Oscillation,
     Structure,
-    leftover,
     oscillation,
+    remaining_energy,
     structures,
 )
 from galen_diagnosis.observation.observation import UNKNOWNS, Observation
@@ -43,26 +48,27 @@ from galen_diagnosis.report.words import sentence
 
 Progress = Callable[[str, float], None]
 
-_SURE = 0.9
 _NO_GAP = 0.2
-"""A gap is said only where it is four times as likely as none: two dozen effects that are not there
-have some probability each."""
+"""A gap is reported only where it is four times as likely as none: two dozen effects that are not
+there have some probability each."""
 _LISTED = 0.05
 _CLEAR = 5.0
-"""Log of the odds from which on what is left over is told."""
+"""Log of the odds from which on remaining structure is reported."""
 _APART = 3.3
-"""Two causes nearer than this in units of the noise can't be told apart (study of diagnosis)."""
+"""Two causes nearer than this in units of the noise can't be distinguished (study of diagnosis)."""
 
 
 @dataclass(frozen=True)
 class Explored:
-    """What was looked at, before any probability: enough for a posterior under any settings."""
+    """What was looked at, before any probability: enough for a posterior under any settings.
+
+    floor: mean square of a row that noise alone gives; structures: in what the best fit leaves.
+    """
 
     observation: Observation
     found: Found
-    left: Leftover
+    floor: float
     structures: tuple[Structure, ...]
-    oscillation: Oscillation | None
     scored: tuple[Scored, ...]
 
 
@@ -72,12 +78,13 @@ def explore(recording: Recording, progress: Progress | None = None) -> Explored:
     observation = Observation(recording)
     found = search(observation, progress)
     best = min(found.hypotheses, key=lambda hypothesis: hypothesis.cost)
-    left = leftover(observation.rows, best.rows)
+    remaining, floor = remaining_energy(observation.rows, best.rows)
     say("what the best fit leaves", 0.86)
     seen = structures(observation, found.behind.with_free(best.columns), best.raw_rows)
     fast = oscillation(observation.streams_with(best.effects, best.unknowns))
-    clear = [one.log_bayes for one in (*seen, fast) if one is not None]
-    of = scored(found, max(left.sure, 2.0 * max(clear, default=0.0)))
+    seen += [] if fast is None else [fast]
+    clear = max([one.log_bayes for one in seen], default=0.0)
+    of = scored(found, max(remaining, 2.0 * clear))
     least = min(one.energy for one in of)
     fitted = {one.names[0] for one in of if len(one.names) == 1}
     none = next(one for one in of if not one.names)
@@ -86,44 +93,32 @@ def explore(recording: Recording, progress: Progress | None = None) -> Explored:
             # Not worth a fit: what its columns alone say.
             energy = max(none.energy - 2.0 * max(log, 0.0), least)
             of.append(Scored((name,), energy, (none.energy - energy,), max(-log, 0.0)))
-    return Explored(observation, found, left, tuple(seen), fast, tuple(of))
+    return Explored(observation, found, floor, tuple(seen), tuple(of))
 
 
 def diagnose_recording(
     recording: Recording, settings: Settings | None = None, progress: Progress | None = None
 ) -> Diagnosis:
-    """The diagnosis; progress(what, share of the whole) is called as it goes on."""
-    started = time.perf_counter()
+    """Diagnose; progress(what, share of the whole) is called as it goes on."""
     say = progress or (lambda what, share: None)
     say("reading against the nominal arm", 0.02)
-    explored = explore(recording, progress)
-    seconds = dict(explored.found.seconds)
-    seconds["observation"] = time.perf_counter() - started - sum(seconds.values())
-    clock = time.perf_counter()
-    result = conclude(explored, settings or load_settings(), say)
-    seconds["conclusion"] = time.perf_counter() - clock
-    return replace(result, seconds=seconds)
+    return conclude(explore(recording, progress), settings or load_settings(), say)
 
 
 def conclude(explored: Explored, settings: Settings, say: Progress) -> Diagnosis:
-    """Probabilities, verdict, held-out gap, where, what next."""
+    """Return probabilities, verdict, held-out gap, where it lies, what to do next."""
     observation, found = explored.observation, explored.found
     chances = posterior(explored.scored, settings)
     verdict, chosen = _verdict(explored, chances)
     best = chosen or found.none
     plain = unknowns_alone(found.behind)
     say("held out", 0.88)
-    floor = explored.left.floor
-    gap = held_out_gap(observation, best, found.behind, floor, say)
+    gap = held_out_gap(observation, best, found.behind, explored.floor, say)
     none = refine(observation, plain, (), ())
     whole = refine(observation, plain, best.parts, best.values, None, 0.0) if best.parts else none
     say("where", 0.96)
-    streams_before = observation.streams_with((), none.unknowns)
     healthy = _healthy(found, plain)
-    place = where(observation.rows, none.rows, streams_before, floor, healthy=healthy)
-    causes = _causes(explored, chances, verdict, best, gap, settings) if best.parts else ()
-    if verdict == NONE:
-        causes = ()
+    causes = _causes(explored, chances, verdict, best, gap, settings)
     say("what next", 0.98)
     experiment = _next(explored, chances, verdict)
     answer = Answer(
@@ -131,27 +126,22 @@ def conclude(explored: Explored, settings: Settings, say: Progress) -> Diagnosis
         verdict=verdict,
         causes=causes,
         ranking=_ranking(chances),
-        where=place.to_json(),
+        where=localize(observation.rows, none.rows, explored.floor, healthy),
         gap=gap.to_json(),
         next_experiment=None if experiment is None else experiment.to_json(),
         cannot_tell=_cannot_tell(observation),
         problems=observation.recording.problems,
-        left_over=_left_over(explored),
+        remaining=_remaining(explored),
     )
-    answer = replace(answer, sentence=sentence(answer))
-    effects = best.effects if verdict in ("identified", "ambiguous") else ()
     return Diagnosis(
-        answer=answer,
+        answer=replace(answer, sentence=sentence(answer)),
         rows=observation.rows,
-        before=none.rows,
-        after=whole.rows,
         held_out_before=gap.before,
         held_out_after=gap.after,
-        streams_before=streams_before,
+        streams_before=observation.streams_with((), none.unknowns),
         streams_after=observation.streams_with(whole.effects, whole.unknowns),
-        effects=effects,
-        floor=floor,
-        seconds={},
+        effects=best.effects if verdict in ("identified", "ambiguous") else (),
+        floor=explored.floor,
         experiment=experiment,
         healthy=healthy,
     )
@@ -189,8 +179,8 @@ def _verdict(explored: Explored, chances: Posterior) -> tuple[Verdict, Hypothesi
         return ("unknown" if chances.unknown > chances.none else "none"), None
     if chances.unknown >= 0.5:
         return "unknown", best
-    # What can't be told from it hides behind one name: `_causes` says which.
-    sure = sets[0][0] >= _SURE and sets[0][1] == frozenset(best.names)
+    # Equivalent effects hide behind one name: `_causes` lists them.
+    sure = sets[0][0] >= SURE and sets[0][1] == frozenset(best.names)
     return ("identified" if sure else "ambiguous"), best
 
 
@@ -203,6 +193,8 @@ def _causes(
     settings: Settings,
 ) -> tuple[Cause, ...]:
     """The best fit's effects; where it is ambiguous, those of the other likely fits as well."""
+    if verdict == NONE:
+        return ()
     found = explored.found
     causes: dict[str, Cause] = {}
     left = min(one.energy for one in explored.scored)
@@ -290,31 +282,26 @@ def _full_covariance(fit: Hypothesis) -> Array:
         size = len(effect.vector())
         block = np.zeros((size, size))
         free = part.free if len(part.free) <= size else np.arange(size)
-        if not part.has_inputs:
+        if not part.inputs:
             inner = fit.covariance[where_, where_][: len(free), : len(free)]
             block[np.ix_(free, free)] = inner
         blocks.append(block)
     return np.asarray(block_diag(*blocks))
 
 
-def _left_over(explored: Explored) -> tuple[dict[str, Any], ...]:
+def _remaining(explored: Explored) -> tuple[dict[str, Any], ...]:
     """What the best fit leaves goes with, as far as that is no chance."""
-    found: list[dict[str, Any]] = [
+    clear = [one for one in explored.structures if one.log_bayes > _CLEAR]
+    return tuple(
         {"what": one.name, "energy": one.energy, "log_bayes": one.log_bayes}
-        for one in explored.structures
-    ]
-    fast = explored.oscillation
-    if fast is not None:
-        what = f"wrench in {fast.bag} at {fast.from_hz:g} to {fast.to_hz:g} Hz"
-        found.append({"what": what, "energy": fast.energy, "log_bayes": fast.log_bayes})
-    clear = [one for one in found if one["log_bayes"] > _CLEAR]
-    return tuple(sorted(clear, key=lambda one: -one["log_bayes"]))
+        for one in sorted(clear, key=lambda one: -one.log_bayes)
+    )
 
 
 def _cannot_tell(observation: Observation) -> tuple[str, ...]:
     """What is missing, and which effects so can't be seen."""
     recording = observation.recording
-    out = [f"no {name}: nothing is said of it" for name in recording.missing]
+    out = [f"no {name}: not diagnosed" for name in recording.missing]
     if not any(view.tracks for view in observation.views.values()):
         names = ", ".join(name for name in SOUGHT if name in NEEDS_TRACKER)
         out.append(f"no tracker: {names} can't be seen")

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from galen_model.arrays import Array
-from galen_model.evidence.background import Background, factor
+from galen_model.evidence.linear import Background, factor
 from galen_sim_driver.effects.effect import Effect
 from scipy.linalg import cho_solve
 
@@ -95,7 +95,7 @@ def refine(
     sizes = [len(values) for values in start]  # of a limit that no push reaches, none
     cuts = np.cumsum(sizes)[:-1]
     theta = np.concatenate(list(start)) if parts else np.zeros(0)
-    centre = np.concatenate([part.centre for part in parts]) if parts else np.zeros(0)
+    centre = np.concatenate([part.start for part in parts]) if parts else np.zeros(0)
     typical = np.concatenate([part.typical for part in parts]) if parts else np.zeros(0)
     scale = _scale(theta, centre, typical, sizes)
     low = np.concatenate([part.limits()[0] for part in parts]) if parts else np.zeros(0)
@@ -163,7 +163,7 @@ def refine(
         inner = np.eye(len(theta)) + gram * np.outer(spread, spread)
         covariance = np.linalg.inv(inner) * np.outer(spread, spread)
         log_bayes = -0.5 * float(np.linalg.slogdet(inner)[1])
-    log_bayes += sum(part.other_evidence for part in parts)
+    log_bayes += sum(part.bonus for part in parts)
     if none_cost is not None:
         log_bayes += 0.5 * (none_cost - cost)
     unknown = nu[:UNKNOWNS].copy()

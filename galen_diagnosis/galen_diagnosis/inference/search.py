@@ -8,25 +8,29 @@ from linear in where it is held, is fitted from its few best starts.
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from galen_model.arrays import Array
-from galen_model.evidence.background import Background, Evidence, evidence
+from galen_model.evidence.linear import Background, Evidence, evidence
 from scipy.special import logsumexp
 
-from galen_diagnosis.effects.candidates import Candidate, candidates
-from galen_diagnosis.effects.saturation import saturation_candidates
+from galen_diagnosis.effects.candidates import (
+    Candidate,
+    background,
+    candidates,
+    tolerance,
+    unknown_columns,
+)
 from galen_diagnosis.effects.scans import (
     crosstalk_candidates,
     drift_candidates,
     jump_candidate,
+    saturation_candidates,
     scan_shifts,
     scan_steps,
 )
-from galen_diagnosis.inference.background import background, key_of, tolerances, unknown_columns
 from galen_diagnosis.inference.refine import Hypothesis, nothing, refine
 from galen_diagnosis.observation.observation import Observation
 
@@ -41,7 +45,6 @@ _HOPELESS = 15.0
 _IDLE = 9.0
 _SINGLES, _PAIRS_FROM, _PAIRS, _TRIPLES = 7, 3, 4, 2
 _FORMS_EACH = {"cable_drag": 3, "deflection_hysteresis": 2, "crosstalk": 2, "sensor_drift": 2}
-_WITHIN = 60.0
 
 
 @dataclass(frozen=True)
@@ -52,14 +55,12 @@ class Found:
     effect by its columns alone, against none; columns: of every candidate by effect and form.
     """
 
-    observation: Observation
     behind: Background
     hypotheses: tuple[Hypothesis, ...]
     linear: dict[str, float]
     none: Hypothesis
     columns: dict[tuple[str, str], Array]
     typical: dict[tuple[str, str], Array]
-    seconds: dict[str, float] = field(default_factory=dict)
 
 
 class _Forms:
@@ -68,49 +69,35 @@ class _Forms:
     def __init__(self, observation: Observation) -> None:
         self.observation = observation
         self.unknowns = unknown_columns(observation)
-        self.all: list[Candidate] = []
-        self.columns: dict[tuple[str, str], Array] = {}
-        for candidate in candidates(observation):
-            self.add(candidate)
+        self.all = candidates(observation)
+        self.columns = {one.key: _columns(observation, one) for one in self.all}
         self.behind = background(observation, self.unknowns, self.columns)
         zero = self.unknowns[:, :6]
-        for linear in (
-            *crosstalk_candidates(observation, zero),
-            *drift_candidates(observation, zero),
-        ):
-            self.all.append(linear)
-            self.columns[key_of(linear)] = linear.columns
+        linear = [*crosstalk_candidates(observation, zero), *drift_candidates(observation, zero)]
+        self.all += linear
+        self.columns |= {one.key: _columns(observation, one) for one in linear}
         for columns in self.columns.values():
             self.behind.remember(columns)
         self.limits = saturation_candidates(observation, zero)
-
-    def add(self, candidate: Candidate) -> None:
-        self.all.append(candidate)
-        self.columns[key_of(candidate)] = _columns(self.observation, candidate)
 
     def judged(self, rows: Array, behind: Background) -> list[tuple[Candidate, Evidence]]:
         """Every form's evidence on rows (N,) beside a background, jumps in time included."""
         out = []
         for candidate in self.all:
-            columns = self.columns[key_of(candidate)]
+            columns = self.columns[candidate.key]
             gram, along = behind.reduced(columns, rows)
             out.append((candidate, evidence(gram, along, candidate.typical[: len(along)])))
         for limit in self.limits:
             clipped = rows - self.observation.change([limit.base])
             gained = behind.sum_of_squares(rows) - behind.sum_of_squares(clipped)
-            gram, along = behind.reduced(limit.beyond, clipped)
+            gram, along = behind.reduced(_columns(self.observation, limit), clipped)
             beyond = evidence(gram, along, limit.typical)
-            log = beyond.log_bayes + 0.5 * gained + limit.other_evidence
+            log = beyond.log_bayes + 0.5 * gained + limit.bonus
             out.append((limit, replace(beyond, log_bayes=log, gain=beyond.gain + gained)))
+        zero, marker = self.unknowns[:, :6], self.unknowns[:, 12:]
         for scan, columns in (
-            (
-                scan_steps(self.observation, self.unknowns[:, :6], rows, behind),
-                self.unknowns[:, :6],
-            ),
-            (
-                scan_shifts(self.observation, self.unknowns[:, 12:], rows, behind),
-                self.unknowns[:, 12:],
-            ),
+            (scan_steps(self.observation, zero, rows, behind), zero),
+            (scan_shifts(self.observation, marker, rows, behind), marker),
         ):
             if scan is not None:
                 best = scan.best()
@@ -128,7 +115,6 @@ def _columns(observation: Observation, candidate: Candidate) -> Array:
         candidate,
         free=candidate.free[:first],
         start=candidate.start[:first],
-        centre=candidate.centre[:first],
         typical=candidate.typical[:first],
         probe=candidate.probe[:first],
     )
@@ -136,12 +122,11 @@ def _columns(observation: Observation, candidate: Candidate) -> Array:
 
 
 def healthy_background(observation: Observation) -> Background:
-    """Unknowns and a healthy arm's tolerances, without any search."""
-    wanted = tolerances(observation)
+    """Return unknowns and a healthy arm's tolerances, without any search."""
     columns = {
-        key_of(candidate): _columns(observation, candidate)
-        for candidate in candidates(observation)
-        if key_of(candidate) in wanted
+        one.key: _columns(observation, one)
+        for one in candidates(observation)
+        if tolerance(observation, *one.key) is not None
     }
     return background(observation, unknown_columns(observation), columns)
 
@@ -149,50 +134,31 @@ def healthy_background(observation: Observation) -> Background:
 def search(observation: Observation, progress: Progress | None = None) -> Found:
     """Look for the effects behind the rows."""
     say = progress or (lambda what, share: None)
-    clock = time.perf_counter()
-    seconds: dict[str, float] = {}
-
-    def lap(name: str) -> None:
-        nonlocal clock
-        now = time.perf_counter()
-        seconds[name] = seconds.get(name, 0.0) + now - clock
-        clock = now
-
     say("effects' columns", 0.1)
     forms = _Forms(observation)
-    lap("columns")
     say("every effect alone", 0.4)
     none = nothing(observation, forms.behind)
     judged = forms.judged(none.raw_rows, forms.behind)
-    linear = _by_effect(judged)
-    lap("singles, linear")
     say("the likeliest, on the simulator", 0.55)
-    hypotheses = [none]
     singles = [
         refine(observation, forms.behind, [candidate], [_start(candidate, found)], None, none.cost)
         for candidate, found in _shortlist(judged, _SINGLES, _WORTH)
     ]
-    hypotheses += singles
-    lap("singles, fitted")
     say("pairs", 0.7)
     pairs = _grown(observation, forms, _best(singles, _PAIRS_FROM), _PAIRS, none.cost)
-    hypotheses += pairs
-    lap("pairs")
     say("three together", 0.85)
-    best_pairs = _best([p for p in pairs if p.log_bayes > _top(singles) + _WORTH], 1)
-    hypotheses += _grown(observation, forms, best_pairs, _TRIPLES, none.cost)
+    top = max((single.log_bayes for single in singles), default=0.0)
+    best_pairs = _best([pair for pair in pairs if pair.log_bayes > top + _WORTH], 1)
+    triples = _grown(observation, forms, best_pairs, _TRIPLES, none.cost)
+    hypotheses = [none, *singles, *pairs, *triples]
     hypotheses += _pruned(observation, forms, hypotheses, none.cost)
-    lap("triples")
-    ordered = sorted(hypotheses, key=lambda h: -h.log_bayes)
     return Found(
-        observation,
         forms.behind,
-        tuple(ordered),
-        linear,
+        tuple(sorted(hypotheses, key=lambda hypothesis: -hypothesis.log_bayes)),
+        _by_effect(judged),
         none,
         forms.columns,
-        {key_of(candidate): candidate.typical for candidate in forms.all},
-        seconds,
+        {one.key: one.typical for one in forms.all},
     )
 
 
@@ -236,10 +202,6 @@ def _best(hypotheses: list[Hypothesis], most: int) -> list[Hypothesis]:
     for hypothesis in sorted(hypotheses, key=lambda h: -h.log_bayes):
         out.setdefault(frozenset(hypothesis.names), hypothesis)
     return list(out.values())[:most]
-
-
-def _top(hypotheses: list[Hypothesis]) -> float:
-    return max((hypothesis.log_bayes for hypothesis in hypotheses), default=0.0)
 
 
 def _pruned(
@@ -286,14 +248,6 @@ def _grown(
         if key in seen or len(out) >= most:
             continue
         seen.add(key)
-        out.append(
-            refine(
-                observation,
-                forms.behind,
-                (*seed.parts, candidate),
-                (*seed.values, _start(candidate, found)),
-                None,
-                none_cost,
-            )
-        )
+        parts, start = (*seed.parts, candidate), (*seed.values, _start(candidate, found))
+        out.append(refine(observation, forms.behind, parts, start, None, none_cost))
     return out

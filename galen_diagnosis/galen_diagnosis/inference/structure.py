@@ -1,27 +1,23 @@
-"""What the best fit leaves: smooth structure, oscillations, and its energy.
-
-How much structure a fit leaves: the energy of means over cells, in excess of noise's.
+"""What a fit leaves: energy in means over cells, smooth structure, oscillations.
 
 White rows averaged over a cell and scaled by the root of their number are again white; what is slow
-adds up. With c cells the sum of squares of such means is chi-square of c degrees of freedom.
+adds up. With c cells the sum of squares of such means is chi-square of c degrees of freedom. That
+sees any structure, but with thousands of cells a few hundred of energy are chance.
 
-What a fit leaves, judged by smooth functions that stand for no effect in particular.
-
-Means over cells see any structure, but with thousands of cells a few hundred of energy are chance.
 What machines do wrong is mostly a smooth function of something: of gravity's direction, the joints,
 their rates, the reading itself, what the reading was before, time, the applied load. A family of
 such functions for each, with Bayes' factor as an effect has (`Background`), sees a tenth of that,
-and says what the gap depends on where nothing on the list is it.
+and names what the gap depends on where no listed effect is it.
 
-What a fit leaves that oscillates: faster than any mean over half a second shows.
-
-By `bands.py` a stream's coefficients are independent with the noise's variance. In a band of n
+Oscillations are faster than any mean over half a second shows. A stream is cut into pieces without
+holes, each transformed by the orthonormal DCT-II: coefficient k of n oscillates at
+k * rate / (2 n), and of white noise all are independent with the noise's variance. In a band of n
 coefficients whose squares sum to E, a variance of its own, E / n, against the noise's has
 
     log LR = 1/2 (E - n - n log(E / n)),
 
-looked for in bands of several widths, in each channel and in all of them, with the price of the
-looks. Noise is known to _UNSURE.
+in bands of several widths, in each channel and in all of them, less the log of the number of looks.
+Noise is known to _UNSURE.
 """
 
 from __future__ import annotations
@@ -30,12 +26,11 @@ from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from galen_model.arm.galen import JOINT_NAMES, WRENCH_AXES
-from galen_model.arm.kinematics import sensor_pose
+from galen_model.arm.galen import GALEN, JOINT_NAMES, WRENCH_AXES
 from galen_model.arrays import Array
-from galen_model.evidence.background import Background, evidence
+from galen_model.evidence.linear import Background, evidence
+from scipy.fft import dct
 
-from galen_diagnosis.answer.bands import coefficients
 from galen_diagnosis.observation.noise import smooth_basis
 from galen_diagnosis.observation.observation import Observation
 from galen_diagnosis.observation.rows import BAGS, CHANNELS, TIP_AXES, Rows, Stream
@@ -45,18 +40,23 @@ _SURE = 2.0
 _FLOOR_ERROR = 0.04
 
 
-class Leftover(NamedTuple):
-    """excess: of the cells' energy over noise; sure: what of it noise and its estimate can't be.
+def remaining_energy(rows: Rows, residual: Array) -> tuple[float, float]:
+    """Return the energy of cells' means that noise and its estimate can't be, and the floor.
 
-    floor: mean square of a row about its cell's mean, what noise alone gives a row.
+    The floor is the mean square of a row about its cell's mean, what noise alone gives a row.
     """
+    cell = _cells(rows)
+    number = np.bincount(cell)
+    total = np.bincount(cell, residual)
+    energy = float(np.sum(total**2 / number))
+    count = len(number)
+    within = float(residual @ residual) - energy
+    floor = within / max(len(residual) - count, 1)
+    chance = _SURE * floor * np.sqrt(2.0 * count) + _FLOOR_ERROR * count
+    return max(0.0, energy - count * floor - chance), floor
 
-    excess: float
-    sure: float
-    floor: float
 
-
-def cells(rows: Rows) -> np.ndarray:
+def _cells(rows: Rows) -> np.ndarray:
     """Cell (N,) of each row: a channel of a pose of the sweep, else of half a second."""
     piece = np.zeros(len(rows), dtype=np.int64)
     for number, name in enumerate(BAGS):
@@ -71,21 +71,6 @@ def cells(rows: Rows) -> np.ndarray:
     return np.unique(key, return_inverse=True)[1]
 
 
-def leftover(rows: Rows, residual: Array, cell: np.ndarray | None = None) -> Leftover:
-    """Of residual rows (N,)."""
-    if cell is None:
-        cell = cells(rows)
-    number = np.bincount(cell)
-    total = np.bincount(cell, residual)
-    energy = float(np.sum(total**2 / number))
-    count = len(number)
-    within = float(residual @ residual) - energy
-    floor = within / max(len(residual) - count, 1)
-    excess = energy - count * floor
-    chance = _SURE * floor * np.sqrt(2.0 * count) + _FLOOR_ERROR * count
-    return Leftover(excess, max(0.0, excess - chance), floor)
-
-
 _TURNS = (JOINT_NAMES.index("roll"), JOINT_NAMES.index("tilt"))
 _TYPICAL = 10.0
 """Prior standard deviation of each function's coefficient, in its own standard errors."""
@@ -94,16 +79,8 @@ _MEMORY_S = (1.0, 10.0)
 _HARMONICS = (1, 2, 3)
 
 
-class Family(NamedTuple):
-    """name: of what they are functions; rows (N,): which they are of; columns (n, p) of these."""
-
-    name: str
-    rows: np.ndarray
-    columns: Array
-
-
 class Structure(NamedTuple):
-    """log_bayes: that rows hold something of this family, its look paid; energy explained."""
+    """What a fit leaves; log_bayes: against noise, looks paid; energy: over the noise's."""
 
     name: str
     log_bayes: float
@@ -111,26 +88,29 @@ class Structure(NamedTuple):
 
 
 def structures(observation: Observation, behind: Background, residual: Array) -> list[Structure]:
-    """Each family's evidence on what a fit leaves, the likeliest first.
+    """Return each family's evidence on what a fit leaves, the likeliest first.
 
-    residual (N,): rows that were fitted, before the background is taken off; behind: background and
-    the columns of the effects that were fitted.
+    residual (N,): rows that were fitted, background included; behind: background and the columns of
+    the effects that were fitted.
     """
     out = []
-    for family in families(observation):
-        seen = np.maximum(np.linalg.norm(family.columns, axis=0), 1e-150)
+    for name, rows, functions in _families(observation):
+        seen = np.maximum(np.linalg.norm(functions, axis=0), 1e-150)
         columns = np.zeros((len(residual), len(seen)))
-        columns[family.rows] = family.columns / seen
+        columns[rows] = functions / seen
         reduced, along = behind.reduced(columns, residual)
         got = evidence(reduced, along, np.full(len(seen), _TYPICAL))
-        out.append(Structure(family.name, got.log_bayes, got.gain))
+        out.append(Structure(name, got.log_bayes, got.gain))
     looks = float(np.log(max(len(out), 1)))
     paid = [one._replace(log_bayes=one.log_bayes - looks) for one in out]
     return sorted(paid, key=lambda one: -one.log_bayes)
 
 
-def families(observation: Observation) -> Iterator[Family]:
-    """All that this recording can show."""
+_Family = tuple[str, np.ndarray, Array]
+"""Of what they are functions, which rows (N,) they are of, columns (n, p) of these."""
+
+
+def _families(observation: Observation) -> Iterator[_Family]:
     rows = observation.rows
     first = CHANNELS.index(TIP_AXES[0])
     wrench = rows.channel < first
@@ -145,29 +125,27 @@ def families(observation: Observation) -> Iterator[Family]:
             loads.append(_of_load(view.scene.tracker_s, *observation.applied_load(name)))
     yield from _of_arm(observation, wrench, "wrench")
     of_reading = _each(rows.scale[wrench], np.concatenate(functions))
-    yield Family("wrench by what it should be, and was", wrench, of_reading)
+    yield ("wrench by what it should be, and was", wrench, of_reading)
     if tip.any():
         yield from _of_arm(observation, tip, "tip")
-        yield Family("tip by the load on it", tip, _each(rows.scale[tip], np.concatenate(loads)))
+        yield ("tip by the load on it", tip, _each(rows.scale[tip], np.concatenate(loads)))
 
 
-def _of_arm(observation: Observation, which: np.ndarray, what: str) -> Iterator[Family]:
+def _of_arm(observation: Observation, which: np.ndarray, what: str) -> Iterator[_Family]:
     rows = observation.rows
     groups = np.flatnonzero(which)[::6]
     joints, rate = rows.joints[groups], rows.rate[groups]
     scale = rows.scale[which]
-    rotation, _ = sensor_pose(joints)
+    rotation, _ = GALEN.sensor_pose(joints)
     down = -rotation[:, 2, :]
-    yield Family(f"{what} by gravity's direction", which, _each(scale, _polynomials(down)))
+    yield (f"{what} by gravity's direction", which, _each(scale, _polynomials(down)))
     waves = [f(k * joints[:, j]) for j in _TURNS for k in _HARMONICS for f in (np.sin, np.cos)]
-    yield Family(f"{what} by roll and tilt", which, _each(scale, np.stack(waves, axis=1)))
+    yield (f"{what} by roll and tilt", which, _each(scale, np.stack(waves, axis=1)))
     places = joints[:, :3] - joints[:, :3].mean(axis=0)
-    yield Family(
-        f"{what} by the platform's place", which, _each(scale, _polynomials(10.0 * places, 2))
-    )
+    yield (f"{what} by the platform's place", which, _each(scale, _polynomials(10.0 * places, 2)))
     if what == "wrench":
         speeds = np.concatenate([rate, np.abs(rate), rate * np.abs(rate)], axis=1)
-        yield Family(f"{what} by the joints' rates", which, _each(scale, speeds))
+        yield (f"{what} by the joints' rates", which, _each(scale, speeds))
     bag = rows.bag[groups]
     curves = []
     for number in range(len(BAGS)):
@@ -177,7 +155,7 @@ def _of_arm(observation: Observation, which: np.ndarray, what: str) -> Iterator[
             basis = np.zeros((len(groups), own.shape[1]))
             basis[here] = own
             curves.append(basis)
-    yield Family(f"{what} by time", which, _each(scale, np.concatenate(curves, axis=1)))
+    yield (f"{what} by time", which, _each(scale, np.concatenate(curves, axis=1)))
 
 
 def _polynomials(of: Array, degree: int = 3) -> Array:
@@ -231,31 +209,24 @@ def _each(scale: Array, functions: Array) -> Array:
     return np.asarray(columns.reshape(6 * n, 6 * f) / scale[:, None])
 
 
+_PIECE_S = 4.0
+_SHORTEST_S = 0.4
+_HOLE = 3.0
+"""A step of more than this many median steps is a hole."""
 _WIDTHS_HZ = (0.5, 2.0, 8.0)
 _FROM_HZ = 1.0
 _UNSURE = 0.05
 
 
-class Oscillation(NamedTuple):
-    """log_bayes: that this band of a bag's wrench holds more than noise; energy beyond it."""
-
-    bag: str
-    from_hz: float
-    to_hz: float
-    log_bayes: float
-    energy: float
-
-
-def oscillation(streams: Sequence[Stream]) -> Oscillation | None:
-    """The clearest, over the wrench's streams of a residual; None where nothing was looked at."""
-    found: list[Oscillation] = []
+def oscillation(streams: Sequence[Stream]) -> Structure | None:
+    """Return the clearest of the wrench's streams of a residual; None where none was tested."""
+    found: list[Structure] = []
     looks = 0
     for stream in streams:
         if stream.channels[0] != WRENCH_AXES[0]:
             continue
-        known = coefficients(stream)
-        fast = known.frequency_hz >= _FROM_HZ
-        frequency, square = known.frequency_hz[fast], known.square[fast]
+        frequency, square = coefficients(stream)
+        frequency, square = frequency[frequency >= _FROM_HZ], square[frequency >= _FROM_HZ]
         if not len(frequency):
             continue
         each = square.shape[1]
@@ -272,10 +243,46 @@ def oscillation(streams: Sequence[Stream]) -> Oscillation | None:
                 for k in np.flatnonzero(known_to > n):
                     e = known_to[k]
                     log = 0.5 * (e - n[k] - n[k] * np.log(e / n[k]))
-                    place = (stream.bag, k * width, (k + 1) * width)
-                    found.append(Oscillation(*place, float(log), float(energy[k] - n[k])))
+                    name = f"wrench in {stream.bag} at {k * width:g} to {(k + 1) * width:g} Hz"
+                    found.append(Structure(name, float(log), float(energy[k] - n[k])))
             looks += int(np.sum(count > 0)) * (each + 1)
     if not found:
         return None
     best = max(found, key=lambda one: one.log_bayes)
     return best._replace(log_bayes=best.log_bayes - float(np.log(looks)))
+
+
+def coefficients(stream: Stream) -> tuple[Array, Array]:
+    """Return frequencies (n,) in Hz and squared coefficients (n, k) over the noise's variance.
+
+    Samples with a NaN in any channel are holes.
+    """
+    frequencies, squares = [np.zeros(0)], [np.zeros((0, len(stream.channels)))]
+    if len(stream.at_s) > 1:
+        step = float(np.median(np.diff(stream.at_s)))
+        for rows in _pieces(stream, step):
+            white = _white(stream, rows)
+            squares.append(dct(white, type=2, norm="ortho", axis=0) ** 2)
+            frequencies.append(np.arange(len(white)) / (2.0 * len(white) * step))
+    return np.concatenate(frequencies), np.concatenate(squares)
+
+
+def _pieces(stream: Stream, step: float) -> Iterator[np.ndarray]:
+    good = np.flatnonzero(np.all(np.isfinite(stream.residual), axis=1))
+    if not len(good) or step <= 0.0:
+        return
+    hole = (np.diff(good) > 1) | (np.diff(stream.at_s[good]) > _HOLE * step)
+    longest = max(1, round(_PIECE_S / step))
+    for run in np.split(good, np.flatnonzero(hole) + 1):
+        for rows in np.array_split(run, max(1, -(-len(run) // longest))):
+            if len(rows) * step >= _SHORTEST_S:
+                yield rows
+
+
+def _white(stream: Stream, rows: np.ndarray) -> Array:
+    """A piece with unit, white noise; with coloured noise without its first samples."""
+    piece = stream.residual[rows]
+    if not stream.models:
+        return np.asarray(piece / stream.noise)
+    columns = [model.whitened(column) for model, column in zip(stream.models, piece.T, strict=True)]
+    return np.stack(columns, axis=1)[max(model.order for model in stream.models) :]

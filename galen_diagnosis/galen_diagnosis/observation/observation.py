@@ -19,8 +19,7 @@ import numpy as np
 from galen_model.arm.galen import WRENCH_AXES
 from galen_model.arrays import Array
 from galen_model.load.nominal_tools import ToolGeometry
-from galen_model.registration.hand_eye import solve_base
-from galen_model.registration.rigid import Transform
+from galen_model.registration import Transform, solve_base
 from galen_model.rotation import matrix_to_rotvec, rotvec_to_matrix
 from galen_sim_driver.effects.effect import Effect
 from galen_sim_driver.replay import Replay, Scene
@@ -262,7 +261,7 @@ class Observation:
             tracker_s=bag.tool_marker.at_s if bag.tool_marker is not None else np.zeros(0),
             tool=self._tool,
             adapter=tool.adapter.load,
-            zero_pose_rad=tool.zero_pose_rad,
+            zero_pose_rad=tuple(tool.zero_angles),
         )
         of = phases(bag.wrench_s, bag.joint_s, bag.joints)
         residual = scene.reading - Replay(scene).reading()

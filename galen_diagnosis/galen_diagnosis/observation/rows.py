@@ -33,6 +33,14 @@ MARKER_AXES = ("mx", "my", "mz", "mrx", "mry", "mrz")
 CHANNELS = (*WRENCH_AXES, *TIP_AXES, *MARKER_AXES)
 """Order of a row's channel."""
 
+GROUPS = {
+    "force": WRENCH_AXES[:3],
+    "torque": WRENCH_AXES[3:],
+    "tip translation": TIP_AXES[:3],
+    "tip rotation": TIP_AXES[3:],
+    "base marker": MARKER_AXES,
+}
+
 BAGS = ("sweep", "motion", "push")
 
 REGIMES = ("still", "moving+", "moving-", "accelerating", "rest", "loading", "held", "unloading")
@@ -96,6 +104,11 @@ class Groups:
     which: np.ndarray
     at_s: Array
     count: np.ndarray
+
+
+def group_of(channel: str) -> str:
+    """Return which of GROUPS a channel belongs to."""
+    return next(name for name, channels in GROUPS.items() if channel in channels)
 
 
 def stretches(

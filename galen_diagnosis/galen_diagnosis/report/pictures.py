@@ -1,8 +1,6 @@
-"""Pictures of a report.
+"""Pictures of a diagnosis: where the gap is, and the residual in time, before and after.
 
-Pictures of a diagnosis: where the gap is, before and after on the same scale.
-
-The residual in time, before and after on the same scale, with the noise's band.
+Both states have the same scale.
 """
 
 from __future__ import annotations
@@ -16,18 +14,25 @@ matplotlib.use("Agg")  # a lab's machine over ssh has no display
 import matplotlib.pyplot as plt
 import numpy as np
 from galen_model.arrays import Array
+from galen_model.evidence.held_out import BlockRows
 from galen_model.files.atomic_file import save_figure
 from matplotlib.colors import LogNorm
 from matplotlib.patches import Rectangle
 
 from galen_diagnosis.answer.answer import Diagnosis
-from galen_diagnosis.answer.bands import GROUPS, group_of, spectrum
-from galen_diagnosis.answer.localization import View, picture_cells
-from galen_diagnosis.observation.rows import BAGS, CHANNELS, REGIMES, Rows, Stream
+from galen_diagnosis.answer.localization import (
+    LEVEL,
+    CellScores,
+    View,
+    by_regime_of_bag,
+    cell_scores,
+)
+from galen_diagnosis.observation.rows import BAGS, CHANNELS, GROUPS, REGIMES, Stream, group_of
+from galen_diagnosis.report.words import share_words
 
-BEFORE, AFTER = "#d55e00", "#0072b2"
-"""Okabe and Ito's: told apart by colour-blind people too."""
+_BEFORE, _AFTER = "#d55e00", "#0072b2"
 _AXES = ("#0072b2", "#e69f00", "#009e73", "#cc79a7", "#56b4e9", "#000000")
+"""Okabe and Ito's: colour-blind people see the difference, too."""
 _POINTS = 180
 _UNITS = {
     "force": (1e3, "mN"),
@@ -49,46 +54,39 @@ _MOST_TEXTS = 14
 def write_pictures(diagnosis: Diagnosis, folder: Path) -> dict[str, Path]:
     """Write all pictures that the recording has data for; their names to their files."""
     written = {"gap": save_figure(gap_figure(diagnosis), folder / "gap.png")}
-    sweep = sweep_figure(diagnosis)
-    if sweep is not None:
-        written["sweep"] = save_figure(sweep, folder / "sweep.png")
     if diagnosis.streams_before:
-        written["time"] = save_figure(draw_times(diagnosis), folder / "time.png")
-        written["spectra"] = save_figure(spectra_figure(diagnosis), folder / "spectra.png")
+        written["time"] = save_figure(_times_figure(diagnosis), folder / "time.png")
     return written
 
 
-# --- the one picture ------------------------------------------------------------------------------
+# Where
 
 
 def gap_figure(diagnosis: Diagnosis) -> plt.Figure:
-    """RMS residual over the noise: channels by regimes of bags, before and after.
+    """Draw the RMS residual over the noise: channels by regimes of bags, before and after.
 
     A black frame marks a cell beyond noise and a healthy arm's tolerances (p < 0.05, corrected for
     all cells of the map).
     """
-    views = [
-        picture_cells(diagnosis.rows, residual, diagnosis.floor, healthy=diagnosis.healthy)
-        for residual in (diagnosis.held_out_before, diagnosis.held_out_after)
+    view = by_regime_of_bag(diagnosis.rows)
+    residuals = (diagnosis.held_out_before, diagnosis.held_out_after)
+    cells = [
+        cell_scores(diagnosis.rows, residual, view, diagnosis.floor, diagnosis.healthy)
+        for residual in residuals
     ]
-    channels = [name for name in CHANNELS if any(d["channel"] == name for d in views[0].details)]
-    columns = _columns(views[0])
-    top = max(_LEAST_TOP, *(float(np.sqrt(view.ratio).max(initial=1.0)) for view in views))
+    channels = list(dict.fromkeys(one["channel"] for one in view.details))
+    channels.sort(key=CHANNELS.index)
+    columns = _columns(view)
+    top = max(_LEAST_TOP, *(float(np.sqrt(one.ratio).max(initial=1.0)) for one in cells))
     height = 2.3 + 0.33 * len(channels)
     figure, axes = plt.subplots(1, 2, figsize=(4.0 + 1.05 * len(columns), height), sharey=True)
     norm = LogNorm(1.0, top)
-    for axis, view, state, residual in zip(
-        axes,
-        views,
-        _STATES,
-        (diagnosis.held_out_before, diagnosis.held_out_after),
-        strict=True,
-    ):
+    for axis, one, state, residual in zip(axes, cells, _STATES, residuals, strict=True):
         rms = np.sqrt(np.mean(residual**2) / diagnosis.floor) if len(residual) else np.nan
-        _draw_cells(axis, view, channels, columns, norm)
+        _draw_cells(axis, view, one, channels, columns, norm)
         axis.set_title(f"{state}: {rms:.2f} × noise over all", fontsize=12)
     axes[0].set_yticks(range(len(channels)), channels)
-    margins(figure, 0.95, 1.1, 0.95, 0.95, between_x=0.04)
+    _margins(figure, 0.95, 1.1, 0.95, 0.95, between_x=0.04)
     _name_groups(axes[0], channels)
     _colour_bar(figure, plt.cm.ScalarMappable(norm=norm, cmap=_MAP), top)
     figure.suptitle(_headline(diagnosis), fontsize=11)
@@ -99,9 +97,8 @@ def _headline(diagnosis: Diagnosis) -> str:
     answer = diagnosis.answer
     causes = " + ".join(cause.label for cause in answer.causes)
     text = answer.verdict if not causes else f"{answer.verdict}: {causes}"
-    closed = answer.gap.get("closed_fraction") or {}
-    if closed.get("value") is not None:
-        text += f"; {closed['value']:.0%} of the gap closed"
+    if answer.gap.get("closed_fraction"):
+        text += f"; {share_words(answer.gap['closed_fraction'])} of the gap closed"
     return f"{text}\nframed: beyond noise and tolerances (p < 0.05, corrected for all cells)"
 
 
@@ -143,16 +140,17 @@ def _columns(view: View) -> list[tuple[str, str]]:
 def _draw_cells(
     axis: plt.Axes,
     view: View,
+    cells: CellScores,
     channels: Sequence[str],
     columns: Sequence[tuple[str, str]],
     norm: LogNorm,
 ) -> None:
     values = np.full((len(channels), len(columns)), np.nan)
     marked = np.zeros(values.shape, dtype=bool)
-    for detail, ratio, p in zip(view.details, view.ratio, view.p, strict=True):
+    for detail, ratio, p in zip(view.details, cells.ratio, cells.p, strict=True):
         at = channels.index(detail["channel"]), columns.index((detail["bag"], detail["regime"]))
         values[at] = np.sqrt(ratio)
-        marked[at] = p < view.level
+        marked[at] = p < LEVEL
     axis.set_facecolor("0.9")
     axis.imshow(np.clip(values, norm.vmin, None), norm=norm, cmap=_MAP, aspect="auto")
     for row, column in np.argwhere(np.isfinite(values)):
@@ -194,107 +192,10 @@ def _separate(axis: plt.Axes, channels: Sequence[str], columns: Sequence[tuple[s
             axis.axvline(column - 0.5, color="white", lw=3)
 
 
-# --- the sweep ------------------------------------------------------------------------------------
+# In time
 
 
-def sweep_figure(diagnosis: Diagnosis) -> plt.Figure | None:
-    """RMS residual at each pose over roll and tilt; None without poses of a sweep."""
-    maps = [
-        _pose_map(diagnosis.rows, residual, diagnosis.floor)
-        for residual in (diagnosis.held_out_before, diagnosis.held_out_after)
-    ]
-    if not len(maps[0]):
-        return None
-    top = max(_LEAST_TOP, *(float(one[:, 2:].max()) for one in maps))
-    norm = LogNorm(1.0, top)
-    figure, axes = plt.subplots(2, 2, figsize=(9.5, 6.6), sharex=True, sharey=True)
-    for column, (state, values) in enumerate(zip(_STATES, maps, strict=True)):
-        for row, group in enumerate(("force", "torque")):
-            axis = axes[row, column]
-            shown = axis.scatter(
-                np.degrees(values[:, 0]),
-                np.degrees(values[:, 1]),
-                c=np.clip(values[:, 2 + row], 1.0, None),
-                cmap=_MAP,
-                norm=norm,
-                s=330,
-                marker="s",
-                edgecolors="0.5",
-                linewidths=0.5,
-            )
-            axis.set_title(f"{group}, {state}", fontsize=11)
-            axis.margins(0.09)
-    for axis in axes[-1]:
-        axis.set_xlabel("roll, °")
-    for axis in axes[:, 0]:
-        axis.set_ylabel("tilt, °")
-    margins(figure, 0.75, 1.1, 0.6, 0.4, between_x=0.06, between_y=0.18)
-    _colour_bar(figure, shown, top)
-    return figure
-
-
-def _pose_map(rows: Rows, residual: Array, floor: float) -> Array:
-    """Roll, tilt, RMS of force and of torque over the noise at each pose of the sweep."""
-    found = []
-    in_sweep = (rows.bag == BAGS.index("sweep")) & (rows.pose >= 0)
-    for pose in np.unique(rows.pose[in_sweep]):
-        own = in_sweep & (rows.pose == pose)
-        parts = [own & (rows.channel // 3 == kind) for kind in (0, 1)]
-        if not all(part.any() for part in parts):
-            continue
-        roll, tilt = np.median(rows.joints[own, 3:], axis=0)
-        rms = [float(np.sqrt(np.mean(residual[part] ** 2) / floor)) for part in parts]
-        found.append([roll, tilt, *rms])
-    return np.array(found).reshape(-1, 4)
-
-
-# --- frequency ------------------------------------------------------------------------------------
-
-
-def spectra_figure(diagnosis: Diagnosis) -> plt.Figure:
-    """Power over the noise's by frequency: a panel for each bag and group of channels."""
-    panels = stream_panels(diagnosis)
-    columns = min(3, len(panels))
-    lines = -(-len(panels) // columns)
-    figure, axes = plt.subplots(
-        lines,
-        columns,
-        figsize=(4.3 * columns, 2.9 * lines + 0.3),
-        squeeze=False,
-        sharey=True,
-    )
-    for axis, (bag, group) in zip(axes.flat, panels, strict=False):
-        for streams, colour, state, style in (
-            (diagnosis.streams_before, BEFORE, "before", "-"),
-            (diagnosis.streams_after, AFTER, "after", "--"),
-        ):
-            at_hz, power = spectrum(streams, bag, group)
-            axis.loglog(at_hz, power, style, color=colour, lw=1.8, marker="o", ms=3, label=state)
-        axis.axhline(1.0, color="0.4", lw=1.0, ls=":", label="noise")
-        axis.minorticks_off()  # they take longer than all the rest
-        axis.set_title(f"{bag}: {group}", fontsize=10)
-        axis.set_xlabel("frequency, Hz (first point: constant)")
-    for axis in axes[:, 0]:
-        axis.set_ylabel("power over the noise's")
-    for axis in list(axes.flat)[len(panels) :]:
-        axis.set_visible(False)
-    axes[0, 0].legend(frameon=False, fontsize=9)
-    margins(figure, 0.75, 0.15, 0.55, 0.35, between_x=0.08, between_y=0.42)
-    return figure
-
-
-def stream_panels(diagnosis: Diagnosis) -> list[tuple[str, str]]:
-    """Bags and groups of channels that have streams, in order."""
-    there = {
-        (stream.bag, group_of(channel))
-        for stream in diagnosis.streams_before
-        for channel in stream.channels
-    }
-    order = list(GROUPS)
-    return sorted(there, key=lambda one: (BAGS.index(one[0]), order.index(one[1])))
-
-
-def draw_times(diagnosis: Diagnosis) -> plt.Figure:
+def _times_figure(diagnosis: Diagnosis) -> plt.Figure:
     """A line of panels for each bag and group of channels: before on the left, after right."""
     lines = list(_lines(diagnosis))
     figure, axes = plt.subplots(
@@ -307,9 +208,7 @@ def draw_times(diagnosis: Diagnosis) -> plt.Figure:
     for row, (bag, group, before, after) in enumerate(lines):
         factor, unit = _UNITS[group]
         top = 0.0
-        for axis, streams, state in zip(
-            axes[row], (before, after), ("before", "after"), strict=True
-        ):
+        for axis, streams, state in zip(axes[row], (before, after), _STATES, strict=True):
             top = max(top, _draw(axis, streams, group, factor))
             axis.set_title(f"{bag}: {group}, {state}", fontsize=9, loc="left")
             axis.margins(x=0.01)
@@ -320,32 +219,8 @@ def draw_times(diagnosis: Diagnosis) -> plt.Figure:
         )
     for axis in axes[-1]:
         axis.set_xlabel("time in the bag, s (grey: ± 2 σ of the noise of a point)")
-    margins(figure, 0.9, 0.15, 0.5, 0.3, between_x=0.05, between_y=0.5)
+    _margins(figure, 0.9, 0.15, 0.5, 0.3, between_x=0.05, between_y=0.5)
     return figure
-
-
-def margins(
-    figure: plt.Figure,
-    left: float,
-    right: float,
-    bottom: float,
-    top: float,
-    between_x: float = 0.2,
-    between_y: float = 0.2,
-) -> None:
-    """Set margins in inches: matplotlib's own layouts draw everything twice to find them.
-
-    between_x, between_y: of panels, over their own size.
-    """
-    width, height = figure.get_size_inches()
-    figure.subplots_adjust(
-        left=left / width,
-        right=1.0 - right / width,
-        bottom=bottom / height,
-        top=1.0 - top / height,
-        wspace=between_x,
-        hspace=between_y,
-    )
 
 
 def _lines(
@@ -406,3 +281,52 @@ def _averaged(at_s: Array, values: Array) -> tuple[Array, Array, Array]:
         sums = np.bincount(which[good], column[good], _POINTS)
         mean[there, k] = sums[there] / samples[there]
     return at_s[0] + (np.arange(_POINTS) + 0.5) * span_s, mean, samples
+
+
+def _margins(
+    figure: plt.Figure,
+    left: float,
+    right: float,
+    bottom: float,
+    top: float,
+    between_x: float = 0.2,
+    between_y: float = 0.2,
+) -> None:
+    """Set margins in inches: matplotlib's own layouts draw everything twice to find them.
+
+    between_x, between_y: of panels, over their own size.
+    """
+    width, height = figure.get_size_inches()
+    figure.subplots_adjust(
+        left=left / width,
+        right=1.0 - right / width,
+        bottom=bottom / height,
+        top=1.0 - top / height,
+        wspace=between_x,
+        hspace=between_y,
+    )
+
+
+# Tables
+
+
+def block_figure(rows: BlockRows, before: Array, after: Array) -> plt.Figure:
+    """Draw residuals (n, C) in units of the floor, before and after, channel by channel."""
+    order = np.argsort(rows.block, kind="stable")
+    edges = np.flatnonzero(np.diff(rows.block[order])) + 0.5
+    lines = -(-len(rows.channels) // 3)
+    size = (12.6, 0.8 + 2.5 * lines)
+    figure, panels = plt.subplots(lines, min(3, len(rows.channels)), figsize=size, squeeze=False)
+    for channel, panel in enumerate(panels.flat):
+        if rows.floor_known:
+            panel.axhspan(-2.0, 2.0, color="#dddddd", lw=0, label="noise, 2 sigma")
+        for values, colour, name in ((before, _BEFORE, "before"), (after, _AFTER, "after")):
+            panel.plot(values[order, channel], ".-", ms=3, lw=0.7, color=colour, label=name)
+        for edge in edges:
+            panel.axvline(edge, color="#bbbbbb", lw=0.5)
+        unit = f"{rows.floor[channel]:.3g} {rows.units[channel]}"
+        panel.set_title(f"{rows.channels[channel]}, in {unit}", fontsize=10, loc="left")
+    panels[0, 0].legend(fontsize=7, frameon=False)
+    figure.supxlabel("row; lines part the blocks", fontsize=10)
+    figure.tight_layout()
+    return figure

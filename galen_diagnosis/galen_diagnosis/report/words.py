@@ -1,19 +1,14 @@
-"""A diagnosis in words.
-
-Effects and their parameters in words and in units that people read.
-
-A diagnosis in a sentence or two that a person understands.
-"""
+"""A diagnosis in words: effects, parameters in the units that people read, and the sentence."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 from galen_model.arm.galen import WRENCH_AXES
 
-from galen_diagnosis.answer.answer import NONE, UNKNOWN, Answer, Cause, Interval
+from galen_diagnosis.answer.answer import NONE, SURE, UNKNOWN, Answer, Cause, Interval
 
 RANKING_NOTE = (
     "Each probability is that of one cause being there; several can be there together, so they"
@@ -35,10 +30,12 @@ TITLES = {
     "tool_com_error": "tool's centre of mass",
     "loose_tool": "loose tool",
     "cable_drag": "pulling cable",
-    "inertial_load": "forces of acceleration",
+    "inertial_load": "inertial forces",
     "joint_compliance": "stiffness of the arm",
     "deflection_hysteresis": "hysteresis of the deflection",
     "backlash": "backlash",
+    "encoder_delay": "late encoder",
+    "gear_error": "error of the gear",
     "tracker_delay": "late tracker",
     "tracker_scale": "tracker's scale",
     "base_shift": "moved base marker",
@@ -61,14 +58,16 @@ SENTENCES = {
     "wrench_delay": "the wrenches are {delay_s} late against the joints",
     "sensor_saturation": "the sensor's {axis} clips at {limit}",
     "tool_mass_error": "the tool's true mass differs from its file's by {delta_kg}",
-    "tool_com_error": "the tool's centre of mass lies elsewhere than its file says, by {delta_m}",
+    "tool_com_error": "the tool's centre of mass differs from its file's by {delta_m}",
     "loose_tool": "the tool is loose and sags by {shift_m} in its mount",
     "cable_drag": "a cable pulls at the tool with {tension_N}",
-    "inertial_load": "forces of acceleration of {mass_kg} are missing in the model",
+    "inertial_load": "inertial forces of {mass_kg} are missing in the model",
     "joint_compliance": "the arm's stiffness is not the nominal one: {stiffness}",
     "deflection_hysteresis": "the deflection has hysteresis and keeps {residual_fraction} of itself"
     " when the load is gone",
     "backlash": "the {joint} joint has a backlash of {gap_rad}",
+    "encoder_delay": "the link's stamps are {delay_s} late against the motor's",
+    "gear_error": "the gear's ratio is off by {gain}",
     "tracker_delay": "the tracker's stamps are {delay_s} late",
     "tracker_scale": "the tracker's positions are {gain} too large",
     "base_shift": "the base marker's stand moves at {time_s} of push, by {translation_m} and"
@@ -79,60 +78,60 @@ _AXES = {3: ("x", "y", "z"), 6: WRENCH_AXES}
 _ROTATIONS = ("rotvec_rad",)
 
 
-class Unit(NamedTuple):
-    """What an SI number is multiplied by, and the unit after it."""
+_Unit = tuple[float, str]
+"""What an SI number is multiplied by, and the unit after it."""
 
-    factor: float
-    name: str
-
-
-def unit_of(name: str, axis: str | None = None) -> Unit:
-    """The unit that people read a parameter in; axis: of the wrench, where it has one."""
-    torque = axis is not None and axis.startswith("t")
-    if name == "limit":
-        return Unit(1e3, " mN.m") if torque else Unit(1.0, " N")
-    if name == "step":
-        return Unit(1e3, " mN.m") if torque else Unit(1.0, " N")
-    if name == "rate_per_hour":
-        return Unit(1e3, " mN.m/h") if torque else Unit(1.0, " N/h")
-    if name in ("gain", "residual_fraction"):
-        return Unit(100.0, " %")
-    if name in ("roll", "tilt"):  # of a stiffness
-        return Unit(1.0, " N.m/rad")
-    if name in ("carriage", "rod"):
-        return Unit(1e-3, " N/mm")
-    for end, unit in (
-        ("_rad", Unit(math.degrees(1.0), "°")),
-        ("_kg", Unit(1e3, " g")),
-        ("delay_s", Unit(1e3, " ms")),
-        ("_s", Unit(1.0, " s")),
-        ("_m", Unit(1e3, " mm")),
-        ("_N", Unit(1.0, " N")),
-    ):
-        if name.endswith(end):
-            return unit
-    return Unit(1.0, "")
+_FORCES: dict[str, tuple[_Unit, _Unit]] = {
+    "limit": ((1.0, " N"), (1e3, " mN.m")),
+    "step": ((1.0, " N"), (1e3, " mN.m")),
+    "rate_per_hour": ((1.0, " N/h"), (1e3, " mN.m/h")),
+}
+_UNITS: dict[str, _Unit] = {
+    "gain": (100.0, " %"),
+    "residual_fraction": (100.0, " %"),
+    "k": (1.0, " N.m/rad"),
+    "carriage": (1e-3, " N/mm"),
+    "rod": (1e-3, " N/mm"),
+}
+_ENDINGS: dict[str, _Unit] = {
+    "_rad": (math.degrees(1.0), "°"),
+    "_kg": (1e3, " g"),
+    "delay_s": (1e3, " ms"),
+    "_s": (1.0, " s"),
+    "_m": (1e3, " mm"),
+    "_N": (1.0, " N"),
+}
 
 
-def coefficient_unit(source: str, target: str) -> Unit:
+def unit_of(name: str, axis: str | None = None) -> _Unit:
+    """Return the unit that people read a parameter in; axis: of the wrench, where it has one."""
+    if name in _FORCES:
+        return _FORCES[name][axis is not None and axis.startswith("t")]
+    if name in _UNITS:
+        return _UNITS[name]
+    return next((unit for end, unit in _ENDINGS.items() if name.endswith(end)), (1.0, ""))
+
+
+def _coefficient_unit(source: str, target: str) -> _Unit:
     """Of a crosstalk from one axis to another."""
     if source[:1] == target[:1]:
-        return Unit(100.0, " %")
-    return Unit(1e3, " mN.m/N") if target.startswith("t") else Unit(1.0, " N/N.m")
+        return 100.0, " %"
+    return (1e3, " mN.m/N") if target.startswith("t") else (1.0, " N/N.m")
 
 
-def with_interval(value: Interval, unit: Unit) -> str:
-    """`0.584° (0.571 to 0.597)`: as many digits as the interval is worth."""
-    number = value.value * unit.factor
+def with_interval(value: Interval, unit: _Unit) -> str:
+    """Write `0.584° (0.571 to 0.597)`, with as many digits as the interval is worth."""
+    factor, name = unit
+    number = value.value * factor
     if value.low is None or value.high is None:
-        return f"{plain(number, abs(number) / 20.0)}{unit.name}"
-    low, high = value.low * unit.factor, value.high * unit.factor
+        return f"{plain(number, abs(number) / 20.0)}{name}"
+    low, high = value.low * factor, value.high * factor
     half = 0.5 * (high - low)
-    return f"{plain(number, half)}{unit.name} ({plain(low, half)} to {plain(high, half)})"
+    return f"{plain(number, half)}{name} ({plain(low, half)} to {plain(high, half)})"
 
 
 def plain(number: float, uncertainty: float) -> str:
-    """A number to two digits of its uncertainty where that starts with 1 or 2, else to one."""
+    """Write a number to two digits of its uncertainty from 1 to 2, else to one."""
     if not math.isfinite(number):
         return "?"
     if not (uncertainty > 0.0 and math.isfinite(uncertainty)):
@@ -143,29 +142,26 @@ def plain(number: float, uncertainty: float) -> str:
 
 
 def parameter_words(effect: str, name: str, parameters: dict[str, Any]) -> str:
-    """A parameter with interval and unit; of a vector those parts that aren't 0."""
+    """Write a parameter with interval and unit; of a vector those parts that aren't 0."""
     value = parameters[name]
-    if isinstance(value, str):
-        return value
     if isinstance(value, dict):
-        return ", ".join(f"{part} {parameter_words(effect, part, value)}" for part in value)
+        return ", ".join(f"{part} {_stiffness_words(part, value[part])}" for part in value)
     if isinstance(value, Interval):
         if name == "coefficient":
-            unit = coefficient_unit(str(parameters.get("from", "")), str(parameters.get("to", "")))
-        else:
-            unit = unit_of(name, _word(parameters, "axis"))
-        return with_interval(value, unit)
+            ends = (str(parameters.get(end, "")) for end in ("from", "to"))
+            return with_interval(value, _coefficient_unit(*ends))
+        return with_interval(value, unit_of(name, parameters.get("axis")))
     if isinstance(value, list | tuple) and value and isinstance(value[0], Interval):
         return _vector_words(name, value)
     if isinstance(value, int | float) and not isinstance(value, bool):
-        unit = unit_of(name, _word(parameters, "axis"))
-        return f"{value * unit.factor:.4g}{unit.name}"
+        factor, unit = unit_of(name, parameters.get("axis"))
+        return f"{value * factor:.4g}{unit}"
     return str(value)
 
 
-def _word(parameters: dict[str, Any], name: str) -> str | None:
-    value = parameters.get(name)
-    return value if isinstance(value, str) else None
+def _stiffness_words(of: str, value: Any) -> str:
+    """A stiffness; of a joint it is N.m/rad."""
+    return with_interval(value, _UNITS.get(of, _UNITS["k"]))
 
 
 def _vector_words(name: str, parts: Sequence[Interval]) -> str:
@@ -187,19 +183,18 @@ def _not_zero(part: Interval) -> bool:
 
 
 def cause_words(cause: Cause) -> str:
-    """What an effect does, as a part of a sentence with its numbers."""
+    """Write what an effect does, as a part of a sentence with its numbers."""
     parameters = cause.parameters
     words = {name: parameter_words(cause.effect, name, parameters) for name in parameters}
-    template = SENTENCES.get(cause.effect, "{missing}")
     try:
-        return template.format(**words, joint=cause.joint)
+        return SENTENCES[cause.effect].format(**words, joint=cause.joint or "measured")
     except KeyError:  # an effect or a parameter without words
         others = ", ".join(f"{name} {text}" for name, text in words.items())
         return f"{title(cause.label)} ({others})" if others else title(cause.label)
 
 
 def title(identity: str) -> str:
-    """An effect's name for people; identity: with its joint, `effect:joint`, where it has one."""
+    """Name an effect for people; identity: with its joint, `effect:joint`, where it has one."""
     effect, _, joint = identity.partition(":")
     words = TITLES.get(effect, effect.replace("_", " "))
     if "{joint}" in words:
@@ -207,64 +202,76 @@ def title(identity: str) -> str:
     return f"{words} of the {joint} joint" if joint else words
 
 
+def p_words(p: float | None) -> str:
+    """Write a p-value; below 0.001 the null wasn't drawn often enough for more digits."""
+    if p is None:
+        return "-"
+    return "≤ 0.001" if p <= 0.001 else f"{p:.3f}"
+
+
+def share_words(share: dict[str, Any] | Interval | None) -> str:
+    """Write a closed fraction with its interval, as in diagnosis.json or before."""
+    known = share.to_json() if isinstance(share, Interval) else share
+    if not known or known.get("value") is None:
+        return "-"
+    text, interval = f"{known['value']:.0%}", known.get("ci95")
+    return text + (f" ({interval[0]:.0%} to {interval[1]:.0%})" if interval else "")
+
+
+# The sentence
+
+
 _MOST_PLACES = 3
 _NAMED_SHARE = 0.1
 _MOST_TWINS = 4
-_SURE = 0.9
-"""A cause as likely as this is there, whatever else is."""
 
 
 def sentence(answer: Answer) -> str:
-    """The verdict, what causes the gap with its numbers, how much of it that explains, where."""
-    if answer.verdict == "none":
-        return (
-            "No gap: the recording is what the model says, but for noise and what a healthy arm"
-            " may be off."
-        )
+    """Write the verdict, the causes with their numbers, how much they explain, where it lies."""
+    if answer.verdict == NONE:
+        return "No gap beyond noise and a healthy arm's tolerances: the nominal model holds."
     where = _where(answer.where)
-    if answer.verdict == "unknown":
-        best = _best_of_list(answer)
-        left = _left(answer)
-        return f"There is a gap that nothing on the list explains{best}.{left}{where}"
-    if answer.verdict == "ambiguous":
-        return _ambiguous(answer) + where
-    return _identified(answer) + where
+    if answer.verdict == UNKNOWN:
+        text = f"There is a gap that nothing on the list explains{_best_of_list(answer)}."
+        if answer.remaining:
+            text += f" What the nearest leaves goes with: {answer.remaining[0]['what']}."
+        return text + where
+    causes = [cause for cause in answer.causes if cause.effect != UNKNOWN]
+    words = _ambiguous if answer.verdict == "ambiguous" else _identified
+    text = words(causes, _closed(answer.gap))
+    if len(causes) < len(answer.causes):
+        text += " The rest is more than noise, and unknown."
+    return text + where
 
 
-def _identified(answer: Answer) -> str:
-    parts = [cause_words(cause) for cause in answer.causes]
+def _identified(causes: Sequence[Cause], closed: str) -> str:
+    parts = [cause_words(cause) for cause in causes]
     if len(parts) == 1:
-        text = f"{_capital(parts[0])}: this explains{_closed(answer.gap)} of the gap."
+        text = f"{_capital(parts[0])}: this explains {closed} of the gap."
     else:
-        text = (
-            f"{_capital('; '.join(parts[:-1]))}; and {parts[-1]}: together they explain"
-            f"{_closed(answer.gap)} of the gap."
-        )
-    return text + "".join(_twins(cause) for cause in answer.causes)
+        text = f"{_capital('; '.join(parts[:-1]))}; and {parts[-1]}: together they explain"
+        text += f" {closed} of the gap."
+    return text + "".join(_twins(cause) for cause in causes)
 
 
-def _ambiguous(answer: Answer) -> str:
-    sure = [cause for cause in answer.causes if cause.probability >= _SURE]
-    open_ = [cause for cause in answer.causes if cause.probability < _SURE]
-    told = [cause_words(cause) for cause in sure]
-    maybe = [_one_of(cause) for cause in open_]
-    if told:
-        text = f"{_capital('; and '.join(told))}."
+def _ambiguous(causes: Sequence[Cause], closed: str) -> str:
+    sure = [cause for cause in causes if cause.probability >= SURE]
+    maybe = ", or ".join(_one_of(cause) for cause in causes if cause.probability < SURE)
+    if sure:
+        text = f"{_capital('; and '.join(cause_words(cause) for cause in sure))}."
         if maybe:
-            text += (
-                f" Whether there is more, this recording can't tell: perhaps {', or '.join(maybe)}."
-            )
+            text += f" Whether there is more, this recording can't decide: perhaps {maybe}."
         text += "".join(_twins(cause) for cause in sure)
-    elif maybe:
-        text = "There is a gap, and this recording can't tell what causes it: "
-        text += f"{', or '.join(maybe)}."
     else:
-        return "There is a gap, and this recording can't tell what causes it."
-    return f"{text} What is found explains{_closed(answer.gap)} of the gap."
+        text = "There is a gap, and this recording doesn't show what causes it"
+        if not maybe:
+            return f"{text}."
+        text += f": {maybe}."
+    return f"{text} What is found explains {closed} of the gap."
 
 
 def _one_of(cause: Cause) -> str:
-    """An open cause with its probability and what can't be told from it."""
+    """An open cause with its probability and its equivalents."""
     text = f"{cause_words(cause)} ({cause.probability:.0%})"
     return f"{text}, or {_names(cause.equivalent)}" if cause.equivalent else text
 
@@ -272,7 +279,7 @@ def _one_of(cause: Cause) -> str:
 def _twins(cause: Cause) -> str:
     if not cause.equivalent:
         return ""
-    return f" This recording can't tell it from: {_names(cause.equivalent)}."
+    return f" This recording can't distinguish it from: {_names(cause.equivalent)}."
 
 
 def _names(effects: Sequence[str]) -> str:
@@ -283,26 +290,16 @@ def _names(effects: Sequence[str]) -> str:
 
 
 def _best_of_list(answer: Answer) -> str:
-    known = [(name, p) for name, p in answer.ranking if name not in ("none", "unknown")]
+    known = [(name, p) for name, p in answer.ranking if name not in (NONE, UNKNOWN)]
     if not known or known[0][1] < 0.01:
         return ""
     name, probability = known[0]
     return f" (the nearest is {title(name)}, {probability:.0%})"
 
 
-def _left(answer: Answer) -> str:
-    if not answer.left_over:
-        return ""
-    return f" What the nearest leaves goes with: {answer.left_over[0]['what']}."
-
-
 def _closed(gap: dict[str, Any]) -> str:
-    closed = gap.get("closed_fraction")
-    if not closed or closed.get("value") is None:
-        return " an unknown part"
-    text = f" {closed['value']:.0%}"
-    interval = closed.get("ci95")
-    return text + (f" ({interval[0]:.0%} to {interval[1]:.0%})" if interval else "")
+    words = share_words(gap.get("closed_fraction"))
+    return "an unknown part" if words == "-" else words
 
 
 def _where(where: dict[str, Any]) -> str:
@@ -317,11 +314,7 @@ def _where(where: dict[str, Any]) -> str:
             phrases.append(f"{preposition} {parts}")
     if not phrases:
         return ""
-    text = f" The gap lies {', '.join(phrases)}"
-    follows = where.get("joints", {}).get("follows", [])
-    if follows and follows[0]["p"] < 0.05 and follows[0]["part"] >= 0.3:
-        text += f"; {follows[0]['part']:.0%} of it in the sweep follow {follows[0]['joint']}"
-    return text + "."
+    return f" The gap lies {', '.join(phrases)}."
 
 
 def _capital(text: str) -> str:

@@ -3,25 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from galen_model.arrays import Array
-from galen_model.evidence.blocks import BlockRows, Effects
-from galen_model.evidence.held_out import BlockEvidence, BlockHypothesis
-from galen_model.evidence.search import SearchResult
+from galen_model.evidence.held_out import BlockEvidence, BlockHypothesis, BlockRows, Effects
+from galen_model.evidence.search import SearchResult, SearchSettings, search
 
-from galen_diagnosis.answer.answer import NONE, UNKNOWN, Answer, Cause, Interval, Verdict
+from galen_diagnosis.answer.answer import SURE, UNKNOWN, Answer, Cause, Interval, Verdict
+from galen_diagnosis.report.words import sentence
 
-SURE = 0.9
-"""Probability from which an effect counts as found."""
 _PART = 0.5
-_NAMED = 0.05
 _DRAWS = 2000
+_SEED = 0
 _PARTS = 3
-_TOLD_APART = 3.3
-"""Sigma: below it two hypotheses can't be told apart."""
+_DISTINCT = 3.3
+"""Sigma: below it two hypotheses can't be distinguished."""
 _OF_TIME = {"sensor_drift", "bias_step"}
 _ABOVE_FLOOR = 1.25**2
 
@@ -34,52 +32,51 @@ class BlockDiagnosis:
     rows: BlockRows
     before: Array
     after: Array
-    found: SearchResult
-    words: tuple[str, ...]
 
 
-def conclude(
+def diagnose_blocks(
     name: str,
-    evidence: BlockEvidence,
-    found: SearchResult,
+    rows: BlockRows,
     effects: Effects,
-    words: Sequence[str] = (),
-    seed: int = 0,
+    notes: Sequence[str] = (),
+    settings: SearchSettings | None = None,
+    progress: Callable[[str], None] | None = None,
 ) -> BlockDiagnosis:
-    """Verdict, causes with intervals, gap before and after, where it lies.
+    """Search, and return verdict, causes with intervals, gap before and after, where it lies.
 
     Whole blocks are held out; with an effect of time among those found, thirds of blocks, and what
-    is closed of whole blocks is told beside.
+    is closed of whole blocks is beside it in the answer. progress: told each hypothesis.
     """
-    cannot_tell = effects.cannot_tell
-    rows, best = evidence.rows, found.best
-    bare = min((one for one in found.hypotheses if not one.effects), key=lambda one: one.floor_only)
+    evidence = BlockEvidence(rows, effects.nominal)
+    found = search(evidence, effects, settings, progress)
+    best = found.best
+    bare = _bare(found)
     before = evidence.held_out(bare)
     after = before if not best.effects else evidence.held_out(best)
     floor = 1.0 if rows.floor_known else 0.0
-    whole = closed_fraction(rows, before, after, floor, seed) if best.effects else None
+    whole = closed_fraction(rows, before, after, floor) if best.effects else None
     parts = _in_parts(evidence, best)
     closed = whole
     if parts is not None:
         before, after = parts
-        closed = closed_fraction(rows, before, after, floor, seed)
+        closed = closed_fraction(rows, before, after, floor)
     verdict = _verdict(found, closed)
-    remains = not best.floor_only and _mean_square(after) > max(floor, 1e-12) * _ABOVE_FLOOR
+    remains = not best.floor_only and np.mean(after**2) > max(floor, 1e-12) * _ABOVE_FLOOR
     causes = [
         Cause(
             effect=effect,
             probability=round(found.inclusion[effect], 4),
-            parameters=told,
+            parameters=parameters,
             equivalent=found.equivalent.get(effect, ()),
-            gap_closed=_alone(evidence, found, effect, floor, seed),
-            extra=extra,
+            gap_closed=_alone(evidence, found, effect, floor),
         )
-        for effect, told, extra in _parameters(evidence, best, seed)
+        for effect, parameters in _parameters(evidence, best)
         if verdict != UNKNOWN or found.inclusion[effect] >= SURE
     ]
     if verdict == UNKNOWN or (best.effects and remains and rows.floor_known):
-        causes.append(Cause(UNKNOWN, round(_rest(found), 4), {}, (), None))
+        causes.append(Cause(UNKNOWN, round(_unexplained(found), 4), {}, (), None))
     ranking = sorted(found.inclusion.items(), key=lambda item: -item[1])
+    no_floor = "the noise floor isn't known: closed fractions are of the whole residual"
     answer = Answer(
         recording=name,
         verdict=verdict,
@@ -93,22 +90,20 @@ def conclude(
             "closed_fraction": None if closed is None else closed.to_json(),
             "closed_fraction_of_whole_blocks": None if whole is None else whole.to_json(),
         },
-        next_experiment=None,
-        sentence=_sentence(
-            verdict, found, closed, None if parts is None else whole, remains and rows.floor_known
-        ),
-        cannot_tell=(*cannot_tell, *_hidden(evidence, effects)),
-        problems=()
-        if rows.floor_known
-        else ("the noise floor isn't known: closed fractions are of the whole residual",),
+        cannot_tell=(*effects.cannot_tell, *_hidden(evidence, effects)),
+        problems=() if rows.floor_known else (no_floor,),
+        notes=tuple(notes),
     )
-    return BlockDiagnosis(answer, rows, before, after, found, tuple(words))
+    return BlockDiagnosis(replace(answer, sentence=sentence(answer)), rows, before, after)
 
 
-def closed_fraction(
-    rows: BlockRows, before: Array, after: Array, floor: float, seed: int = 0
-) -> Interval:
-    """(before - after) / (before - floor) of mean squares; 95 % by drawing blocks.
+def _bare(found: SearchResult) -> BlockHypothesis:
+    """The hypothesis without effects, if possible that of something unknown."""
+    return min((one for one in found.hypotheses if not one.effects), key=lambda one: one.floor_only)
+
+
+def closed_fraction(rows: BlockRows, before: Array, after: Array, floor: float) -> Interval:
+    """Return (before - after) / (before - floor) of mean squares; 95 % by drawing blocks.
 
     Channels count alike in units of the floor; where none is known, in units of what channels of
     the same unit had before.
@@ -119,17 +114,10 @@ def closed_fraction(
         scale = np.sqrt(alike @ square / alike.sum(axis=1)) / rows.floor
         before, after = before / scale, after / scale
     blocks = len(rows.labels)
-    sums = np.array(
-        [
-            [
-                np.sum(before[rows.block == b] ** 2),
-                np.sum(after[rows.block == b] ** 2),
-                np.sum(rows.block == b) * before.shape[1],
-            ]
-            for b in range(blocks)
-        ]
-    )
-    draws = np.random.default_rng(seed).integers(blocks, size=(_DRAWS, blocks))
+    squares = [np.bincount(rows.block, np.sum(x**2, axis=1), blocks) for x in (before, after)]
+    count = np.bincount(rows.block, minlength=blocks) * before.shape[1]
+    sums = np.stack([*squares, count], axis=1)
+    draws = np.random.default_rng(_SEED).integers(blocks, size=(_DRAWS, blocks))
 
     def fraction(total: Array) -> Array:
         square_before, square_after, count = total[..., 0], total[..., 1], total[..., 2]
@@ -153,8 +141,7 @@ def _verdict(found: SearchResult, closed: Interval | None) -> Verdict:
 def _in_parts(evidence: BlockEvidence, best: BlockHypothesis) -> tuple[Array, Array] | None:
     """Before and after where thirds of blocks are held out; None but for effects of time.
 
-    Nobody predicts a bias drift's course in a stop from other stops; from the rest of the stop one
-    can.
+    A bias drift's course in a block can't be predicted from other blocks, but from its other parts.
     """
     if not _OF_TIME & set(best.effects) or len(evidence.rows) <= len(evidence.rows.labels):
         return None
@@ -173,50 +160,37 @@ def _hidden(evidence: BlockEvidence, effects: Effects) -> list[str]:
     return [
         f"{name}: its usual size would not show"
         for name, ways in effects.of.items()
-        if max(evidence.shows(way) for way in ways) < _TOLD_APART
+        if max(evidence.shows(way) for way in ways) < _DISTINCT
     ]
 
 
-def _rest(found: SearchResult) -> float:
-    """Probability that something is left that nobody knows."""
-    return float(
-        sum(
-            share
-            for one, share in zip(found.hypotheses, found.probability, strict=True)
-            if not one.floor_only
-        )
-    )
+def _unexplained(found: SearchResult) -> float:
+    """Probability that something unknown is there."""
+    pairs = zip(found.hypotheses, found.probability, strict=True)
+    return float(sum(share for one, share in pairs if not one.floor_only))
 
 
 def _alone(
-    evidence: BlockEvidence,
-    found: SearchResult,
-    effect: str,
-    floor: float,
-    seed: int,
+    evidence: BlockEvidence, found: SearchResult, effect: str, floor: float
 ) -> Interval | None:
     """What this effect closes by itself."""
     singles = [one for one in found.hypotheses if one.effects == (effect,)]
     if not singles:
         return None
     best = max(singles, key=lambda one: float(one.elpd.sum()))
-    bare = min((one for one in found.hypotheses if not one.effects), key=lambda one: one.floor_only)
-    left = _in_parts(evidence, best) or (evidence.held_out(bare), evidence.held_out(best))
-    return closed_fraction(evidence.rows, *left, floor, seed)
+    left = _in_parts(evidence, best)
+    if left is None:
+        left = evidence.held_out(_bare(found)), evidence.held_out(best)
+    return closed_fraction(evidence.rows, *left, floor)
 
 
-# --- parameters ---------------------------------------------------------------------------------
-
-
-def _parameters(
-    evidence: BlockEvidence, best: BlockHypothesis, seed: int
-) -> list[tuple[str, dict[str, Any], dict[str, Any]]]:
-    """Of each effect: its numbers with intervals, and those that the contract doesn't name.
+def _parameters(evidence: BlockEvidence, best: BlockHypothesis) -> list[tuple[str, dict[str, Any]]]:
+    """Of each effect: its numbers with intervals.
 
     The interval is that of the fit's covariance or, where that is wider, of leaving out each block
     (Efron and Tibshirani, 1993, eq. 11.5), since blocks disagree by more than noise.
     """
-    random = np.random.default_rng(seed)
+    random = np.random.default_rng(_SEED)
     at = evidence.nominal.size
     result = []
     for place, (effect, way) in enumerate(zip(best.effects, best.ways, strict=True)):
@@ -224,15 +198,11 @@ def _parameters(
         mean, covariance = best.fit.values[part], best.fit.covariance[part, part]
         drawn = random.multivariate_normal(mean, covariance, _DRAWS, method="eigh")
         folds = [fit.values[part] for ways, fit in best.folds if ways[place] is way]
-        told: dict[str, Any] = dict(way.words)
-        extra: dict[str, Any] = {}
+        parameters: dict[str, Any] = dict(way.words)
         for name, number in way.parameters.items():
             numbers = _interval(number, mean, drawn, folds)
-            if name in way.beyond:
-                extra[name] = [one.to_json() for one in numbers]
-            else:
-                told[name] = numbers[0] if np.ndim(number(mean)) == 0 else numbers
-        result.append((effect, told, extra))
+            parameters[name] = numbers[0] if np.ndim(number(mean)) == 0 else numbers
+        result.append((effect, parameters))
         at += way.size
     return result
 
@@ -255,13 +225,6 @@ def _interval(
     ]
 
 
-# --- where and how much -------------------------------------------------------------------------
-
-
-def _mean_square(residual: Array) -> float:
-    return float(np.mean(residual**2))
-
-
 def _named(rows: BlockRows, values: Array) -> dict[str, float]:
     return {name: float(value) for name, value in zip(rows.channels, values, strict=True)}
 
@@ -269,70 +232,21 @@ def _named(rows: BlockRows, values: Array) -> dict[str, float]:
 def _gap(rows: BlockRows, residual: Array) -> dict[str, Any]:
     """Mean square in units of the noise; RMS of each channel in its own unit."""
     rms = np.sqrt(np.mean(residual**2, axis=0)) * rows.floor
-    return {"mean_square": _mean_square(residual), "rms": _named(rows, rms)}
+    return {"mean_square": float(np.mean(residual**2)), "rms": _named(rows, rms)}
 
 
 def _where(rows: BlockRows, before: Array, floor: float) -> dict[str, Any]:
     """Shares of what is above the floor, by channel and by block."""
     by_channel = np.maximum(np.mean(before**2, axis=0) - floor, 0.0)
-    by_block = np.array(
-        [
-            max(float(np.sum(before[rows.block == b] ** 2 - floor)), 0.0)
-            for b in range(len(rows.labels))
-        ]
-    )
+    beyond = np.sum(before**2 - floor, axis=1)
+    by_block = np.maximum(np.bincount(rows.block, beyond, len(rows.labels)), 0.0)
+    shares = by_block / max(by_block.sum(), 1e-300)
     return {
         "channels": _named(rows, by_channel / max(by_channel.sum(), 1e-300)),
         "bags": {},
         "regimes": {},
         "poses": [
             {"pose": label, "share": float(share)}
-            for label, share in zip(
-                rows.labels, by_block / max(by_block.sum(), 1e-300), strict=True
-            )
+            for label, share in zip(rows.labels, shares, strict=True)
         ],
     }
-
-
-def _sentence(
-    verdict: Verdict,
-    found: SearchResult,
-    closed: Interval | None,
-    whole: Interval | None,
-    remains: bool,
-) -> str:
-    best = found.best
-    if verdict == NONE:
-        return "Nothing above the noise: the nominal model holds on blocks that it hasn't seen."
-    sure = [effect for effect in best.effects if found.inclusion[effect] >= SURE]
-    if verdict == UNKNOWN and not sure:
-        return "Something is missing, and no effect on the list explains it."
-    named = " and ".join(
-        f"{effect} ({100 * found.inclusion[effect]:.0f} %)" for effect in best.effects
-    )
-    closes = "It closes" if len(best.effects) == 1 else "They close"
-    unseen = "unseen blocks" if whole is None else "unseen thirds of blocks"
-    part = "" if closed is None else f" {closes} {_told(closed)} of the gap on {unseen}"
-    if whole is not None:
-        part += f", {_told(whole)} on whole unseen blocks"
-    part += "." if part else ""
-    others = sorted(
-        (share, effect)
-        for effect, share in found.inclusion.items()
-        if effect not in best.effects and share > _NAMED and effect not in (NONE, UNKNOWN)
-    )[::-1]
-    more = f" It may as well be {', '.join(effect for _, effect in others)}." if others else ""
-    rest = " What is left is more than noise, and unknown." if remains else ""
-    start = {
-        "identified": "Found",
-        "ambiguous": "Not sure",
-        "unknown": "Mostly unknown, in part",
-    }
-    return f"{start[verdict]}: {named}.{part}{more}{rest}"
-
-
-def _told(closed: Interval) -> str:
-    digits = 3 if closed.value > 0.99 else 2
-    if closed.low is None or closed.high is None:
-        return f"{closed.value:.{digits}f}"
-    return f"{closed.value:.{digits}f} ({closed.low:.{digits}f} to {closed.high:.{digits}f})"

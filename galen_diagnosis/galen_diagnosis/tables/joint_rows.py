@@ -4,14 +4,14 @@ The lag is the motor's angle less the link's. Nominal is a rigid gear: a constan
 zeros. Beside that, with T the torque, q the motor's angle and v its velocity:
 
     joint_compliance        c T, k = 1 / c
-    backlash                what plays of the motion leave behind, q - play_r(q); gap 2 sum u r
-    deflection_hysteresis   what plays of the torque have beside a spring, play_r(T) - beta T; or
+    backlash                what plays of the motion leave, q - play_r(q); gap 2 sum u r
+    deflection_hysteresis   the part of plays of the torque beside a spring, play_r(T) - beta T; or
                             a term by the direction of motion (dry friction before the spring)
     wrench_delay            c dT/dt delay, c of a plain fit: the torque's stamps are late
     encoder_delay           v delay: the link's stamps are late against the motor's
     gear_error              gain q
 
-Plays, velocity and direction are `galen_model.transmission.terms`'. The last two names are not
+Plays, velocity and direction are `galen_model.transmission`'. The last two names are not
 the contract's: an arm without encoders at both ends has neither. `residual_fraction` is the loop's
 half width over half the range of the lag, since a joint's run has no zero load after the largest.
 """
@@ -23,15 +23,10 @@ from itertools import pairwise
 
 import numpy as np
 from galen_model.arrays import Array
-from galen_model.evidence.blocks import BlockRows, Columns, Effects
-from galen_model.transmission.joint_run import JointRun, noise_of
-from galen_model.transmission.parts import Parts
-from galen_model.transmission.play import PlayOperators
-from galen_model.transmission.terms import TERMS, TORQUE_PLAYS, Scales, design
+from galen_model.evidence.held_out import BlockRows, Columns, Effects
+from galen_model.play import PlayOperators
+from galen_model.transmission import TERMS, TORQUE_PLAYS, JointRun, Parts, Scales, design, noise_of
 
-from galen_diagnosis.tables.table_rows import Prepared
-
-CHANNELS = ("lag",)
 _MOST_ROWS = 700
 _SEVERAL = (0, 2, 4, 6)
 _GAPS = np.geomspace(0.08, 2.2, 14)
@@ -44,8 +39,10 @@ _SOFTEST = 1e-6
 """Where an interval's end would be less than rigid."""
 
 
-def prepare_joint(runs: Sequence[JointRun], parts: Parts) -> Prepared:
-    """Rows and effects of a joint's runs; a part is a block."""
+def prepare_joint(
+    runs: Sequence[JointRun], parts: Parts
+) -> tuple[BlockRows, Effects, tuple[str, ...]]:
+    """Return rows and effects of a joint's runs, and notes; a part is a block."""
     every = [np.ones(len(run), dtype=bool) for run in runs]
     scales = Scales.of(runs, every, _VELOCITY_WINDOW_S)
     gaps = scales.lag_half_range * _GAPS
@@ -70,7 +67,7 @@ def prepare_joint(runs: Sequence[JointRun], parts: Parts) -> Prepared:
     step_s = size * runs[0].step_s
     span_s = sum(float(run.time_s[-1] - run.time_s[0]) for run in runs) / len(parts.names)
     rows = BlockRows(
-        channels=CHANNELS,
+        channels=("lag",),
         units=("rad",),
         residual=residual - residual.mean(),
         floor=np.array([max(floor, 1e-9 * scales.lag_half_range)]),
@@ -80,14 +77,18 @@ def prepare_joint(runs: Sequence[JointRun], parts: Parts) -> Prepared:
         memories_s=(2.0 * step_s, max(span_s / 10.0, 4.0 * step_s), span_s),
     )
     constant = Columns(wide * np.ones((len(residual), 1, 1)), {})
-    words = (
+    notes = (
         f"{len(residual)} means over {size} readings of {len(runs)} runs",
         "floor: encoders' steps and the lag's jitter",
     )
-    effects = _effects(mean(terms), mean(torque_rate), residual, scales, constant)
-    of = {**effects.of, "backlash": _backlash(mean(lost), gaps)}
-    effects = Effects(constant, of, effects.cannot_tell)
-    return Prepared(rows, effects, words)
+    of = {
+        **_effects(mean(terms), mean(torque_rate), residual, scales),
+        "backlash": _backlash(mean(lost), gaps),
+    }
+    cannot: tuple[str, ...] = ()
+    if "wrench_delay" not in of:
+        cannot = ("wrench_delay: the lag doesn't grow with the torque, so when it does is open",)
+    return rows, Effects(constant, of, cannot), notes
 
 
 def _windows(runs: Sequence[JointRun], label: np.ndarray) -> tuple[np.ndarray, int]:
@@ -106,8 +107,8 @@ def _windows(runs: Sequence[JointRun], label: np.ndarray) -> tuple[np.ndarray, i
 
 
 def _effects(
-    terms: Array, torque_rate: Array, lag: Array, scales: Scales, nominal: Columns
-) -> Effects:
+    terms: Array, torque_rate: Array, lag: Array, scales: Scales
+) -> dict[str, Sequence[Columns]]:
     column = {name: terms[:, k] for k, name in enumerate(TERMS)}
     half_lag = scales.lag_half_range
     soft = half_lag / scales.torque_half_range
@@ -123,14 +124,10 @@ def _effects(
     }
     plain = np.column_stack([column[name] for name in ("offset", "gear", "delay", "spring")])
     give = float(np.linalg.lstsq(plain, lag[:, 0], rcond=None)[0][3])
-    cannot: tuple[str, ...] = ()
     if give > 0.0:
-        of["wrench_delay"] = [
-            _one(_DELAY_S * give * torque_rate, {"delay_s": lambda w: _DELAY_S * w[0]})
-        ]
-    else:
-        cannot = ("wrench_delay: the lag doesn't grow with the torque, so when it does is open",)
-    return Effects(nominal, of, cannot)
+        slope = _DELAY_S * give * torque_rate
+        of["wrench_delay"] = [_one(slope, {"delay_s": lambda w: _DELAY_S * w[0]})]
+    return of
 
 
 def _positive(weights: Array) -> bool:

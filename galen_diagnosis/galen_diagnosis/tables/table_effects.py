@@ -1,11 +1,15 @@
 """Which effects of the contract an orientation table can show, as columns.
 
-Those of geometry, load and sensor come from the simulator's own effects by differences
-(`table_plant`); drift, step, delay and cable, whose shape is open, are written out here:
+A table holds gravity in the sensor and, perhaps, the sensor's rotation in its base; no joints.
+Effects of geometry, load and sensor are the simulator's own: those hooks that need no joints are
+called as the replay calls them (`galen_sim_driver.replay`), and differences give the columns,
+
+    reading = read(W(tool_load(load); R^T gravity(g))).
+
+Drift, step and cable, whose shape is open, are written out here:
 
     drift   any smooth course: the leading eigenvectors of exp(-(t - t')^2 / 2 l^2), six axes each
     step    0 before, 1 after a moment
-    delay   -dW/dt, with W the weight's reading
     cable   a constant force F along the base's axes at a point r of the tool: R^T F, r x R^T F
 
 A cable's pull along gravity weighs as mass does, so that its tension here is the level part.
@@ -14,16 +18,16 @@ A cable's pull along gravity weighs as mass does, so that its tension here is th
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
 import numpy as np
-from galen_model.arm.galen import WRENCH_AXES
+from galen_model.arm.galen import GRAVITY_M_S2, WRENCH_AXES
 from galen_model.arrays import Array
-from galen_model.evidence.blocks import Columns, Effects
+from galen_model.evidence.held_out import Columns, Effects
+from galen_model.load.model import Load
 from galen_model.rotation import skew
-from galen_sim_driver.effects.effect import Effect, Fitted
+from galen_sim_driver.effects.effect import Effect, Fitted, Instants
 from galen_sim_driver.effects.registry import EFFECTS
-
-from galen_diagnosis.tables.table_plant import TablePlant
 
 _HOUR_S = 3600.0
 _STEP = 1e-3
@@ -42,13 +46,59 @@ _BY_HOOKS = ("base_inclination", "sensor_mount_rotation", "axis_gain", "loose_to
 _OF_THE_LOAD = ("tool_mass_error", "tool_com_error")
 
 
-def table_effects(
-    plant: TablePlant, mean: Callable[[Array], Array], nominal: Columns, known_load: bool
-) -> Effects:
-    """All that can be told.
+@dataclass(frozen=True)
+class TablePlant:
+    """A load on a sensor at n moments.
 
-    mean: from values (n, ...) at the plant's moments to the rows'. known_load: the load is a file's
-    and not fitted, so that it may be wrong.
+    gravity (n, 3) in the sensor, m/s^2; rotation R_base_sensor (n, 3, 3), None if not known; at_s
+    (n,); offset (6,): the reading's constant part.
+    """
+
+    gravity: Array
+    rotation: Array | None
+    at_s: Array
+    load: Load
+    offset: Array
+
+    def reading(self, effects: Sequence[Effect] = ()) -> Array:
+        """Return the reading (n, 6), N and N.m in the sensor's frame."""
+        when = Instants("", self.at_s, self.at_s)
+        gravity = self._gravity(effects)
+        direction = gravity / np.linalg.norm(gravity, axis=1, keepdims=True)
+        mass = self.load.mass_kg
+        com = np.broadcast_to(np.asarray(self.load.com_m, dtype=float), gravity.shape)
+        for effect in effects:
+            mass, com = effect.tool_load(mass, com, direction)
+        total = np.concatenate([mass * gravity, np.cross(com, mass * gravity)], axis=1)
+        for effect in sorted(effects, key=lambda one: one.order):
+            if not effect.after_noise:
+                total = effect.read(when, total)
+        total = total + self.offset
+        for effect in effects:
+            if effect.after_noise:  # a range is of the whole reading
+                total = effect.read(when, total)
+        return np.asarray(total)
+
+    def change(self, effect: Effect) -> Array:
+        """Return what an effect adds to the reading (n, 6)."""
+        return self.reading([effect]) - self.reading()
+
+    def _gravity(self, effects: Sequence[Effect]) -> Array:
+        turned = GRAVITY_M_S2.copy()
+        for effect in effects:
+            turned = effect.gravity(turned)
+        if self.rotation is None or np.array_equal(turned, GRAVITY_M_S2):
+            return self.gravity
+        return self.gravity + np.einsum("nji,j->ni", self.rotation, turned - GRAVITY_M_S2)
+
+
+def table_effects(
+    plant: TablePlant, nominal: Columns, *, known_load: bool, by_order: bool
+) -> Effects:
+    """Return all effects that a table can show.
+
+    known_load: the load is a file's and not fitted, so that it may be wrong. by_order: the order of
+    readings is all that is known of time.
     """
     of: dict[str, Sequence[Columns]] = {}
     cannot: list[str] = []
@@ -56,44 +106,30 @@ def table_effects(
         if name == "base_inclination" and plant.rotation is None:
             cannot.append("base_inclination: the table has gravity alone, not the rotation")
             continue
-        of[name] = [_by_hooks(plant, mean, EFFECTS[name]())]
+        of[name] = [_by_hooks(plant, EFFECTS[name]())]
     of["crosstalk"] = [
-        _by_hooks(plant, mean, EFFECTS["crosstalk"](from_axis=a, to_axis=b), {"from": a, "to": b})  # type: ignore[call-arg]
+        _by_hooks(plant, EFFECTS["crosstalk"](from_axis=a, to_axis=b), {"from": a, "to": b})  # type: ignore[call-arg]
         for a in WRENCH_AXES
         for b in WRENCH_AXES
         if a != b
     ]
-    of["sensor_saturation"] = _saturation(plant, mean)
+    of["sensor_saturation"] = _saturation(plant)
     if plant.rotation is None:
         cannot.append("cable_drag: the table has gravity alone, not the rotation")
-    elif _yaws(plant.gravity, plant.rotation) < _FEWEST_YAWS:
+    elif _yaws(plant.rotation) < _FEWEST_YAWS:
         cannot.append("cable_drag: the sensor hardly turns about gravity, a level pull is a bias")
     else:
-        of["cable_drag"] = [_cable(plant, mean)]
+        of["cable_drag"] = [_cable(plant.rotation)]
     if not known_load:
         cannot.append("tool_mass_error, tool_com_error: mass and centre are fitted (--tool)")
+    of["sensor_drift"] = drift_columns(plant.at_s, by_order)
+    of["bias_step"] = _steps(plant.at_s)
+    cannot.append("inertial_load, wrench_delay: rest segments have no motion")
     return Effects(nominal, of, tuple(cannot))
 
 
-def in_time(
-    plant: TablePlant, mean: Callable[[Array], Array], by_order: bool = False
-) -> dict[str, Sequence[Columns]]:
-    """Effects that need the order of time; by_order: it is all that is known of it."""
-    at_s = mean(plant.at_s)
-    return {"sensor_drift": drift_columns(at_s, by_order), "bias_step": _steps(at_s)}
-
-
-def delay_columns(plant: TablePlant, mean: Callable[[Array], Array]) -> Columns:
-    """Wrench stamps late against the orientations'."""
-    kind = EFFECTS["wrench_delay"]
-    typical = float(kind.fitted[0].typicals[0])
-    weight = plant.reading()
-    slope = np.gradient(weight, plant.at_s, axis=0)
-    return Columns(mean(-typical * slope)[:, :, None], {"delay_s": lambda w: typical * w[0]})
-
-
 def drift_columns(at_s: Array, by_order: bool = False) -> list[Columns]:
-    """Smooth courses of all six axes, of several lengths and sizes; by_order: times are none."""
+    """Return smooth courses of all six axes, of several lengths and sizes."""
     span = float(at_s[-1] - at_s[0])
     ways = []
     for share in _DRIFT_LENGTHS:
@@ -131,13 +167,8 @@ def _steps(at_s: Array) -> list[Columns]:
     return ways
 
 
-def _by_hooks(
-    plant: TablePlant,
-    mean: Callable[[Array], Array],
-    effect: Effect,
-    words: dict[str, str] | None = None,
-) -> Columns:
-    """Columns of an effect's fitted parameters, by differences at nothing."""
+def _by_hooks(plant: TablePlant, effect: Effect, words: dict[str, str] | None = None) -> Columns:
+    """Columns of an effect's fitted parameters, by differences at zero."""
     typical = np.concatenate([part.typicals for part in effect.fitted])
     columns = [
         plant.change(effect.with_vector(_STEP * size * unit)) / _STEP
@@ -147,7 +178,7 @@ def _by_hooks(
     for part in effect.fitted:
         parameters[part.name] = _numbers(part, at, typical)
         at += part.size
-    return Columns(mean(np.stack(columns, axis=2)), parameters, words or {})
+    return Columns(np.stack(columns, axis=2), parameters, words or {})
 
 
 def _numbers(part: Fitted, at: int, typical: Array) -> Callable[[Array], Array]:
@@ -157,7 +188,7 @@ def _numbers(part: Fitted, at: int, typical: Array) -> Callable[[Array], Array]:
     return lambda w: typical[rows] * w[rows]
 
 
-def _saturation(plant: TablePlant, mean: Callable[[Array], Array]) -> list[Columns]:
+def _saturation(plant: TablePlant) -> list[Columns]:
     """An axis that clips at some share of the largest reading: on or off, no free size."""
     largest = np.abs(plant.reading()).max(axis=0)
     ways = []
@@ -165,33 +196,24 @@ def _saturation(plant: TablePlant, mean: Callable[[Array], Array]) -> list[Colum
         for share in _SATURATION_SHARES:
             limit = float(share * largest[axis])
             effect = EFFECTS["sensor_saturation"](limit=limit, axis=name)  # type: ignore[call-arg]
-            ways.append(
-                Columns(
-                    mean(plant.change(effect))[:, :, None],
-                    {},
-                    {"axis": name, "limit": limit},
-                    allowed=lambda w: 0.5 < w[0] < 1.5,
-                )
-            )
+            values = plant.change(effect)[:, :, None]
+            words = {"axis": name, "limit": limit}
+            ways.append(Columns(values, {}, words, allowed=lambda w: 0.5 < w[0] < 1.5))
     return ways
 
 
-def _cable(plant: TablePlant, mean: Callable[[Array], Array]) -> Columns:
-    assert plant.rotation is not None
-    back = np.swapaxes(plant.rotation, 1, 2)
-    count = len(back)
-    values = np.zeros((count, 6, 12))
+def _cable(rotation: Array) -> Columns:
+    back = np.swapaxes(rotation, 1, 2)
+    values = np.zeros((len(back), 6, 12))
     values[:, :3, :3] = _CABLE_N * back
     # r x R^T F is linear in the nine products r_i F_j
     for i, cross in enumerate(skew(np.eye(3))):
         values[:, 3:, 3 + 3 * i : 6 + 3 * i] = _CABLE_N * _LEVER_M * (cross @ back)
-    return Columns(
-        mean(values),
-        {"tension_N": lambda w: np.asarray(_CABLE_N * np.linalg.norm(w[:2]))},
-    )
+    tension = {"tension_N": lambda w: np.asarray(_CABLE_N * np.linalg.norm(w[:2]))}
+    return Columns(values, tension)
 
 
-def _yaws(gravity: Array, rotation: Array) -> float:
+def _yaws(rotation: Array) -> float:
     """How much of a level force in the base is no constant in the sensor: rank beside gravity."""
     level = np.swapaxes(rotation, 1, 2)[:, :, :2].reshape(len(rotation), 6)
     about = level - level.mean(axis=0)

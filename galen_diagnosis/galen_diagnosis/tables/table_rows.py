@@ -1,20 +1,19 @@
 """From a table of readings with orientations to blocks of rows: what noise is, what is held out.
 
-A table with time is cut into its stops, each averaged over short windows; a stop is a block. One
-without time is a row a reading; readings under the same gravity, where there are such, are a block.
-The load is fitted (mass, centre, constant part: what a calibration has) unless a file tells it.
+A table with time is cut into its rest segments, blocks of averages over short windows. One without
+time is a row a reading; readings under the same gravity, where there are such, are a block. The
+load is fitted (mass, centre, constant part: what a calibration has) unless a file has it.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from galen_bags.arrays.orientation_table import OrientationTable, average_still
+from galen_bags.arrays.tables import OrientationTable, average_still
 from galen_model.arm.galen import WRENCH_AXES
 from galen_model.arrays import Array
-from galen_model.evidence.blocks import BlockRows, Columns, Effects
+from galen_model.evidence.held_out import BlockRows, Columns, Effects
 from galen_model.files.calibration_file import CalibrationFile
 from galen_model.load.identification import plain_least_squares
 from galen_model.load.model import Load, gravity_regressor
@@ -22,10 +21,8 @@ from galen_model.rest.segments import DirectionRest, rest_by_direction
 
 from galen_diagnosis.errors import DiagnosisError
 from galen_diagnosis.observation.noise import ChannelNoise, channel_noise
-from galen_diagnosis.tables.table_effects import in_time, table_effects
-from galen_diagnosis.tables.table_plant import TablePlant
+from galen_diagnosis.tables.table_effects import TablePlant, table_effects
 
-UNITS = ("N", "N", "N", "N.m", "N.m", "N.m")
 _FEWEST_BLOCKS = 4
 _SAME_GRAVITY_RAD = 0.03
 _WIDE = np.array([10.0, 1.0, 1.0, 1.0, *[100.0] * 3, *[10.0] * 3])
@@ -35,17 +32,8 @@ _NO_FLOOR = 1.0 / 30.0
 
 
 @dataclass(frozen=True)
-class Prepared:
-    """What is diagnosed; words: what was done, for the reader."""
-
-    rows: BlockRows
-    effects: Effects
-    words: tuple[str, ...]
-
-
-@dataclass(frozen=True)
 class Floor:
-    """Noise of a row (6,), and how it hangs together (`BlockRows`); where it is from."""
+    """Noise of a row (6,), and how it correlates (`BlockRows`); where it is from."""
 
     std: Array
     alike: float
@@ -58,21 +46,20 @@ def prepare_table(
     noise: Array | None = None,
     tool: CalibrationFile | None = None,
     window_s: float = 1.0,
-    settings: DirectionRest | None = None,
-) -> Prepared:
-    """Rows and effects of a table; noise (n, 6): readings of the same sensor, still and untouched.
+) -> tuple[BlockRows, Effects, tuple[str, ...]]:
+    """Return rows and effects of a table, and notes on how they were made.
 
-    Raises GalenError where the table can't be used.
+    noise (n, 6): readings of the same sensor, still and untouched. Raises GalenError where the
+    table can't be used.
     """
     if table.time is not None and table.block is None:
-        still = settings or DirectionRest()
-        floor: Floor | None = _floor_in_stops(table, window_s, still)
-        averaged, _ = average_still(table, window_s, still)
-        words = [f"{len(averaged)} averages of {window_s:g} s in stops"]
+        floor: Floor | None = _floor_at_rest(table, window_s)
+        averaged, _ = average_still(table, window_s, DirectionRest())
+        notes = [f"{len(averaged)} averages of {window_s:g} s in rest segments"]
     else:
-        averaged, words = table.timed(), [f"{len(table)} readings"]
+        averaged, notes = table.timed(), [f"{len(table)} readings"]
         if table.time is None:
-            words.append("the order of readings is taken for time")
+            notes.append("the order of readings is taken for time")
         floor = _floor_of_readings(averaged, noise)
     block, labels = _blocks(averaged)
     if len(labels) < _FEWEST_BLOCKS:
@@ -80,26 +67,19 @@ def prepare_table(
             f"{table.path}: {len(labels)} blocks of readings; holding some out takes"
             f" {_FEWEST_BLOCKS}"
         )
-    assert averaged.time is not None
     plant, nominal = _nominal(averaged, tool)
     residual = averaged.wrench - plant.reading()
     known = floor is not None
     if floor is None:
         spread = np.repeat([residual[:, :3].std(), residual[:, 3:].std()], 3)
         floor = Floor(_NO_FLOOR * spread, 0.0, 1.0, "not known")
-    words.append(f"floor: {floor.source}")
-
-    def as_it_is(values: Array) -> Array:
-        return values
-
-    effects = table_effects(plant, as_it_is, nominal, tool is not None)
-    of = {**effects.of, **in_time(plant, as_it_is, table.time is None)}
+    notes.append(f"floor: {floor.source}")
     rows = BlockRows(
         channels=WRENCH_AXES,
-        units=UNITS,
+        units=("N", "N", "N", "N.m", "N.m", "N.m"),
         residual=residual,
         floor=floor.std,
-        at_s=averaged.time - averaged.time[0],
+        at_s=plant.at_s,
         block=block,
         labels=labels,
         alike=floor.alike,
@@ -107,18 +87,17 @@ def prepare_table(
         floor_known=known,
         memories_s=(float("inf"), 1e-6),
     )
-    still_only = ("inertial_load, wrench_delay: stops have no motion",)
-    return Prepared(rows, Effects(nominal, of, (*effects.cannot_tell, *still_only)), tuple(words))
+    known_load, by_order = tool is not None, table.time is None
+    effects = table_effects(plant, nominal, known_load=known_load, by_order=by_order)
+    return rows, effects, tuple(notes)
 
 
-def load_columns(
-    gravity: Array, mean: Callable[[Array], Array], prior: Array | None = None
-) -> Columns:
+def _load_columns(gravity: Array, prior: Array) -> Columns:
     """What is always fitted: moments and constants; prior (10,): their standard deviations."""
     values = np.zeros((len(gravity), 6, 10))
     values[:, :, :4] = gravity_regressor(gravity)
     values[:, :, 4:] = np.eye(6)
-    return Columns(mean(values * (_WIDE if prior is None else prior)), {})
+    return Columns(values * prior, {})
 
 
 def _nominal(table: OrientationTable, tool: CalibrationFile | None) -> tuple[TablePlant, Columns]:
@@ -132,7 +111,7 @@ def _nominal(table: OrientationTable, tool: CalibrationFile | None) -> tuple[Tab
                 " positive in the direction of the push?"
             )
         load = Load(float(moments[0]), moments[1:] / moments[0])
-        columns = load_columns(table.gravity, lambda values: values)
+        columns = _load_columns(table.gravity, _WIDE)
     else:
         loads = [Load(of.mass_kg, np.asarray(of.com_m)) for of in (tool.load, tool.adapter)]
         total = loads[0].moments + loads[1].moments
@@ -140,7 +119,7 @@ def _nominal(table: OrientationTable, tool: CalibrationFile | None) -> tuple[Tab
         weight = TablePlant(table.gravity, table.rotation, at_s, load, np.zeros(6)).reading()
         offset = (table.wrench - weight).mean(axis=0)
         only_constants = np.concatenate([np.zeros(4), _WIDE[4:]])
-        columns = load_columns(table.gravity, lambda values: values, only_constants)
+        columns = _load_columns(table.gravity, only_constants)
     return TablePlant(table.gravity, table.rotation, at_s, load, offset), columns
 
 
@@ -162,33 +141,29 @@ def _blocks(table: OrientationTable) -> tuple[np.ndarray, tuple[str, ...]]:
     return np.arange(len(unit)), tuple(f"reading {k + 1}" for k in range(len(unit)))
 
 
-def _floor_in_stops(table: OrientationTable, window_s: float, settings: DirectionRest) -> Floor:
-    assert table.time is not None
-    phases = rest_by_direction(table.time, table.gravity, settings)
-    stretches = [(table.time[phase], table.wrench[phase]) for phase in phases]
-    if not stretches:
-        raise DiagnosisError(f"{table.path}: no still phase of {settings.min_duration_s:g} s in it")
-    step_s = float(np.median(np.diff(table.time)))
-    return floor_of_windows(stretches, window_s, step_s, "what scatters within stops")
-
-
-def floor_of_windows(
-    stretches: list[tuple[Array, Array]], window_s: float, step_s: float, source: str
-) -> Floor:
-    """Noise of means over windows, from still stretches (times (n,), readings (n, 6)).
+def _floor_at_rest(table: OrientationTable, window_s: float) -> Floor:
+    """Noise of means over windows in rest segments.
 
     Of autoregressive noise about a curve: with C its autocovariances, the mean of m samples has
-    variance sum_ij C_|i-j| / m^2, and neighbouring means hang together alike.
+    variance sum_ij C_|i-j| / m^2, and neighbouring means correlate alike.
     """
+    assert table.time is not None
+    segments = rest_by_direction(table.time, table.gravity, DirectionRest())
+    if not segments:
+        shortest_s = DirectionRest().min_duration_s
+        raise DiagnosisError(f"{table.path}: no rest segment of {shortest_s:g} s in it")
+    step_s = float(np.median(np.diff(table.time)))
     size = max(1, round(window_s / step_s))
-    noise = channel_noise(stretches, max(_LONGEST_CURVE_S, 3.0 * window_s))
+    readings = [(table.time[segment], table.wrench[segment]) for segment in segments]
+    noise = channel_noise(readings, max(_LONGEST_CURVE_S, 3.0 * window_s))
     if not noise:
-        raise DiagnosisError(f"no stretch is long enough to tell {source}")
+        raise DiagnosisError(f"{table.path}: every rest segment is too short to show its noise")
     variances = np.array([_of_means(channel, size) for channel in noise])
     together = float(np.clip(np.mean(variances[:, 1] / variances[:, 0]), 0.0, 0.99))
+    std, source = np.sqrt(variances[:, 0]), "scatter within rest segments"
     if together < 0.02:
-        return Floor(np.sqrt(variances[:, 0]), 0.0, 1.0, source)
-    return Floor(np.sqrt(variances[:, 0]), 1.0, float(-size * step_s / np.log(together)), source)
+        return Floor(std, 0.0, 1.0, source)
+    return Floor(std, 1.0, float(-size * step_s / np.log(together)), source)
 
 
 def _of_means(noise: ChannelNoise, size: int) -> tuple[float, float]:

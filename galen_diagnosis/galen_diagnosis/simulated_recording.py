@@ -1,36 +1,44 @@
 """Makes a diagnostic recording (contract, section 5) with the simulated arm, without ROS.
 
-One plant goes through all three bags, with some seconds between them, as a person records them: the
-sweep's poses row by row, a free motion of all joints, and pushes by the plant's hand at four
-positions; the moves from one position to the next are not in the bag. It steps as fast as it goes.
+    python -m galen_diagnosis.simulated_recording tilt --output DIR
 
-A plant knows no bags. Effects that count from a bag's first stamp are told their time from the
-plant's start, which is the recording's first stamp.
+makes one of the 2019 report's two stories, to try a diagnosis with:
+
+    drift   figure 12: the reading along z drifts, and compensation is the worse the later it is
+    tilt    figure 13: the tilt joint's kinematics are wrong, and compensation errs with the tilt
+
+One plant goes through all three bags, with some seconds between them, as a person records them: the
+sweep's poses row by row, a free motion of all joints, and pushes at four positions; the moves from
+one position to the next are not in the bag. It steps as fast as it goes. A plant has no bags:
+effects that count from a bag's first stamp get their time from the recording's first stamp.
 """
 
 from __future__ import annotations
 
+import argparse
 import json
 import os
 import shutil
+import sys
 import tempfile
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
+from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
-from types import TracebackType
-from typing import Self
 
 import numpy as np
-from galen_bags.arrays.messages import JOINT_STATE_TYPE, POSE_TYPE, WRENCH_TYPE
+from galen_bags.arrays.arm_recording import JOINT_STATE_TYPE, POSE_TYPE, WRENCH_TYPE
 from galen_bags.formats.writer import BagWriter
 from galen_model.arm.galen import BASE_FRAME, HOME, JOINT_NAMES, SENSOR, SENSOR_FRAME, TRACKER_FRAME
 from galen_model.arrays import Array
 from galen_model.files.calibration_file import CalibrationFile, LoadEstimate, write_calibration
 from galen_model.load.model import Load
 from galen_ros.cdr import joint_state_bytes, pose_bytes, wrench_bytes
+from galen_ros.command import EXIT_OK, make_parser, run_command, writing
 from galen_sim_driver.effects.effect import BAG_ORDER, Effect
+from galen_sim_driver.effects.joints import JointGain
 from galen_sim_driver.effects.registry import contract_parameters
-from galen_sim_driver.effects.sensor import BiasStep
+from galen_sim_driver.effects.sensor import BiasStep, SensorDrift
 from galen_sim_driver.effects.tracker import BaseShift
 from galen_sim_driver.plant.cell import Plant, Sample
 from galen_sim_driver.plant.config import HandPush, PlantConfig
@@ -86,14 +94,22 @@ def make_recording(
     poses: Array | None = None,
     bags: Sequence[str] = BAG_ORDER,
     truth: bool = False,
-    progress: Callable[[str], None] | None = None,
 ) -> None:
     """Make a recording in a new directory; it is whole or not there.
 
-    effects: what the arm has beside nominal. seed: of all noise, of how the arm moves in the free
-    motion and of how hard it is pushed. poses (n, 5): of the sweep. bags: those that are written.
-    truth: with truth.json beside it. progress: told what comes next. Raises DiagnosisError, and
-    ConfigError where the tool isn't known or an effect's numbers can't be.
+    Args:
+        directory: must not exist.
+        effects: what the arm has beside nominal.
+        seed: of all noise, of how the arm moves in the free motion and of how hard it is pushed.
+        tool: its name.
+        poses: (n, joints), of the sweep.
+        bags: those that are written.
+        truth: with truth.json beside it.
+
+    Raises:
+        DiagnosisError: the directory exists or can't be made; a bag or tool that isn't known.
+        ConfigError: an effect's numbers can't be.
+
     """
     target = Path(directory)
     if target.exists() or target.is_symlink():
@@ -101,23 +117,19 @@ def make_recording(
     unknown = [name for name in bags if name not in BAG_ORDER]
     if unknown:
         raise DiagnosisError(f"no bag '{unknown[0]}'; a recording has {', '.join(BAG_ORDER)}")
-    try:
+    with writing(target):
         target.parent.mkdir(parents=True, exist_ok=True)
         work = Path(tempfile.mkdtemp(dir=target.parent, prefix=f".{target.name}."))
-    except OSError as error:
-        raise DiagnosisError(f"{target}: can't be made: {error.strerror}") from error
     try:
-        _Session(work, effects, seed, tool, sweep_poses() if poses is None else poses).record(
-            bags, progress or (lambda name: None)
-        )
-        if truth:
-            told = [{"effect": e.name, "parameters": contract_parameters(e)} for e in effects]
-            text = json.dumps({"effects": told}, indent=1)
-            (work / "truth.json").write_text(text, encoding="utf-8")
-        work.chmod(0o755)  # mkdtemp's are the owner's alone
-        os.replace(work, target)
-    except OSError as error:
-        raise DiagnosisError(f"{target}: can't be made: {error.strerror}") from error
+        session = _Session(work, effects, seed, tool, sweep_poses() if poses is None else poses)
+        with writing(target):
+            session.record(bags)
+            if truth:
+                told = [{"effect": e.name, "parameters": contract_parameters(e)} for e in effects]
+                text = json.dumps({"effects": told}, indent=1)
+                (work / "truth.json").write_text(text, encoding="utf-8")
+            work.chmod(0o755)  # mkdtemp's are the owner's alone
+            os.replace(work, target)
     finally:
         shutil.rmtree(work, ignore_errors=True)
 
@@ -150,16 +162,16 @@ class _Session:
             raise DiagnosisError("a recording needs a tool on the arm")
         self._tool_file = _believed(tool, attached.load, config.adapter, attached.tip_m)
 
-    def record(self, bags: Sequence[str], progress: Callable[[str], None]) -> None:
+    def record(self, bags: Sequence[str]) -> None:
         """Go through all bags and write those asked for."""
         write_calibration(self._directory / "tool.json", self._tool_file)
         parts = {"sweep": self._sweep, "motion": self._free, "push": self._push}
         last = max(map(BAG_ORDER.index, bags), default=-1)
         for name in BAG_ORDER[: last + 1]:
-            progress(name)
             self._wait_for(self._starts[name])
-            with _Tape(self._directory / name, name, self._plant, keep=name in bags) as tape:
-                parts[name](tape)
+            path = self._directory / name
+            with BagWriter(path) if name in bags else nullcontext() as writer:
+                parts[name](_Tape(writer, name, self._plant))
 
     def _sweep(self, tape: _Tape) -> None:
         here = HOME
@@ -167,7 +179,7 @@ class _Session:
             self._move(here, pose, tape)
             tape.run(_STILL_S)
             here = pose
-        # On the way to where the motion starts, nobody records.
+        # The way to where the motion starts is not recorded.
         self._order(here, HOME, _PAUSE_S - 1.0)
 
     def _free(self, tape: _Tape) -> None:
@@ -178,10 +190,10 @@ class _Session:
     def _push(self, tape: _Tape) -> None:
         for number, position in enumerate(_PUSH_POSITIONS):
             if number > 0:
-                tape.pause()
+                tape.on = False
                 self._move(_PUSH_POSITIONS[number - 1], position, tape)
                 tape.run(1.0)
-                tape.go_on()
+                tape.on = True
             tape.run(_REST_S)
             self._plant.start_hand()
             tape.run(_PUSH_S * 6 * len(_PUSH_LEVELS_N))
@@ -205,52 +217,30 @@ class _Session:
 
 
 class _Tape:
-    """Steps the plant and writes what a recorder of one bag gets; a context manager."""
+    """Steps the plant and writes what a recorder of one bag gets."""
 
-    def __init__(self, path: Path, bag: str, plant: Plant, *, keep: bool) -> None:
-        self._plant = plant
+    def __init__(self, writer: BagWriter | None, bag: str, plant: Plant) -> None:
+        self._writer, self._plant = writer, plant
         self._every = round(RATE_HZ / BAG_RATES_HZ[bag])
-        self._tracker = bag == "push"
-        self._writer = BagWriter(path) if keep else None
-        self._on = True
+        self._period_ns = round(1e9 / RATE_HZ)
         self._joints = joint_state_bytes(JOINT_NAMES, BASE_FRAME)
         self._wrench = wrench_bytes(SENSOR_FRAME)
         self._pose = pose_bytes(TRACKER_FRAME)
-        self._period_ns = round(1e9 / RATE_HZ)
-
-    def __enter__(self) -> Self:
-        if self._writer is not None:
-            bag = self._writer.__enter__()
-            self._joint_states = bag.add_topic("joint_states", JOINT_STATE_TYPE)
-            self._wrench_raw = bag.add_topic("wrench_raw", WRENCH_TYPE)
-            if self._tracker:
-                self._tool_pose = bag.add_topic("tracker/tool_pose", POSE_TYPE)
-                self._base_pose = bag.add_topic("tracker/base_pose", POSE_TYPE)
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        if self._writer is not None:
-            self._writer.__exit__(kind, error, trace)
-
-    def pause(self) -> None:
-        """Write nothing from now on."""
-        self._on = False
-
-    def go_on(self) -> None:
-        """Write again."""
-        self._on = True
+        self._markers: list[int] = []
+        self.on = True
+        if writer is not None:
+            self._joint_states = writer.add_topic("joint_states", JOINT_STATE_TYPE)
+            self._wrench_raw = writer.add_topic("wrench_raw", WRENCH_TYPE)
+            if bag == "push":
+                names = ("tracker/tool_pose", "tracker/base_pose")
+                self._markers = [writer.add_topic(name, POSE_TYPE) for name in names]
 
     def run(self, duration_s: float) -> None:
         """Step the plant for this long."""
         end_ns = self._plant.now_ns + round(duration_s * 1e9)
         while self._plant.now_ns < end_ns:
             sample = self._plant.step()
-            if self._on and self._writer is not None:
+            if self.on and self._writer is not None:
                 self._write(self._writer, sample)
 
     def _write(self, bag: BagWriter, sample: Sample) -> None:
@@ -260,13 +250,11 @@ class _Tape:
             bag.write(self._joint_states, stamp_ns, state)
             late_ns = stamp_ns + self._plant.wrench_delay_ns
             bag.write(self._wrench_raw, late_ns, self._wrench.fill(late_ns, sample.wrench))
-        if self._tracker and sample.tracker is not None and sample.tracker.tool is not None:
+        seen = sample.tracker
+        if self._markers and seen is not None and seen.tool is not None:
             late_ns = stamp_ns + self._plant.tracker_delay_ns
-            for topic, seen in (
-                (self._tool_pose, sample.tracker.tool),
-                (self._base_pose, sample.tracker.base),
-            ):
-                pose = self._pose.fill(late_ns, list(seen.position_m), list(seen.quaternion))
+            for topic, marker in zip(self._markers, (seen.tool, seen.base), strict=True):
+                pose = self._pose.fill(late_ns, list(marker.position_m), list(marker.quaternion))
                 bag.write(topic, late_ns, pose)
 
 
@@ -353,3 +341,45 @@ def _believed(tool: str, load: Load, adapter: Load, tip_m: Array) -> Calibration
         poses_used=56,
         calibrated_at="2023-11-14T00:00:00Z",
     )
+
+
+# The report's stories
+
+
+def _bias_drift() -> SensorDrift:
+    """Along z by 0.24 N in the recording's five minutes, not evenly; a little along x."""
+    knots_s = np.linspace(0.0, 312.0, 7)
+    levels = np.zeros((len(knots_s), 6))
+    levels[:, 2] = [0.0, 0.06, 0.14, 0.12, 0.17, 0.20, 0.24]
+    levels[:, 0] = [0.0, 0.004, 0.01, 0.012, 0.012, 0.016, 0.02]
+    return SensorDrift.through(knots_s, levels)
+
+
+STORIES: dict[str, tuple[Effect, int]] = {
+    "drift": (_bias_drift(), 12),
+    "tilt": (JointGain("tilt", 0.02), 13),
+}
+"""What each story's arm has, and its seed."""
+
+
+def main(args: Sequence[str] | None = None) -> int:
+    """Entry point; returns the exit code."""
+    parser = make_parser(
+        "simulated_recording",
+        "Make a recording that shows one of the 2019 report's stories.",
+        failed="the directory is there already, or can't be written",
+    )
+    parser.add_argument("story", choices=STORIES, help="drift: figure 12; tilt: figure 13")
+    parser.add_argument("--output", type=Path, required=True, metavar="DIR", help="make this")
+    arguments = parser.parse_args(args)
+    return run_command("simulated_recording", lambda: _story(arguments))
+
+
+def _story(arguments: argparse.Namespace) -> int:
+    effect, seed = STORIES[arguments.story]
+    make_recording(arguments.output, [effect], seed, truth=True)
+    return EXIT_OK
+
+
+if __name__ == "__main__":
+    sys.exit(main())
