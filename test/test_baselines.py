@@ -18,6 +18,7 @@ import importlib
 import io
 import json
 import math
+import os
 import struct
 import sys
 from functools import partial
@@ -212,6 +213,11 @@ def arithmetic():
     return digest(np.concatenate([np.ravel(result) for result in results]))
 
 
+def one_thread():
+    """Whether BLAS has one thread: a cable's large products then add up in another order."""
+    return os.environ.get("OPENBLAS_NUM_THREADS") == "1"
+
+
 def digest(array):
     return hashlib.sha256(np.ascontiguousarray(array).tobytes()).hexdigest()
 
@@ -227,7 +233,7 @@ def compensation(name, tmp_path):
         "count": len(stamps),
         "stamps_sha256": digest(stamps.astype(np.int64)),
         "sha256": digest(wrenches.astype(np.float64)),
-        "arithmetic": arithmetic(),
+        "arithmetic": arithmetic() + (", one thread" if tool == POINTER and one_thread() else ""),
         "every": every,
         "wrenches": wrenches[::every].tolist(),
     }
