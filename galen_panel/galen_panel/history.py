@@ -18,6 +18,7 @@ from dataclasses import dataclass
 from datetime import datetime
 
 import numpy as np
+from galen_model.arm.arm import Arm
 from galen_model.arm.galen import GALEN, WRENCH_AXES
 from galen_model.arrays import Array
 
@@ -81,11 +82,6 @@ class StreamSeries:
                 # What came before a restart is dropped with all that was there.
                 self._restart()
                 stamps, rows = stamps[back[0] :], rows[back[0] :]
-
-    def clear(self) -> None:
-        """Forget all."""
-        with self._lock:
-            self._restart()
 
     @property
     def newest_ns(self) -> int | None:
@@ -155,18 +151,13 @@ class StreamSeries:
 class History:
     """What the plots show: raw and compensated wrench (6), deflection (6), joints (n); SI."""
 
-    def __init__(self) -> None:
+    def __init__(self, arm: Arm = GALEN) -> None:
         self.raw = StreamSeries(6)
         self.compensated = StreamSeries(6)
         self.deflection = StreamSeries(6)
         """(translation, rotation vector) at the tip, in base_link; m, rad."""
-        self.joints = StreamSeries(len(GALEN.joints))
+        self.joints = StreamSeries(len(arm.joints))
         """In the arm's order; m, rad."""
-
-    def clear(self) -> None:
-        """Forget all."""
-        for series in (self.raw, self.compensated, self.deflection, self.joints):
-            series.clear()
 
 
 _UNITS = ("n",) * 3 + ("nm",) * 3

@@ -5,6 +5,7 @@ from contextlib import contextmanager
 from dataclasses import replace
 
 import numpy as np
+from galen_model.arm.galen import GALEN
 from galen_panel.history import History
 from galen_panel.snapshot import (
     CallAnswer,
@@ -54,6 +55,7 @@ class FakeSuite:
             1, (POINTER, RETRACTOR, BROKEN), "/tools", "", ACTIVE,
             {one.name: one for one in (COMPENSATING, CALIBRATION_READY)}, {}, ALL
         )  # fmt: skip
+        self.arm = GALEN
         self.history = History()
         self.calls = []
         self.answer = CallAnswer(True, "done")

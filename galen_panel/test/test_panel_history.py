@@ -260,17 +260,6 @@ def test_after_a_restart_the_browser_begins_anew():
     assert browser.stamps == expected.stamps_ns.tolist()
 
 
-def test_a_series_that_begins_later_comes_whole():
-    series = StreamSeries(3)
-    follower, browser = Follower(series), Browser()
-    follower.look_at(10.0, 40 * MS)
-    assert follower.patch().newest_ns is None
-    stamps, values = swing(300)
-    series.append(stamps, values)
-    browser.take(follower.patch())
-    assert browser.stamps == drawn(stamps, values, 40 * MS).stamps_ns.tolist()
-
-
 def test_a_window_is_at_most_some_600_rows():
     stamps, values = swing(60_000)
     for span in (10, 30, 60, 120):

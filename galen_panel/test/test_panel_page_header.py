@@ -1,12 +1,11 @@
 """The header: the active tool, compensation, tare, the lamp; and how the page asks."""
 
 import asyncio
-import time
 from dataclasses import replace
 
 import pytest
 from fake_suite import ACTIVE, ALL, COMPENSATING, FakeSuite
-from galen_panel.snapshot import CallAnswer, NodeLevel
+from galen_panel.snapshot import NodeLevel
 from page_user import on_page
 
 
@@ -47,7 +46,6 @@ def test_the_switch_asks_for_the_other_state_and_waits_for_gravcomp():
     [
         (replace(ACTIVE, tool=""), NodeLevel.WARN, "no_tool"),
         (replace(ACTIVE, tool=""), NodeLevel.OK, "compensating"),  # said a moment ago
-        (ACTIVE, NodeLevel.STALE, "silent"),
         (ACTIVE, NodeLevel.ERROR, "stale_joints"),
     ],
 )
@@ -62,16 +60,6 @@ def test_the_switch_is_on_only_while_something_is_published(active_tool, level, 
         assert "panel-switch-on" not in user.get("enable").classes
         user.click("enable")
         await user.until(lambda: suite.calls == [("set_enabled", False)])
-
-    on_page(suite, story)
-
-
-def test_the_switch_follows_a_gravcomp_that_fell_silent():
-    suite = FakeSuite()
-    suite.put(nodes={"gravcomp": replace(COMPENSATING, heard_s=time.monotonic() - 2.5)})
-
-    async def story(user):
-        await user.until(lambda: user.text("enable") == "No compensation (switched on)")
 
     on_page(suite, story)
 
@@ -103,17 +91,6 @@ def test_without_gravcomp_all_says_so():
         suite.put(active_tool=ACTIVE, available=ALL)
         await user.until(lambda: user.get("enable").enabled and user.get("tare").enabled)
         assert "title" not in user.get("tare").props
-
-    on_page(suite, story)
-
-
-def test_the_lamp_tells_its_level_in_words():
-    suite = FakeSuite()
-
-    async def story(user):
-        suite.put(active_tool=None, available=frozenset(), nodes={})
-        await user.until(lambda: user.get("lamp").props["data-level"] in ("error", "stale"))
-        assert len(user.text("lamp")) > 10
 
     on_page(suite, story)
 
@@ -185,16 +162,5 @@ def test_a_browser_may_go_while_its_page_waits():
         for _ in range(20):
             await asyncio.sleep(0)
         assert user.notices() == []
-
-    on_page(suite, story)
-
-
-def test_a_rejection_is_told():
-    suite = FakeSuite()
-    suite.answer = CallAnswer(False, "the tool was touched: tare again")
-
-    async def story(user):
-        user.click("tare")
-        await user.until(lambda: user.notices() == ["the tool was touched: tare again"])
 
     on_page(suite, story)

@@ -18,6 +18,8 @@ def test_a_button_a_tool_puts_it_active():
         for part in ("60.10 ± 0.03 g", "55.0, 2.0, 45.0 mm", "2026-11-21 14:03 UTC", "active"):
             assert part in text, part
         assert "Residual 3.6 mN" in text
+        assert "field 'load' is missing" in user.text("tool-drill")
+        assert not user.get("tool-drill").enabled
         assert "active" not in user.text("tool-retractor")
         assert user.get("tool-pointer").props["aria-pressed"] == "true"
         user.click("tool-retractor")
@@ -74,17 +76,6 @@ def test_a_file_that_was_changed_otherwise_is_not_active_either():
     on_page(suite, story)
 
 
-def test_a_broken_file_is_listed_with_its_reason_and_not_loadable():
-    suite = FakeSuite()
-
-    async def story(user):
-        assert "field 'load' is missing" in user.text("tool-drill")
-        assert "0.00 g" not in user.text("tool-drill")
-        assert not user.get("tool-drill").enabled
-
-    on_page(suite, story)
-
-
 def test_removing_is_asked_first():
     suite = FakeSuite()
 
@@ -97,19 +88,7 @@ def test_removing_is_asked_first():
         assert suite.calls == []
         user.click("tool-retractor-remove")
         await user.until(lambda: user.all("dialog-ok"))
-        user.click("dialog-ok")
-        await user.until(lambda: suite.calls == [("remove_tool", "retractor")])
-
-    on_page(suite, story)
-
-
-def test_a_row_that_goes_while_its_question_is_open():
-    suite = FakeSuite()
-
-    async def story(user):
-        user.click("tool-retractor-remove")
-        await user.until(lambda: user.all("dialog-ok"))
-        suite.put(tools=(POINTER,))
+        suite.put(tools=(POINTER,))  # its row goes while the question is open
         await user.until(lambda: not user.all("tool-retractor"))
         user.click("dialog-ok")
         await user.until(lambda: suite.calls == [("remove_tool", "retractor")])

@@ -107,38 +107,21 @@ def test_a_job_leaves_a_report_that_is_found_again_after_a_restart(jobs, output)
     assert folders(output) == [report.id]
 
 
-def test_two_jobs_run_one_after_the_other_in_their_order(jobs):
-    assert jobs.submit(wanted("hang")).ok
+def test_a_cancel_ends_the_worker_and_all_that_it_started_and_the_next_one_runs(jobs, output):
+    jobs.submit(wanted("hang"))
     answer = jobs.submit(wanted("good"))
     assert answer.ok and "1 before it" in answer.text
-    until(lambda: job_of(jobs, 1).doing == "hanging", "the first at work")
-    assert job_of(jobs, 1).share is None
-    assert [job.stage for job in jobs.jobs] == ["running", "waiting"]
-    assert jobs.cancel(1).ok
-    assert ended(jobs, 1).stage == "canceled"
-    assert ended(jobs, 2).stage == "done"
-
-
-def test_a_cancel_ends_the_worker_and_all_that_it_started(jobs, output):
-    jobs.submit(wanted("hang"))
+    assert jobs.submit(wanted("good2")).ok and jobs.cancel(3).ok
+    assert [job.stage for job in jobs.jobs][1:] == ["waiting", "canceled"]
     until(lambda: job_of(jobs, 1).doing == "hanging", "it to be at work")
     child = int((output / "child").read_text())
     assert not gone(child)
     assert jobs.cancel(1).ok
     assert ended(jobs, 1).stage == "canceled"
     until(lambda: gone(child), "the child's end")
-    assert folders(output) == []
+    assert ended(jobs, 2).stage == "done" and job_of(jobs, 3).stage == "canceled"
+    assert len(folders(output)) == 1
     assert not jobs.cancel(1).ok and not jobs.cancel(77).ok
-
-
-def test_a_job_that_waits_is_cancelled_without_being_begun(jobs):
-    jobs.submit(wanted("hang"))
-    jobs.submit(wanted("good"))
-    assert jobs.cancel(2).ok
-    assert job_of(jobs, 2).stage == "canceled"
-    jobs.cancel(1)
-    ended(jobs, 1)
-    assert job_of(jobs, 2).stage == "canceled" and job_of(jobs, 2).report == ""
 
 
 @pytest.mark.parametrize(

@@ -163,17 +163,6 @@ def test_a_goal_is_followed_from_pose_to_pose_to_its_result(goals):
     assert outcome.values["mass_kg"] == 0.0601 and outcome.values["poses_used"] == 4
 
 
-def test_a_failure_says_why_and_the_next_goal_is_another_one(goals):
-    goals.ask(goals.suite.start(calibrate("pointer")))
-    first = goals.behaviour.number
-    goals.do(lambda: goals.server.end(ErrorCode.POSES_NOT_STILL, "too few poses were still"))
-    outcome = goals.seen("the end", lambda b: b.outcome)
-    assert outcome.error == "POSES_NOT_STILL"
-    assert "too few poses were still" in outcome.text and "nothing is written" in outcome.text
-    goals.ask(goals.suite.start(calibrate("retractor")))
-    assert goals.behaviour.running and goals.behaviour.number > first
-
-
 def test_a_cancel_stops_the_panel_s_own_goal(goals):
     goals.ask(goals.suite.start(calibrate("pointer")))
     answer = goals.ask(goals.suite.cancel(BehaviourKind.CALIBRATE))
@@ -181,9 +170,12 @@ def test_a_cancel_stops_the_panel_s_own_goal(goals):
     assert goals.server.canceled == [bytes(goals.server.goal.goal_id.uuid)]
     goals.do(lambda: goals.server.end(ErrorCode.CANCELED, "canceled by the client"))
     outcome = goals.seen("the end", lambda b: b.outcome)
-    assert outcome.error == "CANCELED"
+    assert outcome.error == "CANCELED" and "canceled by the client" in outcome.text
     answer = goals.ask(goals.suite.cancel(BehaviourKind.CALIBRATE))
     assert not answer.ok and "nothing is running" in answer.text
+    first = goals.behaviour.number
+    goals.ask(goals.suite.start(calibrate("retractor")))
+    assert goals.behaviour.running and goals.behaviour.number > first
 
 
 def test_a_goal_is_rejected_with_the_node_s_reason(goals):
@@ -253,13 +245,6 @@ def test_a_person_is_asked_and_answers(goals):
     assert goals.ask(goals.suite.confirm()).ok and goals.server.confirmed == 2
     goals.do(lambda: goals.server.say(Phase.ZERO))
     goals.seen("the next step", lambda b: b.asked is None)
-
-
-def test_a_driver_that_is_asked_asks_no_person(goals):
-    goals.ask(goals.suite.start(calibrate("pointer")))
-    goals.do(lambda: goals.server.say(Phase.ATTACH_TOOL))
-    goals.seen("the step", lambda b: b.phase == "tool on")
-    assert goals.behaviour.asked is None
 
 
 def test_a_question_of_a_goal_that_was_taken_over_is_known_from_diagnostics(goals):
@@ -342,15 +327,6 @@ def test_a_goal_that_was_out_of_sight_is_followed_again(goals):
     goals.seen("its end", lambda b: b.outcome and not b.outcome.error)
 
 
-def test_the_result_of_a_goal_that_was_out_of_sight_is_taken_all_the_same(goals):
-    goals.ask(goals.suite.start(calibrate("pointer")))
-    goals.suite._followers[BehaviourKind.CALIBRATE]._clients = (OutOfSight(),)
-    goals.seen("the loss", lambda b: b.outcome and b.outcome.error == "LOST")
-    goals.do(lambda: goals.server.end(poses_used=4))
-    outcome = goals.seen("its end", lambda b: b.outcome and not b.outcome.error and b.outcome)
-    assert outcome.values["poses_used"] == 4
-
-
 class Late(Node):
     """An action server that answers a goal when `answer` says so."""
 
@@ -388,8 +364,3 @@ def test_a_goal_whose_answer_is_late_is_taken_back(monkeypatch):
         answer = world.ask(world.suite.start(calibrate("pointer")))
         assert not answer.ok
         assert "has not answered" in answer.text and "had begun, and is canceled" in answer.text
-
-
-def test_without_its_node_there_is_no_check(goals):
-    answer = goals.ask(goals.suite.start(Goal(BehaviourKind.CHECK)))
-    assert not answer.ok and "calibration_node" in answer.text

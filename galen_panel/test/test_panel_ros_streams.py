@@ -96,7 +96,6 @@ def test_who_watches_gets_every_sample_of_the_four_streams(world):
         assert np.count_nonzero(np.diff(numbers) == 1) > 250
     assert np.all(world.suite.history.raw.last().values[:, 1:] == [1, 2, 3, 4, 5])
     assert np.all(world.suite.history.deflection.last().values[:, 1:] == [1, 2, 3, 4, 5])
-    assert set(world.suite.streams.unreadable.values()) == {0}
 
 
 def test_nobody_listens_before_and_after_and_the_last_one_to_leave_ends_it(world, monkeypatch):
@@ -122,7 +121,7 @@ def test_nobody_listens_before_and_after_and_the_last_one_to_leave_ends_it(world
         world.harness.wait_for(lambda: lengths(world.suite)[0] > before[0], 10.0, "samples again")
 
 
-def test_bad_messages_are_counted_and_left_out(world):
+def test_bad_messages_are_left_out(world):
     source = world.add(Source)
     suite = world.suite
     with suite.watch():
@@ -140,15 +139,13 @@ def test_bad_messages_are_counted_and_left_out(world):
             ("joint_states", good),
         ]
         world.harness.call_in_executor(lambda: source.extra.extend(bad))
-        world.harness.wait_for(
-            lambda: sum(suite.streams.unreadable.values()) >= len(bad), 10.0, "the bad ones"
-        )
+        world.harness.wait_for(lambda: not source.extra, 10.0, "the bad ones to be sent")
         before = lengths(suite)
         world.harness.wait_for(
             lambda: all(np.array(lengths(suite)) > np.array(before) + 100), 10.0, "more samples"
         )
-    assert suite.streams.unreadable == {
-        "wrench_raw": 4, "wrench_compensated": 1, "deflection": 1, "joint_states": 2,
-    }  # fmt: skip
     for one in series(suite).values():
         assert np.isfinite(one.last().values).all()
+    raw = suite.history.raw.last()
+    assert 5 not in raw.stamps_ns and np.all(raw.values[:, 1:] == [1, 2, 3, 4, 5])
+    assert np.all(suite.history.joints.last().values == JOINTS)

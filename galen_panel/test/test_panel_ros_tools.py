@@ -159,16 +159,6 @@ def test_a_calibration_is_compared_with_the_one_before_and_reverted_to_it(with_g
     assert not answer.ok
 
 
-def test_a_active_tool_that_is_reverted_is_still_the_one_that_was_loaded(with_gravcomp):
-    world = with_gravcomp
-    world.ask(world.suite.activate("pointer"))
-    world.wait_for(lambda state: state.active_tool.tool == "pointer", "the active pointer")
-    answer = world.ask(world.suite.revert_tool("pointer"))
-    assert answer.ok and "activate pointer" in answer.text
-    world.wait_for(lambda state: state.active_tool.file_state == "changed", "the file's change")
-    assert world.state.active_tool.mass_kg == 0.060
-
-
 class StillArm(Node):
     """An arm at home that reads nothing: enough to compensate and to tare."""
 

@@ -15,7 +15,6 @@ from typing import Any
 
 import numpy as np
 from galen_model.arm.arm import Arm
-from galen_model.arm.galen import GALEN
 from galen_model.arrays import Array
 from nicegui import events, ui
 from nicegui.awaitable_response import AwaitableResponse
@@ -52,6 +51,7 @@ class ArmView:
 
     def __init__(self, page: Page) -> None:
         self._page = page
+        self._arm = arm = page.suite.arm
         self._factor = float(FACTOR)
         self._placed: Placement | None = None
         self._numbers_at_s = -math.inf
@@ -65,8 +65,8 @@ class ArmView:
             self._scene.on("init", self._on_init)
             self._told_factor = ui.label().classes("live-factor").props("data-testid=factor")
         with self._scene:
-            self._object = ArmObject(parts(GALEN))
-        middle, size_m = middle_and_size(GALEN)
+            self._object = ArmObject(parts(arm))
+        middle, size_m = middle_and_size(arm)
         x, y, z = (middle + size_m * np.array(_CAMERA)).tolist()
         to_x, to_y, to_z = middle.tolist()
         self._scene.move_camera(x, y, z, to_x, to_y, to_z, duration=0.0)
@@ -80,7 +80,7 @@ class ArmView:
                 min=1, max=FACTOR_MAX, step=1, value=FACTOR, on_change=self._choose_factor
             ).props('data-testid=exaggeration label aria-label="Bend shown times"')
         with ui.element("table").classes("live-numbers"), ui.element("tbody"):
-            for row in (*GALEN.joint_names, "deflection", "force"):
+            for row in (*arm.joint_names, "deflection", "force"):
                 with ui.element("tr"):
                     with ui.element("th").props("scope=row"):
                         ui.label(row)
@@ -103,8 +103,8 @@ class ArmView:
         active = self._page.suite.state.active_tool
         has_tool = active is not None and bool(active.tool)
         placement = place(
-            GALEN,
-            GALEN.home if joints is None else joints,
+            self._arm,
+            self._arm.home if joints is None else joints,
             np.array(active.tip_m) if active is not None and has_tool else np.zeros(3),
             np.array(active.com_m) if active is not None and has_tool else None,
             None if deflection is None else self._factor * deflection,
@@ -136,7 +136,7 @@ class ArmView:
     ) -> None:
         texts = dict.fromkeys(self._numbers, "–")
         if joints is not None:
-            for joint, value in zip(GALEN.joints, joints.tolist(), strict=True):
+            for joint, value in zip(self._arm.joints, joints.tolist(), strict=True):
                 turns = joint.kind == "revolute"
                 shown = f"{math.degrees(value):.2f}°" if turns else f"{1e3 * value:.1f} mm"
                 texts[joint.name] = shown

@@ -39,8 +39,6 @@ class _Tools:
             ui.space()
             self._new = ui.button("New tool", icon="add", on_click=self._new_tool)
             self._new.props("outline data-testid=new-tool")
-            self._refresh = ui.button(icon="refresh", on_click=self._list)
-            self._refresh.props('flat round aria-label="Read the list again" data-testid=refresh')
         self._note = ui.label().classes("panel-note").props("role=status data-testid=tools-note")
         self._none = ui.button("No tool", icon="block", on_click=self._put_none, color=None)
         self._none.props("flat align=left data-testid=no-tool").classes("panel-tool panel-none")
@@ -49,9 +47,6 @@ class _Tools:
 
     async def _new_tool(self) -> None:
         await _new_tool(self._page)
-
-    async def _list(self) -> None:
-        await self._page.ask(self._page.suite.list_tools(), self._refresh)
 
     async def _put_none(self) -> None:
         await self._page.ask(self._page.suite.activate(""), self._none)
@@ -69,7 +64,6 @@ class _Tools:
         self._none.set_text("No tool (active)" if none else "No tool")
         set_tool = hints.missing(state, "gravcomp/set_tool")
         self._page.allow(self._none, set_tool)
-        self._page.allow(self._refresh, hints.missing(state, "gravcomp/list_tools"))
         self._page.allow(self._new, hints.missing(state, "calibrate_tool"))
         self._place(found)
         for tool in found:

@@ -1,4 +1,4 @@
-"""Listens to the 500 Hz streams while a page shows them, for as little as can be.
+"""Listen to the 500 Hz streams while a page shows them, for as little as can be.
 
 Subscriptions on a node that no executor spins cost nothing when a message comes: it lies in the
 middleware's queue until all that is there is taken at once, some 25 times a second.
@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from galen_model.arm.galen import JOINT_NAMES
+from galen_model.arm.arm import Arm
 from galen_ros.cdr import (
     JointStateError,
     JointWire,
@@ -32,7 +32,6 @@ from sensor_msgs.msg import JointState
 from galen_msgs.msg import DeflectionStamped
 from galen_panel.history import History, StreamSeries
 
-_POLL_PERIOD_S = 0.04
 _DEPTH = 200
 """0.4 s at 500 Hz; what a busy panel loses is only missing in its plots."""
 _LINGER_S = 2.0
@@ -83,22 +82,18 @@ class _Tap:
 class Streams:
     """Fills a history. `watch` may be called in any thread, all else in the ROS thread."""
 
-    def __init__(self, history: History, context: Context) -> None:
+    def __init__(self, history: History, context: Context, arm: Arm) -> None:
         self._context = context
-        self.unreadable = dict.fromkeys(
-            ("wrench_raw", "wrench_compensated", "deflection", "joint_states"), 0
-        )
-        """How many messages of each topic were left out: bad bytes, other joints, not finite."""
         self._taps = (
             _Tap("wrench_raw", WrenchStamped, wrench_reader(), history.raw),
             _Tap("wrench_compensated", WrenchStamped, wrench_reader(), history.compensated),
             _Tap("deflection", DeflectionStamped, deflection_reader(), history.deflection),
-            _Tap("joint_states", JointState, JointWire(JOINT_NAMES).read, history.joints),
+            _Tap("joint_states", JointState, JointWire(arm.joint_names).read, history.joints),
         )
         self._watchers = 0
         self._lock = threading.Lock()
         self._node: Node | None = None
-        self._listening = False
+        self.listening = False
         self._watched_s = 0.0
 
     @contextmanager
@@ -112,20 +107,15 @@ class Streams:
             with self._lock:
                 self._watchers -= 1
 
-    @property
-    def listening(self) -> bool:
-        """Whether messages are taken now."""
-        return self._listening
-
     def tick(self, now_s: float) -> None:
         """Begin or end to listen, and take what has come."""
         if self._watchers:
             self._watched_s = now_s
-            if not self._listening:
+            if not self.listening:
                 self._subscribe()
-        elif self._listening and now_s - self._watched_s > _LINGER_S:
+        elif self.listening and now_s - self._watched_s > _LINGER_S:
             self._unsubscribe()
-        if self._listening:
+        if self.listening:
             for tap in self._taps:
                 self._take(tap)
 
@@ -146,14 +136,14 @@ class Streams:
             tap.subscription = self._node.create_subscription(
                 tap.message_type, tap.topic, _never, qos, raw=True
             )
-        self._listening = True
+        self.listening = True
 
     def _unsubscribe(self) -> None:
         for tap in self._taps:
             if tap.subscription is not None and self._node is not None:
                 self._node.destroy_subscription(tap.subscription)
             tap.subscription = None
-        self._listening = False
+        self.listening = False
 
     def _take(self, tap: _Tap) -> None:
         assert tap.subscription is not None
@@ -169,7 +159,6 @@ class Streams:
                 try:
                     stamp_ns, row = tap.read(taken[0])
                 except (UnreadableError, JointStateError):
-                    self.unreadable[tap.topic] += 1
                     continue
                 stamps.append(stamp_ns)
                 rows.append(row)
@@ -177,7 +166,6 @@ class Streams:
             return
         values = np.array(rows)
         finite = np.isfinite(values).all(axis=1)
-        self.unreadable[tap.topic] += int(np.count_nonzero(~finite))
         tap.series.append(np.array(stamps, dtype=np.int64)[finite], values[finite])
 
 

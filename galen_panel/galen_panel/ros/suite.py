@@ -8,6 +8,8 @@ from collections.abc import Callable, Coroutine
 from contextlib import AbstractContextManager
 from typing import Any, Concatenate, ParamSpec, TypeVar
 
+from galen_model.arm.arm import Arm
+from galen_model.arm.galen import GALEN
 from galen_model.errors import GalenError
 from galen_model.files.calibration_file import check_tool_name
 from rclpy.node import Node
@@ -57,12 +59,14 @@ def _answered(
 class RosSuite(AbstractContextManager["RosSuite"]):
     """The suite as the page sees it, by a ROS node of its own."""
 
-    def __init__(self, argv: list[str]) -> None:
+    def __init__(self, argv: list[str], arm: Arm = GALEN) -> None:
         """`argv`: the command line, with what is ROS's; raises GalenError."""
         self._board = Board()
-        self._history = History()
+        self.arm = arm
+        self.history = History(arm)
+        """The streams' newest samples; it grows only while a page shows them."""
         self._thread = RosThread()
-        self.streams = Streams(self._history, self._thread.context)
+        self.streams = Streams(self.history, self._thread.context, arm)
         self._calls = Calls(self._thread)
         self._thread.start(NODE_NAME, argv, self._set_up, self.streams.close)
 
@@ -109,11 +113,6 @@ class RosSuite(AbstractContextManager["RosSuite"]):
     def state(self) -> SuiteState:
         """The newest snapshot."""
         return self._board.state
-
-    @property
-    def history(self) -> History:
-        """The streams' newest samples; it grows only while a page shows them."""
-        return self._history
 
     def watch(self) -> AbstractContextManager[None]:
         """Listen to the streams within it; the last one to leave stops that."""
