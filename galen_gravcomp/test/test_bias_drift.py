@@ -132,24 +132,6 @@ def test_an_error_of_the_calibration_is_no_bias_drift_while_the_arm_goes_around(
     assert watched.bias_drift.state in (BiasDriftState.LEARNING, BiasDriftState.HELD)
 
 
-@pytest.mark.parametrize(
-    ("rate_hz", "noise"),
-    [
-        (20.0, 0.0),
-        (10.0, 1.0),
-        pytest.param(20.0, 1.0, marks=pytest.mark.slow),
-        pytest.param(50.0, 5.0, marks=pytest.mark.slow),
-    ],
-)
-def test_other_rates_and_noises(rate_hz, noise):
-    watched = Watched(rate_hz=rate_hz, noise=noise)
-    watched.arm.hold(40.0)
-    assert watched.bias_drift.state is BiasDriftState.LEARNING
-    watched.change()
-    watched.arm.hold(60.0, push(FORCE_5N))
-    assert np.all(watched.change() < np.repeat([0.004, 1e-4], 3))
-
-
 def test_limit_freezes_warns_and_a_tare_begins_anew(monkeypatch):
     monkeypatch.setattr(bias_drift_module, "LIMITS", np.repeat([0.01, 0.02], 3))
     watched = Watched(rate_hz=20.0)

@@ -1,7 +1,5 @@
 """Does the tool's file still fit: reasons, recovery, and no alarm for a hand."""
 
-from itertools import product
-
 import numpy as np
 import pytest
 from galen_gravcomp.calibration_monitor import CalibrationMonitor
@@ -12,7 +10,7 @@ from galen_model.arm.galen import GALEN
 from galen_model.evidence.verdict import Cause
 from galen_model.load.model import Load
 from galen_ros.stream.monitor import Severity
-from scipy.stats import multivariate_normal, norm
+from scipy.stats import multivariate_normal
 from untouched_arm import NO_TOOL, POINTER, RETRACTOR, START_NS, UntouchedArm, push, tool_file
 
 from galen_gravcomp import evidence as pull_evidence
@@ -119,19 +117,6 @@ def test_a_hand_that_never_lets_go_is_no_alarm(seed, tremor):
     assert not watched.warnings
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("tremor", [0.0, 0.03])
-def test_a_surgeon_s_pushes_are_no_alarm(tremor):
-    watched = Watched(seed=3)
-    arm, rng = watched.arm, np.random.default_rng(7)
-    for _ in range(25):
-        arm.hold(rng.uniform(0.5, 2.0))
-        force = rng.normal(size=3) * rng.uniform(0.3, 4.0)
-        arm.hold(rng.uniform(1.0, 6.0), push(force), tremor)
-        arm.move(arm.pose + rng.uniform(-0.3, 0.3, 2), extra=push(force / 2.0))
-    assert not watched.warnings
-
-
 def test_a_tare_moves_what_is_remembered():
     watched = Watched(seed=4)
     arm = watched.arm
@@ -186,30 +171,6 @@ def test_the_node_s_state_warns_of_it_and_a_bad_file_is_worse():
     assert "no tool is on" in state.message and "its file has changed" in state.message
     monitor.set_tool_error("torn")
     assert monitor.state(0.1).name == "bad_tool_file"
-
-
-def test_a_pull_s_density_is_the_normal_density():
-    """Against scipy's, an axis and a size at a time."""
-    rng = np.random.default_rng(3)
-    angles = rng.uniform(-0.8, 0.8, (5, 2))
-    mean = 0.1 * rng.normal(size=(5, 6))
-    stops = Segments(mean, np.full((5, 6), 1e-3), angles, START_NS + np.arange(5))
-    variance = np.full((5, 6), 0.01**2)
-    kernel = pull_evidence._by_pose(stops)[0]
-    pull, hands = 0.0, 0.0
-    for axis in range(6):
-        densities = []
-        for size in pull_evidence._SIZES[axis]:
-            normal = multivariate_normal(np.zeros(5), size**2 * kernel + 0.01**2 * np.eye(5))
-            densities.append(normal.pdf(mean[:, axis]))
-        pull += np.log(np.mean(densities))
-    found = pull_evidence._log_density(mean, variance, kernel[None])[0].sum()
-    assert np.isclose(found, pull, rtol=1e-9)
-    for row, part in product(mean, (slice(0, 3), slice(3, 6))):
-        sizes = pull_evidence._SIZES[part].T
-        densities = [norm.pdf(row[part], 0.0, np.hypot(size, 0.01)).prod() for size in sizes]
-        hands += np.log(np.mean(densities))
-    assert np.isclose(pull_evidence._log_density_of_hands(mean, variance).sum(), hands, rtol=1e-9)
 
 
 def test_a_pull_is_told_from_hands_by_poses_near_each_other():

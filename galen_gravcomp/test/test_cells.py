@@ -45,7 +45,3 @@ def test_stamps_that_jump_back_do_not_mix_with_what_was_there_before():
     wrench[500:] += 1.0
     cells = reduce(stamps, wrench, angles, [])
     assert np.all((np.abs(cells.mean - 5.0) < 0.1) | (np.abs(cells.mean - 6.0) < 0.1))
-
-
-def test_nothing_gives_no_cells():
-    assert len(CellReducer().finish()) == 0

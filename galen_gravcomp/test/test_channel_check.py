@@ -2,7 +2,6 @@ import numpy as np
 import pytest
 from galen_gravcomp.evaluate.channel_check import ChannelCheck, describe_run
 from galen_model.arm.galen import SENSOR
-from scipy.signal import lfilter
 
 START = 1_700_000_000_000_000_000
 RANGE = np.array([125.0, 125.0, 500.0, 3.0, 3.0, 3.0])
@@ -109,15 +108,6 @@ def test_a_slow_sensor_whose_readings_come_several_times_is_called_that(shortest
     assert 40 * longest <= run.count <= 42 * longest
 
 
-def test_a_channel_of_a_slow_sensor_that_sticks_is_found():
-    values = readings()
-    values[3000:3100, 3] = values[3000, 3]
-    found = check(np.repeat(values, 5, axis=0))
-    (run,) = found.stuck
-    assert (run.axis, found.held) == (3, 5)
-    assert run.duration_s == pytest.approx(100 * 5 * 0.002, abs=0.03)
-
-
 @pytest.mark.parametrize("quanta", [10, 20, 50, 100])
 @pytest.mark.parametrize("swing", [0.0, 1.0])
 def test_a_sensor_whose_quantum_is_above_its_noise_is_sound(quanta, swing):
@@ -128,32 +118,3 @@ def test_a_sensor_whose_quantum_is_above_its_noise_is_sound(quanta, swing):
         value = value + rng.normal(size=value.shape) * SENSOR.noise_std
         coarse = np.round(value / SENSOR.quantum / quanta) * SENSOR.quantum * quanta
         assert sound(check(coarse))
-
-
-@pytest.mark.parametrize("quanta", [20, 50, 100])
-def test_one_coarse_channel_among_others_is_sound(quanta):
-    values = readings(20_000)
-    values[:, 0] = np.round(values[:, 0] / 0.005 / quanta) * 0.005 * quanta
-    assert sound(check(values))
-
-
-@pytest.mark.parametrize("time_constant", [5, 25, 250])
-def test_a_sensor_with_a_low_pass_is_sound(time_constant):
-    rng = np.random.default_rng(time_constant)
-    keep = np.exp(-1.0 / time_constant)
-    white = rng.normal(size=(20_000, 6)) * np.sqrt(1.0 - keep**2)
-    value = lfilter([1.0], [1.0, -keep], white, axis=0) * SENSOR.noise_std
-    assert sound(check(np.round(value / SENSOR.quantum) * SENSOR.quantum))
-
-
-def test_many_sticks_cost_little_memory_and_time():
-    """Of runs by the thousand only the longest are kept; what is reported stays the same."""
-    values = readings(60_000)
-    for start in range(0, 60_000, 12):
-        values[start : start + 11, 3] = values[start, 3]
-    values[30_000:31_000, 3] = values[30_000, 3]
-    found = ChannelCheck(RANGE)
-    stamps = START + 2_000_000 * np.arange(len(values), dtype=np.int64)
-    found.add(stamps, values)
-    assert len(found._channels[3]._long) <= 4000
-    assert max(run.count for run in found._channels[3]._long) >= 1000

@@ -395,11 +395,6 @@ def test_random_faults_and_borders(seed: int) -> None:
     assert seen.as_arrays > 0.3 * seen.samples and len(seen.rejections) > 5
 
 
-@pytest.mark.parametrize("seed", range(100, 104))
-def test_random_faults_and_borders_with_the_looks_of_every_day(seed: int) -> None:
-    run_cases(seed, 20)
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", range(1000, 1010))
 @pytest.mark.usefixtures("short_looks")
@@ -474,17 +469,6 @@ def test_joints_behind_by_the_limit_are_not_stale_and_a_nanosecond_more_are() ->
             # Out of order is pushed singly, and so is a wrench that goes a second ahead of joints.
             regular = more == 0 and case not in ("back", "restart")
             assert (blocks.compensator.pushed_as_arrays == len(samples)) == regular, (case, more)
-
-
-@pytest.mark.parametrize("stamp_ns", [-1, 0, 1])
-def test_a_first_wrench_without_a_stamp_is_rejected(stamp_ns: int) -> None:
-    joints = [Sample(False, t * MS, (0.1, 0.2)) for t in (-1, 1)]
-    samples = [*joints, Sample(True, stamp_ns, (1.0,) * 6)]
-    singly, blocks = make_way(), make_way()
-    singly.singly(samples)
-    blocks.as_block(samples)
-    assert_same(singly, blocks, samples)
-    assert len(blocks.rejected) == (0 if stamp_ns > 0 else 1)
 
 
 def test_both_forms_of_a_rule_agree_at_its_limits() -> None:

@@ -16,13 +16,6 @@ def filled(count: int = 10, step_ns: int = 2 * MS, **options: int) -> JointBuffe
     return buffer
 
 
-def test_exact_stamp_gives_the_sample() -> None:
-    buffer = filled()
-    assert buffer.joints_at(6 * MS) == (0.1 * 3, -0.2 * 3)
-    assert buffer.joints_at(18 * MS) == (0.1 * 9, -0.2 * 9)
-    assert buffer.joints_at(0) == (0.0, 0.0)
-
-
 def test_interpolates_between_the_right_samples_of_a_curve() -> None:
     buffer = JointBuffer(50 * MS)
     rng = np.random.default_rng(1)
@@ -78,26 +71,3 @@ def test_is_bounded_and_keeps_the_newest() -> None:
     assert buffer.newest_ns == 999 * 2 * MS
     assert buffer.joints_at((999 - 15) * 2 * MS) == (0.1 * 984, -0.2 * 984)
     assert buffer.joints_at(0) is NoJoints.TOO_OLD
-
-
-def test_clear_forgets() -> None:
-    buffer = filled()
-    buffer.clear()
-    assert len(buffer) == 0 and buffer.newest_ns is None
-    assert buffer.joints_at(6 * MS) is NoJoints.EMPTY
-
-
-@pytest.mark.parametrize(("gap", "capacity"), [(0, 16), (-1, 16), (1, 1)])
-def test_rejects_senseless_sizes(gap: int, capacity: int) -> None:
-    with pytest.raises(ValueError, match="max_gap_ns"):
-        JointBuffer(gap, capacity)
-
-
-def test_any_number_of_joints() -> None:
-    buffer = JointBuffer(50 * MS)
-    buffer.push(0, (0.0, 1.0, 2.0, 3.0, 4.0))
-    buffer.push(4 * MS, (4.0, 1.0, -2.0, 7.0, 8.0))
-    assert buffer.joints_at(MS) == (1.0, 1.0, 1.0, 4.0, 5.0)
-    buffer.push(6 * MS, (4.0, 1.0, math.nan, 7.0, 8.0))
-    hole = buffer.joints_at(5 * MS)
-    assert isinstance(hole, tuple) and all(math.isnan(value) for value in hole) and len(hole) == 5

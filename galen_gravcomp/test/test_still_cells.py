@@ -35,13 +35,6 @@ def test_another_pose_is_another_phase_though_no_cell_moves():
     np.testing.assert_allclose(phases.angles[:, 0], [0.0, 0.01], atol=1e-12)
 
 
-def test_cells_that_agree_by_chance_do_not_make_the_mean_exact():
-    """Means of 60 readings that scatter by 1, though the cells' own means are all the same."""
-    phases = find_still_phases(cells(np.zeros(10)))
-    assert phases.samples.tolist() == [60]
-    np.testing.assert_allclose(phases.std_of_mean, 1.0 / np.sqrt(60), rtol=1e-9)
-
-
 def test_a_bias_drift_from_cell_to_cell_is_in_the_mean_s_error():
     mean = 0.003 * np.random.default_rng(2).choice([-1.0, 1.0], 10)
     phases = find_still_phases(cells(np.zeros(10), scatter=1e-3, mean=mean))

@@ -76,25 +76,6 @@ def test_drift_takes_eight_phases_and_half_a_minute(count, every_s, why):
     assert ("drift" not in parts.values) == bool(why)
 
 
-def test_poses_that_only_touched_phases_spread_tell_no_load():
-    tool = tool_file()
-    angles = np.column_stack([np.linspace(0.0, 0.02, 20), np.linspace(0.0, 0.01, 20)])
-    angles[[3, 9, 15]] = [[1.2, 0.5], [-1.2, -0.5], [0.2, 0.9]]
-    left = np.zeros((20, 6))
-    left[[3, 9, 15], :3] = [[3.0, 2.0, 0.0], [-2.0, 0.0, 4.0], [1.0, -3.0, 0.0]]
-    parts = decompose(phases(tool, tool, angles=angles, left=left), tool)
-    assert "load" not in parts.values
-    assert parts.why_no_load
-
-
-def test_a_half_explained_parts_is_no_change_of_load():
-    """With something else left besides the step, two parts are not five times better than one."""
-    tool = tool_file()
-    left = alternating(20, 0.05, 1)
-    left[10:, 0] += 0.3
-    assert find_change(phases(tool, tool, left=left), tool, LIMITS) is None
-
-
 def test_a_step_within_the_limits_is_no_change():
     tool = tool_file()
     left = np.zeros((20, 6))
@@ -150,12 +131,3 @@ def test_a_phase_that_is_out_by_nothing_that_matters_is_not_worth_a_word():
     assert "outlier" not in told(found, tool)[1]
     left[4, 0] = 0.2
     assert "1 of 20 rest segments: an outlier" in told(phases(tool, tool, left=left), tool)[1]
-
-
-def test_a_torque_s_drift_is_in_mnm_an_hour():
-    tool = tool_file()
-    left = np.zeros((30, 6))
-    left[:, 4] = 0.2 * (np.arange(30) - 14.5) * 5.0 / 3600.0
-    verdict, sentence = told(phases(tool, tool, 30, left=left), tool)
-    assert verdict is Cause.DRIFT
-    assert 190.0 < float(sentence.split("here by +")[1].split(" mN.m/h")[0]) < 210.0
