@@ -5,16 +5,14 @@ relay: a bad network: takes true/joint_states and true/wrench_raw, and passes th
 late, out of order, or not at all; its chances come from a fixed seed.
 pass: a good one.
 subscriber: hears wrench_compensated, and does nothing with it.
-slow: takes 30 ms for each, and prints its stamp, when it had it, and the wrench.
 """
 
-import json
 import sys
 import time
 
 import numpy as np
 from fault_arm import PERIOD_NS, Source, weight
-from galen_ros.messages import STREAM, stamp_to_ns, wrench_to_array
+from galen_ros.messages import STREAM
 from galen_ros.node.spin import run
 from geometry_msgs.msg import WrenchStamped
 from rclpy.node import Node
@@ -85,23 +83,11 @@ class Subscriber(Node):
         self.create_subscription(WrenchStamped, "wrench_compensated", lambda _: None, STREAM)
 
 
-class Slow(Node):
-    def __init__(self):
-        super().__init__("slow_subscriber")
-        self.create_subscription(WrenchStamped, "wrench_compensated", self.on_wrench, STREAM)
-
-    def on_wrench(self, message):
-        time.sleep(0.03)
-        stamp_ns, wrench = stamp_to_ns(message.header.stamp), wrench_to_array(message).tolist()
-        print(json.dumps([stamp_ns, time.time_ns(), wrench]), flush=True)
-
-
 if __name__ == "__main__":
     kinds = {
         "driver": Driver,
         "relay": Relay,
         "pass": lambda: Relay(faulty=False),
         "subscriber": Subscriber,
-        "slow": Slow,
     }
     run(kinds[sys.argv[1]], sys.argv)

@@ -22,9 +22,8 @@ from fault_arm import (
     weight,
 )
 from galen_deflection.models.file import write_model
-from galen_deflection.models.fitted_range import FittedRange
-from galen_deflection.models.joint_stiffness import COMPLIANCES, StiffnessBasis
-from galen_deflection.models.linear import FittedOn, LinearModel
+from galen_deflection.models.interface import FittedRange
+from galen_deflection.models.spring_model import SpringBasis, SpringModel
 from galen_model.files.calibration_file import (
     CalibrationFile,
     LoadEstimate,
@@ -62,19 +61,18 @@ def write_tool_file(folder, mass_kg=MASS_KG):
 
 def write_model_file(path):
     """The nominal arm's stiffness, as if fitted on anything an arm can do."""
-    values = np.array([parameter.prior for parameter in COMPLIANCES])
+    basis = SpringBasis(TIP_M)
+    values = np.array([parameter.prior for parameter in basis.compliances])
     noise = np.array([3e-5] * 3 + [1e-4] * 3)
-    size = len(values)
-    model = LinearModel(
+    model = SpringModel(
         "joint_stiffness",
-        TIP_M,
-        StiffnessBasis(TIP_M),
+        basis,
         values,
         np.diag((0.01 * values) ** 2),
         np.diag(noise**2) * 0.01,
         noise,
         FittedRange(np.full(6, -500.0), np.full(6, 500.0), np.full(5, -4.0), np.full(5, 4.0)),
-        FittedOn(size, 1, 1, 1),
+        {"samples": len(values), "segments": 1, "positions": 1, "sets": 1},
     )
     write_model(path, model)
 

@@ -9,9 +9,8 @@ from __future__ import annotations
 import contextlib
 import math
 import random
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -25,8 +24,6 @@ from galen_sim_driver.parameters import DriverParameters, EffectParameters, effe
 from galen_sim_driver.plant.cell import Plant
 from rcl_interfaces.msg import ParameterType
 from rcl_interfaces.srv import SetParametersAtomically
-from rclpy.exceptions import ParameterException
-from rclpy.parameter import Parameter
 
 RCLPYS = ("use_sim_time", "start_type_description_service")
 """Parameters that rclpy itself declares."""
@@ -155,32 +152,6 @@ def test_much_more_of_it(world: World) -> None:
 
 
 @pytest.mark.soak
-@pytest.mark.timeout(600)
-def test_names_of_ten_megabytes(world: World) -> None:
-    name = "x" * 10_000_000
-    for service in ("gravcomp/set_tool", "gravcomp/get_tool", "gravcomp/remove_tool"):
-        kind, right, _ = SERVICES[service]
-        answer = world.call(service, kind, **right | {"tool": name})
-        assert not answer.success
-        told(answer.error_msg)
-    for action, (kind, right, bad) in ACTIONS.items():
-        for field in {"name", "tool"} & set(bad):
-            result = world.goal(action, kind, **right | {field: name})
-            told(result.error_msg)
-    world.compensates()
-
-
-@pytest.mark.soak
-@pytest.mark.timeout(1800)
-def test_every_parameter_with_every_value(world: World) -> None:
-    for node in world.nodes:
-        for name in world.names_of(node):
-            for value in wrong_values():
-                world.set_and_back(node, name, value)
-    world.compensates()
-
-
-@pytest.mark.soak
 @pytest.mark.timeout(1800)
 def test_a_managed_node_configures_with_what_it_took_or_says_why_not(world: World) -> None:
     """Cleaned up, it takes what it rejects while it works."""
@@ -211,40 +182,6 @@ def test_a_managed_node_configures_with_what_it_took_or_says_why_not(world: Worl
                 assert world.set(node, name, old) == ""
         assert life.go("configure", "activate")
     world.compensates()
-
-
-def started(world: World, kind: Callable[..., Any], name: str, value: Any) -> None:
-    """A node is made with it, as by `-p name:=value`, or one line tells why not."""
-    world.count += 1
-    parameter = Parameter.from_parameter_msg(world.parameter(name, value))
-
-    def make() -> None:
-        kind(context=world.harness.context, parameter_overrides=[parameter]).destroy_node()
-
-    try:
-        world.harness.call_in_executor(make)
-    except GalenError as error:
-        told(str(error))
-    except (ParameterException, ValueError):
-        if name not in RCLPYS:
-            raise
-    else:
-        return
-    world.rejected += 1
-
-
-@pytest.mark.soak
-@pytest.mark.timeout(1800)
-def test_a_node_starts_with_any_parameter_or_says_why_not(tmp_path: Path) -> None:
-    rng = random.Random(7)
-    with Harness() as harness:
-        world = World(harness, tmp_path)
-        for node in world.nodes:
-            for name in world.names_of(node):
-                for value in rng.sample(wrong_values()[:-4], 6):
-                    started(world, type(node), name, value)
-        world.compensates()
-        print(f"\n{world.count} starts and requests; {world.rejected} rejected")
 
 
 @pytest.mark.soak

@@ -8,7 +8,7 @@ import json
 import numpy as np
 import pytest
 from action_msgs.msg import GoalStatus
-from fault_world import PATIENCE_S, TIP_M, FaultWorld, write_tool_file
+from fault_world import PATIENCE_S, TIP_M, FaultWorld
 from galen_model.files.calibration_file import read_calibration
 from galen_model.load.nominal_tools import TOOLS
 from galen_ros.messages import STREAM
@@ -146,21 +146,3 @@ def test_a_client_that_is_killed_and_another_at_once(world):
     assert not send(world).accepted, "two at once"
     ask(world, handle.cancel_goal_async)
     assert result_of(world, handle).status == GoalStatus.STATUS_CANCELED
-
-
-def test_a_check_while_a_calibration_runs_is_rejected(world):
-    write_tool_file(world.folder)
-    before = (world.folder / "retractor.json").read_bytes()
-    calibrating = send(world)
-    assert calibrating.accepted
-    sweep = CalibrateTool.Feedback.SWEEP_BARE
-    world.wait_for(
-        lambda: [s for s in world.client.states if s >= sweep], "the sweep", patience_s=300.0
-    )
-    goal = CheckTool.Goal(tool="retractor")
-    assert not ask(world, lambda: world.client.check.send_goal_async(goal)).accepted
-    world.wait_for(lambda: world.says("SWEEP", "calibration"), "the sweep to go on")
-    ask(world, calibrating.cancel_goal_async)
-    assert result_of(world, calibrating).status == GoalStatus.STATUS_CANCELED
-    assert (world.folder / "retractor.json").read_bytes() == before
-    assert stands_still(world)

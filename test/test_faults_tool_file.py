@@ -191,30 +191,6 @@ def test_a_start_with_it_publishes_nothing_until_a_good_file_is_asked_for(world,
     assert min(world.check_outputs(first)) > last
 
 
-def test_a_swapped_file_is_told_and_taken_when_it_is_asked_for(world):
-    driver, heavy_kg = world.driver, MASS_KG + 0.1
-    fixed(world.path)
-    world.ask_for_tool(driver, "retractor")
-    is_ok(world)
-    first = len(world.listener.wrenches)
-    write_tool_file(world.path.parent, heavy_kg)
-    world.wait_for(
-        lambda: world.says("its file has changed since it was loaded: call ~/set_tool"),
-        "the swap to be told",
-        lambda: world.step(driver),
-    )
-    for _ in range(50):
-        last = world.step(driver)
-    world.wait_for(lambda: last in world.out, "the last wrench with the old file")
-    world.check_outputs(first)
-    second = len(world.listener.wrenches)
-    assert world.ask_for_tool(driver, "retractor").mass_kg == heavy_kg
-    begin = world.stamp
-    world.works(driver)
-    taken = [one for one in world.listener.wrenches[second:] if one[0] > begin]
-    world.check_outputs(len(world.listener.wrenches) - len(taken), heavy_kg)
-
-
 def test_files_swapped_and_loaded_under_a_running_stream_lose_nothing(world):
     """While each file is loaded, a wrench is compensated by one of the two, never by a mixture."""
     driver = world.driver

@@ -9,7 +9,6 @@ import subprocess
 import sys
 import time
 from collections import Counter
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -279,25 +278,3 @@ def test_a_link_in_the_file_s_place_is_replaced_and_leads_no_write_out(tmp_path:
     write_calibration(path, a_tool("pointer", 0.08))  # and the backup is replaced, not followed
     assert read_calibration(backup).load.mass_kg == 0.07 and not backup.is_symlink()
     assert (elsewhere / "mine.json").read_bytes() == before
-
-
-@pytest.mark.parametrize("to", ["nowhere", "pointer.json"])
-def test_a_link_that_leads_nowhere_is_replaced(to: str, tmp_path: Path) -> None:
-    path = calibration_path(tmp_path, "pointer")
-    path.symlink_to(to)
-    with pytest.raises(CalibrationFileError, match="can't be read"):
-        read_calibration(path)
-    write_calibration(path, a_tool("pointer"))
-    assert names(tmp_path) == ["pointer.json"] and not path.is_symlink()
-
-
-def test_a_directory_that_is_a_link_is_followed(tmp_path: Path) -> None:
-    (tmp_path / "real").mkdir()
-    (tmp_path / "tools").symlink_to("real")
-    write_calibration(calibration_path(tmp_path / "tools", "pointer"), a_tool("pointer"))
-    assert names(tmp_path / "real") == ["pointer.json"] and (tmp_path / "tools").is_symlink()
-    store = CalibrationStore(tmp_path / "tools")
-    assert store.read("pointer").tool.tool == "pointer"
-    changed = replace(a_tool("pointer"), poses_used=1)
-    write_calibration(tmp_path / "real" / "pointer.json", changed)
-    assert store.read("pointer").tool.poses_used == 1

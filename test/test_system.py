@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from galen_bringup.demo import main as demo
+from galen_bringup.measurements import random_poses, visit
 from galen_bringup.processes import (
     AVERAGE_S,
     Processes,
@@ -14,7 +15,6 @@ from galen_bringup.processes import (
     ros_world,
     start_suite,
 )
-from galen_bringup.measurements import random_poses, visit
 from galen_model.files.calibration_file import read_calibration
 from galen_model.load.nominal_tools import ADAPTER, TOOLS
 from rich.console import Console
@@ -71,26 +71,3 @@ def test_the_demonstration_calibrates_compensates_and_draws(tmp_path, capfd):
     assert len(content["figures"]) == 3
     for figure in content["figures"]:
         assert Path(figure).read_bytes().startswith(b"\x89PNG")
-
-
-@pytest.mark.soak
-@pytest.mark.timeout(900)
-def test_the_demonstration_reaches_what_the_readme_says(tmp_path, capfd):
-    content = demonstrate(capfd, tmp_path, "--poses", "60")
-    for tool, found in content["tools"].items():
-        assert found["poses"] >= 55
-        # 1.05 is the aim, with 200 poses. The fit's own error e, about 0.17 of the noise, meets
-        # the noise of 60 poses by chance: 2 e / sqrt(60) in the square and e^2 itself make the
-        # ratio of one axis scatter by 0.03 about 1.015. These are four standard deviations.
-        assert np.all(np.array(found["over_noise"]) < 1.14), tool
-        assert np.sqrt(np.mean(np.square(found["over_noise"]))) < 1.07, tool
-        # the noise that there was is the one that the scatter within the poses tells
-        np.testing.assert_allclose(
-            np.array(found["noise"]) / found["noise_from_scatter"], 1.0, atol=4 / np.sqrt(2 * 55)
-        )
-        assert np.all(np.array(found["rmse"]) < np.array(found["report_rmse"]))
-    assert content["drift"]["on"]["largest_m"] < 0.01 * content["drift"]["off"]["largest_m"]
-    assert content["drift"]["off"]["largest_m"] > 0.02
-    assert len(content["figures"]) == 3
-    for figure in content["figures"]:
-        assert (tmp_path / "figures" / figure.rsplit("/", 1)[1]).stat().st_size > 10_000

@@ -17,7 +17,6 @@ COMMANDS = {
         NOWHERE,
     ),
     "galen_deflection.train": ("IN", "--tool", "IN", "--kind", "joint_stiffness", "-o", NOWHERE),
-    "galen_diagnosis.blind_check": ("--short", "--plots", NOWHERE),
     "galen_diagnosis.diagnose": ("IN", "--output", NOWHERE),
     "galen_diagnosis.diagnose --next": ("IN", "--next", NOWHERE),
     "galen_diagnosis.diagnose many": ("IN", "IN2", "--output", NOWHERE),

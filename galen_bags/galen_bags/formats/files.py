@@ -22,12 +22,16 @@ ZSTD_ENDING = ".zstd"
 _FILES = (*STORAGES, *(f"{storage}{ZSTD_ENDING}" for storage in STORAGES))
 _METADATA = "metadata.yaml"
 # What rosbag2's metadata begins with; other programs have a metadata.yaml, too.
-_METADATA_KEY = b"rosbag2_bagfile_information"
+_METADATA_KEY = "rosbag2_bagfile_information"
 _METADATA_HEAD_BYTES = 4096
 # A topic's entry has some hundred bytes, and a file's as well.
 _MOST_BYTES = 1 << 20
 # rosbag2 writes half as many levels.
 _DEEPEST = 20
+_DAMAGE = (
+    OSError, ValueError, OverflowError, yaml.YAMLError, LookupError, TypeError, AttributeError,
+    RecursionError, ReaderError,
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -46,9 +50,7 @@ def read_metadata(path: Path) -> BagMetadata:
     That is no error here: `open_bag` reports it, and reads the messages all the same.
     """
     try:
-        raw = read_limited(path / _METADATA, _MOST_BYTES, "a bag's metadata")
-        content = yaml.load(raw.decode(), Loader=_Loader)
-        known = content["rosbag2_bagfile_information"]
+        known = _information(path)
         qos, counts = {}, {}
         for entry in known["topics_with_message_count"]:
             topic = entry["topic_metadata"]
@@ -59,11 +61,13 @@ def read_metadata(path: Path) -> BagMetadata:
         start_ns = int(known["starting_time"]["nanoseconds_since_epoch"])
         end_ns = start_ns + int(known["duration"]["nanoseconds"])
         return BagMetadata(start_ns, end_ns, qos, counts)
-    except (
-        OSError, ValueError, OverflowError, yaml.YAMLError, LookupError, TypeError, AttributeError,
-        RecursionError, ReaderError,
-    ):  # fmt: skip
+    except _DAMAGE:
         return BagMetadata()
+
+
+def _information(directory: Path) -> Any:
+    raw = read_limited(directory / _METADATA, _MOST_BYTES, "a bag's metadata")
+    return yaml.load(raw.decode(), Loader=_Loader)[_METADATA_KEY]  # noqa: S506 - a SafeLoader
 
 
 def storage_files(directory: Path) -> list[Path]:
@@ -83,41 +87,22 @@ def storage_of(path: Path) -> str:
 
 def listed_files(directory: Path) -> tuple[list[Path] | None, list[str]]:
     """Return the files that metadata.yaml lists (None: unknown), and what is wrong with it."""
-    metadata = directory / _METADATA
-    if not metadata.exists():
+    if not (directory / _METADATA).exists():
         return None, [f"{directory.name} has no metadata.yaml: its recording was cut off"]
     try:
-        if not metadata.is_file():
-            raise ValueError("it is no file")
         # Only names: a path in it must not lead out of the directory.
-        names = dict.fromkeys(PurePath(text).name for text in _listed_paths(metadata))
-        if not names:
+        paths = _information(directory)["relative_file_paths"]
+        listed = [directory / name for name in dict.fromkeys(PurePath(one).name for one in paths)]
+        if not listed:
             raise ValueError("it lists no files")
-    except (OSError, ValueError, yaml.YAMLError) as error:
-        reason = " ".join(str(error).split())
+    except _DAMAGE as error:
+        reason = " ".join(f"{type(error).__name__}: {error}".split())
         return None, [f"{directory.name}/metadata.yaml can't be used: {reason}"]
-    listed = [directory / name for name in names]
     return listed, [
         f"{file.name} is not read: metadata.yaml does not list it"
         for file in storage_files(directory)
         if file not in listed
     ]
-
-
-def _listed_paths(metadata: Path) -> list[str]:
-    """Return the texts in the list of files; the rest of the file is not taken apart."""
-    with metadata.open(encoding="utf-8") as file:
-        found = iter(yaml.parse(file.read(_MOST_BYTES), Loader=_Loader))
-        for event in found:
-            if isinstance(event, yaml.ScalarEvent) and event.value == "relative_file_paths":
-                break
-        paths: list[str] = []
-        if isinstance(next(found, None), yaml.SequenceStartEvent):
-            for event in found:
-                if not isinstance(event, yaml.ScalarEvent):
-                    break
-                paths.append(event.value)
-        return paths
 
 
 # Search
@@ -178,7 +163,7 @@ def _is_rosbag2(directory: Path) -> bool:
         if files:
             return True
         with metadata.open("rb") as stream:
-            return _METADATA_KEY in stream.read(_METADATA_HEAD_BYTES)
+            return _METADATA_KEY.encode() in stream.read(_METADATA_HEAD_BYTES)
     # A folder of recordings has no metadata.yaml either, but they have names of their own.
     own = re.compile(re.escape(directory.resolve().name) + r"(_\d+)?\.")
     return bool(files) and all(own.match(file.name) for file in files)
