@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from galen_model.arm.clearance import boxes_from_numbers
-from galen_model.arm.galen import LIMITS
 from galen_model.arrays import Array
 from galen_model.load.identification import check_planned_poses
 from galen_model.load.mounting.mounting import entities
@@ -91,7 +90,7 @@ class CalibrationParameters(PoseParameters):
         " where the poses can't tell it",
     )
     confirm_timeout_s: float = param(
-        600.0, "a person has this long to put the tool on or take it off", 1.0, 86_400.0
+        600.0, "time for an operator to put the tool on or to remove it", 1.0, 86_400.0
     )
 
     check_poses: int = param(6, "number of a check's poses", FEWEST_POSES, MOST_CHECK_POSES)
@@ -115,8 +114,8 @@ class CalibrationParameters(PoseParameters):
         for name, value, low, high in zip(
             ("Xhome", "Yhome", "Zhome", "Rhome", "Thome"),
             self.home.tolist(),
-            LIMITS.lower,
-            LIMITS.upper,
+            self.arm.lower,
+            self.arm.upper,
             strict=True,
         ):
             if not low <= value <= high:
@@ -137,8 +136,18 @@ class CalibrationParameters(PoseParameters):
 
     @property
     def home(self) -> Array:
-        """Home (5,) in the joint vector's order, m and rad."""
+        """Home (n,) in the arm's order, m and rad."""
         return np.array([self.Xhome, self.Yhome, self.Zhome, self.Rhome, self.Thome])
+
+    @property
+    def home_angles(self) -> Array:
+        """Angles (k,) at home, rad, where the sensor is zeroed."""
+        return self.arm.angles(self.home)
+
+    @property
+    def angle_limits(self) -> tuple[Array, Array]:
+        """Lowest and highest angles (k,), rad."""
+        return self.arm.angles(self.arm.lower), self.arm.angles(self.arm.upper)
 
     @property
     def zero_tolerance(self) -> Array:
@@ -158,27 +167,29 @@ class CalibrationParameters(PoseParameters):
         return self.poses == "chosen"
 
     def grid_poses(self, tilts: int, rolls: int) -> Array:
-        """Return the grid's poses (n, 2), roll and tilt in rad; raises GridError."""
+        """Return the grid's angles (n, 2), rad; raises GridError."""
         grid = SweepGrid(self.tstart, self.tend, tilts, self.rstart, self.rend, rolls)
-        (low_roll, low_tilt), (high_roll, high_tilt) = LIMITS.lower[3:], LIMITS.upper[3:]
-        return grid.poses((low_roll, low_tilt), (high_roll, high_tilt))
+        lower, upper = self.angle_limits
+        return grid.poses(tuple(lower.tolist()), tuple(upper.tolist()))
 
     def listed_poses(self) -> Array:
         """Return the listed poses (n, k), rad; raises ParameterError or GridError."""
-        numbers = self.listed_poses_rad
-        if not numbers or len(numbers) % 2 or len(numbers) > 2 * MAX_LISTED:
+        numbers, names = self.listed_poses_rad, self.arm.turning_names
+        if not numbers or len(numbers) % len(names) or len(numbers) > len(names) * MAX_LISTED:
             raise ParameterError(
-                f"parameter 'listed_poses_rad' has {len(numbers)} numbers, but must have two a"
-                f" pose, roll and tilt, for 1 to {MAX_LISTED} poses"
+                f"parameter 'listed_poses_rad' has {len(numbers)} numbers, but must have"
+                f" {len(names)} a pose, {' and '.join(names)}, for 1 to {MAX_LISTED} poses"
             )
-        poses = np.reshape(np.array(numbers), (-1, 2))
-        outside = np.any((poses < LIMITS.lower[3:]) | (poses > LIMITS.upper[3:]), axis=1)
+        poses = np.reshape(np.array(numbers), (-1, len(names)))
+        lower, upper = self.angle_limits
+        outside = np.any((poses < lower) | (poses > upper), axis=1)
         if outside.any():
             index = int(np.argmax(outside))
-            roll, tilt = poses[index]
+            angles = zip(names, poses[index], strict=True)
             raise GridError(
-                f"pose {index} of listed_poses_rad (roll {roll:g}, tilt {tilt:g} rad) is outside"
-                " the joints' limits"
+                f"pose {index} of listed_poses_rad"
+                f" ({', '.join(f'{name} {angle:g}' for name, angle in angles)} rad) is outside the"
+                " joints' limits"
             )
         return poses
 
@@ -188,7 +199,7 @@ class CalibrationParameters(PoseParameters):
         """Return the poses, for a tool with its tip at tip_m (3,), and the ways around obstacles.
 
         tilts, rolls: the grid's counts, 0 for the parameters'. Raises a GalenError that names what
-        is in the way, or what the poses don't tell.
+        is in the way, or what the poses don't identify.
         """
         if self.chosen:
             return plan_chosen(
@@ -205,7 +216,7 @@ class CalibrationParameters(PoseParameters):
             if listed
             else self.grid_poses(tilts or self.itersT, rolls or self.itersR)
         )
-        check_planned_poses(poses, one_sweep=one_sweep, zero_angles=(self.Rhome, self.Thome))
+        check_planned_poses(poses, one_sweep=one_sweep, zero_angles=self.home_angles)
         plan = plan_listed if listed else plan_grid
         return plan(poses, self.range, self.surroundings, tip_m)
 
@@ -216,6 +227,7 @@ class CalibrationParameters(PoseParameters):
             home=self.home,
             lower=(min(self.rstart, self.rend), min(self.tstart, self.tend)),
             upper=(max(self.rstart, self.rend), max(self.tstart, self.tend)),
+            arm=self.arm,
         )
 
     def of_sweep(self) -> CalibrationParameters:
@@ -233,8 +245,8 @@ class CalibrationParameters(PoseParameters):
     def times(self) -> SweepTimes:
         """Return how long a sweep's moves and stays take."""
         return SweepTimes(
-            self.home[3:],
-            self.max_velocity[3:],
-            self.max_acceleration[3:],
+            self.home_angles,
+            self.arm.angles(self.max_velocity),
+            self.arm.angles(self.max_acceleration),
             self.velocity_window_s + self.settle_s + self.of_sweep().average_s,
         )

@@ -8,10 +8,9 @@ from typing import Any
 
 import numpy as np
 from galen_model.arm.clearance import ObstacleError
-from galen_model.arm.galen import GALEN
 from galen_model.arrays import Array
 from galen_model.poses.design import compensation_std, reading_noise
-from galen_model.poses.order import SweepTimes, drift_share
+from galen_model.poses.order import drift_share
 from galen_model.poses.plan import plan_grid
 
 from galen_calibration_behavior.parameters import CalibrationParameters
@@ -36,7 +35,7 @@ def propose_poses(options: argparse.Namespace) -> dict[str, Any]:
         "chosen": _promise(poses, parameters),
     }
     if not options.json:
-        print(f"{_format_poses(poses, parameters.times())}\n\n{_format_promises(promises)}")
+        print(f"{_format_poses(poses, parameters)}\n\n{_format_promises(promises)}")
         if grid_fault:
             print(f"The grid can't be swept: {grid_fault}.")
     return {
@@ -65,8 +64,9 @@ def _promise(poses: Array, parameters: CalibrationParameters) -> dict[str, float
     }
 
 
-def _format_poses(poses: Array, times: SweepTimes) -> str:
-    heads = "".join(f"{name + ' [rad]':>12}" for name in GALEN.turning_names)
+def _format_poses(poses: Array, parameters: CalibrationParameters) -> str:
+    times = parameters.times()
+    heads = "".join(f"{name + ' [rad]':>12}" for name in parameters.arm.turning_names)
     lines = [f"{'pose':>4}{heads}{'from [s]':>10}"]
     starts = times.at_s(poses) - times.stay_s
     for index, (angles, start) in enumerate(zip(poses, starts, strict=True)):

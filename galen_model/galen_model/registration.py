@@ -199,9 +199,9 @@ def _rotation_of(vector: Array) -> Array:
 def turns(rotations: Array) -> Array:
     """How far poses (n, 3, 3) turn from their mean: root mean square (3,) rad, largest first.
 
-    About the principal axes of their rotation vectors. Y can be told from W only where the second
-    is not small: of a turn about one axis alone, a shift of the marker along that axis, and a turn
-    about it, look the same as one of the base.
+    About the principal axes of their rotation vectors. Y is identifiable beside W only where the
+    second is not small: of a turn about one axis alone, a shift of the marker along that axis, and
+    a turn about it, look the same as one of the base.
     """
     mean = nearest_rotation(rotations.mean(axis=0))
     vectors = matrix_to_rotvec(np.swapaxes(rotations, -1, -2) @ mean)

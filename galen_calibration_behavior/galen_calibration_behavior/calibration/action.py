@@ -106,7 +106,7 @@ class CalibrateAction(ArmAction):
                     plan.poses[:, 1],
                     settings.estimate,
                     one_sweep=request.one_sweep,
-                    zero_angles=(settings.Rhome, settings.Thome),
+                    zero_angles=settings.home_angles,
                 )
             check_writable(path)
         except ToolNameError as error:

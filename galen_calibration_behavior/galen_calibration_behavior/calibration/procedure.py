@@ -18,7 +18,8 @@ from dataclasses import dataclass
 from enum import IntEnum
 
 import numpy as np
-from galen_model.arm.galen import GALEN, WRENCH_AXES
+from galen_model.arm.arm import Arm
+from galen_model.arm.galen import WRENCH_AXES
 from galen_model.arm.routes import Router
 from galen_model.arrays import Array
 from galen_model.load.identification import StillPoses
@@ -97,7 +98,7 @@ class CalibrationProcedure(PoseProcedure):
         self._waiting_for_person = False
         self._zero_attempts = 0
         self._zero_checks_left = 0
-        self._zero_angles = GALEN.home_angles
+        self._zero_angles = settings.home_angles
         self._tool_off = False
 
     @property
@@ -209,7 +210,7 @@ class CalibrationProcedure(PoseProcedure):
         if isinstance(outcome, PoseRejection):
             self._zero_again(outcome)
             return
-        self._zero_angles = GALEN.angles(outcome.joints)
+        self._zero_angles = self._settings.arm.angles(outcome.joints)
         self._waited_s = 0.0
         self._waiting_for = "zero_ft_sensor"
         self._commands.append(ZeroSensor())
@@ -265,7 +266,7 @@ class CalibrationProcedure(PoseProcedure):
         if index is None:
             self._finish_sweep(self._sweep)
             return
-        target = GALEN.with_angles(self._sweep.poses[index], self._settings.home)
+        target = self._settings.arm.with_angles(self._sweep.poses[index], self._settings.home)
         self._visit(target, self._on_pose)
 
     def _on_pose(self, outcome: PoseRecord | PoseRejection) -> None:
@@ -302,8 +303,8 @@ class CalibrationProcedure(PoseProcedure):
         self._report("estimating")
         self._commands.append(
             Measurements(
-                bare=None if self._bare is None else _still_poses(self._bare),
-                tool=_still_poses(self._tool),
+                bare=None if self._bare is None else _still_poses(self._bare, self._settings.arm),
+                tool=_still_poses(self._tool, self._settings.arm),
                 zero_angles=self._zero_angles,
                 bare_indices=[] if self._bare is None else self._bare.indices,
                 tool_indices=self._tool.indices,
@@ -356,5 +357,5 @@ class CalibrationProcedure(PoseProcedure):
         return [text for sweep in (self._bare, self._tool) if sweep for text in sweep.rejections]
 
 
-def _still_poses(sweep: Sweep) -> StillPoses:
-    return StillPoses(*stack(sweep.records))
+def _still_poses(sweep: Sweep, arm: Arm) -> StillPoses:
+    return StillPoses(*stack(sweep.records, arm), arm=arm)

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from galen_model.arm.arm import Arm
 from galen_model.arm.galen import GALEN
 from galen_model.arrays import Array
 from galen_model.rest.pose import PoseRecord, StillnessSettings, wrench_fault
@@ -125,11 +127,11 @@ class Sweep:
         return Verdict(index, tuple(self.poses[index].tolist()), accepted, record, message)
 
 
-def stack(records: list[PoseRecord]) -> tuple[Array, Array, Array]:
+def stack(records: Sequence[PoseRecord], arm: Arm = GALEN) -> tuple[Array, Array, Array]:
     """Return angles (n, k), wrench (n, 6) and its std_of_mean (n, 6) of the records."""
-    joints = np.array([r.joints for r in records]).reshape(-1, len(GALEN.joints))
+    joints = np.array([r.joints for r in records]).reshape(-1, len(arm.joints))
     return (
-        GALEN.angles(joints),
+        arm.angles(joints),
         np.array([r.wrench for r in records]).reshape(-1, 6),
         np.array([r.std_of_mean for r in records]).reshape(-1, 6),
     )

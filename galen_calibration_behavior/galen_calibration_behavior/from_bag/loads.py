@@ -126,7 +126,7 @@ def _find_sweeps(options: argparse.Namespace) -> RecordedSweeps:
             progress=functools.partial(progress, Path(bag).name, "phase"),
         )
 
-    sorter = SweepSorter(settings, (settings.Rhome, settings.Thome))
+    sorter = SweepSorter(settings, settings.home_angles)
     if options.bag is None:
         return sorter.two_recordings(visits(options.bare), visits(options.with_tool))
     if options.one_sweep:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from galen_bags.arrays.arm_recording import ArmRecording
-from galen_model.arm.galen import GALEN, GRAVITY_M_S2, WRENCH_AXES
+from galen_model.arm.galen import GRAVITY_M_S2, WRENCH_AXES
 from galen_model.arrays import Array
 from galen_model.errors import GalenError
 from galen_model.files.calibration_file import (
@@ -230,7 +230,7 @@ def _cable_sweep(
     wrench = np.array([record.wrench for record in records])
     sweep = CableSweep(
         joints=joints,
-        wrench=wrench - tool.predict(GALEN.angles(joints)),
+        wrench=wrench - tool.predict(settings.arm.angles(joints)),
         std_of_mean=np.array([record.std_of_mean for record in records]),
         noise=np.median([record.wrench_std for record in records], axis=0),
     )

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from itertools import groupby
 
 import numpy as np
-from galen_model.arm.galen import GALEN
+from galen_model.arm.arm import Arm
 from galen_model.arrays import Array
 from galen_model.load.identification import MIN_POSES, StillPoses
 from galen_model.rest.pose import PoseRecord, wrench_fault
@@ -40,8 +40,10 @@ class HomeStays:
 
     def at_home(self, visit: Visit) -> bool:
         """Whether it stands there, by its angles."""
-        away = np.abs(GALEN.angles(visit.joints) - self._zero_angles)
-        return bool(np.all(away <= GALEN.angles(self._settings.arrival.position_tolerance)))
+        away = np.abs(self._settings.arm.angles(visit.joints) - self._zero_angles)
+        return bool(
+            np.all(away <= self._settings.arm.angles(self._settings.arrival.position_tolerance))
+        )
 
     def without_ends(self, visits: Sequence[Visit]) -> list[Visit]:
         """Without the phases at home with which it begins and ends."""
@@ -227,7 +229,9 @@ class SweepSorter:
 
     def _border(self, visits: list[Visit], good: list[int]) -> Border:
         at_home = np.array([self._home.at_home(visits[k]) for k in good], dtype=bool)
-        return find_border(*stack([_record(visits[k]) for k in good]), at_home)
+        arm = self._settings.arm
+        angles, wrench, std_of_mean = stack([_record(visits[k]) for k in good], arm)
+        return find_border(arm.gravity_in_sensor(angles), wrench, std_of_mean, at_home)
 
     def _check_one_load(self, recording: Visits, visits: list[Visit]) -> None:
         """Raise RecordingError where a load came or went between the poses."""
@@ -274,11 +278,11 @@ class SweepSorter:
         Raises RecordingError.
         """
         faults = self._faults(visits)
-        tolerance = 2.0 * GALEN.angles(self._settings.arrival.position_tolerance)
+        tolerance = 2.0 * self._settings.arm.angles(self._settings.arrival.position_tolerance)
         seen: list[Array] = []
         poses = []
         for k, visit in enumerate(visits):
-            angles = GALEN.angles(visit.joints)
+            angles = self._settings.arm.angles(visit.joints)
             near = [n for n, old in enumerate(seen) if np.all(np.abs(angles - old) <= tolerance)]
             if not near:
                 seen.append(angles)
@@ -301,8 +305,8 @@ class SweepSorter:
     ) -> RecordedSweeps:
         good_bare, good_tool = ([p for p in poses if not p.fault] for poses in (bare, tool))
         measurements = Measurements(
-            bare=_still_poses(good_bare) if bare else None,
-            tool=_still_poses(good_tool),
+            bare=_still_poses(good_bare, self._settings.arm) if bare else None,
+            tool=_still_poses(good_tool, self._settings.arm),
             zero_angles=self._zero_angles,
             bare_indices=[pose.number for pose in good_bare],
             tool_indices=[pose.number for pose in good_tool],
@@ -329,10 +333,10 @@ def _left_out(poses: list[RecordedPose]) -> list[str]:
     return [text for number, text in sorted(faults.items()) if number not in recorded]
 
 
-def _still_poses(poses: list[RecordedPose]) -> StillPoses:
-    stacked = stack([_record(pose.visit) for pose in poses])
+def _still_poses(poses: list[RecordedPose], arm: Arm) -> StillPoses:
+    stacked = stack([_record(pose.visit) for pose in poses], arm)
     time_s = np.array([pose.time_s for pose in poses])
-    return StillPoses(*stacked, time_s)
+    return StillPoses(*stacked, time_s, arm)
 
 
 def _span(recording: Visits, visits: list[Visit]) -> str:

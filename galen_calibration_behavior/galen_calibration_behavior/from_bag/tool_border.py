@@ -13,7 +13,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from galen_model.arm.galen import GALEN
 from galen_model.arrays import Array
 from galen_model.errors import GalenError
 from galen_model.load.identification import MIN_POSES
@@ -58,22 +57,24 @@ class Border:
 
 
 def find_border(
-    angles: Array, wrench: Array, std_of_mean: Array, left_out: np.ndarray | None = None
+    gravity: Array, wrench: Array, std_of_mean: Array, left_out: np.ndarray | None = None
 ) -> Border:
-    """Find it among poses in visiting order: angles (n, k), rad; wrench, std_of_mean (n, 6).
+    """Find it among poses in visiting order, from gravity (n, 3) in the sensor, m/s^2.
 
-    `left_out` (n,) marks poses that are left out where they stand beside the border (at home):
+    wrench, std_of_mean (n, 6).
+
+    `left_out` (n,) marks poses that are left out next to the border (at home):
     borders with nothing but such poses between them are one and the same.
     Raises BorderError for too few poses. How clear the border is, is for the caller to judge.
     """
-    count = len(angles)
+    count = len(gravity)
     if count < 2 * MIN_POSES:
         raise BorderError(
             f"{count} still poses are too few to find where the tool came on:"
             f" at least {MIN_POSES} without and {MIN_POSES} with it are needed"
         )
     design = np.zeros((count, 6, 10))
-    design[:, :, :4] = gravity_regressor(GALEN.gravity_in_sensor(angles))
+    design[:, :, :4] = gravity_regressor(gravity)
     design[:, :, 4:] = np.eye(6)
     sigma = np.median(std_of_mean, axis=0)
     borders = np.arange(MIN_POSES, count - MIN_POSES + 1)

@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 from galen_bags.arrays.arm_recording import ArmRecording
-from galen_model.arm.galen import JOINT_NAMES, SENSOR, SENSOR_FRAME
+from galen_model.arm.galen import SENSOR
 from galen_model.arrays import Array
 from galen_model.errors import GalenError
 from galen_model.rest.pose import PoseRecord
@@ -90,9 +90,9 @@ def find_visits(
     phases while they are worked through. Raises RecordingError for a recording in which nothing is
     still, or that does not hold what it must.
     """
-    _check_frames(recording)
+    _check_frames(recording, settings)
     warnings = [*recording.problems, *_stamp_warnings(recording, settings)]
-    recording, unknown = _stand_in_for_missing_joints(recording, settings.home)
+    recording, unknown = _stand_in_for_missing_joints(recording, settings)
     warnings += unknown
     still = JointRest(
         max_speed=settings.arrival.velocity_tolerance,
@@ -220,12 +220,13 @@ class _Player:
         return Level(values.mean(axis=0), std / np.sqrt(len(values)))
 
 
-def _check_frames(recording: ArmRecording) -> None:
+def _check_frames(recording: ArmRecording, settings: CalibrationParameters) -> None:
     """Raise RecordingError for readings in another frame, or topics of two clocks."""
-    wrong = [frame for frame in recording.frame_ids if frame != SENSOR_FRAME]
+    wrong = [frame for frame in recording.frame_ids if frame != settings.arm.sensor_frame]
     if wrong:
         raise RecordingError(
-            f"{recording.path}: wrench_raw has frame_id {wrong[0]!r}; it must be {SENSOR_FRAME!r}"
+            f"{recording.path}: wrench_raw has frame_id {wrong[0]!r};"
+            f" it must be {settings.arm.sensor_frame!r}"
         )
     both = (recording.joint_stamp_ns, recording.wrench_stamp_ns)
     apart_ns = max(int(s.min()) for s in both) - min(int(s.max()) for s in both)
@@ -254,15 +255,15 @@ def _stamp_warnings(recording: ArmRecording, settings: CalibrationParameters) ->
 
 
 def _stand_in_for_missing_joints(
-    recording: ArmRecording, home: Array
+    recording: ArmRecording, settings: CalibrationParameters
 ) -> tuple[ArmRecording, list[str]]:
     """Let a joint that the recording lacks stand at home, with a warning."""
     missing = ~np.isfinite(recording.joints).any(axis=0)
     if not missing.any():
         return recording, []
     joints, velocities = recording.joints.copy(), recording.joint_velocities.copy()
-    joints[:, missing], velocities[:, missing] = home[missing], 0.0
-    names = ", ".join(JOINT_NAMES[k] for k in np.flatnonzero(missing))
+    joints[:, missing], velocities[:, missing] = settings.home[missing], 0.0
+    names = ", ".join(settings.arm.joint_names[k] for k in np.flatnonzero(missing))
     return replace(recording, joints=joints, joint_velocities=velocities), [
         f"joint_states does not hold {names}: taken to stand still"
     ]

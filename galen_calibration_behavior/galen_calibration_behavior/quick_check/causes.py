@@ -54,7 +54,7 @@ class Differences:
 class QuickCheck:
     """What the readings differ by, and in words.
 
-    found_mass_kg, found_offset (6,): the smallest changes that are told from noise with 95 %.
+    found_mass_kg, found_offset (6,): the smallest changes that are found beyond noise with 95 %.
     """
 
     cause: Cause

@@ -77,7 +77,7 @@ def quick_check(
     """Decide from records of at least FEWEST_POSES poses.
 
     `others`: files of other tools by name, which the load is compared with; `known_offset` (6,):
-    what a tare already takes off.
+    what a tare already subtracts.
     """
     taken_off = np.zeros(6) if known_offset is None else known_offset
     found = differences(records, tool, limits, taken_off)
@@ -150,7 +150,7 @@ def differences(
 
 
 def smallest_mass_kg(load_information: Array, tool: CalibrationFile, false_alarm: float) -> float:
-    """Least mass that, put on at the tool's own centre, is told from noise with 95 %.
+    """Least mass that, put on at the tool's own centre, is found beyond noise with 95 %.
 
     By the test's noncentrality m^2 (1, p)^T (Cov d)^-1 (1, p), `load_information` (4, 4) being
     (Cov d)^-1; p = 0 where the tool has no mass of its own.

@@ -17,8 +17,9 @@ from dataclasses import dataclass
 from enum import IntEnum
 
 import numpy as np
+from galen_model.arm.arm import Arm
 from galen_model.arm.clearance import ObstacleError
-from galen_model.arm.galen import GALEN, LIMITS
+from galen_model.arm.galen import GALEN
 from galen_model.arrays import Array
 from galen_model.errors import GalenError
 from galen_model.files.calibration_file import CalibrationFile
@@ -39,7 +40,7 @@ from galen_calibration_behavior.parameters import CalibrationParameters
 from galen_calibration_behavior.quick_check.causes import QuickCheck
 from galen_calibration_behavior.quick_check.decision import FEWEST_POSES, quick_check
 
-_GRID_STEPS = (5, 5)
+_GRID_STEPS = 5
 
 
 @dataclass(frozen=True)
@@ -66,7 +67,7 @@ class CheckProcedure(PoseProcedure):
     def __init__(self, settings: CalibrationParameters, request: CheckRequest) -> None:
         super().__init__(settings, CheckState.MEASURE)
         self._request = request
-        self._before = np.zeros(5)
+        self._before = settings.arm.home
         self._sweep: Sweep | None = None
         self._check: QuickCheck | None = None
 
@@ -87,14 +88,14 @@ class CheckProcedure(PoseProcedure):
             return
         settings = self._settings
         # An arm that stands at a limit may read a little beyond it, where none may be sent.
-        inside = np.clip(self._joints, LIMITS.lower, LIMITS.upper)
+        inside = np.clip(self._joints, settings.arm.lower, settings.arm.upper)
         near = np.abs(self._joints - inside) <= settings.arrival.position_tolerance
         self._before = np.where(near, inside, self._joints)
         stay_s = settings.arrival.velocity_window_s + settings.arrival.settle_s + settings.average_s
         times = SweepTimes(
-            GALEN.angles(self._before),
-            GALEN.angles(settings.max_velocity),
-            GALEN.angles(settings.max_acceleration),
+            settings.arm.angles(self._before),
+            settings.arm.angles(settings.max_velocity),
+            settings.arm.angles(settings.max_acceleration),
             stay_s,
         )
         try:
@@ -105,6 +106,7 @@ class CheckProcedure(PoseProcedure):
                 times,
                 settings.surroundings,
                 self.tool.tip_m,
+                settings.arm,
             )
         except GalenError as error:
             self.fail(CheckCode.BAD_INPUT, str(error))
@@ -120,7 +122,7 @@ class CheckProcedure(PoseProcedure):
         if index is None:
             self._judge(self._sweep)
             return
-        target = GALEN.with_angles(self._sweep.poses[index], self._before)
+        target = self._settings.arm.with_angles(self._sweep.poses[index], self._before)
         self._visit(target, self._on_pose)
 
     def _on_pose(self, outcome: PoseRecord | PoseRejection) -> None:
@@ -186,27 +188,29 @@ def plan_check(
     times: SweepTimes,
     surroundings: Surroundings,
     tip_m: Array,
+    arm: Arm = GALEN,
 ) -> SweepPlan:
-    """Poses (count, 2) within `reach_rad` of the joints `here` (5,) and the limits, and the ways.
+    """Choose angles (count, k) within `reach_rad` of the joints `here` (n,) and the limits.
 
     tip_m (3,): the tool's tip in ft_sensor. Where the arm stands near a limit the grid is moved
-    away from it, not made smaller. Raises PoseDesignError or NotExcitedError for a reach that tells
-    too little, ObstacleError where boxes leave too little, the arm stands too near to one, or the
-    tip is not known.
+    away from it, not made smaller. Raises PoseDesignError or NotExcitedError for too small a reach,
+    ObstacleError where boxes leave too little, the arm stands too near to one, or the tip is not
+    known.
     """
     if surroundings.boxes and not np.any(tip_m):
         raise ObstacleError(
             "the tool's file has its tip at (0, 0, 0): it was not given, and what the tool"
             " would hit is not known; calibrate with --tip, or write tip_m"
         )
-    low, high = GALEN.angles(GALEN.lower), GALEN.angles(GALEN.upper)
+    low, high = arm.angles(arm.lower), arm.angles(arm.upper)
     reach = np.minimum(reach_rad, (high - low) / 2.0)
-    centre = np.clip(GALEN.angles(here), low + reach, high - reach)
+    centre = np.clip(arm.angles(here), low + reach, high - reach)
     where = SweepRange(
         home=here,
         lower=tuple((centre - reach).tolist()),
         upper=tuple((centre + reach).tolist()),
-        steps=_GRID_STEPS,
+        steps=(_GRID_STEPS,) * len(arm.turning),
         name="the present pose",
+        arm=arm,
     )
     return plan_chosen(count, where, surroundings, tip_m, times)

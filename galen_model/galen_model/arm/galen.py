@@ -1,6 +1,6 @@
 """The Galen's numbers: geometry, limits, stiffness, sensor and tracker.
 
-Source: the 2019 report and public Galen/REMS material; what nobody published is estimated.
+Source: the 2019 report and public Galen/REMS material; what is not published is estimated.
 Units are SI; angles in rad.
 """
 

@@ -78,7 +78,7 @@ class Router:
             raise ObstacleError(f"there is no free way: straight ahead {straight}")
         return self._shortened([start, *(self._nodes[k] for k in best), np.asarray(goal)])
 
-    @cached_property  # most ways are straight ahead, and then nobody asks
+    @cached_property  # most ways are straight ahead, and then it is not needed
     def _ways(self) -> tuple[Array, Array]:
         """Lengths between all nodes, inf for no way, and each way's last node but one."""
         free = np.array([not fault for fault in self._faults])

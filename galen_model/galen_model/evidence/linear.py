@@ -41,7 +41,7 @@ LOG_2PI = float(np.log(2.0 * np.pi))
 
 
 class Information(NamedTuple):
-    """What rows say of k weights: A (..., k, k), r (..., k), q (...); leading axes are sets."""
+    """Of rows on k weights: A (..., k, k), r (..., k), q (...); leading axes are sets."""
 
     matrix: Array
     right: Array

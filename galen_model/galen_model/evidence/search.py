@@ -1,7 +1,7 @@
 """Which effects explain blocks of readings: none, one, several, or something unknown.
 
-A hypothesis is a set of effects with, beside them, noise alone or something that hangs together
-within a block and nobody knows. Its weight is how well it predicts each block from the others,
+A hypothesis is a set of effects with, beside them, noise alone or something unknown that hangs
+together within a block. Its weight is how well it predicts each block from the others,
 
     score = eta sum_b elpd_b + ln prior,
 

@@ -1,4 +1,4 @@
-"""What is said of a calibration: whether it fits, why not, and what to do.
+"""Verdicts on a calibration: whether it fits, why not, and what to do.
 
 Every observation of a load ends in one of these causes, and takes its words from `MESSAGES`.
 """
@@ -106,7 +106,7 @@ MESSAGES = {
 
 @dataclass(frozen=True)
 class Verdict:
-    """What an observation says of a calibration; text: a sentence, empty where nothing is wrong.
+    """Verdict of an observation on a calibration; text: a sentence, empty where nothing is wrong.
 
     blocks: how many it rests on, without contact; log_odds: against a calibration that fits.
     """

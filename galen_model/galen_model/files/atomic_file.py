@@ -88,7 +88,7 @@ def unlink_if(path: Path, is_it: Callable[[Path], bool]) -> None:
     """Remove a file if it still is what it was, which is asked when no other can be put there.
 
     It is renamed first, in one step; one that is something else gets its name back, unless there is
-    yet another by then, and the OSError says so (EBUSY).
+    yet another by then: OSError (EBUSY).
     """
     aside = path.with_name(f".{path.name}.aside.{os.getpid()}")
     path.rename(aside)

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from galen_model.arm.arm import Arm
-from galen_model.arm.galen import GALEN, GRAVITY_M_S2, JOINT_NAMES, SENSOR_FRAME
+from galen_model.arm.galen import GALEN, GRAVITY_M_S2, SENSOR_FRAME
 from galen_model.arm.urdf import galen_urdf
 from galen_model.arrays import Array
 from galen_model.errors import CalibrationFileError, ToolNameError
@@ -90,7 +90,9 @@ class ArmIdentity:
 @cache
 def galen_identity() -> ArmIdentity:
     """Return the identity of the Galen."""
-    return ArmIdentity("galen", JOINT_NAMES, hashlib.sha256(galen_urdf().encode()).hexdigest())
+    return ArmIdentity(
+        GALEN.name, GALEN.joint_names, hashlib.sha256(galen_urdf().encode()).hexdigest()
+    )
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""Reading a JSON file's fields with checks; what is wrong is said with the field's name."""
+"""Reading a JSON file's fields with checks; an error names the field."""
 
 import json
 import os

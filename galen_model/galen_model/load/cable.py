@@ -10,7 +10,7 @@ a broad prior for what is the same at all poses; B is of `form_matrices`. The pu
 given the sweep's poses; the covariance says how well that is known. It needs no parameters but the
 sweep and the few numbers that `fit` found, so a calibration file holds the sweep itself.
 
-Off where nobody looked: s(q), the share of the sweep's information that is missing at q, is the
+Off outside the poses seen: s(q), the share of the sweep's information that is missing at q, is the
 same process' variance over its prior's, but for lengths that come from the sweep's spacing and not
 from the pull (`support_rad`, SUPPORT_M), so that a slow pull is not trusted farther than a quick
 one. The pull is taken whole up to s = SEEN, not at all from UNSEEN on, and by a smooth step
@@ -126,7 +126,7 @@ class LearnedPull:
 
     @cached_property
     def posterior(self) -> CablePosterior:
-        """What it says of any pose; numpy's LinAlgError where the numbers don't make one."""
+        """Its prediction at any pose; numpy's LinAlgError where the numbers don't make one."""
         return CablePosterior(self)
 
     def to_json(self) -> dict[str, Any]:
@@ -241,7 +241,7 @@ def support_step(missing: ArrayLike) -> Array:
 
 
 class CablePosterior:
-    """What the sweep says of the pull at other poses."""
+    """The pull at other poses than those of the sweep."""
 
     def __init__(self, drag: LearnedPull) -> None:
         """Factor the covariance of the poses; raises numpy's LinAlgError where it is none."""
@@ -271,7 +271,7 @@ class CablePosterior:
         """(n, n): s = 1 - k^T support k."""
 
     def readings(self, joints: ArrayLike) -> Array:
-        """Return the pull (n, 6) to take off at joints (n, 5): mean times `weights`."""
+        """Return the pull (n, 6) to subtract at joints (n, 5): mean times `weights`."""
         q = np.asarray(joints, dtype=float)
         return self.means(q) * self.weights(q)[:, None]
 

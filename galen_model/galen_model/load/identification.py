@@ -263,7 +263,7 @@ def check_planned_poses(
     zero_angles: ArrayLike | None = None,
     arm: Arm = GALEN,
 ) -> None:
-    """Raise NotExcitedError, before the arm moves, for angles (n, k), rad, that tell too little."""
+    """Raise NotExcitedError, before the arm moves, where angles (n, k), rad, excite too little."""
     planned = StillPoses(angles, np.zeros((len(angles), 6)), arm=arm)
     check_count(planned, "each sweep")
     rows = gravity_regressor(planned.gravity)
@@ -406,7 +406,7 @@ def load_estimate(fit: RobustFit, columns: slice, name: str) -> LoadEstimate:
     if mass < 3.0 * std:
         raise ImplausibleLoadError(
             f"{name} weighs {mass * 1e3:.3f} g with a standard deviation of {std * 1e3:.3f} g, "
-            "which is not told apart from nothing. Is it mounted?"
+            "which is not distinguishable from none. Is it mounted?"
         )
     com = moments[1:] / mass
     jacobian = np.zeros((4, 4))

@@ -196,7 +196,7 @@ class InertiaEstimate:
 
 
 _FEWEST = 4
-# Singular values of unit gravity about its mean: the third axis is told by those it spans.
+# Singular values of unit gravity about its mean: the third axis follows from those it spans.
 _LEAST_SPREAD = 0.05
 _LARGEST_RESIDUAL_M_S2 = 1.0
 

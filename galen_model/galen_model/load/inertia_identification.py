@@ -267,7 +267,7 @@ def identify_inertia(record: MotionRecord, moments: Array, covariance: Array) ->
     distance = float(
         difference @ np.linalg.solve(free.covariance[_LOAD, _LOAD] + covariance + floor, difference)
     )
-    # A mass that the turning does not tell is nobody's.
+    # Where the motion does not identify the mass, it is not compared.
     told = _inverse(free.information)[0, 0] < (OTHER_MASS / 3.0 * moments[0]) ** 2
     if told and _is_other(distance) and abs(difference[0]) > OTHER_MASS * moments[0]:
         raise IdentificationError(
@@ -410,7 +410,7 @@ def _check_there(record: MotionRecord, fitted: _Fitted) -> None:
     if np.sum((right - scaled @ weight) ** 2) < np.sum((fitted.residuals / fitted.sigma) ** 2):
         raise IdentificationError(
             "weight alone explains the readings better than weight and inertial forces: were they"
-            " taken off already?"
+            " subtracted already?"
         )
 
 

@@ -125,7 +125,7 @@ class PoseDesign:
     def choose(self, count: int, start: Sequence[int] = ()) -> list[int]:
         """Return indices of `count` candidates, sorted; `start`: some to begin with.
 
-        Raises PoseDesignError where there are fewer candidates, or all of them tell too little.
+        Raises PoseDesignError where there are fewer candidates, or too little excitation.
         """
         if count > len(self.candidates):
             raise PoseDesignError(

@@ -97,7 +97,7 @@ CANDIDATE_ROLLS, CANDIDATE_TILTS = 17, 11
 
 @dataclass(frozen=True)
 class Surroundings:
-    """What stands around the arm: boxes, and how far from them to stay (m)."""
+    """Boxes around the arm, and how far from them to stay (m)."""
 
     boxes: tuple[Box, ...] = ()
     clearance_m: float = 0.0
@@ -182,7 +182,7 @@ def plan_chosen(
 ) -> SweepPlan:
     """Choose the `count` most informative poses that can be visited, in a good order.
 
-    Raises ObstacleError naming what is to blame where too few are left or they tell too little.
+    Raises ObstacleError naming what is to blame where too few are left or they excite too little.
     """
     router = make_router(where, surroundings, tip_m)
     candidates = where.candidates()

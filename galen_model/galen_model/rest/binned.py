@@ -4,12 +4,12 @@ The arm is still in a cell in which neither angle leaves a narrow band, and whos
 of its neighbour. The wrench is steady from one cell to the next when their means differ by no more
 than `steady_sigmas` of what such differences scatter by in this recording (their median absolute
 deviation, at least the sensor's quantum): a hand that comes or goes ends a phase. A hand that
-holds still can't be told from a file that does not fit, so a phase may be one of a steady push.
+holds still looks like a file that does not fit, so a phase may be one of a steady push.
 A long stand, and a slow turn, are cut into phases of `max_duration_s` and `max_turn_rad`: a phase
 has one time and one pose.
 
 A recording of hours is first reduced to cells of a tenth of a second: means, scatter, angles. All
-that an evaluation says of a recording's course is computed from these, so that it needs memory for
+that an evaluation finds in a recording's course is computed from these, so that it needs memory for
 the hours and not for the samples: 150 bytes a cell.
 """
 
@@ -20,7 +20,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from galen_model.arm.galen import ENCODER_QUANTUM, SENSOR
+from galen_model.arm.galen import ENCODER_QUANTUM, GALEN, SENSOR
 from galen_model.arrays import Array, runs
 from galen_model.rest.segments import allowed_travel
 
@@ -142,7 +142,7 @@ class StillPhases:
 
     start_ns, end_ns (n,); samples (n,); mean (n, 6) of the compensated wrench, N and N.m, and
     std_of_mean (n, 6), by the scatter of the phase's cells and how they hang together; angles
-    (n, 2) roll and tilt, rad.
+    (n, k), rad.
     arm_still (cells,): where the arm was at rest; noise (6,): standard deviation of one sample
     about its cell's mean, pooled over the phases.
     """
@@ -207,7 +207,7 @@ def _pieces(cells: Cells, rows: np.ndarray, settings: StillCellSettings) -> Iter
 
 def _arm_still(cells: Cells, settings: StillCellSettings) -> tuple[np.ndarray, np.ndarray]:
     """Cells (n,) in which the arm is at rest, and whether (n - 1,) each goes on in the next."""
-    quantum = ENCODER_QUANTUM[3:]
+    quantum = GALEN.angles(ENCODER_QUANTUM)
     band = allowed_travel(settings.max_rate_rad_s, cells.cell_s, quantum, steps=2.0)
     still = np.all(cells.spans <= band, axis=1)
     near = np.all(np.abs(np.diff(cells.angles, axis=0)) <= band, axis=1)

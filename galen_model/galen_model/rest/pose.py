@@ -12,7 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from galen_model.arm.galen import JOINT_NAMES, JOINT_UNITS, SENSOR, WRENCH_AXES
+from galen_model.arm.arm import Arm
+from galen_model.arm.galen import GALEN, SENSOR, WRENCH_AXES
 from galen_model.arrays import Array
 
 # Median of |x| of a normal deviate with standard deviation 1.
@@ -23,7 +24,7 @@ _MEDIAN_OF_ABS_NORMAL = 0.67449
 class StillnessSettings:
     """Limits for one averaged pose."""
 
-    joint_motion: Array  # (5,) largest span of each joint inside the window, m and rad
+    joint_motion: Array  # (n,) largest span of each joint inside the window, m and rad
     scatter_ratio: float  # largest std, in units of the sweep's median std
     trend_sigmas: float  # largest difference of the halves' means, in its standard deviations;
     # also of the scatter's own statistical error
@@ -34,8 +35,8 @@ class StillnessSettings:
 class PoseRecord:
     """Joints and wrench of one pose, averaged over a window."""
 
-    joints: Array  # (5,) mean, m and rad
-    joint_span: Array  # (5,) largest less smallest
+    joints: Array  # (n,) mean, m and rad
+    joint_span: Array  # (n,) largest less smallest
     wrench: Array  # (6,) mean in ft_sensor, N and N.m
     wrench_std: Array  # (6,) of one sample, at least the quantum's
     half_difference: Array  # (6,) mean of the second half less that of the first
@@ -49,7 +50,7 @@ class PoseRecord:
 
 
 def average_pose(joints: Array, wrenches: Array) -> PoseRecord:
-    """Average joint states (m, 5) and wrenches (n, 6); n >= 4.
+    """Average joint states (m, n) and wrenches (n, 6); n >= 4.
 
     The std is never less than that of rounding to the sensor's quantum (quantum / sqrt 12), so
     that a reading that sits on one step isn't taken for one without error.
@@ -66,11 +67,11 @@ def average_pose(joints: Array, wrenches: Array) -> PoseRecord:
     )
 
 
-def joint_motion_fault(record: PoseRecord, settings: StillnessSettings) -> str:
+def joint_motion_fault(record: PoseRecord, settings: StillnessSettings, arm: Arm = GALEN) -> str:
     """Name the joints that moved inside the window; empty when none did."""
     moved = np.flatnonzero(record.joint_span > settings.joint_motion)
     return "; ".join(
-        f"{JOINT_NAMES[k]} moved by {record.joint_span[k]:.2g} {JOINT_UNITS[k]} while averaging"
+        f"{arm.joint_names[k]} moved by {record.joint_span[k]:.2g} {arm.units[k]} while averaging"
         for k in moved
     )
 

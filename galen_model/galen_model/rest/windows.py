@@ -10,7 +10,7 @@ a steady human grip varies by 2 to 5 % of itself, some of it at 8 to 12 Hz, the 
 (Enoka et al., *J. Biomech.* 36, 2003), so that both scatters are looked at, that of samples within
 a fifth of a window and that of the fifths' means. What the sensor's own scatters are is learned
 from the quietest quarter of the still windows: noise is always there, a hand is not. A hand that
-trembles for more than three quarters of the still time can't be told by its trembling.
+trembles for more than three quarters of the still time can't be recognised by its trembling.
 
 Pushing a sample costs a few appends; the arithmetic is done once a window.
 """
@@ -24,7 +24,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from galen_model.arm.galen import ENCODER_QUANTUM, SENSOR
+from galen_model.arm.galen import ENCODER_QUANTUM, GALEN, SENSOR
 from galen_model.arrays import Array
 from galen_model.distributions import chi2_ppf
 from galen_model.rest.segments import allowed_travel
@@ -33,7 +33,9 @@ WINDOW_S = 0.5
 _RIM_S = 0.3
 _GAP_S = 0.25
 _MAX_RATE_RAD_S = 1e-3
-_BAND_RAD = float(allowed_travel(_MAX_RATE_RAD_S, WINDOW_S, ENCODER_QUANTUM[3:].max(), steps=2.0))
+_BAND_RAD = float(
+    allowed_travel(_MAX_RATE_RAD_S, WINDOW_S, GALEN.angles(ENCODER_QUANTUM).max(), steps=2.0)
+)
 _CELLS = 5
 _FEWEST_SAMPLES = 4 * _CELLS
 _REMEMBERED = 200
