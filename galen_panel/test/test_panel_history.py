@@ -68,26 +68,6 @@ def test_it_keeps_what_a_row_by_row_reference_keeps(seed):
             assert rows_of(series.since(stamp)) == reference.since(stamp)
 
 
-def test_a_restart_in_the_midst_of_a_block_leaves_only_what_is_after_it():
-    series = StreamSeries(1)
-    series.append(np.array([5, 6]) * NS_PER_S, np.array([[5.0], [6.0]]))
-    run = series.last().run
-    series.append(np.array([7, 8, 1, 2]) * NS_PER_S, np.array([[7.0], [8.0], [1.0], [2.0]]))
-    samples = series.last()
-    assert samples.values.ravel().tolist() == [1.0, 2.0]
-    assert samples.run == run + 1
-
-
-def test_a_block_longer_than_the_ring_leaves_its_end():
-    series = StreamSeries(1, rows=4)
-    series.append(np.arange(3), np.arange(3.0)[:, None])
-    series.append(np.arange(3, 20), np.arange(3.0, 20.0)[:, None])
-    assert series.last().stamps_ns.tolist() == [16, 17, 18, 19]
-    assert series.last().values.ravel().tolist() == [16, 17, 18, 19]
-    series.append(np.array([20]), np.array([[20.0]]))
-    assert series.last().stamps_ns.tolist() == [17, 18, 19, 20]
-
-
 def test_a_frozen_copy_gets_no_more_rows():
     series = StreamSeries(1, rows=3)
     series.append(np.arange(3), np.arange(3.0)[:, None])
@@ -95,11 +75,6 @@ def test_a_frozen_copy_gets_no_more_rows():
     series.append(np.arange(3, 6), np.arange(3.0, 6.0)[:, None])
     assert copy.last().values.ravel().tolist() == [0, 1, 2]
     assert StreamSeries(1).frozen().newest_ns is None
-
-
-def test_stamps_and_values_must_be_as_many():
-    with pytest.raises(ValueError, match="2 stamps for 3 rows"):
-        StreamSeries(1).append(np.arange(2), np.zeros((3, 1)))
 
 
 # Files
@@ -131,12 +106,6 @@ def test_rows_are_joined_by_stamp_and_cells_are_empty_where_nothing_came():
             np.testing.assert_allclose([float(row[name]) for name in names], values, rtol=1e-6)
 
 
-def test_many_rows_are_all_written():
-    raw, empty = samples(AT + np.arange(4100) * 2_000_000, 1), samples([], 2)
-    assert written(raw, empty, empty).count(b"\n") == 4101
-    assert written(empty, empty, empty).decode() == HEADER + "\n"
-
-
 # What plots draw
 
 MS = NS_PER_S // 1000
@@ -166,18 +135,6 @@ def test_a_slow_curve_has_no_teeth():
     down = decimate(stamps, -np.arange(1000.0)[:, None], 100 * MS).values.ravel()
     assert (np.diff(up) > 0).all()
     assert (np.diff(down) < 0).all()
-
-
-def test_full_buckets_stay_as_they_are_when_the_window_moves():
-    stamps, values = swing(5000)
-    early = decimate(stamps[:4000], values[:4000], 40 * MS)
-    late = decimate(stamps[500:], values[500:], 40 * MS)
-    begin, end = stamps[520], stamps[3960] // (40 * MS) * (40 * MS)
-    for rows, other in ((early, late), (late, early)):
-        kept = (rows.stamps_ns >= begin) & (rows.stamps_ns < end)
-        same = (other.stamps_ns >= begin) & (other.stamps_ns < end)
-        assert rows.stamps_ns[kept].tolist() == other.stamps_ns[same].tolist()
-        assert rows.values[kept].tolist() == other.values[same].tolist()
 
 
 def test_a_gap_ends_the_line_and_a_wide_bucket_is_no_gap():

@@ -1,8 +1,6 @@
 """The nodes in plain words: each state that the nodes' code can tell has words and advice."""
 
 import ast
-import time
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -24,7 +22,6 @@ from galen_panel.snapshot import (
     Behaviour,
     BehaviourKind,
     BehaviourOutcome,
-    LoadedTool,
     NodeLevel,
     NodeReport,
     SuiteState,
@@ -187,139 +184,87 @@ def test_each_stage_of_a_nodes_life_has_words(stage, level):
     assert len(LIFECYCLE) == 4
 
 
-def test_two_drivers_are_said_with_what_to_do():
-    both = report("gravcomp", NodeLevel.ERROR, "several_publishers", lifecycle="active")
-    words = words_of(state_of(both), role("gravcomp"), NOW_S)
-    assert words.doing == "No compensation: two drivers publish the same topic."
-    assert "Stop all but one" in words.todo and words.stopped
-    joints = report("gravcomp", NodeLevel.WARN, "several_publishers", lifecycle="active")
-    words = words_of(state_of(joints), role("gravcomp"), NOW_S)
-    assert "joint_states" in words.doing and not words.stopped
+def gravcomp(level, state="", **values):
+    return report("gravcomp", level, state, **values)
 
 
-def test_some_rejected_wrenches_are_less_than_all():
-    some = words_of(
-        state_of(report("gravcomp", NodeLevel.WARN, "stale_joints")), role("gravcomp"), NOW_S
-    )
-    all_of_them = words_of(
-        state_of(report("gravcomp", NodeLevel.ERROR, "stale_joints")), role("gravcomp"), NOW_S
-    )
-    assert "some wrenches" in some.doing and not some.stopped
-    assert all_of_them.doing.startswith("No compensation: ") and all_of_them.stopped
+OK, WARN, ERROR, STALE = NodeLevel.OK, NodeLevel.WARN, NodeLevel.ERROR, NodeLevel.STALE
 
 
-def test_a_node_not_heard_of_is_not_running_and_says_how_to_start():
-    state = state_of(report("gravcomp", NodeLevel.OK, "compensating", heard_s=NOW_S - 7.0))
-    words = words_of(state, role("gravcomp"), NOW_S)
-    assert words.level is NodeLevel.STALE and not words.running
-    assert "silent for 7 s" in words.doing and "gravcomp_node" in words.todo
-    assert words_of(state, role("gravcomp"), NOW_S - 4.5).level is NodeLevel.OK
+@pytest.mark.parametrize(
+    ("node", "told", "level", "stopped", "words"),
+    [
+        ("gravcomp", gravcomp(ERROR, "several_publishers"), ERROR, True, "two drivers publish"),
+        ("gravcomp", gravcomp(WARN, "several_publishers"), WARN, False, "joint_states"),
+        ("gravcomp", gravcomp(WARN, "stale_joints"), WARN, False, "some wrenches"),
+        ("gravcomp", gravcomp(ERROR, "stale_joints"), ERROR, True, "No compensation: "),
+        ("gravcomp", gravcomp(WARN, "compensating", clock="stands still"), WARN, False, "/clock"),
+        ("gravcomp", gravcomp(ERROR, "from_the_future", message="new"), ERROR, True, "New"),
+        ("gravcomp", gravcomp(OK, "compensating", heard_s=NOW_S - 7.0), STALE, True, "for 7 s"),
+        ("gravcomp", report("right/gravcomp", OK, "compensating"), STALE, True, "not running"),
+        ("sim_driver", gravcomp(OK, wrench_raw_publisher_nodes="/ati"), OK, False, "/ati"),
+    ],
+)
+def test_words_of_a_node(node, told, level, stopped, words):
+    found = words_of(state_of(told), role(node), NOW_S)
+    assert (found.level, found.stopped) == (level, stopped)
+    assert words in found.doing and bool(found.todo) == (level is not OK)
 
 
 @pytest.mark.parametrize("one", PROGRAMS, ids=[one.node for one in PROGRAMS])
 def test_without_any_node_each_card_says_how_to_start_it(one):
-    words = words_of(SuiteState(), one, time.monotonic())
+    words = words_of(SuiteState(), one, NOW_S)
     assert not words.running and "ros2 " in words.todo
-    assert words.level is (NodeLevel.STALE if one.needed else NodeLevel.OK)
+    assert words.level is (STALE if one.needed else OK)
+    if one.offers and not one.needed:
+        there = SuiteState(available=frozenset({one.offers}))
+        assert words_of(there, one, NOW_S).doing.startswith(f"{one.title} is there")
 
 
-def test_a_service_without_a_report_yet_is_there():
-    state = SuiteState(available=frozenset({"calibrate_tool"}))
-    words = words_of(state, role("calibration"), NOW_S)
-    assert words.doing.startswith("Calibration is there")
-
-
-def test_another_driver_is_no_missing_one():
-    compensation = report(
-        "gravcomp", NodeLevel.OK, "compensating", wrench_raw_publisher_nodes="/ati_driver"
-    )
-    words = words_of(state_of(compensation), role("sim_driver"), NOW_S)
-    assert words.level is NodeLevel.OK and "/ati_driver" in words.doing
-
-
-def test_time_that_stands_still_is_said():
-    still = report("gravcomp", NodeLevel.WARN, "compensating", clock="stands still")
-    words = words_of(state_of(still), role("gravcomp"), NOW_S)
-    assert "/clock" in words.doing and words.todo
-
-
-def test_an_unknown_state_is_told_in_the_nodes_own_words():
-    odd = report("gravcomp", NodeLevel.ERROR, "from_the_future", message="something new")
-    words = words_of(state_of(odd), role("gravcomp"), NOW_S)
-    assert words.doing == "Something new" and words.todo and words.stopped
-
-
-def test_other_nodes_are_listed_by_their_own_message():
-    state = state_of(report("recorder", NodeLevel.WARN, message="disk nearly full"))
-    (other,) = others(state)
-    assert words_of_other(other, NOW_S).doing == "Disk nearly full"
-    assert words_of_other(other, NOW_S + 10.0).level is NodeLevel.STALE
-
-
-def test_the_nodes_of_another_arm_are_others():
-    own = report("left/gravcomp", NodeLevel.OK, "compensating")
-    another = report("right/gravcomp", NodeLevel.ERROR, "bad_tool_file")
+def test_other_nodes_and_those_of_another_arm_are_listed_by_their_own_message():
+    own = report("left/gravcomp", OK, "compensating")
+    another = report("right/gravcomp", ERROR, "bad_tool_file", message="cut off")
     state = state_of(own, another, namespace="left")
-    assert words_of(state, role("gravcomp"), NOW_S).level is NodeLevel.OK
+    assert words_of(state, role("gravcomp"), NOW_S).level is OK
     assert others(state) == [another]
-    alone = state_of(another, namespace="left")
-    assert not words_of(alone, role("gravcomp"), NOW_S).running
+    assert words_of_other(another, NOW_S).doing == "Cut off"
+    assert words_of_other(another, NOW_S + 10.0).level is STALE
 
 
 GOOD = (
-    report("sim_driver", NodeLevel.OK, "running"),
-    report("gravcomp", NodeLevel.OK, "compensating", tool="pointer"),
-    report("calibration", NodeLevel.OK, "ready"),
+    report("sim_driver", OK, "running"),
+    gravcomp(OK, "compensating", tool="pointer"),
+    report("calibration", OK, "ready"),
 )
-ACTIVE = LoadedTool("pointer", True, 0.06, (0, 0, 0), (0, 0, 0), "", "as loaded", None)
-
-
-def test_the_lamp_is_good_when_all_is():
-    assert overall(state_of(*GOOD, active_tool=ACTIVE), NOW_S) == (
-        NodeLevel.OK, "Compensates 'pointer'."
-    )  # fmt: skip
-
-
-def test_the_lamp_names_what_stops_the_compensation_first():
-    broken = report("deflection", NodeLevel.ERROR, "bad_model_file")
-    off = report("gravcomp", NodeLevel.WARN, "disabled")
-    level, text = overall(state_of(*GOOD, broken, off), NOW_S)
-    assert level is NodeLevel.WARN and text.startswith("Compensation is off")
-
-
-def test_the_lamp_names_the_worst_of_the_others_when_compensation_works():
-    failed = report("calibration", NodeLevel.WARN, "failed")
-    broken = report("deflection", NodeLevel.ERROR, "bad_model_file")
-    level, text = overall(state_of(*GOOD[:2], failed, broken), NOW_S)
-    assert level is NodeLevel.ERROR and text.startswith("Deflection: No prediction")
-    fits = report("gravcomp", NodeLevel.WARN, "does_not_fit", tool="pointer")
-    level, text = overall(state_of(GOOD[0], fits, failed), NOW_S)
-    assert level is NodeLevel.WARN and "does not fit" in text
+FAILED = report("calibration", WARN, "failed")
+BROKEN = report("deflection", ERROR, "bad_model_file")
+NO_FIT = gravcomp(WARN, "does_not_fit", tool="pointer")
+LATE = gravcomp(WARN, "late", tool="pointer")
 
 
 def calibrating(**changes):
     return {BehaviourKind.CALIBRATE: Behaviour(1, BehaviourKind.CALIBRATE, "pointer", **changes)}
 
 
-def test_a_calibration_that_takes_the_tool_off_is_no_warning():
-    fits = report("gravcomp", NodeLevel.WARN, "does_not_fit", tool="pointer")
-    state = state_of(GOOD[0], fits, active_tool=ACTIVE, behaviours=calibrating())
-    level, text = overall(state, NOW_S)
-    assert level is NodeLevel.OK
-    assert text.startswith("Compensates 'pointer'") and "calibration" in text
-    assert not words_of(state, role("gravcomp"), NOW_S).todo
-    # When it has ended, a tool that is still off is a warning again.
-    ended = replace(state, behaviours=calibrating(outcome=BehaviourOutcome("CANCELED", "canceled")))
-    assert overall(ended, NOW_S)[0] is NodeLevel.WARN
-    assert "does not fit" in overall(ended, NOW_S)[1]
+ENDED = calibrating(outcome=BehaviourOutcome("CANCELED", "canceled"))
 
 
-def test_a_calibration_hides_no_other_trouble():
-    late = report("gravcomp", NodeLevel.WARN, "late", tool="pointer")
-    level, _ = overall(state_of(*GOOD[:1], late, behaviours=calibrating()), NOW_S)
-    assert level is NodeLevel.WARN
-
-
-def test_the_lamp_without_any_node():
-    level, text = overall(SuiteState(), NOW_S)
-    assert level is NodeLevel.STALE and text.startswith("No compensation: not running")
+@pytest.mark.parametrize(
+    ("reports", "behaviours", "level", "words"),
+    [
+        (GOOD, {}, OK, "Compensates 'pointer'."),
+        ((), {}, STALE, "No compensation: not running"),
+        ((*GOOD, BROKEN, gravcomp(WARN, "disabled")), {}, WARN, "Compensation is off"),
+        ((*GOOD, FAILED, BROKEN), {}, ERROR, "Deflection: No prediction"),
+        ((*GOOD, NO_FIT, FAILED), {}, WARN, "does not fit"),
+        # A calibration is done without the tool; when it has ended, that is a warning again.
+        ((*GOOD, NO_FIT), calibrating(), OK, "not judged during a calibration"),
+        ((*GOOD, NO_FIT), ENDED, WARN, "does not fit"),
+        ((*GOOD, LATE), calibrating(), WARN, "late"),
+    ],
+)
+def test_the_lamp_names_the_worst_and_what_stops_the_compensation_first(
+    reports, behaviours, level, words
+):
+    found, text = overall(state_of(*reports, behaviours=behaviours), NOW_S)
+    assert found is level and words in text
