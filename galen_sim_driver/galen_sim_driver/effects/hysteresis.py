@@ -1,10 +1,8 @@
-"""Friction under a load that turns.
+"""Hysteresis of the deflection (contract, section 6): friction under a load that turns.
 
-Dahl's friction beside the spring of every joint, under a prescribed load.
-
-A joint's spring of nominal stiffness k carries the load u less a friction F that follows the
-joint's displacement x (P. R. Dahl, Solid friction damping of mechanical vibrations, AIAA Journal
-14 (12), 1976, pp. 1675-1682, with the exponent 1):
+Dahl's friction beside the spring of every joint: a joint's spring of nominal stiffness k carries
+the load u less a friction F that follows the joint's displacement x (P. R. Dahl, Solid friction
+damping of mechanical vibrations, AIAA Journal 14 (12), 1976, pp. 1675-1682, with the exponent 1):
 
     k x + F = u,    dF/dx = sigma (1 - sign(dx) F / F_c)
 
@@ -16,7 +14,7 @@ that a change D of u / F_c takes y is Lambert's function W (the lower line follo
     e = c + W(a g exp(-c)),      c = a (D - g)
 
 That is exact for a step of any size, so what comes out depends on where the load turned and not on
-how often somebody looked; and not on speed.
+how often it is sampled; and not on speed.
 
 A first push to y = Y and back to no load leaves y_0 = a - W(a (2 - exp(-Y)) exp(a - Y)). The
 fraction y_0 / Y is small after small pushes (they hardly slide) and after large ones (F_c is all
@@ -30,19 +28,12 @@ stiffness: six rods hold the platform as the square matrix A of their rows [n, B
 (`galen_model.arm.delta`), so that a rod that grows by 1 moves it by a column of A^-1, and a
 carriage moves it without turning it, since its two rods stay parallel.
 
-Where a load turns: what a friction's state hangs on, and nothing between.
+The state is computed from turn to turn of the load, and every sample from the turn before it. Noise
+makes a measured load turn at every other sample, and small swings reduce a friction of Dahl's kind,
+which no real joint shows: swings below 2 % of the largest load are therefore none.
 
-A law without memory of time goes the same way whether it is looked at often or seldom, as long as
-the load goes on in one direction. So its state is computed from turn to turn, and every sample from
-the turn before it.
-
-Noise makes a measured load turn at every other sample. Small swings wear a friction of Dahl's kind
-off, which no real joint knows, and swings below a gate are therefore none.
-
-What a load leaves of a deflection when it is gone (contract, section 6).
-
-`residual_fraction` is how much is left at no load after the largest load, over the deflection at
-that load. Two laws, by `form`:
+`residual_fraction` is the deflection at no load after the largest load, over that at the largest
+load. Two models, by `form`:
 
 "tip": a state z beside each of the six components e of the tip's elastic displacement in base_link,
 in units of its largest, P:
@@ -50,7 +41,7 @@ in units of its largest, P:
     dz = (de / P - |de / P| z) / knee,    so that going from e_0 in the direction s = +-1
     z = s - (s - z_0) exp(-|e - e_0| / (knee P)).
 
-This is Bouc's and Wen's law with the exponent 1 and without their gamma (Y.-K. Wen, Method for
+This is the model of Bouc and Wen with the exponent 1 and without their gamma (Y.-K. Wen, Method for
 random vibration of hysteretic systems, J. Eng. Mech. Div. ASCE 102 (2), 1976, pp. 249-263). The tip
 stands at e - side c P z: with side 1 it lags the load, as friction makes it; with side -1 it runs
 ahead of it and comes back too far. With a = 1 - exp(-1 / knee) a first push to P takes z to a, and
@@ -60,19 +51,18 @@ back to -a^2 at no load. `softness` b adds that part of e. c P a^2 over the defl
     residual_fraction = c a^2 / (1 + b - side c a),
     c = residual_fraction (1 + b) / (a^2 + side residual_fraction a).
 
-Why a softness: a spring with friction that doesn't slide yet is stiffer than one
-whose friction does, and which of the two the nominal stiffness is of, nobody says.
+Why a softness: a spring with friction that doesn't slide yet is stiffer than one whose friction
+does, and the nominal stiffness may be either's.
 
-"joints": Dahl's friction beside the springs of carriages, roll, tilt and rods, as
-`friction.py` derives it, each with the fraction at its own largest
-load (over its deflection with the friction, there). With side -1 what friction takes is added.
+"joints": Dahl's friction beside the springs of carriages, roll, tilt and rods, each with the
+fraction at its own largest load (over its deflection with the friction, there). With side -1 what
+friction takes is added.
 
-With `restarts` a move of the arm takes away what loads have left, and largest loads are those of a
+With `restarts` a move of the arm removes what loads have left, and largest loads are those of a
 place: joints that move shake their friction out. Without, all of it stays.
 
-Loads that turn by less than 2 % of the largest are noise (`friction.py`). The
-largest loads are those of the samples. A driver looks at one sample at a time and can't know what
-comes: it takes those of about 10 N at the retractor's tip.
+The largest loads are those of the samples. A driver knows one sample at a time: it takes loads of
+about 10 N at the retractor's tip.
 """
 
 from __future__ import annotations
@@ -307,7 +297,7 @@ class DeflectionHysteresis(Effect):
     )
 
     softness: float = param(
-        0.0, "form tip: by how much more the tip gives way than the springs, all along", -0.5, 2.0
+        0.0, "form tip: by how much more the tip deflects than the springs, all along", -0.5, 2.0
     )
     restarts: bool = param(
         True, "whether moving the arm to another place takes away what loads have left"
@@ -316,7 +306,6 @@ class DeflectionHysteresis(Effect):
     _memory: ClassVar[_Memory | None] = None
 
     def validate(self) -> None:
-        """Check form and side, and that the model can leave that fraction."""
         check_choice(self.name, "form", self.form, FORMS)
         if self.side not in (1.0, -1.0):
             raise ConfigError(f"{self.name}: side is {self.side}, but must be 1 or -1")
@@ -329,15 +318,12 @@ class DeflectionHysteresis(Effect):
 
     @property
     def changes_nothing(self) -> bool:
-        """Nothing is left."""
         return self.residual_fraction == 0.0 and self.softness == 0.0
 
     def vector(self) -> Array:
-        """Return the signed fraction, the knee and the softness, (3,)."""
         return np.array([self.side * self.residual_fraction, self.knee, self.softness])
 
     def with_vector(self, vector: Array) -> Self:
-        """Return the same with another signed fraction, knee and softness."""
         signed = float(vector[0])
         return replace(
             self,
@@ -348,14 +334,12 @@ class DeflectionHysteresis(Effect):
         )
 
     def fresh(self) -> Self:
-        """Return the same, never loaded."""
         new = replace(self)
         # A dataclass's own way into its frozen fields; the memory is none of its numbers.
         object.__setattr__(new, "_memory", _Memory())
         return new
 
     def deflect(self, when: Instants, loading: Loading) -> Array | None:
-        """Return the tip's displacement beside the elastic one."""
         if self.changes_nothing or not len(when):
             return None
         memory = self._memory or _Memory()

@@ -71,7 +71,6 @@ class _RotaryEffect(Effect):
     joint: str = param("tilt", "the joint: roll tilt")
 
     def validate(self) -> None:
-        """Check that the joint turns."""
         check_choice(self.name, "joint", self.joint, ROTARY_JOINTS)
 
 
@@ -86,7 +85,6 @@ class JointZeroOffset(_RotaryEffect):
     offset_rad: float = param(0.0, "true angle minus the reported one, rad", -0.5, 0.5)
 
     def true_joints(self, when: Instants, joints: Array) -> Array:
-        """Add the offset."""
         true = joints.copy()
         true[:, JOINT_NAMES.index(self.joint)] += self.offset_rad
         return true
@@ -102,7 +100,6 @@ class JointGain(_RotaryEffect):
     gain: float = param(0.0, "true angle over the reported one, minus 1", -0.5, 0.5)
 
     def true_joints(self, when: Instants, joints: Array) -> Array:
-        """Multiply by 1 + gain."""
         true = joints.copy()
         true[:, JOINT_NAMES.index(self.joint)] *= 1.0 + self.gain
         return true
@@ -122,12 +119,10 @@ class JointAxisMisalignment(_RotaryEffect):
     angle_rad: float = param(0.0, "by how much it is turned, rad", -0.5, 0.5)
 
     def validate(self) -> None:
-        """Raise ConfigError unless the joint turns and `about` is an axis."""
         super().validate()
         check_choice(self.name, "about", self.about, _ABOUT)
 
     def misaligned(self, arm: Arm) -> Arm:
-        """Turn the joint's axis: A M(a, q) A^T = M(A a, q)."""
         joints = list(arm.joints)
         index = arm.joint_names.index(self.joint)
         axis = _ABOUT[self.about](self.angle_rad) @ joints[index].axis
@@ -149,7 +144,6 @@ class BaseInclination(Effect):
     about_y_rad: float = param(0.0, "the same about its y, after x, rad", -0.5, 0.5)
 
     def gravity(self, gravity_base: Array) -> Array:
-        """Turn gravity the other way."""
         turn = rot_x(self.about_x_rad) @ rot_y(self.about_y_rad)
         return np.asarray(turn.T @ gravity_base)
 
@@ -178,7 +172,6 @@ class JointCompliance(Effect):
     rod: float = param(0.0, "stiffness of a rod, 0 for the nominal one, N/m", 0.0)
 
     def vector(self) -> Array:
-        """Return k_nominal / k - 1 of each spring, (4,)."""
         softer = []
         for spring in _SPRINGS:
             stiffness = getattr(self, spring)
@@ -186,7 +179,6 @@ class JointCompliance(Effect):
         return np.array(softer)
 
     def with_vector(self, vector: Array) -> Self:
-        """Return the same with other softnesses (4,); exactly 0 leaves a spring nominal."""
         return replace(
             self,
             **{
@@ -196,7 +188,6 @@ class JointCompliance(Effect):
         )
 
     def arm(self, arm: Arm) -> Arm:
-        """Return the arm with these stiffnesses."""
         given = {spring: getattr(self, spring) for spring in _SPRINGS}
         return arm.with_stiffness({spring: k for spring, k in given.items() if k > 0.0})
 
@@ -242,15 +233,12 @@ class Backlash(Effect):
 
     @property
     def changes_nothing(self) -> bool:
-        """There is no gap."""
         return self.gap_rad == 0.0
 
     def validate(self) -> None:
-        """Check that the joint is one of the arm's."""
         check_choice(self.name, "joint", self.joint, JOINT_NAMES)
 
     def fresh(self) -> Self:
-        """Return the same, where it starts in its gap."""
         new = replace(self)
         # A dataclass's own way into its frozen fields; the memory is none of its numbers.
         object.__setattr__(new, "_memory", _Memory(self.start))
@@ -261,7 +249,6 @@ class Backlash(Effect):
         return JOINT_NAMES.index(self.joint)
 
     def true_joints(self, when: Instants, joints: Array) -> Array:
-        """Apply the play operator to the one joint."""
         if not len(joints) or self.gap_rad == 0.0:
             return joints
         memory = self._memory or _Memory(self.start)
@@ -277,7 +264,6 @@ class Backlash(Effect):
         return true
 
     def deflect(self, when: Instants, loading: Loading) -> Array | None:
-        """Return the tip's displacement where the load takes the joint through its gap."""
         if not len(when) or self.gap_rad == 0.0:
             return None
         memory = self._memory or _Memory(self.start)

@@ -1,25 +1,19 @@
-"""Effects of what hangs on the sensor (contract, section 6).
+"""Effects of the load on the sensor (contract, section 6).
 
-The tool weighs other than its file says: true mass - file's mass, same centre (contract, 6).
+A tool of another mass, same centre; of another centre; or loose in its mount, whose centre is
 
-The tool's centre of mass isn't where its file says: true - file's.
+    p = p_file + shift (d_x, d_y, 0),   d the unit vector of gravity in ft_sensor.
 
-The tool sags in its mount.
-
-centre = file's + shift (d_x, d_y, 0),   d: the unit vector of gravity in ft_sensor.
-
-Forces of acceleration of tool and adapter, which nominal leaves out.
-
-Newton and Euler (`galen_model.load.inertia`) with s = -a, the part without gravity, for
-tool and adapter as two points, each at its own centre p_i with the share of `mass_kg` that it has
-of the weight of both:
+Inertial forces of tool and adapter: Newton and Euler (`galen_model.load.inertia`) with s = -a, the
+part without gravity, for tool and adapter as two points, each at its own centre p_i with the share
+of `mass_kg` that it has of the weight of both:
 
     m_i = mass_kg w_i / sum w,   h = sum m_i p_i,   I = sum m_i (p_i.p_i 1 - p_i p_i^T)
 
 so that they swing about their common centre h / m. What the bodies turn about their own centres,
 some 1e-4 kg m^2 for a tool of this size, is `own_inertia_kg_m2`, added to I.
 
-A cable pulls at the tool, more or less with the pose (contract, section 6).
+Cable: with x = kappa (d - d_0),
 
     T(d) = T_0 g(kappa (d - d_0)),   g(x) = c ln(1 + exp((x_1 + x) / c)),   c = 1/4
 
@@ -37,9 +31,9 @@ it together has no moment about the anchor:
 
 Cables on real arms have weight and friction and lie against things as well. None of that is here.
 
-`tension_n` is the tension when the attachment is
-at `reference_m`. With the attachment's mean position there (`centred`), it is the mean tension
-over a recording but for how the line's length curves: a few percent.
+`tension_n` is the tension when the attachment is at `reference_m`. With the attachment's mean
+position there (`centred`), it is the mean tension over a recording but for how the line's length
+curves: a few percent.
 """
 
 from __future__ import annotations
@@ -73,7 +67,6 @@ class ToolMassError(Effect):
     )
 
     def tool_load(self, mass_kg: float, com_m: Array, direction: Array) -> tuple[float, Array]:
-        """Change the mass only."""
         return mass_kg + self.delta_kg, com_m
 
 
@@ -92,7 +85,6 @@ class ToolComError(Effect):
     )
 
     def tool_load(self, mass_kg: float, com_m: Array, direction: Array) -> tuple[float, Array]:
-        """Change the centre only."""
         return mass_kg, com_m + np.asarray(self.delta_m)
 
 
@@ -110,7 +102,6 @@ class LooseTool(Effect):
     )
 
     def tool_load(self, mass_kg: float, com_m: Array, direction: Array) -> tuple[float, Array]:
-        """Lower the centre."""
         return mass_kg, com_m + self.shift_m * direction * np.array([1.0, 1.0, 0.0])
 
 
@@ -132,11 +123,9 @@ class InertialLoad(Effect):
 
     @property
     def changes_nothing(self) -> bool:
-        """Neither mass nor inertia."""
         return self.mass_kg == 0.0 and not any(self.own_inertia_kg_m2)
 
     def validate(self) -> None:
-        """Raise ConfigError unless a body can have the inertia: its moments make a triangle."""
         xx, yy, zz, xy, xz, yz = self.own_inertia_kg_m2
         low, middle, high = np.linalg.eigvalsh([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
         # To rounding: a thin rod has two equal moments and a third of zero.
@@ -148,7 +137,6 @@ class InertialLoad(Effect):
             )
 
     def wrench(self, when: Instants, posture: Posture) -> Array | None:
-        """Return the inertial wrench."""
         motion = posture.motion
         loads = (posture.tool, posture.adapter)
         if motion is None or sum(load.mass_kg for load in loads) <= 0.0:
@@ -224,7 +212,6 @@ class CableDrag(Effect):
 
     @property
     def changes_nothing(self) -> bool:
-        """Neither tension nor bending."""
         return self.tension_n == 0.0 and self.bending_nm == 0.0
 
     def centred(self, rotation: Array, origin: Array) -> Self:
@@ -245,7 +232,6 @@ class CableDrag(Effect):
         return self.tension_n * relative_tension(farther)
 
     def wrench(self, when: Instants, posture: Posture) -> Array | None:
-        """Return the cable's pull."""
         distance_m, direction = cable_line(
             posture.rotation, posture.origin, self.anchor_m, self.attachment_m
         )

@@ -1,27 +1,14 @@
 """Effects of the sensor (contract, section 6).
 
-The sensing element is turned in its housing; the tool isn't.
+Mount rotation: with E = exp(r) the element's axes in ft_sensor, the reading is E^T f and E^T tau,
+about the same origin. Gains: reading_k = (1 + gain_k) true_k. Crosstalk: reading_to += c true_from.
 
-With E = exp(r) the element's axes in ft_sensor it tells f and tau along its own axes, E^T f and
-E^T tau, about the same origin.
+A bias step stays for the bags after, too: sweep, motion and push are recorded in this order. With
+an empty bag's name, as in a driver that runs on, its time is that of the recording.
 
-Gains of the sensor's six axes: reading_k = (1 + gain_k) true_k.
+Drift, with t the time of the recording:
 
-One axis of the sensor sees some of another: reading_to += c true_from.
-
-The reading jumps once and stays.
-
-It stays for the bags after, too: sweep, motion and push are recorded in this order. With an empty
-bag's name, as in a driver that runs on, the time is that of the recording.
-
-Wrench stamps are late against the joints': stamp = measurement + delay.
-
-An axis of the sensor clips (contract, section 6): nothing beyond +- limit comes out.
-
-The reading drifts slowly (contract, section 6).
-
-    b(t) = rate t                                     with t the time of the recording, or
-    b(t) = piecewise linear through levels at knots   for a bias drift of any shape;
+    b(t) = rate t, or piecewise linear through levels at knots;
 
 the rate is then the mean one, (last level - first level) over the time between them.
 """
@@ -69,7 +56,6 @@ class SensorMountRotation(Effect):
         return _turned(wrench, _matrix(tuple(self.rotvec_rad)))
 
     def unread(self, when: Instants, reading: Array) -> Array:
-        """Turn back into ft_sensor's axes."""
         return _turned(reading, _matrix(tuple(self.rotvec_rad)).T)
 
 
@@ -95,11 +81,9 @@ class AxisGain(Effect):
     )
 
     def read(self, when: Instants, wrench: Array) -> Array:
-        """Multiply each axis by its gain."""
         return wrench * (1.0 + np.asarray(self.gain))
 
     def unread(self, when: Instants, reading: Array) -> Array:
-        """Divide each axis by its gain."""
         return reading / (1.0 + np.asarray(self.gain))
 
 
@@ -117,18 +101,15 @@ class Crosstalk(Effect):
     coefficient: float = param(0.0, "how much it sees of it, in N and Nm", -100.0, 100.0)
 
     def validate(self) -> None:
-        """Check that both are axes, and not the same one."""
         check_choice(self.name, "from", self.from_axis, WRENCH_AXES)
         check_choice(self.name, "to", self.to_axis, WRENCH_AXES)
         if self.from_axis == self.to_axis:
             raise ConfigError(f"{self.name}: from and to are both {self.to_axis}")
 
     def read(self, when: Instants, wrench: Array) -> Array:
-        """Add the one axis to the other."""
         return self._add(wrench, self.coefficient)
 
     def unread(self, when: Instants, reading: Array) -> Array:
-        """Subtract it exactly: `from_axis` is unchanged."""
         return self._add(reading, -self.coefficient)
 
     def _add(self, wrench: Array, coefficient: float) -> Array:
@@ -141,15 +122,12 @@ class Crosstalk(Effect):
 @dataclass(frozen=True)
 class _Additive(Effect):
     def read(self, when: Instants, wrench: Array) -> Array:
-        """Add `_at`."""
         return wrench + self._at(when)
 
     def unread(self, when: Instants, reading: Array) -> Array:
-        """Subtract it."""
         return reading - self._at(when)
 
     def _at(self, when: Instants) -> Array:
-        """Return what is added to the reading (n, 6)."""
         raise NotImplementedError
 
 
@@ -169,7 +147,6 @@ class BiasStep(_Additive):
     bag: str = param("", "the bag from whose first stamp the time counts, empty for the first")
 
     def validate(self) -> None:
-        """Check that the bag is one of a recording."""
         if self.bag:
             check_choice(self.name, "bag", self.bag, BAG_ORDER)
 
@@ -216,11 +193,9 @@ class SensorSaturation(Effect):
     axis: str = param("fz", "the axis that clips: fx fy fz tx ty tz")
 
     def validate(self) -> None:
-        """Check that the axis exists."""
         check_choice(self.name, "axis", self.axis, WRENCH_AXES)
 
     def read(self, when: Instants, wrench: Array) -> Array:
-        """Clip the axis."""
         if self.limit <= 0.0:
             return wrench
         clipped = wrench.copy()
@@ -264,11 +239,9 @@ class SensorDrift(_Additive):
 
     @property
     def changes_nothing(self) -> bool:
-        """No rate and no level."""
         return not any(self.rate_per_hour) and not any(self.levels)
 
     def validate(self) -> None:
-        """Check that knots increase, with six levels at each."""
         if len(self.knots_s) == 1 or not np.all(np.diff(self.knots_s) > 0.0):
             raise ConfigError(f"{self.name}: knots_s must be two or more that increase, or none")
         if len(self.levels) != 6 * len(self.knots_s):
@@ -278,7 +251,6 @@ class SensorDrift(_Additive):
             )
 
     def with_vector(self, vector: Array) -> Self:
-        """Return another mean rate; a shape keeps its deviation from the mean."""
         if not self.knots_s:
             return super().with_vector(vector)
         times = np.array(self.knots_s)

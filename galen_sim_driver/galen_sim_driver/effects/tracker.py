@@ -1,18 +1,11 @@
 """Effects of the tracker (contract, section 6).
 
-Tracker stamps are late: stamp = measurement + delay.
+The scale is about the tracker's own origin, so that both markers move away from it; rotations stay.
+After a registration of base_link from the tracker's readings only a scale about the mean of the
+tool's positions remains.
 
-The tracker's lengths are wrong: positions are (1 + gain) times true.
-
-About the tracker's own origin, so that both markers move away from it; rotations stay. After
-a registration of base_link from the tracker's readings only a scale about the mean of the tool's
-positions remains.
-
-The stand of the base's marker moves once during `push`.
-
-The marker goes by `translation_m` and turns about its own origin by `rotvec_rad`, both along the
-axes of base_link, and stays there. Arm and tracker stay where they are: only relative to the
-marker everything moves.
+The base's marker goes by `translation_m` and turns about its own origin by `rotvec_rad`, both along
+the axes of base_link, once during `push`, and stays there; arm and tracker stay where they are.
 """
 
 from __future__ import annotations
@@ -56,7 +49,6 @@ class TrackerScale(Effect):
     )
 
     def seen(self, when: Instants, position: Array) -> Array:
-        """Scale the position."""
         return position * (1.0 + self.gain)
 
 
@@ -85,7 +77,6 @@ class BaseShift(Effect):
     time_s: float = param(0.0, "when it moves, since the first stamp of push, s", minimum=0.0)
 
     def base_marker(self, when: Instants) -> Array | None:
-        """Return the shift from its time on; in the driver that counts from its start."""
         if when.bag not in ("", _BAG):
             return None
         return np.outer(when.bag_s >= self.time_s, [*self.translation_m, *self.rotvec_rad])
