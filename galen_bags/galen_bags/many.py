@@ -23,8 +23,6 @@ from tqdm import tqdm
 if TYPE_CHECKING:
     from distributed import Client, Future
 
-    from galen_bags.workers import Deaths
-
 Result = TypeVar("Result")
 
 
@@ -123,8 +121,8 @@ def _outcomes(
             yield from run.all_outcomes(at_once=len(bags))
         return
     count = min(workers or cpu_count(), len(bags))
-    with local_workers(count) as (client, deaths):
-        run = _Run(client, function, bags, None, deaths)
+    with local_workers(count) as client:
+        run = _Run(client, function, bags, None)
         yield from run.all_outcomes(at_once=count)
 
 
@@ -137,13 +135,11 @@ class _Run(Generic[Result]):
         function: Callable[[Path], Result],
         bags: Sequence[Path],
         scheduler: str | None,
-        deaths: Deaths | None = None,
     ) -> None:
         self._client = client
         self._function = function
         self._bags = bags
         self._scheduler = scheduler
-        self._deaths = deaths
         self._started_s: dict[int, float] = {}
         self._lost = False
 
@@ -161,8 +157,6 @@ class _Run(Generic[Result]):
             if self._lost:
                 yield number, self._loss(number)
                 continue
-            if self._deaths is not None:
-                self._deaths.clear()
             for _, outcome in self._outcomes([number], 1):
                 yield number, outcome or self._death(number)
 
@@ -185,7 +179,7 @@ class _Run(Generic[Result]):
 
     def _death(self, number: int) -> Outcome[Result]:
         """Return the outcome of a bag that ended its worker."""
-        reason = "it crashed or was killed" if self._deaths is None else self._deaths.reason()
+        reason = "it crashed, was killed, or took more than its share of the memory"
         return self._error(number, f"the process that worked on it died: {reason}")
 
     def _loss(self, number: int) -> Outcome[Result]:

@@ -10,7 +10,6 @@ import contextlib
 import json
 import logging
 import multiprocessing
-import os
 import signal
 import tempfile
 import threading
@@ -50,40 +49,8 @@ def cpu_count() -> int:
     return int(CPU_COUNT)
 
 
-class Deaths(logging.Handler):
-    """Collect what the processes' watchers log when one dies."""
-
-    def __init__(self) -> None:
-        super().__init__(logging.INFO)
-        self._death = ""
-        self._for_memory = False
-        self._said = threading.Event()
-
-    def emit(self, record: logging.LogRecord) -> None:
-        """Keep what is of a death."""
-        message = record.getMessage()
-        self._for_memory |= "memory budget" in message
-        for death in ("was killed by", "exited with status"):
-            if death in message:
-                self._death = death + message.partition(death)[2]
-                self._said.set()
-
-    def clear(self) -> None:
-        """Forget all."""
-        self._death, self._for_memory = "", False
-        self._said.clear()
-
-    def reason(self) -> str:
-        """Return why a worker died since `clear`, as far as it is known."""
-        # The scheduler may have seen its connection close before the process was waited for.
-        self._said.wait(_END_S)
-        if self._for_memory:
-            return "it took more than its share of the memory"
-        return f"it {self._death or 'crashed or was killed'}"
-
-
 @contextlib.contextmanager
-def local_workers(count: int) -> Iterator[tuple[Client, Deaths]]:
+def local_workers(count: int) -> Iterator[Client]:
     """Start `count` processes of one thread each, reachable from this machine only.
 
     When it ends, for whatever reason, they are gone, and so are their files.
@@ -97,15 +64,13 @@ def local_workers(count: int) -> Iterator[tuple[Client, Deaths]]:
     with (
         tempfile.TemporaryDirectory(prefix="galen_bags_", ignore_cleanup_errors=True) as folder,
         dask.config.set({**_LOCAL_SETTINGS, "temporary-directory": folder}),
-        _environment_kept(),
-        _deaths_collected() as deaths,
     ):
         try:
             with _interrupts_held():
                 cluster = _start(count)
             client = Client(cluster, set_as_default=False)
             try:
-                yield client, deaths
+                yield client
             finally:
                 # After an interrupt it may wait a minute for an answer that doesn't come.
                 with contextlib.suppress(TimeoutError):
@@ -167,34 +132,6 @@ def _interrupts_held() -> Iterator[None]:
             signal.signal(signal.SIGINT, before)
         if held:
             signal.raise_signal(signal.SIGINT)
-
-
-@contextlib.contextmanager
-def _environment_kept() -> Iterator[None]:
-    """Dask sets OMP_NUM_THREADS=1 and the like for its workers, in this process as well."""
-    before = dict(os.environ)
-    try:
-        yield
-    finally:
-        for name in set(os.environ) - set(before):
-            del os.environ[name]
-        os.environ.update(before)
-
-
-@contextlib.contextmanager
-def _deaths_collected() -> Iterator[Deaths]:
-    deaths = Deaths()
-    logger = logging.getLogger("distributed.nanny")
-    level, propagate = logger.level, logger.propagate
-    logger.setLevel(logging.INFO)
-    logger.propagate = False
-    logger.addHandler(deaths)
-    try:
-        yield deaths
-    finally:
-        logger.removeHandler(deaths)
-        logger.propagate = propagate
-        logger.setLevel(level)
 
 
 @contextlib.contextmanager

@@ -152,17 +152,6 @@ def test_other_names_and_a_namespace(tmp_path):
         read_arm(path, ArmTopics("state", "arm/ft", ("a", "b")))
 
 
-def test_platform_joints_may_lack(tmp_path):
-    samples = [
-        Sample("/joint_states", T0, cdr(joint_state(header(T0), ["tilt", "roll"], [1, 2], [3, 4]))),
-        Sample("/wrench_raw", T0 + 1, cdr(wrench(header(T0, "ft_sensor"), range(6)))),
-    ]
-    recording = read_arm(write_rosbag2(tmp_path / "bag", samples))
-    nan = np.nan
-    assert np.array_equal(recording.joints, [[nan, nan, nan, 2, 1]], equal_nan=True)
-    assert np.array_equal(recording.joint_velocities, [[nan, nan, nan, 4, 3]], equal_nan=True)
-
-
 def test_messages_that_can_not_be_used_are_left_out_and_counted(tmp_path):
     samples = arm_samples(10)
     bad = {

@@ -97,16 +97,6 @@ def test_two_tables_keep_their_own_rates_and_stamps(tmp_path):
     assert gravity == pytest.approx(np.einsum("nji,j->ni", rotation, GRAVITY_M_S2), abs=1e-9)
 
 
-def test_a_table_without_time_gets_a_rate(tmp_path):
-    rotation = turning(5)
-    quaternion = matrix_to_quaternion(rotation)
-    table = write(tmp_path / "t.csv", [*QUATERNION, *WRENCH], quaternion, reading(rotation))
-    assert main([table, "-o", str(tmp_path / "bag"), "--rate-hz", "10"]) == 0
-    expected = [1_000_000_000 + 100_000_000 * k for k in range(5)]
-    assert read_arm(tmp_path / "bag").wrench_stamp_ns.tolist() == expected
-    assert np.abs(residual(tmp_path / "bag")).max() < 1e-9
-
-
 def test_stamps_that_step_back_stay_as_they_are(tmp_path, capsys):
     time = [1.0, 1.1, 1.05, 1.05, 1.2]
     table = write(
@@ -175,13 +165,6 @@ def test_a_table_that_can_not_be_converted_leaves_no_bag(tmp_path, capsys, names
     assert main([table, "-o", str(tmp_path / "bag"), *options]) == 1
     assert capsys.readouterr().err.strip().startswith(f"convert: {tmp_path}/{message}")
     assert [p.name for p in tmp_path.iterdir()] == ["t.csv"]
-
-
-def test_an_old_bag_is_not_written_over(tmp_path, capsys):
-    table = write(tmp_path / "t.csv", ["roll", "tilt", *WRENCH], np.zeros((3, 8)))
-    options = [table, "-o", str(tmp_path / "bag"), "--rate-hz", "10"]
-    assert [main(options), main(options)] == [0, 1]
-    assert "is there already" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

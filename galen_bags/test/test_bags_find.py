@@ -30,12 +30,6 @@ def test_a_recording_without_metadata_is_one_bag_if_its_files_have_its_name(tmp_
     assert found(tmp_path) == ["one", "packed", "run"]
 
 
-def test_it_is_known_by_its_name_from_inside_too(tmp_path, monkeypatch):
-    make(tmp_path, "run/run_0.mcap", "run/run_1.mcap")
-    monkeypatch.chdir(tmp_path / "run")
-    assert [str(path) for path in find_bags(["."])] == ["."]
-
-
 def test_a_folder_of_files_is_not_taken_for_a_cut_off_recording(tmp_path):
     make(tmp_path, "monday/a.mcap", "monday/monday_0.mcap", "monday/b.db3")
     assert found(tmp_path) == ["monday/a.mcap", "monday/b.db3", "monday/monday_0.mcap"]
@@ -47,22 +41,10 @@ def test_a_metadata_file_of_something_else_makes_no_bag_of_its_folder(tmp_path):
     assert found(tmp_path) == ["day/run"]
 
 
-def test_a_bag_that_lost_its_files_is_still_found_and_so_reported_later(tmp_path):
-    make(tmp_path, "run/metadata.yaml")
-    assert found(tmp_path) == ["run"]
-
-
 def test_files_of_every_kind_and_nothing_else(tmp_path):
     names = ["a.mcap", "b.db3", "c.mcap.zstd", "d.db3.zstd"]
     make(tmp_path, *names, "notes.txt", "f.csv.zstd", "tool.json", "g.bag")
     assert found(tmp_path) == names
-
-
-def test_a_diagnostic_recording_gives_its_three_bags(tmp_path):
-    for name in ("sweep", "motion", "push"):
-        make(tmp_path, f"rec/{name}/metadata.yaml", f"rec/{name}/{name}.mcap")
-    make(tmp_path, "rec/tool.json")
-    assert found(tmp_path) == ["rec/motion", "rec/push", "rec/sweep"]
 
 
 def test_hidden_entries_are_left_out_unless_named(tmp_path):

@@ -5,7 +5,6 @@ import os
 import re
 import signal
 import subprocess
-import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -15,8 +14,8 @@ import pytest
 from diagnostic_msgs.msg import DiagnosticArray
 from galen_bags.formats.bag import open_bag
 from galen_bags.formats.writer import GrowingBagWriter
-from galen_bags.record import main, parse
-from galen_bags.recorder import DEFAULT_TOPICS, RecorderNode, SimulatedTimes, received_ns
+from galen_bags.record import parse
+from galen_bags.recorder import DEFAULT_TOPICS, RecorderNode, SimulatedTimes
 from galen_ros.cdr import joint_state_bytes, wrench_bytes
 from galen_ros.messages import LATCHED, STREAM
 from galen_ros.node.diagnostics import Level
@@ -201,24 +200,6 @@ def test_all_takes_what_there_is_but_hidden_topics(harness: Harness, bag: Growin
     assert messages(end(harness, recorder, bag))["/left/wrench_raw"] == [wrench(3)]
 
 
-def test_namespace_and_remaps_hold(harness: Harness, bag: GrowingBagWriter) -> None:
-    recorder = start(
-        harness,
-        bag,
-        ("wrench_raw", "joint_states"),
-        namespace="left",
-        cli_args=["--ros-args", "-r", "joint_states:=measured_js"],
-    )
-    wrenches = publisher(harness, WrenchStamped, "/left/wrench_raw")
-    states = publisher(harness, JointState, "/left/measured_js")
-    connected(harness, wrenches, states)
-    wrenches.publish(wrench(0))
-    states.publish(joints(0))
-    wait_recorded(harness, recorder, 2)
-    path = end(harness, recorder, bag)
-    assert sorted(messages(path)) == ["/left/measured_js", "/left/wrench_raw"]
-
-
 def test_what_can_not_be_recorded_does_not_disturb_the_rest(
     harness: Harness, bag: GrowingBagWriter, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -244,13 +225,6 @@ def test_what_can_not_be_recorded_does_not_disturb_the_rest(
         "the topic to be reported",
     )
     assert list(messages(end(harness, recorder, bag))) == ["/wrench_raw"]
-
-
-@pytest.mark.parametrize("unknown", [0, None])
-def test_a_middleware_without_receive_times_gets_the_time_of_now(unknown: int | None) -> None:
-    assert received_ns({"received_timestamp": 17}) == 17
-    before_ns = time.time_ns()
-    assert before_ns <= received_ns({"received_timestamp": unknown}) <= time.time_ns()
 
 
 def test_lost_messages_are_counted(harness: Harness, bag: GrowingBagWriter) -> None:
@@ -465,16 +439,6 @@ def test_a_full_disk_ends_it_with_one_line(started: Any, tmp_path: Path) -> None
     found = [block.message(k) for block in blocks for k in range(len(block))]
     check_run_of_wrenches(found)
     assert f"{tmp_path / 'bag'}: {len(found)} messages" in out
-
-
-def test_a_place_that_is_taken_is_an_error(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setattr(sys, "argv", ["record", "-o", str(tmp_path)])
-    with pytest.raises(SystemExit, match="1"):
-        main()
-    said = f"error: {tmp_path}: is there already, and is not written over\n"
-    assert capsys.readouterr() == ("", said)
 
 
 def test_wrong_arguments_are_said(capsys: pytest.CaptureFixture[str]) -> None:

@@ -1,13 +1,12 @@
 """The timing of a replay, by a clock that the tests turn themselves."""
 
-import queue
 import threading
 import time
 from collections.abc import Callable, Iterator
 
 import pytest
 from galen_bags.formats.raw_block import Messages, pack
-from galen_bags.timing import Ahead, BagClock, Playlist, Settling, window
+from galen_bags.timing import Ahead, BagClock, Playlist, window
 
 from galen_bags import BagError
 
@@ -56,15 +55,6 @@ def test_a_pause_stops_bag_time() -> None:
     assert timeline.lag_s == 0.0
 
 
-def test_a_start_while_paused_waits() -> None:
-    timeline = BagClock(1.0)
-    timeline.pause(True, 0.0)
-    timeline.start(7 * S, 50.0)
-    assert timeline.advance(51.0) == 7 * S
-    timeline.pause(False, 60.0)
-    assert timeline.advance(60.05) == pytest.approx(7 * S + 50 * MS, abs=2)
-
-
 def test_hold_goes_on_from_what_was_not_published() -> None:
     timeline = BagClock(2.0)
     timeline.start(0, 0.0)
@@ -72,12 +62,6 @@ def test_hold_goes_on_from_what_was_not_published() -> None:
     timeline.hold(40 * MS, 0.05)
     assert timeline.lag_s == pytest.approx(0.03)
     assert timeline.advance(0.06) == pytest.approx(60 * MS, abs=2)
-
-
-def test_settling_waits_for_quiet() -> None:
-    settling = Settling(0.5)
-    seen = [(0, 0.0), (0, 0.4), (1, 0.45), (1, 0.9), (2, 0.94), (2, 1.43), (2, 1.45)]
-    assert [settling.settled(number, now_s) for number, now_s in seen] == [False] * 6 + [True]
 
 
 @pytest.mark.parametrize(
@@ -98,15 +82,6 @@ def test_a_window_of_a_bag(first_ns: int, last_ns: int | None, wanted: list[int]
     assert [each.message(k) for each in kept for k in range(len(each))] == [
         b"%d" % time_ns for time_ns in wanted
     ]
-
-
-def test_a_window_reads_no_further_than_its_end() -> None:
-    def blocks() -> Iterator[Messages]:
-        yield block([1, 2])
-        yield block([8, 9])
-        raise AssertionError("read on")
-
-    assert times(window(blocks(), 0, 5)) == [1, 2]
 
 
 def wait_for(predicate: Callable[[], object]) -> None:
@@ -162,29 +137,4 @@ def test_an_error_of_reading_comes_out() -> None:
     playlist.pop()
     with pytest.raises(BagError, match="can't be read"):
         played(playlist)
-    ahead.close()
-
-
-def test_reading_ahead_ends_when_nobody_wants_more() -> None:
-    def endless() -> Iterator[Messages]:
-        while True:
-            yield block([1])
-
-    ahead = Ahead(endless)
-    wait_for(lambda: ahead._ready.full())
-    ahead.close()
-    assert not ahead._thread.is_alive()
-
-
-def test_nothing_is_ready_at_first() -> None:
-    gate = threading.Event()
-
-    def late() -> Iterator[Messages]:
-        gate.wait(10.0)
-        yield block([1])
-
-    ahead = Ahead(late)
-    with pytest.raises(queue.Empty):
-        ahead.take()
-    gate.set()
     ahead.close()

@@ -86,22 +86,6 @@ def test_jitter_is_no_gap():
     assert found.sound
 
 
-def test_nothing_and_one_message():
-    assert StampCheck().report().count == 0
-    check = StampCheck()
-    check.add(np.array([START]), np.array([START + 5]))
-    assert np.isnan(check.report().rate_hz)
-    assert check.report().sound
-
-
-def test_the_events_kept_are_bounded():
-    stamps, logs = clean()
-    stamps[1::2] = stamps[::2]
-    found = report(stamps, logs)
-    assert found.duplicates == 2500
-    assert len(found.events) == 100
-
-
 def test_a_log_that_stood_still_makes_no_jump_of_regular_stamps():
     """A recorder that waited for its disk: late once, then many at once."""
     stamps, logs = clean()

@@ -8,8 +8,6 @@ from galen_bags.topics import find_definition
 from galen_ros.command import own_arguments
 from rosbags.typesys import get_types_from_msg
 
-from galen_bags import BagError
-
 
 def count(batches: list[tuple[list[int | None], bool]]) -> int:
     counter = TopicCounts("/w", "a/msg/B")
@@ -34,15 +32,6 @@ def count(batches: list[tuple[list[int | None], bool]]) -> int:
 )
 def test_gaps_in_sequence_numbers(batches: list[tuple[list[int | None], bool]], lost: int) -> None:
     assert count(batches) == lost
-
-
-def test_the_rate_is_by_log_times() -> None:
-    counts = TopicCounts("/w", "a/msg/B")
-    assert counts.rate_hz is None
-    for index in range(11):
-        counts.add(index * 2_000_000, 10)
-    assert counts.rate_hz == pytest.approx(500.0)
-    assert (counts.messages, counts.size_bytes, counts.last_ns) == (11, 110, 20_000_000)
 
 
 @pytest.mark.parametrize(
@@ -92,9 +81,3 @@ def test_a_definition_comes_with_all_types_in_it(tmp_path: Path) -> None:
     assert sorted(types) == ["one/msg/Inner", "one/msg/Outer", "two/msg/Deep"]
     assert [name for name, _ in types["one/msg/Outer"][1]] == ["inner", "deep"]
     assert text.count("MSG: one/Inner") == 1
-
-
-def test_a_type_that_is_not_installed_is_named(tmp_path: Path) -> None:
-    install(tmp_path, "one/Outer", "two/Deep deep\n")
-    with pytest.raises(BagError, match="two/msg/Deep"):
-        find_definition("one/msg/Outer", lambda package: tmp_path / package)
