@@ -8,16 +8,13 @@ import os
 import re
 import shutil
 import subprocess
-import sys
 import time
 from collections.abc import Mapping
 from pathlib import Path
 
 from . import machine
-from .interpreter import Interpreter, choose
+from .interpreter import Interpreter, Ros, choose, find_ros
 from .machine import SetupError
-from .ros import Ros, find_ros, unused_ros_note
-from .wheel_repair import repair_wheels
 
 LAYOUT = 1  # raise it when an environment made by older code is no longer good
 RCLPY_VERSION = "7.1.6"  # Jazzy's; a later one is another distribution
@@ -102,24 +99,41 @@ def explain_pip(log: str) -> str:
     """Return in a few words why pip failed, from its output."""
     if re.search(r"No space left on device|\[Errno 28\]|Disk quota exceeded", log):
         return "the disk is full: free some space"
-    missing = re.search(r"No matching distribution found for (\S+)", log)
-    network = re.search(
-        r"NewConnectionError|ConnectTimeout|ReadTimeout|Connection(?:Reset|Rejected)?Error"
-        r"|name resolution|Network is unreachable|ProxyError|SSLError|Max retries",
-        log,
-    )
-    if network:
+    if re.search(r"NewConnection|Connect|Timeout|name resolution|ProxyError|SSLError", log):
         return "the package index did not answer: check the connection and pip's configuration"
-    if missing and "(from versions: none)" in log:
-        # What pip also says, and nothing else, when it may not retry a failed connection.
-        return (
-            f"the package index did not answer or does not know {missing.group(1)}: "
-            "check the connection and pip's configuration"
-        )
+    missing = re.search(r"No matching distribution found for (\S+)", log)
     if missing:
-        return f"the package index does not have {missing.group(1)} for this Python and machine"
+        return (
+            f"the package index did not answer or does not have {missing.group(1)} for this Python "
+            "and machine: check the connection and pip's configuration"
+        )
     errors = re.findall(r"^ERROR: (.+)$", log, re.MULTILINE)
     return errors[-1] if errors else "pip failed"
+
+
+_BUILDER = r"/opt/python/cp\d+-cp\d+"
+_NUMPY = re.compile(_BUILDER + r"/lib/python3\.\d+/site-packages/numpy/(?:_core|core)/include")
+_PYTHON = re.compile(_BUILDER + r"/include/python3\.\d+")
+
+
+def repair_wheels(prefix: Path, python_include: str, numpy_include: str) -> int:
+    """Rewrite the builder's folders in ``<prefix>/share/*/cmake/*.cmake`` of the ROS wheels.
+
+    Their exported targets name the folders of the machine that built them.
+
+    Returns:
+        How many files were changed; a second call changes none.
+
+    """
+    changed = 0
+    for path in sorted(prefix.glob("share/*/cmake/*.cmake")):
+        text = path.read_text(encoding="utf-8")
+        fixed = _NUMPY.sub(lambda _: numpy_include, text)
+        fixed = _PYTHON.sub(lambda _: python_include, fixed)
+        if fixed != text:
+            path.write_text(fixed, encoding="utf-8")
+            changed += 1
+    return changed
 
 
 class Environment:
@@ -170,8 +184,6 @@ class Environment:
         machine.check_disk(self.root)
         origin = f"the ROS 2 in {self.ros.prefix}" if self.ros else "PyPI"
         print(f"Making .venv: Python {interpreter.version}, ROS 2 from {origin} ...", flush=True)
-        if self.ros is None and unused_ros_note():
-            print(unused_ros_note(), flush=True)
         started = time.monotonic()
         self.log.parent.mkdir(exist_ok=True)
         self.log.write_text("", encoding="utf-8")
@@ -291,28 +303,15 @@ class Environment:
         # Python compiles what is imported when it is; to compile all takes a quarter of the time.
         command += ["--no-compile"]
         command += [f"{name}=={version}" for name, version in pins.items()]
-        show = sys.stdout.isatty()
-        text = ""
-        with self.log.open("a", encoding="utf-8") as log:
-            pip = subprocess.Popen(
-                command,
-                env=self.variables(),
-                stdout=subprocess.PIPE,
-                stderr=subprocess.STDOUT,
-                text=True,
+        print(f"  fetching {len(pins)} of {total} packages ...", flush=True)
+        with self.log.open("a+", encoding="utf-8") as log:
+            begin = log.seek(0, os.SEEK_END)
+            done = subprocess.run(
+                command, env=self.variables(), stdout=log, stderr=log, check=False
             )
-            assert pip.stdout is not None
-            done = 0
-            for line in pip.stdout:
-                log.write(line)
-                text += line
-                done += line.startswith("Collecting ")
-                if show:
-                    print(f"\r  fetching {done} of {total} packages ", end="", flush=True)
-            code = pip.wait()
-        if show:
-            print("\r\033[K", end="", flush=True)
-        if code:
+            log.seek(begin)
+            text = log.read()
+        if done.returncode:
             raise SetupError(f"{explain_pip(text)}; see {self.log}")
 
     def _write_stamp(self, interpreter: Interpreter) -> None:

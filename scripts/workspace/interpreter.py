@@ -1,9 +1,10 @@
-"""Chooses the Python that the environment is made from."""
+"""Find the sourced ROS 2 Jazzy, and the Python that the environment is made from."""
 
 from __future__ import annotations
 
 import json
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -12,7 +13,43 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from .machine import SetupError
-from .ros import Ros
+
+DISTRO = "jazzy"
+
+
+@dataclass(frozen=True)
+class Ros:
+    """An installed ROS 2: its prefix, and the Python version that its rclpy is built for."""
+
+    prefix: Path
+    python_version: str
+
+
+def find_ros(environ: Mapping[str, str]) -> Ros | None:
+    """Return the sourced ROS 2 Jazzy, or None when no ROS is sourced.
+
+    Raises:
+        SetupError: another distribution is sourced, or Jazzy is sourced without rclpy.
+
+    """
+    distro = environ.get("ROS_DISTRO", "")
+    if not distro:
+        return None
+    if distro != DISTRO:
+        raise SetupError(
+            f"ROS 2 '{distro}' is sourced, but this workspace needs '{DISTRO}': "
+            f"start a new shell without it, or source /opt/ros/{DISTRO}/setup.bash in one"
+        )
+    for prefix in filter(None, environ.get("AMENT_PREFIX_PATH", "").split(":")):
+        for package in sorted(Path(prefix).glob("lib/python3.*/site-packages/rclpy")):
+            found = re.fullmatch(r"python(3\.\d+)", package.parents[1].name)
+            if found:
+                return Ros(Path(prefix), found.group(1))
+    raise SetupError(
+        f"ROS_DISTRO is '{DISTRO}', but no prefix in AMENT_PREFIX_PATH has rclpy: "
+        f"install ros-{DISTRO}-ros-base and source /opt/ros/{DISTRO}/setup.bash again"
+    )
+
 
 SUPPORTED = ("3.12", "3.11")
 DEBIAN_PYTHON = "/usr/bin/python3"  # what ROS's Debian packages are built for
