@@ -1,26 +1,13 @@
 """Recordings for tests: a sweep over still poses, computed from the model, written as a bag."""
 
 import numpy as np
+from calibration_files import tool_file  # noqa: F401 - for those who use recordings
 from galen_bags.formats.writer import BagWriter
 from galen_model.arm.galen import JOINT_NAMES, SENSOR
-from galen_model.files.calibration_file import CalibrationFile, LoadEstimate
 from galen_ros.cdr import joint_state_bytes, wrench_bytes
 
 START_NS = 1_700_000_000_000_000_000
 DELAY_NS = 400_000
-
-
-def tool_file(mass_kg=0.2, com_m=(0.07, -0.01, 0.055), name="retractor"):
-    tight = np.diag([1e-5, 1e-5, 1e-5, 1e-5]) ** 2
-    return CalibrationFile(
-        tool=name,
-        load=LoadEstimate(mass_kg, np.array(com_m), tight),
-        adapter=LoadEstimate(0.1, np.array([0.0, 0.0, 0.02]), tight),
-        tip_m=np.array([0.18, 0.01, 0.05]),
-        rmse=np.array([0.002, 0.002, 0.003, 4e-5, 4e-5, 4e-5]),
-        poses_used=56,
-        calibrated_at="2026-01-01T00:00:00+00:00",
-    )
 
 
 class Recording:

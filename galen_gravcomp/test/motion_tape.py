@@ -1,10 +1,10 @@
 """Fast free motion of the arm, and what a sensor reads in it by Pinocchio: the second method."""
 
+import calibration_files
 import numpy as np
 import pinocchio
 from galen_model.arm.galen import ENCODER_QUANTUM, HOME, SENSOR
 from galen_model.arm.pinocchio_arm import PinocchioArm
-from galen_model.files.calibration_file import CalibrationFile, LoadEstimate
 from galen_model.load.inertia import InertiaEstimate, inertia_matrix, point_mass_inertia
 from galen_model.load.model import Load, gravity_wrench
 
@@ -65,14 +65,5 @@ def measured(motion, rng):
 
 
 def tool_file(with_inertia=True):
-    tight = np.eye(4) * 1e-12
-    return CalibrationFile(
-        tool="retractor",
-        load=LoadEstimate(TOOL.mass_kg, TOOL.com_m, tight),
-        adapter=LoadEstimate(ADAPTER.mass_kg, ADAPTER.com_m, tight),
-        tip_m=np.zeros(3),
-        rmse=np.zeros(6),
-        poses_used=56,
-        calibrated_at="2026-11-21T12:00:00+00:00",
-        inertia=InertiaEstimate(INERTIA, np.eye(6) * 1e-12) if with_inertia else None,
-    )
+    inertia = InertiaEstimate(INERTIA, np.eye(6) * 1e-12) if with_inertia else None
+    return calibration_files.tool_file(std=1e-6, inertia=inertia)

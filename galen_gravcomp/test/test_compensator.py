@@ -8,11 +8,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from calibration_files import pointer
 from galen_gravcomp.compensator import Compensator, TareRejectedError
 from galen_gravcomp.corrections.tare import TareOutcome, TareRamp
 from galen_gravcomp.parameters import GravcompParameters
 from galen_model.arrays import Array
-from galen_model.files.calibration_file import CalibrationFile, LoadEstimate
 from galen_ros.stream import pairing as pairing_module
 from galen_ros.stream.samples import Notice, PairedWrench, Rejected, Rejection, Result
 
@@ -21,20 +21,7 @@ S = 1_000_000_000
 START = 100 * S
 
 
-def make_tool(name: str = "pointer", mass_kg: float = 0.06) -> CalibrationFile:
-    return CalibrationFile(
-        tool=name,
-        load=LoadEstimate(mass_kg, np.array([0.055, 0.002, 0.045]), np.eye(4) * 1e-8),
-        adapter=LoadEstimate(0.1, np.array([0.0, 0.0, 0.02]), np.eye(4) * 1e-8),
-        tip_m=np.array([0.15, 0.0, 0.05]),
-        rmse=np.zeros(6),
-        poses_used=56,
-        calibrated_at="2026-01-01T00:00:00+00:00",
-        residual_offset=np.array([0.01, -0.02, 0.03, 1e-3, -2e-3, 3e-3]),
-    )
-
-
-TOOL = make_tool()
+TOOL = pointer(residual_offset=np.array([0.01, -0.02, 0.03, 1e-3, -2e-3, 3e-3]))
 PUSH = np.array([1.0, -2.0, 3.0, 0.1, -0.2, 0.3])
 
 
@@ -424,7 +411,7 @@ def test_tare_that_cannot_start() -> None:
     ("event", "word"),
     [
         (lambda c: c.set_enabled(False), "switched off"),
-        (lambda c: c.set_tool(make_tool("retractor", 0.2)), "tool was changed"),
+        (lambda c: c.set_tool(pointer("retractor", 0.2)), "tool was changed"),
         (lambda c: c.pairing.restart("driver restarted: test"), "restarted"),
     ],
 )

@@ -9,11 +9,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
+from calibration_files import pointer
 from galen_gravcomp.compensator import Compensator, TareRejectedError
 from galen_gravcomp.corrections import tare as tare_module
 from galen_gravcomp.corrections.tare import TareOutcome
 from galen_gravcomp.parameters import GravcompParameters
-from galen_model.files.calibration_file import CalibrationFile, LoadEstimate
+from galen_model.files.calibration_file import CalibrationFile
 from galen_ros.stream import pairing as pairing_module
 from galen_ros.stream.samples import (
     ANGLE_UNIT_LIMIT_RAD,
@@ -39,20 +40,8 @@ START = 1_700_000_000 * S
 FRAMES = ("ft_sensor", "other_frame")
 
 
-def make_tool(mass_kg: float) -> CalibrationFile:
-    return CalibrationFile(
-        tool="pointer",
-        load=LoadEstimate(mass_kg, np.array([0.055, 0.002, 0.045]), np.eye(4) * 1e-8),
-        adapter=LoadEstimate(0.1, np.array([0.0, 0.0, 0.02]), np.eye(4) * 1e-8),
-        tip_m=np.zeros(3),
-        rmse=np.zeros(6),
-        poses_used=56,
-        calibrated_at="2026-01-01T00:00:00+00:00",
-        residual_offset=np.array([0.01, -0.02, 0.03, 1e-3, -2e-3, 3e-3]),
-    )
-
-
-TOOL, OTHER_TOOL = make_tool(0.06), make_tool(0.4)
+OFFSET = np.array([0.01, -0.02, 0.03, 1e-3, -2e-3, 3e-3])
+TOOL, OTHER_TOOL = (pointer(mass_kg=mass, residual_offset=OFFSET) for mass in (0.06, 0.4))
 
 
 class Sample(NamedTuple):

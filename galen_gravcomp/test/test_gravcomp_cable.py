@@ -4,14 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from calibration_files import tool_file
 from galen_gravcomp.compensator import Compensator
 from galen_gravcomp.corrections.cable import CablePull
 from galen_gravcomp.monitor import Monitor
 from galen_gravcomp.parameters import GravcompParameters
 from galen_model.arm.galen import HOME, SENSOR
-from galen_model.files.calibration_file import CalibrationFile, LoadEstimate
 from galen_model.load.cable import FORMS, LearnedPull, form_matrices
-from galen_model.load.nominal_tools import ADAPTER, TOOLS
 from galen_ros.stream.monitor import Severity
 from galen_ros.stream.samples import PairedWrench, Rejection
 from sample_blocks import topic
@@ -38,10 +37,7 @@ def a_drag(form="point", seed=0):
 
 
 def a_tool(cable=None):
-    tool, adapter = TOOLS["retractor"].load, ADAPTER
-    load = LoadEstimate(tool.mass_kg, tool.com_m, 1e-8 * np.eye(4))
-    bias = LoadEstimate(adapter.mass_kg, adapter.com_m, 1e-8 * np.eye(4))
-    return CalibrationFile("retractor", load, bias, AT, np.zeros(6), 56, "x", cable=cable)
+    return tool_file(cable=cable)
 
 
 def motion(count=1500):

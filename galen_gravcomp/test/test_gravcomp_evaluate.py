@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from calibration_files import pointer
 from galen_bags.arrays.tables import OrientationTable, TableError, read_table
 from galen_gravcomp.evaluate.command import main
 from galen_gravcomp.evaluate.table_scores import (
@@ -16,13 +17,10 @@ from galen_gravcomp.evaluate.table_scores import (
 )
 from galen_model.arm.galen import GALEN, GRAVITY_M_S2
 from galen_model.files.calibration_file import (
-    CalibrationFile,
-    LoadEstimate,
     read_calibration,
     write_calibration,
 )
 from galen_model.load.model import Load, gravity_wrench
-from galen_model.load.nominal_tools import ADAPTER, TOOLS
 from galen_model.rotation import matrix_to_quaternion
 
 LOAD = Load(0.9, np.array([0.002, -0.001, 0.044]))
@@ -199,14 +197,7 @@ def test_a_recording_is_scored_by_stops_and_its_json_is_whole(tmp_path, capsys):
 
 def test_a_tool_file_is_scored_beside_the_fits(tmp_path, capsys):
     rng = np.random.default_rng(6)
-    geometry = TOOLS["pointer"]
-    tool = CalibrationFile(
-        tool="pointer",
-        load=LoadEstimate(geometry.load.mass_kg, geometry.load.com_m, np.eye(4) * 1e-9),
-        adapter=LoadEstimate(ADAPTER.mass_kg, ADAPTER.com_m, np.eye(4) * 1e-9),
-        tip_m=geometry.tip_m, rmse=np.full(6, 1e-3), poses_used=56,
-        calibrated_at="2026-11-21T12:00:00+00:00",
-    )  # fmt: skip
+    tool = pointer()
     write_calibration(tmp_path / "pointer.json", tool)
     joints = np.column_stack([rng.uniform(-1.5, 1.5, 40), rng.uniform(-1.0, 0.9, 40)])
     noise = NOISE * 0.1

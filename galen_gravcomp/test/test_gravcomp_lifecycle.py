@@ -6,16 +6,17 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from calibration_files import pointer
 from galen_gravcomp.node import GravcompNode
 from galen_model.files.calibration_file import calibration_path, write_calibration
 from galen_ros.node.diagnostics import Level
 from galen_ros.node.testing import Harness, Lifecycle, parameters
 from std_srvs.srv import SetBool, Trigger
-from test_gravcomp_node import LEFT, POINTER, PUSH, RETRACTOR, STILL, Bench, make_tool
+from test_gravcomp_node import LEFT, POINTER, PUSH, RETRACTOR, STILL, Bench
 
 from galen_msgs.srv import ListTools
 
-OTHER = make_tool("pointer", 0.09)  # of another arm, by the same name
+OTHER = pointer(mass_kg=0.09)  # of another arm, by the same name
 
 
 @pytest.fixture

@@ -1,23 +1,14 @@
 """State, rates and latency of the compensator, with a clock made up."""
 
-import numpy as np
 import pytest
+from calibration_files import pointer
 from galen_gravcomp.compensator import Compensator
 from galen_gravcomp.monitor import Monitor
-from galen_model.files.calibration_file import CalibrationFile, LoadEstimate
 from galen_ros.stream.monitor import HOLD_S, NOTICE_HOLD_S, Severity
 from galen_ros.stream.samples import Notice, PairedWrench, Rejected, Rejection
 
 S = 1_000_000_000
-TOOL = CalibrationFile(
-    tool="pointer",
-    load=LoadEstimate(0.06, np.array([0.055, 0.002, 0.045]), np.eye(4)),
-    adapter=LoadEstimate(0.1, np.array([0.0, 0.0, 0.02]), np.eye(4)),
-    tip_m=np.array([0.15, 0.0, 0.05]),
-    rmse=np.zeros(6),
-    poses_used=56,
-    calibrated_at="2026-01-01T00:00:00+00:00",
-)
+TOOL = pointer()
 GOOD = (1.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 BAD = (float("nan"), 0.0, 0.0, 0.0, 0.0, 0.0)
 

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from calibration_files import tool_file
 from galen_bags.arrays.tables import read_table
 from galen_gravcomp.compensator import Compensator
 from galen_gravcomp.evaluate.command import main
@@ -11,7 +12,7 @@ from galen_gravcomp.evaluate.table_scores import evaluate_table, table_predictio
 from galen_gravcomp.parameters import GravcompParameters
 from galen_model.errors import GalenError
 from galen_model.evidence.block_gain import MOUNTED, PLAIN
-from galen_model.files.calibration_file import CalibrationFile, LoadEstimate, read_calibration
+from galen_model.files.calibration_file import read_calibration
 from galen_model.load.mounting.mounting import Mounting
 from galen_model.load.prediction import Prediction
 from galen_ros.stream.samples import PairedWrench
@@ -24,15 +25,7 @@ TURNED = Mounting(
     base_inclination_rad=np.array([0.05, -0.08]),
     joint_zero_rad=np.array([0.03, 0.06]),
 )
-NONE = np.zeros((4, 4))
-TOOL = CalibrationFile(
-    tool="pointer",
-    load=LoadEstimate(0.2, np.array([0.07, -0.01, 0.055]), NONE),
-    adapter=LoadEstimate(0.1, np.array([0.0, 0.0, 0.02]), NONE),
-    tip_m=np.zeros(3),
-    rmse=np.zeros(6),
-    poses_used=56,
-    calibrated_at="2026-01-01T00:00:00+00:00",
+TOOL = tool_file(
     residual_offset=np.array([0.01, -0.02, 0.03, 1e-3, -2e-3, 3e-3]),
     gravity_m_s2=np.array([0.0, 0.0, -9.81]),
     mounting=TURNED,

@@ -6,12 +6,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+from calibration_files import pointer
 from diagnostic_msgs.msg import DiagnosticArray
 from galen_gravcomp.node import GravcompNode
 from galen_model.arrays import Array
 from galen_model.files.calibration_file import (
-    CalibrationFile,
-    LoadEstimate,
     calibration_path,
     write_calibration,
 )
@@ -36,20 +35,7 @@ STILL = (0.2, -0.1)
 TORN = b"\x00\x01\x00\x00\x01\x00"  # ends inside its stamp
 
 
-def make_tool(name: str, mass_kg: float) -> CalibrationFile:
-    return CalibrationFile(
-        tool=name,
-        load=LoadEstimate(mass_kg, np.array([0.055, 0.002, 0.045]), np.eye(4) * 1e-8),
-        adapter=LoadEstimate(0.1, np.array([0.0, 0.0, 0.02]), np.eye(4) * 1e-8),
-        tip_m=np.array([0.15, 0.0, 0.05]),
-        rmse=np.zeros(6),
-        poses_used=56,
-        calibrated_at="2026-01-01T00:00:00+00:00",
-    )
-
-
-POINTER = make_tool("pointer", 0.06)
-RETRACTOR = make_tool("retractor", 0.2)
+POINTER, RETRACTOR = pointer(), pointer("retractor", 0.2)
 
 
 @pytest.fixture

@@ -8,12 +8,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+from calibration_files import pointer
 from diagnostic_msgs.msg import DiagnosticArray
 from galen_gravcomp.node import GravcompNode
 from galen_model.arm.galen import GALEN
 from galen_model.files.calibration_file import (
-    CalibrationFile,
-    LoadEstimate,
     calibration_path,
     write_calibration,
 )
@@ -40,19 +39,8 @@ JOINTS = np.array([0.02, -0.01, 0.45, 0.2, -0.1])
 LEFT = np.array([0.5, -0.4, 0.3, 0.01, -0.02, 0.03])
 
 
-def a_tool(name: str, mass_kg: float) -> CalibrationFile:
-    return CalibrationFile(
-        tool=name,
-        load=LoadEstimate(mass_kg, np.array([0.055, 0.002, 0.045]), np.eye(4) * 1e-8),
-        adapter=LoadEstimate(0.1, np.array([0.0, 0.0, 0.02]), np.eye(4) * 1e-8),
-        tip_m=np.array([0.15, 0.0, 0.05]),
-        rmse=np.arange(6) * 1e-3,
-        poses_used=56,
-        calibrated_at="2026-01-01T00:00:00+00:00",
-    )
-
-
-POINTER, RETRACTOR = a_tool("pointer", 0.06), a_tool("retractor", 0.2)
+RMSE = np.arange(6) * 1e-3
+POINTER, RETRACTOR = pointer(rmse=RMSE), pointer("retractor", 0.2, rmse=RMSE)
 
 
 class Person(Node):
@@ -117,9 +105,9 @@ def test_tools_by_service_in_one_nodes_life(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(tool_services, "_FILE_CHECK_S", 0.05)
-    for tool in (POINTER, RETRACTOR, a_tool("drill", 0.06 + 1e-5)):
+    for tool in (POINTER, RETRACTOR, pointer("drill", 0.06 + 1e-5)):
         write_calibration(calibration_path(tmp_path, tool.tool), tool)
-    write_calibration(tmp_path / "cut.json.bak", a_tool("cut", 0.1))
+    write_calibration(tmp_path / "cut.json.bak", pointer("cut", 0.1))
     (tmp_path / "cut.json").write_text("{")
     values = {"tools_dir": str(tmp_path), "tool": "pointer", "tare_window_s": 0.05, "late_s": 0.0}
     with Harness() as harness:

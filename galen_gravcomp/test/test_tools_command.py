@@ -6,12 +6,11 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
+from calibration_files import pointer
 from galen_gravcomp.tools import main
 from galen_model.files.calibration_file import (
     CalibrationFile,
-    LoadEstimate,
     age_text,
     calibration_path,
     write_calibration,
@@ -21,22 +20,10 @@ from galen_gravcomp import tool_services
 from galen_gravcomp import tools as tools_module
 
 
-def a_tool(name: str, mass_kg: float) -> CalibrationFile:
-    return CalibrationFile(
-        tool=name,
-        load=LoadEstimate(mass_kg, np.array([0.055, 0.002, 0.045]), np.diag([1, 4, 4, 4]) * 1e-8),
-        adapter=LoadEstimate(0.1, np.array([0.0, 0.0, 0.02]), np.eye(4) * 1e-8),
-        tip_m=np.array([0.15, 0.0, 0.05]),
-        rmse=np.zeros(6),
-        poses_used=56,
-        calibrated_at="2026-01-01T00:00:00+00:00",
-        unresolved=("how much of the load is the adapter",) if name == "retractor" else (),
-    )
-
-
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
-    for tool in (a_tool("pointer", 0.06), a_tool("retractor", 0.2)):
+    unresolved = ("how much of the load is the adapter",)
+    for tool in (pointer(), pointer("retractor", 0.2, unresolved=unresolved)):
         write_calibration(calibration_path(tmp_path, tool.tool), tool)
     (tmp_path / "cut.json").write_text("{")
     return tmp_path
@@ -117,7 +104,7 @@ def test_compare(tools: Command) -> None:
 
 
 def test_the_calibration_before(tools: Command, capsys: pytest.CaptureFixture[str]) -> None:
-    write_calibration(calibration_path(tools.folder, "pointer"), a_tool("pointer", 0.061))
+    write_calibration(calibration_path(tools.folder, "pointer"), pointer(mass_kg=0.061))
     found = tools.json("compare", "pointer", "--previous")
     assert (found["a"], found["b"]) == ("pointer before", "pointer")
     assert found["differences"][0]["difference"] == pytest.approx(1e-3)

@@ -1,8 +1,8 @@
 """A made-up arm for tests of what is watched live: poses, pushes, another load, drift."""
 
+import calibration_files
 import numpy as np
 from galen_model.arm.galen import GALEN, SENSOR
-from galen_model.files.calibration_file import CalibrationFile, LoadEstimate
 from galen_model.load.model import Load, gravity_wrench
 
 POINTER = Load(0.06, np.array([0.055, 0.002, 0.045]))
@@ -13,16 +13,11 @@ START_NS = 1_700_000_000_000_000_000
 
 
 def tool_file(load=RETRACTOR, name="retractor"):
-    tight = np.diag([2e-4, 1e-4, 1e-4, 1e-4]) ** 2
-    return CalibrationFile(
-        tool=name,
-        load=LoadEstimate(load.mass_kg, load.com_m, tight),
-        adapter=LoadEstimate(0.1, np.array([0.0, 0.0, 0.02]), tight),
-        tip_m=LEVER,
-        rmse=np.array([0.004, 0.004, 0.005, 1e-4, 1e-4, 1e-4]),
-        poses_used=56,
-        calibrated_at="2026-01-01T00:00:00+00:00",
-    )
+    rmse = np.array([0.004, 0.004, 0.005, 1e-4, 1e-4, 1e-4])
+    covariance = np.diag([2e-4, 1e-4, 1e-4, 1e-4]) ** 2
+    made = calibration_files.tool_file(load.mass_kg, load.com_m, name, rmse=rmse)
+    made.load.covariance[:] = made.adapter.covariance[:] = covariance
+    return made
 
 
 def push(force):
