@@ -337,7 +337,7 @@ def _noise(path: Path) -> Array:
 
 
 def _kind(given: Sequence[str]) -> Kind:
-    """What the first input that is a file makes of the command."""
+    """Return the kind of the first input."""
     words = [word for word in given if word not in ("-h", "--help")]
     if all(word.startswith("-") for word in words):
         return "recording"

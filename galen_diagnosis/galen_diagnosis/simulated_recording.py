@@ -29,7 +29,7 @@ from pathlib import Path
 import numpy as np
 from galen_bags.arrays.arm_recording import JOINT_STATE_TYPE, POSE_TYPE, WRENCH_TYPE
 from galen_bags.formats.writer import BagWriter
-from galen_model.arm.galen import BASE_FRAME, HOME, JOINT_NAMES, SENSOR, SENSOR_FRAME, TRACKER_FRAME
+from galen_model.arm.galen import GALEN, SENSOR, TRACKER_FRAME
 from galen_model.arrays import Array
 from galen_model.files.calibration_file import CalibrationFile, LoadEstimate, write_calibration
 from galen_model.load.model import Load
@@ -46,6 +46,7 @@ from galen_sim_driver.plant.motion import Trajectory, TrajectoryPoint
 
 from galen_diagnosis.errors import DiagnosisError
 
+_ARM = GALEN
 RATE_HZ = 200.0
 """Of the plant: a multiple of the rates of all bags."""
 
@@ -75,14 +76,12 @@ _PUSH_POSITIONS = np.array(
 
 
 def sweep_poses() -> Array:
-    """Joints (56, 5) of a sweep: 7 tilts, 8 rolls each, there and back."""
+    """Return joints (56, 5) of a sweep: 7 tilts, 8 rolls each, there and back."""
     tilts, rolls = np.linspace(-0.95, 0.85, 7), np.linspace(-1.4, 1.4, 8)
-    poses = np.tile(HOME, (len(tilts) * len(rolls), 1))
-    for row, tilt in enumerate(tilts):
-        here = slice(row * len(rolls), (row + 1) * len(rolls))
-        poses[here, 3] = rolls[:: 1 if row % 2 == 0 else -1]
-        poses[here, 4] = tilt
-    return poses
+    rows = [
+        (roll, tilt) for k, tilt in enumerate(tilts) for roll in rolls[:: 1 if k % 2 == 0 else -1]
+    ]
+    return _ARM.with_angles(rows)
 
 
 def make_recording(
@@ -144,7 +143,7 @@ class _Session:
         self._rng = np.random.default_rng([seed, 1])
         self._poses = poses
         self._motion = _free_motion(self._rng)
-        moves = [_move_s(a, b) for a, b in zip([HOME, *poses[:-1]], poses, strict=True)]
+        moves = [_move_s(a, b) for a, b in zip([_ARM.home, *poses[:-1]], poses, strict=True)]
         self._sweep_s = sum(moves) + _STILL_S * len(poses)
         starts = {"sweep": 0.0, "motion": self._sweep_s + _PAUSE_S}
         starts["push"] = starts["motion"] + MOTION_S + _PAUSE_S
@@ -174,18 +173,18 @@ class _Session:
                 parts[name](_Tape(writer, name, self._plant))
 
     def _sweep(self, tape: _Tape) -> None:
-        here = HOME
+        here = _ARM.home
         for pose in self._poses:
             self._move(here, pose, tape)
             tape.run(_STILL_S)
             here = pose
         # The way to where the motion starts is not recorded.
-        self._order(here, HOME, _PAUSE_S - 1.0)
+        self._order(here, _ARM.home, _PAUSE_S - 1.0)
 
     def _free(self, tape: _Tape) -> None:
         self._plant.command(self._motion)
         tape.run(MOTION_S)
-        self._order(HOME, _PUSH_POSITIONS[0], 1.0)
+        self._order(_ARM.home, _PUSH_POSITIONS[0], 1.0)
 
     def _push(self, tape: _Tape) -> None:
         for number, position in enumerate(_PUSH_POSITIONS):
@@ -206,9 +205,9 @@ class _Session:
     def _order(self, start: Array, end: Array, duration_s: float) -> None:
         if np.array_equal(start, end):
             return
-        rest = [0.0] * len(JOINT_NAMES)
+        rest = [0.0] * len(_ARM.joint_names)
         point = TrajectoryPoint(duration_s, end.tolist(), rest, rest)
-        self._plant.command(Trajectory(JOINT_NAMES, [point]))
+        self._plant.command(Trajectory(_ARM.joint_names, [point]))
 
     def _wait_for(self, since_start_s: float) -> None:
         until_ns = _START_NS + round(since_start_s * 1e9)
@@ -223,8 +222,8 @@ class _Tape:
         self._writer, self._plant = writer, plant
         self._every = round(RATE_HZ / BAG_RATES_HZ[bag])
         self._period_ns = round(1e9 / RATE_HZ)
-        self._joints = joint_state_bytes(JOINT_NAMES, BASE_FRAME)
-        self._wrench = wrench_bytes(SENSOR_FRAME)
+        self._joints = joint_state_bytes(_ARM.joint_names, _ARM.base_frame)
+        self._wrench = wrench_bytes(_ARM.sensor_frame)
         self._pose = pose_bytes(TRACKER_FRAME)
         self._markers: list[int] = []
         self.on = True
@@ -287,7 +286,7 @@ def _free_motion(rng: np.random.Generator) -> Trajectory:
     swing = np.einsum("jk,jkn->nj", _AMPLITUDES, np.sin(angle))
     ends = np.clip(np.minimum(at_s, at_s[-1] - at_s) / 3.0, 0.0, 1.0)
     fade = ends**3 * (10.0 - 15.0 * ends + 6.0 * ends**2)
-    joints = HOME + fade[:, None] * swing
+    joints = _ARM.home + fade[:, None] * swing
     velocity = np.gradient(joints, step_s, axis=0)
     acceleration = np.gradient(velocity, step_s, axis=0)
     every = round(_POINT_S / step_s)
@@ -297,7 +296,7 @@ def _free_motion(rng: np.random.Generator) -> Trajectory:
         )
         for k in range(every, len(at_s), every)
     ]
-    return Trajectory(JOINT_NAMES, points)
+    return Trajectory(_ARM.joint_names, points)
 
 
 def _pushes(rng: np.random.Generator) -> tuple[HandPush, ...]:
@@ -317,7 +316,7 @@ def _pushes(rng: np.random.Generator) -> tuple[HandPush, ...]:
 
 
 def _in_plants_time(effect: Effect, starts: dict[str, float]) -> Effect:
-    """The same with its time from the plant's start, where it has one of a bag."""
+    """Return the same with its time from the plant's start, where it has one of a bag."""
     if isinstance(effect, BiasStep) and effect.bag:
         return replace(effect, bag="", time_s=effect.time_s + starts[effect.bag])
     if isinstance(effect, BaseShift):

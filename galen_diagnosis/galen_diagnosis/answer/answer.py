@@ -100,7 +100,7 @@ class Answer:
 
 
 def _at(identity: str) -> dict[str, str]:
-    """An effect and, where it has one, its joint."""
+    """Return an effect and, where it has one, its joint."""
     effect, _, joint = identity.partition(":")
     return {"effect": effect, "joint": joint} if joint else {"effect": effect}
 

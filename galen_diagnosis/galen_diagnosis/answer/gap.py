@@ -34,7 +34,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from galen_model.arm.galen import GALEN
 from galen_model.arrays import Array
 from galen_model.evidence.linear import Background, factor
 from galen_sim_driver.effects.effect import Effect
@@ -227,7 +226,7 @@ def parameters(
 
 
 def _root(spread: Array) -> Array:
-    """The symmetric root, which is unique: the signs of eigenvectors are not."""
+    """Return the symmetric root, which is unique: the signs of eigenvectors are not."""
     values, vectors = np.linalg.eigh(spread)
     return np.asarray((vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T)
 
@@ -235,9 +234,7 @@ def _root(spread: Array) -> Array:
 def _told(observation: Observation, effect: Effect) -> Mapping[str, Any]:
     told = contract_parameters(effect)
     if isinstance(effect, CableDrag):
-        joints = np.concatenate([view.scene.joints for view in observation.views.values()])
-        rotation, origin = GALEN.sensor_pose(joints[:: max(len(joints) // 500, 1)])
-        told["tension_N"] = float(np.mean(effect.tension(rotation, origin)))
+        told["tension_N"] = float(np.mean(effect.tension(*observation.sensor_poses(500))))
     return told
 
 

@@ -31,7 +31,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from galen_model.arm.galen import JOINT_NAMES
 from galen_model.arrays import Array
 
 from galen_diagnosis.observation.rows import BAGS, CHANNELS, REGIMES, Rows
@@ -162,8 +161,8 @@ def by_pose(rows: Rows) -> View:
     labels: list[str] = []
     details: list[dict[str, Any]] = []
     for number, (bag, pose) in enumerate(zip(present // poses, present % poses, strict=True)):
-        joints = np.median(rows.joints[row[cell.ravel() == number]], axis=0)
-        at = {name: round(float(q), 5) for name, q in zip(JOINT_NAMES, joints, strict=True)}
+        joints = np.median(rows.joints[row[cell.ravel() == number]], axis=0).round(5).tolist()
+        at = dict(zip(rows.arm.joint_names, joints, strict=True))
         labels.append(f"{BAGS[bag]} {'pose' if BAGS[bag] == 'sweep' else 'position'} {pose}")
         details.append({"bag": BAGS[bag], "pose": int(pose), "joints": at})
     return View(tuple(labels), tuple(details), row, cell.ravel())
@@ -248,7 +247,7 @@ def _noise_alone(
     spread: float,
     drawing: tuple[int, float, int],
 ) -> Array:
-    """Sums of squares (draws, K) of noise alone."""
+    """Return sums of squares (draws, K) of noise alone."""
     draws, level_std, seed = drawing
     names, number = np.unique(block, return_inverse=True)
     count = np.bincount(cell * len(names) + number).astype(float)
@@ -273,7 +272,7 @@ def _noise_alone(
 def _deviations(
     healthy: Array, cell: np.ndarray, there: np.ndarray, draws: int, seed: int
 ) -> Array:
-    """What a healthy arm adds to the sums of squares (draws, K)."""
+    """Return what a healthy arm adds to the sums of squares (draws, K)."""
     rng = np.random.default_rng([seed, 1])
     deviation = rng.standard_normal((draws, healthy.shape[1]))
     order = np.argsort(cell, kind="stable")

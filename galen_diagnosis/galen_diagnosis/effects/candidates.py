@@ -16,7 +16,7 @@ from dataclasses import dataclass, field, replace
 from itertools import permutations, product
 
 import numpy as np
-from galen_model.arm.galen import GALEN, WRENCH_AXES
+from galen_model.arm.galen import WRENCH_AXES
 from galen_model.arrays import Array
 from galen_model.evidence.linear import Background
 from galen_sim_driver.effects.effect import Effect
@@ -52,7 +52,6 @@ _NOT_SOUGHT = frozenset({"joint_gain:roll", "joint_axis_misalignment:roll"})
 _CABLE_REACH_M = 0.7
 _CABLE_WAYS = (1.0, float(np.sqrt(3.0)))
 """Held towards the faces and corners of a cube about the tool."""
-_SOFTNESS = ("roll", "tilt", "carriage", "rod")
 _ALL = "all"
 
 
@@ -177,12 +176,13 @@ def _plain(name: str, label: str, effect: Effect, free: np.ndarray) -> Candidate
 
 
 def _compliances(_: Observation) -> Iterator[Candidate]:
-    for index, of in enumerate(_SOFTNESS):
-        one = _plain("joint_compliance", of, JointCompliance(), np.array([index]))
+    for index, spring in enumerate(JointCompliance.fitted):
+        one = _plain("joint_compliance", spring.name, JointCompliance(), np.array([index]))
         # Of exactly 0 the effect keeps the spring nominal, and a fit can't leave it.
         yield replace(one, probe=np.array([0.05]))
-    both = _plain("joint_compliance", _ALL, JointCompliance(), np.arange(4))
-    yield replace(both, probe=np.full(4, 0.05))
+    count = len(JointCompliance.fitted)
+    every = _plain("joint_compliance", _ALL, JointCompliance(), np.arange(count))
+    yield replace(every, probe=np.full(count, 0.05))
 
 
 def _hysteresis(_: Observation) -> Iterator[Candidate]:
@@ -202,8 +202,8 @@ def _hysteresis(_: Observation) -> Iterator[Candidate]:
         yield replace(one, probe=probe, typical=typical)
 
 
-def _backlashes(_: Observation) -> Iterator[Candidate]:
-    for joint in ("roll", "tilt"):
+def _backlashes(observation: Observation) -> Iterator[Candidate]:
+    for joint in observation.recording.arm.turning_names:
         # With no gap the other numbers do nothing: they come in with the fit on the simulator.
         one = _plain("backlash", joint, Backlash(joint=joint, seat=2.0), np.arange(3))
         yield replace(one, probe=np.array([1e-3, 0.05, 0.1]))
@@ -211,8 +211,7 @@ def _backlashes(_: Observation) -> Iterator[Candidate]:
 
 def _cables(observation: Observation) -> Iterator[Candidate]:
     effect = CableDrag()
-    joints = np.concatenate([v.scene.joints for v in observation.views.values()])
-    rotation, origin = GALEN.sensor_pose(joints[:: max(len(joints) // 2000, 1)])
+    rotation, origin = observation.sensor_poses(2000)
     at = np.mean(origin + rotation @ np.asarray(effect.attachment_m), axis=0)
     for direction in product((-1.0, 0.0, 1.0), repeat=3):
         length = float(np.linalg.norm(direction))

@@ -59,7 +59,7 @@ def crosstalk_candidates(observation: Observation, zero: Array) -> list[Candidat
 
 
 def _readings_at_rows(observation: Observation) -> Array:
-    """The reading (N, 6) at each row's time: predicted where untouched, measured where touched."""
+    """Return the reading (N, 6) at each row's time, where untouched the predicted one."""
     rows = observation.rows
     out = np.zeros((len(rows), 6))
     for name, view in observation.views.items():
@@ -96,7 +96,7 @@ def drift_candidates(observation: Observation, zero: Array) -> list[Candidate]:
 
 
 def _drift(knots_s: Array, values: Array) -> Effect:
-    """A drift by rates (6,) and bumps (k, 6) at knots between first and last."""
+    """Return a drift by rates (6,) and bumps (k, 6) at knots between first and last."""
     line = np.outer(knots_s - knots_s[0], values[:6] / _HOUR_S)
     if len(values) > 6:
         line[1:-1] += values[6:].reshape(-1, 6)
@@ -209,7 +209,7 @@ def jump_candidate(observation: Observation, scan: Scan, columns: Array, index: 
 
 
 def _when(scan: Scan, bag: str) -> tuple[float, float]:
-    """Times of a bag that hold 95 % of a jump's probability there, and a step beside them.
+    """Return times of a bag that hold 95 % of a jump's probability there, and a step beside them.
 
     The evidence is tempered, as all is: noise is white but for what a fit leaves.
     """
@@ -318,7 +318,7 @@ def _beyond(observation: Observation, zero: Array, axis: int, limit: float, nois
 
 
 def _runs(at_s: Array, on: np.ndarray) -> list[tuple[float, float]]:
-    """Times from to in which `on` holds, short gaps of noise closed."""
+    """Return times from to in which `on` holds, short gaps of noise closed."""
     times = at_s[on]
     if not len(times):
         return []

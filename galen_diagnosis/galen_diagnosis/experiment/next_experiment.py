@@ -19,7 +19,7 @@ from typing import Any, Literal
 
 import numpy as np
 import yaml
-from galen_model.arm.galen import GALEN, HOME
+from galen_model.arm.galen import GALEN
 from galen_model.arrays import Array
 from galen_model.errors import NotExcitedError
 from galen_model.files.atomic_file import write_whole
@@ -48,7 +48,7 @@ _POSES = 14
 _AVERAGE_S = 1.0
 _SETTLE_S = 0.4
 """As calibration_node's velocity_window_s and settle_s."""
-_SWEEP = SweepRange(home=HOME, lower=(-1.5, -1.0), upper=(1.5, 0.9))
+_SWEEP = SweepRange(home=GALEN.home, lower=(-1.5, -1.0), upper=(1.5, 0.9))
 _SPEEDS = (0.3, 1.0)
 _MOTION_S = 20.0
 _LEVELS_N = (3.0, 8.0)
@@ -216,7 +216,7 @@ def _still(poses: Array, tool: CalibrationFile, **options: Any) -> Trial:
 def _chosen_poses(
     alternatives: Sequence[Alternative], tool: CalibrationFile, *, tracker: bool
 ) -> Array:
-    """The poses that separate best, in a good order; a calibration can be made of them."""
+    """Return the poses that separate best, in a good order; a calibration can be made of them."""
     candidates = _SWEEP.candidates()
     trial = _still(candidates, tool, tracker=tracker)
     poses = candidates[choose_units(trial, alternatives, tool, _POSES)]
@@ -274,10 +274,11 @@ def write_sweep(experiment: Experiment, path: Path) -> None:
         node, more = "galen_calibration_behavior calibration_node", " -p tools_dir:=DIR"
         command = f"galen_calibration_behavior calibrate TOOL --tip X Y Z{one_sweep}"
         remark = _SWEEP_REMARK.format(tracker=tracker)
+        home = ("Xhome", "Yhome", "Zhome", "Rhome", "Thome")
         parameters = {
             "poses": "listed",
             "average_s": _AVERAGE_S,
-            **dict(zip(("Xhome", "Yhome", "Zhome", "Rhome", "Thome"), HOME.tolist(), strict=True)),
+            **dict(zip(home, GALEN.home.tolist(), strict=True)),
             "listed_poses_rad": _rounded(GALEN.angles(proposal.poses)),
         }
     else:

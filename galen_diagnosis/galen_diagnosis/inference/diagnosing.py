@@ -155,7 +155,7 @@ def _healthy(found: Found, plain: Background) -> Array:
 
 
 def _sets(explored: Explored, chances: Posterior) -> list[tuple[float, frozenset[str]]]:
-    """Sets of effects by probability, the likeliest first."""
+    """Return sets of effects by probability, the likeliest first."""
     total: dict[frozenset[str], float] = {}
     for one, chance in zip(explored.scored, chances.hypotheses, strict=True):
         if one.names:
@@ -165,7 +165,7 @@ def _sets(explored: Explored, chances: Posterior) -> list[tuple[float, frozenset
 
 
 def _fitted(found: Found, names: frozenset[str]) -> Hypothesis | None:
-    """The likeliest fit of a set of effects."""
+    """Return the likeliest fit of a set of effects."""
     fits = [one for one in found.hypotheses if one.parts and frozenset(one.names) == names]
     return max(fits, key=lambda one: one.log_bayes, default=None)
 
@@ -192,7 +192,7 @@ def _causes(
     gap: Gap,
     settings: Settings,
 ) -> tuple[Cause, ...]:
-    """The best fit's effects; where it is ambiguous, those of the other likely fits as well."""
+    """Return the best fit's effects and, where ambiguous, those of other likely fits."""
     if verdict == NONE:
         return ()
     found = explored.found
@@ -225,7 +225,7 @@ def _causes(
 
 
 def _share_closed(gap: Gap, fit: Hypothesis, index: int) -> Interval | None:
-    """An effect's part of what a fit of several closes: by how much F rises without it."""
+    """Return an effect's part of what a fit of several closes: by how much F rises without it."""
     if gap.fraction is None:
         return None
     energies = fit.energies_explained()
@@ -261,7 +261,7 @@ def _ranking(chances: Posterior) -> tuple[tuple[str, float], ...]:
 
 
 def _next(explored: Explored, chances: Posterior, verdict: Verdict) -> Experiment | None:
-    """The experiment for the fits that are left, where more than one is."""
+    """Return the experiment for the fits that are left, where more than one is."""
     if verdict != "ambiguous":
         return None
     found = explored.found
@@ -290,7 +290,7 @@ def _full_covariance(fit: Hypothesis) -> Array:
 
 
 def _remaining(explored: Explored) -> tuple[dict[str, Any], ...]:
-    """What the best fit leaves goes with, as far as that is no chance."""
+    """Return structure in what the best fit leaves, as far as that is no chance."""
     clear = [one for one in explored.structures if one.log_bayes > _CLEAR]
     return tuple(
         {"what": one.name, "energy": one.energy, "log_bayes": one.log_bayes}
@@ -299,7 +299,7 @@ def _remaining(explored: Explored) -> tuple[dict[str, Any], ...]:
 
 
 def _cannot_tell(observation: Observation) -> tuple[str, ...]:
-    """What is missing, and which effects so can't be seen."""
+    """Return what is missing, and which effects it hides."""
     recording = observation.recording
     out = [f"no {name}: not diagnosed" for name in recording.missing]
     if not any(view.tracks for view in observation.views.values()):

@@ -203,7 +203,7 @@ def _jacobian(
 
 
 def _scale(theta: Array, centre: Array, typical: Array, sizes: Sequence[int]) -> Array:
-    """The prior's scale of each part, from its present size: one of 0.1, 0.3, 1, 3, 10."""
+    """Return the prior's scale of each part, from its present size: one of 0.1, 0.3, 1, 3, 10."""
     out, at = [], 0
     for size in sizes:
         part = slice(at, at + size)

@@ -173,7 +173,7 @@ def _by_effect(judged: list[tuple[Candidate, Evidence]]) -> dict[str, float]:
 def _shortlist(
     judged: list[tuple[Candidate, Evidence]], most: int, worth: float
 ) -> list[tuple[Candidate, Evidence]]:
-    """The likeliest forms: a few effects, of each a few forms."""
+    """Return the likeliest forms: a few effects, of each a few forms."""
     ordered = sorted(judged, key=lambda pair: -pair[1].log_bayes)
     taken: dict[str, int] = {}
     out = []
@@ -197,7 +197,7 @@ def _start(candidate: Candidate, found: Evidence) -> Array:
 
 
 def _best(hypotheses: list[Hypothesis], most: int) -> list[Hypothesis]:
-    """The likeliest, one of each set of effects."""
+    """Return the likeliest, one of each set of effects."""
     out: dict[frozenset[str], Hypothesis] = {}
     for hypothesis in sorted(hypotheses, key=lambda h: -h.log_bayes):
         out.setdefault(frozenset(hypothesis.names), hypothesis)
@@ -207,7 +207,7 @@ def _best(hypotheses: list[Hypothesis], most: int) -> list[Hypothesis]:
 def _pruned(
     observation: Observation, forms: _Forms, hypotheses: list[Hypothesis], none_cost: float
 ) -> list[Hypothesis]:
-    """The best fit without those of its effects that do next to nothing in it.
+    """Return the best fit without those of its effects that do next to nothing in it.
 
     A third effect may have helped the other two on their way to where they fit, and be idle there.
     """

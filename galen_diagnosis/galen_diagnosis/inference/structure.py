@@ -26,7 +26,7 @@ from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from galen_model.arm.galen import GALEN, JOINT_NAMES, WRENCH_AXES
+from galen_model.arm.galen import WRENCH_AXES
 from galen_model.arrays import Array
 from galen_model.evidence.linear import Background, evidence
 from scipy.fft import dct
@@ -71,7 +71,6 @@ def _cells(rows: Rows) -> np.ndarray:
     return np.unique(key, return_inverse=True)[1]
 
 
-_TURNS = (JOINT_NAMES.index("roll"), JOINT_NAMES.index("tilt"))
 _TYPICAL = 10.0
 """Prior standard deviation of each function's coefficient, in its own standard errors."""
 _KNOT_S = 8.0
@@ -136,13 +135,16 @@ def _of_arm(observation: Observation, which: np.ndarray, what: str) -> Iterator[
     groups = np.flatnonzero(which)[::6]
     joints, rate = rows.joints[groups], rows.rate[groups]
     scale = rows.scale[which]
-    rotation, _ = GALEN.sensor_pose(joints)
+    arm = rows.arm
+    rotation, _ = arm.sensor_pose(joints)
     down = -rotation[:, 2, :]
     yield (f"{what} by gravity's direction", which, _each(scale, _polynomials(down)))
-    waves = [f(k * joints[:, j]) for j in _TURNS for k in _HARMONICS for f in (np.sin, np.cos)]
-    yield (f"{what} by roll and tilt", which, _each(scale, np.stack(waves, axis=1)))
-    places = joints[:, :3] - joints[:, :3].mean(axis=0)
-    yield (f"{what} by the platform's place", which, _each(scale, _polynomials(10.0 * places, 2)))
+    waves = [f(k * joints[:, j]) for j in arm.turning for k in _HARMONICS for f in (np.sin, np.cos)]
+    names = " and ".join(arm.turning_names)
+    yield (f"{what} by {names}", which, _each(scale, np.stack(waves, axis=1)))
+    if arm.delta is not None:
+        places = 10.0 * (joints[:, :3] - joints[:, :3].mean(axis=0))
+        yield (f"{what} by the platform's place", which, _each(scale, _polynomials(places, 2)))
     if what == "wrench":
         speeds = np.concatenate([rate, np.abs(rate), rate * np.abs(rate)], axis=1)
         yield (f"{what} by the joints' rates", which, _each(scale, speeds))
@@ -181,7 +183,7 @@ def _of_reading(at_s: Array, reading: Array) -> Array:
 
 
 def _of_load(tracker_s: Array, at_s: Array, load: Array) -> Array:
-    """The hand's wrench (n, 6) at at_s, its squares and its past at the tracker's times (m, 30)."""
+    """Return the push (n, 6), its squares and its past at the tracker's times (m, 30)."""
     size = np.sqrt(np.mean(load**2, axis=0)) + 1e-9
     x = load / size
     steps = np.maximum(np.diff(at_s, prepend=at_s[:1]), 0.0)
@@ -280,7 +282,7 @@ def _pieces(stream: Stream, step: float) -> Iterator[np.ndarray]:
 
 
 def _white(stream: Stream, rows: np.ndarray) -> Array:
-    """A piece with unit, white noise; with coloured noise without its first samples."""
+    """Return a piece with unit, white noise; with coloured noise without its first samples."""
     piece = stream.residual[rows]
     if not stream.models:
         return np.asarray(piece / stream.noise)

@@ -111,7 +111,7 @@ def channel_noise(
 def _fitted(
     sums: Array, pieces: list[tuple[Array, Array]], count: int, floor: float
 ) -> ChannelNoise:
-    """The noise whose sums of products, after the projection, are those that were seen."""
+    """Return the noise whose sums of products, after the projection, are those that were seen."""
     covariance = sums / count
     for turn in range(4):
         noise = _autoregressive(covariance, count, floor)

@@ -26,28 +26,25 @@ from galen_sim_driver.replay import Replay, Scene
 
 from galen_diagnosis.errors import DiagnosisError
 from galen_diagnosis.observation.noise import ChannelNoise, channel_noise
-from galen_diagnosis.observation.phases import (
-    Phases,
-    blocks,
-    deal,
-    moving_regime,
-    phases,
-    push_regime,
-    touched,
-)
 from galen_diagnosis.observation.recording import BagData, Recording, Track
 from galen_diagnosis.observation.rows import (
     BAGS,
-    CHANNELS,
     MARKER_AXES,
     TIP_AXES,
     Groups,
+    Phases,
     Rows,
     Stream,
+    blocks,
+    deal,
     group_mean,
     groups_of,
     middle,
+    moving_regime,
+    phases,
+    push_regime,
     stretches,
+    touched,
     whitened,
 )
 
@@ -57,7 +54,7 @@ _KNOT_S = {"sweep": 5.0, "motion": 0.4, "push": 5.0}
 _REST_KNOT_S = 5.0
 _QUIET = 500
 _TRACK_KNOT_S = 0.4
-_LEAST_NOISE = np.array([1e-4] * 3 + [1e-6] * 3 + [1e-7] * 12)
+_LEAST_NOISE = np.array([1e-4] * 3 + [1e-6] * 3)
 _USUAL_TRACKER_NOISE = [
     *[ChannelNoise(np.zeros(0), 3e-5)] * 3,
     *[ChannelNoise(np.zeros(0), 1e-4)] * 3,
@@ -102,20 +99,23 @@ class Unknowns:
 class BagView:
     """One bag's thinned scene, and how its rows lie.
 
-    scene: at the groups' mean times. shows (nw,): groups whose wrench is scored. wrench_gain
-    (nw, 6), tip_gain, marker_gain (nt, 6): what a constant change of the prediction becomes.
+    scene: at the groups' mean times. shows (nw,): groups whose wrench is scored. gains: what a
+    constant change of wrench (nw, 6), tip and marker (nt, 6) becomes in the rows.
     """
 
     scene: Scene
     shows: np.ndarray
-    wrench_gain: Array
-    tip_gain: Array
-    marker_gain: Array
+    gains: tuple[Array, Array, Array]
 
     @property
     def tracks(self) -> bool:
         """Whether the tracker was on."""
-        return len(self.tip_gain) > 0
+        return len(self.gains[1]) > 0
+
+
+_Prediction = tuple[Array, Array, Array]
+_Part = tuple[dict[str, np.ndarray], Array]
+"""Where rows come from, and their values."""
 
 
 class Observation:
@@ -128,98 +128,89 @@ class Observation:
         self.views: dict[str, BagView] = {}
         self.streams: list[Stream] = []
         self.noise: dict[str, list[ChannelNoise]] = {}
-        tool = recording.tool
-        self._tool = ToolGeometry(tool.load.load, np.asarray(tool.tip_m, dtype=float))
-        meta: list[dict[str, np.ndarray]] = []
-        parts: list[Array] = []
+        parts: list[_Part] = []
         first_block = 0
         for name, bag in recording.bags.items():
-            rows, values, first_block = self._add(name, bag, first_block)
-            meta.append(rows)
-            parts.append(values)
-        joined = {key: np.concatenate([part[key] for part in meta]) for key in meta[0]}
-        self.rows = Rows(**joined)
+            rows, values = self._add(name, bag)
+            numbers, block = np.unique(rows["block"], return_inverse=True)
+            rows["block"] = block + first_block
+            rows["fold"] = deal(len(numbers), BAGS.index(name))[block]
+            first_block += len(numbers)
+            parts.append((rows, values))
+        joined, self.nominal = _joined(parts)
+        self.rows = Rows(**joined, arm=recording.arm)
         if first_block < 2:
             raise DiagnosisError(
                 f"{recording.name}: one pose, or three seconds, is all there is; nothing is "
                 "left to score a fit on"
             )
-        self.nominal = np.concatenate(parts)
         self._none = {name: self._predictions(view, (), None) for name, view in self.views.items()}
 
-    # --- what the simulator says ----------------------------------------------------------------
+    # The simulator's predictions
 
-    def residual(
-        self, effects: Sequence[Effect], unknowns: Unknowns | None = None, bags: Sequence[str] = ()
-    ) -> Array:
-        """Rows (N,) with the effects in the simulator; `bags`: only theirs change (default all)."""
-        return self.nominal - self.change(effects, unknowns, bags)
+    def residual(self, effects: Sequence[Effect], unknowns: Unknowns | None = None) -> Array:
+        """Return rows (N,) with the effects in the simulator."""
+        return self.nominal - self.change(effects, unknowns)
 
-    def change(
-        self, effects: Sequence[Effect], unknowns: Unknowns | None = None, bags: Sequence[str] = ()
-    ) -> Array:
-        """What effects and unknowns add to the prediction, in the rows' units (N,)."""
+    def change(self, effects: Sequence[Effect], unknowns: Unknowns | None = None) -> Array:
+        """Return what effects and unknowns add to the prediction, in the rows' units (N,)."""
         out = []
         for name, view in self.views.items():
-            before = self._none[name]
-            if bags and name not in bags:
-                out.append(np.zeros(sum(part.size for part in _scored(view, before))))
-                continue
-            after = self._predictions(view, effects, unknowns)
-            out += [
-                (gain * _difference(new, old, kind)).ravel()
-                for gain, new, old, kind in zip(
-                    _gains(view),
-                    _scored(view, after),
-                    _scored(view, before),
-                    ("wrench", "pose", "twist"),
-                    strict=True,
-                )
-            ]
+            wrench, tip, marker = self._difference(name, effects, unknowns)
+            pairs = zip(view.gains, (wrench[view.shows], tip, marker), strict=True)
+            out += [(gain * part).ravel() for gain, part in pairs]
         return np.concatenate(out)
 
     def nominal_reading(self, name: str) -> Array:
-        """What the nominal arm would read at a bag's wrench rows (nw, 6)."""
+        """Return what the nominal arm would read at a bag's wrench rows (nw, 6)."""
         return self._none[name][0][self.views[name].shows]
 
     def applied_load(self, name: str) -> tuple[Array, Array]:
-        """Times (n,) and the hand's wrench (n, 6), as the nominal arm tells it; 0 untouched."""
+        """Return times (n,) and the applied wrench (n, 6) by the nominal arm; 0 untouched."""
         scene = self.views[name].scene
         load = scene.reading - self._none[name][0]
         return scene.wrench_s, np.where(scene.touched[:, None], load, 0.0)
 
+    def sensor_poses(self, most: int) -> tuple[Array, Array]:
+        """Return the sensor's rotations and origins at some of the reported joints."""
+        joints = np.concatenate([view.scene.joints for view in self.views.values()])
+        return self.recording.arm.sensor_pose(joints[:: max(len(joints) // most, 1)])
+
     def streams_with(
         self, effects: Sequence[Effect], unknowns: Unknowns | None = None
     ) -> tuple[Stream, ...]:
-        """The residual streams with effects and unknowns in the simulator."""
+        """Return the residual streams with effects and unknowns in the simulator."""
         out = []
-        changes = {}
-        for name, view in self.views.items():
-            pairs = zip(self._predictions(view, effects, unknowns), self._none[name], strict=True)
-            changes[name] = [
-                _difference(new, old, kind)
-                for (new, old), kind in zip(pairs, ("wrench", "pose", "twist"), strict=True)
-            ]
+        changes = {name: self._difference(name, effects, unknowns) for name in self.views}
         for stream in self.streams:
-            wrench, tip, marker = changes[stream.bag]
             scene = self.views[stream.bag].scene
-            known_s, change = {
-                WRENCH_AXES[0]: (scene.wrench_s, wrench),
-                TIP_AXES[0]: (scene.tracker_s, tip),
-                MARKER_AXES[0]: (scene.tracker_s, marker),
-            }[stream.channels[0]]
-            there = np.stack(
-                [np.interp(stream.at_s, known_s, column) for column in change.T], axis=1
-            )
+            kind = (WRENCH_AXES, TIP_AXES, MARKER_AXES).index(stream.channels)
+            known_s = scene.wrench_s if kind == 0 else scene.tracker_s
+            there = _at(stream.at_s, known_s, changes[stream.bag][kind])
             out.append(replace(stream, residual=stream.residual - there))
         return tuple(out)
 
+    def _difference(
+        self, name: str, effects: Sequence[Effect], unknowns: Unknowns | None
+    ) -> _Prediction:
+        """How wrench (nw, 6), tip and marker (nt, 6) differ from the nominal prediction's."""
+        wrench, tip, marker = self._predictions(self.views[name], effects, unknowns)
+        old_wrench, old_tip, old_marker = self._none[name]
+        moved = tip[:, :3] - old_tip[:, :3]
+        if len(tip):
+            old = old_tip[:, 3:].reshape(-1, 3, 3)
+            turned = matrix_to_rotvec(tip[:, 3:].reshape(-1, 3, 3) @ np.swapaxes(old, -1, -2))
+            moved = np.concatenate([moved, turned], axis=1)
+        else:
+            moved = np.zeros((0, 6))
+        return wrench - old_wrench, moved, marker - old_marker
+
     def _predictions(
         self, view: BagView, effects: Sequence[Effect], unknowns: Unknowns | None
-    ) -> tuple[Array, Array, Array]:
+    ) -> _Prediction:
         """Wrench (nw, 6), tip in base_link as (nt, 12) (position, rotation matrix), marker (nt, 6).
 
-        The tip is what the tracker tells, seen from where base_link was first estimated to be.
+        The tip is the tracker's, seen from where base_link was first estimated to be.
         """
         known = unknowns or Unknowns.none()
         replay = Replay(view.scene, effects)
@@ -244,11 +235,9 @@ class Observation:
         )
         return wrench, tip, replay.base_marker() + known.marker
 
-    # --- building -------------------------------------------------------------------------------
+    # Rows
 
-    def _add(
-        self, name: str, bag: BagData, first_block: int
-    ) -> tuple[dict[str, np.ndarray], Array, int]:
+    def _add(self, name: str, bag: BagData) -> _Part:
         tool = self.recording.tool
         scene = Scene(
             bag=name,
@@ -259,18 +248,21 @@ class Observation:
             reading=bag.wrenches - tool.residual_offset,
             touched=np.zeros(len(bag.wrench_s), dtype=bool),
             tracker_s=bag.tool_marker.at_s if bag.tool_marker is not None else np.zeros(0),
-            tool=self._tool,
+            tool=ToolGeometry(tool.load.load, np.asarray(tool.tip_m, dtype=float)),
             adapter=tool.adapter.load,
             zero_pose_rad=tuple(tool.zero_angles),
+            arm=self.recording.arm,
         )
-        of = phases(bag.wrench_s, bag.joint_s, bag.joints)
+        of = phases(self.recording.arm, bag.wrench_s, bag.joint_s, bag.joints)
         residual = scene.reading - Replay(scene).reading()
-        is_touched = np.zeros(len(residual), dtype=bool)
+        regime = moving_regime(scene.arm, of)
         if name == "push":
             rough = np.median(np.abs(np.diff(residual, axis=0)), axis=0) / (0.6745 * np.sqrt(2.0))
-            is_touched = touched(bag.wrench_s, of, residual, rough)
-            scene = replace(scene, touched=is_touched)
-        at_rest = ~is_touched
+            scene = replace(scene, touched=touched(bag.wrench_s, of, residual, rough))
+            force = np.linalg.norm(residual[:, :3], axis=1)
+            pushes = push_regime(bag.wrench_s, force, scene.touched)
+            regime = np.where(of.still, pushes, regime)
+        at_rest = ~scene.touched
         # Quick moves turn a gap into what looks like coloured noise; rest doesn't.
         quiet = at_rest & of.still if (at_rest & of.still).sum() >= _QUIET else at_rest
         noise = channel_noise(
@@ -279,75 +271,48 @@ class Observation:
         if not noise:
             raise DiagnosisError(
                 f"{self.recording.name}/{name}: the arm never stays or moves long enough without a "
-                "gap in the wrenches to tell their noise"
+                "gap in the wrenches to show their noise"
             )
-        noise = [_at_least(one, floor) for one, floor in zip(noise, _LEAST_NOISE, strict=False)]
-        stretch = of.stretch * 2 + is_touched
+        noise = [_at_least(one, floor) for one, floor in zip(noise, _LEAST_NOISE, strict=True)]
+        self.noise[name] = noise
+        shown = np.where(at_rest[:, None], residual, np.nan)
+        self._stream(name, WRENCH_AXES, bag.wrench_s, shown, noise)
+        stretch = of.stretch * 2 + scene.touched
         groups = groups_of(bag.wrench_s, stretch, _GROUP_S[name], max(n.order for n in noise))
         white, gain = whitened(residual, noise, stretch, groups)
         shows = group_mean(groups, at_rest.astype(float)) > 0.5
-        force = np.linalg.norm(residual[:, :3], axis=1)
-        regime = moving_regime(of)
-        if name == "push":
-            regime = np.where(of.still, push_regime(bag.wrench_s, force, is_touched), regime)
-        block = blocks(name, bag.wrench_s, of.pose)
-        meta = self._meta(
-            name, bag.start_s, groups, of, regime, block, bag.wrench_s, bag, shows, 0, noise
-        )
-        values = [white[shows].ravel()]
+        parts = [(_whereabouts(bag, bag.wrench_s, of, regime, groups, shows, 0, noise),
+                  white[shows].ravel())]  # fmt: skip
+        nothing = np.zeros((0, 6))
         thin = replace(
             scene,
             wrench_s=groups.at_s,
             reading=group_mean(groups, scene.reading),
-            touched=group_mean(groups, is_touched.astype(float)) > 0.5,
+            touched=group_mean(groups, scene.touched.astype(float)) > 0.5,
             tracker_s=np.zeros(0),
         )
-        shown = np.where(at_rest[:, None], residual, np.nan)
-        self.streams.append(
-            Stream(
-                name,
-                WRENCH_AXES,
-                bag.wrench_s,
-                shown,
-                np.array([n.std for n in noise]),
-                tuple(noise),
-            )
-        )
-        self.noise[name] = noise
-        tip_gain = marker_gain = np.zeros((0, 6))
-        metas = [meta]
+        gains = (gain[shows], nothing, nothing)
         if bag.tool_marker is not None and bag.base_marker is not None:
-            tracked = self._track(name, bag, scene, of, is_touched, regime, force)
-            thin = replace(thin, tracker_s=tracked[0].at_s)
-            tip_gain, marker_gain = tracked[1], tracked[2]
-            values += tracked[3]
-            metas += tracked[4]
-        self.views[name] = BagView(thin, shows, gain[shows], tip_gain, marker_gain)
-        joined = {key: np.concatenate([part[key] for part in metas]) for key in metas[0]}
-        numbers, block = np.unique(joined["block"], return_inverse=True)
-        joined["block"] = block + first_block
-        joined["fold"] = deal(len(numbers), BAGS.index(name))[block]
-        return joined, np.concatenate(values), first_block + len(numbers)
+            tracker_s, tip_gain, marker_gain, more = self._track(bag, scene, regime)
+            thin = replace(thin, tracker_s=tracker_s)
+            gains = (gain[shows], tip_gain, marker_gain)
+            parts += more
+        self.views[name] = BagView(thin, shows, gains)
+        return _joined(parts)
 
     def _track(
-        self,
-        name: str,
-        bag: BagData,
-        scene: Scene,
-        of: Phases,
-        is_touched: np.ndarray,
-        regime: np.ndarray,
-        force: Array,
-    ) -> tuple[Groups, Array, Array, list[Array], list[dict[str, np.ndarray]]]:
+        self, bag: BagData, scene: Scene, regime: np.ndarray
+    ) -> tuple[Array, Array, Array, list[_Part]]:
+        """Return times of the tracker's groups, gains of tip and marker, and their rows."""
         tool, base = bag.tool_marker, bag.base_marker
         assert tool is not None
         assert base is not None
         at_s = tool.at_s
         nearest = np.clip(np.searchsorted(bag.wrench_s, at_s), 0, len(bag.wrench_s) - 1)
-        of_track = phases(at_s, bag.joint_s, bag.joints)
-        rest = of_track.still & ~is_touched[nearest]
+        of = phases(scene.arm, at_s, bag.joint_s, bag.joints)
         rotation, position = Replay(scene).tip()
         if self.base_in_tracker is None:
+            rest = of.still & ~scene.touched[nearest]
             self.base_in_tracker = _registered(tool, rotation, position, rest)
         there = self.base_in_tracker
         back = there.rotation.T
@@ -359,116 +324,80 @@ class Observation:
             axis=1,
         )
         marker = _marker_displacement(base, there, at_s)
-        moves = ~of_track.still
-        off[moves] = np.nan  # in motion the tracker's own delay says more than the arm
-        tip_noise = (
-            channel_noise(
-                stretches(at_s, off, of_track.stretch, of_track.still), _TRACK_KNOT_S, 1e-7
-            )
-            or _USUAL_TRACKER_NOISE
-        )
-        marker_noise = (
-            channel_noise(
-                stretches(at_s, marker, np.zeros(len(at_s), int), np.ones(len(at_s), bool)),
-                _REST_KNOT_S,
-                1e-7,
-            )
-            or _USUAL_TRACKER_NOISE
-        )
-        stretch = of_track.stretch
+        off[~of.still] = np.nan  # in motion the tracker's own delay shows more than the arm
+        still_runs = stretches(at_s, off, of.stretch, of.still)
+        whole = stretches(at_s, marker, np.zeros(len(at_s), int), np.ones(len(at_s), bool))
+        tip_noise = channel_noise(still_runs, _TRACK_KNOT_S, 1e-7) or _USUAL_TRACKER_NOISE
+        marker_noise = channel_noise(whole, _REST_KNOT_S, 1e-7) or _USUAL_TRACKER_NOISE
         order = max(n.order for n in (*tip_noise, *marker_noise))
-        groups = groups_of(at_s, stretch, _TRACK_GROUP_S, order)
-        tip_white, tip_gain = whitened(off, tip_noise, stretch, groups)
-        marker_white, marker_gain = whitened(marker, marker_noise, stretch, groups)
-        # Rows that say nothing weigh nothing; the shapes stay simple.
-        for white, gain in ((tip_white, tip_gain), (marker_white, marker_gain)):
+        groups = groups_of(at_s, of.stretch, _TRACK_GROUP_S, order)
+        regime_at = np.where(of.still, regime[nearest], moving_regime(scene.arm, of))
+        everything = np.ones(len(groups.at_s), dtype=bool)
+        gains, parts = [], []
+        for axes, first, values, noise in (
+            (TIP_AXES, 6, off, tip_noise),
+            (MARKER_AXES, 12, marker, marker_noise),
+        ):
+            self._stream(bag.name, axes, at_s, values, noise)
+            white, gain = whitened(values, noise, of.stretch, groups)
+            # Rows without a value weigh nothing; the shapes stay simple.
             dead = ~np.isfinite(white)
             white[dead], gain[dead] = 0.0, 0.0
-        names = [(*TIP_AXES,), (*MARKER_AXES,)]
-        for axes, values, noise in (
-            (names[0], off, tip_noise),
-            (names[1], marker, marker_noise),
-        ):
-            std = np.array([n.std for n in noise])
-            self.streams.append(Stream(name, axes, at_s, values, std, tuple(noise)))
-        regime_at = np.where(of_track.still, regime[nearest], moving_regime(of_track))
-        block = blocks(name, at_s, of_track.pose)
-        everything = np.ones(len(groups.at_s), dtype=bool)
-        metas = [
-            self._meta(
-                name,
-                bag.start_s,
-                groups,
-                of_track,
-                regime_at,
-                block,
-                at_s,
-                bag,
-                everything,
-                first,
-                noise,
-            )
-            for first, noise in ((6, tip_noise), (12, marker_noise))
-        ]
-        return groups, tip_gain, marker_gain, [tip_white.ravel(), marker_white.ravel()], metas
+            gains.append(gain)
+            rows = _whereabouts(bag, at_s, of, regime_at, groups, everything, first, noise)
+            parts.append((rows, white.ravel()))
+        return groups.at_s, gains[0], gains[1], parts
 
-    def _meta(
+    def _stream(
         self,
-        name: str,
-        start_s: float,
-        groups: Groups,
-        of: Phases,
-        regime: np.ndarray,
-        block: np.ndarray,
+        bag: str,
+        channels: tuple[str, ...],
         at_s: Array,
-        bag: BagData,
-        shows: np.ndarray,
-        first_channel: int,
+        residual: Array,
         noise: list[ChannelNoise],
-    ) -> dict[str, np.ndarray]:
-        """Rows' whereabouts: of each group shown, six rows, one a channel."""
-        central = middle(groups)
-        joints = np.stack(
-            [np.interp(groups.at_s, bag.joint_s, column) for column in bag.joints.T], axis=1
-        )
-        per_group = {
-            "bag": np.full(len(groups.at_s), BAGS.index(name)),
-            "regime": regime[central],
-            "bag_s": groups.at_s,
-            "session_s": groups.at_s + start_s,
-            "pose": of.pose[central],
-            "block": block[central],
-            "fold": np.zeros(len(groups.at_s), dtype=int),
-            "joints": joints,
-            "rate": of.rate[central],
-            "samples": groups.count,
-        }
-        rows = {key: np.repeat(value[shows], 6, axis=0) for key, value in per_group.items()}
-        count = int(shows.sum())
-        rows["channel"] = np.tile(np.arange(first_channel, first_channel + 6), count)
-        std = np.array([1.0 / n.gain for n in noise])
-        rows["scale"] = np.tile(std, count) / np.sqrt(rows["samples"])
-        assert rows["channel"].max(initial=0) < len(CHANNELS)
-        return rows
+    ) -> None:
+        std = np.array([one.std for one in noise])
+        self.streams.append(Stream(bag, channels, at_s, residual, std, tuple(noise)))
 
 
-# --- inside -------------------------------------------------------------------------------------
+def _joined(parts: Sequence[_Part]) -> _Part:
+    rows = {key: np.concatenate([one[key] for one, _ in parts]) for key in parts[0][0]}
+    return rows, np.concatenate([values for _, values in parts])
 
 
-def _scored(view: BagView, predictions: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
-    wrench, tip, marker = predictions
-    return wrench[view.shows], tip, marker
+def _whereabouts(
+    bag: BagData,
+    at_s: Array,
+    of: Phases,
+    regime: np.ndarray,
+    groups: Groups,
+    shows: np.ndarray,
+    first_channel: int,
+    noise: list[ChannelNoise],
+) -> dict[str, np.ndarray]:
+    """Of each group shown where it is, six rows, one a channel."""
+    central = middle(groups)
+    per_group = {
+        "bag": np.full(len(groups.at_s), BAGS.index(bag.name)),
+        "regime": regime[central],
+        "bag_s": groups.at_s,
+        "session_s": groups.at_s + bag.start_s,
+        "pose": of.pose[central],
+        "block": blocks(bag.name, at_s, of.pose)[central],
+        "joints": _at(groups.at_s, bag.joint_s, bag.joints),
+        "rate": of.rate[central],
+        "samples": groups.count,
+    }
+    rows = {key: np.repeat(value[shows], 6, axis=0) for key, value in per_group.items()}
+    count = int(shows.sum())
+    rows["channel"] = np.tile(np.arange(first_channel, first_channel + 6), count)
+    std = np.array([1.0 / one.gain for one in noise])
+    rows["scale"] = np.tile(std, count) / np.sqrt(rows["samples"])
+    return rows
 
 
-def _gains(view: BagView) -> tuple[Array, Array, Array]:
-    return view.wrench_gain, view.tip_gain, view.marker_gain
-
-
-def _difference(new: Array, old: Array, kind: str) -> Array:
-    if kind != "pose" or not len(new):
-        return (new - old)[:, :6] if kind == "pose" else new - old
-    turned = new[:, 3:].reshape(-1, 3, 3) @ np.swapaxes(old[:, 3:].reshape(-1, 3, 3), -1, -2)
-    return np.concatenate([new[:, :3] - old[:, :3], matrix_to_rotvec(turned)], axis=1)
+def _at(at_s: Array, known_s: Array, values: Array) -> Array:
+    return np.stack([np.interp(at_s, known_s, column) for column in values.T], axis=1)
 
 
 def _at_least(noise: ChannelNoise, floor: float) -> ChannelNoise:

@@ -1,22 +1,22 @@
 """Reads a diagnostic recording (contract, section 5): up to three bags and the tool's file.
 
-Nothing else in its directory is opened, and nothing of its name is used but to say which it is.
+Nothing else in its directory is opened.
 """
 
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
-from galen_bags.arrays.arm_recording import ArmRecording, ArmTopics, read_arm
+from galen_bags.arrays.arm_recording import ArmRecording, read_arm
 from galen_bags.arrays.marker_tracks import marker_track, read_poses
 from galen_bags.formats.bag import open_bag
 from galen_bags.formats.files import is_bag
-from galen_model.arm.galen import WRENCH_AXES
+from galen_model.arm.arm import Arm
+from galen_model.arm.galen import GALEN, WRENCH_AXES
 from galen_model.arrays import Array
 from galen_model.files.calibration_file import CalibrationFile, read_calibration
 
@@ -63,20 +63,18 @@ class BagData:
 
 @dataclass(frozen=True)
 class Recording:
-    """What there is: bags by name, in the contract's order; `missing` names those that aren't."""
+    """Bags by name, in the contract's order, of an arm; `missing` names those that aren't there."""
 
     name: str
     tool: CalibrationFile
     bags: dict[str, BagData]
     missing: tuple[str, ...]
     problems: tuple[str, ...]
+    arm: Arm = GALEN
 
 
 def read_recording(
-    path: str | os.PathLike[str],
-    tool: str | os.PathLike[str] | None = None,
-    topics: ArmTopics | None = None,
-    progress: Callable[[str], None] | None = None,
+    path: str | os.PathLike[str], tool: str | os.PathLike[str] | None = None
 ) -> Recording:
     """Read a recording's directory; raises DiagnosisError, BagError or CalibrationFileError.
 
@@ -91,9 +89,7 @@ def read_recording(
     problems: list[str] = []
     for name in BAGS:
         if (path / name).exists():
-            if progress is not None:
-                progress(name)
-            arms[name] = read_arm(path / name, topics)
+            arms[name] = read_arm(path / name)
             problems += [f"{name}: {problem}" for problem in arms[name].problems]
     for name, arm in arms.items():
         _check_frames(path / name, arm, tool_file)
@@ -147,7 +143,7 @@ class _Arm:
     """
 
     def __init__(self, path: Path, arm: ArmRecording) -> None:
-        """Raises DiagnosisError where too little is left."""
+        """Raise DiagnosisError where too little is left."""
         self.problems: list[str] = []
         for what, stamps in (
             ("joint states", arm.joint_stamp_ns),
@@ -191,7 +187,7 @@ class _Arm:
         self.wrench_s, self.wrenches = (wrench_ns - self.first_ns) * 1e-9, wrenches
 
     def _usable(self, what: str, stamp_ns: np.ndarray, values: Array) -> tuple[np.ndarray, Array]:
-        """Samples with a stamp and finite numbers, in the order of their stamps, one a stamp."""
+        """Return samples with a stamp and finite numbers, in order, one a stamp."""
         finite = np.isfinite(values).all(axis=1)
         for bad, why in ((stamp_ns <= 0, "without a stamp"), (~finite, "with numbers missing")):
             if bad.any():

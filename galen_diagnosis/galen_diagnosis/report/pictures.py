@@ -103,7 +103,7 @@ def _headline(diagnosis: Diagnosis) -> str:
 
 
 def _name_groups(axis: plt.Axes, channels: Sequence[str]) -> None:
-    """The channels' groups, left of their names."""
+    """Write the channels' groups left of their names."""
     for group in dict.fromkeys(map(group_of, channels)):
         rows = [row for row, name in enumerate(channels) if group_of(name) == group]
         axis.annotate(
@@ -196,7 +196,7 @@ def _separate(axis: plt.Axes, channels: Sequence[str], columns: Sequence[tuple[s
 
 
 def _times_figure(diagnosis: Diagnosis) -> plt.Figure:
-    """A line of panels for each bag and group of channels: before on the left, after right."""
+    """Draw a line of panels for each bag and group of channels, before and after."""
     lines = list(_lines(diagnosis))
     figure, axes = plt.subplots(
         len(lines),
@@ -270,7 +270,7 @@ def _draw(axis: plt.Axes, streams: Sequence[Stream], group: str, factor: float) 
 
 
 def _averaged(at_s: Array, values: Array) -> tuple[Array, Array, Array]:
-    """Times, means (m, k) and samples of _POINTS even spans; NaN where there is nothing."""
+    """Return times, means (m, k) and samples of _POINTS even spans; NaN where there is nothing."""
     span_s = (at_s[-1] - at_s[0]) / _POINTS if len(at_s) else 1.0
     which = np.minimum(((at_s - at_s[0]) / max(span_s, 1e-9)).astype(int), _POINTS - 1)
     good = np.isfinite(values).all(axis=1)

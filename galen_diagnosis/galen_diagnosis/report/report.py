@@ -105,7 +105,7 @@ def report(answer: Answer, pictures: Mapping[str, Path]) -> str:
 
 
 def _causes(answer: Answer) -> Iterator[tuple[str, ...]]:
-    """A line a parameter; the cause with its first."""
+    """Return a line a parameter; the cause with its first."""
     for cause in answer.causes:
         first = (f"{cause.label}: {title(cause.label)}", f"{cause.probability:.1%}")
         last = (share_words(cause.gap_closed), ", ".join(cause.equivalent) or "-")

@@ -160,7 +160,7 @@ def parameter_words(effect: str, name: str, parameters: dict[str, Any]) -> str:
 
 
 def _stiffness_words(of: str, value: Any) -> str:
-    """A stiffness; of a joint it is N.m/rad."""
+    """Return a stiffness; of a joint it is N.m/rad."""
     return with_interval(value, _UNITS.get(of, _UNITS["k"]))
 
 
@@ -271,7 +271,7 @@ def _ambiguous(causes: Sequence[Cause], closed: str) -> str:
 
 
 def _one_of(cause: Cause) -> str:
-    """An open cause with its probability and its equivalents."""
+    """Return an open cause with its probability and its equivalents."""
     text = f"{cause_words(cause)} ({cause.probability:.0%})"
     return f"{text}, or {_names(cause.equivalent)}" if cause.equivalent else text
 
@@ -283,7 +283,7 @@ def _twins(cause: Cause) -> str:
 
 
 def _names(effects: Sequence[str]) -> str:
-    """Some of them by name; of something faint it may be nearly all effects."""
+    """Return some of them by name; of something faint it may be nearly all effects."""
     if len(effects) > _MOST_TWINS:
         return f"one of {len(effects)} other effects"
     return " or ".join(f"{title(name)} ({name})" for name in effects)
@@ -303,7 +303,7 @@ def _closed(gap: dict[str, Any]) -> str:
 
 
 def _where(where: dict[str, Any]) -> str:
-    """The channels and bags that hold most of it."""
+    """Return the channels and bags that hold most of it."""
     phrases = []
     for name, preposition in (("channels", "in"), ("bags", "of")):
         shares = [(key, share) for key, share in where.get(name, {}).items() if share]

@@ -98,7 +98,7 @@ def diagnose_blocks(
 
 
 def _bare(found: SearchResult) -> BlockHypothesis:
-    """The hypothesis without effects, if possible that of something unknown."""
+    """Return the hypothesis without effects, if possible that of something unknown."""
     return min((one for one in found.hypotheses if not one.effects), key=lambda one: one.floor_only)
 
 
@@ -173,7 +173,7 @@ def _unexplained(found: SearchResult) -> float:
 def _alone(
     evidence: BlockEvidence, found: SearchResult, effect: str, floor: float
 ) -> Interval | None:
-    """What this effect closes by itself."""
+    """Return what this effect closes by itself."""
     singles = [one for one in found.hypotheses if one.effects == (effect,)]
     if not singles:
         return None

@@ -143,7 +143,7 @@ def _one(
 
 
 def _lost(run: JointRun, thresholds: Array) -> Array:
-    """What each play of the motion leaves behind (n, p), rad; from amid the gap."""
+    """Return what each play of the motion leaves behind (n, p), rad; from amid the gap."""
     motion = np.repeat((run.motor - run.motor[0])[:, None], len(thresholds), axis=1)
     return np.asarray(motion - PlayOperators(thresholds).run(motion).output)
 

@@ -189,7 +189,7 @@ def _numbers(part: Fitted, at: int, typical: Array) -> Callable[[Array], Array]:
 
 
 def _saturation(plant: TablePlant) -> list[Columns]:
-    """An axis that clips at some share of the largest reading: on or off, no free size."""
+    """Return an axis that clips at some share of the largest reading: on or off, no free size."""
     largest = np.abs(plant.reading()).max(axis=0)
     ways = []
     for axis, name in enumerate(WRENCH_AXES):

@@ -93,7 +93,7 @@ def prepare_table(
 
 
 def _load_columns(gravity: Array, prior: Array) -> Columns:
-    """What is always fitted: moments and constants; prior (10,): their standard deviations."""
+    """Return columns that are always fitted: moments and constants, by their prior (10,)."""
     values = np.zeros((len(gravity), 6, 10))
     values[:, :, :4] = gravity_regressor(gravity)
     values[:, :, 4:] = np.eye(6)
